@@ -15,8 +15,8 @@ import matplotlib
 import numpy as np
 
 import warp_peri as wp
-from warp_peri.damage import BrittleSolid, rectangle
-from warp_peri.mpi import gather, is_first, partition
+from warp_peri.fracture import BrittleMaterial, rectangle_nodes
+from warp_peri.mpi import gather, is_root, partition
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -27,11 +27,11 @@ DAMAGED = 0.35
 """φ from which a node counts as on a crack."""
 
 
-def glass(h: float, ratio: float) -> tuple[BrittleSolid, wp.Cracked, np.ndarray]:
+def glass(h: float, ratio: float) -> tuple[BrittleMaterial, wp.Cracked, np.ndarray]:
     """The solid, its plate, and nodes whose bonds do not break."""
     mu = 72e9 * 3 / 8  # λ = μ: ν = 1/3 in plane stress
-    model = wp.Model(lam=mu, mu=mu, alpha=1.0, D=np.ones(1), horizon=ratio * h, units=SI)
-    solid, x = BrittleSolid(model, 2440.0, toughness=135.0), rectangle(0.1, 0.04, h)
+    model = wp.LPSMaterial(lam=mu, mu=mu, alpha=1.0, D=np.ones(1), horizon=ratio * h, units=SI)
+    solid, x = BrittleMaterial(model, 2440.0, toughness=135.0), rectangle_nodes(0.1, 0.04, h)
     points = partition(wp.Points(x, np.ones(len(x), bool), h, units=SI))
     edge = np.abs(points.x[:, 1:]) > 0.02 - h
     load = np.where(edge, np.sign(points.x) * (0.0, 12e6 / h), 0.0)
@@ -69,13 +69,13 @@ def main(arguments: list[str] | None = None) -> int:
     x, step = gather(plate.points, plate.points.x), given.share * solid.longest_step(h)
     steps = round(given.time / PS / step)
     every = max(1, steps // 100)
-    run = wp.move(
+    run = wp.simulate(
         solid, plate, step=step, steps=every * (steps // every), every=every,
         no_fail=no_fail, watch={"tip": lambda phi: tip(x, phi)},
         series=given.out / "series" if given.series else None,
     )  # fmt: skip
     phi = gather(plate.points, run.details.damage)
-    if not is_first():
+    if not is_root():
         return 0
     nu, mu = 1 / 3, solid.model.mu
     rayleigh = np.sqrt(mu / solid.density) * (0.862 + 1.14 * nu) / (1 + nu)  # Viktorov's fit

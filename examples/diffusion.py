@@ -10,7 +10,7 @@ import numpy as np
 
 import warp_peri as wp
 from warp_peri import Points
-from warp_peri.diffusion import Conductor, CoupledSolid
+from warp_peri.diffusion import DiffusionMaterial, ThermoelasticMaterial
 
 REDUCED = ("sigma", "epsilon/sigma^3")  # units of numbers that have none
 RATIO = 3.0
@@ -31,7 +31,7 @@ def square(cells: int, reach: float, shift: float = 0.0, seed: int = 0) -> Point
 def error(points: Points, ratio: float, cells: int, kappa: Any, exact: np.ndarray, g: Any) -> float:
     """Relative l2 error of a steady solution with the source g [N]."""
     problem = wp.Dirichlet(points, np.broadcast_to(g, exact.shape), exact)
-    off = wp.solve(Conductor(ratio / cells, units=REDUCED), problem, kappa=kappa).u - exact
+    off = wp.solve(DiffusionMaterial(ratio / cells, units=REDUCED), problem, kappa=kappa).u - exact
     rows = points.interior
     return float(np.linalg.norm(off[rows]) / np.linalg.norm(exact[rows]))
 
@@ -84,8 +84,12 @@ def coupled(cells: int) -> tuple[float, float]:
     laplacian = np.column_stack([-2 * u[:, 0] + 0.6 * (1 + x * x), -2 * u[:, 1]])
     rise = np.column_stack([np.full_like(x, 0.6), 0 * x])  # gradient of div u = 0.6 x
     load = -MU * laplacian - (LAM + MU) * rise - COUPLING * gradient
-    model = wp.Model(lam=LAM, mu=MU, alpha=1.0, D=np.ones(1), horizon=RATIO * h, units=REDUCED)
-    solid = CoupledSolid(model, Conductor(RATIO * h, units=REDUCED), COUPLING, STORAGE)
+    model = wp.LPSMaterial(
+        lam=LAM, mu=MU, alpha=1.0, D=np.ones(1), horizon=RATIO * h, units=REDUCED
+    )
+    solid = ThermoelasticMaterial(
+        model, DiffusionMaterial(RATIO * h, units=REDUCED), COUPLING, STORAGE
+    )
 
     def loads(time: float) -> np.ndarray:
         source = STORAGE * phi - COUPLING * 0.6 * x - 0.4 * time
@@ -93,7 +97,7 @@ def coupled(cells: int) -> tuple[float, float]:
 
     fields = np.column_stack([u, phi])
     problem = wp.Dirichlet(points, loads, 0 * fields)
-    run = wp.move(solid, problem, step=0.5, steps=2, collar=lambda time: time * fields)
+    run = wp.simulate(solid, problem, step=0.5, steps=2, collar=lambda time: time * fields)
     free = points.interior
     pairs = ((run.u[:, :2], u), (run.u[:, 2], phi))
     return tuple(  # type: ignore[return-value]

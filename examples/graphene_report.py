@@ -9,7 +9,7 @@ import numpy as np
 
 from examples.figures import panels, save_figure
 from examples.prose import fill, table
-from warp_peri import Dirichlet, Model, Samples, plots, solve
+from warp_peri import Dirichlet, LPSMaterial, Samples, plots, solve
 from warp_peri.files.atomic import write_text
 from warp_peri.fitting.evaluate import Run
 from warp_peri.fitting.result import Fit
@@ -66,7 +66,7 @@ def draw_fit(folder: Path, fit: Fit, spacing: float) -> None:
 
 
 def draw_disks(
-    path: Path, model: Model, points: Samples, table: dict[str, Any], *, worst: bool = False
+    path: Path, model: LPSMaterial, points: Samples, table: dict[str, Any], *, worst: bool = False
 ) -> None:
     """u₁ on the disks or the worst of them: molecular data, model and error, a row each."""
     solved = solve(model, Dirichlet(points, points.loads, points.u), allow_uncertified=True).u

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 import warp_peri as wp
-from warp_peri.damage import LatticeBody, box
+from warp_peri.fracture import LatticeBody, box_nodes
 from warp_peri.points.arrays import mean_inverse
 
 Field = Callable[[np.ndarray], np.ndarray]
@@ -44,10 +44,10 @@ class Mixed:
     dimension: int = 2
 
     @property
-    def linear(self) -> wp.Model:
+    def linear(self) -> wp.LPSMaterial:
         """The influence function, 1/r, with moduli of one."""
         how = {"units": self.units, "dimension": self.dimension}
-        return wp.Model(1.0, 1.0, 1.0, np.ones(1), self.horizon, **how)
+        return wp.LPSMaterial(1.0, 1.0, 1.0, np.ones(1), self.horizon, **how)
 
     def moduli(self, body: LatticeBody, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """μ of each bond, shape [N, B], and λ − μ of each node, shape [N], from its whole ball."""
@@ -75,7 +75,7 @@ class Mixed:
 def inclusion(cells: int, inside: tuple, outside: tuple, d: int = 2) -> float:
     """Relative error of the displacement at spacing 1/cells, in the plane or in space."""
     h, ratio = 1 / cells, RATIO[d]
-    x = box(d * (2 * (1 + 2 * ratio * h),), h)
+    x = box_nodes(d * (2 * (1 + 2 * ratio * h),), h)
     points = wp.Points(x, (np.abs(x) <= 1).all(axis=1), h, units=UNITS)
 
     def field(a: float, b: float) -> Field:

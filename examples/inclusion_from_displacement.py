@@ -36,7 +36,7 @@ def body(side: int) -> tuple[wp.Points, np.ndarray, np.ndarray]:
 
 def measured(operator, held: np.ndarray, noise: float) -> torch.Tensor:
     """The three displacement fields with noise on the interior, over their mean size."""
-    exact = operator.rest(0 * held, held).u
+    exact = operator.solve(0 * held, held).u
     size = exact[:, operator.points.interior].std(axis=(1, 2)).mean()
     added = noise * size * np.random.default_rng(0).normal(size=exact.shape)
     return torch.from_numpy(exact + added * operator.points.interior[:, None])
@@ -53,14 +53,14 @@ def loss_of(operator, held: np.ndarray, seen: torch.Tensor) -> Callable:
     """Misfit and total variation of log μ on all nodes, with its gradient."""
     inside = torch.from_numpy(operator.points.interior)
     u, width = torch.from_numpy(held), round(len(inside) ** 0.5)
-    solver, size = wp.Krylov(tolerance=1e-6), seen[:, inside].std(dim=(1, 2)).mean() ** 2
+    solver, size = wp.CG(tolerance=1e-6), seen[:, inside].std(dim=(1, 2)).mean() ** 2
 
     def loss(log_mu: np.ndarray) -> tuple[float, np.ndarray]:
         unknown = torch.tensor(log_mu, requires_grad=True)
         log_of_all = torch.where(inside, unknown, 0.0)
         mu = log_of_all.exp()
         given = {"lam": RATIO * mu, "mu": mu}
-        found = operator.rest(0 * u, u, solver, parameters=given).u
+        found = operator.solve(0 * u, u, solver, parameters=given).u
         misfit = ((found - seen)[:, inside] ** 2).sum(dim=-1).mean() / size
         total = misfit / 2 + WEIGHT * variation(log_of_all, width)
         total.backward()
@@ -76,7 +76,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--steps", type=int, default=80, help="of L-BFGS, at most")
     given = parser.parse_args(arguments)
     points, truth, held = body(given.side)
-    solid = wp.Model(RATIO, 1.0, 1.0, np.ones(1), HORIZON, certified_on=(1.0,), units=points.units)
+    solid = wp.LPSMaterial(
+        RATIO, 1.0, 1.0, np.ones(1), HORIZON, certified_on=(1.0,), units=points.units
+    )
     seen = measured(solid.on(points, lam=RATIO * truth, mu=truth), held, given.noise)
     operator = solid.on(points, lam=np.full(len(truth), RATIO), mu=np.ones(len(truth)))
     loss = loss_of(operator, held, seen)

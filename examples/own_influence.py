@@ -20,7 +20,7 @@ def ring(r, radius, width):
 
 
 # Data of a solid whose ring lies at 9 Å and is 5 Å wide: random waves, and the loads they need.
-shape = warp_peri.shapes.InfluenceFunction(ring, {"radius": 9.0, "width": 5.0})
+shape = warp_peri.influence.InfluenceFunction(ring, {"radius": 9.0, "width": 5.0})
 truth = shape.model(lam=-0.2, mu=0.72, horizon=HORIZON, spacings=[H])
 truth = dataclasses.replace(truth, certified_on=(H,))
 x = H * (np.argwhere(np.ones((19, 19))) - 9)
@@ -31,7 +31,7 @@ u = np.cos(k @ x.T + phase)[:, :, None] * random.normal(size=(12, 1, 2))
 b = np.zeros_like(u)
 b[:, points.interior] = truth.on(points)(u)
 
-guess = warp_peri.shapes.InfluenceFunction(
+guess = warp_peri.influence.InfluenceFunction(
     ring, {"radius": 6.0, "width": 8.0}, bounds={"radius": (0.0, HORIZON), "width": (1.0, 50.0)}
 )
 fit = warp_peri.fit(warp_peri.Samples(points, u, b), warp_peri.LPS(HORIZON, kernel=guess))

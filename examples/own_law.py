@@ -7,10 +7,10 @@ from typing import Annotated
 import numpy as np
 
 import warp_peri as wp
-from warp_peri.core.record import Entry, Length
+from warp_peri.core.record import FieldUnits, Length
 from warp_peri.core.stencil import Stencil, half_ball
-from warp_peri.micromodulus import StencilMaterial
-from warp_peri.mpi import gather, is_first, partition
+from warp_peri.crystals import StencilMaterial
+from warp_peri.mpi import gather, is_root, partition
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -19,9 +19,9 @@ class Springs(StencilMaterial, format="own.springs"):
 
     spacing: Length
     horizon: Length
-    c: Annotated[np.ndarray, Entry(stress=1)]
+    c: Annotated[np.ndarray, FieldUnits(stress=1)]
     units: tuple[str, str] = ("angstrom", "TPa")
-    certificate: wp.proofs.Proof | None = None
+    certificate: wp.certificates.StencilCertificate | None = None
 
     @property
     def stencil(self) -> Stencil:
@@ -46,7 +46,7 @@ if __name__ == "__main__":
     k, phase = np.array([[0.05, 0.02], [-0.03, 0.08], [0.11, 0.06]]), np.arange(3)[:, None]
     u = np.stack([np.sin(k @ x.T + phase), np.cos(k @ x.T - phase)], axis=2)
     b = np.zeros_like(u)
-    other = wp.Model(0.5, 0.5, 1.0, np.ones(1), horizon=12.5, certified_on=(5.0,))
+    other = wp.LPSMaterial(0.5, 0.5, 1.0, np.ones(1), horizon=12.5, certified_on=(5.0,))
     b[:, points.interior] = other.on(points)(u)
     train, test = wp.Samples(points, u[:2], b[:2]), wp.Samples(points, u[2:], b[2:])
     wp.save("springs.json", wp.fit(train, SpringLaw(), horizon=12.5).material)
@@ -54,7 +54,9 @@ if __name__ == "__main__":
     piece = partition(points)  # the points themselves, or those of this process
     own = getattr(piece, "number", slice(None))
     rest = wp.solve(law, wp.Dirichlet(piece, b[2, own], u[2, own]))
-    swing = wp.move(law, wp.Dirichlet(piece, None, rest.u), density=2200.0, step=0.025, steps=50)
+    swing = wp.simulate(
+        law, wp.Dirichlet(piece, None, rest.u), density=2200.0, step=0.025, steps=50
+    )
     size = [np.linalg.norm(gather(piece, field)) for field in (rest.u, swing.u)]
-    if is_first():
+    if is_root():
         print(wp.evaluate(law, test)["E_u"], wp.certify(law).symbol_bound, *size)

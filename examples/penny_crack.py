@@ -13,7 +13,14 @@ import warp_peri as wp
 from examples.figures import headline, panels
 from tools.options import Options
 from warp_peri import Cracked
-from warp_peri.damage import BrittleSolid, Injected, box, contour_integral, energy_release, penny
+from warp_peri.fracture import (
+    BrittleMaterial,
+    Injected,
+    box_nodes,
+    energy_release,
+    j_integral,
+    penny_corners,
+)
 
 PICTURE = ROOT / "runs" / "penny_crack.png"
 UNITS = ("mm", "GPa")
@@ -24,10 +31,10 @@ E = 2 * MU * (1 + NU)
 
 def block(side, radius, grip):
     """A glass block of so many spacings, held within `grip` of where, and its crack on y = 0."""
-    x = box((side,) * 3, 1.0)
-    glass = wp.Model(LAM, MU, 1.0, np.ones(1), horizon=2.0, units=UNITS, dimension=3)
+    x = box_nodes((side,) * 3, 1.0)
+    glass = wp.LPSMaterial(LAM, MU, 1.0, np.ones(1), horizon=2.0, units=UNITS, dimension=3)
     points = wp.Points(x, grip(np.abs(x)) < side / 2 - 2, 1.0, units=UNITS)
-    return BrittleSolid(glass, DENSITY, toughness=TOUGHNESS), points, penny(radius)
+    return BrittleMaterial(glass, DENSITY, toughness=TOUGHNESS), points, penny_corners(radius)
 
 
 def released(side=14, radius=3.0):
@@ -35,15 +42,15 @@ def released(side=14, radius=3.0):
     solid, points, crack = block(side, radius, lambda away: away.max(axis=1))
     unit = points.x * [-NU / E, 1 / E, -NU / E]  # pulled by a unit of stress
     pulled = Cracked(points, u=unit, cracks=[crack])
-    G = energy_release(solid, pulled, [[penny(radius - 1)], [penny(radius + 1)]])
-    J = contour_integral(wp.solve(solid, pulled), (radius, 0, 0), (1, 3))
+    G = energy_release(solid, pulled, [[penny_corners(radius - 1)], [penny_corners(radius + 1)]])
+    J = j_integral(wp.solve(solid, pulled), (radius, 0, 0), (1, 3))
     return np.array([G, J]) / (4 * (1 - NU**2) * radius / (np.pi * E))
 
 
 def filled(side=14, radius=3.0):
     """Volume of a crack that a fluid fills, over 16 (1 − ν²) p a³ / (3 E) of I. N. Sneddon."""
     solid, points, _ = block(side, radius, lambda away: away.max(axis=1))
-    run = wp.move(solid, Injected(points, [radius]))
+    run = wp.simulate(solid, Injected(points, [radius]))
     large = 16 * (1 - NU**2) * radius**3 / (3 * E)
     return float(run["volume"][0] / run["pressure"][0] / large)
 
@@ -57,7 +64,7 @@ def torn(side=24, radius=5.0, steps=400):
     half = side / 2 + 1
     middle = [(a * half, 1.0, b * half) for a, b in ((-1, -1), (-1, 1), (1, 1), (1, -1))]
     apart = rate * x * [-NU, 1, -NU]
-    motion = wp.move(
+    motion = wp.simulate(
         solid,
         Cracked(points, cracks=[crack]),
         step=step,

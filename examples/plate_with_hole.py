@@ -19,9 +19,9 @@ import numpy as np
 
 import warp_peri as wp
 from examples.exact import hoop_stress, plate_with_hole
+from warp_peri.crystals import crystal_from_lps
 from warp_peri.errors import exit_status
 from warp_peri.methods import Coupling
-from warp_peri.micromodulus import tensors_of
 from warp_peri.points.outlines import Circle, box, mesh_outline
 
 matplotlib.use("Agg")
@@ -34,8 +34,8 @@ TENSION = 0.005
 class Moduli:
     """C11, C12 and C44 of the long waves of a model."""
 
-    def __init__(self, model: wp.Model, spacing: float) -> None:
-        vars(self).update(tensors_of(model, spacing).moduli())
+    def __init__(self, model: wp.LPSMaterial, spacing: float) -> None:
+        vars(self).update(crystal_from_lps(model, spacing).moduli())
 
 
 def main(arguments: list[str] | None = None) -> int:

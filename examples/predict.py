@@ -20,7 +20,7 @@ TOLERANCES = (0.02, 0.01, 0.005, None)
 
 
 def stated_and_true(
-    material: wp.prediction.Members, disks: wp.Samples, tolerance: float | None
+    material: wp.prediction.EnsembleMaterial, disks: wp.Samples, tolerance: float | None
 ) -> np.ndarray:
     """Errors that are stated and true ones, relative ℓ2 of displacement, shape [S, 2]."""
     inside, pairs = disks.interior, []
@@ -34,8 +34,8 @@ def stated_and_true(
 
 def main() -> int:
     data = wp.load(ROOT / "data" / "graphene_0K.h5")
-    rich = wp.ThirdOrder(wp.Micromodulus(15.0), wp.methods.Smoothing(10.0))
-    family = wp.prediction.Family(rich)
+    rich = wp.ThirdOrder(wp.Crystal(15.0), wp.methods.Smoothing(10.0))
+    family = wp.prediction.Ensemble(rich)
     material = wp.fit(data["train"], family, validation=data["val"], progress=False).material
     for tolerance in TOLERANCES:
         name = "best" if tolerance is None else f"{100 * tolerance:g} %"

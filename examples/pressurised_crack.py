@@ -17,7 +17,7 @@ import warp_peri as wp
 from examples.exact import sneddon_opening, westergaard
 from examples.figures import panels
 from tools.options import Options
-from warp_peri import damage
+from warp_peri import fracture
 from warp_peri.errors import exit_status
 
 HALF, RATIO, TOUGHNESS = 0.5, 3.0, 0.01
@@ -26,10 +26,12 @@ HALF, RATIO, TOUGHNESS = 0.5, 3.0, 0.01
 def square(cells: int, lam: float):
     """The solid and its points, at spacing 1/cells."""
     h = 1 / cells
-    model = wp.Model(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=RATIO * h, units=REDUCED)
+    model = wp.LPSMaterial(
+        lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=RATIO * h, units=REDUCED
+    )
     side = 2 * (1 + 2 * RATIO * h)
-    x = damage.rectangle(side, side, h)
-    solid = damage.BrittleSolid(model, 1.0, toughness=TOUGHNESS)
+    x = fracture.rectangle_nodes(side, side, h)
+    solid = fracture.BrittleMaterial(model, 1.0, toughness=TOUGHNESS)
     return solid, wp.Points(x, (np.abs(x) <= 1).all(axis=1), h, units=REDUCED)
 
 
@@ -39,7 +41,7 @@ def opening(cells: int, lam: float = 1.0):
     x, h = points.x, points.spacing
     exact = westergaard(x, HALF, 1.0, lam, 1.0) - x / (2 * (lam + 1))
     crack, fluid = [(-HALF, 0), (HALF, 0)], np.diag([0.0, 1.0])
-    solution = wp.solve(solid, damage.Cracked(points, u=exact, cracks=[crack], pressure=fluid))
+    solution = wp.solve(solid, fracture.Cracked(points, u=exact, cracks=[crack], pressure=fluid))
     u = solution.u
     row = (np.abs(x[:, 1] - h / 2) < h / 4) & (np.abs(x[:, 0]) < HALF)
     expected = sneddon_opening(x[row, 0], HALF, 1.0, lam, 1.0)
@@ -47,7 +49,7 @@ def opening(cells: int, lam: float = 1.0):
     whole = np.pi * HALF * sneddon_opening(0.0, HALF, 1.0, lam, 1.0)
     numbers = {
         "opening": float(np.mean((u[row, 1] / expected)[inner])),
-        "volume": float(damage.opening_volume(solution) / whole),
+        "volume": float(fracture.crack_opening_volume(solution) / whole),
     }
     return numbers, (x[row, 0], u[row, 1], expected)
 
@@ -70,7 +72,7 @@ def main(argv: list[str] | None = None) -> int:
     if args.growth:
         solid, points = square(args.growth, 1.0)
         halves = [k / args.growth for k in range(2, args.growth // 2 + 1)]
-        run = wp.move(solid, damage.Injected(points, halves, leak=0.001))
+        run = wp.simulate(solid, fracture.Injected(points, halves, leak=0.001))
         exact = np.sqrt(solid.model.E * TOUGHNESS / (np.pi * run["half"]))  # of an endless plane
         numbers["growth"] = {name: value.tolist() for name, value in run.history.items()}
         numbers["growth"]["pressure over the plane's"] = (run["pressure"] / exact).tolist()

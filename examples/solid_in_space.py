@@ -10,7 +10,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent.parent))
 import warp_peri
 from examples.figures import panels
-from warp_peri.micromodulus import tensors_of
+from warp_peri.crystals import crystal_from_lps
 
 PICTURE = Path(__file__).parent.parent / "runs" / "solid_in_space.png"
 LAM, MU, BALL = 0.6, 0.8, 0.6
@@ -24,7 +24,9 @@ def swollen(h):
     r = np.linalg.norm(x, axis=1)
     points = warp_peri.Points(x, (r > BALL) & (np.abs(x).max(axis=1) < 1 - h / 2), h)
     # K = 1/r, δ = 2h. As tensors of range 2δ the solid is proven, and solved at any size.
-    law = tensors_of(warp_peri.Model(LAM, MU, 1.0, np.ones(1), horizon=2 * h, dimension=3), h)
+    law = crystal_from_lps(
+        warp_peri.LPSMaterial(LAM, MU, 1.0, np.ones(1), horizon=2 * h, dimension=3), h
+    )
     exact = 0.1 * x * (BALL / np.maximum(r, BALL / 5))[:, None] ** 3  # without load, div u = 0
     u = warp_peri.solve(law, warp_peri.Dirichlet(points, np.zeros_like(x), exact)).u
     error = np.linalg.norm((u - exact)[points.interior]) / np.linalg.norm(exact[points.interior])

@@ -15,7 +15,7 @@ LAM, MU, RADIUS, H = 0.3, 0.7, 1.0, 1 / 24
 HORIZON = 3 * H
 
 # K = 1/r. A solve takes models that are certified on the lattice at hand; a fit certifies its own.
-model = warp_peri.Model(lam=LAM, mu=MU, alpha=1.0, D=np.ones(1), horizon=HORIZON)
+model = warp_peri.LPSMaterial(lam=LAM, mu=MU, alpha=1.0, D=np.ones(1), horizon=HORIZON)
 if warp_peri.certify(model, spacing=H).holds:
     model = dataclasses.replace(model, certified_on=(H,))
 

@@ -33,10 +33,10 @@ from warp_peri.errors import exit_status
 from warp_peri.files.atomic import finite, plain, write_json
 from warp_peri.fitting.regression import Regression, settle
 from warp_peri.fitting.training_data import sample_weights
-from warp_peri.materials.lps import Solid
+from warp_peri.materials.lps import LPSParameters
 from warp_peri.materials.lps_law import LPSFound, LPSLaw
 from warp_peri.materials.lps_rows import Products
-from warp_peri.methods import Conditions, Optimum
+from warp_peri.methods import GaussNewton, StabilityConditions
 from warp_peri.points.outlines import Circle, box, mesh_outline
 from warp_peri.points.quadrature import family_weights
 from warp_peri.solvers.verlet import INERTIA
@@ -63,15 +63,17 @@ class Case(Panel):
 
 
 @cache
-def learned(degree: int = 10, horizon: float = 20.0) -> wp.Model:
+def learned(degree: int = 10, horizon: float = 20.0) -> wp.LPSMaterial:
     """Of graphene, nodes 5 Å apart, with the default conditions."""
-    law = wp.LPS(horizon, wp.Bernstein(degree), Optimum(moduli=None))
+    law = wp.LPS(horizon, wp.Bernstein(degree), GaussNewton(moduli=None))
     return wp.fit(wp.load(DATA)["train"], law).material
 
 
-def solid(lam: float = LAM, alpha: float = 1.0, horizon: float = 3.0, h: float = 1.0) -> wp.Model:
+def solid(
+    lam: float = LAM, alpha: float = 1.0, horizon: float = 3.0, h: float = 1.0
+) -> wp.LPSMaterial:
     """K = r^(−α), which is stable on every lattice."""
-    return wp.Model(lam, MU, alpha, np.ones(1), horizon, certified_on=(h,))
+    return wp.LPSMaterial(lam, MU, alpha, np.ones(1), horizon, certified_on=(h,))
 
 
 def square(number: int, horizon: float, shift: float = 0.0, h: float = 1.0) -> wp.Points:
@@ -97,12 +99,14 @@ def error(u: np.ndarray, exact: np.ndarray) -> float:
     return float(100 * np.linalg.norm(u - exact) / np.linalg.norm(exact))
 
 
-def unconditioned(train: wp.Samples, horizon: float, degree: int) -> wp.Model:
+def unconditioned(train: wp.Samples, horizon: float, degree: int) -> wp.LPSMaterial:
     """The least residual of kernels of a degree, and nothing else."""
     products = Products(train, horizon)
-    start = LPSFound(Solid(-0.2, 0.7, 1.0, np.ones(degree + 1)))
+    start = LPSFound(LPSParameters(-0.2, 0.7, 1.0, np.ones(degree + 1)))
     block = products.rows(sample_weights([train], normalise=False)[0])
-    law = LPSLaw([products.classes], start, Conditions(zeta=1e-6), Optimum(moduli=None))
+    law = LPSLaw(
+        [products.classes], start, StabilityConditions(zeta=1e-6), GaussNewton(moduli=None)
+    )
     problem = Regression([block], law, law.zeta, 1.0)  # without a look for cuts
     theta, _ = settle(problem.state, law.start(start))
     return law.found(problem.found(theta, [1.0], 0.0)).model(horizon)
@@ -119,7 +123,7 @@ def no_conditions() -> Case:
 
 def steep_kernel() -> Case:
     alphas = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 2.9, 2.999)
-    laws = [wp.micromodulus.tensors_of(solid(alpha=alpha), 1.0) for alpha in alphas]
+    laws = [wp.crystals.crystal_from_lps(solid(alpha=alpha), 1.0) for alpha in alphas]
     off = [abs(law.elastic_tensor()[2, 2] / MU - 1) for law in laws]
     y = {"δ = 3h": 100 * np.round(off, 9)}
     said = said_by(lambda: solid(alpha=3.0))
@@ -139,7 +143,7 @@ def other_lattice() -> Case:
 
 
 def short_horizon() -> Case:
-    ratios, x = np.linspace(1, 4, 31), wp.damage.rectangle(9, 9, 1.0)
+    ratios, x = np.linspace(1, 4, 31), wp.fracture.rectangle_nodes(9, 9, 1.0)
     r = np.hypot(*x.T)
     families = [x[(r > 0) & (r < ratio + 1e-9)] for ratio in ratios]
     off = [family_weights(xi, ratio)[1] for xi, ratio in zip(families, ratios)]
@@ -168,7 +172,7 @@ def scattered_points() -> Case:
     samples = [wp.Samples(points, points.x[None]) for points in clouds]
     nodes = [wp.transfers.onto_lattice(each, spacing=1.0).points for each in samples]
     rows = {"as they lie": clouds, "onto_lattice": nodes}
-    eigen = wp.proofs.solvability
+    eigen = wp.certificates.check_solvability
     y = {n: [eigen(solid(), p).symmetric_min for p in row] for n, row in rows.items()}
     said = said_by(lambda: solid().on(clouds[-1]))
     return Case("scattered points", shifts, "shift / spacing", "least eigenvalue", y, said)
@@ -178,8 +182,8 @@ def small_holes() -> Case:
     def exact(x: np.ndarray) -> np.ndarray:
         return plate_with_hole(x, radius, 0.005, moduli)[0]
 
-    radii, x, off = (20.0, 35.0, 50.0), wp.damage.rectangle(280.0, 280.0, 5.0), []
-    moduli = SimpleNamespace(**wp.micromodulus.tensors_of(learned(), 5.0).moduli())
+    radii, x, off = (20.0, 35.0, 50.0), wp.fracture.rectangle_nodes(280.0, 280.0, 5.0), []
+    moduli = SimpleNamespace(**wp.crystals.crystal_from_lps(learned(), 5.0).moduli())
     for radius in radii:
         hole = np.hypot(*x.T) < radius
         inside, u = (np.abs(x) < 100).all(axis=1) & ~hole, np.zeros_like(x)
@@ -194,20 +198,20 @@ def small_holes() -> Case:
 
 
 def short_waves() -> Case:
-    train, law = wp.load(DATA)["train"], wp.Micromodulus(15.0, "4mm")
+    train, law = wp.load(DATA)["train"], wp.Crystal(15.0, "4mm")
     length = 2 * np.pi / train.arrays["wave_number"]
     some, long = np.argsort(length)[::3], train[np.flatnonzero(length > 45)]
     tried, sets = train[some], {"waves > 45 Å": long, "all waves": train}
     off = {n: wp.evaluate(wp.fit(data, law).material, tried) for n, data in sets.items()}
     y = {name: 100 * np.array(errors["E_u_samples"]) for name, errors in off.items()}
-    members = wp.fit(long, wp.prediction.Family(law), progress=False).material
+    members = wp.fit(long, wp.prediction.Ensemble(law), progress=False).material
     answer: Any = wp.predict(members, wp.Dirichlet(tried, tried.loads[0], tried.u[0]), None)
     return Case("waves of no load", length[some], "wavelength [Å]", "error of u [%]", y, answer.why)
 
 
 def single_precision() -> Case:
     points, shifts = square(24, 6.0), np.logspace(-2, 6, 9)
-    law = wp.micromodulus.tensors_of(solid(), 1.0)
+    law = wp.crystals.crystal_from_lps(solid(), 1.0)
     u, force = waves(law, points, 1, 1e-3).u[0], law.on(points)
     laws = {"float32": law.on(points, dtype=np.float32), "float64": force}
     y = {name: [error(of(u + far), force(u)) for far in shifts] for name, of in laws.items()}
@@ -218,7 +222,7 @@ def single_precision() -> Case:
 def long_steps() -> Case:
     points, shares, growth = wp.Points.sheet((24, 24), 1.0), (0.9, 0.95, 0.99, 1.01, 1.03), []
     operator, first = solid().on(points), np.random.default_rng(0).normal(size=points.x.shape)
-    longest = wp.proofs.critical_time_step(solid(), spacing=1.0, density=1e3)
+    longest = wp.certificates.critical_time_step(solid(), spacing=1.0, density=1e3)
     for share in shares:
         u, v = first, 0 * first
         for _ in range(200):  # leapfrog
@@ -226,14 +230,14 @@ def long_steps() -> Case:
             u = u + v
         growth.append(np.abs(u).max() / np.abs(first).max())
     start, how = wp.Dirichlet(points, None, first), {"density": 1e3, "steps": 1}
-    said = said_by(lambda: wp.move(solid(), start, step=1.03 * longest, **how))
+    said = said_by(lambda: wp.simulate(solid(), start, step=1.03 * longest, **how))
     y = {"leapfrog": growth}
     return Case("a step too long", shares, "step / (2/ω)", "growth in 200 steps", y, said)
 
 
 def noisy_data() -> Case:
     points, levels, off = square(13, 2.5), (1.0, 2.0, 4.0), []
-    law, random = wp.LPS(2.5, wp.Bernstein(3), Optimum(moduli=None)), np.random.default_rng(0)
+    law, random = wp.LPS(2.5, wp.Bernstein(3), GaussNewton(moduli=None)), np.random.default_rng(0)
     clean = waves(solid(horizon=2.5), points, 60)
     for level in levels:
         noise, again = level / 100 * clean.u.std() * random.normal(size=(2, *clean.u.shape))
@@ -249,7 +253,10 @@ def large_strains() -> Case:
         return lam / 2 * E.diagonal(dim1=-2, dim2=-1).sum(-1) ** 2 + mu * (E * E).sum((-1, -2))
 
     truth, points = wp.DensityMaterial.of(svk, 1.0, {"lam": LAM, "mu": MU}), square(14, 3.0)
-    strains, linear = (1.0, 2.0, 4.0, 8.0, 12.0), wp.LPS(3.0, wp.Bernstein(3), Optimum(moduli=None))
+    strains, linear = (
+        (1.0, 2.0, 4.0, 8.0, 12.0),
+        wp.LPS(3.0, wp.Bernstein(3), GaussNewton(moduli=None)),
+    )
     sets = [waves(truth, points, 6, strain / 100) for strain in strains]
     laws = {"linear": linear, "Density": wp.Density(svk, 1.5, {"lam": 0.1, "mu": 1.0})}
     fits = {name: wp.fit(sets[1], law).material for name, law in laws.items()}
@@ -259,23 +266,23 @@ def large_strains() -> Case:
 
 
 def broken_kernel() -> Case:
-    solids = {"learned": learned(), "positive": wp.damage.positive_kernel(learned(), 20.0)}
-    x, shares = wp.damage.rectangle(200.0, 200.0, 5.0), (0.0, 0.01, 0.02, 0.05, 0.1)
+    solids = {"learned": learned(), "positive": wp.fracture.with_positive_kernel(learned(), 20.0)}
+    x, shares = wp.fracture.rectangle_nodes(200.0, 200.0, 5.0), (0.0, 0.01, 0.02, 0.05, 0.1)
     inside, draw = (np.abs(x) < 60).all(axis=1), np.random.default_rng(0).random(len(x))
     y: dict[str, list[float]] = {"learned": [], "positive": []}
     for share, name in product(shares, solids):
         gone = (np.hypot(*x.T) < 40) & (draw < share)
         points = wp.Points(x, inside & ~gone, 5.0, outside=gone)
-        y[name].append(wp.proofs.solvability(solids[name], points).symmetric_min)
-    said = said_by(lambda: wp.damage.BrittleSolid(learned(), 2147.0, critical_stretch=0.1))
+        y[name].append(wp.certificates.check_solvability(solids[name], points).symmetric_min)
+    said = said_by(lambda: wp.fracture.BrittleMaterial(learned(), 2147.0, critical_stretch=0.1))
     missing = 100 * np.array(shares)
     return Case("a broken kernel", missing, "missing nodes [%]", "least eigenvalue", y, said)
 
 
 def unstated_axis() -> Case:
-    steps, turned = np.array([[1, 0], [0, 1], [1, 1], [1, -1]]), wp.micromodulus.transferred
+    steps, turned = np.array([[1, 0], [0, 1], [1, 1], [1, -1]]), wp.crystals.transfer_to_lattice
     springs = np.einsum("n,ni,nj->nij", [0.5, 0.5, 0.1, 0.1], steps, steps)
-    crystal = wp.micromodulus.Crystal(1.0, steps, springs, symmetry="4mm").certified()
+    crystal = wp.crystals.CrystalMaterial(1.0, steps, springs, symmetry="4mm").certified()
     angles, points, off = (0.0, 10.0, 20.0, 30.0, 45.0), square(16, 3.0), []
     for angle in angles:
         stated = replace(points, axis=angle)
@@ -283,19 +290,19 @@ def unstated_axis() -> Case:
         same = turned(crystal, 1.0, rotation=angle, horizon=2.5)
         laws = (crystal, replace(data, points=points)), (same, data)
         off.append([100 * wp.evaluate(law, samples)["E_u"] for law, samples in laws])
-    y = dict(zip(("unstated", "transferred"), zip(*off)))
+    y = dict(zip(("unstated", "transfer_to_lattice"), zip(*off)))
     said = said_by(lambda: crystal.on(stated))
     return Case("an axis nobody stated", angles, "angle [°]", "error of u [%]", y, said)
 
 
 def critical_stretch() -> Case:
-    ratios, x = (-0.3, 1.0, 3.0), wp.damage.rectangle(12.0, 10.0, 1.0)
-    solids, spent = [solid(ratio * MU) for ratio in ratios], wp.damage.apparent_toughness
+    ratios, x = (-0.3, 1.0, 3.0), wp.fracture.rectangle_nodes(12.0, 10.0, 1.0)
+    solids, spent = [solid(ratio * MU) for ratio in ratios], wp.fracture.apparent_toughness
     large, small = (np.array([spent(one, 1.0, cells=n) for one in solids]) for n in (12, 9))
     y = {"formula": 100 * abs(large - 1), "calibrated": 100 * abs(large / small - 1)}
     pulled = wp.Cracked(wp.Points(x, np.ones(len(x), bool), 1.0), u=0.02 * x)
-    brittle = wp.damage.BrittleSolid(solid(), 1e3, critical_stretch=0.01)
-    said = said_by(lambda: wp.move(brittle, pulled, step=1e-4, steps=1))
+    brittle = wp.fracture.BrittleMaterial(solid(), 1e3, critical_stretch=0.01)
+    said = said_by(lambda: wp.simulate(brittle, pulled, step=1e-4, steps=1))
     return Case("a stretch by formula", ratios, "λ/μ", "error of toughness [%]", y, said)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 import warp_peri as wp
 from examples.exact import westergaard
-from warp_peri import damage
+from warp_peri import fracture
 from warp_peri.errors import exit_status
 
 UNITS = ("sigma", "epsilon/sigma^3")  # of numbers that have none
@@ -26,12 +26,12 @@ HALF = 0.5
 def static_crack(cells: int, ratio: float, lam: float) -> dict[str, float]:
     """Relative errors at spacing 1/cells and horizon ratio/cells, μ = 1."""
     h = 1 / cells
-    model = wp.Model(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=ratio * h, units=UNITS)
+    model = wp.LPSMaterial(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=ratio * h, units=UNITS)
     side = 2 * (1 + 2 * int(np.ceil(ratio)) * h)
-    x = damage.rectangle(side, side, h)
+    x = fracture.rectangle_nodes(side, side, h)
     points = wp.Points(x, (np.abs(x) <= 1).all(axis=1), h, units=UNITS)
     exact = westergaard(x, HALF, 1.0, lam, 1.0)
-    crack = damage.Cracked(points, u=exact, cracks=[[(-HALF, 0), (HALF, 0)]])
+    crack = fracture.Cracked(points, u=exact, cracks=[[(-HALF, 0), (HALF, 0)]])
     solution = wp.solve(model, crack)
     u = solution.u
     longer, shorter = ([[(-HALF - d, 0), (HALF + d, 0)]] for d in (h, -h))
@@ -39,14 +39,14 @@ def static_crack(cells: int, ratio: float, lam: float) -> dict[str, float]:
     face = (np.abs(x[:, 1] - h / 2) < h / 4) & (np.abs(x[:, 0]) < 0.8 * HALF)
     return {
         "displacement": float(np.linalg.norm((u - exact)[inside]) / np.linalg.norm(exact[inside])),
-        "G": damage.energy_release(model, crack, (shorter, longer)) / expected - 1,
-        "J": damage.contour_integral(solution, (HALF, 0.0), (0.2, 0.4)) / expected - 1,
+        "G": fracture.energy_release(model, crack, (shorter, longer)) / expected - 1,
+        "J": fracture.j_integral(solution, (HALF, 0.0), (0.2, 0.4)) / expected - 1,
         "opening": float(np.mean(u[face, 1] / exact[face, 1])) - 1,
     }
 
 
 def edge_crack(
-    model: wp.Model, n: int, share: float, shift: float = 0.0, start: float = 0,
+    model: wp.LPSMaterial, n: int, share: float, shift: float = 0.0, start: float = 0,
     *, corrected: bool = False,
 ) -> float:  # fmt: skip
     """G over the exact one of a crack, n spacings of 1 long, in the edge of a strip that is pulled.
@@ -56,18 +56,18 @@ def edge_crack(
     """
     width = round(n / share)
     height = 3 * width
-    x = damage.rectangle(width, height, 1.0)
+    x = fracture.rectangle_nodes(width, height, 1.0)
     back = np.flatnonzero(x[:, 0] == x[:, 0].max())
     middle = back[np.argsort(np.abs(x[back, 1]))[:2]]
     free = np.ones(x.shape, bool)
     free[middle[0]], free[middle[1], 0] = False, False  # not loose, and nothing else
     b = np.where(np.abs(x[:, 1:]) > height / 2 - 1, np.sign(x) * (0.0, 1.0), 0.0)
     points, reach = wp.Points(x, np.ones(len(x), bool), 1.0, units=UNITS), 1 + corrected
-    strip = damage.Cracked(points, b, free=free, corrected=corrected)
+    strip = fracture.Cracked(points, b, free=free, corrected=corrected)
     ends = range(-reach, reach + 1)
     cracks = [[[(start - width / 2, 0), (n + d - width / 2, 0)]] for d in ends]
     shape = np.polyval([30.382, -21.71, 10.55, -0.231, 1.122], share)
-    G = damage.energy_release(model, strip, cracks, shift=shift)
+    G = fracture.energy_release(model, strip, cracks, shift=shift)
     return float(G * model.E / (np.pi * n * shape**2))
 
 

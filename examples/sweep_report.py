@@ -9,10 +9,10 @@ from matplotlib.ticker import NullFormatter, ScalarFormatter
 
 from examples.figures import name_lines, panels, save_figure
 from examples.prose import fill, rows_of
-from warp_peri import Model, load, plots
+from warp_peri import LPSMaterial, load, plots
 from warp_peri.files.atomic import write_json, write_text
 from warp_peri.materials.lps_sweep import COST_TOLERANCE, Trial
-from warp_peri.methods import Sweep
+from warp_peri.methods import SweepResult
 
 PRINTED_TABLE_3 = {
     0: (12.5, 13.91, 17.54, 16.31, 14.49, 1.0),
@@ -30,7 +30,12 @@ ERRORS = ("E_res_train", "E_u_train", "E_res_val", "E_u_val")
 
 
 def write_sweep(
-    folder: Path, trials: Sweep, *, spacing: float, truth: dict[str, float] | None, command: str
+    folder: Path,
+    trials: SweepResult,
+    *,
+    spacing: float,
+    truth: dict[str, float] | None,
+    command: str,
 ) -> None:
     """sweep.json, sweep.md, sweep_errors.png (figure 6) and sweep_kernels.png (figure 7)."""
     write_json(
@@ -80,7 +85,7 @@ def _name(trial: Trial) -> str:
     return f"δ = {trial.horizon:g} Å, M = {trial.degree}"
 
 
-def _tables(folder: Path, trials: Sweep, truth: dict[str, float] | None, command: str) -> str:
+def _tables(folder: Path, trials: SweepResult, truth: dict[str, float] | None, command: str) -> str:
     chosen = {"smallest AvgE": trials.printed, "cheapest": trials.cheapest}
     models = {name: load(folder / trial.model) for name, trial in chosen.items()}
     table_4 = [_table_4(name, trial, models[name]) for name, trial in chosen.items()]
@@ -108,7 +113,7 @@ def _table_3(trial: Trial, average: float) -> list[str]:
     return [f"{trial.degree}", f"{trial.horizon:g}", *_errors(trial), f"{average:.4f}", beside]
 
 
-def _table_4(name: str, trial: Trial, model: Model) -> list[str]:
+def _table_4(name: str, trial: Trial, model: LPSMaterial) -> list[str]:
     """A choice: its constants and errors."""
     constants = (model.alpha, model.lam, model.mu, model.E, model.nu)
     numbers = [f"{value:.4f}" for value in constants]

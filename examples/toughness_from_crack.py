@@ -1,7 +1,7 @@
 """Strength and toughness of bonds from one test: a notched plate is pulled, its force is measured.
 
 The same model makes the data, noise of 1 % is added. Bonds soften beyond a stretch, so that the
-force is differentiable through all that breaks: torch through `move`.
+force is differentiable through all that breaks: torch through `simulate`.
 
 python examples/toughness_from_crack.py           numbers, and a picture
 python examples/toughness_from_crack.py --json    errors of toughness and strength, seconds
@@ -19,8 +19,8 @@ import torch
 
 import warp_peri as wp
 from examples.figures import panels, shown
-from warp_peri.damage import BondLaw, SoftSolid, rectangle
 from warp_peri.errors import exit_status
+from warp_peri.fracture import BondLaw, SofteningMaterial, rectangle_nodes
 
 TRUE, GUESS = BondLaw(0.0, stretch=0.02, tail=0.2), BondLaw(0.0, stretch=0.026, tail=0.13)
 WIDE, HIGH, HORIZON, NOISE = 24, 16, 3.0, 0.01  # mm
@@ -31,8 +31,8 @@ LOADS, GRIP = np.linspace(0.2, 1.0, 9), 0.23
 def toughness_from_force(seed: int, iterations: int) -> tuple[dict[str, float], Any]:
     """Errors of toughness and strength, other numbers, and a picture."""
     # a plate with a notch, whose upper and lower rows are held by grips
-    model = wp.Model(1.0, 1.0, 1.0, np.ones(1), HORIZON, units=("mm", "GPa"))
-    x = rectangle(WIDE, HIGH, 1.0)
+    model = wp.LPSMaterial(1.0, 1.0, 1.0, np.ones(1), HORIZON, units=("mm", "GPa"))
+    x = rectangle_nodes(WIDE, HIGH, 1.0)
     grips = np.abs(x[:, 1]) > HIGH / 2 - HORIZON
     apart = GRIP * (np.sign(x) * grips[:, None]) * [0, 1]
     notch, across = ([(-WIDE / 2, 0.0), (end, 0.0)] for end in (-WIDE / 4, WIDE / 2))
@@ -41,8 +41,8 @@ def toughness_from_force(seed: int, iterations: int) -> tuple[dict[str, float], 
     pull: dict[str, Any] = {"loads": LOADS, "line": across, "no_fail": grips, "stop": 0.0}
 
     def force(stretch: Any, tail: Any) -> Any:
-        solid, numbers = SoftSolid(model, TRUE), {"stretch": stretch, "tail": tail}
-        return wp.move(solid, plate, parameters=numbers, **pull)["force"]
+        solid, numbers = SofteningMaterial(model, TRUE), {"stretch": stretch, "tail": tail}
+        return wp.simulate(solid, plate, parameters=numbers, **pull)["force"]
 
     data = force(TRUE.stretch, TRUE.tail)
     noise = np.random.default_rng(seed).normal(size=len(data))
@@ -64,7 +64,7 @@ def toughness_from_force(seed: int, iterations: int) -> tuple[dict[str, float], 
     numbers = {"seconds": time.perf_counter() - begin, "gradients": len(told)}
     best = BondLaw(0.0, *z.detach().exp().tolist())
     for name, law in {"start": GUESS, "found": best, "true": TRUE}.items():
-        numbers |= {f"toughness, {name}": SoftSolid(model, law).toughness(1.0)}
+        numbers |= {f"toughness, {name}": SofteningMaterial(model, law).toughness(1.0)}
         numbers |= {f"stretch, {name}": law.stretch}
     for name in ("toughness", "stretch"):
         numbers[f"error of {name}"] = abs(numbers[f"{name}, found"] / numbers[f"{name}, true"] - 1)

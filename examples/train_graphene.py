@@ -24,17 +24,17 @@ from tools.options import Options
 from warp_peri import Dataset, InputError, Samples
 from warp_peri.cluster import scheduler
 from warp_peri.core.elastic import plane_isotropic
+from warp_peri.crystals import CrystalMaterial
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
 from warp_peri.fitting import settings
 from warp_peri.fitting.evaluate import train
 from warp_peri.fitting.result import Fit
-from warp_peri.materials.lps import Solid
+from warp_peri.materials.lps import LPSParameters
 from warp_peri.materials.lps_fit import Learner
 from warp_peri.materials.lps_law import LPSFound, optimum
-from warp_peri.materials.third_order import CUBIC, ThirdOrderCrystal
+from warp_peri.materials.third_order import CUBIC, ThirdOrderMaterial
 from warp_peri.methods import sweep
-from warp_peri.micromodulus import Crystal
 
 DATA = ROOT / "data" / "graphene_0K.h5"
 SMOOTHING_RADIUS = 10.0
@@ -57,7 +57,7 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     data = wp.load(path)
     sets = sets_at(data, given.spacing)
     seconds = {"data": time.perf_counter() - begin}
-    conditions = wp.methods.Conditions(given.conditions)
+    conditions = wp.methods.StabilityConditions(given.conditions)
     kernel = None if given.degree is None else wp.Bernstein(given.degree)
     trained = train(
         wp.LPS(given.horizon, kernel, method_of(given), conditions),
@@ -136,7 +136,7 @@ def alphas_as_good(train: Samples, law: Any) -> list[float]:
     """Exponents α whose best kernel has at most 1.01 times the least loss of all that are tried."""
     data, losses = Learner(law, [train], [], False), {}
     for alpha in ALPHAS:
-        start = LPSFound(Solid(0.0, data.stiffness, alpha, np.ones(law.kernel.degree + 1)))
+        start = LPSFound(LPSParameters(0.0, data.stiffness, alpha, np.ones(law.kernel.degree + 1)))
         of = data.blocks, data.lattices, start, data.conditions, law.method
         losses[alpha] = optimum(*of, fixed_alpha=True).loss
     return [alpha for alpha in ALPHAS if losses[alpha] <= 1.01 * min(losses.values())]
@@ -145,7 +145,9 @@ def alphas_as_good(train: Samples, law: Any) -> list[float]:
 def other_row(sets: dict[str, Samples], given: argparse.Namespace) -> dict[str, Any]:
     """Errors and proven bound of the same solid under the other choice of conditions."""
     kind = "direct" if given.conditions == "paper" else "paper"
-    law = wp.LPS(given.horizon, wp.Bernstein(given.degree), conditions=wp.methods.Conditions(kind))
+    law = wp.LPS(
+        given.horizon, wp.Bernstein(given.degree), conditions=wp.methods.StabilityConditions(kind)
+    )
     found = wp.fit(sets["train"], law, progress=False)
     proof = {key: found.certificate.figures()[key] for key in report.CERTIFICATE}
     return {**errors_of(found.material, sets), "conditions": kind, **proof}
@@ -153,11 +155,11 @@ def other_row(sets: dict[str, Samples], given: argparse.Namespace) -> dict[str, 
 
 def third_order_rows(
     sets: dict[str, Samples], given: argparse.Namespace
-) -> tuple[dict[str, Any], dict[str, ThirdOrderCrystal]]:
+) -> tuple[dict[str, Any], dict[str, ThirdOrderMaterial]]:
     """Errors, constants and seconds of both forms on 28 bonds, and the models, by form."""
     rows: dict[str, Any] = {}
-    models: dict[str, ThirdOrderCrystal] = {}
-    linear = wp.Micromodulus(BONDS_28 * given.spacing)
+    models: dict[str, ThirdOrderMaterial] = {}
+    linear = wp.Crystal(BONDS_28 * given.spacing)
     for form, ridge in THIRD_ORDER.items():
         begin = time.perf_counter()
         smoothing = wp.methods.Smoothing(given.smoothing_radius, ridge)
@@ -178,10 +180,10 @@ def third_order_rows(
 
 def crystal_row(
     sets: dict[str, Samples], given: argparse.Namespace
-) -> tuple[dict[str, Any], Crystal]:
+) -> tuple[dict[str, Any], CrystalMaterial]:
     """Errors of tensors on 20 bonds, moduli held as long waves show them; the law."""
     begin = time.perf_counter()
-    law = wp.Micromodulus(BONDS_20 * given.spacing)
+    law = wp.Crystal(BONDS_20 * given.spacing)
     crystal = wp.fit(sets["train"], law).material
     row: dict[str, Any] = {
         **errors_of(crystal, sets),
@@ -263,7 +265,7 @@ def run_sweep(given: argparse.Namespace) -> None:
         conditions=given.conditions,
         method=as_printed(given.seed, None)
         if given.as_printed
-        else wp.methods.Optimum(moduli=None),
+        else wp.methods.GaussNewton(moduli=None),
         jobs=given.jobs,
         progress=True,
     )

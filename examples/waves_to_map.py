@@ -2,7 +2,8 @@
 
     python examples/waves_to_map.py [--side 64] [--noise 0.01] [--iterations 40]
 
-`move` gives the gradient of what is heard to λ and μ at every node. The same model makes the data.
+`simulate` gives the gradient of what is heard to λ and μ at every node. The same model makes the
+data.
 """
 
 import argparse
@@ -31,7 +32,7 @@ def plate(side: int) -> tuple[Any, np.ndarray, torch.Tensor]:
         away = torch.from_numpy(np.linalg.norm(x * 64 / side - middle, axis=-1))
         more = torch.tensor(inside, dtype=maps.dtype)[:, None] - 1
         maps += more * torch.sigmoid((radius - away) / 0.75)
-    solid = wp.Model(LAM, MU, 1.0, np.ones(1), HORIZON * H, certified_on=(H,))
+    solid = wp.LPSMaterial(LAM, MU, 1.0, np.ones(1), HORIZON * H, certified_on=(H,))
     return solid.on(points, lam=np.full(len(x), LAM), mu=np.full(len(x), MU)), x, maps
 
 
@@ -39,7 +40,7 @@ def shot(body: Any, x: np.ndarray, side: int) -> Callable[[torch.Tensor], torch.
     """What the ring hears of a knock in one corner, of a plate with given maps."""
     at_rest = wp.Dirichlet(body.points, None, 0 * x)
     knock = np.exp(-np.square(x - side * np.array([-0.36, -0.28])).sum(axis=1) / 8)
-    longest = 2 * np.sqrt(1e-8 * DENSITY / body.stiffest_wave())
+    longest = 2 * np.sqrt(1e-8 * DENSITY / body.max_symbol_eigenvalue())
     options = {
         "v": (body.points.interior * knock)[:, None] * [1, 0.6],
         "density": DENSITY,
@@ -50,7 +51,7 @@ def shot(body: Any, x: np.ndarray, side: int) -> Callable[[torch.Tensor], torch.
 
     def heard(maps: torch.Tensor) -> Any:
         moduli = {"lam": (LAM + MU) * maps[0] - MU * maps[1], "mu": MU * maps[1]}
-        return wp.move(body, at_rest, **options, parameters=moduli)["u"]
+        return wp.simulate(body, at_rest, **options, parameters=moduli)["u"]
 
     return heard
 

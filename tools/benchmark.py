@@ -42,20 +42,20 @@ from examples.figures import panels, save_figure
 from tools import rivals
 from tools.elements import elastic_solver, local_solver
 from tools.options import Options
-from warp_peri import Krylov, Model, Points, Samples
+from warp_peri import CG, LPSMaterial, Points, Samples
 from warp_peri.atoms.calculators import LammpsError
 from warp_peri.core.elastic import plane_isotropic
 from warp_peri.core.grid import Grid
-from warp_peri.damage import box, lattice_body
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
+from warp_peri.fracture import box_nodes, lattice_body
 from warp_peri.fracture.bonds import CutOperator
-from warp_peri.fracture.dynamics import BreakingBody, BrittleSolid, step
-from warp_peri.launch import floats, set_threads, zeros
+from warp_peri.fracture.dynamics import BreakingBody, BrittleMaterial, step
 from warp_peri.materials.lps_bonds import Bonds
 from warp_peri.materials.lps_force import lps_force
 from warp_peri.materials.lps_operator import LPSOperator
-from warp_peri.methods import Solid
+from warp_peri.methods import LPSParameters
+from warp_peri.runtime import floats, set_num_threads, zeros
 
 HORIZON = 4.0
 """In spacings; 48 bonds a node on a lattice."""
@@ -133,12 +133,12 @@ def ours(bonds: Bonds, fields: np.ndarray, dtype: torch.dtype) -> tuple[Callable
 
     def forward() -> np.ndarray:
         bonds.kept = None  # the rivals compute K every time
-        return lps_force(bonds, u, Solid(lam, mu, alpha, D)).numpy()
+        return lps_force(bonds, u, LPSParameters(lam, mu, alpha, D)).numpy()
 
     def both() -> list[np.ndarray]:
         bonds.kept = None
         leaves = [value.detach().requires_grad_() for value in (u, D, alpha)]
-        Lu = lps_force(bonds, leaves[0], Solid(lam, mu, leaves[2], leaves[1]))
+        Lu = lps_force(bonds, leaves[0], LPSParameters(lam, mu, leaves[2], leaves[1]))
         return [gradient.numpy() for gradient in torch.autograd.grad(Lu, leaves, g)]
 
     return forward, both
@@ -148,7 +148,7 @@ def operator(*, quick: bool, threads: int) -> None:
     """Forces and gradients on a lattice and on scattered points, and LAMMPS in space."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     threads = min(threads, cores or 1)  # what a process is bound to, Numba insists on
-    set_threads(threads)
+    set_num_threads(threads)
     torch.set_num_threads(threads)
     side, rounds = (40, 1) if quick else (200, 15)
     for kind in ("lattice", "scattered"):
@@ -223,7 +223,7 @@ def loads(grid: Grid) -> dict[str, np.ndarray]:
     return {name: grid.gather(np.pad(f, around)[None])[0] for name, f in fields.items()}
 
 
-def one_solve(model: Model, shape: str, side: int, method: str) -> tuple[int, list[float]]:
+def one_solve(model: LPSMaterial, shape: str, side: int, method: str) -> tuple[int, list[float]]:
     """Unknowns; seconds of layout, set-up and the slowest of three loads; iterations, residual."""
     points = lattice_of(mask_of(shape, side), model.horizon, model.certified_on[0])
     times = [time.perf_counter()]
@@ -240,7 +240,7 @@ def one_solve(model: Model, shape: str, side: int, method: str) -> tuple[int, li
     return 2 * len(linear.grid.interior), [*np.diff(times), *map(max, zip(*solves))]
 
 
-def gradient_over_solve(model: Model, side: int) -> float:
+def gradient_over_solve(model: LPSMaterial, side: int) -> float:
     """Time of the gradient of a solve to load, λ, μ, α and D over that of the solve."""
     points = lattice_of(mask_of("square", side), model.horizon, model.certified_on[0])
     noise = torch.from_numpy(np.random.default_rng(0).normal(size=(1, len(points.x), 2)))
@@ -254,7 +254,7 @@ def gradient_over_solve(model: Model, side: int) -> float:
     for _ in range(3):
         start = time.perf_counter()
         given = wp.Dirichlet(points, b, noise * ~inside)
-        u = wp.solve(model, given, solver=Krylov("sine"), parameters=parameters).u
+        u = wp.solve(model, given, solver=CG("sine"), parameters=parameters).u
         middle = time.perf_counter()
         torch.autograd.grad((u * u).sum(), [b, *parameters.values()], allow_unused=True)
         ratios.append((time.perf_counter() - middle) / (middle - start))
@@ -263,7 +263,7 @@ def gradient_over_solve(model: Model, side: int) -> float:
 
 def solves(*, quick: bool, threads: int) -> None:
     """Time, iterations and the exponent of cost; the gradient of a solve."""
-    set_threads(threads)
+    set_num_threads(threads)
     torch.set_num_threads(threads)
     model, sides = wp.load(MODEL_FILE), (24, 32) if quick else SIDES
     print("shape          unknowns   layout  set-up   solve  iterations  residual")
@@ -293,8 +293,8 @@ def sweeps(sides: tuple[int, int], ratio: float, repeats: int, share: float) -> 
 
     `share`: of bonds that are broken at the start, at random.
     """
-    random, body = np.random.default_rng(0), lattice_body(box(sides, 1.0), 1.0, ratio)
-    model = Model(lam=2.0, mu=1.0, alpha=1.0, D=np.ones(1), horizon=ratio)
+    random, body = np.random.default_rng(0), lattice_body(box_nodes(sides, 1.0), 1.0, ratio)
+    model = LPSMaterial(lam=2.0, mu=1.0, alpha=1.0, D=np.ones(1), horizon=ratio)
     limits = 0.02 * body.r**2
     cut = CutOperator(model, body, limits=limits)
     (stiffness, felt, _), table, count = cut.bonded, body.neighbour.copy(), len(body.x)
@@ -322,10 +322,10 @@ def block(repeats: int, side: int, ratio: float = 3.0) -> dict[str, float]:
 
     Bonds are those of the whole ball of every node. LAMMPS's `peri/lps` looks for contacts too.
     """
-    set_threads(1)
-    body = lattice_body(box(3 * (side,), 1.0), 1.0, ratio)
-    model = Model(lam=2.0, mu=1.0, alpha=1.0, D=np.ones(1), horizon=ratio, dimension=3)
-    moving = BreakingBody(BrittleSolid(model, 1.0, critical_stretch=0.02), body)
+    set_num_threads(1)
+    body = lattice_body(box_nodes(3 * (side,), 1.0), 1.0, ratio)
+    model = LPSMaterial(lam=2.0, mu=1.0, alpha=1.0, D=np.ones(1), horizon=ratio, dimension=3)
+    moving = BreakingBody(BrittleMaterial(model, 1.0, critical_stretch=0.02), body)
     begin = 1e-3 * np.random.default_rng(0).standard_normal(body.x.shape)
     state, dt = moving.start(v=begin), 0.5 * moving.longest_step
     jobs: dict[str, Callable[[], Any]] = {"warp_peri": lambda: step(moving, state, dt)}
@@ -345,7 +345,7 @@ def breaking(*, quick: bool, threads: int) -> None:
         raise wp.InputError("breaking: needs Numba; pip install 'warp_peri[bench]'")
     import numba
 
-    set_threads(threads)
+    set_num_threads(threads)
     numba.set_num_threads(threads)
     plates = ((60, 24, 3.0),) if quick else ((400, 160, 3.0), (400, 160, 4.0), (1000, 400, 3.0))
     for width, height, ratio in plates:
@@ -395,7 +395,7 @@ def by_rest(material: Any) -> Callable[[Samples], Solver]:
 
     def prepare(samples: Samples) -> Solver:
         operator = material.on(samples.points)
-        return lambda b, u: np.asarray(operator.rest(b, u).u)[samples.interior]
+        return lambda b, u: np.asarray(operator.solve(b, u).u)[samples.interior]
 
     return prepare
 
@@ -404,7 +404,7 @@ def by_predict(family: Any) -> Callable[[Samples], Solver]:
     """Answers of an ensemble within 1 %."""
 
     def prepare(samples: Samples) -> Solver:
-        placed, points = family.with_doubts(samples.points), samples.points
+        placed, points = family.ensemble_on(samples.points), samples.points
 
         def answer(b: np.ndarray, u: np.ndarray) -> np.ndarray:
             found: Any = wp.predict(placed, wp.Dirichlet(points, b, u), 0.01)
@@ -421,17 +421,17 @@ def candidates(data: wp.Dataset, seen: Samples, third: list[float]) -> dict[str,
     def learned(law: Any, **options: Any) -> Any:
         return wp.fit(seen, law, progress=False, **options).material
 
-    rich = wp.ThirdOrder(wp.Micromodulus(15.0), wp.methods.Smoothing(10.0))
+    rich = wp.ThirdOrder(wp.Crystal(15.0), wp.methods.Smoothing(10.0))
     truth = data.provenance["truth"]
     C = plane_isotropic(truth["lambda"], truth["mu"])
-    free = wp.LPS(20.0, wp.Bernstein(10), wp.methods.Optimum(moduli=None))
+    free = wp.LPS(20.0, wp.Bernstein(10), wp.methods.GaussNewton(moduli=None))
     network = wp.load(ROOT / "examples" / "neural_weights" / "graphene.json")
     found: dict[str, tuple[str, Any]] = {
         "LPS": ("", by_rest(learned(free))),
-        "crystal": ("", by_rest(learned(wp.Micromodulus(12.5)))),
+        "crystal": ("", by_rest(learned(wp.Crystal(12.5)))),
         "third order on a crystal": ("", by_rest(learned(rich))),
         "prediction at 1 %": (
-            "", by_predict(learned(wp.prediction.Family(rich), validation=data["val"]))
+            "", by_predict(learned(wp.prediction.Ensemble(rich), validation=data["val"]))
         ),
         "neural operator": ("", by_rest(network)),
     }  # fmt: skip
@@ -466,7 +466,7 @@ def front(*, quick: bool, threads: int) -> None:
     from tools.elastic import cubic_constants
     from tools.graphene import bond_length
 
-    set_threads(1)
+    set_num_threads(1)
     torch.set_num_threads(1)
     file = ROOT / "data" / "graphene_0K.h5"
     data = wp.load(file)

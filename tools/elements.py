@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 import warp_peri as wp
 from warp_peri import InputError, Points, Samples
-from warp_peri.core.elastic import from_voigt, voigt
+from warp_peri.core.elastic import voigt, voigt_to_tensor
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import PointsLike
 
@@ -52,7 +52,7 @@ def elastic_solver(
             "finite elements need scikit-fem: pip install 'warp_peri[compare]'"
         ) from None
 
-    tensor = from_voigt(C)
+    tensor = voigt_to_tensor(C)
 
     @skfem.BilinearForm
     def stiffness(u, v, w):
@@ -214,7 +214,7 @@ def moduli_of(material: Any, spacing: float) -> np.ndarray:
     Raises InputError for a law that has none.
     """
     law = getattr(material, "linear", material)
-    law = wp.micromodulus.tensors_of(law, spacing) if isinstance(law, wp.Model) else law
-    if not isinstance(law, wp.micromodulus.Crystal) or law.dimension != 2:
+    law = wp.crystals.crystal_from_lps(law, spacing) if isinstance(law, wp.LPSMaterial) else law
+    if not isinstance(law, wp.crystals.CrystalMaterial) or law.dimension != 2:
         raise InputError(f"model: expected a law of sheets that is linear, got {law!r:.80}")
     return voigt(law.tensor())

@@ -35,7 +35,7 @@ import torch
 
 from tools.frozen_cases import CASES, FOLDER, Absent
 from tools.options import Options
-from warp_peri.launch import set_threads
+from warp_peri.runtime import set_num_threads
 
 RECORD = FOLDER / "record.json"
 LIMITS = {"moved": 0.0, "resummed": 1e-12, "resolved": 1e-7, "refitted": 2e-4, "proven": 1e-5}
@@ -222,7 +222,7 @@ def main(arguments: list[str] | None = None) -> int:
             *(f"{e['class']:9} {n}" for n, e in entries.items() if given.only.search(n)), sep="\n"
         )
         return 0
-    set_threads(1)
+    set_num_threads(1)
     torch.set_num_threads(1)
     with warnings.catch_warnings(action="ignore"):  # of transfers, of strains: said to users
         if given.verb == "record":

@@ -107,7 +107,7 @@ def lattice(name: str, side: int, spacing: float, axis: float, strain: float, ca
     yield "file in other units", "moved", saved(law.in_units(("nm", "GPa")))
     yield "force", "resummed", plain(op(two))
     yield "force of noise", "resummed", plain(op(noise))
-    yield "product", "resummed", plain(op.product(two[0], noise))
+    yield "product", "resummed", plain(op.jvp(two[0], noise))
     yield "stress", "resummed", op.stress(two)
     if "energy" in can:
         yield "energy", "resummed", op.energy(two)
@@ -126,14 +126,14 @@ def lattice(name: str, side: int, spacing: float, axis: float, strain: float, ca
     yield "evaluate: E_res", "resummed", errors["E_res"], 1e-10
     yield "evaluate: E_u", "resolved", errors["E_u"], 5e-6
     for kind in ("sine", "multigrid") if "krylov" in can else ():
-        solution = wp.solve(op, problem, solver=wp.Krylov(kind, tolerance=1e-10))
+        solution = wp.solve(op, problem, solver=wp.CG(kind, tolerance=1e-10))
         yield f"{kind} solve", "resolved", solution.u, 1e-9
         yield f"{kind} solve: residual", "residual", solution.residual, 1e-10
     if "moves" in can:
-        step = wp.proofs.critical_time_step(law, spacing=spacing, density=DENSITY, **how)
+        step = wp.certificates.critical_time_step(law, spacing=spacing, density=DENSITY, **how)
         yield "critical time step", "proven", step
         start = wp.Dirichlet(points, None, two[0])
-        motion = wp.move(op, start, density=DENSITY, step=0.5 * step, steps=20)
+        motion = wp.simulate(op, start, density=DENSITY, step=0.5 * step, steps=20)
         yield "motion", "resummed", motion.u, 1e-10
         yield "motion: energy", "resummed", motion.energy, 1e-10
     if "certify" in can:
@@ -176,7 +176,7 @@ for row in (
 
 def lps_elsewhere() -> Entries:
     """The LPS as tensors in space, on scattered points, on another lattice; its adjoint."""
-    law = wp.micromodulus.tensors_of(material("lps_in_space"), 1.0)
+    law = wp.crystals.crystal_from_lps(material("lps_in_space"), 1.0)
     points = nodes(law, 6)
     problem = wp.Dirichlet(points, rough(points), 0 * points.x)
     yield "in space, as tensors: proven constant", "proven", law.certificate.proven
@@ -231,7 +231,7 @@ def bodies() -> Entries:
 
 def broken(name: str, sides: tuple[int, ...]) -> Entries:
     """A cracked plate or block: at rest, event by event, pulled slowly or in motion."""
-    law, x, whole = material(name), wp.damage.box(sides, 1.0), np.ones(np.prod(sides), bool)
+    law, x, whole = material(name), wp.fracture.box_nodes(sides, 1.0), np.ones(np.prod(sides), bool)
     points = wp.Points(x, np.abs(x[:, 1]) < sides[1] / 2 - 1, 1.0, units=law.units)
     pull = 1e-3 * x * np.eye(law.dimension)[1]
     crack = np.array([(-20, 0.1, -20), (-20, 0.1, 20), (0.2, 0.1, 20), (0.2, 0.1, -20)])
@@ -242,16 +242,16 @@ def broken(name: str, sides: tuple[int, ...]) -> Entries:
     yield "solve", "resolved", solution.u, 1e-10
     yield "solve: energy", "resolved", solution.energy(), 1e-10
     yield "force", "resummed", solution.operator(rough(points))
-    yield "slow growth", "resolved", wp.move(law, problem, events=4).u, 1e-10
+    yield "slow growth", "resolved", wp.simulate(law, problem, events=4).u, 1e-10
     if name == "soft":
-        run = wp.move(law, problem, loads=np.linspace(10, 60, 8), line=[[-50, 0], [50, 0]])
+        run = wp.simulate(law, problem, loads=np.linspace(10, 60, 8), line=[[-50, 0], [50, 0]])
         yield "pulled: force", "resolved", run["force"], 1e-6
         yield "pulled: broken", "moved", run["broken"]
         return
     step = law.longest_step(1.0)
     yield "longest step", "proven", step
     free = wp.Cracked(wp.Points(x, whole, 1.0, units=law.units), cracks=[crack])
-    run = wp.move(
+    run = wp.simulate(
         law, free, step=0.4 * step, steps=20, every=5, v=6**law.dimension / 3 * pull / step
     )
     yield "motion", "resummed", run.u, 1e-10
@@ -268,7 +268,7 @@ def diffusing(name: str, components: tuple[int, ...]) -> Entries:
     yield "file", "moved", saved(law)
     yield "force", "resummed", op(u)
     yield "solve", "resolved", wp.solve(law, problem).u, 1e-9
-    yield "motion", "resolved", wp.move(law, problem, step=0.1, steps=5).u, 1e-9
+    yield "motion", "resolved", wp.simulate(law, problem, step=0.1, steps=5).u, 1e-9
     if not components:
         yield "energy", "resummed", op.energy(u)
         yield (
@@ -299,7 +299,7 @@ def fits() -> Entries:
     stages = methods.TwoStage(epochs=60, inner_epochs=30, outer_iterations=2)
     for name, law, samples, how in (
         ("LPS", wp.LPS(3.0, B(3)), given, {}),
-        ("LPS, moduli held", wp.LPS(3.0, B(3), method=methods.Optimum("isotropic")), given, {}),
+        ("LPS, moduli held", wp.LPS(3.0, B(3), method=methods.GaussNewton("isotropic")), given, {}),
         ("LPS, normalised", wp.LPS(3.0, B(3), normalise=True), given, {}),
         ("LPS by Algorithm 1", wp.LPS(3.0, B(3), method=stages), given, {}),
         ("LPS, corrected", wp.LPS(3.0, B(3), loss="corrected"), noisy, {"noise": noise}),
@@ -311,10 +311,10 @@ def fits() -> Entries:
         yield f"{name}: loss", "refitted", found.history[-1].E_res_train
         for error, kind, value in errors(found.material, other):
             yield f"{name}: {error}", kind, value
-    found = wp.fit(given, wp.Micromodulus(2.5, "4mm", moduli=None), progress=False)
-    yield "Micromodulus: proven constant", "proven", found.certificate.proven, 2e-4
+    found = wp.fit(given, wp.Crystal(2.5, "4mm", moduli=None), progress=False)
+    yield "Crystal: proven constant", "proven", found.certificate.proven, 2e-4
     for error, kind, value in errors(found.material, other):
-        yield f"Micromodulus: {error}", kind, value
+        yield f"Crystal: {error}", kind, value
     law = material("lps_in_space")
     op = law.on(nodes(law, 8), allow_uncertified=True)
     found = wp.fit(samples_of(op, waves(op.points, 3, 0.02, 1, shortest=4)), wp.LPS(2.0, B(1)))
@@ -328,7 +328,7 @@ def fits() -> Entries:
     yield "tissue: loss", "refitted", found.residual
     law = material("neural")
     op = law.on(nodes(law, 8))
-    training = wp.neural.Training(epochs=3, batch=2)
+    training = wp.neural.TrainingSettings(epochs=3, batch=2)
     start = wp.neural.NeuralOperator(3.0, (6, 8), (10, 12), seed=2).double()
     learned, unseen = (samples_of(op, waves(op.points, n, 0.02, n)) for n in (4, 2))
     found = wp.fit(learned, start, validation=unseen, training=training, progress=False)
@@ -348,11 +348,11 @@ def graphene() -> Entries:
     B, smoothing = wp.Bernstein, wp.methods.Smoothing
     printed = {"this library": "", "symbol > 0": "", "tensors on 20 bonds": ""}
     for name, law in (
-        ("this library", wp.LPS(20.0, B(10), conditions=wp.methods.Conditions("paper"))),
+        ("this library", wp.LPS(20.0, B(10), conditions=wp.methods.StabilityConditions("paper"))),
         ("symbol > 0", wp.LPS(20.0, B(10))),
-        ("tensors on 20 bonds", wp.Micromodulus(12.5)),
+        ("tensors on 20 bonds", wp.Crystal(12.5)),
         ("ten lines", wp.LPS(12.5, B(4))),
-        ("third order on tensors", wp.ThirdOrder(wp.Micromodulus(15.0), smoothing(10.0))),
+        ("third order on tensors", wp.ThirdOrder(wp.Crystal(15.0), smoothing(10.0))),
     ):
         found = wp.fit(data["train"], law, progress=False)
         table = {}

@@ -29,7 +29,7 @@ class Family:
 class Matrix:
     """a (I1 − 2) + f(D), D = det C, with fibre families added.
 
-    `linear`: a [stress]; `of_area`: f, f′ and f″ of D; `families`: of fibres, which carry
+    `linear`: a [stress]; `of_area`: f, f′ and f″ of D; `fibre_families`: of fibres, which carry
     no compression.
     """
 
@@ -68,7 +68,7 @@ def hgo(E: float, nu: float, families: Sequence[Family]) -> Matrix:
 
     a (I1 − 2) − 2a ln J + b ((J² − 1)/2 − ln J) with a = E/(4(1+ν)), b = E/(6(1−2ν)), and fibres.
 
-    `E`, `nu`: of the matrix [stress], ν < ½; `families`: of fibres.
+    `E`, `nu`: of the matrix [stress], ν < ½; `fibre_families`: of fibres.
     """
     a = E / (4 * (1 + nu))
     b = E / (6 * (1 - 2 * nu))
@@ -94,7 +94,7 @@ def plane_stress_hgo(mu: float, families: Sequence[Family] = ()) -> Matrix:
 class Invariants:
     """An incompressible sheet: μ/2 (I1 − 3) + k/(2a) (exp(a (I1 − 3)²) − 1), and fibres.
 
-    `mu`, `k`: of the matrix [stress]; `a`: exponent, > 0; `families`: of fibres.
+    `mu`, `k`: of the matrix [stress]; `a`: exponent, > 0; `fibre_families`: of fibres.
     """
 
     mu: float

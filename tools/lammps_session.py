@@ -161,7 +161,7 @@ class LammpsSession:
         fixes = {
             "inner": "store/force",  # before the others, so that it sees the atoms' own forces
             "push": "external pf/array 1",
-            "move": "nve",
+            "simulate": "nve",
             "heat": f"langevin {kelvin} {kelvin} {damping:.17g} {seed} zero yes",
             "plane": "setforce NULL NULL 0",
         }

@@ -37,11 +37,11 @@ class WaveLoad:
         return f"{'xy'[self.axis]} k=({self.waves[0]},{self.waves[1]})"
 
     def wave_vector(self, box: Box) -> np.ndarray:
-        """k [1/Å] on a sheet of periods `box` [Å], shape [2]."""
+        """k [1/Å] on a sheet of periods `box_nodes` [Å], shape [2]."""
         return np.asarray(2 * np.pi * np.divide(self.waves, _periods(box)))
 
     def shape(self, positions: np.ndarray, box: Box) -> np.ndarray:
-        """At positions [Å] of a sheet of periods `box` [Å]; shapes [A, 2]."""
+        """At positions [Å] of a sheet of periods `box_nodes` [Å]; shapes [A, 2]."""
         return _along(self.axis, np.cos(self.wave_vector(box) * positions).prod(axis=1))
 
 
@@ -64,7 +64,7 @@ class PatchLoad:
         return f"table1-{self.case}"
 
     def shape(self, positions: np.ndarray, box: Box) -> np.ndarray:
-        """At positions [Å] of a sheet of periods `box` [Å]; shapes [A, 2]."""
+        """At positions [Å] of a sheet of periods `box_nodes` [Å]; shapes [A, 2]."""
         value = np.zeros(len(positions))
         for j in (-1, 0, 1):
             centre = np.zeros(2)
@@ -120,7 +120,7 @@ class MixedLoad:
         return f"mixed-{self.seed} λ≥{self.shortest:g}"
 
     def shape(self, positions: np.ndarray, box: Box) -> np.ndarray:
-        """At positions [Å] of a sheet of periods `box` [Å]; shapes [A, 2]."""
+        """At positions [Å] of a sheet of periods `box_nodes` [Å]; shapes [A, 2]."""
         return mixed_waves(positions, _periods(box), self.shortest, seed=self.seed)
 
 
@@ -135,7 +135,7 @@ class Reversed:
         return f"{self.load.load_id} reversed"
 
     def shape(self, positions: np.ndarray, box: Box) -> np.ndarray:
-        """At positions [Å] of a body of periods `box` [Å]; shapes [A, 2]."""
+        """At positions [Å] of a body of periods `box_nodes` [Å]; shapes [A, 2]."""
         return -self.load.shape(positions, box)
 
 

@@ -243,7 +243,7 @@ class Statics:
 def find_bonds(positions: np.ndarray, box: tuple[float, float] | None) -> np.ndarray:
     """Pairs of atoms [Å], shape [A, 2], within BOND_CUTOFF of each other; shape [bonds, 2].
 
-    `box` gives the periods [Å], each more than twice the cutoff; None for a free body.
+    `box_nodes` gives the periods [Å], each more than twice the cutoff; None for a free body.
     """
     inside = positions if box is None else np.mod(positions, box)
     return cKDTree(inside, boxsize=box).query_pairs(BOND_CUTOFF, output_type="ndarray")

@@ -15,31 +15,31 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from warp_peri import atoms as atoms
-    from warp_peri import damage as damage
+    from warp_peri import certificates as certificates
+    from warp_peri import crystals as crystals
     from warp_peri import diffusion as diffusion
     from warp_peri import export as export
-    from warp_peri import launch as launch
+    from warp_peri import fracture as fracture
+    from warp_peri import hyperelastic as hyperelastic
+    from warp_peri import influence as influence
     from warp_peri import methods as methods
-    from warp_peri import micromodulus as micromodulus
     from warp_peri import neural as neural
     from warp_peri import plots as plots
     from warp_peri import prediction as prediction
-    from warp_peri import proofs as proofs
-    from warp_peri import shapes as shapes
-    from warp_peri import tissue as tissue
+    from warp_peri import runtime as runtime
     from warp_peri import transfers as transfers
-    from warp_peri.atoms.crystal_fit import from_atoms as from_atoms
-    from warp_peri.core.torch_bridge import Module as Module
+    from warp_peri.atoms.crystal_fit import fit_crystal as fit_crystal
+    from warp_peri.core.torch_bridge import TorchModule as TorchModule
     from warp_peri.errors import InputError as InputError
     from warp_peri.fitting.diagnose import diagnose as diagnose
     from warp_peri.fitting.evaluate import evaluate as evaluate
     from warp_peri.fitting.settings import Bernstein as Bernstein
     from warp_peri.fracture.problems import Cracked as Cracked
     from warp_peri.materials.certificate import certify as certify
-    from warp_peri.materials.crystal_fit import Micromodulus as Micromodulus
+    from warp_peri.materials.crystal_fit import Crystal as Crystal
     from warp_peri.materials.density import Density as Density
     from warp_peri.materials.density import DensityMaterial as DensityMaterial
-    from warp_peri.materials.lps import Model as Model
+    from warp_peri.materials.lps import LPSMaterial as LPSMaterial
     from warp_peri.materials.lps_fit import LPS as LPS
     from warp_peri.materials.third_order_fit import ThirdOrder as ThirdOrder
     from warp_peri.points.dataset import Dataset as Dataset
@@ -51,11 +51,11 @@ if TYPE_CHECKING:
     from warp_peri.problems import Dirichlet as Dirichlet
     from warp_peri.problems import Periodic as Periodic
     from warp_peri.solvers.motion import Motion as Motion
+    from warp_peri.solvers.solution import CG as CG
     from warp_peri.solvers.solution import Direct as Direct
-    from warp_peri.solvers.solution import Krylov as Krylov
     from warp_peri.solvers.solution import Newton as Newton
     from warp_peri.solvers.solution import Solution as Solution
-    from warp_peri.solving import move as move
+    from warp_peri.solving import simulate as simulate
     from warp_peri.solving import solve as solve
     from warp_peri.storage import load as load
     from warp_peri.storage import save as save
@@ -64,7 +64,7 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 
 _NAMES = {
-    "core.torch_bridge": ("Module",),
+    "core.torch_bridge": ("TorchModule",),
     "fracture.problems": ("Cracked",),
     "solvers.motion": ("Motion",),
     "errors": ("InputError",),
@@ -72,8 +72,8 @@ _NAMES = {
     "fitting.evaluate": ("evaluate",),
     "verbs": ("fit",),
     "fitting.settings": ("Bernstein",),
-    "materials.crystal_fit": ("Micromodulus",),
-    "materials.lps": ("Model",),
+    "materials.crystal_fit": ("Crystal",),
+    "materials.lps": ("LPSMaterial",),
     "materials.lps_fit": ("LPS",),
     "materials.density": ("Density", "DensityMaterial"),
     "materials.third_order_fit": ("ThirdOrder",),
@@ -83,28 +83,28 @@ _NAMES = {
     "points.samples": ("Samples",),
     "prediction.predict": ("predict",),
     "problems": ("Body", "Dirichlet", "Periodic"),
-    "solving": ("move", "solve"),
+    "solving": ("simulate", "solve"),
     "materials.certificate": ("certify",),
-    "solvers.solution": ("Direct", "Krylov", "Newton", "Solution"),
+    "solvers.solution": ("Direct", "CG", "Newton", "Solution"),
     "storage": ("load", "save"),
-    "atoms.crystal_fit": ("from_atoms",),
+    "atoms.crystal_fit": ("fit_crystal",),
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = sorted(_MODULE_OF)
 _MODULES = (
     "atoms",
-    "damage",
+    "fracture",
     "diffusion",
     "export",
-    "launch",
+    "runtime",
     "methods",
-    "micromodulus",
+    "crystals",
     "neural",
     "plots",
     "prediction",
-    "proofs",
-    "shapes",
-    "tissue",
+    "certificates",
+    "influence",
+    "hyperelastic",
     "transfers",
 )
 

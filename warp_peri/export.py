@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_peri.arguments import typed
 from warp_peri.errors import InputError
 from warp_peri.files.series import in_space, meshio_of, write_vtu
-from warp_peri.materials.lps import Model
+from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_matrices import node_fields
 from warp_peri.points.samples import PointsLike, Samples, nodes_of
 
@@ -27,7 +28,8 @@ AROUND = {
 """Cells of a lattice and the steps to their corners, in VTK's order."""
 
 
-def write_fields(
+@typed
+def write_vtk(
     folder: str | os.PathLike[str], model: Any, points: Samples, u: np.ndarray
 ) -> list[Path]:
     """What a displacement does, and how far off it is, for ParaView.
@@ -67,6 +69,7 @@ def write_fields(
     return paths
 
 
+@typed
 def write_body(path: str | os.PathLike[str], body: BodySolution) -> dict[str, float]:
     """Displacement [Å] and stress [TPa] of a body on its mesh, as one VTU file.
 
@@ -108,7 +111,7 @@ def _samples(model: Any, points: Samples, u: np.ndarray) -> list[dict[str, np.nd
 
 def is_linear_solid(model: Any) -> bool:
     """Whether its linear part is that of `node_fields`."""
-    return isinstance(getattr(model, "linear", None), Model)
+    return isinstance(getattr(model, "linear", None), LPSMaterial)
 
 
 def carried(model: Any, points: PointsLike) -> Any:
@@ -117,7 +120,7 @@ def carried(model: Any, points: PointsLike) -> Any:
     A linear solid that is certified nowhere stays as it is, and so does any on scattered points.
     """
     linear = getattr(model, "linear", None)
-    if not isinstance(linear, Model) or not linear.certified_on or not points.spacing > 0:
+    if not isinstance(linear, LPSMaterial) or not linear.certified_on or not points.spacing > 0:
         return model
     return model if linear.is_certified_on(points.spacing) else model.on(nodes_of(points)).model
 

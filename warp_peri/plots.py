@@ -11,12 +11,12 @@ from matplotlib.ticker import LogFormatter, MaxNLocator
 from numpy.typing import ArrayLike
 
 from warp_peri.fitting.result import Stage
-from warp_peri.materials.lps import Model
+from warp_peri.materials.lps import LPSMaterial
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.unit_names import symbols
 
 
-def influence_function(model: Model, *, spacing: float, ax: Axes, color: str = "C0") -> Axes:
+def influence_function(model: LPSMaterial, *, spacing: float, ax: Axes, color: str = "C0") -> Axes:
     """K(r), scaled to unit weighted volume, and its values at the bond lengths of a lattice.
 
     Args:
@@ -42,7 +42,7 @@ def influence_function(model: Model, *, spacing: float, ax: Axes, color: str = "
     return ax
 
 
-def kernel_values(model: Model, classes: BondClasses, r: np.ndarray) -> np.ndarray:
+def kernel_values(model: LPSMaterial, classes: BondClasses, r: np.ndarray) -> np.ndarray:
     """K(r) over the weighted volume on a lattice [Å⁻⁴]."""
     volume = classes.count @ (model.influence(classes.r) * classes.weight * classes.r**2)
     return np.asarray(model.influence(r) / volume)

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.contract import is_tensor, offered, placed, taken
+from warp_peri.arguments import typed
 from warp_peri.fe_coupling.body import solve_body
 from warp_peri.fe_coupling.boundary_elements import Field, Traction
 from warp_peri.points.arrays import checked
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.protocols import is_tensor, offered, placed, taken
 from warp_peri.solvers.adjoint import in_motion
 from warp_peri.solvers.motion import Motion, refuse_learning
 from warp_peri.solvers.solution import Coupling, Solution, refuse_solver
@@ -25,7 +26,7 @@ GIVEN = ("displacement", "traction", "b", "edge", "coupling")
 """What a Body says itself, and no option may."""
 LINEAR = (
     "a linear material for a Body; of another, displacement is given on a collar (wp.Dirichlet), "
-    "and free edges are for finite elements (a sheet: tissue.save_febio)"
+    "and free edges are for finite elements (a sheet: hyperelastic.save_febio)"
 )
 
 
@@ -58,9 +59,9 @@ class Dirichlet:
         operator = placed(material, nodes_of(self.points), **options)
         load = np.zeros(np.shape(self.u)) if self.b is None else self.b
         if extra or is_tensor(self.b) or is_tensor(self.u):
-            rest = getattr(operator, "rest_in_torch", operator.rest)
+            rest = getattr(operator, "solve_torch", operator.solve)
             return rest(load, self.u, solver, **extra)  # type: ignore[no-any-return]
-        return operator.rest(load, self.u, solver)  # type: ignore[no-any-return]
+        return operator.solve(load, self.u, solver)  # type: ignore[no-any-return]
 
     def moved(self, material: Any, options: dict[str, Any]) -> Motion:
         """The material in motion, from the displacement u.
@@ -75,13 +76,14 @@ class Dirichlet:
         operator = placed(material, nodes_of(self.points), **how)
         if hasattr(operator, "march"):
             if "parameters" not in signature(operator.march).parameters:
-                refuse_learning(self, options, "move")
-            (options,) = taken(options, "move", operator.march)
+                refuse_learning(self, options, "simulate")
+            (options,) = taken(options, "simulate", operator.march)
             return operator.march(self.b, self.u, **options)  # type: ignore[no-any-return]
-        offered(operator, "product", "move", "a material that moves on points")
+        offered(operator, "jvp", "simulate", "a material that moves on points")
         return in_motion(operator, self.b, self.u, options)
 
 
+@typed
 @dataclass(frozen=True, eq=False)
 class Periodic:
     """A load of zero mean on a periodic lattice (theory, 59).
@@ -107,14 +109,15 @@ class Periodic:
         """The material at rest, with a displacement of zero mean."""
         extra = {name: options.pop(name) for name in ("parameters",) if name in options}
         operator = placed(material, nodes_of(self.points), **options)
-        rest = offered(operator, "rest_periodic", "solve", "a model that solves periodic problems")
+        rest = offered(operator, "solve_periodic", "solve", "a model that solves periodic problems")
         if extra or is_tensor(self.b):
             zero = 0 * self.b.detach() if is_tensor(self.b) else np.zeros(np.shape(self.b))
-            return operator.rest_in_torch(self.b, zero, solver, **extra)  # type: ignore[no-any-return]
+            return operator.solve_torch(self.b, zero, solver, **extra)  # type: ignore[no-any-return]
         load = checked("b", self.b, float, (..., *self.points.x.shape))
         return rest(load, solver)  # type: ignore[no-any-return]
 
 
+@typed
 @dataclass(frozen=True, eq=False)
 class Body:
     """A body with free edges on a mesh: held in part, pulled in part (theory, B1–B7).

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from warp_peri.contract import offered, uncompiled
 from warp_peri.files.checkpoint import ALONE, agreed
 from warp_peri.points.arrays import check_flag, check_mapping
+from warp_peri.protocols import offered, uncompiled
 from warp_peri.solvers.motion import Motion, refuse_learning
 from warp_peri.solvers.solution import Solution, Solver, told
 
@@ -20,7 +20,7 @@ def solve(material: Any, problem: Any, *, solver: Solver = None, **options: Any)
         material: what `fit` or `load` gave, or its operator, `material.on(points)`, where the same
             points are solved on again.
         problem: Dirichlet(points, b, u), Periodic(points, b), Body(mesh, …), Cracked(…).
-        solver: Direct(…), Krylov(…) or Newton(…), as the material has them; chosen by default.
+        solver: Direct(…), CG(…) or Newton(…), as the material has them; chosen by default.
         options: transfer=False refuses points that the material itself holds no certificate for;
             allow_uncertified=True takes its own numbers there, with a warning; parameters={name:
             tensor} of the operator's `learnable`, which the answer is then differentiable in.
@@ -42,7 +42,7 @@ def solve(material: Any, problem: Any, *, solver: Solver = None, **options: Any)
     return told(uncompiled(lambda: solved(material, solver, options)))
 
 
-def move(material: Any, problem: Any, **options: Any) -> Motion:
+def simulate(material: Any, problem: Any, **options: Any) -> Motion:
     """A material in motion: waves, growing cracks, loads that rise slowly, flow.
 
     Args:
@@ -58,11 +58,14 @@ def move(material: Any, problem: Any, **options: Any) -> Motion:
 
     Raises InputError for what does not fit, and for a step that is not proven stable.
 
-    >>> wp.move(model, wp.Dirichlet(points, b[0], u[0]), density=2e3, step=0.005, steps=4).u.shape
+    >>> start = wp.Dirichlet(points, b[0], u[0])
+    >>> wp.simulate(model, start, density=2e3, step=0.005, steps=4).u.shape
     (441, 2)
     """
-    moved = offered(problem, "moved", "move", "a problem that moves, as Dirichlet(points, b, u)")
-    _check(problem, options, "move")
+    moved = offered(
+        problem, "moved", "simulate", "a problem that moves, as Dirichlet(points, b, u)"
+    )
+    _check(problem, options, "simulate")
     if _on_ranks(problem):
         return problem.points.move(material, problem, options)  # type: ignore[no-any-return]
     return uncompiled(moved)(material, options)  # type: ignore[no-any-return]

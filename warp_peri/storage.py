@@ -6,17 +6,19 @@ import os
 from pathlib import Path
 from typing import Any
 
-from warp_peri.contract import offered
+from warp_peri.arguments import typed
 from warp_peri.core.record import load as load_record
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.mesh import load_mesh
 from warp_peri.points.unit_names import Units
+from warp_peri.protocols import offered
 
 HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
+@typed
 def load(path: str | os.PathLike[str], *, units: Units | None = None) -> Any:
     """Read a data set (HDF5), a material (JSON) or a mesh (as `points.mesh.load_mesh`).
 
@@ -49,6 +51,7 @@ def load(path: str | os.PathLike[str], *, units: Units | None = None) -> Any:
     return offered(loaded, "in_units", "units", "a file with units of its own")(units)
 
 
+@typed
 def save(path: str | os.PathLike[str], given: Any) -> None:
     """Write a data set or a material, whole or not at all; `load` reads it again.
 

@@ -7,15 +7,15 @@ from collections.abc import Sequence
 from inspect import signature
 from typing import TYPE_CHECKING, Any, overload
 
-from warp_peri.contract import offered, taken
 from warp_peri.fitting.diagnose import warn_of_kind
 from warp_peri.fitting.result import Fit
 from warp_peri.fitting.training_data import listed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
+from warp_peri.protocols import offered, taken
 
 if TYPE_CHECKING:
-    from warp_peri.materials.crystal_fit import Micromodulus
+    from warp_peri.materials.crystal_fit import Crystal
     from warp_peri.materials.lps_fit import LPS
     from warp_peri.materials.third_order_fit import ThirdOrder
 
@@ -23,7 +23,7 @@ Sets = Samples | Dataset | Sequence[Samples]
 
 
 @overload
-def fit(samples: Sets, law: LPS | Micromodulus | ThirdOrder, **options: Any) -> Fit: ...
+def fit(samples: Sets, law: LPS | Crystal | ThirdOrder, **options: Any) -> Fit: ...
 @overload
 def fit(samples: Any, law: Any, **options: Any) -> Any: ...
 def fit(samples: Any, law: Any = None, **options: Any) -> Any:
@@ -31,8 +31,8 @@ def fit(samples: Any, law: Any = None, **options: Any) -> Any:
 
     Args:
         samples: one set or several; of a Dataset `train`, or its only set.
-        law: what may be learned, and how: LPS(horizon, …), ThirdOrder(Micromodulus(…)),
-            tissue.Dictionary(…).
+        law: what may be learned, and how: LPS(horizon, …), ThirdOrder(Crystal(…)),
+            hyperelastic.Hyperelastic(…).
         options: of its `learn`; all take `progress`, linear solids `noise`: fields of noise
             alone on the nodes of each training set.
 
@@ -45,7 +45,9 @@ def fit(samples: Any, law: Any = None, **options: Any) -> Any:
     >>> round(wp.fit(samples, wp.LPS(12.5, wp.Bernstein(3))).material.mu, 3)
     0.7
     """
-    learned = offered(law, "learn", "fit", "a model: LPS(…), ThirdOrder(…), tissue.Dictionary(…)")
+    learned = offered(
+        law, "learn", "fit", "a model: LPS(…), ThirdOrder(…), hyperelastic.Hyperelastic(…)"
+    )
     if not any(one.kind is one.VAR_KEYWORD for one in signature(learned).parameters.values()):
         (options,) = taken(options, "fit", learned)
     found = learned(samples, **options)

@@ -7,15 +7,15 @@ import warp_peri as wp
 
 h = 1e-3  # m; a plate of 10 cm by 4 cm
 units = ("m", "Pa")
-glass = wp.Model(lam=21e9, mu=26e9, alpha=1.0, D=np.ones(1), horizon=3 * h, units=units)
-solid = wp.damage.BrittleSolid(glass, density=2450.0, toughness=3.8)  # kg/m³, J/m²
-x = wp.damage.rectangle(0.1, 0.04, h)
+glass = wp.LPSMaterial(lam=21e9, mu=26e9, alpha=1.0, D=np.ones(1), horizon=3 * h, units=units)
+solid = wp.fracture.BrittleMaterial(glass, density=2450.0, toughness=3.8)  # kg/m³, J/m²
+x = wp.fracture.rectangle_nodes(0.1, 0.04, h)
 rim = np.abs(x[:, 1]) > 0.02 - h
 pull = np.where(rim, 1e6 / h * np.sign(x[:, 1]), 0.0)[:, None] * [0, 1]  # 1 MPa on two edges
 points = wp.Points(x, np.ones(len(x), bool), h, units=units)
 plate = wp.Cracked(points, pull, cracks=[[(-0.051, 0), (0, 0)]])
 step = 0.4 * solid.longest_step(h)
-run = wp.move(solid, plate, step=step, steps=300, every=10, no_fail=rim)
+run = wp.simulate(solid, plate, step=step, steps=300, every=10, no_fail=rim)
 
 print(run, f"energy that is missing from the ledger: {run.missing:.1e}", sep="\n")
 plt.scatter(1e3 * x[:, 0], 1e3 * x[:, 1], c=run.details.damage, s=4)

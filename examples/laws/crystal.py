@@ -5,7 +5,7 @@ import matplotlib.pyplot as plt
 import warp_peri as wp
 
 data = wp.load("data/graphene_0K.h5")  # of `make graphene`
-fit = wp.fit(data["train"], wp.Micromodulus(horizon=12.5))
+fit = wp.fit(data["train"], wp.Crystal(horizon=12.5))
 disk = data["test"]
 solution = wp.solve(fit.material, wp.Dirichlet(disk, disk.b, disk.u))
 error = wp.evaluate(fit.material, disk)["E_u"]

@@ -6,7 +6,7 @@ import warp_peri as wp
 
 data = wp.load("data/graphene_0K.h5")  # of `make graphene`
 law = wp.neural.NeuralOperator(horizon=12.5, influence=(32, 32), state=(32, 32), strain=0.5)
-training = wp.neural.Training(epochs=12)
+training = wp.neural.TrainingSettings(epochs=12)
 fit = wp.fit(data["train"], law, validation=data["val"], training=training)
 disk = data["test"]
 solution = wp.solve(fit.material, wp.Dirichlet(disk, disk.b, disk.u))

@@ -5,7 +5,7 @@ import matplotlib.pyplot as plt
 import warp_peri as wp
 
 data = wp.load("data/graphene_0K.h5")  # of `make graphene`
-law = wp.ThirdOrder(wp.Micromodulus(horizon=15.0), wp.methods.Smoothing(radius=10.0))
+law = wp.ThirdOrder(wp.Crystal(horizon=15.0), wp.methods.Smoothing(radius=10.0))
 fit = wp.fit(data["train"], law)
 disk = data["test"]
 solution = wp.solve(fit.material, wp.Dirichlet(disk, disk.b, disk.u))

@@ -5,12 +5,12 @@ import matplotlib.pyplot as plt
 import warp_peri as wp
 
 data = wp.load("data/hgo.h5")  # of `python tools/make_hgo.py`
-read = wp.tissue.read_material(data["train"], stiffness=0.35)
-fit = wp.fit(data["train"], wp.tissue.with_corners(read.dictionary), positive=True)
+read = wp.hyperelastic.fit_fibre_families(data["train"], stiffness=0.35)
+fit = wp.fit(data["train"], wp.hyperelastic.with_corners(read.dictionary), positive=True)
 disk = data["disks"]
 solution = wp.solve(fit.material, wp.Dirichlet(disk, disk.b, disk.u))
 error = wp.evaluate(fit.material, disk)["E_u"]
 
-print(*wp.tissue.in_words(fit.material), sep="\n")
+print(*wp.hyperelastic.in_words(fit.material), sep="\n")
 solution.plot().set_title(f"A disk the fit never saw: {100 * error:.2f} % off")
 plt.savefig("tissue.png")

@@ -15,7 +15,7 @@ import warp as wp
 from examples.polymer.kernels.dumbbells import advance_hookean
 from examples.polymer.laws import IDENTITY
 from warp_peri import InputError
-from warp_peri.launch import DEVICE, at_once, empty, floats, launch, threads
+from warp_peri.runtime import DEVICE, at_once, empty, floats, get_num_threads, launch
 
 BLOCK = 2000
 """Dumbbells a thread sums up in single precision."""
@@ -52,7 +52,7 @@ class Dumbbells:
         seed, total = (self._stream + self.steps) % 2**30, self.ensembles * self._blocks
         moves = int(dt > 0)
         self.steps += moves
-        slices = min(threads(), total) if wp.get_device(DEVICE).is_cpu else 1
+        slices = min(get_num_threads(), total) if wp.get_device(DEVICE).is_cpu else 1
         ends = [total * n // slices for n in range(slices + 1)]
         advance_hookean.module.load(self.q.device)  # not from two threads at once
 

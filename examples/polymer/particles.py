@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from examples.polymer.closure import Stress, check_time_step, in_cells
 from examples.polymer.kernels import particles as kernels
 from warp_peri import InputError
-from warp_peri.launch import DEVICE, empty, ints, launch, zeros
+from warp_peri.runtime import DEVICE, empty, ints, launch, zeros
 
 REACH = 3.0
 """Of the bell, in smoothing lengths."""

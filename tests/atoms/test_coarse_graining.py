@@ -9,7 +9,7 @@ from tests.support import reference
 from tests.support.problems import ROUNDING
 from tests.support.sheets import square
 from warp_peri import InputError
-from warp_peri.atoms import coarse_grain, read_fields, smoothing_matrix
+from warp_peri.atoms import coarse_grain, read_mat, smoothing_matrix
 from warp_peri.atoms.coarse_graining import EV_PER_CUBIC_ANGSTROM, force_on_mesh
 from warp_peri.points.outlines import Circle, mesh_outline
 from warp_peri.points.outlines import box as rectangle
@@ -186,14 +186,14 @@ def test_mat_files_have_nodes_in_any_order_and_components_first_or_last(tmp_path
     u = LOADED["disps"]
     shuffled = {"coords": NODES.x[order] - 50.0, "disps": u[:, order], "forces": u[:, order]}
     write(path, shuffled | {"mass": np.ones((1, 9))})
-    samples = read_fields(path, factor=0.5)
+    samples = read_mat(path, factor=0.5)
     np.testing.assert_allclose(samples.x, NODES.x[order] - 50.0, atol=1e-12)
     np.testing.assert_array_equal(samples.u, u[:, order])
     np.testing.assert_array_equal(samples.b, 0.5 * u[:, order])
     np.testing.assert_array_equal(samples.interior, NODES.interior[order])
     for shape in ((3, -1), (3, 2 * 21, 21), (3, 2, 21, 21)):
         write(path, {"u": u.swapaxes(1, 2).reshape(shape)})
-        samples = read_fields(path, displacement="u", load=None, positions=5.0)
+        samples = read_mat(path, displacement="u", load=None, positions=5.0)
         assert samples.b is None
         np.testing.assert_array_equal(samples.u, u)
     for changed, how, said in (
@@ -210,11 +210,11 @@ def test_mat_files_have_nodes_in_any_order_and_components_first_or_last(tmp_path
     ):
         write(path, {name: v for name, v in (LOADED | changed).items() if v is not None})
         with pytest.raises(InputError, match=said):
-            read_fields(path, **how)
+            read_mat(path, **how)
     path.write_text("x, y\n0, 1\n")
     with pytest.raises(InputError, match=r"cannot be read as a \.mat file"):
-        read_fields(path)
+        read_mat(path)
     with h5py.File(path, "w") as file:
         file.create_dataset("disps", shape=(2, 10**9, 10**6), dtype="f8", chunks=(1, 100, 100))
     with pytest.raises(InputError, match="disps: expected arrays of at most 1048576 bytes"):
-        read_fields(path, load=None, positions=1.0)
+        read_mat(path, load=None, positions=1.0)

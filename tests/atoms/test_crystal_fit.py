@@ -75,7 +75,7 @@ def test_a_file_without_a_structure_is_told_before_anything_is_done(tmp_path, ca
 
 
 def test_any_calculator_of_ase_does():
-    found = wp.from_atoms(ase.build.bulk("Al"), EMT(), units="si", supercell=(6, 6, 6))
+    found = wp.fit_crystal(ase.build.bulk("Al"), EMT(), units="si", supercell=(6, 6, 6))
     law, true = voigt(found.law.tensor()), voigt(found.strained)
     assert np.abs(law - true).max() < 0.005 * np.abs(true).max()
     assert found.material.units == ("m", "Pa")
@@ -128,7 +128,7 @@ def test_what_tells_atoms_of_one_element_apart_is_kept_in_the_smallest_cell(name
     assert sorted(np.ravel(rest.cell.arrays[name])) == [-1, 1]
     if name != "initial_magmoms":  # as these from here on
         return
-    found = wp.from_atoms(given, calculator, symmetry="-1")
+    found = wp.fit_crystal(given, calculator, symmetry="-1")
     C = 1e3 * voigt(found.tensor)
     np.testing.assert_allclose(C, strained_by_hand(given, calculator), atol=0.01 * C[0, 0])
     bare = given.copy()
@@ -188,16 +188,16 @@ def test_what_no_force_holds_is_refused():
     """A structure with an imaginary phonon, a sheet that would buckle, an atom out of reach."""
     square = ase.build.bulk("Cu", "sc", a=2.4)
     with pytest.raises(wp.InputError, match=r"imaginary phonon, the worst of .*i THz at k = \["):
-        wp.from_atoms(square, EMT(), supercell=(4, 4, 4))
+        wp.fit_crystal(square, EMT(), supercell=(4, 4, 4))
     silicene = ase.build.graphene(a=3.8, vacuum=10)
     silicene.numbers[:] = 14
     with pytest.raises(wp.InputError, match="imaginary phonon"):
-        wp.from_atoms(silicene, lammps_calculator("sw", ["Si"], "Si.sw"))
+        wp.fit_crystal(silicene, lammps_calculator("sw", ["Si"], "Si.sw"))
     sheet = ase.build.graphene(vacuum=10)
     one = ase.Atoms("C", [[0, 0, 16.0]], cell=sheet.cell, pbc=True)
     for both in (one + sheet, sheet + one):
         with pytest.raises(wp.InputError, match="parts of it feel no force from the rest"):
-            wp.from_atoms(both, lammps_calculator("tersoff", ["C"], TERSOFF))
+            wp.fit_crystal(both, lammps_calculator("tersoff", ["C"], TERSOFF))
 
 
 @pytest.mark.parametrize("flat", [True, False])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from warp_peri import InputError
-from warp_peri.atoms.dic import frames_of_folder, frames_on_lattice, noise_of, read_frame
+from warp_peri.atoms.dic import dic_to_lattice, estimate_noise, frames_of_folder, read_dic_frame
 from warp_peri.points.samples import SEEN
 
 X = np.argwhere(np.ones((15, 16), bool)) * 20.0 + [100.0, 60.0]
@@ -22,17 +22,17 @@ def plain(x, u):
 
 def frame_of(path, x, u):
     path.write_text(plain(x, u))
-    return read_frame(path)
+    return read_dic_frame(path)
 
 
 def test_points_on_a_lattice_stay_and_scattered_ones_are_fitted_locally(tmp_path):
-    samples = frames_on_lattice([frame_of(tmp_path / "a.csv", X, field(X))])
+    samples = dic_to_lattice([frame_of(tmp_path / "a.csv", X, field(X))])
     assert (samples.spacing, samples.b, samples.interior.sum()) == (20.0, None, 3 * 4)
     np.testing.assert_allclose(samples.u[0], field(samples.x), rtol=1e-7)
     shaken = X + 4 * np.random.default_rng(0).uniform(-1, 1, X.shape)
     shaken[0] = X[0]
     frame = frame_of(tmp_path / "a.csv", shaken, field(shaken))
-    samples = frames_on_lattice([frame], spacing=20.0, radius=2.0)
+    samples = dic_to_lattice([frame], spacing=20.0, radius=2.0)
     np.testing.assert_allclose(samples.u[0], field(samples.x), atol=1e-6)  # quadratic: exact
 
 
@@ -42,7 +42,7 @@ def test_a_missing_point_takes_its_surroundings_from_the_interior(tmp_path):
     kept = (big != [240.0, 240.0]).any(axis=1)
     (tmp_path / "b.csv").write_text(plain(big[kept], field(big[kept])))
     once, always = (
-        frames_on_lattice([read_frame(tmp_path / name) for name in names])
+        dic_to_lattice([read_dic_frame(tmp_path / name) for name in names])
         for names in (("a.csv", "b.csv"), ("b.csv", "b.csv"))
     )
     assert len(once.x) == 25**2
@@ -70,8 +70,8 @@ def test_points_lost_in_single_frames_are_missing_there_alone(tmp_path, radius):
     for part, lost in enumerate(losses, 1):
         u = part * BIG @ GRADIENT.T + 1e-3 * part * (BIG - 20) ** 2
         (tmp_path / "a.csv").write_text(plain(BIG[~lost & ~hole], u[~lost & ~hole]))
-        frames.append(read_frame(tmp_path / "a.csv"))
-    samples = frames_on_lattice(frames, spacing=2.5, radius=radius)
+        frames.append(read_dic_frame(tmp_path / "a.csv"))
+    samples = dic_to_lattice(frames, spacing=2.5, radius=radius)
     np.testing.assert_array_equal(samples.x, BIG[~hole])
     unseen = ~samples.arrays[SEEN] if radius == 0 else np.array(losses)[:, ~hole]
     np.testing.assert_array_equal(unseen, np.array(losses)[:, ~hole])
@@ -84,7 +84,7 @@ def test_points_lost_in_single_frames_are_missing_there_alone(tmp_path, radius):
 def test_the_noise_is_estimated(tmp_path):
     big, random = np.argwhere(np.ones((30, 30), bool)) * 20.0, np.random.default_rng(1)
     frame = frame_of(tmp_path / "a.csv", big, field(big) + random.normal(0, 0.3, big.shape))
-    assert noise_of(frames_on_lattice([frame]))[0] == pytest.approx(0.3, rel=0.15)
+    assert estimate_noise(dic_to_lattice([frame]))[0] == pytest.approx(0.3, rel=0.15)
 
 
 def gradient(samples):
@@ -97,7 +97,7 @@ def told(path, header, columns, *, rows="", encoding="utf-8", **options):
     """The gradient that a table tells; `columns` are numbers of x, y, u, v and text."""
     table = "\n".join(",".join(str(value) for value in row) for row in zip(*columns))
     path.write_bytes((header + "\n" + rows + table).encode(encoding))
-    return frames_on_lattice([read_frame(path, **options)])
+    return dic_to_lattice([read_dic_frame(path, **options)])
 
 
 def linear(x=BIG):
@@ -150,13 +150,13 @@ def test_columns_that_contradict_each_other_are_refused(tmp_path):
     with pytest.raises(InputError, match="one displacement for each point"):
         frame_of(tmp_path / "a.csv", np.ones((9, 2)), np.arange(18.0).reshape(9, 2))
     with pytest.raises(InputError, match=r"missing.csv: no such file"):
-        read_frame(tmp_path / "missing.csv")
+        read_dic_frame(tmp_path / "missing.csv")
     with pytest.raises(InputError, match="nodes a side"):
-        frames_on_lattice([frame_of(tmp_path / "a.csv", X[:40], field(X[:40]))])
+        dic_to_lattice([frame_of(tmp_path / "a.csv", X[:40], field(X[:40]))])
     (tmp_path / "b.csv").write_text(plain(X, field(X)))
-    frames = [read_frame(tmp_path / "b.csv", pixel=pixel) for pixel in ("mm", 1.0)]
+    frames = [read_dic_frame(tmp_path / "b.csv", pixel=pixel) for pixel in ("mm", 1.0)]
     with pytest.raises(InputError, match=r"one unit of length, got mm in b.csv, no unit in b.csv"):
-        frames_on_lattice(frames)
+        dic_to_lattice(frames)
 
 
 @pytest.mark.parametrize(
@@ -218,7 +218,7 @@ def test_lost_points_are_left_out_whatever_marks_them(tmp_path, column, noise):
     header = ",".join([*"xyuv", column][: len(columns)])
     table = "\n".join(",".join(str(value) for value in row) for row in zip(*columns))
     (tmp_path / "a.csv").write_text(header + "\n" + table)
-    found = read_frame(tmp_path / "a.csv")
+    found = read_dic_frame(tmp_path / "a.csv")
     np.testing.assert_array_equal(found.x, BIG[~lost])
 
 
@@ -229,7 +229,7 @@ def test_a_point_at_rest_is_kept(tmp_path):
     apart = np.stack([0.1 * BIG[:, 0], 1e-3 * held**2], axis=1)
     for field in (centred @ GRADIENT.T, centred**2 * 1e-3, 0 * centred, apart, apart.round(3)):
         (tmp_path / "a.csv").write_text(plain(BIG, field))
-        assert len(read_frame(tmp_path / "a.csv").x) == len(BIG)
+        assert len(read_dic_frame(tmp_path / "a.csv").x) == len(BIG)
 
 
 @pytest.mark.parametrize("strain", [0.003, 0.2])
@@ -241,16 +241,16 @@ def test_positions_of_the_current_frame_are_taken_back(tmp_path, strain, noise):
     for part in (1.0, 0.6, 0.3):
         u = part * BIG @ np.diag([strain, -0.3 * strain]) + noise * rng.standard_normal(BIG.shape)
         (tmp_path / "a.csv").write_text(plain(BIG + u, u))
-        frames.append(read_frame(tmp_path / "a.csv"))
+        frames.append(read_dic_frame(tmp_path / "a.csv"))
     for some in (frames, frames[:1]):
         with pytest.warns(UserWarning, match="positions are those of the current frame"):
-            found = gradient(frames_on_lattice(some, spacing=2.5))
+            found = gradient(dic_to_lattice(some, spacing=2.5))
         np.testing.assert_allclose(found, np.diag([strain, -0.3 * strain]), atol=1e-6 + noise / 25)
-    asked = frames_on_lattice(frames, spacing=2.5, positions="current")
+    asked = dic_to_lattice(frames, spacing=2.5, positions="current")
     np.testing.assert_allclose(gradient(asked), found, atol=1e-6 + noise / 25)
     names = plain(BIG + u, u).replace("x,y", "x_def,y_def", 1)
     (tmp_path / "a.csv").write_text(names)
-    np.testing.assert_allclose(read_frame(tmp_path / "a.csv").x, BIG, atol=1e-6)
+    np.testing.assert_allclose(read_dic_frame(tmp_path / "a.csv").x, BIG, atol=1e-6)
 
 
 def test_positions_that_nothing_tells_are_asked_for(tmp_path):
@@ -258,19 +258,19 @@ def test_positions_that_nothing_tells_are_asked_for(tmp_path):
     for name in ("a", "b"):
         x = BIG + rng.uniform(-0.8, 0.8, BIG.shape)
         (tmp_path / f"{name}.csv").write_text(plain(x, x @ GRADIENT.T))
-    frames = [read_frame(tmp_path / f"{name}.csv") for name in "ab"]
+    frames = [read_dic_frame(tmp_path / f"{name}.csv") for name in "ab"]
     with pytest.raises(InputError, match='positions="reference" or "current" says which'):
-        frames_on_lattice(frames, spacing=2.5, radius=2.5)
+        dic_to_lattice(frames, spacing=2.5, radius=2.5)
     for positions, true in (
         ("reference", GRADIENT),
         ("current", GRADIENT @ np.linalg.inv(np.eye(2) - GRADIENT)),
     ):
-        found = gradient(frames_on_lattice(frames, spacing=2.5, radius=2.5, positions=positions))
+        found = gradient(dic_to_lattice(frames, spacing=2.5, radius=2.5, positions=positions))
         np.testing.assert_allclose(found, true, atol=1e-9)
     with pytest.raises(
         InputError, match="positions: expected reference or current, got 'deformed'"
     ):
-        frames_on_lattice(frames, positions="deformed")
+        dic_to_lattice(frames, positions="deformed")
 
 
 def folder_of(path, frames):

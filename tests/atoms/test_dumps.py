@@ -15,11 +15,11 @@ from tests.support.problems import lattice
 from warp_peri import InputError, Points
 from warp_peri.atoms.coarse_graining import coarse_grain, smoothing_matrix
 from warp_peri.atoms.dumps import (
-    Atoms,
+    ReferenceAtoms,
     coarse_grain_dumps,
-    dump_displacement,
-    dump_frames,
-    dump_masses,
+    iter_dump,
+    mean_displacement,
+    read_masses,
 )
 from warp_peri.cli.crystals_sheets import read_structure
 
@@ -63,7 +63,7 @@ def test_frames_and_structures_are_read_whatever_they_are_packed_in(way, tmp_pat
     x, time = (REFERENCE + U[:2]) % BOX, "ITEM: TIME\n0.5\n"
     text = f"ITEM: UNITS\nmetal\n{time}{frame(x[0])}{time}{frame(x[1], 1)}"
     (tmp_path / "a").write_bytes(AS[way](text.encode()))
-    np.testing.assert_allclose([one.x for one in dump_frames(tmp_path / "a")], x, atol=1e-9)
+    np.testing.assert_allclose([one.x for one in iter_dump(tmp_path / "a")], x, atol=1e-9)
     for name, form in (("a.data", "lammps-data"), ("a.cif", "cif")) if way != "zst" else ():
         options = {"masses": True} if form == "lammps-data" else {}
         ase.io.write(tmp_path / name, SALT, format=form, **options)
@@ -78,16 +78,16 @@ def test_frames_and_structures_are_read_whatever_they_are_packed_in(way, tmp_pat
 
 def test_averages_smoothing_and_samples_on_nodes(tmp_path):
     path = write(tmp_path / "a.dump", range(6))
-    average = dump_displacement(path, REFERENCE, box=BOX, skip=2)
+    average = mean_displacement(path, REFERENCE, box=BOX, skip=2)
     np.testing.assert_allclose(average, U[2:6].mean(axis=0), atol=1e-9)
     smoothed = np.zeros_like(REFERENCE)
     for u in U[:6]:
         smoothed = 0.8 * smoothed + 0.2 * u
-    found = dump_displacement(path, REFERENCE, box=BOX, iota=0.2)
+    found = mean_displacement(path, REFERENCE, box=BOX, iota=0.2)
     np.testing.assert_allclose(found, smoothed, atol=1e-9)
     rest, points = write(tmp_path / "rest.dump", range(6, 9)), lattice(2, 1.0, 3.0)
     omega = smoothing_matrix(REFERENCE, points.x, radius=5.0, box=BOX, spacing=3.0)
-    force, atoms = RANDOM.normal(size=(1, 30, 2)), Atoms(REFERENCE, box=BOX)
+    force, atoms = RANDOM.normal(size=(1, 30, 2)), ReferenceAtoms(REFERENCE, box=BOX)
     how = {"force": force, "unloaded": [rest], **GRAIN}
     samples = coarse_grain_dumps([path], omega, points, atoms, **how)
     moved = U[:6].mean(axis=0) - U[6:].mean(axis=0)
@@ -102,7 +102,7 @@ def test_memory_does_not_grow_with_the_frames(tmp_path):
     for count in (4, 60):
         path = write(tmp_path / f"{count}.dump", range(count))
         tracemalloc.start()
-        dump_displacement(path, REFERENCE, box=BOX)
+        mean_displacement(path, REFERENCE, box=BOX)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < 1.5 * peaks[0]
@@ -131,7 +131,7 @@ def test_broken_dumps_and_those_that_would_be_misread_are_refused(tmp_path, name
     path, (text, words) = tmp_path / "broken.dump", REFUSED[name]
     path.write_text(text)
     with pytest.raises(InputError, match=words):
-        dump_displacement(path, REFERENCE)
+        mean_displacement(path, REFERENCE)
 
 
 def test_options_without_sense_are_refused(tmp_path):
@@ -142,16 +142,16 @@ def test_options_without_sense_are_refused(tmp_path):
 
     def grained(dumps, **how):
         force = np.ones((len(dumps), 30, 2))
-        atoms = Atoms(REFERENCE, box=BOX)
+        atoms = ReferenceAtoms(REFERENCE, box=BOX)
         return coarse_grain_dumps(dumps, omega, points, atoms, force=force, **GRAIN, **how)
 
     wide = (BOX[0] * (1 + 2e-5), BOX[1])
     for call, words in (
-        (lambda: dump_displacement(path, REFERENCE, box=BOX, skip=2), "more than 2 frames"),
-        (lambda: dump_displacement(path, REFERENCE, skip=-1), "≥ 0"),
-        (lambda: dump_displacement(path, REFERENCE, iota=0.0), "0 < ι ≤ 1"),
-        (lambda: dump_displacement(path, REFERENCE, box=wide), "header's 12 x 9 Å, got 12.00024"),
-        (lambda: dump_displacement(tmp_path / "none.dump", REFERENCE), "no such dump"),
+        (lambda: mean_displacement(path, REFERENCE, box=BOX, skip=2), "more than 2 frames"),
+        (lambda: mean_displacement(path, REFERENCE, skip=-1), "≥ 0"),
+        (lambda: mean_displacement(path, REFERENCE, iota=0.0), "0 < ι ≤ 1"),
+        (lambda: mean_displacement(path, REFERENCE, box=wide), "header's 12 x 9 Å, got 12.00024"),
+        (lambda: mean_displacement(tmp_path / "none.dump", REFERENCE), "no such dump"),
         (lambda: grained([path, other]), "other.dump: expected the ids of the reference"),
         (lambda: grained([path], unloaded=3 * [path]), "0, 1 or 1 dumps"),
         (lambda: grained([]), "dumps: expected one or more, got none"),
@@ -164,24 +164,24 @@ def test_masses_by_type_in_the_order_of_ids(tmp_path):
     path, text = tmp_path / "types.dump", frame(REFERENCE[:5], 3, "type id x y z").splitlines()
     text[9:] = [f"{1 + (i % 3 == 0)} {i + 1} 0 0 0" for i in (4, 3, 2, 1, 0)]
     path.write_text("\n".join(text) + "\n")
-    np.testing.assert_array_equal(dump_masses(path, [10.8, 14.0]), [14, 10.8, 10.8, 14, 10.8])
+    np.testing.assert_array_equal(read_masses(path, [10.8, 14.0]), [14, 10.8, 10.8, 14, 10.8])
     with pytest.raises(InputError, match="each of the types 1 to 2 .* got 1"):
-        dump_masses(path, [10.8])
+        read_masses(path, [10.8])
     path.write_text(frame(REFERENCE, 0, "id element x y z").replace(" 1 ", " B "))
     with pytest.raises(InputError, match="expected the columns id and type, got id element x y z"):
-        dump_masses(path, [10.8])
+        read_masses(path, [10.8])
 
 
 def test_scaled_and_unwrapped_positions(tmp_path):
     path, drift = tmp_path / "a.dump", np.array([0.7 * BOX[0], 0.0])
     text = frame(REFERENCE / BOX, 0, "id type xs ys zs")
     path.write_text(text.replace(f"0 {BOX[0]}\n", f"-3 {BOX[0] - 3}\n"))
-    np.testing.assert_allclose(next(dump_frames(path)).x, REFERENCE - [3, 0], atol=1e-9)
+    np.testing.assert_allclose(next(iter_dump(path)).x, REFERENCE - [3, 0], atol=1e-9)
     path.write_text(frame(REFERENCE + drift, 0, "id type xu yu zu").replace(BOUNDS, TILTED))
-    moved = dump_displacement(path, REFERENCE)  # by more than half a box
+    moved = mean_displacement(path, REFERENCE)  # by more than half a box
     np.testing.assert_allclose(moved, np.tile(drift, (30, 1)), atol=1e-9)
     with pytest.raises(InputError, match="orthogonal box in the dump, got a tilted one"):
-        dump_displacement(path, REFERENCE, box=BOX)
+        mean_displacement(path, REFERENCE, box=BOX)
 
 
 CELL = np.array([[12.0, 0, 0], [3.0, 9.0, 0], [0, 0, 10.0]])
@@ -206,18 +206,18 @@ def test_trajectories_of_ase_and_wrapped_atoms_of_a_tilted_box(tmp_path, name):
     assert EDGES.any()
     write([across])
     with pytest.raises(InputError, match="beyond half the box; are they wrapped"):
-        dump_displacement(path, AT)
+        mean_displacement(path, AT)
     write([0 * MOVED, across])
     with pytest.raises(InputError, match=r"frame 2 .*jump by an edge of the tilted box"):
-        list(dump_frames(path))
+        list(iter_dump(path))
     if name != "a.traj":  # which has no columns but ASE's own
         write([0 * MOVED, across], [0 * EDGES, EDGES])
         with pytest.warns(UserWarning, match="unwrapped by the images"):
-            found = dump_displacement(path, AT, skip=1)
+            found = mean_displacement(path, AT, skip=1)
         np.testing.assert_allclose(found, MOVED, atol=1e-7)
     write([0 * MOVED, MOVED])
-    np.testing.assert_allclose(dump_displacement(path, AT, skip=1), MOVED, atol=1e-7)
-    assert list(next(dump_frames(path)).types) == 10 * [1] + 10 * [2]
+    np.testing.assert_allclose(mean_displacement(path, AT, skip=1), MOVED, atol=1e-7)
+    assert list(next(iter_dump(path)).types) == 10 * [1] + 10 * [2]
 
 
 def test_torn_sheets_and_loads_that_are_not_shared_by_mass_are_told(tmp_path):
@@ -228,7 +228,9 @@ def test_torn_sheets_and_loads_that_are_not_shared_by_mass_are_told(tmp_path):
     def grained(name, moved, force, mass):
         path = tmp_path / name
         path.write_text(frame(x + moved, 0, "id type xu yu zu"))
-        coarse_grain_dumps([path], omega, points, Atoms(x, mass), force=force[None], **GRAIN)
+        coarse_grain_dumps(
+            [path], omega, points, ReferenceAtoms(x, mass), force=force[None], **GRAIN
+        )
 
     mass, along = np.resize([10.0, 20.0], 64), np.ones((64, 1)) * [1.0, 0.5]
     torn = np.where(x[:, :1] > 9, 2.0, 0.0) * [1.0, 0.0]

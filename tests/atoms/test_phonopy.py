@@ -11,7 +11,7 @@ from ase.calculators.emt import EMT
 import warp_peri as wp
 from warp_peri.core.elastic import allowed_tensors, voigt
 from warp_peri.core.groups import point_group
-from warp_peri.micromodulus import from_calculator
+from warp_peri.crystals import from_calculator
 
 EXAMPLES = Path(__file__).parent.parent.parent / "examples" / "phonopy"
 STRAINED = (392.963, 164.309, 164.298)
@@ -32,7 +32,7 @@ def test_force_sets_are_those_of_the_calculator():
     assert len(found.positions) == 1
     assert moduli(found) == pytest.approx(COPPER, rel=1e-2)  # its supercell is a little narrow
     with pytest.raises(wp.InputError, match="nodes about as far apart as a cell of the atoms"):
-        wp.atoms.from_force_constants(found, spacing=3.59e-10)
+        wp.atoms.crystal_from_force_constants(found, spacing=3.59e-10)
 
 
 def test_magnetic_moments_of_a_folder_tell_its_sites_apart(tmp_path):
@@ -87,7 +87,7 @@ def test_forces_that_have_not_decayed_at_half_the_width_are_told_by_number(tmp_p
     wide = wp.atoms.from_phonopy(EXAMPLES / "copper")
     assert (wide.edge, narrow.edge) == (pytest.approx(0.026, abs=0.002), pytest.approx(1))
     with pytest.warns(UserWarning, match=r"100% of what moduli are made of, .* is at half the"):
-        found = wp.atoms.from_force_constants(narrow, symmetry="m-3m")
+        found = wp.atoms.crystal_from_force_constants(narrow, symmetry="m-3m")
     assert found.said["at the supercell's edge"] == "100.0% of Σ |Φ| r²"
     with pytest.warns(UserWarning, match="100% of what moduli are made of"):
         moduli(narrow)
@@ -95,7 +95,7 @@ def test_forces_that_have_not_decayed_at_half_the_width_are_told_by_number(tmp_p
 
 def test_what_a_supercell_cuts_off_is_in_the_errors_of_moduli():
     """Of copper's forces 3 % of the moment are at half the width; moduli by strains are within."""
-    found = wp.atoms.from_force_constants(wp.atoms.from_phonopy(EXAMPLES / "copper"))
+    found = wp.atoms.crystal_from_force_constants(wp.atoms.from_phonopy(EXAMPLES / "copper"))
     bars = found.content()["standard_errors_GPa"]
     for name, true in zip(("C11", "C12", "C44"), COPPER):
         assert abs(found.law.moduli("GPa")[name] - true) < bars[name] < 0.05 * true

@@ -22,8 +22,8 @@ from warp_peri import Dataset, InputError, Samples, load
 from warp_peri.cli.main import main
 from warp_peri.cli.options import COMMANDS, parse, parser_of
 from warp_peri.cli.train import atom_forces
-from warp_peri.materials.lps import Model
-from warp_peri.micromodulus import fit_symbol
+from warp_peri.crystals import fit_dispersion
+from warp_peri.materials.lps import LPSMaterial
 from warp_peri.points.dataset import load_dataset, save_dataset
 
 ROOT = Path(__file__).parent.parent.parent
@@ -65,7 +65,7 @@ def refused(capsys, *words):
 def test_a_fit_leaves_a_certified_model_and_its_settings_and_is_repeated(
     fitted, data, tmp_path, capsys
 ):
-    model = Model.load(fitted / "model.json")
+    model = LPSMaterial.load(fitted / "model.json")
     assert model.certified_on == (1.0,)
     assert model.mu == pytest.approx(0.7, rel=0.02)
     metrics = json.loads((fitted / "metrics.json").read_text())
@@ -84,7 +84,7 @@ def test_a_fit_leaves_a_certified_model_and_its_settings_and_is_repeated(
     assert "model.json: is there already, by other settings" in refused(capsys, *words)
     assert (tmp_path / "model.json").read_bytes() == before
     assert answer(capsys, *words, "--overwrite")["mu"] != again["mu"]
-    assert Model.load(tmp_path / "model.json").degree == 2
+    assert LPSMaterial.load(tmp_path / "model.json").degree == 2
 
 
 def test_a_fit_says_what_there_is_how_good_and_what_next(data, tmp_path, capsys):
@@ -114,7 +114,7 @@ def test_certify_evaluate_solve_and_info(fitted, data, tmp_path, capsys):
     test = load_dataset(data)["test"]
     settings = tomllib.loads((tmp_path / "solved.solve.toml").read_text())["solve"]
     assert settings["set"] == "test"
-    u = solve(Model.load(model), test, test.b, test.u)
+    u = solve(LPSMaterial.load(model), test, test.b, test.u)
     np.testing.assert_allclose(load_dataset(out)["test"].u, u)
     assert answer(capsys, "info", model)["certified_on"] == [1.0]
     assert answer(capsys, "info", data)["sets"]["noise"]["samples"] == 8
@@ -356,12 +356,12 @@ def test_what_cannot_be_done_is_one_line_and_writes_nothing(words, message, data
 def test_a_shape_is_fitted_by_name_and_zeta_is_kept(data, tmp_path, capsys):
     words = ["fit", data, "--horizon", "2.5", "--loss", "residual", "--out"]
     printed = answer(capsys, *words, tmp_path / "a", "--influence", "gaussian")
-    model = Model.load(tmp_path / "a" / "model.json")
+    model = LPSMaterial.load(tmp_path / "a" / "model.json")
     width = printed["influence"]["parameters"]["width"]
     assert printed["influence"] == model.provenance["influence"]
     assert model.influence(2.0) == pytest.approx(np.exp(-((2.0 / width) ** 2)), rel=1e-6)
     answer(capsys, *words, tmp_path / "b", "--degree", 3, "--zeta", "0.3")
-    figures = Model.load(tmp_path / "b" / "model.json").certificate["1"]
+    figures = LPSMaterial.load(tmp_path / "b" / "model.json").certificate["1"]
     assert figures["symbol_bound"] > 0.29
 
 
@@ -378,7 +378,7 @@ def crystal(tmp_path_factory):
     """A crystal that no isotropic solid is, and a file of its waves, whose moduli deny an LPS."""
     C = crystals.cubic_tensor(2)
     C[1, 1, 1, 1] *= 1.3
-    law = fit_symbol(crystals.dispersive(C), 1.5, 3.0, symmetry="2mm", tensor=C)
+    law = fit_dispersion(crystals.dispersive(C), 1.5, 3.0, symmetry="2mm", tensor=C)
     points = crystals.lattice(2, 20, 8, law.spacing)
     sets = {}
     for seed, name in enumerate(("train", "val")):
@@ -395,7 +395,7 @@ def test_moduli_that_the_data_deny_are_told(crystal, tmp_path, capsys):
     law, path = crystal
     words = ["fit", path, "--out", tmp_path, "--horizon", law.horizon, "--degree", 3]
     assert main([*map(str, words)]) == 0
-    assert "--law tensors, Micromodulus(…), has them" in capsys.readouterr().err
+    assert "--law tensors, Crystal(…), has them" in capsys.readouterr().err
     told = json.loads((tmp_path / "metrics.json").read_text())
     for name, value in law.moduli().items():
         assert told["moduli of a crystal model"][name] == pytest.approx(value, abs=0.006)
@@ -407,7 +407,10 @@ def test_every_law_is_fitted_at_the_shell(kind, crystal, tmp_path, capsys):
     law, path = crystal
     found = answer(capsys, "fit", path, "--law", kind, "--out", tmp_path, "--horizon", law.horizon)
     kept = load(tmp_path / "model.json")
-    assert type(kept).__name__ == {"tensors": "Crystal", "third-order": "ThirdOrderCrystal"}[kind]
+    assert (
+        type(kept).__name__
+        == {"tensors": "CrystalMaterial", "third-order": "ThirdOrderMaterial"}[kind]
+    )
     assert set(found["E_u"]) == {"train", "val"}
     if kind == "tensors":
         assert found["moduli"]["C22"] == pytest.approx(law.moduli()["C22"], rel=0.02)

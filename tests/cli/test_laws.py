@@ -53,7 +53,7 @@ def test_every_command_answers_or_refuses_whatever_the_law(name, tmp_path, capsy
         assert status in (0, 2), words
         assert bool(said.out) == (status == 0)
         if name == "brittle" and words[0] not in ("info", "certify"):
-            assert "expected a material that is placed on nodes, got BrittleSolid" in said.err
+            assert "expected a material that is placed on nodes, got BrittleMaterial" in said.err
         if words[-1] == "--json" and status == 0:
             assert json.loads(said.out)["test"]["samples"] == len(samples)
 
@@ -97,7 +97,7 @@ def test_a_crystal_is_certified_on_its_own_lattice(tmp_path, capsys):
 
 
 def test_a_method_is_of_linear_solids():
-    with pytest.raises(wp.InputError, match="expected auto for a ThirdOrderCrystal"):
+    with pytest.raises(wp.InputError, match="expected auto for a ThirdOrderMaterial"):
         solver_of("lu", solid("energy"))
     (method,) = (one for one in parser_of("solve")._actions if one.dest == "method")
     assert set(method.choices) == {"auto", "lu", "gmres", *PRECONDITIONERS}

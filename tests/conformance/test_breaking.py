@@ -14,8 +14,8 @@ from examples.inclusion import Mixed
 from tests.conformance.test_laws import OTHER, near
 from tests.support.bodies import random_breaking
 from tests.support.problems import difference, noise
-from warp_peri import launch
-from warp_peri.damage import BondLaw, BrittleSolid, Cracked, SoftSolid, box
+from warp_peri import runtime
+from warp_peri.fracture import BondLaw, BrittleMaterial, Cracked, SofteningMaterial, box_nodes
 from warp_peri.fracture.statics import CutSolid
 from warp_peri.points.unit_names import factors
 
@@ -27,14 +27,14 @@ CRACK = {
 
 
 def linear(d, lam):
-    return wp.Model(lam, 0.8, 1.0, [1.0], horizon=2.0, dimension=d)
+    return wp.LPSMaterial(lam, 0.8, 1.0, [1.0], horizon=2.0, dimension=d)
 
 
 SOLIDS = {
-    "brittle": lambda d: BrittleSolid(linear(d, 0.3), 2.0, toughness=0.01),
-    "brittle, by stretch": lambda d: BrittleSolid(linear(d, 0.8), 2.0, critical_stretch=0.05),
-    "brittle, by energy": lambda d: BrittleSolid(linear(d, 2.0), 2.0, critical_energy=1e-3),
-    "soft": lambda d: SoftSolid(linear(d, 0.8), BondLaw(4.0, 0.05, 0.05)),
+    "brittle": lambda d: BrittleMaterial(linear(d, 0.3), 2.0, toughness=0.01),
+    "brittle, by stretch": lambda d: BrittleMaterial(linear(d, 0.8), 2.0, critical_stretch=0.05),
+    "brittle, by energy": lambda d: BrittleMaterial(linear(d, 2.0), 2.0, critical_energy=1e-3),
+    "soft": lambda d: SofteningMaterial(linear(d, 0.8), BondLaw(4.0, 0.05, 0.05)),
     "mixed": lambda d: Mixed(
         2.0, lambda x: 2.5 + 0.1 * x[..., 0], lambda x: 1 + 0.1 * x[..., 1], dimension=d
     ),
@@ -48,7 +48,7 @@ def solid(request):
 
 
 def points_of(solid, held=1.0, angle=0.0):
-    x = box(SIDES[solid.dimension], 1.0)
+    x = box_nodes(SIDES[solid.dimension], 1.0)
     inside = (np.abs(x) < np.abs(x).max(axis=0) - held + 0.6).all(axis=1)
     return wp.Points(x @ turn(solid.dimension, angle).T, inside, 1.0)
 
@@ -86,7 +86,7 @@ def test_motion_without_strain_costs_nothing_and_forces_balance(solid, share):
 def test_product_and_energy_belong_to_the_force(solid, share):
     op, points = torn(solid, share)
     u, v = noise(points), noise(points)[::-1] * points.interior[:, None]
-    near(op.product(u, v), difference(lambda t: op(u + t[0] * v), [0.0], 1e-3)[0], 1e-8)
+    near(op.jvp(u, v), difference(lambda t: op(u + t[0] * v), [0.0], 1e-3)[0], 1e-8)
     slope = difference(lambda t: op.energy(u + t[0] * v), [0.0], 1e-3)[0]
     near((op(u) * v[points.interior]).sum(), slope, 1e-8)
 
@@ -139,9 +139,9 @@ def test_a_file_keeps_all_of_it_and_other_units_are_the_same_solid(solid, tmp_pa
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("name", [name for name in SOLIDS if "brittle" in name])
 def test_a_motion_in_other_units_and_on_two_threads_breaks_the_same_bonds(name, d, monkeypatch):
-    monkeypatch.setattr(launch, "SLICE", 16)
-    solid, before = SOLIDS[name](d), launch.threads()
-    x = box(SIDES[d], 1.0)
+    monkeypatch.setattr(runtime, "SLICE", 16)
+    solid, before = SOLIDS[name](d), runtime.get_num_threads()
+    x = box_nodes(SIDES[d], 1.0)
     length, _ = factors(solid.units, OTHER)
     found = []
     uneven = 0.01 * x * (1 + np.random.default_rng(2).random(x.shape))  # no bonds alike
@@ -151,13 +151,13 @@ def test_a_motion_in_other_units_and_on_two_threads_breaks_the_same_bonds(name, 
             (2, solid, 1.0),
             (1, solid.in_units(OTHER), length),
         ):
-            launch.set_threads(threads)
+            runtime.set_num_threads(threads)
             points = wp.Points(scale * x, np.ones(len(x), bool), scale, units=one.units)
             step = 0.3 * one.longest_step(scale)
-            run = wp.move(one, Cracked(points), step=step, steps=15, v=scale * uneven / step)
+            run = wp.simulate(one, Cracked(points), step=step, steps=15, v=scale * uneven / step)
             found.append((run.details.damage, run.u / scale, run.time))
     finally:
-        launch.set_threads(before)
+        runtime.set_num_threads(before)
     assert 0 < found[0][0].mean() < 0.9
     assert all(np.array_equal(a, b) for a, b in zip(found[0], found[1]))
     assert np.array_equal(found[0][0], found[2][0])

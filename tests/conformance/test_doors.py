@@ -8,8 +8,8 @@ import warp_peri as wp
 from tests.conformance.test_laws import LAWS
 from tests.support.bodies import solid
 from tests.support.problems import kernel
-from warp_peri.damage import Cracked, rectangle
 from warp_peri.fe_coupling.body import Coupling
+from warp_peri.fracture import Cracked, rectangle_nodes
 from warp_peri.points.mesh import make_mesh
 
 pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning", "ignore:crack")
@@ -53,7 +53,7 @@ def test_fields_of_a_motion(name):
     def moved(which, value):
         have = given | {which: value}
         start = wp.Dirichlet(points, have.pop("b"), have.pop("u"))
-        return wp.move(material, start, density=1.0, step=1e-9, steps=1, **have)
+        return wp.simulate(material, start, density=1.0, step=1e-9, steps=1, **have)
 
     try:
         moved("u", zero)
@@ -65,7 +65,7 @@ def test_fields_of_a_motion(name):
 
 
 def cracked(inner):
-    x = rectangle(12.0, 12.0, 1.0)
+    x = rectangle_nodes(12.0, 12.0, 1.0)
     points = wp.Points(x, (np.abs(x) < inner).all(axis=1), 1.0)
     return points, 1e-4 * x, [[[-6.5, 0.0], [0.0, 0.0]]]
 
@@ -91,7 +91,7 @@ def test_a_body_with_cracks(kind):
         given = dict(fields) if where is more else where
         where[which] = value
         problem = Cracked(points, **given)
-        return wp.move(material, problem, **more) if options else wp.solve(material, problem)
+        return wp.simulate(material, problem, **more) if options else wp.solve(material, problem)
 
     known = {"u": u, "cracks": cracks} | ({} if kind == "events" else {"b": zero})
     known |= {"v": zero} if kind in ("waves", "steps") else {}
@@ -112,7 +112,7 @@ def test_a_ramp_a_pressure_and_a_crack_that_cuts_nothing():
     for value in (np.nan, "a", np.ones(2), 1j, None):
         how = {"step": 1e-4, "steps": 2, "ramp": lambda t, value=value: value}
         with pytest.raises(wp.InputError, match="ramp at t = 0: expected"):
-            wp.move(solid(), Cracked(points, u=u), **how)
+            wp.simulate(solid(), Cracked(points, u=u), **how)
     points, u, cracks = cracked(3.0)
     for size in (1.0, 1e-12):
         skew = size * np.array([[1.0, 0.5], [0.0, 1.0]])
@@ -126,9 +126,9 @@ def test_a_ramp_a_pressure_and_a_crack_that_cuts_nothing():
 def test_whole_numbers_of_any_type_are_counts(steps):
     points, u, _ = cracked(3.0)
     waves = {"density": 2e3, "step": 1e-4}
-    moved = wp.move(solid().model, Cracked(points, u=u), **waves, steps=steps)
+    moved = wp.simulate(solid().model, Cracked(points, u=u), **waves, steps=steps)
     np.testing.assert_array_equal(
-        moved.u, wp.move(solid().model, Cracked(points, u=u), **waves, steps=3).u
+        moved.u, wp.simulate(solid().model, Cracked(points, u=u), **waves, steps=3).u
     )
 
 
@@ -171,7 +171,7 @@ def test_options_of_a_motion(option):
     for bad in WRONG_OPTIONS[option]:
         given = {"density": 1.0, "step": 1e-9, "steps": 2} | {option: bad}
         with pytest.raises(wp.InputError, match=f"^{option}:"):
-            wp.move(material, problem, **given)
+            wp.simulate(material, problem, **given)
         if option in ("parameters", "transfer", "allow_uncertified"):
             with pytest.raises(wp.InputError, match=f"^{option}:"):
                 wp.solve(material, problem, **{option: bad})
@@ -194,12 +194,12 @@ def test_options_of_a_body_that_breaks(option):
     points, u, _ = cracked(7.0)
     for bad in WRONG_OF_BREAKING[option]:
         with pytest.raises(wp.InputError, match=f"^{option.rstrip('s')}"):
-            wp.move(solid(), Cracked(points, u=u), **{"step": 1e-4, "steps": 2, option: bad})
+            wp.simulate(solid(), Cracked(points, u=u), **{"step": 1e-4, "steps": 2, option: bad})
     for bad in ("no", 1, None):
         with pytest.raises(wp.InputError, match="^corrected: expected True or False"):
             Cracked(points, u=u, corrected=bad)
     with pytest.raises(wp.InputError, match="expected options among .*, got allow_unstable"):
-        wp.move(solid(), Cracked(points, u=u), step=1e-4, steps=2, allow_unstable="no")
+        wp.simulate(solid(), Cracked(points, u=u), step=1e-4, steps=2, allow_unstable="no")
 
 
 def test_a_list_of_masked_rows_is_masked():

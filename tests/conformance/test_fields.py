@@ -54,8 +54,8 @@ def test_an_operator_itself_reads_no_half_of_a_field(name):
         op.load,
         op.stress,
         op.energy,
-        lambda bad: op.product(zero, bad),
-        lambda bad: op.product_transpose(zero, bad[points.interior]),
+        lambda bad: op.jvp(zero, bad),
+        lambda bad: op.vjp(zero, bad[points.interior]),
     )
     for bad in (hidden, zero * 1j, zero.astype(str), zero.astype(object)):
         for read in reads:
@@ -67,7 +67,7 @@ def test_an_operator_itself_reads_no_half_of_a_field(name):
 @pytest.mark.parametrize("name", [name for name in LAWS if LAWS[name].sheet])
 def test_loads_of_a_period_that_are_none_are_refused_in_words(name):
     points, material = LAWS[name].sheet(), LAWS[name].material()
-    if not hasattr(material.on(points), "rest_periodic"):
+    if not hasattr(material.on(points), "solve_periodic"):
         pytest.skip("it solves no periodic problems")
     for bad, words in wrong(np.zeros(points.x.shape), points.interior)[3:]:
         with pytest.raises(wp.InputError, match=f"b: .*{words}"):
@@ -107,7 +107,7 @@ def plate(displacement=(0, 0), traction=(5e-3, 0), **given):
 
 
 def test_vectors_of_a_body_that_are_none_are_refused_in_words():
-    model = wp.Model(0.5, 1.0, 1.0, [1.0], horizon=3.0)
+    model = wp.LPSMaterial(0.5, 1.0, 1.0, [1.0], horizon=3.0)
     hidden = np.ma.masked_array([1.0, 0.0], [True, False])
     functions = (lambda x: 1j * x, lambda x, n: 1j * n)
     for bad in ((1j, 0), ("0", "0"), hidden, [[1.0], [2.0, 3.0]], (np.inf, 0)):
@@ -128,7 +128,7 @@ def test_vectors_of_a_body_that_are_none_are_refused_in_words():
 
 
 def test_a_plain_model_is_proven_where_a_body_needs_it():
-    model = wp.Model(0.5, 1.0, 1.0, [1.0], horizon=3.0)
+    model = wp.LPSMaterial(0.5, 1.0, 1.0, [1.0], horizon=3.0)
     by_default = wp.solve(model, plate())
     told = wp.solve(replace(model, certified_on=(1.0,)), plate())
     np.testing.assert_array_equal(by_default.u, told.u)
@@ -137,4 +137,4 @@ def test_a_plain_model_is_proven_where_a_body_needs_it():
     assert details.model.certified_on == (1.0,)
     assert details.model.certificate["1"]["symbol_bound"] > 0
     with pytest.raises(wp.InputError, match="model: nothing is proven of it on 1 Å"):
-        wp.solve(wp.Model(0.3, 0.8, 1.0, [1.0, -0.9, 0.3], horizon=3.0), plate())
+        wp.solve(wp.LPSMaterial(0.3, 0.8, 1.0, [1.0, -0.9, 0.3], horizon=3.0), plate())

@@ -121,7 +121,9 @@ def test_what_is_not_proven_is_not_believed(material):
 
 def test_a_crystal_that_is_not_stable_is_not_proven_by_the_certificate_of_another(tmp_path):
     steps, path = [[0, 1], [1, 0], [1, 1], [1, -1]], tmp_path / "m.json"
-    good = wp.micromodulus.Crystal(1.0, steps, [np.eye(2)] * 4, symmetry="1").certified().content()
+    good = (
+        wp.crystals.CrystalMaterial(1.0, steps, [np.eye(2)] * 4, symmetry="1").certified().content()
+    )
     assert read(path, good).certificate.holds
     tensors = (np.array([1, 1, -0.6, -0.6])[:, None, None] * np.eye(2)).tolist()
     refused(path, hashed(good | {"tensors": tensors}), "certificate: .* is not proven")
@@ -130,9 +132,9 @@ def test_a_crystal_that_is_not_stable_is_not_proven_by_the_certificate_of_anothe
 def test_a_model_is_certified_only_where_that_is_proven(tmp_path):
     path = tmp_path / "m.json"
     bad, good = ([1.0, -0.9, 0.3], [1.0])
-    content = wp.Model(0.3, 0.8, 1.0, bad, 3.0, certified_on=(1.0,)).content()
+    content = wp.LPSMaterial(0.3, 0.8, 1.0, bad, 3.0, certified_on=(1.0,)).content()
     refused(path, content, "certified_on: nothing is proven on 1")
-    content = wp.Model(0.3, 0.8, 1.0, good, 3.0, certified_on=(1.0,)).content()
+    content = wp.LPSMaterial(0.3, 0.8, 1.0, good, 3.0, certified_on=(1.0,)).content()
     assert read(path, content).certified_on == (1.0,)
 
 

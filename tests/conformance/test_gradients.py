@@ -16,10 +16,10 @@ from tests.conformance.test_laws import LAWS, network
 from tests.points.test_interpolation import cloud
 from tests.support import cubes
 from tests.support.problems import kernel, lattice
-from warp_peri.damage import lattice_body
+from warp_peri.crystals import crystal_from_lps
 from warp_peri.files.checkpoint import ALONE
+from warp_peri.fracture import lattice_body
 from warp_peri.fracture.statics import CutSolid
-from warp_peri.micromodulus import tensors_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 KINKED = ("neural operator",)
@@ -43,20 +43,20 @@ def torn():
 
 def conductor():
     points = lattice(4, 1.5)
-    law = wp.diffusion.Conductor(3.0, 1.3, 0.7, np.array([1.0, 0.4]))
+    law = wp.diffusion.DiffusionMaterial(3.0, 1.3, 0.7, np.array([1.0, 0.4]))
     return law.on(points, kappa=np.exp(0.3 * np.sin(points.x[:, 0])))
 
 
 def coupled():
-    model = wp.Model(1.0, 0.8, 1.0, [1.0, 0.6], horizon=3.0)
-    conductor = wp.diffusion.Conductor(3.0, D=np.array([1.0, 0.4]))
-    law = wp.diffusion.CoupledSolid(model, conductor, 0.4, 1.0)
+    model = wp.LPSMaterial(1.0, 0.8, 1.0, [1.0, 0.6], horizon=3.0)
+    conductor = wp.diffusion.DiffusionMaterial(3.0, D=np.array([1.0, 0.4]))
+    law = wp.diffusion.ThermoelasticMaterial(model, conductor, 0.4, 1.0)
     return law.on(lattice(4, 3.0))
 
 
 def cut():
     """A cracked body, one node of which is held along one axis."""
-    points, model = lattice(4, 3.0), wp.Model(0.9, 0.4, 1.0, [1.0, 0.6, 0.3], horizon=3.0)
+    points, model = lattice(4, 3.0), wp.LPSMaterial(0.9, 0.4, 1.0, [1.0, 0.6, 0.3], horizon=3.0)
     held = np.repeat(~points.interior[:, None], 2, axis=1)
     held[np.flatnonzero(points.interior)[3], 0] = True
     crack = [[(-2.0, 0.1), (1.0, 0.1)]]
@@ -81,7 +81,7 @@ OPERATORS = {
     "scattered, own weights": scattered,
     "LPS, broken bonds": torn,
     "LPS in space": in_space,
-    "crystal in space": lambda: in_space(lambda model: tensors_of(model, 1.0)),
+    "crystal in space": lambda: in_space(lambda model: crystal_from_lps(model, 1.0)),
     "conductor": conductor,
     "coupled": coupled,
     "cut": cut,
@@ -120,13 +120,13 @@ def loss(op, u):
 def test_product_and_its_transpose_are_one_matrix(name, made):
     op = made(name)
     u, v = field(op, 2), field(op, 2, seed=5)
-    rate = op.product(u, v)
+    rate = op.jvp(u, v)
     w = np.random.default_rng(2).normal(size=rate.shape)
-    back = op.product_transpose(u, w)
+    back = op.vjp(u, w)
     assert back.shape == v.shape
     size = np.linalg.norm(rate) * np.linalg.norm(w)
     assert abs((rate * w).sum() - (v * back).sum()) <= 1e-12 * size
-    assert np.allclose(op.product_transpose(u[0], w[0]), back[0], rtol=1e-10, atol=0)
+    assert np.allclose(op.vjp(u[0], w[0]), back[0], rtol=1e-10, atol=0)
 
 
 @pytest.mark.parametrize("name", LINEAR)
@@ -139,7 +139,7 @@ def test_second_derivatives_of_a_linear_force(name, made):
         return (op(u) ** 2).sum() / 2
 
     _, along = functional.hvp(energy, u, v)
-    expected = op.product_transpose(u.numpy(), op(v.numpy()))
+    expected = op.vjp(u.numpy(), op(v.numpy()))
     assert np.allclose(along, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
     _, forward = functional.vhp(energy, u, v)
     assert np.allclose(forward, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
@@ -160,7 +160,7 @@ def test_torch_func_maps_over_fields(name, made):
     for dim in (0, 1):
         assert torch.equal(torch.func.vmap(op, dim)(many.movedim(0, dim)), op(many))
     unit = torch.eye(u.numel(), dtype=u.dtype).reshape(-1, *u.shape).numpy()
-    J = op.product(np.broadcast_to(u, unit.shape), unit).reshape(len(unit), -1).T
+    J = op.jvp(np.broadcast_to(u, unit.shape), unit).reshape(len(unit), -1).T
     for jacobian in (torch.func.jacrev, torch.func.jacfwd):
         assert np.allclose(jacobian(op)(u).reshape(J.shape), J, rtol=0, atol=1e-13 * abs(J).max())
     hessian = torch.func.hessian(lambda u: op(u).square().sum() / 2)
@@ -175,16 +175,16 @@ def test_torch_func_maps_over_fields(name, made):
 def test_torch_func_is_refused_where_it_would_lose_a_gradient(made):
     op, network, heat = map(made, ("LPS", "neural operator", "conductor"))
     u, phi = (torch.from_numpy(field(one)) for one in (op, heat))
-    number, module = torch.tensor(0.5, dtype=torch.float64), wp.Module(op, op.points)
+    number, module = torch.tensor(0.5, dtype=torch.float64), wp.TorchModule(op, op.points)
     still, held = wp.Dirichlet(op.points, None, u), wp.Dirichlet(op.points, u, u)
     waves, steps = {"density": 2000.0, "step": 1e-6, "steps": 2}, {"step": 1.0, "steps": 2}
     for call, x in (
         (module, u),
         (network, torch.from_numpy(field(network))),
-        (lambda u: wp.move(op, wp.Dirichlet(op.points, None, u), **waves).u, u),
+        (lambda u: wp.simulate(op, wp.Dirichlet(op.points, None, u), **waves).u, u),
         (lambda mu: wp.solve(op, held, parameters={"mu": mu}).u, number),
-        (lambda mu: wp.move(op, still, parameters={"mu": mu}, **waves).u, number),
-        (lambda phi: wp.move(heat, wp.Dirichlet(heat.points, None, phi), **steps).u, phi),
+        (lambda mu: wp.simulate(op, still, parameters={"mu": mu}, **waves).u, number),
+        (lambda phi: wp.simulate(heat, wp.Dirichlet(heat.points, None, phi), **steps).u, phi),
     ):
         with pytest.raises(wp.InputError, match=r"torch\.func: expected plain tensors"):
             torch.func.grad(lambda x, call=call: call(x).sum())(x)
@@ -233,7 +233,7 @@ def reverse_over_forward(op, u, v):
 def test_a_tangent_is_the_product(name, made):
     op = made(name)
     u, v = (torch.from_numpy(field(op, seed=n)) for n in (0, 1))
-    expected = op.product(u.numpy(), v.numpy())
+    expected = op.jvp(u.numpy(), v.numpy())
     with forward_ad.dual_level():
         dual = op(forward_ad.make_dual(u, v))
         tangent = forward_ad.unpack_dual(dual).tangent
@@ -312,11 +312,11 @@ def test_torch_compile_leaves_a_force_as_it_is(name, made):
 @pytest.mark.slow
 def test_torch_compile_leaves_modules_solves_and_motions_as_they_are(made):
     op = made("crystal")
-    module, how = wp.Module(op, op.points), {"density": 2000.0, "step": 1e-6, "steps": 3}
+    module, how = wp.TorchModule(op, op.points), {"density": 2000.0, "step": 1e-6, "steps": 3}
     for call in (
         module,
         lambda u: wp.solve(op, wp.Dirichlet(op.points, u, 2 * u)).u,
-        lambda u: wp.move(op, wp.Dirichlet(op.points, None, 2 * u), **how).u,
+        lambda u: wp.simulate(op, wp.Dirichlet(op.points, None, 2 * u), **how).u,
     ):
         check_compiled(lambda u, call=call: call(u).square().sum(), torch.from_numpy(field(op)))
 
@@ -382,7 +382,7 @@ MODULES = {
 @pytest.mark.parametrize("name", MODULES)
 def test_a_module_learns_the_numbers_of_its_material(name, made):
     op = made(name)
-    module = wp.Module(op, op.points)
+    module = wp.TorchModule(op, op.points)
     assert {key for key, _ in module.named_parameters()} == MODULES[name]
     u = torch.from_numpy(field(op, 2)).requires_grad_()
     size = op(u).detach().abs().max()
@@ -395,12 +395,12 @@ def test_a_module_learns_the_numbers_of_its_material(name, made):
 @pytest.mark.parametrize("name", [*MODULES, "neural operator"])
 def test_a_module_is_saved_and_copied(name, made, tmp_path):
     op = copy.deepcopy(made(name))
-    module = wp.Module(op, op.points)
+    module = wp.TorchModule(op, op.points)
     with torch.no_grad():
         for number in module.parameters():
             number.mul_(1.01)
     u = torch.from_numpy(field(op))
-    other = wp.Module(made(name), op.points)
+    other = wp.TorchModule(made(name), op.points)
     other.load_state_dict(module.state_dict())
     torch.save(module, tmp_path / "m.pt")
     again = torch.load(tmp_path / "m.pt", weights_only=False)
@@ -411,9 +411,9 @@ def test_a_module_is_saved_and_copied(name, made, tmp_path):
 
 def test_a_module_refuses_other_points(made):
     with pytest.raises(wp.InputError, match="expected one on the points of the problem"):
-        wp.Module(made("LPS"), made("conductor").points)
+        wp.TorchModule(made("LPS"), made("conductor").points)
     with pytest.raises(wp.InputError, match="Module: expected a material"):
-        wp.Module("graphene", made("LPS").points)
+        wp.TorchModule("graphene", made("LPS").points)
 
 
 @pytest.mark.parametrize("name", ["LPS", "crystal", "conductor"])
@@ -471,8 +471,8 @@ def test_a_cracked_body_refuses_numbers_of_others_and_gradients_of_its_motion():
     problem = wp.Cracked(points, u=u, cracks=[[(-2.0, 0.1), (1.0, 0.1)]])
     with pytest.raises(wp.InputError, match=r"parameters: expected .* shape lam .*, got kappa"):
         wp.solve(model, problem, parameters={"kappa": 1.0})
-    with pytest.raises(wp.InputError, match="move: expected tensors without a gradient"):
-        wp.move(model, problem, events=1)
+    with pytest.raises(wp.InputError, match="simulate: expected tensors without a gradient"):
+        wp.simulate(model, problem, events=1)
 
 
 def test_what_would_lose_a_gradient_says_so(made):
@@ -482,14 +482,14 @@ def test_what_would_lose_a_gradient_says_so(made):
     points = op.points
     still = wp.Dirichlet(points, None, 0 * points.x)
     for lost in (
-        lambda: wp.Model(0.3, number, 1.0, [1.0], horizon=3.0),
+        lambda: wp.LPSMaterial(0.3, number, 1.0, [1.0], horizon=3.0),
         lambda: wp.Samples(points, leaf),
-        lambda: wp.move(op, still, density=number, step=1e-3, steps=1),
+        lambda: wp.simulate(op, still, density=number, step=1e-3, steps=1),
         lambda: op.energy(leaf),
-        lambda: op.load(leaf),
-        lambda: op.product(leaf, leaf),
+        lambda: op.rhs(leaf),
+        lambda: op.jvp(leaf, leaf),
         lambda: op.stress(leaf),
-        lambda: wp.move(op, wp.Dirichlet(SimpleNamespace(comm=ALONE), leaf, leaf)),  # ranks
+        lambda: wp.simulate(op, wp.Dirichlet(SimpleNamespace(comm=ALONE), leaf, leaf)),  # ranks
     ):
         with pytest.raises(wp.InputError, match="gradient"):
             lost()
@@ -511,5 +511,5 @@ def test_lists_and_numbers_keep_all_their_digits(made):
         with pytest.raises(wp.InputError, match=f"u: expected .*{said}"):
             solved(wrong, mu)
     step = {"density": 2000.0, "step": 1e-3, "steps": 3}
-    ends = [wp.move(op, wp.Dirichlet(op.points, b, one), **step).u for one in (u, u.tolist())]
+    ends = [wp.simulate(op, wp.Dirichlet(op.points, b, one), **step).u for one in (u, u.tolist())]
     assert torch.equal(*ends)

@@ -12,11 +12,11 @@ from examples.own_law import Springs
 from tests.support.nonlinear import psi, rotation, solid
 from tests.support.problems import AXIS, difference, kernel, lattice, noise, periodic
 from tests.support.sheets import NEAREST, SPACING, waves
-from warp_peri import launch
+from warp_peri import runtime
 from warp_peri.core.groups import point_group, shared_with_nodes
 from warp_peri.core.stencil import invariant_basis
-from warp_peri.materials.crystal import Crystal
-from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
+from warp_peri.materials.crystal import CrystalMaterial
+from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic, HyperelasticMaterial
 from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
 from warp_peri.materials.lps import bernstein_basis
 from warp_peri.materials.lps_bonds import Bonds
@@ -106,11 +106,16 @@ def third_order(form):
 
 def hyperelastic():
     """Of energies with a second derivative everywhere, and directions of its own."""
-    terms = [Term("neo_hookean"), Term("volumetric"), Term("along", 1.2), Term("quadratic 11,22")]
-    terms += [Term("shear"), Term("volumetric", corner=True)]
-    dictionary = Dictionary(3.0, ("square", "log"), NEAREST, tuple(terms))
+    terms = [
+        EnergyTerm("neo_hookean"),
+        EnergyTerm("volumetric"),
+        EnergyTerm("along", 1.2),
+        EnergyTerm("quadratic 11,22"),
+    ]
+    terms += [EnergyTerm("shear"), EnergyTerm("volumetric", corner=True)]
+    dictionary = Hyperelastic(3.0, ("square", "log"), NEAREST, tuple(terms))
     c = 0.1 + np.random.default_rng(0).random(len(dictionary))
-    return HyperelasticSolid(dictionary, c, SPACING, provenance={"data": "made"})
+    return HyperelasticMaterial(dictionary, c, SPACING, provenance={"data": "made"})
 
 
 def hookean(material, H):
@@ -155,7 +160,7 @@ def tensors():
     p = np.random.default_rng(4).normal(size=len(bonds.basis))
     stiff = 1 / (bonds.steps**2).sum(axis=1)[:, None, None] ** 2 * np.eye(2)
     C = stiff + 0.02 * np.tensordot(p, bonds.basis, 1)
-    return replace(Crystal(1.0, bonds.steps, C, symmetry="4mm").certified(), provenance={})
+    return replace(CrystalMaterial(1.0, bonds.steps, C, symmetry="4mm").certified(), provenance={})
 
 
 def springs():
@@ -298,14 +303,14 @@ def test_an_operator_offers_the_contract(law):
     assert op.model.horizon == pytest.approx(law.horizon * points.spacing)
     assert op.points is points
     b = noise(points, 2)
-    assert np.array_equal(op.load(b), b[:, points.interior])
+    assert np.array_equal(op.rhs(b), b[:, points.interior])
 
 
 def test_one_field_is_the_first_of_several(law):
     op, points = placed(law)
     u, v = uneven(points, 2), noise(points, 2)
     near(op(u)[0], op(u[0]), 1e-13)
-    near(op.product(u, v)[1], op.product(u[1], v[1]), 1e-13)
+    near(op.jvp(u, v)[1], op.jvp(u[1], v[1]), 1e-13)
     near(op.stress(u)[1], op.stress(u[1]), 1e-13)
     if law.energy:
         near(op.energy(u)[1], op.energy(u[1]), 1e-13)
@@ -364,7 +369,7 @@ def test_the_product_is_the_derivative_of_the_force(law):
     op, points = placed(law)
     u, v = uneven(points), points.spacing * noise(points)
     slope = difference(lambda t: op(u + t[0] * v), [0.0], law.step)[0]
-    near(op.product(u, v), slope, 1e-8)
+    near(op.jvp(u, v), slope, 1e-8)
 
 
 def test_the_force_is_the_derivative_of_the_energy(law):
@@ -385,7 +390,7 @@ def test_a_file_keeps_all_of_it(law, tmp_path):
     wp.save(first, material)
     wp.save(again, law.load(first))
     assert first.read_bytes() == again.read_bytes()
-    assert b"One solution." in first.read_bytes() or not isinstance(material, wp.Model)
+    assert b"One solution." in first.read_bytes() or not isinstance(material, wp.LPSMaterial)
     wp.save(theirs, law.load(first, units=OTHER))
     wp.save(ours, material.in_units(OTHER))
     assert theirs.read_bytes() == ours.read_bytes()
@@ -411,18 +416,18 @@ def test_other_units_are_the_same_material_there_and_back(law):
 
 @pytest.mark.parametrize("name", SPREAD)
 def test_threads_change_no_bit(name, monkeypatch):
-    monkeypatch.setattr(launch, "SLICE", 16)  # so that a small lattice is shared out
+    monkeypatch.setattr(runtime, "SLICE", 16)  # so that a small lattice is shared out
     law = SPREAD[name]
     points = law.points(8)
     u, v = uneven(points, 2), noise(points, 2)
-    before, found = launch.threads(), []
+    before, found = runtime.get_num_threads(), []
     try:
         for count in (1, 2):
-            launch.set_threads(count)
+            runtime.set_num_threads(count)
             fresh = law.on(points).on(points)
-            found.append([fresh(u), fresh.product(u, v), fresh.stress(u), fresh.energy(u)])
+            found.append([fresh(u), fresh.jvp(u, v), fresh.stress(u), fresh.energy(u)])
     finally:
-        launch.set_threads(before)
+        runtime.set_num_threads(before)
     for one, two in zip(*found):
         assert np.array_equal(one, two)
 
@@ -433,7 +438,7 @@ def test_a_turned_lattice_gives_the_turned_force(law):
     R, u, v = rotation(TURN), uneven(points), noise(points)
     near(turned.x, points.x @ R.T, 1e-14)
     near(other(u @ R.T), op(u) @ R.T, 1e-11)
-    near(other.product(u @ R.T, v @ R.T), op.product(u, v) @ R.T, 1e-11)
+    near(other.jvp(u @ R.T, v @ R.T), op.jvp(u, v) @ R.T, 1e-11)
     near(other.stress(u @ R.T), R @ op.stress(u) @ R.T, 1e-11)
 
 

@@ -8,7 +8,7 @@ import warp_peri as wp
 from tests.support.problems import lattice
 from warp_peri.materials.lps_bonds import Bonds
 from warp_peri.materials.lps_force import lps_force
-from warp_peri.methods import Solid
+from warp_peri.methods import LPSParameters
 
 SOLID = {"lam": 0.4, "mu": 0.5, "alpha": 1.0, "D": [1.0, 0.7, 0.4]}
 
@@ -22,11 +22,11 @@ def at_rest(method):
     points = lattice(15, 3.0)
     b = torch.from_numpy(1e-3 * np.sin(points.x))
 
-    solver = wp.Direct() if method == "lu" else wp.Krylov(method)
-    operator = wp.Model(**SOLID, horizon=3.0, certified_on=(1.0,)).on(points)
+    solver = wp.Direct() if method == "lu" else wp.CG(method)
+    operator = wp.LPSMaterial(**SOLID, horizon=3.0, certified_on=(1.0,)).on(points)
 
     def energy(*values):
-        u = operator.rest(b, torch.zeros_like(b), solver, parameters=Solid(*values)).u
+        u = operator.solve(b, torch.zeros_like(b), solver, parameters=LPSParameters(*values)).u
         return (u * b).sum() + sum(value.square().sum() for value in values)
 
     return energy
@@ -38,7 +38,7 @@ def of_numbers():
     u = torch.from_numpy(0.01 * np.cos(lattice(15, 3.0).x))
 
     def energy(*values):
-        return lps_force(bonds, u, Solid(*values)).square().sum() + sum(
+        return lps_force(bonds, u, LPSParameters(*values)).square().sum() + sum(
             value.square().sum() for value in values
         )
 
@@ -71,7 +71,7 @@ NONE = (
 def test_what_is_no_number_is_refused_by_a_solid(name):
     for value, words in NONE:
         with pytest.raises(wp.InputError, match=f"{name}: {words}"):
-            Solid(**SOLID | {name: value})
+            LPSParameters(**SOLID | {name: value})
 
 
 @pytest.mark.parametrize("value", ["3", None, 1j, np.nan, 0.0, -1.0, np.inf, [3.0]])
@@ -83,10 +83,10 @@ def test_a_horizon_is_a_length(value):
 def test_an_influence_function_has_coefficients_and_an_exponent_below_three():
     for change, words in (({"alpha": 3.0}, "less than 3"), ({"D": []}, "at least one coefficient")):
         with pytest.raises(wp.InputError, match=words):
-            Solid(**SOLID | change)
+            LPSParameters(**SOLID | change)
 
 
 @pytest.mark.parametrize("name", ["lam", "mu", "alpha"])
 def test_a_homogeneous_solid_has_one_number_each(name):
     with pytest.raises(wp.InputError, match=rf"{name}: expected one number .* got shape \[225\]"):
-        Solid(**SOLID | {name: torch.full((225,), 0.5)})
+        LPSParameters(**SOLID | {name: torch.full((225,), 0.5)})

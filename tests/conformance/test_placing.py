@@ -8,8 +8,8 @@ import pytest
 import warp_peri as wp
 from tests.conformance.test_laws import LAWS, TURN, near, placed, rotation, uneven
 from tests.support.problems import lattice, noise
-from warp_peri.damage import Cracked, rectangle
-from warp_peri.diffusion import Conductor, CoupledSolid
+from warp_peri.diffusion import DiffusionMaterial, ThermoelasticMaterial
+from warp_peri.fracture import Cracked, rectangle_nodes
 from warp_peri.neural.material import NeuralOperator
 
 CHANGES = {
@@ -33,7 +33,7 @@ def test_an_operator_is_for_its_own_points(name, what):
 @pytest.mark.parametrize("name", ["conductor", "coupled"])
 def test_conduction_too(name):
     points = lattice(4, 3.0)
-    material = Conductor(3.0) if name == "conductor" else coupled()
+    material = DiffusionMaterial(3.0) if name == "conductor" else coupled()
     op = material.on(points)
     field = np.zeros(len(points.x)) if name == "conductor" else np.zeros((len(points.x), 3))
     for what, change in CHANGES.items():
@@ -42,7 +42,9 @@ def test_conduction_too(name):
 
 
 def coupled():
-    return CoupledSolid(wp.Model(0.7, 0.8, 1.0, [1.0], 3.0), Conductor(3.0), 0.2)
+    return ThermoelasticMaterial(
+        wp.LPSMaterial(0.7, 0.8, 1.0, [1.0], 3.0), DiffusionMaterial(3.0), 0.2
+    )
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -52,7 +54,7 @@ def test_conduction_in_the_plane_and_in_space(d):
     interior = ((grid >= 3) & (grid < 6)).all(axis=1)
     points = wp.Points(grid, interior, 1.0)
     square = (grid**2).sum(axis=1)
-    op = Conductor(2.0, 0.7).on(points)
+    op = DiffusionMaterial(2.0, 0.7).on(points)
     np.testing.assert_allclose(op(square), -2 * d * 0.7, rtol=1e-10)
     load = np.full(len(grid), -2 * d * 0.7)
     found = wp.solve(op, wp.Dirichlet(points, load, square)).u
@@ -85,7 +87,7 @@ def test_directions_of_a_network_turn_with_the_axis():
 
 @pytest.mark.parametrize("name", ["third order, energy", "crystal"])
 def test_no_crack_is_solved_by_a_part_of_a_material(name):
-    x = rectangle(14.0, 10.0, 1.0)
+    x = rectangle_nodes(14.0, 10.0, 1.0)
     rim = np.abs(x[:, 1]) > 4
     problem = Cracked(wp.Points(x, ~rim, 1.0), u=0 * x, cracks=[[(-3.0, 0.02), (2.2, 0.02)]])
     with pytest.raises(wp.InputError, match=r"Cracked"):

@@ -12,9 +12,9 @@ from tests.conformance.test_laws import LAWS, SPREAD, near, solved_samples, unev
 from tests.support.plates import plate
 from tests.support.problems import kernel, lattice
 from tests.support.sheets import waves
-from warp_peri.damage import Cracked
-from warp_peri.diffusion import Conductor
-from warp_peri.materials.crystal import tensors_of
+from warp_peri.diffusion import DiffusionMaterial
+from warp_peri.fracture import Cracked
+from warp_peri.materials.crystal import crystal_from_lps
 from warp_peri.points.unit_names import USUAL, factors
 
 pytestmark = pytest.mark.filterwarnings(
@@ -73,7 +73,7 @@ def test_a_force_a_solve_and_a_motion(name, scale):
     there = larger(points, length)
     twin = other.on(there)
     near(twin(length * u), op(u) * stress / length, 1e-9)
-    near(twin.product(length * u, length * u), op.product(u, u) * stress / length, 1e-9)
+    near(twin.jvp(length * u, length * u), op.jvp(u, u) * stress / length, 1e-9)
     near(twin.stress(length * u), op.stress(u) * stress, 1e-9)
     if law.energy:
         near(twin.energy(length * u), op.energy(u) * stress * length**2, 1e-9)
@@ -88,13 +88,13 @@ def test_a_force_a_solve_and_a_motion(name, scale):
     how = {"density": 1000.0, "steps": 5, "every": 5}
     step = 1e-2 * points.spacing / np.sqrt(np.abs(op.stress(u)).max() / 0.05 * 1e8 / 1000)
     try:
-        moved = wp.move(op, wp.Dirichlet(points, None, u), step=step, **how)
+        moved = wp.simulate(op, wp.Dirichlet(points, None, u), step=step, **how)
     except wp.InputError:
         with pytest.raises(wp.InputError):
-            wp.move(twin, wp.Dirichlet(there, None, length * u), step=step, **how)
+            wp.simulate(twin, wp.Dirichlet(there, None, length * u), step=step, **how)
         return
     slower = length / np.sqrt(stress)
-    again = wp.move(twin, wp.Dirichlet(there, None, length * u), step=step * slower, **how)
+    again = wp.simulate(twin, wp.Dirichlet(there, None, length * u), step=step * slower, **how)
     near(again.u, length * moved.u, 1e-9)
     near(np.asarray(again.v), np.asarray(moved.v) * length / slower, 1e-6)
 
@@ -120,7 +120,7 @@ def test_loads_that_no_force_answers_are_refused(name):
 
 
 SOLID = kernel("1/r", 2.0, lam=0.9)
-LINEAR = {"LPS": SOLID, "crystal": tensors_of(SOLID, 1.0).certified()}
+LINEAR = {"LPS": SOLID, "crystal": crystal_from_lps(SOLID, 1.0).certified()}
 
 
 @pytest.mark.parametrize("name", LINEAR)
@@ -161,9 +161,9 @@ def test_diffusion(scale):
     length, stress = factors((here, unit), (there, other))
     points = lattice(6, 2.0)
     phi, source = waves(points, 0.1)[:, 0], waves(points, 0.1, 1)[:, 1]
-    first = wp.solve(Conductor(2.0, 0.7), wp.Dirichlet(points, source, phi))
+    first = wp.solve(DiffusionMaterial(2.0, 0.7), wp.Dirichlet(points, source, phi))
     far = wp.Dirichlet(larger(points, length), source * stress / length**2, phi)
-    near(wp.solve(Conductor(2.0 * length, 0.7 * stress), far).u, first.u, 1e-8)
+    near(wp.solve(DiffusionMaterial(2.0 * length, 0.7 * stress), far).u, first.u, 1e-8)
 
 
 @pytest.mark.parametrize("name", ["brittle", "soft"])

@@ -29,7 +29,7 @@ FLOWING = {"α = 0": {"alpha": 0.0, "D": D[:2], "kappa": 1.3}}
 
 
 def solid(numbers, horizon=2.0, **kept):
-    return wp.Model(**numbers, horizon=horizon, certified_on=(1.0,), **kept)
+    return wp.LPSMaterial(**numbers, horizon=horizon, certified_on=(1.0,), **kept)
 
 
 def in_the_plane(numbers):
@@ -41,7 +41,7 @@ def of_broken(numbers):
 
 
 def of_conductor(numbers):
-    law = wp.diffusion.Conductor(2.0, numbers["kappa"], numbers["alpha"], numbers["D"])
+    law = wp.diffusion.DiffusionMaterial(2.0, numbers["kappa"], numbers["alpha"], numbers["D"])
     return law.on(lattice(3, 1.0))
 
 
@@ -59,8 +59,8 @@ CELLS = [
     (verb, kind, case)
     for kind, (_, cases) in KINDS.items()
     for case in cases
-    for verb in ("force", "solve", "move")
-    if verb != "move" or kind in WAVES + FLOWS
+    for verb in ("force", "solve", "simulate")
+    if verb != "simulate" or kind in WAVES + FLOWS
 ]
 
 
@@ -99,12 +99,12 @@ def value_of(verb, kind, op):
     b, u = (torch.from_numpy(field(op, seed=n)) for n in (0, 1))
     problem, solver = wp.Dirichlet(op.points, 0.1 * b, u), solver_of(kind, op)
     if verb == "force":
-        return lambda of: seeded(op.force_with(u[None], of))
+        return lambda of: seeded(op.force_with_parameters(u[None], of))
     if verb == "solve":
         return lambda of: seeded(wp.solve(op, problem, solver=solver, parameters=of).u)
     if kind in FLOWS:
         how = {"step": 0.3, "steps": 2}
-        return lambda of: seeded(wp.move(op, problem, parameters=of, **how)["u"])
+        return lambda of: seeded(wp.simulate(op, problem, parameters=of, **how)["u"])
     fields, options = given(op)
     return lambda of: loss(op, fields, options | {"steps": 4, "every": 2}, of)
 
@@ -113,7 +113,7 @@ def value_of(verb, kind, op):
 def test_special_numbers_have_the_gradient_of_differences(verb, kind, case):
     """Whether they are the material's own or are given as parameters."""
     make, numbers = KINDS[kind][0], KINDS[kind][1][case]
-    elsewhere = kind in ("LPS", "LPS, broken bonds") and verb != "move"
+    elsewhere = kind in ("LPS", "LPS, broken bonds") and verb != "simulate"
     for op in [make(numbers), *([make(general(numbers))] if elsewhere else [])]:
         check(value_of(verb, kind, op), numbers)
         assert op.learnable.keys() == numbers.keys()

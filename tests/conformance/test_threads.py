@@ -50,10 +50,12 @@ def test_a_force_and_its_derivatives(name):
         u, v = field(op, seed=number), field(op, seed=number + USERS)
         at = torch.from_numpy(u).requires_grad_()
         op(at).square().sum().backward()
-        found = [op(u), op.product(u, v), at.grad.numpy()]
+        found = [op(u), op.jvp(u, v), at.grad.numpy()]
         numbers = [torch.tensor(np.array(v, float)).requires_grad_() for v in learnable.values()]
         if numbers:
-            force = op.force_with(torch.from_numpy(u)[None], dict(zip(learnable, numbers)))
+            force = op.force_with_parameters(
+                torch.from_numpy(u)[None], dict(zip(learnable, numbers))
+            )
             found += [one.numpy() for one in torch.autograd.grad(force.square().sum(), numbers)]
         return found
 
@@ -90,5 +92,5 @@ def test_warnings_belong_to_the_thread_that_has_them():
 def test_a_warning_names_the_line_that_called_the_library():
     points = wp.Points(np.indices((5, 5)).reshape(2, -1).T * 1.0, np.arange(25) == 12, 1.0)
     with pytest.warns(UserWarning, match="allow_uncertified|certified") as told:
-        wp.Model(0.4, 0.4, 1.0, [1.0], horizon=2.0).on(points, allow_uncertified=True)
+        wp.LPSMaterial(0.4, 0.4, 1.0, [1.0], horizon=2.0).on(points, allow_uncertified=True)
     assert told[0].filename == __file__

@@ -85,13 +85,15 @@ def test_what_a_verb_does_not_mean_is_refused_by_name():
     for verb, call in {
         "certify": lambda: wp.certify(solid, spacing=0.1),
         "diagnose": lambda: wp.diagnose(solid, many),
-        "uniqueness": lambda: wp.proofs.uniqueness(solid, spacing=0.1),
+        "prove_uniqueness": lambda: wp.certificates.prove_uniqueness(solid, spacing=0.1),
     }.items():
-        with pytest.raises(wp.InputError, match=f"{verb}: expected .*, got HyperelasticSolid"):
+        with pytest.raises(wp.InputError, match=f"{verb}: expected .*, got HyperelasticMaterial"):
             call()
     with pytest.raises(wp.InputError, match="evaluate: expected a material.*, got Points"):
         wp.evaluate(samples.points, samples)
-    with pytest.raises(wp.InputError, match="evaluate: transfer: not among .* HyperelasticSolid"):
+    with pytest.raises(
+        wp.InputError, match="evaluate: transfer: not among .* HyperelasticMaterial"
+    ):
         wp.evaluate(solid, samples, transfer=False)
 
 

@@ -1,22 +1,26 @@
 """Materials and operators as the contract's protocols: mypy holds them to it."""
 
 from warp_peri import LPS
-from warp_peri.contract import Law, Material, Operator, Problem
-from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid
-from warp_peri.materials.hyperelastic.placed import PlacedSheet
-from warp_peri.materials.lps import Model
+from warp_peri.materials.hyperelastic.energies import Hyperelastic, HyperelasticMaterial
+from warp_peri.materials.hyperelastic.placed import HyperelasticSheetOperator
+from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_operator import LPSOperator
-from warp_peri.materials.third_order import PlacedThirdOrder, ThirdOrderCrystal
+from warp_peri.materials.third_order import PlacedThirdOrder, ThirdOrderMaterial
 from warp_peri.materials.third_order_fit import ThirdOrder
 from warp_peri.points.points import Points
 from warp_peri.problems import Body, Dirichlet, Periodic
+from warp_peri.protocols import FittableModel, Material, Operator, Problem
 
 
-def materials(one: Model, two: ThirdOrderCrystal, three: HyperelasticSolid) -> list[Material]:
+def materials(
+    one: LPSMaterial, two: ThirdOrderMaterial, three: HyperelasticMaterial
+) -> list[Material]:
     return [one, two, three]
 
 
-def operators(one: LPSOperator, two: PlacedThirdOrder, three: PlacedSheet) -> list[Operator]:
+def operators(
+    one: LPSOperator, two: PlacedThirdOrder, three: HyperelasticSheetOperator
+) -> list[Operator]:
     return [one, two, three]
 
 
@@ -24,7 +28,7 @@ def problems(one: Dirichlet, two: Periodic, three: Body) -> list[Problem]:
     return [one, two, three]
 
 
-def laws(one: LPS, two: ThirdOrder, three: Dictionary) -> list[Law]:
+def laws(one: LPS, two: ThirdOrder, three: Hyperelastic) -> list[FittableModel]:
     return [one, two, three]
 
 

@@ -10,8 +10,8 @@ import torch
 from tests.support.nonlinear import bent_tangent
 from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.stencil import Stencil, half_ball
-from warp_peri.launch import one_thread
 from warp_peri.points.points import Points
+from warp_peri.runtime import one_thread
 
 LAM, MU = 0.4, 0.9
 
@@ -53,9 +53,9 @@ def test_force_is_the_gradient_of_the_energy_and_products_are_those_of_the_tange
     inner = np.where(points.interior[:, None], v, 0.0)
     step = 1e-4
     ends = [op.force(u + s * step * v) for s in (1, -1)]
-    np.testing.assert_allclose(op.product(u, v), (ends[0] - ends[1]) / (2 * step), atol=1e-5)
-    back = (op.product_transpose(u, w) * v).sum(axis=(1, 2))
-    np.testing.assert_allclose((op.product(u, v) * w).sum(axis=(1, 2)), back, rtol=1e-12)
+    np.testing.assert_allclose(op.jvp(u, v), (ends[0] - ends[1]) / (2 * step), atol=1e-5)
+    back = (op.vjp(u, w) * v).sum(axis=(1, 2))
+    np.testing.assert_allclose((op.jvp(u, v) * w).sum(axis=(1, 2)), back, rtol=1e-12)
     ends = [op.energy(u + s * step * inner) for s in (1, -1)]
     bent = op.force(u) - (0 if not linear else op.force(1e-9 * u) / 1e-9)
     work = 0.5**d * (bent * inner[:, points.interior]).sum(axis=(1, 2))
@@ -63,7 +63,7 @@ def test_force_is_the_gradient_of_the_energy_and_products_are_those_of_the_tange
     if not linear:
         steps, weights = one_sided(d, 2)
         tangent = bent_tangent(op, u[0], steps, weights, weights)
-        np.testing.assert_allclose(tangent @ v[0].ravel(), op.product(u, v)[0].ravel(), atol=1e-12)
+        np.testing.assert_allclose(tangent @ v[0].ravel(), op.jvp(u, v)[0].ravel(), atol=1e-12)
 
 
 def test_stress_of_a_uniform_gradient_is_that_of_the_density():

@@ -10,9 +10,9 @@ import warp_peri as wp
 from tests.crystal.crystals import learned, random_law
 from tests.support.problems import KERNELS, difference, kernel
 from warp_peri.core import proof
-from warp_peri.core.elastic import from_voigt, plane_isotropic
+from warp_peri.core.elastic import plane_isotropic, voigt_to_tensor
 from warp_peri.core.groups import lattice_group
-from warp_peri.core.proof import Proof, largest, long_wave_radius, parts, prove
+from warp_peri.core.proof import StencilCertificate, largest, long_wave_radius, parts, prove
 from warp_peri.core.stencil import (
     Stencil,
     difference_tensors,
@@ -180,7 +180,7 @@ def test_the_upper_bound_is_above_the_zone_and_near_it(name, horizon):
 
 def test_the_upper_bound_in_space():
     law = learned(3)
-    assert top(law.stencil) <= law.stiffest_wave() <= 1.01 * top(law.stencil)
+    assert top(law.stencil) <= law.max_symbol_eigenvalue() <= 1.01 * top(law.stencil)
 
 
 def test_a_bound_that_takes_too_much_work_is_still_a_bound(monkeypatch):
@@ -194,7 +194,9 @@ def test_a_law_of_which_nothing_is_proven_is_read_again(tmp_path):
     """Its smallest sampled ratio is below zero by rounding, and nothing is claimed."""
     law = random_law(2)
     for sampled in (-1e-13, -0.3):
-        proof = Proof(proven=0.0, sampled=sampled, long_waves=0.0, cells=0, seconds=0.0)
+        proof = StencilCertificate(
+            proven=0.0, sampled=sampled, long_waves=0.0, cells=0, seconds=0.0
+        )
         wp.save(tmp_path / "law.json", replace(law, certificate=proof))
         assert wp.load(tmp_path / "law.json").certificate.statement == "Nothing is proven."
     wp.save(tmp_path / "law.json", replace(law, certificate=replace(proof, proven=0.1)))
@@ -216,7 +218,7 @@ def test_what_was_sampled_is_no_number_of_ones_own(tmp_path):
 @pytest.mark.parametrize("reach", [1, 2, 4])
 def test_differences_of_elasticity_have_their_order(reach):
     """Their symbol is that of the local solid, to (k h) to the power of twice their reach."""
-    C, k = from_voigt(plane_isotropic(0.3, 0.7)), np.array([0.3, 0.5])
+    C, k = voigt_to_tensor(plane_isotropic(0.3, 0.7)), np.array([0.3, 0.5])
     halvings = 0.5 ** np.arange(3)
     stencil = Stencil(1.0, *difference_tensors(C, reach))
     local = np.einsum("ijkl,j,l->ik", C, k, k)

@@ -7,8 +7,8 @@ import numpy as np
 from warp_peri.core.elastic import huang_rows, stress_brackets
 from warp_peri.core.groups import checked_orientation, point_group, shared_with_nodes
 from warp_peri.core.stencil import invariant_basis
-from warp_peri.materials.crystal import Crystal
-from warp_peri.materials.crystal_fit import fit_symbol
+from warp_peri.materials.crystal import CrystalMaterial
+from warp_peri.materials.crystal_fit import fit_dispersion
 from warp_peri.points.points import Points
 
 CUBIC = {2: ("4mm", 2.5), 3: ("m-3m", 2.0)}
@@ -40,7 +40,7 @@ def learned(d, spacing=1.5, orientation=None, symmetry=None):
     name, reach = CUBIC[d]
     turn = checked_orientation(orientation, d)
     tensor = np.einsum("ai,bj,ck,dl,ijkl->abcd", *[turn] * 4, cubic_tensor(d))
-    return fit_symbol(
+    return fit_dispersion(
         dispersive(tensor),
         spacing,
         spacing * reach,
@@ -55,7 +55,7 @@ def random_law(d, reach=2.0, spacing=1.5, symmetry="m-3m", seed=0):
     name = symmetry if d == 3 else "4mm"
     bonds = invariant_basis(reach, shared_with_nodes(point_group(name, d), np.eye(d)))
     p = np.random.default_rng(seed).normal(size=len(bonds.basis))
-    return Crystal(spacing, bonds.steps, np.tensordot(p, bonds.basis, 1), symmetry=name)
+    return CrystalMaterial(spacing, bonds.steps, np.tensordot(p, bonds.basis, 1), symmetry=name)
 
 
 def lattice(d, n, collar, spacing=1.5, ball=False, box=False):

@@ -9,7 +9,7 @@ from warp_peri.core import elastic
 from warp_peri.core.groups import checked_orientation, name_of, point_group, shared_with_nodes
 from warp_peri.core.stencil import invariant_basis, q1_tensors
 from warp_peri.errors import InputError
-from warp_peri.materials.crystal import Crystal
+from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import plane_strain, plane_stress
 
 
@@ -93,8 +93,8 @@ def test_a_group_is_known_by_its_rotations(name, d):
 def test_elements_have_the_moduli_of_their_solid(d):
     rng = np.random.default_rng(4)
     matrix = rng.normal(size=(3, 3) if d == 2 else (6, 6))
-    C = elastic.from_voigt(matrix @ matrix.T + np.eye(len(matrix)))
-    law = Crystal(2.0, *(lambda s, t: (s, t / 4.0))(*q1_tensors(C)))
+    C = elastic.voigt_to_tensor(matrix @ matrix.T + np.eye(len(matrix)))
+    law = CrystalMaterial(2.0, *(lambda s, t: (s, t / 4.0))(*q1_tensors(C)))
     np.testing.assert_allclose(law.tensor(), C, atol=1e-10)
     assert huang_defect(law) < 1e-12
 
@@ -141,12 +141,12 @@ def test_plane_stress_has_the_moduli_of_a_thin_sheet_and_low_axes_are_refused():
 def test_what_is_wrong_is_named():
     law = random_law(3)
     with pytest.raises(InputError, match="each once"):
-        Crystal(1.0, np.array([[1, 0], [-1, 0]]), np.zeros((2, 2, 2)))
+        CrystalMaterial(1.0, np.array([[1, 0], [-1, 0]]), np.zeros((2, 2, 2)))
     with pytest.raises(InputError, match="symmetric"):
-        Crystal(1.0, np.array([[1, 0]]), np.array([[[1.0, 2.0], [0.0, 1.0]]]))
+        CrystalMaterial(1.0, np.array([[1, 0]]), np.array([[[1.0, 2.0], [0.0, 1.0]]]))
     skew = law.tensors.copy()
     skew[0, 0, 0] += 1.0
     with pytest.raises(InputError, match="break it"):
-        Crystal(1.0, law.steps, skew, symmetry="m-3m")
+        CrystalMaterial(1.0, law.steps, skew, symmetry="m-3m")
     with pytest.raises(InputError, match="expected one of"):
         point_group("5mm", 2)

@@ -12,19 +12,24 @@ from tests.crystal.crystals import cubic_tensor, dispersive, huang_defect, latti
 from tests.support.problems import kernel
 from tests.support.problems import lattice as plane_lattice
 from warp_peri.atoms import force_constants
-from warp_peri.atoms.force_constants import Polar, from_calculator, from_supercell
+from warp_peri.atoms.force_constants import NonAnalyticCorrection, from_calculator, from_supercell
 from warp_peri.core.elastic import allowed_tensors, voigt
 from warp_peri.core.groups import point_group
 from warp_peri.errors import InputError
-from warp_peri.materials.crystal import Crystal, tensors_of
-from warp_peri.materials.crystal_fit import Micromodulus, fit_symbol, from_phonons, transferred
+from warp_peri.materials.crystal import CrystalMaterial, crystal_from_lps
+from warp_peri.materials.crystal_fit import (
+    Crystal,
+    fit_dispersion,
+    fit_phonons,
+    transfer_to_lattice,
+)
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 
 
 def fit(samples, horizon, **asked):
     """The material that is learned."""
-    return Micromodulus(horizon, **asked).learn(samples).material
+    return Crystal(horizon, **asked).learn(samples).material
 
 
 def waves(law, points, count, seed=0):
@@ -84,13 +89,13 @@ REFUSED = {
     "moduli: expected float values": lambda: nonsense(3.0, {"C11": 0.2}),
     "moduli: expected those of 2 dimensions, got 3": lambda: nonsense(3.0, np.eye(6)),
     "are moduli in TPa": lambda: nonsense(3.0, 1e3 * voigt(cubic_tensor(2))),
-    "spacing: expected a number > 0": lambda: transferred(learned(2), "4"),
-    "expected a linear peridynamic solid, got Crystal": lambda: tensors_of(learned(2), 1.5),
-    "stable crystal, got a sound wave": lambda: fit_symbol(
+    "spacing: expected a number > 0": lambda: transfer_to_lattice(learned(2), "4"),
+    "expected a linear peridynamic solid, got Crystal": lambda: crystal_from_lps(learned(2), 1.5),
+    "stable crystal, got a sound wave": lambda: fit_dispersion(
         dispersive(tensor := cubic_tensor(2, 0.1, 0.2, 0.05)), 1.0, 2.5, symmetry="4mm",
         tensor=tensor,
     ),
-    "stable crystal, got the stiffness": lambda: from_phonons(
+    "stable crystal, got the stiffness": lambda: fit_phonons(
         from_calculator(ase.build.bulk("Cu", "sc", a=2.6), EMT(), (5, 5, 5)), 2.6, 5.3,
         symmetry="m-3m",
     ),
@@ -122,7 +127,7 @@ def test_graphene_from_fields(graphene):
     for name in ("val", "test"):
         samples = data[name]
         operator = law.on(samples)
-        u = operator.rest(samples.b, samples.u).u
+        u = operator.solve(samples.b, samples.u).u
         inside = samples.interior
         wrong, size = (
             np.linalg.norm(field[:, inside].reshape(len(u), -1), axis=1)
@@ -149,7 +154,7 @@ def test_a_crystal_from_phonons_alone(copper):
     pytest.importorskip("spglib")
     atoms, _ = copper
     assert len(atoms.group()) == 48
-    law = from_phonons(atoms, 3.59, 3.59 * 6**0.5)
+    law = fit_phonons(atoms, 3.59, 3.59 * 6**0.5)
     assert law.symmetry == "m-3m"
     C = atoms.elastic(allowed_tensors("m-3m", point_group("m-3m", 3), np.eye(3)))
     np.testing.assert_allclose(law.elastic_tensor(), voigt(C), rtol=1e-6, atol=1e-9)
@@ -163,9 +168,9 @@ def test_a_crystal_from_phonons_alone(copper):
 def test_bonds_that_are_too_few_and_units_that_are_mistaken_are_told(copper):
     atoms, _ = copper
     with pytest.warns(UserWarning, match="with 6 bonds they are up to .*% of the largest away"):
-        from_phonons(atoms, 3.59, 3.59, symmetry="m-3m")
+        fit_phonons(atoms, 3.59, 3.59, symmetry="m-3m")
     with pytest.raises(InputError, match=r"a cell of the atoms is long, 3.59e-10 m, got 3.59"):
-        from_phonons(atoms, 3.59, 8.8, symmetry="m-3m", units=("m", "Pa"))
+        fit_phonons(atoms, 3.59, 8.8, symmetry="m-3m", units=("m", "Pa"))
 
 
 def test_a_larger_cell_of_the_same_crystal_has_the_same_symbol():
@@ -193,9 +198,9 @@ def ions(positions, elements, charges, a=4.0, repeats=3):
     spring[range(len(cell)), range(len(cell))] -= spring.sum(axis=1)
     phi = spring.transpose(0, 2, 1, 3)
     born = np.array([charges[s] * np.eye(3) for s in elements])
-    exact = Polar(born, 2.0 * np.eye(3), decay=2.2)
+    exact = NonAnalyticCorrection(born, 2.0 * np.eye(3), decay=2.2)
     field = force_constants.field_of_ions(exact, cell, box, range(len(cell)))
-    polar = Polar(born, 2.0 * np.eye(3))
+    polar = NonAnalyticCorrection(born, 2.0 * np.eye(3))
     whole = from_supercell(
         cell, box, phi + field.transpose(0, 2, 1, 3), range(len(cell)), polar=polar
     )
@@ -220,7 +225,7 @@ def test_a_piezoelectric_crystal_is_refused():
     both = four + [[x + 0.25, y + 0.25, z + 0.25] for x, y, z in four]
     whole, _, _ = ions(both, ["Zn"] * 4 + ["S"] * 4, {"Zn": 1.5, "S": -1.5}, a=5.4, repeats=2)
     with pytest.raises(InputError, match="piezoelectric"):
-        from_phonons(whole, 5.4, 5.4 * 2.0, symmetry="m-3m")
+        fit_phonons(whole, 5.4, 5.4 * 2.0, symmetry="m-3m")
 
 
 def test_a_crystal_held_under_stress_keeps_its_moduli_apart():
@@ -231,21 +236,21 @@ def test_a_crystal_held_under_stress_keeps_its_moduli_apart():
             :, None, None
         ] * np.eye(2)
 
-    law = fit_symbol(symbol, 1.5, 3.75, symmetry="1", tensor=tensor, stress=stress)
+    law = fit_dispersion(symbol, 1.5, 3.75, symmetry="1", tensor=tensor, stress=stress)
     np.testing.assert_allclose(law.tensor(), tensor, atol=1e-12)
     assert huang_defect(law) < 1e-10
     k = 1e-4 * np.random.default_rng(2).normal(size=(4, 2))
     np.testing.assert_allclose(law.symbol(k), symbol(k), rtol=1e-5, atol=1e-14)
-    again = Crystal.of_content(law.content()).in_units(("nm", "GPa"))
+    again = CrystalMaterial.from_dict(law.content()).in_units(("nm", "GPa"))
     np.testing.assert_allclose(again.stress, 1e3 * stress)
     assert again.elastic_tensor()[0, 0] == pytest.approx(170.0)
-    turned = transferred(law, 1.5, rotation=90.0)
+    turned = transfer_to_lattice(law, 1.5, rotation=90.0)
     np.testing.assert_allclose(turned.stress, [[-0.01, -0.004], [-0.004, 0.02]], atol=1e-12)
 
 
 def test_a_law_carried_to_other_nodes_answers_smooth_waves_alike():
     law = learned(2)
-    finer = transferred(law, 1.2)
+    finer = transfer_to_lattice(law, 1.2)
     assert finer.moduli() == pytest.approx(law.moduli(), rel=1e-8)
     k = np.random.default_rng(1).normal(size=(20, 2))
     k *= 0.6 / np.linalg.norm(k, axis=1)[:, None]
@@ -258,14 +263,14 @@ def test_a_turned_crystal(d):
     law = learned(d)
     quarter = np.eye(d)
     quarter[:2, :2] = [[0, -1], [1, 0]]
-    same = transferred(law, law.spacing, rotation=quarter)
+    same = transfer_to_lattice(law, law.spacing, rotation=quarter)
     k = np.random.default_rng(2).normal(size=(5, d))
     np.testing.assert_allclose(
         same.symbol(k @ quarter.T), quarter @ law.symbol(k) @ quarter.T, atol=1e-12
     )
     if d == 2:
         R = np.array([[np.cos(0.35), -np.sin(0.35)], [np.sin(0.35), np.cos(0.35)]])
-        turned = transferred(law, law.spacing, rotation=R)
+        turned = transfer_to_lattice(law, law.spacing, rotation=R)
         C = np.einsum("ai,bj,ck,dl,ijkl->abcd", R, R, R, R, law.tensor())
         np.testing.assert_allclose(turned.tensor(), C, atol=1e-9)
         assert abs(turned.elastic_tensor()[0, 2]) > 0.01
@@ -275,7 +280,7 @@ def test_a_turned_crystal(d):
 @pytest.mark.parametrize("name", ["1/r", "sign-changing"])
 def test_a_linear_peridynamic_solid_is_one_of_twice_the_range(name):
     model = kernel(name, 2.0)
-    law = tensors_of(model, 1.0)
+    law = crystal_from_lps(model, 1.0)
     points = plane_lattice(5, 2.0)
     u = np.random.default_rng(3).normal(size=points.x.shape)
     force = model.on(points, allow_uncertified=True)(u)

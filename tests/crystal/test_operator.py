@@ -88,7 +88,7 @@ REFUSED = {
     "collar": (lambda law, p: random_law(3, 3.0).on(p), "cut bonds in a collar .*; give a collar"),
     "axis": (lambda law, p: law.on(replace(p, axis=checked_orientation(20.0, 3))), "stands at 20°"),
     "sign": (
-        lambda law, p: replace(law, tensors=-law.tensors).on(p).rest(0 * p.x, p.x),
+        lambda law, p: replace(law, tensors=-law.tensors).on(p).solve(0 * p.x, p.x),
         "the operator on these 216 nodes is indefinite",
     ),
 }

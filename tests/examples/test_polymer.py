@@ -33,7 +33,7 @@ from examples.polymer.gaussian_process import fit_process, unlikelihood
 from examples.polymer.particles import Particles
 from tests.support.problems import fitted_order
 from warp_peri import InputError
-from warp_peri.launch import set_threads, threads
+from warp_peri.runtime import get_num_threads, set_num_threads
 
 MAXWELL = UpperConvectedMaxwell()
 
@@ -58,14 +58,14 @@ def test_ensembles_follow_the_exact_law_and_any_threads_give_the_same_bits():
     error = (record.C - exact) / deviation
     assert np.abs(error).max() < 4.5  # of 416 normal numbers
     assert 0.8 < np.sqrt(np.mean(error**2)) < 1.2
-    before = threads()
-    set_threads(3)
+    before = get_num_threads()
+    set_num_threads(3)
     again = simulate(Dumbbells(8, count, seed=1), K[:2], 0.25)
-    set_threads(before)
+    set_num_threads(before)
     assert np.array_equal(again.C, record.C[:3])
 
 
-@pytest.mark.parametrize("kernel", ["product", "additive"])
+@pytest.mark.parametrize("kernel", ["jvp", "additive"])
 def test_a_process_finds_its_function_and_its_likelihood_has_the_right_slope(kernel):
     random = np.random.default_rng(0)
     X = random.normal(size=(60, 2))

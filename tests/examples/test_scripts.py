@@ -63,7 +63,7 @@ def test_a_command_errs_by_no_more(name, options, most, tmp_path, capsys, monkey
     words = options.split()
     if name == "plate_with_hole":
         D = [0.4, 0.6, -0.3, 0.6, -0.2]
-        wp.save("model.json", wp.Model(0.3, 0.8, 1.0, D, horizon=3.0, certified_on=(1.0,)))
+        wp.save("model.json", wp.LPSMaterial(0.3, 0.8, 1.0, D, horizon=3.0, certified_on=(1.0,)))
         words += ["--model", "model.json", "--out", "."]
     elif name == "toughness_from_crack":
         words += ["--out", "."]

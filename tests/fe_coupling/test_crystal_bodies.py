@@ -8,7 +8,7 @@ import pytest
 from tests.crystal.crystals import cubic_tensor, dispersive, learned
 from warp_peri.errors import InputError
 from warp_peri.fe_coupling.body import Coupling, solve_body
-from warp_peri.materials.crystal_fit import fit_symbol
+from warp_peri.materials.crystal_fit import fit_dispersion
 from warp_peri.points.mesh import make_mesh
 from warp_peri.points.outlines import Circle, Sphere, box, mesh_outline, mesh_solid
 
@@ -97,7 +97,7 @@ def test_a_void_under_pressure_is_that_of_a_hollow_ball():
     """G. Lamé's field in an isotropic ball, on curved quadratic tetrahedra; at 1.3 of the page."""
     lam, mu, inner, outer, pressure = 0.1, 0.08, 8.0, 25.0, 0.01
     C, K = cubic_tensor(3, lam + 2 * mu, lam, mu), lam + 2 * mu / 3
-    law = fit_symbol(dispersive(C), 1.0, 2.0, symmetry="m-3m", tensor=C)
+    law = fit_dispersion(dispersive(C), 1.0, 2.0, symmetry="m-3m", tensor=C)
 
     def field(x):
         r = np.linalg.norm(x, axis=1)

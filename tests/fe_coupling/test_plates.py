@@ -7,7 +7,7 @@ import pytest
 
 from examples.exact import hoop_stress, plate_with_hole
 from tests.support.plates import plate
-from warp_peri import Model, certify
+from warp_peri import LPSMaterial, certify
 from warp_peri.errors import InputError
 from warp_peri.fe_coupling.body import Coupling, long_wave, solve_body
 from warp_peri.fe_coupling.lattice_interior import bulk_lattice
@@ -18,7 +18,7 @@ SPACING, RADIUS, HALF, TENSION = 1.0, 8.0, 32.0, 0.005
 @pytest.fixture(scope="module")
 def model():
     """A kernel that changes sign, three spacings wide, certified on its lattice."""
-    material = Model(lam=0.3, mu=0.8, alpha=1.0, D=[0.4, 0.6, -0.3, 0.6, -0.2], horizon=3.0)
+    material = LPSMaterial(lam=0.3, mu=0.8, alpha=1.0, D=[0.4, 0.6, -0.3, 0.6, -0.2], horizon=3.0)
     assert certify(material, spacing=SPACING).holds
     assert material.influence([1.0, 3.0]).prod() < 0
     return dataclasses.replace(material, certified_on=(SPACING,))

@@ -12,7 +12,7 @@ from tests.support.clouds import cloud, plain
 from tests.support.cubes import cube, solid
 from tests.support.problems import kernel, lattice, manufactured
 from warp_peri import InputError, Samples
-from warp_peri.export import write_fields
+from warp_peri.export import write_vtk
 from warp_peri.materials.certificate import certify
 from warp_peri.materials.lps_matrices import node_fields
 
@@ -31,7 +31,7 @@ def points(model):
 
 def test_fields_for_paraview(model, points, tmp_path):
     u = 1.01 * points.u
-    paths = write_fields(tmp_path, model, points, u)
+    paths = write_vtk(tmp_path, model, points, u)
     assert [path.name for path in paths] == ["sample_0000.vtu", "sample_0001.vtu"]
     fields = node_fields(model, points, u)
     inside = points.interior
@@ -58,11 +58,11 @@ def symmetric(six):
 
 
 def test_refused_folders(model, points, tmp_path):
-    write_fields(tmp_path, model, points, points.u)
+    write_vtk(tmp_path, model, points, points.u)
     single = replace(points, u=points.u[:1], b=points.b[:1])
     with pytest.raises(InputError, match=r"without samples .* got sample_0001\.vtu"):
-        write_fields(tmp_path, model, single, single.u)
-    write_fields(tmp_path, model, points, points.u)  # as many as before: they are replaced
+        write_vtk(tmp_path, model, single, single.u)
+    write_vtk(tmp_path, model, points, points.u)  # as many as before: they are replaced
 
 
 @pytest.mark.parametrize("law", ["linear solid", "crystal"])
@@ -74,7 +74,7 @@ def test_fields_in_space(law, tmp_path):
     H = np.array([[1.0, 0.3, -0.2], [0.1, -0.4, 0.5], [0.7, 0.2, 0.6]])
     u = 1e-3 * points.x[None] @ H.T
     points = Samples(points, u, 0 * u)
-    paths = write_fields(tmp_path, material, points, u)
+    paths = write_vtk(tmp_path, material, points, u)
     mesh = meshio.read(paths[0])
     side = round(len(points.x) ** (1 / 3))
     corners = mesh.points[mesh.cells_dict["hexahedron"]]
@@ -98,7 +98,7 @@ def test_scattered_points_stand_alone(tmp_path):
     points = cloud(3, 3.0)
     u = np.zeros((1, len(points.x), 2))
     points = Samples(points, u)
-    (path,) = write_fields(tmp_path, plain(3.0), points, u)
+    (path,) = write_vtk(tmp_path, plain(3.0), points, u)
     assert list(meshio.read(path).cells_dict) == ["vertex"]
 
 
@@ -110,7 +110,7 @@ def test_on_another_lattice_stress_is_by_the_kernel_that_is_solved_with(tmp_path
     there = home.on(points)
     u = 1e-3 * np.stack([points.x[:, 0] ** 2, points.x[:, 0] * points.x[:, 1]], axis=-1)[None]
     samples = Samples(points, u, 0 * u)
-    (path,) = write_fields(tmp_path, home, samples, u)
+    (path,) = write_vtk(tmp_path, home, samples, u)
     found = meshio.read(path).point_data
     wanted = node_fields(there.model, points, u)
     stress = symmetric(found["stress"][points.interior])[:, :2, :2]
@@ -121,4 +121,4 @@ def test_on_another_lattice_stress_is_by_the_kernel_that_is_solved_with(tmp_path
 def test_a_missing_extra_is_named(model, points, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "meshio", None)
     with pytest.raises(InputError, match=r"warp_peri\[export\]"):
-        write_fields(tmp_path, model, points, points.u)
+        write_vtk(tmp_path, model, points, points.u)

@@ -139,14 +139,14 @@ def test_the_last_step_is_written_whatever_is_recorded(tmp_path):
     how = {"density": 2000.0, "step": 0.003, "checkpoint": path}
     problem = wp.Dirichlet(points, None, np.zeros_like(points.x))
     for steps in (3, 25):
-        wp.move(kernel("positive", 2.5), problem, steps=steps, **how)
+        wp.simulate(kernel("positive", 2.5), problem, steps=steps, **how)
         with h5py.File(path) as file:
             assert json.loads(file["values"][()].tobytes())["steps"] == steps
 
 
 def test_a_motion_from_rest_is_of_one_material_and_one_crack(tmp_path):
     """A body without displacement or load feels none of its moduli."""
-    x = wp.damage.rectangle(12.0, 12.0, 1.0)
+    x = wp.fracture.rectangle_nodes(12.0, 12.0, 1.0)
     points = wp.Points(x, (np.abs(x) < 2).all(axis=1), 1.0)
 
     def own(mu):
@@ -155,7 +155,7 @@ def test_a_motion_from_rest_is_of_one_material_and_one_crack(tmp_path):
 
         return wp.DensityMaterial.of(energy, points.spacing, {"lam": 0.4})
 
-    linear = wp.Model(0.3, 0.4, 1.0, np.ones(1), horizon=2.0, certified_on=(1.0,))
+    linear = wp.LPSMaterial(0.3, 0.4, 1.0, np.ones(1), horizon=2.0, certified_on=(1.0,))
     field = [linear.on(points, mu=0.4 + size * np.sin(x[:, 0]) ** 2) for size in (0.1, 0.2)]
     rest = wp.Dirichlet(points, None, 0 * x)
     cracks = [wp.Cracked(points, cracks=[[(-6.5, 0.0), (tip, 0.0)]]) for tip in (0.0, 3.0)]
@@ -168,27 +168,27 @@ def test_a_motion_from_rest_is_of_one_material_and_one_crack(tmp_path):
         how = {"density": 2000.0, "step": 0.001, "checkpoint_every": 1}
         how["checkpoint"] = tmp_path / f"{name}.h5"
         for steps in (2, 3):
-            wp.move(*pair[0], **how, steps=steps)
+            wp.simulate(*pair[0], **how, steps=steps)
         with pytest.raises(wp.InputError, match="expected a checkpoint of this motion"):
-            wp.move(*pair[1], **how, steps=4)
+            wp.simulate(*pair[1], **how, steps=4)
 
 
 def test_contents_of_a_checkpoint_are_those_that_were_written(tmp_path):
     path, points = tmp_path / "run.h5", lattice(6, 2.5)
     u = np.where(points.interior[:, None], 0.01 * points.x, 0.0)
     how = {"density": 2000.0, "step": 0.003, "checkpoint": path, "checkpoint_every": 1}
-    wp.move(kernel("positive", 2.5), wp.Dirichlet(points, None, u), steps=2, **how)
+    wp.simulate(kernel("positive", 2.5), wp.Dirichlet(points, None, u), steps=2, **how)
     whole = path.read_bytes()
     with h5py.File(path, "r+") as file:
         file["u"][points.interior] *= 1.5
     with pytest.raises(wp.InputError, match="the contents are not what was written"):
-        wp.move(kernel("positive", 2.5), wp.Dirichlet(points, None, u), steps=3, **how)
+        wp.simulate(kernel("positive", 2.5), wp.Dirichlet(points, None, u), steps=3, **how)
     path.write_bytes(whole)
     with h5py.File(path, "r+") as file:
         del file["u"]
         file.create_dataset("u", (10**11, 2), "f8", chunks=(10, 2))
     with pytest.raises(wp.InputError, match="not a readable checkpoint"):
-        wp.move(kernel("positive", 2.5), wp.Dirichlet(points, None, u), steps=3, **how)
+        wp.simulate(kernel("positive", 2.5), wp.Dirichlet(points, None, u), steps=3, **how)
 
 
 SCALE, POWERS, SHIFTED = 1.0, np.poly1d([1.0]), partial(np.add, 1.0)

@@ -4,14 +4,14 @@ import json
 
 import pytest
 
-from warp_peri import InputError, Model, load
-from warp_peri.diffusion.conductor import Conductor
+from warp_peri import InputError, LPSMaterial, load
+from warp_peri.diffusion.conductor import DiffusionMaterial
 from warp_peri.points.unit_names import check_units, factors
 
 
 def test_files_without_units_say_that_they_are_taken_for_granted(tmp_path):
     path = tmp_path / "kept.json"
-    Conductor(3.0, 2.0, 1.3, [1.0, 0.4], ("mm", "GPa")).save(path)
+    DiffusionMaterial(3.0, 2.0, 1.3, [1.0, 0.4], ("mm", "GPa")).save(path)
     content = json.loads(path.read_text())
     bare = {key: value for key, value in content.items() if not key.endswith(("_unit", "sha256"))}
     path.write_text(json.dumps(bare))
@@ -27,7 +27,7 @@ def test_files_without_units_say_that_they_are_taken_for_granted(tmp_path):
 
 
 def test_units_by_one_name_and_moduli_in_gpa():
-    model = Model(0.1, 0.7, 1.0, [1.0], horizon=2.5)
+    model = LPSMaterial(0.1, 0.7, 1.0, [1.0], horizon=2.5)
     assert check_units("ase") == ("angstrom", "eV/angstrom^3")
     assert factors("si", "metal") == pytest.approx((1e10, 1e-5))
     assert "700 GPa" in repr(model)

@@ -9,13 +9,13 @@ import torch
 from tests.support.learning import fit
 from tests.support.problems import GRADIENT, difference, ell, kernel, lattice, manufactured
 from tests.support.symbols import smallest_margins
-from warp_peri import LPS, Bernstein, InputError, Model, certify
+from warp_peri import LPS, Bernstein, InputError, LPSMaterial, certify
 from warp_peri.files.atomic import ArrayFile
 from warp_peri.fitting import augmented_lagrangian
 from warp_peri.fitting.augmented_lagrangian import PrintedState, as_printed, margins_of
 from warp_peri.fitting.regression import Regression
 from warp_peri.materials import lps_force
-from warp_peri.materials.lps import Solid, stiffnesses
+from warp_peri.materials.lps import LPSParameters, stiffnesses
 from warp_peri.materials.lps_adam import (
     DENSE_ZETA,
     PRINTED_HORIZON,
@@ -28,7 +28,7 @@ from warp_peri.materials.lps_adam import (
 )
 from warp_peri.materials.lps_fit import Learner
 from warp_peri.materials.lps_law import LPSFound, LPSLaw
-from warp_peri.methods import Conditions, Constrained, Optimum, TwoStage
+from warp_peri.methods import AugmentedLagrangian, GaussNewton, StabilityConditions, TwoStage
 from warp_peri.points.families import bond_classes
 
 HORIZON, ZETA = 3.0, 0.02
@@ -44,14 +44,14 @@ def violating():
 
 @pytest.mark.parametrize("moduli", [None, (-0.2, 0.77)], ids=["free", "held"])
 def test_adam_by_itself_reaches_the_constrained_optimum(moduli):
-    method = Constrained(3, optimum=Optimum(moduli=moduli))
-    asked = Conditions("paper", 0.01)
+    method = AugmentedLagrangian(3, optimum=GaussNewton(moduli=moduli))
+    asked = StabilityConditions("paper", 0.01)
     learned = fit(violating(), 2.5, Bernstein(4), method=method, conditions=asked)
     first, second = learned.history
     assert (first.name, second.name) == ("1 Adam", "3 constrained")
     assert min(learned.starts.values()) > 1e-3
     assert first.loss[-1] <= 1.001 * second.loss[-1]
-    model, classes = Model(*first.parameters.values(), 2.5), bond_classes(1.0, 2.5)
+    model, classes = LPSMaterial(*first.parameters.values(), 2.5), bond_classes(1.0, 2.5)
     assert smallest_margins(classes, asked, *stiffnesses(model, classes)).min() >= -1e-6
 
 
@@ -62,14 +62,14 @@ def test_adam_follows_the_gradient_of_warps_operator(monkeypatch):
     monkeypatch.setattr(
         lps_force, "gradient", lambda *of, **how: taken.append(1) or gradient(*of, **how)
     )
-    free = Optimum(moduli=None, smoothness=0.0)
-    method = Constrained(rounds=2, steps=10, optimum=free)
+    free = GaussNewton(moduli=None, smoothness=0.0)
+    method = AugmentedLagrangian(rounds=2, steps=10, optimum=free)
     first = fit(points, 2.5, Bernstein(2), method=method).history[0]
     assert first.steps == len(taken) == 2 * (10 + 1)
-    law = LPS(2.5, Bernstein(2), conditions=Conditions("paper", ZETA))
+    law = LPS(2.5, Bernstein(2), conditions=StabilityConditions("paper", ZETA))
     given = Learner(law, [points], [], None)
     for degree in (2, 4):  # with α free, and where it says what D says
-        start = LPSFound(Solid(-0.1, 0.8, 1.3, np.linspace(1, 0.2, degree + 1)))
+        start = LPSFound(LPSParameters(-0.1, 0.8, 1.3, np.linspace(1, 0.2, degree + 1)))
         law = LPSLaw(given.lattices, start, given.conditions, free)
         problem = Regression(given.blocks, law, law.zeta, 1.0)
         theta = law.start(start) * (1 + 0.01 * np.arange(len(law.start(start))))
@@ -94,7 +94,7 @@ def class_weights(model):
 def margins_by(kind):
     if kind == "dense":
         return DenseMargins([lattice(ell(), HORIZON)], HORIZON)
-    return SymbolMargins(Conditions("paper", ZETA), [CLASSES])
+    return SymbolMargins(StabilityConditions("paper", ZETA), [CLASSES])
 
 
 @pytest.mark.parametrize("kind", ["symbol", "dense"])
@@ -134,7 +134,7 @@ def test_dense_margins_are_those_of_the_certificate():
 def test_symbol_margins_are_the_smallest_of_the_zone():
     model = kernel("sign-changing", HORIZON, lam=-0.2)
     margins = margins_at("symbol", model)
-    of = Conditions("paper", ZETA), *stiffnesses(model, CLASSES)
+    of = StabilityConditions("paper", ZETA), *stiffnesses(model, CLASSES)
     smallest = smallest_margins(CLASSES, *of)
     np.testing.assert_allclose(margins, smallest, atol=2e-3)
     assert (margins >= smallest - 1e-12).all()
@@ -204,7 +204,7 @@ def test_resumed_is_unbroken_and_what_is_finished_is_not_run_again(points, tmp_p
     same(run(points, path))
     monkeypatch.setattr(augmented_lagrangian, "adam", not_again)
     same(run(points, path))
-    for change in ({"degree": 4}, {"conditions": Conditions(zeta=0.02)}):
+    for change in ({"degree": 4}, {"conditions": StabilityConditions(zeta=0.02)}):
         with pytest.raises(InputError, match="other data or settings"):
             run(points, path, **change)
     path.write_bytes(b"PK\x03\x04 half of it")

@@ -7,13 +7,13 @@ import pytest
 
 import warp_peri as wp
 from tests.support.problems import lattice
-from warp_peri.fitting.bootstrap import Resampled
-from warp_peri.materials.crystal_fit import fit_symbol
-from warp_peri.methods import resample_loads
+from warp_peri.fitting.bootstrap import BootstrapResult
+from warp_peri.materials.crystal_fit import fit_dispersion
+from warp_peri.methods import bootstrap
 
 HORIZON, NOISE, LOADS = 2.0, 0.1, 10
-MODULI = wp.micromodulus.from_voigt([[1.0, 0.3, 0.0], [0.3, 1.0, 0.0], [0.0, 0.0, 0.5]])
-LAW = wp.Micromodulus(HORIZON, "4mm", moduli=None)
+MODULI = wp.crystals.voigt_to_tensor([[1.0, 0.3, 0.0], [0.3, 1.0, 0.0], [0.0, 0.0, 0.5]])
+LAW = wp.Crystal(HORIZON, "4mm", moduli=None)
 WAVES = np.array([[0.3, 0.1], [0.6, 0.5], [1.0, 0.2]])
 
 
@@ -24,7 +24,7 @@ def known():
         local = np.einsum("ijkl,nj,nl->nik", MODULI, k, k)
         return local * (1 - 0.03 * (k**2).sum(axis=1))[:, None, None]
 
-    return fit_symbol(symbol, 1.0, HORIZON, symmetry="4mm", tensor=MODULI)
+    return fit_dispersion(symbol, 1.0, HORIZON, symmetry="4mm", tensor=MODULI)
 
 
 TRUTH = known()
@@ -73,7 +73,7 @@ def quantities(material):
 
 def test_a_band_leaves_half_of_the_rest_on_each_side():
     """Of draws 0, 1 and 2, by a table of Student's distribution: 2.132 for 4 at 95 %."""
-    found = Resampled([0.0, 1.0, 2.0], loads=5, knows="")
+    found = BootstrapResult([0.0, 1.0, 2.0], loads=5, knows="")
     low, high = found.band(1.0, float)
     assert (high - low) / 2 == pytest.approx(2.132 * 0.6826 * np.sqrt(5 / 4), rel=1e-4)
     assert (high + low) / 2 == pytest.approx(1)
@@ -85,7 +85,7 @@ def test_bands_of_90_percent_hold_the_truth_of_so_many_sets():
     inside, true = [], quantities(TRUTH)
     for seed in range(100, 160):
         samples = noisy(seed)
-        low, high = resample_loads(samples, LAW).band(wp.fit(samples, LAW).material, quantities)
+        low, high = bootstrap(samples, LAW).band(wp.fit(samples, LAW).material, quantities)
         inside.append((low <= true) & (true <= high))
     assert 0.85 <= np.mean(inside) <= 0.97
 
@@ -94,10 +94,10 @@ def test_more_loads_than_four_and_levels_that_are_probabilities():
     samples = noisy(0)
     few = wp.Samples(POINTS, samples.u[:3], samples.b[:3])
     with pytest.raises(wp.InputError, match="at least 4 loads, got 3"):
-        resample_loads(few, LAW)
+        bootstrap(few, LAW)
     with pytest.raises(wp.InputError, match="draws: expected at least 10"):
-        resample_loads(samples, LAW, draws=3)
-    found = resample_loads(samples, LAW, draws=10)
+        bootstrap(samples, LAW, draws=3)
+    found = bootstrap(samples, LAW, draws=10)
     assert len(found.materials) == 10
     assert "not an error that all loads share" in found.knows
     with pytest.raises(wp.InputError, match="level"):

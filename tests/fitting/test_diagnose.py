@@ -8,7 +8,7 @@ import pytest
 from tests.support.cubes import cube, solid
 from tests.support.problems import kernel, lattice, manufactured, noise, smooth
 from tests.support.waves import fluctuation
-from warp_peri import LPS, Bernstein, InputError, Micromodulus, Samples, diagnose, fit
+from warp_peri import LPS, Bernstein, Crystal, InputError, Samples, diagnose, fit
 from warp_peri.fitting.diagnose import Diagnosis, _families
 from warp_peri.materials.lps_operator import LPSOperator
 
@@ -151,7 +151,7 @@ def test_one_solid_of_two_phases_is_warned_of():
     op = home.on(points, lam=0.375 * mu, mu=mu)
     b = np.zeros((24, *points.x.shape))
     b[:, points.interior] = smooth(points.x, 24, 5, wave_number=0.5)[:, points.interior]
-    samples = Samples(points, op.rest(b, 0 * b).u, b)
+    samples = Samples(points, op.solve(b, 0 * b).u, b)
     with pytest.warns(UserWarning, match=r"heterogeneity: .* Try fields λ\(x\), μ\(x\) of the LPS"):
         found = fit(samples, LPS(HORIZON, Bernstein(2))).material
     assert diagnose(found, samples).shares["heterogeneity"] > 0.6
@@ -161,9 +161,9 @@ def test_one_solid_of_two_phases_is_warned_of():
 def test_a_crystal_is_told_what_symmetry_it_lacks():
     """Square tensors on an orthotropic sheet; tensors without symmetry leave nothing."""
     samples = stretched(lattice(9, HORIZON), 24)
-    square = fit(samples, Micromodulus(HORIZON, "4mm")).material
+    square = fit(samples, Crystal(HORIZON, "4mm")).material
     assert diagnose(square, samples).causes[0] == "anisotropy"
-    assert diagnose(fit(samples, Micromodulus(HORIZON, "2mm")).material, samples).residual < 0.05
+    assert diagnose(fit(samples, Crystal(HORIZON, "2mm")).material, samples).residual < 0.05
 
 
 def test_what_is_unexplained_is_named_last():

@@ -8,7 +8,7 @@ import pytest
 from tests.support import reference
 from tests.support.problems import kernel, lattice, manufactured
 from tests.support.solving import solve
-from warp_peri import InputError, Model, Points, Samples, evaluate
+from warp_peri import InputError, LPSMaterial, Points, Samples, evaluate
 
 HORIZON = 3.0
 MODEL = kernel("sign-changing", HORIZON)
@@ -96,7 +96,7 @@ def test_the_error_of_shape_does_not_see_rigid_motion(points):
 def test_where_a_periodic_body_lies_is_no_error():
     x = np.argwhere(np.ones((12, 12))).astype(float)
     points = Points(x, np.ones(len(x), bool), 1.0, box=(12.0, 12.0))
-    solid = Model(0.3, 0.3, 1.0, np.ones(1), horizon=2.5, certified_on=(1.0,))
+    solid = LPSMaterial(0.3, 0.3, 1.0, np.ones(1), horizon=2.5, certified_on=(1.0,))
     u = 0.1 * np.cos(x @ [[np.pi / 6, 0], [np.pi / 6, np.pi / 3]])
     b = solid.on(points)(u)
     for moved in (0.0, 0.3):

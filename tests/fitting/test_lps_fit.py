@@ -12,11 +12,11 @@ from tests.support.problems import MU as TRUE_MU
 from tests.support.problems import kernel, lattice, manufactured, noise, with_nodes
 from tests.support.symbols import smallest_margins
 from warp_peri import LPS, Bernstein, InputError, Samples, certify, evaluate
-from warp_peri.core.elastic import from_voigt, plane_isotropic
-from warp_peri.materials.lps import Solid, bernstein_basis, moduli, stiffnesses
+from warp_peri.core.elastic import plane_isotropic, voigt_to_tensor
+from warp_peri.materials.lps import LPSParameters, bernstein_basis, moduli, stiffnesses
 from warp_peri.materials.lps_fit import Learner
 from warp_peri.materials.lps_law import LPSFound
-from warp_peri.methods import Conditions, Constrained, Optimum, TwoStage
+from warp_peri.methods import AugmentedLagrangian, GaussNewton, StabilityConditions, TwoStage
 from warp_peri.points.families import bond_classes
 
 LAM, MU = -0.2, 0.7
@@ -41,7 +41,7 @@ def shares(model, spacing=1.0):
 )
 def test_the_optimum_is_the_model_that_made_the_data(name, horizon, degree):
     points, true = data(name, horizon)
-    learned = fit(points, horizon, Bernstein(degree), method=Constrained())
+    learned = fit(points, horizon, Bernstein(degree), method=AugmentedLagrangian())
     model = learned.material
     assert (model.lam, model.mu) == pytest.approx((LAM, MU), abs=1e-6)
     for found, expected in zip(shares(model), shares(true)):
@@ -74,7 +74,7 @@ def test_the_degree_is_the_smallest_that_foretells_loads_left_out():
 def test_a_violating_model_ends_feasible_with_the_condition_active():
     points, true = data("sign-changing", 2.5)
     assert certify(true, spacing=1.0).symbol_min < -0.01
-    learned = fit(points, 2.5, Bernstein(4), conditions=Conditions(zeta=ZETA))
+    learned = fit(points, 2.5, Bernstein(4), conditions=StabilityConditions(zeta=ZETA))
     assert ZETA <= learned.certificate.symbol_min <= 1.02 * ZETA
     assert learned.certificate.holds
     assert learned.material.certified_on == (1.0,)
@@ -84,7 +84,7 @@ def test_a_violating_model_ends_feasible_with_the_condition_active():
 
 
 def test_the_printed_conditions_hold_densely_and_are_active():
-    horizon, asked = 3.0, Conditions("paper", ZETA)
+    horizon, asked = 3.0, StabilityConditions("paper", ZETA)
     points, _ = data("sign-changing", horizon)
     learned = fit(points, horizon, Bernstein(5), conditions=asked)
     dense = certify(learned.material, spacing=1.0, points=points)
@@ -101,7 +101,13 @@ def test_the_printed_conditions_hold_densely_and_are_active():
 def test_conditions_that_were_not_kept_in_the_end_are_an_error():
     points, _ = data("sign-changing", 3.0)
     with pytest.raises(RuntimeError, match="no start ended with the conditions kept"):
-        fit(points, 3.0, Bernstein(5), method=Optimum(rounds=1), conditions=Conditions("paper"))
+        fit(
+            points,
+            3.0,
+            Bernstein(5),
+            method=GaussNewton(rounds=1),
+            conditions=StabilityConditions("paper"),
+        )
 
 
 def test_two_lattices_are_learned_together():
@@ -117,7 +123,7 @@ def test_two_lattices_are_learned_together():
 
 def test_held_moduli_are_held():
     points, _ = data("positive", 3.0)
-    asked = [Optimum(moduli=moduli) for moduli in ((0.1, 0.65), "isotropic")]
+    asked = [GaussNewton(moduli=moduli) for moduli in ((0.1, 0.65), "isotropic")]
     held, loose = (fit(points, 3.0, Bernstein(5), method=one).material for one in asked)
     assert (held.lam, held.mu) == pytest.approx((0.1, 0.65), abs=1e-9)
     expected = {"C11": 0.1 + 2 * 0.65, "C12": 0.1, "C44": 0.65}
@@ -146,7 +152,7 @@ def test_rows_are_held_to_the_operator_whatever_rounding_leaves_of_a_kernel(size
     given = Learner(LPS(horizon, Bernstein(degree)), [points], [], None)
     unseen = scipy.linalg.null_space(bernstein_basis(given.lattices[0].r, horizon, degree))
     D = np.linspace(1, 0.4, degree + 1) + size * unseen[:, 0]
-    found = LPSFound(Solid(0.2, 0.9, 1.0, D))
+    found = LPSFound(LPSParameters(0.2, 0.9, 1.0, D))
     given.check(found, "residual")
     for part in given.folds[0]:
         part[0].R[:, 1] *= 1 + 1e-4
@@ -156,7 +162,7 @@ def test_rows_are_held_to_the_operator_whatever_rounding_leaves_of_a_kernel(size
 
 @pytest.mark.parametrize("axis", [None, 17.0])
 def test_fields_of_local_elasticity_are_fitted_by_displacement(axis):
-    random, C = np.random.default_rng(0), from_voigt(plane_isotropic(TRUE_LAM, TRUE_MU))
+    random, C = np.random.default_rng(0), voigt_to_tensor(plane_isotropic(TRUE_LAM, TRUE_MU))
     points = lattice(10, 2.5)
     u, b = np.zeros((2, 10, *points.x.shape))
     for sample in np.repeat(np.arange(10), 4):
@@ -173,7 +179,7 @@ def test_fields_of_local_elasticity_are_fitted_by_displacement(axis):
     errors = [evaluate(one.material, samples)["E_u"] for one in (found, first)]
     assert errors[0] < 0.995 * errors[1]
     own = manufactured(kernel("1/r", 2.5), lattice(8, 2.5), 10)  # fields of the solid itself
-    method = Optimum(moduli=(TRUE_LAM, TRUE_MU))
+    method = GaussNewton(moduli=(TRUE_LAM, TRUE_MU))
     assert fit(own, 2.5, Bernstein(4), method=method).loss.name == "residual"
 
 
@@ -203,14 +209,17 @@ def test_bad_choices_are_refused(change, words):
     [
         (lambda: Bernstein(1.5), "degree: expected a whole number ≥ 0, got 1.5"),
         (lambda: LPS(np.nan), "horizon: expected a number > 0"),
-        (lambda: Conditions("none"), "conditions: expected one of direct, paper, got 'none'"),
-        (lambda: Conditions(zeta=-0.01), "zeta: expected a stiffness > 0, got -0.01"),
+        (
+            lambda: StabilityConditions("none"),
+            "conditions: expected one of direct, paper, got 'none'",
+        ),
+        (lambda: StabilityConditions(zeta=-0.01), "zeta: expected a stiffness > 0, got -0.01"),
         (lambda: TwoStage(seed=-1), "seed: expected a whole number ≥ 0, got -1"),
         (lambda: TwoStage("best"), "parametrisation: expected one of projected, relu"),
         (lambda: TwoStage(constraints="none"), "constraints: expected one of symbol, dense"),
-        (lambda: Optimum((0.3, -0.8)), "moduli: expected .* with μ > 0"),
-        (lambda: Optimum((0.7,)), r"moduli: expected \(λ, μ\)"),
-        (lambda: Optimum("held"), "moduli: expected .* got 'held'"),
+        (lambda: GaussNewton((0.3, -0.8)), "moduli: expected .* with μ > 0"),
+        (lambda: GaussNewton((0.7,)), r"moduli: expected \(λ, μ\)"),
+        (lambda: GaussNewton("held"), "moduli: expected .* got 'held'"),
     ],
 )
 def test_settings_that_mean_nothing_are_refused(make, words):

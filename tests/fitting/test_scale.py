@@ -10,10 +10,10 @@ from tests.support.problems import kernel, lattice, manufactured
 from tests.support.solving import solve
 from tests.support.waves import waves
 from warp_peri import Bernstein, InputError, evaluate
-from warp_peri.materials.lps import Model
+from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_adam import stiffness_of
 from warp_peri.materials.lps_fit import RELATIVE_ZETA
-from warp_peri.methods import Conditions, TwoStage
+from warp_peri.methods import StabilityConditions, TwoStage
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols
 
@@ -59,7 +59,7 @@ def test_stiffness_and_lengths_of_any_size(data, plain, length, stress, tmp_path
     zeta = result.law.conditions.zeta
     assert zeta == pytest.approx(RELATIVE_ZETA * stiffness)
     result.material.save(tmp_path / "model.json")
-    kept = Model.load(tmp_path / "model.json").provenance["zeta"]
+    kept = LPSMaterial.load(tmp_path / "model.json").provenance["zeta"]
     assert kept == pytest.approx({"zeta": zeta, "stiffness of the data": stiffness})
 
 
@@ -120,7 +120,7 @@ def test_data_that_no_solid_answers_are_refused_and_a_modulus_on_its_bound_is_to
         (data, 50.0, r"the best model leaves [0-9.]+ % of the loads, no less"),
     ):
         with pytest.raises(InputError, match=words):
-            learned(given, conditions=Conditions(zeta=zeta))
+            learned(given, conditions=StabilityConditions(zeta=zeta))
     said = r"^μ and λ \+ μ ended on the lower bound, 0\.758 TPa, where the data show .* 0\.553 TPa"
     with pytest.warns(UserWarning, match=said):
-        learned(data, conditions=Conditions(zeta=0.75))
+        learned(data, conditions=StabilityConditions(zeta=0.75))

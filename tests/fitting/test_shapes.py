@@ -10,10 +10,10 @@ from tests.support.problems import kernel, lattice, manufactured
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, every_shape, off, solid
 from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import InputError, evaluate
+from warp_peri.influence import InfluenceFunction
 from warp_peri.materials.influence import gaussian, named, table
-from warp_peri.materials.lps import Model
-from warp_peri.methods import Optimum, TwoStage
-from warp_peri.shapes import InfluenceFunction
+from warp_peri.materials.lps import LPSMaterial
+from warp_peri.methods import GaussNewton, TwoStage
 
 RECOVERED = 1e-4
 """Parameters of a shape from data that are exactly in equilibrium: a fit ends at a relative
@@ -40,7 +40,7 @@ def test_a_fit_gives_back_the_shape_that_made_the_data(shape, tmp_path):
     assert learned.certificate.symbol_bound >= 0.01
     assert evaluate(model, points)["E_u"] < 1e-6
     model.save(tmp_path / "model.json")
-    again = Model.load(tmp_path / "model.json")
+    again = LPSMaterial.load(tmp_path / "model.json")
     assert again.provenance["influence"]["function"] == shape.name
     np.testing.assert_array_equal(again.influence(LENGTHS), model.influence(LENGTHS))
 
@@ -101,7 +101,7 @@ def test_a_start_that_leaves_its_domain_is_passed_over():
 def test_moduli_that_a_shape_cannot_have_are_no_result(moduli):
     shape = table([0.5, 3.0], [1.0, 0.1])
     with pytest.raises(RuntimeError, match="moduli to be held missed by"):
-        fit(made(shape), HORIZON, shape, method=Optimum(moduli=moduli))
+        fit(made(shape), HORIZON, shape, method=GaussNewton(moduli=moduli))
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from tests.support.problems import kernel, lattice, manufactured, with_nodes
-from warp_peri import LPS, InputError, Model
+from warp_peri import LPS, InputError, LPSMaterial
 from warp_peri.files.atomic import ArrayFile
 from warp_peri.materials.lps_sweep import Trial, choose
 from warp_peri.methods import TwoStage, sweep
@@ -90,7 +90,7 @@ def test_a_trial_is_not_believed_as_it_stands(sets, tmp_path):
     quiet = dataclasses.replace(val, u=1e-9 * val.u)
     sweep(train, val, tmp_path, noise=quiet, **one)
     sweep(train, val, tmp_path, test=quiet, **one)
-    models = [Model.load(path) for path in sorted(tmp_path.glob("*.model.json"))]
+    models = [LPSMaterial.load(path) for path in sorted(tmp_path.glob("*.model.json"))]
     assert [model.units for model in models].count(("nm", "GPa")) == 1
     assert len(models) == 5
 

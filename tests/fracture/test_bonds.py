@@ -16,8 +16,8 @@ from warp_peri.fracture.bonds import (
     unit_toughness,
 )
 from warp_peri.fracture.dynamics import continuum_stretch
-from warp_peri.launch import floats, zeros
 from warp_peri.points.families import bond_classes
+from warp_peri.runtime import floats, zeros
 
 DILATATIONAL = 0.32260
 """4 ∫ c(z)² dz, c the share of a ball's Σ w r² beyond a plane at height z (theory, C6)."""

@@ -10,8 +10,8 @@ from examples.inclusion import Mixed
 from tests.support.bodies import plate, solid
 from tests.support.clouds import state_based_field, state_based_load
 from tests.support.problems import difference
-from warp_peri import InputError, Model, Points, move, solve
-from warp_peri.damage import Cracked, Injected, box, opening_volume, rectangle
+from warp_peri import InputError, LPSMaterial, Points, simulate, solve
+from warp_peri.fracture import Cracked, Injected, box_nodes, crack_opening_volume, rectangle_nodes
 from warp_peri.fracture.body import cracked, lattice_body
 from warp_peri.fracture.bonds import bond_matrix, bond_weights, bonds_of
 from warp_peri.fracture.statics import CutSolid, crack_load
@@ -50,19 +50,19 @@ def test_one_material_is_the_plain_operator():
 
 
 def test_a_fluid_drives_a_penny():
-    x = box((8.0,) * 3, 1.0)
+    x = box_nodes((8.0,) * 3, 1.0)
     points = Points(x, np.abs(x).max(axis=1) < 3, 1.0)
     brittle = solid(horizon=2.0, dimension=3, toughness=0.01)
-    run = move(brittle, Injected(points, [2.0], leak=0.1))
+    run = simulate(brittle, Injected(points, [2.0], leak=0.1))
     np.testing.assert_allclose(run["pumped"], run["volume"] + 0.2 * 12)  # nodes within 2
-    assert opening_volume(run.details) * run["pressure"][0] == pytest.approx(run["volume"][0])
+    assert crack_opening_volume(run.details) * run["pressure"][0] == pytest.approx(run["volume"][0])
 
 
 def square_error(cells, lam, edge):
     """A smooth field with its load, or uniaxial stress below a free edge: error of u."""
     h = 1 / cells
     side = 2 * (1 + 6 * h)
-    x = rectangle(side, side, h)
+    x = rectangle_nodes(side, side, h)
     held, load = (np.abs(x) > 1).any(axis=1), None
     if edge:
         x = x[x[:, 1] < 0]
@@ -70,8 +70,8 @@ def square_error(cells, lam, edge):
         exact = x * (1, -lam / (lam + 2))
     else:
         exact, load = state_based_field(x, lam, 1.0), state_based_load(x, lam, 1.0)
-    model = Model(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=3 * h)
-    u = CutSolid(model, lattice_body(x, h, 3 * h), held).solve(load, exact)
+    model = LPSMaterial(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=3 * h)
+    u = CutSolid(model, lattice_body(x, h, 3 * h), held).solve_array(load, exact)
     return np.linalg.norm((u - exact)[~held]) / np.linalg.norm(exact[~held])
 
 
@@ -117,7 +117,7 @@ def test_the_load_of_a_crack_undoes_it(sides, crack):
 
 
 def test_a_pressed_crack_has_the_gradient_of_differences():
-    x, model = rectangle(10, 8, 1.0), solid(0.4, horizon=2.0).model
+    x, model = rectangle_nodes(10, 8, 1.0), solid(0.4, horizon=2.0).model
     points, stress = Points(x, np.abs(x).max(axis=1) < 3, 1.0), np.diag([0.3, 1.0])
     problem = Cracked(points, cracks=[[(-2, 0), (2, 0)]], pressure=stress)
     weight = torch.from_numpy(np.random.default_rng(0).normal(size=x.shape))

@@ -10,9 +10,8 @@ from scipy.integrate import quad
 
 from tests.support.bodies import solid
 from tests.support.problems import difference
-from warp_peri import Cracked, InputError, Model, Points, move
-from warp_peri.damage import BondLaw, SoftSolid, lattice_body, rectangle
-from warp_peri.fracture import adjoint
+from warp_peri import Cracked, InputError, LPSMaterial, Points, simulate
+from warp_peri.fracture import BondLaw, SofteningMaterial, adjoint, lattice_body, rectangle_nodes
 from warp_peri.fracture.adjoint import SoftBody
 from warp_peri.fracture.statics import CutSolid
 
@@ -46,11 +45,11 @@ def plate(half, spacing, horizon, crack):
 def pulled(half, times, law, *, spacing=5.0, horizon=15.05, crack=True):
     """Forces in units of the stiffness over loads, rate · t, as far as there is an equilibrium."""
     problem, rim = plate(half, spacing, horizon, crack)
-    solid = SoftSolid(Model(1.0, 1.0, 1.0, [1.0], horizon=horizon), law)
+    solid = SofteningMaterial(LPSMaterial(1.0, 1.0, 1.0, [1.0], horizon=horizon), law)
     line = [(-1.5 * half, 0.0), (1.5 * half, 0.0)]
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="load .* left out")
-        return move(solid, problem, loads=rate(half) * times, line=line, no_fail=rim, stop=0.9)
+        return simulate(solid, problem, loads=rate(half) * times, line=line, no_fail=rim, stop=0.9)
 
 
 def peak(run, half):
@@ -62,7 +61,7 @@ def peak(run, half):
 def torn_plate(law):
     """The published plate at a small size, and its displacement at unit load."""
     problem, rim = plate(20, 5.0, 10.05, True)
-    model = Model(1.0, 1.0, 1.0, [1.0], 10.05)
+    model = LPSMaterial(1.0, 1.0, 1.0, [1.0], 10.05)
     body = lattice_body(problem.points.x, 5.0, 10.05)
     soft = SoftBody(model, body, law, problem.held, cracks=problem.cracks, no_fail=rim)
     return soft, problem.u
@@ -74,10 +73,10 @@ def test_without_softness_it_is_the_linear_body():
     run = pulled(20, times, BondLaw(0.0), horizon=10.05)
     assert run["force"][1] == pytest.approx(2 * run["force"][0])
     crack = [[(-10, 0), (10, 0)]]
-    linear = CutSolid(Model(1.0, 1.0, 1.0, [1.0], 10.05), soft.body, soft.held, cracks=crack)
+    linear = CutSolid(LPSMaterial(1.0, 1.0, 1.0, [1.0], 10.05), soft.body, soft.held, cracks=crack)
     np.testing.assert_allclose(
         soft.rest(unit.ravel().astype(float), np.ones(len(soft.stiffness))).reshape(-1, 2),
-        linear.solve(None, unit),
+        linear.solve_array(None, unit),
         atol=1e-7,
     )
 
@@ -136,14 +135,14 @@ def test_the_toughness_of_a_lattice_has_the_limit_of_the_theory(law):
     for ratio in (4.0, 8.0, 16.0):
         model = solid(1.0, horizon=ratio).model
         limit = 2 * law.spent() * 6 * model.mu * ratio / np.pi
-        errors.append(abs(SoftSolid(model, law).toughness(1.0) / limit - 1))
+        errors.append(abs(SofteningMaterial(model, law).toughness(1.0) / limit - 1))
     assert errors[2] < 0.03
     assert errors[2] < 0.5 * errors[0]
 
 
 def strip(law, turned, **options):
     """A strip pulled along its long side, along y or, turned, along x; nodes, displacement."""
-    x = rectangle(12.0, 20.0, 1.0)[:, :: -1 if turned else 1]
+    x = rectangle_nodes(12.0, 20.0, 1.0)[:, :: -1 if turned else 1]
     body, ends = lattice_body(x, 1.0, 3.0), np.abs(x[:, 0 if turned else 1]) > 7
     held = np.repeat(ends[:, None], 2, axis=1)
     soft = SoftBody(solid(1.0).model, body, law, held, no_fail=ends, **options)
@@ -211,9 +210,9 @@ def test_a_pull_has_the_gradient_of_differences(name, monkeypatch):
 
     def value(of):
         numbers = {key: of[key] for key in ("softness", "stretch", "tail")}
-        body = SoftSolid(Model(1.0, 1.0, 1.0, [1.0], 10.05), BondLaw(1.0, 0.05, 0.05))
+        body = SofteningMaterial(LPSMaterial(1.0, 1.0, 1.0, [1.0], 10.05), BondLaw(1.0, 0.05, 0.05))
         given = replace(problem, u=of["u"])
-        run = move(body, given, loads=loads, line=section, no_fail=rim, parameters=numbers)
+        run = simulate(body, given, loads=loads, line=section, no_fail=rim, parameters=numbers)
         assert run["broken"][-1] > 0
         weights = torch.linspace(0.5, 1.0, len(run["force"]), dtype=torch.float64)
         return (weights * run["force"]).sum() + (seed * run.u).sum()

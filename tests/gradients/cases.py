@@ -8,7 +8,7 @@ from tests.conformance.test_gradients import OPERATORS, field
 from tests.solvers.test_adjoint import given, loss
 from tests.support.problems import difference
 
-VERBS = ("force", "solve", "move")
+VERBS = ("force", "solve", "simulate")
 FOUND: dict[tuple[str, str], dict[str, float]] = {}
 """Errors by what the gradient is to, of each material and verb; none where it is refused."""
 KINKED = ("neural operator", "neural operator, frozen")
@@ -38,7 +38,7 @@ def solver_of(name, op):
         return None
     if "broken" in name:
         return wp.Direct()
-    return wp.Krylov(tolerance=1e-13) if op.is_linear else wp.Newton(tolerance=1e-13)
+    return wp.CG(tolerance=1e-13) if op.is_linear else wp.Newton(tolerance=1e-13)
 
 
 def seeded(values):
@@ -115,7 +115,7 @@ def force(name, op):
 
     def value(leaves):
         own = learned(op, leaves)
-        return seeded(op.force_with(leaves["u"], own) if own else op(leaves["u"]))
+        return seeded(op.force_with_parameters(leaves["u"], own) if own else op(leaves["u"]))
 
     return found_of(op, value, leaves, steps(leaves, 1e-3 if name in KINKED else 1.0, name))
 
@@ -146,7 +146,9 @@ def flow(op):
         own, step = learned(op, leaves), 0.3
         collar = lambda t: leaves["u"] + t * leaves["collar"]
         how = {"step": step, "steps": 4, "collar": collar, "parameters": own}
-        return seeded(wp.move(op, wp.Dirichlet(op.points, leaves["b"], leaves["u"]), **how)["u"])
+        return seeded(
+            wp.simulate(op, wp.Dirichlet(op.points, leaves["b"], leaves["u"]), **how)["u"]
+        )
 
     return errors(value, leaves, steps(leaves, 10.0))
 
@@ -190,15 +192,15 @@ REFUSED = {
     "neural operator, frozen": NO_STEP,
     "hyperelastic": NO_STEP,
     "scattered, own weights": "expected a lattice, got scattered points",
-    "cut": "move: expected a Cracked of a BrittleSolid",
+    "cut": "simulate: expected a Cracked of a BrittleMaterial",
 }
-"""The others, and what `move` says of them."""
+"""The others, and what `simulate` says of them."""
 ELSEWHERE = {
-    "BrittleSolid": "at rest it is its model, and in steps it has no gradient",
-    "SoftSolid": "tests/fracture/test_softening.py: pulls, to 1e-6",
-    "Members": "its operator is that of a member, which the table has",
+    "BrittleMaterial": "at rest it is its model, and in steps it has no gradient",
+    "SofteningMaterial": "tests/fracture/test_softening.py: pulls, to 1e-6",
+    "EnsembleMaterial": "its operator is that of a member, which the table has",
     "NeuralFile": "a file of the neural operator",
 }
 """Records of the library without rows, and why."""
-CASES = {"force": force, "solve": solve, "move": move}
+CASES = {"force": force, "solve": solve, "simulate": move}
 MATERIALS = list(OPERATORS)

@@ -28,7 +28,7 @@ SOLVED_LONG = ("LPS in space", "third order, filtered",
 MOVED = ("LPS",)
 LONG = [
     *(("solve", name) for name in SOLVED_LONG),
-    *(("move", name) for name in WAVES if name not in MOVED),
+    *(("simulate", name) for name in WAVES if name not in MOVED),
 ]
 """Cells of the table that take seconds; `pytest tests/gradients -m ""` runs all."""
 CELLS = [
@@ -42,12 +42,12 @@ CELLS = [
 def test_a_gradient_is_that_of_differences(verb, name, made):
     """1e-8 to what the number is linear in before it is squared, 1e-6 elsewhere."""
     op = made(name)
-    if verb == "move" and name not in WAVES + FLOWS:
+    if verb == "simulate" and name not in WAVES + FLOWS:
         FOUND[name, verb] = {f"refused: {REFUSED[name]}": None}
         leaf = torch.from_numpy(field(op)).requires_grad_()
         sizes = {"density": 2000.0, "step": 1e-6, "steps": 2}
         with pytest.raises(wp.InputError, match=REFUSED[name]):
-            wp.move(op, wp.Dirichlet(op.points, None, leaf), **sizes)
+            wp.simulate(op, wp.Dirichlet(op.points, None, leaf), **sizes)
         return
     found = FOUND[name, verb] = CASES[verb](name, op)
     assert found

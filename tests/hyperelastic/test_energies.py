@@ -6,9 +6,9 @@ import pytest
 from tests.support.sheets import everything, hgo_dictionary
 from warp_peri import InputError
 from warp_peri.materials.hyperelastic.energies import (
-    Dictionary,
-    HyperelasticSolid,
-    Term,
+    EnergyTerm,
+    Hyperelastic,
+    HyperelasticMaterial,
     half_family,
     strain_weights,
 )
@@ -19,12 +19,12 @@ def test_every_coefficient_has_a_place_and_a_label():
     assert len(set(dictionary.labels)) == len(dictionary)
     assert dictionary.labels[dictionary.first_deviation].startswith("deviation")
     assert dictionary.labels[dictionary.first_term] == "quadratic 11,11"
-    terms = tuple(Term(f"quadratic {pair}") for pair in ("11,11", "22,22", "12,12"))
-    assert len(Dictionary(3.0, ("square", "cube", "tension"), (), terms)) == 14 * 3 + 3
+    terms = tuple(EnergyTerm(f"quadratic {pair}") for pair in ("11,11", "22,22", "12,12"))
+    assert len(Hyperelastic(3.0, ("square", "cube", "tension"), (), terms)) == 14 * 3 + 3
 
 
 def test_terms_without_a_coefficient_can_go():
-    solid = HyperelasticSolid(hgo_dictionary(), np.array([0, 0, 0, 0.1, 0.07, 0.0, 0.2]), 0.1)
+    solid = HyperelasticMaterial(hgo_dictionary(), np.array([0, 0, 0, 0.1, 0.07, 0.0, 0.2]), 0.1)
     assert [term.kind for term in solid.sparse.dictionary.terms] == [
         "neo_hookean",
         "fibre_exponential",
@@ -43,16 +43,16 @@ def test_weights_reproduce_uniform_strain_and_no_fourth_moment(reach):
 
 
 def solid(c):
-    return HyperelasticSolid(hgo_dictionary(), c, 0.1)
+    return HyperelasticMaterial(hgo_dictionary(), c, 0.1)
 
 
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: Term("ogden"), "kind: expected one of"),
-        (lambda: Term("fibre_power", 0.0, 1.0), "fibre_power: expected an exponent"),
-        (lambda: Dictionary(3.0, (), ((-1, 0),)), "bonds of a half family"),
-        (lambda: Dictionary(), "at least one energy"),
+        (lambda: EnergyTerm("ogden"), "kind: expected one of"),
+        (lambda: EnergyTerm("fibre_power", 0.0, 1.0), "fibre_power: expected an exponent"),
+        (lambda: Hyperelastic(3.0, (), ((-1, 0),)), "bonds of a half family"),
+        (lambda: Hyperelastic(), "at least one energy"),
         (lambda: solid(np.full(7, np.nan)), "coefficients: expected finite values, got nan"),
         (lambda: solid(np.ones(6)), "coefficients: expected 7 numbers"),
     ],
@@ -67,4 +67,4 @@ def test_flags_of_a_file_are_true_or_false(tmp_path):
     solid(np.ones(7)).save(path)
     path.write_text(path.read_text().replace('"corner": false', '"corner": "no"'))
     with pytest.raises(InputError, match="corner: expected true or false, got 'no'"):
-        HyperelasticSolid.load(path)
+        HyperelasticMaterial.load(path)

@@ -6,23 +6,23 @@ import pytest
 import warp_peri as wp
 from tests.support.sheets import NEAREST, everything, hgo_dictionary, square, waves
 from warp_peri import InputError, Samples
-from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
+from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic, HyperelasticMaterial
 from warp_peri.materials.hyperelastic.energy_fit import (
     coefficients,
     equations,
     fit_energy,
-    shortest_margin,
+    stability_margin,
     strains_of,
     wave_ratios,
     zone,
 )
-from warp_peri.materials.hyperelastic.fibres import read_material, with_corners
+from warp_peri.materials.hyperelastic.fibres import fit_fibre_families, with_corners
 from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
 from warp_peri.points.samples import part
 
-FIBRE = (Term("fibre_power", 0.3, 2.0),)
+FIBRE = (EnergyTerm("fibre_power", 0.3, 2.0),)
 TRUTH = np.array([0.2, 0.15, 0.1, 0.1, 0.07, 0.08, 0.2])
-SOLID = HyperelasticSolid(hgo_dictionary(), TRUTH, 0.1)
+SOLID = HyperelasticMaterial(hgo_dictionary(), TRUTH, 0.1)
 
 
 @pytest.fixture(scope="module")
@@ -59,15 +59,15 @@ def test_the_reduced_equations_are_the_equations(samples):
 
 def test_waves_are_stable_where_they_are_asked_to_be(samples):
     strong = [np.diag([0.45, 1.1]), np.diag([1.2, 0.5])]
-    bare = Dictionary(3.0, (), NEAREST, (Term("neo_hookean"), Term("volumetric")))
+    bare = Hyperelastic(3.0, (), NEAREST, (EnergyTerm("neo_hookean"), EnergyTerm("volumetric")))
     soft = np.array([0.1, 0.1, 0.1, 0.1, 0.07, 0.08])
-    assert shortest_margin(HyperelasticSolid(bare, soft, 0.1), strong).min() < -0.1
+    assert stability_margin(HyperelasticMaterial(bare, soft, 0.1), strong).min() < -0.1
     fit = fit_energy(samples, with_corners(hgo_dictionary()), positive=True, stable=0.05)
     assert fit.margin >= 0.98 * 0.05
     assert (fit.material.coefficients >= 0).all()
     assert fit.residual < 0.2
     seen = strains_of(HyperelasticOperator(fit.material.dictionary, samples), samples, 5)
-    assert shortest_margin(fit.material, seen).min() > 0.04
+    assert stability_margin(fit.material, seen).min() > 0.04
 
 
 def test_the_ratio_of_a_wave_is_that_of_the_tangent_and_fibres_are_slack_at_rest():
@@ -79,7 +79,7 @@ def test_the_ratio_of_a_wave_is_that_of_the_tangent_and_fibres_are_slack_at_rest
     k, centre = zone(8)[7], points.x[op.interior[0]]
     for a in np.eye(2):
         wave = np.cos((points.x - centre) @ k / points.spacing)[:, None] * a
-        force = op.product(points.x @ (F - np.eye(2)).T, c, wave)[op.interior[0]]
+        force = op.jvp(points.x @ (F - np.eye(2)).T, c, wave)[op.interior[0]]
         laplace = (4 * np.sin(k / 2) ** 2).sum() / points.spacing**2
         assert force @ a / laplace == pytest.approx(a @ ratio[0, 7] @ c @ a, rel=1e-10)
     fibre = dictionary.first_term + 2
@@ -97,12 +97,12 @@ def test_the_ratio_of_a_wave_is_that_of_the_tangent_and_fibres_are_slack_at_rest
         (lambda s: fit_energy(s, hgo_dictionary(), ridge=np.nan), "ridge: expected a finite"),
         (lambda s: fit_energy(s, hgo_dictionary(), stiffness=-1.0), "stiffness: expected a finite"),
         (lambda s: fit_energy(s, hgo_dictionary(), stable=0.0), "finite margin > 0"),
-        (lambda s: fit_energy(s, Dictionary(3.0, terms=FIBRE), stable=0.05), "reach the margin"),
+        (lambda s: fit_energy(s, Hyperelastic(3.0, terms=FIBRE), stable=0.05), "reach the margin"),
         (lambda s: wp.fit(s, hgo_dictionary(), rigde=0.0), "options among positive, .*, got rigde"),
-        (lambda _: shortest_margin(SOLID, np.eye(2)), "strains: expected shape"),
-        (lambda _: shortest_margin(SOLID, np.zeros((0, 2, 2))), "strains: expected F > 0"),
-        (lambda _: shortest_margin(SOLID, np.full((1, 2, 2), np.nan)), "strains: .*finite"),
-        (lambda _: shortest_margin(SOLID, np.zeros((1, 2, 2))), "determinants > 0"),
+        (lambda _: stability_margin(SOLID, np.eye(2)), "strains: expected shape"),
+        (lambda _: stability_margin(SOLID, np.zeros((0, 2, 2))), "strains: expected F > 0"),
+        (lambda _: stability_margin(SOLID, np.full((1, 2, 2), np.nan)), "strains: .*finite"),
+        (lambda _: stability_margin(SOLID, np.zeros((1, 2, 2))), "determinants > 0"),
     ],
 )
 def test_what_cannot_be_learned_is_refused(samples, call, words):
@@ -112,11 +112,15 @@ def test_what_cannot_be_learned_is_refused(samples, call, words):
 
 def test_a_material_is_read_out_of_loaded_fields():
     points = square(6)
-    terms = (Term("neo_hookean"), Term("volumetric"), Term("fibre_exponential", 0.5, 1.5))
+    terms = (
+        EnergyTerm("neo_hookean"),
+        EnergyTerm("volumetric"),
+        EnergyTerm("fibre_exponential", 0.5, 1.5),
+    )
     truth = np.array([0.2] * 4 + [0.07, 0.08, 0.2])
-    op = HyperelasticOperator(Dictionary(3.0, (), NEAREST, terms), points)
+    op = HyperelasticOperator(Hyperelastic(3.0, (), NEAREST, terms), points)
     u = np.stack([waves(points, 0.4, seed) for seed in range(4)])
-    solid = read_material(Samples(points, u, op.everywhere(u, truth)), directions=8)
+    solid = fit_fibre_families(Samples(points, u, op.everywhere(u, truth)), directions=8)
     (fibre,) = [term for term in solid.dictionary.terms if term.is_fibre]
     assert fibre.angle == pytest.approx(0.5, abs=1e-3)
     assert fibre.exponent == pytest.approx(1.5, abs=1e-2)

@@ -8,14 +8,14 @@ import pytest
 from tests.conformance.test_laws import hyperelastic, tissue
 from tests.support.sheets import hgo_dictionary, square, waves
 from warp_peri import Dirichlet, InputError, Points, Samples, solve
-from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
-from warp_peri.materials.hyperelastic.equilibrium import NoEquilibrium, Sheet, StaticProblem
+from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic, HyperelasticMaterial
+from warp_peri.materials.hyperelastic.equilibrium import NoEquilibriumError, Sheet, StaticProblem
 from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
-from warp_peri.materials.hyperelastic.placed import hyperelastic_errors, largest_stretch
+from warp_peri.materials.hyperelastic.placed import evaluate_hyperelastic, largest_stretch
 from warp_peri.solvers.equilibria import stable_way
 
 COEFFICIENTS = np.array([0.2] * 4 + [0.07, 0.08, 0.2])
-CORNERED = (Term("neo_hookean", corner=True), Term("volumetric", corner=True))
+CORNERED = (EnergyTerm("neo_hookean", corner=True), EnergyTerm("volumetric", corner=True))
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def test_a_sheet_pushed_together_is_stable_or_refused(manufactured):
     answer = problem.find(soft, None, u)
     assert answer is None or not answer.followed
     if answer is None:
-        with pytest.raises(NoEquilibrium, match="no stable equilibrium"):
+        with pytest.raises(NoEquilibriumError, match="no stable equilibrium"):
             problem.solve(soft, None, u)
     else:
         assert problem.smallest_eigenvalue(soft, answer.u) > 0
@@ -86,8 +86,8 @@ def test_a_sheet_pushed_together_is_stable_or_refused(manufactured):
 
 def test_a_solid_without_stiffness_is_refused(manufactured):
     op, u, b = manufactured
-    solid = HyperelasticSolid(op.dictionary, -COEFFICIENTS, op.points.spacing)
-    with pytest.raises(NoEquilibrium, match="no stable equilibrium found"):
+    solid = HyperelasticMaterial(op.dictionary, -COEFFICIENTS, op.points.spacing)
+    with pytest.raises(NoEquilibriumError, match="no stable equilibrium found"):
         solve(solid, Dirichlet(op.points, b, u))
     with pytest.raises(InputError, match="b: expected finite values"):
         solve(solid, Dirichlet(op.points, np.full_like(b, np.nan), u))
@@ -110,7 +110,7 @@ def test_a_collar_that_is_folded_far_out_does_not_stop_a_solve():
 def test_a_folded_corner_of_the_collar_hides_no_residual():
     """Nothing that the interior cannot move belongs to the scale of the forces."""
     points, c = square(5), np.array([0.07, 0.08])
-    op = HyperelasticOperator(Dictionary(3.0, terms=CORNERED), points)
+    op = HyperelasticOperator(Hyperelastic(3.0, terms=CORNERED), points)
     u = waves(points)
     expected = StaticProblem(op).solve(c, None, u).u[points.interior]
     u[0] = u[1] + points.x[1] - points.x[0]
@@ -122,7 +122,7 @@ def test_a_folded_corner_of_the_collar_hides_no_residual():
 
 def test_a_corner_that_is_turned_over_is_no_equilibrium():
     points = square(3)
-    op = HyperelasticOperator(Dictionary(3.0, terms=CORNERED), points)
+    op = HyperelasticOperator(Hyperelastic(3.0, terms=CORNERED), points)
     u = np.zeros_like(points.x)
     assert op.folded(u) == 0
     u[op.interior[4]] = [-2.4 * points.spacing, 0.0]  # through its neighbour, to the other side
@@ -139,15 +139,15 @@ def test_stretches_beyond_the_training_data_warn(manufactured):
     reached = largest_stretch(op, u)
     assert reached > 1.05
     samples = Samples(op.points, u[None], b[None])
-    known = HyperelasticSolid(hgo_dictionary(), COEFFICIENTS, op.points.spacing, reached)
+    known = HyperelasticMaterial(hgo_dictionary(), COEFFICIENTS, op.points.spacing, reached)
     assert np.allclose(solve(known, Dirichlet(op.points, b, u)).u, u)
-    hyperelastic_errors(known, samples)
+    evaluate_hyperelastic(known, samples)
     less = replace(known, stretch=1.02)
     said = f"stretch: the fields reach {reached:.4g}, the training data 1.02"
     with pytest.warns(UserWarning, match=said):
         solve(less, Dirichlet(op.points, b, u))
     with pytest.warns(UserWarning, match=said):
-        hyperelastic_errors(less, samples)
+        evaluate_hyperelastic(less, samples)
 
 
 @pytest.mark.parametrize("size", [1e-5, 1e-11, 1e-200])

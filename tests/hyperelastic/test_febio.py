@@ -7,11 +7,11 @@ import pytest
 
 from tests.support.sheets import everything, hgo_dictionary, square
 from warp_peri import InputError
-from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
+from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic, HyperelasticMaterial
 from warp_peri.materials.hyperelastic.febio import febio_material, in_words, save_febio
 from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
 
-SOLID = HyperelasticSolid(
+SOLID = HyperelasticMaterial(
     hgo_dictionary(), np.array([0.3] * 4 + [0.0713, 0.0780, 0.2]), 0.1
 )  # deviations vanish in uniform strain
 
@@ -45,8 +45,12 @@ def test_the_energy_is_the_learned_one():
 
 
 def test_a_sheet_in_plane_stress_becomes_incompressible(tmp_path):
-    terms = (Term("plane_stress"), Term("mooney"), Term("fibre_exponential", 0.5, 2.0))
-    solid = HyperelasticSolid(Dictionary(3.0, (), (), terms), np.array([3.5, 1.5, 15.0]), 0.1)
+    terms = (
+        EnergyTerm("plane_stress"),
+        EnergyTerm("mooney"),
+        EnergyTerm("fibre_exponential", 0.5, 2.0),
+    )
+    solid = HyperelasticMaterial(Hyperelastic(3.0, (), (), terms), np.array([3.5, 1.5, 15.0]), 0.1)
     save_febio(solid, tmp_path / "sheet.xml")
     root = ElementTree.parse(tmp_path / "sheet.xml").getroot()
     assert root.get("type") == "uncoupled solid mixture"
@@ -63,7 +67,7 @@ def test_a_sheet_in_plane_stress_becomes_incompressible(tmp_path):
 def test_what_febio_has_no_name_for_is_refused():
     dictionary = everything()
     with pytest.raises(InputError, match="no bond energies"):
-        febio_material(HyperelasticSolid(dictionary, np.ones(len(dictionary)), 0.1))
-    terms = (Term("neo_hookean"), Term("plane_stress"))
+        febio_material(HyperelasticMaterial(dictionary, np.ones(len(dictionary)), 0.1))
+    terms = (EnergyTerm("neo_hookean"), EnergyTerm("plane_stress"))
     with pytest.raises(InputError, match="expected neo_hookean and volumetric"):
-        febio_material(HyperelasticSolid(Dictionary(3.0, (), (), terms), np.ones(2), 0.1))
+        febio_material(HyperelasticMaterial(Hyperelastic(3.0, (), (), terms), np.ones(2), 0.1))

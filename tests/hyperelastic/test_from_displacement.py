@@ -7,18 +7,18 @@ import pytest
 
 from tests.support.sheets import NEAREST, hgo_dictionary, square, waves
 from warp_peri import InputError
-from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
+from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic, HyperelasticMaterial
 from warp_peri.materials.hyperelastic.equilibrium import StaticProblem, TangentPattern
-from warp_peri.materials.hyperelastic.fibres import families, grouped, rose, with_corners
+from warp_peri.materials.hyperelastic.fibres import fibre_families, fibre_fan, grouped, with_corners
 from warp_peri.materials.hyperelastic.from_displacement import (
     Search,
     Sections,
-    Thickness,
+    ThicknessField,
     fit_displacement,
     fit_thickness,
 )
 from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
-from warp_peri.materials.hyperelastic.placed import hyperelastic_errors
+from warp_peri.materials.hyperelastic.placed import evaluate_hyperelastic
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PULL, Samples
 
@@ -28,8 +28,8 @@ TIGHT = {"stiffness": 0.0, "most_steps": 20, "tolerance": 1e-9}
 
 
 def sheet(angle=TRUE_ANGLE, exponent=TRUE_EXPONENT):
-    terms = (Term("plane_stress"), Term("fibre_exponential", angle, exponent))
-    return Dictionary(3.0, (), NEAREST, terms)
+    terms = (EnergyTerm("plane_stress"), EnergyTerm("fibre_exponential", angle, exponent))
+    return Hyperelastic(3.0, (), NEAREST, terms)
 
 
 SCALED = TRUTH / (sheet().stiffness @ TRUTH)
@@ -38,7 +38,7 @@ SCALED = TRUTH / (sheet().stiffness @ TRUTH)
 def made(numbers, amplitude):
     """Unloaded equilibria of the true sheet with bent edges."""
     points = square(5)
-    thickness = replace(Thickness.over(points.x, 2), numbers=np.array(numbers))
+    thickness = replace(ThicknessField.over(points.x, 2), numbers=np.array(numbers))
     op = HyperelasticOperator(sheet(), points, thickness=thickness.at(points.x))
     stretched = points.x @ np.array([[0.25, 0.05], [0.0, 0.2]])
     edges = [stretched + waves(points, amplitude, seed) for seed in range(3)]
@@ -82,7 +82,7 @@ def test_direction_and_exponent_are_found(frames):
 
 
 def test_sensitivities_are_slopes_of_the_solved_displacement(frames):
-    uneven = Thickness.over(frames.x, 2)
+    uneven = ThicknessField.over(frames.x, 2)
     uneven = replace(uneven, numbers=np.array([0.3, -0.2, 0.1, 0.15, -0.1]))
     path = Search(frames, sheet(1.0, 1.5), (0.0, np.inf), True, uneven)
     path.begin(path.scaled(TRUTH))
@@ -147,15 +147,15 @@ def test_thickness_and_material_are_found_together(uneven_frames):
 
 def test_a_known_material_tells_the_thickness_of_another_sheet(uneven_frames):
     frames, thickness = uneven_frames
-    solid = HyperelasticSolid(sheet(), 3.0 * TRUTH, frames.spacing)
+    solid = HyperelasticMaterial(sheet(), 3.0 * TRUTH, frames.spacing)
     fit = fit_thickness(frames, solid)
     np.testing.assert_allclose(fit.thickness.numbers, thickness.numbers, atol=1e-5)
     np.testing.assert_allclose(fit.material.coefficients, SCALED, rtol=1e-12)
-    uneven = hyperelastic_errors(solid, frames, thickness=thickness.at(frames.x))
+    uneven = evaluate_hyperelastic(solid, frames, thickness=thickness.at(frames.x))
     assert "E_res" not in uneven
     assert uneven["E_u"] < 1e-6
     assert uneven["not_solved"] == uneven["left_branch"] == 0
-    assert hyperelastic_errors(solid, frames)["E_u"] > 0.003
+    assert evaluate_hyperelastic(solid, frames)["E_u"] > 0.003
 
 
 def few(frames):
@@ -185,7 +185,7 @@ def test_what_says_nothing_is_refused(frames):
             fit_displacement(wrong, sheet())
     both = Samples(frames.points, np.stack([0.05 * frames.u[0], frames.u[0]]))
     assert len(fit_displacement(both, sheet(), most_steps=1).errors) == 2
-    unsafe = Dictionary(3.0, ("square",), (), (Term("area"),))
+    unsafe = Hyperelastic(3.0, ("square",), (), (EnergyTerm("area"),))
     with pytest.raises(InputError, match="convex and stress-free"):
         fit_displacement(frames, unsafe)
     for stiffness in (-1.0, np.nan, (0.1, 0.05), (1.0, 2.0, 3.0), "soft", np.inf):
@@ -193,7 +193,7 @@ def test_what_says_nothing_is_refused(frames):
             fit_displacement(frames, sheet(), stiffness=stiffness)
     with pytest.raises(InputError, match="start: expected 6 coefficients"):
         fit_displacement(frames, sheet(), start=np.ones(2))
-    solid = HyperelasticSolid(sheet(), TRUTH, frames.spacing)
+    solid = HyperelasticMaterial(sheet(), TRUTH, frames.spacing)
     with pytest.raises(InputError, match="frames: expected one or more"):
         fit_thickness(Samples(frames.points, frames.u[:0]), solid)
 
@@ -203,18 +203,18 @@ def test_sections_go_from_edge_to_edge(axis):
     """Of an affine field they carry its stress, edges included; a hole takes lines away."""
     x, side = 0.1 * np.argwhere(np.ones((19, 14))), 0.1
     C, shape = 0.4, np.array([[1.2, 0.1], [-0.05, 1.1]])
-    terms = (Term("plane_stress"),)
+    terms = (EnergyTerm("plane_stress"),)
     P = 2 * C * (shape - np.linalg.inv(shape).T / np.linalg.det(shape) ** 2)
 
     def sections(kept):
         points = Points(x[kept], np.arange(kept.sum()) == 0, side)
         field = Samples(points, (x[kept] @ (shape - np.eye(2)).T)[None])
-        return Sections(field, Dictionary(terms=terms), axis)
+        return Sections(field, Hyperelastic(terms=terms), axis)
 
     whole = sections(np.ones(len(x), bool))
     lines = np.full((19, 14)[axis] - 12, P[axis, axis])
     np.testing.assert_allclose(whole.stress(0, terms, np.array([C]), None), lines, rtol=1e-9)
-    thick = replace(Thickness.over(x, 1), numbers=np.array([0.3, -0.2]))
+    thick = replace(ThicknessField.over(x, 1), numbers=np.array([0.3, -0.2]))
     uneven = whole.stress(0, terms, np.array([C]), thick)
     assert uneven.mean() == pytest.approx(P[axis, axis], rel=0.01)
     assert np.ptp(uneven) > 0.02 * P[axis, axis]
@@ -241,15 +241,17 @@ def test_forces_set_the_scale_and_their_scatter_is_told(frames):
 
 
 def test_families_come_from_a_rose():
-    dictionary = Dictionary(3.0, (), NEAREST, (Term("neo_hookean"), *rose(8, (2.0, 4.0))))
+    dictionary = Hyperelastic(
+        3.0, (), NEAREST, (EnergyTerm("neo_hookean"), *fibre_fan(8, (2.0, 4.0)))
+    )
     c = np.zeros(len(dictionary))
     c[dictionary.first_term] = 0.07
     for n, value in ((3, 0.2), (4, 0.1), (6, 0.3)):
         c[dictionary.first_term + 1 + 2 * n] = value
-    solid = HyperelasticSolid(dictionary, c, 0.1, stretch=1.3)
-    apart, start = families(solid)
+    solid = HyperelasticMaterial(dictionary, c, 0.1, stretch=1.3)
+    apart, start = fibre_families(solid)
     assert [round(np.rad2deg(t.angle), 1) for t in apart.terms[1:]] == [67.5, 90.0, 135.0]
-    together, _ = families(solid, within=0.4)
+    together, _ = fibre_families(solid, within=0.4)
     assert [round(np.rad2deg(t.angle), 1) for t in together.terms[1:]] == [75.0, 135.0]
     assert start[dictionary.first_term] == 0.07
     assert grouped({0.05: 1.0, 3.1: 1.0}, 0.2)[0][0] == pytest.approx(0.0042, abs=1e-3)
@@ -262,7 +264,7 @@ X = np.random.default_rng(0).uniform(-1, 3, (50, 2))
 
 
 def test_the_thickness_is_the_exponential_of_a_polynomial():
-    even = Thickness.over(X, 2)
+    even = ThicknessField.over(X, 2)
     assert even.names == ["x", "y", "x^2", "x y", "y^2"]
     np.testing.assert_array_equal(even.at(X), 1.0)
     uneven = replace(even, numbers=np.array([0.1, -0.2, 0.3, 0.4, -0.5]))
@@ -274,7 +276,7 @@ def test_the_thickness_is_the_exponential_of_a_polynomial():
         step = 1e-5 * np.eye(5)[n]
         ends = [replace(uneven, numbers=uneven.numbers + s * step).at(X) for s in (1, -1)]
         np.testing.assert_allclose(slope, (ends[0] - ends[1]) / 2e-5, atol=1e-8)
-    steep = Thickness(1, np.zeros(2), np.ones(2), np.array([100.0, 0.0]))
+    steep = ThicknessField(1, np.zeros(2), np.ones(2), np.array([100.0, 0.0]))
     assert steep.at(np.array([[1.0, 0.5]])) == pytest.approx(np.exp([20.0]))
     assert not steep.slopes(np.array([[1.0, 0.5]])).any()
 
@@ -282,8 +284,8 @@ def test_the_thickness_is_the_exponential_of_a_polynomial():
 def test_what_is_no_thickness_is_refused():
     for degree in (7, 0, 2.0, True, "2"):
         with pytest.raises(InputError, match=f"degree: expected 1 to 6, got {degree!r}"):
-            Thickness.over(X, degree)
+            ThicknessField.over(X, degree)
     with pytest.raises(InputError, match=r"numbers: expected shape \[5\], got \[4\]"):
-        replace(Thickness.over(X, 2), numbers=np.ones(4))
+        replace(ThicknessField.over(X, 2), numbers=np.ones(4))
     with pytest.raises(InputError, match="half: expected two lengths > 0"):
-        Thickness.over(X[:1], 2)
+        ThicknessField.over(X[:1], 2)

@@ -12,16 +12,18 @@ from tests.support.sheets import NEAREST, square, waves
 from tools import make_frames
 from tools.hyperelastic_elements import Elements, quadrilaterals
 from tools.hyperelastic_energies import Family, plane_stress_hgo
-from warp_peri.atoms.dic import SheetFrame, frames_of_folder, frames_on_lattice
+from warp_peri.atoms.dic import DICFrame, dic_to_lattice, frames_of_folder
 from warp_peri.cli.main import main
+from warp_peri.hyperelastic import EnergyTerm, Hyperelastic, HyperelasticMaterial, uniaxial_stress
 from warp_peri.materials.hyperelastic import model_selection
 from warp_peri.materials.hyperelastic.from_displacement import DisplacementFit
 from warp_peri.points.outlines import Circle, box, mesh_outline
-from warp_peri.tissue import Dictionary, HyperelasticSolid, Term, uniaxial
 
 C1, C2 = 0.35, 0.15
-TERMS = (Term("plane_stress"), Term("mooney"))
-SHEET = HyperelasticSolid(Dictionary(3.0, (), NEAREST, TERMS), np.array([0.1] * 4 + [C1, C2]), 0.1)
+TERMS = (EnergyTerm("plane_stress"), EnergyTerm("mooney"))
+SHEET = HyperelasticMaterial(
+    Hyperelastic(3.0, (), NEAREST, TERMS), np.array([0.1] * 4 + [C1, C2]), 0.1
+)
 
 
 def tension(stretch):
@@ -42,10 +44,12 @@ def folder(tmp_path_factory):
 
 def test_uniaxial_tension_is_that_of_the_formula():
     for angle in (0.0, 0.7):
-        found = uniaxial(SHEET, [1.1, 1.4], angle)
+        found = uniaxial_stress(SHEET, [1.1, 1.4], angle)
         np.testing.assert_allclose(found, [tension(1.1), tension(1.4)], rtol=1e-8)
     mixed = [1.3, 1.3, 3.0, 1.01, 0.8]
-    np.testing.assert_allclose(uniaxial(SHEET, mixed), [tension(s) for s in mixed], rtol=1e-8)
+    np.testing.assert_allclose(
+        uniaxial_stress(SHEET, mixed), [tension(s) for s in mixed], rtol=1e-8
+    )
 
 
 def test_the_command_keeps_every_fit_and_passes_over_what_fails(folder, tmp_path, monkeypatch):
@@ -79,7 +83,7 @@ def test_the_command_keeps_every_fit_and_passes_over_what_fails(folder, tmp_path
     P = 2 * F * (C1 + C2 / D) + 2 * turned * (C2 * D - (C1 + C2 * T) / D)
     lines = (P[6:-6, 1:, 0, 0] + P[6:-6, :-1, 0, 0]) / 2
     assert lines.mean() == pytest.approx(0.3, rel=0.01)
-    shape = uniaxial(material, [1.4])[0] / uniaxial(material, [1.05])[0]
+    shape = uniaxial_stress(material, [1.4])[0] / uniaxial_stress(material, [1.05])[0]
     assert shape == pytest.approx(tension(1.4) / tension(1.05), rel=0.01)
     middle, low, high = found["tension_with_90_percent_band"]["along 0 deg"]["stretch 1.1"]
     assert low <= middle <= high
@@ -95,18 +99,18 @@ def frames_of(solid, points, *, noise=0.0, lost=0.0, count=6):
     u = np.array([wp.solve(solid, wp.Dirichlet(points, None, edge)).u for edge in edges])
     u += noise * points.spacing * rng.standard_normal(u.shape)
     frames = [
-        SheetFrame(points.x[kept], field[kept], f"frame{n}", "mm")
+        DICFrame(points.x[kept], field[kept], f"frame{n}", "mm")
         for n, field in enumerate(u)
         for kept in [rng.uniform(size=len(points.x)) >= lost]
     ]
-    return frames_on_lattice(frames, spacing=points.spacing)
+    return dic_to_lattice(frames, spacing=points.spacing)
 
 
 def powers(*numbers):
     """A sheet of Yeoh's energy, C1, C2 and C3, without a thickness."""
-    terms = (Term("plane_stress"), *(Term("yeoh", exponent=p) for p in (2.0, 3.0)))
-    return HyperelasticSolid(
-        Dictionary(3.0, (), NEAREST, terms), np.array([0.1] * 4 + [*numbers]), 0.1
+    terms = (EnergyTerm("plane_stress"), *(EnergyTerm("yeoh", exponent=p) for p in (2.0, 3.0)))
+    return HyperelasticMaterial(
+        Hyperelastic(3.0, (), NEAREST, terms), np.array([0.1] * 4 + [*numbers]), 0.1
     )
 
 
@@ -114,12 +118,12 @@ def test_an_even_sheet_that_stiffens_is_not_called_uneven():
     """Its tension, to 1.5, lies in the band, whatever points are lost in single frames."""
     sheet = powers(0.25, 0.02, 0.03)
     stretches = [1.1, 1.3, 1.5]
-    true = uniaxial(sheet, stretches) / uniaxial(sheet, [1.01])[0]
+    true = uniaxial_stress(sheet, stretches) / uniaxial_stress(sheet, [1.01])[0]
     frames = frames_of(sheet, square(11), noise=0.002, lost=0.03)
     assert frames.interior.sum() == 121
-    choice = wp.tissue.choose_sheet(frames)
+    choice = wp.hyperelastic.select_model(frames)
     assert choice.best.name == "Yeoh"
-    middle, low, high = choice.curves(stretches) / uniaxial(choice.material, [1.01])[0]
+    middle, low, high = choice.curves(stretches) / uniaxial_stress(choice.material, [1.01])[0]
     np.testing.assert_allclose(middle, true, rtol=0.04)
     assert ((low < true) & (true < high)).all()
     assert (high - low > 2 * choice.best.held_out * middle).all()
@@ -127,7 +131,7 @@ def test_an_even_sheet_that_stiffens_is_not_called_uneven():
 
 def test_a_law_needs_ten_nodes_for_each_number():
     frames = frames_of(powers(0.25, 0.0, 0.0), square(9))
-    found = wp.tissue.choose_sheet(frames)
+    found = wp.hyperelastic.select_model(frames)
     assert {c.name for c in found.candidates if c.fit} == {"neo-Hookean", "Yeoh", "Mooney-Rivlin"}
     why = {c.name: c.why for c in found.candidates if c.fit is None}["neo-Hookean, heterogeneous"]
     assert why.endswith("100 interior nodes for 10 numbers, got 81")
@@ -141,19 +145,21 @@ def test_a_law_needs_ten_nodes_for_each_number():
         ({"frames": frames, "fibres": -1}, "fibres: expected a number of directions"),
     ):
         with pytest.raises(wp.InputError, match=words):
-            wp.tissue.choose_sheet(**wrong)
+            wp.hyperelastic.select_model(**wrong)
 
 
 def test_a_band_is_no_narrower_than_the_misfit_and_deviations_have_none():
     """Fits that agree exactly, as those of one number do, know no more than the frames tell."""
     even = DisplacementFit(SHEET, np.zeros(1), [], [])
-    choice = model_selection.SheetChoice([model_selection.Candidate("one", even, 0.01)], [even] * 3)
+    choice = model_selection.ModelSelection(
+        [model_selection.Candidate("one", even, 0.01)], [even] * 3
+    )
     middle, low, high = choice.curves([1.2])
     np.testing.assert_allclose(high - low, 2 * 1.645 * 0.01 * middle, rtol=1e-3)
     stiff = replace(SHEET, coefficients=np.array([282.0] * 4 + [0.4, 0.1]))
     rules = model_selection.Candidate("rules", replace(even, material=stiff), 0.01)
     with pytest.raises(wp.InputError, match="282 times as stiff .* in the place of a material"):
-        model_selection.SheetChoice([rules]).curves([1.2])
+        model_selection.ModelSelection([rules]).curves([1.2])
 
 
 def table(folder, x, fields):
@@ -191,7 +197,7 @@ def test_the_command_finds_families_of_fibres(tmp_path):
     found = json.loads((out / "sheet.json").read_text())
     assert found["material"] == "families of fibres"
     material = wp.load(out / "material.json")
-    terms = dict(wp.tissue.material_terms(material))
+    terms = dict(wp.hyperelastic.material_terms(material))
     (mu,) = [2 * c for term, c in terms.items() if term.kind == "plane_stress"]
     fibres = sorted((np.rad2deg(t.angle), c / mu) for t, c in terms.items() if t.is_fibre)
     assert len(fibres) == 2

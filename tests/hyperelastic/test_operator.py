@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.sheets import SPACING, everything, hgo_dictionary, square, waves
 from warp_peri import InputError
-from warp_peri.materials.hyperelastic.energies import BONDS, Dictionary, Term
+from warp_peri.materials.hyperelastic.energies import BONDS, EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.equilibrium import TangentPattern
 from warp_peri.materials.hyperelastic.operator import HyperelasticOperator, lattice_bonds
 from warp_peri.points.points import Points
@@ -47,10 +47,10 @@ def test_force_tangent_and_single_forces_are_those_of_the_energy(problem):
     np.testing.assert_allclose(work, (ends[0] - ends[1]) / (2 * step), rtol=1e-6)
     ends = [op.everywhere(u + s * 3e-6 * v, c) for s in (1, -1)]
     slope = (ends[0] - ends[1]) / 6e-6
-    np.testing.assert_allclose(op.product(u, c, v), slope, atol=1e-6 * np.abs(slope).max())
+    np.testing.assert_allclose(op.jvp(u, c, v), slope, atol=1e-6 * np.abs(slope).max())
     inside = np.where(op.points.interior[:, None], v[0], 0.0)
     K = TangentPattern(op).matrix(op, u[0], c)
-    expected = op.product(u[0], c, inside)[op.interior].ravel()
+    expected = op.jvp(u[0], c, inside)[op.interior].ravel()
     found = K @ inside[op.interior].ravel()
     np.testing.assert_allclose(found, expected, atol=1e-11 * np.abs(expected).max())
     assert abs(K - K.T).max() < 1e-11 * abs(K).max()
@@ -102,7 +102,7 @@ def test_slopes_of_bonds():
     points = square(1)
     assert set(SLOPES) == set(BONDS)
     for name, slopes in SLOPES.items():
-        dictionary = Dictionary(3.0, (name,))
+        dictionary = Hyperelastic(3.0, (name,))
         op = HyperelasticOperator(dictionary, points)
         for stretch in (0.8, 1.3):
             u = (stretch - 1) * points.x * [1, 0]
@@ -110,7 +110,7 @@ def test_slopes_of_bonds():
             c[1] = 1.0  # the bond (1, 0)
             v = np.zeros_like(u)
             v[op.interior] = [1.0, 0.0]
-            K = float(op.product(u, c, v)[op.interior][0, 0])
+            K = float(op.jvp(u, c, v)[op.interior][0, 0])
             slope, curve = slopes((stretch**2 - 1) / 2)
             expected = 2 * (curve * stretch**2 + slope) / SPACING**2
             assert K == pytest.approx(expected, rel=1e-12)
@@ -154,8 +154,8 @@ def field(x):
 def test_corners_of_cells_are_linear_triangles():
     """Energy and force are means over the four ways to leave one node out of every cell."""
     points = square(3)
-    term = Term("volumetric", corner=True)
-    op = HyperelasticOperator(Dictionary(3.0, terms=(term,)), points)
+    term = EnergyTerm("volumetric", corner=True)
+    op = HyperelasticOperator(Hyperelastic(3.0, terms=(term,)), points)
     u = waves(points, 0.3)
     y = (points.x + u).reshape(2 * [int(np.sqrt(len(u)))] + [2]) / SPACING
     total = 0.0
@@ -172,15 +172,15 @@ STRETCH = np.array([1.4, 1.4**-0.5])
 @pytest.mark.parametrize(
     ("term", "pull"),
     [
-        (Term("mooney"), 1 - 1.4**-3),
-        (Term("yeoh", exponent=2.0), 2 * (1.4 - 1.4**-2) * (1.4**2 + 2 / 1.4 - 3)),
-        (Term("yeoh", exponent=3.0), 3 * (1.4 - 1.4**-2) * (1.4**2 + 2 / 1.4 - 3) ** 2),
+        (EnergyTerm("mooney"), 1 - 1.4**-3),
+        (EnergyTerm("yeoh", exponent=2.0), 2 * (1.4 - 1.4**-2) * (1.4**2 + 2 / 1.4 - 3)),
+        (EnergyTerm("yeoh", exponent=3.0), 3 * (1.4 - 1.4**-2) * (1.4**2 + 2 / 1.4 - 3) ** 2),
     ],
 )
 def test_incompressible_sheets_pull_as_their_formulas_say(term, pull):
     """I2 − 3, and powers of I1 − 3, in plane stress."""
     points = square(4)
-    op = HyperelasticOperator(Dictionary(3.0, (), (), (term,)), points)
+    op = HyperelasticOperator(Hyperelastic(3.0, (), (), (term,)), points)
     P = op.stress(points.x * (STRETCH - 1), np.array([0.7]))[op.interior]
     np.testing.assert_allclose(P[:, 1, 1], 0, atol=1e-10)
     np.testing.assert_allclose(P[:, 0, 0], 2 * 0.7 * pull, rtol=1e-9)
@@ -189,7 +189,9 @@ def test_incompressible_sheets_pull_as_their_formulas_say(term, pull):
 def test_fibres_see_the_stretch_along_them():
     points, F = square(1), np.array([[1.2, 0.3], [-0.1, 1.1]])
     stretched = np.sum((F @ [np.cos(0.7), np.sin(0.7)]) ** 2) - 1
-    op = HyperelasticOperator(Dictionary(3.0, terms=(Term("fibre_power", 0.7, 2.0),)), points)
+    op = HyperelasticOperator(
+        Hyperelastic(3.0, terms=(EnergyTerm("fibre_power", 0.7, 2.0),)), points
+    )
     energy = op.nodal_energy(points.x @ (F - np.eye(2)).T, np.ones(1))[op.interior]
     np.testing.assert_allclose(energy, stretched**2 / 2, rtol=1e-12)
 
@@ -204,7 +206,7 @@ FIELD, ALL = np.zeros_like(POINTS.x), np.ones(len(POINTS.x), bool)
     [
         (lambda: OPERATOR.force(np.zeros((3, 2)), np.zeros(7)), "u: expected shape"),
         (lambda: OPERATOR.force(FIELD, np.zeros(6)), "c: expected shape"),
-        (lambda: OPERATOR.product(FIELD, np.zeros(7), FIELD[None]), "v: expected shape"),
+        (lambda: OPERATOR.jvp(FIELD, np.zeros(7), FIELD[None]), "v: expected shape"),
         (lambda: lattice_bonds(Points(POINTS.x, ALL, 0.1), 3.0), "twice the horizon"),
         (lambda: lattice_bonds(Points(POINTS.x, ALL, 0.0), 3.0), "scattered"),
         (lambda: OPERATOR.with_thickness(np.ones(3)), "thickness: expected"),

@@ -11,12 +11,12 @@ from tests.support.sheets import NEAREST, square, waves
 from tools.hyperelastic_elements import Elements, quadrilaterals
 from tools.hyperelastic_energies import plane_stress_hgo
 from tools.make_leaflet import Leaflet
-from warp_peri.materials.hyperelastic.energies import Dictionary, Term
+from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.from_displacement import fit_displacement, fit_thickness
-from warp_peri.materials.hyperelastic.placed import hyperelastic_errors
+from warp_peri.materials.hyperelastic.placed import evaluate_hyperelastic
 from warp_peri.points.samples import Samples
 
-MATRIX = Dictionary(3.0, (), NEAREST, (Term("plane_stress"), Term("volumetric")))
+MATRIX = Hyperelastic(3.0, (), NEAREST, (EnergyTerm("plane_stress"), EnergyTerm("volumetric")))
 POINTS = square(5)
 
 
@@ -46,16 +46,16 @@ def test_a_thickness_is_told_from_the_material():
         fit_displacement(train, MATRIX, most_steps=6)
     even = fit_displacement(train, MATRIX, most_steps=6, stiffness=(0.05, 5.0))
     fit = fit_displacement(train, MATRIX, thickness=2, most_steps=6)
-    as_even = hyperelastic_errors(even.material, test)["E_u"]
-    as_thick = hyperelastic_errors(fit.material, test, thickness=fit.thickness.at(test.x))["E_u"]
+    as_even = evaluate_hyperelastic(even.material, test)["E_u"]
+    as_thick = evaluate_hyperelastic(fit.material, test, thickness=fit.thickness.at(test.x))["E_u"]
     assert as_thick < as_even / 4
     gap = np.log(fit.thickness.at(test.x) / thickness(test.x, 0.4))[test.interior]
     assert np.ptp(gap) < 0.02
     assert np.ptp(np.log(thickness(POINTS.x[test.interior], 0.4))) > 0.3
     first, second = (Samples(POINTS, u[None]) for u in other.u)
     own = fit_thickness(first, fit.material)
-    carried = hyperelastic_errors(fit.material, second)["E_u"]
-    with_own = hyperelastic_errors(fit.material, second, thickness=own.thickness.at(POINTS.x))[
+    carried = evaluate_hyperelastic(fit.material, second)["E_u"]
+    with_own = evaluate_hyperelastic(fit.material, second, thickness=own.thickness.at(POINTS.x))[
         "E_u"
     ]
     assert with_own < carried / 20

@@ -11,14 +11,14 @@ import numpy as np
 
 from examples.exact import westergaard
 from tests.known_problems.statics import LEARNED, Outcome, UnitScale, material, plane, solid
-from warp_peri.fracture.body import box, penny, point_force, rectangle
+from warp_peri.fracture.body import box_nodes, penny_corners, point_force, rectangle_nodes
 from warp_peri.fracture.bonds import unit_toughness
 from warp_peri.fracture.growth import apparent_toughness, cut_by_spacing, spent
 from warp_peri.fracture.problems import Cracked
 from warp_peri.fracture.release import energy_release, tip_shift
 from warp_peri.points.families import bond_classes
 from warp_peri.points.points import Points
-from warp_peri.solvers.solution import Krylov
+from warp_peri.solvers.solution import CG
 
 NU = {"LPS": 0.3, "bond-based": 1 / 3, LEARNED: 0.3}
 HALF = 13
@@ -66,7 +66,7 @@ def ends(x: np.ndarray) -> np.ndarray:
 
 def centre_crack(name: str, s: UnitScale) -> Outcome:
     """K over σ√(πa) of a crack over half of a strip."""
-    a, x = HALF, rectangle(4.0 * HALF, 8.0 * HALF, 1.0)
+    a, x = HALF, rectangle_nodes(4.0 * HALF, 8.0 * HALF, 1.0)
     tips = [[[(-a - d, 0), (a + d, 0)]] for d in LENGTHS]
     K = intensity(name, s, x, ends(x), tips)
     return Outcome(K / np.sqrt(np.pi * a))
@@ -75,7 +75,7 @@ def centre_crack(name: str, s: UnitScale) -> Outcome:
 def edge_crack(name: str, s: UnitScale, *, double: bool = False) -> Outcome:
     """K over σ√(πa) of a crack from an edge to the middle of a strip, or of one from each."""
     a, width = HALF, 2 * HALF * (1 + double)
-    x, w = rectangle(width, (6.0 + 2 * double) * HALF, 1.0), width / 2
+    x, w = rectangle_nodes(width, (6.0 + 2 * double) * HALF, 1.0), width / 2
     tips = [[[(-w - 1, 0), (a + d - w, 0)]] for d in LENGTHS]
     for d, one in zip(LENGTHS, tips):
         one += [[(w - a - d, 0), (w + 1, 0)]] if double else []
@@ -86,7 +86,7 @@ def edge_crack(name: str, s: UnitScale, *, double: bool = False) -> Outcome:
 def bend_bar(name: str, s: UnitScale) -> Outcome:
     """f of the bend bar of ASTM E399, K = P S / (B W^1.5) f, at a/W = 1/2 and S = 4 W."""
     a, W = HALF, 2 * HALF
-    x, b = rectangle(4.0 * W + 8, W, 1.0), np.zeros(((4 * W + 8) * W, 2))
+    x, b = rectangle_nodes(4.0 * W + 8, W, 1.0), np.zeros(((4 * W + 8) * W, 2))
     for place, side, force in ((0, 1, -1.0), (-2 * W, -1, 0.5), (2 * W, -1, 0.5)):
         b += point_force(x, 1.0, (place, side * W / 2), (0.0, force))
     tips = [[[(0, -W), (0, a + d - W / 2)]] for d in LENGTHS]
@@ -97,7 +97,7 @@ def bend_bar(name: str, s: UnitScale) -> Outcome:
 def compact_tension(name: str, s: UnitScale) -> Outcome:
     """f of the compact tension of ASTM E399, K = P / (B √W) f, at a/W = 1/2, on 20 spacings."""
     W = 40.0
-    x = rectangle(1.25 * W, 1.2 * W, 1.0) + np.array([0.375 * W, 0.0])
+    x = rectangle_nodes(1.25 * W, 1.2 * W, 1.0) + np.array([0.375 * W, 0.0])
     x = x[np.hypot(x[:, 0], np.abs(x[:, 1]) - 0.275 * W) > 0.125 * W]
     rim = np.hypot(x[:, 0], np.abs(x[:, 1]) - 0.275 * W) < 0.125 * W + 1
     pushed = rim & (np.abs(x[:, 1]) > 0.275 * W + 0.09 * W)
@@ -110,7 +110,7 @@ def compact_tension(name: str, s: UnitScale) -> Outcome:
 def brazilian_disc(name: str, s: UnitScale) -> Outcome:
     """K over P √a / (√π R B) of a slot over half of a disc that is pressed along it."""
     a, R = HALF, 2.0 * HALF
-    x = rectangle(2 * R, 2 * R, 1.0)
+    x = rectangle_nodes(2 * R, 2 * R, 1.0)
     x = x[np.hypot(*x.T) <= R]
     b = point_force(x, 1.0, (0.0, R), (0.0, -1.0)) + point_force(x, 1.0, (0.0, -R), (0.0, 1.0))
     tips = [[[(0, -a - d), (0, a + d)]] for d in LENGTHS]
@@ -124,7 +124,7 @@ def slanted_crack(name: str, s: UnitScale, *, angle: bool = False) -> Outcome:
     The crack lies along rows of nodes, the field of an endless sheet is given around it.
     """
     a, law = HALF, material(name, plane(1000.0, NU[name]).tensor, 1.0, s)
-    x = rectangle(4.0 * a + 12, 4.0 * a + 12, 1.0)
+    x = rectangle_nodes(4.0 * a + 12, 4.0 * a + 12, 1.0)
     inside = np.abs(x).max(axis=1) < 2 * a
     points = Points(s.length * x, inside, s.length, units=s.units)
     u = s.length * slanted(x, float(a), plane(1000.0, NU[name]))
@@ -150,7 +150,7 @@ def dugdale(name: str, s: UnitScale) -> Outcome:
     an energy release in a square whose sides have the field of the continuum.
     """
     a, c, moduli = HALF // 2, 2 * (HALF // 2), plane(1000.0, NU[name])
-    law, x = material(name, moduli.tensor, 1.0, s), rectangle(4.0 * c + 12, 4.0 * c + 12, 1.0)
+    law, x = material(name, moduli.tensor, 1.0, s), rectangle_nodes(4.0 * c + 12, 4.0 * c + 12, 1.0)
     points = Points(s.length * x, np.abs(x).max(axis=1) < 2 * c, s.length, units=s.units)
     cracks = [[s.length * np.array([(-c - d, 0.0), (c + d, 0.0)])] for d in LENGTHS]
     faces = np.where((np.abs(x) < (a, 1)).all(axis=1), np.sign(x[:, 1]), 0.0)[:, None] * [0.0, 1.0]
@@ -195,10 +195,10 @@ def penny_crack(name: str, s: UnitScale) -> Outcome:
     """K over 2 σ √(a/π) of a penny in an endless solid, whose field is given around it."""
     a, nu, h = 8.0, 0.25, s.length
     law = replace(material("LPS", solid(1000.0, nu), 1.0, s), horizon=2 * h)
-    x = box((28, 28, 28), 1.0)
+    x = box_nodes((28, 28, 28), 1.0)
     points = Points(h * x, np.abs(x).max(axis=1) < 12, h, units=s.units)
     problem = Cracked(points, u=h * penny_field(x, a, 1000.0, nu), corrected=True)
-    pennies, by = [[h * penny(a + d)] for d in (-1, -0.5, 0, 0.5, 1)], Krylov()
+    pennies, by = [[h * penny_corners(a + d)] for d in (-1, -0.5, 0, 0.5, 1)], CG()
     G = energy_release(law, problem, pennies, solver=by)
     K2 = G / h / s.stiffness * 1000 / (1 - nu**2)
     return Outcome(float(np.sqrt(K2 * np.pi / a) / 2))
@@ -234,7 +234,7 @@ def griffith(name: str, s: UnitScale, *, calibrated: bool = False) -> Outcome:
     """
     law, h = material(name, plane(1000.0, NU[name]).tensor, 1.0, s), s.length
     ratio = apparent_toughness(law, h) if calibrated else 1.0
-    x, classes = h * rectangle(2.0 * LONG, 2.0 * LONG + 6, 1.0), bond_classes(h, 3 * h)
+    x, classes = h * rectangle_nodes(2.0 * LONG, 2.0 * LONG + 6, 1.0), bond_classes(h, 3 * h)
     points = Points(x, np.abs(x[:, 1]) < LONG * h, h, units=s.units)
     problem = Cracked(points, u=x * (0.0, 1.0), cracks=[[(-h - LONG * h, 0.0), (0.0, 0.0)]])
     growth = problem.moved(law, {"events": 2 * cut_by_spacing(classes)})

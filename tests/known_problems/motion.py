@@ -22,19 +22,19 @@ from tests.known_problems.statics import (
     plane,
     solid,
 )
-from warp_peri import launch
+from warp_peri import runtime
+from warp_peri.certificates import critical_time_step
 from warp_peri.errors import InputError
-from warp_peri.fracture.body import box, rectangle
-from warp_peri.fracture.dynamics import BrittleSolid
+from warp_peri.fracture.body import box_nodes, rectangle_nodes
+from warp_peri.fracture.dynamics import BrittleMaterial
 from warp_peri.fracture.problems import Cracked
-from warp_peri.materials.lps import Model, lps_stencil
+from warp_peri.materials.lps import LPSMaterial, lps_stencil
 from warp_peri.mpi import gather, partition
 from warp_peri.mpi.processes import own_mpiexec
 from warp_peri.points.points import Points
 from warp_peri.problems import Dirichlet
-from warp_peri.proofs import critical_time_step
 from warp_peri.solvers.verlet import inertia
-from warp_peri.solving import move
+from warp_peri.solving import simulate
 
 DENSITY = 1000.0
 """kg/m³."""
@@ -54,9 +54,9 @@ def wave(name: str, s: UnitScale, length: int, *, local: bool = False) -> Outcom
     """Frequency of a standing wave over that of the symbol, or of c_L k; its length in spacings."""
     law = material(name, THIRD, 1.0, s)
     points = Points.sheet((max(24, length), 10), s.length, units=s.units)
-    points = points if isinstance(law, Model) else replace(points, axis=0.0)
+    points = points if isinstance(law, LPSMaterial) else replace(points, axis=0.0)
     k = 2 * np.pi / (length * s.length)
-    stencil = lps_stencil(law, s.length) if isinstance(law, Model) else law.stencil
+    stencil = lps_stencil(law, s.length) if isinstance(law, LPSMaterial) else law.stencil
     D = stencil.symbol(np.array([[k * s.length, 0.0]]))[0, 0, 0]
     C = GRAPHENE.tensor if name == LEARNED else THIRD
     D = s.stiffness * C[0, 0, 0, 0] * k**2 if local else D
@@ -66,7 +66,7 @@ def wave(name: str, s: UnitScale, length: int, *, local: bool = False) -> Outcom
     node = int(np.argmax(u[:, 0]))
     steps = int(3 * 2 * np.pi / omega / step)
     how: dict[str, Any] = {"density": DENSITY, "step": step, "steps": steps, "record": [node]}
-    run = move(law, Dirichlet(points, None, u), **how)
+    run = simulate(law, Dirichlet(points, None, u), **how)
     swing = run["u"][:, 0, 0] / s.length
     return Outcome(frequency(run.time, swing) / omega)
 
@@ -78,7 +78,7 @@ def bar(name: str, s: UnitScale, *, twist: bool = False) -> Outcome:
     C = THIRD if not twist else solid(1.0, nu)
     law, far = material(name, C, 1.0, s), max(sides)
     law = replace(law, horizon=2 * h) if twist else law
-    x = box(list(sides), 1.0)
+    x = box_nodes(list(sides), 1.0)
     if twist:
         shape = np.sin(np.pi * x[:, 2] / far)[:, None]
         u = 1e-6 * shape * np.stack([-x[:, 1], x[:, 0], 0 * x[:, 0]], axis=1)
@@ -106,7 +106,7 @@ def edge_wave(name: str, s: UnitScale, length: int) -> Outcome:
     """
     C = plane(1.0, 0.3 if name == "LPS" else 1 / 3).tensor
     law, ratio = material(name, C, 1.0, s), C[0, 1, 0, 1] / C[0, 0, 0, 0]
-    x = box([n * length // 5 for n in (16, 10)], 1.0)
+    x = box_nodes([n * length // 5 for n in (16, 10)], 1.0)
     x[:, 1] -= x[:, 1].max() + 1 / 2
 
     def equation(c: float) -> float:  # of the speed over that of shear waves
@@ -130,11 +130,11 @@ def swung(
     points = Points(h * x, np.ones(len(x), bool), h, units=s.units)
     body = Cracked(points, corrected=True).waves(law)
     heavy = inertia(DENSITY, s.units)
-    longest = 0.9 * float(2 * np.sqrt(heavy / body.stiffest_wave()))
+    longest = 0.9 * float(2 * np.sqrt(heavy / body.max_symbol_eigenvalue()))
     count = int(2 * np.pi / omega / longest) + 1  # a period, which no last digit of it moves
     step, steps = 2 * np.pi / omega / count, int(part * count)
     problem = Dirichlet(body.points, None, h * u)
-    run = move(body, problem, density=DENSITY, step=step, steps=steps, record=[node])
+    run = simulate(body, problem, density=DENSITY, step=step, steps=steps, record=[node])
     swing = run["u"][:, 0, axis]
     return Outcome(frequency(run.time, swing) / omega)
 
@@ -147,18 +147,18 @@ def kept(name: str, s: UnitScale) -> Outcome:
     step = 0.9 * critical_time_step(law, spacing=s.length, density=DENSITY)
     how: dict[str, Any] = {"density": DENSITY, "step": step, "steps": 100_000, "every": 100}
     v = (v - v.mean(axis=0) + 1e-7 * s.length) / step
-    run = move(law, Dirichlet(points, None, u), v=v, **how)
+    run = simulate(law, Dirichlet(points, None, u), v=v, **how)
     lost = np.linalg.norm((run.v - v).sum(axis=0)) / np.linalg.norm(v, axis=1).sum()
     return Outcome(max(float(lost), run.drift))
 
 
 def glass_plate(
     name: str, s: UnitScale, h: float, E: float, rho: float, toughness: float, pull: float
-) -> tuple[BrittleSolid, Cracked, np.ndarray]:
+) -> tuple[BrittleMaterial, Cracked, np.ndarray]:
     """Glass, a plate of 100 by 40 mm that is cut to its middle and pulled, and its nodes [m]."""
     law = material(name, plane(E, GLASS[name]).tensor, h, s)
-    glass = BrittleSolid(law, rho, toughness=toughness * s.length * s.stiffness)
-    x = rectangle(0.1, 0.04, h)
+    glass = BrittleMaterial(law, rho, toughness=toughness * s.length * s.stiffness)
+    x = rectangle_nodes(0.1, 0.04, h)
     rim = np.abs(x[:, 1]) > 0.02 - h
     b = pull * np.where(rim, np.sign(x[:, 1]) / h, 0.0)[:, None] * [0, 1]
     points = Points(s.length * x, np.ones(len(x), bool), s.length * h, units=s.units)
@@ -184,7 +184,7 @@ def crack_speed(name: str, s: UnitScale, cells: int) -> float:
         return float(x[damage > 0.3, 0].max(initial=0.0))
 
     told: dict[str, Any] = {"every": cells // 20, "no_fail": rim, "watch": {"tip": tip}}
-    run = move(glass, plate, step=step, steps=4 * cells, **told)
+    run = simulate(glass, plate, step=step, steps=4 * cells, **told)
     runs = (run["tip"] > 0.01) & (run["tip"] < 0.03)
     far = run["tip"].max() >= 0.03
     fast = np.polyfit(run.time[runs], run["tip"][runs] * s.length, 1)[0] if far else np.nan
@@ -211,7 +211,7 @@ def branches(name: str, s: UnitScale, cells: int = 200) -> Outcome:
     step = 0.8 * glass.longest_step(s.length * h)
     steps = int(45e6 / np.sqrt(s.stiffness) / step)
     rim = np.abs(x[:, 1]) > 0.02 - 3 * h
-    damage = move(glass, plate, step=step, steps=steps, every=steps, no_fail=rim).details.damage
+    damage = simulate(glass, plate, step=step, steps=steps, every=steps, no_fail=rim).details.damage
 
     def cracks(place: float) -> int:
         y = np.sort(x[(np.abs(x[:, 0] - place) < h) & (damage > 0.35), 1])
@@ -232,8 +232,8 @@ def hit(name: str, s: UnitScale, cells: int = 200) -> Outcome:
     nu, h = {"LPS": 0.3, "bond-based": 1 / 3}[name], 0.1 / cells
     law = material(name, plane(190e3, nu).tensor, h, s)
     law = replace(law, horizon=6 * h * s.length)
-    steel = BrittleSolid(law, 8000.0, toughness=0.02213 * s.length * s.stiffness)
-    x = rectangle(0.1, 0.2, h)
+    steel = BrittleMaterial(law, 8000.0, toughness=0.02213 * s.length * s.stiffness)
+    x = rectangle_nodes(0.1, 0.2, h)
     struck = (x[:, 0] < -0.05 + h) & (np.abs(x[:, 1]) < 0.025)
     fast = 16.5e-12 * s.length * np.sqrt(s.stiffness)  # per ps; the strain is that of metres
     v, free = struck[:, None] * np.array([fast, 0.0]), ~(struck[:, None] & [True, False])
@@ -242,7 +242,7 @@ def hit(name: str, s: UnitScale, cells: int = 200) -> Outcome:
     plate = Cracked(points, u=0 * x, cracks=notches, free=free)
     step = 0.8 * steel.longest_step(s.length * h)
     steps = int(85e6 / np.sqrt(s.stiffness) / step)
-    run = move(steel, plate, step=step, steps=steps, every=steps, v=v, grip=v, no_fail=struck)
+    run = simulate(steel, plate, step=step, steps=steps, every=steps, v=v, grip=v, no_fail=struck)
     damage, rises = run.details.damage, list[float]()
     for side in (1, -1):
         up = side * x[:, 1] - 0.025
@@ -256,26 +256,28 @@ def hit(name: str, s: UnitScale, cells: int = 200) -> Outcome:
 def torn(name: str, s: UnitScale) -> tuple[np.ndarray, np.ndarray]:
     """Displacement and shares of broken bonds of a plate that is torn, on the ranks there are."""
     law = material(name, THIRD, 1.0, s)
-    solid_, x = BrittleSolid(law, 1e3, critical_stretch=0.01), rectangle(60.0, 60.0, 1.0)
+    solid_, x = BrittleMaterial(law, 1e3, critical_stretch=0.01), rectangle_nodes(60.0, 60.0, 1.0)
     points: Any = Points(s.length * x, np.ones(len(x), bool), s.length, units=s.units)
-    points = partition(points) if launch.ranks_started() else points
+    points = partition(points) if runtime.ranks_started() else points
     step = 0.4 * solid_.longest_step(s.length)
     uneven = 1 + 0.01 * (np.rint(2 * np.abs(points.x[:, ::-1]) / s.length) % 7)
-    run = move(solid_, Cracked(points), step=step, steps=30, v=0.0005 * points.x * uneven / step)
-    if launch.ranks_started():
+    run = simulate(
+        solid_, Cracked(points), step=step, steps=30, v=0.0005 * points.x * uneven / step
+    )
+    if runtime.ranks_started():
         return gather(points, run.u), gather(points, run.details.damage)
     return run.u, run.details.damage
 
 
 def threads(name: str, s: UnitScale, *, ranks: bool = False) -> Outcome:
     """Share of numbers that differ between a plate torn on one thread, or rank, and on two."""
-    before, found = launch.threads(), list[Any]()
+    before, found = runtime.get_num_threads(), list[Any]()
     try:
         for count in (1, 2):
-            launch.set_threads(1 if ranks else count)
+            runtime.set_num_threads(1 if ranks else count)
             found.append(on_ranks(count, name, s) if ranks else torn(name, s))
     finally:
-        launch.set_threads(before)
+        runtime.set_num_threads(before)
     (one, broken), (other, _) = found
     if not 0 < broken.mean() < 1:
         raise InputError(f"threads: expected a plate that breaks, {broken.mean():.0%} of it did")
@@ -284,10 +286,10 @@ def threads(name: str, s: UnitScale, *, ranks: bool = False) -> Outcome:
 
 ON_A_RANK = """\
 import sys, numpy
-from warp_peri.mpi import is_first
+from warp_peri.mpi import is_root
 from tests.known_problems.motion import UnitScale, torn
 u, damage = torn(sys.argv[1], UnitScale(sys.argv[2], float(sys.argv[3])))
-if is_first():
+if is_root():
     numpy.savez(sys.argv[4], u=u, damage=damage)
 """
 

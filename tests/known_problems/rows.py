@@ -23,7 +23,7 @@ from tqdm import tqdm
 from tests.known_problems import cracks, motion, statics
 from tests.known_problems.statics import Outcome, UnitScale
 from warp_peri.errors import InputError
-from warp_peri.launch import set_threads
+from warp_peri.runtime import set_num_threads
 
 Line = dict[str, Any]
 SAME = 1e-6
@@ -158,7 +158,7 @@ def verified(only: Sequence[str] = (), *, scaled: bool = False, processes: int =
     """
     rows = chosen(only)
     spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, spawn, set_threads, (1,)) as pool:
+    with ProcessPoolExecutor(processes, spawn, set_num_threads, (1,)) as pool:
         numbers = [ROWS.index(one) for one in rows]
         found = pool.map(partial(_numbered, scaled=scaled), numbers)
         lines = list(tqdm(found, total=len(rows), unit="row"))

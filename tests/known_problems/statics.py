@@ -14,16 +14,16 @@ from examples.exact import compliances, plate_with_hole, roots
 from warp_peri.fe_coupling.body import BodySolution
 from warp_peri.fe_coupling.boundary_elements import Moduli
 from warp_peri.fe_coupling.lattice_interior import MARGIN
-from warp_peri.materials.crystal import tensors_of
-from warp_peri.materials.crystal_fit import fit_symbol
-from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
-from warp_peri.materials.lps import Model
-from warp_peri.materials.third_order import Smoothing, ThirdOrderCrystal
+from warp_peri.materials.crystal import crystal_from_lps
+from warp_peri.materials.crystal_fit import fit_dispersion
+from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic, HyperelasticMaterial
+from warp_peri.materials.lps import LPSMaterial
+from warp_peri.materials.third_order import Smoothing, ThirdOrderMaterial
 from warp_peri.points.mesh import make_mesh
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import LENGTHS, Units
 from warp_peri.problems import Body, Dirichlet
-from warp_peri.solvers.solution import Coupling, Direct, Krylov, Newton
+from warp_peri.solvers.solution import CG, Coupling, Direct, Newton
 from warp_peri.solving import solve
 
 FREE = np.nan
@@ -153,20 +153,22 @@ def material(name: str, C: np.ndarray, h: float, s: UnitScale) -> Any:
         def local(k: np.ndarray) -> np.ndarray:
             return np.asarray(np.einsum("ijkl,nj,nl->nik", C, k, k))
 
-        return fit_symbol(local, h, reach * h, symmetry=symmetry, tensor=C, units=s.units)
+        return fit_dispersion(local, h, reach * h, symmetry=symmetry, tensor=C, units=s.units)
     if name == LEARNED:
         how: dict[str, Any] = {"alpha": 1.0, "horizon": 4 * h, "certified_on": (h,)}
         lam, mu = s.stiffness * GRAPHENE.C12, s.stiffness * GRAPHENE.C44
-        return Model(lam, mu, D=np.array(KERNEL), units=s.units, **how)
+        return LPSMaterial(lam, mu, D=np.array(KERNEL), units=s.units, **how)
     if name == "sheet energy":
         near = ((0, 1), (1, 0), (1, 1), (1, -1))
-        terms = Dictionary(3.0, (), near, (Term("neo_hookean"), Term("volumetric")))
+        terms = Hyperelastic(3.0, (), near, (EnergyTerm("neo_hookean"), EnergyTerm("volumetric")))
         c = np.array([mu, mu, mu, mu, mu / 2, lam / 2])
-        return HyperelasticSolid(terms, c, h, units=s.units)
-    plain = Model(lam, mu, 1.0, np.ones(1), 3 * h, certified_on=(h,), units=s.units, dimension=d)
+        return HyperelasticMaterial(terms, c, h, units=s.units)
+    plain = LPSMaterial(
+        lam, mu, 1.0, np.ones(1), 3 * h, certified_on=(h,), units=s.units, dimension=d
+    )
     if name == "third order":
         own = Smoothing(2 * h, 0.2), "energy", 3 * h
-        return ThirdOrderCrystal(tensors_of(plain, h), -lam, -mu, mu, *own)
+        return ThirdOrderMaterial(crystal_from_lps(plain, h), -lam, -mu, mu, *own)
     return plain
 
 
@@ -192,8 +194,8 @@ def posed(
 
     given = {name: at(value, s.length) for name, value in held.items()}
     loads = {name: at(value, s.stiffness) for name, value in (pulled or {}).items()}
-    h, usual = (law.certified_on[0], 6) if isinstance(law, Model) else (law.spacing, 4)
-    reach, coarse = (2 if isinstance(law, Model) else 1) * law.horizon, level / LEVELS[0]
+    h, usual = (law.certified_on[0], 6) if isinstance(law, LPSMaterial) else (law.spacing, 4)
+    reach, coarse = (2 if isinstance(law, LPSMaterial) else 1) * law.horizon, level / LEVELS[0]
     deep = (reach + MARGIN * h) * coarse if law.dimension == 2 else None  # room is dear in space
     coupling = Coupling(spacing=h, overlap=(wide or usual) * h * coarse, depth=deep, tolerance=1e-9)
     found: BodySolution = solve(law, Body(mesh, given, loads, coupling=coupling)).details
@@ -311,7 +313,7 @@ def patch(name: str, s: UnitScale, **how: Any) -> Outcome:
     d = how.get("d", 2)
     n, C = {2: (9, THIRD), 3: (5, solid(1.0, 0.25))}[d]
     points, law = sheet(n, s, **how), material(name, C, 1 / n, s)
-    solver: Any = Direct() if type(law) is Model else Krylov(tolerance=1e-13)
+    solver: Any = Direct() if type(law) is LPSMaterial else CG(tolerance=1e-13)
     solver = {"third order": Newton(tolerance=1e-13), "sheet energy": None}.get(name, solver)
     solver = solver if points.spacing else None
     return Outcome(given(law, points, uniform, np.zeros_like, s, solver))

@@ -9,9 +9,9 @@ import scipy.sparse as sp
 from tests.support import reference
 from tests.support.problems import GRADIENT, KERNELS, difference, ell, kernel, lattice, periodic
 from tests.support.symbols import form, smallest, smallest_margins, symbol
-from warp_peri import InputError, Model, certify
+from warp_peri import InputError, LPSMaterial, certify
 from warp_peri.core.stencil import ratios
-from warp_peri.fitting.settings import CONDITIONS, Conditions, Optimum
+from warp_peri.fitting.settings import CONDITIONS, GaussNewton, StabilityConditions
 from warp_peri.materials.lps import stiffnesses
 from warp_peri.materials.lps_law import LPSFound, LPSLaw
 from warp_peri.materials.lps_matrices import matrices
@@ -45,7 +45,7 @@ def test_planted_violations_are_reported():
     assert found.symbol_min < -0.03
     assert found.symbol_bound == 0
     assert found.statement == "Nothing is proven on the lattice of spacing 1 Å."
-    model = Model(-0.6, 0.8, 1.0, [-0.54, 0.63, -0.08, -0.12, 0.18, -0.12], horizon=3.0)
+    model = LPSMaterial(-0.6, 0.8, 1.0, [-0.54, 0.63, -0.08, -0.12, 0.18, -0.12], horizon=3.0)
     assert certify(replace(model, lam=0.8), spacing=1.0).holds
     found = certify(model, spacing=1.0, points=lattice(4, 3.0))
     assert found.gamma_min > 0 > found.symbol_min
@@ -130,7 +130,7 @@ def test_smallest_eigenvalue_is_at_least_the_proven_share_of_the_laplacians(seed
     random, found = np.random.default_rng(seed), None
     while not (found and found.holds and model.influence(np.linspace(1, 3, 20)).min() < 0):  # noqa: F821
         mu, D = random.uniform(0.3, 1.0), random.normal(0.3, 0.6, size=5)
-        model = Model(random.uniform(-0.9 * mu, 3 * mu), mu, random.uniform(-1, 2.9), D, 3.0)
+        model = LPSMaterial(random.uniform(-0.9 * mu, 3 * mu), mu, random.uniform(-1, 2.9), D, 3.0)
         found = certify(model, spacing=1.0)
     domain = np.ones(random.integers(4, 9, 2), bool)
     i, j = (int(random.integers(1, n - 1)) for n in domain.shape)
@@ -159,8 +159,8 @@ def printed(v, kappa, mu, k):
 @every_kind
 def test_derivatives_of_the_numbers(name, kind):
     start = LPSFound(kernel(name, 3.0, lam=0.1).solid)
-    method = Optimum("isotropic", smoothness=1e-3)
-    law = LPSLaw([CLASSES], start, Conditions(kind, 0.02), method)
+    method = GaussNewton("isotropic", smoothness=1e-3)
+    law = LPSLaw([CLASSES], start, StabilityConditions(kind, 0.02), method)
     y = law.start(start)
     at = law(y)
 
@@ -177,7 +177,7 @@ def test_derivatives_of_the_numbers(name, kind):
 @every_kernel
 @every_kind
 def test_the_conditions_are_the_printed_ones_and_the_search_finds_the_softest(name, kind):
-    model, conditions = kernel(name, 3.0, lam=0.7), Conditions(kind, 0.02)
+    model, conditions = kernel(name, 3.0, lam=0.7), StabilityConditions(kind, 0.02)
     v, kappa = stiffnesses(model, CLASSES)
     k = np.random.default_rng(2).uniform(-np.pi, np.pi, (7, 2))
     bonds, (i, j) = product_basis(CLASSES), class_pairs(len(v))

@@ -25,13 +25,13 @@ from tests.support.problems import (
 )  # fmt: skip
 from tests.support.symbols import symbol
 from warp_peri import InputError, Points
-from warp_peri.launch import set_threads, threads
 from warp_peri.materials.lps import lps_stencil, moduli
 from warp_peri.materials.lps_bonds import Bonds
 from warp_peri.materials.lps_force import lps_force
 from warp_peri.materials.lps_matrices import matrices
-from warp_peri.methods import Solid
+from warp_peri.methods import LPSParameters
 from warp_peri.points.families import bond_classes, families_of
+from warp_peri.runtime import get_num_threads, set_num_threads
 
 pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")
 HORIZON = 3.0
@@ -93,7 +93,7 @@ class Problem:
         self.leaves = {part: np.atleast_1d(leaf).astype(float) for part, leaf in values.items()}
 
     def scalar(self, *leaves):
-        Lu = lps_force(self.bonds, leaves[0], Solid(*leaves[1:]))
+        Lu = lps_force(self.bonds, leaves[0], LPSParameters(*leaves[1:]))
         return (torch.as_tensor(self.seed, dtype=self.dtype) * Lu).sum() + (Lu**2).sum() / 100
 
     def gathered(self):
@@ -101,7 +101,7 @@ class Problem:
         leaves = self.leaves.values()
         given = [torch.tensor(v, dtype=self.dtype, requires_grad=True) for v in leaves]
         with torch.no_grad():
-            force = lps_force(self.bonds, given[0], Solid(*given[1:]))
+            force = lps_force(self.bonds, given[0], LPSParameters(*given[1:]))
         gradients = torch.autograd.grad(self.scalar(*given), given)
         return {p: by.numpy() for p, by in zip(self.leaves, gradients)} | {"force": force.numpy()}
 
@@ -257,19 +257,23 @@ def test_nodes_in_no_order_or_far_apart_or_beside_a_crack_stay_in_their_lists():
 
 @pytest.mark.parametrize("kind", ["periodic lattice", "periodic cloud", "cut lattice"])
 def test_threads_change_no_bit(kind, monkeypatch):
-    monkeypatch.setattr("warp_peri.launch.SLICE", 3)
-    problem, before, results = Problem("sign-changing", KINDS[kind](), samples=3), threads(), []
+    monkeypatch.setattr("warp_peri.runtime.SLICE", 3)
+    problem, before, results = (
+        Problem("sign-changing", KINDS[kind](), samples=3),
+        get_num_threads(),
+        [],
+    )
     try:
         for count in (1, 2, 3, 7):
-            set_threads(count)
+            set_num_threads(count)
             results.append(problem.gathered())
     finally:
-        set_threads(before)
+        set_num_threads(before)
     for other in results[1:]:
         assert all(np.array_equal(results[0][part], other[part]) for part in other)
     for count in (0, -1, 1.5, True, "2"):
         with pytest.raises(InputError, match="threads: expected a whole number"):
-            set_threads(count)
+            set_num_threads(count)
 
 
 @pytest.mark.parametrize("make", [lattice, cloud])
@@ -279,7 +283,7 @@ def test_bond_based_forces_need_half_the_collar_and_no_dilatation(make):
     numbers = [one.double() for one in numbers]
     given = [one.requires_grad_() for one in (u, *numbers[2:])]
     both = [Bonds(points, HORIZON, bond_based=True), Bonds(points, HORIZON)]
-    Lu, whole = (lps_force(bonds, u, Solid(*numbers)) for bonds in both)
+    Lu, whole = (lps_force(bonds, u, LPSParameters(*numbers)) for bonds in both)
     torch.testing.assert_close(Lu, whole, rtol=0, atol=1e-12)
     pairs = zip(*(torch.autograd.grad((one**3).sum(), given) for one in (Lu, whole)))
     for gradient, expected in pairs:
@@ -287,7 +291,7 @@ def test_bond_based_forces_need_half_the_collar_and_no_dilatation(make):
     asked = torch.tensor(0.7, requires_grad=True)
     for pair in ((asked, 0.7), (0.7, asked), (0.1, 0.7)):
         with pytest.raises(InputError, match="lambda, mu: expected equal values without a gr"):
-            lps_force(both[0], u.detach(), Solid(*pair, 1.3, [1.0]))
+            lps_force(both[0], u.detach(), LPSParameters(*pair, 1.3, [1.0]))
     near = make(3, HORIZON / (2 if make is lattice else 3))
     with pytest.raises(InputError, match="out to twice the horizon"):
         Bonds(near, HORIZON)
@@ -324,12 +328,12 @@ def test_on_a_tape_of_the_user(name):
     out = wp.zeros((2, len(seed[0])), dtype=wp.vec2d, requires_grad=True)
     loss, weight = wp.zeros(1, dtype=wp.float64, requires_grad=True), wp.array(seed, dtype=wp.vec2d)
     with wp.Tape() as tape:
-        operator.launch(field, out, Solid(*numbers))
+        operator.launch(field, out, LPSParameters(*numbers))
         wp.launch(squared, out.shape, inputs=[out, weight], outputs=[loss])
     tape.backward(loss)
     leaves = [torch.tensor(u, requires_grad=True)]
     leaves += [torch.tensor(one.numpy(), requires_grad=True) for one in numbers]
-    Lu = lps_force(operator.bonds, leaves[0], Solid(*leaves[1:]))
+    Lu = lps_force(operator.bonds, leaves[0], LPSParameters(*leaves[1:]))
     value = ((torch.from_numpy(seed) + 0.3 * Lu) * Lu).sum()
     assert float(loss.numpy()[0]) == pytest.approx(float(value.detach()), rel=1e-14)
     for array, expected in zip([field, *numbers], torch.autograd.grad(value, leaves)):
@@ -354,7 +358,7 @@ def test_what_a_launch_refuses():
             operator.launch(wrong, out)
     longer = wp.zeros(len(model.D) + 1, dtype=wp.float64)
     with pytest.raises(InputError, match="D: expected .* numbers, as the model has"):
-        operator.launch(field, out, Solid(*numbers[:3], longer))
+        operator.launch(field, out, LPSParameters(*numbers[:3], longer))
 
 
 def test_no_table_is_stale_and_a_bond_may_have_no_influence():

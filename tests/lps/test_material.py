@@ -21,13 +21,13 @@ from tests.support.problems import (
 )
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, every_shape, solid
 from tests.support.solving import solve, solve_periodic
-from warp_peri import InputError, Model, certify, load
+from warp_peri import InputError, LPSMaterial, certify, load
+from warp_peri.influence import InfluenceFunction
 from warp_peri.materials.influence import gaussian, table
 from warp_peri.materials.lps import bernstein_basis, long_wave_moduli, stiffnesses
 from warp_peri.materials.lps_law import ShapeKernel
 from warp_peri.materials.lps_matrices import matrices, node_fields
 from warp_peri.points.families import bond_classes
-from warp_peri.shapes import InfluenceFunction
 
 MODEL = replace(
     kernel("sign-changing", 20.0, spacing=5.0),
@@ -45,7 +45,7 @@ def test_influence_is_the_bernstein_sum(name):
 
 
 def test_continuum_constants_are_those_of_plane_stress_and_of_space():
-    model, deep = Model(0.4, 0.8, 1.0, [1.0], 3.0), cubes.solid(2.5)
+    model, deep = LPSMaterial(0.4, 0.8, 1.0, [1.0], 3.0), cubes.solid(2.5)
     assert model.E / (2 * (1 + model.nu)) == pytest.approx(0.8)  # μ
     assert model.E * model.nu / (1 - model.nu**2) == pytest.approx(0.4)  # λ in the plane
     bulk = deep.lam + 2 * deep.mu / 3
@@ -74,7 +74,7 @@ def test_continuum_constants_are_those_of_plane_stress_and_of_space():
 def test_numbers_out_of_range_are_refused(change, words):
     given = {"lam": 0.3, "mu": 0.8, "alpha": 1.0, "D": [1.0], "horizon": 3.0}
     with pytest.raises(InputError, match=words):
-        Model(**given | change)
+        LPSMaterial(**given | change)
 
 
 @pytest.mark.parametrize(
@@ -107,7 +107,7 @@ def wild():
     r = bond_classes(5.0, 12.5).r
     unseen = scipy.linalg.null_space(bernstein_basis(r, 12.5, 10))
     D = np.ones(11) + 1e6 * unseen.sum(axis=1)
-    return Model(0.3, 0.8, 1.0, D, 12.5, certified_on=(5.0,))
+    return LPSMaterial(0.3, 0.8, 1.0, D, 12.5, certified_on=(5.0,))
 
 
 def points_of(factor):

@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.cubes import cube
 from tools.rivals import BULK, SHEAR, SIZE, PeriLps
-from warp_peri import Model
+from warp_peri import LPSMaterial
 from warp_peri.atoms.calculators import LammpsError, lammps_class
 from warp_peri.materials.lps import moduli
 from warp_peri.materials.lps_bonds import Bonds
@@ -15,7 +15,7 @@ from warp_peri.materials.lps_matrices import assemble
 from warp_peri.points.families import bond_classes
 
 HORIZON = 2.0
-SOLID = Model(BULK - 2 * SHEAR / 3, SHEAR, 1.0, np.ones(1), horizon=HORIZON, dimension=3)
+SOLID = LPSMaterial(BULK - 2 * SHEAR / 3, SHEAR, 1.0, np.ones(1), horizon=HORIZON, dimension=3)
 """With LAMMPS's influence function 1/r."""
 
 

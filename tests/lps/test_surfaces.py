@@ -9,7 +9,7 @@ from tests.support import cubes
 from tests.support.clouds import cloud, plain
 from tests.support.problems import ell, fitted_order, kernel, lattice, noise
 from tests.support.solving import solve
-from warp_peri import InputError, Model, certify
+from warp_peri import InputError, LPSMaterial, certify
 from warp_peri.materials.lps_matrices import matrices
 from warp_peri.points.families import families_of
 
@@ -95,7 +95,7 @@ def test_a_cut_operator_that_is_not_definite_is_refused_or_named():
     fields = 0 * points.x, np.where(outside[:, None], 0, points.x @ GRADIENT.T)
     solve(kernel("1/r", HORIZON), points, *fields)
     D = [-0.5, -0.8, 0.9, 0.1, 0.5]
-    model = Model(-0.3, 0.8, 1.0, D, HORIZON, certified_on=(1.0,))
+    model = LPSMaterial(-0.3, 0.8, 1.0, D, HORIZON, certified_on=(1.0,))
     assert certify(model, spacing=1.0).holds
     message = r"smallest eigenvalue of its symmetric part is -0.068"
     with pytest.raises(InputError, match=message):

@@ -5,8 +5,8 @@ import pytest
 
 from tests.support.problems import GRADIENT, difference
 from warp_peri.fitting.regression import Settled
-from warp_peri.fitting.settings import Conditions, Optimum
-from warp_peri.materials.lps import Solid, bernstein_basis
+from warp_peri.fitting.settings import GaussNewton, StabilityConditions
+from warp_peri.materials.lps import LPSParameters, bernstein_basis
 from warp_peri.materials.lps_law import BernsteinKernel, LPSFound, LPSLaw
 from warp_peri.points.families import bond_classes
 
@@ -24,12 +24,12 @@ every_case = pytest.mark.parametrize(("lattices", "degree"), CASES.values(), ids
 
 def some(degree, seed=0):
     D = np.random.default_rng(seed).uniform(0.3, 1, degree + 1)
-    return LPSFound(Solid(0.2, 0.7, 1.4, D))
+    return LPSFound(LPSParameters(0.2, 0.7, 1.4, D))
 
 
 def law_of(lattices, given):
-    method = Optimum(moduli=None, smoothness=1e-3)
-    return LPSLaw(lattices, given, Conditions(zeta=0.01), method)
+    method = GaussNewton(moduli=None, smoothness=1e-3)
+    return LPSLaw(lattices, given, StabilityConditions(zeta=0.01), method)
 
 
 def back(law, theta):
@@ -103,7 +103,7 @@ def test_the_exponent_is_free_where_coefficients_do_not_reach_every_length(latti
 
 def test_coefficients_that_no_bond_sees_are_smooth():
     """Of a straight line through the bond lengths, degree 9 makes a straight line."""
-    line = LPSFound(Solid(0.2, 0.7, 1.4, np.linspace(0.2, 1.4, 10)))
+    line = LPSFound(LPSParameters(0.2, 0.7, 1.4, np.linspace(0.2, 1.4, 10)))
     law = law_of(ONE, line)
     D = back(law, law.start(line)).D
     np.testing.assert_allclose(np.diff(D, n=2), 0, atol=1e-7 * np.abs(D).max())

@@ -21,11 +21,11 @@ import torch
 
 import warp_peri as wp
 from tests.support.nonlinear import solid as third_order
+from warp_peri.certificates import prove_uniqueness
 from warp_peri.core import proof
-from warp_peri.damage import BrittleSolid, Cracked, box, rectangle
+from warp_peri.fracture import BrittleMaterial, Cracked, box_nodes, rectangle_nodes
 from warp_peri.mpi import gather, lattice, partition, together
 from warp_peri.mpi.processes import total, world
-from warp_peri.proofs import uniqueness
 
 H = 0.5
 
@@ -51,7 +51,7 @@ def uneven():
 def solid(dimension):
     """A positive kernel, λ ≠ μ."""
     D = np.array([1.0, 0.6, 0.3])
-    return wp.Model(0.9, 0.4, 1.0, D, horizon=(2.5 if dimension == 2 else 2) * H,
+    return wp.LPSMaterial(0.9, 0.4, 1.0, D, horizon=(2.5 if dimension == 2 else 2) * H,
                     certified_on=(H,), dimension=dimension)  # fmt: skip
 
 
@@ -90,9 +90,9 @@ def proofs():
     proof._symbol_slopes = lambda *given: seen.append(len(given[-1])) or looked(*given)
     try:
         with together():
-            own = wp.proofs.certify(solid(2), spacing=H).symbol_bound
-            bent = uniqueness(nonlinear(), spacing=H).strain
-            crystal = wp.micromodulus.tensors_of(solid(3), H).certificate
+            own = wp.certificates.certify(solid(2), spacing=H).symbol_bound
+            bent = prove_uniqueness(nonlinear(), spacing=H).strain
+            crystal = wp.crystals.crystal_from_lps(solid(3), H).certificate
     finally:
         proof._symbol_slopes = looked
     return [own, bent, crystal.proven, crystal.sampled, crystal.cells], sum(seen)
@@ -115,11 +115,11 @@ def going_on(points, folder, share):
     """Solves that go on from what is kept, to a share of the digits that a fresh one has."""
     found = {}
     law, tolerance, path = solid(2), 10.0 ** (-10 / share), folder / "Model.h5"
-    solver, problem = wp.Krylov(tolerance=tolerance), wp.Dirichlet(points, *small(points.x))
+    solver, problem = wp.CG(tolerance=tolerance), wp.Dirichlet(points, *small(points.x))
     solution = wp.solve(law, problem, solver=solver, checkpoint=path)
     u, fresh = points.gather(solution.u), wp.solve(law, problem, solver=solver)
     far = np.abs(u - points.gather(fresh.u)).max() / np.abs(u).max()
-    found["Model"] = {"far": far, "residual": solution.residual, "tolerance": tolerance,
+    found["LPSMaterial"] = {"far": far, "residual": solution.residual, "tolerance": tolerance,
                       "took": [solution.iterations[0], fresh.iterations[0]]}  # fmt: skip
     other = wp.Dirichlet(points, *fields(points.x))
     found["other"] = told_by(lambda: wp.solve(solid(2), other, checkpoint=path))
@@ -138,7 +138,7 @@ def unfit(checkpoint):
     """Of what no number of processes may take, what each is told; None where it is solved."""
     x = H * np.argwhere(np.ones((52, 52)))
     away = np.abs(x - 8)
-    law, turned = solid(2), wp.micromodulus.tensors_of(solid(2), H)
+    law, turned = solid(2), wp.crystals.crystal_from_lps(solid(2), H)
     near = fields(x)
     wild = np.where(np.arange(len(x))[:, None], near[1], np.nan)
     whole = np.ones(len(x), bool)
@@ -161,7 +161,7 @@ def unfit(checkpoint):
         points = partition(wp.Points(x[there], inside(x[there]), H, axis=axis))
         mine = points.number if hasattr(points, "number") else slice(None)
         problem = wp.Dirichlet(points, b[there][mine], u[there][mine])
-        at = {"solver": wp.Krylov(tolerance=1e-17)} if name == "tolerance" else {}
+        at = {"solver": wp.CG(tolerance=1e-17)} if name == "tolerance" else {}
         kept_at = {"checkpoint": checkpoint} if at and hasattr(points, "number") else {}
         wp.solve(material, problem, **at, **kept_at)
 
@@ -171,7 +171,7 @@ def unfit(checkpoint):
 def transferred():
     """A solid on a lattice other than its own, and which material has no rows on ranks."""
     points = partition(wp.Points(x := H * np.argwhere(np.ones((52, 52))), inside(x), H))
-    law = wp.Model(0.9, 0.4, 1.0, np.ones(1), horizon=1.5, certified_on=(0.6,))
+    law = wp.LPSMaterial(0.9, 0.4, 1.0, np.ones(1), horizon=1.5, certified_on=(0.6,))
     return gather(points, wp.solve(law, wp.Dirichlet(points, *fields(points.x))).u)
 
 
@@ -179,9 +179,9 @@ def waves(points, folder):
     """A solid that swings: 15 steps, or 25 of which others have taken some."""
     b, u = fields(points.x)
     d = points.dimension
-    law = solid(2) if d == 2 else wp.micromodulus.tensors_of(solid(3), H)
+    law = solid(2) if d == 2 else wp.crystals.crystal_from_lps(solid(3), H)
     problem, last = wp.Dirichlet(points, b, u), 15 if points.comm.size == 2 else 25
-    motion = wp.move(
+    motion = wp.simulate(
         law, problem, **SWING, v=u[:, ::-1], steps=last,
         checkpoint=folder / f"waves_{d}.h5", checkpoint_every=2, series=folder / f"waves_{d}",
     )  # fmt: skip
@@ -201,7 +201,7 @@ def rest(folder):
         points = lattice(shape, H, inside, block=TILE[len(shape)])
         b, u = fields(points.x)
         tolerance = 1e-10 if len(shape) == 2 else 1e-8
-        solver = wp.Krylov(tolerance=tolerance)
+        solver = wp.CG(tolerance=tolerance)
         solution = wp.solve(solid(len(shape)), wp.Dirichlet(points, b, u), solver=solver)
         left = points.gather(np.abs(solution.operator(solution.u) - solution.load).max(initial=0)
                              * np.ones(len(points.x)))  # fmt: skip
@@ -215,13 +215,15 @@ def rest(folder):
     found["grid"] = points.tiles.grid
     found["unfit"] = unfit(folder / "unfit.h5")
     found["door"] = at_the_door() if comm.size > 1 else {}
-    kept(folder, "transferred", SimpleNamespace(comm=comm, gather=np.asarray), transferred())
+    kept(
+        folder, "transfer_to_lattice", SimpleNamespace(comm=comm, gather=np.asarray), transferred()
+    )
     full = lattice((52, 52), H, lambda x: x[:, 0] >= 0)
     everywhere = H * np.argwhere(np.ones((52, 52)))
     found["refused"] = [told_by(wrong) for wrong in (
         lambda: solid(3).on(points)(u),
         lambda: wp.solve(solid(2), wp.Dirichlet(full, *fields(full.x))),
-        lambda: wp.move(
+        lambda: wp.simulate(
             solid(2), wp.Dirichlet(sheet, *fields(sheet.x)), **SWING | {"step": 1.0}, steps=1
         ),
         lambda: lattice((52, 52), H, lambda x: x[:, 0] < 0),
@@ -229,7 +231,7 @@ def rest(folder):
         lambda: wp.solve(solid(2), wp.Dirichlet(sheet, *map(torch.tensor, fields(sheet.x))),
                          parameters={"mu": torch.tensor(0.4, requires_grad=True)}),
         lambda: partition(wp.Points(everywhere, inside(everywhere), 0.0)),
-        lambda: wp.move(BrittleSolid(solid(2), 2500.0, toughness=1.0),
+        lambda: wp.simulate(BrittleMaterial(solid(2), 2500.0, toughness=1.0),
                         wp.Cracked(sheet, pressure=np.eye(2)), step=0.1, steps=1),
         lambda: lattice((8, 52), H, inside, block=8) if comm.size > 1 else partition(1, by="hue"),
     )]  # fmt: skip
@@ -240,21 +242,21 @@ def at_the_door():
     """What is said where rank 1 was given something else than the others, by what it was."""
     one = int(world().rank == 1)
     x = H * np.argwhere(np.ones((52, 52)))
-    sheet, plate = partition(wp.Points(x, inside(x), H)), rectangle(20.0, 20.0, 1.0)
+    sheet, plate = partition(wp.Points(x, inside(x), H)), rectangle_nodes(20.0, 20.0, 1.0)
     plate = partition(wp.Points(plate, np.ones(len(plate), bool), 1.0))
     b, u = fields(sheet.x)
     law = replace(solid(2), mu=0.4 + 1e-9 * one)
 
     def moved(material=None, problem=None, **options):
         problem = problem or wp.Dirichlet(sheet, b, u)
-        wp.move(material or solid(2), problem, **SWING | {"steps": 4} | options)
+        wp.simulate(material or solid(2), problem, **SWING | {"steps": 4} | options)
 
     def broken(at=-5.0, toughness=1e-4, watched=1.0, **options):
-        glass = BrittleSolid(replace(solid(2), horizon=2.5, certified_on=()), 2500.0, toughness)
+        glass = BrittleMaterial(replace(solid(2), horizon=2.5, certified_on=()), 2500.0, toughness)
         body = Cracked(plate, cracks=[[(-10.5, 0.0), (at, 0.0)]])
         watch = {"some": lambda phi: watched * phi.max()}
         given = {"step": 0.5 * glass.longest_step(1.0), "steps": 4, "watch": watch}
-        wp.move(glass, body, **given | options)
+        wp.simulate(glass, body, **given | options)
 
     cases = {
         "material": [lambda: wp.solve(law, wp.Dirichlet(sheet, b, u)), partial(moved, law),
@@ -266,7 +268,7 @@ def at_the_door():
         "steps": [partial(moved, steps=4 + one), partial(broken, steps=4 + one)],
         "signal": [partial(moved, signal=np.arange(5.0 + one)[:5] + one)],
         "solver": [lambda: wp.solve(solid(2), wp.Dirichlet(sheet, b, u),
-                                    solver=wp.Krylov(tolerance=1e-8 / (1 + one)))],
+                                    solver=wp.CG(tolerance=1e-8 / (1 + one)))],
         "cracks": [partial(broken, at=-5.0 + one)],
         "watch": [partial(broken, watched=1.0 + one)],
         "points": [lambda: partition(wp.Points(x + one, inside(x), H))],
@@ -277,11 +279,11 @@ def at_the_door():
 
 def crack(folder, by="rows", steps="60", pause="0"):
     """A notched plate that is pulled at its ends."""
-    x = rectangle(40.0, 20.0, 1.0)
+    x = rectangle_nodes(40.0, 20.0, 1.0)
     points = partition(wp.Points(x, np.ones(len(x), bool), 1.0, units=("mm", "GPa")), by)
     x = points.x
-    glass = BrittleSolid(
-        wp.Model(0.3, 0.4, 1.0, np.ones(1), horizon=2.5, units=("mm", "GPa")),
+    glass = BrittleMaterial(
+        wp.LPSMaterial(0.3, 0.4, 1.0, np.ones(1), horizon=2.5, units=("mm", "GPa")),
         2500.0,
         toughness=1e-4,
     )
@@ -289,7 +291,7 @@ def crack(folder, by="rows", steps="60", pause="0"):
     os.environ["PAUSE"] = pause  # no part of what a checkpoint knows a run by
     if pause != "0":
         print("pids", *points.comm.allgather(os.getpid()), flush=True)
-    motion = wp.move(
+    motion = wp.simulate(
         glass,
         Cracked(points, np.where(ends[:, None], np.sign(x) * (0.0, 0.01), 0.0),
                 cracks=[[(-20.5, 0.0), (-5.0, 0.0)]]),
@@ -317,25 +319,27 @@ def crack(folder, by="rows", steps="60", pause="0"):
 
 def corrected(by="rows"):
     """A notched plate that breaks, its missing bonds made up for."""
-    x = rectangle(40.0, 20.0, 1.0)
+    x = rectangle_nodes(40.0, 20.0, 1.0)
     points = partition(wp.Points(x, np.ones(len(x), bool), 1.0), by)
-    glass = BrittleSolid(wp.Model(0.3, 0.3, 1.0, np.ones(1), horizon=3.0), 2500.0, toughness=1e-4)
+    glass = BrittleMaterial(
+        wp.LPSMaterial(0.3, 0.3, 1.0, np.ones(1), horizon=3.0), 2500.0, toughness=1e-4
+    )
     pull = np.where(np.abs(points.x[:, 1:]) > 9, np.sign(points.x) * (0.0, 0.01), 0.0)
     plate = Cracked(points, pull, cracks=[[(-20.5, 0.0), (-5.0, 0.0)]], corrected=True)
-    motion = wp.move(glass, plate, step=0.5 * glass.longest_step(1.0), steps=60)
+    motion = wp.simulate(glass, plate, step=0.5 * glass.longest_step(1.0), steps=60)
     return [digest(gather(points, one)) for one in (motion.u, motion.details.damage)]
 
 
 def block(by="rows"):
     """A notched block in space."""
-    x = box((20.0, 10.0, 8.0), 1.0)
+    x = box_nodes((20.0, 10.0, 8.0), 1.0)
     points = partition(wp.Points(x, np.ones(len(x), bool), 1.0), by)
     x = points.x
-    model = wp.Model(0.3, 0.4, 1.0, np.ones(1), horizon=2.0, dimension=3)
-    rock = BrittleSolid(model, 2500.0, toughness=1e-4)
+    model = wp.LPSMaterial(0.3, 0.4, 1.0, np.ones(1), horizon=2.0, dimension=3)
+    rock = BrittleMaterial(model, 2500.0, toughness=1e-4)
     pull = np.where(np.abs(x[:, 1:2]) > 4, np.sign(x) * (0.0, 0.02, 0.0), 0.0)
     notch = [(-11.0, 0.0, -5.0), (-4.0, 0.0, -5.0), (-4.0, 0.0, 5.0), (-11.0, 0.0, 5.0)]
-    motion = wp.move(
+    motion = wp.simulate(
         rock, Cracked(points, pull, cracks=[notch]), step=0.5 * rock.longest_step(1.0), steps=40,
         no_fail=np.abs(x[:, 1]) > 3,
     )  # fmt: skip

@@ -128,8 +128,8 @@ def test_a_body_at_rest_has_the_same_bits_and_those_of_one_process_nearly(dimens
     b, u = fields(x)
     points, law = wp.Points(x, inside(x), H), solid(dimension)
     if dimension == 3:
-        law = wp.micromodulus.tensors_of(law, H)
-    alone = wp.solve(law, wp.Dirichlet(points, b, u), solver=wp.Krylov(tolerance=tolerance)
+        law = wp.crystals.crystal_from_lps(law, H)
+    alone = wp.solve(law, wp.Dirichlet(points, b, u), solver=wp.CG(tolerance=tolerance)
                      if dimension == 2 else None)  # fmt: skip
     answer = np.load(folder / f"{dimension}-D_2.npy")
     assert np.abs(answer - alone.u).max() <= 10 * tolerance * np.abs(alone.u).max()
@@ -142,11 +142,11 @@ def test_waves_go_on_with_another_number_of_ranks_with_the_same_bits(dimension, 
     assert one["drift"] < 1e-12
     x = H * np.argwhere(np.ones((52,) * 2 if dimension == 2 else (25,) * 3))
     (b, u), points = fields(x), wp.Points(x, inside(x), H)
-    law = solid(2) if dimension == 2 else wp.micromodulus.tensors_of(solid(3), H)
+    law = solid(2) if dimension == 2 else wp.crystals.crystal_from_lps(solid(3), H)
     problem = wp.Dirichlet(points, b, u)
     for count in sorted(jobs, key=(2).__ne__):
         steps = 15 if count == 2 else 25
-        alone = wp.move(law, problem, **SWING, v=u[:, ::-1], steps=steps)
+        alone = wp.simulate(law, problem, **SWING, v=u[:, ::-1], steps=steps)
         end = np.concatenate([alone.u, alone.v], axis=1)
         place = folder / ("." if count == 2 else str(count)) / f"waves_{dimension}_{count}.npy"
         np.testing.assert_allclose(np.load(place), end, rtol=0, atol=1e-11 * np.abs(end).max())
@@ -172,7 +172,7 @@ def test_nodes_and_fields_are_read_from_a_file_by_whom_they_belong_to(jobs):
 
 def test_a_solve_goes_on_with_another_number_of_ranks_to_the_same_answer(jobs):
     for count, job in jobs.items():
-        kept = job["kept"]["Model"]
+        kept = job["kept"]["LPSMaterial"]
         assert kept["residual"] <= kept["tolerance"]
         assert kept["far"] < 10 * kept["tolerance"]
         took, fresh = kept["took"]
@@ -186,7 +186,7 @@ def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
     assert edge.startswith("points: expected all bonds of every interior node, got 768 of 2704")
     assert long.startswith("step: expected at most 0.0025")
     assert none == "interior: expected at least one interior node, got none"
-    assert bends.endswith("a linear solid or a crystal on ranks, got ThirdOrderCrystal")
+    assert bends.endswith("a linear solid or a crystal on ranks, got ThirdOrderMaterial")
     assert learns.startswith("solve: expected tensors without a gradient")
     assert cloud.startswith("points: expected a lattice")
     assert "no pressure, on ranks" in pressed

@@ -17,8 +17,8 @@ from warp_peri.core.record import content_hash
 from warp_peri.errors import InputError
 from warp_peri.neural import training
 from warp_peri.neural.material import NeuralOperator, save
-from warp_peri.neural.placed import NeuralEquilibrium, evaluate, interpolated_force, matrix
-from warp_peri.neural.training import Training, train
+from warp_peri.neural.placed import EquilibriumSolver, evaluate, interpolated_force, matrix
+from warp_peri.neural.training import TrainingSettings, train
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.solvers.equilibria import Equilibria
@@ -131,7 +131,7 @@ def test_products_with_the_tangent(form):
     points = lattice(3, HORIZON)
     placed = small(form).on(points)
     u, v = (random_field(points, seed=n) for n in (0, 1))
-    product = placed.product(u, v)
+    product = placed.jvp(u, v)
     expected = (placed(u + 1e-5 * v) - placed(u - 1e-5 * v)) / 2e-5
     np.testing.assert_allclose(product, expected, atol=1e-7 * abs(expected).max())
     tangent = placed.tangent(torch.tensor(u))
@@ -262,20 +262,17 @@ def test_points_and_fields_that_are_refused():
     cube = Points(np.argwhere(np.ones((3, 3, 3))).astype(float), np.ones(27, bool), 1.0)
     for call, words in (
         (lambda: placed(np.zeros((4, 2))), "shape"),
-        (lambda: placed.product(u, u[None, :4]), "v: expected shape"),
+        (lambda: placed.jvp(u, u[None, :4]), "v: expected shape"),
         (lambda: placed(u[None][:0]), "at least one sample"),
-        (
-            lambda: placed.product(torch.tensor(u), torch.tensor(u).float()),
-            "expected torch.float64",
-        ),
-        (lambda: placed.product(u[None], u), "u: expected shape"),
+        (lambda: placed.jvp(torch.tensor(u), torch.tensor(u).float()), "expected torch.float64"),
+        (lambda: placed.jvp(u[None], u), "u: expected shape"),
         (lambda: small().on(replace(points, spacing=0.0)), "lattice"),
         (lambda: wp.solve(small(), wp.Body(None, {})), "a linear material for a Body"),
         (lambda: small().on(cube), "expected a plane, got 3 dimensions"),
         (lambda: small().on(Points(points.x, everywhere, 1.0)), "complete families"),
-        (lambda: NeuralEquilibrium(placed).solve(np.zeros(3), u), "b: expected shape"),
-        (lambda: placed.rest(np.stack([u, u]), u), "expected shape"),
-        (lambda: placed.rest(u, np.nan * u), "expected finite"),
+        (lambda: EquilibriumSolver(placed).solve(np.zeros(3), u), "b: expected shape"),
+        (lambda: placed.solve(np.stack([u, u]), u), "expected shape"),
+        (lambda: placed.solve(u, np.nan * u), "expected finite"),
     ):
         with pytest.raises(InputError, match=words):
             call()
@@ -296,7 +293,7 @@ def test_newton_and_conjugate_gradients_meet_under_a_load():
     wanted, b = u.copy(), np.zeros_like(u)
     wanted[rows] = 0.02 * np.random.default_rng(2).normal(size=(16, 2))
     b[rows] = placed(wanted)
-    found = NeuralEquilibrium(placed).from_rest(b, u, tolerance=1e-12)
+    found = EquilibriumSolver(placed).solve_by_continuation(b, u, tolerance=1e-12)
     assert found.converged
     assert found.steps < 25
     np.testing.assert_allclose(found.u, wanted, atol=1e-9)
@@ -314,10 +311,10 @@ def test_newton_and_conjugate_gradients_meet_under_a_load():
 def test_the_way_from_rest(monkeypatch):
     """Uniform strain on the collar is found at once; where a search fails, in two parts."""
     placed, _ = problem()
-    search, find, calls = NeuralEquilibrium(placed), Equilibria._found, []
+    search, find, calls = EquilibriumSolver(placed), Equilibria._found, []
     collar = ~placed.points.interior[:, None]
     stretched = placed.points.x @ np.array([[0.5, 0.1], [0.0, -0.2]])
-    found = search.from_rest(0 * stretched, collar * stretched)
+    found = search.solve_by_continuation(0 * stretched, collar * stretched)
     assert found.steps == 1
     np.testing.assert_allclose(found.u, stretched, atol=1e-7)
 
@@ -330,7 +327,7 @@ def test_the_way_from_rest(monkeypatch):
 
     monkeypatch.setattr(Equilibria, "_found", failing)
     uneven = stretched + 0.02 * np.sin(placed.points.x)
-    again = search.from_rest(0 * stretched, uneven)
+    again = search.solve_by_continuation(0 * stretched, uneven)
     assert len(calls) == 3
     assert again.converged
     assert abs(placed(again.u)).max() < 1e-6 * abs(placed(collar * uneven)).max()
@@ -340,8 +337,8 @@ def test_rounding_of_single_precision_is_an_equilibrium():
     """Its residual stays above the default tolerance, and is that of the numbers themselves."""
     exact, u = problem()
     b, (placed, _) = np.zeros_like(u), problem(torch.float32)
-    expected = NeuralEquilibrium(exact).solve(b, u).u
-    found = NeuralEquilibrium(placed).solve(b, u)
+    expected = EquilibriumSolver(exact).solve(b, u).u
+    found = EquilibriumSolver(placed).solve(b, u)
     assert found.converged
     np.testing.assert_allclose(found.u, expected, atol=1e-5 * abs(expected).max())
     field = torch.tensor(u)
@@ -356,7 +353,7 @@ def test_a_sheet_without_a_collar_is_not_solved_for():
     assert errors["E_res"] == pytest.approx(1 / 11)
     assert "E_u" not in errors
     with pytest.raises(InputError, match="expected a collar"):
-        material.on(points).rest(0 * u, u)
+        material.on(points).solve(0 * u, u)
 
 
 def waves(points, seed, count):
@@ -380,7 +377,7 @@ def loads(seed, count=6):
 
 def frames(seed, count=3):
     points = lattice(3, 2.5)
-    search, fields = NeuralEquilibrium(truth().on(points)), waves(points, seed, count)
+    search, fields = EquilibriumSolver(truth().on(points)), waves(points, seed, count)
     return Samples(points, np.array([search.solve(0 * field, field).u for field in fields]))
 
 
@@ -389,7 +386,7 @@ def student(**other):
 
 
 def test_forces_are_learned():
-    material, settings = student(), Training(epochs=60, rate=1e-2, batch=2, cells=12)
+    material, settings = student(), TrainingSettings(epochs=60, rate=1e-2, batch=2, cells=12)
     history = train(material, loads(0), loads(1), settings, progress=False)
     assert history.epochs == 60
     assert history.best > 20
@@ -401,7 +398,7 @@ def test_forces_are_learned():
 
 
 def test_displacements_are_learned():
-    material, settings = student(proportional=True), Training(epochs=20, rate=1e-2, batch=3)
+    material, settings = student(proportional=True), TrainingSettings(epochs=20, rate=1e-2, batch=3)
     before = evaluate(material, frames(4))["E_u"]
     history = train(material, frames(3), frames(4), settings, progress=False)
     assert history.curve[-1][2] < 0.5 * before
@@ -410,7 +407,7 @@ def test_displacements_are_learned():
 
 @pytest.mark.parametrize("seen", [loads, frames])
 def test_an_interrupted_training_goes_on_from_its_last_epoch(tmp_path, monkeypatch, seen):
-    samples, val, settings = seen(0), seen(1), Training(epochs=9, batch=2)
+    samples, val, settings = seen(0), seen(1), TrainingSettings(epochs=9, batch=2)
     whole, part, fresh = (student(proportional=seen is frames) for _ in range(3))
     path, epoch = tmp_path / "run.ckpt", training._Run.epoch
     train(whole, samples, val, settings, progress=False)
@@ -433,7 +430,7 @@ def test_an_interrupted_training_goes_on_from_its_last_epoch(tmp_path, monkeypat
 
 
 def test_checkpoints_of_other_trainings(tmp_path):
-    path, settings = tmp_path / "run.ckpt", Training(epochs=1, batch=2)
+    path, settings = tmp_path / "run.ckpt", TrainingSettings(epochs=1, batch=2)
     train(student(), loads(0), loads(1), settings, checkpoint=path, progress=False)
     moved, scaled = loads(0), student()
     moved = replace(moved, points=replace(moved.points, x=moved.x + 1.0))
@@ -441,7 +438,7 @@ def test_checkpoints_of_other_trainings(tmp_path):
     other = NeuralOperator(2.5, (8, 9), (16, 16), strain=0.2).double()
     given = {"samples": loads(0), "val": loads(1), "training": settings}
     for change, words in (
-        ({"training": Training(epochs=2, batch=3)}, "batch"),
+        ({"training": TrainingSettings(epochs=2, batch=3)}, "batch"),
         ({"material": other}, r"influence \[8, 8\], expected \[8, 9\]"),
         ({"samples": loads(3)}, "the checkpoint has samples"),
         ({"samples": moved}, "the checkpoint has samples"),
@@ -478,11 +475,17 @@ def test_what_nothing_is_learned_from():
         ([unseen], unseen, "samples: expected Samples, got list"),
     ):
         with pytest.raises(InputError, match=words):
-            train(student(), samples, val, Training(epochs=1), progress=False)
+            train(student(), samples, val, TrainingSettings(epochs=1), progress=False)
     with pytest.raises(InputError, match="no look found a finite error"):
-        train(student(), loads(0), unseen, Training(epochs=2, rate=1e200, cells=0), progress=False)
+        train(
+            student(),
+            loads(0),
+            unseen,
+            TrainingSettings(epochs=2, rate=1e200, cells=0),
+            progress=False,
+        )
     with pytest.raises(InputError, match="training: expected"):
         student().learn(unseen, validation=unseen, training=150)
     for given in ({"epochs": 0}, {"batch": 1.5}, {"rate": -1.0}, {"seed": "a"}):
         with pytest.raises(InputError, match=next(iter(given))):
-            Training(**given)
+            TrainingSettings(**given)

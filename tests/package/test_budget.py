@@ -17,12 +17,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 22_198,
-    "tokens": 272_563,
-    "lines of warp_peri": 37_483,
+    "code lines": 22_463,
+    "tokens": 273_570,
+    "lines of warp_peri": 37_898,
     "lines of kernels": 1_179,
-    "lines of warp_peri, kernels, examples and tools": 50_963,
-    "lines of the longest file": 643,
+    "lines of warp_peri, kernels, examples and tools": 51_414,
+    "lines of the longest file": 649,
     "lines of the longest function": 91,
     "parameters of one function": 13,
     "characters of the longest string": 1_727,
@@ -32,21 +32,21 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2663,
-    "cli": 866,
-    "core": 1675,
-    "diffusion": 339,
-    "face": 950,
-    "fe_coupling": 830,
+    "atoms": 2683,
+    "cli": 868,
+    "core": 1679,
+    "diffusion": 347,
+    "face": 1014,
+    "fe_coupling": 832,
     "files": 543,
-    "fitting": 1322,
-    "fracture": 1691,
-    "materials": 5774,
-    "neural": 832,
-    "points": 1602,
-    "prediction": 738,
-    "mpi": 879,
-    "solvers": 1494,
+    "fitting": 1330,
+    "fracture": 1750,
+    "materials": 5835,
+    "neural": 844,
+    "points": 1610,
+    "prediction": 747,
+    "mpi": 881,
+    "solvers": 1500,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

@@ -21,7 +21,7 @@ import pytest
 
 import warp_peri as wp
 from warp_peri import InputError
-from warp_peri.atoms.dumps import dump_frames
+from warp_peri.atoms.dumps import iter_dump
 from warp_peri.cli.crystals_sheets import read_structure
 from warp_peri.cli.train import atom_forces
 from warp_peri.files.atomic import read_arrays
@@ -61,9 +61,9 @@ PARSERS = [
     *(("phonopy.yaml", wp.atoms.from_phonopy), ("any.yml", wp.atoms.from_phonopy)),
     ("phonopy_disp.yaml", lambda path: wp.atoms.from_phonopy(path.parent)),
     *((name, read_structure) for name in CRYSTALS),
-    *((name, lambda path: [*dump_frames(path)]) for name in DUMPS),
+    *((name, lambda path: [*iter_dump(path)]) for name in DUMPS),
     *((name, wp.load) for name in (*MESHES, "data.h5", "model.json")),
-    *(("fields.mat", wp.atoms.read_fields), ("a.npz", read_arrays)),
+    *(("fields.mat", wp.atoms.read_mat), ("a.npz", read_arrays)),
     *((name, lambda path: atom_forces(path, 1)) for name in ("force.npz", "force.csv")),
 ]
 

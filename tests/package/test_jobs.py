@@ -17,7 +17,7 @@ from tests.support.problems import kernel, lattice, manufactured, noise
 from warp_peri import LPS, Bernstein, InputError, fit, methods
 from warp_peri.cluster import scheduler
 from warp_peri.files.atomic import PART, locked, write_text
-from warp_peri.launch import at_once, set_threads, threads
+from warp_peri.runtime import at_once, get_num_threads, set_num_threads
 
 ROOT = Path(__file__).parent.parent.parent
 HOLD = """
@@ -114,11 +114,11 @@ def test_a_job_that_is_killed_again_and_again_ends_with_the_same_bits(tmp_path):
 @pytest.fixture
 def operator(monkeypatch):
     """On more threads than one, however few nodes there are."""
-    before = threads()
-    monkeypatch.setattr("warp_peri.launch.SLICE", 10)
-    set_threads(3)
+    before = get_num_threads()
+    monkeypatch.setattr("warp_peri.runtime.SLICE", 10)
+    set_num_threads(3)
     yield kernel("positive", 2.5).on(lattice(20, 2.5))
-    set_threads(before)
+    set_num_threads(before)
 
 
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")

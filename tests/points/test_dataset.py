@@ -39,7 +39,7 @@ def test_a_file_keeps_every_bit_and_says_what_it_is(path):
     assert content_hash(back) == content_hash(DATA)
     assert (back.thickness, back.density, back.provenance) == (3.35, 2267.0, DATA.provenance)
     for name in back:
-        assert not back[name].points.differs_from(DATA[name].points)
+        assert not back[name].points.first_difference(DATA[name].points)
         assert np.array_equal(back[name].u, DATA[name].u)
         assert (back[name].b is None) == (DATA[name].b is None)
     assert np.array_equal(back["train"].b, LOADS.b)

@@ -12,13 +12,13 @@ from tests.support.clouds import cloud, periodic_cloud, plain
 from tests.support.cubes import cube, periodic_cube
 from tests.support.problems import ell, kernel, lattice, manufactured, noise, periodic
 from tests.support.solving import solve
-from warp_peri import LPS, Bernstein, InputError, Model, Points, fit
+from warp_peri import LPS, Bernstein, InputError, LPSMaterial, Points, fit
+from warp_peri.certificates import check_solvability
 from warp_peri.points.families import bond_classes, families_of
 from warp_peri.points.lattice import largest_strain, lattice_steps
 from warp_peri.points.quadrature import quadrature_weights
 from warp_peri.points.samples import axis_of
 from warp_peri.points.scattered import neighbours
-from warp_peri.proofs import solvability
 
 DISK = np.hypot(*np.mgrid[-4:5, -4:5]) <= 4
 
@@ -167,14 +167,14 @@ def test_the_operator_on_scattered_points_is_the_reference(box):
 @pytest.mark.filterwarnings("ignore:spacing. the model is certified")
 def test_solvability_is_told_by_eigenvalues_and_singular_values():
     points, model = cloud(8, 3.0), plain(3.0)
-    figures, unknown = solvability(model, points), np.repeat(points.interior, 2)
+    figures, unknown = check_solvability(model, points), np.repeat(points.interior, 2)
     operator, fields = model.on(points, allow_uncertified=True), np.eye(2 * len(points.x))[unknown]
     A = operator(fields.reshape(-1, *points.x.shape)).reshape(len(fields), -1).T
     assert figures.symmetric_min == pytest.approx(np.linalg.eigvalsh((A + A.T) / 2)[0])
     assert figures.singular_min == pytest.approx(np.linalg.svd(A)[1][-1])
     assert figures.asymmetry == pytest.approx(np.linalg.norm(A - A.T) / np.linalg.norm(A + A.T))
     assert 0.02 < figures.asymmetry < 0.5  # scattered points are not symmetric
-    assert solvability(model, lattice(8, 3.0)).asymmetry < 1e-12
+    assert check_solvability(model, lattice(8, 3.0)).asymmetry < 1e-12
 
 
 LATTICE, CLOUD, SHEET = lattice(3, 2.0), cloud(4, 3.0), periodic((9, 9))[0]
@@ -242,7 +242,7 @@ def test_a_solution_strained_beyond_the_training_data_warns(tmp_path):
     points = manufactured(kernel("1/r", 2.5), lattice(4, 2.5), 2)
     model = fit(points, LPS(2.5, Bernstein(0))).material
     model.save(tmp_path / "m.json")
-    assert Model.load(tmp_path / "m.json").trained_strain == model.trained_strain
+    assert LPSMaterial.load(tmp_path / "m.json").trained_strain == model.trained_strain
     assert model.trained_strain == pytest.approx(largest_strain(points, points.u))
     solve(model, points, points.b, points.u)
     with pytest.warns(UserWarning, match="strain: the solution reaches .* %, the training data"):

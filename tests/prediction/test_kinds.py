@@ -7,7 +7,7 @@ import pytest
 
 import warp_peri as wp
 from tests.support.problems import kernel, lattice, manufactured, smooth
-from warp_peri.prediction import Factors, Family, Members, design_loads
+from warp_peri.prediction import CalibrationFactors, EnsembleMaterial, Ensemble, design_loads
 
 HORIZON, APART = 3.0, 0.02
 pytestmark = pytest.mark.filterwarnings("ignore:transferred:UserWarning")
@@ -19,7 +19,9 @@ def family():
     rich = kernel("positive", HORIZON)
     rich = replace(rich, certificate={"1": wp.certify(rich, spacing=1.0).figures()})
     others = [replace(rich, lam=rich.lam * f, mu=rich.mu * f) for f in (1.01, 1.02, 0.98)]
-    return Members(rich, others[0], (others[1], others[2]), factors=Factors(1.0, 1.0, 0.0))
+    return EnsembleMaterial(
+        rich, others[0], (others[1], others[2]), factors=CalibrationFactors(1.0, 1.0, 0.0)
+    )
 
 
 def asked(points, seed=0):
@@ -49,7 +51,9 @@ def test_crystals(dimension):
 
     rich = learned(dimension)
     others = [replace(rich, tensors=rich.tensors * f) for f in (1.01, 1.02, 0.98)]
-    family = Members(rich, others[0], (others[1], others[2]), factors=Factors(1.0, 1.0, 0.0))
+    family = EnsembleMaterial(
+        rich, others[0], (others[1], others[2]), factors=CalibrationFactors(1.0, 1.0, 0.0)
+    )
     points = body(dimension, "cube")
     b = np.zeros_like(points.x)
     b[:, 0] = 1e-3
@@ -58,7 +62,7 @@ def test_crystals(dimension):
 
 
 def test_one_placed_elsewhere_is_refused(family):
-    placed = family.with_doubts(lattice(6, HORIZON))
+    placed = family.ensemble_on(lattice(6, HORIZON))
     with pytest.raises(wp.InputError, match="another's"):
         wp.predict(placed, asked(lattice(7, HORIZON)))
 
@@ -71,7 +75,7 @@ def test_what_data_hold_nothing_of_is_named(family):
     assert not answer.kept
     law = wp.LPS(HORIZON, wp.Bernstein(1))
     long = manufactured(kernel("positive", HORIZON), lattice(16, HORIZON), 6, wave_number=0.25)
-    learned = wp.fit(long, Family(law), progress=False).material
+    learned = wp.fit(long, Ensemble(law), progress=False).material
     short = manufactured(kernel("positive", HORIZON), lattice(16, HORIZON), 1, wave_number=2.0)
     answer = wp.predict(learned, wp.Dirichlet(short, short.b[0], short.u[0]), None)
     assert any(one.startswith("short waves") for one in answer.uncovered)
@@ -86,7 +90,7 @@ def test_laws_that_cannot_doubt_are_refused():
     points = lattice(6, HORIZON)
     samples = manufactured(kernel("positive", HORIZON), points, 4)
     with pytest.raises(wp.InputError, match="second: expected a model"):
-        wp.fit(samples, Family(wp.tissue.Dictionary(HORIZON, ("square",))))
+        wp.fit(samples, Ensemble(wp.hyperelastic.Hyperelastic(HORIZON, ("square",))))
 
 
 def test_designed_loads_hold_all_waves_without_a_mean():

@@ -17,10 +17,10 @@ from warp_peri.points import samples as points_samples
 from warp_peri.points.lattice import largest_strain
 from warp_peri.points.unit_names import factors
 from warp_peri.prediction import (
-    Factors,
-    Family,
-    Members,
-    PlacedMembers,
+    CalibrationFactors,
+    EnsembleMaterial,
+    EnsembleOperator,
+    Ensemble,
     force,
     mean,
     strain,
@@ -46,7 +46,9 @@ def family():
     rich = solid("filtered")
     halves = scaled(rich, APART), scaled(rich, -APART)
     record = ErrorSpectrum(np.array([2.0, 4.0, 8.0]), np.array([0.3, 0.1, 0.0]))
-    return Members(rich, scaled(rich, 0.01), halves, record, Factors(1.2, 1.48, 2.0))
+    return EnsembleMaterial(
+        rich, scaled(rich, 0.01), halves, record, CalibrationFactors(1.2, 1.48, 2.0)
+    )
 
 
 def problem(family, size, interior=9):
@@ -130,8 +132,8 @@ def test_strain_counts_what_its_orders_go_on_to(family, steady):
     family = replace(family, factors=replace(family.factors, screen=screen))
     points, u, b = problem(family, 0.05)
     given = wp.Dirichlet(points, b, np.where(points.interior[:, None], 0, u))
-    best, placed = wp.predict(family, given, None), family.with_doubts(points)
-    inside, load, found = points.interior, placed.load(b), given.u.copy()
+    best, placed = wp.predict(family, given, None), family.ensemble_on(points)
+    inside, load, found = points.interior, placed.rhs(b), given.u.copy()
     found[inside] = placed.inverse(load - placed.straight(given.u), 1e-6)
     bent = far(found, u, points)
     first = placed.correction(load, found)
@@ -175,7 +177,7 @@ def test_the_guarantee_holds_planted_errors(family, size):
     answer = replace(answer, u=u + wrong)
     proof = answer.guarantee
     assert proof is not None
-    straight = PlacedMembers(family, points).straight
+    straight = EnsembleOperator(family, points).straight
     true = np.sqrt((wrong[inside] * straight(wrong)).sum())
     assert true <= proof.energy <= true * 1.2 / (1 - proof.contraction)
     assert 0 < proof.contraction < 1
@@ -192,7 +194,9 @@ def test_no_guarantee_beyond_the_proven_strain(family):
 
 
 def test_a_linear_family_is_bounded_without_a_contraction(family):
-    linear = Members(family.linear, family.second.linear, tuple(h.linear for h in family.halves))
+    linear = EnsembleMaterial(
+        family.linear, family.second.linear, tuple(h.linear for h in family.halves)
+    )
     points = lattice(6, HORIZON)
     b = np.zeros_like(points.x)
     b[:, 0] = 1e-4
@@ -268,14 +272,14 @@ def test_wrong_input_is_refused(family):
     with pytest.raises(wp.InputError, match="predict: expected a problem"):
         wp.predict(family, points)
     with pytest.raises(wp.InputError, match="at least four samples"):
-        wp.fit(wp.Samples(points, u[None], b[None]), Family(wp.LPS(3.0)))
+        wp.fit(wp.Samples(points, u[None], b[None]), Ensemble(wp.LPS(3.0)))
 
 
 def test_a_family_is_learned_and_calibrated_by_one_call(tmp_path):
     points = lattice(8, HORIZON)
     samples = manufactured(kernel("positive", HORIZON), points, 8, wave_number=1.0)
-    law = wp.Micromodulus(HORIZON, "4mm", moduli=None)  # eight nodes hold no long waves
-    fit = wp.fit(samples, Family(law), progress=False)
+    law = wp.Crystal(HORIZON, "4mm", moduli=None)  # eight nodes hold no long waves
+    fit = wp.fit(samples, Ensemble(law), progress=False)
     assert fit.certificate.holds
     assert fit.material.second.horizon < fit.material.horizon
     assert 0 < fit.material.strain < 10
@@ -316,15 +320,15 @@ def held_in(rich, level, count, seed=0, wave_number=0.5, interior=14):
     return wp.Samples(points, u, b)
 
 
-@pytest.mark.parametrize("law", [wp.Micromodulus(3.0, "4mm")])
+@pytest.mark.parametrize("law", [wp.Crystal(3.0, "4mm")])
 @pytest.mark.parametrize("trained", [0.01, 0.04])
 def test_a_linear_family_tells_what_is_not_linear(family, law, trained):
     """Few loads: the member itself takes up some of it, and the half that saw a sample too."""
-    learned = wp.fit(held_in(family.rich, trained, 8), Family(law), progress=False).material
+    learned = wp.fit(held_in(family.rich, trained, 8), Ensemble(law), progress=False).material
     seen = held_in(family.rich, 0.04, 6, seed=5)
     given = np.where(seen.interior[:, None], 0.0, seen.u)
     answers = wp.predict(learned, wp.Dirichlet(seen.points, seen.b, given), None)
-    true, placed = family.rich.on(seen.points), learned.with_doubts(seen.points)
+    true, placed = family.rich.on(seen.points), learned.ensemble_on(seen.points)
     for answer, truth in zip(answers, seen.u):
         beyond = any(one.startswith("strain") for one in answer.uncovered)
         assert beyond == (trained < 0.02)
@@ -345,7 +349,7 @@ def test_a_linear_family_tells_what_is_not_linear(family, law, trained):
 def test_even_orders_of_a_body_pulled_on_all_sides_are_told_by_waves():
     """What pulls on all sides misses more than the waves that a linear law was learned from."""
     rich = solid("filtered")
-    learned = wp.fit(held_in(rich, 0.02, 12), Family(wp.Micromodulus(3.0, "4mm"))).material
+    learned = wp.fit(held_in(rich, 0.02, 12), Ensemble(wp.Crystal(3.0, "4mm"))).material
     points = lattice(14, HORIZON)
     middle = points.x - points.x.mean(axis=0)
     for size in (0.005, -0.01):
@@ -362,7 +366,9 @@ def test_even_orders_of_a_body_pulled_on_all_sides_are_told_by_waves():
 
 
 def test_a_linear_answer_goes_on_until_nothing_improves(family):
-    linear = Members(family.linear, family.second.linear, tuple(h.linear for h in family.halves))
+    linear = EnsembleMaterial(
+        family.linear, family.second.linear, tuple(h.linear for h in family.halves)
+    )
     points = lattice(9, HORIZON)
     b = 1e-4 * smooth(points.x, 1, 0, wave_number=0.3)[0]
     posed = wp.Dirichlet(points, b, 0 * b)

@@ -11,7 +11,7 @@ import torch
 import warp_peri as wp
 from tests.conformance.test_gradients import OPERATORS, field
 from tests.conformance.test_laws import difference
-from warp_peri.proofs import critical_time_step
+from warp_peri.certificates import critical_time_step
 from warp_peri.solvers import adjoint, verlet
 from warp_peri.solvers.adjoint import BATCH, PIECES
 
@@ -29,9 +29,9 @@ def made():
 
 def longest(op):
     """The critical step [ps]."""
-    if hasattr(op, "stiffest_wave"):
+    if hasattr(op, "max_symbol_eigenvalue"):
         heavy = verlet.inertia(DENSITY, op.model.units)
-        return 2 * np.sqrt(heavy / op.stiffest_wave())
+        return 2 * np.sqrt(heavy / op.max_symbol_eigenvalue())
     return critical_time_step(op.model, spacing=op.points.spacing, density=DENSITY)
 
 
@@ -48,7 +48,7 @@ def given(op, factor=0.5):
 def loss(op, fields, options, parameters=None):
     """A number of records and ends, in units of the displacement."""
     extra = {} if parameters is None else {"parameters": parameters}
-    motion = wp.move(op, wp.Dirichlet(op.points, fields["b"], fields["u"]), v=fields["v"],
+    motion = wp.simulate(op, wp.Dirichlet(op.points, fields["b"], fields["u"]), v=fields["v"],
                      **extra, **options)  # fmt: skip
     total, seen = 0.0, np.random.default_rng(1)
     for part in (motion["u"], motion.u, options["step"] * motion.v):
@@ -92,22 +92,24 @@ def test_third_order_moves_as_a_gradient_of_an_energy(made):
     for n, step in enumerate(steps):
         sizes = options | {"step": step, "steps": 40 * 2**n, "every": 2**n}
         with pytest.warns(UserWarning, match=r"the step is stable up to .H. = 3.00%"):
-            motion = wp.move(op, wp.Dirichlet(op.points, arrays["b"], arrays["u"]),
+            motion = wp.simulate(op, wp.Dirichlet(op.points, arrays["b"], arrays["u"]),
                              v=arrays["v"], **sizes)  # fmt: skip
         drifts.append(np.abs(motion.energy - motion.energy[0]).max())
     assert np.polyfit(np.log(steps), np.log(drifts), 1)[0] > 1.9
     filtered = made("third order, filtered")
     with pytest.raises(wp.InputError, match="form='energy', got 'filtered', whose force is no gr"):
-        wp.move(filtered, wp.Dirichlet(filtered.points, None, arrays["u"]), **options)
+        wp.simulate(filtered, wp.Dirichlet(filtered.points, None, arrays["u"]), **options)
 
 
 def test_the_motion_is_that_of_arrays_to_the_bit(made):
     op = made("LPS")
     fields, options = given(op)
     arrays = {name: value.numpy() for name, value in fields.items()}
-    plain = wp.move(op, wp.Dirichlet(op.points, arrays["b"], arrays["u"]), v=arrays["v"], **options)
-    module = wp.Module(op, op.points)
-    told = wp.move(op, wp.Dirichlet(op.points, fields["b"], fields["u"]), v=fields["v"],
+    plain = wp.simulate(
+        op, wp.Dirichlet(op.points, arrays["b"], arrays["u"]), v=arrays["v"], **options
+    )
+    module = wp.TorchModule(op, op.points)
+    told = wp.simulate(op, wp.Dirichlet(op.points, fields["b"], fields["u"]), v=fields["v"],
                    parameters=dict(module.named_parameters()), **options)  # fmt: skip
     for name in ("u", "energy"):
         assert np.asarray(told[name].detach() if name == "u" else told[name]).tobytes() == (
@@ -118,7 +120,7 @@ def test_the_motion_is_that_of_arrays_to_the_bit(made):
     assert plain["u"].shape == (len(plain.time), len(options["record"]), 2)
     one, after = ({**options, "steps": n, "every": 1} for n in (1, 2))
     first, second = (
-        wp.move(op, wp.Dirichlet(op.points, arrays["b"], arrays["u"]), v=arrays["v"], **sizes)
+        wp.simulate(op, wp.Dirichlet(op.points, arrays["b"], arrays["u"]), v=arrays["v"], **sizes)
         for sizes in (one, after)
     )
     mean = (first.u + second.u)[options["record"]] / 2
@@ -147,20 +149,20 @@ def test_a_load_in_time_is_that_of_its_steps(made):
     fields, options = given(op)
     arrays, sizes = {n: x.numpy() for n, x in fields.items()}, options | {"record": None}
     pulse = np.array([1.0, -0.5, 2.0, 0.3])
-    whole = wp.move(op, wp.Dirichlet(op.points, arrays["b"], arrays["u"]), v=arrays["v"],
+    whole = wp.simulate(op, wp.Dirichlet(op.points, arrays["b"], arrays["u"]), v=arrays["v"],
                     signal=pulse, **sizes | {"steps": 3})  # fmt: skip
     u, v = arrays["u"], arrays["v"]
     for pair in itertools.pairwise(pulse):
-        one = wp.move(op, wp.Dirichlet(op.points, arrays["b"], u), v=v, signal=list(pair),
+        one = wp.simulate(op, wp.Dirichlet(op.points, arrays["b"], u), v=v, signal=list(pair),
                       **sizes | {"steps": 1})  # fmt: skip
         u, v = one.u, one.v
     assert np.allclose(whole.u, u, rtol=0, atol=1e-14 * np.abs(u).max())
-    plain = wp.move(op, wp.Dirichlet(op.points, arrays["b"], arrays["u"]), **sizes)
-    same = wp.move(op, wp.Dirichlet(op.points, arrays["b"], arrays["u"]),
+    plain = wp.simulate(op, wp.Dirichlet(op.points, arrays["b"], arrays["u"]), **sizes)
+    same = wp.simulate(op, wp.Dirichlet(op.points, arrays["b"], arrays["u"]),
                    signal=np.ones(STEPS + 1), **sizes)  # fmt: skip
     assert np.array_equal(plain.u, same.u)
     with pytest.raises(wp.InputError, match="signal: expected shape"):
-        wp.move(op, wp.Dirichlet(op.points, arrays["b"], u), signal=pulse, **sizes)
+        wp.simulate(op, wp.Dirichlet(op.points, arrays["b"], u), signal=pulse, **sizes)
 
 
 def test_a_motion_that_does_not_run_back_says_so(made, monkeypatch):
@@ -169,7 +171,7 @@ def test_a_motion_that_does_not_run_back_says_so(made, monkeypatch):
     monkeypatch.setattr(adjoint, "UNDONE", 1e-20)
     mu = torch.tensor(op.model.mu, requires_grad=True)
     problem = wp.Dirichlet(op.points, None, fields["u"])
-    motion = wp.move(op, problem, parameters={"mu": mu}, **options)
+    motion = wp.simulate(op, problem, parameters={"mu": mu}, **options)
     with pytest.raises(wp.InputError, match="expected a motion that can be run back"):
         motion.u.sum().backward()
 
@@ -194,7 +196,7 @@ def test_few_states_are_kept(steps, made, monkeypatch):
     mu = torch.tensor(op.model.mu, requires_grad=True)
     problem = wp.Dirichlet(op.points, None, fields["u"].requires_grad_())
     sizes = options | {"steps": steps, "every": 100}
-    motion = wp.move(op, problem, parameters={"mu": mu}, **sizes)
+    motion = wp.simulate(op, problem, parameters={"mu": mu}, **sizes)
     assert most[0] <= PIECES + 3
     motion["u"].square().sum().backward()
     assert most[0] <= PIECES + BATCH + 3
@@ -202,7 +204,7 @@ def test_few_states_are_kept(steps, made, monkeypatch):
     kept = len(alive)  # the field that the operator swept last
     assert kept <= 1
     most[0] = 0
-    wp.move(op, problem, **options | {"steps": 100})["u"].square().sum().backward()
+    wp.simulate(op, problem, **options | {"steps": 100})["u"].square().sum().backward()
     assert most[0] <= 4 + kept
 
 
@@ -212,7 +214,7 @@ def test_what_has_no_gradient_says_so(made):
     u = fields["u"].requires_grad_()
 
     def moved(of=op, u=u, **extra):
-        return wp.move(of, wp.Dirichlet(of.points, None, u), **options | extra)
+        return wp.simulate(of, wp.Dirichlet(of.points, None, u), **options | extra)
 
     (first,) = torch.autograd.grad(moved().u.square().sum(), u, create_graph=True)
     with pytest.raises(wp.InputError, match="second derivative"):
@@ -220,7 +222,7 @@ def test_what_has_no_gradient_says_so(made):
     for extra, words in (
         ({"step": 1.0}, "step: expected at most"),
         ({"record": [10**6]}, "record: expected nodes among"),
-        ({"checkpoint": "run.h5"}, "move: expected no checkpoint of tensors"),
+        ({"checkpoint": "run.h5"}, "simulate: expected no checkpoint of tensors"),
         ({"parameters": {"kappa": 1.0}}, r"of shape lam \[\], mu .* D \[5\], got kappa \[\]"),
         ({"parameters": {"mu": [1.0, 2.0]}}, r"parameters: expected finite .* got mu \[2\]"),
         ({"parameters": {"mu": 1e3 * op.model.mu}}, "step: expected at most"),
@@ -233,6 +235,8 @@ def test_what_has_no_gradient_says_so(made):
         moved(crystal, torch.zeros(crystal.shape), parameters={"mu": 1.0}, record=None)
     cracked = wp.Cracked(op.points, u=torch.zeros(op.shape, requires_grad=True))
     with pytest.raises(wp.InputError, match="pulls of bonds that soften.* got a Cracked"):
-        wp.move(op.model, cracked, events=2)
+        wp.simulate(op.model, cracked, events=2)
     with pytest.raises(wp.InputError, match="record: expected none beside a checkpoint"):
-        wp.move(op, wp.Dirichlet(op.points, None, u.detach().numpy()), checkpoint="r.h5", **options)
+        wp.simulate(
+            op, wp.Dirichlet(op.points, None, u.detach().numpy()), checkpoint="r.h5", **options
+        )

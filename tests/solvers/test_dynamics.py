@@ -10,11 +10,11 @@ from tests.support.problems import ell, fitted_order, kernel, lattice, noise, pe
 from tests.support.solving import velocity_verlet
 from tests.support.symbols import symbol
 from warp_peri import InputError
+from warp_peri.certificates import critical_time_step
 from warp_peri.materials.lps_matrices import matrices
 from warp_peri.problems import Dirichlet
-from warp_peri.proofs import critical_time_step
 from warp_peri.solvers.verlet import INERTIA, Inert, march, step
-from warp_peri.solving import move
+from warp_peri.solving import simulate
 
 DENSITY = 2147.0
 STABLE = ("1/r", "steep", "positive")
@@ -126,7 +126,7 @@ def test_to_move_as_a_whole_changes_no_energy():
     load = 1e-3 * law.elastic_tensor().max() * noise(points)
     for b in (None, load - load.mean(axis=0)):
         how = {"density": DENSITY, "step": step, "steps": 1000, "every": 10, "v": v}
-        run = move(law, Dirichlet(points, b, 0.01 * noise(points)), **how)
+        run = simulate(law, Dirichlet(points, b, 0.01 * noise(points)), **how)
         assert np.abs(run.u.mean(axis=0)).min() > 5
         assert run.drift < 1e-12
 

@@ -14,7 +14,7 @@ from tests.support.solving import solve
 from tools.benchmark import MODEL_FILE as TABLE
 from tools.benchmark import lattice_of as problem
 from tools.benchmark import loads, mask_of
-from warp_peri import Direct, InputError, Krylov, Model
+from warp_peri import CG, Direct, InputError, LPSMaterial
 from warp_peri.core.stencil import q1_tensors
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.solvers.linear import Linear
@@ -86,12 +86,12 @@ def test_a_thin_body_is_inverted_without_a_dense_matrix(shape):
     d = len(shape)
     cycle = VCycle(*q1_tensors(cubic_tensor(d)), np.ones(shape, bool))
     r = np.random.default_rng(0).normal(size=(d, *shape))
-    np.testing.assert_allclose(cycle.product(cycle(r)), r, atol=1e-12)
+    np.testing.assert_allclose(cycle.jvp(cycle(r)), r, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["1/r", "learned"])
 def test_iterations_do_not_grow_with_the_domain(name):
-    model = Model.load(TABLE) if name == "learned" else kernel(name, HORIZON)
+    model = LPSMaterial.load(TABLE) if name == "learned" else kernel(name, HORIZON)
     for method, mask in (("sine", lambda n: np.ones((n, n), bool)), ("multigrid", notched)):
         iterations = []
         for n in (64, 192):
@@ -105,7 +105,7 @@ def test_iterations_do_not_grow_with_the_domain(name):
 @pytest.mark.parametrize(("shape", "side"), [("disk", 80)])
 def test_near_incompressibility_takes_few_iterations(shape, side):
     """λ = 1000μ, where the other methods take hundreds to thousands."""
-    model = Model.load(TABLE)
+    model = LPSMaterial.load(TABLE)
     model = replace(model, lam=1000 * model.mu)
     points = problem(mask_of(shape, side), model.horizon, model.certified_on[0])
     linear = linear_of(points, model)
@@ -142,20 +142,20 @@ def test_the_method_follows_size_and_shape(monkeypatch):
 
 
 def test_an_indefinite_operator_is_named_by_every_method():
-    model = Model(0.3, 0.8, 1.0, [1.0, -0.9, 0.3], HORIZON, certified_on=(1.0,))
+    model = LPSMaterial(0.3, 0.8, 1.0, [1.0, -0.9, 0.3], HORIZON, certified_on=(1.0,))
     points = lattice(8, HORIZON)
     for method in ("lu", "sine", "multigrid", "strip"):
         with pytest.raises(InputError, match="nodes is indefinite"):
             solve(model, points, noise(points), noise(points), method=method)
         fields = (torch.from_numpy(noise(points)) for _ in range(2))
         with pytest.raises(InputError, match="nodes is indefinite"):
-            model.on(points).rest(*fields, Direct() if method == "lu" else Krylov(method))
+            model.on(points).solve(*fields, Direct() if method == "lu" else CG(method))
 
 
 def test_a_direction_without_energy_is_named(monkeypatch):
     """What conjugate gradients see themselves, where no symbol is asked."""
     monkeypatch.setattr(Linear, "check_definite", lambda self: None)
-    model = Model(0.3, 0.8, 1.0, [1.0, -0.9, 0.3], HORIZON, certified_on=(1.0,))
+    model = LPSMaterial(0.3, 0.8, 1.0, [1.0, -0.9, 0.3], HORIZON, certified_on=(1.0,))
     points = lattice(12, HORIZON)
     with pytest.raises(InputError, match="indefinite: a direction has the energy -"):
         solve(model, points, noise(points), noise(points), method="sine")
@@ -182,7 +182,7 @@ def test_methods_that_do_not_fit_are_refused():
     with pytest.raises(InputError, match="sine is for boxes"):
         solve(model, points, zero, zero, method="sine")
     with pytest.raises(InputError, match="preconditioner: expected multigrid"):
-        Krylov("jacobi")
+        CG("jacobi")
     cut = replace(points, outside=np.zeros(len(points.x), bool))
     with pytest.raises(InputError, match="is for lattices without a box"):
         solve(model, cut, zero, zero, method="multigrid")
@@ -193,18 +193,18 @@ def test_methods_that_do_not_fit_are_refused():
 def test_the_implicit_gradient_is_that_of_differences(method):
     """To all numbers along one direction, by every way of solving; others are in the table."""
     points = lattice(ell(), HORIZON, angle=0.3)
-    solver = Krylov(method, tolerance=1e-12) if method in PRECONDITIONERS else Direct()
+    solver = CG(method, tolerance=1e-12) if method in PRECONDITIONERS else Direct()
     if method == "scattered":  # whose operator is not symmetric
         points = cloud(4, HORIZON, 0.1)
     b, u, weight = (torch.from_numpy(noise(points, seed=seed)) for seed in (1, 2, 3))
-    model = Model(0.3, 0.8, 1.3, [1.0, 0.5, -0.2], HORIZON)
+    model = LPSMaterial(0.3, 0.8, 1.3, [1.0, 0.5, -0.2], HORIZON)
     operator = model.on(points, allow_uncertified=True)
     start = [torch.tensor(own, dtype=torch.float64) for own in operator.learnable.values()]
     ways = [torch.from_numpy(np.random.default_rng(4).normal(size=own.shape)) for own in start]
 
     def value(numbers):
         of = dict(zip(operator.learnable, numbers))
-        return (weight * operator.rest(b, u, solver, parameters=of).u).sum()
+        return (weight * operator.solve(b, u, solver, parameters=of).u).sum()
 
     leaves = [own.clone().requires_grad_() for own in start]
     told = sum((g * way).sum() for g, way in zip(torch.autograd.grad(value(leaves), leaves), ways))

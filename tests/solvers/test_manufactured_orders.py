@@ -9,7 +9,7 @@ import pytest
 from tests.support import clouds
 from tests.support.problems import LAM, MU, ORDER, fitted_order, kernel, lattice
 from tests.support.solving import solve
-from warp_peri.proofs import solvability
+from warp_peri.certificates import check_solvability
 
 pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")
 LENGTH = 2.0
@@ -111,5 +111,5 @@ def test_perturbed_points_lose_order_where_the_material_is_nearly_incompressible
     """Φ and Ψ are no transposes there: at λ = 10⁴ μ their mismatch outweighs μΓ."""
     assert max(state_based(scattered, 3.0, 1e4 * MU)) < 1
     points = scattered(8, 3.0 * LENGTH / 8)
-    assert solvability(clouds.plain(3.0 * LENGTH / 8, 1e4 * MU, MU), points).symmetric_min < 0
-    assert solvability(clouds.plain(3.0 * LENGTH / 8, 100 * MU, MU), points).symmetric_min > 0
+    assert check_solvability(clouds.plain(3.0 * LENGTH / 8, 1e4 * MU, MU), points).symmetric_min < 0
+    assert check_solvability(clouds.plain(3.0 * LENGTH / 8, 100 * MU, MU), points).symmetric_min > 0

@@ -10,7 +10,7 @@ from tests.crystal.crystals import learned
 from tests.support.problems import LAM, MU, ell, kernel, lattice, manufactured, noise, periodic
 from tests.support.solving import solve, solve_periodic
 from tests.support.symbols import smallest, symbol
-from warp_peri import Dirichlet, InputError, Model, Periodic, Points
+from warp_peri import Dirichlet, InputError, LPSMaterial, Periodic, Points
 from warp_peri.solvers.linear import DIRECT, cheapest_method
 from warp_peri.solving import solve as at_rest
 
@@ -56,7 +56,7 @@ def test_the_periodic_solve_is_the_inverse_of_the_operator(name, side):
 
 
 def test_uncertified_spacings_are_refused_or_warned_about():
-    model = Model(LAM, MU, 1.0, np.array([1.0, -3.0, 3.0]), horizon=HORIZON)
+    model = LPSMaterial(LAM, MU, 1.0, np.array([1.0, -3.0, 3.0]), horizon=HORIZON)
     points = lattice(2, HORIZON)
     zero = np.zeros((len(points.x), 2))
     sheet = np.zeros((8, 8, 2))
@@ -83,7 +83,7 @@ def test_a_model_that_is_certified_nowhere_is_proven_where_it_is_asked():
 
 def passing(a):
     """A kernel that passes through singular ones as a grows, taken as certified."""
-    return Model(0.3, 0.8, 1.0, [1.0, a, 0.3], HORIZON, certified_on=(1.0,))
+    return LPSMaterial(0.3, 0.8, 1.0, [1.0, a, 0.3], HORIZON, certified_on=(1.0,))
 
 
 def symbol_at_the_corner(a):

@@ -7,13 +7,13 @@ import warp_peri
 from tests.support.cubes import cube, field, load, periodic_cube, solid
 from tests.support.problems import fitted_order
 from tests.support.solving import solve
-from warp_peri import Direct, Krylov
+from warp_peri import CG, Direct
+from warp_peri.certificates import critical_time_step
+from warp_peri.crystals import crystal_from_lps
 from warp_peri.errors import InputError
 from warp_peri.fitting.evaluate import without_rigid_part
 from warp_peri.materials.lps import moduli
-from warp_peri.micromodulus import tensors_of
 from warp_peri.points.families import bond_classes
-from warp_peri.proofs import critical_time_step
 from warp_peri.solvers.verlet import inertia
 
 pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")
@@ -39,7 +39,7 @@ def test_the_solution_tends_to_that_of_elasticity_with_second_order(lam):
 
 def test_as_tensors_it_has_the_same_forces_a_proof_and_solves_of_any_size():
     model = solid(2.0, D=[1.0, -0.3, 0.6])
-    tensors = tensors_of(model, 1.0)
+    tensors = crystal_from_lps(model, 1.0)
     points = cube(3, 2.0)
     u = np.random.default_rng(1).normal(size=points.x.shape)
     force = model.on(points, allow_uncertified=True)(u)
@@ -52,7 +52,7 @@ def test_as_tensors_it_has_the_same_forces_a_proof_and_solves_of_any_size():
         h = LENGTH / number
         points = cube(number, RATIO * h, h, centred=True)
         exact = field(points.x)
-        fine = tensors_of(solid(RATIO * h), h)
+        fine = crystal_from_lps(solid(RATIO * h), h)
         problem = warp_peri.Dirichlet(points, load(points.x, 0.3, 0.8), exact)
         errors.append(np.abs(warp_peri.solve(fine, problem).u - exact).max())
     assert errors[0] > 4 * errors[1]
@@ -62,14 +62,14 @@ def test_it_moves_at_a_proven_step_not_much_shorter_than_the_longest():
     model, density = solid(2.0, lam=3.0), 2000.0
     step = critical_time_step(model, spacing=1.0, density=density, allow_uncertified=True)
     waves = np.random.default_rng(2).uniform(-np.pi, np.pi, (2000, 3))
-    stiffest = np.linalg.eigvalsh(tensors_of(model, 1.0).symbol(waves)).max()
+    stiffest = np.linalg.eigvalsh(crystal_from_lps(model, 1.0).symbol(waves)).max()
     longest = 2 * np.sqrt(inertia(density, model.units) / stiffest)
     assert 0.6 * longest < step < longest
     points = cube(3, 2.0)
     u = np.where(points.interior[:, None], np.random.default_rng(3).normal(size=points.x.shape), 0)
     problem = warp_peri.Dirichlet(points, None, 1e-3 * u)
     operator = model.on(points, allow_uncertified=True)
-    motion = warp_peri.move(operator, problem, density=density, step=0.9 * step, steps=200)
+    motion = warp_peri.simulate(operator, problem, density=density, step=0.9 * step, steps=200)
     assert motion.u.shape == points.x.shape
     assert np.ptp(motion.energy) < 1e-9 * motion.energy.mean()
 
@@ -83,14 +83,14 @@ def test_errors_in_space_leave_rigid_motions_out():
     load[points.interior] = operator(u)
     samples = warp_peri.Samples(points, (u + rigid)[None], load[None])
     assert warp_peri.evaluate(operator, samples)["E_shape"] < 1e-12
-    report = warp_peri.proofs.solvability(operator.model, points)
+    report = warp_peri.certificates.check_solvability(operator.model, points)
     assert report.symmetric_min > 0
     assert report.asymmetry < 1e-12
 
 
 def test_a_solid_is_certified_in_space():
     certificate = warp_peri.certify(solid(2.0), spacing=1.0)
-    expected = tensors_of(solid(2.0), 1.0).certificate
+    expected = crystal_from_lps(solid(2.0), 1.0).certificate
     assert certificate.symbol_bound == expected.proven > 0
     assert "nodes of the cubic lattice" in certificate.statement
     assert "7-point Laplacian" in certificate.statement
@@ -100,8 +100,8 @@ def test_what_is_made_for_sheets_is_refused_in_space():
     points = cube(2, 2.0)
     zero = np.zeros_like(points.x)
     samples = warp_peri.Samples(points, zero[None], zero[None])
-    law = warp_peri.ThirdOrder(warp_peri.Micromodulus(2.0), warp_peri.methods.Smoothing(2.0))
-    with pytest.raises(InputError, match="expected a sheet; in space LPS and Micromodulus"):
+    law = warp_peri.ThirdOrder(warp_peri.Crystal(2.0), warp_peri.methods.Smoothing(2.0))
+    with pytest.raises(InputError, match="expected a sheet; in space LPS and Crystal"):
         warp_peri.fit(samples, law)
 
 
@@ -110,9 +110,9 @@ def test_iteration_finds_what_a_factorisation_does_in_space(lam):
     points = cube(5, 2.0)
     operator = solid(2.0, lam=lam).on(points, allow_uncertified=True)
     b, u = np.random.default_rng(0).normal(size=(2, *points.x.shape))
-    first = operator.rest(b, u, Direct()).u
+    first = operator.solve(b, u, Direct()).u
     for method in ("sine", "multigrid", "strip"):
-        found = operator.rest(b, u, Krylov(method, tolerance=1e-11))
+        found = operator.solve(b, u, CG(method, tolerance=1e-11))
         np.testing.assert_allclose(found.u, first, atol=1e-8 * np.abs(first).max())
 
 
@@ -120,7 +120,7 @@ def test_large_cubes_and_periods_are_solved_in_space():
     large, model = cube(16, 2.0), solid(2.0)
     operator = model.on(large, allow_uncertified=True)
     b = np.random.default_rng(0).normal(size=large.x.shape)
-    solution = operator.rest(b, 0 * b)
+    solution = operator.solve(b, 0 * b)
     assert solution.method == "sine"
     inside = large.interior
     left = operator(solution.u) - b[inside]

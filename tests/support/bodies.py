@@ -2,22 +2,22 @@
 
 import numpy as np
 
-from warp_peri import Model
-from warp_peri.fracture.body import box, lattice_body
-from warp_peri.fracture.dynamics import BreakingBody, BrittleSolid
+from warp_peri import LPSMaterial
+from warp_peri.fracture.body import box_nodes, lattice_body
+from warp_peri.fracture.dynamics import BreakingBody, BrittleMaterial
 from warp_peri.solvers.verlet import inertia
 
 
 def solid(lam=1.0, mu=1.0, horizon=3.0, density=1.0, dimension=2, **criterion):
     """K = 1/r and one criterion, a stretch by default."""
-    model = Model(lam=lam, mu=mu, alpha=1.0, D=[1.0], horizon=horizon, dimension=dimension)
+    model = LPSMaterial(lam=lam, mu=mu, alpha=1.0, D=[1.0], horizon=horizon, dimension=dimension)
     density = density / inertia(1.0, model.units)  # density: in units of TPa ps²/Å²
-    return BrittleSolid(model, density, **(criterion or {"critical_stretch": 0.01}))
+    return BrittleMaterial(model, density, **(criterion or {"critical_stretch": 0.01}))
 
 
 def plate(width=16, height=12, *depth, horizon=3.0):
     """A rectangle or block of unit cells."""
-    return lattice_body(box((width, height, *depth), 1.0), 1.0, horizon)
+    return lattice_body(box_nodes((width, height, *depth), 1.0), 1.0, horizon)
 
 
 def pulled(lam=1.0, sides=(24, 16), horizon=3.0, **criterion):

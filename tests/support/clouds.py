@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from warp_peri import Model, Points
+from warp_peri import LPSMaterial, Points
 
 
 def cloud(number, horizon, perturbation=0.3, seed=0, length=None):
@@ -28,7 +28,7 @@ def periodic_cloud(number, perturbation=0.3, seed=0):
 
 def plain(horizon, lam=0.3, mu=0.8):
     """The model with K = 1/r, whose local limit is linear elasticity."""
-    return Model(lam=lam, mu=mu, alpha=1.0, D=[1.0], horizon=horizon)
+    return LPSMaterial(lam=lam, mu=mu, alpha=1.0, D=[1.0], horizon=horizon)
 
 
 def bond_based_field(x):

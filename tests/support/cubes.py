@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from warp_peri import Model, Points
+from warp_peri import LPSMaterial, Points
 
 
 def cube(number, horizon, spacing=1.0, centred=False):
@@ -28,7 +28,7 @@ def periodic_cloud(number, perturbation=0.2, seed=0):
 
 def solid(horizon, lam=0.3, mu=0.8, **law):
     """A model in space; K = 1/r, whose local limit is linear elasticity, unless told otherwise."""
-    return Model(
+    return LPSMaterial(
         **{"lam": lam, "mu": mu, "alpha": 1.0, "D": [1.0], "horizon": horizon} | law, dimension=3
     )
 

@@ -8,8 +8,8 @@ import torch
 
 from tests.crystal.crystals import cubic_tensor, dispersive
 from tests.support.problems import AXIS
-from warp_peri.materials.crystal_fit import fit_symbol
-from warp_peri.materials.third_order import Smoothing, ThirdOrderCrystal
+from warp_peri.materials.crystal_fit import fit_dispersion
+from warp_peri.materials.third_order import Smoothing, ThirdOrderMaterial
 from warp_peri.points.families import bond_classes
 from warp_peri.points.lattice import lattice_steps
 
@@ -22,11 +22,11 @@ FORMS = ("energy", "filtered")
 @cache
 def solid(form, horizon=3.0, spacing=1.0):
     """A certified crystal with its guarantee."""
-    linear = fit_symbol(
+    linear = fit_dispersion(
         dispersive(TENSOR, spacing), spacing, horizon, symmetry="isotropic", tensor=TENSOR
     )
     smoothing = Smoothing(2.0 * spacing, 0.2)
-    return ThirdOrderCrystal(linear, *CONSTANTS, smoothing, form, horizon).certified()
+    return ThirdOrderMaterial(linear, *CONSTANTS, smoothing, form, horizon).certified()
 
 
 def psi(H, model, axis=AXIS):

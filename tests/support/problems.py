@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from warp_peri import Model, Points, Samples
+from warp_peri import LPSMaterial, Points, Samples
 
 ROUNDING = 1e-12
 """Two ways of computing the same number; relative to its size."""
@@ -34,7 +34,7 @@ KERNELS = {
 def kernel(name, horizon, spacing=1.0, lam=LAM, mu=MU):
     """The model of a named kernel, taken as certified on the spacing."""
     spacings = {"trained_on": (spacing,), "certified_on": (spacing,)}
-    return Model(lam=lam, mu=mu, horizon=horizon, **KERNELS[name], **spacings)
+    return LPSMaterial(lam=lam, mu=mu, horizon=horizon, **KERNELS[name], **spacings)
 
 
 def lattice(interior, horizon, spacing=1.0, angle=0.0, origin=(0.0, 0.0)):

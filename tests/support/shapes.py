@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from warp_peri.influence import InfluenceFunction
 from warp_peri.materials.influence import conical, exponential, gaussian
 from warp_peri.points.families import bond_classes
-from warp_peri.shapes import InfluenceFunction
 
 HORIZON = 3.0
 LENGTHS = bond_classes(1.0, HORIZON).r

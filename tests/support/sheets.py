@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from warp_peri.materials.hyperelastic.energies import BONDS, KINDS, Dictionary, Term
+from warp_peri.materials.hyperelastic.energies import BONDS, KINDS, EnergyTerm, Hyperelastic
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 
@@ -23,18 +23,22 @@ def everything():
     """Every bond energy, deviation and strain energy once, but mooney and yeoh."""
     angles = iter(np.linspace(0.2, 2.8, 8))
     others = ("fibre", "along", "mooney", "yeoh")
-    terms = [Term(kind) for kind in KINDS if not kind.startswith(others)]
-    terms += [Term("fibre_power", next(angles), p) for p in (2.5, 3.0)]
-    terms += [Term("fibre_exponential", next(angles), k2) for k2 in (0.0, 1.5)]
-    terms += [Term("along", next(angles)), Term("volumetric", corner=True)]
-    terms += [Term("fibre_power", 0.7, 2.5, corner=True)]
-    return Dictionary(3.0, tuple(BONDS), (*NEAREST, (2, 0)), tuple(terms))
+    terms = [EnergyTerm(kind) for kind in KINDS if not kind.startswith(others)]
+    terms += [EnergyTerm("fibre_power", next(angles), p) for p in (2.5, 3.0)]
+    terms += [EnergyTerm("fibre_exponential", next(angles), k2) for k2 in (0.0, 1.5)]
+    terms += [EnergyTerm("along", next(angles)), EnergyTerm("volumetric", corner=True)]
+    terms += [EnergyTerm("fibre_power", 0.7, 2.5, corner=True)]
+    return Hyperelastic(3.0, tuple(BONDS), (*NEAREST, (2, 0)), tuple(terms))
 
 
 def hgo_dictionary(*, deviations=NEAREST, angle=1.2):
     """A matrix and one exponential fibre family, with deviations against hourglasses."""
-    terms = (Term("neo_hookean"), Term("volumetric"), Term("fibre_exponential", angle, 1.5))
-    return Dictionary(3.0, (), deviations, terms)
+    terms = (
+        EnergyTerm("neo_hookean"),
+        EnergyTerm("volumetric"),
+        EnergyTerm("fibre_exponential", angle, 1.5),
+    )
+    return Hyperelastic(3.0, (), deviations, terms)
 
 
 def waves(points, amplitude=0.1, seed=0):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from warp_peri import Direct, Dirichlet, Krylov, Newton, Periodic, Points, move
+from warp_peri import CG, Direct, Dirichlet, Newton, Periodic, Points, simulate
 from warp_peri import solve as solved
 from warp_peri.solvers.solution import PRECONDITIONERS
 
@@ -13,7 +13,7 @@ def solve(model, points, b, u, *, method="auto", iteration=None, **options):
     records = iteration.pop("records", None)
     solver = None
     if method in PRECONDITIONERS or (method == "auto" and iteration):
-        solver = Krylov(None if method == "auto" else method, **iteration)
+        solver = CG(None if method == "auto" else method, **iteration)
     elif method != "auto":
         solver = Direct(method == "gmres")
     solution = solved(model, Dirichlet(points, b, u), solver=solver, **options)
@@ -44,4 +44,4 @@ def solve_periodic(model, b, *, spacing, **options):
 
 def velocity_verlet(model, points, u, v, *, b=None, **options):
     """The motion from u and v."""
-    return move(model, Dirichlet(points, b, u), v=v, **options)
+    return simulate(model, Dirichlet(points, b, u), v=v, **options)

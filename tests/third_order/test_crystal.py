@@ -14,7 +14,7 @@ from tests.support.problems import lattice, smooth
 from warp_peri import fit
 from warp_peri.core.elastic import voigt
 from warp_peri.errors import InputError
-from warp_peri.materials.crystal_fit import Micromodulus, fit_symbol
+from warp_peri.materials.crystal_fit import Crystal, fit_dispersion
 from warp_peri.materials.third_order import Smoothing, energy_density
 from warp_peri.materials.third_order_fit import ThirdOrder
 from warp_peri.points.samples import Samples
@@ -93,7 +93,7 @@ def test_on_other_spacings_it_keeps_moduli_and_constants_and_is_proven_anew(law)
 def test_what_made_the_data_is_found_again(law):
     points = nodes(11)
     samples = loaded(law, points, 0.05, count=6)
-    recipe = Micromodulus(REACH, moduli=voigt(TENSOR))
+    recipe = Crystal(REACH, moduli=voigt(TENSOR))
     with pytest.warns(UserWarning, match=r"the training data reach .*; a larger ridge"):
         found = fit(samples, ThirdOrder(recipe, law.smoothing, law.form))
     model = found.material
@@ -107,7 +107,7 @@ def test_what_made_the_data_is_found_again(law):
 
 def test_what_does_not_fit_is_refused():
     law, points, other = solid("energy"), nodes(), cubic_tensor(2)
-    square = fit_symbol(dispersive(other), 1.0, REACH, symmetry="4mm", tensor=other)
+    square = fit_dispersion(dispersive(other), 1.0, REACH, symmetry="4mm", tensor=other)
     with pytest.raises(InputError, match="isotropic long waves"):
         replace(law, linear=square)
     with pytest.raises(InputError, match="certificate"):
@@ -119,12 +119,15 @@ def test_what_does_not_fit_is_refused():
             law.on(points)(u)
     with pytest.raises(InputError, match="a third-order crystal is for lattices"):
         law.on(cloud(2, REACH))
-    samples, linear = loaded(law, points, 0.01), Micromodulus(REACH)
+    samples, linear = loaded(law, points, 0.01), Crystal(REACH)
     for asked, words in (
         ((linear, None), "smoothing"),
-        ((Micromodulus(REACH, moduli=None), Smoothing(2.0)), "moduli"),
+        ((Crystal(REACH, moduli=None), Smoothing(2.0)), "moduli"),
         ((linear, Smoothing(2.0), "auto"), "form: expected 'filtered' or 'energy', got 'auto'"),
-        ((warp_peri.LPS(REACH), Smoothing(2.0)), r"goes in by ThirdOrderCrystal\(tensors_of"),
+        (
+            (warp_peri.LPS(REACH), Smoothing(2.0)),
+            r"goes in by ThirdOrderMaterial\(crystal_from_lps",
+        ),
     ):
         with pytest.raises(InputError, match=words):
             fit(samples, ThirdOrder(*asked))

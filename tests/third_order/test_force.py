@@ -65,7 +65,7 @@ def test_tangent(form):
     square = tangent(op, u)
     predicted = (square @ toward.ravel()).reshape(-1, 2)
     assert np.abs(slope - predicted).max() <= DIFFERENCES * np.abs(slope).max()
-    assert np.abs(op.product(u, toward) - predicted).max() <= 1e-12 * np.abs(slope).max()
+    assert np.abs(op.jvp(u, toward) - predicted).max() <= 1e-12 * np.abs(slope).max()
     inside = square[:, np.repeat(points.interior, 2)].toarray()
     asymmetry = np.abs(inside - inside.T).max() / np.abs(inside).max()
     assert asymmetry <= 1e-14 if form == "energy" else asymmetry > 1e-5
@@ -84,9 +84,9 @@ def test_gradients_to_the_constants_are_those_of_differences(form):
         assert float(slopes[name]) == pytest.approx(expected, rel=1e-10)
     numbers = {n: torch.tensor(op.learnable[n], dtype=torch.float64) for n in names}
     field = torch.from_numpy(u).requires_grad_()
-    force = op.force_with(field, {n: one.requires_grad_() for n, one in numbers.items()})
+    force = op.force_with_parameters(field, {n: one.requires_grad_() for n, one in numbers.items()})
     back = torch.autograd.grad(force, [field, *numbers.values()], torch.from_numpy(seed))
-    np.testing.assert_array_equal(back[0], op.product_transpose(u, seed))
+    np.testing.assert_array_equal(back[0], op.vjp(u, seed))
     assert [float(one) for one in back[1:]] == [float(slopes[n]) for n in names]
 
 

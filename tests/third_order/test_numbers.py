@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tests.support.nonlinear import solid
-from warp_peri import InputError, Model, load
-from warp_peri.materials.third_order import Smoothing, ThirdOrderCrystal
+from warp_peri import InputError, LPSMaterial, load
+from warp_peri.materials.third_order import Smoothing, ThirdOrderMaterial
 from warp_peri.points.families import bond_classes
 
 
@@ -16,11 +16,11 @@ def test_a_file_is_read_as_what_it_is(tmp_path):
     model, path = solid("energy"), tmp_path / "m.json"
     model.save(path)
     assert load(path).numbers.tolist() == model.numbers.tolist()
-    with pytest.raises(InputError, match="expected a Model, got a ThirdOrderCrystal"):
-        Model.load(path)
+    with pytest.raises(InputError, match="expected a Model, got a ThirdOrderMaterial"):
+        LPSMaterial.load(path)
     model.linear.save(path)
-    with pytest.raises(InputError, match="expected a ThirdOrderCrystal, got a Crystal"):
-        ThirdOrderCrystal.load(path)
+    with pytest.raises(InputError, match="expected a ThirdOrderMaterial, got a Crystal"):
+        ThirdOrderMaterial.load(path)
 
 
 @pytest.mark.parametrize(
@@ -28,7 +28,7 @@ def test_a_file_is_read_as_what_it_is(tmp_path):
     [
         ("smoothing", {"radius": 10.0}, "smoothing: missing keys: ridge"),
         ("smoothing", {"radius": -1.0, "ridge": 0.1}, "radius: expected a number > 0"),
-        ("linear", {}, "linear: format: expected 'warp_peri.micromodulus'"),
+        ("linear", {}, "linear: format: expected 'warp_peri.crystals'"),
         ("proven", [], "proven: expected an object"),
     ],
 )

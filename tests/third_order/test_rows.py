@@ -49,8 +49,8 @@ def test_force_and_derivatives(kind):
     v, w = noise(points, seed=2), noise(points, seed=3)[points.interior]
     square = tangent(op, u)
     for rate, expected in (
-        (op.product(u, v), square @ v.ravel()),
-        (op.product_transpose(u, w), square.T @ w.ravel()),
+        (op.jvp(u, v), square @ v.ravel()),
+        (op.vjp(u, w), square.T @ w.ravel()),
     ):
         assert np.abs(rate.ravel() - expected).max() <= 1e-12 * np.abs(expected).max()
 
@@ -62,7 +62,7 @@ def test_samples_one_after_another(monkeypatch):
 
     def found():
         slopes = op.by_numbers("t3", u, w)
-        return op(u), op.product(u, 2 * u), op.product_transpose(u, w), op.energy(u), slopes
+        return op(u), op.jvp(u, 2 * u), op.vjp(u, w), op.energy(u), slopes
 
     first = found()
     monkeypatch.setattr(pointwise, "MOST", 1)

@@ -8,6 +8,7 @@ from scipy.sparse.linalg import splu
 
 from tests.support.nonlinear import FORMS, psi, solid, tangent
 from tests.support.problems import lattice, noise
+from warp_peri.certificates import prove_uniqueness
 from warp_peri.materials.third_order import (
     PlacedThirdOrder,
     curvature_bound,
@@ -15,7 +16,6 @@ from warp_peri.materials.third_order import (
     proven_kappa,
 )
 from warp_peri.points.families import bond_classes
-from warp_peri.proofs import uniqueness
 
 HORIZON = 3.0
 SIGNS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
@@ -24,7 +24,7 @@ SIGNS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 def certified(form):
     """A model and its guarantee."""
     model = solid(form)
-    return model, uniqueness(model, spacing=1.0)
+    return model, prove_uniqueness(model, spacing=1.0)
 
 
 def balls(count, seed=0):
@@ -130,14 +130,14 @@ def test_the_clipped_iteration_contracts_from_anywhere(form):
 def test_a_planted_violation_takes_the_guarantee_away():
     model, proof = certified("energy")
     softer = replace(model, tq2=10 * model.tq2)
-    assert uniqueness(softer, spacing=1.0).strain < proof.strain / 5
+    assert prove_uniqueness(softer, spacing=1.0).strain < proof.strain / 5
     turned = model.linear.tensors.copy()
     longest = np.abs(model.linear.steps).max(axis=1) == 3
     turned[longest] -= 0.2 * np.eye(2)
     indefinite = replace(model, linear=replace(model.linear, tensors=turned, certificate=None))
     waves = np.random.default_rng(2).uniform(-np.pi, np.pi, size=(4000, 2))
     assert np.linalg.eigvalsh(indefinite.linear.symbol(waves)).min() < 0
-    nothing = uniqueness(indefinite, spacing=1.0)
+    nothing = prove_uniqueness(indefinite, spacing=1.0)
     assert nothing.strain == 0
     assert nothing.statement == "Nothing is proven on the lattice of spacing 1 Å."
     assert "at most one solution has |H| ≤" in proof.statement

@@ -9,7 +9,7 @@ import torch
 
 from tools import benchmark, frozen
 from tools.mutants import NET, ROOT, read_faults, with_fault
-from warp_peri import launch
+from warp_peri import runtime
 
 FIELD = np.random.default_rng(0).normal(size=(40, 2))
 
@@ -73,12 +73,12 @@ def test_every_fault_stands_once_in_its_file_and_has_tests():
 def test_subcommands_of_the_benchmark_run_at_quick_size(what, capsys):
     if what == "breaking" and find_spec("numba") is None:
         pytest.skip("needs Numba: pip install 'warp_peri[bench]'")
-    before = launch.threads(), torch.get_num_threads()
+    before = runtime.get_num_threads(), torch.get_num_threads()
     try:
         assert benchmark.main([what, "--quick"]) == 0
         assert capsys.readouterr().out
     finally:
-        launch.set_threads(before[0])
+        runtime.set_num_threads(before[0])
         torch.set_num_threads(before[1])
 
 

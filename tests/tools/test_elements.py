@@ -7,7 +7,7 @@ pytest.importorskip("skfem")
 
 import warp_peri as wp
 from tools.elements import errors_of_local, piola
-from warp_peri.core.elastic import from_voigt, plane_isotropic
+from warp_peri.core.elastic import plane_isotropic, voigt_to_tensor
 
 C = np.array([[1.3, 0.3, 0.1], [0.3, 0.9, -0.05], [0.1, -0.05, 0.4]])
 
@@ -20,14 +20,14 @@ def test_elements_of_local_elasticity_are_of_fourth_order_in_the_wave_length():
     for length in lengths:
         k = 2 * np.pi / (5.0 * length) * np.array([np.cos(0.4), np.sin(0.4)])
         wave = np.sin(x @ k + 0.3)[:, None]
-        b = np.einsum("ijkl,j,l,k->i", from_voigt(C), k, k, a) * wave
+        b = np.einsum("ijkl,j,l,k->i", voigt_to_tensor(C), k, k, a) * wave
         errors.append(errors_of_local(wp.Samples(points, (wave * a)[None], b[None]), C)[0])
     assert errors[1] < 1e-4
     assert -np.polyfit(np.log(lengths), np.log(errors), 1)[0] > 3.8
 
 
 def test_third_order_elements_have_the_stress_of_their_energy():
-    third, isotropic, step = (-0.5, -6.8, 1.04), from_voigt(plane_isotropic(0.3, 0.7)), 1e-5
+    third, isotropic, step = (-0.5, -6.8, 1.04), voigt_to_tensor(plane_isotropic(0.3, 0.7)), 1e-5
     H = 0.1 * np.random.default_rng(0).normal(size=(2, 2))
 
     def energy(H):

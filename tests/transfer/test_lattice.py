@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.problems import kernel, lattice
-from warp_peri import InputError, Model, Samples
+from warp_peri import InputError, LPSMaterial, Samples
 from warp_peri.materials.lps_rows import product_basis, products
 from warp_peri.materials.lps_transfer import TOLERANCE, wave_loss, wave_vectors
 from warp_peri.points.families import bond_classes
@@ -112,6 +112,6 @@ def test_the_shortest_waves_of_loads():
 
 def test_a_model_whose_own_proof_fails_is_told_as_the_cause():
     D = [-0.159, 0.541, 0.215, 0.355, -0.654]
-    believed = Model(2.0, 0.8, 1.0, D, horizon=3.0, certified_on=(1.0,))
+    believed = LPSMaterial(2.0, 0.8, 1.0, D, horizon=3.0, certified_on=(1.0,))
     with pytest.raises(InputError, match=r"model: nothing can be proven of it on 1 Å.*; horizon: "):
         on_lattice(believed, spacing=0.8, horizon=2.4)

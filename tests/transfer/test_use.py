@@ -12,12 +12,12 @@ from tests.support.clouds import cloud
 from tests.support.problems import kernel, lattice, manufactured, noise
 from tests.support.solving import solve, solve_periodic
 from warp_peri import InputError, Points, evaluate
+from warp_peri.certificates import critical_time_step
 from warp_peri.materials import lps_transfer
-from warp_peri.materials.lps import Model
+from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_transfer import model_for
 from warp_peri.methods import Smoothing
 from warp_peri.points.families import carried_horizon, families_of
-from warp_peri.proofs import critical_time_step
 from warp_peri.solvers.solution import Direct
 from warp_peri.transfers import on_lattice
 
@@ -66,11 +66,11 @@ def test_everything_takes_points_of_another_spacing(points):
     step = critical_time_step(model, spacing=0.8, density=1000.0)
     assert step == critical_time_step(there, spacing=0.8, density=1000.0)
     tensors = [torch.from_numpy(field) for field in (points.b, points.u)]
-    same = there.on(points).rest(*tensors, Direct())
+    same = there.on(points).solve(*tensors, Direct())
     assert same.u.numpy() == pytest.approx(u)
 
 
-@pytest.mark.parametrize("use", [solve, Model.on, evaluate, model_for])
+@pytest.mark.parametrize("use", [solve, LPSMaterial.on, evaluate, model_for])
 def test_refusing_is_an_option(points, use):
     fields = (points.b, points.u) if use is solve else ()
     with pytest.raises(InputError, match="certified on 1 Å, not on 0.8 Å"):
@@ -85,7 +85,7 @@ def test_the_horizon_that_the_collar_carries():
         with pytest.raises(InputError, match="complete families"):
             families_of(points, carried + 0.8)
     few = lattice(6, 0.8 * np.sqrt(5), spacing=0.8)
-    with pytest.warns(UserWarning, match="transferred"):
+    with pytest.warns(UserWarning, match="transfer_to_lattice"):
         assert model_for(HOME, few).horizon == pytest.approx(0.8 * np.sqrt(5))
 
 
@@ -112,7 +112,7 @@ def test_scattered_points_are_refused_with_both_ways_on():
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
     "law",
-    [wp.LPS(3.0), wp.Micromodulus(3.0), wp.ThirdOrder(wp.Micromodulus(3.0), Smoothing(2.0))],
+    [wp.LPS(3.0), wp.Crystal(3.0), wp.ThirdOrder(wp.Crystal(3.0), Smoothing(2.0))],
     ids=lambda law: type(law).__name__,
 )
 def test_a_fit_of_scattered_points_names_what_carries_them(law):

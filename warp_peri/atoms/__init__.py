@@ -7,56 +7,56 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from warp_peri.atoms.calculators import find_mpi, named_calculator
+    from warp_peri.atoms.calculators import load_mpi_library, make_calculator
     from warp_peri.atoms.coarse_graining import (
         coarse_grain,
         force_on_mesh,
-        read_fields,
+        read_mat,
         smoothing_matrix,
     )
-    from warp_peri.atoms.crystal_fit import LearnedCrystal, from_atoms, from_force_constants
-    from warp_peri.atoms.dic import frames_on_lattice, noise_of, read_frame
+    from warp_peri.atoms.crystal_fit import CrystalFit, crystal_from_force_constants, fit_crystal
+    from warp_peri.atoms.dic import dic_to_lattice, estimate_noise, read_dic_frame
     from warp_peri.atoms.dumps import (
-        Atoms,
-        Average,
-        Frame,
+        DumpFrame,
+        FrameAverage,
+        ReferenceAtoms,
         check_box,
         coarse_grain_dumps,
-        dump_displacement,
-        dump_frames,
-        dump_masses,
+        iter_dump,
+        mean_displacement,
+        read_masses,
     )
     from warp_peri.atoms.relaxed import from_phonopy
 
 __all__ = [
-    "LearnedCrystal",
-    "find_mpi",
-    "from_atoms",
-    "from_force_constants",
+    "CrystalFit",
+    "load_mpi_library",
+    "fit_crystal",
+    "crystal_from_force_constants",
     "from_phonopy",
-    "named_calculator",
+    "make_calculator",
     "coarse_grain",
     "force_on_mesh",
-    "frames_on_lattice",
-    "noise_of",
-    "read_fields",
-    "read_frame",
+    "dic_to_lattice",
+    "estimate_noise",
+    "read_mat",
+    "read_dic_frame",
     "smoothing_matrix",
-    "Atoms",
-    "Average",
-    "Frame",
+    "ReferenceAtoms",
+    "FrameAverage",
+    "DumpFrame",
     "check_box",
     "coarse_grain_dumps",
-    "dump_displacement",
-    "dump_frames",
-    "dump_masses",
+    "mean_displacement",
+    "iter_dump",
+    "read_masses",
 ]
 
 _HOMES = {
-    "calculators": "find_mpi named_calculator",
-    "coarse_graining": "coarse_grain force_on_mesh read_fields smoothing_matrix",
-    "crystal_fit": "LearnedCrystal from_atoms from_force_constants",
-    "dic": "frames_on_lattice noise_of read_frame",
+    "calculators": "load_mpi_library make_calculator",
+    "coarse_graining": "coarse_grain force_on_mesh read_mat smoothing_matrix",
+    "crystal_fit": "CrystalFit fit_crystal crystal_from_force_constants",
+    "dic": "dic_to_lattice estimate_noise read_dic_frame",
     "relaxed": "from_phonopy",
 }
 

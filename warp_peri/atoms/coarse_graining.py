@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
+from warp_peri.arguments import typed
 from warp_peri.atoms.dic import ON_LATTICE, spacing_of, surrounded
 from warp_peri.errors import InputError
 from warp_peri.files.foreign import check_hdf5
@@ -42,6 +43,7 @@ FURTHEST = 1.0
 """How far outside a mesh an atom may lie, in heights of the triangle that takes its force."""
 
 
+@typed
 def smoothing_matrix(
     atoms: ArrayLike,
     nodes: ArrayLike,
@@ -129,6 +131,7 @@ def _reached(origin: np.ndarray, images: np.ndarray, radius: float, spacing: flo
     return lattice
 
 
+@typed
 def coarse_grain(
     omega: sp.csr_array,
     *,
@@ -175,6 +178,7 @@ def coarse_grain(
     return u, b
 
 
+@typed
 def force_on_mesh(
     mesh: Mesh, atoms: ArrayLike, force: ArrayLike, *, thickness: float
 ) -> Callable[[np.ndarray], np.ndarray]:
@@ -270,7 +274,8 @@ def _positions(name: str, value: ArrayLike) -> np.ndarray:
     return value
 
 
-def read_fields(
+@typed
+def read_mat(
     path: str | os.PathLike[str],
     *,
     displacement: str = "disps",

@@ -11,6 +11,7 @@ import ase
 import numpy as np
 from matplotlib.figure import Figure
 
+from warp_peri.arguments import typed
 from warp_peri.atoms.calculator_noise import PULLED, SMALLER, by_strains, joined
 from warp_peri.atoms.calculator_noise import STRAIN as STRETCH
 from warp_peri.atoms.force_constants import STEP, WIDER, ForceConstants
@@ -28,11 +29,11 @@ from warp_peri.core.elastic import (
 from warp_peri.core.groups import Symmetry, name_of, point_group
 from warp_peri.core.stencil import directions
 from warp_peri.errors import InputError, warn
-from warp_peri.materials.crystal import Crystal
-from warp_peri.materials.crystal_fit import from_phonons
+from warp_peri.materials.crystal import CrystalMaterial
+from warp_peri.materials.crystal_fit import fit_phonons
 from warp_peri.points.arrays import check_positive
 from warp_peri.points.unit_names import USUAL, Units, check_units
-from warp_peri.shown import Shown
+from warp_peri.reprs import Shown
 
 PATHS: dict[int, dict[str, tuple[int, ...]]] = {
     2: {"[10]": (1, 0), "[01]": (0, 1), "[11]": (1, 1)},
@@ -41,7 +42,7 @@ PATHS: dict[int, dict[str, tuple[int, ...]]] = {
 """Directions that are drawn, along the axes of the nodes."""
 
 
-def picture(found: LearnedCrystal) -> Figure:
+def picture(found: CrystalFit) -> Figure:
     """Acoustic branches, E over direction, and the errors of unseen loads beside the rival's."""
     figure = Figure(figsize=(11, 3.6), layout="constrained")
     dispersion = figure.add_subplot(1, 3, 1)
@@ -94,7 +95,7 @@ Symbol = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LearnedCrystal(Shown):
+class CrystalFit(Shown):
     """A crystal's law, what it was learned from, and how it compares.
 
     Attributes:
@@ -104,7 +105,7 @@ class LearnedCrystal(Shown):
         said: what was found or chosen on the way, by name.
     """
 
-    material: Crystal
+    material: CrystalMaterial
     atoms: ForceConstants
     strained: np.ndarray | None
     said: dict[str, str]
@@ -115,7 +116,7 @@ class LearnedCrystal(Shown):
         return self.material.certificate
 
     @cached_property
-    def law(self) -> Crystal:
+    def law(self) -> CrystalMaterial:
         """The law in Å and TPa, as the force constants have it."""
         return self.material.in_units(USUAL)
 
@@ -284,7 +285,8 @@ def _length(wave: float) -> str:
     return f"waves of {wave:.3g} Å" if np.isfinite(wave) else "no wave that was looked at"
 
 
-def from_atoms(
+@typed
+def fit_crystal(
     atoms: ase.Atoms,
     calculator: Any = None,
     *,
@@ -295,7 +297,7 @@ def from_atoms(
     supercell: Sequence[int] | None = None,
     symmetry: Symmetry = "auto",
     units: Units | str = USUAL,
-) -> LearnedCrystal:
+) -> CrystalFit:
     """The model of a crystal from its structure and a calculator.
 
     The structure is relaxed, checked (forces, stress, imaginary phonons), and brought to its
@@ -320,7 +322,7 @@ def from_atoms(
     20 %.
 
     >>> from ase.build import bulk; from ase.calculators.emt import EMT
-    >>> round(wp.from_atoms(bulk("Al"), EMT()).material.moduli("GPa")["C11"])
+    >>> round(wp.fit_crystal(bulk("Al"), EMT()).material.moduli("GPa")["C11"])
     53
     """
     units = check_units(units)
@@ -378,19 +380,20 @@ def with_strains(
     return new, found[0], told | _doubts(new)
 
 
-def from_force_constants(
+@typed
+def crystal_from_force_constants(
     atoms: ForceConstants,
     *,
     spacing: float | None = None,
     horizon: float | None = None,
     symmetry: Symmetry = "auto",
     units: Units | str = USUAL,
-) -> LearnedCrystal:
-    """The law of a crystal whose force constants are known, as `from_atoms` gives it.
+) -> CrystalFit:
+    """The law of a crystal whose force constants are known, as `fit_crystal` gives it.
 
     Args:
         atoms: force constants, as of `from_phonopy`.
-        spacing, horizon, symmetry, units: as for `from_atoms`.
+        spacing, horizon, symmetry, units: as for `fit_crystal`.
 
     Raises InputError for a crystal with imaginary phonons.
     """
@@ -433,10 +436,10 @@ def _learned(
     units: Units,
     said: dict[str, str],
     strained: np.ndarray | None,
-) -> LearnedCrystal:
+) -> CrystalFit:
     reach = spacing * REACH[atoms.dimension] if horizon is None else horizon
-    law = from_phonons(atoms, spacing, reach, symmetry=symmetry)
-    found = LearnedCrystal(law, atoms, strained, said)
+    law = fit_phonons(atoms, spacing, reach, symmetry=symmetry)
+    found = CrystalFit(law, atoms, strained, said)
     record: dict[str, Any] = {"moduli_error": found.unsure}  # relative, of any sound wave
     law = replace(law, provenance=law.provenance | record) if found.errors is not None else law
     return replace(found, material=law.in_units(units))

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.ndimage import binary_erosion
 from scipy.spatial import cKDTree
 
+from warp_peri.arguments import typed
 from warp_peri.errors import InputError, warn
 from warp_peri.files.foreign import content, encoding_of
 from warp_peri.points.points import Points
@@ -227,7 +228,7 @@ FOURTH = 70**0.5
 
 
 @dataclass(frozen=True, eq=False)
-class SheetFrame:
+class DICFrame:
     """One frame.
 
     Attributes:
@@ -243,7 +244,8 @@ class SheetFrame:
     length: str | None = None
 
 
-def read_frame(path: str | os.PathLike[str], *, pixel: float | str = 1.0) -> SheetFrame:
+@typed
+def read_dic_frame(path: str | os.PathLike[str], *, pixel: float | str = 1.0) -> DICFrame:
     """Read one frame.
 
     Args:
@@ -258,7 +260,7 @@ def read_frame(path: str | os.PathLike[str], *, pixel: float | str = 1.0) -> She
     """
     path, (size, unit) = Path(path), length_of(pixel)
     x, u, unit = read_table(path, size, unit)
-    return SheetFrame(x, u, path.name, unit)
+    return DICFrame(x, u, path.name, unit)
 
 
 def length_of(pixel: float | str) -> tuple[float, str | None]:
@@ -275,8 +277,9 @@ def length_of(pixel: float | str) -> tuple[float, str | None]:
     )
 
 
-def frames_on_lattice(
-    frames: Sequence[SheetFrame],
+@typed
+def dic_to_lattice(
+    frames: Sequence[DICFrame],
     *,
     spacing: float | None = None,
     radius: float = 0.0,
@@ -359,10 +362,10 @@ def frames_of_folder(
     with a warning: tables of forces lie beside frames.
 
     Args:
-        folder: with files for `read_frame`.
+        folder: with files for `read_dic_frame`.
         count: of frames.
-        pixel: as for `read_frame`.
-        radius, positions: as for `frames_on_lattice`.
+        pixel: as for `read_dic_frame`.
+        radius, positions: as for `dic_to_lattice`.
         stress, along: a PULL, of the last frame or of every frame of the folder, and its axis.
 
     Raises InputError for what is no folder, or has fewer than four frames; for a pixel, a count, a
@@ -377,7 +380,7 @@ def frames_of_folder(
     paths = [path for path in folder.glob("[!.]*") if path.suffix in TABLES]
     for path in sorted(paths, key=by_number):
         try:
-            frames.append(read_frame(path, pixel=pixel))
+            frames.append(read_dic_frame(path, pixel=pixel))
         except InputError as error:
             others.append(str(error))
     if len(frames) < LEAST:
@@ -388,7 +391,7 @@ def frames_of_folder(
         warn(f"passed over: {why}")
     last = len(frames) - 1
     chosen = np.unique(np.linspace(FIRST * last, last, count).astype(int))
-    samples = frames_on_lattice([frames[n] for n in chosen], radius=radius, positions=positions)
+    samples = dic_to_lattice([frames[n] for n in chosen], radius=radius, positions=positions)
     if not stress:
         return samples
     if len(stress) not in (1, len(frames)) or not (min(stress) >= 0 and 0 < stress[-1] < np.inf):
@@ -400,8 +403,8 @@ def frames_of_folder(
     return replace(samples, arrays=samples.arrays | {PULL: pull[chosen]})
 
 
-def in_reference(frames: Sequence[SheetFrame], positions: str | None) -> list[SheetFrame]:
-    """The frames with positions in the reference, as `frames_on_lattice` tells what they are."""
+def in_reference(frames: Sequence[DICFrame], positions: str | None) -> list[DICFrame]:
+    """The frames with positions in the reference, as `dic_to_lattice` tells what they are."""
     if positions not in (None, "reference", "current"):
         raise InputError(f"positions: expected reference or current, got {positions!r}")
     back = [replace(frame, x=frame.x - frame.u) for frame in frames]
@@ -446,7 +449,7 @@ def spacing_of(x: np.ndarray) -> float:
 
 
 def on_nodes(
-    frame: SheetFrame, x: np.ndarray, step: float, radius: float
+    frame: DICFrame, x: np.ndarray, step: float, radius: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Displacement on nodes, shape [N, 2], and where it was seen, [N].
 
@@ -474,7 +477,7 @@ def on_nodes(
 
 
 def surface(
-    frame: SheetFrame, members: Sequence[int], x: np.ndarray, step: float, radius: float
+    frame: DICFrame, members: Sequence[int], x: np.ndarray, step: float, radius: float
 ) -> np.ndarray | None:
     """Displacement at a place by a quadratic surface through points; None where they tell none."""
     p, q = local = (frame.x[members] - x).T / step
@@ -485,7 +488,8 @@ def surface(
     return np.asarray(np.linalg.lstsq(design, frame.u[members] * weight[:, None], rcond=None)[0][0])
 
 
-def noise_of(samples: Samples) -> np.ndarray:
+@typed
+def estimate_noise(samples: Samples) -> np.ndarray:
     """Standard deviation of the noise of every frame, from fourth differences, shape [S].
 
     In units of the displacement. It takes the noise of neighbours as independent; subsets that

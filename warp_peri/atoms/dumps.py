@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 from tqdm import tqdm
 
+from warp_peri.arguments import typed
 from warp_peri.atoms.coarse_graining import coarse_grain
 from warp_peri.errors import InputError, warn
 from warp_peri.files.foreign import encoding_of, unpacked
@@ -39,7 +40,7 @@ ROUND = 1e-9
 
 
 @dataclass(frozen=True)
-class Frame:
+class DumpFrame:
     """One frame, its atoms in the order of their ids.
 
     Attributes:
@@ -69,7 +70,8 @@ class Frame:
         return float(size[0]), float(size[1])
 
 
-def dump_frames(path: str | os.PathLike[str]) -> Iterator[Frame]:
+@typed
+def iter_dump(path: str | os.PathLike[str]) -> Iterator[DumpFrame]:
     """Every frame of a trajectory, one in memory at a time.
 
     LAMMPS dumps (`dump custom`) as text, packed by gzip, bzip2, xz or zstd, or not; .xyz, .extxyz
@@ -112,7 +114,7 @@ def dump_frames(path: str | os.PathLike[str]) -> Iterator[Frame]:
         raise InputError(f"{path}: expected {EXPECTED}; found no frame")
 
 
-def jumps(frame: Frame, x: np.ndarray) -> bool:
+def jumps(frame: DumpFrame, x: np.ndarray) -> bool:
     """Whether some atom is half an edge of the box or more from where it was, x, shape [A, 2].
 
     That is no displacement of a solid: such atoms were taken to the other side of the box.
@@ -122,7 +124,7 @@ def jumps(frame: Frame, x: np.ndarray) -> bool:
     return bool((np.abs(parts) >= 0.5).any())
 
 
-def _frames_of(path: str | os.PathLike[str]) -> Iterator[Frame]:
+def _frames_of(path: str | os.PathLike[str]) -> Iterator[DumpFrame]:
     with open(path, "rb") as file:
         head = file.read(64)
     if str(path).endswith(OF_ASE) and not head.startswith(b"ITEM:"):
@@ -132,7 +134,7 @@ def _frames_of(path: str | os.PathLike[str]) -> Iterator[Frame]:
             yield from _of_lammps(lines)
 
 
-def _of_lammps(file: io.TextIOWrapper) -> Iterator[Frame]:
+def _of_lammps(file: io.TextIOWrapper) -> Iterator[DumpFrame]:
     """Frames of text, which end with the last atom that they announce."""
     items: dict[str, list[str]] = {}
     title, size, announced = "", 0, -1
@@ -156,7 +158,7 @@ def _of_lammps(file: io.TextIOWrapper) -> Iterator[Frame]:
         raise ValueError(f"{announced} atoms announced, {len(items[title])} there")
 
 
-def _of_items(items: dict[str, list[str]], columns: list[str], rows: list[str]) -> Frame:
+def _of_items(items: dict[str, list[str]], columns: list[str], rows: list[str]) -> DumpFrame:
     """A frame of its lines by title. Raises ValueError, or what parsing runs into."""
     if (units := items.get("UNITS", ["metal"])[0].strip()) not in ANGSTROM_UNITS:
         raise ValueError(f"expected units {' or '.join(ANGSTROM_UNITS)}, got {units}")
@@ -200,7 +202,7 @@ def _ordered(
     cell: np.ndarray,
     columns: tuple[str, ...],
     images: np.ndarray | None = None,
-) -> Frame:
+) -> DumpFrame:
     """Atoms by rising id, none twice, all somewhere, unwrapped where there are images of a box."""
     if images is not None:
         positions = positions + images @ cell
@@ -211,10 +213,10 @@ def _ordered(
     if (twice := ids[1:][ids[1:] == ids[:-1]]).size:
         raise ValueError(f"the id {twice[0]} comes twice")
     kinds, free = None if types is None else types[order], bool({"xu", "xsu"} & set(columns))
-    return Frame(ids, x[:, :2], kinds, columns, x[:, 2], cell, images is not None or free)
+    return DumpFrame(ids, x[:, :2], kinds, columns, x[:, 2], cell, images is not None or free)
 
 
-def _by_ase(path: str | os.PathLike[str]) -> Iterator[Frame]:
+def _by_ase(path: str | os.PathLike[str]) -> Iterator[DumpFrame]:
     """Types are 1, 2, … in the order of atomic numbers; ids a column id, or the file's order."""
     form = "traj" if str(path).endswith(".traj") else "extxyz"  # never by what it looks like
     for atoms in ase.io.iread(os.fspath(path), index=":", format=form):
@@ -232,16 +234,17 @@ TORN, NEAR = 1.5, 1.3
 """Lengths of a bond that broke, over what it was, and of bonds over the usual one."""
 
 
-def dump_masses(path: str | os.PathLike[str], masses: Sequence[float]) -> np.ndarray:
+@typed
+def read_masses(path: str | os.PathLike[str], masses: Sequence[float]) -> np.ndarray:
     """Mass of every atom of the first frame of a dump, shape [A], by id.
 
     Args:
-        path: as for dump_frames, with the column type.
+        path: as for iter_dump, with the column type.
         masses: of the types 1, 2, … in any unit.
 
     Raises InputError for a dump without the column, or a type without a mass.
     """
-    frame = next(dump_frames(path))
+    frame = next(iter_dump(path))
     if frame.types is None:
         columns = " ".join(frame.columns)
         raise InputError(f"{path}: expected the columns id and type, got {columns}")
@@ -253,7 +256,8 @@ def dump_masses(path: str | os.PathLike[str], masses: Sequence[float]) -> np.nda
     return np.asarray(np.take(masses, frame.types - 1), dtype=float)
 
 
-def dump_displacement(
+@typed
+def mean_displacement(
     path: str | os.PathLike[str],
     reference: ArrayLike,
     *,
@@ -265,7 +269,7 @@ def dump_displacement(
     """Displacement from the reference [Å], shape [A, 2], over the frames of a dump.
 
     Args:
-        path: as for dump_frames.
+        path: as for iter_dump.
         reference: positions without load [Å], shape [A, 2], by id.
         ids: of the atoms of the reference, rising, shape [A]; None takes the dump's.
         box: periods of the atoms [Å], for dumps of wrapped positions; None for a free body.
@@ -282,7 +286,7 @@ def dump_displacement(
     if skip < 0:
         raise InputError(f"skip: expected a number of frames ≥ 0, got {skip}")
     total, frames = np.zeros_like(reference), 0
-    for frame in dump_frames(path):
+    for frame in iter_dump(path):
         x = frame.x
         if x.shape != reference.shape:
             raise InputError(f"{path}: expected {len(reference)} atoms, got {len(x)}")
@@ -304,6 +308,7 @@ def dump_displacement(
     return total if iota is not None else total / (frames - skip)
 
 
+@typed
 def check_box(
     path: str | os.PathLike[str],
     box: tuple[float, float],
@@ -321,7 +326,7 @@ def check_box(
 
 
 @dataclass(frozen=True)
-class Atoms:
+class ReferenceAtoms:
     """The atoms that dumps are of.
 
     Attributes:
@@ -337,9 +342,10 @@ class Atoms:
     box: tuple[float, float] | None = None
 
 
+@typed
 @dataclass(frozen=True)
-class Average:
-    """How the frames of a dump are reduced to one, as in dump_displacement.
+class FrameAverage:
+    """How the frames of a dump are reduced to one, as in mean_displacement.
 
     Attributes:
         skip: frames left out at the begin.
@@ -356,17 +362,18 @@ SPECIES = 20
 """Masses above which they are no species, but each atom's own."""
 
 
+@typed
 def coarse_grain_dumps(
     dumps: Sequence[str | os.PathLike[str]],
     omega: sp.csr_array,
     points: PointsLike,
-    atoms: Atoms,
+    atoms: ReferenceAtoms,
     *,
     force: ArrayLike,
     node_area: float,
     thickness: float,
     unloaded: Sequence[str | os.PathLike[str]] = (),
-    average: Average = Average(),
+    average: FrameAverage = FrameAverage(),
     progress: bool = False,
 ) -> Samples:
     """Samples on nodes from the dump of each load.
@@ -393,11 +400,11 @@ def coarse_grain_dumps(
         raise InputError(f"unloaded: expected 0, 1 or {len(dumps)} dumps, got {len(unloaded)}")
     force = checked("force", force, shape=(len(dumps), "A", 2))
     _warn_of_shares(force, np.broadcast_to(np.asarray(atoms.mass, float), force.shape[1]))
-    ids = next(dump_frames(dumps[0])).ids if atoms.ids is None else atoms.ids
+    ids = next(iter_dump(dumps[0])).ids if atoms.ids is None else atoms.ids
     how: Any = {"ids": ids, "box": atoms.box, "skip": average.skip, "iota": average.iota}
     averages = []
     for path in tqdm([*unloaded, *dumps], desc="dumps", unit="dump", disable=not progress):
-        averages.append(dump_displacement(path, atoms.reference, **how))
+        averages.append(mean_displacement(path, atoms.reference, **how))
         _warn_of_torn(Path(path), np.asarray(atoms.reference, float), averages[-1], atoms.box)
     fields, at_rest = np.stack(averages[len(unloaded) :]), averages[: len(unloaded)]
     u, b = coarse_grain(

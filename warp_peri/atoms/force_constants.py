@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from warp_peri.arguments import typed
 from warp_peri.core.elastic import acoustic, stress_brackets
 from warp_peri.core.groups import group_of_structure, kinds_of, point_group
 from warp_peri.core.stencil import directions
@@ -53,7 +54,7 @@ DECAYED, NEGLECTED = 3.5, 36.0
 
 
 @dataclass(frozen=True, eq=False)
-class Polar:
+class NonAnalyticCorrection:
     """What waves of ions' displacement do through their electric field (theory, T18).
 
     Attributes:
@@ -143,7 +144,7 @@ class ForceConstants:
     vectors: np.ndarray
     values: np.ndarray
     thickness: float | None = None
-    polar: Polar | None = None
+    polar: NonAnalyticCorrection | None = None
     stress: np.ndarray | None = None
     kinds: np.ndarray | None = None
     edge: float = 0.0
@@ -404,7 +405,7 @@ def from_supercell(
     displaced: Sequence[int],
     *,
     thickness: float | None = None,
-    polar: Polar | None = None,
+    polar: NonAnalyticCorrection | None = None,
     stress: np.ndarray | None = None,
     change: float | None = None,
 ) -> ForceConstants:
@@ -458,7 +459,7 @@ def every_pair(
     displaced: Sequence[int],
     *,
     thickness: float | None,
-    polar: Polar | None,
+    polar: NonAnalyticCorrection | None,
     stress: np.ndarray | None,
 ) -> tuple[ForceConstants, tuple[np.ndarray, ...]]:
     """Pairs of a cell's atoms with the nearest images of a supercell's, without Φ between them.
@@ -514,7 +515,7 @@ def at_edge(
 
 
 def field_of_ions(
-    polar: Polar, structure: Any, supercell: Any, displaced: Sequence[int]
+    polar: NonAnalyticCorrection, structure: Any, supercell: Any, displaced: Sequence[int]
 ) -> np.ndarray:
     """What charges with a decay add to Φ, [n, N, 3, 3]; other arguments as for `from_supercell`."""
     cell, box = np.array(structure.cell), np.array(supercell.cell)
@@ -571,6 +572,7 @@ def finite_differences(
     return phi, change / max(float(np.abs(phi).max()), TINY)
 
 
+@typed
 def from_calculator(
     structure: Any,
     calculator: Any,

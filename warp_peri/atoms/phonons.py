@@ -18,7 +18,7 @@ from warp_peri.atoms.force_constants import (
     EDGE,
     STEP,
     ForceConstants,
-    Polar,
+    NonAnalyticCorrection,
     finite_differences,
     forces_of,
     from_supercell,
@@ -171,7 +171,7 @@ def _cells(repeats: Sequence[int]) -> str:
     return f"{' x '.join(map(str, repeats))} cells"
 
 
-def born_charges(reference: Reference, calculator: Any) -> Polar | None:
+def born_charges(reference: Reference, calculator: Any) -> NonAnalyticCorrection | None:
     """Charges that a calculator gives under ASE's names; None where it has none, or they vanish.
 
     Raises InputError for those of a sheet, or without the dielectric tensor.
@@ -190,7 +190,9 @@ def born_charges(reference: Reference, calculator: Any) -> Polar | None:
         )
     if DIELECTRIC not in given:
         raise InputError(f"calculator: it gives {BORN} without {DIELECTRIC}; expected both")
-    return Polar(born, np.asarray(calculator.get_property(DIELECTRIC, cell), dtype=float))
+    return NonAnalyticCorrection(
+        born, np.asarray(calculator.get_property(DIELECTRIC, cell), dtype=float)
+    )
 
 
 def wide_enough(reference: Reference, calculator: Any, widths: Sequence[float]) -> tuple[int, ...]:

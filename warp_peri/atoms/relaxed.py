@@ -23,9 +23,10 @@ from ase.spacegroup.symmetrize import refine_symmetry
 from ase.stress import voigt_6_to_full_3x3_stress
 from scipy.linalg import sqrtm
 
+from warp_peri.arguments import typed
 from warp_peri.atoms.calculator_noise import EV_IN_TPA, ON_SITES, TIMES, Noise, measured, projected
 from warp_peri.atoms.calculators import LammpsError
-from warp_peri.atoms.force_constants import ForceConstants, Polar
+from warp_peri.atoms.force_constants import ForceConstants, NonAnalyticCorrection
 from warp_peri.core.groups import (
     COUNTED,
     KNOWN,
@@ -441,6 +442,7 @@ BESIDE = ("FORCE_CONSTANTS", "force_constants.hdf5", "FORCE_SETS", "BORN")
 YAML = ("phonopy.yaml", "phonopy_params.yaml", "phonopy_disp.yaml")
 
 
+@typed
 def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None) -> ForceConstants:
     """Force constants of what phonopy computed.
 
@@ -452,7 +454,7 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
 
     Args:
         path: phonopy.yaml, phonopy_params.yaml or phonopy_disp.yaml, or the folder that has one.
-        thickness: of a sheet across z [Å]; by default as `from_atoms` has it.
+        thickness: of a sheet across z [Å]; by default as `fit_crystal` has it.
 
     Raises InputError where phonopy is not installed, for files that it does not read, for forces
     that are not there, and for Born charges of a sheet.
@@ -489,7 +491,7 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
         thickness = thickness_of(cell)[0]
     polar = None
     if ions is not None:
-        polar = Polar(np.asarray(ions["born"]), np.asarray(ions["dielectric"]))
+        polar = NonAnalyticCorrection(np.asarray(ions["born"]), np.asarray(ions["dielectric"]))
     elif thickness is None and len(set(cell.numbers)) > 1:
         warn(
             f"{file.parent}: no BORN is there; if ions carry charges, their field misses in its "

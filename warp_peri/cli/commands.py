@@ -15,13 +15,13 @@ import numpy as np
 
 import warp_peri
 from warp_peri.cli.options import keep
-from warp_peri.contract import offered
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import destination, finite, locked, plain
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import Units, symbols
-from warp_peri.solvers.solution import Coupling, Direct, Krylov
+from warp_peri.protocols import offered
+from warp_peri.solvers.solution import CG, Coupling, Direct
 from warp_peri.storage import load
 
 Result = dict[str, Any]
@@ -75,7 +75,7 @@ def run_certify(given: Namespace) -> Said:
         proof = warp_peri.certify(law, spacing=spacing)
         figures = {"holds": proof.holds, **proof.figures()}
         if hasattr(material, "tq2"):
-            unique = warp_peri.proofs.uniqueness(material, spacing=proof.spacing)
+            unique = warp_peri.certificates.prove_uniqueness(material, spacing=proof.spacing)
             figures["nonlinear"] = unique.figures()
         proofs[f"{proof.spacing:g} {symbols(law.units)[0]}"] = figures
     return proofs, lines_of(proofs)
@@ -180,7 +180,7 @@ def solver_of(name: str, material: Any) -> Any:
     if getattr(material, "linear", None) is not material:
         kind = type(material).__name__
         raise InputError(f"method: expected auto for a {kind}, which has one, got {name!r}")
-    return Direct(name == "gmres") if name in ("lu", "gmres") else Krylov(name)
+    return Direct(name == "gmres") if name in ("lu", "gmres") else CG(name)
 
 
 def _solve_body(given: Namespace) -> Said:
@@ -265,7 +265,7 @@ def run_export(given: Namespace) -> Said:
     problem = warp_peri.Dirichlet(points, points.loads, points.u)
     solved = warp_peri.solve(material, problem, **options_of(given))
     with locked(given.out):
-        paths = warp_peri.export.write_fields(given.out, material, points, solved.u)
+        paths = warp_peri.export.write_vtk(given.out, material, points, solved.u)
     keep(given, given.out / "export.toml")
     result = {"files": [str(path) for path in paths]}
     return result, lines_of(result)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import warp_peri
-from warp_peri.atoms.dic import frames_of_folder, noise_of
+from warp_peri.atoms.dic import estimate_noise, frames_of_folder
 from warp_peri.cli.commands import Result, Said, lines_of
 from warp_peri.cli.options import keep
 from warp_peri.cli.train import LINE, ONE
@@ -42,16 +42,18 @@ def run_fit_crystal(given: Namespace) -> Said:
     with locked(given.out):  # a place that takes no files is told before the calculator works
         if given.calculator is None:
             constants = warp_peri.atoms.from_phonopy(given.structure, thickness=given.thickness)
-            found: Any = warp_peri.atoms.from_force_constants(constants, **nodes, units=units)
+            found: Any = warp_peri.atoms.crystal_from_force_constants(
+                constants, **nodes, units=units
+            )
         else:
             structure = read_structure(given.structure)
-            calculator = warp_peri.atoms.named_calculator(
+            calculator = warp_peri.atoms.make_calculator(
                 given.calculator,
                 structure.get_chemical_symbols(),
                 given.potential,
                 trusted=given.trust or "calculator" not in getattr(given, "from_file", ()),
             )
-            found = warp_peri.from_atoms(
+            found = warp_peri.fit_crystal(
                 structure,
                 calculator,
                 thickness=given.thickness,
@@ -157,7 +159,7 @@ def run_fit_sheet(given: Namespace) -> Said:
             print(f"{candidate.name}: error of displacement {error}", flush=True)
 
     with locked(given.out):
-        choice = warp_peri.tissue.choose_sheet(
+        choice = warp_peri.hyperelastic.select_model(
             frames,
             fibres=given.fibres,
             uneven=not given.even,
@@ -170,7 +172,7 @@ def run_fit_sheet(given: Namespace) -> Said:
         told = {
             "frames": len(frames),
             "interior": int(frames.interior.sum()),
-            "noise_in_spacings": float(np.median(noise_of(frames)) / frames.spacing),
+            "noise_in_spacings": float(np.median(estimate_noise(frames)) / frames.spacing),
             "lengths": frames.points.units[0] if length_known else UNSAID,
         }
         result = finite(told | result)
@@ -193,10 +195,10 @@ def _written(given: Namespace, choice: Any) -> tuple[Result, str]:
     if given.stress:
         scatter = f"{100 * choice.fit.scatter:.2g}"
         told = f"are in MPa by --stress; sections and frames scatter by {scatter} % around it"
-    words = [*warp_peri.tissue.in_words(material), *_beside(choice.fit)]
+    words = [*warp_peri.hyperelastic.in_words(material), *_beside(choice.fit)]
     words.append(f"stresses and coefficients {told}")
     try:
-        warp_peri.tissue.save_febio(material, given.out / "material.feb")
+        warp_peri.hyperelastic.save_febio(material, given.out / "material.feb")
         words.append("material.feb carries all but the deviations and the thickness")
     except InputError as error:
         words.append(f"no file for FEBio: {error}")

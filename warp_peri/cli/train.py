@@ -52,7 +52,7 @@ LINE = 72 * "-"
 def run_coarse_grain(given: Namespace) -> Said:
     """Dumps → a set of a data file; sets of other names that the file has stay in it."""
     _take_sheet(given)
-    frame = next(dumps.dump_frames(given.reference))
+    frame = next(dumps.iter_dump(given.reference))
     reference, box = frame.x, None
     if given.box:
         dumps.check_box(given.reference, tuple(given.box), frame.box, TYPED_BOX)
@@ -64,7 +64,7 @@ def run_coarse_grain(given: Namespace) -> Said:
     force = np.stack([atom_forces(path, len(reference)) for path in given.force])
     mass = np.ones(len(reference))
     if given.mass:
-        mass = dumps.dump_masses(given.reference, given.mass)
+        mass = dumps.read_masses(given.reference, given.mass)
     points = node_lattice(given.spacing, given.reach, given.interior, round_body=box is None)
     points = dataclasses.replace(points, x=points.x + reference.mean(axis=0))
     omega = smoothing_matrix(
@@ -74,10 +74,10 @@ def run_coarse_grain(given: Namespace) -> Said:
         given.dumps,
         omega,
         points,
-        dumps.Atoms(reference, mass, frame.ids, box),
+        dumps.ReferenceAtoms(reference, mass, frame.ids, box),
         force=force,
         unloaded=given.unloaded or [],
-        average=dumps.Average(given.skip, given.iota),
+        average=dumps.FrameAverage(given.skip, given.iota),
         node_area=given.spacing**2,
         thickness=given.thickness,
         progress=given.progress,
@@ -205,13 +205,13 @@ def _law(given: Namespace, spacing: float) -> Any:
             raise InputError("degree, influence: expected one of the two")
         kernel: Any = None if given.degree is None else settings.Bernstein(given.degree)
         if given.influence:
-            kernel = warp_peri.shapes.named(given.influence, given.horizon)
-        conditions = settings.Conditions(given.conditions, given.zeta)
+            kernel = warp_peri.influence.named(given.influence, given.horizon)
+        conditions = settings.StabilityConditions(given.conditions, given.zeta)
         method = settings.named(given.method)
         return warp_peri.LPS(given.horizon, kernel, method, conditions, given.loss)
     if own := [f"--{name}" for name, value in OF_LPS.items() if getattr(given, name) != value]:
         raise InputError(f"{', '.join(own)}: not of --law {given.law}")
-    law = warp_peri.Micromodulus(given.horizon)
+    law = warp_peri.Crystal(given.horizon)
     smoothing = warp_peri.methods.Smoothing(2 * spacing)
     return law if given.law == "tensors" else warp_peri.ThirdOrder(law, smoothing)
 

@@ -78,7 +78,7 @@ def plane_isotropic(lam: float, mu: float) -> np.ndarray:
     return C
 
 
-def from_voigt(matrix: np.ndarray) -> np.ndarray:
+def voigt_to_tensor(matrix: np.ndarray) -> np.ndarray:
     """The elastic tensor [d, d, d, d] of a symmetric Voigt matrix.
 
     Raises InputError for another shape, a matrix that is not symmetric or not finite.
@@ -109,7 +109,7 @@ def invariant_tensors(group: np.ndarray) -> np.ndarray:
     m, n = np.triu_indices(len(PAIRS[d]))
     ones = np.zeros((len(m), *2 * (len(PAIRS[d]),)))
     ones[np.arange(len(m)), m, n] = ones[np.arange(len(m)), n, m] = 1.0
-    basis = [from_voigt(one).ravel() for one in ones]
+    basis = [voigt_to_tensor(one).ravel() for one in ones]
     pairs = np.einsum("gai,gbj->gabij", group, group).reshape(len(group), d * d, d * d)
     mean = np.einsum("gmn,gop->monp", pairs, pairs, optimize=True) / len(group)
     flat = np.array(basis) @ mean.reshape(d**4, d**4).T
@@ -140,7 +140,7 @@ def compliance(tensor: np.ndarray) -> np.ndarray:
     if not np.linalg.eigvalsh(matrix).min() > 0:
         raise InputError("moduli: expected a stable crystal, got an elastic tensor that is none")
     engineering = np.where(np.arange(len(matrix)) < d, 1.0, 0.5)
-    return from_voigt(np.linalg.inv(matrix) * np.outer(engineering, engineering))
+    return voigt_to_tensor(np.linalg.inv(matrix) * np.outer(engineering, engineering))
 
 
 def directional(tensor: np.ndarray, along: np.ndarray, across: np.ndarray) -> tuple[float, float]:
@@ -226,4 +226,4 @@ def plane_stress(tensor: np.ndarray) -> np.ndarray:
     kept, free = [0, 1, 5], [2, 3, 4]
     inner = np.linalg.solve(M[np.ix_(free, free)], M[np.ix_(free, kept)])
     schur = M[np.ix_(kept, kept)] - M[np.ix_(kept, free)] @ inner
-    return from_voigt((schur + schur.T) / 2)
+    return voigt_to_tensor((schur + schur.T) / 2)

@@ -16,12 +16,12 @@ import scipy.fft
 import torch
 from numpy.typing import ArrayLike
 
-from warp_peri.contract import OnPoints
 from warp_peri.core.grid import grid_of
 from warp_peri.core.stencil import Stencil, half_ball
-from warp_peri.launch import one_thread
 from warp_peri.points.arrays import plain
 from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.protocols import OperatorBase
+from warp_peri.runtime import one_thread
 
 Density = Callable[..., torch.Tensor]
 """W [stress] of E, shape [..., d, d], and of numbers by name; shape [...]."""
@@ -51,7 +51,7 @@ def strain(H: torch.Tensor) -> torch.Tensor:
     return strain_rate(H / 2, H)
 
 
-class Pointwise(OnPoints):
+class Pointwise(OperatorBase):
     """Minus the internal force density of an energy density on a lattice; b in equilibrium.
 
     Args:
@@ -225,11 +225,11 @@ class Pointwise(OnPoints):
 
         return self._swept(sweep, field)
 
-    def product(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
+    def jvp(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
         """The derivative at u along v, shape [..., I, d]."""
         return self._swept(lambda u, v: self._bent(u, v, 0, self._inside), u, v)
 
-    def product_transpose(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
+    def vjp(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
         """The transposed product with w on the interior [..., I, d], on all nodes [..., N, d]."""
 
         def sweep(u: np.ndarray, w: np.ndarray) -> np.ndarray:

@@ -22,7 +22,7 @@ from warp_peri.core.groups import canonical
 from warp_peri.core.record import Stress
 from warp_peri.core.stencil import Stencil, bend, laplacian_stencil, zone_sample
 from warp_peri.errors import InputError
-from warp_peri.launch import in_blocks
+from warp_peri.runtime import in_blocks
 
 SAMPLE = {2: 240, 3: 24}
 """Intervals of the grid that the smallest ratio is sampled on, before zooming."""
@@ -57,7 +57,7 @@ Affine = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
-class Proof:
+class StencilCertificate:
     """What was proven of a symbol, in the stress unit of its stencil.
 
     Attributes:
@@ -119,7 +119,7 @@ def prove(
     group: np.ndarray,
     weight: Stencil | None = None,
     shares: tuple[float, ...] = SHARES,
-) -> Proof:
+) -> StencilCertificate:
     """Prove D(k) ≥ c w(k) for the largest share of the sampled minimum that the cells allow.
 
     Args:
@@ -152,7 +152,7 @@ def prove(
                     sampled = lower
                     continue
         left.pop(0)
-    return Proof(proven, sampled, long, cells, time.perf_counter() - start)
+    return StencilCertificate(proven, sampled, long, cells, time.perf_counter() - start)
 
 
 def _lattice_units(stencil: Stencil) -> Stencil:

@@ -1,7 +1,7 @@
 """A material as a value: its fields say types and units, and file, units and looks are one.
 
     @dataclass(frozen=True, eq=False, repr=False)
-    class Crystal(Record, format="warp_peri.micromodulus"):
+    class Crystal(Record, format="warp_peri.crystals"):
         spacing: Length
         tensors: Annotated[np.ndarray, Entry(length=-2, stress=1)]
         certificate: Proof | None = None
@@ -40,7 +40,7 @@ from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import parsed, plain, write_json
 from warp_peri.points.arrays import LARGEST, checked, is_number
 from warp_peri.points.unit_names import USUAL, Units, check_units, factors, shown_moduli, symbols
-from warp_peri.shown import Shown
+from warp_peri.reprs import Shown
 
 LARGEST_FILE = 2**26
 """Bytes of a file that are read at most."""
@@ -56,7 +56,7 @@ HOMES = {
     "warp_peri.density": "materials.density",
     "warp_peri.brittle_solid": "fracture.dynamics",
     "warp_peri.soft_solid": "fracture.softening",
-    "warp_peri.micromodulus": "materials.crystal",
+    "warp_peri.crystals": "materials.crystal",
     "warp_peri.hyperelastic": "materials.hyperelastic.energies",
     "warp_peri.neural": "neural.material",
     "warp_peri.conductor": "diffusion.conductor",
@@ -67,7 +67,7 @@ HOMES = {
 
 
 @dataclass(frozen=True)
-class Entry:
+class FieldUnits:
     """Of a field, as ``Annotated[float, Entry(stress=1)]``.
 
     Attributes:
@@ -92,11 +92,11 @@ class Entry:
     spread: bool = False
 
 
-PLAIN = Entry()
+PLAIN = FieldUnits()
 """Of a field that says nothing."""
-Positive: TypeAlias = Annotated[float, Entry(positive=True)]
-Length: TypeAlias = Annotated[float, Entry(length=1, positive=True)]
-Stress: TypeAlias = Annotated[float, Entry(stress=1)]
+Positive: TypeAlias = Annotated[float, FieldUnits(positive=True)]
+Length: TypeAlias = Annotated[float, FieldUnits(length=1, positive=True)]
+Stress: TypeAlias = Annotated[float, FieldUnits(stress=1)]
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class Field:
     name: str
     key: str
     hint: Any
-    says: Entry
+    says: FieldUnits
     default: Any
 
 
@@ -169,7 +169,7 @@ class Record(Shown):
         return found | {"sha256": content_hash(found)}
 
     @classmethod
-    def of_content(cls, content: Any, where: str = "") -> Self:
+    def from_dict(cls, content: Any, where: str = "") -> Self:
         """What a file holds; `where` begins warnings.
 
         Raises InputError naming what is wrong: another format or version, keys that are missing or
@@ -199,11 +199,11 @@ class Record(Shown):
                 "sha256: the contents are not what was written; remove this key to accept them"
             )
         if (cls, hashed) not in PROVEN:
-            made.check_proofs()
+            made.verify_certificates()
             PROVEN.add((cls, hashed))
         return made
 
-    def check_proofs(self) -> None:
+    def verify_certificates(self) -> None:
         """Prove again what a file says to be proven; InputError where it is not.
 
         Of a core.proof.Proof among the fields, which is of `stencil` under `group`.
@@ -219,7 +219,7 @@ class Record(Shown):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a file of this kind; InputError for one of another, and as `of_content`."""
+        """Read a file of this kind; InputError for one of another, and as `from_dict`."""
         found = load(path)
         if not isinstance(found, cls):
             what = f"expected a {cls.__name__}, got a {type(found).__name__}"
@@ -255,7 +255,7 @@ class Record(Shown):
         return {e.name: self._scaled(getattr(part, e.name), e.says, by, units)
                 for e in fields_of(part)}  # fmt: skip
 
-    def _scaled(self, value: Any, says: Entry, by: tuple[float, float], units: Units) -> Any:
+    def _scaled(self, value: Any, says: FieldUnits, by: tuple[float, float], units: Units) -> Any:
         """A value in other units."""
         if isinstance(value, Record):
             return value.in_units(units)
@@ -373,7 +373,7 @@ def _part(kind: Any, entries: dict[str, Any]) -> Any:
     return made
 
 
-def taken(key: str, hint: Any, value: Any, says: Entry = PLAIN, *, read: bool = False) -> Any:
+def taken(key: str, hint: Any, value: Any, says: FieldUnits = PLAIN, *, read: bool = False) -> Any:
     """A value as its field has it; InputError naming the key for what is none.
 
     Args:
@@ -415,7 +415,7 @@ def taken(key: str, hint: Any, value: Any, says: Entry = PLAIN, *, read: bool = 
         return _within(key, read_content, value)
     if read and "__dataclass_fields__" in vars(hint):
         if issubclass(hint, Record):
-            return _within(key, hint.of_content, value)
+            return _within(key, hint.from_dict, value)
         return _within(key, _part, hint, dict(taken(key, dict, value)))
     if hint is not Any and not isinstance(value, hint):
         raise InputError(f"{key}: expected {hint.__name__}(…), got {value!r:.50}")
@@ -483,7 +483,7 @@ def read_content(content: Any, path: Path | None = None) -> Any:
         known = ", ".join(sorted({*HOMES, *FORMATS}))
         raise InputError(f"format: expected one of {known}, got {name!r:.50}")
     where = f"{path}: " if path else ""
-    return FORMATS[name].of_content(content, where)._read_from(path)
+    return FORMATS[name].from_dict(content, where)._read_from(path)
 
 
 def load(path: str | os.PathLike[str]) -> Any:

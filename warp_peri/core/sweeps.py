@@ -11,7 +11,7 @@ import warp as wp
 
 from warp_peri.core.grid import Grid
 from warp_peri.kernels.micromodulus.rows import rows
-from warp_peri.launch import DEVICE, floats, ints, launch_slices, threads
+from warp_peri.runtime import DEVICE, floats, get_num_threads, ints, launch_slices
 
 SCALARS = {np.dtype(np.float64): wp.float64, np.dtype(np.float32): wp.float32}
 FASTER = 4
@@ -119,19 +119,19 @@ def torus_symbol(torus: tuple[int, ...], steps: np.ndarray, tensors: np.ndarray)
         stencil = np.zeros(torus)
         np.subtract.at(stencil.reshape(-1), place, np.concatenate([c, c]))
         stencil.flat[0] += 2 * whole
-        part[:] = scipy.fft.rfftn(stencil, workers=threads(), overwrite_x=True).real
+        part[:] = scipy.fft.rfftn(stencil, workers=get_num_threads(), overwrite_x=True).real
     return symbol
 
 
 def convolved(symbol: np.ndarray, field: np.ndarray, torus: tuple[int, ...]) -> np.ndarray:
     """A symbol's product with one field [d, …] in a corner of the torus, on all of it."""
     axes = tuple(range(1, len(torus) + 1))
-    wave = scipy.fft.rfftn(field, s=torus, axes=axes, workers=threads())
+    wave = scipy.fft.rfftn(field, s=torus, axes=axes, workers=get_num_threads())
     mixed, part = np.empty_like(wave), np.empty_like(wave[0])
     for i, one in enumerate(mixed):
         component(symbol, wave, i, one, part)
     return np.asarray(
-        scipy.fft.irfftn(mixed, s=torus, axes=axes, workers=threads(), overwrite_x=True)
+        scipy.fft.irfftn(mixed, s=torus, axes=axes, workers=get_num_threads(), overwrite_x=True)
     )
 
 

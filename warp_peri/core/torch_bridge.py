@@ -15,13 +15,13 @@ import torch
 from scipy.sparse.linalg import LinearOperator, gmres, splu
 from torch.autograd import forward_ad
 
-from warp_peri.contract import SINGULAR, placed, uncompiled
 from warp_peri.errors import InputError, quietly
+from warp_peri.protocols import SINGULAR, placed, uncompiled
 
 Backward = Callable[..., tuple[torch.Tensor | None, ...]]
 TWICE = (
     "second derivative: expected first derivatives alone of a force that is not linear, of its "
-    "numbers, or of an equilibrium; operator.product(u, v) is the derivative of a force along v"
+    "numbers, or of an equilibrium; operator.jvp(u, v) is the derivative of a force along v"
 )
 DIRECT = 4_000
 """Unknown nodes up to which a tangent is factorised for its adjoint, as `statics` does."""
@@ -135,7 +135,7 @@ def refuse_tangents(*inputs: Any) -> None:
             )
         if forward_ad.unpack_dual(one).tangent is not None:
             raise InputError(
-                "tangent: expected no forward-mode derivative; operator.product(u, v) is the "
+                "tangent: expected no forward-mode derivative; operator.jvp(u, v) is the "
                 "derivative of a force along v"
             )
 
@@ -181,9 +181,9 @@ def force_of(operator: Any, u: torch.Tensor) -> torch.Tensor:
 
     def force(fields: torch.Tensor) -> torch.Tensor:
         if operator.is_linear:
-            return linear(fields, operator.force, lambda w: operator.product_transpose(None, w))
-        backs = (operator.product_transpose,)
-        return nonlinear(operator.force, operator.product, backs, fields)
+            return linear(fields, operator.force, lambda w: operator.vjp(None, w))
+        backs = (operator.vjp,)
+        return nonlinear(operator.force, operator.jvp, backs, fields)
 
     return on_fields(operator, u, force)
 
@@ -243,7 +243,9 @@ def with_numbers(operator: Any, numbers: Mapping[str, Any]) -> tuple[Any, dict[s
     return operator if same else operator.at(known | values), given
 
 
-def force_with(operator: Any, u: torch.Tensor, numbers: Mapping[str, Any]) -> torch.Tensor:
+def force_with_parameters(
+    operator: Any, u: torch.Tensor, numbers: Mapping[str, Any]
+) -> torch.Tensor:
     """The force of fields [S, N, d] with other numbers, by an operator's `at` and `by_numbers`."""
     names, made = list(operator.learnable), dict[bytes, Any]()
 
@@ -257,7 +259,7 @@ def force_with(operator: Any, u: torch.Tensor, numbers: Mapping[str, Any]) -> to
     def back(name: str) -> Callable[..., np.ndarray]:
         return lambda u, *of: np.asarray(at(of[:-1]).by_numbers(name, u, of[-1]))
 
-    by_u: Any = lambda u, *of: at(of[:-1]).product_transpose(u, of[-1])  # noqa: E731
+    by_u: Any = lambda u, *of: at(of[:-1]).vjp(u, of[-1])  # noqa: E731
     force: Any = lambda u, *of: at(of).force(u)  # noqa: E731
     backs = (by_u, *map(back, names))
     return nonlinear(force, None, backs, u, *(numbers[name] for name in names))
@@ -274,7 +276,7 @@ def by_numbers(operator: Any, names: list[str], u: np.ndarray, w: np.ndarray) ->
             name: torch.tensor(value, dtype=torch.float64, requires_grad=name in names)
             for name, value in operator.learnable.items()
         }
-        force = operator.force_with(torch.from_numpy(u), numbers)
+        force = operator.force_with_parameters(torch.from_numpy(u), numbers)
         leaves = [numbers[name] for name in names]
         return dict(zip(names, torch.autograd.grad(force, leaves, torch.from_numpy(w))))
 
@@ -287,7 +289,7 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
     linear has every derivative to b and u; of others, and to numbers, the second is refused.
 
     Args:
-        operator: that offers `rest`, and `stiffness_at` or `inverse` where it is not symmetric.
+        operator: that offers `rest`, and `interior_tangent` or `inverse` where it is not symmetric.
         b, u: of all nodes, [N, d] or [S, N, d]; b counts on the interior, u on the collar.
         solver: of `rest`.
         parameters: some of the operator's `learnable` by name; the others stay as they are. The
@@ -334,9 +336,9 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
 
 def _rest(operator: Any, b: np.ndarray, u: np.ndarray, solver: Any) -> Any:
     """The Solution, of nodes without a collar that of a period where there is one."""
-    if operator.points.interior.all() and hasattr(operator, "rest_periodic"):
-        return operator.rest_periodic(b, solver)
-    return operator.rest(b, u, solver)
+    if operator.points.interior.all() and hasattr(operator, "solve_periodic"):
+        return operator.solve_periodic(b, solver)
+    return operator.solve(b, u, solver)
 
 
 def _pulled(operator: Any, u: np.ndarray, g: np.ndarray, solver: Any) -> tuple[np.ndarray, ...]:
@@ -352,7 +354,7 @@ def _pulled(operator: Any, u: np.ndarray, g: np.ndarray, solver: Any) -> tuple[n
         else:
             inner = np.compress(inside, g, axis)
             w = _transposed(operator, u.reshape(-1, *one), inner).reshape(inner.shape)
-    pushed = (g - operator.product_transpose(u, w)) * operator.held
+    pushed = (g - operator.vjp(u, w)) * operator.held
     return w, operator.on_all(w), pushed
 
 
@@ -360,7 +362,7 @@ def _transposed(operator: Any, fields: np.ndarray, g: np.ndarray) -> np.ndarray:
     """L′⁻ᵗ of each field's g on the interior, by a factorisation, or in steps where it is large."""
     right, factors, found = g.reshape(len(fields), -1), None, []
     many = np.count_nonzero(operator.points.interior) > DIRECT and hasattr(operator, "inverse")
-    steps = many or not hasattr(operator, "stiffness_at")
+    steps = many or not hasattr(operator, "interior_tangent")
     # each field takes some eight inverses, and so many loads may be worth factors
     inverse = operator.inverse(8 * len(fields)) if steps else None
     for field, one in zip(fields, right):
@@ -369,7 +371,7 @@ def _transposed(operator: Any, fields: np.ndarray, g: np.ndarray) -> np.ndarray:
         else:
             if factors is None or not operator.is_linear:
                 try:
-                    factors = splu(sp.csc_matrix(operator.stiffness_at(field)))
+                    factors = splu(sp.csc_matrix(operator.interior_tangent(field)))
                 except RuntimeError as error:
                     raise InputError(f"solve: {SINGULAR} ({error})") from None
             found.append(factors.solve(np.ascontiguousarray(one), "T"))
@@ -388,7 +390,7 @@ def in_steps(
     J, M = (
         LinearOperator(2 * (g.size,), matvec=part, dtype=float)
         for part in (
-            lambda w: operator.product_transpose(u, w.reshape(g.shape))[inside].ravel(),
+            lambda w: operator.vjp(u, w.reshape(g.shape))[inside].ravel(),
             lambda r: inverse(r.reshape(g.shape), max(tolerance, ROUGH)).ravel(),
         )
     )
@@ -398,7 +400,7 @@ def in_steps(
     return np.asarray(w)
 
 
-class Module(torch.nn.Module):
+class TorchModule(torch.nn.Module):
     """A material on points as a module of torch: ``module(u)`` is the force, as ``operator(u)``.
 
     Args:
@@ -418,13 +420,13 @@ class Module(torch.nn.Module):
     with them the second derivative is refused. Raises InputError as `on`, and for a u that does
     not fit.
 
-    >>> tuple(wp.Module(model, points)(torch.from_numpy(u)).shape)
+    >>> tuple(wp.TorchModule(model, points)(torch.from_numpy(u)).shape)
     (12, 121, 2)
     """
 
     def __init__(self, material: Any, points: Any, **options: Any) -> None:
         super().__init__()
-        self.operator = placed(material, points, verb="Module", **options)
+        self.operator = placed(material, points, verb="TorchModule", **options)
         for name, value in getattr(self.operator, "learnable", {}).items():
             number = torch.tensor(value, dtype=torch.float64)
             self.register_parameter(name, torch.nn.Parameter(number))
@@ -438,4 +440,6 @@ class Module(torch.nn.Module):
         if not numbers:
             return operator(u)  # type: ignore[no-any-return]
         u = torch.as_tensor(u)
-        return on_fields(operator, u, lambda fields: operator.force_with(fields, numbers))
+        return on_fields(
+            operator, u, lambda fields: operator.force_with_parameters(fields, numbers)
+        )

@@ -1,6 +1,12 @@
 """Conduction and diffusion along bonds, alone and with mechanics (theory, Di)."""
 
-from warp_peri.diffusion.conductor import Conductor, DiffusionGradient, DiffusionOperator
-from warp_peri.diffusion.coupled import CoupledOperator, CoupledSolid
+from warp_peri.diffusion.conductor import DiffusionGradient, DiffusionMaterial, DiffusionOperator
+from warp_peri.diffusion.coupled import CoupledOperator, ThermoelasticMaterial
 
-__all__ = ["Conductor", "CoupledOperator", "CoupledSolid", "DiffusionGradient", "DiffusionOperator"]
+__all__ = [
+    "DiffusionMaterial",
+    "CoupledOperator",
+    "ThermoelasticMaterial",
+    "DiffusionGradient",
+    "DiffusionOperator",
+]

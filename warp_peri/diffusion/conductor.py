@@ -12,16 +12,16 @@ import scipy.sparse as sp
 import warp as wp
 from numpy.typing import ArrayLike
 
-from warp_peri.contract import OnPoints
-from warp_peri.core.record import Entry, Length, Record
+from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.errors import InputError
 from warp_peri.kernels.diffusion import flux as kernels
-from warp_peri.launch import floats, ints, launch_slices, zeros
 from warp_peri.materials.lps import ALPHA_BOUND, bernstein_basis
 from warp_peri.points.arrays import checked, checked_fields, mean_inverse, plain
 from warp_peri.points.families import Families, families_of
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same
+from warp_peri.protocols import OperatorBase
+from warp_peri.runtime import floats, ints, launch_slices, zeros
 from warp_peri.solvers.adjoint import Implicit, stepped
 from warp_peri.solvers.direct import definite_factors
 from warp_peri.solvers.solution import Direct, Solution, Solver, refuse_solver
@@ -48,7 +48,7 @@ class DiffusionGradient:
     alpha: float
 
 
-class DiffusionOperator(OnPoints):
+class DiffusionOperator(OperatorBase):
     """−∇·κ∇φ, nonlocal, on the interior of a point set (theory, Di1).
 
     Args:
@@ -70,7 +70,7 @@ class DiffusionOperator(OnPoints):
     implicit = 0.5
 
     def __init__(
-        self, law: Conductor, points: PointsLike, *, kappa: Conductivity | None = None
+        self, law: DiffusionMaterial, points: PointsLike, *, kappa: Conductivity | None = None
     ) -> None:
         self.model, self.points = law, nodes_of(points)
         check_same(law.units, self.points.units)
@@ -152,7 +152,7 @@ class DiffusionOperator(OnPoints):
                 )
         return matrix
 
-    def load(self, b: np.ndarray) -> np.ndarray:
+    def rhs(self, b: np.ndarray) -> np.ndarray:
         """The source on the interior nodes, [..., I]."""
         inside = self.points.interior
         return checked("b", b, float, (..., len(inside)), inside)[..., self.rows]
@@ -161,7 +161,7 @@ class DiffusionOperator(OnPoints):
         """`matrix`, whatever φ."""
         return self._matrix
 
-    def stiffness_at(self, u: Any) -> sp.csc_array:
+    def interior_tangent(self, u: Any) -> sp.csc_array:
         """L between interior nodes, sparse [I, I]."""
         return self.inner()
 
@@ -189,7 +189,7 @@ class DiffusionOperator(OnPoints):
             np.add.at(found, ends, by_bond * (self.kappa / values[ends]) ** 2 / 2)
         return found
 
-    def product_transpose(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
+    def vjp(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Lᵗ w on all nodes, [..., N], of w on the interior, [..., I], whatever φ."""
         return np.asarray(plain("w", w) @ self._matrix)
 
@@ -201,7 +201,7 @@ class DiffusionOperator(OnPoints):
         """h^d (½ φ_I·L φ_I + φ_I·L φ_C), shape [...]; None on scattered points."""
         return None if self.points.spacing == 0 else self.quadratic(u)
 
-    def rest(self, b: ArrayLike | None, u: ArrayLike, solver: Solver = None) -> Solution:
+    def solve(self, b: ArrayLike | None, u: ArrayLike, solver: Solver = None) -> Solution:
         """φ with L φ = b on the interior, given on all other nodes.
 
         Args:
@@ -215,7 +215,7 @@ class DiffusionOperator(OnPoints):
         refuse_solver(solver, (Direct,), self.what)
         b, phi = checked_fields(self.points, b, u, self.shape)
         left = Implicit(self).rest(b, phi)
-        return Solution(phi, self.points, self, self.load(b), "lu", measured=left)
+        return Solution(phi, self.points, self, self.rhs(b), "lu", measured=left)
 
     march = stepped  # ∂φ/∂t = −L φ + b by Crank–Nicolson (theory, Di4)
 
@@ -310,7 +310,7 @@ def _check(values: np.ndarray) -> None:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Conductor(Record, format="warp_peri.conductor"):
+class DiffusionMaterial(Record, format="warp_peri.conductor"):
     """Flux −κ∇φ spread over a ball, with K(r) = r^(−α) Σ_k D_k B_k,M(r/δ).
 
     Attributes:
@@ -325,7 +325,7 @@ class Conductor(Record, format="warp_peri.conductor"):
     """
 
     horizon: Length
-    conductivity: Annotated[float, Entry(length=2, stress=1, positive=True)] = 1.0
+    conductivity: Annotated[float, FieldUnits(length=2, stress=1, positive=True)] = 1.0
     alpha: float = 1.0
     D: np.ndarray = field(default_factory=lambda: np.ones(1))
     units: Units = USUAL

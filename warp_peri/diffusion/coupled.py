@@ -10,23 +10,23 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from warp_peri.contract import OnPoints
 from warp_peri.core.record import Record, Stress
-from warp_peri.diffusion.conductor import Conductivity, Conductor, DiffusionOperator
+from warp_peri.diffusion.conductor import Conductivity, DiffusionMaterial, DiffusionOperator
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import lattice_body
 from warp_peri.fracture.bonds import bond_matrix, bonds_of, dilatations
 from warp_peri.fracture.statics import check_definite, in_torch, symmetric_factors
-from warp_peri.materials.lps import Model
+from warp_peri.materials.lps import LPSMaterial
 from warp_peri.points.arrays import checked_fields, plain
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import Units, check_same
+from warp_peri.protocols import OperatorBase
 from warp_peri.solvers.adjoint import Implicit, stepped
 from warp_peri.solvers.solution import Direct, Solution, Solver, refuse_solver
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CoupledSolid(Record, format="warp_peri.coupled_solid"):
+class ThermoelasticMaterial(Record, format="warp_peri.coupled_solid"):
     """A solid and what diffuses in it: fields are u₁, u₂ and φ, loads b₁, b₂ and the source.
 
     L u + ε Φᵗ φ = b and c ∂φ/∂t − ε ∂θ/∂t + L_κ φ = g, θ = Φ u. Φᵗ is minus the nonlocal gradient
@@ -41,8 +41,8 @@ class CoupledSolid(Record, format="warp_peri.coupled_solid"):
     Raises InputError for a coupling that is not finite, a storage below 0, and other units of one.
     """
 
-    model: Model
-    conductor: Conductor
+    model: LPSMaterial
+    conductor: DiffusionMaterial
     coupling: Stress
     storage: Stress = 0.0
     dimension: ClassVar[int] = 2
@@ -81,7 +81,7 @@ def _of_conductor(numbers: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-class CoupledOperator(OnPoints):
+class CoupledOperator(OperatorBase):
     """A coupled solid on a lattice.
 
     Args:
@@ -103,7 +103,7 @@ class CoupledOperator(OnPoints):
 
     def __init__(
         self,
-        material: CoupledSolid,
+        material: ThermoelasticMaterial,
         points: PointsLike,
         *,
         kappa: Conductivity | None = None,
@@ -151,7 +151,7 @@ class CoupledOperator(OnPoints):
         """The force as a matrix, rows of the interior and columns of all nodes, [3 I, 3 N]."""
         return self._whole([[self._solid, self._pull], [None, self._flux]])
 
-    def stiffness_at(self, u: Any) -> sp.csc_array:
+    def interior_tangent(self, u: Any) -> sp.csc_array:
         """The force between interior nodes, sparse [3 I, 3 I]."""
         return self.tangent(u).tocsc()[:, np.repeat(self.points.interior, 3)]
 
@@ -164,7 +164,7 @@ class CoupledOperator(OnPoints):
         )
         return both[rows][:, columns]
 
-    def product_transpose(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
+    def vjp(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """That transposed: of w on the interior, [..., I, 3], on all nodes, [..., N, 3]."""
         w = plain("w", w)
         flat, source = w[..., :2].reshape(*w.shape[:-2], -1), w[..., 2]
@@ -181,21 +181,23 @@ class CoupledOperator(OnPoints):
     def at(self, numbers: Mapping[str, Any]) -> CoupledOperator:
         """The same with other numbers; InputError as the class, and for κ not > 0."""
         diffusion = self.diffusion.at(_of_conductor(numbers))
-        model = self.model.model.having({n: numbers[n] for n in self.model.model.learnable})
+        model = self.model.model.with_parameters(
+            {n: numbers[n] for n in self.model.model.learnable}
+        )
         material = replace(
             self.model, model=model, conductor=diffusion.model, coupling=float(numbers["coupling"])
         )
         return CoupledOperator(material, self.points, kappa=diffusion.given, neighbour=self.table)
 
-    def force_with(self, u: Any, numbers: Any) -> Any:
+    def force_with_parameters(self, u: Any, numbers: Any) -> Any:
         """The force of tensors [S, N, 3] with other numbers, differentiable once in all."""
         field, phi = u[..., :2], u[..., 2]
         parts = self.model.model, self.body, self.table
         force = in_torch().bond_force(*parts, field, numbers, numbers["coupling"] * phi)
-        flux = self.diffusion.force_with(phi, _of_conductor(numbers))
+        flux = self.diffusion.force_with_parameters(phi, _of_conductor(numbers))
         return in_torch().torch.cat([force[:, self.rows], flux[..., None]], dim=-1)
 
-    def rest(self, b: ArrayLike | None, u: ArrayLike, solver: Solver = None) -> Solution:
+    def solve(self, b: ArrayLike | None, u: ArrayLike, solver: Solver = None) -> Solution:
         """The steady state.
 
         Args:
@@ -208,7 +210,7 @@ class CoupledOperator(OnPoints):
         refuse_solver(solver, (Direct,), self.what)
         load, given = checked_fields(self.points, b, u, self.shape)
         Implicit(self).rest(load, given)
-        return Solution(given, self.points, self, self.load(load), "lu")
+        return Solution(given, self.points, self, self.rhs(load), "lu")
 
     march = stepped  # by backward Euler, b a load or a function of time
 

@@ -34,7 +34,7 @@ from warp_peri.fe_coupling.lattice_interior import (
 )
 from warp_peri.fe_coupling.schwarz import Exchange, Schwarz, WholeBody
 from warp_peri.materials.certificate import with_proof
-from warp_peri.materials.lps import Model, moduli
+from warp_peri.materials.lps import LPSMaterial, moduli
 from warp_peri.materials.lps_transfer import LARGEST, model_at
 from warp_peri.points.arrays import is_number
 from warp_peri.points.families import bond_classes
@@ -181,7 +181,7 @@ def solve_body(
     positive definite.
     """
     loads = loads_on(mesh, displacement, traction, b)
-    springs, plane = _springs(edge or {}, mesh), isinstance(model, Model)
+    springs, plane = _springs(edge or {}, mesh), isinstance(model, LPSMaterial)
     _refuse_dimension(2 if plane else model.dimension, mesh)
     tried: tuple[Tried, ...] = ()
     if plane:
@@ -303,7 +303,7 @@ def _alone(model: Any, needed: float, deepest: float, coupling: Coupling) -> str
         deepest: of the mesh's triangles [Å].
         coupling: what was asked for.
     """
-    unit, plane = symbols(model.units)[0], isinstance(model, Model)
+    unit, plane = symbols(model.units)[0], isinstance(model, LPSMaterial)
     cell = "triangle" if model.dimension == 2 else "tetrahedron"
     cures = ["a smaller depth"] if coupling.depth is not None else []
     own, horizons = (0.0, 4) if coupling.overlap is None else (coupling.overlap, 2)
@@ -320,7 +320,7 @@ def _alone(model: Any, needed: float, deepest: float, coupling: Coupling) -> str
     )
 
 
-def long_wave(model: Model, spacing: float) -> Moduli:
+def long_wave(model: LPSMaterial, spacing: float) -> Moduli:
     """The moduli of a model on its lattice; InputError unless their energy is positive."""
     stiff = Moduli.square(**moduli(model, bond_classes(spacing, model.horizon)))
     if not (stiff.C44 > 0 and stiff.C11 > abs(stiff.C12)):
@@ -408,7 +408,7 @@ def body_gradient(
     Raises InputError for other shapes.
     """
     model, problem = solution.model, solution.problem
-    if not isinstance(model, Model):
+    if not isinstance(model, LPSMaterial):
         raise InputError("solution: expected a body of a peridynamic solid, got one of a crystal")
     by_bulk = np.zeros_like(solution.u_bulk) if by_bulk is None else np.asarray(by_bulk, float)
     by_rim = np.asarray(by_rim, dtype=float)
@@ -432,7 +432,7 @@ def body_gradient(
     return BodyGradient(-by_lam, -(here - model.lam * by_lam) / model.mu, f, b, given, solution)
 
 
-def _work(solution: BodySolution, model: Model, f: np.ndarray, b: np.ndarray) -> float:
+def _work(solution: BodySolution, model: LPSMaterial, f: np.ndarray, b: np.ndarray) -> float:
     """w · K u + v · L u with the λ and μ of a model."""
     K = solution.rim.stiffness(long_wave(model, solution.spacing))
     total = float(np.vdot(f, K @ solution.u_rim.ravel()))

@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt
 
 from warp_peri.errors import InputError, warn
 from warp_peri.fe_coupling.boundary_elements import Field
-from warp_peri.materials.lps import Model
+from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.materials.lps_transfer import LEAST, TOLERANCE, on_lattice
 from warp_peri.points.mesh import Mesh
@@ -94,7 +94,9 @@ class Bulk:
 
     def __init__(self, model: Any, points: Points, *, stiff: bool = False) -> None:
         self.model, self.points = model, points
-        placed: Any = LPSOperator(model, points) if isinstance(model, Model) else model.on(points)
+        placed: Any = (
+            LPSOperator(model, points) if isinstance(model, LPSMaterial) else model.on(points)
+        )
         self.linear: Linear = placed.linear
         self.stress: Callable[[np.ndarray], np.ndarray] = placed.stress
         self.inside, self.collar = np.flatnonzero(points.interior), np.flatnonzero(~points.interior)
@@ -190,8 +192,8 @@ class Tried:
 
 
 def bulk_lattice(
-    model: Model, mesh: Mesh, b: Field | None, overlap: float | None
-) -> tuple[Model, tuple[Tried, ...]]:
+    model: LPSMaterial, mesh: Mesh, b: Field | None, overlap: float | None
+) -> tuple[LPSMaterial, tuple[Tried, ...]]:
     """The model on the coarsest lattice that resolves the loads and the body, and the search.
 
     The loads are resolved where waves as long as those of the body force, by its mean square
@@ -250,7 +252,7 @@ def bulk_lattice(
     raise InputError(f"model: {tried[-1].verdict}; give a spacing")
 
 
-def _wave_error(model: Model, wave_number: float) -> float:
+def _wave_error(model: LPSMaterial, wave_number: float) -> float:
     """Largest error of waves as long, or longer, that the transfer's record knows."""
     record = model.provenance["transfer"]
     numbers = 2 * np.pi / np.array(record["wavelength"])

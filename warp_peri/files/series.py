@@ -44,7 +44,7 @@ def write_vtu(
     return Path(path)
 
 
-class Series:
+class TimeSeriesWriter:
     """Records of a motion: one file each, and one that names their times, which ParaView opens.
 
     `record_<step>.h5`, `nodes.h5` and `motion.xdmf`, the same from any number of ranks.

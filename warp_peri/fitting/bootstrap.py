@@ -10,10 +10,11 @@ import numpy as np
 from scipy.special import stdtrit
 from tqdm import tqdm
 
-from warp_peri.contract import offered
+from warp_peri.arguments import typed
 from warp_peri.errors import InputError, quietly
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
+from warp_peri.protocols import offered
 
 LEAST_LOADS, LEAST_DRAWS, DRAWS = 4, 10, 40
 ONE_DEVIATION = (0.1587, 0.8413)
@@ -23,7 +24,7 @@ REDRAWN = 0.2
 
 
 @dataclasses.dataclass(frozen=True)
-class Resampled:
+class BootstrapResult:
     """Materials learned from other choices of the loads.
 
     Attributes:
@@ -61,7 +62,8 @@ class Resampled:
         return middle - half, middle + half
 
 
-def resample_loads(
+@typed
+def bootstrap(
     samples: Samples | Dataset,
     law: Any,
     *,
@@ -69,7 +71,7 @@ def resample_loads(
     seed: int = 0,
     progress: bool = False,
     **options: Any,
-) -> Resampled:
+) -> BootstrapResult:
     """The same fit to other choices of the loads, with repetition (bootstrap).
 
     Args:
@@ -88,7 +90,7 @@ def resample_loads(
         raise InputError(f"samples: expected at least {LEAST_LOADS} loads, got {count}")
     if draws < LEAST_DRAWS:
         raise InputError(f"draws: expected at least {LEAST_DRAWS}, got {draws}")
-    offered(law, "learn", "resample_loads", "a model: LPS(…), Micromodulus(…)")
+    offered(law, "learn", "bootstrap", "a model: LPS(…), Crystal(…)")
     if getattr(law, "symmetry", None) == "auto":
         law = dataclasses.replace(law, symmetry=law.learn(one, **options).material.symmetry)
     if getattr(law, "kernel", law) is None:
@@ -110,4 +112,4 @@ def resample_loads(
         f"{draws} choices of the loads with repetition{more}, of {count}: what differs from load "
         "to load, noise among it; not an error that all loads share"
     )
-    return Resampled(materials, count, knows)
+    return BootstrapResult(materials, count, knows)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import null_space
 
-from warp_peri.contract import LINEAR, offered, placed, stencil_of
+from warp_peri.arguments import typed
 from warp_peri.core.elastic import allowed_tensors, elastic_from_brackets
 from warp_peri.core.grid import grid_of
 from warp_peri.core.groups import point_group
@@ -25,7 +25,8 @@ from warp_peri.fitting.long_waves import gradients
 from warp_peri.fitting.rows import forces
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples
-from warp_peri.shown import Shown
+from warp_peri.protocols import LINEAR, offered, placed, stencil_of
+from warp_peri.reprs import Shown
 
 TINY = 1e-300
 LEAST_TOLD = 0.005
@@ -54,11 +55,11 @@ CAUSES = {
     ),
     "anisotropy": (
         "anisotropy: the material is stiffer along some directions than this model can be",
-        "Micromodulus(…), whose bonds have stiffnesses of their own, or a smaller symmetry",
+        "Crystal(…), whose bonds have stiffnesses of their own, or a smaller symmetry",
     ),
     "nonlinearity": (
         "nonlinearity: forces that grow with the square or the cube of the strain",
-        "smaller loads, or third-order constants, ThirdOrder(Micromodulus(…), …)",
+        "smaller loads, or third-order constants, ThirdOrder(Crystal(…), …)",
     ),
     "heterogeneity": (
         "heterogeneity: stiffness, or the ripple that smoothing leaves, differs from place to "
@@ -120,6 +121,7 @@ class Diagnosis(Shown):
         return [*rows, ("try next", self.advice)] if self.advice else rows
 
 
+@typed
 def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> Diagnosis:
     """Name the causes of the residual of a material on the data it was fitted to.
 
@@ -180,7 +182,7 @@ def _causes(
     if total <= ROUNDING**2 * max(size, float((inner**2).sum())):
         return Diagnosis(residual, {"rounding": 1.0, "unexplained": 0.0})
     if noise is not None:
-        if what := points.differs_from(noise.points):
+        if what := points.first_difference(noise.points):
             raise InputError(
                 f"noise: expected fields on the nodes of the samples, got other {what}"
             )

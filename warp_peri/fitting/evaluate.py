@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.contract import offered, placed
+from warp_peri.arguments import typed
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
 from warp_peri.points.arrays import check_flag
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
+from warp_peri.protocols import offered, placed
 
 ERRORS = ("E_res", "E_u", "E_res_abs")
 """Those of the means of `evaluate` that a model is kept with, where the metrics hold them."""
@@ -30,7 +31,7 @@ def residual_errors(operator: Any, points: Samples) -> np.ndarray:
 
     A load that is rounding beside the forces that cancel in op(u) counts as none: 0.
     """
-    load = operator.load(points.loads)
+    load = operator.rhs(points.loads)
     size = _norms(load)
     # the force of the interior's displacement alone, which that of the collar takes off again
     straight = getattr(operator, "straight", operator)
@@ -38,6 +39,7 @@ def residual_errors(operator: Any, points: Samples) -> np.ndarray:
     return np.array([_norms(operator(points.u) - load), np.where(size > ROUNDING * inner, size, 0)])
 
 
+@typed
 def evaluate(
     material: Any,
     points: Samples | Dataset,
@@ -87,12 +89,12 @@ def evaluate(
     options: dict[str, Any] = {} if transfer else {"transfer": False}  # not of every law
     options |= {"allow_uncertified": True} if allow_uncertified else {}
     operator = placed(material, points.points, verb="evaluate", **options)
-    offered(operator, "product", "evaluate", "a material whose fields are displacements")
+    offered(operator, "jvp", "evaluate", "a material whose fields are displacements")
     if hasattr(operator, "errors"):  # a law whose samples may fail one by one
         table: dict[str, Any] = operator.errors(points)
         return table
     residual, load = residual_errors(operator, points)
-    solution = operator.rest(points.loads, points.u)
+    solution = operator.solve(points.loads, points.u)
     figures = operator.figures(solution) if hasattr(operator, "figures") else {}
     home = getattr(getattr(operator.model, "linear", None), "transferred_from", None)
     return _table(points, residual, load, solution.u, home) | figures

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from warp_peri.points.unit_names import shown_moduli
-from warp_peri.shown import Shown
+from warp_peri.reprs import Shown
 
 if TYPE_CHECKING:
     from warp_peri.materials.influence import InfluenceFunction
-    from warp_peri.materials.lps import Solid
+    from warp_peri.materials.lps import LPSParameters
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Stage:
     """
 
     name: str
-    parameters: Solid
+    parameters: LPSParameters
     E_res_train: float
     seconds: float
     loss: list[float] = field(repr=False)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from warp_peri.arguments import typed
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import check_whole
 
@@ -31,6 +32,7 @@ SMOOTHNESS = 1e-10
 nothing that can be seen, and keeps D from growing until its terms cancel to the last digit."""
 
 
+@typed
 @dataclass(frozen=True)
 class Bernstein:
     """The influence function K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) of any sign (theory, 4).
@@ -53,8 +55,9 @@ class Bernstein:
 Kernel: TypeAlias = "Bernstein | InfluenceFunction | Sequence[InfluenceFunction]"
 
 
+@typed
 @dataclass(frozen=True)
-class Conditions:
+class StabilityConditions:
     """What a fit must keep on every lattice.
 
     Attributes:
@@ -92,8 +95,9 @@ class Conditions:
         return forms
 
 
+@typed
 @dataclass(frozen=True)
-class Optimum:
+class GaussNewton:
     """The constrained optimum of the loss (theory, 26–28), from plain kernels r^(−α).
 
     Attributes:
@@ -137,6 +141,7 @@ def _are_moduli(given: Any) -> bool:
     return bool(np.isfinite([lam, mu]).all() and mu > 0 and lam + mu > 0)
 
 
+@typed
 @dataclass(frozen=True)
 class TwoStage:
     """Algorithm 1 of You et al. (2021): Adam on positive kernels, then an augmented Lagrangian.
@@ -172,8 +177,9 @@ class TwoStage:
             check_whole(name, getattr(self, name), 0)
 
 
+@typed
 @dataclass(frozen=True)
-class Constrained:
+class AugmentedLagrangian:
     """Adam and an augmented Lagrangian to the constrained optimum, which Optimum then checks.
 
     Unlike Algorithm 1 in coordinates that suit its steps (theory, 28b), so that it arrives.
@@ -190,19 +196,19 @@ class Constrained:
     seed: int = 0
     steps: int = 100
     rounds: int = 60
-    optimum: Optimum = field(default_factory=Optimum)
+    optimum: GaussNewton = field(default_factory=GaussNewton)
 
     def __post_init__(self) -> None:
         for name, least in (("seed", 0), ("steps", 1), ("rounds", 1)):
             check_whole(name, getattr(self, name), least)
 
 
-Method: TypeAlias = TwoStage | Optimum | Constrained
+Method: TypeAlias = TwoStage | GaussNewton | AugmentedLagrangian
 
 
 def named(name: str, **settings: Any) -> Method:
     """A method by the name it has on the command line; `seed` is of its initial D."""
-    made = {"optimum": Optimum, "two-stage": TwoStage, "constrained": Constrained}
+    made = {"optimum": GaussNewton, "two-stage": TwoStage, "constrained": AugmentedLagrangian}
     if name not in made:
         raise InputError(f"method: expected one of {', '.join(made)}, got {name!r}")
-    return Optimum() if name == "optimum" else made[name](**settings)
+    return GaussNewton() if name == "optimum" else made[name](**settings)

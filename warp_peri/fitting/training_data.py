@@ -36,7 +36,7 @@ def listed(
             f"{type(samples).__name__}"
         )
     if not space and any(each.points.dimension != 2 for each in sets):
-        raise InputError(f"{name}: expected a sheet; in space LPS and Micromodulus are learned")
+        raise InputError(f"{name}: expected a sheet; in space LPS and Crystal are learned")
     return list(sets)
 
 

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 from tqdm import tqdm
 
-from warp_peri.contract import is_tensor
 from warp_peri.core.torch_bridge import as_tensor as as_tensor
 from warp_peri.core.torch_bridge import linear, nonlinear, real, refuse_tangents
 from warp_peri.errors import InputError, warn
@@ -27,8 +26,9 @@ from warp_peri.fracture.statics import (
     strain_of,
     symmetric_factors,
 )
-from warp_peri.materials.lps import Model, bernstein_basis
+from warp_peri.materials.lps import LPSMaterial, bernstein_basis
 from warp_peri.points.arrays import checked, is_number
+from warp_peri.protocols import is_tensor
 from warp_peri.solvers.adjoint import in_motion as in_motion
 from warp_peri.solvers.motion import Motion
 
@@ -39,7 +39,7 @@ SETTLED = 0.01
 
 
 def bond_force(
-    model: Model,
+    model: LPSMaterial,
     body: LatticeBody,
     neighbour: np.ndarray,
     u: torch.Tensor,
@@ -56,7 +56,9 @@ def bond_force(
         pressure: more stress at nodes that resists a dilatation [stress], shape [S, N].
     """
     classes, d, mu = body.classes, body.dimension, numbers["mu"]
-    r = torch.from_numpy(classes.r * (model.nominal_spacing(classes.spacing) / classes.spacing))
+    r = torch.from_numpy(
+        classes.r * (model.certified_spacing_near(classes.spacing) / classes.spacing)
+    )
     K = r ** -numbers["alpha"] * (
         torch.from_numpy(bernstein_basis(r.numpy(), model.horizon, model.degree)) @ numbers["D"]
     )
@@ -108,7 +110,7 @@ class SoftBody:
 
     def __init__(
         self,
-        model: Model,
+        model: LPSMaterial,
         body: LatticeBody,
         law: BondLaw,
         held: np.ndarray,

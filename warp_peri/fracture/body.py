@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
+from warp_peri.arguments import typed
 from warp_peri.errors import InputError, warn
 from warp_peri.points.arrays import checked
 from warp_peri.points.families import HORIZON_TOLERANCE, BondClasses, bond_classes
@@ -67,6 +68,7 @@ class LatticeBody:
         return np.asarray(order[::-1][np.argsort(order)])
 
 
+@typed
 def lattice_body(
     x: ArrayLike, spacing: float, horizon: float, *, endless: bool = False
 ) -> LatticeBody:
@@ -92,15 +94,17 @@ def lattice_body(
     return LatticeBody(x, float(spacing), classes, neighbour_table(grid, steps), axes)
 
 
-def rectangle(width: float, height: float, spacing: float) -> np.ndarray:
+@typed
+def rectangle_nodes(width: float, height: float, spacing: float) -> np.ndarray:
     """Nodes in the middle of square cells that fill a rectangle about the origin, shape [N, 2].
 
     Raises InputError when the sides are not whole multiples of the spacing.
     """
-    return box((width, height), spacing)
+    return box_nodes((width, height), spacing)
 
 
-def box(sides: Sequence[float], spacing: float) -> np.ndarray:
+@typed
+def box_nodes(sides: Sequence[float], spacing: float) -> np.ndarray:
     """Nodes in the middle of cells that fill a box about the origin, shape [N, d].
 
     Raises InputError when the sides are not whole multiples of the spacing.
@@ -113,7 +117,8 @@ def box(sides: Sequence[float], spacing: float) -> np.ndarray:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(count))
 
 
-def penny(radius: float, corners: int = 48) -> np.ndarray:
+@typed
+def penny_corners(radius: float, corners: int = 48) -> np.ndarray:
     """Corners of a round crack about the origin on y = 0, as large as a circle, shape [P, 3]."""
     t = 2 * np.pi * np.arange(corners) / corners
     reach = radius * np.sqrt(2 * np.pi / corners / np.sin(2 * np.pi / corners))
@@ -127,6 +132,7 @@ def through(left: float, right: float, side: float, dimension: int) -> list[tupl
     return [(left, 0.0, -side), (left, 0.0, side), (right, 0.0, side), (right, 0.0, -side)]
 
 
+@typed
 def point_force(
     x: np.ndarray, spacing: float, place: Sequence[float], force: Sequence[float]
 ) -> np.ndarray:

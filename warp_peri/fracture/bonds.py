@@ -19,10 +19,10 @@ from warp_peri.errors import InputError
 from warp_peri.fracture.body import LatticeBody
 from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.damage import sweeps as kernels
-from warp_peri.launch import Shared, filled, floats, ints, threads, zeros
-from warp_peri.materials.lps import Model, stencil_of, stiffnesses
+from warp_peri.materials.lps import LPSMaterial, stencil_of, stiffnesses
 from warp_peri.points.families import BondClasses
 from warp_peri.points.lattice import straight_steps
+from warp_peri.runtime import Shared, filled, floats, get_num_threads, ints, zeros
 
 WEIGHT = 4
 """Work of a piece, that of a node in other sweeps being 1: two threads pay from 16 000 nodes on."""
@@ -47,7 +47,7 @@ class SplitBonds(NamedTuple):
     excess: Any
 
 
-def bonds_of(model: Model, classes: BondClasses, moduli: Any = None) -> SplitBonds:
+def bonds_of(model: LPSMaterial, classes: BondClasses, moduli: Any = None) -> SplitBonds:
     """Of the bonds of a ball; or with other moduli than the model's, μ of bonds [N, B] and λ − μ of
     nodes [N], those of the bonds and nodes of a body."""
     d, w, r = model.dimension, bond_weights(model, classes), classes.r[classes.bond_class]
@@ -55,13 +55,13 @@ def bonds_of(model: Model, classes: BondClasses, moduli: Any = None) -> SplitBon
     return SplitBonds(d * (d + 2) * mu * w / r**2, d * w, excess)
 
 
-def bond_weights(model: Model, classes: BondClasses) -> np.ndarray:
+def bond_weights(model: LPSMaterial, classes: BondClasses) -> np.ndarray:
     """w = K W / m of the bonds of a ball [length⁻²], Σ w r² = 1, shape [B]."""
     v, _ = stiffnesses(model, classes)
     return np.asarray(v[classes.bond_class] / model.mu)
 
 
-def unit_toughness(model: Model, classes: BondClasses) -> float:
+def unit_toughness(model: LPSMaterial, classes: BondClasses) -> float:
     """Energy of a straight cut between node rows whose bonds all have stretch 1, (C6), over its
     length; in space (V5), over its area.
 
@@ -79,7 +79,7 @@ def unit_toughness(model: Model, classes: BondClasses) -> float:
     return float(deviatoric + dilatational)
 
 
-def check_breakable(model: Model, classes: BondClasses | None = None) -> None:
+def check_breakable(model: LPSMaterial, classes: BondClasses | None = None) -> None:
     """Refuse a model whose bonds must not break (theory, C3).
 
     Raises InputError for an influence function that changes sign, anywhere or on a lattice.
@@ -92,11 +92,11 @@ def check_breakable(model: Model, classes: BondClasses | None = None) -> None:
         raise InputError(
             f"model: its influence function changes sign{where}, from {w.min():.4g} to "
             f"{w.max():.4g}, and breaking some bonds leaves energies below zero; bonds may break "
-            "in a positive kernel (positive_kernel keeps its moduli)"
+            "in a positive kernel (with_positive_kernel keeps its moduli)"
         )
 
 
-def energy_bounds(model: Model) -> tuple[float, float]:
+def energy_bounds(model: LPSMaterial) -> tuple[float, float]:
     """Least and largest energy of a node over Σ w e²/r² of its unbroken bonds [stress] (C2)."""
     d = model.dimension
     shear = d * (d + 2) * model.mu / 2
@@ -104,7 +104,7 @@ def energy_bounds(model: Model) -> tuple[float, float]:
     return min(ends), max(ends)
 
 
-def largest_stiffness(model: Model, classes: BondClasses) -> float:
+def largest_stiffness(model: LPSMaterial, classes: BondClasses) -> float:
     """A proven upper bound of Λmax L of every body on the lattice under any breaking (C9).
 
     max(μ, κ d / (d + 2)) max_k Λmax Γ(k), κ = λ + 2 μ/d, [stress / length²].
@@ -237,7 +237,7 @@ class CutOperator:
 
     def __init__(
         self,
-        model: Model,
+        model: LPSMaterial,
         body: LatticeBody,
         *,
         limits: np.ndarray | None = None,
@@ -308,7 +308,7 @@ class CutOperator:
         Force and energy are of all bonds that were there before.
         """
         arrays = u, links, force, energy
-        key = threads(), breaking, *(array.ptr for array in arrays)
+        key = get_num_threads(), breaking, *(array.ptr for array in arrays)
         if key not in self._recorded:
             if len(self._recorded) > 1:
                 self._recorded.clear()
@@ -358,7 +358,7 @@ class CutRows:
     """
 
     def __init__(
-        self, model: Model, body: LatticeBody, neighbour: np.ndarray, corrected: bool
+        self, model: LPSMaterial, body: LatticeBody, neighbour: np.ndarray, corrected: bool
     ) -> None:
         self._operator, self._corrected = CutOperator(model, body), corrected
         count, vector = len(body.x), self._operator.vector

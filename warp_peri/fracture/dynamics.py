@@ -15,7 +15,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from warp_peri.core.record import Entry, OnLinear, Positive
+from warp_peri.arguments import typed
+from warp_peri.core.record import FieldUnits, OnLinear, Positive
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import LatticeBody, cracked
 from warp_peri.fracture.bonds import (
@@ -27,18 +28,18 @@ from warp_peri.fracture.bonds import (
 )
 from warp_peri.fracture.statics import by_component, check_no_fail
 from warp_peri.kernels.damage.motion import halves
-from warp_peri.launch import floats, launch_slices, zeros
-from warp_peri.materials.lps import Model
+from warp_peri.materials.lps import LPSMaterial
 from warp_peri.points.arrays import checked
 from warp_peri.points.families import bond_classes
 from warp_peri.points.unit_names import REDUCED
+from warp_peri.runtime import floats, launch_slices, zeros
 from warp_peri.solvers.verlet import inertia
 
 CRITERIA = ("toughness", "critical_stretch", "critical_energy")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BrittleSolid(OnLinear, format="warp_peri.brittle_solid", version=3):
+class BrittleMaterial(OnLinear, format="warp_peri.brittle_solid", version=3):
     """What breaks, and when.
 
     Attributes:
@@ -54,11 +55,11 @@ class BrittleSolid(OnLinear, format="warp_peri.brittle_solid", version=3):
     for an influence function that changes sign.
     """
 
-    model: Model
+    model: LPSMaterial
     density: Positive
-    toughness: Annotated[float | None, Entry(length=1, stress=1, positive=True)] = None
-    critical_stretch: Annotated[float | None, Entry(positive=True)] = None
-    critical_energy: Annotated[float | None, Entry(stress=1, volume=-1, positive=True)] = None
+    toughness: Annotated[float | None, FieldUnits(length=1, stress=1, positive=True)] = None
+    critical_stretch: Annotated[float | None, FieldUnits(positive=True)] = None
+    critical_energy: Annotated[float | None, FieldUnits(stress=1, volume=-1, positive=True)] = None
     tension_only: bool = True
 
     def __post_init__(self) -> None:
@@ -70,7 +71,7 @@ class BrittleSolid(OnLinear, format="warp_peri.brittle_solid", version=3):
         check_breakable(self.model)
 
     @property
-    def linear(self) -> Model:
+    def linear(self) -> LPSMaterial:
         """The solid before anything breaks."""
         return self.model
 
@@ -90,17 +91,19 @@ class BrittleSolid(OnLinear, format="warp_peri.brittle_solid", version=3):
         return float(2 * np.sqrt(self.inertia / largest_stiffness(self.model, classes)))
 
 
-def positive_kernel(model: Model, horizon: float) -> Model:
+@typed
+def with_positive_kernel(model: LPSMaterial, horizon: float) -> LPSMaterial:
     """λ and μ of a model with K = 1/r, which has them exactly on every lattice (C7).
 
     This is how a model whose influence function changes sign goes to fracture.
     """
-    return Model(
+    return LPSMaterial(
         model.lam, model.mu, 1.0, np.ones(1), horizon, units=model.units, dimension=model.dimension
     )
 
 
-def continuum_stretch(model: Model, toughness: float) -> float:
+@typed
+def continuum_stretch(model: LPSMaterial, toughness: float) -> float:
     """s₀ of the continuum for a toughness G_c (theory, C5, V5), N. Trask and others 2019.
 
     In three dimensions G_c is energy over the area of the crack. λ = μ is the bond-based solid.
@@ -235,7 +238,7 @@ class BreakingBody:
 
     def __init__(
         self,
-        solid: BrittleSolid,
+        solid: BrittleMaterial,
         body: LatticeBody,
         *,
         no_fail: ArrayLike | None = None,
@@ -356,7 +359,7 @@ class BreakingBody:
         return [state.time, *(body.spacing**body.dimension * sums).tolist()]
 
 
-def limits_of(solid: BrittleSolid, body: LatticeBody) -> np.ndarray:
+def limits_of(solid: BrittleMaterial, body: LatticeBody) -> np.ndarray:
     """What each bond of the ball bears: of its e = s r², or of its energy density, shape [B]."""
     stretch: Any = solid.critical_stretch
     if solid.critical_energy is not None:

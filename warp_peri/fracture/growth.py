@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
+from warp_peri.arguments import typed
 from warp_peri.errors import InputError
-from warp_peri.fracture.body import LatticeBody, box, cracked, lattice_body, through
+from warp_peri.fracture.body import LatticeBody, box_nodes, cracked, lattice_body, through
 from warp_peri.fracture.bonds import (
     bonds_of,
     check_breakable,
@@ -22,7 +23,7 @@ from warp_peri.fracture.bonds import (
     unit_toughness,
 )
 from warp_peri.fracture.statics import CutSolid, by_component, check_no_fail, check_pieces
-from warp_peri.materials.lps import Model
+from warp_peri.materials.lps import LPSMaterial
 from warp_peri.points.arrays import check_whole
 from warp_peri.points.families import BondClasses
 from warp_peri.solvers.conjugate_gradients import definite
@@ -52,7 +53,7 @@ class _Losing:
 
     def __init__(
         self,
-        model: Model,
+        model: LPSMaterial,
         body: LatticeBody,
         held: np.ndarray,
         neighbour: np.ndarray,
@@ -79,7 +80,7 @@ class _Losing:
             self._solid = CutSolid(
                 self._model, body, self._held, neighbour=self.neighbour, corrected=self._corrected
             )
-            self.u = self._solid.solve(None, u)
+            self.u = self._solid.solve_array(None, u)
             return
         check_pieces(body, self.neighbour, self._held)
         free, factors = solid.free, solid.factors
@@ -117,7 +118,7 @@ class _Losing:
 
 
 def grow(
-    model: Model,
+    model: LPSMaterial,
     body: LatticeBody,
     held: ArrayLike,
     u: np.ndarray,
@@ -174,7 +175,10 @@ def grow(
     return Motion(load, end, None, history, losing.neighbour)
 
 
-def apparent_toughness(model: Model, spacing: float, *, cells: int = 20, length: int = 3) -> float:
+@typed
+def apparent_toughness(
+    model: LPSMaterial, spacing: float, *, cells: int = 20, length: int = 3
+) -> float:
     """What a growing crack spends over the toughness of (C6) behind its critical stretch.
 
     A central crack in a plane under tension, `cells` spacings from its middle to the collar and 0.4
@@ -192,7 +196,7 @@ def apparent_toughness(model: Model, spacing: float, *, cells: int = 20, length:
     h, reach, d = spacing, int(np.ceil(model.horizon / spacing)), model.dimension
     side = 2 * (cells + 2 * reach) * h
     half = round(0.4 * cells) * h
-    x = box((side, side, h)[:d], h)
+    x = box_nodes((side, side, h)[:d], h)
     held = (np.abs(x) > cells * h).any(axis=1)
     u = np.zeros_like(x)
     u[:, :2] = _westergaard(x, half, model.lam, model.mu)

@@ -9,21 +9,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.contract import is_tensor, offered, refuse_uncut, taken
+from warp_peri.arguments import typed
 from warp_peri.errors import InputError
-from warp_peri.fracture.body import LatticeBody, lattice_body, penny
+from warp_peri.fracture.body import LatticeBody, lattice_body, penny_corners
 from warp_peri.fracture.dynamics import BreakingBody
 from warp_peri.fracture.growth import grow
-from warp_peri.fracture.release import crack_area, opening_volume
+from warp_peri.fracture.release import crack_area, crack_opening_volume
 from warp_peri.fracture.run import CrackRun
 from warp_peri.fracture.statics import CutSolid, crack_load, in_torch
 from warp_peri.points.arrays import check_flag, checked, is_number
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
+from warp_peri.protocols import is_tensor, offered, refuse_uncut, taken
 from warp_peri.solvers.motion import Motion, refuse_learning
-from warp_peri.solvers.solution import Direct, Krylov, Solution, refuse_solver
+from warp_peri.solvers.solution import CG, Direct, Solution, refuse_solver
 
 
+@typed
 @dataclass(frozen=True, eq=False)
 class Cracked:
     """A body on a lattice with free edges and cracks, held where nodes are not interior (C11).
@@ -43,7 +45,7 @@ class Cracked:
             gradient of those that it has, so that both are as stiff as the solid (C26); of a solid
             that breaks, not by energy.
 
-    `solve` and `move` raise InputError for points that are no plain lattice, fields of other
+    `solve` and `simulate` raise InputError for points that are no plain lattice, fields of other
     shapes or not finite, a piece that nothing holds, a material without a linear part, and one
     whose cut bonds leave negative eigenvalues.
 
@@ -82,18 +84,18 @@ class Cracked:
         linear = offered(material, "linear", verb, "a solid with a linear part for a Cracked")
         check_same(linear.units, self.points.units)
         linear.check_dimension(self.points)
-        if not self.points.is_plain_lattice:
+        if not self.points.is_open_lattice:
             raise InputError("points: a Cracked is for lattices that have no box and none outside")
         return lattice_body(self.points.x, self.points.spacing, linear.horizon)
 
     def waves(self, material: Any) -> CutSolid:
         """L of a positive solid whose bonds stay, which moves; InputError as of CutSolid."""
         how: dict[str, Any] = {"cracks": self.cracks, "corrected": self.corrected, "moves": True}
-        return CutSolid(material, self.body(material, "move"), self.held, **how)
+        return CutSolid(material, self.body(material, "simulate"), self.held, **how)
 
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
         """The body at rest, of a solid with a linear part, or of one with several moduli."""
-        refuse_solver(solver, (Direct, Krylov), "a body with cracks")
+        refuse_solver(solver, (Direct, CG), "a body with cracks")
         numbers = options.pop("parameters", None)
         taken(options, "solve")
         body = self.body(material, "solve")
@@ -109,7 +111,7 @@ class Cracked:
             extra = crack_load(cut, pressure, numbers or {} if learns else None)
             b = in_torch().as_tensor("b", b) if learns else checked("b", b, float, body.x.shape)
             b = b + (in_torch().as_tensor("pressure", extra) if learns else extra)
-        solved = cut.rest_in_torch(b, u, solver, numbers) if learns else cut.rest(b, u, solver)
+        solved = cut.solve_torch(b, u, solver, numbers) if learns else cut.solve(b, u, solver)
         return replace(solved, points=self.points)
 
     def moved(self, material: Any, options: dict[str, Any]) -> Motion:
@@ -118,13 +120,13 @@ class Cracked:
         The options say which:
             density: waves in any positive solid, whose bonds stay; with the options of
                 solvers.verlet.march, and its tensors.
-            step, steps: motion of a BrittleSolid. Also `progress`; `every`, `regions`, `sections`,
-                `watch`, `checkpoint`, `checkpoint_every`, `series` (CrackRun); `no_fail`, `grip`,
-                `ramp` (BreakingBody); `v`, `count_cracks` (its start). The histories are the
-                ledger's, and of regions, sections and what is watched by their names; the details
-                are Broken.
+            step, steps: motion of a BrittleMaterial. Also `progress`; `every`, `regions`,
+                `sections`, `watch`, `checkpoint`, `checkpoint_every`, `series` (CrackRun);
+                `no_fail`, `grip`, `ramp` (BreakingBody); `v`, `count_cracks` (its start). The
+                histories are the ledger's, and of regions, sections and what is watched by their
+                names; the details are Broken.
             events: slow growth in any positive solid, `no_fail` and `progress` (C7).
-            loads, line: pull of a SoftSolid, `no_fail`, `stop` and `progress` (C16). With
+            loads, line: pull of a SofteningMaterial, `no_fail`, `stop` and `progress` (C16). With
                 `parameters`, softness, stretch or tail as tensors, or u of torch, the force and
                 the displacement at the end are differentiable: see SoftBody.pull.
         """
@@ -134,7 +136,7 @@ class Cracked:
             u = np.zeros_like(self.points.x) if self.u is None else self.u
             cut = self.waves(material)
             return in_torch().in_motion(cut, self.b, u, options)  # type: ignore[no-any-return]
-        body = self.body(material, "move")
+        body = self.body(material, "simulate")
         grows = "events" in options or ("step" in options and not options.get("sections"))
         if self.corrected and not grows:
             raise InputError(
@@ -142,13 +144,15 @@ class Cracked:
                 "soften are not corrected"
             )
         if "loads" not in options:
-            refuse_learning(self, options, "move")
+            refuse_learning(self, options, "simulate")
         if "events" in options or "loads" in options:
             if self.b is not None:
                 raise InputError("b: slow growth and pulls are of given displacements, got a load")
             return self._slowly(material, body, options)
         how, begin, records, run = options_of_steps(options)
-        offered(material, "density", "move", "a BrittleSolid for steps, or events=…, or loads=…")
+        offered(
+            material, "density", "simulate", "a BrittleMaterial for steps, or events=…, or loads=…"
+        )
         how |= {"load": self.b, "held": self.held, "corrected": self.corrected}
         moving = BreakingBody(material, body, **how)
         state = moving.start(u=self.u, cracks=self.cracks, **begin)
@@ -159,12 +163,12 @@ class Cracked:
         u: Any = np.zeros_like(body.x) if self.u is None else self.u
         u = u if is_tensor(u) else checked("u", u, float, body.x.shape, self.held)
         if "events" in options:
-            (how,) = taken(options, "move", grow, given=("cracks", "corrected"))
+            (how,) = taken(options, "simulate", grow, given=("cracks", "corrected"))
             how |= {"cracks": self.cracks, "corrected": self.corrected}
             return grow(material.linear, body, self.held, u, **how)
-        law = offered(material, "law", "move", "a SoftSolid for loads=…")
+        law = offered(material, "law", "simulate", "a SofteningMaterial for loads=…")
         soft: Any = in_torch().SoftBody
-        own, how = taken(options, "move", soft.__init__, soft.pull, given=("cracks",))
+        own, how = taken(options, "simulate", soft.__init__, soft.pull, given=("cracks",))
         pulled = soft(material.linear, body, law, self.held, cracks=self.cracks, **own)
         return pulled.pull(u, **how)  # type: ignore[no-any-return]
 
@@ -176,10 +180,11 @@ def options_of_steps(options: dict[str, Any]) -> tuple[dict[str, Any], ...]:
     """
     parts = BreakingBody.__init__, BreakingBody.start, CrackRun.__init__, CrackRun.march
     return taken(
-        options, "move", *parts, given=("load", "held", "u", "cracks", "nodes", "corrected")
+        options, "simulate", *parts, given=("load", "held", "u", "cracks", "nodes", "corrected")
     )
 
 
+@typed
 @dataclass(frozen=True, eq=False)
 class Injected:
     """A crack |x| < a on y = 0, in space a penny, that a fluid drives through a body, slowly (C14).
@@ -223,19 +228,21 @@ class Injected:
             )
 
     def moved(self, material: Any, options: dict[str, Any]) -> Motion:
-        """Stage by stage, of a BrittleSolid with a toughness.
+        """Stage by stage, of a BrittleMaterial with a toughness.
 
         The time is the half length; the histories are half, pressure at which the crack is about to
         grow [stress], volume of the fluid in it [length^d], and pumped, leaks included.
         """
-        taken(options, "move")
+        taken(options, "simulate")
         toughness = getattr(material, "toughness", None)
         if toughness is None:
-            raise InputError("move: expected a BrittleSolid with a toughness for an Injected")
+            raise InputError(
+                "simulate: expected a BrittleMaterial with a toughness for an Injected"
+            )
         h, normal, rows = self.points.spacing, np.eye(self.points.dimension)[1], []
         for half in self.halves:
             found = [self._at(material, half + d, normal) for d in (0.0, h, -h)]
-            here, longer, shorter = (opening_volume(one, normal) for one in found)
+            here, longer, shorter = (crack_opening_volume(one, normal) for one in found)
             area, more, less = (crack_area(one, normal) for one in found)
             released = (longer - shorter) / (more - less) / 2  # at unit pressure
             pressure = float(np.sqrt(toughness / released))
@@ -247,6 +254,6 @@ class Injected:
 
     def _at(self, material: Any, half: float, normal: np.ndarray) -> Solution:
         """At rest under unit pressure."""
-        crack = [(-half, 0.0), (half, 0.0)] if len(normal) == 2 else penny(half)
+        crack = [(-half, 0.0), (half, 0.0)] if len(normal) == 2 else penny_corners(half)
         problem = Cracked(self.points, cracks=[crack], pressure=np.outer(normal, normal))
         return problem.solved(material, None, {})

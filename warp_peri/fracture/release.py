@@ -11,24 +11,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.contract import offered
+from warp_peri.arguments import typed
 from warp_peri.errors import InputError
-from warp_peri.fracture.body import LatticeBody, box, lattice_body, size_and_normal, through
+from warp_peri.fracture.body import LatticeBody, box_nodes, lattice_body, size_and_normal, through
 from warp_peri.fracture.statics import CutSolid
-from warp_peri.materials.lps import Model
-from warp_peri.solvers.solution import Direct, Krylov, Solution
+from warp_peri.materials.lps import LPSMaterial
+from warp_peri.protocols import offered
+from warp_peri.solvers.solution import CG, Direct, Solution
 
 RADIUS = 4.0
 """Half side of the smaller square around a tip, in horizons; the larger has twice that."""
 
 
+@typed
 def energy_release(
     material: Any,
     problem: Any,
     cracks: Sequence[Sequence[ArrayLike]],
     *,
     shift: float = 0.0,
-    solver: Direct | Krylov | None = None,
+    solver: Direct | CG | None = None,
 ) -> float:
     """G by energies of cracks of several lengths, at given displacement and dead loads (C11).
 
@@ -85,6 +87,7 @@ def _moving(cracks: Sequence[Sequence[ArrayLike]]) -> int:
     return sum(not np.array_equal(a, b) for a, b in ends)
 
 
+@typed
 def tip_shift(material: Any, spacing: float, *, corrected: bool = False) -> float:
     """How much further the tip of a crack along rows of nodes acts than it is cut (C25) [length].
 
@@ -105,11 +108,11 @@ def tip_shift(material: Any, spacing: float, *, corrected: bool = False) -> floa
     return 2 * larger - smaller
 
 
-def _shift(model: Model, h: float, radius: float, corrected: bool) -> float:
+def _shift(model: LPSMaterial, h: float, radius: float, corrected: bool) -> float:
     """As tip_shift, of one square."""
     d, inner = model.dimension, np.ceil(radius / h - 1e-6) * h
     side = 2 * (inner + 2 * np.ceil(model.horizon / h - 1e-6) * h)
-    x = box((side, side, h)[:d], h)  # all layers are alike
+    x = box_nodes((side, side, h)[:d], h)  # all layers are alike
     held, u = (np.abs(x) >= inner).any(axis=1), np.zeros_like(x)
     u[:, :2] = _tip_field(x, model)
     body, energies = lattice_body(x, h, model.horizon, endless=d == 3), []
@@ -117,17 +120,17 @@ def _shift(model: Model, h: float, radius: float, corrected: bool) -> float:
     for place in places:
         crack = through(-side, place, side, d)
         cut = CutSolid(model, body, held, cracks=[crack], corrected=corrected)
-        energies.append(cut.energy(cut.solve(None, u)) / h ** (d - 2))
+        energies.append(cut.energy(cut.solve_array(None, u)) / h ** (d - 2))
     bend, slope, _ = np.polyfit(places, energies, 2)
     released = (_kolosov(model) + 1) / (8 * model.mu)  # 1/E of a sheet, (1 − ν²)/E in space
     return float((slope + released) / (2 * bend))
 
 
-def _kolosov(model: Model) -> float:
+def _kolosov(model: LPSMaterial) -> float:
     return (model.lam + 3 * model.mu) / (model.lam + model.mu)
 
 
-def _tip_field(x: np.ndarray, model: Model) -> np.ndarray:
+def _tip_field(x: np.ndarray, model: LPSMaterial) -> np.ndarray:
     """Displacement about a crack's tip at the origin, K = 1; M. L. Williams, 1957."""
     angle = np.arctan2(x[:, 1], x[:, 0])
     size = np.sqrt(np.hypot(*x[:, :2].T) / (2 * np.pi)) / (2 * model.mu)
@@ -135,7 +138,8 @@ def _tip_field(x: np.ndarray, model: Model) -> np.ndarray:
     return np.asarray(size[:, None] * np.column_stack([np.cos(angle / 2), np.sin(angle / 2)]))
 
 
-def contour_integral(solution: Solution, tip: Sequence[float], radii: tuple[float, float]) -> float:
+@typed
+def j_integral(solution: Solution, tip: Sequence[float], radii: tuple[float, float]) -> float:
     """J around the tip of a crack along an axis, for its growth straight on, by a domain (C12).
 
     From which side the crack comes is where the displacement jumps most. Gradients are differences
@@ -158,9 +162,13 @@ def contour_integral(solution: Solution, tip: Sequence[float], radii: tuple[floa
 
 
 def domain_integral(
-    model: Model, body: LatticeBody, u: np.ndarray, tip: Sequence[float], radii: tuple[float, float]
+    model: LPSMaterial,
+    body: LatticeBody,
+    u: np.ndarray,
+    tip: Sequence[float],
+    radii: tuple[float, float],
 ) -> float:
-    """As contour_integral, of a displacement of all nodes [N, d]."""
+    """As j_integral, of a displacement of all nodes [N, d]."""
     h, d = body.spacing, body.dimension
     if not (np.isfinite(radii).all() and 0 <= round(radii[0] / h) < round(radii[1] / h)):
         raise InputError(
@@ -246,7 +254,8 @@ def crack_gradient(field: np.ndarray, h: float, behind: np.ndarray, row: int) ->
     return np.stack(slopes, axis=-1)
 
 
-def opening_volume(solution: Solution, normal: Sequence[float] | None = None) -> float:
+@typed
+def crack_opening_volume(solution: Solution, normal: Sequence[float] | None = None) -> float:
     """Room between the faces of cracks with one normal [length^d], from the bonds across them.
 
     Each broken bond of one spacing along the normal is a column of the opening; cracks along a

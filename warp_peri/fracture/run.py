@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import AllNodes, RunFile, agreed, fingerprint
-from warp_peri.files.series import Series
+from warp_peri.files.series import TimeSeriesWriter
 from warp_peri.fracture.body import HAIR, section
 from warp_peri.fracture.dynamics import BreakingBody, BreakingState, step
 from warp_peri.points.arrays import check_positive, check_whole, checked
@@ -144,7 +144,7 @@ class CrackRun:
         if checkpoint is not None:
             self.file = RunFile(checkpoint, KIND, self.nodes)
         if series is not None:
-            self.series = Series(series, getattr(nodes, "piece", self.nodes), x)
+            self.series = TimeSeriesWriter(series, getattr(nodes, "piece", self.nodes), x)
         self.history: dict[str, list[Any]] = {}
         self._start, self._first, self._ramp = "", (0.0, 0), list[float]()
 

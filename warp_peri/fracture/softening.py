@@ -16,7 +16,7 @@ from scipy.special import hyp1f1
 from warp_peri.core.record import OnLinear
 from warp_peri.errors import InputError
 from warp_peri.fracture.bonds import unit_toughness
-from warp_peri.materials.lps import Model
+from warp_peri.materials.lps import LPSMaterial
 from warp_peri.points.arrays import is_number, is_positive
 from warp_peri.points.families import bond_classes
 
@@ -111,7 +111,7 @@ def share_of(worst: Any, softness: Any, stretch: Any, tail: Any, of: Any) -> Any
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SoftSolid(OnLinear, format="warp_peri.soft_solid"):
+class SofteningMaterial(OnLinear, format="warp_peri.soft_solid"):
     """A solid whose bonds soften and fail by one law (C16).
 
     Attributes:
@@ -121,7 +121,7 @@ class SoftSolid(OnLinear, format="warp_peri.soft_solid"):
     Raises InputError for a model with another λ.
     """
 
-    model: Model
+    model: LPSMaterial
     law: BondLaw
 
     def __post_init__(self) -> None:
@@ -130,7 +130,7 @@ class SoftSolid(OnLinear, format="warp_peri.soft_solid"):
             raise InputError("model: expected λ = μ, bonds without a dilatation")
 
     @property
-    def linear(self) -> Model:
+    def linear(self) -> LPSMaterial:
         """The solid before anything softens."""
         return self.model
 

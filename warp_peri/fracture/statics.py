@@ -13,15 +13,15 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
 
-from warp_peri.contract import OnPoints
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import LatticeBody, cracked
 from warp_peri.fracture.bonds import CutRows, bond_matrix, bond_weights, bonds_of, largest_stiffness
 from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
+from warp_peri.protocols import OperatorBase
 from warp_peri.solvers import direct
 from warp_peri.solvers.conjugate_gradients import definite
-from warp_peri.solvers.solution import Direct, Krylov, Solution, Solver, refuse_solver
+from warp_peri.solvers.solution import CG, Direct, Solution, Solver, refuse_solver
 
 SYMMETRIC = 1e-9
 """What a stress and its transpose may differ by, over the largest component."""
@@ -32,7 +32,7 @@ def in_torch() -> Any:
     return import_module("warp_peri.fracture.adjoint")
 
 
-class CutSolid(OnPoints):
+class CutSolid(OperatorBase):
     """A body with broken bonds at rest, its operator factorised once.
 
     Args:
@@ -47,11 +47,11 @@ class CutSolid(OnPoints):
         moves: for waves alone; nothing need hold it, and it is not factorised.
 
     Attributes:
-        factors: of the rows and columns of L that are free; none for Krylov.
+        factors: of the rows and columns of L that are free; none for CG.
         left: residual of the last solve over its right-hand side.
 
     Raises InputError for a piece of the body that nothing holds, naming it, for an operator
-    with negative eigenvalues, and Krylov for another material; of
+    with negative eigenvalues, and CG for another material; of
     one that moves for an influence function that changes sign, and nodes that are held in part.
     """
 
@@ -66,7 +66,7 @@ class CutSolid(OnPoints):
         neighbour: np.ndarray | None = None,
         cracks: Sequence[ArrayLike] = (),
         corrected: bool = False,
-        solver: Direct | Krylov | None = None,
+        solver: Direct | CG | None = None,
         moves: bool = False,
     ) -> None:
         self.model, self.body, self.corrected = material.linear, body, corrected
@@ -83,10 +83,10 @@ class CutSolid(OnPoints):
         self.free, self.inside = ~held.ravel(), np.asarray(~held.all(axis=1))
         self.left = np.inf
         squares = self.one and not (self.bonds.stiffness < 0).any()
-        if moves or isinstance(solver, Krylov):
+        if moves or isinstance(solver, CG):
             plain = moves or not getattr(solver, "preconditioner", None)
             if not (squares and plain and (not moves or (held == held[:, :1]).all())):
-                what = "move: expected" if moves else "solver: expected Krylov() for"
+                what = "simulate: expected" if moves else "solver: expected CG() for"
                 raise InputError(
                     f"{what} one material with a positive influence function, in motion with nodes "
                     f"held in all components or in none; got {solver}"
@@ -128,12 +128,12 @@ class CutSolid(OnPoints):
         force = self.times(self.fields(u))[:, self.inside]
         return force.reshape(*np.shape(u)[:-2], *force.shape[1:])
 
-    def product_transpose(self, u: Any, w: np.ndarray) -> np.ndarray:
+    def vjp(self, u: Any, w: np.ndarray) -> np.ndarray:
         """The matrix, which is symmetric, of w on nodes that are not held, on all, [..., N, d]."""
         fields = self.on_all(w)
         return self.times(fields.reshape(-1, *self.shape)).reshape(fields.shape)
 
-    def solve(self, b: ArrayLike | None, u: ArrayLike) -> np.ndarray:
+    def solve_array(self, b: ArrayLike | None, u: ArrayLike) -> np.ndarray:
         """u at rest, shape [..., N, d].
 
         Args:
@@ -146,7 +146,7 @@ class CutSolid(OnPoints):
         given = np.where(held, checked("u", u, float, (..., *one), held), 0.0)
         load = np.zeros(given.shape) if b is None else checked("b", b, float, given.shape)
         load, known = load.reshape(-1, *one), given.reshape(-1, *one)
-        if isinstance(self.solver, Krylov):
+        if isinstance(self.solver, CG):
             return self._searched(load, known, self.solver.tolerance).reshape(given.shape)
         answer = self._problem.solve(load, known)
         self.left = self._problem.left
@@ -168,11 +168,11 @@ class CutSolid(OnPoints):
         self.left = max(record.residual for record in records)
         return np.asarray(known + np.stack(found))
 
-    def rest(self, b: Any, u: Any, solver: Solver = None) -> Solution:
+    def solve(self, b: Any, u: Any, solver: Solver = None) -> Solution:
         """The Solution of `solve`, of nodes that are not held."""
-        refuse_solver(solver, (Direct, Krylov), "a body with cracks")
-        solved, load = self.solve(b, u), np.asarray(b, float)[..., self.inside, :]
-        method = "cg" if isinstance(self.solver, Krylov) else "lu"
+        refuse_solver(solver, (Direct, CG), "a body with cracks")
+        solved, load = self.solve_array(b, u), np.asarray(b, float)[..., self.inside, :]
+        method = "cg" if isinstance(self.solver, CG) else "lu"
         return Solution(solved, self.points, self, load, method, measured=self.left)
 
     @property
@@ -182,22 +182,24 @@ class CutSolid(OnPoints):
 
     def at(self, numbers: Mapping[str, Any]) -> CutSolid:
         """The same body with other numbers; InputError where they leave it indefinite."""
-        model = self.model.having(numbers)
+        model = self.model.with_parameters(numbers)
         how: dict[str, Any] = {"neighbour": self.neighbour, "solver": self.solver}
         return CutSolid(model, self.body, self.held, **how)
 
-    def force_with(self, u: Any, numbers: Any) -> Any:
+    def force_with_parameters(self, u: Any, numbers: Any) -> Any:
         """The force of tensors [S, N, d] with other numbers, which has every derivative."""
         force = in_torch().bond_force(self.model, self.body, self.neighbour, u, numbers)
         return force[:, self.inside]
 
-    def stiffest_wave(self) -> float:
+    def max_symbol_eigenvalue(self) -> float:
         """A proven upper bound of Λmax L [stress / length²]: (C9), or S. Gershgorin's of 1931.
 
         Raises InputError at rest: whether such a body may move is not looked at there.
         """
         if not self.moves:
-            raise InputError("move: expected a Cracked of a BrittleSolid, or one with a density")
+            raise InputError(
+                "simulate: expected a Cracked of a BrittleMaterial, or one with a density"
+            )
         if not self.corrected:
             return largest_stiffness(self.model, self.body.classes)
         return float(abs(self.matrix).sum(axis=1).max())
@@ -225,7 +227,7 @@ def check_definite(factors: Any) -> None:
         raise InputError(
             "operator: it is not positive definite, with negative eigenvalues on the free nodes; "
             "hold the body, take λ + μ > 0 and an influence function that bears these cuts "
-            "(positive_kernel keeps the moduli)"
+            "(with_positive_kernel keeps the moduli)"
         )
 
 

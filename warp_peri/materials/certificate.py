@@ -11,15 +11,16 @@ import scipy.sparse as sp
 from scipy.linalg import eigh, eigvalsh, null_space
 from scipy.sparse.linalg import LinearOperator, splu
 
-from warp_peri.contract import LINEAR, offered, stencil_of
+from warp_peri.arguments import typed
 from warp_peri.core.proof import prove
 from warp_peri.errors import InputError
-from warp_peri.materials.lps import Model, statement_of
+from warp_peri.materials.lps import LPSMaterial, statement_of
 from warp_peri.materials.lps_bonds import listed
 from warp_peri.materials.lps_matrices import matrices
 from warp_peri.points.families import families_of
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, symbols
+from warp_peri.protocols import LINEAR, offered, stencil_of
 from warp_peri.solvers.direct import smallest_eigenvalue
 
 RANK_TOLERANCE = 1e-9
@@ -87,6 +88,7 @@ class Certificate:
         return {k: v for k, v in figures.items() if k not in ("units", "dimension")}
 
 
+@typed
 def certify(
     material: Any, *, spacing: float | None = None, points: PointsLike | None = None
 ) -> Certificate:
@@ -117,13 +119,13 @@ def certify(
             f"spacing: expected that of the points, {points.spacing:g} "
             f"{symbols(model.units)[0]}, got {spacing:g}"
         )
-    spacing = getattr(model, "nominal_spacing", float)(spacing)
+    spacing = getattr(model, "certified_spacing_near", float)(spacing)
     proof = prove(*stencil_of(model, spacing, "certify"))
     about: Any = {"units": model.units, "dimension": model.dimension}
     found = spacing, proof.sampled, proof.proven
     if points is None:
         return Certificate(*found, **about)
-    if not isinstance(model, Model):
+    if not isinstance(model, LPSMaterial):
         raise InputError(f"points: of a Model alone, not of a {type(model).__name__}")
 
     parts = matrices(model, points)
@@ -163,7 +165,8 @@ class Solvability:
     negative_weights: float
 
 
-def solvability(model: Model, points: PointsLike) -> Solvability:
+@typed
+def check_solvability(model: LPSMaterial, points: PointsLike) -> Solvability:
     """Smallest eigenvalue of (L + Lᵗ)/2 and smallest singular value of L on the interior.
 
     On scattered points W_ij ≠ W_ji, so that L is not symmetric and no certificate speaks for it.
@@ -195,7 +198,7 @@ def solvability(model: Model, points: PointsLike) -> Solvability:
     return Solvability(least, singular, float(asymmetry), negative)
 
 
-def with_proof(model: Model, spacing: float | None = None) -> Model:
+def with_proof(model: LPSMaterial, spacing: float | None = None) -> LPSMaterial:
     """A model without a certificate with one on a lattice.
 
     Args:

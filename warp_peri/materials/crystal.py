@@ -10,7 +10,6 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from warp_peri.contract import SAME_SPACING, OnPoints
 from warp_peri.core import elastic
 from warp_peri.core.groups import (
     LATTICE_GROUP,
@@ -20,8 +19,8 @@ from warp_peri.core.groups import (
     point_group,
     shared_with_nodes,
 )
-from warp_peri.core.proof import Proof, largest, prove
-from warp_peri.core.record import Entry, Length, Record
+from warp_peri.core.proof import StencilCertificate, largest, prove
+from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, warn
 from warp_peri.points.arrays import checked_fields, plain
@@ -37,11 +36,12 @@ from warp_peri.points.unit_names import (
     shown_moduli,
     symbols,
 )
+from warp_peri.protocols import SAME_SPACING, OperatorBase
 from warp_peri.solvers.linear import Linear
-from warp_peri.solvers.solution import Krylov, Solution, Solver, refuse_solver
+from warp_peri.solvers.solution import CG, Solution, Solver, refuse_solver
 
 
-class TensorOperator(OnPoints):
+class TensorOperator(OperatorBase):
     """L of one law on the nodes of one lattice, all bonds whole.
 
     Made by Crystal.on.
@@ -87,17 +87,17 @@ class TensorOperator(OnPoints):
         force = self.linear(fields)
         return force.reshape(*lead, *force.shape[1:])
 
-    def rest(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
+    def solve(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
         """In equilibrium with b on the interior, u given on the collar, shape [..., N, d].
 
         Args:
             b, u: on all nodes; b counts on the interior, u on the collar.
-            solver: Krylov(preconditioner, tolerance), or None.
+            solver: CG(preconditioner, tolerance), or None.
 
         Raises InputError as Linear.solve does.
         """
-        refuse_solver(solver, (Krylov,), "a crystal model")
-        asked = solver if isinstance(solver, Krylov) else Krylov()
+        refuse_solver(solver, (CG,), "a crystal model")
+        asked = solver if isinstance(solver, CG) else CG()
         b, u = checked_fields(self.points, b, u)
         loads, fields = (field.reshape(-1, *self.points.x.shape) for field in (b, u))
         proof, proven = getattr(self.model, "certificate", None), None
@@ -110,7 +110,7 @@ class TensorOperator(OnPoints):
             found.reshape(u.shape),
             self.points,
             self,
-            self.load(b),
+            self.rhs(b),
             self.linear.method(asked.preconditioner),
             tuple(each.iterations for each in took),
             proven,
@@ -118,11 +118,11 @@ class TensorOperator(OnPoints):
             measured=max((each.residual for each in took), default=None),
         )
 
-    def rest_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
+    def solve_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
         """In equilibrium with b on a period, without its mean; as `rest`."""
-        return self.rest(b, np.zeros(np.shape(b)), solver)
+        return self.solve(b, np.zeros(np.shape(b)), solver)
 
-    def product_transpose(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
+    def vjp(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
         """Lᵗ w on all nodes, shape [..., N, d], of w on the interior, whatever u."""
         w, shape = plain("w", w), self.points.x.shape
         pushed = [self.linear.push(one) for one in w.reshape(-1, *w.shape[-2:])]
@@ -137,9 +137,9 @@ class TensorOperator(OnPoints):
         """The operator of the crystal with the symmetric part of other tensors, whatever symmetry
         they have; nothing is proven of it yet."""
         law, C = self.model, np.asarray(numbers["tensors"], dtype=float)
-        held = law.stress if isinstance(law, Crystal) else None
+        held = law.stress if isinstance(law, CrystalMaterial) else None
         C, units = (C + C.transpose(0, 2, 1)) / 2, getattr(law, "units", USUAL)
-        law = Crystal(self.spacing, self.steps, C, units, stress=held)
+        law = CrystalMaterial(self.spacing, self.steps, C, units, stress=held)
         how: Any = {"method": self.method, "dtype": self.dtype, "model": law}
         return TensorOperator(self.points, law.stencil, law.tensor(), **how)
 
@@ -168,7 +168,7 @@ class TensorOperator(OnPoints):
         """
         collar, d = ~self.points.interior, self.nodes.dimension
         ones = np.repeat(np.eye(d)[:, None], self.points.interior.sum(), axis=1)
-        ends = -self.product_transpose(u, ones)[:, collar]  # Σ C(ξ) over unknowns, [d, N − I, d]
+        ends = -self.vjp(u, ones)[:, collar]  # Σ C(ξ) over unknowns, [d, N − I, d]
         given = plain("u", u)[..., collar, :]
         bent = np.einsum("...na,ank,...nk->...", given, ends, given, optimize=True)
         return np.asarray(self.quadratic(u) + self.spacing**d / 2 * bent)[()]
@@ -231,7 +231,7 @@ class StencilMaterial(Record):
     """
 
     if TYPE_CHECKING:
-        certificate: Proof | None
+        certificate: StencilCertificate | None
 
         @property
         def horizon(self) -> float: ...
@@ -285,7 +285,7 @@ class StencilMaterial(Record):
         proof = prove(self.stencil, self.group)
         return replace(self, certificate=proof)  # type: ignore[type-var]
 
-    def stiffest_wave(self) -> float:
+    def max_symbol_eigenvalue(self) -> float:
         """A bound on Λmax D(k) over all waves [stress / length²], for time steps (T21)."""
         return largest(self.stencil, self.group)
 
@@ -328,7 +328,7 @@ class StencilMaterial(Record):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Crystal(StencilMaterial, format="warp_peri.micromodulus"):
+class CrystalMaterial(StencilMaterial, format="warp_peri.crystals"):
     """The law of one crystal on one square or cubic lattice of nodes.
 
     Steps and tensors are along the axes of the nodes; C(−ξ) = C(ξ).
@@ -352,13 +352,13 @@ class Crystal(StencilMaterial, format="warp_peri.micromodulus"):
 
     spacing: Length
     steps: np.ndarray
-    tensors: Annotated[np.ndarray, Entry(length=-2, stress=1)]
+    tensors: Annotated[np.ndarray, FieldUnits(length=-2, stress=1)]
     units: Units = USUAL
     symmetry: Symmetry = ""
     orientation: Any = None
-    certificate: Proof | None = None
+    certificate: StencilCertificate | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
-    stress: Annotated[np.ndarray | None, Entry(stress=1, omit=True)] = None
+    stress: Annotated[np.ndarray | None, FieldUnits(stress=1, omit=True)] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -519,7 +519,7 @@ class Crystal(StencilMaterial, format="warp_peri.micromodulus"):
         return {"format": "crystal", **told, **kept, "certificate": proof}
 
 
-def tensors_of(model: Any, spacing: float) -> Crystal:
+def crystal_from_lps(model: Any, spacing: float) -> CrystalMaterial:
     """The law of an LPS, with one influence function or two, on a lattice, exactly.
 
     C(ξ) is minus its stencil at ξ: products of dilatations make bonds of range 2δ. Any points whose
@@ -535,7 +535,7 @@ def tensors_of(model: Any, spacing: float) -> Crystal:
     if not callable(made := getattr(model, "stencil", None)):
         raise InputError(f"model: expected a linear peridynamic solid, got {type(model).__name__}")
     stencil = made(spacing)
-    law = Crystal(
+    law = CrystalMaterial(
         spacing, stencil.steps, stencil.tensors, model.units, LATTICE_GROUP[model.dimension],
         provenance={"fit": {"from": "linear peridynamic solid"}},
     )  # fmt: skip

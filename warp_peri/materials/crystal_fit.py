@@ -8,16 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_peri.arguments import typed
 from warp_peri.core import elastic
 from warp_peri.core.elastic import (
     acoustic,
     allowed_tensors,
     bracket_rows,
     brackets_from_elastic,
-    from_voigt,
     huang_rows,
     stress_brackets,
     turned,
+    voigt_to_tensor,
 )
 from warp_peri.core.groups import (
     Symmetry,
@@ -35,7 +36,7 @@ from warp_peri.fitting.result import Fit
 from warp_peri.fitting.rows import compressed, over_loads, rows
 from warp_peri.fitting.symmetry import judged
 from warp_peri.fitting.transfer import LARGEST_WAVE, WaveSymbol, carried_symbol, wave_rows
-from warp_peri.materials.crystal import BROKEN, Crystal
+from warp_peri.materials.crystal import BROKEN, CrystalMaterial
 from warp_peri.points.arrays import check_positive
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import check_lattice, lattice_steps
@@ -149,19 +150,20 @@ class Tensors:
 
     def crystal(
         self, found: Settled, units: Units, record: dict[str, Any], stress: np.ndarray | None = None
-    ) -> Crystal:
+    ) -> CrystalMaterial:
         """The crystal with these numbers, and its certificate."""
         p = found.p[0][: len(self.bonds.basis)]
         tensors = np.tensordot(p, self.bonds.basis, 1) / self.spacing**2
         record = {"fit": record | {"loss": found.loss, "cuts": found.cuts}} if record else {}
         given: Any = {"symmetry": self.symmetry, "orientation": self.turn, "stress": stress}
         steps = self.bonds.steps
-        law = Crystal(self.spacing, steps, tensors, units, provenance=record, **given)
+        law = CrystalMaterial(self.spacing, steps, tensors, units, provenance=record, **given)
         return law.certified()
 
 
+@typed
 @dataclass(frozen=True)
-class Micromodulus:
+class Crystal:
     """A tensor C(ξ) for every bond, of any crystal in the plane or in space (theory, T).
 
     Attributes:
@@ -176,7 +178,7 @@ class Micromodulus:
 
     `fit` raises InputError for several sets, scattered points, or a symmetry that is none.
 
-    >>> wp.fit(samples, wp.Micromodulus(12.5, "4mm")).material.certificate.proven > 0
+    >>> wp.fit(samples, wp.Crystal(12.5, "4mm")).material.certificate.proven > 0
     True
     """
 
@@ -245,7 +247,7 @@ class Micromodulus:
                     f"{self.moduli!r:.60}"
                 )
             return None
-        moduli = from_voigt(self.moduli)
+        moduli = voigt_to_tensor(self.moduli)
         if len(moduli) != d:
             raise InputError(f"moduli: expected those of {d} dimensions, got {len(moduli)}")
         return moduli
@@ -283,8 +285,8 @@ def long_waves_of_data(
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             bare = replace(samples, points=replace(samples.points, axis=None))
-            law = Micromodulus(horizon).learn(bare).material
-            again = Micromodulus(horizon, law.symmetry)
+            law = Crystal(horizon).learn(bare).material
+            again = Crystal(horizon, law.symmetry)
             halves = [again.learn(bare[n::2]).material for n in (0, 1)]
     except (InputError, UserWarning):
         return {}, ""
@@ -298,11 +300,12 @@ def long_waves_of_data(
     told = [", ".join(f"{k} {v:.4g}" for k, v in each.items()) for each in (moduli, best)]
     return best, (
         f"moduli: of long waves the fit has {told[0]} {unit}, a crystal model has {told[1]}, "
-        "more apart than their spread: --law tensors, Micromodulus(…), has them"
+        "more apart than their spread: --law tensors, Crystal(…), has them"
     )
 
 
-def fit_symbol(
+@typed
+def fit_dispersion(
     target: WaveSymbol,
     spacing: float,
     horizon: float,
@@ -314,7 +317,7 @@ def fit_symbol(
     units: Units = USUAL,
     largest_wave: float = LARGEST_WAVE,
     record: dict[str, Any] | None = None,
-) -> Crystal:
+) -> CrystalMaterial:
     """The law whose answers to plane waves are those of a symbol: rows D₀⁻¹ D e − e (T9).
 
     Args:
@@ -341,7 +344,8 @@ def fit_symbol(
     return tensors.crystal(tensors.fitted(R, y, tensor, stress), units, told, stress)
 
 
-def from_phonons(
+@typed
+def fit_phonons(
     atoms: ForceConstants,
     spacing: float,
     horizon: float,
@@ -349,7 +353,7 @@ def from_phonons(
     symmetry: Symmetry = "auto",
     orientation: Any = None,
     units: Units = USUAL,
-) -> Crystal:
+) -> CrystalMaterial:
     """The law that answers plane waves as atoms do, from their force constants alone (T14).
 
     Args:
@@ -386,7 +390,7 @@ def from_phonons(
     hold = len(moments) >= NUMBERS * np.linalg.matrix_rank(bracket_rows(moments))
     true = turned(atoms.elastic(allowed), turn) / stress  # refuses what is no elastic solid
     held = None if atoms.stress is None else turn @ atoms.stress @ turn.T / stress
-    law = fit_symbol(
+    law = fit_dispersion(
         target,
         spacing,
         horizon,
@@ -406,9 +410,10 @@ def from_phonons(
     return law
 
 
-def transferred(
-    law: Crystal, spacing: float, *, rotation: Any = None, horizon: float | None = None
-) -> Crystal:
+@typed
+def transfer_to_lattice(
+    law: CrystalMaterial, spacing: float, *, rotation: Any = None, horizon: float | None = None
+) -> CrystalMaterial:
     """The law of the same crystal on other nodes: a fit to its own symbol, moduli held (T17).
 
     Args:
@@ -432,7 +437,7 @@ def transferred(
         steps, tensors = np.rint(law.steps @ turn.T).astype(int), turn @ law.tensors @ turn.T
         turned_law = {"steps": steps, "tensors": tensors, "orientation": orientation}
         return replace(law, **turned_law, stress=held, certificate=None).certified()
-    return fit_symbol(
+    return fit_dispersion(
         carried_symbol(law.symbol, law.spacing, turn),
         spacing,
         law.horizon / law.spacing * spacing if horizon is None else horizon,
@@ -446,7 +451,8 @@ def transferred(
     )
 
 
-def plane_strain(law: Crystal, normal: int = 2) -> Crystal:
+@typed
+def plane_strain(law: CrystalMaterial, normal: int = 2) -> CrystalMaterial:
     """The law of fields that do not change along an axis of the nodes: bonds summed along it.
 
     Exactly what the law in space does with such fields, at all wavelengths.
@@ -485,7 +491,8 @@ def plane_strain(law: Crystal, normal: int = 2) -> Crystal:
     return flat.certified()
 
 
-def plane_stress(law: Crystal, normal: int = 2) -> Crystal:
+@typed
+def plane_stress(law: CrystalMaterial, normal: int = 2) -> CrystalMaterial:
     """The law of a thin sheet of a crystal in space, free of stress across an axis of its nodes.
 
     Its moduli are a Schur complement; at short waves it answers as that elastic solid does, for
@@ -498,7 +505,7 @@ def plane_stress(law: Crystal, normal: int = 2) -> Crystal:
     C = elastic.plane_stress(law.tensor()[np.ix_(order, order, order, order)])
     brackets = elastic.brackets_from_elastic(C)
     flat = plane_strain(law, normal)
-    return fit_symbol(
+    return fit_dispersion(
         lambda k: elastic.acoustic(brackets, k),
         law.spacing,
         flat.horizon,
@@ -509,7 +516,7 @@ def plane_stress(law: Crystal, normal: int = 2) -> Crystal:
     )
 
 
-def _kept(law: Crystal, normal: int) -> list[int]:
+def _kept(law: CrystalMaterial, normal: int) -> list[int]:
     if law.dimension != 3 or normal not in (0, 1, 2):
         raise InputError(
             f"normal: expected axis 0, 1 or 2 of a model in space, got {normal!r:.20} of one in "

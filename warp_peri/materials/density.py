@@ -14,9 +14,10 @@ import torch
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
+from warp_peri.arguments import typed
 from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.proof import largest
-from warp_peri.core.record import Entry, Length, Record
+from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.core.stencil import half_ball
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import parsed
@@ -85,8 +86,8 @@ class DensityMaterial(Record, format="warp_peri.density"):
     name: str
     units: Units = USUAL
     provenance: dict[str, Any] = field(default_factory=dict)
-    energy: Annotated[Any, Entry(kept=False)] = None
-    scale: Annotated[float, Entry(stress=1, positive=True, omit=True)] = 1.0
+    energy: Annotated[Any, FieldUnits(kept=False)] = None
+    scale: Annotated[float, FieldUnits(stress=1, positive=True, omit=True)] = 1.0
 
     @classmethod
     def of(
@@ -110,9 +111,9 @@ class DensityMaterial(Record, format="warp_peri.density"):
     def read(cls, path: Any, energy: Energy) -> Self:
         """The material of a file, of the energy that it was saved with.
 
-        Raises InputError for an energy of another name, and as Record.of_content.
+        Raises InputError for an energy of another name, and as Record.from_dict.
         """
-        made = cls.of_content(parsed(Path(path).read_text(encoding="utf-8")))
+        made = cls.from_dict(parsed(Path(path).read_text(encoding="utf-8")))
         if (name := getattr(energy, "__name__", "")) != made.name:
             raise InputError(f"energy: the file has the parameters of {made.name!r}, got {name!r}")
         return replace(made, energy=energy)
@@ -172,7 +173,7 @@ class DensityOperator(Pointwise):
         """The same with other parameters."""
         return DensityOperator(self.material.at(numbers), self.points)
 
-    def stiffest_wave(self) -> float:
+    def max_symbol_eigenvalue(self) -> float:
         """Twice the largest eigenvalue of the tangent at rest [stress / length²], for time steps of
         small strain."""
         d = self.points.dimension
@@ -182,7 +183,7 @@ class DensityOperator(Pointwise):
         """Of the tangent at rest, of a load on the interior: factorised, or by iteration."""
         return self.linear.cheapest_inverse(SOLVES * loads, len(self.linear.stencil.steps))
 
-    def rest(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
+    def solve(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
         """Equilibrium with b on the interior, u given on the collar, [N, d] or [S, N, d].
 
         Raises InputError for arrays that do not fit, and a sample without an equilibrium.
@@ -190,6 +191,7 @@ class DensityOperator(Pointwise):
         return equilibria_of(self, b, u, solver)
 
 
+@typed
 @dataclass(frozen=True)
 class Density:
     """An energy of one's own, its parameters to be fitted.
@@ -237,7 +239,7 @@ class Density:
 
         def left(x: np.ndarray) -> np.ndarray:
             op = operator.at(dict(zip(names, scale * x)))
-            found = op(given.u) if by_force else op.rest(given.loads, given.u).u[:, inside]
+            found = op(given.u) if by_force else op.solve(given.loads, given.u).u[:, inside]
             return np.asarray(((found - right) / size).ravel())
 
         start = np.array(list(material.parameters.values())) / scale

@@ -21,8 +21,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from warp_peri.arguments import typed
 from warp_peri.errors import InputError
-from warp_peri.materials.lps import Model, bernstein_basis
+from warp_peri.materials.lps import LPSMaterial, bernstein_basis
 from warp_peri.points.families import bond_classes
 from warp_peri.points.unit_names import USUAL, Units
 
@@ -204,7 +205,7 @@ class InfluenceFunction:
         horizon: float,
         spacings: Sequence[float],
         units: Units = USUAL,
-    ) -> Model:
+    ) -> LPSMaterial:
         """The solid with this influence function and these constants, not certified.
 
         Args:
@@ -218,7 +219,7 @@ class InfluenceFunction:
         lengths = np.concatenate([bond_classes(spacing, horizon).r for spacing in spacings])
         D, departure = self.coefficients(lengths, horizon)
         kept = {"influence": self.record(departure)}
-        return Model(lam, mu, 0.0, D, horizon, provenance=kept, units=units)
+        return LPSMaterial(lam, mu, 0.0, D, horizon, provenance=kept, units=units)
 
     def record(self, departure: float) -> dict[str, Any]:
         """What a model keeps of it beside the polynomial, with the departure of that."""
@@ -250,6 +251,7 @@ NAMED = {"gaussian": gaussian, "exponential": exponential, "conical": conical}
 """Shapes with one length to learn."""
 
 
+@typed
 def named(name: str, horizon: float) -> InfluenceFunction:
     """One of NAMED, its length from the horizon [Å] on, within 1/20 and 20 times of it."""
     if name not in NAMED:

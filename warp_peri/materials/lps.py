@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import comb
 
-from warp_peri.contract import is_tensor
 from warp_peri.core.groups import lattice_group
-from warp_peri.core.proof import Proof, prove
-from warp_peri.core.record import Entry, Length, Record, taken
+from warp_peri.core.proof import StencilCertificate, prove
+from warp_peri.core.record import FieldUnits, Length, Record, taken
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, warn
 from warp_peri.points.arrays import check_whole, checked, is_number
@@ -22,7 +21,8 @@ from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE, SINGULARITY
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, shown_moduli, symbols
-from warp_peri.shown import error_rows
+from warp_peri.protocols import is_tensor
+from warp_peri.reprs import error_rows
 
 if TYPE_CHECKING:
     from warp_peri.materials.lps_operator import LPSOperator
@@ -55,7 +55,7 @@ def bernstein_basis(r: ArrayLike, horizon: float, degree: int) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Solid:
+class LPSParameters:
     """λ, μ, α and the Bernstein coefficients of the influence function (theory, 4–9).
 
     Numbers and arrays, or torch tensors with their gradients.
@@ -113,7 +113,7 @@ Modulus = ArrayLike | Callable[[np.ndarray], ArrayLike]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Model(Record, format="warp_peri.model"):
+class LPSMaterial(Record, format="warp_peri.model"):
     """A linear peridynamic solid with K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) (theory, 4–9, V1–V3).
 
     Attributes:
@@ -138,26 +138,28 @@ class Model(Record, format="warp_peri.model"):
 
     Raises InputError naming the first number out of its range.
 
-    >>> round(wp.Model(0.3, 0.7, 1.0, np.ones(1), horizon=12.5).E, 3)
+    >>> round(wp.LPSMaterial(0.3, 0.7, 1.0, np.ones(1), horizon=12.5).E, 3)
     1.647
     """
 
-    lam: Annotated[float, Entry(stress=1, key="lambda", spread=True)]
-    mu: Annotated[float, Entry(stress=1, spread=True)]
+    lam: Annotated[float, FieldUnits(stress=1, key="lambda", spread=True)]
+    mu: Annotated[float, FieldUnits(stress=1, spread=True)]
     alpha: float
     D: np.ndarray
     horizon: Length
-    trained_on: Annotated[tuple[float, ...], Entry(length=1)] = ()
-    certified_on: Annotated[tuple[float, ...], Entry(length=1)] = ()
-    trained_strain: Annotated[float | None, Entry(omit=True)] = None
-    largest_wave_number: Annotated[float | None, Entry(length=-1, positive=True, omit=True)] = None
+    trained_on: Annotated[tuple[float, ...], FieldUnits(length=1)] = ()
+    certified_on: Annotated[tuple[float, ...], FieldUnits(length=1)] = ()
+    trained_strain: Annotated[float | None, FieldUnits(omit=True)] = None
+    largest_wave_number: Annotated[
+        float | None, FieldUnits(length=-1, positive=True, omit=True)
+    ] = None
     certificate: dict[str, Any] = field(default_factory=dict)
     errors: dict[str, Any] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
     versions: dict[str, Any] = field(default_factory=dict)
     units: Units = USUAL
-    dimension: Annotated[int, Entry(omit=True)] = 2
-    nodes: Annotated[np.ndarray | None, Entry(length=1, omit=True)] = None
+    dimension: Annotated[int, FieldUnits(omit=True)] = 2
+    nodes: Annotated[np.ndarray | None, FieldUnits(length=1, omit=True)] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -192,9 +194,9 @@ class Model(Record, format="warp_peri.model"):
         return len(self.D) - 1
 
     @property
-    def solid(self) -> Solid:
+    def solid(self) -> LPSParameters:
         """λ, μ, α and D as one value."""
-        return Solid(self.lam, self.mu, self.alpha, self.D)
+        return LPSParameters(self.lam, self.mu, self.alpha, self.D)
 
     @property
     def learnable(self) -> dict[str, Any]:
@@ -202,13 +204,15 @@ class Model(Record, format="warp_peri.model"):
         return {name: getattr(self, name) for name in ("lam", "mu", "alpha", "D")}
 
     @property
-    def mean(self) -> Model:
+    def mean(self) -> LPSMaterial:
         """Itself, or of fields the solid of their means."""
         if self.nodes is None:
             return self
         return replace(self, lam=float(np.mean(self.lam)), mu=float(np.mean(self.mu)), nodes=None)
 
-    def having(self, numbers: Mapping[str, Any], nodes: np.ndarray | None = None) -> Model:
+    def with_parameters(
+        self, numbers: Mapping[str, Any], nodes: np.ndarray | None = None
+    ) -> LPSMaterial:
         """The same with other `learnable` numbers, of which nothing is proven; of fields those of
         some nodes [N, d]."""
         made = self.learnable | dict(numbers)
@@ -216,7 +220,7 @@ class Model(Record, format="warp_peri.model"):
         of = (self.nodes if nodes is None else nodes) if fields else None
         return replace(self, **made, nodes=of, certified_on=(), certificate={})
 
-    def spread(self, points: PointsLike, lam: Modulus | None, mu: Modulus | None) -> Model:
+    def spread(self, points: PointsLike, lam: Modulus | None, mu: Modulus | None) -> LPSMaterial:
         """The same with moduli that differ from node to node.
 
         Args:
@@ -244,14 +248,14 @@ class Model(Record, format="warp_peri.model"):
                     )
             there = {name: np.broadcast_to(one, len(x)) for name, one in at.items()}
             if len(steps) == 1:
-                return self.having(there, x)
-            solid = self.having(there, x)
+                return self.with_parameters(there, x)
+            solid = self.with_parameters(there, x)
             soft += np.array([1 / solid.mu, 1 / (solid.lam + 2 * solid.mu / d)]) / len(steps)
         shear, bulk = 1 / soft
-        return self.having({"lam": bulk - 2 * shear / d, "mu": shear}, x)
+        return self.with_parameters({"lam": bulk - 2 * shear / d, "mu": shear}, x)
 
     @property
-    def linear(self) -> Model:
+    def linear(self) -> LPSMaterial:
         """Itself: the linear solid at zero strain, which nonlinear laws have too."""
         return self
 
@@ -289,7 +293,7 @@ class Model(Record, format="warp_peri.model"):
         K: np.ndarray = r**-self.alpha * (bernstein_basis(r, self.horizon, self.degree) @ self.D)
         return K
 
-    def nominal_spacing(self, spacing: float) -> float:
+    def certified_spacing_near(self, spacing: float) -> float:
         """The certified spacing [Å] that a lattice within SPACING_TOLERANCE of it is taken as.
 
         Between bond lengths K may swing by orders of magnitude, so that what is proven of one
@@ -301,7 +305,7 @@ class Model(Record, format="warp_peri.model"):
 
     def is_certified_on(self, spacing: float) -> bool:
         """Whether a lattice spacing [Å] counts as one that the model holds a certificate for."""
-        return spacing > 0 and self.nominal_spacing(spacing) in self.certified_on
+        return spacing > 0 and self.certified_spacing_near(spacing) in self.certified_on
 
     def check_spacing(self, spacing: float, *, allow_uncertified: bool = False) -> None:
         """Refuse, or warn about, a lattice spacing [Å] that the model is not certified for."""
@@ -357,7 +361,7 @@ class Model(Record, format="warp_peri.model"):
         """Degree and quadrature, which a file names."""
         return {"degree": self.degree, "quadrature": QUADRATURE}
 
-    def check_proofs(self) -> None:
+    def verify_certificates(self) -> None:
         """As of a Record, on every spacing that the model is said to be certified on."""
         figures, group = by_spacing(self), lattice_group(self.dimension)
         for spacing in dict.fromkeys((*self.certified_on, *figures)):
@@ -365,7 +369,7 @@ class Model(Record, format="warp_peri.model"):
             if (bound := each.get("symbol_bound")) is not None:
                 numbers = (bound, each.get("symbol_min", bound))
                 proven, least = (taken("certificate", float, each) for each in numbers)
-                Proof(proven, least, 0.0, 0, 0.0).check_of(stencil, group)
+                StencilCertificate(proven, least, 0.0, 0, 0.0).check_of(stencil, group)
             elif spacing in self.certified_on and not prove(stencil, group).holds:
                 raise InputError(f"certified_on: nothing is proven on {spacing:g}")
 
@@ -437,7 +441,7 @@ class Model(Record, format="warp_peri.model"):
         return rows + error_rows(self.errors)
 
 
-def by_spacing(model: Model) -> dict[float, dict[str, Any]]:
+def by_spacing(model: LPSMaterial) -> dict[float, dict[str, Any]]:
     """Figures of its certificate by the spacing that they are of, to all digits where certified.
 
     Raises InputError for figures of none.
@@ -451,7 +455,7 @@ def by_spacing(model: Model) -> dict[float, dict[str, Any]]:
     return found
 
 
-def statements(model: Model) -> dict[float, str]:
+def statements(model: LPSMaterial) -> dict[float, str]:
     """What is proven of a model by the spacing of the lattice, made of the numbers."""
     figures = by_spacing(model)
     bounds = {h: each.get("symbol_bound") for h, each in figures.items()}
@@ -486,7 +490,7 @@ def _figures_in(figures: Any, length: float, stress: float) -> Any:
     }
 
 
-def stiffnesses(model: Model, classes: BondClasses) -> tuple[np.ndarray, float]:
+def stiffnesses(model: LPSMaterial, classes: BondClasses) -> tuple[np.ndarray, float]:
     """v [TPa/Å²] of the bond classes and κ = (λ−μ)/μ² [1/TPa] of a model on a lattice.
 
     Raises InputError for an influence function whose weighted volume is zero, and a lattice of
@@ -497,9 +501,9 @@ def stiffnesses(model: Model, classes: BondClasses) -> tuple[np.ndarray, float]:
     if classes.steps.shape[1] != model.dimension:
         raise InputError(
             f"model: expected one of {classes.steps.shape[1]} dimensions, those of the lattice, "
-            f"got {model.dimension}; in space micromodulus.tensors_of(model, spacing) is proven"
+            f"got {model.dimension}; in space crystal_from_lps(model, spacing) is proven"
         )
-    r = classes.r * (model.nominal_spacing(classes.spacing) / classes.spacing)
+    r = classes.r * (model.certified_spacing_near(classes.spacing) / classes.spacing)
     kw = model.influence(r) * classes.weight
     terms = classes.count * kw * classes.r**2
     if not abs(terms.sum()) > CANCELLED * np.abs(terms).sum():
@@ -510,7 +514,7 @@ def stiffnesses(model: Model, classes: BondClasses) -> tuple[np.ndarray, float]:
     return model.mu * kw / terms.sum(), (model.lam - model.mu) / model.mu**2
 
 
-def lps_stencil(model: Model, spacing: float, *, degree: int = DEGREE) -> Stencil:
+def lps_stencil(model: LPSMaterial, spacing: float, *, degree: int = DEGREE) -> Stencil:
     """The LPS on a lattice as a stencil of twice its range, exactly (theory, T17).
 
     Raises InputError as `stiffnesses` does, and for a spacing without bonds.
@@ -558,12 +562,12 @@ def long_wave_moduli(
     return float(each @ x1**4 + excess), float(C44 + excess), float(C44)
 
 
-def moduli(model: Model, classes: BondClasses) -> dict[str, float]:
+def moduli(model: LPSMaterial, classes: BondClasses) -> dict[str, float]:
     """Long-wave moduli C11, C12, C44 [TPa] of a model's discrete operator (theory, 22)."""
     return dict(zip(("C11", "C12", "C44"), long_wave_moduli(classes, *stiffnesses(model, classes))))
 
 
-def on_nominal_lattice(model: Model, points: PointsLike) -> Points:
+def on_nominal_lattice(model: LPSMaterial, points: PointsLike) -> Points:
     """The nodes, scaled to the certified spacing that theirs is taken as.
 
     What is proven of a lattice holds there, and not a millionth beside it: with the bond lengths of
@@ -575,7 +579,7 @@ def on_nominal_lattice(model: Model, points: PointsLike) -> Points:
     nodes = nodes_of(points)
     check_same(model.units, nodes.units)
     model.check_dimension(nodes)
-    spacing = model.nominal_spacing(nodes.spacing)
+    spacing = model.certified_spacing_near(nodes.spacing)
     if spacing == nodes.spacing:
         return nodes
     scale = spacing / nodes.spacing

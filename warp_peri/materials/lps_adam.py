@@ -24,8 +24,8 @@ from warp_peri.errors import InputError
 from warp_peri.files.atomic import ArrayFile, locked
 from warp_peri.fitting.augmented_lagrangian import PrintedState, adam, as_printed
 from warp_peri.fitting.regression import cut_rows
-from warp_peri.fitting.settings import CONDITIONS, Conditions, TwoStage
-from warp_peri.materials.lps import Solid, bernstein_basis
+from warp_peri.fitting.settings import CONDITIONS, StabilityConditions, TwoStage
+from warp_peri.materials.lps import LPSParameters, bernstein_basis
 from warp_peri.materials.lps_bonds import Bonds
 from warp_peri.materials.lps_force import lps_force
 from warp_peri.materials.lps_law import ALPHA_IN_SIGHT, LARGEST_ALPHA, LPSFound, LPSLaw
@@ -87,7 +87,7 @@ class OperatorLoss:
         self.weight = torch.from_numpy(weight)
 
     def _squares(self, *parameters: Any) -> torch.Tensor:
-        residual = lps_force(self.bonds, self.u, Solid(*parameters)) - self.b
+        residual = lps_force(self.bonds, self.u, LPSParameters(*parameters)) - self.b
         return (residual**2).sum(dim=(1, 2))
 
     def loss(self, *parameters: Any) -> torch.Tensor:
@@ -104,7 +104,7 @@ class OperatorLoss:
 
 PROBED_HORIZON = 2.0
 """Horizon in spacings of the bond-based solid that a lattice's stiffness is measured with."""
-UNIT = Solid(1.0, 1.0, 1.0, np.ones(1))
+UNIT = LPSParameters(1.0, 1.0, 1.0, np.ones(1))
 """K = 1/r with λ = μ = 1."""
 
 
@@ -153,7 +153,7 @@ class Variables:
     """
 
     def __init__(
-        self, start: Solid, unit: float, parametrisation: str, *, positive: bool = False
+        self, start: LPSParameters, unit: float, parametrisation: str, *, positive: bool = False
     ) -> None:
         self.unit = unit
         values = start.lam / unit, start.mu / unit, start.alpha, start.D
@@ -189,14 +189,14 @@ class Variables:
         lam, mu, alpha = (float(value) for value in values[:3])
         mu = max(mu, SMALLEST_MODULUS * self.unit)
         lam, alpha = max(lam, SMALLEST_MODULUS * self.unit - mu), min(alpha, LARGEST_ALPHA)
-        return LPSFound(Solid(lam, mu, alpha, values[3]), None, losses)
+        return LPSFound(LPSParameters(lam, mu, alpha, values[3]), None, losses)
 
 
 class SymbolMargins:
     """Smallest margins of the conditions over sampled wave vectors, on each lattice, in a unit."""
 
     def __init__(
-        self, conditions: Conditions, lattices: Sequence[BondClasses], unit: float = 1.0
+        self, conditions: StabilityConditions, lattices: Sequence[BondClasses], unit: float = 1.0
     ) -> None:
         self.conditions, self.unit, self.lattices = conditions, unit, lattices
         self.bases = [product_basis(classes) for classes in lattices]

@@ -20,13 +20,22 @@ from scipy.special import comb
 from warp_peri.errors import InputError
 from warp_peri.kernels.lps.influence import influence
 from warp_peri.kernels.lps.sweeps import BYTES, struct, sweeps
-from warp_peri.launch import DEVICE, empty, filled, floats, ints, known_device, launch_slices, zeros
-from warp_peri.materials.lps import CANCELLED, Model
+from warp_peri.materials.lps import CANCELLED, LPSMaterial
 from warp_peri.points.families import Families, families_of
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.runtime import (
+    DEVICE,
+    empty,
+    filled,
+    floats,
+    ints,
+    known_device,
+    launch_slices,
+    zeros,
+)
 
 PRECISIONS = {"float64": wp.float64, "float32": wp.float32}
 SPARE = 2
@@ -424,12 +433,12 @@ class SweepLaw:
         return self.forward if self.bonds.lattice else self._filled(self.table.far)
 
 
-def changes_sign(bonds: Bonds, model: Model) -> bool:
+def changes_sign(bonds: Bonds, model: LPSMaterial) -> bool:
     """Whether a bond has K W below zero."""
     return bool((bonds.influence(model.alpha, model.D) < 0).any())
 
 
-def check_volumes(bonds: Bonds, model: Model) -> None:
+def check_volumes(bonds: Bonds, model: LPSMaterial) -> None:
     """Refuse an influence function whose weighted volume vanishes: the operator divides by it.
 
     Raises InputError saying how many nodes that concerns; on a lattice it is all of them.

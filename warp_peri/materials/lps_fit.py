@@ -15,7 +15,8 @@ import numpy as np
 import torch
 from tqdm.auto import tqdm
 
-from warp_peri.core.elastic import from_voigt, plane_isotropic
+from warp_peri.arguments import typed
+from warp_peri.core.elastic import plane_isotropic, voigt_to_tensor
 from warp_peri.core.stencil import difference_tensors
 from warp_peri.errors import InputError, quietly, warn
 from warp_peri.files.checkpoint import fingerprint
@@ -29,20 +30,20 @@ from warp_peri.fitting.rows import compressed
 from warp_peri.fitting.settings import (
     LONG_WAVES,
     LOSSES,
+    AugmentedLagrangian,
     Bernstein,
-    Conditions,
-    Constrained,
+    GaussNewton,
     Kernel,
     Method,
-    Optimum,
+    StabilityConditions,
     TwoStage,
 )
 from warp_peri.fitting.training_data import check_noise, listed, sample_weights
 from warp_peri.materials.certificate import certify
-from warp_peri.materials.crystal import Crystal
+from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import AGREE, POOR, SPREADS
 from warp_peri.materials.influence import shapes_of
-from warp_peri.materials.lps import Model, Solid
+from warp_peri.materials.lps import LPSMaterial, LPSParameters
 from warp_peri.materials.lps import moduli as moduli_of
 from warp_peri.materials.lps_adam import (
     SMALLEST_MODULUS,
@@ -82,6 +83,7 @@ ERROR_TOLERANCE, ROUNDING = 1e-6, 1e-8
 Tick = Callable[[float], None]
 
 
+@typed
 @dataclass(frozen=True)
 class LPS:
     """The linear peridynamic solid, its influence function learned (theory, 4–9, V7).
@@ -110,8 +112,8 @@ class LPS:
 
     horizon: float
     kernel: Kernel | None = None
-    method: Method = Optimum()  # noqa: RUF009 (frozen values)
-    conditions: Conditions = Conditions()  # noqa: RUF009
+    method: Method = GaussNewton()  # noqa: RUF009 (frozen values)
+    conditions: StabilityConditions = StabilityConditions()  # noqa: RUF009
     loss: str = "auto"
     normalise: bool = False
 
@@ -142,9 +144,9 @@ class LPS:
     def checked(self, dimension: int) -> None:
         """Raise InputError for settings that are none, or go with no others or the dimension."""
         kernel, method, asked = self.kernel, self.method, self.conditions
-        if not isinstance(asked, Conditions):
+        if not isinstance(asked, StabilityConditions):
             raise InputError(f"conditions: expected Conditions(…), got {asked!r:.60}")
-        if not isinstance(method, (TwoStage, Optimum, Constrained)):
+        if not isinstance(method, (TwoStage, GaussNewton, AugmentedLagrangian)):
             raise InputError(
                 f"method: expected Optimum(…), TwoStage(…) or Constrained(…), got {method!r:.60}"
             )
@@ -241,14 +243,14 @@ class Learner:
             found.append(dataclasses.replace(of[0][0], R=R, y=y))
         return found
 
-    def model(self, found: LPSFound, **more: Any) -> Model:
+    def model(self, found: LPSFound, **more: Any) -> LPSMaterial:
         """The model of what was found, and what else is known of it."""
         of = self.sets[0].points
         known: dict[str, Any] = {"dimension": of.dimension, "units": of.units}
         return found.model(self.law.horizon, **known, **more)
 
     def optimum(
-        self, start: LPSFound, method: Optimum, blocks: list[LatticeRows] | None = None
+        self, start: LPSFound, method: GaussNewton, blocks: list[LatticeRows] | None = None
     ) -> LPSFound:
         """The constrained optimum from one start, of the loss or of other rows.
 
@@ -263,9 +265,9 @@ class Learner:
         probe = [*starts][:2][-1]  # from which the share of noise, and what moduli cost, are found
         choice = self.choose_loss(starts[probe])
         self.blocks = self.rows(choice.name)
-        asked = Optimum(moduli=None)
+        asked = GaussNewton(moduli=None)
         if not isinstance(method, TwoStage):
-            asked = method.optimum if isinstance(method, Constrained) else method
+            asked = method.optimum if isinstance(method, AugmentedLagrangian) else method
             asked = self.hold(asked, probe, starts[probe])
         if kernel is None:
             kernel = self.choose_degree(choice.name, asked)
@@ -273,7 +275,7 @@ class Learner:
         if isinstance(method, TwoStage):
             final = self.two_stages(kernel, method)
         else:
-            if isinstance(method, Constrained) and isinstance(kernel, Bernstein):
+            if isinstance(method, AugmentedLagrangian) and isinstance(kernel, Bernstein):
                 starts = {"Adam": self.adam(kernel, method, asked)} | starts
             final = self.run("3 constrained", lambda tick: self.best(starts, asked, tick))
             if law.loss == "auto" and choice.name == "residual" and self.worse(final, asked):
@@ -290,11 +292,13 @@ class Learner:
         if isinstance(kernel, Bernstein):
             ones = np.ones(1 + kernel.degree)
             plain = PLAIN_EXPONENTS[: None if self.flat else 1]  # in space α stays as it begins
-            return {f"r^-{a:.3g}": LPSFound(Solid(0.0, self.stiffness, a, ones)) for a in plain}
+            return {
+                f"r^-{a:.3g}": LPSFound(LPSParameters(0.0, self.stiffness, a, ones)) for a in plain
+            }
         found = {}
         for number, shape in enumerate(shapes_of(kernel)):
             D, _ = shape.coefficients(self.lengths, self.law.horizon)
-            solid = Solid(0.0, self.stiffness / USUAL_STIFFNESS, 0.0, D)
+            solid = LPSParameters(0.0, self.stiffness / USUAL_STIFFNESS, 0.0, D)
             found[f"{number} {shape.name}"] = LPSFound(solid, shape)
         return found
 
@@ -317,7 +321,7 @@ class Learner:
             return LossSelection("residual", "Algorithm 1 has no other")
         if not self.noise:
             return LossSelection("residual", "no fields of noise were given")
-        found = self.model(self.optimum(start, Optimum()))
+        found = self.model(self.optimum(start, GaussNewton()))
         weights = (sum(weight for _, weight in parts) for parts in self.folds)
         c = [products(found, classes) for classes in self.lattices]
         made = sum(w * np.sum((N @ p) ** 2) for w, N, p in zip(weights, self._noise, c))
@@ -333,7 +337,7 @@ class Learner:
         lengths = np.unique((self.lengths / self.law.horizon).round(9))
         return min(LARGEST_DEGREE, len(lengths) - 1)
 
-    def choose_degree(self, loss: str, method: Optimum) -> Bernstein:
+    def choose_degree(self, loss: str, method: GaussNewton) -> Bernstein:
         """The smallest degree whose error on loads left out is within 2 % of the best.
 
         Kernels of a degree are among those of the next: from the largest it goes down until one
@@ -342,7 +346,7 @@ class Learner:
         degree = self.largest_degree()
         count, best, chosen = len(self.folds[0]), np.inf, degree
         while degree >= 0 and count > 1:
-            start = LPSFound(Solid(0.0, self.stiffness, 1.0, np.ones(1 + degree)))
+            start = LPSFound(LPSParameters(0.0, self.stiffness, 1.0, np.ones(1 + degree)))
             left = 0.0
             for fold in range(count):
                 others = self.rows(loss, [n for n in range(count) if n != fold])
@@ -373,7 +377,7 @@ class Learner:
         self.history.append(Stage(name, found.solid, error, seconds, found.losses, steps))
         return found
 
-    def hold(self, method: Optimum, name: str, start: LPSFound) -> Optimum:
+    def hold(self, method: GaussNewton, name: str, start: LPSFound) -> GaussNewton:
         """The method with the moduli of long waves, where it asks for them and free ones miss them.
 
         Free ones are those of one start, named as in stage 3, which keeps what it reached.
@@ -404,7 +408,7 @@ class Learner:
         D = random.uniform(size=1 + degree)
         lam, mu, alpha = random.uniform(size=3) if constants else (0.0, 1.0, 1.0)
         unit = self.stiffness / USUAL_STIFFNESS
-        return LPSFound(Solid(lam * unit, mu * unit, alpha, D))
+        return LPSFound(LPSParameters(lam * unit, mu * unit, alpha, D))
 
     def two_stages(self, kernel: Any, method: TwoStage) -> LPSFound:
         """Algorithm 1; its checkpoint is known by the data and the settings."""
@@ -414,7 +418,7 @@ class Learner:
         key = fingerprint(self.law.horizon, known, kernel, self.conditions, self.sets)
         return two_stages(self, rough, method, self.stiffness / USUAL_STIFFNESS, key)
 
-    def adam(self, kernel: Bernstein, method: Constrained, asked: Optimum) -> LPSFound:
+    def adam(self, kernel: Bernstein, method: AugmentedLagrangian, asked: GaussNewton) -> LPSFound:
         """Adam and the augmented Lagrangian on Warp's operator, from a random kernel."""
         rough = self.random(kernel.degree, method.seed)
         law = LPSLaw(self.lattices, rough, self.conditions, asked)
@@ -428,7 +432,7 @@ class Learner:
             ),
         )
 
-    def best(self, starts: Mapping[str, LPSFound], method: Optimum, tick: Tick) -> LPSFound:
+    def best(self, starts: Mapping[str, LPSFound], method: GaussNewton, tick: Tick) -> LPSFound:
         """Stage 3: the best of the constrained optima reached from all starts.
 
         Raises RuntimeError when no start ends with the conditions and the moduli kept.
@@ -457,7 +461,7 @@ class Learner:
         # Equal losses are one optimum: the first start is kept, whatever the rounding.
         return next(reached for reached in kept if reached.loss <= lowest * (1 + SAME_LOSS))
 
-    def output(self, start: LPSFound, method: Optimum, tick: Tick) -> LPSFound:
+    def output(self, start: LPSFound, method: GaussNewton, tick: Tick) -> LPSFound:
         """Stage 4: on from there to the least misfit of displacement.
 
         Raises RuntimeError when it ends with the conditions or the moduli not kept.
@@ -472,14 +476,14 @@ class Learner:
             )
         return found
 
-    def worse(self, found: LPSFound, method: Optimum) -> bool:
+    def worse(self, found: LPSFound, method: GaussNewton) -> bool:
         """Whether training displacement is better had from local elasticity of moduli that are
         held; sets in space, or of many unknowns, are not solved for this."""
         large = any(np.count_nonzero(each.interior) > MOST_NODES for each in self.sets)
         if large or not (self.flat and isinstance(method.moduli, tuple)):
             return False
         model, errors = self.model(found), np.zeros(2)
-        C = from_voigt(plane_isotropic(model.lam, model.mu))
+        C = voigt_to_tensor(plane_isotropic(model.lam, model.mu))
         with quietly():
             for each in self.sets:
                 own = evaluate(model, each, allow_uncertified=True)["E_u"]
@@ -568,7 +572,7 @@ def local_error(C: np.ndarray, samples: Samples) -> float:
     for reach in range(MOST_REACH, 1, -1):
         steps, tensors = difference_tensors(C, reach)
         try:
-            law = Crystal(h, steps, tensors / h**2, samples.points.units)  # isotropic
+            law = CrystalMaterial(h, steps, tensors / h**2, samples.points.units)  # isotropic
             return float(evaluate(law, dataclasses.replace(samples, points=no_axis))["E_u"])
         except InputError:  # bonds reach beyond the collar
             continue

@@ -19,9 +19,9 @@ from warp_peri.core.torch_bridge import differentiable_once, refuse_tangents
 from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.lps.plain import plain
-from warp_peri.launch import Shared, ints, launch, launch_slices, threads
-from warp_peri.materials.lps import Solid
+from warp_peri.materials.lps import LPSParameters
 from warp_peri.materials.lps_bonds import Bonds, SweepLaw, inverted, listed
+from warp_peri.runtime import Shared, get_num_threads, ints, launch, launch_slices
 
 BLOCKS = 8
 """Parts in which nodes are summed over, whatever the number of threads."""
@@ -61,7 +61,7 @@ def sweep(bonds: Bonds, law: SweepLaw, of: Any, pieces: Sequence[str | None], *f
                 piece = layout.pieces[name]
                 launch(kernel, (len(theta), len(piece)), (piece, of, *given[:-1]), given[-1:])
         return
-    key = (*pieces, len(theta), threads(), law.fields)
+    key = (*pieces, len(theta), get_num_threads(), law.fields)
     ready = layout.ready.setdefault(key, [])
     try:
         shared, ends, last = ready.pop()
@@ -252,7 +252,7 @@ def _shaped(bonds: Bonds, field: Any) -> torch.Tensor:
 _force: Callable[..., torch.Tensor] = _Force.apply
 
 
-def lps_force(bonds: Bonds, u: torch.Tensor, solid: Solid) -> torch.Tensor:
+def lps_force(bonds: Bonds, u: torch.Tensor, solid: LPSParameters) -> torch.Tensor:
     """L u [TPa/Å] on the interior nodes, shape [..., I, d], differentiable in u and in every value
     of the solid.
 

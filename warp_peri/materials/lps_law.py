@@ -16,9 +16,15 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.fitting.regression import MET, Form, LatticeRows, Numbers, Settled, fit
-from warp_peri.fitting.settings import Conditions, Optimum
+from warp_peri.fitting.settings import GaussNewton, StabilityConditions
 from warp_peri.materials.influence import InfluenceFunction
-from warp_peri.materials.lps import CANCELLED, Model, Solid, bernstein_basis, long_wave_moduli
+from warp_peri.materials.lps import (
+    CANCELLED,
+    LPSMaterial,
+    LPSParameters,
+    bernstein_basis,
+    long_wave_moduli,
+)
 from warp_peri.materials.lps_rows import class_pairs
 from warp_peri.points.families import BondClasses
 
@@ -37,7 +43,7 @@ class LPSFound:
         converged: whether no violation was left, and the moduli are those to be held.
     """
 
-    solid: Solid
+    solid: LPSParameters
     shape: InfluenceFunction | None = None
     losses: list[float] = field(default_factory=list, repr=False)
     margin: float = np.inf
@@ -50,9 +56,9 @@ class LPSFound:
         """At the end, relative to the loads."""
         return self.losses[-1]
 
-    def model(self, horizon: float, **more: Any) -> Model:
+    def model(self, horizon: float, **more: Any) -> LPSMaterial:
         """The model of these numbers, and what else is known of it."""
-        return Model(**vars(self.solid), horizon=horizon, **more)
+        return LPSMaterial(**vars(self.solid), horizon=horizon, **more)
 
 
 HEADROOM = 1.01
@@ -226,8 +232,8 @@ class LPSLaw:
         self,
         lattices: Sequence[BondClasses],
         start: LPSFound,
-        conditions: Conditions,
-        method: Optimum,
+        conditions: StabilityConditions,
+        method: GaussNewton,
         *,
         fixed_alpha: bool = False,
     ) -> None:
@@ -330,7 +336,7 @@ class LPSLaw:
         D, alpha, shape = self.kernel.coefficients(of.theta[1:], mu / self.size)
         departure = float(np.abs(self(of.theta).equal).max(initial=0.0))
         return LPSFound(
-            Solid(lam, mu, alpha, D),
+            LPSParameters(lam, mu, alpha, D),
             shape,
             of.losses,
             margin=self.zeta * of.margin,
@@ -344,8 +350,8 @@ def optimum(
     blocks: Sequence[LatticeRows],
     lattices: Sequence[BondClasses],
     start: LPSFound,
-    conditions: Conditions,
-    method: Optimum = Optimum(),  # noqa: B008 (a frozen value)
+    conditions: StabilityConditions,
+    method: GaussNewton = GaussNewton(),  # noqa: B008 (a frozen value)
     *,
     fixed_alpha: bool = False,
 ) -> LPSFound:

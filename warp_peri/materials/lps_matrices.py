@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
-from warp_peri.materials.lps import Model, on_nominal_lattice
+from warp_peri.materials.lps import LPSMaterial, on_nominal_lattice
 from warp_peri.materials.lps_bonds import Bonds, Stiffness, check_volumes, listed, surface
 from warp_peri.points.arrays import checked
 from warp_peri.points.families import families_of
@@ -40,7 +40,7 @@ class Matrices:
         return sp.csr_array(mu * self.gamma - (lam - mu) * (self.psi @ self.phi))
 
 
-def matrices(model: Model, points: PointsLike, bonds: Bonds | None = None) -> Matrices:
+def matrices(model: LPSMaterial, points: PointsLike, bonds: Bonds | None = None) -> Matrices:
     """Assemble Γ, Φ and Ψ of a model on a point set.
 
     `bonds` are those of the points with this model's horizon, where they are made already.
@@ -110,7 +110,7 @@ class NodeFields:
     energy: np.ndarray
 
 
-def node_fields(model: Model, points: PointsLike, u: ArrayLike) -> NodeFields:
+def node_fields(model: LPSMaterial, points: PointsLike, u: ArrayLike) -> NodeFields:
     """Collapsed stress of S. A. Silling and R. B. Lehoucq (2008), with strain and energy.
 
     The stress is that of a family deformed as the node's own force state is; on a lattice it is

@@ -13,11 +13,9 @@ import warp as wp
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator, gmres, spilu
 
-from warp_peri.contract import OnPoints, is_tensor
 from warp_peri.core.proof import largest
 from warp_peri.errors import InputError, warn
-from warp_peri.launch import DEVICE, known_device, recording
-from warp_peri.materials.lps import Model, Solid, on_nominal_lattice, statements
+from warp_peri.materials.lps import LPSMaterial, LPSParameters, on_nominal_lattice, statements
 from warp_peri.materials.lps_bonds import Bonds, SweepLaw, changes_sign, check_volumes
 from warp_peri.materials.lps_force import check_bond_based, evaluate, force_by, gradient, pulled
 from warp_peri.materials.lps_matrices import matrices, node_fields
@@ -26,12 +24,14 @@ from warp_peri.points.families import families_of
 from warp_peri.points.lattice import largest_strain, lattice_steps
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.protocols import OperatorBase, is_tensor
+from warp_peri.runtime import DEVICE, known_device, recording
 from warp_peri.solvers.direct import RESIDUAL, MatrixProblem, definite_factors, smallest_eigenvalue
 from warp_peri.solvers.linear import DIRECT, STIFF, Inverse, Linear, bonds_within, cheapest_method
 from warp_peri.solvers.solution import (
+    CG,
     TOLERANCE,
     Direct,
-    Krylov,
     Solution,
     Solver,
     refuse_solver,
@@ -44,7 +44,7 @@ LARGEST_LU = 40_000
 """Most unknown nodes off lattices that are factorised whole."""
 
 
-class LPSOperator(OnPoints):
+class LPSOperator(OperatorBase):
     """The operator of a model's material on points of any kind (theory, M2–M5).
 
     ``op(u)`` is L u [TPa/Å] of the model there, on interior nodes; in equilibrium it is b. On
@@ -54,7 +54,7 @@ class LPSOperator(OnPoints):
     own moduli, and positive where K is; at an interface displacements are of first order in δ.
 
     Args:
-        model: as it is used; `Model.on` asks for its certificate, or transfers it.
+        model: as it is used; `LPSMaterial.on` asks for its certificate, or transfers it.
         points: a lattice or scattered points, whose interior has the 2δ collar; bonds to nodes
             outside the body are broken.
         quadrature_degree: of the polynomials that the weights are exact for.
@@ -74,7 +74,7 @@ class LPSOperator(OnPoints):
 
     def __init__(
         self,
-        model: Model,
+        model: LPSMaterial,
         points: PointsLike,
         *,
         quadrature_degree: int = DEGREE,
@@ -114,11 +114,11 @@ class LPSOperator(OnPoints):
     def _law(self) -> SweepLaw:
         return self.bonds.law(*self.learnable.values())
 
-    def force_in_torch(self, u: Any) -> Any:
+    def force_torch(self, u: Any) -> Any:
         """The force of a tensor, which stays where it is."""
         if self.device == DEVICE:
-            return super().force_in_torch(u)
-        return self.force_with(u, self.learnable)
+            return super().force_torch(u)
+        return self.force_with_parameters(u, self.learnable)
 
     def _fields(self, values: Any) -> wp.array[Any]:
         """Fields of NumPy as kernels read them, [S, d ·]."""
@@ -131,13 +131,13 @@ class LPSOperator(OnPoints):
         Lu = evaluate(self.bonds, self._fields(field), self._law, kept=False).Lu.numpy()
         return np.asarray(Lu.reshape(*field.shape[:-2], -1, field.shape[-1]))
 
-    def product_transpose(self, u: Any, w: ArrayLike) -> np.ndarray:
+    def vjp(self, u: Any, w: ArrayLike) -> np.ndarray:
         """Lᵗ w on all nodes, shape [..., N, d], of w on the interior [..., I, d], whatever u."""
         w = np.require(plain("w", w), float, ["C", "W"])
         by_u = pulled(self.bonds, self._law, self._fields(w))[0].numpy()
         return np.asarray(by_u.reshape(*w.shape[:-2], *self.shape))
 
-    def launch(self, u: Any, out: Any, parameters: Solid | None = None) -> None:
+    def launch(self, u: Any, out: Any, parameters: LPSParameters | None = None) -> None:
         """L u of Warp arrays, on the tape that records, if one does.
 
         ``tape.backward`` adds to the gradients of those arrays that require one.
@@ -188,7 +188,9 @@ class LPSOperator(OnPoints):
         """λ, μ, α and D by name."""
         return self.model.learnable
 
-    def force_with(self, u: torch.Tensor, numbers: dict[str, torch.Tensor]) -> torch.Tensor:
+    def force_with_parameters(
+        self, u: torch.Tensor, numbers: dict[str, torch.Tensor]
+    ) -> torch.Tensor:
         """The force of fields [S, N, d] with other numbers, differentiable once in all."""
         return force_by(self.bonds, u, *(numbers[name] for name in self.learnable))
 
@@ -205,15 +207,15 @@ class LPSOperator(OnPoints):
     @property
     def _is_plain(self) -> bool:
         """Whether iteration goes with the nodes: a lattice without a box or broken bonds."""
-        return self.nodes.is_plain_lattice and self.quadrature_degree == DEGREE
+        return self.nodes.is_open_lattice and self.quadrature_degree == DEGREE
 
     def at(self, numbers: dict[str, Any]) -> LPSOperator:
         """The same with other numbers; InputError for no solid, or an indefinite whole lattice."""
-        model = self.model.having(numbers)
+        model = self.model.with_parameters(numbers)
         made = LPSOperator(model, self.points, allow_uncertified=True, device=self.device)
         if model.bond_based or not self.bonds.bond_based:
             made.__dict__["bonds"] = self.bonds
-        if model.nodes is None and (self.nodes.is_plain_lattice or self.nodes.box is not None):
+        if model.nodes is None and (self.nodes.is_open_lattice or self.nodes.box is not None):
             made.linear.check_definite()
         return made
 
@@ -247,7 +249,7 @@ class LPSOperator(OnPoints):
         spacing = self.points.spacing
         if not self.model.is_certified_on(spacing):
             return None
-        return statements(self.model).get(self.model.nominal_spacing(spacing))
+        return statements(self.model).get(self.model.certified_spacing_near(spacing))
 
     def energy(self, u: np.ndarray) -> np.ndarray | None:
         """h^d (½ u_I·L u_I + u_I·L u_C) [stress · length^d], shape [...]; on lattices."""
@@ -258,7 +260,7 @@ class LPSOperator(OnPoints):
         stress = node_fields(self.model, self.points, u).stress
         return stress if np.ndim(u) == 3 else stress[0]
 
-    def stiffest_wave(self) -> float:
+    def max_symbol_eigenvalue(self) -> float:
         """A bound on the eigenvalues of L [stress/length²] on a lattice, for time steps; of fields
         that of the solid of mean moduli, times how much stiffer a node is.
 
@@ -269,35 +271,35 @@ class LPSOperator(OnPoints):
         if model.nodes is None:
             return bound
         if changes_sign(self.bonds, model):
-            raise InputError("move: expected K W ≥ 0 for moduli as fields, got one below zero")
+            raise InputError("simulate: expected K W ≥ 0 for moduli as fields, got one below zero")
         parts = np.asarray(model.mu), np.asarray(model.lam + 2 * model.mu / model.dimension)
         return bound * max(float(one.max() / one.mean()) for one in parts)
 
-    def rest(self, b: Any, u: Any, solver: Solver = None, *, parameters: Any = None) -> Solution:
+    def solve(self, b: Any, u: Any, solver: Solver = None, *, parameters: Any = None) -> Solution:
         """Equilibrium with b on the interior, u given on the collar (theory, 29).
 
         Args:
             b: body force density [TPa/Å], shape [N, d] or [S, N, d]; only interior values count.
             u: displacement [Å], same shape; only collar values count. Of torch tensors the answer
                 is one, differentiable in both.
-            solver: Direct(…) or Krylov(…); None takes the cheapest by size and shape.
+            solver: Direct(…) or CG(…); None takes the cheapest by size and shape.
             parameters: λ, μ, α and D as a Solid, or some of them by name, the material's own by
                 default; the answer is differentiable in tensors among them.
 
         Raises InputError for arrays that do not fit, a solver that does not go with the points, or
         an operator that is singular or (with allow_uncertified a warning) not positive definite.
         """
-        refuse_solver(solver, (Direct, Krylov), "a linear solid")
+        refuse_solver(solver, (Direct, CG), "a linear solid")
         if is_tensor(b) or is_tensor(u) or parameters is not None:
-            named = vars(parameters) if isinstance(parameters, Solid) else parameters
-            return self.rest_in_torch(b, u, solver, named)  # type: ignore[no-any-return]
+            named = vars(parameters) if isinstance(parameters, LPSParameters) else parameters
+            return self.solve_torch(b, u, solver, named)  # type: ignore[no-any-return]
         load, field = checked_fields(self.points, b, u)
         inside = self.points.interior
         answer, method, records = self._solved(load, field, solver)
         field[..., inside, :] = answer.reshape(field.shape)[..., inside, :]
-        return self._told(field, self.load(load), method, records)
+        return self._told(field, self.rhs(load), method, records)
 
-    def rest_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
+    def solve_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
         """Equilibrium on a period under a load whose mean is removed; u has zero mean.
 
         Args:
@@ -378,10 +380,10 @@ class LPSOperator(OnPoints):
             if solver is None:
                 return "lu" if unknown <= LARGEST_LU else "gmres"
             raise InputError(
-                "solver: Krylov(…) is for lattices without a box and without broken bonds, "
+                "solver: CG(…) is for lattices without a box and without broken bonds, "
                 "with quadrature of the usual degree; try Direct()"
             )
-        if isinstance(solver, Krylov) and solver.preconditioner is not None:
+        if isinstance(solver, CG) and solver.preconditioner is not None:
             return solver.preconditioner
         inside = lattice_steps(nodes)[0][nodes.interior]
         return cheapest_method(
@@ -398,7 +400,7 @@ class LPSOperator(OnPoints):
         """The assembled problem, which keeps its factors."""
         return MatrixProblem(self.matrix(), self.nodes.interior)
 
-    def stiffness_at(self, u: Any) -> Any:
+    def interior_tangent(self, u: Any) -> Any:
         """L between interior nodes, sparse [d I, d I]."""
         return self._problem.stiffness
 
@@ -407,7 +409,7 @@ class LPSOperator(OnPoints):
         lattices and where bonds are broken: a kernel that changes sign seldom bears that (theory,
         B9). Elsewhere nothing is asked."""
         nodes, cut = self.nodes, self.nodes.outside is not None
-        if not (cut or nodes.is_plain_lattice):
+        if not (cut or nodes.is_open_lattice):
             return
         if self._is_plain and self.model.nodes is None:
             with suppress(InputError):

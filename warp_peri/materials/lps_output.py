@@ -17,8 +17,8 @@ from warp_peri.core.groups import lattice_group
 from warp_peri.errors import InputError
 from warp_peri.fitting.regression import LatticeRows
 from warp_peri.fitting.rows import compressed
-from warp_peri.fitting.settings import Conditions, Optimum
-from warp_peri.materials.lps import Model
+from warp_peri.fitting.settings import GaussNewton, StabilityConditions
+from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_law import LPSFound, optimum
 from warp_peri.materials.lps_matrices import matrices
 from warp_peri.materials.lps_rows import Products, products
@@ -63,7 +63,7 @@ class WaveResponse:
         self.weight = _over("u", self.u, place)
         self.first = self._rows(self._acting(self.u), self.b, _over("b", self.b, place))
 
-    def about(self, model: Model) -> LatticeRows:
+    def about(self, model: LPSMaterial) -> LatticeRows:
         """û against u at the wave vectors, relative, û linear in the products about a model."""
         D = self.symbol @ products(model, self.classes)
         answer = np.linalg.solve(D, self.b[..., None])[..., 0]
@@ -98,7 +98,7 @@ class CollarResponse:
         inside = self.points.u[:, self.points.interior].reshape(len(self.points), -1)
         self.weight = _over("u", inside, "on the interior")
 
-    def about(self, model: Model) -> LatticeRows:
+    def about(self, model: LPSMaterial) -> LatticeRows:
         """û against u on the interior, relative, û linear in the products about a model."""
         points, inside = self.points, self.points.interior
         L = matrices(model, points).operator(model.lam, model.mu)
@@ -155,8 +155,8 @@ def fit_output_error(
     responses: Sequence[Response],
     lattices: Sequence[BondClasses],
     start: LPSFound,
-    conditions: Conditions,
-    method: Optimum,
+    conditions: StabilityConditions,
+    method: GaussNewton,
     *,
     tick: Callable[[float], None],
 ) -> LPSFound:
@@ -197,7 +197,9 @@ def fit_output_error(
     return dataclasses.replace(best, losses=losses)
 
 
-def squares(blocks: Sequence[LatticeRows], lattices: Sequence[BondClasses], model: Model) -> float:
+def squares(
+    blocks: Sequence[LatticeRows], lattices: Sequence[BondClasses], model: LPSMaterial
+) -> float:
     """Σ ‖R p − y‖² over lattices at a model."""
     left = [one.R @ products(model, classes) - one.y for one, classes in zip(blocks, lattices)]
     return float(sum(np.sum(one**2) for one in left))

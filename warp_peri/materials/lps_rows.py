@@ -15,7 +15,7 @@ from warp_peri.core.groups import lattice_group
 from warp_peri.core.stencil import Basis, half_ball, invariant_basis
 from warp_peri.fitting.regression import LatticeRows
 from warp_peri.fitting.rows import forces, rows
-from warp_peri.materials.lps import Model, stiffnesses
+from warp_peri.materials.lps import LPSMaterial, stiffnesses
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import Samples
@@ -26,7 +26,7 @@ def class_pairs(number: int) -> tuple[np.ndarray, np.ndarray]:
     return np.triu_indices(number)
 
 
-def products(model: Model, classes: BondClasses) -> np.ndarray:
+def products(model: LPSMaterial, classes: BondClasses) -> np.ndarray:
     """The products of a model on a lattice: v, and κ v v of the pairs of classes; shape [P]."""
     v, kappa = stiffnesses(model, classes)
     i, j = class_pairs(len(v))

@@ -13,6 +13,7 @@ import joblib
 import numpy as np
 from tqdm import tqdm
 
+from warp_peri.arguments import typed
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import locked
 from warp_peri.files.checkpoint import fingerprint
@@ -21,12 +22,12 @@ from warp_peri.fitting.settings import (
     DEGREES,
     HORIZONS,
     Bernstein,
-    Conditions,
+    GaussNewton,
     Method,
-    Optimum,
+    StabilityConditions,
     TwoStage,
 )
-from warp_peri.materials.lps import Model
+from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_fit import LPS
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
@@ -73,7 +74,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Sweep:
+class SweepResult:
     """Result of a sweep.
 
     Attributes:
@@ -92,6 +93,7 @@ class Sweep:
     cheapest: Trial
 
 
+@typed
 def sweep(
     train: Samples,
     val: Samples,
@@ -102,10 +104,10 @@ def sweep(
     horizons: Sequence[float] = HORIZONS,
     degrees: Sequence[int] = DEGREES,
     conditions: str = "direct",
-    method: Method = Optimum(moduli=None),  # noqa: B008 (a frozen value)
+    method: Method = GaussNewton(moduli=None),  # noqa: B008 (a frozen value)
     jobs: int = -1,
     progress: bool = False,
-) -> Sweep:
+) -> SweepResult:
     """Fit every horizon and degree and choose.
 
     Finished fits stay in `folder` as model files with their errors, so that an interrupted sweep
@@ -135,7 +137,7 @@ def sweep(
             f"jobs: expected a number of processes, or −1 for one per core, got {jobs!r}"
         )
     sets = {"train": train, "val": val} | ({} if test is None else {"test": test})
-    common = (sets, noise, Conditions(conditions), method)
+    common = (sets, noise, StabilityConditions(conditions), method)
     files = {}
     for horizon, degree in itertools.product(horizons, degrees):
         key = fingerprint(horizon, degree, *common)
@@ -161,7 +163,7 @@ def sweep(
     return choose(trials)
 
 
-def choose(trials: list[Trial]) -> Sweep:
+def choose(trials: list[Trial]) -> SweepResult:
     """The choices of Algorithm 2 and by cost, among finished trials."""
     degrees = sorted({trial.degree for trial in trials})
     by_degree = [
@@ -175,7 +177,7 @@ def choose(trials: list[Trial]) -> Sweep:
     bound = (1 + COST_TOLERANCE) * min(_average(trial, base) for trial in trials)
     good = [trial for trial in trials if _average(trial, base) <= bound]
     cheapest = min(good, key=lambda trial: (trial.bonds, trial.degree))
-    return Sweep(trials, by_degree, average, printed, cheapest)
+    return SweepResult(trials, by_degree, average, printed, cheapest)
 
 
 def _average(trial: Trial, base: Trial) -> float:
@@ -187,7 +189,7 @@ def _average(trial: Trial, base: Trial) -> float:
 def _fit(
     sets: dict[str, Samples],
     noise: Samples | None,
-    conditions: Conditions,
+    conditions: StabilityConditions,
     method: Method,
     horizon: float,
     degree: int,
@@ -221,7 +223,7 @@ def _read(file: Path, train: Samples, case: tuple[float, int, str]) -> Trial | N
     """A finished trial, whose file and proof `load` checks; None where there is none of this."""
     horizon, degree, key = case
     try:
-        model = Model.load(file)
+        model = LPSMaterial.load(file)
         mark = fingerprint(key, model.errors, model.learnable)
         if (model.horizon, model.degree, model.provenance["sweep"]) != (horizon, degree, mark):
             return None

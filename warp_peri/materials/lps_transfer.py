@@ -7,15 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from warp_peri.arguments import typed
 from warp_peri.core.groups import lattice_group
 from warp_peri.core.stencil import Basis
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.regression import LatticeRows
 from warp_peri.fitting.rows import compressed
-from warp_peri.fitting.settings import Conditions, Optimum
+from warp_peri.fitting.settings import GaussNewton, StabilityConditions
 from warp_peri.fitting.transfer import wave_errors, waves_against
 from warp_peri.materials.certificate import certify, with_proof
-from warp_peri.materials.lps import Model, Solid
+from warp_peri.materials.lps import LPSMaterial, LPSParameters
 from warp_peri.materials.lps_law import LPSFound, optimum
 from warp_peri.materials.lps_rows import product_basis
 from warp_peri.points.arrays import check_flag, check_positive
@@ -41,18 +42,19 @@ SMOOTHNESS = 1e-6
 ZETA = 0.0139
 """c over μ that is asked for, or what is proven at home where that is less: graphene's .010 TPa."""
 
-_memory: dict[Any, Model] = {}
+_memory: dict[Any, LPSMaterial] = {}
 _said: set[str] = set()
 
 
+@typed
 def on_lattice(
-    model: Model,
+    model: LPSMaterial,
     *,
     spacing: float,
     horizon: float | None = None,
     tolerance: float | None = None,
     largest_horizon: float | None = None,
-) -> Model:
+) -> LPSMaterial:
     """The same material on another square lattice, certified there (theory, M2–M5).
 
     The kernel is fitted to the dispersion D₀(k) of the model on the nearest lattice that it is
@@ -80,10 +82,10 @@ def on_lattice(
     for word, value in asked.items():
         if value is not None:
             check_positive(word, value)
-    if not isinstance(model, Model):
+    if not isinstance(model, LPSMaterial):
         raise InputError(
             f"on_lattice: expected a linear peridynamic solid, got {type(model).__name__}; "
-            "micromodulus.transferred(law, spacing) carries a crystal"
+            "crystals.transfer_to_lattice(law, spacing) carries a crystal"
         )
     key = model.content()["sha256"], spacing, *asked.values()
     if key not in _memory:
@@ -92,15 +94,17 @@ def on_lattice(
 
 
 def _transferred(
-    model: Model,
+    model: LPSMaterial,
     spacing: float,
     horizon: float | None,
     tolerance: float | None,
     largest_horizon: float | None,
-) -> Model:
+) -> LPSMaterial:
     unit = symbols(model.units)[0]
     if model.dimension == 3:
-        raise InputError("on_lattice: in space micromodulus.transferred carries tensors_of(model)")
+        raise InputError(
+            "on_lattice: in space crystals.transfer_to_lattice carries crystal_from_lps(model)"
+        )
     if not model.certified_on:
         raise InputError(
             "model: expected one that is certified on a lattice, which others are fitted to; "
@@ -109,7 +113,7 @@ def _transferred(
     home = min(model.certified_on, key=lambda h: abs(np.log(h / spacing)))
     largest = model.largest_wave_number or SHARE * np.pi / min(model.certified_on)
     band = min(largest, SHARE * np.pi / home, SHARE * np.pi / spacing)
-    found: dict[float, Model] = {}
+    found: dict[float, LPSMaterial] = {}
     for last in _horizons(spacing, largest_horizon, unit) if horizon is None else [horizon]:
         if (one := _fitted(model, home, spacing, last, band)) is not None:
             found[float(_errors(one, spacing, model, home, band / 2).max())] = one
@@ -174,7 +178,9 @@ def wave_loss(
     return LatticeRows(*compressed(R / spacing**2, y), bonds, lattice_group(2))
 
 
-def _fitted(model: Model, home: float, spacing: float, horizon: float, band: float) -> Model | None:
+def _fitted(
+    model: LPSMaterial, home: float, spacing: float, horizon: float, band: float
+) -> LPSMaterial | None:
     """A kernel of one horizon; None where the conditions cannot be kept."""
     figures = model.certificate.get(f"{home:g}", {})
     proven = figures.get("symbol_bound", 0.0) if isinstance(figures, dict) else 0.0
@@ -185,18 +191,20 @@ def _fitted(model: Model, home: float, spacing: float, horizon: float, band: flo
     k, weight = wave_vectors(band)
     target = model.stencil(home).symbol(home * k) * length**2 / unit
     loss = wave_loss(target, k * length, classes.spacing, product_basis(classes), weight)
-    start = LPSFound(Solid(model.lam / unit, 1.0, 1.0, np.ones(len(classes.r) + 1)))
-    asked, method = Conditions(zeta=zeta / unit), Optimum(smoothness=SMOOTHNESS)
+    start = LPSFound(LPSParameters(model.lam / unit, 1.0, 1.0, np.ones(len(classes.r) + 1)))
+    asked, method = StabilityConditions(zeta=zeta / unit), GaussNewton(smoothness=SMOOTHNESS)
     best = optimum([loss], [classes], start, asked, method)
     if not best.converged:
         return None
     solid = best.solid
-    return Model(
+    return LPSMaterial(
         unit * solid.lam, unit * solid.mu, solid.alpha, solid.D, horizon, units=model.units
     )
 
 
-def _errors(there: Model, spacing: float, model: Model, home: float, largest: float) -> np.ndarray:
+def _errors(
+    there: LPSMaterial, spacing: float, model: LPSMaterial, home: float, largest: float
+) -> np.ndarray:
     """Largest relative error of displacement of waves of |k| up to the largest (M4), [RADII].
 
     From an axis to a diagonal of the lattice: by its symmetry that is all directions.
@@ -209,8 +217,8 @@ def _errors(there: Model, spacing: float, model: Model, home: float, largest: fl
 
 
 def _recorded(
-    model: Model, home: float, largest: float, found: Model, spacing: float, band: float
-) -> Model:
+    model: LPSMaterial, home: float, largest: float, found: LPSMaterial, spacing: float, band: float
+) -> LPSMaterial:
     """The model with its certificate, where it comes from, and its error by wavelength.
 
     Raises InputError when the proof does not hold, or the longest waves are missed.
@@ -260,13 +268,13 @@ def _recorded(
 
 
 def model_at(
-    model: Model,
+    model: LPSMaterial,
     spacing: float,
     *,
     largest_horizon: float | None = None,
     transfer: bool = True,
     allow_uncertified: bool = False,
-) -> Model:
+) -> LPSMaterial:
     """The model for a lattice of some spacing [Å]: itself where it is certified, or transferred.
 
     Args:
@@ -298,7 +306,7 @@ def model_at(
     return found
 
 
-def _proven(model: Model, spacing: float) -> Model:
+def _proven(model: LPSMaterial, spacing: float) -> LPSMaterial:
     """The model with a proof on this lattice, looked for once; as it is where there is none."""
     key = model.content()["sha256"], spacing
     if key not in _memory:
@@ -310,8 +318,12 @@ def _proven(model: Model, spacing: float) -> Model:
 
 
 def model_for(
-    model: Model, points: PointsLike, *, transfer: bool = True, allow_uncertified: bool = False
-) -> Model:
+    model: LPSMaterial,
+    points: PointsLike,
+    *,
+    transfer: bool = True,
+    allow_uncertified: bool = False,
+) -> LPSMaterial:
     """As model_at, for the spacing of the points and the horizon that their collar carries.
 
     Raises InputError also where the points are in other units than the model, and where their

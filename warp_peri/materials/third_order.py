@@ -1,7 +1,7 @@
 """Third-order elasticity of sheets: material, operator, uniqueness and fit (theory, N).
 
 Of sheets whose long waves are isotropic: crystals with three- or sixfold axes, as graphene. The
-linear part is a crystal of micromodulus tensors; an LPS goes in by tensors_of(model, spacing). With
+linear part is a crystal; an LPS goes in by crystal_from_lps(model, spacing). With
 stresses of gradients projected to |H| ≤ ε, u ← u + L⁻¹ (b − L u) contracts in the energy norm of
 the linear part by C(ε) κ_in κ_out: C bounds Ψ″ on the ball, κ_p² the ratio of |h_p(k)|² to
 Λmin D(k) over the zone.
@@ -19,20 +19,21 @@ import torch
 from numpy.typing import ArrayLike
 from scipy.special import j0
 
-from warp_peri.contract import SAME_SPACING, offered, stencil_of
+from warp_peri.arguments import typed
 from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.proof import largest, prove
 from warp_peri.core.record import Length, OnLinear, Stress
 from warp_peri.core.stencil import Stencil, squared
 from warp_peri.errors import InputError, quietly, warn
-from warp_peri.materials.crystal import Crystal
-from warp_peri.materials.crystal_fit import transferred
+from warp_peri.materials.crystal import CrystalMaterial
+from warp_peri.materials.crystal_fit import transfer_to_lattice
 from warp_peri.points.arrays import is_number, is_positive
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, axis_of, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, shown_moduli, symbols
+from warp_peri.protocols import SAME_SPACING, offered, stencil_of
 from warp_peri.solvers.equilibria import SOLVES, equilibria_of, figures_of
 from warp_peri.solvers.linear import Inverse, bonds_within
 from warp_peri.solvers.solution import Solution, Solver
@@ -60,7 +61,7 @@ SAME = 1e-5
 MEASURES = torch.tensor([[1, 0, 0, 1], [0.5, 0, 0, -0.5], [0, 0.5, 0.5, 0]], dtype=torch.float64)
 """Of E00, E01, E10 and E11 the trace t and the deviator a, b."""
 
-_known: dict[tuple[str, float], ThirdOrderCrystal] = {}
+_known: dict[tuple[str, float], ThirdOrderMaterial] = {}
 """Laws that were transferred, by the hash of their content and the spacing."""
 
 
@@ -195,7 +196,8 @@ class Uniqueness:
         return figures | {"statement": self.statement}
 
 
-def uniqueness(model: Any, *, spacing: float) -> Uniqueness:
+@typed
+def prove_uniqueness(model: Any, *, spacing: float) -> Uniqueness:
     """Prove up to which |H| solutions on a lattice are unique: the largest that proven bounds of κ
     [stress^(−1/2)] leave (N15).
 
@@ -205,8 +207,8 @@ def uniqueness(model: Any, *, spacing: float) -> Uniqueness:
 
     Raises InputError when the horizon is below one spacing, and for another material.
     """
-    offered(model, "reach", "uniqueness", "a solid of third order")
-    stencil, group = stencil_of(model.linear, spacing, "uniqueness")
+    offered(model, "reach", "prove_uniqueness", "a solid of third order")
+    stencil, group = stencil_of(model.linear, spacing, "prove_uniqueness")
     classes = bond_classes(spacing, model.reach)
     p_in, p_out = model.weights(classes)
     kappa_out = proven_kappa(stencil, group, classes, p_out)
@@ -300,7 +302,7 @@ def gradient_stencil(
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ThirdOrderCrystal(OnLinear, format="warp_peri.third_order_crystal"):
+class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
     """A law of micromodulus tensors and the energy Ψ of a displacement gradient (N1–N6, N22).
 
     Attributes:
@@ -318,7 +320,7 @@ class ThirdOrderCrystal(OnLinear, format="warp_peri.third_order_crystal"):
     not isotropic, which Ψ is not made for.
     """
 
-    linear: Crystal
+    linear: CrystalMaterial
     t3: Stress
     tq2: Stress
     q3: Stress
@@ -383,7 +385,7 @@ class ThirdOrderCrystal(OnLinear, format="warp_peri.third_order_crystal"):
 
     def at(
         self, points: Points, *, transfer: bool = True, allow_uncertified: bool = False
-    ) -> ThirdOrderCrystal:
+    ) -> ThirdOrderMaterial:
         """The law for the spacing of the points: its tensors transferred, proven anew.
 
         Constants, smoothing and reach belong to the material and go along; the weights follow the
@@ -403,7 +405,7 @@ class ThirdOrderCrystal(OnLinear, format="warp_peri.third_order_crystal"):
                 )
             key = (self.content()["sha256"], points.spacing)
             if key not in _known:
-                linear = transferred(self.linear, points.spacing)
+                linear = transfer_to_lattice(self.linear, points.spacing)
                 _known[key] = replace(self, linear=linear, proven={}).certified()
             here = _known[key]
         proof = here.linear.certificate
@@ -414,17 +416,17 @@ class ThirdOrderCrystal(OnLinear, format="warp_peri.third_order_crystal"):
             warn(f"certificate: {said}")
         return here
 
-    def certified(self) -> ThirdOrderCrystal:
+    def certified(self) -> ThirdOrderMaterial:
         """The law with its guarantee of uniqueness, where its tensors are certified (N14)."""
         proof = self.linear.certificate
         if proof is None or not proof.holds:
             return self
-        return replace(self, proven=uniqueness(self, spacing=self.spacing).figures())
+        return replace(self, proven=prove_uniqueness(self, spacing=self.spacing).figures())
 
-    def check_proofs(self) -> None:
+    def verify_certificates(self) -> None:
         """Raise InputError unless the strain that a file says to be proven is, of these numbers."""
         said = self.proven.get("strain", 0.0)
-        proven = uniqueness(self, spacing=self.spacing).strain if said else 0.0
+        proven = prove_uniqueness(self, spacing=self.spacing).strain if said else 0.0
         if not (is_number(said) and 0 <= said <= (1 + SAME) * proven):
             raise InputError(
                 f"proven: one solution up to |H| = {said!r:.20} is not proven of these"
@@ -463,7 +465,7 @@ class PlacedThirdOrder(Pointwise):
 
     def __init__(
         self,
-        material: ThirdOrderCrystal,
+        material: ThirdOrderMaterial,
         points: PointsLike,
         *,
         transfer: bool = True,
@@ -511,7 +513,7 @@ class PlacedThirdOrder(Pointwise):
         """σ of the linear part and P of Ψ [stress] at the interior nodes, [..., I, 2, 2] (N2)."""
         return np.asarray(self.straight.stress(u) + super().stress(u))
 
-    def stiffest_wave(self) -> float:
+    def max_symbol_eigenvalue(self) -> float:
         """A bound on the eigenvalues of the tangent [stress / length²] up to the proven strain, for
         time steps: twice that of the linear part (N15).
 
@@ -519,10 +521,10 @@ class PlacedThirdOrder(Pointwise):
         """
         if self.model.form != "energy":
             raise InputError(
-                "move: expected form='energy', got 'filtered', whose force is no gradient: its "
+                "simulate: expected form='energy', got 'filtered', whose force is no gradient: its "
                 "waves would gain or lose energy"
             )
-        return 2 * largest(*stencil_of(self.model.linear, self.points.spacing, "move"))
+        return 2 * largest(*stencil_of(self.model.linear, self.points.spacing, "simulate"))
 
     def inverse(self, loads: int) -> Inverse:
         """L⁻¹ of the linear part, of a load on the interior: factorised, or by iteration."""
@@ -534,7 +536,7 @@ class PlacedThirdOrder(Pointwise):
         """What solves took, and whether their answers are the only ones, for `evaluate`."""
         return figures_of(solution.details)
 
-    def rest(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
+    def solve(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
         """Equilibrium with b on the interior, u given on the collar.
 
         Args:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import root
 
+from warp_peri.arguments import typed
 from warp_peri.core.elastic import turned
 from warp_peri.core.grid import grid_of
 from warp_peri.core.groups import checked_orientation
@@ -21,12 +22,12 @@ from warp_peri.fitting.long_waves import long_wave_moduli, long_wave_rows, modul
 from warp_peri.fitting.regression import Settled
 from warp_peri.fitting.result import Fit
 from warp_peri.fitting.rows import load_sizes, rows, swept
-from warp_peri.materials.crystal_fit import Micromodulus, Tensors, one_set
+from warp_peri.materials.crystal_fit import Crystal, Tensors, one_set
 from warp_peri.materials.third_order import (
     CUBIC,
     FORMS,
     Smoothing,
-    ThirdOrderCrystal,
+    ThirdOrderMaterial,
     energy_density,
     gradient_stencil,
 )
@@ -38,12 +39,13 @@ SETTLED = 1e-9
 """Relative, of moduli that are found."""
 
 
+@typed
 @dataclass(frozen=True)
 class ThirdOrder:
     """A crystal with third-order elastic constants t3, tq2, q3 (theory, N1–N6, N22–N29).
 
     Attributes:
-        linear: Micromodulus(…), whose tensors are learned with the constants by one least squares;
+        linear: Crystal(…), whose tensors are learned with the constants by one least squares;
             its "auto" symmetry is "isotropic" here. "long waves" holds the moduli with which no
             long wave is left of the loads (N29).
         smoothing: of the data, which the weights of the gradient undo.
@@ -52,12 +54,12 @@ class ThirdOrder:
     The direction of the crystal is stated by the samples' points (Points.axis). `fit` raises
     InputError for another linear part, form or smoothing, and where no moduli are held.
 
-    >>> law = wp.ThirdOrder(wp.Micromodulus(10.0), wp.methods.Smoothing(10.0, 0.2), "energy")
+    >>> law = wp.ThirdOrder(wp.Crystal(10.0), wp.methods.Smoothing(10.0, 0.2), "energy")
     >>> wp.fit(samples, law).material.proven_strain(5.0) > 0
     True
     """
 
-    linear: Micromodulus
+    linear: Crystal
     smoothing: Smoothing
     form: str = "filtered"
 
@@ -82,7 +84,7 @@ class ThirdOrder:
         given = one_set(samples)
         horizon, h = asked.horizon, given.spacing
         if given.points.dimension != 2:
-            raise InputError("samples: expected a sheet; in space LPS and Micromodulus are learned")
+            raise InputError("samples: expected a sheet; in space LPS and Crystal are learned")
         axes = grid_of(given.points, invariant_basis(horizon / h, np.eye(2)[None]).steps).axes
         way = asked.orientation
         turn = np.eye(2) if way is None else axes.T @ checked_orientation(way, 2)
@@ -107,7 +109,7 @@ class ThirdOrder:
             "cuts": found.cuts,
             "numbers": len(found.p[0]),
         }
-        law = ThirdOrderCrystal(
+        law = ThirdOrderMaterial(
             linear, t3, tq2, q3, smoothing, self.form, float(horizon), provenance={"fit": record}
         ).certified()
         operator = law.on(given.points, allow_uncertified=True)
@@ -126,10 +128,10 @@ class ThirdOrder:
         )
 
     def _check(self, noise: Any) -> None:
-        if not isinstance(self.linear, Micromodulus):
+        if not isinstance(self.linear, Crystal):
             raise InputError(
-                "linear: expected Micromodulus(horizon); an LPS goes in by "
-                f"ThirdOrderCrystal(tensors_of(model, spacing), …), got {self.linear!r:.60}"
+                "linear: expected Crystal(horizon); an LPS goes in by "
+                f"ThirdOrderMaterial(crystal_from_lps(model, spacing), …), got {self.linear!r:.60}"
             )
         if self.form not in FORMS:
             raise InputError(f"form: expected 'filtered' or 'energy', got {self.form!r:.50}")

@@ -6,15 +6,15 @@ A rank is one of the processes. Each owns a piece of the nodes; what comes back 
 from contextlib import suppress
 
 from warp_peri.errors import InputError
-from warp_peri.files.series import Series
-from warp_peri.launch import ranks_started
-from warp_peri.mpi.processes import is_first, together, world
+from warp_peri.files.series import TimeSeriesWriter
+from warp_peri.mpi.processes import is_root, together, world
 from warp_peri.mpi.subdomain import Subdomain, gather, lattice, partition
+from warp_peri.runtime import ranks_started
 
 if ranks_started():
     with suppress(InputError):  # raised again where ranks are used
         world()  # from here on one rank speaks
 
 __all__ = [
-    "Series", "Subdomain", "gather", "is_first", "lattice", "partition", "together",
+    "TimeSeriesWriter", "Subdomain", "gather", "is_root", "lattice", "partition", "together",
 ]  # fmt: skip

@@ -14,15 +14,15 @@ from warp_peri.core.sweeps import SCALARS, torus_symbol
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import agreed
 from warp_peri.kernels.micromodulus.rows import rows as row_kernels
-from warp_peri.launch import shared_by
-from warp_peri.materials.crystal import StencilMaterial, tensors_of
-from warp_peri.materials.lps import Model
+from warp_peri.materials.crystal import StencilMaterial, crystal_from_lps
+from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_transfer import model_at
 from warp_peri.mpi.halo import Halo
 from warp_peri.mpi.multigrid import LONG, Between, Convolution, cycle, inverse_filter
 from warp_peri.mpi.processes import build, in_turn, inner
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
+from warp_peri.runtime import shared_by
 from warp_peri.solvers.conjugate_gradients import Inner, SolveRecord, definite
 from warp_peri.solvers.multigrid import coarser
 
@@ -115,7 +115,7 @@ class RowOperator:
         field = self._grid.scatter(np.asarray(u)[None])[0]
         return np.asarray(self._grid.gather(self.product(field)[None])[0])
 
-    def load(self, b: np.ndarray) -> np.ndarray:
+    def rhs(self, b: np.ndarray) -> np.ndarray:
         """b on this rank's interior, which the operator equals in equilibrium."""
         return np.asarray(b, dtype=float)[..., self.points.interior, :]
 
@@ -170,7 +170,7 @@ def tensors_at(linear: Any, piece: Subdomain) -> StencilMaterial:
     A Model is transferred as `model_at` does. Raises InputError as that, and for others as their
     `fitting` does.
     """
-    if not isinstance(linear, Model):
+    if not isinstance(linear, LPSMaterial):
         h, x = piece.spacing, piece.spacing * np.argwhere(np.ones((3,) * piece.dimension))
         with agreed(piece.comm):
             linear.fitting(Points(x, x[:, 0] == h, h, units=piece.units, axis=piece.axis))
@@ -182,5 +182,5 @@ def tensors_at(linear: Any, piece: Subdomain) -> StencilMaterial:
         if len(_proven) == MOST:
             del _proven[next(iter(_proven))]
         with shared_by(piece.comm):
-            _proven[known] = tensors_of(linear, piece.spacing)
+            _proven[known] = crystal_from_lps(linear, piece.spacing)
     return _proven[known]

@@ -13,9 +13,9 @@ import numpy as np
 import scipy.fft
 
 from warp_peri.core.sweeps import component, torus_symbol
-from warp_peri.launch import threads
 from warp_peri.mpi.halo import Halo, Tiles
 from warp_peri.mpi.processes import Comm
+from warp_peri.runtime import get_num_threads
 from warp_peri.solvers.multigrid import (
     SHIFT,
     VCycle,
@@ -92,11 +92,11 @@ class Convolution:
         kept += [slice(0, n) for n in self.box[len(part) :]]
         wave = np.empty((d, *torus[:-1], torus[-1] // 2 + 1), np.result_type(self.dtype, 1j))
         for one, there in zip(wave, here):
-            one[...] = scipy.fft.rfftn(there, s=torus, workers=threads())
+            one[...] = scipy.fft.rfftn(there, s=torus, workers=get_num_threads())
         mixed, room = np.empty_like(wave[:2])
         for i in range(d):
             component(self.symbol, wave, i, mixed, room)
-            found = scipy.fft.irfftn(mixed, s=torus, workers=threads(), overwrite_x=True)
+            found = scipy.fft.irfftn(mixed, s=torus, workers=get_num_threads(), overwrite_x=True)
             out[i][part] = found[*kept]
 
     def __call__(self, field: np.ndarray) -> np.ndarray:

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_peri.contract import MATERIAL, offered, taken
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import RunFile, agreed, fingerprint, same
 from warp_peri.fracture.body import lattice_body
@@ -30,9 +29,10 @@ from warp_peri.mpi.processes import build
 from warp_peri.points.arrays import checked_fields
 from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.unit_names import check_same
+from warp_peri.protocols import MATERIAL, offered, taken
 from warp_peri.solvers.conjugate_gradients import SolveRecord, norm
 from warp_peri.solvers.motion import Motion
-from warp_peri.solvers.solution import TOLERANCE, Krylov, Solution, Solver, refuse_solver
+from warp_peri.solvers.solution import CG, TOLERANCE, Solution, Solver, refuse_solver
 from warp_peri.solvers.verlet import march
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
             raise InputError("solve: expected a Dirichlet(points, b, u) on ranks")
         offered(material, "on", "solve", MATERIAL)
         b, u = checked_fields(piece, problem.b, problem.u)
-        refuse_solver(solver, (Krylov,), "a linear body on ranks")
+        refuse_solver(solver, (CG,), "a linear body on ranks")
         if (kind := getattr(solver, "preconditioner", None)) not in (None, "multigrid"):
             raise InputError(f"preconditioner: expected multigrid on ranks, got {kind!r}")
     operator = operator_on(material, piece)
@@ -79,7 +79,7 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
         answers.reshape(u.shape),
         piece,
         operator,
-        operator.load(b).reshape(*b.shape[:-2], -1, b.shape[-1]),
+        operator.rhs(b).reshape(*b.shape[:-2], -1, b.shape[-1]),
         operator.method,
         tuple(record.iterations for record in records),
         operator.proven,
@@ -118,7 +118,7 @@ def solved(
 
     With `kept` the answer is written each time that the residual is STAGE of what it was.
     """
-    inside, load = operator.points.interior, operator.load(b)
+    inside, load = operator.points.interior, operator.rhs(b)
     field = np.where(inside[:, None], 0.0, u)
     right = load - operator(field)
     if kept is None:
@@ -207,16 +207,18 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
     alike(material, problem, options)
     if hasattr(problem, "b") and not isinstance(problem, Cracked):
         with agreed(comm):
-            offered(material, "on", "move", MATERIAL)
-            (options,) = taken(options, "move", march)
+            offered(material, "on", "simulate", MATERIAL)
+            (options,) = taken(options, "simulate", march)
         return march(operator_on(material, piece), problem.b, problem.u, **options)
     with agreed(comm):
         if not isinstance(problem, Cracked) or "step" not in options:
-            raise InputError("move: expected a Dirichlet or Cracked, and step=…, steps=… on ranks")
-        offered(material, "density", "move", "a BrittleSolid")
+            raise InputError(
+                "simulate: expected a Dirichlet or Cracked, and step=…, steps=… on ranks"
+            )
+        offered(material, "density", "simulate", "a BrittleMaterial")
         if material.critical_energy is not None or problem.pressure is not None:
             raise InputError(
-                "move: expected bonds that break by their stretch, and no pressure, on ranks"
+                "simulate: expected bonds that break by their stretch, and no pressure, on ranks"
             )
         check_same(material.units, piece.units)
         material.linear.check_dimension(piece)

@@ -22,14 +22,14 @@ import numpy as np
 from warp_peri import errors
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import agreed
-from warp_peri.launch import DEVICE, ranks_started, set_threads, shared_by, threads
+from warp_peri.runtime import DEVICE, get_num_threads, ranks_started, set_num_threads, shared_by
 from warp_peri.solvers.conjugate_gradients import Inner
 
 Comm: TypeAlias = Any
 """A communicator of mpi4py."""
 GRACE = 0.5
 """Seconds that the first rank has to speak, where all meet the same error."""
-THREADS = threads()
+THREADS = get_num_threads()
 """Before anybody says a number."""
 
 
@@ -46,7 +46,7 @@ def world() -> Comm:
         os.environ.setdefault("MPIR_CVAR_CH4_PROGRESS_THROTTLE", "1")
         os.environ.setdefault("MPIR_CVAR_CH4_PROGRESS_THROTTLE_NO_PROGRESS_COUNT", "10")
     if started == 1:
-        os.environ.setdefault("UCX_TLS", "self")  # as atoms.find_mpi
+        os.environ.setdefault("UCX_TLS", "self")  # as atoms.load_mpi_library
     elif os.environ.get("UCX_TLS") == "self":
         del os.environ["UCX_TLS"]  # inherited from a process that was alone
     try:
@@ -63,8 +63,8 @@ def world() -> Comm:
             f"belongs to another MPI than the library that is loaded; use {own_mpiexec()}"
         )
     if comm.size > 1:
-        if threads() == THREADS:
-            set_threads(1)
+        if get_num_threads() == THREADS:
+            set_num_threads(1)
         errors.LAST_WORDS.append(functools.partial(_ended, comm))
         sys.excepthook = functools.partial(_uncaught, comm)
         if comm.rank:
@@ -78,7 +78,7 @@ def own_mpiexec() -> str:
     return str(beside) if beside.exists() else "the mpiexec of that library"
 
 
-def is_first() -> bool:
+def is_root() -> bool:
     """Whether this process is the one that writes and draws: alone, or the first rank."""
     return not ranks_started() or world().rank == 0
 

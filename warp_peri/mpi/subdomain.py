@@ -11,13 +11,13 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import agreed, same
-from warp_peri.launch import ranks_started
 from warp_peri.mpi import problems
 from warp_peri.mpi.halo import Tiles, cut
 from warp_peri.mpi.processes import Comm, fingerprint, inner, total, world
 from warp_peri.points.lattice import LATTICE_TOLERANCE
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import USUAL, Units, check_units
+from warp_peri.runtime import ranks_started
 from warp_peri.solvers.conjugate_gradients import Inner
 
 SLABS, SMALLEST, LARGEST = 8, 8, 128
@@ -29,7 +29,7 @@ FEW = 50_000
 """Nodes of a level of multigrid that every rank can have, to which tiles are halved if they can."""
 READ = 100_000
 """Nodes that are read from a file at a time: between those of a tile lie those of others."""
-_OF_A_WHOLE = ("box", "outside", "is_plain_lattice")
+_OF_A_WHOLE = ("box", "outside", "is_open_lattice")
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,7 +214,7 @@ def partition(points: Points, by: str = "rows") -> Any:
     same(comm, points=points, by=by)
     if by not in ("rows", "bisection"):
         raise InputError(f"by: expected rows or bisection, got {by!r}")
-    if not points.is_plain_lattice:
+    if not points.is_open_lattice:
         raise InputError("points: expected a lattice that has no box and none outside, for ranks")
     place = (points.x - points.x.min(axis=0)) / points.spacing
     grid = np.rint(place).astype(np.int32)

@@ -7,10 +7,10 @@ from functools import cached_property
 import numpy as np
 import torch
 
-from warp_peri.contract import Remade
 from warp_peri.errors import InputError
 from warp_peri.points.families import families_of
 from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.protocols import Remade
 
 
 class NetworkBonds(Remade):

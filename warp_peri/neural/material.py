@@ -14,16 +14,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
+from warp_peri.arguments import typed
 from warp_peri.core import record
 from warp_peri.core.record import Length, Positive
 from warp_peri.errors import InputError
 from warp_peri.neural.bonds import NetworkBonds
 from warp_peri.neural.placed import CHUNK, Placed
-from warp_peri.neural.training import NeuralFit, Training, train
+from warp_peri.neural.training import NeuralFit, TrainingSettings, train
 from warp_peri.points.arrays import check_positive, is_positive
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, check_units, factors, symbols
-from warp_peri.shown import Shown
+from warp_peri.reprs import Shown
 
 if TYPE_CHECKING:
     from warp_peri.points.samples import Samples
@@ -43,6 +44,7 @@ WIDEST = 10_000
 """Numbers of a hidden layer at most."""
 
 
+@typed
 class NeuralOperator(Shown, torch.nn.Module):
     """ω as a network of the bond, the scalar force state as one of (ω, ϑ, e, |ξ|), (NO1)–(NO4).
 
@@ -134,14 +136,14 @@ class NeuralOperator(Shown, torch.nn.Module):
         samples: Samples,
         *,
         validation: Samples,
-        training: Training | None = None,
+        training: TrainingSettings | None = None,
         checkpoint: str | os.PathLike[str] | None = None,
         progress: bool = True,
     ) -> NeuralFit:
         """Train a copy of these networks; arguments and errors as of training.train."""
         material = copy.deepcopy(self)
-        asked = Training() if training is None else training
-        if not isinstance(asked, Training):
+        asked = TrainingSettings() if training is None else training
+        if not isinstance(asked, TrainingSettings):
             raise InputError(f"training: expected Training(…), got {asked!r:.60}")
         history = train(
             material, samples, validation, asked, checkpoint=checkpoint, progress=progress

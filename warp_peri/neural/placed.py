@@ -11,12 +11,12 @@ import torch
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
-from warp_peri.contract import OnPoints
 from warp_peri.core.torch_bridge import on_fields, refuse_tangents
 from warp_peri.errors import InputError
 from warp_peri.neural.bonds import NetworkBonds
 from warp_peri.points.arrays import checked_fields, plain
 from warp_peri.points.samples import Samples
+from warp_peri.protocols import OperatorBase
 from warp_peri.solvers.equilibria import Equilibria, probed
 from warp_peri.solvers.linear import Inverse, Linear
 from warp_peri.solvers.solution import Newton, Solution, Solver, refuse_solver
@@ -93,7 +93,7 @@ class Found:
     converged: bool
 
 
-class NeuralEquilibrium:
+class EquilibriumSolver:
     """Equilibria of one operator, with the stencil that it was at rest before them.
 
     The material's numbers may change meanwhile. Raises InputError for points without a collar.
@@ -130,7 +130,9 @@ class NeuralEquilibrium:
         found, record = self.way.solve_from(load, field, enough)
         return Found(found, record.residual, record.solves, record.residual <= enough)
 
-    def from_rest(self, b: ArrayLike, u: ArrayLike, *, tolerance: float = TOLERANCE) -> Found:
+    def solve_by_continuation(
+        self, b: ArrayLike, u: ArrayLike, *, tolerance: float = TOLERANCE
+    ) -> Found:
         """Where the force on the interior is b, on the branch that leaves the state of rest.
 
         Arguments and errors are those of `solve`; what `u` has inside does not count. Where it is
@@ -218,7 +220,7 @@ def _range(most: torch.Tensor, cells: int, offset: float) -> tuple[torch.Tensor,
     return -most - offset * step, step
 
 
-class Placed(OnPoints):
+class Placed(OperatorBase):
     """Minus the internal force density of a neural operator on a lattice; b in equilibrium."""
 
     def __init__(self, material: NeuralOperator, bonds: NetworkBonds) -> None:
@@ -231,13 +233,13 @@ class Placed(OnPoints):
 
     def inverse(self, loads: int) -> Inverse:
         """Of the solid at rest, of a load on the interior."""
-        return NeuralEquilibrium(self).inverse
+        return EquilibriumSolver(self).inverse
 
     def errors(self, samples: Samples) -> dict[str, Any]:
         """For `evaluate`: samples whose equilibrium is not found are told apart."""
         return evaluate(self.model, samples)
 
-    def rest(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
+    def solve(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
         """Equilibrium with b on the interior, u given on the collar, shape [N, 2] or [S, N, 2].
 
         The details of the solution are what Equilibrium.solve found of each sample. Raises
@@ -247,9 +249,9 @@ class Placed(OnPoints):
         refuse_solver(solver, (Newton,), "a neural operator")
         asked = solver if isinstance(solver, Newton) else Newton()
         load, given = checked_fields(self.points, b, u)
-        search = NeuralEquilibrium(self)
+        search = EquilibriumSolver(self)
         pairs = zip(*(np.reshape(f, (-1, *self.points.x.shape)) for f in (load, given)))
-        found = [search.from_rest(*pair, tolerance=asked.tolerance) for pair in pairs]
+        found = [search.solve_by_continuation(*pair, tolerance=asked.tolerance) for pair in pairs]
         for number, one in enumerate(found):
             if not one.converged:
                 raise InputError(
@@ -259,7 +261,7 @@ class Placed(OnPoints):
             np.reshape([one.u for one in found], given.shape),
             self.points,
             self,
-            self.load(load),
+            self.rhs(load),
             "newton",
             tuple(one.steps for one in found),
             details=tuple(found),
@@ -271,15 +273,15 @@ class Placed(OnPoints):
         """The numbers of the networks."""
         return tuple(self.material.parameters())
 
-    def stiffness_at(self, u: np.ndarray) -> sp.csc_array:
+    def interior_tangent(self, u: np.ndarray) -> sp.csc_array:
         """The derivative of the force at a field, between interior nodes, sparse [2 I, 2 I]."""
         unknown = (2 * self.bonds.rows[:, None] + [0, 1]).ravel()
         return matrix(self.tangent(self._taken(u)))[:, unknown].tocsc()
 
-    def force_in_torch(self, u: torch.Tensor) -> Any:
+    def force_torch(self, u: torch.Tensor) -> Any:
         """Forces on the interior, (NO6), differentiable in the networks' numbers too."""
         if not any(p.requires_grad for p in self.material.parameters()):
-            return super().force_in_torch(u)
+            return super().force_torch(u)
         refuse_tangents(u)
         return on_fields(self, u, lambda fields: self._force(fields.to(self.dtype)))
 
@@ -290,17 +292,17 @@ class Placed(OnPoints):
             force = self._force(self._checked(field)).double().numpy()
         return np.asarray(force.reshape(*field.shape[:-2], -1, 2))
 
-    def product(self, u: Any, v: Any) -> Any:
+    def jvp(self, u: Any, v: Any) -> Any:
         """Derivative of the force at u along v, both [N, 2] or [S, N, 2], or u [N, 2] alone."""
         if isinstance(u, torch.Tensor):
             self._checked(v, "v")
             return self.tangent(u)(v)
         if np.ndim(u) == 3 and np.shape(u) == np.shape(v):
-            return np.stack([self.product(*pair) for pair in zip(u, v)])
+            return np.stack([self.jvp(*pair) for pair in zip(u, v)])
         with torch.no_grad():
-            return self.product(self._taken(u), self._taken(v)).double().numpy()
+            return self.jvp(self._taken(u), self._taken(v)).double().numpy()
 
-    def product_transpose(self, u: Any, w: Any) -> np.ndarray:
+    def vjp(self, u: Any, w: Any) -> np.ndarray:
         """The transposed product with w on the interior [..., I, 2], on all nodes [..., N, 2]."""
         fields, seeds = (self._taken(f).reshape(-1, *np.shape(f)[-2:]) for f in (u, w))
         with torch.no_grad():
@@ -491,7 +493,7 @@ def evaluate(
     placed = material.on(samples.points)
     inside = samples.interior
     loads = np.zeros_like(samples.u) if samples.b is None else samples.loads
-    search = NeuralEquilibrium(placed) if solve and not inside.all() else None
+    search = EquilibriumSolver(placed) if solve and not inside.all() else None
     enough = SMALL[placed.dtype] if tolerance is None else tolerance
     rows: dict[str, list[float]] = {"E_res": [], "E_res_abs": [], "E_u": [], "converged": []}
     pairs = tqdm(list(zip(samples.u, loads)), disable=not progress, leave=False)
@@ -505,7 +507,7 @@ def evaluate(
             if samples.b is None:
                 found = search.solve(b, affine(samples, u), tolerance=enough)
             else:
-                found = search.from_rest(b, u, tolerance=enough)
+                found = search.solve_by_continuation(b, u, tolerance=enough)
             gap = np.linalg.norm((found.u - u)[inside])
             rows["E_u"].append(float(gap / np.linalg.norm(u[inside])))
             rows["converged"].append(float(found.converged))

@@ -15,14 +15,15 @@ import torch
 from scipy.sparse.linalg import SuperLU, splu
 from tqdm import tqdm
 
+from warp_peri.arguments import typed
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import whole_file
 from warp_peri.files.checkpoint import fingerprint
 from warp_peri.neural.placed import (
     CELLS,
     SOLVED,
+    EquilibriumSolver,
     Found,
-    NeuralEquilibrium,
     affine,
     interpolated_force,
 )
@@ -50,7 +51,7 @@ class Frames:
         self.samples, self.material = samples, material
         self.placed = material.on(samples.points)
         self.u = torch.as_tensor(samples.u, dtype=self.placed.dtype)
-        self.rows, self.search = self.placed.bonds.rows, NeuralEquilibrium(self.placed)
+        self.rows, self.search = self.placed.bonds.rows, EquilibriumSolver(self.placed)
         self.start = np.stack([affine(samples, u) for u in samples.u])
         self.seen = samples.u[:, self.rows]
         self.sizes = np.linalg.norm(self.seen.reshape(len(self.seen), -1), axis=1)
@@ -74,7 +75,7 @@ class Frames:
                 found = self.search.solve(np.zeros_like(seen), seen, tolerance=SOLVED)
             self.state[n] = found.u if found.converged else seen
             field = torch.as_tensor(self.state[n], dtype=self.u.dtype)
-            self.factors.append(splu(self.placed.stiffness_at(field.numpy())))
+            self.factors.append(splu(self.placed.interior_tangent(field.numpy())))
 
     def learn(self, some: torch.Tensor, *_: Any) -> torch.Tensor:
         """The errors, with gradients of their mean added to the material's."""
@@ -122,8 +123,9 @@ SAVED = 10.0
 """Seconds between two checkpoints."""
 
 
+@typed
 @dataclass(frozen=True)
-class Training:
+class TrainingSettings:
     """Settings of a training.
 
     Attributes:
@@ -218,11 +220,12 @@ class NeuralFit:
     history: TrainingHistory
 
 
+@typed
 def train(
     material: NeuralOperator,
     samples: Samples,
     val: Samples,
-    training: Training,
+    training: TrainingSettings,
     *,
     checkpoint: str | os.PathLike[str] | None = None,
     progress: bool = True,
@@ -285,7 +288,7 @@ class _Run:
         material: NeuralOperator,
         learned: _Loads | Frames,
         unseen: _Loads | Frames,
-        training: Training,
+        training: TrainingSettings,
     ) -> None:
         self.material, self.training = material, training
         self.learned, self.unseen = learned, unseen

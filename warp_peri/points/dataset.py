@@ -13,6 +13,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from warp_peri.arguments import typed
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import parsed, plain, whole_file
 from warp_peri.files.foreign import check_hdf5
@@ -20,9 +21,10 @@ from warp_peri.points.arrays import LARGEST, check_mapping, check_positive, is_n
 from warp_peri.points.points import Points
 from warp_peri.points.samples import FIELDS, Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units, factors, symbols
-from warp_peri.shown import Shown
+from warp_peri.reprs import Shown
 
 
+@typed
 @dataclass(frozen=True, eq=False, repr=False)
 class Dataset(Shown):
     """Named sets of samples of one material.

@@ -12,12 +12,12 @@ from scipy.ndimage import distance_transform_edt
 
 from warp_peri.errors import InputError
 from warp_peri.kernels import neighbours as kernels
-from warp_peri.launch import ints, launch_slices, zeros
 from warp_peri.points import scattered
 from warp_peri.points.lattice import neighbour_table
 from warp_peri.points.quadrature import DEGREE, quadrature_weights
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import symbols
+from warp_peri.runtime import ints, launch_slices, zeros
 
 HORIZON_TOLERANCE = 1e-6
 """The ball is closed: a bond belongs to the family when r ≤ δ (1 + this); on a lattice, whose

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial import cKDTree
 
+from warp_peri.arguments import typed
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import check_positive
 from warp_peri.points.points import Points
@@ -25,6 +26,7 @@ def mean_spacing(points: PointsLike) -> float:
     return float(np.median(r[:, -1]) * np.sqrt(np.pi / (count + 0.5)))
 
 
+@typed
 def onto_lattice(samples: Samples, *, spacing: float, neighbours: int = NEIGHBOURS) -> Samples:
     """Fields at scattered nodes carried to a lattice, to learn from (theory, M6).
 

@@ -11,13 +11,13 @@ from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
 from warp_peri.kernels import neighbours as kernels
-from warp_peri.launch import ints, launch_slices, zeros
 from warp_peri.points.arrays import listed
 from warp_peri.points.points import LATTICE_TOLERANCE as LATTICE_TOLERANCE
 from warp_peri.points.points import Lattice
 from warp_peri.points.points import check_lattice as check_lattice
 from warp_peri.points.points import straight_steps as straight_steps
 from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.runtime import ints, launch_slices, zeros
 
 
 def lattice_steps(points: PointsLike) -> Lattice:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from warp_peri.arguments import typed
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import is_positive
 from warp_peri.points.samples import PointsLike
 
 
+@typed
 def mixed_waves(
     x: np.ndarray, box: tuple[float, ...] | np.ndarray, shortest: float, *, seed: int = 0
 ) -> np.ndarray:
@@ -42,6 +44,7 @@ def mixed_waves(
     return np.asarray(field - field.mean(axis=0))
 
 
+@typed
 def design_loads(points: PointsLike, shortest_wave: float, *, number: int = 2) -> np.ndarray:
     """Loads that a material is learned from in place of many single waves.
 

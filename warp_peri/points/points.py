@@ -11,10 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
+from warp_peri.arguments import typed
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import check_positive, check_whole, checked, is_number, listed
 from warp_peri.points.unit_names import USUAL, Units, check_units, symbols
-from warp_peri.shown import Shown
+from warp_peri.reprs import Shown
 
 ROTATION, TWICE = 1e-6, 1e-9
 """That a rotation may be off; distance of nodes at one place, over the mean one of neighbours."""
@@ -44,6 +45,7 @@ class Lattice(NamedTuple):
     axes: np.ndarray
 
 
+@typed
 @dataclass(frozen=True, eq=False, repr=False)
 class Points(Shown):
     """Nodes of one body.
@@ -126,6 +128,7 @@ class Points(Shown):
             object.__setattr__(self, "outside", outside)
 
     @classmethod
+    @typed
     def sheet(
         cls,
         sides: tuple[int, ...],
@@ -220,7 +223,7 @@ class Points(Shown):
         x = x[beyond(x) <= 2 * horizon + LATTICE_TOLERANCE * spacing]
         return cls(x, beyond(x) <= LATTICE_TOLERANCE * spacing, spacing, **more)
 
-    def differs_from(self, other: Points) -> str:
+    def first_difference(self, other: Points) -> str:
         """What these points have another than others: the first that differs by name, or none."""
         for name in ("spacing", "units", "box", "axis", "x", "interior", "outside"):
             mine, theirs = getattr(self, name), getattr(other, name)
@@ -240,7 +243,7 @@ class Points(Shown):
         return straight_steps(self.x, self.spacing, " " + symbols(self.units)[0])
 
     @property
-    def is_plain_lattice(self) -> bool:
+    def is_open_lattice(self) -> bool:
         """Whether it is a lattice that neither repeats nor has broken bonds."""
         return self.spacing > 0 and self.box is None and self.outside is None
 

@@ -9,11 +9,12 @@ from weakref import WeakValueDictionary
 import numpy as np
 from scipy.spatial import cKDTree
 
+from warp_peri.arguments import typed
 from warp_peri.errors import InputError, warn
 from warp_peri.points.arrays import as_array, check_mapping, checked, is_name
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import symbols
-from warp_peri.shown import Shown
+from warp_peri.reprs import Shown
 
 SEEN = "seen"
 """Array of frames that were measured: nodes whose displacement was, shape [S, N] bool; that of the
@@ -25,6 +26,7 @@ FIELDS = ("x", "u", "b", "interior", "outside")
 """Names that no array of samples may bear."""
 
 
+@typed
 @dataclass(frozen=True, eq=False, repr=False)
 class Samples(Shown):
     """Samples of one body on one set of points.

@@ -8,9 +8,9 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from warp_peri.errors import InputError
 from warp_peri.kernels import quadrature as quadrature_kernels
-from warp_peri.launch import floats, ints, launch_slices, zeros
 from warp_peri.points.arrays import listed as listed
 from warp_peri.points.quadrature import INDEPENDENT, RESIDUAL, conditions, family_weights
+from warp_peri.runtime import floats, ints, launch_slices, zeros
 
 FAMILY = 50
 """How much more than a node's sweep its weights take a thread."""

@@ -1,18 +1,26 @@
 """An answer with its error: the richest model is evaluated, and corrects (theory, Q1–Q11)."""
 
 from warp_peri.points.loads import design_loads, mixed_waves
-from warp_peri.prediction.answer import Answer, Guarantee, Quantity, force, mean, strain, stress
-from warp_peri.prediction.ensemble import Factors, Family, Members
-from warp_peri.prediction.members import PlacedMembers
+from warp_peri.prediction.answer import (
+    ErrorBound,
+    Prediction,
+    QuantityEstimate,
+    force,
+    mean,
+    strain,
+    stress,
+)
+from warp_peri.prediction.ensemble import CalibrationFactors, EnsembleMaterial, Ensemble
+from warp_peri.prediction.members import EnsembleOperator
 
 __all__ = [
-    "Answer",
-    "Factors",
-    "Family",
-    "Guarantee",
-    "Members",
-    "PlacedMembers",
-    "Quantity",
+    "Prediction",
+    "CalibrationFactors",
+    "Ensemble",
+    "ErrorBound",
+    "EnsembleMaterial",
+    "EnsembleOperator",
+    "QuantityEstimate",
     "design_loads",
     "force",
     "mean",

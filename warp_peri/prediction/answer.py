@@ -16,9 +16,9 @@ from warp_peri.materials.third_order import curvature_bound
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import symbols
-from warp_peri.prediction.ensemble import Factors
-from warp_peri.prediction.members import Parts, PlacedMembers, norm
-from warp_peri.shown import Shown
+from warp_peri.prediction.ensemble import CalibrationFactors
+from warp_peri.prediction.members import EnsembleOperator, Parts, norm
+from warp_peri.reprs import Shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,7 +28,7 @@ ACCURATE = 1e-5
 
 
 @dataclass(frozen=True, repr=False)
-class Guarantee(Shown):
+class ErrorBound(Shown):
     """What is proven of an answer: it speaks of the model, not of the atoms.
 
     Attributes:
@@ -55,12 +55,12 @@ class Guarantee(Shown):
         return [("proven", self.statement), *((n, f"{getattr(self, n):.3g}") for n in names)]
 
 
-def guarantee(placed: PlacedMembers, load: np.ndarray, u: np.ndarray) -> Guarantee | None:
+def guarantee(placed: EnsembleOperator, load: np.ndarray, u: np.ndarray) -> ErrorBound | None:
     """The bound for an answer u, or None where nothing is proven of the rich member there."""
     operator: Any = placed.rich
     points, inside = placed.points, placed.points.interior
     stiffness = proven_stiffness(operator, points.spacing)
-    if not (points.is_plain_lattice and stiffness > 0):
+    if not (points.is_open_lattice and stiffness > 0):
         return None
     grid = lattice_steps(points)[0][inside]
     sides = grid.max(axis=0) - grid.min(axis=0) + 1  # of the box, whose Laplacian is softer
@@ -93,7 +93,7 @@ def guarantee(placed: PlacedMembers, load: np.ndarray, u: np.ndarray) -> Guarant
         "norm, the root of twice the strain energy of their difference over that of the answer"
         + (f", and no other has |H| ≤ {largest:.2%}." if placed.nonlinear else ".")
     )
-    return Guarantee(bound, relative, q, largest, without / (1 - q), moved, words)
+    return ErrorBound(bound, relative, q, largest, without / (1 - q), moved, words)
 
 
 def contraction(model: Any, gradient: float, size: float) -> tuple[float, float] | None:
@@ -123,7 +123,7 @@ def proven_stiffness(operator: Any, spacing: float) -> float:
     linear = getattr(operator.model, "linear", operator.model)
     proof = linear.certificate
     if isinstance(proof, dict):
-        figures = proof.get(f"{linear.nominal_spacing(spacing):g}", {})
+        figures = proof.get(f"{linear.certified_spacing_near(spacing):g}", {})
         return float(figures.get("symbol_bound") or 0.0)
     return float(getattr(proof, "proven", 0.0) or 0.0)
 
@@ -144,7 +144,7 @@ def said(error: float, form: str = "{:.2f}%") -> str:
 
 
 @dataclass(frozen=True)
-class Quantity:
+class QuantityEstimate:
     """A quantity of an answer.
 
     Attributes:
@@ -159,7 +159,7 @@ class Quantity:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Answer(Shown):
+class Prediction(Shown):
     """A body at rest, and how wrong it may be.
 
     Attributes:
@@ -184,7 +184,7 @@ class Answer(Shown):
     uncovered: tuple[str, ...]
     corrections: int
     tolerance: float | None
-    operator: PlacedMembers
+    operator: EnsembleOperator
     load: np.ndarray
     known: Parts | None = None
 
@@ -202,7 +202,7 @@ class Answer(Shown):
         """The next answer, u and the correction that is left, on all nodes."""
         return self._plus(self.fields.fields["left"])
 
-    def of(self, quantity: Callable[[np.ndarray], Any]) -> Quantity:
+    def of(self, quantity: Callable[[np.ndarray], Any]) -> QuantityEstimate:
         """A quantity with its error (Q4).
 
         Args:
@@ -217,7 +217,7 @@ class Answer(Shown):
         changes = Parts({name: change(part) for name, part in fields.fields.items()}, fields.pull)
         squares = combined(changes, self.operator.family.factors, np.abs)
         bar = np.sqrt(sum(value**2 for value in squares.values()))
-        return Quantity(at, changes.fields["left"], bar)
+        return QuantityEstimate(at, changes.fields["left"], bar)
 
     def map(self) -> np.ndarray:
         """Likely error of the displacement at each node [length], shape [N]; 0 on the collar."""
@@ -229,7 +229,7 @@ class Answer(Shown):
         return bar
 
     @cached_property
-    def guarantee(self) -> Guarantee | None:
+    def guarantee(self) -> ErrorBound | None:
         """How far the rich member's own solution is at most, proven; None where nothing is (Q9).
 
         It speaks of the model, not of the atoms.
@@ -275,7 +275,9 @@ class Answer(Shown):
         return [*rows, ("why", self.why)]
 
 
-def combined(parts: Parts, factors: Factors, size: Callable[[np.ndarray], Any]) -> dict[str, Any]:
+def combined(
+    parts: Parts, factors: CalibrationFactors, size: Callable[[np.ndarray], Any]
+) -> dict[str, Any]:
     """Likely errors by origin, of fields of errors or what was made of them (Q4)."""
     share = parts.pull * factors.floor / np.sqrt(2)
     weights = {"left": factors.left, "waves": share, "data": share, "strain": factors.floor}
@@ -312,7 +314,7 @@ def strain(points: PointsLike, at: ArrayLike) -> Measure:
     return of
 
 
-def stress(placed: PlacedMembers, at: ArrayLike) -> Measure:
+def stress(placed: EnsembleOperator, at: ArrayLike) -> Measure:
     """σ [stress] of the rich member at the interior nodes nearest to positions, [m, d, d]."""
     inside = placed.points.x[placed.points.interior]
     nodes = cKDTree(inside).query(np.atleast_2d(np.asarray(at, float)))[1]
@@ -325,7 +327,9 @@ def mean(where: ArrayLike) -> Measure:
     return lambda u: u[nodes].mean(axis=0)
 
 
-def force(placed: PlacedMembers, start: ArrayLike, end: ArrayLike, *, number: int = 50) -> Measure:
+def force(
+    placed: EnsembleOperator, start: ArrayLike, end: ArrayLike, *, number: int = 50
+) -> Measure:
     """What is carried across a straight cut from one point to another, on its right-hand side:
     the reaction of what lies beyond it [stress · length], shape [2]."""
     a, b = np.asarray(start, float), np.asarray(end, float)

@@ -7,9 +7,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from warp_peri.contract import offered
 from warp_peri.core.grid import grid_of
-from warp_peri.core.record import Entry, OnLinear
+from warp_peri.core.record import FieldUnits, OnLinear
 from warp_peri.errors import InputError, warn
 from warp_peri.points.arrays import is_number
 from warp_peri.points.dataset import Dataset
@@ -18,14 +17,15 @@ from warp_peri.points.samples import PointsLike, Samples
 from warp_peri.prediction.members import (
     HALF_PERIOD,
     KNOTS,
+    EnsembleOperator,
     ErrorSpectrum,
-    PlacedMembers,
     norm,
     pulled,
     recorded,
     second_order,
     spread,
 )
+from warp_peri.protocols import offered
 
 MOST = 8
 """Corrections of an answer at most."""
@@ -42,7 +42,7 @@ TURNED, SURE = 2.0, 3.0
 
 
 @dataclass(frozen=True)
-class Factors:
+class CalibrationFactors:
     """Calibration: by how much what can be computed is multiplied, so that it is an error (Q4).
 
     Attributes:
@@ -62,8 +62,8 @@ class Factors:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Members(OnLinear, format="warp_peri.family", version=2):
-    """What `fit(samples, prediction.Family(…))` learns: a material with its doubts.
+class EnsembleMaterial(OnLinear, format="warp_peri.family", version=2):
+    """What `fit(samples, prediction.Ensemble(…))` learns: a material with its doubts.
 
     It solves, moves and is placed on points as its rich member. `predict` uses all.
 
@@ -85,11 +85,11 @@ class Members(OnLinear, format="warp_peri.family", version=2):
     second: Any
     halves: tuple[Any, Any]
     record: ErrorSpectrum | None = None
-    factors: Factors = Factors()
+    factors: CalibrationFactors = CalibrationFactors()
     strain: float = 0.0
     temperature: float | None = None
-    quadratic: Annotated[tuple[float, ...], Entry(stress=1, omit=True)] = ()
-    axis_off: Annotated[float, Entry(omit=True)] = 0.0
+    quadratic: Annotated[tuple[float, ...], FieldUnits(stress=1, omit=True)] = ()
+    axis_off: Annotated[float, FieldUnits(omit=True)] = 0.0
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -117,9 +117,9 @@ class Members(OnLinear, format="warp_peri.family", version=2):
         """The rich member on points."""
         return self.rich.on(points, **options)
 
-    def with_doubts(self, points: PointsLike, **options: Any) -> PlacedMembers:
+    def ensemble_on(self, points: PointsLike, **options: Any) -> EnsembleOperator:
         """All members on points, with what they do not know there; options of `on`."""
-        return PlacedMembers(self, points, **options)
+        return EnsembleOperator(self, points, **options)
 
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value."""
@@ -130,11 +130,11 @@ class Members(OnLinear, format="warp_peri.family", version=2):
 
 
 @dataclass(frozen=True)
-class Family:
+class Ensemble:
     """A family of laws of one material.
 
     Attributes:
-        rich: the best law that the data bear: LPS(…), ThirdOrder(…), Micromodulus(…).
+        rich: the best law that the data bear: LPS(…), ThirdOrder(…), Crystal(…).
         second: a poorer law, as good on long waves; by default the rich one with a shorter horizon,
             or what its own `poorer()` says.
     """
@@ -144,7 +144,7 @@ class Family:
 
     def learn(
         self, samples: Any, *, validation: Samples | None = None, progress: bool | None = None
-    ) -> FamilyFit:
+    ) -> EnsembleFit:
         """The Members, with the history and the certificate of the rich one's fit.
 
         Args:
@@ -164,7 +164,7 @@ class Family:
         other = second.learn(samples, progress=progress).material
         odd, even = (learn(samples[n::2], progress=progress).material for n in (0, 1))
         kelvin = samples.arrays.get("temperature")
-        family = Members(
+        family = EnsembleMaterial(
             fit.material,
             other,
             (odd, even),
@@ -173,14 +173,16 @@ class Family:
             axis_off=off_axis(fit.material, samples),
         )
         material = calibrated(family, samples, validation)
-        return FamilyFit(material, getattr(fit, "certificate", None), getattr(fit, "history", None))
+        return EnsembleFit(
+            material, getattr(fit, "certificate", None), getattr(fit, "history", None)
+        )
 
 
 @dataclass(frozen=True)
-class FamilyFit:
+class EnsembleFit:
     """A learned ensemble, with the certificate and the history of its rich member's fit."""
 
-    material: Members
+    material: EnsembleMaterial
     certificate: Any
     history: Any
 
@@ -200,13 +202,15 @@ def poorer(law: Any) -> Any:
     return replace(law, linear=changed) if hasattr(law, "linear") else changed
 
 
-def calibrated(family: Members, samples: Samples, validation: Samples | None) -> Members:
+def calibrated(
+    family: EnsembleMaterial, samples: Samples, validation: Samples | None
+) -> EnsembleMaterial:
     """The family with its factors and its record by wavelength, from answers whose truth is known.
 
     The factors are quantiles of what was true over what was computed.
     """
     nonlinear = family.linear is not family.rich
-    bare = replace(family, factors=Factors(1.0, 1.0, 1.0), record=None)
+    bare = replace(family, factors=CalibrationFactors(1.0, 1.0, 1.0), record=None)
     if not nonlinear:
         bare = replace(bare, quadratic=quadratic(bare, samples))
     sets = [samples] if validation is None else [samples, validation]
@@ -226,7 +230,7 @@ def calibrated(family: Members, samples: Samples, validation: Samples | None) ->
     if not nonlinear:  # which may have taken up some of what it cannot hold
         least, known = SAFELY, SAFELY * max(known, 1.0)
     left = max(quantile(rows["gone"], rows["left"], NEARLY), 1.0) if bends else least
-    factors = Factors(left=left, floor=known, screen=screen)
+    factors = CalibrationFactors(left=left, floor=known, screen=screen)
     return replace(bare, factors=factors, record=record)
 
 
@@ -261,15 +265,15 @@ def off_axis(rich: Any, samples: Samples) -> float:
     return turn
 
 
-def quadratic(family: Members, samples: Samples) -> tuple[float, ...]:
+def quadratic(family: EnsembleMaterial, samples: Samples) -> tuple[float, ...]:
     """Constants of forces of second order in the strain, of what a linear rich member misses.
 
     They are fitted to what the half that has not seen a sample leaves of its load: the member
     itself has taken up some of it.
     """
-    placed, points = PlacedMembers(family, samples.points), samples.points
+    placed, points = EnsembleOperator(family, samples.points), samples.points
     left = [
-        placed.load(b) - placed.others[2 - n % 2](u)  # even ones are the first half's
+        placed.rhs(b) - placed.others[2 - n % 2](u)  # even ones are the first half's
         for n, (b, u) in enumerate(zip(samples.loads, samples.u))
     ]
     grid = grid_of(points, 2 * np.eye(points.dimension, dtype=int))
@@ -277,13 +281,13 @@ def quadratic(family: Members, samples: Samples) -> tuple[float, ...]:
     return tuple(np.linalg.lstsq(rows.reshape(len(rows), -1).T, np.ravel(left))[0].tolist())
 
 
-def _measured(family: Members, samples: Samples) -> list[dict[str, Any]]:
+def _measured(family: EnsembleMaterial, samples: Samples) -> list[dict[str, Any]]:
     """What is computed of each sample and what is true, as fractions."""
-    placed = PlacedMembers(family, samples.points)
+    placed = EnsembleOperator(family, samples.points)
     inside = samples.interior
     rows = []
     for b, truth in zip(samples.loads, samples.u):
-        load, size = placed.load(b), norm(truth[inside])
+        load, size = placed.rhs(b), norm(truth[inside])
         u = np.where(inside[:, None], 0.0, truth)
         u[inside] = placed.inverse(load - placed.straight(u), 3e-3)
         first = u.copy()

@@ -12,17 +12,17 @@ import scipy.fft
 import scipy.sparse as sp
 from scipy.ndimage import distance_transform_edt
 
-from warp_peri.contract import placed, stencil_of
 from warp_peri.core.elastic import acoustic
 from warp_peri.core.grid import Grid, grid_of
-from warp_peri.core.record import Entry
+from warp_peri.core.record import FieldUnits
 from warp_peri.core.stencil import directions
 from warp_peri.errors import InputError
 from warp_peri.points.lattice import largest_strain, lattice_steps
 from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.protocols import placed, stencil_of
 
 if TYPE_CHECKING:
-    from warp_peri.prediction.ensemble import Members
+    from warp_peri.prediction.ensemble import EnsembleMaterial
 
 SEEN = 0.5
 """Samples' worth of a wavelength from which its error counts as known."""
@@ -54,9 +54,9 @@ class ErrorSpectrum:
             is known stands for one that is not.
     """
 
-    wavelength: Annotated[np.ndarray, Entry(length=1)]
+    wavelength: Annotated[np.ndarray, FieldUnits(length=1)]
     error: np.ndarray
-    shortest: Annotated[float, Entry(length=1)] = 0.0
+    shortest: Annotated[float, FieldUnits(length=1)] = 0.0
 
     def of(self, shares: np.ndarray) -> float:
         """The error of a field with those shares, relative to the field."""
@@ -158,7 +158,7 @@ def norm(field: np.ndarray) -> float:
     return float(np.linalg.norm(field))
 
 
-class PlacedMembers:
+class EnsembleOperator:
     """The members of a family on the points of a problem.
 
     Args:
@@ -172,7 +172,7 @@ class PlacedMembers:
 
     loads = 1
 
-    def __init__(self, family: Members, points: PointsLike, **options: Any) -> None:
+    def __init__(self, family: EnsembleMaterial, points: PointsLike, **options: Any) -> None:
         self.points = nodes_of(points)
         self.family, self.options = family, options
         scattered = self.points.spacing == 0
@@ -204,13 +204,13 @@ class PlacedMembers:
         def solved(right: np.ndarray, tolerance: float) -> np.ndarray:
             b = zero.copy()
             b[inside] = right
-            return np.asarray(self.rich.rest(b, zero).u[inside])
+            return np.asarray(self.rich.solve(b, zero).u[inside])
 
         return solved
 
-    def load(self, b: np.ndarray) -> np.ndarray:
+    def rhs(self, b: np.ndarray) -> np.ndarray:
         """What the operator equals in equilibrium, shape [I, d]."""
-        return np.asarray(self.rich.load(b))
+        return np.asarray(self.rich.rhs(b))
 
     def gradient(self, u: np.ndarray) -> float:
         """Root mean square of |H| near the unknowns; of a linear member the largest strain between
@@ -233,7 +233,7 @@ class PlacedMembers:
         """Waves of these nodes, and what a local solid of the rich member's long ones is off by
         (Q10); None but on whole lattices."""
         points, d = self.points, self.points.dimension
-        if not points.is_plain_lattice:
+        if not points.is_open_lattice:
             return None
         law = getattr(self.rich.model, "linear", self.rich.model)
         stencil, _ = stencil_of(law, points.spacing, "predict")

@@ -12,13 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.contract import placed
+from warp_peri.arguments import typed
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked_fields, is_positive
 from warp_peri.points.samples import Samples, nodes_of
-from warp_peri.prediction.answer import WORDS, Answer, combined, said
-from warp_peri.prediction.ensemble import MOST, Factors, Members
-from warp_peri.prediction.members import Parts, PlacedMembers, norm
+from warp_peri.prediction.answer import WORDS, Prediction, combined, said
+from warp_peri.prediction.ensemble import MOST, CalibrationFactors, EnsembleMaterial
+from warp_peri.prediction.members import EnsembleOperator, Parts, norm
+from warp_peri.protocols import placed
 
 SOLVED, SHARE = 0.03, 0.3
 """The first linear solve goes to this relative residual, or to this share of the tolerance; the
@@ -53,15 +54,16 @@ class _Stage:
         return _size(self.parts)
 
 
+@typed
 def predict(
     material: Any, problem: Any, tolerance: float | None = 0.01, **options: Any
-) -> Answer | tuple[Answer, ...]:
+) -> Prediction | tuple[Prediction, ...]:
     """The cheapest answer that keeps a tolerance, and how wrong it is.
 
     Args:
-        material: an ensemble, from fit(samples, prediction.Family(…)), or its PlacedMembers where
-            the same points are asked again. A crystal of `from_atoms` whose moduli have standard
-            errors gives those alone, and says so.
+        material: an ensemble, from fit(samples, prediction.Ensemble(…)), or its EnsembleOperator
+            where the same points are asked again. A crystal of `fit_crystal` whose moduli have
+            standard errors gives those alone, and says so.
         problem: Dirichlet(points, b, u).
         tolerance: largest displacement error, relative to the displacement of the interior; None
             for the best answer, with its error.
@@ -80,14 +82,14 @@ def predict(
     if tolerance is not None and not is_positive(tolerance):
         raise InputError(f"tolerance: expected a fraction > 0, or None, got {tolerance!r:.40}")
     record = getattr(material, "provenance", {})
-    if record.get("moduli_error") and not isinstance(material, Members):
-        plain = Factors(1.0, 1.0, 0.0)
-        material = Members(material, material, (material, material), factors=plain)
+    if record.get("moduli_error") and not isinstance(material, EnsembleMaterial):
+        plain = CalibrationFactors(1.0, 1.0, 0.0)
+        material = EnsembleMaterial(material, material, (material, material), factors=plain)
     if not all(hasattr(problem, name) for name in ("points", "b", "u")):
         what = type(problem).__name__
         raise InputError(f"predict: expected a problem, Dirichlet(points, b, u), got {what}")
     points = problem.points
-    asked = {"verb": "predict", "by": "with_doubts", "has": "doubts", "kinds": FAMILY}
+    asked = {"verb": "predict", "by": "ensemble_on", "has": "doubts", "kinds": FAMILY}
     members = placed(material, nodes_of(points), **asked, **options)
     load, field = checked_fields(members.points, problem.b, problem.u)
     uncovered = _uncovered(members, points)
@@ -101,15 +103,15 @@ def predict(
 
 
 def _predict(
-    placed: PlacedMembers,
+    placed: EnsembleOperator,
     b: np.ndarray,
     given: np.ndarray,
     tolerance: float | None,
     uncovered: tuple[str, ...],
     noise: float,
-) -> Answer:
+) -> Prediction:
     """The answer for one load: a linear solve, and corrections."""
-    inside, load = placed.points.interior, placed.load(b)
+    inside, load = placed.points.interior, placed.rhs(b)
     share = SOLVED if tolerance is None else min(SOLVED, SHARE * tolerance)
     start = np.where(inside[:, None], 0.0, given)
     start[inside] = placed.inverse(load - placed.straight(start), share)
@@ -120,14 +122,14 @@ def _predict(
     uncovered += tuple(why for _, why in beyond)
     why = _reason(stage, tolerance, kept, uncovered)
     only_axis = all(one == AXIS for one in uncovered)
-    return Answer(
+    return Prediction(
         stage.u, stage.error, stage.parts, kept and only_axis, why, uncovered, stage.corrections,
         tolerance, placed, load, stage.fields,
     )  # fmt: skip
 
 
 def _corrected(
-    placed: PlacedMembers, load: np.ndarray, u: np.ndarray, tolerance: float | None, noise: float
+    placed: EnsembleOperator, load: np.ndarray, u: np.ndarray, tolerance: float | None, noise: float
 ) -> _Stage:
     """Correct until the tolerance is kept, or cannot be; without one until nothing improves.
 
@@ -202,7 +204,7 @@ def _reason(stage: _Stage, tolerance: float | None, kept: bool, uncovered: tuple
     return told + "".join(f"; not covered: {one.split(':')[0]}" for one in uncovered)
 
 
-def _uncovered(placed: PlacedMembers, points: Any) -> tuple[str, ...]:
+def _uncovered(placed: EnsembleOperator, points: Any) -> tuple[str, ...]:
     """What the error of a problem does not speak of."""
     found = [ALONE] if placed.family.second is placed.family.rich else []
     if placed.points.outside is not None:
@@ -216,7 +218,7 @@ def _uncovered(placed: PlacedMembers, points: Any) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _beyond(placed: PlacedMembers, stage: _Stage) -> list[tuple[str, str]]:
+def _beyond(placed: EnsembleOperator, stage: _Stage) -> list[tuple[str, str]]:
     """What the family's data say nothing of, and the part that is unknown by it."""
     found = []
     if stage.unseen > SHORTER:

@@ -30,7 +30,6 @@ import scipy.sparse as sp
 import torch
 from scipy.sparse.linalg import splu
 
-from warp_peri.contract import is_tensor, taken
 from warp_peri.core.torch_bridge import (
     as_tensor,
     by_numbers,
@@ -41,6 +40,7 @@ from warp_peri.core.torch_bridge import (
 )
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import check_positive, check_whole, checked
+from warp_peri.protocols import is_tensor, taken
 from warp_peri.solvers import verlet
 from warp_peri.solvers.motion import Motion
 
@@ -69,14 +69,14 @@ def moved(
         operator, record, sizes: as of verlet.march; sizes are density, step, steps and every.
         b, u, v: load, displacement and velocity, shape [N, d], tensors or arrays; None for zero.
         signal: of the load, shape [steps + 1], as of verlet.march.
-        parameters: numbers of the material by name, as of wp.Module. The others stay as they are.
+        parameters: numbers of the material by name, as of wp.TorchModule; the others stay.
 
     Raises InputError as verlet.march, for files, parameters that the material does not have or
     with which waves would grow, a second derivative, a tangent of forward mode, and, in the pass
     backwards, a motion that rounding does not let run back.
     """
     if files := sizes.keys() - {"density", "step", "steps", "every"}:
-        raise InputError(f"move: expected no {', '.join(sorted(files))} of tensors")
+        raise InputError(f"simulate: expected no {', '.join(sorted(files))} of tensors")
     operator, numbers = with_numbers(operator, parameters or {})
     zero, sizes = 0 * as_tensor("u", u), {"every": 1} | sizes
     pulse = np.ones(max(int(sizes["steps"]), 0) + 1) if signal is None else signal
@@ -95,7 +95,7 @@ def moved(
 
 def in_motion(operator: Any, b: Any, u: Any, options: dict[str, Any]) -> Motion:
     """The motion of verlet.march; of tensors, or with `parameters`, that of `moved`."""
-    how, learned = taken(options, "move", verlet.march, moved)
+    how, learned = taken(options, "simulate", verlet.march, moved)
     fields = b, u, how.get("v"), how.get("signal")
     if "parameters" in learned or any(map(is_tensor, fields)):
         return moved(operator, b, u, **how | learned)
@@ -146,7 +146,7 @@ class _Waves:
                 q = q + self.dt * (p + upstream / 2)[free]
                 p += upstream
             pull = whole * q / (1 + (number in (0, last)))
-            p -= self.operator.product_transpose(u, pull)
+            p -= self.operator.vjp(u, pull)
             load += self.body.share(number) * pull
             by_signal[number] = np.vdot(pull, self.body.load)
             if wanted:
@@ -174,8 +174,8 @@ class _Waves:
                 wrong = float(np.linalg.norm(state.u - true.u)) / (size or 1.0)
                 if not wrong <= UNDONE:
                     raise InputError(
-                        "move: expected a motion that can be run back, got one that comes to its "
-                        f"state at step {state.number} with a relative error of {wrong:.1e}"
+                        "simulate: expected a motion that can be run back, got one that comes to "
+                        f"its state at step {state.number} with a relative error of {wrong:.1e}"
                     )
                 state = true
             yield state.number, state.u
@@ -241,7 +241,7 @@ class Implicit:
         self.free = np.broadcast_to(self.inside, operator.shape).ravel()
         self.theta = float(operator.implicit) if np.isfinite(step) else 1.0
         L, E = sp.csr_array(operator.tangent(None)), sp.csc_array(operator.storage() / step)
-        self.inner = sp.csc_array(self.theta * operator.stiffness_at(None) + E[:, self.free])
+        self.inner = sp.csc_array(self.theta * operator.interior_tangent(None) + E[:, self.free])
         self.ahead, self.behind = sp.csr_array(E + self.theta * L), E - (1 - self.theta) * L
         try:
             self.factors = splu(self.inner)

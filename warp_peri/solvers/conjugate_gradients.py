@@ -1,4 +1,4 @@
-"""Krylov methods on one process or many: conjugate gradients, Newton with GMRES.
+"""CG methods on one process or many: conjugate gradients, Newton with GMRES.
 
 Of fields that ranks have pieces of too: scalar products are those of `Inner`, and so the answer has
 the same bits on any number of ranks.

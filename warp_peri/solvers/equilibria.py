@@ -55,7 +55,7 @@ def probed(operator: Any) -> Stencil:
     for axis in range(d):
         v = none.copy()
         v[middle] = axes[:, axis]
-        columns.append(-placed.product(none, v) @ axes)
+        columns.append(-placed.jvp(none, v) @ axes)
     C, at = np.stack(columns, axis=2), grid[interior]
     C = (C + C[::-1]) / 2  # ξ and −ξ
     C = (C + C.swapaxes(1, 2)) / 2
@@ -371,7 +371,7 @@ def direction(
     one near."""
     if near is not None:
         try:
-            step, record = definite(partial(solid.product, u), near, left, KRYLOV)
+            step, record = definite(partial(solid.jvp, u), near, left, KRYLOV)
             kept = near is solid.rough or record.iterations <= MANY
             return step, True, near if kept else None
         except InputError:  # of negative curvature
@@ -414,7 +414,7 @@ def equilibria_of(
     Args:
         operator: that offers `force(u, radius=)`, `largest_gradient`, products with its tangent,
             and, of the solid at rest, `straight` and `inverse`.
-        b, u, solver: as of Operator.rest; the solver is a Newton.
+        b, u, solver: as of Operator.solve; the solver is a Newton.
         proven: |H| up to which its answers are the only ones, 0 for none; beyond it a UserWarning
             says so. None where nobody asks.
 
@@ -445,7 +445,7 @@ def equilibria_of(
         answers.reshape(field.shape),
         operator.points,
         operator,
-        operator.load(load),
+        operator.rhs(load),
         records[0].method if len({r.method for r in records}) == 1 else "fixed point, newton",
         tuple(record.solves for record in records),
         f"no other solution has |H| ≤ {proven:.2%}" if sure else None,
@@ -462,8 +462,8 @@ def smallest_of(operator: Any, field: np.ndarray) -> float:
     def product(x: np.ndarray) -> np.ndarray:
         w = x.T.reshape(-1, *free)
         u = np.broadcast_to(field, (len(w), *operator.shape))
-        across = operator.product_transpose(u, w)[:, inside]
-        both = operator.product(u, operator.on_all(w)) + across
+        across = operator.vjp(u, w)[:, inside]
+        both = operator.jvp(u, operator.on_all(w)) + across
         return np.asarray(both.reshape(x.T.shape).T / 2)
 
     shape = 2 * (free[0] * free[1],)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_peri.contract import is_tensor
 from warp_peri.errors import InputError
+from warp_peri.protocols import is_tensor
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,7 +27,7 @@ class Motion:
         details: what only this material knows: the state at the end, the body.
 
     >>> start = wp.Dirichlet(points, None, u[0])
-    >>> wp.move(model, start, density=2200.0, step=0.005, steps=4).time.shape
+    >>> wp.simulate(model, start, density=2200.0, step=0.005, steps=4).time.shape
     (4,)
     """
 
@@ -97,7 +97,7 @@ def refuse_learning(problem: Any, options: dict[str, Any], verb: str) -> None:
 
 LEARNS = {
     "solve": "a Dirichlet, a Periodic and a Cracked",
-    "move": "waves, what flows, and pulls of bonds that soften, of one process",
+    "simulate": "waves, what flows, and pulls of bonds that soften, of one process",
 }
 
 

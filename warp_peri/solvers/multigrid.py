@@ -18,7 +18,7 @@ from scipy.ndimage import distance_transform_cdt
 from warp_peri.core.grid import Grid
 from warp_peri.core.stencil import Stencil, q1_tensors
 from warp_peri.core.sweeps import ByRows, convolved, inverse, torus_shape, torus_symbol
-from warp_peri.launch import threads
+from warp_peri.runtime import get_num_threads
 from warp_peri.solvers.direct import symmetric_factors
 
 
@@ -137,8 +137,10 @@ def sine(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarra
     def apply(r: np.ndarray) -> np.ndarray:
         z = short(r)
         inner = r[(slice(None), *core)].astype(np.float32)
-        wave = scipy.fft.dstn(inner, type=1, axes=axes, workers=threads()) * gain
-        z[(slice(None), *core)] += scipy.fft.idstn(wave, type=1, axes=axes, workers=threads())
+        wave = scipy.fft.dstn(inner, type=1, axes=axes, workers=get_num_threads()) * gain
+        z[(slice(None), *core)] += scipy.fft.idstn(
+            wave, type=1, axes=axes, workers=get_num_threads()
+        )
         return z
 
     return apply

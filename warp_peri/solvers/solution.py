@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from warp_peri.arguments import typed
 from warp_peri.errors import InputError, heard, warn
 from warp_peri.points.arrays import is_number
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import symbols
-from warp_peri.shown import Shown
+from warp_peri.reprs import Shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,6 +25,7 @@ PRECONDITIONERS = ("multigrid", "sine", "strip")
 """Of conjugate gradients on lattices, by name."""
 
 
+@typed
 @dataclass(frozen=True)
 class Direct:
     """A factorisation of the assembled operator.
@@ -45,8 +47,9 @@ class Direct:
         return "gmres" if self.iterative else "lu"
 
 
+@typed
 @dataclass(frozen=True)
-class Krylov:
+class CG:
     """Conjugate gradients on a lattice.
 
     Attributes:
@@ -56,7 +59,7 @@ class Krylov:
 
     Raises InputError for another preconditioner, or a tolerance outside (0, 1).
 
-    >>> wp.solve(model, wp.Dirichlet(points, None, 0.01 * x), solver=wp.Krylov("multigrid")).method
+    >>> wp.solve(model, wp.Dirichlet(points, None, 0.01 * x), solver=wp.CG("multigrid")).method
     'multigrid'
     """
 
@@ -70,6 +73,7 @@ class Krylov:
         check_tolerance(self.tolerance)
 
 
+@typed
 @dataclass(frozen=True)
 class Newton:
     """Repeated linear solves, then Newton's method, for materials that are not linear.
@@ -92,6 +96,7 @@ class Newton:
         check_tolerance(self.tolerance)
 
 
+@typed
 @dataclass(frozen=True)
 class Coupling:
     """How rim and bulk meet.
@@ -127,7 +132,7 @@ class Coupling:
             raise InputError(f"degree: expected 1 or 2, got {self.degree!r}")
 
 
-Solver: TypeAlias = Direct | Krylov | Newton | None
+Solver: TypeAlias = Direct | CG | Newton | None
 
 
 def check_tolerance(value: float) -> None:

@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.contract import offered, stencil_of
 from warp_peri.errors import InputError, quietly, warn
 from warp_peri.files.checkpoint import AllNodes, RunFile, agreed, fingerprint
-from warp_peri.files.series import Series
-from warp_peri.launch import shared_by
+from warp_peri.files.series import TimeSeriesWriter
 from warp_peri.points.arrays import check_positive, check_whole
 from warp_peri.points.arrays import checked as read
 from warp_peri.points.lattice import check_lattice
 from warp_peri.points.unit_names import USUAL, Units, factors
+from warp_peri.protocols import offered, stencil_of
+from warp_peri.runtime import shared_by
 from warp_peri.solvers.motion import Motion
 
 if TYPE_CHECKING:
@@ -37,11 +37,11 @@ PROBE, SMALL = np.array([[1.3, -0.7, 2.1], [0.4, 1.9, -1.1], [-2.3, 0.6, 0.9]]),
 
 def stiffest_of(law: Any, spacing: float, allow_uncertified: bool) -> float:
     """The stiffest wave of a law of tensors, which is for one spacing and needs its proof."""
-    offered(law, "stiffest_wave", "critical_time_step", "a linear solid or a crystal")
+    offered(law, "max_symbol_eigenvalue", "critical_time_step", "a linear solid or a crystal")
     stencil_of(law, spacing, "critical_time_step")
     if not (allow_uncertified or (law.certificate or law.certified().certificate).holds):
         raise InputError("material: expected one whose certificate holds; waves may grow")
-    return float(law.stiffest_wave())
+    return float(law.max_symbol_eigenvalue())
 
 
 @dataclass(frozen=True)
@@ -211,7 +211,7 @@ def march(
         seen = recorded_nodes(record, len(body.interior))
     kept = KeptMotion(nodes, body, step, every, checkpoint, checkpoint_every)
     if series is not None:
-        kept.series = Series(series, nodes, operator.points.x)
+        kept.series = TimeSeriesWriter(series, nodes, operator.points.x)
     return marched(body, state, step, int(steps), int(every), kept, seen)
 
 
@@ -244,7 +244,7 @@ def started(
         signal = None if signal is None else read("signal", signal, float, (steps + 1,))
     allowed = bool(getattr(operator, "allowed", False))
     with shared_by(nodes.comm), quietly(allowed):  # the operator says it once
-        own = getattr(operator, "stiffest_wave", None)  # of more than its model
+        own = getattr(operator, "max_symbol_eigenvalue", None)  # of more than its model
         stiffest = own() if own else stiffest_of(operator.model, points.spacing, allowed)
     longest = float(2 * np.sqrt(inertia(density, operator.model.units) / stiffest))
     if step > longest:
@@ -341,7 +341,7 @@ class KeptMotion:
     ) -> None:
         self.nodes, self.body, self.dt, self.every, self.often = nodes, body, dt, every, often
         self.file = None if checkpoint is None else RunFile(checkpoint, KIND, nodes)
-        self.series: Series | None = None
+        self.series: TimeSeriesWriter | None = None
         self._mark = ""
 
     def begun(self, state: State, steps: int) -> tuple[State, int, list[float]]:

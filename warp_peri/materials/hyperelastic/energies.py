@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 import torch
 
-from warp_peri.contract import taken
-from warp_peri.core.record import Entry, Length, Record
+from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.core.stencil import half_ball
 from warp_peri.errors import InputError
 from warp_peri.points.unit_names import USUAL, Units, shown_moduli, symbols
+from warp_peri.protocols import taken
 
 if TYPE_CHECKING:  # the operator stands above its numbers
     from warp_peri.materials.hyperelastic.energy_fit import EnergyFit
     from warp_peri.materials.hyperelastic.from_displacement import DisplacementFit
-    from warp_peri.materials.hyperelastic.placed import PlacedSheet
+    from warp_peri.materials.hyperelastic.placed import HyperelasticSheetOperator
     from warp_peri.points.samples import PointsLike, Samples
 
 
@@ -128,7 +128,7 @@ MOST_SHOWN = 8
 
 
 @dataclass(frozen=True)
-class Term:
+class EnergyTerm:
     """One strain energy of the dictionary, (H5).
 
     Attributes:
@@ -172,7 +172,7 @@ class Term:
 
 
 @dataclass(frozen=True)
-class Dictionary:
+class Hyperelastic:
     """What energies a material may be made of, (H1); every coefficient has a place in one vector.
 
     Attributes:
@@ -189,7 +189,7 @@ class Dictionary:
     reach: float = 3.0
     bonds: tuple[str, ...] = ()
     deviations: tuple[tuple[int, int], ...] = ()
-    terms: tuple[Term, ...] = ()
+    terms: tuple[EnergyTerm, ...] = ()
 
     def __post_init__(self) -> None:
         for name in self.bonds:
@@ -271,13 +271,13 @@ class Dictionary:
         (options,) = taken(options, "fit", learned)
         return learned(samples, self, **options)
 
-    def with_terms(self, terms: Sequence[Term]) -> Dictionary:
+    def with_terms(self, terms: Sequence[EnergyTerm]) -> Hyperelastic:
         """The same bonds with other strain energies."""
         return replace(self, terms=tuple(terms))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class HyperelasticSolid(Record, format="warp_peri.hyperelastic"):
+class HyperelasticMaterial(Record, format="warp_peri.hyperelastic"):
     """A dictionary with its coefficients.
 
     Attributes:
@@ -291,8 +291,8 @@ class HyperelasticSolid(Record, format="warp_peri.hyperelastic"):
     Raises InputError for coefficients of another number or not finite, and units not known.
     """
 
-    dictionary: Annotated[Dictionary, Entry(flat=True)]
-    coefficients: Annotated[np.ndarray, Entry(stress=1)]
+    dictionary: Annotated[Hyperelastic, FieldUnits(flat=True)]
+    coefficients: Annotated[np.ndarray, FieldUnits(stress=1)]
     spacing: Length
     stretch: float | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
@@ -308,7 +308,7 @@ class HyperelasticSolid(Record, format="warp_peri.hyperelastic"):
             )
 
     @property
-    def sparse(self) -> HyperelasticSolid:
+    def sparse(self) -> HyperelasticMaterial:
         """The same solid without the strain energies whose coefficient is zero."""
         first = self.dictionary.first_term
         kept = [n for n, c in enumerate(self.coefficients[first:]) if c != 0]
@@ -316,11 +316,13 @@ class HyperelasticSolid(Record, format="warp_peri.hyperelastic"):
         values = np.concatenate([self.coefficients[:first], self.coefficients[first:][kept]])
         return replace(self, dictionary=self.dictionary.with_terms(terms), coefficients=values)
 
-    def on(self, points: PointsLike, *, thickness: np.ndarray | None = None) -> PlacedSheet:
+    def on(
+        self, points: PointsLike, *, thickness: np.ndarray | None = None
+    ) -> HyperelasticSheetOperator:
         """The solid on a lattice, of an even sheet or with a thickness of every node [N] (H18)."""
-        from warp_peri.materials.hyperelastic.placed import PlacedSheet
+        from warp_peri.materials.hyperelastic.placed import HyperelasticSheetOperator
 
-        return PlacedSheet(self, points, thickness=thickness)
+        return HyperelasticSheetOperator(self, points, thickness=thickness)
 
     def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
         """The provenance names the units that its records stay in."""

@@ -13,7 +13,7 @@ from warp_peri.core.stencil import laplacian
 from warp_peri.errors import InputError
 from warp_peri.fitting.regression import least_squares_above
 from warp_peri.fitting.rows import compressed, load_sizes
-from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid
+from warp_peri.materials.hyperelastic.energies import Hyperelastic, HyperelasticMaterial
 from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
 from warp_peri.materials.hyperelastic.placed import largest_stretch
 from warp_peri.points.arrays import checked
@@ -41,7 +41,7 @@ def zone(count: int) -> np.ndarray:
     return np.asarray(steps[len(steps) // 2 + 1 :] * np.pi / count)
 
 
-def wave_ratios(dictionary: Dictionary, spacing: float, strains: np.ndarray) -> np.ndarray:
+def wave_ratios(dictionary: Hyperelastic, spacing: float, strains: np.ndarray) -> np.ndarray:
     """Symbols of every energy's tangent in uniform strains, over the Laplacian's (H20).
 
     Args:
@@ -67,7 +67,7 @@ def wave_ratios(dictionary: Dictionary, spacing: float, strains: np.ndarray) -> 
     u = np.repeat(op.points.x @ (strains - np.eye(2)).swapaxes(1, 2), 2, axis=0)
     v = np.zeros_like(u)
     v.reshape(-1, 2, *steps.shape)[:, :, len(steps) // 2] = np.eye(2)
-    pulls = [op.product(u, c, v)[:, inside] for c in np.eye(len(dictionary))]
+    pulls = [op.jvp(u, c, v)[:, inside] for c in np.eye(len(dictionary))]
     stencils = np.stack(pulls, axis=-1).reshape(len(strains), 2, inside.sum(), 2, -1)
     if not np.isfinite(stencils).all():
         F = strains[np.argwhere(~np.isfinite(stencils))[0, 0]]
@@ -78,7 +78,7 @@ def wave_ratios(dictionary: Dictionary, spacing: float, strains: np.ndarray) -> 
     return np.asarray((symbols + symbols.swapaxes(2, 3)) / 2)
 
 
-def shortest_margin(solid: HyperelasticSolid, strains: np.ndarray) -> np.ndarray:
+def stability_margin(solid: HyperelasticMaterial, strains: np.ndarray) -> np.ndarray:
     """Least ratio [stress] over the grid of waves in each strain, shape [F].
 
     Negative where one of these waves grows; those between are not looked at.
@@ -244,7 +244,7 @@ class EnergyFit:
             stability was not asked for. It is measured, no bound for other waves and strains.
     """
 
-    material: HyperelasticSolid
+    material: HyperelasticMaterial
     residual: float
     guaranteed: bool
     margin: float | None = None
@@ -252,7 +252,7 @@ class EnergyFit:
 
 def fit_energy(
     samples: Samples,
-    dictionary: Dictionary,
+    dictionary: Hyperelastic,
     *,
     positive: bool = False,
     stiffness: float = 0.0,
@@ -289,11 +289,11 @@ def fit_energy(
         ratios = wave_ratios(dictionary, samples.spacing, strains_of(op, samples, STRAINS))
         c, margin = stable_coefficients(R, y, ratios, stable, lower=lower, ridge=ridge)
     stretch, units = largest_stretch(op, samples.u), samples.points.units
-    solid = HyperelasticSolid(dictionary, c, samples.spacing, stretch, units=units)
+    solid = HyperelasticMaterial(dictionary, c, samples.spacing, stretch, units=units)
     return EnergyFit(solid, float(np.linalg.norm(R @ c - y)), positive, margin)
 
 
-def lower_bounds(dictionary: Dictionary, stiffness: float, others: float = 0.0) -> np.ndarray:
+def lower_bounds(dictionary: Hyperelastic, stiffness: float, others: float = 0.0) -> np.ndarray:
     """Least coefficients: `stiffness` for what keeps hourglasses away, `others` for the rest.
 
     Shape [K] [stress]. Raises InputError for a stiffness that is negative or not finite.

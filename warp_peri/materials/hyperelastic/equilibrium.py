@@ -136,7 +136,7 @@ class TangentPattern:
         return K
 
 
-class NoEquilibrium(RuntimeError):
+class NoEquilibriumError(RuntimeError):
     """No stable equilibrium was found; the message says how far the load was followed."""
 
 
@@ -207,12 +207,14 @@ class StaticProblem:
             b: body force on all nodes [stress / length], shape [N, 2]; none for no load.
             u: displacement, shape [N, 2]; read on the collar only.
 
-        Warns where the answer is not followed from rest. Raises NoEquilibrium; InputError for
+        Warns where the answer is not followed from rest. Raises NoEquilibriumError; InputError for
         arrays of other shapes or with values that are not finite on the collar.
         """
         equilibrium = self.find(c, b, u)
         if equilibrium is None:
-            raise NoEquilibrium("no stable equilibrium found on the way to all of load and collar")
+            raise NoEquilibriumError(
+                "no stable equilibrium found on the way to all of load and collar"
+            )
         if not equilibrium.followed:
             warn(
                 "the branch of stable equilibria that begins at rest ended before all of load and "
@@ -220,7 +222,9 @@ class StaticProblem:
             )
         smallest = self.smallest_eigenvalue(c, equilibrium.u)
         if not smallest > 0:
-            raise NoEquilibrium(f"the equilibrium found is unstable: eigenvalue {smallest:.3g}")
+            raise NoEquilibriumError(
+                f"the equilibrium found is unstable: eigenvalue {smallest:.3g}"
+            )
         return replace(equilibrium, smallest_eigenvalue=smallest / self.softest)
 
     def find(
@@ -284,7 +288,7 @@ class StaticProblem:
 
         L, start = sp.kron(self._laplacian, sp.eye(2)).tocsr(), lanczos_start(shape[0])
         ends: dict[str, Any] = {"v0": start, "return_eigenvectors": False, "maxiter": 2000}
-        K, Minv = flat(lambda p: sheet.product(u, p)), flat(self.laplace)
+        K, Minv = flat(lambda p: sheet.jvp(u, p)), flat(self.laplace)
         return self.softest * float(eigsh(K, 1, L, which="SA", Minv=Minv, tol=1e-2, **ends)[0])
 
 
@@ -334,10 +338,10 @@ class Sheet:
             return np.inf
         return op.folded(u) if op.dictionary.cornered else 0
 
-    def product(self, u: np.ndarray, p: np.ndarray) -> np.ndarray:
+    def jvp(self, u: np.ndarray, p: np.ndarray) -> np.ndarray:
         """The tangent at u along p on the interior."""
         op = self.problem.op
-        return op.product(u, self.c, self.moved(0 * u, p))[op.interior]
+        return op.jvp(u, self.c, self.moved(0 * u, p))[op.interior]
 
     def inverse(self, u: np.ndarray, shifts: bool) -> tuple[Inner | None, bool]:
         """The inverse of the tangent, or of one that is positive definite, and whether it is."""

@@ -8,15 +8,16 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from warp_peri.arguments import typed
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_text
-from warp_peri.materials.hyperelastic.energies import FIBRES, HyperelasticSolid, Term
+from warp_peri.materials.hyperelastic.energies import FIBRES, EnergyTerm, HyperelasticMaterial
 
 COMPRESSIBLE = {"neo_hookean", "volumetric"}
 INCOMPRESSIBLE = {"plane_stress", "mooney"}
 
 
-def febio_material(solid: HyperelasticSolid) -> str:
+def febio_material(solid: HyperelasticMaterial) -> str:
     """The material as an XML element of FEBio's Material section.
 
     With neo_hookean and volumetric energies it is a mixture of "HGO unconstrained" without fibres
@@ -77,14 +78,15 @@ def _ground(matrix: dict[str, float]) -> ElementTree.Element:
     return root
 
 
-def save_febio(solid: HyperelasticSolid, path: str | os.PathLike[str]) -> None:
+@typed
+def save_febio(solid: HyperelasticMaterial, path: str | os.PathLike[str]) -> None:
     """Write that element to a file, whole or not at all."""
     write_text(path, febio_material(solid) + "\n")
 
 
-def material_terms(solid: HyperelasticSolid) -> list[tuple[Term, float]]:
+def material_terms(solid: HyperelasticMaterial) -> list[tuple[EnergyTerm, float]]:
     """Energies of uniform strain with their coefficients; nodes and corners are one material."""
-    sums: dict[Term, float] = {}
+    sums: dict[EnergyTerm, float] = {}
     for term, value in zip(
         solid.dictionary.terms, solid.coefficients[solid.dictionary.first_term :]
     ):
@@ -94,7 +96,7 @@ def material_terms(solid: HyperelasticSolid) -> list[tuple[Term, float]]:
     return list(sums.items())
 
 
-def in_words(solid: HyperelasticSolid) -> list[str]:
+def in_words(solid: HyperelasticMaterial) -> list[str]:
     """What the coefficients say, one line for each number."""
     lines = []
     values = dict.fromkeys(COMPRESSIBLE | INCOMPRESSIBLE, 0.0)

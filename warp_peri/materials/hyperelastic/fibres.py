@@ -10,12 +10,13 @@ import numpy as np
 import torch
 from scipy.optimize import least_squares
 
+from warp_peri.arguments import typed
 from warp_peri.materials.hyperelastic.energies import (
     KINDS,
-    Dictionary,
-    HyperelasticSolid,
+    EnergyTerm,
+    Hyperelastic,
+    HyperelasticMaterial,
     Strain,
-    Term,
 )
 from warp_peri.materials.hyperelastic.energy_fit import coefficients, equations, lower_bounds
 from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
@@ -31,23 +32,24 @@ SETTLED = 1e-5
 """Relative gain of a step that is the last."""
 
 
-def rose(count: int, powers: Sequence[float] = (2.0, 3.0, 4.0)) -> list[Term]:
+@typed
+def fibre_fan(count: int, powers: Sequence[float] = (2.0, 3.0, 4.0)) -> list[EnergyTerm]:
     """Fibre energies ⟨I4 − 1⟩^p/p in so many directions."""
-    return [Term("fibre_power", np.pi * n / count, p) for n in range(count) for p in powers]
+    return [EnergyTerm("fibre_power", np.pi * n / count, p) for n in range(count) for p in powers]
 
 
-def _strain(solid: HyperelasticSolid) -> float:
+def _strain(solid: HyperelasticMaterial) -> float:
     """I4 − 1 of the largest stretch of the data."""
     return max((solid.stretch or 1.2) ** 2 - 1, 0.05)
 
 
-def _energy(term: Term, x: float) -> float:
+def _energy(term: EnergyTerm, x: float) -> float:
     """Φ of a fibre with I4 − 1 = x > 0 and coefficient one."""
     equal = Strain(torch.tensor([x / 2, x / 2, 0.0], dtype=torch.float64))
     return float(KINDS[term.kind](equal, term.angle, term.exponent))
 
 
-def rose_of(solid: HyperelasticSolid) -> dict[float, float]:
+def fibre_energy_by_angle(solid: HyperelasticMaterial) -> dict[float, float]:
     """Energy of the fibres in every direction [rad] at the largest stretch of the data."""
     values, energies = solid.coefficients[solid.dictionary.first_term :], dict[float, float]()
     for term, value in zip(solid.dictionary.terms, values):
@@ -57,9 +59,10 @@ def rose_of(solid: HyperelasticSolid) -> dict[float, float]:
     return energies
 
 
-def families(
-    solid: HyperelasticSolid, *, share: float = 0.02, within: float = 0.0
-) -> tuple[Dictionary, np.ndarray]:
+@typed
+def fibre_families(
+    solid: HyperelasticMaterial, *, share: float = 0.02, within: float = 0.0
+) -> tuple[Hyperelastic, np.ndarray]:
     """One exponential family for each direction of a fit on fixed directions, (H15).
 
     Args:
@@ -71,19 +74,19 @@ def families(
         A dictionary whose angles and exponents are worth moving, and coefficients to start from.
         Energies other than fibres stay.
     """
-    dictionary, strain, energy = solid.dictionary, _strain(solid), rose_of(solid)
+    dictionary, strain, energy = solid.dictionary, _strain(solid), fibre_energy_by_angle(solid)
     least = share * sum(energy.values())
     groups = grouped({angle: value for angle, value in energy.items() if value > least}, within)
     known = [term.exponent for term in dictionary.terms if term.kind == "fibre_exponential"]
     exponent = float(np.median(known)) if known else 1.0 / strain
-    fibres = [Term("fibre_exponential", angle, exponent) for angle, _ in groups]
+    fibres = [EnergyTerm("fibre_exponential", angle, exponent) for angle, _ in groups]
     others = [term for term in dictionary.terms if not term.is_fibre]
     start = [value / _energy(term, strain) for (_, value), term in zip(groups, fibres)]
     left = np.delete(solid.coefficients, fibres_of(dictionary))
     return dictionary.with_terms([*others, *fibres]), np.concatenate([left, start])
 
 
-def with_corners(dictionary: Dictionary) -> Dictionary:
+def with_corners(dictionary: Hyperelastic) -> Hyperelastic:
     """A dictionary whose energies of a uniform strain act on corners of cells as well."""
     corners = (replace(term, corner=True) for term in dictionary.terms)
     return dictionary.with_terms([*dict.fromkeys((*dictionary.terms, *corners))])
@@ -102,7 +105,8 @@ def grouped(energy: dict[float, float], within: float) -> list[tuple[float, floa
     return sorted(zip(middles, (float(values[part].sum()) for part in parts)))
 
 
-def read_material(
+@typed
+def fit_fibre_families(
     samples: Samples,
     *,
     matrix: Sequence[str] = ("neo_hookean", "volumetric"),
@@ -110,7 +114,7 @@ def read_material(
     stiffness: float = 0.0,
     directions: int = 16,
     most_steps: int = 12,
-) -> HyperelasticSolid:
+) -> HyperelasticMaterial:
     """The material in few numbers: matrix moduli, and families with direction, k1 and k2.
 
     A fit on many directions says where the families are; then angles and exponents are unknowns of
@@ -125,32 +129,32 @@ def read_material(
         most_steps: of Gauss and Newton.
     """
     few = Samples(samples.points, samples.u[:ENOUGH], samples.loads[:ENOUGH])
-    terms = (*map(Term, matrix), *rose(directions))
-    dictionary = Dictionary(3.0, (), deviations, terms)
+    terms = (*map(EnergyTerm, matrix), *fibre_fan(directions))
+    dictionary = Hyperelastic(3.0, (), deviations, terms)
     solid = _fitted(few, dictionary, stiffness)
     for within, share in ((1.6 * np.pi / directions, 0.02), (0.1, 0.01)):
-        dictionary, c = families(solid, within=within, share=share)
+        dictionary, c = fibre_families(solid, within=within, share=share)
         moved = _moved(few, dictionary, c, lower_bounds(dictionary, stiffness), most_steps)
         solid = _fitted(few, moved, stiffness)
     return _fitted(samples, solid.dictionary, stiffness).sparse
 
 
-def _fitted(samples: Samples, dictionary: Dictionary, stiffness: float) -> HyperelasticSolid:
+def _fitted(samples: Samples, dictionary: Hyperelastic, stiffness: float) -> HyperelasticMaterial:
     """Least squares over coefficients ≥ 0."""
     op = HyperelasticOperator(dictionary, samples)
     c = coefficients(*equations(op, samples), lower_bounds(dictionary, stiffness))
     stretch, units = largest_stretch(op, samples.u), samples.points.units
-    return HyperelasticSolid(dictionary, c, samples.spacing, stretch, units=units)
+    return HyperelasticMaterial(dictionary, c, samples.spacing, stretch, units=units)
 
 
-def fibres_of(dictionary: Dictionary) -> list[int]:
+def fibres_of(dictionary: Hyperelastic) -> list[int]:
     """Places of families of fibres among the coefficients."""
     first = dictionary.first_term
     return [first + n for n, term in enumerate(dictionary.terms) if term.is_fibre]
 
 
 def fibre_numbers(
-    dictionary: Dictionary, moving: Sequence[int]
+    dictionary: Hyperelastic, moving: Sequence[int]
 ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """Angles, then exponents of the fibres at M places, shape [2 M], and bounds after a step."""
     terms, M = [dictionary.terms[n - dictionary.first_term] for n in moving], len(moving)
@@ -161,7 +165,9 @@ def fibre_numbers(
     return numbers, (lower, np.maximum(upper, lower + 1e-9))
 
 
-def with_numbers(dictionary: Dictionary, moving: Sequence[int], numbers: np.ndarray) -> list[Term]:
+def with_numbers(
+    dictionary: Hyperelastic, moving: Sequence[int], numbers: np.ndarray
+) -> list[EnergyTerm]:
     """The energies with other angles and exponents of the fibres at these places."""
     terms = list(dictionary.terms)
     for n, angle, exponent in zip(moving, *np.reshape(numbers, (2, -1))):
@@ -172,8 +178,8 @@ def with_numbers(dictionary: Dictionary, moving: Sequence[int], numbers: np.ndar
 
 
 def _moved(
-    samples: Samples, dictionary: Dictionary, c: np.ndarray, lower: np.ndarray, most_steps: int
-) -> Dictionary:
+    samples: Samples, dictionary: Hyperelastic, c: np.ndarray, lower: np.ndarray, most_steps: int
+) -> Hyperelastic:
     """Least squares over coefficients, angles and exponents, from where they are."""
     moving, K = fibres_of(dictionary), len(dictionary)
     if not moving:

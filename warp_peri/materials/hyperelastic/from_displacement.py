@@ -14,11 +14,12 @@ import numpy as np
 from scipy.ndimage import binary_dilation, binary_erosion
 from tqdm import tqdm
 
+from warp_peri.arguments import typed
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.rows import compressed
-from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
+from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic, HyperelasticMaterial
 from warp_peri.materials.hyperelastic.energy_fit import between, columns, lower_bounds
-from warp_peri.materials.hyperelastic.equilibrium import NoEquilibrium, StaticProblem
+from warp_peri.materials.hyperelastic.equilibrium import NoEquilibriumError, StaticProblem
 from warp_peri.materials.hyperelastic.fibres import fibre_numbers, fibres_of, with_numbers
 from warp_peri.materials.hyperelastic.operator import SMALLEST_AREA, HyperelasticOperator
 from warp_peri.materials.hyperelastic.placed import largest_stretch
@@ -32,7 +33,7 @@ LARGEST = 20.0
 
 
 @dataclass(frozen=True, eq=False)
-class Thickness:
+class ThicknessField:
     """A thickness that is positive everywhere and one at the centre.
 
     Attributes:
@@ -61,7 +62,7 @@ class Thickness:
             raise InputError(f"half: expected two lengths > 0, got {self.half.tolist()}")
 
     @classmethod
-    def over(cls, x: np.ndarray, degree: int) -> Thickness:
+    def over(cls, x: np.ndarray, degree: int) -> ThicknessField:
         """An even thickness whose coordinates go from −1 to 1 over the nodes x, shape [N, 2]."""
         low, high = np.min(x, axis=0), np.max(x, axis=0)
         return cls(degree, (low + high) / 2, (high - low) / 2)
@@ -102,7 +103,7 @@ class Sections:
     where a hole or an edge leaves no such line.
     """
 
-    def __init__(self, frames: Samples, dictionary: Dictionary, axis: int) -> None:
+    def __init__(self, frames: Samples, dictionary: Hyperelastic, axis: int) -> None:
         R, turn, origin = 2 * int(dictionary.reach), [axis, 1 - axis], frames.x.min(axis=0)
         line, place = np.rint((frames.x - origin) / frames.spacing).astype(int)[:, turn].T
         number = np.full((line.max() + 1, place.max() + 1), -1)
@@ -127,7 +128,7 @@ class Sections:
         self.fields = fields.reshape(len(frames), -1, 2)
 
     def stress(
-        self, n: int, terms: Sequence[Term], c: np.ndarray, thickness: Thickness | None
+        self, n: int, terms: Sequence[EnergyTerm], c: np.ndarray, thickness: ThicknessField | None
     ) -> np.ndarray:
         """Pull over width and mean thickness on every line of a frame, shape [L].
 
@@ -176,11 +177,11 @@ class DisplacementFit:
         scatter: relative, of what sections and frames say that it is.
     """
 
-    material: HyperelasticSolid
+    material: HyperelasticMaterial
     errors: np.ndarray
     history: list[float]
     frames_left_out: list[int]
-    thickness: Thickness | None = None
+    thickness: ThicknessField | None = None
     others: list[DisplacementFit] = field(default_factory=list)
     fields: np.ndarray | None = None
     scale: float = 1.0
@@ -197,10 +198,10 @@ class Search:
     def __init__(
         self,
         frames: Samples,
-        dictionary: Dictionary,
+        dictionary: Hyperelastic,
         bounds: tuple[float, float],
         moving: bool,
-        thickness: Thickness | None = None,
+        thickness: ThicknessField | None = None,
         *,
         held: bool = False,
     ) -> None:
@@ -363,7 +364,7 @@ class Search:
         self.left_out = [n for n, one in enumerate(found) if not one]
         self.fields[self.kept] = [one.u for one in found if one] or self.fields[:0]
         if not (self.kept and self.linearise()):
-            raise NoEquilibrium("no frame has an equilibrium with the first coefficients")
+            raise NoEquilibriumError("no frame has an equilibrium with the first coefficients")
 
     def _fit(self, left: list[int]) -> DisplacementFit:
         """What is here, or one step from here with some frames left out, in the scale of forces."""
@@ -376,7 +377,7 @@ class Search:
         numbers, K = self.now + step, len(self.c)
         problem, thickness = self._moved(numbers[K:])
         scale, scatter = self._scale(left, problem.op.dictionary, numbers[:K], thickness)
-        solid = HyperelasticSolid(
+        solid = HyperelasticMaterial(
             problem.op.dictionary,
             scale * numbers[:K],
             problem.op.points.spacing,
@@ -389,7 +390,11 @@ class Search:
         return DisplacementFit(solid, errors, [rms], left, thickness, scale=scale, scatter=scatter)
 
     def _scale(
-        self, left: list[int], dictionary: Dictionary, c: np.ndarray, thickness: Thickness | None
+        self,
+        left: list[int],
+        dictionary: Hyperelastic,
+        c: np.ndarray,
+        thickness: ThicknessField | None,
     ) -> tuple[float, float]:
         """What the pulls of frames that are not left out say that a stress of one is, and the
         relative scatter of that; one where there is no pull."""
@@ -478,7 +483,7 @@ class Search:
         upper[own] = np.minimum(upper[own], most)
         return lower, np.maximum(upper, lower + 1e-12)
 
-    def _moved(self, numbers: np.ndarray) -> tuple[StaticProblem, Thickness | None]:
+    def _moved(self, numbers: np.ndarray) -> tuple[StaticProblem, ThicknessField | None]:
         """The problem with other angles, exponents and numbers of the thickness."""
         op, thickness, M = self.problem.op, self.thickness, 2 * len(self.moving)
         if M:
@@ -501,7 +506,7 @@ AFFINE = 1e-6
 
 def fit_displacement(
     frames: Samples,
-    dictionary: Dictionary,
+    dictionary: Hyperelastic,
     *,
     stiffness: float | tuple[float, float] = 0.05,
     moving: bool = False,
@@ -530,7 +535,7 @@ def fit_displacement(
     Warns where deviations come out so stiff that they, and not a material, explain the frames.
     Raises InputError for frames with loads, affine frames, a frame at rest, fewer than ten measured
     components inside, of all frames, for each energy, energies that guarantee nothing, and numbers
-    that make no sense; NoEquilibrium where no frame has one at the start.
+    that make no sense; NoEquilibriumError where no frame has one at the start.
     """
     check_unloaded(frames)
     if not dictionary.guaranteed:
@@ -538,7 +543,7 @@ def fit_displacement(
             "dictionary: expected energies that are convex and stress-free at rest only"
         )
     check_identifiable(frames)
-    uneven = Thickness.over(frames.x, thickness) if thickness else None
+    uneven = ThicknessField.over(frames.x, thickness) if thickness else None
     measured = 2 * int(np.count_nonzero(seen_of(frames)[:, frames.interior]))
     check_enough(measured, "measured components inside", len(dictionary))
     bounds = bounds_of(stiffness)
@@ -562,9 +567,10 @@ def fit_displacement(
     return fit
 
 
+@typed
 def fit_thickness(
     frames: Samples,
-    solid: HyperelasticSolid,
+    solid: HyperelasticMaterial,
     degree: int = 2,
     *,
     most_steps: int = 10,
@@ -580,10 +586,10 @@ def fit_thickness(
         most_steps, tolerance, progress: as in fit_displacement.
 
     Raises InputError for frames with loads, none, or a frame at rest, and for another degree;
-    NoEquilibrium where no frame has one in an even sheet.
+    NoEquilibriumError where no frame has one in an even sheet.
     """
     check_unloaded(frames)
-    uneven = Thickness.over(frames.x, degree)
+    uneven = ThicknessField.over(frames.x, degree)
     search = Search(frames, solid.dictionary, (0.0, np.inf), False, uneven, held=True)
     return search.descended(search.scaled(solid.coefficients), most_steps, tolerance, progress)
 
@@ -625,7 +631,7 @@ def check_identifiable(frames: Samples) -> None:
             "frames: expected displacement that is not affine; a homogeneous body of any material "
             "follows affine edges, so that such frames say nothing about it"
         )
-    op = HyperelasticOperator(Dictionary(terms=(Term("plane_stress"),)), frames)
+    op = HyperelasticOperator(Hyperelastic(terms=(EnergyTerm("plane_stress"),)), frames)
     strains = np.abs(op.strain(frames.u)[:, op.interior]).max(axis=-1)
     typical = float(np.median(strains, axis=1).max())
     if typical < SMALL:

@@ -16,20 +16,21 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.special import ndtri, stdtrit
 
+from warp_peri.arguments import typed
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import finite, locked, parsed, plain, write_json
 from warp_peri.files.checkpoint import fingerprint
-from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
-from warp_peri.materials.hyperelastic.fibres import families, fibres_of, rose
+from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic, HyperelasticMaterial
+from warp_peri.materials.hyperelastic.fibres import fibre_families, fibre_fan, fibres_of
 from warp_peri.materials.hyperelastic.from_displacement import (
     INTERPOLATES,
     DisplacementFit,
-    Thickness,
+    ThicknessField,
     check_enough,
     fit_displacement,
     stiffest_deviation,
 )
-from warp_peri.materials.hyperelastic.placed import hyperelastic_errors
+from warp_peri.materials.hyperelastic.placed import evaluate_hyperelastic
 from warp_peri.points.samples import Samples, seen_of
 
 
@@ -57,9 +58,9 @@ def _content(fit: DisplacementFit) -> dict[str, Any]:
 
 def _read(content: dict[str, Any]) -> DisplacementFit:
     read = {
-        "material": HyperelasticSolid.of_content(content["material"]),
+        "material": HyperelasticMaterial.from_dict(content["material"]),
         "errors": np.array(content["errors"], float),
-        "thickness": content["thickness"] and Thickness(**content["thickness"]),
+        "thickness": content["thickness"] and ThicknessField(**content["thickness"]),
         "others": [_read(other) for other in content["others"]],
     }
     return DisplacementFit(**(content | read))
@@ -79,7 +80,7 @@ they may fit."""
 LEAST_FRAMES = 4
 SETTINGS = (REACH, NEAREST, DEVIATIONS, STEPS, TOLERANCE, UNEVEN)
 
-Candidates = dict[str, tuple[tuple[Term, ...], int]]
+Candidates = dict[str, tuple[tuple[EnergyTerm, ...], int]]
 """Terms and degree of the thickness by name."""
 
 
@@ -103,7 +104,7 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class SheetChoice:
+class ModelSelection:
     """What candidates came to.
 
     Attributes:
@@ -128,7 +129,7 @@ class SheetChoice:
         return self.best.fit
 
     @property
-    def material(self) -> HyperelasticSolid:
+    def material(self) -> HyperelasticMaterial:
         """The best one's; its scale is an initial stiffness of one where no frame has a pull."""
         return self.fit.material
 
@@ -148,17 +149,18 @@ class SheetChoice:
                 f"frames: deviations came out {times:.0f} times as stiff as the sheet at rest and "
                 "explain the frames in the place of a material, which has no curves then"
             )
-        middle = uniaxial(self.material, stretches, angle)
+        middle = uniaxial_stress(self.material, stretches, angle)
         if n < 2:
             return middle, np.full_like(middle, np.nan), np.full_like(middle, np.nan)
-        values = np.array([uniaxial(fit.material, stretches, angle) for fit in self.others])
+        values = np.array([uniaxial_stress(fit.material, stretches, angle) for fit in self.others])
         deviation = stdtrit(n - 1, (1 + level) / 2) * np.sqrt(n - 1) * values.std(axis=0)
         misfit = np.hypot(self.best.held_out, self.fit.scatter)
         half = np.hypot(deviation, ndtri((1 + level) / 2) * misfit * middle)
         return middle, middle - half, middle + half
 
 
-def choose_sheet(
+@typed
+def select_model(
     frames: Samples,
     *,
     fibres: int = 0,
@@ -166,7 +168,7 @@ def choose_sheet(
     folder: str | os.PathLike[str] | None = None,
     done: Callable[[Candidate], None] = lambda _: None,
     progress: bool = False,
-) -> SheetChoice:
+) -> ModelSelection:
     """Materials that a sheet may be made of, learned from every second frame, the last included.
 
     Args:
@@ -194,7 +196,7 @@ def choose_sheet(
         for name, (terms, degree) in _candidates(fibres, uneven).items():
             stem = f"{name.replace(', ', '_').replace(' ', '_')}_{key}"
             path = None if folder is None else Path(folder) / f"{stem}.fit.json"
-            dictionary = Dictionary(REACH, (), NEAREST, terms)
+            dictionary = Hyperelastic(REACH, (), NEAREST, terms)
             even = [c.fit for c in tried if c.fit and c.fit.material.dictionary == dictionary]
             given = train, dictionary, even[0] if even else None, degree, progress and name
             tried.append(_tried(name, test, path, *given))
@@ -205,15 +207,15 @@ def choose_sheet(
     best = tried[0].fit
     if best is None:
         raise InputError("frames: no material fits them; " + "; ".join(c.why for c in tried))
-    return SheetChoice(tried, best.others)
+    return ModelSelection(tried, best.others)
 
 
 def _candidates(fibres: int, uneven: bool) -> Candidates:
-    matrix = Term("plane_stress")
-    kinds = {"neo-Hookean": (matrix,), "Mooney-Rivlin": (matrix, Term("mooney"))}
-    kinds["Yeoh"] = (matrix, *(Term("yeoh", exponent=p) for p in (2.0, 3.0)))
+    matrix = EnergyTerm("plane_stress")
+    kinds = {"neo-Hookean": (matrix,), "Mooney-Rivlin": (matrix, EnergyTerm("mooney"))}
+    kinds["Yeoh"] = (matrix, *(EnergyTerm("yeoh", exponent=p) for p in (2.0, 3.0)))
     if fibres:
-        kinds["families of fibres"] = (matrix, *rose(max(fibres, DIRECTIONS), (2.0, 4.0)))
+        kinds["families of fibres"] = (matrix, *fibre_fan(max(fibres, DIRECTIONS), (2.0, 4.0)))
     found = {name: (terms, 0) for name, terms in kinds.items()}
     if uneven:
         found |= {f"{name}, heterogeneous": (terms, UNEVEN) for name, terms in kinds.items()}
@@ -225,13 +227,13 @@ def _tried(
     test: Samples,
     path: Path | None,
     train: Samples,
-    dictionary: Dictionary,
+    dictionary: Hyperelastic,
     start: DisplacementFit | None,
     degree: int,
     progress: bool | str,
 ) -> Candidate:
     """A candidate, whatever becomes of it."""
-    numbers = len(dictionary) + (len(Thickness.over(train.x, degree).names) if degree else 0)
+    numbers = len(dictionary) + (len(ThicknessField.over(train.x, degree).names) if degree else 0)
     try:
         check_enough(int(np.count_nonzero(train.interior)), "interior nodes", numbers)
         fit = kept_fit(path, partial(_fit, train, dictionary, start, degree, progress))
@@ -239,7 +241,7 @@ def _tried(
         numbers += len(found) - len(dictionary) + 2 * len(fibres_of(found))
         thickness = None if fit.thickness is None else fit.thickness.at(test.x)
         near = train.u if fit.fields is None else fit.fields
-        errors: Any = hyperelastic_errors(fit.material, test, thickness=thickness, near=near)
+        errors: Any = evaluate_hyperelastic(fit.material, test, thickness=thickness, near=near)
     except OSError:  # a full disk is no fault of the candidate
         raise
     except Exception as error:  # solvers below run into anything; the others go on
@@ -251,7 +253,7 @@ def _tried(
 
 def _fit(
     train: Samples,
-    dictionary: Dictionary,
+    dictionary: Hyperelastic,
     start: DisplacementFit | None,
     degree: int,
     progress: bool | str,
@@ -264,14 +266,17 @@ def _fit(
     wide = fitted(dictionary, start=start)
     directions = len({term.angle for term in dictionary.terms if term.is_fibre})
     for within in (1.6 * np.pi / directions, 0.0) if directions else ():
-        found, c = families(wide.material, within=within)
+        found, c = fibre_families(wide.material, within=within)
         fit = fitted(found, moving=True, start=c)
         if fit.history[-1] < WORSE * wide.history[-1]:
             return fit
     return wide
 
 
-def uniaxial(solid: HyperelasticSolid, stretches: ArrayLike, angle: float = 0.0) -> np.ndarray:
+@typed
+def uniaxial_stress(
+    solid: HyperelasticMaterial, stretches: ArrayLike, angle: float = 0.0
+) -> np.ndarray:
     """Nominal stress of an even sheet under uniaxial tension along a direction, [stretches].
 
     The other principal direction is free; shear across them is not let go.

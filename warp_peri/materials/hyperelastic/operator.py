@@ -19,13 +19,12 @@ from numpy.typing import ArrayLike
 
 from warp_peri.core.pointwise import FEW
 from warp_peri.errors import InputError
-from warp_peri.launch import one_thread
 from warp_peri.materials.hyperelastic.energies import (
     BONDS,
     KINDS,
     Density,
-    Dictionary,
-    Term,
+    EnergyTerm,
+    Hyperelastic,
     deviation,
     half_family,
     read,
@@ -34,6 +33,7 @@ from warp_peri.materials.hyperelastic.energies import (
 from warp_peri.points.arrays import checked, plain
 from warp_peri.points.lattice import neighbour_table, straight_steps
 from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.runtime import one_thread
 
 SHORT_REACH = 2**0.5
 """Horizon of the short strain in spacings, (H4)."""
@@ -185,7 +185,7 @@ class HyperelasticOperator:
     """
 
     def __init__(
-        self, dictionary: Dictionary, points: PointsLike, *, thickness: np.ndarray | None = None
+        self, dictionary: Hyperelastic, points: PointsLike, *, thickness: np.ndarray | None = None
     ) -> None:
         self.dictionary, self.points = dictionary, nodes_of(points)
         self.bonds = lattice_bonds(self.points, dictionary.reach)
@@ -213,7 +213,7 @@ class HyperelasticOperator:
         other.energies = other._energies()
         return other
 
-    def with_terms(self, terms: Sequence[Term]) -> HyperelasticOperator:
+    def with_terms(self, terms: Sequence[EnergyTerm]) -> HyperelasticOperator:
         """The same lattice with other strain energies."""
         other = copy(self)
         other.dictionary = self.dictionary.with_terms(terms)
@@ -409,7 +409,7 @@ class HyperelasticOperator:
 
         return self._swept(sweep, u)
 
-    def product(self, u: np.ndarray, c: np.ndarray, v: np.ndarray) -> np.ndarray:
+    def jvp(self, u: np.ndarray, c: np.ndarray, v: np.ndarray) -> np.ndarray:
         """K v, the derivative of the force along v, (H10), on all nodes, shape [..., N, 2]."""
         active = self._active(c)
 

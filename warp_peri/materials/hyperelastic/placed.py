@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.contract import OnPoints
+from warp_peri.arguments import typed
 from warp_peri.errors import warn
-from warp_peri.materials.hyperelastic.energies import HyperelasticSolid
+from warp_peri.materials.hyperelastic.energies import HyperelasticMaterial
 from warp_peri.materials.hyperelastic.equilibrium import (
-    NoEquilibrium,
+    NoEquilibriumError,
     StaticProblem,
     TangentPattern,
 )
@@ -21,6 +21,7 @@ from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
 from warp_peri.points.arrays import checked_fields
 from warp_peri.points.samples import PointsLike, Samples, nodes_of, seen_of
 from warp_peri.points.unit_names import check_same
+from warp_peri.protocols import OperatorBase
 from warp_peri.solvers.solution import Newton, Solution, Solver, refuse_solver
 
 BEYOND = 1.1
@@ -34,7 +35,7 @@ def largest_stretch(op: HyperelasticOperator, u: np.ndarray) -> float:
     return float(np.sqrt(1 + 2 * (mean + half).max()))
 
 
-def warn_beyond(solid: HyperelasticSolid, op: HyperelasticOperator, u: np.ndarray) -> None:
+def warn_beyond(solid: HyperelasticMaterial, op: HyperelasticOperator, u: np.ndarray) -> None:
     """Warn when fields are stretched beyond the data that a solid was learned from."""
     if solid.stretch is None or not len(u):
         return
@@ -46,8 +47,9 @@ def warn_beyond(solid: HyperelasticSolid, op: HyperelasticOperator, u: np.ndarra
         )
 
 
-def hyperelastic_errors(
-    solid: HyperelasticSolid,
+@typed
+def evaluate_hyperelastic(
+    solid: HyperelasticMaterial,
     samples: Samples,
     *,
     thickness: np.ndarray | None = None,
@@ -112,7 +114,7 @@ def _size(fields: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.norm(fields, axis=(1, 2)))
 
 
-class PlacedSheet(OnPoints):
+class HyperelasticSheetOperator(OperatorBase):
     """A solid on a lattice.
 
     Args:
@@ -127,7 +129,11 @@ class PlacedSheet(OnPoints):
     """
 
     def __init__(
-        self, model: HyperelasticSolid, points: PointsLike, *, thickness: np.ndarray | None = None
+        self,
+        model: HyperelasticMaterial,
+        points: PointsLike,
+        *,
+        thickness: np.ndarray | None = None,
     ) -> None:
         self.model, self.points, self.thickness = model, nodes_of(points), thickness
         check_same(model.units, self.points.units)
@@ -137,30 +143,30 @@ class PlacedSheet(OnPoints):
         """Minus the internal force density on interior nodes, shape [..., I, 2]."""
         return self.energies.force(u, self.model.coefficients)
 
-    def product(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    def jvp(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """The derivative at u along v, shape [..., I, 2]."""
-        everywhere = self.energies.product(u, self.model.coefficients, v)
+        everywhere = self.energies.jvp(u, self.model.coefficients, v)
         return np.asarray(everywhere[..., self.points.interior, :])
 
-    def product_transpose(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
+    def vjp(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """The transposed product, on all nodes [..., N, 2]: that of energies is symmetric."""
-        return self.energies.product(u, self.model.coefficients, self.on_all(w))
+        return self.energies.jvp(u, self.model.coefficients, self.on_all(w))
 
     @property
     def learnable(self) -> dict[str, np.ndarray]:
         """The coefficients of the energies [stress]."""
         return {"coefficients": self.model.coefficients}
 
-    def at(self, numbers: Mapping[str, Any]) -> PlacedSheet:
+    def at(self, numbers: Mapping[str, Any]) -> HyperelasticSheetOperator:
         """The same with other coefficients."""
         model = replace(self.model, coefficients=numbers["coefficients"], provenance={})
-        return PlacedSheet(model, self.points, thickness=self.thickness)
+        return HyperelasticSheetOperator(model, self.points, thickness=self.thickness)
 
     def by_numbers(self, name: str, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Derivatives of Σ w · force(u) to the coefficients, of fields [K, N, 2]."""
         return self.energies.pairing(u, w)
 
-    def stiffness_at(self, u: np.ndarray) -> Any:
+    def interior_tangent(self, u: np.ndarray) -> Any:
         """The derivative of the force at a field, between interior nodes, sparse [2 I, 2 I]."""
         op = self.energies.near_interior()
         return TangentPattern(op).matrix(op, u, self.model.coefficients)
@@ -174,10 +180,10 @@ class PlacedSheet(OnPoints):
         return self.energies.stress(u, self.model.coefficients)[..., self.points.interior, :, :]
 
     def errors(self, samples: Samples) -> dict[str, Any]:
-        """For `evaluate`: as hyperelastic_errors, samples that are not solved told apart."""
-        return hyperelastic_errors(self.model, samples, operator=self.energies)
+        """For `evaluate`: as evaluate_hyperelastic, samples that are not solved told apart."""
+        return evaluate_hyperelastic(self.model, samples, operator=self.energies)
 
-    def rest(self, b: ArrayLike | None, u: ArrayLike, solver: Solver = None) -> Solution:
+    def solve(self, b: ArrayLike | None, u: ArrayLike, solver: Solver = None) -> Solution:
         """The stable equilibrium under a load, displacement given on the collar.
 
         Args:
@@ -187,8 +193,8 @@ class PlacedSheet(OnPoints):
 
         The details of the solution are an Equilibrium for each sample, with the smallest
         eigenvalue of its tangent. Warns of stretches beyond the data that the solid was learned
-        from. Raises NoEquilibrium where none was found, naming the sample; InputError for arrays
-        that do not fit.
+        from. Raises NoEquilibriumError where none was found, naming the sample; InputError for
+        arrays that do not fit.
         """
         refuse_solver(solver, (Newton,), "a hyperelastic solid")
         load, given = checked_fields(self.points, b, u)
@@ -198,15 +204,15 @@ class PlacedSheet(OnPoints):
         for number, (force, field) in enumerate(zip(load.reshape(fields.shape), fields)):
             try:
                 found.append(problem.solve(self.model.coefficients, force, field))
-            except NoEquilibrium as error:
-                raise NoEquilibrium(f"sample {number}: {error}") from None
+            except NoEquilibriumError as error:
+                raise NoEquilibriumError(f"sample {number}: {error}") from None
         answer = np.reshape([one.u for one in found], fields.shape)
         warn_beyond(self.model, self.energies, answer)
         return Solution(
             answer.reshape(given.shape),
             self.points,
             self,
-            self.load(load),
+            self.rhs(load),
             "newton",
             tuple(one.iterations for one in found),
             details=tuple(found),

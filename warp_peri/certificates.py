@@ -1,31 +1,33 @@
-"""What can be proven of a material or of a domain: `warp_peri.proofs`."""
+"""What can be proven of a material or of a domain: `warp_peri.certificates`."""
 
 from typing import Any
 
 import numpy as np
 
-from warp_peri.contract import offered
+from warp_peri.arguments import typed
 from warp_peri.core.groups import lattice_group
-from warp_peri.core.proof import Proof, largest
-from warp_peri.materials.certificate import Certificate, Solvability, certify, solvability
+from warp_peri.core.proof import StencilCertificate, largest
+from warp_peri.materials.certificate import Certificate, Solvability, certify, check_solvability
 from warp_peri.materials.lps import lps_stencil
 from warp_peri.materials.lps_transfer import model_at
-from warp_peri.materials.third_order import Uniqueness, uniqueness
+from warp_peri.materials.third_order import Uniqueness, prove_uniqueness
 from warp_peri.points.arrays import check_positive
+from warp_peri.protocols import offered
 from warp_peri.solvers.verlet import inertia, stiffest_of
 
 __all__ = [
     "Certificate",
-    "Proof",
+    "StencilCertificate",
     "Solvability",
     "Uniqueness",
     "certify",
     "critical_time_step",
-    "solvability",
-    "uniqueness",
+    "check_solvability",
+    "prove_uniqueness",
 ]
 
 
+@typed
 def critical_time_step(
     model: Any, *, spacing: float, density: float, allow_uncertified: bool = False
 ) -> float:
@@ -46,11 +48,11 @@ def critical_time_step(
     density not > 0.
     """
     check_positive("density", density)
-    if hasattr(model, "stiffest_wave"):
+    if hasattr(model, "max_symbol_eigenvalue"):
         stiffest = stiffest_of(model, spacing, allow_uncertified)
     else:
         offered(model, "is_certified_on", "critical_time_step", "a linear solid or a crystal")
         model = model_at(model, spacing, allow_uncertified=allow_uncertified)
-        near = lps_stencil(model, model.nominal_spacing(spacing))
+        near = lps_stencil(model, model.certified_spacing_near(spacing))
         stiffest = largest(near, lattice_group(model.dimension))
     return float(2 * np.sqrt(inertia(density, model.units) / stiffest))

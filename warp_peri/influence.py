@@ -1,4 +1,4 @@
-"""Shapes of influence functions: what users call warp_peri.shapes."""
+"""Shapes of influence functions: what users call warp_peri.influence."""
 
 from warp_peri.materials.influence import (
     InfluenceFunction,

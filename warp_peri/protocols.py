@@ -1,7 +1,7 @@
 """What a material, an operator, a problem and a law are: what one must offer to be taken as such.
 
 Nothing need derive from these. A new law is whatever offers the same, and passes the conformance
-test (tests/conformance). `OnPoints` gives an operator its torch tensors and copies.
+test (tests/conformance). `OperatorBase` gives an operator its torch tensors and copies.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SINGULAR = "expected an equilibrium where the tangent has an inverse, got a sing
 class Operator(Protocol):
     """A material on points: what is resolved and built once, and then used.
 
-    In equilibrium ``op(u)`` equals ``op.load(b)``: b itself on the interior nodes, or on scattered
+    In equilibrium ``op(u)`` equals ``op.rhs(b)``: b itself on the interior nodes, or on scattered
     points a node's share of the load around it.
     """
 
@@ -42,13 +42,13 @@ class Operator(Protocol):
     def __call__(self, u: Any) -> Any:
         """Minus the internal force density [stress/length] on the interior nodes, [..., I, d]."""
 
-    def load(self, b: np.ndarray) -> np.ndarray:
+    def rhs(self, b: np.ndarray) -> np.ndarray:
         """What the operator equals in equilibrium with b, shape [..., N, d] to [..., I, d]."""
 
-    def product(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    def jvp(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """The derivative of the operator at u along v, shape [..., I, d]."""
 
-    def product_transpose(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
+    def vjp(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """That derivative transposed: of w on the interior [..., I, d], on all [..., N, d]."""
 
     def energy(self, u: np.ndarray) -> np.ndarray | None:
@@ -57,7 +57,7 @@ class Operator(Protocol):
     def stress(self, u: np.ndarray) -> np.ndarray | None:
         """At the interior nodes, shape [..., I, d, d]; None where a law has none."""
 
-    def rest(self, b: Any, u: Any, solver: Any) -> Any:
+    def solve(self, b: Any, u: Any, solver: Any) -> Any:
         """The Solution in equilibrium with b on the interior, u given on the collar."""
 
 
@@ -113,14 +113,14 @@ def uncompiled(call: Callable[..., Any]) -> Callable[..., Any]:
     return plainly
 
 
-class OnPoints(Remade):
+class OperatorBase(Remade):
     """What operators share: NumPy in, NumPy out; torch in, differentiable torch out.
 
     ``op(u)`` takes fields on all nodes, [N, d] or [S, N, d], of torch [..., N, d], and gives the
     force on the interior nodes, [..., I, d]. Tensors of another precision than float64, or on
     another device, are computed in float64 on the processor, and so is their gradient.
 
-    The first derivative of torch is `product_transpose`, a tangent of forward mode is `product`.
+    The first derivative of torch is `vjp`, a tangent of forward mode is `product`.
     The second is right for a linear force; of others it is refused by an InputError.
     """
 
@@ -146,13 +146,13 @@ class OnPoints(Remade):
     @uncompiled
     def __call__(self, u: Any) -> Any:
         """Minus the internal force density on the interior; InputError for another shape."""
-        return self.force_in_torch(u) if is_tensor(u) else self.force(u)
+        return self.force_torch(u) if is_tensor(u) else self.force(u)
 
-    def product(self, u: Any, v: Any) -> np.ndarray:
+    def jvp(self, u: Any, v: Any) -> np.ndarray:
         """The derivative of the force at u along v, [..., I, d]; of a linear one the force of v."""
         return self.force(v)
 
-    def load(self, b: Any) -> np.ndarray:
+    def rhs(self, b: Any) -> np.ndarray:
         """b on the interior nodes, [..., I, d], which the force equals in equilibrium."""
         load = checked("b", b, float, (..., *self.shape), ~self.held)
         return np.asarray(load[..., self.points.interior, :])
@@ -163,16 +163,16 @@ class OnPoints(Remade):
     def stress(self, u: Any) -> Any:
         """At the interior nodes, shape [..., I, d, d]; None where there is none, as here."""
 
-    def force_in_torch(self, u: Any) -> Any:
+    def force_torch(self, u: Any) -> Any:
         """The force of a tensor, differentiable."""
         return _torch().force_of(self, u)
 
-    def force_with(self, u: Any, numbers: Any) -> Any:
+    def force_with_parameters(self, u: Any, numbers: Any) -> Any:
         """The force of tensors [S, N, d] with other numbers of its `learnable`, once differentiable
         in all; of what offers `at(numbers)` and `by_numbers(name, u, w)`."""
-        return _torch().force_with(self, u, numbers)
+        return _torch().force_with_parameters(self, u, numbers)
 
-    def rest_in_torch(self, b: Any, u: Any, solver: Any = None, parameters: Any = None) -> Any:
+    def solve_torch(self, b: Any, u: Any, solver: Any = None, parameters: Any = None) -> Any:
         """`rest` of tensors, differentiable in both and in numbers: core.torch_bridge.at_rest."""
         return _torch().at_rest(self, b, u, solver, parameters)
 
@@ -243,7 +243,7 @@ class Problem(Protocol):
         """The Solution for a material, or for its operator on the problem's points."""
 
 
-class Law(Protocol):
+class FittableModel(Protocol):
     """What may be learned: a family of materials, and how its numbers are found."""
 
     @property
@@ -294,7 +294,7 @@ def placed(
     *,
     verb: str = "solve",
     by: str = "on",
-    has: str = "rest",
+    has: str = "solve",
     kinds: str = MATERIAL,
     **options: Any,
 ) -> Any:
@@ -311,7 +311,7 @@ def placed(
     """
     if hasattr(material, has) and not hasattr(material, by):
         mine = material.points
-        if mine is not points and (what := mine.differs_from(points)):
+        if mine is not points and (what := mine.first_difference(points)):
             raise InputError(
                 "operator: expected one on the points of the problem, got another's, which differ "
                 f"in {what}"

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warp_peri.arguments import typed
 from warp_peri.errors import InputError
 
 DEVICE = "cpu"
@@ -107,7 +108,8 @@ class _Asked:
         return self._failure
 
 
-def set_threads(count: int) -> None:
+@typed
+def set_num_threads(count: int) -> None:
     """Run the sweeps of a point set on `count` Python threads (default: all processors).
 
     Results are bitwise the same for any number. Raises InputError for a count below 1.
@@ -118,7 +120,7 @@ def set_threads(count: int) -> None:
     _count = int(count)
 
 
-def threads() -> int:
+def get_num_threads() -> int:
     """Number of threads the sweeps run on."""
     return _count
 
