@@ -4,13 +4,13 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.arguments import typed
 from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import StencilCertificate, largest
 from warp_peri.materials.certificate import Certificate, Solvability, certify, check_solvability
 from warp_peri.materials.lps import lps_stencil
 from warp_peri.materials.lps_transfer import model_at
 from warp_peri.materials.third_order import Uniqueness, prove_uniqueness
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import check_positive
 from warp_peri.protocols import offered
 from warp_peri.solvers.verlet import inertia, stiffest_of

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_peri.arguments import typed
 from warp_peri.errors import InputError
 from warp_peri.files.series import in_space, meshio_of, write_vtu
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_matrices import node_fields
+from warp_peri.points.arguments import typed
 from warp_peri.points.samples import PointsLike, Samples, nodes_of
 
 if TYPE_CHECKING:

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.arguments import typed
 from warp_peri.fe_coupling.body import solve_body
 from warp_peri.fe_coupling.boundary_elements import Field, Traction
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import checked
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_peri.arguments import typed
 from warp_peri.errors import InputError
+from warp_peri.points.arguments import typed
 
 DEVICE = "cpu"
 """Where arrays are made unless a device is named."""
@@ -116,7 +116,7 @@ def set_num_threads(count: int) -> None:
     """
     global _count
     if not isinstance(count, (int, np.integer)) or isinstance(count, bool) or count < 1:
-        raise InputError(f"threads: expected a whole number ≥ 1, got {count!r}")
+        raise InputError(f"count: expected a whole number ≥ 1, got {count!r}")
     _count = int(count)
 
 

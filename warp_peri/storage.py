@@ -6,10 +6,10 @@ import os
 from pathlib import Path
 from typing import Any
 
-from warp_peri.arguments import typed
 from warp_peri.core.record import load as load_record
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
+from warp_peri.points.arguments import typed
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.mesh import load_mesh
 from warp_peri.points.unit_names import Units

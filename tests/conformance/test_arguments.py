@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import warp_peri as wp
-from warp_peri.arguments import check_arguments, kinds_of
+from warp_peri.points.arguments import check_arguments, kinds_of
 
 MODULES = [getattr(wp, name) for name in dir(wp) if inspect.ismodule(getattr(wp, name))]
 PUBLIC = {
@@ -26,7 +26,7 @@ WRONG = {
     bool: ("no", 1, 0.0),
     str: (5, ["a"]),
     os.PathLike: (5, 1.5),
-    Mapping: ([], "a", {1: 2.0}),
+    Mapping: ([], "a"),
     dict: ([], "a"),
 }
 

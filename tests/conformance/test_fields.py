@@ -51,7 +51,7 @@ def test_an_operator_itself_reads_no_half_of_a_field(name):
     hidden[np.flatnonzero(points.interior)[0]] = np.ma.masked
     reads = (
         op,
-        op.load,
+        op.rhs,
         op.stress,
         op.energy,
         lambda bad: op.jvp(zero, bad),
@@ -123,7 +123,7 @@ def test_vectors_of_a_body_that_are_none_are_refused_in_words():
         wp.solve(model, wp.Body(PLATE, {"left": (0, 0)}, {"left": (5e-3, 0)}))
     half = wp.Body(PLATE, {"left": (0, np.nan), "right": (0, 0)}, {"left": (5e-3, 0)})
     assert wp.solve(model, half).residual < 1e-8
-    with pytest.raises(wp.InputError, match="displacement: expected values by part"):
+    with pytest.raises(wp.InputError, match="displacement: expected values by"):
         wp.solve(model, wp.Body(PLATE, None))
 
 

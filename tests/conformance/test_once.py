@@ -76,7 +76,7 @@ def test_what_is_no_number_is_refused_by_a_solid(name):
 
 @pytest.mark.parametrize("value", ["3", None, 1j, np.nan, 0.0, -1.0, np.inf, [3.0]])
 def test_a_horizon_is_a_length(value):
-    with pytest.raises(wp.InputError, match="horizon: expected a number > 0"):
+    with pytest.raises(wp.InputError, match="horizon: expected a"):
         wp.LPS(value)
 
 

@@ -65,7 +65,7 @@ def test_ensembles_follow_the_exact_law_and_any_threads_give_the_same_bits():
     assert np.array_equal(again.C, record.C[:3])
 
 
-@pytest.mark.parametrize("kernel", ["jvp", "additive"])
+@pytest.mark.parametrize("kernel", ["product", "additive"])
 def test_a_process_finds_its_function_and_its_likelihood_has_the_right_slope(kernel):
     random = np.random.default_rng(0)
     X = random.normal(size=(60, 2))

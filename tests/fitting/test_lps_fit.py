@@ -189,8 +189,8 @@ def test_fields_of_local_elasticity_are_fitted_by_displacement(axis):
         ({"horizon": 0.5}, r"horizon: expected at least one spacing \(1.0\), got 0.5"),
         ({"horizon": 1.5}, "no weights are exact for a family of 8 bonds"),
         ({"horizon": 3.0}, "twice the horizon: .* Å fits"),
-        ({"method": "best"}, r"method: expected Optimum\(…\), TwoStage\(…\) or .* got 'best'"),
-        ({"conditions": "paper"}, r"conditions: expected Conditions\(…\), got 'paper'"),
+        ({"method": "best"}, "method: expected .*GaussNewton.*, got str"),
+        ({"conditions": "paper"}, "conditions: expected StabilityConditions, got str"),
         ({"kernel": 10}, "expected an InfluenceFunction or a list of them"),
         ({"kernel": []}, "expected Bernstein"),
         ({"loss": "huber"}, "one of auto"),
@@ -207,8 +207,8 @@ def test_bad_choices_are_refused(change, words):
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: Bernstein(1.5), "degree: expected a whole number ≥ 0, got 1.5"),
-        (lambda: LPS(np.nan), "horizon: expected a number > 0"),
+        (lambda: Bernstein(1.5), "degree: expected a whole number, got 1.5"),
+        (lambda: LPS(np.nan), "horizon: expected a finite number"),
         (
             lambda: StabilityConditions("none"),
             "conditions: expected one of direct, paper, got 'none'",

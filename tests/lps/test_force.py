@@ -272,7 +272,7 @@ def test_threads_change_no_bit(kind, monkeypatch):
     for other in results[1:]:
         assert all(np.array_equal(results[0][part], other[part]) for part in other)
     for count in (0, -1, 1.5, True, "2"):
-        with pytest.raises(InputError, match="threads: expected a whole number"):
+        with pytest.raises(InputError, match="count: expected a whole number"):
             set_num_threads(count)
 
 

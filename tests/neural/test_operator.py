@@ -267,7 +267,7 @@ def test_points_and_fields_that_are_refused():
         (lambda: placed.jvp(torch.tensor(u), torch.tensor(u).float()), "expected torch.float64"),
         (lambda: placed.jvp(u[None], u), "u: expected shape"),
         (lambda: small().on(replace(points, spacing=0.0)), "lattice"),
-        (lambda: wp.solve(small(), wp.Body(None, {})), "a linear material for a Body"),
+        (lambda: wp.solve(small(), wp.Body(None, {})), "mesh: expected Mesh, got NoneType"),
         (lambda: small().on(cube), "expected a plane, got 3 dimensions"),
         (lambda: small().on(Points(points.x, everywhere, 1.0)), "complete families"),
         (lambda: EquilibriumSolver(placed).solve(np.zeros(3), u), "b: expected shape"),
@@ -481,7 +481,7 @@ def test_what_nothing_is_learned_from():
             student(),
             loads(0),
             unseen,
-            TrainingSettings(epochs=2, rate=1e200, cells=0),
+            TrainingSettings(epochs=2, rate=1e99, cells=0),
             progress=False,
         )
     with pytest.raises(InputError, match="training: expected"):

@@ -7,7 +7,7 @@ import pytest
 
 import warp_peri as wp
 from tests.support.problems import kernel, lattice, manufactured, smooth
-from warp_peri.prediction import CalibrationFactors, EnsembleMaterial, Ensemble, design_loads
+from warp_peri.prediction import CalibrationFactors, Ensemble, EnsembleMaterial, design_loads
 
 HORIZON, APART = 3.0, 0.02
 pytestmark = pytest.mark.filterwarnings("ignore:transferred:UserWarning")

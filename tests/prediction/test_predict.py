@@ -18,9 +18,9 @@ from warp_peri.points.lattice import largest_strain
 from warp_peri.points.unit_names import factors
 from warp_peri.prediction import (
     CalibrationFactors,
+    Ensemble,
     EnsembleMaterial,
     EnsembleOperator,
-    Ensemble,
     force,
     mean,
     strain,
@@ -184,7 +184,7 @@ def test_the_guarantee_holds_planted_errors(family, size):
     assert proof.energy <= proof.without_solve
     assert far(u + wrong, u, points) <= proof.displacement
     assert "energy norm" in proof.statement
-    assert repr(proof).startswith("Guarantee\n  proven")
+    assert repr(proof).startswith("ErrorBound\n  proven")
     assert "np.float64" not in repr(proof)
 
 

@@ -16,7 +16,7 @@ def test_a_file_is_read_as_what_it_is(tmp_path):
     model, path = solid("energy"), tmp_path / "m.json"
     model.save(path)
     assert load(path).numbers.tolist() == model.numbers.tolist()
-    with pytest.raises(InputError, match="expected a Model, got a ThirdOrderMaterial"):
+    with pytest.raises(InputError, match="expected a LPSMaterial, got a ThirdOrderMaterial"):
         LPSMaterial.load(path)
     model.linear.save(path)
     with pytest.raises(InputError, match="expected a ThirdOrderMaterial, got a Crystal"):
@@ -28,7 +28,7 @@ def test_a_file_is_read_as_what_it_is(tmp_path):
     [
         ("smoothing", {"radius": 10.0}, "smoothing: missing keys: ridge"),
         ("smoothing", {"radius": -1.0, "ridge": 0.1}, "radius: expected a number > 0"),
-        ("linear", {}, "linear: format: expected 'warp_peri.crystals'"),
+        ("linear", {}, "linear: format: expected 'warp_peri.micromodulus'"),
         ("proven", [], "proven: expected an object"),
     ],
 )

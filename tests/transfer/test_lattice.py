@@ -84,7 +84,7 @@ def test_fewest_bonds_for_a_tolerance():
 
 REFUSED = {
     "no certificate": ({"spacing": 0.5}, {"certified_on": ()}, "certified on none"),
-    "spacing": ({"spacing": "2"}, {}, "expected a number > 0, got"),
+    "spacing": ({"spacing": "2"}, {}, "expected a finite number, got"),
     "tolerance": ({"spacing": 2.0, "tolerance": 1e-5}, {}, "the best is"),
     "no tolerance": ({"spacing": 2.0, "tolerance": 0.0}, {}, "tolerance: expected a number > 0"),
     "horizon": ({"spacing": 2.0, "horizon": 3.0}, {}, "quadrature: no weights"),

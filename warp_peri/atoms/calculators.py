@@ -21,8 +21,8 @@ from typing import Any
 
 from ase.data import atomic_masses, atomic_numbers
 
-from warp_peri.arguments import typed
 from warp_peri.errors import InputError
+from warp_peri.points.arguments import typed
 from warp_peri.runtime import ranks_started
 
 COMMAND_SIGNS = set("\"'$&#")

@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
-from warp_peri.arguments import typed
 from warp_peri.atoms.dic import ON_LATTICE, spacing_of, surrounded
 from warp_peri.errors import InputError
 from warp_peri.files.foreign import check_hdf5
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import checked, is_number
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points

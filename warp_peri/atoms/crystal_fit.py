@@ -11,7 +11,6 @@ import ase
 import numpy as np
 from matplotlib.figure import Figure
 
-from warp_peri.arguments import typed
 from warp_peri.atoms.calculator_noise import PULLED, SMALLER, by_strains, joined
 from warp_peri.atoms.calculator_noise import STRAIN as STRETCH
 from warp_peri.atoms.force_constants import STEP, WIDER, ForceConstants
@@ -31,6 +30,7 @@ from warp_peri.core.stencil import directions
 from warp_peri.errors import InputError, warn
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import fit_phonons
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import check_positive
 from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.reprs import Shown

@@ -14,9 +14,9 @@ import numpy as np
 from scipy.ndimage import binary_erosion
 from scipy.spatial import cKDTree
 
-from warp_peri.arguments import typed
 from warp_peri.errors import InputError, warn
 from warp_peri.files.foreign import content, encoding_of
+from warp_peri.points.arguments import typed
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PULL, SEEN, Samples
 from warp_peri.points.unit_names import LENGTHS, USUAL, check_units

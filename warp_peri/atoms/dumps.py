@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 from tqdm import tqdm
 
-from warp_peri.arguments import typed
 from warp_peri.atoms.coarse_graining import coarse_grain
 from warp_peri.errors import InputError, warn
 from warp_peri.files.foreign import encoding_of, unpacked
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import checked
 from warp_peri.points.samples import PointsLike, Samples, nodes_of
 

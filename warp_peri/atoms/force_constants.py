@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from warp_peri.arguments import typed
 from warp_peri.core.elastic import acoustic, stress_brackets
 from warp_peri.core.groups import group_of_structure, kinds_of, point_group
 from warp_peri.core.stencil import directions
 from warp_peri.errors import InputError, warn
+from warp_peri.points.arguments import typed
 from warp_peri.points.unit_names import STRESSES
 
 STEP, WIDER = 2e-3, 5

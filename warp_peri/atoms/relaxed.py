@@ -23,7 +23,6 @@ from ase.spacegroup.symmetrize import refine_symmetry
 from ase.stress import voigt_6_to_full_3x3_stress
 from scipy.linalg import sqrtm
 
-from warp_peri.arguments import typed
 from warp_peri.atoms.calculator_noise import EV_IN_TPA, ON_SITES, TIMES, Noise, measured, projected
 from warp_peri.atoms.calculators import LammpsError
 from warp_peri.atoms.force_constants import ForceConstants, NonAnalyticCorrection
@@ -37,6 +36,7 @@ from warp_peri.core.groups import (
 )
 from warp_peri.errors import InputError, optional, warn
 from warp_peri.files.foreign import check_hdf5, check_yaml, content
+from warp_peri.points.arguments import typed
 
 VACUUM = 8.0
 """A gap between atoms [Å] that counts as vacuum."""

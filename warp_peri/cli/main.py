@@ -7,11 +7,20 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
+from importlib import import_module
 from typing import Any
 
-from warp_peri.cli import commands, crystals_sheets, train
 from warp_peri.cli.options import parse
 from warp_peri.errors import exit_status
+
+HOMES = {
+    "coarse-grain": "train",
+    "fit": "train",
+    "sweep": "train",
+    "fit-crystal": "crystals_sheets",
+    "fit-sheet": "crystals_sheets",
+}
+"""Files of commands that are not in `commands`; imported when asked for, which takes time."""
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -37,9 +46,9 @@ def _run(words: Sequence[str], known: dict[str, Any]) -> int:
         given = parse(words)
         given.progress = sys.stderr.isatty() and not given.json  # no bars in files and pipes
         known |= vars(given)
-        commands.check_output(given)
-        runs = vars(commands) | vars(train) | vars(crystals_sheets)
-        result, lines = runs[f"run_{given.command.replace('-', '_')}"](given)
+        import_module("warp_peri.cli.commands").check_output(given)
+        home = import_module(f"warp_peri.cli.{HOMES.get(given.command, 'commands')}")
+        result, lines = getattr(home, f"run_{given.command.replace('-', '_')}")(given)
     try:
         print(json.dumps(result) if given.json else "\n".join(map(_printable, lines)), flush=True)
     except OSError as error:

@@ -1,7 +1,7 @@
 """A material as a value: its fields say types and units, and file, units and looks are one.
 
     @dataclass(frozen=True, eq=False, repr=False)
-    class Crystal(Record, format="warp_peri.crystals"):
+    class Crystal(Record, format="warp_peri.micromodulus"):
         spacing: Length
         tensors: Annotated[np.ndarray, Entry(length=-2, stress=1)]
         certificate: Proof | None = None
@@ -56,7 +56,7 @@ HOMES = {
     "warp_peri.density": "materials.density",
     "warp_peri.brittle_solid": "fracture.dynamics",
     "warp_peri.soft_solid": "fracture.softening",
-    "warp_peri.crystals": "materials.crystal",
+    "warp_peri.micromodulus": "materials.crystal",
     "warp_peri.hyperelastic": "materials.hyperelastic.energies",
     "warp_peri.neural": "neural.material",
     "warp_peri.conductor": "diffusion.conductor",

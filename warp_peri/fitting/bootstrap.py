@@ -10,8 +10,8 @@ import numpy as np
 from scipy.special import stdtrit
 from tqdm import tqdm
 
-from warp_peri.arguments import typed
 from warp_peri.errors import InputError, quietly
+from warp_peri.points.arguments import typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
 from warp_peri.protocols import offered

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from scipy.linalg import null_space
 
-from warp_peri.arguments import typed
 from warp_peri.core.elastic import allowed_tensors, elastic_from_brackets
 from warp_peri.core.grid import grid_of
 from warp_peri.core.groups import point_group
@@ -23,6 +22,7 @@ from warp_peri.errors import InputError, quietly, warn
 from warp_peri.fitting.evaluate import ROUNDING
 from warp_peri.fitting.long_waves import gradients
 from warp_peri.fitting.rows import forces
+from warp_peri.points.arguments import typed
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples
 from warp_peri.protocols import LINEAR, offered, placed, stencil_of

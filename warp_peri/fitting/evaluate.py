@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.arguments import typed
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import check_flag
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
@@ -42,7 +42,7 @@ def residual_errors(operator: Any, points: Samples) -> np.ndarray:
 @typed
 def evaluate(
     material: Any,
-    points: Samples | Dataset,
+    samples: Samples | Dataset,
     *,
     transfer: bool = True,
     allow_uncertified: bool = False,
@@ -50,9 +50,9 @@ def evaluate(
     """Errors on every sample of a set and their means.
 
     Args:
-        material: any, or its operator on these points. A solid certified on some lattice is
+        material: any, or its operator on their points. A solid certified on some lattice is
             transferred to others, which is said once.
-        points: samples with displacement and load; of a Dataset its only set.
+        samples: samples with displacement and load; of a Dataset its only set.
         transfer: False refuses lattices that the model itself is not certified on.
         allow_uncertified: the model's own numbers, with a warning.
 
@@ -78,26 +78,26 @@ def evaluate(
     >>> wp.evaluate(model, samples)["E_u"] < 1e-9
     True
     """
-    if isinstance(points, Dataset):
-        points = points.obvious()
-    if not isinstance(points, Samples):
-        raise InputError(f"samples: expected Samples or a Dataset, got {type(points).__name__}")
+    if isinstance(samples, Dataset):
+        samples = samples.obvious()
+    if not isinstance(samples, Samples):
+        raise InputError(f"samples: expected Samples or a Dataset, got {type(samples).__name__}")
     check_flag("transfer", transfer)
     check_flag("allow_uncertified", allow_uncertified)
-    if len(points) == 0:
+    if len(samples) == 0:
         raise InputError("the set has no samples to evaluate")
     options: dict[str, Any] = {} if transfer else {"transfer": False}  # not of every law
     options |= {"allow_uncertified": True} if allow_uncertified else {}
-    operator = placed(material, points.points, verb="evaluate", **options)
+    operator = placed(material, samples.points, verb="evaluate", **options)
     offered(operator, "jvp", "evaluate", "a material whose fields are displacements")
     if hasattr(operator, "errors"):  # a law whose samples may fail one by one
-        table: dict[str, Any] = operator.errors(points)
+        table: dict[str, Any] = operator.errors(samples)
         return table
-    residual, load = residual_errors(operator, points)
-    solution = operator.solve(points.loads, points.u)
+    residual, load = residual_errors(operator, samples)
+    solution = operator.solve(samples.loads, samples.u)
     figures = operator.figures(solution) if hasattr(operator, "figures") else {}
     home = getattr(getattr(operator.model, "linear", None), "transferred_from", None)
-    return _table(points, residual, load, solution.u, home) | figures
+    return _table(samples, residual, load, solution.u, home) | figures
 
 
 def _table(

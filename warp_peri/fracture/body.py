@@ -13,8 +13,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.arguments import typed
 from warp_peri.errors import InputError, warn
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import checked
 from warp_peri.points.families import HORIZON_TOLERANCE, BondClasses, bond_classes
 from warp_peri.points.lattice import neighbour_table, straight_steps

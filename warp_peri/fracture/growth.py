@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
-from warp_peri.arguments import typed
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import LatticeBody, box_nodes, cracked, lattice_body, through
 from warp_peri.fracture.bonds import (
@@ -24,6 +23,7 @@ from warp_peri.fracture.bonds import (
 )
 from warp_peri.fracture.statics import CutSolid, by_component, check_no_fail, check_pieces
 from warp_peri.materials.lps import LPSMaterial
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import check_whole
 from warp_peri.points.families import BondClasses
 from warp_peri.solvers.conjugate_gradients import definite

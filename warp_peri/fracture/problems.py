@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.arguments import typed
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import LatticeBody, lattice_body, penny_corners
 from warp_peri.fracture.dynamics import BreakingBody
@@ -17,6 +16,7 @@ from warp_peri.fracture.growth import grow
 from warp_peri.fracture.release import crack_area, crack_opening_volume
 from warp_peri.fracture.run import CrackRun
 from warp_peri.fracture.statics import CutSolid, crack_load, in_torch
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import check_flag, checked, is_number
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.arguments import typed
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import LatticeBody, box_nodes, lattice_body, size_and_normal, through
 from warp_peri.fracture.statics import CutSolid
 from warp_peri.materials.lps import LPSMaterial
+from warp_peri.points.arguments import typed
 from warp_peri.protocols import offered
 from warp_peri.solvers.solution import CG, Direct, Solution
 

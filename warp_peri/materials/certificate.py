@@ -11,12 +11,12 @@ import scipy.sparse as sp
 from scipy.linalg import eigh, eigvalsh, null_space
 from scipy.sparse.linalg import LinearOperator, splu
 
-from warp_peri.arguments import typed
 from warp_peri.core.proof import prove
 from warp_peri.errors import InputError
 from warp_peri.materials.lps import LPSMaterial, statement_of
 from warp_peri.materials.lps_bonds import listed
 from warp_peri.materials.lps_matrices import matrices
+from warp_peri.points.arguments import typed
 from warp_peri.points.families import families_of
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, symbols

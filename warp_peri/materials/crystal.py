@@ -328,7 +328,7 @@ class StencilMaterial(Record):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CrystalMaterial(StencilMaterial, format="warp_peri.crystals"):
+class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
     """The law of one crystal on one square or cubic lattice of nodes.
 
     Steps and tensors are along the axes of the nodes; C(−ξ) = C(ξ).

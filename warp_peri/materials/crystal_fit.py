@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_peri.arguments import typed
 from warp_peri.core import elastic
 from warp_peri.core.elastic import (
     acoustic,
@@ -37,6 +36,7 @@ from warp_peri.fitting.rows import compressed, over_loads, rows
 from warp_peri.fitting.symmetry import judged
 from warp_peri.fitting.transfer import LARGEST_WAVE, WaveSymbol, carried_symbol, wave_rows
 from warp_peri.materials.crystal import BROKEN, CrystalMaterial
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import check_positive
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import check_lattice, lattice_steps

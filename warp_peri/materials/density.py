@@ -14,7 +14,6 @@ import torch
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from warp_peri.arguments import typed
 from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.proof import largest
 from warp_peri.core.record import FieldUnits, Length, Record
@@ -23,6 +22,7 @@ from warp_peri.errors import InputError
 from warp_peri.files.atomic import parsed
 from warp_peri.fitting.result import Fit
 from warp_peri.materials.crystal_fit import one_set
+from warp_peri.points.arguments import typed
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same

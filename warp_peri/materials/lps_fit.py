@@ -15,7 +15,6 @@ import numpy as np
 import torch
 from tqdm.auto import tqdm
 
-from warp_peri.arguments import typed
 from warp_peri.core.elastic import plane_isotropic, voigt_to_tensor
 from warp_peri.core.stencil import difference_tensors
 from warp_peri.errors import InputError, quietly, warn
@@ -55,6 +54,7 @@ from warp_peri.materials.lps_adam import (
 from warp_peri.materials.lps_law import HEADROOM, LPSFound, LPSLaw, optimum
 from warp_peri.materials.lps_output import fit_output_error, responses_of, squares
 from warp_peri.materials.lps_rows import Products, products
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import check_positive
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import check_lattice, largest_strain

@@ -13,7 +13,6 @@ import joblib
 import numpy as np
 from tqdm import tqdm
 
-from warp_peri.arguments import typed
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import locked
 from warp_peri.files.checkpoint import fingerprint
@@ -29,6 +28,7 @@ from warp_peri.fitting.settings import (
 )
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_fit import LPS
+from warp_peri.points.arguments import typed
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols

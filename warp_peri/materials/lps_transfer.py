@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.arguments import typed
 from warp_peri.core.groups import lattice_group
 from warp_peri.core.stencil import Basis
 from warp_peri.errors import InputError, warn
@@ -19,6 +18,7 @@ from warp_peri.materials.certificate import certify, with_proof
 from warp_peri.materials.lps import LPSMaterial, LPSParameters
 from warp_peri.materials.lps_law import LPSFound, optimum
 from warp_peri.materials.lps_rows import product_basis
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import check_flag, check_positive
 from warp_peri.points.families import AT_EDGES, bond_classes, carried_horizon
 from warp_peri.points.samples import PointsLike, nodes_of

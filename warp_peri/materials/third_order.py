@@ -19,7 +19,6 @@ import torch
 from numpy.typing import ArrayLike
 from scipy.special import j0
 
-from warp_peri.arguments import typed
 from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.proof import largest, prove
 from warp_peri.core.record import Length, OnLinear, Stress
@@ -27,6 +26,7 @@ from warp_peri.core.stencil import Stencil, squared
 from warp_peri.errors import InputError, quietly, warn
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import transfer_to_lattice
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import is_number, is_positive
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.lattice import lattice_steps

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from scipy.optimize import root
 
-from warp_peri.arguments import typed
 from warp_peri.core.elastic import turned
 from warp_peri.core.grid import grid_of
 from warp_peri.core.groups import checked_orientation
@@ -31,6 +30,7 @@ from warp_peri.materials.third_order import (
     energy_density,
     gradient_stencil,
 )
+from warp_peri.points.arguments import typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples, axis_of

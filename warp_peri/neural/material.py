@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from warp_peri.arguments import typed
 from warp_peri.core import record
 from warp_peri.core.record import Length, Positive
 from warp_peri.errors import InputError
 from warp_peri.neural.bonds import NetworkBonds
 from warp_peri.neural.placed import CHUNK, Placed
 from warp_peri.neural.training import NeuralFit, TrainingSettings, train
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import check_positive, is_positive
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, check_units, factors, symbols

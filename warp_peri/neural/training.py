@@ -15,7 +15,6 @@ import torch
 from scipy.sparse.linalg import SuperLU, splu
 from tqdm import tqdm
 
-from warp_peri.arguments import typed
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import whole_file
 from warp_peri.files.checkpoint import fingerprint
@@ -27,6 +26,7 @@ from warp_peri.neural.placed import (
     affine,
     interpolated_force,
 )
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import check_positive, check_whole
 from warp_peri.points.samples import Samples
 

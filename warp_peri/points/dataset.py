@@ -13,10 +13,10 @@ from typing import Any
 import h5py
 import numpy as np
 
-from warp_peri.arguments import typed
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import parsed, plain, whole_file
 from warp_peri.files.foreign import check_hdf5
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import LARGEST, check_mapping, check_positive, is_name, is_number
 from warp_peri.points.points import Points
 from warp_peri.points.samples import FIELDS, Samples

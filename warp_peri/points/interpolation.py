@@ -6,8 +6,8 @@ import numpy as np
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial import cKDTree
 
-from warp_peri.arguments import typed
 from warp_peri.errors import InputError
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import check_positive
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, Samples

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from warp_peri.arguments import typed
 from warp_peri.errors import InputError
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import is_positive
 from warp_peri.points.samples import PointsLike
 

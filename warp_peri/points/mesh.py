@@ -18,10 +18,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from warp_peri.arguments import typed
 from warp_peri.errors import InputError, optional, warn
 from warp_peri.files.foreign import check_hdf5, check_xml, content
 from warp_peri.points.abaqus import read_abaqus
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import checked
 
 REST = "rest"

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from warp_peri.arguments import typed
 from warp_peri.errors import InputError
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import check_positive, check_whole, checked, is_number, listed
 from warp_peri.points.unit_names import USUAL, Units, check_units, symbols
 from warp_peri.reprs import Shown

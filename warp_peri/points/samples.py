@@ -9,8 +9,8 @@ from weakref import WeakValueDictionary
 import numpy as np
 from scipy.spatial import cKDTree
 
-from warp_peri.arguments import typed
 from warp_peri.errors import InputError, warn
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import as_array, check_mapping, checked, is_name
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import symbols

@@ -10,7 +10,7 @@ from warp_peri.prediction.answer import (
     strain,
     stress,
 )
-from warp_peri.prediction.ensemble import CalibrationFactors, EnsembleMaterial, Ensemble
+from warp_peri.prediction.ensemble import CalibrationFactors, Ensemble, EnsembleMaterial
 from warp_peri.prediction.members import EnsembleOperator
 
 __all__ = [

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.arguments import typed
 from warp_peri.errors import InputError
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import checked_fields, is_positive
 from warp_peri.points.samples import Samples, nodes_of
 from warp_peri.prediction.answer import WORDS, Prediction, combined, said

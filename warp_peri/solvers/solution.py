@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from warp_peri.arguments import typed
 from warp_peri.errors import InputError, heard, warn
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import is_number
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import symbols

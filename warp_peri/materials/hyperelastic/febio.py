@@ -8,10 +8,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from warp_peri.arguments import typed
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_text
 from warp_peri.materials.hyperelastic.energies import FIBRES, EnergyTerm, HyperelasticMaterial
+from warp_peri.points.arguments import typed
 
 COMPRESSIBLE = {"neo_hookean", "volumetric"}
 INCOMPRESSIBLE = {"plane_stress", "mooney"}

@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from scipy.optimize import least_squares
 
-from warp_peri.arguments import typed
 from warp_peri.materials.hyperelastic.energies import (
     KINDS,
     EnergyTerm,
@@ -21,6 +20,7 @@ from warp_peri.materials.hyperelastic.energies import (
 from warp_peri.materials.hyperelastic.energy_fit import coefficients, equations, lower_bounds
 from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
 from warp_peri.materials.hyperelastic.placed import largest_stretch
+from warp_peri.points.arguments import typed
 from warp_peri.points.samples import Samples
 
 LEAST, LARGEST_EXPONENT = {"fibre_power": 2.0, "fibre_exponential": 0.0}, 60.0

@@ -14,7 +14,6 @@ import numpy as np
 from scipy.ndimage import binary_dilation, binary_erosion
 from tqdm import tqdm
 
-from warp_peri.arguments import typed
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.rows import compressed
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic, HyperelasticMaterial
@@ -23,6 +22,7 @@ from warp_peri.materials.hyperelastic.equilibrium import NoEquilibriumError, Sta
 from warp_peri.materials.hyperelastic.fibres import fibre_numbers, fibres_of, with_numbers
 from warp_peri.materials.hyperelastic.operator import SMALLEST_AREA, HyperelasticOperator
 from warp_peri.materials.hyperelastic.placed import largest_stretch
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import checked, is_number
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PULL, Samples, seen_of

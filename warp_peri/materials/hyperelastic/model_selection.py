@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.special import ndtri, stdtrit
 
-from warp_peri.arguments import typed
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import finite, locked, parsed, plain, write_json
 from warp_peri.files.checkpoint import fingerprint
@@ -31,6 +30,7 @@ from warp_peri.materials.hyperelastic.from_displacement import (
     stiffest_deviation,
 )
 from warp_peri.materials.hyperelastic.placed import evaluate_hyperelastic
+from warp_peri.points.arguments import typed
 from warp_peri.points.samples import Samples, seen_of
 
 

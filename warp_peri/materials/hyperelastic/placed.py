@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.arguments import typed
 from warp_peri.errors import warn
 from warp_peri.materials.hyperelastic.energies import HyperelasticMaterial
 from warp_peri.materials.hyperelastic.equilibrium import (
@@ -18,6 +17,7 @@ from warp_peri.materials.hyperelastic.equilibrium import (
     TangentPattern,
 )
 from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import checked_fields
 from warp_peri.points.samples import PointsLike, Samples, nodes_of, seen_of
 from warp_peri.points.unit_names import check_same

@@ -12,7 +12,7 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import GRADIENT, LARGEST, MOST, check_flag, check_mapping, is_number
+from warp_peri.points.arrays import GRADIENT, LARGEST, MOST, check_flag, is_number
 
 Call = TypeVar("Call", bound=Callable[..., Any])
 KINDS = (bool, int, float, str, os.PathLike, Mapping, dict, Sequence, tuple, list, NoneType)
@@ -44,7 +44,7 @@ def typed(call: Call) -> Call:
 def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> None:
     """Raise InputError for an argument that is not of the kind that it is annotated with.
 
-    Kinds are bool, int, float, str, paths, mappings by name, sequences, and classes of this
+    Kinds are bool, int, float, str, paths, mappings, sequences, and classes of this
     package, each alone or with others. A float is finite, or the default. What is annotated with
     anything else, as an array, is not looked at, nor is a default.
     """
@@ -65,13 +65,14 @@ def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> None:
                 kind = "whole" if first is int else "finite"
                 raise InputError(f"{name}: expected a {kind} number, got {value!r:.60}")
         elif first in (Mapping, dict):
-            check_mapping(name, value)
+            if not isinstance(value, Mapping):
+                raise InputError(f"{name}: expected values by name, got {value!r:.60}")
         elif first in (Sequence, tuple, list):
             if isinstance(value, str) or not isinstance(value, (Sequence, np.ndarray)):
                 raise InputError(f"{name}: expected a sequence, got {value!r:.60}")
-        elif not isinstance(value, first):
-            word = "a text" if first is str else first.__name__
-            word = "a path" if os.PathLike in more else word
+        elif not (isinstance(value, first) or hasattr(value, "comm")):  # a rank's piece of nodes
+            word = "a text" if first is str else " or ".join(kind.__name__ for kind in kinds)
+            word = "a path" if os.PathLike in more else word.replace("NoneType", "None")
             raise InputError(f"{name}: expected {word}, got {type(value).__name__}")
 
 
@@ -85,7 +86,7 @@ def kinds_of(call: Callable[..., Any]) -> dict[str, tuple[tuple[Any, ...], Any]]
         annotated = SimpleNamespace(__annotations__={name: parameter.annotation})
         try:
             hint = get_type_hints(annotated, names)[name]
-        except (NameError, AttributeError):  # of a type that is imported for type checkers alone
+        except (NameError, AttributeError, TypeError):  # of types that type checkers alone import
             continue
         union = get_origin(hint) in (Union, UnionType)
         kinds = tuple(get_origin(kind) or kind for kind in (get_args(hint) if union else (hint,)))
