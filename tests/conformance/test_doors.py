@@ -257,3 +257,25 @@ def test_a_data_set_is_checked_when_it_is_made():
     ):
         with pytest.raises(wp.InputError, match=words):
             wp.Dataset(sets, **{"thickness": 1.0, "density": 1.0} | kind)
+
+
+def test_arguments_of_bodies_and_tables():
+    hidden = np.ma.masked_array([1.0, 99.0, 0.2], mask=[0, 1, 0])
+    for call, words in (
+        (lambda: wp.Points.disk("a", 1.0, 2.0), "radius"),
+        (lambda: wp.Points.disk(2.0, 1.0, 2.0, dimension=5), "dimension"),
+        (lambda: wp.influence.table([1, 2, 3], hidden), "K"),
+        (lambda: wp.influence.table([1, 2, 3], [3, 2, 1], learned="no"), "learned"),
+        (lambda: wp.fracture.penny_corners(1.0, 1), "corners"),
+        (lambda: wp.fracture.point_force(np.eye(2), 1.0, (0, 0), hidden[:2]), "force"),
+        (lambda: wp.fracture.box_nodes((1.0, "a"), 1.0), "sides"),
+        (lambda: wp.fracture.lattice_body("a", 1.0, 2.0), "x"),
+        (lambda: wp.methods.GaussNewton(rounds=0), "rounds"),
+    ):
+        with pytest.raises(wp.InputError, match=f"^{words}: expected"):
+            call()
+    points = wp.Points.disk(2.0, 1.0, 2.0)
+    op = wp.LPSMaterial(1.0, 1.0, 1.0, [1.0], 2.0, certified_on=(1.0,)).on(points)
+    with pytest.raises(wp.InputError, match="^w: expected shape"):
+        op.vjp(np.zeros(points.x.shape), np.zeros(points.x.shape))
+    assert wp.Points.sheet((4, 4), 1.0, units="reduced").units[0] == "sigma"

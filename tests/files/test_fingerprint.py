@@ -218,3 +218,17 @@ def test_what_a_function_reads_inside_and_through_others_counts(monkeypatch):
         assert fingerprint(function) == before
         monkeypatch.setitem(where, name, other)
         assert fingerprint(function) != before
+
+
+def test_an_energy_counts_by_what_it_does_anywhere():
+    """Two energies that agree at small strain are not one motion's."""
+
+    def hardening(k):
+        def energy(E, mu):
+            size = (E * E).sum((-1, -2))
+            return mu * size + k * (size - 1e-4).clip(0) ** 2
+
+        return wp.DensityMaterial.of(energy, 2.5, {"mu": 1.0})
+
+    assert fingerprint(hardening(1.0)) == fingerprint(hardening(1.0))
+    assert fingerprint(hardening(1.0)) != fingerprint(hardening(2.0))

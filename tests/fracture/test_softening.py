@@ -227,3 +227,10 @@ def test_a_pull_has_the_gradient_of_differences(name, monkeypatch):
 
     slope = difference(along, [0.0], 1e-6)[0]
     assert float((gradient * way).sum()) == pytest.approx(slope, rel=1e-6)
+
+
+def test_a_pull_in_compression_goes_through_all_its_loads():
+    soft, unit = torn_plate(BondLaw(4.0, 0.05, 0.05))
+    run = soft.pull(-unit, loads=[0.1, 0.2, 0.3], line=[(-30, 0.0), (30, 0.0)])
+    assert len(run.time) == 3
+    assert (run["force"] < 0).all()

@@ -46,8 +46,11 @@ def _run(words: Sequence[str], known: dict[str, Any]) -> int:
         given = parse(words)
         given.progress = sys.stderr.isatty() and not given.json  # no bars in files and pipes
         known |= vars(given)
-        import_module("warp_peri.cli.commands").check_output(given)
-        home = import_module(f"warp_peri.cli.{HOMES.get(given.command, 'commands')}")
+        commands, home = (
+            import_module(f"{__package__}.{name}")
+            for name in ("commands", HOMES.get(given.command, "commands"))
+        )
+        commands.check_output(given)
         result, lines = getattr(home, f"run_{given.command.replace('-', '_')}")(given)
     try:
         print(json.dumps(result) if given.json else "\n".join(map(_printable, lines)), flush=True)

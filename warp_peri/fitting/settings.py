@@ -116,6 +116,9 @@ class GaussNewton:
     smoothness: float = SMOOTHNESS
 
     def __post_init__(self) -> None:
+        check_whole("rounds", self.rounds, 1)
+        if not self.smoothness >= 0:
+            raise InputError(f"smoothness: expected a number ≥ 0, got {self.smoothness}")
         if isinstance(self.moduli, str):
             if self.moduli not in (ISOTROPIC, LONG_WAVES):
                 raise InputError(

@@ -259,7 +259,7 @@ class SoftBody:
                 forces.append(0 * levers.sum())  # nothing is left across the line
             rows.append((load, int((share == 0).sum())))
             before = load
-            if forces[-1] < stop * max(forces) or not share[levers > 0].any():
+            if 0 < max(forces) * stop > forces[-1] or not share[levers > 0].any():
                 break
         load, broken = np.array(rows).T
         force, end = torch.stack(forces), field.reshape(self.held.shape)

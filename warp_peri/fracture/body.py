@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError, warn
 from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import checked
+from warp_peri.points.arrays import check_positive, check_whole, checked
 from warp_peri.points.families import HORIZON_TOLERANCE, BondClasses, bond_classes
 from warp_peri.points.lattice import neighbour_table, straight_steps
 
@@ -83,7 +83,7 @@ def lattice_body(
 
     Raises InputError for points off the lattice, or given twice.
     """
-    x = np.array(x, dtype=float)
+    x = checked("x", x)
     if x.ndim != 2 or x.shape[1] not in (2, 3) or len(x) == 0 or not np.isfinite(x).all():
         raise InputError(
             f"x: expected finite positions of shape [N, 2] or [N, 3], got {list(x.shape)}"
@@ -109,7 +109,9 @@ def box_nodes(sides: Sequence[float], spacing: float) -> np.ndarray:
 
     Raises InputError when the sides are not whole multiples of the spacing.
     """
-    count = np.rint(np.divide(sides, spacing)).astype(int)
+    check_positive("spacing", spacing)
+    sides = checked("sides", sides, float, ("d",))
+    count = np.rint(sides / spacing).astype(int)
     if (count < 1).any() or np.abs(count * spacing - sides).max() > 1e-6 * spacing:
         given = ", ".join(f"{side:g}" for side in sides)
         raise InputError(f"sides: expected multiples of {spacing:g}, got {given}")
@@ -120,6 +122,8 @@ def box_nodes(sides: Sequence[float], spacing: float) -> np.ndarray:
 @typed
 def penny_corners(radius: float, corners: int = 48) -> np.ndarray:
     """Corners of a round crack about the origin on y = 0, as large as a circle, shape [P, 3]."""
+    check_positive("radius", radius)
+    check_whole("corners", corners, 3)
     t = 2 * np.pi * np.arange(corners) / corners
     reach = radius * np.sqrt(2 * np.pi / corners / np.sin(2 * np.pi / corners))
     return np.asarray(reach * np.stack([np.cos(t), 0 * t, np.sin(t)], axis=1))
@@ -151,7 +155,13 @@ def point_force(
 
     Raises InputError where these nodes do not span the space.
     """
-    d, away = x.shape[1], (x - np.asarray(place, dtype=float)) / spacing
+    check_positive("spacing", spacing)
+    x = checked("x", x, float, ("N", "d"))
+    d = x.shape[1]
+    place, force = (
+        checked(name, value, float, (d,)) for name, value in (("place", place), ("force", force))
+    )
+    away = (x - place) / spacing
     near = np.flatnonzero((away**2).sum(axis=1) < FELT**2)
     affine = np.column_stack([np.ones(len(near)), away[near]])
     weight = 1 - (away[near] ** 2).sum(axis=1) / FELT**2
@@ -163,7 +173,7 @@ def point_force(
         )
     share = weight * (affine @ np.linalg.inv(moments)[0])
     b = np.zeros(x.shape)
-    b[near] = share[:, None] * np.asarray(force, dtype=float) / spacing**d
+    b[near] = share[:, None] * force / spacing**d
     return b
 
 

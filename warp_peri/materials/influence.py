@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 from warp_peri.errors import InputError
 from warp_peri.materials.lps import LPSMaterial, bernstein_basis
 from warp_peri.points.arguments import typed
+from warp_peri.points.arrays import check_flag, checked
 from warp_peri.points.families import bond_classes
 from warp_peri.points.unit_names import USUAL, Units
 
@@ -270,13 +271,14 @@ def table(r: ArrayLike, K: ArrayLike, *, learned: bool = False) -> InfluenceFunc
         K: values there, shape [T].
         learned: take K as parameters to learn, not as given.
     """
-    knots, given = np.asarray(r, dtype=float), np.asarray(K, dtype=float)
+    check_flag("learned", learned)
+    knots, given = checked("r", r), checked("K", K)
     if knots.ndim != 1 or len(knots) < 2 or knots.shape != given.shape:
         raise InputError(
             f"table: expected r and K of one shape [T], T ≥ 2, got {knots.shape}, {given.shape}"
         )
-    if not (np.isfinite(given).all() and np.isfinite(knots).all() and (np.diff(knots) > 0).all()):
-        raise InputError("table: expected finite K at rising finite r")
+    if not (np.diff(knots) > 0).all():
+        raise InputError("table: expected K at rising r")
 
     function = functools.partial(tabulated, knots=knots)
     if learned:

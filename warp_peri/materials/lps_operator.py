@@ -134,6 +134,9 @@ class LPSOperator(OperatorBase):
     def vjp(self, u: Any, w: ArrayLike) -> np.ndarray:
         """Lᵗ w on all nodes, shape [..., N, d], of w on the interior [..., I, d], whatever u."""
         w = np.require(plain("w", w), float, ["C", "W"])
+        one = (int(np.count_nonzero(self.points.interior)), self.points.dimension)
+        if w.shape[-2:] != one:
+            raise InputError(f"w: expected shape [..., {one[0]}, {one[1]}], got {list(w.shape)}")
         by_u = pulled(self.bonds, self._law, self._fields(w))[0].numpy()
         return np.asarray(by_u.reshape(*w.shape[:-2], *self.shape))
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import GRADIENT, LARGEST, MOST, check_flag, is_number
+from warp_peri.points.unit_names import Units
 
 Call = TypeVar("Call", bound=Callable[..., Any])
 KINDS = (bool, int, float, str, os.PathLike, Mapping, dict, Sequence, tuple, list, NoneType)
@@ -90,7 +91,7 @@ def kinds_of(call: Callable[..., Any]) -> dict[str, tuple[tuple[Any, ...], Any]]
             continue
         union = get_origin(hint) in (Union, UnionType)
         kinds = tuple(get_origin(kind) or kind for kind in (get_args(hint) if union else (hint,)))
-        if all(kind in KINDS or _is_own(kind) for kind in kinds):
+        if hint != Units and all(kind in KINDS or _is_own(kind) for kind in kinds):
             found[name] = kinds, parameter.default
     return found
 

@@ -154,6 +154,7 @@ class Points(Shown):
         )
 
     @classmethod
+    @typed
     def block(
         cls,
         lengths: Sequence[float],
@@ -182,6 +183,7 @@ class Points(Shown):
         return cls._around(beyond, half, spacing, horizon, units=units, axis=axis)
 
     @classmethod
+    @typed
     def disk(
         cls,
         radius: float,
@@ -208,6 +210,9 @@ class Points(Shown):
         def beyond(x: np.ndarray) -> np.ndarray:
             return np.asarray(np.linalg.norm(x, axis=1) - radius)
 
+        check_positive("radius", radius)
+        if dimension not in (2, 3):
+            raise InputError(f"dimension: expected 2 or 3, got {dimension!r:.60}")
         half = np.full(dimension, radius)
         return cls._around(beyond, half, spacing, horizon, units=units, axis=axis)
 

@@ -31,7 +31,7 @@ STALLED = 0.9
 SHORTER, STRAINED = 0.01, 1.2
 """Share of waves shorter than the data's, and strain over the data's where the rich member is
 linear, from which the error does not speak of an answer."""
-FAMILY = "an ensemble, as fit(samples, Family(…)).material is: one model knows nothing of its error"
+FAMILY = "an ensemble, as fit(samples, Ensemble(…)).material; one model knows nothing of its error"
 FREE_EDGE = "free edges: the ensemble was learned inside a body, and atoms at an edge differ"
 BROKEN = "broken bonds: the ensemble knows none"
 ALONE = "waves: force constants alone determine the error of the moduli, and no other"
@@ -75,7 +75,7 @@ def predict(
     Raises InputError for a material that is no ensemble, a problem of another kind, a tolerance
     that is no number above zero, and whatever `solve` refuses.
 
-    >>> ensemble = wp.fit(samples, Family(wp.LPS(12.5, wp.Bernstein(3)))).material
+    >>> ensemble = wp.fit(samples, Ensemble(wp.LPS(12.5, wp.Bernstein(3)))).material
     >>> bool(wp.predict(ensemble, wp.Dirichlet(points, b[0], u[0]), tolerance=0.05).kept)
     True
     """

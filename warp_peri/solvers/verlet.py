@@ -315,6 +315,8 @@ def marched(
                 seen.append((before.u[record] + state.u[record]) / 2)
         if kept is not None and (recorded or number + 1 == steps):
             kept.reached(number + 1, state, energy, recorded=recorded, last=number + 1 == steps)
+    if not np.isfinite(state.u).all():
+        raise InputError(f"step: the motion grew without bound in {steps} steps; shorten it")
     time = (np.arange(len(energy)) * every + 0.5) * dt
     history = {"energy": np.array(energy)} | ({} if record is None else {"u": np.array(seen)})
     if bent and bent > (proven := operator.model.proven_strain(operator.points.spacing)) > 0:
