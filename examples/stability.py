@@ -290,7 +290,7 @@ def unstated_axis() -> Case:
         same = turned(crystal, 1.0, rotation=angle, horizon=2.5)
         laws = (crystal, replace(data, points=points)), (same, data)
         off.append([100 * wp.evaluate(law, samples)["E_u"] for law, samples in laws])
-    y = dict(zip(("unstated", "transfer_to_lattice"), zip(*off)))
+    y = dict(zip(("unstated", "transferred"), zip(*off)))
     said = said_by(lambda: crystal.on(stated))
     return Case("an axis nobody stated", angles, "angle [°]", "error of u [%]", y, said)
 

@@ -17,7 +17,6 @@ import numpy as np
 import warp as wp
 
 from warp_peri.errors import InputError
-from warp_peri.points.arguments import typed
 
 DEVICE = "cpu"
 """Where arrays are made unless a device is named."""
@@ -108,7 +107,6 @@ class _Asked:
         return self._failure
 
 
-@typed
 def set_num_threads(count: int) -> None:
     """Run the sweeps of a point set on `count` Python threads (default: all processors).
 

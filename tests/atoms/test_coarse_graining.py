@@ -87,7 +87,7 @@ HIDDEN = np.ma.masked_array(
 """Atom 7 is no data."""
 OF_MATRIX = [
     ({"shape": "disk"}, "shape: expected one of cone, paraboloid, got 'disk'"),
-    ({"radius": np.nan}, "radius: expected a length > 0"),
+    ({"radius": np.nan}, "radius: expected a finite number"),
     ({"radius": 1.7}, "radius: expected more than spacing/√2 = 1.768"),
     ({"spacing": -1.0}, "spacing: expected a length > 0"),
     ({"spacing": 2.4}, "nodes: expected a square lattice of spacing 2.4"),
@@ -204,7 +204,7 @@ def test_mat_files_have_nodes_in_any_order_and_components_first_or_last(tmp_path
         ({"coords": NODES.x + RANDOM.uniform(0, 1, NODES.x.shape)}, {}, "square lattice"),
         ({"disps": u[:, 1:]}, {"load": None, "positions": 5.0}, "a square number of nodes"),
         ({}, {"reach": 11}, "within 22 spacings around them, got none of 21 × 21"),
-        ({}, {"reach": 1.5}, "reach: expected a whole number > 0, got 1.5"),
+        ({}, {"reach": 1.5}, "reach: expected a whole number, got 1.5"),
         ({}, {"factor": "a"}, "factor: expected a finite number, got 'a'"),
         ({}, {"positions": -5.0}, "positions: expected a name or a spacing > 0, got -5.0"),
     ):

@@ -240,7 +240,7 @@ def jagged():
         (vanishing, "weighted volume"),
         (lambda: table([0, 1], [1.0]), "of one shape"),
         (lambda: table([1, 0], [1.0, 1.0]), "rising"),
-        (lambda: table([0, 1], [1.0, np.inf]), "finite K"),
+        (lambda: table([0, 1], [1.0, np.inf]), "K: expected finite"),
     ],
 )
 def test_influence_functions_that_make_no_sense(use, words):

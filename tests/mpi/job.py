@@ -215,9 +215,7 @@ def rest(folder):
     found["grid"] = points.tiles.grid
     found["unfit"] = unfit(folder / "unfit.h5")
     found["door"] = at_the_door() if comm.size > 1 else {}
-    kept(
-        folder, "transfer_to_lattice", SimpleNamespace(comm=comm, gather=np.asarray), transferred()
-    )
+    kept(folder, "transferred", SimpleNamespace(comm=comm, gather=np.asarray), transferred())
     full = lattice((52, 52), H, lambda x: x[:, 0] >= 0)
     everywhere = H * np.argwhere(np.ones((52, 52)))
     found["refused"] = [told_by(wrong) for wrong in (

@@ -191,7 +191,7 @@ REFUSED = [
     (replace(LATTICE, x=np.r_[LATTICE.x[:-1], 1e5 * FAR]), 2.0, "nodes spread over .* places"),
     (lattice(3, 1.0), 3.0, "9 of 9 .* no horizon of two spacings or more fits"),
     (LATTICE, 0.99, "horizon: expected at least one spacing"),
-    (LATTICE, np.nan, "horizon: expected a finite number"),
+    (LATTICE, np.nan, "horizon: expected at least one spacing"),
     (LATTICE, 101.0, "horizon: expected at most 100 spacings"),
     (replace(SHEET, box=(9.5, 9.0)), 2.0, "box: expected two whole multiples"),
     (replace(SHEET, box=(4.0, 9.0)), 2.0, "box: expected two whole multiples"),

@@ -85,7 +85,7 @@ def test_the_horizon_that_the_collar_carries():
         with pytest.raises(InputError, match="complete families"):
             families_of(points, carried + 0.8)
     few = lattice(6, 0.8 * np.sqrt(5), spacing=0.8)
-    with pytest.warns(UserWarning, match="transfer_to_lattice"):
+    with pytest.warns(UserWarning, match="transferred"):
         assert model_for(HOME, few).horizon == pytest.approx(0.8 * np.sqrt(5))
 
 

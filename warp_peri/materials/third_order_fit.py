@@ -30,7 +30,6 @@ from warp_peri.materials.third_order import (
     energy_density,
     gradient_stencil,
 )
-from warp_peri.points.arguments import typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples, axis_of
@@ -39,7 +38,6 @@ SETTLED = 1e-9
 """Relative, of moduli that are found."""
 
 
-@typed
 @dataclass(frozen=True)
 class ThirdOrder:
     """A crystal with third-order elastic constants t3, tq2, q3 (theory, N1–N6, N22–N29).
