@@ -104,7 +104,7 @@ OF_FIELDS = [
     ({"mass": np.ones(3)}, r"mass: expected shape \[40\], got \[3\]"),
     ({"mass": -np.ones(40)}, "mass: expected values > 0"),
     ({"node_area": 0.0}, "node_area: expected values > 0"),
-    ({"thickness": np.nan}, "thickness: expected values > 0"),
+    ({"thickness": np.nan}, "thickness: expected a finite number"),
 ]
 
 
