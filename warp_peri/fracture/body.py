@@ -110,8 +110,7 @@ def box_nodes(sides: Sequence[float], spacing: float) -> np.ndarray:
     Raises InputError when the sides are not whole multiples of the spacing.
     """
     check_positive("spacing", spacing)
-    sides = checked("sides", sides, float, ("d",))
-    count = np.rint(sides / spacing).astype(int)
+    count = np.rint(checked("sides", sides, float, ("d",)) / spacing).astype(int)
     if (count < 1).any() or np.abs(count * spacing - sides).max() > 1e-6 * spacing:
         given = ", ".join(f"{side:g}" for side in sides)
         raise InputError(f"sides: expected multiples of {spacing:g}, got {given}")
@@ -158,10 +157,8 @@ def point_force(
     check_positive("spacing", spacing)
     x = checked("x", x, float, ("N", "d"))
     d = x.shape[1]
-    place, force = (
-        checked(name, value, float, (d,)) for name, value in (("place", place), ("force", force))
-    )
-    away = (x - place) / spacing
+    away = (x - checked("place", place, float, (d,))) / spacing
+    pull = checked("force", force, float, (d,))
     near = np.flatnonzero((away**2).sum(axis=1) < FELT**2)
     affine = np.column_stack([np.ones(len(near)), away[near]])
     weight = 1 - (away[near] ** 2).sum(axis=1) / FELT**2
@@ -173,7 +170,7 @@ def point_force(
         )
     share = weight * (affine @ np.linalg.inv(moments)[0])
     b = np.zeros(x.shape)
-    b[near] = share[:, None] * force / spacing**d
+    b[near] = share[:, None] * pull / spacing**d
     return b
 
 
