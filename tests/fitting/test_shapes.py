@@ -107,7 +107,7 @@ def test_moduli_that_a_shape_cannot_have_are_no_result(moduli):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"kernel": SHAPES["gaussian"], "method": TwoStage()}, "learned by Optimum or Constr"),
+        ({"kernel": SHAPES["gaussian"], "method": TwoStage()}, "learned by GaussNewton or Aug"),
         ({"kernel": gaussian}, r"f\(r, width\) is InfluenceFunction\(f, "),
         ({"kernel": [gaussian]}, "expected an InfluenceFunction or a list of them"),
     ],

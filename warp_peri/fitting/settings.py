@@ -183,7 +183,7 @@ class TwoStage:
 @typed
 @dataclass(frozen=True)
 class AugmentedLagrangian:
-    """Adam and an augmented Lagrangian to the constrained optimum, which Optimum then checks.
+    """Adam and an augmented Lagrangian to the constrained optimum, which GaussNewton then checks.
 
     Unlike Algorithm 1 in coordinates that suit its steps (theory, 28b), so that it arrives.
 

@@ -94,8 +94,8 @@ class LPS:
             learned, from the values it has. Several functions are several starts, and the best is
             kept; one that is led out of its domain is passed over. None takes the smallest degree
             whose error on loads left out, in five parts, is within 2 % of the best.
-        method: Optimum() starts at the constrained optimum, from plain kernels; TwoStage() is
-            Algorithm 1 of You et al. (2021); Constrained() takes Adam there, and checks it.
+        method: GaussNewton() starts at the constrained optimum, from plain kernels; TwoStage() is
+            Algorithm 1 of You et al. (2021); AugmentedLagrangian() takes Adam there and checks it.
         conditions: what must hold on every lattice.
         loss: "residual" is (10); "corrected" takes off what noise adds to it; "output" goes on to
             fit displacement, at the wave vectors of the loads (`wave_vector` of the samples) or as
@@ -145,10 +145,10 @@ class LPS:
         """Raise InputError for settings that are none, or go with no others or the dimension."""
         kernel, method, asked = self.kernel, self.method, self.conditions
         if not isinstance(asked, StabilityConditions):
-            raise InputError(f"conditions: expected Conditions(…), got {asked!r:.60}")
+            raise InputError(f"conditions: expected StabilityConditions(…), got {asked!r:.60}")
         if not isinstance(method, (TwoStage, GaussNewton, AugmentedLagrangian)):
             raise InputError(
-                f"method: expected Optimum(…), TwoStage(…) or Constrained(…), got {method!r:.60}"
+                f"method: expected GaussNewton, TwoStage or AugmentedLagrangian, got {method!r:.60}"
             )
         if self.loss not in LOSSES:
             raise InputError(f"loss: expected one of {', '.join(LOSSES)}, got {self.loss!r}")
@@ -157,7 +157,7 @@ class LPS:
             raise InputError(f"loss: {self.loss!r} is not for the two-stage method")
         if dimension == 3 and (printed or asked.kind != "direct" or self.loss == "output"):
             raise InputError(
-                'samples: in space expected "direct" conditions, Optimum() or Constrained(), and '
+                'samples: in space expected "direct" conditions, no TwoStage, and '
                 "another loss than displacement"
             )
         if kernel is None or isinstance(kernel, Bernstein):
@@ -167,7 +167,7 @@ class LPS:
                 f"kernel: expected Bernstein(…) or influence functions, got {kernel!r}"
             )
         if printed:
-            raise InputError("kernel: influence functions are learned by Optimum or Constrained")
+            raise InputError("kernel: functions are learned by GaussNewton or AugmentedLagrangian")
 
 
 class Learner:

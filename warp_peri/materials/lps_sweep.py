@@ -121,7 +121,7 @@ def sweep(
         noise: fields of noise alone on the training nodes, as in `fit`.
         horizons: δ [Å].
         degrees: M.
-        conditions: "direct" or "paper", as in Conditions.
+        conditions: "direct" or "paper", as in StabilityConditions.
         method: of each fit; Algorithm 2 as printed has TwoStage("relu", "dense").
         jobs: number of processes, −1 for one per core; a joblib.parallel_config around the call
             chooses another backend.
