@@ -10,8 +10,9 @@ The names below are imported on first use, so that neither torch nor Warp is loa
 needed.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from .lazy import lazy
 
 if TYPE_CHECKING:
     from warp_peri import atoms as atoms
@@ -63,61 +64,49 @@ if TYPE_CHECKING:
 
 __version__ = "0.2.0"
 
-_NAMES = {
-    "core.torch_bridge": ("TorchModule",),
-    "fracture.problems": ("Cracked",),
-    "solvers.motion": ("Motion",),
-    "errors": ("InputError",),
-    "fitting.diagnose": ("diagnose",),
-    "fitting.evaluate": ("evaluate",),
-    "verbs": ("fit",),
-    "fitting.settings": ("Bernstein",),
-    "materials.crystal_fit": ("Crystal",),
-    "materials.lps": ("LPSMaterial",),
-    "materials.lps_fit": ("LPS",),
-    "materials.density": ("Density", "DensityMaterial"),
-    "materials.third_order_fit": ("ThirdOrder",),
-    "points.dataset": ("Dataset",),
-    "points.mesh": ("Mesh",),
-    "points.points": ("Points",),
-    "points.samples": ("Samples",),
-    "prediction.predict": ("predict",),
-    "problems": ("Body", "Dirichlet", "Periodic"),
-    "solving": ("simulate", "solve"),
-    "materials.certificate": ("certify",),
-    "solvers.solution": ("Direct", "CG", "Newton", "Solution"),
-    "storage": ("load", "save"),
-    "atoms.crystal_fit": ("fit_crystal",),
+_HOMES = {
+    "atoms.crystal_fit": "fit_crystal",
+    "core.torch_bridge": "TorchModule",
+    "errors": "InputError",
+    "fitting.diagnose": "diagnose",
+    "fitting.evaluate": "evaluate",
+    "fitting.settings": "Bernstein",
+    "fracture.problems": "Cracked",
+    "materials.certificate": "certify",
+    "materials.crystal_fit": "Crystal",
+    "materials.density": "Density DensityMaterial",
+    "materials.lps": "LPSMaterial",
+    "materials.lps_fit": "LPS",
+    "materials.third_order_fit": "ThirdOrder",
+    "points.dataset": "Dataset",
+    "points.mesh": "Mesh",
+    "points.points": "Points",
+    "points.samples": "Samples",
+    "prediction.predict": "predict",
+    "problems": "Body Dirichlet Periodic",
+    "solvers.motion": "Motion",
+    "solvers.solution": "CG Direct Newton Solution",
+    "solving": "simulate solve",
+    "storage": "load save",
+    "verbs": "fit",
 }
-_MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
-__all__ = sorted(_MODULE_OF)
+__all__ = sorted(" ".join(_HOMES.values()).split())
 _MODULES = (
     "atoms",
-    "fracture",
+    "certificates",
+    "crystals",
     "diffusion",
     "export",
-    "runtime",
+    "fracture",
+    "hyperelastic",
+    "influence",
     "methods",
-    "crystals",
     "neural",
     "plots",
     "prediction",
-    "certificates",
-    "influence",
-    "hyperelastic",
+    "runtime",
     "transfers",
 )
 
 if not TYPE_CHECKING:  # a type checker would take any misspelt name for one of these
-
-    def __getattr__(name):
-        """A public name or module, imported now (PEP 562)."""
-        if name in _MODULES:
-            return import_module(f"{__name__}.{name}")
-        if name not in _MODULE_OF:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        value = globals()[name] = getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
-        return value
-
-    def __dir__():
-        return sorted({*__all__, "__version__", *_MODULES})
+    __getattr__, __dir__ = lazy(__name__, _HOMES, *_MODULES, "__version__")

@@ -1,5 +1,6 @@
 """Names of a package that are imported on first use (PEP 562)."""
 
+import sys
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
@@ -13,7 +14,7 @@ def lazy(
     Args:
         package: its dotted name.
         homes: names by the module below the package that has them, divided by spaces.
-        more: names of modules of the package.
+        more: other names of it, modules as a rule, which are imported when asked for.
     """
     home = {name: module for module, names in homes.items() for name in names.split()}
 
@@ -22,6 +23,7 @@ def lazy(
             return import_module(f"{package}.{name}")
         if name not in home:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(import_module(f"{package}.{home[name]}"), name)
+        value = getattr(import_module(f"{package}.{home[name]}"), name)
+        return vars(sys.modules[package]).setdefault(name, value)
 
     return get, lambda: sorted({*home, *more})

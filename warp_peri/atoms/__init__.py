@@ -3,8 +3,9 @@
 The names below are imported on first use, so that no reader is loaded before it is needed.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from warp_peri.lazy import lazy
 
 if TYPE_CHECKING:
     from warp_peri.atoms.calculators import load_mpi_library, make_calculator
@@ -30,26 +31,26 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CrystalFit",
-    "load_mpi_library",
-    "fit_crystal",
-    "crystal_from_force_constants",
-    "from_phonopy",
-    "make_calculator",
+    "DumpFrame",
+    "FrameAverage",
+    "ReferenceAtoms",
+    "check_box",
     "coarse_grain",
-    "force_on_mesh",
+    "coarse_grain_dumps",
+    "crystal_from_force_constants",
     "dic_to_lattice",
     "estimate_noise",
-    "read_mat",
-    "read_dic_frame",
-    "smoothing_matrix",
-    "ReferenceAtoms",
-    "FrameAverage",
-    "DumpFrame",
-    "check_box",
-    "coarse_grain_dumps",
-    "mean_displacement",
+    "fit_crystal",
+    "force_on_mesh",
+    "from_phonopy",
     "iter_dump",
+    "load_mpi_library",
+    "make_calculator",
+    "mean_displacement",
+    "read_dic_frame",
     "read_masses",
+    "read_mat",
+    "smoothing_matrix",
 ]
 
 _HOMES = {
@@ -57,18 +58,10 @@ _HOMES = {
     "coarse_graining": "coarse_grain force_on_mesh read_mat smoothing_matrix",
     "crystal_fit": "CrystalFit fit_crystal crystal_from_force_constants",
     "dic": "dic_to_lattice estimate_noise read_dic_frame",
+    "dumps": "DumpFrame FrameAverage ReferenceAtoms check_box coarse_grain_dumps iter_dump "
+    "mean_displacement read_masses",
     "relaxed": "from_phonopy",
 }
 
 if not TYPE_CHECKING:  # a type checker would take any misspelt name for one of these
-
-    def __getattr__(name):
-        """A public name, imported now (PEP 562)."""
-        if name not in __all__:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        home = next((home for home, names in _HOMES.items() if name in names.split()), "dumps")
-        value = globals()[name] = getattr(import_module(f"{__name__}.{home}"), name)
-        return value
-
-    def __dir__():
-        return sorted(__all__)
+    __getattr__, __dir__ = lazy(__name__, _HOMES)

@@ -34,15 +34,15 @@ __all__ = [
     "apparent_toughness",
     "box_nodes",
     "continuum_stretch",
-    "j_integral",
-    "energy_release",
-    "lattice_body",
     "crack_opening_volume",
+    "energy_release",
+    "j_integral",
+    "lattice_body",
     "penny_corners",
     "point_force",
-    "with_positive_kernel",
     "rectangle_nodes",
     "tip_shift",
+    "with_positive_kernel",
 ]
 
 _HOMES = {
