@@ -18,7 +18,7 @@ from warp_peri.core.torch_bridge import linear, nonlinear, real, refuse_tangents
 from warp_peri.errors import InputError, warn
 from warp_peri.fracture.body import LatticeBody, cracked, section
 from warp_peri.fracture.bonds import bonds_of, check_breakable, stretch_matrix, stretch_rows
-from warp_peri.fracture.softening import BondLaw, pull_of, share_of
+from warp_peri.fracture.softening import BondLaw, pull_of, share_of, slope_of
 from warp_peri.fracture.statics import (
     check_definite,
     check_no_fail,
@@ -299,9 +299,9 @@ class SoftBody:
         Bonds at their worst stretch beyond `stretch` fall by the slope of the tail; the others keep
         what is left of them.
         """
-        beta, fails = self.law.softness, ((s == worst) & (worst > self.law.stretch)).numpy()
-        own = (share * torch.exp(-beta * s.clip(0)) * torch.where(s > 0, 1 - beta * s, 1)).numpy()
-        fall = -float(pull_of(self.law.stretch, beta, np)) / self.law.tail
+        law, fails = self.law, ((s == worst) & (worst > self.law.stretch)).numpy()
+        own = share.numpy() * slope_of(s.numpy(), law.softness)
+        fall = -float(law.pull(np.array(law.stretch))) / law.tail
         try:
             slope = np.where(fails & (own > 0), fall, own)
             check_definite(symmetric_factors(self.tangent(slope)))
@@ -314,12 +314,12 @@ class SoftBody:
     ) -> torch.Tensor:
         """u at rest [d N], with derivatives to what is left of bonds, their softness and what is
         held: those of a step of Newton's method from there, which does not move it."""
-        left, beta, factors = share.detach().numpy(), self.law.softness, list[Any]()
+        left, factors = share.detach().numpy(), list[Any]()
 
         def inverse(g: np.ndarray) -> np.ndarray:
             if not factors:
-                s = np.maximum(self.stretch(u), 0)
-                factors.append(splu(self.tangent(left * np.exp(-beta * s) * (1 - beta * s))))
+                slope = slope_of(self.stretch(u), self.law.softness)
+                factors.append(splu(self.tangent(left * slope)))
             w = np.zeros_like(g)
             w[self.free] = factors[0].solve(g[self.free])
             return w

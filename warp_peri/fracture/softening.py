@@ -99,6 +99,12 @@ def pull_of(s: Any, softness: Any, of: Any) -> Any:
     return s * of.exp(-softness * of.clip(s, 0, None))
 
 
+def slope_of(s: np.ndarray, softness: float) -> np.ndarray:
+    """Slope of BondLaw.pull over the stretch."""
+    s = np.maximum(s, 0)
+    return np.asarray(np.exp(-softness * s) * (1 - softness * s))
+
+
 def share_of(worst: Any, softness: Any, stretch: Any, tail: Any, of: Any) -> Any:
     """As BondLaw.share, of NumPy or torch; a tail of 0 breaks at once, and has no gradient."""
     beyond = worst > stretch
