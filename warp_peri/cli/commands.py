@@ -16,7 +16,7 @@ import numpy as np
 import warp_peri
 from warp_peri.cli.options import keep
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import destination, finite, locked, plain
+from warp_peri.files.atomic import finite, locked, plain
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import Units, symbols
@@ -35,30 +35,8 @@ FAR = 5.0
 OF_DATA: Result = {"method": "auto", "axis": None, "set": "test", "transfer": True}
 OF_BODY: Result = {"hold": [], "pull": [], "spacing": None, "overlap": None, "units": None}
 """Options of the two kinds of problem that mean nothing to the other, and their defaults."""
-READ = ("data", "model", "body", "structure", "reference", "dumps", "force", "unloaded")
-"""Options whose files are read."""
 LENGTHS = ("largest_displacement", "spacing", "horizon", "overlap")
 """Numbers with a unit of length, beside largest_principal_stress."""
-
-
-def check_output(given: Namespace) -> None:
-    """Refuse, before anything is done, to write over what is read or what is no file.
-
-    Raises InputError saying which it is.
-    """
-    if getattr(given, "out", None) is None:
-        return
-    for name in READ:
-        read = getattr(given, name, None) or []
-        for path in read if isinstance(read, list) else [read]:
-            if path.resolve() == given.out.resolve():
-                raise InputError(f"out: {given.out} is read ({name}); name another file")
-    folder = given.command not in ("coarse-grain", "solve")
-    if given.out.exists() and given.out.is_dir() != folder:
-        wanted, there = ("folder", "file") if folder else ("file", "folder")
-        raise InputError(f"out: expected a {wanted}, {given.out} is a {there}")
-    if not folder:
-        destination(given.out)
 
 
 def run_certify(given: Namespace) -> Said:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
-from warp_peri.cli.options import parse
+from warp_peri.cli.options import check_output, parse
 from warp_peri.errors import exit_status
 
 HOMES = {
@@ -46,11 +46,8 @@ def _run(words: Sequence[str], known: dict[str, Any]) -> int:
         given = parse(words)
         given.progress = sys.stderr.isatty() and not given.json  # no bars in files and pipes
         known |= vars(given)
-        commands, home = (
-            import_module(f"{__package__}.{name}")
-            for name in ("commands", HOMES.get(given.command, "commands"))
-        )
-        commands.check_output(given)
+        check_output(given)
+        home = import_module(f"{__package__}.{HOMES.get(given.command, 'commands')}")
         result, lines = getattr(home, f"run_{given.command.replace('-', '_')}")(given)
     try:
         print(json.dumps(result) if given.json else "\n".join(map(_printable, lines)), flush=True)

@@ -19,7 +19,7 @@ import tomli_w
 
 import warp_peri
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import write_text
+from warp_peri.files.atomic import destination, write_text
 from warp_peri.files.foreign import content
 
 SETTINGS = """\
@@ -34,6 +34,8 @@ PATHS = ("DUMP", "FILE", "FOLDER", "FRAMES", "MESH", "PATH", "STRUCTURE")
 WORDS = ("NAME", "STRAIN", "LENGTH", "STRESS")
 COUNTS = ("N", "M")
 """Names of values that are paths, as are those with an ending; text; whole numbers; else reals."""
+READ = ("data", "model", "body", "structure", "reference", "dumps", "force", "unloaded")
+"""Options whose files are read."""
 NOT_KEPT = ("command", "config", "json", "progress", "trust", "from_file", "overwrite", "help")
 
 
@@ -196,6 +198,26 @@ def _table(path: str, command: str) -> dict[str, Any]:
     if not isinstance(table, dict):
         raise InputError(f"expected a table [{command}]")
     return table
+
+
+def check_output(given: Namespace) -> None:
+    """Refuse, before anything is done, to write over what is read or what is no file.
+
+    Raises InputError saying which it is.
+    """
+    if getattr(given, "out", None) is None:
+        return
+    for name in READ:
+        read = getattr(given, name, None) or []
+        for path in read if isinstance(read, list) else [read]:
+            if path.resolve() == given.out.resolve():
+                raise InputError(f"out: {given.out} is read ({name}); name another file")
+    folder = given.command not in ("coarse-grain", "solve")
+    if given.out.exists() and given.out.is_dir() != folder:
+        wanted, there = ("folder", "file") if folder else ("file", "folder")
+        raise InputError(f"out: expected a {wanted}, {given.out} is a {there}")
+    if not folder:
+        destination(given.out)
 
 
 def keep(given: Namespace, path: Path) -> None:
