@@ -15,7 +15,6 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
 from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import check_flag
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
 from warp_peri.protocols import offered, placed
@@ -82,8 +81,6 @@ def evaluate(
         samples = samples.obvious()
     if not isinstance(samples, Samples):
         raise InputError(f"samples: expected Samples or a Dataset, got {type(samples).__name__}")
-    check_flag("transfer", transfer)
-    check_flag("allow_uncertified", allow_uncertified)
     if len(samples) == 0:
         raise InputError("the set has no samples to evaluate")
     options: dict[str, Any] = {} if transfer else {"transfer": False}  # not of every law

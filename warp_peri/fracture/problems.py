@@ -17,7 +17,7 @@ from warp_peri.fracture.release import crack_area, crack_opening_volume
 from warp_peri.fracture.run import CrackRun
 from warp_peri.fracture.statics import CutSolid, crack_load, in_torch
 from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import check_flag, checked, is_number
+from warp_peri.points.arrays import checked, is_number
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
 from warp_peri.protocols import is_tensor, offered, refuse_uncut, taken
@@ -61,9 +61,6 @@ class Cracked:
     pressure: ArrayLike | None = None
     corrected: bool = False
     learns = True  # at rest, and pulled
-
-    def __post_init__(self) -> None:
-        check_flag("corrected", self.corrected)
 
     @property
     def held(self) -> np.ndarray:

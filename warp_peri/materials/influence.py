@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from warp_peri.errors import InputError
 from warp_peri.materials.lps import LPSMaterial, bernstein_basis
 from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import check_flag, checked
+from warp_peri.points.arrays import checked
 from warp_peri.points.families import bond_classes
 from warp_peri.points.unit_names import USUAL, Units
 
@@ -263,6 +263,7 @@ def named(name: str, horizon: float) -> InfluenceFunction:
     return InfluenceFunction(function, {length: float(horizon)}, {length: ends})
 
 
+@typed
 def table(r: ArrayLike, K: ArrayLike, *, learned: bool = False) -> InfluenceFunction:
     """K on straight lines between given values, constant beyond the ends.
 
@@ -271,7 +272,6 @@ def table(r: ArrayLike, K: ArrayLike, *, learned: bool = False) -> InfluenceFunc
         K: values there, shape [T].
         learned: take K as parameters to learn, not as given.
     """
-    check_flag("learned", learned)
     knots, given = checked("r", r), checked("K", K)
     if knots.ndim != 1 or len(knots) < 2 or knots.shape != given.shape:
         raise InputError(

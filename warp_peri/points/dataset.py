@@ -17,7 +17,7 @@ from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import parsed, plain, whole_file
 from warp_peri.files.foreign import check_hdf5
 from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import LARGEST, check_mapping, check_positive, is_name, is_number
+from warp_peri.points.arrays import check_mapping, check_positive, is_name, is_number
 from warp_peri.points.points import Points
 from warp_peri.points.samples import FIELDS, Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units, factors, symbols
@@ -50,8 +50,6 @@ class Dataset(Shown):
     def __post_init__(self) -> None:
         for name in ("thickness", "density"):
             check_positive(name, getattr(self, name))
-            if getattr(self, name) > LARGEST:
-                raise InputError(f"{name}: expected at most {LARGEST:g}, got {getattr(self, name)}")
         _written(self.provenance)
         check_mapping("sets", self.sets)
         if not self.sets:
