@@ -168,6 +168,13 @@ class Record(Shown):
         found |= _entries(self) | self.derived()
         return found | {"sha256": content_hash(found)}
 
+    @property
+    def unfiled(self) -> dict[str, Any]:
+        """Fields that are in no file, by name."""
+        return {
+            each.name: getattr(self, each.name) for each in fields_of(self) if not each.says.kept
+        }
+
     @classmethod
     def from_dict(cls, content: Any, where: str = "") -> Self:
         """What a file holds; `where` begins warnings.

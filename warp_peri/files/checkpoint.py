@@ -141,7 +141,7 @@ def _spelled(part: Any, above: frozenset[int] = frozenset()) -> Iterator[bytes]:
     elif hasattr(part, "content"):
         yield from _spelled(_lasting(part.content()), inside)
         yield from _spelled(getattr(part, "state_dict", dict)(), inside)  # of networks
-        yield from _spelled(vars(part).get("energy"), inside)  # of one's own, which is in no file
+        yield from _spelled(getattr(part, "unfiled", {}), inside)
     elif dataclasses.is_dataclass(part):
         yield type(part).__name__.encode()
         fields = (field.name for field in dataclasses.fields(part))
