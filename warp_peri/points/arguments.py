@@ -12,7 +12,7 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import GRADIENT, LARGEST, MOST, check_flag, is_number
+from warp_peri.points.arrays import GRADIENT, LARGEST, MOST, check_flag, is_number, is_piece
 from warp_peri.points.unit_names import Units
 
 Call = TypeVar("Call", bound=Callable[..., Any])
@@ -71,7 +71,7 @@ def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> None:
         elif first in (Sequence, tuple, list):
             if isinstance(value, str) or not isinstance(value, (Sequence, np.ndarray)):
                 raise InputError(f"{name}: expected a sequence, got {value!r:.60}")
-        elif not (isinstance(value, first) or hasattr(value, "comm")):  # a rank's piece of nodes
+        elif not (isinstance(value, first) or is_piece(value)):
             word = "a text" if first is str else " or ".join(kind.__name__ for kind in kinds)
             word = "a path" if os.PathLike in more else word.replace("NoneType", "None")
             raise InputError(f"{name}: expected {word}, got {type(value).__name__}")

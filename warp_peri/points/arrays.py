@@ -116,6 +116,11 @@ def checked_fields(
     return load, field
 
 
+def is_piece(points: Any) -> bool:
+    """Whether nodes are a rank's piece of those that many processes have."""
+    return hasattr(points, "comm")
+
+
 def is_number(value: Any) -> bool:
     """Whether it is one real number; InputError for a tensor whose gradient would be lost."""
     if getattr(value, "requires_grad", False):

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError, warn
 from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import as_array, check_mapping, checked, is_name
+from warp_peri.points.arrays import as_array, check_mapping, checked, is_name, is_piece
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import symbols
 from warp_peri.reprs import Shown
@@ -142,7 +142,7 @@ PointsLike: TypeAlias = Points | Samples
 
 def nodes_of(given: PointsLike) -> Points:
     """The points themselves, or a rank's piece of them; InputError for what is none."""
-    if not (isinstance(given, (Points, Samples)) or hasattr(given, "comm")):
+    if not (isinstance(given, (Points, Samples)) or is_piece(given)):
         raise InputError(
             f"points: expected Points(x, interior, spacing), got {type(given).__name__}"
         )

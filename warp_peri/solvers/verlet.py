@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from warp_peri.errors import InputError, quietly, warn
 from warp_peri.files.checkpoint import AllNodes, RunFile, agreed, fingerprint
 from warp_peri.files.series import TimeSeriesWriter
-from warp_peri.points.arrays import check_positive, check_whole
+from warp_peri.points.arrays import check_positive, check_whole, is_piece
 from warp_peri.points.arrays import checked as read
 from warp_peri.points.lattice import check_lattice
 from warp_peri.points.unit_names import USUAL, Units, factors
@@ -230,7 +230,7 @@ def started(
     `fields` are u, v and b, shape [N, d]; None for zero. The rest, and errors, are as of `march`.
     """
     points: Any = operator.points
-    nodes: Any = points if hasattr(points, "comm") else AllNodes(len(points.x))
+    nodes: Any = points if is_piece(points) else AllNodes(len(points.x))
     with agreed(nodes.comm):
         check_lattice(points)
         shape = points.x.shape
