@@ -18,11 +18,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 22_671,
-    "tokens": 273_795,
-    "lines of warp_peri": 37_931,
+    "code lines": 22_662,
+    "tokens": 273_604,
+    "lines of warp_peri": 37_925,
     "lines of kernels": 1_179,
-    "lines of warp_peri, kernels, examples and tools": 51_447,
+    "lines of warp_peri, kernels, examples and tools": 51_441,
     "lines of the longest file": 649,
     "lines of the longest function": 91,
     "parameters of one function": 13,
@@ -33,16 +33,16 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2683,
-    "cli": 1055,
-    "core": 1679,
+    "atoms": 2678,
+    "cli": 1052,
+    "core": 1684,
     "diffusion": 347,
-    "face": 952,
+    "face": 944,
     "fe_coupling": 832,
     "files": 544,
-    "fitting": 1333,
-    "fracture": 1757,
-    "materials": 5838,
+    "fitting": 1331,
+    "fracture": 1758,
+    "materials": 5841,
     "neural": 844,
     "points": 1677,
     "prediction": 747,

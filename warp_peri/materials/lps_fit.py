@@ -345,13 +345,16 @@ class Learner:
         """
         degree = self.largest_degree()
         count, best, chosen = len(self.folds[0]), np.inf, degree
-        while degree >= 0 and count > 1:
+        splits = [
+            [self.rows(loss, [n for n in range(count) if n != fold]), self.rows(loss, [fold])]
+            for fold in range(count if count > 1 else 0)
+        ]
+        while degree >= 0 and splits:
             start = LPSFound(LPSParameters(0.0, self.stiffness, 1.0, np.ones(1 + degree)))
             left = 0.0
-            for fold in range(count):
-                others = self.rows(loss, [n for n in range(count) if n != fold])
+            for others, own in splits:
                 found = self.model(self.optimum(start, method, others))
-                left += squares(self.rows(loss, [fold]), self.lattices, found)
+                left += squares(own, self.lattices, found)
             self.degrees[degree] = error = float(np.sqrt(left))
             if error > AS_GOOD * best:
                 break

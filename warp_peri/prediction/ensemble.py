@@ -155,7 +155,7 @@ class Ensemble:
         Raises InputError for samples that cannot be halved, and whatever the laws refuse.
         """
         if isinstance(samples, Dataset):
-            samples = samples.sets["train"] if "train" in samples.sets else samples.obvious()
+            samples = samples.obvious("train")
         if not isinstance(samples, Samples) or len(samples) < 4:
             raise InputError("samples: expected one set of at least four samples for an ensemble")
         learn = offered(self.rich, "learn", "fit", "a model as the rich member")
