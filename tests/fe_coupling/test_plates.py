@@ -155,7 +155,8 @@ def test_a_mesh_in_another_unit_and_a_hole_below_the_overlap_are_refused(
 
 
 @pytest.mark.parametrize(
-    ("half", "depth", "words"), [(14.0, None, "elements alone"), (HALF, 10 * HALF, "a smaller dep")]
+    ("half", "depth", "words"),
+    [(14.0, None, "elements alone"), (HALF, 10 * HALF, "a smaller spacing, overlap or depth")],
 )
 def test_without_room_for_the_lattice_elements_are_alone_and_a_strain_is_told(
     model, half, depth, words
@@ -186,16 +187,16 @@ def wave(length):
 
 
 def test_the_body_asks_for_a_finer_lattice_and_so_do_short_waves(model):
-    wide, tried = bulk_lattice(model, plate(30.0, 120.0, 10, 48), None, None)
+    wide, tried = bulk_lattice(model, plate(30.0, 120.0, 10, 48), None, Coupling())
     assert tried[-1].spacing == 2.0
     assert tried[-1].verdict == "taken"
     assert wide.is_certified_on(2.0)
-    same, tried = bulk_lattice(model, plate(RADIUS, HALF, 10, 48), None, None)
+    same, tried = bulk_lattice(model, plate(RADIUS, HALF, 10, 48), None, Coupling())
     assert same is model
     assert [a.spacing for a in tried] == [2.0, 1.5, 1.0]
     assert "of the body is two horizons inside" in tried[0].verdict
     assert tried[-1].share >= 0.5
-    _, tried = bulk_lattice(model, plate(30.0, 120.0, 10, 48), wave(9.0), None)
+    _, tried = bulk_lattice(model, plate(30.0, 120.0, 10, 48), wave(9.0), Coupling())
     assert tried[-1].spacing == 1.5
     assert tried[0].verdict == "the waves of the load are not resolved"
     assert tried[0].wave_error > 0.005

@@ -18,11 +18,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 22_662,
-    "tokens": 273_604,
-    "lines of warp_peri": 37_925,
+    "code lines": 22_588,
+    "tokens": 273_164,
+    "lines of warp_peri": 37_840,
     "lines of kernels": 1_179,
-    "lines of warp_peri, kernels, examples and tools": 51_441,
+    "lines of warp_peri, kernels, examples and tools": 51_356,
     "lines of the longest file": 649,
     "lines of the longest function": 91,
     "parameters of one function": 13,
@@ -38,16 +38,16 @@ ROOMS = {
     "core": 1684,
     "diffusion": 347,
     "face": 944,
-    "fe_coupling": 832,
+    "fe_coupling": 753,
     "files": 544,
     "fitting": 1331,
-    "fracture": 1758,
+    "fracture": 1746,
     "materials": 5841,
     "neural": 844,
     "points": 1677,
     "prediction": 747,
     "mpi": 881,
-    "solvers": 1502,
+    "solvers": 1519,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

@@ -5,17 +5,19 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.ndimage import binary_dilation
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import LinearOperator, splu
 
 from warp_peri.errors import InputError, optional
 from warp_peri.points.arrays import checked
 from warp_peri.points.mesh import Mesh, pieces
+from warp_peri.solvers.direct import loose_pieces
 
 Field = Callable[[np.ndarray], np.ndarray]
 """Vectors, shape [n, d], at positions [Å], shape [n, d]."""
@@ -77,42 +79,29 @@ class Rim:
     """
 
     def __init__(self, mesh: Mesh, kept: np.ndarray, degree: int = 2) -> None:
-        fem, self.d = finite_elements(), mesh.dimension
-        corners, cells = np.unique(mesh.cells[kept], return_inverse=True)
-        cells = cells.reshape(-1, self.d + 1)
-        kinds = {
-            2: (fem.MeshTri, fem.MeshTri2, fem.ElementTriP1, fem.ElementTriP2),
-            3: (fem.MeshTet, fem.MeshTet2, fem.ElementTetP1, fem.ElementTetP2),
-        }
-        make, bent, *elements = kinds[self.d]
-        shape = straight = make(mesh.x[corners].T.copy(), cells.T.copy())
-        place = np.full(len(mesh.x), -1)
-        place[corners] = np.arange(len(corners))
+        self._fem, self.d, self.mesh = finite_elements(), mesh.dimension, mesh
+        kind = {2: "Tri", 3: "Tet"}[self.d]
+        self.corners, cells = np.unique(mesh.cells[kept], return_inverse=True)
+        cells, place = cells.reshape(-1, self.d + 1), np.full(len(mesh.x), -1)
+        place[self.corners] = np.arange(len(self.corners))
+        make = getattr(self._fem, f"Mesh{kind}")
+        shape = straight = make(mesh.x[self.corners].T.copy(), cells.T.copy())
         self.facets = _columns(place[mesh.faces], straight.facets)
         if degree == 2 and len(mesh.curved):
-            shape = bent.from_mesh(straight)
-            positions = shape.doflocs.copy()
-            plane = self.d == 2
-            edge = _columns(place[mesh.curved], straight.facets if plane else straight.edges)
-            dofs = shape.dofs.facet_dofs if plane else shape.dofs.edge_dofs
+            shape = getattr(self._fem, f"Mesh{kind}2").from_mesh(straight)
+            positions, of = shape.doflocs.copy(), shape.dofs
+            dofs, ends = {2: (of.facet_dofs, straight.facets), 3: (of.edge_dofs, straight.edges)}[
+                self.d
+            ]
+            edge = _columns(place[mesh.curved], ends)
             positions[:, dofs[0, edge[edge >= 0]]] = mesh.middle[edge >= 0].T
             shape = replace(shape, doflocs=positions)
-        self.mesh, self.corners = mesh, corners
         self.cells = np.full(len(mesh.cells), -1)
         self.cells[kept] = np.arange(len(cells))
-        self.element = elements[degree - 1]()
-        self.order = 2 * degree + 2
-        self.basis = fem.Basis(shape, self.element, intorder=self.order)
+        self.element, self.order = getattr(self._fem, f"Element{kind}P{degree}")(), 2 * degree + 2
+        self.basis = self._fem.Basis(shape, self.element, intorder=self.order)
         self.x = np.asarray(self.basis.doflocs.T)
         self.inner = self._nodes(np.setdiff1d(straight.boundary_facets(), self.facets))
-        self._fem = fem
-        self._squares = {
-            (a, c): self._product(self.basis, lambda u, v, w, a=a, c=c: v.grad[a] * u.grad[c])
-            for a, c in itertools.combinations_with_replacement(range(self.d), 2)
-        }
-
-    def _product(self, basis: Any, form: Callable[..., Any]) -> sp.csr_array:
-        return sp.csr_array(self._fem.BilinearForm(form).assemble(basis))
 
     def _nodes(self, facets: np.ndarray) -> np.ndarray:
         return np.asarray(self.basis.get_dofs(facets).flatten(), dtype=int)
@@ -126,6 +115,18 @@ class Rim:
         """Nodes on a named part of the outline."""
         return self._nodes(self.facets[self.mesh.parts[part]])
 
+    def _product(self, form: Callable[..., Any], basis: Any) -> sp.csr_array:
+        return sp.csr_array(self._fem.BilinearForm(form).assemble(basis))
+
+    @cached_property
+    def _squares(self) -> dict[tuple[int, int], sp.csr_array]:
+        """∫ ∂_a φ_i ∂_c φ_j, [n, n] by a and c."""
+        each = {
+            (a, c): self._product(lambda u, v, w, a=a, c=c: v.grad[a] * u.grad[c], self.basis)
+            for a, c in itertools.combinations_with_replacement(range(self.d), 2)
+        }
+        return {(c, a): square.T for (a, c), square in each.items()} | each
+
     def stiffness(self, moduli: Moduli, springs: Mapping[str, float] | None = None) -> sp.csr_array:
         """K [stress], shape [d n, d n], linear in the moduli (B2).
 
@@ -137,40 +138,35 @@ class Rim:
         """
         C = moduli.tensor
         K = sum(sp.kron(square, C[:, a, :, c]) for (a, c), square in self._squares.items())
-        K += sum(
-            sp.kron(square.T, C[:, c, :, a]) for (a, c), square in self._squares.items() if a != c
-        )
+
+        def stretch(u: Any, w: Any) -> Any:
+            along = np.array((-w.n[1], w.n[0]))
+            return np.einsum("a...,ac...,c...->...", along, u.grad, along)
+
         for part, size in (springs or {}).items():
-            for a, c in itertools.product(range(2), repeat=2):
-
-                def form(u: Any, v: Any, w: Any, a: int = a, c: int = c, size: float = size) -> Any:
-                    along = (-w.n[1], w.n[0])
-                    slopes = [along[0] * z.grad[0] + along[1] * z.grad[1] for z in (u, v)]
-                    return size * along[a] * along[c] * slopes[0] * slopes[1]
-
-                there = np.outer(np.arange(2) == a, np.arange(2) == c)
-                K += sp.kron(self._product(self._facets(part), form), there)
+            basis = self._facets(part, self._fem.ElementVector(self.element))
+            K += size * self._product(lambda u, v, w: stretch(u, w) * stretch(v, w), basis)
         return sp.csr_array(K)
 
     def body_force(self, b: Field) -> np.ndarray:
         """∫ b · φ [TPa Å], shape [n, d], of a body force density [TPa/Å]."""
-        return self._integrals(self.basis, lambda w: b(_points(w.x)))
+        return self._load(self.basis, b)
 
     def traction(self, part: str, t: Traction) -> np.ndarray:
         """∫ t · φ [TPa Å], shape [n, d], of a force per area [TPa] on a part of the outline."""
-        return self._integrals(self._facets(part), lambda w: t(_points(w.x), _points(w.n)))
+        basis = self._facets(part, self.element)
+        return self._load(basis, lambda x: t(x, _points(basis.normals)))
 
-    def _facets(self, part: str) -> Any:
-        facets = self.facets[self.mesh.parts[part]]
-        shape = self.basis.mesh
-        return self._fem.FacetBasis(shape, self.element, facets=facets, intorder=self.order)
+    def _facets(self, part: str, element: Any) -> Any:
+        facets, shape = self.facets[self.mesh.parts[part]], self.basis.mesh
+        return self._fem.FacetBasis(shape, element, facets=facets, intorder=self.order)
 
-    def _integrals(self, basis: Any, vectors: Callable[[Any], np.ndarray]) -> np.ndarray:
-        columns = []
-        for a in range(self.d):
-            component = lambda v, w, a=a: vectors(w)[:, a].reshape(w.x.shape[1:]) * v  # noqa: E731
-            columns.append(self._fem.LinearForm(component).assemble(basis))
-        return np.stack(columns, axis=1)
+    def _load(self, basis: Any, density: Field) -> np.ndarray:
+        x, f = np.asarray(basis.global_coordinates()), np.zeros_like(self.x)
+        values = density(_points(x)).reshape(*x.shape[1:], self.d)
+        for nodes, of in zip(basis.element_dofs, basis.basis):
+            np.add.at(f, nodes, np.einsum("eq,eqa->ea", np.asarray(of[0]) * basis.dx, values))
+        return f
 
     def probe(self, x: np.ndarray, holding: np.ndarray) -> sp.csr_array:
         """Matrix from values at the nodes to values at points, shape [m, n].
@@ -179,15 +175,11 @@ class Rim:
             x: positions [Å], shape [m, d].
             holding: number of the mesh's cell that holds each, one of the rim's.
         """
-        cells = self.cells[holding]
-        local = self._places(x, cells)
-        values, columns = [], []
-        for k in range(self.basis.Nbfun):
-            value = self.element.gbasis(self.basis.mapping, local, k, tind=cells)[0]
-            values.append(np.asarray(value).reshape(len(x)))
-            columns.append(self.basis.element_dofs[k, cells])
-        rows = np.tile(np.arange(len(x)), self.basis.Nbfun)
-        entries = (np.concatenate(values), (rows, np.concatenate(columns)))
+        cells, mapping = self.cells[holding], self.basis.mapping
+        at, count = self._places(x, cells), range(self.basis.Nbfun)
+        values = [self.element.gbasis(mapping, at, k, tind=cells)[0] for k in count]
+        columns = self.basis.element_dofs[:, cells].ravel()
+        entries = np.reshape(values, -1), (np.tile(np.arange(len(x)), len(count)), columns)
         return sp.csr_array(sp.coo_array(entries, shape=(len(x), len(self.x))))
 
     def _places(self, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
@@ -212,55 +204,55 @@ class Rim:
         more accurate than values at nodes, above all in elements with curved sides.
         """
         basis = self._fem.Basis(self.basis.mesh, self.element, intorder=2)
-        rows = [basis.interpolate(np.ascontiguousarray(u[:, a])).grad for a in range(self.d)]
-        gradient = np.moveaxis(np.stack([np.asarray(row) for row in rows]), (0, 1), (-2, -1))
+        nodes = self.basis.element_dofs.T
+        gradient = sum(
+            np.einsum("ei,aeq->eqia", u[each], of[0].grad) for each, of in zip(nodes.T, basis.basis)
+        )
         inside = moduli.stress(gradient).reshape(*gradient.shape[:2], -1)
         x = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
         middle = x.mean(axis=1, keepdims=True)
         slope = np.linalg.pinv(x - middle) @ inside  # [elements, d, d²]
-        each = inside.mean(axis=1, keepdims=True)
-        each = each + (self.x[self.basis.element_dofs.T] - middle) @ slope
-        owner = self.basis.element_dofs.T.ravel()
-        count = np.bincount(owner, minlength=len(self.x))
-        flat = each.reshape(len(owner), -1)
-        sums = [np.bincount(owner, column, len(self.x)) / count for column in flat.T]
-        return np.stack(sums, axis=1).reshape(-1, self.d, self.d)
+        each = inside.mean(axis=1, keepdims=True) + (self.x[nodes] - middle) @ slope
+        means = np.zeros((len(self.x), self.d**2))
+        np.add.at(means, nodes, each)
+        return (means.T / np.bincount(nodes.ravel())).T.reshape(-1, self.d, self.d)
 
 
-class RimProblem:
-    """K u = f with some displacements given, factorised once.
+class RimProblem(LinearOperator):
+    """K u = f with some displacements given, factorised once: a linear map from (f, given), flat
+    [2 d n], to u, flat [d n].
 
     Args:
-        K: stiffness [TPa], shape [d n, d n].
+        K: stiffness [TPa], shape [d n, d n], symmetric.
         fixed: given displacements, shape [d n] bool.
     """
 
     def __init__(self, K: sp.csr_array, fixed: np.ndarray) -> None:
-        self.free = ~fixed
-        rows = K[self.free]
-        self.inside = sp.csc_array(rows[:, self.free])
-        self.given = sp.csr_array(rows[:, fixed])
-        self.factors = splu(self.inside, permc_spec="MMD_AT_PLUS_A")
+        super().__init__(float, (len(fixed), 2 * len(fixed)))
+        self.free, self._rows = ~fixed, K[~fixed]
+        self.inside = sp.csc_array(self._rows[:, self.free])
+        self._factors = splu(self.inside, permc_spec="MMD_AT_PLUS_A") if not fixed.all() else None
 
-    def solve(self, f: np.ndarray, given: np.ndarray) -> np.ndarray:
-        """Displacement [Å] from a load [TPa Å] and what is given, each of shape [d n]."""
-        u = given.copy()
-        u[self.free] = self.factors.solve(f[self.free] - self.given @ given[~self.free])
+    def _matvec(self, q: np.ndarray) -> np.ndarray:
+        f, given = np.split(q.ravel(), 2)
+        u = np.where(self.free, 0.0, given)
+        if self._factors:
+            u[self.free] = self._factors.solve(f[self.free] - self._rows @ u)
         return u
 
-    def transposed(self, by_u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The transpose of `solve`, which is linear: derivatives by f and by what is given."""
-        by_f, by_given = np.zeros_like(by_u), np.zeros_like(by_u)
-        by_f[self.free] = self.factors.solve(by_u[self.free], "T")
-        by_given[~self.free] = by_u[~self.free] - self.given.T @ by_f[self.free]
-        return by_f, by_given
+    def _rmatvec(self, by_u: np.ndarray) -> np.ndarray:
+        """Derivatives by f and by what is given, of ones by u."""
+        by_f = np.zeros((2, len(self.free)))
+        if self._factors:
+            by_f[0, self.free] = w = self._factors.solve(by_u.ravel()[self.free])
+            by_f[1] = -self._rows.T @ w
+        by_f[1] = np.where(self.free, 0.0, by_u.ravel() + by_f[1])
+        return by_f.ravel()
 
     def residual(self, f: np.ndarray, u: np.ndarray) -> float:
         """‖K u − f‖ over ‖f − K of what is given‖ on the free displacements."""
-        right = f[self.free] - self.given @ u[~self.free]
-        left = right - self.inside @ u[self.free]
-        size = float(np.linalg.norm(right))
-        return float(np.linalg.norm(left)) / size if size else 0.0
+        left, right = (f[self.free] - self._rows @ one for one in (u, np.where(self.free, 0.0, u)))
+        return float(np.linalg.norm(left) / (np.linalg.norm(right) or 1.0))
 
 
 def _columns(asked: np.ndarray, there: np.ndarray) -> np.ndarray:
@@ -337,15 +329,14 @@ class BodyLoads:
         """Held displacements of the nodes of elements, and which they are, shape [n, d] each."""
         given, fixed = np.zeros_like(rim.x), np.zeros(rim.x.shape, bool)
         for name, values in self.held.items():
-            nodes = rim.nodes_of(name)
+            nodes, own = rim.nodes_of(name), rim.mesh.parts[name]
             there = values(rim.x[nodes])
             known = np.isfinite(there)
             if name in self.pulls and known.all():
                 raise InputError(f"part '{name}': expected it held or pulled, got both")
             if (fixed[nodes] & known & (there != given[nodes])).any():
-                parts, own = rim.mesh.parts, rim.mesh.parts[name]
-                for other in (one for one in (*self.held,) if one != name):
-                    if np.intersect1d(own, parts[other]).size:  # corners may jump
+                for other in self.held.keys() - {name}:
+                    if np.intersect1d(own, rim.mesh.parts[other]).size:  # corners may jump
                         raise InputError(
                             f"parts '{other}', '{name}': expected one displacement where both are"
                         )
@@ -355,23 +346,14 @@ class BodyLoads:
 
     def refuse_loose(self, rim: Rim, fixed: np.ndarray) -> None:
         """Raise InputError when displacements that are fixed, [n, d], let a piece move rigidly."""
-        piece = pieces(rim.mesh.cells)[rim.cells >= 0]
-        for number in np.unique(piece):
-            nodes = np.unique(rim.basis.element_dofs[:, piece == number])
-            centred = rim.x[nodes] - rim.x[nodes].mean(axis=0)
-            size = np.abs(centred).max()
-            motions = [np.broadcast_to(v, centred.shape) for v in np.eye(rim.d)]
-            for a, c in itertools.combinations(range(rim.d), 2):
-                turn = np.zeros_like(centred)
-                turn[:, a], turn[:, c] = -centred[:, c] / size, centred[:, a] / size
-                motions.append(turn)
-            held_motions = np.stack([motion[fixed[nodes]] for motion in motions], axis=1)
-            if np.linalg.matrix_rank(held_motions, tol=1e-6) < len(motions):
-                raise InputError(
-                    "displacement: expected parts that hold the body against shifts and turns, got "
-                    + (", ".join(self.held) or "none")
-                    + (f"; the mesh is of {piece.max() + 1} pieces" if piece.max() else "")
-                )
+        piece, label = pieces(rim.mesh.cells), np.zeros(len(rim.x), int)
+        label[rim.basis.element_dofs] = piece[rim.cells >= 0]
+        if any(loose_pieces(rim.x, label, fixed)):
+            raise InputError(
+                "displacement: expected parts that hold the body against shifts and turns, got "
+                + (", ".join(self.held) or "none")
+                + (f"; the mesh is of {piece.max() + 1} pieces" if piece.max() else "")
+            )
 
 
 def loads_on(
@@ -384,17 +366,18 @@ def loads_on(
 
     Raises InputError for a part that the mesh has not, or a body force that is no function.
     """
-    for name, given in (("displacement", displacement), ("traction", traction or {})):
+    every = {"displacement": displacement, "traction": traction or {}}
+    for name, given in every.items():
         if not isinstance(given, Mapping):
             raise InputError(
                 f"{name}: expected values by part, as {{'left': (0, 0)}}, got {given!r:.40}"
             )
-    for name in (*displacement, *(traction or {})):
-        check_part(name, mesh)
-    held = {
-        name: _field(f"part '{name}'", value, free=True) for name, value in displacement.items()
-    }
-    pulls = {name: _field(f"part '{name}'", value) for name, value in (traction or {}).items()}
+        for part in given:
+            check_part(part, mesh)
+    held, pulls = (
+        {part: _field(f"part '{part}'", value, free=free) for part, value in given.items()}
+        for given, free in zip(every.values(), (True, False))
+    )
     if b is not None and not callable(b):
         raise InputError(f"b: expected a function of positions [n, 2], got {b!r:.60}")
     return BodyLoads(held, pulls, None if b is None else _field("b", b))
@@ -418,7 +401,7 @@ def _field(name: str, value: Field | Traction | ArrayLike, *, free: bool = False
     def answer(*where: np.ndarray) -> np.ndarray:
         given = value(*where) if callable(value) else value
         vectors = checked(name, given, read=False)
-        vectors = checked(name, given, read=~(free & np.isnan(vectors)))
+        checked(name, given, read=~(free & np.isnan(vectors)))
         if vectors.shape == where[0].shape[1:]:
             vectors = np.broadcast_to(vectors, where[0].shape)
         if vectors.shape != where[0].shape:

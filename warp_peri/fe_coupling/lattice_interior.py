@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.ndimage import distance_transform_edt
+from scipy.sparse.linalg import LinearOperator
 
 from warp_peri.errors import InputError, warn
 from warp_peri.fe_coupling.boundary_elements import Field
@@ -18,7 +18,7 @@ from warp_peri.materials.lps_transfer import LEAST, TOLERANCE, on_lattice
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import USUAL, Units, symbols
-from warp_peri.solvers.linear import Linear
+from warp_peri.solvers.solution import Coupling
 
 EXCHANGES = 40
 """Solves that a coupling takes, for which the inverse is set up."""
@@ -81,47 +81,56 @@ def check_extent(mesh: Mesh, spacing: float, units: Units = USUAL) -> None:
         )
 
 
-class Bulk:
-    """L u = b on the unknown nodes of a linear material, for any load and collar.
+class Bulk(LinearOperator):
+    """L u = b on the unknown nodes of a linear material: a linear map from b there and u on the
+    collar, flat [d (I + C)], to u there, flat [d I].
 
     Args:
         model: the material, on its own lattice, or a model that is certified or allowed there.
         points: the unknown nodes and their collar.
         stiff: whether λ ≫ μ.
 
+    Attributes:
+        accuracy: of the next solve.
+
     Raises InputError for an operator that is singular or indefinite.
     """
 
+    accuracy = 0.0
+
     def __init__(self, model: Any, points: Points, *, stiff: bool = False) -> None:
-        self.model, self.points = model, points
         placed: Any = (
             LPSOperator(model, points) if isinstance(model, LPSMaterial) else model.on(points)
         )
-        self.linear: Linear = placed.linear
-        self.stress: Callable[[np.ndarray], np.ndarray] = placed.stress
+        self.points, self.linear, self.stress = points, placed.linear, placed.stress
         self.inside, self.collar = np.flatnonzero(points.interior), np.flatnonzero(~points.interior)
-        self.inverse = self.linear.cheapest_inverse(EXCHANGES, stiff=stiff)
+        self._inverse = self.linear.cheapest_inverse(EXCHANGES, stiff=stiff)
+        super().__init__(float, (self.inside.size * points.dimension, points.x.size))
 
-    def pull(self, collar: np.ndarray) -> np.ndarray:
-        """L of what the collar moves, shape [C, d], on the unknown nodes, shape [I, d]."""
-        return self._force(self.collar, collar)
+    def joined(self, inner: np.ndarray, collar: np.ndarray) -> np.ndarray:
+        """A field of all nodes [N, d], of its values on the unknown ones and on the collar."""
+        u = np.empty(self.points.x.shape)
+        u[self.inside], u[self.collar] = inner.reshape(-1, u.shape[1]), collar
+        return u
 
-    def apply(self, inner: np.ndarray) -> np.ndarray:
-        """L_II of displacements of the unknown nodes, shape [I, d]."""
-        return self._force(self.inside, inner)
+    def residual(self, b: np.ndarray, u: np.ndarray) -> float:
+        """‖L u − b‖ over ‖b − L of the collar‖."""
+        held = self.joined(0 * u[self.inside], u[self.collar])
+        left, right = (np.linalg.norm(b - self.linear(one[None])[0]) for one in (u, held))
+        return float(left / (right or 1.0))
 
-    def push(self, inner: np.ndarray) -> np.ndarray:
-        """The transpose of pull: [I, d] to [C, d]."""
-        return np.asarray(self.linear.push(inner)[self.collar])
+    def _matvec(self, q: np.ndarray) -> np.ndarray:
+        b, collar = (part.reshape(-1, self.points.dimension)
+                     for part in np.split(q.ravel(), self.shape[:1]))  # fmt: skip
+        return self._solved(b - self.linear(self.joined(0 * b, collar)[None])[0])
 
-    def solve(self, right: np.ndarray, tolerance: float) -> np.ndarray:
-        """L_II⁻¹ of a right-hand side, shape [I, d], well within a tolerance."""
-        return np.asarray(self.inverse(right, min(LOOSEST, SHARE * tolerance)))
+    def _rmatvec(self, by: np.ndarray) -> np.ndarray:
+        w = self._solved(by.reshape(-1, self.points.dimension))
+        return np.append(w, -self.linear.push(w.reshape(len(self.inside), -1))[self.collar])
 
-    def _force(self, some: np.ndarray, values: np.ndarray) -> np.ndarray:
-        u = np.zeros(self.points.x.shape)
-        u[some] = values
-        return np.asarray(self.linear(u[None])[0])
+    def _solved(self, right: np.ndarray) -> np.ndarray:
+        """L_II⁻¹ of a right-hand side [I, d], well within the accuracy."""
+        return self._inverse(right, min(LOOSEST, SHARE * self.accuracy)).ravel()
 
 
 def cubic(points: Points, x: np.ndarray) -> sp.csr_array:
@@ -134,33 +143,27 @@ def cubic(points: Points, x: np.ndarray) -> sp.csr_array:
     h, d = points.spacing, x.shape[1]
     grid = np.rint(points.x / h).astype(int)
     corner = grid.min(axis=0)
-    number = np.full(grid.max(axis=0) - corner + 1, -1)
+    number = np.full(np.ptp(grid, axis=0) + 1, -1)
     number[tuple((grid[points.interior] - corner).T)] = np.arange(points.interior.sum())
     place = x / h - corner
-    base = np.floor(place).astype(int) - 1
-    if (base < 0).any() or (base + 3 >= number.shape).any():
-        raise InputError(_TOO_NARROW)
-    s = place - base  # in [1, 2)
-    steps = np.arange(4)
-    weight = np.ones((len(x), d, 4))
-    for k in steps:
-        for j in steps[steps != k]:
-            weight[:, :, k] *= (s - j) / (k - j)
-    around = np.stack(np.meshgrid(*[steps] * d, indexing="ij"), axis=-1).reshape(-1, d)
-    node = number[tuple(np.moveaxis(base[:, None] + around, -1, 0))]
-    if (node < 0).any():
-        raise InputError(_TOO_NARROW)
+    base = np.clip(np.floor(place).astype(int) - 1, -4, number.shape)  # beyond there is nothing
+    steps, s = np.arange(4), place - base  # in [1, 2)
+    others = [np.delete(steps, k) for k in steps]
+    weight = np.stack(
+        [np.prod((s[..., None] - j) / (k - j), axis=-1) for k, j in zip(steps, others)], axis=-1
+    )
+    around = np.indices((4,) * d).reshape(d, -1).T
+    at = np.moveaxis(base[:, None] + around + 4, -1, 0)
+    if (node := np.pad(number, (4, 7), constant_values=-1)[tuple(at)]).min(initial=0) < 0:
+        raise InputError(
+            "overlap: the inner side of the rim leaves the nodes that are solved for; expected an "
+            "overlap of three spacings or more, or a wider body"
+        )
     value = np.prod([weight[:, a, around[:, a]] for a in range(d)], axis=0)
-    row = np.broadcast_to(np.arange(len(x))[:, None], node.shape)
+    row = np.repeat(np.arange(len(x)), len(around))
     shape = (len(x), int(points.interior.sum()))
-    entries = (value.ravel(), (row.ravel(), node.ravel()))
+    entries = (value.ravel(), (row, node.ravel()))
     return sp.csr_array(sp.coo_array(entries, shape=shape))
-
-
-_TOO_NARROW = (
-    "overlap: the inner side of the rim leaves the nodes that are solved for; expected an overlap "
-    "of three spacings or more, or a wider body"
-)
 
 
 RATIOS = (2.0, 1.5, 1.0, 0.75, 0.5)
@@ -169,6 +172,17 @@ WAVE_SHARE = 0.5
 """Of the body's area that lies two horizons inside, at least."""
 SAMPLES = 20_000
 """About how many points of the box around a body its depth and its load are looked at."""
+
+
+OVERLAP, CRYSTAL_OVERLAP = 2.0, 4.0
+"""Overlap of rim and bulk where none is given: in horizons, of a crystal in spacings."""
+
+
+def collar_and_overlap(model: Any, horizon: float, coupling: Coupling) -> tuple[float, float]:
+    """How far unknown nodes feel with this horizon, and how deep elements and lattice overlap."""
+    plane = isinstance(model, LPSMaterial)
+    usual = OVERLAP * horizon if plane else CRYSTAL_OVERLAP * model.spacing
+    return (2 if plane else 1) * horizon, coupling.overlap or usual
 
 
 @dataclass(frozen=True)
@@ -192,7 +206,7 @@ class Tried:
 
 
 def bulk_lattice(
-    model: LPSMaterial, mesh: Mesh, b: Field | None, overlap: float | None
+    model: LPSMaterial, mesh: Mesh, b: Field | None, coupling: Coupling
 ) -> tuple[LPSMaterial, tuple[Tried, ...]]:
     """The model on the coarsest lattice that resolves the loads and the body, and the search.
 
@@ -205,45 +219,46 @@ def bulk_lattice(
         model: certified on some lattice.
         mesh: of the body.
         b: body force density [TPa/Å] as a function of positions; None for none.
-        overlap: of rim and bulk [Å]; None for two horizons.
+        coupling: of rim and bulk.
 
     Returns:
         The model on the lattice that was chosen, and what was tried; the last is what was taken.
 
     Raises InputError for a mesh that is not in Å.
     """
-    home = max(model.certified_on)
+    home, unit = max(model.certified_on), symbols(model.units)[0]
     check_extent(mesh, home, model.units)
     depth, wave_number = _depth_and_wave_number(mesh, b)
     hole, tried = mesh.hole_sizes.min(initial=np.inf), list[Tried]()
 
-    def refusal(horizon: float) -> str:
-        share = np.mean(depth > 2 * horizon)
-        if hole < (2 * horizon if overlap is None else overlap):
-            return "a hole is smaller than the overlap"
-        few = f"only {share:.0%} of the body is two horizons inside"
-        return few if share < WAVE_SHARE else ""
+    def looked_at(spacing: float, horizon: float, error: float = np.nan, words: str = "") -> str:
+        collar, overlap = collar_and_overlap(model, horizon, coupling)
+        share = float(np.mean(depth > collar))
+        if hole < overlap:
+            words = "a hole is smaller than the overlap"
+        elif share < WAVE_SHARE:
+            words = f"only {share:.0%} of the body is two horizons inside"
+        tried.append(Tried(spacing, horizon, share, error, words))
+        return words
 
-    for spacing in home * np.array(RATIOS):
-        horizon, error, here = LEAST * spacing, np.nan, None
-        verdict, last = refusal(horizon), spacing == home * RATIOS[-1]
+    for spacing in (home * np.array(RATIOS)).tolist():
+        last = spacing == home * RATIOS[-1]
+        if looked_at(spacing, LEAST * spacing) and not last:
+            continue
+        del tried[-1]
         try:
-            here = on_lattice(model, spacing=spacing) if last or not verdict else None
+            here, error = on_lattice(model, spacing=spacing), 0.0
         except InputError as refused:
-            verdict = str(refused)
-        if here is not None:
-            if model.is_certified_on(spacing) and here.horizon >= model.horizon * (1 - 1e-9):
-                here, error = model, 0.0  # fewer bonds do not serve: no copy of what is there
-            else:
-                error = _wave_error(here, wave_number)
-            unresolved = "the waves of the load are not resolved" if error > TOLERANCE else ""
-            horizon = here.horizon
-            verdict = refusal(horizon) or unresolved or "taken"
-        share = float(np.mean(depth > 2 * horizon))
-        tried.append(Tried(float(spacing), horizon, share, error, verdict))
-        if here is not None and (last or verdict == "taken"):
-            if wave_number and error > TOLERANCE:
-                unit = symbols(model.units)[0]
+            looked_at(spacing, LEAST * spacing, words=str(refused))
+            continue
+        if model.is_certified_on(spacing) and here.horizon >= model.horizon * (1 - 1e-9):
+            here = model  # fewer bonds do not serve: no copy of what is there
+        else:
+            error = _wave_error(here, wave_number)
+        rough = error > TOLERANCE
+        words = "the waves of the load are not resolved" if rough else "taken"
+        if looked_at(spacing, here.horizon, error, words) == "taken" or last:
+            if wave_number and rough:
                 warn(
                     f"b: waves of {2 * np.pi / wave_number:.3g} {unit} are not resolved to "
                     f"{TOLERANCE:.1%} on the lattice of {spacing:g} {unit}, the finest"
@@ -265,13 +280,11 @@ def _depth_and_wave_number(mesh: Mesh, b: Field | None) -> tuple[np.ndarray, flo
     low, high = mesh.x.min(axis=0), mesh.x.max(axis=0)
     step = float(np.sqrt(np.prod(high - low) / SAMPLES))
     axes = [np.arange(start + step / 2, end, step) for start, end in zip(low, high)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    held = mesh.holding(grid.reshape(-1, 2)) >= 0
-    depth = mesh.distance(grid.reshape(-1, 2)[held], step / 10)
-    if b is None:
-        return depth, 0.0
-    x = grid.reshape(-1, 2)[held]
-    size = float(np.square(b(x)).sum())
-    slopes = [(b(x + d) - b(x - d)) / step for d in step / 2 * np.eye(2)]
-    slope = float(sum(np.square(s).sum() for s in slopes))
-    return depth, float(np.sqrt(slope / size)) if size else 0.0
+    x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    x = x[mesh.holding(x) >= 0]
+    size, slope = 0.0, 0.0
+    if b is not None:
+        size = float(np.square(b(x)).sum())
+        ways = step / 2 * np.eye(2)
+        slope = sum(float(np.square((b(x + d) - b(x - d)) / step).sum()) for d in ways)
+    return mesh.distance(x, step / 10), float(np.sqrt(slope / size)) if size else 0.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 from importlib import import_module
@@ -21,6 +20,7 @@ from warp_peri.points.points import Points
 from warp_peri.protocols import OperatorBase
 from warp_peri.solvers import direct
 from warp_peri.solvers.conjugate_gradients import definite
+from warp_peri.solvers.direct import loose_pieces
 from warp_peri.solvers.solution import CG, Direct, Solution, Solver, refuse_solver
 
 SYMMETRIC = 1e-9
@@ -245,32 +245,17 @@ def check_no_fail(no_fail: ArrayLike | None, count: int) -> np.ndarray:
 
 
 def check_pieces(body: LatticeBody, neighbour: np.ndarray, held: np.ndarray) -> None:
-    """Refuse a body of which a piece may move freely: cracks have cut it off and nothing holds it.
-
-    A piece needs as many held components as it has rigid motions, three in the plane and six in
-    space.
-    """
+    """Refuse a body of which a piece may move freely: cracks have cut it off and nothing holds it,
+    as loose_pieces finds."""
     node, bond = np.nonzero(neighbour >= 0)
-    count, d = body.x.shape
-    links = sp.csr_array((np.ones(len(node)), (node, neighbour[node, bond])), shape=(count, count))
-    pieces, label = connected_components(links, directed=False)
-    pairs = list(itertools.combinations(range(d), 2))
-    for piece in range(pieces):
-        nodes = np.flatnonzero(label == piece)
-        away = body.x[nodes] - body.x[nodes].mean(axis=0)
-        away /= max(np.abs(away).max(), body.spacing)
-        motions = np.zeros((len(nodes), d, d + len(pairs)))
-        motions[:, range(d), range(d)] = 1
-        for number, (a, b) in enumerate(pairs, d):
-            motions[:, a, number], motions[:, b, number] = -away[:, b], away[:, a]
-        felt = motions[held[nodes]]
-        rank = np.linalg.matrix_rank(felt, tol=1e-9) if len(felt) else 0
-        if rank < motions.shape[2]:
-            raise InputError(
-                f"crack: a piece of {len(nodes)} nodes, node {nodes[0]} among them, is held "
-                f"against {rank} of its {motions.shape[2]} rigid motions only; hold it or leave "
-                "it whole"
-            )
+    links = sp.csr_array(
+        (np.ones(len(node)), (node, neighbour[node, bond])), shape=2 * (len(neighbour),)
+    )
+    for nodes, rank, most in loose_pieces(body.x, connected_components(links)[1], held):
+        raise InputError(
+            f"crack: a piece of {len(nodes)} nodes, node {nodes[0]} among them, is held against "
+            f"{rank} of its {most} rigid motions only; hold it or leave it whole"
+        )
 
 
 def crack_load(cut: CutSolid, stress: np.ndarray, numbers: Any = None) -> Any:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterator
 from functools import cached_property
 from typing import Any
 
@@ -163,3 +164,30 @@ def lanczos_start(size: int) -> np.ndarray:
     It has no symmetry of the body's: ones would be orthogonal to half of a symmetric body's modes.
     """
     return np.random.default_rng(0).standard_normal(size)
+
+
+def loose_pieces(
+    x: np.ndarray, piece: np.ndarray, held: np.ndarray
+) -> Iterator[tuple[np.ndarray, int, int]]:
+    """Pieces of a body that what is held lets move rigidly: their nodes, how many of their rigid
+    motions it stops, and how many they have, three in the plane and six in space.
+
+    Args:
+        x: positions [length], shape [N, d].
+        piece: number of the piece of each node, shape [N].
+        held: components that are given, shape [N, d] bool.
+    """
+    d = x.shape[1]
+    turns = list(itertools.combinations(range(d), 2))
+    for number in np.unique(piece):
+        nodes = np.flatnonzero(piece == number)
+        away = x[nodes] - x[nodes].mean(axis=0)
+        away /= np.abs(away).max() or 1.0
+        motions = np.zeros((len(nodes), d, d + len(turns)))
+        motions[:, range(d), range(d)] = 1
+        for turn, (a, b) in enumerate(turns, d):
+            motions[:, a, turn], motions[:, b, turn] = -away[:, b], away[:, a]
+        felt = motions[held[nodes]]
+        rank = int(np.linalg.matrix_rank(felt, tol=1e-9)) if len(felt) else 0
+        if rank < motions.shape[2]:
+            yield nodes, rank, motions.shape[2]
