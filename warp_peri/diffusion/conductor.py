@@ -4,24 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
-import warp as wp
+import torch
 from numpy.typing import ArrayLike
 
 from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.errors import InputError
-from warp_peri.kernels.diffusion import flux as kernels
 from warp_peri.materials.lps import ALPHA_BOUND, bernstein_basis
 from warp_peri.points.arrays import checked, checked_fields, mean_inverse, plain
-from warp_peri.points.families import Families, families_of
+from warp_peri.points.families import families_of
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same
 from warp_peri.protocols import OperatorBase
-from warp_peri.runtime import floats, ints, launch_slices, zeros
 from warp_peri.solvers.adjoint import Implicit, stepped
 from warp_peri.solvers.direct import definite_factors
 from warp_peri.solvers.solution import Direct, Solution, Solver, refuse_solver
@@ -31,24 +28,58 @@ ROUNDING = 1e-10
 """Eigenvalues so far below zero, over the largest diagonal, count as zero."""
 
 
-@dataclass(frozen=True)
-class DiffusionGradient:
-    """Derivatives of a scalar by what `DiffusionOperator` depends on.
+class FlowOperator(OperatorBase):
+    """A linear law by its matrix, which flows in time: fields of all nodes, forces of the interior.
 
     Attributes:
-        phi: by φ, shape [N].
-        kappa: by the conductivity of each bond, shape [E].
-        D: by the coefficients of the influence function, shape [M + 1].
-        alpha: by its exponent.
+        matrix: of flat fields, sparse, rows of the interior in order.
     """
 
-    phi: np.ndarray
-    kappa: np.ndarray
-    D: np.ndarray
-    alpha: float
+    is_linear = True
+    what: ClassVar[str]
+    matrix: sp.csr_array
+    march = stepped  # ∂φ/∂t = −L φ + b by implicit steps (theory, Di4)
+
+    def force(self, u: np.ndarray) -> np.ndarray:
+        """L u on the interior, [..., I, …] of u [..., N, …]; InputError for another shape."""
+        self.check(u := plain("u", u))
+        lead, rest = u.shape[: u.ndim - len(self.shape)], self.shape[1:]
+        return np.asarray((u.reshape(*lead, -1) @ self.matrix.T).reshape(*lead, -1, *rest))
+
+    def vjp(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """Lᵗ w on all nodes, [..., N, …], of w on the interior, [..., I, …], whatever u."""
+        lead = np.shape(w)[: np.ndim(w) - len(self.shape)]
+        return np.asarray(
+            (plain("w", w).reshape(*lead, -1) @ self.matrix).reshape(*lead, *self.shape)
+        )
+
+    def tangent(self, u: Any) -> sp.csr_array:
+        """`matrix`, whatever u."""
+        return self.matrix
+
+    def interior_tangent(self, u: Any) -> sp.csc_array:
+        """L between interior nodes, sparse."""
+        components = int(np.prod(self.shape[1:]))
+        return self.matrix.tocsc()[:, np.repeat(self.points.interior, components)]
+
+    def solve(self, b: ArrayLike | None, u: ArrayLike, solver: Solver = None) -> Solution:
+        """The steady state, with L u = b on the interior, given on all other nodes.
+
+        Args:
+            b: loads, as fields [N, …] or [S, N, …], read on the interior; None for none.
+            u: a field, same shape, read off the interior.
+            solver: Direct().
+
+        Raises InputError for other shapes, values that are not finite, a matrix that is singular,
+        as of a piece that nothing touches, or has eigenvalues below zero.
+        """
+        refuse_solver(solver, (Direct,), self.what)
+        b, given = checked_fields(self.points, b, u, self.shape)
+        left = Implicit(self).rest(b, given)
+        return Solution(given, self.points, self, self.rhs(b), "lu", measured=left)
 
 
-class DiffusionOperator(OperatorBase):
+class DiffusionOperator(FlowOperator):
     """−∇·κ∇φ, nonlocal, on the interior of a point set (theory, Di1).
 
     Args:
@@ -65,7 +96,6 @@ class DiffusionOperator(OperatorBase):
     Raises InputError for a conductivity not > 0, or points that do not carry the horizon.
     """
 
-    is_linear = True
     what = "diffusion"
     implicit = 0.5
 
@@ -75,31 +105,67 @@ class DiffusionOperator(OperatorBase):
         self.model, self.points = law, nodes_of(points)
         check_same(law.units, self.points.units)
         families = families_of(self.points, law.horizon, bond_based=True)
-        bond, self._owner = _bonds_of(families)
-        self.neighbour = families.neighbour[bond]
-        self.r, weight = _lengths_and_weights(families, bond, self._owner)
-        kept = self.neighbour >= 0
-        count = len(families.rows)
-        K = law.basis(self.r) @ law.D
-        self._volume = np.bincount(self._owner, K * self.r**2 * weight, count)
-        if (np.abs(self._volume) < 1e-300).any():
-            raise InputError("influence function: its weighted volume is zero")
-        # broken bonds count in m and carry nothing
-        self._owner_all, self._r_all, self._weight_all = self._owner, self.r, weight
-        self._kept = kept
-        scale = 2 * self.points.dimension
-        self.v = (scale * K * weight / self._volume[self._owner])[kept]
-        # weights of scattered points are negative here and there, of any kernel
-        signed = self.v if families.lattice is not None else (K / self._volume[self._owner])[kept]
-        self._changes_sign = bool((signed < 0).any())
-        self._owner, self.neighbour, self.r = (
-            part[kept] for part in (self._owner, self.neighbour, self.r)
-        )
-        self.rows = families.rows
+        self.rows, row, classes = families.rows, families.row, families.lattice
+        counts = row[self.rows + 1] - row[self.rows]
+        own = np.repeat(np.arange(len(counts)), counts)  # bonds of the interior, in its order
+        place = np.arange(len(own)) - np.repeat(np.cumsum(counts) - counts, counts)
+        bond = place + row[self.rows[own]]
+        number = bond if classes is None else classes.bond_class[place]
+        self._owner, self._r, self._weight = own, families.r[number], families.weight[number]
+        # broken bonds count in m and carry nothing; on a lattice −1 is also of no node
+        self._kept = (far := families.neighbour[bond]) >= 0
+        self._ends = self.rows[own[self._kept]], far[self._kept]
         self.given = law.conductivity if kappa is None else kappa
-        self.kappa = bond_conductivity(self, self.given)
-        row = np.concatenate([[0], np.cumsum(np.bincount(self._owner, minlength=count))])
-        self._links = (ints(self.rows), ints(row), ints(self.neighbour), floats(self.v))
+        self._series = self._along_bonds(self.given) if callable(self.given) else None
+        if self._series is None:
+            if np.shape(self.given) not in ((), (len(self.points.x),)):
+                raise InputError(
+                    f"conductivity: expected a number, a function, or shape [{len(self.points.x)}]"
+                    f", got {list(np.shape(self.given))}"
+                )
+            _check(checked("conductivity", self.given))
+        with torch.no_grad():
+            strength = self._strengths(**_tensors(self.learnable)).numpy()
+        shape, rows = 2 * (len(self.points.x),), np.tile(self._ends[0], 2)
+        entries = np.concatenate([strength, -strength]), (rows, np.concatenate(self._ends))
+        self.matrix = sp.csr_array(entries, shape=shape)[self.rows]
+        kernel = law.basis(self._r) @ law.D
+        # weights of scattered points are negative here and there, of any kernel
+        signed = kernel * (1.0 if classes is None else self._weight)
+        signed *= np.sign(np.bincount(own, kernel * self._r**2 * self._weight))[own]
+        self._changes_sign = bool((signed[self._kept] < 0).any())
+
+    def _strengths(self, alpha: Any, D: Any, kappa: Any = None) -> torch.Tensor:
+        """v κ of each bond, shape [E], of tensors; its derivatives are torch's."""
+        r, weight, own = map(torch.from_numpy, (self._r, self._weight, self._owner))
+        basis = bernstein_basis(self._r, self.model.horizon, len(D) - 1)
+        K = r**-alpha * (torch.from_numpy(basis) @ D)
+        volume = r.new_zeros(len(self.rows)).index_add(0, own, K * r**2 * weight)
+        if (volume.abs() < 1e-300).any():
+            raise InputError("influence function: its weighted volume is zero")
+        scale = 2 * self.points.dimension
+        v = (scale * K * weight / volume[own])[torch.from_numpy(self._kept)]
+        if kappa is None:
+            return v * torch.from_numpy(self._series)
+        near, far = (kappa[end] if kappa.dim() else kappa for end in self._ends)
+        return v * 2 / (1 / near + 1 / far)
+
+    def _along_bonds(self, kappa: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """κ of each bond, its parts in series (Di2), shape [E]."""
+        points, (near, far) = self.points, self._ends
+        xi = points.x[far] - points.x[near]
+        if points.box is not None:
+            xi -= np.asarray(points.box) * np.rint(xi / points.box)
+
+        def along(place: float) -> np.ndarray:
+            values = checked("conductivity", kappa(points.x[near] + place * xi))
+            if values.shape not in ((), (len(near),)):
+                shown = list(values.shape)
+                raise InputError(f"conductivity: expected one a position, {len(near)}, got {shown}")
+            _check(values)
+            return np.broadcast_to(values, len(near))
+
+        return np.asarray(1 / mean_inverse(along))
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -111,37 +177,13 @@ class DiffusionOperator(OperatorBase):
         """Whether so is L on the interior: on lattices."""
         return bool(self.points.spacing > 0)
 
-    def force(self, phi: np.ndarray) -> np.ndarray:
-        """L φ on the interior, [N] or [S, N] to [I] or [S, I]; InputError for another shape."""
-        if np.ndim(phi) == 2 and len(phi):
-            return np.stack([self.force(one) for one in phi])
-        out = zeros(len(self.rows))
-        inputs = (*self._links, floats(self.kappa), self._field(phi))
-        launch_slices(kernels.flux, len(self.rows), inputs, (out,))
-        result: np.ndarray = out.numpy()
-        return result
-
-    def _field(self, phi: np.ndarray) -> wp.array[Any]:
-        values = np.ascontiguousarray(phi, dtype=float)
-        if values.shape != (len(self.points.x),):
-            raise InputError(f"phi: expected shape [{len(self.points.x)}], got {values.shape}")
-        return floats(values)
-
-    def matrix(self) -> sp.csr_array:
-        """L as a matrix, rows the interior in order, shape [I, N]."""
-        stiffness = self.v * self.kappa
-        shape = (len(self.rows), len(self.points.x))
-        far = sp.csr_array((-stiffness, (self._owner, self.neighbour)), shape=shape)
-        own = sp.csr_array((stiffness, (self._owner, self.rows[self._owner])), shape=shape)
-        return sp.csr_array(far + own)
-
-    def inner(self) -> sp.csc_array:
-        """The columns of `matrix` that belong to the interior, shape [I, I].
+    def interior_tangent(self, u: Any) -> sp.csc_array:
+        """L between interior nodes, shape [I, I].
 
         Raises InputError where a kernel that changes sign gives L + Lᵗ
         eigenvalues below zero: φ would grow without end.
         """
-        matrix = sp.csc_array(self.matrix()[:, self.rows])
+        matrix = super().interior_tangent(u)
         if self._changes_sign and len(self.rows):
             shift = ROUNDING * np.abs(matrix.diagonal()).max()
             even = (matrix + matrix.T) / 2 + shift * sp.eye_array(len(self.rows))
@@ -157,14 +199,6 @@ class DiffusionOperator(OperatorBase):
         inside = self.points.interior
         return checked("b", b, float, (..., len(inside)), inside)[..., self.rows]
 
-    def tangent(self, u: Any) -> sp.csr_array:
-        """`matrix`, whatever φ."""
-        return self._matrix
-
-    def interior_tangent(self, u: Any) -> sp.csc_array:
-        """L between interior nodes, sparse [I, I]."""
-        return self.inner()
-
     @property
     def learnable(self) -> dict[str, Any]:
         """α and D, and κ where it is one number or one a node [N]."""
@@ -176,135 +210,32 @@ class DiffusionOperator(OperatorBase):
         law = replace(self.model, alpha=float(numbers["alpha"]), D=numbers["D"])
         return DiffusionOperator(law, self.points, kappa=numbers.get("kappa", self.given))
 
-    def by_numbers(self, name: str, u: np.ndarray, w: np.ndarray) -> Any:
+    @torch.enable_grad()
+    def by_numbers(self, name: str, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Derivatives of Σ w · L φ to a number, of fields [K, N] and weights [K, I]."""
-        each = [self.gradient(phi, seed) for phi, seed in zip(u, w)]
-        if name != "kappa":
-            return sum(np.asarray(getattr(one, name)) for one in each)
-        by_bond, values = np.sum([one.kappa for one in each], axis=0), np.asarray(self.given)
-        if values.ndim == 0:
-            return by_bond.sum()
-        found = np.zeros(len(values))
-        for ends in (self.rows[self._owner], self.neighbour):  # κ = 2 / (1/κ_i + 1/κ_j)
-            np.add.at(found, ends, by_bond * (self.kappa / values[ends]) ** 2 / 2)
-        return found
-
-    def vjp(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
-        """Lᵗ w on all nodes, [..., N], of w on the interior, [..., I], whatever φ."""
-        return np.asarray(plain("w", w) @ self._matrix)
-
-    @cached_property
-    def _matrix(self) -> sp.csr_array:
-        return self.matrix()
+        near, far = self._ends
+        work = ((u[:, near] - u[:, far]) * w[:, self._owner[self._kept]]).sum(axis=0)
+        numbers = _tensors(self.learnable)
+        strength = self._strengths(**numbers | {name: (one := numbers[name].requires_grad_())})
+        return np.asarray(torch.autograd.grad(strength, one, torch.from_numpy(work))[0])
 
     def energy(self, u: np.ndarray) -> np.ndarray | None:
         """h^d (½ φ_I·L φ_I + φ_I·L φ_C), shape [...]; None on scattered points."""
         return None if self.points.spacing == 0 else self.quadratic(u)
 
-    def solve(self, b: ArrayLike | None, u: ArrayLike, solver: Solver = None) -> Solution:
-        """φ with L φ = b on the interior, given on all other nodes.
-
-        Args:
-            b: source, shape [N] or [S, N], read on the interior; None for none.
-            u: φ, same shape, read off the interior.
-            solver: Direct().
-
-        Raises InputError for other shapes, values that are not finite, and when the matrix is
-        singular, as of a piece that nothing touches, or has eigenvalues below zero (`inner`).
-        """
-        refuse_solver(solver, (Direct,), self.what)
-        b, phi = checked_fields(self.points, b, u, self.shape)
-        left = Implicit(self).rest(b, phi)
-        return Solution(phi, self.points, self, self.rhs(b), "lu", measured=left)
-
-    march = stepped  # ∂φ/∂t = −L φ + b by Crank–Nicolson (theory, Di4)
-
     def storage(self) -> sp.csr_array:
         """What multiplies ∂φ/∂t, one on the interior, sparse [I, N]."""
         return sp.eye_array(len(self.points.x), format="csr")[self.rows]
 
-    def gradient(self, phi: np.ndarray, seed: np.ndarray) -> DiffusionGradient:
-        """Derivatives of seed · L φ, seed of shape [I]."""
-        count, bonds = len(self.rows), len(self.v)
-        own, far, by_kappa, by_v = zeros(count), zeros(bonds), zeros(bonds), zeros(bonds)
-        inputs = (*self._links, floats(self.kappa), self._field(phi))
-        given = floats(np.ascontiguousarray(seed, dtype=float))
-        launch_slices(kernels.flux_adjoint, count, (*inputs, given), (own, far, by_kappa, by_v))
-        by_phi = np.bincount(self.neighbour, far.numpy(), len(self.points.x))
-        by_phi[self.rows] += own.numpy()
-        on_all = np.zeros(len(self._kept))
-        on_all[self._kept] = by_v.numpy()
-        basis = self.model.basis(self._r_all)
-        K, weight, m = basis @ self.model.D, self._weight_all, self._volume
-        pulled = np.bincount(self._owner_all, on_all * K * weight, count) / m
-        scale = 2 * self.points.dimension
-        share = on_all - self._r_all**2 * pulled[self._owner_all]
-        by_K = scale * weight / m[self._owner_all] * share
-        return DiffusionGradient(
-            by_phi, by_kappa.numpy(), by_K @ basis, float(-(by_K * K) @ np.log(self._r_all))
-        )
 
-
-def _bonds_of(families: Families) -> tuple[np.ndarray, np.ndarray]:
-    """Bonds of the interior nodes, by number, and whose they are, by place among the interior.
-
-    Bonds to a place that no node is at are left out; on a lattice these are marked −1 and cannot
-    be told from bonds broken to node 0, which carry nothing either.
-    """
-    starts, ends = families.row[families.rows], families.row[families.rows + 1]
-    counts = ends - starts
-    owner = np.repeat(np.arange(len(starts)), counts)
-    bond = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-    return bond + np.repeat(starts, counts), owner
-
-
-def _lengths_and_weights(
-    families: Families, bond: np.ndarray, owner: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    if families.lattice is None:
-        return families.r[bond], families.weight[bond]
-    classes = families.lattice
-    number = classes.bond_class[bond - families.row[families.rows[owner]]]
-    return classes.r[number], classes.weight[number]
-
-
-def bond_conductivity(operator: DiffusionOperator, kappa: Conductivity) -> np.ndarray:
-    """κ of each bond: one number, the harmonic mean of its ends, or series resistance (Di2).
-
-    Raises InputError for another shape, and for values that are not > 0, naming the smallest.
-    """
-    points = operator.points
-    near, far = operator.rows[operator._owner], operator.neighbour
-    if callable(kappa):
-        xi = points.x[far] - points.x[near]
-        if points.box is not None:
-            xi -= np.asarray(points.box) * np.rint(xi / points.box)
-
-        def along(place: float) -> np.ndarray:
-            values = checked("conductivity", kappa(points.x[near] + place * xi))
-            if values.shape not in ((), (len(near),)):
-                shown = list(values.shape)
-                raise InputError(f"conductivity: expected one a position, {len(near)}, got {shown}")
-            _check(values)
-            return np.broadcast_to(values, len(near))
-
-        return np.asarray(1 / mean_inverse(along))
-    values = checked("conductivity", kappa)
-    if values.shape not in ((), (len(points.x),)):
-        raise InputError(
-            f"conductivity: expected a number, a function, or shape [{len(points.x)}], got "
-            f"{list(values.shape)}"
-        )
-    values = np.broadcast_to(values, len(points.x))
-    _check(values)
-    harmonic: np.ndarray = 2 / (1 / values[near] + 1 / values[far])
-    return harmonic
+def _tensors(numbers: Mapping[str, Any]) -> dict[str, torch.Tensor]:
+    return {name: torch.tensor(value, dtype=torch.float64) for name, value in numbers.items()}
 
 
 def _check(values: np.ndarray) -> None:
-    if not (values > 0).all() or not np.isfinite(values).all():
+    if not (values > 0).all():
         raise InputError(
-            f"conductivity: expected finite values > 0, got {np.nanmin(values):g}, with which "
+            f"conductivity: expected finite values > 0, got {values.min():g}, with which "
             "diffusion would run backwards"
         )
 
@@ -340,10 +271,8 @@ class DiffusionMaterial(Record, format="warp_peri.conductor"):
 
     def basis(self, r: np.ndarray) -> np.ndarray:
         """r^(−α) B_k(r/δ), shape [..., M + 1]."""
-        table: np.ndarray = r[..., None] ** -self.alpha * bernstein_basis(
-            r, self.horizon, len(self.D) - 1
-        )
-        return table
+        basis = bernstein_basis(r, self.horizon, len(self.D) - 1)
+        return np.asarray(r[..., None] ** -self.alpha * basis)
 
     def on(self, points: PointsLike, *, kappa: Conductivity | None = None) -> DiffusionOperator:
         """The law on points, with a conductivity of its own as of DiffusionOperator."""

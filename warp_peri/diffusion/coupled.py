@@ -8,21 +8,21 @@ from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike
 
 from warp_peri.core.record import Record, Stress
-from warp_peri.diffusion.conductor import Conductivity, DiffusionMaterial, DiffusionOperator
+from warp_peri.diffusion.conductor import (
+    Conductivity,
+    DiffusionMaterial,
+    DiffusionOperator,
+    FlowOperator,
+)
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import lattice_body
 from warp_peri.fracture.bonds import bond_matrix, bonds_of, dilatations
 from warp_peri.fracture.statics import check_definite, in_torch, symmetric_factors
 from warp_peri.materials.lps import LPSMaterial
-from warp_peri.points.arrays import checked_fields, plain
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import Units, check_same
-from warp_peri.protocols import OperatorBase
-from warp_peri.solvers.adjoint import Implicit, stepped
-from warp_peri.solvers.solution import Direct, Solution, Solver, refuse_solver
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,23 +72,13 @@ OF_CONDUCTOR = "conductor_"
 """What names of the conductor's numbers begin with."""
 
 
-def _of_conductor(numbers: Mapping[str, Any]) -> dict[str, Any]:
-    """The numbers of the conductor by its own names."""
-    return {
-        name.removeprefix(OF_CONDUCTOR): value
-        for name, value in numbers.items()
-        if name.startswith(OF_CONDUCTOR)
-    }
-
-
-class CoupledOperator(OperatorBase):
+class CoupledOperator(FlowOperator):
     """A coupled solid on a lattice.
 
     Args:
         material: the solid.
         points: a lattice; its interior is what is free, of u and of φ.
         kappa: conductivity, as of DiffusionOperator.
-        neighbour: with broken bonds, shape [N, B]; those of the lattice by default.
 
     ``op(u)`` takes u₁, u₂, φ of all nodes, shape [N, 3], and returns what loads and source are in
     the steady state, [I, 3].
@@ -97,7 +87,6 @@ class CoupledOperator(OperatorBase):
     zero, and as DiffusionOperator.
     """
 
-    is_linear = True
     what = "a coupled solid"
     implicit = 1.0
 
@@ -107,53 +96,33 @@ class CoupledOperator(OperatorBase):
         points: PointsLike,
         *,
         kappa: Conductivity | None = None,
-        neighbour: np.ndarray | None = None,
     ) -> None:
         self.model, model = material, material.model
         self.diffusion = diffusion = DiffusionOperator(material.conductor, points, kappa=kappa)
-        self.points = diffusion.points
-        body = lattice_body(self.points.x, self.points.spacing, model.horizon)
-        table = body.neighbour if neighbour is None else neighbour
-        if self.points.box is not None:
+        self.points, self.rows = nodes, rows = diffusion.points, diffusion.rows
+        if nodes.box is not None:
             raise InputError("box: a coupled solid is for a body that does not repeat")
-        if self.points.outside is not None:
-            gone = np.append(self.points.outside, False)
-            table = np.where(gone[table] | self.points.outside[:, None], -1, table)
-        self.body, self.table = body, table
-        bonds = bonds_of(model, body.classes)
-        rows = diffusion.rows
-        self.rows = rows
-        self.free = np.column_stack([2 * rows, 2 * rows + 1]).ravel()
+        self.body = body = lattice_body(nodes.x, nodes.spacing, model.horizon)
+        self.table = table = body.neighbour
+        if nodes.outside is not None:
+            gone = np.append(nodes.outside, False)
+            self.table = table = np.where(gone[table] | nodes.outside[:, None], -1, table)
+        bonds, free = bonds_of(model, body.classes), np.ravel(2 * rows[:, None] + [0, 1])
         theta = dilatations(body, bonds.share, table, np.arange(len(table)))
-        self._solid = bond_matrix(body, table, bonds)[self.free]
+        solid = bond_matrix(body, table, bonds)[free]
         if (bonds.share < 0).any():
-            check_definite(symmetric_factors(self._solid[:, self.free]))
-        diffusion.inner()  # refuses one that would grow
-        self._pull = sp.csr_array(material.coupling * theta.T)[self.free]
-        self._squeeze = sp.csr_array(-material.coupling * theta[rows])
-        self._flux = diffusion.matrix()
+            check_definite(symmetric_factors(solid[:, free]))
+        diffusion.interior_tangent(None)  # refuses one that would grow
+        pull = sp.csr_array(material.coupling * theta.T)[free]
+        squeeze = sp.csr_array(-material.coupling * theta[rows])
+        self.matrix = self._whole([[solid, pull], [None, diffusion.matrix]])
+        kept = material.storage * diffusion.storage()
+        self._storage = self._whole([[0 * solid, 0 * pull], [squeeze, kept]])
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Of one field, [N, 3]."""
         return (len(self.points.x), 3)
-
-    def force(self, u: np.ndarray) -> np.ndarray:
-        """On the interior, shape [N, 3] or [S, N, 3] to [..., I, 3]."""
-        u = plain("u", u)
-        self.check(u)
-        if u.ndim > 2:
-            return np.stack([self.force(one) for one in u])
-        force = self._solid @ u[:, :2].ravel() + self._pull @ u[:, 2]
-        return np.column_stack([force.reshape(-1, 2), self._flux @ u[:, 2]])
-
-    def tangent(self, u: np.ndarray) -> sp.csr_array:
-        """The force as a matrix, rows of the interior and columns of all nodes, [3 I, 3 N]."""
-        return self._whole([[self._solid, self._pull], [None, self._flux]])
-
-    def interior_tangent(self, u: Any) -> sp.csc_array:
-        """The force between interior nodes, sparse [3 I, 3 I]."""
-        return self.tangent(u).tocsc()[:, np.repeat(self.points.interior, 3)]
 
     def _whole(self, blocks: list[list[Any]]) -> sp.csr_array:
         """A matrix of the blocks of displacement and φ, in the order of fields."""
@@ -164,67 +133,42 @@ class CoupledOperator(OperatorBase):
         )
         return both[rows][:, columns]
 
-    def vjp(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
-        """That transposed: of w on the interior, [..., I, 3], on all nodes, [..., N, 3]."""
-        w = plain("w", w)
-        flat, source = w[..., :2].reshape(*w.shape[:-2], -1), w[..., 2]
-        pushed = (flat @ self._solid).reshape(*w.shape[:-2], -1, 2)
-        phi = flat @ self._pull + source @ self._flux
-        return np.concatenate([pushed, phi[..., None]], axis=-1)
-
     @property
     def learnable(self) -> dict[str, Any]:
         """λ, μ, α and D of the solid, ε, and the conductor's as conductor_alpha and so on."""
         conductor = {OF_CONDUCTOR + n: value for n, value in self.diffusion.learnable.items()}
-        return self.model.model.learnable | {"coupling": self.model.coupling} | conductor
+        return self._of_solid | conductor
+
+    @property
+    def _of_solid(self) -> dict[str, Any]:
+        return self.model.model.learnable | {"coupling": self.model.coupling}
+
+    def _of_conductor(self, numbers: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: numbers[OF_CONDUCTOR + name] for name in self.diffusion.learnable}
 
     def at(self, numbers: Mapping[str, Any]) -> CoupledOperator:
         """The same with other numbers; InputError as the class, and for κ not > 0."""
-        diffusion = self.diffusion.at(_of_conductor(numbers))
-        model = self.model.model.with_parameters(
-            {n: numbers[n] for n in self.model.model.learnable}
-        )
-        material = replace(
-            self.model, model=model, conductor=diffusion.model, coupling=float(numbers["coupling"])
-        )
-        return CoupledOperator(material, self.points, kappa=diffusion.given, neighbour=self.table)
+        diffusion, own = self.diffusion.at(self._of_conductor(numbers)), self.model.model
+        model = own.with_parameters({name: numbers[name] for name in own.learnable})
+        parts = {"conductor": diffusion.model, "coupling": float(numbers["coupling"])}
+        material = replace(self.model, model=model, **parts)
+        return CoupledOperator(material, self.points, kappa=diffusion.given)
 
     def force_with_parameters(self, u: Any, numbers: Any) -> Any:
         """The force of tensors [S, N, 3] with other numbers, differentiable once in all."""
         field, phi = u[..., :2], u[..., 2]
         parts = self.model.model, self.body, self.table
         force = in_torch().bond_force(*parts, field, numbers, numbers["coupling"] * phi)
-        flux = self.diffusion.force_with_parameters(phi, _of_conductor(numbers))
+        flux = self.diffusion.force_with_parameters(phi, self._of_conductor(numbers))
         return in_torch().torch.cat([force[:, self.rows], flux[..., None]], dim=-1)
-
-    def solve(self, b: ArrayLike | None, u: ArrayLike, solver: Solver = None) -> Solution:
-        """The steady state.
-
-        Args:
-            b: loads and source, [N, 3] or [S, N, 3], read on the interior; None for none.
-            u: displacement and φ, same shape, read off the interior.
-            solver: Direct().
-
-        Raises InputError for other shapes, or a solve that loses its digits.
-        """
-        refuse_solver(solver, (Direct,), self.what)
-        load, given = checked_fields(self.points, b, u, self.shape)
-        Implicit(self).rest(load, given)
-        return Solution(given, self.points, self, self.rhs(load), "lu")
-
-    march = stepped  # by backward Euler, b a load or a function of time
 
     def storage(self) -> sp.csr_array:
         """What multiplies the rates of u₁, u₂ and φ, sparse [3 I, 3 N]."""
-        kept = sp.eye_array(len(self.points.x), format="csr")[self.rows]
-        return self._whole(
-            [[0 * self._solid, 0 * self._pull], [self._squeeze, self.model.storage * kept]]
-        )
+        return self._storage
 
     def storage_slopes(self, names: list[str], rates: np.ndarray, w: np.ndarray) -> dict[str, Any]:
         """Derivatives of Σ w · storage() rates to numbers, of rates [K, N, 3], w [K, I, 3]."""
-        torch = in_torch().torch
-        own = self.model.model.learnable | {"coupling": self.model.coupling}
+        torch, own = in_torch().torch, self._of_solid
         asked = [name for name in names if name in own]
         if not asked:
             return {}

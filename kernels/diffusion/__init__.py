@@ -1,1 +1,0 @@
-"""Nonlocal diffusion: the flux along bonds and its adjoint."""
