@@ -10,8 +10,7 @@ from warp_peri.materials.certificate import Certificate, Solvability, certify, c
 from warp_peri.materials.lps import lps_stencil
 from warp_peri.materials.lps_transfer import model_at
 from warp_peri.materials.third_order import Uniqueness, prove_uniqueness
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import check_positive
+from warp_peri.points.arguments import Positive, typed
 from warp_peri.protocols import offered
 from warp_peri.solvers.verlet import inertia, stiffest_of
 
@@ -29,7 +28,7 @@ __all__ = [
 
 @typed
 def critical_time_step(
-    model: Any, *, spacing: float, density: float, allow_uncertified: bool = False
+    model: Any, *, spacing: Positive, density: Positive, allow_uncertified: bool = False
 ) -> float:
     """Time step [ps] below which velocity Verlet is stable on all parts of the lattice (51, T21).
 
@@ -47,7 +46,6 @@ def critical_time_step(
     Raises InputError for a model of which nothing is proven there, a horizon below one spacing, a
     density not > 0.
     """
-    check_positive("density", density)
     if hasattr(model, "max_symbol_eigenvalue"):
         stiffest = stiffest_of(model, spacing, allow_uncertified)
     else:

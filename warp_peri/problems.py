@@ -30,6 +30,7 @@ LINEAR = (
 )
 
 
+@typed
 @dataclass(frozen=True, eq=False)
 class Dirichlet:
     """Load on the interior, displacement given on the collar (theory, 29).

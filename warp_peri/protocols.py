@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Protocol, Self, overload
 import numpy as np
 
 from warp_peri.errors import InputError, quietly
+from warp_peri.points.arguments import check_arguments
 from warp_peri.points.arrays import checked, plain
 from warp_peri.points.samples import Samples
 
@@ -323,6 +324,7 @@ def placed(
     if not open_ended and (unknown := sorted(options.keys() - known.keys())):
         what = type(material).__name__
         raise InputError(f"{verb}: {', '.join(unknown)}: not among the options of a {what}")
+    check_arguments(on, options)
     return on(points, **options)
 
 
@@ -331,7 +333,8 @@ def taken(
 ) -> tuple[dict[str, Any], ...]:
     """Options for each taker, by its keyword-only arguments but those that are `given` elsewhere.
 
-    Raises InputError for an option that none takes, and for one that is missing.
+    Raises InputError for an option that none takes, for one that is missing, and for one of another
+    kind than it is annotated with.
     """
     kinds = [
         {n: p for n, p in signature(taker).parameters.items() if p.kind is p.KEYWORD_ONLY}
@@ -343,4 +346,7 @@ def taken(
         raise InputError(f"{verb}: expected options among {names}, got {', '.join(unknown)}")
     if missing := [n for n, p in known.items() if p.default is p.empty and n not in options]:
         raise InputError(f"{verb}: expected {', '.join(missing)} too, of the options {names}")
-    return tuple({n: options[n] for n in kind if n in known and n in options} for kind in kinds)
+    found = tuple({n: options[n] for n in kind if n in known and n in options} for kind in kinds)
+    for taker, its in zip(takers, found):
+        check_arguments(taker, its)
+    return found

@@ -158,7 +158,9 @@ def test_moduli_lie_within_errors_by_rules_that_are_broken_much(hexagonal):
     allowed = np.einsum("mab,ncd->mnabcd", cubes, cubes).reshape(81, 3, 3, 3, 3)
     change = moved.nearest_elastic(allowed, atoms.values - off)[0]
     change = np.abs(change - moved.nearest_elastic(allowed)[0])
-    ways = [np.linalg.norm(moved.elastic_doubt(allowed, bent=bent), axis=0) for bent in (0, 1)]
+    ways = [
+        np.linalg.norm(moved.elastic_doubt(allowed, bent=bent), axis=0) for bent in (False, True)
+    ]
     shares = [np.max((change / one)[change > 0.01 * change.max()]) for one in ways]
     assert shares[1] < 2**0.5 + 1e-6 < 2 < shares[0]  # what is odd alone is too little
 

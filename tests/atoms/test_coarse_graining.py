@@ -87,7 +87,7 @@ HIDDEN = np.ma.masked_array(
 """Atom 7 is no data."""
 OF_MATRIX = [
     ({"shape": "disk"}, "shape: expected one of cone, paraboloid, got 'disk'"),
-    ({"radius": np.nan}, "radius: expected a finite number"),
+    ({"radius": np.nan}, "radius: expected a number > 0"),
     ({"radius": 1.7}, "radius: expected more than spacing/√2 = 1.768"),
     ({"spacing": -1.0}, "spacing: expected a length > 0"),
     ({"spacing": 2.4}, "nodes: expected a square lattice of spacing 2.4"),
@@ -160,7 +160,7 @@ def test_force_on_a_mesh_with_a_hole_does_the_work_of_the_atoms_up_to_its_edges(
     for atoms, force, thickness, message in (
         ([[0.0, 20.0], [90.0, 0.0]], np.ones((2, 2)), 1.0, "atoms: 1 lie outside the mesh"),
         ([[0.0, 20.0]], np.ones((2, 2)), 1.0, r"force: expected shape \[1, 2\], got \[2, 2\]"),
-        ([[0.0, 20.0]], [[1.0, 0]], 0.0, "thickness: expected a length > 0"),
+        ([[0.0, 20.0]], [[1.0, 0]], 0.0, "thickness: expected a number > 0"),
     ):
         with pytest.raises(InputError, match=message):
             force_on_mesh(HOLE, atoms, force, thickness=thickness)

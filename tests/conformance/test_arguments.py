@@ -9,16 +9,31 @@ import pytest
 import torch
 
 import warp_peri as wp
+from warp_peri.core.record import Record
 from warp_peri.points.arguments import check_arguments, kinds_of
 
 MODULES = [getattr(wp, name) for name in dir(wp) if inspect.ismodule(getattr(wp, name))]
 PUBLIC = {
-    f"{value.__module__}.{value.__qualname__}": value.__init__ if isinstance(value, type) else value
+    f"{value.__module__}.{value.__qualname__}": value
     for module in (wp, *MODULES)
     for value in (getattr(module, name) for name in getattr(module, "__all__", ()))
     if callable(value)
 }
-TYPED = {name: call.__wrapped__ for name, call in PUBLIC.items() if hasattr(call, "__wrapped__")}
+
+
+def doors():
+    """What users call by name: functions, classes and their own public methods."""
+    for name, value in PUBLIC.items():
+        if not isinstance(value, type):
+            yield name, value
+        elif hasattr(value.__init__, "__wrapped__") or issubclass(value, Record):
+            for own, method in {**vars(value), "__init__": value.__init__}.items():
+                method = getattr(method, "__func__", method)
+                if inspect.isfunction(method) and (own == "__init__" or own[0] != "_"):
+                    yield f"{name}.{own}", method
+
+
+TYPED = {name: call.__wrapped__ for name, call in doors() if hasattr(call, "__wrapped__")}
 LEARNS = torch.ones((), requires_grad=True)
 WRONG = {
     float: ("a", np.nan, 1e300, 1j, [1.0, 2.0], LEARNS),
@@ -31,11 +46,18 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("name", TYPED)
+BEYOND = {"a number > 0": 0.0, "a number ≥ 0": -1.0, "a number between 0 and 1": 1.0,
+          "a whole number ≥ 1": 0, "a whole number ≥ 0": -1}  # fmt: skip
+UNTYPED = {"load_mpi_library", "fit", "solve", "simulate"}
+"""Without arguments, or whose options are checked where they are taken."""
+
+
+@pytest.mark.parametrize("name", [name for name, call in TYPED.items() if kinds_of(call)])
 def test_an_argument_of_another_kind_is_refused_by_name(name):
-    for argument, (kinds, default) in kinds_of(TYPED[name]).items():
+    for argument, (kinds, default, bound) in kinds_of(TYPED[name]).items():
         wrong = WRONG.get(kinds[0], ("a", 5, LEARNS) if kinds[0] not in (tuple, list) else (5,))
-        for value in wrong:
+        beyond = () if bound is None else (BEYOND.get(bound.words, "none of them"),)
+        for value in (*wrong, *beyond):
             if any(isinstance(value, kind) for kind in kinds[1:]) or value is default:
                 continue
             with pytest.raises(wp.InputError, match=f"^{argument}: expected"):
@@ -43,11 +65,15 @@ def test_an_argument_of_another_kind_is_refused_by_name(name):
         check_arguments(TYPED[name], {argument: default})
 
 
-def test_most_of_what_users_call_is_typed_and_calls_go_through_the_door():
-    assert len(TYPED) > 70
+def test_every_function_that_users_call_is_typed_and_calls_go_through_the_door():
+    functions = {name for name, value in PUBLIC.items() if not isinstance(value, type)}
+    assert {name.split(".")[-1] for name in functions - {*TYPED}} <= UNTYPED
+    assert len(TYPED) > 240
     for call in (
         lambda: wp.LPS("a"),
+        lambda: wp.LPS(0.0),
         lambda: wp.Points.sheet((4, 4), np.nan),
+        lambda: wp.Points.disk(20.0, 5.0, -1.0),
         lambda: wp.load(5),
         lambda: wp.certify(None, spacing="a"),
     ):

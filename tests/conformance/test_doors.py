@@ -252,7 +252,7 @@ def test_a_data_set_is_checked_when_it_is_made():
     for kind, words in (
         ({"provenance": {"rate": np.nan}}, "provenance: expected plain JSON"),
         ({"provenance": {"rate": object()}}, "provenance: expected plain JSON"),
-        ({"density": 1e300}, "density: expected a finite"),
+        ({"density": 1e300}, "density: expected a number > 0"),
         ({"thickness": 1e300}, "thickness: expected a finite"),
     ):
         with pytest.raises(wp.InputError, match=words):

@@ -207,13 +207,10 @@ def test_bad_choices_are_refused(change, words):
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: Bernstein(1.5), "degree: expected a whole number, got 1.5"),
-        (lambda: LPS(np.nan), "horizon: expected a finite number"),
-        (
-            lambda: StabilityConditions("none"),
-            "conditions: expected one of direct, paper, got 'none'",
-        ),
-        (lambda: StabilityConditions(zeta=-0.01), "zeta: expected a stiffness > 0, got -0.01"),
+        (lambda: Bernstein(1.5), "degree: expected a whole number ≥ 0, got 1.5"),
+        (lambda: LPS(np.nan), "horizon: expected a number > 0"),
+        (lambda: StabilityConditions("none"), "kind: expected one of direct, paper, got 'none'"),
+        (lambda: StabilityConditions(zeta=-0.01), "zeta: expected a number > 0, got -0.01"),
         (lambda: TwoStage(seed=-1), "seed: expected a whole number ≥ 0, got -1"),
         (lambda: TwoStage("best"), "parametrisation: expected one of projected, relu"),
         (lambda: TwoStage(constraints="none"), "constraints: expected one of symbol, dense"),

@@ -283,7 +283,7 @@ def test_the_thickness_is_the_exponential_of_a_polynomial():
 
 def test_what_is_no_thickness_is_refused():
     for degree in (7, 0, 2.0, True, "2"):
-        with pytest.raises(InputError, match=f"degree: expected 1 to 6, got {degree!r}"):
+        with pytest.raises(InputError, match="degree: expected (1 to 6|a whole number), got "):
             ThicknessField.over(X, degree)
     with pytest.raises(InputError, match=r"numbers: expected shape \[5\], got \[4\]"):
         replace(ThicknessField.over(X, 2), numbers=np.ones(4))

@@ -107,7 +107,7 @@ def test_the_figures_of_a_period_are_those_without_its_translations():
     ("spacing", "points", "words"),
     [
         (2.1, None, "horizon: expected at least one spacing"),
-        (0.0, None, "spacing: expected a lattice spacing > 0"),
+        (0.0, None, "spacing: expected a number > 0"),
         (1.0, lattice(3, 2.0, spacing=0.9), "spacing: expected that of the points, 0.9 Å, got 1"),
         (1.0, lattice(3, 1.5), "out to twice the horizon"),
     ],

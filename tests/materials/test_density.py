@@ -105,6 +105,6 @@ def test_energies_that_cannot_be_used_are_refused():
     with pytest.raises(InputError, match="energy: expected no stress at rest"):
         pulled.on(points)
     with pytest.raises(InputError, match="loss: expected one of forces, displacement"):
-        wp.fit(None, wp.Density(blatz_ko, 0.5, {"mu": 1.0}, "energy"))
+        wp.Density(blatz_ko, 0.5, {"mu": 1.0}, "energy")
     with pytest.raises(InputError, match="expected all bonds of every interior node"):
         wp.DensityMaterial.of(blatz_ko, 0.5, {"mu": 1.0}).on(box(9, 2, 0.5, 1))

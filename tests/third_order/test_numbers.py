@@ -47,7 +47,7 @@ def test_numbers_that_are_none_are_refused():
             replace(solid("energy"), tq2=value)
     with pytest.raises(InputError, match="ridge: expected a number ≥ 0"):
         Smoothing(10.0, -0.1)
-    with pytest.raises(InputError, match="radius: expected a length > 0"):
+    with pytest.raises(InputError, match="radius: expected a number > 0"):
         Smoothing("wide")
 
 

@@ -9,7 +9,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import h5py
 import numpy as np
@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 from warp_peri.atoms.dic import ON_LATTICE, spacing_of, surrounded
 from warp_peri.errors import InputError
 from warp_peri.files.foreign import check_hdf5
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.arrays import checked, is_number
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
@@ -48,10 +48,10 @@ def smoothing_matrix(
     atoms: ArrayLike,
     nodes: ArrayLike,
     *,
-    radius: float = 10.0,
-    shape: str = "cone",
+    radius: Positive = 10.0,
+    shape: Literal["cone", "paraboloid"] = "cone",
     box: tuple[float, float] | None = None,
-    spacing: float | None = None,
+    spacing: Positive | None = None,
 ) -> sp.csr_array:
     """Smoothing functions ω(x_i, X_ε) of every node and atom (You et al. 2021, equation 6.1).
 
@@ -78,10 +78,6 @@ def smoothing_matrix(
     without one, or arrays of another shape.
     """
     atoms, nodes = _positions("atoms", atoms), _positions("nodes", nodes)
-    if shape not in SHAPES:
-        raise InputError(f"shape: expected one of {', '.join(SHAPES)}, got {shape!r}")
-    if not 0 < radius < np.inf:
-        raise InputError(f"radius: expected a length > 0, got {radius}")
     if box is not None and not (np.shape(box) == (2,) and np.isfinite(box).all() and min(box) > 0):
         raise InputError(f"box: expected two periods > 0, got {box}")
     if spacing is not None:
@@ -138,8 +134,8 @@ def coarse_grain(
     displacement: ArrayLike,
     force: ArrayLike,
     mass: ArrayLike = 1.0,
-    node_area: float,
-    thickness: float,
+    node_area: Positive,
+    thickness: Positive,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Smoothed displacement and body force density (You et al. 2021, equations 2.2 and 2.3).
 
@@ -162,9 +158,8 @@ def coarse_grain(
     moved = checked("displacement", displacement, shape=("S", atoms, 2))
     pushed = checked("force", force, shape=(len(moved), atoms, 2))
     mass = checked("mass", mass, shape=(atoms,) if np.ndim(mass) else ())
-    for name, size in (("mass", mass), ("node_area", node_area), ("thickness", thickness)):
-        if not (np.isfinite(size).all() and np.all(np.greater(size, 0))):
-            raise InputError(f"{name}: expected values > 0, got {size}")
+    if not np.all(mass > 0):
+        raise InputError(f"mass: expected values > 0, got {mass}")
     weighted = omega @ sp.diags_array(np.broadcast_to(mass, (atoms,)))
     density = np.asarray(weighted.sum(axis=1))
     if not (density > 0).all():
@@ -180,7 +175,7 @@ def coarse_grain(
 
 @typed
 def force_on_mesh(
-    mesh: Mesh, atoms: ArrayLike, force: ArrayLike, *, thickness: float
+    mesh: Mesh, atoms: ArrayLike, force: ArrayLike, *, thickness: Positive
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Body force density that does the work of the atoms' forces, up to free edges (equation 3a).
 

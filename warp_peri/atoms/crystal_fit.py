@@ -30,8 +30,7 @@ from warp_peri.core.stencil import directions
 from warp_peri.errors import InputError, warn
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import fit_phonons
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import check_positive
+from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.reprs import Shown
 
@@ -94,6 +93,7 @@ UNSEEN = {"waves ≥ 4 spacings": (18.0, 4.0, 8, 2), "waves of 2.7 to 4 spacings
 Symbol = Callable[[np.ndarray], np.ndarray]
 
 
+@typed
 @dataclass(frozen=True, eq=False, repr=False)
 class CrystalFit(Shown):
     """A crystal's law, what it was learned from, and how it compares.
@@ -290,10 +290,10 @@ def fit_crystal(
     atoms: ase.Atoms,
     calculator: Any = None,
     *,
-    thickness: float | None = None,
+    thickness: Positive | None = None,
     hold: Sequence[str] = (),
-    spacing: float | None = None,
-    horizon: float | None = None,
+    spacing: Positive | None = None,
+    horizon: Positive | None = None,
     supercell: Sequence[int] | None = None,
     symmetry: Symmetry = "auto",
     units: Units | str = USUAL,
@@ -326,7 +326,6 @@ def fit_crystal(
     53
     """
     units = check_units(units)
-    check_positive("spacing", 1.0 if spacing is None else spacing)
     calculator = atoms.calc if calculator is None else calculator
     if calculator is None:
         raise InputError("calculator: expected an ASE calculator, or atoms that have one")
@@ -384,8 +383,8 @@ def with_strains(
 def crystal_from_force_constants(
     atoms: ForceConstants,
     *,
-    spacing: float | None = None,
-    horizon: float | None = None,
+    spacing: Positive | None = None,
+    horizon: Positive | None = None,
     symmetry: Symmetry = "auto",
     units: Units | str = USUAL,
 ) -> CrystalFit:

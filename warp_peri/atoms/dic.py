@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError, warn
 from warp_peri.files.foreign import content, encoding_of
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import NotNegative, Positive, typed
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PULL, SEEN, Samples
 from warp_peri.points.unit_names import LENGTHS, USUAL, check_units
@@ -281,8 +281,8 @@ def length_of(pixel: float | str) -> tuple[float, str | None]:
 def dic_to_lattice(
     frames: Sequence[DICFrame],
     *,
-    spacing: float | None = None,
-    radius: float = 0.0,
+    spacing: Positive | None = None,
+    radius: NotNegative = 0.0,
     reach: int = 3,
     positions: str | None = None,
 ) -> Samples:

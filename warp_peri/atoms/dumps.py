@@ -19,7 +19,7 @@ from tqdm import tqdm
 from warp_peri.atoms.coarse_graining import coarse_grain
 from warp_peri.errors import InputError, warn
 from warp_peri.files.foreign import encoding_of, unpacked
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.arrays import checked
 from warp_peri.points.samples import PointsLike, Samples, nodes_of
 
@@ -371,7 +371,7 @@ def coarse_grain_dumps(
     *,
     force: ArrayLike,
     node_area: float,
-    thickness: float,
+    thickness: Positive,
     unloaded: Sequence[str | os.PathLike[str]] = (),
     average: FrameAverage = FrameAverage(),
     progress: bool = False,

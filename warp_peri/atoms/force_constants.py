@@ -18,7 +18,7 @@ from warp_peri.core.elastic import acoustic, stress_brackets
 from warp_peri.core.groups import group_of_structure, kinds_of, point_group
 from warp_peri.core.stencil import directions
 from warp_peri.errors import InputError, warn
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.unit_names import STRESSES
 
 STEP, WIDER = 2e-3, 5
@@ -53,6 +53,7 @@ DECAYED, NEGLECTED = 3.5, 36.0
 """x with erfc(x) ≈ 0 at half a supercell, and exponents of Gaussians that are left out."""
 
 
+@typed
 @dataclass(frozen=True, eq=False)
 class NonAnalyticCorrection:
     """What waves of ions' displacement do through their electric field (theory, T18).
@@ -114,6 +115,7 @@ class NonAnalyticCorrection:
         return np.asarray(each[None])
 
 
+@typed
 @dataclass(frozen=True, eq=False)
 class ForceConstants:
     """Φ between the atoms of one cell and all others, as a list of pairs.
@@ -578,8 +580,8 @@ def from_calculator(
     calculator: Any,
     repeats: Sequence[int],
     *,
-    thickness: float | None = None,
-    step: float = STEP,
+    thickness: Positive | None = None,
+    step: Positive = STEP,
 ) -> ForceConstants:
     """Force constants of a crystal by an ASE calculator, on a supercell of repeats.
 

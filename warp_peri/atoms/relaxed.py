@@ -36,7 +36,7 @@ from warp_peri.core.groups import (
 )
 from warp_peri.errors import InputError, optional, warn
 from warp_peri.files.foreign import check_hdf5, check_yaml, content
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import Positive, typed
 
 VACUUM = 8.0
 """A gap between atoms [Å] that counts as vacuum."""
@@ -443,7 +443,9 @@ YAML = ("phonopy.yaml", "phonopy_params.yaml", "phonopy_disp.yaml")
 
 
 @typed
-def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None) -> ForceConstants:
+def from_phonopy(
+    path: str | os.PathLike[str], *, thickness: Positive | None = None
+) -> ForceConstants:
     """Force constants of what phonopy computed.
 
     Beside phonopy.yaml may lie FORCE_CONSTANTS, force_constants.hdf5, FORCE_SETS and BORN; nothing

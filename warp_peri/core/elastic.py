@@ -13,6 +13,7 @@ import numpy as np
 from warp_peri.core.groups import Symmetry
 from warp_peri.core.stencil import directions
 from warp_peri.errors import InputError
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import checked
 
 PAIRS = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}
@@ -78,6 +79,7 @@ def plane_isotropic(lam: float, mu: float) -> np.ndarray:
     return C
 
 
+@typed
 def voigt_to_tensor(matrix: np.ndarray) -> np.ndarray:
     """The elastic tensor [d, d, d, d] of a symmetric Voigt matrix.
 

@@ -38,6 +38,7 @@ import numpy as np
 
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import parsed, plain, write_json
+from warp_peri.points.arguments import typed, typed_methods
 from warp_peri.points.arrays import LARGEST, checked, is_number
 from warp_peri.points.unit_names import USUAL, Units, check_units, factors, shown_moduli, symbols
 from warp_peri.reprs import Shown
@@ -121,7 +122,8 @@ def _fields_of(kind: Any) -> tuple[Field, ...]:
     for each in fields(kind):
         hint, says = hints[each.name], PLAIN
         if get_origin(hint) is Annotated:
-            hint, says = get_args(hint)[:2]
+            hint, said = get_args(hint)[:2]
+            says = said if isinstance(said, FieldUnits) else PLAIN
         default = each.default if each.default_factory is MISSING else each.default_factory
         found.append(Field(each.name, says.key or each.name, hint, says, default))
     return tuple(each for each in found if each.name != "units")
@@ -146,6 +148,7 @@ class Record(Shown):
     def __init_subclass__(cls, format: str = "", version: int = 1) -> None:
         if "__repr__" not in vars(cls):  # a dataclass would write one with all of its arrays
             cls.__repr__ = Record.__repr__  # type: ignore[method-assign]
+        typed_methods(cls)
         if format:  # not of what several formats share, or one with tables that no file has
             cls.FORMAT, cls.VERSION = format, version
             FORMATS[format] = cls
@@ -225,6 +228,7 @@ class Record(Shown):
         return self
 
     @classmethod
+    @typed
     def load(cls, path: str | os.PathLike[str]) -> Self:
         """Read a file of this kind; InputError for one of another, and as `from_dict`."""
         found = load(path)
@@ -233,6 +237,7 @@ class Record(Shown):
             raise InputError(f"{path}: {what}")
         return found
 
+    @typed
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a JSON file, whole or not at all; InputError for what JSON does not know."""
         try:

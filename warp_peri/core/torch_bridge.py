@@ -16,6 +16,7 @@ from scipy.sparse.linalg import LinearOperator, gmres, splu
 from torch.autograd import forward_ad
 
 from warp_peri.errors import InputError, quietly
+from warp_peri.points.arguments import typed
 from warp_peri.protocols import SINGULAR, placed, uncompiled
 
 Backward = Callable[..., tuple[torch.Tensor | None, ...]]
@@ -400,6 +401,7 @@ def in_steps(
     return np.asarray(w)
 
 
+@typed
 class TorchModule(torch.nn.Module):
     """A material on points as a module of torch: ``module(u)`` is the force, as ``operator(u)``.
 

@@ -11,7 +11,7 @@ from scipy.special import stdtrit
 from tqdm import tqdm
 
 from warp_peri.errors import InputError, quietly
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import Natural, typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
 from warp_peri.protocols import offered
@@ -23,6 +23,7 @@ REDRAWN = 0.2
 """Of the draws, that may determine no law and are drawn again."""
 
 
+@typed
 @dataclasses.dataclass(frozen=True)
 class BootstrapResult:
     """Materials learned from other choices of the loads.
@@ -68,7 +69,7 @@ def bootstrap(
     law: Any,
     *,
     draws: int = DRAWS,
-    seed: int = 0,
+    seed: Natural = 0,
     progress: bool = False,
     **options: Any,
 ) -> BootstrapResult:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import check_whole
+from warp_peri.points.arguments import Count, Natural, NotNegative, Positive, typed
 
 if TYPE_CHECKING:
     from warp_peri.materials.influence import InfluenceFunction
@@ -22,8 +21,6 @@ HORIZONS = (10.0, 12.5, 15.0, 17.5, 20.0, 22.5, 25.0)
 """Horizons δ that `sweep` tries [Å] (You et al. 2021, section 6.2)."""
 DEGREES = (0, 5, 10, 15, 20)
 """Degrees M that `sweep` tries (You et al. 2021, section 6.2)."""
-PARAMETRISATIONS = ("projected", "relu")
-CONSTRAINTS = ("symbol", "dense")
 CONDITIONS = {"direct": ("D",), "paper": ("D", "gamma", "gamma_minus_2phi")}
 """What each choice asks for: D ≥ ζ s; with `paper` also μΓ ≥ ζ s and μ(Γ − 2φφᵗ) ≥ 0."""
 ISOTROPIC, LONG_WAVES = "isotropic", "long waves"
@@ -46,10 +43,7 @@ class Bernstein:
     (3,)
     """
 
-    degree: int = 10
-
-    def __post_init__(self) -> None:
-        check_whole("degree", self.degree, 0)
+    degree: Natural = 10
 
 
 Kernel: TypeAlias = "Bernstein | InfluenceFunction | Sequence[InfluenceFunction]"
@@ -68,16 +62,8 @@ class StabilityConditions:
     Raises InputError for another kind, or a ζ that is not above zero.
     """
 
-    kind: str = "direct"
-    zeta: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.kind not in CONDITIONS:
-            raise InputError(
-                f"conditions: expected one of {', '.join(CONDITIONS)}, got {self.kind!r}"
-            )
-        if self.zeta is not None and not (np.isfinite(self.zeta) and self.zeta > 0):
-            raise InputError(f"zeta: expected a stiffness > 0, got {self.zeta}")
+    kind: Literal["direct", "paper"] = "direct"
+    zeta: Positive | None = None
 
     @property
     def level(self) -> float:
@@ -112,13 +98,10 @@ class GaussNewton:
     """
 
     moduli: tuple[float, float] | str | None = LONG_WAVES
-    rounds: int = 40
-    smoothness: float = SMOOTHNESS
+    rounds: Count = 40
+    smoothness: NotNegative = SMOOTHNESS
 
     def __post_init__(self) -> None:
-        check_whole("rounds", self.rounds, 1)
-        if not self.smoothness >= 0:
-            raise InputError(f"smoothness: expected a number ≥ 0, got {self.smoothness}")
         if isinstance(self.moduli, str):
             if self.moduli not in (ISOTROPIC, LONG_WAVES):
                 raise InputError(
@@ -162,22 +145,13 @@ class TwoStage:
     Raises InputError for a choice or a number that is none.
     """
 
-    parametrisation: str = "projected"
-    constraints: str = "symbol"
-    seed: int = 0
+    parametrisation: Literal["projected", "relu"] = "projected"
+    constraints: Literal["symbol", "dense"] = "symbol"
+    seed: Natural = 0
     checkpoint: str | os.PathLike[str] | None = None
-    epochs: int = 4000
-    inner_epochs: int = 500
-    outer_iterations: int = 20
-
-    def __post_init__(self) -> None:
-        for name, known in (("parametrisation", PARAMETRISATIONS), ("constraints", CONSTRAINTS)):
-            if getattr(self, name) not in known:
-                raise InputError(
-                    f"{name}: expected one of {', '.join(known)}, got {getattr(self, name)!r}"
-                )
-        for name in ("seed", "epochs", "inner_epochs", "outer_iterations"):
-            check_whole(name, getattr(self, name), 0)
+    epochs: Natural = 4000
+    inner_epochs: Natural = 500
+    outer_iterations: Natural = 20
 
 
 @typed
@@ -196,14 +170,10 @@ class AugmentedLagrangian:
     Raises InputError for a number that is none.
     """
 
-    seed: int = 0
-    steps: int = 100
-    rounds: int = 60
+    seed: Natural = 0
+    steps: Count = 100
+    rounds: Count = 60
     optimum: GaussNewton = field(default_factory=GaussNewton)
-
-    def __post_init__(self) -> None:
-        for name, least in (("seed", 0), ("steps", 1), ("rounds", 1)):
-            check_whole(name, getattr(self, name), least)
 
 
 Method: TypeAlias = TwoStage | GaussNewton | AugmentedLagrangian

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError, warn
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import check_positive, check_whole, checked
+from warp_peri.points.arguments import Count, Positive, typed
+from warp_peri.points.arrays import check_whole, checked
 from warp_peri.points.families import HORIZON_TOLERANCE, BondClasses, bond_classes
 from warp_peri.points.lattice import neighbour_table, straight_steps
 
@@ -27,6 +27,7 @@ FELT = 2.0
 """Distance within which nodes take a force that acts at a place, in spacings."""
 
 
+@typed
 @dataclass(frozen=True, eq=False)
 class LatticeBody:
     """Nodes of a square or cubic lattice and the bonds between them.
@@ -70,7 +71,7 @@ class LatticeBody:
 
 @typed
 def lattice_body(
-    x: ArrayLike, spacing: float, horizon: float, *, endless: bool = False
+    x: ArrayLike, spacing: Positive, horizon: Positive, *, endless: bool = False
 ) -> LatticeBody:
     """The bonds of a body on a square or cubic lattice, straight or turned.
 
@@ -95,7 +96,7 @@ def lattice_body(
 
 
 @typed
-def rectangle_nodes(width: float, height: float, spacing: float) -> np.ndarray:
+def rectangle_nodes(width: Positive, height: Positive, spacing: Positive) -> np.ndarray:
     """Nodes in the middle of square cells that fill a rectangle about the origin, shape [N, 2].
 
     Raises InputError when the sides are not whole multiples of the spacing.
@@ -104,12 +105,11 @@ def rectangle_nodes(width: float, height: float, spacing: float) -> np.ndarray:
 
 
 @typed
-def box_nodes(sides: Sequence[float], spacing: float) -> np.ndarray:
+def box_nodes(sides: Sequence[float], spacing: Positive) -> np.ndarray:
     """Nodes in the middle of cells that fill a box about the origin, shape [N, d].
 
     Raises InputError when the sides are not whole multiples of the spacing.
     """
-    check_positive("spacing", spacing)
     count = np.rint(checked("sides", sides, float, ("d",)) / spacing).astype(int)
     if (count < 1).any() or np.abs(count * spacing - sides).max() > 1e-6 * spacing:
         given = ", ".join(f"{side:g}" for side in sides)
@@ -119,9 +119,8 @@ def box_nodes(sides: Sequence[float], spacing: float) -> np.ndarray:
 
 
 @typed
-def penny_corners(radius: float, corners: int = 48) -> np.ndarray:
+def penny_corners(radius: Positive, corners: Count = 48) -> np.ndarray:
     """Corners of a round crack about the origin on y = 0, as large as a circle, shape [P, 3]."""
-    check_positive("radius", radius)
     check_whole("corners", corners, 3)
     t = 2 * np.pi * np.arange(corners) / corners
     reach = radius * np.sqrt(2 * np.pi / corners / np.sin(2 * np.pi / corners))
@@ -137,7 +136,7 @@ def through(left: float, right: float, side: float, dimension: int) -> list[tupl
 
 @typed
 def point_force(
-    x: np.ndarray, spacing: float, place: Sequence[float], force: Sequence[float]
+    x: np.ndarray, spacing: Positive, place: Sequence[float], force: Sequence[float]
 ) -> np.ndarray:
     """Body force density of a force at a place, as on an edge between or beyond nodes (C27).
 
@@ -154,7 +153,6 @@ def point_force(
 
     Raises InputError where these nodes do not span the space.
     """
-    check_positive("spacing", spacing)
     x = checked("x", x, float, ("N", "d"))
     d = x.shape[1]
     away = (x - checked("place", place, float, (d,))) / spacing

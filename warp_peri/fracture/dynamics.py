@@ -92,7 +92,7 @@ class BrittleMaterial(OnLinear, format="warp_peri.brittle_solid", version=3):
 
 
 @typed
-def with_positive_kernel(model: LPSMaterial, horizon: float) -> LPSMaterial:
+def with_positive_kernel(model: LPSMaterial, horizon: Positive) -> LPSMaterial:
     """λ and μ of a model with K = 1/r, which has them exactly on every lattice (C7).
 
     This is how a model whose influence function changes sign goes to fracture.

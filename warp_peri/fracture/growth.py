@@ -23,7 +23,7 @@ from warp_peri.fracture.bonds import (
 )
 from warp_peri.fracture.statics import CutSolid, by_component, check_no_fail, check_pieces
 from warp_peri.materials.lps import LPSMaterial
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import Count, Positive, typed
 from warp_peri.points.arrays import check_whole
 from warp_peri.points.families import BondClasses
 from warp_peri.solvers.conjugate_gradients import definite
@@ -123,7 +123,7 @@ def grow(
     held: ArrayLike,
     u: np.ndarray,
     *,
-    events: int,
+    events: Count,
     cracks: Sequence[ArrayLike] = (),
     no_fail: np.ndarray | None = None,
     corrected: bool = False,
@@ -177,7 +177,7 @@ def grow(
 
 @typed
 def apparent_toughness(
-    model: LPSMaterial, spacing: float, *, cells: int = 20, length: int = 3
+    model: LPSMaterial, spacing: Positive, *, cells: Count = 20, length: Count = 3
 ) -> float:
     """What a growing crack spends over the toughness of (C6) behind its critical stretch.
 

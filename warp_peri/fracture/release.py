@@ -15,7 +15,7 @@ from warp_peri.errors import InputError
 from warp_peri.fracture.body import LatticeBody, box_nodes, lattice_body, size_and_normal, through
 from warp_peri.fracture.statics import CutSolid
 from warp_peri.materials.lps import LPSMaterial
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import Positive, typed
 from warp_peri.protocols import offered
 from warp_peri.solvers.solution import CG, Direct, Solution
 
@@ -88,7 +88,7 @@ def _moving(cracks: Sequence[Sequence[ArrayLike]]) -> int:
 
 
 @typed
-def tip_shift(material: Any, spacing: float, *, corrected: bool = False) -> float:
+def tip_shift(material: Any, spacing: Positive, *, corrected: bool = False) -> float:
     """How much further the tip of a crack along rows of nodes acts than it is cut (C25) [length].
 
     The field of a tip in an endless sheet is given around squares of four and eight horizons half

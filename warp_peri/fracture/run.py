@@ -15,6 +15,7 @@ from warp_peri.files.checkpoint import AllNodes, RunFile, agreed, fingerprint
 from warp_peri.files.series import TimeSeriesWriter
 from warp_peri.fracture.body import HAIR, section
 from warp_peri.fracture.dynamics import BreakingBody, BreakingState, step
+from warp_peri.points.arguments import Count, Natural, Positive
 from warp_peri.points.arrays import check_positive, check_whole, checked
 from warp_peri.solvers.motion import Motion
 
@@ -97,13 +98,13 @@ class CrackRun:
         self,
         body: BreakingBody,
         *,
-        step: float,
-        every: int = 20,
+        step: Positive,
+        every: Count = 20,
         regions: Mapping[str, ArrayLike] | None = None,
         watch: Mapping[str, Callable[[np.ndarray], Any]] | None = None,
         sections: Mapping[str, ArrayLike] | None = None,
         checkpoint: str | os.PathLike[str] | None = None,
-        checkpoint_every: int = 10,
+        checkpoint_every: Count = 10,
         series: str | os.PathLike[str] | None = None,
         nodes: Any = None,
     ) -> None:
@@ -148,7 +149,9 @@ class CrackRun:
         self.history: dict[str, list[Any]] = {}
         self._start, self._first, self._ramp = "", (0.0, 0), list[float]()
 
-    def march(self, state: BreakingState, *, steps: int, progress: bool = False) -> BreakingState:
+    def march(
+        self, state: BreakingState, *, steps: Natural, progress: bool = False
+    ) -> BreakingState:
         """March to `steps` steps in all, from the checkpoint if there is one, else from `state`.
 
         Raises InputError for the checkpoint of another body, start, load or step, naming what

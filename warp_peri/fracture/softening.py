@@ -17,10 +17,12 @@ from warp_peri.core.record import OnLinear
 from warp_peri.errors import InputError
 from warp_peri.fracture.bonds import unit_toughness
 from warp_peri.materials.lps import LPSMaterial
-from warp_peri.points.arrays import is_number, is_positive
+from warp_peri.points.arguments import NotNegative, Positive, typed
+from warp_peri.points.arrays import is_positive
 from warp_peri.points.families import bond_classes
 
 
+@typed
 @dataclass(frozen=True)
 class BondLaw:
     """How a bond pulls: k d exp(−β s), s = d/r² > 0, and k d in compression (C16).
@@ -33,19 +35,9 @@ class BondLaw:
     Raises InputError unless β ≥ 0, s₀ > 0 and the tail ≥ 0.
     """
 
-    softness: float
-    stretch: float = np.inf
-    tail: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name, value, positive in (
-            ("softness: expected a finite number ≥ 0", self.softness, False),
-            ("stretch: expected a number > 0", self.stretch, True),
-            ("tail: expected a finite number ≥ 0", self.tail, False),
-        ):
-            fine = is_number(value) and (value > 0 if positive else 0 <= value < np.inf)
-            if not fine:
-                raise InputError(f"{name}, got {value!r}")
+    softness: NotNegative
+    stretch: Positive = np.inf
+    tail: NotNegative = 0.0
 
     def pull(self, s: np.ndarray) -> np.ndarray:
         """Pull over k r² of a bond that has not begun to fail."""

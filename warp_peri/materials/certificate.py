@@ -16,7 +16,7 @@ from warp_peri.errors import InputError
 from warp_peri.materials.lps import LPSMaterial, statement_of
 from warp_peri.materials.lps_bonds import listed
 from warp_peri.materials.lps_matrices import matrices
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.families import families_of
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, symbols
@@ -90,7 +90,7 @@ class Certificate:
 
 @typed
 def certify(
-    material: Any, *, spacing: float | None = None, points: PointsLike | None = None
+    material: Any, *, spacing: Positive | None = None, points: PointsLike | None = None
 ) -> Certificate:
     """Compute the certificate of a linear solid, or of a material's linear part, on a lattice.
 

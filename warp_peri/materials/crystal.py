@@ -23,6 +23,7 @@ from warp_peri.core.proof import StencilCertificate, largest, prove
 from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, warn
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import checked_fields, plain
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
@@ -519,6 +520,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         return {"format": "crystal", **told, **kept, "certificate": proof}
 
 
+@typed
 def crystal_from_lps(model: Any, spacing: float) -> CrystalMaterial:
     """The law of an LPS, with one influence function or two, on a lattice, exactly.
 

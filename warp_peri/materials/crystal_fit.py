@@ -36,8 +36,7 @@ from warp_peri.fitting.rows import compressed, over_loads, rows
 from warp_peri.fitting.symmetry import judged
 from warp_peri.fitting.transfer import LARGEST_WAVE, WaveSymbol, carried_symbol, wave_rows
 from warp_peri.materials.crystal import BROKEN, CrystalMaterial
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import check_positive
+from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import check_lattice, lattice_steps
 from warp_peri.points.samples import Samples
@@ -201,7 +200,6 @@ class Crystal:
         given = one_set(samples)
         axes = lattice_steps(given.points)[1]
         turn = self.turn(given, axes)
-        check_positive("horizon", self.horizon)
         moduli = self.checked_moduli(len(turn))
         reach, misfit = self.horizon / given.spacing, None
         name, ratio = judged(given, reach, turn, self.normalise, self.symmetry)
@@ -307,8 +305,8 @@ def long_waves_of_data(
 @typed
 def fit_dispersion(
     target: WaveSymbol,
-    spacing: float,
-    horizon: float,
+    spacing: Positive,
+    horizon: Positive,
     *,
     symmetry: Symmetry,
     orientation: Any = None,
@@ -347,8 +345,8 @@ def fit_dispersion(
 @typed
 def fit_phonons(
     atoms: ForceConstants,
-    spacing: float,
-    horizon: float,
+    spacing: Positive,
+    horizon: Positive,
     *,
     symmetry: Symmetry = "auto",
     orientation: Any = None,
@@ -367,8 +365,6 @@ def fit_phonons(
     family has NUMBERS for each; elsewhere long waves weigh four times. Raises InputError for a
     crystal that is not stable.
     """
-    check_positive("spacing", spacing)
-    check_positive("horizon", horizon)
     d, turn = atoms.dimension, checked_orientation(orientation, atoms.dimension)
     length, stress = factors(units, USUAL)
     auto = isinstance(symmetry, str) and symmetry == "auto"
@@ -412,7 +408,11 @@ def fit_phonons(
 
 @typed
 def transfer_to_lattice(
-    law: CrystalMaterial, spacing: float, *, rotation: Any = None, horizon: float | None = None
+    law: CrystalMaterial,
+    spacing: Positive,
+    *,
+    rotation: Any = None,
+    horizon: Positive | None = None,
 ) -> CrystalMaterial:
     """The law of the same crystal on other nodes: a fit to its own symbol, moduli held (T17).
 
@@ -425,9 +425,6 @@ def transfer_to_lattice(
 
     Returns a law with its certificate. Raises InputError where the symbol is not positive.
     """
-    check_positive("spacing", spacing)
-    if horizon is not None:
-        check_positive("horizon", horizon)
     d = law.dimension
     turn = checked_orientation(rotation, d)
     orientation = turn @ law.orientation

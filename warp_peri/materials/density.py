@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import torch
@@ -22,7 +22,7 @@ from warp_peri.errors import InputError
 from warp_peri.files.atomic import parsed
 from warp_peri.fitting.result import Fit
 from warp_peri.materials.crystal_fit import one_set
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same
@@ -36,7 +36,6 @@ REST = 1e-9
 """Stress at rest, over the stiffness there, that counts as rounding."""
 DIFFERENCE = 1e-4
 """Relative step of differences of solved displacements."""
-LOSSES = ("forces", "displacement")
 
 
 def sided_gradients(points: Any, horizon: float) -> tuple[np.ndarray, np.ndarray]:
@@ -212,17 +211,15 @@ class Density:
     """
 
     energy: Energy
-    horizon: float
+    horizon: Positive
     parameters: Mapping[str, float]
-    loss: str = "forces"
+    loss: Literal["forces", "displacement"] = "forces"
 
     def learn(self, samples: Any) -> Fit:
         """The fit by least squares, each sample over its load or displacement.
 
         Raises InputError for another loss, and samples without loads or displacement.
         """
-        if self.loss not in LOSSES:
-            raise InputError(f"loss: expected one of {', '.join(LOSSES)}, got {self.loss!r:.50}")
         given = one_set(samples)
         points, inside = given.points, given.interior
         material = DensityMaterial.of(

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
 from warp_peri.materials.lps import LPSMaterial, bernstein_basis
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.arrays import checked
 from warp_peri.points.families import bond_classes
 from warp_peri.points.unit_names import USUAL, Units
@@ -48,6 +48,7 @@ FORWARD = {1: 4.0, 2: -3.0, 3: 4 / 3, 4: -1 / 4}
 """Differences of fourth order from the value itself, by steps."""
 
 
+@typed
 @dataclass(frozen=True, eq=False)
 class InfluenceFunction:
     """K(r) as a function of the bond length and of parameters; its scale has no effect.
@@ -228,21 +229,25 @@ class InfluenceFunction:
         return {"function": self.name, "parameters": values, "departure": departure}
 
 
+@typed
 def gaussian(r: np.ndarray, width: float) -> np.ndarray:
     """exp(−(r/width)²), width [Å]."""
     return np.exp(-((r / width) ** 2))
 
 
+@typed
 def exponential(r: np.ndarray, length: float) -> np.ndarray:
     """exp(−r/length), length [Å]."""
     return np.exp(-r / length)
 
 
+@typed
 def damped_wave(r: np.ndarray, length: float, period: float, phase: float) -> np.ndarray:
     """exp(−r/length) cos(2π r/period + phase), lengths [Å]."""
     return np.exp(-r / length) * np.cos(2 * np.pi * r / period + phase)
 
 
+@typed
 def conical(r: np.ndarray, reach: float) -> np.ndarray:
     """1 − r/reach out to the reach [Å], 0 beyond."""
     return np.maximum(1 - r / reach, 0.0)
@@ -253,7 +258,7 @@ NAMED = {"gaussian": gaussian, "exponential": exponential, "conical": conical}
 
 
 @typed
-def named(name: str, horizon: float) -> InfluenceFunction:
+def named(name: str, horizon: Positive) -> InfluenceFunction:
     """One of NAMED, its length from the horizon [Å] on, within 1/20 and 20 times of it."""
     if name not in NAMED:
         raise InputError(f"influence: expected {', '.join(NAMED)} or a .csv file, got {name!r}")

@@ -15,7 +15,8 @@ from warp_peri.core.proof import StencilCertificate, prove
 from warp_peri.core.record import FieldUnits, Length, Record, taken
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, warn
-from warp_peri.points.arrays import check_whole, checked, is_number
+from warp_peri.points.arguments import typed
+from warp_peri.points.arrays import checked, is_number
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE, SINGULARITY
@@ -45,7 +46,6 @@ def bernstein_basis(r: ArrayLike, horizon: float, degree: int) -> np.ndarray:
         horizon: δ [Å].
         degree: M from 0 to LARGEST_DEGREE.
     """
-    check_whole("degree", degree, 0)
     if degree > LARGEST_DEGREE:
         raise InputError(f"degree: expected at most {LARGEST_DEGREE}, got {degree}")
     t = np.minimum(np.asarray(r, dtype=float) / horizon, 1.0)[..., None]
@@ -54,6 +54,7 @@ def bernstein_basis(r: ArrayLike, horizon: float, degree: int) -> np.ndarray:
     return basis
 
 
+@typed
 @dataclass(frozen=True, eq=False)
 class LPSParameters:
     """λ, μ, α and the Bernstein coefficients of the influence function (theory, 4–9).

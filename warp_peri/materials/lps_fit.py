@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -28,7 +28,6 @@ from warp_peri.fitting.result import Fit, LossSelection, Stage
 from warp_peri.fitting.rows import compressed
 from warp_peri.fitting.settings import (
     LONG_WAVES,
-    LOSSES,
     AugmentedLagrangian,
     Bernstein,
     GaussNewton,
@@ -54,8 +53,7 @@ from warp_peri.materials.lps_adam import (
 from warp_peri.materials.lps_law import HEADROOM, LPSFound, LPSLaw, optimum
 from warp_peri.materials.lps_output import fit_output_error, responses_of, squares
 from warp_peri.materials.lps_rows import Products, products
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import check_positive
+from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import check_lattice, largest_strain
 from warp_peri.points.samples import WAVE_VECTOR, Samples, largest_wave_number
@@ -110,15 +108,12 @@ class LPS:
     True
     """
 
-    horizon: float
+    horizon: Positive
     kernel: Kernel | None = None
     method: Method = GaussNewton()  # noqa: RUF009 (frozen values)
     conditions: StabilityConditions = StabilityConditions()  # noqa: RUF009
-    loss: str = "auto"
+    loss: Literal["auto", "residual", "corrected", "output"] = "auto"
     normalise: bool = False
-
-    def __post_init__(self) -> None:
-        check_positive("horizon", self.horizon)
 
     def learn(
         self,
@@ -150,8 +145,6 @@ class LPS:
             raise InputError(
                 f"method: expected GaussNewton, TwoStage or AugmentedLagrangian, got {method!r:.60}"
             )
-        if self.loss not in LOSSES:
-            raise InputError(f"loss: expected one of {', '.join(LOSSES)}, got {self.loss!r}")
         printed = isinstance(method, TwoStage)
         if printed and self.loss in ("corrected", "output"):
             raise InputError(f"loss: {self.loss!r} is not for the two-stage method")

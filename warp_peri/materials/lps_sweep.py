@@ -73,6 +73,7 @@ class Trial:
     model: str
 
 
+@typed
 @dataclass(frozen=True)
 class SweepResult:
     """Result of a sweep.

@@ -18,8 +18,7 @@ from warp_peri.materials.certificate import certify, with_proof
 from warp_peri.materials.lps import LPSMaterial, LPSParameters
 from warp_peri.materials.lps_law import LPSFound, optimum
 from warp_peri.materials.lps_rows import product_basis
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import check_flag, check_positive
+from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.families import AT_EDGES, bond_classes, carried_horizon
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import check_same, search_length, symbols
@@ -50,10 +49,10 @@ _said: set[str] = set()
 def on_lattice(
     model: LPSMaterial,
     *,
-    spacing: float,
-    horizon: float | None = None,
-    tolerance: float | None = None,
-    largest_horizon: float | None = None,
+    spacing: Positive,
+    horizon: Positive | None = None,
+    tolerance: Positive | None = None,
+    largest_horizon: Positive | None = None,
 ) -> LPSMaterial:
     """The same material on another square lattice, certified there (theory, M2–M5).
 
@@ -78,10 +77,6 @@ def on_lattice(
     tolerance that no horizon meets (saying the best there is).
     """
     asked = {"horizon": horizon, "tolerance": tolerance, "largest_horizon": largest_horizon}
-    check_positive("spacing", spacing)
-    for word, value in asked.items():
-        if value is not None:
-            check_positive(word, value)
     if not isinstance(model, LPSMaterial):
         raise InputError(
             f"on_lattice: expected a linear peridynamic solid, got {type(model).__name__}; "
@@ -286,8 +281,6 @@ def model_at(
 
     Raises InputError where the model is certified on no lattice, and nothing is proven of it here.
     """
-    check_flag("transfer", transfer)
-    check_flag("allow_uncertified", allow_uncertified)
     if model.dimension == 3 and not model.is_certified_on(spacing):
         model = replace(model, certified_on=())  # in space no kernel is carried: it is proven anew
     if spacing and transfer and not (model.certified_on or allow_uncertified):

@@ -26,8 +26,8 @@ from warp_peri.core.stencil import Stencil, squared
 from warp_peri.errors import InputError, quietly, warn
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import transfer_to_lattice
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import is_number, is_positive
+from warp_peri.points.arguments import NotNegative, Positive, typed
+from warp_peri.points.arrays import is_number
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
@@ -65,6 +65,7 @@ _known: dict[tuple[str, float], ThirdOrderMaterial] = {}
 """Laws that were transferred, by the hash of their content and the spacing."""
 
 
+@typed
 @dataclass(frozen=True)
 class Smoothing:
     """How the data were smoothed, for the filtered form.
@@ -78,13 +79,7 @@ class Smoothing:
     """
 
     radius: Length = 10.0
-    ridge: float = 0.1
-
-    def __post_init__(self) -> None:
-        if not is_positive(self.radius):
-            raise InputError(f"radius: expected a length > 0, got {self.radius!r}")
-        if not (is_number(self.ridge) and 0 <= self.ridge < np.inf):
-            raise InputError(f"ridge: expected a number ≥ 0, got {self.ridge!r}")
+    ridge: NotNegative = 0.1
 
     def transform(self, k: np.ndarray) -> np.ndarray:
         """ω̂(|k|) of the cone of unit integral, at wave numbers k [1/Å]."""
@@ -197,7 +192,7 @@ class Uniqueness:
 
 
 @typed
-def prove_uniqueness(model: Any, *, spacing: float) -> Uniqueness:
+def prove_uniqueness(model: Any, *, spacing: Positive) -> Uniqueness:
     """Prove up to which |H| solutions on a lattice are unique: the largest that proven bounds of κ
     [stress^(−1/2)] leave (N15).
 

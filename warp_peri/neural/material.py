@@ -20,8 +20,8 @@ from warp_peri.errors import InputError
 from warp_peri.neural.bonds import NetworkBonds
 from warp_peri.neural.placed import CHUNK, Placed
 from warp_peri.neural.training import NeuralFit, TrainingSettings, train
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import check_positive, is_positive
+from warp_peri.points.arguments import Natural, typed
+from warp_peri.points.arrays import is_positive
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, check_units, factors, symbols
 from warp_peri.reprs import Shown
@@ -72,19 +72,17 @@ class NeuralOperator(Shown, torch.nn.Module):
 
     def __init__(
         self,
-        horizon: float,
+        horizon: Positive,
         influence: Sequence[int] = (256, 512),
         state: Sequence[int] = (512, 512),
         *,
         anisotropic: bool = False,
         proportional: bool = False,
-        strain: float = STRAIN,
+        strain: Positive = STRAIN,
         units: Units = USUAL,
-        seed: int = 0,
+        seed: Natural = 0,
     ) -> None:
         super().__init__()
-        check_positive("horizon", horizon)
-        check_positive("strain", strain)
         for name, widths in (("influence", influence), ("state", state)):
             whole = np.shape(widths) == (2,) and all(is_positive(w) and w % 1 == 0 for w in widths)
             if not (whole and max(widths) <= WIDEST):

@@ -14,6 +14,7 @@ from tqdm import tqdm
 from warp_peri.core.torch_bridge import on_fields, refuse_tangents
 from warp_peri.errors import InputError
 from warp_peri.neural.bonds import NetworkBonds
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import checked_fields, plain
 from warp_peri.points.samples import Samples
 from warp_peri.protocols import OperatorBase
@@ -473,6 +474,7 @@ SMALL = {torch.float64: 1e-8, torch.float32: 1e-5}
 """Of the solves that an error is told of, by precision."""
 
 
+@typed
 def evaluate(
     material: NeuralOperator,
     samples: Samples,

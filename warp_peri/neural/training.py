@@ -26,8 +26,7 @@ from warp_peri.neural.placed import (
     affine,
     interpolated_force,
 )
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import check_positive, check_whole
+from warp_peri.points.arguments import Count, Natural, Positive, typed
 from warp_peri.points.samples import Samples
 
 if TYPE_CHECKING:
@@ -136,16 +135,11 @@ class TrainingSettings:
         seed: of the order of the samples and of the grid's places.
     """
 
-    epochs: int = 150
-    rate: float = 1e-3
-    batch: int = 7
-    cells: int = CELLS
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        for name, least in (("epochs", 1), ("batch", 1), ("cells", 0), ("seed", 0)):
-            check_whole(name, getattr(self, name), least)
-        check_positive("rate", self.rate)
+    epochs: Count = 150
+    rate: Positive = 1e-3
+    batch: Count = 7
+    cells: Natural = CELLS
+    seed: Natural = 0
 
 
 @dataclass

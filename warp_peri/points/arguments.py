@@ -6,8 +6,18 @@ import inspect
 import os
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, wraps
-from types import NoneType, SimpleNamespace, UnionType
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from types import FunctionType, NoneType, SimpleNamespace, UnionType
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    NamedTuple,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 
@@ -19,37 +29,65 @@ Call = TypeVar("Call", bound=Callable[..., Any])
 KINDS = (bool, int, float, str, os.PathLike, Mapping, dict, Sequence, tuple, list, NoneType)
 
 
+class Bound(NamedTuple):
+    """Which values of a kind are taken, in words and as a test."""
+
+    words: str
+    holds: Callable[[Any], bool]
+
+
+ABOVE = Bound("a number > 0", lambda value: 0 < value <= LARGEST)
+Positive = Annotated[float, ABOVE]
+NotNegative = Annotated[float, Bound("a number ≥ 0", lambda value: 0 <= value <= LARGEST)]
+Share = Annotated[float, Bound("a number between 0 and 1", lambda value: 0 < value < 1)]
+Count = Annotated[int, Bound("a whole number ≥ 1", lambda value: value >= 1)]
+Natural = Annotated[int, Bound("a whole number ≥ 0", lambda value: value >= 0)]
+
+
 def typed(call: Call) -> Call:
-    """Let a function, or the constructor of a class, raise InputError for arguments that are not
-    of the kind that they are annotated with, naming the first.
+    """Let a function, or a class when it is made and in its public methods, raise InputError for
+    arguments that are not of the kind that they are annotated with, naming the first.
 
     Arguments are looked at as by check_arguments.
     """
     if isinstance(call, type):
         call.__init__ = typed(call.__init__)  # type: ignore[misc]
-        return call
+        return typed_methods(call)
     signature = inspect.signature(call)
 
     @wraps(call)
     def checked(*args: Any, **options: Any) -> Any:
-        try:
-            given = signature.bind(*args, **options).arguments
-        except TypeError:
-            return call(*args, **options)  # which names the function
-        check_arguments(call, given)
+        if kinds_of(call):
+            try:
+                given = signature.bind(*args, **options).arguments
+            except TypeError:
+                return call(*args, **options)  # which names the function
+            check_arguments(call, given)
         return call(*args, **options)
 
     return checked  # type: ignore[return-value]
 
 
+def typed_methods(kind: Any) -> Any:
+    """A class whose own public methods look at their arguments as `typed` functions do."""
+    for name, method in [*vars(kind).items()]:
+        plain = getattr(method, "__func__", method)
+        if not (name.startswith("_") or hasattr(plain, "__wrapped__")):
+            if isinstance(method, (classmethod, staticmethod)):
+                setattr(kind, name, type(method)(typed(plain)))
+            elif isinstance(method, FunctionType):
+                setattr(kind, name, typed(method))
+    return kind
+
+
 def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> None:
     """Raise InputError for an argument that is not of the kind that it is annotated with.
 
-    Kinds are bool, int, float, str, paths, mappings, sequences, and classes of this
-    package, each alone or with others. A float is finite, or the default. What is annotated with
-    anything else, as an array, is not looked at, nor is a default.
+    Kinds are bool, int, float, str, paths, mappings, sequences, classes of this package, and
+    literals, each alone or with others. A number is finite and within its Bound, or the default.
+    What is annotated with anything else, as an array, is not looked at, nor is a default.
     """
-    for name, (kinds, default) in kinds_of(call).items():
+    for name, (kinds, default, bound) in kinds_of(call).items():
         value = given.get(name, default)
         if value is default or (value is None and NoneType in kinds):
             continue
@@ -60,40 +98,62 @@ def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> None:
             raise InputError(f"{name}: {GRADIENT}")
         if first is bool:
             check_flag(name, value)
-        elif first is int or first is float:
-            finite = is_number(value) and (abs(value) <= LARGEST or value == default)
-            if not finite or (first is int and (value % 1 or abs(value) > MOST)):
-                kind = "whole" if first is int else "finite"
-                raise InputError(f"{name}: expected a {kind} number, got {value!r:.60}")
+            continue
+        if first is int or first is float:
+            fine = is_number(value) and (abs(value) <= LARGEST or value == default)
+            fine = fine and (first is float or (value % 1 == 0 and abs(value) <= MOST))
+            words = "a whole number" if first is int else "a finite number"
         elif first in (Mapping, dict):
-            if not isinstance(value, Mapping):
-                raise InputError(f"{name}: expected values by name, got {value!r:.60}")
+            fine, words = isinstance(value, Mapping), "values by name"
         elif first in (Sequence, tuple, list):
-            if isinstance(value, str) or not isinstance(value, (Sequence, np.ndarray)):
-                raise InputError(f"{name}: expected a sequence, got {value!r:.60}")
-        elif not (isinstance(value, first) or is_piece(value)):
-            word = "a text" if first is str else " or ".join(kind.__name__ for kind in kinds)
-            word = "a path" if os.PathLike in more else word.replace("NoneType", "None")
-            raise InputError(f"{name}: expected {word}, got {type(value).__name__}")
+            fine = not isinstance(value, str) and isinstance(value, (Sequence, np.ndarray))
+            words = "a sequence"
+        else:
+            fine = isinstance(value, first) or is_piece(value)
+            words = "a text" if first is str else " or ".join(kind.__name__ for kind in kinds)
+            words = "a path" if os.PathLike in more else words.replace("NoneType", "None")
+        if not fine or (bound and value != default and not bound.holds(value)):
+            expected, plain = bound.words if bound else words, first in KINDS and first is not str
+            got = f"{value!r:.60}" if plain or bound else type(value).__name__
+            raise InputError(f"{name}: expected {expected}, got {got}")
 
 
 @cache
-def kinds_of(call: Callable[..., Any]) -> dict[str, tuple[tuple[Any, ...], Any]]:
-    """The kinds of each argument that is looked at, and its default."""
+def kinds_of(call: Callable[..., Any]) -> dict[str, tuple[tuple[Any, ...], Any, Bound | None]]:
+    """The kinds of each argument that is looked at, its default, and which values it takes."""
     names, found = inspect.unwrap(call).__globals__, {}
     for name, parameter in inspect.signature(call).parameters.items():
         if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
             continue
         annotated = SimpleNamespace(__annotations__={name: parameter.annotation})
         try:
-            hint = get_type_hints(annotated, names)[name]
+            hint = get_type_hints(annotated, names, include_extras=True)[name]
         except (NameError, AttributeError, TypeError):  # of types that type checkers alone import
             continue
-        union = get_origin(hint) in (Union, UnionType)
-        kinds = tuple(get_origin(kind) or kind for kind in (get_args(hint) if union else (hint,)))
+        hints = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+        kinds = tuple(map(_kind, hints))
         if hint != Units and all(kind in KINDS or _is_own(kind) for kind in kinds):
-            found[name] = kinds, parameter.default
+            found[name] = kinds, parameter.default, next(filter(None, map(_bound, hints)), None)
     return found
+
+
+def _kind(hint: Any) -> Any:
+    """The class of values, of one part of an annotation."""
+    if get_origin(hint) is Literal:
+        return type(get_args(hint)[0])
+    hint = getattr(hint, "__origin__", hint) if get_origin(hint) is Annotated else hint
+    return get_origin(hint) or hint
+
+
+def _bound(hint: Any) -> Bound | None:
+    """Which values it takes, where it says that."""
+    if get_origin(hint) is Literal:
+        values = get_args(hint)
+        return Bound(f"one of {', '.join(map(str, values))}", values.__contains__)
+    said = getattr(hint, "__metadata__", (None,))[0]
+    if getattr(said, "positive", False):  # of a field of a Record
+        return ABOVE
+    return said if isinstance(said, Bound) else None
 
 
 def _is_own(kind: Any) -> bool:

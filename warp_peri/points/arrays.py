@@ -125,8 +125,8 @@ def is_number(value: Any) -> bool:
     """Whether it is one real number; InputError for a tensor whose gradient would be lost."""
     if getattr(value, "requires_grad", False):
         raise InputError(f"number: {GRADIENT}")
-    ragged = isinstance(value, (list, tuple))  # which NumPy may refuse to look at
-    return not ragged and np.ndim(value) == 0 and np.asarray(value).dtype.kind in "fiu"
+    strange = isinstance(value, (list, tuple)) or getattr(value, "is_meta", False)  # for NumPy
+    return not strange and np.ndim(value) == 0 and np.asarray(value).dtype.kind in "fiu"
 
 
 def is_positive(value: Any) -> bool:

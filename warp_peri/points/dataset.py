@@ -16,8 +16,8 @@ import numpy as np
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import parsed, plain, whole_file
 from warp_peri.files.foreign import check_hdf5
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import check_mapping, check_positive, is_name, is_number
+from warp_peri.points.arguments import Positive, typed
+from warp_peri.points.arrays import check_mapping, is_name, is_number
 from warp_peri.points.points import Points
 from warp_peri.points.samples import FIELDS, Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units, factors, symbols
@@ -43,13 +43,11 @@ class Dataset(Shown):
     """
 
     sets: dict[str, Samples]
-    thickness: float
-    density: float
+    thickness: Positive
+    density: Positive
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("thickness", "density"):
-            check_positive(name, getattr(self, name))
         _written(self.provenance)
         check_mapping("sets", self.sets)
         if not self.sets:
@@ -103,13 +101,14 @@ class Dataset(Shown):
     def __iter__(self) -> Iterator[str]:
         return iter(self.sets)
 
-    def of_sheet(self, *, thickness: float | None = None, density: float | None = None) -> Dataset:
+    def of_sheet(
+        self, *, thickness: Positive | None = None, density: Positive | None = None
+    ) -> Dataset:
         """The same forces and displacements of a sheet of another thickness or density.
 
         Loads are per volume: they go as one over the thickness, and with them all moduli of a fit.
         """
         wide = self.thickness if thickness is None else thickness
-        check_positive("thickness", wide)
         sets = {
             name: one
             if one.b is None

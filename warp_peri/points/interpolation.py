@@ -7,8 +7,7 @@ from scipy.interpolate import RBFInterpolator
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import check_positive
+from warp_peri.points.arguments import Count, Positive, typed
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, Samples
 
@@ -27,7 +26,7 @@ def mean_spacing(points: PointsLike) -> float:
 
 
 @typed
-def onto_lattice(samples: Samples, *, spacing: float, neighbours: int = NEIGHBOURS) -> Samples:
+def onto_lattice(samples: Samples, *, spacing: Positive, neighbours: Count = NEIGHBOURS) -> Samples:
     """Fields at scattered nodes carried to a lattice, to learn from (theory, M6).
 
     By quintic splines of the nearest nodes, exact for polynomials of degree 2.
@@ -43,7 +42,6 @@ def onto_lattice(samples: Samples, *, spacing: float, neighbours: int = NEIGHBOU
     Raises InputError for a spacing that is no length, fewer nodes than neighbours, and nodes on a
     line or a conic.
     """
-    check_positive("spacing", spacing)
     x, dense = samples.x, mean_spacing(samples)
     if len(x) < neighbours:
         raise InputError(

@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import is_positive
+from warp_peri.points.arguments import Count, Natural, Positive, typed
 from warp_peri.points.samples import PointsLike
 
 
 @typed
 def mixed_waves(
-    x: np.ndarray, box: tuple[float, ...] | np.ndarray, shortest: float, *, seed: int = 0
+    x: np.ndarray, box: tuple[float, ...] | np.ndarray, shortest: Positive, *, seed: Natural = 0
 ) -> np.ndarray:
     """Σ |k| e cos(k·x + φ) over the waves of a period with |k| ≤ 2π/shortest (theory, Q11).
 
@@ -28,7 +27,7 @@ def mixed_waves(
     Raises InputError for a wave that is longer than the periods.
     """
     random, box = np.random.default_rng(seed), np.asarray(box, dtype=float)
-    if not (is_positive(shortest) and shortest <= box.max()):
+    if not (shortest <= box.max()):
         raise InputError(f"shortest wave: expected one in a box of {box}, got {shortest!r:.40}")
     most = int(box.max() / shortest) + 1
     field = np.zeros(np.shape(x))
@@ -45,7 +44,7 @@ def mixed_waves(
 
 
 @typed
-def design_loads(points: PointsLike, shortest_wave: float, *, number: int = 2) -> np.ndarray:
+def design_loads(points: PointsLike, shortest_wave: Positive, *, number: Count = 2) -> np.ndarray:
     """Loads that a material is learned from in place of many single waves.
 
     One does for a fit whose moduli are held, two for one that finds them. Give each to the atoms

@@ -51,6 +51,7 @@ MOST_PARTS = {2: 10**6, 3: 12}
 """Of the side of an edge or a face, between points that distances are measured to."""
 
 
+@typed
 @dataclass(frozen=True, eq=False)
 class Mesh:
     """Triangles or tetrahedra of a body, with an outline or a surface that may be curved.

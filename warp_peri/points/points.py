@@ -6,14 +6,14 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import check_positive, check_whole, checked, is_number, listed
+from warp_peri.points.arguments import Positive, typed
+from warp_peri.points.arrays import check_whole, checked, is_number, listed
 from warp_peri.points.unit_names import USUAL, Units, check_units, symbols
 from warp_peri.reprs import Shown
 
@@ -132,7 +132,7 @@ class Points(Shown):
     def sheet(
         cls,
         sides: tuple[int, ...],
-        spacing: float,
+        spacing: Positive,
         *,
         units: Units = USUAL,
         axis: float | None = None,
@@ -158,8 +158,8 @@ class Points(Shown):
     def block(
         cls,
         lengths: Sequence[float],
-        spacing: float,
-        horizon: float,
+        spacing: Positive,
+        horizon: Positive,
         *,
         units: Units = USUAL,
         axis: Any = None,
@@ -186,11 +186,11 @@ class Points(Shown):
     @typed
     def disk(
         cls,
-        radius: float,
-        spacing: float,
-        horizon: float,
+        radius: Positive,
+        spacing: Positive,
+        horizon: Positive,
         *,
-        dimension: int = 2,
+        dimension: Literal[2, 3] = 2,
         units: Units = USUAL,
         axis: Any = None,
     ) -> Points:
@@ -210,9 +210,6 @@ class Points(Shown):
         def beyond(x: np.ndarray) -> np.ndarray:
             return np.asarray(np.linalg.norm(x, axis=1) - radius)
 
-        check_positive("radius", radius)
-        if dimension not in (2, 3):
-            raise InputError(f"dimension: expected 2 or 3, got {dimension!r:.60}")
         half = np.full(dimension, radius)
         return cls._around(beyond, half, spacing, horizon, units=units, axis=axis)
 
@@ -221,8 +218,6 @@ class Points(Shown):
         cls, beyond: Any, half: np.ndarray, spacing: float, horizon: float, **more: Any
     ) -> Points:
         """The nodes of a lattice up to two horizons beyond a body, interior where within it."""
-        check_positive("spacing", spacing)
-        check_positive("horizon", horizon)
         count = np.floor((half + 2 * horizon) / spacing * (1 + LATTICE_TOLERANCE)).astype(int)
         x = spacing * (np.indices(tuple(2 * count + 1)).reshape(len(half), -1).T - count)
         x = x[beyond(x) <= 2 * horizon + LATTICE_TOLERANCE * spacing]

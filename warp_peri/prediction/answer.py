@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
 from warp_peri.materials.third_order import curvature_bound
+from warp_peri.points.arguments import typed
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import symbols
@@ -27,6 +28,7 @@ ACCURATE = 1e-5
 """Relative residual of the one solve that the bound takes."""
 
 
+@typed
 @dataclass(frozen=True, repr=False)
 class ErrorBound(Shown):
     """What is proven of an answer: it speaks of the model, not of the atoms.
@@ -158,6 +160,7 @@ class QuantityEstimate:
     bar: np.ndarray
 
 
+@typed
 @dataclass(frozen=True, eq=False, repr=False)
 class Prediction(Shown):
     """A body at rest, and how wrong it may be.
@@ -291,6 +294,7 @@ Measure = Callable[[np.ndarray], np.ndarray]
 """Of a displacement on all nodes, [N, d] → numbers."""
 
 
+@typed
 def strain(points: PointsLike, at: ArrayLike) -> Measure:
     """ε at the nodes nearest to positions [m, d], by central differences, shape [m, d, d].
 
@@ -314,6 +318,7 @@ def strain(points: PointsLike, at: ArrayLike) -> Measure:
     return of
 
 
+@typed
 def stress(placed: EnsembleOperator, at: ArrayLike) -> Measure:
     """σ [stress] of the rich member at the interior nodes nearest to positions, [m, d, d]."""
     inside = placed.points.x[placed.points.interior]
@@ -321,12 +326,14 @@ def stress(placed: EnsembleOperator, at: ArrayLike) -> Measure:
     return lambda u: np.asarray(placed.rich.stress(u))[nodes]
 
 
+@typed
 def mean(where: ArrayLike) -> Measure:
     """Mean displacement of nodes, by a mask [N] or numbers, shape [d]."""
     nodes = np.asarray(where)
     return lambda u: u[nodes].mean(axis=0)
 
 
+@typed
 def force(
     placed: EnsembleOperator, start: ArrayLike, end: ArrayLike, *, number: int = 50
 ) -> Measure:

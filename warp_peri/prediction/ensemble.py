@@ -10,6 +10,7 @@ import numpy as np
 from warp_peri.core.grid import grid_of
 from warp_peri.core.record import FieldUnits, OnLinear
 from warp_peri.errors import InputError, warn
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import is_number
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import largest_strain
@@ -41,6 +42,7 @@ TURNED, SURE = 2.0, 3.0
 """Degrees off a stated axis, and standard errors, from which the data contradict it."""
 
 
+@typed
 @dataclass(frozen=True)
 class CalibrationFactors:
     """Calibration: by how much what can be computed is multiplied, so that it is an error (Q4).
@@ -129,6 +131,7 @@ class EnsembleMaterial(OnLinear, format="warp_peri.family", version=2):
         return rows + list(self.rich.rows() if hasattr(self.rich, "rows") else [])
 
 
+@typed
 @dataclass(frozen=True)
 class Ensemble:
     """A family of laws of one material.

@@ -39,7 +39,8 @@ from warp_peri.core.torch_bridge import (
     with_numbers,
 )
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import check_positive, check_whole, checked
+from warp_peri.points.arguments import Natural, Positive
+from warp_peri.points.arrays import checked
 from warp_peri.protocols import is_tensor, taken
 from warp_peri.solvers import verlet
 from warp_peri.solvers.motion import Motion
@@ -186,8 +187,8 @@ def stepped(
     b: Any,
     u: Any,
     *,
-    step: float,
-    steps: int,
+    step: Positive,
+    steps: Natural,
     collar: Callable[[float], Any] | None = None,
     parameters: Mapping[str, Any] | None = None,
 ) -> Motion:
@@ -211,8 +212,6 @@ def stepped(
     0, numbers that the operator does not have, a solve that loses its digits, a second derivative
     and a tangent of forward mode.
     """
-    check_positive("step", step)
-    check_whole("steps", steps, 0)
     operator, numbers = with_numbers(operator, parameters or {})
     times, tensors = step * np.arange(steps + 1), [u, *(parameters or {}).values()]
     start = real("u", u)

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_peri.errors import InputError
+from warp_peri.points.arguments import typed
 from warp_peri.protocols import is_tensor
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
+@typed
 @dataclass(frozen=True, eq=False)
 class Motion:
     """A motion, or a load that rises slowly.

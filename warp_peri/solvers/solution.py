@@ -5,13 +5,12 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
 from warp_peri.errors import InputError, heard, warn
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import is_number
+from warp_peri.points.arguments import Positive, Share, typed
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import symbols
 from warp_peri.reprs import Shown
@@ -64,13 +63,12 @@ class CG:
     """
 
     preconditioner: str | None = None
-    tolerance: float = TOLERANCE
+    tolerance: Share = TOLERANCE
 
     def __post_init__(self) -> None:
         if self.preconditioner not in (None, *PRECONDITIONERS):
             known = ", ".join(PRECONDITIONERS)
             raise InputError(f"preconditioner: expected {known}, got {self.preconditioner!r}")
-        check_tolerance(self.tolerance)
 
 
 @typed
@@ -89,11 +87,8 @@ class Newton:
     True
     """
 
-    tolerance: float = TOLERANCE
+    tolerance: Share = TOLERANCE
     eigenvalues: bool = False
-
-    def __post_init__(self) -> None:
-        check_tolerance(self.tolerance)
 
 
 @typed
@@ -113,32 +108,14 @@ class Coupling:
     Raises InputError for lengths that are not > 0, another degree, or a tolerance outside (0, 1).
     """
 
-    spacing: float | None = None
-    overlap: float | None = None
-    depth: float | None = None
-    degree: int = 2
-    tolerance: float = TOLERANCE
-
-    def __post_init__(self) -> None:
-        for name, expected, value, largest in (
-            ("spacing", "a lattice spacing > 0", self.spacing, np.inf),
-            ("overlap", "a length > 0", self.overlap, np.inf),
-            ("depth", "a length > 0", self.depth, np.inf),
-            ("tolerance", "a number between 0 and 1", self.tolerance, 1.0),
-        ):
-            if value is not None and not (is_number(value) and 0 < value < largest):
-                raise InputError(f"{name}: expected {expected}, got {value!r}")
-        if self.degree not in (1, 2):
-            raise InputError(f"degree: expected 1 or 2, got {self.degree!r}")
+    spacing: Positive | None = None
+    overlap: Positive | None = None
+    depth: Positive | None = None
+    degree: Literal[1, 2] = 2
+    tolerance: Share = TOLERANCE
 
 
 Solver: TypeAlias = Direct | CG | Newton | None
-
-
-def check_tolerance(value: float) -> None:
-    """Raise InputError for what is no share of a residual."""
-    if not (is_number(value) and 0 < value < 1):
-        raise InputError(f"tolerance: expected a number between 0 and 1, got {value!r}")
 
 
 def refuse_solver(solver: Solver, known: tuple[type, ...], law: str) -> None:
@@ -148,6 +125,7 @@ def refuse_solver(solver: Solver, known: tuple[type, ...], law: str) -> None:
         raise InputError(f"solver: expected {names} for {law}, got {solver!r:.60}")
 
 
+@typed
 @dataclass(frozen=True, eq=False, repr=False)
 class Solution(Shown):
     """A body in equilibrium.

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from warp_peri.errors import InputError, quietly, warn
 from warp_peri.files.checkpoint import AllNodes, RunFile, agreed, fingerprint
 from warp_peri.files.series import TimeSeriesWriter
+from warp_peri.points.arguments import Count, Positive
 from warp_peri.points.arrays import check_positive, check_whole, is_piece
 from warp_peri.points.arrays import checked as read
 from warp_peri.points.lattice import check_lattice
@@ -163,14 +164,14 @@ def march(
     u: ArrayLike,
     *,
     v: ArrayLike | None = None,
-    density: float,
-    step: float,
-    steps: int,
-    every: int = 1,
+    density: Positive,
+    step: Positive,
+    steps: Count,
+    every: Count = 1,
     record: ArrayLike | None = None,
     signal: ArrayLike | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
-    checkpoint_every: int = 10,
+    checkpoint_every: Count = 10,
     series: str | os.PathLike[str] | None = None,
 ) -> Motion:
     """March ρ ü = b − L u on the interior; the collar stays where it is.

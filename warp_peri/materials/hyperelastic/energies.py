@@ -13,6 +13,7 @@ import torch
 from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.core.stencil import half_ball
 from warp_peri.errors import InputError
+from warp_peri.points.arguments import typed
 from warp_peri.points.unit_names import USUAL, Units, shown_moduli, symbols
 from warp_peri.protocols import taken
 
@@ -127,6 +128,7 @@ MOST_SHOWN = 8
 """Energies that a solid shows of itself."""
 
 
+@typed
 @dataclass(frozen=True)
 class EnergyTerm:
     """One strain energy of the dictionary, (H5).
@@ -171,6 +173,7 @@ class EnergyTerm:
         return words + (f", {self.exponent:g}" if self.kind in (*FIBRES, "yeoh") else "")
 
 
+@typed
 @dataclass(frozen=True)
 class Hyperelastic:
     """What energies a material may be made of, (H1); every coefficient has a place in one vector.

@@ -16,6 +16,7 @@ from warp_peri.fitting.rows import compressed, load_sizes
 from warp_peri.materials.hyperelastic.energies import Hyperelastic, HyperelasticMaterial
 from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
 from warp_peri.materials.hyperelastic.placed import largest_stretch
+from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
@@ -78,6 +79,7 @@ def wave_ratios(dictionary: Hyperelastic, spacing: float, strains: np.ndarray) -
     return np.asarray((symbols + symbols.swapaxes(2, 3)) / 2)
 
 
+@typed
 def stability_margin(solid: HyperelasticMaterial, strains: np.ndarray) -> np.ndarray:
     """Least ratio [stress] over the grid of waves in each strain, shape [F].
 
@@ -232,6 +234,7 @@ def coefficients(
     return between(R, y, start, (lower, most), ridge)
 
 
+@typed
 @dataclass(frozen=True, eq=False)
 class EnergyFit:
     """A fitted solid.

@@ -84,6 +84,7 @@ def save_febio(solid: HyperelasticMaterial, path: str | os.PathLike[str]) -> Non
     write_text(path, febio_material(solid) + "\n")
 
 
+@typed
 def material_terms(solid: HyperelasticMaterial) -> list[tuple[EnergyTerm, float]]:
     """Energies of uniform strain with their coefficients; nodes and corners are one material."""
     sums: dict[EnergyTerm, float] = {}
@@ -96,6 +97,7 @@ def material_terms(solid: HyperelasticMaterial) -> list[tuple[EnergyTerm, float]
     return list(sums.items())
 
 
+@typed
 def in_words(solid: HyperelasticMaterial) -> list[str]:
     """What the coefficients say, one line for each number."""
     lines = []

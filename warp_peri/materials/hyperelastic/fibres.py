@@ -20,7 +20,7 @@ from warp_peri.materials.hyperelastic.energies import (
 from warp_peri.materials.hyperelastic.energy_fit import coefficients, equations, lower_bounds
 from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
 from warp_peri.materials.hyperelastic.placed import largest_stretch
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import Count, typed
 from warp_peri.points.samples import Samples
 
 LEAST, LARGEST_EXPONENT = {"fibre_power": 2.0, "fibre_exponential": 0.0}, 60.0
@@ -33,7 +33,7 @@ SETTLED = 1e-5
 
 
 @typed
-def fibre_fan(count: int, powers: Sequence[float] = (2.0, 3.0, 4.0)) -> list[EnergyTerm]:
+def fibre_fan(count: Count, powers: Sequence[float] = (2.0, 3.0, 4.0)) -> list[EnergyTerm]:
     """Fibre energies ⟨I4 − 1⟩^p/p in so many directions."""
     return [EnergyTerm("fibre_power", np.pi * n / count, p) for n in range(count) for p in powers]
 
@@ -49,6 +49,7 @@ def _energy(term: EnergyTerm, x: float) -> float:
     return float(KINDS[term.kind](equal, term.angle, term.exponent))
 
 
+@typed
 def fibre_energy_by_angle(solid: HyperelasticMaterial) -> dict[float, float]:
     """Energy of the fibres in every direction [rad] at the largest stretch of the data."""
     values, energies = solid.coefficients[solid.dictionary.first_term :], dict[float, float]()
@@ -86,6 +87,7 @@ def fibre_families(
     return dictionary.with_terms([*others, *fibres]), np.concatenate([left, start])
 
 
+@typed
 def with_corners(dictionary: Hyperelastic) -> Hyperelastic:
     """A dictionary whose energies of a uniform strain act on corners of cells as well."""
     corners = (replace(term, corner=True) for term in dictionary.terms)
@@ -113,7 +115,7 @@ def fit_fibre_families(
     deviations: tuple[tuple[int, int], ...] = ((0, 1), (1, 0), (1, 1), (1, -1)),
     stiffness: float = 0.0,
     directions: int = 16,
-    most_steps: int = 12,
+    most_steps: Count = 12,
 ) -> HyperelasticMaterial:
     """The material in few numbers: matrix moduli, and families with direction, k1 and k2.
 

@@ -103,6 +103,7 @@ class Candidate:
     numbers: int = 0
 
 
+@typed
 @dataclass(frozen=True)
 class ModelSelection:
     """What candidates came to.
