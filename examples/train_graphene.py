@@ -144,7 +144,7 @@ def alphas_as_good(train: Samples, law: Any) -> list[float]:
 
 def other_row(sets: dict[str, Samples], given: argparse.Namespace) -> dict[str, Any]:
     """Errors and proven bound of the same solid under the other choice of conditions."""
-    kind = "direct" if given.conditions == "paper" else "paper"
+    kind: Any = "direct" if given.conditions == "paper" else "paper"
     law = wp.LPS(
         given.horizon, wp.Bernstein(given.degree), conditions=wp.methods.StabilityConditions(kind)
     )

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
@@ -233,7 +233,7 @@ def on_nodes(
     force: np.ndarray,
     *,
     spacing: float,
-    shape: str = "cone",
+    shape: Literal["cone", "paraboloid"] = "cone",
     radius: float = SMOOTHING_RADIUS,
     shift: tuple[float, float] = (0.0, 0.0),
 ) -> Samples:

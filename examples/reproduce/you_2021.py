@@ -362,7 +362,7 @@ def coarse_graining() -> Table:
 
 # Algorithm 1
 
-CHANGES = {
+CHANGES: dict[str, tuple[Any, Any]] = {
     "as printed": ("relu", "dense"),
     "conditions over the zone": ("relu", "symbol"),
     "and bounds by projection": ("projected", "symbol"),

@@ -89,7 +89,7 @@ OF_MATRIX = [
     ({"shape": "disk"}, "shape: expected one of cone, paraboloid, got 'disk'"),
     ({"radius": np.nan}, "radius: expected a number > 0"),
     ({"radius": 1.7}, "radius: expected more than spacing/√2 = 1.768"),
-    ({"spacing": -1.0}, "spacing: expected a length > 0"),
+    ({"spacing": -1.0}, "spacing: expected a number > 0"),
     ({"spacing": 2.4}, "nodes: expected a square lattice of spacing 2.4"),
     ({"nodes": np.empty((0, 2))}, r"nodes: expected shape \[N, 2\] with N > 0"),
     ({"atoms": [[0.0, np.nan]]}, "atoms: expected finite values"),
@@ -103,8 +103,8 @@ OF_FIELDS = [
     ({"force": HIDDEN}, r"force: .* got 2 of 80 masked, the first at index \[0, 7, 0\]"),
     ({"mass": np.ones(3)}, r"mass: expected shape \[40\], got \[3\]"),
     ({"mass": -np.ones(40)}, "mass: expected values > 0"),
-    ({"node_area": 0.0}, "node_area: expected values > 0"),
-    ({"thickness": np.nan}, "thickness: expected a finite number"),
+    ({"node_area": 0.0}, "node_area: expected a number > 0"),
+    ({"thickness": np.nan}, "thickness: expected a number > 0"),
 ]
 
 

@@ -253,7 +253,7 @@ def test_a_data_set_is_checked_when_it_is_made():
         ({"provenance": {"rate": np.nan}}, "provenance: expected plain JSON"),
         ({"provenance": {"rate": object()}}, "provenance: expected plain JSON"),
         ({"density": 1e300}, "density: expected a number > 0"),
-        ({"thickness": 1e300}, "thickness: expected a finite"),
+        ({"thickness": 1e300}, "thickness: expected a number > 0"),
     ):
         with pytest.raises(wp.InputError, match=words):
             wp.Dataset(sets, **{"thickness": 1.0, "density": 1.0} | kind)

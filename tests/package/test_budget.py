@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 22_498,
-    "tokens": 272_308,
-    "lines of warp_peri": 37_707,
+    "code lines": 22_489,
+    "tokens": 272_007,
+    "lines of warp_peri": 37_716,
     "lines of kernels": 1_125,
-    "lines of warp_peri, kernels, examples and tools": 51_169,
-    "lines of the longest file": 649,
+    "lines of warp_peri, kernels, examples and tools": 51_178,
+    "lines of the longest file": 651,
     "lines of the longest function": 91,
     "parameters of one function": 13,
     "characters of the longest string": 1_728,
@@ -33,21 +33,21 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2678,
+    "atoms": 2677,
     "cli": 1052,
-    "core": 1684,
+    "core": 1690,
     "diffusion": 257,
-    "face": 944,
+    "face": 948,
     "fe_coupling": 753,
     "files": 544,
-    "fitting": 1331,
-    "fracture": 1746,
-    "materials": 5841,
-    "neural": 844,
-    "points": 1677,
-    "prediction": 747,
+    "fitting": 1307,
+    "fracture": 1738,
+    "materials": 5840,
+    "neural": 839,
+    "points": 1706,
+    "prediction": 755,
     "mpi": 881,
-    "solvers": 1519,
+    "solvers": 1502,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

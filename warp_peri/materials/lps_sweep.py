@@ -8,6 +8,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import joblib
 import numpy as np
@@ -104,7 +105,7 @@ def sweep(
     noise: Samples | None = None,
     horizons: Sequence[float] = HORIZONS,
     degrees: Sequence[int] = DEGREES,
-    conditions: str = "direct",
+    conditions: Literal["direct", "paper"] = "direct",
     method: Method = GaussNewton(moduli=None),  # noqa: B008 (a frozen value)
     jobs: int = -1,
     progress: bool = False,

@@ -52,7 +52,7 @@ def typed(call: Call) -> Call:
     """
     if isinstance(call, type):
         call.__init__ = typed(call.__init__)  # type: ignore[misc]
-        return typed_methods(call)
+        return typed_methods(call)  # type: ignore[no-any-return]
     signature = inspect.signature(call)
 
     @wraps(call)
