@@ -174,7 +174,7 @@ def test_a_terminal_without_greek_and_a_pipe_are_spoken_to(data, tmp_path):
     """No letters that it does not have, and no bars where nobody sees them move."""
     done = subprocess.run(
         [sys.executable, "-m", "warp_peri", "fit", data, *FIT, "--out", tmp_path / "m",
-         "--noise", "noise", "--method", "constrained"],
+         "--noise", "noise"],
         env=os.environ | {"PYTHONIOENCODING": "ascii", "PYTHONPATH": str(ROOT)},
         capture_output=True, text=True, cwd=tmp_path, check=True,
     )  # fmt: skip

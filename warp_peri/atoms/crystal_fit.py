@@ -30,7 +30,7 @@ from warp_peri.core.stencil import directions
 from warp_peri.errors import InputError, warn
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import fit_phonons
-from warp_peri.points.arguments import Positive, typed
+from warp_peri.points.arguments import Positive, typed, typed_methods
 from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.reprs import Shown
 
@@ -93,7 +93,7 @@ UNSEEN = {"waves ≥ 4 spacings": (18.0, 4.0, 8, 2), "waves of 2.7 to 4 spacings
 Symbol = Callable[[np.ndarray], np.ndarray]
 
 
-@typed
+@typed_methods
 @dataclass(frozen=True, eq=False, repr=False)
 class CrystalFit(Shown):
     """A crystal's law, what it was learned from, and how it compares.

@@ -18,7 +18,7 @@ from warp_peri.core.elastic import acoustic, stress_brackets
 from warp_peri.core.groups import group_of_structure, kinds_of, point_group
 from warp_peri.core.stencil import directions
 from warp_peri.errors import InputError, warn
-from warp_peri.points.arguments import Positive, typed
+from warp_peri.points.arguments import Positive, typed, typed_methods
 from warp_peri.points.unit_names import STRESSES
 
 STEP, WIDER = 2e-3, 5
@@ -115,7 +115,7 @@ class NonAnalyticCorrection:
         return np.asarray(each[None])
 
 
-@typed
+@typed_methods
 @dataclass(frozen=True, eq=False)
 class ForceConstants:
     """Φ between the atoms of one cell and all others, as a list of pairs.

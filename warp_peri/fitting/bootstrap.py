@@ -11,7 +11,7 @@ from scipy.special import stdtrit
 from tqdm import tqdm
 
 from warp_peri.errors import InputError, quietly
-from warp_peri.points.arguments import Natural, typed
+from warp_peri.points.arguments import Natural, typed, typed_methods
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
 from warp_peri.protocols import offered
@@ -23,7 +23,7 @@ REDRAWN = 0.2
 """Of the draws, that may determine no law and are drawn again."""
 
 
-@typed
+@typed_methods
 @dataclasses.dataclass(frozen=True)
 class BootstrapResult:
     """Materials learned from other choices of the loads.

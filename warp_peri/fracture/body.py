@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError, warn
-from warp_peri.points.arguments import Count, Positive, typed
+from warp_peri.points.arguments import Count, Positive, typed, typed_methods
 from warp_peri.points.arrays import check_whole, checked
 from warp_peri.points.families import HORIZON_TOLERANCE, BondClasses, bond_classes
 from warp_peri.points.lattice import neighbour_table, straight_steps
@@ -27,7 +27,7 @@ FELT = 2.0
 """Distance within which nodes take a force that acts at a place, in spacings."""
 
 
-@typed
+@typed_methods
 @dataclass(frozen=True, eq=False)
 class LatticeBody:
     """Nodes of a square or cubic lattice and the bonds between them.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -21,7 +20,7 @@ from warp_peri.points.families import families_of
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, symbols
 from warp_peri.protocols import LINEAR, offered, stencil_of
-from warp_peri.solvers.direct import smallest_eigenvalue
+from warp_peri.solvers.direct import DENSE, smallest_eigenvalue
 
 RANK_TOLERANCE = 1e-9
 """Eigenvalues of ΦΓ⁻¹Φᵗ below this fraction of the largest count as zero."""
@@ -184,18 +183,27 @@ def check_solvability(model: LPSMaterial, points: PointsLike) -> Solvability:
     families = families_of(points, model.horizon, bond_based=model.bond_based)
     owner, _, _, kind = listed(nodes_of(points), families)
     weight = families.weight[kind[points.interior[owner]]]
-    singular = 0.0
-    with suppress(RuntimeError):  # of a matrix that is exactly singular
-        factors = splu(A)
-
-        def below(v: np.ndarray) -> np.ndarray:
-            """Minus (AᵗA)⁻¹ v."""
-            return np.asarray(-factors.solve(factors.solve(v, "T")))
-
-        squared = LinearOperator(A.shape, below, matmat=below, dtype=float)
-        singular = (-smallest_eigenvalue(squared)) ** -0.5
+    if A.shape[0] <= DENSE:
+        singular = float(np.linalg.svd(A.toarray(), compute_uv=False)[-1])
+    else:
+        singular = _least_singular(A)
     least, negative = smallest_eigenvalue(symmetric), float(np.mean(weight < 0))
     return Solvability(least, singular, float(asymmetry), negative)
+
+
+def _least_singular(A: sp.csc_array) -> float:
+    """The smallest singular value of a sparse matrix; 0 of one that is exactly singular."""
+    try:
+        factors = splu(A)
+    except RuntimeError:
+        return 0.0
+
+    def below(v: np.ndarray) -> np.ndarray:
+        """Minus (AᵗA)⁻¹ v."""
+        return np.asarray(-factors.solve(factors.solve(v, "T")))
+
+    squared = LinearOperator(A.shape, below, matmat=below, dtype=float)
+    return float((-smallest_eigenvalue(squared)) ** -0.5)
 
 
 def with_proof(model: LPSMaterial, spacing: float | None = None) -> LPSMaterial:

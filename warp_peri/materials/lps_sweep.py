@@ -29,7 +29,7 @@ from warp_peri.fitting.settings import (
 )
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_fit import LPS
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import typed, typed_methods
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols
@@ -74,7 +74,7 @@ class Trial:
     model: str
 
 
-@typed
+@typed_methods
 @dataclass(frozen=True)
 class SweepResult:
     """Result of a sweep.

@@ -26,6 +26,7 @@ from warp_peri.points.arrays import GRADIENT, LARGEST, MOST, check_flag, is_numb
 from warp_peri.points.unit_names import Units
 
 Call = TypeVar("Call", bound=Callable[..., Any])
+Kind = TypeVar("Kind", bound=type)
 KINDS = (bool, int, float, str, os.PathLike, Mapping, dict, Sequence, tuple, list, NoneType)
 
 
@@ -52,7 +53,7 @@ def typed(call: Call) -> Call:
     """
     if isinstance(call, type):
         call.__init__ = typed(call.__init__)  # type: ignore[misc]
-        return typed_methods(call)  # type: ignore[no-any-return]
+        return typed_methods(call)
     signature = inspect.signature(call)
 
     @wraps(call)
@@ -68,7 +69,7 @@ def typed(call: Call) -> Call:
     return checked  # type: ignore[return-value]
 
 
-def typed_methods(kind: Any) -> Any:
+def typed_methods(kind: Kind) -> Kind:
     """A class whose own public methods look at their arguments as `typed` functions do."""
     for name, method in [*vars(kind).items()]:
         plain = getattr(method, "__func__", method)

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
 from warp_peri.materials.third_order import curvature_bound
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import typed, typed_methods
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import symbols
@@ -28,7 +28,7 @@ ACCURATE = 1e-5
 """Relative residual of the one solve that the bound takes."""
 
 
-@typed
+@typed_methods
 @dataclass(frozen=True, repr=False)
 class ErrorBound(Shown):
     """What is proven of an answer: it speaks of the model, not of the atoms.
@@ -160,7 +160,7 @@ class QuantityEstimate:
     bar: np.ndarray
 
 
-@typed
+@typed_methods
 @dataclass(frozen=True, eq=False, repr=False)
 class Prediction(Shown):
     """A body at rest, and how wrong it may be.

@@ -10,7 +10,7 @@ import numpy as np
 from warp_peri.core.grid import grid_of
 from warp_peri.core.record import FieldUnits, OnLinear
 from warp_peri.errors import InputError, warn
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import typed, typed_methods
 from warp_peri.points.arrays import is_number
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import largest_strain
@@ -42,7 +42,7 @@ TURNED, SURE = 2.0, 3.0
 """Degrees off a stated axis, and standard errors, from which the data contradict it."""
 
 
-@typed
+@typed_methods
 @dataclass(frozen=True)
 class CalibrationFactors:
     """Calibration: by how much what can be computed is multiplied, so that it is an error (Q4).

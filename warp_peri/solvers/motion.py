@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import typed_methods
 from warp_peri.protocols import is_tensor
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-@typed
+@typed_methods
 @dataclass(frozen=True, eq=False)
 class Motion:
     """A motion, or a load that rises slowly.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 
 from warp_peri.errors import InputError, heard, warn
-from warp_peri.points.arguments import Positive, Share, typed
+from warp_peri.points.arguments import Positive, Share, typed, typed_methods
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import symbols
 from warp_peri.reprs import Shown
@@ -125,7 +125,7 @@ def refuse_solver(solver: Solver, known: tuple[type, ...], law: str) -> None:
         raise InputError(f"solver: expected {names} for {law}, got {solver!r:.60}")
 
 
-@typed
+@typed_methods
 @dataclass(frozen=True, eq=False, repr=False)
 class Solution(Shown):
     """A body in equilibrium.

@@ -16,7 +16,7 @@ from warp_peri.fitting.rows import compressed, load_sizes
 from warp_peri.materials.hyperelastic.energies import Hyperelastic, HyperelasticMaterial
 from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
 from warp_peri.materials.hyperelastic.placed import largest_stretch
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import typed, typed_methods
 from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
@@ -234,7 +234,7 @@ def coefficients(
     return between(R, y, start, (lower, most), ridge)
 
 
-@typed
+@typed_methods
 @dataclass(frozen=True, eq=False)
 class EnergyFit:
     """A fitted solid.

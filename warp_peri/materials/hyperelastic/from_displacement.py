@@ -22,7 +22,7 @@ from warp_peri.materials.hyperelastic.equilibrium import NoEquilibriumError, Sta
 from warp_peri.materials.hyperelastic.fibres import fibre_numbers, fibres_of, with_numbers
 from warp_peri.materials.hyperelastic.operator import SMALLEST_AREA, HyperelasticOperator
 from warp_peri.materials.hyperelastic.placed import largest_stretch
-from warp_peri.points.arguments import Count, Share, typed
+from warp_peri.points.arguments import Count, Share, typed, typed_methods
 from warp_peri.points.arrays import checked, is_number
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PULL, Samples, seen_of
@@ -32,7 +32,7 @@ LARGEST = 20.0
 """Of the polynomial: beyond ± this the thickness stays at e^± this, so that it is a number."""
 
 
-@typed
+@typed_methods
 @dataclass(frozen=True, eq=False)
 class ThicknessField:
     """A thickness that is positive everywhere and one at the centre.
@@ -161,7 +161,7 @@ THICKEN = 0.5
 """Largest change of a number of the thickness in one step."""
 
 
-@typed
+@typed_methods
 @dataclass(frozen=True, eq=False)
 class DisplacementFit:
     """A solid, known up to its scale where no frame has a pull.

@@ -30,7 +30,7 @@ from warp_peri.materials.hyperelastic.from_displacement import (
     stiffest_deviation,
 )
 from warp_peri.materials.hyperelastic.placed import evaluate_hyperelastic
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import typed, typed_methods
 from warp_peri.points.samples import Samples, seen_of
 
 
@@ -103,7 +103,7 @@ class Candidate:
     numbers: int = 0
 
 
-@typed
+@typed_methods
 @dataclass(frozen=True)
 class ModelSelection:
     """What candidates came to.
