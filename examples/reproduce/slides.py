@@ -28,7 +28,7 @@ from warp_peri import InputError, Points
 from warp_peri.errors import exit_status
 from warp_peri.fracture import continuum_stretch
 from warp_peri.fracture.bonds import unit_toughness
-from warp_peri.materials.lps_bonds import Bonds
+from warp_peri.materials.lps_force import Bonds
 from warp_peri.materials.lps_matrices import Matrices, assemble, matrices
 from warp_peri.points.families import HORIZON_TOLERANCE, bond_classes
 from warp_peri.points.interpolation import mean_spacing
@@ -387,8 +387,8 @@ def free_edge(number: int, ratio: float, *, corrected: bool) -> float:
         families = bonds.families  # dilatation as at whole nodes, (6), its bonds broken
         whole = np.sort(np.concatenate([families.whole, families.cut]))
         bonds.families = replace(families, whole=whole, cut=families.cut[:0])
-    table = bonds.law(lam, MU, 1.0, np.ones(1)).table
-    L = assemble(bonds, table.kw, table.m).operator(lam, MU)
+    law = bonds.law(lam, MU, 1.0, np.ones(1))
+    L = assemble(bonds, law.kw, law.m).operator(lam, MU)
     given = np.where(outside[:, None], 0.0, exact)
     u = MatrixProblem(L, body.interior).solve(0 * given[None], given[None])[0]
     return float(np.abs(u - exact)[body.interior].max())

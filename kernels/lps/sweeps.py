@@ -1,20 +1,21 @@
 """The linear solid in two sweeps over bonds, and the sums that its numbers' derivatives are.
 
 Bond e leads from place q to place q + end[e] along ξ; bond[e] holds ξ and 1/r². own[e] = K W/m is
-its stiffness and far[e] that of the bond back. With far = own the sweeps are the operator, (6) and
-(9); with the bonds back they are its transpose, so that the gradient to u is the force of the
-gradient. λ − μ (`bulk`) and μ are one number, or one value a place, each force state its own.
+its stiffness and far[e] that of the bond back, of which a sweep that is given one is the transpose:
+L, (6) and (9), is its own transpose once each bond reads the values of the bond back. λ − μ
+(`bulk`) and μ are one number, or one value a place, each force state its own.
 
 On a lattice all places share the bonds row[0] to row[1], of which own = far. A field lies in
 planes: component a of sample s at place q is planes[s, a P + q], and LANES places next to one
 another go through a bond together, in vector registers; a bond and its opposite, which follow one
 another, go through the operator's sweeps as one. Scattered points, and a lattice with broken
 bonds, lie as they are numbered, node by node; each has bonds row[q] to row[q + 1] of its own, and
-one lane. A broken bond leads nowhere, end[e] = 0, and has stiffness 0.
+one lane. Their dilatation is the sum of bent[e]·(u(ξ) − u), bent = d own ξ but where a node has
+lost bonds (40–41), and bent_back is minus that of the bond back. A broken bond leads nowhere,
+end[e] = 0, and is 0.
 
 A piece is (first place, first number, count): count ≤ LANES nodes that follow one another in places
-and in their numbering. Lanes beyond the count compute what nobody keeps. For the processor only:
-plain.py has the same in Warp's own words.
+and in their numbering. Lanes beyond the count compute what nobody keeps.
 """
 
 from functools import cache
@@ -24,48 +25,48 @@ import warp as wp
 
 from warp_peri.kernels.bonds import shared, unpacked
 
-BYTES = 128
-"""Of all lanes together: two of the widest registers."""
+LANES = 16
+"""Of double precision: two of the widest registers."""
 
 PLACE = """
-    typedef REAL V VECTOR;
+    typedef double V VECTOR;
     const int base = piece.c[0], number = piece.c[1], count = COUNT;
     const size_t apart = APART;  // of components
-    const auto number_at = [&](const REAL* f, int to) -> V { return *(const V*)(f + to); };
-    const auto component = [&](const REAL* f, int to, int a) -> V {
+    const auto number_at = [&](const double* f, int to) -> V { return *(const V*)(f + to); };
+    const auto component = [&](const double* f, int to, int a) -> V {
         return *(const V*)(f + a * apart + to * NODE);
     };
     const auto of_place = [&](auto& f) { return f.data + size_t(s) * f.shape[1] + base; };
     const auto of_node = [&](auto& f) { return f.data + size_t(s) * f.shape[1] + base * NODE; };
-    const auto into = [&](REAL* out, V value) {
+    const auto into = [&](double* out, V value) {
         for (int n = 0; n < count; ++n)
-            out[n] = ((const REAL*)&value)[n];
+            out[n] = ((const double*)&value)[n];
     };
-    const REAL *bulk_at = bulk.data + base, *mu_at = mu.data + base;
+    const double *bulk_at = bulk.data + base, *mu_at = mu.data + base;
 """
 BONDS = """
     for (int e = row.data[FAMILY]; e < row.data[FAMILY + 1]; ++e) {
-        const REAL* v = (const REAL*)(bond.data + e);
-        const REAL k = own.data[e], l = FAR;
+        const double* v = (const double*)(bond.data + e);
+        const double k = own.data[e], l = FAR;
         const int to = end.data[e];
-        const auto along = [&](const REAL* f, const V* x) {  // ξ·(l f(ξ) − k f)
+        const auto along = [&](const double* f, const V* x) {  // ξ·(l f(ξ) − k f)
             V sum = 0;
             for (int a = 0; a < DIM; ++a)
-                sum += v[a] * (ALIKE ? component(f, to, a) - x[a]
-                                     : l * component(f, to, a) - k * x[a]);
-            return sum;
+                sum += v[a] * (FORWARD ? component(f, to, a) - x[a]
+                                       : l * component(f, to, a) - k * x[a]);
+            return FORWARD ? k * sum : sum;
         };
 """
 OWN = """
-    const REAL* f = of_node(planes);
+    const double* f = of_node(planes);
     V x[DIM];
     for (int a = 0; a < DIM; ++a)
         x[a] = component(f, 0, a);
 """
 PAIRS = """
     for (int e = row.data[0]; e < row.data[1]; e += 2) {
-        const REAL* v = (const REAL*)(bond.data + e);
-        const REAL k = own.data[e];
+        const double* v = (const double*)(bond.data + e);
+        const double k = own.data[e];
         const int to = end.data[e];
 """
 DILATATION = {
@@ -73,16 +74,20 @@ DILATATION = {
     + """
     V total = 0;
     BONDS
-        total += (ALIKE ? REAL(DIM) * k : REAL(DIM)) * along(f, x);
+        if (FORWARD)
+            for (int a = 0; a < DIM; ++a)
+                total += bent.data[e].c[a] * (component(f, to, a) - x[a]);
+        else
+            total += DIM * along(f, x);
     }
     into(of_place(theta), total);
 """,
     True: """
-    const REAL* f = of_node(planes);
+    const double* f = of_node(planes);
     V total = 0;
     PAIRS
         for (int a = 0; a < DIM; ++a)
-            total += (REAL(DIM) * k * v[a]) * (component(f, to, a) - component(f, -to, a));
+            total += (DIM * k * v[a]) * (component(f, to, a) - component(f, -to, a));
     }
     into(of_place(theta), total);
 """,
@@ -92,9 +97,11 @@ DENSITY = {
     const V mine = BULK(0) * number_at(t, 0);
     BONDS
         const V far = BULK(to) * number_at(t, to);
-        const auto shear = REAL(DIM * (DIM + 2)) * v[DIM] * MEAN(to);
-        const V density = ALIKE ? (SPREAD * k) * (mine + far) + k * shear * along(f, x)
-                                : SPREAD * (k * mine + l * far) + shear * along(f, x);
+        const V shear = DIM * (DIM + 2) * v[DIM] * MEAN(to) * along(f, x);
+        if (!FORWARD)
+            for (int a = 0; a < DIM; ++a)
+                out[a] -= WHOLE * (bent.data[e].c[a] * mine + bent_back.data[e].c[a] * far);
+        const V density = FORWARD ? DIM * WHOLE * k * (mine + far) + shear : shear;
 """,
     True: """
     PAIRS
@@ -102,8 +109,8 @@ DENSITY = {
         for (int a = 0; a < DIM; ++a)
             bent += v[a] * BENT;
         const V spread = BULK(to) * number_at(t, to) - BULK(-to) * number_at(t, -to);
-        const REAL shear = REAL(DIM * (DIM + 2)) * v[DIM] * k;
-        const V density = (SPREAD * k) * spread + SHEAR * bent;
+        const double shear = DIM * (DIM + 2) * v[DIM] * k;
+        const V density = (DIM * WHOLE * k) * spread + SHEAR * bent;
 """,
 }
 BENT = {
@@ -111,30 +118,30 @@ BENT = {
     True: "(MEAN(to) * (component(f, to, a) - x[a]) + MEAN(-to) * (component(f, -to, a) - x[a]))",
 }
 FORCE = """
-    const REAL* t = of_place(theta);
+    const double* t = of_place(theta);
     V out[DIM] = {};
     DENSITY
         for (int a = 0; a < DIM; ++a)
             out[a] -= density * v[a];
     }
-    REAL* vector = vectors.data + size_t(s) * vectors.shape[1] + size_t(number) * DIM;
+    double* vector = vectors.data + size_t(s) * vectors.shape[1] + size_t(number) * DIM;
     for (int n = 0; n < count; ++n)
         for (int a = 0; a < DIM; ++a)
-            vector[n * DIM + a] = ((const REAL*)&out[a])[n];
+            vector[n * DIM + a] = ((const double*)&out[a])[n];
 """
 LAID = """
-    const REAL* vector = values.data + size_t(s) * values.shape[1] + size_t(piece.c[1]) * DIM;
+    const double* vector = values.data + size_t(s) * values.shape[1] + size_t(piece.c[1]) * DIM;
     for (int a = 0; a < DIM; ++a) {
-        REAL* plane = planes.data + s * size_t(planes.shape[1]) + a * size_t(theta.shape[1]);
+        double* plane = planes.data + s * size_t(planes.shape[1]) + a * size_t(theta.shape[1]);
         for (int n = 0; n < piece.c[2]; ++n)
             plane[piece.c[0] + n] = vector[n * DIM + a];
     }
 """
 SLOPES = """
-    const REAL *t = of_place(theta), *g = of_node(seeds);
+    const double *t = of_place(theta), *g = of_node(seeds);
     const V mine = BULK(0) * number_at(t, 0), back = number_at(of_place(tau), 0);
-    const V pull = SPREAD * BULK(0) * back;
-    V y[DIM], bar = 0, total = 0;
+    const V pull = DIM * WHOLE * BULK(0) * back;
+    V y[DIM], total = 0;
     for (int a = 0; a < DIM; ++a)
         y[a] = component(g, 0, a);
     BONDS
@@ -143,118 +150,91 @@ SLOPES = """
             push -= v[a] * y[a];
             ahead += v[a] * (component(f, to, a) - x[a]);
         }
-        const REAL shear = REAL(DIM * (DIM + 2)) * v[DIM];
+        const double shear = DIM * (DIM + 2) * v[DIM];
         const V far = BULK(to) * number_at(t, to);
-        bar += push * (SPREAD * (mine + far) + (shear * MEAN(to)) * ahead) + pull * ahead;
-        total += (ALIKE ? k * shear : shear) * ahead * along(g, y);
-        KEEP
+        const V bar = push * (DIM * WHOLE * (mine + far) + (shear * MEAN(to)) * ahead)
+            + pull * ahead;
+        total += shear * ahead * along(g, y);
+        double* sums = by_own.data + size_t(BLOCK) * by_own.shape[1] + PLACES * e;
+        for (int n = 0; n < count; ++n)
+            sums[n] += ((const double*)&bar)[n];
     }
     for (int n = 0; n < count; ++n) {
-        by_mu.data[base + n] += ((const REAL*)&total)[n];
-        by_bulk.data[base + n] += t[n] * ((const REAL*)&back)[n];
+        by_mu.data[base + n] += ((const double*)&total)[n];
+        by_bulk.data[base + n] += t[n] * ((const double*)&back)[n];
     }
-"""
-KEEP = {
-    True: """
-        if (e + 1 == row.data[1] || slot.data[e + 1] != slot.data[e]) {
-            REAL* sums = by_own.data + size_t(block) * by_own.shape[1] + LANES * slot.data[e];
-            for (int n = 0; n < count; ++n)
-                sums[n] += ((const REAL*)&bar)[n];
-            bar = 0;
-        }""",
-    False: """
-        by_own.data[e] += to == 0 ? 0 : bar;
-        bar = 0;""",
-}
-SCALED = """
-    REAL sum = 0;
-    for (int e = row.data[base]; e < row.data[base + 1]; ++e)
-        sum += by_own.data[e] * own.data[e];
-    for (int e = row.data[base]; e < row.data[base + 1]; ++e)
-        by_own.data[e] = (by_own.data[e] - sum / bond.data[e].c[DIM]) / m.data[base];
 """
 
 
 @cache
-def struct(scalar, dimension):
-    """What a sweep reads: bonds, stiffnesses, moduli; `slot` of a lattice is the class of each bond
-    and m, of a list of bonds, the weighted volume of each node."""
-    vec = wp.types.vector(dimension + 1, scalar)
-    ints, numbers = wp.array(dtype=wp.int32), wp.array(dtype=scalar)
+def struct(dimension):
+    """What a sweep reads: bonds, stiffnesses, moduli."""
+    vec, wide = (wp.types.vector(d, wp.float64) for d in (dimension, dimension + 1))
+    ints, numbers = wp.array(dtype=wp.int32), wp.array(dtype=wp.float64)
 
     @wp.struct
     class Law:
         row: ints
         end: ints
-        slot: ints
-        bond: wp.array(dtype=vec)
+        bond: wp.array(dtype=wide)
         own: numbers
-        far: numbers
-        m: numbers
         bulk: numbers
         mu: numbers
+        bent: wp.array(dtype=vec)
+        far: numbers
+        bent_back: wp.array(dtype=vec)
 
     return Law
 
 
 @cache
-def sweeps(scalar, dimension, *, lattice, fields):
+def sweeps(dimension, *, lattice, fields):
     """The kernels, for lattices or lists of bonds, with moduli as numbers or as fields."""
-    Law = struct(scalar, dimension)
-    lanes = BYTES // wp.types.type_size_in_bytes(scalar) if lattice else 1
-    vector = "__attribute__((ext_vector_type(LANES), aligned(sizeof(REAL))))"
+    Law, lanes = struct(dimension), LANES if lattice else 1
+    vector = "__attribute__((ext_vector_type(LANES), aligned(sizeof(double))))"
     words = {
         "DENSITY": DENSITY[lattice], "BENT": BENT[fields],
         "SHEAR": "shear" if fields else "(shear * MEAN(to))",
-        "PAIRS": PAIRS, "BONDS": BONDS, "KEEP": KEEP[lattice], "VECTOR": vector if lattice else "",
+        "PAIRS": PAIRS, "BONDS": BONDS, "VECTOR": vector if lattice else "",
         "COUNT": "piece.c[2]" if lattice else "1", "FAMILY": "0" if lattice else "base",
         "APART": "theta.shape[1]" if lattice else "1", "NODE": "1" if lattice else "DIM",
-        "BULK(0)": "number_at(bulk_at, 0)" if fields else "REAL(1)",
-        "BULK(to)": "number_at(bulk_at, to)" if fields else "REAL(1)",
-        "BULK(-to)": "number_at(bulk_at, -to)" if fields else "REAL(1)",
-        "SPREAD": "REAL(DIM)" if fields else "(REAL(DIM) * bulk.data[0])",
+        "BULK(0)": "number_at(bulk_at, 0)" if fields else "1.0",
+        "BULK(to)": "number_at(bulk_at, to)" if fields else "1.0",
+        "BULK(-to)": "number_at(bulk_at, -to)" if fields else "1.0",
+        "WHOLE": "1.0" if fields else "bulk.data[0]",
         "MEAN(to)": "(number_at(mu_at, 0) + number_at(mu_at, to))" if fields
         else "(2 * mu.data[0])",
         "MEAN(-to)": "(number_at(mu_at, 0) + number_at(mu_at, -to))",
+        "PLACES": str(lanes), "BLOCK": "block" if lattice else "0",
     }  # fmt: skip
-    numbers = {"DIM": dimension, "LANES": lanes, "REAL": f"wp::{scalar.__name__}"}
 
     def either(body):
-        """With bonds that are their own bonds back, as all of a lattice are, or not; of a lattice
-        half as many lanes where that is enough."""
-
-        def of(alike, text):
-            return text.replace("ALIKE", alike).replace("FAR", "k" if alike == "true" else back)
-
-        back, text = "far.data[e]", PLACE + body
+        """As it is, or transposed, which of a lattice is the same; of a lattice half as many lanes
+        where that is enough."""
+        text = PLACE + body
         for word, meaning in words.items():
             text = text.replace(word, meaning)
         if lattice:
-            text = of("true", text)
-            half = text.replace("LANES", "LANES / 2")
-            return f"if (piece.c[2] > LANES / 2) {{{text}}} else {{{half}}}"
-        return f"if (far.shape[0] == 0) {{{of('true', text)}}} else {{{of('false', text)}}}"
+            text = text.replace("FORWARD", "true").replace("FAR", "k")
+            half = text.replace("LANES", str(LANES // 2))
+            return f"if (piece.c[2] > {LANES // 2}) {{{text}}} else {{{half}}}"
+        forward = text.replace("FORWARD", "true").replace("FAR", "k")
+        back = text.replace("FORWARD", "false").replace("FAR", "far.data[e]")
+        return f"if (far.shape[0] == 0) {{{forward}}} else {{{back}}}"
 
     def native(text):
-        for word, value in numbers.items():
-            text = text.replace(word, str(value))
+        text = text.replace("LANES", str(LANES)).replace("DIM", str(dimension))
         return wp.func_native(unpacked(Law) + text)
 
     phases = {"laid": LAID, "needed": either(DILATATION[lattice]), "asked": either(OWN + FORCE)}
-    return SimpleNamespace(
-        Law=Law,
-        lanes=lanes,
-        swept=_swept(scalar, Law, native(shared("planes.shape[0]", **phases))),
-        slopes=_slopes(scalar, Law, lattice, *map(native, (
-            either(OWN + SLOPES).replace("LANES / 2 * slot", "LANES * slot"),
-            "const int base = piece.c[0];" + SCALED,
-        ))),
-    )  # fmt: skip
+    swept = _swept(Law, native(shared("planes.shape[0]", **phases)))
+    slopes = _slopes(Law, native(either(OWN + SLOPES)))
+    return SimpleNamespace(lanes=lanes, swept=swept, slopes=slopes)
 
 
-def _swept(scalar, Law, body):
+def _swept(Law, body):
     """Fields by number into planes; of these dilatations by place, of both forces by number."""
-    pieces, table = wp.array(dtype=wp.vec3i), wp.array2d(dtype=scalar)
+    pieces, table = wp.array(dtype=wp.vec3i), wp.array2d(dtype=wp.float64)
 
     @body
     def share(
@@ -286,10 +266,10 @@ def _swept(scalar, Law, body):
     return swept
 
 
-def _slopes(scalar, Law, lattice, piecewise, scaled):
-    table, array = wp.array2d(dtype=scalar), wp.array(dtype=scalar)
+def _slopes(Law, body):
+    table, array = wp.array2d(dtype=wp.float64), wp.array(dtype=wp.float64)
 
-    @piecewise
+    @body
     def add(
         block: wp.int32,
         s: wp.int32,
@@ -303,9 +283,6 @@ def _slopes(scalar, Law, lattice, piecewise, scaled):
         by_mu: array,
         by_bulk: array,
     ): ...
-
-    @scaled
-    def to_stiffness(piece: wp.vec3i, of: Law, by_own: table): ...
 
     @wp.kernel(enable_backward=False, module="unique")
     def slopes(
@@ -321,17 +298,13 @@ def _slopes(scalar, Law, lattice, piecewise, scaled):
         by_mu: array,
         by_bulk: array,
     ):
-        """Of g · L u: its derivatives to own, by block, class and lane, to μ and to λ − μ by place.
+        """Of g · L u: its derivatives to own, by block, bond and lane, to μ and to λ − μ by place.
 
-        g and τ, its dilatation by the transpose, lie as u and θ do. Of lists the derivative to K W
-        of each bond, [1, E], which the weighted volume divides.
+        g and τ, its dilatation by the transpose, lie as u and θ do.
         """
         block = first + wp.tid()
         for s in range(planes.shape[0]):
             for t in range(ends[block], ends[block + 1]):
                 add(block, s, pieces[t], of, planes, theta, seeds, tau, by_own, by_mu, by_bulk)
-        if wp.static(not lattice):
-            for t in range(ends[block], ends[block + 1]):
-                to_stiffness(pieces[t], of, by_own)
 
     return slopes

@@ -7,7 +7,7 @@ import warp_peri as wp
 from tests.conformance.test_laws import LAWS, solved_samples
 from tests.support.plates import plate
 from warp_peri.core import pointwise
-from warp_peri.materials import lps_bonds as bonds
+from warp_peri.materials import lps_force as bonds
 from warp_peri.materials import lps_transfer
 from warp_peri.materials.hyperelastic import operator as tissue
 

@@ -26,8 +26,7 @@ from tests.support.problems import (
 from tests.support.symbols import symbol
 from warp_peri import InputError, Points
 from warp_peri.materials.lps import lps_stencil, moduli
-from warp_peri.materials.lps_bonds import Bonds
-from warp_peri.materials.lps_force import lps_force
+from warp_peri.materials.lps_force import Bonds, lps_force
 from warp_peri.materials.lps_matrices import matrices
 from warp_peri.methods import LPSParameters
 from warp_peri.points.families import bond_classes, families_of
@@ -85,21 +84,20 @@ every_kind = pytest.mark.parametrize("kind", KINDS)
 class Problem:
     """A scalar of L u, of first and second order, as a function of everything."""
 
-    def __init__(self, name, points, samples=2, precision="float64"):
-        self.bonds = Bonds(points, HORIZON, precision=precision)
-        self.dtype = getattr(torch, precision)
-        self.seed = noise(points, samples, seed=4)[:, points.interior]
+    def __init__(self, name, points, samples=2):
+        self.bonds = Bonds(points, HORIZON)
+        self.seed = torch.from_numpy(noise(points, samples, seed=4)[:, points.interior])
         values = {"u": noise(points, samples), "lam": LAM, "mu": MU, **KERNELS[name]}
         self.leaves = {part: np.atleast_1d(leaf).astype(float) for part, leaf in values.items()}
 
     def scalar(self, *leaves):
         Lu = lps_force(self.bonds, leaves[0], LPSParameters(*leaves[1:]))
-        return (torch.as_tensor(self.seed, dtype=self.dtype) * Lu).sum() + (Lu**2).sum() / 100
+        return (self.seed * Lu).sum() + (Lu**2).sum() / 100
 
     def gathered(self):
         """Derivatives by name, and the force."""
         leaves = self.leaves.values()
-        given = [torch.tensor(v, dtype=self.dtype, requires_grad=True) for v in leaves]
+        given = [torch.tensor(v, requires_grad=True) for v in leaves]
         with torch.no_grad():
             force = lps_force(self.bonds, given[0], LPSParameters(*given[1:]))
         gradients = torch.autograd.grad(self.scalar(*given), given)
@@ -186,19 +184,6 @@ def test_on_scattered_points_it_is_that_of_its_matrices(kind, name):
     assert error(force, (L @ u.ravel()).reshape(force.shape)) < 10 * ROUNDING
 
 
-@every_kind
-@pytest.mark.parametrize("name", ["sign-changing", "positive"])
-def test_derivatives_are_those_of_plain_sweeps(name, kind, monkeypatch):
-    """As other devices than the processor run them, bond by bond in Warp's own words."""
-    swept = Problem(name, KINDS[kind]())
-    assert swept.bonds.layout.in_rows == (kind in ("lattice", "periodic lattice"))
-    found = swept.gathered()
-    monkeypatch.setattr("warp_peri.materials.lps_bonds.DEVICE", "elsewhere")
-    expected = Problem(name, KINDS[kind]()).gathered()
-    for part, by in found.items():
-        assert error(by, expected[part]) <= 1e-12, part
-
-
 @pytest.mark.parametrize(
     ("name", "kind"),
     [("sign-changing", kind) for kind in KINDS] + [(name, "lattice") for name in KERNELS],
@@ -223,28 +208,14 @@ def test_derivatives_are_those_of_differences(name, kind):
 
 
 @pytest.mark.parametrize("kind", SETS)
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_rows_are_the_lists_of_neighbours(kind, precision, monkeypatch):
-    points = SETS[kind]()
-    for name, samples in (("sign-changing", 1), ("positive", 3)):
-        rows = Problem(name, points, samples, precision)
-        assert rows.bonds.layout.in_rows
-        by_rows = rows.gathered()
-        with monkeypatch.context() as patch:
-            patch.setattr("warp_peri.materials.lps_bonds.rows_of", lambda *_: None)
-            by_lists = Problem(name, points, samples, precision).gathered()
-        for part, ours in by_rows.items():
-            parts = 30 if part in ("u", "force") else 1e3
-            within = parts * np.finfo(precision).eps * np.abs(by_lists[part]).max()
-            np.testing.assert_allclose(ours, by_lists[part], rtol=0, atol=within)
-
-
-def test_single_precision_of_scattered_points_is_double_precision_rounded():
-    points, _ = periodic_cloud(7)
-    double, single = (Problem("sign-changing", points, 2, p) for p in ("float64", "float32"))
-    exact = double.gathered()
-    for part, found in single.gathered().items():
-        assert error(found, exact[part]) < 2e-4, part
+def test_rows_are_the_lists_of_neighbours(kind, monkeypatch):
+    rows = Problem("sign-changing", SETS[kind](), samples=3)
+    assert rows.bonds.layout.in_rows
+    by_rows = rows.gathered()
+    monkeypatch.setattr(Bonds, "_rows", lambda _: None)
+    for part, by_lists in Problem("sign-changing", SETS[kind](), samples=3).gathered().items():
+        parts = 30 if part in ("u", "force") else 1e3
+        assert error(by_rows[part], by_lists) < parts * np.finfo(float).eps, part
 
 
 def test_nodes_in_no_order_or_far_apart_or_beside_a_crack_stay_in_their_lists():

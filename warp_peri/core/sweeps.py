@@ -47,7 +47,8 @@ class ByRows:
         self.tensors = floats(entries(tensors).astype(self.dtype), self.scalar)
         mask = np.zeros(nodes.wide, bool)
         mask[nodes.core] = nodes.unknown
-        pieces = row_pieces(mask.ravel(), self.kernels.lanes)
+        places = np.flatnonzero(mask)
+        pieces = row_pieces(places, self.kernels.lanes, places)[:, ::2]
         self.asked: Any = wp.array(pieces, dtype=wp.vec2i, device=DEVICE)
 
     def __call__(self, planes: np.ndarray) -> np.ndarray:
@@ -70,15 +71,16 @@ class ByRows:
         return force[self.core] if nodes.periodic else force
 
 
-def row_pieces(asked: np.ndarray, lanes: int) -> np.ndarray:
-    """Runs of asked places, cut to so many lanes, as (first place, count), shape [P, 2]."""
-    edge = np.diff(np.concatenate([[0], asked.astype(np.int8), [0]]))
-    begin = np.flatnonzero(edge == 1)
-    length = np.flatnonzero(edge == -1) - begin
+def row_pieces(places: np.ndarray, lanes: int, numbers: np.ndarray) -> np.ndarray:
+    """Runs of rising places and their numbers, cut to so many lanes, as (first place, first number,
+    count), shape [P, 3]."""
+    begin = np.flatnonzero(np.diff(places, prepend=-2) - 1 | np.diff(numbers, prepend=-2) - 1)
+    length = np.diff(np.append(begin, len(places)))
     parts = -(-length // lanes)
     step = lanes * (np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts))
+    first = np.repeat(begin, parts) + step
     count = np.minimum(np.repeat(length, parts) - step, lanes)
-    return np.stack([np.repeat(begin, parts) + step, count], axis=1).astype(np.int32)
+    return np.stack([places[first], numbers[first], count], axis=1).astype(np.int32)
 
 
 class ByFFT:

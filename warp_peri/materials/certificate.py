@@ -13,11 +13,10 @@ from scipy.sparse.linalg import LinearOperator, splu
 from warp_peri.core.proof import prove
 from warp_peri.errors import InputError
 from warp_peri.materials.lps import LPSMaterial, statement_of
-from warp_peri.materials.lps_bonds import listed
+from warp_peri.materials.lps_force import bonds_of
 from warp_peri.materials.lps_matrices import matrices
 from warp_peri.points.arguments import Positive, typed
-from warp_peri.points.families import families_of
-from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import USUAL, Units, symbols
 from warp_peri.protocols import LINEAR, offered, stencil_of
 from warp_peri.solvers.direct import DENSE, smallest_eigenvalue
@@ -180,9 +179,8 @@ def check_solvability(model: LPSMaterial, points: PointsLike) -> Solvability:
     A = sp.csc_array(L[:, np.repeat(points.interior, points.x.shape[1])])
     symmetric = (A + A.T) / 2
     asymmetry = sp.linalg.norm(A - A.T) / (2 * sp.linalg.norm(symmetric))
-    families = families_of(points, model.horizon, bond_based=model.bond_based)
-    owner, _, _, kind = listed(nodes_of(points), families)
-    weight = families.weight[kind[points.interior[owner]]]
+    bonds = bonds_of(model, points)
+    weight = bonds.families.weight[bonds.listing[3][points.interior[bonds.listing[0]]]]
     if A.shape[0] <= DENSE:
         singular = float(np.linalg.svd(A.toarray(), compute_uv=False)[-1])
     else:

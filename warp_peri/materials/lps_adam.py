@@ -26,8 +26,7 @@ from warp_peri.fitting.augmented_lagrangian import PrintedState, adam, as_printe
 from warp_peri.fitting.regression import cut_rows
 from warp_peri.fitting.settings import CONDITIONS, StabilityConditions, TwoStage
 from warp_peri.materials.lps import LPSParameters, bernstein_basis
-from warp_peri.materials.lps_bonds import Bonds
-from warp_peri.materials.lps_force import lps_force
+from warp_peri.materials.lps_force import Bonds, lps_force
 from warp_peri.materials.lps_law import ALPHA_IN_SIGHT, LARGEST_ALPHA, LPSFound, LPSLaw
 from warp_peri.materials.lps_matrices import assemble
 from warp_peri.materials.lps_rows import class_pairs, product_basis

@@ -1,307 +1,523 @@
-"""The force of the linear solid on points, and its gradients: L is its own transpose once each bond
-reads the stiffness of the bond back, and the influence function has Warp's tape.
+"""The linear solid on points of any kind: its bonds, its force, and all derivatives of it.
 
-Nothing is summed by atomic operations, and sums over nodes run over fixed blocks, so that the
-result does not depend on how many threads there are. Nothing that a call writes is kept.
+A lattice lies row by row in a box, many nodes at a time; anything else as it is numbered, with
+lists of bonds. L is its own transpose once each bond reads the stiffness of the bond back, and the
+influence function has Warp's tape. Nothing is summed by atomic operations, and sums over nodes run
+over fixed blocks, so that the result does not depend on how many threads there are. Nothing that a
+call writes is kept.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import torch
 import warp as wp
+from numpy.typing import ArrayLike
+from scipy.special import comb
 
-from warp_peri.core.torch_bridge import differentiable_once, refuse_tangents
+from warp_peri.core.sweeps import row_pieces
+from warp_peri.core.torch_bridge import once, refuse_tangents
 from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import stay
-from warp_peri.kernels.lps.plain import plain
-from warp_peri.materials.lps import LPSParameters
-from warp_peri.materials.lps_bonds import Bonds, SweepLaw, inverted, listed
-from warp_peri.runtime import Shared, get_num_threads, ints, launch, launch_slices
+from warp_peri.kernels.lps.influence import influence
+from warp_peri.kernels.lps.sweeps import LANES, struct, sweeps
+from warp_peri.materials.lps import CANCELLED, LPSMaterial, LPSParameters, on_nominal_lattice
+from warp_peri.points.families import families_of
+from warp_peri.points.quadrature import DEGREE
+from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.runtime import (
+    DEVICE,
+    Shared,
+    filled,
+    floats,
+    get_num_threads,
+    ints,
+    launch_slices,
+    zeros,
+)
 
+SPARE = 2
+"""Largest box, in places a node: beyond that the nodes are better left in their lists."""
+SHORT = 4
+"""Least mean length of a piece that is worth it."""
 BLOCKS = 8
 """Parts in which nodes are summed over, whatever the number of threads."""
 FASTER = 4
 """How much less a thread has to do with a node in rows than in its list of bonds."""
-KEPT = 2**25
-"""Most numbers in planes that are kept between evaluations: 256 MB in double precision."""
 
 
 @dataclass(frozen=True)
-class Felt:
-    """A force, and what its gradient reads.
+class Layout:
+    """Places and bonds, as kernels/lps/sweeps.py says.
 
     Attributes:
-        law: that it is of.
-        planes: the displacement as sweeps read it.
-        theta: dilatation of each sample and place, shape [S, P].
-        Lu: L u on the interior nodes, shape [S, d I].
+        in_rows: whether all places share one family, and are laid out in planes.
+        row, end: first bond of each place, and places from one to the end of each bond.
+        bond: vectors ξ [Å] and 1/r², shape [E, d + 1], of rows [B, d + 1].
+        kind: class of each bond, [E] or [B].
+        node: number of the node at each place, periodic images included, N where none, [P].
+        home: place of every node, shape [N].
+        pieces: by name, shape [·] of vectors: to be "laid" out, where dilatations are "needed", and
+            "forces"; "back" and "nodes", the same of the transpose, of forces to all nodes;
+            "whole", needed without images; none for None.
     """
 
-    law: SweepLaw
-    planes: wp.array[Any]
-    theta: wp.array[Any]
-    Lu: wp.array[Any]
+    in_rows: bool
+    row: np.ndarray
+    end: np.ndarray
+    bond: np.ndarray
+    kind: np.ndarray
+    node: np.ndarray
+    home: np.ndarray
+    pieces: dict[str | None, wp.array[Any]]
 
 
-def sweep(bonds: Bonds, law: SweepLaw, of: Any, pieces: Sequence[str | None], *fields: Any) -> None:
-    """Lays out, finds dilatations, then forces, on the pieces of these names, None for none; of
-    values by number, planes, dilatations and forces by number."""
-    layout, (_, planes, theta, out) = bonds.layout, fields
-    if bonds.plain:
-        kernels = plain(bonds.scalar, bonds.dimension)
-        for name, kernel, given in zip(
-            pieces[1:], (kernels.dilatation, kernels.force), ((planes, theta), (planes, theta, out))
-        ):
-            if name:
-                piece = layout.pieces[name]
-                launch(kernel, (len(theta), len(piece)), (piece, of, *given[:-1]), given[-1:])
-        return
-    key = (*pieces, len(theta), get_num_threads(), law.fields)
-    ready = layout.ready.setdefault(key, [])
-    try:
-        shared, ends, last = ready.pop()
-    except IndexError:
-        kernels, last, known = law.kernels, of, [one.__ctype__() for one in fields]
-        ends = [type(one).from_buffer_copy(one) for one in known]
-        nodes: list[Any] = [layout.pieces[name] for name in pieces]
-        work = sum(map(len, nodes)) * len(theta) * max(1, kernels.lanes // FASTER)
-        shared = Shared(kernels.swept, (*nodes, of, None), 3 * (None,), 3, work, stay)
-        for place, end in enumerate(ends, 4):
-            shared.give(place, end)
-    if last is not of:
-        shared.give(3, of)
-    for end, one in zip(ends, fields):
-        end.data = one.ptr or 0
-    shared()
-    ready.append((shared, ends, of))
+class Bonds:
+    """Families of a point set and what sweeps over them read.
 
+    Args:
+        points: a lattice, or scattered points (spacing 0). Bonds to nodes outside are broken, and
+            the dilatation of nodes that had such bonds is corrected (theory, 40–41).
+        horizon: δ [Å].
+        bond_based: λ = μ, of which no dilatation is seen: a collar of δ is enough.
+        quadrature_degree: of the polynomials that the weights are exact for.
 
-def _swept(
-    bonds: Bonds, law: SweepLaw, of: Any, laid: str, asked: str | None, correct: Any, *fields: Any
-) -> None:
-    """A sweep in which `correct` changes θ of the nodes that have lost bonds, before forces."""
-    cut = bonds.families.cut
-    sweep(bonds, law, of, (laid, "needed", None if len(cut) else asked), *fields)
-    if len(cut):
-        theta = fields[2].numpy()
-        theta[:, cut] = correct(theta[:, cut])
-        fields[2].assign(theta)
-        sweep(bonds, law, of, (None, None, asked), *fields)
+    Attributes:
+        families: families of all nodes.
+        nodes, dimension: their number N, and 2 or 3.
+        ready: launches and planes that nobody uses.
+        kept: the last law, and the numbers that it is of.
 
+    Raises InputError for what families_of refuses.
+    """
 
-def evaluate(bonds: Bonds, u: wp.array[Any], law: SweepLaw, *, kept: bool = True) -> Felt:
-    """L u of fields [S, d N]; what its gradient reads is the caller's, unless it is not `kept`."""
-    layout, samples, d = bonds.layout, len(u), bonds.dimension
-    Lu = bonds.empty(samples, d * len(bonds.families.rows))
-    spare = [] if kept else layout.ready.setdefault(("planes", samples), [])
-    try:
-        planes, theta = spare.pop()
-    except IndexError:
-        theta = bonds.zeros(samples, layout.places)
-        planes = bonds.empty(samples, d * layout.places) if layout.in_rows else u
-    corrected = lambda _: (law.table.surface @ u.numpy().T).T  # noqa: E731
-    _swept(bonds, law, law.forward, "laid", "forces", corrected, u, planes, theta, Lu)
-    if layout.in_rows and planes.size <= KEPT:
-        spare.append((planes, theta))
-    return Felt(law, planes, theta, Lu)
+    def __init__(
+        self,
+        points: PointsLike,
+        horizon: float,
+        *,
+        bond_based: bool = False,
+        quadrature_degree: int = DEGREE,
+    ) -> None:
+        self.points, self.horizon, self.bond_based = nodes_of(points), float(horizon), bond_based
+        self.nodes, self.dimension = points.x.shape
+        self.families = families_of(
+            points, horizon, bond_based=bond_based, degree=quadrature_degree
+        )
+        self.ready: dict[Any, list[Any]] = {}
+        self.kept: tuple[Any, Law] | None = None
 
+    @cached_property
+    def listing(self) -> tuple[np.ndarray, ...]:
+        """Owner, far end and vector of each bond, and its number in tables by class, shape [E].
 
-def pulled(
-    bonds: Bonds, law: SweepLaw, g: wp.array[Any], *, displacement: bool = True
-) -> tuple[Any, ...]:
-    """Of g on the interior, [S, d I], Lᵗ g on all nodes; g as sweeps read it, its dilatation by the
-    transpose, and that of nodes which have lost bonds apart."""
-    layout, samples, d, cut = bonds.layout, len(g), bonds.dimension, bonds.families.cut
-    seeds = bonds.zeros(samples, d * layout.places)
-    if not layout.in_rows:
-        spread = seeds.numpy().reshape(samples, -1, d)
-        spread[:, bonds.families.rows] = g.numpy().reshape(samples, -1, d)
-        seeds.assign(spread.reshape(samples, -1))
-    tau, lost = bonds.zeros(samples, layout.places), list[np.ndarray]()
-    by_u = bonds.empty(samples, d * bonds.nodes if displacement else 0)
-    asked = "nodes" if displacement else None
+        Broken bonds, and those to nodes that are not there, end at a negative node.
+        """
+        families, points, end = self.families, self.points, self.families.neighbour
+        owner = np.repeat(np.arange(self.nodes), np.diff(families.row))
+        if families.lattice is not None:
+            kind = np.tile(families.lattice.bond_class, self.nodes)
+            return owner, end, np.tile(families.pattern, (self.nodes, 1)), kind
+        xi = points.x[np.where(end < 0, -1 - end, end)] - points.x[owner]
+        if points.box is not None:  # the nearest images
+            xi -= points.box * np.rint(xi / points.box)
+        return owner, end, xi, np.arange(len(end))
 
-    def apart(tau: np.ndarray) -> float:
-        lost.append(tau)
-        return 0.0
+    @cached_property
+    def layout(self) -> Layout:
+        """In rows where that can be, and in lists otherwise."""
+        return self._rows() or self._lists()
 
-    _swept(bonds, law, law.back, "back", asked, apart, g, seeds, tau, by_u)
-    if lost and displacement:
-        by_u.assign(by_u.numpy() + (law.table.surface.T @ (law.bulk_at(cut) * lost[0]).T).T)
-    return by_u, seeds, tau, *lost
+    def _lists(self) -> Layout:
+        """The layout of nodes as they are numbered."""
+        families, (owner, end, xi, kind) = self.families, self.listing
+        nodes, needed = np.arange(self.nodes), np.append(families.whole, families.cut)
+        places = {"needed": needed, "whole": needed, "forces": families.rows, "nodes": nodes}
+        of: dict[str | None, Any] = dict.fromkeys((None, "laid", "back"), nodes[:0])
+        pieces = {n: _pieces(np.sort(at), np.arange(len(at)), 1) for n, at in (of | places).items()}
+        to = np.where(end < 0, 0, end - owner)
+        return Layout(False, families.row, to, _bond(xi), kind, nodes, nodes, pieces)
 
+    def _rows(self) -> Layout | None:
+        """The layout of a lattice in a box; None with broken bonds, and where the box or the pieces
+        of it would be mostly empty."""
+        families, box = self.families, self.points.box
+        if families.lattice is None or len(families.cut):
+            return None
+        grid, steps = self.points.lattice[0], families.lattice.steps
+        order = np.argsort(np.abs(grid[1:2] - grid[:1]).sum(axis=0), kind="stable")
+        grid, steps = grid[:, order], steps[:, order]  # numbered last along the last axis
+        grid, reach = grid - grid.min(axis=0), int(np.abs(steps).max())
+        size, ring = grid.max(axis=0) + 1, reach
+        if box is not None:
+            size, ring = np.rint(np.divide(box, self.points.spacing))[order].astype(int), 2 * reach
+            grid %= size
+        if size.prod() > SPARE * self.nodes:
+            return None
+        inside = self.dimension * (slice(ring, -ring),)
+        node = np.full(size + 2 * ring, self.nodes)
+        node[inside][tuple(grid.T)] = np.arange(self.nodes)
+        if box is not None:
+            node = np.pad(node[inside], ring, mode="wrap")
+        stride = np.append(np.cumprod(node.shape[:0:-1])[::-1], 1)
+        room = (
+            reach * int(stride.sum()) + LANES
+        )  # for bonds off the box, and the last piece's lanes
+        home = room + (grid + ring) @ stride
+        seen = np.zeros(node.shape, bool)  # near enough to have its family, of images too
+        seen[self.dimension * (slice(reach, -reach),)] = True
+        node, seen = (np.pad(x.ravel(), room, constant_values=v) for x, v in
+                      ((node, self.nodes), (seen, False)))  # fmt: skip
+        row, needed = np.full(self.nodes + 1, -1), np.zeros(self.nodes + 1, bool)
+        row[families.rows], needed[families.whole] = np.arange(len(families.rows)), True
+        laid, back = np.flatnonzero(node < self.nodes), np.flatnonzero(row[node] >= 0)
+        of: dict[str | None, Any] = {
+            None: (laid[:0],),
+            "laid": (laid, node[laid]),
+            "needed": (np.flatnonzero(needed[node] & seen),),
+            "forces": (home[families.rows], np.arange(len(families.rows))),
+            "back": (back, row[node[back]]),
+            "nodes": (home, np.arange(self.nodes)),
+            "whole": (home[families.whole],),
+        }
+        pieces = {name: _pieces(at[0], at[-1], LANES) for name, at in of.items()}
+        if SHORT * len(pieces["nodes"]) > self.nodes:
+            return None
+        pairs = np.minimum(np.arange(len(steps)), families.reverse).argsort(kind="stable")
+        bonds = _bond(families.pattern[pairs]), families.lattice.bond_class[pairs]
+        ends = np.array([0, len(steps)]), steps[pairs] @ stride
+        return Layout(True, *ends, *bonds, node, home, pieces)
 
-def gradient(
-    bonds: Bonds,
-    felt: Felt,
-    g: wp.array[Any],
-    *,
-    displacement: bool = True,
-    moduli: bool = True,
-    influence: bool = True,
-) -> dict[str, Any]:
-    """Derivatives of a scalar by name, given its derivative g [S, d I] to L u: to u, [S, d N], to λ
-    and μ, numbers or one a node, and to α and D; those to moduli come with the latter."""
-    law, layout, cut = felt.law, bonds.layout, bonds.families.cut
-    whole = layout.pieces["whole"]
-    by_u, seeds, tau, *lost = pulled(bonds, law, g, displacement=displacement)
-    found = {"u": by_u} if displacement else {}
-    if not (moduli or influence):
+    def influence(self, alpha: ArrayLike, D: ArrayLike, by: Any = None) -> Any:
+        """K W of each class, [C]; with derivatives of a scalar to it those to α and D, by Warp's
+        tape, which is this call's alone."""
+        families, degree, taped = self.families, np.size(D) - 1, by is not None
+        given = [
+            wp.array(np.ravel(one).astype(float), device=DEVICE, requires_grad=taped)
+            for one in (alpha, D)
+        ]
+        tables = comb(degree, np.arange(degree + 1)), families.r, np.log(families.r)
+        inputs: Any = [wp.float64(self.horizon), *map(floats, (*tables, families.weight)), *given]
+        kernel, kw = influence(degree), zeros(len(families.r), gradient=taped)
+        if not taped:
+            launch_slices(kernel, len(kw), inputs, (kw,))
+            return kw.numpy()
+        tape: Any = wp.Tape()
+        kernel.module.load(DEVICE)
+        tape.record_launch(kernel, len(kw), 0, [0, *inputs], [kw], DEVICE)
+        tape.backward(grads={kw: floats(by)})
+        return [one.grad.numpy() for one in given]  # type: ignore[union-attr]
+
+    def volumes(self, terms: np.ndarray) -> Any:
+        """The sum of a table by class over each whole ball, [N]; of a lattice one number."""
+        if self.families.lattice is not None:
+            return (self.families.lattice.count * terms).sum()
+        return np.add.reduceat(terms, self.families.row[:-1])
+
+    @cached_property
+    def left(self) -> np.ndarray:
+        """Numbers of the bonds that nodes have left which have lost some."""
+        owner, end, _, _ = self.listing
+        return np.flatnonzero((end >= 0) & np.isin(owner, self.families.cut))
+
+    def inverted(self, kw: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Of the bonds `left`, of K W by class: K W and S⁻¹ ξ, (40–41), and whose they are among
+        `cut`, shape [·], [·, d] and [·]."""
+        owner, _, xi, kind = (one[self.left] for one in self.listing)
+        place, d, weight = np.searchsorted(self.families.cut, owner), self.dimension, kw[kind]
+        shape = np.zeros((len(self.families.cut), d, d))
+        np.add.at(shape, place, weight[:, None, None] * xi[:, :, None] * xi[:, None])
+        return weight, np.einsum("eab,eb->ea", np.linalg.inv(shape)[place], xi), place
+
+    def bent(self, kw: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """θ is the sum of these over a node's bonds, times u(ξ) − u, [E, d]: d K W/m ξ, and
+        K W S⁻¹ ξ of nodes that have lost bonds, (40–41)."""
+        found: np.ndarray = self.dimension * own[:, None] * self.listing[2]
+        if len(self.left):
+            weight, turned, _ = self.inverted(kw)
+            found[self.left] = weight[:, None] * turned
         return found
-    lam, mu, alpha, D = law.values
-    by_mu, by_bulk = bonds.zeros(layout.places), bonds.zeros(layout.places)
-    fields = law.back, felt.planes, felt.theta, seeds, tau
-    if layout.in_rows:
-        by_own = bonds.zeros(BLOCKS, len(law.table.kw) * law.kernels.lanes)
-    else:
-        by_own = bonds.zeros(1, len(layout.end))
-    outputs = by_own, by_mu, by_bulk
-    if not bonds.plain:
-        ends = ints(np.arange(BLOCKS + 1) * len(whole) // BLOCKS)
-        weight = max(len(whole) * len(g) // BLOCKS, 1)
-        inputs = ends, whole, *fields
-        launch_slices(law.kernels.slopes, BLOCKS, inputs, outputs, weight=weight)
-    else:
-        slopes = plain(bonds.scalar, bonds.dimension).slopes
-        launch(slopes, len(whole), (whole, *fields), outputs)
-    bulk, shear = by_bulk.numpy(), by_mu.numpy()
-    if lost:
-        bulk[cut] += (felt.theta.numpy()[:, cut] * lost[0]).sum(axis=0)
-    for name, part, one in (("lam", bulk, lam), ("mu", shear - bulk, mu)):
-        found[name] = part[layout.home] if one.size > 1 else part.sum(dtype=float)
-    if influence:
-        by_kw = _by_class(law, by_own) + (_by_surface(bonds, felt, lost[0]) if lost else 0)
-        found |= zip(("alpha", "D"), bonds.influence(alpha, D, by_kw))
-    return found
+
+    def law(self, *values: Any) -> Law:
+        """What sweeps read of λ, μ, α and D; that of the last is kept."""
+        arrays = [np.array(value, dtype=float).ravel() for value in values]  # nobody changes copies
+        key, last = [array.tobytes() for array in arrays], self.kept
+        if last is None or last[0] != key:
+            same = last is not None and last[0][2:] == key[2:]
+            last = self.kept = key, Law(self, arrays, last[1] if last and same else None)
+        return last[1]
+
+    def check_volumes(self, kw: np.ndarray) -> None:
+        """Refuse K W whose weighted volume vanishes: the operator divides by it.
+
+        Raises InputError saying how many nodes that concerns; on a lattice it is all of them.
+        """
+        families = self.families
+        terms, lattice = kw * families.r**2, families.lattice is not None
+        needed = slice(None) if lattice else np.concatenate([families.whole, families.cut])
+        m, size = (np.atleast_1d(self.volumes(x))[needed] for x in (terms, np.abs(terms)))
+        if bad := np.count_nonzero(~(np.abs(m) > CANCELLED * size)):
+            raise InputError(
+                "influence function: its weighted volume m (theory, 5) is zero at "
+                f"{'every node' if lattice else f'{bad} nodes'}: positive and negative parts "
+                f"cancel to {np.abs(m).min() / size.max():.0e}"
+            )
 
 
-def _by_class(law: SweepLaw, by_own: wp.array[Any]) -> np.ndarray:
-    """Derivatives to K W of each class, [C], of the sums that slopes leave."""
-    bonds, table, by = law.bonds, law.table, by_own.numpy().astype(float)
-    if bonds.layout.in_rows:
-        of = bonds.families.classes
-        by = by.reshape(BLOCKS, len(table.kw), -1).sum(axis=(0, 2))
-        return np.asarray((by - of.count * of.r**2 * (by @ table.kw) / table.m) / table.m)
-    if bonds.lattice:
-        return np.bincount(listed(bonds.points, bonds.families)[3], by[0])
-    return np.asarray(by[0])
+def _bond(xi: np.ndarray) -> np.ndarray:
+    return np.hstack([xi, 1 / (xi**2).sum(axis=1, keepdims=True)])
 
 
-def _by_surface(bonds: Bonds, felt: Felt, lost: np.ndarray) -> np.ndarray:
-    """The same of dilatations by (40–41), of `lost`, their derivatives over λ − μ: of a bond f
-    p_f · S⁻¹ ξ_f − (S⁻¹ ξ_f) · (Σ_e K W p_e ⊗ S⁻¹ ξ_e) ξ_f, p that to K W S⁻¹ ξ."""
-    table, (owner, end, xi, kind) = felt.law.table, bonds.left
-    turned, place = inverted(bonds, table.kw[kind].astype(float))
-    u = felt.planes.numpy().reshape(len(lost), -1, bonds.dimension)
-    pull = (felt.law.bulk_at(bonds.families.cut) * lost)[:, place, None]
-    p = (pull * (u[:, end] - u[:, owner])).sum(axis=0)
-    both = np.zeros((len(bonds.families.cut), *2 * xi.shape[1:]))
-    np.add.at(both, place, table.kw[kind, None, None] * p[:, :, None] * turned[:, None])
-    by = (p * turned).sum(axis=1) - np.einsum("ea,eab,eb->e", turned, both[place], xi)
-    return np.bincount(kind, by, len(table.kw))
+def _pieces(places: np.ndarray, numbers: np.ndarray, lanes: int) -> wp.array[Any]:
+    """Pieces of at most so many lanes, in the order of their places, [P] of vectors."""
+    order = np.argsort(places, kind="stable")
+    pieces = row_pieces(places[order], lanes, numbers[order])
+    return wp.array(pieces, dtype=wp.vec3i, device=DEVICE)
 
 
-class _Force(torch.autograd.Function):
-    """L u as a torch function of u [S, N, d], λ, μ, α and D."""
+def bonds_of(model: LPSMaterial, points: PointsLike, degree: int = DEGREE) -> Bonds:
+    """The bonds of a model on points, those of the certified lattice where they lie on one.
 
-    @staticmethod
-    def forward(ctx: Any, bonds: Bonds, *inputs: torch.Tensor) -> torch.Tensor:
-        ctx.bonds, u = bonds, inputs[0]
-        ctx.save_for_backward(*inputs)  # the arrays share their memory
-        law = bonds.law(*(value.detach().cpu().numpy() for value in inputs[1:]))
-        ctx.felt = evaluate(bonds, _flat(bonds, u), law)
-        return _shaped(bonds, ctx.felt.Lu)
+    Raises InputError for points that do not carry the horizon, and an influence function whose
+    weighted volume vanishes.
+    """
+    nodes, how = on_nominal_lattice(model, points), {"quadrature_degree": degree}
+    try:
+        bonds = Bonds(nodes, model.horizon, **how)  # type: ignore[arg-type]
+    except InputError:
+        if not model.bond_based:
+            raise
+        bonds = Bonds(nodes, model.horizon, bond_based=True, **how)  # type: ignore[arg-type]
+    bonds.check_volumes(bonds.influence(model.alpha, model.D))
+    return bonds
 
-    @staticmethod
-    @differentiable_once
-    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        inputs = ctx.saved_tensors  # an error where one was changed in place since
-        g, (by_field, *learns) = _flat(ctx.bonds, upstream[0]), ctx.needs_input_grad[1:]
-        asked = {"displacement": by_field, "moduli": any(learns[:2]), "influence": any(learns[2:])}
-        by = gradient(ctx.bonds, ctx.felt, g, **asked)
-        slopes = (
-            torch.as_tensor(by[name], dtype=one.dtype, device=one.device).reshape(one.shape)
-            if wanted else None
-            for name, one, wanted in zip(("lam", "mu", "alpha", "D"), inputs[1:], learns)
+
+class Law:
+    """A solid on bonds: what sweeps read of its numbers, and the sweeps.
+
+    Fields are flat, [S, d N] of all nodes and [S, d I] of the interior, contiguous.
+
+    Args:
+        bonds: of the points.
+        values: λ and μ of shape [1], or [N], one value a node; α [1] and D [M + 1].
+        known: of the same α and D.
+
+    Attributes:
+        kw, m: K W of each class [C] and weighted volume of each node [N], of a lattice one number.
+        own: K W/m of each bond of the layout, 0 of broken ones.
+
+    Raises InputError for moduli of another shape, and λ ≠ μ on bonds that are bond-based.
+    """
+
+    def __init__(self, bonds: Bonds, values: list[np.ndarray], known: Law | None) -> None:
+        self.bonds, self.values = bonds, values
+        lam, mu, alpha, D = values
+        for name, one in (("lambda", lam), ("mu", mu)):
+            if one.size not in (1, bonds.nodes):
+                raise InputError(
+                    f"{name}: expected one number, or one of each of {bonds.nodes} nodes, got "
+                    f"shape {list(one.shape)}"
+                )
+        if bonds.bond_based and (lam != mu).any():
+            refuse_bond_based()
+        self.bulk, self.fields, layout = lam - mu, max(lam.size, mu.size) > 1, bonds.layout
+        if known is None:
+            self.kw = bonds.influence(alpha, D)
+            m = bonds.volumes(self.kw * bonds.families.r**2)
+            self.m = np.where(m == 0, 1, m)  # of nodes that need none
+            count = np.diff(layout.row)
+            self.own = self.kw[layout.kind] / np.repeat(np.broadcast_to(self.m, len(count)), count)
+            if not layout.in_rows:
+                self.own[bonds.listing[1] < 0] = 0
+        else:
+            self.kw, self.m, self.own = known.kw, known.m, known.own
+        of = {"lattice": layout.in_rows, "fields": self.fields}
+        self.kernels: Any = sweeps(bonds.dimension, **of)
+
+    @cached_property
+    def forward(self) -> Any:
+        """What a sweep reads; of lists without the bonds back."""
+        bonds, layout, moduli = self.bonds, self.bonds.layout, (self.bulk, self.values[1])
+        if self.fields:  # one value a place
+            every = (np.append(np.broadcast_to(one, bonds.nodes), 0.0) for one in moduli)
+            moduli = tuple(one[layout.node] for one in every)
+        wide, vec = (wp.types.vector(d, wp.float64) for d in (bonds.dimension + 1, bonds.dimension))
+        bent = layout.bond[:0, :-1] if layout.in_rows else bonds.bent(self.kw, self.own)
+        return filled(
+            struct(bonds.dimension), ints(layout.row), ints(layout.end), floats(layout.bond, wide),
+            floats(self.own), *map(floats, moduli), floats(np.ascontiguousarray(bent), vec),
         )  # fmt: skip
-        return None, _shaped(ctx.bonds, by["u"]) if by_field else None, *slopes
+
+    @cached_property
+    def back(self) -> Any:
+        """Of the transpose, which of rows is the same."""
+        bonds, of, families = self.bonds, self.forward, self.bonds.families
+        if bonds.layout.in_rows:
+            return of
+        end, reverse = bonds.listing[1], families.reverse
+        if families.lattice is not None:
+            reverse = families.row[end] + np.tile(reverse, bonds.nodes)
+        reverse = np.where(end < 0, np.arange(len(end)), reverse)  # where all is 0
+        known = [getattr(of, name) for name in struct(bonds.dimension).vars][:7]
+        far, bent = floats(self.own[reverse]), floats(-of.bent.numpy()[reverse], of.bent.dtype)
+        return filled(struct(bonds.dimension), *known, far, bent)
+
+    def _sweep(self, of: Any, pieces: Sequence[str | None], *fields: np.ndarray) -> None:
+        """Lays out, finds dilatations, then forces, on the pieces of these names, None for none; of
+        values by number, planes, dilatations and forces by number."""
+        bonds, samples = self.bonds, len(fields[0])
+        key = (*pieces, samples, get_num_threads(), self.fields)
+        ready = bonds.ready.setdefault(key, [])
+        try:
+            shared, ends, last = ready.pop()
+        except IndexError:
+            known, last = [floats(one).__ctype__() for one in fields], of
+            ends = [type(one).from_buffer_copy(one) for one in known]
+            nodes: list[Any] = [bonds.layout.pieces[name] for name in pieces]
+            work = sum(map(len, nodes)) * samples * max(1, self.kernels.lanes // FASTER)
+            shared = Shared(self.kernels.swept, (*nodes, of, None), 3 * (None,), 3, work, stay)
+            for place, end in enumerate(ends, 4):
+                shared.give(place, end)
+        if last is not of:
+            shared.give(3, of)
+        for end, one in zip(ends, fields):
+            end.data = one.ctypes.data
+        shared()
+        ready.append((shared, ends, of))
+
+    def force(self, u: np.ndarray, *, kept: bool = True) -> tuple[np.ndarray, ...]:
+        """L u, with the displacement as sweeps read it and dilatations by place, which a gradient
+        reads; these are the caller's, unless they are not `kept`."""
+        bonds, layout, size = self.bonds, self.bonds.layout, len(u)
+        Lu, d = np.empty((size, bonds.dimension * len(bonds.families.rows))), bonds.dimension
+        spare = [] if kept else bonds.ready.setdefault(("planes", size), [])
+        try:
+            planes, theta = spare.pop()
+        except IndexError:
+            theta = np.zeros((size, len(layout.node)))
+            planes = np.empty((size, d * len(layout.node))) if layout.in_rows else u
+        self._sweep(self.forward, ("laid", "needed", "forces"), u, planes, theta, Lu)
+        if layout.in_rows:
+            spare.append((planes, theta))
+        return Lu, planes, theta
+
+    def transposed(self, g: np.ndarray, *, asked: bool = True) -> tuple[np.ndarray, ...]:
+        """Lᵗ g on all nodes, of g on the interior, where that is asked for; g as sweeps read it,
+        and its dilatation by the transpose."""
+        bonds, layout, size, d = self.bonds, self.bonds.layout, len(g), self.bonds.dimension
+        seeds, tau = np.zeros((size, d * len(layout.node))), np.zeros((size, len(layout.node)))
+        if not layout.in_rows:
+            seeds.reshape(size, -1, d)[:, bonds.families.rows] = g.reshape(size, -1, d)
+        by_u = np.empty((size, d * bonds.nodes))
+        self._sweep(self.back, ("back", "needed", "nodes" if asked else None), g, seeds, tau, by_u)
+        return by_u, seeds, tau
+
+    def gradient(
+        self, felt: Sequence[np.ndarray], g: np.ndarray, asked: Sequence[bool]
+    ) -> list[Any]:
+        """Derivatives of a scalar to u [S, d N], λ, μ, α and D, None where none is asked for.
+
+        Args:
+            felt: planes and dilatations of `force`.
+            g: derivative of the scalar to L u.
+            asked: for which; those to λ and μ come together, those to α and D too.
+        """
+        bonds, layout, (lam, mu, alpha, D) = self.bonds, self.bonds.layout, self.values
+        if bonds.bond_based and any(asked[1:3]):
+            refuse_bond_based()
+        by_u, *pull = self.transposed(g, asked=asked[0])
+        if not any(asked[1:]):
+            return [by_u, *4 * [None]]
+        lanes, whole = self.kernels.lanes, layout.pieces["whole"]
+        blocks = BLOCKS if layout.in_rows else 1
+        outputs = np.zeros((blocks, lanes * len(layout.end))), *np.zeros((2, len(layout.node)))
+        inputs = ints(np.arange(BLOCKS + 1) * len(whole) // BLOCKS), whole, self.back
+        launch_slices(
+            self.kernels.slopes, BLOCKS, (*inputs, *map(floats, (*felt, *pull))),
+            [*map(floats, outputs)], weight=max(len(whole) * len(g) // BLOCKS, 1),
+        )  # fmt: skip
+        by_own, shear, bulk = outputs
+        moduli = [
+            part[layout.home] if one.size > 1 else part.sum()
+            for part, one in ((bulk, lam), (shear - bulk, mu))
+        ]
+        if not any(asked[3:]):
+            return [by_u, *moduli, None, None]
+        by_kw = self._by_class(by_own.reshape(blocks, -1, lanes).sum(axis=(0, 2)), felt[0], pull[1])
+        return [by_u, *moduli, *bonds.influence(alpha, D, by_kw)]
+
+    def _by_class(self, by: np.ndarray, u: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """Derivatives to K W of each class, [C], of those to `own` of each bond, [E], as if every
+        dilatation were d own ξ·(u(ξ) − u).
+
+        Of a bond f of a node that has lost some (40–41) makes them
+        p_f · S⁻¹ ξ_f − (S⁻¹ ξ_f) · (Σ_e K W p_e ⊗ S⁻¹ ξ_e) ξ_f, p that to K W S⁻¹ ξ.
+        """
+        bonds, layout, d, lost = self.bonds, self.bonds.layout, self.bonds.dimension, 0.0
+        if not layout.in_rows:
+            by[bonds.listing[1] < 0] = 0
+        if len(bonds.families.cut):
+            owner, end, xi, kind = (one[bonds.left] for one in bonds.listing)
+            weight, turned, place = bonds.inverted(self.kw)
+            u = u.reshape(len(tau), -1, d)
+            pull = np.broadcast_to(self.bulk, bonds.nodes)[owner] * tau[:, owner]
+            p = (pull[:, :, None] * (u[:, end] - u[:, owner])).sum(axis=0)
+            by[bonds.left] -= d * (xi * p).sum(axis=1)
+            both = np.zeros((len(bonds.families.cut), d, d))
+            np.add.at(both, place, weight[:, None, None] * p[:, :, None] * turned[:, None])
+            slope = (p * turned).sum(axis=1) - np.einsum("ea,eab,eb->e", turned, both[place], xi)
+            lost = np.bincount(kind, slope, len(self.kw))
+        count = np.diff(layout.row)
+        pulled = np.add.reduceat(by * self.own, layout.row[:-1])
+        by -= np.repeat(pulled, count) / layout.bond[:, d]
+        by /= np.repeat(np.broadcast_to(self.m, len(count)), count)
+        return lost + (by if len(by) == len(self.kw) else np.bincount(layout.kind, by))
 
 
-def _flat(bonds: Bonds, field: torch.Tensor) -> wp.array[Any]:
-    """Fields [S, ·, d] of a tensor, which share its memory, as kernels read them, [S, d ·]."""
-    flat: Any = field.detach().reshape(len(field), -1).contiguous()
-    if bonds.plain:
-        return wp.from_torch(flat, requires_grad=False)  # type: ignore[return-value]
-    return bonds.floats(flat.numpy())
-
-
-def _shaped(bonds: Bonds, field: Any) -> torch.Tensor:
-    """Such fields as a tensor again, [S, ·, d]."""
-    if bonds.plain:
-        flat: torch.Tensor = wp.to_torch(field, requires_grad=False)
-    else:
-        flat = torch.from_numpy(field.numpy())
-    return flat.reshape(len(flat), -1, bonds.dimension)
-
-
-_force: Callable[..., torch.Tensor] = _Force.apply
+def refuse_bond_based() -> None:
+    """InputError for λ ≠ μ, or a gradient to one of them, on bonds without dilatations."""
+    raise InputError(
+        "lambda, mu: expected equal values without a gradient on a collar of one horizon, "
+        "which has no dilatations; a collar of two has them"
+    )
 
 
 def lps_force(bonds: Bonds, u: torch.Tensor, solid: LPSParameters) -> torch.Tensor:
-    """L u [TPa/Å] on the interior nodes, shape [..., I, d], differentiable in u and in every value
-    of the solid.
+    """L u [TPa/Å] on the interior nodes, shape [..., I, d], differentiable once in u and in every
+    value of the solid.
 
     Args:
         bonds: of a point set with N nodes.
-        u: displacement [Å], shape [N, d] or [S, N, d], in the precision of the bonds.
+        u: displacement [Å], float64, shape [N, d] or [S, N, d].
         solid: numbers, arrays or tensors; λ = μ, of which neither asks for a gradient, for bonds
             that are bond-based.
 
-    Raises InputError for a u of another shape or type, or such λ and μ on bond-based bonds.
+    Raises InputError for such λ and μ on bond-based bonds.
     """
     return force_by(bonds, u, *solid.values())
 
 
 def force_by(bonds: Bonds, u: torch.Tensor, *values: Any) -> torch.Tensor:
     """`lps_force` of λ, μ, α and D, the first two numbers or one value a node, shape [N]."""
-    check_field(bonds, u, bonds.device)
     refuse_tangents(u, *values)
-    asked = [torch.is_grad_enabled() and getattr(one, "requires_grad", False) for one in values]
-    check_bond_based(bonds, values[0], values[1], any(asked[:2]))
-    fields = u.reshape(-1, bonds.nodes, bonds.dimension)
-    if any(asked) or (torch.is_grad_enabled() and u.requires_grad):
-        like: dict[str, Any] = {"dtype": u.dtype, "device": u.device}
-        Lu = _force(bonds, fields, *(torch.as_tensor(x, **like).reshape(-1) for x in values))
-    else:  # which torch takes longer to convert than a small sweep
-        law = bonds.law(
-            *(x.detach().cpu().numpy() if isinstance(x, torch.Tensor) else x for x in values)
-        )
-        Lu = _shaped(bonds, evaluate(bonds, _flat(bonds, fields), law, kept=False).Lu)
-    return Lu.reshape(*u.shape[:-2], -1, bonds.dimension)
+    felt: list[Any] = []
 
+    def there(u: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray]:
+        law = bonds.law(*values)
+        Lu, *kept = law.force(np.ascontiguousarray(u))
+        felt[:] = law, kept
+        return (Lu,)
 
-def check_bond_based(bonds: Bonds, lam: Any, mu: Any, asked: bool) -> None:
-    """Refuse bonds without dilatations for λ ≠ μ, and for a gradient to one of them."""
-    if bonds.bond_based and (asked or bool(torch.as_tensor(lam != mu).any())):
-        raise InputError(
-            "lambda, mu: expected equal values without a gradient on a collar of one horizon, "
-            "which has no dilatations; a collar of two has them"
-        )
+    def back(asked: tuple[bool, ...], g: np.ndarray) -> list[Any]:
+        law, kept = felt
+        return law.gradient(kept, g, asked)  # type: ignore[no-any-return]
 
-
-def check_field(bonds: Bonds, u: torch.Tensor, device: str) -> None:
-    """Refuse a displacement whose device, type or shape is not that of the bonds."""
-    nodes, d, dtype = bonds.nodes, bonds.dimension, getattr(torch, bonds.scalar.__name__)
-    if u.device != torch.device(device):
-        raise InputError(f"u: expected a tensor on {device}, got one on {u.device}")
-    fits = u.dim() in (2, 3) and u.shape[-2:] == (nodes, d) and u.shape[0] > 0
-    if u.dtype != dtype or not fits:
-        raise InputError(
-            f"u: expected {bonds.scalar.__name__} of shape [S, {nodes}, {d}], S ≥ 1, or "
-            f"[{nodes}, {d}], got {u.dtype} of shape {list(u.shape)}"
-        )
+    flat = u.reshape(-1, bonds.nodes * bonds.dimension)
+    numbers = [torch.as_tensor(value, dtype=torch.float64) for value in values]
+    (Lu,) = once(there, back, flat, *numbers)
+    return Lu.reshape(*u.shape[:-2], -1, bonds.dimension)  # type: ignore[no-any-return]

@@ -10,11 +10,10 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
-from warp_peri.materials.lps import LPSMaterial, on_nominal_lattice
-from warp_peri.materials.lps_bonds import Bonds, Stiffness, check_volumes, listed, surface
+from warp_peri.materials.lps import LPSMaterial
+from warp_peri.materials.lps_force import Bonds, bonds_of
 from warp_peri.points.arrays import checked
-from warp_peri.points.families import families_of
-from warp_peri.points.samples import PointsLike
+from warp_peri.points.samples import PointsLike, nodes_of
 
 
 @dataclass(frozen=True)
@@ -40,55 +39,43 @@ class Matrices:
         return sp.csr_array(mu * self.gamma - (lam - mu) * (self.psi @ self.phi))
 
 
-def matrices(model: LPSMaterial, points: PointsLike, bonds: Bonds | None = None) -> Matrices:
+def matrices(model: LPSMaterial, points: PointsLike) -> Matrices:
     """Assemble Γ, Φ and Ψ of a model on a point set.
-
-    `bonds` are those of the points with this model's horizon, where they are made already.
 
     Raises InputError for a point set that does not carry the horizon.
     """
-    if bonds is None:
-        nodes = on_nominal_lattice(model, points)
-        bonds = Bonds(nodes, model.horizon, bond_based=model.bond_based)
-        check_volumes(bonds, model)
-    table = Stiffness(bonds, np.array([model.alpha]), model.D)
-    return assemble(bonds, table.kw, table.m, model.mu)
+    bonds = bonds_of(model, points)
+    law = bonds.law(*model.learnable.values())
+    return assemble(bonds, law.kw, law.m, model.mu)
 
 
 def assemble(bonds: Bonds, kw: np.ndarray, m: Any, mu: Any = 1.0) -> Matrices:
     """Assemble from given tables: K W by class and the weighted volumes, of nodes or of all; with
     μ of each node, where that is a field."""
     families, nodes, d = bonds.families, bonds.nodes, bonds.dimension
+    owner, end, xi, kind = bonds.listing
     needed = np.isin(np.arange(nodes), np.concatenate([families.whole, families.cut]))
-    listing = listed(bonds.points, families)
-    owner, end, xi, kind = (one[(listing[1] >= 0) & needed[listing[0]]] for one in listing)
+    stiffness = kw[kind] / np.broadcast_to(m, nodes)[owner]
+    some = (end >= 0) & needed[owner]
+    bent, stiffness = bonds.bent(kw, stiffness)[some], stiffness[some]
+    owner, end, xi = owner[some], end[some], xi[some]
     a, size = np.arange(d), (d * nodes, d * nodes)
-    own, here, there = (
-        d * (kw[kind] / np.broadcast_to(m, nodes)[owner])[:, None],
-        d * owner,
-        d * end,
-    )
-    push = own * xi
-    bent = 2 * (d + 2) * (push / (xi**2).sum(axis=1, keepdims=True))[:, :, None] * xi[:, None]
-
+    push = d * stiffness[:, None] * xi
+    shear = 2 * (d + 2) * (push / (xi**2).sum(axis=1, keepdims=True))[:, :, None] * xi[:, None]
     if np.ndim(mu):
-        bent *= ((mu[owner] + mu[end]) / 2)[:, None, None]
+        shear *= ((mu[owner] + mu[end]) / 2)[:, None, None]
 
     def blocks(values: np.ndarray, rows: Any, columns: Any, shape: tuple[int, int]) -> sp.csr_array:
         rows, columns = np.broadcast_arrays(rows, columns)
         return sp.coo_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=shape).tocsr()
 
-    near, far = (at[:, None] + a for at in (here, there))
-    G = blocks(bent, near[:, :, None], near[:, None], size)
-    G -= blocks(bent, near[:, :, None], far[:, None], size)
+    near, far = (d * at[:, None] + a for at in (owner, end))
+    G = blocks(shear, near[:, :, None], near[:, None], size)
+    G -= blocks(shear, near[:, :, None], far[:, None], size)
     Q = blocks(push, near, end[:, None], (size[0], nodes))
     Q += blocks(push, near, owner[:, None], (size[0], nodes))
-    P = blocks(push, owner[:, None], far, (nodes, size[0]))
-    P -= blocks(push, owner[:, None], near, (nodes, size[0]))
-    if len(families.cut):
-        kept, at = sp.eye_array(nodes, format="csr"), families.cut
-        kept.data[at] = 0
-        P = kept @ P + sp.eye_array(nodes, format="csc")[:, at] @ surface(bonds, kw)
+    P = blocks(bent, owner[:, None], far, (nodes, size[0]))
+    P -= blocks(bent, owner[:, None], near, (nodes, size[0]))
     interior = (d * families.rows[:, None] + a).ravel()
     return Matrices(G[interior], sp.csr_array(P), Q[interior])
 
@@ -125,43 +112,35 @@ def node_fields(model: LPSMaterial, points: PointsLike, u: ArrayLike) -> NodeFie
     Raises InputError for a u of another shape, a point set that does not carry the horizon, or
     nodes outside the body: the stress is that of complete families.
     """
-    points = on_nominal_lattice(model, points)
-    nodes, d = points.x.shape
-    u = checked("u", u, float, (..., nodes, d))
-    c2 = 2 * d * (d + 2)
-    lam, mu = (np.broadcast_to(one, nodes)[points.interior] for one in (model.lam, model.mu))
-    if points.outside is not None:
+    if (given := nodes_of(points)).outside is not None:
         raise InputError("outside: expected none, for stress needs complete families")
-    families = families_of(points, model.horizon)
-    owner, far, xi, kind = listed(points, families)
-    owner, far, xi, kind = (one[points.interior[owner]] for one in (owner, far, xi, kind))
-    r = families.r[kind]
-    place = np.cumsum(points.interior)[owner] - 1
-    size = int(points.interior.sum())
+    bonds = bonds_of(model, points)
+    law = bonds.law(*model.learnable.values())
+    nodes, d, inside = bonds.nodes, bonds.dimension, np.flatnonzero(given.interior)
+    u = checked("u", u, float, (..., nodes, d)).reshape(-1, nodes, d)
+    mine = given.interior[bonds.listing[0]]
+    owner, far, xi, kind = (one[mine] for one in bonds.listing)
+    lam, mu, m = (np.broadcast_to(one, nodes)[inside] for one in (model.lam, model.mu, law.m))
+    place = np.searchsorted(inside, owner)
     entries = np.ones(len(place)), (place, np.arange(len(place)))
-    sums = sp.csr_array(entries, shape=(size, len(place)))
+    sums = sp.csr_array(entries, shape=(len(inside), len(place)))
 
     def total(values: np.ndarray) -> np.ndarray:
         """Sum over each family: [E, …] → [I, …]."""
         flat = sums @ values.reshape(len(place), -1)
-        return np.asarray(flat.reshape(size, *values.shape[1:]))
+        return np.asarray(flat.reshape(len(inside), *values.shape[1:]))
 
-    K = model.influence(r) * families.weight[kind]
-    m = total(K * r**2)
-    outer = xi[:, :, None] * xi[:, None, :]
-    shape = total(K[:, None, None] * outer)
-    moments = total(outer)
+    K, outer, c2 = law.kw[kind], xi[:, :, None] * xi[:, None, :], d * (d + 2)
+    sheared = K / (xi**2).sum(axis=1)
+    shape, inverse = total(K[:, None, None] * outer), np.linalg.inv(total(outer))
     parts = []
-    for field in u.reshape(-1, nodes, d):
+    for field in u:
         eta = field[far] - field[owner]
         along = (xi * eta).sum(axis=1)
         theta = d / m * total(K * along)
-        dilatational = ((lam - mu) * d / m * theta)[:, None, None] * shape
-        deviatoric = total((K * along / r**2)[:, None, None] * outer)
-        deviatoric *= (c2 / 2 * mu / m)[:, None, None]
-        gradient = total(eta[:, :, None] * xi[:, None, :]) @ np.linalg.inv(moments)
-        strain = (gradient + gradient.transpose(0, 2, 1)) / 2
-        energy = (lam - mu) * theta**2 / 2
-        energy += c2 / 4 * mu / m * total(K * along**2 / r**2)
-        parts.append((dilatational + deviatoric, strain, theta, energy))
+        stress = ((lam - mu) * d / m * theta)[:, None, None] * shape
+        stress += (c2 * mu / m)[:, None, None] * total((sheared * along)[:, None, None] * outer)
+        gradient = total(eta[:, :, None] * xi[:, None, :]) @ inverse
+        energy = ((lam - mu) * theta**2 + c2 * mu / m * total(sheared * along**2)) / 2
+        parts.append((stress, (gradient + gradient.transpose(0, 2, 1)) / 2, theta, energy))
     return NodeFields(*(np.stack(part) for part in zip(*parts)))

@@ -16,16 +16,15 @@ from scipy.sparse.linalg import LinearOperator, gmres, spilu
 from warp_peri.core.proof import largest
 from warp_peri.errors import InputError, warn
 from warp_peri.materials.lps import LPSMaterial, LPSParameters, on_nominal_lattice, statements
-from warp_peri.materials.lps_bonds import Bonds, SweepLaw, changes_sign, check_volumes
-from warp_peri.materials.lps_force import check_bond_based, evaluate, force_by, gradient, pulled
-from warp_peri.materials.lps_matrices import matrices, node_fields
+from warp_peri.materials.lps_force import Bonds, Law, bonds_of, force_by
+from warp_peri.materials.lps_matrices import assemble, node_fields
 from warp_peri.points.arrays import checked, checked_fields, plain
 from warp_peri.points.families import families_of
-from warp_peri.points.lattice import largest_strain, lattice_steps
+from warp_peri.points.lattice import largest_strain
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.protocols import OperatorBase, is_tensor
-from warp_peri.runtime import DEVICE, known_device, recording
+from warp_peri.runtime import recording
 from warp_peri.solvers.direct import RESIDUAL, MatrixProblem, definite_factors, smallest_eigenvalue
 from warp_peri.solvers.linear import DIRECT, STIFF, Inverse, Linear, bonds_within, cheapest_method
 from warp_peri.solvers.solution import (
@@ -59,7 +58,6 @@ class LPSOperator(OperatorBase):
             outside the body are broken.
         quadrature_degree: of the polynomials that the weights are exact for.
         allow_uncertified: whether broken bonds may leave it indefinite, with a warning.
-        device: where the kernels run, as for Bonds.
 
     Attributes:
         model, points: that were given.
@@ -79,11 +77,10 @@ class LPSOperator(OperatorBase):
         *,
         quadrature_degree: int = DEGREE,
         allow_uncertified: bool = False,
-        device: str = DEVICE,
     ) -> None:
         self.model, self.allowed = model, allow_uncertified
         self.nodes, self.points = on_nominal_lattice(model, points), nodes_of(points)
-        self.quadrature_degree, self.device = quadrature_degree, known_device(device)
+        self.quadrature_degree = quadrature_degree
         if (x := model.nodes) is not None and not (
             x.shape == self.shape and np.abs(x - self.points.x).max() <= SAME * model.horizon
         ):
@@ -93,16 +90,9 @@ class LPSOperator(OperatorBase):
 
     @cached_property
     def bonds(self) -> Bonds:
-        """The bonds of the nodes, on the device."""
-        how: dict[str, Any] = {"quadrature_degree": self.quadrature_degree, "device": self.device}
-        try:
-            bonds = Bonds(self.nodes, self.model.horizon, **how)
-        except InputError:
-            if not self.model.bond_based:
-                raise
-            bonds = Bonds(self.nodes, self.model.horizon, bond_based=True, **how)
-        check_volumes(bonds, self.model)
-        if self.model.nodes is not None and changes_sign(bonds, self.model):
+        """The bonds of the nodes."""
+        bonds = bonds_of(self.model, self.nodes, self.quadrature_degree)
+        if self.model.nodes is not None and self._changes_sign(bonds):
             warn(
                 "lambda, mu: fields are proven stable for an influence function that is nowhere "
                 "below zero, this one changes sign: its static problems are not proven to have one "
@@ -110,26 +100,20 @@ class LPSOperator(OperatorBase):
             )
         return bonds
 
+    def _changes_sign(self, bonds: Bonds) -> bool:
+        """Whether a bond has K W below zero."""
+        return bool((bonds.law(*self.learnable.values()).kw < 0).any())
+
     @property
-    def _law(self) -> SweepLaw:
+    def _law(self) -> Law:
         return self.bonds.law(*self.learnable.values())
-
-    def force_torch(self, u: Any) -> Any:
-        """The force of a tensor, which stays where it is."""
-        if self.device == DEVICE:
-            return super().force_torch(u)
-        return self.force_with_parameters(u, self.learnable)
-
-    def _fields(self, values: Any) -> wp.array[Any]:
-        """Fields of NumPy as kernels read them, [S, d ·]."""
-        return self.bonds.floats(values.reshape(-1, values.shape[-2] * values.shape[-1]))
 
     def force(self, u: ArrayLike) -> np.ndarray:
         """L u on the interior nodes, shape [..., I, d]; InputError for another shape."""
         field = np.require(plain("u", u), float, ["C", "W"])
         self.check(field)
-        Lu = evaluate(self.bonds, self._fields(field), self._law, kept=False).Lu.numpy()
-        return np.asarray(Lu.reshape(*field.shape[:-2], -1, field.shape[-1]))
+        Lu = self._law.force(field.reshape(-1, self.points.x.size), kept=False)[0]
+        return Lu.reshape(*field.shape[:-2], -1, field.shape[-1])
 
     def vjp(self, u: Any, w: ArrayLike) -> np.ndarray:
         """Lᵗ w on all nodes, shape [..., N, d], of w on the interior [..., I, d], whatever u."""
@@ -137,8 +121,8 @@ class LPSOperator(OperatorBase):
         one = (int(np.count_nonzero(self.points.interior)), self.points.dimension)
         if w.shape[-2:] != one:
             raise InputError(f"w: expected shape [..., {one[0]}, {one[1]}], got {list(w.shape)}")
-        by_u = pulled(self.bonds, self._law, self._fields(w))[0].numpy()
-        return np.asarray(by_u.reshape(*w.shape[:-2], *self.shape))
+        by_u = self._law.transposed(w.reshape(-1, one[0] * one[1]))[0]
+        return by_u.reshape(*w.shape[:-2], *self.shape)
 
     def launch(self, u: Any, out: Any, parameters: LPSParameters | None = None) -> None:
         """L u of Warp arrays, on the tape that records, if one does.
@@ -150,11 +134,9 @@ class LPSOperator(OperatorBase):
             out: takes L u [TPa/Å], shape [S, I] of such vectors.
             parameters: λ, μ, α and D, of shape [1] and [M + 1]; the model's own by default.
 
-        Raises InputError for other arrays and another device.
+        Raises InputError for other arrays.
         """
         bonds, d = self.bonds, self.bonds.dimension
-        if bonds.plain:
-            raise InputError(f"launch: expected an operator on {DEVICE}, got {bonds.device}")
         for name, array, nodes in (("u", u, bonds.nodes), ("out", out, len(bonds.families.rows))):
             fits = isinstance(array, wp.array) and array.is_contiguous and array.ndim == 2
             seen = array.numpy() if fits and len(u) else np.zeros(0)
@@ -168,23 +150,20 @@ class LPSOperator(OperatorBase):
         for (name, own), value in zip(self.learnable.items(), values):
             if (got := np.size(value)) != (size := np.size(own)):
                 raise InputError(f"{name}: expected {size} numbers, as the model has, got {got}")
-        asked = any(one.requires_grad for one in numbers[:2])
-        check_bond_based(bonds, values[0], values[1], asked)
-        felt = evaluate(bonds, self._fields(u.numpy()), bonds.law(*values))
-        out.numpy()[:] = felt.Lu.numpy().reshape(out.numpy().shape)
+        law, arrays = bonds.law(*values), (u, *numbers)
+        Lu, *felt = law.force(u.numpy().reshape(len(u), -1))
+        out.numpy()[:] = Lu.reshape(out.numpy().shape)
 
         def back() -> None:
-            learns = any(one.requires_grad for one in numbers)
-            asked = {"moduli": learns, "influence": learns}
-            by = gradient(bonds, felt, self._fields(out.grad.numpy()), **asked)
-            by["u"] = by["u"].numpy().reshape(u.numpy().shape)
-            for array, part in zip((u, *numbers), by.values()):
+            g = out.grad.numpy().reshape(len(u), -1)
+            asked = [one.requires_grad for one in arrays] + [False] * (5 - len(arrays))
+            for array, part in zip(arrays, law.gradient(felt, g, asked)):
                 if array.requires_grad:
-                    array.grad.numpy()[:] += part
+                    array.grad.numpy()[:] += np.reshape(part, array.grad.numpy().shape)
 
-        arrays = [array for array in (u, *numbers) if array.requires_grad]
-        if arrays and (tape := recording()) is not None:
-            tape.record_func(back, [out, *arrays])  # RuntimeError of Warp: out without a gradient
+        if any(one.requires_grad for one in arrays) and (tape := recording()) is not None:
+            # RuntimeError of Warp: out without a gradient
+            tape.record_func(back, [out, *(one for one in arrays if one.requires_grad)])
 
     @property
     def learnable(self) -> dict[str, Any]:
@@ -199,8 +178,8 @@ class LPSOperator(OperatorBase):
 
     def matrix(self) -> sp.csr_array:
         """L as a sparse matrix of all nodes' displacements, shape [d I, d N]."""
-        bonds = self.bonds if self.device == DEVICE else None
-        return matrices(self.model, self.nodes, bonds).operator(self.model.lam, self.model.mu)
+        law, (lam, mu) = self._law, (self.model.lam, self.model.mu)
+        return assemble(self.bonds, law.kw, law.m, mu).operator(lam, mu)
 
     @property
     def is_symmetric(self) -> bool:  # type: ignore[override]
@@ -215,7 +194,7 @@ class LPSOperator(OperatorBase):
     def at(self, numbers: dict[str, Any]) -> LPSOperator:
         """The same with other numbers; InputError for no solid, or an indefinite whole lattice."""
         model = self.model.with_parameters(numbers)
-        made = LPSOperator(model, self.points, allow_uncertified=True, device=self.device)
+        made = LPSOperator(model, self.points, allow_uncertified=True)
         if model.bond_based or not self.bonds.bond_based:
             made.__dict__["bonds"] = self.bonds
         if model.nodes is None and (self.nodes.is_open_lattice or self.nodes.box is not None):
@@ -273,7 +252,7 @@ class LPSOperator(OperatorBase):
         bound = float(largest(mean.stencil(self.nodes.spacing), mean.group))
         if model.nodes is None:
             return bound
-        if changes_sign(self.bonds, model):
+        if self._changes_sign(self.bonds):
             raise InputError("simulate: expected K W ≥ 0 for moduli as fields, got one below zero")
         parts = np.asarray(model.mu), np.asarray(model.lam + 2 * model.mu / model.dimension)
         return bound * max(float(one.max() / one.mean()) for one in parts)
@@ -296,11 +275,24 @@ class LPSOperator(OperatorBase):
         if is_tensor(b) or is_tensor(u) or parameters is not None:
             named = vars(parameters) if isinstance(parameters, LPSParameters) else parameters
             return self.solve_torch(b, u, solver, named)  # type: ignore[no-any-return]
-        load, field = checked_fields(self.points, b, u)
-        inside = self.points.interior
-        answer, method, records = self._solved(load, field, solver)
-        field[..., inside, :] = answer.reshape(field.shape)[..., inside, :]
-        return self._told(field, self.rhs(load), method, records)
+        load, given = checked_fields(self.points, b, u)
+        fields = [one.reshape(-1, *self.shape) for one in (load, given)]
+        method, few = self._method(solver, len(fields[0])), self._unknown <= DIRECT
+        answer, records = None, list[Any]()
+        if method not in ("lu", "gmres"):
+            # closer than a factorisation is held to, where one would have been possible
+            tolerance = getattr(solver, "tolerance", RESIDUAL / 10 if few else TOLERANCE)
+            try:
+                answer, records = self._iterated(*fields, tolerance, method)
+            except InputError:
+                if solver is not None or not few:
+                    raise
+                method = "lu"  # the symbol does not prove every definite operator so
+        if answer is None:
+            by = MatrixProblem.solve if method == "lu" else by_gmres
+            answer = by(self._problem, *fields)
+            self._refuse_indefinite()
+        return self._told(answer.reshape(given.shape), self.rhs(load), method, records)
 
     def solve_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
         """Equilibrium on a period under a load whose mean is removed; u has zero mean.
@@ -321,7 +313,8 @@ class LPSOperator(OperatorBase):
                 "periodic problem; see Points.sheet"
             )
         load = checked("b", b, float, (..., *nodes.x.shape))
-        u, records = self._iterated(load, np.zeros(load.shape), TOLERANCE)
+        fields = load.reshape(-1, *self.shape)
+        u, records = self._iterated(fields, np.zeros(fields.shape), TOLERANCE)
         load = load - load.mean(axis=-2, keepdims=True)
         return self._told(u.reshape(load.shape), load, "fft", records)
 
@@ -347,33 +340,13 @@ class LPSOperator(OperatorBase):
         """Fields at rest [S, N, d], by iteration, and its records."""
         if self.model.nodes is None:
             self.linear.check_definite()
-        load, u = (field.reshape(-1, *self.shape) for field in (load, u))
         return self.linear.solve(load, u, tolerance, method)
 
-    def _solved(self, load: Any, u: Any, solver: Solver) -> tuple[np.ndarray, str, list[Any]]:
-        """Fields at rest, the method, and its records. What iteration refuses, few nodes can be
-        factorised for: the symbol does not prove every definite operator so."""
-        fields, unknown = (load, u), int(np.count_nonzero(self.points.interior))
-        method, few = (
-            self._method(solver, load.size // self.points.x.size, unknown),
-            unknown <= DIRECT,
-        )
-        if method not in ("lu", "gmres"):
-            # closer than a factorisation is held to, where one would have been possible
-            tolerance = RESIDUAL / 10 if few else TOLERANCE
-            try:
-                found = self._iterated(*fields, getattr(solver, "tolerance", tolerance), method)
-                return found[0], method, found[1]
-            except InputError:
-                if solver is not None or not few:
-                    raise
-                method = "lu"
-        flat = (field.reshape(-1, *self.shape) for field in fields)
-        answer = self._problem.solve(*flat) if method == "lu" else by_gmres(self._problem, *flat)
-        self._refuse_indefinite()
-        return answer, method, []
+    @property
+    def _unknown(self) -> int:
+        return int(np.count_nonzero(self.points.interior))
 
-    def _method(self, solver: Solver, loads: int, unknown: int) -> str:
+    def _method(self, solver: Solver, loads: int) -> str:
         """The name of the method, the cheapest by default; InputError where it does not go with
         the points."""
         nodes, model = self.nodes, self.model.mean
@@ -381,17 +354,16 @@ class LPSOperator(OperatorBase):
             return solver.method
         if not self._is_plain:
             if solver is None:
-                return "lu" if unknown <= LARGEST_LU else "gmres"
+                return "lu" if self._unknown <= LARGEST_LU else "gmres"
             raise InputError(
                 "solver: CG(…) is for lattices without a box and without broken bonds, "
                 "with quadrature of the usual degree; try Direct()"
             )
         if isinstance(solver, CG) and solver.preconditioner is not None:
             return solver.preconditioner
-        inside = lattice_steps(nodes)[0][nodes.interior]
         return cheapest_method(
-            unknown,
-            box=bool(np.prod(np.ptp(inside, axis=0) + 1) == unknown),
+            self._unknown,
+            box=self.linear.grid.is_box,
             space=nodes.dimension == 3,
             stiff=model.lam > STIFF * model.mu,
             loads=0 if solver else loads,
@@ -420,18 +392,19 @@ class LPSOperator(OperatorBase):
                 return
         stiffness = self._problem.stiffness
         symmetric = sp.csc_array((stiffness + stiffness.T) / 2)
-        if definite_factors(symmetric) is not None or smallest_eigenvalue(symmetric) > 0:
+        if definite_factors(symmetric) is not None:
             return
-        least, count = smallest_eigenvalue(symmetric), np.count_nonzero(nodes.interior)
+        if (least := smallest_eigenvalue(symmetric)) > 0:
+            return
         if not cut:
             raise InputError(
-                f"the operator on these {count} nodes is indefinite: its smallest eigenvalue is "
-                f"{least:.1e}, so that its equilibria are not stable"
+                f"the operator on these {self._unknown} nodes is indefinite: its smallest "
+                f"eigenvalue is {least:.1e}, so that its equilibria are not stable"
             )
         message = (
-            f"outside: with these bonds broken the operator on {count} nodes is not positive "
-            f"definite: the smallest eigenvalue of its symmetric part is {least:.2g}, and its "
-            "solutions may be wrong; Body(mesh, …) does without broken bonds"
+            f"outside: with these bonds broken the operator on {self._unknown} nodes is not "
+            "positive definite: the smallest eigenvalue of its symmetric part is "
+            f"{least:.2g}, and its solutions may be wrong; Body(mesh, …) does without broken bonds"
         )
         if not self.allowed:
             raise InputError(message)
