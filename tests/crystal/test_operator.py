@@ -12,7 +12,7 @@ from warp_peri.errors import InputError
 from warp_peri.points.points import Points
 
 SIZE = {2: 12, 3: 6}
-CASES = [(d, kind) for d in (2, 3) for kind in ("cube", "ball", "period")]
+CASES = [(2, "ball"), (2, "period"), (3, "cube"), (3, "ball"), (3, "period")]
 
 
 def body(d, kind, n=None):
@@ -31,8 +31,17 @@ def test_force_is_that_of_a_plain_loop(d, kind, method):
     np.testing.assert_allclose(by_matrix, force[1].ravel(), atol=1e-11)
 
 
-@pytest.mark.parametrize(("d", "kind"), CASES)
-@pytest.mark.parametrize("method", [None, "fft", "sine", "multigrid"])
+@pytest.mark.parametrize(
+    ("d", "kind", "method"),
+    [
+        (2, "cube", "sine"),
+        (2, "ball", "multigrid"),
+        (2, "period", None),
+        (3, "cube", "sine"),
+        (3, "ball", "fft"),
+        (3, "ball", "sine"),
+    ],
+)
 def test_solves_find_the_field_whose_force_they_are_given(d, kind, method):
     law, points = learned(d), body(d, kind, {2: 26, 3: 9}[d])
     operator = law.on(points)

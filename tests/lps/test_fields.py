@@ -1,4 +1,4 @@
-"""λ and μ as one value a node: derivatives, equilibria, waves, files, and what is refused."""
+"""λ and μ as one value a node: equilibria, waves, files, and what is refused."""
 
 import pickle
 
@@ -7,60 +7,11 @@ import pytest
 import torch
 
 import warp_peri as wp
-from tests.lps.test_force import HORIZON, KINDS, error, every_kind
-from tests.support.problems import KERNELS, LAM, MU, difference, kernel, lattice, noise, periodic
+from tests.lps.test_force import HORIZON, error
+from tests.support.problems import LAM, MU, difference, kernel, lattice, noise, periodic
 from warp_peri import InputError
 from warp_peri.core.proof import largest
 from warp_peri.materials.lps_force import Bonds
-
-SHAPE = tuple(KERNELS["sign-changing"][name] for name in ("alpha", "D"))
-
-
-class Problem:
-    """A force with fields, and a weight of each of its components."""
-
-    def __init__(self, kind):
-        self.points = KINDS[kind]()
-        self.bonds = Bonds(self.points, HORIZON)
-        random, size = np.random.default_rng(1), len(self.points.x)
-        self.u = noise(self.points, 2)
-        self.g = noise(self.points, 2, seed=3)[:, self.points.interior]
-        self.moduli = LAM + 0.2 * random.random(size), MU + 0.2 * random.random(size)
-
-    def force(self, u, *moduli):
-        law = self.bonds.law(*moduli, *SHAPE)
-        Lu, *felt = law.force(u.reshape(2, -1))
-        return (law, felt), Lu
-
-    def gradient(self, *moduli):
-        (law, felt), _ = self.force(self.u, *(moduli or self.moduli))
-        by = law.gradient(felt, self.g.reshape(2, -1), 5 * [True])
-        return dict(zip(("u", "lam", "mu", "alpha", "D"), by))
-
-
-@every_kind
-def test_derivatives_are_those_of_numbers_and_of_differences(kind):
-    problem, number = Problem(kind), (LAM, MU)
-    uniform = [np.full(len(problem.points.x), one) for one in number]
-    forces = (problem.force(problem.u, *moduli)[1] for moduli in (uniform, number))
-    assert error(*forces) < 1e-14
-    same, known = problem.gradient(*uniform), problem.gradient(*number)
-    for name, by in same.items():
-        assert error(by.sum() if name in ("lam", "mu") else by, known[name]) < 1e-12
-    by, (lam, mu) = problem.gradient(), problem.moduli
-    ways = np.random.default_rng(2).normal(size=(2, len(lam)))
-    way, flat = noise(problem.points, 2, seed=5), problem.g.ravel()
-    for t, part, expected in (
-        (0, by["lam"] @ ways[0], (lam + ways[0], mu)),
-        (0, by["mu"] @ ways[1], (lam, mu + ways[1])),
-        (1, np.vdot(by["u"], way), (lam, mu)),
-    ):  # the force is linear in each
-        ahead = problem.force(problem.u + t * way, *expected)[1].ravel() @ flat
-        here = problem.force(problem.u, lam, mu)[1].ravel() @ flat
-        assert part == pytest.approx(ahead - here, rel=1e-10)
-    if kind == "periodic lattice":  # each state has its own moduli: the operator is symmetric
-        (law, _), Lu = problem.force(problem.u, lam, mu)
-        assert error(law.transposed(problem.u.reshape(2, -1))[0], Lu) < 1e-14
 
 
 def laid(side=12, angle=0.0):
@@ -70,16 +21,14 @@ def laid(side=12, angle=0.0):
     return kernel("positive", HORIZON), points, 0.4 * mu, mu
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.3])
-def test_iteration_and_factors_have_one_answer(angle):
-    model, points, lam, mu = laid(angle=angle)
+def test_iteration_and_factors_have_one_answer():
+    model, points, lam, mu = laid(angle=0.3)
     problem = wp.Dirichlet(points, noise(points, seed=1), noise(points, seed=2))
     by_cg = wp.solve(model, problem, solver=wp.CG(tolerance=1e-11), lam=lam, mu=mu)
     by_lu = wp.solve(model, problem, solver=wp.Direct(), lam=lam, mu=mu)
     assert error(by_cg.u, by_lu.u) < 1e-8
     op = by_lu.operator
     assert error(op(by_lu.u), problem.b[points.interior]) < 1e-9
-    assert error(op.matrix() @ by_lu.u.ravel(), op(by_lu.u).ravel()) < 1e-12
     assert np.array_equal(pickle.loads(pickle.dumps(op))(by_lu.u), op(by_lu.u))
 
 
@@ -150,7 +99,7 @@ def test_what_fields_refuse():
         (lambda: model.on(points, mu=mu[:-1]), "mu: expected a number, a function, or shape"),
         (lambda: model.on(points, mu=-mu), "expected μ > 0"),
         (lambda: solid.on(near), f"points: expected the {size} nodes of the fields"),
-        (lambda: Bonds(points, HORIZON).law(LAM, mu[:3], *SHAPE), "mu: expected one number, or on"),
+        (lambda: Bonds(points, HORIZON).law(LAM, mu[:3], 1.0, [1.0]), "mu: expected one number"),
         (lambda: wp.certify(solid, spacing=1.0), "expected numbers, got fields"),
         (lambda: wp.solve(solid, cracked), "expected numbers, got fields"),
         (lambda: wp.crystals.crystal_from_lps(solid, 1.0), "expected numbers, got fields"),

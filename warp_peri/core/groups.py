@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from warp_peri.errors import InputError, optional
+from warp_peri.points.arrays import checked
 
 Symmetry: TypeAlias = str | np.ndarray
 """Name of a point group, or rotations of one, shape [G, d, d]."""
@@ -66,12 +67,7 @@ def point_group(symmetry: Symmetry, dimension: int) -> np.ndarray:
     """
     if isinstance(symmetry, str):
         return _closed(_named(symmetry, dimension), dimension)
-    given = np.asarray(symmetry, dtype=float)
-    if given.ndim != 3 or given.shape[1:] != (dimension, dimension):
-        raise InputError(
-            f"symmetry: expected rotations of shape [G, {dimension}, {dimension}], got "
-            f"{list(given.shape)}"
-        )
+    given = checked("symmetry", symmetry, float, ("G", dimension, dimension))
     off = np.abs(given @ given.transpose(0, 2, 1) - np.eye(dimension)).max()
     if off > TOLERANCE:
         raise InputError(f"symmetry: expected rotations, got matrices off by {off:.1e}")
@@ -150,26 +146,16 @@ def checked_orientation(orientation: Any, dimension: int) -> np.ndarray:
 
     Raises InputError for what is no rotation.
     """
-    if orientation is None:
-        return np.eye(dimension)
-    try:
-        given = np.asarray(orientation, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        given = np.array(np.nan)
-    if not np.isfinite(given).all():
-        raise InputError(
-            f"orientation: expected degrees, or a rotation's matrix, got {orientation!r:.50}"
-        )
-    if given.shape == ():
+    given = checked("orientation", np.eye(dimension) if orientation is None else orientation)
+    if given.ndim == 0:
         cos, sin = np.cos(np.radians(given)), np.sin(np.radians(given))
         return np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])[:dimension, :dimension]
-    if given.shape != (dimension, dimension):
+    one = np.eye(dimension)
+    if given.shape != one.shape or np.abs(given @ given.T - one).max() > TOLERANCE:
         raise InputError(
-            f"orientation: expected a rotation of shape [{dimension}, {dimension}], got "
-            f"{list(given.shape)}"
+            f"orientation: expected degrees, or a rotation of shape [{dimension}, {dimension}], "
+            f"got {given.tolist()!r:.80}"
         )
-    if not np.abs(given @ given.T - np.eye(dimension)).max() < TOLERANCE:
-        raise InputError("orientation: expected a rotation, got a matrix that is none")
     return given
 
 

@@ -248,22 +248,20 @@ def force_with_parameters(
     operator: Any, u: torch.Tensor, numbers: Mapping[str, Any]
 ) -> torch.Tensor:
     """The force of fields [S, N, d] with other numbers, by an operator's `at` and `by_numbers`."""
-    names, made = list(operator.learnable), dict[bytes, Any]()
+    names, made = list(operator.learnable), list[Any]()
 
-    def at(values: tuple[np.ndarray, ...]) -> Any:
-        key = b"".join(np.asarray(value).tobytes() for value in values)
-        if key not in made:
-            made.clear()
-            made[key] = with_numbers(operator, dict(zip(names, values)))[0]
-        return made[key]
+    def there(u: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray]:
+        made[:] = u, with_numbers(operator, dict(zip(names, values)))[0]
+        return (made[1].force(u),)
 
-    def back(name: str) -> Callable[..., np.ndarray]:
-        return lambda u, *of: np.asarray(at(of[:-1]).by_numbers(name, u, of[-1]))
+    def back(asked: tuple[bool, ...], w: np.ndarray) -> list[Any]:
+        u, at = made
+        slopes = by_numbers(at, [n for n, one in zip(names, asked[1:]) if one], u, w)
+        return [at.vjp(u, w) if asked[0] else None, *map(slopes.get, names)]
 
-    by_u: Any = lambda u, *of: at(of[:-1]).vjp(u, of[-1])  # noqa: E731
-    force: Any = lambda u, *of: at(of).force(u)  # noqa: E731
-    backs = (by_u, *map(back, names))
-    return nonlinear(force, None, backs, u, *(numbers[name] for name in names))
+    refuse_tangents(u, *numbers.values())
+    (force,) = once(there, back, u, *(numbers[name] for name in names))
+    return force  # type: ignore[no-any-return]
 
 
 def by_numbers(operator: Any, names: list[str], u: np.ndarray, w: np.ndarray) -> dict[str, Any]:

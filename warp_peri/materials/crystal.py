@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import numpy as np
@@ -50,7 +51,7 @@ class TensorOperator(OperatorBase):
     Args:
         points: lattice nodes with a collar, or periodic.
         stencil: of the law.
-        elastic: C_ijkl along the nodes' axes [stress], for `stress`.
+        tensor: C_ijkl along the nodes' axes [stress], for `stress`.
         method: "rows", "fft", or "auto", which takes what is faster.
         dtype: float64 or float32.
         why: said beside the error for nodes whose bonds are cut.
@@ -65,7 +66,7 @@ class TensorOperator(OperatorBase):
         self,
         points: Points,
         stencil: Stencil,
-        elastic: np.ndarray,
+        tensor: np.ndarray,
         *,
         method: str = "auto",
         dtype: Any = np.float64,
@@ -73,7 +74,7 @@ class TensorOperator(OperatorBase):
         model: Any = None,
     ) -> None:
         self.points, self.spacing, self.model = points, stencil.spacing, model
-        self.elastic = elastic
+        self.tensor = tensor
         self.linear = Linear(stencil, points, by=method, dtype=dtype, why=why)
         self.nodes, self.pull, self.dtype = self.linear.grid, self.linear.pull, self.linear.dtype
         self.steps, self.tensors, self.method = stencil.steps, stencil.tensors, self.linear.by
@@ -146,21 +147,25 @@ class TensorOperator(OperatorBase):
 
     def by_numbers(self, name: str, u: ArrayLike, w: ArrayLike) -> np.ndarray:
         """Derivatives of Σ w · L u to the tensors, of fields [K, N, d] and weights [K, I, d]."""
-        nodes, core = self.nodes, (slice(None), slice(None), *self.nodes.core)
-        planes, w = nodes.scatter(self.fields(u)), plain("w", w)
-        pull = np.stack([nodes.scatter_interior(one) for one in w])
-        pull = pull if nodes.periodic else pull[core]
-        bent = (2 * planes[core] - ahead - behind for ahead, behind in self._beside(planes))
-        found = [np.einsum("si...,sj...->ij", pull, each, optimize=True) for each in bent]
-        return np.asarray((np.array(found) + np.transpose(found, (0, 2, 1))) / 2)
+        A, H = self.nodes.axes, len(self.steps)
+        u, w = self.fields(u) @ A, plain("w", w) @ A
+        here, *ends = u[:, self.ends[0]], *self.ends[1:]
+        found = np.array([
+            np.einsum("sni,snj->ij", w, 2 * here - u[:, ahead] - u[:, behind])
+            for ahead, behind in zip(ends[:H], ends[H:])
+        ])  # fmt: skip
+        return np.asarray((found + found.transpose(0, 2, 1)) / 2)
 
-    def _beside(self, planes: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """By step what lies ahead of the box of the interior and behind it, [S, d, …]."""
-        for step in self.steps:
-            first, other = (
-                planes[(slice(None), slice(None), *self.nodes.beside(way))] for way in (step, -step)
-            )
-            yield first, other
+    @cached_property
+    def ends(self) -> np.ndarray:
+        """Numbers of the interior nodes, and of those that each of the steps, and then each of the
+        opposite ones, leads to, shape [1 + 2 H, I]."""
+        nodes, steps = self.nodes, self.steps
+        number = np.full(int(np.prod(nodes.shape)), -1)
+        number[nodes.place] = nodes.near
+        at = np.stack(np.unravel_index(nodes.interior, nodes.shape))
+        far = np.concatenate([0 * steps[:1], steps, -steps]).T[:, :, None] + at[:, None]
+        return np.asarray(number[np.ravel_multi_index(tuple(far), nodes.shape, "wrap")])
 
     def energy(self, u: ArrayLike) -> np.ndarray | float:
         """Energy [stress · length^d] of all bonds with an unknown at an end, shape [...] (T15).
@@ -176,45 +181,31 @@ class TensorOperator(OperatorBase):
 
     def gradient(self, u: ArrayLike) -> np.ndarray:
         """∂u_a/∂x_b at the interior nodes by least squares over the family, [..., I, d, d]."""
-        fields, lead, nodes = self.fields(u), np.shape(u)[:-2], self.nodes
-        d, r, xi = nodes.dimension, nodes.reach, self.spacing * self.steps
-        found = np.zeros((len(fields), d, d, *(n - 2 * r for n in nodes.wide)))
-        weights = xi @ np.linalg.inv(2 * xi.T @ xi)
-        for weight, (ahead, behind) in zip(weights, self._beside(nodes.scatter(fields))):
-            for b in range(d):
-                found[:, :, b] += weight[b] * (ahead - behind)
-        if not nodes.periodic:
-            found = np.pad(found, [(0, 0)] * 3 + [(r, r)] * d)
-        flat = found.reshape(len(fields), d, d, -1)[..., nodes.interior]
-        A = nodes.axes
-        local = np.einsum("ai,sijn,bj->snab", A, flat, A, optimize=True)
-        return np.asarray(local.reshape(*lead, *local.shape[1:]))
+        A, xi, H = self.nodes.axes, self.spacing * self.steps, len(self.steps)
+        fields = self.fields(u) @ A
+        found = np.zeros((len(fields), self.ends.shape[1], *A.shape))
+        for weight, ahead, behind in zip(
+            xi @ np.linalg.inv(2 * xi.T @ xi), self.ends[1 : H + 1], self.ends[H + 1 :]
+        ):
+            found += (fields[:, ahead] - fields[:, behind])[..., None] * weight
+        return np.asarray((A @ found @ A.T).reshape(*np.shape(u)[:-2], *found.shape[1:]))
 
     def stress(self, u: ArrayLike) -> np.ndarray:
         """σ = C : ε at the interior nodes [stress], ε from `gradient`, shape [..., I, d, d].
 
         Exact on affine fields; on others the stress of the solid that long waves see.
         """
-        A = self.nodes.axes
-        C = np.einsum("ai,bj,ck,dl,ijkl->abcd", A, A, A, A, self.elastic, optimize=True)
+        C = elastic.turned(self.tensor, self.nodes.axes)
         return np.asarray(np.einsum("abcd,...cd->...ab", C, self.gradient(u), optimize=True))
 
     def matrix(self) -> sp.csr_array:
         """L as a sparse matrix of all nodes' displacements, shape [d I, d N]."""
-        nodes, A, d = self.nodes, self.nodes.axes, self.nodes.dimension
-        number = np.full(int(np.prod(nodes.shape)), -1)
-        number[nodes.place] = nodes.near
-        far = np.concatenate([0 * self.steps[:1], self.steps, -self.steps])
-        far = np.stack(np.unravel_index(nodes.interior, nodes.shape), axis=1)[:, None] + far
-        ends = number[np.ravel_multi_index(tuple(np.moveaxis(far, -1, 0)), nodes.shape, "wrap")]
+        ends, A = self.ends.T, self.nodes.axes
         C = A @ self.tensors @ A.T
         blocks = np.concatenate([2 * C.sum(axis=0)[None], -C, -C])
-        parts = (
-            np.tile(blocks, (len(far), 1, 1)),
-            ends.ravel(),
-            np.arange(0, ends.size + 1, len(blocks)),
-        )
-        shape = (d * len(far), d * len(self.points.x))
+        starts = np.arange(0, ends.size + 1, len(blocks))
+        parts = np.tile(blocks, (len(ends), 1, 1)), ends.ravel(), starts
+        shape = len(A) * len(ends), self.points.x.size
         return sp.csr_array(sp.bsr_array(parts, shape=shape))
 
 
@@ -375,12 +366,12 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
             raise InputError(
                 f"tensors: expected shape [{len(steps)}, {d}, {d}], got {list(tensors.shape)}"
             )
-        size = np.abs(tensors).max()
-        if np.abs(tensors - tensors.transpose(0, 2, 1)).max() > BROKEN * size:
+        both_ways = (tensors + tensors.transpose(0, 2, 1)) / 2
+        if np.abs(tensors - both_ways).max() > BROKEN * np.abs(tensors).max():
             raise InputError("tensors: expected symmetric matrices")
         set_ = object.__setattr__
         set_(self, "steps", whole)
-        set_(self, "tensors", (tensors + tensors.transpose(0, 2, 1)) / 2)
+        set_(self, "tensors", both_ways)
         set_(self, "orientation", checked_orientation(self.orientation, d))
         if stress is not None and not (stress.shape == (d, d) and np.array_equal(stress, stress.T)):
             raise InputError(f"stress: expected a symmetric matrix [{d}, {d}]")
@@ -432,15 +423,12 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         """C_ijkl in the crystal's own axes."""
         return elastic.turned(self.tensor(), np.asarray(self.orientation).T)
 
-    @property
-    def _named(self) -> str:
-        return self.symmetry if isinstance(self.symmetry, str) else "rotations"
-
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value."""
         length, constants = symbols(self.units)[0], self.moduli()
+        symmetry = self.symmetry if isinstance(self.symmetry, str) else "rotations"
         return [
-            ("symmetry", f"{self._named or 'none'}, {self.dimension} dimensions"),
+            ("symmetry", f"{symmetry}, {self.dimension} dimensions"),
             (", ".join(constants), shown_moduli(self.units, constants.values())),
             ("bonds", f"{self.bonds}, up to {self.horizon:.4g} {length}"),
             ("nodes", f"{self.spacing:g} {length} apart"),
@@ -514,10 +502,14 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
 
     def summary(self) -> dict[str, Any]:
         """Symmetry, moduli, lattice and proof as plain values."""
-        kept = {name: getattr(self, name) for name in ("spacing", "horizon", "bonds")}
-        told = {"symmetry": self._named, "moduli": self.moduli(), "units": list(self.units)}
         proof = None if self.certificate is None else self.certificate.content()
-        return {"format": "crystal", **told, **kept, "certificate": proof}
+        return {
+            "format": "crystal",
+            "symmetry": self.symmetry if isinstance(self.symmetry, str) else "rotations",
+            **{name: getattr(self, name) for name in ("spacing", "horizon", "bonds", "units")},
+            "moduli": self.moduli(),
+            "certificate": proof,
+        }
 
 
 @typed

@@ -69,15 +69,12 @@ class InfluenceFunction:
     def __post_init__(self) -> None:
         if not callable(self.function):
             raise InputError(f"influence: expected a function of r, got {self.function!r:.60}")
-        for name in ("parameters", "bounds"):
-            if not isinstance(getattr(self, name), Mapping):
-                raise InputError(f"{name}: expected a dict, got {getattr(self, name)!r:.60}")
         values = {}
         for name, value in self.parameters.items():
-            array = np.array(value)
-            if array.dtype.kind not in "iuf" or array.ndim > 1 or not np.isfinite(array).all():
-                raise InputError(f"{name}: expected finite numbers, got {value!r:.60}")
-            values[name] = array.astype(float) if array.ndim else float(array)
+            array = checked(name, value)
+            if array.ndim > 1:
+                raise InputError(f"{name}: expected a number or a list, got {array.shape}")
+            values[name] = array if array.ndim else float(array)
         object.__setattr__(self, "parameters", values)
         for name, ends in self.bounds.items():
             if name not in self.parameters:

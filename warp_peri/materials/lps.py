@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import comb
 
+from warp_peri.core.elastic import elastic_from_brackets
 from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import StencilCertificate, prove
 from warp_peri.core.record import FieldUnits, Length, Record, taken
@@ -108,6 +109,8 @@ SPACING_TOLERANCE = 1e-6
 """A lattice within this of a certified one, relative to its spacing, is taken as that lattice."""
 NOTHING = 1e-14
 """Relative, of tensors that are rounding."""
+GAMMAS = ("gamma_min", "gamma_minus_2phi_min", "gamma_minus_2phi_max")
+"""Figures of a certificate that are in 1/length²."""
 AVERAGED = 8
 """Positions along the radius of the ball that moduli as a function are averaged over."""
 Modulus = ArrayLike | Callable[[np.ndarray], ArrayLike]
@@ -234,24 +237,16 @@ class LPSMaterial(Record, format="warp_peri.model"):
         """
         x, d = nodes_of(points).x, self.dimension
         given = {"lam": self.lam if lam is None else lam, "mu": self.mu if mu is None else mu}
-        steps = np.zeros((1, d))
-        if any(map(callable, given.values())):
-            steps = (np.indices((2 * AVERAGED + 1,) * d).reshape(d, -1).T - AVERAGED) / AVERAGED
-            steps = steps[(steps**2).sum(axis=1) <= 1] * self.horizon / 2
+        if not any(map(callable, given.values())):
+            return self.with_parameters(given, x)
+        steps = (np.indices((2 * AVERAGED + 1,) * d).reshape(d, -1).T - AVERAGED) / AVERAGED
+        steps = steps[(steps**2).sum(axis=1) <= 1] * self.horizon / 2
         soft = np.zeros((2, len(x)))
         for step in steps:
-            at = {n: checked(n, v(x + step) if callable(v) else v) for n, v in given.items()}
-            for name, one in at.items():
-                if one.shape not in ((), (len(x),)):
-                    raise InputError(
-                        f"{name}: expected a number, a function, or shape [{len(x)}], got "
-                        f"{list(one.shape)}"
-                    )
-            there = {name: np.broadcast_to(one, len(x)) for name, one in at.items()}
-            if len(steps) == 1:
-                return self.with_parameters(there, x)
+            there = {n: v(x + step) if callable(v) else v for n, v in given.items()}
             solid = self.with_parameters(there, x)
-            soft += np.array([1 / solid.mu, 1 / (solid.lam + 2 * solid.mu / d)]) / len(steps)
+            soft[0] += 1 / solid.mu / len(steps)
+            soft[1] += 1 / (solid.lam + 2 * solid.mu / d) / len(steps)
         shear, bulk = 1 / soft
         return self.with_parameters({"lam": bulk - 2 * shear / d, "mu": shear}, x)
 
@@ -277,9 +272,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
     @property
     def E(self) -> float:
         """Young's modulus of the continuum [TPa]; of a sheet in plane stress."""
-        if self.dimension == 3:
-            return self.mu * (3 * self.lam + 2 * self.mu) / (self.lam + self.mu)
-        return 4 * self.mu * (self.lam + self.mu) / (self.lam + 2 * self.mu)
+        return 2 * self.mu * (1 + self.nu)
 
     @property
     def nu(self) -> float:
@@ -349,12 +342,17 @@ class LPSMaterial(Record, format="warp_peri.model"):
         K keeps its coefficients, whose common scale has no effect; the provenance names the units
         that its statement and records of errors and of the fit stay in.
         """
+        times = dict.fromkeys(GAMMAS, length**-2) | {"spacing": length}
+        times |= {"symbol_min": stress, "symbol_bound": stress}
+        figures = {
+            f"{h * length:g}": {
+                name: value * times.get(name, 1) if is_number(value) else value
+                for name, value in each.items()
+            }
+            for h, each in by_spacing(self).items()
+        }
         return {
-            "certificate": {
-                f"{h * length:g}": _figures_in(self.certificate[f"{h:g}"], length, stress)
-                for h in dict.fromkeys((*self.certified_on, *self.trained_on))
-                if f"{h:g}" in self.certificate
-            },
+            "certificate": figures,
             "provenance": {**self.provenance, "units_before": list(self.units)},
         }
 
@@ -478,19 +476,6 @@ def statement_of(spacing: float, bound: float, units: Units, dimension: int) -> 
     )
 
 
-def _figures_in(figures: Any, length: float, stress: float) -> Any:
-    """Figures of a certificate in other units; anything else as it is."""
-    if not isinstance(figures, dict):
-        return figures
-    times = {"spacing": length} | dict.fromkeys(("symbol_min", "symbol_bound"), stress)
-    gammas = ("gamma_min", "gamma_minus_2phi_min", "gamma_minus_2phi_max", "gamma_max")
-    times |= dict.fromkeys(gammas, length**-2)  # the last as files of before have it
-    return {
-        name: value * times[name] if name in times and is_number(value) else value
-        for name, value in figures.items()
-    }
-
-
 def stiffnesses(model: LPSMaterial, classes: BondClasses) -> tuple[np.ndarray, float]:
     """v [TPa/Å²] of the bond classes and κ = (λ−μ)/μ² [1/TPa] of a model on a lattice.
 
@@ -546,26 +531,10 @@ def stencil_of(classes: BondClasses, v: np.ndarray, kappa: float) -> Stencil:
     return Stencil(classes.spacing, steps[kept], both[kept])
 
 
-def long_wave_moduli(
-    classes: BondClasses, v: np.ndarray, kappa: float
-) -> tuple[float, float, float]:
-    """C11, C12, C44 [TPa] of the symbol at long waves (theory, 22), from fourth moments of v.
-
-    C44 = (c2/2) Σ v ξ₁²ξ₂²/r², C11 = (c2/2) Σ v ξ₁⁴/r² + λ − μ, C12 = C44 + λ − μ, with c2/2 = 8 of
-    a sheet and 15 of a solid. The dilatation is exact on affine fields, hence the plain
-    λ − μ = κ μ².
-    """
-    d = classes.xi.shape[1]
-    x1, x2 = classes.xi.T[:2]
-    each = d * (d + 2) * v[classes.bond_class] / (classes.xi**2).sum(axis=1)
-    excess = kappa * (classes.count @ (v * classes.r**2)) ** 2
-    C44 = each @ (x1**2 * x2**2)
-    return float(each @ x1**4 + excess), float(C44 + excess), float(C44)
-
-
 def moduli(model: LPSMaterial, classes: BondClasses) -> dict[str, float]:
     """Long-wave moduli C11, C12, C44 [TPa] of a model's discrete operator (theory, 22)."""
-    return dict(zip(("C11", "C12", "C44"), long_wave_moduli(classes, *stiffnesses(model, classes))))
+    C = elastic_from_brackets(stencil_of(classes, *stiffnesses(model, classes)).brackets)
+    return {"C11": C[0, 0, 0, 0], "C12": C[0, 0, 1, 1], "C44": C[0, 1, 0, 1]}
 
 
 def on_nominal_lattice(model: LPSMaterial, points: PointsLike) -> Points:

@@ -18,13 +18,7 @@ from warp_peri.errors import InputError
 from warp_peri.fitting.regression import MET, Form, LatticeRows, Numbers, Settled, fit
 from warp_peri.fitting.settings import GaussNewton, StabilityConditions
 from warp_peri.materials.influence import InfluenceFunction
-from warp_peri.materials.lps import (
-    CANCELLED,
-    LPSMaterial,
-    LPSParameters,
-    bernstein_basis,
-    long_wave_moduli,
-)
+from warp_peri.materials.lps import CANCELLED, LPSMaterial, LPSParameters, bernstein_basis
 from warp_peri.materials.lps_rows import class_pairs
 from warp_peri.points.families import BondClasses
 
@@ -248,10 +242,11 @@ class LPSLaw:
         self.moduli, self.smoothness = method.held, method.smoothness
         self._sigma = [classes.count * classes.r**2 for classes in lattices]
         self._pairs = [class_pairs(len(classes.r)) for classes in lattices]
-        self._shears = [  # C44 of unit v of each class
-            np.array([long_wave_moduli(each, unit, 0.0)[2] for unit in np.eye(len(each.r))])
-            for each in lattices
-        ]
+        self._shears = []  # C44 of unit v of each class, (22)
+        for each in lattices:
+            x, d = each.xi.T, each.xi.shape[1]
+            fourth = d * (d + 2) * (x[0] * x[1]) ** 2 / (x**2).sum(axis=0)
+            self._shears.append(np.bincount(each.bond_class, fourth))
 
     def start(self, found: LPSFound) -> np.ndarray:
         """θ of a solid, from where the moduli keep what is asked."""
