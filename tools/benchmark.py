@@ -53,7 +53,6 @@ from warp_peri.fracture.bonds import CutOperator
 from warp_peri.fracture.dynamics import BreakingBody, BrittleMaterial, step
 from warp_peri.materials.lps_force import Bonds, lps_force
 from warp_peri.materials.lps_operator import LPSOperator
-from warp_peri.methods import LPSParameters
 from warp_peri.runtime import floats, set_num_threads, zeros
 
 HORIZON = 4.0
@@ -132,12 +131,12 @@ def ours(bonds: Bonds, fields: np.ndarray) -> tuple[Callable, Callable]:
 
     def forward() -> np.ndarray:
         bonds.kept = None  # the rivals compute K every time
-        return lps_force(bonds, u, LPSParameters(lam, mu, alpha, D)).numpy()
+        return lps_force(bonds, u, lam, mu, alpha, D).numpy()
 
     def both() -> list[np.ndarray]:
         bonds.kept = None
         leaves = [value.detach().requires_grad_() for value in (u, D, alpha)]
-        Lu = lps_force(bonds, leaves[0], LPSParameters(lam, mu, leaves[2], leaves[1]))
+        Lu = lps_force(bonds, leaves[0], lam, mu, leaves[2], leaves[1])
         return [gradient.numpy() for gradient in torch.autograd.grad(Lu, leaves, g)]
 
     return forward, both

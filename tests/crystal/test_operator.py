@@ -94,7 +94,7 @@ REFUSED = {
     "cut": (lambda law, p: law.on(replace(p, interior=p.interior | True)), "objective.*per radian"),
     "spacing": (lambda law, p: law.on(Points(2 * p.x, p.interior, 3.0)), "spacing"),
     "dimension": (lambda law, p: learned(2).on(p), "coordinates"),
-    "collar": (lambda law, p: random_law(3, 3.0).on(p), "cut bonds in a collar .*; give a collar"),
+    "collar": (lambda law, p: random_law(3, 3.0).on(p), "cut bonds: .*; give a collar"),
     "axis": (lambda law, p: law.on(replace(p, axis=checked_orientation(20.0, 3))), "stands at 20°"),
     "sign": (
         lambda law, p: replace(law, tensors=-law.tensors).on(p).solve(0 * p.x, p.x),

@@ -25,7 +25,7 @@ from tests.support.problems import (
 from tests.support.symbols import symbol
 from warp_peri import InputError, Points
 from warp_peri.materials.lps import lps_stencil, moduli
-from warp_peri.materials.lps_force import Bonds, force_by, lps_force
+from warp_peri.materials.lps_force import Bonds, lps_force
 from warp_peri.materials.lps_matrices import matrices
 from warp_peri.methods import LPSParameters
 from warp_peri.points.families import bond_classes, families_of
@@ -86,14 +86,14 @@ class Problem:
         self.leaves = {part: np.atleast_1d(leaf).astype(float) for part, leaf in values.items()}
 
     def scalar(self, *leaves):
-        Lu = force_by(self.bonds, *leaves)
+        Lu = lps_force(self.bonds, *leaves)
         return (self.seed * Lu).sum() + (Lu**2).sum() / 100
 
     def gathered(self):
         """Derivatives by name, and the force."""
         given = [torch.tensor(v, requires_grad=True) for v in self.leaves.values()]
         with torch.no_grad():
-            force = force_by(self.bonds, *given)
+            force = lps_force(self.bonds, *given)
         gradients = torch.autograd.grad(self.scalar(*given), given)
         return {p: by.numpy() for p, by in zip(self.leaves, gradients)} | {"force": force.numpy()}
 
@@ -238,7 +238,7 @@ def test_bond_based_forces_need_half_the_collar_and_no_dilatation(make):
     u, *numbers = (torch.tensor(v).double() for v in (noise(points), 0.7, 0.7, 1.3, D))
     given = [one.requires_grad_() for one in (u, *numbers[2:])]
     both = [Bonds(points, HORIZON, bond_based=True), Bonds(points, HORIZON)]
-    Lu, whole = (lps_force(bonds, u, LPSParameters(*numbers)) for bonds in both)
+    Lu, whole = (lps_force(bonds, u, *numbers) for bonds in both)
     torch.testing.assert_close(Lu, whole, rtol=0, atol=1e-12)
     pairs = zip(*(torch.autograd.grad((one**3).sum(), given) for one in (Lu, whole)))
     for gradient, expected in pairs:
@@ -246,7 +246,7 @@ def test_bond_based_forces_need_half_the_collar_and_no_dilatation(make):
     asked = torch.tensor(0.7, dtype=torch.float64, requires_grad=True)
     for pair in ((asked, 0.7), (0.7, asked), (0.1, 0.7)):
         with pytest.raises(InputError, match="lambda, mu: expected equal values without a gr"):
-            lps_force(both[0], u.detach(), LPSParameters(*pair, 1.3, D)).sum().backward()
+            lps_force(both[0], u.detach(), *pair, 1.3, D).sum().backward()
     near = make(3, HORIZON / (2 if make is lattice else 3))
     with pytest.raises(InputError, match="out to twice the horizon"):
         Bonds(near, HORIZON)
@@ -281,7 +281,7 @@ def test_on_a_tape_of_the_user():
     tape.backward(loss)
     leaves = [torch.tensor(u, requires_grad=True)]
     leaves += [torch.tensor(one.numpy(), requires_grad=True) for one in numbers]
-    Lu = lps_force(operator.bonds, leaves[0], LPSParameters(*leaves[1:]))
+    Lu = lps_force(operator.bonds, *leaves)
     value = ((torch.from_numpy(seed) + 0.3 * Lu) * Lu).sum()
     assert float(loss.numpy()[0]) == pytest.approx(float(value.detach()), rel=1e-14)
     for array, expected in zip([field, *numbers], torch.autograd.grad(value, leaves)):

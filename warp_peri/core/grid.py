@@ -53,11 +53,6 @@ class Grid:
         r = self.reach
         return tuple(slice(r, n - r) for n in self.wide)
 
-    def beside(self, step: np.ndarray) -> tuple[slice, ...]:
-        """Where a step leads from the box of the interior, in the wide one."""
-        r = self.reach
-        return tuple(slice(r + s, n - r + s) for s, n in zip(step.tolist(), self.wide))
-
     @property
     def is_box(self) -> bool:
         """Whether all nodes of a box are unknown."""
@@ -160,13 +155,8 @@ def _check(points: Points, nodes: Grid, steps: np.ndarray, why: str) -> None:
         body = np.pad(body, nodes.reach, mode="wrap")
     lacking = int((nodes.unknown & ~complete(body, steps, nodes.reach)).sum())
     if lacking:
-        r = np.linalg.norm(steps, axis=1)
-        lengths = np.unique(r)
-        whole = (complete(body, steps[r <= one], nodes.reach)[nodes.unknown] for one in lengths)
-        fit = sum(bool(each.all()) for each in whole)
-        wide = points.spacing * float(np.append(0, lengths)[fit])
-        why = why or f"; give one {points.spacing * r.max():g} wide"
-        why = f" in a collar {wide:g} wide{why}"
+        width = points.spacing * np.linalg.norm(steps, axis=1).max()
+        why = why or f"; give a collar {width:g} wide"
     refuse_cut(lacking, len(nodes.interior), why)
 
 

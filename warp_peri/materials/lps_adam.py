@@ -86,7 +86,7 @@ class OperatorLoss:
         self.weight = torch.from_numpy(weight)
 
     def _squares(self, *parameters: Any) -> torch.Tensor:
-        residual = lps_force(self.bonds, self.u, LPSParameters(*parameters)) - self.b
+        residual = lps_force(self.bonds, self.u, *parameters) - self.b
         return (residual**2).sum(dim=(1, 2))
 
     def loss(self, *parameters: Any) -> torch.Tensor:
@@ -103,8 +103,6 @@ class OperatorLoss:
 
 PROBED_HORIZON = 2.0
 """Horizon in spacings of the bond-based solid that a lattice's stiffness is measured with."""
-UNIT = LPSParameters(1.0, 1.0, 1.0, np.ones(1))
-"""K = 1/r with λ = μ = 1."""
 
 
 def stiffness_of(sets: Sequence[Samples], horizon: float) -> float:
@@ -121,8 +119,8 @@ def stiffness_of(sets: Sequence[Samples], horizon: float) -> float:
         bonds = Bonds(
             samples.points, min(PROBED_HORIZON * h, horizon) if h else horizon, bond_based=True
         )
-        force = lps_force(bonds, torch.from_numpy(samples.u), UNIT).numpy()
-        b = samples.loads[:, samples.interior]
+        force = bonds.law(1.0, 1.0, 1.0, 1.0).force(samples.u.reshape(len(samples.u), -1))[0]
+        b = samples.loads[:, samples.interior].reshape(force.shape)
         loads, work = loads + float((b**2).sum()), work + float((force * b).sum())
     if not work > 0:
         raise InputError(

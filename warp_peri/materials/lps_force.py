@@ -26,7 +26,7 @@ from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.lps.influence import influence
 from warp_peri.kernels.lps.sweeps import LANES, struct, sweeps
-from warp_peri.materials.lps import CANCELLED, LPSMaterial, LPSParameters, on_nominal_lattice
+from warp_peri.materials.lps import CANCELLED, LPSMaterial, on_nominal_lattice
 from warp_peri.points.families import families_of
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike, nodes_of
@@ -487,23 +487,17 @@ def refuse_bond_based() -> None:
     )
 
 
-def lps_force(bonds: Bonds, u: torch.Tensor, solid: LPSParameters) -> torch.Tensor:
-    """L u [TPa/Å] on the interior nodes, shape [..., I, d], differentiable once in u and in every
-    value of the solid.
+def lps_force(bonds: Bonds, u: torch.Tensor, *values: Any) -> torch.Tensor:
+    """L u [TPa/Å] on the interior nodes, shape [..., I, d], differentiable once in all.
 
     Args:
         bonds: of a point set with N nodes.
         u: displacement [Å], float64, shape [N, d] or [S, N, d].
-        solid: numbers, arrays or tensors; λ = μ, of which neither asks for a gradient, for bonds
-            that are bond-based.
+        values: λ and μ, numbers or one value a node, shape [N], α and D; λ = μ, of which neither
+            asks for a gradient, for bonds that are bond-based.
 
-    Raises InputError for such λ and μ on bond-based bonds.
+    Raises InputError for such λ and μ on bond-based bonds, and moduli of another shape.
     """
-    return force_by(bonds, u, *solid.values())
-
-
-def force_by(bonds: Bonds, u: torch.Tensor, *values: Any) -> torch.Tensor:
-    """`lps_force` of λ, μ, α and D, the first two numbers or one value a node, shape [N]."""
     refuse_tangents(u, *values)
     felt: list[Any] = []
 

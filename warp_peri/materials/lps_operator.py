@@ -16,7 +16,7 @@ from scipy.sparse.linalg import LinearOperator, gmres, spilu
 from warp_peri.core.proof import largest
 from warp_peri.errors import InputError, warn
 from warp_peri.materials.lps import LPSMaterial, LPSParameters, on_nominal_lattice, statements
-from warp_peri.materials.lps_force import Bonds, Law, bonds_of, force_by
+from warp_peri.materials.lps_force import Bonds, Law, bonds_of, lps_force
 from warp_peri.materials.lps_matrices import assemble, node_fields
 from warp_peri.points.arrays import checked, checked_fields, plain
 from warp_peri.points.families import families_of
@@ -174,7 +174,7 @@ class LPSOperator(OperatorBase):
         self, u: torch.Tensor, numbers: dict[str, torch.Tensor]
     ) -> torch.Tensor:
         """The force of fields [S, N, d] with other numbers, differentiable once in all."""
-        return force_by(self.bonds, u, *(numbers[name] for name in self.learnable))
+        return lps_force(self.bonds, u, *(numbers[name] for name in self.learnable))
 
     def matrix(self) -> sp.csr_array:
         """L as a sparse matrix of all nodes' displacements, shape [d I, d N]."""
