@@ -96,7 +96,7 @@ def test_what_fields_refuse():
     solid, cracked = model.spread(points, None, mu), wp.Cracked(points, u=noise(points))
     size = len(mu)
     for use, words in (
-        (lambda: model.on(points, mu=mu[:-1]), "mu: expected a number, a function, or shape"),
+        (lambda: model.on(points, mu=mu[:-1]), "mu: expected a number, or one of each of"),
         (lambda: model.on(points, mu=-mu), "expected μ > 0"),
         (lambda: solid.on(near), f"points: expected the {size} nodes of the fields"),
         (lambda: Bonds(points, HORIZON).law(LAM, mu[:3], 1.0, [1.0]), "mu: expected one number"),

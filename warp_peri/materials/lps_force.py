@@ -219,6 +219,12 @@ class Bonds:
             return (self.families.lattice.count * terms).sum()
         return np.add.reduceat(terms, self.families.row[:-1])
 
+    def table(self, alpha: ArrayLike, D: ArrayLike) -> tuple[np.ndarray, Any]:
+        """K W of each class, and weighted volumes; 1 of nodes that need none."""
+        kw = self.influence(alpha, D)
+        m = self.volumes(kw * self.families.r**2)
+        return kw, np.where(m == 0, 1, m)
+
     @cached_property
     def left(self) -> np.ndarray:
         """Numbers of the bonds that nodes have left which have lost some."""
@@ -327,9 +333,7 @@ class Law:
             refuse_bond_based()
         self.bulk, self.fields, layout = lam - mu, max(lam.size, mu.size) > 1, bonds.layout
         if known is None:
-            self.kw = bonds.influence(alpha, D)
-            m = bonds.volumes(self.kw * bonds.families.r**2)
-            self.m = np.where(m == 0, 1, m)  # of nodes that need none
+            self.kw, self.m = bonds.table(alpha, D)
             count = np.diff(layout.row)
             self.own = self.kw[layout.kind] / np.repeat(np.broadcast_to(self.m, len(count)), count)
             if not layout.in_rows:

@@ -45,8 +45,7 @@ def matrices(model: LPSMaterial, points: PointsLike) -> Matrices:
     Raises InputError for a point set that does not carry the horizon.
     """
     bonds = bonds_of(model, points)
-    law = bonds.law(*model.learnable.values())
-    return assemble(bonds, law.kw, law.m, model.mu)
+    return assemble(bonds, *bonds.table(model.alpha, model.D), model.mu)
 
 
 def assemble(bonds: Bonds, kw: np.ndarray, m: Any, mu: Any = 1.0) -> Matrices:
@@ -115,12 +114,12 @@ def node_fields(model: LPSMaterial, points: PointsLike, u: ArrayLike) -> NodeFie
     if (given := nodes_of(points)).outside is not None:
         raise InputError("outside: expected none, for stress needs complete families")
     bonds = bonds_of(model, points)
-    law = bonds.law(*model.learnable.values())
+    kw, m = bonds.table(model.alpha, model.D)
     nodes, d, inside = bonds.nodes, bonds.dimension, np.flatnonzero(given.interior)
     u = checked("u", u, float, (..., nodes, d)).reshape(-1, nodes, d)
     mine = given.interior[bonds.listing[0]]
     owner, far, xi, kind = (one[mine] for one in bonds.listing)
-    lam, mu, m = (np.broadcast_to(one, nodes)[inside] for one in (model.lam, model.mu, law.m))
+    lam, mu, m = (np.broadcast_to(one, nodes)[inside] for one in (model.lam, model.mu, m))
     place = np.searchsorted(inside, owner)
     entries = np.ones(len(place)), (place, np.arange(len(place)))
     sums = sp.csr_array(entries, shape=(len(inside), len(place)))
@@ -130,7 +129,7 @@ def node_fields(model: LPSMaterial, points: PointsLike, u: ArrayLike) -> NodeFie
         flat = sums @ values.reshape(len(place), -1)
         return np.asarray(flat.reshape(len(inside), *values.shape[1:]))
 
-    K, outer, c2 = law.kw[kind], xi[:, :, None] * xi[:, None, :], d * (d + 2)
+    K, outer, c2 = kw[kind], xi[:, :, None] * xi[:, None, :], d * (d + 2)
     sheared = K / (xi**2).sum(axis=1)
     shape, inverse = total(K[:, None, None] * outer), np.linalg.inv(total(outer))
     parts = []

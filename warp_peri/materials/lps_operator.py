@@ -102,7 +102,7 @@ class LPSOperator(OperatorBase):
 
     def _changes_sign(self, bonds: Bonds) -> bool:
         """Whether a bond has K W below zero."""
-        return bool((bonds.law(*self.learnable.values()).kw < 0).any())
+        return bool((bonds.influence(self.model.alpha, self.model.D) < 0).any())
 
     @property
     def _law(self) -> Law:
@@ -178,8 +178,8 @@ class LPSOperator(OperatorBase):
 
     def matrix(self) -> sp.csr_array:
         """L as a sparse matrix of all nodes' displacements, shape [d I, d N]."""
-        law, (lam, mu) = self._law, (self.model.lam, self.model.mu)
-        return assemble(self.bonds, law.kw, law.m, mu).operator(lam, mu)
+        lam, mu, *shape = self.learnable.values()
+        return assemble(self.bonds, *self.bonds.table(*shape), mu).operator(lam, mu)
 
     @property
     def is_symmetric(self) -> bool:  # type: ignore[override]
