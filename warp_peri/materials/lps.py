@@ -389,7 +389,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
             transfer: False refuses what the model itself holds no certificate for.
             allow_uncertified: take its own numbers, with a warning.
             lam, mu: moduli that differ from node to node, as of `spread`.
-            options: quadrature_degree and device of LPSOperator.
+            options: quadrature_degree of LPSOperator.
 
         Raises InputError for an uncertified spacing without a transfer, scattered points without
         allow_uncertified, and as `spread` and LPSOperator.
