@@ -71,7 +71,7 @@ def square_error(cells, lam, edge):
     else:
         exact, load = state_based_field(x, lam, 1.0), state_based_load(x, lam, 1.0)
     model = LPSMaterial(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=3 * h)
-    u = CutSolid(model, lattice_body(x, h, 3 * h), held).solve_array(load, exact)
+    u = CutSolid(model, lattice_body(x, h, 3 * h), held).solve(load, exact).u
     return np.linalg.norm((u - exact)[~held]) / np.linalg.norm(exact[~held])
 
 

@@ -186,8 +186,8 @@ def test_few_states_are_kept(steps, made, monkeypatch):
     class Counted(verlet.State):
         """Counts displacements that are there at once."""
 
-        def __init__(self, u, v, g, number=0):
-            super().__init__(u, v, g, number)
+        def __init__(self, u, v, g, steps=0):
+            super().__init__(u, v, g, steps)
             alive[id(u)] = weakref.ref(u, partial(forget, id(u)))
             most[0] = max(most[0], len(alive))
 

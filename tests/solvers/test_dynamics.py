@@ -50,7 +50,7 @@ def test_stable_just_below_and_unstable_just_above(name, spacing):
     below = velocity_verlet(model, points, u, rest, step=0.99 * critical, **options)
     assert np.abs(below.u).max() < 30 * np.abs(u).max()
     assert below.drift < 1e-12
-    body = Inert(model.on(points), points.interior, DENSITY, 0.0)
+    body = Inert(model.on(points), points.interior, DENSITY, 0.0, u)
     above = body.state(u, rest[points.interior])
     for _ in range(options["steps"]):
         above = step(body, above, 1.01 * critical)

@@ -5,45 +5,24 @@ from typing import TYPE_CHECKING
 from warp_peri.lazy import lazy
 
 if TYPE_CHECKING:
-    from warp_peri.fracture.body import (
-        LatticeBody,
-        box_nodes,
-        lattice_body,
-        penny_corners,
-        point_force,
-        rectangle_nodes,
-    )
-    from warp_peri.fracture.dynamics import BrittleMaterial, continuum_stretch, with_positive_kernel
-    from warp_peri.fracture.growth import apparent_toughness
-    from warp_peri.fracture.problems import Cracked, Injected
-    from warp_peri.fracture.release import (
-        crack_opening_volume,
-        energy_release,
-        j_integral,
-        tip_shift,
-    )
-    from warp_peri.fracture.softening import BondLaw, SofteningMaterial
-
-__all__ = [
-    "BondLaw",
-    "BrittleMaterial",
-    "Cracked",
-    "Injected",
-    "LatticeBody",
-    "SofteningMaterial",
-    "apparent_toughness",
-    "box_nodes",
-    "continuum_stretch",
-    "crack_opening_volume",
-    "energy_release",
-    "j_integral",
-    "lattice_body",
-    "penny_corners",
-    "point_force",
-    "rectangle_nodes",
-    "tip_shift",
-    "with_positive_kernel",
-]
+    from warp_peri.fracture.body import LatticeBody as LatticeBody
+    from warp_peri.fracture.body import box_nodes as box_nodes
+    from warp_peri.fracture.body import lattice_body as lattice_body
+    from warp_peri.fracture.body import penny_corners as penny_corners
+    from warp_peri.fracture.body import point_force as point_force
+    from warp_peri.fracture.body import rectangle_nodes as rectangle_nodes
+    from warp_peri.fracture.dynamics import BrittleMaterial as BrittleMaterial
+    from warp_peri.fracture.dynamics import continuum_stretch as continuum_stretch
+    from warp_peri.fracture.dynamics import with_positive_kernel as with_positive_kernel
+    from warp_peri.fracture.growth import apparent_toughness as apparent_toughness
+    from warp_peri.fracture.problems import Cracked as Cracked
+    from warp_peri.fracture.problems import Injected as Injected
+    from warp_peri.fracture.release import crack_opening_volume as crack_opening_volume
+    from warp_peri.fracture.release import energy_release as energy_release
+    from warp_peri.fracture.release import j_integral as j_integral
+    from warp_peri.fracture.release import tip_shift as tip_shift
+    from warp_peri.fracture.softening import BondLaw as BondLaw
+    from warp_peri.fracture.softening import SofteningMaterial as SofteningMaterial
 
 _HOMES = {
     "body": "LatticeBody box_nodes lattice_body penny_corners point_force rectangle_nodes",
@@ -53,6 +32,8 @@ _HOMES = {
     "release": "j_integral energy_release crack_opening_volume tip_shift",
     "softening": "BondLaw SofteningMaterial",
 }
+
+__all__ = sorted(" ".join(_HOMES.values()).split())
 
 if not TYPE_CHECKING:  # a type checker would take any misspelt name for one of these
     __getattr__, __dir__ = lazy(__name__, _HOMES)

@@ -39,6 +39,7 @@ class LatticeBody:
         neighbour: node at the end of each bond of the ball, shape [N, B] int32; −1 where the body
             has none.
         axes: of the lattice, as columns.
+        endless: whether it goes on along its last axis, as of lattice_body.
     """
 
     x: np.ndarray
@@ -46,6 +47,7 @@ class LatticeBody:
     classes: BondClasses
     neighbour: np.ndarray
     axes: np.ndarray
+    endless: bool = False
 
     @property
     def dimension(self) -> int:
@@ -92,7 +94,7 @@ def lattice_body(
     classes = bond_classes(spacing, horizon, dimension=x.shape[1])
     grid, axes = straight_steps(x, spacing)
     steps = classes.steps * [*(x.shape[1] - 1) * (1,), 0] if endless else classes.steps
-    return LatticeBody(x, float(spacing), classes, neighbour_table(grid, steps), axes)
+    return LatticeBody(x, float(spacing), classes, neighbour_table(grid, steps), axes, endless)
 
 
 @typed

@@ -14,107 +14,18 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import LatticeBody, box_nodes, cracked, lattice_body, through
-from warp_peri.fracture.bonds import (
-    bonds_of,
-    check_breakable,
-    corrections,
-    stretch_matrix,
-    unit_toughness,
-)
-from warp_peri.fracture.statics import CutSolid, by_component, check_no_fail, check_pieces
+from warp_peri.fracture.bonds import check_breakable, unit_toughness
+from warp_peri.fracture.statics import CutSolid, check_no_fail
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.points.arguments import Count, Positive, typed
 from warp_peri.points.arrays import check_whole
 from warp_peri.points.families import BondClasses
-from warp_peri.solvers.conjugate_gradients import definite
 from warp_peri.solvers.motion import Motion
 
-MOST, TOLERANCE = 40, 1e-11
-"""Iterations of an event after which the body is factorised anew, and what is left of the forces
-that its lost bonds set free."""
+MOST = 40
+"""Iterations of an event after which the body is factorised anew."""
 TOGETHER = 1e-6
 """Bonds so close to the most stretched one break with it: mirror images, to rounding."""
-
-
-class _Losing:
-    """A body that loses bonds and comes to rest again: its first factors stand before conjugate
-    gradients.
-
-    Args:
-        model, body, held, corrected: as of CutSolid.
-        neighbour: with broken bonds, shape [N, B].
-
-    Attributes:
-        node, far: where the bonds begin and end that were there at first, [E].
-        alive: which of them are left.
-        neighbour: with those broken that are not.
-        u: displacement at rest, shape [N, d].
-    """
-
-    def __init__(
-        self,
-        model: LPSMaterial,
-        body: LatticeBody,
-        held: np.ndarray,
-        neighbour: np.ndarray,
-        corrected: bool,
-    ) -> None:
-        self._model, self._body, self._held, self.neighbour = model, body, held, neighbour
-        self._corrected, self._bonds = corrected, bonds_of(model, body.classes)
-        self._rows, place = stretch_matrix(body, neighbour)
-        self.node, self._bond = np.divmod(place, neighbour.shape[1])
-        self.far, self.alive = neighbour.ravel()[place], np.ones(len(place), bool)
-        self._solid: CutSolid | None = None
-
-    def lose(self, which: np.ndarray) -> None:
-        """These bonds, [E] bool."""
-        self.alive, self.neighbour = self.alive & ~which, self.neighbour.copy()
-        self.neighbour[self.node[which], self._bond[which]] = -1 - self.far[which]
-
-    def rest(self, u: np.ndarray) -> None:
-        """Come to rest with the held components of u. Raises InputError where a piece is loose."""
-        body, solid = self._body, self._solid
-        if self._corrected:
-            self._more = corrections(body, self.neighbour, self._bonds)
-        if solid is None:
-            self._solid = CutSolid(
-                self._model, body, self._held, neighbour=self.neighbour, corrected=self._corrected
-            )
-            self.u = self._solid.solve_array(None, u)
-            return
-        check_pieces(body, self.neighbour, self._held)
-        free, factors = solid.free, solid.factors
-
-        def inverse(left: np.ndarray) -> np.ndarray:
-            found = np.zeros_like(left)
-            found[free] = factors.solve(left[free])
-            return found
-
-        left = free * -self.force(self.u.ravel())
-        more, record = definite(lambda v: free * self.force(v), inverse, left, TOLERANCE)
-        self.u = self.u + more.reshape(self.u.shape)
-        if record.iterations > MOST:
-            self._solid = None
-
-    def stretch(self) -> np.ndarray:
-        """e/r² of the bonds, shape [E]; 0 of those lost."""
-        return np.asarray(
-            self.alive * (self._rows @ self.u.ravel()) / self._body.r[self._bond] ** 2
-        )
-
-    def energy(self) -> float:
-        """Elastic energy [stress · length^d]."""
-        cell = self._body.spacing**self._body.dimension
-        return float(cell / 2 * self.u.ravel() @ self.force(self.u.ravel()))
-
-    def force(self, u: np.ndarray) -> np.ndarray:
-        """L u of (C4), flat [d N]."""
-        (stiffness, share, excess), bond = self._bonds, self._bond
-        along = self.alive * (self._rows @ u)
-        theta = np.bincount(self.node, share[bond] * along, len(self.neighbour))
-        pull = stiffness[bond] * along + excess * share[bond] * theta[self.node]
-        found = self._rows.T @ (self.alive * pull)
-        return np.asarray(found + self._more @ u if self._corrected else found)
 
 
 def grow(
@@ -132,47 +43,51 @@ def grow(
     """Break the bond most stretched, and its mirror images, event by event.
 
     Args:
-        model: positive on the lattice; others are refused.
-        body: the body.
-        held: components of the displacement that are given, shape [N] or [N, 2] bool.
-        u: their values at unit load, shape [N, 2].
+        model, body, held, corrected: as of CutSolid; a model that changes sign is refused.
+        u: the held components at unit load, shape [N, d].
         events: how many, fewer when the body comes apart.
-        cracks: polylines open from the start.
-        no_fail: nodes whose bonds do not break, shape [N] bool.
-        corrected: as of CutSolid.
+        cracks, no_fail: open from the start; nodes whose bonds do not break, shape [N] bool.
         progress: shows a bar.
 
     Returns:
         A motion whose time is the load, the factor of u at which each event's bond breaks, over the
-        critical stretch. Its histories are load, energy: elastic at unit load
-        before each event [stress · area], and broken: bonds up to it, both directions. The details
-        are the neighbours at the end, shape [N, B].
+        critical stretch. Its histories are load, energy: elastic at unit load before each event
+        [stress · area], and broken: bonds up to it, both directions. The details are the neighbours
+        at the end, shape [N, B].
 
-    Raises InputError for a body that CutSolid refuses, and another `no_fail`.
+    Raises InputError as CutSolid, and for another `no_fail`.
     """
-    events = check_whole("events", events, 1)
     check_breakable(model, body.classes)
-    losing = _Losing(
-        model, body, by_component(held, body.x.shape), cracked(body, cracks), corrected
+    table, rows, end = (
+        cracked(body, cracks),
+        list[tuple[float, float, int]](),
+        np.zeros_like(body.x),
     )
-    safe, rows = check_no_fail(no_fail, len(body.x)), list[tuple[float, float, int]]()
-    safe, end = safe[losing.node] | safe[losing.far], np.zeros_like(body.x)
-    for _ in tqdm(range(events), disable=not progress, unit="event"):
+    cut, safe = None, check_no_fail(no_fail, len(body.x))
+    node, bond = np.nonzero(table >= 0)
+    far, xi, square = table[node, bond], body.xi[bond], body.r[bond] ** 2
+    safe, near = safe[node] | safe[far], None
+    for _ in tqdm(range(check_whole("events", events, 1)), disable=not progress, unit="event"):
         try:
-            losing.rest(u)
+            cut = CutSolid(model, body, held, neighbour=table, corrected=corrected, near=near)
         except InputError:
             if not rows:
                 raise
             break  # a piece has come off
-        stretch = np.where(safe, 0.0, losing.stretch())
+        found = cut.solve(None, u)
+        near = cut.factors if max(found.iterations, default=0) <= MOST else None
+        left = table[node, bond] >= 0
+        along = ((found.u[far] - found.u[node]) * xi).sum(axis=1)
+        stretch = np.where(left & ~safe, along / square, 0.0)
         if not (largest := float(stretch.max())) > 0:
             break
-        rows.append((1 / largest, losing.energy(), int(np.sum(~losing.alive))))
-        losing.lose(stretch > largest * (1 - TOGETHER))
-        end = losing.u / largest
+        rows.append((1 / largest, float(cut.energy(found.u)), int(np.sum(~left))))
+        end, table = found.u / largest, table.copy()
+        lost = stretch > largest * (1 - TOGETHER)
+        table[node[lost], bond[lost]] = -1 - far[lost]
     load, energy, broken = np.array(rows).reshape(-1, 3).T
     history = {"load": load, "energy": energy, "broken": broken.astype(int)}
-    return Motion(load, end, None, history, losing.neighbour)
+    return Motion(load, end, None, history, table)
 
 
 @typed

@@ -21,7 +21,7 @@ from warp_peri.points.arrays import checked, is_number
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
 from warp_peri.protocols import is_tensor, offered, refuse_uncut, taken
-from warp_peri.solvers.motion import Motion, refuse_learning
+from warp_peri.solvers.motion import Motion, Run, refuse_learning
 from warp_peri.solvers.solution import CG, Direct, Solution, refuse_solver
 
 
@@ -146,14 +146,14 @@ class Cracked:
             if self.b is not None:
                 raise InputError("b: slow growth and pulls are of given displacements, got a load")
             return self._slowly(material, body, options)
-        how, begin, records, run = options_of_steps(options)
+        how, begin, files, records, run = options_of_steps(options)
         offered(
             material, "density", "simulate", "a BrittleMaterial for steps, or events=…, or loads=…"
         )
         how |= {"load": self.b, "held": self.held, "corrected": self.corrected}
         moving = BreakingBody(material, body, **how)
         state = moving.start(u=self.u, cracks=self.cracks, **begin)
-        marching = CrackRun(moving, **records)
+        marching = CrackRun(moving, **records | files)
         return marching.motion(marching.march(state, **run))
 
     def _slowly(self, material: Any, body: LatticeBody, options: dict[str, Any]) -> Motion:
@@ -171,11 +171,17 @@ class Cracked:
 
 
 def options_of_steps(options: dict[str, Any]) -> tuple[dict[str, Any], ...]:
-    """Those of a motion in steps: for BreakingBody, its start, CrackRun and its march.
+    """Those of a motion in steps: for BreakingBody, its start, Run, CrackRun and its march.
 
     Raises InputError for others.
     """
-    parts = BreakingBody.__init__, BreakingBody.start, CrackRun.__init__, CrackRun.march
+    parts = (
+        BreakingBody.__init__,
+        BreakingBody.start,
+        Run.__init__,
+        CrackRun.__init__,
+        CrackRun.march,
+    )
     return taken(
         options, "simulate", *parts, given=("load", "held", "u", "cracks", "nodes", "corrected")
     )

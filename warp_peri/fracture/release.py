@@ -120,7 +120,7 @@ def _shift(model: LPSMaterial, h: float, radius: float, corrected: bool) -> floa
     for place in places:
         crack = through(-side, place, side, d)
         cut = CutSolid(model, body, held, cracks=[crack], corrected=corrected)
-        energies.append(cut.energy(cut.solve_array(None, u)) / h ** (d - 2))
+        energies.append(cut.energy(cut.solve(None, u).u) / h ** (d - 2))
     bend, slope, _ = np.polyfit(places, energies, 2)
     released = (_kolosov(model) + 1) / (8 * model.mu)  # 1/E of a sheet, (1 − ν²)/E in space
     return float((slope + released) / (2 * bend))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property, partial
+from functools import cached_property
 from importlib import import_module
 from typing import Any
 
@@ -19,10 +19,12 @@ from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
 from warp_peri.protocols import OperatorBase
 from warp_peri.solvers import direct
-from warp_peri.solvers.conjugate_gradients import definite
+from warp_peri.solvers.conjugate_gradients import SolveRecord, definite
 from warp_peri.solvers.direct import loose_pieces
 from warp_peri.solvers.solution import CG, Direct, Solution, Solver, refuse_solver
 
+TOLERANCE = 1e-11
+"""Of a body that has lost bonds, by the factors that it had before."""
 SYMMETRIC = 1e-9
 """What a stress and its transpose may differ by, over the largest component."""
 
@@ -44,11 +46,12 @@ class CutSolid(OperatorBase):
         cracks: polylines, in space flat polygons, that cut it, instead.
         corrected: bonds that a node lacks, at edges and cracks, take the mean gradient of those
             that it has (C26).
+        solver: Direct, or CG by rows.
         moves: for waves alone; nothing need hold it, and it is not factorised.
+        near: factors of the body before it lost some bonds, which stand before conjugate gradients.
 
     Attributes:
-        factors: of the rows and columns of L that are free; none for CG.
-        left: residual of the last solve over its right-hand side.
+        factors: of the rows and columns of L that are free, or `near`; none for CG.
 
     Raises InputError for a piece of the body that nothing holds, naming it, for an operator
     with negative eigenvalues, and CG for another material; of
@@ -56,6 +59,7 @@ class CutSolid(OperatorBase):
     """
 
     is_linear = is_symmetric = True
+    held = np.zeros((0, 0), bool)
 
     def __init__(
         self,
@@ -66,24 +70,25 @@ class CutSolid(OperatorBase):
         neighbour: np.ndarray | None = None,
         cracks: Sequence[ArrayLike] = (),
         corrected: bool = False,
-        solver: Direct | CG | None = None,
+        solver: Solver = None,
         moves: bool = False,
+        near: Any = None,
     ) -> None:
         self.model, self.body, self.corrected = material.linear, body, corrected
-        self.moves, self.solver = moves, solver
+        self.moves, self.solver, self.factors = moves, solver, near
         self.neighbour = cracked(body, cracks) if neighbour is None else neighbour
-        held = by_component(held, body.x.shape)
+        self.held = held = by_component(held, body.x.shape)
         if not moves:
             check_pieces(body, self.neighbour, held)
         self.one, moduli = not hasattr(material, "moduli"), None
         if not self.one:
             moduli = material.moduli(body, bond_weights(self.model, body.classes))
         self.bonds = bonds_of(self.model, body.classes, moduli)
-        self._rows: CutRows | None = None
-        self.free, self.inside = ~held.ravel(), np.asarray(~held.all(axis=1))
-        self.left = np.inf
+        self.inside = np.asarray(~held.all(axis=1))
         squares = self.one and not (self.bonds.stiffness < 0).any()
-        if moves or isinstance(solver, CG):
+        self._rows: CutRows | None = None
+        self._searches = isinstance(solver, CG) or near is not None
+        if moves or self._searches:
             plain = moves or not getattr(solver, "preconditioner", None)
             if not (squares and plain and (not moves or (held == held[:, :1]).all())):
                 what = "simulate: expected" if moves else "solver: expected CG() for"
@@ -91,9 +96,10 @@ class CutSolid(OperatorBase):
                     f"{what} one material with a positive influence function, in motion with nodes "
                     f"held in all components or in none; got {solver}"
                 )
-            self._rows = CutRows(self.model, body, self.neighbour, corrected)
+            if not body.endless:
+                self._rows = CutRows(self.model, body, self.neighbour, corrected)
             return
-        rows = sp.csr_array(self.matrix[self.free])
+        rows = sp.csr_array(self.matrix[~held.ravel()])
         self._problem = direct.MatrixProblem(rows, ~held, factorise=symmetric_factors)
         self.factors = self._problem.factors
         if not squares:
@@ -109,11 +115,6 @@ class CutSolid(OperatorBase):
         if self._rows is not None:
             return self._rows(fields)
         return np.asarray(fields.reshape(len(fields), -1) @ self.matrix).reshape(fields.shape)
-
-    @property
-    def held(self) -> np.ndarray:
-        """Components that are given, [N, d]."""
-        return np.asarray(~self.free.reshape(self.body.x.shape))
 
     @cached_property
     def points(self) -> Points:
@@ -133,47 +134,49 @@ class CutSolid(OperatorBase):
         fields = self.on_all(w)
         return self.times(fields.reshape(-1, *self.shape)).reshape(fields.shape)
 
-    def solve_array(self, b: ArrayLike | None, u: ArrayLike) -> np.ndarray:
-        """u at rest, shape [..., N, d].
+    def solve(self, b: Any, u: Any, solver: Solver = None) -> Solution:
+        """The body at rest.
 
         Args:
-            b: body force density [stress / length], same shape; None for none.
-            u: holds the given components; the others are not looked at.
+            b: body force density [stress / length], shape [..., N, d]; None for none.
+            u: same shape, holds the given components; the others are not looked at.
+            solver: as it was made for.
 
         Raises InputError for other shapes and for what is not finite.
         """
-        one, held = self.body.x.shape, self.held
-        given = np.where(held, checked("u", u, float, (..., *one), held), 0.0)
-        load = np.zeros(given.shape) if b is None else checked("b", b, float, given.shape)
-        load, known = load.reshape(-1, *one), given.reshape(-1, *one)
-        if isinstance(self.solver, CG):
-            return self._searched(load, known, self.solver.tolerance).reshape(given.shape)
-        answer = self._problem.solve(load, known)
-        self.left = self._problem.left
-        return np.asarray(answer.reshape(given.shape))
-
-    def _searched(self, load: np.ndarray, known: np.ndarray, tolerance: float) -> np.ndarray:
-        """The same of fields [S, N, d] by conjugate gradients."""
-        rows: Any = self._rows
-        free = ~self.held
-        scale = free / rows.diagonal
-        search = partial(
-            definite,
-            lambda u: free * rows(u[None])[0],
-            lambda r: r * scale,
-            tolerance=tolerance,
-            hint="; Direct() factorises the operator",
-        )
-        found, records = zip(*map(search, free * (load - rows(known))))
-        self.left = max(record.residual for record in records)
-        return np.asarray(known + np.stack(found))
-
-    def solve(self, b: Any, u: Any, solver: Solver = None) -> Solution:
-        """The Solution of `solve`, of nodes that are not held."""
         refuse_solver(solver, (Direct, CG), "a body with cracks")
-        solved, load = self.solve_array(b, u), np.asarray(b, float)[..., self.inside, :]
-        method = "cg" if isinstance(self.solver, CG) else "lu"
-        return Solution(solved, self.points, self, load, method, measured=self.left)
+        given = np.where(self.held, checked("u", u, float, (..., *self.shape), self.held), 0.0)
+        load = np.zeros(given.shape) if b is None else checked("b", b, float, given.shape)
+        fields = [one.reshape(-1, *self.shape) for one in (load, given)]
+        if self._searches:
+            answer, records = self._searched(*fields)
+            took, left = zip(*((one.iterations, one.residual) for one in records))
+            how: Any = {"method": "cg", "iterations": took, "measured": max(left)}
+        else:
+            answer = self._problem.solve(*fields)
+            how = {"method": "lu", "measured": self._problem.left}
+        inner = load[..., self.inside, :]
+        return Solution(answer.reshape(given.shape), self.points, self, inner, **how)
+
+    def _searched(
+        self, load: np.ndarray, known: np.ndarray
+    ) -> tuple[np.ndarray, list[SolveRecord]]:
+        """The same of fields [S, N, d] by conjugate gradients."""
+        free = ~self.held
+        scale = free / self._rows.diagonal if self._rows else free
+
+        def inverse(r: np.ndarray) -> np.ndarray:
+            z = r * scale
+            if self.factors is not None:
+                z[free] = self.factors.solve(r[free])
+            return z
+
+        product = lambda u: free * self.times(u[None])[0]  # noqa: E731
+        goal = self.solver.tolerance if isinstance(self.solver, CG) else TOLERANCE
+        hint = "; Direct() factorises the operator"
+        rights = free * (load - self.times(known))
+        found, records = zip(*(definite(product, inverse, r, goal, hint=hint) for r in rights))
+        return known + np.stack(found), list(records)
 
     @property
     def learnable(self) -> dict[str, Any]:

@@ -31,7 +31,7 @@ from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.unit_names import check_same
 from warp_peri.protocols import MATERIAL, offered, taken
 from warp_peri.solvers.conjugate_gradients import SolveRecord, norm
-from warp_peri.solvers.motion import Motion
+from warp_peri.solvers.motion import Motion, Run
 from warp_peri.solvers.solution import CG, TOLERANCE, Solution, Solver, refuse_solver
 from warp_peri.solvers.verlet import march
 
@@ -208,8 +208,8 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
     if hasattr(problem, "b") and not isinstance(problem, Cracked):
         with agreed(comm):
             offered(material, "on", "simulate", MATERIAL)
-            (options,) = taken(options, "simulate", march)
-        return march(operator_on(material, piece), problem.b, problem.u, **options)
+            how, files = taken(options, "simulate", march, Run.__init__)
+        return march(operator_on(material, piece), problem.b, problem.u, **how | files)
     with agreed(comm):
         if not isinstance(problem, Cracked) or "step" not in options:
             raise InputError(
@@ -222,7 +222,7 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
             )
         check_same(material.units, piece.units)
         material.linear.check_dimension(piece)
-        how, begin, records, run = options_of_steps(options)
+        how, begin, files, records, run = options_of_steps(options)
     model = material.model
     d = piece.dimension
     build(comm, neighbours.lattice_neighbours, sweep(d).sweep, halves(d).kick_and_drift)
@@ -246,6 +246,6 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
         at_start = {name: here.pop(name) for name in ("u", "v")}
         moving = BreakingBody(material, body, corrected=problem.corrected, **here, **how)
         state = moving.start(**at_start, cracks=problem.cracks, **begin)
-    marching = CrackRun(moving, nodes=halo, **records)
+    marching = CrackRun(moving, nodes=halo, **records | files)
     moving.exchange = halo.exchange
     return marching.motion(marching.march(state, **run))

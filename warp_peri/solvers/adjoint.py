@@ -43,7 +43,7 @@ from warp_peri.points.arguments import Natural, Positive
 from warp_peri.points.arrays import checked
 from warp_peri.protocols import is_tensor, taken
 from warp_peri.solvers import verlet
-from warp_peri.solvers.motion import Motion
+from warp_peri.solvers.motion import Motion, Run
 
 PIECES, BATCH = 8, 16
 """States kept of a motion, and fields whose derivatives to numbers are taken at once."""
@@ -96,11 +96,23 @@ def moved(
 
 def in_motion(operator: Any, b: Any, u: Any, options: dict[str, Any]) -> Motion:
     """The motion of verlet.march; of tensors, or with `parameters`, that of `moved`."""
-    how, learned = taken(options, "simulate", verlet.march, moved)
+    how, files, learned = taken(options, "simulate", verlet.march, Run.__init__, moved)
     fields = b, u, how.get("v"), how.get("signal")
     if "parameters" in learned or any(map(is_tensor, fields)):
-        return moved(operator, b, u, **how | learned)
-    return verlet.march(operator, b, u, **how)
+        return moved(operator, b, u, **how | files | learned)
+    return verlet.march(operator, b, u, **how | files)
+
+
+class _Kept(verlet.WaveRun):
+    """A motion that keeps every so many states, from which displacements are come back to."""
+
+    stretch = 0
+    kept: dict[int, verlet.State]
+
+    def advance(self, state: verlet.State) -> verlet.State:
+        if self.stretch and state.steps % self.stretch == 0:
+            self.kept[state.steps] = state
+        return super().advance(state)
 
 
 class _Waves:
@@ -111,22 +123,17 @@ class _Waves:
 
     def __init__(self, operator: Any, names: list[str], record: Any, options: Any) -> None:
         self.operator, self.names, self.record, self.options = operator, names, record, options
-        self.dt, self.steps, self.every = (options[name] for name in ("step", "steps", "every"))
+        self.dt, self.steps, self.every = options["step"], options["steps"], options.pop("every")
         self.kept: dict[int, verlet.State] = {}
 
     def there(self, *given: np.ndarray) -> list[Any]:
         """u and v [N, d] at the end, and the records [R, n, d] where there are some; of u, v, b, a
         signal and numbers."""
         fields = dict(zip(("u", "v", "b"), given))
-        _, self.body, state = verlet.started(self.operator, fields, given[3], **self.options)
-        stretch = -(-self.steps // PIECES)
-
-        def passed(number: int, state: verlet.State) -> None:
-            if self.keeps and number % stretch == 0:
-                self.kept[number] = state
-
-        sizes = self.dt, self.steps, self.every
-        self.motion = verlet.marched(self.body, state, *sizes, record=self.record, passed=passed)
+        nodes, self.body, state = verlet.started(self.operator, fields, given[3], **self.options)
+        run = _Kept(nodes, self.body, self.dt, self.record, every=self.every)
+        run.kept, run.stretch = self.kept, self.keeps * -(-self.steps // PIECES)
+        self.motion = run.motion(run.march(state, steps=self.steps))
         ends = [self.motion.u, self.motion.v]
         return ends if self.record is None else [*ends, self.motion["u"]]
 
@@ -169,17 +176,17 @@ class _Waves:
         state = self.body.state(end.u, np.asarray(end.v)[free], self.steps)
         yield self.steps, state.u
         size = max(float(np.linalg.norm(one.u)) for one in (state, *self.kept.values()))
-        while state.number:
+        while state.steps:
             state = verlet.step(self.body, state, -self.dt)
-            if (true := self.kept.get(state.number)) is not None:
+            if (true := self.kept.get(state.steps)) is not None:
                 wrong = float(np.linalg.norm(state.u - true.u)) / (size or 1.0)
                 if not wrong <= UNDONE:
                     raise InputError(
                         "simulate: expected a motion that can be run back, got one that comes to "
-                        f"its state at step {state.number} with a relative error of {wrong:.1e}"
+                        f"its state at step {state.steps} with a relative error of {wrong:.1e}"
                     )
                 state = true
-            yield state.number, state.u
+            yield state.steps, state.u
 
 
 def stepped(

@@ -1,15 +1,19 @@
-"""What a motion leaves, whatever the law."""
+"""A motion in steps, and what it leaves, whatever the law."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+from tqdm import tqdm
 
 from warp_peri.errors import InputError
-from warp_peri.points.arguments import typed_methods
+from warp_peri.files.checkpoint import RunFile
+from warp_peri.files.series import TimeSeriesWriter
+from warp_peri.points.arguments import Count, Natural, typed_methods
 from warp_peri.protocols import is_tensor
 
 if TYPE_CHECKING:
@@ -86,6 +90,110 @@ class Motion:
         names = ", ".join(self.history) or "none"
         span = f"{self.time[0]:.4g} to {self.time[-1]:.4g}" if len(self.time) else "no time"
         return f"Motion\n  records    {len(self.time)}, {span}\n  histories  {names}"
+
+
+class Run:
+    """The loop over steps: records, a checkpoint to go on from with the same bits, and files for
+    ParaView.
+
+    A subclass offers, of a state that counts its `steps`: `advance(state)`, the next one;
+    `record(state)`, its time, histories by name, and fields beside u and v for ParaView;
+    `nodal(state)`, arrays on nodes by name, u and v among them; `restored(state, arrays, steps)`
+    of these; and `key(steps)`, marks of what so many steps depend on, by name.
+
+    Args:
+        nodes: of this process, as AllNodes.
+        x: positions of the own ones.
+        every: steps from one record to the next.
+        checkpoint: file to go on from; written every `checkpoint_every` records and at the end.
+        series: folder for ParaView's files, one a record.
+
+    Attributes:
+        history: of each record by name.
+    """
+
+    kind = ""
+    """Of checkpoints."""
+    phase, ends = 0, True
+    """Steps before the first record, and whether the last step is recorded whatever its number."""
+
+    def __init__(
+        self,
+        nodes: Any,
+        x: np.ndarray,
+        *,
+        every: Count = 1,
+        checkpoint: str | os.PathLike[str] | None = None,
+        checkpoint_every: Count = 10,
+        series: str | os.PathLike[str] | None = None,
+    ) -> None:
+        self.every, self.often, self.nodes, self.start = every, checkpoint_every, nodes, ""
+        self.history: dict[str, list[Any]] = {}
+        self.file = None if checkpoint is None else RunFile(checkpoint, self.kind, nodes)
+        of_body = getattr(nodes, "piece", nodes)
+        self.series = None if series is None else TimeSeriesWriter(series, of_body, x)
+
+    def march(self, state: Any, *, steps: Natural, progress: bool = False) -> Any:
+        """March to `steps` steps in all, from the checkpoint if there is one, else from `state`.
+
+        Raises InputError for the checkpoint of another motion, naming what differs, and for fewer
+        steps than the checkpoint or the state has behind it.
+        """
+        run, file = cast(Any, self), self.file
+        if file is not None:
+            if not self.start or state.steps == 0:
+                self.start = self.nodes.mark(*run.nodal(state).values(), state.steps)
+            state = self._resumed(file, state, steps)
+        if state.steps > steps:
+            raise InputError(
+                f"steps: expected at least the {state.steps} that the state has taken, got {steps}"
+            )
+        with tqdm(total=steps, initial=state.steps, disable=not progress, unit="step") as bar:
+            while state.steps < steps:
+                state = run.advance(state)
+                bar.update()
+                last, own = state.steps == steps, self.nodes.own
+                due = (state.steps - self.phase) % self.every == 0 or (last and self.ends)
+                if due:
+                    time, values, fields = run.record(state)
+                    for name, value in values.items():
+                        self.history.setdefault(name, []).append(np.asarray(value).tolist())
+                    if self.series is not None:
+                        nodal = run.nodal(state)
+                        fields |= {"displacement": nodal["u"][own], "velocity": nodal["v"][own]}
+                        self.series.write(state.steps, time, fields)
+                if file and (last or (due and len(self.history["time"]) % self.often == 0)):
+                    arrays = {name: one[own] for name, one in run.nodal(state).items()}
+                    file.write(arrays, self._content(state.steps))
+        return state
+
+    def _content(self, steps: int) -> dict[str, Any]:
+        """What a checkpoint holds beside arrays."""
+        key = cast(Any, self).key(steps) | {"start": self.start}
+        times = {} if self.series is None else self.series.times
+        return {"steps": steps, "key": key, "history": self.history, "files": times}
+
+    def _resumed(self, file: RunFile, state: Any, steps: int) -> Any:
+        """The state to go on from, which is the checkpoint's where there is one."""
+        if (kept := file.read(*cast(Any, self).nodal(state))) is None:
+            return state
+        arrays, content = kept
+        taken, known = content["steps"], content["key"]
+        own = self._content(taken)["key"]
+        if differ := [name for name, mark in own.items() if known.get(name) != mark]:
+            raise InputError(
+                f"{file.path}: expected a checkpoint of this motion, got another's; what differs: "
+                f"{', '.join(differ)}"
+            )
+        if taken > steps:
+            raise InputError(
+                f"{file.path}: expected at least the {taken} steps of the checkpoint, got {steps}; "
+                "name another file for a shorter run"
+            )
+        self.history = content["history"]
+        if self.series is not None:
+            self.series.times = content["files"]
+        return cast(Any, self).restored(state, arrays, taken)
 
 
 def refuse_learning(problem: Any, options: dict[str, Any], verb: str) -> None:

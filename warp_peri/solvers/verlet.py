@@ -5,7 +5,6 @@ The step is bounded by the symbol (theory, 49–51); the energy that leapfrog ke
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -14,22 +13,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError, quietly, warn
-from warp_peri.files.checkpoint import AllNodes, RunFile, agreed, fingerprint
-from warp_peri.files.series import TimeSeriesWriter
+from warp_peri.files.checkpoint import AllNodes, agreed, fingerprint
 from warp_peri.points.arguments import Count, Positive
-from warp_peri.points.arrays import check_positive, check_whole, is_piece
+from warp_peri.points.arrays import check_positive, is_piece
 from warp_peri.points.arrays import checked as read
 from warp_peri.points.lattice import check_lattice
 from warp_peri.points.unit_names import USUAL, Units, factors
 from warp_peri.protocols import offered, stencil_of
 from warp_peri.runtime import shared_by
-from warp_peri.solvers.motion import Motion
+from warp_peri.solvers.motion import Motion, Run
 
 if TYPE_CHECKING:
     from warp_peri.materials.lps_operator import LPSOperator
 
-KIND = "warp_peri.waves"
-"""Of checkpoints."""
 INERTIA = 1e-8
 """1 kg/m³ in TPa ps²/Å²."""
 PROBE, SMALL = np.array([[1.3, -0.7, 2.1], [0.4, 1.9, -1.1], [-2.3, 0.6, 0.9]]), 1e-4
@@ -53,13 +49,13 @@ class State:
         u: displacement of all nodes [Å], shape [N, d].
         v: velocity of the interior nodes [Å/ps], shape [I, d].
         g: L u − b on them [TPa/Å], shape [I, d].
-        number: of steps before it.
+        steps: before it.
     """
 
     u: np.ndarray
     v: np.ndarray
     g: np.ndarray
-    number: int = 0
+    steps: int = 0
 
 
 NO_FORCE = 1e-9
@@ -87,6 +83,7 @@ class Inert:
         interior: nodes that move, shape [N] bool.
         density: ρ [kg/m³].
         load: b on the interior nodes [TPa/Å], shape [I, d].
+        u: displacement of all nodes, shape [N, d]; that of the collar stays.
         signal: s after each step, shape [steps + 1]; None for 1.
 
     Attributes:
@@ -101,6 +98,7 @@ class Inert:
         interior: np.ndarray,
         density: float,
         load: np.ndarray,
+        u: np.ndarray,
         signal: np.ndarray | None = None,
     ) -> None:
         self.operator, self.interior, self.load, self.signal = operator, interior, load, signal
@@ -109,6 +107,7 @@ class Inert:
         self.inertia = inertia(density, operator.model.units) * share
         self.dot: Callable[[np.ndarray, np.ndarray], float] = np.vdot
         self.count = int(np.count_nonzero(interior))
+        self.held = operator(np.where(interior[:, None], 0.0, u))  # what the collar pulls
         self.floats = False
 
     def on_all(self, inner: np.ndarray) -> np.ndarray:
@@ -117,28 +116,28 @@ class Inert:
         field[self.interior] = inner
         return field
 
-    def share(self, number: int) -> float:
+    def share(self, steps: int) -> float:
         """s after so many steps."""
-        return 1.0 if self.signal is None else float(self.signal[number])
+        return 1.0 if self.signal is None else float(self.signal[steps])
 
-    def state(self, u: np.ndarray, v: np.ndarray, number: int = 0) -> State:
+    def state(self, u: np.ndarray, v: np.ndarray, steps: int = 0) -> State:
         """The state with displacement [N, d] and velocity [I, d] after so many steps."""
-        return State(u, v, self.operator(u) - self.share(number) * self.load, number)
+        return State(u, v, self.operator(u) - self.share(steps) * self.load, steps)
 
-    def potential(self, before: State, after: State, held: np.ndarray) -> float:
+    def potential(self, before: State, after: State) -> float:
         """Halfway in a step, per volume of a node, up to what never changes: of a linear force what
-        leapfrog keeps (52), of others the mean of both ends. `held` is the collar's own force."""
+        leapfrog keeps (52), of others the mean of both ends."""
         operator: Any = self.operator
         free, load = self.interior, self.load
         if getattr(operator, "is_linear", True):
-            constant = held - self.share(before.number) * load  # g at u = 0
+            constant = self.held - self.share(before.steps) * load  # g at u = 0
             inner = before.u[free]
             along = inner.mean(axis=0) if self.floats else 0.0  # with which only rounding grows
             left = self.dot(inner - along, after.g) + self.dot(constant, after.u[free] + along)
             return left / 2
         volume, total = operator.points.spacing**operator.points.dimension, 0.0
         for one in (before, after):
-            work = self.share(one.number) * self.dot(load, one.u[free])
+            work = self.share(one.steps) * self.dot(load, one.u[free])
             total += float(operator.energy(one.u)) / volume - work
         return total / 2
 
@@ -154,8 +153,8 @@ def step(body: Inert, state: State, dt: float) -> State:
     half = state.v - dt / (2 * body.inertia) * state.g
     u = state.u.copy()
     u[body.interior] += dt * half
-    moved = body.state(u, half, state.number + (1 if dt > 0 else -1))
-    return State(u, half - dt / (2 * body.inertia) * moved.g, moved.g, moved.number)
+    moved = body.state(u, half, state.steps + (1 if dt > 0 else -1))
+    return State(u, half - dt / (2 * body.inertia) * moved.g, moved.g, moved.steps)
 
 
 def march(
@@ -167,12 +166,9 @@ def march(
     density: Positive,
     step: Positive,
     steps: Count,
-    every: Count = 1,
     record: ArrayLike | None = None,
     signal: ArrayLike | None = None,
-    checkpoint: str | os.PathLike[str] | None = None,
-    checkpoint_every: Count = 10,
-    series: str | os.PathLike[str] | None = None,
+    **files: Any,
 ) -> Motion:
     """March ρ ü = b − L u on the interior; the collar stays where it is.
 
@@ -188,12 +184,10 @@ def march(
         density: ρ [kg/m³].
         step: Δt [ps], at most the critical one.
         steps: number of steps.
-        every: steps from one record to the next.
         record: nodes whose displacement is recorded, numbers [n] or [N] bool.
         signal: what the load is multiplied by before the first and after each step, shape
             [steps + 1]; 1 by default. The energy is then conserved only while it is constant.
-        checkpoint: file to go on from; written every `checkpoint_every` records and at the end.
-        series: folder for a file of each record, for ParaView.
+        files: every, checkpoint, checkpoint_every and series, as of Run.
 
     Returns:
         A motion whose time [ps] is half a step after each `every` steps, and whose energy is what
@@ -203,17 +197,15 @@ def march(
     Raises InputError for scattered points, arrays that do not fit, a step that is too long, which
     says how long it may be, the checkpoint of another motion, and one beside a record.
     """
-    sizes: Any = {"density": density, "step": step, "steps": steps, "every": every}
-    nodes, body, state = started(operator, {"u": u, "v": v, "b": b}, signal, **sizes)
+    nodes, body, state = started(
+        operator, {"u": u, "v": v, "b": b}, signal, density=density, step=step, steps=steps
+    )
     with agreed(nodes.comm):
-        check_whole("checkpoint_every", checkpoint_every, 1)
-        if not (checkpoint is None or record is None):
+        if not (files.get("checkpoint") is None or record is None):
             raise InputError("record: expected none beside a checkpoint, which does not hold it")
         seen = recorded_nodes(record, len(body.interior))
-    kept = KeptMotion(nodes, body, step, every, checkpoint, checkpoint_every)
-    if series is not None:
-        kept.series = TimeSeriesWriter(series, nodes, operator.points.x)
-    return marched(body, state, step, int(steps), int(every), kept, seen)
+    run = WaveRun(nodes, body, step, seen, **files)
+    return run.motion(run.march(state, steps=steps))
 
 
 def started(
@@ -224,7 +216,6 @@ def started(
     density: float,
     step: float,
     steps: int,
-    every: int,
 ) -> tuple[Any, Inert, State]:
     """Nodes of this process, what moves and its start, after the checks of `march`.
 
@@ -239,9 +230,6 @@ def started(
             name: np.zeros(shape) if field is None else read(name, field, float, shape).copy()
             for name, field in fields.items()
         }
-        check_positive("step", step)
-        steps = check_whole("steps", steps, 1)
-        check_whole("every", every, 1)
         signal = None if signal is None else read("signal", signal, float, (steps + 1,))
     allowed = bool(getattr(operator, "allowed", False))
     with shared_by(nodes.comm), quietly(allowed):  # the operator says it once
@@ -254,7 +242,7 @@ def started(
             "ps, at which waves may grow without bound"
         )
     free = points.interior
-    body = Inert(operator, free, density, start["b"][free], signal)
+    body = Inert(operator, free, density, start["b"][free], start["u"], signal)
     if nodes is points:
         body.dot, body.count = points.dot, int(nodes.comm.allreduce(body.count))
     elif free.all():
@@ -279,113 +267,75 @@ def recorded_nodes(record: ArrayLike | None, count: int) -> np.ndarray | None:
         raise InputError(f"record: expected nodes among {count}: {error}") from None
 
 
-def marched(
-    body: Inert,
-    state: State,
-    dt: float,
-    steps: int,
-    every: int,
-    kept: KeptMotion | None = None,
-    record: np.ndarray | None = None,
-    passed: Callable[[int, State], None] | None = None,
-) -> Motion:
-    """A loop over steps, with the energy (52) halfway in every so many of them.
-
-    `kept` may begin later, and sees each record and the end; `record` are numbers of nodes;
-    `passed` is told each state by the steps before it.
-    """
-    free, inertia, dot = body.interior, body.inertia, body.dot
-    still = np.where(free[:, None], 0.0, state.u)
-    held = body.operator(still)  # what the collar pulls
-    begin, energy, seen, bent = 0, list[float](), list[np.ndarray](), 0.0
-    operator: Any = body.operator
-    if kept is not None:
-        state, begin, energy = kept.begun(state, steps)
-    for number in range(begin, steps):
-        if passed is not None:
-            passed(number, state)
-        before, state = state, step(body, state, dt)
-        recorded = number % every == 0
-        if recorded:
-            half = state.v + dt / (2 * inertia) * state.g
-            kinetic = dot(inertia / 2 * half, half)
-            energy.append((kinetic + body.potential(before, state, held)) / body.count)
-            if hasattr(operator, "largest_gradient"):
-                bent = max(bent, float(operator.largest_gradient(state.u)))
-            if record is not None:
-                seen.append((before.u[record] + state.u[record]) / 2)
-        if kept is not None and (recorded or number + 1 == steps):
-            kept.reached(number + 1, state, energy, recorded=recorded, last=number + 1 == steps)
-    if not np.isfinite(state.u).all():
-        raise InputError(f"step: the motion grew without bound in {steps} steps; shorten it")
-    time = (np.arange(len(energy)) * every + 0.5) * dt
-    history = {"energy": np.array(energy)} | ({} if record is None else {"u": np.array(seen)})
-    if bent and bent > (proven := operator.model.proven_strain(operator.points.spacing)) > 0:
-        told = f"strain: the step is stable up to |H| = {proven:.2%}, the motion went to {bent:.2%}"
-        warn(told)
-    return Motion(time, state.u, body.on_all(state.v), history)
-
-
-class KeptMotion:
-    """Files of a motion: a checkpoint, and records for ParaView.
+class WaveRun(Run):
+    """A motion whose records are the energy (52) halfway in every so many steps.
 
     Args:
         nodes: of this process, as AllNodes.
         body: what moves.
-        dt, every: Δt, and steps from one record to the next.
-        checkpoint: file to go on from; written every `often` records and at the end.
-
-    Attributes:
-        series: of the records, where they are asked for.
+        dt: Δt.
+        seen: numbers of the nodes whose displacement is recorded.
+        files: the other arguments of Run.
     """
 
+    kind, phase, ends = "warp_peri.waves", 1, False
+
     def __init__(
-        self, nodes: Any, body: Inert, dt: float, every: int, checkpoint: Any, often: int
+        self, nodes: Any, body: Inert, dt: float, seen: np.ndarray | None = None, **files: Any
     ) -> None:
-        self.nodes, self.body, self.dt, self.every, self.often = nodes, body, dt, every, often
-        self.file = None if checkpoint is None else RunFile(checkpoint, KIND, nodes)
-        self.series: TimeSeriesWriter | None = None
-        self._mark = ""
+        super().__init__(nodes, body.operator.points.x, **files)
+        self.body, self.dt, self.seen = body, dt, seen
+        self.records, self.bent = list[np.ndarray](), 0.0
 
-    def begun(self, state: State, steps: int) -> tuple[State, int, list[float]]:
-        """The state to go on from, the steps behind it, and the energies so far.
+    def advance(self, state: State) -> State:
+        self.before = state
+        return step(self.body, state, self.dt)
 
-        Raises InputError for the checkpoint of another motion, and one that is further.
-        """
-        if self.file is None:
-            return state, 0, []
-        body, v = self.body, self.body.on_all(state.v)
-        of: Any = body.operator
-        x, h = of.points.x, of.points.spacing
-        probe = SMALL * h * np.sin(x @ PROBE[: x.shape[1], : x.shape[1]] / h)
-        felt = of(state.u + probe) - body.load  # of the law, cracks, moduli of nodes
-        known = fingerprint(of.model, of.points.units, of.points.axis, body.signal)
-        sizes = self.dt, body.inertia, self.every
-        self._mark = self.nodes.mark(state.u, v, body.on_all(felt), x, body.interior, *sizes, known)
-        if (kept := self.file.read("u", "v")) is None:
-            return state, 0, []
-        arrays, values = kept
-        if values["mark"] != self._mark:
-            raise InputError(f"{self.file.path}: expected a checkpoint of this motion")
-        if values["steps"] > steps:
+    def record(self, state: State) -> tuple[float, dict[str, Any], dict[str, Any]]:
+        body, before, operator = self.body, self.before, self.body.operator
+        half = state.v + self.dt / (2 * body.inertia) * state.g
+        energy = body.dot(body.inertia / 2 * half, half) + body.potential(before, state)
+        if hasattr(operator, "largest_gradient"):
+            self.bent = max(self.bent, float(operator.largest_gradient(state.u)))
+        if self.seen is not None:
+            self.records.append((before.u[self.seen] + state.u[self.seen]) / 2)
+        values = {"time": (before.steps + 0.5) * self.dt, "energy": energy / body.count}
+        return state.steps * self.dt, values, {}
+
+    def nodal(self, state: State) -> dict[str, np.ndarray]:
+        return {"u": state.u, "v": self.body.on_all(state.v)}
+
+    def restored(self, state: State, arrays: dict[str, np.ndarray], steps: int) -> State:
+        return self.body.state(arrays["u"], arrays["v"][self.body.interior], steps)
+
+    def key(self, steps: int) -> dict[str, str]:
+        body, of, points = self.body, self.body.operator, self.body.operator.points
+        (d, d), h = 2 * points.x.shape[1:], points.spacing
+        felt = of(SMALL * h * np.sin(points.x @ PROBE[:d, :d] / h)) - body.load  # cracks, moduli
+        known = fingerprint(of.model, points.units, points.axis, body.inertia)
+        return {
+            "law, load": self.nodes.mark(body.on_all(felt), points.x, body.interior) + known,
+            "signal": fingerprint(body.signal),
+            "step": fingerprint(self.dt, self.every),
+        }
+
+    def motion(self, state: State) -> Motion:
+        """What has been recorded, and the end. Raises InputError for one that has grown without
+        bound; warns of strains that the step is not proven for."""
+        if not np.isfinite(state.u).all():
             raise InputError(
-                f"{self.file.path}: expected at least the {values['steps']} steps of the "
-                f"checkpoint, got {steps}; name another file for a shorter run"
+                f"step: the motion grew without bound in {state.steps} steps; shorten it"
             )
-        if self.series is not None:
-            self.series.times = values["files"]
-        there = body.state(arrays["u"], arrays["v"][body.interior], values["steps"])
-        return there, values["steps"], values["energy"]
-
-    def reached(
-        self, done: int, state: State, energy: list[float], *, recorded: bool, last: bool
-    ) -> None:
-        """After so many steps: a record, or the end."""
-        nodal = {"u": state.u, "v": self.body.on_all(state.v)}
-        if self.series is not None and recorded:
-            fields = {"displacement": nodal["u"], "velocity": nodal["v"]}
-            self.series.write(done, done * self.dt, fields)
-        if self.file is not None and (last or len(energy) % self.often == 0):
-            values = {"mark": self._mark, "steps": done, "energy": energy}
-            times = {} if self.series is None else self.series.times
-            self.file.write(nodal, values | {"files": times})
+        operator: Any = self.body.operator
+        history = {name: np.array(one) for name, one in self.history.items()}
+        time = history.pop("time")
+        if self.seen is not None:
+            history["u"] = np.array(self.records)
+        if self.bent:
+            proven = operator.model.proven_strain(operator.points.spacing)
+            if self.bent > proven > 0:
+                warn(
+                    f"strain: the step is stable up to |H| = {proven:.2%}, the motion went to "
+                    f"{self.bent:.2%}"
+                )
+        return Motion(time, state.u, self.body.on_all(state.v), history)
