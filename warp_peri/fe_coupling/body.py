@@ -92,7 +92,7 @@ class BodySolution:
         """σ [TPa] at the unknown nodes of the bulk, shape [I, d, d]."""
         if not isinstance(self.problem, Schwarz):
             return np.zeros((0, self.rim.d, self.rim.d))
-        return self.problem.bulk.stress(self.u_bulk)
+        return np.asarray(self.problem.bulk.stress(self.u_bulk))
 
     def on_corners(self) -> tuple[np.ndarray, np.ndarray]:
         """u [Å], shape [P, d], and σ [TPa], shape [P, d, d], at the mesh's corners.

@@ -218,7 +218,7 @@ class Rim:
         return (means.T / np.bincount(nodes.ravel())).T.reshape(-1, self.d, self.d)
 
 
-class RimProblem(LinearOperator):
+class RimProblem(LinearOperator):  # type: ignore[misc]
     """K u = f with some displacements given, factorised once: a linear map from (f, given), flat
     [2 d n], to u, flat [d n].
 

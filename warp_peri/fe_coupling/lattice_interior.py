@@ -81,7 +81,7 @@ def check_extent(mesh: Mesh, spacing: float, units: Units = USUAL) -> None:
         )
 
 
-class Bulk(LinearOperator):
+class Bulk(LinearOperator):  # type: ignore[misc]
     """L u = b on the unknown nodes of a linear material: a linear map from b there and u on the
     collar, flat [d (I + C)], to u there, flat [d I].
 
@@ -120,8 +120,8 @@ class Bulk(LinearOperator):
         return float(left / (right or 1.0))
 
     def _matvec(self, q: np.ndarray) -> np.ndarray:
-        b, collar = (part.reshape(-1, self.points.dimension)
-                     for part in np.split(q.ravel(), self.shape[:1]))  # fmt: skip
+        u = q.reshape(-1, self.points.dimension)
+        b, collar = np.split(u, [len(self.inside)])
         return self._solved(b - self.linear(self.joined(0 * b, collar)[None])[0])
 
     def _rmatvec(self, by: np.ndarray) -> np.ndarray:
@@ -130,7 +130,7 @@ class Bulk(LinearOperator):
 
     def _solved(self, right: np.ndarray) -> np.ndarray:
         """L_II⁻¹ of a right-hand side [I, d], well within the accuracy."""
-        return self._inverse(right, min(LOOSEST, SHARE * self.accuracy)).ravel()
+        return np.ravel(self._inverse(right, min(LOOSEST, SHARE * self.accuracy)))
 
 
 def cubic(points: Points, x: np.ndarray) -> sp.csr_array:

@@ -166,7 +166,7 @@ class CutSolid(OperatorBase):
         scale = free / self._rows.diagonal if self._rows else free
 
         def inverse(r: np.ndarray) -> np.ndarray:
-            z = r * scale
+            z: np.ndarray = r * scale
             if self.factors is not None:
                 z[free] = self.factors.solve(r[free])
             return z
