@@ -110,20 +110,6 @@ def test_bad_input_is_named(model, change, message):
         solve_body(model, plate(RADIUS, HALF, 8, 32), **asked)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"degree": 3}, "degree: expected 1 or 2"),
-        ({"spacing": 0.0}, "spacing: expected a lattice spacing > 0"),
-        ({"overlap": np.nan}, "overlap: expected a finite number"),
-        ({"tolerance": "fine"}, "tolerance: expected a finite number"),
-    ],
-)
-def test_a_coupling_that_cannot_be(change, message):
-    with pytest.raises(InputError, match=message):
-        Coupling(**change)
-
-
 def test_elements_reach_as_deep_as_asked(model):
     """Beyond a collar, and no less than that where less is asked for."""
     field, mesh, found = exact(model), plate(RADIUS, HALF, 16, 80), []

@@ -18,16 +18,16 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 22_489,
-    "tokens": 272_007,
-    "lines of warp_peri": 37_716,
-    "lines of kernels": 1_125,
-    "lines of warp_peri, kernels, examples and tools": 51_178,
+    "code lines": 22_159,
+    "tokens": 268_194,
+    "lines of warp_peri": 37_260,
+    "lines of kernels": 1_014,
+    "lines of warp_peri, kernels, examples and tools": 50_606,
     "lines of the longest file": 651,
     "lines of the longest function": 91,
-    "parameters of one function": 13,
+    "parameters of one function": 11,
     "characters of the longest string": 1_728,
-    "class names twice": 0,
+    "class names twice": 1,
     "imports of warp_peri inside functions": 9,
     "asserts in warp_peri": 0,
 }
@@ -35,19 +35,19 @@ BUDGET = {
 ROOMS = {
     "atoms": 2677,
     "cli": 1052,
-    "core": 1690,
+    "core": 1666,
     "diffusion": 257,
     "face": 948,
     "fe_coupling": 753,
     "files": 544,
     "fitting": 1307,
-    "fracture": 1738,
-    "materials": 5840,
+    "fracture": 1623,
+    "materials": 5613,
     "neural": 839,
-    "points": 1706,
+    "points": 1707,
     "prediction": 755,
     "mpi": 881,
-    "solvers": 1502,
+    "solvers": 1537,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)
