@@ -15,7 +15,8 @@ lost bonds (40–41), and bent_back is minus that of the bond back. A broken bon
 end[e] = 0, and is 0.
 
 A piece is (first place, first number, count): count ≤ LANES nodes that follow one another in places
-and in their numbering. Lanes beyond the count compute what nobody keeps.
+and in their numbering. Lanes beyond the count compute what nobody keeps. plain.py has the same of
+lists in Warp's own words.
 """
 
 from functools import cache
@@ -25,8 +26,8 @@ import warp as wp
 
 from warp_peri.kernels.bonds import shared, unpacked
 
-LANES = 16
-"""Of double precision: two of the widest registers."""
+BYTES = 128
+"""Of all lanes together: two of the widest registers."""
 
 PLACE = """
     typedef double V VECTOR;
@@ -167,10 +168,10 @@ SLOPES = """
 
 
 @cache
-def struct(dimension):
+def struct(scalar, dimension):
     """What a sweep reads: bonds, stiffnesses, moduli."""
-    vec, wide = (wp.types.vector(d, wp.float64) for d in (dimension, dimension + 1))
-    ints, numbers = wp.array(dtype=wp.int32), wp.array(dtype=wp.float64)
+    vec, wide = (wp.types.vector(d, scalar) for d in (dimension, dimension + 1))
+    ints, numbers = wp.array(dtype=wp.int32), wp.array(dtype=scalar)
 
     @wp.struct
     class Law:
@@ -188,9 +189,10 @@ def struct(dimension):
 
 
 @cache
-def sweeps(dimension, *, lattice, fields):
+def sweeps(scalar, dimension, *, lattice, fields):
     """The kernels, for lattices or lists of bonds, with moduli as numbers or as fields."""
-    Law, lanes = struct(dimension), LANES if lattice else 1
+    Law, most = struct(scalar, dimension), BYTES // wp.types.type_size_in_bytes(scalar)
+    lanes = most if lattice else 1
     vector = "__attribute__((ext_vector_type(LANES), aligned(sizeof(double))))"
     words = {
         "DENSITY": DENSITY[lattice], "BENT": BENT[fields],
@@ -198,10 +200,10 @@ def sweeps(dimension, *, lattice, fields):
         "PAIRS": PAIRS, "BONDS": BONDS, "VECTOR": vector if lattice else "",
         "COUNT": "piece.c[2]" if lattice else "1", "FAMILY": "0" if lattice else "base",
         "APART": "theta.shape[1]" if lattice else "1", "NODE": "1" if lattice else "DIM",
-        "BULK(0)": "number_at(bulk_at, 0)" if fields else "1.0",
-        "BULK(to)": "number_at(bulk_at, to)" if fields else "1.0",
-        "BULK(-to)": "number_at(bulk_at, -to)" if fields else "1.0",
-        "WHOLE": "1.0" if fields else "bulk.data[0]",
+        "BULK(0)": "number_at(bulk_at, 0)" if fields else "double(1)",
+        "BULK(to)": "number_at(bulk_at, to)" if fields else "double(1)",
+        "BULK(-to)": "number_at(bulk_at, -to)" if fields else "double(1)",
+        "WHOLE": "double(1)" if fields else "bulk.data[0]",
         "MEAN(to)": "(number_at(mu_at, 0) + number_at(mu_at, to))" if fields
         else "(2 * mu.data[0])",
         "MEAN(-to)": "(number_at(mu_at, 0) + number_at(mu_at, -to))",
@@ -216,25 +218,26 @@ def sweeps(dimension, *, lattice, fields):
             text = text.replace(word, meaning)
         if lattice:
             text = text.replace("FORWARD", "true").replace("FAR", "k")
-            half = text.replace("LANES", str(LANES // 2))
-            return f"if (piece.c[2] > {LANES // 2}) {{{text}}} else {{{half}}}"
+            half = text.replace("LANES", str(most // 2))
+            return f"if (piece.c[2] > {most // 2}) {{{text}}} else {{{half}}}"
         forward = text.replace("FORWARD", "true").replace("FAR", "k")
         back = text.replace("FORWARD", "false").replace("FAR", "far.data[e]")
         return f"if (far.shape[0] == 0) {{{forward}}} else {{{back}}}"
 
     def native(text):
-        text = text.replace("LANES", str(LANES)).replace("DIM", str(dimension))
+        text = text.replace("LANES", str(most)).replace("DIM", str(dimension))
+        text = text.replace("double", f"wp::{scalar.__name__}")
         return wp.func_native(unpacked(Law) + text)
 
     phases = {"laid": LAID, "needed": either(DILATATION[lattice]), "asked": either(OWN + FORCE)}
-    swept = _swept(Law, native(shared("planes.shape[0]", **phases)))
-    slopes = _slopes(Law, native(either(OWN + SLOPES)))
+    swept = _swept(scalar, Law, native(shared("planes.shape[0]", **phases)))
+    slopes = _slopes(scalar, Law, native(either(OWN + SLOPES)))
     return SimpleNamespace(lanes=lanes, swept=swept, slopes=slopes)
 
 
-def _swept(Law, body):
+def _swept(scalar, Law, body):
     """Fields by number into planes; of these dilatations by place, of both forces by number."""
-    pieces, table = wp.array(dtype=wp.vec3i), wp.array2d(dtype=wp.float64)
+    pieces, table = wp.array(dtype=wp.vec3i), wp.array2d(dtype=scalar)
 
     @body
     def share(
@@ -266,8 +269,8 @@ def _swept(Law, body):
     return swept
 
 
-def _slopes(Law, body):
-    table, array = wp.array2d(dtype=wp.float64), wp.array(dtype=wp.float64)
+def _slopes(scalar, Law, body):
+    table, array = wp.array2d(dtype=scalar), wp.array(dtype=scalar)
 
     @body
     def add(

@@ -24,8 +24,9 @@ from tests.support.problems import (
 )
 from tests.support.symbols import symbol
 from warp_peri import InputError, Points
+from warp_peri.kernels.lps.plain import plain
 from warp_peri.materials.lps import lps_stencil, moduli
-from warp_peri.materials.lps_force import Bonds, lps_force
+from warp_peri.materials.lps_force import Bonds, Law, lps_force
 from warp_peri.materials.lps_matrices import matrices
 from warp_peri.methods import LPSParameters
 from warp_peri.points.families import bond_classes, families_of
@@ -77,8 +78,9 @@ class Problem:
     """A scalar of L u, of first and second order, as a function of everything; λ and μ are numbers,
     or fields."""
 
-    def __init__(self, name, points, samples=2, *, fields=False):
-        self.bonds, random = Bonds(points, HORIZON), np.random.default_rng(1)
+    def __init__(self, name, points, samples=2, *, fields=False, precision="float64"):
+        self.bonds, random = Bonds(points, HORIZON, precision=precision), np.random.default_rng(1)
+        self.dtype = getattr(torch, precision)
         self.seed = torch.from_numpy(noise(points, samples, seed=4)[:, points.interior])
         values = {"u": noise(points, samples), "lam": LAM, "mu": MU, **KERNELS[name]}
         if fields:
@@ -91,7 +93,8 @@ class Problem:
 
     def gathered(self):
         """Derivatives by name, and the force."""
-        given = [torch.tensor(v, requires_grad=True) for v in self.leaves.values()]
+        values = self.leaves.values()
+        given = [torch.tensor(v, dtype=self.dtype, requires_grad=True) for v in values]
         with torch.no_grad():
             force = lps_force(self.bonds, *given)
         gradients = torch.autograd.grad(self.scalar(*given), given)
@@ -195,15 +198,44 @@ def test_an_operator_with_fields_is_symmetric_on_a_period():
         assert error(operator(u).ravel(), operator.matrix() @ u.ravel()) < 10 * ROUNDING
 
 
+@pytest.mark.parametrize("precision", ["float64", "float32"])
 @pytest.mark.parametrize("kind", SETS)
-def test_rows_are_the_lists_of_neighbours(kind, monkeypatch):
-    rows = Problem("sign-changing", SETS[kind](), samples=3)
+def test_rows_are_the_lists_of_neighbours(kind, precision, monkeypatch):
+    given = {"samples": 3, "precision": precision}
+    rows = Problem("sign-changing", SETS[kind](), **given)
     assert rows.bonds.layout.in_rows
     by_rows = rows.gathered()
     monkeypatch.setattr(Bonds, "_rows", lambda _: None)
-    for part, by_lists in Problem("sign-changing", SETS[kind](), samples=3).gathered().items():
+    for part, by_lists in Problem("sign-changing", SETS[kind](), **given).gathered().items():
         parts = 30 if part in ("u", "force") else 1e3
-        assert error(by_rows[part], by_lists) < parts * np.finfo(float).eps, part
+        assert error(by_rows[part], by_lists) < parts * np.finfo(precision).eps, part
+
+
+class PlainLaw(Law):
+    """The sweeps bond by bond, in Warp's own words."""
+
+    def launched(self, name, piece, of, *fields):
+        kernel = getattr(plain(self.bonds.scalar, self.bonds.dimension), name)
+        nodes = self.bonds.layout.pieces[piece]
+        dim = (len(fields[0]), len(nodes)) if name != "slopes" else len(nodes)
+        wp.launch(kernel, dim=dim, inputs=[nodes, of, *map(self.bonds.floats, fields)])
+
+    def _sweep(self, of, pieces, values, planes, theta, vectors):
+        self.launched("dilatation", pieces[1], of, planes, theta)
+        self.launched("force", pieces[2], of, planes, theta, vectors)
+
+    def _slopes(self, *fields):
+        self.launched("slopes", "whole", self.back, *fields)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("fields", [False, True])
+def test_sweeps_are_those_in_plain_words(kind, fields, monkeypatch):
+    monkeypatch.setattr(Bonds, "_rows", lambda _: None)
+    swept = Problem("sign-changing", KINDS[kind](), fields=fields).gathered()
+    monkeypatch.setattr("warp_peri.materials.lps_force.Law", PlainLaw)
+    for part, by in Problem("sign-changing", KINDS[kind](), fields=fields).gathered().items():
+        assert error(swept[part], by) <= 1e-12, part
 
 
 def test_nodes_in_no_order_or_far_apart_or_beside_a_crack_stay_in_their_lists():

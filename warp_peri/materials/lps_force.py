@@ -25,7 +25,7 @@ from warp_peri.core.torch_bridge import once, refuse_tangents
 from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.lps.influence import influence
-from warp_peri.kernels.lps.sweeps import LANES, struct, sweeps
+from warp_peri.kernels.lps.sweeps import BYTES, struct, sweeps
 from warp_peri.materials.lps import CANCELLED, LPSMaterial, on_nominal_lattice
 from warp_peri.points.families import families_of
 from warp_peri.points.quadrature import DEGREE
@@ -86,8 +86,10 @@ class Bonds:
         horizon: δ [Å].
         bond_based: λ = μ, of which no dilatation is seen: a collar of δ is enough.
         quadrature_degree: of the polynomials that the weights are exact for.
+        precision: of the sweeps, "float64" or "float32".
 
     Attributes:
+        dtype, scalar: types of numbers in this precision, of NumPy and of Warp.
         families: families of all nodes.
         nodes, dimension: their number N, and 2 or 3.
         ready: launches and planes that nobody uses.
@@ -103,7 +105,9 @@ class Bonds:
         *,
         bond_based: bool = False,
         quadrature_degree: int = DEGREE,
+        precision: str = "float64",
     ) -> None:
+        self.dtype, self.scalar = np.dtype(precision), getattr(wp, precision)
         self.points, self.horizon, self.bond_based = nodes_of(points), float(horizon), bond_based
         self.nodes, self.dimension = points.x.shape
         self.families = families_of(
@@ -165,8 +169,9 @@ class Bonds:
         if box is not None:
             node = np.pad(node[inside], ring, mode="wrap")
         stride = np.append(np.cumprod(node.shape[:0:-1])[::-1], 1)
+        lanes = BYTES // self.dtype.itemsize
         room = (
-            reach * int(stride.sum()) + LANES
+            reach * int(stride.sum()) + lanes
         )  # for bonds off the box, and the last piece's lanes
         home = room + (grid + ring) @ stride
         seen = np.zeros(node.shape, bool)  # near enough to have its family, of images too
@@ -185,13 +190,22 @@ class Bonds:
             "nodes": (home, np.arange(self.nodes)),
             "whole": (home[families.whole],),
         }
-        pieces = {name: _pieces(at[0], at[-1], LANES) for name, at in of.items()}
+        pieces = {name: _pieces(at[0], at[-1], lanes) for name, at in of.items()}
         if SHORT * len(pieces["nodes"]) > self.nodes:
             return None
         pairs = np.minimum(np.arange(len(steps)), families.reverse).argsort(kind="stable")
         bonds = _bond(families.pattern[pairs]), families.lattice.bond_class[pairs]
         ends = np.array([0, len(steps)]), steps[pairs] @ stride
         return Layout(True, *ends, *bonds, node, home, pieces)
+
+    def floats(self, values: Any, components: int = 0) -> wp.array[Any]:
+        """A Warp array of numbers, or of vectors, in this precision."""
+        dtype = wp.types.vector(components, self.scalar) if components else self.scalar
+        return floats(np.ascontiguousarray(values, self.dtype), dtype)
+
+    def zeros(self, *shape: int) -> np.ndarray:
+        """An array of zeros in this precision."""
+        return np.zeros(shape, self.dtype)
 
     def influence(self, alpha: ArrayLike, D: ArrayLike, by: Any = None) -> Any:
         """K W of each class, [C]; with derivatives of a scalar to it those to α and D, by Warp's
@@ -341,7 +355,7 @@ class Law:
         else:
             self.kw, self.m, self.own = known.kw, known.m, known.own
         of = {"lattice": layout.in_rows, "fields": self.fields}
-        self.kernels: Any = sweeps(bonds.dimension, **of)
+        self.kernels: Any = sweeps(bonds.scalar, bonds.dimension, **of)
 
     @cached_property
     def forward(self) -> Any:
@@ -350,11 +364,12 @@ class Law:
         if self.fields:  # one value a place
             every = (np.append(np.broadcast_to(one, bonds.nodes), 0.0) for one in moduli)
             moduli = tuple(one[layout.node] for one in every)
-        wide, vec = (wp.types.vector(d, wp.float64) for d in (bonds.dimension + 1, bonds.dimension))
-        bent = layout.bond[:0, :-1] if layout.in_rows else bonds.bent(self.kw, self.own)
+        d, in_rows = bonds.dimension, layout.in_rows
+        bent = layout.bond[:0, :-1] if in_rows else bonds.bent(self.kw, self.own)
         return filled(
-            struct(bonds.dimension), ints(layout.row), ints(layout.end), floats(layout.bond, wide),
-            floats(self.own), *map(floats, moduli), floats(np.ascontiguousarray(bent), vec),
+            struct(bonds.scalar, d), ints(layout.row), ints(layout.end),
+            bonds.floats(layout.bond, d + 1), *map(bonds.floats, (self.own, *moduli)),
+            bonds.floats(bent, d),
         )  # fmt: skip
 
     @cached_property
@@ -367,9 +382,10 @@ class Law:
         if families.lattice is not None:
             reverse = families.row[end] + np.tile(reverse, bonds.nodes)
         reverse = np.where(end < 0, np.arange(len(end)), reverse)  # where all is 0
-        known = [getattr(of, name) for name in struct(bonds.dimension).vars][:7]
-        far, bent = floats(self.own[reverse]), floats(-of.bent.numpy()[reverse], of.bent.dtype)
-        return filled(struct(bonds.dimension), *known, far, bent)
+        Form, bent = struct(bonds.scalar, bonds.dimension), -of.bent.numpy()[reverse]
+        known = [getattr(of, name) for name in Form.vars][:7]
+        far = bonds.floats(self.own[reverse])
+        return filled(Form, *known, far, bonds.floats(bent, bonds.dimension))
 
     def _sweep(self, of: Any, pieces: Sequence[str | None], *fields: np.ndarray) -> None:
         """Lays out, finds dilatations, then forces, on the pieces of these names, None for none; of
@@ -380,7 +396,7 @@ class Law:
         try:
             shared, ends, last = ready.pop()
         except IndexError:
-            known, last = [floats(one).__ctype__() for one in fields], of
+            known, last = [bonds.floats(one).__ctype__() for one in fields], of
             ends = [type(one).from_buffer_copy(one) for one in known]
             nodes: list[Any] = [bonds.layout.pieces[name] for name in pieces]
             work = sum(map(len, nodes)) * samples * max(1, self.kernels.lanes // FASTER)
@@ -398,13 +414,14 @@ class Law:
         """L u, with the displacement as sweeps read it and dilatations by place, which a gradient
         reads; these are the caller's, unless they are not `kept`."""
         bonds, layout, size = self.bonds, self.bonds.layout, len(u)
-        Lu, d = np.empty((size, bonds.dimension * len(bonds.families.rows))), bonds.dimension
+        d = bonds.dimension
+        Lu = bonds.zeros(size, d * len(bonds.families.rows))
         spare = [] if kept else bonds.ready.setdefault(("planes", size), [])
         try:
             planes, theta = spare.pop()
         except IndexError:
-            theta = np.zeros((size, len(layout.node)))
-            planes = np.empty((size, d * len(layout.node))) if layout.in_rows else u
+            theta = bonds.zeros(size, len(layout.node))
+            planes = bonds.zeros(size, d * len(layout.node)) if layout.in_rows else u
         self._sweep(self.forward, ("laid", "needed", "forces"), u, planes, theta, Lu)
         if layout.in_rows:
             spare.append((planes, theta))
@@ -414,10 +431,10 @@ class Law:
         """Lᵗ g on all nodes, of g on the interior, where that is asked for; g as sweeps read it,
         and its dilatation by the transpose."""
         bonds, layout, size, d = self.bonds, self.bonds.layout, len(g), self.bonds.dimension
-        seeds, tau = np.zeros((size, d * len(layout.node))), np.zeros((size, len(layout.node)))
+        seeds, tau = (bonds.zeros(size, n * len(layout.node)) for n in (d, 1))
         if not layout.in_rows:
             seeds.reshape(size, -1, d)[:, bonds.families.rows] = g.reshape(size, -1, d)
-        by_u = np.empty((size, d * bonds.nodes))
+        by_u = bonds.zeros(size, d * bonds.nodes)
         self._sweep(self.back, ("back", "needed", "nodes" if asked else None), g, seeds, tau, by_u)
         return by_u, seeds, tau
 
@@ -437,23 +454,30 @@ class Law:
         by_u, *pull = self.transposed(g, asked=asked[0])
         if not any(asked[1:]):
             return [by_u, *4 * [None]]
-        lanes, whole = self.kernels.lanes, layout.pieces["whole"]
-        blocks = BLOCKS if layout.in_rows else 1
-        outputs = np.zeros((blocks, lanes * len(layout.end))), *np.zeros((2, len(layout.node)))
-        inputs = ints(np.arange(BLOCKS + 1) * len(whole) // BLOCKS), whole, self.back
-        launch_slices(
-            self.kernels.slopes, BLOCKS, (*inputs, *map(floats, (*felt, *pull))),
-            [*map(floats, outputs)], weight=max(len(whole) * len(g) // BLOCKS, 1),
-        )  # fmt: skip
-        by_own, shear, bulk = outputs
+        lanes, blocks = self.kernels.lanes, BLOCKS if layout.in_rows else 1
+        by_own = bonds.zeros(blocks, lanes * len(layout.end))
+        shear, bulk = bonds.zeros(2, len(layout.node))
+        self._slopes(*felt, *pull, by_own, shear, bulk)
         moduli = [
-            part[layout.home] if one.size > 1 else part.sum()
+            part[layout.home] if one.size > 1 else part.sum(dtype=float)
             for part, one in ((bulk, lam), (shear - bulk, mu))
         ]
         if not any(asked[3:]):
             return [by_u, *moduli, None, None]
-        by_kw = self._by_class(by_own.reshape(blocks, -1, lanes).sum(axis=(0, 2)), felt[0], pull[1])
+        by_kw = by_own.reshape(blocks, -1, lanes).sum(axis=(0, 2), dtype=float)
+        by_kw = self._by_class(by_kw, felt[0], pull[1])
         return [by_u, *moduli, *bonds.influence(alpha, D, by_kw)]
+
+    def _slopes(self, *fields: np.ndarray) -> None:
+        """Sums of derivatives to `own`, to μ and to λ − μ, of planes, dilatations and theirs by the
+        transpose, as kernels/lps/sweeps.py says."""
+        whole = self.bonds.layout.pieces["whole"]
+        ends = ints(np.arange(BLOCKS + 1) * len(whole) // BLOCKS)
+        *given, by_own, by_mu, by_bulk = map(self.bonds.floats, fields)
+        launch_slices(
+            self.kernels.slopes, BLOCKS, (ends, whole, self.back, *given),
+            (by_own, by_mu, by_bulk), weight=max(len(whole) * len(fields[0]) // BLOCKS, 1),
+        )  # fmt: skip
 
     def _by_class(self, by: np.ndarray, u: np.ndarray, tau: np.ndarray) -> np.ndarray:
         """Derivatives to K W of each class, [C], of those to `own` of each bond, [E], as if every
@@ -496,7 +520,7 @@ def lps_force(bonds: Bonds, u: torch.Tensor, *values: Any) -> torch.Tensor:
 
     Args:
         bonds: of a point set with N nodes.
-        u: displacement [Å], float64, shape [N, d] or [S, N, d].
+        u: displacement [Å] in the precision of the bonds, shape [N, d] or [S, N, d].
         values: λ and μ, numbers or one value a node, shape [N], α and D; λ = μ, of which neither
             asks for a gradient, for bonds that are bond-based.
 
