@@ -18,11 +18,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 22_159,
-    "tokens": 268_194,
-    "lines of warp_peri": 37_260,
-    "lines of kernels": 1_014,
-    "lines of warp_peri, kernels, examples and tools": 50_606,
+    "code lines": 22_172,
+    "tokens": 268_336,
+    "lines of warp_peri": 37_282,
+    "lines of kernels": 1_103,
+    "lines of warp_peri, kernels, examples and tools": 50_720,
     "lines of the longest file": 651,
     "lines of the longest function": 91,
     "parameters of one function": 11,
@@ -42,7 +42,7 @@ ROOMS = {
     "files": 544,
     "fitting": 1307,
     "fracture": 1623,
-    "materials": 5613,
+    "materials": 5626,
     "neural": 839,
     "points": 1707,
     "prediction": 755,

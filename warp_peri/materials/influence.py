@@ -298,13 +298,11 @@ def shapes_of(influence: Any) -> list[InfluenceFunction]:
 
     Raises InputError for anything else.
     """
-    if influence is None:
-        return []
     shapes = list(influence) if isinstance(influence, (list, tuple)) else [influence]
-    for shape in shapes:
-        if not isinstance(shape, InfluenceFunction):
-            raise InputError(
-                "influence: expected an InfluenceFunction or a list of them, got "
-                f"{shape!r:.60}; a function f(r, width) is InfluenceFunction(f, {{'width': 8.0}})"
-            )
+    shapes = [] if influence is None else shapes
+    if not all(isinstance(shape, InfluenceFunction) for shape in shapes):
+        raise InputError(
+            "influence: expected an InfluenceFunction or a list of them, got "
+            f"{influence!r:.60}; a function f(r, width) is InfluenceFunction(f, {{'width': 8.0}})"
+        )
     return shapes
