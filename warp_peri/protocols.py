@@ -324,8 +324,7 @@ def placed(
     if not open_ended and (unknown := sorted(options.keys() - known.keys())):
         what = type(material).__name__
         raise InputError(f"{verb}: {', '.join(unknown)}: not among the options of a {what}")
-    check_arguments(on, options)
-    return on(points, **options)
+    return on(points, **check_arguments(on, options))
 
 
 def taken(
@@ -347,6 +346,4 @@ def taken(
     if missing := [n for n, p in known.items() if p.default is p.empty and n not in options]:
         raise InputError(f"{verb}: expected {', '.join(missing)} too, of the options {names}")
     found = tuple({n: options[n] for n in kind if n in known and n in options} for kind in kinds)
-    for taker, its in zip(takers, found):
-        check_arguments(taker, its)
-    return found
+    return tuple(check_arguments(taker, its) for taker, its in zip(takers, found))

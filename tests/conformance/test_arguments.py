@@ -40,6 +40,7 @@ WRONG = {
     bool: ("no", 1, 0.0),
     str: (5, ["a"]),
     os.PathLike: (5, 1.5),
+    np.ndarray: ("a", [None], {}),
     Mapping: ([], "a"),
     dict: ([], "a"),
 }

@@ -97,9 +97,7 @@ def test_a_body_with_cracks(kind):
     known |= {"v": zero} if kind in ("waves", "steps") else {}
     known |= {"grip": zero} if kind == "steps" else {}
     for which, good in known.items():
-        said = (
-            "crack" if which == "cracks" else "load" if which == "b" and kind == "steps" else which
-        )
+        said = "crack" if which == "cracks" else (which, "load") if kind == "steps" else which
         refuses(lambda value, which=which: run(which, value), good, said)
     if kind in ("steps", "events"):
         for bad in (np.zeros(count), np.zeros(count, int), np.zeros(3, bool), ["no"], "no"):

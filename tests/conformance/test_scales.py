@@ -22,12 +22,7 @@ pytestmark = pytest.mark.filterwarnings(
 )
 SMALLER, LARGER = ("nm", "mm"), ("mm", "nm")
 SOFTER, STIFFER = ("MPa", "TPa"), ("TPa", "MPa")
-SCALES = {
-    "small and stiff": (SMALLER, STIFFER),
-    "large and soft": (LARGER, SOFTER),
-    "small and soft": (SMALLER, SOFTER),
-    "large and stiff": (LARGER, STIFFER),
-}
+SCALES = {"small and stiff": (SMALLER, STIFFER), "large and soft": (LARGER, SOFTER)}
 
 
 @pytest.fixture(params=SCALES)

@@ -20,14 +20,25 @@ from typing import (
 )
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import GRADIENT, LARGEST, MOST, check_flag, is_number, is_piece
+from warp_peri.points.arrays import (
+    GRADIENT,
+    LARGEST,
+    MOST,
+    are_numbers,
+    check_flag,
+    is_number,
+    is_piece,
+)
 from warp_peri.points.unit_names import Units
 
 Call = TypeVar("Call", bound=Callable[..., Any])
 Kind = TypeVar("Kind", bound=type)
-KINDS = (bool, int, float, str, os.PathLike, Mapping, dict, Sequence, tuple, list, NoneType)
+ARRAY = get_args(ArrayLike)
+KINDS = (bool, int, float, str, os.PathLike, Mapping, dict, Sequence, tuple, list, NoneType,
+         np.ndarray)  # fmt: skip
 
 
 class Bound(NamedTuple):
@@ -58,13 +69,14 @@ def typed(call: Call) -> Call:
 
     @wraps(call)
     def checked(*args: Any, **options: Any) -> Any:
-        if kinds_of(call):
-            try:
-                given = signature.bind(*args, **options).arguments
-            except TypeError:
-                return call(*args, **options)  # which names the function
-            check_arguments(call, given)
-        return call(*args, **options)
+        if not kinds_of(call):
+            return call(*args, **options)
+        try:
+            given = signature.bind(*args, **options)
+        except TypeError:
+            return call(*args, **options)  # which names the function
+        given.arguments.update(check_arguments(call, given.arguments))
+        return call(*given.args, **given.kwargs)
 
     return checked  # type: ignore[return-value]
 
@@ -73,7 +85,7 @@ def typed_methods(kind: Kind) -> Kind:
     """A class whose own public methods look at their arguments as `typed` functions do."""
     for name, method in [*vars(kind).items()]:
         plain = getattr(method, "__func__", method)
-        if not (name.startswith("_") or hasattr(plain, "__wrapped__")):
+        if (name[0] != "_" or name == "__call__") and not hasattr(plain, "__wrapped__"):
             if isinstance(method, (classmethod, staticmethod)):
                 setattr(kind, name, type(method)(typed(plain)))
             elif isinstance(method, FunctionType):
@@ -81,13 +93,15 @@ def typed_methods(kind: Kind) -> Kind:
     return kind
 
 
-def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> None:
-    """Raise InputError for an argument that is not of the kind that it is annotated with.
+def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """The arguments, whole numbers of other types as int; InputError for one that is not of the
+    kind that it is annotated with.
 
-    Kinds are bool, int, float, str, paths, mappings, sequences, classes of this package, and
-    literals, each alone or with others. A number is finite and within its Bound, or the default.
-    What is annotated with anything else, as an array, is not looked at, nor is a default.
+    Kinds are bool, int, float, str, paths, mappings, sequences, classes of this package, literals
+    and arrays, each alone or with others. A number is finite and within its Bound, or the default.
+    What is annotated with anything else is not looked at, nor is a default.
     """
+    found = dict(given)
     for name, (kinds, default, bound) in kinds_of(call).items():
         value = given.get(name, default)
         if value is default or (value is None and NoneType in kinds):
@@ -95,7 +109,7 @@ def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> None:
         first, *more = [kind for kind in kinds if kind is not NoneType]
         if any(isinstance(value, kind) for kind in more):
             continue
-        if getattr(value, "requires_grad", False) and first in KINDS:
+        if getattr(value, "requires_grad", False) and first in KINDS and first is not np.ndarray:
             raise InputError(f"{name}: {GRADIENT}")
         if first is bool:
             check_flag(name, value)
@@ -104,6 +118,8 @@ def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> None:
             fine = is_number(value) and (abs(value) <= LARGEST or value == default)
             fine = fine and (first is float or (value % 1 == 0 and abs(value) <= MOST))
             words = "a whole number" if first is int else "a finite number"
+        elif first is np.ndarray:
+            fine, words = are_numbers(value), "float values"
         elif first in (Mapping, dict):
             fine, words = isinstance(value, Mapping), "values by name"
         elif first in (Sequence, tuple, list):
@@ -116,7 +132,11 @@ def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> None:
         if not fine or (bound and value != default and not bound.holds(value)):
             expected, plain = bound.words if bound else words, first in KINDS and first is not str
             got = f"{value!r:.60}" if plain or bound else type(value).__name__
+            got = str(getattr(value, "dtype", got)) if first is np.ndarray else got
             raise InputError(f"{name}: expected {expected}, got {got}")
+        if first is int:
+            found[name] = int(value)
+    return found
 
 
 @cache
@@ -132,6 +152,8 @@ def kinds_of(call: Callable[..., Any]) -> dict[str, tuple[tuple[Any, ...], Any, 
         except (NameError, AttributeError, TypeError):  # of types that type checkers alone import
             continue
         hints = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+        if {*ARRAY} <= {*hints}:
+            hints = np.ndarray, *(one for one in hints if one not in ARRAY)
         kinds = tuple(map(_kind, hints))
         if hint != Units and all(kind in KINDS or _is_own(kind) for kind in kinds):
             found[name] = kinds, parameter.default, next(filter(None, map(_bound, hints)), None)
@@ -151,6 +173,8 @@ def _bound(hint: Any) -> Bound | None:
     if get_origin(hint) is Literal:
         values = get_args(hint)
         return Bound(f"one of {', '.join(map(str, values))}", values.__contains__)
+    if get_args(hint) == (str, float):
+        return Bound("numbers by name", lambda value: all(map(is_number, value.values())))
     said = getattr(hint, "__metadata__", (None,))[0]
     if getattr(said, "positive", False):  # of a field of a Record
         return ABOVE

@@ -129,6 +129,15 @@ def is_number(value: Any) -> bool:
     return not strange and np.ndim(value) == 0 and np.asarray(value).dtype.kind in "fiu"
 
 
+def are_numbers(value: Any) -> bool:
+    """Whether an array can be made of it, no text and no objects; tensors are looked at later."""
+    try:
+        found = value if hasattr(value, "dtype") else np.ma.asanyarray(value)
+    except (RuntimeError, TypeError, ValueError):  # ragged, or of tensors
+        return not isinstance(value, str)
+    return getattr(found.dtype, "kind", "f") in "biufc"
+
+
 def is_positive(value: Any) -> bool:
     """Whether it is one real number above zero, and finite."""
     return is_number(value) and 0 < value < np.inf
