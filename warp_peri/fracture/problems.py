@@ -21,7 +21,7 @@ from warp_peri.points.arrays import checked, is_number
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
 from warp_peri.protocols import is_tensor, offered, refuse_uncut, taken
-from warp_peri.solvers.motion import Motion, Run, refuse_learning
+from warp_peri.solvers.motion import Motion, Recorder, refuse_learning
 from warp_peri.solvers.solution import CG, Direct, Solution, refuse_solver
 
 
@@ -171,14 +171,14 @@ class Cracked:
 
 
 def options_of_steps(options: dict[str, Any]) -> tuple[dict[str, Any], ...]:
-    """Those of a motion in steps: for BreakingBody, its start, Run, CrackRun and its march.
+    """Those of a motion in steps: for BreakingBody, its start, Recorder, CrackRun and its march.
 
     Raises InputError for others.
     """
     parts = (
         BreakingBody.__init__,
         BreakingBody.start,
-        Run.__init__,
+        Recorder.__init__,
         CrackRun.__init__,
         CrackRun.march,
     )

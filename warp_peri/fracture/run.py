@@ -14,7 +14,7 @@ from warp_peri.fracture.body import HAIR, section
 from warp_peri.fracture.dynamics import BreakingBody, BreakingState, step
 from warp_peri.points.arguments import Positive
 from warp_peri.points.arrays import checked
-from warp_peri.solvers.motion import Motion, Run
+from warp_peri.solvers.motion import Motion, Recorder
 
 NODAL = ("u", "v", "force", "energy", "work")
 """Arrays of a state that a checkpoint holds for each node."""
@@ -64,7 +64,7 @@ class Section:
         return np.asarray((pull * kept)[:, None] * xi)
 
 
-class CrackRun(Run):
+class CrackRun(Recorder):
     """Marches a body, and goes on from its checkpoint with the same bits.
 
     On ranks the body is that of some nodes, and all records are of the whole body.
@@ -76,7 +76,7 @@ class CrackRun(Run):
         watch: functions of φ [N], the share of bonds that nodes have lost, recorded by name.
         sections: lines across which the force is recorded, [2, 2] by name; in space polygons.
         nodes: which of the body's are this process's own, as AllNodes; all by default.
-        files: the options of Run; `every` is 20 by default.
+        files: the options of Recorder; `every` is 20 by default.
 
     Attributes:
         history: of each record by name: those of LEDGER, "u NAME" and "v NAME" of regions,

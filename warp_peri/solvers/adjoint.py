@@ -43,7 +43,7 @@ from warp_peri.points.arguments import Natural, Positive
 from warp_peri.points.arrays import checked
 from warp_peri.protocols import is_tensor, taken
 from warp_peri.solvers import verlet
-from warp_peri.solvers.motion import Motion, Run
+from warp_peri.solvers.motion import Motion, Recorder
 
 PIECES, BATCH = 8, 16
 """States kept of a motion, and fields whose derivatives to numbers are taken at once."""
@@ -96,7 +96,7 @@ def moved(
 
 def in_motion(operator: Any, b: Any, u: Any, options: dict[str, Any]) -> Motion:
     """The motion of verlet.march; of tensors, or with `parameters`, that of `moved`."""
-    how, files, learned = taken(options, "simulate", verlet.march, Run.__init__, moved)
+    how, files, learned = taken(options, "simulate", verlet.march, Recorder.__init__, moved)
     fields = b, u, how.get("v"), how.get("signal")
     if "parameters" in learned or any(map(is_tensor, fields)):
         return moved(operator, b, u, **how | files | learned)

@@ -92,7 +92,7 @@ class Motion:
         return f"Motion\n  records    {len(self.time)}, {span}\n  histories  {names}"
 
 
-class Run:
+class Recorder:
     """The loop over steps: records, a checkpoint to go on from with the same bits, and files for
     ParaView.
 

@@ -21,7 +21,7 @@ from warp_peri.points.lattice import check_lattice
 from warp_peri.points.unit_names import USUAL, Units, factors
 from warp_peri.protocols import offered, stencil_of
 from warp_peri.runtime import shared_by
-from warp_peri.solvers.motion import Motion, Run
+from warp_peri.solvers.motion import Motion, Recorder
 
 if TYPE_CHECKING:
     from warp_peri.materials.lps_operator import LPSOperator
@@ -187,7 +187,7 @@ def march(
         record: nodes whose displacement is recorded, numbers [n] or [N] bool.
         signal: what the load is multiplied by before the first and after each step, shape
             [steps + 1]; 1 by default. The energy is then conserved only while it is constant.
-        files: every, checkpoint, checkpoint_every and series, as of Run.
+        files: every, checkpoint, checkpoint_every and series, as of Recorder.
 
     Returns:
         A motion whose time [ps] is half a step after each `every` steps, and whose energy is what
@@ -267,7 +267,7 @@ def recorded_nodes(record: ArrayLike | None, count: int) -> np.ndarray | None:
         raise InputError(f"record: expected nodes among {count}: {error}") from None
 
 
-class WaveRun(Run):
+class WaveRun(Recorder):
     """A motion whose records are the energy (52) halfway in every so many steps.
 
     Args:
@@ -275,7 +275,7 @@ class WaveRun(Run):
         body: what moves.
         dt: Δt.
         seen: numbers of the nodes whose displacement is recorded.
-        files: the other arguments of Run.
+        files: the other arguments of Recorder.
     """
 
     kind, phase, ends = "warp_peri.waves", 1, False
