@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+import warp_peri as wp
 from tests.crystal.crystals import learned
 from tests.support.problems import LAM, MU, ell, kernel, lattice, manufactured, noise, periodic
 from tests.support.solving import solve, solve_periodic
@@ -170,3 +171,24 @@ def test_a_small_load_on_a_large_mean_is_answered():
 )
 def test_more_nodes_are_factorised_where_each_of_many_loads_takes_long(stiff, loads, method):
     assert cheapest_method(2 * DIRECT, box=False, stiff=stiff, loads=loads) == method
+
+
+def test_a_solution_goes_on_as_samples_and_as_fields(tmp_path):
+    material = wp.LPSMaterial.isotropic(1.0, 0.3, 2.0, 1.0)
+    assert (material.E, material.nu) == pytest.approx((1.0, 0.3))
+    space = wp.LPSMaterial.isotropic(1.0, 0.3, 2.0, 1.0, dimension=3)
+    assert (space.E, space.nu) == pytest.approx((1.0, 0.3))
+    points = wp.Points.disk(3.0, 1.0, 2.0)
+    load = 1e-3 * np.where(points.interior[:, None], points.x, 0.0)
+    solution = wp.solve(material, wp.Dirichlet(points, load, 0.01 * points.x))
+    samples = solution.to_samples()
+    assert np.array_equal(samples.u[0], solution.u)
+    assert np.array_equal(samples.loads[0], load)
+    assert wp.evaluate(material, samples)["E_res"] < 1e-7
+    solution.to_vtk(tmp_path / "fields")
+    assert [path.name for path in (tmp_path / "fields").iterdir()] == ["sample_0000.vtu"]
+    for nu in (1.0, -1.0, np.nan):
+        with pytest.raises(wp.InputError, match="nu: expected"):
+            wp.LPSMaterial.isotropic(1.0, nu, 2.0, 1.0)
+    with pytest.raises(wp.InputError, match="nu: expected −1 < ν < 0.5"):
+        wp.LPSMaterial.isotropic(1.0, 0.5, 2.0, 1.0, dimension=3)

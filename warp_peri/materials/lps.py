@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,7 @@ from warp_peri.core.proof import StencilCertificate, prove
 from warp_peri.core.record import FieldUnits, Length, Record, taken
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, warn
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.arrays import checked, is_number
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.points import Points
@@ -191,6 +191,42 @@ class LPSMaterial(Record, format="warp_peri.model"):
             raise InputError("certified_on: expected nothing, for moduli as fields, got a spacing")
         if not np.all((self.mu > 0) & (self.lam + 2 * self.mu / self.dimension > 0)):
             raise InputError(f"lambda, mu: expected μ > 0 and {bulk} > 0, {got}")
+
+    @classmethod
+    def isotropic(
+        cls,
+        E: Positive,
+        nu: float,
+        horizon: Positive,
+        spacing: Positive,
+        *,
+        dimension: Literal[2, 3] = 2,
+        units: Units = USUAL,
+    ) -> LPSMaterial:
+        """The solid of an isotropic continuum, K = 1/r, proven on a lattice.
+
+        Args:
+            E: Young's modulus [stress], of a sheet in plane stress.
+            nu: Poisson's ratio above −1 and below 1, in space below ½.
+            horizon: δ [length].
+            spacing: h of the lattice [length].
+            dimension: 2 or 3.
+            units: of length and stress.
+
+        Raises InputError for another Poisson's ratio, and a horizon below one spacing.
+
+        >>> wp.LPSMaterial.isotropic(1.0, 0.25, horizon=15.0, spacing=5.0).mu
+        0.4
+        """
+        if not -1 < nu < 1 / (dimension - 1):
+            raise InputError(f"nu: expected −1 < ν < {1 / (dimension - 1):g}, got {nu!r}")
+        mu = E / (2 * (1 + nu))
+        lam = 2 * mu * nu / (1 - (dimension - 1) * nu)
+        model = cls(lam, mu, 1.0, np.ones(1), horizon, dimension=dimension, units=units)
+        proof = prove(lps_stencil(model, spacing), lattice_group(dimension))
+        if not proof.holds:
+            raise InputError(f"nu, horizon: expected a solid that is stable at spacing {spacing:g}")
+        return replace(model, certified_on=(spacing,))
 
     @property
     def degree(self) -> int:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import operator
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
@@ -12,6 +14,7 @@ import numpy as np
 from warp_peri.errors import InputError, heard, warn
 from warp_peri.points.arguments import Positive, Share, typed, typed_methods
 from warp_peri.points.points import Points
+from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols
 from warp_peri.reprs import Shown
 
@@ -198,6 +201,29 @@ class Solution(Shown):
         if not hasattr(self.details, "displacement"):
             raise InputError("at: only of bodies on meshes; u holds the values at the nodes")
         return np.asarray(self.details.displacement(np.asarray(x, dtype=float)))
+
+    def to_samples(self) -> Samples:
+        """Displacement and load as samples, to learn from or to save.
+
+        Raises InputError for a body on a mesh, and what is no displacement.
+        """
+        if self.points is None or self._values.shape[-2:] != self.points.x.shape:
+            raise InputError("to_samples: expected displacements on nodes, got another solution")
+        u, shape = self._values, (-1, *self.points.x.shape)
+        load = self.operator.on_all(np.asarray(self.load))
+        return Samples(self.points, u.reshape(shape), load.reshape(shape))
+
+    def to_vtk(self, path: str | os.PathLike[str]) -> None:
+        """Write the fields for ParaView: a folder with a file a sample; of a body one .vtu file.
+
+        Raises InputError as export.write_vtk, export.write_body and `to_samples`.
+        """
+        export = import_module("warp_peri.export")
+        if self.points is None:
+            export.write_body(path, self.details)
+        else:
+            samples = self.to_samples()
+            export.write_vtk(path, self.operator.model, samples, samples.u)
 
     def plot(self, sample: int = 0, *, ax: Axes | None = None) -> Axes:
         """The size of the displacement over the body, or φ, as coloured nodes; a slice in space.
