@@ -1,14 +1,13 @@
 """Soft tissue: hyperelastic sheets, learned from loads or from displacement (theory, H)."""
 
-from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic, HyperelasticMaterial
-from warp_peri.materials.hyperelastic.energy_fit import EnergyFit, stability_margin
+from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
+from warp_peri.materials.hyperelastic.energy_fit import EnergyFit, fit_fibre_families
 from warp_peri.materials.hyperelastic.equilibrium import Equilibrium, NoEquilibriumError
 from warp_peri.materials.hyperelastic.febio import in_words, material_terms, save_febio
 from warp_peri.materials.hyperelastic.fibres import (
     fibre_energy_by_angle,
     fibre_families,
     fibre_fan,
-    fit_fibre_families,
     with_corners,
 )
 from warp_peri.materials.hyperelastic.from_displacement import (
@@ -21,7 +20,11 @@ from warp_peri.materials.hyperelastic.model_selection import (
     select_model,
     uniaxial_stress,
 )
-from warp_peri.materials.hyperelastic.placed import HyperelasticSheetOperator, evaluate_hyperelastic
+from warp_peri.materials.hyperelastic.operator import (
+    HyperelasticMaterial,
+    HyperelasticSheetOperator,
+    evaluate_hyperelastic,
+)
 
 __all__ = [
     "Hyperelastic",
@@ -44,7 +47,6 @@ __all__ = [
     "fibre_fan",
     "fibre_energy_by_angle",
     "save_febio",
-    "stability_margin",
     "uniaxial_stress",
     "with_corners",
 ]

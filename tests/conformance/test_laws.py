@@ -16,8 +16,8 @@ from warp_peri import runtime
 from warp_peri.core.groups import point_group, shared_with_nodes
 from warp_peri.core.stencil import invariant_basis
 from warp_peri.materials.crystal import CrystalMaterial
-from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic, HyperelasticMaterial
-from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
+from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
+from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.materials.lps import bernstein_basis
 from warp_peri.materials.lps_force import Bonds
 from warp_peri.neural.material import NeuralOperator
@@ -133,12 +133,12 @@ def of_third_order(material, H):
 
 def of_energies(material, H):
     points = tissue(13)
-    op = HyperelasticOperator(material.dictionary, points)
+    op = material.on(points)
     middle = len(points.x) // 2
 
     def density(flat):
         u = points.x @ flat.reshape(2, 2).T
-        return op.nodal_energy(u, material.coefficients)[middle]
+        return op.nodal_energy(u)[middle]
 
     return difference(density, H.ravel(), 1e-3).reshape(2, 2)
 

@@ -54,7 +54,7 @@ def test_no_samples_have_no_answers(name):
     [
         ("LPS", (lps_transfer, "model_for"), ((bonds, "families_of"),)),
         ("third order, energy", None, ((pointwise, "grid_of"),)),
-        ("hyperelastic", None, ((tissue, "lattice_bonds"),)),
+        ("hyperelastic", None, ((tissue, "SheetLattice"),)),
     ],
 )
 def test_a_material_is_placed_once(name, resolved, linked, monkeypatch):

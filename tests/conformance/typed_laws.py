@@ -1,8 +1,11 @@
 """Materials and operators as the contract's protocols: mypy holds them to it."""
 
 from warp_peri import LPS
-from warp_peri.materials.hyperelastic.energies import Hyperelastic, HyperelasticMaterial
-from warp_peri.materials.hyperelastic.placed import HyperelasticSheetOperator
+from warp_peri.materials.hyperelastic.energies import Hyperelastic
+from warp_peri.materials.hyperelastic.operator import (
+    HyperelasticMaterial,
+    HyperelasticSheetOperator,
+)
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.materials.third_order import PlacedThirdOrder, ThirdOrderMaterial

@@ -7,9 +7,9 @@ import pytest
 
 from tests.support.sheets import everything, hgo_dictionary, square
 from warp_peri import InputError
-from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic, HyperelasticMaterial
+from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.febio import febio_material, in_words, save_febio
-from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
+from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 
 SOLID = HyperelasticMaterial(
     hgo_dictionary(), np.array([0.3] * 4 + [0.0713, 0.0780, 0.2]), 0.1
@@ -36,11 +36,8 @@ def of_febio(text, F):
 
 def test_the_energy_is_the_learned_one():
     F = np.array([[0.8, 0.0], [0.3, 1.4]])
-    points = square(1)
-    op = HyperelasticOperator(SOLID.dictionary, points)
-    u = points.x @ (F - np.eye(2)).T
-    whole = (op.bonds.neighbour >= 0).all(axis=1).sum()
-    learned = op.energy(u, SOLID.coefficients) / (whole * points.spacing**2)
+    op = SOLID.on(square(1))
+    (learned,) = op.nodal_energy(op.points.x @ (F - np.eye(2)).T)[op.interior]
     assert of_febio(febio_material(SOLID), F) == pytest.approx(float(learned), rel=1e-10)
 
 

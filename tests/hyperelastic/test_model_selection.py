@@ -114,6 +114,7 @@ def powers(*numbers):
     )
 
 
+@pytest.mark.slow
 def test_an_even_sheet_that_stiffens_is_not_called_uneven():
     """Its tension, to 1.5, lies in the band, whatever points are lost in single frames."""
     sheet = powers(0.25, 0.02, 0.03)
@@ -129,18 +130,10 @@ def test_an_even_sheet_that_stiffens_is_not_called_uneven():
     assert (high - low > 2 * choice.best.held_out * middle).all()
 
 
-def test_a_law_needs_ten_nodes_for_each_number():
-    frames = frames_of(powers(0.25, 0.0, 0.0), square(9))
-    found = wp.hyperelastic.select_model(frames)
-    assert {c.name for c in found.candidates if c.fit} == {"neo-Hookean", "Yeoh", "Mooney-Rivlin"}
-    why = {c.name: c.why for c in found.candidates if c.fit is None}["neo-Hookean, heterogeneous"]
-    assert why.endswith("100 interior nodes for 10 numbers, got 81")
-    few = square(5)
+def test_a_law_needs_frames_and_ten_nodes_for_each_number():
+    frames = frames_of(powers(0.25, 0.0, 0.0), square(3))
     for wrong, words in (
-        (
-            {"frames": frames_of(powers(0.25, 0.0, 0.0), few)},
-            "50 interior nodes for 5 numbers, got",
-        ),
+        ({"frames": frames}, "50 interior nodes for 5 numbers, got 9"),
         ({"frames": frames[:3]}, "frames: expected at least 4, got 3"),
         ({"frames": frames, "fibres": -1}, "fibres: expected a number of directions"),
     ):

@@ -16,7 +16,8 @@ from warp_peri.fe_coupling.boundary_elements import Moduli
 from warp_peri.fe_coupling.lattice_interior import MARGIN
 from warp_peri.materials.crystal import crystal_from_lps
 from warp_peri.materials.crystal_fit import fit_dispersion
-from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic, HyperelasticMaterial
+from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
+from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.third_order import Smoothing, ThirdOrderMaterial
 from warp_peri.points.mesh import make_mesh

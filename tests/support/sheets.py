@@ -3,6 +3,7 @@
 import numpy as np
 
 from warp_peri.materials.hyperelastic.energies import BONDS, KINDS, EnergyTerm, Hyperelastic
+from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 
@@ -39,6 +40,13 @@ def hgo_dictionary(*, deviations=NEAREST, angle=1.2):
         EnergyTerm("fibre_exponential", angle, 1.5),
     )
     return Hyperelastic(3.0, (), deviations, terms)
+
+
+def sheet_on(points, dictionary=None, c=None, thickness=None):
+    """A sheet of a dictionary, of HGO without one, on points; coefficients of one without some."""
+    dictionary = dictionary or hgo_dictionary()
+    c = np.ones(len(dictionary)) if c is None else np.asarray(c, float)
+    return HyperelasticMaterial(dictionary, c, points.spacing).on(points, thickness=thickness)
 
 
 def waves(points, amplitude=0.1, seed=0):

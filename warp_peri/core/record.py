@@ -58,7 +58,7 @@ HOMES = {
     "warp_peri.brittle_solid": "fracture.dynamics",
     "warp_peri.soft_solid": "fracture.softening",
     "warp_peri.micromodulus": "materials.crystal",
-    "warp_peri.hyperelastic": "materials.hyperelastic.energies",
+    "warp_peri.hyperelastic": "materials.hyperelastic.operator",
     "warp_peri.neural": "neural.material",
     "warp_peri.conductor": "diffusion.conductor",
     "warp_peri.coupled_solid": "diffusion.coupled",

@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
-from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.core.stencil import half_ball
 from warp_peri.errors import InputError
-from warp_peri.points.arguments import typed
-from warp_peri.points.unit_names import USUAL, Units, shown_moduli, symbols
+from warp_peri.materials import hyperelastic
 from warp_peri.protocols import taken
 
-if TYPE_CHECKING:  # the operator stands above its numbers
-    from warp_peri.materials.hyperelastic.energy_fit import EnergyFit
-    from warp_peri.materials.hyperelastic.from_displacement import DisplacementFit
-    from warp_peri.materials.hyperelastic.placed import HyperelasticSheetOperator
-    from warp_peri.points.samples import PointsLike, Samples
-
+if TYPE_CHECKING:
+    from warp_peri.points.samples import Samples
 
 half_family = cache(partial(half_ball, dimension=2))
 """One bond of each pair ±ξ in lattice steps, by length, of a reach in spacings, shape [C, 2]."""
@@ -40,12 +34,12 @@ class Strain:
         x, y, shear = self.parts
         return (1 + 2 * x) * (1 + 2 * y) - shear**2
 
-    @cached_property
+    @property
     def log_area(self) -> torch.Tensor:
         """ln D."""
         return torch.log(self.area)
 
-    @cached_property
+    @property
     def trace(self) -> torch.Tensor:
         """tr C − 2."""
         return 2 * (self.parts[0] + self.parts[1])
@@ -124,11 +118,8 @@ def read(q: torch.Tensor) -> Any:
 FIBRES = ("fibre_power", "fibre_exponential")
 UNSAFE = {"log_area", "area", "inverse_area", *(f"quadratic {pair}" for pair in QUADRATICS[3:])}
 """Kinds that are not convex near rest, or not stress-free there."""
-MOST_SHOWN = 8
-"""Energies that a solid shows of itself."""
 
 
-@typed
 @dataclass(frozen=True)
 class EnergyTerm:
     """One strain energy of the dictionary, (H5).
@@ -173,7 +164,6 @@ class EnergyTerm:
         return words + (f", {self.exponent:g}" if self.kind in (*FIBRES, "yeoh") else "")
 
 
-@typed
 @dataclass(frozen=True)
 class Hyperelastic:
     """What energies a material may be made of, (H1); every coefficient has a place in one vector.
@@ -235,11 +225,6 @@ class Hyperelastic:
         return names + [term.label for term in self.terms]
 
     @property
-    def cornered(self) -> bool:
-        """Whether a strain energy acts on corners."""
-        return any(term.corner for term in self.terms)
-
-    @property
     def guaranteed(self) -> bool:
         """Whether non-negative coefficients make a material that is stable at rest, (H9)."""
         return "cube" not in self.bonds and not UNSAFE & {term.kind for term in self.terms}
@@ -260,16 +245,15 @@ class Hyperelastic:
         own = [KINDS[term.kind](Strain(q), term.angle, term.exponent) for term in self.terms]
         return torch.stack([*bonds, *[0 * q[0]] * len(self.deviations), *own])
 
-    def learn(self, samples: Samples, **options: Any) -> EnergyFit | DisplacementFit:
-        """A solid of these energies: from loads by fit_energy, without loads by fit_displacement.
+    def learn(self, samples: Samples, **options: Any) -> Any:
+        """An EnergyFit where there are loads, by fit_energy, else a DisplacementFit.
 
         `options` are those of the two functions, and the errors theirs. Loads need no progress.
         """
-        from warp_peri.materials.hyperelastic.energy_fit import fit_energy
-        from warp_peri.materials.hyperelastic.from_displacement import fit_displacement
-
-        learned = fit_energy if samples.b is not None else fit_displacement
-        if learned is fit_energy:
+        if samples.b is None:
+            learned: Any = hyperelastic.from_displacement.fit_displacement
+        else:
+            learned = hyperelastic.energy_fit.fit_energy
             options.pop("progress", None)
         (options,) = taken(options, "fit", learned)
         return learned(samples, self, **options)
@@ -277,81 +261,6 @@ class Hyperelastic:
     def with_terms(self, terms: Sequence[EnergyTerm]) -> Hyperelastic:
         """The same bonds with other strain energies."""
         return replace(self, terms=tuple(terms))
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class HyperelasticMaterial(Record, format="warp_peri.hyperelastic"):
-    """A dictionary with its coefficients.
-
-    Attributes:
-        dictionary: the energies.
-        coefficients: one for each [stress], shape [K].
-        spacing: of the lattice it was learned on [length]; others take the same coefficients.
-        stretch: largest nodal stretch of the data it was learned from, if known.
-        provenance: of data and fit; `stresses` says where they are scaled, in no unit.
-        units: names of the units of length and stress that it is in, those of its data.
-
-    Raises InputError for coefficients of another number or not finite, and units not known.
-    """
-
-    dictionary: Annotated[Hyperelastic, FieldUnits(flat=True)]
-    coefficients: Annotated[np.ndarray, FieldUnits(stress=1)]
-    spacing: Length
-    stretch: float | None = None
-    provenance: dict[str, Any] = field(default_factory=dict)
-    units: Units = USUAL
-    dimension: ClassVar[int] = 2
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.coefficients.shape != (len(self.dictionary),):
-            raise InputError(
-                f"coefficients: expected {len(self.dictionary)} numbers, "
-                f"got shape {list(self.coefficients.shape)}"
-            )
-
-    @property
-    def sparse(self) -> HyperelasticMaterial:
-        """The same solid without the strain energies whose coefficient is zero."""
-        first = self.dictionary.first_term
-        kept = [n for n, c in enumerate(self.coefficients[first:]) if c != 0]
-        terms = tuple(self.dictionary.terms[n] for n in kept)
-        values = np.concatenate([self.coefficients[:first], self.coefficients[first:][kept]])
-        return replace(self, dictionary=self.dictionary.with_terms(terms), coefficients=values)
-
-    def on(
-        self, points: PointsLike, *, thickness: np.ndarray | None = None
-    ) -> HyperelasticSheetOperator:
-        """The solid on a lattice, of an even sheet or with a thickness of every node [N] (H18)."""
-        from warp_peri.materials.hyperelastic.placed import HyperelasticSheetOperator
-
-        return HyperelasticSheetOperator(self, points, thickness=thickness)
-
-    def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
-        """The provenance names the units that its records stay in."""
-        return {"provenance": {**self.provenance, "units_before": list(self.units)}}
-
-    def rows(self) -> list[tuple[str, str]]:
-        """What to know at a glance: name and value, energies by the size of their coefficients."""
-        length = symbols(self.units)[0]
-        stretch = "not known" if self.stretch is None else f"up to {self.stretch:.3g}"
-        rows = [("learned on", f"{self.spacing:g} {length}"), ("stretch of the data", stretch)]
-        rows.append(("energies", f"{len(self.dictionary)}"))
-        order = np.argsort(-np.abs(self.coefficients))[:MOST_SHOWN]
-        labels, values = self.dictionary.labels, self.coefficients
-        scaled = self.provenance.get("stresses")  # where no force says what they are in
-        rows += [("stresses", str(scaled))] if scaled else []
-        rows += [
-            (labels[n], f"{values[n]:.4g}" if scaled else shown_moduli(self.units, (values[n],)))
-            for n in order
-            if values[n]
-        ]
-        return rows
-
-    @property
-    def horizon(self) -> float:
-        """δ on the lattice it was learned on [length]."""
-        return self.dictionary.reach * self.spacing
 
 
 def strain_weights(reach: float, order: int, *, locality: float = 16.0) -> np.ndarray:

@@ -10,7 +10,8 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_text
-from warp_peri.materials.hyperelastic.energies import FIBRES, EnergyTerm, HyperelasticMaterial
+from warp_peri.materials.hyperelastic.energies import FIBRES, EnergyTerm
+from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.points.arguments import typed
 
 COMPRESSIBLE = {"neo_hookean", "volumetric"}

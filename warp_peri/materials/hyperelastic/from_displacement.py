@@ -16,23 +16,27 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.rows import compressed
-from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic, HyperelasticMaterial
-from warp_peri.materials.hyperelastic.energy_fit import between, columns, lower_bounds
-from warp_peri.materials.hyperelastic.equilibrium import NoEquilibriumError, StaticProblem
+from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
+from warp_peri.materials.hyperelastic.energy_fit import between, columns, lower_bounds, sheet_on
+from warp_peri.materials.hyperelastic.equilibrium import (
+    SMALLEST_AREA,
+    NoEquilibriumError,
+    find_equilibrium,
+)
 from warp_peri.materials.hyperelastic.fibres import fibre_numbers, fibres_of, with_numbers
-from warp_peri.materials.hyperelastic.operator import SMALLEST_AREA, HyperelasticOperator
-from warp_peri.materials.hyperelastic.placed import largest_stretch
-from warp_peri.points.arguments import Count, Share, typed, typed_methods
-from warp_peri.points.arrays import checked, is_number
+from warp_peri.materials.hyperelastic.lattice import BandFactors
+from warp_peri.materials.hyperelastic.operator import (
+    HyperelasticMaterial,
+    HyperelasticSheetOperator,
+)
+from warp_peri.points.arguments import typed
+from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PULL, Samples, seen_of
 
 LARGEST_DEGREE = 6
-LARGEST = 20.0
-"""Of the polynomial: beyond ± this the thickness stays at e^± this, so that it is a number."""
 
 
-@typed_methods
 @dataclass(frozen=True, eq=False)
 class ThicknessField:
     """A thickness that is positive everywhere and one at the centre.
@@ -43,7 +47,7 @@ class ThicknessField:
         numbers: its coefficients in the order of `names`, shape [P]; zeros where none are given.
 
     The thickness of the whole sheet is no number here: from displacement alone it cannot be told.
-    Raises InputError for another degree, halves that are not positive, or numbers of another count.
+    Raises InputError for another degree, or numbers of another count.
     """
 
     degree: int
@@ -52,15 +56,12 @@ class ThicknessField:
     numbers: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        whole = isinstance(self.degree, (int, np.integer)) and not isinstance(self.degree, bool)
-        if not (whole and 1 <= self.degree <= LARGEST_DEGREE):
+        if self.degree not in range(1, LARGEST_DEGREE + 1) or self.degree is True:
             raise InputError(f"degree: expected 1 to {LARGEST_DEGREE}, got {self.degree!r}")
         if not np.size(self.numbers):
             object.__setattr__(self, "numbers", np.zeros(len(self.names)))
         for name, count in (("centre", 2), ("half", 2), ("numbers", len(self.names))):
             object.__setattr__(self, name, checked(name, getattr(self, name), shape=(count,)))
-        if not self.half.min() > 0:
-            raise InputError(f"half: expected two lengths > 0, got {self.half.tolist()}")
 
     @classmethod
     def over(cls, x: np.ndarray, degree: int) -> ThicknessField:
@@ -75,8 +76,8 @@ class ThicknessField:
     @property
     def names(self) -> list[str]:
         """Names of the numbers: x, y, x^2, x y, …"""
-        words = {0: "", 1: "{} "} | {n: f"{{}}^{n} " for n in range(2, LARGEST_DEGREE + 1)}
-        return [(words[a].format("x") + words[b].format("y")).strip() for a, b in self._powers]
+        each = ([*zip("xy", powers)] for powers in self._powers)
+        return [" ".join(v if n == 1 else f"{v}^{n}" for v, n in one if n) for one in each]
 
     def _terms(self, x: np.ndarray) -> np.ndarray:
         x, y = ((checked("x", x, shape=("N", 2)) - self.centre) / self.half).T
@@ -84,12 +85,11 @@ class ThicknessField:
 
     def at(self, x: np.ndarray) -> np.ndarray:
         """Thickness at positions [length] of shape [N, 2], over that at the centre, shape [N]."""
-        return np.asarray(np.exp(np.clip(self._terms(x) @ self.numbers, -LARGEST, LARGEST)))
+        return np.asarray(np.exp(self._terms(x) @ self.numbers))
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
         """Its derivative by the numbers, shape [N, P]."""
-        inside = np.abs((terms := self._terms(x)) @ self.numbers) <= LARGEST
-        return np.asarray((inside * self.at(x))[:, None] * terms)
+        return np.asarray(self.at(x)[:, None] * self._terms(x))
 
 
 class Sections:
@@ -122,25 +122,25 @@ class Sections:
         own = lines[steps[:, 0]] & (steps[:, 1] >= 0) & (steps[:, 1] < width)
         x = origin + frames.spacing * steps[:, turn]
         points = Points(x, own, frames.spacing, units=frames.points.units)
-        self.op, self.axis = HyperelasticOperator(replace(dictionary, deviations=()), points), axis
-        self.of_lattice = range(dictionary.first_deviation, dictionary.first_term)
-        self.shape, around = (-1, width), ((0, 0), (0, 0), (R, R), (0, 0))
+        self.op, self.axis, self.shape = sheet_on(dictionary, points), axis, (-1, width)
+        around = ((0, 0), (0, 0), (R, R), (0, 0))
         fields = np.pad(frames.u[:, number[near]], around, "reflect", reflect_type="odd")
         self.fields = fields.reshape(len(frames), -1, 2)
 
     def stress(
-        self, n: int, terms: Sequence[EnergyTerm], c: np.ndarray, thickness: ThicknessField | None
+        self, n: int, solid: HyperelasticMaterial, thickness: ThicknessField | None
     ) -> np.ndarray:
         """Pull over width and mean thickness on every line of a frame, shape [L].
 
         Without deviations: they belong to the lattice, and see noise at edges.
         """
-        op, c = self.op.with_terms(terms), np.delete(c, self.of_lattice)
+        c, of_nodes = solid.coefficients.copy(), None
+        c[solid.dictionary.first_deviation : solid.dictionary.first_term] = 0.0
         if thickness is not None:
-            of_nodes = thickness.at(op.points.x)
-            op = op.with_thickness(of_nodes / of_nodes[op.interior].mean())
-        P = op.stress(self.fields[n], c)[op.interior, self.axis, self.axis]
-        P = P.reshape(self.shape)
+            of_nodes = thickness.at(self.op.points.x)
+            of_nodes = of_nodes / of_nodes[self.op.interior].mean()
+        op = self.op.changed(replace(solid, coefficients=c), of_nodes)
+        P = op.stress(self.fields[n])[:, self.axis, self.axis].reshape(self.shape)
         return np.asarray((P[:, :-1] + P[:, 1:]).mean(axis=1) / 2)
 
 
@@ -157,11 +157,10 @@ NO_ERROR = 1e-8
 STIFFEN = 30.0
 """Largest ratio of a deviation that is stiffer than the sheet at rest to itself before a step."""
 NO_FORCE = {"stresses": "scaled to a stiffness of one at rest, no force is known"}
-THICKEN = 0.5
-"""Largest change of a number of the thickness in one step."""
+TURN, GROWTH, THICKEN = 0.2, 1.0, 0.5
+"""Largest change of an angle [rad], an exponent and a number of the thickness in one step."""
 
 
-@typed_methods
 @dataclass(frozen=True, eq=False)
 class DisplacementFit:
     """A solid, known up to its scale where no frame has a pull.
@@ -190,27 +189,70 @@ class DisplacementFit:
     scatter: float = 0.0
 
 
+Linear = tuple[np.ndarray, np.ndarray, BandFactors]
+"""Slopes of a frame's field inside by the unknowns, Newton's step, and the tangent's factors."""
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Where a search stands: unknowns, fields and what both are to first order.
+
+    Attributes:
+        op: the sheet, with its coefficients and thickness.
+        thickness: of the sheet, where it is an unknown.
+        fields: of all frames, shape [S, N, 2].
+        linear: of the frames that have an equilibrium, by number.
+        equations: of these, rows whose squared sum is the loss: slopes by the unknowns, and errors
+            in equilibrium as they are.
+    """
+
+    op: HyperelasticSheetOperator
+    thickness: ThicknessField | None
+    fields: np.ndarray
+    linear: dict[int, Linear] = field(default_factory=dict)
+    equations: dict[int, np.ndarray] = field(default_factory=dict)
+
+    def loss(self, change: Any = 0.0) -> float:
+        """Sum of squared relative errors after a change of the unknowns, to first order."""
+        rows = np.concatenate([*self.equations.values()])
+        return float(
+            ((rows[:, :-1] @ (change + np.zeros(rows.shape[1] - 1)) + rows[:, -1]) ** 2).sum()
+        )
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the relative errors."""
+        return float(np.sqrt(self.loss() / len(self.linear)))
+
+
 class Search:
-    """Where the search stands: unknowns, fields and what both are to first order.
+    """A search for the unknowns of a sheet.
 
     A step of Gauss and Newton moves unknowns and fields at once, so that it costs a tangent a frame
     and no equilibrium; these are solved for at the end, and where a step promised too much.
+
+    Args:
+        frames: the data.
+        dictionary: energies.
+        stiffness: least coefficient of the deviations.
+        moving: whether angles and exponents of fibres are unknowns.
+        thickness: to begin with, where it is an unknown.
+        held: whether the coefficients are none.
     """
 
     def __init__(
         self,
         frames: Samples,
         dictionary: Hyperelastic,
-        bounds: tuple[float, float],
-        moving: bool,
+        stiffness: float,
+        moving: bool = False,
         thickness: ThicknessField | None = None,
         *,
         held: bool = False,
     ) -> None:
         self.x, self.data, self.thickness, self.held = frames.x, frames.u, thickness, held
-        thick = None if thickness is None else thickness.at(self.x)
-        self.problem = StaticProblem(HyperelasticOperator(dictionary, frames, thickness=thick))
-        self.inner = self.problem.op.interior
+        self.op = sheet_on(dictionary, frames)
+        self.inner = self.op.interior
         if not len(self.data):
             raise InputError("frames: expected one or more")
         seen = np.repeat(seen_of(frames)[:, self.inner], 2, axis=1)
@@ -224,56 +266,35 @@ class Search:
         self.pulled = np.argwhere(np.isfinite(pull))
         self.pull = pull[tuple(self.pulled.T)]
         self.sections = {axis: Sections(frames, dictionary, axis) for axis in {*self.pulled[:, 1]}}
-        self.kept, self.left_out = list(range(len(self.data))), list[int]()
-        self.lower, self.upper = (
-            lower_bounds(dictionary, bounds[0]),
-            np.full(len(dictionary), np.inf),
-        )
+        self.left_out = list[int]()
+        self.lower = lower_bounds(dictionary, stiffness)
         self.own = slice(dictionary.first_deviation, dictionary.first_term)
-        self.upper[self.own] = max(bounds[1], bounds[0] + 1e-9)
         self.measure = dictionary.stiffness
         if not self.measure.any():
             raise InputError("dictionary: expected an energy with stiffness at rest")
         self.moving = fibres_of(dictionary) if moving else []
-        self.c, self.growth = np.zeros(len(dictionary)), STIFFEN
-        self.linear: dict[int, tuple[np.ndarray, np.ndarray, Any]] = {}
-        self.equations_of: dict[int, np.ndarray] = {}
+        self.growth = STIFFEN
 
     def _inside(self, fields: np.ndarray) -> np.ndarray:
         """Of fields [..., N, 2] the interior in a row, [..., 2 I]."""
         inside = fields[..., self.inner, :]
         return inside.reshape(*inside.shape[:-2], -1)
 
-    @property
-    def equations(self) -> np.ndarray:
-        """Rows whose squared sum is the loss: slopes by the unknowns, and errors as they are."""
-        return np.concatenate([*self.equations_of.values()])
-
-    def loss(self, change: Any = 0.0) -> float:
-        """Sum of squared relative errors in equilibrium after a change of the unknowns, to first
-        order."""
-        rows = self.equations
-        return float(((rows[:, :-1] @ (change + 0 * self.now) + rows[:, -1]) ** 2).sum())
-
-    @property
-    def rms(self) -> float:
-        """Root mean square of the relative errors."""
-        return float(np.sqrt(self.loss() / len(self.kept)))
-
     def scaled(self, c: np.ndarray) -> np.ndarray:
         """The same material with an initial stiffness of one."""
         size = float(self.measure @ c)
         if not size > 0:
             raise InputError("coefficients: expected an initial stiffness > 0")
-        return c / size
+        return np.asarray(c / size)
 
     def equation_error(self) -> np.ndarray:
         """Coefficients of least internal force on the measured fields; biased under noise."""
-        J = np.zeros((0, len(self.c)))
+        J = np.zeros((0, len(self.measure)))
         for u, weight in zip(self.data, self.weight):
-            J = np.concatenate([J, columns(self.problem.op, u) * weight[:, None]])
+            J = np.concatenate([J, columns(self.op, u) * weight[:, None]])
             J, _ = compressed(J, np.zeros(len(J)))
-        now, bounds = self.scaled(self.measure), (self.lower, self.upper)
+        now = self.scaled(self.measure)
+        bounds = self.lower, np.full(len(now), np.inf)
         return self._nearest(J / np.abs(J).max(), np.zeros(len(J)), now, bounds, 0.0)
 
     def _nearest(
@@ -281,19 +302,92 @@ class Search:
     ) -> np.ndarray:
         """Unknowns between bounds of least |J x − y|, as Levenberg damps them, of the same initial
         stiffness."""
-        K, held = len(self.c), np.zeros((1, len(now)))
+        K, held = len(self.measure), np.zeros((1, len(now)))
         held[0, :K] = SCALE_WEIGHT * self.measure / np.abs(self.measure).max()
         x = between(J, y, now, bounds, damping, held)
         x[:K] = now[:K] if self.held else self.scaled(np.maximum(x[:K], 0.0))
         return x
 
-    def step(self, damping: float, equations: np.ndarray | None = None) -> np.ndarray:
-        """The change of the unknowns that meets the equations best, all where none are given."""
-        now, rows = self.now, self.equations if equations is None else equations
+    def unknowns(self, place: Place) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+        """Coefficients, angles and exponents of the fibres that move, numbers of the thickness; and
+        between what these may be after a step."""
+        c, M = place.op.model.coefficients, len(self.moving)
+        fibres, (least, most) = fibre_numbers(place.op.model.dictionary, self.moving)
+        thick = np.zeros(0) if place.thickness is None else place.thickness.numbers
+        reach, upper = np.repeat([TURN, GROWTH], M), np.full(len(c), np.inf)
+        upper[self.own] = self.growth * c[self.own]
+        if self.growth > 1:
+            upper[self.own] = np.maximum(upper[self.own], self.growth)
+        lower = [self.lower, np.maximum(fibres - reach, least), thick - THICKEN]
+        all_upper = np.concatenate([upper, np.minimum(fibres + reach, most), thick + THICKEN])
+        bounds = (low := np.concatenate(lower)), np.maximum(all_upper, low + 1e-9)
+        return np.concatenate([c, fibres, thick]), bounds
+
+    def step(self, place: Place, damping: float, left: Sequence[int] = ()) -> np.ndarray:
+        """The change of the unknowns that meets the equations best, but those of some frames."""
+        rows = np.concatenate([one for n, one in place.equations.items() if n not in left])
+        now, bounds = self.unknowns(place)
         J, r = rows[:, :-1].copy(), rows[:, -1]
-        J[:, : len(self.c) * self.held] = 0.0
-        there = self._nearest(J, J @ now - r, now, self._bounds(now), damping)
-        return np.asarray(there - now)
+        J[:, : len(self.measure) * self.held] = 0.0
+        return np.asarray(self._nearest(J, J @ now - r, now, bounds, damping) - now)
+
+    def moved(self, place: Place, change: np.ndarray) -> Place:
+        """After a change of the unknowns, fields to first order."""
+        numbers = self.unknowns(place)[0] + change
+        K, fields, thickness = len(self.measure) + 2 * len(self.moving), place.fields.copy(), None
+        for n, (J, away, _) in place.linear.items():
+            fields[n, self.inner] += (J @ change + away).reshape(-1, 2)
+        if place.thickness is not None:
+            thickness = replace(place.thickness, numbers=numbers[K:])
+        return self.placed(
+            with_numbers(place.op.model, self.moving, numbers[:K]), fields, thickness
+        )
+
+    def placed(
+        self, solid: HyperelasticMaterial, fields: np.ndarray, thickness: ThicknessField | None
+    ) -> Place:
+        """Fields of a sheet, nothing known of their slopes."""
+        of_nodes = None if thickness is None else thickness.at(self.x)
+        return Place(self.op.changed(solid, of_nodes), thickness, fields)
+
+    def linearised(self, place: Place, frames: Sequence[int]) -> Place | None:
+        """With the derivatives of the fields by the unknowns and Newton's step to equilibrium.
+
+        None where a tangent is not positive definite, or a field folds.
+        """
+        op, K, linear = place.op, len(self.measure), dict[int, Linear]()
+        for n in frames:
+            u, factors = place.fields[n], None
+            if op.smallest_area(u) > SMALLEST_AREA:
+                factors = op.factors(u)[0]
+            if factors is None:
+                return None
+            F = [columns(op, u, self.moving)]
+            if place.thickness is not None:
+                slopes = op.by_thickness(u, place.thickness.slopes(self.x))
+                F.append(slopes.reshape(len(F[0]), -1))
+            J = -factors.solve(np.concatenate(F, axis=1))
+            # the force is linear in the coefficients, and so are Newton's steps
+            linear[n] = J, J[:, :K] @ op.model.coefficients, factors.rough()
+        return self._reduced(replace(place, linear=linear))
+
+    def _reduced(self, place: Place) -> Place:
+        """With the equations of the errors of every frame, as few as tell the same."""
+        equations = {}
+        for n, (J, away, _) in place.linear.items():
+            gap, weight = self._inside(place.fields[n] - self.data[n]) + away, self.weight[n]
+            equations[n] = np.column_stack(compressed(J * weight[:, None], gap * weight))
+        return replace(place, equations=equations)
+
+    def balanced(self, place: Place, known: Place) -> Place | None:
+        """In equilibrium, with the slopes of a place near by; None where one is not found."""
+        fields, linear = place.fields.copy(), dict[int, Linear]()
+        for n, (J, away, near) in known.linear.items():
+            found = find_equilibrium(place.op, None, self.data[n], start=fields[n], near=near)
+            if found is None:
+                return None
+            fields[n], linear[n] = found.u, (J, 0 * away, near)
+        return self._reduced(replace(place, fields=fields, linear=linear))
 
     def descended(
         self,
@@ -306,97 +400,98 @@ class Search:
         """The whole search from coefficients c, or from a known fit where that promises more."""
         name = progress if isinstance(progress, str) else "Gauss-Newton"
         bar = tqdm(range(TRIES * most_steps), desc=name, disable=not progress, leave=False)
-        self.begin(c, known)
-        damping, history, balanced = DAMPING[2], [self.rms], False
+        place = self.begun(c, known)
+        damping, history, balanced = DAMPING[2], [place.rms], False
         for _ in bar:
-            if self.growth > 1 and not self.promising(tolerance):
+            if self.growth > 1 and not self._promising(place, tolerance):
                 break
-            loss, step = self.loss(), self.step(damping)
+            ahead = self.moved(place, self.step(place, damping))
             self.growth = STIFFEN
-            before = vars(self).copy()
-            self.move(step)
-            if self.linearise() and self.loss() <= (1 + tolerance) * loss:
-                damping, balanced = max(damping / 10, DAMPING[0]), False
-                history.append(self.rms)
-                bar.set_postfix(error=f"{100 * self.rms:.3f} %")
+            there = self.linearised(ahead, [*place.linear])
+            if there and there.loss() <= (1 + tolerance) * place.loss():
+                place, damping, balanced = there, max(damping / 10, DAMPING[0]), False
+                history.append(place.rms)
+                bar.set_postfix(error=f"{100 * place.rms:.3f} %")
                 continue
-            vars(self).update(before)
             damping = max(100 * damping, DAMPING[1])
             if damping > MOST_DAMPING:
                 break
             if not balanced:  # what the equations promise may be what fields lack
-                balanced = self.balance()
-                if not (balanced and self.linearise()):
+                here = self.balanced(place, place)
+                there = here and self.linearised(here, [*place.linear])
+                if there is None:
                     break
-        loss, before = self.loss(), vars(self).copy()
-        self.move(self.step(damping))
-        if not (self.balance() and self.loss() <= (1 + tolerance) * loss):
-            vars(self).update(before)
-            self.balance()
-        elif self.loss() < (1 - GAINED * tolerance) * loss:  # slopes of there, for frames left out
-            self.linearise()
-        history.append(self.rms)
-        each = self.linear if len(self.linear) > 1 else ()
-        fit, *others = [self._fit(left) for left in ([], *([n] for n in each))]
-        return replace(fit, history=history, others=others, fields=self.fields)
+                place, balanced = there, True
+        ahead = self.moved(place, self.step(place, damping))
+        there = self.balanced(ahead, place)
+        if there is None or there.loss() > (1 + tolerance) * place.loss():
+            place = self.balanced(place, place) or place
+        elif there.loss() < (1 - GAINED * tolerance) * place.loss():  # slopes of there
+            place = self.linearised(there, [*there.linear]) or there
+        else:
+            place = there
+        history.append(place.rms)
+        each = [*place.linear] if len(place.linear) > 1 else []
+        others = [self._fit(place, [n]) for n in each]
+        return replace(self._fit(place, []), history=history, others=others, fields=place.fields)
 
-    def promising(self, tolerance: float) -> bool:
+    def _promising(self, place: Place, tolerance: float) -> bool:
         """Whether the equations promise a step that lowers the loss by more than a fraction."""
-        ahead = self.loss(self.step(DAMPING[0]))
-        return self.rms > NO_ERROR and ahead < (1 - tolerance) * self.loss()
+        ahead = place.loss(self.step(place, DAMPING[0]))
+        return place.rms > NO_ERROR and ahead < (1 - tolerance) * place.loss()
 
-    def begin(self, c: np.ndarray, known: DisplacementFit | None = None) -> None:
-        """Begin at the measured fields, or those of a known fit where they promise more.
+    def begun(self, c: np.ndarray, known: DisplacementFit | None = None) -> Place:
+        """At the measured fields, or those of a known fit where they promise more.
 
         Where a tangent there is not positive definite, at equilibria of the first coefficients;
         what has none is left out.
         """
-        starts, begun, least = [(c, self.data, 1.0)], {}, np.inf
+        every, solid = range(len(self.data)), replace(self.op.model, coefficients=c)
+        starts, begun, least = [(solid, self.data, 1.0)], None, np.inf
         if known is not None and known.fields is not None:
-            starts.append((self.scaled(known.material.coefficients), known.fields, STIFFEN))
-        for self.c, self.fields, self.growth in starts:  # stiffer ones would add to noise at first
-            if self.linearise() and (left := self.loss(self.step(DAMPING[2]))) < least:
-                begun, least = vars(self).copy(), left
-        if begun:
-            vars(self).update(begun)
-            return
-        self.c, self.fields = c, self.data.copy()
-        found = [self.problem.find(c, None, u, start=u) for u in self.data]
-        self.kept = [n for n, one in enumerate(found) if one]
+            same = replace(solid, coefficients=self.scaled(known.material.coefficients))
+            starts.append((same, known.fields, STIFFEN))
+        for one, fields, growth in starts:  # stiffer deviations would add to noise at first
+            self.growth = growth
+            place = self.linearised(self.placed(one, fields, self.thickness), every)
+            if place and (left := place.loss(self.step(place, DAMPING[2]))) < least:
+                begun, least, best = place, left, growth
+        if begun is not None:
+            self.growth = best
+            return begun
+        self.growth = STIFFEN if known is not None else 1.0
+        place = self.placed(solid, self.data.copy(), self.thickness)
+        found = [find_equilibrium(place.op, None, u, start=u) for u in self.data]
+        kept = [n for n, one in enumerate(found) if one]
         self.left_out = [n for n, one in enumerate(found) if not one]
-        self.fields[self.kept] = [one.u for one in found if one] or self.fields[:0]
-        if not (self.kept and self.linearise()):
+        place.fields[kept] = [one.u for one in found if one] or place.fields[:0]
+        begun = self.linearised(place, kept) if kept else None
+        if begun is None:
             raise NoEquilibriumError("no frame has an equilibrium with the first coefficients")
+        return begun
 
-    def _fit(self, left: list[int]) -> DisplacementFit:
+    def _fit(self, place: Place, left: list[int]) -> DisplacementFit:
         """What is here, or one step from here with some frames left out, in the scale of forces."""
-        step, errors = 0 * self.now, np.full(len(self.data), np.inf)
+        errors, change = np.full(len(self.data), np.inf), 0 * self.unknowns(place)[0]
         if left:
-            rest = [rows for n, rows in self.equations_of.items() if n not in left]
-            step = self.step(DAMPING[1], np.concatenate(rest))
-        for n, rows in self.equations_of.items():
-            errors[n] = np.linalg.norm(rows[:, :-1] @ step + rows[:, -1])
-        numbers, K = self.now + step, len(self.c)
-        problem, thickness = self._moved(numbers[K:])
-        scale, scatter = self._scale(left, problem.op.dictionary, numbers[:K], thickness)
-        solid = HyperelasticMaterial(
-            problem.op.dictionary,
-            scale * numbers[:K],
-            problem.op.points.spacing,
-            largest_stretch(problem.op, self.data),
-            {} if len(self.pull) else NO_FORCE,
-            units=problem.op.points.units,
+            change = self.step(place, DAMPING[1], left)
+        for n, rows in place.equations.items():
+            errors[n] = np.linalg.norm(rows[:, :-1] @ change + rows[:, -1])
+        there = self.moved(place, change)
+        solid, thickness = there.op.model, there.thickness
+        scale, scatter = self._scale(left, solid, thickness)
+        solid = replace(
+            solid,
+            coefficients=scale * solid.coefficients,
+            stretch=there.op.largest_stretch(self.data),
+            provenance={} if len(self.pull) else NO_FORCE,
         )
         left = [*self.left_out, *left]
         rms = float(np.sqrt(np.delete(errors**2, left).mean()))
         return DisplacementFit(solid, errors, [rms], left, thickness, scale=scale, scatter=scatter)
 
     def _scale(
-        self,
-        left: list[int],
-        dictionary: Hyperelastic,
-        c: np.ndarray,
-        thickness: ThicknessField | None,
+        self, left: list[int], solid: HyperelasticMaterial, thickness: ThicknessField | None
     ) -> tuple[float, float]:
         """What the pulls of frames that are not left out say that a stress of one is, and the
         relative scatter of that; one where there is no pull."""
@@ -404,96 +499,13 @@ class Search:
             return 1.0, 0.0
         own = ~np.isin(self.pulled[:, 0], left)
         own |= not own.any()  # without its only force a fit has the scale of that
-        lines = [
-            self.sections[axis].stress(n, dictionary.terms, c, thickness)
-            for n, axis in self.pulled[own]
-        ]
+        lines = [self.sections[axis].stress(n, solid, thickness) for n, axis in self.pulled[own]]
         F, T = self.pull[own], np.array([line.mean() for line in lines])
         if not F @ T > 0:
             raise InputError(f"{PULL}: expected a pull with the sign of the sheet's stress")
         scale = float(F @ T) / float(T @ T)
         gaps = np.hypot(scale * np.array([line.std() for line in lines]), scale * T - F)
         return scale, float(np.linalg.norm(gaps) / np.linalg.norm(F))
-
-    def linearise(self) -> bool:
-        """Derivatives of the fields by all unknowns in the order of `now`, Newton's step to
-        equilibrium, and the equations of the errors there.
-
-        False where a tangent is not positive definite, or a field folds.
-        """
-        op, self.linear = self.problem.op, {}
-        for n in self.kept:
-            u, factors = self.fields[n], None
-            if op.smallest_area(u) > SMALLEST_AREA:
-                factors = self.problem.factors(self.c, u)[0]
-            if factors is None:
-                return False
-            F = [columns(op, u, self.moving, self.c)]
-            if self.thickness is not None:
-                slopes = op.by_thickness(u, self.c, self.thickness.slopes(self.x))
-                F.append(slopes.reshape(len(F[0]), -1))
-            J = -factors.solve(np.concatenate(F, axis=1))
-            # the force is linear in the coefficients, and so are Newton's steps
-            self.linear[n] = J, J[:, : len(self.c)] @ self.c, factors.rough()
-        self._reduce()
-        return True
-
-    def _reduce(self) -> None:
-        """The equations of the errors of every frame, as few as tell the same."""
-        self.equations_of = {}
-        for n, (J, away, _) in self.linear.items():
-            gap, weight = self._inside(self.fields[n] - self.data[n]) + away, self.weight[n]
-            rows = compressed(J * weight[:, None], gap * weight)
-            self.equations_of[n] = np.column_stack(rows)
-
-    def move(self, change: np.ndarray) -> None:
-        """Move unknowns, and fields to first order."""
-        numbers, K, self.fields = self.now + change, len(self.c), self.fields.copy()
-        for n, (J, away, _) in self.linear.items():
-            self.fields[n, self.inner] += (J @ change + away).reshape(-1, 2)
-        self.problem, self.thickness = self._moved(numbers[K:])
-        self.c = numbers[:K]
-
-    def balance(self) -> bool:
-        """Solve for all equilibria, slopes as they are; False where one is not found."""
-        self.fields, self.linear = self.fields.copy(), self.linear.copy()
-        for n, (J, away, near) in self.linear.items():
-            given, start = (self.c, None, self.data[n]), self.fields[n]
-            found = self.problem.find(*given, start=start, near=near)
-            found = found or self.problem.find(*given, start=start)
-            if found is None:
-                return False
-            self.fields[n], self.linear[n] = found.u, (J, 0 * away, near)
-        self._reduce()
-        return True
-
-    @property
-    def now(self) -> np.ndarray:
-        """Coefficients, angles and exponents of the fibres that move, numbers of the thickness."""
-        numbers = np.zeros(0) if self.thickness is None else self.thickness.numbers
-        fibres, _ = fibre_numbers(self.problem.op.dictionary, self.moving)
-        return np.concatenate([self.c, fibres, numbers])
-
-    def _bounds(self, now: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Between what the unknowns may be after a step."""
-        K, own = len(self.c), self.own
-        numbers = now[K + 2 * len(self.moving) :]
-        low, high = fibre_numbers(self.problem.op.dictionary, self.moving)[1]
-        lower = np.concatenate([self.lower, low, numbers - THICKEN])
-        upper = np.concatenate([self.upper, high, numbers + THICKEN])
-        most = np.maximum(self.growth * now[own], now[own] if self.growth == 1 else 1.0)
-        upper[own] = np.minimum(upper[own], most)
-        return lower, np.maximum(upper, lower + 1e-12)
-
-    def _moved(self, numbers: np.ndarray) -> tuple[StaticProblem, ThicknessField | None]:
-        """The problem with other angles, exponents and numbers of the thickness."""
-        op, thickness, M = self.problem.op, self.thickness, 2 * len(self.moving)
-        if M:
-            op = op.with_terms(with_numbers(op.dictionary, self.moving, numbers[:M]))
-        if thickness is not None:
-            thickness = replace(thickness, numbers=numbers[M:])
-            op = op.with_thickness(thickness.at(self.x))
-        return self.problem.of(op), thickness
 
 
 INTERPOLATES = 50.0
@@ -510,7 +522,7 @@ def fit_displacement(
     frames: Samples,
     dictionary: Hyperelastic,
     *,
-    stiffness: float | tuple[float, float] = 0.05,
+    stiffness: float = 0.05,
     moving: bool = False,
     start: np.ndarray | DisplacementFit | None = None,
     thickness: int = 0,
@@ -523,8 +535,7 @@ def fit_displacement(
     Args:
         frames: samples without loads.
         dictionary: energies that are safe with coefficients ≥ 0.
-        stiffness: least coefficient of the deviations, in units of the initial stiffness, or the
-            least and the greatest: what is held low does not fit the frames in place of a material.
+        stiffness: least coefficient of the deviations, in units of the initial stiffness.
         moving: whether angles and exponents of fibres are unknowns too.
         start: coefficients to begin with, shape [K]; those of least equation error where none. Of
             a fit of the same frames and energies the search begins there if that promises more.
@@ -548,8 +559,7 @@ def fit_displacement(
     uneven = ThicknessField.over(frames.x, thickness) if thickness else None
     measured = 2 * int(np.count_nonzero(seen_of(frames)[:, frames.interior]))
     check_enough(measured, "measured components inside", len(dictionary))
-    bounds = bounds_of(stiffness)
-    search = Search(frames, dictionary, bounds, moving, uneven)
+    search = Search(frames, dictionary, stiffness, moving, uneven)
     known: DisplacementFit | None = None
     if isinstance(start, DisplacementFit):
         known, start = start, None
@@ -558,7 +568,7 @@ def fit_displacement(
     else:
         if np.shape(start) != (len(dictionary),):
             raise InputError(f"start: expected {len(dictionary)} coefficients, got {start!r:.60}")
-        c = search.scaled(np.clip(start, search.lower, search.upper))
+        c = search.scaled(np.maximum(start, search.lower))
     fit = search.descended(c, most_steps, tolerance, progress, known)
     if (stiffest := stiffest_deviation(fit)) > INTERPOLATES:
         warn(
@@ -575,8 +585,8 @@ def fit_thickness(
     solid: HyperelasticMaterial,
     degree: int = 2,
     *,
-    most_steps: Count = 10,
-    tolerance: Share = 1e-4,
+    most_steps: int = 10,
+    tolerance: float = 1e-4,
     progress: bool = False,
 ) -> DisplacementFit:
     """The thickness (H18) of a sheet whose material is known, from its own displacement.
@@ -592,17 +602,8 @@ def fit_thickness(
     """
     check_unloaded(frames)
     uneven = ThicknessField.over(frames.x, degree)
-    search = Search(frames, solid.dictionary, (0.0, np.inf), False, uneven, held=True)
+    search = Search(frames, solid.dictionary, 0.0, thickness=uneven, held=True)
     return search.descended(search.scaled(solid.coefficients), most_steps, tolerance, progress)
-
-
-def bounds_of(stiffness: float | tuple[float, float]) -> tuple[float, float]:
-    """Least and greatest coefficient of the deviations; InputError where they are none."""
-    given: Any = (stiffness, np.inf) if is_number(stiffness) else stiffness
-    pair = isinstance(given, (tuple, list)) and len(given) == 2 and all(map(is_number, given))
-    if not (pair and 0 <= given[0] <= given[1] and given[0] < np.inf):
-        raise InputError(f"stiffness: expected 0 ≤ least ≤ greatest, got {stiffness!r:.60}")
-    return float(given[0]), float(given[1])
 
 
 def check_enough(count: int, what: str, numbers: int) -> None:
@@ -633,7 +634,7 @@ def check_identifiable(frames: Samples) -> None:
             "frames: expected displacement that is not affine; a homogeneous body of any material "
             "follows affine edges, so that such frames say nothing about it"
         )
-    op = HyperelasticOperator(Hyperelastic(terms=(EnergyTerm("plane_stress"),)), frames)
+    op = sheet_on(Hyperelastic(terms=(EnergyTerm("plane_stress"),)), frames)
     strains = np.abs(op.strain(frames.u)[:, op.interior]).max(axis=-1)
     typical = float(np.median(strains, axis=1).max())
     if typical < SMALL:

@@ -19,7 +19,7 @@ from scipy.special import ndtri, stdtrit
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import finite, locked, parsed, plain, write_json
 from warp_peri.files.checkpoint import fingerprint
-from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic, HyperelasticMaterial
+from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.fibres import fibre_families, fibre_fan, fibres_of
 from warp_peri.materials.hyperelastic.from_displacement import (
     INTERPOLATES,
@@ -29,8 +29,8 @@ from warp_peri.materials.hyperelastic.from_displacement import (
     fit_displacement,
     stiffest_deviation,
 )
-from warp_peri.materials.hyperelastic.placed import evaluate_hyperelastic
-from warp_peri.points.arguments import typed, typed_methods
+from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial, evaluate_hyperelastic
+from warp_peri.points.arguments import typed
 from warp_peri.points.samples import Samples, seen_of
 
 
@@ -68,8 +68,8 @@ def _read(content: dict[str, Any]) -> DisplacementFit:
 
 REACH = 3.0
 NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
-DEVIATIONS = (0.05, np.inf)
-"""Least and greatest, in units of the initial stiffness."""
+DEVIATIONS = 0.05
+"""Least, in units of the initial stiffness."""
 STEPS, TOLERANCE = 10, 1e-3
 """Of a fit."""
 UNEVEN = 2
@@ -103,7 +103,6 @@ class Candidate:
     numbers: int = 0
 
 
-@typed_methods
 @dataclass(frozen=True)
 class ModelSelection:
     """What candidates came to.
@@ -199,8 +198,13 @@ def select_model(
             path = None if folder is None else Path(folder) / f"{stem}.fit.json"
             dictionary = Hyperelastic(REACH, (), NEAREST, terms)
             even = [c.fit for c in tried if c.fit and c.fit.material.dictionary == dictionary]
-            given = train, dictionary, even[0] if even else None, degree, progress and name
-            tried.append(_tried(name, test, path, *given))
+            learn = partial(
+                fit_displacement, train, stiffness=DEVIATIONS, thickness=degree, most_steps=STEPS,
+                tolerance=TOLERANCE, progress=progress and name,
+            )  # fmt: skip
+            start = even[0] if even else None
+            fit = partial(kept_fit, path, partial(_learned, learn, dictionary, start))
+            tried.append(_tried(name, fit, dictionary, degree, train, test))
             done(tried[-1])
     least = min(candidate.held_out for candidate in tried)
     alike = least * (1 + 2 / np.sqrt(2 * np.count_nonzero(seen_of(test)[:, test.interior])))
@@ -225,50 +229,40 @@ def _candidates(fibres: int, uneven: bool) -> Candidates:
 
 def _tried(
     name: str,
-    test: Samples,
-    path: Path | None,
-    train: Samples,
+    learn: Callable[[], DisplacementFit],
     dictionary: Hyperelastic,
-    start: DisplacementFit | None,
     degree: int,
-    progress: bool | str,
+    train: Samples,
+    test: Samples,
 ) -> Candidate:
     """A candidate, whatever becomes of it."""
     numbers = len(dictionary) + (len(ThicknessField.over(train.x, degree).names) if degree else 0)
     try:
         check_enough(int(np.count_nonzero(train.interior)), "interior nodes", numbers)
-        fit = kept_fit(path, partial(_fit, train, dictionary, start, degree, progress))
+        fit = learn()
         found = fit.material.dictionary
         numbers += len(found) - len(dictionary) + 2 * len(fibres_of(found))
         thickness = None if fit.thickness is None else fit.thickness.at(test.x)
         near = train.u if fit.fields is None else fit.fields
         errors: Any = evaluate_hyperelastic(fit.material, test, thickness=thickness, near=near)
+        if missing := errors["not_solved"]:
+            return Candidate(name, fit, np.inf, f"{name}: {missing} frames not solved", numbers)
+        return Candidate(name, fit, float(errors["E_u"]), "", numbers)
     except OSError:  # a full disk is no fault of the candidate
         raise
     except Exception as error:  # solvers below run into anything; the others go on
         return Candidate(name, None, np.inf, f"{name}: {error}", numbers)
-    if missing := errors["not_solved"]:
-        return Candidate(name, fit, np.inf, f"{name}: {missing} frames not solved", numbers)
-    return Candidate(name, fit, float(errors["E_u"]), "", numbers)
 
 
-def _fit(
-    train: Samples,
-    dictionary: Hyperelastic,
-    start: DisplacementFit | None,
-    degree: int,
-    progress: bool | str,
+def _learned(
+    learn: Callable[..., DisplacementFit], dictionary: Hyperelastic, start: DisplacementFit | None
 ) -> DisplacementFit:
     """A material; of fibres in fixed directions the families that they tell, (H15)."""
-    fitted = partial(
-        fit_displacement, train, stiffness=DEVIATIONS, thickness=degree, most_steps=STEPS,
-        tolerance=TOLERANCE, progress=progress,
-    )  # fmt: skip
-    wide = fitted(dictionary, start=start)
+    wide = learn(dictionary, start=start)
     directions = len({term.angle for term in dictionary.terms if term.is_fibre})
     for within in (1.6 * np.pi / directions, 0.0) if directions else ():
         found, c = fibre_families(wide.material, within=within)
-        fit = fitted(found, moving=True, start=c)
+        fit = learn(found, moving=True, start=c)
         if fit.history[-1] < WORSE * wide.history[-1]:
             return fit
     return wide

@@ -1,444 +1,344 @@
-"""A hyperelastic solid on a lattice: force, energy, tangent, forces of single energies.
+"""A hyperelastic solid, and on a lattice: force, energy, tangent, forces of single energies.
 
-All that an energy sees is linear in e = |ξ|² s, (H2), of the bonds around a site: q = Wᵗ e. Stress
-and curvature by q are torch's derivatives; the stress pulls at the bonds, and these at their ends.
+Stress and curvature by what an energy sees are torch's derivatives; the stress pulls at the bonds
+of a site, and these at their ends.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from copy import copy
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 import torch
 from numpy.typing import ArrayLike
 
 from warp_peri.core.pointwise import FEW
-from warp_peri.errors import InputError
+from warp_peri.core.record import FieldUnits, Length, Record
+from warp_peri.errors import InputError, warn
 from warp_peri.materials.hyperelastic.energies import (
     BONDS,
     KINDS,
     Density,
-    EnergyTerm,
     Hyperelastic,
     deviation,
-    half_family,
     read,
-    strain_weights,
 )
-from warp_peri.points.arrays import checked, plain
-from warp_peri.points.lattice import neighbour_table, straight_steps
-from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.materials.hyperelastic.equilibrium import (
+    DIRECT,
+    NoEquilibriumError,
+    find_equilibrium,
+    stable_equilibrium,
+)
+from warp_peri.materials.hyperelastic.lattice import CORNERS, Patch, SheetLattice
+from warp_peri.points.arguments import typed
+from warp_peri.points.arrays import checked, checked_fields, plain
+from warp_peri.points.samples import PointsLike, Samples, nodes_of, seen_of
+from warp_peri.points.unit_names import USUAL, Units, check_same, shown_moduli, symbols
+from warp_peri.protocols import OperatorBase
 from warp_peri.runtime import one_thread
+from warp_peri.solvers.solution import Newton, Solution, Solver, refuse_solver
 
-SHORT_REACH = 2**0.5
-"""Horizon of the short strain in spacings, (H4)."""
-CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
-"""Sides of the bonds along both axes that a corner of a cell has, (H19)."""
-AXIS_TOLERANCE = 1e-3
-"""Degrees between the stated axis and that of the lattice."""
-FAR = 3
-"""Spacings from the interior to the last node whose short strain shares an energy with it."""
-SMALLEST_AREA = 0.02
-"""Of the nodal strain, det C: below it a solve treats a field as folded."""
+BEYOND = 1.1
+"""Stretches less one above this many times those of the training data are worth a warning."""
 MOST = 2**22
 """Bonds of sites that are held at once; more samples follow one another."""
+MOST_SHOWN = 8
+"""Energies that a solid shows of itself."""
 
 
-@dataclass(frozen=True, eq=False)
-class LatticeBonds:
-    """Families on the nodes of a square lattice, bonds ξ and −ξ of one class.
+@dataclass(frozen=True, eq=False, repr=False)
+class HyperelasticMaterial(Record, format="warp_peri.hyperelastic"):
+    """A dictionary with its coefficients.
 
     Attributes:
-        steps: bond vectors in lattice steps, those of the half family first, shape [2 C, 2].
-        neighbour: far end of every bond, −1 where there is none, shape [N, 2 C].
-        spacing: of the lattice [length].
-        grid: place of every node in lattice steps, shape [N, 2].
-        pairs: every bond once: its ends i and j and its class.
-        xi: their vectors [length], shape [2, pairs].
-        number: which pair begins at a node, by class, shape [N, C].
-        ends: 1 at a pair's end and −1 at its beginning, shape [N, pairs].
+        dictionary: the energies.
+        coefficients: one for each [stress], shape [K].
+        spacing: of the lattice it was learned on [length]; others take the same coefficients.
+        stretch: largest nodal stretch of the data it was learned from, if known.
+        provenance: of data and fit; `stresses` says where they are scaled, in no unit.
+        units: names of the units of length and stress that it is in, those of its data.
+
+    Raises InputError for coefficients of another number or not finite, and units not known.
     """
 
-    steps: np.ndarray
-    neighbour: np.ndarray
-    spacing: float
-    grid: np.ndarray
-    pairs: tuple[np.ndarray, np.ndarray, np.ndarray]
-    xi: np.ndarray
-    number: np.ndarray
-    ends: sp.csr_array
+    dictionary: Annotated[Hyperelastic, FieldUnits(flat=True)]
+    coefficients: Annotated[np.ndarray, FieldUnits(stress=1)]
+    spacing: Length
+    stretch: float | None = None
+    provenance: dict[str, Any] = field(default_factory=dict)
+    units: Units = USUAL
+    dimension: ClassVar[int] = 2
 
-
-def lattice_bonds(points: PointsLike, reach: float) -> LatticeBonds:
-    """Families of `reach` spacings on a lattice.
-
-    The axes, from which directions of the solid are told, are those of the lattice: along the
-    points' axis where it is stated, else at most 45° from x.
-
-    Raises InputError for scattered points, an axis beside those of the lattice, or where no
-    interior node keeps 2δ from the edge.
-    """
-    if not points.spacing > 0:
-        raise InputError("points: expected a lattice (spacing > 0), got scattered points")
-    if points.box is not None or points.outside is not None:
-        raise InputError("points: expected neither a box nor nodes outside of the body")
-    grid, axes = straight_steps(points.x, points.spacing)
-    if points.axis is not None:
-        own = float(np.rad2deg(np.arctan2(axes[1, 0], axes[0, 0])))
-        quarters = round((points.axis - own) / 90)
-        if abs(points.axis - own - 90 * quarters) > AXIS_TOLERANCE:
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.coefficients.shape != (len(self.dictionary),):
             raise InputError(
-                "axis: directions of a hyperelastic solid are told from an axis of the lattice; "
-                f"expected none, or {own:.4g}° and quarter turns from it, got {points.axis:g}°"
+                f"coefficients: expected {len(self.dictionary)} numbers, "
+                f"got shape {list(self.coefficients.shape)}"
             )
-        turn = np.linalg.matrix_power(np.array([[0, -1], [1, 0]]), quarters % 4)
-        grid, axes = grid @ turn, axes @ turn
-    half = half_family(reach)
-    steps = np.concatenate([half, -half])
-    neighbour = neighbour_table(grid, steps)
-    far = neighbour[points.interior]
-    if not ((far >= 0).all() and (neighbour[far] >= 0).all()):
-        raise InputError("points: interior nodes need complete families out to twice the horizon")
-    there = neighbour[:, : len(half)] >= 0
-    i, c = np.nonzero(there)
-    j, number = neighbour[i, c], np.cumsum(there).reshape(there.shape) - 1
-    places, signs = (np.append(j, i), np.tile(np.arange(len(i)), 2)), np.repeat([1.0, -1.0], len(i))
-    ends = sp.csr_array((signs, places), shape=(len(grid), len(i)))
-    xi = np.ascontiguousarray(points.spacing * axes @ half[c].T)
-    return LatticeBonds(steps, neighbour, points.spacing, grid, (i, j, c), xi, number, ends)
+
+    @property
+    def sparse(self) -> HyperelasticMaterial:
+        """The same solid without the strain energies whose coefficient is zero."""
+        first = self.dictionary.first_term
+        kept = [n for n, c in enumerate(self.coefficients[first:]) if c != 0]
+        terms = tuple(self.dictionary.terms[n] for n in kept)
+        values = np.concatenate([self.coefficients[:first], self.coefficients[first:][kept]])
+        return replace(self, dictionary=self.dictionary.with_terms(terms), coefficients=values)
+
+    def on(
+        self, points: PointsLike, *, thickness: np.ndarray | None = None
+    ) -> HyperelasticSheetOperator:
+        """The solid on a lattice, of an even sheet or with a thickness of every node [N] (H18)."""
+        return HyperelasticSheetOperator(self, points, thickness=thickness)
+
+    def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
+        """The provenance names the units that its records stay in."""
+        return {"provenance": {**self.provenance, "units_before": list(self.units)}}
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know at a glance: name and value, energies by the size of their coefficients."""
+        length = symbols(self.units)[0]
+        stretch = "not known" if self.stretch is None else f"up to {self.stretch:.3g}"
+        rows = [("learned on", f"{self.spacing:g} {length}"), ("stretch of the data", stretch)]
+        rows.append(("energies", f"{len(self.dictionary)}"))
+        order = np.argsort(-np.abs(self.coefficients))[:MOST_SHOWN]
+        labels, values = self.dictionary.labels, self.coefficients
+        scaled = self.provenance.get("stresses")  # where no force says what they are in
+        rows += [("stresses", str(scaled))] if scaled else []
+        rows += [
+            (labels[n], f"{values[n]:.4g}" if scaled else shown_moduli(self.units, (values[n],)))
+            for n in order
+            if values[n]
+        ]
+        return rows
+
+    @property
+    def horizon(self) -> float:
+        """δ on the lattice it was learned on [length]."""
+        return self.dictionary.reach * self.spacing
 
 
 class Energy(NamedTuple):
-    """An energy of what its sites see."""
+    """An energy of what its sites see, and its coefficient."""
 
     number: int
+    coefficient: float
     density: Density
     angle: Any = 0.0
     exponent: Any = 0.0
     is_fibre: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class Patch:
-    """Bonds around each of the n sites where energies act that see the same.
-
-    Attributes:
-        nodes: that a site's bonds join, shape [V, n].
-        offsets: their places in lattice steps from the site, shape [V, 2].
-        ends: which of them a bond begins and ends at, shape [2, L].
-        bonds: numbers of the bonds, shape [L, n].
-        weights: W [1/length²], shape [L, Q].
-        pair: the site, and the node that shares its energy with it or the site again, [2, n].
-        corner: whether it is one of the four corners at a node, which share an energy.
-    """
-
-    nodes: np.ndarray
-    offsets: np.ndarray
-    ends: np.ndarray
-    bonds: np.ndarray
-    weights: np.ndarray
-    pair: np.ndarray
-    corner: bool
-
-    @cached_property
-    def sums(self) -> sp.csr_array:
-        """Sums by bond, shape [pairs up to the last, L n]."""
-        bonds = self.bonds.ravel()
-        places, one = np.arange(len(bonds) + 1), np.ones(len(bonds))
-        return sp.csr_array(sp.csc_array((one, bonds, places)))
-
-    def seen(self, e: np.ndarray) -> torch.Tensor:
-        """q of bonds [S, pairs], shape [Q, S, n]."""
-        return torch.from_numpy((self.weights.T @ e[:, self.bonds]).swapaxes(0, 1))
-
-    def along(self, stress: torch.Tensor) -> np.ndarray:
-        """What stresses [Q, S, n] pull at each site's bonds, [S, L, n]."""
-        return np.asarray(self.weights @ stress.numpy().swapaxes(0, 1))
-
-    def pull(self, stress: torch.Tensor, tension: np.ndarray) -> None:
-        """Add what stresses [Q, S, n] pull at the bonds to their tension [S, pairs]."""
-        pulled = self.sums @ self.along(stress).reshape(len(tension), -1).T
-        tension[:, : len(pulled)] += pulled.T
-
-
 Active = list[tuple[Patch, list[Energy]]]
 """Energies by what they see."""
 
 
-class HyperelasticOperator:
-    """The internal force of a dictionary of energies on a lattice; equals b in equilibrium.
+class HyperelasticSheetOperator(OperatorBase):
+    """A solid on a lattice.
 
     Args:
-        dictionary: the energies.
+        model: the solid.
         points: a lattice whose interior has the 2δ collar.
         thickness: of every node, > 0, shape [N]; an even sheet where none is given, (H18).
 
-    Displacements have shape [S, N, 2] or [N, 2]. Forces are per volume of the reference, (H8), of a
-    sheet of thickness one.
+    Displacements have shape [..., N, 2]. Forces are per volume of the reference, (H8), of a sheet
+    of thickness one.
 
-    Raises InputError for points without the collar, or a thickness that is none.
+    Raises InputError for points that are no lattice, in other units, or whose collar is too narrow,
+    and a thickness that is none.
     """
 
     def __init__(
-        self, dictionary: Hyperelastic, points: PointsLike, *, thickness: np.ndarray | None = None
+        self,
+        model: HyperelasticMaterial,
+        points: PointsLike,
+        *,
+        thickness: np.ndarray | None = None,
     ) -> None:
-        self.dictionary, self.points = dictionary, nodes_of(points)
-        self.bonds = lattice_bonds(self.points, dictionary.reach)
-        self.interior = np.flatnonzero(self.points.interior)
-        self.thickness = self._thick(thickness)
-        self._moved = self._apexes = np.ones(len(self.points.x), bool)
-        self._patches: dict[Any, Patch] = {}
-        self.energies = self._energies()
+        self.points = nodes_of(points)
+        check_same(model.units, self.points.units)
+        self.lattice = SheetLattice(self.points, model.dictionary.reach)
+        self.interior = self.lattice.interior
+        if thickness is not None:
+            thickness = checked("thickness", thickness, float, (len(self.points.x),)).copy()
+            if not thickness.min() > 0:
+                raise InputError("thickness: expected finite numbers > 0")
+        self._take(model, thickness)
 
-    def near_interior(self) -> HyperelasticOperator:
-        """The same forces on the interior, without short strains and corners that it does not move.
+    def _take(self, model: HyperelasticMaterial, thickness: np.ndarray | None) -> None:
+        self.model, self.thickness = model, thickness
+        self.active = self._energies(model.coefficients)
 
-        Far out in the collar a field may be folded, and its energy no number.
-        """
-        other, steps = copy(self), np.abs(self.bonds.steps)
-
-        def grown(nodes: np.ndarray, near: np.ndarray) -> np.ndarray:
-            far = self.bonds.neighbour[:, near]
-            return np.asarray(nodes | (nodes[far] & (far >= 0)).any(axis=1))
-
-        other._moved, other._patches = self.points.interior, {}
-        other._apexes = grown(other._moved, steps.sum(axis=1) == 1)
-        for _ in range(FAR):
-            other._moved = grown(other._moved, (steps <= 1).all(axis=1))
-        other.energies = other._energies()
+    def changed(
+        self, model: HyperelasticMaterial, thickness: np.ndarray | None
+    ) -> HyperelasticSheetOperator:
+        """Another solid of the same reach, or thickness, on the same lattice."""
+        kind = type(self)
+        other = kind.__new__(kind, model, self.points, thickness=thickness)
+        vars(other).update(points=self.points, lattice=self.lattice, interior=self.interior)
+        other._take(model, thickness)
         return other
 
-    def with_terms(self, terms: Sequence[EnergyTerm]) -> HyperelasticOperator:
-        """The same lattice with other strain energies."""
-        other = copy(self)
-        other.dictionary = self.dictionary.with_terms(terms)
-        other.energies = other._energies()
-        return other
+    def with_coefficients(self, c: np.ndarray) -> HyperelasticSheetOperator:
+        """The same with other coefficients [K], on the same lattice."""
+        model = replace(self.model, coefficients=c, provenance={})
+        return self.changed(model, self.thickness)
 
-    def with_thickness(self, thickness: np.ndarray | None) -> HyperelasticOperator:
-        """The same lattice with another thickness of every node, shape [N]; even for none."""
-        other = copy(self)
-        other.thickness = self._thick(thickness)
-        return other
+    def _energies(self, c: np.ndarray) -> Active:
+        """Those whose coefficient is not zero."""
+        own, found = self.model.dictionary, dict[Any, list[Energy]]()
 
-    def _thick(self, thickness: np.ndarray | None) -> np.ndarray | None:
-        if thickness is None:
-            return None
-        values = checked("thickness", thickness, float, (len(self.points.x),))
-        if not values.min() > 0:
-            raise InputError("thickness: expected finite numbers > 0")
-        return values.copy()
+        def add(number: int, of: Any, *energy: Any) -> None:
+            if c[number]:
+                found.setdefault(of, []).append(Energy(number, float(c[number]), *energy))
 
-    def _energies(self) -> Active:
-        own, found = self.dictionary, dict[Any, list[Energy]]()
         for number, (k, q) in enumerate(np.ndindex(own.classes, len(own.bonds))):
-            found.setdefault(("bond", k), []).append(Energy(number, BONDS[own.bonds[q]]))
+            add(number, ("bond", k), BONDS[own.bonds[q]])
         for number, step in enumerate(own.deviations, own.first_deviation):
-            found["deviation", *step] = [Energy(number, deviation)]
+            add(number, ("deviation", *step), deviation)
         for number, term in enumerate(own.terms, own.first_term):
-            energy = Energy(number, KINDS[term.kind], term.angle, term.exponent, term.is_fibre)
             for of in CORNERS if term.corner else ((),):
                 sees = ("corner" if term.corner else "strain", *of)
-                found.setdefault(sees, []).append(energy)
-        return [(self.patch(*sees), each) for sees, each in found.items()]
+                add(number, sees, KINDS[term.kind], term.angle, term.exponent, term.is_fibre)
+        return [(self.lattice.patch(*sees), each) for sees, each in found.items()]
 
-    def patch(self, kind: str = "strain", *of: int) -> Patch:
-        """Where strains, bonds, deviations or corners are, which are built once."""
-        if (kind, *of) not in self._patches:
-            self._patches[kind, *of] = self._patch(kind, *of)
-        return self._patches[kind, *of]
-
-    def _patch(self, kind: str, *of: int) -> Patch:
-        bonds, far, known = self.bonds, np.zeros(2, int), np.ones(len(self.points.x), bool)
-        C = len(bonds.steps) // 2
-
-        def strain(w: np.ndarray, at: Any = (0, 0)) -> tuple[np.ndarray, ...]:
-            """First nodes and classes of the bonds of a node's strain, and their weights."""
-            low = np.concatenate([0 * bonds.steps[: len(w)], bonds.steps[C : C + len(w)]])
-            return low + at, np.tile(np.arange(len(w)), 2), np.tile(w, (2, 1))
-
-        def bond(step: Any, w: Any, at: Any = (0, 0)) -> tuple[np.ndarray, ...]:
-            k = np.flatnonzero((bonds.steps[:C] == step).all(axis=1))
-            return np.array([at]), k, np.array([w], float)
-
-        if kind == "strain":
-            parts = [strain(strain_weights(self.dictionary.reach, 4))]
-        elif kind == "bond":
-            far = bonds.steps[of[0]]
-            parts = [bond(far, (1 / (far @ far),))]
-        elif kind == "corner":
-            (p, q), known = of, self._apexes
-            third = bond((1, -p * q), (0, 0, -p * q), (0, q) if p > 0 else (p, 0))
-            first = bond((1, 0), (1, 0, p * q), (min(p, 0), 0))
-            parts = [first, bond((0, 1), (0, 1, p * q), (0, min(q, 0))), third]
-        else:
-            far = np.array(of)
-            known = self._moved & self._moved[neighbour_table(bonds.grid, far[None])[:, 0]]
-            x, y = far / np.sqrt(far @ far)
-            w = strain_weights(SHORT_REACH, 2)
-            along = np.stack([0 * w[:, 0], w @ [x * x, y * y, x * y]], axis=1)
-            parts = [strain(along), strain(along, far), bond(far, (2 / (far @ far), 0))]
-        low, k, weights = map(np.concatenate, zip(*parts))
-        joined = np.concatenate([low, low + bonds.steps[k], [0 * far, far]])
-        offsets, place = np.unique(joined, axis=0, return_inverse=True)
-        nodes = neighbour_table(bonds.grid, offsets).T
-        *ends, own, other = place.ravel()
-        nodes = nodes[:, known & (nodes >= 0).all(axis=0)]
-        both = np.reshape(ends, (2, len(low)))
-        numbers, weights = bonds.number[nodes[both[0]], k[:, None]], weights / bonds.spacing**2
-        pair = nodes[[own, other]]
-        return Patch(nodes, offsets, both, numbers, weights, pair, kind == "corner")
-
-    def _stored(self, patch: Patch, each: Sequence[Energy], q: torch.Tensor, c: Any) -> Any:
+    def _stored(self, patch: Patch, each: Sequence[Energy], q: torch.Tensor) -> torch.Tensor:
         """Energy of every site over h², shape [S, n]."""
         seen = read(q)
-        total = sum(c[e.number] * e.density(seen, e.angle, e.exponent) for e in each)
+        total: Any = sum(e.coefficient * e.density(seen, e.angle, e.exponent) for e in each)
         share = 1 / len(CORNERS) if patch.corner else 1.0
         if self.thickness is None:
-            return share * total
+            return share * total  # type: ignore[no-any-return]
         return torch.from_numpy(share * self.thickness[patch.pair].mean(axis=0)) * total
 
     def _slope(
-        self, patch: Patch, each: Sequence[Energy], q: torch.Tensor, c: Any, graph: bool = False
+        self, patch: Patch, each: Sequence[Energy], q: torch.Tensor, graph: bool = False
     ) -> torch.Tensor:
         """∂U/∂q over h², shape [Q, S, n]; with a graph of q, which becomes a leaf."""
-        stored = self._stored(patch, each, q.requires_grad_(), c).sum()
+        stored = self._stored(patch, each, q.requires_grad_()).sum()
         return torch.autograd.grad(stored, q, create_graph=graph)[0]
 
     def _swept(self, sweep: Callable[..., np.ndarray], *fields: ArrayLike) -> np.ndarray:
         """What a sweep makes of fields [S, N, 2], a few samples at once, one after another."""
-        given, shape = [plain("u", field) for field in fields], self.points.x.shape
-        for name, one in zip("uv", given):
-            if one.ndim not in (2, 3) or (one.shape[-2:], one.shape) != (shape, given[0].shape):
-                expected = f"[S, {shape[0]}, 2] or [{shape[0]}, 2]"
-                raise InputError(f"{name}: expected shape {expected}, got {list(one.shape)}")
-        flat = [each.reshape(-1, *shape) for each in given]
-        most = max(patch.bonds.size for patch, _ in self.energies)
+        given = [plain("u", field) for field in fields]
+        for one in given:
+            self.check(one)
+        flat = [each.reshape(-1, *self.shape) for each in given]
+        most = max((patch.bonds.size for patch, _ in self.active), default=1)
         step, count = max(1, MOST // most), len(flat[0])
         with torch.enable_grad(), one_thread(3 * len(self.points.x) * min(step, count) < FEW):
             parts = [sweep(*(u[at : at + step] for u in flat)) for at in range(0, count, step)]
         whole = np.concatenate(parts)
         return whole.reshape(*given[0].shape[:-2], *whole.shape[1:])
 
-    def _differences(self, u: np.ndarray) -> np.ndarray:
-        """η = u_j − u_i of fields [S, N, 2], shape [S, 2, pairs]."""
-        (i, j, _), u = self.bonds.pairs, np.ascontiguousarray(u.swapaxes(1, 2))
-        eta: np.ndarray = np.take(u, j, axis=2) - np.take(u, i, axis=2)
-        return eta
-
-    def _stretched(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Bonds ξ + η as they are now, [S, 2, pairs], and e = ξ·η + ½ η·η, [S, pairs]."""
-        eta, xi = self._differences(u), self.bonds.xi
-        return xi + eta, ((xi + eta / 2) * eta).sum(axis=1)
-
-    def _active(self, c: np.ndarray) -> Active:
-        """Energies whose coefficient is not zero."""
-        checked("c", c, float, (len(self.dictionary),))
-        active = ((patch, [one for one in each if c[one.number]]) for patch, each in self.energies)
-        return [(patch, each) for patch, each in active if each]
-
-    def _tension(self, e: np.ndarray, c: np.ndarray, active: Active) -> np.ndarray:
+    def _tension(self, e: np.ndarray, active: Active) -> np.ndarray:
         """What energies pull at bonds e [S, pairs], over ξ + η."""
         tension = np.zeros_like(e)
         for patch, each in active:
-            patch.pull(self._slope(patch, each, patch.seen(e), c), tension)
+            patch.pull(self._slope(patch, each, patch.seen(e)), tension)
         return tension
 
-    def _at_ends(self, pull: np.ndarray) -> np.ndarray:
-        """What pulls of the bonds [S, 2, pairs] come to at the nodes, [S, N, 2]."""
-        flat = self.bonds.ends @ pull.reshape(-1, pull.shape[2]).T
-        return np.asarray(flat.reshape(-1, len(pull), 2).swapaxes(0, 1))
-
-    def strain(self, u: np.ndarray) -> np.ndarray:
+    def strain(self, u: ArrayLike) -> np.ndarray:
         """Nodal Green strain E11, E22, 2 E12, (H3), shape [..., N, 3]; zero near the edge."""
-        patch = self.patch()
+        patch = self.lattice.patch()
 
         def sweep(u: np.ndarray) -> np.ndarray:
             E = np.zeros((*u.shape[:2], 3))
-            E[:, patch.pair[0]] = patch.seen(self._stretched(u)[1]).movedim(0, -1)
+            E[:, patch.pair[0]] = patch.seen(self.lattice.stretched(u)[1]).movedim(0, -1)
             return E
 
         return self._swept(sweep, u)
 
+    def largest_stretch(self, u: ArrayLike) -> float:
+        """Largest principal stretch of the nodal strain in fields u [length]."""
+        E = self.strain(u).reshape(-1, 3)
+        mean, half = (E[:, 0] + E[:, 1]) / 2, np.hypot((E[:, 0] - E[:, 1]) / 2, E[:, 2] / 2)
+        return float(np.sqrt(1 + 2 * (mean + half).max()))
+
     def smallest_area(self, u: np.ndarray) -> float:
         """Smallest det C of the nodal strain, 1 at rest; not positive where a field folds."""
-        e = self._stretched(np.reshape(u, (-1, *self.points.x.shape)))[1]
-        return min(1.0, float(read(self.patch().seen(e)).area.min()))
+        e = self.lattice.stretched(np.reshape(u, (-1, *self.shape)))[1]
+        return min(1.0, float(read(self.lattice.patch().seen(e)).area.min()))
 
     def folded(self, u: np.ndarray) -> int:
-        """Number of corners with an interior node that one field turns over, shape of u [N, 2]."""
-        (Y,), count = self._stretched(u[None])[0], 0
-        for patch in (self.patch("corner", *of) for of in CORNERS):
+        """Number of corners with an interior node that one field turns over, shape of u [N, 2];
+        zero where no energy acts on corners."""
+        (Y,), count = self.lattice.stretched(u[None])[0], 0
+        for patch in (patch for patch, _ in self.active if patch.corner):
             first, second, _ = np.moveaxis(Y[:, patch.bonds], 1, 0)
-            over = first[0] * second[1] - first[1] * second[0] <= 0
-            count += int((over & self.points.interior[patch.nodes].any(axis=0)).sum())
+            count += int((first[0] * second[1] - first[1] * second[0] <= 0).sum())
         return count
 
-    def energy(self, u: np.ndarray, c: np.ndarray) -> np.ndarray:
-        """U, (H1), for every sample [stress × area], shape [S] or []."""
-        return np.asarray(self.nodal_energy(u, c).sum(axis=-1) * self.bonds.spacing**2)
-
-    def nodal_energy(self, u: np.ndarray, c: np.ndarray) -> np.ndarray:
+    def nodal_energy(self, u: ArrayLike) -> np.ndarray:
         """What every node and the bonds that begin there hold, over h², shape [..., N]."""
-        active = self._active(c)
 
         def sweep(u: np.ndarray) -> np.ndarray:
-            e, total = self._stretched(u)[1], np.zeros(u.shape[:2])
-            for patch, each in active:
-                total[:, patch.pair[0]] += self._stored(patch, each, patch.seen(e), c).numpy()
+            e, total = self.lattice.stretched(u)[1], np.zeros(u.shape[:2])
+            for patch, each in self.active:
+                total[:, patch.pair[0]] += self._stored(patch, each, patch.seen(e)).numpy()
             return total
 
         return self._swept(sweep, u)
 
-    def force(self, u: np.ndarray, c: np.ndarray) -> np.ndarray:
-        """The force (H8) on the interior nodes [stress / length], shape [..., I, 2]."""
-        return self.everywhere(u, c)[..., self.interior, :]
+    def energy(self, u: ArrayLike) -> np.ndarray:
+        """Elastic energy U, (H1) [stress · area], shape [...], up to what the collar alone has."""
+        return np.asarray(self.nodal_energy(u).sum(axis=-1) * self.points.spacing**2)
 
-    def everywhere(self, u: np.ndarray, c: np.ndarray) -> np.ndarray:
-        """The derivative of U by every node's displacement over h², shape [..., N, 2]."""
-        active = self._active(c)
+    def everywhere(self, u: ArrayLike) -> np.ndarray:
+        """The derivative of U by every node's displacement over h², (H8), shape [..., N, 2]."""
 
         def sweep(u: np.ndarray) -> np.ndarray:
-            Y, e = self._stretched(u)
-            return self._at_ends(self._tension(e, c, active)[:, None] * Y)
+            Y, e = self.lattice.stretched(u)
+            return self.lattice.at_ends(self._tension(e, self.active)[:, None] * Y)
 
         return self._swept(sweep, u)
 
-    def jvp(self, u: np.ndarray, c: np.ndarray, v: np.ndarray) -> np.ndarray:
+    def force(self, u: ArrayLike) -> np.ndarray:
+        """The force on the interior nodes [stress / length], shape [..., I, 2]."""
+        return self.everywhere(u)[..., self.interior, :]
+
+    def _product(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
         """K v, the derivative of the force along v, (H10), on all nodes, shape [..., N, 2]."""
-        active = self._active(c)
 
         def sweep(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-            (Y, e), away = self._stretched(u), self._differences(v)
+            (Y, e), away = self.lattice.stretched(u), self.lattice.differences(v)
             along, tension, change = (Y * away).sum(axis=1), np.zeros_like(e), np.zeros_like(e)
-            for patch, each in active:
-                stress = self._slope(patch, each, q := patch.seen(e), c, graph=True)
-                patch.pull(torch.autograd.grad(stress, q, patch.seen(along))[0], change)
+            for patch, each in self.active:
+                stress = self._slope(patch, each, q := patch.seen(e), graph=True)
                 patch.pull(stress.detach(), tension)
-            return self._at_ends(tension[:, None] * away + change[:, None] * Y)
+                bent = torch.autograd.grad(stress, q, patch.seen(along), allow_unused=True)[0]
+                if bent is not None:
+                    patch.pull(bent, change)
+            return self.lattice.at_ends(tension[:, None] * away + change[:, None] * Y)
 
         return self._swept(sweep, u, v)
 
-    def curvatures(self, u: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[Any]]:
+    def jvp(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
+        """The derivative at u along v, shape [..., I, 2]."""
+        return self._product(u, v)[..., self.interior, :]
+
+    def vjp(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
+        """The transposed product, on all nodes [..., N, 2]: that of energies is symmetric."""
+        return self._product(u, self.on_all(w))
+
+    def curvatures(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[Any]]:
         """Of one field what pulls at bonds [pairs], these bonds as they are now [2, pairs], and
         patches with the second derivatives of their energies [Q, Q, n].
         """
-        (Y,), e = self._stretched(plain("u", u)[None])
+        (Y,), e = self.lattice.stretched(plain("u", u)[None])
         tension, found = np.zeros_like(e), list[Any]()
         with torch.enable_grad(), one_thread(3 * len(self.points.x) < FEW):
-            for patch, each in self._active(c):
-                stress = self._slope(patch, each, q := patch.seen(e), c, graph=True)
+            for patch, each in self.active:
+                stress = self._slope(patch, each, q := patch.seen(e), graph=True)
                 patch.pull(stress.detach(), tension)
                 rows = [torch.autograd.grad(s.sum(), q, retain_graph=True)[0] for s in stress]
                 found.append((patch, torch.stack(rows)[:, :, 0].numpy()))
         return tension[0], Y, found
 
-    def features(self, u: np.ndarray, *, by: str = "coefficient") -> np.ndarray:
+    def features(self, u: ArrayLike, *, by: str = "coefficient") -> np.ndarray:
         """The force of every energy with coefficient one, shape [..., I, 2, K].
 
         Args:
@@ -448,70 +348,193 @@ class HyperelasticOperator:
         """
 
         def sweep(u: np.ndarray) -> np.ndarray:
-            Y, e = self._stretched(u)
-            forces = np.zeros((len(u), len(self.interior), 2, len(self.dictionary)))
+            Y, e = self.lattice.stretched(u)
+            forces = np.zeros((len(u), len(self.interior), 2, len(self.model.dictionary)))
             for patch, number, stress in self._single(e, by):
                 tension = np.zeros_like(e)
                 patch.pull(stress, tension)
-                forces[..., number] += self._at_ends(tension[:, None] * Y)[:, self.interior]
+                forces[..., number] += self.lattice.at_ends(tension[:, None] * Y)[:, self.interior]
             return forces
 
         return self._swept(sweep, u)
 
     def _single(self, e: np.ndarray, by: str) -> Iterator[tuple[Patch, int, torch.Tensor]]:
         """Stress [Q, S, n] of every energy with coefficient one, or its derivative."""
-        one = np.ones(len(self.dictionary))
-        for patch, each in self.energies:
+        for patch, each in self._energies(np.ones(len(self.model.dictionary))):
             q = patch.seen(e)
             for energy in each:
                 if by == "coefficient":
-                    yield patch, energy.number, self._slope(patch, [energy], q, one)
+                    yield patch, energy.number, self._slope(patch, [energy], q)
                 elif energy.is_fibre:
                     number = torch.tensor(getattr(energy, by), dtype=q.dtype, requires_grad=True)
                     moved: Energy = energy._replace(**{by: number})  # type: ignore[arg-type]
-                    stored = self._stored(patch, [moved], q.requires_grad_(), one).sum()
+                    stored = self._stored(patch, [moved], q.requires_grad_()).sum()
                     (slope,) = torch.autograd.grad(stored, number, create_graph=True)
                     yield patch, energy.number, torch.autograd.grad(slope, q)[0]
 
-    def by_thickness(self, u: np.ndarray, c: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    def by_thickness(self, u: ArrayLike, slopes: np.ndarray) -> np.ndarray:
         """The derivative of the force by what the thickness depends on, shape [..., I, 2, P].
 
         Args:
             u: displacements.
-            c: coefficients.
             slopes: derivative of every node's thickness by those numbers, shape [N, P].
 
         The force is linear in the thickness, so this is the force of sheets as thick as the slopes.
         """
-        parts, other = [], copy(self)
-        for other.thickness in np.asarray(slopes).T:
-            parts.append(other.force(u, c))
-        return np.stack(parts, axis=-1)
+        sheets = (self.changed(self.model, each) for each in np.asarray(slopes).T)
+        return np.stack([sheet.force(u) for sheet in sheets], axis=-1)
 
-    def pairing(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
-        """Σ f_k·w over samples and interior nodes for every energy k with coefficient one, [K]."""
+    @property
+    def learnable(self) -> dict[str, np.ndarray]:
+        """The coefficients of the energies [stress]."""
+        return {"coefficients": self.model.coefficients}
+
+    def at(self, numbers: Mapping[str, Any]) -> HyperelasticSheetOperator:
+        """The same with other coefficients."""
+        return self.with_coefficients(numbers["coefficients"])
+
+    def by_numbers(self, name: str, u: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """Derivatives of Σ w · force(u) to the coefficients [K], of fields [S, N, 2]."""
         return np.asarray(np.tensordot(w, self.features(u), np.ndim(w)))
 
-    def stress(self, u: np.ndarray, c: np.ndarray) -> np.ndarray:
-        """First Piola stress P = ½ Σ t (ξ + η)⊗ξ of a node's bonds, (H16), shape [..., N, 2, 2].
+    def interior_tangent(self, u: np.ndarray) -> Any:
+        """The derivative of the force at a field, between interior nodes, sparse [2 I, 2 I]."""
+        return self.lattice.tangent.matrix(*self.curvatures(u))
 
-        It is ∂W/∂F in uniform strain, on nodes whose neighbours all have whole families; nearer to
-        the edge it misses what bonds to outside would carry. Of a sheet that is not even it is the
-        pull per length of a section, over thickness one. Corners carry theirs at their apex.
+    def factors(self, u: np.ndarray, shifts: bool = False) -> Any:
+        """Of that, as TangentPattern.factors."""
+        return self.lattice.tangent.factors(*self.curvatures(u), shifts=shifts)
+
+    def stress(self, u: ArrayLike) -> np.ndarray:
+        """First Piola stress P = ½ Σ t (ξ + η)⊗ξ of a node's bonds, (H16), shape [..., I, 2, 2].
+
+        It is ∂W/∂F in uniform strain. Of a sheet that is not even it is the pull per length of a
+        section, over thickness one. Corners carry theirs at their apex.
         """
-        active = self._active(c)
+        xi = self.lattice.xi
 
         def sweep(u: np.ndarray) -> np.ndarray:
-            Y, e = self._stretched(u)
-            nodal = [(patch, each) for patch, each in active if not patch.corner]
-            carried = np.einsum("sb,sib,jb->bsij", self._tension(e, c, nodal), Y, self.bonds.xi)
-            P = abs(self.bonds.ends) @ carried.reshape(e.shape[1], -1) / 2
+            Y, e = self.lattice.stretched(u)
+            nodal = [(patch, each) for patch, each in self.active if not patch.corner]
+            carried = np.einsum("sb,sib,jb->bsij", self._tension(e, nodal), Y, xi)
+            P = abs(self.lattice.ends) @ carried.reshape(e.shape[1], -1) / 2
             P = P.reshape(-1, len(u), 2, 2).swapaxes(0, 1)
-            for patch, each in active:
+            for patch, each in self.active:
                 if patch.corner:
-                    t = patch.along(self._slope(patch, each, patch.seen(e), c))
-                    given = t, Y[..., patch.bonds], self.bonds.xi[:, patch.bonds]
+                    t = patch.along(self._slope(patch, each, patch.seen(e)))
+                    given = t, Y[..., patch.bonds], xi[:, patch.bonds]
                     P[:, patch.pair[0]] += np.einsum("sln,siln,jln->snij", *given)
-            return np.asarray(P)
+            return np.asarray(P[:, self.interior])
 
         return self._swept(sweep, u)
+
+    def warn_beyond(self, u: np.ndarray) -> None:
+        """Warn when fields are stretched beyond the data that the solid was learned from."""
+        known = self.model.stretch
+        if known is None or not len(u):
+            return
+        largest = self.largest_stretch(u)
+        if largest - 1 > BEYOND * (known - 1):
+            warn(
+                f"stretch: the fields reach {largest:.4g}, the training data {known:.4g}: "
+                "nothing is known of the material beyond"
+            )
+
+    def solve(self, b: ArrayLike | None, u: ArrayLike, solver: Solver = None) -> Solution:
+        """The stable equilibrium under a load, displacement given on the collar.
+
+        Args:
+            b: body force [stress/length], shape [N, 2] or [S, N, 2]; None for no load.
+            u: displacement, same shape; read on the collar only.
+            solver: Newton(tolerance).
+
+        The details of the solution are an Equilibrium for each sample, with the smallest
+        eigenvalue of its tangent. Warns of stretches beyond the data that the solid was learned
+        from. Raises NoEquilibriumError where none was found, naming the sample; InputError for
+        arrays that do not fit.
+        """
+        refuse_solver(solver, (Newton,), "a hyperelastic solid")
+        load, given = checked_fields(self.points, b, u)
+        asked, found = solver if isinstance(solver, Newton) else Newton(), []
+        fields = given.reshape(-1, *given.shape[-2:])
+        for number, (force, one) in enumerate(zip(load.reshape(fields.shape), fields)):
+            try:
+                found.append(stable_equilibrium(self, force, one, asked.tolerance))
+            except NoEquilibriumError as error:
+                raise NoEquilibriumError(f"sample {number}: {error}") from None
+        answer = np.reshape([one.u for one in found], fields.shape)
+        self.warn_beyond(answer)
+        return Solution(
+            answer.reshape(given.shape),
+            self.points,
+            self,
+            self.rhs(load),
+            "newton",
+            tuple(one.iterations for one in found),
+            details=tuple(found),
+            measured=max((one.residual for one in found), default=None),
+        )
+
+    def errors(self, samples: Samples, near: np.ndarray | None = None) -> dict[str, Any]:
+        """As evaluate_hyperelastic, of samples on these points."""
+        loads, told, found = samples.b, dict[str, Any](), []
+        if loads is not None:
+            left = self.force(samples.u) - loads[:, self.interior]
+            residuals = _size(left) / _size(loads[:, self.interior])
+            told = {"E_res": float(residuals.mean()), "residuals": residuals}
+        for u, b in zip(samples.u, [None] * len(samples) if loads is None else loads):
+            start = None if near is None else self._combined(near, u)
+            few = start is not None and 2 * len(self.interior) <= DIRECT
+            factors = self.factors(start)[0] if few else None
+            found.append(find_equilibrium(self, b, u, start=start, near=factors))
+        fields = np.array([one.u if one else np.full(self.shape, np.nan) for one in found])
+        gaps, seen = fields.reshape(samples.u.shape) - samples.u, seen_of(samples)[..., None]
+        gaps, u = (each[:, self.interior] for each in (gaps * seen, samples.u * seen))
+        errors, there = _size(gaps) / _size(u), [one for one in found if one]
+        self.warn_beyond(np.array([one.u for one in there]))
+        return told | {
+            "E_u": float(np.nanmean(errors)) if there else float("nan"),
+            "not_solved": len(found) - len(there),
+            "left_branch": sum(not one.followed for one in there),
+            "displacements": errors,
+        }
+
+    def _combined(self, near: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Fields that fit u on the collar best, and the harmonic extension of what they miss."""
+        collar = ~self.points.interior
+        given = near[:, collar].reshape(len(near), -1)
+        mixed = np.tensordot(np.linalg.lstsq(given.T, u[collar].ravel(), rcond=None)[0], near, 1)
+        return np.asarray(mixed + self.lattice.lift(u - mixed))
+
+
+def _size(fields: np.ndarray) -> np.ndarray:
+    return np.asarray(np.linalg.norm(fields, axis=(1, 2)))
+
+
+@typed
+def evaluate_hyperelastic(
+    solid: HyperelasticMaterial,
+    samples: Samples,
+    *,
+    thickness: np.ndarray | None = None,
+    near: np.ndarray | None = None,
+) -> dict[str, Any]:
+    """Relative ℓ2 errors on the interior, (30) and (31), as means over samples and one by one.
+
+    Args:
+        solid: a material, of the same spacing or another.
+        samples: with loads or, for E_u alone, without.
+        thickness: of every node of the samples, shape [N]; an even sheet where none is given.
+        near: fields of the same points under other loads, shape [M, N, 2]: each search begins at
+            their combination that fits its collar best. It begins at rest where none are given.
+
+    Returns:
+        E_res where there are loads; E_u over the samples that were solved, not_solved, their
+        number, and left_branch, the number of those that (Equilibrium.followed) another branch may
+        hold; residuals and displacements with the errors of every sample, NaN where not solved.
+
+    Raises InputError for samples in other units than the solid.
+
+    Warns of solved fields that are stretched beyond the data that the solid was learned from.
+    """
+    return solid.on(samples, thickness=thickness).errors(samples, near)
