@@ -91,7 +91,7 @@ def test_an_answer_that_is_not_stable_is_not_given(manufactured, monkeypatch):
 
 def test_a_solid_without_stiffness_is_refused(manufactured):
     op, u, b = manufactured
-    problem = Dirichlet(op.points, b, 0.1 * u)
+    problem = Dirichlet(op.points, b, u)
     with pytest.raises(NoEquilibriumError, match="no stable equilibrium found"):
         solve(op.with_coefficients(-COEFFICIENTS), problem)
     with pytest.raises(InputError, match="b: expected finite values"):
@@ -152,7 +152,7 @@ def test_very_small_loads_and_collars_have_answers_in_proportion(size):
 
 
 @pytest.mark.parametrize("sides", [(7, 40), (40, 7)])
-def test_lattices_have_a_band_as_wide_as_their_shorter_side_and_rough_factors_half_the_bits(sides):
+def test_lattices_have_a_band_as_wide_as_their_shorter_side(sides):
     steps = np.argwhere(np.ones(np.add(sides, 12), bool))
     inside = ((steps >= 6) & (steps < np.add(sides, 6))).all(axis=1)
     op = sheet_on(Points(steps, inside, 1.0), hgo_dictionary())
@@ -162,9 +162,6 @@ def test_lattices_have_a_band_as_wide_as_their_shorter_side_and_rough_factors_ha
     assert stable
     y = np.random.default_rng(0).normal(size=(K.shape[0], 2))
     np.testing.assert_allclose(K @ factors.solve(y), y, atol=1e-10)
-    half = factors.rough()
-    np.testing.assert_allclose(half.solve(y), factors.solve(y), rtol=1e-2, atol=1e-3)
-    assert half.band.dtype == np.float32
     other = op.with_coefficients(-op.model.coefficients)
     assert other.factors(u) == op.factors(np.nan * u) == (None, False)
     shifted, stable = other.factors(u, shifts=True)

@@ -15,18 +15,19 @@ HORIZON = 3.0
 
 def shuffled():
     """In no order at all, so that no two nodes follow one another."""
-    points = lattice(5, HORIZON)
+    points = lattice(3, HORIZON)
     return numbered(points, np.random.default_rng(5).permutation(len(points.x)))
 
 
 def apart():
     """Two squares in opposite corners of a rectangle that is mostly empty."""
     blocks = np.zeros((60, 60), bool)
-    blocks[:3, :3] = blocks[-3:, -3:] = True
+    blocks[:2, :2] = blocks[-2:, -2:] = True
     return lattice(blocks, HORIZON)
 
 
-LAYOUTS = SETS | {"shuffled": shuffled, "mostly empty": apart}
+KIND = "periodic, partly interior"
+LAYOUTS = {"shuffled": shuffled, "mostly empty": apart, KIND: SETS[KIND]}
 
 
 @pytest.mark.parametrize("kind", LAYOUTS)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import splu
 
-from tests.support.nonlinear import FORMS, psi, solid, tangent
+from tests.support.nonlinear import FORMS, psi, solid
 from tests.support.problems import lattice, noise
 from warp_peri.certificates import prove_uniqueness
 from warp_peri.materials.third_order import (
@@ -84,8 +84,8 @@ class Iteration:
     def __init__(self, model, strain, points, seed):
         self.operator, self.inside = PlacedThirdOrder(model, points), points.interior
         self.strain = strain
-        at_rest = tangent(self.operator, 0 * points.x)
-        self.stiffness = at_rest[:, np.repeat(self.inside, 2)].tocsc()
+        at_rest = self.operator.straight.matrix()
+        self.stiffness = at_rest.tocsc()[:, np.repeat(self.inside, 2)]
         self.factors = splu(self.stiffness)
         self.load = 0.02 * noise(points, seed=seed)[self.inside]
         self.collar = 0.02 * noise(points, seed=seed + 1)
@@ -113,7 +113,7 @@ def test_the_clipped_iteration_contracts_from_anywhere(form):
     assert proof.strain > 0.003
     rate = proof.curvature * proof.kappa_in * proof.kappa_out
     assert rate < 1
-    for seed in range(3):
+    for seed in range(2):
         random = np.random.default_rng(seed)
         mask = random.uniform(size=(5, 5)) < 0.7
         mask[2, 2] = True

@@ -23,14 +23,13 @@ from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.proof import largest, prove
 from warp_peri.core.record import Length, OnLinear, Stress
 from warp_peri.core.stencil import Stencil, squared
-from warp_peri.errors import InputError, quietly, warn
+from warp_peri.errors import InputError, warn
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import transfer_to_lattice
-from warp_peri.points.arguments import NotNegative, Positive, typed
-from warp_peri.points.arrays import is_number
+from warp_peri.points.arguments import typed
+from warp_peri.points.arrays import check_positive, is_number
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.lattice import lattice_steps
-from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, axis_of, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, shown_moduli, symbols
 from warp_peri.protocols import SAME_SPACING, offered, stencil_of
@@ -61,11 +60,7 @@ SAME = 1e-5
 MEASURES = torch.tensor([[1, 0, 0, 1], [0.5, 0, 0, -0.5], [0, 0.5, 0.5, 0]], dtype=torch.float64)
 """Of E00, E01, E10 and E11 the trace t and the deviator a, b."""
 
-_known: dict[tuple[str, float], ThirdOrderMaterial] = {}
-"""Laws that were transferred, by the hash of their content and the spacing."""
 
-
-@typed
 @dataclass(frozen=True)
 class Smoothing:
     """How the data were smoothed, for the filtered form.
@@ -79,15 +74,19 @@ class Smoothing:
     """
 
     radius: Length = 10.0
-    ridge: NotNegative = 0.1
+    ridge: float = 0.1
+
+    def __post_init__(self) -> None:
+        check_positive("radius", self.radius)
+        if not (is_number(self.ridge) and 0 <= self.ridge < np.inf):
+            raise InputError(f"ridge: expected a number ≥ 0, got {self.ridge!r}")
 
     def transform(self, k: np.ndarray) -> np.ndarray:
         """ω̂(|k|) of the cone of unit integral, at wave numbers k [1/Å]."""
         node, weight = np.polynomial.legendre.leggauss(200)
         r = (node + 1) * self.radius / 2
         part = weight * (self.radius - r) * r
-        transform: np.ndarray = (j0(np.multiply.outer(k, r)) @ part) / part.sum()
-        return transform
+        return np.asarray(j0(np.multiply.outer(k, r)) @ part / part.sum())
 
     def inverse(self, k: np.ndarray) -> np.ndarray:
         """The Wiener inverse (1 + ρ) ω̂/(ω̂² + ρ)."""
@@ -147,8 +146,7 @@ def fitted_weights(
     ]
     right = [(k * (weight * factor(number))[:, None]).ravel(), [HELD], np.zeros(len(sigma))]
     p = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0]
-    scaled: np.ndarray = p / (sigma @ p)
-    return scaled
+    return np.asarray(p / (sigma @ p))
 
 
 @dataclass(frozen=True)
@@ -187,12 +185,12 @@ class Uniqueness:
 
     def figures(self) -> dict[str, Any]:
         """The figures as plain values, and the statement."""
-        figures = {name: value for name, value in vars(self).items() if name != "units"}
-        return figures | {"statement": self.statement}
+        found = vars(self) | {"statement": self.statement}
+        return {name: found[name] for name in found if name != "units"}
 
 
 @typed
-def prove_uniqueness(model: Any, *, spacing: Positive) -> Uniqueness:
+def prove_uniqueness(model: Any, *, spacing: float) -> Uniqueness:
     """Prove up to which |H| solutions on a lattice are unique: the largest that proven bounds of κ
     [stress^(−1/2)] leave (N15).
 
@@ -209,15 +207,13 @@ def prove_uniqueness(model: Any, *, spacing: Positive) -> Uniqueness:
     kappa_out = proven_kappa(stencil, group, classes, p_out)
     kappa_in = kappa_out if p_in is p_out else proven_kappa(stencil, group, classes, p_in)
     parts = largest_parts(model)
-    strain, high = 0.0, 1.0
+    kappas, strain, high = (kappa_in, kappa_out), 0.0, 1.0
     for _ in range(60):
         middle = (strain + high) / 2
         small = curvature_bound(parts, middle) * kappa_in * kappa_out < CONTRACTION
         strain, high = (middle, high) if small else (strain, middle)
     bound = curvature_bound(parts, strain)
-    return Uniqueness(
-        stencil.spacing, strain, kappa_in, kappa_out, bound, tuple(parts), model.units
-    )
+    return Uniqueness(stencil.spacing, strain, *kappas, bound, tuple(parts), model.units)
 
 
 def curvature_bound(parts: Sequence[float], strain: float) -> float:
@@ -369,47 +365,42 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
     def on(
         self, points: PointsLike, *, transfer: bool = True, allow_uncertified: bool = False
     ) -> PlacedThirdOrder:
-        """The law on a lattice, its tensors transferred; as PlacedThirdOrder."""
-        asked = {"transfer": transfer, "allow_uncertified": allow_uncertified}
-        return PlacedThirdOrder(self, points, **asked)
-
-    def proven_strain(self, spacing: float) -> float:
-        """Largest |H| up to which solutions on a lattice are proven unique; 0 where none is."""
-        here = abs(spacing / self.spacing - 1) <= SAME_SPACING
-        return float(self.proven.get("strain", 0.0)) if here else 0.0
-
-    def at(
-        self, points: Points, *, transfer: bool = True, allow_uncertified: bool = False
-    ) -> ThirdOrderMaterial:
-        """The law for the spacing of the points: its tensors transferred, proven anew.
+        """The law on a lattice, for its spacing: tensors transferred, proven anew.
 
         Constants, smoothing and reach belong to the material and go along; the weights follow the
         lattice.
 
-        Raises InputError for other units, scattered points, and tensors without a certificate.
+        Args:
+            points: as of PlacedThirdOrder.
+            transfer: False refuses lattices that the material itself is not certified on.
+            allow_uncertified: take tensors that hold no certificate, with a warning.
+
+        Raises InputError for other units, scattered points, tensors without a certificate, and as
+        PlacedThirdOrder.
         """
-        check_same(self.units, points.units)
-        if not points.spacing > 0:
+        nodes, here = nodes_of(points), self
+        check_same(self.units, nodes.units)
+        if not nodes.spacing > 0:
             raise InputError("points: a third-order crystal is for lattices, got scattered points")
-        here = self
-        if abs(points.spacing / self.spacing - 1) > SAME_SPACING:
+        if abs(nodes.spacing / self.spacing - 1) > SAME_SPACING:
             if not transfer:
                 raise InputError(
                     f"spacing: the model is for {self.spacing:g}, the points have "
-                    f"{points.spacing:g}, and transfer=False"
+                    f"{nodes.spacing:g}, and transfer=False"
                 )
-            key = (self.content()["sha256"], points.spacing)
-            if key not in _known:
-                linear = transfer_to_lattice(self.linear, points.spacing)
-                _known[key] = replace(self, linear=linear, proven={}).certified()
-            here = _known[key]
+            here = _transferred(self, nodes.spacing)
         proof = here.linear.certificate
         if proof is None or not proof.holds:
             said = "the crystal model has no certificate on this lattice"
             if not allow_uncertified:
                 raise InputError(f"certificate: {said}; allow_uncertified=True takes them")
             warn(f"certificate: {said}")
-        return here
+        return PlacedThirdOrder(here, nodes)
+
+    def proven_strain(self, spacing: float) -> float:
+        """Largest |H| up to which solutions on a lattice are proven unique; 0 where none is."""
+        here = abs(spacing / self.spacing - 1) <= SAME_SPACING
+        return float(self.proven.get("strain", 0.0)) if here else 0.0
 
     def certified(self) -> ThirdOrderMaterial:
         """The law with its guarantee of uniqueness, where its tensors are certified (N14)."""
@@ -440,50 +431,35 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
         return rows + self.linear.rows()
 
 
+@lru_cache(maxsize=64)
+def _transferred(law: ThirdOrderMaterial, spacing: float) -> ThirdOrderMaterial:
+    linear = transfer_to_lattice(law.linear, spacing)
+    return replace(law, linear=linear, proven={}).certified()
+
+
 class PlacedThirdOrder(Pointwise):
     """Minus the internal force density of a solid of third order; b in equilibrium.
 
     Args:
-        material: certified on some lattice.
+        model: the solid, for the spacing of the points.
         points: a lattice, whose interior has a collar as wide as the linear part needs and twice
             the gradient's horizon; their axis is that of the crystal, x where none is stated, which
             is said once.
-        transfer: False refuses lattices that the material itself is not certified on.
-        allow_uncertified: take what holds no certificate, with a warning.
 
-    Attributes:
-        model: the material, its linear part transferred where need be.
-
-    Raises InputError for scattered points, nodes without the collar, other units, and an
-    uncertified spacing.
+    Raises InputError for nodes without the collar.
     """
 
-    def __init__(
-        self,
-        material: ThirdOrderMaterial,
-        points: PointsLike,
-        *,
-        transfer: bool = True,
-        allow_uncertified: bool = False,
-    ) -> None:
-        given = {"transfer": transfer, "allow_uncertified": allow_uncertified}
-        self.model = here = material.at(nodes_of(points), **given)
-        stated = here.q3 or nodes_of(points).axis is not None
-        axis = axis_of(points) if stated else 0.0
-        p_in, p_out = here.weights(bond_classes(here.spacing, here.reach))
-        steps, weights = gradient_stencil(points, here.reach, p_in)
-        back = None if p_in is p_out else gradient_stencil(points, here.reach, p_out)[1]
-        lam, mu = here.lame
-        super().__init__(
-            points,
-            here.horizon,
-            partial(energy_density, lam=lam, mu=mu, axis=axis),
-            steps,
-            weights,
-            back=back,
-            stencil=here.linear.stencil,
-            numbers={name: getattr(here, name) for name in ("t3", "tq2", "q3")},
-        )
+    def __init__(self, model: ThirdOrderMaterial, points: PointsLike) -> None:
+        self.model, nodes = model, nodes_of(points)
+        axis = axis_of(nodes) if model.q3 or nodes.axis is not None else 0.0
+        p_in, p_out = model.weights(bond_classes(model.spacing, model.reach))
+        steps, weights = gradient_stencil(nodes, model.reach, p_in)
+        back = None if p_in is p_out else gradient_stencil(nodes, model.reach, p_out)[1]
+        lam, mu = model.lame
+        density = partial(energy_density, lam=lam, mu=mu, axis=axis)
+        numbers = {name: getattr(model, name) for name in CUBIC}
+        parts = {"back": back, "stencil": model.linear.stencil, "numbers": numbers}
+        super().__init__(nodes, model.horizon, density, steps, weights, **parts)
 
     @cached_property
     def straight(self) -> Any:
@@ -493,9 +469,7 @@ class PlacedThirdOrder(Pointwise):
     def at(self, numbers: Mapping[str, Any]) -> PlacedThirdOrder:
         """The same with other constants, of which nothing is proven."""
         own: dict[str, Any] = {name: float(value) for name, value in numbers.items()}
-        with quietly():  # said of this one
-            given: dict[str, Any] = {"transfer": False, "allow_uncertified": True}
-            return PlacedThirdOrder(replace(self.model, **own, proven={}), self.points, **given)
+        return PlacedThirdOrder(replace(self.model, **own, proven={}), self.points)
 
     def energy(self, u: ArrayLike) -> np.ndarray | None:
         """Of the linear part, and h² Σ Ψ(H) [stress · length²], shape [...], up to what the collar

@@ -6,7 +6,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 from scipy.optimize import root
@@ -25,11 +24,13 @@ from warp_peri.materials.crystal_fit import Crystal, Tensors, one_set
 from warp_peri.materials.third_order import (
     CUBIC,
     FORMS,
+    PlacedThirdOrder,
     Smoothing,
     ThirdOrderMaterial,
     energy_density,
     gradient_stencil,
 )
+from warp_peri.points.arguments import typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples, axis_of
@@ -38,6 +39,7 @@ SETTLED = 1e-9
 """Relative, of moduli that are found."""
 
 
+@typed
 @dataclass(frozen=True)
 class ThirdOrder:
     """A crystal with third-order elastic constants t3, tq2, q3 (theory, N1–N6, N22–N29).
@@ -49,8 +51,9 @@ class ThirdOrder:
         smoothing: of the data, which the weights of the gradient undo.
         form: "filtered", closer to the data, or "energy", whose force has an energy and can move.
 
-    The direction of the crystal is stated by the samples' points (Points.axis). `fit` raises
-    InputError for another linear part, form or smoothing, and where no moduli are held.
+    The direction of the crystal is stated by the samples' points (Points.axis). An LPS goes in by
+    ThirdOrderMaterial(crystal_from_lps(model, spacing), …). Raises InputError for another linear
+    part or smoothing; `fit` for another form, and where no moduli are held.
 
     >>> law = wp.ThirdOrder(wp.Crystal(10.0), wp.methods.Smoothing(10.0, 0.2), "energy")
     >>> wp.fit(samples, law).material.proven_strain(5.0) > 0
@@ -62,11 +65,7 @@ class ThirdOrder:
     form: str = "filtered"
 
     def learn(
-        self,
-        samples: Samples | Dataset | Sequence[Samples],
-        *,
-        noise: Samples | Sequence[Samples] | None = None,
-        progress: bool | None = None,
+        self, samples: Samples | Dataset | Sequence[Samples], *, progress: bool | None = None
     ) -> Fit:
         """The fit: the residual is linear in tensors and constants; each sample counts by 1/‖b‖.
 
@@ -78,7 +77,10 @@ class ThirdOrder:
         or have no load.
         """
         begin, (asked, smoothing) = time.perf_counter(), (self.linear, self.smoothing)
-        self._check(noise)
+        if self.form not in FORMS:
+            raise InputError(f"form: expected 'filtered' or 'energy', got {self.form!r:.50}")
+        if asked.moduli is None:
+            raise InputError("moduli: expected some that are held, beside third-order constants")
         given = one_set(samples)
         horizon, h = asked.horizon, given.spacing
         if given.points.dimension != 2:
@@ -94,10 +96,10 @@ class ThirdOrder:
         moduli, misfit = asked.checked_moduli(2), None
         learning = Learning(given, tensors, extra)
         if moduli is None:
-            tensor, misfit = learning.found_moduli()
+            moduli, misfit = learning.found_moduli()
         else:
-            tensor = turned(moduli, turn)
-        found, _ = learning.at(tensor)
+            moduli = turned(moduli, turn)
+        found, _ = learning.at(moduli)
         linear = tensors.crystal(found, given.points.units, {})
         t3, tq2, q3 = found.p[0][len(tensors.bonds.basis) :]
         record = {
@@ -110,7 +112,7 @@ class ThirdOrder:
         law = ThirdOrderMaterial(
             linear, t3, tq2, q3, smoothing, self.form, float(horizon), provenance={"fit": record}
         ).certified()
-        operator = law.on(given.points, allow_uncertified=True)
+        operator = PlacedThirdOrder(law, given.points)
         b = given.loads[:, given.interior]
         wrong = np.linalg.norm((operator(given.u) - b).reshape(len(b), -1), axis=1)
         largest = float(operator.largest_gradient(given.u).max())
@@ -124,21 +126,6 @@ class ThirdOrder:
         return Fit(
             law, linear.certificate, {"E_res": float((wrong / learning.size).mean())}, history
         )
-
-    def _check(self, noise: Any) -> None:
-        if not isinstance(self.linear, Crystal):
-            raise InputError(
-                "linear: expected Crystal(horizon); an LPS goes in by "
-                f"ThirdOrderMaterial(crystal_from_lps(model, spacing), …), got {self.linear!r:.60}"
-            )
-        if self.form not in FORMS:
-            raise InputError(f"form: expected 'filtered' or 'energy', got {self.form!r:.50}")
-        if noise:
-            raise InputError("noise: expected none for a crystal model")
-        if not isinstance(self.smoothing, Smoothing):
-            raise InputError(f"smoothing: expected Smoothing(…), got {self.smoothing!r:.60}")
-        if self.linear.moduli is None:
-            raise InputError("moduli: expected some that are held, beside third-order constants")
 
 
 def nonlinear_features(

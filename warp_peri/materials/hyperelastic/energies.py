@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -13,6 +13,7 @@ import torch
 from warp_peri.core.stencil import half_ball
 from warp_peri.errors import InputError
 from warp_peri.materials import hyperelastic
+from warp_peri.points.arguments import typed
 from warp_peri.protocols import taken
 
 if TYPE_CHECKING:
@@ -120,6 +121,25 @@ UNSAFE = {"log_area", "area", "inverse_area", *(f"quadratic {pair}" for pair in 
 """Kinds that are not convex near rest, or not stress-free there."""
 
 
+class Energy(NamedTuple):
+    """An energy with a coefficient of its own.
+
+    Attributes:
+        sees: "bond" and a class, "deviation" and a step, "strain" or "corner".
+        label: its name in tables.
+        density: of what it sees, of a fibre's angle and exponent.
+        is_fibre: whether it is of a family of fibres.
+    """
+
+    sees: tuple[Any, ...]
+    label: str
+    density: Density
+    angle: Any = 0.0
+    exponent: Any = 0.0
+    is_fibre: bool = False
+
+
+@typed
 @dataclass(frozen=True)
 class EnergyTerm:
     """One strain energy of the dictionary, (H5).
@@ -141,10 +161,6 @@ class EnergyTerm:
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise InputError(f"kind: expected one of {', '.join(KINDS)}, got {self.kind!r}")
-        if not (np.isfinite(self.angle) and np.isfinite(self.exponent)):
-            raise InputError(f"{self.kind}: expected finite angle and exponent")
-        if not isinstance(self.corner, bool):
-            raise InputError(f"corner: expected true or false, got {self.corner!r}")
         if self.kind in ("fibre_power", "yeoh") and self.exponent < 2:
             raise InputError(f"{self.kind}: expected an exponent ≥ 2, got {self.exponent}")
         if self.kind == "fibre_exponential" and self.exponent < 0:
@@ -217,12 +233,21 @@ class Hyperelastic:
         return self.first_deviation + len(self.deviations)
 
     @property
-    def labels(self) -> list[str]:
-        """A name for every coefficient."""
-        half = half_family(self.reach).tolist()
-        names = [f"bond {tuple(step)}, {name}" for step in half for name in self.bonds]
-        names += [f"deviation {tuple(step)}" for step in self.deviations]
-        return names + [term.label for term in self.terms]
+    def energies(self) -> list[Energy]:
+        """One for every coefficient."""
+        steps = enumerate(map(tuple, half_family(self.reach).tolist()))
+        own = [
+            Energy(("bond", k), f"bond {step}, {name}", BONDS[name])
+            for k, step in steps
+            for name in self.bonds
+        ]
+        own += [
+            Energy(("deviation", *s), f"deviation {tuple(s)}", deviation) for s in self.deviations
+        ]
+        for t in self.terms:
+            sees = ("corner" if t.corner else "strain",)
+            own.append(Energy(sees, t.label, KINDS[t.kind], t.angle, t.exponent, t.is_fibre))
+        return own
 
     @property
     def guaranteed(self) -> bool:
@@ -240,10 +265,10 @@ class Hyperelastic:
         """What each energy is in uniform strains q [3, ...], with coefficient one, [K, ...]."""
         x, y = (half := half_family(self.reach)).T
         units = torch.from_numpy(np.stack([x * x, y * y, x * y]) / (half**2).sum(axis=1)).T
-        stretches = torch.tensordot(units, q, 1)
-        bonds = [BONDS[name](s) for s in stretches for name in self.bonds]
-        own = [KINDS[term.kind](Strain(q), term.angle, term.exponent) for term in self.terms]
-        return torch.stack([*bonds, *[0 * q[0]] * len(self.deviations), *own])
+        stretches, none = torch.tensordot(units, q, 1), (0 * q[0], 0 * q[0])
+        seen = {"bond": lambda k: stretches[k], "deviation": lambda *_: none}
+        own = ((e, seen.get(e.sees[0], lambda: Strain(q))(*e.sees[1:])) for e in self.energies)
+        return torch.stack([e.density(sees, e.angle, e.exponent) for e, sees in own])
 
     def learn(self, samples: Samples, **options: Any) -> Any:
         """An EnergyFit where there are loads, by fit_energy, else a DisplacementFit.
@@ -279,7 +304,7 @@ def strain_weights(reach: float, order: int, *, locality: float = 16.0) -> np.nd
     target = np.eye(len(powers))[:, :3]
     scale = (x**2 + y**2) ** (-(4 + locality) / 4)
     scaled, *_ = np.linalg.lstsq(moments * scale, target, rcond=1e-10)
-    weights: np.ndarray = scale[:, None] * scaled
+    weights = np.asarray(scale[:, None] * scaled)
     if np.abs(moments @ weights - target).max() > 1e-8:
         raise InputError(f"reach: {reach} spacings carry no strain of order {order}")
     return weights

@@ -6,7 +6,7 @@ is their loss, (H13) and (H18) its slopes through the equilibrium.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -24,7 +24,6 @@ from warp_peri.materials.hyperelastic.equilibrium import (
     find_equilibrium,
 )
 from warp_peri.materials.hyperelastic.fibres import fibre_numbers, fibres_of, with_numbers
-from warp_peri.materials.hyperelastic.lattice import BandFactors
 from warp_peri.materials.hyperelastic.operator import (
     HyperelasticMaterial,
     HyperelasticSheetOperator,
@@ -150,12 +149,12 @@ DAMPING, MOST_DAMPING = (1e-9, 1e-6, 1e-3), 1e3
 """Of Levenberg: least, that of a step from the optimum, first; that of the last that is tried."""
 TRIES = 4
 """Steps that are tried for each that is asked for, those with more damping included."""
-GAINED = 0.15
-"""Of the tolerance: what the last step gained more by has slopes of its end."""
 NO_ERROR = 1e-8
 """Of fields that no unknowns could fit better."""
 STIFFEN = 30.0
 """Largest ratio of a deviation that is stiffer than the sheet at rest to itself before a step."""
+SETTLED = 1e-4
+"""Residual of equilibria, over the largest force, that one more step of Newton's takes away."""
 NO_FORCE = {"stresses": "scaled to a stiffness of one at rest, no force is known"}
 TURN, GROWTH, THICKEN = 0.2, 1.0, 0.5
 """Largest change of an angle [rad], an exponent and a number of the thickness in one step."""
@@ -189,47 +188,41 @@ class DisplacementFit:
     scatter: float = 0.0
 
 
-Linear = tuple[np.ndarray, np.ndarray, BandFactors]
-"""Slopes of a frame's field inside by the unknowns, Newton's step, and the tangent's factors."""
-
-
 @dataclass(frozen=True, eq=False)
 class Place:
-    """Where a search stands: unknowns, fields and what both are to first order.
+    """Where a search stands: unknowns, equilibria and what both are to first order.
 
     Attributes:
         op: the sheet, with its coefficients and thickness.
         thickness: of the sheet, where it is an unknown.
         fields: of all frames, shape [S, N, 2].
-        linear: of the frames that have an equilibrium, by number.
-        equations: of these, rows whose squared sum is the loss: slopes by the unknowns, and errors
-            in equilibrium as they are.
+        slopes: of the frames that have an equilibrium, by number, those of the displacement inside
+            by the unknowns, shape [2 I, T].
+        equations: of these, rows whose squared sum is the loss: slopes, and errors as they are.
     """
 
     op: HyperelasticSheetOperator
     thickness: ThicknessField | None
     fields: np.ndarray
-    linear: dict[int, Linear] = field(default_factory=dict)
-    equations: dict[int, np.ndarray] = field(default_factory=dict)
+    slopes: dict[int, np.ndarray]
+    equations: dict[int, np.ndarray]
 
     def loss(self, change: Any = 0.0) -> float:
         """Sum of squared relative errors after a change of the unknowns, to first order."""
         rows = np.concatenate([*self.equations.values()])
-        return float(
-            ((rows[:, :-1] @ (change + np.zeros(rows.shape[1] - 1)) + rows[:, -1]) ** 2).sum()
-        )
+        change = np.broadcast_to(change, rows.shape[1] - 1)
+        return float(((rows[:, :-1] @ change + rows[:, -1]) ** 2).sum())
 
     @property
     def rms(self) -> float:
         """Root mean square of the relative errors."""
-        return float(np.sqrt(self.loss() / len(self.linear)))
+        return float(np.sqrt(self.loss() / len(self.equations)))
 
 
 class Search:
-    """A search for the unknowns of a sheet.
+    """A search for the unknowns of a sheet by the method of Gauss, Newton and Levenberg.
 
-    A step of Gauss and Newton moves unknowns and fields at once, so that it costs a tangent a frame
-    and no equilibrium; these are solved for at the end, and where a step promised too much.
+    Every step predicts the fields, whose tangents then lead to equilibria and to their slopes.
 
     Args:
         frames: the data.
@@ -250,7 +243,7 @@ class Search:
         *,
         held: bool = False,
     ) -> None:
-        self.x, self.data, self.thickness, self.held = frames.x, frames.u, thickness, held
+        self.data, self.thickness, self.held = frames.u, thickness, held
         self.op = sheet_on(dictionary, frames)
         self.inner = self.op.interior
         if not len(self.data):
@@ -266,14 +259,12 @@ class Search:
         self.pulled = np.argwhere(np.isfinite(pull))
         self.pull = pull[tuple(self.pulled.T)]
         self.sections = {axis: Sections(frames, dictionary, axis) for axis in {*self.pulled[:, 1]}}
-        self.left_out = list[int]()
         self.lower = lower_bounds(dictionary, stiffness)
         self.own = slice(dictionary.first_deviation, dictionary.first_term)
         self.measure = dictionary.stiffness
         if not self.measure.any():
             raise InputError("dictionary: expected an energy with stiffness at rest")
         self.moving = fibres_of(dictionary) if moving else []
-        self.growth = STIFFEN
 
     def _inside(self, fields: np.ndarray) -> np.ndarray:
         """Of fields [..., N, 2] the interior in a row, [..., 2 I]."""
@@ -311,17 +302,21 @@ class Search:
     def unknowns(self, place: Place) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
         """Coefficients, angles and exponents of the fibres that move, numbers of the thickness; and
         between what these may be after a step."""
-        c, M = place.op.model.coefficients, len(self.moving)
+        c, upper = place.op.model.coefficients, np.full(len(self.lower), np.inf)
+        upper[self.own] = STIFFEN * np.maximum(c[self.own], 1.0)
         fibres, (least, most) = fibre_numbers(place.op.model.dictionary, self.moving)
         thick = np.zeros(0) if place.thickness is None else place.thickness.numbers
-        reach, upper = np.repeat([TURN, GROWTH], M), np.full(len(c), np.inf)
-        upper[self.own] = self.growth * c[self.own]
-        if self.growth > 1:
-            upper[self.own] = np.maximum(upper[self.own], self.growth)
-        lower = [self.lower, np.maximum(fibres - reach, least), thick - THICKEN]
-        all_upper = np.concatenate([upper, np.minimum(fibres + reach, most), thick + THICKEN])
-        bounds = (low := np.concatenate(lower)), np.maximum(all_upper, low + 1e-9)
-        return np.concatenate([c, fibres, thick]), bounds
+        reach = np.repeat([TURN, GROWTH], len(self.moving))
+        low = np.concatenate([self.lower, np.maximum(fibres - reach, least), thick - THICKEN])
+        high = np.concatenate([upper, np.minimum(fibres + reach, most), thick + THICKEN])
+        return np.concatenate([c, fibres, thick]), (low, np.maximum(high, low + 1e-9))
+
+    def sheet(self, numbers: np.ndarray) -> tuple[HyperelasticMaterial, ThicknessField | None]:
+        """The material and the thickness of unknowns."""
+        K, thickness = len(self.measure) + 2 * len(self.moving), self.thickness
+        if thickness is not None:
+            thickness = replace(thickness, numbers=numbers[K:])
+        return with_numbers(self.op.model, self.moving, numbers[:K]), thickness
 
     def step(self, place: Place, damping: float, left: Sequence[int] = ()) -> np.ndarray:
         """The change of the unknowns that meets the equations best, but those of some frames."""
@@ -332,62 +327,43 @@ class Search:
         return np.asarray(self._nearest(J, J @ now - r, now, bounds, damping) - now)
 
     def moved(self, place: Place, change: np.ndarray) -> Place:
-        """After a change of the unknowns, fields to first order."""
-        numbers = self.unknowns(place)[0] + change
-        K, fields, thickness = len(self.measure) + 2 * len(self.moving), place.fields.copy(), None
-        for n, (J, away, _) in place.linear.items():
-            fields[n, self.inner] += (J @ change + away).reshape(-1, 2)
-        if place.thickness is not None:
-            thickness = replace(place.thickness, numbers=numbers[K:])
-        return self.placed(
-            with_numbers(place.op.model, self.moving, numbers[:K]), fields, thickness
-        )
+        """After a change of the unknowns."""
+        fields = place.fields.copy()
+        for n, J in place.slopes.items():
+            fields[n, self.inner] += (J @ change).reshape(-1, 2)
+        return self.settled(*self.sheet(self.unknowns(place)[0] + change), fields, place.slopes)
 
-    def placed(
-        self, solid: HyperelasticMaterial, fields: np.ndarray, thickness: ThicknessField | None
+    def settled(
+        self,
+        solid: HyperelasticMaterial,
+        thickness: ThicknessField | None,
+        fields: np.ndarray,
+        frames: Iterable[int],
     ) -> Place:
-        """Fields of a sheet, nothing known of their slopes."""
-        of_nodes = None if thickness is None else thickness.at(self.x)
-        return Place(self.op.changed(solid, of_nodes), thickness, fields)
-
-    def linearised(self, place: Place, frames: Sequence[int]) -> Place | None:
-        """With the derivatives of the fields by the unknowns and Newton's step to equilibrium.
-
-        None where a tangent is not positive definite, or a field folds.
-        """
-        op, K, linear = place.op, len(self.measure), dict[int, Linear]()
+        """Equilibria of frames, from fields near them; of those that have none no equations."""
+        x, fields = self.op.points.x, fields.copy()
+        op = self.op.changed(solid, None if thickness is None else thickness.at(x))
+        slopes, equations = dict[int, np.ndarray](), dict[int, np.ndarray]()
         for n in frames:
-            u, factors = place.fields[n], None
-            if op.smallest_area(u) > SMALLEST_AREA:
-                factors = op.factors(u)[0]
-            if factors is None:
-                return None
-            F = [columns(op, u, self.moving)]
-            if place.thickness is not None:
-                slopes = op.by_thickness(u, place.thickness.slopes(self.x))
-                F.append(slopes.reshape(len(F[0]), -1))
-            J = -factors.solve(np.concatenate(F, axis=1))
-            # the force is linear in the coefficients, and so are Newton's steps
-            linear[n] = J, J[:, :K] @ op.model.coefficients, factors.rough()
-        return self._reduced(replace(place, linear=linear))
-
-    def _reduced(self, place: Place) -> Place:
-        """With the equations of the errors of every frame, as few as tell the same."""
-        equations = {}
-        for n, (J, away, _) in place.linear.items():
-            gap, weight = self._inside(place.fields[n] - self.data[n]) + away, self.weight[n]
+            safe = op.smallest_area(fields[n]) > SMALLEST_AREA
+            near = op.factors(fields[n])[0] if safe else None
+            given = {"start": fields[n], "near": near, "tolerance": SETTLED}
+            found = find_equilibrium(op, None, self.data[n], **given)
+            factors = (near or op.factors(found.u)[0]) if found else None
+            if found is None or factors is None:
+                continue
+            F = [columns(op, found.u, self.moving)]
+            if thickness is not None:
+                F.append(op.by_thickness(found.u, thickness.slopes(x)).reshape(len(F[0]), -1))
+            fields[n], J = found.u, -factors.solve(np.concatenate(F, axis=1))
+            # the force is linear in the coefficients, and so is what Newton's step has left
+            fields[n, self.inner] += (J[:, : len(self.measure)] @ op.model.coefficients).reshape(
+                -1, 2
+            )
+            gap, weight = self._inside(fields[n] - self.data[n]), self.weight[n]
+            slopes[n] = J
             equations[n] = np.column_stack(compressed(J * weight[:, None], gap * weight))
-        return replace(place, equations=equations)
-
-    def balanced(self, place: Place, known: Place) -> Place | None:
-        """In equilibrium, with the slopes of a place near by; None where one is not found."""
-        fields, linear = place.fields.copy(), dict[int, Linear]()
-        for n, (J, away, near) in known.linear.items():
-            found = find_equilibrium(place.op, None, self.data[n], start=fields[n], near=near)
-            if found is None:
-                return None
-            fields[n], linear[n] = found.u, (J, 0 * away, near)
-        return self._reduced(replace(place, fields=fields, linear=linear))
+        return Place(op, thickness, fields, slopes, equations)
 
     def descended(
         self,
@@ -395,98 +371,49 @@ class Search:
         most_steps: int,
         tolerance: float,
         progress: bool | str,
-        known: DisplacementFit | None = None,
+        start: np.ndarray | None = None,
     ) -> DisplacementFit:
-        """The whole search from coefficients c, or from a known fit where that promises more."""
+        """The whole search from coefficients c, and from fields, the measured ones without some."""
         name = progress if isinstance(progress, str) else "Gauss-Newton"
         bar = tqdm(range(TRIES * most_steps), desc=name, disable=not progress, leave=False)
-        place = self.begun(c, known)
-        damping, history, balanced = DAMPING[2], [place.rms], False
+        solid, fields = (
+            replace(self.op.model, coefficients=c),
+            self.data if start is None else start,
+        )
+        place = self.settled(solid, self.thickness, fields, range(len(fields)))
+        if not place.equations:
+            raise NoEquilibriumError("no frame has an equilibrium with the first coefficients")
+        damping, history = DAMPING[2], [place.rms]
         for _ in bar:
-            if self.growth > 1 and not self._promising(place, tolerance):
+            promise, least = place.loss(self.step(place, DAMPING[0])), place.loss()
+            if place.rms <= NO_ERROR or promise > (1 - tolerance) * least:
                 break
-            ahead = self.moved(place, self.step(place, damping))
-            self.growth = STIFFEN
-            there = self.linearised(ahead, [*place.linear])
-            if there and there.loss() <= (1 + tolerance) * place.loss():
-                place, damping, balanced = there, max(damping / 10, DAMPING[0]), False
+            there = self.moved(place, self.step(place, damping))
+            if there.equations.keys() == place.equations.keys() and there.loss() < least:
+                place, damping = there, max(damping / 10, DAMPING[0])
                 history.append(place.rms)
                 bar.set_postfix(error=f"{100 * place.rms:.3f} %")
-                continue
-            damping = max(100 * damping, DAMPING[1])
-            if damping > MOST_DAMPING:
+            elif (damping := max(100 * damping, DAMPING[1])) > MOST_DAMPING:
                 break
-            if not balanced:  # what the equations promise may be what fields lack
-                here = self.balanced(place, place)
-                there = here and self.linearised(here, [*place.linear])
-                if there is None:
-                    break
-                place, balanced = there, True
-        ahead = self.moved(place, self.step(place, damping))
-        there = self.balanced(ahead, place)
-        if there is None or there.loss() > (1 + tolerance) * place.loss():
-            place = self.balanced(place, place) or place
-        elif there.loss() < (1 - GAINED * tolerance) * place.loss():  # slopes of there
-            place = self.linearised(there, [*there.linear]) or there
-        else:
-            place = there
-        history.append(place.rms)
-        each = [*place.linear] if len(place.linear) > 1 else []
+        each = [*place.equations] if len(place.equations) > 1 else []
         others = [self._fit(place, [n]) for n in each]
         return replace(self._fit(place, []), history=history, others=others, fields=place.fields)
 
-    def _promising(self, place: Place, tolerance: float) -> bool:
-        """Whether the equations promise a step that lowers the loss by more than a fraction."""
-        ahead = place.loss(self.step(place, DAMPING[0]))
-        return place.rms > NO_ERROR and ahead < (1 - tolerance) * place.loss()
-
-    def begun(self, c: np.ndarray, known: DisplacementFit | None = None) -> Place:
-        """At the measured fields, or those of a known fit where they promise more.
-
-        Where a tangent there is not positive definite, at equilibria of the first coefficients;
-        what has none is left out.
-        """
-        every, solid = range(len(self.data)), replace(self.op.model, coefficients=c)
-        starts, begun, least = [(solid, self.data, 1.0)], None, np.inf
-        if known is not None and known.fields is not None:
-            same = replace(solid, coefficients=self.scaled(known.material.coefficients))
-            starts.append((same, known.fields, STIFFEN))
-        for one, fields, growth in starts:  # stiffer deviations would add to noise at first
-            self.growth = growth
-            place = self.linearised(self.placed(one, fields, self.thickness), every)
-            if place and (left := place.loss(self.step(place, DAMPING[2]))) < least:
-                begun, least, best = place, left, growth
-        if begun is not None:
-            self.growth = best
-            return begun
-        self.growth = STIFFEN if known is not None else 1.0
-        place = self.placed(solid, self.data.copy(), self.thickness)
-        found = [find_equilibrium(place.op, None, u, start=u) for u in self.data]
-        kept = [n for n, one in enumerate(found) if one]
-        self.left_out = [n for n, one in enumerate(found) if not one]
-        place.fields[kept] = [one.u for one in found if one] or place.fields[:0]
-        begun = self.linearised(place, kept) if kept else None
-        if begun is None:
-            raise NoEquilibriumError("no frame has an equilibrium with the first coefficients")
-        return begun
-
     def _fit(self, place: Place, left: list[int]) -> DisplacementFit:
         """What is here, or one step from here with some frames left out, in the scale of forces."""
-        errors, change = np.full(len(self.data), np.inf), 0 * self.unknowns(place)[0]
-        if left:
-            change = self.step(place, DAMPING[1], left)
+        errors, (numbers, _) = np.full(len(self.data), np.inf), self.unknowns(place)
+        change = self.step(place, DAMPING[1], left) if left else 0 * numbers
         for n, rows in place.equations.items():
             errors[n] = np.linalg.norm(rows[:, :-1] @ change + rows[:, -1])
-        there = self.moved(place, change)
-        solid, thickness = there.op.model, there.thickness
+        solid, thickness = self.sheet(numbers + change)
         scale, scatter = self._scale(left, solid, thickness)
         solid = replace(
             solid,
             coefficients=scale * solid.coefficients,
-            stretch=there.op.largest_stretch(self.data),
+            stretch=self.op.largest_stretch(self.data),
             provenance={} if len(self.pull) else NO_FORCE,
         )
-        left = [*self.left_out, *left]
+        left = [*(n for n in range(len(errors)) if n not in place.equations), *left]
         rms = float(np.sqrt(np.delete(errors**2, left).mean()))
         return DisplacementFit(solid, errors, [rms], left, thickness, scale=scale, scatter=scatter)
 
@@ -537,8 +464,8 @@ def fit_displacement(
         dictionary: energies that are safe with coefficients ≥ 0.
         stiffness: least coefficient of the deviations, in units of the initial stiffness.
         moving: whether angles and exponents of fibres are unknowns too.
-        start: coefficients to begin with, shape [K]; those of least equation error where none. Of
-            a fit of the same frames and energies the search begins there if that promises more.
+        start: coefficients to begin with, shape [K], or a fit of the same frames and energies;
+            coefficients of least equation error where none.
         thickness: degree of the polynomial that is the logarithm of the sheet's thickness, (H18);
             0 for an even sheet.
         most_steps: of Gauss and Newton.
@@ -560,16 +487,16 @@ def fit_displacement(
     measured = 2 * int(np.count_nonzero(seen_of(frames)[:, frames.interior]))
     check_enough(measured, "measured components inside", len(dictionary))
     search = Search(frames, dictionary, stiffness, moving, uneven)
-    known: DisplacementFit | None = None
+    fields = None
     if isinstance(start, DisplacementFit):
-        known, start = start, None
+        start, fields = start.material.coefficients, start.fields
     if start is None:
         c = search.equation_error()
     else:
         if np.shape(start) != (len(dictionary),):
             raise InputError(f"start: expected {len(dictionary)} coefficients, got {start!r:.60}")
         c = search.scaled(np.maximum(start, search.lower))
-    fit = search.descended(c, most_steps, tolerance, progress, known)
+    fit = search.descended(c, most_steps, tolerance, progress, fields)
     if (stiffest := stiffest_deviation(fit)) > INTERPOLATES:
         warn(
             f"deviations came out {stiffest:.0f} times as stiff as the sheet at rest: they "

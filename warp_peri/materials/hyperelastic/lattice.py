@@ -242,19 +242,14 @@ class BandFactors:
     order: np.ndarray
 
     def solve(self, y: np.ndarray) -> np.ndarray:
-        """K⁻¹ y by the factors, in their precision."""
-        given = y[self.order].astype(self.band.dtype)  # else SciPy turns the band, every time
+        """K⁻¹ y."""
         x = np.empty(y.shape)
-        x[self.order] = cho_solve_banded((self.band, True), given, check_finite=False)
+        x[self.order] = cho_solve_banded((self.band, True), y[self.order], check_finite=False)
         return x
 
     def inverse(self, r: np.ndarray) -> np.ndarray:
         """The same of a residual [I, 2]."""
         return self.solve(r.ravel()).reshape(r.shape)
-
-    def rough(self) -> BandFactors:
-        """The same in half the memory, for fields near by."""
-        return BandFactors(self.band.astype(np.float32), self.order)
 
 
 class TangentPattern:

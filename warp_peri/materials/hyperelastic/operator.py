@@ -6,9 +6,9 @@ of a site, and these at their ends.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import torch
@@ -17,14 +17,7 @@ from numpy.typing import ArrayLike
 from warp_peri.core.pointwise import FEW
 from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.errors import InputError, warn
-from warp_peri.materials.hyperelastic.energies import (
-    BONDS,
-    KINDS,
-    Density,
-    Hyperelastic,
-    deviation,
-    read,
-)
+from warp_peri.materials.hyperelastic.energies import Energy, Hyperelastic, read
 from warp_peri.materials.hyperelastic.equilibrium import (
     DIRECT,
     NoEquilibriumError,
@@ -105,7 +98,7 @@ class HyperelasticMaterial(Record, format="warp_peri.hyperelastic"):
         rows = [("learned on", f"{self.spacing:g} {length}"), ("stretch of the data", stretch)]
         rows.append(("energies", f"{len(self.dictionary)}"))
         order = np.argsort(-np.abs(self.coefficients))[:MOST_SHOWN]
-        labels, values = self.dictionary.labels, self.coefficients
+        labels, values = [e.label for e in self.dictionary.energies], self.coefficients
         scaled = self.provenance.get("stresses")  # where no force says what they are in
         rows += [("stresses", str(scaled))] if scaled else []
         rows += [
@@ -121,19 +114,8 @@ class HyperelasticMaterial(Record, format="warp_peri.hyperelastic"):
         return self.dictionary.reach * self.spacing
 
 
-class Energy(NamedTuple):
-    """An energy of what its sites see, and its coefficient."""
-
-    number: int
-    coefficient: float
-    density: Density
-    angle: Any = 0.0
-    exponent: Any = 0.0
-    is_fibre: bool = False
-
-
-Active = list[tuple[Patch, list[Energy]]]
-"""Energies by what they see."""
+Active = list[tuple[Patch, list[tuple[int, float, Energy]]]]
+"""Energies with their numbers and coefficients, by what they see."""
 
 
 class HyperelasticSheetOperator(OperatorBase):
@@ -189,34 +171,24 @@ class HyperelasticSheetOperator(OperatorBase):
 
     def _energies(self, c: np.ndarray) -> Active:
         """Those whose coefficient is not zero."""
-        own, found = self.model.dictionary, dict[Any, list[Energy]]()
-
-        def add(number: int, of: Any, *energy: Any) -> None:
-            if c[number]:
-                found.setdefault(of, []).append(Energy(number, float(c[number]), *energy))
-
-        for number, (k, q) in enumerate(np.ndindex(own.classes, len(own.bonds))):
-            add(number, ("bond", k), BONDS[own.bonds[q]])
-        for number, step in enumerate(own.deviations, own.first_deviation):
-            add(number, ("deviation", *step), deviation)
-        for number, term in enumerate(own.terms, own.first_term):
-            for of in CORNERS if term.corner else ((),):
-                sees = ("corner" if term.corner else "strain", *of)
-                add(number, sees, KINDS[term.kind], term.angle, term.exponent, term.is_fibre)
+        found = dict[Any, list[tuple[int, float, Energy]]]()
+        for number, energy in enumerate(self.model.dictionary.energies):
+            for of in CORNERS if energy.sees == ("corner",) else ((),):
+                if c[number]:
+                    one = number, float(c[number]), energy
+                    found.setdefault((*energy.sees, *of), []).append(one)
         return [(self.lattice.patch(*sees), each) for sees, each in found.items()]
 
-    def _stored(self, patch: Patch, each: Sequence[Energy], q: torch.Tensor) -> torch.Tensor:
+    def _stored(self, patch: Patch, each: Any, q: torch.Tensor) -> torch.Tensor:
         """Energy of every site over h², shape [S, n]."""
         seen = read(q)
-        total: Any = sum(e.coefficient * e.density(seen, e.angle, e.exponent) for e in each)
+        total: Any = sum(c * e.density(seen, e.angle, e.exponent) for _, c, e in each)
         share = 1 / len(CORNERS) if patch.corner else 1.0
         if self.thickness is None:
             return share * total  # type: ignore[no-any-return]
         return torch.from_numpy(share * self.thickness[patch.pair].mean(axis=0)) * total
 
-    def _slope(
-        self, patch: Patch, each: Sequence[Energy], q: torch.Tensor, graph: bool = False
-    ) -> torch.Tensor:
+    def _slope(self, patch: Patch, each: Any, q: torch.Tensor, graph: bool = False) -> torch.Tensor:
         """∂U/∂q over h², shape [Q, S, n]; with a graph of q, which becomes a leaf."""
         stored = self._stored(patch, each, q.requires_grad_()).sum()
         return torch.autograd.grad(stored, q, create_graph=graph)[0]
@@ -229,7 +201,8 @@ class HyperelasticSheetOperator(OperatorBase):
         flat = [each.reshape(-1, *self.shape) for each in given]
         most = max((patch.bonds.size for patch, _ in self.active), default=1)
         step, count = max(1, MOST // most), len(flat[0])
-        with torch.enable_grad(), one_thread(3 * len(self.points.x) * min(step, count) < FEW):
+        few = 3 * len(self.points.x) * min(step, count) < FEW
+        with torch.enable_grad(), one_thread(few), np.errstate(all="ignore"):  # of steps run away
             parts = [sweep(*(u[at : at + step] for u in flat)) for at in range(0, count, step)]
         whole = np.concatenate(parts)
         return whole.reshape(*given[0].shape[:-2], *whole.shape[1:])
@@ -362,15 +335,15 @@ class HyperelasticSheetOperator(OperatorBase):
         """Stress [Q, S, n] of every energy with coefficient one, or its derivative."""
         for patch, each in self._energies(np.ones(len(self.model.dictionary))):
             q = patch.seen(e)
-            for energy in each:
+            for number, one, energy in each:
                 if by == "coefficient":
-                    yield patch, energy.number, self._slope(patch, [energy], q)
+                    yield patch, number, self._slope(patch, [(number, one, energy)], q)
                 elif energy.is_fibre:
-                    number = torch.tensor(getattr(energy, by), dtype=q.dtype, requires_grad=True)
-                    moved: Energy = energy._replace(**{by: number})  # type: ignore[arg-type]
-                    stored = self._stored(patch, [moved], q.requires_grad_()).sum()
-                    (slope,) = torch.autograd.grad(stored, number, create_graph=True)
-                    yield patch, energy.number, torch.autograd.grad(slope, q)[0]
+                    value = torch.tensor(getattr(energy, by), dtype=q.dtype, requires_grad=True)
+                    moved: Any = energy._replace(**{by: value})  # type: ignore[arg-type]
+                    stored = self._stored(patch, [(number, one, moved)], q.requires_grad_()).sum()
+                    (slope,) = torch.autograd.grad(stored, value, create_graph=True)
+                    yield patch, number, torch.autograd.grad(slope, q)[0]
 
     def by_thickness(self, u: ArrayLike, slopes: np.ndarray) -> np.ndarray:
         """The derivative of the force by what the thickness depends on, shape [..., I, 2, P].
