@@ -108,7 +108,7 @@ def test_what_does_not_fit_is_refused():
         ((linear, None), "smoothing"),
         ((Crystal(REACH, moduli=None), Smoothing(2.0)), "moduli"),
         ((linear, Smoothing(2.0), "auto"), "form: expected 'filtered' or 'energy', got 'auto'"),
-        ((warp_peri.LPS(REACH), Smoothing(2.0)), "linear: expected a Crystal"),
+        ((warp_peri.LPS(REACH), Smoothing(2.0)), "linear: expected Crystal, got LPS"),
     ):
         with pytest.raises(InputError, match=words):
             fit(samples, ThirdOrder(*asked))

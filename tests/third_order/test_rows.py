@@ -47,6 +47,8 @@ def test_force_and_derivatives(kind):
     ends = far_ends(classes.steps, points, points.interior)[1]
     force = op.straight(u) - np.einsum("ipkl,pl,p->ik", stress[ends], xi, p_out)
     assert np.abs(op(u) - force).max() <= 4 * ROUNDING * np.abs(force).max()
+    if kind != "shuffled":
+        return
     v, w = noise(points, seed=2), noise(points, seed=3)[points.interior]
     square = tangent(op, u)
     for rate, expected in (

@@ -115,7 +115,7 @@ class DiffusionOperator(FlowOperator):
         # broken bonds count in m and carry nothing; on a lattice −1 is also of no node
         self._kept = (far := families.neighbour[bond]) >= 0
         self._ends = self.rows[own[self._kept]], far[self._kept]
-        self.given = law.conductivity if kappa is None else kappa
+        self.given: Any = law.conductivity if kappa is None else kappa
         self._series = self._along_bonds(self.given) if callable(self.given) else None
         if self._series is None:
             if np.shape(self.given) not in ((), (len(self.points.x),)):
@@ -146,9 +146,10 @@ class DiffusionOperator(FlowOperator):
         scale = 2 * self.points.dimension
         v = (scale * K * weight / volume[own])[torch.from_numpy(self._kept)]
         if kappa is None:
-            return v * torch.from_numpy(self._series)
-        near, far = (kappa[end] if kappa.dim() else kappa for end in self._ends)
-        return v * 2 / (1 / near + 1 / far)
+            kappa = torch.from_numpy(self._series)
+        elif kappa.dim():
+            kappa = 2 / sum(1 / kappa[end] for end in self._ends)
+        return torch.as_tensor(v * kappa)
 
     def _along_bonds(self, kappa: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         """κ of each bond, its parts in series (Di2), shape [E]."""

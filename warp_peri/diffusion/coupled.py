@@ -150,7 +150,10 @@ class CoupledOperator(FlowOperator):
         """The same with other numbers; InputError as the class, and for κ not > 0."""
         diffusion, own = self.diffusion.at(self._of_conductor(numbers)), self.model.model
         model = own.with_parameters({name: numbers[name] for name in own.learnable})
-        parts = {"conductor": diffusion.model, "coupling": float(numbers["coupling"])}
+        parts: dict[str, Any] = {
+            "conductor": diffusion.model,
+            "coupling": float(numbers["coupling"]),
+        }
         material = replace(self.model, model=model, **parts)
         return CoupledOperator(material, self.points, kappa=diffusion.given)
 

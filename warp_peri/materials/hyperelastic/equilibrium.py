@@ -103,7 +103,10 @@ def find_equilibrium(
     collar[op.interior] = 0.0
     sheet = Sheet(op, load[op.interior], collar)
     if (times := sheet.too_small()) > 1:
-        more = {"start": None if start is None else times * start, "tolerance": tolerance}
+        more: dict[str, Any] = {
+            "start": None if start is None else times * start,
+            "tolerance": tolerance,
+        }
         larger = find_equilibrium(op, None if b is None else times * b, times * u, **more)
         return larger and replace(larger, u=larger.u / times)
     for inverse in (near.inverse, None) if near else (None,):
@@ -161,7 +164,7 @@ class Sheet:
 
     def moved(self, u: np.ndarray, step: np.ndarray) -> np.ndarray:
         """A field after a step of the interior."""
-        return u + self.op.on_all(step)
+        return np.asarray(u + self.op.on_all(step))
 
     def left(self, u: np.ndarray) -> tuple[np.ndarray, float]:
         """What forces leave of the load, and the largest of both."""

@@ -347,7 +347,7 @@ class Search:
         for n in frames:
             safe = op.smallest_area(fields[n]) > SMALLEST_AREA
             near = op.factors(fields[n])[0] if safe else None
-            given = {"start": fields[n], "near": near, "tolerance": SETTLED}
+            given: dict[str, Any] = {"start": fields[n], "near": near, "tolerance": SETTLED}
             found = find_equilibrium(op, None, self.data[n], **given)
             factors = (near or op.factors(found.u)[0]) if found else None
             if found is None or factors is None:
@@ -451,7 +451,7 @@ def fit_displacement(
     *,
     stiffness: float = 0.05,
     moving: bool = False,
-    start: np.ndarray | DisplacementFit | None = None,
+    start: Any = None,
     thickness: int = 0,
     most_steps: int = 15,
     tolerance: float = 1e-4,
@@ -489,7 +489,7 @@ def fit_displacement(
     search = Search(frames, dictionary, stiffness, moving, uneven)
     fields = None
     if isinstance(start, DisplacementFit):
-        start, fields = start.material.coefficients, start.fields
+        start, fields = search.scaled(start.material.coefficients), start.fields
     if start is None:
         c = search.equation_error()
     else:

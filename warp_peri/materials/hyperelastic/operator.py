@@ -183,10 +183,10 @@ class HyperelasticSheetOperator(OperatorBase):
         """Energy of every site over h², shape [S, n]."""
         seen = read(q)
         total: Any = sum(c * e.density(seen, e.angle, e.exponent) for _, c, e in each)
-        share = 1 / len(CORNERS) if patch.corner else 1.0
-        if self.thickness is None:
-            return share * total  # type: ignore[no-any-return]
-        return torch.from_numpy(share * self.thickness[patch.pair].mean(axis=0)) * total
+        share: Any = 1 / len(CORNERS) if patch.corner else 1.0
+        if self.thickness is not None:
+            share = torch.from_numpy(share * self.thickness[patch.pair].mean(axis=0))
+        return torch.as_tensor(share * total)
 
     def _slope(self, patch: Patch, each: Any, q: torch.Tensor, graph: bool = False) -> torch.Tensor:
         """∂U/∂q over h², shape [Q, S, n]; with a graph of q, which becomes a leaf."""
@@ -457,8 +457,8 @@ class HyperelasticSheetOperator(OperatorBase):
             told = {"E_res": float(residuals.mean()), "residuals": residuals}
         for u, b in zip(samples.u, [None] * len(samples) if loads is None else loads):
             start = None if near is None else self._combined(near, u)
-            few = start is not None and 2 * len(self.interior) <= DIRECT
-            factors = self.factors(start)[0] if few else None
+            few = 2 * len(self.interior) <= DIRECT
+            factors = None if start is None or not few else self.factors(start)[0]
             found.append(find_equilibrium(self, b, u, start=start, near=factors))
         fields = np.array([one.u if one else np.full(self.shape, np.nan) for one in found])
         gaps, seen = fields.reshape(samples.u.shape) - samples.u, seen_of(samples)[..., None]
