@@ -47,8 +47,11 @@ def test_the_reduced_equations_are_the_equations(samples):
         (lambda s: fit_energy(square(4, u=s.u), hgo_dictionary()), "loads are not known"),
         (lambda s: fit_energy(square(4, u=s.u, b=0 * s.u), hgo_dictionary()), "got one without"),
         (lambda s: fit_energy(s[:0], hgo_dictionary()), "samples: expected some"),
-        (lambda s: fit_energy(s, hgo_dictionary(), ridge=np.nan), "ridge: expected a finite"),
-        (lambda s: fit_energy(s, hgo_dictionary(), stiffness=-1.0), "stiffness: expected a finite"),
+        (lambda s: fit_energy(s, hgo_dictionary(), ridge=np.nan), "ridge: expected a number ≥ 0"),
+        (
+            lambda s: fit_energy(s, hgo_dictionary(), stiffness=-1.0),
+            "stiffness: expected a number ≥ 0",
+        ),
         (lambda s: wp.fit(s, hgo_dictionary(), rigde=0.0), "options among positive, .*, got rigde"),
     ],
 )

@@ -164,7 +164,7 @@ def test_what_says_nothing_is_refused(frames):
         "stiffness: expected": fit(f, stiffness=-1.0),
         "start: expected 6 coefficients": fit(f, start=np.ones(2)),
         "frames: expected one or more": lambda: fit_thickness(Samples(f.points, f.u[:0]), solid),
-        "degree: expected 1 to 6, got 7": fit(f, thickness=7),
+        "degree: expected 1 to 6": fit(f, thickness=7),
         r"numbers: expected shape \[5\]": lambda: replace(
             ThicknessField.over(f.x, 2), numbers=np.ones(4)
         ),

@@ -135,7 +135,7 @@ def test_a_law_needs_frames_and_ten_nodes_for_each_number():
     for wrong, words in (
         ({"frames": frames}, "50 interior nodes for 5 numbers, got 9"),
         ({"frames": frames[:3]}, "frames: expected at least 4, got 3"),
-        ({"frames": frames, "fibres": -1}, "fibres: expected a number of directions"),
+        ({"frames": frames, "fibres": -1}, "fibres: expected a whole number ≥ 0"),
     ):
         with pytest.raises(wp.InputError, match=words):
             wp.hyperelastic.select_model(**wrong)

@@ -18,17 +18,17 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 22_189,
-    "tokens": 268_568,
-    "lines of warp_peri": 37_312,
+    "code lines": 21_937,
+    "tokens": 265_333,
+    "lines of warp_peri": 36_968,
     "lines of kernels": 1_103,
-    "lines of warp_peri, kernels, examples and tools": 50_750,
-    "lines of the longest file": 651,
+    "lines of warp_peri, kernels, examples and tools": 50_406,
+    "lines of the longest file": 609,
     "lines of the longest function": 91,
     "parameters of one function": 11,
     "characters of the longest string": 1_728,
-    "class names twice": 1,
-    "imports of warp_peri inside functions": 9,
+    "class names twice": 0,
+    "imports of warp_peri inside functions": 7,
     "asserts in warp_peri": 0,
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
@@ -36,18 +36,18 @@ ROOMS = {
     "atoms": 2677,
     "cli": 1052,
     "core": 1666,
-    "diffusion": 257,
-    "face": 945,
+    "diffusion": 261,
+    "face": 944,
     "fe_coupling": 753,
     "files": 544,
     "fitting": 1307,
     "fracture": 1623,
-    "materials": 5626,
+    "materials": 5358,
     "neural": 839,
     "points": 1727,
     "prediction": 755,
     "mpi": 881,
-    "solvers": 1537,
+    "solvers": 1550,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

@@ -107,7 +107,7 @@ def test_what_does_not_fit_is_refused():
     for asked, words in (
         ((linear, None), "smoothing"),
         ((Crystal(REACH, moduli=None), Smoothing(2.0)), "moduli"),
-        ((linear, Smoothing(2.0), "auto"), "form: expected 'filtered' or 'energy', got 'auto'"),
+        ((linear, Smoothing(2.0), "auto"), "form: expected one of filtered, energy, got 'auto'"),
         ((warp_peri.LPS(REACH), Smoothing(2.0)), "linear: expected Crystal, got LPS"),
     ):
         with pytest.raises(InputError, match=words):

@@ -26,8 +26,8 @@ from warp_peri.core.stencil import Stencil, squared
 from warp_peri.errors import InputError, warn
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import transfer_to_lattice
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import check_positive, is_number
+from warp_peri.points.arguments import NotNegative, Positive, typed
+from warp_peri.points.arrays import is_number
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import PointsLike, axis_of, nodes_of
@@ -61,6 +61,7 @@ MEASURES = torch.tensor([[1, 0, 0, 1], [0.5, 0, 0, -0.5], [0, 0.5, 0.5, 0]], dty
 """Of E00, E01, E10 and E11 the trace t and the deviator a, b."""
 
 
+@typed
 @dataclass(frozen=True)
 class Smoothing:
     """How the data were smoothed, for the filtered form.
@@ -74,12 +75,7 @@ class Smoothing:
     """
 
     radius: Length = 10.0
-    ridge: float = 0.1
-
-    def __post_init__(self) -> None:
-        check_positive("radius", self.radius)
-        if not (is_number(self.ridge) and 0 <= self.ridge < np.inf):
-            raise InputError(f"ridge: expected a number ≥ 0, got {self.ridge!r}")
+    ridge: NotNegative = 0.1
 
     def transform(self, k: np.ndarray) -> np.ndarray:
         """ω̂(|k|) of the cone of unit integral, at wave numbers k [1/Å]."""
@@ -190,7 +186,7 @@ class Uniqueness:
 
 
 @typed
-def prove_uniqueness(model: Any, *, spacing: float) -> Uniqueness:
+def prove_uniqueness(model: Any, *, spacing: Positive) -> Uniqueness:
     """Prove up to which |H| solutions on a lattice are unique: the largest that proven bounds of κ
     [stress^(−1/2)] leave (N15).
 

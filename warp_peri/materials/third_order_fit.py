@@ -6,6 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Literal
 
 import numpy as np
 from scipy.optimize import root
@@ -23,7 +24,6 @@ from warp_peri.fitting.rows import load_sizes, rows, swept
 from warp_peri.materials.crystal_fit import Crystal, Tensors, one_set
 from warp_peri.materials.third_order import (
     CUBIC,
-    FORMS,
     PlacedThirdOrder,
     Smoothing,
     ThirdOrderMaterial,
@@ -62,7 +62,7 @@ class ThirdOrder:
 
     linear: Crystal
     smoothing: Smoothing
-    form: str = "filtered"
+    form: Literal["filtered", "energy"] = "filtered"
 
     def learn(
         self, samples: Samples | Dataset | Sequence[Samples], *, progress: bool | None = None
@@ -77,8 +77,6 @@ class ThirdOrder:
         or have no load.
         """
         begin, (asked, smoothing) = time.perf_counter(), (self.linear, self.smoothing)
-        if self.form not in FORMS:
-            raise InputError(f"form: expected 'filtered' or 'energy', got {self.form!r:.50}")
         if asked.moduli is None:
             raise InputError("moduli: expected some that are held, beside third-order constants")
         given = one_set(samples)

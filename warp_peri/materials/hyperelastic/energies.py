@@ -180,6 +180,7 @@ class EnergyTerm:
         return words + (f", {self.exponent:g}" if self.kind in (*FIBRES, "yeoh") else "")
 
 
+@typed
 @dataclass(frozen=True)
 class Hyperelastic:
     """What energies a material may be made of, (H1); every coefficient has a place in one vector.

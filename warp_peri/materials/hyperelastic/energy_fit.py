@@ -24,7 +24,7 @@ from warp_peri.materials.hyperelastic.operator import (
     HyperelasticMaterial,
     HyperelasticSheetOperator,
 )
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import Count, NotNegative, typed, typed_methods
 from warp_peri.points.samples import PointsLike, Samples, nodes_of
 
 RIDGE = 1e-9
@@ -96,10 +96,8 @@ def between(
 def lower_bounds(dictionary: Hyperelastic, stiffness: float, others: float = 0.0) -> np.ndarray:
     """Least coefficients: `stiffness` for what keeps hourglasses away, `others` for the rest.
 
-    Shape [K] [stress]. Raises InputError for a stiffness that is negative or not finite.
+    Shape [K] [stress].
     """
-    if not 0 <= stiffness < np.inf:
-        raise InputError(f"stiffness: expected a finite number ≥ 0, got {stiffness}")
     lower = np.full(len(dictionary), others)
     first, last, bonds = dictionary.first_deviation, dictionary.first_term, len(dictionary.bonds)
     lower[first:last] = stiffness or others
@@ -108,6 +106,7 @@ def lower_bounds(dictionary: Hyperelastic, stiffness: float, others: float = 0.0
     return lower
 
 
+@typed_methods
 @dataclass(frozen=True, eq=False)
 class EnergyFit:
     """A fitted solid.
@@ -134,13 +133,14 @@ def _fitted(
     return solid, float(np.linalg.norm(R @ c - y))
 
 
+@typed
 def fit_energy(
     samples: Samples,
     dictionary: Hyperelastic,
     *,
     positive: bool = False,
-    stiffness: float = 0.0,
-    ridge: float = RIDGE,
+    stiffness: NotNegative = 0.0,
+    ridge: NotNegative = RIDGE,
 ) -> EnergyFit:
     """Fit the coefficients of a dictionary.
 
@@ -153,11 +153,9 @@ def fit_energy(
             only, and the other coefficients have any sign.
         ridge: relative weight of the coefficients' squared length.
 
-    Raises InputError for a ridge or stiffness that is none, positive with a dictionary that
-    guarantees nothing, or samples as for equations().
+    Raises InputError for positive with a dictionary that guarantees nothing, or samples as for
+    equations().
     """
-    if not 0 <= ridge < np.inf:
-        raise InputError(f"ridge: expected a finite number ≥ 0, got {ridge}")
     if positive and not dictionary.guaranteed:
         raise InputError("positive: expected energies that are convex and stress-free at rest only")
     lower = lower_bounds(dictionary, stiffness, 0.0 if positive else -np.inf)
@@ -170,9 +168,9 @@ def fit_fibre_families(
     *,
     matrix: Sequence[str] = ("neo_hookean", "volumetric"),
     deviations: tuple[tuple[int, int], ...] = ((0, 1), (1, 0), (1, 1), (1, -1)),
-    stiffness: float = 0.0,
-    directions: int = 16,
-    most_steps: int = 12,
+    stiffness: NotNegative = 0.0,
+    directions: Count = 16,
+    most_steps: Count = 12,
 ) -> HyperelasticMaterial:
     """The material in few numbers: matrix moduli, and families with direction, k1 and k2.
 

@@ -10,13 +10,13 @@ import torch
 
 from warp_peri.materials.hyperelastic.energies import KINDS, EnergyTerm, Hyperelastic, Strain
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import Count, typed
 
 LEAST, LARGEST_EXPONENT = {"fibre_power": 2.0, "fibre_exponential": 0.0}, 60.0
 
 
 @typed
-def fibre_fan(count: int, powers: Sequence[float] = (2.0, 3.0, 4.0)) -> list[EnergyTerm]:
+def fibre_fan(count: Count, powers: Sequence[float] = (2.0, 3.0, 4.0)) -> list[EnergyTerm]:
     """Fibre energies ⟨I4 − 1⟩^p/p in so many directions."""
     return [EnergyTerm("fibre_power", np.pi * n / count, p) for n in range(count) for p in powers]
 
@@ -32,6 +32,7 @@ def _energy(term: EnergyTerm, x: float) -> float:
     return float(KINDS[term.kind](equal, term.angle, term.exponent))
 
 
+@typed
 def fibre_energy_by_angle(solid: HyperelasticMaterial) -> dict[float, float]:
     """Energy of the fibres in every direction [rad] at the largest stretch of the data."""
     values, energies = solid.coefficients[solid.dictionary.first_term :], dict[float, float]()
@@ -69,6 +70,7 @@ def fibre_families(
     return dictionary.with_terms([*others, *fibres]), np.concatenate([left, start])
 
 
+@typed
 def with_corners(dictionary: Hyperelastic) -> Hyperelastic:
     """A dictionary whose energies of a uniform strain act on corners of cells as well."""
     corners = (replace(term, corner=True) for term in dictionary.terms)

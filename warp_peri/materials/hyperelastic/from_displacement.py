@@ -28,7 +28,7 @@ from warp_peri.materials.hyperelastic.operator import (
     HyperelasticMaterial,
     HyperelasticSheetOperator,
 )
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import Count, NotNegative, Share, typed, typed_methods
 from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PULL, Samples, seen_of
@@ -36,6 +36,7 @@ from warp_peri.points.samples import PULL, Samples, seen_of
 LARGEST_DEGREE = 6
 
 
+@typed_methods
 @dataclass(frozen=True, eq=False)
 class ThicknessField:
     """A thickness that is positive everywhere and one at the centre.
@@ -160,6 +161,7 @@ TURN, GROWTH, THICKEN = 0.2, 1.0, 0.5
 """Largest change of an angle [rad], an exponent and a number of the thickness in one step."""
 
 
+@typed_methods
 @dataclass(frozen=True, eq=False)
 class DisplacementFit:
     """A solid, known up to its scale where no frame has a pull.
@@ -445,16 +447,17 @@ AFFINE = 1e-6
 """A set of frames whose distance from affine displacement is below this fraction says nothing."""
 
 
+@typed
 def fit_displacement(
     frames: Samples,
     dictionary: Hyperelastic,
     *,
-    stiffness: float = 0.05,
+    stiffness: NotNegative = 0.05,
     moving: bool = False,
     start: Any = None,
     thickness: int = 0,
-    most_steps: int = 15,
-    tolerance: float = 1e-4,
+    most_steps: Count = 15,
+    tolerance: Share = 1e-4,
     progress: bool | str = False,
 ) -> DisplacementFit:
     """Learn from displacement on a lattice whose collar is data and whose interior carries no load.
@@ -512,8 +515,8 @@ def fit_thickness(
     solid: HyperelasticMaterial,
     degree: int = 2,
     *,
-    most_steps: int = 10,
-    tolerance: float = 1e-4,
+    most_steps: Count = 10,
+    tolerance: Share = 1e-4,
     progress: bool = False,
 ) -> DisplacementFit:
     """The thickness (H18) of a sheet whose material is known, from its own displacement.

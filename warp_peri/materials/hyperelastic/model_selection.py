@@ -30,7 +30,7 @@ from warp_peri.materials.hyperelastic.from_displacement import (
     stiffest_deviation,
 )
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial, evaluate_hyperelastic
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import Natural, typed, typed_methods
 from warp_peri.points.samples import Samples, seen_of
 
 
@@ -103,6 +103,7 @@ class Candidate:
     numbers: int = 0
 
 
+@typed_methods
 @dataclass(frozen=True)
 class ModelSelection:
     """What candidates came to.
@@ -163,7 +164,7 @@ class ModelSelection:
 def select_model(
     frames: Samples,
     *,
-    fibres: int = 0,
+    fibres: Natural = 0,
     uneven: bool = True,
     folder: str | os.PathLike[str] | None = None,
     done: Callable[[Candidate], None] = lambda _: None,
@@ -186,8 +187,6 @@ def select_model(
     """
     if len(frames) < LEAST_FRAMES:
         raise InputError(f"frames: expected at least {LEAST_FRAMES}, got {len(frames)}")
-    if fibres < 0:
-        raise InputError(f"fibres: expected a number of directions, or 0, got {fibres}")
     pick = np.arange(len(frames))[::-1] % 2 == 0
     train, test = frames[pick], frames[~pick]
     tried: list[Candidate] = []
