@@ -18,15 +18,15 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 21_937,
-    "tokens": 265_333,
-    "lines of warp_peri": 36_968,
+    "code lines": 21_882,
+    "tokens": 264_853,
+    "lines of warp_peri": 36_883,
     "lines of kernels": 1_103,
-    "lines of warp_peri, kernels, examples and tools": 50_406,
+    "lines of warp_peri, kernels, examples and tools": 50_321,
     "lines of the longest file": 609,
-    "lines of the longest function": 91,
+    "lines of the longest function": 73,
     "parameters of one function": 11,
-    "characters of the longest string": 1_728,
+    "characters of the longest string": 2_085,
     "class names twice": 0,
     "imports of warp_peri inside functions": 7,
     "asserts in warp_peri": 0,
@@ -41,13 +41,13 @@ ROOMS = {
     "fe_coupling": 753,
     "files": 544,
     "fitting": 1307,
-    "fracture": 1623,
+    "fracture": 1612,
     "materials": 5358,
     "neural": 839,
     "points": 1727,
     "prediction": 755,
-    "mpi": 881,
-    "solvers": 1550,
+    "mpi": 848,
+    "solvers": 1539,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

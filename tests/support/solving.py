@@ -1,10 +1,12 @@
 """Solves and motions with what they are asked for one by one, which tests like to vary."""
 
+from typing import get_args
+
 import numpy as np
 
 from warp_peri import CG, Direct, Dirichlet, Newton, Periodic, Points, simulate
 from warp_peri import solve as solved
-from warp_peri.solvers.solution import PRECONDITIONERS
+from warp_peri.solvers.solution import Preconditioner
 
 
 def solve(model, points, b, u, *, method="auto", iteration=None, **options):
@@ -12,7 +14,7 @@ def solve(model, points, b, u, *, method="auto", iteration=None, **options):
     iteration = dict(iteration or {})
     records = iteration.pop("records", None)
     solver = None
-    if method in PRECONDITIONERS or (method == "auto" and iteration):
+    if method in get_args(Preconditioner) or (method == "auto" and iteration):
         solver = CG(None if method == "auto" else method, **iteration)
     elif method != "auto":
         solver = Direct(method == "gmres")

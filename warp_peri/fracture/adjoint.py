@@ -27,7 +27,8 @@ from warp_peri.fracture.statics import (
     symmetric_factors,
 )
 from warp_peri.materials.lps import LPSMaterial, bernstein_basis
-from warp_peri.points.arrays import checked, is_number
+from warp_peri.points.arguments import Share
+from warp_peri.points.arrays import checked
 from warp_peri.protocols import is_tensor
 from warp_peri.solvers.adjoint import in_motion as in_motion
 from warp_peri.solvers.motion import Motion
@@ -106,6 +107,20 @@ class SoftBody:
 
     Raises InputError for another model or horizon, arrays that do not fit, and for a piece of the
     body that nothing holds.
+
+    `pull(u, loads=…, line=…)` takes u, given components at unit load, [N, d], the others where the
+    first solve begins; loads, rising factors; line, a straight one, across which the force at right
+    angles to it is read, [2, 2], in space a flat polygon [P, 3]; stop, the share of the largest
+    force at which it ends; parameters, softness, stretch or tail, the others being those of the
+    law. It returns a motion whose time is the load, with the histories load, force: per thickness
+    at right angles to the line [stress · length], and broken: bonds by then. With parameters, or
+    where u is a tensor, force and the u at the end are tensors, differentiable once along the path
+    that was taken: which bonds failed when is felt, how often a load was settled is not. Two loads
+    in turn at which failing bonds leave no positive definite tangent are warned of. A body that has
+    come apart along the line has the force 0; where no equilibrium is found while bonds still cross
+    it, the curve ends before, with a warning. It raises InputError for loads that do not rise, a
+    line that is not straight or that no bond crosses, a first load without an equilibrium, other
+    numbers, and derivatives to bonds that break at once, which have none.
     """
 
     def __init__(
@@ -120,7 +135,6 @@ class SoftBody:
     ) -> None:
         check_breakable(model, body.classes)
         safe, table = check_no_fail(no_fail, len(body.x)), cracked(body, cracks)
-        held = checked("held", held, bool, body.x.shape)
         self.body, self.law, self.held = body, law, held
         check_pieces(body, table, held)
         node, bond = np.nonzero(table > np.arange(len(table))[:, None])  # each bond once
@@ -180,34 +194,13 @@ class SoftBody:
         *,
         loads: ArrayLike,
         line: ArrayLike,
-        stop: float = 0.7,
+        stop: Share = 0.7,
         progress: bool = False,
         parameters: Mapping[str, Any] | None = None,
     ) -> Motion:
         """Raise the load step by step; at each, let bonds fail until none fails further.
 
-        Args:
-            u: given components at unit load, shape [N, d]; the others are where the first solve
-                begins.
-            loads: rising factors.
-            line: a straight one, across which the force at right angles to it is read, [2, 2];
-                in space a flat polygon [P, 3].
-            stop: ends when the force has fallen to this share of its largest.
-            progress: shows a bar.
-            parameters: softness, stretch or tail; the others are those of the body's law.
-
-        Returns a motion whose time is the load, with the histories load, force: per thickness at
-        right angles to the line [stress · length], and broken: bonds by then. With parameters, or
-        where u is a tensor, force and the u at the end are tensors, differentiable once along the
-        path that was taken: which bonds failed when is felt, how often a load was settled is not.
-        Two loads in turn at which failing bonds leave no positive definite tangent are warned of.
-
-        A body that has come apart along the line has the force 0; where no equilibrium is found
-        while bonds still cross it, the curve ends before, with a warning.
-
-        Raises InputError for another shape of u, values that are not finite, loads that do not
-        rise, a line that is not straight or that no bond crosses, a first load without an
-        equilibrium, other numbers, and derivatives to bonds that break at once, which have none.
+        Arguments, what comes back and errors are told by the class.
         """
         loads = checked("loads", loads, float, ("n",))
         if not (len(loads) and loads[0] >= 0 and (np.diff(loads) > 0).all()):
@@ -215,34 +208,23 @@ class SoftBody:
                 "loads: expected one factor or more, factors that rise from ≥ 0, got "
                 f"{loads.tolist()}"
             )
-        if not (is_number(stop) and 0 <= stop < 1):
-            raise InputError(
-                f"stop: expected a share of the largest force from 0 to 1, got {stop!r}"
-            )
         levers = torch.from_numpy(self.levers(line))
         asked = parameters is not None or is_tensor(u)
         soft, given, *law = self._learned(u, dict(parameters or {}), asked)
         start = checked("u", given.detach().numpy(), float, self.held.shape).ravel()
         given = torch.where(torch.from_numpy(self.held), given, 0.0).ravel()
-        share, worst = torch.ones(len(levers)).double(), torch.zeros(len(levers)).double()
-        breakable = torch.from_numpy(self.breakable)
+        damage = [torch.ones(len(levers)).double(), torch.zeros(len(levers)).double()]
         field, before, rows, forces = given, 0.0, list[tuple[float, int]](), list[Any]()
-        stable, warned = True, False
+        unstable, warned = False, False
         for load in tqdm(loads.tolist(), disable=not progress, unit="load"):
             at = field.detach().numpy() * (load / before) if before else load * start
-            at, change = np.where(self.free, at, load * given.detach().numpy()), 1.0
+            at = np.where(self.free, at, load * given.detach().numpy())
             try:
-                while not change < SETTLED:
-                    at = soft.rest(at, share.detach().numpy())
-                    field = soft._at_rest(at, share, law[0], load * given)
-                    s = self._stretch(field)
-                    worst = torch.maximum(worst, s).where(breakable, 0.0)
-                    lasting = torch.minimum(share_of(worst, law[0], law[1], law[2], torch), share)
-                    change, share = float((share - lasting).max().detach()), lasting
+                field, s = soft._settled(at, load * given, damage, law)
+                share, worst = damage
                 if asked and not warned:
-                    stable, was = soft._stable(s.detach(), worst, share.detach()), stable
-                    if not (stable or was):
-                        warned = True
+                    was, unstable = unstable, not soft._stable(s.detach(), worst, share.detach())
+                    if warned := was and unstable:
                         warn(
                             f"loads {before:g} and {load:g}: the body stays unstable (its tangent "
                             "with failing bonds has a negative eigenvalue), so that small changes "
@@ -251,6 +233,7 @@ class SoftBody:
                         )
                 forces.append((levers * share * pull_of(s, law[0], torch)).sum())
             except InputError as error:
+                share = damage[0]
                 if share[levers > 0].any():
                     if not rows:
                         raise
@@ -265,6 +248,22 @@ class SoftBody:
         force, end = torch.stack(forces), field.reshape(self.held.shape)
         ends: Any = (force, end) if asked else (force.numpy(), end.numpy())
         return Motion(load, ends[1], None, {"load": load, "force": ends[0], "broken": broken})
+
+    def _settled(
+        self, at: np.ndarray, given: torch.Tensor, damage: list[torch.Tensor], law: Sequence[Any]
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """u [d N] where no bond fails further, from a start, and s of each bond; `damage` is what
+        is left of bonds and their largest s so far, and goes on."""
+        change, breakable = 1.0, torch.from_numpy(self.breakable)
+        while not change < SETTLED:
+            share, worst = damage
+            at = self.rest(at, share.detach().numpy())
+            field = self._at_rest(at, share, law[0], given)
+            s = self._stretch(field)
+            worst = torch.maximum(worst, s).where(breakable, 0.0)
+            lasting = torch.minimum(share_of(worst, *law, torch), share)
+            change, damage[:] = float((share - lasting).max().detach()), (lasting, worst)
+        return field, s
 
     def _learned(self, u: Any, numbers: dict[str, Any], asked: bool) -> tuple[Any, ...]:
         """The body with these numbers, and u, softness, stretch and tail, of which second

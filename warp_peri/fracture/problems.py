@@ -16,8 +16,8 @@ from warp_peri.fracture.growth import grow
 from warp_peri.fracture.release import crack_area, crack_opening_volume
 from warp_peri.fracture.run import CrackRun
 from warp_peri.fracture.statics import CutSolid, crack_load, in_torch
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import checked, is_number
+from warp_peri.points.arguments import NotNegative, typed
+from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
 from warp_peri.protocols import is_tensor, offered, refuse_uncut, taken
@@ -175,16 +175,9 @@ def options_of_steps(options: dict[str, Any]) -> tuple[dict[str, Any], ...]:
 
     Raises InputError for others.
     """
-    parts = (
-        BreakingBody.__init__,
-        BreakingBody.start,
-        Recorder.__init__,
-        CrackRun.__init__,
-        CrackRun.march,
-    )
-    return taken(
-        options, "simulate", *parts, given=("load", "held", "u", "cracks", "nodes", "corrected")
-    )
+    given = "load", "held", "u", "cracks", "nodes", "corrected"
+    begin, run = (BreakingBody.__init__, BreakingBody.start), (CrackRun.__init__, CrackRun.march)
+    return taken(options, "simulate", *begin, Recorder.__init__, *run, given=given)
 
 
 @typed
@@ -206,18 +199,12 @@ class Injected:
 
     points: Points
     halves: Sequence[float]
-    leak: float = 0.0
-    compressibility: float = 0.0
+    leak: NotNegative = 0.0
+    compressibility: NotNegative = 0.0
 
     def __post_init__(self) -> None:
-        fluid = (self.leak, self.compressibility)
-        if not all(is_number(one) and 0 <= one < np.inf for one in fluid):
-            raise InputError(f"leak, compressibility: expected numbers ≥ 0, got {fluid!r:.120}")
-        h, halves, x = (
-            self.points.spacing,
-            checked("crack", self.halves, float, ("n",)),
-            self.points.x,
-        )
+        h, x = self.points.spacing, self.points.x
+        halves = checked("crack", self.halves, float, ("n",))
         if not x[:, 1].min() < 0 < x[:, 1].max():
             raise InputError("crack: expected a body on both sides of its plane y = 0, got another")
         flat = np.delete(x, 1, axis=1)  # the plane of the crack

@@ -230,7 +230,6 @@ class NodeHalo:
         x: their positions, shape [m, d].
         own: places of the piece's own among them, shape [n].
         count: nodes of the whole body.
-        sent: bytes of one exchange of vectors that this rank sends.
     """
 
     def __init__(self, piece: Subdomain, reach: float) -> None:
@@ -254,7 +253,6 @@ class NodeHalo:
             (r, np.searchsorted(self.number, taken[r][0])) for r in ranks if len(taken[r][0])
         ]
         self.comm, d = comm, piece.dimension
-        self.sent = 8 * d * sum(len(places) for _, places in self._give)
         self._out = [np.empty((len(places), d)) for _, places in self._give]
         self._in = [np.empty((len(places), d)) for _, places in self._take]
 
@@ -283,13 +281,6 @@ class NodeHalo:
         MPI.Request.Waitall(requests)
         for (_, places), buffer in zip(self._take, self._in):
             field[places] = buffer
-
-    def felt(self, u: np.ndarray) -> np.ndarray:
-        """Vectors [n, d] of the own nodes on all nodes here, [m, d]."""
-        field = np.zeros_like(self.x)
-        field[self.own] = u
-        self.exchange(field)
-        return field
 
     def around(self, values: np.ndarray) -> np.ndarray:
         """Values [n, ...] of the piece's own nodes on all nodes here, [m, ...]."""

@@ -6,13 +6,15 @@ same bits on any number of them.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
+from functools import reduce
 
 import numpy as np
 import scipy.fft
 
-from warp_peri.core.sweeps import component, torus_symbol
+from warp_peri.core.proof import smallest_eigenvalue
+from warp_peri.core.stencil import Stencil
+from warp_peri.core.sweeps import component
 from warp_peri.mpi.halo import Halo, Tiles
 from warp_peri.mpi.processes import Comm
 from warp_peri.runtime import get_num_threads
@@ -109,74 +111,29 @@ def inverse_filter(
 ) -> tuple[int, Callable[[tuple[int, ...]], np.ndarray]]:
     """The inverse of D + SHIFT G p(k) at short range, beside multigrid: its width and symbol.
 
-    The kernel of the inverse times a window; with Hann's the symbol is looked at, with Bartlett's,
-    whose transform is not negative, it is positive whatever the symbol (theory, R2). Cut off
-    without a window it would not be.
+    The kernel of the inverse times Bartlett's window, whose transform is not negative, so that its
+    symbol is positive (theory, R2). Cut off without a window it would not be.
     """
-    width = WIDTH[steps.shape[1]]
-    torus, kernel = short_inverse(steps, tensors, elastic, width)
-    for window in (hann, bartlett):
-        stencil = cut(kernel, window)
-        if smallest(folded(stencil, torus)) > 0:
-            break
-    return width, lambda shape: folded(stencil, shape)
-
-
-def short_inverse(
-    steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarray, width: int
-) -> tuple[tuple[int, ...], np.ndarray]:
-    """A torus of TORUS widths and the inverse's kernel there, [d (d + 1)/2, 2 width + 1, ...]."""
     d = steps.shape[1]
-    torus = (TORUS * width,) * d
+    width, axes = WIDTH[d], tuple(range(d))
+    torus, size = (TORUS * width,) * d, 2 * width + 1
     shift = SHIFT * shear(elastic) * seen_by_coarser(torus)
-    table = shifted_inverse(torus, steps, tensors, shift)
-    near, axes = (slice(2 * width + 1),) * d, tuple(range(d))
-    return torus, np.stack(
-        [np.roll(scipy.fft.irfftn(one, s=torus), (width,) * d, axes)[near] for one in table]
-    )
+    along = 1 - np.abs(np.arange(-width, width + 1)) / (width + 1)
+    window = reduce(np.multiply.outer, d * [along])
+    kernel = [
+        np.roll(scipy.fft.irfftn(one, s=torus), d * (width,), axes)[d * (slice(size),)] * window
+        for one in shifted_inverse(torus, steps, tensors, shift)
+    ]
 
+    def symbol(torus: tuple[int, ...]) -> np.ndarray:
+        waves = np.empty((len(kernel), *torus[:-1], torus[-1] // 2 + 1))
+        for part, wave in zip(kernel, waves):  # one at a time: transforms are large in space
+            field = np.zeros(torus)
+            field[d * (slice(size),)] = part
+            wave[:] = scipy.fft.rfftn(np.roll(field, d * (-width,), axes)).real
+        return waves
 
-def hann(away: np.ndarray) -> np.ndarray:
-    """Of distances in [0, 1)."""
-    return np.asarray((1 + np.cos(np.pi * away)) / 2)
-
-
-def bartlett(away: np.ndarray) -> np.ndarray:
-    """Of distances in [0, 1); its transform is not negative."""
-    return 1 - away
-
-
-def cut(kernel: np.ndarray, window: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """A kernel [c, 2w + 1, ...] times a window along each axis."""
-    d, width = kernel.ndim - 1, kernel.shape[1] // 2
-    along = window(np.abs(np.arange(-width, width + 1)) / (width + 1))
-    for axis in range(d):
-        kernel = kernel * along.reshape([-1 if a == axis else 1 for a in range(d)])
-    return kernel
-
-
-def folded(stencil: np.ndarray, torus: tuple[int, ...]) -> np.ndarray:
-    """The symbol of a stencil [c, 2w + 1, ...] on a torus."""
-    d = len(torus)
-    symbol = np.empty((len(stencil), *torus[:-1], torus[-1] // 2 + 1))
-    for part, wave in zip(stencil, symbol):  # one at a time: transforms are large in space
-        field = np.zeros(torus)
-        field[*(slice(n) for n in part.shape)] = part
-        field = np.roll(field, tuple(-(n // 2) for n in part.shape), range(d))
-        wave[:] = scipy.fft.rfftn(field).real
-    return symbol
-
-
-def smallest(symbol: np.ndarray) -> float:
-    """Smallest eigenvalue of symmetric matrices [d (d + 1)/2, ...]."""
-    d = {3: 2, 6: 3}[len(symbol)]
-    least = np.inf
-    for row in np.moveaxis(symbol, 1, 0):  # in space all matrices at once are much memory
-        full = np.empty((*row.shape[1:], d, d))
-        for (i, j), part in zip(itertools.combinations_with_replacement(range(d), 2), row):
-            full[..., i, j] = full[..., j, i] = part
-        least = min(least, float(np.linalg.eigvalsh(full).min()))
-    return least
+    return width, symbol
 
 
 WHOLE = 10_000
@@ -279,5 +236,6 @@ def largest(steps: np.ndarray, tensors: np.ndarray) -> float:
     """Largest eigenvalue of a stencil over its diagonal on all of a lattice, hence on any mask."""
     d = tensors.shape[-1]
     scale = 1 / np.sqrt(2 * np.diag(tensors.sum(axis=0)))
-    scaled = scale[:, None] * tensors * scale
-    return -smallest(-torus_symbol((WAVES,) * d, steps, scaled))
+    phase = 2 * np.pi / WAVES * np.indices((WAVES,) * d).reshape(d, -1).T
+    symbol = Stencil(1.0, steps, scale[:, None] * tensors * scale).symbol(phase)
+    return -float(smallest_eigenvalue(-symbol).min())

@@ -31,7 +31,7 @@ from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.unit_names import check_same
 from warp_peri.protocols import MATERIAL, offered, taken
 from warp_peri.solvers.conjugate_gradients import SolveRecord, norm
-from warp_peri.solvers.motion import Motion, Run
+from warp_peri.solvers.motion import Motion, Recorder
 from warp_peri.solvers.solution import CG, TOLERANCE, Solution, Solver, refuse_solver
 from warp_peri.solvers.verlet import march
 
@@ -208,7 +208,7 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
     if hasattr(problem, "b") and not isinstance(problem, Cracked):
         with agreed(comm):
             offered(material, "on", "simulate", MATERIAL)
-            how, files = taken(options, "simulate", march, Run.__init__)
+            how, files = taken(options, "simulate", march, Recorder.__init__)
         return march(operator_on(material, piece), problem.b, problem.u, **how | files)
     with agreed(comm):
         if not isinstance(problem, Cracked) or "step" not in options:

@@ -74,19 +74,12 @@ def definite(
     where: str = "",
     hint: str = "",
 ) -> tuple[Any, SolveRecord]:
-    """u with L u = right to a true relative residual, and its record.
+    """u with L u = right to a true relative residual, the tolerance, and its record.
 
-    Args:
-        product: L of a field.
-        precondition: z ≈ L⁻¹ r, in memory of its own.
-        right: of any shape; an array, or what else `inner` is for.
-        tolerance: of ‖L u − right‖ / ‖right‖.
-        begin: where a search for L u = r starts; zero by default.
-        inner: how fields are measured.
-        where, hint: of messages: which nodes, and what to try.
-
-    Raises InputError when a direction has no positive energy, or the search stalls above the
-    tolerance.
+    `precondition` makes z ≈ L⁻¹ r, in memory of its own; `begin` where a search for L u = r starts,
+    zero by default. A field is an array, or what else `inner` measures. Of messages, `where` says
+    which nodes, and `hint` what to try. Raises InputError when a direction has no positive energy,
+    or the search stalls above the tolerance.
     """
     record, largest, u = SolveRecord(), inner.largest(right), right - right
     if largest == 0:
@@ -94,12 +87,8 @@ def definite(
 
     def descend(r: Any) -> Any:
         """What the search adds, until the recursive residual meets the goal."""
-        u, p, last = r - r, None, 1.0
-        if begin is None:
-            r = 1 * r
-        else:
-            u = begin(r)
-            r = r - product(u)
+        u, p, last = r - r if begin is None else begin(r), None, 1.0
+        r = 1 * r if begin is None else r - product(u)
         while inner.norm(r) > 0.9 * tolerance * size and record.iterations < MOST_ITERATIONS:
             z = precondition(r)
             rz = inner.dot(r, z)

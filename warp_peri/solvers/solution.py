@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 TOLERANCE = 1e-8
 """Of iterative solves: true residual over right-hand side."""
-PRECONDITIONERS = ("multigrid", "sine", "strip")
+Preconditioner = Literal["multigrid", "sine", "strip"]
 """Of conjugate gradients on lattices, by name."""
 
 
@@ -65,13 +65,8 @@ class CG:
     'multigrid'
     """
 
-    preconditioner: str | None = None
+    preconditioner: Preconditioner | None = None
     tolerance: Share = TOLERANCE
-
-    def __post_init__(self) -> None:
-        if self.preconditioner not in (None, *PRECONDITIONERS):
-            known = ", ".join(PRECONDITIONERS)
-            raise InputError(f"preconditioner: expected {known}, got {self.preconditioner!r}")
 
 
 @typed
