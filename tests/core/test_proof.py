@@ -8,7 +8,7 @@ import pytest
 
 import warp_peri as wp
 from tests.crystal.crystals import learned, random_law
-from tests.support.problems import KERNELS, difference, kernel
+from tests.support.problems import difference, kernel
 from warp_peri.core import proof
 from warp_peri.core.elastic import plane_isotropic, voigt_to_tensor
 from warp_peri.core.groups import lattice_group
@@ -52,11 +52,10 @@ def test_nearly_all_of_the_sampled_minimum_is_proven_with_the_wedge_and_without(
     assert (np.linalg.eigvalsh(D)[:, 0] > found.proven * laplacian(waves(d))).all()
 
 
-@pytest.mark.parametrize("d", [2, 3])
-def test_a_dip_between_the_points_of_the_sample_is_not_overlooked(d, monkeypatch):
+def test_a_dip_between_the_points_of_the_sample_is_not_overlooked(monkeypatch):
     """Positive at the sampled waves, negative in between: nothing may be proven."""
     monkeypatch.setattr(proof, "ZOOMS", 0)
-    law, sample = learned(d), proof.SAMPLE[d]
+    d, law, sample = 2, learned(2), proof.SAMPLE[2]
     far = np.zeros((2, d), int)
     far[:, 0] = 2 * sample, 4 * sample  # 1 − cos k·ξ vanishes on the sampled grid
     dip = np.zeros((2, d, d))
@@ -87,7 +86,7 @@ def test_nothing_above_the_minimum_is_ever_proven(name):
 
 
 @pytest.mark.parametrize("lam", [-0.2, 0.8], ids=["both parts", "deviatoric alone"])
-@pytest.mark.parametrize("name", KERNELS)
+@pytest.mark.parametrize("name", ["1/r", "sign-changing"])
 def test_the_parts_of_the_proof_bound_what_they_claim(name, lam):
     """Slopes are right, no symbol is below its affine part by more than the rest, and some are."""
     weight = laplacian_stencil(1.0, 2, 2)
@@ -95,8 +94,7 @@ def test_the_parts_of_the_proof_bound_what_they_claim(name, lam):
     rest, half = proof._most(stencil, sum(parts(stencil.tensors))), 0.05
     random, worst = np.random.default_rng(4), 0.0
     for k in (*random.uniform(-np.pi, np.pi, (20, 2)), np.array([1e-2, 1e-2])):
-        (value,), slopes = proof._symbol_slopes(stencil, k[None])[0], None
-        slopes = proof._symbol_slopes(stencil, k[None])[1][:, 0]
+        value, slopes = (one[..., 0, :, :] for one in proof._symbol_slopes(stencil, k[None]))
         expected = difference(lambda k: stencil.symbol(k[None])[0], k, 0.01)
         np.testing.assert_allclose(slopes, expected, atol=1e-9)
         t = half * random.uniform(-1, 1, (200, 2))
@@ -120,7 +118,7 @@ def test_a_function_that_bends_down_within_a_cell_is_seen_to(height, positive):
     assert proof._positive(affine, np.zeros((1, 1)), 1.0, 2.0, 0.0, every, 1000)[0] == positive
 
 
-@pytest.mark.parametrize("name", ["1/r", "steep", "positive"])
+@pytest.mark.parametrize("name", ["steep", "positive"])
 def test_the_ball_around_zero_is_sound(name):
     weight = laplacian_stencil(1.0, 2, 2)
     stencil = lps_stencil(kernel(name, 3.0), 1.0)
@@ -171,19 +169,16 @@ def top(stencil):
     return np.linalg.eigvalsh(stencil.symbol(zone))[:, -1].max()
 
 
-@pytest.mark.parametrize("horizon", [2.0, 3.0, 4.0, 5.0])
-@pytest.mark.parametrize("name", KERNELS)
+@pytest.mark.parametrize("horizon", [2.0, 4.0])
+@pytest.mark.parametrize("name", ["1/r", "sign-changing"])
 def test_the_upper_bound_is_above_the_zone_and_near_it(name, horizon):
     stencil = lps_stencil(kernel(name, horizon, lam=-0.2), 1.0)
     assert top(stencil) <= largest(stencil, SQUARE) <= 1.002 * top(stencil)
 
 
-def test_the_upper_bound_in_space():
+def test_the_upper_bound_in_space_and_one_that_takes_too_much_work(monkeypatch):
     law = learned(3)
     assert top(law.stencil) <= law.max_symbol_eigenvalue() <= 1.01 * top(law.stencil)
-
-
-def test_a_bound_that_takes_too_much_work_is_still_a_bound(monkeypatch):
     stencil = lps_stencil(kernel("positive", 3.0), 1.0)
     tight = largest(stencil, SQUARE)
     monkeypatch.setattr(proof, "MOST_CELLS", {2: 1})
@@ -193,12 +188,9 @@ def test_a_bound_that_takes_too_much_work_is_still_a_bound(monkeypatch):
 def test_a_law_of_which_nothing_is_proven_is_read_again(tmp_path):
     """Its smallest sampled ratio is below zero by rounding, and nothing is claimed."""
     law = random_law(2)
-    for sampled in (-1e-13, -0.3):
-        proof = StencilCertificate(
-            proven=0.0, sampled=sampled, long_waves=0.0, cells=0, seconds=0.0
-        )
-        wp.save(tmp_path / "law.json", replace(law, certificate=proof))
-        assert wp.load(tmp_path / "law.json").certificate.statement == "Nothing is proven."
+    proof = StencilCertificate(proven=0.0, sampled=-1e-13, long_waves=0.0, cells=0, seconds=0.0)
+    wp.save(tmp_path / "law.json", replace(law, certificate=proof))
+    assert wp.load(tmp_path / "law.json").certificate.statement == "Nothing is proven."
     wp.save(tmp_path / "law.json", replace(law, certificate=replace(proof, proven=0.1)))
     with pytest.raises(wp.InputError, match="is not proven of these tensors"):
         wp.load(tmp_path / "law.json")

@@ -57,18 +57,14 @@ def test_continuum_constants_are_those_of_plane_stress_and_of_space():
     ("change", "words"),
     [
         ({"alpha": 3.0}, "alpha: expected less than 3, got 3.0"),
-        ({"alpha": np.nan}, "alpha: expected a finite number, got nan"),
         ({"horizon": 0.0}, "horizon: expected a number > 0, got 0.0"),
-        ({"mu": 0.0}, "expected μ > 0 and λ . μ > 0, got 0.3, 0.0"),
         ({"lam": -0.8}, "expected μ > 0 and λ . μ > 0, got -0.8, 0.8"),
         ({"lam": -0.6, "dimension": 3}, "μ > 0 and λ . 2μ/3 > 0"),
         ({"dimension": 4}, "dimension: expected 2 or 3, got 4"),
         ({"lam": True}, "lam: expected a finite number, got True"),
         ({"D": []}, r"D: expected at least one coefficient \(degree ≥ 0\), got none"),
         ({"D": [0.0, 0.0]}, "D: expected a coefficient other than 0"),
-        ({"D": [1.0, np.inf]}, "D: expected finite values, got inf"),
         ({"D": [[1.0, 2.0]]}, "D: expected a list of numbers, got lists"),
-        ({"certified_on": (5.0, np.nan)}, "certified_on: expected a finite number, got nan"),
     ],
 )
 def test_numbers_out_of_range_are_refused(change, words):
@@ -203,26 +199,21 @@ def jagged():
     ("use", "words"),
     [
         (made(gaussian, width=np.nan), "width: expected finite values"),
-        (made(gaussian, width="2"), "width: expected float values"),
         (made(3), "expected a function of r, got 3"),
         (
             lambda: InfluenceFunction(gaussian, [8.0]),
             r"parameters: expected values by name, got \[8",
         ),
         (bounded({"width": 5}), r"bounds of width: expected \(lowest, highest\), got 5"),
-        (bounded({"width": (1, None)}), r"bounds of width: expected \(lowest, highest\)"),
         (bounded({"reach": (0, 1)}), "no parameter 'reach'; there are: width"),
-        (bounded({"width": (3, 1)}), r"bounds of width: expected \(lowest, highest\)"),
         (bounded({"width": (3, 4)}), "are not within"),
         (made(lambda r: r[0]), r"K of shape \[6\], the shape of r, got float64 of shape \[\]"),
         (made(lambda r: np.where(r > 2, np.nan, 1.0)), "K is not finite at r = 2.23607"),
-        (made(lambda r: 1j * r), "expected real K of shape .* got complex128"),
         (lambda: InfluenceFunction(lambda r: 0 * r).coefficients(LENGTHS, 3.0), "K is zero at"),
         (jagged, "no polynomial of degree 80 takes its values"),
         (vanishing, "weighted volume"),
         (lambda: table([0, 1], [1.0]), "of one shape"),
         (lambda: table([1, 0], [1.0, 1.0]), "rising"),
-        (lambda: table([0, 1], [1.0, np.inf]), "K: expected finite"),
     ],
 )
 def test_influence_functions_that_make_no_sense(use, words):
