@@ -10,7 +10,7 @@ import itertools
 
 import numpy as np
 
-from warp_peri.core.groups import Symmetry
+from warp_peri.core.groups import Symmetry, point_group
 from warp_peri.core.stencil import directions
 from warp_peri.errors import InputError
 from warp_peri.points.arguments import typed
@@ -21,7 +21,13 @@ PAIRS = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2)
 DIRECTIONS = 2880
 """Along which extremes are looked for; in the plane every sixteenth of a degree."""
 SAME = 1e-3
-"""Entries within this of one another, relative to the largest, count as equal in a name."""
+"""What a name does not allow of an elastic tensor may be this, relative to its largest entry."""
+NAMES = {
+    2: {"isotropic": "isotropic", "square": "4mm", "orthotropic": "2mm"},
+    3: {"isotropic": "isotropic", "cubic": "m-3m", "hexagonal": "6/mmm", "tetragonal": "4/mmm",
+        "orthotropic": "mmm"},
+}  # fmt: skip
+"""What elastic tensors are called, and the groups that leave them as they are, largest first."""
 
 
 def elastic_from_brackets(brackets: np.ndarray) -> np.ndarray:
@@ -178,28 +184,13 @@ def named_symmetry(tensor: np.ndarray) -> str:
     "isotropic", "cubic", "square", "hexagonal" (about the third axis), "tetragonal",
     "orthotropic", or "lower".
     """
-    matrix = voigt(tensor)
-    d, tiny = tensor.shape[0], SAME * np.abs(matrix).max()
-    coupled = matrix.copy()
-    coupled[:d, :d] = 0
-    if np.abs(coupled - np.diag(np.diag(coupled))).max() > tiny:
-        return "lower"
-
-    def same(*values: float) -> bool:
-        return bool(max(values) - min(values) <= tiny)
-
-    M = matrix
-    if d == 2:
-        if not same(M[0, 0], M[1, 1]):
-            return "orthotropic"
-        return "isotropic" if same(M[0, 0] - M[0, 1], 2 * M[2, 2]) else "square"
-    if not (same(M[0, 0], M[1, 1]) and same(M[0, 2], M[1, 2]) and same(M[3, 3], M[4, 4])):
-        return "orthotropic"
-    cubic = same(M[0, 0], M[2, 2]) and same(M[0, 1], M[0, 2]) and same(M[3, 3], M[5, 5])
-    round_ = same(M[0, 0] - M[0, 1], 2 * M[5, 5])
-    if cubic:
-        return "isotropic" if round_ else "cubic"
-    return "hexagonal" if round_ else "tetragonal"
+    d, tiny = tensor.shape[0], SAME * np.abs(voigt(tensor)).max()
+    for name, symmetry in NAMES[d].items():
+        allowed = allowed_tensors(symmetry, point_group(symmetry, d), np.eye(d)).reshape(-1, d**4)
+        held = np.linalg.lstsq(allowed.T, tensor.ravel(), rcond=None)[0] @ allowed
+        if np.abs(tensor.ravel() - held).max() <= tiny:
+            return name
+    return "lower"
 
 
 def named_moduli(tensor: np.ndarray) -> dict[str, float]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial, wraps
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,6 @@ from warp_peri.errors import InputError, quietly
 from warp_peri.points.arguments import typed
 from warp_peri.protocols import SINGULAR, placed, uncompiled
 
-Backward = Callable[..., tuple[torch.Tensor | None, ...]]
 TWICE = (
     "second derivative: expected first derivatives alone of a force that is not linear, of its "
     "numbers, or of an equilibrium; operator.jvp(u, v) is the derivative of a force along v"
@@ -32,35 +31,36 @@ keeps, and how often it begins anew."""
 
 
 class _Made(torch.autograd.Function):
-    """What `make` makes of tensors; `along` is its derivative, `backs` that to each transposed."""
+    """What `make` makes of tensors; `along` is its derivative, of tensors and tangents; `back` that
+    transposed, given which are asked for, the tensors and what is upstream."""
 
     @staticmethod
-    def forward(make: Any, along: Any, backs: Any, *of: torch.Tensor) -> torch.Tensor:
-        return make(*of)  # type: ignore[no-any-return]
+    def forward(make: Any, along: Any, back: Any, *of: torch.Tensor) -> Any:
+        return make(*of)
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: torch.Tensor) -> None:
-        _, ctx.along, ctx.backs, *of = inputs
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
+        _, ctx.along, ctx.back, *of = inputs
         ctx.save_for_backward(*of)
         ctx.save_for_forward(*of)
 
     @staticmethod
     def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        given, wanted = (*ctx.saved_tensors, *upstream), zip(ctx.backs, ctx.needs_input_grad[3:])
-        return None, None, None, *(back(*given) if asked else None for back, asked in wanted)
+        asked = ctx.needs_input_grad[3:]
+        return None, None, None, *ctx.back(asked, *ctx.saved_tensors, *upstream)
 
     @staticmethod
-    def vmap(_: Any, in_dims: Any, make: Any, along: Any, backs: Any, *of: Any) -> Any:
+    def vmap(_: Any, in_dims: Any, make: Any, along: Any, back: Any, *of: Any) -> Any:
         pairs = [*zip(of, in_dims[3:])]
         each = zip(*(x.unbind(d) if d is not None else itertools.repeat(x) for x, d in pairs))
-        return torch.stack([_made(make, along, backs, *one) for one in each]), 0
+        return torch.stack([_made(make, along, back, *one) for one in each]), 0
 
     @staticmethod
-    def jvp(ctx: Any, *tangents: Any) -> torch.Tensor:
-        return ctx.along(*ctx.saved_tensors, *tangents[3:])  # type: ignore[no-any-return]
+    def jvp(ctx: Any, *tangents: Any) -> Any:
+        return ctx.along(*ctx.saved_tensors, *tangents[3:])
 
 
-_made: Callable[..., torch.Tensor] = _Made.apply
+_made: Callable[..., Any] = _Made.apply
 
 
 def _refused(*_: torch.Tensor) -> Any:
@@ -75,15 +75,15 @@ def _called(apply: Callable[..., Any], *fields: torch.Tensor) -> torch.Tensor:
 
 def _once(make: Callable[..., torch.Tensor], *of: torch.Tensor) -> torch.Tensor:
     """What is made of tensors and has no derivative by them, and says so."""
-    return _made(make, _refused, len(of) * [_refused], *of)
+    return _made(make, _refused, _refused, *of)  # type: ignore[no-any-return]
 
 
 def linear(x: torch.Tensor, there: Callable[..., Any], back: Callable[..., Any]) -> torch.Tensor:
     """A linear map of fields of NumPy, [S, …], which `back` transposes; it has every derivative."""
-    return _made(
+    return _made(  # type: ignore[no-any-return]
         partial(_called, there),
         lambda _, tangent: linear(tangent, there, back),
-        [lambda _, upstream: linear(upstream, back, there)],
+        lambda *given: (linear(given[-1], back, there),),
         x,
     )
 
@@ -97,32 +97,13 @@ def nonlinear(make: Any, along: Any, backs: tuple[Any, ...], *of: torch.Tensor) 
         backs: of each field the derivative transposed, of the fields and what is upstream.
         of: the fields.
     """
-    tangent, *each = (
-        partial(_once, partial(_called, one)) if one else _refused for one in (along, *backs)
-    )
-    return _made(partial(_called, make), tangent, each, *of)
 
+    def pulled(asked: Any, *given: torch.Tensor) -> list[torch.Tensor | None]:
+        pairs = zip(backs, asked)
+        return [_once(partial(_called, b), *given) if one else None for b, one in pairs]
 
-def differentiable_once(backward: Backward) -> Backward:
-    """The backward pass of a torch function that saves every tensor it depends on.
-
-    A derivative of what it returns raises InputError, by `backward`, `grad`, `hessian` or `hvp`;
-    torch's own once_differentiable lets those pass that do not go through the upstream gradient.
-    """
-
-    @wraps(backward)
-    def once(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        with torch.no_grad():
-            found = backward(ctx, *upstream)
-        if not torch.is_grad_enabled():
-            return found
-        of = [one for one in (*upstream, *ctx.saved_tensors) if one is not None]
-        of = [one for one in of if one.requires_grad]
-        return tuple(
-            one if one is None else _once(lambda *_, n=one: n.clone(), *of) for one in found
-        )
-
-    return once
+    tangent = partial(_once, partial(_called, along)) if along else _refused
+    return _made(partial(_called, make), tangent, pulled, *of)  # type: ignore[no-any-return]
 
 
 def refuse_tangents(*inputs: Any) -> None:
@@ -141,36 +122,37 @@ def refuse_tangents(*inputs: Any) -> None:
             )
 
 
-class _Once(torch.autograd.Function):
+def once(there: Any, back: Any, *of: torch.Tensor) -> Any:
     """Arrays that `there` makes of arrays, and what `back` makes of arrays upstream: derivatives to
-    each, given which are asked for; None, or one number for all of an array, are zero there."""
+    each, given which are asked for; None, or one number for all of an array, are zero there.
 
-    @staticmethod
-    def forward(ctx: Any, there: Any, back: Any, *of: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        ctx.back = back
-        ctx.save_for_backward(*of)
+    A derivative of these raises InputError, by `backward`, `grad`, `hessian` or `hvp`; torch's own
+    once_differentiable lets those pass that do not go through the upstream gradient.
+    """
+
+    def make(*of: torch.Tensor) -> tuple[torch.Tensor, ...]:
         return tuple(map(torch.tensor, there(*(one.detach().numpy() for one in of))))
 
-    @staticmethod
-    @differentiable_once
-    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        asked, whole = ctx.needs_input_grad[2:], torch.contiguous_format
-        by = ctx.back(asked, *(one.detach().clone(memory_format=whole).numpy() for one in upstream))
-        each = zip(by, ctx.saved_tensors, asked)
-        slopes = (
+    def pulled(asked: Any, *given: torch.Tensor) -> list[torch.Tensor | None]:
+        upstream, whole = given[len(of) :], torch.contiguous_format
+        by = back(asked, *(one.detach().clone(memory_format=whole).numpy() for one in upstream))
+        slopes = [
             _like(one, number) if wanted and one is not None else None
-            for one, number, wanted in each
-        )
-        return None, None, *slopes
+            for one, number, wanted in zip(by, given, asked)
+        ]
+        felt = [one for one in given if torch.is_grad_enabled() and one.requires_grad]
+        return [
+            _once(lambda *_, n=one: n.clone(), *felt) if felt and one is not None else one
+            for one in slopes
+        ]
+
+    return _made(make, _refused, pulled, *of)
 
 
 def _like(slope: Any, number: torch.Tensor) -> Any:
     """A derivative in the shape of what it is a derivative to."""
     slope = torch.as_tensor(slope, dtype=torch.float64)
     return (slope if slope.dim() else slope.expand(number.shape)).reshape_as(number).to(number)
-
-
-once: Callable[..., Any] = _Once.apply
 
 
 def force_of(operator: Any, u: torch.Tensor) -> torch.Tensor:
