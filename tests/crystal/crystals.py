@@ -91,4 +91,5 @@ def plain_force(law, points, u):
 def huang_defect(law):
     """Largest break of Huang's relations, relative to the largest bracket."""
     held = 0.0 if law.stress is None else stress_brackets(law.stress)
-    return np.abs(huang_rows((law.brackets - held)[None])).max() / np.abs(law.brackets).max()
+    brackets = law.stencil.brackets
+    return np.abs(huang_rows((brackets - held)[None])).max() / np.abs(brackets).max()

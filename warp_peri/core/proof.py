@@ -334,34 +334,23 @@ def _long_waves(stencil: Stencil, group: np.ndarray) -> tuple[float, int]:
     middle and a quadratic rest that is at least −Σ C⁻ (t·ξ)² − q |t|².
     """
     d, brackets = stencil.dimension, stencil.brackets
-    one = np.eye(brackets.shape[0])
-
-    Q = partial(acoustic, brackets)
+    one, both = np.eye(brackets.shape[0]), brackets + brackets.swapaxes(2, 3)
     line = np.linspace(-1, 1, {2: 2001, 3: 121}[d])
     grid = np.array(list(itertools.product(line, repeat=d - 1)))
-    faces = [np.insert(grid, a, 1.0, axis=1) for a in range(d)]
-    faces = [e[canonical(e, group, 0.0)] for e in faces]
-    smallest = min(
-        float((smallest_eigenvalue(Q(e)) / (e**2).sum(axis=1)).min(initial=np.inf)) for e in faces
-    )
-    q = LONG_SHARE * smallest
+    e = np.concatenate([np.insert(grid, a, 1.0, axis=1) for a in range(d)])
+    e = e[canonical(e, group, 0.0)]
+    q = LONG_SHARE * float((smallest_eigenvalue(acoustic(brackets, e)) / (e**2).sum(axis=1)).min())
     if not q > 0:
         return 0.0, 0
     rest, slack = _most(stencil, parts(stencil.tensors)[1]) + q * (d - 1), _slack(stencil)
     total = 0
     for a in range(d):
-        free = [b for b in range(d) if b != a]
 
-        def affine(
-            t: np.ndarray, a: int = a, free: list[int] = free
-        ) -> tuple[np.ndarray, np.ndarray]:
+        def affine(t: np.ndarray, a: int = a) -> tuple[np.ndarray, np.ndarray]:
             e = np.insert(t, a, 1.0, axis=1)
-            slopes = []
-            for b in free:
-                bent = np.einsum("ijk,nk->nij", brackets[..., b] + brackets[:, :, b], e)
-                slope = (bent + bent.swapaxes(1, 2)) / 2
-                slopes.append(slope - 2 * q * e[:, b, None, None] * one)
-            return Q(e) - q * (e**2).sum(axis=1)[:, None, None] * one, np.array(slopes)
+            bent = np.einsum("ijkl,nl->knij", both, e) - 2 * q * e.T[:, :, None, None] * one
+            slopes = np.delete((bent + bent.swapaxes(2, 3)) / 2, a, axis=0)
+            return acoustic(brackets, e) - q * (e**2).sum(axis=1)[:, None, None] * one, slopes
 
         def asked(t: np.ndarray, half: float, a: int = a) -> np.ndarray:
             return canonical(np.insert(t, a, 1.0, axis=1), group, half)

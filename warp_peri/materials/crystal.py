@@ -29,15 +29,7 @@ from warp_peri.points.arrays import checked_fields, plain
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples, nodes_of, unsaid
-from warp_peri.points.unit_names import (
-    STRESSES,
-    USUAL,
-    Units,
-    check_same,
-    factors,
-    shown_moduli,
-    symbols,
-)
+from warp_peri.points.unit_names import USUAL, Units, check_same, factors, shown_moduli, symbols
 from warp_peri.protocols import SAME_SPACING, OperatorBase
 from warp_peri.solvers.linear import Linear
 from warp_peri.solvers.solution import CG, Solution, Solver, refuse_solver
@@ -249,13 +241,10 @@ class StencilMaterial(Record):
 
     def tensor(self) -> np.ndarray:
         """C_ijkl of long waves along the nodes' axes [stress], shape [d, d, d, d] (T4)."""
-        C = elastic.elastic_from_brackets(self._at_rest)
+        held = getattr(self, "stress", None)  # adds to brackets (T19)
+        brackets = self.stencil.brackets - (0 if held is None else elastic.stress_brackets(held))
+        C = elastic.elastic_from_brackets(brackets)
         return np.asarray((C + C.transpose(2, 3, 0, 1)) / 2)
-
-    @property
-    def _at_rest(self) -> np.ndarray:
-        """Brackets without what a stress adds (T19)."""
-        return self.stencil.brackets
 
     def elastic_tensor(self, unit: str | None = None) -> np.ndarray:
         """Voigt matrix of long waves, 3 × 3 in the plane (11, 22, 12) and 6 × 6 in space.
@@ -266,11 +255,7 @@ class StencilMaterial(Record):
         return elastic.voigt(self.tensor()) * self._stress(unit)
 
     def _stress(self, unit: str | None) -> float:
-        if unit is None:
-            return 1.0
-        if unit not in STRESSES:
-            raise InputError(f"unit: expected one of {', '.join(STRESSES)}, got {unit!r}")
-        return factors(self.units, (self.units[0], unit))[1]
+        return 1.0 if unit is None else factors(self.units, (self.units[0], unit))[1]
 
     def certified(self) -> Self:
         """The law with its certificate; `certificate.holds` says whether one was found."""
@@ -355,17 +340,16 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
     def __post_init__(self) -> None:
         super().__post_init__()
         steps, tensors, stress = self.steps, self.tensors, self.stress
-        if steps.ndim != 2 or steps.shape[1] not in (2, 3) or not len(steps):
-            raise InputError(f"steps: expected shape [H, 2] or [H, 3], got {list(steps.shape)}")
+        d = steps.shape[-1]
+        if d not in (2, 3) or not len(steps) or tensors.shape != (*steps.shape, d):
+            raise InputError(
+                "steps, tensors: expected shapes [H, d] and [H, d, d], d = 2 or 3, got "
+                f"{list(steps.shape)} and {list(tensors.shape)}"
+            )
         whole = np.rint(steps).astype(np.int64)
         both = {tuple(step) for step in np.concatenate([whole, -whole]).tolist()}
         if (whole != steps).any() or len(both) != 2 * len(whole) or not whole.any(axis=1).all():
             raise InputError("steps: expected whole numbers, one of ξ and −ξ, each once and not 0")
-        d = steps.shape[1]
-        if tensors.shape != (len(steps), d, d):
-            raise InputError(
-                f"tensors: expected shape [{len(steps)}, {d}, {d}], got {list(tensors.shape)}"
-            )
         both_ways = (tensors + tensors.transpose(0, 2, 1)) / 2
         if np.abs(tensors - both_ways).max() > BROKEN * np.abs(tensors).max():
             raise InputError("tensors: expected symmetric matrices")
@@ -399,17 +383,6 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
     def stencil(self) -> Stencil:
         """Its numbers alone."""
         return Stencil(self.spacing, self.steps, self.tensors)
-
-    @property
-    def brackets(self) -> np.ndarray:
-        """[ij, kl] = ½ Σ C_ij ξ_k ξ_l over all bonds [stress], shape [d, d, d, d] (T3)."""
-        return self.stencil.brackets
-
-    @property
-    def _at_rest(self) -> np.ndarray:
-        """Brackets without what a stress adds (T19)."""
-        held = self.stress
-        return self.brackets if held is None else self.brackets - elastic.stress_brackets(held)
 
     def moduli(self, unit: str | None = None) -> dict[str, float]:
         """Elastic constants by name that are not zero, those of a cubic crystal as C11, C12, C44.
@@ -454,7 +427,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         |[ij, kl] W_jk n_l| over faces n along the axes and turns W in coordinate planes. A law of
         micromodulus tensors is objective only where this is zero, or where no bond is cut.
         """
-        B = self.brackets
+        B = self.stencil.brackets
         return float(np.linalg.norm(B - B.swapaxes(1, 2), axis=0).max())
 
     @property
