@@ -89,7 +89,7 @@ REFUSED = {
     "moduli: expected float values": lambda: nonsense(3.0, {"C11": 0.2}),
     "moduli: expected those of 2 dimensions, got 3": lambda: nonsense(3.0, np.eye(6)),
     "are moduli in TPa": lambda: nonsense(3.0, 1e3 * voigt(cubic_tensor(2))),
-    "spacing: expected a finite number": lambda: transfer_to_lattice(learned(2), "4"),
+    "spacing: expected a number > 0": lambda: transfer_to_lattice(learned(2), "4"),
     "expected a linear peridynamic solid, got Crystal": lambda: crystal_from_lps(learned(2), 1.5),
     "stable crystal, got a sound wave": lambda: fit_dispersion(
         dispersive(tensor := cubic_tensor(2, 0.1, 0.2, 0.05)), 1.0, 2.5, symmetry="4mm",
