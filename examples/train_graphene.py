@@ -30,9 +30,9 @@ from warp_peri.files.atomic import locked
 from warp_peri.fitting import settings
 from warp_peri.fitting.evaluate import train
 from warp_peri.fitting.result import Fit
-from warp_peri.materials.lps import LPSParameters
 from warp_peri.materials.lps_fit import Learner
 from warp_peri.materials.lps_law import LPSFound, optimum
+from warp_peri.materials.lps_parameters import LPSParameters
 from warp_peri.materials.third_order import CUBIC, ThirdOrderMaterial
 from warp_peri.methods import sweep
 

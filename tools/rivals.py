@@ -16,8 +16,8 @@ import torch
 from scipy.special import comb
 
 from warp_peri.atoms.calculators import LammpsError, lammps_class, lammps_words
-from warp_peri.materials.lps import bernstein_basis
 from warp_peri.materials.lps_force import Bonds
+from warp_peri.materials.lps_parameters import bernstein_basis
 from warp_peri.points.families import HORIZON_TOLERANCE
 
 

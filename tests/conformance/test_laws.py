@@ -18,8 +18,8 @@ from warp_peri.core.stencil import invariant_basis
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
-from warp_peri.materials.lps import bernstein_basis
 from warp_peri.materials.lps_force import Bonds
+from warp_peri.materials.lps_parameters import bernstein_basis
 from warp_peri.neural.material import NeuralOperator
 from warp_peri.points.dataset import in_units_of, scaled
 from warp_peri.points.families import bond_classes

@@ -24,9 +24,10 @@ from tests.support.solving import solve
 from warp_peri import InputError, LPSMaterial, certify, load
 from warp_peri.influence import InfluenceFunction
 from warp_peri.materials.influence import gaussian, table
-from warp_peri.materials.lps import bernstein_basis, moduli, stiffnesses
+from warp_peri.materials.lps import moduli, stiffnesses
 from warp_peri.materials.lps_law import ShapeKernel
 from warp_peri.materials.lps_matrices import node_fields
+from warp_peri.materials.lps_parameters import bernstein_basis
 from warp_peri.points.families import bond_classes
 
 MODEL = replace(

@@ -26,7 +26,8 @@ from warp_peri.fracture.statics import (
     strain_of,
     symmetric_factors,
 )
-from warp_peri.materials.lps import LPSMaterial, bernstein_basis
+from warp_peri.materials.lps import LPSMaterial
+from warp_peri.materials.lps_parameters import bernstein_basis
 from warp_peri.points.arguments import Share
 from warp_peri.points.arrays import checked
 from warp_peri.protocols import is_tensor

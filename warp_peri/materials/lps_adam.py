@@ -25,10 +25,10 @@ from warp_peri.files.atomic import ArrayFile, locked
 from warp_peri.fitting.augmented_lagrangian import PrintedState, adam, as_printed
 from warp_peri.fitting.regression import cut_rows
 from warp_peri.fitting.settings import CONDITIONS, StabilityConditions, TwoStage
-from warp_peri.materials.lps import LPSParameters, bernstein_basis
 from warp_peri.materials.lps_force import Bonds, lps_force
 from warp_peri.materials.lps_law import ALPHA_IN_SIGHT, LARGEST_ALPHA, LPSFound, LPSLaw
 from warp_peri.materials.lps_matrices import assemble
+from warp_peri.materials.lps_parameters import LPSParameters, bernstein_basis
 from warp_peri.materials.lps_rows import class_pairs, product_basis
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.samples import Samples

@@ -2,9 +2,8 @@
 
 A lattice lies row by row in a box, many nodes at a time; anything else as it is numbered, with
 lists of bonds. L is its own transpose once each bond reads the stiffness of the bond back, and the
-influence function has Warp's tape. Nothing is summed by atomic operations, and sums over nodes run
-over fixed blocks, so that the result does not depend on how many threads there are. Nothing that a
-call writes is kept.
+influence function has Warp's tape. Sums over nodes run over fixed blocks, without atomics,
+so that threads change no bit. Nothing that a call writes is kept.
 """
 
 from __future__ import annotations
@@ -41,10 +40,8 @@ from warp_peri.runtime import (
     zeros,
 )
 
-SPARE = 2
-"""Largest box, in places a node: beyond that the nodes are better left in their lists."""
-SHORT = 4
-"""Least mean length of a piece that is worth it."""
+SPARE, SHORT = 2, 4
+"""Largest box, in places a node, and least mean length of a piece, that are worth it."""
 BLOCKS = 8
 """Parts in which nodes are summed over, whatever the number of threads."""
 FASTER = 4
@@ -170,9 +167,7 @@ class Bonds:
             node = np.pad(node[inside], ring, mode="wrap")
         stride = np.append(np.cumprod(node.shape[:0:-1])[::-1], 1)
         lanes = BYTES // self.dtype.itemsize
-        room = (
-            reach * int(stride.sum()) + lanes
-        )  # for bonds off the box, and the last piece's lanes
+        room = reach * int(stride.sum()) + lanes  # for bonds off the box, lanes beyond a piece
         home = room + (grid + ring) @ stride
         seen = np.zeros(node.shape, bool)  # near enough to have its family, of images too
         seen[self.dimension * (slice(reach, -reach),)] = True

@@ -15,9 +15,10 @@ from scipy.sparse.linalg import LinearOperator, gmres, spilu
 
 from warp_peri.core.proof import largest
 from warp_peri.errors import InputError, warn
-from warp_peri.materials.lps import LPSMaterial, LPSParameters, on_nominal_lattice, statements
+from warp_peri.materials.lps import LPSMaterial, on_nominal_lattice, statements
 from warp_peri.materials.lps_force import Bonds, Law, bonds_of, lps_force
 from warp_peri.materials.lps_matrices import assemble, node_fields
+from warp_peri.materials.lps_parameters import LPSParameters
 from warp_peri.points.arrays import checked, checked_fields, plain
 from warp_peri.points.families import families_of
 from warp_peri.points.lattice import largest_strain
