@@ -51,7 +51,35 @@ def strain(H: torch.Tensor) -> torch.Tensor:
     return strain_rate(H / 2, H)
 
 
-class Pointwise(OperatorBase):
+class Swept(OperatorBase):
+    """An operator that looks at a few samples at once.
+
+    Attributes:
+        size: numbers that a sample takes; torch works on arrays of `parts` of them.
+    """
+
+    size: int
+    parts = 1
+
+    def _parts(self, sweep: Callable[..., Any], *fields: ArrayLike) -> list[np.ndarray]:
+        """What a sweep makes of fields [S, N, d], a few samples at once, one after another."""
+        given = [plain("u", field) for field in fields]
+        for each in given:
+            self.check(each)
+        flat = [each.reshape(-1, *self.shape) for each in given]
+        step, count = max(1, MOST // self.size), len(flat[0])
+        few = self.size * min(step, count) < FEW * self.parts
+        with torch.enable_grad(), one_thread(few), np.errstate(all="ignore"):  # of steps run away
+            pieces = ((f[n : n + step] for f in flat) for n in range(0, count, step))
+            return [np.asarray(sweep(*piece)) for piece in pieces]
+
+    def _swept(self, sweep: Callable[..., Any], *fields: ArrayLike) -> np.ndarray:
+        """The same joined, of the leading shape of the fields."""
+        found = np.concatenate(self._parts(sweep, *fields))
+        return found.reshape(np.shape(fields[0])[:-2] + found.shape[1:])
+
+
+class Pointwise(Swept):
     """Minus the internal force density of an energy density on a lattice; b in equilibrium.
 
     Args:
@@ -109,7 +137,7 @@ class Pointwise(OperatorBase):
         sides = weights, (weights if back is None else back) / len(weights)
         into, out = (self._symbol(steps, side.transpose(2, 0, 1)) for side in sides)
         self._symbols, self._mirrored = (into, out), (into.conj(), out.conj())
-        self._size = asked.size * d * d * len(weights)
+        self.size = asked.size * d * d * len(weights)
         self._straight = self._linear = None
         self.at_rest = torch.zeros(4 * (d,), dtype=torch.float64)
         if stencil is not None:
@@ -196,23 +224,9 @@ class Pointwise(OperatorBase):
         change = times(X, S.detach()).add_(times(H, bent)).add_(bent)
         return self._pulled(change, 1 - side, places, waves)
 
-    def _parts(self, sweep: Callable[..., Any], *fields: ArrayLike) -> list[np.ndarray]:
-        """What a sweep makes of fields [S, N, d], a few samples at once, one after another."""
-        given = [np.reshape(plain("u", f), (-1, *self.shape)) for f in fields]
-        step, count = max(1, MOST // self._size), len(given[0])
-        with torch.enable_grad(), one_thread(self._size * min(step, count) < FEW):
-            parts = ((f[n : n + step] for f in given) for n in range(0, count, step))
-            return [np.asarray(sweep(*part)) for part in parts]
-
-    def _swept(self, sweep: Callable[..., Any], *fields: ArrayLike) -> np.ndarray:
-        """The same joined, of the leading shape of the fields."""
-        found = np.concatenate(self._parts(sweep, *fields))
-        return found.reshape(np.shape(fields[0])[:-2] + found.shape[1:])
-
     def force(self, u: ArrayLike, radius: float = 0.0) -> np.ndarray:
         """The force on the interior nodes [stress/length], [..., I, d]; of gradients projected to
         |H| ≤ `radius` where that is above zero (N10)."""
-        self.check(field := plain("u", u))
 
         def sweep(u: np.ndarray) -> np.ndarray:
             H = near = self._gradient(waves := self._field(u))
@@ -223,7 +237,7 @@ class Pointwise(OperatorBase):
                 P = P + torch.tensordot(self.at_rest, H - near, 2)
             return self._pulled(P, 1, self._inside, waves)
 
-        return self._swept(sweep, field)
+        return self._swept(sweep, u)
 
     def jvp(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
         """The derivative at u along v, shape [..., I, d]."""

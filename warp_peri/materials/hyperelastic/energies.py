@@ -129,6 +129,7 @@ class Energy(NamedTuple):
         label: its name in tables.
         density: of what it sees, of a fibre's angle and exponent.
         is_fibre: whether it is of a family of fibres.
+        number, coefficient: its place among the coefficients of a solid, and what is there.
     """
 
     sees: tuple[Any, ...]
@@ -137,6 +138,8 @@ class Energy(NamedTuple):
     angle: Any = 0.0
     exponent: Any = 0.0
     is_fibre: bool = False
+    number: int = 0
+    coefficient: Any = 1.0
 
 
 @typed

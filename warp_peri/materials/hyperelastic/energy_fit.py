@@ -48,11 +48,10 @@ def columns(op: HyperelasticSheetOperator, u: np.ndarray, moving: Sequence[int] 
 
     By all coefficients, and by angles and then exponents of the fibres at M places.
     """
-    c = op.model.coefficients
-    found = [op.features(u).reshape(-1, len(c))]
+    found = [op.features(u)]
     for by in ("angle", "exponent") if len(moving) else ():
-        found.append(op.features(u, by=by).reshape(found[0].shape)[:, moving] * c[moving])
-    return np.concatenate(found, axis=1)
+        found.append(op.features(u, by=by)[..., moving])
+    return np.concatenate(found, axis=-1).reshape(2 * len(op.interior), -1)
 
 
 def equations(

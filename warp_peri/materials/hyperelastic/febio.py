@@ -66,14 +66,8 @@ def _ground(matrix: dict[str, float]) -> ElementTree.Element:
     else:
         root = ElementTree.Element("material", id="1", name="sheet", type="solid mixture")
         ground = ElementTree.SubElement(root, "solid", type="HGO unconstrained")
-        numbers = {
-            "c": 2 * matrix.get("neo_hookean", 0.0),
-            "k1": 0.0,
-            "k2": 1.0,
-            "gamma": 0.0,
-            "kappa": 0.0,
-            "k": 2 * matrix.get("volumetric", 0.0),
-        }
+        numbers = {"k1": 0.0, "k2": 1.0, "gamma": 0.0, "kappa": 0.0}
+        numbers |= {"c": 2 * matrix.get("neo_hookean", 0.0), "k": 2 * matrix.get("volumetric", 0.0)}
     for key, value in numbers.items():
         _number(ground, key, value)
     return root
@@ -89,41 +83,38 @@ def save_febio(solid: HyperelasticMaterial, path: str | os.PathLike[str]) -> Non
 def material_terms(solid: HyperelasticMaterial) -> list[tuple[EnergyTerm, float]]:
     """Energies of uniform strain with their coefficients; nodes and corners are one material."""
     sums: dict[EnergyTerm, float] = {}
-    for term, value in zip(
-        solid.dictionary.terms, solid.coefficients[solid.dictionary.first_term :]
-    ):
-        if value:
-            own = replace(term, corner=False)
-            sums[own] = sums.get(own, 0.0) + float(value)
-    return list(sums.items())
+    values = solid.coefficients[solid.dictionary.first_term :].tolist()
+    for term, value in zip(solid.dictionary.terms, values):
+        own = replace(term, corner=False)
+        sums[own] = sums.get(own, 0.0) + value
+    return [(term, value) for term, value in sums.items() if value]
 
 
 @typed
 def in_words(solid: HyperelasticMaterial) -> list[str]:
     """What the coefficients say, one line for each number."""
-    lines = []
     values = dict.fromkeys(COMPRESSIBLE | INCOMPRESSIBLE, 0.0)
+    matrix, fibres = list[str](), list[str]()
     for term, value in material_terms(solid):
         if term.kind in values:
-            values[term.kind] = float(value)
+            values[term.kind] = value
         elif value > 0 and term.kind in FIBRES:
-            angle, exponent = np.rad2deg(np.mod(term.angle, np.pi)), f"{term.exponent:.3g}"
-            k1 = f"{value:.4g}"
-            power = term.kind == "fibre_power"
-            said = f"{k1}, power {exponent}" if power else f"k1 = {k1}, k2 = {exponent}"
-            lines.append(f"fibres at {angle:.1f}°: {said}")
-    C1, C2 = values["plane_stress"], values["mooney"]
-    if C1 or C2:
-        words = f"incompressible matrix: shear modulus {2 * (C1 + C2):.4g}"
-        words += f" (Mooney and Rivlin: C1 = {C1:.4g}, C2 = {C2:.4g})" if C2 else ""
-        lines.insert(0, words)
+            told = (
+                "{:.4g}, power {:.3g}" if term.kind == "fibre_power" else "k1 = {:.4g}, k2 = {:.3g}"
+            )
+            at = np.rad2deg(np.mod(term.angle, np.pi))
+            fibres.append(f"fibres at {at:.1f}°: {told.format(value, term.exponent)}")
     if values["neo_hookean"]:
         shear, bulk = 2 * values["neo_hookean"], values["volumetric"]
-        lines.insert(0, f"matrix: shear modulus {shear:.4g}, volumetric coefficient {bulk:.4g}")
         ratio = 3 * bulk / shear  # (1 + ν)/(1 − 2ν) of the published energy
         nu = (ratio - 1) / (2 * ratio + 1)
-        lines.insert(1, f"as the published energy: E = {2 * shear * (1 + nu):.4g}, ν = {nu:.3g}")
-    return lines
+        matrix.append(f"matrix: shear modulus {shear:.4g}, volumetric coefficient {bulk:.4g}")
+        matrix.append(f"as the published energy: E = {2 * shear * (1 + nu):.4g}, ν = {nu:.3g}")
+    C1, C2 = values["plane_stress"], values["mooney"]
+    if C1 or C2:
+        more = f" (Mooney and Rivlin: C1 = {C1:.4g}, C2 = {C2:.4g})" if C2 else ""
+        matrix.append(f"incompressible matrix: shear modulus {2 * (C1 + C2):.4g}{more}")
+    return matrix + fibres
 
 
 def _number(parent: ElementTree.Element, key: str, value: float) -> None:

@@ -6,7 +6,7 @@ of a site, and these at their ends.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar
 
@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
-from warp_peri.core.pointwise import FEW
+from warp_peri.core.pointwise import FEW, Swept
 from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.errors import InputError, warn
 from warp_peri.materials.hyperelastic.energies import Energy, Hyperelastic, read
@@ -29,14 +29,11 @@ from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import checked, checked_fields, plain
 from warp_peri.points.samples import PointsLike, Samples, nodes_of, seen_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, shown_moduli, symbols
-from warp_peri.protocols import OperatorBase
 from warp_peri.runtime import one_thread
 from warp_peri.solvers.solution import Newton, Solution, Solver, refuse_solver
 
 BEYOND = 1.1
 """Stretches less one above this many times those of the training data are worth a warning."""
-MOST = 2**22
-"""Bonds of sites that are held at once; more samples follow one another."""
 MOST_SHOWN = 8
 """Energies that a solid shows of itself."""
 
@@ -114,11 +111,11 @@ class HyperelasticMaterial(Record, format="warp_peri.hyperelastic"):
         return self.dictionary.reach * self.spacing
 
 
-Active = list[tuple[Patch, list[tuple[int, float, Energy]]]]
-"""Energies with their numbers and coefficients, by what they see."""
+Active = list[tuple[Patch, list[Energy]]]
+"""Energies by what they see."""
 
 
-class HyperelasticSheetOperator(OperatorBase):
+class HyperelasticSheetOperator(Swept):
     """A solid on a lattice.
 
     Args:
@@ -132,6 +129,8 @@ class HyperelasticSheetOperator(OperatorBase):
     Raises InputError for points that are no lattice, in other units, or whose collar is too narrow,
     and a thickness that is none.
     """
+
+    parts = 9  # bonds, of which a site sees three numbers
 
     def __init__(
         self,
@@ -153,6 +152,7 @@ class HyperelasticSheetOperator(OperatorBase):
     def _take(self, model: HyperelasticMaterial, thickness: np.ndarray | None) -> None:
         self.model, self.thickness = model, thickness
         self.active = self._energies(model.coefficients)
+        self.size = max((patch.bonds.size for patch, _ in self.active), default=1)
 
     def changed(
         self, model: HyperelasticMaterial, thickness: np.ndarray | None
@@ -171,18 +171,18 @@ class HyperelasticSheetOperator(OperatorBase):
 
     def _energies(self, c: np.ndarray) -> Active:
         """Those whose coefficient is not zero."""
-        found = dict[Any, list[tuple[int, float, Energy]]]()
+        found = dict[Any, list[Energy]]()
         for number, energy in enumerate(self.model.dictionary.energies):
+            one = energy._replace(number=number, coefficient=float(c[number]))
             for of in CORNERS if energy.sees == ("corner",) else ((),):
                 if c[number]:
-                    one = number, float(c[number]), energy
                     found.setdefault((*energy.sees, *of), []).append(one)
         return [(self.lattice.patch(*sees), each) for sees, each in found.items()]
 
     def _stored(self, patch: Patch, each: Any, q: torch.Tensor) -> torch.Tensor:
         """Energy of every site over h², shape [S, n]."""
         seen = read(q)
-        total: Any = sum(c * e.density(seen, e.angle, e.exponent) for _, c, e in each)
+        total: Any = sum(e.coefficient * e.density(seen, e.angle, e.exponent) for e in each)
         share: Any = 1 / len(CORNERS) if patch.corner else 1.0
         if self.thickness is not None:
             share = torch.from_numpy(share * self.thickness[patch.pair].mean(axis=0))
@@ -192,20 +192,6 @@ class HyperelasticSheetOperator(OperatorBase):
         """∂U/∂q over h², shape [Q, S, n]; with a graph of q, which becomes a leaf."""
         stored = self._stored(patch, each, q.requires_grad_()).sum()
         return torch.autograd.grad(stored, q, create_graph=graph)[0]
-
-    def _swept(self, sweep: Callable[..., np.ndarray], *fields: ArrayLike) -> np.ndarray:
-        """What a sweep makes of fields [S, N, 2], a few samples at once, one after another."""
-        given = [plain("u", field) for field in fields]
-        for one in given:
-            self.check(one)
-        flat = [each.reshape(-1, *self.shape) for each in given]
-        most = max((patch.bonds.size for patch, _ in self.active), default=1)
-        step, count = max(1, MOST // most), len(flat[0])
-        few = 3 * len(self.points.x) * min(step, count) < FEW
-        with torch.enable_grad(), one_thread(few), np.errstate(all="ignore"):  # of steps run away
-            parts = [sweep(*(u[at : at + step] for u in flat)) for at in range(0, count, step)]
-        whole = np.concatenate(parts)
-        return whole.reshape(*given[0].shape[:-2], *whole.shape[1:])
 
     def _tension(self, e: np.ndarray, active: Active) -> np.ndarray:
         """What energies pull at bonds e [S, pairs], over ξ + η."""
@@ -312,38 +298,34 @@ class HyperelasticSheetOperator(OperatorBase):
         return tension[0], Y, found
 
     def features(self, u: ArrayLike, *, by: str = "coefficient") -> np.ndarray:
-        """The force of every energy with coefficient one, shape [..., I, 2, K].
+        """The derivative of the force by the coefficient of every energy, shape [..., I, 2, K].
 
         Args:
             u: displacements.
-            by: "angle" or "exponent" for the derivative of that force by the fibre's number; the
-                other columns are then zero.
+            by: "angle" or "exponent" for that by the fibre's number; other columns are then zero.
         """
+        one = np.ones(len(self.model.dictionary))
+        energies = self._energies(one) if by == "coefficient" else self.active
 
         def sweep(u: np.ndarray) -> np.ndarray:
             Y, e = self.lattice.stretched(u)
-            forces = np.zeros((len(u), len(self.interior), 2, len(self.model.dictionary)))
-            for patch, number, stress in self._single(e, by):
-                tension = np.zeros_like(e)
-                patch.pull(stress, tension)
-                forces[..., number] += self.lattice.at_ends(tension[:, None] * Y)[:, self.interior]
+            forces = np.zeros((len(u), len(self.interior), 2, len(one)))
+            for patch, each in energies:
+                q = patch.seen(e).requires_grad_()
+                for energy in (
+                    each if by == "coefficient" else (one for one in each if one.is_fibre)
+                ):
+                    value = torch.tensor(getattr(energy, by), dtype=q.dtype, requires_grad=True)
+                    moved: Any = energy._replace(**{by: value})
+                    stored = self._stored(patch, [moved], q).sum()
+                    (slope,) = torch.autograd.grad(stored, value, create_graph=True)
+                    tension = np.zeros_like(e)
+                    patch.pull(torch.autograd.grad(slope, q)[0], tension)
+                    pulled = self.lattice.at_ends(tension[:, None] * Y)[:, self.interior]
+                    forces[..., energy.number] += pulled
             return forces
 
         return self._swept(sweep, u)
-
-    def _single(self, e: np.ndarray, by: str) -> Iterator[tuple[Patch, int, torch.Tensor]]:
-        """Stress [Q, S, n] of every energy with coefficient one, or its derivative."""
-        for patch, each in self._energies(np.ones(len(self.model.dictionary))):
-            q = patch.seen(e)
-            for number, one, energy in each:
-                if by == "coefficient":
-                    yield patch, number, self._slope(patch, [(number, one, energy)], q)
-                elif energy.is_fibre:
-                    value = torch.tensor(getattr(energy, by), dtype=q.dtype, requires_grad=True)
-                    moved: Any = energy._replace(**{by: value})  # type: ignore[arg-type]
-                    stored = self._stored(patch, [(number, one, moved)], q.requires_grad_()).sum()
-                    (slope,) = torch.autograd.grad(stored, value, create_graph=True)
-                    yield patch, number, torch.autograd.grad(slope, q)[0]
 
     def by_thickness(self, u: ArrayLike, slopes: np.ndarray) -> np.ndarray:
         """The derivative of the force by what the thickness depends on, shape [..., I, 2, P].
