@@ -70,7 +70,7 @@ def test_a_sheet_pushed_together_is_stable_or_refused(manufactured):
     """Compression to a third: the branch ends; what comes back says that it left it, or nothing."""
     op, _, _ = manufactured
     u = -0.66 * op.points.x + 1e-3 * waves(op.points)
-    soft = op.with_coefficients(COEFFICIENTS * ([0.01] * 4 + [1] * 3))
+    soft = op.at({"coefficients": COEFFICIENTS * ([0.01] * 4 + [1] * 3)})
     answer = find_equilibrium(soft, None, u)
     assert answer is None or not answer.followed
     if answer is None:
@@ -93,7 +93,7 @@ def test_a_solid_without_stiffness_is_refused(manufactured):
     op, u, b = manufactured
     problem = Dirichlet(op.points, b, u)
     with pytest.raises(NoEquilibriumError, match="no stable equilibrium found"):
-        solve(op.with_coefficients(-COEFFICIENTS), problem)
+        solve(op.at({"coefficients": -COEFFICIENTS}), problem)
     with pytest.raises(InputError, match="b: expected finite values"):
         solve(op, Dirichlet(op.points, np.full_like(b, np.nan), u))
 
@@ -162,7 +162,7 @@ def test_lattices_have_a_band_as_wide_as_their_shorter_side(sides):
     assert stable
     y = np.random.default_rng(0).normal(size=(K.shape[0], 2))
     np.testing.assert_allclose(K @ factors.solve(y), y, atol=1e-10)
-    other = op.with_coefficients(-op.model.coefficients)
+    other = op.at({"coefficients": -op.model.coefficients})
     assert other.factors(u) == op.factors(np.nan * u) == (None, False)
     shifted, stable = other.factors(u, shifts=True)
     assert not stable

@@ -18,11 +18,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 21_836,
-    "tokens": 264_462,
-    "lines of warp_peri": 36_818,
+    "code lines": 21_815,
+    "tokens": 264_187,
+    "lines of warp_peri": 36_813,
     "lines of kernels": 1_103,
-    "lines of warp_peri, kernels, examples and tools": 50_256,
+    "lines of warp_peri, kernels, examples and tools": 50_251,
     "lines of the longest file": 609,
     "lines of the longest function": 73,
     "parameters of one function": 11,
@@ -35,14 +35,14 @@ BUDGET = {
 ROOMS = {
     "atoms": 2677,
     "cli": 1052,
-    "core": 1633,
+    "core": 1639,
     "diffusion": 261,
     "face": 944,
     "fe_coupling": 753,
     "files": 544,
     "fitting": 1307,
     "fracture": 1612,
-    "materials": 5345,
+    "materials": 5318,
     "neural": 839,
     "points": 1727,
     "prediction": 755,

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-from warp_peri.errors import InputError, warn
+from warp_peri.errors import warn
 from warp_peri.materials.hyperelastic.lattice import BandFactors, softest
 from warp_peri.points.arrays import checked_fields
 from warp_peri.solvers.direct import lanczos_start, smallest_eigenvalue
@@ -95,11 +95,9 @@ def find_equilibrium(
             tangent was positive definite in the last step.
         tolerance: of the residual, relative to the largest force.
 
-    Raises InputError for arrays of other shapes or with values that are not finite on the collar.
+    Raises InputError for values that are not finite on the collar.
     """
     load, collar = checked_fields(op.points, b, u)
-    if collar.shape != op.shape:
-        raise InputError(f"u: expected shape {list(op.shape)}, got {list(collar.shape)}")
     collar[op.interior] = 0.0
     sheet = Sheet(op, load[op.interior], collar)
     if (times := sheet.too_small()) > 1:

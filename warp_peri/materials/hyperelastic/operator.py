@@ -164,11 +164,6 @@ class HyperelasticSheetOperator(Swept):
         other._take(model, thickness)
         return other
 
-    def with_coefficients(self, c: np.ndarray) -> HyperelasticSheetOperator:
-        """The same with other coefficients [K], on the same lattice."""
-        model = replace(self.model, coefficients=c, provenance={})
-        return self.changed(model, self.thickness)
-
     def _energies(self, c: np.ndarray) -> Active:
         """Those whose coefficient is not zero."""
         found = dict[Any, list[Energy]]()
@@ -345,8 +340,9 @@ class HyperelasticSheetOperator(Swept):
         return {"coefficients": self.model.coefficients}
 
     def at(self, numbers: Mapping[str, Any]) -> HyperelasticSheetOperator:
-        """The same with other coefficients."""
-        return self.with_coefficients(numbers["coefficients"])
+        """The same with other coefficients, on the same lattice."""
+        model = replace(self.model, coefficients=numbers["coefficients"], provenance={})
+        return self.changed(model, self.thickness)
 
     def by_numbers(self, name: str, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Derivatives of Σ w · force(u) to the coefficients [K], of fields [S, N, 2]."""
