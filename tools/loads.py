@@ -107,7 +107,7 @@ class RimLoad:
 @dataclass(frozen=True)
 class MixedLoad:
     """All waves of a sheet that are no shorter than `shortest`, together: random phases and
-    directions, each as large as its |k| (theory, Q10).
+    directions, each as large as its |k| (theory, Q11).
 
     It has no amplitude of its own, as a WaveLoad.
     """

@@ -21,12 +21,11 @@ from warp_peri.atoms.calculator_noise import (
     ROUGH,
     Symmetric,
     bent_by_strain,
-    joined,
     measured,
     projected,
-    rattled,
 )
 from warp_peri.atoms.calculators import lammps_calculator
+from warp_peri.atoms.finite_strains import joined
 from warp_peri.atoms.force_constants import finite_differences, from_supercell
 from warp_peri.atoms.phonons import at_zone_edge, check_phonons
 from warp_peri.atoms.relaxed import at_rest
@@ -114,7 +113,7 @@ def test_numbers_of_a_crystal_are_all_of_phi_and_give_its_forces(hexagonal):
     u = 1e-3 * np.random.default_rng(0).standard_normal((len(many), 3))
     forces, x = phonons.forces_of(many, EMT()), many.positions
     wanted = (forces(x + u) - forces(x - u)) / 2
-    found = (every.forces(every.basis, u) @ numbers).reshape(-1, 3)
+    found = (every.forces(u) @ numbers).reshape(-1, 3)
     assert np.abs(found - wanted).max() < 1e-3 * np.abs(found).max()
 
 
@@ -137,32 +136,6 @@ def test_broken_force_constants_are_brought_to_the_rules_and_the_shift_is_their_
     wrong = replace(kept, doubt=40 * kept.doubt)
     with pytest.raises(wp.InputError, match=r"rules that they break .* unsure by \d+%"):
         wp.atoms.crystal_from_force_constants(wrong)
-
-
-def test_numbers_are_of_a_cell_of_several_images_too():
-    """Its atoms are told apart by what symmetry does not see."""
-    cell = ase.build.bulk("Cu", a=3.6, cubic=True)
-    many = cell.repeat((2, 2, 1))
-    every, phi = symmetric(cell, many), differences(cell, many).transpose(0, 2, 1, 3)
-    numbers = np.tensordot(every.basis, phi, 4)
-    left = np.tensordot(numbers, every.basis, 1) - phi
-    assert np.abs(left).max() < 1e-4 * np.abs(phi).max()
-
-
-def test_moduli_lie_within_errors_by_rules_that_are_broken_much(hexagonal):
-    cell, many, phi = hexagonal
-    atoms = from_supercell(cell, many, phi, (0, 1))
-    noise = np.random.default_rng(1).standard_normal(atoms.values.shape)
-    off = 0.02 * np.abs(atoms.values).max() * noise
-    moved, cubes = replace(atoms, doubt=off[None]), np.eye(9).reshape(9, 3, 3)
-    allowed = np.einsum("mab,ncd->mnabcd", cubes, cubes).reshape(81, 3, 3, 3, 3)
-    change = moved.nearest_elastic(allowed, atoms.values - off)[0]
-    change = np.abs(change - moved.nearest_elastic(allowed)[0])
-    ways = [
-        np.linalg.norm(moved.elastic_doubt(allowed, bent=bent), axis=0) for bent in (False, True)
-    ]
-    shares = [np.max((change / one)[change > 0.01 * change.max()]) for one in ways]
-    assert shares[1] < 2**0.5 + 1e-6 < 2 < shares[0]  # what is odd alone is too little
 
 
 def test_an_imaginary_phonon_is_refused_beyond_three_standard_errors():
@@ -277,20 +250,6 @@ def test_a_surface_with_a_dimple_is_measured_beyond_it_and_its_spread_is_an_erro
     assert crystal.certificate.holds
 
 
-def test_phonons_of_a_rough_surface_on_a_third_of_the_displacement_lie_within_their_errors(
-    monkeypatch,
-):
-    cell, seen = ase.build.bulk("Al", a=2**0.5 * Dimpled.REST), []
-    told = measured(cell, Dimpled(), False)
-    for most in (0.03, 0.01):
-        monkeypatch.setattr("warp_peri.atoms.calculator_noise.MOST", most)
-        how = {"thickness": None, "polar": None, "stress": None}
-        atoms, _ = rattled(cell, cell.repeat(4), Dimpled(), told, **how)
-        seen.append(at_zone_edge(atoms))
-    (wide, error, _), (near, *_) = seen
-    assert 0.05 * wide < near - wide < error < 0.25 * wide
-
-
 def test_strains_tell_moduli_and_not_how_all_waves_change_with_the_displacement():
     cell = ase.build.bulk("Cu", a=3.59)
     every = symmetric(cell, cell.repeat(3))
@@ -320,12 +279,11 @@ def test_strains_tell_moduli_and_not_how_all_waves_change_with_the_displacement(
         assert within > 0.9 if spread is not None else within < 0.6
 
 
-@pytest.mark.parametrize("name", ["Al", "Pt", "Si", "W", "Zr"])
+@pytest.mark.parametrize("name", ["Al", "W"])
 def test_stress_over_strain_of_a_smooth_potential_changes_by_less_than_what_is_rough(name):
-    files = {"Si": ("sw", "Si.sw"), "W": ("eam/alloy", "W_zhou.eam.alloy"),
-             "Zr": ("eam/fs", "Zr_mm.eam.fs")}  # fmt: skip
-    style, file = files.get(name, ("", ""))
-    calculator = lammps_calculator(style, [name], file) if file else EMT()
+    calculator = EMT()
+    if name == "W":
+        calculator = lammps_calculator("eam/alloy", [name], "W_zhou.eam.alloy")
     cell = at_rest(ase.build.bulk(name), calculator).cell
     assert 0 < bent_by_strain(cell, calculator, False, 0.0) < BENDING
 
@@ -335,13 +293,4 @@ def test_a_surface_that_strains_alone_show_to_be_rough_is_called_so():
     found = measured(cell, Shallow(), False)
     assert BENDING < found.rough / found.linear < ROUGH  # less than asked of displacements
     assert found.length == 0.03
-    for noise in (1e-6, 1e-4, 1e-3):  # noise is not taken for it
-        assert measured(cell, Noisy(EMT(), noise), False).rough == 0
-
-
-def test_a_dimple_is_looked_for_at_rest_and_not_where_the_cell_was_given():
-    wide = ase.build.bulk("Al", a=1.025 * 2**0.5 * Dimpled.REST)
-    assert measured(wide, Dimpled(), False).rough == 0
-    found = at_rest(wide, Dimpled())
-    assert found.noise.rough > 100 * found.noise.force
-    assert found.noise.length == 0.03
+    assert measured(cell, Noisy(EMT(), 1e-3), False).rough == 0  # noise is not taken for it

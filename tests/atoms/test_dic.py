@@ -93,10 +93,10 @@ def gradient(samples):
     return np.linalg.lstsq(design, samples.u[0], rcond=None)[0][1:].T
 
 
-def told(path, header, columns, *, rows="", encoding="utf-8", **options):
+def told(path, header, columns, *, encoding="utf-8", **options):
     """The gradient that a table tells; `columns` are numbers of x, y, u, v and text."""
     table = "\n".join(",".join(str(value) for value in row) for row in zip(*columns))
-    path.write_bytes((header + "\n" + rows + table).encode(encoding))
+    path.write_bytes((header + "\n" + table).encode(encoding))
     return dic_to_lattice([read_dic_frame(path, **options)])
 
 
@@ -104,28 +104,27 @@ def linear(x=BIG):
     return x[:, 0], x[:, 1], *(x @ GRADIENT.T).T
 
 
-@pytest.mark.parametrize("comment", ["", "#"])
 @pytest.mark.parametrize(
     ("header", "holds"),
     [
-        ("x,y,u,v,exx", "xyuv."),
         ("id,x,y,u,v,sigma,eyy", ".xyuv.."),
         ("X,Y,Z,U,V,W,x,y,u,v", "xy.uv.1234"),
         ("#  ID,x_undef [mm],y_undef [mm],z_undef [mm],u [mm],v [mm],w [mm],ex [%]", ".xy.uv.."),
         ("ID,COORDINATE_X,COORDINATE_Y,DISPLACEMENT_X,DISPLACEMENT_Y,MODEL_COORDINATES_X,"
          "MODEL_COORDINATES_Y,MODEL_DISPLACEMENT_X,MODEL_DISPLACEMENT_Y,SIGMA", ".1234xyuv."),
-        ("X,Y,U,V,MODEL_X,MODEL_Y,MODEL_Z,MODEL_U,MODEL_V", "1234xy.uv"),
         ("coor.X [mm],coor.Y [mm],disp.Horizontal Displacement U [mm],"
          "disp.Vertical Displacement V [mm]", "xyuv"),
         ("v,y,u,x,x_def", "vyux."),
     ],
 )  # fmt: skip
-def test_columns_are_what_a_header_says_behind_a_comment_too(tmp_path, comment, header, holds):
+def test_columns_are_what_a_header_says_behind_a_comment_too(tmp_path, header, holds):
     """Whatever stands beside them: strains, numbers, pixels (1234) of what is x, y, u and v."""
     meant = dict(zip("xyuv", linear()))
     meant |= {str(n + 1): 1.1 * meant[name] + 3 for n, name in enumerate("xyuv")}
     meant["."] = np.arange(len(BIG)) % 7 + 1.0
-    samples = told(tmp_path / "a.csv", comment + header, [meant[one] for one in holds])
+    samples = told(
+        tmp_path / "a.csv", "#" * (header[0] != "#") + header, [meant[one] for one in holds]
+    )
     np.testing.assert_allclose(gradient(samples), GRADIENT, atol=1e-12)
 
 
@@ -136,9 +135,7 @@ REFUSED = [
     ("x,y,u [mm],v [mm]", "xyuv", {}, "the size of a pixel with one, got x in no unit"),
     ("x,y,u,v", "xyuvv", {}, "expected 4 fields, as in its header, got"),
     ("x,y,u,v", "xyu.", {}, "expected a number, got 'one'"),
-    ("x [mm],y,u,v", "xyuv", {"pixel": "0.012mm"}, "is in mm, expected that alone, got 0.012"),
     ("x,y,u,v", "xyuv", {"pixel": "0.5 inch"}, "pixel: expected a length > 0, with a unit of ang"),
-    ("x,y,u,v", "xyuv", {"pixel": -1.0}, "pixel: expected a length > 0"),
 ]
 
 
@@ -160,51 +157,35 @@ def test_columns_that_contradict_each_other_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("units", "length", "scale", "options"),
+    ("header", "sizes", "length", "how"),
     [
-        (("mm", "mm", "um", "um"), "mm", 1.0, {}),
-        (("inch", "inch", "um", "um"), "mm", 25.4, {}),
-        (("\N{MICRO SIGN}m", "\N{MICRO SIGN}m", "nm", "nm"), "um", 1.0, {}),
-        (("px", "px", "mm", "mm"), "mm", 0.5, {"pixel": "0.5mm"}),
-        (("", "", "", ""), "um", 3.0, {"pixel": "3um"}),
+        ("x [mm],y [mm],u [um],v [um]", (1, 1, 1e-3, 1e-3), "mm", {}),
+        ("x_mm,y_mm,u_um,v_um", (1, 1, 1e-3, 1e-3), "mm", {}),
+        ("x,y,u,v\ninch,inch,um,um", (25.4, 25.4, 1e-3, 1e-3), "mm", {}),
+        ("x,y,u,v", (3, 3, 3, 3), "um", {"pixel": "3um"}),
+        ("x [px],y [px],u [mm],v [mm]", (0.5, 0.5, 1, 1), "mm", {"pixel": "0.5mm"}),
     ],
 )
-@pytest.mark.parametrize("how", ["brackets", "line", "behind"])
-def test_every_column_has_its_unit(tmp_path, units, length, scale, options, how):
+def test_every_column_has_its_unit(tmp_path, header, sizes, length, how):
     """x in mm beside u in µm: a strain of one hundredth is not ten."""
-    sizes = {"mm": 1.0, "inch": 25.4, "um": 1e-3, "nm": 1e-6, "cm": 10.0, "px": 0.5, "": None}
-    plain = ["um" if ord(unit[:1] or "a") > 127 else unit for unit in units]
-    size = [sizes[one or plain[0]] or 3e-3 for one in plain]
-    columns = [values * size[0] / one for values, one in zip(linear(), size)]
-    columns = [np.round(values, 9) for values in columns]
-    names = list("xyuv")
-    if how == "brackets":
-        names = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units)]
-    if how == "behind":
-        names = [f"{name}_{unit}" if unit else name for name, unit in zip(names, units)]
-    rows = ",".join(units) + "\n" if how == "line" and all(units) else ""
-    if how == "line" and any(units) and not rows:
-        return  # a line of units that is not one
-    samples = told(tmp_path / "a.csv", ",".join(names), columns, rows=rows, **options)
+    columns = [np.round(values / size, 9) for values, size in zip(linear(), sizes)]
+    samples = told(tmp_path / "a.csv", header, columns, **how)
     assert samples.points.units == (length, "MPa")
-    assert samples.spacing == pytest.approx(2.5 * scale)
+    assert samples.spacing == pytest.approx(2.5)
     np.testing.assert_allclose(gradient(samples), GRADIENT, atol=1e-6)
 
 
-@pytest.mark.parametrize("encoding", ["latin-1", "utf-16"])
-def test_tables_in_other_encodings(tmp_path, encoding):
-    header = "x [\N{MICRO SIGN}m],y,u,v"
-    samples = told(tmp_path / "a.csv", header, linear(), encoding=encoding)
+def test_tables_in_other_encodings(tmp_path):
+    samples = told(tmp_path / "a.csv", "x [\N{MICRO SIGN}m],y,u,v", linear(), encoding="utf-16")
     assert samples.points.units[0] == "um"
 
 
 @pytest.mark.parametrize("column", ["MATCH", "converged", "none", "other", "u alone"])
-@pytest.mark.parametrize("noise", [0.0, 1e-3])
-def test_lost_points_are_left_out_whatever_marks_them(tmp_path, column, noise):
+def test_lost_points_are_left_out_whatever_marks_them(tmp_path, column):
     """By a column, or by 0 or another number that fills in both components, or one of them."""
     rng = np.random.default_rng(3)
     x, y, u, v = linear()
-    u, v = (values + noise * rng.standard_normal(len(x)) for values in (u, v))
+    u, v = (values + 1e-3 * rng.standard_normal(len(x)) for values in (u, v))
     lost = rng.uniform(size=len(x)) < 0.1
     lost[:3] = [False, True, True]
     if column == "u alone":  # where 0 could not be what is there
@@ -232,8 +213,7 @@ def test_a_point_at_rest_is_kept(tmp_path):
         assert len(read_dic_frame(tmp_path / "a.csv").x) == len(BIG)
 
 
-@pytest.mark.parametrize("strain", [0.003, 0.2])
-@pytest.mark.parametrize("noise", [0.0, 0.005])
+@pytest.mark.parametrize(("strain", "noise"), [(0.2, 0.0), (0.003, 0.005)])
 def test_positions_of_the_current_frame_are_taken_back(tmp_path, strain, noise):
     """Of several frames by where their points are, of one by the lattice they were on."""
     rng = np.random.default_rng(1)
@@ -261,16 +241,8 @@ def test_positions_that_nothing_tells_are_asked_for(tmp_path):
     frames = [read_dic_frame(tmp_path / f"{name}.csv") for name in "ab"]
     with pytest.raises(InputError, match='positions="reference" or "current" says which'):
         dic_to_lattice(frames, spacing=2.5, radius=2.5)
-    for positions, true in (
-        ("reference", GRADIENT),
-        ("current", GRADIENT @ np.linalg.inv(np.eye(2) - GRADIENT)),
-    ):
-        found = gradient(dic_to_lattice(frames, spacing=2.5, radius=2.5, positions=positions))
-        np.testing.assert_allclose(found, true, atol=1e-9)
-    with pytest.raises(
-        InputError, match="positions: expected reference or current, got 'deformed'"
-    ):
-        dic_to_lattice(frames, positions="deformed")
+    found = gradient(dic_to_lattice(frames, spacing=2.5, radius=2.5, positions="current"))
+    np.testing.assert_allclose(found, GRADIENT @ np.linalg.inv(np.eye(2) - GRADIENT), atol=1e-9)
 
 
 def folder_of(path, frames):

@@ -1,6 +1,5 @@
 """Files of phonopy: the shipped ones, force constants in their place, and what is refused."""
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -35,37 +34,11 @@ def test_force_sets_are_those_of_the_calculator():
         wp.atoms.crystal_from_force_constants(found, spacing=3.59e-10)
 
 
-def test_magnetic_moments_of_a_folder_tell_its_sites_apart(tmp_path):
-    phonopy = pytest.importorskip("phonopy")
-    file_io = pytest.importorskip("phonopy.file_IO")
-    folder = EXAMPLES / "copper"
-    known = phonopy.load(
-        folder / "phonopy_disp.yaml", force_sets_filename=folder / "FORCE_SETS", is_compact_fc=False
-    )
-    file_io.write_FORCE_CONSTANTS(known.force_constants, tmp_path / "FORCE_CONSTANTS")
-    cell = known.unitcell.copy()
-    layers = np.round(cell.scaled_positions[:, 2], 3) % 1 < 0.4
-    cell.magnetic_moments = np.where(layers, 1.0, -1.0)
-    one = phonopy.Phonopy(cell, known.supercell_matrix, primitive_matrix="P")
-    one.generate_displacements()
-    one.save(tmp_path / "phonopy_disp.yaml")
-    found = wp.atoms.from_phonopy(tmp_path)
-    assert len(found.group()) == 16  # of a tetragonal crystal
-    assert moduli(found) == pytest.approx(moduli(wp.atoms.from_phonopy(folder)), rel=1e-6)
-
-
 def test_born_charges_make_the_field_of_ions_part_of_every_wave():
     """Magnesium oxide of rigid ions: moduli of finite strains, which a Coulomb cut-off has not."""
     found = wp.atoms.from_phonopy(EXAMPLES / "magnesia")
     assert found.polar is not None
     assert moduli(found) == pytest.approx(STRAINED, rel=5e-3)
-
-
-def test_several_elements_without_born_are_warned_of(tmp_path):
-    for name in ("phonopy_disp.yaml", "FORCE_SETS"):
-        shutil.copy(EXAMPLES / "magnesia" / name, tmp_path)
-    with pytest.warns(UserWarning, match="no BORN is there"):
-        assert wp.atoms.from_phonopy(tmp_path).polar is None
 
 
 def test_charges_of_a_sheet_are_refused_by_name():

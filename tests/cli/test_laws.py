@@ -113,11 +113,11 @@ def files(tmp_path):
     sides = {"hole": mesh.parts["hole"]}
     for name, place in (("left", -20.0), ("right", 20.0)):
         sides[name] = [e for e in mesh.parts["sides"] if np.allclose(mesh.middle[e, 0], place)]
-    lines = np.concatenate([mesh.edges[side] for side in sides.values()])
-    tags = [np.repeat([1, 2, 3], [*map(len, sides.values())]), np.full(len(mesh.triangles), 9)]
+    lines = np.concatenate([mesh.faces[side] for side in sides.values()])
+    tags = [np.repeat([1, 2, 3], [*map(len, sides.values())]), np.full(len(mesh.cells), 9)]
     meshio.Mesh(
         np.column_stack([mesh.x, np.zeros(len(mesh.x))]),
-        [("line", lines), ("triangle", mesh.triangles)],
+        [("line", lines), ("triangle", mesh.cells)],
         cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
         field_data={name: np.array([n, 1]) for n, name in enumerate(sides, 1)},
     ).write(tmp_path / "plate.msh", file_format="gmsh22", binary=False)

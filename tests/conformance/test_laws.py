@@ -21,7 +21,7 @@ from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.materials.lps_force import Bonds
 from warp_peri.materials.lps_parameters import bernstein_basis
 from warp_peri.neural.material import NeuralOperator
-from warp_peri.points.dataset import in_units_of, scaled
+from warp_peri.points.dataset import in_units
 from warp_peri.points.families import bond_classes
 from warp_peri.points.unit_names import factors
 
@@ -402,7 +402,7 @@ def test_other_units_are_the_same_material_there_and_back(law):
     op, points = placed(law)
     u = uneven(points, 1)
     length, stress = factors(points.units, OTHER)
-    theirs = in_units_of(scaled(wp.Samples(points, u), length, stress), OTHER)
+    theirs = in_units(wp.Samples(points, u), OTHER)
     other = material.in_units(OTHER)
     there = other.on(theirs.points)
     near(there(theirs.u), op(u) * stress / length, 1e-12)

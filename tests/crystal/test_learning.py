@@ -12,7 +12,8 @@ from tests.crystal.crystals import cubic_tensor, dispersive, huang_defect, latti
 from tests.support.problems import kernel
 from tests.support.problems import lattice as plane_lattice
 from warp_peri.atoms import force_constants
-from warp_peri.atoms.force_constants import NonAnalyticCorrection, from_calculator, from_supercell
+from warp_peri.atoms.force_constants import from_calculator, from_supercell
+from warp_peri.atoms.ions import NonAnalyticCorrection
 from warp_peri.core.elastic import allowed_tensors, voigt
 from warp_peri.core.groups import point_group
 from warp_peri.errors import InputError

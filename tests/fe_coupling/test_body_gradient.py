@@ -104,7 +104,7 @@ def test_an_edge_of_its_own_carries_force():
     radius, size, pull = 12.0, 6.0, 0.01
     mesh = mesh_outline(Circle(radius, name="edge"), size=2.0)
     moduli = Moduli.square(C11=1.2, C12=0.4, C44=0.4)
-    rim = Rim(mesh, np.ones(len(mesh.triangles), bool))
+    rim = Rim(mesh, np.ones(len(mesh.cells), bool))
     expected = pull / (moduli.C11 + moduli.C12 + size / radius) * rim.x
     fixed = np.zeros(rim.x.shape, bool)
     fixed[np.argmin(np.hypot(*rim.x.T))] = True

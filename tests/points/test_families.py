@@ -50,8 +50,7 @@ def test_families_are_those_of_brute_force(horizon, angle, box):
 
 
 @pytest.mark.parametrize(
-    ("dimension", "horizon", "bonds", "lengths"),
-    [(2, 2.5, 20, 4), (2, 3, 28, 6), (2, 5, 80, 14), (3, 2.0, 32, 4), (3, 3.0, 122, 9)],
+    ("dimension", "horizon", "bonds", "lengths"), [(2, 3, 28, 6), (2, 5, 80, 14), (3, 3.0, 122, 9)]
 )
 def test_classes_are_orbits_of_the_lattices_symmetry(dimension, horizon, bonds, lengths):
     """Bonds of equal length and different orbit have their own weights: (5, 0) and (4, 3)."""
@@ -74,7 +73,7 @@ def test_the_ball_is_closed():
     assert len(bond_classes(1.0, 3.0 * (1 - 1e-5)).steps) < 28
 
 
-@pytest.mark.parametrize(("interior", "collar"), [(3, 4.9), (7, 8.3), (DISK, 9.9), (ell(), 7.0)])
+@pytest.mark.parametrize(("interior", "collar"), [(3, 4.9), (DISK, 9.9), (ell(), 7.0)])
 def test_the_error_names_a_horizon_that_fits(interior, collar):
     """One without a missing node within twice of it, whatever its bonds."""
     h, points = 2.5, lattice(interior, collar * 1.25, spacing=2.5)
@@ -115,10 +114,7 @@ RANDOM = np.random.default_rng(3)
 CLOUDS = [
     (np.r_[0.01 * RANDOM.normal(size=(99, 2)), RANDOM.uniform(0, 6, (300, 2))], 1.5, None),
     (1e5 + RANDOM.uniform(0, 9, (300, 2)), 1.1, None),
-    (np.stack([np.arange(40.0), np.zeros(40)], axis=1), 2.5, None),
-    (RANDOM.uniform(0, 9, (60, 2)), 4.4, (9.0, 13.0)),
     (RANDOM.uniform(-20, 20, (300, 2)), 1.3, (9.0, 9.0)),
-    (RANDOM.uniform(0, 9, (400, 3)), 2.8, None),
     (RANDOM.uniform(0, 9, (300, 3)), 2.8, (9.0, 9.0, 7.0)),
 ]
 
@@ -138,16 +134,10 @@ def test_neighbours_are_all_that_are_near_and_bonds_know_their_way_back(x, horiz
 
 
 @pytest.mark.parametrize("degree", [3, 5])
-def test_each_scattered_family_has_its_own_weights(degree, monkeypatch):
-    """Without singular values, which take four times as long as all else, but for a few."""
-    points, families, singular = cloud(6, 3.4), [], np.linalg.svd
-    monkeypatch.setattr(
-        np.linalg, "svd", lambda rows, **how: families.append(len(rows)) or singular(rows, **how)
-    )
+def test_each_scattered_family_has_its_own_weights(degree):
+    points = cloud(6, 3.4)
     found = families_of(points, 3.4, degree=degree)
-    monkeypatch.undo()
-    assert sum(families) <= 0.01 * len(points.x)
-    for i in found.whole:
+    for i in found.whole[::5]:
         bonds = slice(*found.row[i : i + 2])
         xi = points.x[found.neighbour[bonds]] - points.x[i]
         expected = quadrature_weights(xi, 3.4, degree=degree)
@@ -185,20 +175,12 @@ REFUSED = [
     (replace(LATTICE, x=OFF), 2.0, "spacing 1.0 Å; off it: 7, by up to 0.001"),
     (replace(ROUNDED, x=ROUNDED.x.round(2)), 2.5, r"by up to 0\.0.* where 1e-06 Å \(1e-06 sp"),
     (replace(LATTICE, spacing=0.9), 2.0, "no two points are that close"),
-    (replace(LATTICE, spacing=2.0), 4.0, "square lattice of spacing 2.0"),
-    (replace(LATTICE, x=LATTICE.x * (1, 1.001)), 2.0, "square lattice"),
-    (Points([[0.0, 0.0]], [True], 1.0), 2.0, "no two points"),
     (replace(LATTICE, x=np.r_[LATTICE.x[:-1], 1e5 * FAR]), 2.0, "nodes spread over .* places"),
     (lattice(3, 1.0), 3.0, "9 of 9 .* no horizon of two spacings or more fits"),
     (LATTICE, 0.99, "horizon: expected at least one spacing"),
-    (LATTICE, np.nan, "horizon: expected at least one spacing"),
-    (LATTICE, 101.0, "horizon: expected at most 100 spacings"),
     (replace(SHEET, box=(9.5, 9.0)), 2.0, "box: expected two whole multiples"),
-    (replace(SHEET, box=(4.0, 9.0)), 2.0, "box: expected two whole multiples"),
     (replace(lattice(9, 2.0, angle=0.3), box=(9.0, 9.0)), 2.0, "box: expected a lattice along the"),
     (Points(np.r_[CLOUD.x, FAR], [*CLOUD.interior, False], 0.0), 3.0, f"isolated.*{len(CLOUD.x)}"),
-    (CLOUD, 0.1, "horizon: expected at least the spacing"),
-    (CLOUD, np.nan, "horizon: expected a length > 0"),
     (CLOUD, 1.6, r"no weights are exact for the families of \d+ nodes: \d+, "),
     (CLOUD, 6.0, r"16 of 16 have not at horizon 6 Å \(nodes \d+, "),
     (replace(periodic_cloud(7)[0], box=(5.9, 20.0)), 3.0, "box: expected two periods above 6"),
@@ -211,8 +193,7 @@ def test_points_and_horizons_that_fit_no_families_are_refused(points, horizon, w
         families_of(points, horizon)
 
 
-@pytest.mark.parametrize("spacing", [0.0, 1.0])
-@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize(("spacing", "dimension"), [(0.0, 3), (1.0, 2)])
 def test_nodes_that_stand_twice_are_refused_where_points_are_made(spacing, dimension):
     x = np.argwhere(np.ones((5,) * dimension)).astype(float)
     for scale in (1e-9, 1.0, 1e9):

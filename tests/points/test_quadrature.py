@@ -34,10 +34,8 @@ def moment(powers):
 
 
 FAMILIES = {
-    **{f"lattice {h:g}": (lattice_family(h), h) for h in (2.0, 2.5, 5.0)},
-    "in other units": (25 * lattice_family(3.0), 75.0),
+    **{f"lattice {h:g}": (lattice_family(h), h) for h in (2.0, 5.0)},
     "scattered": (scattered_family(60, 1.7), 1.7),
-    "cubic 2": (lattice_family(2.0, 3), 2.0),
     "cubic 3": (lattice_family(3.0, 3), 3.0),
     "scattered in space": (scattered_family(200, 1.7, 3), 1.7),
 }

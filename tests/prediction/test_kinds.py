@@ -61,12 +61,6 @@ def test_crystals(dimension):
     check(answer, points)
 
 
-def test_one_placed_elsewhere_is_refused(family):
-    placed = family.ensemble_on(lattice(6, HORIZON))
-    with pytest.raises(wp.InputError, match="another's"):
-        wp.predict(placed, asked(lattice(7, HORIZON)))
-
-
 def test_what_data_hold_nothing_of_is_named(family):
     points = lattice(9, HORIZON)
     strained = replace(family, strain=1e-6, quadratic=7 * (0.1,))
@@ -74,23 +68,14 @@ def test_what_data_hold_nothing_of_is_named(family):
     assert "of the data of a linear law" in answer.uncovered[0]
     assert not answer.kept
     law = wp.LPS(HORIZON, wp.Bernstein(1))
-    long = manufactured(kernel("positive", HORIZON), lattice(16, HORIZON), 6, wave_number=0.25)
+    long = manufactured(kernel("positive", HORIZON), lattice(10, HORIZON), 4, wave_number=0.25)
     learned = wp.fit(long, Ensemble(law), progress=False).material
-    short = manufactured(kernel("positive", HORIZON), lattice(16, HORIZON), 1, wave_number=2.0)
+    short = manufactured(kernel("positive", HORIZON), lattice(10, HORIZON), 1, wave_number=2.0)
     answer = wp.predict(learned, wp.Dirichlet(short, short.b[0], short.u[0]), None)
     assert any(one.startswith("short waves") for one in answer.uncovered)
     assert np.isnan(answer.error)
-    assert "likely error" in repr(answer)
-    assert "unknown" in repr(answer)
     assert np.isnan(answer.map()[short.interior]).all()
     assert not answer.kept
-
-
-def test_laws_that_cannot_doubt_are_refused():
-    points = lattice(6, HORIZON)
-    samples = manufactured(kernel("positive", HORIZON), points, 4)
-    with pytest.raises(wp.InputError, match="second: expected a model"):
-        wp.fit(samples, Ensemble(wp.hyperelastic.Hyperelastic(HORIZON, ("square",))))
 
 
 def test_designed_loads_hold_all_waves_without_a_mean():

@@ -12,7 +12,6 @@ from tests.crystal.crystals import learned
 from tests.support.nonlinear import solid
 from tests.support.problems import kernel, lattice, manufactured, noise, smooth
 from warp_peri.cli.main import main
-from warp_peri.core.elastic import acoustic
 from warp_peri.points import samples as points_samples
 from warp_peri.points.lattice import largest_strain
 from warp_peri.points.unit_names import factors
@@ -63,26 +62,6 @@ def problem(family, size, interior=9):
 def far(u, truth, points):
     inside = points.interior
     return np.linalg.norm((u - truth)[inside]) / np.linalg.norm(truth[inside])
-
-
-def test_an_answer_tells_how_far_a_local_solid_would_be_off(family):
-    """Of waves of one length as their symbol says, all directions alike; long waves suffice."""
-    points = lattice(90, HORIZON)
-    stencil = family.rich.linear.stencil
-    offs = []
-    for length in (6.0, 12.0):
-        wave = np.sin(points.x[:, :1] * 2 * np.pi / length) * [0.0, 1e-4]
-        answer = wp.predict(family, wp.Dirichlet(points, None, wave), 0.5)
-        square = []
-        for angle in np.linspace(0, np.pi, 12, endpoint=False):
-            phase = 2 * np.pi / length * np.array([[np.cos(angle), np.sin(angle)]])
-            there = np.linalg.solve(acoustic(stencil.brackets, phase), stencil.symbol(phase))
-            square.append(((there - np.eye(2)) ** 2).sum() / 2)
-        offs.append(np.sqrt(np.mean(square)))
-        assert replace(answer, u=wave).local == pytest.approx(offs[-1], rel=0.1)
-    assert offs[0] > 2 * offs[1]
-    told = dict(replace(answer, u=wave, error=0.5).rows())
-    assert told["a local solid would be off by"].endswith("by its waves; local elements suffice")
 
 
 def test_corrections_lead_to_the_rich_answer_and_say_how_far_it_is(family):
@@ -167,9 +146,8 @@ def test_quantities_come_with_a_signed_correction(family):
         assert (found.bar >= 0.99 * np.abs(found.correction)).all()
 
 
-@pytest.mark.parametrize("size", [0.0005, 0.001])
-def test_the_guarantee_holds_planted_errors(family, size):
-    points, u, b = problem(family, size)
+def test_the_guarantee_holds_planted_errors(family):
+    points, u, b = problem(family, 0.001)
     inside = points.interior
     wrong = np.zeros_like(u)
     wrong[inside] = 0.02 * np.abs(u).max() * noise(points)[inside]
@@ -181,7 +159,6 @@ def test_the_guarantee_holds_planted_errors(family, size):
     true = np.sqrt((wrong[inside] * straight(wrong)).sum())
     assert true <= proof.energy <= true * 1.2 / (1 - proof.contraction)
     assert 0 < proof.contraction < 1
-    assert proof.energy <= proof.without_solve
     assert far(u + wrong, u, points) <= proof.displacement
     assert "energy norm" in proof.statement
     assert repr(proof).startswith("ErrorBound\n  proven")
@@ -241,10 +218,6 @@ def test_a_family_is_one_file_in_any_units(family, tmp_path, capsys):
         wp.load(path, units=units), wp.Dirichlet(moved, b * stress_unit / length, u * length), 0.01
     )
     assert there.error == pytest.approx(expected.error, rel=1e-4)
-    content = json.loads(path.read_text())
-    path.write_text(json.dumps(content | {"strain": 1.0}))
-    with pytest.raises(wp.InputError, match="sha256"):
-        wp.load(path)
 
 
 def test_the_command_says_error_and_truth(family, tmp_path, capsys):
@@ -265,7 +238,7 @@ def test_wrong_input_is_refused(family):
     given = wp.Dirichlet(points, b, u)
     with pytest.raises(wp.InputError, match="knows nothing of its error"):
         wp.predict(family.rich, given)
-    with pytest.raises(wp.InputError, match="tolerance: expected a fraction > 0, or None, got 0"):
+    with pytest.raises(wp.InputError, match="tolerance: expected a number > 0, got 0"):
         wp.predict(family, given, 0)
     with pytest.raises(wp.InputError, match="predict: fine: not among the options of a"):
         wp.predict(family, given, fine=True)
@@ -320,18 +293,22 @@ def held_in(rich, level, count, seed=0, wave_number=0.5, interior=14):
     return wp.Samples(points, u, b)
 
 
-@pytest.mark.parametrize("law", [wp.Crystal(3.0, "4mm")])
-@pytest.mark.parametrize("trained", [0.01, 0.04])
-def test_a_linear_family_tells_what_is_not_linear(family, law, trained):
-    """Few loads: the member itself takes up some of it, and the half that saw a sample too."""
-    learned = wp.fit(held_in(family.rich, trained, 8), Ensemble(law), progress=False).material
-    seen = held_in(family.rich, 0.04, 6, seed=5)
+@pytest.fixture(scope="module")
+def linear_family():
+    """Learned from a nonlinear solid strained by 2 %."""
+    samples = held_in(solid("filtered"), 0.02, 12)
+    return wp.fit(samples, Ensemble(wp.Crystal(3.0, "4mm")), progress=False).material
+
+
+def test_a_linear_family_tells_what_is_not_linear(family, linear_family):
+    """The member itself takes up some of it, and the half that saw a sample too."""
+    learned = linear_family
+    seen = held_in(family.rich, 0.04, 2, seed=5)
     given = np.where(seen.interior[:, None], 0.0, seen.u)
     answers = wp.predict(learned, wp.Dirichlet(seen.points, seen.b, given), None)
     true, placed = family.rich.on(seen.points), learned.ensemble_on(seen.points)
     for answer, truth in zip(answers, seen.u):
-        beyond = any(one.startswith("strain") for one in answer.uncovered)
-        assert beyond == (trained < 0.02)
+        assert any(one.startswith("strain") for one in answer.uncovered)
         assert not answer.error < far(answer.u, truth, seen.points) / 1.2  # or unknown
         even = placed.inverse((true(truth) + true(-truth)) / 2, 1e-4)  # what no linear law holds
         missed = np.linalg.norm(even) / np.linalg.norm(truth[seen.interior])
@@ -346,10 +323,9 @@ def test_a_linear_family_tells_what_is_not_linear(family, law, trained):
     assert "unknown, most of it strain" in answer.why
 
 
-def test_even_orders_of_a_body_pulled_on_all_sides_are_told_by_waves():
+def test_even_orders_of_a_body_pulled_on_all_sides_are_told_by_waves(linear_family):
     """What pulls on all sides misses more than the waves that a linear law was learned from."""
-    rich = solid("filtered")
-    learned = wp.fit(held_in(rich, 0.02, 12), Ensemble(wp.Crystal(3.0, "4mm"))).material
+    rich, learned = solid("filtered"), linear_family
     points = lattice(14, HORIZON)
     middle = points.x - points.x.mean(axis=0)
     for size in (0.005, -0.01):
@@ -357,32 +333,16 @@ def test_even_orders_of_a_body_pulled_on_all_sides_are_told_by_waves():
         b = np.zeros_like(u)
         b[points.interior] = rich.on(points)(u)
         posed = wp.Dirichlet(points, b, np.where(points.interior[:, None], 0.0, u))
-        for tolerance in (0.005, 0.01, 0.02, None):
+        for tolerance in (0.01, None):
             answer = wp.predict(learned, posed, tolerance)
             true = far(answer.u, u, points)
             assert answer.error > true
-            assert "a local solid would be off by" in repr(answer)
             assert not (answer.kept and tolerance and true > tolerance)
 
 
-def test_a_linear_answer_goes_on_until_nothing_improves(family):
-    linear = EnsembleMaterial(
-        family.linear, family.second.linear, tuple(h.linear for h in family.halves)
-    )
-    points = lattice(9, HORIZON)
-    b = 1e-4 * smooth(points.x, 1, 0, wave_number=0.3)[0]
-    posed = wp.Dirichlet(points, b, 0 * b)
-    best, strict = (wp.predict(linear, posed, tolerance) for tolerance in (None, 0.001))
-    assert best.error < 1.01 * strict.error
-    assert 0 < best.parts["left"] < 0.02 * best.error
-    exact = wp.solve(linear.rich, posed).u
-    assert far(best.u, exact, points) < best.parts["left"]
-
-
-@pytest.mark.parametrize("size", [0.02, 0.06])
-def test_without_a_tolerance_the_answer_is_as_near_as_any(family, size):
+def test_without_a_tolerance_the_answer_is_as_near_as_any(family):
     """Not by its bar alone: to the answer of the rich member, up to what the bar cannot tell."""
-    points, u, b = problem(family, size)
+    points, u, b = problem(family, 0.06)
     given = wp.Dirichlet(points, b, np.where(points.interior[:, None], 0, u))
     best = wp.predict(family, given, None)
     off = [far(wp.predict(family, given, t).u, u, points) for t in (0.05, 0.01, 0.005)]

@@ -8,50 +8,29 @@ from typing import TYPE_CHECKING
 from warp_peri.lazy import lazy
 
 if TYPE_CHECKING:
-    from warp_peri.atoms.calculators import load_mpi_library, make_calculator
-    from warp_peri.atoms.coarse_graining import (
-        coarse_grain,
-        force_on_mesh,
-        read_mat,
-        smoothing_matrix,
+    from warp_peri.atoms.calculators import load_mpi_library as load_mpi_library
+    from warp_peri.atoms.calculators import make_calculator as make_calculator
+    from warp_peri.atoms.coarse_graining import coarse_grain as coarse_grain
+    from warp_peri.atoms.coarse_graining import force_on_mesh as force_on_mesh
+    from warp_peri.atoms.coarse_graining import read_mat as read_mat
+    from warp_peri.atoms.coarse_graining import smoothing_matrix as smoothing_matrix
+    from warp_peri.atoms.crystal_fit import CrystalFit as CrystalFit
+    from warp_peri.atoms.crystal_fit import (
+        crystal_from_force_constants as crystal_from_force_constants,
     )
-    from warp_peri.atoms.crystal_fit import CrystalFit, crystal_from_force_constants, fit_crystal
-    from warp_peri.atoms.dic import dic_to_lattice, estimate_noise, read_dic_frame
-    from warp_peri.atoms.dumps import (
-        DumpFrame,
-        FrameAverage,
-        ReferenceAtoms,
-        check_box,
-        coarse_grain_dumps,
-        iter_dump,
-        mean_displacement,
-        read_masses,
-    )
-    from warp_peri.atoms.relaxed import from_phonopy
-
-__all__ = [
-    "CrystalFit",
-    "DumpFrame",
-    "FrameAverage",
-    "ReferenceAtoms",
-    "check_box",
-    "coarse_grain",
-    "coarse_grain_dumps",
-    "crystal_from_force_constants",
-    "dic_to_lattice",
-    "estimate_noise",
-    "fit_crystal",
-    "force_on_mesh",
-    "from_phonopy",
-    "iter_dump",
-    "load_mpi_library",
-    "make_calculator",
-    "mean_displacement",
-    "read_dic_frame",
-    "read_masses",
-    "read_mat",
-    "smoothing_matrix",
-]
+    from warp_peri.atoms.crystal_fit import fit_crystal as fit_crystal
+    from warp_peri.atoms.dic import dic_to_lattice as dic_to_lattice
+    from warp_peri.atoms.dic import estimate_noise as estimate_noise
+    from warp_peri.atoms.dic import read_dic_frame as read_dic_frame
+    from warp_peri.atoms.dumps import DumpFrame as DumpFrame
+    from warp_peri.atoms.dumps import FrameAverage as FrameAverage
+    from warp_peri.atoms.dumps import ReferenceAtoms as ReferenceAtoms
+    from warp_peri.atoms.dumps import check_box as check_box
+    from warp_peri.atoms.dumps import coarse_grain_dumps as coarse_grain_dumps
+    from warp_peri.atoms.dumps import iter_dump as iter_dump
+    from warp_peri.atoms.dumps import mean_displacement as mean_displacement
+    from warp_peri.atoms.dumps import read_masses as read_masses
+    from warp_peri.atoms.phonopy import from_phonopy as from_phonopy
 
 _HOMES = {
     "calculators": "load_mpi_library make_calculator",
@@ -60,8 +39,10 @@ _HOMES = {
     "dic": "dic_to_lattice estimate_noise read_dic_frame",
     "dumps": "DumpFrame FrameAverage ReferenceAtoms check_box coarse_grain_dumps iter_dump "
     "mean_displacement read_masses",
-    "relaxed": "from_phonopy",
+    "phonopy": "from_phonopy",
 }
+
+__all__ = sorted(" ".join(_HOMES.values()).split())
 
 if not TYPE_CHECKING:  # a type checker would take any misspelt name for one of these
     __getattr__, __dir__ = lazy(__name__, _HOMES)

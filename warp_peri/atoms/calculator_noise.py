@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,15 +15,13 @@ from scipy.spatial.transform import Rotation
 from warp_peri.atoms.force_constants import (
     TINY,
     ForceConstants,
-    NonAnalyticCorrection,
     at_edge,
     balanced,
     every_pair,
-    field_of_ions,
     forces_of,
-    relaxing,
 )
-from warp_peri.core.elastic import PAIRS, stress_brackets, voigt
+from warp_peri.atoms.ions import NonAnalyticCorrection, field_of_ions
+from warp_peri.core.elastic import PAIRS, stress_brackets
 from warp_peri.core.groups import by_spglib, kinds_of
 from warp_peri.errors import InputError, optional
 from warp_peri.points.unit_names import STRESSES
@@ -54,6 +52,11 @@ ROUGHER = 3
 BENDING = 0.01
 """Of stress over strain, that changes from STRAIN to LARGEST, from which a surface is rough; more
 than was seen of any potential that is smooth."""
+ROUGH_SAID = (
+    f"forces on {SHAKEN:g} Å, or stress on {LARGEST:.0%} of strain, are {{:.0%}} off what smaller "
+    "steps say: moduli are those of the largest steps, and how they change down to the smallest is "
+    "in their errors"
+)
 SYMFC = "symfc: pip install 'warp_peri[phonons]'"
 OPERATIONS = ("rotations", "translations")
 NONE = 1e-8
@@ -248,13 +251,13 @@ class Symmetric:
         """What pairs have of Φ [..., n, N, 3, 3], shape [..., P, 3, 3]."""
         return np.asarray(phi[..., *self.entries, :, :] * self.share)
 
-    def forces(self, phi: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """−Φ u on all atoms for Φ [M, n, N, 3, 3] and u [N, 3], shape [3 N, M]."""
-        pulled = np.einsum("mijab,ljb->iaml", phi, u[self.translations], optimize=True)
-        forces = np.empty((len(u), 3, len(phi)))
+    def forces(self, u: np.ndarray) -> np.ndarray:
+        """−Φ u on all atoms of each number's Φ, for u [N, 3], shape [3 N, M]."""
+        pulled = np.einsum("mijab,ljb->iaml", self.basis, u[self.translations], optimize=True)
+        forces = np.empty((len(u), 3, len(self.basis)))
         for place, atom in enumerate(self.displaced):
             forces[self.translations[:, atom]] = -pulled[place].transpose(2, 0, 1)
-        return forces.reshape(-1, len(phi))
+        return forces.reshape(-1, len(self.basis))
 
     def rules(self) -> tuple[np.ndarray, np.ndarray]:
         """A particular solution of what physics asks, and a basis of the numbers that it leaves.
@@ -322,7 +325,6 @@ def rattled(
     noise: Noise,
     *,
     thickness: float | None,
-    polar: NonAnalyticCorrection | None,
     stress: np.ndarray | None,
 ) -> tuple[ForceConstants, dict[str, str]]:
     """Force constants with their standard errors of crystals whose atoms all are displaced.
@@ -331,31 +333,23 @@ def rattled(
         cell, many: the crystal at rest and repeats of it.
         calculator: with forces.
         noise: which says how far atoms are displaced.
-        thickness, polar, stress: as for `from_supercell`.
+        thickness, stress: as for `from_supercell`.
 
     Returns what was found on the way as well. The rules of physics hold in the fit itself. Beside
     displacements of one size some of a smaller one are asked: what forces change by is an error.
     """
-    rng, h, first = np.random.default_rng(1), noise.length, range(len(cell))
-    every = Symmetric(cell, many, first, thickness=thickness, polar=polar, stress=stress)
-    made, phi = every.empty, every.basis
-    if made.polar is not None:
-        field = field_of_ions(made.polar, cell, many, first)
-        phi = np.concatenate([phi, field[None]])
-    known, free = every.rules()
+    h, first = noise.length, range(len(cell))
+    every = Symmetric(cell, many, first, thickness=thickness, polar=None, stress=stress)
+    made, (known, free) = every.empty, every.rules()
     pairs = max(TIMES, int(np.ceil(TIMES * free.shape[1] / (3 * len(many)))))
-    at, x, rows, forces = forces_of(many, calculator), np.array(many.positions), [], []
     small, few = (h / ROUGHER, pairs) if noise.rough else (h / 2, 1)
-    for size in [h] * pairs + [small] * few:
-        u = _directions(rng, len(many), size)
-        odd = (at(x + u) - at(x - u)).ravel() / 2
-        own, ions = np.split(every.forces(phi, u), [len(known)], axis=1)
+    rows, forces = [], []
+    for u, odd in _pulls(many, calculator, [h] * pairs + [small] * few):
+        own = every.forces(u)
         rows.append(own @ free)
-        forces.append(odd - own @ known - ions.sum(axis=1))
-    (X, y), (short, less) = (
-        [np.concatenate(one[part]) for one in (rows, forces)]
-        for part in (slice(pairs), slice(pairs, None))
-    )
+        forces.append(odd - own @ known)
+    X, short = np.concatenate(rows[:pairs]), np.concatenate(rows[pairs:])
+    y, less = np.concatenate(forces[:pairs]), np.concatenate(forces[pairs:])
     U, sizes, V = np.linalg.svd(X, full_matrices=False)
     kept = sizes > NONE * sizes[0]
     way = V[kept].T / sizes[kept]
@@ -374,169 +368,23 @@ def rattled(
     values = np.tensordot(numbers.T, every.values(every.basis), 1)
     edge, _ = at_edge(made.vectors, values[0], np.array(many.cell), thickness is not None)
     values, doubt, spread = np.split(values, [1, scatter.shape[1] + 2])
-    found = replace(made, values=values[0], doubt=doubt, edge=edge)
-    found = replace(found, spread=spread) if noise.rough else found
+    spread = spread if noise.rough else None
+    found = replace(made, values=values[0], doubt=doubt, edge=edge, spread=spread)
     said = {
         "noise": f"{noise.force:.1e} eV/Å; {error:.1e} eV/Å between forces and force constants",
         "displacements": f"{h:.3g} Å of all atoms, {pairs} pairs; at {small:.3g} Å forces are "
         f"{slope:+.1%} of linear ones",
     }
     if noise.rough:
-        said["rough"] = (
-            f"forces on {SHAKEN:g} Å, or stress on {LARGEST:.0%} of strain, are "
-            f"{noise.rough / noise.linear:.0%} off what smaller steps say: moduli are those of the "
-            "largest steps, and how they change down to the smallest is in their errors"
-        )
+        said["rough"] = ROUGH_SAID.format(noise.rough / noise.linear)
     return found, said
 
 
-def by_strains(
-    cell: ase.Atoms,
-    calculator: Any,
-    largest: float,
-    atoms: ForceConstants,
-    allowed: np.ndarray,
-    *,
-    rough: bool = False,
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """C_ijkl [TPa] by finite strains, atoms relaxed by force constants, and standard errors.
-
-    By differences of the second Piola–Kirchhoff stress S = det F · F⁻¹ σ F⁻ᵗ, so that the stress of
-    a crystal that is held counts as (T19) has it.
-
-    Args:
-        cell: at rest.
-        calculator: with forces and stress; None is returned where it has none.
-        largest: strain.
-        atoms: force constants.
-        allowed: elastic tensors of the symmetry, shape [m, d, d, d, d].
-        rough: whether slopes depend on the size of strains: those of the whole size are taken then,
-            and how those of each smaller one differ are the last errors.
-
-    Returns [d, d, d, d] and [Q, d, d, d, d].
-    """
-    d, n, flat = atoms.dimension, len(cell), atoms.thickness is not None
-    kinds, e = PAIRS[d], largest * np.array(PULLED)
-    G = np.eye(3) + np.einsum("e,s,kij->eksij", e, [1, -1], unit_strains(d))
-    many = cell.repeat((2, 2, 1 if flat else 2))
-    try:
-        told = strained(calculator, many, G.reshape(-1, 3, 3), ["stress", "forces"])
-    except NotImplementedError:
-        return None
-    tall = EV_IN_TPA * (cell.cell[2, 2] / atoms.thickness if flat else 1.0)
-    sigma = np.array([voigt_6_to_full_3x3_stress(one["stress"]) for one in told]) * tall
-    back, place = np.linalg.inv(G), tuple(np.transpose(kinds))
-    pulled = np.linalg.det(G)[..., None, None] * back @ sigma.reshape(G.shape)
-    S = (pulled @ back.swapaxes(-1, -2))[..., *place].transpose(2, 0, 1, 3)
-    pushes = [np.reshape(one["forces"], (-1, n, 3)).mean(axis=0) for one in told]
-    F = np.reshape(pushes, (*G.shape[:3], n, 3)).transpose(2, 0, 1, 3, 4)
-    means = (S.sum(axis=0) / 2).reshape(len(e), -1)
-    even = np.linalg.lstsq(np.column_stack([e**0, e**2]), means)[0]
-    slope, error, gain = _slope((S[0] - S[1]) / 2, e, rough)
-    few = [slice(k, k + 1) for k in range(SMALLER)] if rough else [slice(0, 2)]
-    short, _, wider = zip(*(_slope((S[0] - S[1])[k] / 2, e[k], rough) for k in few))
-    onto = np.linalg.pinv(voigt(allowed).reshape(len(allowed), -1).T)
-    C, *off = (np.tensordot(onto @ one.ravel(), allowed, 1) for one in (slope, *(slope - short)))
-    errors = [*np.tensordot(error * onto.T, allowed, 1)]
-    seen = TIMES * error * wider[0] / gain * np.linalg.norm(onto, "nuc")
-    if not rough and np.linalg.norm(onto @ (slope - short[0]).ravel()) > seen:
-        errors.append(off[0])
-    # a stress that is left strains the crystal; how stiffness goes with strain is in even parts
-    rest = even[0].reshape(len(kinds), -1).mean(axis=0)
-    if atoms.stress is not None:
-        rest = rest - [atoms.stress[pair] for pair in kinds]
-    strain = np.abs(np.linalg.solve(voigt(C), rest)).max()
-    errors.append(2 * np.abs(even[1]).max() / np.abs(C).max() * strain * C)
-    if n > 1:
-        push, tau, _ = _slope((F[0] - F[1]) / 2, e, rough)
-        Lambda = np.zeros((n, 3, d, d))
-        for kind, (i, j) in enumerate(kinds):
-            Lambda[..., i, j] = Lambda[..., j, i] = push[kind]
-        taken, more = _relaxed(atoms, Lambda, tau, allowed)
-        errors += [*more]
-        for one in () if atoms.doubt is None else atoms.doubt:
-            errors.append(taken - _relaxed(atoms, Lambda, tau, allowed, atoms.values + one)[0])
-        C = C - taken
-    return C, np.array([*errors, *off] if rough else errors)
-
-
-def _slope(y: np.ndarray, e: np.ndarray, secant: bool) -> tuple[np.ndarray, float, float]:
-    """Slopes of y = a e + b e³, y [E, ...], their standard error, and that over the error of y.
-
-    Of a secant b is zero.
-    """
-    X = e[:, None] if secant else np.column_stack([e, e**3])
-    flat, P = y.reshape(len(e), -1), np.linalg.pinv(X)
-    free = flat.shape[1] * max(len(e) - X.shape[1], 1)
-    left = np.linalg.norm(flat - X @ P @ flat) / np.sqrt(free)
-    gain = float(np.linalg.norm(P[0]))
-    return (P[0] @ flat).reshape(y.shape[1:]), float(left) * gain, gain
-
-
-def _relaxed(
-    atoms: ForceConstants,
-    push: np.ndarray,
-    error: float,
-    allowed: np.ndarray,
-    values: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """What atoms that relax take off C [TPa], of the symmetry, and its standard errors.
-
-    push: forces on atoms for a strain [eV/Å], shape [n, 3, d, d]; error: of one of its components.
-    """
-    n, d, m = len(push), atoms.dimension, atoms.moving
-    push = (push - push.mean(axis=0))[:, :m].reshape(n * m, d, d)
-    stiff = atoms.moments(values)[0][:, :m, :, :m].reshape(n * m, n * m)
-    moved = np.tensordot(relaxing(stiff, m), push, 1)
-    size = EV_IN_TPA / atoms.volume
-    onto = np.linalg.pinv(allowed.reshape(len(allowed), -1).T)
-    taken = onto @ np.einsum("Iab,Icd->abcd", push, moved).ravel() * size
-    each = np.einsum("mabcd,Icd->Iabm", onto.reshape(allowed.shape), moved).reshape(-1, len(onto))
-    return np.tensordot(taken, allowed, 1), np.tensordot(2 * size * error * each, allowed, 1)
-
-
-def joined(
-    atoms: ForceConstants,
-    allowed: np.ndarray,
-    C: np.ndarray,
-    errors: np.ndarray,
-    *,
-    shared: int = 0,
-) -> tuple[ForceConstants, float, float]:
-    """Force constants moved by their own errors until their moduli agree with others (R. Kalman).
-
-    Args:
-        atoms: force constants with `doubt`.
-        allowed: elastic tensors of the symmetry, shape [m, d, d, d, d].
-        C, errors: of finite strains, as `by_strains` gives them.
-        shared: how many of the last errors are of both, so that joining makes them no smaller.
-
-    Returns them, χ² between both for each modulus, and how far Φ moved. Errors of force constants
-    are widened by √χ² above one, for what they know nothing of: a supercell that forces leave.
-    """
-    onto = np.linalg.pinv(allowed.reshape(len(allowed), -1).T)
-    own, both = np.split(onto @ errors.reshape(len(errors), -1).T, [len(errors) - shared], axis=1)
-    other, seen = onto @ C.ravel(), onto @ atoms.nearest_elastic(allowed)[0].ravel()
-    off = other - seen
-
-    def compared() -> tuple[np.ndarray, float]:
-        J = onto @ atoms.elastic_doubt(allowed).reshape(-1, onto.shape[1]).T
-        return J, float(off @ np.linalg.pinv(J @ J.T + own @ own.T) @ off) / len(allowed)
-
-    J, chi = compared()
-    wider = chi
-    if atoms.spread is not None:  # moduli would else tell how all of Φ changes with displacements
-        atoms = replace(atoms, doubt=atoms.spread, spread=None)
-        J, wider = compared()
-    doubt, J = (max(1.0, wider**0.5) * np.asarray(one) for one in (atoms.doubt, J))
-    gain = J.T @ np.linalg.pinv(J @ J.T + own @ own.T)
-    values, step = atoms.values, np.zeros(len(doubt))
-    for _ in range(3):  # moduli bend a little in Φ where atoms of a cell relax
-        step = gain @ (other - seen + J @ step)
-        values = atoms.values + np.tensordot(step, doubt, 1)
-        seen = onto @ atoms.nearest_elastic(allowed, values)[0].ravel()
-    parts, vectors = np.linalg.eigh(np.eye(len(doubt)) - gain @ J)
-    left = (vectors * np.sqrt(np.clip(parts, 0, None))).T, (np.linalg.pinv(J) @ both).T
-    after = np.tensordot(np.concatenate(left), doubt, 1)
-    moved = float(np.linalg.norm(values - atoms.values) / np.linalg.norm(atoms.values))
-    return replace(atoms, values=values, doubt=after), chi, moved
+def _pulls(
+    many: ase.Atoms, calculator: Any, sizes: Sequence[float]
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Displacements [N, 3] of all atoms at random, of some sizes, and forces odd in them, [3 N]."""
+    rng, at, x = np.random.default_rng(1), forces_of(many, calculator), np.array(many.positions)
+    for size in sizes:
+        u = _directions(rng, len(many), size)
+        yield u, (at(x + u) - at(x - u)).ravel() / 2

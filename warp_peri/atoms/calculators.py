@@ -248,10 +248,9 @@ def lammps_calculator(
             with lammps_words():
                 super().calculate(*arguments, **options)
 
-    after = [line for line in lines if line.startswith("set ")]  # once atoms are there
     return Calculator(
-        lmpcmds=[line for line in lines if line not in after],
-        amendments=after,
+        lmpcmds=[line for line in lines if not line.startswith("set ")],
+        amendments=[line for line in lines if line.startswith("set ")],  # once atoms are there
         lammps_header=["units metal", "atom_style charge", "atom_modify map array sort 0 0"],
         atom_types=types,
         keep_alive=True,

@@ -22,8 +22,8 @@ from scipy.spatial import cKDTree
 from warp_peri.atoms.dic import ON_LATTICE, spacing_of, surrounded
 from warp_peri.errors import InputError
 from warp_peri.files.foreign import check_hdf5
-from warp_peri.points.arguments import Positive, typed
-from warp_peri.points.arrays import checked, is_number
+from warp_peri.points.arguments import Count, Positive, typed
+from warp_peri.points.arrays import checked
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
@@ -106,8 +106,6 @@ def smoothing_matrix(
 
 def _check_spacing(nodes: np.ndarray, radius: float, spacing: float) -> None:
     """Raise InputError for nodes of another lattice, or so wide that atoms belong to none."""
-    if spacing <= 0:
-        raise InputError(f"spacing: expected a length > 0, got {spacing}")
     if not radius > spacing / np.sqrt(2):
         raise InputError(
             f"radius: expected more than spacing/√2 = {spacing / np.sqrt(2):.4g}, "
@@ -199,8 +197,6 @@ def force_on_mesh(
     """
     atoms = _positions("atoms", atoms)
     force = checked("force", force, shape=atoms.shape)
-    if not 0 < thickness < np.inf:
-        raise InputError(f"thickness: expected a length > 0, got {thickness}")
     linear = _linear_functions(mesh, atoms)
     off = np.flatnonzero(linear.min(axis=1).toarray().ravel() < -FURTHEST)
     if len(off):
@@ -215,23 +211,23 @@ def _linear_functions(mesh: Mesh, x: np.ndarray) -> sp.csr_array:
 
     Linear on the triangles; outside, those of the triangle with the nearest centre go on.
     """
-    triangle, corners = mesh.holding(x), mesh.x[mesh.triangles]
+    triangle, corners = mesh.holding(x), mesh.x[mesh.cells]
     outside = triangle < 0
     triangle[outside] = cKDTree(corners.mean(axis=1)).query(x[outside])[1]
     corners = corners[triangle]
     sides = np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 2)
     last = np.linalg.solve(sides, (x - corners[:, 0])[..., None])[..., 0]
     values = np.column_stack([1 - last.sum(axis=1), last])
-    place = np.repeat(np.arange(len(x)), 3), mesh.triangles[triangle].ravel()
+    place = np.repeat(np.arange(len(x)), 3), mesh.cells[triangle].ravel()
     return sp.csr_array((values.ravel(), place), shape=(len(x), len(mesh.x)))
 
 
 def _mass_matrix(mesh: Mesh) -> sp.csc_array:
     """∫ φ_i φ_j dx of these functions over the triangles [Å²], shape [P, P]."""
-    corners = mesh.x[mesh.triangles]
+    corners = mesh.x[mesh.cells]
     area = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 2
     values = area[:, None, None] * (1 + np.eye(3)) / 12
-    place = np.repeat(mesh.triangles, 3, axis=1).ravel(), np.tile(mesh.triangles, 3).ravel()
+    place = np.repeat(mesh.cells, 3, axis=1).ravel(), np.tile(mesh.cells, 3).ravel()
     return sp.csc_array((values.ravel(), place), shape=(len(mesh.x), len(mesh.x)))
 
 
@@ -277,7 +273,7 @@ def read_mat(
     load: str | None = "forces",
     positions: str | float = "coords",
     factor: float = 1.0,
-    reach: int = 3,
+    reach: Count = 3,
     units: Units | str = "reduced",
 ) -> Samples:
     """Fields on the nodes of a lattice from a .mat file of MATLAB, version 5 or 7.3.
@@ -299,11 +295,7 @@ def read_mat(
     """
     path, names = Path(path), (displacement, load, positions)
     asked = [name for name in names if isinstance(name, str)]
-    if not (is_number(factor) and np.isfinite(factor)):
-        raise InputError(f"factor: expected a finite number, got {factor!r}")
-    if isinstance(reach, bool) or not isinstance(reach, (int, np.integer)) or not reach > 0:
-        raise InputError(f"reach: expected a whole number > 0, got {reach!r}")
-    if not isinstance(positions, str) and not (is_number(positions) and 0 < positions < np.inf):
+    if not isinstance(positions, str) and not positions > 0:
         raise InputError(f"positions: expected a name or a spacing > 0, got {positions!r}")
     held = _variables(path, asked)
     if isinstance(positions, str):

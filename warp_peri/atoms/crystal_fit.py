@@ -11,10 +11,11 @@ import ase
 import numpy as np
 from matplotlib.figure import Figure
 
-from warp_peri.atoms.calculator_noise import PULLED, SMALLER, by_strains, joined
+from warp_peri.atoms.calculator_noise import PULLED, SMALLER
 from warp_peri.atoms.calculator_noise import STRAIN as STRETCH
+from warp_peri.atoms.finite_strains import by_strains, joined
 from warp_peri.atoms.force_constants import STEP, WIDER, ForceConstants
-from warp_peri.atoms.phonons import at_zone_edge, check_phonons, force_constants, wave_loads
+from warp_peri.atoms.phonons import at_zone_edge, check_phonons, force_constants
 from warp_peri.atoms.relaxed import Reference, at_rest, usual_spacing
 from warp_peri.core.elastic import (
     acoustic,
@@ -42,7 +43,7 @@ PATHS: dict[int, dict[str, tuple[int, ...]]] = {
 
 
 def picture(found: CrystalFit) -> Figure:
-    """Acoustic branches, E over direction, and the errors of unseen loads beside the rival's."""
+    """Acoustic branches, E over direction, and the errors of waves beside the rival's."""
     figure = Figure(figsize=(11, 3.6), layout="constrained")
     dispersion = figure.add_subplot(1, 3, 1)
     law, d = found.law, found.atoms.dimension
@@ -64,14 +65,12 @@ def picture(found: CrystalFit) -> Figure:
     polar.set_rlim(min(0.0, 1.1 * young.min()), 1.1 * young.max())
     polar.set_rlabel_position(67.5)
     polar.set_title(f"Young's modulus [GPa] over the\ndirection of the pull, axes 1 and {d}")
-    bars = figure.add_subplot(1, 3, 3)
-    place, worst = np.arange(len(found.unseen)), max(e["law"] for e in found.unseen.values())
-    for shift, name, label in ((-0.2, "law", "model"), (0.2, "local", "local elasticity")):
-        bars.bar(place + shift, [e[name] for e in found.unseen.values()], 0.38, label=label)
-    bars.set_xticks(place, [name.replace(" of ", "\n") for name in found.unseen])
-    bars.set(ylabel="error of displacement [%]")
-    bars.set_title(f"Unseen loads: the model\nerrs by ≤ {worst:.2g} %")
-    bars.legend(frameon=False)
+    waves = figure.add_subplot(1, 3, 3)
+    for name, label in (("law", "model"), ("local", "local elasticity")):
+        waves.semilogy(found.wave_lengths, 100 * found.wave_errors[name].mean(axis=1), label=label)
+    waves.set(xlabel="wavelength [spacings]", ylabel="error of displacement [%]", xlim=(2, 20))
+    waves.set_title("Error of the answer to waves,\nmean over all directions")
+    waves.legend(frameon=False)
     return figure
 
 
@@ -87,8 +86,8 @@ AGREE, TOO_FAR = 0.02, 0.2
 """Relative difference of two ways to the same moduli: worth a word above, refused above."""
 SIZES, DIRECTIONS = 80, 60
 """Of the waves that are looked at for it."""
-UNSEEN = {"waves ≥ 4 spacings": (18.0, 4.0, 8, 2), "waves of 2.7 to 4 spacings": (4.0, 2.7, 4, 3)}
-"""Longest and shortest wave, loads and seed of what a law is put to."""
+TOLD = (6, 3)
+"""Wavelengths [spacings] whose error is told."""
 
 Symbol = Callable[[np.ndarray], np.ndarray]
 
@@ -152,33 +151,49 @@ class CrystalFit(Shown):
             brackets = brackets + stress_brackets(self.atoms.stress)
         return lambda k: acoustic(brackets, k)
 
+    @property
+    def wave_lengths(self) -> np.ndarray:
+        """Of the waves that are looked at [spacings], falling to two, shape [80]."""
+        return np.asarray(2 * np.pi / np.linspace(0.05, np.pi, SIZES))
+
     @cached_property
+    def wave_errors(self) -> dict[str, np.ndarray]:
+        """Relative errors of answers to plane waves by law and rival, in 60 directions, [80, 60].
+
+        Against the mean displacement of the atoms of a cell, of the same wavelengths.
+        """
+        size = 2 * np.pi / (self.wave_lengths * self.law.spacing)
+        k = size[:, None, None] * directions(DIRECTIONS, self.atoms.dimension)
+        k = k.reshape(-1, self.atoms.dimension)
+        true, found = np.linalg.inv(self.atoms.effective(k)), {}
+        for name, symbol in (("law", self.law.symbol), ("local", self.local)):
+            off = np.linalg.norm(np.linalg.inv(symbol(k)) - true, axis=(1, 2))
+            found[name] = (off / np.linalg.norm(true, axis=(1, 2))).reshape(SIZES, -1)
+        return found
+
+    @property
     def holds_to(self) -> dict[str, float]:
         """Shortest wave [Å] down to which answers are within 2 % of the atoms', by law and rival.
 
-        In sixty directions, down to two spacings; infinite where no wave is.
+        Infinite where no wave is.
         """
-        d, h = self.atoms.dimension, self.law.spacing
-        sizes = np.linspace(0.05, np.pi, SIZES) / h
-        k = (sizes[:, None, None] * directions(DIRECTIONS, d)).reshape(-1, d)
-        true = np.linalg.inv(self.atoms.effective(k))
         found = {}
-        for name, symbol in (("law", self.law.symbol), ("local", self.local)):
-            answer = np.linalg.inv(symbol(k))
-            off = np.linalg.norm(answer - true, axis=(1, 2)) / np.linalg.norm(true, axis=(1, 2))
-            worst = off.reshape(SIZES, -1).max(axis=1)
-            good = int(np.argmax(np.append(worst, np.inf) > WITHIN))
-            found[name] = float(2 * np.pi / sizes[good - 1]) if good else float("inf")
+        for name, off in self.wave_errors.items():
+            good = int(np.argmax(np.append(off.max(axis=1), np.inf) > WITHIN))
+            length = self.wave_lengths[good - 1] * self.law.spacing
+            found[name] = float(length) if good else float("inf")
         return found
 
-    @cached_property
-    def unseen(self) -> dict[str, dict[str, float]]:
-        """Mean E_u [%] on loads of waves that the law never saw, by law and rival."""
-        found = {}
-        for name, (a, b, count, seed) in UNSEEN.items():
-            waves = wave_loads(self.atoms, self.law.spacing, (a, b), loads=count, seed=seed)
-            found[name] = {"law": waves.error(self.law.symbol), "local": waves.error(self.local)}
-        return found
+    @property
+    def told_errors(self) -> dict[str, dict[str, float]]:
+        """Mean error [%] of waves of some lengths over all directions, by law and rival."""
+        rows = {n: int(np.abs(self.wave_lengths - n).argmin()) for n in TOLD}
+        return {
+            f"waves of {n} spacings": {
+                name: float(100 * off[row].mean()) for name, off in self.wave_errors.items()
+            }
+            for n, row in rows.items()
+        }
 
     def directional(self, count: int = 181) -> tuple[np.ndarray, np.ndarray]:
         """Angles in the plane of the first and the last axis, and Young's modulus along [GPa]."""
@@ -220,13 +235,13 @@ class CrystalFit(Shown):
                 f"{own}; local elasticity with the same moduli: {local}",
             ),
         ]
-        for name, e in self.unseen.items():
+        for name, e in self.told_errors.items():
             local = f"local elasticity {e['local']:.2f} %"
             shown.append((f"error, {name}", f"{e['law']:.2f} %; {local}"))
         return [*self.said.items(), *shown]
 
     def plot(self) -> Any:
-        """A matplotlib Figure: dispersion, E over direction, unseen loads."""
+        """A matplotlib Figure: dispersion, E over direction, errors of waves."""
         return picture(self)
 
     def content(self) -> dict[str, Any]:
@@ -241,7 +256,7 @@ class CrystalFit(Shown):
             "spacing": self.law.spacing,
             "horizon": self.law.horizon,
             "holds_to": self.holds_to,
-            "unseen_E_u": self.unseen,
+            "wave_errors_percent": self.told_errors,
             "statement": "" if proof is None else proof.statement,  # in the file's units
             "proven_GPa": None if told is None else 1e3 * told.proven,
         }
@@ -301,8 +316,8 @@ def fit_crystal(
     """The model of a crystal from its structure and a calculator.
 
     The structure is relaxed, checked (forces, stress, imaginary phonons), and brought to its
-    smallest cell. Force constants are made, and the model is learned from them. It is put to loads
-    that it never saw.
+    smallest cell. Force constants are made, and the model is learned from them. It is compared
+    under waves of all lengths.
 
     Args:
         atoms: periodic in space, or in a plane with vacuum (8 Å) or without a period across.
@@ -334,19 +349,18 @@ def fit_crystal(
     group = _group(constants, symmetry)
     constants, strained, taken = with_strains(constants, reference, calculator, group)
     said = reference.said | said | taken
-    off = 0.0
     if strained is not None:
         waves = constants.elastic(_allowed(group, constants.dimension))
         off = float(np.abs(waves - strained).max() / np.abs(strained).max())
-    if off > AGREE:
-        told = (
-            f"those of long waves are {off:.1%} off those of finite strains: forces reach further "
-            f"than {said['force constants']}, or the calculator is not that precise"
-        )
-        if off > TOO_FAR:
-            raise InputError(f"moduli: {told}")
-        warn(f"moduli: {told}")
-        said["moduli disagree"] = told
+        if off > AGREE:
+            told = (
+                f"those of long waves are {off:.1%} off those of finite strains: forces reach "
+                f"further than {said['force constants']}, or the calculator is not that precise"
+            )
+            if off > TOO_FAR:
+                raise InputError(f"moduli: {told}")
+            warn(f"moduli: {told}")
+            said["moduli disagree"] = told
     return _learned(constants, spacing or reference.spacing, horizon, group, units, said, strained)
 
 

@@ -19,7 +19,7 @@ from tqdm import tqdm
 from warp_peri.atoms.coarse_graining import coarse_grain
 from warp_peri.errors import InputError, warn
 from warp_peri.files.foreign import encoding_of, unpacked
-from warp_peri.points.arguments import Positive, typed
+from warp_peri.points.arguments import Natural, Positive, typed
 from warp_peri.points.arrays import checked
 from warp_peri.points.samples import PointsLike, Samples, nodes_of
 
@@ -263,7 +263,7 @@ def mean_displacement(
     *,
     ids: ArrayLike | None = None,
     box: tuple[float, float] | None = None,
-    skip: int = 0,
+    skip: Natural = 0,
     iota: float | None = None,
 ) -> np.ndarray:
     """Displacement from the reference [Å], shape [A, 2], over the frames of a dump.
@@ -283,8 +283,6 @@ def mean_displacement(
     reference = checked("reference", reference, shape=("A", 2))
     if iota is not None and not 0 < iota <= 1:
         raise InputError(f"iota: expected 0 < ι ≤ 1, got {iota}")
-    if skip < 0:
-        raise InputError(f"skip: expected a number of frames ≥ 0, got {skip}")
     total, frames = np.zeros_like(reference), 0
     for frame in iter_dump(path):
         x = frame.x
@@ -352,7 +350,7 @@ class FrameAverage:
         iota: ι of the smoothing in time; None takes the plain average.
     """
 
-    skip: int = 0
+    skip: Natural = 0
     iota: float | None = None
 
 

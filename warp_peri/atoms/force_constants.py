@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from warp_peri.atoms.ions import DECAYED, NonAnalyticCorrection, field_of_ions, sites_of
 from warp_peri.core.elastic import acoustic, stress_brackets
 from warp_peri.core.groups import group_of_structure, kinds_of, point_group
 from warp_peri.core.stencil import directions
@@ -47,72 +48,6 @@ HELD = 1e3
 """Of the largest Φ, that a sheet's mean height is held with."""
 NOT_ELASTIC = 3e-3
 """Of long waves, that may be missed by all elastic tensors of the symmetry."""
-COULOMB = 14.399645
-"""e²/(4π ε₀) [eV Å]."""
-DECAYED, NEGLECTED = 3.5, 36.0
-"""x with erfc(x) ≈ 0 at half a supercell, and exponents of Gaussians that are left out."""
-
-
-@typed
-@dataclass(frozen=True, eq=False)
-class NonAnalyticCorrection:
-    """What waves of ions' displacement do through their electric field (theory, T18).
-
-    Attributes:
-        born: effective charges of the atoms of a cell [e], shape [n, 3, 3]. Their mean is taken
-            off, since charges of a cell sum to zero.
-        dielectric: of clamped ions, shape [3, 3].
-        decay: Λ [1/Å] of the Gaussians; from_supercell sets it where it is 0.
-    """
-
-    born: np.ndarray
-    dielectric: np.ndarray
-    decay: float = 0.0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "born", self.born - self.born.mean(axis=0))
-
-    def matrix(
-        self, k: np.ndarray, cell: np.ndarray, positions: np.ndarray, *, field: bool = True
-    ) -> np.ndarray:
-        """Dipoles with dipoles [eV/Å²] but for what is short-ranged, [K, n, 3, n, 3].
-
-        Without `field`, the macroscopic one, it is smooth at k = 0.
-        """
-        least = np.linalg.eigvalsh(self.dielectric)[0]
-        furthest = 2 * self.decay * np.sqrt(NEGLECTED / least) + np.linalg.norm(k, axis=1).max()
-        most = np.ceil(furthest * np.linalg.norm(cell, axis=1) / (2 * np.pi)).astype(int)
-        counts = np.array(list(itertools.product(*(range(-n, n + 1) for n in most))))
-        G = 2 * np.pi * counts @ np.linalg.inv(cell).T
-        zero = self._sums(np.zeros((1, 3)), G, cell, positions)[0].sum(axis=2)
-        around = G if field else G[counts.any(axis=1)]
-        D = np.concatenate([self._sums(one[None], around, cell, positions) for one in k])
-        atoms = np.arange(len(positions))
-        # translations cost nothing; a site of low symmetry leaves a part that is not symmetric
-        D[:, atoms, :, atoms, :] -= ((zero + zero.conj().swapaxes(1, 2)) / 2)[:, None]
-        return D
-
-    def at_long_waves(self, e: np.ndarray, cell: np.ndarray) -> np.ndarray:
-        """What the macroscopic field adds to D along unit vectors e [K, 3], [K, n, 3, n, 3]."""
-        pull = np.einsum("kb,nba->kna", e, self.born)
-        screened = np.einsum("ki,ij,kj->k", e, self.dielectric, e)
-        factor = 4 * np.pi * COULOMB / abs(np.linalg.det(cell)) / screened
-        return np.asarray(np.einsum("k,kia,kjb->kiajb", factor, pull, pull))
-
-    def _sums(
-        self, k: np.ndarray, G: np.ndarray, cell: np.ndarray, positions: np.ndarray
-    ) -> np.ndarray:
-        K = k + G
-        square = np.einsum("gi,ij,gj->g", K, self.dielectric, K)
-        kept = (square > 1e-14) & (square < 4 * self.decay**2 * NEGLECTED)
-        K, square = K[kept], square[kept]
-        factor = np.exp(-square / (4 * self.decay**2)) / square
-        factor *= 4 * np.pi * COULOMB / abs(np.linalg.det(cell))
-        pull = (
-            np.einsum("gb,nba->gna", K, self.born) * np.exp(1j * G[kept] @ positions.T)[..., None]
-        )
-        each = np.einsum("g,gia,gjb->iajb", factor, pull, pull.conj(), optimize=True)
-        return np.asarray(each[None])
 
 
 @typed_methods
@@ -473,7 +408,7 @@ def every_pair(
     x, X = np.array(structure.positions), np.array(supercell.positions)
     if len(displaced) != len(x):
         raise InputError(f"displaced: expected {len(x)} atoms, got {len(displaced)}")
-    kind, off = _sites(X, X[list(displaced)], cell)
+    kind, off = sites_of(X, X[list(displaced)], cell)
     if off > ON_SITE:
         raise InputError("supercell: expected atoms on the sites of the structure")
     if polar is not None:
@@ -495,13 +430,6 @@ def every_pair(
     return made, (i, j, share[i, j][:, None, None])
 
 
-def _sites(X: np.ndarray, first: np.ndarray, cell: np.ndarray) -> tuple[np.ndarray, float]:
-    """Number of the site in the cell of each atom, [N], and how far the worst is off, in edges."""
-    to_site = (X[:, None] - first) @ np.linalg.inv(cell)
-    off = np.abs(to_site - np.rint(to_site)).max(axis=2)
-    return off.argmin(axis=1), float(off.min(axis=1).max())
-
-
 def at_edge(
     vectors: np.ndarray, values: np.ndarray, box: np.ndarray, flat: bool
 ) -> tuple[float, np.ndarray]:
@@ -514,30 +442,6 @@ def at_edge(
     width = 1 / np.linalg.norm(np.linalg.inv(box), axis=0)[: 2 if flat else 3].max()
     far = size > EDGE * width
     return float(moment[far].sum() / max(moment.sum(), TINY)), far
-
-
-def field_of_ions(
-    polar: NonAnalyticCorrection, structure: Any, supercell: Any, displaced: Sequence[int]
-) -> np.ndarray:
-    """What charges with a decay add to Φ, [n, N, 3, 3]; other arguments as for `from_supercell`."""
-    cell, box = np.array(structure.cell), np.array(supercell.cell)
-    x, X = np.array(structure.positions), np.array(supercell.positions)
-    apart, kind = X[:, None] - X[list(displaced)], _sites(X, X[list(displaced)], cell)[0]
-    # the mean of all waves that fit into the supercell
-    inverse = np.linalg.inv(np.rint(box @ np.linalg.inv(cell)))
-    size = int(np.rint(1 / abs(np.linalg.det(inverse))))
-    multiples = np.arange(1, size + 1)[:, None, None] * inverse.T  # of each edge, in the cell's
-    whole = (np.abs(multiples - np.rint(multiples)) < 1e-6).all(axis=2)
-    counts = np.array(list(np.ndindex(*(whole.argmax(axis=0) + 1).tolist())))
-    parts = np.unique(np.round(counts @ inverse.T % 1.0, 9) % 1.0, axis=0)
-    k = 2 * np.pi * (parts - (parts > 0.5)) @ np.linalg.inv(cell).T
-    D = polar.matrix(k, cell, x)
-    phase = np.exp(-1j * np.einsum("kc,Nnc->kNn", k, apart)) / len(k)
-    phi = np.empty((len(x), len(kind), 3, 3))
-    for j in range(len(x)):
-        some = kind == j
-        phi[:, some] = np.einsum("kNi,kiab->iNab", phase[:, some], D[:, :, :, j]).real
-    return phi
 
 
 def finite_differences(

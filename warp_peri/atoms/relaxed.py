@@ -1,17 +1,12 @@
-"""Cells, structures at rest, and phonopy's folders."""
+"""Cells, and structures at rest."""
 
 from __future__ import annotations
 
-import io
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import ase
-import ase.io
-import h5py
 import numpy as np
 from ase.constraints import FixSymmetry
 from ase.data import vdw_radii
@@ -23,9 +18,8 @@ from ase.spacegroup.symmetrize import refine_symmetry
 from ase.stress import voigt_6_to_full_3x3_stress
 from scipy.linalg import sqrtm
 
-from warp_peri.atoms.calculator_noise import EV_IN_TPA, ON_SITES, TIMES, Noise, measured, projected
+from warp_peri.atoms.calculator_noise import EV_IN_TPA, ON_SITES, TIMES, Noise, measured
 from warp_peri.atoms.calculators import LammpsError
-from warp_peri.atoms.force_constants import ForceConstants, NonAnalyticCorrection
 from warp_peri.core.groups import (
     COUNTED,
     KNOWN,
@@ -34,9 +28,7 @@ from warp_peri.core.groups import (
     kinds_of,
     primitive_cell,
 )
-from warp_peri.errors import InputError, optional, warn
-from warp_peri.files.foreign import check_hdf5, check_yaml, content
-from warp_peri.points.arguments import Positive, typed
+from warp_peri.errors import InputError, warn
 
 VACUUM = 8.0
 """A gap between atoms [Å] that counts as vacuum."""
@@ -92,7 +84,7 @@ class Reference:
         return 3 if self.thickness is None else 2
 
 
-def _check_sites(atoms: ase.Atoms) -> None:
+def check_sites(atoms: ase.Atoms) -> None:
     """Raise InputError for atoms upon each other, and shared sites, of which ASE keeps one atom."""
     for site in (atoms.info.get("occupancy") or {}).values():
         if len(site) > 1 or min(site.values()) < FULL:
@@ -119,7 +111,7 @@ def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
 
     Without turning, axes stay as they are; InputError for a sheet that is not across z then.
     """
-    _check_sites(atoms)
+    check_sites(atoms)
     periodic, cell = np.array(atoms.pbc), np.array(atoms.cell)
     if not periodic.any():
         raise InputError("structure: expected a crystal with a periodic cell, got a free cluster")
@@ -289,21 +281,32 @@ def at_rest(
             cell.calc = calculator
         here = measured(cell, calculator, flat)  # dimples lie at rest, not where a cell was given
         noise = noise if here.rounding else here
-    size, rule = thickness, "as given"
-    if flat and size is None:
-        size, rule = thickness_of(cell)
-    stress = _stress_left(cell, size, flat, held, noise)
-    kind, lengths = "a sheet" if flat else "a solid", cell.cell.lengths()[: 2 if flat else 3]
-    said = {"structure": f"{cell.get_chemical_formula()}, {kind}"}
-    said["cell"] = f"{' x '.join(f'{one:.5g}' for one in lengths)} Å, {len(cell)} atoms"
-    if noise is None:
-        said["noise"] = f"{found.force:.1e} eV/Å, which is rounding"
+    said = {} if noise is not None else {"noise": f"{found.force:.1e} eV/Å, which is rounding"}
     if turned:
         where = ": x along an edge of the cell, z across" if flat else " to the conventional cell's"
         said["axes"] = f"turned{where}"
     if np.abs(strain).max() > MOVED:
         said["relaxed"] = f"the cell by strains of {strain.min():+.1%} to {strain.max():+.1%}"
-    if size is not None:
+    return _at_rest(cell, thickness, flat, held, noise, said)
+
+
+def _at_rest(
+    cell: ase.Atoms,
+    thickness: float | None,
+    flat: bool,
+    held: set[str],
+    noise: Noise | None,
+    said: dict[str, str],
+) -> Reference:
+    """A relaxed cell with its thickness, the stress that is left, and what is to be told of it."""
+    kind, lengths = "a sheet" if flat else "a solid", cell.cell.lengths()[: 2 if flat else 3]
+    shape = f"{' x '.join(f'{one:.5g}' for one in lengths)} Å, {len(cell)} atoms"
+    said = {"structure": f"{cell.get_chemical_formula()}, {kind}", "cell": shape} | said
+    size, rule = thickness, "as given"
+    if flat and size is None:
+        size, rule = thickness_of(cell)
+    stress = _stress_left(cell, size, flat, held, noise)
+    if flat:
         said["thickness"] = f"{size:.4g} Å, {rule}"
         said["bending"] = "not in the model: it moves a sheet in its plane only"
     cell.calc = None
@@ -434,130 +437,3 @@ def _sheet_spacing(cell: ase.Atoms) -> float:
     if abs(long / np.linalg.norm(b) - 1) < 1e-3:  # a rhombus: its diagonals
         return float(max(np.linalg.norm(a + b), np.linalg.norm(a - b)))
     return float(np.sqrt(2 * area))
-
-
-WITHOUT = "phonopy: pip install 'warp_peri[phonons]'"
-BESIDE = ("FORCE_CONSTANTS", "force_constants.hdf5", "FORCE_SETS", "BORN")
-"""Files that are read where they lie beside the one that is named."""
-YAML = ("phonopy.yaml", "phonopy_params.yaml", "phonopy_disp.yaml")
-
-
-@typed
-def from_phonopy(
-    path: str | os.PathLike[str], *, thickness: Positive | None = None
-) -> ForceConstants:
-    """Force constants of what phonopy computed.
-
-    Beside phonopy.yaml may lie FORCE_CONSTANTS, force_constants.hdf5, FORCE_SETS and BORN; nothing
-    is read of any other folder. Units are those that phonopy has for the code it names.
-    Force constants are brought to what space group, exchange of atoms, translations and rotations
-    ask, and how far they move is their error. With Born charges the field of the ions is part of
-    every wave (theory, T18); a solid of several elements without BORN is warned of.
-
-    Args:
-        path: phonopy.yaml, phonopy_params.yaml or phonopy_disp.yaml, or the folder that has one.
-        thickness: of a sheet across z [Å]; by default as `fit_crystal` has it.
-
-    Raises InputError where phonopy is not installed, for files that it does not read, for forces
-    that are not there, and for Born charges of a sheet.
-    """
-    file = _yaml(Path(path))
-    beside = {name: file.parent / name for name in BESIDE if (file.parent / name).is_file()}
-    if thickness is not None and "BORN" in beside:
-        raise InputError(f"{path}: BORN: expected a solid; the field of a sheet's ions is another")
-    try:
-        found, told = _opened(file, beside)
-        force_constants = _force_constants(found, told, beside)
-        ions = told.nac_params
-        if "BORN" in beside:
-            reader = optional("phonopy.file_IO", WITHOUT)
-            ions = reader.parse_BORN(found.primitive, filename=beside["BORN"])
-        units = optional("phonopy.interface.calculator", WITHOUT)
-        units = units.get_calculator_physical_units(found.calculator)
-    except Exception as error:  # phonopy raises whatever its parsing runs into
-        raise InputError(f"{path}: phonopy does not read it ({error})") from None
-    if force_constants is None:
-        raise InputError(f"{path}: expected FORCE_CONSTANTS or FORCE_SETS beside it, found neither")
-    small, large, x = found.primitive, found.supercell, units.distance_to_A
-    cell, supercell = (
-        ase.Atoms(part.numbers, positions=x * part.positions, cell=x * part.cell, pbc=True)
-        for part in (small, large)
-    )
-    _check_sites(cell)
-    if small.magnetic_moments is not None:  # sites that they tell apart are no images
-        cell.set_initial_magnetic_moments(small.magnetic_moments)
-    displaced = np.asarray(small.p2s_map).tolist()
-    phi = units.force_to_eVperA / x * np.asarray(force_constants)
-    phi = (phi if len(phi) == len(displaced) else phi[displaced]).transpose(0, 2, 1, 3)
-    if gap(cell, 2)[0] >= VACUUM and thickness is None:
-        thickness = thickness_of(cell)[0]
-    polar = None
-    if ions is not None:
-        polar = NonAnalyticCorrection(np.asarray(ions["born"]), np.asarray(ions["dielectric"]))
-    elif thickness is None and len(set(cell.numbers)) > 1:
-        warn(
-            f"{file.parent}: no BORN is there; if ions carry charges, their field misses in its "
-            "waves"
-        )
-    if thickness is not None and polar is None and np.abs(cell.cell[:2, 2]).max() > 1e-6:
-        raise InputError(f"{path}: expected a sheet across z")
-    return projected(cell, supercell, phi, displaced, thickness=thickness, polar=polar)
-
-
-def _opened(file: Path, beside: dict[str, Path]) -> tuple[Any, Any]:
-    """phonopy's crystal, and what its file says; nothing is read that lies elsewhere."""
-    for name, path in beside.items():
-        if name.endswith(".hdf5"):
-            with h5py.File(path) as held:
-                check_hdf5(held, path.stat().st_size)
-        else:
-            content(path)
-    text = content(file)
-    check_yaml(file, text)
-    told: Any = optional("phonopy.interface.phonopy_yaml", WITHOUT).PhonopyYaml()
-    told.read(io.StringIO(text.decode()))
-    if getattr(told, "site_mixture_scheme", None) is not None:
-        raise InputError("site_mixture_scheme: sites of several elements are not read")
-    matrix, primitive = told.supercell_matrix, told.primitive_matrix
-    found = optional("phonopy", WITHOUT).Phonopy(
-        told.unitcell,
-        np.eye(3, dtype=int) if matrix is None else matrix,
-        primitive_matrix="auto" if primitive is None else primitive,
-        calculator=told.calculator,
-        log_level=0,
-    )
-    return found, told
-
-
-def _force_constants(found: Any, told: Any, beside: dict[str, Path]) -> Any:
-    """Of phonopy's own file, else of those beside it, else from its forces; None without them."""
-    reader, rows = optional("phonopy.file_IO", WITHOUT), found.primitive.p2s_map
-    if told.force_constants is not None:
-        return told.force_constants
-    if "FORCE_CONSTANTS" in beside:
-        return reader.parse_FORCE_CONSTANTS(filename=beside["FORCE_CONSTANTS"], p2s_map=rows)
-    if (name := "force_constants.hdf5") in beside:
-        helper = optional("phonopy.cui.load_helper", WITHOUT)
-        return helper.read_force_constants_from_hdf5(beside[name], rows, found.calculator)
-    data, count = told.dataset or {}, len(found.supercell)
-    if "forces" not in data | data.get("first_atoms", [{}])[0]:
-        if "FORCE_SETS" not in beside:
-            return None
-        data = reader.parse_FORCE_SETS(natom=count, filename=beside["FORCE_SETS"])
-        if data.get("natom", count) != count:
-            raise InputError(f"FORCE_SETS: expected forces on {count} atoms, got {data['natom']}")
-    found.dataset = data
-    by = "symfc" if "displacements" in data else None
-    found.produce_force_constants(calculate_full_force_constants=False, fc_calculator=by)
-    return found.force_constants
-
-
-def _yaml(path: Path) -> Path:
-    """phonopy's file, of a folder the first of YAML that is there."""
-    there = [one for one in (path, *(path / name for name in YAML)) if one.is_file()]
-    if not there:
-        raise InputError(
-            f"{path}: expected a file of phonopy or a folder with {' or '.join(YAML)}; "
-            "`phonopy-init --dim …` (once `phonopy -d`) writes the last beside a code's unit cell"
-        )
-    return there[0]

@@ -228,7 +228,6 @@ def run_predict(given: Namespace) -> Said:
     samples = []
     for answer, truth in zip(answers, points.u[:, points.interior]):
         told = {n: getattr(answer, n) for n in ("error", "parts", "kept", "why", "uncovered")}
-        told["local_solid"] = answer.local
         if size := float(np.linalg.norm(truth)):  # the set holds what was measured or computed
             told["true"] = float(np.linalg.norm(answer.u[points.interior] - truth)) / size
         samples.append(told)

@@ -7,10 +7,9 @@ import json
 import math
 import os
 import stat
-import tempfile
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -28,6 +27,9 @@ DEEPER = np.zeros(256, int)
 """By how much the text after a byte is deeper."""
 DEEPER[[*b"[{"]], DEEPER[[*b"]}"]] = 1, -1
 
+BROKEN = zipfile.BadZipFile, EOFError, RuntimeError, KeyError, NotImplementedError, MemoryError
+"""What reading an archive of arrays runs into."""
+
 T = TypeVar("T")
 
 
@@ -37,38 +39,20 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     Raises OSError when it cannot be read, ValueError when it is anything else: compressed,
     truncated, with arrays whose headers claim other sizes than the file holds, or with objects.
     """
-    arrays = {}
+    arrays, size = {}, min(os.path.getsize(path), MOST)
     try:
-        with open(path, "rb") as raw, zipfile.ZipFile(raw) as archive:
-            size = os.fstat(raw.fileno()).st_size
+        with zipfile.ZipFile(path) as archive:
             for entry in archive.infolist():
-                stored = entry.compress_type == zipfile.ZIP_STORED
-                if not stored or entry.file_size > min(size, MOST):
+                if entry.compress_type != zipfile.ZIP_STORED or entry.file_size > size:
                     raise ValueError(f"{entry.filename!r}: expected an array as it is, not packed")
-                with archive.open(entry) as file:
-                    _check_header(file, entry)
                 with archive.open(entry) as file:
                     name = entry.filename.removesuffix(".npy")
                     arrays[name] = npy.read_array(file, allow_pickle=False)
                     if file.read(1):
                         raise ValueError(f"{entry.filename!r}: more bytes than the array holds")
-    except (zipfile.BadZipFile, EOFError, RuntimeError, KeyError, NotImplementedError) as error:
+    except BROKEN as error:
         raise ValueError(str(error)) from None
     return arrays
-
-
-def _check_header(file: Any, entry: zipfile.ZipInfo) -> None:
-    """ValueError unless the header's shape and type fill the entry."""
-    version = npy.read_magic(file)
-    readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
-    if version not in readers:
-        raise ValueError(f"{entry.filename!r}: an unknown version of the format, {version}")
-    shape, _, dtype = readers[version](file)
-    if dtype.hasobject:
-        raise ValueError(f"{entry.filename!r}: objects are not read")
-    count = int(np.prod(shape, dtype=object)) if shape else 1
-    if min(shape, default=0) < 0 or file.tell() + count * dtype.itemsize != entry.file_size:
-        raise ValueError(f"{entry.filename!r}: the shape {shape} does not fit the file")
 
 
 PART = ".part-"
@@ -128,9 +112,6 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
         yield temporary
         with open(temporary, "rb") as written:
             os.fsync(written.fileno())
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)  # mkstemp makes private files; a result is not a secret
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -138,53 +119,25 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def _begun(path: Path) -> tuple[int, Path]:
-    """A new half-written file, locked by this process; those of killed saves are removed.
+    """An empty half-written file that this process alone holds; that of a killed save is taken.
 
     The lock is the operating system's and ends with the process: what nobody holds nobody writes.
     """
-    handle, made = tempfile.mkstemp(path.suffix, f".{path.name}{PART}", path.parent)
-    _held(handle)
-    temporary = path.with_name(f".{path.name}{_mark(handle)}{path.suffix}")
-    os.replace(made, temporary)
-    _remove_left(path.parent, f".{path.name}{PART}")
-    return handle, temporary
-
-
-def _mark(handle: int) -> str:
-    """What the name of a half-written file holds: its own number on the disk.
-
-    No file of a user, and no copy, has that in its name.
-    """
-    return f"{PART}{os.fstat(handle).st_ino}"
-
-
-def _held(handle: int) -> bool | None:
-    """Lock an open file: False where another process holds it, None where there are no locks."""
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:
-        return None
-    return True
-
-
-def _remove_left(folder: Path, start: str = ".") -> None:
-    """Remove the half-written files of a folder, of names that begin so, that no process holds."""
-    try:
-        names = os.listdir(folder)
-    except (FileNotFoundError, NotADirectoryError, PermissionError):
-        return
-    for name in names:
-        if not name.startswith(start) or PART not in name:
-            continue
-        path = folder / name
+    number = 0
+    while True:
+        part = path.with_name(f".{path.name}{PART}{number}{path.suffix}")
+        handle = os.open(part, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
         try:
-            handle = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
-        except OSError:  # finished meanwhile, or not a file of ours
-            continue
-        if f"{_mark(handle)}." in f"{name}." and _held(handle):
-            path.unlink(missing_ok=True)
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            number += 1
+        except OSError:  # a disk without locks
+            return handle, part
+        else:
+            with suppress(FileNotFoundError):  # else it was renamed meanwhile
+                if os.path.samestat(os.fstat(handle), os.stat(part)):
+                    os.ftruncate(handle, 0)
+                    return handle, part
         os.close(handle)
 
 
@@ -193,7 +146,7 @@ def locked(path: str | os.PathLike[str]) -> Iterator[None]:
     """Hold a file or folder that is being written against every other job.
 
     The lock is the operating system's, on a hidden file beside `path`: it ends with the process,
-    however that ends. Half-written files that a killed job left are removed.
+    however that ends.
 
     Raises InputError when another job holds it, or where no file can be; and where the hidden file
     is a user's, with something in it.
@@ -212,8 +165,6 @@ def locked(path: str | os.PathLike[str]) -> Iterator[None]:
             beside.touch()  # filelock takes a place that has no room for its file as held
         raise InputError(f"{path}: another job is writing here") from None
     try:
-        _remove_left(path.parent, f".{path.name}{PART}")
-        _remove_left(path)
         yield
     finally:
         beside.unlink(missing_ok=True)  # still held: who opened it before tries again

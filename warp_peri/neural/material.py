@@ -9,7 +9,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,16 +18,13 @@ from warp_peri.core import record
 from warp_peri.core.record import Length, Positive
 from warp_peri.errors import InputError
 from warp_peri.neural.bonds import NetworkBonds
-from warp_peri.neural.placed import CHUNK, Placed
+from warp_peri.neural.placed import Placed
 from warp_peri.neural.training import NeuralFit, TrainingSettings, train
 from warp_peri.points.arguments import Natural, typed
 from warp_peri.points.arrays import is_positive
-from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.samples import PointsLike, Samples, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, check_units, factors, symbols
 from warp_peri.reprs import Shown
-
-if TYPE_CHECKING:
-    from warp_peri.points.samples import Samples
 
 
 def network(*widths: int) -> torch.nn.Sequential:
@@ -42,6 +39,8 @@ STRAIN = 0.1
 """Extensions and dilatations are counted in this strain as the networks' inputs."""
 WIDEST = 10_000
 """Numbers of a hidden layer at most."""
+CHUNK = 2048
+"""Bonds at once: their hidden layers stay in a processor's cache."""
 
 
 @typed
@@ -97,7 +96,7 @@ class NeuralOperator(Shown, torch.nn.Module):
             torch.manual_seed(seed)
             self.influence = network(2 if anisotropic else 1, *map(int, influence), 1)
             self.state = network(4, *map(int, state), 1)
-        self.widths = {"influence": _pair(influence), "state": _pair(state)}
+        self.widths = {"influence": tuple(map(int, influence)), "state": tuple(map(int, state))}
         if proportional:  # near springs, so that the first equilibria exist
             torch.nn.init.ones_(next(reversed(list(self.state.parameters()))))
 
@@ -129,6 +128,7 @@ class NeuralOperator(Shown, torch.nn.Module):
         """Write a JSON file with the weights in it; see file.save for their precision."""
         save(self, path)
 
+    @typed
     def learn(
         self,
         samples: Samples,
@@ -140,12 +140,8 @@ class NeuralOperator(Shown, torch.nn.Module):
     ) -> NeuralFit:
         """Train a copy of these networks; arguments and errors as of training.train."""
         material = copy.deepcopy(self)
-        asked = TrainingSettings() if training is None else training
-        if not isinstance(asked, TrainingSettings):
-            raise InputError(f"training: expected Training(…), got {asked!r:.60}")
-        history = train(
-            material, samples, validation, asked, checkpoint=checkpoint, progress=progress
-        )
+        how: dict[str, Any] = {"checkpoint": checkpoint, "progress": progress}
+        history = train(material, samples, validation, training or TrainingSettings(), **how)
         return NeuralFit(material, history)
 
     def fitted(self, forces: torch.Tensor, loads: torch.Tensor) -> None:
@@ -166,8 +162,7 @@ class NeuralOperator(Shown, torch.nn.Module):
         """Everything but the weights, as it stands in a file."""
         return {
             "horizon": self.horizon,
-            "influence": list(self.widths["influence"]),
-            "state": list(self.widths["state"]),
+            **{name: list(widths) for name, widths in self.widths.items()},
             "anisotropic": self.anisotropic,
             "proportional": self.proportional,
             "strain": self.strain,
@@ -193,12 +188,6 @@ class NeuralOperator(Shown, torch.nn.Module):
             ("numbers", f"{self.numbers()}; {widths}"),
             ("learned", learned),
         ]
-
-
-def _pair(widths: Sequence[int]) -> tuple[int, int]:
-    """Widths of two hidden layers."""
-    first, second = widths
-    return int(first), int(second)
 
 
 PRECISIONS = ("float16", "float32", "float64")
@@ -230,15 +219,8 @@ class NeuralFile(record.Record, format="warp_peri.neural", version=2):
     units: Units
 
     def _read_from(self, path: Path | None) -> NeuralOperator:  # type: ignore[override]
-        material = NeuralOperator(
-            self.horizon,
-            self.influence,
-            self.state,
-            anisotropic=self.anisotropic,
-            proportional=self.proportional,
-            strain=self.strain,
-            units=self.units,
-        ).double()
+        names = ["horizon", "influence", "state", "anisotropic", "proportional", "strain", "units"]
+        material = NeuralOperator(**{name: getattr(self, name) for name in names}).double()
         material.scale, material.provenance = self.scale, self.provenance
         wanted = {key: tuple(part.shape) for key, part in material.state_dict().items()}
         try:

@@ -25,49 +25,8 @@ from warp_peri.solvers.solution import Newton, Solution, Solver, refuse_solver
 if TYPE_CHECKING:
     from warp_peri.neural.material import NeuralOperator
 
-CHUNK = 2048
-"""Bonds at once: their hidden layers stay in a processor's cache."""
 SOLVED = 1e-5
 """Tolerance of the equilibria of frames."""
-
-
-def matrix(tangent: Tangent) -> sp.csr_array:
-    """J = ∂force/∂u, rows of the interior and columns of all nodes, shape [2 I, 2 N], (NO9)."""
-    bonds = tangent.bonds
-    u = tangent.u[0].double().numpy()
-    nodes, listed, acting = len(u), len(bonds.near), bonds.acting
-    Y = bonds.xi[bonds.place] + u[bonds.far] - u[bonds.near]
-    length = np.linalg.norm(Y, axis=1)
-    M = Y / length[:, None]
-    stretching = _between(bonds.near, bonds.far, M, nodes)
-    k, p = np.indices((len(bonds.whole), len(bonds.xi))).reshape(2, -1)
-    share = tangent.share.double().numpy()[p]
-    number = bonds.number[bonds.whole].ravel()
-    average = sp.csr_array((share, (k, number)), shape=(len(bonds.whole), listed)) @ stretching
-    first = stretching[:acting]
-    rows = (2 * bonds.rows[:, None] + [0, 1]).ravel()
-    pull = first.T[rows]
-    J = pull @ (sp.diags_array(tangent.to_e.double().numpy().ravel()) @ first)
-    slopes = np.concatenate([tangent.to_own.double().numpy(), tangent.to_other.double().numpy()])
-    ends = np.tile(np.arange(acting), 2), np.concatenate([bonds.own.numpy(), bonds.other.numpy()])
-    by_theta = sp.csr_array((slopes, ends), shape=(acting, len(bonds.whole)))
-    J = J + (pull @ by_theta) @ average
-    t = tangent.tension.double().numpy().ravel() / length[:acting]
-    across = np.stack([-M[:acting, 1], M[:acting, 0]], axis=1)
-    turned = _between(bonds.near[:acting], bonds.far[:acting], across, nodes)
-    J = J + turned.T[rows] @ (sp.diags_array(t) @ turned)
-    return sp.csr_array(bonds.area * J)
-
-
-def _between(near: np.ndarray, far: np.ndarray, M: np.ndarray, nodes: int) -> sp.csr_array:
-    """Rows M·(v_far − v_near), shape [n, 2 nodes]."""
-    n = np.arange(len(near))
-    columns = np.stack([2 * near, 2 * near + 1, 2 * far, 2 * far + 1], axis=1)
-    values = np.concatenate([-M, M], axis=1)
-    given = (values.ravel(), (np.repeat(n, 4), columns.ravel()))
-    return sp.csr_array(given, shape=(len(n), 2 * nodes))
-
-
 TOLERANCE = 1e-8
 """‖force − b‖ over that of the field that the search begins with."""
 ROUNDING = 16
@@ -106,15 +65,10 @@ class EquilibriumSolver:
             raise InputError(
                 "points: expected a collar where u is given; without one it is known up to a motion"
             )
-        self.placed, self.rows = placed, placed.bonds.rows
-        linear = Linear(probed(placed), points)
+        self.placed, linear = placed, Linear(probed(placed), points)
         self.inverse = linear.cheapest_inverse(LOADS, definite=False)
         straight = lambda u: linear(u[None])[0]  # noqa: E731
         self.way = Equilibria(placed, straight, self.inverse, points.interior)
-
-    @property
-    def _rounding(self) -> float:
-        return float(ROUNDING * torch.finfo(self.placed.dtype).eps)
 
     def solve(self, b: ArrayLike, u: ArrayLike, *, tolerance: float = TOLERANCE) -> Found:
         """Where the force on the interior is b [stress/length], of shape [N, 2].
@@ -126,8 +80,7 @@ class EquilibriumSolver:
 
         Raises InputError for arrays of other shapes.
         """
-        load, field = self._checked(b, u)
-        enough = max(tolerance, self._rounding)
+        load, field, enough = self._asked(b, u, tolerance)
         found, record = self.way.solve_from(load, field, enough)
         return Found(found, record.residual, record.solves, record.residual <= enough)
 
@@ -139,21 +92,24 @@ class EquilibriumSolver:
         Arguments and errors are those of `solve`; what `u` has inside does not count. Where it is
         not found, what the solid at rest answers is returned.
         """
-        load, given = self._checked(b, u)
-        enough = max(tolerance, self._rounding)
+        load, given, enough = self._asked(b, u, tolerance)
         try:
             found, record = self.way.solve(load, given, enough)
         except InputError:
-            field = np.where(self.placed.points.interior[:, None], 0.0, given)
-            field[self.rows] = self.inverse(load - self.way.straight(field), enough)
+            inside = self.placed.points.interior
+            field = np.where(inside[:, None], 0.0, given)
+            field[inside] = self.inverse(load - self.way.straight(field), enough)
             left = np.linalg.norm(load - self.placed(field))
             return Found(field, float(left / (np.linalg.norm(load) or 1.0)), 1, False)
         return Found(found, record.residual, record.solves, True)
 
-    def _checked(self, b: ArrayLike, u: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """The load on the interior, and the field."""
+    def _asked(
+        self, b: ArrayLike, u: ArrayLike, tolerance: float
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        """The load on the interior, the field, and a residual that is small enough."""
         load, field = checked_fields(self.placed.points, b, u)
-        return load[self.rows], field
+        rounding = ROUNDING * torch.finfo(self.placed.dtype).eps
+        return load[self.placed.points.interior], field, max(tolerance, float(rounding))
 
 
 CELLS = 16
@@ -176,42 +132,28 @@ def interpolated_force(
 
     Differentiable in the material's numbers; the error falls with the square of 1/cells.
     """
-    bonds, material = placed.bonds, placed.material
+    bonds, material, size = placed.bonds, placed.material, cells + 2
     omega, share, r = placed.shares(u.dtype)
-    e, theta, M = bonds.gather(u, share)
+    every, theta, M = bonds.stretch(u, share)
     kinds = np.arange(len(bonds.xi)) if material.anisotropic else bonds.kind
-    first = torch.as_tensor(np.unique(kinds, return_index=True)[1])
-    kind = torch.as_tensor(kinds, dtype=torch.int64)
-    side = cells + 2
+    first = np.unique(kinds, return_index=True)[1]
+    kind = torch.as_tensor(kinds[bonds.place])
+    e, theta = every[:, bonds.node, bonds.place], theta[:, bonds.node]
+    furthest = e.detach().abs().amax(dim=0)
+    most = furthest.new_zeros(len(first)).scatter_reduce(0, kind, furthest, "amax")
     low, step = _range(theta.detach().abs().max(), cells, offset[0])
-    ends = []
-    for nodes, places in ((bonds.own, bonds.forward), (bonds.other, bonds.backward)):
-        ends.append((kind[places], (theta[:, nodes] - low) / step))
-    largest, most = e.detach().abs().amax(dim=0), e.new_zeros(len(first))
-    for k, _ in ends:
-        most.scatter_reduce_(0, k, largest, "amax")
     least, rise = _range(most, cells, offset[1])
-    corners = []
-    for k, x in ends:
-        y = (e - least[k]) / rise[k]
-        column, row = (part.detach().floor().clamp(0, side - 2) for part in (x, y))
-        corners.append((((k * side + row.long()) * side + column.long()), x - column, y - row))
-    wanted = torch.zeros(len(first) * side * side, dtype=torch.bool)
-    beside = (0, 1, side, side + 1)
-    for corner, _, _ in corners:
-        for shift in beside:
-            wanted[corner + shift] = True
-    place = wanted.nonzero()[:, 0]
-    k, row, column = place // side**2, place // side % side, place % side
+    n = torch.arange(size)
+    k, row, column = torch.cartesian_prod(torch.arange(len(first)), n, n).T
     state = material.force_state(
         omega[first][k], low + column * step, least[k] + row * rise[k], r[first][k]
     )
-    table = state.new_zeros(len(wanted)).index_copy(0, place, state)
-    tension = torch.zeros_like(e)
-    for corner, x, y in corners:
-        a, b, c, d = (table[corner + shift] for shift in beside)
-        tension = tension + (1 - y) * ((1 - x) * a + x * b) + y * ((1 - x) * c + x * d)
-    return bonds.scatter(M, tension)[:, bonds.rows]
+    table = state.reshape(1, 1, len(first), size, size)
+    x, y = (theta - low) / step, (e - least[kind]) / rise[kind]
+    last = torch.tensor([size - 1, size - 1, max(len(first) - 1, 1)])
+    at = 2 * torch.stack([x, y, kind.expand_as(e)], dim=-1) / last - 1
+    tension = torch.nn.functional.grid_sample(table, at[None, None], align_corners=True)
+    return placed.force_of(tension[0, 0, 0], M)
 
 
 def _range(most: torch.Tensor, cells: int, offset: float) -> tuple[torch.Tensor, torch.Tensor]:
@@ -243,7 +185,7 @@ class Placed(OperatorBase):
     def solve(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
         """Equilibrium with b on the interior, u given on the collar, shape [N, 2] or [S, N, 2].
 
-        The details of the solution are what Equilibrium.solve found of each sample. Raises
+        The details of the solution are what EquilibriumSolver found of each sample. Raises
         InputError for arrays that do not fit or are not finite, and for a sample without an
         equilibrium, naming it.
         """
@@ -274,192 +216,149 @@ class Placed(OperatorBase):
         """The numbers of the networks."""
         return tuple(self.material.parameters())
 
-    def interior_tangent(self, u: np.ndarray) -> sp.csc_array:
-        """The derivative of the force at a field, between interior nodes, sparse [2 I, 2 I]."""
-        unknown = (2 * self.bonds.rows[:, None] + [0, 1]).ravel()
-        return matrix(self.tangent(self._taken(u)))[:, unknown].tocsc()
-
     def force_torch(self, u: torch.Tensor) -> Any:
         """Forces on the interior, (NO6), differentiable in the networks' numbers too."""
         if not any(p.requires_grad for p in self.material.parameters()):
             return super().force_torch(u)
         refuse_tangents(u)
-        return on_fields(self, u, lambda fields: self._force(fields.to(self.dtype)))
+        return on_fields(self, u, lambda f: self.force_of(*self.tension(f.to(self.dtype))))
 
     def force(self, u: Any) -> np.ndarray:
         """Forces on the interior, shape [..., I, 2], (NO6)."""
-        field = self._taken(u)
         with torch.no_grad():
-            force = self._force(self._checked(field)).double().numpy()
-        return np.asarray(force.reshape(*field.shape[:-2], -1, 2))
+            force = self.force_of(*self.tension(self._taken(u)))
+        return np.reshape(force.double().numpy(), (*np.shape(u)[:-2], -1, 2))
 
-    def jvp(self, u: Any, v: Any) -> Any:
-        """Derivative of the force at u along v, both [N, 2] or [S, N, 2], or u [N, 2] alone."""
-        if isinstance(u, torch.Tensor):
-            self._checked(v, "v")
-            return self.tangent(u)(v)
-        if np.ndim(u) == 3 and np.shape(u) == np.shape(v):
-            return np.stack([self.jvp(*pair) for pair in zip(u, v)])
-        with torch.no_grad():
-            return self.jvp(self._taken(u), self._taken(v)).double().numpy()
+    def jvp(self, u: Any, v: Any) -> np.ndarray:
+        """Derivative of the force at u along v, both [N, 2] or [S, N, 2]."""
+        pairs = zip(self._taken(u), self._taken(v, "v"), strict=True)
+        found = [self.tangent(field) @ one.double().numpy().ravel() for field, one in pairs]
+        return np.reshape(found, (*np.shape(v)[:-2], -1, 2))
 
     def vjp(self, u: Any, w: Any) -> np.ndarray:
         """The transposed product with w on the interior [..., I, 2], on all nodes [..., N, 2]."""
-        fields, seeds = (self._taken(f).reshape(-1, *np.shape(f)[-2:]) for f in (u, w))
+        seeds = plain("w", w).reshape(-1, 2 * len(self.bonds.own))
+        pairs = zip(self._taken(u), seeds, strict=True)
+        return np.reshape([self.tangent(field).T @ one for field, one in pairs], np.shape(u))
+
+    def interior_tangent(self, u: np.ndarray) -> sp.csc_array:
+        """The derivative of the force at a field, between interior nodes, sparse [2 I, 2 I]."""
+        unknown = np.repeat(self.points.interior, 2)
+        return sp.csc_array(self.tangent(self._taken(u)[0])[:, unknown])
+
+    def tangent(self, u: torch.Tensor) -> sp.csr_array:
+        """J = ∂force/∂u at one field [N, 2], interior by all nodes, sparse [2 I, 2 N] (NO9).
+
+        By the slopes of each bond's force state to its extension and its node's dilatation.
+        """
+        bonds, x = self.bonds, u.double().numpy()
         with torch.no_grad():
-            pairs = zip(fields, seeds, strict=True)
-            found = torch.stack([self.tangent(f).transposed(one) for f, one in pairs])
-        return found.double().numpy().reshape(np.shape(u))
+            omega, share, r = self.shares(u.dtype)
+            omega, theta, e, r = self.inputs(omega, *bonds.stretch(u[None], share)[1::-1], r)
+        by = theta.clone().requires_grad_(), e.clone().requires_grad_()
+        with torch.enable_grad():
+            state = self.material.force_state(omega, *by, r)
+            slopes = torch.autograd.grad(state.sum(), by)
+        t, to_theta, to_e = (one.detach().double().numpy() for one in (state, *slopes))
+        Y = bonds.xi + x[bonds.ends] - x[bonds.whole][:, None]
+        length = np.linalg.norm(Y, axis=-1)
+        forward, back, M = bonds.forward, bonds.back, Y / length[..., None]
+        own, ends = M[bonds.own], bonds.ends[bonds.own]
+        along = own[..., :, None] * own[..., None, :]
+        turning = ((t[forward] + t[back]) / length[bonds.own])[..., None, None]
+        stretching = (to_e[forward] + to_e[back])[..., None, None] - turning
+        of_bonds = stretching * along + turning * np.eye(2)
+        J = _differences(of_bonds, ends, bonds.whole[bonds.own], len(x))
+        average = (share.double().numpy()[:, None] * M)[..., None, :]
+        dilating = _differences(average, bonds.ends, bonds.whole, len(x))
+        pulls = [
+            (slope[..., None] * own)[..., None] for slope in (to_theta[forward], to_theta[back])
+        ]
+        nodes = np.concatenate([bonds.own[:, None], bonds.row[ends]], axis=1)
+        pull = np.concatenate([pulls[0].sum(axis=1, keepdims=True), pulls[1]], axis=1)
+        J = J + _assembled(pull, nodes, len(bonds.whole)) @ dilating
+        return sp.csr_array(-(self.points.spacing**2) * J)
 
     def stress(self, u: Any) -> np.ndarray:
         """First Piola–Kirchhoff stress [stress] at the interior nodes, shape [..., I, 2, 2].
 
         Half of Σ tension M ⊗ ξ over a node's bonds, (NO13); exact for uniform strain.
         """
-        bonds, field = self.bonds, np.reshape(u, (-1, *self.points.x.shape))
         with torch.no_grad():
-            tension, M = (one.double().numpy() for one in self.tension(self._taken(field)))
-        near, far = bonds.near[: bonds.acting], bonds.far[: bonds.acting]
-        xi, pull = bonds.xi[bonds.place[: bonds.acting]], tension[..., None] * M
-        part = 0.5 * bonds.area * pull[..., :, None] * xi[:, None, :]
-        whole = np.zeros((len(self.points.x), len(field), 2, 2))
-        for ends in (near, far):
-            np.add.at(whole, ends, part.swapaxes(0, 1))
-        rows = whole[bonds.rows].swapaxes(0, 1)
-        stress: np.ndarray = rows.reshape(*np.shape(u)[:-2], len(bonds.rows), 2, 2)
-        return stress
-
-    def _force(self, u: torch.Tensor) -> torch.Tensor:
-        """Forces [S, I, 2] of u [S, N, 2]."""
-        tension, M = self.tension(u)
-        return self.bonds.scatter(M, tension)[:, self.bonds.rows]
+            pull = self._pull(*self.tension(self._taken(u)))
+            xi = torch.as_tensor(self.bonds.xi, dtype=pull.dtype)
+            stress = torch.einsum("sibx,by->sixy", pull, xi)
+        size = self.points.spacing**2 / 2
+        return np.reshape(size * stress.double().numpy(), (*np.shape(u)[:-2], -1, 2, 2))
 
     def tension(self, u: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Force states of both ends of the acting bonds [stress/length³], [S, A] of u [S, N, 2],
-        and the directions of these bonds, [S, A, 2]."""
+        """Force states [stress/length³] of the bonds with an interior end, [S, A] of u [S, N, 2],
+        and the directions of those of the interior nodes, [S, I, B, 2]."""
         omega, share, r = self.shares(u.dtype)
-        e, theta, M = self.bonds.gather(u, share)
-        own, other = self.inputs(omega, theta, e, r)
-        state = self.material.force_state
-        return (state(*own) + state(*other)).reshape(len(u), -1), M
+        e, theta, M = self.bonds.stretch(u, share)
+        state = self.material.force_state(*self.inputs(omega, theta, e, r))
+        return state.reshape(len(u), -1), M
+
+    def _pull(self, tension: torch.Tensor, M: torch.Tensor) -> torch.Tensor:
+        """Force states of both ends along the bonds of the interior nodes, [S, I, B, 2]."""
+        both: torch.Tensor = tension[:, self.bonds.forward] + tension[:, self.bonds.back]
+        return both[..., None] * M
+
+    def force_of(self, tension: torch.Tensor, M: torch.Tensor) -> torch.Tensor:
+        """Forces on the interior [S, I, 2] of what `tension` gives."""
+        return -(self.points.spacing**2) * self._pull(tension, M).sum(dim=2)
 
     def shares(self, dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """ω, ω |ξ| / Σ ω |ξ|² and |ξ| of the bonds of a family, each of shape [B]."""
-        bonds = self.bonds
-        net = self.material
+        bonds, material = self.bonds, self.material
         turn = np.radians(self.points.axis or 0.0)  # directions are those of the material
         along = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
         xi = torch.as_tensor(bonds.xi @ along, dtype=dtype)
-        r = torch.as_tensor(bonds.lengths, dtype=dtype)
-        if net.anisotropic:
-            omega = net.omega(xi)
+        r = torch.as_tensor(bonds.r, dtype=dtype)
+        if material.anisotropic:
+            omega = material.omega(xi)
         else:  # one value for a class
-            kind = torch.as_tensor(bonds.kind, dtype=torch.int64)
-            first = [int(n) for n in np.unique(bonds.kind, return_index=True)[1]]
-            omega = net.omega(xi[first])[kind]
+            omega = material.omega(xi[np.unique(bonds.kind, return_index=True)[1]])[bonds.kind]
         return omega, omega * r / (omega * r**2).sum(), r
 
     def inputs(
         self, omega: torch.Tensor, theta: torch.Tensor, e: torch.Tensor, r: torch.Tensor
-    ) -> tuple[tuple[torch.Tensor, ...], tuple[torch.Tensor, ...]]:
-        """What the force state takes of either end of the acting bonds, each of shape [S A]."""
-        bonds = self.bonds
-
-        def seen(nodes: torch.Tensor, places: torch.Tensor) -> tuple[torch.Tensor, ...]:
-            parts = (omega[places], theta[:, nodes], e, r[places])
-            return tuple(part.expand_as(e).reshape(-1) for part in parts)
-
-        return seen(bonds.own, bonds.forward), seen(bonds.other, bonds.backward)
-
-    def tangent(self, u: torch.Tensor) -> Tangent:
-        """The derivative of the force at one field, shape [N, 2]."""
-        if u.dim() != 2:
-            raise InputError(f"u: expected shape {[*self.points.x.shape]}, got {[*u.shape]}")
-        return Tangent(self, self._checked(u).detach())
+    ) -> tuple[torch.Tensor, ...]:
+        """What the force state takes of the bonds with an interior end, each of shape [S A]."""
+        node, place = self.bonds.node, self.bonds.place
+        e = e[:, node, place]
+        parts = omega[place], theta[:, node], e, r[place]
+        return tuple(part.expand_as(e).reshape(-1) for part in parts)
 
     @property
     def dtype(self) -> torch.dtype:
         """The material's precision."""
         return next(self.material.parameters()).dtype
 
-    def _taken(self, u: Any) -> torch.Tensor:
-        """NumPy's field in the material's precision."""
-        return torch.as_tensor(np.ascontiguousarray(plain("u", u)), dtype=self.dtype)
-
-    def _checked(self, u: torch.Tensor, name: str = "u") -> torch.Tensor:
-        """A field of shape [S, N, 2] in the material's precision."""
-        nodes = len(self.points.x)
-        if u.dim() not in (2, 3) or u.shape[-2:] != (nodes, 2):
+    def _taken(self, u: Any, name: str = "u") -> torch.Tensor:
+        """Fields [S, N, 2] in the material's precision; InputError for other shapes."""
+        u, nodes = plain(name, u), len(self.points.x)
+        if u.ndim not in (2, 3) or u.shape[-2:] != (nodes, 2) or not len(u):
             raise InputError(
-                f"{name}: expected shape [{nodes}, 2] or [S, {nodes}, 2], got {[*u.shape]}"
+                f"{name}: expected shape [{nodes}, 2] or [S, {nodes}, 2], S ≥ 1, got {[*u.shape]}"
             )
-        if not len(u):
-            raise InputError(f"{name}: expected at least one sample, got none")
-        if u.dtype != self.dtype:
-            raise InputError(
-                f"{name}: expected {self.dtype}, the material's precision, got {u.dtype}"
-            )
-        return u.reshape(-1, nodes, 2)
+        fields = np.ascontiguousarray(u.reshape(-1, nodes, 2))
+        return torch.as_tensor(fields, dtype=self.dtype)
 
 
-class Tangent:
-    """J = ∂force/∂u at one field: products with fields and with forces, without the networks.
-
-    The slopes of every bond's force state to its extension and to the dilatations of its ends are
-    computed once; the force with these slopes in their place is torch's to differentiate.
-    """
-
-    def __init__(self, placed: Placed, u: torch.Tensor) -> None:
-        self.bonds, self.u = placed.bonds, u
-        with torch.no_grad():
-            omega, self.share, r = placed.shares(u.dtype)
-            self.e, self.theta, _ = self.bonds.gather(u, self.share)
-        both = []
-        for seen in placed.inputs(omega, self.theta, self.e, r):
-            parts = [
-                _slopes(placed.material, *part) for part in zip(*(x.split(CHUNK) for x in seen))
-            ]
-            both.append([torch.cat(part) for part in zip(*parts)])
-        (own, self.to_own, by_e), (other, self.to_other, by_far) = both
-        self.tension, self.to_e = (own + other)[None], (by_e + by_far)[None]
-
-    def _force(self, u: torch.Tensor) -> torch.Tensor:
-        """The force of force states that are linear in what they see, [S, I, 2] of [S, N, 2]."""
-        bonds = self.bonds
-        e, theta, M = bonds.gather(u, self.share)
-        theta = theta - self.theta
-        tension = self.tension + self.to_e * (e - self.e)
-        tension = (
-            tension + self.to_own * theta[:, bonds.own] + self.to_other * theta[:, bonds.other]
-        )
-        return bonds.scatter(M, tension)[:, bonds.rows]
-
-    def __call__(self, v: torch.Tensor) -> torch.Tensor:
-        """J v on the interior, shape [I, 2] or [S, I, 2], of v, shape [N, 2] or [S, N, 2]."""
-        fields = v.reshape(-1, *self.u.shape[1:])
-        with torch.enable_grad():
-            u = self.u.expand_as(fields).clone().requires_grad_()
-            force = self._force(u)
-            seed = torch.zeros_like(force, requires_grad=True)
-            (back,) = torch.autograd.grad(force, u, seed, create_graph=True)  # linear in the seed
-            (rate,) = torch.autograd.grad(back, seed, fields)
-        return rate if v.dim() == 3 else rate[0]
-
-    def transposed(self, w: torch.Tensor) -> torch.Tensor:
-        """Jᵗ w on all nodes, shape [N, 2], of w on the interior, shape [I, 2]."""
-        with torch.enable_grad():
-            u = self.u.clone().requires_grad_()
-            (back,) = torch.autograd.grad(self._force(u), u, w[None])
-        return back[0]
+def _differences(blocks: np.ndarray, ends: np.ndarray, own: np.ndarray, count: int) -> sp.csr_array:
+    """Σ over bonds of blocks [n, B, k, 2] times v_end − v_own, sparse [k n, 2 count]."""
+    blocks = np.concatenate([blocks, -blocks.sum(axis=1, keepdims=True)], axis=1)
+    return _assembled(blocks, np.column_stack([ends, own]), count)
 
 
-def _slopes(material: NeuralOperator, *seen: torch.Tensor) -> tuple[torch.Tensor, ...]:
-    """Force states of bonds and their derivatives to ϑ and e, all of shape [n]."""
-    omega, theta, e, r = seen
-    with torch.enable_grad():
-        by = theta.clone().requires_grad_(), e.clone().requires_grad_()
-        state = material.force_state(omega, *by, r)
-        return state.detach(), *torch.autograd.grad(state.sum(), by)
+def _assembled(blocks: np.ndarray, nodes: np.ndarray, count: int) -> sp.csr_array:
+    """Blocks [n, m, k, c] in the columns of nodes [n, m], sparse [k n, c count]."""
+    n, _, k, c = blocks.shape
+    row = k * np.arange(n)[:, None, None, None] + np.arange(k)[:, None]
+    column = c * nodes[..., None, None] + np.arange(c)
+    place = tuple(np.broadcast_to(one, blocks.shape).ravel() for one in (row, column))
+    return sp.csr_array((blocks.ravel(), place), shape=(k * n, c * count))
 
 
 def affine(samples: Samples, u: np.ndarray) -> np.ndarray:
@@ -476,36 +375,25 @@ SMALL = {torch.float64: 1e-8, torch.float32: 1e-5}
 
 @typed
 def evaluate(
-    material: NeuralOperator,
-    samples: Samples,
-    *,
-    solve: bool = True,
-    most: int | None = None,
-    tolerance: float | None = None,
-    progress: bool = False,
+    material: NeuralOperator, samples: Samples, *, solve: bool = True, progress: bool = False
 ) -> dict[str, Any]:
     """Errors on one set, means over samples and by sample ("samples"), relative ℓ2 norms.
 
     E_res_abs is ‖force − b‖ [stress/length], E_u the error of the displacement that is solved for
     from zero or, without loads, from the affine motion of the collar, "converged" the share of the
     samples whose equilibrium was found; an E_u is told of all, found or not. A sample without a
-    load has no E_res, and nodes that are all interior, as of a periodic sheet, have no E_u. With
-    `most`, only the first so many samples are solved.
+    load has no E_res, and nodes that are all interior, as of a periodic sheet, have no E_u.
     """
-    placed = material.on(samples.points)
-    inside = samples.interior
+    placed, inside = material.on(samples.points), samples.interior
     loads = np.zeros_like(samples.u) if samples.b is None else samples.loads
     search = EquilibriumSolver(placed) if solve and not inside.all() else None
-    enough = SMALL[placed.dtype] if tolerance is None else tolerance
+    enough = SMALL[placed.dtype]
     rows: dict[str, list[float]] = {"E_res": [], "E_res_abs": [], "E_u": [], "converged": []}
-    pairs = tqdm(list(zip(samples.u, loads)), disable=not progress, leave=False)
-    for number, (u, b) in enumerate(pairs):
-        with torch.no_grad():
-            miss = float(np.linalg.norm(placed(u) - b[inside]))
-        size = float(np.linalg.norm(b[inside]))
-        rows["E_res_abs"].append(miss)
-        rows["E_res"].append(miss / size if size else np.nan)
-        if search is not None and (most is None or number < most):
+    for u, b in tqdm(list(zip(samples.u, loads)), disable=not progress, leave=False):
+        miss, size = (np.linalg.norm(f) for f in (placed.force(u) - b[inside], b[inside]))
+        rows["E_res_abs"].append(float(miss))
+        rows["E_res"].append(float(miss / size) if size else np.nan)
+        if search is not None:
             if samples.b is None:
                 found = search.solve(b, affine(samples, u), tolerance=enough)
             else:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import math
 import os
-import pickle
 import time
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from scipy.sparse.linalg import SuperLU, splu
 from tqdm import tqdm
 
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import whole_file
+from warp_peri.files.atomic import ArrayFile
 from warp_peri.files.checkpoint import fingerprint
 from warp_peri.neural.placed import (
     CELLS,
@@ -50,9 +49,9 @@ class Frames:
         self.samples, self.material = samples, material
         self.placed = material.on(samples.points)
         self.u = torch.as_tensor(samples.u, dtype=self.placed.dtype)
-        self.rows, self.search = self.placed.bonds.rows, EquilibriumSolver(self.placed)
+        self.inside, self.search = samples.interior, EquilibriumSolver(self.placed)
         self.start = np.stack([affine(samples, u) for u in samples.u])
-        self.seen = samples.u[:, self.rows]
+        self.seen = samples.u[:, self.inside]
         self.sizes = np.linalg.norm(self.seen.reshape(len(self.seen), -1), axis=1)
         if not (self.sizes > 0).all():
             raise InputError("u: expected every frame displaced inside; (NO8) divides by it")
@@ -84,32 +83,28 @@ class Frames:
         for weight, n, left in zip(weights, chosen, force.detach().double().numpy()):
             move = -self.factors[n].solve(left.ravel()).reshape(-1, 2)
             moved = self.state[n].copy()
-            moved[self.rows] += move
+            moved[self.inside] += move
             errors.append(self._error(n, moved))
             if np.linalg.norm(move) > FARTHEST * self.sizes[n] or errors[-1] == 0:
                 continue
             self.state[n] = moved
-            slope = (moved[self.rows] - self.seen[n]) / (errors[-1] * self.sizes[n] ** 2)
+            slope = (moved[self.inside] - self.seen[n]) / (errors[-1] * self.sizes[n] ** 2)
             weight[:] = -self.factors[n].solve(slope.ravel(), trans="T").reshape(-1, 2)
         (force * torch.as_tensor(weights / len(chosen), dtype=force.dtype)).sum().backward()
         return torch.tensor(errors)
 
-    def content(self) -> dict[str, Any]:
-        """What a training goes on from."""
-        return {"state": torch.as_tensor(self.state), "numbers": self.numbers}
-
-    def resume(self, content: dict[str, Any]) -> None:
+    def resume(self, state: torch.Tensor, numbers: dict[str, torch.Tensor]) -> None:
         """Equilibria and factors as they were; the material's numbers are those of the factors."""
-        self.material.load_state_dict(content["numbers"])
+        self.material.load_state_dict(numbers)
         self.renew()
-        self.state = content["state"].numpy().copy()
+        self.state = state.numpy().copy()
 
     def _found(self, n: int) -> Found:
         start = self.start[n]
         return self.search.solve(np.zeros_like(start), start, tolerance=SOLVED)
 
     def _error(self, n: int, u: np.ndarray) -> float:
-        return float(np.linalg.norm(u[self.rows] - self.seen[n]) / self.sizes[n])
+        return float(np.linalg.norm(u[self.inside] - self.seen[n]) / self.sizes[n])
 
 
 FIRST = 7
@@ -179,26 +174,14 @@ class _Loads:
             force = interpolated_force(self.placed, u, cells=cells, offset=offset)
         else:
             force = self.placed(u)
-        return relative(force, self.b[some])
+        left, b = force - self.b[some], self.b[some]
+        return torch.linalg.vector_norm(left, dim=(1, 2)) / torch.linalg.vector_norm(b, dim=(1, 2))
 
     def learn(self, some: torch.Tensor, cells: int, offset: tuple[float, float]) -> torch.Tensor:
         """The errors, with gradients of their mean added to the material's."""
         errors = self.errors(some, cells, offset)
         errors.mean().backward()
         return errors.detach()
-
-
-def relative(force: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    """‖force − b‖ / ‖b‖, shape [S]."""
-    errors: torch.Tensor = (force - b).flatten(1).norm(dim=1) / b.flatten(1).norm(dim=1)
-    return errors
-
-
-def _taken(material: NeuralOperator, samples: Samples) -> _Loads | Frames:
-    """Samples by what is known of them."""
-    if not len(samples):
-        raise InputError("samples: expected at least one, got none")
-    return _Loads(material, samples) if samples.b is not None else Frames(material, samples)
 
 
 @dataclass(frozen=True)
@@ -238,15 +221,16 @@ def train(
     Raises InputError for no samples, a sample of zero load among loads, or at rest among frames,
     loads in one set alone, a checkpoint of other settings or samples, and a training that diverges.
     """
-    for name, part in (("samples", samples), ("validation", val)):
-        if not isinstance(part, Samples):
-            raise InputError(f"{name}: expected Samples, got {type(part).__name__}")
+    if not (len(samples) and len(val)):
+        raise InputError("samples: expected at least one, got none")
     if (samples.b is None) != (val.b is None):
         asked = "no loads" if samples.b is None else "loads"
         raise InputError(f"validation: expected {asked}, as the training samples have")
-    learned, unseen = _taken(material, samples), _taken(material, val)
+    kind = Frames if samples.b is None else _Loads
+    learned, unseen = kind(material, samples), kind(material, val)
     run = _Run(material, learned, unseen, training)
-    run.resume(checkpoint)
+    file = ArrayFile(checkpoint, run.key(), "another training: other settings, samples or start")
+    run.resume(file)
     every = torch.arange(len(unseen.u))
     began, spent, saved = time.perf_counter(), run.history.seconds, time.perf_counter()
     bar = tqdm(
@@ -263,7 +247,7 @@ def train(
             run.look(error, other)
             bar.set_postfix(train=f"{100 * error:.2f} %", val=f"{100 * other:.2f} %")
         if checkpoint is not None and (last or time.perf_counter() - saved > SAVED):
-            run.save(checkpoint)
+            run.save(file)
             saved = time.perf_counter()
     bar.close()
     if not run.kept:
@@ -289,7 +273,7 @@ class _Run:
         self.adam = torch.optim.Adam(material.parameters(), lr=training.rate)
         self.random = torch.Generator().manual_seed(training.seed)
         self.history, self.least = TrainingHistory(), math.inf
-        self.begun = fingerprint(material.state_dict(), material.scale)[:16]
+        self.begun = fingerprint(material.state_dict(), material.scale)
         self.kept: dict[str, torch.Tensor] = {}
         if isinstance(learned, _Loads):
             with torch.no_grad():
@@ -320,67 +304,44 @@ class _Run:
             self.least, self.history.best = error + other, self.history.epochs
             self.kept = {key: part.clone() for key, part in self.material.state_dict().items()}
 
-    def settings(self) -> dict[str, Any]:
-        """What a checkpoint must have been written with: all but how many epochs are asked for."""
+    def key(self) -> str:
+        """What a checkpoint must be of: all but how many epochs are asked for."""
         known = {**asdict(self.training), **self.material.content()}
-        for key in ("epochs", "provenance", "scale"):
-            del known[key]
-        precision = str(self.learned.u.dtype)
-        sets = {"samples": self.learned.samples, "validation": self.unseen.samples}
-        seen = {name: fingerprint(samples)[:16] for name, samples in sets.items()}
-        return known | {"precision": precision, **seen, "first numbers": self.begun}
+        for name in ("epochs", "provenance", "scale"):
+            del known[name]
+        return fingerprint(known, self.learned.samples, self.unseen.samples, self.begun)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, file: ArrayFile) -> None:
         """Everything that is needed to go on."""
-        state = {
-            "settings": self.settings(),
-            "scale": self.material.scale,
-            "material": self.material.state_dict(),
-            "adam": self.adam.state_dict(),
-            "random": self.random.get_state(),
-            "history": asdict(self.history),
-            "least": self.least,
-            "kept": self.kept,
-        }
+        state: dict[str, Any] = {"scale": self.material.scale, "adam": self.adam.state_dict()}
+        state |= {"material": self.material.state_dict()}
+        state |= {"random": self.random.get_state(), "history": asdict(self.history)}
+        state |= {"least": self.least, "kept": self.kept}
         if isinstance(self.learned, Frames):
-            state["frames"] = self.learned.content()
-        state["mark"] = fingerprint(state)
-        with whole_file(path) as temporary:
-            torch.save(state, temporary)
+            state["frames"] = torch.as_tensor(self.learned.state), self.learned.numbers
+        torch.save(state, stream := io.BytesIO())
+        file.write({"state": np.frombuffer(stream.getvalue(), np.uint8)})
 
-    def resume(self, path: str | os.PathLike[str] | None) -> None:
+    def resume(self, file: ArrayFile) -> None:
         """Go on from a checkpoint, where there is one."""
-        if path is None or not Path(path).exists():
+        state = file.read(
+            lambda held: torch.load(io.BytesIO(held["state"].tobytes()), weights_only=True)
+        )
+        if state is None:
             return
-        try:
-            state = torch.load(path, weights_only=True)
-            mark, theirs = state.pop("mark"), dict(state["settings"])
-        except (OSError, RuntimeError, pickle.UnpicklingError, EOFError) as error:
-            raise InputError(f"{path}: expected a checkpoint of a training ({error})") from None
-        except (AttributeError, KeyError, TypeError, ValueError, IndexError):
-            raise InputError(f"{path}: expected a checkpoint of a training") from None
-        for key, value in self.settings().items():
-            if theirs.get(key) != value:
-                raise InputError(
-                    f"{path}: the checkpoint has {key} {theirs.get(key)!r}, expected {value!r}"
-                )
-        if mark != fingerprint(state):
-            raise InputError(f"{path}: the contents are not what was written")
         history = state["history"]
         if history["epochs"] > self.training.epochs:
             raise InputError(
-                f"{path}: expected at least its {history['epochs']} epochs, got "
+                f"{file.path}: expected at least its {history['epochs']} epochs, got "
                 f"{self.training.epochs}; name another file for a shorter training"
             )
         if isinstance(self.learned, Frames):
-            self.learned.resume(state["frames"])
+            self.learned.resume(*state["frames"])
         self.material.load_state_dict(state["material"])
         self.adam.load_state_dict(state["adam"])
         self.random.set_state(state["random"])
-        self.material.scale, self.least, self.kept = (
-            state[key] for key in ("scale", "least", "kept")
-        )
-        self.history = TrainingHistory(**{**history, "curve": [tuple(c) for c in history["curve"]]})
+        self.material.scale, self.least, self.kept = map(state.get, ("scale", "least", "kept"))
+        self.history = TrainingHistory(**history)
 
 
 def _share(epoch: int, epochs: int) -> float:

@@ -17,9 +17,9 @@ from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import parsed, plain, whole_file
 from warp_peri.files.foreign import check_hdf5
 from warp_peri.points.arguments import Positive, typed
-from warp_peri.points.arrays import check_mapping, is_name, is_number
+from warp_peri.points.arrays import is_name, is_number
 from warp_peri.points.points import Points
-from warp_peri.points.samples import FIELDS, Samples
+from warp_peri.points.samples import FIELDS, WAVE_VECTOR, Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units, factors, symbols
 from warp_peri.reprs import Shown
 
@@ -49,7 +49,6 @@ class Dataset(Shown):
 
     def __post_init__(self) -> None:
         _written(self.provenance)
-        check_mapping("sets", self.sets)
         if not self.sets:
             raise InputError("expected at least one point set, got none")
         for name, samples in self.sets.items():
@@ -58,11 +57,8 @@ class Dataset(Shown):
             if not isinstance(samples, Samples):
                 raise InputError(f"{name}: expected Samples, got {type(samples).__name__}")
         if len({samples.points.units for samples in self.sets.values()}) > 1:
-            named = ", ".join(
-                f"{name} in {' and '.join(samples.points.units)}"
-                for name, samples in self.sets.items()
-            )
-            raise InputError(f"units: expected the same for all sets, got {named}")
+            named = [f"{n} in {' and '.join(s.points.units)}" for n, s in self.sets.items()]
+            raise InputError(f"units: expected the same for all sets, got {', '.join(named)}")
 
     @property
     def units(self) -> Units:
@@ -109,10 +105,9 @@ class Dataset(Shown):
         Loads are per volume: they go as one over the thickness, and with them all moduli of a fit.
         """
         wide = self.thickness if thickness is None else thickness
+        share = self.thickness / wide
         sets = {
-            name: one
-            if one.b is None
-            else dataclasses.replace(one, b=one.b * (self.thickness / wide))
+            name: one if one.b is None else dataclasses.replace(one, b=one.b * share)
             for name, one in self.sets.items()
         }
         heavy = self.density if density is None else density
@@ -121,10 +116,8 @@ class Dataset(Shown):
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value, the sets one after the other."""
         length = symbols(self.units)[0]
-        rows = [
-            ("thickness", f"{self.thickness:g} {length}"),
-            ("density", f"{self.density:g} kg/m³"),
-        ]
+        rows = [("thickness", f"{self.thickness:g} {length}")]
+        rows.append(("density", f"{self.density:g} kg/m³"))
         for name, samples in self.sets.items():
             (_, count), (_, nodes), *_ = samples.rows()
             rows.append((name, f"{count} samples on nodes: {nodes}"))
@@ -132,41 +125,33 @@ class Dataset(Shown):
 
 
 def converted(dataset: Dataset, want: Units) -> Dataset:
-    """The data set with its numbers in other units.
-
-    x, u, spacings, boxes and the thickness are lengths, b a stress over a length, wave vectors one
-    over a length; other arrays and the mass density stay as they are.
+    """The data set with its numbers in other units; the mass density stays as it is.
 
     Raises InputError for units that are not known, or that no factor leads to.
     """
-    want = check_units(want)
-    if dataset.units == want:
-        return dataset
-    length, stress = factors(dataset.units, want)
-    sets = {name: in_units_of(scaled(dataset[name], length, stress), want) for name in dataset}
+    length, _ = factors(dataset.units, want)
+    sets = {name: in_units(dataset[name], want) for name in dataset}
     return dataclasses.replace(dataset, sets=sets, thickness=dataset.thickness * length)
 
 
-def in_units_of(samples: Samples, units: Units) -> Samples:
-    """The samples, whose numbers are in these units, with their names."""
-    points = dataclasses.replace(samples.points, units=check_units(units))
-    return dataclasses.replace(samples, points=points)
+def in_units(samples: Samples, want: Units) -> Samples:
+    """Samples with their numbers in other units.
 
-
-def scaled(samples: Samples, length: float, stress: float) -> Samples:
-    """Samples with every length and every stress multiplied by a factor."""
-    if length == stress == 1.0:
+    x, u, spacing and box are lengths, b a stress over a length, wave vectors one over a length;
+    other arrays stay as they are.
+    """
+    points, want = samples.points, check_units(want)
+    if points.units == want:
         return samples
-    points = samples.points
+    length, stress = factors(points.units, want)
     box = None if points.box is None else tuple(side * length for side in points.box)
-    moved: dict[str, Any] = {"x": points.x * length, "spacing": points.spacing * length, "box": box}
-    arrays = {
-        key: value / length if key == "wave_vector" else value
-        for key, value in samples.arrays.items()
-    }
+    sizes: dict[str, Any] = {"x": points.x * length, "spacing": points.spacing * length}
+    points = dataclasses.replace(points, **sizes, box=box, units=want)
+    arrays = dict(samples.arrays)
+    if WAVE_VECTOR in arrays:
+        arrays[WAVE_VECTOR] = arrays[WAVE_VECTOR] / length
     b = None if samples.b is None else samples.b * (stress / length)
-    points = dataclasses.replace(points, **moved)
-    return dataclasses.replace(samples, points=points, u=samples.u * length, b=b, arrays=arrays)
+    return Samples(points, samples.u * length, b, arrays)
 
 
 FORMAT, VERSION = "warp_peri.dataset", 1
@@ -182,36 +167,19 @@ def _written(provenance: Any) -> str:
         raise InputError(f"provenance: expected plain JSON values ({error})") from None
 
 
-def save_dataset(
-    path: str | os.PathLike[str], dataset: Dataset, *, units: Units | None = None
-) -> None:
-    """Write `dataset` to an HDF5 file, whole or not at all.
-
-    The file carries the units of the data by name. `units`, as ("nm", "GPa"), names them where the
-    points do not: the numbers are written as they are.
+def save_dataset(path: str | os.PathLike[str], dataset: Dataset) -> None:
+    """Write `dataset` to an HDF5 file, whole or not at all, with the units of the data by name.
 
     In a layout whose structure is checksummed (HDF5 1.10) and with strings of fixed length, since
     the HDF5 library can hang on a damaged heap of strings; the contents are hashed.
-
-    Raises InputError for units that are not known.
     """
-    if units is not None:
-        sets = {name: in_units_of(dataset[name], units) for name in dataset}
-        dataset = dataclasses.replace(dataset, sets=sets)
     length, stress = dataset.units
-    provenance = _written(dataset.provenance)
-    attributes = {
-        "format": FORMAT,
-        "version": VERSION,
-        "length_unit": length,
-        "stress_unit": stress,
-    }
+    attributes = {"format": FORMAT, "version": VERSION}
+    attributes |= {"length_unit": length, "stress_unit": stress}
     attributes |= {"thickness": float(dataset.thickness), "density": float(dataset.density)}
-    attributes |= {"provenance": provenance, "sha256": content_hash(dataset)}
-    with (
-        whole_file(path) as temporary,
-        h5py.File(temporary, "w", libver=LAYOUT, locking=False) as file,
-    ):
+    attributes |= {"provenance": _written(dataset.provenance), "sha256": content_hash(dataset)}
+    how: Any = {"libver": LAYOUT, "locking": False}
+    with whole_file(path) as temporary, h5py.File(temporary, "w", **how) as file:
         _write(file.attrs, attributes)
         for name, samples in dataset.sets.items():
             group = file.create_group(name)
@@ -327,28 +295,19 @@ def _read(file: h5py.File) -> Dataset:
 
 
 def _read_points(group: h5py.Group, units: Units) -> Samples:
-    items = dict(group.items())
-    missing = [key for key in _NEEDED if not isinstance(items.get(key), h5py.Dataset)]
+    missing = [key for key in _NEEDED if not isinstance(group.get(key), h5py.Dataset)]
     if missing:
         raise InputError(f"arrays missing: {', '.join(missing)}")
-    for key, item in items.items():
+    arrays: dict[str, Any] = dict.fromkeys(FIELDS)
+    for key, item in group.items():
         if not isinstance(item, h5py.Dataset):
             raise InputError(f"{key}: expected an array")
-    fields: dict[str, Any] = {key: group[key][()] if key in items else None for key in FIELDS}
-    extra = {}
-    for key in sorted(set(items) - set(FIELDS)):
-        text = h5py.check_string_dtype(items[key].dtype) is not None
-        extra[key] = items[key].asstr()[:] if text else items[key][()]
-    points = Points(
-        fields["x"],
-        fields["interior"],
-        _attribute(group.attrs, "spacing"),
-        box=group.attrs.get("box"),
-        outside=fields["outside"],
-        units=units,
-        axis=group.attrs.get("axis"),
-    )
-    return Samples(points, fields["u"], fields["b"], extra)
+        arrays[key] = item.asstr()[:] if h5py.check_string_dtype(item.dtype) else item[()]
+    x, u, b, interior, outside = (arrays.pop(key) for key in FIELDS)
+    said = {"box": group.attrs.get("box"), "axis": group.attrs.get("axis")}
+    spacing = _attribute(group.attrs, "spacing")
+    points = Points(x, interior, spacing, outside=outside, units=units, **said)
+    return Samples(points, u, b, arrays)
 
 
 def _text(value: Any) -> Any:

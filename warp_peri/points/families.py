@@ -13,6 +13,7 @@ from scipy.ndimage import distance_transform_edt
 from warp_peri.errors import InputError
 from warp_peri.kernels import neighbours as kernels
 from warp_peri.points import scattered
+from warp_peri.points.arrays import listed
 from warp_peri.points.lattice import neighbour_table
 from warp_peri.points.quadrature import DEGREE, quadrature_weights
 from warp_peri.points.samples import PointsLike, nodes_of
@@ -188,17 +189,8 @@ def families_of(
     needed = interior if bond_based else interior | _any_neighbour(row, neighbour, interior)
     if (lacking & needed).any():
         short = lacking if bond_based else lacking | _any_neighbour(row, neighbour, lacking)
-        length, fits = symbols(nodes_of(points).units)[0], ""
-        if classes is not None and not bond_based:
-            steps = math.floor(100 * carried_horizon(points) / points.spacing) / 100
-            fits = f"; {steps * points.spacing:g} {length} fits"
-            if steps < 2:
-                fits = f"; no horizon of two spacings or more fits. {AT_EDGES}"
-        raise InputError(
-            f"{BOND_COLLAR if bond_based else COLLAR}: {np.count_nonzero(short & interior)} of "
-            f"{np.count_nonzero(interior)} have not at horizon {horizon:g} {length}{fits} "
-            f"(nodes {scattered.listed(np.flatnonzero(short & interior))})"
-        )
+        on_lattice = classes is not None and not bond_based
+        raise InputError(_lacking_collar(points, horizon, short, bond_based, on_lattice))
     whole, cut = np.flatnonzero(needed & ~has_broken), np.flatnonzero(needed & has_broken)
     nodes = np.flatnonzero(interior), whole, cut
     if classes is None:
@@ -232,11 +224,27 @@ def _lattice_table(points: PointsLike, classes: BondClasses) -> tuple[np.ndarray
 def _any_neighbour(row: np.ndarray, neighbour: np.ndarray, flag: np.ndarray) -> np.ndarray:
     """Nodes with an unbroken bond to a flagged node."""
     reached = zeros(len(flag), dtype=wp.int32)
-    launch_slices(
-        kernels.any_neighbour, len(flag), (ints(row), ints(neighbour), ints(flag)), (reached,)
+    inputs = ints(row), ints(neighbour), ints(flag)
+    launch_slices(kernels.any_neighbour, len(flag), inputs, (reached,))
+    return np.asarray(reached.numpy() > 0)
+
+
+def _lacking_collar(
+    points: PointsLike, horizon: float, short: np.ndarray, bond_based: bool, on_lattice: bool
+) -> str:
+    """What is said of interior nodes that are short of a collar, with a horizon that fits."""
+    length, fits = symbols(nodes_of(points).units)[0], ""
+    if on_lattice:
+        steps = math.floor(100 * carried_horizon(points) / points.spacing) / 100
+        fits = f"; {steps * points.spacing:g} {length} fits"
+        if steps < 2:
+            fits = f"; no horizon of two spacings or more fits. {AT_EDGES}"
+    lacking = np.flatnonzero(short & points.interior)
+    return (
+        f"{BOND_COLLAR if bond_based else COLLAR}: {len(lacking)} of "
+        f"{np.count_nonzero(points.interior)} have not at horizon {horizon:g} {length}{fits} "
+        f"(nodes {listed(lacking)})"
     )
-    flagged: np.ndarray = reached.numpy() > 0
-    return flagged
 
 
 def carried_horizon(points: PointsLike) -> float:

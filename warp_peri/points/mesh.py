@@ -102,16 +102,6 @@ class Mesh:
         return 3 if np.shape(self.x)[1:] == (3,) else 2
 
     @property
-    def triangles(self) -> np.ndarray:
-        """The cells of a mesh in the plane."""
-        return self.cells
-
-    @property
-    def edges(self) -> np.ndarray:
-        """The outline of a mesh in the plane, its `faces`."""
-        return self.faces
-
-    @property
     def hole_sizes(self) -> np.ndarray:
         """Smallest side of the box around each hole or cavity [length], shape [holes]."""
         pairs = np.concatenate([self.faces[:, [a, a - 1]] for a in range(self.dimension)])
@@ -171,7 +161,7 @@ def make_mesh(
     parts, middle = parts or {}, middle or {}
     x = checked("x", x, shape=("P", 3 if np.shape(x)[1:] == (3,) else 2))
     d = x.shape[1]
-    name, measure, facet, whole = KINDS[d]
+    name, measure, _, whole = KINDS[d]
     t = checked(name, cells, int, ("T", d + 1))
     if not len(t):
         raise InputError(f"{name}: expected some, got none")
@@ -189,6 +179,24 @@ def make_mesh(
     x, t = x[used[first]], number[at].reshape(-1, d + 1)
     if d == 2:
         t = np.where((size < 0)[:, None], t[:, ::-1], t)
+    faces = _outline(x, t)
+    kept = {n: checked(f"part '{n}'", part, int) for n, part in parts.items() if np.size(part)}
+    kept = {n: new[np.clip(part, -1, len(new) - 1)] for n, part in kept.items()}
+    bent = {tuple(np.sort(new[[*pair]]).tolist()): point for pair, point in middle.items()}
+    ends = faces if d == 2 else np.array([*bent], dtype=int).reshape(-1, 2)
+    halves = x[ends].mean(axis=1)
+    for n, (a, b) in enumerate(np.sort(ends, axis=1).tolist()):
+        halves[n] = bent.get((a, b), halves[n])
+    return Mesh(x, t, faces, halves, _named(faces, kept, whole, inner), ends)
+
+
+def _outline(x: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Edges of the outline, or faces of the surface, of cells t, with the body on their left.
+
+    Raises InputError for cells that overlap, or do not share whole facets.
+    """
+    d = x.shape[1]
+    name, _, facet, _ = KINDS[d]
     every, keys, back, count = _facets(t)
     if count.max() > 2:
         raise InputError(f"{name}: expected one or two at each {facet}, some {facet} has more")
@@ -204,14 +212,7 @@ def make_mesh(
     if d == 3:
         faces = np.where(side[rows, None] > 0, faces[:, [0, 2, 1]], faces)
     _refuse_covered(x, t, faces, across[rows])
-    kept = {n: checked(f"part '{n}'", part, int) for n, part in parts.items() if np.size(part)}
-    kept = {n: new[np.clip(part, -1, len(new) - 1)] for n, part in kept.items()}
-    bent = {tuple(np.sort(new[[*pair]]).tolist()): point for pair, point in middle.items()}
-    ends = faces if d == 2 else np.array([*bent], dtype=int).reshape(-1, 2)
-    halves = x[ends].mean(axis=1)
-    for n, (a, b) in enumerate(np.sort(ends, axis=1).tolist()):
-        halves[n] = bent.get((a, b), halves[n])
-    return Mesh(x, t, faces, halves, _named(faces, kept, whole, inner), ends)
+    return faces
 
 
 def check_numbers(name: str, numbers: np.ndarray, count: int, what: str = "corners") -> None:
@@ -306,21 +307,19 @@ class Finder:
         self.first = corners[:, 0]
         self.inverse = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
         self.middle = corners.mean(axis=1)
-        size = np.linalg.norm(corners - self.middle[:, None], axis=2).max(axis=1) * (1 + WITHIN)
-        rank = np.ceil(2 * np.log2(size)).astype(int)
-        self.classes = [(2.0 ** (n / 2), np.flatnonzero(rank == n)) for n in np.unique(rank)]
+        size = np.linalg.norm(corners - self.middle[:, None], axis=2).max(axis=1)
+        self.size = size * (1 + WITHIN)
 
     def holding(self, x: np.ndarray, depth: float = -WITHIN) -> np.ndarray:
         """Number of a cell that holds each position so deep in its own coordinates, or −1."""
         found, points = np.full(len(x), -1), cKDTree(x)
-        for size, some in self.classes:  # a cell is asked for what lies as near as its own corners
-            for part in np.array_split(some, len(some) // ASKED + 1):
-                near = points.query_ball_point(self.middle[part], size)
-                cell = np.repeat(part, [len(n) for n in near])
-                n = np.concatenate(near).astype(int)
-                own = np.einsum("nij,nj->ni", self.inverse[cell], x[n] - self.first[cell])
-                held = np.minimum(own.min(axis=1), 1 - own.sum(axis=1)) >= depth
-                found[n[held]] = cell[held]
+        for part in np.array_split(np.arange(len(self.size)), len(self.size) // ASKED + 1):
+            near = points.query_ball_point(self.middle[part], self.size[part])
+            cell = np.repeat(part, [len(n) for n in near])
+            n = np.concatenate(near).astype(int)
+            own = np.einsum("nij,nj->ni", self.inverse[cell], x[n] - self.first[cell])
+            held = np.minimum(own.min(axis=1), 1 - own.sum(axis=1)) >= depth
+            found[n[held]] = cell[held]
         return found
 
 
@@ -363,20 +362,15 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh:
         )
     try:
         if form == "abaqus":
-            read: Any = read_abaqus(content(path).decode("utf-8", "replace"))
-        else:
-            if form in ("vtu", "xdmf"):
-                _check_arrays(path)
-            meshio = optional("meshio", "meshio is not installed: pip install 'warp_peri[bodies]'")
-            read = meshio.read(path, file_format=form)
+            return _body_of(read_abaqus(content(path).decode("utf-8", "replace")))
+        if form in ("vtu", "xdmf"):
+            _check_arrays(path)
+        meshio = optional("meshio", "meshio is not installed: pip install 'warp_peri[bodies]'")
+        return _body_of(meshio.read(path, file_format=form))
     except InputError as error:
         raise InputError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
     except (Exception, SystemExit) as error:  # meshio leaves the program on some files
         raise InputError(f"{path}: not a mesh of {form} ({error})") from None
-    try:
-        return _body_of(read)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def _check_arrays(path: Path) -> None:
@@ -384,21 +378,14 @@ def _check_arrays(path: Path) -> None:
     check_xml(path, text := content(path))
     if path.suffix.lower() == ".vtu":
         return
-    try:
-        items = [item for item in ElementTree.fromstring(text).iter() if item.tag == "DataItem"]
-    except ElementTree.ParseError as error:
-        raise InputError(f"{path}: expected XML ({error})") from None
-    held = {(i.text or "").strip().split(":")[0] for i in items if i.get("Format") == "HDF"}
-    if any(i.get("Format") not in (None, "XML", "HDF") for i in items):
-        raise InputError(f"{path}: expected arrays in the file or in HDF5, got others")
-    for name in held:
+    items = [item for item in ElementTree.fromstring(text).iter() if item.tag == "DataItem"]
+    if any(item.get("Format") not in (None, "XML", "HDF") for item in items):
+        raise InputError("expected arrays in the file or in HDF5, got others")
+    for name in {(i.text or "").strip().split(":")[0] for i in items if i.get("Format") == "HDF"}:
         if Path(name).name != name or not (beside := path.with_name(name)).is_file():
-            raise InputError(f"{path}: expected its arrays in HDF5 beside it, got {name!r}")
-        try:
-            with h5py.File(beside, "r") as file:
-                check_hdf5(file, beside.stat().st_size)
-        except (InputError, OSError) as error:
-            raise InputError(f"{beside}: {error}") from None
+            raise InputError(f"expected its arrays in HDF5 beside it, got {name!r}")
+        with h5py.File(beside, "r") as file:
+            check_hdf5(file, beside.stat().st_size)
 
 
 def _body_of(read: Any) -> Mesh:

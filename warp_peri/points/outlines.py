@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from warp_peri.errors import InputError, optional
+from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.mesh import Mesh, make_mesh
 
 GRADING = 0.2
@@ -20,6 +21,7 @@ GRADING = 0.2
 WITHOUT = "netgen-mesher is not installed: pip install 'warp_peri[bodies]'"
 
 
+@typed
 @dataclass(frozen=True)
 class Circle:
     """A round outline.
@@ -31,12 +33,13 @@ class Circle:
         size: sides of the triangles along it [Å]; None for that of the mesh.
     """
 
-    radius: float
+    radius: Positive
     centre: tuple[float, float] = (0.0, 0.0)
     name: str = "hole"
-    size: float | None = None
+    size: Positive | None = None
 
 
+@typed
 @dataclass(frozen=True)
 class Polygon:
     """An outline of straight sides.
@@ -49,7 +52,7 @@ class Polygon:
 
     corners: tuple[tuple[float, float], ...]
     names: tuple[str, ...] = ("side",)
-    size: float | None = None
+    size: Positive | None = None
 
 
 Outline = Circle | Polygon
@@ -62,7 +65,8 @@ def box(width: float, height: float, size: float | None = None) -> Polygon:
     return Polygon(corners, ("bottom", "right", "top", "left"), size)
 
 
-def mesh_outline(outer: Outline, holes: Sequence[Outline] = (), *, size: float) -> Mesh:
+@typed
+def mesh_outline(outer: Outline, holes: Sequence[Outline] = (), *, size: Positive) -> Mesh:
     """Triangles between an outline and holes in it, the circles' edges curved.
 
     Args:
@@ -75,22 +79,11 @@ def mesh_outline(outer: Outline, holes: Sequence[Outline] = (), *, size: float) 
     """
     netgen = optional("netgen.geom2d", WITHOUT)
     outlines = (outer, *holes)
-    balls = _round("outline", outlines, size)
     geometry = netgen.SplineGeometry()
     for outline in outlines:
         _add(geometry, outline, size, inside=outline is outer)
-    return _meshed("outline", geometry, size, balls, 2)
-
-
-def _round(what: str, outlines: Sequence[Any], size: float) -> list[Any]:
-    """Circles or spheres of outlines; InputError for lengths that are none."""
-    balls = [one for one in outlines if isinstance(one, Circle | Sphere)]
-    sizes = [getattr(one, "size", None) for one in outlines]
-    lengths = [size, *(one.radius for one in balls), *(one for one in sizes if one is not None)]
-    lengths += [side for one in outlines if isinstance(one, Block) for side in one.sides]
-    if not all(np.isfinite(length) and length > 0 for length in lengths):
-        raise InputError(f"{what}: expected radii and sizes > 0, got {lengths}")
-    return balls
+    circles = [one for one in outlines if isinstance(one, Circle)]
+    return _meshed("outline", geometry, size, circles, 2)
 
 
 def _meshed(what: str, geometry: Any, size: float, balls: list[Any], d: int) -> Mesh:
@@ -149,6 +142,7 @@ ROUND = 1e-6
 """How far from a circle or a sphere, relatively, the ends of its edges may be."""
 
 
+@typed
 @dataclass(frozen=True)
 class Sphere:
     """A ball, or a round void, whose faces are curved.
@@ -160,12 +154,13 @@ class Sphere:
         size: of the faces along it [length]; None for that of the mesh.
     """
 
-    radius: float
+    radius: Positive
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
     name: str = "void"
-    size: float | None = None
+    size: Positive | None = None
 
 
+@typed
 @dataclass(frozen=True)
 class Block:
     """A block about the origin, its faces named SIDES.
@@ -177,7 +172,8 @@ class Block:
     sides: tuple[float, float, float]
 
 
-def mesh_solid(outer: Sphere | Block, voids: Sequence[Sphere] = (), *, size: float) -> Mesh:
+@typed
+def mesh_solid(outer: Sphere | Block, voids: Sequence[Sphere] = (), *, size: Positive) -> Mesh:
     """Tetrahedra between a surface and voids in it.
 
     Args:
@@ -189,12 +185,14 @@ def mesh_solid(outer: Sphere | Block, voids: Sequence[Sphere] = (), *, size: flo
     Netgen.
     """
     csg = optional("netgen.csg", WITHOUT)
-    balls = _round("solid", (outer, *voids), size)
+    balls = [one for one in (outer, *voids) if isinstance(one, Sphere)]
     solids = [
         csg.Sphere(csg.Pnt(*one.centre), one.radius).bc(one.name).maxh(float(one.size or size))
         for one in balls
     ]
     if isinstance(outer, Block):
+        if not min(outer.sides) > 0:
+            raise InputError(f"solid: expected sides > 0, got {outer.sides}")
         out = np.kron(np.eye(3), [[-1.0], [1.0]])
         half = np.array(outer.sides) / 2
         planes = [csg.Plane(csg.Pnt(*(n * half)), csg.Vec(*n)) for n in out]

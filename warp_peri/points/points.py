@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
-from warp_peri.points.arguments import Positive, typed
+from warp_peri.points.arguments import NotNegative, Positive, typed
 from warp_peri.points.arrays import check_whole, checked, is_number, listed
 from warp_peri.points.unit_names import USUAL, Units, check_units, symbols
 from warp_peri.reprs import Shown
@@ -74,7 +74,7 @@ class Points(Shown):
 
     x: np.ndarray
     interior: np.ndarray
-    spacing: float
+    spacing: NotNegative
     box: tuple[float, ...] | None = None
     outside: np.ndarray | None = None
     units: Units = USUAL
@@ -104,8 +104,6 @@ class Points(Shown):
         object.__setattr__(self, "interior", checked("interior", self.interior, bool, (n,)))
         if not self.interior.any():
             raise InputError("interior: expected at least one interior node, got none")
-        if not (is_number(self.spacing) and np.isfinite(self.spacing) and self.spacing >= 0):
-            raise InputError(f"spacing: expected a number ≥ 0, got {self.spacing!r}")
         object.__setattr__(self, "units", check_units(self.units))
         if self.box is not None:
             box = checked("box", self.box, shape=(self.dimension,))
@@ -177,10 +175,8 @@ class Points(Shown):
         """
         half = checked("lengths", lengths, float, ("d",)) / 2
 
-        def beyond(x: np.ndarray) -> np.ndarray:
-            return np.asarray((np.abs(x) - half).max(axis=1))
-
-        return cls._around(beyond, half, spacing, horizon, units=units, axis=axis)
+        away = lambda x: (np.abs(x) - half).max(axis=1)  # noqa: E731
+        return cls._around(away, half, spacing, horizon, units=units, axis=axis)
 
     @classmethod
     @typed
@@ -207,11 +203,9 @@ class Points(Shown):
         49
         """
 
-        def beyond(x: np.ndarray) -> np.ndarray:
-            return np.asarray(np.linalg.norm(x, axis=1) - radius)
-
+        away = lambda x: np.linalg.norm(x, axis=1) - radius  # noqa: E731
         half = np.full(dimension, radius)
-        return cls._around(beyond, half, spacing, horizon, units=units, axis=axis)
+        return cls._around(away, half, spacing, horizon, units=units, axis=axis)
 
     @classmethod
     def _around(

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError, warn
 from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import as_array, check_mapping, checked, is_name, is_piece
+from warp_peri.points.arrays import as_array, checked, is_name, is_piece
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import symbols
 from warp_peri.reprs import Shown
@@ -50,13 +50,10 @@ class Samples(Shown):
     arrays: dict[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.points, Points):
-            raise InputError(f"points: expected Points, got {type(self.points).__name__}")
         for name in ("u", "b") if self.b is not None else ("u",):
             count: int | str = "S" if name == "u" else len(self.u)
             field = checked(name, getattr(self, name), shape=(count, *self.x.shape))
             object.__setattr__(self, name, field)
-        check_mapping("arrays", self.arrays)
         for name, value in self.arrays.items():
             if name in FIELDS or not is_name(name):
                 raise InputError(f"arrays: {name!r} cannot be the name of an array")

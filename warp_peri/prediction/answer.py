@@ -38,7 +38,6 @@ class ErrorBound(Shown):
         relative: the same over ‖u‖_L.
         contraction: q of the fixed point; 0 of a linear member.
         largest_gradient: bound of |H| of u_rich, below the proven strain.
-        without_solve: the same bound as `energy` from the certificate and the residual alone.
         displacement: bound of ‖u_rich − u‖₂ over ‖u‖₂.
         statement: in one sentence.
     """
@@ -47,7 +46,6 @@ class ErrorBound(Shown):
     relative: float
     contraction: float
     largest_gradient: float
-    without_solve: float
     displacement: float
     statement: str
 
@@ -80,7 +78,7 @@ def guarantee(placed: EnsembleOperator, load: np.ndarray, u: np.ndarray) -> Erro
     rest = r - le
     # r·L⁻¹r = e·Le + 2 e·rest + rest·L⁻¹rest, and L ≥ smallest
     square = np.vdot(e, le) + 2 * np.vdot(e, rest) + np.vdot(rest, rest) / smallest
-    size, without = float(np.sqrt(max(square, 0.0))), norm(r) / float(np.sqrt(smallest))
+    size = float(np.sqrt(max(square, 0.0)))
     q, largest = 0.0, 0.0
     if placed.nonlinear:
         found = contraction(operator.model, float(operator.largest_gradient(u)), size)
@@ -95,7 +93,7 @@ def guarantee(placed: EnsembleOperator, load: np.ndarray, u: np.ndarray) -> Erro
         "norm, the root of twice the strain energy of their difference over that of the answer"
         + (f", and no other has |H| ≤ {largest:.2%}." if placed.nonlinear else ".")
     )
-    return ErrorBound(bound, relative, q, largest, without / (1 - q), moved, words)
+    return ErrorBound(bound, relative, q, largest, moved, words)
 
 
 def contraction(model: Any, gradient: float, size: float) -> tuple[float, float] | None:
@@ -135,7 +133,7 @@ WORDS = {
     "waves": "waves",
     "data": "data",
     "strain": "strain beyond third order",
-    "axis": "the direction of the crystal, which is not stated, or not that of the data",
+    "axis": "the direction of the crystal, which is not stated",
     "noise": "noise of what is given",
 }
 
@@ -239,15 +237,6 @@ class Prediction(Shown):
         """
         return guarantee(self.operator, self.load, self.u)
 
-    @cached_property
-    def local(self) -> float | None:
-        """What a local solid of the same long waves is off by, over u, by the answer's waves (Q10).
-
-        Of the linear part of the rich member; None but on whole lattices of one process.
-        """
-        known = self.operator.local
-        return known and known[1].of(known[0].shares(self.u))
-
     def plot(self, *, ax: Axes | None = None) -> Axes:
         """The map of the likely error over the nodes."""
         import matplotlib.pyplot as plt
@@ -272,9 +261,6 @@ class Prediction(Shown):
         if self.operator.points.axis is not None:
             rows.append(("axis", "stated, believed"))
         rows += [("not covered", one) for one in self.uncovered]
-        if (off := self.local) is not None:
-            words = "; local elements suffice" if off < self.error / 2 else ""
-            rows.append(("a local solid would be off by", f"{off:.2%}, by its waves{words}"))
         return [*rows, ("why", self.why)]
 
 

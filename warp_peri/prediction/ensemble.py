@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 import numpy as np
 
 from warp_peri.core.grid import grid_of
 from warp_peri.core.record import FieldUnits, OnLinear
-from warp_peri.errors import InputError, warn
-from warp_peri.points.arguments import typed, typed_methods
-from warp_peri.points.arrays import is_number
+from warp_peri.errors import InputError
+from warp_peri.points.arguments import NotNegative, typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import largest_strain
 from warp_peri.points.samples import PointsLike, Samples
 from warp_peri.prediction.members import (
-    HALF_PERIOD,
     KNOTS,
     EnsembleOperator,
     ErrorSpectrum,
@@ -38,11 +36,9 @@ varies little, is set higher."""
 SHRUNK, POORER = 0.8, 2 / 3
 """Horizon and degree of the second member over those of the rich one."""
 ROUNDING = 1e-12
-TURNED, SURE = 2.0, 3.0
-"""Degrees off a stated axis, and standard errors, from which the data contradict it."""
 
 
-@typed_methods
+@typed
 @dataclass(frozen=True)
 class CalibrationFactors:
     """Calibration: by how much what can be computed is multiplied, so that it is an error (Q4).
@@ -53,14 +49,9 @@ class CalibrationFactors:
         screen: of the mean gradient, for what the linear answer misses.
     """
 
-    left: float = 1.2
-    floor: float = 1.48
-    screen: float = 1.42
-
-    def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
-            if not (is_number(value) and value >= 0):
-                raise InputError(f"{name}: expected a factor ≥ 0, got {value!r:.40}")
+    left: NotNegative = 1.2
+    floor: NotNegative = 1.48
+    screen: NotNegative = 1.42
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -79,7 +70,6 @@ class EnsembleMaterial(OnLinear, format="warp_peri.family", version=2):
         temperature: [K] of the samples, where they state it.
         quadratic: of a linear rich member the constants of the forces of second order that its
             data show [stress], those of `quadratic_stresses`.
-        axis_off: degrees by which the samples' own crystal is turned from the axis they state.
         provenance: of the fit.
     """
 
@@ -91,7 +81,6 @@ class EnsembleMaterial(OnLinear, format="warp_peri.family", version=2):
     strain: float = 0.0
     temperature: float | None = None
     quadratic: Annotated[tuple[float, ...], FieldUnits(stress=1, omit=True)] = ()
-    axis_off: Annotated[float, FieldUnits(omit=True)] = 0.0
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -173,7 +162,6 @@ class Ensemble:
             (odd, even),
             strain=largest_strain(samples.points, samples.u),
             temperature=None if kelvin is None else float(np.mean(kelvin)),
-            axis_off=off_axis(fit.material, samples),
         )
         material = calibrated(family, samples, validation)
         return EnsembleFit(
@@ -235,37 +223,6 @@ def calibrated(
     left = max(quantile(rows["gone"], rows["left"], NEARLY), 1.0) if bends else least
     factors = CalibrationFactors(left=left, floor=known, screen=screen)
     return replace(bare, factors=factors, record=record)
-
-
-def off_axis(rich: Any, samples: Samples) -> float:
-    """Degrees from the axis that samples state to the one that their loads ask for, or 0 (N13).
-
-    The cubic constant's force turns with six times the axis: what it is at the stated one and a
-    quarter of a period further span all. Warns of two degrees and more that no three standard
-    errors explain.
-    """
-    points, inside = samples.points, samples.interior
-    if points.axis is None or not getattr(rich, "q3", 0.0):
-        return 0.0
-    here, quarter, half = (
-        rich.on(replace(points, axis=points.axis + turn), allow_uncertified=True)(samples.u)
-        for turn in (0.0, HALF_PERIOD / 2, HALF_PERIOD)
-    )
-    even = (here + half) / 2
-    rows = np.stack([here - even, quarter - even]).reshape(2, len(samples), -1)
-    left = (samples.loads[:, inside] - even).reshape(len(samples), -1)
-    G, h = np.einsum("asn,bsn->sab", rows, rows), np.einsum("asn,sn->sa", rows, left)
-    back = np.linalg.pinv(G.sum(axis=0))
-    found = back @ h.sum(axis=0)
-    each = (h - G @ found) @ back  # each sample's own say
-    turn = float(np.degrees(np.arctan2(found[1], found[0]))) * HALF_PERIOD / 180
-    if abs(turn) < TURNED or abs(found[1]) < SURE * np.sqrt((each[:, 1] ** 2).sum()):
-        return 0.0
-    warn(
-        f"axis: {points.axis:g}° is stated, and the data are explained best at "
-        f"{points.axis + turn:.1f}°; the difference is a part of every error"
-    )
-    return turn
 
 
 def quadratic(family: EnsembleMaterial, samples: Samples) -> tuple[float, ...]:

@@ -12,14 +12,12 @@ import scipy.fft
 import scipy.sparse as sp
 from scipy.ndimage import distance_transform_edt
 
-from warp_peri.core.elastic import acoustic
 from warp_peri.core.grid import Grid, grid_of
 from warp_peri.core.record import FieldUnits
-from warp_peri.core.stencil import directions
 from warp_peri.errors import InputError
 from warp_peri.points.lattice import largest_strain, lattice_steps
 from warp_peri.points.samples import PointsLike, nodes_of
-from warp_peri.protocols import placed, stencil_of
+from warp_peri.protocols import placed
 
 if TYPE_CHECKING:
     from warp_peri.prediction.ensemble import EnsembleMaterial
@@ -36,8 +34,6 @@ PULLED = 2.0
 BEYOND = 2.75
 """What is beyond the square of the strain may be, over what its orders go on to: no data have it.
 Chosen on 150 problems with atoms for truth (commit f35114cb)."""
-DIRECTIONS = {2: 24, 3: 60}
-"""Of waves on which a local solid is compared."""
 HALF_PERIOD = 30.0
 """Degrees between the directions of a crystal that differ most in their third-order constants."""
 
@@ -142,9 +138,8 @@ class Parts:
             "waves" by the second member, "data" by the halves. "strain" is what the orders of the
             force would go on to as a series: the nonlinear part times the gradient times BEYOND; of
             a linear member what forces of second order add. "axis" is by the crystal at its other
-            extreme, where its axis is not stated, or at the one that the family's data have, where
-            they contradict what is stated. "moduli" is the answer times the standard error of its
-            moduli, where the law's record has one; it belongs to the data.
+            extreme, where its axis is not stated. "moduli" is the answer times the standard error
+            of its moduli, where the law's record has one; it belongs to the data.
         pull: what waves and data are multiplied with: half way, in logarithms, to what the record
             says of such wavelengths (Q6).
     """
@@ -228,24 +223,6 @@ class EnsembleOperator:
             self.points, self.points.spacing * KNOTS if record is None else record.wavelength
         )
 
-    @cached_property
-    def local(self) -> tuple[Spectrum, ErrorSpectrum] | None:
-        """Waves of these nodes, and what a local solid of the rich member's long ones is off by
-        (Q10); None but on whole lattices."""
-        points, d = self.points, self.points.dimension
-        if not points.is_open_lattice:
-            return None
-        law = getattr(self.rich.model, "linear", self.rich.model)
-        stencil, _ = stencil_of(law, points.spacing, "predict")
-        along, error = directions(DIRECTIONS[d], d), []
-        local = np.linalg.inv(acoustic(stencil.brackets, along))
-        for length in KNOTS:
-            phase = 2 * np.pi / length
-            ratio = local @ stencil.symbol(phase * along) * (points.spacing / phase) ** 2
-            error.append(np.sqrt(((ratio - np.eye(d)) ** 2).sum(axis=(1, 2)).mean() / d))
-        wavelength = points.spacing * KNOTS
-        return Spectrum(points, wavelength), ErrorSpectrum(wavelength, np.array(error))
-
     def recorded(self, u: np.ndarray) -> tuple[float | None, float]:
         """The relative error that the record gives a field, None without one; and the share of its
         square that is shorter than all that the data held."""
@@ -257,13 +234,11 @@ class EnsembleOperator:
 
     @cached_property
     def turned(self) -> Any:
-        """The rich member with the crystal at its other extreme, or at the axis of the data that
-        contradict theirs; None where neither is so, or it has no axis."""
-        stated = self.points.axis
-        turn = HALF_PERIOD if stated is None else self.family.axis_off
-        if not (turn and getattr(self.rich.model, "q3", 0.0)):
+        """The rich member with the crystal at its other extreme; None where its axis is stated, or
+        it has none."""
+        if self.points.axis is not None or not getattr(self.rich.model, "q3", 0.0):
             return None
-        return self._on(self.family.rich, replace(self.points, axis=turn + (stated or 0.0)))
+        return self._on(self.family.rich, replace(self.points, axis=HALF_PERIOD))
 
     def correction(self, load: np.ndarray, u: np.ndarray) -> np.ndarray:
         """e = S (b − R u), the error and the improvement of u, shape [I, d] (Q1)."""

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import checked_fields, is_positive
+from warp_peri.points.arguments import Positive, typed
+from warp_peri.points.arrays import checked_fields
 from warp_peri.points.samples import Samples, nodes_of
 from warp_peri.prediction.answer import WORDS, Prediction, combined, said
 from warp_peri.prediction.ensemble import MOST, CalibrationFactors, EnsembleMaterial
@@ -56,7 +56,7 @@ class _Stage:
 
 @typed
 def predict(
-    material: Any, problem: Any, tolerance: float | None = 0.01, **options: Any
+    material: Any, problem: Any, tolerance: Positive | None = 0.01, **options: Any
 ) -> Prediction | tuple[Prediction, ...]:
     """The cheapest answer that keeps a tolerance, and how wrong it is.
 
@@ -79,8 +79,6 @@ def predict(
     >>> bool(wp.predict(ensemble, wp.Dirichlet(points, b[0], u[0]), tolerance=0.05).kept)
     True
     """
-    if tolerance is not None and not is_positive(tolerance):
-        raise InputError(f"tolerance: expected a fraction > 0, or None, got {tolerance!r:.40}")
     record = getattr(material, "provenance", {})
     if record.get("moduli_error") and not isinstance(material, EnsembleMaterial):
         plain = CalibrationFactors(1.0, 1.0, 0.0)
@@ -138,31 +136,31 @@ def _corrected(
     factors, first, inside = placed.family.factors, u, placed.points.interior
     told, unseen = placed.recorded(u)
     before, slowed, least, best = math.inf, 0.0, math.inf, (u, u[inside], 0)
-    added = None if placed.nonlinear else placed.bent(u)
-    bent = 0.0 if added is None else norm(added) / (norm(u[inside]) or 1.0)
+
+    def share(field: np.ndarray) -> float:
+        return norm(field) / (norm(u[inside]) or 1.0)
 
     def judged(u: np.ndarray, left: np.ndarray, done: int) -> _Stage:
         fields, size = placed.doubts(u, left, told, slowed), norm(u[inside]) or 1.0
         found = combined(fields, factors, lambda part: norm(part) / size)
-        parts = {name: float(found.get(name, 0.0)) for name in ("left", "waves", "data", "strain")}
-        parts["noise"] = noise
-        parts |= {"axis": float(found["axis"])} if "axis" in found else {}
+        names = ("left", "waves", "data", "strain", *("axis",) * ("axis" in found))
+        parts = {name: float(found.get(name, 0.0)) for name in names} | {"noise": noise}
         return _Stage(u, parts, fields, done, unseen)
 
+    added = None if placed.nonlinear else placed.bent(u)
+    bent = 0.0 if added is None else share(added)
     for done in range(MOST + 1):
-        size, left = norm(u[inside]) or 1.0, placed.correction(load, u)
-        moved = norm(left) / size
+        left = placed.correction(load, u)
+        moved, rest = share(left), math.inf  # the latter where only members know
         slowed = max(slowed, moved / before) if done == 1 else slowed
         if placed.nonlinear:
-            bent = norm((first - u)[inside] - left) / size
-        rest = math.inf  # where only members know
+            bent = share((first - u)[inside] - left)
         if told is not None and placed.turned is None:
-            series = placed.series(placed.gradient(u), slowed) * bent
             screen = {
                 "left": factors.left * moved,
                 "waves": factors.floor * told,
                 "data": placed.family.moduli_error,
-                "strain": factors.floor * series,
+                "strain": factors.floor * placed.series(placed.gradient(u), slowed) * bent,
                 "noise": noise,
             }
             rest = _rest(screen)
@@ -182,13 +180,11 @@ def _corrected(
             else:  # or what is left is not what keeps it from being kept
                 enough = stage.error <= tolerance or (floor > tolerance and done > 0)
             if enough or last:
-                missed = tolerance is None or stage.error > tolerance
-                if missed and best[2] < done:  # corrections may lead away
+                if best[2] < done and not (tolerance and stage.error <= tolerance):  # led away
                     stage = min(stage, judged(*best), key=lambda one: one.error)
                 return stage
-        u = u.copy()
+        u, before = u.copy(), moved
         u[inside] += left
-        before = moved
     raise AssertionError("the last correction ends the loop")
 
 
