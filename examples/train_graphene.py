@@ -105,10 +105,8 @@ def method_of(given: argparse.Namespace) -> Any:
 
 
 def as_printed(seed: int, checkpoint: Path | None) -> wp.methods.TwoStage:
-    """Algorithm 1: ReLU in the loss, the dense conditions (4.6), a hundred rounds."""
-    return wp.methods.TwoStage(
-        "relu", "dense", seed=seed, checkpoint=checkpoint, outer_iterations=PRINTED_ROUNDS
-    )
+    """Algorithm 1 with the printed number of rounds."""
+    return wp.methods.TwoStage(seed, checkpoint, outer_iterations=PRINTED_ROUNDS)
 
 
 def local_rows(

@@ -296,12 +296,10 @@ def fits() -> Entries:
         op.points, 3e-3 * np.array([rough(op.points, s) for s in range(8)]), 0 * given.u
     )
     noisy = wp.Samples(op.points, given.u + noise.u, given.b)
-    stages = methods.TwoStage(epochs=60, inner_epochs=30, outer_iterations=2)
     for name, law, samples, how in (
         ("LPS", wp.LPS(3.0, B(3)), given, {}),
         ("LPS, moduli held", wp.LPS(3.0, B(3), method=methods.GaussNewton("isotropic")), given, {}),
         ("LPS, normalised", wp.LPS(3.0, B(3), normalise=True), given, {}),
-        ("LPS by Algorithm 1", wp.LPS(3.0, B(3), method=stages), given, {}),
         ("LPS, corrected", wp.LPS(3.0, B(3), loss="corrected"), noisy, {"noise": noise}),
         ("LPS, output", wp.LPS(3.0, B(3), loss="output"), noisy, {"noise": noise}),
     ):

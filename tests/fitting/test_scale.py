@@ -42,7 +42,7 @@ def plain(data):
     return learned(data)
 
 
-@pytest.mark.parametrize(("length", "stress"), [(1.0, 1e-4), (1.0, 1e11), (1e-10, 1.0), (3.4, 1.0)])
+@pytest.mark.parametrize(("length", "stress"), [(1.0, 1e11), (1e-10, 1.0)])
 def test_stiffness_and_lengths_of_any_size(data, plain, length, stress, tmp_path):
     there = at_scale(data, length, stress)
     result = learned(there, length)
@@ -63,11 +63,9 @@ def test_stiffness_and_lengths_of_any_size(data, plain, length, stress, tmp_path
     assert kept == pytest.approx({"zeta": zeta, "stiffness of the data": stiffness})
 
 
-@pytest.mark.parametrize(("bounds", "conditions"), [("projected", "symbol"), ("relu", "dense")])
-@pytest.mark.parametrize(("length", "stress"), [(1.0, 3e-6), (1e6, 1.0)])
-def test_steps_that_end_on_their_way_are_those_of_any_size(bounds, conditions, length, stress):
-    small = manufactured(TRUE, lattice(5, HORIZON), 5)
-    how = TwoStage(bounds, conditions, epochs=40, inner_epochs=20, outer_iterations=2)
+def test_steps_that_end_on_their_way_are_those_of_any_size():
+    small, length, stress = manufactured(TRUE, lattice(5, HORIZON), 5), 1e6, 3e-6
+    how = TwoStage(epochs=40, inner_epochs=20, outer_iterations=2)
     pair = (small, HORIZON), (at_scale(small, length, stress), HORIZON * length)
     first, found = (
         fit(*given, Bernstein(2), progress=False, method=how).material for given in pair
@@ -76,8 +74,8 @@ def test_steps_that_end_on_their_way_are_those_of_any_size(bounds, conditions, l
     assert found.D == pytest.approx(first.D, rel=1e-9)
 
 
-@pytest.mark.parametrize("units", [("nm", "GPa"), ("sigma", "epsilon/sigma^3")])
-def test_a_fit_carries_the_units_of_its_data_and_is_held_to_them(data, plain, units):
+def test_a_fit_carries_the_units_of_its_data_and_is_held_to_them(data, plain):
+    units = ("nm", "GPa")
     there = at_scale(data, 0.1, 1000.0, units)
     result = learned(there, 0.1)
     length, stress = symbols(units)
@@ -94,9 +92,8 @@ def test_a_fit_carries_the_units_of_its_data_and_is_held_to_them(data, plain, un
             use()
     with pytest.raises(InputError, match="units: expected the same for all sets"):
         learned(data, noise=there)
-    if units == ("nm", "GPa"):
-        converted = result.material.in_units(("angstrom", "TPa"))
-        assert evaluate(converted, data)["E_u"] < 1e-4
+    converted = result.material.in_units(("angstrom", "TPa"))
+    assert evaluate(converted, data)["E_u"] < 1e-4
 
 
 def test_noise_does_not_soften_the_stiffness(data):
@@ -107,9 +104,12 @@ def test_noise_does_not_soften_the_stiffness(data):
 
 
 def test_wave_vectors_are_taken_at_any_length():
-    given = at_scale(waves(TRUE, cells=4, highest=2), 1e-10)
-    given.arrays["wave_vector"] = given.arrays["wave_vector"] * 1e10
-    assert learned(given, 1e-10, loss="output").material.mu == pytest.approx(0.7, rel=1e-4)
+    plain = waves(TRUE, cells=4, highest=2)
+    small = at_scale(plain, 1e-10)
+    small.arrays["wave_vector"] = plain.arrays["wave_vector"] * 1e10
+    here, there = learned(plain, loss="output"), learned(small, 1e-10, loss="output")
+    assert there.material.mu == pytest.approx(here.material.mu, rel=1e-9)
+    assert here.material.mu == pytest.approx(0.7, rel=1e-3)
 
 
 def test_data_that_no_solid_answers_are_refused_and_a_modulus_on_its_bound_is_told(data):

@@ -32,6 +32,10 @@ SAID = 1e-9
 """Of an inequality: what the equalities leave of it below this is rounding."""
 ELASTIC = 1e3
 """Weight of what a step misses conditions by that none meets, beside the residual."""
+ROUNDED = 1e-11
+"""Of conditions of size one, that is rounding: no step is judged by it."""
+BENDS = 3
+"""How often what bends among the conditions is taken off a step that would gain nothing."""
 DEPENDENT = 1e-10
 """Relative size of an equality that others say already."""
 
@@ -58,15 +62,16 @@ class Linearised:
     @property
     def violated(self) -> float:
         """Sum of what the conditions miss."""
-        return float(np.abs(self.equal).sum() + np.maximum(-self.margins, 0).sum())
+        missed = np.append(np.abs(self.equal), -self.margins)
+        return float(missed[missed > ROUNDED].sum())
 
 
 def settle(
-    state: Callable[[np.ndarray], Linearised], theta: np.ndarray, damping: float = DAMPING
+    state: Callable[[np.ndarray], Linearised], theta: np.ndarray
 ) -> tuple[np.ndarray, Linearised]:
     """The optimum that is reached from θ, and its state; `violated` says how far it keeps to the
-    conditions. What is linear in θ needs no damping."""
-    now, penalty = state(theta), 0.0
+    conditions."""
+    now, penalty, damping = state(theta), 0.0, DAMPING
 
     def merit(of: Linearised) -> float:
         return of.loss + penalty * of.violated
@@ -78,7 +83,9 @@ def settle(
             costs = (float(ahead @ ahead) - now.loss) / now.violated
             penalty = max(penalty, 2 * costs, now.loss)
         there = state(theta + move)
-        if not merit(now) >= merit(there):  # what bends among the conditions is taken off once
+        for _ in range(BENDS):
+            if merit(now) >= merit(there):
+                break
             bent = replace(
                 now, equal=there.equal - now.A @ move, margins=there.margins - now.M @ move
             )
@@ -94,7 +101,7 @@ def settle(
         theta, now = theta + move, there
         if small and damping <= LEAST_DAMPING:
             break
-        damping = max(damping / 10, min(LEAST_DAMPING, damping))
+        damping = LEAST_DAMPING if small else max(damping / 10, LEAST_DAMPING)
     return theta, now
 
 
@@ -103,9 +110,8 @@ def _step(now: Linearised, damping: float) -> np.ndarray:
     size = 1 / felt(np.linalg.norm(now.J, axis=0))
     J, A, M = now.J * size, now.A * size, now.M * size
     right = -now.residual
-    if damping:
-        J = np.vstack([J, np.sqrt(damping) * np.eye(J.shape[1])])
-        right = np.append(right, np.zeros(J.shape[1]))
+    J = np.vstack([J, np.sqrt(damping) * np.eye(J.shape[1])])
+    right = np.append(right, np.zeros(J.shape[1]))
     start, free = particular(A, -now.equal)
     free_M, least = M @ free, -now.margins - M @ start
     turns = np.linalg.norm(free_M, axis=1) > SAID * np.linalg.norm(M, axis=1)
@@ -283,7 +289,10 @@ def fit(
     problem = Regression(blocks, law, floor, size)
     losses, margin = [], -np.inf
     for _ in range(rounds):
-        theta = settle(problem.state, theta, 0.0 if linear else DAMPING)[0]
+        if not linear:
+            theta = settle(problem.state, theta)[0]
+        for _ in range(2 if linear else 0):  # what is linear takes one step, and digits a second
+            theta = theta + _step(problem.state(theta), 0.0)
         numbers = law(theta)
         losses.append(float(np.sum(problem.left(numbers) ** 2)))
         margin = problem.look(numbers)
@@ -336,7 +345,8 @@ class Regression:
         smallest = np.inf
         for number, form in enumerate(at.forms):
             zone = self.zones[form.block]
-            least, phase, vectors = zone.softest(form.p, form.level - MET * self.floor)
+            below, near = form.level - MET * self.floor, form.level + self.floor
+            least, phase, vectors = zone.softest(form.p, below, near)
             smallest = min(smallest, (least - form.level) / self.floor)
             if len(phase):
                 self.cuts.append((number, cut_rows(zone.bonds, phase, vectors)))
@@ -364,11 +374,18 @@ class Zone:
         line = np.linspace(-1, 1, PATCH[d])
         self.patch = np.stack(np.meshgrid(*d * [line]), axis=-1).reshape(-1, d)
 
-    def softest(self, p: np.ndarray, below: float) -> tuple[float, np.ndarray, np.ndarray]:
-        """The smallest Λmin D/s, and k h and the eigenvectors of minima below a level, [n, d]."""
+    def softest(
+        self, p: np.ndarray, below: float, near: float = np.inf
+    ) -> tuple[float, np.ndarray, np.ndarray]:
+        """The smallest Λmin D/s, and k h and the eigenvectors of minima below a level, [n, d].
+
+        Beside the lowest wave of the grid only those below `near` are looked at closer.
+        """
         tensors = np.tensordot(p[: len(self.bonds.basis)], self.bonds.basis, 1)
         value, vector = ratios(self.bonds.steps, tensors, self.phase, self.wave)
-        found = [self._zoomed(tensors, *start) for start in self._apart(value, vector)]
+        first, *others = self._apart(value, vector)
+        starts = [first, *(one for one in others if one[0] < near)]
+        found = [self._zoomed(tensors, *start) for start in starts]
         low = [one for one in found if one[0] < below]
         phase, vectors = (np.array([one[n] for one in low]) for n in (1, 2))
         return min(one[0] for one in found), phase, vectors

@@ -15,14 +15,10 @@ from warp_peri.points.arguments import Count, Natural, NotNegative, Positive, ty
 if TYPE_CHECKING:
     from warp_peri.materials.influence import InfluenceFunction
 
-LOSSES = ("auto", "residual", "corrected", "output")
-"""Losses that `fit` may be asked for."""
 HORIZONS = (10.0, 12.5, 15.0, 17.5, 20.0, 22.5, 25.0)
 """Horizons δ that `sweep` tries [Å] (You et al. 2021, section 6.2)."""
 DEGREES = (0, 5, 10, 15, 20)
 """Degrees M that `sweep` tries (You et al. 2021, section 6.2)."""
-CONDITIONS = {"direct": ("D",), "paper": ("D", "gamma", "gamma_minus_2phi")}
-"""What each choice asks for: D ≥ ζ s; with `paper` also μΓ ≥ ζ s and μ(Γ − 2φφᵗ) ≥ 0."""
 ISOTROPIC, LONG_WAVES = "isotropic", "long waves"
 SMOOTHNESS = 1e-10
 """Weight of the second differences of D beside the relative residual. It costs an ordinary fit
@@ -102,14 +98,11 @@ class GaussNewton:
     smoothness: NotNegative = SMOOTHNESS
 
     def __post_init__(self) -> None:
-        if isinstance(self.moduli, str):
-            if self.moduli not in (ISOTROPIC, LONG_WAVES):
-                raise InputError(
-                    f"moduli: expected (λ, μ), {ISOTROPIC!r} or {LONG_WAVES!r}, got {self.moduli!r}"
-                )
-        elif self.moduli is not None and not _are_moduli(self.moduli):
+        named = isinstance(self.moduli, str) and self.moduli in (ISOTROPIC, LONG_WAVES)
+        if not (self.moduli is None or named or _are_moduli(self.moduli)):
             raise InputError(
-                f"moduli: expected (λ, μ) with μ > 0, λ + μ > 0, got {self.moduli!r:.60}"
+                f"moduli: expected (λ, μ) with μ > 0, λ + μ > 0, {ISOTROPIC!r} or "
+                f"{LONG_WAVES!r}, got {self.moduli!r:.60}"
             )
 
     @property
@@ -130,23 +123,19 @@ def _are_moduli(given: Any) -> bool:
 @typed
 @dataclass(frozen=True)
 class TwoStage:
-    """Algorithm 1 of You et al. (2021): Adam on positive kernels, then an augmented Lagrangian.
+    """Algorithm 1 of You et al. (2021) as printed: Adam on positive kernels, then an augmented
+    Lagrangian that holds the eigenvalues (4.6) of the training domain.
 
     Attributes:
-        parametrisation: "projected" or, as printed, "relu"; see Variables.
-        constraints: of stage 2, "symbol" (over the zone) or, as printed and far slower, "dense"
-            (eigenvalues on the training domain).
-        seed: of the initial D of stage 1.
+        seed: of the initial constants and D.
         checkpoint: file that stage 2 keeps its state in and goes on from.
         epochs: most epochs of stage 1; the paper's loss stagnates between 1000 and 2000.
         inner_epochs: most epochs of each round of stage 2.
-        outer_iterations: most rounds of stage 2.
+        outer_iterations: most rounds of stage 2; the paper has a hundred.
 
-    Raises InputError for a choice or a number that is none.
+    Raises InputError for a number that is none.
     """
 
-    parametrisation: Literal["projected", "relu"] = "projected"
-    constraints: Literal["symbol", "dense"] = "symbol"
     seed: Natural = 0
     checkpoint: str | os.PathLike[str] | None = None
     epochs: Natural = 4000

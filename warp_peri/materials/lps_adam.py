@@ -1,9 +1,8 @@
 """The linear peridynamic solid in torch: its residual by Warp's operator, and Algorithm 1 on it.
 
 Algorithm 1 of You et al. (2021) has positive kernels, then an augmented Lagrangian on margins. Each
-is a smallest eigenvalue less its level; its derivative is that of the eigenvalue at its own vector.
-`SymbolMargins` looks at the symbol over a sampled zone, `DenseMargins` at the matrices of the
-training domain, which is what You et al. (2021, 4.6) print.
+is a smallest eigenvalue, of matrices of the training domain (4.6), less its level; its derivative
+is that of the eigenvalue at its own vector.
 """
 
 from __future__ import annotations
@@ -18,30 +17,24 @@ import torch
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, eigh
 from scipy.spatial import KDTree
 
-from warp_peri.core.groups import lattice_group
-from warp_peri.core.stencil import ratios, zone_sample
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import ArrayFile, locked
-from warp_peri.fitting.augmented_lagrangian import PrintedState, adam, as_printed
-from warp_peri.fitting.regression import cut_rows
-from warp_peri.fitting.settings import CONDITIONS, StabilityConditions, TwoStage
+from warp_peri.fitting.augmented_lagrangian import adam, as_printed, printed_state
+from warp_peri.fitting.settings import TwoStage
 from warp_peri.materials.lps_force import Bonds, lps_force
 from warp_peri.materials.lps_law import ALPHA_IN_SIGHT, LARGEST_ALPHA, LPSFound, LPSLaw
 from warp_peri.materials.lps_matrices import assemble
 from warp_peri.materials.lps_parameters import LPSParameters, bernstein_basis
-from warp_peri.materials.lps_rows import class_pairs, product_basis
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.samples import Samples
 
 SMALLEST_MODULUS = 1e-3
 """μ and λ + μ stay above it, in the unit of the steps."""
-ZONE_INTERVALS = 24
 DENSE_ZETA = 1e-4
 """ζ of the dense conditions: Λmin(Γ) [1/l²] and Λmin(ΦΓ⁻¹Φᵗ)."""
 PRINTED_HORIZON = 20.0
 """Horizon over the length l that the dense conditions count in: 1 Å as printed."""
 
-Weights = Sequence[torch.Tensor]
 Blocks = list[tuple[np.ndarray, np.ndarray]]
 
 
@@ -61,12 +54,6 @@ def tables(classes: BondClasses, alpha: torch.Tensor, D: torch.Tensor) -> torch.
 def volume(classes: BondClasses, kw: torch.Tensor) -> torch.Tensor:
     """Σ n r² K W."""
     return torch.from_numpy(classes.count * classes.r**2) @ kw
-
-
-def torch_products(v: torch.Tensor, kappa: torch.Tensor) -> torch.Tensor:
-    """(v, κ v v) of the pairs of classes, shape [P]; differentiable."""
-    i, j = class_pairs(len(v))
-    return torch.cat([v, kappa * v[i] * v[j]])
 
 
 class OperatorLoss:
@@ -138,80 +125,31 @@ def total_loss(terms: Sequence[OperatorLoss], values: Sequence[torch.Tensor]) ->
 class Variables:
     """λ, μ, α, D as torch leaves for Adam, λ and μ in a unit that suits its steps.
 
-    Args:
-        start: their values.
-        unit: of the moduli.
-        positive: keep D ≥ 0.
-        parametrisation: "relu" is the printed one (4.8): the loss sees ReLU(μ), ReLU(λ + μ) −
-            ReLU(μ), 3 − ReLU(3 − α) and, for a positive kernel, ReLU(D). A ReLU has no gradient
-            once its argument is negative, and λ + μ, which every run drives to zero early in
-            stage 1, stays there for good. "projected" keeps the same bounds by moving the leaves
-            back after every step.
+    The loss sees ReLU(μ), ReLU(λ + μ) − ReLU(μ), 3 − ReLU(3 − α) and, for a positive kernel,
+    ReLU(D), as printed (4.8). A ReLU has no gradient once its argument is negative, and λ + μ,
+    which every run drives to zero early in stage 1, stays there for good.
     """
 
-    def __init__(
-        self, start: LPSParameters, unit: float, parametrisation: str, *, positive: bool = False
-    ) -> None:
-        self.unit = unit
+    def __init__(self, start: LPSParameters, unit: float, *, positive: bool = False) -> None:
+        self.unit, self.positive = unit, positive
         values = start.lam / unit, start.mu / unit, start.alpha, start.D
         self.leaves = [torch.tensor(value, dtype=torch.float64) for value in values]
         for leaf in self.leaves:
             leaf.requires_grad_()
-        self.positive, self.relu = positive, parametrisation == "relu"
 
     def bounded(self) -> list[torch.Tensor]:
         """λ, μ, α and D, as the loss sees them."""
         lam, mu, alpha, D = self.leaves
-        if self.relu:
-            stiff = torch.relu(mu)
-            D = torch.relu(D) if self.positive else D
-            lam, mu, alpha = torch.relu(lam + mu) - stiff, stiff, 3 - torch.relu(3 - alpha)
-        return [self.unit * lam, self.unit * mu, alpha, D]
-
-    def project(self) -> None:
-        """Move the leaves back inside their bounds; nothing to do under the ReLU."""
-        if self.relu:
-            return
-        lam, mu, alpha, D = self.leaves
-        with torch.no_grad():
-            mu.clamp_(min=SMALLEST_MODULUS)
-            lam.clamp_(min=SMALLEST_MODULUS - mu)
-            alpha.clamp_(max=LARGEST_ALPHA)
-            if self.positive:
-                D.clamp_(min=0.0)
+        stiff = torch.relu(mu)
+        lam, alpha = torch.relu(lam + mu) - stiff, 3 - torch.relu(3 - alpha)
+        return [self.unit * lam, self.unit * stiff, alpha, torch.relu(D) if self.positive else D]
 
     def found(self, losses: list[float]) -> LPSFound:
         """Their values strictly inside the bounds, with the loss on the way."""
-        values = [value.detach().numpy().copy() for value in self.bounded()]
-        lam, mu, alpha = (float(value) for value in values[:3])
-        mu = max(mu, SMALLEST_MODULUS * self.unit)
-        lam, alpha = max(lam, SMALLEST_MODULUS * self.unit - mu), min(alpha, LARGEST_ALPHA)
-        return LPSFound(LPSParameters(lam, mu, alpha, values[3]), None, losses)
-
-
-class SymbolMargins:
-    """Smallest margins of the conditions over sampled wave vectors, on each lattice, in a unit."""
-
-    def __init__(
-        self, conditions: StabilityConditions, lattices: Sequence[BondClasses], unit: float = 1.0
-    ) -> None:
-        self.conditions, self.unit, self.lattices = conditions, unit, lattices
-        self.bases = [product_basis(classes) for classes in lattices]
-        self.phase = zone_sample(lattice_group(2), 2, ZONE_INTERVALS)
-        self.count = len(lattices) * len(CONDITIONS[conditions.kind])
-
-    def __call__(self, lam: torch.Tensor, mu: torch.Tensor, weights: Weights) -> torch.Tensor:
-        """Margins, shape [count], each at the wave where it is least."""
-        kappa, margins = (lam - mu) / mu**2, []
-        for bonds, w in zip(self.bases, weights):
-            for own, level in self.conditions.forms(kappa, mu):
-                p = torch_products(mu * w, own)
-                tensors = np.tensordot(p.detach().numpy(), bonds.basis, 1)
-                ratio, vectors = ratios(bonds.steps, tensors, self.phase)
-                n = [ratio.argmin()]
-                G = cut_rows(bonds, self.phase[n], vectors[n])
-                margins.append((torch.from_numpy(G) @ p)[0] - level)
-        return torch.stack(margins) / self.unit
+        lam, mu, alpha, D = (value.detach().numpy().copy() for value in self.bounded())
+        mu = max(float(mu), SMALLEST_MODULUS * self.unit)
+        lam = max(float(lam), SMALLEST_MODULUS * self.unit - mu)
+        return LPSFound(LPSParameters(lam, mu, min(float(alpha), LARGEST_ALPHA), D), None, losses)
 
 
 class DenseMargins:
@@ -225,19 +163,24 @@ class DenseMargins:
     """
 
     def __init__(self, sets: Sequence[Samples], horizon: float) -> None:
-        self.lattices = [bond_classes(points.spacing, horizon) for points in sets]
         self.parts = [
-            mirror_blocks(*class_matrices(points, horizon), points.x[points.interior])
+            (
+                bond_classes(points.spacing, horizon),
+                mirror_blocks(*class_matrices(points, horizon), points.x[points.interior]),
+            )
             for points in sets
         ]
-        self.count = 3 * len(sets)
         square = (horizon / PRINTED_HORIZON) ** 2
         self.units = torch.tensor([square, 1, square] * len(sets), dtype=torch.float64)
         self.levels = DENSE_ZETA * torch.tensor([1.0, 1.0, 0.0] * len(sets), dtype=torch.float64)
 
-    def __call__(self, lam: torch.Tensor, mu: torch.Tensor, weights: Weights) -> torch.Tensor:
-        """Margins, shape [3 · sets]."""
-        found = [margin for of in zip(self.parts, weights) for margin in least_of_blocks(*of)]
+    def __call__(self, alpha: torch.Tensor, D: torch.Tensor) -> torch.Tensor:
+        """Margins of a kernel, shape [3 · sets]."""
+        found = [
+            margin
+            for classes, blocks in self.parts
+            for margin in least_of_blocks(blocks, class_weights(classes, alpha, D))
+        ]
         return self.units * torch.stack(found) - self.levels
 
 
@@ -291,20 +234,17 @@ def mirror_blocks(gammas: np.ndarray, phis: np.ndarray, x: np.ndarray) -> Blocks
         if distance.max() > 1e-6 * np.ptp(x):
             return [(gammas, phis)]
         mirrors.append(np.eye(len(x))[node])
+    # the component of u along an axis changes its sign in the mirror of that axis
+    turned = [np.kron(mirror, np.diag(sign)) for mirror, sign in zip(mirrors, ((-1, 1), (1, -1)))]
     blocks = []
     for signs in itertools.product((1, -1), repeat=2):
-        # The component of u along an axis changes its sign in the mirror of that axis.
-        scalar, along, across = (
-            _kept(mirrors, [a * signs[0], b * signs[1]]) for a, b in ((1, 1), (-1, 1), (1, -1))
-        )
-        vector = np.zeros((2 * len(x), along.shape[1] + across.shape[1]))
-        vector[::2, : along.shape[1]], vector[1::2, along.shape[1] :] = along, across
+        scalar, vector = _kept(mirrors, signs), _kept(turned, signs)
         blocks.append((vector.T @ gammas @ vector, scalar.T @ phis @ vector))
     return blocks
 
 
 def _kept(mirrors: Sequence[np.ndarray], signs: Sequence[int]) -> np.ndarray:
-    """Orthonormal scalar fields that each mirror multiplies by its sign, as columns."""
+    """Orthonormal fields that each mirror multiplies by its sign, as columns."""
     one = np.eye(len(mirrors[0]))
     projection = (one + signs[0] * mirrors[0]) @ (one + signs[1] * mirrors[1]) / 4
     values, fields = eigh(projection)
@@ -335,57 +275,46 @@ def two_stages(learner: Any, start: LPSFound, method: TwoStage, unit: float, key
     Args:
         learner: training data, and what runs a stage by name.
         start: where to begin.
-        method: how the bounds are kept, the most epochs and iterations, and a file that the state
-            is kept in after every outer iteration; a run that finds one goes on from it.
+        method: the most epochs and iterations, and a file that the state is kept in after every
+            outer iteration; a run that finds one goes on from it.
         unit: of moduli, that suits the steps.
         key: what the state depends on.
 
     Raises InputError for a checkpoint of another run, or one that another job writes to.
     """
-    variables = Variables(start.solid, unit, method.parametrisation, positive=True)
+    variables = Variables(start.solid, unit, positive=True)
 
     def loss() -> torch.Tensor:
         return total_loss(learner.operator, variables.bounded())
 
     def positive(tick: Callable[[float], None]) -> LPSFound:
-        moved = variables.leaves, lambda: 2 * (loss(),), method.epochs, tick
-        return variables.found(adam(*moved, project=variables.project)[1])
+        leaves, epochs = variables.leaves, method.epochs
+        return variables.found(adam(leaves, lambda: 2 * (loss(),), epochs, tick)[1])
 
     first = learner.run("1 positive", positive)
-    variables = Variables(first.solid, unit, method.parametrisation)
-    margins: SymbolMargins | DenseMargins = (
-        DenseMargins(learner.sets, learner.law.horizon)
-        if method.constraints == "dense"
-        else SymbolMargins(learner.conditions, learner.lattices, unit)
-    )
-    zero = torch.zeros(margins.count, dtype=torch.float64)
-    slack = torch.ones_like(zero).requires_grad_()
-    state = PrintedState([*variables.leaves, slack, zero, zero + torch.inf])
+    variables = Variables(first.solid, unit)
+    margins = DenseMargins(learner.sets, learner.law.horizon)
+    state = [*variables.leaves, *printed_state(len(margins.levels))]
+    losses: list[float] = []
     kept = ArrayFile(method.checkpoint, key, "a run on other data or settings")
 
-    def conditions() -> torch.Tensor:
-        lam, mu, alpha, D = variables.bounded()
-        return margins(lam, mu, [class_weights(each, alpha, D) for each in margins.lattices])
-
-    def keep(state: PrintedState) -> None:
-        tensors = {f"tensor{n}": one.detach().numpy() for n, one in enumerate(state.tensors)}
-        numbers = {"losses": state.losses, "penalty": state.penalty, "done": state.done}
-        kept.write(tensors | numbers)
-
     def go_on(before: dict[str, np.ndarray]) -> None:
-        state.losses = before["losses"].tolist()
-        state.penalty, state.done = float(before["penalty"]), int(before["done"])
+        losses[:] = before["losses"].tolist()
         with torch.no_grad():
-            for number, tensor in enumerate(state.tensors):
+            for number, tensor in enumerate(state):
                 tensor.copy_(torch.from_numpy(before[f"tensor{number}"]))
+
+    def keep() -> None:
+        tensors = {f"tensor{number}": one.detach().numpy() for number, one in enumerate(state)}
+        kept.write(tensors | {"losses": losses})
 
     def signed(tick: Callable[[float], None]) -> LPSFound:
         with nullcontext() if kept.path is None else locked(kept.path):
             kept.read(go_on)
             how: dict[str, Any] = {"steps": method.inner_epochs, "rounds": method.outer_iterations}
-            return variables.found(
-                as_printed(state, loss, conditions, variables.project, tick=tick, keep=keep, **how)
-            )
+            how |= {"margins": lambda: margins(*variables.bounded()[2:])}
+            as_printed(state, losses, loss, tick=tick, keep=keep, **how)
+            return variables.found(losses)
 
     found: LPSFound = learner.run("2 sign-changing", signed)
     return found

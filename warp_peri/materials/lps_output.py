@@ -35,8 +35,6 @@ GAIN = 1e-5
 class WaveResponse:
     """Amplitudes of displacement at the loads' own wave vectors, all nodes projected on them.
 
-    `first` is a loss that needs no model to begin with, `about` one linearised about a model.
-
     A load B cos k₁x cos k₂y along x is answered by (U cos cos, −V sin sin), D(k) (U, V)ᵗ = (B, 0)ᵗ,
     and loads with sines in place of cosines by such waves with the same D(k). The part of the
     field that no load caused does not count.
@@ -60,24 +58,17 @@ class WaveResponse:
         parts = self.bonds.symbol(k * points.spacing) / points.spacing**2
         self.symbol = parts.transpose(0, 2, 3, 1)
         place = "at its wave vector"
+        _over("b", self.b, place)
         self.weight = _over("u", self.u, place)
-        self.first = self._rows(self._acting(self.u), self.b, _over("b", self.b, place))
 
     def about(self, model: LPSMaterial) -> LatticeRows:
         """û against u at the wave vectors, relative, û linear in the products about a model."""
         D = self.symbol @ products(model, self.classes)
         answer = np.linalg.solve(D, self.b[..., None])[..., 0]
-        slope = np.linalg.solve(D, self._acting(answer))
-        return self._rows(slope, 2 * answer - self.u, self.weight)
-
-    def _acting(self, u: np.ndarray) -> np.ndarray:
-        """D(k) u by product, shape [S, 2, P]."""
-        return np.asarray(np.einsum("sabp,sb->sap", self.symbol, u))
-
-    def _rows(self, R: np.ndarray, y: np.ndarray, weight: np.ndarray) -> LatticeRows:
-        R = (R * weight[:, None, None]).reshape(-1, R.shape[-1])
-        given = compressed(R, (y * weight[:, None]).ravel())
-        return LatticeRows(*given, self.bonds, lattice_group(2))
+        R = np.linalg.solve(D, np.einsum("sabp,sb->sap", self.symbol, answer))
+        R = (R * self.weight[:, None, None]).reshape(-1, R.shape[-1])
+        y = ((2 * answer - self.u) * self.weight[:, None]).ravel()
+        return LatticeRows(*compressed(R, y), self.bonds, lattice_group(2))
 
 
 class CollarResponse:
@@ -88,13 +79,12 @@ class CollarResponse:
 
     Args:
         made: products on any samples, few enough nodes for a dense matrix.
-        first: a loss to begin with.
 
     Raises InputError for a sample without displacement on its interior.
     """
 
-    def __init__(self, made: Products, first: LatticeRows) -> None:
-        self.points, self.first, self.products = made.samples, first, made
+    def __init__(self, made: Products) -> None:
+        self.points, self.products = made.samples, made
         inside = self.points.u[:, self.points.interior].reshape(len(self.points), -1)
         self.weight = _over("u", inside, "on the interior")
 
@@ -102,7 +92,8 @@ class CollarResponse:
         """û against u on the interior, relative, û linear in the products about a model."""
         points, inside = self.points, self.points.interior
         L = matrices(model, points).operator(model.lam, model.mu)
-        problem, width = MatrixProblem(L, inside), len(self.first.R[0])
+        problem, bonds = MatrixProblem(L, inside), self.products.bonds
+        width = len(bonds.basis)
         R, y = np.zeros((0, width)), np.zeros(0)
         for start in range(0, len(points), SAMPLES_AT_ONCE):
             some = slice(start, start + SAMPLES_AT_ONCE)
@@ -115,18 +106,16 @@ class CollarResponse:
             found[..., -1] += wrong.T
             found = (found * self.weight[some, None]).reshape(-1, width + 1)
             R, y = compressed(np.concatenate([R, found[:, :-1]]), np.append(y, found[:, -1]))
-        return dataclasses.replace(self.first, R=R, y=y)
+        return LatticeRows(R, y, bonds, lattice_group(2))
 
 
 Response: TypeAlias = WaveResponse | CollarResponse
 
 
-def responses_of(sets: Sequence[Products], firsts: Sequence[LatticeRows]) -> list[Response]:
+def responses_of(sets: Sequence[Products]) -> list[Response]:
     """The response of each set: at the wave vectors of its loads, if it has them."""
-    return [
-        WaveResponse(made) if WAVE_VECTOR in made.samples.arrays else CollarResponse(made, first)
-        for made, first in zip(sets, firsts)
-    ]
+    waves = (WAVE_VECTOR in made.samples.arrays for made in sets)
+    return [(WaveResponse if wave else CollarResponse)(made) for wave, made in zip(waves, sets)]
 
 
 def _over(name: str, fields: np.ndarray, where: str) -> np.ndarray:
@@ -168,7 +157,7 @@ def fit_output_error(
     Args:
         responses: of the training set on each lattice.
         lattices: bond classes of each.
-        start: where to begin.
+        start: where to begin, an optimum of another loss.
         conditions: what must hold on each lattice.
         method: as for optimum.
         tick: called with the loss after each step.
@@ -179,9 +168,7 @@ def fit_output_error(
         blocks = [response.about(model) for response in responses]
         return blocks, squares(blocks, lattices, model)
 
-    firsts = [response.first for response in responses]
-    best = optimum(firsts, lattices, start, conditions, method)
-    blocks, loss = about(best)
+    best, (blocks, loss) = start, about(start)
     losses = [loss]
     for _ in range(STEPS):
         reached = optimum(blocks, lattices, best, conditions, method)

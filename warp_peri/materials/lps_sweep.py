@@ -124,7 +124,7 @@ def sweep(
         horizons: δ [Å].
         degrees: M.
         conditions: "direct" or "paper", as in StabilityConditions.
-        method: of each fit; Algorithm 2 as printed has TwoStage("relu", "dense").
+        method: of each fit; Algorithm 2 as printed has TwoStage().
         jobs: number of processes, −1 for one per core; a joblib.parallel_config around the call
             chooses another backend.
         progress: show a progress bar.
