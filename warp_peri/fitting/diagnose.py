@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,6 +23,7 @@ from warp_peri.errors import InputError, quietly, warn
 from warp_peri.fitting.evaluate import ROUNDING
 from warp_peri.fitting.long_waves import gradients
 from warp_peri.fitting.rows import forces
+from warp_peri.fitting.training_data import check_noise
 from warp_peri.points.arguments import typed
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples
@@ -136,24 +138,20 @@ def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> D
     >>> wp.diagnose(wp.fit(samples, wp.LPS(10.0, wp.Bernstein(0))).material, samples).causes[0]
     'dispersion'
     """
-    return _causes(*_residual(material, samples), samples, noise)
+    return _diagnosed(material, samples, noise, 0.0)
 
 
 def warn_of_kind(material: Any, samples: Samples, noise: Samples | None = None) -> None:
     """Say where so much is left of data that they ask for another kind of material."""
-    try:
+    with suppress(InputError):  # in space, scattered, too few
         with quietly():  # said by the fit
-            operator, left, size = _residual(material, samples)
-            loud = (left**2).sum() > LOUD**2 * size
-            told = _causes(operator, left, size, samples, noise).advice if loud else ""
-    except InputError:  # in space, scattered, too few
-        return
-    if told:
-        warn(told)
+            told = _diagnosed(material, samples, noise, LOUD).advice
+        if told:
+            warn(told)
 
 
-def _residual(material: Any, samples: Samples) -> tuple[Any, np.ndarray, float]:
-    """The operator on the points, b − L u on their interior, and ‖b‖²; errors of `diagnose`."""
+def _diagnosed(material: Any, samples: Samples, noise: Samples | None, least: float) -> Diagnosis:
+    """As `diagnose`; of a relative residual up to the least no causes."""
     points, b = samples.points, samples.loads[:, samples.interior]
     if samples.spacing == 0 or len(samples) < LEAST_SAMPLES:
         got = f"{len(samples)} at a spacing of {samples.spacing:g}"
@@ -164,28 +162,18 @@ def _residual(material: Any, samples: Samples) -> tuple[Any, np.ndarray, float]:
         raise InputError("samples: expected loads on their interior, got none")
     law = getattr(material, "model", material)
     known = offered(getattr(law, "linear", law), "stencil", "diagnose", LINEAR)
-    loose: dict[str, Any] = (
-        {"allow_uncertified": True} if callable(known) or hasattr(law, "linear") else {}
-    )
+    loose = {"allow_uncertified": True} if callable(known) or hasattr(law, "linear") else {}
     operator = placed(material, points, verb="diagnose", **loose)
-    return operator, b - operator(samples.u), size
-
-
-def _causes(
-    operator: Any, left: np.ndarray, size: float, samples: Samples, noise: Samples | None
-) -> Diagnosis:
-    """The causes of what is left of ‖b‖², `size`, on the interior."""
-    points = samples.points
+    left = b - operator(samples.u)
     inner = operator(np.where(samples.interior[:, None], samples.u, 0.0))
-    total = float((left**2).sum())
-    residual, shares = float(np.sqrt(total / size)), {}
+    total, shares = float((left**2).sum()), {}
+    residual = float(np.sqrt(total / size))
     if total <= ROUNDING**2 * max(size, float((inner**2).sum())):
         return Diagnosis(residual, {"rounding": 1.0, "unexplained": 0.0})
+    if residual <= least:
+        return Diagnosis(residual, {"unexplained": 1.0})
     if noise is not None:
-        if what := points.first_difference(noise.points):
-            raise InputError(
-                f"noise: expected fields on the nodes of the samples, got other {what}"
-            )
+        check_noise(noise, samples)
         made = len(samples) * float((operator(noise.u) ** 2).mean(axis=0).sum()) / total
         shares["noise"] = min(1.0, made)
     rest = 1 - sum(shares.values())  # what noise makes, the others would take again
@@ -266,8 +254,8 @@ def _explained(left: np.ndarray, families: list[tuple[str, np.ndarray]]) -> dict
     y = rest = left.reshape(1, len(left), -1, 1)
     rows, whole, taken = y[..., :0], float((y**2).sum()), dict.fromkeys(dict(families), 0.0)
     for name, columns in families:
-        alone = columns.ndim == 3
-        if alone:
+        more = rows
+        if columns.ndim == 3:
             split = rest.reshape(left.shape).swapaxes(0, 1)[:, :, None]
             there = _left_out(columns.swapaxes(0, 1)[:, :, None], split, RIDGES_OF_NODES)
             there = there[:, :, 0].swapaxes(0, 1).reshape(y.shape)
@@ -278,11 +266,8 @@ def _explained(left: np.ndarray, families: list[tuple[str, np.ndarray]]) -> dict
         gain = before - float((there**2).sum())
         if gain > MOSTLY * before * (name == "species"):
             taken[name] += gain / whole
-            rest = there
-            if alone:
-                y = rest
-            else:
-                rows = more
+            rest, rows = there, more
+            y = rest if columns.ndim == 3 else y
     return taken
 
 

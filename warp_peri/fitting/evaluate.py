@@ -58,14 +58,12 @@ def evaluate(
     Returns:
         E_res = mean ‖L u − b‖₂/‖b‖₂, E_u = mean ‖u_solved − u‖₂/‖u‖₂ on interior nodes, u solved
         with b on the interior and u given on the collar, both less their means where no node is
-        held; E_res_rms and E_u_rms, their
-        root-mean-square variants; E_shape, as E_u with ‖u‖ less its rigid part below the line,
-        which no translation or turn of the body changes; E_res_abs = mean ‖L u − b‖₂ [TPa/Å]; the
-        lists of per-sample values E_res_samples, E_res_abs_samples, E_u_samples, E_shape_samples;
-        and of a transferred model
-        transferred_from, the spacing [Å] of the lattice that it comes from. For a nonlinear model
-        also linear_solves and largest_gradient, the most linear solves that a sample took and its
-        largest |H|, and unique, whether all answers are proven to be the only ones.
+        held; E_shape, as E_u with ‖u‖ less its rigid part below the line, which no translation or
+        turn of the body changes; E_res_abs = mean ‖L u − b‖₂ [TPa/Å]; the lists of per-sample
+        values E_res_samples, E_res_abs_samples, E_u_samples, E_shape_samples; and of a transferred
+        model transferred_from, the spacing [Å] of the lattice that it comes from. For a nonlinear
+        model also linear_solves and largest_gradient, the most linear solves that a sample took and
+        its largest |H|, and unique, whether all answers are proven to be the only ones.
 
     Samples whose interior carries no load, or one that is rounding, have no E_res, and those that
     move as a rigid body no E_shape: None, and the means are those of the others; None where there
@@ -121,8 +119,6 @@ def _table(
         values = iter(ratio.tolist())
         table[key] = float(ratio.mean()) if len(ratio) else None
         table[f"{key}_samples"] = [next(values) if size > 0 else None for size in below]
-        if key in ("E_res", "E_u"):
-            table[f"{key}_rms"] = float(np.sqrt((ratio**2).mean())) if len(ratio) else None
     if home is not None:
         table["transferred_from"] = home
     return table

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -29,11 +28,12 @@ from warp_peri.core.groups import (
 from warp_peri.core.stencil import directions, invariant_basis
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting import regression
-from warp_peri.fitting.long_waves import ENOUGH, long_wave_moduli
+from warp_peri.fitting.long_waves import long_wave_moduli
 from warp_peri.fitting.regression import Form, LatticeRows, Numbers, Settled, particular
 from warp_peri.fitting.result import Fit
 from warp_peri.fitting.rows import compressed, over_loads, rows
 from warp_peri.fitting.symmetry import judged
+from warp_peri.fitting.training_data import listed
 from warp_peri.fitting.transfer import LARGEST_WAVE, WaveSymbol, carried_symbol, wave_rows
 from warp_peri.materials.crystal import BROKEN, CrystalMaterial
 from warp_peri.points.arguments import Positive, typed
@@ -47,9 +47,6 @@ if TYPE_CHECKING:
 
 LONG_WAVE_MODULI, POOR = "long waves", 0.1
 """Moduli that fields tell, and the part of the loads of long waves that they may leave unsaid."""
-AGREE, SPREADS = 0.02, 2.0
-"""Of the largest modulus, and spreads between halves of the samples, by which long waves of two
-laws may differ."""
 ABSURD = 10.0
 """Times the loads, that no law leaves of data in its own units, however noisy."""
 FLOOR = 0.3
@@ -253,53 +250,11 @@ class Crystal:
 
 def one_set(samples: Any) -> Samples:
     """The samples of one set; of a Dataset `train`, or its only set."""
-    if isinstance(samples, (list, tuple)) and len(samples) != 1:
-        raise InputError(f"samples: expected one set for a crystal model, got {len(samples)}")
-    given = samples[0] if isinstance(samples, (list, tuple)) else samples
-    if isinstance(given, Dataset):
-        return given.obvious("train")
-    if not isinstance(given, Samples):
-        raise InputError(f"samples: expected Samples, got {type(given).__name__}")
-    check_lattice(given)
-    return given
-
-
-def long_waves_of_data(
-    moduli: dict[str, float], samples: Samples, horizon: float
-) -> tuple[dict[str, float], str]:
-    """Moduli of long waves that samples have, by tensors, and a line where a fit's are others.
-
-    Args:
-        moduli: C11, C12, C44 of the fit [stress].
-        samples: that it was learned from.
-        horizon: of the tensors, as of the fit.
-
-    Nothing of scattered points, space, or data whose long waves do not tell; the line is for what
-    is more than two spreads between halves of the samples, and 2 % of the largest modulus, off.
-    """
-    if samples.spacing == 0 or samples.points.dimension != 2 or len(samples) < ENOUGH:
-        return {}, ""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            bare = replace(samples, points=replace(samples.points, axis=None))
-            law = Crystal(horizon).learn(bare).material
-            again = Crystal(horizon, law.symmetry)
-            halves = [again.learn(bare[n::2]).material for n in (0, 1)]
-    except (InputError, UserWarning):
-        return {}, ""
-    C, one, other = (np.asarray(each.elastic_tensor()) for each in (law, *halves))
-    a, b, c = (moduli[name] for name in ("C11", "C12", "C44"))
-    off = np.abs(np.array([[a, b, 0], [b, a, 0], [0, 0, c]]) - C)
-    best = {name: float(value) for name, value in law.moduli().items()}
-    if not (off > np.maximum(SPREADS / 2 * np.abs(one - other), AGREE * C.max())).any():
-        return best, ""
-    unit = symbols(samples.points.units)[1]
-    told = [", ".join(f"{k} {v:.4g}" for k, v in each.items()) for each in (moduli, best)]
-    return best, (
-        f"moduli: of long waves the fit has {told[0]} {unit}, a crystal model has {told[1]}, "
-        "more apart than their spread: --law tensors, Crystal(…), has them"
-    )
+    sets = listed(samples, space=True)
+    if len(sets) != 1:
+        raise InputError(f"samples: expected one set for a crystal model, got {len(sets)}")
+    check_lattice(sets[0])
+    return sets[0]
 
 
 @typed

@@ -78,11 +78,6 @@ def on_lattice(
     tolerance that no horizon meets (saying the best there is).
     """
     asked = {"horizon": horizon, "tolerance": tolerance, "largest_horizon": largest_horizon}
-    if not isinstance(model, LPSMaterial):
-        raise InputError(
-            f"on_lattice: expected a linear peridynamic solid, got {type(model).__name__}; "
-            "crystals.transfer_to_lattice(law, spacing) carries a crystal"
-        )
     key = model.content()["sha256"], spacing, *asked.values()
     if key not in _memory:
         _memory[key] = _transferred(model, spacing, **asked)
@@ -115,25 +110,19 @@ def _transferred(
             found[float(_errors(one, spacing, model, home, band / 2).max())] = one
         if min(found, default=np.inf) <= (tolerance or TOLERANCE):
             break
-    try:
-        if not found:
-            raise InputError(
-                f"horizon: no kernel on the lattice of {spacing:g} {unit} keeps the conditions of "
-                f"a certificate within {last:g} {unit}"
-            )
-        best = found[least := min(found)]
-        if tolerance is not None and least > tolerance:
-            raise InputError(
-                f"tolerance: on the lattice of {spacing:g} {unit} waves longer than "
-                f"{4 * np.pi / band:.3g} {unit} cannot be had to {100 * tolerance:g} %; "
-                f"the best is {100 * least:.2g} % at horizon {best.horizon:g} {unit}"
-            )
-        return _recorded(model, home, largest, best, spacing, band)
-    except InputError as error:
-        if certify(model, spacing=home).holds:
-            raise
-        at = f"{home:g} {unit}, in its certified_on"
-        raise InputError(f"model: nothing can be proven of it on {at}; {error}") from None
+    on = f"on the lattice of {spacing:g} {unit}"
+    if not found:
+        raise InputError(
+            f"horizon: no kernel {on} keeps the conditions of a certificate within {last:g} {unit}"
+        )
+    best = found[least := min(found)]
+    if tolerance is not None and least > tolerance:
+        raise InputError(
+            f"tolerance: {on} waves longer than {4 * np.pi / band:.3g} {unit} cannot be had to "
+            f"{100 * tolerance:g} %; the best is {100 * least:.2g} % at horizon {best.horizon:g} "
+            f"{unit}"
+        )
+    return _recorded(model, home, largest, best, spacing, band)
 
 
 def _horizons(spacing: float, largest: float | None, unit: str) -> list[float]:
@@ -220,10 +209,10 @@ def _recorded(
     Raises InputError when the proof does not hold, or the longest waves are missed.
     """
     certificate, unit = certify(found, spacing=spacing), symbols(model.units)[0]
+    on = f"on the lattice of {spacing:g} {unit}"
     if not certificate.holds:
         raise InputError(
-            f"horizon: nothing is proven of the kernel on the lattice of {spacing:g} {unit} at "
-            f"horizon {found.horizon:g} {unit}"
+            f"horizon: nothing is proven of the kernel {on} at horizon {found.horizon:g} {unit}"
         )
     largest = min(largest, 0.99 * np.pi / spacing, 0.99 * np.pi / home)
     wavelengths = 2 * np.pi / (largest * (np.arange(RADII) + 1) / RADII)
@@ -232,9 +221,8 @@ def _recorded(
     parts = [f"{wavelengths[n - 1]:.3g} {unit} to {100 * x:g} %" for x, n in good.items() if n]
     if not parts:
         raise InputError(
-            f"horizon: expected a kernel on the lattice of {spacing:g} {unit} that answers the "
-            f"longest waves as on that of {home:g} {unit}, within {100 * WORST:g} %; the "
-            f"best misses them by {100 * errors[0]:.2g} %"
+            f"horizon: no kernel {on} answers the longest waves as on that of {home:g} {unit}, "
+            f"within {100 * WORST:g} %; the best misses them by {100 * errors[0]:.2g} %"
         )
     bonds = len(bond_classes(spacing, found.horizon).steps)
     record = {
