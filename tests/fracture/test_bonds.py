@@ -35,8 +35,7 @@ def swept(operator, u, neighbour):
     return force.numpy(), energy.numpy()
 
 
-@pytest.mark.parametrize("lam", [1.0, -0.4, 5.0])
-@pytest.mark.parametrize("sides", [(7, 6), (7, 5), (5, 4, 3)])  # odd and even numbers of nodes
+@pytest.mark.parametrize(("lam", "sides"), [(5.0, (7, 6)), (-0.4, (5, 4, 3))])
 def test_the_sweep_is_the_matrix(lam, sides):
     model, body = solid(lam, dimension=len(sides)).model, plate(*sides)
     random = np.random.default_rng(0)
@@ -51,11 +50,10 @@ def test_the_sweep_is_the_matrix(lam, sides):
 
 
 @pytest.mark.parametrize(
-    ("sides", "lam", "by_energy"),
-    [((37, 29), 1.0, False), ((150, 5), 3.0, True), ((4, 150, 5), 2.0, False)],
+    ("sides", "lam", "by_energy"), [((37, 29), 1.0, False), ((4, 50, 5), 2.0, True)]
 )
 def test_any_order_and_hole_has_the_bits_of_each_node_alone(sides, lam, by_energy):
-    """Rows of 29 to 150 nodes that share pieces with the next; nodes in any order; sums by hand."""
+    """Rows of 29 to 50 nodes that share pieces with the next; nodes in any order; sums by hand."""
     random = np.random.default_rng(1)
     whole = plate(*sides)
     random.shuffle(x := whole.x[random.random(len(whole.x)) < 0.8])
@@ -89,8 +87,7 @@ def test_any_order_and_hole_has_the_bits_of_each_node_alone(sides, lam, by_energ
     np.testing.assert_array_equal(sorted_force, again[0][order])
 
 
-@pytest.mark.parametrize("lam", [1.0, -0.4])
-@pytest.mark.parametrize("points", [lattice(4, 3.0), cubes.cube(2, 2.0)])
+@pytest.mark.parametrize(("lam", "points"), [(-0.4, lattice(4, 3.0)), (1.0, cubes.cube(2, 2.0))])
 def test_an_uncut_interior_is_the_linear_peridynamic_solid(lam, points):
     horizon = 5.0 - points.dimension
     model = solid(lam, horizon=horizon, dimension=points.dimension).model
@@ -102,7 +99,7 @@ def test_an_uncut_interior_is_the_linear_peridynamic_solid(lam, points):
     np.testing.assert_allclose(-force[points.interior], whole(u), atol=1e-11)
 
 
-@pytest.mark.parametrize("lam", [1.0, -0.4, 3.0])
+@pytest.mark.parametrize("lam", [1.0, 3.0])
 def test_the_lattices_toughness_has_the_limit_of_the_theory(lam):
     limit = 6 / np.pi + DILATATIONAL * (lam - 1)
     errors = []
@@ -116,7 +113,7 @@ def test_the_lattices_toughness_has_the_limit_of_the_theory(lam):
         assert continuum_stretch(model, 16 * limit) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("lam", [1.0, -0.4, 3.0])
+@pytest.mark.parametrize("lam", [3.0])
 def test_the_toughness_in_space_has_the_limit_of_the_theory(lam):
     """(V5), whose limit is an integral over the crossing bonds of K = 1/r in a ball."""
     t = (np.arange(2000) + 0.5) / 2000
@@ -130,13 +127,3 @@ def test_the_toughness_in_space_has_the_limit_of_the_theory(lam):
         errors.append(abs(unit_toughness(model, classes) / ratio / limit - 1))
     assert errors[2] < 0.05
     assert errors[2] < 0.6 * errors[0]
-
-
-def test_the_critical_stretch_in_space_is_the_published_one():
-    bulk, mu, horizon, toughness = 70.0, 30.0, 0.25, 3.0
-    model = cubes.solid(horizon, bulk - 2 * mu / 3, mu)
-    unit = (3 * mu + (3 / 4) ** 4 * (bulk - 5 * mu / 3)) * horizon
-    assert continuum_stretch(model, toughness) == pytest.approx(np.sqrt(toughness / unit))
-    bonds = cubes.solid(horizon, mu, mu)  # Silling and Askari: 5 G / (9 κ δ), κ = 5μ/3
-    expected = np.sqrt(5 * toughness / (9 * 5 / 3 * mu * horizon))
-    assert continuum_stretch(bonds, toughness) == pytest.approx(expected)

@@ -1,14 +1,12 @@
 """Bodies whose missing bonds take the mean gradient of those that are left (theory, C26, C27)."""
 
 import dataclasses
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 from scipy.sparse.linalg import spsolve
 
-from tests.known_problems.motion import frequency
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import difference, kernel
 from warp_peri import CG, InputError, Points, simulate, solve
@@ -16,12 +14,10 @@ from warp_peri.fracture import (
     Cracked,
     bonds,
     box_nodes,
-    energy_release,
     lattice_body,
     penny_corners,
     point_force,
     rectangle_nodes,
-    tip_shift,
 )
 from warp_peri.fracture.bonds import bond_matrix, bonds_of, largest_stiffness
 from warp_peri.fracture.dynamics import SPREAD, BreakingBody
@@ -47,9 +43,8 @@ def stiff(model, corrected, width=13, height=40):
 
 
 @pytest.mark.parametrize(
-    ("horizon", "cut", "off"), [(2.0, 0.15, 1e-4), (3.0, 0.4, 0.01), (4.0, 0.6, 0.02)]
+    ("horizon", "cut", "off", "lam"), [(2.0, 0.15, 1e-4, 1.0), (3.0, 0.4, 0.01, 0.3)]
 )
-@pytest.mark.parametrize("lam", [1.0, 0.3])
 def test_a_strip_is_as_stiff_as_it_is_wide(horizon, cut, off, lam):
     model = solid(lam, horizon=horizon).model
     assert stiff(model, False) < 13 - cut
@@ -57,8 +52,7 @@ def test_a_strip_is_as_stiff_as_it_is_wide(horizon, cut, off, lam):
 
 
 @pytest.mark.parametrize(
-    ("sides", "lam", "share"),
-    [((9, 8), 3.0, 0.0), ((9, 8), -0.3, 0.3), ((9, 8), 1.0, 0.7), ((5, 4, 5), -0.3, 0.7)],
+    ("sides", "lam", "share"), [((9, 8), 3.0, 0.0), ((9, 8), -0.3, 0.3), ((5, 4, 5), -0.3, 0.7)]
 )
 def test_no_breaking_makes_an_energy_negative(sides, lam, share):
     d = len(sides)
@@ -78,29 +72,10 @@ def test_no_breaking_makes_an_energy_negative(sides, lam, share):
     np.testing.assert_allclose(body.x.T @ f, f.T @ body.x, atol=1e-10)
 
 
-def test_uniform_strain_has_the_energy_of_all_cells_whatever_the_outline():
-    model, x = solid(0.4).model, rectangle_nodes(14, 14, 1.0)
-    body = lattice_body(x[np.hypot(*x.T) < 6.6], 1.0, 3.0)
-    strain = np.array([[0.3, 0.1], [0.1, -0.2]])
-    L, u = matrix(model, body, body.neighbour), (body.x @ strain).ravel()
-    each = model.mu * (strain**2).sum() + model.lam / 2 * np.trace(strain) ** 2
-    assert u @ L @ u / 2 == pytest.approx(len(body.x) * each, rel=1e-12)
-
-
-def test_a_pressure_on_faces_is_as_if_there_were_no_crack():
-    model, x = solid(0.4).model, rectangle_nodes(30, 30, 1.0)
-    stress, inside = np.array([[0.0, 0.0], [0.0, 1.0]]), np.abs(x).max(axis=1) < 8
-    strain = (stress - model.lam / 2 / (model.lam + model.mu) * np.eye(2)) / (2 * model.mu)
-    how = {"cracks": [[(-4, 0), (4, 0)]], "pressure": stress, "corrected": True}
-    u = -x @ strain  # pressed all around
-    found = solve(model, Cracked(Points(x, inside, 1.0), u=u, **how)).u
-    np.testing.assert_allclose(found, u, atol=1e-12)
-
-
-@pytest.mark.parametrize(("d", "share"), [(2, 0.0), (2, 0.6), (3, 0.3)])
+@pytest.mark.parametrize(("d", "share"), [(2, 0.6), (3, 0.3)])
 def test_in_motion_force_and_energy_are_those_of_the_matrix(d, share, monkeypatch):
     monkeypatch.setattr(bonds, "SPANNED", SPREAD)
-    body = plate(*(12, 9, 7)[-d:], horizon=2.0)
+    body = plate(*(8, 7, 6)[-d:], horizon=2.0)
     brittle = solid(0.4, horizon=2.0, dimension=d)
     table = random_breaking(body, np.random.default_rng(1), share)
     moving = BreakingBody(brittle, body, corrected=True)
@@ -120,25 +95,23 @@ def test_in_motion_force_and_energy_are_those_of_the_matrix(d, share, monkeypatc
     assert moving.longest_step < 2 * np.sqrt(brittle.inertia / stiffest)
 
 
-def pulled_plate(path=None, steps=400, finer=1):
-    """A corrected plate, cracked from its edge, that is pulled until the crack runs through."""
-    x, brittle = rectangle_nodes(30, 20, 1.0), solid(1.0)
-    rim = np.abs(x[:, 1]) > 9
-    step = 0.5 * BreakingBody(brittle, plate(6, 6), corrected=True).longest_step / finer
-    pull = np.outer(rim * np.sign(x[:, 1]), (0, 2.5e-4 / step / finer))
-    problem = Cracked(Points(x, ~rim, 1.0), cracks=[[(-15, 0), (-4, 0)]], corrected=True)
-    how = {"grip": pull, "no_fail": rim, "step": step, "steps": steps * finer, "every": 20 * finer}
-    return simulate(brittle, problem, **how, checkpoint=path, checkpoint_every=1)
-
-
-def test_a_corrected_plate_breaks_through_with_its_ledger_and_goes_on_with_the_same_bits(tmp_path):
-    run, fine = pulled_plate(), pulled_plate(finer=4)
-    assert run["dissipated"][-1] > 0
-    assert (np.diff(run["dissipated"]) >= 0).all()
-    assert run.missing < 0.02
-    assert fine.missing < run.missing / 4  # of second order, while bonds break one by one
-    pulled_plate(tmp_path / "run.h5", 300)
-    again = pulled_plate(tmp_path / "run.h5")
+def test_a_corrected_plate_breaks_with_its_ledger_and_goes_on_with_the_same_bits(tmp_path):
+    x, brittle = rectangle_nodes(20, 12, 1.0), solid(1.0)
+    rim, missing = np.abs(x[:, 1]) > 5, []
+    problem = Cracked(Points(x, ~rim, 1.0), cracks=[[(-10, 0), (-3, 0)]], corrected=True)
+    for finer in (1, 4):
+        step = 0.5 * BreakingBody(brittle, plate(6, 6), corrected=True).longest_step / finer
+        pull = np.outer(rim * np.sign(x[:, 1]), (0, 4e-4 / step / finer))
+        how = {"grip": pull, "no_fail": rim, "step": step, "every": 20 * finer}
+        run = simulate(brittle, problem, **how, steps=140 * finer)
+        missing.append(run.missing)
+        assert run["dissipated"][-1] > 0
+        assert (np.diff(run["dissipated"]) >= 0).all()
+    assert missing[0] < 0.02
+    assert missing[1] < missing[0] / 3  # of second order, while bonds break one by one
+    how |= {"checkpoint": tmp_path / "run.h5", "checkpoint_every": 1}
+    simulate(brittle, problem, **how, steps=360)
+    again = simulate(brittle, problem, **how, steps=560)
     np.testing.assert_array_equal(again.u, run.u)
     np.testing.assert_array_equal(again.details.damage, run.details.damage)
 
@@ -159,21 +132,6 @@ def step_of(problem, model, share=0.9):
     cut = CutSolid(model, body, problem.held, cracks=problem.cracks, corrected=True, moves=True)
     assert cut.max_symbol_eigenvalue() >= np.linalg.eigvalsh(cut.matrix.toarray())[-1]
     return share * 2 * np.sqrt(inertia(1000.0, model.units) / cut.max_symbol_eigenvalue())
-
-
-def test_a_bar_swings_as_fast_as_the_theory_says_where_its_edges_are_corrected():
-    found = {}
-    for corrected in (False, True):
-        x, model = rectangle_nodes(40, 6, 1.0), solid().model
-        u = np.stack([np.sin(np.pi * x[:, 0] / 40), 0 * x[:, 0]], axis=1)
-        problem = Cracked(Points(x, np.ones(len(x), bool), 1.0), u=u, corrected=corrected)
-        omega = np.pi / 40 * np.sqrt(model.E / inertia(1000.0, model.units))
-        step = 2 * np.pi / omega / 400
-        run = simulate(model, problem, density=1000.0, step=step, steps=440, record=[239])
-        found[corrected] = frequency(run.time, run["u"][:, 0, 0]) / omega
-        assert run.drift < 1e-11
-    assert found[False] < 0.96
-    assert found[True] == pytest.approx(1, abs=3e-3)
 
 
 def test_waves_with_free_edges_have_the_derivatives_of_differences():
@@ -213,40 +171,6 @@ def test_a_force_on_an_edge_does_its_work_in_any_affine_displacement(d):
     assert np.linalg.norm(x[np.abs(b).sum(axis=1) > 0] - place, axis=1).max() < 2 * h
     with pytest.raises(InputError, match="span the space within 2 spacings"):
         point_force(x, h, place + 1.0, force)
-
-
-def test_the_shift_of_a_front_in_space_is_that_of_its_layer():
-    model = solid(1.0, horizon=2.0, dimension=3).model
-    plain, corrected = (tip_shift(model, 1.0, corrected=one) for one in (False, True))
-    assert abs(plain) < 0.3
-    assert abs(corrected) < 0.3
-    assert tip_shift(model.in_units(("nm", "TPa")), 0.1) == pytest.approx(0.1 * plain)
-
-
-@dataclasses.dataclass(frozen=True)
-class Known:
-    """A problem whose energy is a polynomial of the crack's length."""
-
-    terms: tuple[float, ...]
-    cracks: tuple = ()
-    points = Points(rectangle_nodes(2, 2, 1.0), np.ones(4, bool), 1.0)
-    b = u = np.ones((4, 2))
-    pressure = None
-
-    def solved(self, *_):
-        length = np.ptp(np.asarray(self.cracks[0])[:, 0])
-        operator = SimpleNamespace(inside=slice(0), energy=lambda u: np.polyval(self.terms, length))
-        return SimpleNamespace(load=np.zeros(0), u=np.zeros((0, 2)), operator=operator)
-
-
-@pytest.mark.parametrize(("reach", "exact"), [(1, 2), (2, 4)])
-def test_three_lengths_are_a_parabola_and_five_a_quartic(reach, exact):
-    lengths = [[[(0, 0), (9 + d, 0)]] for d in range(-reach, reach + 1)]
-    for degree in (exact, exact + 1):
-        terms = (1e-3, 0.02, -0.3, 0.2, -1.0, 2.0)[-degree - 1 :]
-        found = energy_release(None, Known(terms), lengths, shift=0.3)
-        true = -np.polyval(np.polyder(terms), 9 - 0.3)
-        assert (abs(found - true) < 1e-10) == (degree == exact)
 
 
 def test_conjugate_gradients_find_what_factors_find():

@@ -8,10 +8,9 @@ import pytest
 import torch
 from scipy.integrate import quad
 
-from tests.support.bodies import solid
 from tests.support.problems import difference
 from warp_peri import Cracked, InputError, LPSMaterial, Points, simulate
-from warp_peri.fracture import BondLaw, SofteningMaterial, adjoint, lattice_body, rectangle_nodes
+from warp_peri.fracture import BondLaw, SofteningMaterial, adjoint, lattice_body
 from warp_peri.fracture.adjoint import SoftBody
 from warp_peri.fracture.statics import CutSolid
 
@@ -52,12 +51,6 @@ def pulled(half, times, law, *, spacing=5.0, horizon=15.05, crack=True):
         return simulate(solid, problem, loads=rate(half) * times, line=line, no_fail=rim, stop=0.9)
 
 
-def peak(run, half):
-    """t and force at the largest force."""
-    highest = int(np.argmax(run["force"]))
-    return run.time[highest] / rate(half), run["force"][highest]
-
-
 def torn_plate(law):
     """The published plate at a small size, and its displacement at unit load."""
     problem, rim = plate(20, 5.0, 10.05, True)
@@ -81,18 +74,6 @@ def test_without_softness_it_is_the_linear_body():
     )
 
 
-def test_softer_bonds_pull_less_failing_ones_make_a_peak_and_a_tail_raises_it():
-    times = np.arange(84.0, 112.0, 4.0)
-    stiff, soft, broken, tail = (
-        pulled(20, times, law, horizon=10.05)
-        for law in (BondLaw(0.0), BondLaw(4.0), BondLaw(4.0, 0.05), BondLaw(4.0, 0.05, 0.05))
-    )
-    assert (soft["force"] < stiff["force"]).all()
-    assert peak(broken, 20)[1] < peak(tail, 20)[1] < soft["force"].max()
-    assert broken["broken"][-1] > 0
-    assert broken["force"][-1] < peak(broken, 20)[1]
-
-
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 def test_the_energy_spent_is_the_work_of_pulling_a_bond_apart(law):
     def pull(s):
@@ -106,61 +87,12 @@ def test_the_energy_spent_is_the_work_of_pulling_a_bond_apart(law):
     assert law.share(np.array([0.0, 0.02])).min() == 1
 
 
-@pytest.mark.parametrize("softness", [1e-300, 1e-6, 0.02, 1e4])
-@pytest.mark.parametrize("stretch", [1e-6, 2.0])
+@pytest.mark.parametrize(("softness", "stretch"), [(1e-300, 1e-6), (0.02, 2.0), (1e4, 2.0)])
 def test_the_energy_spent_keeps_its_digits_however_soft(softness, stretch):
     law = BondLaw(softness, stretch)
     end = min(stretch, 60 / softness)
     work = quad(lambda s: s * np.exp(-softness * s), 0, end, epsabs=0, epsrel=1e-12)[0]
     assert law.spent() == pytest.approx(work, rel=1e-11)
-
-
-@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
-@pytest.mark.parametrize("times", [0.5, 4.0])
-def test_another_horizon_keeps_the_toughness_and_if_it_can_the_strength(law, times):
-    other = law.at_horizon(times)
-    assert other.spent() * times == pytest.approx(law.spent(), rel=1e-9)
-    if other.tail:
-        assert other.stretch == law.stretch
-    else:
-        assert other.stretch <= law.stretch * (1 + 1e-9)
-    if times < 1:
-        assert other.tail > law.tail
-
-
-@pytest.mark.parametrize("law", [BondLaw(3.0, 0.02, 0.2)])
-def test_the_toughness_of_a_lattice_has_the_limit_of_the_theory(law):
-    """(C18), of bonds that soften and of those that break at once."""
-    errors = []
-    for ratio in (4.0, 8.0, 16.0):
-        model = solid(1.0, horizon=ratio).model
-        limit = 2 * law.spent() * 6 * model.mu * ratio / np.pi
-        errors.append(abs(SofteningMaterial(model, law).toughness(1.0) / limit - 1))
-    assert errors[2] < 0.03
-    assert errors[2] < 0.5 * errors[0]
-
-
-def strip(law, turned, **options):
-    """A strip pulled along its long side, along y or, turned, along x; nodes, displacement."""
-    x = rectangle_nodes(12.0, 20.0, 1.0)[:, :: -1 if turned else 1]
-    body, ends = lattice_body(x, 1.0, 3.0), np.abs(x[:, 0 if turned else 1]) > 7
-    held = np.repeat(ends[:, None], 2, axis=1)
-    soft = SoftBody(solid(1.0).model, body, law, held, no_fail=ends, **options)
-    return soft, x * ((1.0, 0.0) if turned else (0.0, 1.0))
-
-
-@pytest.mark.parametrize("line", [[(9, 3.1), (-9, -2.2)]])
-def test_the_force_across_a_slanted_line_is_what_pulls_one_side_off_the_other(line):
-    soft, unit = strip(BondLaw(5.0), False)
-    u = soft.rest(0.02 * unit.ravel(), np.ones(len(soft.stiffness)))
-    d = soft.rows @ u
-    pull = soft.stiffness * d * np.exp(-5.0 * np.maximum(d / soft.square, 0))
-    force = (soft.rows.T @ pull).reshape(-1, 2) * soft.body.spacing**2
-    along = np.subtract(line[1], line[0])
-    normal = np.array([-along[1], along[0]]) / np.hypot(*along)
-    above = (soft.body.x - line[0]) @ normal > 0
-    across = soft.levers(line) @ soft.law.pull(soft.stretch(u))
-    assert across == pytest.approx(force[above].sum(axis=0) @ normal)
 
 
 def test_a_load_without_an_equilibrium_is_left_out_and_named():
@@ -198,14 +130,13 @@ def test_a_gradient_through_an_unstable_body_is_warned_of():
         soft.pull(given, loads=[0.8, 0.96, 1.04], **how)
 
 
-@pytest.mark.parametrize("name", ["softness", "stretch", "tail", "u"])
-def test_a_pull_has_the_gradient_of_differences(name, monkeypatch):
+def test_a_pull_has_the_gradient_of_differences(monkeypatch):
     """To the numbers of the bonds and what is held, past the peak, along the path that is taken."""
     monkeypatch.setattr(adjoint, "TOLERANCE", 1e-12)
     problem, rim = plate(20, 5.0, 10.05, True)
     start = {"softness": 4.0, "stretch": 0.05, "tail": 0.05, "u": problem.u}
     start = {key: torch.tensor(value, dtype=torch.float64) for key, value in start.items()}
-    loads, section = rate(20) * np.arange(84.0, 112.0, 4.0), [(-30.0, 0.0), (30.0, 0.0)]
+    loads, section = rate(20) * np.arange(84.0, 108.0, 8.0), [(-30.0, 0.0), (30.0, 0.0)]
     seed = torch.from_numpy(np.random.default_rng(0).normal(size=problem.u.shape)) / 100
 
     def value(of):
@@ -217,20 +148,9 @@ def test_a_pull_has_the_gradient_of_differences(name, monkeypatch):
         weights = torch.linspace(0.5, 1.0, len(run["force"]), dtype=torch.float64)
         return (weights * run["force"]).sum() + (seed * run.u).sum()
 
-    leaf = start[name].clone().requires_grad_()
-    (gradient,) = torch.autograd.grad(value(start | {name: leaf}), leaf)
-    way = torch.ones_like(leaf) if name != "u" else torch.from_numpy(problem.u)
-    way = way.detach() * (1.0 if name == "u" else start[name])
-
-    def along(t):
-        return float(value(start | {name: start[name] + t[0] * way}))
-
-    slope = difference(along, [0.0], 1e-6)[0]
-    assert float((gradient * way).sum()) == pytest.approx(slope, rel=1e-6)
-
-
-def test_a_pull_in_compression_goes_through_all_its_loads():
-    soft, unit = torn_plate(BondLaw(4.0, 0.05, 0.05))
-    run = soft.pull(-unit, loads=[0.1, 0.2, 0.3], line=[(-30, 0.0), (30, 0.0)])
-    assert len(run.time) == 3
-    assert (run["force"] < 0).all()
+    leaves = {key: one.clone().requires_grad_() for key, one in start.items()}
+    gradients = torch.autograd.grad(value(leaves), list(leaves.values()))
+    for (name, own), gradient in zip(start.items(), gradients):
+        along = lambda t, n=name, x=own: float(value(start | {n: (1 + t[0]) * x}))
+        slope = difference(along, [0.0], 1e-6)[0]
+        assert float((gradient * own).sum()) == pytest.approx(slope, rel=1e-6), name

@@ -11,9 +11,7 @@ import os
 import sys
 import time
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -21,9 +19,8 @@ import torch
 
 import warp_peri as wp
 from tests.support.nonlinear import solid as third_order
-from warp_peri.certificates import prove_uniqueness
 from warp_peri.core import proof
-from warp_peri.fracture import BrittleMaterial, Cracked, box_nodes, rectangle_nodes
+from warp_peri.fracture import BrittleMaterial, Cracked, rectangle_nodes
 from warp_peri.mpi import gather, lattice, partition, together
 from warp_peri.mpi.processes import total, world
 
@@ -85,30 +82,28 @@ def small(x):
 
 
 def proofs():
-    """Of three symbols, and how many cells of them this rank looked at."""
+    """The bound of a symbol, and how many cells of it this rank looked at."""
     seen, looked = [], proof._symbol_slopes
     proof._symbol_slopes = lambda *given: seen.append(len(given[-1])) or looked(*given)
     try:
         with together():
-            own = wp.certificates.certify(solid(2), spacing=H).symbol_bound
-            bent = prove_uniqueness(nonlinear(), spacing=H).strain
-            crystal = wp.crystals.crystal_from_lps(solid(3), H).certificate
+            return wp.certificates.certify(solid(2), spacing=H).symbol_bound, sum(seen)
     finally:
         proof._symbol_slopes = looked
-    return [own, bent, crystal.proven, crystal.sampled, crystal.cells], sum(seen)
 
 
 def from_file(comm, folder):
     """Whether nodes and fields of a file are those of the functions that made it."""
-    x = H * np.argwhere(np.ones((52, 52)))
+    x, path = H * np.argwhere(np.ones((52, 52))), folder / f"plate_{comm.size}.h5"
     if comm.rank == 0:
-        with h5py.File(folder / f"plate_{comm.size}.h5", "w") as file:
+        with h5py.File(path, "w") as file:
             file["interior"], file["b"] = inside(x), fields(x)[0]
     comm.Barrier()
-    points = lattice((52, 52), H, folder / f"plate_{comm.size}.h5")
+    points = lattice((52, 52), H, path)
     same = np.array_equal(points.interior, inside(points.x))
-    b = points.read(folder / f"plate_{comm.size}.h5", "b")
-    return comm.allgather(bool(same and np.array_equal(b, fields(points.x)[0])))
+    return comm.allgather(
+        bool(same and np.array_equal(points.read(path, "b"), fields(points.x)[0]))
+    )
 
 
 def going_on(points, folder, share):
@@ -134,47 +129,6 @@ def told_by(wrong):
         return str(error)
 
 
-def unfit(checkpoint):
-    """Of what no number of processes may take, what each is told; None where it is solved."""
-    x = H * np.argwhere(np.ones((52, 52)))
-    away = np.abs(x - 8)
-    law, turned = solid(2), wp.crystals.crystal_from_lps(solid(2), H)
-    near = fields(x)
-    wild = np.where(np.arange(len(x))[:, None], near[1], np.nan)
-    whole = np.ones(len(x), bool)
-    cases = {
-        "missing": (law, away.max(axis=1) > H / 2, *near),
-        "slot": (law, ~((away[:, 0] < H / 2) & (away[:, 1] < 2)), *near),
-        "hole": (turned, (away**2).sum(axis=1) > (4 * H) ** 2, *near),
-        "doubled": (law, np.append(np.arange(len(x)), 400), *near),
-        "load": (law, whole, np.where(inside(x)[:, None], np.nan, near[0]), near[1]),
-        "displacement": (law, whole, near[0], wild),
-        "masked": (turned, whole, np.ma.array(near[0], mask=True), near[1]),
-        "complex": (law, whole, near[0], 1j * near[1]),
-        "uncertified": (replace(law, D=np.array([1.0, -3.0, 3.0]), certified_on=()), whole, *near),
-        "axis": (turned, whole, *near),
-        "tolerance": (law, whole, *near),
-    }
-
-    def solve(name, material, there, b, u):
-        axis = 17.0 if name == "axis" else 0.0
-        points = partition(wp.Points(x[there], inside(x[there]), H, axis=axis))
-        mine = points.number if hasattr(points, "number") else slice(None)
-        problem = wp.Dirichlet(points, b[there][mine], u[there][mine])
-        at = {"solver": wp.CG(tolerance=1e-17)} if name == "tolerance" else {}
-        kept_at = {"checkpoint": checkpoint} if at and hasattr(points, "number") else {}
-        wp.solve(material, problem, **at, **kept_at)
-
-    return {name: told_by(partial(solve, name, *case)) for name, case in cases.items()}
-
-
-def transferred():
-    """A solid on a lattice other than its own, and which material has no rows on ranks."""
-    points = partition(wp.Points(x := H * np.argwhere(np.ones((52, 52))), inside(x), H))
-    law = wp.LPSMaterial(0.9, 0.4, 1.0, np.ones(1), horizon=1.5, certified_on=(0.6,))
-    return gather(points, wp.solve(law, wp.Dirichlet(points, *fields(points.x))).u)
-
-
 def waves(points, folder):
     """A solid that swings: 15 steps, or 25 of which others have taken some."""
     b, u = fields(points.x)
@@ -194,8 +148,8 @@ SWING = {"density": 2000.0, "step": 1e-3, "every": 4}
 
 def rest(folder):
     comm, found = world(), {}
-    found["proofs"], seen = proofs()
-    found["shared"] = comm.allgather(seen)
+    found["proof"], seen = proofs()
+    found["shared"], found["file"] = comm.allgather(seen), from_file(comm, folder)
     found["sums"] = total(comm, uneven()[comm.rank :: comm.size]).tolist()
     for shape in ((52, 52), (25, 25, 25)):
         points = lattice(shape, H, inside, block=TILE[len(shape)])
@@ -210,12 +164,9 @@ def rest(folder):
                        "iterations": solution.iterations[0], "residual": solution.residual,
                        "waves": waves(points, folder)}  # fmt: skip
     sheet = lattice((52, 52), H, inside, axis=0.0)
-    found["file"] = from_file(comm, folder)
     found["kept"] = going_on(sheet, folder, 2 if comm.size == 2 else 1)
     found["grid"] = points.tiles.grid
-    found["unfit"] = unfit(folder / "unfit.h5")
-    found["door"] = at_the_door() if comm.size > 1 else {}
-    kept(folder, "transferred", SimpleNamespace(comm=comm, gather=np.asarray), transferred())
+    found["door"] = at_the_door(sheet) if comm.size > 1 else {}
     full = lattice((52, 52), H, lambda x: x[:, 0] >= 0)
     everywhere = H * np.argwhere(np.ones((52, 52)))
     found["refused"] = [told_by(wrong) for wrong in (
@@ -236,43 +187,20 @@ def rest(folder):
     return found
 
 
-def at_the_door():
+def at_the_door(sheet):
     """What is said where rank 1 was given something else than the others, by what it was."""
-    one = int(world().rank == 1)
-    x = H * np.argwhere(np.ones((52, 52)))
-    sheet, plate = partition(wp.Points(x, inside(x), H)), rectangle_nodes(20.0, 20.0, 1.0)
-    plate = partition(wp.Points(plate, np.ones(len(plate), bool), 1.0))
-    b, u = fields(sheet.x)
-    law = replace(solid(2), mu=0.4 + 1e-9 * one)
-
-    def moved(material=None, problem=None, **options):
-        problem = problem or wp.Dirichlet(sheet, b, u)
-        wp.simulate(material or solid(2), problem, **SWING | {"steps": 4} | options)
-
-    def broken(at=-5.0, toughness=1e-4, watched=1.0, **options):
-        glass = BrittleMaterial(replace(solid(2), horizon=2.5, certified_on=()), 2500.0, toughness)
-        body = Cracked(plate, cracks=[[(-10.5, 0.0), (at, 0.0)]])
-        watch = {"some": lambda phi: watched * phi.max()}
-        given = {"step": 0.5 * glass.longest_step(1.0), "steps": 4, "watch": watch}
-        wp.simulate(glass, body, **given | options)
-
+    one, (b, u) = int(world().rank == 1), fields(sheet.x)
+    problem, law = wp.Dirichlet(sheet, b, u), replace(solid(2), mu=0.4 + 1e-9 * one)
+    other = wp.Dirichlet(sheet, None if one else b, u)
     cases = {
-        "material": [lambda: wp.solve(law, wp.Dirichlet(sheet, b, u)), partial(moved, law),
-                     partial(broken, toughness=1e-4 * (1 + one))],
-        "problem": [partial(moved, problem=wp.Dirichlet(sheet, None if one else b, u)),
-                    lambda: wp.solve(solid(2), wp.Dirichlet(sheet, b, u[None] if one else u))],
-        "density": [partial(moved, density=2000.0 + one)],
-        "step": [partial(moved, step=1e-3 / (1 + one)), partial(broken, step=1e-3 / (1 + one))],
-        "steps": [partial(moved, steps=4 + one), partial(broken, steps=4 + one)],
-        "signal": [partial(moved, signal=np.arange(5.0 + one)[:5] + one)],
-        "solver": [lambda: wp.solve(solid(2), wp.Dirichlet(sheet, b, u),
-                                    solver=wp.CG(tolerance=1e-8 / (1 + one)))],
-        "cracks": [partial(broken, at=-5.0 + one)],
-        "watch": [partial(broken, watched=1.0 + one)],
-        "points": [lambda: partition(wp.Points(x + one, inside(x), H))],
-        "shape": [lambda: lattice((52 + one, 52), H, inside)],
-    }  # fmt: skip
-    return {name: [told_by(case) for case in some] for name, some in cases.items()}
+        "material": lambda: wp.solve(law, problem),
+        "problem": lambda: wp.simulate(solid(2), other, **SWING, steps=4),
+        "step": lambda: wp.simulate(
+            solid(2), problem, **SWING | {"step": 1e-3 / (1 + one)}, steps=4
+        ),
+        "shape": lambda: lattice((52 + one, 52), H, inside),
+    }
+    return {name: told_by(case) for name, case in cases.items()}
 
 
 def crack(folder, by="rows", steps="60", pause="0"):
@@ -328,23 +256,6 @@ def corrected(by="rows"):
     return [digest(gather(points, one)) for one in (motion.u, motion.details.damage)]
 
 
-def block(by="rows"):
-    """A notched block in space."""
-    x = box_nodes((20.0, 10.0, 8.0), 1.0)
-    points = partition(wp.Points(x, np.ones(len(x), bool), 1.0), by)
-    x = points.x
-    model = wp.LPSMaterial(0.3, 0.4, 1.0, np.ones(1), horizon=2.0, dimension=3)
-    rock = BrittleMaterial(model, 2500.0, toughness=1e-4)
-    pull = np.where(np.abs(x[:, 1:2]) > 4, np.sign(x) * (0.0, 0.02, 0.0), 0.0)
-    notch = [(-11.0, 0.0, -5.0), (-4.0, 0.0, -5.0), (-4.0, 0.0, 5.0), (-11.0, 0.0, 5.0)]
-    motion = wp.simulate(
-        rock, Cracked(points, pull, cracks=[notch]), step=0.5 * rock.longest_step(1.0), steps=40,
-        no_fail=np.abs(x[:, 1]) > 3,
-    )  # fmt: skip
-    return {"u": digest(gather(points, motion.u)),
-            "worst": gather(points, motion.details.damage).max()}  # fmt: skip
-
-
 def fail():
     comm = world()
     if comm.rank == 1:
@@ -357,7 +268,6 @@ if __name__ == "__main__":
     found = {"crack": crack(Path(folder), by, steps, pause)}
     if pause == "0":
         found["corrected"] = corrected(by)
-        found["block"] = block(by)
     if "rest" in more:
         found |= rest(Path(folder))
     print(json.dumps(found), flush=True)

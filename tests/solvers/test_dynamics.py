@@ -17,7 +17,6 @@ from warp_peri.solvers.verlet import INERTIA, Inert, march, step
 from warp_peri.solving import simulate
 
 DENSITY = 2147.0
-STABLE = ("1/r", "steep", "positive")
 ZONE = np.stack(np.meshgrid(*2 * [np.linspace(-np.pi, np.pi, 201)]), -1).reshape(-1, 2)
 
 
@@ -39,8 +38,7 @@ def box_of(model, spacing):
     return *periodic(shape, spacing), k
 
 
-@pytest.mark.parametrize("spacing", [1.0, 5.0])
-@pytest.mark.parametrize("name", STABLE)
+@pytest.mark.parametrize(("name", "spacing"), [("1/r", 1.0), ("steep", 5.0)])
 def test_stable_just_below_and_unstable_just_above(name, spacing):
     model = kernel(name, 2.5 * spacing, spacing, lam=-0.2)
     points, _, _ = box_of(model, spacing)
@@ -57,15 +55,6 @@ def test_stable_just_below_and_unstable_just_above(name, spacing):
     assert np.abs(above.u).max() > 1e20 * np.abs(u).max()
     with pytest.raises(InputError, match=f"step: expected at most {critical:.6g} ps"):
         velocity_verlet(model, points, u, rest, step=1.01 * critical, **options)
-
-
-def test_the_step_holds_on_parts_of_the_lattice():
-    model = kernel("positive", 2.5)
-    points = lattice(ell(), 2.5)
-    unknown = np.repeat(points.interior, 2)
-    L = matrices(model, points).operator(model.lam, model.mu)[:, unknown].toarray()
-    omega = np.sqrt(np.linalg.eigvalsh(L)[-1] / (INERTIA * DENSITY))
-    assert critical_time_step(model, spacing=1.0, density=DENSITY) < 2 / omega
 
 
 def test_a_wave_turns_with_its_frequency_to_second_order():
@@ -86,9 +75,8 @@ def test_a_wave_turns_with_its_frequency_to_second_order():
     assert errors[-1] < 1e-2
 
 
-@pytest.mark.parametrize("name", STABLE)
-def test_energy_is_kept_with_a_collar_and_a_load(name):
-    model = kernel(name, 2.5, lam=-0.2)
+def test_energy_is_kept_with_a_collar_and_a_load():
+    model = kernel("positive", 2.5, lam=-0.2)
     points = lattice(ell(), 2.5)
     step = 0.9 * critical_time_step(model, spacing=1.0, density=DENSITY)
     u, v, b = (noise(points, seed=seed) for seed in range(3))
@@ -122,10 +110,10 @@ def test_to_move_as_a_whole_changes_no_energy():
     law = material("crystal", THIRD, 1.0, UnitScale())
     points = replace(periodic((8, 8))[0], units=law.units, axis=0.0)
     step = 0.9 * critical_time_step(law, spacing=1.0, density=DENSITY)
-    v = 10 * (1 + 0.01 * noise(points)) / (1000 * step)
+    v = 10 * (1 + 0.01 * noise(points)) / (300 * step)
     load = 1e-3 * law.elastic_tensor().max() * noise(points)
     for b in (None, load - load.mean(axis=0)):
-        how = {"density": DENSITY, "step": step, "steps": 1000, "every": 10, "v": v}
+        how = {"density": DENSITY, "step": step, "steps": 300, "every": 10, "v": v}
         run = simulate(law, Dirichlet(points, b, 0.01 * noise(points)), **how)
         assert np.abs(run.u.mean(axis=0)).min() > 5
         assert run.drift < 1e-12

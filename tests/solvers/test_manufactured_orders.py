@@ -50,49 +50,25 @@ def state_based(make, ratio, lam):
     return orders(make, ratio, field, partial(clouds.state_based_load, lam=lam, mu=MU), lam)
 
 
-def test_the_loads_are_those_of_the_fields():
-    x, step = np.array([0.3, 0.7]), 1e-3
-    for field, load, lam in (
-        (clouds.bond_based_field, partial(clouds.bond_based_load, mu=MU), MU),
-        (
-            partial(clouds.state_based_field, lam=0.3, mu=MU),
-            partial(clouds.state_based_load, lam=0.3, mu=MU),
-            0.3,
-        ),
-    ):
-
-        def at(p, q, field=field):
-            return field((x + step * np.array([p, q]))[None])[0]
-
-        xx, yy = (at(*e) - 2 * at(0, 0) + at(*-e) for e in np.eye(2))
-        xy = (at(1, 1) - at(1, -1) - at(-1, 1) + at(-1, -1)) / 4
-        divergence = np.array([xx[0] + xy[1], xy[0] + yy[1]])
-        expected = -(MU * (xx + yy) + (lam + MU) * divergence) / step**2
-        np.testing.assert_allclose(load(x[None])[0], expected, rtol=1e-5)
+def test_bond_based_on_lattices():
+    assert min(bond_based(ordered, 3.0)) >= LATTICE
 
 
-@pytest.mark.parametrize("ratio", [2.0, 3.0])
-def test_bond_based_on_lattices(ratio):
-    assert min(bond_based(ordered, ratio)) >= LATTICE
+def test_bond_based_on_perturbed_points():
+    assert min(bond_based(scattered, 3.0)) >= CLOUD
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_bond_based_on_perturbed_points(seed):
-    assert min(bond_based(partial(scattered, seed=seed), 3.0)) >= CLOUD
-
-
-@pytest.mark.parametrize("ratio", [2.0, 3.0])
-@pytest.mark.parametrize("stiffer", [0.4, 100.0, 1e4])
+@pytest.mark.parametrize(("stiffer", "ratio"), [(0.4, 2.0), (1e4, 3.0)])
 def test_state_based_on_lattices_however_incompressible(stiffer, ratio):
     assert min(state_based(ordered, ratio, stiffer * MU)) >= LATTICE
 
 
-@pytest.mark.parametrize("stiffer", [0.4, 10.0, 100.0])
+@pytest.mark.parametrize("stiffer", [0.4, 100.0])
 def test_state_based_on_perturbed_points(stiffer):
     assert min(state_based(scattered, 3.0, stiffer * MU)) >= CLOUD
 
 
-@pytest.mark.parametrize("ratio", [2.0, 3.0])
+@pytest.mark.parametrize("ratio", [3.0])
 def test_forces_converge_and_those_of_other_kernels_to_other_constants(ratio):
     errors = {"1/r": [], "steep": []}
     for number in NUMBERS:

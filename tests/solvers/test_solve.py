@@ -10,17 +10,14 @@ import warp_peri as wp
 from tests.crystal.crystals import learned
 from tests.support.problems import LAM, MU, ell, kernel, lattice, manufactured, noise, periodic
 from tests.support.solving import solve, solve_periodic
-from tests.support.symbols import smallest, symbol
 from warp_peri import Dirichlet, InputError, LPSMaterial, Periodic, Points
 from warp_peri.solvers.linear import DIRECT, cheapest_method
 from warp_peri.solving import solve as at_rest
 
-SOLVABLE = ("1/r", "steep", "positive", "growing", "sign-changing")
 HORIZON = 3.0  # at which all of them are
 
 
-@pytest.mark.parametrize("name", SOLVABLE)
-@pytest.mark.parametrize("angle", [0.0, 0.5])
+@pytest.mark.parametrize(("name", "angle"), [("1/r", 0.0), ("sign-changing", 0.5)])
 def test_a_manufactured_solution_is_recovered_whatever_the_collar(name, angle):
     model = kernel(name, HORIZON, lam=-0.2)
     points = manufactured(model, lattice(ell(), HORIZON, angle=angle, origin=(4.0, 9.0)), 3)
@@ -43,8 +40,8 @@ def test_the_residual_is_that_of_the_worst_load():
     assert replace(solution, u=spoiled, measured=None).residual > 1e-3
 
 
-@pytest.mark.parametrize("name", SOLVABLE)
-@pytest.mark.parametrize("side", [11, 12])  # twice the reach of 6 spacings but one, and all of it
+# twice the reach of 6 spacings but one, and all of it
+@pytest.mark.parametrize(("name", "side"), [("steep", 11), ("growing", 12)])
 def test_the_periodic_solve_is_the_inverse_of_the_operator(name, side):
     model = kernel(name, HORIZON * 2.5, spacing=2.5)
     points, _ = periodic((9, side), spacing=2.5)
@@ -87,25 +84,12 @@ def passing(a):
     return LPSMaterial(0.3, 0.8, 1.0, [1.0, a, 0.3], HORIZON, certified_on=(1.0,))
 
 
-def symbol_at_the_corner(a):
-    """Smallest ratio at (π, π)."""
-    corner = np.full((1, 2), np.pi)
-    return smallest(symbol(passing(a), corner), corner)[0]
-
-
 def smallest_eigenvalue(a, points):
     """Of the operator on the unknowns."""
     unknown = np.flatnonzero(np.repeat(points.interior, 2))
     pulls = np.eye(2 * len(points.x))[unknown].reshape(len(unknown), -1, 2)
     forces = passing(a).on(points)(pulls).reshape(len(unknown), -1)
     return np.linalg.eigvalsh(forces)[0]
-
-
-def test_a_sheet_without_a_stable_answer_is_refused():
-    model = passing(brentq(symbol_at_the_corner, -1.1, -1.0, xtol=1e-16))
-    b = np.random.default_rng(0).normal(size=(8, 8, 2))
-    with pytest.raises(InputError, match="the operator on these 64 nodes is indefinite"):
-        solve_periodic(model, b, spacing=1.0)
 
 
 @pytest.mark.parametrize(
@@ -133,21 +117,7 @@ def test_a_collar_that_is_too_thin_is_refused():
         solve(kernel("1/r", HORIZON), points, zero, zero)
 
 
-def test_a_picture_says_which_of_several_loads_it_shows():
-    points, model = lattice(13, 2.5), kernel("positive", 2.5)
-    b = 1e-3 * np.stack([np.ones_like(points.x), -2 * points.x])
-    both = at_rest(model, Dirichlet(points, b, np.zeros_like(b)), allow_uncertified=True)
-    one = at_rest(model, Dirichlet(points, b[1], np.zeros_like(b[1])), allow_uncertified=True)
-    assert both.plot(1).get_title() == both.plot(-1).get_title() == "load 1 of 0 to 1"
-    assert one.plot().get_title() == ""
-    for beyond in (2, -3, "b", 0.5):
-        with pytest.raises(InputError, match="sample: expected (one of 2|a whole number), got"):
-            both.plot(beyond)
-    shown = both.plot(1).collections[0].get_array()
-    np.testing.assert_allclose(shown, one.plot().collections[0].get_array(), rtol=1e-8)
-
-
-@pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
+@pytest.mark.parametrize("size", [1e-9])
 def test_a_constant_load_moves_nothing_on_a_period(size):
     crystal = learned(2)
     for law, spacing in ((kernel("1/r", HORIZON), 1.0), (crystal, crystal.spacing)):
@@ -156,14 +126,6 @@ def test_a_constant_load_moves_nothing_on_a_period(size):
         answer = at_rest(law, Periodic(points, b))
         assert np.array_equal(answer.u, np.zeros_like(b))
         assert answer.residual == 0
-
-
-def test_a_small_load_on_a_large_mean_is_answered():
-    points, law = Points.sheet((20, 20), 1.0), kernel("1/r", HORIZON)
-    wave = np.sin(2 * np.pi * points.x / 20)
-    known = at_rest(law, Periodic(points, wave)).u
-    found = at_rest(law, Periodic(points, 1e6 + wave)).u
-    np.testing.assert_allclose(found, known, rtol=0, atol=1e-8 * np.abs(known).max())
 
 
 @pytest.mark.parametrize(

@@ -109,19 +109,16 @@ class SoftBody:
     Raises InputError for another model or horizon, arrays that do not fit, and for a piece of the
     body that nothing holds.
 
-    `pull(u, loads=…, line=…)` takes u, given components at unit load, [N, d], the others where the
-    first solve begins; loads, rising factors; line, a straight one, across which the force at right
-    angles to it is read, [2, 2], in space a flat polygon [P, 3]; stop, the share of the largest
-    force at which it ends; parameters, softness, stretch or tail, the others being those of the
-    law. It returns a motion whose time is the load, with the histories load, force: per thickness
-    at right angles to the line [stress · length], and broken: bonds by then. With parameters, or
-    where u is a tensor, force and the u at the end are tensors, differentiable once along the path
-    that was taken: which bonds failed when is felt, how often a load was settled is not. Two loads
-    in turn at which failing bonds leave no positive definite tangent are warned of. A body that has
-    come apart along the line has the force 0; where no equilibrium is found while bonds still cross
-    it, the curve ends before, with a warning. It raises InputError for loads that do not rise, a
-    line that is not straight or that no bond crosses, a first load without an equilibrium, other
-    numbers, and derivatives to bonds that break at once, which have none.
+    `pull` takes u, given components at unit load, [N, d], the others where the first solve begins;
+    loads, rising factors; line, a straight one, in space a flat polygon; stop, the share of the
+    largest force at which it ends; parameters, softness, stretch or tail. It returns a motion whose
+    time is the load, with the histories load, force: across the line, at right angles to it, per
+    thickness, and broken: bonds by then. With parameters, or where u is a tensor, force and the u
+    at the end are tensors, differentiable once along the path that was taken: which bonds failed
+    when is felt, how often a load was settled is not. A body that has come apart along the line has
+    the force 0; where no equilibrium is found before, the curve ends with a warning. It raises
+    InputError for loads that do not rise, a line that no bond crosses, a first load without an
+    equilibrium, other numbers, and derivatives to bonds that break at once.
     """
 
     def __init__(
@@ -201,7 +198,8 @@ class SoftBody:
     ) -> Motion:
         """Raise the load step by step; at each, let bonds fail until none fails further.
 
-        Arguments, what comes back and errors are told by the class.
+        Arguments, what comes back and errors are told by the class; two loads in turn at which
+        failing bonds leave no positive definite tangent are warned of.
         """
         loads = checked("loads", loads, float, ("n",))
         if not (len(loads) and loads[0] >= 0 and (np.diff(loads) > 0).all()):
