@@ -110,6 +110,7 @@ REFUSED = {
     "at_horizon": (lambda: BondLaw(1.0).at_horizon(2.0), "at_horizon: expected"),
     "falling": (softly(loads=[0.2, 0.1]), "factors that rise"),
     "no bond": (softly(line=[(-7, 40), (7, 40)]), "no bond of the body crosses it"),
+    "corners": (softly(line=[(-7, 40)]), "line: expected corners of shape"),
     "two ends": (softly(line=[(-7, 0.1), (0, 0.1), (7, 2)]), "line: expected two ends, got 3"),
     "no tail": (softly(parameters={"tail": 0.0}), "tail: expected > 0 for a gradient"),
 }

@@ -154,3 +154,15 @@ def test_a_pull_has_the_gradient_of_differences(monkeypatch):
         along = lambda t, n=name, x=own: float(value(start | {n: (1 + t[0]) * x}))
         slope = difference(along, [0.0], 1e-6)[0]
         assert float((gradient * own).sum()) == pytest.approx(slope, rel=1e-6), name
+    leaf = start["stretch"].clone().requires_grad_()  # not felt by a body at rest
+    body = SofteningMaterial(LPSMaterial(1.0, 1.0, 1.0, [1.0], 10.05), BondLaw(1.0, 0.05, 0.05))
+    how = {"loads": [1.0], "line": section, "parameters": {"stretch": leaf}}
+    run = simulate(body, replace(problem, u=0 * problem.u), **how)
+    assert not torch.autograd.grad(run["force"].sum(), leaf)[0]
+
+
+def test_a_pull_in_compression_goes_through_all_its_loads():
+    soft, unit = torn_plate(BondLaw(4.0, 0.05, 0.05))
+    run = soft.pull(-unit, loads=[0.1, 0.2, 0.3], line=[(-30, 0.0), (30, 0.0)])
+    assert len(run.time) == 3
+    assert (run["force"] < 0).all()

@@ -104,6 +104,13 @@ def test_energies_that_cannot_be_used_are_refused():
     pulled = wp.DensityMaterial.of(lambda E: E[..., 0, 0] + (E * E).sum((-1, -2)), 0.5, {})
     with pytest.raises(InputError, match="energy: expected no stress at rest"):
         pulled.on(points)
+    for wrong, got in (
+        (lambda E: None, "NoneType"),
+        (lambda E: 2.0, "float"),
+        (lambda E: E, ".*2"),
+    ):
+        with pytest.raises(InputError, match=f"energy: expected one value a strain, .* got {got}"):
+            wp.DensityMaterial.of(wrong, 0.5, {}).on(points)
     with pytest.raises(InputError, match="loss: expected one of forces, displacement"):
         wp.Density(blatz_ko, 0.5, {"mu": 1.0}, "energy")
     with pytest.raises(InputError, match="expected all bonds of every interior node"):

@@ -244,7 +244,8 @@ class SoftBody:
             if 0 < max(forces) * stop > forces[-1] or not share[levers > 0].any():
                 break
         load, broken = np.array(rows).T
-        force, end = torch.stack(forces), field.reshape(self.held.shape)
+        nothing = sum(one.flatten()[:0].sum() for one in law)  # the graph of what was not felt yet
+        force, end = torch.stack(forces) + nothing, (field + nothing).reshape(self.held.shape)
         ends: Any = (force, end) if asked else (force.numpy(), end.numpy())
         return Motion(load, ends[1], None, {"load": load, "force": ends[0], "broken": broken})
 

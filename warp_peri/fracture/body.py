@@ -174,7 +174,7 @@ def point_force(
     return b
 
 
-def crossing_bonds(body: LatticeBody, polyline: ArrayLike) -> np.ndarray:
+def crossing_bonds(body: LatticeBody, polyline: ArrayLike, name: str = "crack") -> np.ndarray:
     """Bonds that a crack along a polyline cuts, shape [N, B] bool; both directions of a bond.
 
     A bond that meets an end of the polyline is not cut, one that meets a corner is, or an end
@@ -186,20 +186,21 @@ def crossing_bonds(body: LatticeBody, polyline: ArrayLike) -> np.ndarray:
     Args:
         body: the body.
         polyline: corners [length], shape [P ≥ 2, 2]; in space in their order, [P ≥ 3, 3].
+        name: of it in errors.
 
     Raises InputError for another shape, a segment without length, and a polygon that is not flat
     and convex.
     """
     d = body.dimension
-    corners = checked("crack", polyline)
+    corners = checked(name, polyline)
     if corners.ndim != 2 or corners.shape[1:] != (d,) or len(corners) < d:
         raise InputError(
-            f"crack: expected corners of shape [P ≥ {d}, {d}], got {list(corners.shape)}"
+            f"{name}: expected corners of shape [P ≥ {d}, {d}], got {list(corners.shape)}"
         )
     if (np.diff(corners, axis=0) == 0).all(axis=1).any():
-        raise InputError("crack: expected segments with a length")
+        raise InputError(f"{name}: expected segments with a length")
     cut = np.zeros(body.neighbour.shape, bool)
-    for face in _segments(body, corners) if d == 2 else _polygon(corners):
+    for face in _segments(body, corners) if d == 2 else _polygon(corners, name):
         _cut_face(body, *face, cut)
     node, bond = np.nonzero(cut)  # rounding at a tip must not leave half a bond
     cut[body.neighbour[node, bond], body.opposite[bond]] = True
@@ -225,14 +226,16 @@ def _segments(body: LatticeBody, corners: np.ndarray) -> Iterator[Face]:
         yield np.stack(ends), normal, np.stack([along, -along]), slack
 
 
-def _polygon(corners: np.ndarray) -> Iterator[Face]:
+def _polygon(corners: np.ndarray, name: str) -> Iterator[Face]:
     """Of a flat convex polygon in space, whose edges cut nothing."""
     size, normal = size_and_normal(corners)
     if not size > 0 or np.abs((corners - corners[0]) @ normal).max() > ON_LINE * size**0.5:
-        raise InputError("crack: expected the corners of a flat polygon with an area")
+        raise InputError(f"{name}: expected the corners of a flat polygon with an area")
     inward = np.cross(normal, np.roll(corners, -1, axis=0) - corners)
     if (corners @ inward.T - (inward * corners).sum(axis=1)).min() < -1e-9 * size:
-        raise InputError("crack: expected a convex polygon, its corners in order; cut it in parts")
+        raise InputError(
+            f"{name}: expected a convex polygon, its corners in order; cut it in parts"
+        )
     yield corners, normal, inward, np.full(len(corners), 1e-9 * size)
 
 
@@ -285,7 +288,7 @@ def section(body: LatticeBody, line: ArrayLike, name: str) -> tuple[np.ndarray, 
 
     Raises InputError as crossing_bonds, and for a line that is bent.
     """
-    cut, ends = crossing_bonds(body, line), checked(name, line)
+    cut, ends = crossing_bonds(body, line, name), checked(name, line)
     if body.dimension == 2 and len(ends) != 2:
         raise InputError(f"{name}: expected two ends, got {len(ends)} corners")
     return cut, ends, size_and_normal(ends)[1]

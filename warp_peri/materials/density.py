@@ -148,7 +148,16 @@ class DensityOperator(Pointwise):
         steps, weights = sided_gradients(nodes, material.horizon)
         self.model = self.material = material
         numbers = material.parameters
-        energy = lambda E, **numbers: material.scale * material.energy(E, **numbers)  # noqa: E731
+
+        def energy(E: torch.Tensor, **numbers: Any) -> torch.Tensor:
+            W = material.energy(E, **numbers)
+            if (got := getattr(W, "shape", type(W).__name__)) != E.shape[:-2]:
+                got = got if isinstance(got, str) else list(got)
+                raise InputError(
+                    f"energy: expected one value a strain, {list(E.shape[:-2])}, got {got}"
+                )
+            return material.scale * W  # type: ignore[no-any-return]
+
         super().__init__(nodes, material.horizon, energy, steps, weights, numbers=numbers)
         none = torch.zeros(nodes.dimension, nodes.dimension, 1, dtype=torch.float64)
         stress, stiff = self._slope(none).abs().max(), self.stiffness().abs().max()
