@@ -26,7 +26,6 @@ MOST = 400
 # Generators in the crystal's axes; the principal axis is the third, in two dimensions the normal.
 # Twelvefold turns leave an elastic sheet isotropic; in space "isotropic" is cubic with one equation
 # more (elastic.allowed_tensors), since no finite group holds the cube's and makes it so.
-_TURNS = {"2": 2, "3": 3, "4": 4, "6": 6, "12": 12}
 _PLANE = {
     "1": "", "2": "", "m": "m", "2mm": "m", "4": "4", "4mm": "4 m", "3": "3", "3m": "3 m",
     "6": "6", "6mm": "6 m", "isotropic": "12 m",
@@ -56,6 +55,16 @@ LATTICE_GROUP = {2: "4mm", 3: "m-3m"}
 """Of a square and of a cubic lattice of nodes."""
 
 
+def about_third(degrees: float) -> np.ndarray:
+    """A turn about the third axis, shape [3, 3]."""
+    cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+
+
+GENERATORS = {str(n): about_third(360 / n) for n in (2, 3, 4, 6, 12)}
+GENERATORS |= {"m": np.diag([1.0, -1.0, 1.0]), "cycle": np.eye(3)[[1, 2, 0]]}
+
+
 def point_group(symmetry: Symmetry, dimension: int) -> np.ndarray:
     """Rotations of a group in the crystal's axes, shape [G, d, d], with the inversion.
 
@@ -79,18 +88,7 @@ def _named(name: str, dimension: int) -> list[np.ndarray]:
     known = name if dimension == 2 else _ALIASES.get(name, name)
     if known not in table:
         raise InputError(f"symmetry: expected one of {', '.join(table)}, got {name!r}")
-    generators = []
-    for word in table[known].split():
-        if word == "m":
-            generators.append(np.diag([1.0, -1.0, 1.0])[:dimension, :dimension])
-        elif word == "cycle":
-            generators.append(np.eye(3)[[1, 2, 0]])
-        else:
-            angle = 2 * np.pi / _TURNS[word]
-            turn = np.eye(3)
-            turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-            generators.append(turn[:dimension, :dimension])
-    return generators
+    return [GENERATORS[word][:dimension, :dimension] for word in table[known].split()]
 
 
 def name_of(group: np.ndarray) -> Symmetry:
@@ -148,8 +146,7 @@ def checked_orientation(orientation: Any, dimension: int) -> np.ndarray:
     """
     given = checked("orientation", np.eye(dimension) if orientation is None else orientation)
     if given.ndim == 0:
-        cos, sin = np.cos(np.radians(given)), np.sin(np.radians(given))
-        return np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])[:dimension, :dimension]
+        return about_third(float(given))[:dimension, :dimension]
     one = np.eye(dimension)
     if given.shape != one.shape or np.abs(given @ given.T - one).max() > TOLERANCE:
         raise InputError(
