@@ -21,7 +21,6 @@ def rows(
     *,
     weight: np.ndarray | None = None,
     extra: np.ndarray | None = None,
-    mix: np.ndarray | None = None,
     least: int | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """R [n, P + E] and y [n] of numbers p = C h² [stress] on a basis, then of extra columns.
@@ -31,14 +30,12 @@ def rows(
         bonds: the family.
         weight: of each sample, shape [S].
         extra: forces of other numbers that a law is linear in, along the axes, [S, I, d, E].
-        mix: numbers p of other ones, shape [P, Q], which take the place of p.
         least: as of grid_of.
 
     Raises InputError as grid_of does, and for samples without loads.
     """
     R, y = np.zeros((0, 0)), np.zeros(0)
     for some, F, b in swept(samples, bonds, extra, least):
-        F = F if mix is None else F @ mix
         if weight is not None:
             F *= weight[some, None, None, None]
             b *= weight[some, None, None]

@@ -12,7 +12,7 @@ import numpy as np
 
 from warp_peri.core.grid import grid_of
 from warp_peri.core.groups import lattice_group
-from warp_peri.core.stencil import Basis, half_ball, invariant_basis
+from warp_peri.core.stencil import Basis, half_ball
 from warp_peri.fitting.regression import LatticeRows
 from warp_peri.fitting.rows import forces, rows
 from warp_peri.materials.lps import LPSMaterial, stiffnesses
@@ -76,21 +76,15 @@ class Products:
         self.samples, self.least = samples, 2 * int(horizon / h + 1e-6)
         self.classes = bond_classes(h, horizon, dimension=d, degree=quadrature_degree)
         self.bonds = product_basis(self.classes)
-        every = invariant_basis(2 * horizon / h, lattice_group(d))
-        place = {tuple(step): n for n, step in enumerate(every.steps.tolist())}
-        tensors = every.basis[:, [place[tuple(step)] for step in self.bonds.steps.tolist()]]
-        self.every = Basis(self.bonds.steps, tensors[tensors.any(axis=(1, 2, 3))])
-        flat, own = (one.basis.reshape(len(one.basis), -1) for one in (self.every, self.bonds))
-        self.mix = np.linalg.pinv(flat.T) @ own.T
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """Of u, shape [S, N, d], on the interior nodes: shape [S, I, P, d]."""
-        nodes = grid_of(self.samples.points, self.every.steps, least=self.least)
-        F = forces(u, nodes, self.every) @ self.mix / self.samples.spacing**2
+        nodes = grid_of(self.samples.points, self.bonds.steps, least=self.least)
+        F = forces(u, nodes, self.bonds) / self.samples.spacing**2
         return np.asarray(np.einsum("sika,lk->sial", F, nodes.axes))
 
     def rows(self, weight: np.ndarray, samples: Samples | None = None) -> LatticeRows:
         """Rows of Σ_s weight_s ‖L u − b‖², weight [S], of its samples or others on the nodes."""
-        given: dict[str, Any] = {"weight": np.sqrt(weight), "mix": self.mix, "least": self.least}
-        R, y = rows(self.samples if samples is None else samples, self.every, **given)
+        given: dict[str, Any] = {"weight": np.sqrt(weight), "least": self.least}
+        R, y = rows(self.samples if samples is None else samples, self.bonds, **given)
         return LatticeRows(R, y, self.bonds, lattice_group(self.bonds.dimension))
