@@ -139,11 +139,11 @@ class TensorOperator(OperatorBase):
 
     def by_numbers(self, name: str, u: ArrayLike, w: ArrayLike) -> np.ndarray:
         """Derivatives of Σ w · L u to the tensors, of fields [K, N, d] and weights [K, I, d]."""
-        A, H = self.nodes.axes, len(self.steps)
-        u, w = self.fields(u) @ A, plain("w", w) @ A
-        here, *ends = u[:, self.ends[0]], *self.ends[1:]
+        A, H, ends = self.nodes.axes, len(self.steps), self.ends[1:]
+        fields, weights = self.fields(u) @ A, plain("w", w) @ A
+        both = 2 * fields[:, self.ends[0]]
         found = np.array([
-            np.einsum("sni,snj->ij", w, 2 * here - u[:, ahead] - u[:, behind])
+            np.einsum("sni,snj->ij", weights, both - fields[:, ahead] - fields[:, behind])
             for ahead, behind in zip(ends[:H], ends[H:])
         ])  # fmt: skip
         return np.asarray((found + found.transpose(0, 2, 1)) / 2)

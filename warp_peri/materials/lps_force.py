@@ -89,7 +89,7 @@ class Bonds:
         dtype, scalar: types of numbers in this precision, of NumPy and of Warp.
         families: families of all nodes.
         nodes, dimension: their number N, and 2 or 3.
-        ready: launches and planes that nobody uses.
+        ready: launches that nobody uses.
         kept: the last law, and the numbers that it is of.
 
     Raises InputError for what families_of refuses.
@@ -206,7 +206,7 @@ class Bonds:
         """K W of each class, [C]; with derivatives of a scalar to it those to α and D, by Warp's
         tape, which is this call's alone."""
         families, degree, taped = self.families, np.size(D) - 1, by is not None
-        given = [
+        given: list[Any] = [
             wp.array(np.ravel(one).astype(float), device=DEVICE, requires_grad=taped)
             for one in (alpha, D)
         ]
@@ -220,7 +220,7 @@ class Bonds:
         kernel.module.load(DEVICE)
         tape.record_launch(kernel, len(kw), 0, [0, *inputs], [kw], DEVICE)
         tape.backward(grads={kw: floats(by)})
-        return [one.grad.numpy() for one in given]  # type: ignore[union-attr]
+        return [one.grad.numpy() for one in given]
 
     def volumes(self, terms: np.ndarray) -> Any:
         """The sum of a table by class over each whole ball, [N]; of a lattice one number."""
@@ -405,21 +405,14 @@ class Law:
         shared()
         ready.append((shared, ends, of))
 
-    def force(self, u: np.ndarray, *, kept: bool = True) -> tuple[np.ndarray, ...]:
+    def force(self, u: np.ndarray) -> tuple[np.ndarray, ...]:
         """L u, with the displacement as sweeps read it and dilatations by place, which a gradient
-        reads; these are the caller's, unless they are not `kept`."""
-        bonds, layout, size = self.bonds, self.bonds.layout, len(u)
+        reads."""
+        bonds, size, places = self.bonds, len(u), len(self.bonds.layout.node)
         d = bonds.dimension
-        Lu = bonds.zeros(size, d * len(bonds.families.rows))
-        spare = [] if kept else bonds.ready.setdefault(("planes", size), [])
-        try:
-            planes, theta = spare.pop()
-        except IndexError:
-            theta = bonds.zeros(size, len(layout.node))
-            planes = bonds.zeros(size, d * len(layout.node)) if layout.in_rows else u
+        Lu, theta = (bonds.zeros(size, n) for n in (d * len(bonds.families.rows), places))
+        planes = bonds.zeros(size, d * places) if bonds.layout.in_rows else u
         self._sweep(self.forward, ("laid", "needed", "forces"), u, planes, theta, Lu)
-        if layout.in_rows:
-            spare.append((planes, theta))
         return Lu, planes, theta
 
     def transposed(self, g: np.ndarray, *, asked: bool = True) -> tuple[np.ndarray, ...]:
@@ -481,7 +474,8 @@ class Law:
         Of a bond f of a node that has lost some (40–41) makes them
         p_f · S⁻¹ ξ_f − (S⁻¹ ξ_f) · (Σ_e K W p_e ⊗ S⁻¹ ξ_e) ξ_f, p that to K W S⁻¹ ξ.
         """
-        bonds, layout, d, lost = self.bonds, self.bonds.layout, self.bonds.dimension, 0.0
+        bonds, layout, d = self.bonds, self.bonds.layout, self.bonds.dimension
+        lost = np.zeros(len(self.kw))
         if not layout.in_rows:
             by[bonds.listing[1] < 0] = 0
         if len(bonds.families.cut):

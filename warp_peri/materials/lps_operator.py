@@ -113,7 +113,7 @@ class LPSOperator(OperatorBase):
         """L u on the interior nodes, shape [..., I, d]; InputError for another shape."""
         field = np.require(plain("u", u), float, ["C", "W"])
         self.check(field)
-        Lu = self._law.force(field.reshape(-1, self.points.x.size), kept=False)[0]
+        Lu = self._law.force(field.reshape(-1, self.points.x.size))[0]
         return Lu.reshape(*field.shape[:-2], -1, field.shape[-1])
 
     def vjp(self, u: Any, w: ArrayLike) -> np.ndarray:
@@ -284,7 +284,7 @@ class LPSOperator(OperatorBase):
             # closer than a factorisation is held to, where one would have been possible
             tolerance = getattr(solver, "tolerance", RESIDUAL / 10 if few else TOLERANCE)
             try:
-                answer, records = self._iterated(*fields, tolerance, method)
+                answer, records = self._iterated(fields[0], fields[1], tolerance, method)
             except InputError:
                 if solver is not None or not few:
                     raise
