@@ -86,12 +86,12 @@ def plane_isotropic(lam: float, mu: float) -> np.ndarray:
 
 
 @typed
-def voigt_to_tensor(matrix: np.ndarray) -> np.ndarray:
+def voigt_to_tensor(moduli: np.ndarray) -> np.ndarray:
     """The elastic tensor [d, d, d, d] of a symmetric Voigt matrix.
 
     Raises InputError for another shape, a matrix that is not symmetric or not finite.
     """
-    matrix = checked("moduli", matrix, float)
+    matrix = checked("moduli", moduli)
     if matrix.shape not in ((3, 3), (6, 6)):
         raise InputError(f"moduli: expected 3 × 3 or 6 × 6, got {list(matrix.shape)}")
     if np.abs(matrix - matrix.T).max() > 1e-8 * np.abs(matrix).max():
