@@ -9,7 +9,7 @@ import sys
 import time
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # for tools/, which is not installed
@@ -40,7 +40,7 @@ PRINTED_ROUNDS = 100
 """Of Algorithm 1 (You et al. 2021)."""
 BONDS_20, BONDS_28 = 2.5, 3.0
 """Horizons of 20 and 28 bonds, in spacings."""
-THIRD_ORDER = {"energy": 0.2, "filtered": 0.1}
+THIRD_ORDER: dict[Literal["energy", "filtered"], float] = {"energy": 0.2, "filtered": 0.1}
 """Ridge of the smoothing of each form of the third-order model."""
 EXAMPLE = "\nExample: python examples/train_graphene.py --horizon 15 --degree 8 --out runs/other"
 

@@ -18,11 +18,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 21_267,
-    "tokens": 258_278,
-    "lines of warp_peri": 36_156,
+    "code lines": 21_269,
+    "tokens": 258_281,
+    "lines of warp_peri": 36_158,
     "lines of kernels": 1_103,
-    "lines of warp_peri, kernels, examples and tools": 49_507,
+    "lines of warp_peri, kernels, examples and tools": 49_509,
     "lines of the longest file": 582,
     "lines of the longest function": 67,
     "parameters of one function": 11,
@@ -43,7 +43,7 @@ ROOMS = {
     "fitting": 1278,
     "fracture": 1615,
     "materials": 5208,
-    "neural": 669,
+    "neural": 671,
     "points": 1675,
     "prediction": 694,
     "mpi": 848,

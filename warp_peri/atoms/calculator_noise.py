@@ -368,8 +368,8 @@ def rattled(
     values = np.tensordot(numbers.T, every.values(every.basis), 1)
     edge, _ = at_edge(made.vectors, values[0], np.array(many.cell), thickness is not None)
     values, doubt, spread = np.split(values, [1, scatter.shape[1] + 2])
-    spread = spread if noise.rough else None
-    found = replace(made, values=values[0], doubt=doubt, edge=edge, spread=spread)
+    found = replace(made, values=values[0], doubt=doubt, edge=edge)
+    found = replace(found, spread=spread) if noise.rough else found
     said = {
         "noise": f"{noise.force:.1e} eV/Å; {error:.1e} eV/Å between forces and force constants",
         "displacements": f"{h:.3g} Å of all atoms, {pairs} pairs; at {small:.3g} Å forces are "

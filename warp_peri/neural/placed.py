@@ -306,7 +306,8 @@ class Placed(OperatorBase):
 
     def force_of(self, tension: torch.Tensor, M: torch.Tensor) -> torch.Tensor:
         """Forces on the interior [S, I, 2] of what `tension` gives."""
-        return -(self.points.spacing**2) * self._pull(tension, M).sum(dim=2)
+        area: float = self.points.spacing**2
+        return self._pull(tension, M).sum(dim=2) * -area
 
     def shares(self, dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """ω, ω |ξ| / Σ ω |ξ|² and |ξ| of the bonds of a family, each of shape [B]."""

@@ -174,8 +174,9 @@ class _Loads:
             force = interpolated_force(self.placed, u, cells=cells, offset=offset)
         else:
             force = self.placed(u)
-        left, b = force - self.b[some], self.b[some]
-        return torch.linalg.vector_norm(left, dim=(1, 2)) / torch.linalg.vector_norm(b, dim=(1, 2))
+        left, b = (f.flatten(1).norm(dim=1) for f in (force - self.b[some], self.b[some]))
+        errors: torch.Tensor = left / b
+        return errors
 
     def learn(self, some: torch.Tensor, cells: int, offset: tuple[float, float]) -> torch.Tensor:
         """The errors, with gradients of their mean added to the material's."""
