@@ -60,7 +60,7 @@ def test_force_is_the_gradient_of_the_energy_and_products_are_those_of_the_tange
     bent = op.force(u) - (0 if not linear else op.force(1e-9 * u) / 1e-9)
     work = 0.5**d * (bent * inner[:, points.interior]).sum(axis=(1, 2))
     np.testing.assert_allclose((ends[0] - ends[1]) / (2 * step), work, rtol=1e-5, atol=1e-9)
-    if not linear:
+    if not linear and d == 2:
         steps, weights = one_sided(d, 2)
         tangent = bent_tangent(op, u[0], steps, weights, weights)
         np.testing.assert_allclose(tangent @ v[0].ravel(), op.jvp(u, v)[0].ravel(), atol=1e-12)

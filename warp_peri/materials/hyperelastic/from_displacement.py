@@ -24,10 +24,7 @@ from warp_peri.materials.hyperelastic.equilibrium import (
     find_equilibrium,
 )
 from warp_peri.materials.hyperelastic.fibres import fibre_numbers, fibres_of, with_numbers
-from warp_peri.materials.hyperelastic.operator import (
-    HyperelasticMaterial,
-    HyperelasticSheetOperator,
-)
+from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.points.arguments import Count, NotNegative, Share, typed, typed_methods
 from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
@@ -195,16 +192,15 @@ class Place:
     """Where a search stands: unknowns, equilibria and what both are to first order.
 
     Attributes:
-        op: the sheet, with its coefficients and thickness.
-        thickness: of the sheet, where it is an unknown.
+        x: unknowns: coefficients, angles and exponents of the fibres that move, numbers of the
+            thickness, shape [T].
         fields: of all frames, shape [S, N, 2].
         slopes: of the frames that have an equilibrium, by number, those of the displacement inside
             by the unknowns, shape [2 I, T].
         equations: of these, rows whose squared sum is the loss: slopes, and errors as they are.
     """
 
-    op: HyperelasticSheetOperator
-    thickness: ThicknessField | None
+    x: np.ndarray
     fields: np.ndarray
     slopes: dict[int, np.ndarray]
     equations: dict[int, np.ndarray]
@@ -212,8 +208,7 @@ class Place:
     def loss(self, change: Any = 0.0) -> float:
         """Sum of squared relative errors after a change of the unknowns, to first order."""
         rows = np.concatenate([*self.equations.values()])
-        change = np.broadcast_to(change, rows.shape[1] - 1)
-        return float(((rows[:, :-1] @ change + rows[:, -1]) ** 2).sum())
+        return float(((rows[:, :-1] @ (change + 0 * self.x) + rows[:, -1]) ** 2).sum())
 
     @property
     def rms(self) -> float:
@@ -261,12 +256,19 @@ class Search:
         self.pulled = np.argwhere(np.isfinite(pull))
         self.pull = pull[tuple(self.pulled.T)]
         self.sections = {axis: Sections(frames, dictionary, axis) for axis in {*self.pulled[:, 1]}}
-        self.lower = lower_bounds(dictionary, stiffness)
         self.own = slice(dictionary.first_deviation, dictionary.first_term)
         self.measure = dictionary.stiffness
         if not self.measure.any():
             raise InputError("dictionary: expected an energy with stiffness at rest")
         self.moving = fibres_of(dictionary) if moving else []
+        fibres, (least, most) = fibre_numbers(dictionary, self.moving)
+        thick = np.zeros(0) if thickness is None else thickness.numbers
+        free, none = np.full(len(dictionary), np.inf), np.full(len(thick), np.inf)
+        turns = np.repeat([TURN, GROWTH], len(self.moving))
+        self.low = np.concatenate([lower_bounds(dictionary, stiffness), least, -none])
+        self.high = np.concatenate([free, most, none])
+        self.reach = np.concatenate([free, turns, np.minimum(none, THICKEN)])
+        self.rest = np.append(fibres, thick)
 
     def _inside(self, fields: np.ndarray) -> np.ndarray:
         """Of fields [..., N, 2] the interior in a row, [..., 2 I]."""
@@ -286,8 +288,8 @@ class Search:
         for u, weight in zip(self.data, self.weight):
             J = np.concatenate([J, columns(self.op, u) * weight[:, None]])
             J, _ = compressed(J, np.zeros(len(J)))
-        now = self.scaled(self.measure)
-        bounds = self.lower, np.full(len(now), np.inf)
+        now, K = self.scaled(self.measure), len(self.measure)
+        bounds = self.low[:K], self.high[:K]
         return self._nearest(J / np.abs(J).max(), np.zeros(len(J)), now, bounds, 0.0)
 
     def _nearest(
@@ -301,50 +303,35 @@ class Search:
         x[:K] = now[:K] if self.held else self.scaled(np.maximum(x[:K], 0.0))
         return x
 
-    def unknowns(self, place: Place) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-        """Coefficients, angles and exponents of the fibres that move, numbers of the thickness; and
-        between what these may be after a step."""
-        c, upper = place.op.model.coefficients, np.full(len(self.lower), np.inf)
-        upper[self.own] = STIFFEN * np.maximum(c[self.own], 1.0)
-        fibres, (least, most) = fibre_numbers(place.op.model.dictionary, self.moving)
-        thick = np.zeros(0) if place.thickness is None else place.thickness.numbers
-        reach = np.repeat([TURN, GROWTH], len(self.moving))
-        low = np.concatenate([self.lower, np.maximum(fibres - reach, least), thick - THICKEN])
-        high = np.concatenate([upper, np.minimum(fibres + reach, most), thick + THICKEN])
-        return np.concatenate([c, fibres, thick]), (low, np.maximum(high, low + 1e-9))
-
-    def sheet(self, numbers: np.ndarray) -> tuple[HyperelasticMaterial, ThicknessField | None]:
+    def sheet(self, x: np.ndarray) -> tuple[HyperelasticMaterial, ThicknessField | None]:
         """The material and the thickness of unknowns."""
         K, thickness = len(self.measure) + 2 * len(self.moving), self.thickness
         if thickness is not None:
-            thickness = replace(thickness, numbers=numbers[K:])
-        return with_numbers(self.op.model, self.moving, numbers[:K]), thickness
+            thickness = replace(thickness, numbers=x[K:])
+        return with_numbers(self.op.model, self.moving, x[:K]), thickness
 
     def step(self, place: Place, damping: float, left: Sequence[int] = ()) -> np.ndarray:
         """The change of the unknowns that meets the equations best, but those of some frames."""
         rows = np.concatenate([one for n, one in place.equations.items() if n not in left])
-        now, bounds = self.unknowns(place)
+        low, high = np.maximum(self.low, place.x - self.reach), place.x + self.reach
+        high[self.own] = STIFFEN * np.maximum(place.x[self.own], 1.0)
+        bounds = low, np.maximum(np.minimum(self.high, high), low + 1e-9)
         J, r = rows[:, :-1].copy(), rows[:, -1]
         J[:, : len(self.measure) * self.held] = 0.0
-        return np.asarray(self._nearest(J, J @ now - r, now, bounds, damping) - now)
+        return np.asarray(self._nearest(J, J @ place.x - r, place.x, bounds, damping) - place.x)
 
     def moved(self, place: Place, change: np.ndarray) -> Place:
         """After a change of the unknowns."""
         fields = place.fields.copy()
         for n, J in place.slopes.items():
             fields[n, self.inner] += (J @ change).reshape(-1, 2)
-        return self.settled(*self.sheet(self.unknowns(place)[0] + change), fields, place.slopes)
+        return self.settled(place.x + change, fields, place.slopes)
 
-    def settled(
-        self,
-        solid: HyperelasticMaterial,
-        thickness: ThicknessField | None,
-        fields: np.ndarray,
-        frames: Iterable[int],
-    ) -> Place:
+    def settled(self, x: np.ndarray, fields: np.ndarray, frames: Iterable[int]) -> Place:
         """Equilibria of frames, from fields near them; of those that have none no equations."""
-        x, fields = self.op.points.x, fields.copy()
-        op = self.op.changed(solid, None if thickness is None else thickness.at(x))
+        (solid, thickness), fields = self.sheet(x), fields.copy()
+        nodes = self.op.points.x
+        op = self.op.changed(solid, None if thickness is None else thickness.at(nodes))
         slopes, equations = dict[int, np.ndarray](), dict[int, np.ndarray]()
         for n in frames:
             safe = op.smallest_area(fields[n]) > SMALLEST_AREA
@@ -356,16 +343,15 @@ class Search:
                 continue
             F = [columns(op, found.u, self.moving)]
             if thickness is not None:
-                F.append(op.by_thickness(found.u, thickness.slopes(x)).reshape(len(F[0]), -1))
+                F.append(op.by_thickness(found.u, thickness.slopes(nodes)).reshape(len(F[0]), -1))
             fields[n], J = found.u, -factors.solve(np.concatenate(F, axis=1))
             # the force is linear in the coefficients, and so is what Newton's step has left
-            fields[n, self.inner] += (J[:, : len(self.measure)] @ op.model.coefficients).reshape(
-                -1, 2
-            )
+            left = J[:, : len(self.measure)] @ op.model.coefficients
+            fields[n, self.inner] += left.reshape(-1, 2)
             gap, weight = self._inside(fields[n] - self.data[n]), self.weight[n]
             slopes[n] = J
             equations[n] = np.column_stack(compressed(J * weight[:, None], gap * weight))
-        return Place(op, thickness, fields, slopes, equations)
+        return Place(x, fields, slopes, equations)
 
     def descended(
         self,
@@ -378,11 +364,8 @@ class Search:
         """The whole search from coefficients c, and from fields, the measured ones without some."""
         name = progress if isinstance(progress, str) else "Gauss-Newton"
         bar = tqdm(range(TRIES * most_steps), desc=name, disable=not progress, leave=False)
-        solid, fields = (
-            replace(self.op.model, coefficients=c),
-            self.data if start is None else start,
-        )
-        place = self.settled(solid, self.thickness, fields, range(len(fields)))
+        fields = self.data if start is None else start
+        place = self.settled(np.append(c, self.rest), fields, range(len(fields)))
         if not place.equations:
             raise NoEquilibriumError("no frame has an equilibrium with the first coefficients")
         damping, history = DAMPING[2], [place.rms]
@@ -403,11 +386,11 @@ class Search:
 
     def _fit(self, place: Place, left: list[int]) -> DisplacementFit:
         """What is here, or one step from here with some frames left out, in the scale of forces."""
-        errors, (numbers, _) = np.full(len(self.data), np.inf), self.unknowns(place)
-        change = self.step(place, DAMPING[1], left) if left else 0 * numbers
+        errors = np.full(len(self.data), np.inf)
+        change = self.step(place, DAMPING[1], left) if left else 0 * place.x
         for n, rows in place.equations.items():
             errors[n] = np.linalg.norm(rows[:, :-1] @ change + rows[:, -1])
-        solid, thickness = self.sheet(numbers + change)
+        solid, thickness = self.sheet(place.x + change)
         scale, scatter = self._scale(left, solid, thickness)
         solid = replace(
             solid,
@@ -498,7 +481,7 @@ def fit_displacement(
     else:
         if np.shape(start) != (len(dictionary),):
             raise InputError(f"start: expected {len(dictionary)} coefficients, got {start!r:.60}")
-        c = search.scaled(np.maximum(start, search.lower))
+        c = search.scaled(np.maximum(start, search.low[: len(start)]))
     fit = search.descended(c, most_steps, tolerance, progress, fields)
     if (stiffest := stiffest_deviation(fit)) > INTERPOLATES:
         warn(
