@@ -66,14 +66,16 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
     operator = operator_on(material, piece)
     tolerance = TOLERANCE if solver is None else solver.tolerance  # type: ignore[union-attr]
     inside, flat = piece.interior, [field.reshape(-1, *piece.x.shape) for field in (b, u)]
-    kept = None
+    file, mark, mask = None, "", inside[:, None]
     if path is not None:
         if len(flat[0]) > 1:
             raise InputError(f"checkpoint: expected one load, got {len(flat[0])}")
-        kept = Kept(path, piece, material, flat[0][0], flat[1][0])
-    answers, records = np.where(inside[:, None], 0.0, flat[1]), list[SolveRecord]()
-    for field, load, given in zip(answers, *flat):
-        field[:], record = solved(operator, load, given, tolerance, kept)
+        file = RunFile(path, "warp_peri.rest", piece)
+        given = np.where(mask, flat[0][0], 0.0), np.where(mask, 0.0, flat[1][0]), mask, piece.x
+        mark = piece.mark(*given, fingerprint(material))
+    answers, records = np.where(mask, 0.0, flat[1]), list[SolveRecord]()
+    for field, load, held in zip(answers, *flat):
+        field[:], record = solved(operator, load, held, tolerance, file, mark)
         records.append(record)
     return Solution(
         answers.reshape(u.shape),
@@ -112,22 +114,25 @@ def alike(material: Any, problem: Any, options: Mapping[str, Any]) -> None:
 
 
 def solved(
-    operator: Any, b: np.ndarray, u: np.ndarray, tolerance: float, kept: Kept | None
+    operator: Any, b: np.ndarray, u: np.ndarray, tolerance: float, file: RunFile | None, mark: str
 ) -> tuple[np.ndarray, SolveRecord]:
     """Displacement [n, d] of a linear operator with load b on the interior, u given elsewhere.
 
-    With `kept` the answer is written each time that the residual is STAGE of what it was.
+    With a file, which the mark says to be of this problem, the answer goes on from what is kept
+    there, and is written each time that the residual is STAGE of what it was. All ranks come here.
     """
     inside, load = operator.points.interior, operator.rhs(b)
     field = np.where(inside[:, None], 0.0, u)
     right = load - operator(field)
-    if kept is None:
+    if file is None:
         field[inside], record = operator.inverted(right, tolerance)
         return field, record
     inner, record, last = operator.points.inner, SolveRecord(), np.inf
     size = norm(right, inner)
-    if (start := kept.start()) is not None:
-        field[inside] = start[inside]
+    if (kept := file.read("u")) is not None:
+        if kept[1]["mark"] != mark:
+            raise InputError(f"{file.path}: expected a checkpoint of this problem")
+        field[inside] = kept[0]["u"][inside]
     while (left := norm(rest := load - operator(field), inner)) > tolerance * size:
         if not left < last:
             raise InputError(
@@ -138,7 +143,7 @@ def solved(
         more, part = operator.inverted(rest, max(tolerance * size / left, STAGE))
         field[inside] += more
         record.iterations += part.iterations
-        kept.keep(field)
+        file.write({"u": field}, {"mark": mark})
     record.residual = left / size if size > 0 else 0.0
     return field, record
 
@@ -156,45 +161,6 @@ def operator_on(material: Any, piece: Subdomain) -> Any:
             raise InputError(f"material: expected a linear solid or a crystal on ranks, got {what}")
         law = tensors_at(material, piece)
     return RowOperator(law, piece)
-
-
-class Kept:
-    """A checkpoint of a body at rest.
-
-    Args:
-        path: of the file; it need not be there yet.
-        piece: the nodes of this rank.
-        material: what is solved.
-        b, u: what is given of the problem, shape [n, d]; a file of another one is refused.
-    """
-
-    def __init__(
-        self,
-        path: str | os.PathLike[str],
-        piece: Subdomain,
-        material: Any,
-        b: np.ndarray,
-        u: np.ndarray,
-    ) -> None:
-        inside = piece.interior[:, None]
-        self.file = RunFile(path, "warp_peri.rest", piece)
-        parts = np.where(inside, b, 0.0), np.where(inside, 0.0, u), inside, piece.x
-        self._mark = piece.mark(*parts, fingerprint(material))
-
-    def start(self) -> np.ndarray | None:
-        """The displacement [n, d] that was kept; None before one was.
-
-        Raises InputError for a file of another problem, or none that can be read.
-        """
-        if (kept := self.file.read("u")) is None:
-            return None
-        if kept[1]["mark"] != self._mark:
-            raise InputError(f"{self.file.path}: expected a checkpoint of this problem")
-        return kept[0]["u"]
-
-    def keep(self, u: np.ndarray) -> None:
-        """Write u [n, d], whole or not at all; all ranks come here."""
-        self.file.write({"u": u}, {"mark": self._mark})
 
 
 def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
