@@ -8,9 +8,8 @@ import pytest
 
 from examples.exact import compliances, plate_with_hole
 from tests.known_problems import __main__ as command
-from tests.known_problems.rows import ROWS, SAME, Outcome, Row, chosen, measured, page
+from tests.known_problems.rows import ROWS, SAME, Outcome, Row, measured, page
 from tests.known_problems.statics import CUBIC
-from warp_peri.errors import InputError
 
 QUICK = [one for one in ROWS if one.quick and not one.why and not one.misses]
 SCALED = (
@@ -67,13 +66,6 @@ def test_references_agree_with_second_forms():
     assert known["thick cylinder"] == pytest.approx(bore, rel=1e-4)
 
 
-def test_rows_are_chosen_by_parts_of_their_names():
-    assert {one.problem for one in chosen(["le1,"])} == {"NAFEMS LE1, elliptic membrane"}
-    assert len(chosen()) == len(ROWS)
-    with pytest.raises(InputError, match="only: expected a part of a row's name, got 'kirschen'"):
-        chosen(["kirschen"])
-
-
 def made(**fields):
     told = {"problem": "hole", "material": "LPS", "reference": 3.0, "source": "Kirsch"}
     told |= {"answer": 3.3, "error": 0.1, "allowed": 0.01, "order": 1.5, "least": 1.9}
@@ -94,14 +86,6 @@ def test_too_low_an_order_and_a_changed_answer_do_not_hold():
     assert line(None, scaled=True)["scaled"] == 0
     assert not line(None, scaled=True, change=1e-5)["holds"]
     assert not measured(Row("a", "b", "c", 0.1, lambda s: Outcome(np.nan)))["holds"]
-
-
-def test_a_refusal_is_told():
-    def refuse(scale):
-        raise InputError("mesh: too thin")
-
-    line = measured(Row("a", "b", "c", 0.1, refuse))
-    assert (line["holds"], line["note"]) == (False, "mesh: too thin")
 
 
 def test_the_command_ends_with_one_where_a_row_surprises(capsys, tmp_path, monkeypatch):

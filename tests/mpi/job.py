@@ -60,13 +60,13 @@ def inside(x):
     """A thick L in the plane, a ball in space, with room for a collar."""
     away = (x - CENTRE[x.shape[1]]) / H
     if x.shape[1] == 3:
-        return (away**2).sum(axis=1) < 8**2
+        return (away**2).sum(axis=1) < 4.5**2
     return (np.abs(away) < 20).all(axis=1) & ~((away > 4).all(axis=1))
 
 
-TILE = {2: (32, 16), 3: (24, 8)}
+TILE = {2: (32, 16), 3: (16, 8)}
 """Of these two ranks cut a box along the first axis, three along the second."""
-CENTRE = {2: np.array([12.5, 12.5]), 3: np.array([6.0, 6.0, 6.0])}
+CENTRE = {2: np.array([12.5, 12.5]), 3: np.array([4.0, 4.0, 4.0])}
 
 
 def fields(x):
@@ -151,7 +151,7 @@ def rest(folder):
     found["proof"], seen = proofs()
     found["shared"], found["file"] = comm.allgather(seen), from_file(comm, folder)
     found["sums"] = total(comm, uneven()[comm.rank :: comm.size]).tolist()
-    for shape in ((52, 52), (25, 25, 25)):
+    for shape in ((52, 52), (17, 17, 17)):
         points = lattice(shape, H, inside, block=TILE[len(shape)])
         b, u = fields(points.x)
         tolerance = 1e-10 if len(shape) == 2 else 1e-8

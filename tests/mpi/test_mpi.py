@@ -110,7 +110,7 @@ def test_a_body_at_rest_has_the_same_bits_and_those_of_one_process_nearly(dimens
     assert found[0]["iterations"] <= (32 if dimension == 2 else 30)
     tolerance = 1e-10 if dimension == 2 else 1e-8
     assert found[0]["residual"] <= tolerance
-    shape = (52,) * 2 if dimension == 2 else (25,) * 3
+    shape = (52,) * 2 if dimension == 2 else (17,) * 3
     x = H * np.argwhere(np.ones(shape))
     b, u = fields(x)
     points, law = wp.Points(x, inside(x), H), solid(dimension)
@@ -127,7 +127,7 @@ def test_waves_go_on_with_another_number_of_ranks_with_the_same_bits(dimension, 
     one, two = (jobs[count][f"{dimension}-D"]["waves"] for count in (1, 2))
     assert two["energy"] == one["energy"][: len(two["energy"])]
     assert one["drift"] < 1e-12
-    x = H * np.argwhere(np.ones((52,) * 2 if dimension == 2 else (25,) * 3))
+    x = H * np.argwhere(np.ones((52,) * 2 if dimension == 2 else (17,) * 3))
     (b, u), points = fields(x), wp.Points(x, inside(x), H)
     law = solid(2) if dimension == 2 else wp.crystals.crystal_from_lps(solid(3), H)
     problem = wp.Dirichlet(points, b, u)

@@ -18,11 +18,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 21_258,
-    "tokens": 258_253,
-    "lines of warp_peri": 36_141,
+    "code lines": 21_221,
+    "tokens": 257_951,
+    "lines of warp_peri": 36_074,
     "lines of kernels": 1_103,
-    "lines of warp_peri, kernels, examples and tools": 49_492,
+    "lines of warp_peri, kernels, examples and tools": 49_425,
     "lines of the longest file": 580,
     "lines of the longest function": 67,
     "parameters of one function": 11,
@@ -41,12 +41,12 @@ ROOMS = {
     "fe_coupling": 753,
     "files": 509,
     "fitting": 1278,
-    "fracture": 1615,
+    "fracture": 1595,
     "materials": 5197,
     "neural": 671,
     "points": 1675,
     "prediction": 694,
-    "mpi": 848,
+    "mpi": 831,
     "solvers": 1539,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
