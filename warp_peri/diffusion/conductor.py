@@ -118,12 +118,11 @@ class DiffusionOperator(FlowOperator):
         self.given: Any = law.conductivity if kappa is None else kappa
         self._series = self._along_bonds(self.given) if callable(self.given) else None
         if self._series is None:
-            if np.shape(self.given) not in ((), (len(self.points.x),)):
-                raise InputError(
-                    f"conductivity: expected a number, a function, or shape [{len(self.points.x)}]"
-                    f", got {list(np.shape(self.given))}"
-                )
-            _check(checked("conductivity", self.given))
+            values = checked("conductivity", self.given)
+            if values.shape not in ((), (len(self.points.x),)):
+                expected = f"a number, a function, or shape [{len(self.points.x)}]"
+                raise InputError(f"conductivity: expected {expected}, got {list(values.shape)}")
+            _check(values)
         with torch.no_grad():
             strength = self._strengths(**_tensors(self.learnable)).numpy()
         shape, rows = 2 * (len(self.points.x),), np.tile(self._ends[0], 2)

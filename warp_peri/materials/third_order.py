@@ -454,7 +454,7 @@ class PlacedThirdOrder(Pointwise):
         lam, mu = model.lame
         density = partial(energy_density, lam=lam, mu=mu, axis=axis)
         numbers = {name: getattr(model, name) for name in CUBIC}
-        parts = {"back": back, "stencil": model.linear.stencil, "numbers": numbers}
+        parts: dict[str, Any] = {"back": back, "stencil": model.linear.stencil, "numbers": numbers}
         super().__init__(nodes, model.horizon, density, steps, weights, **parts)
 
     @cached_property

@@ -311,7 +311,8 @@ class HyperelasticSheetOperator(Swept):
                     each if by == "coefficient" else (one for one in each if one.is_fibre)
                 ):
                     value = torch.tensor(getattr(energy, by), dtype=q.dtype, requires_grad=True)
-                    moved: Any = energy._replace(**{by: value})
+                    number: dict[str, Any] = {by: value}
+                    moved = energy._replace(**number)
                     stored = self._stored(patch, [moved], q).sum()
                     (slope,) = torch.autograd.grad(stored, value, create_graph=True)
                     tension = np.zeros_like(e)
