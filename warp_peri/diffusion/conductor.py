@@ -104,6 +104,7 @@ class DiffusionOperator(FlowOperator):
     ) -> None:
         self.model, self.points = law, nodes_of(points)
         check_same(law.units, self.points.units)
+        self.is_symmetric = self.points.spacing > 0  # on lattices
         families = families_of(self.points, law.horizon, bond_based=True)
         self.rows, row, classes = families.rows, families.row, families.lattice
         counts = row[self.rows + 1] - row[self.rows]
@@ -128,11 +129,9 @@ class DiffusionOperator(FlowOperator):
         shape, rows = 2 * (len(self.points.x),), np.tile(self._ends[0], 2)
         entries = np.concatenate([strength, -strength]), (rows, np.concatenate(self._ends))
         self.matrix = sp.csr_array(entries, shape=shape)[self.rows]
-        kernel = law.basis(self._r) @ law.D
         # weights of scattered points are negative here and there, of any kernel
-        signed = kernel * (1.0 if classes is None else self._weight)
-        signed *= np.sign(np.bincount(own, kernel * self._r**2 * self._weight))[own]
-        self._changes_sign = bool((signed[self._kept] < 0).any())
+        signs = 1.0 if classes is not None else np.sign(self._weight[self._kept])
+        self._changes_sign = bool((strength * signs < 0).any())
 
     def _strengths(self, alpha: Any, D: Any, kappa: Any = None) -> torch.Tensor:
         """v κ of each bond, shape [E], of tensors; its derivatives are torch's."""
@@ -171,11 +170,6 @@ class DiffusionOperator(FlowOperator):
     def shape(self) -> tuple[int, ...]:
         """Of one field, [N]."""
         return (len(self.points.x),)
-
-    @property
-    def is_symmetric(self) -> bool:  # type: ignore[override]
-        """Whether so is L on the interior: on lattices."""
-        return bool(self.points.spacing > 0)
 
     def interior_tangent(self, u: Any) -> sp.csc_array:
         """L between interior nodes, shape [I, I].
@@ -268,11 +262,6 @@ class DiffusionMaterial(Record, format="warp_peri.conductor"):
             raise InputError(f"alpha: expected less than {ALPHA_BOUND:g}, got {self.alpha}")
         if self.D.ndim != 1 or not self.D.any():
             raise InputError("D: expected finite coefficients, one of them other than 0")
-
-    def basis(self, r: np.ndarray) -> np.ndarray:
-        """r^(−α) B_k(r/δ), shape [..., M + 1]."""
-        basis = bernstein_basis(r, self.horizon, len(self.D) - 1)
-        return np.asarray(r[..., None] ** -self.alpha * basis)
 
     def on(self, points: PointsLike, *, kappa: Conductivity | None = None) -> DiffusionOperator:
         """The law on points, with a conductivity of its own as of DiffusionOperator."""

@@ -137,11 +137,7 @@ class CoupledOperator(FlowOperator):
     def learnable(self) -> dict[str, Any]:
         """λ, μ, α and D of the solid, ε, and the conductor's as conductor_alpha and so on."""
         conductor = {OF_CONDUCTOR + n: value for n, value in self.diffusion.learnable.items()}
-        return self._of_solid | conductor
-
-    @property
-    def _of_solid(self) -> dict[str, Any]:
-        return self.model.model.learnable | {"coupling": self.model.coupling}
+        return self.model.model.learnable | {"coupling": self.model.coupling} | conductor
 
     def _of_conductor(self, numbers: Mapping[str, Any]) -> dict[str, Any]:
         return {name: numbers[OF_CONDUCTOR + name] for name in self.diffusion.learnable}
@@ -171,7 +167,8 @@ class CoupledOperator(FlowOperator):
 
     def storage_slopes(self, names: list[str], rates: np.ndarray, w: np.ndarray) -> dict[str, Any]:
         """Derivatives of Σ w · storage() rates to numbers, of rates [K, N, 3], w [K, I, 3]."""
-        torch, own = in_torch().torch, self._of_solid
+        torch = in_torch().torch
+        own = {n: v for n, v in self.learnable.items() if not n.startswith(OF_CONDUCTOR)}
         asked = [name for name in names if name in own]
         if not asked:
             return {}
