@@ -9,16 +9,7 @@ import scipy.linalg
 
 from tests.support import cubes, reference
 from tests.support.clouds import cloud, periodic_cloud, plain
-from tests.support.problems import (
-    KERNELS,
-    ROUNDING,
-    difference,
-    fitted_order,
-    kernel,
-    lattice,
-    noise,
-    periodic,
-)
+from tests.support.problems import KERNELS, ROUNDING, fitted_order, kernel, lattice, noise, periodic
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, every_shape, solid
 from tests.support.solving import solve
 from warp_peri import InputError, LPSMaterial, certify, load
@@ -154,12 +145,6 @@ def test_the_polynomial_is_the_function_at_every_bond_and_near_it_between(shape)
     if shape is SHAPES["table"]:  # of a function with kinks it is said
         assert model.provenance["influence"]["departure"] == pytest.approx(departure, rel=0.2)
     assert (departure > 1e-4) == (shape is SHAPES["table"])
-
-
-@every_shape
-def test_slopes(shape):
-    expected = difference(lambda p: shape.at(p)(LENGTHS), shape.vector, 1e-3).T
-    np.testing.assert_allclose(shape.slopes(LENGTHS), expected, rtol=1e-9, atol=1e-9)
 
 
 def test_slopes_beside_zero_and_at_the_bounds_and_those_of_the_formula():

@@ -44,11 +44,6 @@ STEP, SEEN = 1e-4, 1e-7
 itself, where K changes by less than SEEN of its size; of fourth order, hence exact to 1e-12."""
 
 
-CENTRAL = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}
-FORWARD = {1: 4.0, 2: -3.0, 3: 4 / 3, 4: -1 / 4}
-"""Differences of fourth order from the value itself, by steps."""
-
-
 @typed
 @dataclass(frozen=True, eq=False)
 class InfluenceFunction:
@@ -140,22 +135,20 @@ class InfluenceFunction:
 
     def slopes(self, r: np.ndarray) -> np.ndarray:
         """Derivatives of K to the parameters, shape [R, P], by differences within the bounds."""
-        p, K, columns = self.vector, self(r), []
+        p, columns = self.vector, []
         for one, value, low, high in zip(np.eye(len(p)), p, *self.ends):
             widest = (high - low) / 8
             step = min(STEP * (abs(value) or 1.0), widest)
             while True:
-                stencil = CENTRAL
-                if value - low < 2 * step:
-                    stencil = FORWARD
-                elif high - value < 2 * step:
-                    stencil = {-m: -c for m, c in FORWARD.items()}
-                changes = {m: self.at(p + m * step * one)(r) - K for m in stencil}
-                seen = max(np.abs(change).max() for change in changes.values())
-                if seen >= SEEN * np.abs(K).max() or 10 * step > min(STEP, widest):
+                ends = np.ceil((low - value) / step) + 2, np.floor((high - value) / step) - 2
+                m = np.arange(-2, 3) + np.clip(0, *ends)
+                K = np.array([self.at(p + n * step * one)(r) for n in m])
+                seen = np.ptp(K, axis=0).max() >= SEEN * np.abs(K).max()
+                if seen or 10 * step > min(STEP, widest):
                     break
                 step *= 10
-            columns.append(sum(c * changes[m] for m, c in stencil.items()) / step)
+            weights = np.linalg.solve(np.vander(m, increasing=True).T, np.eye(5)[1])
+            columns.append(weights @ K / step)
         return np.reshape(columns, (len(p), len(r))).T
 
     def coefficients(self, lengths: ArrayLike, horizon: float) -> tuple[np.ndarray, float]:
