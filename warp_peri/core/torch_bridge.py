@@ -17,6 +17,7 @@ from torch.autograd import forward_ad
 
 from warp_peri.errors import InputError, quietly
 from warp_peri.points.arguments import typed
+from warp_peri.points.arrays import as_array
 from warp_peri.protocols import SINGULAR, placed, uncompiled
 
 TWICE = (
@@ -190,13 +191,11 @@ def as_tensor(name: str, value: Any) -> torch.Tensor:
     """
     if isinstance(value, torch.Tensor):
         return value
-    try:
-        array = np.ma.filled(value, np.nan) if np.ma.is_masked(value) else np.asarray(value)
-        if array.dtype.kind in "fiuc":
-            return torch.as_tensor(array)
-    except (TypeError, ValueError):
-        pass
-    raise InputError(f"{name}: expected an array of numbers, got {type(value).__name__}")
+    array = as_array(name, value)
+    if array.dtype.kind not in "fiuc":
+        raise InputError(f"{name}: expected an array of numbers, got {type(value).__name__}")
+    masked = np.ma.is_masked(array)
+    return torch.as_tensor(array.astype(float).filled(np.nan) if masked else array.data)
 
 
 def real(name: str, value: Any) -> torch.Tensor:
