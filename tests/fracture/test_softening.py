@@ -107,6 +107,29 @@ def test_a_load_without_an_equilibrium_is_left_out_and_named():
         soft.pull(unit, loads=[1.24], line=line)
 
 
+def test_a_gradient_through_an_unstable_body_is_warned_of():
+    """Beyond the peak a slow tail has no single path: differences there have nothing in common."""
+    soft, unit = torn_plate(BondLaw(4.0, 0.03, 0.2))
+    how = {"line": [(-30, 0.0), (30, 0.0)], "stop": 0.3}
+    given = torch.tensor(unit, requires_grad=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        soft.pull(unit, loads=[0.8, 0.96, 1.04], **how)
+        before = soft.pull(given, loads=[0.8, 0.92], **how)["force"][-1]
+    (gradient,) = torch.autograd.grad(before, given)
+    way = torch.from_numpy(np.random.default_rng(0).normal(size=unit.shape) * soft.held)
+    assert float((gradient * way).sum()) == pytest.approx(
+        difference(
+            lambda t: soft.pull(unit + t * way.numpy(), loads=[0.8, 0.92], **how)["force"][-1],
+            [0.0],
+            1e-6,
+        )[0],
+        rel=1e-5,
+    )
+    with pytest.warns(UserWarning, match=r"loads 0.96 and 1.04: the body stays unstable"):
+        soft.pull(given, loads=[0.8, 0.96, 1.04], **how)
+
+
 def test_a_pull_has_the_gradient_of_differences(monkeypatch):
     """To the numbers of the bonds and what is held, past the peak, along the path that is taken."""
     monkeypatch.setattr(adjoint, "TOLERANCE", 1e-12)

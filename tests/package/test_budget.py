@@ -18,11 +18,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 21_206,
-    "tokens": 257_818,
-    "lines of warp_peri": 36_052,
+    "code lines": 21_226,
+    "tokens": 258_006,
+    "lines of warp_peri": 36_085,
     "lines of kernels": 1_103,
-    "lines of warp_peri, kernels, examples and tools": 49_399,
+    "lines of warp_peri, kernels, examples and tools": 49_432,
     "lines of the longest file": 580,
     "lines of the longest function": 67,
     "parameters of one function": 11,
@@ -41,7 +41,7 @@ ROOMS = {
     "fe_coupling": 753,
     "files": 509,
     "fitting": 1278,
-    "fracture": 1595,
+    "fracture": 1615,
     "materials": 5194,
     "neural": 671,
     "points": 1675,

@@ -19,7 +19,13 @@ from warp_peri.errors import InputError, warn
 from warp_peri.fracture.body import LatticeBody, cracked, section
 from warp_peri.fracture.bonds import bonds_of, check_breakable, stretch_matrix, stretch_rows
 from warp_peri.fracture.softening import BondLaw, pull_of, share_of, slope_of
-from warp_peri.fracture.statics import check_no_fail, check_pieces, strain_of, symmetric_factors
+from warp_peri.fracture.statics import (
+    check_definite,
+    check_no_fail,
+    check_pieces,
+    strain_of,
+    symmetric_factors,
+)
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_parameters import bernstein_basis
 from warp_peri.points.arguments import Share
@@ -192,7 +198,8 @@ class SoftBody:
     ) -> Motion:
         """Raise the load step by step; at each, let bonds fail until none fails further.
 
-        Arguments, what comes back and errors are told by the class.
+        Arguments, what comes back and errors are told by the class; two loads in turn at which
+        failing bonds leave no positive definite tangent are warned of.
         """
         loads = checked("loads", loads, float, ("n",))
         if not (len(loads) and loads[0] >= 0 and (np.diff(loads) > 0).all()):
@@ -207,12 +214,22 @@ class SoftBody:
         given = torch.where(torch.from_numpy(self.held), given, 0.0).ravel()
         damage = [torch.ones(len(levers)).double(), torch.zeros(len(levers)).double()]
         field, before, rows, forces = given, 0.0, list[tuple[float, int]](), list[Any]()
+        unstable, warned = False, False
         for load in tqdm(loads.tolist(), disable=not progress, unit="load"):
             at = field.detach().numpy() * (load / before) if before else load * start
             at = np.where(self.free, at, load * given.detach().numpy())
             try:
                 field, s = soft._settled(at, load * given, damage, law)
-                share = damage[0]
+                share, worst = damage
+                if asked and not warned:
+                    was, unstable = unstable, not soft._stable(s.detach(), worst, share.detach())
+                    if warned := was and unstable:
+                        warn(
+                            f"loads {before:g} and {load:g}: the body stays unstable (its tangent "
+                            "with failing bonds has a negative eigenvalue), so that small changes "
+                            "may tear it another way; derivatives from here on are those of this "
+                            "path, and may be larger by orders. End the loads before"
+                        )
                 forces.append((levers * share * pull_of(s, law[0], torch)).sum())
             except InputError as error:
                 share = damage[0]
@@ -274,6 +291,22 @@ class SoftBody:
     def _stretch(self, u: torch.Tensor) -> torch.Tensor:
         """As `stretch`, of a tensor."""
         return linear(u, self.rows.dot, self.rows.T.dot) / torch.from_numpy(self.square)
+
+    def _stable(self, s: torch.Tensor, worst: torch.Tensor, share: torch.Tensor) -> bool:
+        """Hill's test: the tangent is positive definite in which bonds that fail go on failing.
+
+        Bonds at their worst stretch beyond `stretch` fall by the slope of the tail; the others keep
+        what is left of them.
+        """
+        law, fails = self.law, ((s == worst) & (worst > self.law.stretch)).numpy()
+        own = share.numpy() * slope_of(s.numpy(), law.softness)
+        fall = -float(law.pull(np.array(law.stretch))) / law.tail
+        try:
+            slope = np.where(fails & (own > 0), fall, own)
+            check_definite(symmetric_factors(self.tangent(slope)))
+        except InputError:
+            return False
+        return True
 
     def _at_rest(
         self, u: np.ndarray, share: torch.Tensor, softness: torch.Tensor, given: torch.Tensor
