@@ -77,18 +77,13 @@ def checked(
         )
     value = np.asarray(masked.filled(0)) if np.any(masked.mask) else value
     value = np.require(value, np.float64 if kind is float else value.dtype, ["C", "W"])
-    if kind is float and not (
-        np.isfinite(value).all() or (np.isfinite(value) | np.logical_not(read)).all()
-    ):
-        bad = np.argwhere(~np.isfinite(value) & read)[0].tolist()
-        raise InputError(f"{name}: expected finite values, got {value[tuple(bad)]} at index {bad}")
-    if kind is float and value.size and np.abs(value).max() > LARGEST:
-        size = np.where(read, np.abs(value), 0.0)
-        bad = np.unravel_index(size.argmax(), value.shape)
-        if size[bad] > LARGEST:
-            index = [int(index) for index in bad]
+    if kind is float and not (np.abs(value) <= LARGEST).all():
+        bad = ~(np.abs(value) <= LARGEST) & read
+        if bad.any():
+            index = np.argwhere(bad)[0].tolist()
             raise InputError(
-                f"{name}: expected values below {LARGEST:g}, got {value[bad]:g} at index {index}"
+                f"{name}: expected finite values, got {value[tuple(index)]:g} at index {index}; "
+                f"at most {LARGEST:g}"
             )
     return np.asarray(value)
 
