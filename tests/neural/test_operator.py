@@ -17,7 +17,7 @@ from tests.support.problems import ell, lattice
 from warp_peri.core.record import content_hash
 from warp_peri.errors import InputError
 from warp_peri.neural import training
-from warp_peri.neural.material import NeuralOperator, save
+from warp_peri.neural.material import NeuralOperator
 from warp_peri.neural.placed import EquilibriumSolver, evaluate, interpolated_force
 from warp_peri.neural.training import TrainingSettings, train
 from warp_peri.points.points import Points
@@ -174,7 +174,7 @@ def test_interpolation_approaches_the_networks(form):
 def test_a_file_holds_everything(tmp_path, precision):
     material = small("proportional", strain=0.3, units=("mm", "MPa"))
     material.scale, material.provenance = 2.5, {"seed": 7}
-    save(material, tmp_path / "m.json", precision=precision)
+    material.save(tmp_path / "m.json", precision=precision)
     found = wp.load(tmp_path / "m.json")
     assert found.content() == material.content()
     allowed = 1e-3 if precision else 0
@@ -189,7 +189,7 @@ def hashed(content):
 
 def test_files_that_are_not_believed(tmp_path):
     path = tmp_path / "m.json"
-    save(small(), path)
+    small().save(path)
     content = json.loads(path.read_text())
     weights = content["weights"]
     first = weights["state.0.weight"]
@@ -209,16 +209,16 @@ def test_files_that_are_not_believed(tmp_path):
     with torch.no_grad():
         spoilt.state[0].weight[0, 0] = torch.nan
     with pytest.raises(InputError, match="finite"):
-        save(spoilt, path)
+        spoilt.save(path)
     with pytest.raises(InputError, match="json"):
-        save(small(), tmp_path / "m.h5")
+        small().save(tmp_path / "m.h5")
     with pytest.raises(InputError, match="at most .* bytes of weights"):
-        save(wide, path)
+        wide.save(path)
 
 
 def test_shipped_networks_are_read_and_written_alike(tmp_path):
     for path in sorted(WEIGHTS.glob("*.json")):
-        save(wp.load(path), tmp_path / "m.json", precision="float16")
+        wp.load(path).save(tmp_path / "m.json", precision="float16")
         assert json.loads((tmp_path / "m.json").read_text()) == json.loads(path.read_text())
 
 

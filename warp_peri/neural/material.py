@@ -9,7 +9,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -124,9 +124,35 @@ class NeuralOperator(Shown, torch.nn.Module):
         check_same(self.units, nodes_of(points).units)
         return Placed(self, NetworkBonds(points, self.horizon))
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a JSON file with the weights in it; see file.save for their precision."""
-        save(self, path)
+    def save(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        precision: Literal["float16", "float32", "float64"] | None = None,
+    ) -> None:
+        """Write one JSON file with the weights in it, whole or not at all.
+
+        Args:
+            path: ends in .json.
+            precision: of the weights in the file; the material's own where none is given.
+
+        Raises InputError for another ending, and for weights that are not finite in the precision
+        or too many for a file.
+        """
+        if Path(path).suffix != ".json":
+            raise InputError(f"{path}: expected a name that ends in .json")
+        weights = {key: part.detach().numpy() for key, part in self.state_dict().items()}
+        own = {key: value for key, value in self.content().items() if key not in record.UNITS}
+        kind = precision or next(iter(weights.values())).dtype.name
+        said = NeuralFile(**own, precision=kind, weights={}, units=self.units)
+        written = {key: part.astype(said.dtype) for key, part in weights.items()}
+        _check_finite(written)
+        if (size := sum(part.nbytes for part in written.values())) > FITS:
+            raise InputError(
+                f"{path}: expected at most {FITS} bytes of weights, got {size}: precision"
+            )
+        coded = {key: binascii.b2a_base64(w, newline=False).decode() for key, w in written.items()}
+        replace(said, weights=coded).save(path)
 
     @typed
     def learn(
@@ -223,12 +249,12 @@ class NeuralFile(record.Record, format="warp_peri.neural", version=2):
         material = NeuralOperator(**{name: getattr(self, name) for name in names}).double()
         material.scale, material.provenance = self.scale, self.provenance
         wanted = {key: tuple(part.shape) for key, part in material.state_dict().items()}
+        dtype, read = self.dtype, binascii.a2b_base64
         try:
-            raw = {key: binascii.a2b_base64(self.weights[key]) for key in wanted}
-            flat = {key: np.frombuffer(each, self.dtype) for key, each in raw.items()}
-            weights = {key: flat[key].reshape(shape) for key, shape in wanted.items()}
-        except InputError:
-            raise
+            weights = {
+                key: np.frombuffer(read(self.weights[key]), dtype).reshape(shape)
+                for key, shape in wanted.items()
+            }
         except (KeyError, TypeError, ValueError, OSError, AttributeError) as error:
             raise InputError(f"not a readable neural operator ({error!r:.400})") from None
         _check_finite(weights)
@@ -241,39 +267,6 @@ class NeuralFile(record.Record, format="warp_peri.neural", version=2):
         if self.precision not in PRECISIONS:
             raise InputError(f"precision: expected one of {PRECISIONS}, got {self.precision!r}")
         return np.dtype(self.precision).newbyteorder("<")
-
-
-def save(
-    material: NeuralOperator, path: str | os.PathLike[str], *, precision: str | None = None
-) -> None:
-    """Write one JSON file, whole or not at all.
-
-    Args:
-        material: to save.
-        path: ends in .json.
-        precision: of the weights in the file: "float16", "float32" or "float64"; the material's own
-            where none is given.
-
-    Raises InputError for another ending or precision, and for weights that are not finite in it or
-    too many for a file.
-    """
-    path = Path(path)
-    if path.suffix != ".json":
-        raise InputError(f"{path}: expected a name that ends in .json")
-    weights = {key: part.detach().numpy() for key, part in material.state_dict().items()}
-    precision = precision or next(iter(weights.values())).dtype.name
-    own = {key: value for key, value in material.content().items() if key not in record.UNITS}
-    said = NeuralFile(**own, precision=precision, weights={}, units=material.units)
-    written = {key: part.astype(said.dtype) for key, part in weights.items()}
-    _check_finite(written)
-    size = sum(part.nbytes for part in written.values())
-    if size > FITS:
-        raise InputError(f"{path}: expected at most {FITS} bytes of weights, got {size}: precision")
-    coded = {
-        key: binascii.b2a_base64(part.tobytes(), newline=False).decode()
-        for key, part in written.items()
-    }
-    replace(said, weights=coded).save(path)
 
 
 def _check_finite(weights: dict[str, np.ndarray]) -> None:
