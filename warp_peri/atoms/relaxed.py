@@ -247,8 +247,6 @@ def at_rest(
     held = set(VOIGT) if "all" in hold else set(hold)
     if not held <= set(VOIGT):
         raise InputError(f"hold: expected all, or of {', '.join(VOIGT)}, got {' '.join(hold)}")
-    if thickness is not None and not 0 < thickness < np.inf:
-        raise InputError(f"thickness: expected a length > 0 [Å], got {thickness}")
     cell, flat = oriented(atoms, turning=not held or held >= set(VOIGT))
     turned = np.abs(np.array(cell.cell)[0] - np.array(atoms.cell)).max(axis=1).min() > FLAT
     if not flat and thickness is not None:
