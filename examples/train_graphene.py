@@ -18,7 +18,6 @@ import numpy as np
 
 import warp_peri as wp
 from examples import graphene_report as report
-from examples import sweep_report
 from examples.local_elasticity import errors_of_local
 from tools.options import Options
 from warp_peri import Dataset, InputError, Samples
@@ -31,13 +30,10 @@ from warp_peri.fitting import settings
 from warp_peri.fitting.evaluate import train
 from warp_peri.fitting.result import Fit
 from warp_peri.materials.third_order import CUBIC, ThirdOrderMaterial
-from warp_peri.methods import sweep
 
 DATA = ROOT / "data" / "graphene_0K.h5"
 SMOOTHING_RADIUS = 10.0
 OUT = ROOT / "runs" / "graphene_0K"
-PRINTED_ROUNDS = 100
-"""Of Algorithm 1 (You et al. 2021)."""
 BONDS_20, BONDS_28 = 2.5, 3.0
 """Horizons of 20 and 28 bonds, in spacings."""
 THIRD_ORDER: dict[Literal["energy", "filtered"], float] = {"energy": 0.2, "filtered": 0.1}
@@ -55,7 +51,7 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     conditions = wp.methods.StabilityConditions(given.conditions)
     kernel = None if given.degree is None else wp.Bernstein(given.degree)
     trained = train(
-        wp.LPS(given.horizon, kernel, method_of(given), conditions),
+        wp.LPS(given.horizon, kernel, settings.named(given.method, seed=given.seed), conditions),
         sets["train"],
         sets,
         noise=noise_at(data, given.spacing),
@@ -76,7 +72,7 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
         name: {role: float(errors.mean()) for role, errors in by_role.items()}
         for name, by_role in local.items()
     }
-    if noise_at(data, given.spacing) is None and not (given.linear or given.as_printed):
+    if noise_at(data, given.spacing) is None and not given.linear:
         numbers["other"] = other_row(sets, given)
         numbers["third_order"], beside = third_order_rows(sets, given)
         numbers["micromodulus"], crystal = crystal_row(sets, given)
@@ -85,7 +81,7 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     provenance = {
         "data_provenance": data.provenance,
         "seed": given.seed,
-        "method": "as printed" if given.as_printed else given.method,
+        "method": given.method,
         "conditions": given.conditions,
     }
     trained.save(given.out, numbers, data=path, provenance=provenance)
@@ -95,18 +91,6 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
         crystal.save(given.out / "micromodulus.json")
     report.write_report(given.out / "report.md", numbers, path, given.command)
     return numbers
-
-
-def method_of(given: argparse.Namespace) -> Any:
-    """The method that was asked for, or Algorithm 1 as it is printed."""
-    if not given.as_printed:
-        return settings.named(given.method, seed=given.seed)
-    return as_printed(given.seed, given.out / "as_printed.npz")
-
-
-def as_printed(seed: int, checkpoint: Path | None) -> wp.methods.TwoStage:
-    """Algorithm 1 with the printed number of rounds."""
-    return wp.methods.TwoStage(seed, checkpoint, outer_iterations=PRINTED_ROUNDS)
 
 
 def local_rows(
@@ -230,36 +214,6 @@ def make_data(jobs: int, smoothing_radius: float, loads: str = "waves") -> Path:
     return path
 
 
-def run_sweep(given: argparse.Namespace) -> None:
-    """Algorithm 2: every horizon and degree, and the choice."""
-    data = wp.load(data_file(given))
-    sets = sets_at(data, given.spacing)
-    if "val" not in sets:
-        raise InputError("the sweep needs a validation set beside the training set")
-    begin = time.perf_counter()
-    chosen = sweep(
-        sets["train"],
-        sets["val"],
-        given.out,
-        test=sets.get("test"),
-        noise=noise_at(data, given.spacing),
-        conditions=given.conditions,
-        method=as_printed(given.seed, None)
-        if given.as_printed
-        else wp.methods.GaussNewton(moduli=None),
-        jobs=given.jobs,
-        progress=True,
-    )
-    print(f"{len(chosen.trials)} fits in {time.perf_counter() - begin:.1f} s")
-    sweep_report.write_sweep(
-        given.out,
-        chosen,
-        spacing=given.spacing,
-        truth=data.provenance.get("truth"),
-        command=given.command,
-    )
-
-
 def sets_at(data: Dataset, spacing: float) -> dict[str, Samples]:
     """The training, validation and test sets on nodes of one spacing [Å], by role."""
     sets = {}
@@ -300,13 +254,8 @@ def parser() -> Options:
     parser.add(
         "--conditions",
         choices=("paper", "direct"),
-        help="conditions of the fit: all that are printed (4.6), or a positive symbol alone "
-        "(default: paper; direct for a sweep)",
-    )
-    parser.add(
-        "--as-printed",
-        action="store_true",
-        help="run Algorithm 1 as it is printed, for hours; with --sweep, Algorithm 2 with it",
+        default="paper",
+        help="conditions of the fit: all that are printed (4.6), or a positive symbol alone",
     )
     parser.add(
         "--loads",
@@ -333,11 +282,6 @@ def parser() -> Options:
     parser.add("--jobs", type=int, default=-1, help="processes for LAMMPS; -1 for all cores")
     parser.add("--scheduler", metavar="ADDRESS", help="address of a Dask scheduler")
     parser.add(
-        "--sweep",
-        action="store_true",
-        help="choose horizon and degree (Algorithm 2); --horizon, --degree, --method do not apply",
-    )
-    parser.add(
         "--smoothing-radius",
         type=float,
         default=SMOOTHING_RADIUS,
@@ -347,8 +291,7 @@ def parser() -> Options:
     parser.add(
         "--out",
         type=Path,
-        help="folder for the results (default: runs/graphene_0K or what the temperature is, "
-        "with _sweep for a sweep)",
+        help="folder for the results (default: runs/graphene_0K or what the temperature is)",
     )
     return parser
 
@@ -356,24 +299,15 @@ def parser() -> Options:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns 0, 1 after a failure, 2 for bad input, 130 on Ctrl-C."""
     given = parser().parse_args(arguments)
-    if given.conditions is None:
-        given.conditions = "direct" if given.sweep and not given.as_printed else "paper"
     if given.out is None:
-        name = f"graphene_{given.temperature:g}K" + ("_sweep" if given.sweep else "")
-        given.out = OUT.with_name(name)
+        given.out = OUT.with_name(f"graphene_{given.temperature:g}K")
     words = sys.argv[1:] if arguments is None else arguments
     given.command = shlex.join(["python", "examples/train_graphene.py", *words])
     return exit_status(lambda: work(given), "finished samples are kept and the next run goes on")
 
 
 def work(given: argparse.Namespace) -> None:
-    """The sweep or the main job, and what is printed of it."""
-    if given.sweep:
-        with scheduler(given.scheduler):
-            run_sweep(given)
-        print((given.out / "sweep.md").read_text(encoding="utf-8").split("## All")[0])
-        print(f"everything is in {given.out}/ (start with sweep.md)")
-        return
+    """The main job, and what is printed of it."""
     with locked(given.out), scheduler(given.scheduler):
         numbers = run(given)
     print(f"graphene at {given.temperature:g} K: {report.shown(given.out)}/model.json")

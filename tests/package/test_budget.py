@@ -18,11 +18,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 21_226,
-    "tokens": 258_006,
-    "lines of warp_peri": 36_085,
+    "code lines": 21_217,
+    "tokens": 257_850,
+    "lines of warp_peri": 36_071,
     "lines of kernels": 1_103,
-    "lines of warp_peri, kernels, examples and tools": 49_432,
+    "lines of warp_peri, kernels, examples and tools": 49_224,
     "lines of the longest file": 580,
     "lines of the longest function": 67,
     "parameters of one function": 11,
@@ -33,7 +33,7 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2599,
+    "atoms": 2597,
     "cli": 1044,
     "core": 1629,
     "diffusion": 251,
@@ -43,8 +43,8 @@ ROOMS = {
     "fitting": 1278,
     "fracture": 1615,
     "materials": 5194,
-    "neural": 671,
-    "points": 1675,
+    "neural": 669,
+    "points": 1670,
     "prediction": 694,
     "mpi": 831,
     "solvers": 1539,
