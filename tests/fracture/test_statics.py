@@ -88,25 +88,6 @@ def test_a_straight_front_in_space_spends_more_than_a_straight_cut():
     assert 1.2 < apparent_toughness(model, 1.0, cells=6, length=1) < 2.2
 
 
-MIRRORS = {"right": np.diag([-1.0, 1.0]), "below": np.array([[0.0, 1.0], [1.0, 0.0]])}
-
-
-@pytest.mark.parametrize(("side", "shear"), [("right", 0.0), ("below", 0.3)])
-def test_j_is_the_same_from_whichever_side_the_crack_comes(side, shear):
-    h, (lam, mu), turn = 1 / 16, (1.0, 1.0), MIRRORS[side]
-    x = rectangle_nodes(2.5, 2.5, h)
-    body = lattice_body(x, h, 3 * h)
-    model = LPSMaterial(lam=lam, mu=mu, alpha=1.0, D=np.ones(1), horizon=3 * h)
-    one = x @ turn  # where the crack comes from the left
-    u = (westergaard(one, 0.5, 1.0, lam, mu) + shear * one @ [[0.0, 1.0], [0.0, 0.0]]) @ turn.T
-    tip = tuple(turn @ (0.5, 0.0))
-    J = domain_integral(model, body, u, tip, (0.25, 0.5))
-    if not shear:
-        assert J == pytest.approx(np.pi * 0.5 / model.E, rel=0.006)
-    left = westergaard(x, 0.5, 1.0, lam, mu) + shear * x @ [[0.0, 1.0], [0.0, 0.0]]
-    assert J == pytest.approx(domain_integral(model, body, left, (0.5, 0.0), (0.25, 0.5)))
-
-
 def dead_load(width, height, half):
     """A plate with a central crack, pulled at its ends by a stress of one; just not loose."""
     body, model = plate(width, height), solid(0.5).model
@@ -135,15 +116,6 @@ def test_a_dead_load_releases_what_its_work_leaves_over():
     ends = np.abs(body.x[:, 1]) > 23
     fixed = released(model, body, held | ends[:, None], None, fields[1], cracks)
     assert G == pytest.approx(fixed, rel=0.02)  # the loads do not matter to an instant of growth
-    crooked = held | (ends & (body.x[:, 1] < 0))[:, None]
-    both = released(model, body, crooked, b, 0.3 * body.x * (0, 1), cracks)
-    potential = []
-    for lines in cracks:
-        one = CutSolid(model, body, crooked, cracks=lines)
-        u = one.solve(b, 0.3 * body.x * (0, 1)).u
-        potential.append(one.energy(u) - (b * u).sum())
-    assert both == pytest.approx((potential[0] - potential[2]) / 4, rel=1e-9)
-    assert both > 0
 
 
 def test_a_tip_acts_further_than_it_is_cut():

@@ -19,7 +19,7 @@ import pytest
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
     "code lines": 21_217,
-    "tokens": 257_850,
+    "tokens": 257_860,
     "lines of warp_peri": 36_071,
     "lines of kernels": 1_103,
     "lines of warp_peri, kernels, examples and tools": 49_224,

@@ -1,6 +1,5 @@
 """Gradients through waves: differences of the whole motion, few states, and what is refused."""
 
-import itertools
 import weakref
 from functools import partial
 
@@ -104,28 +103,6 @@ def test_the_motion_is_that_of_arrays_to_the_bit(made):
     )
     mean = (first.u + second.u)[options["record"]] / 2
     assert np.array_equal(second["u"][1], mean)
-
-
-def test_a_load_in_time_is_that_of_its_steps(made):
-    """One step at a time, each under its own load, leads to where the whole motion does."""
-    op = made("LPS")
-    fields, options = given(op)
-    arrays, sizes = {n: x.numpy() for n, x in fields.items()}, options | {"record": None}
-    pulse = np.array([1.0, -0.5, 2.0, 0.3])
-    whole = wp.simulate(op, wp.Dirichlet(op.points, arrays["b"], arrays["u"]), v=arrays["v"],
-                    signal=pulse, **sizes | {"steps": 3})  # fmt: skip
-    u, v = arrays["u"], arrays["v"]
-    for pair in itertools.pairwise(pulse):
-        one = wp.simulate(op, wp.Dirichlet(op.points, arrays["b"], u), v=v, signal=list(pair),
-                      **sizes | {"steps": 1})  # fmt: skip
-        u, v = one.u, one.v
-    assert np.allclose(whole.u, u, rtol=0, atol=1e-14 * np.abs(u).max())
-    plain = wp.simulate(op, wp.Dirichlet(op.points, arrays["b"], arrays["u"]), **sizes)
-    same = wp.simulate(op, wp.Dirichlet(op.points, arrays["b"], arrays["u"]),
-                   signal=np.ones(STEPS + 1), **sizes)  # fmt: skip
-    assert np.array_equal(plain.u, same.u)
-    with pytest.raises(wp.InputError, match="signal: expected shape"):
-        wp.simulate(op, wp.Dirichlet(op.points, arrays["b"], u), signal=pulse, **sizes)
 
 
 def test_a_motion_that_does_not_run_back_says_so(made, monkeypatch):

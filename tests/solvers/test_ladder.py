@@ -1,6 +1,5 @@
 """The solver ladder: every method gives the same answer, or says why there is none."""
 
-import importlib
 from dataclasses import replace
 from typing import get_args
 
@@ -103,30 +102,6 @@ def test_near_incompressibility_takes_few_iterations():
     u = np.zeros_like(points.x)
     u[points.interior] = inner
     assert np.linalg.norm(linear(u[None])[0] - load) <= 1.1e-8 * np.linalg.norm(load)
-
-
-@pytest.mark.filterwarnings("ignore:spacing")
-def test_the_method_follows_size_and_shape(monkeypatch):
-    module = importlib.import_module("warp_peri.solvers.linear")
-    monkeypatch.setattr(module, "DIRECT", 30)
-    monkeypatch.setattr(
-        importlib.import_module("warp_peri.materials.lps_operator"), "LARGEST_LU", 30
-    )
-    soft, stiff = (kernel("1/r", HORIZON, lam=lam) for lam in (0.3, 100.0))
-
-    def chosen(points, model=soft, loads=1):
-        operator = model.on(points, allow_uncertified=True)
-        return operator._method(None, loads)
-
-    assert chosen(lattice(5, HORIZON)) == "sine"
-    assert chosen(lattice(5, HORIZON), loads=3) == "lu"
-    assert chosen(lattice(5, HORIZON), stiff) == "lu"
-    assert chosen(lattice(6, HORIZON, angle=0.3), loads=3) == "sine"
-    assert chosen(lattice(notched(), HORIZON)) == "fft"
-    monkeypatch.setattr(module, "FEW", 20)
-    assert chosen(lattice(notched(), HORIZON)) == "multigrid"
-    assert chosen(lattice(6, HORIZON), stiff) == "strip"
-    assert chosen(cloud(6, HORIZON)) == "gmres"
 
 
 def test_an_indefinite_operator_is_named_by_every_method():

@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 
 import warp_peri as wp
 from tests.crystal.crystals import learned
-from tests.support.problems import LAM, MU, ell, kernel, lattice, manufactured, noise, periodic
+from tests.support.problems import ell, kernel, lattice, manufactured, noise, periodic
 from tests.support.solving import solve, solve_periodic
 from warp_peri import Dirichlet, InputError, LPSMaterial, Periodic, Points
 from warp_peri.solvers.linear import DIRECT, cheapest_method
@@ -51,22 +51,6 @@ def test_the_periodic_solve_is_the_inverse_of_the_operator(name, side):
     solved = solve_periodic(model, b + np.array([0.3, -5.0]), spacing=2.5)
     np.testing.assert_allclose(solved.reshape(u.shape), u, rtol=0, atol=1e-11)
     assert np.abs(solved.mean(axis=(1, 2))).max() < 1e-14
-
-
-def test_uncertified_spacings_are_refused_or_warned_about():
-    model = LPSMaterial(LAM, MU, 1.0, np.array([1.0, -3.0, 3.0]), horizon=HORIZON)
-    points = lattice(2, HORIZON)
-    zero = np.zeros((len(points.x), 2))
-    sheet = np.zeros((8, 8, 2))
-    with pytest.raises(InputError, match="certified on no spacing, not on 1 Å"):
-        solve(model, points, zero, zero)
-    with pytest.raises(InputError, match="certified on no spacing, not on 1 Å"):
-        solve_periodic(model, sheet, spacing=1.0)
-    model = replace(kernel("1/r", HORIZON), certified_on=())
-    with pytest.warns(UserWarning, match="certified on no spacing"):
-        solve(model, points, zero, zero, allow_uncertified=True)
-    with pytest.warns(UserWarning, match="certified on no spacing"):
-        solve_periodic(model, sheet, spacing=1.0, allow_uncertified=True)
 
 
 def test_a_model_that_is_certified_nowhere_is_proven_where_it_is_asked():

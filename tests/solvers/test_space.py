@@ -35,7 +35,7 @@ def test_the_solution_tends_to_that_of_elasticity_with_second_order(lam):
     assert fitted_order(LENGTH / numbers, errors) >= 2
 
 
-def test_as_tensors_it_has_the_same_forces_a_proof_and_solves_of_any_size():
+def test_as_tensors_it_has_the_same_forces_and_a_proof():
     model = solid(2.0, D=[1.0, -0.3, 0.6])
     tensors = crystal_from_lps(model, 1.0)
     points = cube(3, 2.0)
@@ -45,15 +45,6 @@ def test_as_tensors_it_has_the_same_forces_a_proof_and_solves_of_any_size():
     assert tensors.certificate.proven > 0.9 * tensors.certificate.sampled > 0
     expected = moduli(model, bond_classes(1.0, 2.0, dimension=3))
     assert {name: tensors.moduli()[name] for name in expected} == pytest.approx(expected)
-    errors = []
-    for number in (8, 16):
-        h = LENGTH / number
-        points = cube(number, RATIO * h, h, centred=True)
-        exact = field(points.x)
-        fine = crystal_from_lps(solid(RATIO * h), h)
-        problem = warp_peri.Dirichlet(points, load(points.x, 0.3, 0.8), exact)
-        errors.append(np.abs(warp_peri.solve(fine, problem).u - exact).max())
-    assert errors[0] > 4 * errors[1]
 
 
 def test_it_moves_at_a_proven_step_not_much_shorter_than_the_longest():

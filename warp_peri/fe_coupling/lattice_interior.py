@@ -109,7 +109,7 @@ class Bulk(LinearOperator):  # type: ignore[misc]
 
     def joined(self, inner: np.ndarray, collar: np.ndarray) -> np.ndarray:
         """A field of all nodes [N, d], of its values on the unknown ones and on the collar."""
-        u = np.empty(self.points.x.shape)
+        u = np.empty_like(self.points.x)
         u[self.inside], u[self.collar] = inner.reshape(-1, u.shape[1]), collar
         return u
 

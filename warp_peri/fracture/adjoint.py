@@ -261,7 +261,7 @@ class SoftBody:
             field = self._at_rest(at, share, law[0], given)
             s = self._stretch(field)
             worst = torch.maximum(worst, s).where(breakable, 0.0)
-            lasting = torch.minimum(share_of(worst, *law, torch), share)
+            lasting = torch.minimum(share_of(worst, law[0], law[1], law[2], torch), share)
             change, damage[:] = float((share - lasting).max().detach()), (lasting, worst)
         return field, s
 
