@@ -53,30 +53,28 @@ def assemble(bonds: Bonds, kw: np.ndarray, m: Any, mu: Any = 1.0) -> Matrices:
     μ of each node, where that is a field."""
     families, nodes, d = bonds.families, bonds.nodes, bonds.dimension
     owner, end, xi, kind = bonds.listing
-    needed = np.isin(np.arange(nodes), np.concatenate([families.whole, families.cut]))
-    stiffness = kw[kind] / np.broadcast_to(m, nodes)[owner]
-    some = (end >= 0) & needed[owner]
-    bent, stiffness = bonds.bent(kw, stiffness)[some], stiffness[some]
-    owner, end, xi = owner[some], end[some], xi[some]
-    a, size = np.arange(d), (d * nodes, d * nodes)
-    push = d * stiffness[:, None] * xi
-    shear = 2 * (d + 2) * (push / (xi**2).sum(axis=1, keepdims=True))[:, :, None] * xi[:, None]
-    if np.ndim(mu):
-        shear *= ((mu[owner] + mu[end]) / 2)[:, None, None]
+    own = kw[kind] / np.broadcast_to(m, nodes)[owner]
+    needed = np.isin(owner, np.concatenate([families.whole, families.cut]))
+    some = np.flatnonzero((end >= 0) & needed)
+    push, bent = d * own[some, None] * xi[some], bonds.bent(kw, own)[some]
+    owner, end, xi, one = owner[some], end[some], xi[some], np.ones((len(some), 1))
+    shear = 2 * (d + 2) / (xi**2).sum(axis=1)
+    shear = shear * (mu[owner] + mu[end]) / 2 if np.ndim(mu) else shear
 
-    def blocks(values: np.ndarray, rows: Any, columns: Any, shape: tuple[int, int]) -> sp.csr_array:
-        rows, columns = np.broadcast_arrays(rows, columns)
-        return sp.coo_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=shape).tocsr()
+    def at(where: np.ndarray, values: np.ndarray) -> sp.csr_array:
+        """From fields of c components to values · field at a node of each bond, [E, c N]."""
+        c = values.shape[1]
+        columns, starts = c * where[:, None] + np.arange(c), c * np.arange(len(some) + 1)
+        entries = values.ravel(), columns.ravel(), starts
+        return sp.csr_array(entries, shape=(len(some), c * nodes))
 
-    near, far = (d * at[:, None] + a for at in (owner, end))
-    G = blocks(shear, near[:, :, None], near[:, None], size)
-    G -= blocks(shear, near[:, :, None], far[:, None], size)
-    Q = blocks(push, near, end[:, None], (size[0], nodes))
-    Q += blocks(push, near, owner[:, None], (size[0], nodes))
-    P = blocks(bent, owner[:, None], far, (nodes, size[0]))
-    P -= blocks(bent, owner[:, None], near, (nodes, size[0]))
-    interior = (d * families.rows[:, None] + a).ravel()
-    return Matrices(G[interior], sp.csr_array(P), Q[interior])
+    interior = (d * families.rows[:, None] + np.arange(d)).ravel()
+    force, along = sp.csr_array(at(owner, push).T)[interior], at(end, xi) - at(owner, xi)
+    return Matrices(
+        sp.csr_array(force @ (sp.diags_array(-shear) @ along)),
+        sp.csr_array(at(owner, one).T @ (at(end, bent) - at(owner, bent))),
+        sp.csr_array(force @ (at(owner, one) + at(end, one))),
+    )
 
 
 @dataclass(frozen=True)
