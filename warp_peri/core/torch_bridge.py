@@ -195,7 +195,7 @@ def as_tensor(name: str, value: Any) -> torch.Tensor:
     if array.dtype.kind not in "fiuc":
         raise InputError(f"{name}: expected an array of numbers, got {type(value).__name__}")
     masked = np.ma.is_masked(array)
-    return torch.as_tensor(array.astype(float).filled(np.nan) if masked else array.data)
+    return torch.as_tensor(np.ma.filled(array.astype(float), np.nan) if masked else array.data)
 
 
 def real(name: str, value: Any) -> torch.Tensor:

@@ -475,7 +475,7 @@ class Law:
         p_f · S⁻¹ ξ_f − (S⁻¹ ξ_f) · (Σ_e K W p_e ⊗ S⁻¹ ξ_e) ξ_f, p that to K W S⁻¹ ξ.
         """
         bonds, layout, d = self.bonds, self.bonds.layout, self.bonds.dimension
-        lost = np.zeros(len(self.kw))
+        lost: Any = 0.0
         if not layout.in_rows:
             by[bonds.listing[1] < 0] = 0
         if len(bonds.families.cut):
