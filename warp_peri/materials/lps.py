@@ -35,8 +35,8 @@ SPACING_TOLERANCE = 1e-6
 """A lattice within this of a certified one, relative to its spacing, is taken as that lattice."""
 NOTHING = 1e-14
 """Relative, of tensors that are rounding."""
-GAMMAS = ("gamma_min", "gamma_minus_2phi_min", "gamma_minus_2phi_max")
-"""Figures of a certificate that are in 1/length²."""
+GAMMAS = ("gamma_min", "gamma_max", "gamma_minus_2phi_min", "gamma_minus_2phi_max")
+"""Figures of a certificate that are in 1/length²; files of before have the second too."""
 AVERAGED = 8
 """Positions along the radius of the ball that moduli as a function are averaged over."""
 Modulus = ArrayLike | Callable[[np.ndarray], ArrayLike]
