@@ -144,9 +144,8 @@ def test_a_law_needs_frames_and_ten_nodes_for_each_number():
 def test_a_band_is_no_narrower_than_the_misfit_and_deviations_have_none():
     """Fits that agree exactly, as those of one number do, know no more than the frames tell."""
     even = DisplacementFit(SHEET, np.zeros(1), [], [])
-    choice = model_selection.ModelSelection(
-        [model_selection.Candidate("one", even, 0.01)], [even] * 3
-    )
+    alike = replace(even, others=[even] * 3)
+    choice = model_selection.ModelSelection([model_selection.Candidate("one", alike, 0.01)])
     middle, low, high = choice.curves([1.2])
     np.testing.assert_allclose(high - low, 2 * 1.645 * 0.01 * middle, rtol=1e-3)
     stiff = replace(SHEET, coefficients=np.array([282.0] * 4 + [0.4, 0.1]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -111,11 +111,9 @@ class ModelSelection:
     Attributes:
         candidates: all of them, the best first: of those that as many independent residuals cannot
             tell from the least error, that of the fewest numbers.
-        others: the best with each learned frame left out in turn, by one Gauss-Newton step.
     """
 
     candidates: list[Candidate]
-    others: list[DisplacementFit] = field(default_factory=list)
 
     @property
     def best(self) -> Candidate:
@@ -123,14 +121,12 @@ class ModelSelection:
         return self.candidates[0]
 
     @property
-    def fit(self) -> DisplacementFit:
-        """Of the best; InputError where that failed."""
-        if self.best.fit is None:
-            raise InputError(f"frames: no material fits them; {self.best.why}")
+    def fit(self) -> Any:
+        """The DisplacementFit of the best."""
         return self.best.fit
 
     @property
-    def material(self) -> HyperelasticMaterial:
+    def material(self) -> Any:
         """The best one's; its scale is an initial stiffness of one where no frame has a pull."""
         return self.fit.material
 
@@ -144,7 +140,7 @@ class ModelSelection:
         share. Raises InputError where deviations, which are no material,
         explain the frames.
         """
-        n = len(self.others)
+        n = len(others := [other.material for other in self.fit.others])
         if (times := stiffest_deviation(self.fit)) > INTERPOLATES:
             raise InputError(
                 f"frames: deviations came out {times:.0f} times as stiff as the sheet at rest and "
@@ -153,7 +149,7 @@ class ModelSelection:
         middle = uniaxial_stress(self.material, stretches, angle)
         if n < 2:
             return middle, np.full_like(middle, np.nan), np.full_like(middle, np.nan)
-        values = np.array([uniaxial_stress(fit.material, stretches, angle) for fit in self.others])
+        values = np.array([uniaxial_stress(other, stretches, angle) for other in others])
         deviation = stdtrit(n - 1, (1 + level) / 2) * np.sqrt(n - 1) * values.std(axis=0)
         misfit = np.hypot(self.best.held_out, self.fit.scatter)
         half = np.hypot(deviation, ndtri((1 + level) / 2) * misfit * middle)
@@ -208,10 +204,9 @@ def select_model(
     least = min(candidate.held_out for candidate in tried)
     alike = least * (1 + 2 / np.sqrt(2 * np.count_nonzero(seen_of(test)[:, test.interior])))
     tried.sort(key=lambda c: (c.held_out > alike, c.held_out if c.held_out > alike else c.numbers))
-    best = tried[0].fit
-    if best is None:
+    if tried[0].fit is None:
         raise InputError("frames: no material fits them; " + "; ".join(c.why for c in tried))
-    return ModelSelection(tried, best.others)
+    return ModelSelection(tried)
 
 
 def _candidates(fibres: int, uneven: bool) -> Candidates:

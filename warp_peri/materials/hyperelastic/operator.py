@@ -90,19 +90,16 @@ class HyperelasticMaterial(Record, format="warp_peri.hyperelastic"):
 
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value, energies by the size of their coefficients."""
-        length = symbols(self.units)[0]
         stretch = "not known" if self.stretch is None else f"up to {self.stretch:.3g}"
-        rows = [("learned on", f"{self.spacing:g} {length}"), ("stretch of the data", stretch)]
-        rows.append(("energies", f"{len(self.dictionary)}"))
-        order = np.argsort(-np.abs(self.coefficients))[:MOST_SHOWN]
-        labels, values = [e.label for e in self.dictionary.energies], self.coefficients
-        scaled = self.provenance.get("stresses")  # where no force says what they are in
-        rows += [("stresses", str(scaled))] if scaled else []
-        rows += [
-            (labels[n], f"{values[n]:.4g}" if scaled else shown_moduli(self.units, (values[n],)))
-            for n in order
-            if values[n]
-        ]
+        rows = [("learned on", f"{self.spacing:g} {symbols(self.units)[0]}")]
+        rows += [("stretch of the data", stretch), ("energies", f"{len(self.dictionary)}")]
+        if scaled := self.provenance.get("stresses"):  # where no force says what they are in
+            rows.append(("stresses", str(scaled)))
+        energies = self.dictionary.energies
+        for n in np.argsort(-np.abs(self.coefficients))[:MOST_SHOWN]:
+            if value := self.coefficients[n]:
+                shown = f"{value:.4g}" if scaled else shown_moduli(self.units, (value,))
+                rows.append((energies[n].label, shown))
         return rows
 
     @property
