@@ -81,7 +81,7 @@ def test_third_order_is_evaluated_certified_solved_and_exported(tmp_path, capsys
     stress = meshio.read(tmp_path / "fields" / "sample_0000.vtu").point_data["stress"]
     expected = model.on(points).stress(u)[:, [0, 1], [0, 1]]
     np.testing.assert_allclose(stress[points.interior][:, :2], expected, rtol=1e-5)
-    fine = model.at(lattice(4, model.horizon, spacing=0.75))
+    fine = model.on(lattice(4, model.horizon, spacing=0.75)).model
     fine.save(tmp_path / "fine.json")
     proof = answer(capsys, "certify", tmp_path / "fine.json")["0.75 Å"]["nonlinear"]
     assert proof["strain"] == pytest.approx(fine.proven_strain(0.75))
