@@ -454,23 +454,21 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         isotropic = isinstance(self.symmetry, str) and self.symmetry == "isotropic"
         if isotropic or nodes.dimension != self.dimension:
             return
-        d, axes = self.dimension, lattice_steps(nodes)[1]
+        d, axes, stated = self.dimension, lattice_steps(nodes)[1], nodes.axis is not None
         same = np.asarray(self.orientation) @ point_group(self.symmetry, d)
-        if nodes.axis is None:
-            straight = np.abs(same - np.eye(d)).max(axis=(1, 2)).min() < SAME_AXIS
-            straight = straight and np.abs(axes - np.eye(d)).max() < SAME_AXIS
-            if not straight and unsaid(nodes):
-                warn(
-                    "axis: lattice or crystal are turned, and the points do not state how the "
-                    "crystal lies: taken as on its nodes in the model; Points(…, axis=…) states it"
-                )
-            return
         there = axes.T @ checked_orientation(nodes.axis, d)
-        if np.abs(same - there).max(axis=(1, 2)).min() > SAME_AXIS:
+        off = np.abs(same - there).max(axis=(1, 2)).min() > SAME_AXIS
+        if off and stated:
             angle = np.degrees(np.arccos(np.clip((np.trace(there) - (d - 2)) / 2, -1, 1)))
             raise InputError(
                 f"axis: the crystal stands at {angle:.4g}° to these nodes, not as in the model; "
                 "transferred(law, spacing, rotation=…) turns it"
+            )
+        turned = off or np.abs(axes - np.eye(d)).max() > SAME_AXIS
+        if turned and not stated and unsaid(nodes):
+            warn(
+                "axis: lattice or crystal are turned, and the points do not state how the "
+                "crystal lies: taken as on its nodes in the model; Points(…, axis=…) states it"
             )
 
     def summary(self) -> dict[str, Any]:
