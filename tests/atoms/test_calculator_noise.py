@@ -65,7 +65,7 @@ def test_noise_is_measured_and_rounding_of_forces_is_noise():
 
 @pytest.fixture(scope="module")
 def aluminium():
-    return wp.fit_crystal(ase.build.bulk("Al"), Noisy(EMT(), 1e-5, 3))
+    return wp.fit_crystal(ase.build.bulk("Al"), Noisy(EMT(), 1e-5, 3), supercell=(5, 5, 5))
 
 
 def test_a_noisy_calculator_gives_a_law_whose_errors_are_true_and_small(aluminium):
