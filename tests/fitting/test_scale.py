@@ -104,12 +104,9 @@ def test_noise_does_not_soften_the_stiffness(data):
 
 
 def test_wave_vectors_are_taken_at_any_length():
-    plain = waves(TRUE, cells=4, highest=2)
-    small = at_scale(plain, 1e-10)
-    small.arrays["wave_vector"] = plain.arrays["wave_vector"] * 1e10
-    here, there = learned(plain, loss="output"), learned(small, 1e-10, loss="output")
-    assert there.material.mu == pytest.approx(here.material.mu, rel=1e-9)
-    assert here.material.mu == pytest.approx(0.7, rel=1e-3)
+    small = at_scale(waves(TRUE, cells=4, highest=4), 1e-10)
+    small.arrays["wave_vector"] = small.arrays["wave_vector"] * 1e10
+    assert learned(small, 1e-10, loss="output").material.mu == pytest.approx(0.7, rel=1e-4)
 
 
 def test_data_that_no_solid_answers_are_refused_and_a_modulus_on_its_bound_is_told(data):

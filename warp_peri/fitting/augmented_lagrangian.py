@@ -182,7 +182,8 @@ def to_the_optimum(
         psi = penalty * now.loss / max(1.0, far)  # far from all conditions the loss counts as well
         frame = _frame(now, phi, psi, damping)
         x = torch.zeros(frame.shape[1], dtype=torch.float64, requires_grad=True)
-        objective = partial(lagrangian, x, *map(torch.from_numpy, (y, frame, phi)), psi)
+        at, along, held = map(torch.from_numpy, (y, frame, phi))
+        objective = partial(lagrangian, x, at, along, held, psi)
         totals, _ = adam([x], objective, steps, tick, framed=True)
         if not objective()[0].item() <= totals[0]:
             damping *= 10

@@ -162,7 +162,8 @@ def _diagnosed(material: Any, samples: Samples, noise: Samples | None, least: fl
         raise InputError("samples: expected loads on their interior, got none")
     law = getattr(material, "model", material)
     known = offered(getattr(law, "linear", law), "stencil", "diagnose", LINEAR)
-    loose = {"allow_uncertified": True} if callable(known) or hasattr(law, "linear") else {}
+    free = callable(known) or hasattr(law, "linear")
+    loose: dict[str, Any] = {"allow_uncertified": True} if free else {}
     operator = placed(material, points, verb="diagnose", **loose)
     left = b - operator(samples.u)
     inner = operator(np.where(samples.interior[:, None], samples.u, 0.0))

@@ -20,8 +20,8 @@ from warp_peri.core.stencil import Basis, bend, laplacian, ratios, zone_sample
 from warp_peri.errors import InputError
 
 STEPS = 500
-SETTLED = 1e-13
-"""Change of the merit, relative, that counts as none."""
+SETTLED = 1e-12
+"""Change of the merit, relative, that counts as none; two in turn end a search."""
 NO_LOSS = 1e-20
 """Of data that are in equilibrium to the last digit: nothing is gained below it."""
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-14, 1e8
@@ -71,7 +71,7 @@ def settle(
 ) -> tuple[np.ndarray, Linearised]:
     """The optimum that is reached from θ, and its state; `violated` says how far it keeps to the
     conditions."""
-    now, penalty, damping = state(theta), 0.0, DAMPING
+    now, penalty, damping, settled = state(theta), 0.0, DAMPING, False
 
     def merit(of: Linearised) -> float:
         return of.loss + penalty * of.violated
@@ -84,13 +84,16 @@ def settle(
             penalty = max(penalty, 2 * costs, now.loss)
         there = state(theta + move)
         for _ in range(BENDS):
-            if merit(now) >= merit(there):
+            if merit(now) >= merit(there) or there.loss > merit(now):  # not for the conditions
                 break
             bent = replace(
                 now, equal=there.equal - now.A @ move, margins=there.margins - now.M @ move
             )
-            move = _step(bent, damping)
-            there = state(theta + move)
+            bend = _step(bent, damping)
+            again = state(theta + bend)
+            if not again.violated < there.violated / 2:
+                break
+            move, there = bend, again
         gain = merit(now) - merit(there)
         small = abs(gain) <= SETTLED * merit(now) + NO_LOSS
         if not gain >= 0:  # also of what is no number
@@ -99,9 +102,9 @@ def settle(
                 break
             continue
         theta, now = theta + move, there
-        if small and damping <= LEAST_DAMPING:
+        if small and settled:
             break
-        damping = LEAST_DAMPING if small else max(damping / 10, LEAST_DAMPING)
+        settled, damping = small, max(damping / 10, LEAST_DAMPING)
     return theta, now
 
 

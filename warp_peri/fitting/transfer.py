@@ -37,12 +37,10 @@ def wave_rows(
         (LONGEST * directions(LONG_WAVES, d), np.sqrt(LONG_WEIGHT)),
         (grid[np.linalg.norm(grid, axis=1) > largest_wave], ZONE_WEIGHT),
     )
-    R, y = np.zeros((0, len(bonds.basis))), np.zeros(0)
-    for phase, weight in blocks:
-        share = np.full(len(phase), weight / np.sqrt(len(phase)))
-        rows, right = waves_against(target(phase / spacing) * spacing**2, phase, bonds, share)
-        R, y = compressed(np.concatenate([R, rows]), np.append(y, right))
-    return R, y
+    phase = np.concatenate([waves for waves, _ in blocks])
+    each = [np.full(len(waves), weight / max(len(waves), 1) ** 0.5) for waves, weight in blocks]
+    D = target(phase / spacing) * spacing**2
+    return compressed(*waves_against(D, phase, bonds, np.concatenate(each)))
 
 
 def waves_against(

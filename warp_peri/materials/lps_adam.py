@@ -146,10 +146,11 @@ class Variables:
 
     def found(self, losses: list[float]) -> LPSFound:
         """Their values strictly inside the bounds, with the loss on the way."""
-        lam, mu, alpha, D = (value.detach().numpy().copy() for value in self.bounded())
-        mu = max(float(mu), SMALLEST_MODULUS * self.unit)
-        lam = max(float(lam), SMALLEST_MODULUS * self.unit - mu)
-        return LPSFound(LPSParameters(lam, mu, min(float(alpha), LARGEST_ALPHA), D), None, losses)
+        *numbers, D = (value.detach().numpy().copy() for value in self.bounded())
+        lam, mu, alpha = map(float, numbers)
+        mu = max(mu, SMALLEST_MODULUS * self.unit)
+        lam = max(lam, SMALLEST_MODULUS * self.unit - mu)
+        return LPSFound(LPSParameters(lam, mu, min(alpha, LARGEST_ALPHA), D), None, losses)
 
 
 class DenseMargins:

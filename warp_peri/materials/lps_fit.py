@@ -398,7 +398,7 @@ class Learner:
         """Of moduli, that suits the steps of Adam [stress]."""
         return self.stiffness / USUAL_STIFFNESS
 
-    def two_stages(self, kernel: Bernstein, method: TwoStage) -> LPSFound:
+    def two_stages(self, kernel: Any, method: TwoStage) -> LPSFound:
         """Algorithm 1 from random numbers; its checkpoint is known by the data and the settings."""
         random = np.random.default_rng(method.seed)
         D, (lam, mu, alpha) = random.uniform(size=1 + kernel.degree), random.uniform(size=3)
