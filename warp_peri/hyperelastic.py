@@ -10,11 +10,7 @@ from warp_peri.materials.hyperelastic.fibres import (
     fibre_fan,
     with_corners,
 )
-from warp_peri.materials.hyperelastic.from_displacement import (
-    DisplacementFit,
-    ThicknessField,
-    fit_thickness,
-)
+from warp_peri.materials.hyperelastic.from_displacement import DisplacementFit, fit_thickness
 from warp_peri.materials.hyperelastic.model_selection import (
     ModelSelection,
     select_model,
@@ -25,6 +21,7 @@ from warp_peri.materials.hyperelastic.operator import (
     HyperelasticSheetOperator,
     evaluate_hyperelastic,
 )
+from warp_peri.materials.hyperelastic.thickness import ThicknessField
 
 __all__ = [
     "Hyperelastic",

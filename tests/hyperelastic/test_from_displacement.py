@@ -13,12 +13,12 @@ from warp_peri.materials.hyperelastic.fibres import fibre_families, fibre_fan, g
 from warp_peri.materials.hyperelastic.from_displacement import (
     Search,
     Sections,
-    ThicknessField,
     fit_displacement,
     fit_thickness,
 )
 from warp_peri.materials.hyperelastic.lattice import TangentPattern
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial, evaluate_hyperelastic
+from warp_peri.materials.hyperelastic.thickness import ThicknessField
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PULL, Samples
 

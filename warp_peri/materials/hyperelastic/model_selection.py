@@ -24,12 +24,12 @@ from warp_peri.materials.hyperelastic.fibres import fibre_families, fibre_fan, f
 from warp_peri.materials.hyperelastic.from_displacement import (
     INTERPOLATES,
     DisplacementFit,
-    ThicknessField,
     check_enough,
     fit_displacement,
     stiffest_deviation,
 )
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial, evaluate_hyperelastic
+from warp_peri.materials.hyperelastic.thickness import ThicknessField
 from warp_peri.points.arguments import Natural, typed, typed_methods
 from warp_peri.points.samples import Samples, seen_of
 
