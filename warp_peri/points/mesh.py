@@ -217,7 +217,8 @@ def _outline(x: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 def check_numbers(name: str, numbers: np.ndarray, count: int, what: str = "corners") -> None:
     """Raise InputError unless all are 0 to `count` − 1."""
-    if numbers.size and not 0 <= (least := numbers.min()) <= (most := numbers.max()) < count:
+    least, most = (numbers.min(), numbers.max()) if numbers.size else (0, 0)
+    if numbers.size and not 0 <= least <= most < count:
         raise InputError(f"{name}: expected {what} 0 to {count - 1}, got {least}, {most}")
 
 

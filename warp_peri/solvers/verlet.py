@@ -18,6 +18,7 @@ from warp_peri.points.arguments import Count, Positive
 from warp_peri.points.arrays import check_positive, is_piece
 from warp_peri.points.arrays import checked as read
 from warp_peri.points.lattice import check_lattice
+from warp_peri.points.mesh import check_numbers
 from warp_peri.points.unit_names import USUAL, Units, factors
 from warp_peri.protocols import offered, stencil_of
 from warp_peri.runtime import shared_by
@@ -256,15 +257,12 @@ def recorded_nodes(record: ArrayLike | None, count: int) -> np.ndarray | None:
     """Numbers of the nodes to record, [n]; InputError for what names none of so many."""
     if record is None:
         return None
-    try:
-        nodes = np.atleast_1d(np.asarray(record))
-        if nodes.ndim != 1:
-            raise IndexError(f"got shape {list(nodes.shape)}")
-        if nodes.dtype != bool and (nodes < 0).any():  # NumPy counts these from the end
-            raise IndexError(f"index {nodes.min()} is below 0")
-        return np.asarray(np.arange(count)[nodes])
-    except (IndexError, TypeError, ValueError) as error:
-        raise InputError(f"record: expected nodes among {count}: {error}") from None
+    nodes = np.atleast_1d(np.asarray(record))
+    if nodes.dtype == bool:
+        nodes = np.flatnonzero(read("record", nodes, bool, (count,)))
+    nodes = read("record", nodes, int, ("n",))
+    check_numbers("record", nodes, count, "nodes")
+    return nodes
 
 
 class WaveRun(Recorder):
