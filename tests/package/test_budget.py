@@ -18,11 +18,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 21_205,
-    "tokens": 257_693,
-    "lines of warp_peri": 36_059,
+    "code lines": 21_207,
+    "tokens": 257_712,
+    "lines of warp_peri": 36_070,
     "lines of kernels": 1_103,
-    "lines of warp_peri, kernels, examples and tools": 49_212,
+    "lines of warp_peri, kernels, examples and tools": 49_250,
     "lines of the longest file": 580,
     "lines of the longest function": 67,
     "parameters of one function": 11,
@@ -40,14 +40,14 @@ ROOMS = {
     "face": 944,
     "fe_coupling": 753,
     "files": 509,
-    "fitting": 1278,
+    "fitting": 1281,
     "fracture": 1615,
-    "materials": 5182,
+    "materials": 5183,
     "neural": 669,
-    "points": 1670,
+    "points": 1671,
     "prediction": 694,
     "mpi": 831,
-    "solvers": 1539,
+    "solvers": 1536,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

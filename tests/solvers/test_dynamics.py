@@ -13,7 +13,7 @@ from warp_peri import InputError
 from warp_peri.certificates import critical_time_step
 from warp_peri.materials.lps_matrices import matrices
 from warp_peri.problems import Dirichlet
-from warp_peri.solvers.verlet import INERTIA, Inert, march, step
+from warp_peri.solvers.verlet import INERTIA, Inert, inertia, march, step
 from warp_peri.solving import simulate
 
 DENSITY = 2147.0
@@ -103,6 +103,11 @@ def test_energy_is_that_of_the_definition():
     energy = INERTIA * DENSITY / 2 * half @ half + start @ (A @ end) / 2 - load @ (start + end) / 2
     assert motion.energy[0] == pytest.approx(energy / inside.sum(), rel=1e-12)
     np.testing.assert_allclose(motion.u[inside].ravel(), end, rtol=1e-12)
+
+
+def test_a_density_is_an_inertia_in_any_unit_of_length():
+    assert inertia(1000.0, ("nm", "GPa")) == pytest.approx(1.0)  # GPa ps²/nm²
+    assert inertia(1000.0, ("m", "Pa")) == pytest.approx(1e27)  # Pa ps²/m²
 
 
 def test_to_move_as_a_whole_changes_no_energy():
