@@ -44,7 +44,7 @@ def violating():
 
 @pytest.mark.parametrize("moduli", [None, (-0.2, 0.77)], ids=["free", "held"])
 def test_adam_by_itself_reaches_the_constrained_optimum(moduli):
-    method = AugmentedLagrangian(3, optimum=GaussNewton(moduli=moduli))
+    method = AugmentedLagrangian(1, optimum=GaussNewton(moduli=moduli))
     asked = StabilityConditions("paper", 0.01)
     learned = fit(violating(), 2.5, Bernstein(4), method=method, conditions=asked)
     first, second = learned.history

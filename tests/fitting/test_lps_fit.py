@@ -17,7 +17,7 @@ from warp_peri.materials.lps import moduli, stiffnesses
 from warp_peri.materials.lps_fit import Learner
 from warp_peri.materials.lps_law import LPSFound
 from warp_peri.materials.lps_parameters import LPSParameters, bernstein_basis
-from warp_peri.methods import AugmentedLagrangian, GaussNewton, StabilityConditions, TwoStage
+from warp_peri.methods import GaussNewton, StabilityConditions, TwoStage
 from warp_peri.points.families import bond_classes
 
 LAM, MU = -0.2, 0.7
@@ -41,34 +41,35 @@ def shares(model, spacing=1.0):
 )
 def test_the_optimum_is_the_model_that_made_the_data(name, horizon, degree):
     points, true = data(name, horizon)
-    learned = fit(points, horizon, Bernstein(degree), method=AugmentedLagrangian())
+    learned = fit(points, horizon, Bernstein(degree))
     model = learned.material
     assert (model.lam, model.mu) == pytest.approx((LAM, MU), abs=1e-6)
     for found, expected in zip(shares(model), shares(true)):
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
-    assert len(learned.starts) == 4
+    assert len(learned.starts) == 3
     assert max(learned.starts.values()) < 1e-5
     assert model.certified_on == model.trained_on == (1.0,)
     assert evaluate(model, points)["E_u"] < 1e-4
 
 
+@pytest.mark.filterwarnings("ignore:λ . μ ended on the lower bound")  # a single noisy load
 def test_the_degree_is_the_smallest_that_foretells_loads_left_out():
     """Data of degree 1, noisy so that more coefficients than that tell the noise alone."""
-    true = replace(kernel("positive", 3.0, lam=LAM, mu=MU), D=np.array([1.0, 0.2]))
-    points = manufactured(true, lattice(6, 3.0), 20, wave_number=2.0)
+    true = replace(kernel("positive", 2.5, lam=LAM, mu=MU), D=np.array([1.0, 0.2]))
+    points = manufactured(true, lattice(6, 2.5), 20, wave_number=2.0)
     rough = noise(points, 20)
     inside = points.interior
     part = 0.1 * np.linalg.norm(points.b[:, inside]) / np.linalg.norm(rough[:, inside])
     points = replace(points, b=points.b + part * rough)
-    learned = fit(points, 3.0)
+    learned = fit(points, 2.5)
     assert learned.material.degree == learned.law.kernel.degree == min(learned.degrees, default=9)
-    assert list(learned.degrees) == [5, 4, 3, 2, 1, 0][: len(learned.degrees)]
+    assert list(learned.degrees) == [3, 2, 1, 0][: len(learned.degrees)]
     assert learned.degrees[learned.material.degree] <= 1.02 * min(learned.degrees.values())
-    asked = fit(points, 3.0, Bernstein(learned.material.degree))
+    asked = fit(points, 2.5, Bernstein(learned.material.degree))
     assert asked.history[-1].loss[-1] == pytest.approx(learned.history[-1].loss[-1], rel=1e-6)
     assert learned.material.provenance["degree"]
-    alone = fit(replace(points, u=points.u[:1], b=points.b[:1]), 3.0)
-    assert (alone.material.degree, alone.degrees) == (5, {})
+    alone = fit(replace(points, u=points.u[:1], b=points.b[:1]), 2.5)
+    assert (alone.material.degree, alone.degrees) == (3, {})
 
 
 def test_a_violating_model_ends_feasible_with_the_condition_active():
