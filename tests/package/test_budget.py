@@ -19,7 +19,7 @@ import pytest
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
     "code lines": 21_207,
-    "tokens": 257_712,
+    "tokens": 257_717,
     "lines of warp_peri": 36_070,
     "lines of kernels": 1_103,
     "lines of warp_peri, kernels, examples and tools": 49_250,

@@ -151,7 +151,7 @@ def run_solve(given: Namespace) -> Said:
     return result, _with_units(result, data.units)
 
 
-def solver_of(name: str, material: Any) -> Any:
+def solver_of(name: Any, material: Any) -> Any:
     """Settings of a solver by the name they have on the command line; nonlinear laws have one."""
     if name == "auto":
         return None

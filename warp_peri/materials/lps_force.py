@@ -493,7 +493,7 @@ class Law:
         pulled = np.add.reduceat(by * self.own, layout.row[:-1])
         by -= np.repeat(pulled, count) / layout.bond[:, d]
         by /= np.repeat(np.broadcast_to(self.m, len(count)), count)
-        return lost + (by if len(by) == len(self.kw) else np.bincount(layout.kind, by))
+        return np.asarray(lost + (by if len(by) == len(self.kw) else np.bincount(layout.kind, by)))
 
 
 def refuse_bond_based() -> None:
