@@ -282,7 +282,7 @@ def test_a_folder_tells_what_it_passes_over_and_what_does_not_fit(tmp_path):
     for wrong, words in (
         ({"pixel": "2 inch"}, "pixel: expected a length"),
         ({"count": 3}, "count: expected at least 4 frames, got 3"),
-        ({"radius": -1.0}, "radius: expected spacings"),
+        ({"radius": -1.0}, "radius: expected a number ≥ 0"),
     ):
         with pytest.raises(InputError, match=words):
             frames_of_folder(unequal, **{"count": 7, "radius": 0.0} | wrong)

@@ -396,7 +396,12 @@ def test_checkpoints_of_other_trainings(tmp_path):
         with pytest.raises(InputError, match="the checkpoint of another training"):
             train(**{"material": student(), **given} | change, checkpoint=path, progress=False)
     whole = path.read_bytes()
-    for content in (b"no checkpoint", whole[: len(whole) // 2]):
+    with np.load(path) as held:
+        arrays = dict(held)
+    arrays["state"][100] ^= 1
+    np.savez(tmp_path / "changed.npz", **arrays)
+    changed = (tmp_path / "changed.npz").read_bytes()
+    for content in (b"no checkpoint", whole[: len(whole) // 2], changed):
         path.write_bytes(content)
         with pytest.raises(InputError, match="not a readable checkpoint"):
             train(student(), **given, checkpoint=path, progress=False)

@@ -18,11 +18,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 21_207,
-    "tokens": 257_717,
-    "lines of warp_peri": 36_070,
+    "code lines": 21_239,
+    "tokens": 258_024,
+    "lines of warp_peri": 36_120,
     "lines of kernels": 1_103,
-    "lines of warp_peri, kernels, examples and tools": 49_250,
+    "lines of warp_peri, kernels, examples and tools": 49_300,
     "lines of the longest file": 580,
     "lines of the longest function": 67,
     "parameters of one function": 11,
@@ -39,7 +39,7 @@ ROOMS = {
     "diffusion": 251,
     "face": 944,
     "fe_coupling": 753,
-    "files": 509,
+    "files": 541,
     "fitting": 1281,
     "fracture": 1615,
     "materials": 5183,

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import json
 import math
 import os
 import stat
+import tempfile
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -27,6 +29,8 @@ DEEPER = np.zeros(256, int)
 """By how much the text after a byte is deeper."""
 DEEPER[[*b"[{"]], DEEPER[[*b"]}"]] = 1, -1
 
+HEADERS: dict[Any, Any] = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+"""What reads the header of an array, by the version of its format."""
 BROKEN = zipfile.BadZipFile, EOFError, RuntimeError, KeyError, NotImplementedError, MemoryError
 """What reading an archive of arrays runs into."""
 
@@ -46,10 +50,12 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
                 if entry.compress_type != zipfile.ZIP_STORED or entry.file_size > size:
                     raise ValueError(f"{entry.filename!r}: expected an array as it is, not packed")
                 with archive.open(entry) as file:
+                    shape, _, kind = HEADERS[npy.read_magic(file)](file)
+                    if file.tell() + math.prod(shape) * kind.itemsize != entry.file_size:
+                        raise ValueError(f"{entry.filename!r}: {shape} does not fit the file")
+                with archive.open(entry) as file:
                     name = entry.filename.removesuffix(".npy")
                     arrays[name] = npy.read_array(file, allow_pickle=False)
-                    if file.read(1):
-                        raise ValueError(f"{entry.filename!r}: more bytes than the array holds")
     except BROKEN as error:
         raise ValueError(str(error)) from None
     return arrays
@@ -112,6 +118,9 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
         yield temporary
         with open(temporary, "rb") as written:
             os.fsync(written.fileno())
+        mask = os.umask(0)
+        os.umask(mask)
+        temporary.chmod(0o666 & ~mask)  # mkstemp makes private files; a result is not a secret
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -119,25 +128,53 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def _begun(path: Path) -> tuple[int, Path]:
-    """An empty half-written file that this process alone holds; that of a killed save is taken.
+    """A new half-written file, locked by this process; those of killed saves are removed.
 
     The lock is the operating system's and ends with the process: what nobody holds nobody writes.
     """
-    number = 0
-    while True:
-        part = path.with_name(f".{path.name}{PART}{number}{path.suffix}")
-        handle = os.open(part, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+    handle, made = tempfile.mkstemp(path.suffix, f".{path.name}{PART}", path.parent)
+    _held(handle)
+    temporary = path.with_name(f".{path.name}{_mark(handle)}{path.suffix}")
+    os.replace(made, temporary)
+    _remove_left(path.parent, f".{path.name}{PART}")
+    return handle, temporary
+
+
+def _mark(handle: int) -> str:
+    """What the name of a half-written file holds: its own number on the disk.
+
+    No file of a user, and no copy, has that in its name.
+    """
+    return f"{PART}{os.fstat(handle).st_ino}"
+
+
+def _held(handle: int) -> bool | None:
+    """Lock an open file: False where another process holds it, None where there are no locks."""
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return None
+    return True
+
+
+def _remove_left(folder: Path, start: str = ".") -> None:
+    """Remove the half-written files of a folder, of names that begin so, that no process holds."""
+    try:
+        names = os.listdir(folder)
+    except (FileNotFoundError, NotADirectoryError, PermissionError):
+        return
+    for name in names:
+        if not name.startswith(start) or PART not in name:
+            continue
+        path = folder / name
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            number += 1
-        except OSError:  # a disk without locks
-            return handle, part
-        else:
-            with suppress(FileNotFoundError):  # else it was renamed meanwhile
-                if os.path.samestat(os.fstat(handle), os.stat(part)):
-                    os.ftruncate(handle, 0)
-                    return handle, part
+            handle = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
+        except OSError:  # finished meanwhile, or not a file of ours
+            continue
+        if f"{_mark(handle)}." in f"{name}." and _held(handle):
+            path.unlink(missing_ok=True)
         os.close(handle)
 
 
@@ -146,7 +183,7 @@ def locked(path: str | os.PathLike[str]) -> Iterator[None]:
     """Hold a file or folder that is being written against every other job.
 
     The lock is the operating system's, on a hidden file beside `path`: it ends with the process,
-    however that ends.
+    however that ends. Half-written files that a killed job left are removed.
 
     Raises InputError when another job holds it, or where no file can be; and where the hidden file
     is a user's, with something in it.
@@ -165,6 +202,8 @@ def locked(path: str | os.PathLike[str]) -> Iterator[None]:
             beside.touch()  # filelock takes a place that has no room for its file as held
         raise InputError(f"{path}: another job is writing here") from None
     try:
+        _remove_left(path.parent, f".{path.name}{PART}")
+        _remove_left(path)
         yield
     finally:
         beside.unlink(missing_ok=True)  # still held: who opened it before tries again
@@ -236,7 +275,7 @@ class ArrayFile:
         """Write arrays, or what they are made of."""
         if self.path is not None:
             with whole_file(self.path) as temporary, open(temporary, "wb") as file:
-                np.savez(file, **arrays, key=np.array(self.key))
+                np.savez(file, **arrays, key=np.array(self.key), mark=np.array(_hash(arrays)))
 
     def read(self, made: Callable[[dict[str, np.ndarray]], T]) -> T | None:
         """What is made of the arrays; None where there is no file yet.
@@ -248,10 +287,21 @@ class ArrayFile:
             return None
         try:
             arrays = read_arrays(self.path)
-            same = str(arrays.pop("key")) == self.key
+            mark, same = str(arrays.pop("mark")), str(arrays.pop("key")) == self.key
+            if mark != _hash(arrays):
+                raise ValueError("the contents are not what was written")
             found = made(arrays) if same else None
         except (OSError, KeyError, ValueError, TypeError) as error:
             raise InputError(f"{self.path}: not a readable checkpoint ({error})") from None
         if not same:
             raise InputError(f"{self.path}: the checkpoint of {self.other}")
         return found
+
+
+def _hash(arrays: Mapping[str, Any]) -> str:
+    """SHA-256 of arrays by name."""
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.asarray(arrays[name])
+        digest.update(f"{name} {array.dtype.str} {array.shape}".encode() + array.tobytes())
+    return digest.hexdigest()
