@@ -63,14 +63,6 @@ def test_it_moves_at_a_proven_step_not_much_shorter_than_the_longest():
     assert np.ptp(motion.energy) < 1e-9 * motion.energy.mean()
 
 
-def test_a_solid_is_certified_in_space():
-    certificate = warp_peri.certify(solid(2.0), spacing=1.0)
-    expected = crystal_from_lps(solid(2.0), 1.0).certificate
-    assert certificate.symbol_bound == expected.proven > 0
-    assert "nodes of the cubic lattice" in certificate.statement
-    assert "7-point Laplacian" in certificate.statement
-
-
 @pytest.mark.parametrize("lam", [50.0])
 def test_iteration_finds_what_a_factorisation_does_in_space(lam):
     points = cube(5, 2.0)
