@@ -1,4 +1,4 @@
-"""Where and how Warp kernels run: the device, and slices of the nodes on Python threads."""
+"""Where and how Warp kernels run: slices of the nodes on Python threads."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import warp as wp
 from warp_peri.errors import InputError
 
 DEVICE = "cpu"
-"""Where arrays are made unless a device is named."""
+"""Where arrays are made and kernels run."""
 LINE = 16
 """Counters of a sweep that threads share are so far apart, as in kernels/bonds.py."""
 SLICE = 2000
@@ -186,19 +186,10 @@ def in_blocks(work: Callable[[np.ndarray], np.ndarray], rows: np.ndarray, most: 
     return np.concatenate([done[n % comm.size][n // comm.size] for n in range(len(blocks))])
 
 
-def known_device(device: str) -> str:
-    """The device's name in Warp, as "cuda:0" for "cuda"; InputError for one that is not there."""
-    try:
-        return str(wp.get_device(device))
-    except (RuntimeError, ValueError):
-        there = ", ".join(str(device) for device in wp.get_devices())
-        raise InputError(f"device: expected one of {there}, got {device!r}") from None
-
-
 def launch(kernel: Any, dim: Any, inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
-    """Launch a kernel once, where its first output lies; on no tape, which is the process's."""
+    """Launch a kernel once; on no tape, which is the process's."""
     fields: dict[str, Any] = {"inputs": list(inputs), "outputs": list(outputs)}
-    wp.launch(kernel, dim=dim, **fields, device=outputs[0].device, record_tape=False)
+    wp.launch(kernel, dim=dim, **fields, device=DEVICE, record_tape=False)
 
 
 def launch_slices(
@@ -213,11 +204,10 @@ def launch_slices(
     """Launch a gather kernel, whose first argument is the first index, on slices of 0 … count.
 
     With samples the dimensions are (samples, slice). `weight` is the work of an index, that of a
-    node being 1. A GPU takes all of them at once.
+    node being 1.
     """
-    device = outputs[0].device
     work = count * max(samples, 1) * weight
-    slices = max(1, min(_count, count, work // SLICE)) if device.is_cpu else 1
+    slices = max(1, min(_count, count, work // SLICE))
     ends = [count * n // slices for n in range(slices + 1)]
 
     def job(first: int, last: int) -> Callable[[], None]:
@@ -225,7 +215,7 @@ def launch_slices(
         return lambda: launch(kernel, dim, [first, *inputs], outputs)
 
     if len(ends) > 2:
-        kernel.module.load(device)  # not from two threads at once
+        kernel.module.load(DEVICE)  # not from two threads at once
     at_once([job(first, last) for first, last in pairwise(ends)])
 
 
@@ -296,22 +286,20 @@ def recording() -> Any:
     return runtime.tape
 
 
-def zeros(
-    *shape: int, dtype: Any = wp.float64, gradient: bool = False, device: str = DEVICE
-) -> wp.array[Any]:
+def zeros(*shape: int, dtype: Any = wp.float64, gradient: bool = False) -> wp.array[Any]:
     """A Warp array of zeros."""
-    return wp.zeros(shape, dtype=dtype, requires_grad=gradient, device=device)
+    return wp.zeros(shape, dtype=dtype, requires_grad=gradient, device=DEVICE)
 
 
-def empty(*shape: int, dtype: Any, device: str = DEVICE) -> wp.array[Any]:
+def empty(*shape: int, dtype: Any) -> wp.array[Any]:
     """A Warp array that a kernel is about to fill."""
-    return wp.empty(shape, dtype=dtype, device=device)
+    return wp.empty(shape, dtype=dtype, device=DEVICE)
 
 
-def ints(values: np.ndarray, device: str = DEVICE) -> wp.array[Any]:
-    """An int32 Warp array; shares memory with an int32 NumPy array where the device can."""
+def ints(values: np.ndarray) -> wp.array[Any]:
+    """An int32 Warp array; shares memory with an int32 NumPy array."""
     values = np.ascontiguousarray(values, dtype=np.int32)
-    return wp.array(values, dtype=wp.int32, device=device, copy=False)
+    return wp.array(values, dtype=wp.int32, device=DEVICE, copy=False)
 
 
 def filled(struct: Any, *values: Any) -> Any:
@@ -322,9 +310,9 @@ def filled(struct: Any, *values: Any) -> Any:
     return instance
 
 
-def floats(values: np.ndarray, dtype: Any = wp.float64, device: str = DEVICE) -> wp.array[Any]:
+def floats(values: np.ndarray, dtype: Any = wp.float64) -> wp.array[Any]:
     """A Warp array of scalars or vectors; shares memory with `values` where it can."""
-    return wp.array(values, dtype=dtype, device=device, copy=False)
+    return wp.array(values, dtype=dtype, device=DEVICE, copy=False)
 
 
 class _TorchThreads:

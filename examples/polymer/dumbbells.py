@@ -43,7 +43,7 @@ class Dumbbells:
         self.q: wp.array[Any] = wp.array(np.ascontiguousarray(q), dtype=wp.vec3f, device=DEVICE)
         self._stream = int(np.random.SeedSequence([seed, 1]).generate_state(1)[0] >> 2)
         self._blocks = -(-count // BLOCK)
-        self._sums = empty(ensembles * self._blocks, 4, dtype=wp.float64, device=DEVICE)
+        self._sums = empty(ensembles * self._blocks, 4, dtype=wp.float64)
 
     def advance(self, K: np.ndarray, dt: float) -> np.ndarray:
         """⟨q q⟩ [ensembles, 4] after dt relaxation times under K [ensembles, 4]; exact in time."""
