@@ -20,9 +20,9 @@ ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
     "code lines": 21_230,
     "tokens": 257_926,
-    "lines of warp_peri": 36_108,
+    "lines of warp_peri": 36_104,
     "lines of kernels": 1_103,
-    "lines of warp_peri, kernels, examples and tools": 49_288,
+    "lines of warp_peri, kernels, examples and tools": 49_284,
     "lines of the longest file": 580,
     "lines of the longest function": 67,
     "parameters of one function": 11,

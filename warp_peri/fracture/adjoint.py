@@ -196,11 +196,7 @@ class SoftBody:
         progress: bool = False,
         parameters: Mapping[str, Any] | None = None,
     ) -> Motion:
-        """Raise the load step by step; at each, let bonds fail until none fails further.
-
-        Arguments, what comes back and errors are told by the class; two loads in turn at which
-        failing bonds leave no positive definite tangent are warned of.
-        """
+        """Raise the load step by step; at each, let bonds fail until none does; see the class."""
         loads = checked("loads", loads, float, ("n",))
         if not (len(loads) and loads[0] >= 0 and (np.diff(loads) > 0).all()):
             raise InputError(
