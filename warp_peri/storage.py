@@ -9,6 +9,7 @@ from typing import Any
 from warp_peri.core.record import load as load_record
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
+from warp_peri.files.foreign import check_regular
 from warp_peri.points.arguments import typed
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.mesh import load_mesh
@@ -34,6 +35,7 @@ def load(path: str | os.PathLike[str], *, units: Units | None = None) -> Any:
     700.0
     """
     path = Path(path)
+    check_regular(path)
     try:
         with open(path, "rb") as file:
             head = file.read(len(HDF5))

@@ -291,6 +291,8 @@ BAD_CONFIG = {
     '[fit]\nloss = "huber"\n': "argument --loss: invalid choice: 'huber'",
     "[fit]\noverwrite = 3\n": "no option 'overwrite'",
     "[fit]\nset = true\n": "not what this option takes",
+    '[fit]\nunits = ["nm", "--overwrite"]\n': "not what this option takes",
+    '[fit]\ndata = "--help"\n': "not what this option takes",
 }
 
 
@@ -332,8 +334,11 @@ def test_sets_on_the_line_take_the_place_of_those_in_the_file(fitted, data, tmp_
         ("sweep {data} --out {new}", "no set 'val'"),
         ("export {bare} {data} --out {new}", "certified on no spacing"),
         ("solve {bare} --out {new}", "data, body: expected one of DATA.h5 and --body MESH"),
-        ("solve {bare} {data} --out {new} --pull right=1,0", "pull: expected with --body MESH"),
+        ("solve {bare} {data} --out {new}.h5 --pull right=1,0", "pull: expected with --body MESH"),
         ("solve {bare} {data} --out {data}", "is read (data)"),
+        ("solve {bare} {data} --out {text}", "expected a .h5 file"),
+        ("solve {bare} {data} --out {mine}", "is there already, and no data file"),
+        ("solve {bare} {data} --config {mine} --out {mine}", "is read (config)"),
         ("export {bare} {data} --out {bare}", "is read (model)"),
         ("fit {data} --out {bare}", "expected a folder"),
         ("solve {bare} {data} --out {folder}", "expected a file"),
@@ -346,6 +351,9 @@ def test_what_cannot_be_done_is_one_line_and_writes_nothing(words, message, data
     dataclasses.replace(kernel("sign-changing", 2.5), trained_on=(), certified_on=()).save(
         places["bare"]
     )
+    places |= {"text": tmp_path / "thesis.txt", "mine": tmp_path / "mine.h5"}
+    for path in (places["text"], places["mine"]):
+        path.write_text("[solve]\n")
     before = {path: path.read_bytes() for path in places.values()}
     places |= {"folder": tmp_path, "new": tmp_path / "new"}
     assert message in refused(capsys, *words.format(**places).split())

@@ -8,6 +8,7 @@ import gzip
 import io
 import itertools
 import lzma
+import os
 import pickle
 import shutil
 import sys
@@ -102,6 +103,32 @@ def test_what_unpacks_to_more_than_is_read_is_refused(name, tmp_path, monkeypatc
         dict(PARSERS)[name](path)
     assert tracemalloc.get_traced_memory()[1] < 2e7
     tracemalloc.stop()
+
+
+@pytest.mark.parametrize("number", [".nan", "-.INF", "1e999", "nan"])
+def test_yaml_with_numbers_that_are_none_reaches_no_parser(number, tmp_path):
+    path = tmp_path / "phonopy.yaml"
+    path.write_text(f"points:\n- symbol: Al\n  coordinates: [ {number}, 0.0, 0.0 ]\n")
+    with pytest.raises(InputError, match="expected finite numbers"):
+        wp.atoms.from_phonopy(path)
+
+
+@pytest.mark.parametrize(("name", "parse"), PARSERS)
+def test_a_pipe_is_no_file(name, parse, tmp_path):
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(ValueError if parse is read_arrays else InputError):
+        parse(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    "text", ["1000000000000\n\nH 0 0 0\n", "1\nProperties=species:S:1:pos:R:1000000000\nH 0 0 0\n"]
+)
+def test_atoms_that_a_file_only_claims_take_no_memory(text, tmp_path):
+    (tmp_path / "a.xyz").write_text(text)
+    (tmp_path / "a.dump").write_bytes(bytes(10**6))
+    for name in ("a.xyz", "a.dump"):
+        with pytest.raises(InputError, match="cannot be read"):
+            [*iter_dump(tmp_path / name)]
 
 
 @pytest.mark.parametrize("place", ["/etc/passwd", "../secret.h5", "nowhere.h5", "secret.h5"])

@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 
 from warp_peri.atoms.dic import ON_LATTICE, spacing_of, surrounded
 from warp_peri.errors import InputError
-from warp_peri.files.foreign import check_hdf5
+from warp_peri.files.foreign import check_hdf5, check_regular
 from warp_peri.points.arguments import Count, Positive, typed
 from warp_peri.points.arrays import checked
 from warp_peri.points.mesh import Mesh
@@ -326,6 +326,7 @@ def read_mat(
 def _variables(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     """Arrays of numbers of a .mat file by name; HDF5, of version 7.3, has their axes reversed."""
     held: dict[str, Any] = {}
+    check_regular(path)
     try:
         if h5py.is_hdf5(path):
             with h5py.File(path) as file:

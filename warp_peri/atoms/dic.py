@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 from warp_peri.errors import InputError, warn
 from warp_peri.files.foreign import content, encoding_of
 from warp_peri.points.arguments import NotNegative, Positive, typed
+from warp_peri.points.arrays import checked, plain
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PULL, SEEN, Samples
 from warp_peri.points.unit_names import LENGTHS, USUAL, check_units
@@ -242,6 +243,12 @@ class DICFrame:
     u: np.ndarray
     name: str
     length: str | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "x", checked("x", self.x, float, ("P", 2)))
+        object.__setattr__(self, "u", plain("u", self.u))
+        if self.u.shape != self.x.shape:
+            raise InputError(f"u: expected shape {list(self.x.shape)}, got {list(self.u.shape)}")
 
 
 @typed

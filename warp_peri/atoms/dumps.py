@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,9 +19,9 @@ from tqdm import tqdm
 
 from warp_peri.atoms.coarse_graining import coarse_grain
 from warp_peri.errors import InputError, warn
-from warp_peri.files.foreign import encoding_of, unpacked
+from warp_peri.files.foreign import check_regular, encoding_of, unpacked
 from warp_peri.points.arguments import Natural, Positive, typed
-from warp_peri.points.arrays import checked
+from warp_peri.points.arrays import MOST, checked
 from warp_peri.points.samples import PointsLike, Samples, nodes_of
 
 EXPECTED = "a LAMMPS dump (text, packed or not), .extxyz, .xyz or .traj"
@@ -33,6 +34,8 @@ POSITIONS = ("x", "xs", "xu", "xsu")
 IMAGES = ("ix", "iy", "iz")
 LARGEST_FRAME = 2**31
 """Characters of a frame of text, at most; a small packed file may hold more."""
+LONGEST = 2**16
+"""Characters of a line."""
 OF_ASE = (".xyz", ".extxyz", ".traj")
 """Endings of files that ASE reads, frame by frame."""
 ROUND = 1e-9
@@ -125,6 +128,7 @@ def jumps(frame: DumpFrame, x: np.ndarray) -> bool:
 
 
 def _frames_of(path: str | os.PathLike[str]) -> Iterator[DumpFrame]:
+    check_regular(path)
     with open(path, "rb") as file:
         head = file.read(64)
     if str(path).endswith(OF_ASE) and not head.startswith(b"ITEM:"):
@@ -138,7 +142,9 @@ def _of_lammps(file: io.TextIOWrapper) -> Iterator[DumpFrame]:
     """Frames of text, which end with the last atom that they announce."""
     items: dict[str, list[str]] = {}
     title, size, announced = "", 0, -1
-    for line in iter(lambda: file.readline(LARGEST_FRAME), ""):
+    for line in iter(lambda: file.readline(LONGEST), ""):
+        if len(line) == LONGEST:
+            raise ValueError(f"expected lines of at most {LONGEST} characters")
         size += len(line)
         if size > LARGEST_FRAME:
             raise ValueError(f"expected frames of at most {LARGEST_FRAME} characters")
@@ -165,6 +171,8 @@ def _of_items(items: dict[str, list[str]], columns: list[str], rows: list[str]) 
     (bounds,) = (title for title in items if title.startswith("BOX BOUNDS"))
     if "abc" in bounds:
         raise ValueError("a box of general edges (triclinic/general yes) is not read")
+    if len({*columns}) < len(columns):
+        raise ValueError(f"expected every column once, got {' '.join(columns)}")
     if "id" not in columns:
         raise ValueError(f"expected the column id, got {' '.join(columns)}")
     used = next((name for name in POSITIONS if name in columns), "x")
@@ -191,8 +199,15 @@ def _of_items(items: dict[str, list[str]], columns: list[str], rows: list[str]) 
             f"expected the columns xu, yu, zu in a tilted box, got {used}; or {used} with the "
             "images ix, iy, iz"
         )
-    types = values["type"].astype(np.int64) if "type" in values else None
-    return _ordered(values["id"].astype(np.int64), positions, types, cell, tuple(columns), images)
+    if not (np.isfinite(limits).all() and (high >= low).all()):
+        raise ValueError("expected a box of finite edges, its upper ends above the lower ones")
+    whole = {name: values[name] for name in ("id", "type") if name in values}
+    for name, one in whole.items():
+        if not ((one >= 1) & (one < MOST) & (one % 1 == 0)).all():
+            raise ValueError(f"{name}: expected whole numbers from 1")
+    ids, types = (None if one is None else one.astype(np.int64) for one in
+                  (values["id"], values.get("type")))  # fmt: skip
+    return _ordered(ids, positions, types, cell, tuple(columns), images)
 
 
 def _ordered(
@@ -219,6 +234,12 @@ def _ordered(
 def _by_ase(path: str | os.PathLike[str]) -> Iterator[DumpFrame]:
     """Types are 1, 2, … in the order of atomic numbers; ids a column id, or the file's order."""
     form = "traj" if str(path).endswith(".traj") else "extxyz"  # never by what it looks like
+    if form == "extxyz":
+        with open(path, "rb") as file:
+            count, comment = (file.readline(LONGEST).decode(errors="replace") for _ in range(2))
+        wide = [int(number) for number in re.findall(r":[A-Z]:(\d+)", comment)]
+        if not int(count) + max(wide, default=0) < os.path.getsize(path):
+            raise ValueError("expected as many atoms and columns as a file of that size holds")
     for atoms in ase.io.iread(os.fspath(path), index=":", format=form):
         ids = np.asarray(atoms.arrays.get("id", np.arange(1, len(atoms) + 1)))
         types = 1 + np.unique(atoms.numbers, return_inverse=True)[1]
@@ -248,12 +269,15 @@ def read_masses(path: str | os.PathLike[str], masses: Sequence[float]) -> np.nda
     if frame.types is None:
         columns = " ".join(frame.columns)
         raise InputError(f"{path}: expected the columns id and type, got {columns}")
+    each = checked("masses", masses, float, ("T",))
+    if not (each > 0).all():
+        raise InputError(f"masses: expected numbers > 0, got {each.min():g}")
     low, high = frame.types.min(), frame.types.max()
     if low < 1 or high > len(masses):
         raise InputError(
             f"mass: expected one for each of the types {low} to {high} of {path}, got {len(masses)}"
         )
-    return np.asarray(np.take(masses, frame.types - 1), dtype=float)
+    return np.asarray(np.take(each, frame.types - 1), dtype=float)
 
 
 @typed

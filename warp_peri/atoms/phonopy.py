@@ -20,6 +20,8 @@ from warp_peri.files.foreign import check_hdf5, check_yaml, content
 from warp_peri.points.arguments import Positive, typed
 
 WITHOUT = "phonopy: pip install 'warp_peri[phonons]'"
+MOST = 20_000
+"""Atoms of a supercell."""
 BESIDE = ("FORCE_CONSTANTS", "force_constants.hdf5", "FORCE_SETS", "BORN")
 """Files that are read where they lie beside the one that is named."""
 YAML = ("phonopy.yaml", "phonopy_params.yaml", "phonopy_disp.yaml")
@@ -102,6 +104,9 @@ def _opened(file: Path, beside: dict[str, Path]) -> tuple[Any, Any]:
     if getattr(told, "site_mixture_scheme", None) is not None:
         raise InputError("site_mixture_scheme: sites of several elements are not read")
     matrix, primitive = told.supercell_matrix, told.primitive_matrix
+    cells = 1 if matrix is None else abs(np.linalg.det(np.asarray(matrix, dtype=float)))
+    if cells * len(told.unitcell) > MOST:
+        raise InputError(f"supercell_matrix: expected at most {MOST} atoms, got {cells:.0f} cells")
     found = optional("phonopy", WITHOUT).Phonopy(
         told.unitcell,
         np.eye(3, dtype=int) if matrix is None else matrix,
@@ -129,6 +134,9 @@ def _force_constants(found: Any, told: Any, beside: dict[str, Path]) -> Any:
         data = reader.parse_FORCE_SETS(natom=count, filename=beside["FORCE_SETS"])
         if data.get("natom", count) != count:
             raise InputError(f"FORCE_SETS: expected forces on {count} atoms, got {data['natom']}")
+    moved = [one["displacement"] for one in data.get("first_atoms", [])]
+    if not all(np.linalg.norm(one) > 0 for one in moved):
+        raise InputError("displacement: expected one of every first atom, got 0 0 0")
     found.dataset = data
     by = "symfc" if "displacements" in data else None
     found.produce_force_constants(calculate_full_force_constants=False, fc_calculator=by)

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+import h5py
 import tomli_w
 
 import warp_peri
@@ -34,7 +35,8 @@ PATHS = ("DUMP", "FILE", "FOLDER", "FRAMES", "MESH", "PATH", "STRUCTURE")
 WORDS = ("NAME", "STRAIN", "LENGTH", "STRESS")
 COUNTS = ("N", "M")
 """Names of values that are paths, as are those with an ending; text; whole numbers; else reals."""
-READ = ("data", "model", "body", "structure", "reference", "dumps", "force", "unloaded")
+READ = ("data", "model", "body", "structure", "folder", "reference", "dumps", "force", "unloaded",
+        "config")  # fmt: skip
 """Options whose files are read."""
 NOT_KEPT = ("command", "config", "json", "progress", "trust", "from_file", "overwrite", "help")
 
@@ -179,6 +181,8 @@ def _words_of(table: dict[str, Any], actions: dict[str, Any], usual: dict[str, A
         if isinstance(value, bool) != switch or many != (action.nargs not in (None, "?", 0)):
             raise InputError(f"{key}: {value!r} is not what this option takes")
         values = [str(one) for one in (value if many else [value])]
+        if (many or not action.option_strings) and any(map(_like_an_option, values)):
+            raise InputError(f"{key}: {value!r} is not what this option takes")
         if not action.option_strings:
             places[key] = values
         elif switch:
@@ -188,6 +192,14 @@ def _words_of(table: dict[str, Any], actions: dict[str, Any], usual: dict[str, A
         else:
             words.append(f"{action.option_strings[0]}={value}")
     return [word for key in actions for word in places.get(key, [])] + words
+
+
+def _like_an_option(value: str) -> bool:
+    """Whether a word would be taken for an option, which a file may not type."""
+    try:
+        return value.startswith("-") and not float(value) < 0
+    except ValueError:
+        return True
 
 
 def _table(path: str, command: str) -> dict[str, Any]:
@@ -210,7 +222,7 @@ def check_output(given: Namespace) -> None:
     for name in READ:
         read = getattr(given, name, None) or []
         for path in read if isinstance(read, list) else [read]:
-            if path.resolve() == given.out.resolve():
+            if Path(path).resolve() == given.out.resolve():
                 raise InputError(f"out: {given.out} is read ({name}); name another file")
     folder = given.command not in ("coarse-grain", "solve")
     if given.out.exists() and given.out.is_dir() != folder:
@@ -218,20 +230,27 @@ def check_output(given: Namespace) -> None:
         raise InputError(f"out: expected a {wanted}, {given.out} is a {there}")
     if not folder:
         destination(given.out)
+        if given.command == "coarse-grain" or (given.data and given.body is None):
+            if given.out.suffix not in (".h5", ".hdf5"):
+                raise InputError(f"out: expected a .h5 file, got {given.out.name}")
+            if given.out.exists() and not h5py.is_hdf5(given.out):
+                raise InputError(f"out: {given.out} is there already, and no data file")
 
 
 def keep(given: Namespace, path: Path) -> None:
-    """Write the settings of a command to a file; `--config` takes it again."""
-    write_text(path, _settings(given))
+    """Write the settings of a command, which `--config` takes again; its own file is left."""
+    if given.config is None or not (path.exists() and path.samefile(given.config)):
+        write_text(path, _settings(given))
 
 
 def refuse_used(given: Namespace, result: Path, settings: Path) -> None:
-    """InputError where a result is there already that other settings gave, without --overwrite."""
-    if given.overwrite or not result.exists():
+    """InputError where files are there already that other settings gave, without --overwrite."""
+    there = [one for one in (result, settings, result.with_name("metrics.json")) if one.exists()]
+    if given.overwrite or not there:
         return
     if not settings.exists() or settings.read_text() != _settings(given):
         raise InputError(
-            f"{result}: is there already, by other settings; name another folder, or --overwrite"
+            f"{there[0]}: is there already, by other settings; name another folder, or --overwrite"
         )
 
 

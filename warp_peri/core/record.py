@@ -38,6 +38,7 @@ import numpy as np
 
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import parsed, plain, write_json
+from warp_peri.files.foreign import check_regular
 from warp_peri.points.arguments import typed, typed_methods
 from warp_peri.points.arrays import LARGEST, checked, is_number
 from warp_peri.points.unit_names import USUAL, Units, check_units, factors, shown_moduli, symbols
@@ -470,6 +471,7 @@ def content_hash(content: dict[str, Any]) -> str:
 
 def read_json(path: str | os.PathLike[str]) -> Any:
     """What a JSON file holds; InputError where there is none."""
+    check_regular(path)
     try:
         with open(path, "rb") as file:
             raw = file.read(LARGEST_FILE + 1)

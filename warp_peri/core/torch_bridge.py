@@ -17,7 +17,7 @@ from torch.autograd import forward_ad
 
 from warp_peri.errors import InputError, quietly
 from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import as_array
+from warp_peri.points.arrays import as_array, plain
 from warp_peri.protocols import SINGULAR, placed, uncompiled
 
 TWICE = (
@@ -420,7 +420,8 @@ class TorchModule(torch.nn.Module):
         operator, numbers = self.operator, dict(self.named_parameters(recurse=False))
         if not numbers:
             return operator(u)  # type: ignore[no-any-return]
-        u = torch.as_tensor(u)
+        with_numbers(operator, numbers)  # which checks them
+        u = u if isinstance(u, torch.Tensor) else torch.as_tensor(plain("u", u))
         return on_fields(
             operator, u, lambda fields: operator.force_with_parameters(fields, numbers)
         )

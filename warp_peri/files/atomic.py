@@ -20,6 +20,7 @@ from filelock import FileLock, Timeout
 from numpy.lib import format as npy
 
 from warp_peri.errors import InputError
+from warp_peri.files.foreign import check_regular
 
 MOST = 2**33
 """Bytes of one archive that are read at most."""
@@ -43,6 +44,7 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     Raises OSError when it cannot be read, ValueError when it is anything else: compressed,
     truncated, with arrays whose headers claim other sizes than the file holds, or with objects.
     """
+    check_regular(path)
     arrays, size = {}, min(os.path.getsize(path), MOST)
     try:
         with zipfile.ZipFile(path) as archive:

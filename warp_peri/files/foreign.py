@@ -44,6 +44,7 @@ def unpacked(path: str | os.PathLike[str], head: bytes) -> Any:
 
 def content(path: str | os.PathLike[str]) -> bytes:
     """The bytes of a whole file, unpacked. Raises InputError for more than LARGEST, or none."""
+    check_regular(path)
     try:
         with open(path, "rb") as file:
             head = file.read(16)
@@ -66,12 +67,28 @@ def check_yaml(path: str | os.PathLike[str], text: bytes) -> None:
         for event in yaml.parse(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
             if said := getattr(event, "tag", None) or getattr(event, "anchor", None):
                 raise InputError(f"{path}: expected YAML without tags and anchors, got {said!r}")
+            if isinstance(event, yaml.events.ScalarEvent) and _is_endless(event.value):
+                raise InputError(f"{path}: expected finite numbers, got {event.value!r:.60}")
             deep += isinstance(event, yaml.events.CollectionStartEvent)
             deep -= isinstance(event, yaml.events.CollectionEndEvent)
             if deep > DEEPEST:
                 raise InputError(f"{path}: more than {DEEPEST} parts of YAML inside one another")
     except yaml.YAMLError as error:
         raise InputError(f"{path}: expected YAML ({error})") from None
+
+
+def _is_endless(text: str) -> bool:
+    """Whether it is a number that is not finite, as YAML or Python writes it."""
+    try:
+        return not np.isfinite(float(text.lower().replace(".nan", "nan").replace(".inf", "inf")))
+    except ValueError:
+        return False
+
+
+def check_regular(path: str | os.PathLike[str]) -> None:
+    """Raise InputError for what is there and no file, as a pipe, which may never end."""
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise InputError(f"{path}: expected a file, got another thing of that name")
 
 
 def check_xml(path: str | os.PathLike[str], text: bytes) -> None:

@@ -103,7 +103,7 @@ def with_positive_kernel(model: LPSMaterial, horizon: Positive) -> LPSMaterial:
 
 
 @typed
-def continuum_stretch(model: LPSMaterial, toughness: float) -> float:
+def continuum_stretch(model: LPSMaterial, toughness: Positive) -> float:
     """s₀ of the continuum for a toughness G_c (theory, C5, V5), N. Trask and others 2019.
 
     In three dimensions G_c is energy over the area of the crack. λ = μ is the bond-based solid.

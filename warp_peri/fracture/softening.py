@@ -18,7 +18,7 @@ from warp_peri.errors import InputError
 from warp_peri.fracture.bonds import unit_toughness
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.points.arguments import NotNegative, Positive, typed
-from warp_peri.points.arrays import is_positive
+from warp_peri.points.arrays import checked, is_positive
 from warp_peri.points.families import bond_classes
 
 
@@ -41,7 +41,7 @@ class BondLaw:
 
     def pull(self, s: np.ndarray) -> np.ndarray:
         """Pull over k r² of a bond that has not begun to fail."""
-        return np.asarray(pull_of(s, self.softness, np))
+        return np.asarray(pull_of(checked("s", s), self.softness, np))
 
     def share(self, worst: np.ndarray) -> np.ndarray:
         """What is left of that pull after a largest stretch, from 1 to 0."""

@@ -178,7 +178,7 @@ class Crystal:
     True
     """
 
-    horizon: float
+    horizon: Positive
     symmetry: Symmetry = "auto"
     orientation: Any = None
     moduli: Any = LONG_WAVE_MODULI

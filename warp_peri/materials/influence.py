@@ -221,25 +221,25 @@ class InfluenceFunction:
 
 
 @typed
-def gaussian(r: np.ndarray, width: float) -> np.ndarray:
+def gaussian(r: np.ndarray, width: Positive) -> np.ndarray:
     """exp(−(r/width)²), width [Å]."""
     return np.exp(-((r / width) ** 2))
 
 
 @typed
-def exponential(r: np.ndarray, length: float) -> np.ndarray:
+def exponential(r: np.ndarray, length: Positive) -> np.ndarray:
     """exp(−r/length), length [Å]."""
     return np.exp(-r / length)
 
 
 @typed
-def damped_wave(r: np.ndarray, length: float, period: float, phase: float) -> np.ndarray:
+def damped_wave(r: np.ndarray, length: Positive, period: Positive, phase: float) -> np.ndarray:
     """exp(−r/length) cos(2π r/period + phase), lengths [Å]."""
     return np.exp(-r / length) * np.cos(2 * np.pi * r / period + phase)
 
 
 @typed
-def conical(r: np.ndarray, reach: float) -> np.ndarray:
+def conical(r: np.ndarray, reach: Positive) -> np.ndarray:
     """1 − r/reach out to the reach [Å], 0 beyond."""
     return np.maximum(1 - r / reach, 0.0)
 

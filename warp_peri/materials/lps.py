@@ -78,8 +78,8 @@ class LPSMaterial(Record, format="warp_peri.model"):
     D: np.ndarray
     horizon: Length
     trained_on: Annotated[tuple[float, ...], FieldUnits(length=1)] = ()
-    certified_on: Annotated[tuple[float, ...], FieldUnits(length=1)] = ()
-    trained_strain: Annotated[float | None, FieldUnits(omit=True)] = None
+    certified_on: Annotated[tuple[float, ...], FieldUnits(length=1, positive=True)] = ()
+    trained_strain: Annotated[float | None, FieldUnits(omit=True, positive=True)] = None
     largest_wave_number: Annotated[
         float | None, FieldUnits(length=-1, positive=True, omit=True)
     ] = None

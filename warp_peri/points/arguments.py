@@ -107,9 +107,12 @@ def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> dict[
         if value is default or (value is None and NoneType in kinds):
             continue
         first, *more = [kind for kind in kinds if kind is not NoneType]
-        if any(isinstance(value, kind) for kind in more):
+        if os.PathLike in kinds and isinstance(value, str) and (not value or "\0" in value):
+            raise InputError(f"{name}: expected a path, got {value!r:.60}")
+        text = isinstance(value, str)
+        if any(isinstance(value, kind) and not (text and kind is Sequence) for kind in more):
             continue
-        if getattr(value, "requires_grad", False) and first in KINDS and first is not np.ndarray:
+        if getattr(value, "requires_grad", False) and first in KINDS:
             raise InputError(f"{name}: {GRADIENT}")
         if first is bool:
             check_flag(name, value)
@@ -134,8 +137,8 @@ def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> dict[
             got = f"{value!r:.60}" if plain or bound else type(value).__name__
             got = str(getattr(value, "dtype", got)) if first is np.ndarray else got
             raise InputError(f"{name}: expected {expected}, got {got}")
-        if first is int:
-            found[name] = int(value)
+        if first is int or (first is float and isinstance(value, np.ndarray)):
+            found[name] = first(value)
     return found
 
 

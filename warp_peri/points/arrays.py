@@ -128,8 +128,10 @@ def are_numbers(value: Any) -> bool:
     """Whether an array can be made of it, no text and no objects; tensors are looked at later."""
     try:
         found = value if hasattr(value, "dtype") else np.ma.asanyarray(value)
-    except (RuntimeError, TypeError, ValueError):  # ragged, or of tensors
-        return not isinstance(value, str)
+    except RuntimeError:  # of tensors with a gradient
+        return True
+    except (TypeError, ValueError):
+        return False
     return getattr(found.dtype, "kind", "f") in "biufc"
 
 

@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -265,6 +265,9 @@ def load_dataset(path: str | os.PathLike[str], *, units: Units | None = None) ->
         raise InputError(f"{path}: not a readable HDF5 data set ({error})") from None
 
 
+HEAD = ("format", "version", "length_unit", "stress_unit")
+
+
 def _read(file: h5py.File) -> Dataset:
     """What a file holds."""
     for key, expected in {"format": FORMAT, "version": VERSION}.items():
@@ -283,6 +286,7 @@ def _read(file: h5py.File) -> Dataset:
         raise InputError(f"provenance: expected JSON ({error})") from None
     if not isinstance(provenance, dict):
         raise InputError(f"provenance: expected a JSON object, got {type(provenance).__name__}")
+    refuse_unknown(file.attrs, (*HEAD, "thickness", "density", "provenance", "sha256"))
     sets = {}
     for name, group in file.items():
         if not isinstance(group, h5py.Group):
@@ -304,10 +308,19 @@ def _read_points(group: h5py.Group, units: Units) -> Samples:
             raise InputError(f"{key}: expected an array")
         arrays[key] = item.asstr()[:] if h5py.check_string_dtype(item.dtype) else item[()]
     x, u, b, interior, outside = (arrays.pop(key) for key in FIELDS)
+    refuse_unknown(group.attrs, ("spacing", "box", "axis"))
     said = {"box": group.attrs.get("box"), "axis": group.attrs.get("axis")}
     spacing = _attribute(group.attrs, "spacing")
     points = Points(x, interior, spacing, outside=outside, units=units, **said)
     return Samples(points, u, b, arrays)
+
+
+def refuse_unknown(attributes: Mapping[str, Any], known: Sequence[str]) -> None:
+    """InputError for attributes that nothing here reads."""
+    if unknown := sorted({*attributes} - {*known}):
+        raise InputError(
+            f"attributes: expected none but {', '.join(known)}, got {unknown[0]!r:.60}"
+        )
 
 
 def _text(value: Any) -> Any:

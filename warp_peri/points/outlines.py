@@ -58,7 +58,8 @@ class Polygon:
 Outline = Circle | Polygon
 
 
-def box(width: float, height: float, size: float | None = None) -> Polygon:
+@typed
+def box(width: Positive, height: Positive, size: Positive | None = None) -> Polygon:
     """A rectangle about the origin; its sides are bottom, right, top and left."""
     a, c = width / 2, height / 2
     corners = ((-a, -c), (a, -c), (a, c), (-a, c))
