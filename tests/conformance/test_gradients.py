@@ -421,6 +421,18 @@ def test_a_module_is_saved_and_copied(name, made, tmp_path):
     assert torch.equal(torch.as_tensor(module(u.numpy())), module(u))
 
 
+def test_a_module_reads_and_learns_what_an_operator_does(made):
+    op = made("LPS")
+    module, u = wp.TorchModule(op, op.points), field(op)
+    assert module(u.tolist()).dtype == torch.float64
+    with pytest.raises(wp.InputError, match="u: expected float values, got masked"):
+        module(np.ma.masked_array(u, np.arange(u.size).reshape(u.shape) == 0))
+    with torch.no_grad():
+        module.mu.fill_(-1.0)
+    with pytest.raises(wp.InputError, match="mu"):
+        module(torch.from_numpy(u))
+
+
 def test_a_module_refuses_other_points(made):
     with pytest.raises(wp.InputError, match="expected one on the points of the problem"):
         wp.TorchModule(made("LPS"), made("conductor").points)

@@ -6,7 +6,8 @@ import torch
 
 import warp_peri as wp
 from tests.support.problems import lattice
-from warp_peri.materials.lps_force import Bonds, lps_force
+from warp_peri.materials.lps_force import Bonds
+from warp_peri.materials.lps_operator import lps_force
 from warp_peri.methods import LPSParameters
 
 SOLID = {"lam": 0.4, "mu": 0.5, "alpha": 1.0, "D": [1.0, 0.7, 0.4]}

@@ -85,7 +85,7 @@ def nonsense(horizon, moduli):
 
 
 REFUSED = {
-    "horizon: expected a finite number, got inf": lambda: nonsense(np.inf, None),
+    "horizon: expected a number > 0, got inf": lambda: nonsense(np.inf, None),
     "None or a Voigt matrix, got 'phonons'": lambda: nonsense(3.0, "phonons"),
     "moduli: expected float values": lambda: nonsense(3.0, {"C11": 0.2}),
     "moduli: expected those of 2 dimensions, got 3": lambda: nonsense(3.0, np.eye(6)),

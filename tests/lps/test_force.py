@@ -26,8 +26,9 @@ from tests.support.symbols import symbol
 from warp_peri import InputError, Points
 from warp_peri.kernels.lps.plain import plain
 from warp_peri.materials.lps import lps_stencil, moduli
-from warp_peri.materials.lps_force import Bonds, Law, lps_force
+from warp_peri.materials.lps_force import Bonds, Law
 from warp_peri.materials.lps_matrices import matrices
+from warp_peri.materials.lps_operator import lps_force
 from warp_peri.methods import LPSParameters
 from warp_peri.points.families import bond_classes, families_of
 from warp_peri.runtime import get_num_threads, set_num_threads

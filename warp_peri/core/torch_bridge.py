@@ -420,8 +420,9 @@ class TorchModule(torch.nn.Module):
         operator, numbers = self.operator, dict(self.named_parameters(recurse=False))
         if not numbers:
             return operator(u)  # type: ignore[no-any-return]
-        with_numbers(operator, numbers)  # which checks them
         u = u if isinstance(u, torch.Tensor) else torch.as_tensor(plain("u", u))
-        return on_fields(
+        force = on_fields(
             operator, u, lambda fields: operator.force_with_parameters(fields, numbers)
         )
+        with_numbers(operator, numbers)  # which checks them
+        return force

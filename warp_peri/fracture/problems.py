@@ -54,11 +54,11 @@ class Cracked:
     """
 
     points: Points
-    b: ArrayLike | None = None
-    u: ArrayLike | None = None
+    b: Any = None
+    u: Any = None
     cracks: Sequence[ArrayLike] = ()
     free: np.ndarray | None = None
-    pressure: ArrayLike | None = None
+    pressure: Any = None
     corrected: bool = False
     learns = True  # at rest, and pulled
 

@@ -14,13 +14,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import torch
 import warp as wp
 from numpy.typing import ArrayLike
 from scipy.special import comb
 
 from warp_peri.core.sweeps import row_pieces
-from warp_peri.core.torch_bridge import once, refuse_tangents
 from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.lps.influence import influence
@@ -502,33 +500,3 @@ def refuse_bond_based() -> None:
         "lambda, mu: expected equal values without a gradient on a collar of one horizon, "
         "which has no dilatations; a collar of two has them"
     )
-
-
-def lps_force(bonds: Bonds, u: torch.Tensor, *values: Any) -> torch.Tensor:
-    """L u [TPa/Å] on the interior nodes, shape [..., I, d], differentiable once in all.
-
-    Args:
-        bonds: of a point set with N nodes.
-        u: displacement [Å] in the precision of the bonds, shape [N, d] or [S, N, d].
-        values: λ and μ, numbers or one value a node, shape [N], α and D; λ = μ, of which neither
-            asks for a gradient, for bonds that are bond-based.
-
-    Raises InputError for such λ and μ on bond-based bonds, and moduli of another shape.
-    """
-    refuse_tangents(u, *values)
-    felt: list[Any] = []
-
-    def there(u: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray]:
-        law = bonds.law(*values)
-        Lu, *kept = law.force(np.ascontiguousarray(u))
-        felt[:] = law, kept
-        return (Lu,)
-
-    def back(asked: tuple[bool, ...], g: np.ndarray) -> list[Any]:
-        law, kept = felt
-        return law.gradient(kept, g, asked)  # type: ignore[no-any-return]
-
-    flat = u.reshape(-1, bonds.nodes * bonds.dimension)
-    numbers = [torch.as_tensor(value, dtype=torch.float64) for value in values]
-    (Lu,) = once(there, back, flat, *numbers)
-    return Lu.reshape(*u.shape[:-2], -1, bonds.dimension)  # type: ignore[no-any-return]

@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator, gmres, spilu
 
 from warp_peri.core.proof import largest
+from warp_peri.core.torch_bridge import once, refuse_tangents
 from warp_peri.errors import InputError, warn
 from warp_peri.materials.lps import LPSMaterial, on_nominal_lattice, statements
-from warp_peri.materials.lps_force import Bonds, Law, bonds_of, lps_force
+from warp_peri.materials.lps_force import Bonds, Law, bonds_of
 from warp_peri.materials.lps_matrices import assemble, node_fields
 from warp_peri.materials.lps_parameters import LPSParameters
 from warp_peri.points.arrays import checked, checked_fields, plain
@@ -427,3 +428,33 @@ def by_gmres(problem: MatrixProblem, b: np.ndarray, u: np.ndarray) -> np.ndarray
     solution = np.stack(columns, axis=1)
     problem.check(solution, right)
     return problem.filled(u, solution)
+
+
+def lps_force(bonds: Bonds, u: torch.Tensor, *values: Any) -> torch.Tensor:
+    """L u [TPa/Å] on the interior nodes, shape [..., I, d], differentiable once in all.
+
+    Args:
+        bonds: of a point set with N nodes.
+        u: displacement [Å] in the precision of the bonds, shape [N, d] or [S, N, d].
+        values: λ and μ, numbers or one value a node, shape [N], α and D; λ = μ, of which neither
+            asks for a gradient, for bonds that are bond-based.
+
+    Raises InputError for such λ and μ on bond-based bonds, and moduli of another shape.
+    """
+    refuse_tangents(u, *values)
+    felt: list[Any] = []
+
+    def there(u: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray]:
+        law = bonds.law(*values)
+        Lu, *kept = law.force(np.ascontiguousarray(u))
+        felt[:] = law, kept
+        return (Lu,)
+
+    def back(asked: tuple[bool, ...], g: np.ndarray) -> list[Any]:
+        law, kept = felt
+        return law.gradient(kept, g, asked)  # type: ignore[no-any-return]
+
+    flat = u.reshape(-1, bonds.nodes * bonds.dimension)
+    numbers = [torch.as_tensor(value, dtype=torch.float64) for value in values]
+    (Lu,) = once(there, back, flat, *numbers)
+    return Lu.reshape(*u.shape[:-2], -1, bonds.dimension)  # type: ignore[no-any-return]

@@ -163,12 +163,12 @@ def march(
     b: ArrayLike | None,
     u: ArrayLike,
     *,
-    v: ArrayLike | None = None,
+    v: Any = None,
     density: Positive,
     step: Positive,
     steps: Count,
     record: ArrayLike | None = None,
-    signal: ArrayLike | None = None,
+    signal: Any = None,
     **files: Any,
 ) -> Motion:
     """March ρ ü = b − L u on the interior; the collar stays where it is.
