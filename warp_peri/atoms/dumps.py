@@ -205,8 +205,8 @@ def _of_items(items: dict[str, list[str]], columns: list[str], rows: list[str]) 
     for name, one in whole.items():
         if not ((one >= 1) & (one < MOST) & (one % 1 == 0)).all():
             raise ValueError(f"{name}: expected whole numbers from 1")
-    ids, types = (None if one is None else one.astype(np.int64) for one in
-                  (values["id"], values.get("type")))  # fmt: skip
+    ids = whole["id"].astype(np.int64)
+    types = whole["type"].astype(np.int64) if "type" in whole else None
     return _ordered(ids, positions, types, cell, tuple(columns), images)
 
 
