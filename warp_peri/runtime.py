@@ -20,6 +20,8 @@ from warp_peri.errors import InputError
 
 DEVICE = "cpu"
 """Where arrays are made and kernels run."""
+LARGEST = 2**16
+"""Number of threads that is none."""
 LINE = 16
 """Counters of a sweep that threads share are so far apart, as in kernels/bonds.py."""
 SLICE = 2000
@@ -113,8 +115,12 @@ def set_num_threads(count: int) -> None:
     Results are bitwise the same for any number. Raises InputError for a count below 1.
     """
     global _count
-    if not isinstance(count, (int, np.integer)) or isinstance(count, bool) or count < 1:
-        raise InputError(f"count: expected a whole number ≥ 1, got {count!r}")
+    if (
+        not isinstance(count, (int, np.integer))
+        or isinstance(count, bool)
+        or not 0 < count < LARGEST
+    ):
+        raise InputError(f"count: expected a whole number ≥ 1, got {count!r:.60}")
     _count = int(count)
 
 

@@ -11,6 +11,7 @@ from tests.support.problems import kernel
 from warp_peri.fe_coupling.body import Coupling
 from warp_peri.fracture import Cracked, rectangle_nodes
 from warp_peri.points.mesh import make_mesh
+from warp_peri.points.outlines import Polygon, box, mesh_outline
 
 pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning", "ignore:crack")
 
@@ -265,6 +266,16 @@ def test_arguments_of_bodies_and_tables():
         (lambda: wp.influence.table([1, 2, 3], hidden), "K"),
         (lambda: wp.influence.table([1, 2, 3], [3, 2, 1], learned="no"), "learned"),
         (lambda: wp.fracture.penny_corners(1.0, 1), "corners"),
+        (lambda: wp.Points.block([], 1.0, 2.0), "lengths"),
+        (lambda: wp.Points.sheet((4,), 1.0), "sides"),
+        (lambda: wp.fracture.box_nodes((), 1.0), "sides"),
+        (lambda: box(0.0, 20.0), "width"),
+        (lambda: mesh_outline(Polygon(((0, 0), (1, 0), (2, 0))), size=1.0), "polygon"),
+        (lambda: wp.Crystal(-1.5), "horizon"),
+        (lambda: wp.influence.gaussian(np.ones(2), 0.0), "width"),
+        (lambda: wp.fracture.continuum_stretch(kernel("1/r", 3.0), -1.0), "toughness"),
+        (lambda: wp.load("a\0b"), "path"),
+        (lambda: wp.runtime.set_num_threads(10**400), "count"),
         (lambda: wp.fracture.point_force(np.eye(2), 1.0, (0, 0), hidden[:2]), "force"),
         (lambda: wp.fracture.box_nodes((1.0, "a"), 1.0), "sides"),
         (lambda: wp.fracture.lattice_body("a", 1.0, 2.0), "x"),

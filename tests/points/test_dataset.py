@@ -93,6 +93,8 @@ BAD_FILES = [
     (lambda file: file.attrs.pop("thickness"), "'thickness' is missing"),
     (attribute("thickness", np.nan), "thickness: expected a number > 0, got nan"),
     (attribute("provenance", "{"), "provenance: expected JSON"),
+    (attribute("colour", "red"), "attributes: expected none but .*, got 'colour'"),
+    (attribute("box_nodes", 5.0, "train"), "set 'train': attributes: .* got 'box_nodes'"),
     (attribute("spacing", -5.0, "train"), "set 'train': spacing: .* got -5.0"),
     (array("x", None), "set 'train': arrays missing: x"),
     (array("x", np.ones((N, 4))), rf"set 'train': x: .*\[N, 3\].* got \[{N}, 4\]"),

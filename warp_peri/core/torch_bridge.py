@@ -199,8 +199,13 @@ def as_tensor(name: str, value: Any) -> torch.Tensor:
 
 
 def real(name: str, value: Any) -> torch.Tensor:
-    """A tensor of float64 on the processor; InputError for complex numbers and truth values."""
+    """A tensor of float64 on the processor; InputError for complex numbers, truth values, and what
+    is not in memory as it is."""
     tensor = as_tensor(name, value)
+    if tensor.is_meta or tensor.layout is not torch.strided:
+        raise InputError(
+            f"{name}: expected a dense tensor with values, got {tensor.layout} on {tensor.device}"
+        )
     if tensor.is_complex() or tensor.dtype == torch.bool:
         raise InputError(f"{name}: expected real numbers, got {tensor.dtype}")
     return tensor.to("cpu", torch.float64)

@@ -18,6 +18,7 @@ from warp_peri.points.arguments import Count, Positive, typed, typed_methods
 from warp_peri.points.arrays import check_whole, checked
 from warp_peri.points.families import HORIZON_TOLERANCE, BondClasses, bond_classes
 from warp_peri.points.lattice import neighbour_table, straight_steps
+from warp_peri.points.points import check_dimensions
 
 HAIR = 1e-3
 """How far a crack through a row of nodes is moved to one side, in spacings."""
@@ -112,6 +113,7 @@ def box_nodes(sides: Sequence[float], spacing: Positive) -> np.ndarray:
 
     Raises InputError when the sides are not whole multiples of the spacing.
     """
+    check_dimensions("sides", len(sides))
     count = np.rint(checked("sides", sides, float, ("d",)) / spacing).astype(int)
     if (count < 1).any() or np.abs(count * spacing - sides).max() > 1e-6 * spacing:
         given = ", ".join(f"{side:g}" for side in sides)

@@ -200,6 +200,11 @@ class Bonds:
         """An array of zeros in this precision."""
         return np.zeros(shape, self.dtype)
 
+    @cached_property
+    def logarithms(self) -> np.ndarray:
+        """Of the bond lengths of each class, [C]."""
+        return np.log(self.families.r)
+
     def influence(self, alpha: ArrayLike, D: ArrayLike, by: Any = None) -> Any:
         """K W of each class, [C]; with derivatives of a scalar to it those to α and D, by Warp's
         tape, which is this call's alone."""
@@ -208,7 +213,7 @@ class Bonds:
             wp.array(np.ravel(one).astype(float), device=DEVICE, requires_grad=taped)
             for one in (alpha, D)
         ]
-        tables = comb(degree, np.arange(degree + 1)), families.r, np.log(families.r)
+        tables = comb(degree, np.arange(degree + 1)), families.r, self.logarithms
         inputs: Any = [wp.float64(self.horizon), *map(floats, (*tables, families.weight)), *given]
         kernel, kw = influence(degree), zeros(len(families.r), gradient=taped)
         if not taped:

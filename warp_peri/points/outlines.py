@@ -128,7 +128,10 @@ def _add(geometry: Any, outline: Outline, size: float, *, inside: bool) -> None:
     if len(names) != len(corners):
         raise InputError(f"polygon: expected a name for each of {len(corners)} sides, got {names}")
     turn = np.roll(corners, -1, axis=0)
-    left = ((corners[:, 0] * turn[:, 1] - corners[:, 1] * turn[:, 0]).sum() > 0) == inside
+    area = (corners[:, 0] * turn[:, 1] - corners[:, 1] * turn[:, 0]).sum() / 2
+    if not abs(area) > ROUND * np.ptp(corners, axis=0).max() ** 2:
+        raise InputError(f"polygon: expected corners around an area, got {area:g}")
+    left = (area > 0) == inside
     sides = {"leftdomain": int(left), "rightdomain": int(not left), "maxh": maxh}
     numbers = [geometry.AppendPoint(*corner) for corner in corners.tolist()]
     for start, end, name in zip(numbers, numbers[1:] + numbers[:1], names):

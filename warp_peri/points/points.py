@@ -143,6 +143,7 @@ class Points(Shown):
             units: of length and stress.
             axis: of the material, as of Points.
         """
+        check_dimensions("sides", len(sides))
         for side in sides:
             check_whole("sides", side, 1)
         grid = np.indices(tuple(map(int, sides))).reshape(len(sides), -1).T
@@ -174,6 +175,7 @@ class Points(Shown):
         35
         """
         half = checked("lengths", lengths, float, ("d",)) / 2
+        check_dimensions("lengths", len(half))
 
         away = lambda x: (np.abs(x) - half).max(axis=1)  # noqa: E731
         return cls._around(away, half, spacing, horizon, units=units, axis=axis)
@@ -316,3 +318,9 @@ def _axes(x: np.ndarray, h: float, unit: str) -> np.ndarray:
     grid = np.rint((x - x[0]) @ axes / h)
     U, _, V = np.linalg.svd((x - x.mean(axis=0)).T @ (grid - grid.mean(axis=0)))
     return np.asarray(U @ V)
+
+
+def check_dimensions(name: str, count: int) -> None:
+    """InputError for another number of sides than 2 or 3."""
+    if count not in (2, 3):
+        raise InputError(f"{name}: expected 2 or 3, got {count} of them")
