@@ -203,7 +203,7 @@ class Bonds:
     @cached_property
     def logarithms(self) -> np.ndarray:
         """Of the bond lengths of each class, [C]."""
-        return np.log(self.families.r)
+        return np.asarray(np.log(self.families.r))
 
     def influence(self, alpha: ArrayLike, D: ArrayLike, by: Any = None) -> Any:
         """K W of each class, [C]; with derivatives of a scalar to it those to α and D, by Warp's
