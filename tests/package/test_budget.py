@@ -18,11 +18,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 21_230,
-    "tokens": 257_926,
-    "lines of warp_peri": 36_104,
+    "code lines": 21_331,
+    "tokens": 258_965,
+    "lines of warp_peri": 36_236,
     "lines of kernels": 1_103,
-    "lines of warp_peri, kernels, examples and tools": 49_284,
+    "lines of warp_peri, kernels, examples and tools": 49_416,
     "lines of the longest file": 580,
     "lines of the longest function": 67,
     "parameters of one function": 11,
@@ -33,18 +33,18 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2597,
-    "cli": 1044,
-    "core": 1629,
+    "atoms": 2632,
+    "cli": 1059,
+    "core": 1636,
     "diffusion": 251,
-    "face": 935,
+    "face": 941,
     "fe_coupling": 753,
-    "files": 541,
+    "files": 553,
     "fitting": 1281,
-    "fracture": 1615,
-    "materials": 5183,
+    "fracture": 1616,
+    "materials": 5186,
     "neural": 669,
-    "points": 1671,
+    "points": 1693,
     "prediction": 694,
     "mpi": 831,
     "solvers": 1536,
