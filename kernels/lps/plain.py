@@ -39,12 +39,12 @@ def plain(scalar, dimension):
         i = nodes[t][0]
         total = scalar(0.0)
         for e in range(of.row[i], of.row[i + 1]):
-            if of.far.shape[0] == 0:
+            if of.far.shape[0] == 0 and of.bent.shape[0] > 0:
                 for a in range(d):
                     j = i + of.end[e]
                     total += of.bent[e][a] * (u[s, j * d + a] - u[s, i * d + a])
             else:
-                total += c1 * along(of, e, i, s, u, of.own[e], of.far[e])
+                total += c1 * along(of, e, i, s, u, of.own[e], back_of(of, e))
         theta[s, i] = total
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -59,8 +59,8 @@ def plain(scalar, dimension):
             shear = c2 * of.bond[e][d] * (at(of.mu, i) + at(of.mu, j))
             density = shear * along(of, e, i, s, u, of.own[e], back_of(of, e))
             for a in range(d):
-                pull = c1 * of.own[e] * of.bond[e][a] * (mine + far)
-                if of.far.shape[0] > 0:
+                pull = c1 * of.bond[e][a] * (of.own[e] * mine + back_of(of, e) * far)
+                if of.far.shape[0] > 0 and of.bent.shape[0] > 0:
                     pull = of.bent[e][a] * mine + of.bent_back[e][a] * far
                 vectors[s, nodes[t][1] * d + a] -= density * of.bond[e][a] + pull
 

@@ -11,8 +11,8 @@ another go through a bond together, in vector registers; a bond and its opposite
 another, go through the operator's sweeps as one. Scattered points, and a lattice with broken
 bonds, lie as they are numbered, node by node; each has bonds row[q] to row[q + 1] of its own, and
 one lane. Their dilatation is the sum of bent[e]·(u(ξ) − u), bent = d own ξ but where a node has
-lost bonds (40–41), and bent_back is minus that of the bond back. A broken bond leads nowhere,
-end[e] = 0, and is 0.
+lost bonds (40–41), and bent_back is minus that of the bond back; without such nodes both are empty.
+A broken bond leads nowhere, end[e] = 0, and is 0.
 
 A piece is (first place, first number, count): count ≤ LANES nodes that follow one another in places
 and in their numbering. Lanes beyond the count compute what nobody keeps. plain.py has the same of
@@ -73,9 +73,10 @@ PAIRS = """
 DILATATION = {
     False: OWN
     + """
+    const bool lost = bent.shape[0];
     V total = 0;
     BONDS
-        if (FORWARD)
+        if (FORWARD && lost)
             for (int a = 0; a < DIM; ++a)
                 total += bent.data[e].c[a] * (component(f, to, a) - x[a]);
         else
@@ -95,14 +96,16 @@ DILATATION = {
 }
 DENSITY = {
     False: """
+    const bool lost = bent.shape[0];
     const V mine = BULK(0) * number_at(t, 0);
     BONDS
         const V far = BULK(to) * number_at(t, to);
         const V shear = DIM * (DIM + 2) * v[DIM] * MEAN(to) * along(f, x);
-        if (!FORWARD)
+        if (!FORWARD && lost)
             for (int a = 0; a < DIM; ++a)
                 out[a] -= WHOLE * (bent.data[e].c[a] * mine + bent_back.data[e].c[a] * far);
-        const V density = FORWARD ? DIM * WHOLE * k * (mine + far) + shear : shear;
+        const V spread = FORWARD ? k * (mine + far) : lost ? V(0) : k * mine + l * far;
+        const V density = DIM * WHOLE * spread + shear;
 """,
     True: """
     PAIRS

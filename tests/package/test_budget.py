@@ -18,11 +18,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 21_331,
-    "tokens": 258_965,
-    "lines of warp_peri": 36_236,
-    "lines of kernels": 1_103,
-    "lines of warp_peri, kernels, examples and tools": 49_416,
+    "code lines": 21_332,
+    "tokens": 258_983,
+    "lines of warp_peri": 36_237,
+    "lines of kernels": 1_106,
+    "lines of warp_peri, kernels, examples and tools": 49_420,
     "lines of the longest file": 580,
     "lines of the longest function": 67,
     "parameters of one function": 11,
@@ -42,7 +42,7 @@ ROOMS = {
     "files": 553,
     "fitting": 1281,
     "fracture": 1616,
-    "materials": 5186,
+    "materials": 5187,
     "neural": 669,
     "points": 1693,
     "prediction": 694,

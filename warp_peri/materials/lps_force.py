@@ -362,8 +362,8 @@ class Law:
         if self.fields:  # one value a place
             every = (np.append(np.broadcast_to(one, bonds.nodes), 0.0) for one in moduli)
             moduli = tuple(one[layout.node] for one in every)
-        d, in_rows = bonds.dimension, layout.in_rows
-        bent = layout.bond[:0, :-1] if in_rows else bonds.bent(self.kw, self.own)
+        d, lost = bonds.dimension, not layout.in_rows and len(bonds.left)
+        bent = bonds.bent(self.kw, self.own) if lost else layout.bond[:0, :-1]
         return filled(
             struct(bonds.scalar, d), ints(layout.row), ints(layout.end),
             bonds.floats(layout.bond, d + 1), *map(bonds.floats, (self.own, *moduli)),
@@ -380,7 +380,8 @@ class Law:
         if families.lattice is not None:
             reverse = families.row[end] + np.tile(reverse, bonds.nodes)
         reverse = np.where(end < 0, np.arange(len(end)), reverse)  # where all is 0
-        Form, bent = struct(bonds.scalar, bonds.dimension), -of.bent.numpy()[reverse]
+        Form, bent = struct(bonds.scalar, bonds.dimension), -of.bent.numpy()
+        bent = bent[reverse] if len(bent) else bent
         known = [getattr(of, name) for name in Form.vars][:7]
         far = bonds.floats(self.own[reverse])
         return filled(Form, *known, far, bonds.floats(bent, bonds.dimension))
