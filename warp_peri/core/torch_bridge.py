@@ -429,5 +429,6 @@ class TorchModule(torch.nn.Module):
         force = on_fields(
             operator, u, lambda fields: operator.force_with_parameters(fields, numbers)
         )
-        with_numbers(operator, numbers)  # which checks them
+        if hasattr(operator.model, "with_parameters"):  # others are made anew, and so checked
+            operator.model.with_parameters({n: one.detach().numpy() for n, one in numbers.items()})
         return force

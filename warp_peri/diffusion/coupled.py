@@ -63,6 +63,13 @@ class ThermoelasticMaterial(Record, format="warp_peri.coupled_solid"):
         """Names of the units of length and stress."""
         return self.model.units
 
+    def with_parameters(self, numbers: Mapping[str, Any]) -> ThermoelasticMaterial:
+        """The same with other numbers of the solid, and another coupling."""
+        own = {name: numbers[name] for name in self.model.learnable}
+        return replace(
+            self, model=self.model.with_parameters(own), coupling=float(numbers["coupling"])
+        )
+
     def on(self, points: PointsLike, *, kappa: Conductivity | None = None) -> CoupledOperator:
         """The solid on a lattice, with a conductivity of its own as of DiffusionOperator."""
         return CoupledOperator(self, points, kappa=kappa)
@@ -144,13 +151,8 @@ class CoupledOperator(FlowOperator):
 
     def at(self, numbers: Mapping[str, Any]) -> CoupledOperator:
         """The same with other numbers; InputError as the class, and for κ not > 0."""
-        diffusion, own = self.diffusion.at(self._of_conductor(numbers)), self.model.model
-        model = own.with_parameters({name: numbers[name] for name in own.learnable})
-        parts: dict[str, Any] = {
-            "conductor": diffusion.model,
-            "coupling": float(numbers["coupling"]),
-        }
-        material = replace(self.model, model=model, **parts)
+        diffusion = self.diffusion.at(self._of_conductor(numbers))
+        material = replace(self.model.with_parameters(numbers), conductor=diffusion.model)
         return CoupledOperator(material, self.points, kappa=diffusion.given)
 
     def force_with_parameters(self, u: Any, numbers: Any) -> Any:
