@@ -26,6 +26,7 @@ from warp_peri.atoms.dumps import iter_dump
 from warp_peri.cli.crystals_sheets import read_structure
 from warp_peri.cli.train import atom_forces
 from warp_peri.files.atomic import read_arrays
+from warp_peri.points.dataset import load_dataset
 
 MARK = "PWNED"
 
@@ -118,6 +119,12 @@ def test_a_pipe_is_no_file(name, parse, tmp_path):
     os.mkfifo(tmp_path / name)
     with pytest.raises(ValueError if parse is read_arrays else InputError):
         parse(tmp_path / name)
+
+
+def test_a_pipe_is_no_data_set(tmp_path):
+    os.mkfifo(tmp_path / "data.h5")
+    with pytest.raises(InputError, match="expected a file"):
+        load_dataset(tmp_path / "data.h5")
 
 
 @pytest.mark.parametrize(

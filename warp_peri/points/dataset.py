@@ -15,7 +15,7 @@ import numpy as np
 
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import parsed, plain, whole_file
-from warp_peri.files.foreign import check_hdf5
+from warp_peri.files.foreign import check_hdf5, check_regular
 from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.arrays import is_name, is_number
 from warp_peri.points.points import Points
@@ -247,6 +247,7 @@ def load_dataset(path: str | os.PathLike[str], *, units: Units | None = None) ->
     that are not known or cannot be converted, a missing or misshapen array, a value that is not
     finite, arrays larger than the file can hold, contents that are not what was written.
     """
+    check_regular(path)
     try:
         with h5py.File(path, "r") as file:
             check_hdf5(file, os.path.getsize(path))
