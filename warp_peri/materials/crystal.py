@@ -32,7 +32,7 @@ from warp_peri.points.samples import Samples, nodes_of, unsaid
 from warp_peri.points.unit_names import USUAL, Units, check_same, factors, shown_moduli, symbols
 from warp_peri.protocols import SAME_SPACING, OperatorBase
 from warp_peri.solvers.linear import Linear
-from warp_peri.solvers.solution import CG, Solution, Solver, refuse_solver
+from warp_peri.solvers.solution import CG, Solution, Solver, by_sample, refuse_solver
 
 
 class TensorOperator(OperatorBase):
@@ -100,17 +100,9 @@ class TensorOperator(OperatorBase):
         else:
             self.linear.check_definite()
         found, took = self.linear.solve(loads, fields, asked.tolerance, asked.preconditioner)
-        return Solution(
-            found.reshape(u.shape),
-            self.points,
-            self,
-            self.rhs(b),
-            self.linear.method(asked.preconditioner),
-            tuple(each.iterations for each in took),
-            proven,
-            details=tuple(took),
-            measured=max((each.residual for each in took), default=None),
-        )
+        counts = [each.iterations for each in took]
+        method = self.linear.method(asked.preconditioner)
+        return by_sample(self, found.reshape(u.shape), self.rhs(b), took, counts, method, proven)
 
     def solve_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
         """In equilibrium with b on a period, without its mean; as `rest`."""

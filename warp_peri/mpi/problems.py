@@ -32,7 +32,7 @@ from warp_peri.points.unit_names import check_same
 from warp_peri.protocols import MATERIAL, offered, taken
 from warp_peri.solvers.conjugate_gradients import SolveRecord, norm
 from warp_peri.solvers.motion import Motion, Recorder
-from warp_peri.solvers.solution import CG, TOLERANCE, Solution, Solver, refuse_solver
+from warp_peri.solvers.solution import CG, TOLERANCE, Solution, Solver, by_sample, refuse_solver
 from warp_peri.solvers.verlet import march
 
 if TYPE_CHECKING:
@@ -77,17 +77,9 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
     for field, load, held in zip(answers, *flat):
         field[:], record = solved(operator, load, held, tolerance, file, mark)
         records.append(record)
-    return Solution(
-        answers.reshape(u.shape),
-        piece,
-        operator,
-        operator.rhs(b).reshape(*b.shape[:-2], -1, b.shape[-1]),
-        operator.method,
-        tuple(record.iterations for record in records),
-        operator.proven,
-        details=tuple(records),
-        measured=max(record.residual for record in records),
-    )
+    right = operator.rhs(b).reshape(*b.shape[:-2], -1, b.shape[-1])
+    counts, how = [record.iterations for record in records], (operator.method, operator.proven)
+    return by_sample(operator, answers.reshape(u.shape), right, records, counts, *how)
 
 
 NODAL = ("points", "b", "u", "free", "v", "no_fail", "grip", "record")

@@ -20,7 +20,7 @@ from warp_peri.points.samples import Samples
 from warp_peri.protocols import OperatorBase
 from warp_peri.solvers.equilibria import Equilibria, probed
 from warp_peri.solvers.linear import Inverse, Linear
-from warp_peri.solvers.solution import Newton, Solution, Solver, refuse_solver
+from warp_peri.solvers.solution import Newton, Solution, Solver, by_sample, refuse_solver
 
 if TYPE_CHECKING:
     from warp_peri.neural.material import NeuralOperator
@@ -200,16 +200,8 @@ class Placed(OperatorBase):
                 raise InputError(
                     f"sample {number}: no equilibrium was found; residual {one.residual:.1e}"
                 )
-        return Solution(
-            np.reshape([one.u for one in found], given.shape),
-            self.points,
-            self,
-            self.rhs(load),
-            "newton",
-            tuple(one.steps for one in found),
-            details=tuple(found),
-            measured=max((one.residual for one in found), default=None),
-        )
+        answer = np.reshape([one.u for one in found], given.shape)
+        return by_sample(self, answer, self.rhs(load), found, [one.steps for one in found])
 
     @property
     def networks(self) -> tuple[torch.nn.Parameter, ...]:  # type: ignore[override]

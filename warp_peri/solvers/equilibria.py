@@ -28,7 +28,7 @@ from warp_peri.points.points import Points
 from warp_peri.solvers.conjugate_gradients import HERE, definite, newton, norm
 from warp_peri.solvers.direct import smallest_eigenvalue
 from warp_peri.solvers.linear import DIRECT, Inverse
-from warp_peri.solvers.solution import Newton, Solution, Solver, refuse_solver
+from warp_peri.solvers.solution import Newton, Solution, Solver, by_sample, refuse_solver
 
 NOTHING = 1e-12
 """Relative, of tensors that are rounding."""
@@ -441,17 +441,10 @@ def equilibria_of(
     if proven is not None:
         warn_beyond(records, proven)
     sure = proven and all(record.unique for record in records)
-    return Solution(
-        answers.reshape(field.shape),
-        operator.points,
-        operator,
-        operator.rhs(load),
-        records[0].method if len({r.method for r in records}) == 1 else "fixed point, newton",
-        tuple(record.solves for record in records),
-        f"no other solution has |H| ≤ {proven:.2%}" if sure else None,
-        details=tuple(records),
-        measured=max((record.residual for record in records), default=None),
-    )
+    counts, methods = [record.solves for record in records], {r.method for r in records}
+    method = methods.pop() if len(methods) == 1 else "fixed point, newton"
+    told, load = f"no other solution has |H| ≤ {proven:.2%}" if sure else None, operator.rhs(load)
+    return by_sample(operator, answers.reshape(field.shape), load, records, counts, method, told)
 
 
 def smallest_of(operator: Any, field: np.ndarray) -> float:

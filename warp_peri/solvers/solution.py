@@ -284,6 +284,23 @@ def told(solved: Callable[[], Solution]) -> Solution:
     return replace(solution, warnings=tuple(dict.fromkeys(texts))) if texts else solution
 
 
+def by_sample(
+    operator: Any, u: Any, load: Any, records: Any, counts: Any, method: str = "newton",
+    proven: str | None = None,
+) -> Solution:  # fmt: skip
+    """The Solution of samples that were solved one after the other.
+
+    Args:
+        operator: of the material on the points.
+        u, load, method, proven: as of Solution.
+        records: of each sample, which has a `residual`; they are its details.
+        counts: iterations of each.
+    """
+    measured = max((one.residual for one in records), default=None)
+    of = operator.points, operator, load, method, tuple(counts), proven
+    return Solution(u, *of, details=tuple(records), measured=measured)
+
+
 def _sizes(values: np.ndarray, count: int) -> np.ndarray:
     flat = np.reshape(values, (count, -1)) if np.ndim(values) == 3 else np.reshape(values, (1, -1))
     return np.asarray(np.linalg.norm(flat, axis=1))

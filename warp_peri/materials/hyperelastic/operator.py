@@ -30,7 +30,7 @@ from warp_peri.points.arrays import checked, checked_fields, plain
 from warp_peri.points.samples import PointsLike, Samples, nodes_of, seen_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, shown_moduli, symbols
 from warp_peri.runtime import one_thread
-from warp_peri.solvers.solution import Newton, Solution, Solver, refuse_solver
+from warp_peri.solvers.solution import Newton, Solution, Solver, by_sample, refuse_solver
 
 BEYOND = 1.1
 """Stretches less one above this many times those of the training data are worth a warning."""
@@ -413,16 +413,8 @@ class HyperelasticSheetOperator(Swept):
                 raise NoEquilibriumError(f"sample {number}: {error}") from None
         answer = np.reshape([one.u for one in found], fields.shape)
         self.warn_beyond(answer)
-        return Solution(
-            answer.reshape(given.shape),
-            self.points,
-            self,
-            self.rhs(load),
-            "newton",
-            tuple(one.iterations for one in found),
-            details=tuple(found),
-            measured=max((one.residual for one in found), default=None),
-        )
+        counts = [one.iterations for one in found]
+        return by_sample(self, answer.reshape(given.shape), self.rhs(load), found, counts)
 
     def errors(self, samples: Samples, near: np.ndarray | None = None) -> dict[str, Any]:
         """As evaluate_hyperelastic, of samples on these points."""
