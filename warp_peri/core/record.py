@@ -39,7 +39,7 @@ import numpy as np
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import parsed, plain, write_json
 from warp_peri.files.foreign import check_regular
-from warp_peri.points.arguments import typed, typed_methods
+from warp_peri.points.arguments import ABOVE, typed, typed_methods
 from warp_peri.points.arrays import LARGEST, checked, is_number
 from warp_peri.points.unit_names import USUAL, Units, check_units, factors, shown_moduli, symbols
 from warp_peri.reprs import Shown
@@ -96,7 +96,6 @@ class FieldUnits:
 
 PLAIN = FieldUnits()
 """Of a field that says nothing."""
-Positive: TypeAlias = Annotated[float, FieldUnits(positive=True)]
 Length: TypeAlias = Annotated[float, FieldUnits(length=1, positive=True)]
 Stress: TypeAlias = Annotated[float, FieldUnits(stress=1)]
 
@@ -124,7 +123,7 @@ def _fields_of(kind: Any) -> tuple[Field, ...]:
         hint, says = hints[each.name], PLAIN
         if get_origin(hint) is Annotated:
             hint, said = get_args(hint)[:2]
-            says = said if isinstance(said, FieldUnits) else PLAIN
+            says = said if isinstance(said, FieldUnits) else FieldUnits(positive=said is ABOVE)
         default = each.default if each.default_factory is MISSING else each.default_factory
         found.append(Field(each.name, says.key or each.name, hint, says, default))
     return tuple(each for each in found if each.name != "units")

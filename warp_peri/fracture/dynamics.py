@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from warp_peri.core.record import FieldUnits, OnLinear, Positive
+from warp_peri.core.record import FieldUnits, OnLinear
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import LatticeBody, cracked
 from warp_peri.fracture.bonds import (
@@ -28,7 +28,7 @@ from warp_peri.fracture.bonds import (
 from warp_peri.fracture.statics import by_component, check_no_fail
 from warp_peri.kernels.damage.motion import halves
 from warp_peri.materials.lps import LPSMaterial
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.arrays import checked
 from warp_peri.points.families import bond_classes
 from warp_peri.points.unit_names import REDUCED

@@ -18,7 +18,6 @@ from warp_peri.fracture.bonds import check_breakable, unit_toughness
 from warp_peri.fracture.statics import CutSolid, check_no_fail
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.points.arguments import Count, Positive, typed
-from warp_peri.points.arrays import check_whole
 from warp_peri.points.families import BondClasses
 from warp_peri.solvers.motion import Motion
 
@@ -67,7 +66,7 @@ def grow(
     node, bond = np.nonzero(table >= 0)
     far, xi, square = table[node, bond], body.xi[bond], body.r[bond] ** 2
     safe, near = safe[node] | safe[far], None
-    for _ in tqdm(range(check_whole("events", events, 1)), disable=not progress, unit="event"):
+    for _ in tqdm(range(events), disable=not progress, unit="event"):
         try:
             cut = CutSolid(model, body, held, neighbour=table, corrected=corrected, near=near)
         except InputError:

@@ -15,12 +15,12 @@ import numpy as np
 import torch
 
 from warp_peri.core import record
-from warp_peri.core.record import Length, Positive
+from warp_peri.core.record import Length
 from warp_peri.errors import InputError
 from warp_peri.neural.bonds import NetworkBonds
 from warp_peri.neural.placed import Placed
 from warp_peri.neural.training import NeuralFit, TrainingSettings, train
-from warp_peri.points.arguments import Natural, typed
+from warp_peri.points.arguments import Natural, Positive, typed
 from warp_peri.points.arrays import is_positive
 from warp_peri.points.samples import PointsLike, Samples, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, check_units, factors, symbols

@@ -41,6 +41,10 @@ KINDS = (bool, int, float, str, os.PathLike, Mapping, dict, Sequence, tuple, lis
          np.ndarray)  # fmt: skip
 
 
+_signature = cache(inspect.signature)
+"""Of a function, worked out at its first call: most are never called."""
+
+
 class Bound(NamedTuple):
     """Which values of a kind are taken, in words and as a test."""
 
@@ -65,14 +69,13 @@ def typed(call: Call) -> Call:
     if isinstance(call, type):
         call.__init__ = typed(call.__init__)  # type: ignore[misc]
         return typed_methods(call)
-    signature = inspect.signature(call)
 
     @wraps(call)
     def checked(*args: Any, **options: Any) -> Any:
         if not kinds_of(call):
             return call(*args, **options)
         try:
-            given = signature.bind(*args, **options)
+            given = _signature(call).bind(*args, **options)
         except TypeError:
             return call(*args, **options)  # which names the function
         given.arguments.update(check_arguments(call, given.arguments))
@@ -146,7 +149,7 @@ def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> dict[
 def kinds_of(call: Callable[..., Any]) -> dict[str, tuple[tuple[Any, ...], Any, Bound | None]]:
     """The kinds of each argument that is looked at, its default, and which values it takes."""
     names, found = inspect.unwrap(call).__globals__, {}
-    for name, parameter in inspect.signature(call).parameters.items():
+    for name, parameter in _signature(call).parameters.items():
         if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
             continue
         annotated = SimpleNamespace(__annotations__={name: parameter.annotation})

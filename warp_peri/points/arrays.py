@@ -140,12 +140,6 @@ def is_positive(value: Any) -> bool:
     return is_number(value) and 0 < value < np.inf
 
 
-def check_positive(name: str, value: Any) -> None:
-    """Raise InputError for what is no number above zero, and finite."""
-    if not is_positive(value):
-        raise InputError(f"{name}: expected a number > 0, got {value!r:.60}")
-
-
 def check_whole(name: str, value: Any, least: int) -> int:
     """The whole number that it is; InputError for what is none from `least` on, or no count."""
     if not (is_number(value) and least <= value <= MOST and value % 1 == 0):

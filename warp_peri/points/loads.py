@@ -27,7 +27,7 @@ def mixed_waves(
     Raises InputError for a wave that is longer than the periods.
     """
     random, box = np.random.default_rng(seed), np.asarray(box, dtype=float)
-    if not (shortest <= box.max()):
+    if not shortest <= box.max():
         raise InputError(f"shortest wave: expected one in a box of {box}, got {shortest!r:.40}")
     most = int(box.max() / shortest) + 1
     field = np.zeros(np.shape(x))

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError, quietly, warn
 from warp_peri.files.checkpoint import AllNodes, agreed, fingerprint
-from warp_peri.points.arguments import Count, Positive
-from warp_peri.points.arrays import check_positive, is_piece
+from warp_peri.points.arguments import Count, Positive, typed
 from warp_peri.points.arrays import checked as read
+from warp_peri.points.arrays import is_piece
 from warp_peri.points.lattice import check_lattice
 from warp_peri.points.mesh import check_numbers
 from warp_peri.points.unit_names import USUAL, Units, factors
@@ -63,13 +63,13 @@ NO_FORCE = 1e-9
 """Of the stiffest wave's: what a motion as a whole feels by rounding alone."""
 
 
-def inertia(density: float, units: Units) -> float:
+@typed
+def inertia(density: Positive, units: Units) -> float:
     """ρ in units of stress · ps² over length², of kg/m³.
 
     Raises InputError for reduced units, which have neither kilograms nor picoseconds, and for a
     density not > 0.
     """
-    check_positive("density", density)
     length, stress = factors(units, USUAL)
     return INERTIA * density * length**2 / stress
 
