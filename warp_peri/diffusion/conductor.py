@@ -19,8 +19,8 @@ from warp_peri.points.families import families_of
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same
 from warp_peri.protocols import OperatorBase
-from warp_peri.solvers.adjoint import Implicit, stepped
-from warp_peri.solvers.direct import definite_factors
+from warp_peri.solvers.adjoint import stepped
+from warp_peri.solvers.direct import MatrixProblem, definite_factors
 from warp_peri.solvers.solution import Direct, Solution, Solver, refuse_solver
 
 Conductivity = float | np.ndarray | Callable[[np.ndarray], np.ndarray]
@@ -75,8 +75,11 @@ class FlowOperator(OperatorBase):
         """
         refuse_solver(solver, (Direct,), self.what)
         b, given = checked_fields(self.points, b, u, self.shape)
-        left = Implicit(self).rest(b, given)
-        return Solution(given, self.points, self, self.rhs(b), "lu", measured=left)
+        self.interior_tangent(None)  # refuses what would grow
+        problem = MatrixProblem(self.matrix, self.points.interior)
+        fields = problem.solve(*(one.reshape(-1, *self.shape) for one in (b, given)))
+        answer = fields.reshape(given.shape), self.points, self, self.rhs(b)
+        return Solution(*answer, "lu", measured=problem.left)
 
 
 class DiffusionOperator(FlowOperator):

@@ -19,19 +19,14 @@ from warp_peri.errors import InputError, warn
 from warp_peri.fracture.body import LatticeBody, cracked, section
 from warp_peri.fracture.bonds import bonds_of, check_breakable, stretch_matrix, stretch_rows
 from warp_peri.fracture.softening import BondLaw, pull_of, share_of, slope_of
-from warp_peri.fracture.statics import (
-    check_definite,
-    check_no_fail,
-    check_pieces,
-    strain_of,
-    symmetric_factors,
-)
+from warp_peri.fracture.statics import check_no_fail, check_pieces, strain_of, symmetric_factors
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_parameters import bernstein_basis
 from warp_peri.points.arguments import Share
 from warp_peri.points.arrays import checked
 from warp_peri.protocols import is_tensor
 from warp_peri.solvers.adjoint import in_motion as in_motion
+from warp_peri.solvers.direct import definite_factors
 from warp_peri.solvers.motion import Motion
 
 NEWTON = 40
@@ -297,12 +292,8 @@ class SoftBody:
         law, fails = self.law, ((s == worst) & (worst > self.law.stretch)).numpy()
         own = share.numpy() * slope_of(s.numpy(), law.softness)
         fall = -float(law.pull(np.array(law.stretch))) / law.tail
-        try:
-            slope = np.where(fails & (own > 0), fall, own)
-            check_definite(symmetric_factors(self.tangent(slope)))
-        except InputError:
-            return False
-        return True
+        slope = np.where(fails & (own > 0), fall, own)
+        return definite_factors(self.tangent(slope)) is not None
 
     def _at_rest(
         self, u: np.ndarray, share: torch.Tensor, softness: torch.Tensor, given: torch.Tensor

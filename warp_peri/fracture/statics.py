@@ -223,10 +223,8 @@ def symmetric_factors(matrix: sp.csc_array) -> Any:
 
 
 def check_definite(factors: Any) -> None:
-    """Raise InputError where symmetric_factors show that their operator is not positive definite,
-    by the signs of their pivots (Sylvester's law of inertia)."""
-    signed = direct.pivots(factors)
-    if signed is None or not (signed > 0).all():
+    """Raise InputError where symmetric_factors show that their operator is not positive definite."""
+    if not direct.is_definite(factors):
         raise InputError(
             "operator: it is not positive definite, with negative eigenvalues on the free nodes; "
             "hold the body, take λ + μ > 0 and an influence function that bears these cuts "

@@ -28,7 +28,6 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 import torch
-from scipy.sparse.linalg import splu
 
 from warp_peri.core.torch_bridge import (
     as_tensor,
@@ -43,14 +42,13 @@ from warp_peri.points.arguments import Natural, Positive
 from warp_peri.points.arrays import checked
 from warp_peri.protocols import is_tensor, taken
 from warp_peri.solvers import verlet
+from warp_peri.solvers.direct import MatrixProblem
 from warp_peri.solvers.motion import Motion, Recorder
 
 PIECES, BATCH = 8, 16
 """States kept of a motion, and fields whose derivatives to numbers are taken at once."""
 UNDONE = 1e-9
 """Of a state that is come back to, over the largest kept: what rounding may have made of it."""
-RESIDUAL = 1e-9
-"""Of an implicit step, over its right-hand side."""
 
 
 def moved(
@@ -236,60 +234,27 @@ def stepped(
 
 
 class Implicit:
-    """Implicit steps of what is linear; with Δt = inf the equilibrium.
+    """Implicit steps of what is linear. Raises InputError where a step has no one solution."""
 
-    Raises InputError where a step has no one solution.
-    """
-
-    def __init__(self, operator: Any, step: float = np.inf, names: list[str] | None = None) -> None:
-        self.operator, self.step, self.names = operator, step, names or []
+    def __init__(self, operator: Any, step: float, names: list[str]) -> None:
+        self.operator, self.step, self.names = operator, step, names
         self.inside = operator.points.interior.reshape(-1, *[1] * (len(operator.shape) - 1))
-        self.free = np.broadcast_to(self.inside, operator.shape).ravel()
-        self.theta = float(operator.implicit) if np.isfinite(step) else 1.0
-        L, E = sp.csr_array(operator.tangent(None)), sp.csc_array(operator.storage() / step)
-        self.inner = sp.csc_array(self.theta * operator.interior_tangent(None) + E[:, self.free])
-        self.ahead, self.behind = sp.csr_array(E + self.theta * L), E - (1 - self.theta) * L
-        try:
-            self.factors = splu(self.inner)
-        except RuntimeError as error:
-            raise InputError(f"{self.what}: the problem has no one solution ({error})") from None
-
-    @property
-    def what(self) -> str:
-        """The operator, for messages."""
-        return str(getattr(self.operator, "what", type(self.operator).__name__))
-
-    def after(self, before: Any, given: np.ndarray, load: np.ndarray) -> tuple[np.ndarray, float]:
-        """The field a step after another, of what is given off the interior and a load, all flat
-        and of all nodes; and its relative residual. InputError for one above RESIDUAL."""
-        later = np.where(self.free, 0.0, given)
-        right = load[self.free] - self.ahead @ later
-        if np.isfinite(self.step):
-            right += self.behind @ before
-        later[self.free] = x = self.factors.solve(right)
-        size, left = np.linalg.norm(right), np.linalg.norm(self.inner @ x - right)
-        if not left <= RESIDUAL * size:
-            raise InputError(f"{self.what}: the solve lost its digits")
-        return later, float(left / size) if size else 0.0
-
-    def rest(self, loads: np.ndarray, given: np.ndarray) -> float:
-        """The largest relative residual of equilibria, put into what is given; [..., N, …] both."""
-        pairs = zip(*(one.reshape(-1, len(self.free)) for one in (given, loads)))
-        left = 0.0
-        for field, load in pairs:
-            field[:], one = self.after(None, field, load)
-            left = max(left, one)
-        return left
+        self.theta = float(operator.implicit)
+        operator.interior_tangent(None)  # refuses what would grow
+        L, E = sp.csr_array(operator.tangent(None)), sp.csr_array(operator.storage() / step)
+        self.ahead = MatrixProblem(sp.csr_array(E + self.theta * L), operator.points.interior)
+        self.behind = E - (1 - self.theta) * L
 
     def there(self, start: Any, loads: Any, given: Any, *_: np.ndarray) -> tuple[np.ndarray]:
         """Fields at the start and after each step, of loads and what is given in each."""
         one = self.operator.shape
-        fields = [checked("u", start, float, one).ravel()]
+        fields = [checked("u", start, float, one)]
         loads = checked("b", loads, float, (len(loads), *one), self.inside)
         given = checked("collar", given, float, (len(given), *one), ~self.inside)
-        for load, held in zip(loads, given):
-            fields.append(self.after(fields[-1], held.ravel(), load.ravel())[0])
-        self.fields = np.reshape(fields, (-1, *one))
+        for load, held in zip(loads.copy(), given):
+            load.ravel()[self.ahead.unknown] += self.behind @ fields[-1].ravel()
+            fields.extend(self.ahead.solve(load[None], held[None]))
+        self.fields = np.array(fields)
         return (self.fields,)
 
     def back(self, asked: tuple[bool, ...], p: np.ndarray) -> list[Any]:
@@ -299,14 +264,14 @@ class Implicit:
         p: what is upstream of the fields at the start and after each step; overwritten.
         """
         wanted = [name for name, one in zip(self.names, asked[3:]) if one]
-        steps, one = len(p) - 1, p.shape[1:]
-        p, w = p.reshape(steps + 1, -1), np.zeros((steps, len(self.inner.indptr) - 1))
-        by_load, by_given = np.zeros((2, steps, len(self.free)))
+        steps, one, free = len(p) - 1, p.shape[1:], self.ahead.unknown
+        p, w = p.reshape(steps + 1, -1), np.zeros((steps, np.count_nonzero(free)))
+        by_load, by_given = np.zeros((2, steps, len(free)))
         for n in reversed(range(steps)):
-            w[n] = self.factors.solve(p[n + 1, self.free], "T")
-            by_given[n] = np.where(self.free, 0.0, p[n + 1] - w[n] @ self.ahead)
+            w[n] = self.ahead.factors.solve(p[n + 1, free], "T")
+            by_given[n, ~free] = p[n + 1, ~free] - w[n] @ self.ahead.collar
             p[n] += w[n] @ self.behind
-        by_load[:, self.free] = w
+        by_load[:, free] = w
         by = [p[0].reshape(one), *(x.reshape(steps, *one) for x in (by_load, by_given))]
         totals: dict[str, Any] = dict.fromkeys(wanted, 0.0)
         own: Any = getattr(self.operator, "storage_slopes", lambda *_: {})

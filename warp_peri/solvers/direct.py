@@ -40,15 +40,11 @@ def symmetric_factors(matrix: sp.sparray | sp.spmatrix) -> Any:
     )
 
 
-def pivots(factors: Any) -> np.ndarray | None:
-    """Pivots of symmetric_factors, signed as the eigenvalues are (Sylvester's law of inertia).
-
-    None where one was zero, so that rows were exchanged.
-    """
-    if not np.array_equal(factors.perm_r, factors.perm_c):
-        return None
-    signed: np.ndarray = factors.U.diagonal()
-    return signed
+def is_definite(factors: Any) -> bool:
+    """Whether what symmetric_factors are of is positive definite: the signs of their pivots are
+    those of its eigenvalues (Sylvester's law of inertia), unless rows were exchanged for a zero."""
+    plain = np.array_equal(factors.perm_r, factors.perm_c)
+    return plain and bool((factors.U.diagonal() > 0).all())
 
 
 def definite_factors(matrix: sp.sparray | sp.spmatrix) -> Any:
@@ -57,8 +53,7 @@ def definite_factors(matrix: sp.sparray | sp.spmatrix) -> Any:
         factors = symmetric_factors(matrix)
     except RuntimeError:  # exactly singular
         return None
-    signed = pivots(factors)
-    return factors if signed is not None and (signed > 0).all() else None
+    return factors if is_definite(factors) else None
 
 
 class MatrixProblem:
