@@ -46,9 +46,8 @@ def static_crack(cells: int, ratio: float, lam: float) -> dict[str, float]:
 
 
 def edge_crack(
-    model: wp.LPSMaterial, n: int, share: float, shift: float = 0.0, start: float = 0,
-    *, corrected: bool = False,
-) -> float:  # fmt: skip
+    model: wp.LPSMaterial, n: int, share: float, shift: float = 0.0, *, corrected: bool = False
+) -> float:
     """G over the exact one of a crack, n spacings of 1 long, in the edge of a strip that is pulled.
 
     `share` is the crack's of the strip's width; B. Gross and J. E. Srawley, 1965, within 0.5 %.
@@ -65,7 +64,7 @@ def edge_crack(
     points, reach = wp.Points(x, np.ones(len(x), bool), 1.0, units=UNITS), 1 + corrected
     strip = fracture.Cracked(points, b, free=free, corrected=corrected)
     ends = range(-reach, reach + 1)
-    cracks = [[[(start - width / 2, 0), (n + d - width / 2, 0)]] for d in ends]
+    cracks = [[[(-width / 2, 0), (n + d - width / 2, 0)]] for d in ends]
     shape = np.polyval([30.382, -21.71, 10.55, -0.231, 1.122], share)
     G = fracture.energy_release(model, strip, cracks, shift=shift)
     return float(G * model.E / (np.pi * n * shape**2))

@@ -1,4 +1,4 @@
-"""Forces over unbroken bonds: against the matrix, the whole operator, and the continuum."""
+"""Forces over unbroken bonds: against the matrix, the whole operator, the continuum, and bounds."""
 
 import numpy as np
 import pytest
@@ -13,6 +13,9 @@ from warp_peri.fracture.bonds import (
     bond_matrix,
     bond_weights,
     bonds_of,
+    energy_bounds,
+    largest_stiffness,
+    stretch_matrix,
     unit_toughness,
 )
 from warp_peri.fracture.dynamics import continuum_stretch
@@ -99,31 +102,55 @@ def test_an_uncut_interior_is_the_linear_peridynamic_solid(lam, points):
     np.testing.assert_allclose(-force[points.interior], whole(u), atol=1e-11)
 
 
-@pytest.mark.parametrize("lam", [1.0, 3.0])
-def test_the_lattices_toughness_has_the_limit_of_the_theory(lam):
-    limit = 6 / np.pi + DILATATIONAL * (lam - 1)
+T = (np.arange(2000) + 0.5) / 2000
+CROSSING = 9 * (((1 - T**4) / 2 - 2 / 3 * T * (1 - T**3)) ** 2).mean()
+"""(V5), an integral over the crossing bonds of K = 1/r in a ball."""
+
+
+@pytest.mark.parametrize(
+    ("dimension", "lam", "limit", "ratios", "share"),
+    [
+        (2, 1.0, 6 / np.pi, (4.0, 8.0, 16.0), 0.5),
+        (2, 3.0, 6 / np.pi + 2 * DILATATIONAL, (4.0, 8.0, 16.0), 0.5),
+        (3, 3.0, 3 + 2 * CROSSING, (2.5, 5.0, 10.0), 0.6),
+    ],
+)
+def test_the_lattices_toughness_has_the_limit_of_the_theory(dimension, lam, limit, ratios, share):
+    assert pytest.approx(26 / 45, abs=1e-6) == CROSSING
     errors = []
-    for ratio in (4.0, 8.0, 16.0):
-        model = solid(lam, horizon=ratio).model
-        toughness = unit_toughness(model, bond_classes(1.0, ratio)) / ratio
-        errors.append(abs(toughness / limit - 1))
-    assert errors[2] < 0.03
-    assert errors[2] < 0.5 * errors[0]
+    for ratio in ratios:
+        model = solid(lam, horizon=ratio, dimension=dimension).model
+        classes = bond_classes(1.0, ratio, dimension=dimension)
+        errors.append(abs(unit_toughness(model, classes) / ratio / limit - 1))
+    assert errors[2] < 0.05
+    assert errors[2] < share * errors[0]
     if lam == 1:  # no dilatation: the formula of the continuum
         assert continuum_stretch(model, 16 * limit) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("lam", [3.0])
-def test_the_toughness_in_space_has_the_limit_of_the_theory(lam):
-    """(V5), whose limit is an integral over the crossing bonds of K = 1/r in a ball."""
-    t = (np.arange(2000) + 0.5) / 2000
-    crossing = (1 - t**4) / 2 - 2 / 3 * t * (1 - t**3)
-    limit = 3 + 9 * (lam - 1) * (crossing**2).mean()
-    assert 9 * (crossing**2).mean() == pytest.approx(26 / 45, abs=1e-6)
-    errors = []
-    for ratio in (2.5, 5.0, 10.0):
-        model = cubes.solid(ratio, lam, 1.0)
-        classes = bond_classes(1.0, ratio, dimension=3)
-        errors.append(abs(unit_toughness(model, classes) / ratio / limit - 1))
-    assert errors[2] < 0.05
-    assert errors[2] < 0.6 * errors[0]
+@pytest.mark.parametrize(("sides", "lam"), [((8, 8), -0.6), ((4, 4, 4), 4.0)])
+def test_the_energy_of_a_node_lies_between_its_bounds(lam, sides):
+    d, body, random = len(sides), plate(*sides), np.random.default_rng(1)
+    model = solid(lam, dimension=d).model
+    neighbour = random_breaking(body, random, 0.5)
+    stretch, place = stretch_matrix(body, neighbour)
+    node, bond = np.divmod(place, neighbour.shape[1])
+    w = bond_weights(model, body.classes)[bond]
+    for _ in range(20):
+        along = stretch @ random.standard_normal(body.x.size)
+        squares = np.bincount(node, w * along**2 / body.r[bond] ** 2)
+        theta = np.bincount(node, d * w * along)
+        energy = (lam - 1) / 2 * theta**2 + d * (d + 2) / 2 * squares
+        low, high = energy_bounds(model)
+        assert (energy >= low * squares * (1 - 1e-12)).all()
+        assert (energy <= high * squares * (1 + 1e-12)).all()
+
+
+@pytest.mark.parametrize(("sides", "lam"), [((8, 8), 100.0), ((4, 4, 4), -0.6), ((8, 8), 0.3)])
+def test_no_body_is_stiffer_than_its_bound(lam, sides):
+    body, random = plate(*sides), np.random.default_rng(1)
+    model = solid(lam, dimension=len(sides)).model
+    bound, bonds = largest_stiffness(model, body.classes), bonds_of(model, body.classes)
+    for share in (0.0, 0.5):
+        L = bond_matrix(body, random_breaking(body, random, share), bonds)
+        assert 0 < np.linalg.eigvalsh(L.toarray())[-1] <= bound

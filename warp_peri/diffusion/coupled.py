@@ -19,10 +19,11 @@ from warp_peri.diffusion.conductor import (
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import lattice_body
 from warp_peri.fracture.bonds import bond_matrix, bonds_of, dilatations
-from warp_peri.fracture.statics import check_definite, in_torch, symmetric_factors
+from warp_peri.fracture.statics import INDEFINITE, in_torch
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import Units, check_same
+from warp_peri.solvers.direct import definite_factors
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -117,8 +118,8 @@ class CoupledOperator(FlowOperator):
         bonds, free = bonds_of(model, body.classes), np.ravel(2 * rows[:, None] + [0, 1])
         theta = dilatations(body, bonds.share, table, np.arange(len(table)))
         solid = bond_matrix(body, table, bonds)[free]
-        if (bonds.share < 0).any():
-            check_definite(symmetric_factors(solid[:, free]))
+        if (bonds.share < 0).any() and definite_factors(solid[:, free]) is None:
+            raise InputError(INDEFINITE)
         diffusion.interior_tangent(None)  # refuses one that would grow
         pull = sp.csr_array(material.coupling * theta.T)[free]
         squeeze = sp.csr_array(-material.coupling * theta[rows])

@@ -19,14 +19,14 @@ from warp_peri.errors import InputError, warn
 from warp_peri.fracture.body import LatticeBody, cracked, section
 from warp_peri.fracture.bonds import bonds_of, check_breakable, stretch_matrix, stretch_rows
 from warp_peri.fracture.softening import BondLaw, pull_of, share_of, slope_of
-from warp_peri.fracture.statics import check_no_fail, check_pieces, strain_of, symmetric_factors
+from warp_peri.fracture.statics import check_no_fail, check_pieces, strain_of
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_parameters import bernstein_basis
 from warp_peri.points.arguments import Share
 from warp_peri.points.arrays import checked
 from warp_peri.protocols import is_tensor
 from warp_peri.solvers.adjoint import in_motion as in_motion
-from warp_peri.solvers.direct import definite_factors
+from warp_peri.solvers.direct import definite_factors, symmetric_factors
 from warp_peri.solvers.motion import Motion
 
 NEWTON = 40
@@ -139,10 +139,6 @@ class SoftBody:
         self.breakable = ~(safe[node] | safe[far])
         self.free = ~held.ravel()
 
-    def stretch(self, u: np.ndarray) -> np.ndarray:
-        """s of each bond at u, flat [d N]."""
-        return np.asarray((self.rows @ u) / self.square)
-
     def rest(self, u: np.ndarray, share: np.ndarray) -> np.ndarray:
         """u at rest from a start that holds the given components, by Newton's method, flat [d N].
 
@@ -158,8 +154,12 @@ class SoftBody:
             if np.linalg.norm(force) <= TOLERANCE * np.linalg.norm(total):
                 return u
             slope = share * weak * np.maximum(1 - softness * s, 0.02)
+            try:
+                factors = symmetric_factors(self.tangent(slope))
+            except RuntimeError as error:
+                raise InputError(f"operator: parts of the body hang loose ({error})") from None
             u = u.copy()
-            u[self.free] -= symmetric_factors(self.tangent(slope)).solve(force)
+            u[self.free] -= factors.solve(force)
         raise InputError("softening: no equilibrium was found; the body may have come apart")
 
     def tangent(self, slope: np.ndarray) -> sp.csc_array:
@@ -280,7 +280,7 @@ class SoftBody:
         return soft, *once
 
     def _stretch(self, u: torch.Tensor) -> torch.Tensor:
-        """As `stretch`, of a tensor."""
+        """s of each bond at u, flat [d N]."""
         return linear(u, self.rows.dot, self.rows.T.dot) / torch.from_numpy(self.square)
 
     def _stable(self, s: torch.Tensor, worst: torch.Tensor, share: torch.Tensor) -> bool:
@@ -304,7 +304,7 @@ class SoftBody:
 
         def inverse(g: np.ndarray) -> np.ndarray:
             if not factors:
-                slope = slope_of(self.stretch(u), self.law.softness)
+                slope = slope_of((self.rows @ u) / self.square, self.law.softness)
                 factors.append(splu(self.tangent(left * slope)))
             w = np.zeros_like(g)
             w[self.free] = factors[0].solve(g[self.free])

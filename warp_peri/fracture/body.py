@@ -87,11 +87,9 @@ def lattice_body(
 
     Raises InputError for points off the lattice, or given twice.
     """
-    x = checked("x", x)
-    if x.ndim != 2 or x.shape[1] not in (2, 3) or len(x) == 0 or not np.isfinite(x).all():
-        raise InputError(
-            f"x: expected finite positions of shape [N, 2] or [N, 3], got {list(x.shape)}"
-        )
+    x = checked("x", x, float, ("N", "d"))
+    if len(x) == 0 or x.shape[1] not in (2, 3):
+        raise InputError(f"x: expected [N, 2] or [N, 3], N ≥ 1, got {list(x.shape)}")
     classes = bond_classes(spacing, horizon, dimension=x.shape[1])
     grid, axes = straight_steps(x, spacing)
     steps = classes.steps * [*(x.shape[1] - 1) * (1,), 0] if endless else classes.steps

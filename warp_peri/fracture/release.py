@@ -3,7 +3,6 @@ further a tip acts than it is cut."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -12,10 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
-from warp_peri.fracture.body import LatticeBody, box_nodes, lattice_body, size_and_normal, through
+from warp_peri.fracture.body import box_nodes, lattice_body, size_and_normal, through
 from warp_peri.fracture.statics import CutSolid
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.points.arguments import Positive, typed
+from warp_peri.points.arrays import checked
 from warp_peri.protocols import offered
 from warp_peri.solvers.solution import CG, Direct, Solution
 
@@ -142,10 +142,10 @@ def _tip_field(x: np.ndarray, model: LPSMaterial) -> np.ndarray:
 def j_integral(solution: Solution, tip: Sequence[float], radii: tuple[float, float]) -> float:
     """J around the tip of a crack along an axis, for its growth straight on, by a domain (C12).
 
-    From which side the crack comes is where the displacement jumps most. Gradients are differences
-    on a full box of nodes, one-sided across the crack; the weight falls from 1 to 0 between two
-    squares about the tip. In space these are cubes about a point of the front, which runs straight
-    along an axis within the larger one, and J is the mean over what is in it.
+    Gradients are differences on a full box of nodes, one-sided across the crack; the weight falls
+    from 1 to 0 between two squares about the tip. In space these are cubes about a point of the
+    front, which runs straight along an axis within the larger one, and J is the mean over what is
+    in it.
 
     Args:
         solution: of a Cracked on a rectangle or box of nodes, of one material, with the crack
@@ -153,104 +153,78 @@ def j_integral(solution: Solution, tip: Sequence[float], radii: tuple[float, flo
         tip: where the crack ends, shape [d].
         radii: half sides of the squares [length], the smaller first; taken to the nearest spacing.
 
-    Raises InputError for a body that is no box, several materials, and squares that do not differ
-    by a spacing or do not fit into the body.
+    Raises InputError for a body that is no box, several materials, squares that do not differ by a
+    spacing or do not fit into the body, and a tip that no crack is near.
     """
     if not getattr(solution.operator, "one", False):
         raise InputError("solution: expected that of a Cracked, of one material, isotropic")
-    return domain_integral(solution.operator.model, solution.operator.body, solution.u, tip, radii)
-
-
-def domain_integral(
-    model: LPSMaterial,
-    body: LatticeBody,
-    u: np.ndarray,
-    tip: Sequence[float],
-    radii: tuple[float, float],
-) -> float:
-    """As j_integral, of a displacement of all nodes [N, d]."""
+    model, body = solution.operator.model, solution.operator.body
     h, d = body.spacing, body.dimension
-    if not (np.isfinite(radii).all() and 0 <= round(radii[0] / h) < round(radii[1] / h)):
+    place = checked("tip", tip, float, (d,))
+    r1, r2 = np.rint(checked("radii", radii, float, (2,)) / h) * h
+    room = np.minimum(place - body.x.min(axis=0), body.x.max(axis=0) - place).min() + 1e-9 * h
+    if not 0 <= r1 < r2 <= room:
         raise InputError(
-            f"radii: expected 0 ≤ smaller < larger by a spacing of {h:g} or more, got "
-            f"{radii[0]:g}, {radii[1]:g}"
+            f"radii: expected 0 ≤ smaller < larger by a spacing of {h:g} or more, up to {room:g} "
+            f"to the edge, got {radii[0]:g}, {radii[1]:g}"
         )
-    r1, r2 = (round(radius / h) * h for radius in radii)
-    if np.shape(tip) != (d,):
-        raise InputError(f"tip: expected a point of shape [{d}], got {list(np.shape(tip))}")
-    place = np.rint((body.x - body.x.min(axis=0)) / h).astype(int)
-    sides = place.max(axis=0) + 1
+    number = np.rint((body.x - body.x.min(axis=0)) / h).astype(int)
+    sides = number.max(axis=0) + 1
     if np.prod(sides) != len(body.x):
         raise InputError("body: expected a full box of nodes for J")
-    order = np.lexsort(place.T[::-1])
-    x = body.x[order].reshape(*sides, d) - np.asarray(tip, dtype=float)
-    low, high = (end.min() for end in (-x.reshape(-1, d).min(axis=0), x.reshape(-1, d).max(axis=0)))
-    if (room := min(low, high)) < r2 - 1e-9 * h:
-        raise InputError(f"radii: {r2:g} is more than from the tip to the edge, {room:g}")
-    field, x = _from_the_left(u[order].reshape(*sides, d), x, r2)
-    gradient = crack_gradient(field, h, _line(x, 0) < 0, int(np.count_nonzero(_line(x, 1) < 0)))
+    axes, sign = _crack_axes(solution, place, r2)
+    order = np.lexsort(number.T[::-1])
+    x, u = (field[order].reshape(*sides, d) for field in (body.x - place, solution.u))
+    gradient = _gradient(u, x, h, axes, sign)
     strain = (gradient + gradient.swapaxes(-1, -2)) / 2
-    stress = 2 * model.mu * strain
     trace = np.trace(strain, axis1=-2, axis2=-1)[..., None, None]
-    stress = stress + model.lam * trace * np.eye(d)
-    density = (stress * strain).sum(axis=(-1, -2)) / 2
-    away = np.abs(x)
-    across, along = away[..., :2].max(axis=-1), away[..., 2:].max(axis=-1, initial=0.0)
-    sideways = np.arange(d) == away[..., :2].argmax(axis=-1)[..., None]
-    within = np.clip((r2 - along) / (r2 - r1), 0.0, 1.0)  # along the front, in space
-    slope = np.where(sideways, within[..., None] * _fall(away, h, r1, r2), 0.0)
-    slope[..., 2:] = (np.clip((r2 - across) / (r2 - r1), 0.0, 1.0) * _fall(along, h, r1, r2))[
-        ..., None
-    ]
-    slope *= np.sign(x)
-    pull = np.einsum("...ij,...i->...j", stress, gradient[..., 0])
-    integrand = density * slope[..., 0] - (pull * slope).sum(axis=-1)
-    front = within[0, 0].sum() * h ** (d - 2)
-    return float(-integrand.sum() * h**d / front)
+    stress = 2 * model.mu * strain + model.lam * trace * np.eye(d)
+
+    def fall(away: np.ndarray) -> np.ndarray:
+        return np.asarray(np.clip((r2 - away) / (r2 - r1), 0.0, 1.0))
+
+    away, total = np.abs(x[..., axes]), 0.0
+    around, along = away[..., :2].max(axis=-1), away[..., 2:].max(axis=-1, initial=0.0)
+    pull = np.einsum("...ij,...i->...j", stress, gradient[..., axes[0]])
+    pull[..., axes[0]] -= (stress * strain).sum(axis=(-1, -2)) / 2
+    for number, axis in enumerate(axes):
+        far = away[..., number]
+        slope = (fall(far + h / 2) - fall(far - h / 2)) / h  # of cells: a tip stands anywhere
+        felt = fall(around) if number == 2 else fall(along) * (away[..., :2].argmax(-1) == number)
+        total += (pull[..., axis] * np.sign(x[..., axis]) * slope * felt).sum()
+    front = fall(along).sum() / np.prod(sides[axes[:2]]) * h ** (d - 2)
+    return float(sign * total * h**d / front)
 
 
-def _from_the_left(field: np.ndarray, x: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement and places about a tip, [n₁, …, d], turned so that the crack comes along −x₁.
-
-    Its faces then look along x₂. The jump across half a plane is what neighbours on both sides do
-    not explain.
-    """
-    d, views, jumps = x.shape[-1], [], []
-    for axes in itertools.permutations(range(d)):
-        turned, places = (np.transpose(a, (*axes, d))[..., list(axes)] for a in (field, x))
-        steps, row = np.diff(turned, axis=1), int(np.count_nonzero(_line(places, 1) < 0))
-        around = steps[:, max(row - 2, 0)] + steps[:, min(row, steps.shape[1] - 1)]
-        jump = np.square(steps[:, row - 1] - around / 2).sum(axis=-1)
-        at = places[:, row - 1]
-        near = (np.abs(np.delete(at, 1, axis=-1)) <= reach).all(axis=-1)
-        for sign in (1, -1):
-            jumps.append(jump[near & (sign * at[..., 0] < 0)].sum())
-            flip = np.where(np.arange(d) == 0, sign, 1.0)
-            views.append((turned[::sign] * flip, places[::sign] * flip))
-    return views[int(np.argmax(jumps))]
+def _crack_axes(solution: Solution, tip: np.ndarray, reach: float) -> tuple[list[int], float]:
+    """The axes along the crack that ends in a tip, across it, and along its front; and the sign of
+    its growth: it comes from where bonds are broken within reach."""
+    body, d = solution.operator.body, len(tip)
+    cut = []
+    for axis, normal in enumerate(np.eye(d)):
+        away = body.x[_columns(solution, normal)[0]] - tip
+        cut.append(away[(np.abs(np.delete(away, axis, axis=1)) <= reach).all(axis=1)])
+    across = int(np.argmax([len(away) for away in cut]))
+    if not len(cut[across]):
+        raise InputError(
+            f"tip: expected one that a crack along an axis ends in, got {tip.tolist()}"
+        )
+    behind = np.where(np.arange(d) == across, 0.0, cut[across].mean(axis=0))
+    along = int(np.abs(behind).argmax())
+    rest = [axis for axis in range(d) if axis not in (along, across)]
+    return [along, across, *rest], -float(np.sign(behind[along]))
 
 
-def _line(x: np.ndarray, axis: int) -> np.ndarray:
-    """Coordinates along one axis of a box of places, [n₁, …, d]."""
-    return np.asarray(np.moveaxis(x[..., axis], axis, -1)[(0,) * (x.shape[-1] - 1)])
-
-
-def _fall(away: np.ndarray, h: float, r1: float, r2: float) -> np.ndarray:
-    """Mean slope, over a cell, of what falls from 1 to 0 between r1 and r2.
-
-    The tip may then stand anywhere between two columns of nodes.
-    """
-    outer, inner = (np.clip((r2 - away + d) / (r2 - r1), 0.0, 1.0) for d in (-h / 2, h / 2))
-    return np.asarray((outer - inner) / h)
-
-
-def crack_gradient(field: np.ndarray, h: float, behind: np.ndarray, row: int) -> np.ndarray:
-    """∂u_i/∂x_j by differences, shape [n₁, n₂, …, d, d], one-sided across rows row − 1 and row."""
-    d = field.shape[-1]
-    slopes = [np.gradient(field, h, axis=axis, edge_order=2) for axis in range(d)]
-    halves = (field[:, :row], field[:, row:])
-    apart = np.concatenate([np.gradient(half, h, axis=1, edge_order=2) for half in halves], axis=1)
-    slopes[1] = np.where(behind.reshape(-1, *(d * (1,))), apart, slopes[1])
+def _gradient(u: np.ndarray, x: np.ndarray, h: float, axes: list[int], sign: float) -> np.ndarray:
+    """∂u_i/∂x_j by differences of a box of nodes about a tip, one-sided across the crack behind it,
+    shape [n₁, n₂, …, d, d]."""
+    slopes = [np.gradient(u, h, axis=axis, edge_order=2) for axis in range(u.shape[-1])]
+    along, across = axes[:2]
+    row = np.count_nonzero(np.unique(x[..., across]) < 0)
+    halves = np.split(u, [row], axis=across)
+    apart = [np.gradient(half, h, axis=across, edge_order=2) for half in halves]
+    behind = sign * x[..., along, None] < 0
+    slopes[across] = np.where(behind, np.concatenate(apart, axis=across), slopes[across])
     return np.stack(slopes, axis=-1)
 
 
@@ -275,13 +249,15 @@ def crack_area(solution: Solution, normal: Sequence[float] | None = None) -> flo
 
 
 def _columns(
-    solution: Solution, normal: Sequence[float] | None
+    solution: Solution, normal: ArrayLike | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Nodes below and above a crack, joined by a bond that it broke, and the normal."""
     body, neighbour, d = solution.operator.body, solution.operator.neighbour, solution.u.shape[1]
     along = np.eye(d)[1] if normal is None else np.asarray(normal, dtype=float)
     if along.shape != (d,) or sorted(np.abs(along)) != [0] * (d - 1) + [1]:
-        raise InputError(f"normal: expected one along an axis, as {(0, 1, 0)[:d]}, got {normal}")
+        raise InputError(
+            f"normal: expected one along an axis, as {(0, 1, 0)[:d]}, got {list(along)}"
+        )
     across = np.abs(body.xi - body.spacing * along).max(axis=1)
     step = int(np.argmin(across))
     if across[step] > 1e-6 * body.spacing:

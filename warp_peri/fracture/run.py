@@ -131,16 +131,15 @@ class CrackRun(Recorder):
             for name, size in sizes.items():
                 if not size:
                     raise InputError(f"{kind} {name}: expected {what}")
-        self.body, self.dt = body, float(step)
+        self.body, self.dt, self.shares = body, float(step), list[float]()
+        self.history = {name: [] for name in LEDGER}
 
     def motion(self, state: BreakingState) -> Motion:
         """What has been recorded, with the end at the nodes of this process."""
-        body, own = self.body, self.nodes.own
-        rows = {name: list[Any]() for name in LEDGER} | self.history
-        history = {name: np.array(each) for name, each in rows.items()}
-        time = history.pop("time")
+        own, (time, history) = self.nodes.own, self.recorded()
         u, v = (field.numpy()[own].copy() for field in (state.u, state.v))
-        return Motion(time, u, v, history, Broken(body.damage(state)[own], body, state))
+        broken = Broken(self.body.damage(state)[own], self.body, state)
+        return Motion(time, u, v, history, broken)
 
     def advance(self, state: BreakingState) -> BreakingState:
         return step(self.body, state, self.dt)
@@ -169,9 +168,9 @@ class CrackRun(Recorder):
         left = self.body.operator.kept(state.links).astype(np.uint8)
         return arrays | {"dissipated": state.dissipated, "whole": state.whole, "left": left}
 
-    def _times(self, steps: int) -> Any:
+    def _times(self, steps: int) -> list[float]:
         """After each of so many steps, as they add up."""
-        return np.cumsum([0.0, *np.full(steps, self.dt)]).tolist()
+        return np.cumsum(np.full(steps, self.dt)).tolist()  # type: ignore[no-any-return]
 
     def key(self, steps: int) -> dict[str, str]:
         body, nodes, lines = self.body, self.nodes, [one.ends for one in self.sections.values()]
@@ -179,9 +178,10 @@ class CrackRun(Recorder):
         names = list(self.sections), list(self.regions), self.watch
         fields = {name: getattr(body, name).numpy() for name in ("load", "held", "grip")}
         fields |= {"nodes": body.body.x, "no_fail": body.no_fail}
+        self.shares += map(body.share, self._times(steps)[len(self.shares) :])
         return {name: nodes.mark(field) for name, field in fields.items()} | {
             "solid": fingerprint(body.solid, body.operator.limits, body.corrected),
-            "load history": fingerprint(list(map(body.share, self._times(steps)[1:]))),
+            "load history": fingerprint(self.shares[:steps]),
             "step": fingerprint(self.dt),
             "records": fingerprint(self.every, names, lines, masks),
         }

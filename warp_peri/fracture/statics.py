@@ -18,15 +18,19 @@ from warp_peri.fracture.bonds import CutRows, bond_matrix, bond_weights, bonds_o
 from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
 from warp_peri.protocols import OperatorBase
-from warp_peri.solvers import direct
 from warp_peri.solvers.conjugate_gradients import SolveRecord, definite
-from warp_peri.solvers.direct import loose_pieces
+from warp_peri.solvers.direct import MatrixProblem, is_definite, loose_pieces, symmetric_factors
 from warp_peri.solvers.solution import CG, Direct, Solution, Solver, refuse_solver
 
 TOLERANCE = 1e-11
 """Of a body that has lost bonds, by the factors that it had before."""
 SYMMETRIC = 1e-9
 """What a stress and its transpose may differ by, over the largest component."""
+INDEFINITE = (
+    "operator: it is not positive definite, with negative eigenvalues on the free nodes; hold the "
+    "body, take λ + μ > 0 and an influence function that bears these cuts (with_positive_kernel "
+    "keeps the moduli)"
+)
 
 
 def in_torch() -> Any:
@@ -100,10 +104,10 @@ class CutSolid(OperatorBase):
                 self._rows = CutRows(self.model, body, self.neighbour, corrected)
             return
         rows = sp.csr_array(self.matrix[~held.ravel()])
-        self._problem = direct.MatrixProblem(rows, ~held, factorise=symmetric_factors)
+        self._problem = MatrixProblem(rows, ~held, factorise=symmetric_factors)
         self.factors = self._problem.factors
-        if not squares:
-            check_definite(self.factors)
+        if not (squares or is_definite(self.factors)):
+            raise InputError(INDEFINITE)
 
     @cached_property
     def matrix(self) -> sp.csr_array:
@@ -212,24 +216,6 @@ class CutSolid(OperatorBase):
         fields = np.reshape(u, (-1, *self.shape))
         energy = (fields * self.times(fields)).sum(axis=(1, 2)) / 2
         return self.body.spacing**self.body.dimension * energy.reshape(np.shape(u)[:-2])[()]
-
-
-def symmetric_factors(matrix: sp.csc_array) -> Any:
-    """Sparse factors of a symmetric matrix, pivots on the diagonal; InputError if singular."""
-    try:
-        return direct.symmetric_factors(matrix)
-    except RuntimeError as error:
-        raise InputError(f"operator: parts of the body hang loose ({error})") from None
-
-
-def check_definite(factors: Any) -> None:
-    """Raise InputError where symmetric_factors show that their operator is not positive definite."""
-    if not direct.is_definite(factors):
-        raise InputError(
-            "operator: it is not positive definite, with negative eigenvalues on the free nodes; "
-            "hold the body, take λ + μ > 0 and an influence function that bears these cuts "
-            "(with_positive_kernel keeps the moduli)"
-        )
 
 
 def by_component(held: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:

@@ -12,8 +12,6 @@ from functools import reduce
 import numpy as np
 import scipy.fft
 
-from warp_peri.core.proof import smallest_eigenvalue
-from warp_peri.core.stencil import Stencil
 from warp_peri.core.sweeps import component
 from warp_peri.mpi.halo import Halo, Tiles
 from warp_peri.mpi.processes import Comm
@@ -22,6 +20,7 @@ from warp_peri.solvers.multigrid import (
     SHIFT,
     VCycle,
     coarser,
+    largest,
     prolong,
     restrict,
     seen_by_coarser,
@@ -138,8 +137,6 @@ def inverse_filter(
 
 WHOLE = 10_000
 """Most nodes of a level that every rank has all of."""
-WAVES = 16
-"""Along an axis, at which the largest eigenvalue of the nearest cells is looked for."""
 
 
 class Between:
@@ -230,12 +227,3 @@ class _Gathered:
         if self._cycle is None:
             return np.zeros_like(r)
         return self._cycle(whole)[:, *self._boxes[self.comm.rank][0]]
-
-
-def largest(steps: np.ndarray, tensors: np.ndarray) -> float:
-    """Largest eigenvalue of a stencil over its diagonal on all of a lattice, hence on any mask."""
-    d = tensors.shape[-1]
-    scale = 1 / np.sqrt(2 * np.diag(tensors.sum(axis=0)))
-    phase = 2 * np.pi / WAVES * np.indices((WAVES,) * d).reshape(d, -1).T
-    symbol = Stencil(1.0, steps, scale[:, None] * tensors * scale).symbol(phase)
-    return -float(smallest_eigenvalue(-symbol).min())

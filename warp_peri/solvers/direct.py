@@ -64,7 +64,9 @@ class MatrixProblem:
             shape [d I, d N].
         interior: unknown nodes, shape [N] bool, or components of them, [N, d].
         factorise: of the unknowns' matrix; RuntimeError for one that is singular.
-        tolerance: largest residual of an answer, over the right-hand side.
+
+    Attributes:
+        left: largest residual of the last answer, over the right-hand side.
     """
 
     def __init__(
@@ -73,20 +75,14 @@ class MatrixProblem:
         interior: np.ndarray,
         *,
         factorise: Callable[[sp.csc_array], Any] = factorised,
-        tolerance: float = RESIDUAL,
     ) -> None:
-        self.tolerance = tolerance
         self.unknown = np.repeat(interior.ravel(), L.shape[1] // interior.size)
-        self.factorise, self.left, self.components = factorise, 0.0, L.shape[1] // len(interior)
+        self.factorise, self.left = factorise, 0.0
+        self.nodes = np.count_nonzero(interior.reshape(len(interior), -1).any(axis=1))
         self.stiffness = sp.csc_array(L[:, self.unknown])
         self.collar = sp.csr_array(L[:, ~self.unknown])
         # A tiny pivot solves its own row exactly: what rounding of L alone would leave counts too.
         self.rounding = np.finfo(float).eps * np.max(abs(L).sum(axis=1), initial=0.0)
-
-    @property
-    def nodes(self) -> int:
-        """Number of unknown nodes I."""
-        return int(self.stiffness.shape[0] // self.components)
 
     def right(self, b: np.ndarray, u: np.ndarray) -> np.ndarray:
         """b − L u of the collar [TPa/Å], one column a sample: shape [d I, S].
@@ -119,7 +115,7 @@ class MatrixProblem:
         size = np.linalg.norm(right, axis=0)
         self.left = float(np.max(wrong / np.where(size > 0, size, np.inf), initial=0.0))
         wrong = np.maximum(wrong, self.rounding * np.linalg.norm(solution, axis=0))
-        if not (wrong <= self.tolerance * size).all():
+        if not (wrong <= RESIDUAL * size).all():
             raise InputError(
                 "the operator on these nodes is singular to working precision: "
                 f"the residual of the solve is {wrong.max():.1e}"

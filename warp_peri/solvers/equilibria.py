@@ -75,8 +75,8 @@ MEMORY = 5
 """Differences that Anderson acceleration mixes."""
 MOST_STEPS, PATIENCE = 60, 8
 """Of the fixed point; it is given up after so many steps without a smaller residual."""
-FIRST_PART, LEAST_PART = 1 / 2, 1 / 64
-"""Of a load and what is given on the collar, that is applied at once where all is too much."""
+LEAST_PART = 1 / 64
+"""Of a load and what is given on the collar, that is applied at once where more is too much."""
 KRYLOV, MANY = 1e-4, 12
 """Residual that conjugate gradients leave of a step's equation; products that make factors of
 another tangent dearer than its own."""
@@ -158,18 +158,14 @@ class Equilibria:
             inner = self._found(*of_share, tolerance, record)
             return inner if record.residual <= tolerance else None
 
-        inner = part(1.0, None)
-        if inner is None:
-            residual = record.residual
-            inner, done, _ = follow(part)
+        field[self.inside], done, parts = follow(part)
+        if done < 1:
+            raise InputError(
+                f"no equilibrium was found beyond {done:.0%} of the load, in {record.solves} "
+                "linear solves; it may be more than the solid bears"
+            )
+        if parts > 1:
             record.method = "parts"
-            if done < 1:
-                raise InputError(
-                    f"no equilibrium was found: residual {residual:.1e} of the right-hand side "
-                    f"after {record.solves} linear solves; the load may be more than the solid "
-                    "bears"
-                )
-        field[self.inside] = inner
         return field, record
 
     def solve_from(
@@ -228,7 +224,7 @@ class Equilibria:
 def follow(
     solve: Callable[[float, np.ndarray | None], np.ndarray | None],
 ) -> tuple[Any, float, int]:
-    """Answers from a share of zero to one, in steps that halve where nothing is found.
+    """Answers from a share of zero to one, at once or in steps that halve where nothing is found.
 
     Args:
         solve: the answer to a share of the load, from a guess by the last two; None where none is
@@ -237,7 +233,7 @@ def follow(
     Returns:
         The last answer, zero where there is none, its share, and the number of steps.
     """
-    done, last, step, steps = 0.0, 0.0, FIRST_PART, 0
+    done, last, step, steps = 0.0, 0.0, 1.0, 0
     now: Any = 0.0
     before = now
     while done < 1 and step >= LEAST_PART:
@@ -320,18 +316,20 @@ def stable_way(
 
     def part(share: float, guess: np.ndarray | None) -> np.ndarray | None:
         of_share = solid.part(share)
-        return down(of_share, of_share.begin() if guess is None else guess)
+        if guess is None:
+            guess = first if share == 1 else of_share.begin()
+        return down(of_share, guess)
 
     first = solid.begin() if start is None else start
-    found = down(solid, first, near=near)
-    if found is not None or near is not None:
+    if near is not None:
+        found = down(solid, first, near=near)
         return found, count, 1, True
-    branch, done, parts = follow(part)
+    found, done, parts = follow(part)
     if done == 1:
-        return branch, count, parts, True
-    for guess in (branch / done, first) if done else (first,):
-        if found is None:
-            found = down(solid, guess, shifts=True)
+        return found, count, parts, True
+    for guess in (found / done, first) if done else (first,):
+        if (found := down(solid, guess, shifts=True)) is not None:
+            break
     return found, count, parts, False
 
 

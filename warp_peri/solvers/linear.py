@@ -84,7 +84,7 @@ class Linear:
         self.by = by
         make: type[ByFFT | ByRows] = ByFFT if by == "fft" else ByRows
         self.pull: Pull = make(self.grid, stencil.steps, stencil.tensors, self.dtype)
-        self._filters: dict[str, Filter] = {}
+        self._filters: dict[str, tuple[Filter, Filter | None]] = {}
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """L of fields [S, N, d] at the interior nodes, [S, I, d]."""
@@ -131,12 +131,10 @@ class Linear:
             return "fft"
         if asked == "sine" and not grid.is_box:
             raise InputError("method: sine is for boxes of nodes; try multigrid")
-        if asked is not None:
-            return asked
-        return cheapest_method(len(grid.interior), box=grid.is_box, loads=0)
+        return asked or cheapest_method(len(grid.interior), box=grid.is_box, loads=0)
 
-    def filter(self, method: str) -> Filter:
-        """z ≈ L_II⁻¹ r of planes [d, *shape], one application."""
+    def filter(self, method: str) -> tuple[Filter, Filter | None]:
+        """z ≈ L_II⁻¹ r of planes [d, *shape], one application; and where a search begins."""
         if method not in self._filters:
             stencil, h2 = self.stencil, self.stencil.spacing**2
             args = self.grid, stencil.steps, stencil.tensors * h2
@@ -152,8 +150,7 @@ class Linear:
                 z = inner(r) * h2
                 return z if edge is None else z - edge(product(z))
 
-            apply.begin = edge  # type: ignore[attr-defined]
-            self._filters[method] = apply
+            self._filters[method] = apply, edge
         return self._filters[method]
 
     def _product(self, field: np.ndarray) -> np.ndarray:
@@ -170,13 +167,13 @@ class Linear:
         """L_II⁻¹ of planes [d, *shape]."""
         if self.dtype != np.float64:
             raise InputError(f"dtype: expected float64 for a solve, got {self.dtype}")
-        apply = self.filter(method)
+        apply, begin = self.filter(method)
         return definite(
             self._product,
             apply,
             right,
             tolerance,
-            begin=getattr(apply, "begin", None),
+            begin=begin,
             where=f" on these {len(self.grid.interior)} nodes",
             hint=f", or so nearly incompressible that {method} does not come close to it: try "
             "strip, or lu where nodes are few",
@@ -199,22 +196,22 @@ class Linear:
         InputError as check_definite for more, and for factors that show that it is not; with
         `definite` false, any factors will do. `stiff` says that λ ≫ μ.
         """
-        nodes, space = len(self.grid.interior), self.grid.dimension == 3
-        about: Any = {"box": self.grid.is_box, "space": space, "loads": loads, "bonds": bonds}
-        how = cheapest_method(nodes, stiff=stiff, **about)
+        grid, nodes = self.grid, len(self.grid.interior)
+        space = grid.dimension == 3
+        how = cheapest_method(
+            nodes, box=grid.is_box, space=space, stiff=stiff, loads=loads, bonds=bonds
+        )
         try:
             self.check_definite()
             if how != "lu":
                 return lambda right, tolerance: self.inverse(right, tolerance)[0]
-            matrix = block(self.stencil, self.grid.mask())
         except InputError:
             if nodes > DIRECT:
                 raise
-            matrix = block(self.stencil, self.grid.mask())
-            if definite and definite_factors(matrix) is None:
+            if definite and definite_factors(block(self.stencil, grid.mask())) is None:
                 raise
-        factors, axes = factorised(matrix), self.grid.axes
-        order = np.argsort(self.grid.interior)  # as they follow one another in the box
+        factors, axes = factorised(block(self.stencil, grid.mask())), grid.axes
+        order = np.argsort(grid.interior)  # as they follow one another in the box
 
         def solved(right: np.ndarray, tolerance: float) -> np.ndarray:
             found = np.empty_like(right)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from tqdm import tqdm
@@ -15,14 +15,15 @@ from warp_peri.files.checkpoint import RunFile
 from warp_peri.files.series import TimeSeriesWriter
 from warp_peri.points.arguments import Count, Natural, typed_methods
 from warp_peri.protocols import is_tensor
+from warp_peri.reprs import Shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
 @typed_methods
-@dataclass(frozen=True, eq=False)
-class Motion:
+@dataclass(frozen=True, eq=False, repr=False)
+class Motion(Shown):
     """A motion, or a load that rises slowly.
 
     Attributes:
@@ -86,20 +87,16 @@ class Motion:
         ax.set(xlabel="time", ylabel=name)
         return ax
 
-    def __repr__(self) -> str:
-        names = ", ".join(self.history) or "none"
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know at a glance: name and value."""
         span = f"{self.time[0]:.4g} to {self.time[-1]:.4g}" if len(self.time) else "no time"
-        return f"Motion\n  records    {len(self.time)}, {span}\n  histories  {names}"
+        names = ", ".join(self.history) or "none"
+        return [("records", f"{len(self.time)}, {span}"), ("histories", names)]
 
 
 class Recorder:
-    """The loop over steps: records, a checkpoint to go on from with the same bits, and files for
-    ParaView.
-
-    A subclass offers, of a state that counts its `steps`: `advance(state)`, the next one;
-    `record(state)`, its time, histories by name, and fields beside u and v for ParaView;
-    `nodal(state)`, arrays on nodes by name, u and v among them; `restored(state, arrays, steps)`
-    of these; and `key(steps)`, marks of what so many steps depend on, by name.
+    """The loop over steps of a state that counts its `steps`: records, a checkpoint to go on from
+    with the same bits, and files for ParaView. What a step is, a subclass says.
 
     Args:
         nodes: of this process, as AllNodes.
@@ -116,6 +113,16 @@ class Recorder:
     """Of checkpoints."""
     phase, ends = 0, True
     """Steps before the first record, and whether the last step is recorded whatever its number."""
+    advance: Callable[[Any], Any]
+    """The next state."""
+    record: Callable[[Any], tuple[float, dict[str, Any], dict[str, Any]]]
+    """Of a state its time, histories by name, and fields beside u and v for ParaView."""
+    nodal: Callable[[Any], dict[str, np.ndarray]]
+    """Arrays of a state on nodes by name, u and v among them."""
+    restored: Callable[[Any, dict[str, np.ndarray], int], Any]
+    """A state with such arrays after so many steps."""
+    key: Callable[[int], dict[str, str]]
+    """Marks of what so many steps depend on, by name."""
 
     def __init__(
         self,
@@ -139,61 +146,61 @@ class Recorder:
         Raises InputError for the checkpoint of another motion, naming what differs, and for fewer
         steps than the checkpoint or the state has behind it.
         """
-        run, file = cast(Any, self), self.file
-        if file is not None:
+        own = self.nodes.own
+        if self.file is not None:
             if not self.start or state.steps == 0:
-                self.start = self.nodes.mark(*run.nodal(state).values(), state.steps)
-            state = self._resumed(file, state, steps)
+                self.start = self.nodes.mark(*self.nodal(state).values(), state.steps)
+            state = self._resumed(self.file, state)
         if state.steps > steps:
             raise InputError(
-                f"steps: expected at least the {state.steps} that the state has taken, got {steps}"
+                f"steps: expected at least the {state.steps} taken before, got {steps}; a shorter "
+                "run needs a state, or a checkpoint, of its own"
             )
         with tqdm(total=steps, initial=state.steps, disable=not progress, unit="step") as bar:
             while state.steps < steps:
-                state = run.advance(state)
+                state = self.advance(state)
                 bar.update()
-                last, own = state.steps == steps, self.nodes.own
+                last = state.steps == steps
                 due = (state.steps - self.phase) % self.every == 0 or (last and self.ends)
                 if due:
-                    time, values, fields = run.record(state)
+                    time, values, fields = self.record(state)
                     for name, value in values.items():
-                        self.history.setdefault(name, []).append(np.asarray(value).tolist())
+                        self.history.setdefault(name, []).append(value)
                     if self.series is not None:
-                        nodal = run.nodal(state)
+                        nodal = self.nodal(state)
                         fields |= {"displacement": nodal["u"][own], "velocity": nodal["v"][own]}
                         self.series.write(state.steps, time, fields)
-                if file and (last or (due and len(self.history["time"]) % self.often == 0)):
-                    arrays = {name: one[own] for name, one in run.nodal(state).items()}
-                    file.write(arrays, self._content(state.steps))
+                if self.file and (last or (due and len(self.history["time"]) % self.often == 0)):
+                    arrays = {name: one[own] for name, one in self.nodal(state).items()}
+                    history = {name: np.array(rows).tolist() for name, rows in self.history.items()}
+                    times = {} if self.series is None else self.series.times
+                    content = {"steps": state.steps, "key": self._key(state.steps)}
+                    self.file.write(arrays, content | {"history": history, "files": times})
         return state
 
-    def _content(self, steps: int) -> dict[str, Any]:
-        """What a checkpoint holds beside arrays."""
-        key = cast(Any, self).key(steps) | {"start": self.start}
-        times = {} if self.series is None else self.series.times
-        return {"steps": steps, "key": key, "history": self.history, "files": times}
+    def recorded(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """The times of the records, and the histories by name."""
+        history = {name: np.array(rows) for name, rows in self.history.items()}
+        return history.pop("time"), history
 
-    def _resumed(self, file: RunFile, state: Any, steps: int) -> Any:
+    def _key(self, steps: int) -> dict[str, str]:
+        return self.key(steps) | {"start": self.start}
+
+    def _resumed(self, file: RunFile, state: Any) -> Any:
         """The state to go on from, which is the checkpoint's where there is one."""
-        if (kept := file.read(*cast(Any, self).nodal(state))) is None:
+        if (kept := file.read(*self.nodal(state))) is None:
             return state
         arrays, content = kept
         taken, known = content["steps"], content["key"]
-        own = self._content(taken)["key"]
-        if differ := [name for name, mark in own.items() if known.get(name) != mark]:
+        if differ := [name for name, mark in self._key(taken).items() if known.get(name) != mark]:
             raise InputError(
                 f"{file.path}: expected a checkpoint of this motion, got another's; what differs: "
                 f"{', '.join(differ)}"
             )
-        if taken > steps:
-            raise InputError(
-                f"{file.path}: expected at least the {taken} steps of the checkpoint, got {steps}; "
-                "name another file for a shorter run"
-            )
         self.history = content["history"]
         if self.series is not None:
             self.series.times = content["files"]
-        return cast(Any, self).restored(state, arrays, taken)
+        return self.restored(state, arrays, taken)
 
 
 def refuse_learning(problem: Any, options: dict[str, Any], verb: str) -> None:

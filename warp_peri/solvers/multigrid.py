@@ -16,6 +16,7 @@ import scipy.sparse as sp
 from scipy.ndimage import distance_transform_cdt
 
 from warp_peri.core.grid import Grid
+from warp_peri.core.proof import smallest_eigenvalue
 from warp_peri.core.stencil import Stencil, q1_tensors
 from warp_peri.core.sweeps import ByRows, convolved, inverse, torus_shape, torus_symbol
 from warp_peri.runtime import get_num_threads
@@ -69,9 +70,10 @@ SINE_SHIFT, SHIFT = 0.4, 1.0
 """Of the short-range filters beside the sine transform and beside multigrid, in shear moduli."""
 COARSEST = 400
 """Most nodes of a level that is factorised, as what is one or two nodes wide always is."""
-DEGREE, SMOOTHED = 2, 4.0
-"""Of the Chebyshev smoother, which covers eigenvalues from 1/SMOOTHED of the largest."""
-POWER_STEPS = 12
+SMOOTHED = 4.0
+"""The Chebyshev smoother, of degree two, covers eigenvalues from 1/SMOOTHED of the largest."""
+WAVES = 16
+"""Along an axis, at which the largest eigenvalue of the nearest cells is looked for."""
 
 
 def shear(elastic: np.ndarray) -> float:
@@ -180,11 +182,10 @@ def restrict(field: np.ndarray) -> np.ndarray:
     """Pᵗ: sums of planes [d, …] with weights 1 and 1/2 along each axis around the coarser nodes."""
     for axis in range(1, field.ndim):
         moved = np.moveaxis(field, axis, 0)
-        odd, even = moved[1::2], moved[0::2]
-        n = len(odd)
-        summed = odd + 0.5 * even[:n]
-        after = min(n, len(even) - 1)
-        summed[:after] += 0.5 * even[1 : after + 1]
+        n = len(moved) // 2
+        summed = moved[1::2] + 0.5 * moved[0 : 2 * n : 2]
+        after = moved[2::2]
+        summed[: len(after)] += 0.5 * after
         field = np.moveaxis(summed, 0, axis)
     return field
 
@@ -194,13 +195,21 @@ def prolong(field: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     for axis in range(1, field.ndim):
         moved = np.moveaxis(field, axis, 0)
         fine = np.zeros((shape[axis - 1], *moved.shape[1:]), field.dtype)
-        n = len(moved)
         fine[1::2] = moved
-        fine[0 : 2 * n : 2] += 0.5 * moved
-        after = len(fine[2::2])
-        fine[2::2] += 0.5 * moved[:after]
+        fine[0 : 2 * len(moved) : 2] += 0.5 * moved
+        after = fine[2::2]
+        after += 0.5 * moved[: len(after)]
         field = np.moveaxis(fine, 0, axis)
     return field
+
+
+def largest(steps: np.ndarray, tensors: np.ndarray) -> float:
+    """Largest eigenvalue of a stencil over its diagonal on all of a lattice, hence on any mask."""
+    d = tensors.shape[-1]
+    scale = 1 / np.sqrt(2 * np.diag(tensors.sum(axis=0)))
+    phase = 2 * np.pi / WAVES * np.indices((WAVES,) * d).reshape(d, -1).T
+    symbol = Stencil(1.0, steps, scale[:, None] * tensors * scale).symbol(phase)
+    return -float(smallest_eigenvalue(-symbol).min())
 
 
 class VCycle:
@@ -217,7 +226,7 @@ class VCycle:
         if np.count_nonzero(mask) <= COARSEST or min(mask.shape) < 3:
             self.factors = symmetric_factors(block(Stencil(1.0, steps, tensors), mask))
             return
-        self.largest = self._largest()
+        self.largest = largest(steps, tensors)
         coarse = coarser(mask)
         if coarse.any():
             self.coarser = VCycle(steps, tensors * 2.0 ** (mask.ndim - 2), coarse)
@@ -248,31 +257,16 @@ class VCycle:
         inner = (0, slice(None)) + (slice(1, -1),) * self.mask.ndim
         return np.asarray(self.rows(self.around(field)[None])[inner])
 
-    def _largest(self) -> float:
-        """Largest eigenvalue of the operator over its diagonal, with a margin."""
-        x = np.random.default_rng(0).normal(size=(self.mask.ndim, *self.shape)) * self.mask
-        size = 1.0
-        for _ in range(POWER_STEPS):
-            x = self.product(x) / self.diagonal
-            size = float(np.linalg.norm(x))
-            x /= size
-        return 1.1 * size
-
     def _smoothed(self, r: np.ndarray, z: np.ndarray | None) -> np.ndarray:
-        """Chebyshev iterations of the operator over its diagonal, from z or from zero."""
-        high, low = self.largest, self.largest / SMOOTHED
-        middle, radius = (high + low) / 2, (high - low) / 2
+        """Two Chebyshev iterations of the operator over its diagonal, from z or from zero."""
+        middle, radius = (self.largest * (1 + sign / SMOOTHED) / 2 for sign in (1, -1))
         left = r if z is None else r - self.product(z)
         step = left / self.diagonal / middle
         z = step if z is None else z + step
-        last = radius / middle
-        for _ in range(DEGREE - 1):
-            now = 1 / (2 * middle / radius - last)
-            left = r - self.product(z)
-            step = now * last * step + 2 * now / radius * (left / self.diagonal)
-            z = z + step
-            last = now
-        return z
+        now = 1 / (2 * middle / radius - radius / middle)
+        left = r - self.product(z)
+        step = now * (radius / middle * step + 2 / radius * (left / self.diagonal))
+        return np.asarray(z + step)
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
         """z ≈ A⁻¹ r for r zero outside the mask."""

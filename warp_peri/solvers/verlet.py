@@ -282,8 +282,7 @@ class WaveRun(Recorder):
         self, nodes: Any, body: Inert, dt: float, seen: np.ndarray | None = None, **files: Any
     ) -> None:
         super().__init__(nodes, body.operator.points.x, **files)
-        self.body, self.dt, self.seen = body, dt, seen
-        self.records, self.bent = list[np.ndarray](), 0.0
+        self.body, self.dt, self.seen, self.bent = body, dt, seen, 0.0
 
     def advance(self, state: State) -> State:
         self.before = state
@@ -295,9 +294,9 @@ class WaveRun(Recorder):
         energy = body.dot(body.inertia / 2 * half, half) + body.potential(before, state)
         if hasattr(operator, "largest_gradient"):
             self.bent = max(self.bent, float(operator.largest_gradient(state.u)))
-        if self.seen is not None:
-            self.records.append((before.u[self.seen] + state.u[self.seen]) / 2)
         values = {"time": (before.steps + 0.5) * self.dt, "energy": energy / body.count}
+        if self.seen is not None:
+            values["u"] = (before.u[self.seen] + state.u[self.seen]) / 2
         return state.steps * self.dt, values, {}
 
     def nodal(self, state: State) -> dict[str, np.ndarray]:
@@ -325,10 +324,7 @@ class WaveRun(Recorder):
                 f"step: the motion grew without bound in {state.steps} steps; shorten it"
             )
         operator: Any = self.body.operator
-        history = {name: np.array(one) for name, one in self.history.items()}
-        time = history.pop("time")
-        if self.seen is not None:
-            history["u"] = np.array(self.records)
+        time, history = self.recorded()
         if self.bent:
             proven = operator.model.proven_strain(operator.points.spacing)
             if self.bent > proven > 0:
