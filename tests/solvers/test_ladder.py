@@ -1,14 +1,13 @@
 """The solver ladder: every method gives the same answer, or says why there is none."""
 
 from dataclasses import replace
-from typing import get_args
 
 import numpy as np
 import pytest
 import torch
 
 from tests.support.clouds import cloud
-from tests.support.problems import difference, ell, kernel, lattice, manufactured, noise
+from tests.support.problems import difference, kernel, lattice, manufactured, noise
 from tests.support.solving import solve
 from tools.benchmark import MODEL_FILE as TABLE
 from tools.benchmark import lattice_of as problem
@@ -16,7 +15,6 @@ from tools.benchmark import loads, mask_of
 from warp_peri import CG, Direct, InputError, LPSMaterial
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.solvers.multigrid import prolong, restrict
-from warp_peri.solvers.solution import Preconditioner
 
 HORIZON = 3.0
 
@@ -29,15 +27,13 @@ def notched(n=40):
     return mask
 
 
-@pytest.mark.parametrize("name", ["sign-changing"])
 @pytest.mark.parametrize("method", ["sine", "multigrid", "strip"])
-def test_iterative_solves_recover_a_manufactured_solution(name, method):
-    model = kernel(name, HORIZON, lam=-0.2)
+def test_iterative_solves_recover_a_manufactured_solution(method):
+    model = kernel("sign-changing", HORIZON, lam=-0.2)
     mask = np.ones((23, 31), bool) if method == "sine" else notched()
     points = lattice(mask, HORIZON, angle=0.4, origin=(3.0, -8.0))
-    points = manufactured(model, points, 2)
+    points, records = manufactured(model, points, 2), []
     assert np.abs(points.u[:, ~points.interior]).max() > 0.1
-    records = []
     collar = np.where(points.interior[:, None], np.nan, points.u)
     load = np.where(points.interior[:, None], points.b, np.nan)
     iteration = dict(tolerance=1e-11, records=records)
@@ -45,8 +41,7 @@ def test_iterative_solves_recover_a_manufactured_solution(name, method):
     np.testing.assert_allclose(solved, points.u, rtol=0, atol=2e-8)
     left = (model.on(points)(solved) - points.b[:, points.interior]).reshape(2, -1)
     assert len(records) == 2
-    assert all(record.residual <= 1e-11 for record in records)
-    assert all(record.iterations > 1 for record in records)
+    assert all(record.residual <= 1e-11 and record.iterations > 1 for record in records)
     size = np.linalg.norm(points.b[:, points.interior].reshape(2, -1), axis=1)
     assert (np.linalg.norm(left, axis=1) < 1e-9 * size).all()  # by the sweeps, not the stencil
 
@@ -115,18 +110,11 @@ def test_an_indefinite_operator_is_named_by_every_method():
             model.on(points).solve(*fields, Direct() if method == "lu" else CG(method))
 
 
-@pytest.mark.parametrize(("method", "lam"), [("sine", 0.3)])
-def test_a_tolerance_out_of_reach_is_an_error(method, lam):
+def test_a_tolerance_out_of_reach_is_an_error():
     points = lattice(12, HORIZON)
+    given, how = (points, noise(points), noise(points)), dict(tolerance=1e-17)
     with pytest.raises(InputError, match="the solve stalled: residual"):
-        solve(
-            kernel("1/r", HORIZON, lam=lam),
-            points,
-            noise(points),
-            noise(points),
-            method=method,
-            iteration=dict(tolerance=1e-17),
-        )
+        solve(kernel("1/r", HORIZON, lam=0.3), *given, method="sine", iteration=how)
 
 
 def test_methods_that_do_not_fit_are_refused():
@@ -135,21 +123,15 @@ def test_methods_that_do_not_fit_are_refused():
     zero = np.zeros((len(points.x), 2))
     with pytest.raises(InputError, match="sine is for boxes"):
         solve(model, points, zero, zero, method="sine")
-    with pytest.raises(InputError, match="preconditioner: expected one of multigrid"):
-        CG("jacobi")
     cut = replace(points, outside=np.zeros(len(points.x), bool))
     with pytest.raises(InputError, match="is for lattices without a box"):
         solve(model, cut, zero, zero, method="multigrid")
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
-@pytest.mark.parametrize("method", ["multigrid", "scattered"])
-def test_the_implicit_gradient_is_that_of_differences(method):
-    """To all numbers along one direction, by every way of solving; others are in the table."""
-    points = lattice(ell(), HORIZON, angle=0.3)
-    solver = CG(method, tolerance=1e-12) if method in get_args(Preconditioner) else Direct()
-    if method == "scattered":  # whose operator is not symmetric
-        points = cloud(4, HORIZON, 0.1)
+def test_the_implicit_gradient_of_an_unsymmetric_operator_is_that_of_differences():
+    """To all numbers along one direction, on scattered points; others are in the table."""
+    points = cloud(4, HORIZON, 0.1)
     b, u, weight = (torch.from_numpy(noise(points, seed=seed)) for seed in (1, 2, 3))
     model = LPSMaterial(0.3, 0.8, 1.3, [1.0, 0.5, -0.2], HORIZON)
     operator = model.on(points, allow_uncertified=True)
@@ -158,7 +140,7 @@ def test_the_implicit_gradient_is_that_of_differences(method):
 
     def value(numbers):
         of = dict(zip(operator.learnable, numbers))
-        return (weight * operator.solve(b, u, solver, parameters=of).u).sum()
+        return (weight * operator.solve(b, u, Direct(), parameters=of).u).sum()
 
     leaves = [own.clone().requires_grad_() for own in start]
     told = sum((g * way).sum() for g, way in zip(torch.autograd.grad(value(leaves), leaves), ways))

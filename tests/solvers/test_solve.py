@@ -101,12 +101,11 @@ def test_a_collar_that_is_too_thin_is_refused():
         solve(kernel("1/r", HORIZON), points, zero, zero)
 
 
-@pytest.mark.parametrize("size", [1e-9])
-def test_a_constant_load_moves_nothing_on_a_period(size):
+def test_a_constant_load_moves_nothing_on_a_period():
     crystal = learned(2)
     for law, spacing in ((kernel("1/r", HORIZON), 1.0), (crystal, crystal.spacing)):
         points = Points.sheet((20, 20), spacing)
-        b = size * np.array([0.1, -0.37]) * np.ones_like(points.x)
+        b = 1e-9 * np.array([0.1, -0.37]) * np.ones_like(points.x)
         answer = at_rest(law, Periodic(points, b))
         assert np.array_equal(answer.u, np.zeros_like(b))
         assert answer.residual == 0

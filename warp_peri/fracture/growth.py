@@ -57,12 +57,8 @@ def grow(
     Raises InputError as CutSolid, and for another `no_fail`.
     """
     check_breakable(model, body.classes)
-    table, rows, end = (
-        cracked(body, cracks),
-        list[tuple[float, float, int]](),
-        np.zeros_like(body.x),
-    )
-    cut, safe = None, check_no_fail(no_fail, len(body.x))
+    table, rows = cracked(body, cracks), list[tuple[float, float, int]]()
+    end, safe = np.zeros_like(body.x), check_no_fail(no_fail, len(body.x))
     node, bond = np.nonzero(table >= 0)
     far, xi, square = table[node, bond], body.xi[bond], body.r[bond] ** 2
     safe, near = safe[node] | safe[far], None

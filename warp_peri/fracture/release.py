@@ -142,10 +142,9 @@ def _tip_field(x: np.ndarray, model: LPSMaterial) -> np.ndarray:
 def j_integral(solution: Solution, tip: Sequence[float], radii: tuple[float, float]) -> float:
     """J around the tip of a crack along an axis, for its growth straight on, by a domain (C12).
 
-    Gradients are differences on a full box of nodes, one-sided across the crack; the weight falls
-    from 1 to 0 between two squares about the tip. In space these are cubes about a point of the
-    front, which runs straight along an axis within the larger one, and J is the mean over what is
-    in it.
+    Gradients are differences, one-sided across the crack; the weight falls from 1 to 0 between two
+    squares about the tip. In space these are cubes about a point of a front that is straight within
+    the larger one, and J is the mean over what is in it.
 
     Args:
         solution: of a Cracked on a rectangle or box of nodes, of one material, with the crack
@@ -160,21 +159,21 @@ def j_integral(solution: Solution, tip: Sequence[float], radii: tuple[float, flo
         raise InputError("solution: expected that of a Cracked, of one material, isotropic")
     model, body = solution.operator.model, solution.operator.body
     h, d = body.spacing, body.dimension
-    place = checked("tip", tip, float, (d,))
+    end = checked("tip", tip, float, (d,))
     r1, r2 = np.rint(checked("radii", radii, float, (2,)) / h) * h
-    room = np.minimum(place - body.x.min(axis=0), body.x.max(axis=0) - place).min() + 1e-9 * h
+    room = np.minimum(end - body.x.min(axis=0), body.x.max(axis=0) - end).min() + 1e-9 * h
     if not 0 <= r1 < r2 <= room:
         raise InputError(
             f"radii: expected 0 ≤ smaller < larger by a spacing of {h:g} or more, up to {room:g} "
             f"to the edge, got {radii[0]:g}, {radii[1]:g}"
         )
-    number = np.rint((body.x - body.x.min(axis=0)) / h).astype(int)
-    sides = number.max(axis=0) + 1
+    place = np.rint((body.x - body.x.min(axis=0)) / h).astype(int)
+    sides = place.max(axis=0) + 1
     if np.prod(sides) != len(body.x):
         raise InputError("body: expected a full box of nodes for J")
-    axes, sign = _crack_axes(solution, place, r2)
-    order = np.lexsort(number.T[::-1])
-    x, u = (field[order].reshape(*sides, d) for field in (body.x - place, solution.u))
+    axes, sign = _crack_axes(solution, end, r2)
+    order = np.lexsort(place.T[::-1])
+    x, u = (field[order].reshape(*sides, d) for field in (body.x - end, solution.u))
     gradient = _gradient(u, x, h, axes, sign)
     strain = (gradient + gradient.swapaxes(-1, -2)) / 2
     trace = np.trace(strain, axis1=-2, axis2=-1)[..., None, None]
@@ -187,10 +186,10 @@ def j_integral(solution: Solution, tip: Sequence[float], radii: tuple[float, flo
     around, along = away[..., :2].max(axis=-1), away[..., 2:].max(axis=-1, initial=0.0)
     pull = np.einsum("...ij,...i->...j", stress, gradient[..., axes[0]])
     pull[..., axes[0]] -= (stress * strain).sum(axis=(-1, -2)) / 2
-    for number, axis in enumerate(axes):
-        far = away[..., number]
+    for n, axis in enumerate(axes):
+        far = away[..., n]
         slope = (fall(far + h / 2) - fall(far - h / 2)) / h  # of cells: a tip stands anywhere
-        felt = fall(around) if number == 2 else fall(along) * (away[..., :2].argmax(-1) == number)
+        felt = fall(around) if n == 2 else fall(along) * (away[..., :2].argmax(axis=-1) == n)
         total += (pull[..., axis] * np.sign(x[..., axis]) * slope * felt).sum()
     front = fall(along).sum() / np.prod(sides[axes[:2]]) * h ** (d - 2)
     return float(sign * total * h**d / front)
@@ -206,9 +205,7 @@ def _crack_axes(solution: Solution, tip: np.ndarray, reach: float) -> tuple[list
         cut.append(away[(np.abs(np.delete(away, axis, axis=1)) <= reach).all(axis=1)])
     across = int(np.argmax([len(away) for away in cut]))
     if not len(cut[across]):
-        raise InputError(
-            f"tip: expected one that a crack along an axis ends in, got {tip.tolist()}"
-        )
+        raise InputError(f"tip: expected the end of a crack along an axis, got {tip.tolist()}")
     behind = np.where(np.arange(d) == across, 0.0, cut[across].mean(axis=0))
     along = int(np.abs(behind).argmax())
     rest = [axis for axis in range(d) if axis not in (along, across)]
@@ -220,7 +217,7 @@ def _gradient(u: np.ndarray, x: np.ndarray, h: float, axes: list[int], sign: flo
     shape [n₁, n₂, …, d, d]."""
     slopes = [np.gradient(u, h, axis=axis, edge_order=2) for axis in range(u.shape[-1])]
     along, across = axes[:2]
-    row = np.count_nonzero(np.unique(x[..., across]) < 0)
+    row = round(float((x[..., across] < 0).mean()) * x.shape[across])
     halves = np.split(u, [row], axis=across)
     apart = [np.gradient(half, h, axis=across, edge_order=2) for half in halves]
     behind = sign * x[..., along, None] < 0

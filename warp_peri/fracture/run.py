@@ -122,15 +122,11 @@ class CrackRun(Recorder):
             self.sections = {
                 name: Section(body, line, nodes.own) for name, line in (sections or {}).items()
             }
-        self._size = {name: int(comm.allreduce(int(m.sum()))) for name, m in self.regions.items()}
-        crossed = {name: comm.allreduce(one.count) for name, one in self.sections.items()}
-        for kind, sizes, what in (
-            ("region", self._size, "one node or more, got none"),
-            ("section", crossed, "a line that bonds cross, got another"),
-        ):
-            for name, size in sizes.items():
-                if not size:
-                    raise InputError(f"{kind} {name}: expected {what}")
+        counts = {f"region {name}": int(mask.sum()) for name, mask in self.regions.items()}
+        counts |= {f"section {name}": one.count for name, one in self.sections.items()}
+        self._size = {name: comm.allreduce(count) for name, count in counts.items()}
+        if empty := [name for name, size in self._size.items() if not size]:
+            raise InputError(f"{empty[0]}: expected nodes, or a line that bonds cross, got none")
         self.body, self.dt, self.shares = body, float(step), list[float]()
         self.history = {name: [] for name in LEDGER}
 
@@ -149,8 +145,8 @@ class CrackRun(Recorder):
         found: dict[str, Any] = dict(zip(LEDGER, body.ledger(state, nodes)))
         for name, mask in self.regions.items():
             for kind, field in (("u", state.u), ("v", state.v)):
-                mean = nodes.sum(field.numpy()[nodes.own][mask]) / self._size[name]
-                found[f"{kind} {name}"] = mean
+                total = nodes.sum(field.numpy()[nodes.own][mask])
+                found[f"{kind} {name}"] = total / self._size[f"region {name}"]
         cell = body.body.spacing**body.body.dimension
         for name, across in self.sections.items():
             found[f"force {name}"] = cell * nodes.sum(across.carried(state))

@@ -113,10 +113,11 @@ class NonlinearRecord:
     eigenvalue: float | None = None
 
 
+@dataclass(frozen=True, eq=False)
 class Equilibria:
     """Where a force on the interior is a load, for many loads.
 
-    Args:
+    Attributes:
         force: of a field of all nodes.
         straight: the same of the solid at rest.
         inverse: of the solid at rest, of a load on the interior.
@@ -124,16 +125,11 @@ class Equilibria:
         clipped: gives the force with gradients clipped to a proven strain, where one is.
     """
 
-    def __init__(
-        self,
-        force: Force,
-        straight: Force,
-        inverse: Inverse,
-        inside: np.ndarray,
-        clipped: Callable[[], Force] | None = None,
-    ) -> None:
-        self.force, self.straight, self.inverse = force, straight, inverse
-        self.inside, self._clipped = inside, clipped
+    force: Force
+    straight: Force
+    inverse: Inverse
+    inside: np.ndarray
+    clipped: Callable[[], Force] | None = None
 
     def solve(
         self, load: np.ndarray, given: np.ndarray, tolerance: float
@@ -207,9 +203,9 @@ class Equilibria:
         v, size, rough = begin, np.inf, partial(correction, ROUGH)
         if mixes:
             v, size = anderson(left, rough, begin, tolerance)
-            if size > tolerance and self._clipped is not None:
+            if size > tolerance and self.clipped is not None:
                 record.method = "clipped"
-                v, _ = anderson(partial(left, force=self._clipped()), rough, begin, tolerance)
+                v, _ = anderson(partial(left, force=self.clipped()), rough, begin, tolerance)
                 size = HERE.norm(left(v))
         if not size <= tolerance:
             record.method = "newton"
@@ -283,7 +279,9 @@ def anderson(
         if len(steps) > 1:
             by_step = np.stack([earlier - steps[-1] for earlier in steps[:-1]], axis=-1)
             by_field = np.stack([earlier - fields[-1] for earlier in fields[:-1]], axis=-1)
-            u = u + (by_step + by_field) @ _mixture(by_step, steps[-1])
+            flat = by_step.reshape(-1, by_step.shape[-1])
+            share = np.linalg.lstsq(flat, -steps[-1].ravel(), rcond=1e-12)[0]
+            u = u + (by_step + by_field) @ share
     return best
 
 
@@ -396,12 +394,6 @@ def _searched(
                 return ahead, turned
         part /= 2
     return None
-
-
-def _mixture(differences: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """How much of differences [..., k] comes closest to minus a step, shape [k]."""
-    flat = differences.reshape(-1, differences.shape[-1])
-    return np.asarray(np.linalg.lstsq(flat, -step.ravel(), rcond=1e-12)[0])
 
 
 def equilibria_of(
