@@ -14,7 +14,7 @@ from scipy.sparse.linalg import splu
 from tqdm import tqdm
 
 from warp_peri.core.torch_bridge import as_tensor as as_tensor
-from warp_peri.core.torch_bridge import linear, nonlinear, real, refuse_tangents
+from warp_peri.core.torch_bridge import linear, nonlinear, real, refuse_tangents, with_numbers
 from warp_peri.errors import InputError, warn
 from warp_peri.fracture.body import LatticeBody, cracked, section
 from warp_peri.fracture.bonds import bonds_of, check_breakable, stretch_matrix, stretch_rows
@@ -199,27 +199,26 @@ class SoftBody:
                 f"{loads.tolist()}"
             )
         levers = torch.from_numpy(self.levers(line))
-        asked = parameters is not None or is_tensor(u)
-        soft, given, *law = self._learned(u, dict(parameters or {}), asked)
+        soft, asked, given, *law = self._learned(u, parameters)
         start = checked("u", given.detach().numpy(), float, self.held.shape).ravel()
         given = torch.where(torch.from_numpy(self.held), given, 0.0).ravel()
         damage = [torch.ones(len(levers)).double(), torch.zeros(len(levers)).double()]
         field, before, rows, forces = given, 0.0, list[tuple[float, int]](), list[Any]()
-        unstable, warned = False, False
+        unstable = list[float]()
         for load in tqdm(loads.tolist(), disable=not progress, unit="load"):
             at = field.detach().numpy() * (load / before) if before else load * start
             at = np.where(self.free, at, load * given.detach().numpy())
             try:
                 field, s = soft._settled(at, load * given, damage, law)
                 share, worst = damage
-                if asked and not warned:
-                    was, unstable = unstable, not soft._stable(s.detach(), worst, share.detach())
-                    if warned := was and unstable:
+                if asked and len(unstable) < 2:
+                    stable = soft._stable(s.detach(), worst, share.detach())
+                    unstable = [] if stable else [*unstable, load]
+                    if len(unstable) == 2:
                         warn(
-                            f"loads {before:g} and {load:g}: the body stays unstable (its tangent "
-                            "with failing bonds has a negative eigenvalue), so that small changes "
-                            "may tear it another way; derivatives from here on are those of this "
-                            "path, and may be larger by orders. End the loads before"
+                            f"loads {before:g} and {load:g}: the body stays unstable, so that "
+                            "small changes may tear it another way; derivatives from here on are "
+                            "of this path, and may be larger by orders. End the loads before"
                         )
                 forces.append((levers * share * pull_of(s, law[0], torch)).sum())
             except InputError as error:
@@ -256,28 +255,31 @@ class SoftBody:
             change, damage[:] = float((share - lasting).max().detach()), (lasting, worst)
         return field, s
 
-    def _learned(self, u: Any, numbers: dict[str, Any], asked: bool) -> tuple[Any, ...]:
-        """The body with these numbers, and u, softness, stretch and tail, of which second
-        derivatives are refused."""
-        own = vars(self.law) | numbers
-        if own.keys() != vars(self.law).keys():
-            names = ", ".join(vars(self.law))
-            raise InputError(f"parameters: expected {names}, got {', '.join(numbers)}")
-        given, *law = (real(name, value) for name, value in {"u": u, **own}.items())
-        refuse_tangents(given, *law)
-        for name, value in zip(own, law):
-            if value.numel() != 1:
-                raise InputError(f"{name}: expected one number, got shape {list(value.shape)}")
+    @property
+    def learnable(self) -> dict[str, float]:
+        """The numbers of the law by name."""
+        return vars(self.law)
+
+    def at(self, numbers: Mapping[str, Any]) -> SoftBody:
+        """The same body with other numbers of its law."""
         soft = copy(self)
-        soft.law = BondLaw(*(float(value.detach()) for value in law))
+        soft.law = BondLaw(**{name: float(value) for name, value in numbers.items()})
+        return soft
+
+    def _learned(self, u: Any, parameters: Mapping[str, Any] | None) -> tuple[Any, ...]:
+        """The body with these numbers, whether derivatives are asked for, and u, softness, stretch
+        and tail, of which second ones are refused."""
+        asked = parameters is not None or is_tensor(u)
+        soft, numbers = with_numbers(self, parameters or {})
         if asked and soft.law.tail == 0:
             raise InputError(
                 "tail: expected > 0 for a gradient, which bonds that break at once lack"
             )
-        once = (
-            nonlinear(lambda x: x, None, (lambda x, upstream: upstream,), x) for x in (given, *law)
-        )
-        return soft, *once
+        refuse_tangents(u)
+        own = (numbers.get(name, real(name, value)) for name, value in soft.learnable.items())
+        of = (lambda x, upstream: upstream,)
+        once = (nonlinear(lambda x: x, None, of, x) for x in (real("u", u), *own))
+        return soft, asked, *once
 
     def _stretch(self, u: torch.Tensor) -> torch.Tensor:
         """s of each bond at u, flat [d N]."""

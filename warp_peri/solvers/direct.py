@@ -26,18 +26,15 @@ def factorised(matrix: sp.csc_array) -> Any:
     apart = abs(matrix - matrix.T)
     if apart.nnz and apart.max() > SYMMETRIC * abs(matrix).max():
         return splu(matrix)
+    return symmetric_factors(matrix, PIVOT)
+
+
+def symmetric_factors(matrix: sp.sparray | sp.spmatrix, pivot: float = 0.0) -> Any:
+    """Sparse factors with pivots on the diagonal, down to a share of the largest of their column.
+    Raises RuntimeError for a singular matrix."""
     options = {"SymmetricMode": True}
-    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=PIVOT, options=options)
-
-
-def symmetric_factors(matrix: sp.sparray | sp.spmatrix) -> Any:
-    """Sparse factors with pivots on the diagonal. Raises RuntimeError for a singular matrix."""
-    return splu(
-        sp.csc_matrix(matrix),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
+    how = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": pivot, "options": options}
+    return splu(sp.csc_matrix(matrix), **how)
 
 
 def is_definite(factors: Any) -> bool:

@@ -258,13 +258,12 @@ class Solution(Shown):
         """Positions and displacement of one sample."""
         x = self.details.rim.mesh.x if self.points is None else self.points.x
         u = self._values
-        several = u.ndim == 3 or (u.ndim == 2 and u.shape != x.shape)
-        if not several:
-            return x, u
-        try:
-            return x, u[operator.index(sample)]
-        except (IndexError, TypeError):
-            raise InputError(f"sample: expected one of {len(u)}, got {sample!r:.60}") from None
+        if u.ndim == 3 or (u.ndim == 2 and u.shape != x.shape):
+            try:
+                u = u[operator.index(sample)]
+            except (IndexError, TypeError):
+                raise InputError(f"sample: expected one of {len(u)}, got {sample!r:.60}") from None
+        return x, u
 
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value."""
