@@ -36,7 +36,6 @@ class FlowOperator(OperatorBase):
     """
 
     is_linear = True
-    what: ClassVar[str]
     matrix: sp.csr_array
     march = stepped  # ∂φ/∂t = −L φ + b by implicit steps (theory, Di4)
 
@@ -73,7 +72,7 @@ class FlowOperator(OperatorBase):
         Raises InputError for other shapes, values that are not finite, a matrix that is singular,
         as of a piece that nothing touches, or has eigenvalues below zero.
         """
-        refuse_solver(solver, (Direct,), self.what)
+        refuse_solver(solver, (Direct,), "what flows")
         b, given = checked_fields(self.points, b, u, self.shape)
         self.interior_tangent(None)  # refuses what would grow
         problem = MatrixProblem(self.matrix, self.points.interior)
@@ -99,7 +98,6 @@ class DiffusionOperator(FlowOperator):
     Raises InputError for a conductivity not > 0, or points that do not carry the horizon.
     """
 
-    what = "diffusion"
     implicit = 0.5
 
     def __init__(

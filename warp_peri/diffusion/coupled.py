@@ -95,7 +95,6 @@ class CoupledOperator(FlowOperator):
     zero, and as DiffusionOperator.
     """
 
-    what = "a coupled solid"
     implicit = 1.0
 
     def __init__(
