@@ -1,130 +1,105 @@
 """Figures, metrics and report of the graphene example."""
 
-from collections.abc import Mapping
+import json
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 from examples.figures import panels, save_figure
-from examples.prose import fill, table
-from warp_peri import Dirichlet, LPSMaterial, Samples, plots, solve
+from examples.prose import table
+from warp_peri import Dirichlet, Samples, plots, solve
 from warp_peri.files.atomic import write_text
 from warp_peri.fitting.evaluate import Run
-from warp_peri.fitting.result import Fit
+from warp_peri.materials.third_order import CUBIC
 
-PAPER = {
-    "You et al. 2021, LPS": {
-        "E_res": {"train": 9.81, "val": 13.28},
-        "E_u": {"train": 11.72, "val": 7.16, "test": 6.75},
-    },
-    "Jafarzadeh et al. 2024, PNO": {
-        "E_res": {"train": 7.89, "val": 10.23},
-        "E_u": {"train": 10.00, "val": 2.78, "test": 3.80},
-    },
-}
-"""Errors printed in the papers at h = 5 Å, δ = 20 Å, 0 K [%]."""
-
-PAPER_300K = {
-    "You et al. 2021, LPS, 300 K": {
-        "E_res": {"train": 9.82, "val": 18.08},
-        "E_u": {"train": 13.16, "val": 8.88, "test": 9.21},
-    }
-}
-"""The same at 300 K, against the paper's own noisy displacements."""
-
+RECORD = Path(__file__).parent.parent / "docs" / "record" / "graphene.json"
+"""Errors of each model on graphene [%], the papers' among them."""
+COLUMNS = [("E_res", "train"), ("E_res", "val"), ("E_u", "train"), ("E_u", "val"), ("E_u", "test")]
+"""Errors and roles of its columns."""
 PAPER_CONSTANTS = {"lambda": -0.4796, "mu": 0.7978, "E": 0.91, "nu": -0.4297}
-SAME_OPTIMUM = 1e-5
-"""Starts agree when what they reach differs by less, relative."""
 CERTIFICATE = ("symbol_min", "symbol_bound", "gamma_min", "inf_sup_min", "gamma_minus_2phi_min")
-"""Figures of the certificate that are reported."""
+"""Figures of the certificate that are reported; the last three are those of (i) to (iii)."""
 TEMPLATE = Path(__file__).with_suffix(".md")
 CONDITIONS = {"direct": "LPS, positive symbol alone", "paper": "LPS, conditions (i)–(iii)"}
-LOCAL = {
-    "true": "local elasticity, exact constants",
-    "learned": "local elasticity, constants as learned",
-}
 ROLES = {"train": "training loads", "val": "periodic sheet", "test": "free disks"}
-FORMS = {"energy": "with energy", "filtered": "deconvolved"}
+FILES = {
+    "crystal model, 20 bonds": "micromodulus",
+    "third-order model, 28 bonds, with energy": "third_order_energy",
+    "third-order model, 28 bonds, deconvolved": "third_order_filtered",
+}
+"""The file of each model that is learned beside the solid."""
+LOCAL = ("local elasticity, exact constants", "local elasticity, constants as learned")
+DETAILS = (*CONDITIONS.values(), LOCAL[1])
+"""Rows of the long table alone."""
+BODIES = {
+    "train": "training loads",
+    "val": "loads of a periodic sheet that the fit never saw",
+    "test": "free disks that the fit never saw",
+}
 ERRORS = {"E_res": "residual", "E_u": "displacement"}
+SAME_OPTIMUM = 1e-5
+"""Starts agree when what they reach differs by less, relative."""
 
 
-def draw_fit(folder: Path, fit: Fit, spacing: float) -> None:
-    """influence.png and loss.png."""
-    figure, ax = plt.subplots(figsize=(6.4, 4.2))
-    plots.influence_function(fit.material, spacing=spacing, ax=ax)
-    values = fit.material.influence(np.linspace(spacing, fit.material.horizon, 1000))
-    does = "changes sign" if values.min() < 0 else "is positive"
-    ax.set_title(f"The learned influence function {does}")
+def draw(folder: Path, run: Run, sets: Mapping[str, Samples], models: Mapping[str, Any]) -> None:
+    """Every figure of the main job; `models`: rows by name, which may have local elasticity."""
+    material, spacing = run.fit.material, sets["train"].spacing
+    figure, ax = panels()
+    plots.influence_function(material, spacing=spacing, ax=ax)
+    least = material.influence(np.linspace(spacing, material.horizon, 1000)).min()
+    does = "changes sign" if least < 0 else "is positive"
+    ax.set_title(f"K {does}; only its values at bonds enter")
     save_figure(figure, folder / "influence.png")
-
-    figure, ax = plt.subplots(figsize=(6.4, 4.2))
-    plots.loss_by_stage(fit.history, ax=ax)
+    figure, ax = panels()
+    plots.loss_by_stage(run.fit.history, ax=ax)
     ax.set_title("The training loss falls to the constrained optimum")
     save_figure(figure, folder / "loss.png")
+    if "test" in sets:
+        disks, errors = sets["test"], run.tables["test"]["E_u_samples"]
+        u = solve(material, Dirichlet(disks, disks.loads, disks.u), allow_uncertified=True).u
+        draw_disks(folder / "disks.png", disks, u, dict(enumerate(errors)))
+        worst = int(np.argmax(errors))
+        draw_disks(folder / "disk.png", disks, u, {worst: errors[worst]})
+    if "wave_number" in sets["train"].arrays:
+        named = {"residual": "E_res_samples", "displacement": "E_u_samples"}
+        errors = {f"{n}, model": run.tables["train"][key] for n, key in named.items()}
+        mean = 100 * np.mean(errors["displacement, model"])
+        said = f"On the training loads displacement errs by {mean:.1f} %"
+        if LOCAL[0] in models:
+            local = models[LOCAL[0]]["E_u_samples"]["train"]
+            errors["displacement, local elasticity"] = local
+            said += f", by local elasticity {100 * np.mean(local):.1f} %"
+        figure, ax = panels()
+        plots.errors_by_wave_number(sets["train"].arrays["wave_number"], errors, ax=ax)
+        ax.set_title(said, fontsize="medium")
+        save_figure(figure, folder / "waves.png")
 
 
-def draw_disks(
-    path: Path, model: LPSMaterial, points: Samples, table: dict[str, Any], *, worst: bool = False
-) -> None:
-    """u₁ on the disks or the worst of them: molecular data, model and error, a row each."""
-    solved = solve(model, Dirichlet(points, points.loads, points.u), allow_uncertified=True).u
-    errors, inside = table["E_u_samples"], points.interior
-    samples = [int(np.argmax(errors))] if worst else list(range(len(points)))
-    rows = len(samples)
-    figure, axes = panels(9.5, 2.7 * rows + 0.4, count=3, rows=rows, squeeze=False)
-    for s, row in zip(samples, axes):
-        truth, predicted = points.u[s, inside, 0], solved[s, inside, 0]
-        error = 1000 * (predicted - truth)
-        limit, small = np.abs([truth, predicted]).max(), np.abs(error).max()
-        plots.node_field(points.x[inside], truth, limit=limit, ax=row[0])
-        mesh = plots.node_field(points.x[inside], predicted, limit=limit, ax=row[1])
-        figure.colorbar(mesh, ax=row[1], label="u₁ [Å]")
-        mesh = plots.node_field(points.x[inside], error, limit=small, ax=row[2])
-        figure.colorbar(mesh, ax=row[2], label="error of u₁ [mÅ]")
-        for ax, title in zip(row, ("atoms", "model", f"error {100 * errors[s]:.2f} %")):
+def draw_disks(path: Path, disks: Samples, solved: np.ndarray, errors: dict[int, float]) -> None:
+    """u₁ of atoms and model on disks, and its error; a row for each of these numbers of a disk."""
+    figure, axes = panels(9.5, 2.7 * len(errors) + 0.4, count=3, rows=len(errors), squeeze=False)
+    inside = disks.interior
+    for (s, error), row in zip(errors.items(), axes):
+        atoms, model = disks.u[s, inside, 0], solved[s, inside, 0]
+        off, most = 1000 * (model - atoms), np.abs([atoms, model]).max()
+        fields = {
+            "atoms, u₁ [Å]": (atoms, most),
+            "model, u₁ [Å]": (model, most),
+            f"error [mÅ], {100 * error:.2f} %": (off, np.abs(off).max()),
+        }
+        for ax, (title, (values, limit)) in zip(row, fields.items()):
+            mesh = plots.node_field(disks.x[inside], values, limit=limit, ax=ax)
+            figure.colorbar(mesh, ax=ax, shrink=0.8)
             ax.set_title(title, fontsize="medium")
             ax.set_xlabel("x₁ [Å]")
         row[0].set_ylabel(f"load {s + 1}\nx₂ [Å]")
-    disk = "free disks" if rows > 1 else "a free disk"
-    mean = 100 * np.mean([errors[s] for s in samples])
-    figure.suptitle(f"The model predicts {disk} that no fit saw, with an error of {mean:.1f} %")
+    mean = 100 * np.mean([*errors.values()])
+    said = "The model predicts free disks that no fit saw, with an error of {:.1f} %"
+    worst = "Of free disks that no fit saw the model errs most on this one, by {:.1f} %"
+    figure.suptitle((said if len(errors) > 1 else worst).format(mean))
     save_figure(figure, path)
-
-
-def draw_waves(
-    path: Path, points: Samples, table: dict[str, Any], local: np.ndarray | None
-) -> None:
-    """Errors on the training samples against their wave number, local elasticity's beside."""
-    figure, ax = plt.subplots(figsize=(6.4, 4.2))
-    errors = {"load, model": table["E_res_samples"], "displacement, model": table["E_u_samples"]}
-    said = f"On the training loads displacement errs by {100 * np.mean(table['E_u_samples']):.1f} %"
-    if local is not None:
-        errors["displacement, local elasticity"] = local
-        said += f", by local elasticity {100 * np.mean(local):.1f} %"
-    plots.errors_by_wave_number(points.arrays["wave_number"], errors, ax=ax)
-    ax.set_title(said, fontsize="medium")
-    save_figure(figure, path)
-
-
-def draw(
-    folder: Path,
-    run: Run,
-    sets: Mapping[str, Samples],
-    spacing: float,
-    local: Mapping[str, Mapping[str, np.ndarray]],
-) -> None:
-    """Every figure of the main job; `local`: errors of local elasticity, if there are any."""
-    draw_fit(folder, run.fit, spacing)
-    if "test" in sets:
-        for name, worst in (("disks.png", False), ("disk.png", True)):
-            draw_disks(
-                folder / name, run.fit.material, sets["test"], run.tables["test"], worst=worst
-            )
-    if "wave_number" in sets["train"].arrays:
-        beside = local["true"]["train"] if "true" in local else None
-        draw_waves(folder / "waves.png", sets["train"], run.tables["train"], beside)
 
 
 def metrics(run: Run, provenance: Mapping[str, Any]) -> dict[str, Any]:
@@ -132,78 +107,52 @@ def metrics(run: Run, provenance: Mapping[str, Any]) -> dict[str, Any]:
 
     `provenance` is that of the data: their temperature, and the potential's own constants.
     """
-    fit = run.fit
-    model, figures = fit.material, fit.certificate.figures()
+    fit, model, figures = run.fit, run.fit.material, run.fit.certificate.figures()
+    kept = ("E", "nu", "mu", "alpha", "D", "horizon", "degree")
+    errors = {error: run.mean(error) for error in ("E_res", "E_u", "E_res_abs", "E_u_samples")}
     numbers = {
-        "E_res": run.mean("E_res"),
-        "E_u": run.mean("E_u"),
-        "E_res_abs": run.mean("E_res_abs"),
-        "E_u_samples": {
-            role: [float(error) for error in table["E_u_samples"]]
-            for role, table in run.tables.items()
-        },
-        "lambda": model.lam,
-        "mu": model.mu,
-        "E": model.E,
-        "nu": model.nu,
-        "alpha": model.alpha,
-        "D": model.D,
-        "horizon": model.horizon,
-        "degree": model.degree,
+        **errors,
+        "models": {"linear peridynamic solid (LPS)": errors},
+        **{"lambda": model.lam} | {name: getattr(model, name) for name in kept},
         "moduli": fit.moduli[0],
         "held": fit.law.method.moduli,
         "degrees": {f"{degree}": error for degree, error in fit.degrees.items()},
         "truth": provenance.get("truth"),
-        "stages": [
-            {"name": stage.name, "E_res_train": stage.E_res_train, "seconds": stage.seconds}
-            for stage in fit.history
-        ],
+        "stages": {stage.name: [stage.E_res_train, stage.seconds] for stage in fit.history},
         "starts": fit.starts,
-        "loss": {"name": fit.loss.name, "reason": fit.loss.reason},
+        "loss": f"{fit.loss}",
         "certificate": {key: figures[key] for key in CERTIFICATE},
         "statement": fit.certificate.statement,
         "certified": bool(model.certified_on),
         "temperature": provenance.get("temperature", 0.0),
-        "conditions": {key: figures[key] for key in CERTIFICATE[2:]},
     }
-    if fit.history[0].name == "1 Adam" and not provenance.get("temperature"):
-        first, last = fit.history[0], fit.history[1]
+    if fit.history[0].name == "1 Adam" and not numbers["temperature"]:
+        first, last = fit.history[:2]
         numbers["augmented_lagrangian"] = {
             "loss_over_optimum": first.loss[-1] / last.loss[-1],
-            "loss": first.loss[-1],
-            "loss_of_optimum": last.loss[-1],
             "gradients": first.steps,
             "rounds": len(first.loss) - 1,
-            "seconds": first.seconds,
         }
     return numbers
 
 
-def write_report(path: Path, numbers: dict[str, Any], data: Path, command: str) -> None:
+def write_report(
+    path: Path, numbers: dict[str, Any], models: dict[str, Any], data: Path, command: str
+) -> None:
     """report.md: what there is, how good, what next; details below a line."""
-    good, proof, moduli = first_lines(numbers)
-    text = fill(
-        TEMPLATE,
+    text = TEMPLATE.read_text(encoding="utf-8").format(
         **numbers,
+        first="{}. {}.\n{}.".format(*first_lines(numbers)),
         command=command,
         out=shown(path.parent),
         data=shown(data),
         loads=len(numbers["E_u_samples"]["train"]),
         best=best(numbers),
-        good=f"{good}.",
-        proof=f"{proof}.",
-        constants_line=f"{moduli}.",
         short_table=error_table(numbers, short=True),
         error_table=error_table(numbers),
-        others=others_line(numbers),
-        disks=disks_line(numbers),
-        conditions_line=conditions_line(numbers),
         constants=constants_table(numbers),
-        moduli_text=", ".join(f"{key} = {value:.4f}" for key, value in numbers["moduli"].items()),
-        potential=potential_line(numbers["truth"]),
-        stage_table=stage_table(numbers["stages"]),
-        agreement=degree_line(numbers) + agreement_line(numbers["starts"]),
-        adam=adam_line(numbers.get("augmented_lagrangian")) + alpha_line(numbers.get("alphas")),
+        others=others(models),
+        notes="\n\n".join(notes(numbers)),
         verdict="holds" if numbers["certified"] else "DOES NOT HOLD",
         times=", ".join(f"{phase} {value:.1f}" for phase, value in numbers["seconds"].items()),
     )
@@ -223,23 +172,17 @@ def best(numbers: dict[str, Any]) -> str:
 
 def first_lines(numbers: dict[str, Any]) -> list[str]:
     """How good the model is, whether it is proven, and its moduli beside the potential's."""
-    role = best(numbers)
+    role, truth = best(numbers), numbers["truth"]
     errors = [100 * error for error in numbers["E_u_samples"][role]]
-    bodies = {
-        "train": f"the {len(errors)} training loads",
-        "val": f"{len(errors)} loads of a periodic sheet that the fit never saw",
-        "test": f"{len(errors)} free disks that the fit never saw",
-    }
     mean = f"{100 * numbers['E_u'][role]:.2f} % ({min(errors):.1f} to {max(errors):.1f} %)"
-    names = {"E": "Young's modulus", "mu": "shear modulus"}
-    own = {
-        key: f" (potential {1e3 * numbers['truth'][key]:.0f} GPa)" if numbers["truth"] else ""
-        for key in names
-    }
-    moduli = (f"{name} {1e3 * numbers[key]:.0f} GPa{own[key]}" for key, name in names.items())
+    moduli = (
+        f"{name} {1e3 * numbers[key]:.0f} GPa"
+        + (f" (potential {1e3 * truth[key]:.0f} GPa)" if truth else "")
+        for key, name in (("E", "Young's modulus"), ("mu", "shear modulus"))
+    )
     proof = "Proven: the model has exactly one equilibrium for every load"
     return [
-        f"On {bodies[role]} the displacement has an error of {mean}",
+        f"On {len(errors)} {BODIES[role]} the displacement has an error of {mean}",
         proof if numbers["certified"] else "NOTHING IS PROVEN: solves refuse the model",
         ", ".join(moduli),
     ]
@@ -250,73 +193,26 @@ def error_table(numbers: dict[str, Any], *, short: bool = False) -> str:
 
     `short` leaves displacement under loads that no fit saw, and a row for each kind of model.
     """
-    roles = [role for role in ROLES if role in numbers["E_u"]]
+    columns = [(error, role) for error, role in COLUMNS if role in numbers["E_u"]]
     if short:
-        columns = [("E_u", role) for role in roles if role != "train" or roles == ["train"]]
-    else:
-        columns = [("E_res", role) for role in roles if role != "test"]
-        columns += [("E_u", role) for role in roles]
-    models = {"linear peridynamic solid (LPS)": numbers}
-    if (other := numbers.get("other")) and not short:
-        models[CONDITIONS[other["conditions"]]] = other
-    if crystal := numbers.get("micromodulus"):
-        models[f"crystal model, {crystal['bonds']} bonds"] = crystal
-    for form, row in numbers.get("third_order", {}).items():
-        models[f"third-order model, {row['bonds']} bonds, {FORMS[form]}"] = row
-    for name, local in numbers.get("local", {}).items():
-        if name == "true" or not short:
-            models[LOCAL[name]] = {"E_u": local}
-    rows = [[name, *(_cell(errors, *column, 100) for column in columns)]
-            for name, errors in models.items()]  # fmt: skip
-    for name, printed in (PAPER if numbers["temperature"] == 0 else PAPER_300K).items():
-        rows.append([f"{name} †", *(_cell(printed, *column, 1) for column in columns)])
+        columns = [
+            ("E_u", r) for e, r in columns if e == "E_u" and (r != "train" or r == best(numbers))
+        ]
+    rows = [
+        [name, *(number(100 * errors.get(e, {}).get(r, np.nan), 2) for e, r in columns)]
+        for name, errors in numbers["models"].items()
+        if not (short and name in DETAILS)
+    ]
+    for name, *cells in json.loads(RECORD.read_text("utf-8"))["rows"]:
+        if "et al." in name and ("300 K" in name) == bool(numbers["temperature"]):
+            printed = dict(zip(COLUMNS, cells))
+            rows.append([f"{name} †", *(number(printed[column], 2) for column in columns)])
     return table(["", *(f"{ERRORS[error]}, {ROLES[role]}" for error, role in columns)], rows)
 
 
-def _cell(errors: dict[str, Any], error: str, role: str, factor: float) -> str:
-    value = errors.get(error, {}).get(role)
-    return "–" if value is None else f"{factor * value:.2f}"
-
-
-def conditions_line(numbers: dict[str, Any]) -> str:
-    """Which conditions to ask for when, where both were."""
-    if "other" not in numbers:
-        return ""
-    proofs = {numbers["other"]["conditions"]: numbers["other"]}
-    paper, direct = (proofs.get(kind, numbers["certificate"]) for kind in ("paper", "direct"))
-    third = "" if direct["gamma_minus_2phi_min"] >= 0 else ", and (iii) does not hold"
-    return (
-        f"\nConditions (i)–(iii) prove a stiffness of {paper['symbol_bound']:.3f} TPa: take them "
-        "for answers that are stable under any load. A positive symbol alone proves "
-        f"{direct['symbol_bound']:.3f} TPa{third}: take it where the residual is what counts.\n"
-    )
-
-
-def others_line(numbers: dict[str, Any]) -> str:
-    """What the other two models are for, where they were learned."""
-    if "third_order" not in numbers:
-        return ""
-    energy, filtered = numbers["third_order"].values()
-    constants = ", ".join(f"{name} = {value:.3f}" for name, value in energy["constants"].items())
-    return (
-        f"- Strains above 1 %: `third_order_energy.json`, a crystal model with {constants} TPa. At "
-        f"most one solution has strains up to {100 * energy['proven_strain']:.1f} %. "
-        "`third_order_filtered.json` undoes the smoothing of the data, has no energy and is proven "
-        f"to {100 * filtered['proven_strain']:.1f} %.\n"
-        "- Directions and speed: `micromodulus.json`, a crystal model that need not be isotropic."
-        "\n"
-    )
-
-
-def disks_line(numbers: dict[str, Any]) -> str:
-    """What the residual on the disks is worth, where there are disks."""
-    if "test" not in numbers["E_u"]:
-        return ""
-    return (
-        f"\nThe residual on the disks is {numbers['E_res_abs']['test']:.2e} TPa/Å, "
-        f"{100 * numbers['E_res']['test']:.0f} % of a load that smoothing alone brings in from "
-        "the rim."
-    )
+def number(value: float, digits: int) -> str:
+    """With so many digits, or a dash where there is none."""
+    return "–" if np.isnan(value) else f"{value:.{digits}f}"
 
 
 def constants_table(numbers: dict[str, Any]) -> str:
@@ -326,68 +222,73 @@ def constants_table(numbers: dict[str, Any]) -> str:
         sources["You et al. 2021, learned"] = PAPER_CONSTANTS
     keys = ("lambda", "mu", "E", "nu")
     rows = [
-        [name, *(f"{source[key]:.4f}" if key in source else "–" for key in keys)]
+        [name, *(number(source.get(key, np.nan), 4) for key in keys)]
         for name, source in sources.items()
     ]
     return table(["", "λ", "μ", "E", "ν"], rows)
 
 
-def potential_line(truth: dict[str, float] | None) -> str:
-    """Long-wave moduli of the potential, where they are known."""
-    if not truth:
+def others(models: dict[str, Any]) -> str:
+    """What the other models are for, where they were learned."""
+    if not models:
         return ""
-    lam, mu = truth["lambda"], truth["mu"]
-    return f" The potential has C11 = {lam + 2 * mu:.4f}, C12 = {lam:.4f}, C44 = {mu:.4f}."
-
-
-def stage_table(stages: list[dict[str, Any]]) -> str:
-    """What each stage of the fit reached, and how long it took."""
-    rows = [
-        [stage["name"], f"{100 * stage['E_res_train']:.2f}", f"{stage['seconds']:.1f}"]
-        for stage in stages
-    ]
-    return table(["stage", "residual, training loads [%]", "seconds"], rows)
-
-
-def adam_line(reached: dict[str, float] | None) -> str:
-    """How near Adam with the augmented Lagrangian came to the optimum, where it was run."""
-    if reached is None:
-        return ""
+    *_, energy, filtered = models.values()
+    constants = ", ".join(f"{name} = {getattr(energy, name):.3f}" for name in CUBIC)
+    strains = (100 * one.proven_strain(one.linear.spacing) for one in (energy, filtered))
     return (
-        "\nAdam with the augmented Lagrangian on the operator, by itself: a loss of "
-        f"{reached['loss']:.4e}, which the optimum lowers to {reached['loss_of_optimum']:.4e} "
-        f"({reached['loss_over_optimum']:.6f} times), in {reached['seconds']:.1f} s and "
-        f"{reached['gradients']} gradients of the operator by Warp, each over all loads; each "
-        f"of {reached['rounds']} rounds applies it once more.\n"
-    )
+        "- Strains above 1 %: `third_order_energy.json`, a crystal model with {} TPa. At most one "
+        "solution has strains up to {:.1f} %. `third_order_filtered.json` undoes the smoothing of "
+        "the data, has no energy and is proven to {:.1f} %.\n- Directions and speed: "
+        "`micromodulus.json`, a crystal model that need not be isotropic.\n"
+    ).format(constants, *strains)
 
 
-def alpha_line(alphas: list[float] | None) -> str:
-    """Which exponents fit as well, where they were tried."""
-    if not alphas:
-        return ""
-    return (
-        f"\nKernels of any α from {alphas[0]:g} to {alphas[-1]:g} come within 1 % of the least "
-        "loss: α and D say much the same.\n"
-    )
-
-
-def degree_line(numbers: dict[str, Any]) -> str:
-    """How the degree was chosen, where it was."""
-    if not (degrees := numbers["degrees"]):
-        return ""
-    left = ", ".join(f"{100 * error:.2f} % by degree {M}" for M, error in degrees.items())
-    return (
-        f"\nThe degree is {numbers['degree']}, the smallest whose error on loads left out of the "
-        f"fit, a fifth at a time, is within 2 % of the best ({left}).\n"
-    )
-
-
-def agreement_line(starts: dict[str, float]) -> str:
-    """Whether the starts of stage 3 reached one optimum, where it was run."""
-    if not starts:
-        return ""
-    reached = ", ".join(f"{100 * value:.4f} % from {name}" for name, value in starts.items())
-    agree = max(starts.values()) - min(starts.values()) <= SAME_OPTIMUM * min(starts.values())
-    verdict = "one optimum" if agree else "DIFFERENT optima, the best is kept"
-    return f"\n‖L u − b‖/‖b‖ reached in stage 3: {reached} ({verdict}).\n"
+def notes(numbers: dict[str, Any]) -> Iterator[str]:
+    """What else a run found, a paragraph each."""
+    moduli = ", ".join(f"{key} = {value:.4f}" for key, value in numbers["moduli"].items())
+    said = f"Long waves on the nodes have {moduli}."
+    if truth := numbers["truth"]:
+        lam, mu = truth["lambda"], truth["mu"]
+        said += f" The potential has C11 = {lam + 2 * mu:.4f}, C12 = {lam:.4f}, C44 = {mu:.4f}."
+    yield said
+    stages = numbers["stages"].items()
+    after = ", ".join(f"{100 * E:.2f} % after {name[2:]} ({s:.1f} s)" for name, (E, s) in stages)
+    yield f"Residual on the training loads: {after}. Loss of the fit: {numbers['loss']}."
+    if "test" in numbers["E_u"]:
+        yield (
+            f"The residual on the disks is {numbers['E_res_abs']['test']:.2e} TPa/Å, "
+            f"{100 * numbers['E_res']['test']:.0f} % of a load that smoothing alone brings in from "
+            "the rim."
+        )
+    for kind in [kind for kind, name in CONDITIONS.items() if name in numbers["models"]]:
+        proofs = dict.fromkeys(CONDITIONS, numbers["certificate"])
+        proofs[kind] = numbers["models"][CONDITIONS[kind]]
+        paper, direct = proofs["paper"], proofs["direct"]
+        third = "" if direct["gamma_minus_2phi_min"] >= 0 else ", and (iii) does not hold"
+        yield (
+            f"Conditions (i)–(iii) prove a stiffness of {paper['symbol_bound']:.3f} TPa: take them "
+            "for answers that are stable under any load. A positive symbol alone proves "
+            f"{direct['symbol_bound']:.3f} TPa{third}: take it where the residual is what counts."
+        )
+    if adam := numbers.get("augmented_lagrangian"):
+        yield (
+            "Adam with the augmented Lagrangian, by itself, ends at "
+            f"{adam['loss_over_optimum']:.6f} times the loss of the optimum, after "
+            f"{adam['gradients']} gradients over all loads and {adam['rounds']} rounds."
+        )
+    if alphas := numbers.get("alphas"):
+        yield (
+            f"Kernels of any α from {alphas[0]:g} to {alphas[-1]:g} come within 1 % of the least "
+            "loss: α and D say much the same."
+        )
+    if degrees := numbers["degrees"]:
+        left = ", ".join(f"{100 * error:.2f} % by degree {M}" for M, error in degrees.items())
+        yield (
+            f"The degree is {numbers['degree']}, the smallest whose error on loads left out of the "
+            f"fit, a fifth at a time, is within 2 % of the best ({left})."
+        )
+    if starts := numbers["starts"]:
+        reached = ", ".join(f"{100 * value:.4f} % from {name}" for name, value in starts.items())
+        agree = max(starts.values()) - min(starts.values()) <= SAME_OPTIMUM * min(starts.values())
+        verdict = "one optimum" if agree else "DIFFERENT optima, the best is kept"
+        yield f"‖L u − b‖/‖b‖ reached in stage 3: {reached} ({verdict})."

@@ -18,7 +18,7 @@ from examples.local_elasticity import errors_by_model
 from tools.elastic import elastic_constants
 from tools.graphene import bond_length, sheet
 from tools.lammps_session import LammpsSession
-from tools.loads import VALIDATION, Load, WaveLoad
+from tools.loads import TRAINING, VALIDATION, Load
 from tools.options import Options
 from tools.statics import Statics
 from warp_peri import load
@@ -43,13 +43,8 @@ def make_dumps(
     positions, box = sheet(bond, cells=CELLS)
     masses = np.resize(MASSES, len(positions))[:, None]
     share = masses / masses.mean()  # a load goes over the atoms of a cell by mass
-    waves: list[Load] = [
-        WaveLoad(axis, pq)
-        for axis in (0, 1)
-        for pq in np.ndindex(HIGHEST + 1, HIGHEST + 1)
-        if any(pq)
-    ]
-    loads = [*(("train", wave) for wave in waves), *(("val", patch) for patch in VALIDATION)]
+    loads: list[tuple[str, Load]] = [("val", patch) for patch in VALIDATION]
+    loads[:0] = [("train", wave) for wave in TRAINING if max(wave.waves) <= HIGHEST]
     folder.mkdir(parents=True, exist_ok=True)
     found: dict[str, tuple[list[Path], list[Path]]] = {"train": ([], []), "val": ([], [])}
     rest = folder / "rest.dump"
@@ -82,12 +77,8 @@ def run(out: Path) -> tuple[dict[str, dict[str, float]], dict[str, dict[str, flo
         ["coarse-grain", *dumps, "--force", *forces, *atoms, *nodes, "--set", name, "--out", data]
         for name, (dumps, forces) in sets.items()
     ]
-    lines = [
-        *grained,
-        ["fit", data, "--horizon", 12.5, "--degree", 5, "--out", model],
-        ["certify", model / "model.json"],
-    ]
-    for line in lines:
+    fit = ["fit", data, "--horizon", 12.5, "--degree", 5, "--out", model]
+    for line in (*grained, fit, ["certify", model / "model.json"]):
         status = warp_peri([str(word) for word in line])
         if status:
             raise RuntimeError(f"warp-peri {line[0]} ended with status {status}")
@@ -95,10 +86,8 @@ def run(out: Path) -> tuple[dict[str, dict[str, float]], dict[str, dict[str, flo
     bond = bond_length(potential, elements=ELEMENTS)
     truth = elastic_constants(bond, potential=potential, elements=ELEMENTS)
     learned = load(model / "model.json")
-    constants = {
-        "learned": {"lambda": learned.lam, "mu": learned.mu, "E": learned.E, "nu": learned.nu},
-        "lattice statics": truth,
-    }
+    own = {"lambda": learned.lam, "mu": learned.mu, "E": learned.E, "nu": learned.nu}
+    constants = {"learned": own, "lattice statics": truth}
     true = plane_isotropic(truth["lambda"], truth["mu"])
     return constants, errors_by_model({"linear solid": learned}, dict(load(data).sets), true)
 

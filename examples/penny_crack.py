@@ -10,17 +10,11 @@ sys.path.insert(0, str(ROOT))
 import numpy as np
 
 import warp_peri as wp
-from examples.figures import headline, panels
+from examples.figures import panels
 from tools.options import Options
 from warp_peri import Cracked
-from warp_peri.fracture import (
-    BrittleMaterial,
-    Injected,
-    box_nodes,
-    energy_release,
-    j_integral,
-    penny_corners,
-)
+from warp_peri.fracture import BrittleMaterial, Injected, box_nodes, energy_release, j_integral
+from warp_peri.fracture import penny_corners as corners
 
 PICTURE = ROOT / "runs" / "penny_crack.png"
 UNITS = ("mm", "GPa")
@@ -34,7 +28,7 @@ def block(side, radius, grip):
     x = box_nodes((side,) * 3, 1.0)
     glass = wp.LPSMaterial(LAM, MU, 1.0, np.ones(1), horizon=2.0, units=UNITS, dimension=3)
     points = wp.Points(x, grip(np.abs(x)) < side / 2 - 2, 1.0, units=UNITS)
-    return BrittleMaterial(glass, DENSITY, toughness=TOUGHNESS), points, penny_corners(radius)
+    return BrittleMaterial(glass, DENSITY, toughness=TOUGHNESS), points, corners(radius)
 
 
 def released(side=14, radius=3.0):
@@ -42,7 +36,7 @@ def released(side=14, radius=3.0):
     solid, points, crack = block(side, radius, lambda away: away.max(axis=1))
     unit = points.x * [-NU / E, 1 / E, -NU / E]  # pulled by a unit of stress
     pulled = Cracked(points, u=unit, cracks=[crack])
-    G = energy_release(solid, pulled, [[penny_corners(radius - 1)], [penny_corners(radius + 1)]])
+    G = energy_release(solid, pulled, [[corners(radius - 1)], [corners(radius + 1)]])
     J = j_integral(wp.solve(solid, pulled), (radius, 0, 0), (1, 3))
     return np.array([G, J]) / (4 * (1 - NU**2) * radius / (np.pi * E))
 
@@ -80,8 +74,7 @@ def torn(side=24, radius=5.0, steps=400):
 
 
 if __name__ == "__main__":
-    parser = Options(__doc__, json=True)
-    as_json = parser.parse_args().json
+    as_json = Options(__doc__, json=True).parse_args().json
     points, motion, stress = torn()
     G, J = released()
     numbers = {
@@ -108,6 +101,6 @@ if __name__ == "__main__":
     figure.colorbar(image, ax=axes[1], label="share of broken bonds")
     axes[2].plot(1e-6 * motion.time, stress)
     axes[2].set(xlabel="time [µs]", ylabel="stress over Griffith's", title="The block unloads")
-    headline(figure, "A round crack, pulled apart, runs to the faces of its block")
+    figure.suptitle("A round crack, pulled apart, runs to the faces of its block")
     PICTURE.parent.mkdir(exist_ok=True)
     figure.savefig(PICTURE)

@@ -56,8 +56,10 @@ def opening(cells: int, lam: float = 1.0):
 
 def main(argv: list[str] | None = None) -> int:
     parser = Options(__doc__, "pressurised_crack", json=True)
-    parser.add("--cells", type=int, nargs="+", default=[8, 16, 32], help="per unit length")
-    parser.add("--growth", type=int, default=16, help="cells of the growing crack, 0: none")
+    parser.add_argument("--cells", type=int, nargs="+", default=[8, 16, 32], help="per unit length")
+    parser.add_argument(
+        "--growth", type=int, default=16, help="cells of the growing crack, 0: none"
+    )
     args = parser.parse_args(argv)
     if min(args.cells) < 4:
         parser.error(f"--cells: expected numbers ≥ 4, got {args.cells}")

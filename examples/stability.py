@@ -4,7 +4,6 @@ Draws docs/where_it_fails.png and writes docs/record/stability.json. Data are th
 data/graphene_0K.h5, or made up. The words of each case are in docs/explanation/where_it_fails.md.
 """
 
-import json
 import sys
 import warnings
 from dataclasses import asdict, dataclass, replace
@@ -69,9 +68,7 @@ def learned(degree: int = 10, horizon: float = 20.0) -> wp.LPSMaterial:
     return wp.fit(wp.load(DATA)["train"], law).material
 
 
-def solid(
-    lam: float = LAM, alpha: float = 1.0, horizon: float = 3.0, h: float = 1.0
-) -> wp.LPSMaterial:
+def solid(lam=LAM, alpha=1.0, horizon=3.0, h=1.0) -> wp.LPSMaterial:
     """K = r^(−α), which is stable on every lattice."""
     return wp.LPSMaterial(lam, MU, alpha, np.ones(1), horizon, certified_on=(h,))
 
@@ -101,12 +98,10 @@ def error(u: np.ndarray, exact: np.ndarray) -> float:
 
 def unconditioned(train: wp.Samples, horizon: float, degree: int) -> wp.LPSMaterial:
     """The least residual of kernels of a degree, and nothing else."""
-    products = Products(train, horizon)
+    products, none = Products(train, horizon), StabilityConditions(zeta=1e-6)
     start = LPSFound(LPSParameters(-0.2, 0.7, 1.0, np.ones(degree + 1)))
     block = products.rows(sample_weights([train], normalise=False)[0])
-    law = LPSLaw(
-        [products.classes], start, StabilityConditions(zeta=1e-6), GaussNewton(moduli=None)
-    )
+    law = LPSLaw([products.classes], start, none, GaussNewton(moduli=None))
     problem = Regression([block], law, law.zeta, 1.0)  # without a look for cuts
     theta, _ = settle(problem.state, law.start(start))
     return law.found(problem.found(theta, [1.0], 0.0)).model(horizon)
@@ -146,11 +141,9 @@ def short_horizon() -> Case:
     ratios, x = np.linspace(1, 4, 31), wp.fracture.rectangle_nodes(9, 9, 1.0)
     r = np.hypot(*x.T)
     families = [x[(r > 0) & (r < ratio + 1e-9)] for ratio in ratios]
-    off = [family_weights(xi, ratio)[1] for xi, ratio in zip(families, ratios)]
+    y = {"lattice": [family_weights(xi, ratio)[1] for xi, ratio in zip(families, ratios)]}
     said = said_by(lambda: solid(horizon=1.9).stencil(1.0))
-    return Case(
-        "a short horizon", ratios, "horizon / spacing", "misfit of weights", {"lattice": off}, said
-    )
+    return Case("a short horizon", ratios, "horizon / spacing", "misfit of weights", y, said)
 
 
 def nearly_incompressible() -> Case:
@@ -253,10 +246,7 @@ def large_strains() -> Case:
         return lam / 2 * E.diagonal(dim1=-2, dim2=-1).sum(-1) ** 2 + mu * (E * E).sum((-1, -2))
 
     truth, points = wp.DensityMaterial.of(svk, 1.0, {"lam": LAM, "mu": MU}), square(14, 3.0)
-    strains, linear = (
-        (1.0, 2.0, 4.0, 8.0, 12.0),
-        wp.LPS(3.0, wp.Bernstein(3), GaussNewton(moduli=None)),
-    )
+    strains, linear = (1, 2, 4, 8, 12), wp.LPS(3.0, wp.Bernstein(3), GaussNewton(moduli=None))
     sets = [waves(truth, points, 6, strain / 100) for strain in strains]
     laws = {"linear": linear, "Density": wp.Density(svk, 1.5, {"lam": 0.1, "mu": 1.0})}
     fits = {name: wp.fit(sets[1], law).material for name, law in laws.items()}
@@ -314,21 +304,21 @@ CASES = (
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = Options(__doc__, json=True)
-    parser.add("--out", type=Path, default=ROOT / "docs", help="default: docs/")
-    parser.add("--only", nargs="+", choices=[case.__name__ for case in CASES])
+    names = {case.__name__: case for case in CASES}
+    parser = Options(__doc__, options={"out": (ROOT / "docs", "for the picture and the record")})
+    parser.add_argument("--only", nargs="+", choices=names, help="some, which write nothing")
     given = parser.parse_args(arguments)
-    made = {case.__name__: case for case in CASES if case.__name__ in (given.only or case.__name__)}
     with warnings.catch_warnings(action="ignore"):
-        cases = {name: case() for name, case in tqdm(made.items(), disable=given.json)}
-    record = {name: asdict(case) | {"remedy": case.remedy} for name, case in cases.items()}
-    commit = check_output(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, text=True).strip()
-    head = {"date": f"{date.today()}", "commit": commit, "command": "python examples/stability.py"}
+        cases = {name: names[name]() for name in tqdm(given.only or names)}
     for name, case in cases.items():
-        told = "{}: {:.3g}, then {:.3g}\n  {}".format(name, *case.remedy, case.said)
-        print(json.dumps({name: finite(plain(record[name]))}) if given.json else told)
+        failed, helped = case.remedy
+        print(f"{name}: {failed:.3g}, then {helped:.3g}\n  {case.said}")
     if not given.only:
         draw_panels([*cases.values()], given.out / "where_it_fails.png")
+        record = {name: asdict(case) | {"remedy": case.remedy} for name, case in cases.items()}
+        commit = check_output(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, text=True).strip()
+        head = {"date": f"{date.today()}", "commit": commit}
+        head["command"] = "python examples/stability.py"
         write_json(given.out / "record" / "stability.json", finite(plain(head | {"cases": record})))
     return 0
 

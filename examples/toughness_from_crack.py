@@ -7,6 +7,7 @@ python examples/toughness_from_crack.py           numbers, and a picture
 python examples/toughness_from_crack.py --json    errors of toughness and strength, seconds
 """
 
+import json
 import sys
 import time
 from pathlib import Path
@@ -18,7 +19,8 @@ import numpy as np
 import torch
 
 import warp_peri as wp
-from examples.figures import panels, shown
+from examples.figures import panels, save_figure
+from tools.options import Options
 from warp_peri.errors import exit_status
 from warp_peri.fracture import BondLaw, SofteningMaterial, rectangle_nodes
 
@@ -86,7 +88,11 @@ def picture(rows: dict[str, torch.Tensor]) -> Any:
 def main(args: list[str] | None = None) -> int:
     """Write the picture and print the numbers."""
     options = {"seed": (0, "of the noise"), "iterations": (15, "of L-BFGS")}
-    return shown(__doc__, "toughness_from_crack", toughness_from_force, args, **options)
+    given = Options(__doc__, "toughness_from_crack", json=True, options=options).parse_args(args)
+    numbers, figure = toughness_from_force(given.seed, given.iterations)
+    print(json.dumps(numbers, indent=None if given.json else 1))
+    save_figure(figure, given.out / "toughness_from_crack.png")
+    return 0
 
 
 if __name__ == "__main__":

@@ -173,16 +173,12 @@ def by_numba(t: rivals.Tables, dtype: Any, threads: int) -> Candidates:
     if find_spec("numba") is None:
         print("  Numba is not installed: pip install 'warp_peri[bench]'")
         return {}
-    import numba
+    from tools import rivals_numba
 
-    numba.set_num_threads(threads)
-    found = {
-        "Numba parallel": rivals.numba_parallel(t, dtype, fastmath=False),
-        "Numba parallel, fastmath": rivals.numba_parallel(t, dtype, fastmath=True),
-    }
+    rivals_numba.numba.set_num_threads(threads)
     if len(t.r) < len(t.neighbour):
-        found["Numba by rows"] = rivals.numba_rows(t, dtype)
-    return found
+        return {"Numba by rows": rivals_numba.rows(t, dtype)}
+    return {"Numba": rivals_numba.scattered(t, dtype)}
 
 
 # Solves
@@ -302,7 +298,9 @@ def sweeps(sides: tuple[int, int], ratio: float, repeats: int, share: float) -> 
     force, energy = zeros(count, dtype=cut.vector), zeros(count)
     inputs = (u, body.xi, 2 * stiffness, limits, np.zeros(count, np.uint8), table)
     theirs = (np.zeros((count, 2)), np.zeros(count), np.zeros(count, np.int32))
-    rival, more = rivals.numba_breaking(), (felt, 1.0, np.zeros(count))
+    from tools.rivals_numba import breaking as rival
+
+    more = felt, 1.0, np.zeros(count)
     jobs = (
         lambda: cut.sweep(field, links, force, energy, breaking=True),
         lambda: rival(*inputs, *theirs, *more),
@@ -341,7 +339,7 @@ def breaking(*, quick: bool, threads: int) -> None:
     """Plates by size and share of broken bonds, and the block."""
     if find_spec("numba") is None:
         raise wp.InputError("breaking: needs Numba; pip install 'warp_peri[bench]'")
-    import numba
+    from tools.rivals_numba import numba
 
     set_num_threads(threads)
     numba.set_num_threads(threads)
@@ -553,10 +551,14 @@ KINDS = {"operator": operator, "solve": solves, "breaking": breaking, "front": f
 
 def main(arguments: list[str] | None = None) -> int:
     parser = Options(__doc__)
-    parser.add("what", choices=KINDS)
-    parser.add("--quick", action="store_true", help="all of it in seconds; its times say nothing")
-    parser.add("--threads", type=int, default=2, help="of every candidate")
-    parser.add("--draw", action="store_true", help="front: draw the record, and measure nothing")
+    parser.add_argument("what", choices=KINDS)
+    parser.add_argument(
+        "--quick", action="store_true", help="all of it in seconds; its times say nothing"
+    )
+    parser.add_argument("--threads", type=int, default=2, help="of every candidate")
+    parser.add_argument(
+        "--draw", action="store_true", help="front: draw the record, and measure nothing"
+    )
     given = parser.parse_args(arguments)
     if given.draw:
         draw()

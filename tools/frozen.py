@@ -210,11 +210,11 @@ def check(only: re.Pattern[str], *, tightest: str = "", every: bool = False) -> 
 def main(arguments: list[str] | None = None) -> int:
     """Status of the command."""
     parser = Options(__doc__)
-    parser.add("verb", choices=("record", "check"))
-    parser.add("--only", type=re.compile, default=re.compile(""), metavar="PATTERN")
-    parser.add("--class", dest="tightest", choices=("moved", "resummed"), default="")
-    parser.add("--every", action="store_true", help="print entries that are equal too")
-    parser.add("--list", action="store_true", help="print the names and do nothing")
+    parser.add_argument("verb", choices=("record", "check"))
+    parser.add_argument("--only", type=re.compile, default=re.compile(""), metavar="PATTERN")
+    parser.add_argument("--class", dest="tightest", choices=("moved", "resummed"), default="")
+    parser.add_argument("--every", action="store_true", help="print entries that are equal too")
+    parser.add_argument("--list", action="store_true", help="print the names and do nothing")
     given = parser.parse_args(arguments)
     if given.list:
         entries = json.loads(RECORD.read_text())["entries"]

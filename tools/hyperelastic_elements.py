@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+import torch
 
 from tools.hyperelastic_energies import Energy
 from warp_peri import InputError
@@ -85,64 +86,41 @@ class Elements:
     def internal(self, energy: Energy, u: np.ndarray) -> np.ndarray | None:
         """Internal forces, shape [2 N]; None where the field is folded."""
         state = self._state(energy, u)
-        return None if state is None else self._forces(state, u)
+        return None if state is None else self._forces(state[0], u)
 
     def tangent(self, energy: Energy, u: np.ndarray) -> sp.csc_matrix:
         """Their derivative, shape [2 N, 2 N]."""
         state = self._state(energy, u)
         if state is None:
             raise NotSolved("tangent of a folded field")
-        return self._stiffness(state)
+        return self._stiffness(state[1])
 
-    def _forces(self, state: tuple[np.ndarray, ...], u: np.ndarray) -> np.ndarray:
-        F, g, _ = state
-        P = np.empty_like(F)
-        for n in (0, 2):  # rows of F
-            P[..., n] = 2 * g[..., 0] * F[..., n] + g[..., 2] * F[..., n + 1]
-            P[..., n + 1] = 2 * g[..., 1] * F[..., n + 1] + g[..., 2] * F[..., n]
+    def _forces(self, P: np.ndarray, u: np.ndarray) -> np.ndarray:
         cells = len(self.dx)
         carried = (P * self.dx[..., None]).reshape(cells, 1, -1)
         local = np.matmul(carried, self.B.reshape(cells, carried.shape[2], -1))
         f = np.bincount(self.dofs.ravel(), local.ravel(), 2 * self.nodes)
         return f if self.springs is None else f + self.springs @ u
 
-    def _stiffness(self, state: tuple[np.ndarray, ...]) -> sp.csc_matrix:
-        F, g, H = state
-        B = np.zeros((*F.shape[:2], 3, 4))
-        for n in (0, 2):
-            B[..., 0, n], B[..., 1, n + 1] = 2 * F[..., n], 2 * F[..., n + 1]
-            B[..., 2, n], B[..., 2, n + 1] = F[..., n + 1], F[..., n]
-        A = np.matmul(B.swapaxes(2, 3), np.matmul(H, B))
-        for n in (0, 2):
-            A[..., n, n] += 2 * g[..., 0]
-            A[..., n + 1, n + 1] += 2 * g[..., 1]
-            A[..., n, n + 1] += g[..., 2]
-            A[..., n + 1, n] += g[..., 2]
-        A *= self.dx[..., None, None]
+    def _stiffness(self, A: np.ndarray) -> sp.csc_matrix:
         cells, points = self.dx.shape
-        AB = np.matmul(A, self.B).reshape(cells, 4 * points, -1)
+        AB = np.matmul(A * self.dx[..., None, None], self.B).reshape(cells, 4 * points, -1)
         local = np.matmul(self.B.reshape(cells, 4 * points, -1).transpose(0, 2, 1), AB)
         # symmetric: what stands row by row may be read column by column
         values = np.bincount(self._entry, local.ravel(), len(self._rows))
         K = sp.csc_matrix((values, self._rows, self._ends), shape=2 * [2 * self.nodes])
         return K if self.springs is None else (K + self.springs).tocsc()
 
-    def _state(self, energy: Energy, u: np.ndarray) -> tuple[np.ndarray, ...] | None:
-        """F, and the energy's slopes and curvatures by C11, C22, C12; None where folded."""
-        F = self.gradient(u)
-        jacobian = F[..., 0] * F[..., 3] - F[..., 1] * F[..., 2]
-        if not jacobian.min() > SMALLEST_JACOBIAN:
+    def _state(self, energy: Energy, u: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """∂W/∂F [E, Q, 4] and ∂²W/∂F² [E, Q, 4, 4] at the quadrature points; None if folded."""
+        F = torch.from_numpy(self.gradient(u)).requires_grad_()
+        xx, xy, yx, yy = F.unbind(-1)
+        if not (xx * yy - xy * yx).min() > SMALLEST_JACOBIAN:
             return None
-        c = np.stack(
-            [
-                F[..., 0] ** 2 + F[..., 2] ** 2,
-                F[..., 1] ** 2 + F[..., 3] ** 2,
-                F[..., 0] * F[..., 1] + F[..., 2] * F[..., 3],
-            ],
-            axis=-1,
-        )
-        _, g, H = energy(c)
-        return F, g, H
+        c = torch.stack([xx**2 + yx**2, xy**2 + yy**2, xx * xy + yx * yy], dim=-1)
+        (P,) = torch.autograd.grad(energy(c).sum(), F, create_graph=True)
+        rows = [torch.autograd.grad(one.sum(), F, retain_graph=True)[0] for one in P.unbind(-1)]
+        return P.detach().numpy(), torch.stack(rows, dim=-2).numpy()
 
     def sample(self, u: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Displacement at points of shape [P, 2], shape [P, 2]."""
@@ -206,7 +184,7 @@ class Elements:
         state = self._state(energy, u)
         if state is None:
             return None
-        K, internal = self._stiffness(state), self._forces(state, u)
+        internal, K = self._forces(state[0], u), self._stiffness(state[1])
         move = given - u[fixed]
         v, w = np.zeros_like(u), u.copy()
         v[fixed] = move
@@ -218,18 +196,18 @@ class Elements:
         for _ in range(30):
             if state is None:
                 return None
-            residual = (load - self._forces(state, w))[free]
+            residual = (load - self._forces(state[0], w))[free]
             size = np.abs(residual).max()
             if size < tolerance * scale:
                 return w
-            step = symmetric_factors(between(self._stiffness(state), free)).solve(residual)
+            step = symmetric_factors(between(self._stiffness(state[1]), free)).solve(residual)
             part = 1.0
             while True:
                 v = w.copy()
                 v[free] += part * step
                 state = self._state(energy, v)
                 if state is not None:
-                    left = np.abs((load - self._forces(state, v))[free]).max()
+                    left = np.abs((load - self._forces(state[0], v))[free]).max()
                     if left < 2 * size:
                         break
                 part /= 2

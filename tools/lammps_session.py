@@ -42,12 +42,9 @@ class LammpsSession:
     ) -> None:
         """Hand the atoms to LAMMPS.
 
-        Args:
-            positions: [Å], shape [A, 2].
-            box: periods (Lx, Ly) [Å]; None for a free body.
-            potential: a Tersoff file with entries for the elements; by default the wheel's own
-                POTENTIAL.
-            elements: of the atoms, in turn.
+        `positions`: [Å], shape [A, 2]; `box`: periods (Lx, Ly) [Å], None for a free body;
+        `potential`: a Tersoff file with entries for the elements, by default the wheel's own
+        POTENTIAL; `elements`: of the atoms, in turn.
 
         Raises ValueError for positions or periods that are not finite, no such element, or a path
         that LAMMPS would take for a command, FileNotFoundError for a missing potential,
@@ -122,18 +119,12 @@ class LammpsSession:
         trajectories of one seed have the same initial velocities and the same random forces on
         every atom, whatever the load.
 
-        Args:
-            positions: to start from [Å], shape [A, 2].
-            force: external force on the atoms [eV/Å], shape [A, 2].
-            temperature: [K].
-            seed: of velocities and random forces, from 1.
-            steps: how many.
-            timestep: [ps].
-            damping: time in which friction stops an atom [ps].
+        `positions`: to start from [Å], `force`: on the atoms from outside [eV/Å], shapes [A, 2];
+        `temperature`: [K]; `seed`: of velocities and random forces, from 1; `timestep`, and
+        `damping`, in which friction stops an atom: [ps].
 
-        Yields:
-            Positions [Å], wrapped into the box, and forces between atoms [eV/Å], shapes [A, 2].
-            Both are views that the next step overwrites.
+        Yields positions [Å], wrapped into the box, and forces between atoms [eV/Å], shapes [A, 2],
+        views that the next step overwrites.
 
         Raises LammpsError when LAMMPS fails, e.g. because an atom was lost.
         """
@@ -184,10 +175,6 @@ class LammpsSession:
             self._lammps.command(
                 f'write_dump all custom "{path}" id type x y z modify sort id format float %.15g'
             )
-
-    def energy(self) -> float:
-        """Potential energy [eV] at the positions last given to `forces`."""
-        return float(self._lammps.get_thermo("pe"))
 
     def membrane_stress(self) -> np.ndarray:
         """Stress times thickness [eV/Å²], shape [2, 2], at the positions last given to `forces`.

@@ -1,7 +1,8 @@
 """The loads of You et al. 2021, section 6.1: 70 for training, 10 to validate, 4 on the disk.
 
-Each load has a `shape`, a dimensionless field on the atoms without net force; amplitude [TPa/Å]
-times shape is a body force density.
+Each load has a `shape`, a dimensionless field [A, 2] without net force on the atoms at positions
+[Å] of a sheet of periods `box` [Å], or of a disk about the origin; amplitude [TPa/Å] times shape is
+a body force density. A load without amplitude is as large as its bond strain says.
 """
 
 from collections.abc import Sequence
@@ -18,16 +19,11 @@ Box = tuple[float, float] | None
 
 UNLOADED_RADIUS = 50.0
 """Inside of it the disk carries no load [Å] (Table 2)."""
-WAVES = 5
-"""Random loads go round the rim up to so many times."""
 
 
 @dataclass(frozen=True)
 class WaveLoad:
-    """cos(k₁x) cos(k₂y) along one axis, kₐ = 2π pₐ/Lₐ of the sheet's own periods (6.2).
-
-    It has no amplitude of its own: the bond strain it causes decides.
-    """
+    """cos(k₁x) cos(k₂y) along one axis, kₐ = 2π pₐ/Lₐ of the sheet's own periods (6.2)."""
 
     axis: int
     waves: tuple[int, int]
@@ -37,11 +33,10 @@ class WaveLoad:
         return f"{'xy'[self.axis]} k=({self.waves[0]},{self.waves[1]})"
 
     def wave_vector(self, box: Box) -> np.ndarray:
-        """k [1/Å] on a sheet of periods `box_nodes` [Å], shape [2]."""
+        """k [1/Å] on a sheet of periods `box` [Å], shape [2]."""
         return np.asarray(2 * np.pi * np.divide(self.waves, _periods(box)))
 
     def shape(self, positions: np.ndarray, box: Box) -> np.ndarray:
-        """At positions [Å] of a sheet of periods `box_nodes` [Å]; shapes [A, 2]."""
         return _along(self.axis, np.cos(self.wave_vector(box) * positions).prod(axis=1))
 
 
@@ -64,7 +59,6 @@ class PatchLoad:
         return f"table1-{self.case}"
 
     def shape(self, positions: np.ndarray, box: Box) -> np.ndarray:
-        """At positions [Å] of a sheet of periods `box_nodes` [Å]; shapes [A, 2]."""
         value = np.zeros(len(positions))
         for j in (-1, 0, 1):
             centre = np.zeros(2)
@@ -89,7 +83,6 @@ class RimLoad:
         return f"table2-{self.case}"
 
     def shape(self, positions: np.ndarray, box: Box = None) -> np.ndarray:
-        """At positions [Å] of a disk centred on the origin; shapes [A, 2]."""
         loaded = np.linalg.norm(positions, axis=1) > UNLOADED_RADIUS
         t = np.arctan2(positions[loaded, 1], positions[loaded, 0])
         sin, cos = np.sin(t), np.cos(t)
@@ -106,11 +99,8 @@ class RimLoad:
 
 @dataclass(frozen=True)
 class MixedLoad:
-    """All waves of a sheet that are no shorter than `shortest`, together: random phases and
-    directions, each as large as its |k| (theory, Q11).
-
-    It has no amplitude of its own, as a WaveLoad.
-    """
+    """All waves of a sheet no shorter than `shortest` [Å]: random phases and directions, each as
+    large as its |k| (theory, Q11)."""
 
     seed: int
     shortest: float
@@ -120,7 +110,6 @@ class MixedLoad:
         return f"mixed-{self.seed} λ≥{self.shortest:g}"
 
     def shape(self, positions: np.ndarray, box: Box) -> np.ndarray:
-        """At positions [Å] of a sheet of periods `box_nodes` [Å]; shapes [A, 2]."""
         return mixed_waves(positions, _periods(box), self.shortest, seed=self.seed)
 
 
@@ -135,41 +124,13 @@ class Reversed:
         return f"{self.load.load_id} reversed"
 
     def shape(self, positions: np.ndarray, box: Box) -> np.ndarray:
-        """At positions [Å] of a body of periods `box_nodes` [Å]; shapes [A, 2]."""
         return -self.load.shape(positions, box)
 
 
-@dataclass(frozen=True)
-class RandomRim:
-    """A random load on the disk outside UNLOADED_RADIUS: waves around it, of any seed."""
+Load = WaveLoad | PatchLoad | RimLoad | MixedLoad | Reversed
 
-    seed: int
-
-    @property
-    def load_id(self) -> str:
-        return f"rim-{self.seed}"
-
-    def shape(self, positions: np.ndarray, box: Box = None) -> np.ndarray:
-        """At positions [Å] of a disk centred on the origin; shapes [A, 2]."""
-        random = np.random.default_rng(self.seed)
-        factors = random.normal(size=(2, WAVES, 2))
-        loaded = np.linalg.norm(positions, axis=1) > UNLOADED_RADIUS
-        angle = np.outer(np.arctan2(*positions[loaded].T[::-1]), np.arange(1, WAVES + 1))
-        field = np.zeros((len(positions), 2))
-        field[loaded] = np.cos(angle) @ factors[0] + np.sin(angle) @ factors[1]
-        field[loaded] -= field[loaded].mean(axis=0)
-        return field
-
-
-Load = WaveLoad | PatchLoad | RimLoad | MixedLoad | Reversed | RandomRim
-
-TRAINING = [
-    WaveLoad(axis, (p1, p2))
-    for axis in range(2)
-    for p1 in range(6)
-    for p2 in range(6)
-    if (p1, p2) != (0, 0)
-]
+WAVES = [(p, q) for p in range(6) for q in range(6) if p or q]
+TRAINING = [WaveLoad(axis, waves) for axis in range(2) for waves in WAVES]
 
 
 def both_ways(seeds: Sequence[int], shortest: float = 20.0) -> list[Load]:
@@ -180,24 +141,11 @@ def both_ways(seeds: Sequence[int], shortest: float = 20.0) -> list[Load]:
 
 DESIGNED = both_ways(range(2))
 """In place of TRAINING: one tells a law whose moduli are known, two one that is to find them."""
-VALIDATION = [
-    PatchLoad(case, axis, edge, radius)
-    for case, (axis, edge, radius) in enumerate(
-        [
-            (0, 0, 25.0),
-            (1, 0, 25.0),
-            (0, 0, 15.0),
-            (1, 0, 15.0),
-            (0, 0, 10.0),
-            (0, 1, 25.0),
-            (1, 1, 25.0),
-            (0, 1, 15.0),
-            (1, 1, 15.0),
-            (0, 1, 10.0),
-        ],
-        start=1,
-    )
-]
+PATCHES = (  # axis, edge and radius of the cases 1 to 10 of Table 1
+    (0, 0, 25.0), (1, 0, 25.0), (0, 0, 15.0), (1, 0, 15.0), (0, 0, 10.0),
+    (0, 1, 25.0), (1, 1, 25.0), (0, 1, 15.0), (1, 1, 15.0), (0, 1, 10.0),
+)  # fmt: skip
+VALIDATION = [PatchLoad(case, *patch) for case, patch in enumerate(PATCHES, start=1)]
 TEST = [RimLoad(case) for case in (1, 2, 3, 4)]
 
 

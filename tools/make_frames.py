@@ -10,8 +10,9 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
+import torch
 
-from tools.hyperelastic_energies import AREA_CURVE
+from tools.hyperelastic_energies import invariants_of
 from tools.make_leaflet import NODES, PROTOCOLS, SPACING, Leaflet, pull
 from tools.options import Options
 from warp_peri.errors import exit_status
@@ -24,17 +25,10 @@ PIXELS, NOISE = 10.0, 0.02
 USED, LEVELS, TRAVEL = (0, 2, 4, 5), 3, 0.6
 
 
-def mooney_rivlin(c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def mooney_rivlin(c: torch.Tensor) -> torch.Tensor:
     """C1 (I1 − 3) + C2 (I2 − 3) of an incompressible sheet in plane stress, as an Energy."""
-    D, T = c[..., 0] * c[..., 1] - c[..., 2] ** 2, c[..., 0] + c[..., 1]
-    d, e = np.stack([c[..., 1], c[..., 0], -2 * c[..., 2]], axis=-1), np.array([1.0, 1.0, 0.0])
-    W = C1 * (T + 1 / D - 3) + C2 * (D + T / D - 3)
-    by_D = (C2 - (C1 + C2 * T) / D**2)[..., None]
-    twice = (2 * (C1 + C2 * T) / D**3)[..., None, None]
-    mixed = (-C2 / D**2)[..., None, None]
-    g = by_D * d + (C1 + C2 / D)[..., None] * e
-    H = twice * d[..., :, None] * d[..., None, :] + by_D[..., None] * AREA_CURVE
-    return W, g, H + mixed * (d[..., :, None] * e + e[:, None] * d[..., None, :])
+    trace, D = invariants_of(c)
+    return C1 * (trace + 1 / D - 3) + C2 * (D + trace / D - 3)
 
 
 @dataclass(frozen=True)
@@ -61,9 +55,8 @@ def write_frames(folder: Path, *, noise: float = NOISE, seed: int = 7) -> None:
 
 def main() -> None:
     """Write the frames from a shell."""
-    parser = Options(__doc__)
-    parser.add("folder", type=Path)
-    parser.add("--noise", type=float, default=NOISE, help="[pixels]")
+    parser = Options(__doc__, options={"noise": (NOISE, "[pixels]")})
+    parser.add_argument("folder", type=Path)
     given = parser.parse_args()
     write_frames(given.folder, noise=given.noise)
 

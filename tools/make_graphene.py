@@ -5,8 +5,7 @@ import os
 import platform
 import sys
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
@@ -14,16 +13,16 @@ from typing import Any, Literal
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import joblib
 import numpy as np
 from tqdm import tqdm
 
+from tools.cache import file_hash, in_parallel
 from tools.elastic import elastic_constants
 from tools.graphene import DISK_RADIUS, SHEET_CELLS, THICKNESS, area_per_atom, bond_length
 from tools.lammps_session import CARBON_MASS, POTENTIAL
 from tools.loads import DESIGNED, TEST, TRAINING, VALIDATION, Load, WaveLoad
 from tools.options import Options
-from tools.samples import Piece, Sample, cache_file, file_hash, read_sample, solve_samples
+from tools.samples import Piece, Sample, cache_file, read_sample, solve_samples
 from tools.statics import TOLERANCE
 from warp_peri import Dataset, InputError, Points, Samples
 from warp_peri.atoms import coarse_grain, smoothing_matrix
@@ -75,66 +74,68 @@ def make_graphene(
     Returns:
         The path written.
 
-    Raises ValueError for jobs = 0 or below −1, FileNotFoundError for a missing potential,
-    LammpsError, ConvergenceError naming the load, OSError when the disk is full, InputError when
-    another job writes to `path` or the cache.
+    Raises InputError for jobs = 0 or below −1, and when another job writes to `path` or the cache,
+    FileNotFoundError for a missing potential, LammpsError, ConvergenceError naming the load,
+    OSError when the disk is full.
     """
-    if jobs == 0 or jobs < -1:
-        raise ValueError(f"jobs: expected a number of processes ≥ 1, or −1, got {jobs}")
-    path = Path(path)
+    check_jobs(jobs)
+    path, asked = Path(path), training or TRAINING
     cache = path.with_suffix(".cache") if cache is None else Path(cache)
     with locked(path), locked(cache):
-        return _make(path, cache, jobs, smoothing_radius, training or TRAINING, progress)
-
-
-def _make(
-    path: Path,
-    cache: Path,
-    jobs: int,
-    smoothing_radius: float,
-    asked: Sequence[Load],
-    progress: bool,
-) -> Path:
-    cache.mkdir(parents=True, exist_ok=True)
-    sheet, disk = graphene_bodies()
-    potential, bond = Path(sheet.potential), sheet.bond
-    # The disk first: it is the longest piece of work.
-    samples = solve_all({disk: TEST, sheet: [*asked, *VALIDATION]}, cache, jobs, progress)
-
-    training, validation = samples[sheet][: len(asked)], samples[sheet][len(asked) :]
-    sets = {}
-    for suffix, spacing in SPACINGS.items():
-        for name, body, loads, group in (
-            ("train", sheet, asked, training),
-            ("val", sheet, VALIDATION, validation),
-            ("test", disk, TEST, samples[disk]),
-        ):
-            sets[name + suffix] = point_set(
-                body, loads, group, spacing=spacing, radius=smoothing_radius
-            )
-    provenance = {
-        "source": "tools/make_graphene.py",
-        "temperature": 0.0,
-        "versions": versions(),
-        "potential": {"file": potential.name, "sha256": file_hash(potential)},
-        "bond_length": bond,
-        "box": sheet.box,
-        "disk_radius": DISK_RADIUS,
-        "atoms": {"sheet": len(training[0].reference), "disk": len(samples[disk][0].reference)},
-        "tolerance": TOLERANCE,
-        "truth": elastic_constants(bond, potential=potential),
-        "smoothing": {
-            "shape": "cone",
-            "radius": smoothing_radius,
-            "normalisation": "infinite lattice",
-        },
-    }
-    if "wave_number" in sets["train"].arrays:
-        provenance["u_change_cone_to_paraboloid"] = shape_change(
-            sets["train"], sheet, training, smoothing_radius
-        )
-    save_dataset(path, Dataset(sets, THICKNESS, mass_density(bond), provenance))
+        cache.mkdir(parents=True, exist_ok=True)
+        sheet, disk = graphene_bodies()
+        # The disk first: it is the longest piece of work.
+        samples = solve_all({disk: TEST, sheet: [*asked, *VALIDATION]}, cache, jobs, progress)
+        learned, count, radius = samples[sheet], len(asked), smoothing_radius
+        groups = {
+            "train": (sheet, asked, learned[:count]),
+            "val": (sheet, VALIDATION, learned[count:]),
+            "test": (disk, TEST, samples[disk]),
+        }
+        sets = {
+            name + suffix: point_set(*group, spacing=spacing, radius=radius)
+            for suffix, spacing in SPACINGS.items()
+            for name, group in groups.items()
+        }
+        provenance = origin(sheet, disk, "tools/make_graphene.py") | {
+            "temperature": 0.0,
+            "atoms": {
+                n: len(groups[k][2][0].reference) for n, k in (("sheet", "train"), ("disk", "test"))
+            },
+            "tolerance": TOLERANCE,
+            "truth": elastic_constants(sheet.bond, potential=sheet.potential),
+            "smoothing": {"shape": "cone", "radius": radius, "normalisation": "infinite lattice"},
+        }
+        if "wave_number" in sets["train"].arrays:
+            change = shape_change(sets["train"], sheet, learned[:count], radius)
+            provenance["u_change_cone_to_paraboloid"] = change
+        save_dataset(path, Dataset(sets, THICKNESS, mass_density(sheet.bond), provenance))
     return path
+
+
+def check_jobs(jobs: int) -> None:
+    """Raise InputError for a number of processes that is none."""
+    if jobs == 0 or jobs < -1:
+        raise InputError(f"jobs: expected a number of processes ≥ 1, or −1, got {jobs}")
+
+
+def origin(sheet: Piece, disk: Piece, source: str) -> dict[str, Any]:
+    """What is said of the bodies and of the programs that make a data set."""
+    potential = Path(sheet.potential)
+    numbers = {"python": platform.python_version()}
+    for name in ("warp_peri", "lammps", "ase", "numpy", "scipy"):
+        try:
+            numbers[name] = version(name)
+        except PackageNotFoundError:  # run from a checkout
+            numbers[name] = "not installed"
+    return {
+        "source": source,
+        "versions": numbers,
+        "potential": {"file": potential.name, "sha256": file_hash(potential)},
+        "bond_length": sheet.bond,
+        "box": sheet.box,
+        "disk_radius": disk.radius,
+    }
 
 
 def mass_density(bond: float) -> float:
@@ -185,23 +186,12 @@ def solve_all(
         missing = [load for load in loads if cached[body, load] is None]
         # A disk relaxes and factorises for longer than its loads take: they share one process.
         chunks = [[load] for load in missing] if body.cells else [missing] if missing else []
-        tasks += [(body, chunk) for chunk in chunks]
-    todo = sum(len(chunk) for _, chunk in tasks)
-    with tqdm(
-        total=len(cached),
-        initial=len(cached) - todo,
-        unit="sample",
-        mininterval=0.5,
-        disable=not progress,
-    ) as bar:
-        if tasks:
-            parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
-            with one_thread_each():
-                finished = parallel(
-                    joblib.delayed(solve_samples)(body, chunk, cache) for body, chunk in tasks
-                )
-            for paths in finished:
-                bar.update(len(paths))
+        tasks += [(body, chunk, cache) for chunk in chunks]
+    todo = sum(len(chunk) for _, chunk, _ in tasks)
+    shown: dict[str, Any] = {"initial": len(cached) - todo, "unit": "sample", "mininterval": 0.5}
+    with tqdm(total=len(cached), disable=not progress, **shown) as bar:
+        for paths in in_parallel(jobs, solve_samples, tasks, ordered=False):
+            bar.update(len(paths))
     result: dict[Piece, list[Sample]] = {}
     for body, loads in work.items():
         result[body] = []
@@ -298,54 +288,19 @@ def shape_change(
     }
 
 
-@contextmanager
-def one_thread_each() -> Iterator[None]:
-    """Processes started inside use one BLAS or OpenMP thread: the samples are parallel."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
-def versions() -> dict[str, str]:
-    """Versions of Python and the packages that make the data."""
-    numbers = {"python": platform.python_version()}
-    for name in ("warp_peri", "lammps", "ase", "numpy", "scipy"):
-        try:
-            numbers[name] = version(name)
-        except PackageNotFoundError:  # run from a checkout
-            numbers[name] = "not installed"
-    return numbers
+OPTIONS: dict[str, tuple[Any, str]] = {
+    "out": (Path("data/graphene_0K.h5"), "file to write"),
+    "jobs": (-1, "processes; -1 is one for each core"),
+    "scheduler": (str, "address of a Dask scheduler, whose workers do the work"),
+    "cache": (Path, "folder of finished samples, beside the file by default"),
+    "smoothing_radius": (SMOOTHING_RADIUS, "R [Å]"),
+    "loads": (("waves", *LOADS), "to learn from: seventy waves, or two loads, each both ways"),
+    "quiet": (False, "no progress bar"),
+}
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = Options(__doc__)
-    parser.add("--out", type=Path, default=Path("data/graphene_0K.h5"), metavar="FILE")
-    parser.add("--jobs", type=int, default=-1, help="processes; -1 (default) is one for each core")
-    parser.add("--scheduler", metavar="ADDRESS", help="of Dask, whose workers do the work")
-    parser.add(
-        "--cache", type=Path, metavar="FOLDER", help="finished samples (default: beside FILE)"
-    )
-    parser.add(
-        "--smoothing-radius", type=float, default=SMOOTHING_RADIUS, help="R [Å] (default: 10)"
-    )
-    parser.add(
-        "--loads",
-        choices=("waves", *LOADS),
-        default="waves",
-        help="to learn from: seventy waves, or two loads, each both ways",
-    )
-    parser.add("--quiet", action="store_true", help="no progress bar")
-    given = parser.parse_args(arguments)
-    if given.jobs == 0 or given.jobs < -1:
-        parser.error(f"--jobs: expected a number of processes ≥ 1, or -1, got {given.jobs}")
+    given = Options(__doc__, options=OPTIONS).parse_args(arguments)
     warnings.showwarning = short_warning
 
     def work() -> None:

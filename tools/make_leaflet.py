@@ -5,27 +5,26 @@ protocols, as valve leaflets are. What is kept is the displacement on a lattice 
 digital image correlation would give it, and the pull of two sides.
 """
 
-import hashlib
-import json
 import os
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import joblib
 import numpy as np
 import scipy.sparse as sp
 from tqdm import tqdm
 
+from tools.cache import digest, in_parallel, kept
 from tools.hyperelastic_elements import Elements, quadrilaterals
-from tools.hyperelastic_energies import Family, Matrix, plane_stress_hgo
+from tools.hyperelastic_energies import Energy, Family, plane_stress_hgo
 from tools.options import Options
 from warp_peri import Points, Samples
 from warp_peri.errors import exit_status
-from warp_peri.files.atomic import locked, read_arrays, whole_file
+from warp_peri.files.atomic import locked
 from warp_peri.points.unit_names import REDUCED
 
 PROTOCOLS = ((1, 1), (1, 0.66), (1, 0.33), (0.66, 1), (0.33, 1), (0.05, 1), (1, 0.1))
@@ -54,7 +53,7 @@ class Leaflet:
     uneven: float = 0.0
 
     @property
-    def energy(self) -> Matrix:
+    def energy(self) -> Energy:
         """Strain energy of the leaflet's material."""
         families = [Family(np.deg2rad(a), self.k1, self.k2) for a in (self.first, self.second)]
         return plane_stress_hgo(self.mu, families)
@@ -81,30 +80,18 @@ def make_leaflet(
     arrays protocol, level and force (pull along x and y [kPa × length]) by frame.
     The interior is 21 × 21 nodes; the six layers around it are the collar.
     """
-    leaflet = Leaflet() if leaflet is None else leaflet
-    folder = Path(folder)
+    folder, every = Path(folder), range(len(PROTOCOLS))
+    tasks = [(folder, leaflet or Leaflet(), n, levels, travel) for n in every]
     with locked(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        parallel = joblib.Parallel(n_jobs=jobs, return_as="generator")
-        work = (
-            joblib.delayed(protocol)(folder, leaflet, n, levels, travel)
-            for n in range(len(PROTOCOLS))
-        )
-        protocols = list(
-            tqdm(
-                parallel(work),
-                total=len(PROTOCOLS),
-                desc="protocols",
-                disable=not progress,
-                leave=False,
-            )
-        )
+        made = in_parallel(jobs, protocol, tasks)
+        protocols = [*tqdm(made, "protocols", len(every), leave=False, disable=not progress)]
     steps = np.argwhere(np.ones((NODES, NODES), bool))
     inner: np.ndarray = np.all((steps >= COLLAR) & (steps < NODES - COLLAR), axis=1)
     points = Points(SPACING * (steps - NODES // 2), inner, SPACING, units=REDUCED)
     sets = {}
     for name, held in (("train", False), ("test", True)):
-        chosen = [n for n in range(len(PROTOCOLS)) if (n not in LEARNED) == held]
+        chosen = [n for n in every if (n not in LEARNED) == held]
         arrays = {
             "protocol": np.repeat(chosen, levels),
             "level": np.tile(np.arange(1, levels + 1) / levels, len(chosen)),
@@ -124,15 +111,10 @@ def protocol(
         settings["pull"] = travel
     if not leaflet.uneven:
         del settings["uneven"]
-    key = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:24]
-    path = folder / f"protocol_{key}.npz"
-    if path.exists():
-        held = read_arrays(path)
-        return held["u"], held["force"]
-    frames, pulls = pull(leaflet, PROTOCOLS[number], levels, travel)
-    with whole_file(path) as temporary:
-        np.savez(temporary, u=frames, force=pulls)
-    return frames, pulls
+    path = folder / f"protocol_{digest(settings, 24)}.npz"
+    parts = PROTOCOLS[number]
+    frames = kept(path, lambda: dict(zip(("u", "force"), pull(leaflet, parts, levels, travel))))
+    return frames["u"], frames["force"]
 
 
 def pull(
@@ -178,13 +160,13 @@ def tines(mesh: Elements, axis: int, sign: int) -> sp.csr_matrix:
 
 def main() -> None:
     """Make the frames from a shell."""
-    parser = Options(__doc__)
-    parser.add("--out", type=Path, default=Path("data/leaflet"), help="folder of protocols")
-    parser.add("--jobs", type=int, default=-1)
-    for name, value in asdict(Leaflet()).items():
-        parser.add(f"--{name}", type=float, default=value)
-    given = parser.parse_args()
-    leaflet = Leaflet(**{name: getattr(given, name) for name in asdict(Leaflet())})
+    how: dict[str, tuple[Any, str]] = {
+        "out": (Path("data/leaflet"), "folder of protocols"),
+        "jobs": (-1, "processes"),
+    }
+    sheet = {name: (value, "of the leaflet") for name, value in asdict(Leaflet()).items()}
+    given = Options(__doc__, options=how | sheet).parse_args()
+    leaflet = Leaflet(**{name: getattr(given, name) for name in sheet})
     for name, frames in make_leaflet(given.out, leaflet=leaflet, jobs=given.jobs).items():
         print(f"{name}: {len(frames)} frames on {len(frames.x)} nodes")
 

@@ -20,25 +20,24 @@ from typing import Any
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import joblib
 import numpy as np
 from tqdm import tqdm
 
-from tools.elastic import elastic_constants, lame_constants
-from tools.graphene import THICKNESS, area_per_atom
-from tools.loads import Load, WaveLoad
+from tools.cache import in_parallel
+from tools.graphene import THICKNESS
+from tools.loads import Load
 from tools.make_graphene import (
     SPACINGS,
+    check_jobs,
     load_record,
     mass_density,
     on_nodes,
-    one_thread_each,
+    origin,
     short_warning,
     solve_all,
-    versions,
 )
 from tools.options import Options
-from tools.samples import Piece, Sample, file_hash
+from tools.samples import Piece, Sample
 from tools.thermal import (
     REDUCTIONS,
     Bath,
@@ -53,66 +52,9 @@ from tools.thermal import (
     run_file,
 )
 from warp_peri import Dataset, InputError, Samples
-from warp_peri.atoms.coarse_graining import EV_PER_CUBIC_ANGSTROM
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
 from warp_peri.points.dataset import save_dataset
-
-LONGEST = 2
-"""Loads with p₁² + p₂² up to this count as long waves."""
-
-
-def long_wave_constants(
-    body: Piece,
-    reference: np.ndarray,
-    loads: Sequence[Load],
-    displacement: np.ndarray,
-    force: np.ndarray,
-) -> dict[str, float]:
-    """λ and μ of the isotropic solid that answers the longest WaveLoads as the atoms do.
-
-    A load B cos k₁x cos k₂y along x moves such a solid by u = (U cos cos, V sin sin) with
-    ((λ+2μ) k₁² + μ k₂²) U − (λ+μ) k₁k₂ V = B and (μ k₁² + (λ+2μ) k₂²) V = (λ+μ) k₁k₂ U. U, V and B
-    are least-squares amplitudes over the atoms; λ and μ solve all these equations, relative to B,
-    in the least-squares sense.
-
-    Args:
-        body: a periodic sheet.
-        reference: of the atoms [Å], shape [A, 2].
-        loads: of the samples; one of the longest waves at least.
-        displacement, force: of the atoms [Å] and [eV/Å], shape [S, A, 2].
-
-    Returns:
-        `lambda`, `mu`, `E` [TPa] for the thickness THICKNESS, and `nu`.
-
-    Raises ValueError without a long wave or without a box.
-    """
-    if body.box is None:
-        raise ValueError("body: expected a periodic sheet")
-    density = force * (EV_PER_CUBIC_ANGSTROM / (area_per_atom(body.bond) * THICKNESS))
-    rows, right = [], []
-    for load, u, b in zip(loads, displacement, density):
-        if not isinstance(load, WaveLoad) or np.square(load.waves).sum() > LONGEST:
-            continue
-        k = load.wave_vector(body.box)
-        cos, sin = np.cos(k * reference).prod(axis=1), np.sin(k * reference).prod(axis=1)
-        along, across = load.axis, 1 - load.axis
-        B, U = b[:, along] @ cos / (cos @ cos), u[:, along] @ cos / (cos @ cos)
-        V = u[:, across] @ sin / (sin @ sin) if k.all() else 0.0
-        own, other, mixed = k[along] ** 2, k[across] ** 2, k.prod()
-        rows.append([own * U - mixed * V, (2 * own + other) * U - mixed * V])
-        right.append(B)
-        rows[-1] = [entry / B for entry in rows[-1]]
-        right[-1] = 1.0
-        if k.all():
-            second = [other * V - mixed * U, (own + 2 * other) * V - mixed * U]
-            rows.append([entry / B for entry in second])
-            right.append(0.0)
-    if not rows:
-        raise ValueError(f"loads: expected a WaveLoad with p₁² + p₂² ≤ {LONGEST}")
-    lam, mu = np.linalg.lstsq(np.array(rows), np.array(right))[0]
-    return lame_constants(float(lam), float(mu))
-
 
 DATA = Path("data")
 
@@ -156,8 +98,7 @@ def make_thermal(
     the disk is full.
     """
     bath = Bath() if bath is None else bath
-    if jobs == 0 or jobs < -1:
-        raise InputError(f"jobs: expected a number of processes ≥ 1, or −1, got {jobs}")
+    check_jobs(jobs)
     if not factors or not all(np.isfinite(factor) and factor > 0 for factor in factors):
         raise InputError(f"factors: expected numbers > 0, got {list(factors)}")
     if not reductions or not set(reductions) <= set(REDUCTIONS):
@@ -168,14 +109,11 @@ def make_thermal(
     cache.mkdir(parents=True, exist_ok=True)
     with locked(cache):
         at_rest, runs = run_all(plans, factors, bath, cache, jobs=jobs, progress=progress)
-        truth = thermal_constants(plans, runs, at_rest, max(factors))
         paths = {}
         for factor in factors:
             for reduction in reductions:
-                data = data_set(
-                    plans, runs, at_rest, bath, reduction=reduction, factor=factor, fine=fine
-                )
-                data.provenance["truth"] = truth
+                how: dict[str, Any] = {"reduction": reduction, "factor": factor, "fine": fine}
+                data = data_set(plans, runs, at_rest, bath, **how)
                 path = out / file_name(bath.temperature, reduction, factor)
                 with locked(path):
                     save_dataset(path, data)
@@ -200,67 +138,31 @@ def data_set(
 ) -> Dataset:
     """One reduction of the runs for one factor, on nodes."""
     spacings = {end: h for end, h in SPACINGS.items() if fine or not end}
+    how: dict[str, Any] = {"reduction": reduction, "factor": factor}
     sets: dict[str, Samples] = {}
     snr = {}
     for plan in plans:
         body, rested = plan.body, at_rest[plan.body]
         reference = next(iter(rested.values())).reference
         for group, loads in plan.groups.items():
-            fields = reduced(plan, group, runs, rested, reduction=reduction, factor=factor)
+            u, ratio, seed = reduced(plan, group, runs, reference, **how)
             force = factor * np.stack([rested[load].force for load in loads])
             for end, spacing in spacings.items():
-                points = on_nodes(body, reference, fields.displacement, force, spacing=spacing)
-                points.arrays.update(load_record(body, loads))
-                points.arrays.update(snr=fields.snr, seed=fields.seed)
+                points = on_nodes(body, reference, u, force, spacing=spacing)
+                points.arrays.update(load_record(body, loads), snr=ratio, seed=seed)
                 points.arrays["amplitude"] = np.array([factor * rested[x].amplitude for x in loads])
                 sets[group + end] = points
-            snr[group] = float(fields.snr.mean())
-        fluctuation = noise(plan, runs, reference, reduction=reduction, factor=factor)
+            snr[group] = float(ratio.mean())
+        fluctuation = noise(plan, runs, reference, **how)
         name = "noise" if body.cells else "noise_test"
         for end, spacing in spacings.items():
             sets[name + end] = on_nodes(
                 body, reference, fluctuation, np.zeros_like(fluctuation), spacing=spacing
             )
     sheet, disk = (next(p.body for p in plans if bool(p.body.cells) == x) for x in (True, False))
-    potential = Path(sheet.potential)
-    provenance: dict[str, Any] = {
-        "source": "tools/make_thermal.py",
-        **asdict(bath),
-        "reduction": reduction,
-        "factor": factor,
-        "snr": snr,
-        "versions": versions(),
-        "potential": {"file": potential.name, "sha256": file_hash(potential)},
-        "bond_length": sheet.bond,
-        "box": sheet.box,
-        "disk_radius": disk.radius,
-    }
+    said = {**asdict(bath), **how, "snr": snr}
+    provenance = origin(sheet, disk, "tools/make_thermal.py") | said
     return Dataset(sets, THICKNESS, mass_density(sheet.bond), provenance)
-
-
-def thermal_constants(
-    plans: Sequence[Plan], runs: Mapping[Task, ThermalRun], at_rest: Equilibria, factor: float
-) -> dict[str, float]:
-    """λ, μ, E [TPa] and ν of the sheet at the temperature of the runs.
-
-    The response of shared seeds to the longest waves. What that response departs from the
-    potential's own constants at 0 K, where these are known, is taken off: waves are not endless
-    and strains not endlessly small.
-    """
-    plan = next(plan for plan in plans if plan.body.cells)
-    body, rested = plan.body, at_rest[plan.body]
-    fields = reduced(plan, "train", runs, rested, reduction="shared", factor=factor)
-    samples = [rested[load] for load in fields.loads]
-    reference, force = samples[0].reference, np.stack([sample.force for sample in samples])
-    cold = np.stack([sample.displacement for sample in samples])
-    constants = long_wave_constants(
-        body, reference, fields.loads, fields.displacement, factor * force
-    )
-    response = long_wave_constants(body, reference, fields.loads, cold, force)
-    truth = elastic_constants(body.bond, potential=body.potential)
-    return lame_constants(
-        *(constants[key] + truth[key] - response[key] for key in ("lambda", "mu"))
-    )
 
 
 def run_all(
@@ -290,25 +192,13 @@ def run_all(
         return next(iter(samples.values())) if task.load is None else samples[task.load]
 
     missing = [task for task, known in runs.items() if known is None]
-    with tqdm(
-        desc=f"{bath.temperature:g} K",
-        total=sum(map(work, tasks)),
-        initial=sum(map(work, tasks)) - sum(map(work, missing)),
-        unit=" atom steps",
-        unit_scale=True,
-        mininterval=0.5,
-        disable=not progress,
-    ) as bar:
-        bar.set_postfix_str(f"{len(tasks) - len(missing)}/{len(tasks)} runs")
-        if missing:
-            parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
-            with one_thread_each():
-                finished = parallel(
-                    joblib.delayed(run)(task, start(task), bath, cache) for task in missing
-                )
-            for number, done in enumerate(finished, start=len(tasks) - len(missing) + 1):
-                bar.set_postfix_str(f"{number}/{len(tasks)} runs", refresh=False)
-                bar.update(done)
+    total, todo = (sum(map(work, some)) for some in (tasks, missing))
+    shown: dict[str, Any] = {"unit": " atom steps", "unit_scale": True, "mininterval": 0.5}
+    shown |= {"desc": f"{bath.temperature:g} K", "initial": total - todo}
+    with tqdm(total=total, disable=not progress, **shown) as bar:
+        starts = [(task, start(task), bath, cache) for task in missing]
+        for done in in_parallel(jobs, run, starts, ordered=False):
+            bar.update(done)
     result = {}
     for task, file in files.items():
         means = runs[task] or read_run(file)
@@ -318,44 +208,23 @@ def run_all(
     return at_rest, result
 
 
-def argument_parser() -> Options:
-    """Options of this tool."""
-    parser = Options(__doc__)
-    bath = Bath()
-    parser.add("--out", type=Path, default=DATA, metavar="FOLDER", help="(default: data)")
-    parser.add(
-        "--reduction",
-        choices=REDUCTIONS,
-        action="append",
-        help="may be given several times (default: all three, which cost no more)",
-    )
-    parser.add(
-        "--factors",
-        type=float,
-        nargs="+",
-        default=[1.0],
-        metavar="F",
-        help="on the loads, e.g. 1 0.25 0.1 (default: 1)",
-    )
-    parser.add("--temperature", type=float, default=bath.temperature, help="[K]")
-    parser.add("--steps", type=int, default=bath.steps, help=f"of a run (default: {bath.steps})")
-    parser.add(
-        "--transient",
-        type=int,
-        default=bath.transient,
-        help=f"steps that averages leave out (default: {bath.transient})",
-    )
-    parser.add("--iota", type=float, default=bath.iota, help=f"of (2.10) (default: {bath.iota})")
-    parser.add("--fine", action="store_true", help="also on nodes 2.5 Å apart")
-    parser.add("--jobs", type=int, default=-1, help="processes; -1 (default) is one for each core")
-    parser.add("--cache", type=Path, metavar="FOLDER", help="finished runs (default: in --out)")
-    parser.add("--quiet", action="store_true", help="no progress bar")
-    return parser
+OPTIONS: dict[str, tuple[Any, str]] = {
+    "out": (DATA, "folder for the files"),
+    "reduction": ([*REDUCTIONS], "of shared, plain, iota; all cost no more than one"),
+    "factors": ([1.0], "on the loads, e.g. 1 0.25 0.1"),
+    "temperature": (Bath.temperature, "[K]"),
+    "steps": (Bath.steps, "of a run"),
+    "transient": (Bath.transient, "steps that averages leave out"),
+    "iota": (Bath.iota, "of (2.10)"),
+    "fine": (False, "also on nodes 2.5 Å apart"),
+    "jobs": (-1, "processes; -1 is one for each core"),
+    "cache": (Path, "folder of finished runs, in --out by default"),
+    "quiet": (False, "no progress bar"),
+}
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argument_parser()
-    given = parser.parse_args(arguments)
+    given = Options(__doc__, options=OPTIONS).parse_args(arguments)
     warnings.showwarning = short_warning
 
     def work() -> None:
@@ -363,7 +232,7 @@ def main(arguments: list[str] | None = None) -> int:
             given.out,
             bath=Bath(given.temperature, given.steps, given.transient, given.iota),
             factors=given.factors,
-            reductions=given.reduction or REDUCTIONS,
+            reductions=given.reduction,
             cache=given.cache,
             fine=given.fine,
             jobs=given.jobs,

@@ -1,6 +1,7 @@
-"""Options of a script: its docstring as help, and those that most of them share."""
+"""Options of a script: its docstring as help, and a table of names, defaults and words."""
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -8,34 +9,51 @@ RUNS = Path(__file__).resolve().parent.parent / "runs"
 
 
 class Options(argparse.ArgumentParser):
-    """A parser that says a module's docstring as it stands.
+    """A parser whose help is a module's docstring, as it stands.
 
-    With `out`, a folder in runs/, it has --out, which is made; with `json`, --json. With
-    `defaults` the help names what is taken where nothing is given.
+    Args:
+        doc: the docstring.
+        out: a folder in runs/, for --out, which is made.
+        json: whether there is --json.
+        options: by name, a default and the help. The default of a list is a list; a tuple of words
+            is a choice, of which the first is taken; False is a flag; a type in place of a default
+            stands for none.
     """
 
     def __init__(
-        self, doc: str | None, out: str = "", *, json: bool = False, defaults: bool = False
+        self,
+        doc: str | None,
+        out: str = "",
+        *,
+        json: bool = False,
+        options: Mapping[str, tuple[Any, str]] | None = None,
     ) -> None:
         formatter = argparse.RawDescriptionHelpFormatter
-        super().__init__(
-            description=doc,
-            formatter_class=argparse.ArgumentDefaultsHelpFormatter if defaults else formatter,
-        )
-        self._out, self._json = out, json
-
-    def add(self, *names: str, **how: Any) -> None:
-        """One more option, as add_argument takes it."""
-        self.add_argument(*names, **how)
+        super().__init__(description=doc, formatter_class=formatter)
+        every = dict(options or {})
+        if out:
+            every["out"] = RUNS / out, "folder for the results"
+        if json:
+            every["json"] = False, "print the numbers as JSON"
+        for name, (default, words) in every.items():
+            how: dict[str, Any] = {"type": type(default), "default": default}
+            if default is False:
+                how = {"action": "store_true"}
+            elif isinstance(default, type):
+                how = {"type": default}
+            elif isinstance(default, tuple):
+                how = {"choices": default, "default": default[0]}
+            elif isinstance(default, list):
+                how |= {"type": type(default[0]), "nargs": "+"}
+            told = f" (default: {how['default']})" if how.get("default") not in (None, "") else ""
+            self.add_argument(
+                f"--{name.replace('_', '-')}", **how, help=(words + told).replace("%", "%%")
+            )
+        self._makes = bool(out)
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """What is given; the shared options stand last in the help."""
-        if self._out:
-            self.add("--out", type=Path, default=RUNS / self._out, help="for the results")
-        if self._json:
-            self.add("--json", action="store_true", help="print the numbers as JSON")
-        self._json, out, self._out = False, self._out, ""
+        """What is given; the folder of results is made."""
         given = super().parse_args(args, namespace)
-        if out:
+        if self._makes:
             given.out.mkdir(parents=True, exist_ok=True)
         return given

@@ -1,19 +1,17 @@
 """Other ways of computing what the library computes, for the benchmark, as careful users would.
 
-torch scatter, SciPy CSR, Numba loops and LAMMPS's `peri/lps`. All but the last take the tables of a
-periodic point set and compute (4)–(9) of docs/theory: K once per bond class, no memory allocated
-twice.
+torch scatter, SciPy CSR and LAMMPS's `peri/lps`; Numba's loops are in rivals_numba. All but LAMMPS
+take the tables of a periodic point set and compute (4)–(9) of docs/theory: K once per bond class,
+no memory allocated twice.
 """
 
 import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 import torch
-from scipy.special import comb
 
 from warp_peri.atoms.calculators import LammpsError, lammps_class, lammps_words
 from warp_peri.materials.lps_force import Bonds
@@ -26,7 +24,7 @@ class Tables:
     """One problem: N nodes, E bonds, C bond classes (C = E on scattered points).
 
     Attributes:
-        row [N + 1], neighbour [E], bond_class [E], reverse [E]: the bonds, int32.
+        row [N + 1], neighbour [E], bond_class [E]: the bonds, int32.
         xi: bond vectors, shape [E, 2].
         r, weight: of the classes, shape [C].
         horizon, alpha, D, lam, mu: the model, one influence function.
@@ -37,7 +35,6 @@ class Tables:
     row: np.ndarray
     neighbour: np.ndarray
     bond_class: np.ndarray
-    reverse: np.ndarray
     xi: np.ndarray
     r: np.ndarray
     weight: np.ndarray
@@ -66,27 +63,14 @@ def tables(
     families = bonds.families
     row, neighbour = families.row, families.neighbour
     if families.lattice is None:
-        owner = np.repeat(np.arange(len(x)), np.diff(row))
-        xi = x[neighbour] - x[owner]
+        xi = x[neighbour] - x[np.repeat(np.arange(len(x)), np.diff(row))]
         xi -= np.round(xi / box) * box
-        bond_class, reverse = np.arange(len(neighbour), dtype=np.int32), families.reverse
+        bond_class = np.arange(len(neighbour), dtype=np.int32)
     else:
         xi = np.tile(families.pattern, (len(x), 1))
         bond_class = np.tile(families.lattice.bond_class, len(x)).astype(np.int32)
-        reverse = (row[neighbour].reshape(len(x), -1) + families.reverse).astype(np.int32).ravel()
-    return Tables(
-        row=row,
-        neighbour=neighbour,
-        bond_class=bond_class,
-        reverse=reverse,
-        xi=np.ascontiguousarray(xi),
-        r=families.r,
-        weight=families.weight,
-        horizon=bonds.horizon,
-        u=u,
-        g=g,
-        **model,
-    )
+    classes = families.r, families.weight, bonds.horizon
+    return Tables(row, neighbour, bond_class, np.ascontiguousarray(xi), *classes, **model, u=u, g=g)
 
 
 def torch_scatter(t: Tables, dtype: torch.dtype) -> tuple[Callable, Callable]:
@@ -156,310 +140,6 @@ def scipy_csr(t: Tables) -> Callable:
         return Lu.reshape(2, size).T
 
     return forward
-
-
-# Numba
-
-
-@dataclass(frozen=True)
-class Loops:
-    """What the loops are compiled with; Numba takes its numbers for constants.
-
-    `pattern`: whether all nodes are alike, so that tables are kept by the step from node to node;
-    `volumes`: how many weighted volumes differ.
-    """
-
-    jit: Any
-    prange: Any
-    dtype: Any
-    pattern: bool
-    volumes: int
-    lam: Any
-    mu: Any
-    horizon: Any
-
-
-def numba_parallel(t: Tables, dtype: Any, *, fastmath: bool) -> Callable[[], np.ndarray]:
-    """Forward in parallel loops."""
-    import numba
-
-    size, degree = len(t.u), len(t.D) - 1
-    bonds = t.row[1] - t.row[0]
-    pattern = len(t.r) < len(t.neighbour)
-    loops = Loops(
-        numba.njit(parallel=True, fastmath=fastmath), numba.prange, dtype, pattern,
-        1 if pattern else size, dtype(t.lam), dtype(t.mu), dtype(t.horizon),
-    )  # fmt: skip
-    volume, dilatation, force = _volume(loops), _dilatation(loops), _force(loops)
-    influence = _influence(loops)
-    xi = np.ascontiguousarray(t.xi[:bonds] if pattern else t.xi, dtype)
-    bond_class = t.bond_class[:bonds] if pattern else t.bond_class
-    r, weight, D, u = (np.asarray(v, dtype) for v in (t.r, t.weight, t.D, t.u))
-    alpha, binomial = dtype(t.alpha), comb(degree, np.arange(degree + 1)).astype(dtype)
-    kw, m, theta = np.empty(len(r), dtype), np.empty(size, dtype), np.empty(size, dtype)
-    out, links = np.empty_like(u), (t.row, t.neighbour, bond_class)
-
-    def forward() -> np.ndarray:
-        influence(r, weight, binomial, alpha, D, kw)
-        volume(t.row, bond_class, r, kw, m)
-        dilatation(*links, xi, kw, m, u, theta)
-        force(*links, xi, kw, m, u, theta, out)
-        return out
-
-    return forward
-
-
-def _volume(loops):
-    """Weighted volume of every node, or of one where all are alike."""
-    dtype, pattern, prange, volumes = loops.dtype, loops.pattern, loops.prange, loops.volumes
-
-    @loops.jit
-    def volume(row, bond_class, r, kw, m):
-        for i in prange(volumes):
-            total = dtype(0)
-            for e in range(row[i], row[i + 1]):
-                c = bond_class[e - row[i]] if pattern else e
-                total += kw[c] * r[c] * r[c]
-            m[i] = total
-        if pattern:
-            m[1:] = m[0]
-
-    return volume
-
-
-def _dilatation(loops):
-    """θ at every node."""
-    dtype, pattern, prange, two = loops.dtype, loops.pattern, loops.prange, loops.dtype(2)
-
-    @loops.jit
-    def dilatation(row, neighbour, bond_class, xi, kw, m, u, theta):
-        for i in prange(len(m)):
-            total = dtype(0)
-            for e in range(row[i], row[i + 1]):
-                p = e - row[i] if pattern else e
-                k = kw[bond_class[p]] if pattern else kw[p]
-                j = neighbour[e]
-                stretch = xi[p, 0] * (u[j, 0] - u[i, 0]) + xi[p, 1] * (u[j, 1] - u[i, 1])
-                total += k * stretch
-            theta[i] = two / m[i] * total
-
-    return dilatation
-
-
-def _force(loops):
-    """L u at every node."""
-    dtype, pattern, prange, lam, mu = (
-        loops.dtype, loops.pattern, loops.prange, loops.lam, loops.mu,
-    )  # fmt: skip
-    two, sixteen = dtype(2), dtype(16)
-
-    @loops.jit
-    def force(row, neighbour, bond_class, xi, kw, m, u, theta, out):
-        for i in prange(len(m)):
-            a, b = dtype(0), dtype(0)
-            bulk, shear = -two * (lam - mu) / m[i], -sixteen * mu / m[i]
-            for e in range(row[i], row[i + 1]):
-                p = e - row[i] if pattern else e
-                k = kw[bond_class[p]] if pattern else kw[p]
-                j = neighbour[e]
-                x, y = xi[p, 0], xi[p, 1]
-                stretch = (x * (u[j, 0] - u[i, 0]) + y * (u[j, 1] - u[i, 1])) / (x * x + y * y)
-                density = k * (bulk * (theta[i] + theta[j]) + shear * stretch)
-                a += density * x
-                b += density * y
-            out[i, 0] = a
-            out[i, 1] = b
-
-    return force
-
-
-def _influence(loops):
-    """K·W of every class of bonds."""
-    dtype, prange, horizon = loops.dtype, loops.prange, loops.horizon
-
-    @loops.jit
-    def influence(r, weight, binomial, alpha, D, kw):
-        degree = len(D) - 1
-        for c in prange(len(r)):
-            x = min(r[c] / horizon, dtype(1))
-            power, total = dtype(1), dtype(0)
-            for k in range(degree + 1):
-                total = total * (dtype(1) - x) + D[k] * binomial[k] * power
-                power *= x
-            kw[c] = weight[c] * r[c] ** -alpha * total
-
-    return influence
-
-
-def numba_rows(t: Tables, dtype: Any) -> Callable[[], np.ndarray]:
-    """Forward on side × side nodes numbered row by row, K of the classes computed every time.
-
-    Its best form: products and sums contracted, images of rows in a loop of their own, K on one
-    thread.
-    """
-    import numba
-
-    side = round(np.sqrt(len(t.u)))
-    family = t.row[1] - t.row[0]
-    xi = np.ascontiguousarray(t.xi[:family])
-    steps = np.rint(xi / np.abs(xi[xi != 0]).min()).astype(np.int64)
-    reach = int(np.abs(steps).max())
-    degree = len(t.D) - 1
-    one = Loops(numba.njit(), range, dtype, True, 1, dtype(t.lam), dtype(t.mu), dtype(t.horizon))
-    influence, kw = _influence(one), np.empty(len(t.r), dtype)
-    weight, D = t.weight.astype(dtype), t.D.astype(dtype)
-    binomial = comb(degree, np.arange(degree + 1)).astype(dtype)
-    bond_class, r = t.bond_class[:family], t.r.astype(dtype)
-    ring, width = 2 * reach, side + 4 * reach
-    bonds = np.column_stack([xi, 1 / (xi**2).sum(axis=1)]).astype(dtype)
-    planes = np.zeros((3, width, width), dtype)
-    out = np.empty((side, side, 2), dtype)
-    u = t.u.reshape(side, side, 2).astype(dtype)
-    lam, mu = dtype(t.lam), dtype(t.mu)
-    jit = numba.njit(parallel=True, fastmath=True, error_model="numpy")
-    made = (of(numba.prange) for of in (_laid_out, _row_dilatation, _row_force))
-    laid_out, dilatation, force = map(jit, made)
-
-    def forward() -> np.ndarray:
-        influence(r, weight, binomial, dtype(t.alpha), D, kw)
-        k = kw[bond_class]
-        m = (k * r[bond_class] ** 2).sum()
-        laid_out(u, planes, ring)
-        dilatation(steps, bonds, 2 / m * k, planes, reach)
-        force(steps, bonds, -2 * (lam - mu) / m * k, -16 * mu / m * k, planes, ring, out)
-        return out.reshape(-1, 2)
-
-    return forward
-
-
-def _laid_out(prange: Any) -> Callable[..., None]:
-    def laid_out(u, planes, ring):
-        side, rows = len(u), planes.shape[1]
-        for i in prange(rows):
-            own = u[(i - ring) % side]
-            for c in range(side):
-                planes[0, i, ring + c] = own[c, 0]
-                planes[1, i, ring + c] = own[c, 1]
-            for a in range(2):
-                planes[a, i, :ring] = planes[a, i, side : side + ring]
-                planes[a, i, ring + side :] = planes[a, i, ring : 2 * ring]
-
-    return laid_out
-
-
-def _row_dilatation(prange: Any) -> Callable[..., None]:
-    def dilatation(steps, bonds, factor, planes, margin):
-        rows = planes.shape[1] - 2 * margin
-        for n in prange(rows):
-            i = n + margin
-            total = np.zeros(rows, planes.dtype)
-            x, y = (planes[0, i, margin : margin + rows], planes[1, i, margin : margin + rows])
-            for p in range(len(steps)):
-                j, shift = i + steps[p, 0], margin + steps[p, 1]
-                vx, vy = planes[0, j, shift : shift + rows], planes[1, j, shift : shift + rows]
-                a, b, k = bonds[p, 0], bonds[p, 1], factor[p]
-                for c in range(rows):
-                    total[c] += k * (a * (vx[c] - x[c]) + b * (vy[c] - y[c]))
-            planes[2, i, margin : margin + rows] = total
-
-    return dilatation
-
-
-def _row_force(prange: Any) -> Callable[..., None]:
-    def force(steps, bonds, bulk, shear, planes, margin, out):
-        side = len(out)
-        for n in prange(side):
-            i = n + margin
-            fx, fy = np.zeros(side, planes.dtype), np.zeros(side, planes.dtype)
-            x, y = planes[0, i, margin : margin + side], planes[1, i, margin : margin + side]
-            theta = planes[2, i, margin : margin + side]
-            for p in range(len(steps)):
-                j, shift = i + steps[p, 0], margin + steps[p, 1]
-                vx, vy = planes[0, j, shift : shift + side], planes[1, j, shift : shift + side]
-                far = planes[2, j, shift : shift + side]
-                a, b = bonds[p, 0], bonds[p, 1]
-                push, pull = bulk[p], shear[p] * bonds[p, 2]
-                for c in range(side):
-                    stretch = a * (vx[c] - x[c]) + b * (vy[c] - y[c])
-                    density = push * (theta[c] + far[c]) + pull * stretch
-                    fx[c] += density * a
-                    fy[c] += density * b
-            out[n, :, 0] = fx
-            out[n, :, 1] = fy
-
-    return force
-
-
-def numba_breaking() -> Callable[..., None]:
-    """A state-based body whose bonds break, two nodes at a time: a fifth faster."""
-    import numba
-
-    jit = numba.njit(parallel=True, fastmath=True, error_model="numpy")
-    whole = numba.uint64
-
-    @jit
-    def dilatation(u, xi, a, neighbour, theta):
-        for t in numba.prange((len(u) + 1) // 2):
-            p = whole(2 * t)
-            q = whole(min(2 * t + 1, len(u) - 1))
-            px, py, qx, qy = u[p, 0], u[p, 1], u[q, 0], u[q, 1]
-            first = second = 0.0
-            for b in range(len(a)):
-                x, y = xi[b, 0], xi[b, 1]
-                j = neighbour[p, b]
-                if j >= 0:
-                    far = whole(j)
-                    first += a[b] * (x * (u[far, 0] - px) + y * (u[far, 1] - py))
-                j = neighbour[q, b]
-                if j >= 0:
-                    far = whole(j)
-                    second += a[b] * (x * (u[far, 0] - qx) + y * (u[far, 1] - qy))
-            theta[p], theta[q] = first, second
-
-    @jit
-    def pull(u, xi, k, limit, no_fail, neighbour, force, energy, lost, a, excess, theta):
-        for t in numba.prange((len(u) + 1) // 2):
-            p = whole(2 * t)
-            q = whole(min(2 * t + 1, len(u) - 1))
-            px, py, qx, qy = u[p, 0], u[p, 1], u[q, 0], u[q, 1]
-            fx = fy = e = gx = gy = w = 0.0
-            lost_p = lost_q = 0
-            for b in range(len(limit)):
-                x, y, bulk = xi[b, 0], xi[b, 1], excess * a[b]
-                j = neighbour[p, b]
-                if j >= 0:
-                    far = whole(j)
-                    d = x * (u[far, 0] - px) + y * (u[far, 1] - py)
-                    s = k[b] * d
-                    e += 0.25 * s * d
-                    s += bulk * (theta[p] + theta[far])
-                    fx += s * x
-                    fy += s * y
-                    if d > limit[b] and no_fail[p] + no_fail[far] == 0:
-                        neighbour[p, b] = -1 - j
-                        lost_p += 1
-                j = neighbour[q, b]
-                if j >= 0:
-                    far = whole(j)
-                    d = x * (u[far, 0] - qx) + y * (u[far, 1] - qy)
-                    s = k[b] * d
-                    w += 0.25 * s * d
-                    s += bulk * (theta[q] + theta[far])
-                    gx += s * x
-                    gy += s * y
-                    if d > limit[b] and no_fail[q] + no_fail[far] == 0:
-                        neighbour[q, b] = -1 - j
-                        lost_q += 1
-            force[p, 0], force[p, 1], lost[p] = fx, fy, lost_p
-            energy[p] = e + 0.5 * excess * theta[p] ** 2
-            force[q, 0], force[q, 1], lost[q] = gx, gy, lost_q
-            energy[q] = w + 0.5 * excess * theta[q] ** 2
-
-    def state_based(u, xi, k, limit, no_fail, neighbour, force, energy, lost, a, excess, theta):
-        dilatation(u, xi, a, neighbour, theta)
-        pull(u, xi, k, limit, no_fail, neighbour, force, energy, lost, a, excess, theta)
-
-    return state_based
 
 
 # LAMMPS

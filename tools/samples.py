@@ -1,25 +1,23 @@
 """Samples of atoms at rest under a load, solved in worker processes and kept in a cache."""
 
 import hashlib
-import json
 import os
 import re
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any
 
 import numpy as np
 
+from tools.cache import digest, file_hash, read_record, write_record
 from tools.graphene import THICKNESS, area_per_atom, disk, sheet
 from tools.lammps_session import LammpsSession
-from tools.loads import Load, MixedLoad, RandomRim, Reversed, WaveLoad, atom_force
+from tools.loads import Load, PatchLoad, RimLoad, atom_force
 from tools.statics import TOLERANCE, AtomsAtRest, ConvergenceError, Statics
 from warp_peri.atoms.calculators import LammpsError
-from warp_peri.files.atomic import read_arrays, whole_file
 
 TRAINING_STRAIN = 0.02
 """Largest bond strain of every training sample (You et al. 2021, section 6)."""
@@ -54,15 +52,6 @@ class Piece:
         return disk(self.bond, radius=self.radius)
 
 
-class Arrays(Protocol):
-    """A dataclass of numbers and arrays, all of one shape."""
-
-    __dataclass_fields__: ClassVar[dict[str, Any]]
-
-
-R = TypeVar("R", bound=Arrays)
-
-
 @dataclass(frozen=True)
 class Sample:
     """One body at rest under one load.
@@ -90,9 +79,8 @@ def cache_file(cache: str | os.PathLike[str], body: Piece, load: Load) -> Path:
         "amplitude": getattr(load, "amplitude", TRAINING_STRAIN),
         "tolerances": [TOLERANCE, STRAIN_TOLERANCE],
     }
-    key = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:20]
     name = re.sub(r"[^a-z0-9]+", "-", load.load_id).strip("-")
-    return Path(cache) / f"{name}-{key}.npz"
+    return Path(cache) / f"{name}-{digest(content)}.npz"
 
 
 def body_record(body: Piece) -> dict[str, Any]:
@@ -116,29 +104,6 @@ def read_sample(path: Path) -> Sample | None:
     return read_record(path, Sample)
 
 
-def read_record(path: Path, kind: type[R]) -> R | None:
-    """Numbers and arrays of one shape, the fields of a dataclass, as `write_record` left them.
-
-    None when there is no file, with a warning when it is corrupt.
-    """
-    try:
-        content = read_arrays(path)
-        fields = {name: content[name] for name in kind.__dataclass_fields__}
-        if len({value.shape for value in fields.values() if value.ndim}) > 1:
-            raise ValueError("arrays do not fit each other")
-        if not all(np.isfinite(value).all() for value in fields.values()):
-            raise ValueError("values that are not finite")
-        return kind(**{n: value if value.ndim else float(value) for n, value in fields.items()})
-    except FileNotFoundError:
-        return None
-    # Broken bytes surface as almost any exception of zipfile, zlib or NumPy.
-    except Exception as error:
-        warnings.warn(
-            f"cached sample {path.name} is corrupt and is made again ({error})", stacklevel=2
-        )
-        return None
-
-
 def solve_samples(body: Piece, loads: Sequence[Load], cache: str | os.PathLike[str]) -> list[Path]:
     """Solve `loads` on `body` and write each to the cache as soon as it is done.
 
@@ -153,36 +118,22 @@ def solve_samples(body: Piece, loads: Sequence[Load], cache: str | os.PathLike[s
     return paths
 
 
-def write_record(path: Path, record: Arrays) -> None:
-    """Keep a dataclass of numbers and arrays, whole or not at all; OSError names the file."""
-    try:
-        with whole_file(path) as temporary:
-            np.savez(temporary, **vars(record))
-    except OSError as error:
-        raise OSError(f"cannot write {path}: {error}") from None
-
-
 def solve(body: Piece, statics: Statics, load: Load) -> Sample:
     """Equilibrium under a load; a WaveLoad is scaled until its bond strain is TRAINING_STRAIN."""
     shape = load.shape(statics.reference, body.box)
     unit = atom_force(shape, area_per_atom(body.bond), THICKNESS)
     try:
-        if isinstance(load, (WaveLoad, MixedLoad, Reversed, RandomRim)):
-            amplitude, rest = _strained(statics, unit, load.load_id)
-        else:
+        if isinstance(load, PatchLoad | RimLoad):
             amplitude = load.amplitude
             rest = statics.equilibrium(amplitude * unit, name=load.load_id)
+        else:
+            amplitude, rest = _strained(statics, unit, load.load_id)
     except LammpsError as error:
         raise LammpsError(f"load '{load.load_id}': {error}") from None
     strain = statics.max_bond_strain(rest.displacement)
     return Sample(
         statics.reference, rest.displacement, rest.force, amplitude, strain, rest.residual
     )
-
-
-def file_hash(path: str | os.PathLike[str]) -> str:
-    """SHA-256 of a file, in hexadecimal."""
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
 def _strained(statics: Statics, unit: np.ndarray, name: str) -> tuple[float, AtomsAtRest]:

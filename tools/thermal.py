@@ -5,8 +5,6 @@ and its plain average after a transient. Runs of one seed see the same random fo
 difference of a loaded and an unloaded one has far less noise than either.
 """
 
-import hashlib
-import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -14,10 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
+from tools.cache import digest, read_record, write_record
 from tools.lammps_session import LammpsSession
 from tools.loads import TEST, TRAINING, VALIDATION, Load
 from tools.make_graphene import graphene_bodies
-from tools.samples import Piece, Sample, body_record, cache_file, read_record, write_record
+from tools.samples import Piece, Sample, body_record, cache_file
 from warp_peri import InputError
 from warp_peri.atoms.calculators import LammpsError
 
@@ -85,9 +84,8 @@ def run_file(cache: str | os.PathLike[str], task: Task, bath: Bath) -> Path:
         "seed": task.seed,
         "bath": asdict(bath),
     }
-    key = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:20]
     name = "unloaded" if at_rest is None else at_rest.rsplit("-", 1)[0]
-    return Path(cache) / f"{name}-s{task.seed}-{key}.npz"
+    return Path(cache) / f"{name}-s{task.seed}-{digest(content)}.npz"
 
 
 def read_run(path: Path) -> ThermalRun | None:
@@ -168,22 +166,15 @@ class Plan:
 
     def repeated(self, group: str) -> dict[int, int]:
         """Second seeds by the numbers of the loads that run again."""
-        return {
-            number: self.seed(number + 1)
-            for number in range(0, len(self.groups[group]), self.repeat)
-        }
+        return {n: self.seed(n + 1) for n in range(0, len(self.groups[group]), self.repeat)}
 
     def unloaded(self, seed: int) -> Task:
         """The run without load."""
         return Task(self.body, None, 0.0, seed)
 
     def every_seed(self) -> range:
-        """Seeds of the unloaded runs."""
+        """Seeds of the unloaded runs; those after `seeds` are of no other runs."""
         return range(1, self.seeds + self.spare + 1)
-
-    def spare_seeds(self) -> range:
-        """Seeds of unloaded runs only."""
-        return range(self.seeds + 1, self.seeds + self.spare + 1)
 
     def tasks(self, factors: Sequence[float]) -> list[Task]:
         """Every run, for every factor on the loads."""
@@ -210,42 +201,29 @@ def graphene_plans() -> list[Plan]:
 REDUCTIONS = ("shared", "plain", "iota")
 
 
-@dataclass(frozen=True)
-class Fields:
-    """Displacement of the atoms of one group of loads.
-
-    `loads`: of the samples; `displacement`: [Å], shape [S, A, 2]; `snr`: signal-to-noise ratio of
-    each sample's atoms; `seed`: of each sample.
-    """
-
-    loads: list[Load]
-    displacement: np.ndarray
-    snr: np.ndarray
-    seed: np.ndarray
-
-
 def reduced(
     plan: Plan,
     group: str,
     runs: Mapping[Task, ThermalRun],
-    at_rest: Mapping[Load, Sample],
+    reference: np.ndarray,
     *,
     reduction: str,
     factor: float,
-) -> Fields:
-    """Every load of a group by one reduction, for one factor on the loads."""
-    loads = list(plan.groups[group])
-    seeds = [plan.seed(number) for number in range(len(loads))]
-    loaded = [runs[Task(plan.body, load, factor, seed)] for load, seed in zip(loads, seeds)]
-    fields = []
-    for run, seed, load in zip(loaded, seeds, loads):
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Every load of a group by one reduction: displacement of the atoms [Å], SNR and seed.
+
+    Of shapes [S, A, 2], [S] and [S]; `reference`: of the atoms [Å], shape [A, 2].
+    """
+    seeds = [plan.seed(number) for number in range(len(plan.groups[group]))]
+    tasks = [Task(plan.body, x, factor, seed) for x, seed in zip(plan.groups[group], seeds)]
+    loaded, fields = [runs[task] for task in tasks], []
+    for run, seed in zip(loaded, seeds):
         if reduction == "shared":
             field = run.average - runs[plan.unloaded(seed)].average
         else:
             field = _unpaired(plan, runs, run, seed, reduction)
-        fields.append(settled(plan.body, at_rest[load].reference, field))
-    snr = np.array([run.snr for run in loaded])
-    return Fields(loads, np.stack(fields), snr, np.array(seeds))
+        fields.append(settled(plan.body, reference, field))
+    return np.stack(fields), np.array([run.snr for run in loaded]), np.array(seeds)
 
 
 def _unpaired(
@@ -282,7 +260,7 @@ def noise(
                     pair.append(loaded.average - runs[plan.unloaded(seed)].average)
                 fields.append((pair[0] - pair[1]) / np.sqrt(2))
     else:
-        for seed in plan.spare_seeds():
+        for seed in plan.every_seed()[plan.seeds :]:
             fields.append(_unpaired(plan, runs, runs[plan.unloaded(seed)], seed, reduction))
     return np.stack([settled(plan.body, reference, field) for field in fields])
 

@@ -21,9 +21,10 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
 import warp_peri as wp
-from examples.prose import Table, print_tables
+from examples.prose import Table, print_tables, printed
+from tools import hyperelastic_energies as energies
 from tools.hyperelastic_elements import Elements, NotSolved, finite_elements
-from tools.hyperelastic_energies import Energy, Family, Fung, Invariants, ensemble, plane_stress_hgo
+from tools.hyperelastic_energies import Energy, Family
 from tools.make_hgo import DISK_RADIUS, HORIZON, NODES, SPACING, SQUARES, make_hgo
 from tools.make_leaflet import make_leaflet
 from tools.options import Options
@@ -34,28 +35,6 @@ from warp_peri.neural import EquilibriumSolver, NeuralOperator, TrainingSettings
 WEIGHTS, DATA = ROOT / "examples" / "neural_weights", ROOT / "data"
 EXPERIMENTS = ("graphene", "hgo_3", "hgo_4", "hgo_5", "leaflet")
 """Names of trainings; of the sheet by the horizon in spacings."""
-PRINTED = {
-    "graphene": {
-        "E_res": {"train": 0.0789, "val": 0.1023},
-        "E_u": {"train": 0.10, "val": 0.0278, "disks": 0.038},
-    },
-    "hgo_3": {
-        "E_res": {"train": 0.0321, "val": 0.0368, "disks": 0.0351},
-        "E_u": {"train": 0.0073, "val": 0.0077, "disks": 0.0072},
-    },
-    "hgo_4": {
-        "E_res": {"train": 0.0393, "val": 0.0445, "disks": 0.0437},
-        "E_u": {"train": 0.0090, "val": 0.0090, "disks": 0.0103},
-    },
-    "hgo_5": {
-        "E_res": {"train": 0.0350, "val": 0.0389, "disks": 0.0382},
-        "E_u": {"train": 0.0086, "val": 0.0097, "disks": 0.0098},
-    },
-    "leaflet": {"E_u": {"train": 0.0702, "val": 0.0947, "test": 0.0701}},
-}
-"""Errors of the source, on its own data."""
-CLASSICAL = {"Fung": 0.1083, "invariant-based": 0.1073, "structure-informed": 0.0993}
-"""Printed errors of the leaflet's other materials on held-out frames."""
 SETS = ("train", "val", "test", "disks")
 LEVELS, LEARNED, CHOSEN, EVERY, REACH = 20, 100, 20, 10, 5
 """Frames of each of the leaflet's protocols; frames to learn from and to choose by; one in so many
@@ -280,30 +259,26 @@ class Window:
         return np.array(errors)
 
 
-def neo_hookean(_: np.ndarray) -> Energy:
-    return plane_stress_hgo(1.0)
-
-
 def two_families(x: np.ndarray) -> Energy:
-    return plane_stress_hgo(
-        1.0, [Family(x[2] + sign * x[3], abs(x[0]), abs(x[1])) for sign in (1, -1)]
-    )
+    families = [Family(x[2] + sign * x[3], abs(x[0]), abs(x[1])) for sign in (1, -1)]
+    return energies.plane_stress_hgo(1.0, families)
 
 
 def invariants(x: np.ndarray) -> Energy:
-    return Invariants(1.0, abs(x[0]), abs(x[1]) + 1e-3, [Family(x[4], abs(x[2]), abs(x[3]))])
+    fibres = [Family(x[4], abs(x[2]), abs(x[3]))]
+    return energies.invariant_based(1.0, abs(x[0]), abs(x[1]) + 1e-3, fibres)
 
 
 def structure(x: np.ndarray) -> Energy:
-    return plane_stress_hgo(1.0, ensemble(x[0], x[1], abs(x[2]), abs(x[3])))
+    return energies.plane_stress_hgo(1.0, energies.ensemble(x[0], x[1], abs(x[2]), abs(x[3])))
 
 
 ANYWHERE = np.random.default_rng(0).uniform((-1, -1, 0, -1, -1.5), (1, 1, 2.5, 1.5, 1.5), (10, 5))
 """More starts of the invariant-based sheet, whose fits end in different places."""
 RIVALS: dict[str, tuple[Callable[[np.ndarray], Energy], Sequence[Sequence[float]]]] = {
-    "neo-Hookean": (neo_hookean, [[]]),
+    "neo-Hookean": (lambda x: energies.plane_stress_hgo(1.0), [[]]),
     "Fung": (
-        lambda x: Fung(x.tolist()),
+        lambda x: energies.fung(x.tolist()),
         [[1.0, 1.0, 0.3, 0.5, -0.2, -0.2], [1.0, 1.0, 0.3, 0.5, 0.2, 0.2]],
     ),
     "HGO, two fibre directions": (two_families, [[1.0, 1.0, -0.6, 0.5], [1.0, 1.0, 0.6, 0.5]]),
@@ -415,13 +390,9 @@ def percent(errors: Mapping[str, float], sets: Sequence[str]) -> str:
 def graphene() -> Table:
     """Figure 5: errors of graphene's network [%], and ‖Lu − b‖ on the disks [GPa/Å]."""
     network = errors_of(weights_of("graphene"), sets_of("graphene"))
-    rows = []
-    for name, errors, load in (
-        ("*printed*", PRINTED["graphene"], "0.00497, no unit"),
-        ("network", network, f"{1e3 * network['E_res_abs']['disks']:.3g}"),
-    ):
-        told = percent(errors["E_res"], SETS[:2]), percent(errors["E_u"], ("val", "disks"))
-        rows.append([name, *told, load])
+    told = percent(network["E_res"], SETS[:2]), percent(network["E_u"], ("val", "disks"))
+    load = f"{1e3 * network['E_res_abs']['disks']:.3g}"
+    rows = [*printed("neural", "graphene"), ["network", *told, load]]
     return ["", "E_res train / val", "E_u val / disks", "‖Lu − b‖ disks"], rows
 
 
@@ -471,15 +442,14 @@ def sheet() -> Table:
     for name in EXPERIMENTS[1:4]:
         sets = sets_of(name)
         solid = dictionary(sets["train"], int(name[-1]))
+        rows += [row for row in printed("neural", "sheet") if row[0] == name[-1]]
         for kind, errors in (
-            ("*printed*", PRINTED[name]),
             ("network", errors_of(weights_of(name), sets)),
             ("sheet energy model", sheet_errors(solid, sets)),
         ):
-            known = SETS[: 2 if kind == "*printed*" else 3]
             cells = [name[-1], kind]
             for key in ("E_res", "E_u"):
-                cells += [percent(errors[key], known), percent(errors[key], SETS[3:])]
+                cells += [percent(errors[key], SETS[:3]), percent(errors[key], SETS[3:])]
             rows.append(cells)
     return ["δ/Δx", "", "E_res squares", "E_res disks", "E_u squares", "E_u disks"], rows
 
@@ -499,8 +469,7 @@ def leaflet_errors() -> Table:
     """Table 2: E_u [%] on training, validation and held-out frames of the leaflet."""
     sets, known = sets_of("leaflet"), SETS[:3]
     few = Samples(sets["train"].points, sets["train"].u[::EVERY])
-    rows = [["*printed*, network", percent(PRINTED["leaflet"]["E_u"], known)]]
-    rows += [[f"*printed*, {name}", f"– / – / {100 * e:.2f}"] for name, e in CLASSICAL.items()]
+    rows = printed("neural", "leaflet")
     nothing = {part: float(np.mean(interpolated_errors(s))) for part, s in sets.items()}
     rows.append(["no material", percent(nothing, known)])
     rows += [[name, percent(element_errors(name, sets), known)] for name in RIVALS]
@@ -518,8 +487,8 @@ def main() -> None:
         print_tables(__doc__, TABLES)
         return
     parser = Options(__doc__, "neural")
-    parser.add("experiment", choices=EXPERIMENTS)
-    parser.add("--epochs", type=int, help="in all; default: as the shipped weights")
+    parser.add_argument("experiment", choices=EXPERIMENTS)
+    parser.add_argument("--epochs", type=int, help="in all; default: as the shipped weights")
     given = parser.parse_args(sys.argv[2:])
     name, sets = given.experiment, sets_of(given.experiment)
     material = trained(name, given.out, given.epochs, sets)

@@ -24,24 +24,15 @@ from scipy.optimize import least_squares
 
 import warp_peri as wp
 from examples.exact import continuum_symbol
-from examples.prose import Table, print_tables
+from examples.prose import Table, print_tables, printed
+from tools import thermal
 from tools.graphene import bond_length
 from tools.lammps_session import LammpsSession
 from tools.loads import TEST, TRAINING, VALIDATION
 from tools.make_graphene import graphene_bodies, on_nodes, solve_all
 from tools.make_thermal import data_set, make_thermal, run_all
 from tools.statics import ColouredHessian, find_bonds
-from tools.thermal import (
-    Bath,
-    Plan,
-    Task,
-    ThermalRun,
-    graphene_plans,
-    read_run,
-    run,
-    run_file,
-    settled,
-)
+from tools.thermal import Bath, Plan, Task, ThermalRun
 from warp_peri import Bernstein, Dataset, Points, Samples
 from warp_peri.errors import exit_status
 from warp_peri.fitting.training_data import sample_weights
@@ -67,9 +58,6 @@ FREE = GaussNewton(moduli=None)
 ERRORS = ("E_res train", "E_u train", "E_res val", "E_u val")
 ALL_ERRORS = ("E_res train", "E_res val", "E_u train", "E_u val", "E_u test")
 COLUMNS = ["E_res train", "E_res val", "E_u train", "E_u val", "E_u disks"]
-TABLE_4 = (10, 2.8335, -0.4796, 0.7978, 0.91, -0.4297, 9.81, 11.72, 13.28, 7.16, 0.203, 6.75)
-"""M, α, λ, μ, E [TPa], ν, then E_res and E_u of train, val and test, of which E_res test is
-absolute and has no unit, as printed (0 K)."""
 TABLE_3_AT_300 = {
     0: (12.5, 13.46, 31.33, 20.15, 14.86, 1.0),
     5: (12.5, 10.50, 13.80, 17.83, 9.66, 0.6784),
@@ -77,12 +65,6 @@ TABLE_3_AT_300 = {
     15: (20.0, 9.82, 13.16, 18.08, 8.88, 0.6505),
     20: (25.0, 9.81, 13.36, 18.34, 9.23, 0.6609),
 }
-TABLE_5 = {
-    1.0: (0.1556, 2.5946, -0.4583, 0.7753, 0.90, -0.4196, 9.82, 13.16, 18.08, 8.88, 0.208, 9.21),
-    0.25: (0.0543, 2.5197, -0.4782, 0.7798, 0.87, -0.4422, 14.52, 28.27, 18.34, 9.82, 0.211, 9.28),
-    0.1: (0.0224, 1.9365, -0.3266, 0.6890, 0.95, -0.3106, 27.64, 48.86, 23.73, 17.54, 0.184, 7.95),
-}
-"""By factor on the loads: SNR, then as in Table 4, as printed; the first row is 300 K's Table 4."""
 
 
 @cache
@@ -401,8 +383,8 @@ def algorithm_1() -> Table:
     for key in ALL_ERRORS:
         values = [found[key] for found in runs]
         cells.append(" / ".join(percent(np.nanquantile(values, (0, 0.5, 1)).tolist())))
-    printed = ["-0.48", "0.80", "2.83", "9.81", "13.28", "11.72", "7.16", "6.75"]
-    return ["", "λ", "μ", "α", *COLUMNS], [["as printed", *cells], ["*printed*", *printed]]
+    rows = [["as printed", *cells], *printed("you_2021", "algorithm_1")]
+    return ["", "λ", "μ", "α", *COLUMNS], rows
 
 
 def algorithm_1_steps() -> Table:
@@ -449,9 +431,7 @@ def metric() -> Table:
             pairs = [(found[f"{kind} {n}"], found[f"{kind}_rms {n}"]) for n in sets]
             cells = [f"{100 * value:.2f}, {100 * rms**2:.4f}" for value, rms in pairs]
             rows.append([name, kind, *cells, *["–"] * (len(SETS) - len(cells))])
-    printed = [["*printed*", "E_res", "9.81", "13.28", "–"]]
-    printed.append(["*printed*", "E_u", "11.72", "7.16", "6.75"])
-    return ["", "", "training", "validation", "disks"], rows + printed
+    return ["", "", "training", "validation", "disks"], rows + printed("you_2021", "metric")
 
 
 def rows_by_degree(found: SweepResult, printed: Mapping[int, Sequence[float]]) -> list[list[str]]:
@@ -514,7 +494,7 @@ def table_4() -> Table:
     potential = [f"{truth[key]:.4f}" for key in ("lambda", "mu", "E", "nu")]
     return ["", *HEAD], [
         [f"here, δ = {chosen.horizon:g} Å", f"{chosen.degree}", *own],
-        ["printed", *(f"{value:g}" for value in TABLE_4)],
+        *printed("you_2021", "table_4"),
         ["the potential's own", "–", "–", *potential, *6 * ["–"]],
     ]
 
@@ -536,9 +516,9 @@ def two_grids(sets: Sets, against: Sets) -> list[list[str]]:
 
 def table_6() -> Table:
     """Table 6: one fit for two grids, at 0 K with printed numbers, and at 300 K [%, GPa/Å]."""
-    printed = (("16.19", "8.01", "2.95", "8.44"), ("13.24", "9.29", "0.197", "7.80"))
+    told = (("16.19", "8.01", "2.95", "8.44"), ("13.24", "9.29", "0.197", "7.80"))
     ours = two_grids(data(), data())
-    rows = [["0 K", h, *map("{} ({})".format, a, b)] for (h, *a), b in zip(ours, printed)]
+    rows = [["0 K", h, *map("{} ({})".format, a, b)] for (h, *a), b in zip(ours, told)]
     clean = short_data()["shared", 1.0]
     for reduction in ("iota", "shared"):
         sets = short_data()[reduction, 1.0]
@@ -575,7 +555,7 @@ def short_plans() -> list[Plan]:
             spare=2,
             repeat=1000,
         )
-        for plan in graphene_plans()
+        for plan in thermal.graphene_plans()
     ]
 
 
@@ -643,10 +623,7 @@ def table_5() -> Table:
         cells += [f"{found['absolute test']:.3f}" for found in (noisy, quiet)]
         rows.append(cells + percent([found["E_u test"] for found in (noisy, quiet)]))
         if reduction == "iota":
-            snr, _, lam, mu, _, nu, *errors = (f"{value:g}" for value in TABLE_5[factor])
-            told = [" / ".join(errors[:2]), "–", " / ".join(errors[2:4]), "–"]
-            rows.append([f"{factor:g}", "*printed*", snr, lam, mu, nu, *told])
-            rows[-1] += [errors[4], "–", errors[5], "–"]
+            rows += [row for row in printed("you_2021", "table_5") if row[0] == f"{factor:g}"]
     head = ["factor", "", "SNR", "λ", "μ", "ν", "train, own", "val, own", "val, low", "val, clean"]
     ends = ["E_res disks, low", "clean", "E_u disks, low", "clean"]
     return head + ends, rows
@@ -671,11 +648,11 @@ def long_averages() -> Table:
             bath, fields = Bath(steps=BATH.transient + steps, transient=BATH.transient), []
             for seed, (load, sample) in enumerate(zip(loads, rested), start=1):
                 task = Task(body, load, 1.0, seed)
-                if read_run(run_file(CACHE, task, bath)) is None:
-                    run(task, sample, bath, CACHE)
-                average = read_run(run_file(CACHE, task, bath))
+                if thermal.read_run(thermal.run_file(CACHE, task, bath)) is None:
+                    thermal.run(task, sample, bath, CACHE)
+                average = thermal.read_run(thermal.run_file(CACHE, task, bath))
                 assert average is not None
-                fields.append(settled(body, sample.reference, average.average))
+                fields.append(thermal.settled(body, sample.reference, average.average))
             samples = on_nodes(body, rested[0].reference, np.stack(fields), force, spacing=5.0)
             table = wp.evaluate(model, samples)
             rows.append([name, f"{steps}", *percent([table["E_res"], table["E_u"]])])
@@ -713,15 +690,6 @@ def ratios() -> Table:
         found = np.sqrt(average / squares)
         rows.append([f"{damping:g}, {average}", *(f"{value:.3f}" for value in found)])
     return ["damping, steps", *(f"ι = {iota:g}" for iota in smoothings)], rows
-
-
-def printed_ratios() -> tuple[float, float, float]:
-    """a, c of 1/SNR² = a/f² + c through the first and last printed ratio, and the middle one."""
-    f = np.array(FACTORS)
-    inverse = np.array([TABLE_5[factor][0] for factor in FACTORS]) ** -2.0
-    a = (inverse[2] - inverse[0]) / (f[2] ** -2 - f[0] ** -2)
-    c = inverse[0] - a / f[0] ** 2
-    return float(a), float(c), float((a / f[1] ** 2 + c) ** -0.5)
 
 
 TABLES = (

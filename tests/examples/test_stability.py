@@ -7,12 +7,21 @@ from pathlib import Path
 import pytest
 
 from examples import stability
-from examples.prose import readable
 
 ROOT = Path(__file__).parent.parent.parent
 RECORD = json.loads((ROOT / "docs/record/stability.json").read_text("utf-8"))["cases"]
 PAGE = (ROOT / "docs/explanation/where_it_fails.md").read_text("utf-8")
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 SECTIONS = dict(re.findall(r"^### [^{]+\{#([\w-]+)\}\n(.*?)(?=^##|\Z)", PAGE, re.M | re.S))
+
+
+def readable(number):
+    """A number as a page shows it: 9.4e-05 as 9.4·10⁻⁵, 1.2e+02 as 120, a minus as such."""
+    digits, _, power = number.partition("e")
+    if power and 0 <= int(power) <= 3:
+        digits, power = f"{float(number):g}", ""
+    raised = f"·10{f'{int(power)}'.translate(RAISED)}" if power else ""
+    return digits.replace("-", "−") + raised
 
 
 @pytest.mark.filterwarnings("ignore")

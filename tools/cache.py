@@ -1,0 +1,108 @@
+"""Finished work of a data maker: files by a hash of what determines them, made in parallel."""
+
+import hashlib
+import json
+import os
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, TypeVar
+
+import joblib
+import numpy as np
+
+from warp_peri.files.atomic import read_arrays, whole_file
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+class Arrays(Protocol):
+    """A dataclass of numbers and arrays, all of one shape."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+
+R = TypeVar("R", bound=Arrays)
+
+
+def digest(content: dict[str, Any], length: int = 20) -> str:
+    """The begin of a hash of plain values."""
+    text = json.dumps(content, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:length]
+
+
+def file_hash(path: str | os.PathLike[str]) -> str:
+    """SHA-256 of a file, in hexadecimal."""
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+def read_record(path: Path, kind: type[R]) -> R | None:
+    """Numbers and arrays of one shape, the fields of a dataclass, as `write_record` left them.
+
+    None when there is no file, with a warning when it is corrupt.
+    """
+    try:
+        content = read_arrays(path)
+        fields = {name: content[name] for name in kind.__dataclass_fields__}
+        if len({value.shape for value in fields.values() if value.ndim}) > 1:
+            raise ValueError("arrays do not fit each other")
+        if not all(np.isfinite(value).all() for value in fields.values()):
+            raise ValueError("values that are not finite")
+        return kind(**{n: value if value.ndim else float(value) for n, value in fields.items()})
+    except FileNotFoundError:
+        return None
+    # Broken bytes surface as almost any exception of zipfile, zlib or NumPy.
+    except Exception as error:
+        warnings.warn(f"{path.name} is corrupt and is made again ({error})", stacklevel=2)
+        return None
+
+
+def write_record(path: Path, record: Arrays) -> None:
+    """Keep a dataclass of numbers and arrays, whole or not at all; OSError names the file."""
+    write_arrays(path, vars(record))
+
+
+def write_arrays(path: Path, arrays: dict[str, Any]) -> None:
+    """Keep arrays by name, whole or not at all; OSError names the file."""
+    try:
+        with whole_file(path) as temporary:
+            np.savez(temporary, **arrays)
+    except OSError as error:
+        raise OSError(f"cannot write {path}: {error}") from None
+
+
+def kept(path: Path, compute: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Arrays of a file by name; computed and put there where there is none, or a damaged one."""
+    try:
+        return read_arrays(path)
+    except (OSError, ValueError, KeyError):
+        arrays = compute()
+        write_arrays(path, arrays)
+        return arrays
+
+
+def in_parallel(
+    jobs: int, work: Callable[..., Any], tasks: Iterable[tuple], *, ordered: bool = True
+) -> Iterator[Any]:
+    """work(*task) of each task, in so many processes of one BLAS thread, −1 for one per core."""
+    kind = "generator" if ordered else "generator_unordered"
+    parallel = joblib.Parallel(n_jobs=jobs, return_as=kind, batch_size=1)
+    with one_thread_each():
+        results = parallel(joblib.delayed(work)(*task) for task in tasks)
+    return results
+
+
+@contextmanager
+def one_thread_each() -> Iterator[None]:
+    """Processes started inside use one thread of BLAS or OpenMP: what they do is parallel."""
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

@@ -1,0 +1,197 @@
+"""Numba's loops for the benchmark, in the best form found for each; needs the extra `bench`.
+
+K of all classes of bonds is computed at every call, as an influence function that is learned asks.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numba
+import numpy as np
+from numba import prange
+from scipy.special import comb
+
+from tools.rivals import Tables
+
+parallel = numba.njit(parallel=True, fastmath=True, error_model="numpy")
+whole = numba.uint64
+
+
+def _influence(r, weight, binomial, alpha, D, horizon, kw):
+    """K·W of every class of bonds."""
+    one = kw.dtype.type(1)
+    for c in prange(len(r)):
+        x = min(r[c] / horizon, one)
+        power, total = one, one - one
+        for k in range(len(D)):
+            total = total * (one - x) + D[k] * binomial[k] * power
+            power *= x
+        kw[c] = weight[c] * r[c] ** -alpha * total
+
+
+def influence_of(t: Tables, dtype: Any, jit: Any) -> tuple[Callable[[], None], np.ndarray]:
+    """What fills K·W of the classes, and the array that it fills."""
+    r, weight, D, alpha = (np.asarray(v, dtype) for v in (t.r, t.weight, t.D, t.alpha))
+    binomial, kw = comb(len(D) - 1, np.arange(len(D))).astype(dtype), np.empty(len(r), dtype)
+    fill = jit(_influence)
+    return lambda: fill(r, weight, binomial, alpha[()], D, dtype(t.horizon), kw), kw
+
+
+@parallel
+def _dilatation(row, neighbour, r, xi, kw, u, m, theta):
+    """Weighted volume and dilatation of every node."""
+    for i in prange(len(m)):
+        volume = total = kw.dtype.type(0)
+        for e in range(row[i], row[i + 1]):
+            j = neighbour[e]
+            volume += kw[e] * r[e] * r[e]
+            total += kw[e] * (xi[e, 0] * (u[j, 0] - u[i, 0]) + xi[e, 1] * (u[j, 1] - u[i, 1]))
+        m[i], theta[i] = volume, (total + total) / volume
+
+
+@parallel
+def _force(row, neighbour, xi, kw, u, m, theta, bulk, shear, out):
+    """L u at every node."""
+    for i in prange(len(m)):
+        a = b = kw.dtype.type(0)
+        for e in range(row[i], row[i + 1]):
+            j, x, y = neighbour[e], xi[e, 0], xi[e, 1]
+            stretch = (x * (u[j, 0] - u[i, 0]) + y * (u[j, 1] - u[i, 1])) / (x * x + y * y)
+            density = kw[e] * (bulk * (theta[i] + theta[j]) + shear * stretch)
+            a += density * x
+            b += density * y
+        out[i, 0], out[i, 1] = a / m[i], b / m[i]
+
+
+def scattered(t: Tables, dtype: Any) -> Callable[[], np.ndarray]:
+    """Forward in parallel loops over the bonds of scattered points."""
+    fill, kw = influence_of(t, dtype, parallel)
+    xi, r, u = (np.ascontiguousarray(v, dtype) for v in (t.xi, t.r, t.u))
+    m, theta, out = np.empty(len(u), dtype), np.empty(len(u), dtype), np.empty_like(u)
+    bulk, shear = dtype(-2 * (t.lam - t.mu)), dtype(-16 * t.mu)
+
+    def forward() -> np.ndarray:
+        fill()
+        _dilatation(t.row, t.neighbour, r, xi, kw, u, m, theta)
+        _force(t.row, t.neighbour, xi, kw, u, m, theta, bulk, shear, out)
+        return out
+
+    return forward
+
+
+@parallel
+def _laid_out(u, planes, ring):
+    """u by component, with images of rows and columns around it."""
+    side, rows = len(u), planes.shape[1]
+    for i in prange(rows):
+        own = u[(i - ring) % side]
+        for c in range(side):
+            planes[0, i, ring + c] = own[c, 0]
+            planes[1, i, ring + c] = own[c, 1]
+        for a in range(2):
+            planes[a, i, :ring] = planes[a, i, side : side + ring]
+            planes[a, i, ring + side :] = planes[a, i, ring : 2 * ring]
+
+
+@parallel
+def _row_dilatation(steps, bonds, factor, planes, margin):
+    rows = planes.shape[1] - 2 * margin
+    for n in prange(rows):
+        i = n + margin
+        total = np.zeros(rows, planes.dtype)
+        x, y = (planes[0, i, margin : margin + rows], planes[1, i, margin : margin + rows])
+        for p in range(len(steps)):
+            j, shift = i + steps[p, 0], margin + steps[p, 1]
+            vx, vy = planes[0, j, shift : shift + rows], planes[1, j, shift : shift + rows]
+            a, b, k = bonds[p, 0], bonds[p, 1], factor[p]
+            for c in range(rows):
+                total[c] += k * (a * (vx[c] - x[c]) + b * (vy[c] - y[c]))
+        planes[2, i, margin : margin + rows] = total
+
+
+@parallel
+def _row_force(steps, bonds, bulk, shear, planes, margin, out):
+    side = len(out)
+    for n in prange(side):
+        i = n + margin
+        fx, fy = np.zeros(side, planes.dtype), np.zeros(side, planes.dtype)
+        x, y = planes[0, i, margin : margin + side], planes[1, i, margin : margin + side]
+        theta = planes[2, i, margin : margin + side]
+        for p in range(len(steps)):
+            j, shift = i + steps[p, 0], margin + steps[p, 1]
+            vx, vy = planes[0, j, shift : shift + side], planes[1, j, shift : shift + side]
+            far = planes[2, j, shift : shift + side]
+            a, b = bonds[p, 0], bonds[p, 1]
+            push, pull = bulk[p], shear[p] * bonds[p, 2]
+            for c in range(side):
+                stretch = a * (vx[c] - x[c]) + b * (vy[c] - y[c])
+                density = push * (theta[c] + far[c]) + pull * stretch
+                fx[c] += density * a
+                fy[c] += density * b
+        out[n, :, 0], out[n, :, 1] = fx, fy
+
+
+def rows(t: Tables, dtype: Any) -> Callable[[], np.ndarray]:
+    """Forward on side × side nodes numbered row by row, the loops along rows without gathers."""
+    side, family = round(np.sqrt(len(t.u))), t.row[1] - t.row[0]
+    xi, bond_class = t.xi[:family], t.bond_class[:family]
+    steps = np.rint(xi / np.abs(xi[xi != 0]).min()).astype(np.int64)
+    reach = int(np.abs(steps).max())
+    fill, kw = influence_of(t, dtype, numba.njit())
+    bonds = np.column_stack([xi, 1 / (xi**2).sum(axis=1)]).astype(dtype)
+    planes = np.zeros((3, side + 4 * reach, side + 4 * reach), dtype)
+    u, out = t.u.reshape(side, side, 2).astype(dtype), np.empty((side, side, 2), dtype)
+    r, lam, mu = t.r.astype(dtype)[bond_class], dtype(t.lam), dtype(t.mu)
+
+    def forward() -> np.ndarray:
+        fill()
+        k = kw[bond_class]
+        m = (k * r**2).sum()
+        _laid_out(u, planes, 2 * reach)
+        _row_dilatation(steps, bonds, 2 / m * k, planes, reach)
+        _row_force(steps, bonds, -2 * (lam - mu) / m * k, -16 * mu / m * k, planes, 2 * reach, out)
+        return out.reshape(-1, 2)
+
+    return forward
+
+
+@parallel
+def _broken_dilatation(u, xi, a, neighbour, theta):
+    for i in prange(len(u)):
+        total = 0.0
+        for b in range(len(a)):
+            j = neighbour[i, b]
+            if j >= 0:
+                far = whole(j)
+                total += a[b] * (
+                    xi[b, 0] * (u[far, 0] - u[i, 0]) + xi[b, 1] * (u[far, 1] - u[i, 1])
+                )
+        theta[i] = total
+
+
+@parallel
+def _broken_force(u, xi, k, limit, no_fail, neighbour, force, energy, lost, a, excess, theta):
+    for i in prange(len(u)):
+        fx = fy = e = 0.0
+        gone = 0
+        for b in range(len(limit)):
+            j = neighbour[i, b]
+            if j >= 0:
+                x, y, far = xi[b, 0], xi[b, 1], whole(j)
+                d = x * (u[far, 0] - u[i, 0]) + y * (u[far, 1] - u[i, 1])
+                s = k[b] * d
+                e += 0.25 * s * d
+                s += excess * a[b] * (theta[i] + theta[far])
+                fx += s * x
+                fy += s * y
+                if d > limit[b] and no_fail[i] + no_fail[far] == 0:
+                    neighbour[i, b] = -1 - j
+                    gone += 1
+        force[i, 0], force[i, 1], lost[i] = fx, fy, gone
+        energy[i] = e + 0.5 * excess * theta[i] ** 2
+
+
+def breaking(u, xi, k, limit, no_fail, neighbour, force, energy, lost, a, excess, theta) -> None:
+    """A sweep over a state-based body whose bonds break; two nodes at a time are a fifth faster."""
+    _broken_dilatation(u, xi, a, neighbour, theta)
+    _broken_force(u, xi, k, limit, no_fail, neighbour, force, energy, lost, a, excess, theta)
