@@ -435,11 +435,8 @@ def candidates(data: wp.Dataset, seen: Samples, third: list[float]) -> dict[str,
         local = functools.partial(elastic_solver, order=1, C=C)
         found[f"local, {h}"] = (end, local)
         found[f"local third order, {h}"] = (end, functools.partial(local, third=third))
-    found["local third order, quadratic, 2.5 Å"] = (
-        "",
-        functools.partial(local_solver, C=C, third=third),
-    )
-    return found
+    fine = functools.partial(local_solver, C=C, third=third)
+    return found | {"local third order, quadratic, 2.5 Å": ("", fine)}
 
 
 def atoms() -> list[float]:
@@ -531,15 +528,12 @@ def draw(path: Path = ROOT / "docs" / "pictures" / "front.png") -> None:
         ax.annotate("atoms: exact", (exact, 25), (-3, 0), textcoords="offset points", ha="right")
         for name, at in places.items():
             own = not name.startswith(("local", "neural", "LPS as"))
-            ax.plot(*at, "o", color="#1f4e79" if own else "#b5382a", ms=5)
+            color = "#1f4e79" if own else "#b5382a"
+            ax.plot(*at, "o", color=color, ms=5)
             shift = PLACES.get(name, ((6, 3),) * 2)[column - 3]
-            how = {
-                "textcoords": "offset points",
-                "size": 8,
-                "ha": "left" if shift[0] >= 0 else "right",
-            }
+            side = "left" if shift[0] >= 0 else "right"
             text = name.replace("local third order, quadratic", "quadratic third order")
-            ax.annotate(text, at, shift, color=ax.lines[-1].get_color(), **how)
+            ax.annotate(text, at, shift, color=color, size=8, ha=side, textcoords="offset points")
         ax.set(xscale="log", yscale="log", xlabel="set-up and one load [ms]", title=title)
     axes[0].set(ylabel="error of displacement [%]", ylim=(0.05, 60))
     axes[0].set_yticks([0.1, 0.2, 0.5, 1, 2, 5, 10], ["0.1", "0.2", "0.5", "1", "2", "5", "10"])

@@ -13,6 +13,7 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 import warp_peri as wp
+from tools.hyperelastic_elements import finite_elements
 from warp_peri import InputError, Points, Samples
 from warp_peri.core.elastic import voigt, voigt_to_tensor
 from warp_peri.points.lattice import lattice_steps
@@ -45,14 +46,7 @@ def elastic_solver(
 
     Raises InputError when scikit-fem is missing, and for a load of third order without answer.
     """
-    try:
-        import skfem
-    except ImportError:
-        raise InputError(
-            "finite elements need scikit-fem: pip install 'warp_peri[compare]'"
-        ) from None
-
-    tensor = voigt_to_tensor(C)
+    skfem, tensor = finite_elements(), voigt_to_tensor(C)
 
     @skfem.BilinearForm
     def stiffness(u, v, w):
@@ -77,11 +71,10 @@ def elastic_solver(
         if dofs.size:
             component[dofs[1]] = 1
     distance, node = cKDTree(points.x).query(basis.doflocs.T)
-    if distance.max() > 1e-6 * points.spacing:
-        raise InputError("points: elements of two spacings need nodes at their middles")
     free = points.interior[node]
-    if 2 * np.count_nonzero(points.interior) != np.count_nonzero(free):
-        raise InputError("points: some interior nodes are not nodes of the elements")
+    every = 2 * np.count_nonzero(points.interior) == np.count_nonzero(free)
+    if not (every and distance.max() < 1e-6 * points.spacing):
+        raise InputError("points: expected all interior nodes, and no others, on the elements")
     place = np.cumsum(points.interior)[node[free]] - 1
     factors = splu(sp.csc_matrix(K[free][:, free]))
     collar = K[free][:, ~free]
@@ -137,12 +130,8 @@ def quadrilaterals(points: PointsLike, width: int) -> tuple[np.ndarray, np.ndarr
     number = np.full(step.max(axis=0) + 2 * width, -1)
     number[tuple(step.T)] = np.arange(len(step))
     first = step[(step % width == 0).all(axis=1)]
-    corners = np.array(
-        [
-            number[tuple((first + shift).T)]
-            for shift in width * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-        ]
-    )
+    shifts = width * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    corners = np.array([number[tuple((first + shift).T)] for shift in shifts])
     whole = (corners >= 0).all(axis=0)
     nodes, cells = np.unique(corners[:, whole], return_inverse=True)
     return nodes, cells.reshape(4, -1)

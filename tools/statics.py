@@ -23,11 +23,7 @@ class ColouredHessian:
     """
 
     def __init__(self, bonds: np.ndarray, atoms: int) -> None:
-        """Colour the atoms.
-
-        `bonds`: each bond once, pairs of atom numbers, shape [bonds, 2]; `atoms`: number of atoms
-        A.
-        """
+        """Colour so many atoms; `bonds`: each once, pairs of their numbers, shape [bonds, 2]."""
         i, j = np.concatenate([bonds, bonds[:, ::-1]]).T
         bonded = sp.csr_array((np.ones(len(i)), (i, j)), shape=(atoms, atoms))
         step = bonded + sp.eye_array(atoms, format="csr")
@@ -44,8 +40,7 @@ class ColouredHessian:
     ) -> sp.csc_array:
         """Hessian −∂F/∂x [eV/Å²], symmetrised, shape [2A, 2A], degrees of freedom x₀ y₀ x₁ …
 
-        `forces`: of the atoms [eV/Å] at positions [Å], both of shape [A, 2]; `positions`: where to
-        take the Hessian [Å], shape [A, 2].
+        `forces`: of the atoms [eV/Å] at positions [Å], shapes [A, 2], and where.
         """
         blocks = np.empty((len(self._row), 2, 2))
         for colour in range(self.colours):
@@ -122,12 +117,8 @@ class Statics:
     ) -> None:
         """Relax the atoms without load and factorise their Hessian.
 
-        Args:
-            positions: [Å], shape [A, 2].
-            box: periods of the session [Å], None for a free body.
-            session: evaluates the forces; it must hold the same atoms.
-
-        Raises ConvergenceError when no unloaded equilibrium is found.
+        `positions`: [Å], shape [A, 2]; `box`: periods [Å], None for a free body; `session`: holds
+        the same atoms. Raises ConvergenceError when no unloaded equilibrium is found.
         """
         self._session, self._box = session, box
         self.bonds = find_bonds(positions, box)
@@ -153,11 +144,9 @@ class Statics:
         A rigid motion cannot be resisted: the part of the load that pushes or turns the body as
         a whole is taken out, in the deformed configuration.
 
-        Args:
-            force: dead load on the atoms [eV/Å], shape [A, 2].
-            name: of the load, for messages.
-            guess: displacement to start from [Å], shape [A, 2].
-            tolerance: on the largest component of the residual [eV/Å].
+        `force`: dead load on the atoms [eV/Å], shape [A, 2]; `name`: of the load, for messages;
+        `guess`: displacement to start from [Å], shape [A, 2]; `tolerance`: on the largest component
+        of the residual [eV/Å].
 
         Raises ConvergenceError when the residual does not fall below the tolerance.
         """
@@ -243,7 +232,7 @@ class Statics:
 def find_bonds(positions: np.ndarray, box: tuple[float, float] | None) -> np.ndarray:
     """Pairs of atoms [Å], shape [A, 2], within BOND_CUTOFF of each other; shape [bonds, 2].
 
-    `box_nodes` gives the periods [Å], each more than twice the cutoff; None for a free body.
+    `box` gives the periods [Å], each more than twice the cutoff; None for a free body.
     """
     inside = positions if box is None else np.mod(positions, box)
     return cKDTree(inside, boxsize=box).query_pairs(BOND_CUTOFF, output_type="ndarray")

@@ -50,9 +50,8 @@ PRINTED_TABLE_3 = {
     20: (25.0, 9.75, 11.89, 13.53, 7.00, 0.6729),
 }
 """δ* [Å], E_res train, E_u train, E_res val, E_u val [%], AvgE by degree, as printed (0 K)."""
-DATA, CACHE, SWEEPS = (
-    ROOT / "data" / "graphene_0K.h5", ROOT / "data" / "graphene_0K.cache", ROOT / "runs",
-)  # fmt: skip
+DATA = ROOT / "data" / "graphene_0K.h5"
+CACHE, SWEEPS = DATA.with_suffix(".cache"), ROOT / "runs"
 SETS = ("train", "val", "test")
 FREE = GaussNewton(moduli=None)
 ERRORS = ("E_res train", "E_u train", "E_res val", "E_u val")
@@ -106,9 +105,9 @@ def percent(values: Sequence[float]) -> list[str]:
     return ["–" if np.isnan(value) else f"{100 * value:.2f}" for value in values]
 
 
-def cold(*names: str) -> dict[str, Samples]:
+def cold() -> dict[str, Samples]:
     """Sets at 0 K."""
-    return {name: data()[name] for name in names or SETS}
+    return {name: data()[name] for name in SETS}
 
 
 # A kernel that is known: 1/r
@@ -309,24 +308,16 @@ def forces_between_nodes(folder: Path) -> dict[str, Any]:
     nodes = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
     inner = np.abs(nodes).max(axis=1) <= 20.0  # whose partners, to 25 Å, are all among the nodes
     omega = wp.atoms.smoothing_matrix(X, nodes, radius=RADIUS, box=body.box, spacing=SPACING)
-    parts = [
-        (
-            omega[inner]
-            @ sp.csr_array((pull[:, c], (first, blocks.indices)), (atoms, atoms))
-            @ omega.T
-        )
-        for c in (0, 1)
-    ]
-    f = np.stack([part.toarray() for part in parts], axis=-1)
+    places = first, blocks.indices
+    pulls = (sp.csr_array((pull[:, c], places), (atoms, atoms)) for c in (0, 1))
+    f = np.stack([(omega[inner] @ one @ omega.T).toarray() for one in pulls], axis=-1)
     size = np.linalg.norm(f, axis=2)
     distance = np.linalg.norm(nodes[None] - nodes[inner][:, None], axis=2)
-    balance = f.sum(axis=1) + omega[inner] @ sample.force
     there = size > 1e-12 * size.max()
     return {
         "share": [float(size[distance > r].sum() / size.sum()) for r in BEYOND],
         "farthest": float(distance[there].max()),
         "atoms": float(np.linalg.norm(apart, axis=1).max()),
-        "left": float(np.linalg.norm(balance) / np.linalg.norm(omega[inner] @ sample.force)),
         "bond": bond_length(body.potential),
     }
 
@@ -670,13 +661,9 @@ def ratios() -> Table:
     (sample,) = solve_all({plan.body: [plan.groups["train"][7]]}, CACHE, 1, False)[plan.body]
     for damping, times in runs:
         average = times * (BATH.steps - BATH.transient)
-        squares, smooth = (
-            np.zeros(len(smoothings)),
-            np.zeros((len(smoothings), *sample.force.shape)),
-        )
-        with LammpsSession(
-            sample.reference, box=plan.body.box, potential=plan.body.potential
-        ) as session:
+        smooth = np.zeros((len(smoothings), *sample.force.shape))
+        squares, body = np.zeros(len(smoothings)), plan.body
+        with LammpsSession(sample.reference, box=body.box, potential=body.potential) as session:
             steps = session.trajectory(
                 sample.reference + sample.displacement, sample.force,
                 temperature=BATH.temperature, seed=1, steps=BATH.transient + average,

@@ -5,37 +5,18 @@ import pytest
 from scipy.linalg import expm
 from scipy.optimize import check_grad
 
+from examples import polymer
 from examples.exact import couette, oscillation, poiseuille
-from examples.polymer import (
-    ChannelFlow,
-    Closure,
-    CoupledDumbbells,
-    Dumbbells,
-    PlaneFlow,
-    RateLaw,
-    UpperConvectedMaxwell,
-    held,
-    homogeneous,
-    learn_rate,
-    learn_shear,
-    mixed,
-    read_law,
-    read_trajectory,
-    run_channel,
-    run_plane,
-    shear,
-    simulate,
-    start_pairs,
-)
+from examples.polymer import Closure, CoupledDumbbells, Dumbbells, PlaneFlow, homogeneous, simulate
 from examples.polymer.closure import exact_pairs, reached
 from examples.polymer.dumbbells import propagator
 from examples.polymer.gaussian_process import fit_process, unlikelihood
-from examples.polymer.particles import Particles
+from examples.polymer.particles import ChannelFlow, Particles
 from tests.support.problems import fitted_order
 from warp_peri import InputError
 from warp_peri.runtime import get_num_threads, set_num_threads
 
-MAXWELL = UpperConvectedMaxwell()
+MAXWELL = polymer.UpperConvectedMaxwell()
 
 
 def test_a_step_of_dumbbells_is_exact_in_its_moments():
@@ -50,7 +31,7 @@ def test_a_step_of_dumbbells_is_exact_in_its_moments():
 
 
 def test_ensembles_follow_the_exact_law_and_any_threads_give_the_same_bits():
-    count, K = 40_000, mixed(8, 12, 1.0, hold=3, seed=2)
+    count, K = 40_000, polymer.mixed(8, 12, 1.0, hold=3, seed=2)
     record = simulate(Dumbbells(8, count, seed=1), K, 0.25)
     exact = homogeneous(MAXWELL, K, 0.25, parts=200)
     xx, xy, yy, zz = np.moveaxis(exact, -1, 0)
@@ -83,38 +64,42 @@ def test_a_plane_flow_is_of_second_order_and_a_wall_moves_it():
     omega, errors, sizes = 60.0, [], [16, 32, 64]
     for cells in sizes:
         flow = PlaneFlow(1e-3, 1e-2, cells, force=lambda t: 12 * (1 - np.cos(omega * t)))
-        run = run_plane(flow, MAXWELL, until=0.05, dt=flow.longest_step / 2, every=cells // 8)
+        run = polymer.run_plane(
+            flow, MAXWELL, until=0.05, dt=flow.longest_step / 2, every=cells // 8
+        )
         exact = poiseuille(flow.faces, run.t, 1e-3, 1e-2, 12.0)
         exact -= oscillation(flow.faces, run.t, 1e-3, 1e-2, 12.0, omega)
         errors.append(np.linalg.norm(run.u - exact) / np.linalg.norm(exact))
     assert 1.85 < fitted_order(1 / np.array(sizes), errors) < 2.15
     flow = PlaneFlow(1.0, 10.0, 64, top=lambda t: 1.0)
-    run = run_plane(flow, MAXWELL, until=20.0, dt=0.02, every=50)
+    run = polymer.run_plane(flow, MAXWELL, until=20.0, dt=0.02, every=50)
     off = run.u - couette(flow.faces, run.t, 1.0, 10.0)
     assert np.abs(off)[run.t > 8].max() < 0.01  # the front has faded
     with pytest.raises(InputError, match="time step: expected up to"):
-        run_plane(flow, MAXWELL, until=1.0, dt=1.0)
+        polymer.run_plane(flow, MAXWELL, until=1.0, dt=1.0)
 
 
 def test_a_learned_shear_law_moves_plates_as_dumbbells_do():
-    record = simulate(Dumbbells(9, 10_000), held(shear(np.linspace(-4, 4, 9)), 200), 0.025)
-    law = learn_shear(record, window=2, outside="allow")
+    record = simulate(
+        Dumbbells(9, 10_000), polymer.held(polymer.shear(np.linspace(-4, 4, 9)), 200), 0.025
+    )
+    law = polymer.learn_shear(record, window=2, outside="allow")
     flow = PlaneFlow(1.0, 10.0, 32, top=np.sin)
     exact, learned = (
-        run_plane(flow, fluid, until=8.0, dt=0.02, every=20).u for fluid in (MAXWELL, law)
+        polymer.run_plane(flow, fluid, until=8.0, dt=0.02, every=20).u for fluid in (MAXWELL, law)
     )
     assert np.linalg.norm(learned - exact) < 0.02 * np.linalg.norm(exact)
 
 
 def test_a_rate_is_learned_from_exact_pairs_kept_in_a_file_and_marched_by_tables(tmp_path):
     K, C = reached(MAXWELL, 80, 1.0)
-    law = learn_rate(exact_pairs(MAXWELL, K, C), outside="refuse")
+    law = polymer.learn_rate(exact_pairs(MAXWELL, K, C), outside="refuse")
     new = reached(MAXWELL, 50, 0.7, seed=1)
     truth = MAXWELL.rate(*new)
     assert np.abs(law.rate(*new) - truth).max() < 5e-3 * np.abs(truth).max()
     law.save(tmp_path / "law.h5")
-    again = read_law(tmp_path / "law.h5")
-    assert isinstance(again, RateLaw)
+    again = polymer.read_law(tmp_path / "law.h5")
+    assert isinstance(again, polymer.RateLaw)
     assert np.array_equal(again.rate(*new), law.rate(*new))
     tables = law.tabulated()
     assert np.abs(tables.rate(*new) - truth).max() < 5e-3 * np.abs(truth).max()
@@ -128,23 +113,23 @@ def test_a_rate_is_learned_from_exact_pairs_kept_in_a_file_and_marched_by_tables
 def test_histories_of_stress_teach_a_law(tmp_path):
     files = []
     for seed in range(3):
-        K = mixed(1, 80, 1.0, hold=10, seed=seed)
+        K = polymer.mixed(1, 80, 1.0, hold=10, seed=seed)
         record = simulate(Dumbbells(1, 20_000, seed=seed), K, 0.1)
         rows = [np.r_[0.2 * t, K[min(t, 79), 0] / 2, 3 * record.stress[t, 0]] for t in range(81)]
         np.savetxt(tmp_path / f"{seed}.csv", rows, delimiter=",")
         files.append(tmp_path / f"{seed}.csv")
-    records = [read_trajectory(file, 2.0, 3.0, 20_000) for file in files]
-    law = learn_rate(records, window=2, outside="allow")
-    K = mixed(1, 40, 0.8, seed=9)
+    records = [polymer.read_trajectory(file, 2.0, 3.0, 20_000) for file in files]
+    law = polymer.learn_rate(records, window=2, outside="allow")
+    K = polymer.mixed(1, 40, 0.8, seed=9)
     found, exact = (homogeneous(one, K, 0.1) for one in (law, MAXWELL))
     assert np.linalg.norm(found - exact) < 0.1 * np.linalg.norm(exact - exact[0])
-    assert len(start_pairs(records[0], 2)) == 40
+    assert len(polymer.start_pairs(records[0], 2)) == 40
 
 
 def test_the_channel_against_the_exact_flow():
     flow = ChannelFlow(1e-3)
     dt = 0.03 / np.ceil(0.03 / (0.9 * flow.longest_step))
-    run = run_channel(flow, MAXWELL, until=0.03, dt=dt)
+    run = polymer.run_channel(flow, MAXWELL, until=0.03, dt=dt)
     y = np.linspace(0, 1, 401)
     profile = poiseuille(y, run.t, flow.De, flow.Re, flow.force, modes=400)
     exact = np.array([np.interp(x[:, 1], y, row) for x, row in zip(run.x, profile)])
@@ -156,9 +141,9 @@ def test_the_channel_against_the_exact_flow():
 
 def test_dumbbells_under_every_particle_flow_as_the_law_does():
     flow = ChannelFlow(1e-2, across=20, smoothing=1.2)
-    n = Particles(flow).fluid
-    fluids = MAXWELL, CoupledDumbbells(Dumbbells(n, 2000, common=True), flow.De)
-    exact, coupled = (run_channel(flow, fluid, until=0.01, dt=1e-4).v for fluid in fluids)
+    every = Dumbbells(Particles(flow).fluid, 2000, common=True)
+    fluids = MAXWELL, CoupledDumbbells(every, flow.De)
+    exact, coupled = (polymer.run_channel(flow, one, until=0.01, dt=1e-4).v for one in fluids)
     assert np.linalg.norm(coupled - exact) < 0.08 * np.linalg.norm(exact)
     with pytest.raises(InputError, match="expected 4 ensembles"):
-        run_plane(PlaneFlow(1.0, 1.0, 4), Dumbbells(3, 10), until=0.1, dt=0.01)
+        polymer.run_plane(PlaneFlow(1.0, 1.0, 4), Dumbbells(3, 10), until=0.1, dt=0.01)
