@@ -197,11 +197,11 @@ class Statics:
 
     def _balanced(self, force: np.ndarray, positions: np.ndarray) -> np.ndarray:
         force = force - force.mean(axis=0)
-        return force if self._box is not None else _without_rotation(force, positions)
+        return force if self._box is not None else without_rotation(force, positions)
 
     def _without_rigid_motion(self, u: np.ndarray) -> np.ndarray:
         u = u - u.mean(axis=0)
-        return u if self._box is not None else _without_rotation(u, self.reference)
+        return u if self._box is not None else without_rotation(u, self.reference)
 
     def _factorise(self, positions: np.ndarray):
         """Solver of Hessian · du = r with the rigid motions pinned."""
@@ -238,7 +238,8 @@ def find_bonds(positions: np.ndarray, box: tuple[float, float] | None) -> np.nda
     return cKDTree(inside, boxsize=box).query_pairs(BOND_CUTOFF, output_type="ndarray")
 
 
-def _without_rotation(field: np.ndarray, positions: np.ndarray) -> np.ndarray:
+def without_rotation(field: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """A field less its mean rotation about the middle of the positions, shapes [A, 2]."""
     arm = positions - positions.mean(axis=0)
     turn = np.stack([-arm[:, 1], arm[:, 0]], axis=1)
     return field - turn * (np.vdot(turn, field) / np.vdot(turn, turn))

@@ -17,6 +17,7 @@ from tools.lammps_session import LammpsSession
 from tools.loads import TEST, TRAINING, VALIDATION, Load
 from tools.make_graphene import graphene_bodies
 from tools.samples import Piece, Sample, body_record, cache_file
+from tools.statics import without_rotation
 from warp_peri import InputError
 from warp_peri.atoms.calculators import LammpsError
 
@@ -268,8 +269,4 @@ def noise(
 def settled(body: Piece, reference: np.ndarray, field: np.ndarray) -> np.ndarray:
     """A field without its mean and, on a free body, without its mean rotation; shapes [A, 2]."""
     field = field - field.mean(axis=0)
-    if body.box is None:
-        x = reference - reference.mean(axis=0)
-        turn = np.stack([-x[:, 1], x[:, 0]], axis=1)
-        field -= turn * ((turn * field).sum() / (turn**2).sum())
-    return field
+    return field if body.box is not None else without_rotation(field, reference)

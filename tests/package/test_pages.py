@@ -1,9 +1,7 @@
 """Code and commands of the pages run as they are printed, and print what stands below them."""
 
 import ast
-import contextlib
 import importlib.util
-import io
 import itertools
 import re
 import shlex
@@ -48,47 +46,27 @@ def commands(block):
     return [typed for line in lines if (typed := re.sub(r"(^|\s+)#.*", "", line).strip())]
 
 
-def typed(name):
-    return [line for language, block, _ in FENCED.findall(TEXT[name]) if not language
-            for line in commands(block)]  # fmt: skip
-
-
 def code(name):
-    """The Python blocks of a page, each with what it shows as printed."""
-    return [found[1:] for found in FENCED.findall(TEXT[name]) if found[0] == "python"]
+    """The Python blocks of a page."""
+    return [block for language, block, _ in FENCED.findall(TEXT[name]) if language == "python"]
 
 
-def pages(names):
-    return [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in names]
-
-
-CODE = [name for name in TEXT if name not in ELSEWHERE and code(name)]
-TYPED = {name: lines for name in TEXT if (lines := typed(name)) and not name.startswith("papers/")}
-COMMANDS = [
-    name
-    for name, lines in TYPED.items()
-    if name not in (*ELSEWHERE, "how-to/free_edges") and "warp-peri " in " ".join(lines)
+TYPED = {
+    name: [line for language, block, _ in FENCED.findall(text) if not language
+           for line in commands(block)]
+    for name, text in TEXT.items() if not name.startswith("papers/")
+}  # fmt: skip
+RUN = [
+    pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW))
+    for name in TEXT
+    if name not in ELSEWHERE and (code(name) or "warp-peri " in " ".join(TYPED.get(name, [])))
 ]
-
-
-@pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("name", pages(CODE))
-def test_the_code_of_a_page_runs_in_turn(name, tmp_path, monkeypatch):
-    """Each block in the names of those before; what it prints is what the page shows below it."""
-    (tmp_path / "examples").symlink_to(ROOT / "examples")
-    monkeypatch.chdir(tmp_path)
-    names = {}
-    for block, shown in code(name):
-        printed = io.StringIO()
-        with contextlib.redirect_stdout(printed):
-            exec(compile(block, f"{name}.md", "exec"), names)
-        assert not shown or printed.getvalue() == shown
 
 
 def test_pages_import_what_the_api_lists_and_name_what_is_there():
     shown = re.findall(r"^::: (warp_peri\S*)", "\n".join(TEXT.values()), re.MULTILINE)
     for page, text in TEXT.items():
-        for node in ast.walk(ast.parse("".join(block for block, _ in code(page)))):
+        for node in ast.walk(ast.parse("".join(code(page)))):
             if isinstance(node, ast.Import | ast.ImportFrom):
                 modules = [getattr(node, "module", None) or node.names[0].name]
                 assert [m for m in modules if m.startswith("warp_peri") and m not in shown] == []
@@ -123,31 +101,32 @@ def home(tmp_path_factory):
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("name", pages(COMMANDS))
-def test_the_commands_of_a_page_run_in_turn(name, home, tmp_path, monkeypatch, capsys):
-    """A tutorial shows lines that they print, in their order."""
+@pytest.mark.parametrize("name", RUN)
+def test_a_page_runs_in_turn_and_prints_what_it_shows(name, home, tmp_path, monkeypatch, capsys):
+    """Code in the names of blocks before; of what commands print a tutorial shows some lines."""
     home = Path(shutil.copytree(home, tmp_path / "home", symlinks=True))
     monkeypatch.chdir(home)
-    if name == "how-to/arrays":  # whose code saves it
-        Path("mine.h5").write_bytes(Path("DATA.h5").read_bytes())
     if name == "tutorials/dumps":
         from examples import own_material
 
         own_material.make_dumps(home / "runs" / "boron_nitride" / "dumps")
+    names = {}
     for language, block, shown in FENCED.findall(TEXT[name]):
-        printed = ""
-        for line in [] if language else commands(block):
-            if line.startswith("warp-peri "):
-                words = [sorted(glob(word)) or [word] for word in shlex.split(line)]  # as a shell
-                words += [["--jobs", "1"]] if words[1] == ["sweep"] else []  # in this process
-                status = main([word for found in words for word in found][1:])
-                out, error = capsys.readouterr()
-                assert status == 0, f"{line}: {error}"
-                printed += out
-        if name.startswith("tutorials/") and printed:
-            lines = iter(printed.splitlines())
-            for expected in shown.splitlines():
-                assert expected.strip() == "…" or expected in lines, expected
+        capsys.readouterr()
+        if language == "python":
+            exec(compile(block, f"{name}.md", "exec"), names)
+            assert not shown or capsys.readouterr().out == shown
+        elif not language and name != "how-to/free_edges":  # whose meshes are the reader's
+            for line in commands(block):
+                if line.startswith("warp-peri "):
+                    words = [sorted(glob(word)) or [word] for word in shlex.split(line)]  # a shell
+                    words += [["--jobs", "1"]] if words[1] == ["sweep"] else []  # in this process
+                    assert main([word for found in words for word in found][1:]) == 0, line
+            printed = capsys.readouterr().out
+            if name.startswith("tutorials/") and printed:
+                lines = iter(printed.splitlines())
+                for expected in shown.splitlines():
+                    assert expected.strip() == "…" or expected in lines, expected
 
 
 def test_what_is_typed_runs_here_or_is_there():
