@@ -18,10 +18,16 @@ from warp_peri.files.atomic import write_text
 
 def main(arguments: list[str] | None = None) -> int:
     parser = Options(__doc__)
-    parser.add_argument("only", nargs="*", help="parts of problems' names, or statics, cracks, motion")
-    parser.add_argument("--scale", action="store_true", help="in mm and Å too, moduli × 1e6 and × 1e-6")
+    parser.add_argument(
+        "only", nargs="*", help="parts of problems' names, or statics, cracks, motion"
+    )
+    parser.add_argument(
+        "--scale", action="store_true", help="in mm and Å too, moduli × 1e6 and × 1e-6"
+    )
     parser.add_argument("--processes", type=int, default=2, help="number of processes")
-    parser.add_argument("--page", type=Path, help="file for the page; all rows as data go beside it")
+    parser.add_argument(
+        "--page", type=Path, help="file for the page; all rows as data go beside it"
+    )
     given = parser.parse_args(arguments)
     lines = verified(given.only, scaled=given.scale, processes=given.processes)
     if given.page is not None:

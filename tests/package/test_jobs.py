@@ -77,38 +77,36 @@ def work(folder):
     samples = [manufactured(kernel("positive", 2.5, lam=-0.2), lattice(5, 3.0), 5, seed=n)
                for n in (0, 1)]  # fmt: skip
     cases = {"horizons": (2.0, 2.5), "degrees": (0, 1, 2), "jobs": 1}
+    folder = Path(folder)
     methods.sweep(*samples, folder / "fits", **cases)
     lengths = {"epochs": 100, "inner_epochs": 50, "outer_iterations": 12}
     stages = methods.TwoStage(seed=3, checkpoint=folder / "state.npz", **lengths)
     fit(samples[0], LPS(2.5, Bernstein(4), method=stages)).material.save(folder / "model.json")
 
 
-WORK = (
-    "import sys, pathlib; from tests.package.test_jobs import work; work(pathlib.Path(sys.argv[1]))"
-)
-
-
-def contents(folder):
-    return {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+WORK = "import sys; from tests.package.test_jobs import work; work(sys.argv[1])"
 
 
 @pytest.mark.slow
 def test_a_job_that_is_killed_again_and_again_ends_with_the_same_bits(tmp_path):
     """Each time once it has begun to write its n-th file."""
     whole, broken = tmp_path / "whole", tmp_path / "broken"
-    for folder in (whole, broken):
-        folder.mkdir()
+    whole.mkdir()
+    broken.mkdir()
     for count in range(1, 12, 2):
         job, seen = started(WORK, broken), set()
         while job.poll() is None and len(seen) < count:
             seen |= {path.name for path in broken.rglob(f".*{PART}*")}
         job.send_signal(signal.SIGKILL)
         job.communicate()
+    files = []
     for folder in (whole, broken):
         job = started(WORK, folder)
         job.communicate()
         assert job.returncode == 0
-    assert contents(broken) == contents(whole)
+        here = (path for path in folder.rglob("*") if path.is_file())
+        files.append({path.relative_to(folder): path.read_bytes() for path in here})
+    assert files[0] == files[1]
 
 
 @pytest.fixture

@@ -117,31 +117,24 @@ def test_an_interrupt_while_the_command_is_imported_is_no_traceback():
     assert run("-c", rings, status=130) == "interrupted; nothing is kept yet"
 
 
-@pytest.mark.parametrize(
-    ("error", "status", "words"),
-    [
+def test_an_error_is_one_printable_line_and_a_status(capsys):
+    def fails():
+        raise error
+
+    for error, status, words in (
         (KeyboardInterrupt(), 130, "interrupted; all is kept\n"),
         (
-            InputError("x: expected 1\n2\x1b[1m" + 9000 * "x"),
+            InputError(f"x: expected 1\n2\x1b[1m{9000 * 'x'}"),
             2,
             "tool: error: x: expected 1 2\\x1b",
         ),
         (OSError("disk\n  full"), 1, "tool: error: disk full\n"),
-    ],
-)
-def test_an_error_is_one_printable_line_and_a_status(error, status, words, capsys):
-    def fails():
-        raise error
-
-    assert exit_status(fails, "all is kept", name="tool") == status
-    said = capsys.readouterr().err
-    assert said.startswith(words)
-    assert said[:-1].isprintable()
-    assert len(said) < 2100
+    ):
+        assert exit_status(fails, "all is kept", name="tool") == status
+        said = capsys.readouterr().err
+        assert said.startswith(words)
+        assert (said[:-1].isprintable(), len(said) < 2100) == (True, True)
     assert isinstance(InputError(""), ValueError)
-
-
-def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="module 'warp_peri' has no attribute 'slove'"):
         _ = wp.slove
 
