@@ -8,6 +8,7 @@ import pickle
 import re
 import subprocess
 import sys
+from functools import partial
 from graphlib import TopologicalSorter
 from importlib import import_module
 from pathlib import Path
@@ -118,7 +119,7 @@ def test_an_interrupt_while_the_command_is_imported_is_no_traceback():
 
 
 def test_an_error_is_one_printable_line_and_a_status(capsys):
-    def fails():
+    def fails(error):
         raise error
 
     for error, status, words in (
@@ -130,7 +131,7 @@ def test_an_error_is_one_printable_line_and_a_status(capsys):
         ),
         (OSError("disk\n  full"), 1, "tool: error: disk full\n"),
     ):
-        assert exit_status(fails, "all is kept", name="tool") == status
+        assert exit_status(partial(fails, error), "all is kept", name="tool") == status
         said = capsys.readouterr().err
         assert said.startswith(words)
         assert (said[:-1].isprintable(), len(said) < 2100) == (True, True)
