@@ -13,7 +13,7 @@ from warp_peri.files.series import in_space, meshio_of, write_vtu
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_matrices import node_fields
 from warp_peri.points.arguments import typed
-from warp_peri.points.samples import PointsLike, Samples, nodes_of
+from warp_peri.points.samples import PointsLike, Samples
 
 if TYPE_CHECKING:
     from warp_peri.fe_coupling.body import BodySolution
@@ -95,8 +95,10 @@ def write_body(path: str | os.PathLike[str], body: BodySolution) -> dict[str, fl
 
 def _samples(model: Any, points: Samples, u: np.ndarray) -> list[dict[str, np.ndarray]]:
     """The point data of each sample."""
-    model = carried(model, points)
-    inside = _of_linear(model, points, u) if is_linear_solid(model) else _of_law(model, points, u)
+    if isinstance(linear := getattr(model, "linear", None), LPSMaterial):
+        inside = _of_linear(linear, points, u)
+    else:
+        inside = _of_law(model, points, u)
     return [
         {
             "displacement": in_space(field),
@@ -109,25 +111,15 @@ def _samples(model: Any, points: Samples, u: np.ndarray) -> list[dict[str, np.nd
     ]
 
 
-def is_linear_solid(model: Any) -> bool:
-    """Whether its linear part is that of `node_fields`."""
-    return isinstance(getattr(model, "linear", None), LPSMaterial)
+def _of_linear(model: LPSMaterial, points: Samples, u: np.ndarray) -> dict[str, np.ndarray]:
+    """What interior nodes have of a linear peridynamic solid, [S, I, …].
 
-
-def carried(model: Any, points: PointsLike) -> Any:
-    """The material that `solve` takes on these points: one of another lattice is carried there.
-
-    A linear solid that is certified nowhere stays as it is, and so does any on scattered points.
+    One of another lattice is carried there, as `solve` does; one that is certified nowhere stays
+    as it is.
     """
-    linear = getattr(model, "linear", None)
-    if not isinstance(linear, LPSMaterial) or not linear.certified_on or not points.spacing > 0:
-        return model
-    return model if linear.is_certified_on(points.spacing) else model.on(nodes_of(points)).model
-
-
-def _of_linear(model: Any, points: Samples, u: np.ndarray) -> dict[str, np.ndarray]:
-    """What interior nodes have of a linear peridynamic solid, [S, I, …]."""
-    fields = node_fields(model.linear, points, u)
+    if model.certified_on and points.spacing > 0:
+        model = model.on(points.points).model
+    fields = node_fields(model, points, u)
     return {
         "stress": _tensor(fields.stress),
         "strain": _tensor(fields.strain),

@@ -34,10 +34,8 @@ def influence_function(model: LPSMaterial, *, spacing: float, ax: Axes, color: s
     label = f"at the bonds of the {spacing:g} {unit} lattice"
     ax.plot(classes.r, values, "o", color=color, label=label)
     room = 1.5 * np.abs(values).max()
-    ax.set_ylim(-room, room)
-    ax.set_xlim(0, 1.03 * model.horizon)
-    ax.set_xlabel(f"bond length r [{unit}]")
-    ax.set_ylabel(f"K / m  [{unit}⁻⁴]")
+    ax.set(xlim=(0, 1.03 * model.horizon), ylim=(-room, room))
+    ax.set(xlabel=f"bond length r [{unit}]", ylabel=f"K / m  [{unit}⁻⁴]")
     ax.legend(frameon=False)
     return ax
 
@@ -111,8 +109,7 @@ def errors_by_wave_number(
     for number, (name, values) in enumerate(errors.items()):
         marker = "os^v"[number % 4]
         ax.plot(wave_number, 100 * np.asarray(values), marker, fillstyle="none", label=name)
-    ax.set_xlabel("wave number |k| of the load [1/Å]")
-    ax.set_ylabel("relative error [%]")
+    ax.set(xlabel="wave number |k| of the load [1/Å]", ylabel="relative error [%]")
     ax.set_ylim(bottom=0)
     ax.legend(frameon=False)
     return ax

@@ -56,7 +56,7 @@ class Dirichlet:
 
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
         """The material at rest."""
-        extra = {name: options.pop(name) for name in ("parameters",) if name in options}
+        extra = {"parameters": options.pop("parameters")} if "parameters" in options else {}
         operator = placed(material, nodes_of(self.points), **options)
         load = np.zeros(np.shape(self.u)) if self.b is None else self.b
         if extra or is_tensor(self.b) or is_tensor(self.u):
@@ -108,7 +108,7 @@ class Periodic:
 
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
         """The material at rest, with a displacement of zero mean."""
-        extra = {name: options.pop(name) for name in ("parameters",) if name in options}
+        extra = {"parameters": options.pop("parameters")} if "parameters" in options else {}
         operator = placed(material, nodes_of(self.points), **options)
         rest = offered(operator, "solve_periodic", "solve", "a model that solves periodic problems")
         if extra or is_tensor(self.b):

@@ -6,6 +6,7 @@ import ctypes
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
 from contextlib import contextmanager
 from functools import partial
 from itertools import pairwise
@@ -16,12 +17,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_peri.errors import InputError
+from warp_peri.points.arguments import Count, typed
 
 DEVICE = "cpu"
 """Where arrays are made and kernels run."""
-LARGEST = 2**16
-"""Number of threads that is none."""
 LINE = 16
 """Counters of a sweep that threads share are so far apart, as in kernels/bonds.py."""
 SLICE = 2000
@@ -31,21 +30,15 @@ wp.config.log_level = wp.LOG_WARNING  # its banner would mix with what commands 
 
 
 def _start() -> None:
-    """Start Warp; without a CUDA driver its native part would say so on every start."""
-    driver = "nvcuda.dll" if os.name == "nt" else "libcuda.so.1"
+    """Start Warp, whose native part would say on every start that there is no CUDA driver."""
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
-        ctypes.CDLL(driver)
-    except OSError:
-        kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-        try:
-            os.dup2(nowhere, 2)
-            wp.init()
-        finally:
-            os.dup2(kept, 2)
-            os.close(kept)
-            os.close(nowhere)
-    else:
+        os.dup2(nowhere, 2)
         wp.init()
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 _start()
@@ -86,42 +79,24 @@ def _helped(count: int) -> SimpleQueue[Callable[[], None]]:
     return _asked
 
 
-class _Asked:
-    """Work that a helper is asked for, and that is taken back if none has begun it."""
-
-    def __init__(self, work: Callable[[], None]) -> None:
-        self._work, self._begun, self._over = work, Lock(), Lock()
-        self._failure: BaseException | None = None
-        self._over.acquire()
-
-    def __call__(self) -> None:
-        if self._begun.acquire(blocking=False):
-            try:
-                self._work()
-            except BaseException as error:
-                self._failure = error
-            self._over.release()
-
-    def taken_back(self) -> BaseException | None:
-        """How it failed, when it is over if it has begun."""
-        if not self._begun.acquire(blocking=False):
-            self._over.acquire()
-        return self._failure
+def _serve(task: Future[None], work: Callable[[], None]) -> None:
+    """Work that a helper is asked for, unless it was taken back."""
+    if task.set_running_or_notify_cancel():
+        try:
+            work()
+            task.set_result(None)
+        except BaseException as error:
+            task.set_exception(error)
 
 
-def set_num_threads(count: int) -> None:
+@typed
+def set_num_threads(count: Count) -> None:
     """Run the sweeps of a point set on `count` Python threads (default: all processors).
 
     Results are bitwise the same for any number. Raises InputError for a count below 1.
     """
     global _count
-    if (
-        not isinstance(count, (int, np.integer))
-        or isinstance(count, bool)
-        or not 0 < count < LARGEST
-    ):
-        raise InputError(f"count: expected a whole number ≥ 1, got {count!r:.60}")
-    _count = int(count)
+    _count = count
 
 
 def get_num_threads() -> int:
@@ -140,21 +115,20 @@ def at_once(jobs: Sequence[Callable[[], None]]) -> None:
 
     count = min(_count, len(jobs)) - 1
     _box[BELL] += count > 0  # nobody stays where others wait
-    asked = [_Asked(work) for _ in range(count)]
-    if asked:
+    tasks: list[Future[None]] = [Future() for _ in range(count)]
+    if tasks:
         _staying = 0
         for _ in range(int(_box[ASLEEP])):
             _wake(ctypes.c_void_p(_box[BED:].ctypes.data))  # type: ignore[misc]
-    for one in asked:
-        _helped(count).put(one)
+    for task in tasks:
+        _helped(count).put(partial(_serve, task, work))
     try:
         work()
     finally:
         # a helper that has not begun finds nothing left to do: nobody waits for it to wake up
-        failures = [one.taken_back() for one in asked]
-    for failure in failures:
-        if failure is not None:
-            raise failure
+        failures = [task.exception() for task in tasks if not task.cancel()]
+    for failure in filter(None, failures):
+        raise failure
 
 
 def ranks_started() -> int | None:

@@ -89,8 +89,10 @@ def test_a_fit_leaves_a_certified_model_and_its_settings_and_is_repeated(
 
 def test_a_fit_says_what_there_is_how_good_and_what_next(data, tmp_path, capsys):
     assert main(["fit", str(data), "--out", str(tmp_path), *FIT, "--loss", "residual"]) == 0
-    what, sheet, good, proof, further, line, *details = capsys.readouterr().out.splitlines()
+    printed = capsys.readouterr()
+    what, sheet, good, proof, further, line, *details = printed.out.splitlines()
     error = json.loads((tmp_path / "metrics.json").read_text())["E_u"]["test"]
+    assert "\r" not in printed.out + printed.err  # no bars where nobody sees them move
     assert what.startswith(f"{tmp_path}/model.json: linear peridynamic solid (LPS), horizon 2.5 Å")
     assert sheet == "moduli: of a sheet 3.35 Å thick, of 2200 kg/m³, as the data file says"
     assert good.startswith(f"error of displacement: {100 * error:.2g} % on set 'test'")
@@ -122,23 +124,23 @@ def test_certify_evaluate_solve_and_info(fitted, data, tmp_path, capsys):
     assert "certified on" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_help_is_a_sentence_an_example_and_phrases_in_groups(name):
-    parser = parser_of(name)
-    assert parser.description.count(".") == parser.description.endswith(".") == 1
-    assert len(parser.description.split()) <= 25
-    start, program, *words = shlex.split(parser.epilog)
-    assert [start, program, words[0]] == ["Example:", "warp-peri", name]
-    assert parse(words).command == name
-    ours = [group for group in parser._action_groups if group.title not in ("options", None)]
-    titles = [group.title for group in ours if group._group_actions]
-    known = ["input", "model", "output"]
-    assert [title for title in titles if title in known] == [n for n in known if n in titles]
-    assert " ".join(parser.format_help().split()).startswith(f"usage: warp-peri {name} ")
-    for action in [action for group in ours for action in group._group_actions]:
-        assert len(action.help.split()) >= 2, action.dest
-        if action.option_strings and action.nargs != 0 and not action.required:
-            assert "default" in action.help or action.default == [], action.dest
+def test_help_is_a_sentence_an_example_and_phrases_in_groups():
+    for name in COMMANDS:
+        parser = parser_of(name)
+        assert parser.description.count(".") == parser.description.endswith(".") == 1
+        assert len(parser.description.split()) <= 25
+        start, program, *words = shlex.split(parser.epilog)
+        assert [start, program, words[0]] == ["Example:", "warp-peri", name]
+        assert parse(words).command == name
+        ours = [group for group in parser._action_groups if group.title not in ("options", None)]
+        titles = [group.title for group in ours if group._group_actions]
+        known = ["input", "model", "output"]
+        assert [title for title in titles if title in known] == [n for n in known if n in titles]
+        assert " ".join(parser.format_help().split()).startswith(f"usage: warp-peri {name} ")
+        for action in [action for group in ours for action in group._group_actions]:
+            assert len(action.help.split()) >= 2, action.dest
+            if action.option_strings and action.nargs != 0 and not action.required:
+                assert "default" in action.help or action.default == [], action.dest
 
 
 def test_the_command_has_a_version_and_knows_its_names(capsys):
@@ -150,15 +152,16 @@ def test_the_command_has_a_version_and_knows_its_names(capsys):
     assert "required: DATA.h5, --out; warp-peri fit --help" in refused(capsys, "fit")
 
 
-def info_to(output, data):
+def info_to(output, file, **environment):
     """A command whose output goes to an open file."""
-    command = [sys.executable, "-m", "warp_peri", "info", data]
+    command, env = [sys.executable, "-m", "warp_peri", "info", file], os.environ | environment
     return subprocess.run(
-        command, stdout=output, stderr=subprocess.PIPE, text=True, cwd=ROOT, check=False
+        command, stdout=output, stderr=subprocess.PIPE, text=True, cwd=ROOT, env=env, check=False
     )
 
 
-def test_a_reader_who_has_enough_is_no_failure_a_full_disk_one_line(data):
+def test_where_output_goes_is_minded(fitted, data):
+    """A reader who has enough is no failure, a full disk one line; no letters of a terminal's."""
     read, write = os.pipe()
     os.close(read)
     with os.fdopen(write, "w") as output:
@@ -168,18 +171,8 @@ def test_a_reader_who_has_enough_is_no_failure_a_full_disk_one_line(data):
         process = info_to(output, data)
     assert process.returncode == 1
     assert process.stderr == "error: [Errno 28] No space left on device\n"
-
-
-def test_a_terminal_without_greek_and_a_pipe_are_spoken_to(data, tmp_path):
-    """No letters that it does not have, and no bars where nobody sees them move."""
-    done = subprocess.run(
-        [sys.executable, "-m", "warp_peri", "fit", data, *FIT, "--out", tmp_path / "m",
-         "--noise", "noise"],
-        env=os.environ | {"PYTHONIOENCODING": "ascii", "PYTHONPATH": str(ROOT)},
-        capture_output=True, text=True, cwd=tmp_path, check=True,
-    )  # fmt: skip
-    assert "\r" not in done.stdout + done.stderr
-    assert "\\u03bb" in done.stdout
+    process = info_to(subprocess.PIPE, fitted / "model.json", PYTHONIOENCODING="ascii")
+    assert "\\u03bb" in process.stdout
 
 
 def test_an_interrupt_says_whether_anything_is_kept(data, tmp_path, capsys, monkeypatch):
@@ -287,23 +280,22 @@ BAD_CONFIG = {
     "[solve]\n": "expected a table [fit]",
     "[fit]\nhorizons = 3\n": "no option 'horizons'",
     "[fit]\nhorizon = [3, 4]\n": "not what this option takes",
-    '[fit]\nhorizon = "far"\n': "argument --horizon: invalid float value: 'far'",
-    '[fit]\nloss = "huber"\n': "argument --loss: invalid choice: 'huber'",
+    '[fit]\nhorizon = "far"\n': "horizon: 'far' is not what this option takes",
+    '[fit]\nloss = "huber"\n': "loss: 'huber' is not what this option takes",
     "[fit]\noverwrite = 3\n": "no option 'overwrite'",
     "[fit]\nset = true\n": "not what this option takes",
-    '[fit]\nunits = ["nm", "--overwrite"]\n': "not what this option takes",
-    '[fit]\ndata = "--help"\n': "not what this option takes",
+    '[fit]\nunits = ["nm"]\n': "not what this option takes",
 }
 
 
-@pytest.mark.parametrize(("text", "words"), BAD_CONFIG.items())
-def test_settings_that_make_no_sense_are_refused(text, words, data, tmp_path, capsys):
+def test_settings_that_make_no_sense_are_refused(data, tmp_path, capsys):
     path = tmp_path / "run.toml"
-    path.write_text(text)
-    said = refused(capsys, "fit", data, "--out", tmp_path / "out", "--config", path)
-    assert words in said
-    assert said.startswith(f"error: {path}: ")
-    assert not (tmp_path / "out").exists()
+    for text, words in BAD_CONFIG.items():
+        path.write_text(text)
+        said = refused(capsys, "fit", data, "--out", tmp_path / "out", "--config", path)
+        assert words in said
+        assert said.startswith(f"error: {path}: ")
+        assert not (tmp_path / "out").exists()
 
 
 def test_sets_on_the_line_take_the_place_of_those_in_the_file(fitted, data, tmp_path, capsys):
@@ -317,35 +309,34 @@ def test_sets_on_the_line_take_the_place_of_those_in_the_file(fitted, data, tmp_
     assert parse([*map(str, words[:2]), "--config", str(settings)]).data == data
     settings.write_text("[evaluate]\n")
     said = refused(capsys, "evaluate", fitted / "model.json", "--config", settings)
-    assert "data: expected it on the line or in" in said
+    assert "are required: DATA.h5; warp-peri evaluate --help" in said
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ("info nowhere.h5", "no such file"),
-        ("info nowhere.json", "nowhere.json"),
-        ("fit {data} --out {new} --set none", "no set 'none'"),
-        ("fit {data} --out {new} --noise none", "no set 'none'"),
-        ("fit {data} --out {new} --influence gausian", "expected gaussian, exponential"),
-        ("fit {data} --out {new} --influence gaussian --degree 2", "expected one of the two"),
-        ("fit {data} --out {new} --law tensors --influence gaussian", "not of --law tensors"),
-        ("certify {bare}", "give --spacing"),
-        ("sweep {data} --out {new}", "no set 'val'"),
-        ("export {bare} {data} --out {new}", "certified on no spacing"),
-        ("solve {bare} --out {new}", "data, body: expected one of DATA.h5 and --body MESH"),
-        ("solve {bare} {data} --out {new}.h5 --pull right=1,0", "pull: expected with --body MESH"),
-        ("solve {bare} {data} --out {data}", "is read (data)"),
-        ("solve {bare} {data} --out {text}", "expected a .h5 file"),
-        ("solve {bare} {data} --out {mine}", "is there already, and no data file"),
-        ("solve {bare} {data} --config {mine} --out {mine}", "is read (config)"),
-        ("export {bare} {data} --out {bare}", "is read (model)"),
-        ("fit {data} --out {bare}", "expected a folder"),
-        ("solve {bare} {data} --out {folder}", "expected a file"),
-        ("sweep {data} --val test --out {new} --jobs 0", "jobs: expected"),
-    ],
-)
-def test_what_cannot_be_done_is_one_line_and_writes_nothing(words, message, data, tmp_path, capsys):
+CANNOT = {
+    "info nowhere.h5": "no such file",
+    "info nowhere.json": "nowhere.json",
+    "fit {data} --out {new} --set none": "no set 'none'",
+    "fit {data} --out {new} --noise none": "no set 'none'",
+    "fit {data} --out {new} --influence gausian": "expected gaussian, exponential",
+    "fit {data} --out {new} --influence gaussian --degree 2": "expected one of the two",
+    "fit {data} --out {new} --law tensors --zeta 1": "zeta: expected with --law lps, not tensors",
+    "certify {bare}": "give --spacing",
+    "sweep {data} --out {new}": "no set 'val'",
+    "export {bare} {data} --out {new}": "certified on no spacing",
+    "solve {bare} --out {new}": "data, body: expected one of DATA.h5 and --body MESH",
+    "solve {bare} {data} --out {new}.h5 --pull right=1,0": "pull: expected with --body MESH",
+    "solve {bare} {data} --out {data}": "is read (data)",
+    "solve {bare} {data} --out {text}": "expected a .h5 file",
+    "solve {bare} {data} --out {mine}": "is there already, and no data file",
+    "solve {bare} {data} --config {mine} --out {mine}": "is read (config)",
+    "export {bare} {data} --out {bare}": "is read (model)",
+    "fit {data} --out {bare}": "expected a folder",
+    "solve {bare} {data} --out {folder}": "expected a file",
+    "sweep {data} --val test --out {new} --jobs 0": "jobs: expected",
+}
+
+
+def test_what_cannot_be_done_is_one_line_and_writes_nothing(data, tmp_path, capsys):
     places = {"data": tmp_path / "d.h5", "bare": tmp_path / "bare.json"}
     shutil.copy(data, places["data"])
     dataclasses.replace(kernel("sign-changing", 2.5), trained_on=(), certified_on=()).save(
@@ -356,9 +347,10 @@ def test_what_cannot_be_done_is_one_line_and_writes_nothing(words, message, data
         path.write_text("[solve]\n")
     before = {path: path.read_bytes() for path in places.values()}
     places |= {"folder": tmp_path, "new": tmp_path / "new"}
-    assert message in refused(capsys, *words.format(**places).split())
-    assert {path: path.read_bytes() for path in before} == before
-    assert not places["new"].exists() or not any(places["new"].glob("*"))
+    for words, message in CANNOT.items():
+        assert message in refused(capsys, *words.format(**places).split()), words
+        assert {path: path.read_bytes() for path in before} == before
+        assert not places["new"].exists() or not any(places["new"].glob("*"))
 
 
 def test_a_shape_is_fitted_by_name_and_zeta_is_kept(data, tmp_path, capsys):
@@ -412,10 +404,8 @@ def test_every_law_is_fitted_at_the_shell(kind, crystal, tmp_path, capsys):
     law, path = crystal
     found = answer(capsys, "fit", path, "--law", kind, "--out", tmp_path, "--horizon", law.horizon)
     kept = load(tmp_path / "model.json")
-    assert (
-        type(kept).__name__
-        == {"tensors": "CrystalMaterial", "third-order": "ThirdOrderMaterial"}[kind]
-    )
+    names = {"tensors": "CrystalMaterial", "third-order": "ThirdOrderMaterial"}
+    assert type(kept).__name__ == names[kind]
     assert set(found["E_u"]) == {"train", "val"}
     if kind == "tensors":
         assert found["moduli"]["C22"] == pytest.approx(law.moduli()["C22"], rel=0.02)

@@ -59,8 +59,7 @@ def test_every_command_answers_or_refuses_whatever_the_law(name, tmp_path, capsy
             assert json.loads(said.out)["test"]["samples"] == len(samples)
 
 
-@pytest.mark.filterwarnings("ignore:transferred")
-def test_third_order_is_evaluated_certified_solved_and_exported(tmp_path, capsys):
+def test_third_order_is_evaluated_certified_and_solved(tmp_path, capsys):
     model = solid("energy")
     points, u, b = problem(model, 0.004)
     file, data = tmp_path / "m.json", tmp_path / "d.h5"
@@ -77,14 +76,6 @@ def test_third_order_is_evaluated_certified_solved_and_exported(tmp_path, capsys
     answer(capsys, "solve", file, data, "--out", tmp_path / "solved.h5")
     solved = load_dataset(tmp_path / "solved.h5")["test"].u[0]
     assert np.abs(solved - u).max() <= 1e-6 * np.abs(u).max()
-    answer(capsys, "export", file, data, "--out", tmp_path / "fields")
-    stress = meshio.read(tmp_path / "fields" / "sample_0000.vtu").point_data["stress"]
-    expected = model.on(points).stress(u)[:, [0, 1], [0, 1]]
-    np.testing.assert_allclose(stress[points.interior][:, :2], expected, rtol=1e-5)
-    fine = model.on(lattice(4, model.horizon, spacing=0.75)).model
-    fine.save(tmp_path / "fine.json")
-    proof = answer(capsys, "certify", tmp_path / "fine.json")["0.75 Å"]["nonlinear"]
-    assert proof["strain"] == pytest.approx(fine.proven_strain(0.75))
 
 
 def test_a_crystal_is_certified_on_its_own_lattice(tmp_path, capsys):
@@ -149,25 +140,27 @@ def test_a_plate_is_pulled_in_other_units_too(files, capsys):
     assert found["largest_principal_stress"] > 0.5  # of some TPa · 0.1/40
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ("--hold up=0,0", "part 'up': the outline has"),
-        ("--hold left", "hold: expected PART=number,number"),
-        ("--hold left=0,0 --out x.h5", "expected a .vtu file"),
-        ("--hold left=0,0 --hold left=1,0", "hold: expected each part once"),
-        ("--hold left=0,0 --method lu --axis 0", "method, axis: expected with loads of a data"),
-        ("--hold left=0,0 --no-transfer", "no-transfer: expected with loads"),
-        ("--hold left=0,0 --units mm stone", "stress_unit: expected one of"),
-    ],
-)
-def test_bodies_that_make_no_sense_write_nothing(files, capsys, words, message):
-    base = ["solve", files / "model.json", "--body", files / "plate.msh"]
-    out = [] if "--out" in words else ["--out", files / "new.vtu"]
-    before = set(files.iterdir())
-    assert main([*map(str, [*base, *out]), *words.split()]) == 2
-    assert message in capsys.readouterr().err
-    assert {path for path in files.iterdir() if path.suffix != ".lock"} == before
+NO_BODY = {
+    "--hold up=0,0": "part 'up': the outline has",
+    "--hold left": "hold: expected PART=number,number",
+    "--hold left=0,0 --out x.h5": "expected a .vtu file",
+    "--hold left=0,0 --hold left=1,0": "hold: expected each part once",
+    "--hold left=0,0 --method lu --axis 0": "method, axis: expected with loads of a data",
+    "--hold left=0,0 --no-transfer": "no-transfer: expected with loads",
+    "--hold left=0,0 --units mm stone": "stress_unit: expected one of",
+}
+
+
+def test_bodies_that_make_no_sense_write_nothing(files, capsys):
+    base, before = (
+        ["solve", files / "model.json", "--body", files / "plate.msh"],
+        {*files.iterdir()},
+    )
+    for words, message in NO_BODY.items():
+        out = [] if "--out" in words else ["--out", files / "new.vtu"]
+        assert main([*map(str, [*base, *out]), *words.split()]) == 2
+        assert message in capsys.readouterr().err
+        assert {path for path in files.iterdir() if path.suffix != ".lock"} == before
 
 
 def test_a_material_that_bodies_are_not_of_is_refused(files, capsys):

@@ -101,8 +101,9 @@ BAD_FILES = [
     (first("x", np.nan), r"set 'train': x: expected finite .* nan at index \[1, 1\]"),
     (array("u", np.ones((3, N - 1, 2))), rf"u: .* got \[3, {N - 1}, 2\]"),
     (array("snr", np.ones(2)), "snr: expected one entry for each of 3 samples"),
-    (link("g", h5py.SoftLink("/nowhere")), "g: expected an array"),
     (lambda file: [file.pop(name) for name in DATA], "at least one point set"),
+    (lambda file: file.create_dataset("more", data=[1.0]), "set 'more': arrays missing: x, u"),
+    (lambda file: file.create_group("train/more"), "set 'train': more: expected an array"),
     (link("u", h5py.ExternalLink("secret.h5", "/train/u")), IN_FILE + ", got a link"),
     (array("u", None, shape=(9, 2), dtype="f8", external=[("raw", 0, 144)]), IN_FILE),
     (virtual, IN_FILE),
@@ -110,17 +111,18 @@ BAD_FILES = [
 ]
 
 
-@pytest.mark.parametrize(("change", "words"), BAD_FILES)
-def test_a_wrong_file_is_refused_by_name_before_memory_is_taken(path, change, words):
+def test_a_wrong_file_is_refused_by_name_before_memory_is_taken(path):
     save_dataset(path.with_name("secret.h5"), DATA)
-    with h5py.File(path, "a") as file:
-        change(file)
-    tracemalloc.start()
-    with pytest.raises(InputError, match=words) as caught:
-        load_dataset(path)
-    assert tracemalloc.get_traced_memory()[1] < 5e7
-    tracemalloc.stop()
-    assert str(caught.value).startswith(f"{path}: ")
+    for change, words in BAD_FILES:
+        save_dataset(path, DATA)
+        with h5py.File(path, "a") as file:
+            change(file)
+        tracemalloc.start()
+        with pytest.raises(InputError, match=words) as caught:
+            load_dataset(path)
+        assert tracemalloc.get_traced_memory()[1] < 5e7
+        tracemalloc.stop()
+        assert str(caught.value).startswith(f"{path}: ")
 
 
 def test_what_is_no_data_set_is_refused_and_one_without_hash_or_units_is_taken(path, tmp_path):
@@ -140,31 +142,25 @@ def test_what_is_no_data_set_is_refused_and_one_without_hash_or_units_is_taken(p
     assert np.array_equal(back["train"].u, LOADS.u)
 
 
-HIDES = np.ma.masked_array(LOADS.u, mask=np.zeros(LOADS.u.shape, bool))
-HIDES[0, 3] = np.ma.masked
 NM = replace(LOADS, points=replace(GRID, units=("nm", "GPa")))
 WRONG = [
-    (GRID, {"spacing": "1"}, "spacing: expected a number ≥ 0, got '1'"),
-    (GRID, {"spacing": -1.0}, "spacing: expected a number ≥ 0, got -1.0"),
     (GRID, {"x": np.ones((0, 2))}, r"x: .*N > 0, got \[0, 2\]"),
-    (GRID, {"x": np.ma.masked_equal(GRID.x, GRID.x[2, 0])}, "x: expected values everywhere"),
     (GRID, {"interior": np.zeros(N, bool)}, "interior: expected at least one"),
     (GRID, {"outside": np.ones(N, bool)}, "true for no interior node"),
     (GRID, {"axis": np.nan}, r"axis: expected an angle \[degrees\], got nan"),
     (CUBE, {"axis": np.ones((3, 3))}, "axis: expected a rotation"),
-    (LOADS, {"points": LOADS}, "points: expected Points, got Samples"),
     (LOADS, {"u": LOADS.u[:, 1:]}, rf"u: expected shape \[S, {N}, 2\]"),
-    (LOADS, {"u": 1e200 * LOADS.u}, r"u: expected finite values, got -?\d.*e\+.*; at most 1e\+100"),
-    (LOADS, {"u": HIDES}, r"u: .* got 2 of .* masked, .* index \[0, 3, 0\]"),
     (LOADS, {"arrays": {"u": np.ones(3)}}, "arrays: 'u' cannot be the name of an array"),
     (DATA, {"sets": {"a": LOADS, "b": NM}}, "same for all sets, got a in angstrom and TPa, b in"),
+    (DATA, {"sets": {"a/b": LOADS}}, "sets: 'a/b' cannot be the name of a set"),
+    (DATA, {"sets": {"a": GRID}}, "a: expected Samples, got Points"),
 ]
 
 
-@pytest.mark.parametrize(("good", "change", "words"), WRONG)
-def test_what_is_wrong_in_memory_is_refused_by_name(good, change, words):
-    with pytest.raises(InputError, match=words):
-        replace(good, **change)
+def test_what_is_wrong_in_memory_is_refused_by_name():
+    for good, change, words in WRONG:
+        with pytest.raises(InputError, match=words):
+            replace(good, **change)
 
 
 def test_the_one_set_or_that_of_the_usual_name_is_meant_where_none_is_named():
@@ -176,49 +172,26 @@ def test_the_one_set_or_that_of_the_usual_name_is_meant_where_none_is_named():
         DATA["test"]
 
 
-def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(path, monkeypatch):
-    before = path.read_bytes()
-    with pytest.raises(InputError, match="provenance: expected plain JSON values"):
-        save_dataset(path, replace(DATA, provenance={"bad": np.nan}))
-
-    def fails(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(h5py.File, "create_group", fails)
-    for target in (path, path.with_name("new.h5")):
-        with pytest.raises(OSError, match="No space left"):
-            save_dataset(target, DATA)
-    assert path.read_bytes() == before
-    assert [*path.parent.iterdir()] == [path]
-
-
-@pytest.mark.parametrize(
-    ("units", "length", "stress"), [(("nm", "GPa"), 10.0, 1e-3), ("ase", 1.0, 0.1602176634)]
-)
-def test_files_carry_their_units_and_an_argument_converts(tmp_path, units, length, stress):
-    path, waves = tmp_path / "data.h5", {"wave_vector": np.ones((3, 2))}
-    points = replace(LOADS.points, units=units)
-    save_dataset(path, Dataset({"a": replace(LOADS, points=points, arrays=waves)}, 3.35, 2267.0))
-    assert np.array_equal(load(path)["a"].x, LOADS.x)
-    found = load(path, units=("angstrom", "TPa"))
-    assert found.units == ("angstrom", "TPa")
-    assert (found.thickness, found.density) == (pytest.approx(3.35 * length), 2267.0)
-    samples = found["a"]
-    for field, factor in (("x", length), ("u", length), ("b", stress / length)):
-        assert getattr(samples, field) == pytest.approx(getattr(LOADS, field) * factor)
-    assert samples.spacing == pytest.approx(2.5 * length)
-    assert samples.arrays["wave_vector"] == pytest.approx(1 / length)
+def test_files_carry_their_units_and_an_argument_converts(tmp_path):
+    path, waves, usual = tmp_path / "data.h5", {"wave_vector": np.ones((3, 2))}, ("angstrom", "TPa")
+    for units, length, stress in ((("nm", "GPa"), 10.0, 1e-3), ("ase", 1.0, 0.1602176634)):
+        points = replace(GRID, units=units)
+        save(path, Dataset({"a": replace(LOADS, points=points, arrays=waves)}, 3.35, 2267.0))
+        assert np.array_equal(load(path)["a"].x, LOADS.x)
+        found = load(path, units=usual)
+        samples = found["a"]
+        assert (found.units, found.density) == (usual, 2267.0)
+        assert found.thickness == pytest.approx(3.35 * length)
+        for field, factor in (("x", length), ("u", length), ("b", stress / length)):
+            assert getattr(samples, field) == pytest.approx(getattr(LOADS, field) * factor)
+        assert samples.spacing == pytest.approx(2.5 * length)
+        assert samples.arrays["wave_vector"] == pytest.approx(1 / length)
     with pytest.raises(InputError, match="length_unit: expected one of angstrom, nm, .* 'mile'"):
         load(path, units=("mile", "TPa"))
-
-
-def test_reduced_units_are_carried_and_lead_nowhere(tmp_path):
-    path = tmp_path / "data.h5"
-    data = replace(DATA, sets={"a": replace(LOADS, points=replace(GRID, units="reduced"))})
-    save(path, data)
+    save(path, replace(DATA, sets={"a": replace(LOADS, points=replace(GRID, units="reduced"))}))
     assert load(path).units == ("sigma", "epsilon/sigma^3")
     with pytest.raises(InputError, match="no factor leads from sigma and epsilon/sigma"):
-        load(path, units=("angstrom", "TPa"))
+        load(path, units=usual)
 
 
 def test_bodies_have_a_collar_of_two_horizons():
@@ -229,13 +202,6 @@ def test_bodies_have_a_collar_of_two_horizons():
     far = np.linalg.norm(ball.x, axis=1)
     np.testing.assert_array_equal(ball.interior, far <= 3e6)
     assert len(ball.x) == (np.linalg.norm(np.indices((15, 15, 15)) - 7, axis=0) <= 7).sum()
-    for call in (
-        lambda: Points.block((6.0, np.nan), 1.0, 2.0),
-        lambda: Points.block((6.0, 4.0), 0.0, 2.0),
-        lambda: Points.disk(3.0, 1.0, -2.0),
-    ):
-        with pytest.raises(InputError, match="^(lengths|spacing|horizon): expected"):
-            call()
 
 
 def test_samples_and_sets_are_taken_apart_as_sequences_and_mappings():

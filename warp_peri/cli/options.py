@@ -144,62 +144,22 @@ def parse(words: Sequence[str]) -> Namespace:
     path = ahead.parse_known_args(rest)[0].config
     if path is None or {"-h", "--help"} & {*rest}:
         return parser.parse_args(rest, given)
-    actions = {action.dest: action for action in parser._actions}
-    usual = {name: action.default for name, action in actions.items() if name != "help"}
-    needed = [name for name, action in actions.items() if action.required]
-    for action in actions.values():
-        action.default, action.required = SUPPRESS, False
-        if not action.option_strings:
-            action.nargs, action.default = "*" if action.nargs == "+" else "?", None
+    actions = {one.dest: one for one in parser._actions if one.dest not in ("help", "config")}
     try:
-        kept = _said(parser, _words_of(_table(path, given.command), actions, usual))
+        kept = _kept(_table(path, given.command), actions)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    typed = _said(parser, rest)
-    for name in needed:
-        if name not in kept | typed:
-            raise InputError(f"{name}: expected it on the line or in {path}")
+    usual = {name: action.default for name, action in actions.items()}
+    for name, action in actions.items():  # a line without defaults tells what is typed
+        action.default = SUPPRESS if action.option_strings else None
+        if name in kept:
+            action.required = False
+            if not action.option_strings:
+                action.nargs = "*" if action.nargs == "+" else "?"
+    line = vars(parser.parse_args(rest)).items()
+    typed = {name: value for name, value in line if value is not None and value != []}
     from_file = kept.keys() - typed.keys()
     return Namespace(**vars(given) | usual | kept | typed, from_file=from_file)
-
-
-def _said(parser: Parser, words: Sequence[str]) -> dict[str, Any]:
-    """What a line without defaults has."""
-    found = vars(parser.parse_args(words))
-    return {name: value for name, value in found.items() if value is not None and value != []}
-
-
-def _words_of(table: dict[str, Any], actions: dict[str, Any], usual: dict[str, Any]) -> list[str]:
-    """The line that a table of settings stands for; InputError for keys and values of no option."""
-    places, words = {}, []
-    for key, value in table.items():
-        action, many = actions.get(key), isinstance(value, list)
-        if action is None or key in NOT_KEPT:
-            known = ", ".join(sorted({*actions} - {*NOT_KEPT}))
-            raise InputError(f"no option {key!r}; there are {known}")
-        switch = action.nargs == 0
-        if isinstance(value, bool) != switch or many != (action.nargs not in (None, "?", 0)):
-            raise InputError(f"{key}: {value!r} is not what this option takes")
-        values = [str(one) for one in (value if many else [value])]
-        if (many or not action.option_strings) and any(map(_like_an_option, values)):
-            raise InputError(f"{key}: {value!r} is not what this option takes")
-        if not action.option_strings:
-            places[key] = values
-        elif switch:
-            words += action.option_strings * (value != usual[key])
-        elif many:
-            words += [*action.option_strings, *values] if values else []
-        else:
-            words.append(f"{action.option_strings[0]}={value}")
-    return [word for key in actions for word in places.get(key, [])] + words
-
-
-def _like_an_option(value: str) -> bool:
-    """Whether a word would be taken for an option, which a file may not type."""
-    try:
-        return value.startswith("-") and not float(value) < 0
-    except ValueError:
-        return True
 
 
 def _table(path: str, command: str) -> dict[str, Any]:
@@ -210,6 +170,33 @@ def _table(path: str, command: str) -> dict[str, Any]:
     if not isinstance(table, dict):
         raise InputError(f"expected a table [{command}]")
     return table
+
+
+def _kept(table: dict[str, Any], actions: dict[str, Any]) -> dict[str, Any]:
+    """Options as a table of settings has them; InputError for keys and values of no option."""
+    kept = {}
+    for key, value in table.items():
+        action = actions.get(key)
+        if action is None or key in NOT_KEPT:
+            known = ", ".join(sorted({*actions} - {*NOT_KEPT}))
+            raise InputError(f"no option {key!r}; there are {known}")
+        values = value if isinstance(value, list) else [value]
+        switch, single = action.nargs == 0, action.nargs in (None, "?", 0)
+        try:
+            found = values if switch else [(action.type or str)(str(one)) for one in values]
+        except ValueError:
+            found = []
+        fits = (
+            isinstance(value, list) != single,
+            all(isinstance(one, bool) == switch for one in values),
+            action.nargs in (None, "?", 0, "+", len(values)),
+            len(found) == len(values) and {*found} <= {*(action.choices or found)},
+        )
+        if not all(fits):
+            raise InputError(f"{key}: {value!r} is not what this option takes")
+        if values:
+            kept[key] = found[0] if single else found
+    return kept
 
 
 def check_output(given: Namespace) -> None:

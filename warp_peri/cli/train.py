@@ -18,7 +18,7 @@ import numpy as np
 import warp_peri
 from warp_peri.atoms import dumps
 from warp_peri.atoms.coarse_graining import smoothing_matrix
-from warp_peri.cli.commands import Result, Said, error_table, lines_of, set_summary
+from warp_peri.cli.commands import Result, Said, error_table, lines_of, refuse_options, set_summary
 from warp_peri.cli.options import keep, refuse_used
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import locked, read_arrays, write_json
@@ -32,9 +32,8 @@ from warp_peri.points.unit_names import LENGTHS, symbols
 
 HORIZON = 20.0
 """δ [Å] that is learned where nothing else was asked for."""
-OF_LPS = {"influence": None, "noise": None, "method": "optimum", "conditions": "direct",
-          "zeta": None, "loss": "auto", "degree": None}  # fmt: skip
-"""Options that mean nothing to other laws, and their defaults."""
+OF_LPS = ("influence", "noise", "method", "conditions", "zeta", "loss", "degree")
+"""Options that mean nothing to other laws."""
 KINDS = {
     "lps": "linear peridynamic solid (LPS)",
     "tensors": "crystal model",
@@ -65,7 +64,16 @@ def run_coarse_grain(given: Namespace) -> Said:
     mass = np.ones(len(reference))
     if given.mass:
         mass = dumps.read_masses(given.reference, given.mass)
-    points = node_lattice(given.spacing, given.reach, given.interior, round_body=box is None)
+    if not 0 < given.spacing <= given.interior < given.reach:
+        lengths = f"{given.spacing:g}, {given.interior:g}, {given.reach:g} Å"
+        raise InputError(
+            f"spacing, interior, reach: expected 0 < spacing ≤ interior < reach, got {lengths}"
+        )
+    around: Result = {"spacing": given.spacing, "horizon": (given.reach - given.interior) / 2}
+    if box:
+        points = Points.block((2 * given.interior, 2 * given.interior), **around)
+    else:
+        points = Points.disk(given.interior, **around)
     points = dataclasses.replace(points, x=points.x + reference.mean(axis=0))
     omega = smoothing_matrix(
         reference, points.x, radius=given.radius, box=box, spacing=given.spacing
@@ -139,24 +147,6 @@ def atom_forces(path: Path, atoms: int) -> np.ndarray:
     return checked(f"{path}: force", force)
 
 
-def node_lattice(spacing: float, reach: float, interior: float, *, round_body: bool) -> Points:
-    """Nodes of a square lattice within `reach` of its middle [Å], by radius for a round body.
-
-    Raises InputError for lengths that leave no collar.
-    """
-    if not 0 < spacing <= interior < reach:
-        raise InputError(
-            "spacing, interior, reach: expected 0 < spacing ≤ interior < reach, got "
-            f"{spacing:g}, {interior:g}, {reach:g} Å"
-        )
-    count = int(reach / spacing + 1e-9)
-    line = spacing * np.arange(-count, count + 1)
-    x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
-    size = np.linalg.norm(x, axis=1) if round_body else np.abs(x).max(axis=1)
-    kept = size <= reach * (1 + 1e-9)
-    return Points(x=x[kept], interior=size[kept] <= interior * (1 + 1e-9), spacing=spacing)
-
-
 def _dataset(given: Namespace) -> Dataset:
     """The data in their own units, or those asked for."""
     return load_dataset(given.data, units=tuple(given.units) if given.units else None)
@@ -207,8 +197,7 @@ def _law(given: Namespace, spacing: float) -> Any:
         conditions = settings.StabilityConditions(given.conditions, given.zeta)
         method = settings.named(given.method)
         return warp_peri.LPS(given.horizon, kernel, method, conditions, given.loss)
-    if own := [f"--{name}" for name, value in OF_LPS.items() if getattr(given, name) != value]:
-        raise InputError(f"{', '.join(own)}: not of --law {given.law}")
+    refuse_options(given, OF_LPS, f"--law lps, not {given.law}")
     law = warp_peri.Crystal(given.horizon)
     smoothing = warp_peri.methods.Smoothing(2 * spacing)
     return law if given.law == "tensors" else warp_peri.ThirdOrder(law, smoothing)

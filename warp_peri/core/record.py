@@ -37,15 +37,13 @@ from typing import (
 import numpy as np
 
 from warp_peri.errors import InputError, warn
+from warp_peri.files import foreign
 from warp_peri.files.atomic import parsed, plain, write_json
-from warp_peri.files.foreign import check_regular
 from warp_peri.points.arguments import ABOVE, typed, typed_methods
 from warp_peri.points.arrays import LARGEST, checked, is_number
 from warp_peri.points.unit_names import USUAL, Units, check_units, factors, shown_moduli, symbols
 from warp_peri.reprs import Shown
 
-LARGEST_FILE = 2**26
-"""Bytes of a file that are read at most."""
 UNITS = ("length_unit", "stress_unit")
 HEAD = ("format", "version", *UNITS, "sha256")
 FORMATS: dict[str, type[Record]] = {}
@@ -174,9 +172,8 @@ class Record(Shown):
     @property
     def unfiled(self) -> dict[str, Any]:
         """Fields that are in no file, by name."""
-        return {
-            each.name: getattr(self, each.name) for each in fields_of(self) if not each.says.kept
-        }
+        hidden = (each.name for each in fields_of(self) if not each.says.kept)
+        return {name: getattr(self, name) for name in hidden}
 
     @classmethod
     def from_dict(cls, content: Any, where: str = "") -> Self:
@@ -192,12 +189,10 @@ class Record(Shown):
                 raise InputError(f"{key}: expected {expected!r}, got {content.get(key)!r:.60}")
         own, units = {k: v for k, v in content.items() if k not in HEAD}, {}
         if _has_units(cls):
-            named = [content[key] for key in UNITS if key in content]
-            if not named:
+            named = [content.get(key) for key in UNITS]
+            if named == [None, None]:
                 warn(f"{where}it names no units: taken as Å and TPa")
-            elif len(named) == 1:
-                raise InputError(f"missing keys: {', '.join({*UNITS} - {*content})}")
-            units = {"units": check_units(named or USUAL)}
+            units = {"units": check_units(USUAL if named == [None, None] else named)}
         made = cls(**units, **_values(cls, own))
         for key, value in made.derived().items():
             if (said := own.pop(key, None)) != plain(value):
@@ -264,8 +259,8 @@ class Record(Shown):
 
     def _moved(self, part: Any, by: tuple[float, float], units: Units) -> dict[str, Any]:
         """The fields of a part in other units."""
-        return {e.name: self._scaled(getattr(part, e.name), e.says, by, units)
-                for e in fields_of(part)}  # fmt: skip
+        fields = [(each.name, each.says) for each in fields_of(part)]
+        return {name: self._scaled(getattr(part, name), says, by, units) for name, says in fields}
 
     def _scaled(self, value: Any, says: FieldUnits, by: tuple[float, float], units: Units) -> Any:
         """A value in other units."""
@@ -419,19 +414,16 @@ def taken(key: str, hint: Any, value: Any, says: FieldUnits = PLAIN, *, read: bo
         if _holds_bool(value):
             raise InputError(f"{key}: expected finite numbers, got true or false")
         return checked(key, value, float).copy()
-    if hint in WORDS:
-        if not isinstance(value, hint) or (hint is int and isinstance(value, bool)):
-            raise InputError(f"{key}: expected {WORDS[hint]}, got {value!r:.50}")
-        return value
     if hint is Any and read and isinstance(value, dict) and "format" in value:
         return _within(key, read_content, value)
     if read and "__dataclass_fields__" in vars(hint):
         if issubclass(hint, Record):
             return _within(key, hint.from_dict, value)
         return _within(key, _part, hint, dict(taken(key, dict, value)))
-    if hint is not Any and not isinstance(value, hint):
-        raise InputError(f"{key}: expected {hint.__name__}(…), got {value!r:.50}")
-    return value
+    if hint is Any or (isinstance(value, hint) and not (hint is int and isinstance(value, bool))):
+        return value
+    words = WORDS.get(hint, f"{hint.__name__}(…)")
+    raise InputError(f"{key}: expected {words}, got {value!r:.50}")
 
 
 WORDS: dict[Any, str] = {
@@ -468,28 +460,9 @@ def content_hash(content: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(plain(kept), sort_keys=True).encode()).hexdigest()
 
 
-def read_json(path: str | os.PathLike[str]) -> Any:
-    """What a JSON file holds; InputError where there is none."""
-    check_regular(path)
-    try:
-        with open(path, "rb") as file:
-            raw = file.read(LARGEST_FILE + 1)
-        if len(raw) > LARGEST_FILE:
-            raise InputError(f"{path}: expected a file of at most {LARGEST_FILE} bytes")
-        return parsed(raw)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except InputError:
-        raise
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not a readable JSON file ({error})") from None
-
-
 def read_content(content: Any, path: Path | None = None) -> Any:
     """A material of what a file holds, of any format."""
-    if not isinstance(content, dict):
-        raise InputError(f"expected a JSON object, got {type(content).__name__}")
-    name = content.get("format")
+    name = content.get("format") if isinstance(content, dict) else content
     if isinstance(name, str) and name in HOMES:
         import_module(f"warp_peri.{HOMES[name]}")
     if not isinstance(name, str) or name not in FORMATS:
@@ -501,8 +474,12 @@ def read_content(content: Any, path: Path | None = None) -> Any:
 
 def load(path: str | os.PathLike[str]) -> Any:
     """Read the file of a material; InputError naming the file and what is wrong with it."""
-    content = read_json(path)
+    raw = foreign.content(path)
     try:
-        return read_content(content, Path(path))
+        held = parsed(raw)
+    except ValueError as error:
+        raise InputError(f"{path}: not a readable JSON file ({error})") from None
+    try:
+        return read_content(held, Path(path))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None

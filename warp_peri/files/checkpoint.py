@@ -167,16 +167,11 @@ def _read_by(function: Any) -> dict[str, Any]:
         if inspect.ismodule(one):  # of which it may read plain values of these names
             own = {key: getattr(one, key, None) for key in sorted(names)}
             read[name] = {key: value for key, value in own.items() if isinstance(value, PLAIN)}
-        elif one is not function and (_is_value(one) or one.__module__ == function.__module__):
+        elif not (inspect.isroutine(one) or isinstance(one, type)) or (
+            one is not function and one.__module__ == function.__module__
+        ):
             read[name] = one
     return {**read, **inspect.getclosurevars(function).nonlocals}
-
-
-def _is_value(one: Any) -> bool:
-    """Whether it is no part of a program: no module, class or plain function."""
-    return not (
-        one is None or inspect.ismodule(one) or inspect.isroutine(one) or isinstance(one, type)
-    )
 
 
 def _lasting(content: Any) -> Any:

@@ -120,9 +120,8 @@ def check_hdf5(file: h5py.File, size: int) -> None:
                 continue
             if item.is_virtual or item.external:
                 raise InputError(f"{where}: expected an array in the file itself")
-            if item.dtype.kind not in "biufcSUO" or item.dtype.subdtype is not None:
-                raise InputError(f"{where}: expected numbers or text, got {item.dtype}")
-            if item.dtype.kind == "O" and h5py.check_string_dtype(item.dtype) is None:
+            text = h5py.check_string_dtype(item.dtype) is not None
+            if not (text or item.dtype.kind in "biufcSU") or item.dtype.subdtype is not None:
                 raise InputError(f"{where}: expected numbers or text, got {item.dtype}")
             chunk = int(np.prod(item.chunks or (0,), dtype=object)) * item.dtype.itemsize
             count = int(np.prod(item.shape or (), dtype=object)) * item.dtype.itemsize

@@ -17,6 +17,7 @@ import torch
 from warp_peri.core import record
 from warp_peri.core.record import Length
 from warp_peri.errors import InputError
+from warp_peri.files import foreign
 from warp_peri.neural.bonds import NetworkBonds
 from warp_peri.neural.placed import Placed
 from warp_peri.neural.training import NeuralFit, TrainingSettings, train
@@ -217,7 +218,7 @@ class NeuralOperator(Shown, torch.nn.Module):
 
 
 PRECISIONS = ("float16", "float32", "float64")
-FITS = record.LARGEST_FILE * 3 // 4 - 2**16
+FITS = foreign.LARGEST * 3 // 4 - 2**16
 """Bytes of weights whose file is read again."""
 
 

@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,7 +17,7 @@ from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import parsed, plain, whole_file
 from warp_peri.files.foreign import check_hdf5, check_regular
 from warp_peri.points.arguments import Positive, typed
-from warp_peri.points.arrays import is_name, is_number
+from warp_peri.points.arrays import is_name
 from warp_peri.points.points import Points
 from warp_peri.points.samples import FIELDS, WAVE_VECTOR, Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units, factors, symbols
@@ -252,11 +252,6 @@ def load_dataset(path: str | os.PathLike[str], *, units: Units | None = None) ->
         with h5py.File(path, "r") as file:
             check_hdf5(file, os.path.getsize(path))
             data = _read(file)
-            expected = _text(file.attrs.get("sha256"))
-        if expected is not None and not (
-            isinstance(expected, str) and expected == content_hash(data)
-        ):
-            raise InputError("sha256: the contents are not what was written; the file is damaged")
         return data if units is None else converted(data, units)
     except FileNotFoundError:
         raise InputError(f"{path}: no such data set") from None
@@ -266,72 +261,62 @@ def load_dataset(path: str | os.PathLike[str], *, units: Units | None = None) ->
         raise InputError(f"{path}: not a readable HDF5 data set ({error})") from None
 
 
-HEAD = ("format", "version", "length_unit", "stress_unit")
-
-
 def _read(file: h5py.File) -> Dataset:
     """What a file holds."""
     for key, expected in {"format": FORMAT, "version": VERSION}.items():
         value = _text(file.attrs.get(key))
         if np.shape(value) != () or value != expected:
             raise InputError(f"{key}: expected {expected!r}, got {value!r}")
-    length, stress = (_text(file.attrs.get(key)) for key in ("length_unit", "stress_unit"))
-    if length is None and stress is None:
+    needed = ("format", "version", "thickness", "density")
+    head = _attributes(file, needed, ("length_unit", "stress_unit", "provenance", "sha256"))
+    named = head.get("length_unit"), head.get("stress_unit")
+    if named == (None, None):
         warn("the file names no units: taken as Å and TPa")
-        length, stress = USUAL
-    units = check_units((length, stress))
-    thickness, density = (_attribute(file.attrs, key) for key in ("thickness", "density"))
+    units = check_units(USUAL if named == (None, None) else named)
     try:
-        provenance = parsed(_text(file.attrs.get("provenance", "{}")))
-    except (TypeError, ValueError) as error:
+        provenance = parsed(head.get("provenance", "{}"))
+    except ValueError as error:
         raise InputError(f"provenance: expected JSON ({error})") from None
-    if not isinstance(provenance, dict):
-        raise InputError(f"provenance: expected a JSON object, got {type(provenance).__name__}")
-    refuse_unknown(file.attrs, (*HEAD, "thickness", "density", "provenance", "sha256"))
     sets = {}
     for name, group in file.items():
-        if not isinstance(group, h5py.Group):
-            raise InputError(f"{name}: expected a group (one per point set)")
         try:
             sets[name] = _read_points(group, units)
         except InputError as error:
             raise InputError(f"set '{name}': {error}") from None
-    return Dataset(sets, thickness, density, provenance)
+    data = Dataset(sets, head["thickness"], head["density"], provenance)
+    mark = content_hash(data)
+    if head.get("sha256", mark) != mark:
+        raise InputError("sha256: the contents are not what was written; the file is damaged")
+    return data
 
 
 def _read_points(group: h5py.Group, units: Units) -> Samples:
-    missing = [key for key in _NEEDED if not isinstance(group.get(key), h5py.Dataset)]
-    if missing:
+    there = dict(group) if isinstance(group, h5py.Group) else {}
+    if missing := [key for key in _NEEDED if not isinstance(there.get(key), h5py.Dataset)]:
         raise InputError(f"arrays missing: {', '.join(missing)}")
     arrays: dict[str, Any] = dict.fromkeys(FIELDS)
-    for key, item in group.items():
+    for key, item in there.items():
         if not isinstance(item, h5py.Dataset):
             raise InputError(f"{key}: expected an array")
         arrays[key] = item.asstr()[:] if h5py.check_string_dtype(item.dtype) else item[()]
     x, u, b, interior, outside = (arrays.pop(key) for key in FIELDS)
-    refuse_unknown(group.attrs, ("spacing", "box", "axis"))
-    said = {"box": group.attrs.get("box"), "axis": group.attrs.get("axis")}
-    spacing = _attribute(group.attrs, "spacing")
-    points = Points(x, interior, spacing, outside=outside, units=units, **said)
-    return Samples(points, u, b, arrays)
+    known = _attributes(group, ("spacing",), ("box", "axis"))
+    return Samples(Points(x, interior, outside=outside, units=units, **known), u, b, arrays)
 
 
-def refuse_unknown(attributes: Mapping[str, Any], known: Sequence[str]) -> None:
-    """InputError for attributes that nothing here reads."""
-    if unknown := sorted({*attributes} - {*known}):
+def _attributes(place: Any, needed: tuple[str, ...], more: tuple[str, ...]) -> dict[str, Any]:
+    """Attributes by name; InputError for one that is missing, or that nothing here reads."""
+    names, known = {*place.attrs}, (*needed, *more)
+    if missing := sorted({*needed} - names):
+        raise InputError(f"attribute {missing[0]!r} is missing")
+    if unknown := sorted(names - {*known}):
         raise InputError(
             f"attributes: expected none but {', '.join(known)}, got {unknown[0]!r:.60}"
         )
+    return {name: _text(place.attrs[name]) for name in names}
 
 
 def _text(value: Any) -> Any:
-    """An attribute that holds text as str, whatever its length; anything else as it is."""
+    """An attribute that holds text as str, whatever its length, one number as Python has it."""
+    value = value.item() if isinstance(value, np.generic) else value
     return value.decode("utf-8", "surrogatepass") if isinstance(value, bytes) else value
-
-
-def _attribute(attributes: Mapping[str, Any], key: str) -> float:
-    if key not in attributes:
-        raise InputError(f"attribute '{key}' is missing")
-    if not is_number(attributes[key]):
-        raise InputError(f"{key}: expected a number, got {_text(attributes[key])!r}")
-    return float(attributes[key])

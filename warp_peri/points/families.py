@@ -118,16 +118,12 @@ def bond_classes(
         degree: of the quadrature.
         dimension: 2 or 3.
 
-    Raises InputError when the horizon is below one spacing or the weights do not exist.
+    Raises InputError for a horizon below one spacing or too large, and where no weights exist.
     """
-    if not (np.isfinite(spacing) and spacing > 0):
-        raise InputError(f"spacing: expected a lattice spacing > 0, got {spacing}")
-    if not (np.isfinite(horizon) and horizon >= spacing):
-        raise InputError(f"horizon: expected at least one spacing ({spacing}), got {horizon}")
     most = LARGEST_REACH[dimension]
-    if horizon > most * spacing:
+    if not spacing <= horizon <= most * spacing:
         raise InputError(
-            f"horizon: expected at most {most} spacings ({most * spacing:g}), got {horizon}"
+            f"horizon: expected at least one spacing ({spacing}), got {horizon}; at most {most}"
         )
     longest = math.floor((horizon / spacing * (1 + 2 * HORIZON_TOLERANCE)) ** 2)
     reach = math.isqrt(longest)

@@ -6,7 +6,6 @@ import itertools
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -128,11 +127,7 @@ class Mesh:
 
     def holding(self, x: np.ndarray) -> np.ndarray:
         """Number of the straight-sided cell that holds each point, −1 where none does."""
-        return self._finder.holding(x)
-
-    @cached_property
-    def _finder(self) -> Finder:
-        return Finder(self.x, self.cells)
+        return cells_holding(self.x[self.cells], x)
 
 
 @typed
@@ -261,7 +256,7 @@ def _refuse_covered(x: np.ndarray, t: np.ndarray, facets: np.ndarray, across: np
     )
     on = np.einsum("wk,fkd->wfd", weights, x[facets])
     beyond, corners = on + BEYOND * (on - x[across]), x[np.unique(facets)]
-    held = Finder(x, t).holding(np.concatenate([beyond.reshape(-1, d), corners]), INSIDE)
+    held = cells_holding(x[t], np.concatenate([beyond.reshape(-1, d), corners]), INSIDE)
     if (bad := np.flatnonzero(held >= 0)).size:
         name, _, facet, _ = KINDS[d]
         place = np.concatenate([on.reshape(-1, d), corners])[bad[0]]
@@ -295,33 +290,26 @@ def _named(
     return named
 
 
-class Finder:
-    """Which cell of a body holds a position.
+def cells_holding(corners: np.ndarray, x: np.ndarray, depth: float = -WITHIN) -> np.ndarray:
+    """Number of a cell that holds each position so deep in its own coordinates, or −1.
 
     Args:
-        x: corners [length], shape [P, d].
-        cells: by their corners, shape [T, d + 1].
+        corners: of the cells [length], shape [T, d + 1, d].
+        x: positions [length], shape [n, d].
+        depth: in the cells' own coordinates, 0 to 1 across.
     """
-
-    def __init__(self, x: np.ndarray, cells: np.ndarray) -> None:
-        corners = x[cells]
-        self.first = corners[:, 0]
-        self.inverse = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
-        self.middle = corners.mean(axis=1)
-        size = np.linalg.norm(corners - self.middle[:, None], axis=2).max(axis=1)
-        self.size = size * (1 + WITHIN)
-
-    def holding(self, x: np.ndarray, depth: float = -WITHIN) -> np.ndarray:
-        """Number of a cell that holds each position so deep in its own coordinates, or −1."""
-        found, points = np.full(len(x), -1), cKDTree(x)
-        for part in np.array_split(np.arange(len(self.size)), len(self.size) // ASKED + 1):
-            near = points.query_ball_point(self.middle[part], self.size[part])
-            cell = np.repeat(part, [len(n) for n in near])
-            n = np.concatenate(near).astype(int)
-            own = np.einsum("nij,nj->ni", self.inverse[cell], x[n] - self.first[cell])
-            held = np.minimum(own.min(axis=1), 1 - own.sum(axis=1)) >= depth
-            found[n[held]] = cell[held]
-        return found
+    inverse = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
+    middle = corners.mean(axis=1)
+    size = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1) * (1 + WITHIN)
+    found, points = np.full(len(x), -1), cKDTree(x)
+    for part in np.array_split(np.arange(len(size)), len(size) // ASKED + 1):
+        near = points.query_ball_point(middle[part], size[part])
+        cell = np.repeat(part, [len(n) for n in near])
+        n = np.concatenate(near).astype(int)
+        own = np.einsum("nij,nj->ni", inverse[cell], x[n] - corners[cell, 0])
+        held = np.minimum(own.min(axis=1), 1 - own.sum(axis=1)) >= depth
+        found[n[held]] = cell[held]
+    return found
 
 
 def pieces(cells: np.ndarray) -> np.ndarray:

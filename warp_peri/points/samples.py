@@ -58,10 +58,9 @@ class Samples(Shown):
             if name in FIELDS or not is_name(name):
                 raise InputError(f"arrays: {name!r} cannot be the name of an array")
             found = as_array(name, value)
-            if found.ndim == 0 or len(found) != len(self.u):
-                raise InputError(f"{name}: expected one entry for each of {len(self.u)} samples")
-            if np.ma.is_masked(found):
-                raise InputError(f"{name}: expected values everywhere, got some that are masked")
+            if found.ndim == 0 or len(found) != len(self.u) or np.ma.is_masked(found):
+                count = f"each of {len(self.u)} samples"
+                raise InputError(f"{name}: expected one entry for {count}, and none that is masked")
 
     def __len__(self) -> int:
         """Number of samples."""

@@ -30,11 +30,9 @@ def neighbours(
         row [N + 1], neighbour [E], distance [Å] [E], and the bond back of each bond [E]; those of
         point i are row[i] … row[i + 1].
 
-    Raises InputError for a box that is too small, points that are alone, naming them, and more
-    bonds than int32 can number.
+    Raises InputError for a box that is too small, points that are alone, and more bonds than int32
+    can number.
     """
-    if not (np.isfinite(reach) and reach > 0):
-        raise InputError(f"horizon: expected a length > 0, got {reach}")
     d, at = x.shape[1], x
     if box is not None:
         if not (np.shape(box) == (d,) and np.isfinite(box).all() and 2 * reach < min(box)):
@@ -51,10 +49,6 @@ def neighbours(
     place[order] = np.arange(len(order))
     reverse = np.roll(place, len(pairs))[order]
     count = np.bincount(start, minlength=len(x))
-    if not len(pairs):
-        raise InputError(
-            "horizon: expected at least the spacing of the points, but no two are that close"
-        )
     if not count.all():
         alone = listed(np.flatnonzero(count == 0))
         raise InputError(f"points: isolated, with no other within the horizon: {alone}")

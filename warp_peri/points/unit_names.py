@@ -109,23 +109,12 @@ def check_same(model: Units, points: Units) -> None:
         )
 
 
-def search_unit(unit: str, size: float, usual: float, bits: int) -> float:
-    """A unit that a search works in, in one of some data.
-
-    Starts, steps, bounds and tolerances of a search are numbers. It works in Å and TPa, whatever
-    the data are in, so that it finds the same in any units; where the data are of another size
-    than usual ones, in powers of 2 to the bits of these.
-
-    Args:
-        unit: name of a unit of length or stress.
-        size: of the data, in it.
-        usual: size in Å or TPa that the search's own numbers suit.
-        bits: of a step.
-    """
-    known = LENGTHS.get(unit) or STRESSES.get(unit, 1.0)
-    return math.ldexp(1.0, bits * round(math.log2(size * known / usual) / bits)) / known
-
-
 def search_length(units: Units, horizon: float) -> float:
-    """The unit of length of a search, for a horizon; both in the unit of length of `units`."""
-    return search_unit(units[0], horizon, USUAL_HORIZON, 6)
+    """The unit of length that a search works in, in that of `units`, for a horizon in it.
+
+    Starts, steps, bounds and tolerances of a search are numbers. It works in Å whatever the data
+    are in, so that it finds the same in any units; of horizons of another size than usual in
+    powers of 2⁶ of it, to the bits of these.
+    """
+    known = LENGTHS.get(units[0], 1.0)
+    return math.ldexp(1.0, 6 * round(math.log2(horizon * known / USUAL_HORIZON) / 6)) / known
