@@ -17,10 +17,12 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_peri.points.arguments import Count, typed
+from warp_peri.errors import InputError
 
 DEVICE = "cpu"
 """Where arrays are made and kernels run."""
+LARGEST = 2**16
+"""Number of threads that is none."""
 LINE = 16
 """Counters of a sweep that threads share are so far apart, as in kernels/bonds.py."""
 SLICE = 2000
@@ -89,14 +91,16 @@ def _serve(task: Future[None], work: Callable[[], None]) -> None:
             task.set_exception(error)
 
 
-@typed
-def set_num_threads(count: Count) -> None:
+def set_num_threads(count: int) -> None:
     """Run the sweeps of a point set on `count` Python threads (default: all processors).
 
     Results are bitwise the same for any number. Raises InputError for a count below 1.
     """
     global _count
-    _count = count
+    whole = isinstance(count, (int, np.integer)) and not isinstance(count, bool)
+    if not (whole and 0 < count < LARGEST):
+        raise InputError(f"count: expected a whole number ≥ 1, got {count!r:.60}")
+    _count = int(count)
 
 
 def get_num_threads() -> int:

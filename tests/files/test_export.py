@@ -1,7 +1,6 @@
 """Files for other tools, read back."""
 
 import sys
-from dataclasses import replace
 
 import meshio
 import numpy as np
@@ -19,18 +18,13 @@ HORIZON = 2.5
 
 
 @pytest.fixture
-def model():
-    return kernel("positive", HORIZON)
+def points():
+    return manufactured(kernel("positive", HORIZON), lattice(4, HORIZON), 2)
 
 
-@pytest.fixture
-def points(model):
-    return manufactured(model, lattice(4, HORIZON), 2)
-
-
-def test_fields_for_paraview(model, points, tmp_path):
+def test_fields_for_paraview(points, tmp_path, monkeypatch):
     """Twice into one folder: as many as before are replaced, fewer are refused."""
-    u = 1.01 * points.u
+    u, model = 1.01 * points.u, kernel("positive", HORIZON)
     write_vtk(tmp_path, model, points, points.u)
     paths = write_vtk(tmp_path, model, points, u)
     assert [path.name for path in paths] == ["sample_0000.vtu", "sample_0001.vtu"]
@@ -48,9 +42,11 @@ def test_fields_for_paraview(model, points, tmp_path):
         np.testing.assert_array_equal(stress[:, :2, :2], fields.stress[s])
         assert not stress[:, 2].any()
         assert np.isnan(data["stress"][~inside]).all()
-    single = replace(points, u=points.u[:1], b=points.b[:1])
     with pytest.raises(InputError, match=r"without samples .* got sample_0001\.vtu"):
-        write_vtk(tmp_path, model, single, single.u)
+        write_vtk(tmp_path, model, points[:1], u[:1])
+    monkeypatch.setitem(sys.modules, "meshio", None)
+    with pytest.raises(InputError, match=r"warp_peri\[export\]"):
+        write_vtk(tmp_path, model, points, u)
 
 
 def symmetric(six):
@@ -79,14 +75,6 @@ def test_fields_in_space(tmp_path):
 
 
 def test_scattered_points_stand_alone(tmp_path):
-    points = cloud(3, 3.0)
-    u = np.zeros((1, len(points.x), 2))
-    points = Samples(points, u)
-    (path,) = write_vtk(tmp_path, plain(3.0), points, u)
+    points = Samples(cloud(3, 3.0), 0 * cloud(3, 3.0).x[None])
+    (path,) = write_vtk(tmp_path, plain(3.0), points, points.u)
     assert list(meshio.read(path).cells_dict) == ["vertex"]
-
-
-def test_a_missing_extra_is_named(model, points, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "meshio", None)
-    with pytest.raises(InputError, match=r"warp_peri\[export\]"):
-        write_vtk(tmp_path, model, points, points.u)

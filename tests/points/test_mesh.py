@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
-from tests.support.plates import plate
 from tests.support.problems import kernel
 from warp_peri.errors import InputError
 from warp_peri.points.mesh import REST, load_mesh, make_mesh, pieces
@@ -139,33 +138,23 @@ def test_what_is_no_mesh_of_a_body_is_refused():
             make_mesh(x, np.array(cells), parts)
 
 
-@pytest.mark.parametrize("suffix", ["msh", "vtu"])
-def test_a_file_of_second_order_keeps_the_curve(tmp_path, suffix):
-    mesh = plate(4.0, 10.0, 3, 16)
-    x, number, cells = list(mesh.x), {}, []
-    middle = {tuple(sorted(e)): m for e, m in zip(mesh.faces.tolist(), mesh.middle)}
-    for t in mesh.cells.tolist():
-        halves = [tuple(sorted((t[k], t[k - 2]))) for k in range(3)]
-        for key in halves:
-            if key not in number:
-                number[key] = len(x)
-                x.append(middle.get(key, mesh.x[list(key)].mean(axis=0)))
-        cells.append(t + [number[key] for key in halves])
-    lines = mesh.faces[mesh.parts["hole"]]
-    tags = [np.full(len(lines), 7), np.full(len(cells), 8)]
-    kinds = [("line", lines), ("triangle6", np.array(cells))]
-    groups = {"gmsh:physical": tags, "gmsh:geometrical": tags} if suffix == "msh" else {}
-    names = {"hole": np.array([7, 1])} if groups else {}
-    written = meshio.Mesh(np.pad(x, ((0, 0), (0, 1))), kinds, cell_data=groups, field_data=names)
-    how = {"file_format": "gmsh22", "binary": False} if groups else {}
-    written.write(tmp_path / f"plate.{suffix}", **how)
-    lost = pytest.warns(UserWarning, match="none of the 16 lines in the file is in a group")
-    with contextlib.nullcontext() if groups else lost:
-        reread = wp.load(tmp_path / f"plate.{suffix}")
-    assert len(reread.x) == len(mesh.x)
-    assert set(reread.parts) == ({"hole", REST} if groups else {REST})
-    radius = np.hypot(*reread.middle.T)
-    assert np.count_nonzero(np.abs(radius - 4) < 1e-6) == 16
+def test_a_file_of_second_order_keeps_the_curve(tmp_path):
+    x, tags = [[0, 0, 0], [2, 0, 0], [0, 2, 0], [1, -0.3, 0], [1, 1, 0], [0, 1, 0]], [[7], [8]]
+    written = meshio.Mesh(
+        np.array(x), [("line", [[0, 1]]), ("triangle6", [[0, 1, 2, 3, 4, 5]])],
+        cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
+        field_data={"bent": np.array([7, 1])},
+    )  # fmt: skip
+    written.write(tmp_path / "a.msh", file_format="gmsh22", binary=False)
+    written.cell_data, written.field_data = {}, {}
+    written.write(tmp_path / "a.vtu")
+    named = wp.load(tmp_path / "a.msh")
+    with pytest.warns(UserWarning, match="none of the 1 lines in the file is in a group"):
+        bare = wp.load(tmp_path / "a.vtu")
+    assert (counts(named), counts(bare)) == ({"bent": 1, REST: 2}, {REST: 3})
+    for one, part in ((named, "bent"), (bare, REST)):
+        assert len(one.x) == 3
+        np.testing.assert_allclose(one.middle[one.parts[part][0]], [1, -0.3])
 
 
 KITE = np.array([[0.0, 0, 0], [10, 4, 0], [20, 0, 0], [10, 20, 0]])
@@ -198,29 +187,28 @@ LINES = {"left": [[0, 1], [1, 2]], "right": [[6, 7], [7, 8]], "low": [[0, 3], [3
 FLAT = np.pad(NINE, ((0, 0), (0, 1)))
 
 
-def gmsh22(path, tags, names=()):
-    """A file of Gmsh's as it writes elements of several groups: once for each."""
-    rows = [f"1 2 {tag} 1 {a + 1} {b + 1}" for tag, lines in tags for a, b in lines]
-    for tag in (20, 21):
-        rows += [f"2 2 {tag} 1 " + " ".join(str(c + 1) for c in cell) for cell in TRIANGLES]
-    text = ["$MeshFormat", "2.2 0 8", "$EndMeshFormat"]
-    if names:
-        text += ["$PhysicalNames", str(len(names)), *names, "$EndPhysicalNames"]
-    text += ["$Nodes", "9", *(f"{n + 1} {a} {b} 0" for n, (a, b) in enumerate(NINE)), "$EndNodes"]
-    text += ["$Elements", str(len(rows)), *(f"{n + 1} {row}" for n, row in enumerate(rows))]
-    path.write_text("\n".join([*text, "$EndElements"]) + "\n")
+def gmsh22(path, groups, **names):
+    """A file of Gmsh's, elements of several groups once for each."""
+    groups = [(tag, "line", lines) for tag, lines in groups]
+    groups += [(tag, "triangle", TRIANGLES) for tag in (20, 21)]
+    tags = [np.full(len(cells), tag) for tag, _, cells in groups]
+    data = {"gmsh:physical": tags, "gmsh:geometrical": tags}
+    blocks = [(kind, cells) for _, kind, cells in groups]
+    mesh = meshio.Mesh(FLAT, blocks, cell_data=data, field_data=names)
+    mesh.write(path, file_format="gmsh22", binary=False)
+    return load_mesh(path)
 
 
 def test_groups_keep_their_numbers_and_elements_all_their_groups(tmp_path):
-    tags = [(11, LINES["left"]), (12, LINES["right"]), (7, LINES["left"][:1] + LINES["low"])]
-    gmsh22(tmp_path / "a.msh", [*tags, (0, [[2, 5]])], ['1 12 "pulled"', '2 20 "sheet"'])
-    mesh = load_mesh(tmp_path / "a.msh")
+    groups = [(11, LINES["left"]), (12, LINES["right"]), (7, LINES["left"][:1] + LINES["low"])]
+    names = {"pulled": np.array([12, 1]), "sheet": np.array([20, 2])}
+    mesh = gmsh22(tmp_path / "a.msh", [*groups, (0, [[2, 5]])], **names)
     assert counts(mesh) == {"11": 2, "pulled": 2, "7": 3, REST: 2}
     assert size(mesh) == 4
     assert len(np.intersect1d(mesh.parts["11"], mesh.parts["7"])) == 1
-    gmsh22(tmp_path / "b.msh", [(1, [*LINES["left"], [1, 4]]), (2, [[4, 7]])])
     with pytest.warns(UserWarning, match="edges of the outline, 1 of . are not and are left out"):
-        assert counts(load_mesh(tmp_path / "b.msh")) == {"1": 2, REST: 6}
+        mesh = gmsh22(tmp_path / "b.msh", [(1, [*LINES["left"], [1, 4]]), (2, [[4, 7]])])
+    assert counts(mesh) == {"1": 2, REST: 6}
 
 
 def test_bounding_entities_are_no_part_and_named_groups_of_an_element_are_kept(tmp_path):

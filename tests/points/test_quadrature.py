@@ -55,10 +55,8 @@ def test_weights_are_exact_and_of_smallest_norm(xi, horizon):
         np.testing.assert_allclose(W, reference.quadrature(xi, horizon), atol=1e-9 * W.max())
 
 
-@pytest.mark.parametrize(
-    "xi", [lattice_family(1.5), scattered_family(9, 1.5), lattice_family(1.75, 3),
-           np.delete(np.linspace(-1, 1, 41), 20)[:, None] * [1.0, 0.0]],
-)  # fmt: skip
-def test_families_that_are_poor_or_on_a_line_are_refused(xi):
-    with pytest.raises(InputError, match=rf"no weights are exact for a family of {len(xi)} bonds"):
-        quadrature_weights(xi, 1.75)
+def test_families_that_are_poor_or_on_a_line_are_refused():
+    line = np.delete(np.linspace(-1, 1, 41), 20)[:, None] * [1.0, 0.0]
+    for xi in (lattice_family(1.5), scattered_family(9, 1.5), lattice_family(1.75, 3), line):
+        with pytest.raises(InputError, match=f"exact for a family of {len(xi)} bonds"):
+            quadrature_weights(xi, 1.75)

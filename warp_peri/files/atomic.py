@@ -67,13 +67,6 @@ PART = ".part-"
 """What the names of half-written files hold, between the name to be and a number of the file."""
 
 
-def as_path(name: str, path: Any) -> Path:
-    """The path that a user gave; InputError for what is none, and for an empty text."""
-    if not isinstance(path, (str, os.PathLike)) or not os.fspath(path):
-        raise InputError(f"{name}: expected a path, got {path!r:.60}")
-    return Path(path)
-
-
 def destination(path: str | os.PathLike[str]) -> Path:
     """Where a file of this name is written: links are followed, to what they point at.
 

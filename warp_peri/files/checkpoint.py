@@ -25,7 +25,8 @@ import numpy as np
 
 from warp_peri import __version__
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import PART, as_path, destination, parsed, whole_file
+from warp_peri.files.atomic import PART, destination, parsed, whole_file
+from warp_peri.files.foreign import check_hdf5
 
 Placed = tuple[np.ndarray, np.ndarray | None, int]
 """Rows [n, ...], their rising places in the whole or None for all, and how many it has."""
@@ -218,7 +219,7 @@ class RunFile:
     """
 
     def __init__(self, path: str | os.PathLike[str], kind: str, nodes: Any) -> None:
-        self.path, self.kind, self.nodes = as_path("checkpoint", path), kind, nodes
+        self.path, self.kind, self.nodes = Path(path), kind, nodes
 
     def write(self, nodal: Mapping[str, np.ndarray], values: Mapping[str, Any]) -> None:
         """Write arrays [n, ...] on the own nodes, and what JSON knows; all ranks come here."""
@@ -341,13 +342,9 @@ def read_arrays(
     found = {}
     try:
         with h5py.File(path, locking=False) as file:
+            check_hdf5(file, os.path.getsize(path))
             for name, rows in place.items():
-                one = file[name]
-                if one.dtype.kind not in "biuf":
-                    raise ValueError(f"{name} holds no numbers")
-                if one.id.get_offset() + one.nbytes > os.path.getsize(path):
-                    raise ValueError(f"{name} has more bytes than the file")
-                offset = one.id.get_offset()
+                one, offset = file[name], file[name].id.get_offset()
                 whole = np.memmap(path, one.dtype, "r", offset, one.shape) if one.size else one
                 found[name] = np.array(whole[()] if rows is None else whole[rows])
             return found, dict(file.attrs)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from warp_peri.errors import optional
-from warp_peri.files.atomic import as_path, whole_file, write_text
+from warp_peri.files.atomic import whole_file, write_text
 from warp_peri.files.checkpoint import write_arrays
 
 INCLUDE = "http://www.w3.org/2001/XInclude"
@@ -58,7 +58,7 @@ class TimeSeriesWriter:
     def __init__(
         self, folder: str | os.PathLike[str], nodes: Any, x: np.ndarray | None = None
     ) -> None:
-        self.folder, self.nodes = as_path("series", folder), nodes
+        self.folder, self.nodes = Path(folder), nodes
         self.x = in_space(nodes.x if x is None else x)
         self.times: dict[str, float] = {}
 
