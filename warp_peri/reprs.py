@@ -6,21 +6,6 @@ from html import escape
 from typing import Any
 
 
-def in_rows(title: str, rows: list[tuple[str, str]]) -> str:
-    """Names and values, a line each."""
-    width = max((len(name) for name, _ in rows), default=0)
-    return "\n".join([title, *(f"  {name:{width}}  {value}" for name, value in rows)])
-
-
-def as_table(rows: list[tuple[str, str]]) -> str:
-    """The same for notebooks."""
-    cells = "".join(
-        f"<tr><th style='text-align:left'>{escape(name)}</th><td>{escape(value)}</td></tr>"
-        for name, value in rows
-    )
-    return f"<table>{cells}</table>"
-
-
 class Shown:
     """What a person looks at as names and values, its `rows`, in text and in notebooks."""
 
@@ -29,10 +14,16 @@ class Shown:
         return []
 
     def __repr__(self) -> str:
-        return in_rows(type(self).__name__, self.rows())
+        rows = self.rows()
+        width = max((len(name) for name, _ in rows), default=0)
+        return "\n".join([type(self).__name__, *(f"  {n:{width}}  {value}" for n, value in rows)])
 
     def _repr_html_(self) -> str:
-        return as_table(self.rows())
+        cells = "".join(
+            f"<tr><th style='text-align:left'>{escape(name)}</th><td>{escape(value)}</td></tr>"
+            for name, value in self.rows()
+        )
+        return f"<table>{cells}</table>"
 
 
 def error_rows(errors: dict[str, Any]) -> list[tuple[str, str]]:

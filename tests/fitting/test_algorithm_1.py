@@ -10,7 +10,7 @@ from tests.support.learning import fit
 from tests.support.problems import GRADIENT, difference, ell, kernel, lattice, manufactured
 from tests.support.symbols import smallest_margins
 from warp_peri import LPS, Bernstein, InputError, LPSMaterial, certify
-from warp_peri.files.atomic import ArrayFile
+from warp_peri.files.checkpoint import ArrayFile
 from warp_peri.fitting import augmented_lagrangian
 from warp_peri.fitting.augmented_lagrangian import as_printed, margins_of, printed_state
 from warp_peri.fitting.regression import Regression
@@ -154,7 +154,7 @@ def test_stages_stay_inside_their_bounds(points):
 
 
 def test_resumed_is_unbroken_and_what_is_finished_is_not_run_again(points, tmp_path, monkeypatch):
-    unbroken, path = run(points), tmp_path / "state.npz"
+    unbroken, path = run(points), tmp_path / "state.h5"
     save, saved = ArrayFile.write, []
 
     def killed(self, *arguments, **options):
@@ -181,8 +181,8 @@ def test_resumed_is_unbroken_and_what_is_finished_is_not_run_again(points, tmp_p
     same(run(points, path))
     with pytest.raises(InputError, match="other data or settings"):
         run(points, path, degree=4)
-    path.write_bytes(b"PK\x03\x04 half of it")
-    with pytest.raises(InputError, match="state.npz: not a readable checkpoint"):
+    path.write_bytes(b"half of it")
+    with pytest.raises(InputError, match="state.h5: not a readable checkpoint"):
         run(points, path)
 
 

@@ -80,7 +80,7 @@ def work(folder):
     folder = Path(folder)
     methods.sweep(*samples, folder / "fits", **cases)
     lengths = {"epochs": 100, "inner_epochs": 50, "outer_iterations": 12}
-    stages = methods.TwoStage(seed=3, checkpoint=folder / "state.npz", **lengths)
+    stages = methods.TwoStage(seed=3, checkpoint=folder / "state.h5", **lengths)
     fit(samples[0], LPS(2.5, Bernstein(4), method=stages)).material.save(folder / "model.json")
 
 

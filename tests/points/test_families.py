@@ -50,26 +50,19 @@ def test_families_are_those_of_brute_force(horizon, angle, box):
     assert np.array_equal(families.rows, np.flatnonzero(points.interior))
 
 
-@pytest.mark.parametrize(
-    ("dimension", "horizon", "bonds", "lengths"), [(2, 3, 28, 6), (2, 5, 80, 14), (3, 3.0, 122, 9)]
-)
-def test_classes_are_orbits_of_the_lattices_symmetry(dimension, horizon, bonds, lengths):
+def test_classes_are_orbits_of_the_lattices_symmetry_in_a_closed_ball():
     """Bonds of equal length and different orbit have their own weights: (5, 0) and (4, 3)."""
-    classes = bond_classes(2.0, 2.0 * horizon, dimension=dimension)
-    assert (len(classes.steps), len(classes.r), classes.count.sum()) == (bonds, lengths, bonds)
-    orbit = np.sort(np.abs(classes.steps), axis=1)
-    assert len(np.unique(orbit, axis=0)) == lengths
-    assert len(np.unique(np.c_[orbit, classes.bond_class], axis=0)) == lengths
-    np.testing.assert_allclose(np.linalg.norm(classes.xi, axis=1), classes.r[classes.bond_class])
-    one_by_one = quadrature_weights(classes.xi, classes.horizon)
-    np.testing.assert_allclose(
-        classes.weight[classes.bond_class], one_by_one, atol=1e-9 * one_by_one.max()
-    )
-    equal = np.flatnonzero(np.isclose(classes.r, 10.0))
-    assert len(equal) < 2 or abs(np.diff(classes.weight[equal])) > 1e-3
-
-
-def test_the_ball_is_closed():
+    for dimension, horizon, bonds, lengths in ((2, 3, 28, 6), (2, 5, 80, 14), (3, 3.0, 122, 9)):
+        classes = bond_classes(2.0, 2.0 * horizon, dimension=dimension)
+        assert (len(classes.steps), len(classes.r), classes.count.sum()) == (bonds, lengths, bonds)
+        orbit, r = np.sort(np.abs(classes.steps), axis=1), np.linalg.norm(classes.xi, axis=1)
+        assert len(np.unique(orbit, axis=0)) == lengths
+        assert len(np.unique(np.c_[orbit, classes.bond_class], axis=0)) == lengths
+        np.testing.assert_allclose(r, classes.r[classes.bond_class])
+        each, own = quadrature_weights(classes.xi, classes.horizon), classes.weight
+        np.testing.assert_allclose(own[classes.bond_class], each, atol=1e-9 * each.max())
+        equal = np.flatnonzero(np.isclose(classes.r, 10.0))
+        assert len(equal) < 2 or abs(np.diff(own[equal])) > 1e-3
     assert len(bond_classes(0.1, 0.3).steps) == 28  # 3 · 0.1 > 0.3 in floating point
     assert len(bond_classes(1.0, 3.0 * (1 - 1e-5)).steps) < 28
 

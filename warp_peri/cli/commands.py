@@ -94,20 +94,16 @@ def error_table(tables: Mapping[str, Result], units: Units) -> list[str]:
     absolute = "E_res_abs [{1}/{0}]".format(*symbols(units))
     width = max(map(len, tables))
     lines = [f"{'set':{width}}  samples   E_res [%]  {absolute:>17}   E_u [%]  E_shape [%]"]
-    small = []
     for name, table in tables.items():
         if "error" in table:
             lines.append(f"{name:{width}}  {table['error']}")
             continue
-        res, u, shape = (table.get(key) for key in ("E_res", "E_u", "E_shape"))
-        left = table.get("E_res_abs")
-        lines.append(
-            f"{name:{width}}  {table['samples']:7d}  {percent(res):>10}  "
-            f"{'–' if left is None else format(left, '.3e'):>17}  "
-            f"{percent(u):>8}  {percent(shape):>11}"
-        )
-        small += [name] * bool(res and u and res > FAR * u)
-    if small:
+        res, u, shape = (percent(table.get(key)) for key in ("E_res", "E_u", "E_shape"))
+        left = "–" if table.get("E_res_abs") is None else f"{table['E_res_abs']:.3e}"
+        count = f"{name:{width}}  {table['samples']:7d}"
+        lines.append(f"{count}  {res:>10}  {left:>17}  {u:>8}  {shape:>11}")
+    errors = {name: (one.get("E_res") or 0, one.get("E_u")) for name, one in tables.items()}
+    if small := [name for name, (res, u) in errors.items() if u and res > FAR * u]:
         lines.append(
             f"note: the loads of {', '.join(small)} are small for their displacement, and E_res is "
             "relative to them; the error of a solve is E_u"
@@ -295,12 +291,11 @@ def lines_of(result: Result, indent: str = "") -> list[str]:
     for key, value in result.items():
         if isinstance(value, dict):
             lines += [f"{indent}{key}:", *lines_of(value, indent + "  ")]
-        elif isinstance(value, list):
-            shown = ", ".join(f"{v:.6g}" if isinstance(v, float) else str(v) for v in value)
-            long = len(shown) > WIDTH and all(isinstance(v, str) for v in value)
-            words = [f"{indent}{key}:", *(f"{indent}  {v}" for v in value)]
-            lines += words if long else [f"{indent}{key}: {shown}"]
+            continue
+        every = value if isinstance(value, list) else [value]
+        shown = ", ".join(f"{v:.6g}" if isinstance(v, float) else str(v) for v in every)
+        if len(every) > 1 and len(shown) > WIDTH and all(isinstance(v, str) for v in every):
+            lines += [f"{indent}{key}:", *(f"{indent}  {v}" for v in every)]
         else:
-            shown = f"{value:.6g}" if isinstance(value, float) else str(value)
             lines.append(f"{indent}{key}: {shown}")
     return lines

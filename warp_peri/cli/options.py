@@ -35,9 +35,6 @@ PATHS = ("DUMP", "FILE", "FOLDER", "FRAMES", "MESH", "PATH", "STRUCTURE")
 WORDS = ("NAME", "STRAIN", "LENGTH", "STRESS")
 COUNTS = ("N", "M")
 """Names of values that are paths, as are those with an ending; text; whole numbers; else reals."""
-READ = ("data", "model", "body", "structure", "folder", "reference", "dumps", "force", "unloaded",
-        "config")  # fmt: skip
-"""Options whose files are read."""
 NOT_KEPT = ("command", "config", "json", "progress", "trust", "from_file", "overwrite", "help")
 
 
@@ -73,7 +70,7 @@ def parser_of(name: str) -> Parser:
     words = [" ".join([*one.option_strings, str(one.metavar)]) for one in needed]
     words.sort(key=lambda word: word.startswith("--"))
     parser.usage = " ".join([parser.prog, *words, "[options]"]).replace("%", "%%")
-    parser.add_argument("--config", metavar="FILE.toml", help="file with settings")
+    parser.add_argument("--config", type=Path, metavar="FILE.toml", help="file with settings")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     return parser
 
@@ -140,7 +137,7 @@ def parse(words: Sequence[str]) -> Namespace:
     given = top.parse_args(words[:1])
     parser, rest = parser_of(given.command), words[1:]
     ahead = ArgumentParser(add_help=False)
-    ahead.add_argument("--config")
+    ahead.add_argument("--config", type=Path)
     path = ahead.parse_known_args(rest)[0].config
     if path is None or {"-h", "--help"} & {*rest}:
         return parser.parse_args(rest, given)
@@ -162,7 +159,7 @@ def parse(words: Sequence[str]) -> Namespace:
     return Namespace(**vars(given) | usual | kept | typed, from_file=from_file)
 
 
-def _table(path: str, command: str) -> dict[str, Any]:
+def _table(path: Path, command: str) -> dict[str, Any]:
     try:
         table = tomllib.loads(content(path).decode()).get(command)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -206,10 +203,9 @@ def check_output(given: Namespace) -> None:
     """
     if getattr(given, "out", None) is None:
         return
-    for name in READ:
-        read = getattr(given, name, None) or []
+    for name, read in vars(given).items():
         for path in read if isinstance(read, list) else [read]:
-            if Path(path).resolve() == given.out.resolve():
+            if name != "out" and isinstance(path, Path) and path.resolve() == given.out.resolve():
                 raise InputError(f"out: {given.out} is read ({name}); name another file")
     folder = given.command not in ("coarse-grain", "solve")
     if given.out.exists() and given.out.is_dir() != folder:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import fcntl
-import hashlib
 import json
 import math
 import os
 import stat
 import tempfile
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from filelock import FileLock, Timeout
@@ -34,8 +33,6 @@ HEADERS: dict[Any, Any] = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_a
 """What reads the header of an array, by the version of its format."""
 BROKEN = zipfile.BadZipFile, EOFError, RuntimeError, KeyError, NotImplementedError, MemoryError
 """What reading an archive of arrays runs into."""
-
-T = TypeVar("T")
 
 
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
@@ -252,51 +249,3 @@ def parsed(text: str | bytes) -> Any:
 def write_json(path: str | os.PathLike[str], content: dict[str, Any]) -> None:
     """Write JSON whole or not at all; NaN and infinity are refused (ValueError)."""
     write_text(path, json.dumps(plain(content), indent=2, allow_nan=False) + "\n")
-
-
-class ArrayFile:
-    """A checkpoint of one process: arrays by name, written whole or not at all.
-
-    Args:
-        path: of the file, which need not be there yet; None keeps nothing.
-        key: what the run depends on.
-        other: what the checkpoint of another key is of, for errors.
-    """
-
-    def __init__(self, path: str | os.PathLike[str] | None, key: str, other: str) -> None:
-        self.path, self.key, self.other = None if path is None else Path(path), key, other
-
-    def write(self, arrays: Mapping[str, Any]) -> None:
-        """Write arrays, or what they are made of."""
-        if self.path is not None:
-            with whole_file(self.path) as temporary, open(temporary, "wb") as file:
-                np.savez(file, **arrays, key=np.array(self.key), mark=np.array(_hash(arrays)))
-
-    def read(self, made: Callable[[dict[str, np.ndarray]], T]) -> T | None:
-        """What is made of the arrays; None where there is no file yet.
-
-        Raises InputError for a file of another run, and one that cannot be read: a KeyError,
-        TypeError or ValueError of `made` says so.
-        """
-        if self.path is None or not self.path.exists():
-            return None
-        try:
-            arrays = read_arrays(self.path)
-            mark, same = str(arrays.pop("mark")), str(arrays.pop("key")) == self.key
-            if mark != _hash(arrays):
-                raise ValueError("the contents are not what was written")
-            found = made(arrays) if same else None
-        except (OSError, KeyError, ValueError, TypeError) as error:
-            raise InputError(f"{self.path}: not a readable checkpoint ({error})") from None
-        if not same:
-            raise InputError(f"{self.path}: the checkpoint of {self.other}")
-        return found
-
-
-def _hash(arrays: Mapping[str, Any]) -> str:
-    """SHA-256 of arrays by name."""
-    digest = hashlib.sha256()
-    for name in sorted(arrays):
-        array = np.asarray(arrays[name])
-        digest.update(f"{name} {array.dtype.str} {array.shape}".encode() + array.tobytes())
-    return digest.hexdigest()

@@ -1,8 +1,7 @@
 """Checkpoints of long runs: one HDF5 file of arrays on nodes and of plain values.
 
-One process writes its own; ranks write in turn, each its nodes, in the order of the whole body. The
-first one lays the file out, with room for every array in one run of bytes, so that the file is the
-same from any number of ranks, is read by any HDF5, and a run goes on from it on any other number.
+Of ranks the first writes it, in the order of the whole body, so that the file is the same from any
+number of them, is read by any HDF5, and a run goes on from it on any other number.
 """
 
 from __future__ import annotations
@@ -10,26 +9,26 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import inspect
-import itertools
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import h5py
 import numpy as np
 
 from warp_peri import __version__
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import PART, destination, parsed, whole_file
+from warp_peri.files.atomic import parsed, whole_file
 from warp_peri.files.foreign import check_hdf5
 
+T = TypeVar("T")
 Placed = tuple[np.ndarray, np.ndarray | None, int]
-"""Rows [n, ...], their rising places in the whole or None for all, and how many it has."""
+"""Rows [n, ...], their places in the whole and how many it has; None where they are the whole."""
 
 
 PLAIN = (bool, int, float, complex, str, bytes, tuple, list, dict, np.ndarray, np.generic)
@@ -50,6 +49,8 @@ class Alone:
     def allgather(self, value: Any) -> list[Any]:
         """What each process has."""
         return [value]
+
+    gather = allgather
 
     def allreduce(self, value: Any) -> Any:
         """The sum over all processes."""
@@ -264,78 +265,79 @@ class RunFile:
         return found, values
 
 
+class ArrayFile:
+    """A checkpoint of one process: arrays by name, written whole or not at all.
+
+    Args:
+        path: of the file, which need not be there yet; None keeps nothing.
+        key: what the run depends on.
+        other: what the checkpoint of another key is of, for errors.
+    """
+
+    def __init__(self, path: str | os.PathLike[str] | None, key: str, other: str) -> None:
+        self.path, self.key, self.other = None if path is None else Path(path), key, other
+
+    def write(self, arrays: Mapping[str, Any]) -> None:
+        """Write arrays, or what they are made of."""
+        if self.path is not None:
+            made = {name: np.asarray(one) for name, one in arrays.items()}
+            placed: dict[str, Placed] = {name: (one, None, 0) for name, one in made.items()}
+            write_arrays(self.path, ALONE, placed, {"key": self.key, "mark": fingerprint(made)})
+
+    def read(self, made: Callable[[dict[str, np.ndarray]], T]) -> T | None:
+        """What is made of the arrays; None where there is no file yet.
+
+        Raises InputError for a file of another run, and one that is not read.
+        """
+        if self.path is None or not self.path.exists():
+            return None
+        arrays, head = read_arrays(self.path)
+        if head.get("key") != self.key:
+            raise InputError(f"{self.path}: the checkpoint of {self.other}")
+        if head.get("mark") != fingerprint(arrays):
+            raise InputError(f"{self.path}: not a readable checkpoint, not what was written")
+        return made(arrays)
+
+
 def write_arrays(
     path: str | os.PathLike[str],
     comm: Any,
     arrays: Mapping[str, Placed],
     attributes: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write an HDF5 file of arrays whole or not at all; all ranks come here, and write in turn.
+    """Write an HDF5 file of arrays whole or not at all: the first rank, which gets all of them.
 
     Args:
         path: of the file.
-        comm: the ranks, or ALONE.
+        comm: the ranks, or ALONE; all come here.
         arrays: by name.
         attributes: of the file, the same on all ranks.
+
+    Raises InputError on all ranks for a file that cannot be written.
     """
-    if comm is ALONE:
-        with whole_file(path) as part:
-            _write_rows(part, _laid_out(part, arrays, attributes or {}), arrays)
-        return
+    whole: dict[str, np.ndarray] = {}
+    for name, (mine, own, count) in arrays.items():
+        for values, place in comm.gather((mine, own)) or ():
+            if place is None:
+                whole[name] = values
+            else:
+                shape = (count, *values.shape[1:])
+                whole.setdefault(name, np.empty(shape, values.dtype))[place] = values
     with agreed(comm):
-        path = destination(path)
-    part = path.with_name(f".{path.name}.ranks{PART}")
-    offsets: dict[str, int] = {}
-    for rank in range(comm.size):
-        with agreed(comm):
-            if rank == comm.rank:
-                offsets = offsets or _laid_out(part, arrays, attributes or {})
-                _write_rows(part, offsets, arrays)
-        offsets = comm.bcast(offsets)
-    if comm.rank == 0:
-        os.replace(part, path)
-    comm.Barrier()
-
-
-def _write_rows(path: Path, offsets: dict[str, int], arrays: Mapping[str, Placed]) -> None:
-    """Rows of arrays at their places in a file; each run of neighbours at once."""
-    with open(path, "r+b") as file:
-        for name, (values, place, _) in arrays.items():
-            values = np.ascontiguousarray(values)
-            place = np.arange(len(values)) if place is None else place
-            ends = np.flatnonzero(np.diff(place, prepend=-2, append=-2) != 1)
-            for first, last in itertools.pairwise(ends.tolist() if len(place) else []):
-                file.seek(offsets[name] + int(place[first]) * values[:1].nbytes)
-                file.write(values[first:last].data)
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def _laid_out(path: Path, arrays: Mapping[str, Placed], attributes: Any) -> dict[str, int]:
-    """Make a file with room for the arrays; where each begins [bytes]."""
-    offsets = {}
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with h5py.File(path, "w", locking=False) as file:
-            for name, (values, _, count) in arrays.items():
-                plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-                plan.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
-                plan.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
-                plan.set_obj_track_times(False)  # the same bytes whenever it is written
-                kind = h5py.h5t.py_create(np.asarray(values).dtype)
-                space = h5py.h5s.create_simple((count, *np.shape(values)[1:]))
-                data = h5py.h5d.create(file.id, name.encode(), kind, space, plan)
-                offsets[name] = data.get_offset()
-            file.attrs.update(attributes)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error})") from None
-    return offsets
+        if comm.rank == 0:
+            try:
+                with whole_file(path) as part, h5py.File(part, "w", locking=False) as file:
+                    for name, values in whole.items():
+                        file[name] = values
+                    file.attrs.update(attributes or {})
+            except OSError as error:
+                raise InputError(f"{path}: cannot be written ({error})") from None
 
 
 def read_arrays(
-    path: str | os.PathLike[str], place: Mapping[str, np.ndarray | None]
+    path: str | os.PathLike[str], place: Mapping[str, np.ndarray | None] | None = None
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Rows at places of arrays by name, all where None is asked, and the attributes.
+    """Rows at places of arrays by name, all where None is asked or no name, and the attributes.
 
     Raises InputError for a file that is none or lacks an array.
     """
@@ -343,7 +345,7 @@ def read_arrays(
     try:
         with h5py.File(path, locking=False) as file:
             check_hdf5(file, os.path.getsize(path))
-            for name, rows in place.items():
+            for name, rows in (dict.fromkeys(file) if place is None else place).items():
                 one, offset = file[name], file[name].id.get_offset()
                 whole = np.memmap(path, one.dtype, "r", offset, one.shape) if one.size else one
                 found[name] = np.array(whole[()] if rows is None else whole[rows])

@@ -18,7 +18,8 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, eigh
 from scipy.spatial import KDTree
 
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import ArrayFile, locked
+from warp_peri.files.atomic import locked
+from warp_peri.files.checkpoint import ArrayFile
 from warp_peri.fitting.augmented_lagrangian import adam, as_printed, printed_state
 from warp_peri.fitting.settings import TwoStage
 from warp_peri.materials.lps_force import Bonds

@@ -204,7 +204,7 @@ def _fit(
     tries again. A fit of hours keeps its state beside the model, and goes on from there. Input
     that cannot be used ends the sweep.
     """
-    state, train = file.with_suffix(".npz"), sets["train"]
+    state, train = file.with_suffix(".h5"), sets["train"]
     if isinstance(method, TwoStage):
         method = dataclasses.replace(method, checkpoint=state)
     law = LPS(horizon, Bernstein(degree), method, conditions)

@@ -15,8 +15,7 @@ from scipy.sparse.linalg import SuperLU, splu
 from tqdm import tqdm
 
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import ArrayFile
-from warp_peri.files.checkpoint import fingerprint
+from warp_peri.files.checkpoint import ArrayFile, fingerprint
 from warp_peri.neural.placed import (
     CELLS,
     SOLVED,
