@@ -65,10 +65,11 @@ def data_for(given: Namespace, model: Any) -> Dataset:
     data = load_dataset(given.data, units=model.units)
     if given.axis is None:
         return data
-    turned = [dataclasses.replace(one.points, axis=given.axis) for one in data.sets.values()]
-    pairs = zip(data.sets.items(), turned)
-    sets = {name: dataclasses.replace(one, points=points) for (name, one), points in pairs}
-    return dataclasses.replace(data, sets=sets)
+    turned = {}
+    for name, samples in data.sets.items():
+        points = dataclasses.replace(samples.points, axis=given.axis)
+        turned[name] = dataclasses.replace(samples, points=points)
+    return dataclasses.replace(data, sets=turned)
 
 
 def run_evaluate(given: Namespace) -> Said:

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from filelock import FileLock, Timeout
 from numpy.lib import format as npy
 
 from warp_peri.errors import InputError
@@ -181,25 +180,23 @@ def locked(path: str | os.PathLike[str]) -> Iterator[None]:
     is a user's, with something in it.
     """
     path = Path(os.path.realpath(path))
+    beside = path.with_name(f".{path.name}.lock")
     with _no_place(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.lock")
-    if beside.exists() and beside.stat().st_size:
-        raise InputError(f"{beside}: expected no file, or an empty one, got a file of another's")
-    lock = FileLock(beside)
+        handle = os.open(beside, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
     try:
-        lock.acquire(blocking=False)
-    except Timeout:
-        with _no_place(path):
-            beside.touch()  # filelock takes a place that has no room for its file as held
-        raise InputError(f"{path}: another job is writing here") from None
-    try:
-        _remove_left(path.parent, f".{path.name}{PART}")
-        _remove_left(path)
-        yield
+        if os.fstat(handle).st_size:
+            raise InputError(f"{beside}: expected no file, or an empty one, got another's")
+        if _held(handle) is False or not os.fstat(handle).st_nlink:  # or gone since it was opened
+            raise InputError(f"{path}: another job is writing here")
+        try:
+            _remove_left(path.parent, f".{path.name}{PART}")
+            _remove_left(path)
+            yield
+        finally:
+            beside.unlink(missing_ok=True)  # still held
     finally:
-        beside.unlink(missing_ok=True)  # still held: who opened it before tries again
-        lock.release()
+        os.close(handle)
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:

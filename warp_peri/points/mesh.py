@@ -17,8 +17,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import InputError, optional, warn
+from warp_peri.errors import InputError, warn
 from warp_peri.files.foreign import check_hdf5, check_xml, content
+from warp_peri.files.series import meshio_of
 from warp_peri.points.abaqus import read_abaqus
 from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import checked
@@ -354,8 +355,7 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh:
             return _body_of(read_abaqus(content(path).decode("utf-8", "replace")))
         if form in ("vtu", "xdmf"):
             _check_arrays(path)
-        meshio = optional("meshio", "meshio is not installed: pip install 'warp_peri[bodies]'")
-        return _body_of(meshio.read(path, file_format=form))
+        return _body_of(meshio_of("bodies").read(path, file_format=form))
     except InputError as error:
         raise InputError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
     except (Exception, SystemExit) as error:  # meshio leaves the program on some files
