@@ -29,9 +29,9 @@ from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
 from warp_peri.fitting import settings
 from warp_peri.fitting.evaluate import train
+from warp_peri.materials.lps import LPSParameters
 from warp_peri.materials.lps_fit import Learner
 from warp_peri.materials.lps_law import LPSFound, optimum
-from warp_peri.materials.lps_parameters import LPSParameters
 
 DATA = ROOT / "data" / "graphene_0K.h5"
 ALPHAS = (-3.0, -1.5, 0.0, 1.0, 2.0, 2.9)

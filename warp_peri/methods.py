@@ -7,7 +7,7 @@ from warp_peri.fitting.settings import (
     StabilityConditions,
     TwoStage,
 )
-from warp_peri.materials.lps_parameters import LPSParameters
+from warp_peri.materials.lps import LPSParameters
 from warp_peri.materials.lps_sweep import SweepResult, sweep
 from warp_peri.materials.third_order import Smoothing
 from warp_peri.solvers.solution import Coupling

@@ -10,12 +10,12 @@ import sys
 from collections.abc import Callable
 from copy import deepcopy
 from functools import wraps
-from importlib import import_module
 from inspect import signature
 from typing import TYPE_CHECKING, Any, Protocol, Self, overload
 
 import numpy as np
 
+import warp_peri.core as core
 from warp_peri.errors import InputError, quietly
 from warp_peri.points.arguments import check_arguments
 from warp_peri.points.arrays import checked, plain
@@ -94,11 +94,6 @@ def is_tensor(value: Any) -> bool:
     return "torch" in sys.modules and isinstance(value, sys.modules["torch"].Tensor)
 
 
-def _torch() -> Any:
-    """What reads operators in torch, which is loaded when it is asked for."""
-    return import_module("warp_peri.core.torch_bridge")
-
-
 def uncompiled(call: Callable[..., Any]) -> Callable[..., Any]:
     """A function that torch.compile leaves as it is: what it does is no program of torch."""
     made: list[Callable[..., Any]] = []
@@ -166,16 +161,16 @@ class OperatorBase(Remade):
 
     def force_torch(self, u: Any) -> Any:
         """The force of a tensor, differentiable."""
-        return _torch().force_of(self, u)
+        return core.torch_bridge.force_of(self, u)
 
     def force_with_parameters(self, u: Any, numbers: Any) -> Any:
         """The force of tensors [S, N, d] with other numbers of its `learnable`, once differentiable
         in all; of what offers `at(numbers)` and `by_numbers(name, u, w)`."""
-        return _torch().force_with_parameters(self, u, numbers)
+        return core.torch_bridge.force_with_parameters(self, u, numbers)
 
     def solve_torch(self, b: Any, u: Any, solver: Any = None, parameters: Any = None) -> Any:
         """`rest` of tensors, differentiable in both and in numbers: core.torch_bridge.at_rest."""
-        return _torch().at_rest(self, b, u, solver, parameters)
+        return core.torch_bridge.at_rest(self, b, u, solver, parameters)
 
     @property
     def held(self) -> np.ndarray:

@@ -18,8 +18,8 @@ from warp_peri.core.stencil import invariant_basis
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
+from warp_peri.materials.lps import bernstein_basis
 from warp_peri.materials.lps_force import Bonds
-from warp_peri.materials.lps_parameters import bernstein_basis
 from warp_peri.neural.material import NeuralOperator
 from warp_peri.points.dataset import in_units
 from warp_peri.points.families import bond_classes
@@ -146,7 +146,7 @@ def of_energies(material, H):
 def single_linear(material, points, u):
     bonds = Bonds(points, 3.0, bond_based=material.bond_based, precision="float32")
     flat = u.astype(np.float32).reshape(1, -1)
-    return bonds.law(*material.solid.values()).force(flat)[0].reshape(-1, 2)
+    return bonds.law(*material.learnable.values()).force(flat)[0].reshape(-1, 2)
 
 
 def cell():

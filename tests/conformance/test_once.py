@@ -26,7 +26,7 @@ def at_rest(method):
     operator = wp.LPSMaterial(**SOLID, horizon=3.0, certified_on=(1.0,)).on(points)
 
     def energy(*values):
-        u = operator.solve(b, torch.zeros_like(b), solver, parameters=LPSParameters(*values)).u
+        u = operator.solve(b, torch.zeros_like(b), solver, parameters=dict(zip(SOLID, values))).u
         return (u * b).sum() + sum(value.square().sum() for value in values)
 
     return energy

@@ -15,7 +15,7 @@ from warp_peri.fitting import augmented_lagrangian
 from warp_peri.fitting.augmented_lagrangian import as_printed, margins_of, printed_state
 from warp_peri.fitting.regression import Regression
 from warp_peri.materials import lps_force
-from warp_peri.materials.lps import stiffnesses
+from warp_peri.materials.lps import LPSParameters, stiffnesses
 from warp_peri.materials.lps_adam import (
     DENSE_ZETA,
     PRINTED_HORIZON,
@@ -27,7 +27,6 @@ from warp_peri.materials.lps_adam import (
 )
 from warp_peri.materials.lps_fit import Learner
 from warp_peri.materials.lps_law import LPSFound, LPSLaw
-from warp_peri.materials.lps_parameters import LPSParameters
 from warp_peri.methods import AugmentedLagrangian, GaussNewton, StabilityConditions, TwoStage
 from warp_peri.points.families import bond_classes
 

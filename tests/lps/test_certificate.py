@@ -12,7 +12,7 @@ from tests.support.symbols import form, smallest, smallest_margins, symbol
 from warp_peri import InputError, LPSMaterial, certify
 from warp_peri.core.stencil import ratios
 from warp_peri.fitting.settings import GaussNewton, StabilityConditions
-from warp_peri.materials.lps import stiffnesses
+from warp_peri.materials.lps import LPSParameters, stiffnesses
 from warp_peri.materials.lps_law import LPSFound, LPSLaw
 from warp_peri.materials.lps_matrices import matrices
 from warp_peri.materials.lps_rows import class_pairs, product_basis
@@ -137,7 +137,7 @@ def printed(v, kappa, mu, k):
 
 @every_kind
 def test_derivatives_of_the_numbers(kind):
-    start = LPSFound(kernel("sign-changing", 3.0, lam=0.1).solid)
+    start = LPSFound(LPSParameters(**kernel("sign-changing", 3.0, lam=0.1).learnable))
     method = GaussNewton("isotropic", smoothness=1e-3)
     law = LPSLaw([CLASSES], start, StabilityConditions(kind, 0.02), method)
     y = law.start(start)

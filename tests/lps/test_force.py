@@ -303,7 +303,7 @@ def test_on_a_tape_of_the_user():
     field = wp.array(u, dtype=wp.vec2d, requires_grad=True)
     numbers = [
         wp.array(np.atleast_1d(value), dtype=wp.float64, requires_grad=True)
-        for value in model.solid.values()
+        for value in model.learnable.values()
     ]
     seed = noise(points, 2, seed=1)[:, points.interior]
     out = wp.zeros((2, len(seed[0])), dtype=wp.vec2d, requires_grad=True)

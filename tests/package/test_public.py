@@ -140,15 +140,10 @@ def test_an_error_is_one_printable_line_and_a_status(capsys):
         _ = wp.slove
 
 
-ABOVE = ("on", "learn", "save")
-"""Methods of a model that name what stands above its numbers: operator, learning and file."""
-
-
 def imported(node):
-    """What a tree imports of the package, but for type checkers and in the methods ABOVE."""
+    """What a tree imports of the package, but for type checkers."""
     for child in ast.iter_child_nodes(node):
-        above = isinstance(child, ast.FunctionDef) and child.name in ABOVE
-        if above or (isinstance(child, ast.If) and ast.unparse(child.test) == "TYPE_CHECKING"):
+        if isinstance(child, ast.If) and ast.unparse(child.test) == "TYPE_CHECKING":
             continue
         if isinstance(child, ast.ImportFrom) and str(child.module).startswith("warp_peri"):
             yield from (f"{child.module}.{alias.name}".split(".")[1:] for alias in child.names)

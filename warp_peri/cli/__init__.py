@@ -1,1 +1,10 @@
-"""The command warp-peri."""
+"""The command warp-peri; `main` is loaded when it runs."""
+
+from typing import TYPE_CHECKING
+
+from warp_peri.lazy import lazy
+
+if TYPE_CHECKING:
+    from warp_peri.cli import main as main
+else:
+    __getattr__, __dir__ = lazy(__name__, {}, "main")

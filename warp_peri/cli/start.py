@@ -7,6 +7,8 @@ import signal
 import sys
 from types import FrameType
 
+import warp_peri.cli as cli
+
 
 def main() -> int:
     """Run `warp-peri`; see warp_peri.cli.main."""
@@ -14,8 +16,7 @@ def main() -> int:
     usual = signal.getsignal(signal.SIGINT)
     if usual is signal.default_int_handler:  # not where the shell has it ignored
         signal.signal(signal.SIGINT, _leave)
-    from warp_peri.cli.main import main as run  # all that takes time to import
-
+    run = cli.main.main  # imports all that takes time
     if usual is signal.default_int_handler:
         signal.signal(signal.SIGINT, usual)
     try:

@@ -1,0 +1,10 @@
+"""What every material is made of; torch is loaded with `torch_bridge`, when it is asked for."""
+
+from typing import TYPE_CHECKING
+
+from warp_peri.lazy import lazy
+
+if TYPE_CHECKING:
+    from warp_peri.core import torch_bridge as torch_bridge
+else:
+    __getattr__, __dir__ = lazy(__name__, {}, "torch_bridge")

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.errors import InputError
-from warp_peri.materials.lps_parameters import ALPHA_BOUND, bernstein_basis
+from warp_peri.materials.lps import ALPHA_BOUND, bernstein_basis
 from warp_peri.points.arrays import checked, checked_fields, mean_inverse, plain
 from warp_peri.points.families import families_of
 from warp_peri.points.samples import PointsLike, nodes_of

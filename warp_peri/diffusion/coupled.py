@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
+import warp_peri.fracture as fracture
 from warp_peri.core.record import Record, Stress
 from warp_peri.diffusion.conductor import (
     Conductivity,
@@ -19,7 +20,7 @@ from warp_peri.diffusion.conductor import (
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import lattice_body
 from warp_peri.fracture.bonds import bond_matrix, bonds_of, dilatations
-from warp_peri.fracture.statics import INDEFINITE, in_torch
+from warp_peri.fracture.statics import INDEFINITE
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import Units, check_same
@@ -159,9 +160,9 @@ class CoupledOperator(FlowOperator):
         """The force of tensors [S, N, 3] with other numbers, differentiable once in all."""
         field, phi = u[..., :2], u[..., 2]
         parts = self.model.model, self.body, self.table
-        force = in_torch().bond_force(*parts, field, numbers, numbers["coupling"] * phi)
+        force = fracture.adjoint.bond_force(*parts, field, numbers, numbers["coupling"] * phi)
         flux = self.diffusion.force_with_parameters(phi, self._of_conductor(numbers))
-        return in_torch().torch.cat([force[:, self.rows], flux[..., None]], dim=-1)
+        return fracture.adjoint.torch.cat([force[:, self.rows], flux[..., None]], dim=-1)
 
     def storage(self) -> sp.csr_array:
         """What multiplies the rates of u₁, u₂ and φ, sparse [3 I, 3 N]."""
@@ -169,7 +170,7 @@ class CoupledOperator(FlowOperator):
 
     def storage_slopes(self, names: list[str], rates: np.ndarray, w: np.ndarray) -> dict[str, Any]:
         """Derivatives of Σ w · storage() rates to numbers, of rates [K, N, 3], w [K, I, 3]."""
-        torch = in_torch().torch
+        torch = fracture.adjoint.torch
         own = {n: v for n, v in self.learnable.items() if not n.startswith(OF_CONDUCTOR)}
         asked = [name for name in names if name in own]
         if not asked:
@@ -182,7 +183,7 @@ class CoupledOperator(FlowOperator):
             phi = torch.from_numpy(self.on_all(w)[..., 2])
             parts = self.model.model, self.body, self.table
             rate = torch.from_numpy(np.ascontiguousarray(rates[..., :2]))
-            pull = in_torch().bond_force(*parts, 0 * rate, numbers, numbers["coupling"] * phi)
+            pull = fracture.adjoint.bond_force(*parts, 0 * rate, numbers, numbers["coupling"] * phi)
             each = torch.autograd.grad(
                 -(rate * pull).sum(), [numbers[name] for name in asked], allow_unused=True
             )

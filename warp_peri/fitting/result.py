@@ -10,7 +10,7 @@ from warp_peri.reprs import Shown
 
 if TYPE_CHECKING:
     from warp_peri.materials.influence import InfluenceFunction
-    from warp_peri.materials.lps_parameters import LPSParameters
+    from warp_peri.materials.lps import LPSParameters
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from warp_peri.lazy import lazy
 
 if TYPE_CHECKING:
+    from warp_peri.fracture import adjoint as adjoint
     from warp_peri.fracture.body import LatticeBody as LatticeBody
     from warp_peri.fracture.body import box_nodes as box_nodes
     from warp_peri.fracture.body import lattice_body as lattice_body
@@ -36,4 +37,4 @@ _HOMES = {
 __all__ = sorted(" ".join(_HOMES.values()).split())
 
 if not TYPE_CHECKING:  # a type checker would take any misspelt name for one of these
-    __getattr__, __dir__ = lazy(__name__, _HOMES)
+    __getattr__, __dir__ = lazy(__name__, _HOMES, "adjoint")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-import torch
+import torch as torch
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 from tqdm import tqdm
@@ -20,8 +20,7 @@ from warp_peri.fracture.body import LatticeBody, cracked, section
 from warp_peri.fracture.bonds import bonds_of, check_breakable, stretch_matrix, stretch_rows
 from warp_peri.fracture.softening import BondLaw, pull_of, share_of, slope_of
 from warp_peri.fracture.statics import check_no_fail, check_pieces, strain_of
-from warp_peri.materials.lps import LPSMaterial
-from warp_peri.materials.lps_parameters import bernstein_basis
+from warp_peri.materials.lps import LPSMaterial, bernstein_basis
 from warp_peri.points.arguments import Share
 from warp_peri.points.arrays import checked
 from warp_peri.protocols import is_tensor

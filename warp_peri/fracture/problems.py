@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+import warp_peri.fracture as fracture
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import LatticeBody, lattice_body, penny_corners
 from warp_peri.fracture.dynamics import BreakingBody
 from warp_peri.fracture.growth import grow
 from warp_peri.fracture.release import crack_area, crack_opening_volume
 from warp_peri.fracture.run import CrackRun
-from warp_peri.fracture.statics import CutSolid, crack_load, in_torch
+from warp_peri.fracture.statics import CutSolid, crack_load
 from warp_peri.points.arguments import NotNegative, typed
 from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
@@ -106,8 +107,11 @@ class Cracked:
         if self.pressure is not None:
             pressure = checked("pressure", self.pressure, float, (body.dimension,) * 2)
             extra = crack_load(cut, pressure, numbers or {} if learns else None)
-            b = in_torch().as_tensor("b", b) if learns else checked("b", b, float, body.x.shape)
-            b = b + (in_torch().as_tensor("pressure", extra) if learns else extra)
+            if learns:
+                b, extra = map(fracture.adjoint.as_tensor, ("b", "pressure"), (b, extra))
+            else:
+                b = checked("b", b, float, body.x.shape)
+            b = b + extra
         solved = cut.solve_torch(b, u, solver, numbers) if learns else cut.solve(b, u, solver)
         return replace(solved, points=self.points)
 
@@ -132,7 +136,7 @@ class Cracked:
         if "density" in options and not hasattr(material, "density"):
             u = np.zeros_like(self.points.x) if self.u is None else self.u
             cut = self.waves(material)
-            return in_torch().in_motion(cut, self.b, u, options)  # type: ignore[no-any-return]
+            return fracture.adjoint.in_motion(cut, self.b, u, options)
         body = self.body(material, "simulate")
         grows = "events" in options or ("step" in options and not options.get("sections"))
         if self.corrected and not grows:
@@ -164,7 +168,7 @@ class Cracked:
             how |= {"cracks": self.cracks, "corrected": self.corrected}
             return grow(material.linear, body, self.held, u, **how)
         law = offered(material, "law", "simulate", "a SofteningMaterial for loads=…")
-        soft: Any = in_torch().SoftBody
+        soft: Any = fracture.adjoint.SoftBody
         own, how = taken(options, "simulate", soft.__init__, soft.pull, given=("cracks",))
         pulled = soft(material.linear, body, law, self.held, cracks=self.cracks, **own)
         return pulled.pull(u, **how)  # type: ignore[no-any-return]

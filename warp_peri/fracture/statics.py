@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
 
+import warp_peri.fracture as fracture
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import LatticeBody, cracked
 from warp_peri.fracture.bonds import CutRows, bond_matrix, bond_weights, bonds_of, largest_stiffness
@@ -31,11 +31,6 @@ INDEFINITE = (
     "body, take λ + μ > 0 and an influence function that bears these cuts (with_positive_kernel "
     "keeps the moduli)"
 )
-
-
-def in_torch() -> Any:
-    """Forces over bonds and derivatives of bodies that break, which load torch."""
-    return import_module("warp_peri.fracture.adjoint")
 
 
 class CutSolid(OperatorBase):
@@ -195,7 +190,7 @@ class CutSolid(OperatorBase):
 
     def force_with_parameters(self, u: Any, numbers: Any) -> Any:
         """The force of tensors [S, N, d] with other numbers, which has every derivative."""
-        force = in_torch().bond_force(self.model, self.body, self.neighbour, u, numbers)
+        force = fracture.adjoint.bond_force(self.model, self.body, self.neighbour, u, numbers)
         return force[:, self.inside]
 
     def max_symbol_eigenvalue(self) -> float:
@@ -264,7 +259,7 @@ def crack_load(cut: CutSolid, stress: np.ndarray, numbers: Any = None) -> Any:
     if np.abs(stress - stress.T).max() > SYMMETRIC * np.abs(stress).max():
         raise InputError(f"stress: expected a symmetric one, got {stress.tolist()}")
     if numbers is not None and not cut.corrected:
-        return in_torch().crack_load(cut, stress, numbers)
+        return fracture.adjoint.crack_load(cut, stress, numbers)
     u = body.x @ strain_of(stress, model.lam, model.mu, np.eye(body.dimension))
     whole = CutRows(model, body, body.neighbour, cut.corrected)
     return np.asarray((whole(u[None]) - cut.times(u[None]))[0])

@@ -1,1 +1,10 @@
-"""Materials that are written by those who use them."""
+"""Materials, and the fit that carries one to another lattice, which is loaded when it is needed."""
+
+from typing import TYPE_CHECKING
+
+from warp_peri.lazy import lazy
+
+if TYPE_CHECKING:
+    from warp_peri.materials import lps_transfer as lps_transfer
+else:
+    __getattr__, __dir__ = lazy(__name__, {}, "lps_transfer")

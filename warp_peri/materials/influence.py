@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
-from warp_peri.materials.lps import LPSMaterial
-from warp_peri.materials.lps_parameters import bernstein_basis
+from warp_peri.materials.lps import LPSMaterial, bernstein_basis
 from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.arrays import checked
 from warp_peri.points.families import bond_classes

@@ -4,32 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import comb
 
+import warp_peri.materials as materials
 from warp_peri.core.elastic import elastic_from_brackets
 from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import StencilCertificate, prove
 from warp_peri.core.record import FieldUnits, Length, Record, taken
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, warn
-from warp_peri.materials.lps_parameters import LPSParameters, bernstein_basis, check_influence
-from warp_peri.points.arguments import Positive
+from warp_peri.materials.lps_force import CANCELLED
+from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.arrays import checked, is_number
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE, SINGULARITY
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, shown_moduli, symbols
+from warp_peri.protocols import is_tensor
 from warp_peri.reprs import error_rows
 
-if TYPE_CHECKING:
-    from warp_peri.materials.lps_operator import LPSOperator
-
-CANCELLED = 1e-10
-"""A weighted volume below this fraction of the sum of its terms' sizes counts as zero."""
+ALPHA_BOUND = 3.0
+"""The quadrature is consistent for α below this (You et al. 2021, remark 1)."""
+LARGEST_DEGREE = 1000
+"""Above 1029 the binomial coefficients are no floating-point numbers."""
 QUADRATURE = {"degree": DEGREE, "singularity": SINGULARITY}
 SPACING_TOLERANCE = 1e-6
 """A lattice within this of a certified one, relative to its spacing, is taken as that lattice."""
@@ -40,6 +43,56 @@ GAMMAS = ("gamma_min", "gamma_max", "gamma_minus_2phi_min", "gamma_minus_2phi_ma
 AVERAGED = 8
 """Positions along the radius of the ball that moduli as a function are averaged over."""
 Modulus = ArrayLike | Callable[[np.ndarray], ArrayLike]
+
+
+def bernstein_basis(r: ArrayLike, horizon: float, degree: int) -> np.ndarray:
+    """Bernstein polynomials B_k,M(r/δ) at lengths in [0, δ], to rounding, shape [..., M + 1]."""
+    if degree > LARGEST_DEGREE:
+        raise InputError(f"degree: expected at most {LARGEST_DEGREE}, got {degree}")
+    t = np.minimum(np.asarray(r, dtype=float) / horizon, 1.0)[..., None]
+    k = np.arange(degree + 1)
+    return np.asarray(comb(degree, k) * t**k * (1 - t) ** (degree - k))
+
+
+def check_influence(alpha: float, D: np.ndarray) -> None:
+    """Raise InputError for an exponent or coefficients that make no influence function."""
+    if D.ndim != 1:
+        raise InputError(f"D: expected a list of numbers, got lists of shape {list(D.shape)}")
+    if not 0 < len(D) <= LARGEST_DEGREE + 1:
+        most = LARGEST_DEGREE + 1
+        raise InputError(f"D: expected at least one coefficient, at most {most}, got {len(D)}")
+    if not alpha < ALPHA_BOUND:
+        raise InputError(f"alpha: expected less than {ALPHA_BOUND:g}, got {alpha}")
+
+
+@typed
+@dataclass(frozen=True, eq=False)
+class LPSParameters:
+    """λ, μ [TPa], α < 3 and D [M + 1] of a homogeneous solid: numbers, or torch tensors with their
+    gradients.
+
+    Raises InputError where λ, μ or α is no single real number, D no list of them, and for α ≥ 3.
+    """
+
+    lam: Any
+    mu: Any
+    alpha: Any
+    D: Any
+
+    def __post_init__(self) -> None:
+        given = vars(self).items()
+        found = {n: checked(n, v.detach().cpu() if is_tensor(v) else v) for n, v in given}
+        for name in ("lam", "mu", "alpha"):
+            if found[name].size != 1:
+                shape = list(found[name].shape)
+                raise InputError(
+                    f"{name}: expected one number of a homogeneous solid, got shape {shape}"
+                )
+        check_influence(found["alpha"].item(), np.atleast_1d(found["D"]))
+
+    def values(self) -> tuple[Any, ...]:
+        """λ, μ, α and D."""
+        return self.lam, self.mu, self.alpha, self.D
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -160,11 +213,6 @@ class LPSMaterial(Record, format="warp_peri.model"):
         return len(self.D) - 1
 
     @property
-    def solid(self) -> LPSParameters:
-        """λ, μ, α and D as one value."""
-        return LPSParameters(self.lam, self.mu, self.alpha, self.D)
-
-    @property
     def learnable(self) -> dict[str, Any]:
         """λ, μ, α and D by name."""
         return {name: getattr(self, name) for name in ("lam", "mu", "alpha", "D")}
@@ -249,6 +297,27 @@ class LPSMaterial(Record, format="warp_peri.model"):
         K: np.ndarray = r**-self.alpha * (bernstein_basis(r, self.horizon, self.degree) @ self.D)
         return K
 
+    @property
+    def figures(self) -> dict[float, dict[str, Any]]:
+        """Those of its certificate by the spacing that they are of, to all digits where certified.
+
+        Raises InputError for figures of none.
+        """
+        exact, found = {f"{h:g}": h for h in self.certified_on}, {}
+        for name, each in self.certificate.items():
+            try:
+                found[exact.get(name) or float(each.get("spacing", name))] = each
+            except (AttributeError, TypeError, ValueError):
+                raise InputError(f"certificate: expected spacings, got {name!r:.50}") from None
+        return found
+
+    @property
+    def statements(self) -> dict[float, str]:
+        """What is proven by the spacing of the lattice, made of the numbers."""
+        bounds = {h: each.get("symbol_bound") for h, each in self.figures.items()}
+        about = self.units, self.dimension
+        return {h: statement_of(h, c, *about) for h, c in bounds.items() if c is not None}
+
     def certified_spacing_near(self, spacing: float) -> float:
         """The certified spacing [Å] that a lattice within SPACING_TOLERANCE of it is taken as.
 
@@ -291,6 +360,23 @@ class LPSMaterial(Record, format="warp_peri.model"):
                 f"{list(points.x.shape)}"
             )
 
+    def certified_nodes(self, points: PointsLike) -> Points:
+        """The nodes, scaled to the certified spacing that theirs is taken as.
+
+        With the bond lengths of the certified lattice the operator is the one of the proof, which
+        says nothing a millionth beside it. Any other lattice, and scattered points, are returned as
+        they are. Raises InputError for points in other units or dimensions than the model.
+        """
+        nodes = nodes_of(points)
+        check_same(self.units, nodes.units)
+        self.check_dimension(nodes)
+        spacing = self.certified_spacing_near(nodes.spacing)
+        if spacing == nodes.spacing:
+            return nodes
+        scale = spacing / nodes.spacing
+        box = None if nodes.box is None else tuple(scale * side for side in nodes.box)
+        return replace(nodes, x=scale * nodes.x, spacing=spacing, box=box)
+
     @property
     def transferred_from(self) -> float | None:
         """Spacing [Å] of the lattice whose dispersion this model was fitted to; None at home."""
@@ -311,7 +397,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
                 name: value * times.get(name, 1) if is_number(value) else value
                 for name, value in each.items()
             }
-            for h, each in by_spacing(self).items()
+            for h, each in self.figures.items()
         }
         return {
             "certificate": figures,
@@ -324,7 +410,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
     def verify_certificates(self) -> None:
         """As of a Record, on every spacing that the model is said to be certified on."""
-        figures, group = by_spacing(self), lattice_group(self.dimension)
+        figures, group = self.figures, lattice_group(self.dimension)
         for spacing in dict.fromkeys((*self.certified_on, *figures)):
             each, stencil = figures.get(spacing, {}), lps_stencil(self, spacing)
             if (bound := each.get("symbol_bound")) is not None:
@@ -356,11 +442,9 @@ class LPSMaterial(Record, format="warp_peri.model"):
         Raises InputError for an uncertified spacing without a transfer, scattered points without
         allow_uncertified, and as `spread` and LPSOperator.
         """
-        from warp_peri.materials.lps_operator import LPSOperator
-        from warp_peri.materials.lps_transfer import model_for
-
         model, allowed = self, allow_uncertified
-        if self.nodes is None:
+        if self.nodes is None and not self.is_certified_on(points.spacing):
+            model_for = materials.lps_transfer.model_for
             model = model_for(self, points, transfer=transfer, allow_uncertified=allowed)
         if lam is not None or mu is not None:
             model = model.spread(points, lam, mu)
@@ -398,30 +482,8 @@ class LPSMaterial(Record, format="warp_peri.model"):
         ]
         spacings = (f"{h:g} {length}" for h in self.certified_on)
         rows.append(("certified on", ", ".join(spacings) or "no lattice"))
-        rows += [("proven", told) for told in statements(self).values()]
+        rows += [("proven", told) for told in self.statements.values()]
         return rows + error_rows(self.errors)
-
-
-def by_spacing(model: LPSMaterial) -> dict[float, dict[str, Any]]:
-    """Figures of its certificate by the spacing that they are of, to all digits where certified.
-
-    Raises InputError for figures of none.
-    """
-    exact, found = {f"{h:g}": h for h in model.certified_on}, {}
-    for name, each in model.certificate.items():
-        try:
-            found[exact.get(name) or float(each.get("spacing", name))] = each
-        except (AttributeError, TypeError, ValueError):
-            raise InputError(f"certificate: expected spacings, got {name!r:.50}") from None
-    return found
-
-
-def statements(model: LPSMaterial) -> dict[float, str]:
-    """What is proven of a model by the spacing of the lattice, made of the numbers."""
-    figures = by_spacing(model)
-    bounds = {h: each.get("symbol_bound") for h, each in figures.items()}
-    about = model.units, model.dimension
-    return {h: statement_of(h, c, *about) for h, c in bounds.items() if c is not None}
 
 
 def statement_of(spacing: float, bound: float, units: Units, dimension: int) -> str:
@@ -497,23 +559,3 @@ def moduli(model: LPSMaterial, classes: BondClasses) -> dict[str, float]:
     """Long-wave moduli C11, C12, C44 [TPa] of a model's discrete operator (theory, 22)."""
     C = elastic_from_brackets(stencil_of(classes, *stiffnesses(model, classes)).brackets)
     return {"C11": C[0, 0, 0, 0], "C12": C[0, 0, 1, 1], "C44": C[0, 1, 0, 1]}
-
-
-def on_nominal_lattice(model: LPSMaterial, points: PointsLike) -> Points:
-    """The nodes, scaled to the certified spacing that theirs is taken as.
-
-    What is proven of a lattice holds there, and not a millionth beside it: with the bond lengths of
-    the certified lattice the operator is the one of the proof. Any other lattice, and scattered
-    points, are returned as they are.
-
-    Raises InputError where the points are in other units or dimensions than the model.
-    """
-    nodes = nodes_of(points)
-    check_same(model.units, nodes.units)
-    model.check_dimension(nodes)
-    spacing = model.certified_spacing_near(nodes.spacing)
-    if spacing == nodes.spacing:
-        return nodes
-    scale = spacing / nodes.spacing
-    box = None if nodes.box is None else tuple(scale * side for side in nodes.box)
-    return replace(nodes, x=scale * nodes.x, spacing=spacing, box=box)

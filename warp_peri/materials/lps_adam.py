@@ -22,11 +22,11 @@ from warp_peri.files.atomic import locked
 from warp_peri.files.checkpoint import ArrayFile
 from warp_peri.fitting.augmented_lagrangian import adam, as_printed, printed_state
 from warp_peri.fitting.settings import TwoStage
+from warp_peri.materials.lps import LPSParameters, bernstein_basis
 from warp_peri.materials.lps_force import Bonds
 from warp_peri.materials.lps_law import ALPHA_IN_SIGHT, LARGEST_ALPHA, LPSFound, LPSLaw
 from warp_peri.materials.lps_matrices import assemble
 from warp_peri.materials.lps_operator import lps_force
-from warp_peri.materials.lps_parameters import LPSParameters, bernstein_basis
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.samples import Samples
 

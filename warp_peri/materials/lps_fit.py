@@ -41,7 +41,7 @@ from warp_peri.materials.certificate import certify
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import POOR
 from warp_peri.materials.influence import shapes_of
-from warp_peri.materials.lps import LPSMaterial
+from warp_peri.materials.lps import LPSMaterial, LPSParameters
 from warp_peri.materials.lps import moduli as moduli_of
 from warp_peri.materials.lps_adam import (
     SMALLEST_MODULUS,
@@ -52,7 +52,6 @@ from warp_peri.materials.lps_adam import (
 )
 from warp_peri.materials.lps_law import HEADROOM, LPSFound, LPSLaw, optimum
 from warp_peri.materials.lps_output import fit_output_error, responses_of, squares
-from warp_peri.materials.lps_parameters import LPSParameters
 from warp_peri.materials.lps_rows import Products, products
 from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.dataset import Dataset

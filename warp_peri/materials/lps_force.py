@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -23,7 +23,6 @@ from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.lps.influence import influence
 from warp_peri.kernels.lps.sweeps import BYTES, struct, sweeps
-from warp_peri.materials.lps import CANCELLED, LPSMaterial, on_nominal_lattice
 from warp_peri.points.families import families_of
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike, nodes_of
@@ -38,6 +37,11 @@ from warp_peri.runtime import (
     zeros,
 )
 
+if TYPE_CHECKING:
+    from warp_peri.materials.lps import LPSMaterial
+
+CANCELLED = 1e-10
+"""A weighted volume below this fraction of the sum of its terms' sizes counts as zero."""
 SPARE, SHORT = 2, 4
 """Largest box, in places a node, and least mean length of a piece, that are worth it."""
 BLOCKS = 8
@@ -304,7 +308,7 @@ def bonds_of(model: LPSMaterial, points: PointsLike, degree: int = DEGREE) -> Bo
     Raises InputError for points that do not carry the horizon, and an influence function whose
     weighted volume vanishes.
     """
-    nodes, how = on_nominal_lattice(model, points), {"quadrature_degree": degree}
+    nodes, how = model.certified_nodes(points), {"quadrature_degree": degree}
     try:
         bonds = Bonds(nodes, model.horizon, **how)  # type: ignore[arg-type]
     except InputError:

@@ -18,8 +18,8 @@ from warp_peri.errors import InputError
 from warp_peri.fitting.regression import MET, Form, LatticeRows, Numbers, Settled, fit
 from warp_peri.fitting.settings import GaussNewton, StabilityConditions
 from warp_peri.materials.influence import InfluenceFunction
-from warp_peri.materials.lps import CANCELLED, LPSMaterial
-from warp_peri.materials.lps_parameters import LPSParameters, bernstein_basis
+from warp_peri.materials.lps import LPSMaterial, LPSParameters, bernstein_basis
+from warp_peri.materials.lps_force import CANCELLED
 from warp_peri.materials.lps_rows import class_pairs
 from warp_peri.points.families import BondClasses
 

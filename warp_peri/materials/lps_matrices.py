@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
-from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_force import Bonds, bonds_of
 from warp_peri.points.arrays import checked
 from warp_peri.points.samples import PointsLike, nodes_of
+
+if TYPE_CHECKING:
+    from warp_peri.materials.lps import LPSMaterial
 
 
 @dataclass(frozen=True)

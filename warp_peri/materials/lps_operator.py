@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from contextlib import suppress
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
-import torch
 import warp as wp
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator, gmres, spilu
 
+import warp_peri.core as core
 from warp_peri.core.proof import largest
-from warp_peri.core.torch_bridge import once, refuse_tangents
 from warp_peri.errors import InputError, warn
-from warp_peri.materials.lps import LPSMaterial, on_nominal_lattice, statements
 from warp_peri.materials.lps_force import Bonds, Law, bonds_of
 from warp_peri.materials.lps_matrices import assemble, node_fields
-from warp_peri.materials.lps_parameters import LPSParameters
 from warp_peri.points.arrays import checked, checked_fields, plain
 from warp_peri.points.families import families_of
 from warp_peri.points.lattice import largest_strain
@@ -38,6 +35,11 @@ from warp_peri.solvers.solution import (
     refuse_solver,
     warn_beyond,
 )
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from warp_peri.materials.lps import LPSMaterial, LPSParameters
 
 SAME = 1e-6
 """Of the horizon, within which nodes are those that fields of moduli are for."""
@@ -81,7 +83,7 @@ class LPSOperator(OperatorBase):
         allow_uncertified: bool = False,
     ) -> None:
         self.model, self.allowed = model, allow_uncertified
-        self.nodes, self.points = on_nominal_lattice(model, points), nodes_of(points)
+        self.nodes, self.points = model.certified_nodes(points), nodes_of(points)
         self.quadrature_degree = quadrature_degree
         if (x := model.nodes) is not None and not (
             x.shape == self.shape and np.abs(x - self.points.x).max() <= SAME * model.horizon
@@ -172,9 +174,7 @@ class LPSOperator(OperatorBase):
         """λ, μ, α and D by name."""
         return self.model.learnable
 
-    def force_with_parameters(
-        self, u: torch.Tensor, numbers: dict[str, torch.Tensor]
-    ) -> torch.Tensor:
+    def force_with_parameters(self, u: Tensor, numbers: dict[str, Tensor]) -> Tensor:
         """The force of fields [S, N, d] with other numbers, differentiable once in all."""
         return lps_force(self.bonds, u, *(numbers[name] for name in self.learnable))
 
@@ -233,7 +233,7 @@ class LPSOperator(OperatorBase):
         spacing = self.points.spacing
         if not self.model.is_certified_on(spacing):
             return None
-        return statements(self.model).get(self.model.certified_spacing_near(spacing))
+        return self.model.statements.get(self.model.certified_spacing_near(spacing))
 
     def energy(self, u: np.ndarray) -> np.ndarray | None:
         """h^d (½ u_I·L u_I + u_I·L u_C) [stress · length^d], shape [...]; on lattices."""
@@ -267,16 +267,15 @@ class LPSOperator(OperatorBase):
             u: displacement [Å], same shape; only collar values count. Of torch tensors the answer
                 is one, differentiable in both.
             solver: Direct(…) or CG(…); None takes the cheapest by size and shape.
-            parameters: λ, μ, α and D as a Solid, or some of them by name, the material's own by
-                default; the answer is differentiable in tensors among them.
+            parameters: some of λ, μ, α and D by name, the material's own by default; the answer is
+                differentiable in tensors among them.
 
         Raises InputError for arrays that do not fit, a solver that does not go with the points, or
         an operator that is singular or (with allow_uncertified a warning) not positive definite.
         """
         refuse_solver(solver, (Direct, CG), "a linear solid")
         if is_tensor(b) or is_tensor(u) or parameters is not None:
-            named = vars(parameters) if isinstance(parameters, LPSParameters) else parameters
-            return self.solve_torch(b, u, solver, named)  # type: ignore[no-any-return]
+            return self.solve_torch(b, u, solver, parameters)  # type: ignore[no-any-return]
         load, given = checked_fields(self.points, b, u)
         fields = [one.reshape(-1, *self.shape) for one in (load, given)]
         method, few = self._method(solver, len(fields[0])), self._unknown <= DIRECT
@@ -430,7 +429,7 @@ def by_gmres(problem: MatrixProblem, b: np.ndarray, u: np.ndarray) -> np.ndarray
     return problem.filled(u, solution)
 
 
-def lps_force(bonds: Bonds, u: torch.Tensor, *values: Any) -> torch.Tensor:
+def lps_force(bonds: Bonds, u: Tensor, *values: Any) -> Tensor:
     """L u [TPa/Å] on the interior nodes, shape [..., I, d], differentiable once in all.
 
     Args:
@@ -441,8 +440,8 @@ def lps_force(bonds: Bonds, u: torch.Tensor, *values: Any) -> torch.Tensor:
 
     Raises InputError for such λ and μ on bond-based bonds, and moduli of another shape.
     """
-    refuse_tangents(u, *values)
-    felt: list[Any] = []
+    torch, felt = core.torch_bridge, list[Any]()
+    torch.refuse_tangents(u, *values)
 
     def there(u: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray]:
         law = bonds.law(*values)
@@ -455,6 +454,6 @@ def lps_force(bonds: Bonds, u: torch.Tensor, *values: Any) -> torch.Tensor:
         return law.gradient(kept, g, asked)  # type: ignore[no-any-return]
 
     flat = u.reshape(-1, bonds.nodes * bonds.dimension)
-    numbers = [torch.as_tensor(value, dtype=torch.float64) for value in values]
-    (Lu,) = once(there, back, flat, *numbers)
+    numbers = [torch.real(name, value) for name, value in zip(("lam", "mu", "alpha", "D"), values)]
+    (Lu,) = torch.once(there, back, flat, *numbers)
     return Lu.reshape(*u.shape[:-2], -1, bonds.dimension)  # type: ignore[no-any-return]

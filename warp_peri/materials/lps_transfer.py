@@ -15,9 +15,8 @@ from warp_peri.fitting.rows import compressed
 from warp_peri.fitting.settings import GaussNewton, StabilityConditions
 from warp_peri.fitting.transfer import wave_errors, waves_against
 from warp_peri.materials.certificate import certify, with_proof
-from warp_peri.materials.lps import LPSMaterial
+from warp_peri.materials.lps import LPSMaterial, LPSParameters
 from warp_peri.materials.lps_law import LPSFound, optimum
-from warp_peri.materials.lps_parameters import LPSParameters
 from warp_peri.materials.lps_rows import product_basis
 from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.families import AT_EDGES, bond_classes, carried_horizon

@@ -6,11 +6,11 @@ import operator
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
+import warp_peri
 from warp_peri.errors import InputError, heard, warn
 from warp_peri.points.arguments import Positive, Share, typed, typed_methods
 from warp_peri.points.points import Points
@@ -213,12 +213,11 @@ class Solution(Shown):
 
         Raises InputError as export.write_vtk, export.write_body and `to_samples`.
         """
-        export = import_module("warp_peri.export")
         if self.points is None:
-            export.write_body(path, self.details)
+            warp_peri.export.write_body(path, self.details)
         else:
             samples = self.to_samples()
-            export.write_vtk(path, self.operator.model, samples, samples.u)
+            warp_peri.export.write_vtk(path, self.operator.model, samples, samples.u)
 
     def plot(self, sample: int = 0, *, ax: Axes | None = None) -> Axes:
         """The size of the displacement over the body, or φ, as coloured nodes; a slice in space.
