@@ -4,10 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import StencilCertificate, largest
 from warp_peri.materials.certificate import Certificate, Solvability, certify, check_solvability
-from warp_peri.materials.lps import lps_stencil
 from warp_peri.materials.lps_transfer import model_at
 from warp_peri.materials.third_order import Uniqueness, prove_uniqueness
 from warp_peri.points.arguments import Positive, typed
@@ -51,6 +49,6 @@ def critical_time_step(
     else:
         offered(model, "is_certified_on", "critical_time_step", "a linear solid or a crystal")
         model = model_at(model, spacing, allow_uncertified=allow_uncertified)
-        near = lps_stencil(model, model.certified_spacing_near(spacing))
-        stiffest = largest(near, lattice_group(model.dimension))
+        near = model.stencil(model.certified_spacing_near(spacing))
+        stiffest = largest(near, model.group)
     return float(2 * np.sqrt(inertia(density, model.units) / stiffest))

@@ -152,7 +152,7 @@ class Body:
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
         """The material at rest; the details of the solution are a BodySolution."""
         if not hasattr(material, "tensors"):  # a crystal, which elements go on for at the edge
-            offered(material, "solid", "solve", LINEAR)
+            offered(material, "spread", "solve", LINEAR)
         refuse_solver(solver, (), "a Body, whose coupling says how it is solved")
         (options,) = taken(options, "solve", solve_body, given=GIVEN)
         body = solve_body(

@@ -22,7 +22,6 @@ from warp_peri.core.stencil import (
     ratios,
     squared,
 )
-from warp_peri.materials.lps import lps_stencil
 
 NOTHING = {d: np.array([np.eye(d), -np.eye(d)], dtype=int) for d in (2, 3)}
 SQUARE = lattice_group(2)
@@ -80,7 +79,7 @@ def test_long_waves_that_are_unstable_are_not_proven():
 @pytest.mark.parametrize("name", ["1/r", "positive"])
 def test_nothing_above_the_minimum_is_ever_proven(name):
     """The proof by itself, told that more was sampled than there is."""
-    stencil = lps_stencil(kernel(name, 2.0), 1.0)
+    stencil = kernel(name, 2.0).stencil(1.0)
     assert prove(stencil, SQUARE).proven <= smallest_ratio(stencil)
     assert prove(stencil, SQUARE, shares=(4.0, 1.02)).proven == 0
 
@@ -90,7 +89,7 @@ def test_nothing_above_the_minimum_is_ever_proven(name):
 def test_the_parts_of_the_proof_bound_what_they_claim(name, lam):
     """Slopes are right, no symbol is below its affine part by more than the rest, and some are."""
     weight = laplacian_stencil(1.0, 2, 2)
-    stencil = lps_stencil(kernel(name, 3.0, lam=lam), 1.0).minus(weight, 0.1)
+    stencil = kernel(name, 3.0, lam=lam).stencil(1.0).minus(weight, 0.1)
     rest, half = proof._most(stencil, sum(parts(stencil.tensors))), 0.05
     random, worst = np.random.default_rng(4), 0.0
     for k in (*random.uniform(-np.pi, np.pi, (20, 2)), np.array([1e-2, 1e-2])):
@@ -126,7 +125,7 @@ SOFT = Stencil(1.0, STEPS, np.array([1.0, 1.0, -3.9, -3.9])[:, None, None] * np.
 @pytest.mark.parametrize("name", ["steep", "positive", "soft"])
 def test_the_ball_around_zero_is_sound(name):
     weight = laplacian_stencil(1.0, 2, 2)
-    stencil = SOFT if name == "soft" else lps_stencil(kernel(name, 3.0), 1.0)
+    stencil = SOFT if name == "soft" else kernel(name, 3.0).stencil(1.0)
     long, _ = proof._long_waves(stencil, SQUARE)
     assert long > 0
     angle = np.linspace(0, np.pi, 50)
@@ -139,7 +138,7 @@ def test_the_ball_around_zero_is_sound(name):
 
 
 def test_the_proof_sets_the_curvature_aside(monkeypatch):
-    stencil = lps_stencil(kernel("1/r", 2.0), 1.0)
+    stencil = kernel("1/r", 2.0).stencil(1.0)
     assert prove(stencil, SQUARE).holds
     monkeypatch.setattr(proof, "MOST_CELLS", {2: 5000})
     monkeypatch.setattr(proof, "_most", lambda *_: 1e6)
@@ -153,7 +152,7 @@ def test_a_weight_is_what_it_says():
     weight, phase = squared(1.0, steps, field), waves(2)
     expected = ((np.sin(phase @ steps.T) @ field) ** 2).sum(axis=1)
     np.testing.assert_allclose(weight.symbol(phase)[:, 0, 0], expected, rtol=1e-9, atol=1e-15)
-    stencil = lps_stencil(kernel("1/r", 2.0), 1.0)
+    stencil = kernel("1/r", 2.0).stencil(1.0)
     found = prove(stencil, SQUARE, weight)
     left = stencil.minus(weight, found.proven).symbol(phase)
     assert np.linalg.eigvalsh(left)[:, 0].min() > 0
@@ -177,14 +176,14 @@ def top(stencil):
 @pytest.mark.parametrize("horizon", [2.0, 4.0])
 @pytest.mark.parametrize("name", ["1/r", "sign-changing"])
 def test_the_upper_bound_is_above_the_zone_and_near_it(name, horizon):
-    stencil = lps_stencil(kernel(name, horizon, lam=-0.2), 1.0)
+    stencil = kernel(name, horizon, lam=-0.2).stencil(1.0)
     assert top(stencil) <= largest(stencil, SQUARE) <= 1.002 * top(stencil)
 
 
 def test_the_upper_bound_in_space_and_one_that_takes_too_much_work(monkeypatch):
     law = learned(3)
     assert top(law.stencil) <= law.max_symbol_eigenvalue() <= 1.01 * top(law.stencil)
-    stencil = lps_stencil(kernel("positive", 3.0), 1.0)
+    stencil = kernel("positive", 3.0).stencil(1.0)
     tight = largest(stencil, SQUARE)
     monkeypatch.setattr(proof, "MOST_CELLS", {2: 1})
     assert largest(stencil, SQUARE, tolerance=1e-9) > tight

@@ -28,7 +28,7 @@ from warp_peri.errors import InputError
 from warp_peri.fracture.body import box_nodes, rectangle_nodes
 from warp_peri.fracture.dynamics import BrittleMaterial
 from warp_peri.fracture.problems import Cracked
-from warp_peri.materials.lps import LPSMaterial, lps_stencil
+from warp_peri.materials.lps import LPSMaterial
 from warp_peri.mpi import gather, partition
 from warp_peri.mpi.processes import own_mpiexec
 from warp_peri.points.points import Points
@@ -56,7 +56,7 @@ def wave(name: str, s: UnitScale, length: int, *, local: bool = False) -> Outcom
     points = Points.sheet((max(24, length), 10), s.length, units=s.units)
     points = points if isinstance(law, LPSMaterial) else replace(points, axis=0.0)
     k = 2 * np.pi / (length * s.length)
-    stencil = lps_stencil(law, s.length) if isinstance(law, LPSMaterial) else law.stencil
+    stencil = law.stencil(s.length) if isinstance(law, LPSMaterial) else law.stencil
     D = stencil.symbol(np.array([[k * s.length, 0.0]]))[0, 0, 0]
     C = GRAPHENE.tensor if name == LEARNED else THIRD
     D = s.stiffness * C[0, 0, 0, 0] * k**2 if local else D

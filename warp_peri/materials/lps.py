@@ -110,10 +110,8 @@ class LPSMaterial(Record, format="warp_peri.model"):
         trained_strain: largest strain of neighbouring nodes in the training fields, if known.
         largest_wave_number: largest |k| that the training loads held [1/Å], if known; nothing is
             claimed of the model beyond it.
-        certificate: figures of the certificate, by spacing.
-        errors: on data sets, by name.
-        provenance: of the data and the fit.
-        versions: of the packages.
+        certificate, errors: figures by spacing, and on data sets by name.
+        provenance, versions: of the data and the fit, and of the packages.
         units: names of the units of length and stress that all of it is in; Å and TPa where these
             lines say so.
         dimension: 2, a sheet, or 3, a solid.
@@ -154,22 +152,21 @@ class LPSMaterial(Record, format="warp_peri.model"):
         self._check_moduli()
 
     def _check_moduli(self) -> None:
-        """Raise InputError where they are those of no solid, or fields of other nodes."""
-        bulk = "λ + μ" if self.dimension == 2 else "λ + 2μ/3"
-        x, got = self.nodes, f"got {self.lam}, {self.mu}"
-        if x is not None:
-            checked("nodes", x, float, ("N", self.dimension))
-            got = "got others at some nodes"
+        d, N = self.dimension, 0
+        if self.nodes is not None:
+            N = len(checked("nodes", self.nodes, float, ("N", d)))
+            if self.certified_on:
+                raise InputError("certified_on: expected nothing, for moduli as fields")
         for name, one in (("lambda", self.lam), ("mu", self.mu)):
-            if np.shape(one) not in ((), () if x is None else (len(x),)):
+            if (shape := np.shape(one)) not in ((), (N,)):
                 raise InputError(
-                    f"{name}: expected a number, or one of each of {0 if x is None else len(x)} "
-                    f"nodes, got shape {list(np.shape(one))}"
+                    f"{name}: expected a number, or one of each of {N} nodes, got shape "
+                    f"{list(shape)}"
                 )
-        if x is not None and self.certified_on:
-            raise InputError("certified_on: expected nothing, for moduli as fields, got a spacing")
-        if not np.all((self.mu > 0) & (self.lam + 2 * self.mu / self.dimension > 0)):
-            raise InputError(f"lambda, mu: expected μ > 0 and {bulk} > 0, {got}")
+        if not np.all((self.mu > 0) & (self.lam + 2 * self.mu / d > 0)):
+            bulk = "λ + μ" if d == 2 else "λ + 2μ/3"
+            got = "others at some nodes" if N else f"{self.lam}, {self.mu}"
+            raise InputError(f"lambda, mu: expected μ > 0 and {bulk} > 0, got {got}")
 
     @classmethod
     def isotropic(
@@ -202,8 +199,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         mu = E / (2 * (1 + nu))
         lam = 2 * mu * nu / (1 - (dimension - 1) * nu)
         model = cls(lam, mu, 1.0, np.ones(1), horizon, dimension=dimension, units=units)
-        proof = prove(lps_stencil(model, spacing), lattice_group(dimension))
-        if not proof.holds:
+        if not prove(model.stencil(spacing), model.group).holds:
             raise InputError(f"nu, horizon: expected a solid that is stable at spacing {spacing:g}")
         return replace(model, certified_on=(spacing,))
 
@@ -270,9 +266,13 @@ class LPSMaterial(Record, format="warp_peri.model"):
         """Turns of a lattice of nodes, shape [g, d, d], under which it is the same solid."""
         return lattice_group(self.dimension)
 
-    def stencil(self, spacing: float) -> Stencil:
-        """The solid on a lattice; errors as of lps_stencil."""
-        return lps_stencil(self, spacing)
+    def stencil(self, spacing: float, *, degree: int = DEGREE) -> Stencil:
+        """The solid on a lattice as a stencil of twice its range, exactly (theory, T17).
+
+        Raises InputError as `stiffnesses` does, and for a spacing without bonds.
+        """
+        classes = bond_classes(spacing, self.horizon, dimension=self.dimension, degree=degree)
+        return stencil_of(classes, *stiffnesses(self, classes))
 
     @property
     def bond_based(self) -> bool:
@@ -287,22 +287,17 @@ class LPSMaterial(Record, format="warp_peri.model"):
     @property
     def nu(self) -> float:
         """Poisson's ratio of the continuum; of a sheet in plane stress."""
-        if self.dimension == 3:
-            return self.lam / (2 * (self.lam + self.mu))
-        return self.lam / (self.lam + 2 * self.mu)
+        return self.lam / ((self.dimension - 1) * self.lam + 2 * self.mu)
 
     def influence(self, r: ArrayLike) -> np.ndarray:
         """K at the distances r [Å] in (0, δ]."""
         r = np.asarray(r, dtype=float)
-        K: np.ndarray = r**-self.alpha * (bernstein_basis(r, self.horizon, self.degree) @ self.D)
-        return K
+        return np.asarray(r**-self.alpha * (bernstein_basis(r, self.horizon, self.degree) @ self.D))
 
     @property
     def figures(self) -> dict[float, dict[str, Any]]:
-        """Those of its certificate by the spacing that they are of, to all digits where certified.
-
-        Raises InputError for figures of none.
-        """
+        """Those of its certificate by the spacing, to all digits where certified; InputError where
+        a name is none."""
         exact, found = {f"{h:g}": h for h in self.certified_on}, {}
         for name, each in self.certificate.items():
             try:
@@ -324,9 +319,8 @@ class LPSMaterial(Record, format="warp_peri.model"):
         Between bond lengths K may swing by orders of magnitude, so that what is proven of one
         spacing says nothing of the next millionth. Any other spacing is returned as it is.
         """
-        known = min(self.certified_on, key=lambda h: abs(h - spacing), default=0.0)
-        near = 0 < known and abs(spacing - known) <= SPACING_TOLERANCE * known
-        return known if near else spacing
+        known = min(self.certified_on, key=lambda h: abs(h - spacing), default=np.inf)
+        return known if abs(spacing / known - 1) <= SPACING_TOLERANCE else spacing
 
     def is_certified_on(self, spacing: float) -> bool:
         """Whether a lattice spacing [Å] counts as one that the model holds a certificate for."""
@@ -343,14 +337,14 @@ class LPSMaterial(Record, format="warp_peri.model"):
             f"spacing: the model is certified on {known}, not on {here}, where its static "
             "problems may have no solution or a wrong one"
         )
-        if not (allow_uncertified or spacing):
+        if allow_uncertified:
+            return warn(message)
+        if not spacing:
             message += (
                 "; transfers.onto_lattice(samples, spacing=…) carries samples to a lattice, "
                 "allow_uncertified=True takes the model's own weights on these points"
             )
-        if not allow_uncertified:
-            raise InputError(message)
-        warn(message)
+        raise InputError(message)
 
     def check_dimension(self, points: PointsLike) -> None:
         """Raise InputError for points of another dimension than the model's."""
@@ -381,28 +375,22 @@ class LPSMaterial(Record, format="warp_peri.model"):
     def transferred_from(self) -> float | None:
         """Spacing [Å] of the lattice whose dispersion this model was fitted to; None at home."""
         record = self.provenance.get("transfer")
-        spacing = record.get("from_spacing") if isinstance(record, dict) else None
-        return float(spacing) if isinstance(spacing, (int, float)) else None
+        return record.get("from_spacing") if isinstance(record, dict) else None
 
     def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
-        """Figures of the certificate go along, for a transfer asks for as much as is proven.
-
-        K keeps its coefficients, whose common scale has no effect; the provenance names the units
-        that its statement and records of errors and of the fit stay in.
-        """
+        """Figures of the certificate go along, for a transfer asks for as much as is proven; the
+        provenance names the units that records of errors and of the fit stay in."""
         times = dict.fromkeys(GAMMAS, length**-2) | {"spacing": length}
         times |= {"symbol_min": stress, "symbol_bound": stress}
         figures = {
             f"{h * length:g}": {
-                name: value * times.get(name, 1) if is_number(value) else value
+                name: value * times[name] if name in times and is_number(value) else value
                 for name, value in each.items()
             }
             for h, each in self.figures.items()
         }
-        return {
-            "certificate": figures,
-            "provenance": {**self.provenance, "units_before": list(self.units)},
-        }
+        provenance = self.provenance | {"units_before": list(self.units)}
+        return {"certificate": figures, "provenance": provenance}
 
     def derived(self) -> dict[str, Any]:
         """Degree and quadrature, which a file names."""
@@ -410,14 +398,14 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
     def verify_certificates(self) -> None:
         """As of a Record, on every spacing that the model is said to be certified on."""
-        figures, group = self.figures, lattice_group(self.dimension)
+        figures = self.figures
         for spacing in dict.fromkeys((*self.certified_on, *figures)):
-            each, stencil = figures.get(spacing, {}), lps_stencil(self, spacing)
+            each, stencil = figures.get(spacing, {}), self.stencil(spacing)
             if (bound := each.get("symbol_bound")) is not None:
-                numbers = (bound, each.get("symbol_min", bound))
-                proven, least = (taken("certificate", float, each) for each in numbers)
-                StencilCertificate(proven, least, 0.0, 0, 0.0).check_of(stencil, group)
-            elif spacing in self.certified_on and not prove(stencil, group).holds:
+                numbers = bound, each.get("symbol_min", bound)
+                proven, least = (taken("certificate", float, number) for number in numbers)
+                StencilCertificate(proven, least, 0.0, 0, 0.0).check_of(stencil, self.group)
+            elif spacing in self.certified_on and not prove(stencil, self.group).holds:
                 raise InputError(f"certified_on: nothing is proven on {spacing:g}")
 
     def on(
@@ -522,15 +510,6 @@ def stiffnesses(model: LPSMaterial, classes: BondClasses) -> tuple[np.ndarray, f
             f"spacing {classes.spacing:g}: positive and negative parts cancel"
         )
     return model.mu * kw / terms.sum(), (model.lam - model.mu) / model.mu**2
-
-
-def lps_stencil(model: LPSMaterial, spacing: float, *, degree: int = DEGREE) -> Stencil:
-    """The LPS on a lattice as a stencil of twice its range, exactly (theory, T17).
-
-    Raises InputError as `stiffnesses` does, and for a spacing without bonds.
-    """
-    classes = bond_classes(spacing, model.horizon, dimension=model.dimension, degree=degree)
-    return stencil_of(classes, *stiffnesses(model, classes))
 
 
 def stencil_of(classes: BondClasses, v: np.ndarray, kappa: float) -> Stencil:

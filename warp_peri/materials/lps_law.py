@@ -4,13 +4,17 @@
 classes can be told apart; its coordinates take the place of D, and the scale of K falls out. α is a
 number of q only where the coefficients do not already reach every bond length; elsewhere it is
 redundant and keeps its value, as it does in space.
+
+All numbers are analytic in θ, so that a step of i·10⁻³⁰ has their derivatives in its imaginary
+part, to the last digit (W. Squire and G. Trapp 1998). θ and q, and so what comes of them, may have
+axes in front.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -63,9 +67,8 @@ MODULI_TOLERANCE = 1e-4
 RANK_TOLERANCE = 1e-11
 LARGEST_ALPHA, SMALLEST_ALPHA = 3 - 1e-3, -6.0
 ALPHA_IN_SIGHT = (-12.0, 6.0)
-
-Slopes: TypeAlias = tuple[np.ndarray, np.ndarray]
-"""Values, and their derivatives to q [·, Q]."""
+STEP = 1e-30
+"""Of derivatives; its square is nothing beside one."""
 
 
 class BernsteinKernel:
@@ -110,37 +113,29 @@ class BernsteinKernel:
         """q of given coefficients, of any scale."""
         return np.append(self._q_of_D @ found.solid.D, [self.alpha] * self.free_alpha)
 
-    def tables(self, q: np.ndarray) -> list[Slopes]:
-        """K W on each lattice, shape [C]."""
+    def tables(self, q: np.ndarray) -> list[np.ndarray]:
+        """K W on each lattice, shape [..., C]."""
+        alpha: Any = q[..., -1:] if self.free_alpha else self.alpha
         # Constraints bound α; on its way a search may look where r^(−α) overflows.
-        alpha = float(np.clip(q[-1], *ALPHA_IN_SIGHT)) if self.free_alpha else self.alpha
-        found = []
-        for basis, log_r in zip(self._basis, self._log_r):
-            tilted = np.exp((self.alpha - alpha) * log_r)[:, None] * basis
-            value = tilted @ q[: self.rank]
-            columns = [tilted, -(log_r * value)[:, None]] if self.free_alpha else [tilted]
-            found.append((value, np.hstack(columns)))
-        return found
+        alpha = alpha - alpha.real + np.clip(alpha.real, *ALPHA_IN_SIGHT)
+        return [
+            np.exp((self.alpha - alpha) * log_r) * (q[..., : self.rank] @ basis.T)
+            for basis, log_r in zip(self._basis, self._log_r)
+        ]
 
-    def limits(self, q: np.ndarray) -> Slopes:
+    def limits(self, q: np.ndarray) -> np.ndarray:
         """What must not be negative for α to be within its bounds."""
-        if not self.free_alpha:
-            return np.zeros(0), np.zeros((0, len(q)))
-        slopes = np.zeros((2, len(q)))
-        slopes[:, -1] = (-1, 1)
-        return np.array([LARGEST_ALPHA - q[-1], q[-1] - SMALLEST_ALPHA]), slopes
+        alpha = q[..., len(q.T) - self.free_alpha :]
+        return np.concatenate([LARGEST_ALPHA - alpha, alpha - SMALLEST_ALPHA], axis=-1)
 
     def _volume(self, alpha: float) -> float:
         """Σ n r² K W of K = (r/δ)^(−α) on the first lattice."""
         return float(self._plain @ np.exp(-alpha * self._log_r[0]))
 
-    def rough(self, q: np.ndarray, mu: float, dmu: np.ndarray) -> Slopes:
+    def rough(self, q: np.ndarray, mu: np.ndarray) -> np.ndarray:
         """Second differences of D, as large as those of a kernel of plain volume."""
-        unit = self._volume(self.alpha) / mu
-        slopes = np.zeros((len(self._second), len(q)))
-        slopes[:, : self.rank] = unit * (self._second @ self.D_of_q)
-        values = slopes @ q
-        return values, slopes - np.outer(values, dmu / mu)
+        bends = q[..., : self.rank] @ (self._second @ self.D_of_q).T
+        return np.asarray(self._volume(self.alpha) * bends / mu)
 
     def coefficients(self, q: np.ndarray, mu: float) -> tuple[np.ndarray, float, None]:
         """D, the smoothest of the weighted volume of K = r^(−α), and α."""
@@ -182,29 +177,26 @@ class ShapeKernel:
         return np.append(1.0, self._first)
 
     def _at(self, q: np.ndarray) -> InfluenceFunction:
-        return self.shape.at(np.clip(q[1:], *self._ends))
+        return self.shape.at(np.clip(q[1:].real, *self._ends))
 
-    def tables(self, q: np.ndarray) -> list[Slopes]:
-        """K W on each lattice, shape [C]."""
-        shape, found = self._at(q), []
+    def tables(self, q: np.ndarray) -> list[np.ndarray]:
+        """K W on each lattice, shape [..., C], of q that differ in their imaginary parts alone."""
+        shape, found, ahead = self._at(q.reshape(-1, q.shape[-1])[0]), [], (q - q.real)[..., 1:]
         for classes in self.lattices:
-            kw = classes.weight * shape(classes.r)
-            slopes = q[0] * classes.weight[:, None] * shape.slopes(classes.r)
-            found.append((q[0] * kw, np.column_stack([kw, slopes])))
+            K = shape(classes.r) + ahead @ shape.slopes(classes.r).T
+            found.append(q[..., :1] * classes.weight * K)
         return found
 
-    def limits(self, q: np.ndarray) -> Slopes:
+    def limits(self, q: np.ndarray) -> np.ndarray:
         """Distances from the bounds, in parts of what lies between."""
-        signed = np.concatenate([(q[1:] - self._ends[0]), (self._ends[1] - q[1:])])
-        slopes = np.concatenate([np.eye(len(q))[1:], -np.eye(len(q))[1:]])
-        bounded = np.isfinite(signed)
-        size = np.tile(self._room, 2)[bounded]
-        return signed[bounded] / size, slopes[bounded] / size[:, None]
+        apart = np.concatenate([q[..., 1:] - self._ends[0], self._ends[1] - q[..., 1:]], axis=-1)
+        bounded = np.isfinite(np.concatenate(self._ends))
+        return np.asarray(apart[..., bounded] / np.tile(self._room, 2)[bounded])
 
-    def rough(self, q: np.ndarray, mu: float, dmu: np.ndarray) -> Slopes:
+    def rough(self, q: np.ndarray, mu: np.ndarray) -> np.ndarray:
         """How far the parameters are from where they began, which keeps one that hardly matters
         from running away."""
-        return (q[1:] - self._first) / self._size, np.eye(len(q))[1:] / self._size[:, None]
+        return np.asarray((q[..., 1:] - self._first) / self._size)
 
     def coefficients(self, q: np.ndarray, mu: float) -> tuple[np.ndarray, float, InfluenceFunction]:
         """D and α of the polynomial that stands for the shape, and the shape."""
@@ -241,96 +233,68 @@ class LPSLaw:
         self.conditions, self.zeta = conditions, HEADROOM * conditions.level
         self.unit, self.size = start.solid.mu, start.solid.mu / lattices[0].horizon ** 2
         self.moduli, self.smoothness = method.held, method.smoothness
-        self._sigma = [classes.count * classes.r**2 for classes in lattices]
+        self._sigma = [(classes.count * classes.r**2)[:, None] for classes in lattices]
         self._pairs = [class_pairs(len(classes.r)) for classes in lattices]
         self._shears = []  # C44 of unit v of each class, (22)
         for each in lattices:
             x, d = each.xi.T, each.xi.shape[1]
             fourth = d * (d + 2) * (x[0] * x[1]) ** 2 / (x**2).sum(axis=0)
-            self._shears.append(np.bincount(each.bond_class, fourth))
+            self._shears.append(np.bincount(each.bond_class, fourth)[:, None])
 
     def start(self, found: LPSFound) -> np.ndarray:
         """θ of a solid, from where the moduli keep what is asked."""
         lam, mu, q = found.solid.lam, found.solid.mu, self.kernel.start(found)
         if mu < self.zeta:
             lam, mu = 0.0, 2 * self.zeta
-        size = self.size * (self._sigma[0] @ self.kernel.tables(q)[0][0])
-        q[: self.kernel.rank] *= mu / size
+        q[: self.kernel.rank] *= mu / (self.size * self.kernel.tables(q)[0] @ self._sigma[0])
         return np.append(self.unit * (lam - mu) / mu**2, q)
 
-    def stiffnesses(self, theta: np.ndarray) -> tuple[list[Slopes], float, np.ndarray]:
-        """v on each lattice, and μ, with their derivatives to θ."""
-        pad, given = [(0, 0), (1, 0)], self.kernel.tables(theta[1:])
-        tables = [(self.size * v, self.size * np.pad(dv, pad)) for v, dv in given]
-        mu, dmu = (self._sigma[0] @ one for one in tables[0])
-        for n in range(1, len(tables)):  # Σ n r² v = μ on every lattice
-            (v, dv), sigma = tables[n], self._sigma[n]
-            have, dhave = sigma @ v, sigma @ dv
-            slope = dv * (mu / have) + np.outer(v, dmu / have - mu * dhave / have**2)
-            tables[n] = v * (mu / have), slope
-        return tables, float(mu), dmu
+    def stiffnesses(self, theta: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
+        """v on each lattice, [..., C], and μ = Σ n r² v, which is that of all, [..., 1]."""
+        sigma, (first, *others) = self._sigma, self.kernel.tables(theta[..., 1:])
+        mu = self.size * first @ sigma[0]
+        scaled = (v * (mu / (v @ one)) for v, one in zip(others, sigma[1:]))
+        return [self.size * first, *scaled], mu
 
-    def __call__(self, theta: np.ndarray) -> Numbers:
-        tables, mu, dmu = self.stiffnesses(theta)
-        kappa, one, zeta = theta[0] / self.unit, self._by_kappa(theta), self.zeta
-        by = [one]  # derivatives of κ of each form
-        if self.conditions.kind == "paper":
-            by += [0 * one, 2 / mu**2 * dmu]
-        of_form = zip(self.conditions.forms(kappa, mu, zeta), by)
-        forms = [
-            Form(n, *self._products(n, *tables[n], own, slope), level)
-            for (own, level), slope in of_form
-            for n in range(len(tables))
-        ]
-        parts = [self._products(n, *tables[n], kappa, one) for n in range(len(tables))]
-        limits, dlimits = (np.asarray(one) for one in self.kernel.limits(theta[1:]))
-        bulk = (2 + 2 * kappa * mu) * dmu + mu**2 * one  # of λ + μ = 2μ + κμ²
-        margins = np.append([mu - zeta, 2 * mu + kappa * mu**2 - zeta], limits)
-        M = np.vstack([dmu, bulk, np.pad(dlimits, [(0, 0), (1, 0)])])
-        equal, A = self._held(theta, tables, mu, dmu)
-        values, slopes = self.kernel.rough(theta[1:], mu / self.size, dmu[1:] / self.size)
-        return Numbers(
-            [p for p, _ in parts],
-            [slope for _, slope in parts],
-            forms,
-            equal / zeta,
-            A / zeta,
-            margins / zeta,
-            M / zeta,
-            self.smoothness * values,
-            self.smoothness * np.pad(slopes, [(0, 0), (1, 0)]),
-        )
-
-    def _by_kappa(self, theta: np.ndarray) -> np.ndarray:
-        return np.asarray(np.eye(len(theta))[0] / self.unit)
-
-    def _products(
-        self, number: int, v: np.ndarray, dv: np.ndarray, kappa: float, slope: np.ndarray
-    ) -> Slopes:
-        """(v, κ v⊗v) of a lattice with the κ of a form, [P], and their derivative, [P, T]."""
-        i, j = self._pairs[number]
-        bent = kappa * (v[i][:, None] * dv[j] + v[j][:, None] * dv[i])
-        slopes = np.concatenate([dv, bent + np.outer(v[i] * v[j], slope)])
-        return np.concatenate([v, kappa * v[i] * v[j]]), slopes
-
-    def _held(self, theta: np.ndarray, tables: list[Slopes], mu: float, dmu: np.ndarray) -> Slopes:
-        """C44 − μ of every lattice, and μ and κμ² less what was asked for; their derivative."""
-        values, slopes = [], []
+    def values(self, theta: np.ndarray) -> list[np.ndarray]:
+        """What is zero and what is not negative, in parts of ζ; what is small; and the products
+        (v, κ v⊗v) of each form, the first of which is L itself, on each lattice; [..., ·]."""
+        (v, mu), kappa, zeta = self.stiffnesses(theta), theta[..., :1] / self.unit, self.zeta
+        limits = self.kernel.limits(theta[..., 1:])
+        margins = [mu - zeta, 2 * mu + kappa * mu**2 - zeta, limits]  # of μ and λ + μ
+        held = [theta[..., :0]]
         if isinstance(self.moduli, tuple):
             lam, shear = self.moduli
-            values = [mu - shear, theta[0] / self.unit * shear**2 - (lam - shear)]
-            slopes = [dmu, self._by_kappa(theta) * shear**2]
-        if self.moduli is not None:
-            values += [shear @ v - mu for shear, (v, _) in zip(self._shears, tables)]
-            slopes += [shear @ dv - dmu for shear, (_, dv) in zip(self._shears, tables)]
-        return np.array(values), np.array(slopes).reshape(-1, len(theta))
+            held += [mu - shear, kappa * shear**2 - (lam - shear)]
+        if self.moduli is not None:  # C44 = μ on every lattice
+            held += [one @ shear - mu for one, shear in zip(v, self._shears)]
+        return [
+            np.concatenate(held, axis=-1) / zeta,
+            np.concatenate(margins, axis=-1) / zeta,
+            self.smoothness * self.kernel.rough(theta[..., 1:], mu / self.size),
+            *(
+                np.concatenate([one, own * one[..., i] * one[..., j]], axis=-1)
+                for own, _ in self.conditions.forms(kappa, mu, zeta)
+                for one, (i, j) in zip(v, self._pairs)
+            ),
+        ]
+
+    def __call__(self, theta: np.ndarray) -> Numbers:
+        ahead = self.values(theta + 1j * STEP * np.eye(len(theta)))
+        made = [(one[0].real, one.imag.T / STEP) for one in ahead]
+        (equal, A), (margins, M), (beside, by), *products = made
+        count = len(self._pairs)
+        levels = [level for _, level in self.conditions.forms(0.0, 1.0, self.zeta)]
+        forms = [Form(n % count, *one, levels[n // count]) for n, one in enumerate(products)]
+        p, slopes = zip(*products[:count])
+        return Numbers(p, slopes, forms, equal, A, margins, M, beside, by)
 
     def found(self, of: Settled, met: float = MET) -> LPSFound:
         """The result of a search; `met`, of ζ, is how little a margin may miss."""
-        mu = self.stiffnesses(of.theta)[1]
+        mu = float(self.stiffnesses(of.theta)[1][0])
         lam = mu + of.theta[0] / self.unit * mu**2
         D, alpha, shape = self.kernel.coefficients(of.theta[1:], mu / self.size)
-        departure = float(np.abs(self(of.theta).equal).max(initial=0.0))
+        departure = float(np.abs(self.values(of.theta)[0]).max(initial=0.0))
         return LPSFound(
             LPSParameters(lam, mu, alpha, D),
             shape,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from functools import cached_property
+from itertools import compress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,6 +33,7 @@ from warp_peri.solvers.solution import (
     Direct,
     Solution,
     Solver,
+    by_sample,
     refuse_solver,
     warn_beyond,
 )
@@ -96,17 +98,13 @@ class LPSOperator(OperatorBase):
     def bonds(self) -> Bonds:
         """The bonds of the nodes."""
         bonds = bonds_of(self.model, self.nodes, self.quadrature_degree)
-        if self.model.nodes is not None and self._changes_sign(bonds):
+        if self.model.nodes is not None and (bonds.law(*self.learnable.values()).kw < 0).any():
             warn(
                 "lambda, mu: fields are proven stable for an influence function that is nowhere "
                 "below zero, this one changes sign: its static problems are not proven to have one "
                 "stable answer"
             )
         return bonds
-
-    def _changes_sign(self, bonds: Bonds) -> bool:
-        """Whether a bond has K W below zero."""
-        return bool((bonds.influence(self.model.alpha, self.model.D) < 0).any())
 
     @property
     def _law(self) -> Law:
@@ -122,7 +120,7 @@ class LPSOperator(OperatorBase):
     def vjp(self, u: Any, w: ArrayLike) -> np.ndarray:
         """Lᵗ w on all nodes, shape [..., N, d], of w on the interior [..., I, d], whatever u."""
         w = np.require(plain("w", w), float, ["C", "W"])
-        one = (int(np.count_nonzero(self.points.interior)), self.points.dimension)
+        one = self._unknown, self.points.dimension
         if w.shape[-2:] != one:
             raise InputError(f"w: expected shape [..., {one[0]}, {one[1]}], got {list(w.shape)}")
         by_u = self._law.transposed(w.reshape(-1, one[0] * one[1]))[0]
@@ -136,12 +134,13 @@ class LPSOperator(OperatorBase):
         Args:
             u: displacement [Å], shape [S, N] of vectors of float64, contiguous.
             out: takes L u [TPa/Å], shape [S, I] of such vectors.
-            parameters: λ, μ, α and D, of shape [1] and [M + 1]; the model's own by default.
+            parameters: λ, μ, α and D, of shape [1] and [M + 1]; the model's own by default, of
+                which there are no gradients.
 
         Raises InputError for other arrays.
         """
-        bonds, d = self.bonds, self.bonds.dimension
-        for name, array, nodes in (("u", u, bonds.nodes), ("out", out, len(bonds.families.rows))):
+        d = self.points.dimension
+        for name, array, nodes in (("u", u, len(self.points.x)), ("out", out, self._unknown)):
             fits = isinstance(array, wp.array) and array.is_contiguous and array.ndim == 2
             seen = array.numpy() if fits and len(u) else np.zeros(0)
             if seen.dtype != float or seen.shape != (len(u), nodes, d):
@@ -149,25 +148,22 @@ class LPSOperator(OperatorBase):
                     f"{name}: expected a contiguous array of Warp of shape [{len(u)}, {nodes}], "
                     f"of {d} float64 each, got {type(array).__name__} of {list(np.shape(array))}"
                 )
-        numbers: list[Any] = [] if parameters is None else list(parameters.values())
-        values = [one.numpy() for one in numbers] or list(self.learnable.values())
-        for (name, own), value in zip(self.learnable.items(), values):
-            if (got := np.size(value)) != (size := np.size(own)):
-                raise InputError(f"{name}: expected {size} numbers, as the model has, got {got}")
-        law, arrays = bonds.law(*values), (u, *numbers)
+        numbers = 4 * (None,) if parameters is None else parameters.values()
+        own = zip(self.learnable.values(), numbers)
+        law = self.bonds.law(*(value if one is None else one.numpy() for value, one in own))
         Lu, *felt = law.force(u.numpy().reshape(len(u), -1))
         out.numpy()[:] = Lu.reshape(out.numpy().shape)
+        arrays = [u, *numbers]
+        asked = [one is not None and one.requires_grad for one in arrays]
 
         def back() -> None:
-            g = out.grad.numpy().reshape(len(u), -1)
-            asked = [one.requires_grad for one in arrays] + [False] * (5 - len(arrays))
-            for array, part in zip(arrays, law.gradient(felt, g, asked)):
-                if array.requires_grad:
-                    array.grad.numpy()[:] += np.reshape(part, array.grad.numpy().shape)
+            parts = law.gradient(felt, out.grad.numpy().reshape(len(u), -1), asked)
+            for array, part in compress(zip(arrays, parts), asked):
+                array.grad.numpy()[:] += np.reshape(part, array.grad.numpy().shape)
 
-        if any(one.requires_grad for one in arrays) and (tape := recording()) is not None:
+        if any(asked) and (tape := recording()) is not None:
             # RuntimeError of Warp: out without a gradient
-            tape.record_func(back, [out, *(one for one in arrays if one.requires_grad)])
+            tape.record_func(back, [out, *compress(arrays, asked)])
 
     @property
     def learnable(self) -> dict[str, Any]:
@@ -188,11 +184,6 @@ class LPSOperator(OperatorBase):
         """Whether so is L on the interior, of a lattice without broken bonds."""
         return self.points.spacing > 0 and self.points.outside is None
 
-    @property
-    def _is_plain(self) -> bool:
-        """Whether iteration goes with the nodes: a lattice without a box or broken bonds."""
-        return self.nodes.is_open_lattice and self.quadrature_degree == DEGREE
-
     def at(self, numbers: dict[str, Any]) -> LPSOperator:
         """The same with other numbers; InputError for no solid, or an indefinite whole lattice."""
         model = self.model.with_parameters(numbers)
@@ -209,7 +200,7 @@ class LPSOperator(OperatorBase):
         with all of them."""
         nodes, mean = self.nodes, self.model.mean
         try:
-            stencil = mean.stencil(nodes.spacing)
+            stencil = mean.stencil(nodes.spacing, degree=self.quadrature_degree)
             linear = Linear(stencil, nodes, least=2 * int(mean.horizon / nodes.spacing + 1e-6))
         except InputError:
             families_of(nodes, mean.horizon, bond_based=mean.bond_based)  # which says it better
@@ -254,7 +245,7 @@ class LPSOperator(OperatorBase):
         bound = float(largest(mean.stencil(self.nodes.spacing), mean.group))
         if model.nodes is None:
             return bound
-        if self._changes_sign(self.bonds):
+        if (self._law.kw < 0).any():
             raise InputError("simulate: expected K W ≥ 0 for moduli as fields, got one below zero")
         parts = np.asarray(model.mu), np.asarray(model.lam + 2 * model.mu / model.dimension)
         return bound * max(float(one.max() / one.mean()) for one in parts)
@@ -279,21 +270,20 @@ class LPSOperator(OperatorBase):
         load, given = checked_fields(self.points, b, u)
         fields = [one.reshape(-1, *self.shape) for one in (load, given)]
         method, few = self._method(solver, len(fields[0])), self._unknown <= DIRECT
-        answer, records = None, list[Any]()
         if method not in ("lu", "gmres"):
             # closer than a factorisation is held to, where one would have been possible
             tolerance = getattr(solver, "tolerance", RESIDUAL / 10 if few else TOLERANCE)
             try:
-                answer, records = self._iterated(fields[0], fields[1], tolerance, method)
+                return self._iterated(load, fields[0], fields[1], method, tolerance)
             except InputError:
                 if solver is not None or not few:
                     raise
                 method = "lu"  # the symbol does not prove every definite operator so
-        if answer is None:
-            by = MatrixProblem.solve if method == "lu" else by_gmres
-            answer = by(self._problem, *fields)
-            self._refuse_indefinite()
-        return self._told(answer.reshape(given.shape), self.rhs(load), method, records)
+        by = MatrixProblem.solve if method == "lu" else by_gmres
+        answer = by(self._problem, *fields).reshape(given.shape)
+        self._refuse_indefinite()
+        return Solution(self._known(answer), self.points, self, self.rhs(load), method,
+                        proven=self.proven)  # fmt: skip
 
     def solve_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
         """Equilibrium on a period under a load whose mean is removed; u has zero mean.
@@ -314,15 +304,14 @@ class LPSOperator(OperatorBase):
                 "periodic problem; see Points.sheet"
             )
         load = checked("b", b, float, (..., *nodes.x.shape))
-        fields = load.reshape(-1, *self.shape)
-        u, records = self._iterated(fields, np.zeros(fields.shape), TOLERANCE)
         load = load - load.mean(axis=-2, keepdims=True)
-        return self._told(u.reshape(load.shape), load, "fft", records)
+        fields = load.reshape(-1, *self.shape)
+        return self._iterated(load, fields, np.zeros(fields.shape), "fft", TOLERANCE)
 
     def inverse(self, loads: int) -> Inverse:
         """L⁻¹ of what the operator equals on the interior [I, d], to a relative residual; set up
         once for so many loads."""
-        if not self._is_plain:
+        if not self.nodes.is_open_lattice:
             return self._problem.inverse
         if self.model.nodes is not None:
             return lambda right, tolerance: self.linear.inverse(right, tolerance)[0]
@@ -330,18 +319,20 @@ class LPSOperator(OperatorBase):
             loads, bonds_within(self.model.horizon, self.nodes.spacing)
         )
 
-    def _told(self, u: Any, load: Any, method: str, records: list[Any]) -> Solution:
+    def _known(self, u: np.ndarray) -> np.ndarray:
+        """A displacement, with a warning where it is strained beyond the data."""
         warn_beyond(self.model, lambda: largest_strain(self.nodes, u))
-        measured = max((record.residual for record in records), default=None)
-        count = tuple(record.iterations for record in records)
-        proven, details = self.proven, tuple(records) or None
-        return Solution(u, self.points, self, load, method, count, proven, (), details, measured)
+        return u
 
-    def _iterated(self, load: Any, u: Any, tolerance: float, method: Any = None) -> tuple[Any, Any]:
-        """Fields at rest [S, N, d], by iteration, and its records."""
+    def _iterated(
+        self, load: np.ndarray, b: np.ndarray, u: np.ndarray, method: str, tolerance: float
+    ) -> Solution:
+        """Equilibrium of fields [S, N, d] by iteration, in the shape of the load."""
         if self.model.nodes is None:
             self.linear.check_definite()
-        return self.linear.solve(load, u, tolerance, method)
+        found, took = self.linear.solve(b, u, tolerance, method)
+        u, counts = self._known(found.reshape(load.shape)), [one.iterations for one in took]
+        return by_sample(self, u, self.rhs(load), took, counts, method, self.proven)
 
     @property
     def _unknown(self) -> int:
@@ -353,12 +344,11 @@ class LPSOperator(OperatorBase):
         nodes, model = self.nodes, self.model.mean
         if isinstance(solver, Direct):
             return solver.method
-        if not self._is_plain:
+        if not nodes.is_open_lattice:
             if solver is None:
                 return "lu" if self._unknown <= LARGEST_LU else "gmres"
             raise InputError(
-                "solver: CG(…) is for lattices without a box and without broken bonds, "
-                "with quadrature of the usual degree; try Direct()"
+                "solver: CG(…) is for lattices without a box and without broken bonds; try Direct()"
             )
         if isinstance(solver, CG) and solver.preconditioner is not None:
             return solver.preconditioner
@@ -384,16 +374,14 @@ class LPSOperator(OperatorBase):
         """Raise InputError where the symmetric part of L_II is not positive definite, on plain
         lattices and where bonds are broken: a kernel that changes sign seldom bears that (theory,
         B9). Elsewhere nothing is asked."""
-        nodes, cut = self.nodes, self.nodes.outside is not None
-        if not (cut or nodes.is_open_lattice):
-            return
-        if self._is_plain and self.model.nodes is None:
+        cut, whole = self.nodes.outside is not None, self.nodes.is_open_lattice
+        if whole and self.model.nodes is None:
             with suppress(InputError):
                 self.linear.check_definite()
                 return
         stiffness = self._problem.stiffness
         symmetric = sp.csc_array((stiffness + stiffness.T) / 2)
-        if definite_factors(symmetric) is not None:
+        if not (cut or whole) or definite_factors(symmetric) is not None:
             return
         if (least := smallest_eigenvalue(symmetric)) > 0:
             return
