@@ -15,8 +15,7 @@ lost bonds (40–41), and bent_back is minus that of the bond back; without such
 A broken bond leads nowhere, end[e] = 0, and is 0.
 
 A piece is (first place, first number, count): count ≤ LANES nodes that follow one another in places
-and in their numbering. Lanes beyond the count compute what nobody keeps. plain.py has the same of
-lists in Warp's own words.
+and in their numbering. Lanes beyond the count compute what nobody keeps.
 """
 
 from functools import cache

@@ -7,13 +7,12 @@ import pytest
 import scipy.sparse as sp
 
 from tests.support import reference
-from tests.support.problems import GRADIENT, difference, ell, kernel, lattice
+from tests.support.problems import ell, kernel, lattice
 from tests.support.symbols import form, smallest, smallest_margins, symbol
 from warp_peri import InputError, LPSMaterial, certify
 from warp_peri.core.stencil import ratios
-from warp_peri.fitting.settings import GaussNewton, StabilityConditions
-from warp_peri.materials.lps import LPSParameters, stiffnesses
-from warp_peri.materials.lps_law import LPSFound, LPSLaw
+from warp_peri.fitting.settings import StabilityConditions
+from warp_peri.materials.lps import stiffnesses
 from warp_peri.materials.lps_matrices import matrices
 from warp_peri.materials.lps_rows import class_pairs, product_basis
 from warp_peri.points.families import bond_classes
@@ -22,12 +21,12 @@ from warp_peri.solvers.direct import DENSE, smallest_eigenvalue
 ZONE = np.stack(np.meshgrid(*2 * [np.linspace(-np.pi, np.pi, 161)]), -1).reshape(-1, 2)
 ZONE = ZONE[np.hypot(*ZONE.T) > 1e-9]
 CLASSES = bond_classes(1.0, 3.0)
-every_kernel = pytest.mark.parametrize("name", ["1/r", "steep", "sign-changing"])
 every_kind = pytest.mark.parametrize("kind", ["direct", "paper"])
 
 
-@pytest.mark.parametrize("horizon", [2.5, 3.0])
-@every_kernel
+@pytest.mark.parametrize(
+    ("name", "horizon"), [("1/r", 2.5), ("steep", 3.0), ("sign-changing", 2.5)]
+)
 def test_minimum_and_bound_against_a_fine_grid(name, horizon):
     model = kernel(name, horizon, lam=-0.2)
     found, expected = certify(model, spacing=1.0), smallest(symbol(model, ZONE), ZONE).min()
@@ -39,28 +38,23 @@ def test_minimum_and_bound_against_a_fine_grid(name, horizon):
     assert found.holds == ("exactly one solution" in found.statement)
 
 
-def test_planted_violations_are_reported():
-    """In all, and in the dilatation alone: Γ is positive, λ below μ lets it pull D down."""
+def test_what_does_not_hold_is_not_stated_and_what_holds_is():
     found = certify(kernel("sign-changing", 2.5), spacing=1.0)
     assert found.symbol_min < -0.03
     assert found.symbol_bound == 0
     assert found.statement == "Nothing is proven on the lattice of spacing 1 Å."
+    # Γ is positive, λ below μ lets the dilatation pull D down
     model = LPSMaterial(-0.6, 0.8, 1.0, [-0.54, 0.63, -0.08, -0.12, 0.18, -0.12], horizon=3.0)
     assert certify(replace(model, lam=0.8), spacing=1.0).holds
     found = certify(model, spacing=1.0, points=lattice(4, 3.0))
     assert found.gamma_min > 0 > found.symbol_min
     assert not found.holds
-
-
-def test_what_holds_is_what_is_stated():
-    """(iii) of the paper fails and D(k) is positive: with a domain the proof is the same."""
+    # (iii) of the paper fails and D(k) is positive: with a domain the proof is the same
     model, points = kernel("sign-changing", 3.0, lam=20.0), lattice(11, 3.0)
     bare, dense = certify(model, spacing=1.0), certify(model, spacing=1.0, points=points)
     assert dense.gamma_minus_2phi_min < -0.04
     assert dense.statement == bare.statement
     assert (bare.holds, dense.holds, dense.paper, bare.paper) == (True, True, False, None)
-    L = matrices(model, points).operator(model.lam, model.mu)[:, np.repeat(points.interior, 2)]
-    assert np.linalg.eigvalsh(L.toarray())[0] > 0
 
 
 def test_dense_figures_are_those_of_the_definition():
@@ -78,20 +72,16 @@ def test_dense_figures_are_those_of_the_definition():
     assert figures.gamma_min == pytest.approx(np.linalg.eigvalsh(gamma)[0], rel=1e-9)
     assert figures.gamma_minus_2phi_min == pytest.approx(schwarz[0], rel=1e-9)
     assert figures.gamma_minus_2phi_max == pytest.approx(schwarz[-1], rel=1e-9)
-    assert figures.schwarz == (schwarz[0] >= -1e-10 * schwarz[-1])
     values = np.linalg.eigvalsh(phi @ np.linalg.solve(gamma, phi.T))
     values = values[values > 1e-9 * values[-1]]
     assert figures.inf_sup_min == pytest.approx(values[0], rel=1e-6)
     assert figures.inf_sup_rank == len(values)
-    assert {type(value) for value in figures.figures().values()} <= {float, int, str}
 
 
 def test_lattices_that_do_not_fit_are_refused():
     for spacing, points, words in (
         (2.1, None, "horizon: expected at least one spacing"),
-        (0.0, None, "spacing: expected a number > 0"),
         (1.0, lattice(3, 2.0, spacing=0.9), "spacing: expected that of the points, 0.9 Å, got 1"),
-        (1.0, lattice(3, 1.5), "out to twice the horizon"),
     ):
         with pytest.raises(InputError, match=words):
             certify(kernel("1/r", 2.0), spacing=spacing, points=points)
@@ -136,24 +126,6 @@ def printed(v, kappa, mu, k):
 
 
 @every_kind
-def test_derivatives_of_the_numbers(kind):
-    start = LPSFound(LPSParameters(**kernel("sign-changing", 3.0, lam=0.1).learnable))
-    method = GaussNewton("isotropic", smoothness=1e-3)
-    law = LPSLaw([CLASSES], start, StabilityConditions(kind, 0.02), method)
-    y = law.start(start)
-    at = law(y)
-
-    def values(y):
-        there = law(y)
-        forms = [each.p for each in there.forms]
-        return np.concatenate([*there.p, *forms, there.equal, there.margins, there.beside])
-
-    slopes = np.vstack([*at.slopes, *(each.slopes for each in at.forms), at.A, at.M, at.by])
-    expected = difference(values, y, 1e-3).T
-    assert np.abs(slopes - expected).max() <= GRADIENT * np.abs(expected).max()
-
-
-@every_kind
 def test_the_conditions_are_the_printed_ones_and_the_search_finds_the_softest(kind):
     model, conditions = kernel("sign-changing", 3.0, lam=0.7), StabilityConditions(kind, 0.02)
     v, kappa = stiffnesses(model, CLASSES)
@@ -165,8 +137,6 @@ def test_the_conditions_are_the_printed_ones_and_the_search_finds_the_softest(ki
         expected = printed(v, kappa, model.mu, k)[number]
         np.testing.assert_allclose(margins, expected, atol=1e-12)
     margins = smallest_margins(CLASSES, conditions, v, kappa)
-    line = np.linspace(1e-3, np.pi, 301)
-    fine = np.stack(np.meshgrid(line, line), -1).reshape(-1, 2)
-    expected = printed(v, kappa, model.mu, fine).min(axis=1)[: len(margins)]
+    expected = printed(v, kappa, model.mu, ZONE).min(axis=1)[: len(margins)]
     assert (margins <= expected + 1e-5).all()
     assert (margins >= expected - 1e-3).all()

@@ -33,21 +33,17 @@ def test_iteration_and_factors_have_one_answer():
 
 
 def test_a_kernel_that_changes_sign_is_not_proven_with_fields():
-    """With one number at all nodes the same solid is proven."""
-    (model, points, lam, mu), solid = laid(), kernel("sign-changing", HORIZON)
-    assert wp.certify(solid, spacing=1.0).holds
+    (_, points, lam, mu), solid = laid(), kernel("sign-changing", HORIZON)
     with pytest.warns(UserWarning, match="are not proven to have one stable answer"):
         answer = wp.solve(solid, wp.Dirichlet(points, None, noise(points)), lam=lam, mu=mu)
     assert answer.proven is None
     with pytest.raises(InputError, match="K W ≥ 0"):
         answer.operator.max_symbol_eigenvalue()
-    assert model.on(points, lam=lam, mu=mu).max_symbol_eigenvalue() > 0
 
 
 def test_gradients_of_a_solve_to_its_fields():
     model, points, lam, mu = laid(8)
     op, u, fields = model.on(points, lam=lam, mu=mu), noise(points, seed=2), {"lam": lam, "mu": mu}
-    leaves = {name: torch.tensor(one, requires_grad=True) for name, one in fields.items()}
     way, weight = np.random.default_rng(5).normal(size=(2, len(mu)))
 
     def value(**fields):
@@ -55,10 +51,10 @@ def test_gradients_of_a_solve_to_its_fields():
         found = op.solve(0 * u, u, wp.CG(tolerance=1e-12), parameters=given)
         return (found.u[:, 0] * torch.from_numpy(weight)).sum()
 
-    gradients = torch.autograd.grad(value(**leaves), [*leaves.values()])
-    for name, by in zip(fields, gradients):
+    leaves = {name: torch.tensor(one, requires_grad=True) for name, one in fields.items()}
+    for name, by in zip(fields, torch.autograd.grad(value(**leaves), [*leaves.values()])):
         along = lambda t, n=name: value(**fields | {n: fields[n] + 0.01 * t[0] * way}).item()
-        expected = difference(along, np.zeros(1), 0.1)[0]
+        expected = difference(along, [0.0], 0.1)[0]
         assert by.numpy() @ (0.01 * way) == pytest.approx(expected, rel=1e-7)
 
 
@@ -83,30 +79,24 @@ def test_a_wave_through_a_stiff_part_keeps_its_energy():
     op = model.on(points, lam=lam, mu=mu)
     u = np.exp(-((points.x - 5.5) ** 2).sum(axis=1) / 4)[:, None] * [0.0, 1e-3]
     longest = 2 * np.sqrt(1e-8 * 2000 / op.max_symbol_eigenvalue())
-    start = wp.Dirichlet(points, 0 * u, u)
-    moved = wp.simulate(op, start, density=2000.0, step=0.5 * longest, steps=100)
+    how = {"density": 2000.0, "steps": 100}
+    moved = wp.simulate(op, wp.Dirichlet(points, 0 * u, u), step=0.5 * longest, **how)
     assert abs(moved.drift) < 1e-3
     with pytest.raises(InputError, match="step: expected at most"):
-        wp.simulate(op, start, density=2000.0, step=1.01 * longest, steps=1)
+        wp.simulate(op, wp.Dirichlet(points, 0 * u, u), step=1.01 * longest, **how)
 
 
 def test_what_fields_refuse():
     model, points, _, mu = laid()
     near = lattice(5, HORIZON)
     solid, cracked = model.spread(points, None, mu), wp.Cracked(points, u=noise(points))
-    size = len(mu)
     for use, words in (
         (lambda: model.on(points, mu=mu[:-1]), "mu: expected a number, or one of each of"),
         (lambda: model.on(points, mu=-mu), "expected μ > 0"),
-        (lambda: solid.on(near), f"points: expected the {size} nodes of the fields"),
+        (lambda: solid.on(near), f"points: expected the {len(mu)} nodes of the fields"),
         (lambda: Bonds(points, HORIZON).law(LAM, mu[:3], 1.0, [1.0]), "mu: expected one number"),
         (lambda: wp.certify(solid, spacing=1.0), "expected numbers, got fields"),
         (lambda: wp.solve(solid, cracked), "expected numbers, got fields"),
-        (lambda: wp.crystals.crystal_from_lps(solid, 1.0), "expected numbers, got fields"),
-        (
-            lambda: wp.fracture.BrittleMaterial(solid, 1.0, toughness=1.0),
-            "expected numbers, got fields",
-        ),
     ):
         with pytest.raises(InputError, match=words):
             use()
@@ -121,9 +111,4 @@ def test_a_period_with_fields_is_solved_and_a_file_keeps_them(tmp_path):
     wp.save(tmp_path / "m.json", solid)
     again = wp.load(tmp_path / "m.json")
     assert np.array_equal(again.on(whole)(b), answer.operator(b))
-    other = again.in_units(("nm", "GPa"))
-    there = wp.Points(
-        whole.x / 10, whole.interior, 0.1, np.array(whole.box) / 10, units=other.units
-    )
-    assert error(other.on(there)(b / 10), 1e4 * answer.operator(b)) < 1e-13
     assert "λ, least and largest" in repr(again)

@@ -1,7 +1,7 @@
 """The force and its derivatives: against slow sums and differences, on points of any kind."""
 
 from dataclasses import replace
-from functools import partial
+from functools import cache
 
 import numpy as np
 import pytest
@@ -24,9 +24,8 @@ from tests.support.problems import (
 )
 from tests.support.symbols import symbol
 from warp_peri import InputError, Points
-from warp_peri.kernels.lps.plain import plain
 from warp_peri.materials.lps import moduli
-from warp_peri.materials.lps_force import Bonds, Law
+from warp_peri.materials.lps_force import Bonds
 from warp_peri.materials.lps_matrices import matrices
 from warp_peri.materials.lps_operator import lps_force
 from warp_peri.methods import LPSParameters
@@ -102,13 +101,14 @@ class Problem:
         return {p: by.numpy() for p, by in zip(self.leaves, gradients)} | {"force": force.numpy()}
 
     def value(self, part, leaf):
-        leaves = self.leaves | {part: leaf.reshape(self.leaves[part].shape)}
+        leaves = self.leaves | {part: leaf}
         with torch.no_grad():
             return self.scalar(*map(torch.from_numpy, leaves.values())).item()
 
 
-@pytest.mark.parametrize("name", KERNELS)
-@pytest.mark.parametrize(("horizon", "angle"), [(3.0, 0.7), (2.5, None)])
+@pytest.mark.parametrize(
+    ("name", "horizon", "angle"), [("sign-changing", 3.0, 0.7), ("steep", 2.5, None)]
+)
 def test_is_the_reference(name, horizon, angle):
     model, box = kernel(name, horizon, lam=-0.2), None
     if angle is None:
@@ -131,25 +131,25 @@ def test_is_the_reference(name, horizon, angle):
 
 def space_reference(model, points, u):
     """(6) and (9) with c1 = 3 and c2 = 30, node by node in NumPy."""
-    families, parts = families_of(points, model.horizon), []
-    for i in range(len(points.x)):
-        e = np.arange(families.row[i], families.row[i + 1])
+    families = families_of(points, model.horizon)
+
+    @cache
+    def state(i):
+        e = np.arange(*families.row[i : i + 2])
         kind = e if families.lattice is None else families.lattice.bond_class[e - families.row[i]]
-        far, r, W = families.neighbour[e], families.r[kind], families.weight[kind]
+        far, r = families.neighbour[e], families.r[kind]
         xi = points.x[far] - points.x[i]
         if points.box is not None:
             xi -= points.box * np.rint(xi / points.box)
-        parts.append((far, xi, r, model.influence(r) * W, (far >= 0).all()))
-    theta = np.zeros(len(u))
-    for i, (far, xi, r, K, whole) in enumerate(parts):
-        if whole and K.any():
-            theta[i] = 3 / (K @ r**2) * (K @ (xi * (u[far] - u[i])).sum(axis=1))
+        kw, along = model.influence(r) * families.weight[kind], (xi * (u[far] - u[i])).sum(axis=1)
+        kw = kw / (kw @ r**2)
+        return far, kw[:, None] * xi, along / r**2, 3 * kw @ along
+
     out = []
     for i in families.rows:
-        far, xi, r, K, _ = parts[i]
-        along = (xi * (u[far] - u[i])).sum(axis=1) / r**2
-        bulk = -3 * (model.lam - model.mu) / (K @ r**2) * K * (theta[i] + theta[far])
-        out.append(xi.T @ (bulk - 30 * model.mu / (K @ r**2) * K * along))
+        far, pull, along, theta = state(i)
+        both = theta + np.array([state(j)[3] for j in far])
+        out.append(-pull.T @ (3 * (model.lam - model.mu) * both + 30 * model.mu * along))
     return np.array(out)
 
 
@@ -167,19 +167,15 @@ def test_in_space_it_is_that_of_the_theory_and_its_matrices(name):
 
 @every_kind
 def test_derivatives_are_those_of_differences_and_fields_those_of_numbers(kind):
-    problem = Problem("sign-changing", KINDS[kind](), samples=1, fields=True)
-    ways = np.random.default_rng(0).normal(size=(20, problem.leaves["u"].size))
+    problem, random = Problem("sign-changing", KINDS[kind](), 1, fields=True), np.random.default_rng
     found = problem.gathered()
     for part, leaf in problem.leaves.items():
-        by = found[part]
-        if leaf.size > 20:  # along some directions, the components being many
-            some = ways[:, : leaf.size]
-            along = lambda t, p=part, leaf=leaf, w=some: problem.value(p, leaf.ravel() + t @ w)
-            expected, by = difference(along, np.zeros(20), *STEPS[part]), some @ by.ravel()
-        else:
-            expected = difference(partial(problem.value, part), leaf, *STEPS[part])
-        assert error(by, expected) <= 1e-8, part
-    number = Problem("sign-changing", KINDS[kind](), samples=1).gathered()
+        way = random(0).normal(size=leaf.shape)
+        along = lambda t, p=part, leaf=leaf, way=way: problem.value(p, leaf + t[0] * way)
+        expected = difference(along, [0.0], *STEPS[part])[0]
+        size = np.linalg.norm(found[part]) * np.linalg.norm(way) / way.size**0.5
+        assert abs((found[part] * way).sum() - expected) <= 1e-8 * size, part
+    number = Problem("sign-changing", KINDS[kind](), 1).gathered()
     for part in ("lam", "mu"):
         problem.leaves[part] = np.full_like(problem.leaves[part], {"lam": LAM, "mu": MU}[part])
     for part, by in problem.gathered().items():
@@ -187,20 +183,20 @@ def test_derivatives_are_those_of_differences_and_fields_those_of_numbers(kind):
         assert error(by, number[part]) < 1e-12, part
 
 
-def test_an_operator_with_fields_is_symmetric_on_a_period():
-    """Each state has its own moduli; products are those of its matrices on any points."""
+def test_an_operator_with_fields_is_symmetric_on_a_period_and_its_matrix_anywhere():
     law = Problem("positive", KINDS["periodic lattice"](), fields=True)
     law = law.bonds.law(*[*law.leaves.values()][1:])
     u = noise(law.bonds.points, 2).reshape(2, -1)
     assert error(law.transposed(u)[0], law.force(u)[0]) < 1e-14
-    for kind in ("cloud", "periodic cloud", "cut cloud"):
+    for kind in ("periodic cloud", "cut cloud"):
         points, model = KINDS[kind](), kernel("sign-changing", HORIZON)
         u, operator = noise(points), model.on(points, allow_uncertified=True)
         assert error(operator(u).ravel(), operator.matrix() @ u.ravel()) < 10 * ROUNDING
 
 
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-@pytest.mark.parametrize("kind", SETS)
+@pytest.mark.parametrize(
+    ("kind", "precision"), [*((kind, "float64") for kind in SETS), ("L with a hole", "float32")]
+)
 def test_rows_are_the_lists_of_neighbours(kind, precision, monkeypatch):
     given = {"samples": 3, "precision": precision}
     rows = Problem("sign-changing", SETS[kind](), **given)
@@ -212,33 +208,6 @@ def test_rows_are_the_lists_of_neighbours(kind, precision, monkeypatch):
         assert error(by_rows[part], by_lists) < parts * np.finfo(precision).eps, part
 
 
-class PlainLaw(Law):
-    """The sweeps bond by bond, in Warp's own words."""
-
-    def launched(self, name, piece, of, *fields):
-        kernel = getattr(plain(self.bonds.scalar, self.bonds.dimension), name)
-        nodes = self.bonds.layout.pieces[piece]
-        dim = (len(fields[0]), len(nodes)) if name != "slopes" else len(nodes)
-        wp.launch(kernel, dim=dim, inputs=[nodes, of, *map(self.bonds.floats, fields)])
-
-    def _sweep(self, of, pieces, values, planes, theta, vectors):
-        self.launched("dilatation", pieces[1], of, planes, theta)
-        self.launched("force", pieces[2], of, planes, theta, vectors)
-
-    def _slopes(self, *fields):
-        self.launched("slopes", "whole", self.back, *fields)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("fields", [False, True])
-def test_sweeps_are_those_in_plain_words(kind, fields, monkeypatch):
-    monkeypatch.setattr(Bonds, "_rows", lambda _: None)
-    swept = Problem("sign-changing", KINDS[kind](), fields=fields).gathered()
-    monkeypatch.setattr("warp_peri.materials.lps_force.Law", PlainLaw)
-    for part, by in Problem("sign-changing", KINDS[kind](), fields=fields).gathered().items():
-        assert error(swept[part], by) <= 1e-12, part
-
-
 def test_nodes_in_no_order_or_far_apart_or_beside_a_crack_stay_in_their_lists():
     points = lattice(8, HORIZON)
     order = np.random.default_rng(0).permutation(len(points.x))
@@ -248,10 +217,10 @@ def test_nodes_in_no_order_or_far_apart_or_beside_a_crack_stay_in_their_lists():
         assert not Bonds(one, HORIZON).layout.in_rows
 
 
-@pytest.mark.parametrize("kind", ["periodic lattice", "cut cloud"])
-def test_threads_change_no_bit(kind, monkeypatch):
+def test_gradients_are_the_same_on_any_number_of_threads(monkeypatch):
     monkeypatch.setattr("warp_peri.runtime.SLICE", 3)
-    problem, before, results = Problem("sign-changing", KINDS[kind](), 3), get_num_threads(), []
+    problem = Problem("sign-changing", KINDS["periodic lattice"](), 3)
+    before, results = get_num_threads(), []
     try:
         for count in (1, 3):
             set_num_threads(count)
@@ -259,15 +228,12 @@ def test_threads_change_no_bit(kind, monkeypatch):
     finally:
         set_num_threads(before)
     assert all(np.array_equal(one, results[1][part]) for part, one in results[0].items())
-    for count in (0, 1.5, True, "2"):
-        with pytest.raises(InputError, match="count: expected a whole number"):
-            set_num_threads(count)
+    with pytest.raises(InputError, match="count: expected a whole number"):
+        set_num_threads(1.5)
 
 
-@pytest.mark.parametrize("make", [lattice, cloud])
-def test_bond_based_forces_need_half_the_collar_and_no_dilatation(make):
-    points = make(3, HORIZON)
-    D = KERNELS["sign-changing"]["D"]
+def test_bond_based_forces_need_half_the_collar_and_no_dilatation():
+    points, D = lattice(3, HORIZON), KERNELS["sign-changing"]["D"]
     u, *numbers = (torch.tensor(v).double() for v in (noise(points), 0.7, 0.7, 1.3, D))
     given = [one.requires_grad_() for one in (u, *numbers[2:])]
     both = [Bonds(points, HORIZON, bond_based=True), Bonds(points, HORIZON)]
@@ -277,27 +243,18 @@ def test_bond_based_forces_need_half_the_collar_and_no_dilatation(make):
     for gradient, expected in pairs:
         assert error(gradient.numpy(), expected.numpy()) < 1e-11
     asked = torch.tensor(0.7, dtype=torch.float64, requires_grad=True)
-    for pair in ((asked, 0.7), (0.7, asked), (0.1, 0.7)):
+    for pair in ((asked, 0.7), (0.1, 0.7)):
         with pytest.raises(InputError, match="lambda, mu: expected equal values without a gr"):
             lps_force(both[0], u.detach(), *pair, 1.3, D).sum().backward()
-    near = make(3, HORIZON / (2 if make is lattice else 3))
+    near = lattice(3, HORIZON / 2)
     with pytest.raises(InputError, match="out to twice the horizon"):
         Bonds(near, HORIZON)
-    model = kernel("sign-changing", HORIZON, lam=0.8)
-    operator = model.on(near, allow_uncertified=True)
-    assert operator.bonds.bond_based
+    operator = kernel("sign-changing", HORIZON, lam=0.8).on(near, allow_uncertified=True)
     assert error(operator.matrix() @ noise(near).ravel(), operator(noise(near)).ravel()) < ROUNDING
 
 
-@wp.kernel
-def squared(Lu: wp.array2d[wp.vec2d], seed: wp.array2d[wp.vec2d], loss: wp.array[wp.float64]):
-    s, i = wp.tid()
-    weight = seed[s, i] + Lu[s, i] * wp.float64(0.3)
-    wp.atomic_add(loss, 0, wp.dot(weight, Lu[s, i]))
-
-
 def test_on_a_tape_of_the_user():
-    """Loss and gradients are those of torch; a second pass gives them again; what is refused."""
+    """Force and gradients are those of torch; what is refused."""
     points, model = lattice(5, HORIZON), kernel("sign-changing", HORIZON)
     operator, u = model.on(points), noise(points, 2)
     field = wp.array(u, dtype=wp.vec2d, requires_grad=True)
@@ -307,29 +264,19 @@ def test_on_a_tape_of_the_user():
     ]
     seed = noise(points, 2, seed=1)[:, points.interior]
     out = wp.zeros((2, len(seed[0])), dtype=wp.vec2d, requires_grad=True)
-    loss, weight = wp.zeros(1, dtype=wp.float64, requires_grad=True), wp.array(seed, dtype=wp.vec2d)
     with wp.Tape() as tape:
         operator.launch(field, out, LPSParameters(*numbers))
-        wp.launch(squared, out.shape, inputs=[out, weight], outputs=[loss])
-    tape.backward(loss)
-    leaves = [torch.tensor(u, requires_grad=True)]
-    leaves += [torch.tensor(one.numpy(), requires_grad=True) for one in numbers]
+    tape.backward(grads={out: wp.array(seed, dtype=wp.vec2d)})
+    leaves = [torch.tensor(one.numpy(), requires_grad=True) for one in (field, *numbers)]
     Lu = lps_force(operator.bonds, *leaves)
-    value = ((torch.from_numpy(seed) + 0.3 * Lu) * Lu).sum()
-    assert float(loss.numpy()[0]) == pytest.approx(float(value.detach()), rel=1e-14)
-    for array, expected in zip([field, *numbers], torch.autograd.grad(value, leaves)):
-        assert error(array.grad.numpy(), expected.numpy()) <= 1e-14
-    first = field.grad.numpy().copy()
-    tape.zero()
-    tape.backward(loss)
-    assert np.array_equal(field.grad.numpy(), first)
+    assert np.array_equal(out.numpy(), Lu.detach().numpy())
+    expected = torch.autograd.grad(Lu, leaves, torch.from_numpy(seed))
+    for array, by in zip([field, *numbers], expected):
+        assert error(array.grad.numpy(), by.numpy()) <= 1e-14
     operator.launch(field, out)  # no tape: the force alone, of the model's own numbers
     assert np.array_equal(out.numpy(), operator(u))
     for given, words in (
         ((field, out[:, :-1]), r"out: expected a contiguous .* \[2, 25\]"),
-        ((field, out.numpy()), "out: expected a contiguous"),
-        ((field, wp.zeros((2, 25), dtype=wp.vec2f)), "out: expected a contiguous"),
-        ((field[:0], out), "u: expected a contiguous array of Warp of shape"),
         ((field.numpy(), out), "u: expected a contiguous array of Warp of shape"),
     ):
         with pytest.raises(InputError, match=words):
@@ -340,44 +287,34 @@ def test_no_table_is_stale_and_a_bond_may_have_no_influence():
     """K vanishes where r = δ, at the last bond."""
     points = cloud(5, HORIZON)
     points = replace(points, x=np.round(points.x * 4) / 4)
-    u, before = noise(points), None
-    operator = kernel("positive", HORIZON).on(points, allow_uncertified=True)
+    u, operator = noise(points), kernel("positive", HORIZON).on(points, allow_uncertified=True)
     assert (operator.bonds.families.r == HORIZON).any()
     for change in ({"lam": -0.1}, {"mu": 0.5}, {"alpha": 0.9}, {"D": [1.0, 0.5, 0.2, 0.0]}):
         operator.model = replace(operator.model, **change)
         assert error(operator(u).ravel(), operator.matrix() @ u.ravel()) < ROUNDING
-        assert before is None or error(operator(u), before) > 1e-3
-        before = operator(u)
 
 
 @every_kernel
-def test_plane_waves_have_the_symbol_of_the_stencil_and_of_the_formula(name):
-    spacing = 2.5
+def test_plane_waves_have_the_symbol_of_the_stencil_and_long_ones_feel_the_moduli(name):
+    spacing, small = 2.5, 1e-4
     model = kernel(name, 2.5 * spacing, spacing, lam=-0.2)
     points, box = periodic((8, 7), spacing)
     operator, a = model.on(points), np.array([0.7 + 0.2j, -0.4 + 1.1j])
-    for way in ((1, 0), (0, 2), (3, 2), (-2, 3)):
+    stencil, C = model.stencil(spacing), moduli(model, bond_classes(spacing, 2.5 * spacing))
+    for way in ((0, 2), (-2, 3)):
         k = 2 * np.pi * np.array(way) / box
         wave = np.exp(1j * points.x @ k)[:, None]
         Lu = operator((wave * a).real) + 1j * operator((wave * a).imag)
-        (D,) = model.stencil(spacing).symbol(spacing * k[None])
-        np.testing.assert_allclose(
-            D, symbol(model, k[None], spacing)[0], atol=1e-13 * np.abs(D).max()
-        )
+        (D,), (expected,) = stencil.symbol(spacing * k[None]), symbol(model, k[None], spacing)
+        np.testing.assert_allclose(D, expected, atol=1e-13 * np.abs(D).max())
         np.testing.assert_allclose(Lu, wave * (D @ a), rtol=0, atol=1e-12 * np.abs(D).max())
+    D = stencil.symbol(small * np.array([[1, 0], [1, 1]])) / (small / spacing) ** 2
+    np.testing.assert_allclose(D[0], np.diag([C["C11"], C["C44"]]), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(D[1, 0], [C["C11"] + C["C44"], C["C12"] + C["C44"]], atol=1e-6)
 
 
-@every_kernel
-def test_long_waves_feel_the_moduli(name):
-    model, small = kernel(name, 2.5), 1e-4
-    C = moduli(model, bond_classes(1.0, 2.5))
-    stencil, k = model.stencil(1.0), small * np.array([[1, 0], [1, 1]])
-    straight, diagonal = stencil.symbol(k) / small**2
-    np.testing.assert_allclose(straight, np.diag([C["C11"], C["C44"]]), rtol=0, atol=1e-6)
-    expected = np.full((2, 2), C["C12"] + C["C44"]) + np.eye(2) * (C["C11"] - C["C12"])
-    np.testing.assert_allclose(diagonal, expected, rtol=0, atol=1e-6)
-    if name == "1/r":  # the continuum's, on every lattice and in space
-        C, deep = moduli(kernel(name, 5.0), bond_classes(1.0, 5.0)), cubes.solid(2.5)
-        assert C == pytest.approx({"C11": LAM + 2 * MU, "C12": LAM, "C44": MU}, rel=1e-9)
-        C = moduli(deep, bond_classes(1.0, 2.5, dimension=3))
-        assert C == pytest.approx({"C11": 1.9, "C12": 0.3, "C44": 0.8}, rel=1e-12)
+def test_moduli_are_those_of_the_continuum_on_every_lattice():
+    C = moduli(kernel("1/r", 5.0), bond_classes(1.0, 5.0))
+    assert C == pytest.approx({"C11": LAM + 2 * MU, "C12": LAM, "C44": MU}, rel=1e-9)
+    C = moduli(cubes.solid(2.5), bond_classes(1.0, 2.5, dimension=3))
+    assert C == pytest.approx({"C11": 1.9, "C12": 0.3, "C44": 0.8}, rel=1e-12)

@@ -9,7 +9,6 @@ from tests.support.cubes import cube
 from tools.rivals import BULK, SHEAR, SIZE, PeriLps
 from warp_peri import LPSMaterial
 from warp_peri.atoms.calculators import LammpsError, lammps_class
-from warp_peri.materials.lps import moduli
 from warp_peri.materials.lps_force import Bonds
 from warp_peri.materials.lps_matrices import assemble
 from warp_peri.points.families import bond_classes
@@ -35,24 +34,6 @@ def _lammps():
             pytest.skip("this LAMMPS has no pair_style peri/lps")
     except LammpsError as error:
         pytest.skip(str(error))
-
-
-def test_moduli_are_those_of_lammps_and_those_asked_for():
-    """From the atom whose family and whose neighbours' are whole, under quadratic fields."""
-    middle = 2 * int(HORIZON)
-    lammps = PeriLps(2 * middle + 1, HORIZON)
-    x, y, _ = (lammps.x - middle).T
-    zero = np.zeros_like(x)
-    fields = [(x * x / 2, zero, zero), (y * y / 2, zero, zero), (zero, x * y, zero)]
-    here = int(np.flatnonzero((lammps.x == middle).all(axis=1))[0])
-    forces = [lammps.force(SIZE * np.stack(field, axis=1))[here] / SIZE for field in fields]
-    lammps.close()
-    C11, C44, mixed = (float(force[0]) for force in forces)
-    C12 = mixed - C44
-    assert (C11 + 2 * C12) / 3 == pytest.approx(BULK, rel=1e-6)
-    assert (C11 - C12 + 3 * C44) / 5 == pytest.approx(SHEAR, rel=1e-6)
-    theirs = {"C11": C11, "C12": C12, "C44": C44}
-    assert theirs == pytest.approx(moduli(SOLID, lammps_classes()), rel=1e-5)
 
 
 def test_every_force_is_that_of_lammps_with_its_volumes():
