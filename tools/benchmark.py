@@ -123,9 +123,9 @@ def periodic(kind: str, side: int) -> tuple[Points, tuple[float, float]]:
     return Points(x, np.ones(len(x), bool), float(kind != "scattered"), box=sides), sides
 
 
-def ours(bonds: Bonds, fields: np.ndarray, dtype: torch.dtype) -> tuple[Callable, Callable]:
+def ours(bonds: Bonds, fields: np.ndarray) -> tuple[Callable, Callable]:
     """The library: forward, and forward and backward to (u, D, α)."""
-    u, g = (torch.as_tensor(field, dtype=dtype) for field in fields)
+    u, g = map(torch.from_numpy, fields)
     lam, mu = MODEL["lam"], MODEL["mu"]
     alpha, D = (torch.as_tensor(MODEL[key], dtype=torch.float64) for key in ("alpha", "D"))
 
@@ -150,21 +150,18 @@ def operator(*, quick: bool, threads: int) -> None:
     torch.set_num_threads(threads)
     side, rounds = (40, 1) if quick else (200, 15)
     for kind in ("lattice", "scattered"):
-        for precision in ("float64", "float32")[: 1 if quick else 2]:
-            points, sides = periodic(kind, side)
-            bonds = Bonds(points, HORIZON, precision=precision)
-            fields = np.random.default_rng(1).normal(size=(2, len(points.x), 2))
-            count, dtype = len(bonds.families.neighbour), getattr(torch, precision)
-            print(f"\n{kind}, {len(points.x)} nodes, {count} bonds, {precision}, {threads} threads")
-            t = rivals.tables(bonds, points.x, np.array(sides), *fields, **MODEL)
-            pairs = zip(ours(bonds, fields, dtype), rivals.torch_scatter(t, dtype))
-            forward, both = ({"warp_peri": a, "torch scatter": b} for a, b in pairs)
-            if precision == "float64":
-                forward["SciPy CSR, built before"] = rivals.scipy_csr(t)
-            forward |= by_numba(t, getattr(np, precision), threads)
-            bound = 1e-8 if precision == "float64" else 5e-2  # sums of a million, single precision
-            report("force", forward, rounds, threads, bound)
-            report("force and gradient to u, D, α", both, rounds, threads, bound)
+        points, sides = periodic(kind, side)
+        bonds = Bonds(points, HORIZON)
+        fields = np.random.default_rng(1).normal(size=(2, len(points.x), 2))
+        count = len(bonds.families.neighbour)
+        print(f"\n{kind}, {len(points.x)} nodes, {count} bonds, {threads} threads")
+        t = rivals.tables(bonds, points.x, np.array(sides), *fields, **MODEL)
+        pairs = zip(ours(bonds, fields), rivals.torch_scatter(t, torch.float64))
+        forward, both = ({"warp_peri": a, "torch scatter": b} for a, b in pairs)
+        forward["SciPy CSR, built before"] = rivals.scipy_csr(t)
+        forward |= by_numba(t, np.float64, threads)
+        report("force", forward, rounds, threads, 1e-8)
+        report("force and gradient to u, D, α", both, rounds, threads, 1e-8)
     print("\na block in space that may break:", json.dumps(block(rounds, 8 if quick else 16)))
 
 

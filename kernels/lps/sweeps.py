@@ -25,8 +25,8 @@ import warp as wp
 
 from warp_peri.kernels.bonds import shared, unpacked
 
-BYTES = 128
-"""Of all lanes together: two of the widest registers."""
+LANES = 16
+"""Of double precision: two of the widest registers."""
 
 PLACE = """
     typedef double V VECTOR;
@@ -170,10 +170,10 @@ SLOPES = """
 
 
 @cache
-def struct(scalar, dimension):
+def struct(dimension):
     """What a sweep reads: bonds, stiffnesses, moduli."""
-    vec, wide = (wp.types.vector(d, scalar) for d in (dimension, dimension + 1))
-    ints, numbers = wp.array(dtype=wp.int32), wp.array(dtype=scalar)
+    vec, wide = (wp.types.vector(d, wp.float64) for d in (dimension, dimension + 1))
+    ints, numbers = wp.array(dtype=wp.int32), wp.array(dtype=wp.float64)
 
     @wp.struct
     class Law:
@@ -191,10 +191,9 @@ def struct(scalar, dimension):
 
 
 @cache
-def sweeps(scalar, dimension, *, lattice, fields):
+def sweeps(dimension, *, lattice, fields):
     """The kernels, for lattices or lists of bonds, with moduli as numbers or as fields."""
-    Law, most = struct(scalar, dimension), BYTES // wp.types.type_size_in_bytes(scalar)
-    lanes = most if lattice else 1
+    Law, lanes = struct(dimension), LANES if lattice else 1
     vector = "__attribute__((ext_vector_type(LANES), aligned(sizeof(double))))"
     words = {
         "DENSITY": DENSITY[lattice], "BENT": BENT[fields],
@@ -220,26 +219,25 @@ def sweeps(scalar, dimension, *, lattice, fields):
             text = text.replace(word, meaning)
         if lattice:
             text = text.replace("FORWARD", "true").replace("FAR", "k")
-            half = text.replace("LANES", str(most // 2))
-            return f"if (piece.c[2] > {most // 2}) {{{text}}} else {{{half}}}"
+            half = text.replace("LANES", str(LANES // 2))
+            return f"if (piece.c[2] > {LANES // 2}) {{{text}}} else {{{half}}}"
         forward = text.replace("FORWARD", "true").replace("FAR", "k")
         back = text.replace("FORWARD", "false").replace("FAR", "far.data[e]")
         return f"if (far.shape[0] == 0) {{{forward}}} else {{{back}}}"
 
     def native(text):
-        text = text.replace("LANES", str(most)).replace("DIM", str(dimension))
-        text = text.replace("double", f"wp::{scalar.__name__}")
+        text = text.replace("LANES", str(LANES)).replace("DIM", str(dimension))
         return wp.func_native(unpacked(Law) + text)
 
     phases = {"laid": LAID, "needed": either(DILATATION[lattice]), "asked": either(OWN + FORCE)}
-    swept = _swept(scalar, Law, native(shared("planes.shape[0]", **phases)))
-    slopes = _slopes(scalar, Law, native(either(OWN + SLOPES)))
+    swept = _swept(Law, native(shared("planes.shape[0]", **phases)))
+    slopes = _slopes(Law, native(either(OWN + SLOPES)))
     return SimpleNamespace(lanes=lanes, swept=swept, slopes=slopes)
 
 
-def _swept(scalar, Law, body):
+def _swept(Law, body):
     """Fields by number into planes; of these dilatations by place, of both forces by number."""
-    pieces, table = wp.array(dtype=wp.vec3i), wp.array2d(dtype=scalar)
+    pieces, table = wp.array(dtype=wp.vec3i), wp.array2d(dtype=wp.float64)
 
     @body
     def share(
@@ -271,8 +269,8 @@ def _swept(scalar, Law, body):
     return swept
 
 
-def _slopes(scalar, Law, body):
-    table, array = wp.array2d(dtype=scalar), wp.array(dtype=scalar)
+def _slopes(Law, body):
+    table, array = wp.array2d(dtype=wp.float64), wp.array(dtype=wp.float64)
 
     @body
     def add(

@@ -19,7 +19,6 @@ from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.materials.lps import bernstein_basis
-from warp_peri.materials.lps_force import Bonds
 from warp_peri.neural.material import NeuralOperator
 from warp_peri.points.dataset import in_units
 from warp_peri.points.families import bond_classes
@@ -143,12 +142,6 @@ def of_energies(material, H):
     return difference(density, H.ravel(), 1e-3).reshape(2, 2)
 
 
-def single_linear(material, points, u):
-    bonds = Bonds(points, 3.0, bond_based=material.bond_based, precision="float32")
-    flat = u.astype(np.float32).reshape(1, -1)
-    return bonds.law(*material.learnable.values()).force(flat)[0].reshape(-1, 2)
-
-
 def cell():
     return periodic((14, 16))[0]
 
@@ -228,7 +221,7 @@ def load_own_energy(path, units=None):
     return found if units is None else found.in_units(units)
 
 
-LINEAR = {"points": crystal, "stress": hookean, "sheet": cell, "single": single_linear}
+LINEAR = {"points": crystal, "stress": hookean, "sheet": cell}
 CUBIC = {"points": crystal, "stress": of_third_order, "sheet": cell, "stress_turns": True}
 LAWS = {
     "LPS": Law(linear("sign-changing"), **LINEAR),

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from warp_peri.core.sweeps import row_pieces
 from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.lps.influence import influence
-from warp_peri.kernels.lps.sweeps import BYTES, struct, sweeps
+from warp_peri.kernels.lps.sweeps import LANES, struct, sweeps
 from warp_peri.points.families import families_of
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike, nodes_of
@@ -85,10 +85,8 @@ class Bonds:
         horizon: δ [Å].
         bond_based: λ = μ, of which no dilatation is seen: a collar of δ is enough.
         quadrature_degree: of the polynomials that the weights are exact for.
-        precision: of the sweeps, "float64" or "float32".
 
     Attributes:
-        dtype, scalar: types of numbers in this precision, of NumPy and of Warp.
         families: families of all nodes.
         nodes, dimension: their number N, and 2 or 3.
         ready: launches that nobody uses.
@@ -104,9 +102,7 @@ class Bonds:
         *,
         bond_based: bool = False,
         quadrature_degree: int = DEGREE,
-        precision: str = "float64",
     ) -> None:
-        self.dtype, self.scalar = np.dtype(precision), getattr(wp, precision)
         self.points, self.horizon, self.bond_based = nodes_of(points), float(horizon), bond_based
         self.nodes, self.dimension = points.x.shape
         self.families = families_of(
@@ -168,8 +164,7 @@ class Bonds:
         if box is not None:
             node = np.pad(node[inside], ring, mode="wrap")
         stride = np.append(np.cumprod(node.shape[:0:-1])[::-1], 1)
-        lanes = BYTES // self.dtype.itemsize
-        room = reach * int(stride.sum()) + lanes  # for bonds off the box, lanes beyond a piece
+        room = reach * int(stride.sum()) + LANES  # for bonds off the box, lanes beyond a piece
         home = room + (grid + ring) @ stride
         seen = np.zeros(node.shape, bool)  # near enough to have its family, of images too
         seen[self.dimension * (slice(reach, -reach),)] = True
@@ -187,7 +182,7 @@ class Bonds:
             "nodes": (home, np.arange(self.nodes)),
             "whole": (home[families.whole],),
         }
-        pieces = {name: _pieces(at[0], at[-1], lanes) for name, at in of.items()}
+        pieces = {name: _pieces(at[0], at[-1], LANES) for name, at in of.items()}
         if SHORT * len(pieces["nodes"]) > self.nodes:
             return None
         pairs = np.minimum(np.arange(len(steps)), families.reverse).argsort(kind="stable")
@@ -195,31 +190,23 @@ class Bonds:
         ends = np.array([0, len(steps)]), steps[pairs] @ stride
         return Layout(True, *ends, *bonds, node, home, pieces)
 
-    def floats(self, values: Any, components: int = 0) -> wp.array[Any]:
-        """A Warp array of numbers, or of vectors, in this precision."""
-        dtype = wp.types.vector(components, self.scalar) if components else self.scalar
-        return floats(np.ascontiguousarray(values, self.dtype), dtype)
-
-    def zeros(self, *shape: int) -> np.ndarray:
-        """An array of zeros in this precision."""
-        return np.zeros(shape, self.dtype)
-
     @cached_property
-    def logarithms(self) -> np.ndarray:
-        """Of the bond lengths of each class, [C]."""
-        return np.asarray(np.log(self.families.r))
+    def _tables(self) -> list[wp.array[Any]]:
+        """Length, its logarithm and weight of the bonds of each class, [C]."""
+        r = self.families.r
+        return [floats(one) for one in (r, np.log(r), self.families.weight)]
 
     def influence(self, alpha: ArrayLike, D: ArrayLike, by: Any = None) -> Any:
         """K W of each class, [C]; with derivatives of a scalar to it those to α and D, by Warp's
         tape, which is this call's alone."""
-        families, degree, taped = self.families, np.size(D) - 1, by is not None
+        degree, taped = np.size(D) - 1, by is not None
         given: list[Any] = [
             wp.array(np.ravel(one).astype(float), device=DEVICE, requires_grad=taped)
             for one in (alpha, D)
         ]
-        tables = comb(degree, np.arange(degree + 1)), families.r, self.logarithms
-        inputs: Any = [wp.float64(self.horizon), *map(floats, (*tables, families.weight)), *given]
-        kernel, kw = influence(degree), zeros(len(families.r), gradient=taped)
+        binomials = floats(comb(degree, np.arange(degree + 1)))
+        inputs: Any = [wp.float64(self.horizon), binomials, *self._tables, *given]
+        kernel, kw = influence(degree), zeros(len(self.families.r), gradient=taped)
         if not taped:
             launch_slices(kernel, len(kw), inputs, (kw,))
             return kw.numpy()
@@ -279,16 +266,19 @@ class Bonds:
 
         Raises InputError saying how many nodes that concerns; on a lattice it is all of them.
         """
-        families = self.families
-        terms, lattice = kw * families.r**2, families.lattice is not None
-        needed = slice(None) if lattice else np.concatenate([families.whole, families.cut])
+        families, terms = self.families, kw * self.families.r**2
+        needed = np.append(families.whole, families.cut) if families.lattice is None else ...
         m, size = (np.atleast_1d(self.volumes(x))[needed] for x in (terms, np.abs(terms)))
         if bad := np.count_nonzero(~(np.abs(m) > CANCELLED * size)):
+            where = f"{bad} nodes" if families.lattice is None else "every node"
             raise InputError(
-                "influence function: its weighted volume m (theory, 5) is zero at "
-                f"{'every node' if lattice else f'{bad} nodes'}: positive and negative parts "
-                f"cancel to {np.abs(m).min() / size.max():.0e}"
+                f"influence function: its weighted volume m (theory, 5) is zero at {where}: "
+                f"positive and negative parts cancel to {np.abs(m).min() / size.max():.0e}"
             )
+
+
+def _vectors(values: np.ndarray) -> wp.array[Any]:
+    return floats(np.ascontiguousarray(values), wp.types.vector(values.shape[1], wp.float64))
 
 
 def _bond(xi: np.ndarray) -> np.ndarray:
@@ -308,13 +298,13 @@ def bonds_of(model: LPSMaterial, points: PointsLike, degree: int = DEGREE) -> Bo
     Raises InputError for points that do not carry the horizon, and an influence function whose
     weighted volume vanishes.
     """
-    nodes, how = model.certified_nodes(points), {"quadrature_degree": degree}
+    make = partial(Bonds, model.certified_nodes(points), model.horizon, quadrature_degree=degree)
     try:
-        bonds = Bonds(nodes, model.horizon, **how)  # type: ignore[arg-type]
+        bonds = make()
     except InputError:
         if not model.bond_based:
             raise
-        bonds = Bonds(nodes, model.horizon, bond_based=True, **how)  # type: ignore[arg-type]
+        bonds = make(bond_based=True)
     bonds.check_volumes(bonds.influence(model.alpha, model.D))
     return bonds
 
@@ -357,7 +347,7 @@ class Law:
         else:
             self.kw, self.m, self.own = known.kw, known.m, known.own
         of = {"lattice": layout.in_rows, "fields": self.fields}
-        self.kernels: Any = sweeps(bonds.scalar, bonds.dimension, **of)
+        self.kernels: Any = sweeps(bonds.dimension, **of)
 
     @cached_property
     def forward(self) -> Any:
@@ -369,9 +359,8 @@ class Law:
         d, lost = bonds.dimension, not layout.in_rows and len(bonds.left)
         bent = bonds.bent(self.kw, self.own) if lost else layout.bond[:0, :-1]
         return filled(
-            struct(bonds.scalar, d), ints(layout.row), ints(layout.end),
-            bonds.floats(layout.bond, d + 1), *map(bonds.floats, (self.own, *moduli)),
-            bonds.floats(bent, d),
+            struct(d), ints(layout.row), ints(layout.end), _vectors(layout.bond),
+            *map(floats, (self.own, *moduli)), _vectors(bent),
         )  # fmt: skip
 
     @cached_property
@@ -384,11 +373,10 @@ class Law:
         if families.lattice is not None:
             reverse = families.row[end] + np.tile(reverse, bonds.nodes)
         reverse = np.where(end < 0, np.arange(len(end)), reverse)  # where all is 0
-        Form, bent = struct(bonds.scalar, bonds.dimension), -of.bent.numpy()
+        Form, bent = struct(bonds.dimension), -of.bent.numpy()
         bent = bent[reverse] if len(bent) else bent
         known = [getattr(of, name) for name in Form.vars][:7]
-        far = bonds.floats(self.own[reverse])
-        return filled(Form, *known, far, bonds.floats(bent, bonds.dimension))
+        return filled(Form, *known, floats(self.own[reverse]), _vectors(bent))
 
     def _sweep(self, of: Any, pieces: Sequence[str | None], *fields: np.ndarray) -> None:
         """Lays out, finds dilatations, then forces, on the pieces of these names, None for none; of
@@ -399,7 +387,7 @@ class Law:
         try:
             shared, ends, last = ready.pop()
         except IndexError:
-            known, last = [bonds.floats(one).__ctype__() for one in fields], of
+            known, last = [floats(one).__ctype__() for one in fields], of
             ends = [type(one).from_buffer_copy(one) for one in known]
             nodes: list[Any] = [bonds.layout.pieces[name] for name in pieces]
             work = sum(map(len, nodes)) * samples * max(1, self.kernels.lanes // FASTER)
@@ -418,8 +406,8 @@ class Law:
         reads."""
         bonds, size, places = self.bonds, len(u), len(self.bonds.layout.node)
         d = bonds.dimension
-        Lu, theta = (bonds.zeros(size, n) for n in (d * len(bonds.families.rows), places))
-        planes = bonds.zeros(size, d * places) if bonds.layout.in_rows else u
+        Lu, theta = (np.zeros((size, n)) for n in (d * len(bonds.families.rows), places))
+        planes = np.zeros((size, d * places)) if bonds.layout.in_rows else u
         self._sweep(self.forward, ("laid", "needed", "forces"), u, planes, theta, Lu)
         return Lu, planes, theta
 
@@ -427,10 +415,10 @@ class Law:
         """Lᵗ g on all nodes, of g on the interior, where that is asked for; g as sweeps read it,
         and its dilatation by the transpose."""
         bonds, layout, size, d = self.bonds, self.bonds.layout, len(g), self.bonds.dimension
-        seeds, tau = (bonds.zeros(size, n * len(layout.node)) for n in (d, 1))
+        seeds, tau = (np.zeros((size, n * len(layout.node))) for n in (d, 1))
         if not layout.in_rows:
             seeds.reshape(size, -1, d)[:, bonds.families.rows] = g.reshape(size, -1, d)
-        by_u = bonds.zeros(size, d * bonds.nodes)
+        by_u = np.zeros((size, d * bonds.nodes))
         self._sweep(self.back, ("back", "needed", "nodes" if asked else None), g, seeds, tau, by_u)
         return by_u, seeds, tau
 
@@ -451,17 +439,17 @@ class Law:
         if not any(asked[1:]):
             return [by_u, *4 * [None]]
         lanes, blocks = self.kernels.lanes, BLOCKS if layout.in_rows else 1
-        by_own = bonds.zeros(blocks, lanes * len(layout.end))
-        shear, bulk = bonds.zeros(2, len(layout.node))
+        by_own = np.zeros((blocks, lanes * len(layout.end)))
+        shear, bulk = np.zeros((2, len(layout.node)))
         self._slopes(*felt, *pull, by_own, shear, bulk)
         moduli = [
-            part[layout.home] if one.size > 1 else part.sum(dtype=float)
+            part[layout.home] if one.size > 1 else part.sum()
             for part, one in ((bulk, lam), (shear - bulk, mu))
         ]
         if not any(asked[3:]):
             return [by_u, *moduli, None, None]
-        by_kw = by_own.reshape(blocks, -1, lanes).sum(axis=(0, 2), dtype=float)
-        by_kw = self._by_class(by_kw, felt[0], pull[1])
+        by_own = by_own.reshape(blocks, -1, lanes).sum(axis=(0, 2))
+        by_kw = self._by_class(by_own, felt[0], pull[1])
         return [by_u, *moduli, *bonds.influence(alpha, D, by_kw)]
 
     def _slopes(self, *fields: np.ndarray) -> None:
@@ -469,7 +457,7 @@ class Law:
         transpose, as kernels/lps/sweeps.py says."""
         whole = self.bonds.layout.pieces["whole"]
         ends = ints(np.arange(BLOCKS + 1) * len(whole) // BLOCKS)
-        *given, by_own, by_mu, by_bulk = map(self.bonds.floats, fields)
+        *given, by_own, by_mu, by_bulk = map(floats, fields)
         launch_slices(
             self.kernels.slopes, BLOCKS, (ends, whole, self.back, *given),
             (by_own, by_mu, by_bulk), weight=max(len(whole) * len(fields[0]) // BLOCKS, 1),

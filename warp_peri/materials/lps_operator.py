@@ -422,7 +422,7 @@ def lps_force(bonds: Bonds, u: Tensor, *values: Any) -> Tensor:
 
     Args:
         bonds: of a point set with N nodes.
-        u: displacement [Å] in the precision of the bonds, shape [N, d] or [S, N, d].
+        u: displacement [Å], shape [N, d] or [S, N, d].
         values: λ and μ, numbers or one value a node, shape [N], α and D; λ = μ, of which neither
             asks for a gradient, for bonds that are bond-based.
 
@@ -441,7 +441,7 @@ def lps_force(bonds: Bonds, u: Tensor, *values: Any) -> Tensor:
         law, kept = felt
         return law.gradient(kept, g, asked)  # type: ignore[no-any-return]
 
-    flat = u.reshape(-1, bonds.nodes * bonds.dimension)
+    flat = u.double().reshape(-1, bonds.nodes * bonds.dimension)
     numbers = [torch.real(name, value) for name, value in zip(("lam", "mu", "alpha", "D"), values)]
     (Lu,) = torch.once(there, back, flat, *numbers)
     return Lu.reshape(*u.shape[:-2], -1, bonds.dimension)  # type: ignore[no-any-return]
