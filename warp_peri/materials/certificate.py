@@ -55,10 +55,7 @@ class Certificate:
 
     @property
     def holds(self) -> bool:
-        """Whether the statement is proven: D(k) ≥ c s(k) with c > 0.
-
-        Γ > 0 is not asked for: D(k) may be positive where Γ(k) is not, with λ above μ.
-        """
+        """Whether D(k) ≥ c s(k) with c > 0 is proven, as it may be where Γ(k) > 0 is not."""
         return self.symbol_bound > 0
 
     @property
@@ -68,10 +65,8 @@ class Certificate:
 
     @property
     def paper(self) -> bool | None:
-        """Whether (i) and (iii) of (4.6) of You et al. (2021) hold, which conditions="paper" adds.
-
-        Γ > 0 and Γ − 2ΦᵗΦ ≥ 0 on the training domain; None where that was not given.
-        """
+        """Whether (i) and (iii) of (4.6) of You et al. (2021) hold, Γ > 0 and Γ − 2ΦᵗΦ ≥ 0, which
+        conditions="paper" adds; None without a training domain."""
         return None if self.gamma_min is None else self.gamma_min > 0 and bool(self.schwarz)
 
     @property
@@ -165,13 +160,8 @@ class Solvability:
 
 @typed
 def check_solvability(model: LPSMaterial, points: PointsLike) -> Solvability:
-    """Smallest eigenvalue of (L + Lᵗ)/2 and smallest singular value of L on the interior.
-
-    On scattered points W_ij ≠ W_ji, so that L is not symmetric and no certificate speaks for it.
-
-    Args:
-        model: certified or not.
-        points: a lattice or scattered points.
+    """Smallest eigenvalue of (L + Lᵗ)/2 and smallest singular value of L on the interior of points
+    of any kind: between scattered ones W_ij ≠ W_ji, L is not symmetric, and no certificate speaks.
 
     Raises InputError for a point set that does not carry the horizon.
     """
@@ -205,14 +195,8 @@ def _least_singular(A: sp.csc_array) -> float:
 
 
 def with_proof(model: LPSMaterial, spacing: float | None = None) -> LPSMaterial:
-    """A model without a certificate with one on a lattice.
-
-    Args:
-        model: that is certified nowhere.
-        spacing: of the lattice [length]; None for that of its data, else a third of its horizon.
-
-    Raises InputError where nothing is proven of it there.
-    """
+    """A model that is certified nowhere with a proof on the lattice of a spacing, by default of its
+    data, else a third of its horizon; InputError where nothing is proven of it there."""
     home = spacing or max(model.trained_on, default=model.horizon / 3)
     proof = certify(model, spacing=home)
     if not proof.holds:

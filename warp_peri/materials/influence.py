@@ -151,19 +151,12 @@ class InfluenceFunction:
         return np.reshape(columns, (len(p), len(r))).T
 
     def coefficients(self, lengths: ArrayLike, horizon: float) -> tuple[np.ndarray, float]:
-        """Bernstein coefficients with α = 0, and how far they are off between the bond lengths.
+        """Bernstein coefficients D [M + 1] with α = 0, exact at bond lengths [Å], and how far they
+        are off between them, relative to the largest |K| at one.
 
         Least squares over distances down to half the shortest bond, the bond lengths themselves
-        held, with the first degree of DEGREES that is exact, or the last (theory, 60).
-
-        Args:
-            lengths: bond lengths [Å], shape [R].
-            horizon: δ [Å].
-
-        Returns:
-            D, shape [M + 1], and the largest error relative to the largest |K| at a bond length.
-
-        Raises InputError for a function whose values at the bond lengths no D reaches.
+        held, with the first degree of DEGREES that is exact, or the last (theory, 60). Raises
+        InputError for a function whose values at the bond lengths no D reaches.
         """
         r = np.unique(np.asarray(lengths, dtype=float))
         nodes = np.cos(np.pi * (np.arange(BETWEEN) + 0.5) / BETWEEN)
@@ -198,13 +191,8 @@ class InfluenceFunction:
         spacings: Sequence[float],
         units: Units = USUAL,
     ) -> LPSMaterial:
-        """The solid with this influence function and these constants, not certified.
-
-        Args:
-            lam, mu: Lamé parameters [TPa].
-            horizon: δ [Å].
-            spacings: of the lattices [Å] whose bonds shall have exactly K(r).
-            units: names of the units of length and stress of all these, if others.
+        """The solid with λ, μ [TPa] and this influence function to δ [Å], exact at the bonds of the
+        lattices of some spacings [Å], not certified.
 
         Raises InputError as `coefficients` does, and for numbers out of range.
         """
@@ -260,13 +248,8 @@ def named(name: str, horizon: Positive) -> InfluenceFunction:
 
 @typed
 def table(r: ArrayLike, K: ArrayLike, *, learned: bool = False) -> InfluenceFunction:
-    """K on straight lines between given values, constant beyond the ends.
-
-    Args:
-        r: distances [Å], rising, shape [T].
-        K: values there, shape [T].
-        learned: take K as parameters to learn, not as given.
-    """
+    """K on straight lines between values K [T] at rising distances r [Å], constant beyond the ends;
+    `learned` takes them as parameters to learn."""
     knots, given = checked("r", r), checked("K", K)
     if knots.ndim != 1 or len(knots) < 2 or knots.shape != given.shape:
         raise InputError(
@@ -287,10 +270,7 @@ def tabulated(r: np.ndarray, K: np.ndarray, knots: np.ndarray) -> np.ndarray:
 
 
 def shapes_of(influence: Any) -> list[InfluenceFunction]:
-    """One influence function, several or None, as a list.
-
-    Raises InputError for anything else.
-    """
+    """One influence function, several or None, as a list; InputError for anything else."""
     shapes = list(influence) if isinstance(influence, (list, tuple)) else [influence]
     shapes = [] if influence is None else shapes
     if not all(isinstance(shape, InfluenceFunction) for shape in shapes):

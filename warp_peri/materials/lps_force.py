@@ -77,7 +77,7 @@ class Layout:
 
 
 class Bonds:
-    """Families of a point set and what sweeps over them read.
+    """Families of a point set and what sweeps over them read; InputError as of families_of.
 
     Args:
         points: a lattice, or scattered points (spacing 0). Bonds to nodes outside are broken, and
@@ -87,12 +87,9 @@ class Bonds:
         quadrature_degree: of the polynomials that the weights are exact for.
 
     Attributes:
-        families: families of all nodes.
-        nodes, dimension: their number N, and 2 or 3.
+        nodes, dimension: number of the nodes N, and 2 or 3.
         ready: launches that nobody uses.
         kept: the last law, and the numbers that it is of.
-
-    Raises InputError for what families_of refuses.
     """
 
     def __init__(
@@ -113,10 +110,8 @@ class Bonds:
 
     @cached_property
     def listing(self) -> tuple[np.ndarray, ...]:
-        """Owner, far end and vector of each bond, and its number in tables by class, shape [E].
-
-        Broken bonds, and those to nodes that are not there, end at a negative node.
-        """
+        """Owner, far end, negative where a bond is broken or leads nowhere, vector, and number in
+        tables by class of each bond, shape [E]."""
         families, points, end = self.families, self.points, self.families.neighbour
         owner = np.repeat(np.arange(self.nodes), np.diff(families.row))
         if families.lattice is not None:
@@ -262,10 +257,7 @@ class Bonds:
         return last[1]
 
     def check_volumes(self, kw: np.ndarray) -> None:
-        """Refuse K W whose weighted volume vanishes: the operator divides by it.
-
-        Raises InputError saying how many nodes that concerns; on a lattice it is all of them.
-        """
+        """InputError for K W whose weighted volume, which the operator divides by, vanishes."""
         families, terms = self.families, kw * self.families.r**2
         needed = np.append(families.whole, families.cut) if families.lattice is None else ...
         m, size = (np.atleast_1d(self.volumes(x))[needed] for x in (terms, np.abs(terms)))
@@ -293,11 +285,8 @@ def _pieces(places: np.ndarray, numbers: np.ndarray, lanes: int) -> wp.array[Any
 
 
 def bonds_of(model: LPSMaterial, points: PointsLike, degree: int = DEGREE) -> Bonds:
-    """The bonds of a model on points, those of the certified lattice where they lie on one.
-
-    Raises InputError for points that do not carry the horizon, and an influence function whose
-    weighted volume vanishes.
-    """
+    """The bonds of a model on points, those of the certified lattice where they lie on one; errors
+    as of Bonds and `check_volumes`."""
     make = partial(Bonds, model.certified_nodes(points), model.horizon, quadrature_degree=degree)
     try:
         bonds = make()
@@ -315,7 +304,6 @@ class Law:
     Fields are flat, [S, d N] of all nodes and [S, d I] of the interior, contiguous.
 
     Args:
-        bonds: of the points.
         values: λ and μ of shape [1], or [N], one value a node; α [1] and D [M + 1].
         known: of the same α and D.
 

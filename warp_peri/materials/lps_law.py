@@ -205,15 +205,8 @@ class ShapeKernel:
 
 
 class LPSLaw:
-    """θ = (κ, q) to the products on each lattice, as the regression asks for them.
-
-    Args:
-        lattices: bond classes of each.
-        start: of the kernels that can be reached.
-        conditions: to keep on each lattice, with their ζ.
-        method: moduli to hold, and the smoothness.
-        fixed_alpha: keep α of the start.
-    """
+    """θ = (κ, q) to the products on each lattice, as the regression asks for them; arguments as of
+    `optimum`."""
 
     def __init__(
         self,

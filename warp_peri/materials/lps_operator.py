@@ -50,13 +50,12 @@ LARGEST_LU = 40_000
 
 
 class LPSOperator(OperatorBase):
-    """The operator of a model's material on points of any kind (theory, M2–M5).
+    """A linear peridynamic solid on points of any kind (theory, M2–M5).
 
-    ``op(u)`` is L u [TPa/Å] of the model there, on interior nodes; in equilibrium it is b. On
-    scattered points each family has weights of its own, of which nothing is proven. A model with
-    λ = μ is bond-based: it needs no dilatation, and a collar of δ is enough, but for derivatives to
-    λ and μ. Of moduli that are fields the energy is the sum of those of all nodes, each with its
-    own moduli, and positive where K is; at an interface displacements are of first order in δ.
+    On scattered points each family has weights of its own, of which nothing is proven. With λ = μ
+    no dilatation enters, and a collar of δ is enough, but for derivatives to λ and μ. Of moduli
+    that are fields the energy is the sum of those of all nodes, each with its own moduli, and
+    positive where K is; at an interface displacements are of first order in δ.
 
     Args:
         model: as it is used; `LPSMaterial.on` asks for its certificate, or transfers it.
@@ -66,7 +65,6 @@ class LPSOperator(OperatorBase):
         allow_uncertified: whether broken bonds may leave it indefinite, with a warning.
 
     Attributes:
-        model, points: that were given.
         nodes: the points as the model is certified on them.
         bonds: of the nodes, built when they are first asked for; solves by stencils need none.
 
@@ -129,13 +127,10 @@ class LPSOperator(OperatorBase):
     def launch(self, u: Any, out: Any, parameters: LPSParameters | None = None) -> None:
         """L u of Warp arrays, on the tape that records, if one does.
 
-        ``tape.backward`` adds to the gradients of those arrays that require one.
-
         Args:
             u: displacement [Å], shape [S, N] of vectors of float64, contiguous.
             out: takes L u [TPa/Å], shape [S, I] of such vectors.
-            parameters: λ, μ, α and D, of shape [1] and [M + 1]; the model's own by default, of
-                which there are no gradients.
+            parameters: arrays of λ, μ, α [1] and D [M + 1]; the model's own by default.
 
         Raises InputError for other arrays.
         """
@@ -237,10 +232,8 @@ class LPSOperator(OperatorBase):
 
     def max_symbol_eigenvalue(self) -> float:
         """A bound on the eigenvalues of L [stress/length²] on a lattice, for time steps; of fields
-        that of the solid of mean moduli, times how much stiffer a node is.
-
-        Raises InputError for fields and a K that changes sign, of which that is not so.
-        """
+        that of their means, times how much stiffer a node is, which InputError refuses for a K
+        that changes sign."""
         model, mean = self.model, self.model.mean
         bound = float(largest(mean.stencil(self.nodes.spacing), mean.group))
         if model.nodes is None:
@@ -254,12 +247,10 @@ class LPSOperator(OperatorBase):
         """Equilibrium with b on the interior, u given on the collar (theory, 29).
 
         Args:
-            b: body force density [TPa/Å], shape [N, d] or [S, N, d]; only interior values count.
-            u: displacement [Å], same shape; only collar values count. Of torch tensors the answer
-                is one, differentiable in both.
+            b, u: [TPa/Å] and [Å], shape [N, d] or [S, N, d]; the answer is differentiable in torch
+                tensors.
             solver: Direct(…) or CG(…); None takes the cheapest by size and shape.
-            parameters: some of λ, μ, α and D by name, the material's own by default; the answer is
-                differentiable in tensors among them.
+            parameters: some of λ, μ, α and D by name, the material's own by default.
 
         Raises InputError for arrays that do not fit, a solver that does not go with the points, or
         an operator that is singular or (with allow_uncertified a warning) not positive definite.
@@ -286,14 +277,10 @@ class LPSOperator(OperatorBase):
                         proven=self.proven)  # fmt: skip
 
     def solve_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
-        """Equilibrium on a period under a load whose mean is removed; u has zero mean.
+        """Equilibrium on a period, u of zero mean, under a load [N, d] or [S, N, d] less its mean.
 
-        Args:
-            b: body force density [stress/length], shape [N, d] or [S, N, d].
-            solver: None.
-
-        Raises InputError for points that do not fill a period, a load that does not fit, and an
-        operator that is not positive definite there.
+        Raises InputError for points that do not fill a period, a load that does not fit, a solver,
+        and an operator that is not positive definite there.
         """
         refuse_solver(solver, (), "a periodic sheet, which has one way")
         nodes = self.nodes
@@ -371,9 +358,9 @@ class LPSOperator(OperatorBase):
         return self._problem.stiffness
 
     def _refuse_indefinite(self) -> None:
-        """Raise InputError where the symmetric part of L_II is not positive definite, on plain
-        lattices and where bonds are broken: a kernel that changes sign seldom bears that (theory,
-        B9). Elsewhere nothing is asked."""
+        """Raise InputError where the symmetric part of L_II is not positive definite, on open
+        lattices and where bonds are broken, which a kernel that changes sign seldom bears (theory,
+        B9)."""
         cut, whole = self.nodes.outside is not None, self.nodes.is_open_lattice
         if whole and self.model.nodes is None:
             with suppress(InputError):
