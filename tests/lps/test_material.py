@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from tests.support import cubes, reference
+from tests.support import cubes
 from tests.support.clouds import cloud, periodic_cloud, plain
-from tests.support.problems import KERNELS, ROUNDING, fitted_order, kernel, lattice, noise, periodic
+from tests.support.problems import ROUNDING, fitted_order, kernel, lattice, noise, periodic
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, every_shape, solid
 from warp_peri import InputError, LPSMaterial, certify
 from warp_peri.influence import InfluenceFunction
@@ -17,13 +17,6 @@ from warp_peri.materials.lps import bernstein_basis, moduli
 from warp_peri.materials.lps_law import ShapeKernel
 from warp_peri.materials.lps_matrices import node_fields
 from warp_peri.points.families import bond_classes
-
-
-def test_influence_is_the_bernstein_sum():
-    r = np.array([0.1, 1.0, np.sqrt(2), 2.9, 3.0])
-    for name, numbers in KERNELS.items():
-        expected = [reference.influence(value, 3.0, **numbers) for value in r]
-        np.testing.assert_allclose(kernel(name, 3.0).influence(r), expected, rtol=1e-13)
 
 
 def test_continuum_constants_are_those_of_plane_stress_and_of_space():

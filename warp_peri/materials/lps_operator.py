@@ -235,7 +235,8 @@ class LPSOperator(OperatorBase):
         that of their means, times how much stiffer a node is, which InputError refuses for a K
         that changes sign."""
         model, mean = self.model, self.model.mean
-        bound = float(largest(mean.stencil(self.nodes.spacing), mean.group))
+        stencil = mean.stencil(self.nodes.spacing, degree=self.quadrature_degree)
+        bound = float(largest(stencil, mean.group))
         if model.nodes is None:
             return bound
         if (self._law.kw < 0).any():
