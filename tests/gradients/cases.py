@@ -8,15 +8,10 @@ from tests.conformance.test_gradients import OPERATORS, field
 from tests.solvers.test_adjoint import given, loss
 from tests.support.problems import difference
 
-VERBS = ("force", "solve", "simulate")
-FOUND: dict[tuple[str, str], dict[str, float]] = {}
-"""Errors by what the gradient is to, of each material and verb; none where it is refused."""
 KINKED = ("neural operator", "neural operator, frozen")
 """Of which a step of differences is short."""
 LOADS = {"hyperelastic": 0.1, "third order": 0.1, "neural": 0.1}
 """Of nonlinear solids, so that all samples have an equilibrium."""
-
-
 NOTHING = 1e-5
 """Share of the number that a hundredth of what has no effect on it moves, as of a scale of D."""
 
@@ -54,19 +49,19 @@ def learned(op, leaves):
     return {name: leaves[name] for name in numbers_of(op) if name != "networks"}
 
 
-def errors(value, leaves, step, networks=()):
+def errors(op, value, leaves, step):
     """Relative error of the gradient to each leaf, along a direction of random entries.
 
     Args:
+        op: whose networks have their own numbers again afterwards.
         value: a number, of the leaves by name.
         leaves: tensors; a direction has a hundredth of their size.
         step: of the differences, by name and in directions.
-        networks: parameters that a last leaf of this name is the vector of.
 
     An error is over the gradient's norm by the root mean square of the direction's entries.
     """
     asked = {name: leaf.detach().clone().requires_grad_() for name, leaf in leaves.items()}
-    total = value(asked)
+    networks, total = (op.networks if "networks" in leaves else ()), value(asked)
     of = [leaf for name, leaf in asked.items() if name != "networks"]
     gradients = torch.autograd.grad(total, [*of, *networks])
     if networks:
@@ -87,6 +82,7 @@ def errors(value, leaves, step, networks=()):
         size = float(gradient.norm() * way.norm()) / way.numel() ** 0.5
         size = max(size, NOTHING * abs(float(total.detach())))
         found[name] = abs(float((gradient * way).sum()) - slope) / size
+    learned(op, leaves)
     return found
 
 
@@ -99,13 +95,6 @@ def steps(leaves, own, name=""):
     return {name: (fields | many).get(name, 1.0) for name in leaves}
 
 
-def found_of(op, value, leaves, step):
-    """As errors; networks have their own numbers again afterwards."""
-    found = errors(value, leaves, step, op.networks if "networks" in leaves else ())
-    learned(op, leaves)
-    return found
-
-
 def force(name, op):
     """Of the force, to u and to numbers."""
     leaves = {"u": torch.from_numpy(field(op, 2))} | numbers_of(op)
@@ -114,7 +103,7 @@ def force(name, op):
         own = learned(op, leaves)
         return seeded(op.force_with_parameters(leaves["u"], own) if own else op(leaves["u"]))
 
-    return found_of(op, value, leaves, steps(leaves, 1e-3 if name in KINKED else 1.0, name))
+    return errors(op, value, leaves, steps(leaves, 1e-3 if name in KINKED else 1.0, name))
 
 
 def solve(name, op):
@@ -131,7 +120,7 @@ def solve(name, op):
         return seeded(wp.solve(op, problem, solver=solver, **extra).u)
 
     own = 1e-2 if name in KINKED else 10.0 if op.is_linear else 1.0
-    return found_of(op, value, leaves, steps(leaves, own, name))
+    return errors(op, value, leaves, steps(leaves, own, name))
 
 
 def flow(op):
@@ -147,7 +136,7 @@ def flow(op):
             wp.simulate(op, wp.Dirichlet(op.points, leaves["b"], leaves["u"]), **how)["u"]
         )
 
-    return errors(value, leaves, steps(leaves, 10.0))
+    return errors(op, value, leaves, steps(leaves, 10.0))
 
 
 def move(name, op):
@@ -164,7 +153,7 @@ def move(name, op):
         sizes = options | {"signal": leaves["signal"]}
         return loss(op, {n: leaves[n] for n in fields}, sizes, own or None)
 
-    return errors(value, leaves, steps(leaves, 10.0))
+    return errors(op, value, leaves, steps(leaves, 10.0))
 
 
 WAVES = (
