@@ -86,7 +86,7 @@ def test_a_noisy_calculator_gives_a_law_whose_errors_are_true_and_small(aluminiu
 
 
 def differences(cell, many):
-    """Φ [n, 3, N, 3] of a cell with repeats of it."""
+    """Φ [n, N, 3, 3] of a cell with repeats of it."""
     forces = phonons.forces_of(many, EMT())
     return finite_differences(forces, many.positions.copy(), range(len(cell)))[0]
 
@@ -100,12 +100,12 @@ def hexagonal():
 
 
 def symmetric(cell, many):
-    return Symmetric(cell, many, range(len(cell)), thickness=None, polar=None)
+    return Symmetric(cell, many, range(len(cell)))
 
 
 def test_numbers_of_a_crystal_are_all_of_phi_and_give_its_forces(hexagonal):
     cell, many, phi = hexagonal
-    every, phi = symmetric(cell, many), phi.transpose(0, 2, 1, 3)
+    every = symmetric(cell, many)
     assert len(every.basis) < 0.05 * phi.size
     numbers = np.tensordot(every.basis, phi, 4)
     left = np.tensordot(numbers, every.basis, 1) - phi
@@ -253,8 +253,8 @@ def test_a_surface_with_a_dimple_is_measured_beyond_it_and_its_spread_is_an_erro
 def test_strains_tell_moduli_and_not_how_all_waves_change_with_the_displacement():
     cell = ase.build.bulk("Cu", a=3.59)
     every = symmetric(cell, cell.repeat(3))
-    phi = differences(cell, cell.repeat(3)).transpose(0, 2, 1, 3)
-    atoms = replace(every.empty, values=every.values(phi))
+    phi = differences(cell, cell.repeat(3))
+    atoms = replace(every.pairs, values=every.values(phi))
     cubes, rng = (
         allowed_tensors("m-3m", point_group("m-3m", 3), np.eye(3)),
         np.random.default_rng(2),

@@ -194,8 +194,8 @@ def test_mat_files_have_nodes_in_any_order_and_components_first_or_last(tmp_path
         ({"forces": None}, {}, "expected forces, an array of numbers, among .*coords"),
         ({"disps": u[:, 1:]}, {}, "disps: expected two components of 441 nodes, got"),
         ({"coords": NODES.x + RANDOM.uniform(0, 1, NODES.x.shape)}, {}, "square lattice"),
-        ({"disps": u[:, 1:]}, {"load": None, "positions": 5.0}, "a square number of nodes"),
-        ({}, {"reach": 11}, "within 22 spacings around them, got none of 21 × 21"),
+        ({"disps": u[:, 1:]}, {"load": None, "positions": 5.0}, "components of 441 nodes, got"),
+        ({}, {"reach": 11}, "within 22 spacings around some, got none of 21 × 21"),
         ({}, {"factor": "a"}, "factor: expected a finite number, got 'a'"),
     ):
         write(path, {name: v for name, v in (LOADED | changed).items() if v is not None})

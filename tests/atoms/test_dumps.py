@@ -97,7 +97,10 @@ PLAIN, OTHER_IDS = frame(REFERENCE), frame(REFERENCE, 1).replace("\n30 1 ", "\n3
 REFUSED = {
     "second frame cut": (PLAIN + frame(REFERENCE, 1)[:-200], "frame 2"),
     "fewer atoms": (frame(REFERENCE[:-1]), "expected 30 atoms, got 29"),
-    "no id": (frame(REFERENCE, 0, "mol type x y z"), "expected the column id, got mol"),
+    "no id": (
+        frame(REFERENCE, 0, "mol type x y z"),
+        "expected the columns id, x, y and z of one kind, .* got mol",
+    ),
     "id twice": (PLAIN.replace("\n30 1 ", "\n7 1 "), "frame 1.*id 7 comes twice"),
     "other ids": (PLAIN + OTHER_IDS, "frame 2.*expected the ids of frame 1"),
     "tilted": (PLAIN.replace(BOUNDS, TILTED), "xu, yu, zu in a tilted box, got x; or x with"),
@@ -132,7 +135,7 @@ def test_options_without_sense_are_refused(tmp_path):
         (lambda: mean_displacement(path, REFERENCE, box=wide), "header's 12 x 9 Å, got 12.00024"),
         (lambda: mean_displacement(tmp_path / "none.dump", REFERENCE), "no such dump"),
         (lambda: grained([path, other]), "other.dump: expected the ids of the reference"),
-        (lambda: grained([path], unloaded=3 * [path]), "0, 1 or 1 dumps"),
+        (lambda: grained([path], unloaded=3 * [path]), "none, 1 or as many, got 1 and 3"),
     ):
         with pytest.raises(InputError, match=words):
             call()

@@ -11,8 +11,7 @@ import warp_peri
 from tests.crystal.crystals import cubic_tensor, dispersive, huang_defect, lattice, learned
 from tests.support.problems import kernel
 from tests.support.problems import lattice as plane_lattice
-from warp_peri.atoms import force_constants
-from warp_peri.atoms.force_constants import from_calculator, from_supercell
+from warp_peri.atoms.force_constants import Supercell, from_calculator, from_supercell
 from warp_peri.atoms.ions import NonAnalyticCorrection
 from warp_peri.core.elastic import allowed_tensors, voigt
 from warp_peri.core.groups import point_group
@@ -184,15 +183,13 @@ def ions(positions, elements, charges, a=4.0, repeats=3):
     e = far / np.maximum(size, 1e-9)[..., None]
     spring = -4.0 * near[..., None, None] * (0.2 * np.eye(3) + e[..., :, None] * e[..., None, :])
     spring[range(len(cell)), range(len(cell))] -= spring.sum(axis=1)
-    phi = spring.transpose(0, 2, 1, 3)
     born = np.array([charges[s] * np.eye(3) for s in elements])
     exact = NonAnalyticCorrection(born, 2.0 * np.eye(3), decay=2.2)
-    field = force_constants.field_of_ions(exact, cell, box, range(len(cell)))
+    every = range(len(cell))
+    field = Supercell(cell, box, every, polar=exact).field_of_ions()
     polar = NonAnalyticCorrection(born, 2.0 * np.eye(3))
-    whole = from_supercell(
-        cell, box, phi + field.transpose(0, 2, 1, 3), range(len(cell)), polar=polar
-    )
-    return whole, from_supercell(cell, box, phi, range(len(cell))), exact
+    whole = from_supercell(cell, box, spring + field, every, polar=polar)
+    return whole, from_supercell(cell, box, spring, every), exact
 
 
 SALT = ([[0, 0, 0], [0.5, 0.5, 0.5]], ["Cs", "Cl"], {"Cs": 0.8, "Cl": -0.8})

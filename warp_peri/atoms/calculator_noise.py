@@ -9,21 +9,12 @@ from typing import Any
 
 import ase
 import numpy as np
-from ase.stress import voigt_6_to_full_3x3_stress
 from scipy.spatial.transform import Rotation
 
-from warp_peri.atoms.force_constants import (
-    TINY,
-    ForceConstants,
-    at_edge,
-    balanced,
-    every_pair,
-    forces_of,
-)
-from warp_peri.atoms.ions import NonAnalyticCorrection, field_of_ions
+from warp_peri.atoms.force_constants import TINY, ForceConstants, Supercell, forces_of
 from warp_peri.core.elastic import PAIRS, stress_brackets
 from warp_peri.core.groups import by_spglib, kinds_of
-from warp_peri.errors import InputError, optional
+from warp_peri.errors import optional
 from warp_peri.points.unit_names import STRESSES
 
 EV_IN_TPA = STRESSES["eV/angstrom^3"]
@@ -130,14 +121,14 @@ def measured(cell: ase.Atoms, calculator: Any, flat: bool) -> Noise:
         one.rotate(angle, axis, rotate_cell=True)
         one.calc = calculator
         try:
-            force = np.array(one.get_forces(apply_constraint=False)) @ turn
+            force = np.array(one.get_forces()) @ turn
         except Exception:  # a calculator may go by axes of its own
             if not angle:
                 raise
             return None
         stress = np.full((3, 3), np.nan)
         with suppress(Exception):  # calculators without stress raise whatever they do
-            stress = voigt_6_to_full_3x3_stress(one.get_stress(apply_constraint=False))
+            stress = one.get_stress(voigt=False)
         return force, turn.T @ stress @ turn
 
     sides = [[one for a in ANGLES if (one := told(sign, a)) is not None] for sign in (1, -1)]
@@ -161,17 +152,13 @@ def measured(cell: ase.Atoms, calculator: Any, flat: bool) -> Noise:
     return replace(found, rough=bent)
 
 
-def strained(
-    calculator: Any, cell: ase.Atoms, turns: np.ndarray, names: Sequence[str]
-) -> list[dict[str, Any]]:
-    """What a calculator says of a cell under deformation gradients [K, 3, 3], by ASE's names."""
-    found = []
+def strained(calculator: Any, cell: ase.Atoms, turns: np.ndarray) -> Iterator[ase.Atoms]:
+    """A cell under deformation gradients [K, 3, 3], one after one, with the calculator."""
     for F in turns:
         one = cell.copy()
         one.set_cell(np.array(cell.cell) @ F, scale_atoms=True)
         one.calc = calculator
-        found.append({name: getattr(one, f"get_{name}")(apply_constraint=False) for name in names})
-    return found
+        yield one
 
 
 def unit_strains(d: int) -> np.ndarray:
@@ -189,7 +176,7 @@ def bent_by_strain(cell: ase.Atoms, calculator: Any, flat: bool, noise: float) -
     ways /= np.linalg.norm(ways, axis=(1, 2))[:, None, None]
     for size in (STRAIN, LARGEST):
         turns = np.eye(3) + np.concatenate([size * ways, -size * ways])
-        ends = np.array([one["stress"] for one in strained(calculator, cell, turns, ["stress"])])
+        ends = np.array([one.get_stress() for one in strained(calculator, cell, turns)])
         slopes.append(np.subtract(*np.split(ends, 2)) / (2 * size))
     off, error = np.linalg.norm(slopes[1] - slopes[0]), noise / EV_IN_TPA / STRAIN
     share = off / np.linalg.norm(slopes[0])
@@ -201,55 +188,32 @@ def _directions(rng: np.random.Generator, count: int, size: float) -> np.ndarray
     return np.asarray(size * u / np.linalg.norm(u, axis=1, keepdims=True))
 
 
-class Symmetric:
+class Symmetric(Supercell):
     """Force constants on a supercell that its space group and exchange leave (symfc).
 
-    Args:
-        cell: the crystal's cell, an ase.Atoms.
-        supercell: of it, an ase.Atoms with its atoms on sites.
-        displaced: numbers in the supercell of the atoms of the cell, in turn.
-
-    `basis` has Φ of each number, orthonormal, shape [M, n, N, 3, 3]; `empty` all pairs without Φ.
+    Arguments are those of `Supercell`. `basis` has Φ of each number, orthonormal, shape
+    [M, n, N, 3, 3].
     """
 
     def __init__(
-        self,
-        cell: ase.Atoms,
-        supercell: ase.Atoms,
-        displaced: Sequence[int],
-        *,
-        thickness: float | None,
-        polar: NonAnalyticCorrection | None,
-        stress: np.ndarray | None = None,
+        self, cell: ase.Atoms, many: ase.Atoms, displaced: Sequence[int], **how: Any
     ) -> None:
+        super().__init__(cell, many, displaced, **how)
         sets, utils = (optional(f"symfc.{name}", SYMFC) for name in ("basis_sets", "utils.utils"))
-        self.displaced, count = list(displaced), len(supercell)
-        self.empty, (i, j, self.share) = every_pair(
-            cell, supercell, displaced, thickness=thickness, polar=polar, stress=stress
-        )
-        self.entries = i, j
-        kinds = np.empty(count, int)
-        kinds[j] = kinds_of(cell)[0][self.empty.pairs[:, 1]]
-        box, parts = np.array(supercell.cell), supercell.get_scaled_positions()
-        group = by_spglib("get_symmetry", (box, parts, kinds), ON_SITES)
-        if group is None:
-            raise InputError("symmetry: spglib finds none of this structure")
+        kinds, parts, count = kinds_of(cell)[0][self.site], many.get_scaled_positions(), len(many)
+        group = by_spglib("get_symmetry", (self.box, parts, kinds), ON_SITES)
         turns = group["rotations"].reshape(-1, 9)
         some = np.unique(turns, axis=0, return_index=True)[1]  # the rest are their products
         some = np.union1d(some, np.flatnonzero((turns == np.eye(3).ravel()).all(axis=1)))
         found = sets.FCBasisSetO2(
-            utils.SymfcAtoms(cell=box, scaled_positions=parts, numbers=kinds + 1),
+            utils.SymfcAtoms(cell=self.box, scaled_positions=parts, numbers=kinds + 1),
             spacegroup_operations={name: group[name][some] for name in OPERATIONS},
             symprec=ON_SITES,
         ).run()
         self.translations = found.translation_permutations
-        rows = 9 * count * np.array(displaced)[:, None] + np.arange(9 * count)
+        rows = 9 * count * np.array(self.displaced)[:, None] + np.arange(9 * count)
         basis = found.compression_matrix.tocsr()[rows.ravel()].toarray().T
         self.basis = (count / len(cell)) ** 0.5 * basis.reshape(-1, len(cell), count, 3, 3)
-
-    def values(self, phi: np.ndarray) -> np.ndarray:
-        """What pairs have of Φ [..., n, N, 3, 3], shape [..., P, 3, 3]."""
-        return np.asarray(phi[..., *self.entries, :, :] * self.share)
 
     def forces(self, u: np.ndarray) -> np.ndarray:
         """−Φ u on all atoms of each number's Φ, for u [N, 3], shape [3 N, M]."""
@@ -265,7 +229,7 @@ class Symmetric:
         Translations and turns of the crystal cost nothing (M. Born, K. Huang, 1954), and second
         moments are those of the stress it is under (Huang's relations).
         """
-        atoms, held = self.empty, np.zeros((3, 3))
+        atoms, held = self.pairs, np.zeros((3, 3))
         furthest = float(np.linalg.norm(atoms.vectors, axis=1).max())
         if atoms.stress is not None:
             held[: atoms.dimension, : atoms.dimension] = atoms.stress / EV_IN_TPA
@@ -286,46 +250,27 @@ class Symmetric:
 
 
 def projected(
-    cell: ase.Atoms,
-    supercell: ase.Atoms,
-    phi: np.ndarray,
-    displaced: Sequence[int],
-    *,
-    thickness: float | None = None,
-    polar: NonAnalyticCorrection | None = None,
+    cell: ase.Atoms, many: ase.Atoms, phi: np.ndarray, displaced: Sequence[int], **how: Any
 ) -> ForceConstants:
-    """The nearest force constants that keep what physics asks.
+    """The nearest force constants that keep what physics asks; arguments as for `from_supercell`.
 
     Their standard error is their change. What is at half the supercell's width should have decayed,
     and as much may be cut off.
-
-    Arguments are those of `from_supercell`.
     """
-    box = np.array(supercell.cell)
-    every = Symmetric(cell, supercell, displaced, thickness=thickness, polar=polar)
-    phi, polar = phi.transpose(0, 2, 1, 3), every.empty.polar
-    if polar is not None:
-        phi = phi - field_of_ions(polar, cell, supercell, displaced)
-    phi = balanced(phi, displaced)
+    every = Symmetric(cell, many, displaced, **how)
+    phi = every.balanced(every.short_ranged(phi))
     known, free = every.rules()
     numbers = np.tensordot(every.basis, phi, phi.ndim) - known
     kept = np.tensordot(known + free @ (free.T @ numbers), every.basis, 1)
-    edge, far = at_edge(every.empty.vectors, every.values(kept), box, thickness is not None)
-    rim = np.zeros(kept.shape[:2], bool)
-    rim[every.entries] = far
-    cut = balanced(np.where(rim[..., None, None], kept, 0.0), displaced)
+    rim = np.zeros((*kept.shape[:2], 1, 1), bool)
+    rim[every.entries] = every.at_edge[:, None, None]
+    cut = every.balanced(np.where(rim, kept, 0.0))
     values, moved, cut = (every.values(one) for one in (kept, kept - phi, cut))
-    return replace(every.empty, values=values, doubt=moved[None], cut=cut, edge=edge)
+    return replace(every.pairs, values=values, doubt=moved[None], cut=cut, edge=every.edge(values))
 
 
 def rattled(
-    cell: ase.Atoms,
-    many: ase.Atoms,
-    calculator: Any,
-    noise: Noise,
-    *,
-    thickness: float | None,
-    stress: np.ndarray | None,
+    cell: ase.Atoms, many: ase.Atoms, calculator: Any, noise: Noise, **how: Any
 ) -> tuple[ForceConstants, dict[str, str]]:
     """Force constants with their standard errors of crystals whose atoms all are displaced.
 
@@ -333,21 +278,23 @@ def rattled(
         cell, many: the crystal at rest and repeats of it.
         calculator: with forces.
         noise: which says how far atoms are displaced.
-        thickness, stress: as for `from_supercell`.
+        how: thickness and stress, as for `Supercell`.
 
     Returns what was found on the way as well. The rules of physics hold in the fit itself. Beside
     displacements of one size some of a smaller one are asked: what forces change by is an error.
     """
-    h, first = noise.length, range(len(cell))
-    every = Symmetric(cell, many, first, thickness=thickness, polar=None, stress=stress)
-    made, (known, free) = every.empty, every.rules()
+    h = noise.length
+    every = Symmetric(cell, many, range(len(cell)), **how)
+    known, free = every.rules()
     pairs = max(TIMES, int(np.ceil(TIMES * free.shape[1] / (3 * len(many)))))
     small, few = (h / ROUGHER, pairs) if noise.rough else (h / 2, 1)
+    rng, at, x = np.random.default_rng(1), forces_of(many, calculator), np.array(many.positions)
     rows, forces = [], []
-    for u, odd in _pulls(many, calculator, [h] * pairs + [small] * few):
+    for size in [h] * pairs + [small] * few:
+        u = _directions(rng, len(many), size)
         own = every.forces(u)
         rows.append(own @ free)
-        forces.append(odd - own @ known)
+        forces.append((at(x + u) - at(x - u)).ravel() / 2 - own @ known)
     X, short = np.concatenate(rows[:pairs]), np.concatenate(rows[pairs:])
     y, less = np.concatenate(forces[:pairs]), np.concatenate(forces[pairs:])
     U, sizes, V = np.linalg.svd(X, full_matrices=False)
@@ -366,10 +313,11 @@ def rattled(
         each = U * sizes
     numbers = np.column_stack([known + free @ z, free @ np.column_stack([scatter, bent, each])])
     values = np.tensordot(numbers.T, every.values(every.basis), 1)
-    edge, _ = at_edge(made.vectors, values[0], np.array(many.cell), thickness is not None)
-    values, doubt, spread = np.split(values, [1, scatter.shape[1] + 2])
-    found = replace(made, values=values[0], doubt=doubt, edge=edge)
-    found = replace(found, spread=spread) if noise.rough else found
+    (values,), doubt, spread = np.split(values, [1, scatter.shape[1] + 2])
+    found = replace(
+        every.pairs, values=values, doubt=doubt, edge=every.edge(values),
+        spread=spread if noise.rough else None,
+    )  # fmt: skip
     said = {
         "noise": f"{noise.force:.1e} eV/Å; {error:.1e} eV/Å between forces and force constants",
         "displacements": f"{h:.3g} Å of all atoms, {pairs} pairs; at {small:.3g} Å forces are "
@@ -378,13 +326,3 @@ def rattled(
     if noise.rough:
         said["rough"] = ROUGH_SAID.format(noise.rough / noise.linear)
     return found, said
-
-
-def _pulls(
-    many: ase.Atoms, calculator: Any, sizes: Sequence[float]
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Displacements [N, 3] of all atoms at random, of some sizes, and forces odd in them, [3 N]."""
-    rng, at, x = np.random.default_rng(1), forces_of(many, calculator), np.array(many.positions)
-    for size in sizes:
-        u = _directions(rng, len(many), size)
-        yield u, (at(x + u) - at(x - u)).ravel() / 2

@@ -25,7 +25,7 @@ from warp_peri.errors import InputError
 from warp_peri.points.arguments import typed
 from warp_peri.runtime import ranks_started
 
-COMMAND_SIGNS = set("\"'$&#")
+COMMAND_SIGNS = "\"'$&#"
 """What LAMMPS would interpret inside a path."""
 
 LINES = {
@@ -112,10 +112,9 @@ def _potentials() -> Path:
 
 def check_path(name: str, path: Path) -> None:
     """Raise InputError for a path that LAMMPS would interpret."""
-    if not str(path).isprintable() or set(str(path)) & COMMAND_SIGNS:
+    if not str(path).isprintable() or {*str(path)} & {*COMMAND_SIGNS}:
         raise InputError(
-            f"{name}: expected a path without any of {' '.join(sorted(COMMAND_SIGNS))} "
-            f"or control characters, which LAMMPS would interpret, got {str(path)!r}"
+            f"{name}: expected a path without {COMMAND_SIGNS} or control signs, got {str(path)!r}"
         )
 
 
@@ -126,9 +125,7 @@ def pair_coeff(style: str, path: Path, kinds: Sequence[str]) -> str:
     """
     if style == "eam":
         if len(kinds) > 1:
-            raise InputError(
-                f"potential: a file of the style eam is for one element, got {', '.join(kinds)}"
-            )
+            raise InputError(f"potential: expected one element for eam, got {', '.join(kinds)}")
         kinds = ()
     return " ".join([f'pair_coeff * * "{path}"', *kinds])
 
@@ -138,16 +135,12 @@ def _check_line(line: str) -> None:
     words = line.split()
     charges = words[0] == "fix" and words[3:4] and words[3].startswith(("qeq/", "acks2/"))
     if not (words[0] in LINES or charges):
-        raise InputError(
-            f"calculator: expected LAMMPS commands of a potential ({', '.join(sorted(LINES))}, fix "
-            f"… qeq/…), got {line!r:.200}"
-        )
+        known = ", ".join(sorted(LINES))
+        raise InputError(f"calculator: expected {known} or fix … qeq/…, got {line!r:.200}")
     coded = CODE & {word.strip("\"'") for word in words}
     if coded or not line.isprintable() or set(line) & {"$", "&"}:
-        raise InputError(
-            f"calculator: expected no {', '.join(sorted(CODE))}, $, & or line break, which could "
-            f"run code, in the LAMMPS line {line!r:.200}"
-        )
+        none = f"no {', '.join(sorted(CODE))}, $, & or line break, which could run code"
+        raise InputError(f"calculator: expected {none}, in the LAMMPS line {line!r:.200}")
     if words[0] == "pair_style" and (words[1:] or [""])[0] not in _pair_styles():
         raise InputError(f"calculator: LAMMPS has no such pair style, got {line!r:.200}")
 
@@ -171,10 +164,8 @@ def _types(lines: Sequence[str], kinds: Sequence[str]) -> dict[str, int]:
             found = [*enumerate(reversed([*last]), start=1)]
         for place, element in found:
             if element != "NULL" and named.setdefault(place, element) != element:
-                raise InputError(
-                    f"calculator: expected one element for type {place}, got {named[place]} and "
-                    f"{element} in its lines"
-                )
+                both = f"{named[place]} and {element}"
+                raise InputError(f"calculator: expected one element for type {place}, got {both}")
     if not named:
         numbered = [words for words in split if words[0] in ("pair_coeff", "set") and words[2:]]
         told = [word for words in numbered for word in words[3:]] + split[0][1:]
@@ -183,15 +174,15 @@ def _types(lines: Sequence[str], kinds: Sequence[str]) -> dict[str, int]:
         )
         if len(kinds) > 1 and not alike:  # a file has an order of its own
             raise InputError(
-                f"calculator: expected which of {', '.join(kinds)} each type of its lines is; say "
-                "each one's mass, as in: mass 1 24.305; mass 2 15.999"
+                f"calculator: expected which of {', '.join(kinds)} each type of its lines is, by "
+                "its mass, as in: mass 1 24.305; mass 2 15.999"
             )
         return {kind: number for number, kind in enumerate(kinds, start=1)}
     types = {element: place for place, element in sorted(named.items(), reverse=True)}
     if not set(kinds) <= set(types) or len(types) < len(named):
+        got = " ".join(named[place] for place in sorted(named))
         raise InputError(
-            "calculator: expected a pair_coeff, or masses, for each element of the structure, "
-            f"{', '.join(kinds)}, once, got {' '.join(named[place] for place in sorted(named))}"
+            f"calculator: expected types, by pair_coeff or mass, for {', '.join(kinds)}, got {got}"
         )
     return types
 
@@ -224,17 +215,13 @@ def lammps_calculator(
             path = _potentials() / path.name
         if not path.is_file():
             near = difflib.get_close_matches(path.name, [p.name for p in _potentials().iterdir()])
-            raise InputError(
-                "potential: expected a file, or the name of one that came with LAMMPS, got "
-                f"{str(potential)!r}" + (f"; LAMMPS came with {', '.join(near)}" if near else "")
-            )
+            there = f"; LAMMPS came with {', '.join(near)}" if near else ""
+            raise InputError(f"potential: expected a file, got {str(potential)!r}{there}")
         check_path("potential", path)
         lines.append(pair_coeff("".join(lines[0].split()[1:]) if lines else "", path, kinds))
     if len(lines) < 2:
-        raise InputError(
-            f'calculator: expected lammps:"pair_style …" with --potential FILE, or with its '
-            f"pair_coeff after a ;, got {commands!r}"
-        )
+        words = 'lammps:"pair_style …" with --potential FILE, or "…; pair_coeff …"'
+        raise InputError(f"calculator: expected {words}, got {commands!r}")
     for line in lines:
         _check_line(line)
     types = _types(lines, kinds)
@@ -244,9 +231,7 @@ def lammps_calculator(
     class Calculator(base):  # type: ignore[misc]
         """Whose errors are LAMMPS's own words."""
 
-        def calculate(self, *arguments: Any, **options: Any) -> None:
-            with lammps_words():
-                super().calculate(*arguments, **options)
+        calculate = lammps_words()(base.calculate)
 
     return Calculator(
         lmpcmds=[line for line in lines if not line.startswith("set ")],
@@ -299,16 +284,10 @@ def make_calculator(
             raise InputError("Python itself has no calculators")
         if not trusted and module not in WITHIN:
             raise InputError(f"it could run a program or load code: {TRUST}")
-        made = _found(module, path)
-        calculator = made(*arguments, **options)
+        return _found(module, path)(*arguments, **options)
     except Exception as error:  # constructors raise whatever they miss
-        raise InputError(
-            'calculator: expected lammps:"pair_style …" or module:Class(arguments), as '
-            f"ase.calculators.emt:EMT, got {name!r} ({error})"
-        ) from None
-    if not _offers_forces(calculator):
-        raise InputError(f"calculator: {name!r} makes no ASE calculator")
-    return calculator
+        words = 'lammps:"pair_style …" or module:Class(…), as ase.calculators.emt:EMT'
+        raise InputError(f"calculator: expected {words}, got {name!r} ({error})") from None
 
 
 def _parsed(call: str) -> tuple[list[str], list[Any], dict[str, Any]]:
@@ -332,18 +311,12 @@ def _found(module: str, path: Sequence[str]) -> Any:
         made = getattr(made, part)
         if inspect.ismodule(made):
             raise InputError(f"{part} is a module: expected it before the colon")
-    if not _makes_calculators(made):
+    kind = made
+    if inspect.ismethod(made):  # as Tersoff.from_lammps
+        kind = made.__self__
+    elif inspect.isfunction(made) and "." not in made.__qualname__:
+        kind = typing.get_type_hints(made).get("return")
+    offered = hasattr(kind, "get_property") or hasattr(kind, "get_forces")
+    if not (inspect.isclass(kind) and offered):
         raise InputError("it is no class of an ASE calculator, nor a function that returns one")
     return made
-
-
-def _makes_calculators(made: Any) -> bool:
-    if inspect.ismethod(made):  # as Tersoff.from_lammps
-        made = made.__self__
-    elif inspect.isfunction(made) and "." not in made.__qualname__:
-        made = typing.get_type_hints(made).get("return")
-    return inspect.isclass(made) and _offers_forces(made)
-
-
-def _offers_forces(made: Any) -> bool:
-    return hasattr(made, "get_property") or hasattr(made, "get_forces")

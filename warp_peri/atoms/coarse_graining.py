@@ -84,8 +84,7 @@ def smoothing_matrix(
         _check_spacing(nodes, radius, spacing)
     elif box is not None and (np.ptp(nodes, axis=0) > np.multiply(box, FULL)).any():
         raise InputError(
-            "nodes: some are periodic images of others, among which no force may be shared; "
-            "expected their spacing on a square lattice, or nodes within one period"
+            "nodes: some are periodic images of others: expected their spacing, or one period"
         )
     images, owner = _images(atoms, nodes, radius, box)
     if len(images) == 0:
@@ -98,19 +97,15 @@ def smoothing_matrix(
         if box is not None:
             total = np.bincount(owner, total, len(atoms))[owner]
     scale = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0)
-    to_owner = sp.csr_array(
-        (np.ones(len(owner)), (np.arange(len(owner)), owner)), shape=(len(owner), len(atoms))
-    )
-    return sp.csr_array(tau @ sp.diags_array(scale) @ to_owner)
+    shared = sp.csr_array((scale, (np.arange(len(owner)), owner)), shape=(len(owner), len(atoms)))
+    return sp.csr_array(tau @ shared)
 
 
 def _check_spacing(nodes: np.ndarray, radius: float, spacing: float) -> None:
     """Raise InputError for nodes of another lattice, or so wide that atoms belong to none."""
     if not radius > spacing / np.sqrt(2):
-        raise InputError(
-            f"radius: expected more than spacing/√2 = {spacing / np.sqrt(2):.4g}, "
-            f"got {radius}; some atoms would belong to no node"
-        )
+        least = spacing / np.sqrt(2)  # that no atom belongs to no node
+        raise InputError(f"radius: expected more than spacing/√2 = {least:.4g}, got {radius}")
     offset = nodes - nodes[0]
     if np.abs(offset - spacing * np.rint(offset / spacing)).max() > 1e-6 * spacing:
         raise InputError(f"nodes: expected a square lattice of spacing {spacing}")
@@ -162,10 +157,8 @@ def coarse_grain(
     density = np.asarray(weighted.sum(axis=1))
     if not (density > 0).all():
         bad = np.flatnonzero(~(density > 0))
-        raise InputError(
-            f"{len(bad)} nodes have no atom within the radius, the first is {bad[0]}: expected "
-            "nodes inside the body, or its periods (box)"
-        )
+        words = f"{len(bad)} nodes have no atom within the radius, the first is {bad[0]}"
+        raise InputError(f"{words}: expected nodes inside the body, or its periods (box)")
     u = _apply(weighted, moved) / density[:, None]
     b = _apply(omega, pushed) * (EV_PER_CUBIC_ANGSTROM / (node_area * thickness))
     return u, b
@@ -300,13 +293,12 @@ def read_mat(
     held = _variables(path, asked)
     if isinstance(positions, str):
         x = checked(positions, held[positions], float, ("N", 2))
-        step, side = spacing_of(x), None
+        step = spacing_of(x)
     else:
         step, side = float(positions), round((held[displacement][0].size / 2) ** 0.5)
         x = step * np.argwhere(np.ones((side, side), bool))
-    square = side is not None
-    u = _components_last(path, held, displacement, len(x), square=square)
-    b = None if load is None else factor * _components_last(path, held, load, len(x), square=square)
+    u = _components_last(path, held, displacement, len(x))
+    b = None if load is None else factor * _components_last(path, held, load, len(x))
     nodes = np.rint(place := (x - x.min(axis=0)) / step).astype(int)
     if np.abs(place - nodes).max() > ON_LATTICE or np.prod(place.max(axis=0) + 1) > LARGEST_GRID:
         raise InputError(f"{path}: expected positions on a square lattice along x and y")
@@ -315,9 +307,9 @@ def read_mat(
     fits = 4 * reach < min(grid.shape)
     interior = surrounded(grid, reach)[*nodes.T] if fits else np.zeros(len(nodes), bool)
     if not interior.any():
+        none = f"none of {' × '.join(map(str, grid.shape))}"
         raise InputError(
-            f"{path}: expected nodes with all nodes within {2 * reach} spacings around them, got "
-            f"none of {' × '.join(map(str, grid.shape))}"
+            f"{path}: expected all within {2 * reach} spacings around some, got {none}"
         )
     points = Points(x.min(axis=0) + step * nodes, interior, step, units=check_units(units))
     return Samples(points, u, b)
@@ -348,17 +340,13 @@ def _variables(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     return held
 
 
-def _components_last(
-    path: Path, held: dict[str, np.ndarray], name: str, nodes: int, *, square: bool
-) -> np.ndarray:
+def _components_last(path: Path, held: dict[str, np.ndarray], name: str, nodes: int) -> np.ndarray:
     """A field of so many nodes, shape [S, N, 2]."""
     field = held[name].astype(float)
     last = field.shape[-1] == 2
     if last and field.ndim == 2:
         field = field[None]  # one sample
     if not len(field) or field[0].size != 2 * nodes:
-        said = "a square number of" if square else nodes
-        raise InputError(
-            f"{path}: {name}: expected two components of {said} nodes, got {field.shape}"
-        )
+        words = f"expected two components of {nodes} nodes, got {field.shape}"
+        raise InputError(f"{path}: {name}: {words}")
     return field.reshape(-1, nodes, 2) if last else field.reshape(-1, 2, nodes).swapaxes(1, 2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -21,7 +21,7 @@ from warp_peri.core.elastic import (
     acoustic,
     allowed_tensors,
     brackets_from_elastic,
-    directional,
+    compliance,
     named_moduli,
     stress_brackets,
     voigt,
@@ -29,6 +29,7 @@ from warp_peri.core.elastic import (
 from warp_peri.core.groups import Symmetry, name_of, point_group
 from warp_peri.core.stencil import directions
 from warp_peri.errors import InputError, warn
+from warp_peri.fitting.transfer import WaveSymbol
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import fit_phonons
 from warp_peri.points.arguments import Positive, typed, typed_methods
@@ -89,8 +90,6 @@ SIZES, DIRECTIONS = 80, 60
 TOLD = (6, 3)
 """Wavelengths [spacings] whose error is told."""
 
-Symbol = Callable[[np.ndarray], np.ndarray]
-
 
 @typed_methods
 @dataclass(frozen=True, eq=False, repr=False)
@@ -144,7 +143,7 @@ class CrystalFit(Shown):
         return float((np.sqrt((share**2).sum(axis=0)) / size).max())
 
     @cached_property
-    def local(self) -> Symbol:
+    def local(self) -> WaveSymbol:
         """Γ(k) [TPa/Å²]: the local solid with the atoms' moduli, without any error of a mesh."""
         brackets = brackets_from_elastic(self.tensor)
         if self.atoms.stress is not None:
@@ -198,10 +197,9 @@ class CrystalFit(Shown):
     def directional(self, count: int = 181) -> tuple[np.ndarray, np.ndarray]:
         """Angles in the plane of the first and the last axis, and Young's modulus along [GPa]."""
         angle, one = np.linspace(0, 2 * np.pi, count), np.eye(self.atoms.dimension)
-        along = np.outer(np.cos(angle), one[0]) + np.outer(np.sin(angle), one[-1])
-        across = np.outer(-np.sin(angle), one[0]) + np.outer(np.cos(angle), one[-1])
-        C = 1e3 * self.law.tensor()
-        return angle, np.array([directional(C, *pair)[0] for pair in zip(along, across)])
+        e = np.outer(np.cos(angle), one[0]) + np.outer(np.sin(angle), one[-1])
+        S = compliance(1e3 * self.law.tensor())
+        return angle, 1 / np.einsum("ijkl,ni,nj,nk,nl->n", S, e, e, e, e, optimize=True)
 
     @property
     def _tensors(self) -> dict[str, np.ndarray]:
@@ -219,25 +217,27 @@ class CrystalFit(Shown):
             name = {"law": "model", "atoms": "atoms' long waves"}.get(key, key)
             shown.append((f"moduli, {name}", f"{parts} GPa"))
         if self.errors is not None:
-            bars = with_errors(self.tensor, self.errors)
-            told = ", ".join(f"{name} {bar:.2g}" for name, (_, bar) in bars.items())
+            bars = with_errors(self.tensor, self.errors).items()
+            told = ", ".join(f"{name} {bar:.2g}" for name, (_, bar) in bars)
             told += f" GPa; a sound wave's modulus {self.unsure:.2%}"
             shown.append(("standard errors", told))
         if held is not None:
             stress = ", ".join(f"{1e3 * held[i, j]:.3g}" for i in range(d) for j in range(i, d))
             shown.append(("stress held", f"{stress} GPa (upper triangle)"))
-        own, local = (_length(self.holds_to[name]) for name in ("law", "local"))
+        own, local = (
+            f"waves of {wave:.3g} Å" if np.isfinite(wave) else "no wave that was looked at"
+            for wave in self.holds_to.values()
+        )
+        within = f"{own}; local elasticity with the same moduli: {local}"
         shown += [
             ("nodes", f"{law.spacing:.4g} Å apart, {law.bonds} bonds up to {law.horizon:.4g} Å"),
             ("proven", "nothing" if self.certificate is None else self.certificate.statement),
-            (
-                f"within {WITHIN:.0%} down to",
-                f"{own}; local elasticity with the same moduli: {local}",
-            ),
+            (f"within {WITHIN:.0%} down to", within),
         ]
         for name, e in self.told_errors.items():
-            local = f"local elasticity {e['local']:.2f} %"
-            shown.append((f"error, {name}", f"{e['law']:.2f} %; {local}"))
+            shown.append(
+                (f"error, {name}", f"{e['law']:.2f} %; local elasticity {e['local']:.2f} %")
+            )
         return [*self.said.items(), *shown]
 
     def plot(self) -> Any:
@@ -294,10 +294,6 @@ def _allowed(symmetry: Symmetry, d: int) -> np.ndarray:
 
 def _group(atoms: ForceConstants, symmetry: Symmetry) -> Symmetry:
     return name_of(atoms.group()) if isinstance(symmetry, str) and symmetry == "auto" else symmetry
-
-
-def _length(wave: float) -> str:
-    return f"waves of {wave:.3g} Å" if np.isfinite(wave) else "no wave that was looked at"
 
 
 @typed
@@ -419,8 +415,8 @@ def crystal_from_force_constants(
         C = atoms.elastic(_allowed(group, atoms.dimension))
         if (share := np.abs(errors).max() / np.abs(C).max()) > RULES:
             raise InputError(
-                f"force constants: the rules that they break (space group, exchange of atoms, "
-                f"rotations) leave moduli unsure by {share:.0%}; expected less than {RULES:.0%}"
+                f"force constants: rules that they break (space group, rotations, …) leave moduli "
+                f"unsure by {share:.0%}; expected less than {RULES:.0%}"
             )
     return _learned(atoms, h, horizon, group, check_units(units), said, None)
 

@@ -99,9 +99,7 @@ def iter_dump(path: str | os.PathLike[str]) -> Iterator[DumpFrame]:
             elif not np.array_equal(first.ids, frame.ids):
                 raise ValueError("expected the ids of frame 1, got others")
             if frame.box is None and not frame.unwrapped and jumps(frame, first.x):
-                raise ValueError(
-                    "atoms jump by an edge of the tilted box: expected xu, yu, zu, or images"
-                )
+                raise ValueError("atoms jump by an edge of the tilted box: expected xu, yu, zu")
             yield frame
             number += 1
     except FileNotFoundError:
@@ -143,11 +141,9 @@ def _of_lammps(file: io.TextIOWrapper) -> Iterator[DumpFrame]:
     items: dict[str, list[str]] = {}
     title, size, announced = "", 0, -1
     for line in iter(lambda: file.readline(LONGEST), ""):
-        if len(line) == LONGEST:
-            raise ValueError(f"expected lines of at most {LONGEST} characters")
         size += len(line)
-        if size > LARGEST_FRAME:
-            raise ValueError(f"expected frames of at most {LARGEST_FRAME} characters")
+        if len(line) == LONGEST or size > LARGEST_FRAME:
+            raise ValueError(f"expected lines of less than {LONGEST} signs, frames {LARGEST_FRAME}")
         if not items and line.strip() and not line.startswith(BEGIN):
             raise ValueError(f"expected '{BEGIN[0]}', got {line.strip()[:60]!r}")
         if line.startswith("ITEM: ") and announced < 0:
@@ -171,16 +167,12 @@ def _of_items(items: dict[str, list[str]], columns: list[str], rows: list[str]) 
     (bounds,) = (title for title in items if title.startswith("BOX BOUNDS"))
     if "abc" in bounds:
         raise ValueError("a box of general edges (triclinic/general yes) is not read")
-    if len({*columns}) < len(columns):
-        raise ValueError(f"expected every column once, got {' '.join(columns)}")
-    if "id" not in columns:
-        raise ValueError(f"expected the column id, got {' '.join(columns)}")
     used = next((name for name in POSITIONS if name in columns), "x")
     heights = (used.replace("x", "z"), "z", "zu", "zs", "zsu")  # a sheet's: nobody looks at it
     wanted = ["id", used, used.replace("x", "y"), next((h for h in heights if h in columns), "z")]
-    if missing := [name for name in wanted if name not in columns]:
+    if len({*columns}) < len(columns) or not {*wanted} <= {*columns}:
         shown = " ".join(columns)
-        raise ValueError(f"expected x, y and z of one kind, as xu yu zu, got {shown}: {missing}")
+        raise ValueError(f"expected the columns id, x, y and z of one kind, each once, got {shown}")
     wanted += [name for name in ("type", *IMAGES) if name in columns]
     table = np.loadtxt(rows, usecols=[columns.index(name) for name in wanted], ndmin=2)
     values = dict(zip(wanted, table.T))
@@ -188,47 +180,45 @@ def _of_items(items: dict[str, list[str]], columns: list[str], rows: list[str]) 
     xy, xz, yz = tilt = limits[:, 2] if limits.shape[1] == 3 else np.zeros(3)
     low = limits[:, 0] - [min(0.0, xy, xz, xy + xz), min(0.0, yz), 0.0]
     high = limits[:, 1] - [max(0.0, xy, xz, xy + xz), max(0.0, yz), 0.0]
+    if not (np.isfinite(limits).all() and (high >= low).all()):
+        raise ValueError("expected a box of finite edges, its upper ends above the lower ones")
     cell = np.diag(high - low)
     cell[1, 0], cell[2, 0], cell[2, 1] = tilt
-    positions = low + table[:, 1:4] @ cell if used in ("xs", "xsu") else table[:, 1:4]
+    x = low + table[:, 1:4] @ cell if used in ("xs", "xsu") else table[:, 1:4]
     images = None
     if used in ("x", "xs") and set(IMAGES) <= set(values):
         images = np.stack([values[name] for name in IMAGES], axis=1)
-    if tilt.any() and used in ("x", "xs") and images is None:
+    elif tilt.any() and used in ("x", "xs"):
         raise ValueError(
-            f"expected the columns xu, yu, zu in a tilted box, got {used}; or {used} with the "
-            "images ix, iy, iz"
+            f"expected xu, yu, zu in a tilted box, got {used}; or {used} with ix, iy, iz"
         )
-    if not (np.isfinite(limits).all() and (high >= low).all()):
-        raise ValueError("expected a box of finite edges, its upper ends above the lower ones")
-    whole = {name: values[name] for name in ("id", "type") if name in values}
-    for name, one in whole.items():
+    for name in {"id", "type"} & {*wanted}:
+        one = values[name]
         if not ((one >= 1) & (one < MOST) & (one % 1 == 0)).all():
             raise ValueError(f"{name}: expected whole numbers from 1")
-    ids = whole["id"].astype(np.int64)
-    types = whole["type"].astype(np.int64) if "type" in whole else None
-    return _ordered(ids, positions, types, cell, tuple(columns), images)
+        values[name] = one.astype(np.int64)
+    return _ordered(values["id"], x, values.get("type"), cell, columns, images)
 
 
 def _ordered(
     ids: np.ndarray,
-    positions: np.ndarray,
+    x: np.ndarray,
     types: np.ndarray | None,
     cell: np.ndarray,
-    columns: tuple[str, ...],
-    images: np.ndarray | None = None,
+    columns: Sequence[str],
+    images: np.ndarray | None,
 ) -> DumpFrame:
     """Atoms by rising id, none twice, all somewhere, unwrapped where there are images of a box."""
-    if images is not None:
-        positions = positions + images @ cell
-    if not np.isfinite(positions).all():
+    x = x if images is None else x + images @ cell
+    if not np.isfinite(x).all():
         raise ValueError("positions that are not finite")
     order = np.argsort(ids)
-    ids, x = ids[order], positions[order]
+    ids, x = ids[order], x[order]
     if (twice := ids[1:][ids[1:] == ids[:-1]]).size:
         raise ValueError(f"the id {twice[0]} comes twice")
-    kinds, free = None if types is None else types[order], bool({"xu", "xsu"} & set(columns))
-    return DumpFrame(ids, x[:, :2], kinds, columns, x[:, 2], cell, images is not None or free)
+    kinds = None if types is None else types[order]
+    free = images is not None or bool({"xu", "xsu"} & set(columns))
+    return DumpFrame(ids, x[:, :2], kinds, tuple(columns), x[:, 2], cell, free)
 
 
 def _by_ase(path: str | os.PathLike[str]) -> Iterator[DumpFrame]:
@@ -241,12 +231,13 @@ def _by_ase(path: str | os.PathLike[str]) -> Iterator[DumpFrame]:
         if not int(count) + max(wide, default=0) < os.path.getsize(path):
             raise ValueError("expected as many atoms and columns as a file of that size holds")
     for atoms in ase.io.iread(os.fspath(path), index=":", format=form):
-        ids = np.asarray(atoms.arrays.get("id", np.arange(1, len(atoms) + 1)))
+        held, cell = atoms.arrays, np.array(atoms.cell) * atoms.pbc[:, None]
+        ids = np.asarray(held.get("id", np.arange(1, len(atoms) + 1)))
         types = 1 + np.unique(atoms.numbers, return_inverse=True)[1]
-        cell = np.array(atoms.cell) * atoms.pbc[:, None]
-        there = set(IMAGES) <= set(atoms.arrays)
-        images = np.stack([atoms.arrays[name] for name in IMAGES], axis=1) if there else None
-        yield _ordered(ids, np.array(atoms.positions), types, cell, tuple(atoms.arrays), images)
+        images = None
+        if set(IMAGES) <= set(held):
+            images = np.stack([held[name] for name in IMAGES], axis=1)
+        yield _ordered(ids, atoms.positions, types, cell, tuple(held), images)
 
 
 BOX_TOLERANCE = 1e-5
@@ -272,11 +263,9 @@ def read_masses(path: str | os.PathLike[str], masses: Sequence[float]) -> np.nda
     each = checked("masses", masses, float, ("T",))
     if not (each > 0).all():
         raise InputError(f"masses: expected numbers > 0, got {each.min():g}")
-    low, high = frame.types.min(), frame.types.max()
-    if low < 1 or high > len(masses):
-        raise InputError(
-            f"mass: expected one for each of the types {low} to {high} of {path}, got {len(masses)}"
-        )
+    if (most := frame.types.max()) > len(masses):
+        words = f"masses: expected one for each of the types 1 to {most} of {path}"
+        raise InputError(f"{words}, got {len(masses)}")
     return np.asarray(np.take(each, frame.types - 1), dtype=float)
 
 
@@ -341,10 +330,8 @@ def check_box(
     if header is None:
         raise InputError(f"{path}: box: expected an orthogonal box in the dump, got a tilted one")
     if np.shape(box) != (2,) or not np.allclose(box, header, rtol=tolerance, atol=0):
-        raise InputError(
-            f"{path}: box: expected the header's {' x '.join(f'{L:.9g}' for L in header)} Å, got "
-            f"{' x '.join(f'{L:.9g}' for L in np.ravel(box))} Å"
-        )
+        wanted, got = (" x ".join(f"{L:.9g}" for L in np.ravel(one)) for one in (header, box))
+        raise InputError(f"{path}: box: expected the header's {wanted} Å, got {got} Å")
 
 
 @dataclass(frozen=True)
@@ -416,10 +403,9 @@ def coarse_grain_dumps(
     Raises InputError as its parts do, and for forces or unloaded dumps that do not fit, or whose
     ids differ.
     """
-    if not len(dumps):
-        raise InputError("dumps: expected one or more, got none")
-    if len(unloaded) not in (0, 1, len(dumps)):
-        raise InputError(f"unloaded: expected 0, 1 or {len(dumps)} dumps, got {len(unloaded)}")
+    if not len(dumps) or len(unloaded) not in (0, 1, len(dumps)):
+        counts = f"{len(dumps)} and {len(unloaded)}"
+        raise InputError(f"dumps, unloaded: expected some, and none, 1 or as many, got {counts}")
     force = checked("force", force, shape=(len(dumps), "A", 2))
     _warn_of_shares(force, np.broadcast_to(np.asarray(atoms.mass, float), force.shape[1]))
     ids = next(iter_dump(dumps[0])).ids if atoms.ids is None else atoms.ids
@@ -449,10 +435,10 @@ def _warn_of_shares(force: np.ndarray, mass: np.ndarray) -> None:
     size = [np.sqrt(np.square(force[:, mass == one]).mean()) / one for one in kinds]
     if max(size) > UNLIKE * min(size):
         shares = ", ".join(f"{each / max(size):.2g}" for each in size)
+        masses = ", ".join(f"{one:g}" for one in kinds)
         warn(
-            f"force: atoms of masses {', '.join(f'{one:g}' for one in kinds)} carry loads per mass "
-            f"of {shares}, relative: what a cell's mean by mass does then is not the answer to its "
-            "load alone; a load is to go over the atoms of a cell by mass"
+            f"force: atoms of masses {masses} carry loads per mass of {shares}, relative: expected "
+            "a load over the atoms of a cell by mass, or their mean is not the answer to it alone"
         )
 
 
@@ -471,6 +457,5 @@ def _warn_of_torn(
     if count := int((longer & bonds).any(axis=1).sum()):
         warn(
             f"{path.name}: {count} of {len(x)} atoms are {TORN - 1:.0%} or more further from a "
-            "neighbour than without load: the sheet is torn there, and no field on nodes is what "
-            "they do"
+            "neighbour than without load: torn, which no field on nodes is"
         )

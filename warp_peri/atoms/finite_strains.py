@@ -7,7 +7,6 @@ from typing import Any
 
 import ase
 import numpy as np
-from ase.stress import voigt_6_to_full_3x3_stress
 
 from warp_peri.atoms.calculator_noise import (
     EV_IN_TPA,
@@ -91,14 +90,14 @@ def _under_strain(
     d, n, flat = atoms.dimension, len(cell), atoms.thickness is not None
     G = np.eye(3) + np.einsum("e,s,kij->eksij", e, [1, -1], unit_strains(d))
     many = cell.repeat((2, 2, 1 if flat else 2))
-    told = strained(calculator, many, G.reshape(-1, 3, 3), ["stress", "forces"])
+    each = strained(calculator, many, G.reshape(-1, 3, 3))
+    stresses, pushes = zip(*((one.get_stress(voigt=False), one.get_forces()) for one in each))
     tall = EV_IN_TPA * (cell.cell[2, 2] / atoms.thickness if flat else 1.0)
-    sigma = np.array([voigt_6_to_full_3x3_stress(one["stress"]) for one in told]) * tall
     back, place = np.linalg.inv(G), tuple(np.transpose(PAIRS[d]))
-    pulled = np.linalg.det(G)[..., None, None] * back @ sigma.reshape(G.shape)
+    pulled = np.linalg.det(G)[..., None, None] * back @ np.reshape(stresses, G.shape) * tall
     S = (pulled @ back.swapaxes(-1, -2))[..., *place].transpose(2, 0, 1, 3)
-    pushes = [np.reshape(one["forces"], (-1, n, 3)).mean(axis=0) for one in told]
-    return S, np.reshape(pushes, (*G.shape[:3], n, 3)).transpose(2, 0, 1, 3, 4)
+    mean = np.reshape(pushes, (*G.shape[:3], -1, n, 3)).mean(axis=3)
+    return S, mean.transpose(2, 0, 1, 3, 4)
 
 
 def _slope(y: np.ndarray, e: np.ndarray, secant: bool) -> tuple[np.ndarray, float, float]:

@@ -12,9 +12,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
+from ase import Atoms
+from ase.build import make_supercell
 
-from warp_peri.atoms.ions import DECAYED, NonAnalyticCorrection, field_of_ions, sites_of
+from warp_peri.atoms.ions import DECAYED, NonAnalyticCorrection
 from warp_peri.core.elastic import acoustic, stress_brackets
 from warp_peri.core.groups import group_of_structure, kinds_of, point_group
 from warp_peri.core.stencil import directions
@@ -116,12 +117,9 @@ class ForceConstants:
         """
         d, m, n = self.dimension, moving or self.moving, len(self.positions)
         phase = np.exp(1j * (k @ self.vectors[:, :d].T))
-        D = np.zeros((len(k), n, m, n, m), complex)
-        for i, j in np.unique(self.pairs, axis=0):
-            some = (self.pairs == (i, j)).all(axis=1)
-            D[:, i, :, j, :] = np.tensordot(phase[:, some], self.values[some, :m, :m], 1)
+        D = self._by_atoms(phase, self.values[:, :m, :m]).transpose(2, 0, 3, 1, 4)
         if self.polar is not None:
-            D += self.polar.matrix(k, self.cell, self.positions)
+            D = D + self.polar.matrix(k, self.cell, self.positions)
         if m > d:
             D[:, :, 2, :, 2] += HELD * np.abs(self.values).max()
         flat = D.reshape(len(k), n * m, n * m)
@@ -139,10 +137,8 @@ class ForceConstants:
         D = self.dynamical(k)
         least = np.linalg.eigvalsh(D)[:, 0]
         if least.min() <= SOFT * np.abs(self.values).max():
-            raise InputError(
-                f"force constants: expected a stable crystal, got the stiffness {least.min():.2e} "
-                f"eV/Å² at k = {np.round(k[least.argmin()], 4).tolist()} 1/Å"
-            )
+            at = f"{least.min():.2e} eV/Å² at k = {np.round(k[least.argmin()], 4).tolist()} 1/Å"
+            raise InputError(f"force constants: expected a stable crystal, got the stiffness {at}")
         force = np.zeros((len(k), n, m, f.shape[-1]), complex)
         force[:, :, :d] = f[:, None]
         moved = np.linalg.solve(D, force.reshape(len(k), n * m, -1))
@@ -150,14 +146,11 @@ class ForceConstants:
 
     def stiffness_error(self, k: np.ndarray, waves: np.ndarray) -> Any:
         """Errors [eV/Å²] of the stiffness of waves [..., n, m] at k [1/Å]; 0 where none is told."""
-        doubt, m, n = self.doubt, waves.shape[-1], len(self.positions)
-        doubt = doubt if self.spread is None else self.spread
+        doubt, m = self.doubt if self.spread is None else self.spread, waves.shape[-1]
         if doubt is None:
             return np.zeros(waves.shape[:-2])
-        phase, count = np.exp(1j * (self.vectors[:, : len(k)] @ k)), len(self.pairs)
-        onto = sp.csr_array((phase, (self.pairs @ [n, 1], np.arange(count))), shape=(n * n, count))
-        off = onto @ np.moveaxis(doubt[..., :m, :m], 0, -1).reshape(count, -1)
-        off = off.reshape(n, n, m, m, len(doubt))
+        phase = np.exp(1j * (self.vectors[:, : len(k)] @ k))
+        off = self._by_atoms(phase[None], np.moveaxis(doubt[..., :m, :m], 0, -1))[:, :, 0]
         ends = np.einsum("...ia,ijabq,...jb->...q", waves.conj(), off, waves, optimize=True)
         return np.linalg.norm(ends.real, axis=-1)
 
@@ -172,6 +165,15 @@ class ForceConstants:
         stiff = np.linalg.inv(flexible) * STRESSES["eV/angstrom^3"]
         return np.asarray((stiff + stiff.swapaxes(1, 2)) / 2)
 
+    def _by_atoms(self, weight: np.ndarray, phi: np.ndarray) -> np.ndarray:
+        """Σ weight [K, P] · phi [P, ...] over the pairs of each two atoms, [n, n, K, ...]."""
+        n = len(self.positions)
+        sums = np.zeros((n, n, len(weight), *phi.shape[1:]), weight.dtype)
+        for i, j in np.unique(self.pairs, axis=0):
+            some = (self.pairs == (i, j)).all(axis=1)
+            sums[i, j] = np.tensordot(weight[:, some], phi[some], 1)
+        return sums
+
     def moments(self, values: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
         """Moments Σ Φ r⁰, Σ Φ r¹ of each atom and Σ Φ r² of the cell, that of r² as [3, 3, 3, 3].
 
@@ -179,17 +181,10 @@ class ForceConstants:
         3], [..., n, 3, 3, 3] with the vector last, and [..., 3, 3, 3, 3] with the vectors last.
         Ions' fields belong to them, but for the macroscopic one.
         """
-        n, count, r = len(self.positions), len(self.vectors), self.vectors
-        phi = np.moveaxis(self.values if values is None else values, -3, 0)
-
-        def total(keys: np.ndarray, size: int, weight: np.ndarray) -> np.ndarray:
-            summed = sp.csr_array((weight, (keys, np.arange(count))), shape=(size, count))
-            return np.asarray(summed @ phi.reshape(count, -1)).reshape(size, *phi.shape[1:])
-
-        zeroth = total(self.pairs @ [n, 1], n * n, np.ones(count))
-        zeroth = np.moveaxis(zeroth.reshape(n, n, *phi.shape[1:]), (0, 1), (-4, -2))
-        first = np.stack([total(self.pairs[:, 0], n, part) for part in r.T], axis=-1)
-        first = np.moveaxis(first, 0, -4)
+        r, phi = self.vectors, np.moveaxis(self.values if values is None else values, -3, 0)
+        sums = self._by_atoms(np.column_stack([np.ones(len(r)), r]).T, phi)
+        zeroth = np.moveaxis(sums[:, :, 0], (0, 1), (-4, -2))
+        first = np.moveaxis(sums[:, :, 1:].sum(axis=1), (0, 1), (-4, -1))
         second = np.tensordot(phi, r[:, :, None] * r[:, None], (0, 0))
         if self.polar is not None:
             ions = self._of_ions
@@ -269,10 +264,8 @@ class ForceConstants:
                 "a piezoelectric crystal's non-analytic term, a stress that it is held under, or "
                 "another symmetry may be why"
             )
-            raise InputError(
-                f"force constants: long waves are {off:.1%} off those of every elastic solid of "
-                f"this symmetry; {why}"
-            )
+            words = f"{off:.1%} off those of every elastic solid of this symmetry"
+            raise InputError(f"force constants: long waves are {words}; {why}")
         for doubt in doubts:
             warn(f"force constants: {doubt}")
         return C
@@ -335,113 +328,135 @@ def relaxing(stiff: np.ndarray, moving: int) -> np.ndarray:
     return np.asarray(np.linalg.inv(stiff + size * whole) - whole / size)
 
 
-def from_supercell(
-    structure: Any,
-    supercell: Any,
-    phi: np.ndarray,
-    displaced: Sequence[int],
-    *,
-    thickness: float | None = None,
-    polar: NonAnalyticCorrection | None = None,
-    stress: np.ndarray | None = None,
-    change: float | None = None,
-) -> ForceConstants:
-    """Force constants of a cell from those between its atoms and the atoms of a supercell.
+class Supercell:
+    """A supercell of a crystal, and Φ between a cell's atoms and all others as a list of pairs.
 
     Args:
-        structure: the cell, an ase.Atoms; moments, charges and tags tell its atoms apart.
-        supercell: an ase.Atoms whose atoms lie on sites of the structure.
-        phi: Φ [eV/Å²] of the displaced atoms, shape [n, 3, N, 3].
+        cell: the crystal's, an ase.Atoms; moments, charges and tags tell its atoms apart.
+        many: the supercell, an ase.Atoms whose atoms lie on sites of the cell.
         displaced: numbers in the supercell of the atoms of the cell, in turn, length n.
         thickness: of a sheet.
         polar: charges of ions; without them a polar crystal's waves are wrong between those of the
             supercell.
         stress: that the crystal is held under [TPa], shape [d, d].
-        change: of Φ between two steps, as `finite_differences` gives it.
 
-    Raises InputError for atoms that are not on sites, shapes that do not fit, no forces at all, or
-    polar sheets.
+    `pairs` has all pairs of the cell's atoms with the nearest images of the supercell's, without Φ.
+
+    Raises InputError for atoms that are not on sites, and polar sheets.
     """
-    if phi.shape != (len(structure), 3, len(supercell), 3):
-        expected = [len(structure), 3, len(supercell), 3]
-        raise InputError(f"phi: expected shape {expected}, got {list(phi.shape)}")
-    if not np.abs(phi).max() > 0:
-        raise InputError(f"phi: expected forces between atoms, got none in {len(supercell)} atoms")
-    made, (i, j, share) = every_pair(
-        structure, supercell, displaced, thickness=thickness, polar=polar, stress=stress
-    )
-    phi = phi.transpose(0, 2, 1, 3)
-    if made.polar is not None:
-        phi = phi - field_of_ions(made.polar, structure, supercell, displaced)
-    size = np.abs(phi).max(axis=(2, 3), keepdims=True)
-    phi = balanced(np.where(size > NEGLIGIBLE * size.max(), phi, 0.0), displaced)
-    kept = np.asarray(phi.any(axis=(2, 3)))[i, j]
-    values, pairs, vectors = (phi[i, j] * share)[kept], made.pairs[kept], made.vectors[kept]
-    edge, _ = at_edge(vectors, values, np.array(supercell.cell), thickness is not None)
-    return replace(made, pairs=pairs, vectors=vectors, values=values, edge=edge, change=change)
+
+    def __init__(
+        self,
+        cell: Any,
+        many: Any,
+        displaced: Sequence[int],
+        *,
+        thickness: float | None = None,
+        polar: NonAnalyticCorrection | None = None,
+        stress: np.ndarray | None = None,
+    ) -> None:
+        edges, box, x, X = (
+            np.array(part) for part in (cell.cell, many.cell, cell.positions, many.positions)
+        )
+        self.displaced, self.box = list(displaced), box
+        self.apart = X - X[self.displaced][:, None]
+        to_site = self.apart @ np.linalg.inv(edges)
+        off = np.abs(to_site - np.rint(to_site)).max(axis=2)
+        if off.min(axis=0).max() > ON_SITE:
+            raise InputError("supercell: expected atoms on the sites of the structure")
+        self.site = off.argmin(axis=0)
+        if polar is not None:
+            if thickness is not None:
+                raise InputError("BORN: expected a solid; the field of a sheet's ions is another")
+            most = float(np.linalg.eigvalsh(polar.dielectric)[-1]) ** 0.5
+            shortest = float(np.linalg.norm(box, axis=1).min())
+            polar = replace(polar, decay=polar.decay or 2 * DECAYED * most / shortest)
+        fraction = self.apart @ np.linalg.inv(box)
+        shifts = np.array(list(itertools.product((-1, 0, 1), repeat=3)))
+        near = ((fraction - np.rint(fraction))[:, :, None] + shifts) @ box
+        far = np.linalg.norm(near, axis=3)
+        tie = far <= far.min(axis=2, keepdims=True) + NEAREST * np.linalg.norm(edges[0])
+        i, j, image = np.nonzero(tie)
+        share = 1 / tie.sum(axis=2)
+        self.entries, self.share = (i, j), share[i, j][:, None, None]
+        pairs, none = np.stack([i, self.site[j]], axis=1), np.zeros((len(i), 3, 3))
+        of = edges, x, np.array(cell.numbers), pairs, near[i, j, image], none
+        self.pairs = ForceConstants(*of, thickness, polar, stress, kinds_of(cell)[0])
+        widths = 1 / np.linalg.norm(np.linalg.inv(box), axis=0)[: 3 if thickness is None else 2]
+        self.at_edge = far[i, j, image] > EDGE * widths.min()
+
+    def values(self, phi: np.ndarray) -> np.ndarray:
+        """What pairs have of Φ [..., n, N, 3, 3], shape [..., P, 3, 3]."""
+        return np.asarray(phi[..., *self.entries, :, :] * self.share)
+
+    def short_ranged(self, phi: np.ndarray) -> np.ndarray:
+        """Φ [n, N, 3, 3] without what charges of ions add to it; InputError for another shape."""
+        shape = len(self.displaced), len(self.site), 3, 3
+        if phi.shape != shape:
+            raise InputError(f"phi: expected shape {list(shape)}, got {list(phi.shape)}")
+        return phi if self.pairs.polar is None else phi - self.field_of_ions()
+
+    def field_of_ions(self) -> np.ndarray:
+        """What their charges add to Φ, [n, N, 3, 3]: the mean of waves that fit the supercell."""
+        polar: Any = self.pairs.polar
+        cell, x = self.pairs.cell, self.pairs.positions
+        multiples = np.rint(self.box @ np.linalg.inv(cell)).astype(int)
+        whole = make_supercell(Atoms("X", cell=np.eye(3)), multiples.T)
+        parts = np.round(whole.get_scaled_positions(), 9) % 1.0
+        k = 2 * np.pi * (parts - (parts > 0.5)) @ np.linalg.inv(cell).T
+        D = polar.matrix(k, cell, x)
+        phase = np.exp(-1j * np.einsum("kc,nNc->knN", k, self.apart)) / len(k)
+        phi = np.empty((*self.apart.shape, 3))
+        for j in range(len(x)):
+            some = self.site == j
+            phi[:, some] = np.einsum("kiN,kiab->iNab", phase[:, :, some], D[:, :, :, j]).real
+        return phi
+
+    def balanced(self, phi: np.ndarray) -> np.ndarray:
+        """Φ whose sums are zero, as translations ask, at the atoms themselves."""
+        phi = phi.copy()
+        for row, atom in zip(phi, self.displaced):
+            row[atom] -= row.sum(axis=0)
+            row[atom] = (row[atom] + row[atom].T) / 2
+        return phi
+
+    def edge(self, values: np.ndarray) -> float:
+        """Share of Σ |Φ| r² that is at half the supercell's width, of a sheet in its plane."""
+        size = np.linalg.norm(self.pairs.vectors, axis=1)
+        moment = np.abs(values).max(axis=(1, 2)) * size**2
+        return float(moment[self.at_edge].sum() / max(moment.sum(), TINY))
 
 
-def balanced(phi: np.ndarray, displaced: Sequence[int]) -> np.ndarray:
-    """Φ [n, N, 3, 3] whose sums are zero, as translations ask, at the atoms themselves."""
-    phi = phi.copy()
-    for row, atom in zip(phi, displaced):
-        row[atom] -= row.sum(axis=0)
-        row[atom] = (row[atom] + row[atom].T) / 2
-    return phi
-
-
-def every_pair(
-    structure: Any,
-    supercell: Any,
+def from_supercell(
+    cell: Any,
+    many: Any,
+    phi: np.ndarray,
     displaced: Sequence[int],
     *,
-    thickness: float | None,
-    polar: NonAnalyticCorrection | None,
-    stress: np.ndarray | None,
-) -> tuple[ForceConstants, tuple[np.ndarray, ...]]:
-    """Pairs of a cell's atoms with the nearest images of a supercell's, without Φ between them.
+    change: float | None = None,
+    **how: Any,
+) -> ForceConstants:
+    """Force constants of a cell from Φ [eV/Å²] of its atoms with those of a supercell.
 
-    Arguments are those of `from_supercell`. Returns the pairs and, of each, the atom of the cell,
-    that of the supercell, [P], and the share of their Φ that it has, [P, 1, 1].
+    Args:
+        cell, many, displaced, how: as for Supercell.
+        phi: shape [n, N, 3, 3].
+        change: of it between two steps, as `finite_differences` gives it.
+
+    Raises InputError as Supercell does, and where there are no forces at all.
     """
-    cell, box = np.array(structure.cell), np.array(supercell.cell)
-    x, X = np.array(structure.positions), np.array(supercell.positions)
-    if len(displaced) != len(x):
-        raise InputError(f"displaced: expected {len(x)} atoms, got {len(displaced)}")
-    kind, off = sites_of(X, X[list(displaced)], cell)
-    if off > ON_SITE:
-        raise InputError("supercell: expected atoms on the sites of the structure")
-    if polar is not None:
-        if thickness is not None:
-            raise InputError("polar: expected a solid; the field of a sheet's ions is another")
-        most = float(np.linalg.eigvalsh(polar.dielectric)[-1]) ** 0.5
-        shortest = float(np.linalg.norm(box, axis=1).min())
-        polar = replace(polar, decay=polar.decay or 2 * DECAYED * most / shortest)
-    fraction = (X - X[list(displaced)][:, None]) @ np.linalg.inv(box)
-    shifts = np.array(list(itertools.product((-1, 0, 1), repeat=3)))
-    near = ((fraction - np.rint(fraction))[:, :, None] + shifts) @ box
-    far = np.linalg.norm(near, axis=3)
-    tie = far <= far.min(axis=2, keepdims=True) + NEAREST * np.linalg.norm(cell[0])
-    i, j, image = np.nonzero(tie)
-    share = 1 / tie.sum(axis=2)
-    pairs, none = np.stack([i, kind[j]], axis=1), np.zeros((len(i), 3, 3))
-    of = cell, x, np.array(structure.numbers), pairs, near[i, j, image], none
-    made = ForceConstants(*of, thickness, polar, stress, kinds_of(structure)[0])
-    return made, (i, j, share[i, j][:, None, None])
-
-
-def at_edge(
-    vectors: np.ndarray, values: np.ndarray, box: np.ndarray, flat: bool
-) -> tuple[float, np.ndarray]:
-    """Share of Σ |Φ| r² that is at half the width of a box, and which pairs are, [P].
-
-    Of a sheet its plane counts.
-    """
-    size = np.linalg.norm(vectors, axis=1)
-    moment = np.abs(values).max(axis=(1, 2)) * size**2
-    width = 1 / np.linalg.norm(np.linalg.inv(box), axis=0)[: 2 if flat else 3].max()
-    far = size > EDGE * width
-    return float(moment[far].sum() / max(moment.sum(), TINY)), far
+    every = Supercell(cell, many, displaced, **how)
+    phi = every.short_ranged(phi)
+    size = np.abs(phi).max(axis=(2, 3), keepdims=True)
+    if not size.max() > 0:
+        raise InputError(f"phi: expected forces between atoms, got none in {len(many)} atoms")
+    phi = every.balanced(np.where(size > NEGLIGIBLE * size.max(), phi, 0.0))
+    values, made = every.values(phi), every.pairs
+    kept = values.any(axis=(1, 2))
+    return replace(
+        made, pairs=made.pairs[kept], vectors=made.vectors[kept], values=values[kept],
+        edge=every.edge(values), change=change,
+    )  # fmt: skip
 
 
 def finite_differences(
@@ -451,30 +466,26 @@ def finite_differences(
     *,
     step: float = STEP,
 ) -> tuple[np.ndarray, float]:
-    """Φ [eV/Å²] of some atoms with all, by differences of fourth order, [n, 3, N, 3].
+    """Φ [eV/Å²] of some atoms with all, by differences of fourth order, [n, N, 3, 3].
 
-    The sum over all atoms is made zero, as translations ask, at the atoms themselves. Beside it
-    stands how much Φ changes from the one step to one five times as wide, over the largest: 1e-3
-    or less where the energy is smooth.
+    Beside it stands how much Φ changes from the one step to one five times as wide, over the
+    largest: 1e-3 or less where the energy is smooth.
 
     Args:
         forces: on all atoms [eV/Å] at positions [Å], shape [N, 3] to [N, 3].
         positions: at rest.
         displaced: numbers of the atoms to move.
     """
-    phi = np.zeros((len(displaced), 3, len(positions), 3))
-    change = 0.0
-    for row, (i, axis) in enumerate(itertools.product(displaced, range(3))):
+    phi, change = np.zeros((len(displaced), len(positions), 3, 3)), 0.0
+    for (row, i), axis in itertools.product(enumerate(displaced), range(3)):
         near, wide = slopes = np.zeros((2, len(positions), 3))
         for slope, length in zip(slopes, (step, WIDER * step)):
             for sign in (1, -1):
                 moved = positions.copy()
                 moved[i, axis] += sign * length
                 slope += sign * np.array(forces(moved)) / (2 * length)
-        phi[divmod(row, 3)] = -(WIDER**2 * near - wide) / (WIDER**2 - 1)
+        phi[row, :, axis] = -(WIDER**2 * near - wide) / (WIDER**2 - 1)
         change = max(change, float(np.abs(near - wide).max()))
-    for row, i in enumerate(displaced):
-        phi[row, :, i] -= phi[row].sum(axis=1)
     return phi, change / max(float(np.abs(phi).max()), TINY)
 
 
@@ -494,11 +505,14 @@ def from_calculator(
         calculator: with forces in eV/Å.
         repeats: of the cell along its edges; the supercell is to be wider than twice what the
             forces reach.
+        thickness: of a sheet.
+        step: of finite differences [Å].
     """
-    supercell, first = structure.repeat(tuple(repeats)), range(len(structure))
-    forces, x = forces_of(supercell, calculator), np.array(supercell.positions)
-    phi, change = finite_differences(forces, x, first, step=step)
-    return from_supercell(structure, supercell, phi, first, thickness=thickness, change=change)
+    many, first = structure.repeat(tuple(repeats)), range(len(structure))
+    phi, change = finite_differences(
+        forces_of(many, calculator), np.array(many.positions), first, step=step
+    )
+    return from_supercell(structure, many, phi, first, thickness=thickness, change=change)
 
 
 def forces_of(many: Any, calculator: Any) -> Callable[[np.ndarray], np.ndarray]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,9 +47,9 @@ class NonAnalyticCorrection:
         most = np.ceil(furthest * np.linalg.norm(cell, axis=1) / (2 * np.pi)).astype(int)
         counts = np.array(list(itertools.product(*(range(-n, n + 1) for n in most))))
         G = 2 * np.pi * counts @ np.linalg.inv(cell).T
-        zero = self._sums(np.zeros((1, 3)), G, cell, positions)[0].sum(axis=2)
+        zero = self._sums(np.zeros(3), G, cell, positions).sum(axis=2)
         around = G if field else G[counts.any(axis=1)]
-        D = np.concatenate([self._sums(one[None], around, cell, positions) for one in k])
+        D = np.stack([self._sums(one, around, cell, positions) for one in k])
         atoms = np.arange(len(positions))
         # translations cost nothing; a site of low symmetry leaves a part that is not symmetric
         D[:, atoms, :, atoms, :] -= ((zero + zero.conj().swapaxes(1, 2)) / 2)[:, None]
@@ -63,48 +62,14 @@ class NonAnalyticCorrection:
         factor = 4 * np.pi * COULOMB / abs(np.linalg.det(cell)) / screened
         return np.asarray(np.einsum("k,kia,kjb->kiajb", factor, pull, pull))
 
-    def _sums(
-        self, k: np.ndarray, G: np.ndarray, cell: np.ndarray, positions: np.ndarray
-    ) -> np.ndarray:
+    def _sums(self, k: np.ndarray, G: np.ndarray, cell: np.ndarray, positions: np.ndarray) -> Any:
+        """Over the waves k + G, [n, 3, n, 3]."""
         K = k + G
         square = np.einsum("gi,ij,gj->g", K, self.dielectric, K)
         kept = (square > 1e-14) & (square < 4 * self.decay**2 * NEGLECTED)
         K, square = K[kept], square[kept]
         factor = np.exp(-square / (4 * self.decay**2)) / square
         factor *= 4 * np.pi * COULOMB / abs(np.linalg.det(cell))
-        pull = (
-            np.einsum("gb,nba->gna", K, self.born) * np.exp(1j * G[kept] @ positions.T)[..., None]
-        )
-        each = np.einsum("g,gia,gjb->iajb", factor, pull, pull.conj(), optimize=True)
-        return np.asarray(each[None])
-
-
-def sites_of(X: np.ndarray, first: np.ndarray, cell: np.ndarray) -> tuple[np.ndarray, float]:
-    """Number of the site in the cell of each atom, [N], and how far the worst is off, in edges."""
-    to_site = (X[:, None] - first) @ np.linalg.inv(cell)
-    off = np.abs(to_site - np.rint(to_site)).max(axis=2)
-    return off.argmin(axis=1), float(off.min(axis=1).max())
-
-
-def field_of_ions(
-    polar: NonAnalyticCorrection, structure: Any, supercell: Any, displaced: Sequence[int]
-) -> np.ndarray:
-    """What charges with a decay add to Φ, [n, N, 3, 3]; other arguments as for `from_supercell`."""
-    cell, box = np.array(structure.cell), np.array(supercell.cell)
-    x, X = np.array(structure.positions), np.array(supercell.positions)
-    apart, kind = X[:, None] - X[list(displaced)], sites_of(X, X[list(displaced)], cell)[0]
-    # the mean of all waves that fit into the supercell
-    inverse = np.linalg.inv(np.rint(box @ np.linalg.inv(cell)))
-    size = int(np.rint(1 / abs(np.linalg.det(inverse))))
-    multiples = np.arange(1, size + 1)[:, None, None] * inverse.T  # of each edge, in the cell's
-    whole = (np.abs(multiples - np.rint(multiples)) < 1e-6).all(axis=2)
-    counts = np.array(list(np.ndindex(*(whole.argmax(axis=0) + 1).tolist())))
-    parts = np.unique(np.round(counts @ inverse.T % 1.0, 9) % 1.0, axis=0)
-    k = 2 * np.pi * (parts - (parts > 0.5)) @ np.linalg.inv(cell).T
-    D = polar.matrix(k, cell, x)
-    phase = np.exp(-1j * np.einsum("kc,Nnc->kNn", k, apart)) / len(k)
-    phi = np.empty((len(x), len(kind), 3, 3))
-    for j in range(len(x)):
-        some = kind == j
-        phi[:, some] = np.einsum("kNi,kiab->iNab", phase[:, some], D[:, :, :, j]).real
-    return phi
+        phase = np.exp(1j * G[kept] @ positions.T)
+        pull = np.einsum("gb,nba->gna", K, self.born) * phase[..., None]
+        return np.einsum("g,gia,gjb->iajb", factor, pull, pull.conj(), optimize=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import ase
@@ -12,14 +13,7 @@ import numpy as np
 from ase.data import atomic_masses
 
 from warp_peri.atoms.calculator_noise import TIMES, rattled
-from warp_peri.atoms.force_constants import (
-    EDGE,
-    STEP,
-    ForceConstants,
-    finite_differences,
-    forces_of,
-    from_supercell,
-)
+from warp_peri.atoms.force_constants import EDGE, STEP, ForceConstants, forces_of, from_calculator
 from warp_peri.atoms.relaxed import Reference
 from warp_peri.errors import InputError, warn
 
@@ -64,10 +58,7 @@ def force_constants(
     """
     d, cell = reference.dimension, reference.cell
     if BORN in getattr(calculator, "implemented_properties", ()):
-        warn(
-            "calculator: its Born charges are not read; a folder of phonopy with BORN has the "
-            "field of ions in every wave"
-        )
+        warn("calculator: its Born charges are not read; a folder of phonopy with BORN has them")
     if supercell is None:
         repeats = wide_enough(reference, calculator, WIDTHS)
     else:
@@ -76,12 +67,12 @@ def force_constants(
             raise InputError(f"supercell: expected three counts, a sheet's third 1, got {repeats}")
     many = cell.repeat(repeats)
     told = {"force constants": f"{_cells(repeats[:d])}, {len(many)} atoms"}
-    how: Any = {"thickness": reference.thickness, "stress": reference.stress}
+    thickness, stress = reference.thickness, reference.stress
     if reference.noise is None:
-        every = range(len(cell))
-        phi, change = finite_differences(forces_of(many, calculator), many.positions, every)
-        found = from_supercell(cell, many, phi, every, **how, change=change)
+        exact = from_calculator(cell, calculator, repeats, thickness=thickness)
+        found = replace(exact, stress=stress)
     else:
+        how = {"thickness": thickness, "stress": stress}
         found, said = rattled(cell, many, calculator, reference.noise, **how)
         told |= said
     check_phonons(found)
@@ -116,10 +107,8 @@ def wide_enough(reference: Reference, calculator: Any, widths: Sequence[float]) 
         repeats = wider
         if rim <= none:
             return repeats
-    warn(
-        f"supercell: at half the width of {_cells(repeats[:d])} forces still are {rim:.1e} of the "
-        f"largest; {ended}"
-    )
+    still = f"forces still are {rim:.1e} of the largest"
+    warn(f"supercell: at half the width of {_cells(repeats[:d])} {still}; {ended}")
     return repeats
 
 
@@ -169,8 +158,7 @@ def check_phonons(atoms: ForceConstants) -> None:
     raise InputError(
         f"structure: expected a stable crystal, got an imaginary phonon, the worst of "
         f"{imaginary:.2f}{bar}i THz at k = {np.round(parts[worst], 4).tolist()} of the reciprocal "
-        f"edges ({np.round(k[worst], 4).tolist()} 1/Å); displace atoms along it in a larger cell "
-        "and relax"
+        f"edges ({np.round(k[worst], 4).tolist()} 1/Å); relax it in a larger cell"
     )
 
 

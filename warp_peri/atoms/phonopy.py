@@ -48,17 +48,14 @@ def from_phonopy(
     """
     file = _yaml(Path(path))
     beside = {name: file.parent / name for name in BESIDE if (file.parent / name).is_file()}
-    if thickness is not None and "BORN" in beside:
-        raise InputError(f"{path}: BORN: expected a solid; the field of a sheet's ions is another")
     try:
         found, told = _opened(file, beside)
         force_constants = _force_constants(found, told, beside)
-        ions = told.nac_params
+        ions, reader = told.nac_params, optional("phonopy.file_IO", WITHOUT)
         if "BORN" in beside:
-            reader = optional("phonopy.file_IO", WITHOUT)
             ions = reader.parse_BORN(found.primitive, filename=beside["BORN"])
-        units = optional("phonopy.interface.calculator", WITHOUT)
-        units = units.get_calculator_physical_units(found.calculator)
+        codes = optional("phonopy.interface.calculator", WITHOUT)
+        units = codes.get_calculator_physical_units(found.calculator)
     except Exception as error:  # phonopy raises whatever its parsing runs into
         raise InputError(f"{path}: phonopy does not read it ({error})") from None
     if force_constants is None:
@@ -73,17 +70,14 @@ def from_phonopy(
         cell.set_initial_magnetic_moments(small.magnetic_moments)
     displaced = np.asarray(small.p2s_map).tolist()
     phi = units.force_to_eVperA / x * np.asarray(force_constants)
-    phi = (phi if len(phi) == len(displaced) else phi[displaced]).transpose(0, 2, 1, 3)
+    phi = phi if len(phi) == len(displaced) else phi[displaced]
     if gap(cell, 2)[0] >= VACUUM and thickness is None:
         thickness = thickness_of(cell)[0]
     polar = None
     if ions is not None:
         polar = NonAnalyticCorrection(np.asarray(ions["born"]), np.asarray(ions["dielectric"]))
     elif thickness is None and len(set(cell.numbers)) > 1:
-        warn(
-            f"{file.parent}: no BORN is there; if ions carry charges, their field misses in its "
-            "waves"
-        )
+        warn(f"{file.parent}: no BORN is there; the field of ions with charges misses in its waves")
     if thickness is not None and polar is None and np.abs(cell.cell[:2, 2]).max() > 1e-6:
         raise InputError(f"{path}: expected a sheet across z")
     return projected(cell, supercell, phi, displaced, thickness=thickness, polar=polar)

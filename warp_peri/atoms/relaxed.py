@@ -15,11 +15,11 @@ from ase.geometry import minkowski_reduce
 from ase.neighborlist import neighbor_list
 from ase.optimize import BFGS
 from ase.spacegroup.symmetrize import refine_symmetry
-from ase.stress import voigt_6_to_full_3x3_stress
-from scipy.linalg import sqrtm
+from scipy.linalg import polar, sqrtm
 
-from warp_peri.atoms.calculator_noise import EV_IN_TPA, ON_SITES, TIMES, Noise, measured
+from warp_peri.atoms.calculator_noise import EV_IN_TPA, ON_SITES, TIMES, Noise, measured, strained
 from warp_peri.atoms.calculators import LammpsError
+from warp_peri.core.elastic import PAIRS
 from warp_peri.core.groups import (
     COUNTED,
     KNOWN,
@@ -40,8 +40,8 @@ FULL, UPON = 0.999, 0.5
 """Occupancy of a site that an atom fills; distance [Å] that no two atoms are nearer than."""
 FLAT = 1e-3
 """Smallest singular value of the directions of a cell's edges."""
-ALMOST = 1e-3
-"""Of a turn's matrix, off whole numbers that it is meant to have."""
+ALMOST, RIGHT = 1e-3, 1e-3
+"""Of a turn's matrix, off whole numbers that it is meant to have; cosine of a right angle."""
 ROUNDING = 1e-6
 """Relative, of lengths."""
 USUAL_RADIUS = 2.0
@@ -55,7 +55,6 @@ MOVED = 0.01
 STRAINED, LIKE = 0.01, 0.5
 """Strain at which stress is compared with the energy's slope; relative difference of the same."""
 VOIGT = ("xx", "yy", "zz", "yz", "xz", "xy")
-PLACES = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 
 @dataclass(frozen=True)
@@ -100,9 +99,9 @@ def check_sites(atoms: ase.Atoms) -> None:
     first, second, apart = neighbor_list("ijd", atoms, UPON)
     if len(apart):
         n = apart.argmin()
+        pair = f"{apart[n]:.2g} Å between {first[n]} and {second[n]} of {len(atoms)}"
         raise InputError(
-            f"structure: expected atoms {UPON:g} Å apart, got {apart[n]:.2g} Å between {first[n]} "
-            f"and {second[n]} of {len(atoms)}; is a site there twice, or are lengths not in Å?"
+            f"structure: expected atoms {UPON:g} Å apart, got {pair}; is a site there twice?"
         )
 
 
@@ -112,14 +111,12 @@ def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
     Without turning, axes stay as they are; InputError for a sheet that is not across z then.
     """
     check_sites(atoms)
-    periodic, cell = np.array(atoms.pbc), np.array(atoms.cell)
+    periodic = np.array(atoms.pbc)
     if not periodic.any():
         raise InputError("structure: expected a crystal with a periodic cell, got a free cluster")
     empty = [a for a in range(3) if not periodic[a] or gap(atoms, a)[0] >= VACUUM]
     if len(empty) > 1:
-        raise InputError(
-            f"structure: expected a sheet or a solid, got no period along {len(empty)} edges"
-        )
+        raise InputError(f"structure: expected a sheet or a solid, got {len(empty)} free edges")
     ready: ase.Atoms = atoms.copy()
     ready.set_constraint()
     ready.calc = None
@@ -130,24 +127,17 @@ def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
             warn(f"structure: taken for a solid, with {told}")
         ready.pbc = True
         return to_shared_axes(ready) if turning else ready, False
-    first, second = ((1, 2), (2, 0), (0, 1))[empty[0]]
-    normal = np.cross(cell[first], cell[second])
-    along = cell[first] / np.linalg.norm(cell[first])
-    up = normal / np.linalg.norm(normal)
-    turn = np.array([along, np.cross(up, along), up])
-    if not turning:
-        if abs(up[2]) < 1 - FLAT**2:
-            raise InputError("hold: expected a sheet across z, whose strains have names in x and y")
-        first, second = (first, second) if up[2] > 0 else (second, first)
-        turn = np.eye(3)
-    x = np.array(ready.positions) @ turn.T
-    if periodic[axis := empty[0]]:  # a sheet that the period cuts is put together at the gap
-        part = atoms.cell.scaled_positions(atoms.positions)[:, axis]
-        x = x - np.outer(np.floor(part - gap(atoms, axis)[1] + ROUNDING), turn @ cell[axis])
-    edges = np.array([turn @ cell[first], turn @ cell[second], [0, 0, HEIGHT + np.ptp(x[:, 2])]])
-    x[:, 2] += edges[2, 2] / 2 - (x[:, 2].min() + x[:, 2].max()) / 2
-    ready.set_cell(edges)
-    ready.positions[:] = x
+    (axis,) = empty
+    if periodic[axis]:  # a sheet that the period cuts is put together at the gap
+        ready.wrap(center=gap(atoms, axis)[1] + 0.5, pbc=np.arange(3) == axis, eps=ROUNDING)
+    first, second, _ = np.roll(atoms.cell, 2 - axis, axis=0)
+    up = np.cross(first, second)
+    ready.set_cell([first, second, up] if turning or up[2] > 0 else [second, first, -up])
+    if turning:
+        ready.set_cell(ready.cell.standard_form()[0], scale_atoms=True)
+    elif abs(up[2]) < (1 - FLAT**2) * np.linalg.norm(up):
+        raise InputError("hold: expected a sheet across z, whose strains have names in x and y")
+    ready.center(vacuum=HEIGHT / 2, axis=2)
     ready.pbc = True
     return ready, True
 
@@ -160,14 +150,16 @@ def gap(atoms: ase.Atoms, axis: int) -> tuple[float, float]:
     return float(steps.max() * apart), float(part[steps.argmax()])
 
 
+def crystal_of(atoms: ase.Atoms) -> tuple[np.ndarray, ...]:
+    """As spglib takes it: edges, parts of them, and numbers that tell atoms apart."""
+    return np.array(atoms.cell), atoms.get_scaled_positions(), kinds_of(atoms)[0]
+
+
 def to_shared_axes(atoms: ase.Atoms) -> ase.Atoms:
     """A solid turned to spglib's standard axes, where these share more turns with nodes."""
-    given = np.array(atoms.cell), atoms.get_scaled_positions(), kinds_of(atoms)[0]
-    found = by_spglib("get_symmetry_dataset", given, ON_SITES)
-    if found is None:
-        return atoms
+    given = crystal_of(atoms)
     group = group_of_structure(*given)
-    turn = np.array(found.std_rotation_matrix)
+    turn = np.array(by_spglib("get_symmetry_dataset", given, ON_SITES).std_rotation_matrix)
 
     def shared(turns: np.ndarray) -> int:
         return int((np.abs(turns - np.rint(turns)).max(axis=(1, 2)) < 1e-6).sum())
@@ -180,10 +172,7 @@ def to_shared_axes(atoms: ase.Atoms) -> ase.Atoms:
 
 def exact_cell(atoms: ase.Atoms) -> ase.Atoms:
     """The cell without the last digits that break its symmetry, and turns of nodes: 1e-4 Å."""
-    given = np.array(atoms.cell), atoms.get_scaled_positions(), kinds_of(atoms)[0]
-    found = by_spglib("get_symmetry", given, ON_SITES)
-    if found is None:
-        return atoms
+    found = by_spglib("get_symmetry", crystal_of(atoms), ON_SITES)
     W, edges = found["rotations"].astype(float), np.array(atoms.cell).T
     metric = (W.transpose(0, 2, 1) @ (edges.T @ edges) @ W).mean(axis=0)
     back = np.linalg.inv(edges)
@@ -191,18 +180,17 @@ def exact_cell(atoms: ase.Atoms) -> ase.Atoms:
     turns = edges @ W @ np.linalg.inv(edges)
     whole = np.rint(turns)
     near = np.abs(turns - whole).max(axis=(1, 2)) < ALMOST
-    U, _, V = np.linalg.svd((turns[near] @ whole[near].transpose(0, 2, 1)).mean(axis=0))
+    turn, _ = polar((turns[near] @ whole[near].transpose(0, 2, 1)).mean(axis=0))
     exact: ase.Atoms = atoms.copy()
-    exact.set_cell(((U @ V).T @ edges).T, scale_atoms=True)
+    exact.set_cell(edges.T @ turn, scale_atoms=True)
     return exact
 
 
 def smallest(atoms: ase.Atoms, flat: bool) -> ase.Atoms:
     """The primitive cell in the same axes, its atoms with all their arrays; a sheet's third edge
     stays."""
-    kinds, first = kinds_of(atoms)
-    small = primitive_cell((np.array(atoms.cell), atoms.get_scaled_positions(), kinds), ON_SITES)
-    if small is None or len(small[2]) >= len(atoms):
+    small = primitive_cell(crystal_of(atoms), ON_SITES)
+    if len(small[2]) >= len(atoms):
         return atoms
     edges = np.array(small[0])
     x = small[1] @ edges
@@ -212,7 +200,7 @@ def smallest(atoms: ase.Atoms, flat: bool) -> ase.Atoms:
         if np.linalg.det(edges) < 0:
             edges[2] *= -1
         x[:, 2] %= abs(edges[2, 2])
-    one: ase.Atoms = atoms[first[small[2]]]
+    one: ase.Atoms = atoms[kinds_of(atoms)[1][small[2]]]
     one.set_cell(edges)
     one.positions[:] = x
     return one
@@ -221,12 +209,10 @@ def smallest(atoms: ase.Atoms, flat: bool) -> ase.Atoms:
 def _told_apart(atoms: ase.Atoms) -> None:
     """Say which arrays beside those that calculators go by tell atoms of one element apart."""
     kinds = len(kinds_of(atoms, KNOWN)[1])
-    names = [n for n in atoms.arrays if len(kinds_of(atoms, (*KNOWN, n))[1]) > kinds]
-    if names := [name for name in names if name not in COUNTED]:
-        warn(
-            f"structure: atoms of one element are told apart by {', '.join(names)}; delete from "
-            "atoms.arrays what is no property of the crystal"
-        )
+    own = [name for name in atoms.arrays if name not in COUNTED]
+    if names := [n for n in own if len(kinds_of(atoms, (*KNOWN, n))[1]) > kinds]:
+        told = f"atoms of one element are told apart by {', '.join(names)}"
+        warn(f"structure: {told}; delete from atoms.arrays what is none of the crystal")
 
 
 def at_rest(
@@ -314,7 +300,7 @@ def _at_rest(
 def _check_forces(cell: ase.Atoms) -> None:
     """Raise InputError for a calculator that gives no forces; LAMMPS has words of its own."""
     try:
-        cell.get_forces(apply_constraint=False)
+        cell.get_forces()
     except LammpsError:
         raise
     except Exception as error:  # calculators raise whatever they run into
@@ -325,21 +311,19 @@ def _check_forces(cell: ase.Atoms) -> None:
 def _check_stress(cell: ase.Atoms, flat: bool) -> None:
     """Raise InputError for a stress that is not what the energy changes by under strain, at 1 %."""
     way = np.diag([1.0, 0.7, 0.0 if flat else 0.4])
-    energy, one = [], cell.copy()
-    one.calc = cell.calc
-    for size in (STRAINED * 0.5, STRAINED * 1.5, STRAINED):
-        one.set_cell(np.array(cell.cell) @ (np.eye(3) + size * way), scale_atoms=True)
-        try:
-            energy.append(float(one.get_potential_energy()))
-            stress = voigt_6_to_full_3x3_stress(one.get_stress(apply_constraint=False))
-        except Exception:  # without energies nothing is compared, without stress nothing is there
-            return
-    wanted = (energy[1] - energy[0]) / STRAINED / one.get_volume()
+    turns = np.eye(3) + STRAINED * np.array([0.5, 1.5, 1.0])[:, None, None] * way
+    less, more, middle = strained(cell.calc, cell, turns)
+    try:
+        gain = more.get_potential_energy() - less.get_potential_energy()
+        stress = middle.get_stress(voigt=False)
+    except Exception:  # without energies nothing is compared, without stress nothing is there
+        return
+    wanted = gain / STRAINED / middle.get_volume()
     told = float((stress * (way / (1 + STRAINED * np.diag(way)))).sum())
     if abs(told - wanted) > LIKE * abs(wanted) or not np.isfinite(told):
         raise InputError(
-            f"calculator: expected stress in eV/Å³, tension positive, got {told:.3g} along a "
-            f"strain of {STRAINED:.0%} where the energy says {wanted:.3g}: see its sign and unit"
+            f"calculator: expected stress in eV/Å³, tension positive, got {told:.3g} at "
+            f"{STRAINED:.0%} of strain where the energy says {wanted:.3g}"
         )
 
 
@@ -359,14 +343,13 @@ def _relax(cell: ase.Atoms, flat: bool, held: set[str], noise: Noise | None) -> 
         moving: Any = FrechetCellFilter(cell, mask=free) if any(free) else cell
         done = BFGS(moving, logfile=None).run(fmax=quiet, steps=steps)
     except NotImplementedError as error:
-        raise InputError(
-            f"calculator: it gives no stress ({error}); relax the cell elsewhere and hold all"
-        ) from None
+        words = f"calculator: it gives no stress ({error}); relax elsewhere and hold all"
+        raise InputError(words) from None
     cell.set_constraint()
     force = float(np.abs(cell.get_forces()).max())
     if not done and force > left:
         raise InputError(
-            f"structure: after {steps} steps of relaxation a force of {force:.2g} eV/Å is left"
+            f"structure: {steps} steps of relaxation leave a force of {force:.2g} eV/Å"
         )
 
 
@@ -379,17 +362,16 @@ def _stress_left(
     """
     d = 2 if flat else 3
     try:
-        stress = voigt_6_to_full_3x3_stress(cell.get_stress(apply_constraint=False))[:d, :d]
+        stress = cell.get_stress(voigt=False)[:d, :d]
     except NotImplementedError:
         warn("calculator: it gives no stress; the crystal is taken to be at rest")
         return None
     stress = stress * EV_IN_TPA * (cell.cell[2, 2] / thickness if flat else 1.0)
     none = RESIDUAL_STRESS if noise is None else max(RESIDUAL_STRESS, 2 * TIMES * noise.stress)
-    for name, (i, j) in zip(VOIGT, PLACES):
+    for name, (i, j) in zip(VOIGT, PAIRS[3]):
         if max(i, j) < d and name not in held and abs(stress[i, j]) > none:
-            raise InputError(
-                f"structure: relaxation left a stress {name} of {1e3 * stress[i, j]:.3g} GPa"
-            )
+            left = f"a stress {name} of {1e3 * stress[i, j]:.3g} GPa"
+            raise InputError(f"structure: relaxation left {left}")
     if np.abs(stress).max() <= none:
         return None
     return np.asarray((stress + stress.T) / 2)
@@ -408,30 +390,19 @@ def thickness_of(cell: ase.Atoms) -> tuple[float, str]:
 
 
 def usual_spacing(cell: ase.Atoms, flat: bool) -> float:
-    """Of nodes [Å]: by the conventional cell's volume, of a sheet by its smallest rectangle."""
-    return _sheet_spacing(cell) if flat else _solid_spacing(cell)
-
-
-def _solid_spacing(cell: ase.Atoms) -> float:
-    """Edge of a cube with the volume of the conventional cell, twice that of a hexagonal one."""
-    given = np.array(cell.cell), cell.get_scaled_positions(), cell.numbers
-    found = by_spglib("get_symmetry_dataset", given, ON_SITES)
-    if found is None:
-        return float(abs(cell.get_volume()) ** (1 / 3))
-    volume = abs(cell.get_volume()) * len(found.std_types) / len(cell)
-    hexagonal = 143 <= found.number <= 194 and "R" not in found.international
-    return float((volume * (2 if hexagonal else 1)) ** (1 / 3))
-
-
-def _sheet_spacing(cell: ase.Atoms) -> float:
-    """The longer edge of the smallest rectangle; √(2 area) where no small one is a cell."""
+    """Of nodes [Å]: the edge of a cube with the volume of the conventional cell, of a hexagonal one
+    twice that; of a sheet the longer edge of its smallest rectangle, √(2 area) where it has none.
+    """
+    if not flat:
+        given = np.array(cell.cell), cell.get_scaled_positions(), cell.numbers
+        found = by_spglib("get_symmetry_dataset", given, ON_SITES)
+        volume = abs(cell.get_volume()) * len(found.std_types) / len(cell)
+        hexagonal = 143 <= found.number <= 194 and "R" not in found.international
+        return float((volume * (2 if hexagonal else 1)) ** (1 / 3))
     edges = minkowski_reduce(np.array(cell.cell), [True, True, False])[0][:2]
     a, b = sorted(edges, key=np.linalg.norm)
-    part, long, area = abs(a @ b) / (a @ a), np.linalg.norm(a), abs(np.linalg.det([a[:2], b[:2]]))
-    if part < 1e-3:
-        return float(np.linalg.norm(b))
-    if abs(part - 0.5) < 1e-3:  # a, and what stands on it
-        return float(max(long, 2 * area / long))
-    if abs(long / np.linalg.norm(b) - 1) < 1e-3:  # a rhombus: its diagonals
-        return float(max(np.linalg.norm(a + b), np.linalg.norm(a - b)))
-    return float(np.sqrt(2 * area))
+    for pair in ((a, b), (a, 2 * b - a), (a, 2 * b + a), (a + b, a - b)):
+        first, second = np.linalg.norm(pair, axis=1)
+        if abs(pair[0] @ pair[1]) < RIGHT * first * second:
+            return float(max(first, second))
+    return float(np.sqrt(2 * np.linalg.norm(np.cross(a, b))))

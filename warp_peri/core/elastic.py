@@ -6,8 +6,6 @@ An elastic tensor has the shape [d, d, d, d] here; Voigt's order is 11, 22, 33, 
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 
 from warp_peri.core.groups import Symmetry, point_group
@@ -28,6 +26,11 @@ NAMES = {
         "orthotropic": "mmm"},
 }  # fmt: skip
 """What elastic tensors are called, and the groups that leave them as they are, largest first."""
+KEPT: dict[str, tuple[str, ...]] = dict.fromkeys(
+    ("isotropic", "square", "cubic"), ("C11", "C12", "C44")
+)
+KEPT |= dict.fromkeys(("hexagonal", "tetragonal"), ("C11", "C12", "C13", "C33", "C44", "C66"))
+"""Elastic constants that symmetry leaves, once each, by its name."""
 
 
 def elastic_from_brackets(brackets: np.ndarray) -> np.ndarray:
@@ -54,28 +57,28 @@ def stress_brackets(stress: np.ndarray) -> np.ndarray:
     return np.asarray(np.einsum("ij,kl->ijkl", np.eye(len(stress)), stress))
 
 
-def huang_rows(brackets: np.ndarray) -> np.ndarray:
-    """[ij, kl] − [kl, ij] of each of P tensors, shape [E, P]: Huang's relations set them to 0."""
-    d = brackets.shape[-1]
-    pairs = itertools.combinations(itertools.combinations_with_replacement(range(d), 2), 2)
-    return np.array(
-        [brackets[(slice(None), *a, *b)] - brackets[(slice(None), *b, *a)] for a, b in pairs]
-    )
-
-
 def bracket_rows(brackets: np.ndarray) -> np.ndarray:
     """All independent [ij, kl] of each of P tensors, shape [E, P]."""
-    d = brackets.shape[-1]
-    pairs = list(itertools.combinations_with_replacement(range(d), 2))
-    return np.array([brackets[(slice(None), *a, *b)] for a in pairs for b in pairs])
+    return _independent(brackets).reshape(len(brackets), -1).T
+
+
+def huang_rows(brackets: np.ndarray) -> np.ndarray:
+    """[ij, kl] − [kl, ij] of each of P tensors, shape [E, P]: Huang's relations set them to 0."""
+    pairs = _independent(brackets)
+    first, second = np.triu_indices(pairs.shape[-1], 1)
+    return np.asarray((pairs - pairs.swapaxes(1, 2))[:, first, second].T)
+
+
+def _independent(brackets: np.ndarray) -> np.ndarray:
+    """[ij, kl] for i ≤ j and k ≤ l, shape [P, pairs, pairs]."""
+    i, j = np.triu_indices(brackets.shape[-1])
+    return np.asarray(brackets[:, i[:, None], j[:, None], i, j])
 
 
 def voigt(tensor: np.ndarray) -> np.ndarray:
     """Elastic tensor [..., d, d, d, d] as a matrix, 3 × 3 in the plane and 6 × 6 in space."""
-    pairs = PAIRS[tensor.shape[-1]]
-    entries = [[tensor[(..., *row, *column)] for column in pairs] for row in pairs]
-    matrix: np.ndarray = np.moveaxis(np.array(entries), (0, 1), (-2, -1))
-    return matrix
+    i, j = np.transpose(PAIRS[tensor.shape[-1]])
+    return np.asarray(tensor[..., i[:, None], j[:, None], i, j])
 
 
 def plane_isotropic(lam: float, mu: float) -> np.ndarray:
@@ -97,12 +100,9 @@ def voigt_to_tensor(moduli: np.ndarray) -> np.ndarray:
     if np.abs(matrix - matrix.T).max() > 1e-8 * np.abs(matrix).max():
         raise InputError("moduli: expected a symmetric matrix")
     d = 2 if len(matrix) == 3 else 3
-    tensor = np.zeros((d,) * 4)
-    for (m, first), (n, second) in itertools.product(enumerate(PAIRS[d]), repeat=2):
-        for row in (first, first[::-1]):
-            for column in (second, second[::-1]):
-                tensor[(*row, *column)] = matrix[m, n]
-    return tensor
+    (i, j), place = np.transpose(PAIRS[d]), np.zeros((d, d), int)
+    place[i, j] = place[j, i] = np.arange(len(matrix))
+    return np.asarray(matrix[place[:, :, None, None], place])
 
 
 def turned(tensor: np.ndarray, rotation: np.ndarray) -> np.ndarray:
@@ -114,10 +114,11 @@ def turned(tensor: np.ndarray, rotation: np.ndarray) -> np.ndarray:
 def invariant_tensors(group: np.ndarray) -> np.ndarray:
     """A basis of the elastic tensors that a group leaves as they are, shape [m, d, d, d, d]."""
     d = group.shape[-1]
-    m, n = np.triu_indices(len(PAIRS[d]))
-    ones = np.zeros((len(m), *2 * (len(PAIRS[d]),)))
-    ones[np.arange(len(m)), m, n] = ones[np.arange(len(m)), n, m] = 1.0
-    basis = [voigt_to_tensor(one).ravel() for one in ones]
+    basis = []
+    for m, n in zip(*np.triu_indices(len(PAIRS[d]))):
+        one = np.zeros(2 * (len(PAIRS[d]),))
+        one[m, n] = one[n, m] = 1.0
+        basis.append(voigt_to_tensor(one).ravel())
     pairs = np.einsum("gai,gbj->gabij", group, group).reshape(len(group), d * d, d * d)
     mean = np.einsum("gmn,gop->monp", pairs, pairs, optimize=True) / len(group)
     flat = np.array(basis) @ mean.reshape(d**4, d**4).T
@@ -198,19 +199,12 @@ def named_moduli(tensor: np.ndarray) -> dict[str, float]:
 
     In the plane C44 is the shear modulus, as for the other laws.
     """
-    M, d = voigt(tensor), tensor.shape[0]
-    label = "123456" if d == 3 else "124"
-    name = named_symmetry(tensor)
-    kept: dict[str, tuple[int, ...]] = dict.fromkeys(
-        ("hexagonal", "tetragonal"), (11, 12, 13, 33, 44, 66)
-    )
-    kept |= dict.fromkeys(("cubic", "isotropic", "square"), (11, 12, 44))
-    if name in kept:
-        places = [(label.index(str(mn)[0]), label.index(str(mn)[1]), mn) for mn in kept[name]]
-        return {f"C{mn}": float(M[m, n]) for m, n, mn in places}
+    M, label = voigt(tensor), "123456" if len(tensor) == 3 else "124"
+    found = {f"C{label[m]}{label[n]}": float(M[m, n]) for m, n in zip(*np.triu_indices(len(M)))}
+    if (name := named_symmetry(tensor)) in KEPT:
+        return {constant: found[constant] for constant in KEPT[name]}
     tiny = SAME * 1e-3 * np.abs(M).max()
-    found = [(m, n) for m in range(len(M)) for n in range(m, len(M)) if abs(M[m, n]) > tiny]
-    return {f"C{label[m]}{label[n]}": float(M[m, n]) for m, n in found}
+    return {constant: value for constant, value in found.items() if abs(value) > tiny}
 
 
 def plane_stress(tensor: np.ndarray) -> np.ndarray:

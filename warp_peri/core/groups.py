@@ -75,20 +75,17 @@ def point_group(symmetry: Symmetry, dimension: int) -> np.ndarray:
     Raises InputError for a name that is not known, or matrices that are not rotations.
     """
     if isinstance(symmetry, str):
-        return _closed(_named(symmetry, dimension), dimension)
+        table, aliases = (_PLANE, {}) if dimension == 2 else (_SOLID, _ALIASES)
+        words = table.get(aliases.get(symmetry, symmetry))
+        if words is None:
+            raise InputError(f"symmetry: expected one of {', '.join(table)}, got {symmetry!r}")
+        named = [GENERATORS[word][:dimension, :dimension] for word in words.split()]
+        return _closed(named, dimension)
     given = checked("symmetry", symmetry, float, ("G", dimension, dimension))
     off = np.abs(given @ given.transpose(0, 2, 1) - np.eye(dimension)).max()
     if off > TOLERANCE:
         raise InputError(f"symmetry: expected rotations, got matrices off by {off:.1e}")
     return _closed(list(given), dimension)
-
-
-def _named(name: str, dimension: int) -> list[np.ndarray]:
-    table = _PLANE if dimension == 2 else _SOLID
-    known = name if dimension == 2 else _ALIASES.get(name, name)
-    if known not in table:
-        raise InputError(f"symmetry: expected one of {', '.join(table)}, got {name!r}")
-    return [GENERATORS[word][:dimension, :dimension] for word in table[known].split()]
 
 
 def name_of(group: np.ndarray) -> Symmetry:
@@ -149,10 +146,8 @@ def checked_orientation(orientation: Any, dimension: int) -> np.ndarray:
         return about_third(float(given))[:dimension, :dimension]
     one = np.eye(dimension)
     if given.shape != one.shape or np.abs(given @ given.T - one).max() > TOLERANCE:
-        raise InputError(
-            f"orientation: expected degrees, or a rotation of shape [{dimension}, {dimension}], "
-            f"got {given.tolist()!r:.80}"
-        )
+        words = f"degrees, or a rotation of shape [{dimension}, {dimension}]"
+        raise InputError(f"orientation: expected {words}, got {given.tolist()!r:.80}")
     return given
 
 
@@ -172,7 +167,7 @@ def kinds_of(atoms: Any, names: Sequence[str] | None = None) -> tuple[np.ndarray
 
 
 def by_spglib(ask: str, crystal: tuple[np.ndarray, ...], precision: float, **how: bool) -> Any:
-    """What spglib's function `ask` finds of a crystal, None for nothing.
+    """What spglib's function `ask` finds of a crystal.
 
     Args:
         ask: name of the function.
@@ -181,7 +176,7 @@ def by_spglib(ask: str, crystal: tuple[np.ndarray, ...], precision: float, **how
         precision: distance [Å] within which atoms are on their sites.
         how: what else the function is told.
 
-    Raises InputError where spglib is not installed.
+    Raises InputError where spglib is not installed, or finds nothing.
     """
     spglib = optional(
         "spglib",
@@ -190,11 +185,14 @@ def by_spglib(ask: str, crystal: tuple[np.ndarray, ...], precision: float, **how
     )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # of how it will report errors one day
-        return getattr(spglib, ask)(crystal, symprec=precision, **how)
+        found = getattr(spglib, ask)(crystal, symprec=precision, **how)
+    if found is None:
+        raise InputError("symmetry: spglib finds none of this structure; name the group")
+    return found
 
 
 def primitive_cell(crystal: tuple[np.ndarray, ...], precision: float) -> Any:
-    """The crystal by its primitive cell, in the axes given; None where spglib finds none."""
+    """The crystal by its primitive cell, in the axes given."""
     return by_spglib("standardize_cell", crystal, precision, to_primitive=True, no_idealize=True)
 
 
@@ -213,12 +211,8 @@ def group_of_structure(
     """
     # of the primitive cell: a larger one hides turns that are no whole numbers of its edges
     small = primitive_cell((np.asarray(cell, dtype=float), fractions, species), precision)
-    found = None if small is None else by_spglib("get_symmetry", small, precision)
-    if found is None:
-        raise InputError("symmetry: spglib finds none of this structure; name the group")
-    edges = np.asarray(small[0], dtype=float).T
-    turns = edges @ found["rotations"].astype(float) @ np.linalg.inv(edges)
-    return point_group(turns, 3)
+    found, edges = by_spglib("get_symmetry", small, precision), np.array(small[0]).T
+    return point_group(edges @ found["rotations"].astype(float) @ np.linalg.inv(edges), 3)
 
 
 def canonical(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -128,6 +129,7 @@ def proven_stiffness(operator: Any, spacing: float) -> float:
     return float(getattr(proof, "proven", 0.0) or 0.0)
 
 
+AXIS = "axis: the points do not state the direction of the crystal; its largest swing is a part"
 WORDS = {
     "left": "what is left to correct",
     "waves": "waves",
@@ -165,29 +167,49 @@ class Prediction(Shown):
 
     Attributes:
         u: displacement [length] on all nodes, shape [N, d].
-        error: likely error of u on the interior over u, a fraction: with the factors as they were
-            calibrated nine of ten answers are closer (theory, Q4). Not a number where it is
+        parts: likely error of u on the interior over u by origin: left, waves, data, strain, noise,
+            and axis where the direction of a crystal is not stated. Not a number where it is
             unknown, as of waves shorter than any of the data.
-        parts: the same by origin: left, waves, data, strain, noise, and axis where the direction of
-            a crystal is not stated; error is the root of the sum of their squares.
-        kept: whether the error is within the tolerance and nothing is uncovered.
-        why: in one sentence.
         uncovered: what the error does not speak of.
         corrections: times that the rich member was asked to correct.
         tolerance: that was asked for; None for the best.
     """
 
     u: np.ndarray
-    error: float
     parts: dict[str, float]
-    kept: bool
-    why: str
     uncovered: tuple[str, ...]
     corrections: int
     tolerance: float | None
     operator: EnsembleOperator
     load: np.ndarray
     known: Parts | None = None
+
+    @property
+    def error(self) -> float:
+        """Likely error, a fraction, the root of the sum of the squares of its parts: with the
+        factors as they were calibrated nine of ten answers are closer (theory, Q4)."""
+        return math.hypot(*self.parts.values())
+
+    @property
+    def _within(self) -> bool:
+        return self.tolerance is None or self.error <= self.tolerance
+
+    @property
+    def kept(self) -> bool:
+        """Whether the error is within the tolerance and nothing but the axis is uncovered."""
+        return self._within and all(one == AXIS for one in self.uncovered)
+
+    @property
+    def why(self) -> str:
+        """What was done and what most of the error is, in one sentence."""
+        n, parts = self.corrections, self.parts
+        way = "linear" + (f" and {n} nonlinear correction{'s' * (n != 1)}" if n else "")
+        way = way.replace(" 1 ", " one ")
+        largest = max(parts, key=lambda name: (math.isnan(parts[name]), parts[name]))
+        told = f"{way}; {said(self.error, '{:.2g} %')}, most of it {WORDS[largest]}"
+        if not self._within:
+            told += f"; {100 * (self.tolerance or 0):g} % is not kept"
+        return told + "".join(f"; not covered: {one.split(':')[0]}" for one in self.uncovered)
 
     @cached_property
     def fields(self) -> Parts:

@@ -137,7 +137,7 @@ class Ensemble:
     def learn(
         self, samples: Any, *, validation: Samples | None = None, progress: bool | None = None
     ) -> EnsembleFit:
-        """The Members, with the history and the certificate of the rich one's fit.
+        """The ensemble, with the history and the certificate of the rich one's fit.
 
         Args:
             samples: with loads, at least four; of a Dataset `train`, or its only set.
@@ -164,9 +164,8 @@ class Ensemble:
             temperature=None if kelvin is None else float(np.mean(kelvin)),
         )
         material = calibrated(family, samples, validation)
-        return EnsembleFit(
-            material, getattr(fit, "certificate", None), getattr(fit, "history", None)
-        )
+        certificate, history = (getattr(fit, n, None) for n in ("certificate", "history"))
+        return EnsembleFit(material, certificate, history)
 
 
 @dataclass(frozen=True)

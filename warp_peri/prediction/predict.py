@@ -7,7 +7,8 @@ both the estimate and the improvement.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import replace
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,9 @@ from warp_peri.errors import InputError
 from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.arrays import checked_fields
 from warp_peri.points.samples import Samples, nodes_of
-from warp_peri.prediction.answer import WORDS, Prediction, combined, said
+from warp_peri.prediction.answer import AXIS, Prediction, combined
 from warp_peri.prediction.ensemble import MOST, CalibrationFactors, EnsembleMaterial
-from warp_peri.prediction.members import EnsembleOperator, Parts, norm
+from warp_peri.prediction.members import EnsembleOperator, norm
 from warp_peri.protocols import placed
 
 SOLVED, SHARE = 0.03, 0.3
@@ -35,23 +36,6 @@ FAMILY = "an ensemble, as fit(samples, Ensemble(…)).material; one model knows 
 FREE_EDGE = "free edges: the ensemble was learned inside a body, and atoms at an edge differ"
 BROKEN = "broken bonds: the ensemble knows none"
 ALONE = "waves: force constants alone determine the error of the moduli, and no other"
-AXIS = "axis: the points do not state the direction of the crystal; its largest swing is a part"
-
-
-@dataclass
-class _Stage:
-    """One displacement and what is known of it; `unseen` is the share of waves shorter than the
-    data's."""
-
-    u: np.ndarray
-    parts: dict[str, float]
-    fields: Parts | None
-    corrections: int
-    unseen: float = 0.0
-
-    @property
-    def error(self) -> float:
-        return _size(self.parts)
 
 
 @typed
@@ -113,48 +97,47 @@ def _predict(
     share = SOLVED if tolerance is None else min(SOLVED, SHARE * tolerance)
     start = np.where(inside[:, None], 0.0, given)
     start[inside] = placed.inverse(load - placed.straight(start), share)
-    stage = _corrected(placed, load, start, tolerance, noise)
-    beyond = _beyond(placed, stage)
-    stage.parts |= {part: math.nan for part, _ in beyond if part}
-    kept = tolerance is None or stage.error <= tolerance
-    uncovered += tuple(why for _, why in beyond)
-    why = _reason(stage, tolerance, kept, uncovered)
-    only_axis = all(one == AXIS for one in uncovered)
-    return Prediction(
-        stage.u, stage.error, stage.parts, kept and only_axis, why, uncovered, stage.corrections,
-        tolerance, placed, load, stage.fields,
-    )  # fmt: skip
+    told, unseen = placed.recorded(start)
+    first = Prediction(start, {"noise": noise}, uncovered, 0, tolerance, placed, load)
+    found = _corrected(first, told)
+    beyond = _beyond(placed, found.u, unseen)
+    unknown = {part: math.nan for part, _ in beyond if part}
+    return replace(
+        found, parts=found.parts | unknown, uncovered=uncovered + tuple(why for _, why in beyond)
+    )
 
 
-def _corrected(
-    placed: EnsembleOperator, load: np.ndarray, u: np.ndarray, tolerance: float | None, noise: float
-) -> _Stage:
+def _corrected(first: Prediction, told: float | None) -> Prediction:
     """Correct until the tolerance is kept, or cannot be; without one until nothing improves.
 
     A screen, parts that ask the record alone and no member, may suffice (Q5).
+
+    Args:
+        first: the linear answer, with the part that noise has.
+        told: error of such fields by the record.
     """
-    factors, first, inside = placed.family.factors, u, placed.points.interior
-    told, unseen = placed.recorded(u)
+    placed, load, tolerance, u = first.operator, first.load, first.tolerance, first.u
+    factors, inside, noise = placed.family.factors, placed.points.interior, first.parts["noise"]
     before, slowed, least, best = math.inf, 0.0, math.inf, (u, u[inside], 0)
 
     def share(field: np.ndarray) -> float:
         return norm(field) / (norm(u[inside]) or 1.0)
 
-    def judged(u: np.ndarray, left: np.ndarray, done: int) -> _Stage:
+    def judged(u: np.ndarray, left: np.ndarray, done: int) -> Prediction:
         fields, size = placed.doubts(u, left, told, slowed), norm(u[inside]) or 1.0
         found = combined(fields, factors, lambda part: norm(part) / size)
         names = ("left", "waves", "data", "strain", *("axis",) * ("axis" in found))
         parts = {name: float(found.get(name, 0.0)) for name in names} | {"noise": noise}
-        return _Stage(u, parts, fields, done, unseen)
+        return replace(first, u=u, parts=parts, known=fields, corrections=done)
 
     added = None if placed.nonlinear else placed.bent(u)
     bent = 0.0 if added is None else share(added)
-    for done in range(MOST + 1):
+    for done in count():
         left = placed.correction(load, u)
         moved, rest = share(left), math.inf  # the latter where only members know
         slowed = max(slowed, moved / before) if done == 1 else slowed
         if placed.nonlinear:
-            bent = share((first - u)[inside] - left)
+            bent = share((first.u - u)[inside] - left)
         if told is not None and placed.turned is None:
             screen = {
                 "left": factors.left * moved,
@@ -164,8 +147,8 @@ def _corrected(
                 "noise": noise,
             }
             rest = _rest(screen)
-            if tolerance is not None and _size(screen) <= tolerance:
-                return _Stage(u, screen, None, done, unseen)
+            if tolerance is not None and math.hypot(*screen.values()) <= tolerance:
+                return replace(first, u=u, parts=screen, corrections=done)
         worth = moved if rest == math.inf else math.hypot(factors.left * moved, rest)
         if worth < least:
             best, least = (u, left, done), worth
@@ -173,31 +156,19 @@ def _corrected(
         # waves and strain that a screen sees say where an answer with no tolerance settles
         goal = SETTLED * rest if tolerance is None else tolerance
         if factors.left * moved <= goal or last:
-            stage = judged(u, left, done)
-            floor = _rest(stage.parts)
+            found = judged(u, left, done)
+            floor = _rest(found.parts)
             if tolerance is None:
-                enough = stage.parts["left"] <= SETTLED * floor
+                enough = found.parts["left"] <= SETTLED * floor
             else:  # or what is left is not what keeps it from being kept
-                enough = stage.error <= tolerance or (floor > tolerance and done > 0)
+                enough = found.error <= tolerance or (floor > tolerance and done > 0)
             if enough or last:
-                if best[2] < done and not (tolerance and stage.error <= tolerance):  # led away
-                    stage = min(stage, judged(*best), key=lambda one: one.error)
-                return stage
+                if best[2] < done and not (tolerance and found.error <= tolerance):  # led away
+                    found = min(found, judged(*best), key=lambda one: one.error)
+                break
         u, before = u.copy(), moved
         u[inside] += left
-    raise AssertionError("the last correction ends the loop")
-
-
-def _reason(stage: _Stage, tolerance: float | None, kept: bool, uncovered: tuple[str, ...]) -> str:
-    """One sentence."""
-    n = stage.corrections
-    way = "linear" + (f" and {n} nonlinear correction{'s' * (n != 1)}" if n else "")
-    way = way.replace(" 1 ", " one ")
-    largest = max(stage.parts, key=lambda name: (math.isnan(stage.parts[name]), stage.parts[name]))
-    told = f"{way}; {said(stage.error, '{:.2g} %')}, most of it {WORDS[largest]}"
-    if tolerance is not None and not kept:
-        told += f"; {100 * tolerance:g} % is not kept"
-    return told + "".join(f"; not covered: {one.split(':')[0]}" for one in uncovered)
+    return found
 
 
 def _uncovered(placed: EnsembleOperator, points: Any) -> tuple[str, ...]:
@@ -214,14 +185,17 @@ def _uncovered(placed: EnsembleOperator, points: Any) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _beyond(placed: EnsembleOperator, stage: _Stage) -> list[tuple[str, str]]:
-    """What the family's data say nothing of, and the part that is unknown by it."""
+def _beyond(placed: EnsembleOperator, u: np.ndarray, unseen: float) -> list[tuple[str, str]]:
+    """The part that is unknown, and what the family's data say nothing of.
+
+    `unseen` is the share of waves shorter than the data's.
+    """
     found = []
-    if stage.unseen > SHORTER:
+    if unseen > SHORTER:
         found.append(("waves", "short waves: shorter than any that the ensemble learned from"))
     known = placed.family.strain
     if not placed.nonlinear and known > 0:
-        strain = placed.gradient(stage.u)
+        strain = placed.gradient(u)
         if placed.grid is None:
             found.append(("strain", "strain: nothing in the ensemble tells what its law misses"))
         elif strain > STRAINED * known:
@@ -230,16 +204,12 @@ def _beyond(placed: EnsembleOperator, stage: _Stage) -> list[tuple[str, str]]:
     return found
 
 
-def _noise(points: Any, count: int) -> list[float]:
+def _noise(points: Any, number: int) -> list[float]:
     """Noise of the displacement that is given, over it, of each sample."""
-    if isinstance(points, Samples) and "snr" in points.arrays and len(points) == count:
+    if isinstance(points, Samples) and "snr" in points.arrays and len(points) == number:
         return [float(1 / value) if value > 0 else 0.0 for value in points.arrays["snr"]]
-    return [0.0] * count
-
-
-def _size(parts: dict[str, float]) -> float:
-    return math.hypot(*parts.values())
+    return [0.0] * number
 
 
 def _rest(parts: dict[str, float]) -> float:
-    return _size({name: part for name, part in parts.items() if name != "left"})
+    return math.hypot(*(part for name, part in parts.items() if name != "left"))
