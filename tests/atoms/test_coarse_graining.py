@@ -28,11 +28,8 @@ def nodes(low, high):
     ("shape", "box", "spacing"), [("cone", None, None), ("cone", BOX, H), ("paraboloid", BOX, None)]
 )
 def test_is_the_brute_force_sum(shape, box, spacing):
-    where = nodes(-2, 6) + 0.1  # beyond the box on both sides
-    if box is not None and spacing is None:
-        with pytest.raises(InputError, match="nodes: some are periodic images of others"):
-            smoothing_matrix(ATOMS, where, radius=4.0, shape=shape, box=box)
-        where = nodes(0, 4) + 0.1
+    """Of nodes beyond the box on both sides, where their spacing is known."""
+    where = (nodes(0, 4) if shape == "paraboloid" else nodes(-2, 6)) + 0.1
     weights = smoothing_matrix(ATOMS, where, radius=4.0, shape=shape, box=box, spacing=spacing)
     expected = reference.smoothing(ATOMS, where, 4.0, shape, box, spacing)
     np.testing.assert_allclose(weights.toarray(), expected, rtol=0, atol=ROUNDING)
@@ -68,13 +65,10 @@ def test_fields_are_the_printed_sums():
         omega, displacement=displacement, force=force, mass=mass, node_area=6.0, thickness=2.0
     )
     dense = omega.toarray()
-    for s in range(3):
-        for i in range(16):
-            share = dense[i] * mass
-            expected = (share[:, None] * displacement[s]).sum(0) / share.sum()
-            np.testing.assert_allclose(u[s, i], expected, rtol=0, atol=ROUNDING)
-            expected = (dense[i][:, None] * force[s]).sum(0) * 0.1602176634 / (6.0 * 2.0)
-            np.testing.assert_allclose(b[s, i], expected, rtol=0, atol=ROUNDING)
+    expected = np.einsum("ia,a,sad->sid", dense, mass, displacement) / (dense @ mass)[:, None]
+    np.testing.assert_allclose(u, expected, rtol=0, atol=ROUNDING)
+    expected = np.einsum("ia,sad->sid", dense, force) * 0.1602176634 / (6.0 * 2.0)
+    np.testing.assert_allclose(b, expected, rtol=0, atol=ROUNDING)
     rigid = np.broadcast_to([0.3, -0.2], (1, 40, 2))  # stays as it is, whatever the masses
     how = {"force": 0 * rigid, "mass": mass, "node_area": 1.0, "thickness": 1.0}
     u, _ = coarse_grain(omega, displacement=rigid, **how)
@@ -86,7 +80,6 @@ HIDDEN = np.ma.masked_array(
 )
 """Atom 7 is no data."""
 OF_MATRIX = [
-    ({"shape": "disk"}, "shape: expected one of cone, paraboloid, got 'disk'"),
     ({"radius": 1.7}, "radius: expected more than spacing/√2 = 1.768"),
     ({"spacing": 2.4}, "nodes: expected a square lattice of spacing 2.4"),
     ({"nodes": np.empty((0, 2))}, r"nodes: expected shape \[N, 2\] with N > 0"),
@@ -98,7 +91,6 @@ OF_FIELDS = [
     ({"force": np.ones((2, 40, 2))}, r"force: expected shape \[1, 40, 2\], got \[2, 40, 2\]"),
     ({"force": HIDDEN}, r"force: .* got 2 of 80 masked, the first at index \[0, 7, 0\]"),
     ({"mass": -np.ones(40)}, "mass: expected values > 0"),
-    ({"node_area": 0.0}, "node_area: expected a number > 0"),
 ]
 
 
@@ -151,13 +143,12 @@ def test_force_on_a_mesh_with_a_hole_does_the_work_of_the_atoms_up_to_its_edges(
 
     b = force_on_mesh(HOLE, x, 0.25 * given(x) / EV_PER_CUBIC_ANGSTROM, thickness=1.0)
     np.testing.assert_allclose(b(HOLE.x), given(HOLE.x), rtol=0.05)
-    for atoms, force, thickness, message in (
-        ([[0.0, 20.0], [90.0, 0.0]], np.ones((2, 2)), 1.0, "atoms: 1 lie outside the mesh"),
-        ([[0.0, 20.0]], np.ones((2, 2)), 1.0, r"force: expected shape \[1, 2\], got \[2, 2\]"),
-        ([[0.0, 20.0]], [[1.0, 0]], 0.0, "thickness: expected a number > 0"),
+    for atoms, message in (
+        ([[0.0, 20.0], [90.0, 0.0]], "atoms: 1 lie outside the mesh"),
+        ([[0.0, 20.0]], r"force: expected shape \[1, 2\], got \[2, 2\]"),
     ):
         with pytest.raises(InputError, match=message):
-            force_on_mesh(HOLE, atoms, force, thickness=thickness)
+            force_on_mesh(HOLE, atoms, np.ones((2, 2)), thickness=1.0)
 
 
 NODES = square(9, spacing=5.0)
@@ -196,7 +187,6 @@ def test_mat_files_have_nodes_in_any_order_and_components_first_or_last(tmp_path
         ({"coords": NODES.x + RANDOM.uniform(0, 1, NODES.x.shape)}, {}, "square lattice"),
         ({"disps": u[:, 1:]}, {"load": None, "positions": 5.0}, "components of 441 nodes, got"),
         ({}, {"reach": 11}, "within 22 spacings around some, got none of 21 × 21"),
-        ({}, {"factor": "a"}, "factor: expected a finite number, got 'a'"),
     ):
         write(path, {name: v for name, v in (LOADED | changed).items() if v is not None})
         with pytest.raises(InputError, match=said):

@@ -50,13 +50,24 @@ def family():
     )
 
 
-def problem(family, size, interior=9):
-    """Nodes, a field, and the load that holds the rich member there; no load on the collar."""
-    points = lattice(interior, HORIZON)
+def held_at(rich, points, u):
+    """The problem whose load holds the rich member at u, with none on the collar."""
+    placed = rich.on(points)
+    return wp.Dirichlet(points, placed.on_all(placed(u)), u)
+
+
+def problem(family, size):
+    """Nodes, a field, and the problem that it solves."""
+    points = lattice(9, HORIZON)
     u = size * smooth(points.x, 1, 0, wave_number=0.3)[0]
-    b = np.zeros_like(u)
-    b[points.interior] = family.on(points)(u)
-    return points, u, b
+    return points, u, held_at(family, points, u)
+
+
+def along_x(points):
+    """A load along x, and a collar that is held."""
+    b = np.zeros_like(points.x)
+    b[:, 0] = 1e-4
+    return wp.Dirichlet(points, b, 0 * b)
 
 
 def far(u, truth, points):
@@ -65,18 +76,13 @@ def far(u, truth, points):
 
 
 def test_corrections_lead_to_the_rich_answer_and_say_how_far_it_is(family):
-    points, u, b = problem(family, 0.01)
-    given = wp.Dirichlet(points, b, np.where(points.interior[:, None], 0, u))
+    points, u, given = problem(family, 0.01)
     rough = wp.predict(family, given, 0.5)
-    best = wp.predict(family, given, None)
-    assert rough.corrections == 0
+    best, inside = wp.predict(family, given, None), points.interior
+    assert rough.corrections == 0 < best.corrections
     assert rough.known is None, "a loose tolerance asks for no correction"
-    assert best.corrections > 0
     assert far(best.u, u, points) < 0.1 * far(rough.u, u, points)
-    moved = rough.corrected - rough.u
-    true = u - rough.u
-    inside = points.interior
-    assert np.linalg.norm((moved - true)[inside]) < 0.25 * np.linalg.norm(true[inside])
+    assert far(rough.corrected - rough.u, u - rough.u, points) < 0.25
     assert set(best.parts) >= {"left", "waves", "data", "strain", "noise"}
     assert best.error == pytest.approx(np.sqrt(sum(v**2 for v in best.parts.values())))
     assert best.map()[inside].min() > 0
@@ -88,16 +94,12 @@ def test_corrections_lead_to_the_rich_answer_and_say_how_far_it_is(family):
 
 def test_a_part_is_as_large_as_what_was_planted(family):
     """Without a collar that moves, a law stiffer by a share answers with less by that share."""
-    points, _, _ = problem(family, 1.0)
-    b = np.zeros_like(points.x)
-    b[:, 0] = 1e-4
-    family = replace(family, record=None)
-    answer = wp.predict(family, wp.Dirichlet(points, b, 0 * b), None)
+    family, posed = replace(family, record=None), along_x(lattice(9, HORIZON))
+    answer = wp.predict(family, posed, None)
     floor = family.factors.floor / np.sqrt(2)
     assert answer.parts["data"] == pytest.approx(floor * np.sqrt(2) * APART, rel=0.1)
     assert answer.parts["waves"] == pytest.approx(floor * 0.01, rel=0.1)
-    tight = wp.predict(family, wp.Dirichlet(points, b, 0 * b), 0.01)
-    loose = wp.predict(family, wp.Dirichlet(points, b, 0 * b), 0.04)
+    tight, loose = (wp.predict(family, posed, tolerance) for tolerance in (0.01, 0.04))
     assert not tight.kept
     assert "1 % is not kept" in tight.why
     assert loose.kept
@@ -109,11 +111,11 @@ def test_strain_counts_what_its_orders_go_on_to(family, steady):
     """The nonlinear part times c|H|, or times what corrections shrink by if that is more."""
     screen = 2.0 if steady else 0.02
     family = replace(family, factors=replace(family.factors, screen=screen))
-    points, u, b = problem(family, 0.05)
-    given = wp.Dirichlet(points, b, np.where(points.interior[:, None], 0, u))
+    points, u, given = problem(family, 0.05)
     best, placed = wp.predict(family, given, None), family.ensemble_on(points)
-    inside, load, found = points.interior, placed.rhs(b), given.u.copy()
-    found[inside] = placed.inverse(load - placed.straight(given.u), 1e-6)
+    inside, load = points.interior, placed.rhs(given.b)
+    found = np.where(inside[:, None], 0, u)
+    found[inside] = placed.inverse(load - placed.straight(found), 1e-6)
     bent = far(found, u, points)
     first = placed.correction(load, found)
     found[inside] += first
@@ -130,8 +132,8 @@ def test_strain_counts_what_its_orders_go_on_to(family, steady):
 
 
 def test_quantities_come_with_a_signed_correction(family):
-    points, u, b = problem(family, 0.01)
-    rough = wp.predict(family, wp.Dirichlet(points, b, u), 0.5)
+    points, u, given = problem(family, 0.01)
+    rough = wp.predict(family, given, 0.5)
     at = [(4.0, 4.0), (2.0, 5.0)]
     for quantity in (
         strain(points, at),
@@ -147,12 +149,11 @@ def test_quantities_come_with_a_signed_correction(family):
 
 
 def test_the_guarantee_holds_planted_errors(family):
-    points, u, b = problem(family, 0.001)
+    points, u, given = problem(family, 0.001)
     inside = points.interior
     wrong = np.zeros_like(u)
     wrong[inside] = 0.02 * np.abs(u).max() * noise(points)[inside]
-    answer = wp.predict(family, wp.Dirichlet(points, b, u), None)
-    answer = replace(answer, u=u + wrong)
+    answer = replace(wp.predict(family, given, None), u=u + wrong)
     proof = answer.guarantee
     assert proof is not None
     straight = EnsembleOperator(family, points).straight
@@ -160,14 +161,9 @@ def test_the_guarantee_holds_planted_errors(family):
     assert true <= proof.energy <= true * 1.2 / (1 - proof.contraction)
     assert 0 < proof.contraction < 1
     assert far(u + wrong, u, points) <= proof.displacement
-    assert "energy norm" in proof.statement
     assert repr(proof).startswith("ErrorBound\n  proven")
-    assert "np.float64" not in repr(proof)
-
-
-def test_no_guarantee_beyond_the_proven_strain(family):
-    points, u, b = problem(family, 0.05)
-    assert wp.predict(family, wp.Dirichlet(points, b, u), None).guarantee is None
+    beyond = problem(family, 0.05)[2]  # the proven strain
+    assert wp.predict(family, beyond, None).guarantee is None
 
 
 def test_a_linear_family_is_bounded_without_a_contraction(family):
@@ -175,9 +171,7 @@ def test_a_linear_family_is_bounded_without_a_contraction(family):
         family.linear, family.second.linear, tuple(h.linear for h in family.halves)
     )
     points = lattice(6, HORIZON)
-    b = np.zeros_like(points.x)
-    b[:, 0] = 1e-4
-    answer = wp.predict(linear, wp.Dirichlet(points, b, 0 * b), 0.1)
+    answer = wp.predict(linear, along_x(points), 0.1)
     wrong = np.where(points.interior[:, None], 1e-4 * noise(points), 0.0)
     proof = replace(answer, u=answer.u + wrong).guarantee
     assert proof.contraction == 0
@@ -186,44 +180,35 @@ def test_a_linear_family_is_bounded_without_a_contraction(family):
 
 
 def test_what_is_not_known_is_named(family):
-    points, u, b = problem(family, 0.01)
+    points, u, given = problem(family, 0.01)
     unstated = replace(points, axis=None)
     points_samples._said.clear()
     with pytest.warns(UserWarning, match="axis"):
-        answer = wp.predict(family, wp.Dirichlet(unstated, b, u), 0.01)
+        answer = wp.predict(family, wp.Dirichlet(unstated, given.b, u), 0.01)
     assert any("axis" in one for one in answer.uncovered)
     assert answer.parts["axis"] > 0
     assert "not covered: axis" in answer.why
-    stated = wp.predict(family, wp.Dirichlet(points, b, u), 0.01)
-    assert stated.uncovered == ()
-    warm = wp.Samples(points, u[None], b[None], {"temperature": np.array([300.0])})
+    assert wp.predict(family, given, 0.01).uncovered == ()
+    warm = wp.Samples(points, u[None], given.b[None], {"temperature": np.array([300.0])})
     (answer,) = wp.predict(replace(family, temperature=0.0), wp.Dirichlet(warm, warm.b, warm.u))
     assert not answer.kept
     assert "temperature" in answer.why
 
 
-def test_a_family_is_one_file_in_any_units(family, tmp_path, capsys):
-    points, u, b = problem(family, 0.01)
+def test_a_family_is_one_file_in_any_units_and_the_command_says_error_and_truth(
+    family, tmp_path, capsys
+):
+    points, u, given = problem(family, 0.01)
     path = tmp_path / "family.json"
     wp.save(path, family)
-    again = wp.load(path)
-    expected = wp.predict(family, wp.Dirichlet(points, b, u), 0.01)
-    answer = wp.predict(again, wp.Dirichlet(points, b, u), 0.01)
-    np.testing.assert_array_equal(answer.u, expected.u)
-    assert answer.parts == expected.parts
+    expected = wp.predict(family, given, 0.01)
     units = ("nm", "GPa")
     length, stress_unit = factors(family.units, units)
     moved = replace(points, x=points.x * length, spacing=length, units=units)
-    there = wp.predict(
-        wp.load(path, units=units), wp.Dirichlet(moved, b * stress_unit / length, u * length), 0.01
-    )
+    posed = wp.Dirichlet(moved, given.b * stress_unit / length, u * length)
+    there = wp.predict(wp.load(path, units=units), posed, 0.01)
     assert there.error == pytest.approx(expected.error, rel=1e-4)
-
-
-def test_the_command_says_error_and_truth(family, tmp_path, capsys):
-    points, u, b = problem(family, 0.01)
-    wp.save(tmp_path / "family.json", family)
-    data = wp.Dataset({"set": wp.Samples(points, u[None], b[None])}, 3.35, 2200.0)
+    data = wp.Dataset({"set": wp.Samples(points, u[None], given.b[None])}, 3.35, 2200.0)
     wp.save(tmp_path / "data.h5", data)
     files = [str(tmp_path / name) for name in ("family.json", "data.h5")]
     assert main(["predict", *files, "--set", "set", "--tolerance", "0.05", "--json"]) == 0
@@ -234,18 +219,17 @@ def test_the_command_says_error_and_truth(family, tmp_path, capsys):
 
 
 def test_wrong_input_is_refused(family):
-    points, u, b = problem(family, 0.01)
-    given = wp.Dirichlet(points, b, u)
-    with pytest.raises(wp.InputError, match="knows nothing of its error"):
-        wp.predict(family.rich, given)
-    with pytest.raises(wp.InputError, match="tolerance: expected a number > 0, got 0"):
-        wp.predict(family, given, 0)
-    with pytest.raises(wp.InputError, match="predict: fine: not among the options of a"):
-        wp.predict(family, given, fine=True)
-    with pytest.raises(wp.InputError, match="predict: expected a problem"):
-        wp.predict(family, points)
-    with pytest.raises(wp.InputError, match="at least four samples"):
-        wp.fit(wp.Samples(points, u[None], b[None]), Ensemble(wp.LPS(3.0)))
+    points, u, given = problem(family, 0.01)
+    one = wp.Samples(points, u[None], given.b[None])
+    for words, call in (
+        ("knows nothing of its error", lambda: wp.predict(family.rich, given)),
+        ("tolerance: expected a number > 0, got 0", lambda: wp.predict(family, given, 0)),
+        ("fine: not among the options", lambda: wp.predict(family, given, fine=True)),
+        ("predict: expected a problem", lambda: wp.predict(family, points)),
+        ("at least four samples", lambda: wp.fit(one, Ensemble(wp.LPS(3.0)))),
+    ):
+        with pytest.raises(wp.InputError, match=words):
+            call()
 
 
 def test_a_family_is_learned_and_calibrated_by_one_call(tmp_path):
@@ -265,7 +249,7 @@ def test_a_family_is_learned_and_calibrated_by_one_call(tmp_path):
     assert answers[0].guarantee.contraction == 0
 
 
-def test_shares_find_the_wavelength():
+def test_shares_find_the_wavelength_and_members_are_pulled_half_way_to_their_record():
     points = lattice(40, 0.5)
     knots = np.array([4.0, 8.0, 16.0])
     u = np.stack([np.cos(2 * np.pi * points.x[:, 0] / 8), np.zeros(len(points.x))], axis=1)
@@ -274,23 +258,18 @@ def test_shares_find_the_wavelength():
     assert found.sum() == pytest.approx(1, abs=0.02)
     assert ErrorSpectrum(knots, np.array([0.0, 0.1, 0.0])).of(found) == pytest.approx(0.1, rel=0.15)
     assert Spectrum(points, knots).shares(1e-3 * points.x).sum() < 1e-9
-
-
-def test_members_are_pulled_half_way_to_their_record():
     assert pulled(0.01, 0.02) == pytest.approx(np.sqrt(2))
     assert pulled(0.01, 0.0025) == pytest.approx(0.5)
     assert pulled(0.01, 1.0) == 2
     assert pulled(0.01, None) == pulled(0.0, 1.0) == 1
 
 
-def held_in(rich, level, count, seed=0, wave_number=0.5, interior=14):
+def held_in(rich, level, count, seed=0):
     """Samples in equilibrium with a nonlinear member, their largest strain as told."""
-    points = lattice(interior, HORIZON)
-    u = smooth(points.x, count, seed, wave_number)
+    points = lattice(14, HORIZON)
+    u = smooth(points.x, count, seed, 0.5)
     u = np.array([level / largest_strain(points, one) * one for one in u])
-    b = np.zeros_like(u)
-    b[:, points.interior] = rich.on(points)(u)
-    return wp.Samples(points, u, b)
+    return wp.Samples(points, u, held_at(rich, points, u).b)
 
 
 @pytest.fixture(scope="module")
@@ -304,8 +283,7 @@ def test_a_linear_family_tells_what_is_not_linear(family, linear_family):
     """The member itself takes up some of it, and the half that saw a sample too."""
     learned = linear_family
     seen = held_in(family.rich, 0.04, 2, seed=5)
-    given = np.where(seen.interior[:, None], 0.0, seen.u)
-    answers = wp.predict(learned, wp.Dirichlet(seen.points, seen.b, given), None)
+    answers = wp.predict(learned, wp.Dirichlet(seen.points, seen.b, seen.u), None)
     true, placed = family.rich.on(seen.points), learned.ensemble_on(seen.points)
     for answer, truth in zip(answers, seen.u):
         assert any(one.startswith("strain") for one in answer.uncovered)
@@ -316,7 +294,7 @@ def test_a_linear_family_tells_what_is_not_linear(family, linear_family):
         told = placed.bent(answer.u)
         assert np.vdot(told, even) > 0.7 * np.linalg.norm(told) * np.linalg.norm(even)
     unknown = replace(learned, quadratic=())  # an older file
-    answer = wp.predict(unknown, wp.Dirichlet(seen.points, seen.b[0], given[0]), None)
+    answer = wp.predict(unknown, wp.Dirichlet(seen.points, seen.b[0], seen.u[0]), None)
     assert any("nothing in the ensemble tells" in one for one in answer.uncovered)
     assert np.isnan(answer.error)
     assert not answer.kept
@@ -330,9 +308,7 @@ def test_even_orders_of_a_body_pulled_on_all_sides_are_told_by_waves(linear_fami
     middle = points.x - points.x.mean(axis=0)
     for size in (0.005, -0.01):
         u = size * middle * np.exp(-((middle / 5) ** 2).sum(axis=1, keepdims=True))
-        b = np.zeros_like(u)
-        b[points.interior] = rich.on(points)(u)
-        posed = wp.Dirichlet(points, b, np.where(points.interior[:, None], 0.0, u))
+        posed = held_at(rich, points, u)
         for tolerance in (0.01, None):
             answer = wp.predict(learned, posed, tolerance)
             true = far(answer.u, u, points)
@@ -342,8 +318,7 @@ def test_even_orders_of_a_body_pulled_on_all_sides_are_told_by_waves(linear_fami
 
 def test_without_a_tolerance_the_answer_is_as_near_as_any(family):
     """Not by its bar alone: to the answer of the rich member, up to what the bar cannot tell."""
-    points, u, b = problem(family, 0.06)
-    given = wp.Dirichlet(points, b, np.where(points.interior[:, None], 0, u))
+    points, u, given = problem(family, 0.06)
     best = wp.predict(family, given, None)
     off = [far(wp.predict(family, given, t).u, u, points) for t in (0.05, 0.01, 0.005)]
     assert far(best.u, u, points) < min(off) + 1e-4 * best.error
@@ -371,10 +346,7 @@ def test_standard_errors_of_moduli_belong_to_the_data():
 
 
 def test_a_family_has_the_standard_error_of_its_crystal_beside_its_own_data(family):
-    points, _, _ = problem(family, 1.0)
-    b = np.zeros_like(points.x)
-    b[:, 0] = 1e-4
-    posed = wp.Dirichlet(points, b, 0 * b)
+    posed = along_x(lattice(9, HORIZON))
     sure = wp.predict(replace(family, record=None), posed, None)
     linear = replace(family.rich.linear, provenance={"moduli_error": 0.05})
     unsure = replace(family, record=None, rich=replace(family.rich, linear=linear))

@@ -129,7 +129,10 @@ class CrystalFit(Shown):
 
         Of an exact potential the difference of finite strains from long waves.
         """
-        return errors_of(self.atoms, self.strained, self.material.symmetry)
+        if self.atoms.doubt is not None:
+            allowed = _allowed(self.material.symmetry, self.atoms.dimension)
+            return self.atoms.elastic_doubt(allowed, bent=True)
+        return None if self.strained is None else (self.strained - self.tensor)[None]
 
     @cached_property
     def unsure(self) -> float:
@@ -247,12 +250,12 @@ class CrystalFit(Shown):
     def content(self) -> dict[str, Any]:
         """The same as plain values: Voigt matrices in GPa, lengths in Å, errors in %."""
         C, proof, told = self._tensors, self.certificate, self.law.certificate
-        bars = {name: bar for name, (_, bar) in with_errors(self.tensor, self.errors).items()}
+        bars = {} if self.errors is None else with_errors(self.tensor, self.errors)
         return {
             "said": self.said,
             "elastic_tensor_GPa": {key: (1e3 * voigt(v)).tolist() for key, v in C.items()},
             "moduli_GPa": {key: named_moduli(1e3 * v) for key, v in C.items()},
-            "standard_errors_GPa": {} if self.errors is None else bars,
+            "standard_errors_GPa": {name: bar for name, (_, bar) in bars.items()},
             "spacing": self.law.spacing,
             "horizon": self.law.horizon,
             "holds_to": self.holds_to,
@@ -262,9 +265,9 @@ class CrystalFit(Shown):
         }
 
 
-def with_errors(C: np.ndarray, errors: Any) -> dict[str, tuple[float, float]]:
+def with_errors(C: np.ndarray, errors: np.ndarray) -> dict[str, tuple[float, float]]:
     """Moduli [GPa] of C [TPa] by name, each with its standard error; errors [Q, d, d, d, d]."""
-    M = 1e3 * np.sqrt((voigt(0 * C[None] if errors is None else errors) ** 2).sum(axis=0))
+    M = 1e3 * np.linalg.norm(voigt(errors), axis=0)
     label = "123456" if C.shape[0] == 3 else "124"
     return {
         name: (value, float(M[label.index(name[1]), label.index(name[2])]))
@@ -272,20 +275,9 @@ def with_errors(C: np.ndarray, errors: Any) -> dict[str, tuple[float, float]]:
     }
 
 
-def _written(C: np.ndarray, errors: Any) -> str:
+def _written(C: np.ndarray, errors: np.ndarray) -> str:
     moduli = with_errors(C, errors).items()
     return ", ".join(f"{name} {value:.2f} ± {bar:.2g}" for name, (value, bar) in moduli) + " GPa"
-
-
-def errors_of(atoms: ForceConstants, strained: np.ndarray | None, symmetry: Symmetry) -> Any:
-    """Independent standard errors of moduli [TPa], [Q, d, d, d, d]; None where none is told.
-
-    Of an exact potential the difference of finite strains from long waves.
-    """
-    allowed = _allowed(symmetry, atoms.dimension)
-    if atoms.doubt is not None:
-        return atoms.elastic_doubt(allowed, bent=True)
-    return None if strained is None else (strained - atoms.elastic(allowed))[None]
 
 
 def _allowed(symmetry: Symmetry, d: int) -> np.ndarray:
@@ -410,10 +402,11 @@ def crystal_from_force_constants(
     cell = ase.Atoms(atoms.species, positions=atoms.positions, cell=atoms.cell, pbc=True)
     h = spacing or usual_spacing(cell, atoms.dimension == 2)
     said, group = _doubts(atoms), _group(atoms, symmetry)
-    errors = errors_of(replace(atoms, cut=None), None, group)
-    if errors is not None and len(errors):
-        C = atoms.elastic(_allowed(group, atoms.dimension))
-        if (share := np.abs(errors).max() / np.abs(C).max()) > RULES:
+    if atoms.doubt is not None:
+        allowed = _allowed(group, atoms.dimension)
+        errors = replace(atoms, cut=None).elastic_doubt(allowed, bent=True)
+        share = np.abs(errors).max(initial=0.0) / np.abs(atoms.elastic(allowed)).max()
+        if share > RULES:
             raise InputError(
                 f"force constants: rules that they break (space group, rotations, …) leave moduli "
                 f"unsure by {share:.0%}; expected less than {RULES:.0%}"

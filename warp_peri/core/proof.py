@@ -97,17 +97,15 @@ class StencilCertificate:
 
     def check_of(self, stencil: Stencil, group: np.ndarray) -> None:
         """Raise InputError unless this is proven of a stencil: the cells are gone through again."""
-        stiff = _lattice_units(stencil)
+        stiff, c = _lattice_units(stencil), self.proven
         long, _ = _long_waves(stiff, group)
-        largest = max(self.sampled, 0.0)  # of an indefinite law nothing is said to be proven
-        believed = 0 <= self.long_waves <= long * (1 + FOUND) and 0 <= self.proven <= largest
-        if believed and self.proven > 0:  # a part of what was sampled that `prove` tries
-            known = (1.0, *SHARES)  # files of before say no more than the bound
-            believed = bool(np.isclose(self.proven / self.sampled, known, rtol=1e-9).any())
-        if believed and self.proven > 0:
+        most = max(self.sampled, 0.0)  # of an indefinite law nothing is said to be proven
+        believed = 0 <= self.long_waves <= long * (1 + FOUND) and 0 <= c <= most
+        if believed and c > 0:  # a part of what was sampled that `prove` tries, which holds again
+            tried = np.isclose(c / self.sampled, (1.0, *SHARES), rtol=1e-9).any()
             weight = laplacian_stencil(1.0, stencil.dimension, stencil.tensors.shape[1])
-            left, c = long - self.proven, self.proven
-            believed = left > 0 and _positive_on_zone(stiff.minus(weight, c), group, left)[0]
+            left = stiff.minus(weight, c)
+            believed = bool(tried) and long > c and _positive_on_zone(left, group, long - c)[0]
         if not believed:
             raise InputError(
                 f"certificate: D(k) ≥ {self.proven:.6g} s(k) is not proven of these tensors"
@@ -226,19 +224,18 @@ def _slack(stencil: Stencil) -> float:
 
 def _positive(
     affine: Affine,
-    cells: np.ndarray,
-    half: float,
+    edge: float,
+    dimension: int,
     rest: float,
     slack: float,
     asked: Callable[[np.ndarray, float], np.ndarray],
     most: int,
 ) -> tuple[bool, int, np.ndarray | None]:
-    """Whether a matrix function is positive definite on cells, which are halved where that fails.
+    """Whether a matrix function is positive definite on [−edge, edge]^n, by cells that are halved
+    where that fails.
 
     Args:
         affine: its value and slopes at the middles of cells.
-        cells: middles, shape [K, n].
-        half: half the side of a cell.
         rest: times half², what the function may be below its affine part.
         slack: for rounding.
         asked: middles and half a side to those cells that must be looked at.
@@ -246,7 +243,7 @@ def _positive(
 
     Returns whether it is, how many cells were looked at, and a middle where it is not.
     """
-    corners, seen = _corners(cells.shape[1]), 0
+    corners, cells, half, seen = _corners(dimension), *_first_cells(edge, dimension), 0
 
     def states(half: float, some: np.ndarray) -> np.ndarray:
         """0 where it is positive, 1 where a corner failed, 2 where the middle is negative."""
@@ -268,15 +265,15 @@ def _positive(
         if state.max() > 1:
             return False, seen, cells[state.argmax()]
         half /= 2
-        cells = (cells[state > 0][:, None] + half * corners).reshape(-1, cells.shape[1])
+        cells = (cells[state > 0][:, None] + half * corners).reshape(-1, dimension)
     return False, seen, None
 
 
-def _first_cells(edge: float, count: int, dimension: int) -> np.ndarray:
-    """Middles of cells of [−edge, edge]^d, `count` along an axis."""
-    half = edge / count
-    line = -edge + half * (2 * np.arange(count) + 1)
-    return np.array(list(itertools.product(line, repeat=dimension)))
+def _first_cells(edge: float, dimension: int) -> tuple[np.ndarray, float]:
+    """Middles of cells of [−edge, edge]^d, FIRST along an axis, and half a side."""
+    half = edge / FIRST
+    line = -edge + half * (2 * np.arange(FIRST) + 1)
+    return np.array(list(itertools.product(line, repeat=dimension))), half
 
 
 def _symbol_slopes(stencil: Stencil, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -316,15 +313,8 @@ def _positive_on_zone(
         far[far] = canonical(k[far], group, half)
         return far
 
-    return _positive(
-        partial(_symbol_slopes, stencil),
-        _first_cells(np.pi, FIRST, d),
-        np.pi / FIRST,
-        _most(stencil, above + below),
-        _slack(stencil),
-        asked,
-        MOST_CELLS[d],
-    )
+    affine, rest = partial(_symbol_slopes, stencil), _most(stencil, above + below)
+    return _positive(affine, np.pi, d, rest, _slack(stencil), asked, MOST_CELLS[d])
 
 
 def _long_waves(stencil: Stencil, group: np.ndarray) -> tuple[float, int]:
@@ -355,8 +345,7 @@ def _long_waves(stencil: Stencil, group: np.ndarray) -> tuple[float, int]:
         def asked(t: np.ndarray, half: float, a: int = a) -> np.ndarray:
             return canonical(np.insert(t, a, 1.0, axis=1), group, half)
 
-        cells = _first_cells(1.0, FIRST, d - 1)
-        holds, seen, _ = _positive(affine, cells, 1 / FIRST, rest, slack, asked, MOST_CELLS[d])
+        holds, seen, _ = _positive(affine, 1.0, d - 1, rest, slack, asked, MOST_CELLS[d])
         total += seen
         if not holds:
             return 0.0, total
@@ -369,10 +358,10 @@ def largest(stencil: Stencil, group: np.ndarray, tolerance: float = UPPER_TOLERA
     Within `tolerance`, relative, of a value that D takes, unless that needs more than MOST_CELLS;
     then it is what was proven so far.
     """
-    d, half, work, taken = stencil.dimension, np.pi / FIRST, 0, 0.0
+    d, work, taken = stencil.dimension, 0, 0.0
     rest = _most(stencil, np.sum(parts(stencil.tensors), axis=0))
     slack, corners = _slack(stencil), _corners(d)
-    cells = _first_cells(np.pi, FIRST, d)
+    cells, half = _first_cells(np.pi, d)
 
     def bounds(half: float, some: np.ndarray) -> np.ndarray:
         """Λmax at the middles, and its bound over the cells, shape [K, 2]."""

@@ -69,9 +69,7 @@ def guarantee(placed: EnsembleOperator, load: np.ndarray, u: np.ndarray) -> Erro
     smallest = stiffness * laplacian / points.spacing**2
 
     def linear(v: np.ndarray) -> np.ndarray:
-        field = np.zeros_like(u)
-        field[inside] = v
-        return placed.straight(field)
+        return placed.straight(operator.on_all(v))
 
     r, inner = load - operator(u), u[inside]
     e = placed.inverse(r, ACCURATE)
@@ -80,7 +78,7 @@ def guarantee(placed: EnsembleOperator, load: np.ndarray, u: np.ndarray) -> Erro
     # r·L⁻¹r = e·Le + 2 e·rest + rest·L⁻¹rest, and L ≥ smallest
     square = np.vdot(e, le) + 2 * np.vdot(e, rest) + np.vdot(rest, rest) / smallest
     size = float(np.sqrt(max(square, 0.0)))
-    q, largest = 0.0, 0.0
+    q = largest = 0.0
     if placed.nonlinear:
         found = contraction(operator.model, float(operator.largest_gradient(u)), size)
         if found is None:
@@ -100,8 +98,8 @@ def guarantee(placed: EnsembleOperator, load: np.ndarray, u: np.ndarray) -> Erro
 def contraction(model: Any, gradient: float, size: float) -> tuple[float, float] | None:
     """q and a radius ε for gradients that no iterate leaves; None where none is proven.
 
-    From u on all iterates of the fixed point lie within size/(1 − q) of it in the energy norm, and
-    their gradients, whose norm over all nodes is at most κ_in times that, below ε.
+    All iterates lie within size/(1 − q) of u in the energy norm, and their gradients, whose norm is
+    at most κ_in times that, below ε.
     """
     names = ("strain", "kappa_in", "kappa_out", "largest_parts")
     if not all(name in model.proven for name in names):
@@ -253,10 +251,7 @@ class Prediction(Shown):
 
     @cached_property
     def guarantee(self) -> ErrorBound | None:
-        """How far the rich member's own solution is at most, proven; None where nothing is (Q9).
-
-        It speaks of the model, not of the atoms.
-        """
+        """How far the rich member's own solution is at most, proven; None where nothing is (Q9)."""
         return guarantee(self.operator, self.load, self.u)
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
@@ -311,16 +306,14 @@ def strain(points: PointsLike, at: ArrayLike) -> Measure:
     nodes = nodes_of(points)
     if not nodes.spacing > 0:
         raise InputError("strain: expected a lattice, got scattered points")
-    tree = cKDTree(nodes.x)
-    middle = tree.query(np.atleast_2d(np.asarray(at, float)))[1]
-    steps = nodes.spacing * np.eye(nodes.x.shape[1])
-    places = nodes.x[middle][:, None] + steps, nodes.x[middle][:, None] - steps
-    far, near = zip(*(tree.query(place) for place in places))
-    if max(float(distance.max()) for distance in far) > 1e-3 * nodes.spacing:
+    tree, steps = cKDTree(nodes.x), nodes.spacing * np.eye(nodes.x.shape[1])
+    middle = nodes.x[tree.query(np.atleast_2d(np.asarray(at, float)))[1]][:, None]
+    off, (after, before) = tree.query(np.stack([middle + steps, middle - steps]))
+    if off.max() > 1e-3 * nodes.spacing:
         raise InputError("strain: expected positions whose nodes have neighbours along the axes")
 
     def of(u: np.ndarray) -> np.ndarray:
-        slope = (u[near[0]] - u[near[1]]) / (2 * nodes.spacing)
+        slope = (u[after] - u[before]) / (2 * nodes.spacing)
         return np.asarray((slope + slope.swapaxes(-1, -2)) / 2)
 
     return of

@@ -58,7 +58,7 @@ class CalibrationFactors:
 class EnsembleMaterial(OnLinear, format="warp_peri.family", version=2):
     """What `fit(samples, prediction.Ensemble(…))` learns: a material with its doubts.
 
-    It solves, moves and is placed on points as its rich member. `predict` uses all.
+    It solves, moves and is placed on points as its rich member; `predict` uses all.
 
     Attributes:
         rich: the best law of the data, linear or of third order.
@@ -68,8 +68,7 @@ class EnsembleMaterial(OnLinear, format="warp_peri.family", version=2):
         factors: calibration.
         strain: largest strain between neighbouring nodes in the samples.
         temperature: [K] of the samples, where they state it.
-        quadratic: of a linear rich member the constants of the forces of second order that its
-            data show [stress], those of `quadratic_stresses`.
+        quadratic: of a linear rich member the constants [stress] of `quadratic_stresses`.
         provenance: of the fit.
     """
 
@@ -142,9 +141,7 @@ class Ensemble:
         Args:
             samples: with loads, at least four; of a Dataset `train`, or its only set.
             validation: samples on the same kind of nodes, not learned from, that calibrate too.
-            progress: as for the laws.
-
-        Raises InputError for samples that cannot be halved, and whatever the laws refuse.
+            progress: as for the laws, whose errors are raised.
         """
         if isinstance(samples, Dataset):
             samples = samples.obvious("train")
@@ -225,10 +222,9 @@ def calibrated(
 
 
 def quadratic(family: EnsembleMaterial, samples: Samples) -> tuple[float, ...]:
-    """Constants of forces of second order in the strain, of what a linear rich member misses.
+    """Constants of the forces of second order in the strain that a linear rich member misses.
 
-    They are fitted to what the half that has not seen a sample leaves of its load: the member
-    itself has taken up some of it.
+    Fitted to what the half that has not seen a sample leaves of its load.
     """
     placed, points = EnsembleOperator(family, samples.points), samples.points
     left = [

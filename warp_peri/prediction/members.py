@@ -134,13 +134,11 @@ class Parts:
     """Fields of errors on the interior nodes by origin (Q1–Q3).
 
     Attributes:
-        fields: by name, each of shape [I, d] [length]. "left" is the correction that is left,
-            "waves" by the second member, "data" by the halves. "strain" is what the orders of the
-            force would go on to as a series: the nonlinear part times the gradient times BEYOND; of
-            a linear member what forces of second order add. "axis" is by the crystal at its other
-            extreme, where its axis is not stated. "moduli" is the answer times the standard error
-            of its moduli, where the law's record has one; it belongs to the data.
-        pull: what waves and data are multiplied with: half way, in logarithms, to what the record
+        fields: by name, each of shape [I, d] [length]: "left", the correction; "waves", by the
+            second member; "data", by the halves; "strain", what the orders of the force would go on
+            to as a series, or of a linear member the forces of second order; "axis", by the crystal
+            at its other extreme; "moduli", by their standard error, which belongs to the data.
+        pull: what waves and data are multiplied with, half way in logarithms to what the record
             says of such wavelengths (Q6).
     """
 
@@ -194,12 +192,11 @@ class EnsembleOperator:
         """S: L⁻¹ of a load on the interior, to a relative residual."""
         if hasattr(self.rich, "inverse"):
             return self.rich.inverse(self.loads)  # type: ignore[no-any-return]
-        inside, zero = self.points.interior, np.zeros(self.points.x.shape)
+        zero = np.zeros(self.points.x.shape)
 
         def solved(right: np.ndarray, tolerance: float) -> np.ndarray:
-            b = zero.copy()
-            b[inside] = right
-            return np.asarray(self.rich.solve(b, zero).u[inside])
+            solution = self.rich.solve(self.rich.on_all(right), zero)
+            return np.asarray(solution.u[self.points.interior])
 
         return solved
 
@@ -208,8 +205,7 @@ class EnsembleOperator:
         return np.asarray(self.rich.rhs(b))
 
     def gradient(self, u: np.ndarray) -> float:
-        """Root mean square of |H| near the unknowns; of a linear member the largest strain between
-        neighbours."""
+        """Root mean square of |H|; of a linear member the largest strain between neighbours."""
         if not self.nonlinear:
             return float(largest_strain(self.points, u))
         H, _ = self.rich.gradients(u)
@@ -246,8 +242,8 @@ class EnsembleOperator:
 
     @cached_property
     def grid(self) -> Grid | None:
-        """Planes on which a linear member's forces of second order are taken; None where its data
-        show none, off lattices and behind a narrow collar."""
+        """Of a linear member's forces of second order; None where its data show none, off lattices
+        and behind a narrow collar."""
         if not (self.family.quadratic and self.points.spacing):
             return None
         try:
@@ -256,8 +252,7 @@ class EnsembleOperator:
             return None
 
     def bent(self, u: np.ndarray) -> np.ndarray | None:
-        """What the body moves by since its force is not linear at u, [I, d] (Q3); None of a linear
-        member without a `grid`."""
+        """What it moves by since its force is not linear at u, [I, d] (Q3); None without `grid`."""
         if self.nonlinear:
             return self.inverse(self.rich(u) - self.straight(u), ROUGH)
         if self.grid is None:
@@ -279,8 +274,8 @@ class EnsembleOperator:
     def doubts(
         self, u: np.ndarray, left: np.ndarray, told: float | None = None, slowed: float = 0.0
     ) -> Parts:
-        """Fields of what the members do not know of u, [N, d]; `left` is its correction, `told`
-        what the record says of it, `slowed` as in `series`."""
+        """What the members do not know of u; `left` is its correction, `told` its error by the
+        record, `slowed` as in `series`."""
         second, *halves = self.others
         fields = {
             "left": left,

@@ -53,11 +53,9 @@ def predict(
             for the best answer, with its error.
         options: of the material's `on`: transfer, allow_uncertified.
 
-    Returns:
-        An answer, or one for each of several loads. One whose tolerance is not kept says so.
-
-    Raises InputError for a material that is no ensemble, a problem of another kind, a tolerance
-    that is no number above zero, and whatever `solve` refuses.
+    Returns an answer, or one for each of several loads; one whose tolerance is not kept says so.
+    Raises InputError for a material that is no ensemble, a problem of another kind, and whatever
+    `solve` refuses.
 
     >>> ensemble = wp.fit(samples, Ensemble(wp.LPS(12.5, wp.Bernstein(3)))).material
     >>> bool(wp.predict(ensemble, wp.Dirichlet(points, b[0], u[0]), tolerance=0.05).kept)
