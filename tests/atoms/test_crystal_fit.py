@@ -184,7 +184,7 @@ def test_how_far_a_cell_went_is_said_and_a_skewed_one_is_made_short():
 def test_a_sheet_across_a_face_is_put_together_turned_and_made_small():
     sheet = ase.build.mx2("MoS2", a=3.17, thickness=3.17, vacuum=10).repeat((2, 3, 1))
     sheet.pbc = True
-    sheet.rotate(90, "x", rotate_cell=True)
+    sheet.rotate(90, "y", rotate_cell=True)
     sheet.wrap()
     made = lammps_calculator("sw/mod", ["Mo", "S"], "tmd.sw.mod")
     found = at_rest(sheet, made)
