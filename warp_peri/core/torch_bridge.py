@@ -90,14 +90,9 @@ def linear(x: torch.Tensor, there: Callable[..., Any], back: Callable[..., Any])
 
 
 def nonlinear(make: Any, along: Any, backs: tuple[Any, ...], *of: torch.Tensor) -> torch.Tensor:
-    """A map of fields of NumPy that is differentiated once.
-
-    Args:
-        make: of the fields.
-        along: its derivative, of the fields and tangents; None where it is refused.
-        backs: of each field the derivative transposed, of the fields and what is upstream.
-        of: the fields.
-    """
+    """What `make` makes of fields of NumPy, differentiated once: `along` is its derivative, of the
+    fields and tangents, None where it is refused; `backs` of each field that transposed, of the
+    fields and what is upstream."""
 
     def pulled(asked: Any, *given: torch.Tensor) -> list[torch.Tensor | None]:
         pairs = zip(backs, asked)
@@ -157,11 +152,8 @@ def _like(slope: Any, number: torch.Tensor) -> Any:
 
 
 def force_of(operator: Any, u: torch.Tensor) -> torch.Tensor:
-    """The force of an operator on the interior nodes, [..., I, d], differentiable in u [..., N, d].
-
-    Raises InputError for another shape or type, and, where `operator.is_linear` is not true, for a
-    second derivative.
-    """
+    """The force of an operator on the interior nodes, [..., I, d], differentiable in u [..., N, d];
+    InputError for another shape or type, and for a second derivative of one that is not linear."""
 
     def force(fields: torch.Tensor) -> torch.Tensor:
         if operator.is_linear:
@@ -175,20 +167,16 @@ def force_of(operator: Any, u: torch.Tensor) -> torch.Tensor:
 def on_fields(
     operator: Any, u: torch.Tensor, force: Callable[[torch.Tensor], torch.Tensor]
 ) -> torch.Tensor:
-    """What `force` makes of fields [S, N, d] in float64, of u [..., N, d] and in its precision.
-
-    Raises InputError for a u of another shape or type.
-    """
+    """What `force` makes of fields [S, N, d] in float64, of u [..., N, d] and in its precision;
+    InputError for a u of another shape or type."""
     operator.check(u, u.is_floating_point())
     found = force(u.to("cpu", torch.float64).reshape(-1, *operator.shape))
     return found.reshape(*u.shape[: u.dim() - len(operator.shape)], *found.shape[1:]).to(u)
 
 
 def as_tensor(name: str, value: Any) -> torch.Tensor:
-    """A tensor itself, or what NumPy makes of numbers: of a list torch keeps half the digits.
-
-    Masked entries are NaN. Raises InputError for what is no array of numbers.
-    """
+    """A tensor itself, or what NumPy makes of numbers, of which torch keeps half the digits, masked
+    entries as NaN; InputError for what is no array of numbers."""
     if isinstance(value, torch.Tensor):
         return value
     array = as_array(name, value)
@@ -327,10 +315,8 @@ def _rest(operator: Any, b: np.ndarray, u: np.ndarray, solver: Any) -> Any:
 
 
 def _pulled(operator: Any, u: np.ndarray, g: np.ndarray, solver: Any) -> tuple[np.ndarray, ...]:
-    """L′⁻ᵗ g on the interior [..., I, d], and what that makes of b and of u, [..., N, d].
-
-    L′ is taken at the answer u, and of what is linear anywhere.
-    """
+    """L′⁻ᵗ g on the interior [..., I, d], L′ at the answer u, and what that makes of b and of u,
+    [..., N, d]."""
     one, inside = operator.shape, operator.points.interior
     axis = -len(one)
     with quietly():  # g is no displacement
@@ -366,11 +352,8 @@ def _transposed(operator: Any, fields: np.ndarray, g: np.ndarray) -> np.ndarray:
 def in_steps(
     operator: Any, u: np.ndarray, g: np.ndarray, inverse: Any, tolerance: float = EXACT
 ) -> np.ndarray:
-    """L′⁻ᵗ g on the interior by GMRES, of one field [N, d] and g [I, d], shape [d I].
-
-    `inverse` is that of the solid at rest, of a load and a relative residual. Raises InputError
-    where L′ is singular, or nearly.
-    """
+    """L′⁻ᵗ g on the interior by GMRES, of one field [N, d] and g [I, d], shape [d I], before which
+    the solid's own `inverse` stands; InputError where L′ is singular, or nearly."""
     inside = operator.points.interior
     J, M = (
         LinearOperator(2 * (g.size,), matvec=part, dtype=float)

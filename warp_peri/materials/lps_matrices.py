@@ -42,17 +42,13 @@ class Matrices:
 
 
 def matrices(model: LPSMaterial, points: PointsLike) -> Matrices:
-    """Assemble Γ, Φ and Ψ of a model on a point set.
-
-    Raises InputError for a point set that does not carry the horizon.
-    """
+    """Γ, Φ and Ψ of a model on a point set; InputError where that does not carry the horizon."""
     bonds = bonds_of(model, points)
     return assemble(bonds, *bonds.table(model.alpha, model.D), model.mu)
 
 
 def assemble(bonds: Bonds, kw: np.ndarray, m: Any, mu: Any = 1.0) -> Matrices:
-    """Assemble from given tables: K W by class and the weighted volumes, of nodes or of all; with
-    μ of each node, where that is a field."""
+    """Γ, Φ and Ψ of tables: K W by class, weighted volumes, of nodes or of all, and a field μ."""
     families, nodes, d = bonds.families, bonds.nodes, bonds.dimension
     owner, end, xi, kind = bonds.listing
     own = kw[kind] / np.broadcast_to(m, nodes)[owner]
