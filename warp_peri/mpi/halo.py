@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -154,48 +155,48 @@ class Halo:
         self.comm, self.width = comm, width
         own = tiles.own(comm.rank)
         self._inside = tuple(slice(width, width + part.stop - part.start) for part in own)
-        self._give, self._take = [], []
-        for r in range(comm.size):
-            if r == comm.rank:
-                continue
-            theirs = tiles.own(r)
-            if (given := _shared(own, theirs, width)) is not None:
-                self._give.append((r, _from(given, own, 0)))
-            if (taken := _shared(theirs, own, width)) is not None:
-                self._take.append((r, _from(taken, own, width)))
-        self._wide = np.zeros(0)
-        self._requests: list[Any] = []
-        self._buffers: list[np.ndarray] = []
+        others = [(r, tiles.own(r)) for r in range(comm.size) if r != comm.rank]
+        given = [(r, _shared(own, theirs, width)) for r, theirs in others]
+        taken = [(r, _shared(theirs, own, width)) for r, theirs in others]
+        self._give = [(r, _from(box, own, 0)) for r, box in given if box]
+        self._take = [(r, _from(box, own, width)) for r, box in taken if box]
 
-    def start(self, field: np.ndarray) -> np.ndarray:
-        """A field [c, *box] among zeros, which `finish` fills. One at a time."""
+    def start(self, field: np.ndarray) -> tuple[np.ndarray, Callable[[], None]]:
+        """A field [c, *box] among zeros, and what waits for the nodes of others and puts them
+        there."""
         w, cuts = self.width, len(self._inside)
         sides = (n + 2 * w * (axis < cuts) for axis, n in enumerate(field.shape[1:]))
-        self._wide = wide = np.zeros((len(field), *sides), field.dtype)
+        wide = np.zeros((len(field), *sides), field.dtype)
         wide[:, *self._inside] = field
-        self._buffers = [np.empty_like(wide[:, *place], order="C") for _, place in self._take]
-        out = [np.ascontiguousarray(field[:, *place]) for _, place in self._give]
-        self._requests = [
-            *(self.comm.Irecv(b, source=r, tag=w) for (r, _), b in zip(self._take, self._buffers)),
-            *(self.comm.Isend(b, dest=r, tag=w) for (r, _), b in zip(self._give, out)),
-        ]
-        self._out = out
-        return wide
-
-    def finish(self) -> None:
-        """Wait for the nodes of others."""
-        from mpi4py import MPI
-
-        MPI.Request.Waitall(self._requests)
-        for (_, place), buffer in zip(self._take, self._buffers):
-            self._wide[:, *place] = buffer
-        self._wide, self._requests, self._buffers, self._out = np.zeros(0), [], [], []
+        give, take = ([(r, (slice(None), *p)) for r, p in to] for to in (self._give, self._take))
+        return wide, _exchanged(self.comm, field, wide, give, take, w)
 
     def __call__(self, field: np.ndarray) -> np.ndarray:
         """The field with the nodes of others around it."""
-        wide = self.start(field)
-        self.finish()
+        wide, finish = self.start(field)
+        finish()
         return wide
+
+
+def _exchanged(
+    comm: Comm, field: np.ndarray, wide: np.ndarray, give: Any, take: Any, tag: int = 0
+) -> Callable[[], None]:
+    """Send parts of a field to ranks, given as pairs (rank, place), and return what waits for
+    theirs and puts them into places of another array."""
+    from mpi4py import MPI
+
+    out = [(r, np.ascontiguousarray(field[place])) for r, place in give]
+    buffers = [(r, np.empty_like(wide[place], order="C")) for r, place in take]
+    requests = [comm.Irecv(buffer, source=r, tag=tag) for r, buffer in buffers]
+    requests += [comm.Isend(buffer, dest=r, tag=tag) for r, buffer in out]
+
+    def finish() -> None:
+        MPI.Request.Waitall(requests)
+        for (_, place), (_, buffer) in zip(take, buffers):
+            wide[place] = buffer
+        out.clear()
+
+    return finish
 
 
 def _shared(
@@ -252,9 +253,7 @@ class NodeHalo:
         self._take = [
             (r, np.searchsorted(self.number, taken[r][0])) for r in ranks if len(taken[r][0])
         ]
-        self.comm, d = comm, piece.dimension
-        self._out = [np.empty((len(places), d)) for _, places in self._give]
-        self._in = [np.empty((len(places), d)) for _, places in self._take]
+        self.comm = comm
 
     def sum(self, values: np.ndarray) -> np.ndarray:
         """Of values [k, ...] over all ranks, shape [...]."""
@@ -270,26 +269,13 @@ class NodeHalo:
         return self.piece.mark(*own)
 
     def exchange(self, field: np.ndarray) -> None:
-        """Fill others' nodes in a field of vectors [m or more, d] from their owners."""
-        from mpi4py import MPI
-
-        comm = self.comm
-        requests = [comm.Irecv(b, source=r) for (r, _), b in zip(self._take, self._in)]
-        for (rank, places), buffer in zip(self._give, self._out):
-            np.take(field, places, axis=0, out=buffer)
-            requests.append(comm.Isend(buffer, dest=rank))
-        MPI.Request.Waitall(requests)
-        for (_, places), buffer in zip(self._take, self._in):
-            field[places] = buffer
+        """Fill others' nodes in a field [m or more, ...] from their owners."""
+        _exchanged(self.comm, field, field, self._give, self._take)()
 
     def around(self, values: np.ndarray) -> np.ndarray:
         """Values [n, ...] of the piece's own nodes on all nodes here, [m, ...]."""
         values = np.asarray(values)
         here = np.zeros((len(self.number), *values.shape[1:]), values.dtype)
         here[self.own] = values
-        requests = [self.comm.isend(here[places], dest=r) for r, places in self._give]
-        for r, places in self._take:
-            here[places] = self.comm.recv(source=r)
-        for request in requests:
-            request.wait()
+        self.exchange(here)
         return here

@@ -19,7 +19,7 @@ from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_transfer import model_at
 from warp_peri.mpi.halo import Halo
 from warp_peri.mpi.multigrid import LONG, Between, Convolution, cycle, inverse_filter
-from warp_peri.mpi.processes import build, in_turn, inner
+from warp_peri.mpi.processes import build, in_turn, inner, world
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
 from warp_peri.runtime import shared_by
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 MOST = 32
-"""Solids whose tensors, proofs and filters are remembered, by what their files would hold."""
+"""Solids whose tensors, proofs and filters are remembered."""
 
 
 class RowOperator:
@@ -161,26 +161,29 @@ def _filter(law: StencilMaterial) -> tuple[int, Callable[[tuple[int, ...]], np.n
     return inverse_filter(stencil.steps, stencil.tensors * stencil.spacing**2, law.tensor())
 
 
-_proven: dict[tuple[str, float], StencilMaterial] = {}
+@lru_cache(MOST)
+def _tensors_of(model: LPSMaterial, spacing: float) -> StencilMaterial:
+    """The stencil of a solid on a spacing, proven there by all ranks."""
+    comm, here = world(), model
+    if not model.is_certified_on(spacing):
+        here = in_turn(comm, lambda: model_at(model, spacing))
+    with shared_by(comm):
+        return crystal_from_lps(here, spacing)
 
 
-def tensors_at(linear: Any, piece: Subdomain) -> StencilMaterial:
-    """A linear solid as one stencil on a piece's lattice, a Model proven there by all ranks.
+def operator_on(material: Any, piece: Subdomain) -> Any:
+    """RowOperator of a linear solid on a lattice in tiles; a Model is transferred as `model_at`
+    does.
 
-    A Model is transferred as `model_at` does. Raises InputError as that, and for others as their
-    `fitting` does.
+    Raises InputError for other materials, as RowOperator and as their `fitting` does.
     """
-    if not isinstance(linear, LPSMaterial):
-        h, x = piece.spacing, piece.spacing * np.argwhere(np.ones((3,) * piece.dimension))
-        with agreed(piece.comm):
-            linear.fitting(Points(x, x[:, 0] == h, h, units=piece.units, axis=piece.axis))
-        return linear  # type: ignore[no-any-return]
-    if not linear.is_certified_on(piece.spacing):
-        linear = in_turn(piece.comm, lambda: model_at(linear, piece.spacing))
-    known = str(linear.content()["sha256"]), piece.spacing
-    if known not in _proven:
-        if len(_proven) == MOST:
-            del _proven[next(iter(_proven))]
-        with shared_by(piece.comm):
-            _proven[known] = crystal_from_lps(linear, piece.spacing)
-    return _proven[known]
+    with agreed(piece.comm):
+        if not hasattr(material, "stencil"):
+            what = type(material).__name__
+            raise InputError(f"material: expected a linear solid or a crystal on ranks, got {what}")
+        if not isinstance(material, LPSMaterial):
+            h, x = piece.spacing, piece.spacing * np.argwhere(np.ones((3,) * piece.dimension))
+            material.fitting(Points(x, x[:, 0] == h, h, units=piece.units, axis=piece.axis))
+    if isinstance(material, LPSMaterial):
+        material = _tensors_of(material, piece.spacing)
+    return RowOperator(material, piece)

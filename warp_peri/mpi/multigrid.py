@@ -65,7 +65,7 @@ class Convolution:
 
     def start(self, field: np.ndarray) -> None:
         """Send for the nodes of others; `finish` gives the product."""
-        self._wide = self.halo.start(field.astype(self.dtype, copy=False))
+        self._wide, self._fill_halo = self.halo.start(field.astype(self.dtype, copy=False))
 
     def finish(self) -> np.ndarray:
         """The product with the field that was sent for, [d, *box]; inner tiles first."""
@@ -73,11 +73,11 @@ class Convolution:
         inner = [part for part in self.parts if self._is_inner(part)]
         for part in inner:
             self._fill(out, part)
-        self.halo.finish()
+        self._fill_halo()
         for part in self.parts:
             if part not in inner:
                 self._fill(out, part)
-        del self._wide
+        del self._wide, self._fill_halo
         return out
 
     def _is_inner(self, part: tuple[slice, ...]) -> bool:
@@ -148,21 +148,19 @@ class Between:
     """
 
     def __init__(self, comm: Comm, tiles: Tiles) -> None:
-        self.coarse = tiles.coarser()
-        self._fine, self._few = Halo(comm, tiles, 1), Halo(comm, self.coarse, 1)
-        follows = (at + 1 < count for at, count in zip(tiles.at(comm.rank), tiles.grid))
+        self.coarse, every = tiles.coarser(), tiles.everywhere()
+        self.around, self._few = Halo(comm, every, 1), Halo(comm, self.coarse.everywhere(), 1)
+        follows = (at + 1 < count for at, count in zip(every.at(comm.rank), every.grid))
         self._with_next = tuple(slice(1, None if more else -1) for more in follows)
-        self._cuts = len(tiles.block)
 
     def restrict(self, field: np.ndarray) -> np.ndarray:
         """Pᵗ of the nodes of this rank, one of the next rank's along each cut included."""
-        return restrict(self._fine(field)[:, *self._with_next])
+        return restrict(self.around(field)[:, *self._with_next])
 
     def prolong(self, field: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
         """P to nodes of this rank, of a given shape."""
-        before = self._few(field)[:, *(slice(None, -1),) * self._cuts]
-        wide = (n + 2 * (axis < self._cuts) for axis, n in enumerate(shape))
-        return prolong(before, tuple(wide))[:, *(slice(2, None),) * self._cuts]
+        before = self._few(field)[:, *(slice(None, -1),) * len(shape)]
+        return prolong(before, tuple(n + 2 for n in shape))[:, *(slice(2, None),) * len(shape)]
 
 
 def cycle(
@@ -184,15 +182,12 @@ class _InTiles(VCycle):
         self, comm: Comm, steps: np.ndarray, tensors: np.ndarray, mask: np.ndarray, tiles: Tiles
     ) -> None:
         self._lay(steps, tensors, mask)
-        d = mask.ndim
-        self.largest = largest(steps, tensors)
-        self._halo, self._between = Halo(comm, tiles, 1), Between(comm, tiles)
-        self._pad = [(0, 0)] * (1 + len(tiles.block)) + [(1, 1)] * (d - len(tiles.block))
-        few, tensors = coarser(mask), tensors * 2.0 ** (d - 2)
+        self.largest, self._between = largest(steps, tensors), Between(comm, tiles)
+        few, tensors = coarser(mask), tensors * 2.0 ** (mask.ndim - 2)
         self.coarser = cycle(comm, steps, tensors, few, self._between.coarse)
 
     def around(self, field: np.ndarray) -> np.ndarray:
-        return np.pad(self._halo(field), self._pad)
+        return self._between.around(field)
 
     def restrict(self, field: np.ndarray) -> np.ndarray:
         return self._between.restrict(field)
@@ -208,22 +203,18 @@ class _Gathered:
         self, comm: Comm, steps: np.ndarray, tensors: np.ndarray, mask: np.ndarray, tiles: Tiles
     ) -> None:
         self.comm, self.mask, self._shape = comm, mask, tiles.shape
-        self._boxes = [(tiles.own(r), tiles.box(r)) for r in range(comm.size)]
+        self._own = [tiles.own(r) for r in range(comm.size)]
         full = self._whole(mask[None].astype(float))[0] > 0.5
         self._cycle = VCycle(steps, tensors, full) if full.any() else None
 
     def _whole(self, field: np.ndarray) -> np.ndarray:
-        count = len(field)
-        sizes = np.array([count * int(np.prod(box)) for _, box in self._boxes])
-        flat = np.empty(sizes.sum())
-        self.comm.Allgatherv(np.ascontiguousarray(field), [flat, sizes])
-        whole = np.empty((count, *self._shape))
-        for (own, box), values in zip(self._boxes, np.split(flat, np.cumsum(sizes)[:-1])):
-            whole[:, *own] = values.reshape(count, *box)
+        whole = np.empty((len(field), *self._shape))
+        for own, values in zip(self._own, self.comm.allgather(field)):
+            whole[:, *own] = values
         return whole
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
         whole = self._whole(r)
         if self._cycle is None:
             return np.zeros_like(r)
-        return self._cycle(whole)[:, *self._boxes[self.comm.rank][0]]
+        return self._cycle(whole)[:, *self._own[self.comm.rank]]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from warp_peri.kernels import neighbours
 from warp_peri.kernels.damage.motion import halves
 from warp_peri.kernels.damage.sweeps import sweep
 from warp_peri.mpi.halo import NodeHalo
-from warp_peri.mpi.linear import RowOperator, tensors_at
+from warp_peri.mpi.linear import operator_on
 from warp_peri.mpi.processes import build
 from warp_peri.points.arrays import checked_fields
 from warp_peri.points.families import HORIZON_TOLERANCE
@@ -34,10 +34,6 @@ from warp_peri.solvers.conjugate_gradients import SolveRecord, norm
 from warp_peri.solvers.motion import Motion, Recorder
 from warp_peri.solvers.solution import CG, TOLERANCE, Solution, Solver, by_sample, refuse_solver
 from warp_peri.solvers.verlet import march
-
-if TYPE_CHECKING:
-    from warp_peri.mpi.subdomain import Subdomain
-
 
 STAGE = 1e-3
 """Of a residual, after which a linear solve with a checkpoint writes it."""
@@ -145,16 +141,6 @@ def _asked(*, checkpoint: str | os.PathLike[str] | None = None) -> Any:
     return checkpoint
 
 
-def operator_on(material: Any, piece: Subdomain) -> Any:
-    """RowOperator of a linear solid on a lattice in tiles; InputError for others, and as that."""
-    with agreed(piece.comm):
-        if not hasattr(material, "stencil"):
-            what = type(material).__name__
-            raise InputError(f"material: expected a linear solid or a crystal on ranks, got {what}")
-        law = tensors_at(material, piece)
-    return RowOperator(law, piece)
-
-
 def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
     """Motion of a Cracked on ranks: see Cracked.moved; fields are those of this rank's nodes.
     Of an unbroken body: see solvers.verlet.march.
@@ -189,19 +175,17 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
     halo = NodeHalo(piece, felt)
     given: dict[str, Any] = {"load": problem.b, "held": problem.held, "u": problem.u}
     given |= {name: how.pop(name, None) for name in ("no_fail", "grip")}
-    given["v"] = begin.pop("v", None)
+    given = {k: v for k, v in (given | {"v": begin.pop("v", None)}).items() if v is not None}
     with agreed(comm):
         for name, values in given.items():
-            if values is not None and len(np.asarray(values)) != len(piece.x):
+            if len(np.asarray(values)) != len(piece.x):
                 raise InputError(f"{name}: expected {len(piece.x)} nodes of this rank")
-    here: dict[str, Any] = {
-        name: None if v is None else halo.around(v) for name, v in given.items()
-    }
+    here: dict[str, Any] = {name: halo.around(values) for name, values in given.items()}
     with agreed(comm):
         body = lattice_body(halo.x, piece.spacing, model.horizon)
         if not np.array_equal(body.axes, np.eye(d)):
             raise InputError("points: expected a lattice along the axes on ranks, got a turned one")
-        at_start = {name: here.pop(name) for name in ("u", "v")}
+        at_start = {name: here.pop(name, None) for name in ("u", "v")}
         moving = BreakingBody(material, body, corrected=problem.corrected, **here, **how)
         state = moving.start(**at_start, cracks=problem.cracks, **begin)
     marching = CrackRun(moving, nodes=halo, **records | files)

@@ -13,6 +13,7 @@ from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import agreed, same
 from warp_peri.mpi import problems
 from warp_peri.mpi.halo import Tiles, cut
+from warp_peri.mpi.linear import operator_on
 from warp_peri.mpi.processes import Comm, fingerprint, inner, total, world
 from warp_peri.points.lattice import LATTICE_TOLERANCE
 from warp_peri.points.points import Points
@@ -84,8 +85,8 @@ class Subdomain:
         return float(total(self.comm, (a * b).sum(axis=1)))
 
     def operator(self, material: Any) -> Any:
-        """A material on these nodes, as problems.operator_on."""
-        return problems.operator_on(material, self)
+        """A material on these nodes, as linear.operator_on."""
+        return operator_on(material, self)
 
     def solve(self, material: Any, problem: Any, solver: Any, options: Any) -> Any:
         """A problem on these nodes at rest, as problems.solve."""
@@ -102,17 +103,10 @@ class Subdomain:
 
     def gather(self, values: np.ndarray) -> np.ndarray:
         """Values [n, ...] of all pieces, on every rank, in the order of the whole body."""
-        values = np.ascontiguousarray(values)
-        order = np.empty(self.count, np.int64)
-        sizes = np.array(self.comm.allgather(len(self.number)))
-        self.comm.Allgatherv(self.number.astype(np.int64), [order, sizes])
-        width = int(np.prod(values.shape[1:])) * values.itemsize
-        raw = np.empty((self.count, width), np.uint8)
-        mine = values.view(np.uint8).reshape(len(self.number), width)
-        self.comm.Allgatherv(mine, [raw, sizes * width])
-        found = np.empty_like(raw)
-        found[order] = raw
-        return found.view(values.dtype).reshape(self.count, *values.shape[1:])
+        whole = np.empty((self.count, *np.shape(values)[1:]), np.asarray(values).dtype)
+        for number, part in self.comm.allgather((self.number, np.asarray(values))):
+            whole[number] = part
+        return whole
 
     def read(self, path: str | os.PathLike[str], name: str) -> np.ndarray:
         """Of an array [N, ...] of all nodes in an HDF5 file those of this rank, [n, ...].
