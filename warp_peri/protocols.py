@@ -151,7 +151,7 @@ class OperatorBase(Remade):
     def rhs(self, b: Any) -> np.ndarray:
         """b on the interior nodes, [..., I, d], which the force equals in equilibrium."""
         load = checked("b", b, float, (..., *self.shape), ~self.held)
-        return np.asarray(load[..., self.points.interior, :])
+        return np.compress(self.points.interior, load, axis=-len(self.shape))
 
     def energy(self, u: Any) -> Any:
         """Shape [...], as Operator's; None where there is none, as here."""

@@ -120,11 +120,7 @@ class DiffusionOperator(FlowOperator):
         self.given: Any = law.conductivity if kappa is None else kappa
         self._series = self._along_bonds(self.given) if callable(self.given) else None
         if self._series is None:
-            values = checked("conductivity", self.given)
-            if values.shape not in ((), (len(self.points.x),)):
-                expected = f"a number, a function, or shape [{len(self.points.x)}]"
-                raise InputError(f"conductivity: expected {expected}, got {list(values.shape)}")
-            _check(values)
+            _conductivities(self.given, len(self.points.x), "node")
         with torch.no_grad():
             strength = self._strengths(**_tensors(self.learnable)).numpy()
         shape, rows = 2 * (len(self.points.x),), np.tile(self._ends[0], 2)
@@ -158,12 +154,8 @@ class DiffusionOperator(FlowOperator):
             xi -= np.asarray(points.box) * np.rint(xi / points.box)
 
         def along(place: float) -> np.ndarray:
-            values = checked("conductivity", kappa(points.x[near] + place * xi))
-            if values.shape not in ((), (len(near),)):
-                shown = list(values.shape)
-                raise InputError(f"conductivity: expected one a position, {len(near)}, got {shown}")
-            _check(values)
-            return np.broadcast_to(values, len(near))
+            values = kappa(points.x[near] + place * xi)
+            return np.broadcast_to(_conductivities(values, len(near), "position"), len(near))
 
         return np.asarray(1 / mean_inverse(along))
 
@@ -188,11 +180,6 @@ class DiffusionOperator(FlowOperator):
                     "eigenvalues below zero, with which φ grows without end; take D ≥ 0"
                 )
         return matrix
-
-    def rhs(self, b: np.ndarray) -> np.ndarray:
-        """The source on the interior nodes, [..., I]."""
-        inside = self.points.interior
-        return checked("b", b, float, (..., len(inside)), inside)[..., self.rows]
 
     @property
     def learnable(self) -> dict[str, Any]:
@@ -227,12 +214,20 @@ def _tensors(numbers: Mapping[str, Any]) -> dict[str, torch.Tensor]:
     return {name: torch.tensor(value, dtype=torch.float64) for name, value in numbers.items()}
 
 
-def _check(values: np.ndarray) -> None:
+def _conductivities(given: Any, count: int, place: str) -> np.ndarray:
+    """One number or one a place, checked."""
+    values = checked("conductivity", given)
+    if values.shape not in ((), (count,)):
+        raise InputError(
+            f"conductivity: expected one number or one a {place}, shape [{count}], got shape "
+            f"{list(values.shape)}"
+        )
     if not (values > 0).all():
         raise InputError(
             f"conductivity: expected finite values > 0, got {values.min():g}, with which "
             "diffusion would run backwards"
         )
+    return values
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
+import torch
 
-import warp_peri.fracture as fracture
 from warp_peri.core.record import Record, Stress
 from warp_peri.diffusion.conductor import (
     Conductivity,
@@ -18,6 +18,7 @@ from warp_peri.diffusion.conductor import (
     FlowOperator,
 )
 from warp_peri.errors import InputError
+from warp_peri.fracture.adjoint import bond_force
 from warp_peri.fracture.body import lattice_body
 from warp_peri.fracture.bonds import bond_matrix, bonds_of, dilatations
 from warp_peri.fracture.statics import INDEFINITE
@@ -160,9 +161,9 @@ class CoupledOperator(FlowOperator):
         """The force of tensors [S, N, 3] with other numbers, differentiable once in all."""
         field, phi = u[..., :2], u[..., 2]
         parts = self.model.model, self.body, self.table
-        force = fracture.adjoint.bond_force(*parts, field, numbers, numbers["coupling"] * phi)
+        force = bond_force(*parts, field, numbers, numbers["coupling"] * phi)
         flux = self.diffusion.force_with_parameters(phi, self._of_conductor(numbers))
-        return fracture.adjoint.torch.cat([force[:, self.rows], flux[..., None]], dim=-1)
+        return torch.cat([force[:, self.rows], flux[..., None]], dim=-1)
 
     def storage(self) -> sp.csr_array:
         """What multiplies the rates of u₁, u₂ and φ, sparse [3 I, 3 N]."""
@@ -170,21 +171,15 @@ class CoupledOperator(FlowOperator):
 
     def storage_slopes(self, names: list[str], rates: np.ndarray, w: np.ndarray) -> dict[str, Any]:
         """Derivatives of Σ w · storage() rates to numbers, of rates [K, N, 3], w [K, I, 3]."""
-        torch = fracture.adjoint.torch
-        own = {n: v for n, v in self.learnable.items() if not n.startswith(OF_CONDUCTOR)}
-        asked = [name for name in names if name in own]
-        if not asked:
-            return {}
         with torch.enable_grad():
             numbers = {
-                name: torch.tensor(value, dtype=torch.float64, requires_grad=name in asked)
-                for name, value in own.items()
+                name: torch.tensor(value, dtype=torch.float64, requires_grad=True)
+                for name, value in self.learnable.items()
             }
             phi = torch.from_numpy(self.on_all(w)[..., 2])
             parts = self.model.model, self.body, self.table
             rate = torch.from_numpy(np.ascontiguousarray(rates[..., :2]))
-            pull = fracture.adjoint.bond_force(*parts, 0 * rate, numbers, numbers["coupling"] * phi)
-            each = torch.autograd.grad(
-                -(rate * pull).sum(), [numbers[name] for name in asked], allow_unused=True
-            )
-        return {name: one.numpy() for name, one in zip(asked, each) if one is not None}
+            pull = bond_force(*parts, 0 * rate, numbers, numbers["coupling"] * phi)
+            asked = [numbers[name] for name in names]
+            each = torch.autograd.grad(-(rate * pull).sum(), asked, allow_unused=True)
+        return {name: one.numpy() for name, one in zip(names, each) if one is not None}
