@@ -10,7 +10,7 @@ import pytest
 
 import warp_peri as wp
 from tests.conformance.test_breaking import SOLIDS
-from tests.conformance.test_laws import LAWS, hyperelastic, solved_samples
+from tests.support.materials import LAWS, hyperelastic, solved_samples
 from tests.support.nonlinear import solid
 from tests.support.plates import plate
 from tests.support.problems import kernel, lattice

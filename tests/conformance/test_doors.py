@@ -1,68 +1,139 @@
-"""Each argument of each verb, fed with twelve kinds of values that are none of it."""
+"""Each argument of each verb, fed with values that are none of it: refused by its name."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
 import warp_peri as wp
-from tests.conformance.test_laws import LAWS
 from tests.support.bodies import solid
-from tests.support.problems import kernel
-from warp_peri.fe_coupling.body import Coupling
+from tests.support.materials import LAWS, operator, placed
+from tests.support.problems import kernel, lattice, noise
 from warp_peri.fracture import Cracked, rectangle_nodes
+from warp_peri.methods import Coupling, LPSParameters
+from warp_peri.points.arrays import checked_fields
 from warp_peri.points.mesh import make_mesh
 from warp_peri.points.outlines import Polygon, box, mesh_outline
 
 pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning", "ignore:crack")
 
 
-def kinds(good):
-    """Twelve wrong kinds of an array, by name."""
+def kinds(good, place=None):
+    """Wrong kinds of an array, by name; of one entry, in the middle by default."""
     good = np.asarray(good, float)
-    middle = good.size // 2
-    hidden = np.ma.masked_array(good, np.arange(good.size).reshape(good.shape) == middle)
+    place = good.size // 2 if place is None else place
+    hidden = np.ma.masked_array(good, np.arange(good.size).reshape(good.shape) == place)
     wrong = {"masked": hidden, "complex": good + 0j, "text": good.astype(str)}
     for name, value in (("nan", np.nan), ("infinite", np.inf), ("1e300", 1e300)):
         wrong[name] = good.copy()
-        wrong[name].flat[middle] = value
-    short = good[:-1] if good.ndim < 3 else good[0, :-1, :1]
+        wrong[name].flat[place] = value
     return wrong | {
         "truth values": good.astype(bool),
         "objects": good.astype(object),
-        "short": short,
-        "flat": good[None, None] if good.ndim == 1 else good.ravel(),
+        "short": good[:-1] if good.ndim < 3 else good[0, :-1, :1],
+        "flat": good.ravel() if good.ndim > 1 else good[None],
+        "deep": good[None, None],
         "ragged": [[1.0, 2.0], [3.0]],
         "a word": "u",
     }
 
 
-def refuses(call, good, name):
+def refuses(call, good, name, place=None, *, but=()):
     """That a call takes what is good and says so of what is not, naming it."""
     call(good)
-    for kind, bad in kinds(good).items():
+    for kind, bad in kinds(good, place).items():
+        if kind in but:
+            continue
         with pytest.raises(wp.InputError) as told:
             call(bad)
         assert str(told.value).startswith(name), kind
 
 
+def moves(name):
+    """Whether waves of a law have a proven step."""
+    return name not in ("third order, filtered", "neural operator", "hyperelastic")
+
+
 @pytest.mark.parametrize("name", LAWS)
-def test_fields_of_a_motion(name):
-    points, material = LAWS[name].points(5), LAWS[name].material()
-    zero = np.zeros(points.x.shape)
-    given = {"b": None, "u": zero, "v": zero, "signal": np.ones(2)}
+def test_fields_of_a_solve_a_motion_and_an_operator(name):
+    op, points = placed(name, 1)
+    zero, x = np.zeros(points.x.shape), points.x
+    given = {"b": zero, "u": zero, "v": zero, "signal": np.ones(2)}
 
-    def moved(which, value):
+    def run(verb, which, value):
         have = given | {which: value}
-        start = wp.Dirichlet(points, have.pop("b"), have.pop("u"))
-        return wp.simulate(material, start, density=1.0, step=1e-9, steps=1, **have)
+        problem, options = wp.Dirichlet(points, have.pop("b"), have.pop("u")), {}
+        if verb is wp.simulate:
+            options = {"density": 1.0, "step": 1e-9, "steps": 1} | have
+        return verb(op, problem, **options)
 
-    try:
-        moved("u", zero)
-    except wp.InputError as error:
-        pytest.skip(str(error))
-    for which in given:
-        good = np.ones(2) if which == "signal" else zero
-        refuses(lambda value, which=which: moved(which, value), good, which)
+    for which, good in given.items():
+        for verb in (wp.solve, wp.simulate)[which in ("v", "signal") : 1 + moves(name)]:
+            place = 0 if (verb, which) == (wp.solve, "u") else None  # of the collar
+            refuses(lambda value, a=verb, b=which: run(a, b, value), good, which, place)
+    with pytest.raises(wp.InputError, match="b: expected shape"):
+        run(wp.solve, "b", np.zeros((3, *zero.shape)))
+    assert run(wp.solve, "b", None).residual < 1e-6
+    for place in (lambda: op.model.on(x), lambda: wp.solve(op, wp.Dirichlet(x, None, zero))):
+        with pytest.raises(wp.InputError, match="^points: expected Points"):
+            place()
+    hidden = np.ma.masked_array(zero, np.repeat(points.interior[:, None], 2, axis=1))
+    rows = list(hidden)  # masked where its rows are
+    vjp = lambda bad: op.vjp(zero, np.ma.asanyarray(bad)[points.interior])
+    reads = [op, op.rhs, op.stress, lambda bad: op.jvp(zero, bad), vjp]
+    for read in reads + [op.energy] * (op.energy(zero) is not None):
+        for bad in (hidden, rows, zero * 1j, zero.astype(str), zero.astype(object)):
+            with pytest.raises(wp.InputError, match="expected (float )?values"):
+                read(bad)
+
+
+@pytest.mark.parametrize("name", [name for name, law in LAWS.items() if law.periodic])
+def test_loads_of_a_period(name):
+    points, material = LAWS[name].sheet(), LAWS[name].material()
+    if hasattr(material.on(points), "solve_periodic"):
+        zero, shapes = np.zeros(points.x.shape), ("short", "flat", "deep")
+        refuses(lambda b: wp.solve(material, wp.Periodic(points, b)), zero, "b", but=shapes)
+
+
+def test_what_is_not_read_may_be_anything():
+    points = lattice(3, 2.0)
+    inside = points.interior[:, None]
+    b = np.ma.masked_array(np.ones(points.x.shape), np.broadcast_to(~inside, points.x.shape))
+    load, u = checked_fields(points, b, np.where(inside, np.nan, 0 * points.x + 2))
+    assert (load[points.interior] == 1).all()
+    assert (u[~points.interior] == 2).all()
+
+
+CHANGES = {
+    "axis": lambda p: replace(p, axis=(p.axis or 0.0) + 30.0),
+    "units": lambda p: replace(p, units=("nm", "GPa")),
+    "box": lambda p: replace(p, box=(1e3, 1e3)),
+    "outside": lambda p: replace(p, outside=np.arange(len(p.x)) == 0),
+    "x": lambda p: replace(p, x=p.x + 1.0),
+}
+
+
+@pytest.mark.parametrize("name", [*LAWS, "conductor", "coupled"])
+def test_an_operator_is_for_its_own_points(name):
+    op = operator(name)
+    for what, change in CHANGES.items():
+        problem = wp.Dirichlet(change(op.points), None, np.zeros(op.shape))
+        with pytest.raises(
+            wp.InputError, match=f"operator: expected one on the points.* in {what}"
+        ):
+            wp.solve(op, problem)
+
+
+def test_a_node_outside_pulls_nothing_of_a_coupled_solid():
+    points, coupled = replace(lattice(5, 3.0), axis=None), operator("coupled").model
+    outside = np.zeros(len(points.x), bool)
+    outside[np.argmin(np.linalg.norm(points.x - [-1, 2], axis=1))] = True
+    op = coupled.on(replace(points, outside=outside))
+    u = np.column_stack([noise(points), noise(points)[:, 0]])
+    assert np.array_equal(op(u + 100.0 * outside[:, None]), op(u))
+    with pytest.raises(wp.InputError, match="box: a coupled solid is for a body that does not"):
+        coupled.on(wp.Points.sheet((14, 14), 1.0))
 
 
 def cracked(inner):
@@ -71,9 +142,17 @@ def cracked(inner):
     return points, 1e-4 * x, [[[-6.5, 0.0], [0.0, 0.0]]]
 
 
+@pytest.mark.parametrize("name", ["third order, energy", "crystal"])
+def test_no_crack_is_solved_by_a_part_of_a_material(name):
+    points, u, cracks = cracked(4.0)
+    with pytest.raises(wp.InputError, match=r"Cracked"):
+        wp.solve(LAWS[name].material(), Cracked(points, u=u, cracks=cracks))
+
+
+WAVES = {"density": 2e3, "step": 1e-4, "steps": 2}
 MOTIONS = {
     "at rest": (solid().model, 3.0, {}),
-    "waves": (solid().model, 3.0, {"density": 2e3, "step": 1e-4, "steps": 2}),
+    "waves": (solid().model, 3.0, WAVES),
     "steps": (solid(), 7.0, {"step": 1e-4, "steps": 2}),
     "events": (solid(), 3.0, {"events": 1}),
 }
@@ -84,15 +163,14 @@ def test_a_body_with_cracks(kind):
     material, inner, options = MOTIONS[kind]
     points, u, cracks = cracked(inner)
     zero, count = np.zeros(u.shape), len(u)
-    fields = {"u": u, "cracks": cracks}
 
     def run(which, value):
-        more = dict(options)
-        where = more if which in ("v", "no_fail", "grip") else (given := dict(fields))
-        given = dict(fields) if where is more else where
-        where[which] = value
-        problem = Cracked(points, **given)
-        return wp.simulate(material, problem, **more) if options else wp.solve(material, problem)
+        have = {"u": u, "cracks": cracks, which: value}
+        more = {name: have.pop(name) for name in ("v", "no_fail", "grip") if name in have}
+        problem = Cracked(points, **have)
+        if options:
+            return wp.simulate(material, problem, **options, **more)
+        return wp.solve(material, problem)
 
     known = {"u": u, "cracks": cracks} | ({} if kind == "events" else {"b": zero})
     known |= {"v": zero} if kind in ("waves", "steps") else {}
@@ -121,22 +199,20 @@ def test_a_ramp_a_pressure_and_a_crack_that_cuts_nothing():
         wp.solve(solid().model, Cracked(points, u=u, cracks=[[(90.0, 0.0), (99.0, 0.0)]]))
 
 
-@pytest.mark.parametrize("steps", [3.0, np.int64(3), np.float64(3)])
-def test_whole_numbers_of_any_type_are_counts(steps):
+def test_whole_numbers_of_any_type_are_counts():
     points, u, _ = cracked(3.0)
-    waves = {"density": 2e3, "step": 1e-4}
-    moved = wp.simulate(solid().model, Cracked(points, u=u), **waves, steps=steps)
-    np.testing.assert_array_equal(
-        moved.u, wp.simulate(solid().model, Cracked(points, u=u), **waves, steps=3).u
+    first, *others = (
+        wp.simulate(solid().model, Cracked(points, u=u), **WAVES | {"steps": steps}).u
+        for steps in (3, 3.0, np.int64(3), np.float64(3))
     )
+    assert all(np.array_equal(one, first) for one in others)
 
 
-@pytest.mark.parametrize("name", [name for name in LAWS if name.startswith(("LPS", "crystal"))])
+@pytest.mark.parametrize("name", ["LPS", "crystal"])
 def test_parameters_are_real_numbers_of_the_shape_that_they_have(name):
-    points, material = LAWS[name].points(5), LAWS[name].material()
-    operator = material.on(points)
+    op, points = placed(name, 1)
     problem = wp.Dirichlet(points, None, 1e-4 * points.x)
-    for which, own in operator.learnable.items():
+    for which, own in op.learnable.items():
         own = np.asarray(own, float)
         wrong = {"complex": own + 0j, "truth": own.astype(bool), "text": own.astype(str)}
         wrong |= {"nan": own * np.nan, "longer": np.append(own, 1.0)}
@@ -144,14 +220,13 @@ def test_parameters_are_real_numbers_of_the_shape_that_they_have(name):
         wrong |= {"tensor": torch.tensor(own + 0j), "bits": torch.tensor(own.astype(bool))}
         for kind, bad in wrong.items():
             with pytest.raises(wp.InputError) as told:
-                wp.solve(operator, problem, parameters={which: bad})
+                wp.solve(op, problem, parameters={which: bad})
             assert str(told.value).startswith((which, "parameters")), kind
 
 
-WRONG_OPTIONS = {
+FLAGS = dict.fromkeys(("transfer", "allow_uncertified"), ("no", 3, None))
+WRONG_OPTIONS = FLAGS | {
     "parameters": (3, "mu", {3: 1.0}),
-    "transfer": ("no", 3, None),
-    "allow_uncertified": ("no", 3, None),
     "record": ("a", 1j, [0, 10**6], {"a": 1}, [[1], [2, 3]]),
     "series": ("", 3, True, b"", []),
     "checkpoint": ("", 3, True, b"", 1.5),
@@ -160,22 +235,6 @@ WRONG_OPTIONS = {
     "step": ("a", None, 1j, np.nan, True),
     "density": ("a", None, 1j, np.nan, True),
 }
-
-
-@pytest.mark.parametrize("option", WRONG_OPTIONS)
-def test_options_of_a_motion(option):
-    name = next(name for name in LAWS if name.startswith("LPS"))
-    points, material = LAWS[name].points(5), LAWS[name].material()
-    problem = wp.Dirichlet(points, None, 1e-4 * points.x)
-    for bad in WRONG_OPTIONS[option]:
-        given = {"density": 1.0, "step": 1e-9, "steps": 2} | {option: bad}
-        with pytest.raises(wp.InputError, match=f"^{option}:"):
-            wp.simulate(material, problem, **given)
-        if option in ("parameters", "transfer", "allow_uncertified"):
-            with pytest.raises(wp.InputError, match=f"^{option}:"):
-                wp.solve(material, problem, **{option: bad})
-
-
 WRONG_OF_BREAKING = {
     "count_cracks": ("no", 1),
     "ramp": (3.0, "a"),
@@ -188,78 +247,91 @@ WRONG_OF_BREAKING = {
 }
 
 
-@pytest.mark.parametrize("option", WRONG_OF_BREAKING)
-def test_options_of_a_body_that_breaks(option):
-    points, u, _ = cracked(7.0)
-    for bad in WRONG_OF_BREAKING[option]:
-        with pytest.raises(wp.InputError, match=f"^{option.rstrip('s')}"):
-            wp.simulate(solid(), Cracked(points, u=u), **{"step": 1e-4, "steps": 2, option: bad})
-    for bad in ("no", 1, None):
-        with pytest.raises(wp.InputError, match="^corrected: expected True or False"):
-            Cracked(points, u=u, corrected=bad)
-    with pytest.raises(wp.InputError, match="expected options among .*, got allow_unstable"):
-        wp.simulate(solid(), Cracked(points, u=u), step=1e-4, steps=2, allow_unstable="no")
-
-
-def test_a_list_of_masked_rows_is_masked():
-    name = next(name for name in LAWS if name.startswith("LPS"))
-    points, material = LAWS[name].points(5), LAWS[name].material()
-    hidden = [np.ma.masked_array(row, np.arange(len(row)) == 0) for row in points.x]
-    with pytest.raises(wp.InputError, match="^u: expected float values, got masked entries"):
-        material.on(points)(hidden)
-
-
-@pytest.mark.parametrize("name", LAWS)
-def test_positions_are_not_taken_for_points(name):
-    x, material = LAWS[name].points(4).x, LAWS[name].material()
-    for call in (lambda: material.on(x), lambda: wp.solve(material, wp.Dirichlet(x, None, 0 * x))):
-        with pytest.raises(wp.InputError, match="^points: expected Points"):
-            call()
-
-
-@pytest.mark.parametrize("option", ["transfer", "allow_uncertified"])
-def test_flags_of_an_evaluation(option):
-    name = next(name for name in LAWS if name.startswith("LPS"))
-    points, material = LAWS[name].points(4), LAWS[name].material()
-    u = 1e-4 * points.x[None]
-    for bad in ("no", 3, None):
-        with pytest.raises(wp.InputError, match=f"^{option}: expected True or False"):
-            wp.evaluate(material, wp.Samples(points, u, 0 * u), **{option: bad})
-        with pytest.raises(wp.InputError, match=f"^{option}: expected True or False"):
-            material.on(points, **{option: bad})
-    for bad in (u, None, [wp.Samples(points, u)]):
+def test_options_of_a_solve_a_motion_and_an_evaluation():
+    points, material = LAWS["LPS"].points(1), LAWS["LPS"].material()
+    problem = wp.Dirichlet(points, None, 1e-4 * points.x)
+    samples = wp.Samples(points, 1e-4 * points.x[None], 0 * points.x[None])
+    for option, values in WRONG_OPTIONS.items():
+        for bad in values:
+            given = {"density": 1.0, "step": 1e-9, "steps": 2} | {option: bad}
+            calls = [lambda given=given: wp.simulate(material, problem, **given)]
+            if option in ("parameters", *FLAGS):
+                calls.append(lambda one={option: bad}: wp.solve(material, problem, **one))
+            if option in FLAGS:
+                calls.append(lambda one={option: bad}: wp.evaluate(material, samples, **one))
+                calls.append(lambda one={option: bad}: material.on(points, **one))
+            for call in calls:
+                with pytest.raises(wp.InputError, match=f"^{option}:"):
+                    call()
+    for bad in (samples.u, None, [samples]):
         with pytest.raises(wp.InputError, match="^samples: expected Samples"):
             wp.evaluate(material, bad)
 
 
+def test_options_of_a_body_that_breaks():
+    points, u, _ = cracked(7.0)
+    how = {"step": 1e-4, "steps": 2}
+    for option, values in WRONG_OF_BREAKING.items():
+        for bad in values:
+            with pytest.raises(wp.InputError, match=f"^{option.rstrip('s')}"):
+                wp.simulate(solid(), Cracked(points, u=u), **how | {option: bad})
+    for bad in ("no", 1, None):
+        with pytest.raises(wp.InputError, match="^corrected: expected True or False"):
+            Cracked(points, u=u, corrected=bad)
+    with pytest.raises(wp.InputError, match="expected options among .*, got allow_unstable"):
+        wp.simulate(solid(), Cracked(points, u=u), **how, allow_unstable="no")
+
+
+PLATE = mesh_outline(box(12, 12), size=3)
+MODEL = wp.LPSMaterial(0.5, 1.0, 1.0, [1.0], horizon=3.0, certified_on=(1.0,))
+
+
+def plate(displacement=(0, 0), traction=(5e-3, 0), **given):
+    parts = {"left": displacement}, {"right": traction}
+    return wp.Body(PLATE, *parts, coupling=Coupling(spacing=1.0), **given)
+
+
+@pytest.mark.filterwarnings("ignore:mesh")
+def test_vectors_of_a_body():
+    hidden = np.ma.masked_array([1.0, 0.0], [True, False])
+    functions = lambda x: 1j * x, lambda x, n: 1j * n
+    bad = [(value, value) for value in ((1j, 0), ("0", "0"), hidden, [[1.0], [2.0, 3.0]])]
+    for held, pulled in (*bad, ((np.inf, 0), (np.inf, 0)), functions):
+        with pytest.raises(wp.InputError, match="part 'left': expected"):
+            wp.solve(MODEL, plate(held))
+        with pytest.raises(wp.InputError, match="part 'right': expected"):
+            wp.solve(MODEL, plate(traction=pulled))
+    with pytest.raises(wp.InputError, match="part 'left': expected it held or pulled, got both"):
+        wp.solve(MODEL, wp.Body(PLATE, {"left": (0, 0)}, {"left": (5e-3, 0)}))
+    half = wp.Body(PLATE, {"left": (0, np.nan), "right": (0, 0)}, {"left": (5e-3, 0)})
+    assert wp.solve(MODEL, half).residual < 1e-8
+    with pytest.raises(wp.InputError, match="displacement: expected values by"):
+        wp.solve(MODEL, wp.Body(PLATE, None))
+    with pytest.raises(wp.InputError, match="model: nothing is proven of it on 1 Å"):
+        wp.solve(wp.LPSMaterial(0.3, 0.8, 1.0, [1.0, -0.9, 0.3], horizon=3.0), plate())
+
+
 def test_an_edge_of_two_parts_has_one_displacement():
-    x = np.array([[0.0, 0.0], [9.0, 0.0], [9.0, 9.0], [0.0, 9.0]])
-    left = np.array([[3, 0]])
+    x, left = np.array([[0.0, 0.0], [9.0, 0.0], [9.0, 9.0], [0.0, 9.0]]), np.array([[3, 0]])
     mesh = make_mesh(x, [[0, 1, 2], [0, 2, 3]], {"left": left, "same": left})
-    material = kernel("1/r", 2.0)
     held = {"left": (0.0, 0.0), "same": (0.1, 0.1)}
     with pytest.raises(wp.InputError, match="expected one displacement where both are"):
-        wp.solve(material, wp.Body(mesh, held, coupling=Coupling(spacing=1.0)))
+        wp.solve(kernel("1/r", 2.0), wp.Body(mesh, held, coupling=Coupling(spacing=1.0)))
 
 
-def test_a_data_set_is_checked_when_it_is_made():
-    x = np.argwhere(np.ones((4, 4))).astype(float)
-    points = wp.Points(x, np.ones(16, bool), 1.0)
-    with pytest.raises(wp.InputError, match="u: expected an array"):
-        wp.Samples(points, torch.zeros(1, 16, 2, device="meta"))
-    sets = {"train": wp.Samples(points, np.zeros((1, 16, 2)))}
-    for kind, words in (
-        ({"provenance": {"rate": np.nan}}, "provenance: expected plain JSON"),
-        ({"provenance": {"rate": object()}}, "provenance: expected plain JSON"),
-        ({"density": 1e300}, "density: expected a number > 0"),
-        ({"thickness": 1e300}, "thickness: expected a number > 0"),
-    ):
-        with pytest.raises(wp.InputError, match=words):
-            wp.Dataset(sets, **{"thickness": 1.0, "density": 1.0} | kind)
+def parameters(**change):
+    return LPSParameters(**{"lam": 0.4, "mu": 0.5, "alpha": 1.0, "D": [1.0, 0.7, 0.4]} | change)
 
 
-def test_arguments_of_bodies_and_tables():
+def test_arguments_of_bodies_solids_and_tables():
     hidden = np.ma.masked_array([1.0, 99.0, 0.2], mask=[0, 1, 0])
+    points, ones = wp.Points.disk(2.0, 1.0, 2.0), np.ones(16, bool)
+    sixteen = wp.Points(np.argwhere(ones.reshape(4, 4)).astype(float), ones, 1.0)
+    sets = {"train": wp.Samples(sixteen, np.zeros((1, 16, 2)))}
+    data = lambda **kind: wp.Dataset(sets, **{"thickness": 1.0, "density": 1.0} | kind)
+    op = wp.LPSMaterial(1.0, 1.0, 1.0, [1.0], 2.0, certified_on=(1.0,)).on(points)
+    none = (1j, np.ma.masked_array([0.5], [True]), np.nan, "0.5", None, True)
+    lengths = ("3", None, 1j, np.nan, 0.0, -1.0, np.inf, [3.0])
     for call, words in (
         (lambda: wp.Points.disk("a", 1.0, 2.0), "radius"),
         (lambda: wp.Points.disk(2.0, 1.0, 2.0, dimension=5), "dimension"),
@@ -280,11 +352,25 @@ def test_arguments_of_bodies_and_tables():
         (lambda: wp.fracture.box_nodes((1.0, "a"), 1.0), "sides"),
         (lambda: wp.fracture.lattice_body("a", 1.0, 2.0), "x"),
         (lambda: wp.methods.GaussNewton(rounds=0), "rounds"),
+        (lambda: op.vjp(np.zeros(points.x.shape), np.zeros(points.x.shape)), "w"),
+        (lambda: wp.Samples(sixteen, torch.zeros(1, 16, 2, device="meta")), "u"),
+        (lambda: data(provenance={"rate": np.nan}), "provenance"),
+        (lambda: data(provenance={"rate": object()}), "provenance"),
+        (lambda: data(density=1e300), "density"),
+        (lambda: data(thickness=1e300), "thickness"),
+        *((lambda value=value: wp.LPS(value), "horizon") for value in lengths),
+        *(
+            (lambda one={name: value}: parameters(**one), name)
+            for name in ("lam", "mu", "alpha", "D")
+            for value in none
+        ),
+        (lambda: parameters(alpha=3.0), "alpha"),
+        (lambda: parameters(D=[]), "D"),
+        *(
+            (lambda name=name: parameters(**{name: torch.full((225,), 0.5)}), name)
+            for name in ("lam", "mu", "alpha")
+        ),
     ):
         with pytest.raises(wp.InputError, match=f"^{words}: expected"):
             call()
-    points = wp.Points.disk(2.0, 1.0, 2.0)
-    op = wp.LPSMaterial(1.0, 1.0, 1.0, [1.0], 2.0, certified_on=(1.0,)).on(points)
-    with pytest.raises(wp.InputError, match="^w: expected shape"):
-        op.vjp(np.zeros(points.x.shape), np.zeros(points.x.shape))
     assert wp.Points.sheet((4, 4), 1.0, units="reduced").units[0] == "sigma"

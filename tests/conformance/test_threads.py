@@ -8,8 +8,7 @@ import pytest
 import torch
 
 import warp_peri as wp
-from tests.conformance.test_gradients import OPERATORS, field
-from tests.conformance.test_laws import LAWS, SPREAD
+from tests.support.materials import LAWS, OPERATORS, field, operator, placed
 from warp_peri.errors import heard, quietly, warn
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
@@ -35,15 +34,9 @@ def assert_as_alone(work):
             np.testing.assert_array_equal(one, other)
 
 
-def with_fields():
-    """An LPS whose moduli differ from node to node."""
-    law = SPREAD["LPS, fields"]
-    return law.on(points := law.points(4)).on(points)
-
-
 @pytest.mark.parametrize("name", [*OPERATORS, "LPS, fields"])
 def test_a_force_and_its_derivatives(name):
-    op = OPERATORS.get(name, with_fields)()
+    op = operator(name) if name in OPERATORS else placed(name)[0]
     learnable = getattr(op, "learnable", {})
 
     def work(number):
@@ -53,9 +46,7 @@ def test_a_force_and_its_derivatives(name):
         found = [op(u), op.jvp(u, v), at.grad.numpy()]
         numbers = [torch.tensor(np.array(v, float)).requires_grad_() for v in learnable.values()]
         if numbers:
-            force = op.force_with_parameters(
-                torch.from_numpy(u)[None], dict(zip(learnable, numbers))
-            )
+            force = op.force_with_parameters(at.detach()[None], dict(zip(learnable, numbers)))
             found += [one.numpy() for one in torch.autograd.grad(force.square().sum(), numbers)]
         return found
 
@@ -64,8 +55,7 @@ def test_a_force_and_its_derivatives(name):
 
 @pytest.mark.parametrize("name", LAWS)
 def test_a_solve_and_its_gradient(name):
-    points = LAWS[name].points(4)
-    op = LAWS[name].material().on(points)
+    op, points = placed(name, 1)
 
     def work(number):
         u = (1 + number) * 1e-4 * torch.from_numpy(points.x)

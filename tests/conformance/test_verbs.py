@@ -1,104 +1,107 @@
-"""Verbs that take every material for which they mean something, and ask of points once."""
+"""Verbs that take every material for which they mean something, and what a person sees of it."""
+
+from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 import warp_peri as wp
-from tests.conformance.test_laws import LAWS, solved_samples
+from tests.support.materials import LAWS, placed, solved_samples
 from tests.support.plates import plate
 from warp_peri.core import pointwise
-from warp_peri.materials import lps_force as bonds
+from warp_peri.materials import lps_force
 from warp_peri.materials.hyperelastic import operator as tissue
 
 pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning")
 
 
-def of(name, side=4):
-    law = LAWS[name]
-    material, points = law.material(), law.points(side)
-    op = material.on(points)
-    return material, op, solved_samples(law, op, points)
-
-
-@pytest.mark.parametrize("name", LAWS)
-def test_errors_are_those_of_the_operator(name):
-    material, op, samples = of(name)
-    of_material, of_operator = wp.evaluate(material, samples), wp.evaluate(op, samples)
-    assert of_material.keys() == of_operator.keys()
-    assert of_material["E_u"] == of_operator["E_u"] < 1e-8
-
-
-def counted(monkeypatch, module, name):
-    """How often a function of a module is called from now on."""
-    calls, function = [], getattr(module, name)
-
-    def call(*arguments, **options):
-        calls.append(name)
-        return function(*arguments, **options)
-
-    monkeypatch.setattr(module, name, call)
-    return calls
-
-
-@pytest.mark.parametrize("name", LAWS)
-def test_no_samples_have_no_answers(name):
-    points = LAWS[name].points(4)
-    none = np.empty((0, *points.x.shape))
-    found = wp.solve(LAWS[name].material(), wp.Dirichlet(points, none, none))
-    assert found.u.shape == none.shape
+def of(name, side=2, copies=1):
+    op, points = placed(name, side)
+    one = solved_samples(LAWS[name], op, points)
+    return LAWS[name].material(), op, replace(one, u=np.tile(one.u, (copies, 1, 1)),
+                                              b=np.tile(one.b, (copies, 1, 1)))  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    ("name", "linked"),
+    ("name", "place"),
     [
-        ("LPS", (bonds, "families_of")),
+        ("LPS", (lps_force, "families_of")),
         ("third order, energy", (pointwise, "grid_of")),
         ("hyperelastic", (tissue, "SheetLattice")),
     ],
 )
-def test_a_material_is_placed_once(name, linked, monkeypatch):
-    material, op, samples = of(name)
-    made = counted(monkeypatch, *linked)
+def test_a_material_is_placed_once(name, place, monkeypatch):
+    material, _, samples = of(name)
+    monkeypatch.setattr(*place, spy := Mock(wraps=getattr(*place)))
     op = material.on(samples.points)
     wp.evaluate(op, samples)
     wp.solve(op, wp.Dirichlet(samples.points, samples.b, samples.u))
-    assert len(made) == 1
+    assert spy.call_count == 1
 
 
 def test_a_linear_part_is_certified_and_its_material_diagnosed():
     material, op, _ = of("LPS")
-    expected = wp.certify(material, spacing=1.0)
-    assert wp.certify(op) == expected
-    cubic, on, samples = of("third order, energy")
-    many = wp.Samples(samples.points, *(np.tile(f, (4, 1, 1)) for f in (samples.u, samples.b)))
+    assert wp.certify(op) == wp.certify(material, spacing=1.0)
+    cubic, on, many = of("third order, energy", 4, 4)
     assert wp.certify(cubic, spacing=1.0) == wp.certify(on) == wp.certify(cubic.linear, spacing=1)
     assert wp.diagnose(material, many).residual > 1e-3
     assert wp.diagnose(cubic, many).causes == ["rounding"]
 
 
 def test_what_a_verb_does_not_mean_is_refused_by_name():
-    solid, _, samples = of("hyperelastic")
-    many = wp.Samples(samples.points, *(np.tile(f, (4, 1, 1)) for f in (samples.u, samples.b)))
-    for verb, call in {
-        "certify": lambda: wp.certify(solid, spacing=0.1),
-        "diagnose": lambda: wp.diagnose(solid, many),
-        "prove_uniqueness": lambda: wp.certificates.prove_uniqueness(solid, spacing=0.1),
-    }.items():
-        with pytest.raises(wp.InputError, match=f"{verb}: expected .*, got HyperelasticMaterial"):
+    solid, _, many = of("hyperelastic", copies=4)
+    name, body = "HyperelasticMaterial", wp.Body(plate(3.0, 12.0, 2, 8), {"sides": (0, 0)})
+    lps = LAWS["LPS"].material()
+    for words, call in (
+        (f"certify: expected .*, got {name}", lambda: wp.certify(solid, spacing=0.1)),
+        (f"diagnose: expected .*, got {name}", lambda: wp.diagnose(solid, many)),
+        (f"prove_uniqueness: expected .*, got {name}",
+         lambda: wp.certificates.prove_uniqueness(solid, spacing=0.1)),
+        ("evaluate: expected a material.*, got Points", lambda: wp.evaluate(many.points, many)),
+        (f"evaluate: transfer: not among .* {name}",
+         lambda: wp.evaluate(solid, many, transfer=False)),
+        (r"solver: expected none for a Body.*, got Direct\(",
+         lambda: wp.solve(lps, body, solver=wp.Direct())),
+        *((f"among allow_uncertified, got {option}",
+           lambda option=option: wp.solve(lps, body, **{option: False}))
+          for option in ("transfer", "coupling", "tolerance")),
+    ):  # fmt: skip
+        with pytest.raises(wp.InputError, match=words):
             call()
-    with pytest.raises(wp.InputError, match="evaluate: expected a material.*, got Points"):
-        wp.evaluate(samples.points, samples)
-    with pytest.raises(
-        wp.InputError, match="evaluate: transfer: not among .* HyperelasticMaterial"
-    ):
-        wp.evaluate(solid, samples, transfer=False)
 
 
-def test_a_body_refuses_what_it_does_not_take():
-    material, _, _ = of("LPS")
-    body = wp.Body(plate(3.0, 12.0, 2, 8), displacement={"sides": (0, 0)})
-    with pytest.raises(wp.InputError, match=r"solver: expected none for a Body.*, got Direct\("):
-        wp.solve(material, body, solver=wp.Direct())
-    for option in ("transfer", "coupling", "tolerance"):
-        with pytest.raises(wp.InputError, match=f"among allow_uncertified, got {option}"):
-            wp.solve(material, body, **{option: False})
+SEEN = {
+    "LPS": ("λ, μ 300, 800 GPa", "3 Å", "0.15 TPa", "certified on 1 Å"),
+    "third order, energy": ("t3, tq2, q3", "-500, -6800, 1040 GPa", "|H| = 3.00%", "C11, C12, C44"),
+    "density": ("1 Å", "saint_venant", "1000 GPa", "lam 0.4", "mu 0.9"),
+    "hyperelastic": ("0.1 Å", "bond (", "GPa", "stretch of the data not known"),
+}
+
+
+def test_a_material_shows_what_it_is():
+    for name, parts in SEEN.items():
+        material = LAWS[name].material()
+        text, table = repr(material), material._repr_html_()
+        assert text.splitlines()[0] == type(material).__name__
+        for part in parts:
+            assert part in " ".join(text.split())
+        assert table.startswith("<table>")
+        assert table.count("<tr>") == len(text.splitlines()) - 1
+        other = repr(material.in_units(("nm", "GPa")))
+        assert "GPa" in other
+        assert "TPa" not in other
+    model = replace(LAWS["LPS"].material(), errors={"test": {"E_res": 0.021, "E_u": 0.0042}})
+    assert "errors on test E_res 2.10%, E_u 0.42%" in " ".join(repr(model).split())
+
+
+def test_data_show_their_size():
+    samples = replace(of("LPS", 4)[2], arrays={"wave_vector": np.ones((2, 2))})
+    for shown in map(repr, (samples, samples.points)):
+        assert "256, 16 of them interior, a lattice of 1 Å" in shown
+    assert samples.points._repr_html_().startswith("<table>")
+    assert "TPa/Å" in repr(samples)
+    assert "b" in repr(replace(samples, b=None)).split("not known")[0]
+    data = wp.Dataset({"train": samples, "test": samples}, 3.35, 2200.0)
+    assert "train      2 samples on nodes: 256" in repr(data)
+    assert "3.35 Å" in data._repr_html_()

@@ -55,10 +55,12 @@ def test_errors_fall_with_their_orders():
 @pytest.mark.parametrize("d", [2, 3])
 def test_linear_fields_carry_no_flux_and_parabolas_that_of_their_laplacian(d):
     x = np.argwhere(np.ones(d * (9,))) - 4.0
-    points = Points(x, np.abs(x).max(axis=1) < 1, 1.0)
+    points, square = Points(x, np.abs(x).max(axis=1) < 2, 1.0), (x * x).sum(axis=1)
     operator = DiffusionOperator(DiffusionMaterial(3.0, 0.7), points)
     assert np.abs(operator(x @ np.arange(1, d + 1))).max() < 1e-11
-    assert operator((x * x).sum(axis=1)) == pytest.approx(-2 * d * 0.7)
+    assert operator(square) == pytest.approx(-2 * d * 0.7)
+    load = np.full(len(x), -2 * d * 0.7)
+    np.testing.assert_allclose(steady(operator, square, load), square, atol=1e-10 * square.max())
 
 
 def test_periodic_lattices_keep_their_content_and_a_wave_decays_as_it_should():
@@ -108,24 +110,19 @@ def test_a_kernel_that_changes_sign_is_taken_where_diffusion_does_not_grow(latti
                 call(operator, problem)
 
 
-def test_a_coupled_solid_comes_to_its_steady_state():
-    points = square(4, 6.0)
+def test_steps_come_to_the_steady_state_and_those_of_tensors_are_differentiated_once():
+    points, random = square(4, 6.0), np.random.default_rng(0)
     solid = ThermoelasticMaterial(SOLID, DiffusionMaterial(0.75), coupling=0.7, storage=0.3)
-    problem = Dirichlet(points, *np.random.default_rng(0).standard_normal((2, len(points.x), 3)))
+    problem = Dirichlet(points, *random.standard_normal((2, len(points.x), 3)))
     found = solve(solid, problem)
     np.testing.assert_allclose(found.operator(found.u), found.load, atol=1e-9)
-    run = simulate(solid, problem, step=50.0, steps=8)
-    np.testing.assert_allclose(run.u, found.u, atol=1e-6)
-
-
-def test_steps_of_tensors_are_those_of_arrays_and_differentiated_once():
-    points = square(3, 3.0)
+    np.testing.assert_allclose(simulate(solid, problem, step=50.0, steps=8).u, found.u, atol=1e-6)
     operator = DiffusionMaterial(0.9, 2.0).on(points)
-    phi, b = np.random.default_rng(0).standard_normal((2, len(points.x)))
+    phi, b = random.standard_normal((2, len(points.x)))
     arrays = simulate(operator, Dirichlet(points, b, phi), step=0.1, steps=3)["u"]
     leaf = torch.from_numpy(phi).requires_grad_()
-    problem = Dirichlet(points, b, leaf)
-    held = simulate(operator, problem, step=0.1, steps=3, collar=lambda time: leaf)["u"]
+    how = {"step": 0.1, "steps": 3, "collar": lambda time: leaf}
+    held = simulate(operator, Dirichlet(points, b, leaf), **how)["u"]
     assert np.array_equal(held.detach(), arrays)
     (first,) = torch.autograd.grad(held.square().sum(), leaf, create_graph=True)
     with pytest.raises(InputError, match="second derivative"):

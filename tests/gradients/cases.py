@@ -4,12 +4,10 @@ import numpy as np
 import torch
 
 import warp_peri as wp
-from tests.conformance.test_gradients import OPERATORS, field
 from tests.solvers.test_adjoint import given, loss
+from tests.support.materials import FLOWS, KINKED, field, seeded
 from tests.support.problems import difference
 
-KINKED = ("neural operator", "neural operator, frozen")
-"""Of which a step of differences is short."""
 LOADS = {"hyperelastic": 0.1, "third order": 0.1, "neural": 0.1}
 """Of nonlinear solids, so that all samples have an equilibrium."""
 NOTHING = 1e-5
@@ -36,12 +34,6 @@ def solver_of(name, op):
     return wp.CG(tolerance=1e-13) if op.is_linear else wp.Newton(tolerance=1e-13)
 
 
-def seeded(values):
-    """A number of a field, so that nothing cancels."""
-    seed = torch.from_numpy(np.random.default_rng(1).normal(size=values.shape))
-    return ((0.3 * values + seed) * values).sum()
-
-
 def learned(op, leaves):
     """Leaves by name of the material's own, once those of networks are put in their place."""
     if "networks" in leaves:
@@ -49,19 +41,19 @@ def learned(op, leaves):
     return {name: leaves[name] for name in numbers_of(op) if name != "networks"}
 
 
-def errors(op, value, leaves, step):
+def errors(value, leaves, step, networks=(), least=0.0):
     """Relative error of the gradient to each leaf, along a direction of random entries.
 
     Args:
-        op: whose networks have their own numbers again afterwards.
         value: a number, of the leaves by name.
-        leaves: tensors; a direction has a hundredth of their size.
+        leaves: tensors; a direction has a hundredth of their size, or of the least.
         step: of the differences, by name and in directions.
+        networks: parameters that a last leaf of this name is the vector of.
 
     An error is over the gradient's norm by the root mean square of the direction's entries.
     """
     asked = {name: leaf.detach().clone().requires_grad_() for name, leaf in leaves.items()}
-    networks, total = (op.networks if "networks" in leaves else ()), value(asked)
+    total = value(asked)
     of = [leaf for name, leaf in asked.items() if name != "networks"]
     gradients = torch.autograd.grad(total, [*of, *networks])
     if networks:
@@ -72,7 +64,7 @@ def errors(op, value, leaves, step):
         way = torch.ones(leaf.shape, dtype=torch.float64)
         if leaf.numel() > 1:
             way = torch.from_numpy(np.random.default_rng(7).normal(size=leaf.shape))
-        way = 0.01 * leaf.abs().max() * way
+        way = 0.01 * max(float(leaf.abs().max()), least) * way
 
         def along(t, name=name, leaf=leaf, way=way):
             with torch.no_grad():
@@ -82,17 +74,21 @@ def errors(op, value, leaves, step):
         size = float(gradient.norm() * way.norm()) / way.numel() ** 0.5
         size = max(size, NOTHING * abs(float(total.detach())))
         found[name] = abs(float((gradient * way).sum()) - slope) / size
-    learned(op, leaves)
     return found
 
 
-def steps(leaves, own, name=""):
-    """Steps of differences by name: `own` of fields, one of numbers, less of many; of a kernel of
-    scattered points, whose coefficients are large, the least."""
-    D = 0.01 if name.startswith("scattered") else 0.1
-    many = {"D": D, "tensors": 0.02, "networks": 1e-4}
-    fields = dict.fromkeys(("b", "u", "v", "signal", "collar"), own)
-    return {name: (fields | many).get(name, 1.0) for name in leaves}
+def table(name, op, value, leaves, own):
+    """As errors, `own` the step of fields; networks have their own numbers again afterwards.
+
+    The steps of numbers are one, less of many; of a kernel of scattered points, whose coefficients
+    are large, the least.
+    """
+    many = {"D": 0.01 if name.startswith("scattered") else 0.1, "tensors": 0.02, "networks": 1e-4}
+    step = dict.fromkeys(("b", "u", "v", "signal", "collar"), own) | many
+    step = {name: step.get(name, 1.0) for name in leaves}
+    found = errors(value, leaves, step, op.networks if "networks" in leaves else ())
+    learned(op, leaves)
+    return found
 
 
 def force(name, op):
@@ -103,15 +99,14 @@ def force(name, op):
         own = learned(op, leaves)
         return seeded(op.force_with_parameters(leaves["u"], own) if own else op(leaves["u"]))
 
-    return errors(op, value, leaves, steps(leaves, 1e-3 if name in KINKED else 1.0, name))
+    return table(name, op, value, leaves, 1e-3 if name in KINKED else 1.0)
 
 
 def solve(name, op):
     """Of what rests, to b, u and numbers."""
     b, u = (torch.from_numpy(field(op, 2, seed=n)) for n in (0, 1))
     share = next((s for word, s in LOADS.items() if word in name), 1.0)
-    solver = solver_of(name, op)
-    leaves = {"b": share * b, "u": u} | numbers_of(op)
+    solver, leaves = solver_of(name, op), {"b": share * b, "u": u} | numbers_of(op)
 
     def value(leaves):
         own = learned(op, leaves)
@@ -119,74 +114,33 @@ def solve(name, op):
         problem = wp.Dirichlet(op.points, leaves["b"], leaves["u"])
         return seeded(wp.solve(op, problem, solver=solver, **extra).u)
 
-    own = 1e-2 if name in KINKED else 10.0 if op.is_linear else 1.0
-    return errors(op, value, leaves, steps(leaves, own, name))
+    return table(name, op, value, leaves, 1e-2 if name in KINKED else 10.0 if op.is_linear else 1.0)
 
 
-def flow(op):
-    """Of fields after each step of what flows, to b, u, the collar in time and numbers."""
-    b, u, held = (torch.from_numpy(field(op, seed=n)) for n in range(3))
-    leaves = {"b": b, "u": u, "collar": held} | numbers_of(op)
-
-    def value(leaves):
-        own, step = learned(op, leaves), 0.3
-        collar = lambda t: leaves["u"] + t * leaves["collar"]
-        how = {"step": step, "steps": 4, "collar": collar, "parameters": own}
-        return seeded(
-            wp.simulate(op, wp.Dirichlet(op.points, leaves["b"], leaves["u"]), **how)["u"]
-        )
-
-    return errors(op, value, leaves, steps(leaves, 10.0))
-
-
-def move(name, op):
-    """Of records and ends of waves, to b, u, v, the load in time and numbers; of what flows."""
+def simulate(name, op):
+    """Of records and ends of waves, to b, u, v, the load in time and numbers; of fields after each
+    step of what flows, to b, u, the collar in time and numbers."""
     if name in FLOWS:
-        return flow(op)
+        return flow(name, op)
     fields, options = given(op)
     signal = torch.from_numpy(1 + 0.3 * np.sin(np.arange(options["steps"] + 1)))
     numbers = numbers_of(op)
-    leaves = fields | {"signal": signal} | numbers
 
     def value(leaves):
         own = {n: leaves[n] for n in numbers}
         sizes = options | {"signal": leaves["signal"]}
         return loss(op, {n: leaves[n] for n in fields}, sizes, own or None)
 
-    return errors(op, value, leaves, steps(leaves, 10.0))
+    return table(name, op, value, fields | {"signal": signal} | numbers, 10.0)
 
 
-WAVES = (
-    "LPS",
-    "LPS, bond-based",
-    "LPS in space",
-    "LPS, broken bonds",
-    "crystal",
-    "crystal, periodic",
-    "crystal in space",
-    "own",
-    "third order, energy",
-    "density",
-)
-"""Materials whose waves have a proven step."""
-FLOWS = ("conductor", "coupled")
-"""Materials that flow, by implicit steps."""
-NO_STEP = "expected a linear solid or a crystal"
-REFUSED = {
-    "third order, filtered": "form='energy', got 'filtered', whose force is no gradient",
-    "neural operator": NO_STEP,
-    "neural operator, frozen": NO_STEP,
-    "hyperelastic": NO_STEP,
-    "scattered, own weights": "expected a lattice, got scattered points",
-    "cut": "simulate: expected a Cracked of a BrittleMaterial",
-}
-"""The others, and what `simulate` says of them."""
-ELSEWHERE = {
-    "BrittleMaterial": "at rest it is its model, and in steps it has no gradient",
-    "SofteningMaterial": "tests/fracture/test_softening.py: pulls, to 1e-6",
-    "EnsembleMaterial": "its operator is that of a member, which the table has",
-    "NeuralFile": "a file of the neural operator",
-}
-"""Records of the library without rows, and why."""
-CASES = {"force": force, "solve": solve, "simulate": move}
-MATERIALS = list(OPERATORS)
+def flow(name, op):
+    b, u, held = (torch.from_numpy(field(op, seed=n)) for n in range(3))
+
+    def value(leaves):
+        collar = lambda t: leaves["u"] + t * leaves["collar"]
+        how = {"step": 0.3, "steps": 4, "collar": collar, "parameters": learned(op, leaves)}
+        problem = wp.Dirichlet(op.points, leaves["b"], leaves["u"])
+        return seeded(wp.simulate(op, problem, **how)["u"])
+
+    return table(name, op, value, {"b": b, "u": u, "collar": held} | numbers_of(op), 10.0)

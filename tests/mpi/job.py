@@ -25,6 +25,11 @@ from warp_peri.mpi import gather, lattice, partition, together
 from warp_peri.mpi.processes import total, world
 
 H = 0.5
+SHAPE = {2: (52, 52), 3: (17, 17, 17)}
+TILE = {2: (32, 16), 3: (16, 8)}
+"""Of these two ranks cut a box along the first axis, three along the second."""
+TOLERANCE = {2: 1e-10, 3: 1e-8}
+SWING = {"density": 2000.0, "step": 1e-3, "every": 4}
 
 
 def digest(values):
@@ -47,38 +52,33 @@ def uneven():
 
 def solid(dimension):
     """A positive kernel, λ ≠ μ."""
-    D = np.array([1.0, 0.6, 0.3])
-    return wp.LPSMaterial(0.9, 0.4, 1.0, D, horizon=(2.5 if dimension == 2 else 2) * H,
-                    certified_on=(H,), dimension=dimension)  # fmt: skip
-
-
-def nonlinear():
-    return third_order("energy", 2.5 * H, H)
+    model = wp.LPSMaterial(0.9, 0.4, 1.0, [1.0, 0.6, 0.3], horizon=2 * H, certified_on=(H,),
+                           dimension=dimension)  # fmt: skip
+    return model if dimension == 3 else replace(model, horizon=2.5 * H)
 
 
 def inside(x):
     """A thick L in the plane, a ball in space, with room for a collar."""
-    away = (x - CENTRE[x.shape[1]]) / H
+    away = x / H - (25 if x.shape[1] == 2 else 8)
     if x.shape[1] == 3:
         return (away**2).sum(axis=1) < 4.5**2
     return (np.abs(away) < 20).all(axis=1) & ~((away > 4).all(axis=1))
 
 
-TILE = {2: (32, 16), 3: (16, 8)}
-"""Of these two ranks cut a box along the first axis, three along the second."""
-CENTRE = {2: np.array([12.5, 12.5]), 3: np.array([4.0, 4.0, 4.0])}
-
-
-def fields(x):
-    """A load and a displacement, from the positions alone."""
+def fields(x, share=1.0):
+    """A load and a displacement, from the positions alone; of a share of 0.4 the gradients reach
+    2 %."""
     waves = [np.sin(0.3 * x[:, 0] + a) * np.cos(0.2 * x[:, 1] - a) for a in range(x.shape[1])]
-    u = np.stack(waves, axis=1)
+    u = share * np.stack(waves, axis=1)
     return 0.01 * u[:, ::-1], 0.1 * u
 
 
-def small(x):
-    """Of these the gradients reach 2 %."""
-    return tuple(0.4 * field for field in fields(x))
+def whole(dimension):
+    """The body of one process, its problem, and the solid that waves and answers are held to."""
+    x = H * np.argwhere(np.ones(SHAPE[dimension]))
+    law = solid(dimension)
+    law = law if dimension == 2 else wp.crystals.crystal_from_lps(law, H)
+    return wp.Dirichlet(wp.Points(x, inside(x), H), *fields(x)), law
 
 
 def proofs():
@@ -94,12 +94,12 @@ def proofs():
 
 def from_file(comm, folder):
     """Whether nodes and fields of a file are those of the functions that made it."""
-    x, path = H * np.argwhere(np.ones((52, 52))), folder / f"plate_{comm.size}.h5"
+    x, path = H * np.argwhere(np.ones(SHAPE[2])), folder / f"plate_{comm.size}.h5"
     if comm.rank == 0:
         with h5py.File(path, "w") as file:
             file["interior"], file["b"] = inside(x), fields(x)[0]
     comm.Barrier()
-    points = lattice((52, 52), H, path)
+    points = lattice(SHAPE[2], H, path)
     same = np.array_equal(points.interior, inside(points.x))
     return comm.allgather(
         bool(same and np.array_equal(points.read(path, "b"), fields(points.x)[0]))
@@ -107,18 +107,16 @@ def from_file(comm, folder):
 
 
 def going_on(points, folder, share):
-    """Solves that go on from what is kept, to a share of the digits that a fresh one has."""
-    found = {}
+    """A solve that goes on from what is kept, to a share of the digits that a fresh one has."""
     law, tolerance, path = solid(2), 10.0 ** (-10 / share), folder / "Model.h5"
-    solver, problem = wp.CG(tolerance=tolerance), wp.Dirichlet(points, *small(points.x))
+    solver, problem = wp.CG(tolerance=tolerance), wp.Dirichlet(points, *fields(points.x, 0.4))
     solution = wp.solve(law, problem, solver=solver, checkpoint=path)
     u, fresh = points.gather(solution.u), wp.solve(law, problem, solver=solver)
     far = np.abs(u - points.gather(fresh.u)).max() / np.abs(u).max()
-    found["LPSMaterial"] = {"far": far, "residual": solution.residual, "tolerance": tolerance,
-                      "took": [solution.iterations[0], fresh.iterations[0]]}  # fmt: skip
     other = wp.Dirichlet(points, *fields(points.x))
-    found["other"] = told_by(lambda: wp.solve(solid(2), other, checkpoint=path))
-    return found
+    return {"far": far, "residual": solution.residual, "tolerance": tolerance,
+            "took": [solution.iterations[0], fresh.iterations[0]],
+            "other": told_by(lambda: wp.solve(law, other, checkpoint=path))}  # fmt: skip
 
 
 def told_by(wrong):
@@ -143,45 +141,38 @@ def waves(points, folder):
     return {"end": end, "energy": motion.energy.tolist(), "drift": motion.drift}
 
 
-SWING = {"density": 2000.0, "step": 1e-3, "every": 4}
-
-
 def rest(folder):
     comm, found = world(), {}
     found["proof"], seen = proofs()
     found["shared"], found["file"] = comm.allgather(seen), from_file(comm, folder)
     found["sums"] = total(comm, uneven()[comm.rank :: comm.size]).tolist()
-    for shape in ((52, 52), (17, 17, 17)):
-        points = lattice(shape, H, inside, block=TILE[len(shape)])
+    for d, shape in SHAPE.items():
+        points = lattice(shape, H, inside, block=TILE[d])
         b, u = fields(points.x)
-        tolerance = 1e-10 if len(shape) == 2 else 1e-8
-        solver = wp.CG(tolerance=tolerance)
-        solution = wp.solve(solid(len(shape)), wp.Dirichlet(points, b, u), solver=solver)
-        left = points.gather(np.abs(solution.operator(solution.u) - solution.load).max(initial=0)
-                             * np.ones(len(points.x)))  # fmt: skip
-        name = f"{len(shape)}-D"
-        found[name] = {"u": kept(folder, name, points, solution.u), "left": left.max(),
+        problem, solver = wp.Dirichlet(points, b, u), wp.CG(tolerance=TOLERANCE[d])
+        solution = wp.solve(solid(d), problem, solver=solver)
+        name = f"{d}-D"
+        found[name] = {"u": kept(folder, name, points, solution.u),
                        "iterations": solution.iterations[0], "residual": solution.residual,
                        "waves": waves(points, folder)}  # fmt: skip
-    sheet = lattice((52, 52), H, inside, axis=0.0)
+    sheet = lattice(SHAPE[2], H, inside, axis=0.0)
     found["kept"] = going_on(sheet, folder, 2 if comm.size == 2 else 1)
     found["grid"] = points.tiles.grid
     found["door"] = at_the_door(sheet) if comm.size > 1 else {}
-    full = lattice((52, 52), H, lambda x: x[:, 0] >= 0)
-    everywhere = H * np.argwhere(np.ones((52, 52)))
+    full = lattice(SHAPE[2], H, lambda x: x[:, 0] >= 0)
+    everywhere, flat = H * np.argwhere(np.ones(SHAPE[2])), wp.Dirichlet(sheet, *fields(sheet.x))
+    learns = {"parameters": {"mu": torch.tensor(0.4, requires_grad=True)}}
     found["refused"] = [told_by(wrong) for wrong in (
         lambda: solid(3).on(points)(u),
         lambda: wp.solve(solid(2), wp.Dirichlet(full, *fields(full.x))),
-        lambda: wp.simulate(
-            solid(2), wp.Dirichlet(sheet, *fields(sheet.x)), **SWING | {"step": 1.0}, steps=1
-        ),
-        lambda: lattice((52, 52), H, lambda x: x[:, 0] < 0),
-        lambda: wp.solve(nonlinear(), wp.Dirichlet(sheet, *fields(sheet.x))),
+        lambda: wp.simulate(solid(2), flat, **SWING | {"step": 1.0}, steps=1),
+        lambda: lattice(SHAPE[2], H, lambda x: x[:, 0] < 0),
+        lambda: wp.solve(third_order("energy", 2.5 * H, H), flat),
         lambda: wp.solve(solid(2), wp.Dirichlet(sheet, *map(torch.tensor, fields(sheet.x))),
-                         parameters={"mu": torch.tensor(0.4, requires_grad=True)}),
+                         **learns),
         lambda: partition(wp.Points(everywhere, inside(everywhere), 0.0)),
         lambda: wp.simulate(BrittleMaterial(solid(2), 2500.0, toughness=1.0),
-                        wp.Cracked(sheet, pressure=np.eye(2)), step=0.1, steps=1),
+                            wp.Cracked(sheet, pressure=np.eye(2)), step=0.1, steps=1),
         lambda: lattice((8, 52), H, inside, block=8) if comm.size > 1 else partition(1, by="hue"),
     )]  # fmt: skip
     return found
@@ -191,36 +182,36 @@ def at_the_door(sheet):
     """What is said where rank 1 was given something else than the others, by what it was."""
     one, (b, u) = int(world().rank == 1), fields(sheet.x)
     problem, law = wp.Dirichlet(sheet, b, u), replace(solid(2), mu=0.4 + 1e-9 * one)
-    other = wp.Dirichlet(sheet, None if one else b, u)
-    cases = {
+    other, how = wp.Dirichlet(sheet, None if one else b, u), SWING | {"steps": 4}
+    return {name: told_by(case) for name, case in {
         "material": lambda: wp.solve(law, problem),
-        "problem": lambda: wp.simulate(solid(2), other, **SWING, steps=4),
-        "step": lambda: wp.simulate(
-            solid(2), problem, **SWING | {"step": 1e-3 / (1 + one)}, steps=4
-        ),
+        "problem": lambda: wp.simulate(solid(2), other, **how),
+        "step": lambda: wp.simulate(solid(2), problem, **how | {"step": 1e-3 / (1 + one)}),
         "shape": lambda: lattice((52 + one, 52), H, inside),
-    }
-    return {name: told_by(case) for name, case in cases.items()}
+    }.items()}  # fmt: skip
+
+
+def notched(by, horizon, lam, corrected=False):
+    """A notched plate that is pulled at its ends, and its glass."""
+    x = rectangle_nodes(40.0, 20.0, 1.0)
+    points = partition(wp.Points(x, np.ones(len(x), bool), 1.0, units=("mm", "GPa")), by)
+    model = wp.LPSMaterial(lam, 0.4, 1.0, [1.0], horizon=horizon, units=("mm", "GPa"))
+    ends = np.abs(points.x[:, 1:]) > 9
+    pull = np.where(ends, np.sign(points.x) * (0.0, 0.01), 0.0)
+    cracks = [[(-20.5, 0.0), (-5.0, 0.0)]]
+    glass = BrittleMaterial(model, 2500.0, toughness=1e-4)
+    return glass, Cracked(points, pull, cracks=cracks, corrected=corrected)
 
 
 def crack(folder, by="rows", steps="60", pause="0"):
-    """A notched plate that is pulled at its ends."""
-    x = rectangle_nodes(40.0, 20.0, 1.0)
-    points = partition(wp.Points(x, np.ones(len(x), bool), 1.0, units=("mm", "GPa")), by)
-    x = points.x
-    glass = BrittleMaterial(
-        wp.LPSMaterial(0.3, 0.4, 1.0, np.ones(1), horizon=2.5, units=("mm", "GPa")),
-        2500.0,
-        toughness=1e-4,
-    )
-    ends = np.abs(x[:, 1]) > 9
+    glass, plate = notched(by, 2.5, 0.3)
+    points, x = plate.points, plate.points.x
     os.environ["PAUSE"] = pause  # no part of what a checkpoint knows a run by
     if pause != "0":
         print("pids", *points.comm.allgather(os.getpid()), flush=True)
     motion = wp.simulate(
         glass,
-        Cracked(points, np.where(ends[:, None], np.sign(x) * (0.0, 0.01), 0.0),
-                cracks=[[(-20.5, 0.0), (-5.0, 0.0)]]),
+        plate,
         step=0.5 * glass.longest_step(1.0),
         steps=int(steps),
         every=20,
@@ -231,36 +222,23 @@ def crack(folder, by="rows", steps="60", pause="0"):
         checkpoint=folder / "state.h5",
         checkpoint_every=1,
         series=folder / "series",
-    )  # fmt: skip
-    records = [motion["elastic"], motion["force middle"], motion["u top"], motion["worst"]]
+    )
+    names = "elastic", "force middle", "u top", "worst"
     phi = gather(points, motion.details.damage)
     return {
         "u": digest(gather(points, motion.u)),
         "damage": digest(phi),
         "worst": phi.max(),
-        "records": digest(np.concatenate([np.ravel(record) for record in records])),
+        "records": digest(np.concatenate([np.ravel(motion[name]) for name in names])),
         "ledger": motion.missing,
     }
 
 
 def corrected(by="rows"):
-    """A notched plate that breaks, its missing bonds made up for."""
-    x = rectangle_nodes(40.0, 20.0, 1.0)
-    points = partition(wp.Points(x, np.ones(len(x), bool), 1.0), by)
-    glass = BrittleMaterial(
-        wp.LPSMaterial(0.3, 0.3, 1.0, np.ones(1), horizon=3.0), 2500.0, toughness=1e-4
-    )
-    pull = np.where(np.abs(points.x[:, 1:]) > 9, np.sign(points.x) * (0.0, 0.01), 0.0)
-    plate = Cracked(points, pull, cracks=[[(-20.5, 0.0), (-5.0, 0.0)]], corrected=True)
+    """A plate that breaks, its missing bonds made up for."""
+    glass, plate = notched(by, 3.0, 0.4, corrected=True)
     motion = wp.simulate(glass, plate, step=0.5 * glass.longest_step(1.0), steps=60)
-    return [digest(gather(points, one)) for one in (motion.u, motion.details.damage)]
-
-
-def fail():
-    comm = world()
-    if comm.rank == 1:
-        raise wp.InputError("load: rank 1 has none")
-    comm.Barrier()
+    return [digest(gather(plate.points, one)) for one in (motion.u, motion.details.damage)]
 
 
 if __name__ == "__main__":
@@ -272,4 +250,6 @@ if __name__ == "__main__":
         found |= rest(Path(folder))
     print(json.dumps(found), flush=True)
     if "fail" in more:
-        fail()
+        if world().rank == 1:
+            raise wp.InputError("load: rank 1 has none")
+        world().Barrier()

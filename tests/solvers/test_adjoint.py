@@ -8,8 +8,8 @@ import pytest
 import torch
 
 import warp_peri as wp
-from tests.conformance.test_gradients import OPERATORS, field
-from tests.conformance.test_laws import difference
+from tests.support.materials import OPERATORS, field
+from tests.support.problems import difference
 from warp_peri.certificates import critical_time_step
 from warp_peri.solvers import adjoint, verlet
 from warp_peri.solvers.adjoint import BATCH, PIECES

@@ -179,7 +179,12 @@ def solve_body(
         record = Exchange(rim_residual=problem.residual(f.ravel(), u_rim.ravel()))
         fields: Any = u_rim, None, np.zeros((0, rim.d)), overlap, record, problem
     else:
-        _refuse_small_holes(mesh, overlap, symbols(model.units)[0])
+        if (hole := mesh.hole_sizes.min(initial=np.inf)) < overlap:
+            unit = symbols(model.units)[0]
+            raise InputError(
+                f"mesh: a hole of {hole:.3g} {unit} is smaller than the overlap of rim and bulk, "
+                f"{overlap:g} {unit}"
+            )
         points, cell = lattice
         if not isinstance(model, LPSMaterial):  # the mesh lies as the nodes of the law do
             points = replace(points, axis=_axis_of(model))
@@ -240,23 +245,13 @@ def _rim_problem(K: Any, fixed: np.ndarray, springs: Mapping[str, float]) -> Rim
     return problem
 
 
-def _refuse_small_holes(mesh: Mesh, overlap: float, unit: str) -> None:
-    """Raise InputError where a hole is smaller than the overlap."""
-    if (smallest := mesh.hole_sizes.min(initial=np.inf)) < overlap:
-        raise InputError(
-            f"mesh: a hole of {smallest:.3g} {unit} is smaller than the overlap of rim and bulk, "
-            f"{overlap:g} {unit}"
-        )
-
-
 def _alone(model: Any, needed: float, deepest: float) -> str:
     """Why elements are alone, and what gives the lattice room; depths of cells, [Å]."""
     unit, cell = symbols(model.units)[0], "triangle" if model.dimension == 2 else "tetrahedron"
     return (
         f"mesh: no {cell} is {needed:g} {unit} from the body's edge, the collar and the overlap "
         f"(the deepest is {deepest:.3g} {unit}); it is solved by elements alone. Room for the "
-        "lattice: a smaller spacing, overlap or depth in Coupling(…), or a body "
-        f"{np.ceil(11 * needed / deepest) / 10:g} times as large"
+        "lattice: a smaller spacing, overlap or depth in Coupling(…), or a larger body"
     )
 
 

@@ -71,11 +71,6 @@ class Tiles:
         ends = tuple(np.array([0, n]) for n in rest)
         return replace(self, block=self.block + rest, starts=self.starts + ends)
 
-    @property
-    def halves(self) -> bool:
-        """Whether every second node lies in tiles of whole numbers of nodes too."""
-        return all(size % 2 == 0 for size in self.block)
-
     def coarser(self) -> Tiles:
         """Every second node along each axis, from the second on."""
         return replace(
@@ -99,16 +94,16 @@ def cut(comm: Comm, shape: tuple[int, ...], block: tuple[int, ...]) -> Tiles:
     """
     fits = 0 < len(block) <= len(shape) and all(isinstance(n, int) for n in block)
     if not fits or any(n < 2 or n % 2 for n in block):
-        said = block[0] if len(block) == 1 else block
-        raise InputError(f"block: expected even numbers, at most {len(shape)}, got {said}")
+        raise InputError(f"block: expected even numbers, at most {len(shape)}, got {block}")
     while len(block) > 1 and block[-1] >= shape[len(block) - 1]:
         block = block[:-1]  # as wide as the box: not cut there
     counts = tuple(-(-n // size) for n, size in zip(shape, block))
     if comm.size > math.prod(counts):
-        kind = f"{shape[0]} rows in blocks of {block[0]}"
-        if len(block) > 1:
-            kind = f"{' × '.join(map(str, shape))} nodes in tiles of {' × '.join(map(str, block))}"
-        raise InputError(f"ranks: expected at most {math.prod(counts)} for {kind}, got {comm.size}")
+        nodes, tile = (" × ".join(map(str, sizes)) for sizes in (shape, block))
+        raise InputError(
+            f"ranks: expected at most {math.prod(counts)} for {nodes} nodes in tiles of {tile}, "
+            f"got {comm.size}"
+        )
     found = _grid(comm.size, shape, block, counts)
     if found is None:
         fewer = (n for n in range(comm.size, 0, -1) if _grid(n, shape, block, counts))
@@ -231,10 +226,12 @@ class NodeHalo:
         x: their positions, shape [m, d].
         own: places of the piece's own among them, shape [n].
         count: nodes of the whole body.
+        sum, gather: as of the piece, of values on its own nodes.
     """
 
     def __init__(self, piece: Subdomain, reach: float) -> None:
         self.piece, self.count = piece, piece.count
+        self.sum, self.gather = piece.sum, piece.gather
         comm, slack = piece.comm, 1e-6 * piece.spacing
         low, high = piece.x.min(axis=0) - reach - slack, piece.x.max(axis=0) + reach + slack
         boxes = comm.allgather((low, high))
@@ -254,14 +251,6 @@ class NodeHalo:
             (r, np.searchsorted(self.number, taken[r][0])) for r in ranks if len(taken[r][0])
         ]
         self.comm = comm
-
-    def sum(self, values: np.ndarray) -> np.ndarray:
-        """Of values [k, ...] over all ranks, shape [...]."""
-        return self.piece.sum(values)
-
-    def gather(self, values: np.ndarray) -> np.ndarray:
-        """Values [n, ...] of the own nodes on all of the whole body, on every rank."""
-        return self.piece.gather(values)
 
     def mark(self, *parts: Any) -> str:
         """As Subdomain.mark, of arrays [m or more, ...] on the nodes here."""

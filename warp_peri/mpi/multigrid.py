@@ -170,7 +170,7 @@ def cycle(
 
     Which levels are whole does not depend on the ranks.
     """
-    if np.prod(tiles.shape) <= WHOLE or not tiles.halves:
+    if np.prod(tiles.shape) <= WHOLE or any(size % 2 for size in tiles.block):
         return _Gathered(comm, steps, tensors, mask, tiles)
     return _InTiles(comm, steps, tensors, mask, tiles)
 

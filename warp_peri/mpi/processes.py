@@ -151,15 +151,8 @@ def total(comm: Comm, values: np.ndarray) -> np.ndarray:
         parts.append(whole.astype(np.int64).sum(axis=0))
     sums = np.array(parts)
     comm.Allreduce(MPI.IN_PLACE, sums, op=MPI.SUM)
-    flat = [_joined(column, exponent) for column in sums.reshape(LIMBS, -1).T.tolist()]
-    return np.reshape(flat, values.shape[1:])
-
-
-def _joined(parts: list[int], exponent: int) -> float:
-    number = 0
-    for part in parts:
-        number = (number << LIMB) + part
-    return math.ldexp(number / (1 << LIMB * LIMBS), exponent)
+    exact: Any = sum(limb.astype(object) << LIMB * n for n, limb in enumerate(sums[::-1]))
+    return np.asarray(np.ldexp(np.asarray(exact / (1 << LIMB * LIMBS), dtype=float), exponent))
 
 
 def fingerprint(comm: Comm, number: np.ndarray, *arrays: np.ndarray) -> str:

@@ -1,0 +1,317 @@
+"""Every material under test, once: what makes it, its points, and its operators by name."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import torch
+
+import warp_peri as wp
+from examples.own_law import Springs
+from tests.support import cubes
+from tests.support.nonlinear import psi, solid
+from tests.support.problems import AXIS, difference, kernel, lattice, periodic
+from tests.support.sheets import NEAREST, SPACING, waves
+from warp_peri.core.groups import point_group, shared_with_nodes
+from warp_peri.core.stencil import invariant_basis
+from warp_peri.crystals import crystal_from_lps
+from warp_peri.fracture import lattice_body
+from warp_peri.fracture.statics import CutSolid
+from warp_peri.materials.crystal import CrystalMaterial
+from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
+from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
+from warp_peri.materials.lps import bernstein_basis
+from warp_peri.neural.material import NeuralOperator
+from warp_peri.points.families import bond_classes
+
+H = np.array([[0.02, 0.03], [-0.01, -0.015]])
+"""A displacement gradient."""
+OTHER = ("nm", "GPa")
+
+
+@dataclass(frozen=True)
+class Law:
+    """A law under test.
+
+    Attributes:
+        material: makes it.
+        stress: material and displacement gradient to the stress of uniform strain.
+        axis: of the material on an unturned lattice [rad].
+        energy: whether there is one.
+        periodic: whether the law takes a periodic lattice.
+        single: material, points and field to the force in float32, where the law offers it.
+        stress_turns, force_turns: whether a finite rotation turns the stress of uniform strain and
+            the force of any field.
+        horizon: in spacings.
+        collar: half of the width of the lattice's collar, in spacings.
+        spacing: of the lattice [Å].
+        fields: whether its moduli differ from node to node.
+    """
+
+    material: Callable
+    stress: Callable
+    axis: float = 0.0
+    energy: bool = True
+    periodic: bool = True
+    single: Callable | None = None
+    stress_turns: bool = False
+    force_turns: bool = False
+    horizon: float = 3.0
+    collar: float = 3.0
+    spacing: float = 1.0
+    fields: bool = False
+
+    def points(self, side, angle=0.0):
+        """A lattice of a side's interior, turned with the material by an angle [rad]."""
+        points = lattice(side, self.collar * self.spacing, self.spacing, angle)
+        return replace(points, axis=np.rad2deg(self.axis + angle))
+
+    def sheet(self):
+        return replace(periodic((14, 16))[0], axis=np.rad2deg(self.axis))
+
+    def on(self, points):
+        """The material for some points."""
+        if not self.fields:
+            return self.material()
+        wave = 1 + 0.5 * np.sin(2 * points.x / points.spacing / 3)
+        return self.material().spread(points, 0.4 * wave[:, 0], 0.7 * wave[:, 1])
+
+
+def linear(name, **moduli):
+    """A linear solid whose moduli on the lattice are those of the isotropic continuum."""
+
+    def made():
+        proven = {"1": {"spacing": 1.0, "symbol_bound": 0.15, "statement": "One solution."}}
+        model = replace(kernel(name, 3.0, **moduli), certificate=proven)
+        classes = bond_classes(1.0, 3.0)
+        x, y = classes.xi.T
+        uneven = np.bincount(classes.bond_class, (x**4 - 3 * x**2 * y**2) / (x**2 + y**2))
+        basis = bernstein_basis(classes.r, 3.0, max(model.degree, 1))
+        moment = (uneven * classes.weight * classes.r**-model.alpha) @ basis
+        D = np.resize(model.D, len(moment))
+        D[-1] -= moment @ D / moment[-1]
+        return replace(model, D=D)
+
+    return made
+
+
+def third_order(form):
+    return lambda: replace(solid(form), proven={"strain": 0.03}, provenance={})
+
+
+def hyperelastic():
+    """Of energies with a second derivative everywhere, and directions of its own."""
+    kinds = ("neo_hookean",), ("volumetric",), ("along", 1.2), ("quadratic 11,22",), ("shear",)
+    terms = (*(EnergyTerm(*kind) for kind in kinds), EnergyTerm("volumetric", corner=True))
+    dictionary = Hyperelastic(3.0, ("square", "log"), NEAREST, terms)
+    c = 0.1 + np.random.default_rng(0).random(len(dictionary))
+    return HyperelasticMaterial(dictionary, c, SPACING, provenance={"data": "made"})
+
+
+@cache
+def tensors():
+    """A crystal with four axes, its tensors no states of bonds."""
+    group = point_group("4mm", 2)
+    bonds = invariant_basis(3.0, shared_with_nodes(group, np.eye(2)))
+    p = np.random.default_rng(4).normal(size=len(bonds.basis))
+    stiff = 1 / (bonds.steps**2).sum(axis=1)[:, None, None] ** 2 * np.eye(2)
+    C = stiff + 0.02 * np.tensordot(p, bonds.basis, 1)
+    return replace(CrystalMaterial(1.0, bonds.steps, C, symmetry="4mm").certified(), provenance={})
+
+
+@cache
+def springs():
+    """The law that the example has made outside the library."""
+    return Springs(1.0, 3.0, [0.1, 0.2, 0.3]).certified()
+
+
+def network():
+    """Springs of either sign, as untrained networks are; few numbers, so few kinks."""
+    return NeuralOperator(3.0, (6, 8), (10, 12), proportional=True).double()
+
+
+def saint_venant(E, lam, mu):
+    return lam / 2 * E.diagonal(dim1=-2, dim2=-1).sum(-1) ** 2 + mu * (E * E).sum((-1, -2))
+
+
+def own_energy():
+    return wp.DensityMaterial.of(saint_venant, 1.0, {"lam": 0.4, "mu": 0.9})
+
+
+def isotropic(lam, mu, H):
+    strain = (H + H.T) / 2
+    return lam * np.trace(strain) * np.eye(2) + 2 * mu * strain
+
+
+def of_third_order(material, H):
+    slope = difference(lambda flat: psi(flat.reshape(2, 2), material), H.ravel(), 1e-3)
+    return isotropic(*material.lame, H) + slope.reshape(2, 2)
+
+
+def of_energies(material, H):
+    op, points = placed("hyperelastic", 1)
+    (middle,) = np.flatnonzero(points.interior)
+    density = lambda flat: op.nodal_energy(points.x @ flat.reshape(2, 2).T)[middle]
+    return difference(density, H.ravel(), 1e-3).reshape(2, 2)
+
+
+def of_saint_venant(material, H):
+    return (np.eye(2) + H) @ isotropic(*material.parameters.values(), H + H.T @ H / 2)
+
+
+def of_network(material, H):
+    """Of one node in uniform strain: half of the tensions of its bonds, along their turned ξ."""
+    xi = torch.from_numpy(bond_classes(1.0, 3.0).xi)
+    y = xi + xi @ torch.from_numpy(H).T
+    r, e = xi.norm(dim=1), y.norm(dim=1) - xi.norm(dim=1)
+    with torch.no_grad():
+        omega = material.omega(xi)
+        theta = (omega * r * e).sum() / (omega * r**2).sum()
+        t = 2 * material.force_state(omega, theta.expand_as(e), e, r)
+    return torch.einsum("b,bi,bj->ij", t / y.norm(dim=1) / 2, y, xi).numpy()
+
+
+def single_tensors(material, points, u):
+    return material.on(points, dtype=np.float32)(u)
+
+
+def single_network(material, points, u):
+    force = material.to(torch.float32).on(points)(torch.from_numpy(u.astype(np.float32)))
+    return force.detach().numpy()
+
+
+LPS = {"stress": lambda m, H: isotropic(m.lam, m.mu, H), "axis": AXIS}
+CUBIC = {"stress": of_third_order, "axis": AXIS, "stress_turns": True}
+CRYSTAL = {
+    "stress": lambda m, H: np.einsum("ijkl,kl->ij", m.tensor(), H), "single": single_tensors
+}  # fmt: skip
+TURNS = {"stress_turns": True, "force_turns": True}
+LAWS = {
+    "LPS": Law(linear("sign-changing"), **LPS),
+    "LPS, bond-based": Law(linear("positive", lam=0.8), **LPS),
+    "third order, filtered": Law(third_order("filtered"), energy=False, **CUBIC),
+    "third order, energy": Law(third_order("energy"), **CUBIC),
+    "crystal": Law(tensors, **CRYSTAL),
+    "own": Law(springs, **CRYSTAL),
+    "neural operator": Law(
+        network, of_network, energy=False, periodic=False, single=single_network, **TURNS
+    ),
+    "density": Law(own_energy, of_saint_venant, horizon=1.0, collar=1.0, **TURNS),
+    "hyperelastic": Law(hyperelastic, of_energies, periodic=False, spacing=SPACING, **TURNS),
+}
+SPREAD = LAWS | {"LPS, fields": Law(linear("positive"), fields=True, **LPS)}
+"""And a material that is for its points alone."""
+
+
+@cache
+def placed(name, side=4, angle=0.0):
+    """A material's operator and its points."""
+    points = SPREAD[name].points(side, angle)
+    return SPREAD[name].on(points).on(points), points
+
+
+def uneven(points, samples=None):
+    """Smooth fields with gradients of some percent, one or several."""
+    fields = np.stack([waves(points, 0.05, seed) for seed in range(samples or 1)])
+    return fields if samples else fields[0]
+
+
+def solved_samples(law, op, points):
+    """Samples that the law's own operator is in equilibrium with."""
+    u = uneven(points, 2)
+    b = np.zeros_like(u)
+    b[:, points.interior] = op(u)
+    return wp.Samples(points, u, b)
+
+
+def near(actual, expected, tolerance, size=None):
+    """Equal within a part of the size, that of what is expected by default."""
+    size = np.abs(expected).max() if size is None else size
+    assert np.shape(actual) == np.shape(expected)
+    assert np.abs(np.asarray(actual) - expected).max() <= tolerance * size
+
+
+def scattered():
+    grid = np.argwhere(np.ones((23, 23))) - 11
+    x = grid + np.random.default_rng(3).uniform(-0.45, 0.45, grid.shape)
+    points = wp.Points(x, np.abs(x).max(axis=1) <= 2.0, 0.0)
+    return kernel("1/r", 3.0).on(points, allow_uncertified=True)
+
+
+def torn():
+    """An LPS whose bonds to nodes outside of the body are broken."""
+    points = lattice(5, 3.0)
+    outside = points.x[:, 0] > 2.5
+    model = kernel("sign-changing", 3.0)
+    return model.on(replace(points, outside=outside, interior=points.interior & ~outside))
+
+
+def conductor():
+    points = lattice(4, 1.5)
+    law = wp.diffusion.DiffusionMaterial(3.0, 1.3, 0.7, np.array([1.0, 0.4]))
+    return law.on(points, kappa=np.exp(0.3 * np.sin(points.x[:, 0])))
+
+
+def coupled():
+    model = wp.LPSMaterial(1.0, 0.8, 1.0, [1.0, 0.6], horizon=3.0)
+    conductor = wp.diffusion.DiffusionMaterial(3.0, D=np.array([1.0, 0.4]))
+    law = wp.diffusion.ThermoelasticMaterial(model, conductor, 0.4, 1.0)
+    return law.on(lattice(4, 3.0))
+
+
+def cut():
+    """A cracked body, one node of which is held along one axis."""
+    points, model = lattice(4, 3.0), wp.LPSMaterial(0.9, 0.4, 1.0, [1.0, 0.6, 0.3], horizon=3.0)
+    held = np.repeat(~points.interior[:, None], 2, axis=1)
+    held[np.flatnonzero(points.interior)[3], 0] = True
+    crack = [[(-2.0, 0.1), (1.0, 0.1)]]
+    return CutSolid(model, lattice_body(points.x, 1.0, 3.0), held, cracks=crack)
+
+
+def frozen():
+    """A network of single precision whose numbers ask for no gradient."""
+    return network().requires_grad_(False).on(LAWS["neural operator"].points(4))
+
+
+def in_space(of=lambda model: model):
+    model = replace(cubes.solid(2.0, 0.5, 0.8, D=[1.0, 0.6, 1.4]), certified_on=(1.0,))
+    return of(model).on(cubes.cube(2, 2.0))
+
+
+OPERATORS = {name: lambda name=name: placed(name)[0] for name in LAWS} | {
+    "crystal, periodic": lambda: tensors().on(LAWS["crystal"].sheet()),
+    "neural operator, frozen": frozen,
+    "scattered, own weights": scattered,
+    "LPS, broken bonds": torn,
+    "LPS in space": in_space,
+    "crystal in space": lambda: in_space(lambda model: crystal_from_lps(model, 1.0)),
+    "conductor": conductor,
+    "coupled": coupled,
+    "cut": cut,
+}
+NONLINEAR = ("third order", "neural", "hyperelastic", "density")
+LINEAR = [name for name in OPERATORS if not any(word in name for word in NONLINEAR)]
+KINKED = ("neural operator", "neural operator, frozen")
+"""Of which a step of differences is short."""
+FLOWS = ("conductor", "coupled")
+"""Materials that flow, by implicit steps."""
+
+
+@cache
+def operator(name):
+    """The operator of a name, made once; tests that change it take a copy."""
+    return OPERATORS[name]()
+
+
+def field(op, *lead, seed=0):
+    """Fields with gradients of some percent, rough and smooth."""
+    size = 0.01 * getattr(op.points, "spacing", 0) or 0.01
+    u = size * np.random.default_rng(seed).normal(size=(*lead, *op.shape))
+    return u + 2 * size * np.sin(op.points.x[:, 0]).reshape(-1, *[1] * (len(op.shape) - 1))
+
+
+def seeded(values):
+    """A number of a field, so that nothing cancels."""
+    seed = torch.from_numpy(np.random.default_rng(1).normal(size=values.shape))
+    return ((0.3 * values + seed) * values).sum()
