@@ -11,6 +11,7 @@ import os
 import sys
 import time
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import h5py
@@ -50,6 +51,7 @@ def uneven():
     return random.normal(size=(1000, 2)) * 10.0 ** random.integers(-8, 8, (1000, 2))
 
 
+@cache
 def solid(dimension):
     """A positive kernel, λ ≠ μ."""
     model = wp.LPSMaterial(0.9, 0.4, 1.0, [1.0, 0.6, 0.3], horizon=2 * H, certified_on=(H,),
@@ -73,12 +75,16 @@ def fields(x, share=1.0):
     return 0.01 * u[:, ::-1], 0.1 * u
 
 
+@cache
+def swings(dimension):
+    """What waves are of."""
+    return solid(2) if dimension == 2 else wp.crystals.crystal_from_lps(solid(3), H)
+
+
 def whole(dimension):
-    """The body of one process, its problem, and the solid that waves and answers are held to."""
+    """The problem of one process."""
     x = H * np.argwhere(np.ones(SHAPE[dimension]))
-    law = solid(dimension)
-    law = law if dimension == 2 else wp.crystals.crystal_from_lps(law, H)
-    return wp.Dirichlet(wp.Points(x, inside(x), H), *fields(x)), law
+    return wp.Dirichlet(wp.Points(x, inside(x), H), *fields(x))
 
 
 def proofs():
@@ -131,10 +137,9 @@ def waves(points, folder):
     """A solid that swings: 15 steps, or 25 of which others have taken some."""
     b, u = fields(points.x)
     d = points.dimension
-    law = solid(2) if d == 2 else wp.crystals.crystal_from_lps(solid(3), H)
     problem, last = wp.Dirichlet(points, b, u), 15 if points.comm.size == 2 else 25
     motion = wp.simulate(
-        law, problem, **SWING, v=u[:, ::-1], steps=last,
+        swings(d), problem, **SWING, v=u[:, ::-1], steps=last,
         checkpoint=folder / f"waves_{d}.h5", checkpoint_every=2, series=folder / f"waves_{d}",
     )  # fmt: skip
     end = kept(folder, f"waves_{d}", points, np.concatenate([motion.u, motion.v], axis=1))

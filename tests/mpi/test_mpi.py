@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
-from tests.mpi.job import SWING, TOLERANCE, corrected, crack, uneven, whole
+from tests.mpi.job import SWING, TOLERANCE, corrected, crack, swings, uneven, whole
 from warp_peri.mpi.halo import cut
 
 pytest.importorskip("mpi4py", reason="mpi4py is not installed: pip install 'warp_peri[mpi]'")
@@ -103,7 +103,7 @@ def test_a_body_at_rest_has_the_same_bits_and_those_of_one_process_nearly(d, job
     assert len({one["u"] for one in found}) == len({one["iterations"] for one in found}) == 1
     assert found[0]["iterations"] <= (32 if d == 2 else 30)
     assert found[0]["residual"] <= TOLERANCE[d]
-    problem, law = whole(d)
+    problem, law = whole(d), swings(d)
     alone = wp.solve(law, problem, solver=wp.CG(tolerance=TOLERANCE[d]) if d == 2 else None)
     answer = np.load(folder / f"{d}-D_2.npy")
     assert np.abs(answer - alone.u).max() <= 10 * TOLERANCE[d] * np.abs(alone.u).max()
@@ -114,7 +114,7 @@ def test_waves_go_on_with_another_number_of_ranks_with_the_same_bits(d, jobs, fo
     one, two = (jobs[count][f"{d}-D"]["waves"] for count in (1, 2))
     assert two["energy"] == one["energy"][: len(two["energy"])]
     assert one["drift"] < 1e-12
-    problem, law = whole(d)
+    problem, law = whole(d), swings(d)
     for count in sorted(jobs, key=(2).__ne__):
         steps = 15 if count == 2 else 25
         alone = wp.simulate(law, problem, **SWING, v=problem.u[:, ::-1], steps=steps)

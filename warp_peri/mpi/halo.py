@@ -153,8 +153,8 @@ class Halo:
         others = [(r, tiles.own(r)) for r in range(comm.size) if r != comm.rank]
         given = [(r, _shared(own, theirs, width)) for r, theirs in others]
         taken = [(r, _shared(theirs, own, width)) for r, theirs in others]
-        self._give = [(r, _from(box, own, 0)) for r, box in given if box]
-        self._take = [(r, _from(box, own, width)) for r, box in taken if box]
+        self._give = [(r, (slice(None), *_from(box, own, 0))) for r, box in given if box]
+        self._take = [(r, (slice(None), *_from(box, own, width))) for r, box in taken if box]
 
     def start(self, field: np.ndarray) -> tuple[np.ndarray, Callable[[], None]]:
         """A field [c, *box] among zeros, and what waits for the nodes of others and puts them
@@ -163,8 +163,7 @@ class Halo:
         sides = (n + 2 * w * (axis < cuts) for axis, n in enumerate(field.shape[1:]))
         wide = np.zeros((len(field), *sides), field.dtype)
         wide[:, *self._inside] = field
-        give, take = ([(r, (slice(None), *p)) for r, p in to] for to in (self._give, self._take))
-        return wide, _exchanged(self.comm, field, wide, give, take, w)
+        return wide, _exchanged(self.comm, field, wide, self._give, self._take, w)
 
     def __call__(self, field: np.ndarray) -> np.ndarray:
         """The field with the nodes of others around it."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +17,7 @@ from warp_peri.materials.crystal import StencilMaterial, crystal_from_lps
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_transfer import model_at
 from warp_peri.mpi.halo import Halo
-from warp_peri.mpi.multigrid import LONG, Between, Convolution, cycle, inverse_filter
+from warp_peri.mpi.multigrid import LONG, MOST, Between, Convolution, cycle, inverse_filter
 from warp_peri.mpi.processes import build, in_turn, inner, world
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
@@ -28,10 +27,6 @@ from warp_peri.solvers.multigrid import coarser
 
 if TYPE_CHECKING:
     from warp_peri.mpi.subdomain import Subdomain
-
-
-MOST = 32
-"""Solids whose tensors, proofs and filters are remembered."""
 
 
 class RowOperator:
@@ -79,7 +74,7 @@ class RowOperator:
         on every second node."""
         law, comm, tiles, d = self.model, self.points.comm, self._tiles, self.dimension
         scale = self.stencil.spacing**-2
-        width, symbol = _filter(law)
+        width, symbol = inverse_filter(law)
         short = Convolution(comm, tiles, width, lambda torus: symbol(torus) / scale, np.float32)
         between = Between(comm, tiles)
         near = q1_tensors(law.tensor() * 2.0 ** (d - 2) * scale)
@@ -153,12 +148,6 @@ class RowOperator:
             self.product, self.nearly_inverse, planes, tolerance, inner=self.inner()
         )
         return self._grid.gather(found[None])[0], record
-
-
-@lru_cache(MOST)
-def _filter(law: StencilMaterial) -> tuple[int, Callable[[tuple[int, ...]], np.ndarray]]:
-    stencil = law.stencil
-    return inverse_filter(stencil.steps, stencil.tensors * stencil.spacing**2, law.tensor())
 
 
 @lru_cache(MOST)

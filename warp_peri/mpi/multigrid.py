@@ -7,12 +7,13 @@ same bits on any number of them.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import reduce
+from functools import lru_cache, reduce
 
 import numpy as np
 import scipy.fft
 
 from warp_peri.core.sweeps import component
+from warp_peri.materials.crystal import StencilMaterial
 from warp_peri.mpi.halo import Halo, Tiles
 from warp_peri.mpi.processes import Comm
 from warp_peri.runtime import get_num_threads
@@ -35,6 +36,8 @@ LONG = 0.7
 less than all of it the iterations grow by one or two, not three, from 128² to 2000²."""
 TORUS = 8
 """Widths of the torus that the filter is taken from."""
+MOST = 32
+"""Solids whose filters, tensors and proofs are remembered."""
 
 
 class Convolution:
@@ -105,18 +108,18 @@ class Convolution:
         return self.finish()
 
 
-def inverse_filter(
-    steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarray
-) -> tuple[int, Callable[[tuple[int, ...]], np.ndarray]]:
+@lru_cache(MOST)
+def inverse_filter(law: StencilMaterial) -> tuple[int, Callable[[tuple[int, ...]], np.ndarray]]:
     """The inverse of D + SHIFT G p(k) at short range, beside multigrid: its width and symbol.
 
     The kernel of the inverse times Bartlett's window, whose transform is not negative, so that its
     symbol is positive (theory, R2). Cut off without a window it would not be.
     """
-    d = steps.shape[1]
+    steps, d = law.stencil.steps, law.dimension
     width, axes = WIDTH[d], tuple(range(d))
     torus, size = (TORUS * width,) * d, 2 * width + 1
-    shift = SHIFT * shear(elastic) * seen_by_coarser(torus)
+    tensors = law.stencil.tensors * law.stencil.spacing**2
+    shift = SHIFT * shear(law.tensor()) * seen_by_coarser(torus)
     along = 1 - np.abs(np.arange(-width, width + 1)) / (width + 1)
     window = reduce(np.multiply.outer, d * [along])
     kernel = [

@@ -26,7 +26,7 @@ from warp_peri.kernels.damage.sweeps import sweep
 from warp_peri.mpi.halo import NodeHalo
 from warp_peri.mpi.linear import operator_on
 from warp_peri.mpi.processes import build
-from warp_peri.points.arrays import checked_fields
+from warp_peri.points.arrays import as_array, checked_fields
 from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.unit_names import check_same
 from warp_peri.protocols import MATERIAL, offered, taken
@@ -91,11 +91,8 @@ def alike(material: Any, problem: Any, options: Mapping[str, Any]) -> None:
     with agreed(comm):
         asked = {f.name: getattr(problem, f.name) for f in fields(problem)} | dict(options)
         given = {name: asked.pop(name, None) for name in NODAL}
-        try:
-            stacked = [given[n] is not None and np.shape(given[n])[:-2] for n in ("b", "u")]
-            there = [n for n, one in given.items() if one is not None and n != "record"]
-        except ValueError as error:
-            raise InputError(f"b, u: expected arrays ({error})") from None
+        there = [n for n, one in given.items() if one is not None and n != "record"]
+        stacked = [as_array(n, given[n]).shape[:-2] for n in ("b", "u") if n in there]
         regions = sorted(asked.pop("regions", None) or ())
     kind = type(problem).__name__
     same(comm, material=material, problem=(kind, stacked, there, regions), **asked)
