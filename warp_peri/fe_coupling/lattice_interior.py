@@ -44,13 +44,9 @@ def bulk_points(
         spacing: h [Å]; nodes are multiples of it.
         reach: of the collar [Å]: 2δ of a peridynamic solid, δ of a crystal.
         depth: of unknown nodes [Å]: the collar and a margin at least.
-        units: of lengths.
 
-    Returns:
-        The nodes with their collar, and the cell that holds each, shape [N]; None where no node is
-        so far inside.
-
-    Raises InputError for a body of more nodes than LARGEST, or of less than one spacing.
+    Returns the nodes with their collar, and the cell that holds each, shape [N]; None where no node
+    is so far inside. Raises InputError as check_extent.
     """
     check_extent(mesh, spacing, units)
     low, high = mesh.x.min(axis=0), mesh.x.max(axis=0)
@@ -90,8 +86,7 @@ class Bulk(LinearOperator):  # type: ignore[misc]
         points: the unknown nodes and their collar.
         stiff: whether λ ≫ μ.
 
-    Attributes:
-        accuracy: of the next solve.
+    `accuracy` is that of the next solve.
 
     Raises InputError for an operator that is singular or indefinite.
     """
@@ -215,16 +210,8 @@ def bulk_lattice(
     its area lies two horizons inside, and no hole is smaller than the overlap. Where no lattice
     does, the finest is taken, with a warning when it is for the loads.
 
-    Args:
-        model: certified on some lattice.
-        mesh: of the body.
-        b: body force density [TPa/Å] as a function of positions; None for none.
-        coupling: of rim and bulk.
-
-    Returns:
-        The model on the lattice that was chosen, and what was tried; the last is what was taken.
-
-    Raises InputError for a mesh that is not in Å.
+    Returns the model, certified on some lattice, on the one that was chosen, and what was tried;
+    the last is what was taken. b [TPa/Å] is None for no load. Raises InputError as check_extent.
     """
     home, unit = max(model.certified_on), symbols(model.units)[0]
     check_extent(mesh, home, model.units)

@@ -125,15 +125,10 @@ class Schwarz:
     def solve(
         self, f: np.ndarray, given: np.ndarray, b: np.ndarray, tolerance: float
     ) -> tuple[np.ndarray, np.ndarray, Exchange]:
-        """Displacement of rim [n, d] and bulk [N, d] that agree, and the record.
+        """Displacement of rim [n, d] and bulk [N, d] that agree to a tolerance, and the record.
 
-        Args:
-            f: load on the rim [TPa Å], shape [n, d].
-            given: displacement held on the rim [Å], shape [n, d].
-            b: body force density on the unknown nodes [TPa/Å], shape [I, d].
-            tolerance: of the mismatch.
-
-        Raises InputError when they do not come to agree.
+        Of the load f [TPa Å] and the held displacement on the rim, [n, d], and the body force
+        density b [TPa/Å] on the unknown nodes, [I, d]. Raises InputError when they do not agree.
         """
         q = np.concatenate([f.ravel(), given.ravel(), b.ravel()])
         ways = self.once, self.place, self.read, self.correct
@@ -154,13 +149,8 @@ class Schwarz:
     def transposed(
         self, by_rim: np.ndarray, by_bulk: np.ndarray, tolerance: float
     ) -> tuple[np.ndarray, ...]:
-        """The transpose of `solve`: derivatives by f, what is given and b, of ones by displacement.
-
-        Args:
-            by_rim: by the rim's displacement, shape [n, d].
-            by_bulk: by that of the bulk's nodes, shape [N, d].
-            tolerance: as for `solve`.
-        """
+        """The transpose of `solve`: derivatives by f, what is given and b, of ones by the
+        displacement of the rim [n, d] and of the bulk's nodes [N, d]."""
         by_rim = by_rim + self.to_bulk.T @ by_bulk[self.bulk.collar]
         by, n = np.append(by_rim, by_bulk[self.bulk.inside]), by_rim.size
         ways = self.once.T, self.read.T, self.place.T, self.correct.T

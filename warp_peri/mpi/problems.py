@@ -1,8 +1,8 @@
 """Problems on many ranks: bodies at rest, waves, and bodies that break.
 
-A rank that breaks a body steps its nodes and those of others that they feel: within δ for bonds, 2δ
-with a dilatation. After each drift the displacement of others' nodes comes from their owners. All
-bonds that its own nodes feel then break here as they do there, and nothing else is sent.
+A rank that breaks a body steps its nodes and those of others within δ, 2δ with a dilatation, whose
+displacement comes from their owners after each drift. All bonds that its own nodes feel then break
+here as they do there.
 """
 
 from __future__ import annotations
