@@ -360,12 +360,12 @@ class CutRows:
     def __init__(
         self, model: LPSMaterial, body: LatticeBody, neighbour: np.ndarray, corrected: bool
     ) -> None:
-        self._operator, self._corrected = CutOperator(model, body), corrected
+        self._operator = CutOperator(model, body)
         count, vector = len(body.x), self._operator.vector
         self._fields = [zeros(count, dtype=one) for one in (vector, vector, wp.float64)]
         self._neighbour, self._links = neighbour, self._operator.links(neighbour)
-        if corrected:
-            self._more = corrections(body, neighbour, self._operator.bonded)
+        none = sp.csr_array(2 * (body.x.size,))
+        self._more = corrections(body, neighbour, self._operator.bonded) if corrected else none
 
     @property
     def diagonal(self) -> np.ndarray:
@@ -374,9 +374,7 @@ class CutRows:
         once, twice = (2 * stiffness)[:, None] * xi**2, share[:, None] * xi
         there = self._neighbour >= 0
         found = there @ (once + excess * twice**2) + excess * (there @ twice) ** 2
-        if self._corrected:
-            found = found + self._more.diagonal().reshape(found.shape)
-        return np.asarray(found)
+        return np.asarray(found + self._more.diagonal().reshape(found.shape))
 
     def __call__(self, fields: np.ndarray) -> np.ndarray:
         """Minus the internal force density, of all nodes."""
@@ -384,9 +382,7 @@ class CutRows:
         for field, out in zip(fields, found):
             u.numpy()[:] = field
             self._operator.sweep(u, self._links, force, energy)
-            np.negative(force.numpy(), out=out)
-            if self._corrected:
-                out += (self._more @ field.ravel()).reshape(out.shape)
+            out[:] = (self._more @ field.ravel()).reshape(out.shape) - force.numpy()
         return found
 
 

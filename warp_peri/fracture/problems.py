@@ -209,16 +209,13 @@ class Injected:
     def __post_init__(self) -> None:
         h, x = self.points.spacing, self.points.x
         halves = checked("crack", self.halves, float, ("n",))
-        if not x[:, 1].min() < 0 < x[:, 1].max():
-            raise InputError("crack: expected a body on both sides of its plane y = 0, got another")
         flat = np.delete(x, 1, axis=1)  # the plane of the crack
         room = float(np.minimum(-flat.min(axis=0), flat.max(axis=0)).min()) - h
-        if not (
-            len(halves) and h < halves[0] and halves[-1] <= room and (np.diff(halves) > 0).all()
-        ):
+        fit = len(halves) and (np.diff(halves, prepend=h) > 0).all() and halves[-1] <= room
+        if not (fit and x[:, 1].min() < 0 < x[:, 1].max()):
             raise InputError(
-                f"crack: expected half lengths that rise from more than {h:g}, half lengths up to "
-                f"{room:g}, a spacing less than the body's, got {halves.tolist()}"
+                f"crack: expected half lengths that rise, from more than {h:g} to at most "
+                f"{room:g}, on a plane y = 0 within the body, got {halves.tolist()}"
             )
 
     def moved(self, material: Any, options: dict[str, Any]) -> Motion:

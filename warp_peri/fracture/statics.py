@@ -20,7 +20,7 @@ from warp_peri.points.points import Points
 from warp_peri.protocols import OperatorBase
 from warp_peri.solvers.conjugate_gradients import SolveRecord, definite
 from warp_peri.solvers.direct import MatrixProblem, is_definite, loose_pieces, symmetric_factors
-from warp_peri.solvers.solution import CG, Direct, Solution, Solver, refuse_solver
+from warp_peri.solvers.solution import CG, Direct, Solution, Solver, by_sample, refuse_solver
 
 TOLERANCE = 1e-11
 """Of a body that has lost bonds, by the factors that it had before."""
@@ -147,15 +147,13 @@ class CutSolid(OperatorBase):
         given = np.where(self.held, checked("u", u, float, (..., *self.shape), self.held), 0.0)
         load = np.zeros(given.shape) if b is None else checked("b", b, float, given.shape)
         fields = [one.reshape(-1, *self.shape) for one in (load, given)]
+        inner = load[..., self.inside, :]
         if self._searches:
             answer, records = self._searched(*fields)
-            took, left = zip(*((one.iterations, one.residual) for one in records))
-            how: Any = {"method": "cg", "iterations": took, "measured": max(left)}
-        else:
-            answer = self._problem.solve(*fields)
-            how = {"method": "lu", "measured": self._problem.left}
-        inner = load[..., self.inside, :]
-        return Solution(answer.reshape(given.shape), self.points, self, inner, **how)
+            counts = [one.iterations for one in records]
+            return by_sample(self, answer.reshape(given.shape), inner, records, counts, "cg")
+        answer = self._problem.solve(*fields).reshape(given.shape)
+        return Solution(answer, self.points, self, inner, "lu", measured=self._problem.left)
 
     def _searched(
         self, load: np.ndarray, known: np.ndarray

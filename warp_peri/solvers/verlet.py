@@ -75,9 +75,7 @@ def inertia(density: Positive, units: Units) -> float:
 
 
 class Inert:
-    """Interior nodes of some density under a load: m ρ ü = s(t) b − L u.
-
-    m is one, or the operator's own `masses` of nodes over those of whole cells, [N].
+    """Interior nodes of some density under a load: ρ ü = s(t) b − L u.
 
     Args:
         operator: L on a lattice.
@@ -103,9 +101,7 @@ class Inert:
         signal: np.ndarray | None = None,
     ) -> None:
         self.operator, self.interior, self.load, self.signal = operator, interior, load, signal
-        masses = getattr(operator, "masses", None)
-        share = 1.0 if masses is None else masses[interior, None]
-        self.inertia = inertia(density, operator.model.units) * share
+        self.inertia = inertia(density, operator.model.units)
         self.dot: Callable[[np.ndarray, np.ndarray], float] = np.vdot
         self.count = int(np.count_nonzero(interior))
         self.held = operator(np.where(interior[:, None], 0.0, u))  # what the collar pulls
@@ -249,7 +245,7 @@ def started(
     elif free.all():
         along = np.ones(shape)
         felt = np.abs(operator(along) - operator(0 * along)).max()
-        body.floats = bool(felt <= NO_FORCE * np.max(body.inertia) * (2 / longest) ** 2)
+        body.floats = bool(felt <= NO_FORCE * body.inertia * (2 / longest) ** 2)
     return nodes, body, body.state(start["u"], start["v"][free])
 
 
