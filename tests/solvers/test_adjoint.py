@@ -1,7 +1,7 @@
 """Gradients through waves: differences of the whole motion, few states, and what is refused."""
 
 import weakref
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -19,11 +19,10 @@ DENSITY = 2000.0
 STEPS, EVERY = 14, 4
 
 
-@pytest.fixture(scope="module")
-def made():
+@cache
+def made(name):
     """Every operator once."""
-    kept = {}
-    return lambda name: kept.setdefault(name, OPERATORS[name]())
+    return OPERATORS[name]()
 
 
 def longest(op):
@@ -56,7 +55,7 @@ def loss(op, fields, options, parameters=None):
     return total
 
 
-def test_a_nonlinear_force_is_felt_where_the_motion_went(made):
+def test_a_nonlinear_force_is_felt_where_the_motion_went():
     op = made("third order, energy")
     fields, options = given(op)
     leaf = fields["u"].clone().requires_grad_()
@@ -67,7 +66,7 @@ def test_a_nonlinear_force_is_felt_where_the_motion_went(made):
     assert abs(float((gradient * way).sum()) - slope) <= 1e-7 * float(gradient.norm() * way.norm())
 
 
-def test_the_motion_is_that_of_arrays_to_the_bit(made):
+def test_the_motion_is_that_of_arrays_to_the_bit():
     op = made("LPS")
     fields, options = given(op)
     arrays = {name: value.numpy() for name, value in fields.items()}
@@ -88,7 +87,7 @@ def test_the_motion_is_that_of_arrays_to_the_bit(made):
     assert np.array_equal(second["u"][1], mean)
 
 
-def test_a_motion_that_does_not_run_back_says_so(made, monkeypatch):
+def test_a_motion_that_does_not_run_back_says_so(monkeypatch):
     op = made("LPS, bond-based")
     fields, options = given(op)
     monkeypatch.setattr(adjoint, "UNDONE", 1e-20)
@@ -99,7 +98,7 @@ def test_a_motion_that_does_not_run_back_says_so(made, monkeypatch):
         motion.u.sum().backward()
 
 
-def test_few_states_are_kept(made, monkeypatch):
+def test_few_states_are_kept(monkeypatch):
     steps, op, alive, most = 200, made("LPS, bond-based"), {}, [0]
 
     def forget(key, _):
@@ -130,7 +129,7 @@ def test_few_states_are_kept(made, monkeypatch):
     assert most[0] <= 4 + kept
 
 
-def test_what_has_no_gradient_says_so(made):
+def test_what_has_no_gradient_says_so():
     op = made("LPS")
     fields, options = given(op)
     u = fields["u"].requires_grad_()
