@@ -79,7 +79,7 @@ def test_in_motion_force_and_energy_are_those_of_the_matrix(d, share, monkeypatc
     moving = BreakingBody(brittle, body, corrected=True)
     u = np.random.default_rng(2).normal(size=body.x.shape)
     state = moving.start()
-    state.links = moving.operator.links(table)
+    state.links, state.correction = moving.links_of(table)
     state.u.numpy()[:] = u
     moving.operator.sweep(*state.swept)
     moving.correct(state)

@@ -116,39 +116,6 @@ def continuum_stretch(model: LPSMaterial, toughness: Positive) -> float:
     return float(np.sqrt(toughness / unit))
 
 
-@dataclass(eq=False)
-class BreakingState:
-    """What a motion has come to; arrays are Warp's.
-
-    Attributes:
-        u, v: displacement and velocity.
-        links: which bonds are unbroken, as the operator's `kept` tells.
-        force: internal force density over the bonds that are left.
-        energy: elastic energy density over them.
-        work: done on the body so far and what it started with, per node and area [stress].
-        dissipated: energy density of the bonds broken so far [stress].
-        whole: bonds that count as undamaged at the start, shape [N].
-        time: elapsed.
-        steps: taken.
-    """
-
-    u: wp.array[Any]
-    v: wp.array[Any]
-    links: wp.array[Any]
-    force: wp.array[Any]
-    energy: wp.array[Any]
-    work: wp.array[Any]
-    dissipated: np.ndarray
-    whole: np.ndarray
-    time: float = 0.0
-    steps: int = 0
-
-    @property
-    def swept(self) -> tuple[wp.array[Any], ...]:
-        """What a sweep reads and fills."""
-        return self.u, self.links, self.force, self.energy
-
-
 SPREAD = 0.25
 """Least eigenvalue of the shape tensor of a node that is corrected in motion, over a whole ball's:
 a straight edge has half."""
@@ -169,7 +136,7 @@ class SurfaceCorrection:
     """
 
     def __init__(self, operator: CutOperator, links: wp.array[Any]) -> None:
-        self._operator, self.links = operator, links
+        self._operator, self._links = operator, links
         self.nodes = np.zeros(0, int)
         self._kept: list[np.ndarray] = []
         self.lose(np.flatnonzero(~operator.kept(links).all(axis=1)))
@@ -178,7 +145,7 @@ class SurfaceCorrection:
         """These nodes lack bonds, or more of them."""
         stiffness, share, _ = self._operator.bonded
         body = self._operator.body
-        there = self._operator.kept(self.links, nodes[:, None], np.arange(len(share)))
+        there = self._operator.kept(self._links, nodes[:, None], np.arange(len(share)))
         made = (
             np.where(there, body.neighbour[nodes], nodes[:, None]),
             (there * share)[:, :, None] * body.xi,
@@ -212,6 +179,41 @@ class SurfaceCorrection:
         each = np.append(-pulls.reshape(-1, d), pulls.sum(axis=1), axis=0)
         sums = [np.bincount(self._place, part, len(self.near)) for part in each.T]
         return np.stack(sums, axis=1), energy
+
+
+@dataclass(eq=False)
+class BreakingState:
+    """What a motion has come to; arrays are Warp's.
+
+    Attributes:
+        u, v: displacement and velocity.
+        links: which bonds are unbroken, as the operator's `kept` tells.
+        correction: of bonds that are lacked, before those that the next step breaks; or None.
+        force: internal force density over the bonds that are left.
+        energy: elastic energy density over them.
+        work: done on the body so far and what it started with, per node and area [stress].
+        dissipated: energy density of the bonds broken so far [stress].
+        whole: bonds that count as undamaged at the start, shape [N].
+        time: elapsed.
+        steps: taken.
+    """
+
+    u: wp.array[Any]
+    v: wp.array[Any]
+    links: wp.array[Any]
+    correction: SurfaceCorrection | None
+    force: wp.array[Any]
+    energy: wp.array[Any]
+    work: wp.array[Any]
+    dissipated: np.ndarray
+    whole: np.ndarray
+    time: float = 0.0
+    steps: int = 0
+
+    @property
+    def swept(self) -> tuple[wp.array[Any], ...]:
+        """What a sweep reads and fills."""
+        return self.u, self.links, self.force, self.energy
 
 
 class BreakingBody:
@@ -272,7 +274,6 @@ class BreakingBody:
             self._padded(name, field)
             for name, field in (("load", load), ("held", held), ("grip", grip))
         )
-        self._correction: SurfaceCorrection | None = None
         self.exchange: Callable[[np.ndarray], None] | None = None
 
     def _padded(self, name: str, field: ArrayLike | None) -> wp.array[Any]:
@@ -305,11 +306,10 @@ class BreakingBody:
         Raises InputError when u alone is beyond the criterion: such a body breaks at rest.
         """
         fields, neighbour = (self._padded("u", u), self._padded("v", v)), cracked(self.body, cracks)
-        links, count = self.operator.links(neighbour), len(self.body.x)
-        known = self.body.neighbour if count_cracks else neighbour
+        count, known = len(self.body.x), self.body.neighbour if count_cracks else neighbour
         state = BreakingState(
             *fields,
-            links,
+            *self.links_of(neighbour),
             force=zeros(count, dtype=self.operator.vector),
             energy=zeros(count),
             work=zeros(count),
@@ -327,17 +327,19 @@ class BreakingBody:
         state.work = floats(kinetic + state.energy.numpy())
         return state
 
+    def links_of(self, neighbour: np.ndarray) -> tuple[Any, SurfaceCorrection | None]:
+        """Links and correction of a state with the bonds of a table of neighbours, [N, B]."""
+        links = self.operator.links(neighbour)
+        return links, SurfaceCorrection(self.operator, links) if self.corrected else None
+
     def correct(self, state: BreakingState, lost: np.ndarray | None = None) -> None:
         """Add to force and energy what bonds that are lacked do.
 
         lost: nodes that have lost bonds since the last call.
         """
-        if not self.corrected:
+        if (correction := state.correction) is None:
             return
-        correction = self._correction
-        if correction is None or correction.links is not state.links:  # of another state
-            correction = self._correction = SurfaceCorrection(self.operator, state.links)
-        elif lost is not None:
+        if lost is not None:
             correction.lose(lost)
         more, stored = correction(state.u.numpy())
         state.force.numpy()[correction.near] += more

@@ -188,7 +188,7 @@ class CrackRun(Recorder):
         for name in NODAL:
             getattr(state, name).numpy()[:] = arrays[name]
         left = np.where(arrays["left"], self.body.body.neighbour, -1)
-        state.links = self.body.operator.links(left)
+        state.links, state.correction = self.body.links_of(left)
         state.dissipated[:], state.whole = arrays["dissipated"], arrays["whole"]
         state.time, state.steps = self._times(steps)[-1], steps
         return state
