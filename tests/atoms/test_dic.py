@@ -104,28 +104,27 @@ def linear(x=BIG):
     return x[:, 0], x[:, 1], *(x @ GRADIENT.T).T
 
 
-@pytest.mark.parametrize(
-    ("header", "holds"),
-    [
-        ("id,x,y,u,v,sigma,eyy", ".xyuv.."),
-        ("X,Y,Z,U,V,W,x,y,u,v", "xy.uv.1234"),
-        ("#  ID,x_undef [mm],y_undef [mm],z_undef [mm],u [mm],v [mm],w [mm],ex [%]", ".xy.uv.."),
-        ("ID,COORDINATE_X,COORDINATE_Y,DISPLACEMENT_X,DISPLACEMENT_Y,MODEL_COORDINATES_X,"
-         "MODEL_COORDINATES_Y,MODEL_DISPLACEMENT_X,MODEL_DISPLACEMENT_Y,SIGMA", ".1234xyuv."),
-        ("coor.X [mm],coor.Y [mm],disp.Horizontal Displacement U [mm],"
-         "disp.Vertical Displacement V [mm]", "xyuv"),
-        ("v,y,u,x,x_def", "vyux."),
-    ],
-)  # fmt: skip
-def test_columns_are_what_a_header_says_behind_a_comment_too(tmp_path, header, holds):
+COLUMNS = {
+    "id,x,y,u,v,sigma,eyy": ".xyuv..",
+    "X,Y,Z,U,V,W,x,y,u,v": "xy.uv.1234",
+    "#  ID,x_undef [mm],y_undef [mm],z_undef [mm],u [mm],v [mm],w [mm],ex [%]": ".xy.uv..",
+    "ID,COORDINATE_X,COORDINATE_Y,DISPLACEMENT_X,DISPLACEMENT_Y,MODEL_COORDINATES_X,"
+    "MODEL_COORDINATES_Y,MODEL_DISPLACEMENT_X,MODEL_DISPLACEMENT_Y,SIGMA": ".1234xyuv.",
+    "coor.X [mm],coor.Y [mm],disp.Horizontal Displacement U [mm],"
+    "disp.Vertical Displacement V [mm]": "xyuv",
+    "v,y,u,x,x_def": "vyux.",
+}
+
+
+def test_columns_are_what_a_header_says_behind_a_comment_too(tmp_path):
     """Whatever stands beside them: strains, numbers, pixels (1234) of what is x, y, u and v."""
     meant = dict(zip("xyuv", linear()))
     meant |= {str(n + 1): 1.1 * meant[name] + 3 for n, name in enumerate("xyuv")}
     meant["."] = np.arange(len(BIG)) % 7 + 1.0
-    samples = told(
-        tmp_path / "a.csv", "#" * (header[0] != "#") + header, [meant[one] for one in holds]
-    )
-    np.testing.assert_allclose(gradient(samples), GRADIENT, atol=1e-12)
+    for header, holds in COLUMNS.items():
+        head = "#" * (header[0] != "#") + header
+        samples = told(tmp_path / "a.csv", head, [meant[one] for one in holds])
+        np.testing.assert_allclose(gradient(samples), GRADIENT, atol=1e-12, err_msg=header)
 
 
 REFUSED = [
@@ -156,23 +155,20 @@ def test_columns_that_contradict_each_other_are_refused(tmp_path):
         dic_to_lattice(frames)
 
 
-@pytest.mark.parametrize(
-    ("header", "sizes", "length", "how"),
-    [
+def test_every_column_has_its_unit(tmp_path):
+    """x in mm beside u in µm: a strain of one hundredth is not ten."""
+    for header, sizes, length, how in (
         ("x [mm],y [mm],u [um],v [um]", (1, 1, 1e-3, 1e-3), "mm", {}),
         ("x_mm,y_mm,u_um,v_um", (1, 1, 1e-3, 1e-3), "mm", {}),
         ("x,y,u,v\ninch,inch,um,um", (25.4, 25.4, 1e-3, 1e-3), "mm", {}),
         ("x,y,u,v", (3, 3, 3, 3), "um", {"pixel": "3um"}),
         ("x [px],y [px],u [mm],v [mm]", (0.5, 0.5, 1, 1), "mm", {"pixel": "0.5mm"}),
-    ],
-)
-def test_every_column_has_its_unit(tmp_path, header, sizes, length, how):
-    """x in mm beside u in µm: a strain of one hundredth is not ten."""
-    columns = [np.round(values / size, 9) for values, size in zip(linear(), sizes)]
-    samples = told(tmp_path / "a.csv", header, columns, **how)
-    assert samples.points.units == (length, "MPa")
-    assert samples.spacing == pytest.approx(2.5)
-    np.testing.assert_allclose(gradient(samples), GRADIENT, atol=1e-6)
+    ):
+        columns = [np.round(values / size, 9) for values, size in zip(linear(), sizes)]
+        samples = told(tmp_path / "a.csv", header, columns, **how)
+        assert samples.points.units == (length, "MPa")
+        assert samples.spacing == pytest.approx(2.5)
+        np.testing.assert_allclose(gradient(samples), GRADIENT, atol=1e-6, err_msg=header)
 
 
 def test_tables_in_other_encodings(tmp_path):

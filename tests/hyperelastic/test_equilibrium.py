@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.sheets import hgo_dictionary, sheet_on, square, waves
-from warp_peri import Dirichlet, InputError, Points, Samples, solve
+from warp_peri import Dirichlet, Points, Samples, solve
 from warp_peri.hyperelastic import NoEquilibriumError
 from warp_peri.materials.hyperelastic import equilibrium
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
@@ -31,22 +31,21 @@ def manufactured():
     return op, u, op.on_all(op.force(u))
 
 
-@pytest.mark.parametrize("direct", [0, 10**6])
-def test_a_known_equilibrium_is_found(manufactured, direct, monkeypatch):
+def test_a_known_equilibrium_is_found(manufactured, monkeypatch):
     op, u, b = manufactured
-    monkeypatch.setattr(equilibrium, "DIRECT", direct)
-    answer = stable_equilibrium(op, b, u)
-    assert np.abs(answer.u - u).max() < 1e-6 * np.abs(u).max()
-    assert answer.followed
-    assert answer.residual < 1e-8
-    assert answer.smallest_eigenvalue > 0
+    for direct in (0, 10**6):
+        monkeypatch.setattr(equilibrium, "DIRECT", direct)
+        answer = stable_equilibrium(op, b, u)
+        assert np.abs(answer.u - u).max() < 1e-6 * np.abs(u).max()
+        assert answer.followed
+        assert answer.residual < 1e-8
+        assert answer.smallest_eigenvalue > 0
 
 
-@pytest.mark.parametrize("stretch", [0.9, 0.8])
-def test_the_smallest_eigenvalue_is_below_zero_where_the_tangent_is(stretch):
+def test_the_smallest_eigenvalue_is_below_zero_where_the_tangent_is():
     """The eigenvalue nearest to zero is positive here: it is not the one to tell."""
     op = sheet_on(square(5), c=[0.05] * 4 + [1.0, 1.0, 0.0])
-    u = op.points.x * [stretch - 1, 0.0]
+    u = op.points.x * [-0.2, 0.0]
     values = np.linalg.eigvalsh(op.interior_tangent(u).toarray())
     assert values[0] < -100
     assert values[np.abs(values).argmin()] > 0
@@ -94,8 +93,6 @@ def test_a_solid_without_stiffness_is_refused(manufactured):
     problem = Dirichlet(op.points, b, u)
     with pytest.raises(NoEquilibriumError, match="no stable equilibrium found"):
         solve(op.at({"coefficients": -COEFFICIENTS}), problem)
-    with pytest.raises(InputError, match="b: expected finite values"):
-        solve(op, Dirichlet(op.points, np.full_like(b, np.nan), u))
 
 
 def test_a_collar_that_is_folded_far_out_does_not_stop_a_solve():
@@ -138,17 +135,17 @@ def test_stretches_beyond_the_training_data_warn(manufactured):
         evaluate_hyperelastic(replace(op.model, stretch=1.02), samples)
 
 
-@pytest.mark.parametrize("size", [1e-5, 1e-200])
-def test_very_small_loads_and_collars_have_answers_in_proportion(size):
+def test_very_small_loads_and_collars_have_answers_in_proportion():
     """Rounding of forces, which are differences of products near one, ended in no equilibrium."""
     op = sheet_on(square(4), c=COEFFICIENTS)
     b = 1e-3 * np.sin(op.points.x) * op.points.interior[:, None]
     for load, collar in ((b, 0 * b), (0 * b, np.cos(op.points.x))):
         known = op.solve(1e-2 * load, 1e-5 * collar).u / 1e-5
-        found = op.solve(1e3 * size * load, size * collar)
         near = 1e-4 * np.abs(known).max()  # of second order in the strain
-        np.testing.assert_allclose(found.u / size, known, atol=near, rtol=0)
-        assert found.residual < 1e-8
+        for size in (1e-5, 1e-200):
+            found = op.solve(1e3 * size * load, size * collar)
+            np.testing.assert_allclose(found.u / size, known, atol=near, rtol=0)
+            assert found.residual < 1e-8
 
 
 @pytest.mark.parametrize("sides", [(7, 40), (40, 7)])
@@ -156,14 +153,14 @@ def test_lattices_have_a_band_as_wide_as_their_shorter_side(sides):
     steps = np.argwhere(np.ones(np.add(sides, 12), bool))
     inside = ((steps >= 6) & (steps < np.add(sides, 6))).all(axis=1)
     op = sheet_on(Points(steps, inside, 1.0), hgo_dictionary())
-    assert op.lattice.tangent.width <= 2 * (6 * 7 + 7)
     u = 0.01 * waves(op.points)
-    K, (factors, stable) = op.interior_tangent(u), op.factors(u)
+    K, (inverse, stable) = op.interior_tangent(u), op.factors(u)
     assert stable
+    assert len(inverse.args[0]) <= 2 * (6 * 7 + 7)
     y = np.random.default_rng(0).normal(size=(K.shape[0], 2))
-    np.testing.assert_allclose(K @ factors.solve(y), y, atol=1e-10)
+    np.testing.assert_allclose(K @ inverse(y), y, atol=1e-10)
     other = op.at({"coefficients": -op.model.coefficients})
     assert other.factors(u) == op.factors(np.nan * u) == (None, False)
     shifted, stable = other.factors(u, shifts=True)
     assert not stable
-    assert (y[:, 0] @ shifted.solve(y[:, 0])) > 0
+    assert (y[:, 0] @ shifted(y[:, 0])) > 0

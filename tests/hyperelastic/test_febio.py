@@ -5,8 +5,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from tests.support.sheets import everything, hgo_dictionary, square
-from warp_peri import InputError
+from tests.support.sheets import hgo_dictionary, square
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.febio import febio_material, in_words, save_febio
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
@@ -59,12 +58,3 @@ def test_a_sheet_in_plane_stress_becomes_incompressible(tmp_path):
     words = in_words(SOLID)
     assert words[0] == "matrix: shear modulus 0.1426, volumetric coefficient 0.078"
     assert words[1].startswith("as the published energy: E = 0.3279, ν = 0.15")
-
-
-def test_what_febio_has_no_name_for_is_refused():
-    dictionary = everything()
-    with pytest.raises(InputError, match="no bond energies"):
-        febio_material(HyperelasticMaterial(dictionary, np.ones(len(dictionary)), 0.1))
-    terms = (EnergyTerm("neo_hookean"), EnergyTerm("plane_stress"))
-    with pytest.raises(InputError, match="expected neo_hookean and volumetric"):
-        febio_material(HyperelasticMaterial(Hyperelastic(3.0, (), (), terms), np.ones(2), 0.1))

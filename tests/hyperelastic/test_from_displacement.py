@@ -16,7 +16,7 @@ from warp_peri.materials.hyperelastic.from_displacement import (
     fit_displacement,
     fit_thickness,
 )
-from warp_peri.materials.hyperelastic.lattice import TangentPattern
+from warp_peri.materials.hyperelastic.lattice import SheetLattice
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial, evaluate_hyperelastic
 from warp_peri.materials.hyperelastic.thickness import ThicknessField
 from warp_peri.points.points import Points
@@ -94,10 +94,8 @@ def test_sensitivities_are_slopes_of_the_solved_displacement(frames):
 def test_a_frame_left_out_by_one_step_is_as_by_a_fit_of_its_own(frames, monkeypatch):
     """And a material that fits takes three tangents a frame."""
     seen, made = noisy(frames), []
-    factors = TangentPattern.factors
-    monkeypatch.setattr(
-        TangentPattern, "factors", lambda *of, **how: made.append(of) or factors(*of, **how)
-    )
+    factors = SheetLattice.factors
+    monkeypatch.setattr(SheetLattice, "factors", lambda *of: made.append(of) or factors(*of))
     fit = fit_displacement(noisy(frames, 1e-3), sheet(), tolerance=1e-3)
     assert len(made) <= 3 * len(seen)
     assert fit.history[-1] < 2e-3
@@ -105,15 +103,13 @@ def test_a_frame_left_out_by_one_step_is_as_by_a_fit_of_its_own(frames, monkeypa
     gaps = (fit.fields - seen.u)[:, seen.interior]
     sizes = (np.linalg.norm(one, axis=(1, 2)) for one in (gaps, seen.u[:, seen.interior]))
     np.testing.assert_allclose(np.divide(*sizes), fit.errors, rtol=1e-6)
-    for n, other in enumerate(fit.others):
-        rest = Samples(seen.points, np.delete(seen.u, n, axis=0))
-        full = fit_displacement(rest, sheet(), most_steps=20, tolerance=1e-9)
-        moved = (full.material.coefficients - fit.material.coefficients)[-2:]
-        step = (other.material.coefficients - fit.material.coefficients)[-2:]
-        assert np.abs(moved).max() > 1e-4
-        np.testing.assert_allclose(step, moved, atol=0.1 * np.abs(moved).max())
-        assert other.frames_left_out == [n]
-        np.testing.assert_allclose(np.delete(other.errors, n), full.errors, rtol=1e-2)
+    full = fit_displacement(seen[[0, 2]], sheet(), most_steps=20, tolerance=1e-9)
+    moved = (full.material.coefficients - fit.material.coefficients)[-2:]
+    step = (fit.others[1].material.coefficients - fit.material.coefficients)[-2:]
+    assert np.abs(moved).max() > 1e-4
+    np.testing.assert_allclose(step, moved, atol=0.1 * np.abs(moved).max())
+    assert [other.frames_left_out for other in fit.others] == [[0], [1], [2]]
+    np.testing.assert_allclose(fit.others[1].errors[[0, 2]], full.errors, rtol=1e-2)
 
 
 def test_thickness_and_material_are_found_together(uneven_frames):
@@ -140,62 +136,28 @@ def test_a_known_material_tells_the_thickness_of_another_sheet(uneven_frames):
     assert evaluate_hyperelastic(solid, frames)["E_u"] > 0.003
 
 
-def test_what_says_nothing_is_refused(frames):
-    f, inside = frames, np.zeros_like(frames.interior)
-    inside[np.flatnonzero(f.interior)[[11, 12, 13]]] = True
-    affine = np.stack([0.1 * f.x, f.x @ [[0.2, 0.1], [0.0, 0.3]]])
-    at_rest = np.stack([f.u[0], 0 * f.u[0]])
-    unsafe = Hyperelastic(3.0, ("square",), (), (EnergyTerm("area"),))
-    solid = HyperelasticMaterial(sheet(), TRUTH, f.spacing)
-
-    def fit(samples, dictionary=None, **options):
-        return lambda: fit_displacement(samples, dictionary or sheet(), **options)
-
-    for words, call in {
-        "a homogeneous body of any material": fit(Samples(f.points, affine)),
-        "with loads use fit_energy": fit(Samples(f.points, f.u, np.ones_like(f.u))),
-        "frame 1 is at rest": fit(Samples(f.points, at_rest)),
-        r"expected strains of 2 % or more in one, got 1\.\d": fit(Samples(f.points, 0.05 * f.u)),
-        "60 measured components inside for 6 numbers, got 18": fit(
-            Samples(replace(f.points, interior=inside), f.u)
-        ),
-        "convex and stress-free": fit(f, unsafe),
-        "stiffness: expected": fit(f, stiffness=-1.0),
-        "start: expected 6 coefficients": fit(f, start=np.ones(2)),
-        "frames: expected one or more": lambda: fit_thickness(Samples(f.points, f.u[:0]), solid),
-        "degree: expected 1 to 6": fit(f, thickness=7),
-        r"numbers: expected shape \[5\]": lambda: replace(
-            ThicknessField.over(f.x, 2), numbers=np.ones(4)
-        ),
-    }.items():
-        with pytest.raises(InputError, match=words):
-            call()
-
-
-@pytest.mark.parametrize("axis", [0, 1])
-def test_sections_go_from_edge_to_edge(axis):
+def test_sections_go_from_edge_to_edge():
     """Of an affine field they carry its stress, edges included; a hole takes lines away."""
-    x, side = 0.1 * np.argwhere(np.ones((19, 14))), 0.1
-    C, shape = 0.4, np.array([[1.2, 0.1], [-0.05, 1.1]])
+    x, C, shape = 0.1 * np.argwhere(np.ones((19, 14))), 0.4, np.array([[1.2, 0.1], [-0.05, 1.1]])
     solid = HyperelasticMaterial(
-        Hyperelastic(terms=(EnergyTerm("plane_stress"),)), np.array([C]), side
+        Hyperelastic(terms=(EnergyTerm("plane_stress"),)), np.array([C]), 0.1
     )
     P = 2 * C * (shape - np.linalg.inv(shape).T / np.linalg.det(shape) ** 2)
 
-    def sections(kept):
-        points = Points(x[kept], np.arange(kept.sum()) == 0, side)
+    def sections(axis, kept):
+        points = Points(x[kept], np.arange(kept.sum()) == 0, 0.1)
         field = Samples(points, (x[kept] @ (shape - np.eye(2)).T)[None])
         return Sections(field, solid.dictionary, axis)
 
-    whole = sections(np.ones(len(x), bool))
-    lines = np.full((19, 14)[axis] - 12, P[axis, axis])
-    np.testing.assert_allclose(whole.stress(0, solid, None), lines, rtol=1e-9)
-    thick = replace(ThicknessField.over(x, 1), numbers=np.array([0.3, -0.2]))
-    uneven = whole.stress(0, solid, thick)
-    assert uneven.mean() == pytest.approx(P[axis, axis], rel=0.01)
-    assert np.ptp(uneven) > 0.02 * P[axis, axis]
-    with pytest.raises(InputError, match=f"across {'xy'[axis]} from edge to edge"):
-        sections((np.abs(x - x.mean(axis=0)) > 0.6 * side).any(axis=1))
+    for axis, across in enumerate((19, 14)):
+        whole, pull = sections(axis, np.ones(len(x), bool)), P[axis, axis]
+        np.testing.assert_allclose(whole.stress(0, solid, None), (across - 12) * [pull], rtol=1e-9)
+        thick = replace(ThicknessField.over(x, 1), numbers=np.array([0.3, -0.2]))
+        uneven = whole.stress(0, solid, thick)
+        assert uneven.mean() == pytest.approx(pull, rel=0.01)
+        assert np.ptp(uneven) > 0.02 * pull
+        with pytest.raises(InputError, match=f"across {'xy'[axis]} from edge to edge"):
+            sections(axis, (np.abs(x - x.mean(axis=0)) > 0.06).any(axis=1))
 
 
 def test_forces_set_the_scale_and_their_scatter_is_told(frames):

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.ndimage import binary_erosion
@@ -50,59 +50,44 @@ differ from it, and in times of what a plane leaves of them; spacings to the fir
 
 
 def read_table(
-    path: Path, size: float, unit: str | None
+    text: str, size: float, unit: str | None
 ) -> tuple[np.ndarray, np.ndarray, str | None]:
     """Positions in the reference and displacements, shape [P, 2], and their unit of length.
 
     Rows are left out where a number is missing or the correlation failed: by a column that says so,
-    or by a number that fills in for lost points.
-
-    Args:
-        path: of a table whose header names its columns.
-        size, unit: of a pixel, and of what is in no unit.
-
-    Raises InputError for what is no such table, and where it contradicts itself.
+    or by a number that fills in for lost points. A pixel, and what is in no unit, has a size and a
+    unit. Raises InputError for a text that is no table, or contradicts itself.
     """
-    lines = [line.strip("\ufeff\r\n") for line in _text(path).splitlines()]
-    headers = [split(re.sub(r"^[\s#%*/]+", "", line)) for line in lines[:BEFORE]]
-    found = ((n, columns_of(path, header)) for n, header in enumerate(headers))
-    number, columns = next(((n, columns) for n, columns in found if columns), (0, None))
+    lines = [line.strip("\ufeff\r\n") for line in text.splitlines()]
+    headers = (split(re.sub(r"^[\s#%*/]+", "", line)) for line in lines[:BEFORE])
+    found = ((n, header, columns_of(header)) for n, header in enumerate(headers))
+    number, header, columns = next((one for one in found if one[2]), (0, [""], None))
     if columns is None:
         shown = next((line for line in lines if line.strip()), "nothing")
-        raise InputError(f"{path}: expected columns x, y, u and v, got {shown[:80]!r}")
-    header, (fields, units, current) = headers[number], columns
+        raise InputError(f"expected columns x, y, u and v, got {shown[:80]!r}")
+    fields, units, current = columns
     rows = [split(line) for line in lines[number + 1 :] if not re.match(r"\s*(#|%|\*{3}|$)", line)]
     if long := [row for row in rows if len(row) > len(header)]:
-        raise InputError(f"{path}: expected {len(header)} fields, as in its header, got {long[0]}")
+        raise InputError(f"expected {len(header)} fields, as in its header, got {long[0]}")
     rows = [row + [""] * (len(header) - len(row)) for row in rows]
     if rows and all(_unit(rows[0][n]) for n in fields):
         units, rows = [rows[0][n] for n in fields], rows[1:]
     names = [_named(field)[0] for field in header]
     below, nil = ([n for n, name in enumerate(names) if name in of] for of in (NEGATIVE, ZERO))
     asked = [*fields, *below, *nil]
-    table = np.array([[_number(path, row[n]) for n in asked] for row in rows], float)
-    table = table.reshape(-1, len(asked))
-    ends = 4 + len(below)
-    good = np.isfinite(table[:, :4]).all(axis=1) & (table[:, 4:ends] >= 0).all(axis=1)
-    table = table[good & (np.nan_to_num(table[:, ends:]) != 0).all(axis=1), :4]
+    table = np.array([[_number(row[n]) for n in asked] for row in rows], float)
+    table, errors, flags = np.split(table.reshape(-1, len(asked)), [4, 4 + len(below)], axis=1)
+    good = np.isfinite(table).all(axis=1) & (errors >= 0).all(axis=1)
+    table = table[good & (np.nan_to_num(flags) != 0).all(axis=1)]
     table = table[np.sort(np.unique(table, axis=0, return_index=True)[1])]
     table = table[~filled_in(table[:, :2], table[:, 2:])]
     if not len(table):
-        raise InputError(f"{path}: expected points with finite numbers, got none")
+        raise InputError("expected points with finite numbers, got none")
     if len(np.unique(table[:, :2], axis=0)) < len(table):
-        raise InputError(f"{path}: expected one displacement for each point, some have two")
-    each, unit = _factors(path, units, size, unit)
-    x, u = each[:2] * table[:, :2], each[2:] * table[:, 2:]
+        raise InputError("expected one displacement for each point, some have two")
+    each, unit = _factors(units, size, unit)
+    x, u = np.split(each * table, 2, axis=1)
     return x - u if current else x, u, unit
-
-
-def _text(path: Path) -> str:
-    """A file's text: UTF-16 or UTF-8, else Latin-1."""
-    data = content(path)
-    try:
-        return data.decode(encoding_of(data))
-    except UnicodeDecodeError:
-        return data.decode("latin-1")
 
 
 def split(line: str) -> list[str]:
@@ -116,7 +101,7 @@ def split(line: str) -> list[str]:
     return re.split(r"\s+(?![\[(])", line.strip())
 
 
-def columns_of(path: Path, header: list[str]) -> tuple[list[int], list[str | None], bool] | None:
+def columns_of(header: list[str]) -> tuple[list[int], list[str | None], bool] | None:
     """Places of x, y, u and v, their units, and whether x and y are of the current frame.
 
     None where one is missing; InputError where two say the same.
@@ -133,7 +118,7 @@ def columns_of(path: Path, header: list[str]) -> tuple[list[int], list[str | Non
         if all(found):
             if many := next((places for places in found if len(places) > 1), None):
                 both = " and ".join(repr(header[n]) for n in many)
-                raise InputError(f"{path}: expected one column of a kind, got {both}")
+                raise InputError(f"expected one column of a kind, got {both}")
             return [n for (n,) in found], [units[n] for (n,) in found], rank == len(RANKS) - 1
     return None
 
@@ -152,19 +137,15 @@ def _unit(word: str | None) -> tuple[str | None, float] | None:
     return UNITS.get(re.sub("[µμ]", "u", (word or "").strip("[]()")).lower())
 
 
-def _number(path: Path, field: str) -> float:
+def _number(field: str) -> float:
     """A number, NaN for none; InputError for other text."""
     try:
-        return float(field)
+        return WORDS[field.lower()] if field.lower() in WORDS else float(field)
     except ValueError:
-        if field.lower() in WORDS:
-            return WORDS[field.lower()]
-    raise InputError(f"{path}: expected a number, got {field!r:.60}")
+        raise InputError(f"expected a number, got {field!r:.60}") from None
 
 
-def _factors(
-    path: Path, units: list[Any], size: float, unit: str | None
-) -> tuple[np.ndarray, str | None]:
+def _factors(units: list[Any], size: float, unit: str | None) -> tuple[np.ndarray, str | None]:
     """What x, y, u and v are multiplied by to be in the unit of x, shape [4], and its name.
 
     What says no unit is in that of x, displacements in that of their position.
@@ -172,24 +153,24 @@ def _factors(
     x, y, u, v = units
     words = [x, y or x, u or x, v or y or x]
     if unknown := [word for word in words if word and not _unit(word)]:
-        raise InputError(f"{path}: expected units of {', '.join(UNITS)}, got {unknown[0]!r}")
+        raise InputError(f"expected units of {', '.join(UNITS)}, got {unknown[0]!r}")
     known = [_unit(word) or (None, 1.0) for word in words]
     if None not in {n for n, _ in known} and (size, unit) not in ((1.0, None), (1.0, known[0][0])):
-        raise InputError(f"pixel: {path} is in {x}, expected that alone, got {size:g} {unit or ''}")
+        raise InputError(f"it is in {x}, expected no other pixel, got {size:g} {unit or ''}")
     known = [(name, one) if name else (unit, size) for name, one in known]
     if len({name is None for name, _ in known}) > 1:
         said = ", ".join(f"{axis} in {word or 'no unit'}" for axis, word in zip("xyuv", words))
-        raise InputError(f"{path}: expected one unit, or the size of a pixel with one, got {said}")
+        raise InputError(f"expected one unit, or the size of a pixel with one, got {said}")
     sizes = [LENGTHS.get(name or "", 1.0) for name, _ in known]
     return np.array([one * (at / sizes[0]) for (_, one), at in zip(known, sizes)]), known[0][0]
 
 
 def filled_in(x: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Points where a component of the displacement is a number that stands for a lost point.
+    """Points where a component of the displacement stands for a lost point: 0, −1, or what stands
+    there most often, in both components or in one.
 
-    So programs fill in what they lost, in both components or in one: 0, −1, or what stands there
-    most often. A plane through the nearest other points tells what a point that is there shows. Far
-    from those, one component alone tells nothing: that may be a part at rest.
+    A plane through the nearest other points tells what a point that is there shows. Far from those,
+    one component alone tells nothing: that may be a part at rest.
     """
     counted = [np.unique(values, return_counts=True) for values in u.T]
     suspect = (u == 0) | (u == -1) | (u == [values[n.argmax()] for values, n in counted])
@@ -265,9 +246,16 @@ def read_dic_frame(path: str | os.PathLike[str], *, pixel: float | str = 1.0) ->
     current frame that are named so are taken back to the reference. Raises InputError for a table
     that is not clearly one, or without points, and a pixel that is no length > 0.
     """
-    path, (size, unit) = Path(path), length_of(pixel)
-    x, u, unit = read_table(path, size, unit)
-    return DICFrame(x, u, path.name, unit)
+    data, (size, unit) = content(path), length_of(pixel)
+    try:
+        text = data.decode(encoding_of(data))
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")
+    try:
+        x, u, unit = read_table(text, size, unit)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return DICFrame(x, u, Path(path).name, unit)
 
 
 def length_of(pixel: float | str) -> tuple[float, str | None]:
@@ -291,7 +279,7 @@ def dic_to_lattice(
     spacing: Positive | None = None,
     radius: NotNegative = 0.0,
     reach: int = 3,
-    positions: str | None = None,
+    positions: Literal["reference", "current"] | None = None,
 ) -> Samples:
     """All frames on the nodes that most of them have, with the collar that a model needs.
 
@@ -319,8 +307,6 @@ def dic_to_lattice(
     if len(lengths) > 1:
         said = {frame.length: f"{frame.length or 'no unit'} in {frame.name}" for frame in frames}
         raise InputError(f"frames: expected one unit of length, got {', '.join(said.values())}")
-    if not radius >= 0:
-        raise InputError(f"radius: expected spacings ≥ 0, got {radius}")
     (length,) = lengths
     named = check_units(USUAL if length is None else (length, "MPa"))
     step = spacing_of(frames[0].x) if spacing is None else float(spacing)
@@ -359,7 +345,7 @@ def frames_of_folder(
     *,
     pixel: float | str = 1.0,
     radius: float,
-    positions: str | None = None,
+    positions: Any = None,
     stress: Sequence[float] = (),
     along: str = "x",
 ) -> Samples:
@@ -369,14 +355,12 @@ def frames_of_folder(
     with a warning: tables of forces lie beside frames.
 
     Args:
-        folder: with files for `read_dic_frame`.
+        folder, pixel: as for `read_dic_frame`.
         count: of frames.
-        pixel: as for `read_dic_frame`.
         radius, positions: as for `dic_to_lattice`.
         stress, along: a PULL, of the last frame or of every frame of the folder, and its axis.
 
-    Raises InputError for what is no folder, or has fewer than four frames; for a pixel, a count, a
-    radius or a stress of no sense.
+    Raises InputError for a folder of fewer than four frames, and for options of no sense.
     """
     length_of(pixel)
     if count < LEAST:
@@ -412,8 +396,6 @@ def frames_of_folder(
 
 def in_reference(frames: Sequence[DICFrame], positions: str | None) -> list[DICFrame]:
     """The frames with positions in the reference, as `dic_to_lattice` tells what they are."""
-    if positions not in (None, "reference", "current"):
-        raise InputError(f"positions: expected reference or current, got {positions!r}")
     back = [replace(frame, x=frame.x - frame.u) for frame in frames]
     if positions is None:
         given, taken = (_apart([frame.x for frame in some]) for some in (frames, back))
@@ -490,9 +472,8 @@ def surface(
     p, q = local = (frame.x[members] - x).T / step
     weight = np.exp(-(local**2).sum(axis=0) / radius**2)
     design = np.stack([np.ones_like(p), p, q, p * p, p * q, q * q], axis=1) * weight[:, None]
-    if np.linalg.matrix_rank(design, tol=1e-6) < 6:
-        return None
-    return np.asarray(np.linalg.lstsq(design, frame.u[members] * weight[:, None], rcond=None)[0][0])
+    u, _, rank, _ = np.linalg.lstsq(design, frame.u[members] * weight[:, None], rcond=1e-7)
+    return np.asarray(u[0]) if rank == 6 else None
 
 
 @typed

@@ -2,8 +2,7 @@
 
 G are gradients by stencils, H_q(x) = Σ_ξ u(x + ξ) ⊗ w_q(ξ), and W a function of torch of the Green
 strain E = (H + Hᵗ + HᵗH)/2. P = (1 + H) W′(E), of which a linear part L has what W is at rest.
-Force, products and slopes by numbers are torch's derivatives of W: none is written by hand. Fields
-are planes on a torus around the nodes that are felt, M places of it, components first.
+Fields are planes on a torus around the nodes that are felt, components first.
 """
 
 from __future__ import annotations
@@ -87,16 +86,13 @@ class Pointwise(Swept):
         horizon: of the longest bond of gradients and linear part [length].
         density: W(E, **numbers).
         steps: ξ/h of the gradients along the lattice's axes, shape [B, d].
-        weights: w_q(ξ) [1/length] in the coordinates of the points, shape [Q, B, d]. The density
-            of a node is the mean over q.
+        weights: w_q(ξ) [1/length] in the points' coordinates, [Q, B, d]; W is the mean over q.
         back: other weights for the force, which then has no energy.
         stencil: of a linear part, along the lattice's axes, which has the moduli of W at rest.
         numbers: of the density, by name.
 
-    Attributes:
-        full: nodes within the horizon of the interior, where H is taken, F of them.
-
-    Raises InputError as grid_of does, for interior nodes without a collar as wide as both.
+    The F nodes within the horizon of the interior, where H is taken, are `full`. Raises InputError
+    as grid_of does, for interior nodes without a collar.
     """
 
     def __init__(
@@ -282,9 +278,7 @@ class Pointwise(Swept):
 
     def largest_gradient(self, u: ArrayLike) -> np.ndarray:
         """Largest |H| of each field over the nodes `full`, shape [...]."""
-
-        H: Any = lambda u: self._gradient(self._field(u)).mean(3)  # noqa: E731
-        return self._swept(lambda u: H(u).norm(dim=(0, 1)).amax(-1), u)
+        return np.asarray(np.linalg.norm(self.gradients(u)[0], axis=(-2, -1)).max(axis=-1))
 
     def energy(self, u: ArrayLike) -> np.ndarray | None:
         """h^d Σ W(H) over the nodes `full` [stress · length^d], shape [...], without the linear

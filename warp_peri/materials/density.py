@@ -39,10 +39,10 @@ DIFFERENCE = 1e-4
 
 
 def sided_gradients(points: Any, horizon: float) -> tuple[np.ndarray, np.ndarray]:
-    """Steps [B, d] and weights [2^d, B, d] of gradients by least squares over one corner each.
+    """Steps [B, d] and weights [2^d, B, d] of gradients by least squares over one corner each, the
+    part of the family with coordinates of given signs, or zero.
 
-    A corner is the part of the family with coordinates of given signs, or zero. Unlike the gradient
-    of a whole family the gradients of all corners vanish together for rigid fields alone.
+    Unlike that of a whole family they vanish together for rigid fields alone.
     """
     d, (_, axes) = points.dimension, lattice_steps(points)
     half = half_ball(horizon / points.spacing, d)
@@ -210,7 +210,7 @@ class Density:
         parameters: where the fit starts, by name.
         loss: "forces" fits L u = b; "displacement" solves for u, for noise or few loads.
 
-    `fit` raises InputError for another loss, and samples without loads or displacement.
+    `fit` raises InputError for samples without loads or displacement.
 
     >>> def svk(E, lam, mu):
     ...     return lam / 2 * E.diagonal(dim1=-2, dim2=-1).sum(-1) ** 2 + mu * (E * E).sum((-1, -2))
@@ -225,10 +225,7 @@ class Density:
     loss: Literal["forces", "displacement"] = "forces"
 
     def learn(self, samples: Any) -> Fit:
-        """The fit by least squares, each sample over its load or displacement.
-
-        Raises InputError for another loss, and samples without loads or displacement.
-        """
+        """The fit by least squares, each sample over its load or displacement."""
         given = one_set(samples)
         points, inside = given.points, given.interior
         material = DensityMaterial.of(

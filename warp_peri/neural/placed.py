@@ -43,8 +43,7 @@ class Found:
         u: displacement of all nodes [length], shape [N, 2].
         residual: ‖force − b‖ over that of the start.
         steps: solves of the solid at rest.
-        converged: whether the residual is within the tolerance, or within rounding: networks in
-            single precision leave some 1e-7 of it.
+        converged: whether the residual is within the tolerance, or the networks' rounding.
     """
 
     u: np.ndarray
@@ -87,10 +86,10 @@ class EquilibriumSolver:
     def solve_by_continuation(
         self, b: ArrayLike, u: ArrayLike, *, tolerance: float = TOLERANCE
     ) -> Found:
-        """Where the force on the interior is b, on the branch that leaves the state of rest.
+        """Where the force on the interior is b, on the branch that leaves the state of rest; where
+        it is not found, what the solid at rest answers.
 
-        Arguments and errors are those of `solve`; what `u` has inside does not count. Where it is
-        not found, what the solid at rest answers is returned.
+        Arguments and errors are those of `solve`; what `u` has inside does not count.
         """
         load, given, enough = self._asked(b, u, tolerance)
         try:
@@ -121,16 +120,11 @@ MARGIN = 1 + 1e-4
 def interpolated_force(
     placed: Placed, u: torch.Tensor, *, cells: int = CELLS, offset: tuple[float, float] = (0.5, 0.5)
 ) -> torch.Tensor:
-    """Forces on the interior [stress/length], shape [S, I, 2], for u of shape [S, N, 2].
+    """Forces on the interior [stress/length], [S, I, 2], of an operator in fields u [S, N, 2].
 
-    Args:
-        placed: the operator on a lattice.
-        u: displacements [length].
-        cells: of the grid along each axis, not counting one more.
-        offset: share of a cell by which the grid begins before the range; drawn anew in every step
-            of a training, corners stand nowhere twice.
-
-    Differentiable in the material's numbers; the error falls with the square of 1/cells.
+    The force state is interpolated on a grid of so many cells along both axes, and one more, which
+    begins before the range by a share of a cell: drawn anew in every step of a training, corners
+    stand nowhere twice. The error falls with the square of 1/cells.
     """
     bonds, material, size = placed.bonds, placed.material, cells + 2
     omega, share, r = placed.shares(u.dtype)
@@ -167,12 +161,8 @@ class Placed(OperatorBase):
     """Minus the internal force density of a neural operator on a lattice; b in equilibrium."""
 
     def __init__(self, material: NeuralOperator, bonds: NetworkBonds) -> None:
-        self.material, self.bonds, self.points = material, bonds, bonds.points
-
-    @property
-    def model(self) -> Any:
-        """The material."""
-        return self.material
+        self.model = self.material = material
+        self.bonds, self.points = bonds, bonds.points
 
     def inverse(self, loads: int) -> Inverse:
         """Of the solid at rest, of a load on the interior."""
@@ -186,8 +176,7 @@ class Placed(OperatorBase):
         """Equilibrium with b on the interior, u given on the collar, shape [N, 2] or [S, N, 2].
 
         The details of the solution are what EquilibriumSolver found of each sample. Raises
-        InputError for arrays that do not fit or are not finite, and for a sample without an
-        equilibrium, naming it.
+        InputError for arrays that do not fit, and for a sample without an equilibrium.
         """
         refuse_solver(solver, (Newton,), "a neural operator")
         asked = solver if isinstance(solver, Newton) else Newton()
@@ -223,7 +212,7 @@ class Placed(OperatorBase):
 
     def jvp(self, u: Any, v: Any) -> np.ndarray:
         """Derivative of the force at u along v, both [N, 2] or [S, N, 2]."""
-        pairs = zip(self._taken(u), self._taken(v, "v"), strict=True)
+        pairs = zip(self._taken(u), self._taken(v), strict=True)
         found = [self.tangent(field) @ one.double().numpy().ravel() for field, one in pairs]
         return np.reshape(found, (*np.shape(v)[:-2], -1, 2))
 
@@ -253,22 +242,19 @@ class Placed(OperatorBase):
             slopes = torch.autograd.grad(state.sum(), by)
         t, to_theta, to_e = (one.detach().double().numpy() for one in (state, *slopes))
         Y = bonds.xi + x[bonds.ends] - x[bonds.whole][:, None]
-        length = np.linalg.norm(Y, axis=-1)
-        forward, back, M = bonds.forward, bonds.back, Y / length[..., None]
-        own, ends = M[bonds.own], bonds.ends[bonds.own]
-        along = own[..., :, None] * own[..., None, :]
-        turning = ((t[forward] + t[back]) / length[bonds.own])[..., None, None]
-        stretching = (to_e[forward] + to_e[back])[..., None, None] - turning
-        of_bonds = stretching * along + turning * np.eye(2)
-        J = _differences(of_bonds, ends, bonds.whole[bonds.own], len(x))
-        average = (share.double().numpy()[:, None] * M)[..., None, :]
-        dilating = _differences(average, bonds.ends, bonds.whole, len(x))
-        pulls = [
-            (slope[..., None] * own)[..., None] for slope in (to_theta[forward], to_theta[back])
-        ]
-        nodes = np.concatenate([bonds.own[:, None], bonds.row[ends]], axis=1)
-        pull = np.concatenate([pulls[0].sum(axis=1, keepdims=True), pulls[1]], axis=1)
-        J = J + _assembled(pull, nodes, len(bonds.whole)) @ dilating
+        length = np.linalg.norm(Y, axis=-1)[..., None]
+        M, own, node, place = Y / length, bonds.own, bonds.node, bonds.place
+        along, far = M[node, place][:, None, None], bonds.ends[node, place][:, None]
+        by_e = sp.diags_array(to_e) @ _differences(along, far, bonds.whole[node], len(x))
+        average = (share.double().numpy()[:, None] * M)[:, :, None]
+        dilatation = _differences(average, bonds.ends, bonds.whole, len(x))
+        by_theta = sp.csr_array((to_theta, node, np.arange(len(t) + 1)), (len(t), len(M)))
+        both = np.concatenate([bonds.forward, bonds.back], axis=1)
+        pull = _blocks(np.tile(M[own], (1, 2, 1))[..., None], both, len(t))
+        J = pull @ by_e + (pull @ by_theta) @ dilatation
+        across = np.eye(2) - M[own][..., :, None] * M[own][..., None, :]
+        turning = ((t[bonds.forward] + t[bonds.back])[..., None] / length[own])[..., None] * across
+        J = J + _differences(turning, bonds.ends[own], bonds.whole[own], len(x))
         return sp.csr_array(-(self.points.spacing**2) * J)
 
     def stress(self, u: Any) -> np.ndarray:
@@ -328,30 +314,24 @@ class Placed(OperatorBase):
         """The material's precision."""
         return next(self.material.parameters()).dtype
 
-    def _taken(self, u: Any, name: str = "u") -> torch.Tensor:
+    def _taken(self, u: Any) -> torch.Tensor:
         """Fields [S, N, 2] in the material's precision; InputError for other shapes."""
-        u, nodes = plain(name, u), len(self.points.x)
-        if u.ndim not in (2, 3) or u.shape[-2:] != (nodes, 2) or not len(u):
-            raise InputError(
-                f"{name}: expected shape [{nodes}, 2] or [S, {nodes}, 2], S ≥ 1, got {[*u.shape]}"
-            )
-        fields = np.ascontiguousarray(u.reshape(-1, nodes, 2))
-        return torch.as_tensor(fields, dtype=self.dtype)
+        u = plain("u", u)
+        self.check(u)
+        return torch.as_tensor(np.ascontiguousarray(u.reshape(-1, *self.shape)), dtype=self.dtype)
 
 
-def _differences(blocks: np.ndarray, ends: np.ndarray, own: np.ndarray, count: int) -> sp.csr_array:
+def _differences(blocks: np.ndarray, ends: np.ndarray, own: np.ndarray, count: int) -> sp.bsr_array:
     """Σ over bonds of blocks [n, B, k, 2] times v_end − v_own, sparse [k n, 2 count]."""
     blocks = np.concatenate([blocks, -blocks.sum(axis=1, keepdims=True)], axis=1)
-    return _assembled(blocks, np.column_stack([ends, own]), count)
+    return _blocks(blocks, np.column_stack([ends, own]), count)
 
 
-def _assembled(blocks: np.ndarray, nodes: np.ndarray, count: int) -> sp.csr_array:
-    """Blocks [n, m, k, c] in the columns of nodes [n, m], sparse [k n, c count]."""
-    n, _, k, c = blocks.shape
-    row = k * np.arange(n)[:, None, None, None] + np.arange(k)[:, None]
-    column = c * nodes[..., None, None] + np.arange(c)
-    place = tuple(np.broadcast_to(one, blocks.shape).ravel() for one in (row, column))
-    return sp.csr_array((blocks.ravel(), place), shape=(k * n, c * count))
+def _blocks(values: np.ndarray, columns: np.ndarray, count: int) -> sp.bsr_array:
+    """Blocks [n, m, k, c] in so many columns [n, m] of a count, sparse [k n, c count]."""
+    (n, m), (*_, k, c) = columns.shape, values.shape
+    blocks = values.reshape(-1, k, c), columns.ravel(), m * np.arange(n + 1)
+    return sp.bsr_array(blocks, shape=(k * n, c * count))
 
 
 def affine(samples: Samples, u: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ import io
 import math
 import os
 import time
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -214,12 +214,11 @@ def train(
         samples: to learn from; every interior node counts.
         val: to choose the epoch by.
         training: settings; with more epochs than a checkpoint has, the work goes on.
-        checkpoint: a file of weights, Adam's state and the curve, written at the end of epochs,
-            every ten seconds.
+        checkpoint: a file of all that is needed to go on, written every ten seconds.
         progress: a bar on stderr.
 
-    Raises InputError for no samples, a sample of zero load among loads, or at rest among frames,
-    loads in one set alone, a checkpoint of other settings or samples, and a training that diverges.
+    Raises InputError for no samples, one of zero load or a frame at rest, loads in one set alone, a
+    checkpoint of other settings or samples, and a training that diverges.
     """
     if not (len(samples) and len(val)):
         raise InputError("samples: expected at least one, got none")
@@ -227,26 +226,21 @@ def train(
         asked = "no loads" if samples.b is None else "loads"
         raise InputError(f"validation: expected {asked}, as the training samples have")
     kind = Frames if samples.b is None else _Loads
-    learned, unseen = kind(material, samples), kind(material, val)
-    run = _Run(material, learned, unseen, training)
-    file = ArrayFile(checkpoint, run.key(), "another training: other settings, samples or start")
+    run = _Run(material, kind(material, samples), kind(material, val), training)
+    file = ArrayFile(checkpoint, run.key, "another training: other settings, samples or start")
     run.resume(file)
-    every = torch.arange(len(unseen.u))
-    began, spent, saved = time.perf_counter(), run.history.seconds, time.perf_counter()
-    bar = tqdm(
-        total=training.epochs, initial=run.history.epochs, unit="epoch", disable=not progress
-    )
-    while run.history.epochs < training.epochs:
+    history, now = run.history, time.perf_counter()
+    began, saved = now - history.seconds, now
+    bar = tqdm(total=training.epochs, initial=history.epochs, unit="epoch", disable=not progress)
+    while history.epochs < training.epochs:
         error = run.epoch()
-        epoch, last = run.history.epochs, run.history.epochs == training.epochs
-        run.history.seconds = spent + time.perf_counter() - began
+        history.seconds = time.perf_counter() - began
         bar.update()
-        if last or epoch % LOOKED == 0:
-            with torch.no_grad():
-                other = float(unseen.errors(every, training.cells).mean())
-            run.look(error, other)
+        last = history.epochs == training.epochs
+        if last or history.epochs % LOOKED == 0:
+            other = run.look(error)
             bar.set_postfix(train=f"{100 * error:.2f} %", val=f"{100 * other:.2f} %")
-        if checkpoint is not None and (last or time.perf_counter() - saved > SAVED):
+        if last or time.perf_counter() - saved > SAVED:
             run.save(file)
             saved = time.perf_counter()
     bar.close()
@@ -255,11 +249,15 @@ def train(
             f"training: no look found a finite error; a rate below {training.rate:g} may have one"
         )
     material.load_state_dict(run.kept)
-    return run.history
+    return history
 
 
 class _Run:
-    """A training as it stands."""
+    """A training as it stands.
+
+    Attributes:
+        key: what a checkpoint must be of: all but how many epochs are asked for.
+    """
 
     def __init__(
         self,
@@ -273,7 +271,8 @@ class _Run:
         self.adam = torch.optim.Adam(material.parameters(), lr=training.rate)
         self.random = torch.Generator().manual_seed(training.seed)
         self.history, self.least = TrainingHistory(), math.inf
-        self.begun = fingerprint(material.state_dict(), material.scale)
+        same = replace(training, epochs=1)
+        self.key = fingerprint(same, material, learned.samples, unseen.samples)
         self.kept: dict[str, torch.Tensor] = {}
         if isinstance(learned, _Loads):
             with torch.no_grad():
@@ -289,27 +288,24 @@ class _Run:
             group["lr"] = training.rate * _share(self.history.epochs, training.epochs)
         total = 0.0
         for some in torch.randperm(count, generator=self.random).split(training.batch):
-            offset = torch.rand(2, generator=self.random).tolist()
+            x, y = torch.rand(2, generator=self.random).tolist()
             self.adam.zero_grad()
-            errors = self.learned.learn(some, training.cells, (offset[0], offset[1]))
+            errors = self.learned.learn(some, training.cells, (x, y))
             self.adam.step()
             total += float(errors.sum()) / count
         self.history.epochs += 1
         return total
 
-    def look(self, error: float, other: float) -> None:
-        """Write the errors down, and keep the numbers if they are the best."""
+    @torch.no_grad()
+    def look(self, error: float) -> float:
+        """The validation error; the numbers are kept if they are the best."""
+        every = torch.arange(len(self.unseen.u))
+        other = float(self.unseen.errors(every, self.training.cells).mean())
         self.history.curve.append((self.history.epochs, error, other))
         if error + other < self.least:
             self.least, self.history.best = error + other, self.history.epochs
             self.kept = {key: part.clone() for key, part in self.material.state_dict().items()}
-
-    def key(self) -> str:
-        """What a checkpoint must be of: all but how many epochs are asked for."""
-        known = {**asdict(self.training), **self.material.content()}
-        for name in ("epochs", "provenance", "scale"):
-            del known[name]
-        return fingerprint(known, self.learned.samples, self.unseen.samples, self.begun)
+        return other
 
     def save(self, file: ArrayFile) -> None:
         """Everything that is needed to go on."""
@@ -329,10 +325,10 @@ class _Run:
         )
         if state is None:
             return
-        history = state["history"]
-        if history["epochs"] > self.training.epochs:
+        self.history = TrainingHistory(**state["history"])
+        if self.history.epochs > self.training.epochs:
             raise InputError(
-                f"{file.path}: expected at least its {history['epochs']} epochs, got "
+                f"{file.path}: expected at least its {self.history.epochs} epochs, got "
                 f"{self.training.epochs}; name another file for a shorter training"
             )
         if isinstance(self.learned, Frames):
@@ -341,7 +337,6 @@ class _Run:
         self.adam.load_state_dict(state["adam"])
         self.random.set_state(state["random"])
         self.material.scale, self.least, self.kept = map(state.get, ("scale", "least", "kept"))
-        self.history = TrainingHistory(**history)
 
 
 def _share(epoch: int, epochs: int) -> float:

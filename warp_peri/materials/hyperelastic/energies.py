@@ -275,10 +275,8 @@ class Hyperelastic:
         return torch.stack([e.density(sees, e.angle, e.exponent) for e, sees in own])
 
     def learn(self, samples: Samples, **options: Any) -> Any:
-        """An EnergyFit where there are loads, by fit_energy, else a DisplacementFit.
-
-        `options` are those of the two functions, and the errors theirs. Loads need no progress.
-        """
+        """An EnergyFit by fit_energy where there are loads, else a DisplacementFit by
+        fit_displacement; options and errors are theirs."""
         if samples.b is None:
             learned: Any = hyperelastic.from_displacement.fit_displacement
         else:
@@ -293,12 +291,10 @@ class Hyperelastic:
 
 
 def strain_weights(reach: float, order: int, *, locality: float = 16.0) -> np.ndarray:
-    """Weights w of the nodal Green strain (H3) on a lattice of spacing one, shape [C, 3].
+    """Weights w of E11, E22 and 2 E12 (H3) on a lattice of spacing one, shape [C, 3].
 
     Least Σ w² |ξ|^(4 + locality) among those exact for the second moments, and with vanishing
-    fourth moments for order 4. Columns: E11, E22, 2 E12.
-
-    Raises InputError where the family is too small for the order.
+    fourth moments for order 4. Raises InputError where the family is too small for the order.
     """
     x, y = half_family(reach).T.astype(float)
     powers = [(2, 0), (0, 2), (1, 1)]

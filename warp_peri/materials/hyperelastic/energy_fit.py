@@ -55,33 +55,45 @@ def columns(op: HyperelasticSheetOperator, u: np.ndarray, moving: Sequence[int] 
 
 
 def equations(
+    op: HyperelasticSheetOperator,
+    fields: np.ndarray,
+    loads: np.ndarray,
+    weights: np.ndarray,
+    moving: Sequence[int] = (),
+) -> tuple[np.ndarray, np.ndarray]:
+    """R and y of the `columns` and loads inside of fields, in few rows, (H11).
+
+    ‖R c − y‖ is the norm of what forces leave of the loads, times weights of shape [S, 1 or 2 I].
+    """
+    R, y = np.zeros((0, len(op.model.coefficients) + 2 * len(moving))), np.zeros(0)
+    for u, b, weight in zip(fields, loads, weights):
+        R = np.concatenate([R, columns(op, u, moving) * weight[:, None]])
+        R, y = compressed(R, np.append(y, b.ravel() * weight))
+    return R, y
+
+
+def of_samples(
     op: HyperelasticSheetOperator, samples: Samples, moving: Sequence[int] = ()
 ) -> tuple[np.ndarray, np.ndarray]:
-    """R and y of the `columns` and loads, each sample over its load, in few rows (H11).
+    """The same of samples, whose ‖R c − y‖ is the root of the mean squared relative residual.
 
-    ‖R c − y‖ is the root of the mean squared relative residual. Raises InputError where there are
-    no samples, or one without load.
+    Raises InputError where there are no samples, or one without load.
     """
-    if not (len(samples) and load_sizes(samples).all()):
+    if not (len(samples) and (sizes := load_sizes(samples)).all()):
         raise InputError(
             "samples: expected some, and a load on the interior of each, got one without; "
             "without loads learn from displacement alone"
         )
-    sizes = load_sizes(samples) * np.sqrt(len(samples))
-    R, y = np.zeros((0, len(op.model.coefficients) + 2 * len(moving))), np.zeros(0)
-    for u, b, size in zip(samples.u, samples.loads[:, op.interior], sizes):
-        R = np.concatenate([R, columns(op, u, moving) / size])
-        R, y = compressed(R, np.append(y, b / size))
-    return R, y
+    weights = 1 / (sizes[:, None] * np.sqrt(len(samples)))
+    return equations(op, samples.u, samples.loads[:, op.interior], weights, moving)
 
 
 def between(
     J: np.ndarray, y: np.ndarray, now: np.ndarray, bounds: Any, damping: float, held: Any = NONE
 ) -> np.ndarray:
-    """The x between two bounds of least |J x − y|², shape [K].
+    """The x between two bounds of least |J x − y|², its steps from `now` damped as Levenberg does.
 
-    Steps from `now` are damped as Levenberg does, but for the products of x with the rows `held`,
-    which stay about what they are.
+    Products of x with the rows `held` stay about what they are.
     """
     length = np.linalg.norm(J, axis=0)
     length[length == 0] = 1.0
@@ -125,7 +137,7 @@ def _fitted(
     op: HyperelasticSheetOperator, samples: Samples, lower: np.ndarray, ridge: float = RIDGE
 ) -> tuple[HyperelasticMaterial, float]:
     """Least squares over coefficients ≥ `lower`, and the residual."""
-    R, y = equations(op, samples)
+    R, y = of_samples(op, samples)
     start, most = np.where(np.isfinite(lower), lower, 0.0), np.full(len(lower), np.inf)
     c = between(R, y, start, (lower, most), ridge)
     solid = replace(op.model, coefficients=c, stretch=op.largest_stretch(samples.u))
@@ -152,8 +164,8 @@ def fit_energy(
             only, and the other coefficients have any sign.
         ridge: relative weight of the coefficients' squared length.
 
-    Raises InputError for positive with a dictionary that guarantees nothing, or samples as for
-    equations().
+    Raises InputError for positive with a dictionary that guarantees nothing, for no samples, and
+    for one without load.
     """
     if positive and not dictionary.guaranteed:
         raise InputError("positive: expected energies that are convex and stress-free at rest only")
@@ -179,8 +191,7 @@ def fit_fibre_families(
     Args:
         samples: with loads.
         matrix: kinds of the energies beside the fibres.
-        deviations: as for Dictionary.
-        stiffness: least coefficient of the deviations.
+        deviations: as of Hyperelastic; `stiffness` is their least coefficient.
         directions: of the first fit.
         most_steps: of Gauss and Newton.
     """
@@ -212,7 +223,7 @@ def _moved(
     @lru_cache(1)  # the loss and its slopes are asked for one after the other
     def state(x: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
         here = op.changed(with_numbers(op.model, moving, np.array(x)), None)
-        R, y = equations(here, samples, moving)
+        R, y = of_samples(here, samples, moving)
         return R[:, :K] @ x[:K] - y, R
 
     numbers, (least, most) = fibre_numbers(op.model.dictionary, moving)

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from warp_peri.errors import warn
-from warp_peri.materials.hyperelastic.lattice import BandFactors, softest
+from warp_peri.materials.hyperelastic.lattice import softest
 from warp_peri.points.arrays import checked_fields
 from warp_peri.solvers.direct import lanczos_start, smallest_eigenvalue
 from warp_peri.solvers.equilibria import Inner, direction, stable_way
@@ -56,7 +56,7 @@ class Equilibrium:
 def stable_equilibrium(
     op: Any, b: np.ndarray | None, u: np.ndarray, tolerance: float = TOLERANCE
 ) -> Equilibrium:
-    """As find_equilibrium, with the smallest eigenvalue.
+    """As find_equilibrium, with the smallest eigenvalue, above zero.
 
     Warns where the answer is not followed from rest. Raises NoEquilibriumError where there is none.
     """
@@ -80,7 +80,7 @@ def find_equilibrium(
     u: np.ndarray,
     *,
     start: np.ndarray | None = None,
-    near: BandFactors | None = None,
+    near: Inner | None = None,
     tolerance: float = TOLERANCE,
 ) -> Equilibrium | None:
     """The equilibrium of a sheet, its smallest eigenvalue NaN; None where no stable one is found.
@@ -90,9 +90,8 @@ def find_equilibrium(
         b: body force on all nodes [stress / length], shape [N, 2]; none for no load.
         u: displacement, shape [N, 2]; read on the collar only.
         start: where to begin, shape [N, 2]; at the harmonic extension of the collar without.
-        near: factors of a tangent near the start, by which Newton's way is tried first. Only
-            conjugate gradients look for negative curvature then, in a few directions; else the
-            tangent was positive definite in the last step.
+        near: the inverse of a tangent near the start, with which Newton's way is tried first; only
+            conjugate gradients look for negative curvature then, in a few directions.
         tolerance: of the residual, relative to the largest force.
 
     Raises InputError for values that are not finite on the collar.
@@ -101,13 +100,10 @@ def find_equilibrium(
     collar[op.interior] = 0.0
     sheet = Sheet(op, load[op.interior], collar)
     if (times := sheet.too_small()) > 1:
-        more: dict[str, Any] = {
-            "start": None if start is None else times * start,
-            "tolerance": tolerance,
-        }
-        larger = find_equilibrium(op, None if b is None else times * b, times * u, **more)
+        start = None if start is None else times * start
+        larger = find_equilibrium(op, times * load, times * u, start=start, tolerance=tolerance)
         return larger and replace(larger, u=larger.u / times)
-    for inverse in (near.inverse, None) if near else (None,):
+    for inverse in (near, None) if near else (None,):
         found, steps, parts, followed = stable_way(sheet, start, inverse, tolerance)
         if found is not None:
             left, scale = sheet.left(found)
@@ -124,10 +120,9 @@ def smallest_of_tangent(op: Any, u: np.ndarray) -> float:
     """
     sheet, size = Sheet(op, np.zeros((1, 2)), u), 2 * len(op.interior)
     if sheet.rough is None:
-        factors = op.factors(u)[0]
-        if factors is None:  # what is nearest to zero need not be the smallest
-            return smallest_eigenvalue(op.interior_tangent(u))
-        return softest(size, factors.solve, 1e-3)
+        if inverse := op.factors(u)[0]:
+            return softest(size, inverse, 1e-3)
+        return smallest_eigenvalue(op.interior_tangent(u))  # the nearest to zero may be another
 
     def flat(apply: Inner) -> LinearOperator:
         of_flat = lambda p: apply(p.reshape(-1, 2)).ravel()  # noqa: E731
@@ -185,8 +180,8 @@ class Sheet:
 
     def inverse(self, u: np.ndarray, shifts: bool) -> tuple[Inner | None, bool]:
         """The inverse of the tangent, or of one that is positive definite, and whether it is."""
-        factors, stable = self.op.factors(u, shifts)
-        return factors and factors.inverse, stable
+        found: tuple[Inner | None, bool] = self.op.factors(u, shifts)
+        return found
 
     @property
     def rough(self) -> Inner | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import defaultdict
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -10,12 +11,14 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_text
-from warp_peri.materials.hyperelastic.energies import FIBRES, EnergyTerm
+from warp_peri.materials.hyperelastic.energies import EnergyTerm
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.points.arguments import typed
 
 COMPRESSIBLE = {"neo_hookean", "volumetric"}
 INCOMPRESSIBLE = {"plane_stress", "mooney"}
+BULK = 2000.0
+"""Of an incompressible mixture, times C1 + C2: a thousand times the shear modulus."""
 
 
 def febio_material(solid: HyperelasticMaterial) -> str:
@@ -25,52 +28,44 @@ def febio_material(solid: HyperelasticMaterial) -> str:
     and "fiber-exp-pow" for each family, which is the learned energy exactly in plane strain. With
     plane_stress and mooney it is an incompressible mixture ("Mooney-Rivlin" and
     "fiber-exp-pow-uncoupled"), the learned energy exactly in plane stress and in the limit of its
-    bulk modulus, which is set to a thousand times the shear modulus. Deviations, which
-    belong to the lattice, are left out.
+    bulk modulus. Deviations, which belong to the lattice, are left out.
 
-    Args:
-        solid: whose only other energies are fibre exponentials.
-
-    Raises InputError for a solid with bonds or with energies that FEBio has no name for.
+    Raises InputError for a solid with bonds, or with energies beside these and fibre exponentials.
     """
     if np.any(solid.coefficients[: solid.dictionary.first_deviation]):
         raise InputError("solid: expected no bond energies, which FEBio does not know")
-    active = material_terms(solid)
+    active, fibre = material_terms(solid), "fiber-exp-pow"
     matrix = {term.kind: value for term, value in active if term.kind != "fibre_exponential"}
-    if not matrix or not (set(matrix) <= COMPRESSIBLE or set(matrix) <= INCOMPRESSIBLE):
+    c = defaultdict(float, matrix)
+    root = ElementTree.Element("material", id="1", name="sheet", type="solid mixture")
+    if matrix and set(matrix) <= INCOMPRESSIBLE:
+        root.set("type", "uncoupled solid mixture")
+        fibre += "-uncoupled"
+        _numbers(root, k=BULK * sum(matrix.values()))
+        ground = {"c1": c["plane_stress"], "c2": c["mooney"]}
+        _numbers(ElementTree.SubElement(root, "solid", type="Mooney-Rivlin"), **ground)
+    elif matrix and set(matrix) <= COMPRESSIBLE:
+        ground = {"k1": 0.0, "k2": 1.0, "gamma": 0.0, "kappa": 0.0}
+        ground |= {"c": 2 * c["neo_hookean"], "k": 2 * c["volumetric"]}
+        _numbers(ElementTree.SubElement(root, "solid", type="HGO unconstrained"), **ground)
+    else:
         raise InputError(
             "solid: expected neo_hookean and volumetric, or plane_stress and mooney, and fibre "
             f"exponentials; got {', '.join(sorted({term.kind for term, _ in active}))}"
         )
-    root = _ground(matrix)
-    kind = "fiber-exp-pow-uncoupled" if set(matrix) <= INCOMPRESSIBLE else "fiber-exp-pow"
     for term, value in active:
         if term.kind == "fibre_exponential":
-            fibre = ElementTree.SubElement(root, "solid", type=kind)
-            for key, number in (("ksi", value), ("alpha", term.exponent), ("beta", 2.0)):
-                _number(fibre, key, number)
-            axis = ElementTree.SubElement(fibre, "fiber", type="angles")
-            _number(axis, "theta", np.rad2deg(term.angle))
-            _number(axis, "phi", 90.0)
+            family = ElementTree.SubElement(root, "solid", type=fibre)
+            _numbers(family, ksi=value, alpha=term.exponent, beta=2.0)
+            axis = ElementTree.SubElement(family, "fiber", type="angles")
+            _numbers(axis, theta=np.rad2deg(term.angle), phi=90.0)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def _ground(matrix: dict[str, float]) -> ElementTree.Element:
-    """The mixture with its matrix."""
-    if set(matrix) <= INCOMPRESSIBLE:
-        numbers = {"c1": matrix.get("plane_stress", 0.0), "c2": matrix.get("mooney", 0.0)}
-        root = ElementTree.Element("material", id="1", name="sheet", type="uncoupled solid mixture")
-        _number(root, "k", 2000 * sum(numbers.values()))
-        ground = ElementTree.SubElement(root, "solid", type="Mooney-Rivlin")
-    else:
-        root = ElementTree.Element("material", id="1", name="sheet", type="solid mixture")
-        ground = ElementTree.SubElement(root, "solid", type="HGO unconstrained")
-        numbers = {"k1": 0.0, "k2": 1.0, "gamma": 0.0, "kappa": 0.0}
-        numbers |= {"c": 2 * matrix.get("neo_hookean", 0.0), "k": 2 * matrix.get("volumetric", 0.0)}
+def _numbers(parent: ElementTree.Element, **numbers: float) -> None:
     for key, value in numbers.items():
-        _number(ground, key, value)
-    return root
+        ElementTree.SubElement(parent, key).text = repr(float(value))
 
 
 @typed
@@ -93,17 +88,13 @@ def material_terms(solid: HyperelasticMaterial) -> list[tuple[EnergyTerm, float]
 @typed
 def in_words(solid: HyperelasticMaterial) -> list[str]:
     """What the coefficients say, one line for each number."""
-    values = dict.fromkeys(COMPRESSIBLE | INCOMPRESSIBLE, 0.0)
-    matrix, fibres = list[str](), list[str]()
-    for term, value in material_terms(solid):
-        if term.kind in values:
-            values[term.kind] = value
-        elif value > 0 and term.kind in FIBRES:
-            told = (
-                "{:.4g}, power {:.3g}" if term.kind == "fibre_power" else "k1 = {:.4g}, k2 = {:.3g}"
-            )
+    active, matrix, fibres = material_terms(solid), list[str](), list[str]()
+    values = defaultdict(float, {term.kind: value for term, value in active})
+    told = {"fibre_power": "{:.4g}, power {:.3g}", "fibre_exponential": "k1 = {:.4g}, k2 = {:.3g}"}
+    for term, value in active:
+        if value > 0 and term.is_fibre:
             at = np.rad2deg(np.mod(term.angle, np.pi))
-            fibres.append(f"fibres at {at:.1f}°: {told.format(value, term.exponent)}")
+            fibres.append(f"fibres at {at:.1f}°: {told[term.kind].format(value, term.exponent)}")
     if values["neo_hookean"]:
         shear, bulk = 2 * values["neo_hookean"], values["volumetric"]
         ratio = 3 * bulk / shear  # (1 + ν)/(1 − 2ν) of the published energy
@@ -115,7 +106,3 @@ def in_words(solid: HyperelasticMaterial) -> list[str]:
         more = f" (Mooney and Rivlin: C1 = {C1:.4g}, C2 = {C2:.4g})" if C2 else ""
         matrix.append(f"incompressible matrix: shear modulus {2 * (C1 + C2):.4g}{more}")
     return matrix + fibres
-
-
-def _number(parent: ElementTree.Element, key: str, value: float) -> None:
-    ElementTree.SubElement(parent, key).text = repr(float(value))

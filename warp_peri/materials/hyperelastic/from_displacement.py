@@ -1,8 +1,4 @@
-"""Energies and thickness fitted to displacement alone.
-
-Unknowns are coefficients, directions and exponents of fibres, and numbers of the thickness; (H12)
-is their loss, (H13) and (H18) its slopes through the equilibrium.
-"""
+"""Energies, fibres and thickness fitted to displacement alone: (H12), its slopes (H13), (H18)."""
 
 from __future__ import annotations
 
@@ -17,7 +13,13 @@ from tqdm import tqdm
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.rows import compressed
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
-from warp_peri.materials.hyperelastic.energy_fit import between, columns, lower_bounds, sheet_on
+from warp_peri.materials.hyperelastic.energy_fit import (
+    between,
+    columns,
+    equations,
+    lower_bounds,
+    sheet_on,
+)
 from warp_peri.materials.hyperelastic.equilibrium import (
     SMALLEST_AREA,
     NoEquilibriumError,
@@ -32,12 +34,7 @@ from warp_peri.points.samples import PULL, Samples, seen_of
 
 
 class Sections:
-    """Lines of nodes across an axis from edge to edge of a sheet, with such lines on both sides.
-
-    Args:
-        frames: displacement on a lattice along x and y.
-        dictionary: of the energies, whose 2δ is how far lines on both sides go.
-        axis: 0 for x, 1 for y.
+    """Lines of nodes across an axis from edge to edge of a sheet, with such lines for 2δ around.
 
     Beyond the edges displacement goes on as its mirror image in the point there. Raises InputError
     where a hole or an edge leaves no such line.
@@ -69,10 +66,8 @@ class Sections:
     def stress(
         self, n: int, solid: HyperelasticMaterial, thickness: ThicknessField | None
     ) -> np.ndarray:
-        """Pull over width and mean thickness on every line of a frame, shape [L].
-
-        Without deviations: they belong to the lattice, and see noise at edges.
-        """
+        """Pull over width and mean thickness on every line of a frame, shape [L], without
+        deviations: they belong to the lattice, and see noise at edges."""
         c, of_nodes = solid.coefficients.copy(), None
         c[solid.dictionary.first_deviation : solid.dictionary.first_term] = 0.0
         if thickness is not None:
@@ -134,11 +129,10 @@ class Place:
     """Where a search stands: unknowns, equilibria and what both are to first order.
 
     Attributes:
-        x: unknowns: coefficients, angles and exponents of the fibres that move, numbers of the
-            thickness, shape [T].
+        x: coefficients, angles and exponents of fibres, numbers of the thickness, shape [T].
         fields: of all frames, shape [S, N, 2].
-        slopes: of the frames that have an equilibrium, by number, those of the displacement inside
-            by the unknowns, shape [2 I, T].
+        slopes: of the displacement inside by the unknowns, [2 I, T], of each frame that has an
+            equilibrium, by number.
         equations: of these, rows whose squared sum is the loss: slopes, and errors as they are.
     """
 
@@ -147,10 +141,14 @@ class Place:
     slopes: dict[int, np.ndarray]
     equations: dict[int, np.ndarray]
 
+    def errors(self, change: Any = 0.0) -> np.ndarray:
+        """Relative errors of these frames after a change of the unknowns, to first order."""
+        moved = np.append(change + 0 * self.x, 1.0)
+        return np.array([np.linalg.norm(rows @ moved) for rows in self.equations.values()])
+
     def loss(self, change: Any = 0.0) -> float:
-        """Sum of squared relative errors after a change of the unknowns, to first order."""
-        rows = np.concatenate([*self.equations.values()])
-        return float(((rows[:, :-1] @ (change + 0 * self.x) + rows[:, -1]) ** 2).sum())
+        """The sum of their squares."""
+        return float((self.errors(change) ** 2).sum())
 
     @property
     def rms(self) -> float:
@@ -188,7 +186,7 @@ class Search:
         if not len(self.data):
             raise InputError("frames: expected one or more")
         seen = np.repeat(seen_of(frames)[:, self.inner], 2, axis=1)
-        size = np.linalg.norm(self._inside(self.data) * seen, axis=1)
+        size = np.linalg.norm(self.data[:, self.inner].reshape(seen.shape) * seen, axis=1)
         if not size.all():
             raise InputError(
                 f"frames: expected interiors that move, frame {size.argmin()} is at rest"
@@ -200,8 +198,6 @@ class Search:
         self.sections = {axis: Sections(frames, dictionary, axis) for axis in {*self.pulled[:, 1]}}
         self.own = slice(dictionary.first_deviation, dictionary.first_term)
         self.measure = dictionary.stiffness
-        if not self.measure.any():
-            raise InputError("dictionary: expected an energy with stiffness at rest")
         self.moving = fibres_of(dictionary) if moving else []
         fibres, (least, most) = fibre_numbers(dictionary, self.moving)
         thick = np.zeros(0) if thickness is None else thickness.numbers
@@ -212,11 +208,6 @@ class Search:
         self.reach = np.concatenate([free, turns, np.minimum(none, THICKEN)])
         self.rest = np.append(fibres, thick)
 
-    def _inside(self, fields: np.ndarray) -> np.ndarray:
-        """Of fields [..., N, 2] the interior in a row, [..., 2 I]."""
-        inside = fields[..., self.inner, :]
-        return inside.reshape(*inside.shape[:-2], -1)
-
     def scaled(self, c: np.ndarray) -> np.ndarray:
         """The same material with an initial stiffness of one."""
         size = float(self.measure @ c)
@@ -226,13 +217,10 @@ class Search:
 
     def equation_error(self) -> np.ndarray:
         """Coefficients of least internal force on the measured fields; biased under noise."""
-        J = np.zeros((0, len(self.measure)))
-        for u, weight in zip(self.data, self.weight):
-            J = np.concatenate([J, columns(self.op, u) * weight[:, None]])
-            J, _ = compressed(J, np.zeros(len(J)))
+        J, y = equations(self.op, self.data, 0 * self.weight, self.weight)
         now, K = self.scaled(self.measure), len(self.measure)
         bounds = self.low[:K], self.high[:K]
-        return self._nearest(J / np.abs(J).max(), np.zeros(len(J)), now, bounds, 0.0)
+        return self._nearest(J / np.abs(J).max(), y, now, bounds, 0.0)
 
     def _nearest(
         self, J: np.ndarray, y: np.ndarray, now: np.ndarray, bounds: Any, damping: float
@@ -276,21 +264,19 @@ class Search:
         op = self.op.changed(solid, None if thickness is None else thickness.at(nodes))
         slopes, equations = dict[int, np.ndarray](), dict[int, np.ndarray]()
         for n in frames:
-            safe = op.smallest_area(fields[n]) > SMALLEST_AREA
-            near = op.factors(fields[n])[0] if safe else None
-            given: dict[str, Any] = {"start": fields[n], "near": near, "tolerance": SETTLED}
-            found = find_equilibrium(op, None, self.data[n], **given)
-            factors = (near or op.factors(found.u)[0]) if found else None
-            if found is None or factors is None:
+            start, given = fields[n], self.data[n]
+            near = op.factors(start)[0] if op.smallest_area(start) > SMALLEST_AREA else None
+            found = find_equilibrium(op, None, given, start=start, near=near, tolerance=SETTLED)
+            if found is None or not (inverse := near or op.factors(found.u)[0]):
                 continue
             F = [columns(op, found.u, self.moving)]
             if thickness is not None:
                 F.append(op.by_thickness(found.u, thickness.slopes(nodes)).reshape(len(F[0]), -1))
-            fields[n], J = found.u, -factors.solve(np.concatenate(F, axis=1))
+            fields[n], J = found.u, -inverse(np.concatenate(F, axis=1))
             # the force is linear in the coefficients, and so is what Newton's step has left
             left = J[:, : len(self.measure)] @ op.model.coefficients
             fields[n, self.inner] += left.reshape(-1, 2)
-            gap, weight = self._inside(fields[n] - self.data[n]), self.weight[n]
+            gap, weight = (fields[n] - given)[self.inner].ravel(), self.weight[n]
             slopes[n] = J
             equations[n] = np.column_stack(compressed(J * weight[:, None], gap * weight))
         return Place(x, fields, slopes, equations)
@@ -330,8 +316,7 @@ class Search:
         """What is here, or one step from here with some frames left out, in the scale of forces."""
         errors = np.full(len(self.data), np.inf)
         change = self.step(place, DAMPING[1], left) if left else 0 * place.x
-        for n, rows in place.equations.items():
-            errors[n] = np.linalg.norm(rows[:, :-1] @ change + rows[:, -1])
+        errors[[*place.equations]] = place.errors(change)
         solid, thickness = self.sheet(place.x + change)
         scale, scatter = self._scale(left, solid, thickness)
         solid = replace(
@@ -449,11 +434,10 @@ def fit_thickness(
     Args:
         frames: samples without loads.
         solid: the material; its coefficients stay, scaled to an initial stiffness of one.
-        degree: of the polynomial.
-        most_steps, tolerance, progress: as in fit_displacement.
+        degree: of the polynomial; the others as in fit_displacement.
 
-    Raises InputError for frames with loads, none, or a frame at rest, and for another degree;
-    NoEquilibriumError where no frame has one in an even sheet.
+    Raises InputError for frames with loads, none, or at rest; NoEquilibriumError where no frame has
+    one in an even sheet.
     """
     check_unloaded(frames)
     uneven = ThicknessField.over(frames.x, degree)
@@ -462,10 +446,8 @@ def fit_thickness(
 
 
 def check_enough(count: int, what: str, numbers: int) -> None:
-    """Raise InputError where there are fewer than ten of what is counted for each number.
-
-    A fit counts components of all frames. A choice counts nodes: frames of one test are much alike.
-    """
+    """Raise InputError for fewer than ten of what is counted for each number: of a fit components
+    of all frames, of a choice nodes, as frames of one test are much alike."""
     if count < TEN * numbers:
         raise InputError(
             f"frames: expected {TEN * numbers} {what} for {numbers} numbers, got {count}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -36,11 +36,9 @@ from warp_peri.points.samples import Samples, seen_of
 
 def kept_fit(path: Path | None, compute: Callable[[], DisplacementFit]) -> DisplacementFit:
     """The fit of a file; where nothing can be read, compute it and write it there, if anywhere."""
-    try:
+    with suppress(OSError, ValueError, TypeError, KeyError):
         if path is not None:
             return _read(parsed(path.read_bytes()))
-    except (OSError, ValueError, TypeError, KeyError, InputError):
-        pass
     found = compute()
     if path is not None:
         write_json(path, finite(plain(_content(found))))
@@ -192,13 +190,12 @@ def select_model(
             stem = f"{name.replace(', ', '_').replace(' ', '_')}_{key}"
             path = None if folder is None else Path(folder) / f"{stem}.fit.json"
             dictionary = Hyperelastic(REACH, (), NEAREST, terms)
-            even = [c.fit for c in tried if c.fit and c.fit.material.dictionary == dictionary]
+            even = (c.fit for c in tried if c.fit and c.fit.material.dictionary == dictionary)
             learn = partial(
                 fit_displacement, train, stiffness=DEVIATIONS, thickness=degree, most_steps=STEPS,
                 tolerance=TOLERANCE, progress=progress and name,
             )  # fmt: skip
-            start = even[0] if even else None
-            fit = partial(kept_fit, path, partial(_learned, learn, dictionary, start))
+            fit = partial(kept_fit, path, partial(_learned, learn, dictionary, next(even, None)))
             tried.append(_tried(name, fit, dictionary, degree, train, test))
             done(tried[-1])
     least = min(candidate.held_out for candidate in tried)

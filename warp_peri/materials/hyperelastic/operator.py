@@ -1,7 +1,6 @@
 """A hyperelastic solid, and on a lattice: force, energy, tangent, forces of single energies.
 
-Stress and curvature by what an energy sees are torch's derivatives; the stress pulls at the bonds
-of a site, and these at their ends.
+Slopes and curvatures by what energies see are torch's; they pull at bonds, these at their ends.
 """
 
 from __future__ import annotations
@@ -11,25 +10,27 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
+import scipy.sparse as sp
 import torch
 from numpy.typing import ArrayLike
 
 from warp_peri.core.pointwise import FEW, Swept
 from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.errors import InputError, warn
-from warp_peri.materials.hyperelastic.energies import Energy, Hyperelastic, read
+from warp_peri.materials.hyperelastic.energies import Energy, Hyperelastic, Strain, read
 from warp_peri.materials.hyperelastic.equilibrium import (
     DIRECT,
     NoEquilibriumError,
     find_equilibrium,
     stable_equilibrium,
 )
-from warp_peri.materials.hyperelastic.lattice import CORNERS, Patch, SheetLattice
+from warp_peri.materials.hyperelastic.lattice import CORNERS, SheetLattice, Sites
 from warp_peri.points.arguments import typed
 from warp_peri.points.arrays import checked, checked_fields, plain
 from warp_peri.points.samples import PointsLike, Samples, nodes_of, seen_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, shown_moduli, symbols
 from warp_peri.runtime import one_thread
+from warp_peri.solvers.equilibria import Inner
 from warp_peri.solvers.solution import Newton, Solution, Solver, by_sample, refuse_solver
 
 BEYOND = 1.1
@@ -108,7 +109,7 @@ class HyperelasticMaterial(Record, format="warp_peri.hyperelastic"):
         return self.dictionary.reach * self.spacing
 
 
-Active = list[tuple[Patch, list[Energy]]]
+Active = list[tuple[Sites, list[Energy]]]
 """Energies by what they see."""
 
 
@@ -149,7 +150,7 @@ class HyperelasticSheetOperator(Swept):
     def _take(self, model: HyperelasticMaterial, thickness: np.ndarray | None) -> None:
         self.model, self.thickness = model, thickness
         self.active = self._energies(model.coefficients)
-        self.size = max((patch.bonds.size for patch, _ in self.active), default=1)
+        self.size = max((sites.S.nnz for sites, _ in self.active), default=1)
 
     def changed(
         self, model: HyperelasticMaterial, thickness: np.ndarray | None
@@ -169,67 +170,62 @@ class HyperelasticSheetOperator(Swept):
             for of in CORNERS if energy.sees == ("corner",) else ((),):
                 if c[number]:
                     found.setdefault((*energy.sees, *of), []).append(one)
-        return [(self.lattice.patch(*sees), each) for sees, each in found.items()]
+        return [(self.lattice.sites(*sees), each) for sees, each in found.items()]
 
-    def _stored(self, patch: Patch, each: Any, q: torch.Tensor) -> torch.Tensor:
-        """Energy of every site over h², shape [S, n]."""
+    def _stored(self, sites: Sites, each: Any, q: torch.Tensor) -> torch.Tensor:
+        """Energy of every site over h², shape [n, S]."""
         seen = read(q)
         total: Any = sum(e.coefficient * e.density(seen, e.angle, e.exponent) for e in each)
-        share: Any = 1 / len(CORNERS) if patch.corner else 1.0
+        share: Any = 1 / len(CORNERS) if sites.corner else 1.0
         if self.thickness is not None:
-            share = torch.from_numpy(share * self.thickness[patch.pair].mean(axis=0))
+            share = torch.from_numpy(share * self.thickness[sites.pair].mean(axis=0)[:, None])
         return torch.as_tensor(share * total)
 
-    def _slope(self, patch: Patch, each: Any, q: torch.Tensor, graph: bool = False) -> torch.Tensor:
-        """∂U/∂q over h², shape [Q, S, n]; with a graph of q, which becomes a leaf."""
-        stored = self._stored(patch, each, q.requires_grad_()).sum()
+    def _slope(self, sites: Sites, each: Any, q: torch.Tensor, graph: bool = False) -> torch.Tensor:
+        """∂U/∂q over h², shape [Q, n, S]; with a graph of q, which becomes a leaf."""
+        stored = self._stored(sites, each, q.requires_grad_()).sum()
         return torch.autograd.grad(stored, q, create_graph=graph)[0]
 
     def _tension(self, e: np.ndarray, active: Active) -> np.ndarray:
-        """What energies pull at bonds e [S, pairs], over ξ + η."""
-        tension = np.zeros_like(e)
-        for patch, each in active:
-            patch.pull(self._slope(patch, each, patch.seen(e)), tension)
-        return tension
+        """What energies pull at bonds e [pairs, S], over ξ + η."""
+        slopes = (sites.pull(self._slope(sites, each, sites.seen(e))) for sites, each in active)
+        return sum(slopes, np.zeros_like(e))
 
     def strain(self, u: ArrayLike) -> np.ndarray:
         """Nodal Green strain E11, E22, 2 E12, (H3), shape [..., N, 3]; zero near the edge."""
-        patch = self.lattice.patch()
+        sites = self.lattice.sites()
 
         def sweep(u: np.ndarray) -> np.ndarray:
             E = np.zeros((*u.shape[:2], 3))
-            E[:, patch.pair[0]] = patch.seen(self.lattice.stretched(u)[1]).movedim(0, -1)
+            E[:, sites.pair[0]] = sites.seen(self.lattice.stretched(u)[1]).permute(2, 1, 0)
             return E
 
         return self._swept(sweep, u)
 
     def largest_stretch(self, u: ArrayLike) -> float:
         """Largest principal stretch of the nodal strain in fields u [length]."""
-        E = self.strain(u).reshape(-1, 3)
-        mean, half = (E[:, 0] + E[:, 1]) / 2, np.hypot((E[:, 0] - E[:, 1]) / 2, E[:, 2] / 2)
-        return float(np.sqrt(1 + 2 * (mean + half).max()))
+        x, y, shear = np.moveaxis(self.strain(u), -1, 0)
+        return float(np.sqrt(1 + x + y + np.hypot(x - y, shear)).max())
 
     def smallest_area(self, u: np.ndarray) -> float:
         """Smallest det C of the nodal strain, 1 at rest; not positive where a field folds."""
         e = self.lattice.stretched(np.reshape(u, (-1, *self.shape)))[1]
-        return min(1.0, float(read(self.lattice.patch().seen(e)).area.min()))
+        return min(1.0, float(Strain(self.lattice.sites().seen(e)).area.min()))
 
     def folded(self, u: np.ndarray) -> int:
         """Number of corners with an interior node that one field turns over, shape of u [N, 2];
         zero where no energy acts on corners."""
-        (Y,), count = self.lattice.stretched(u[None])[0], 0
-        for patch in (patch for patch, _ in self.active if patch.corner):
-            first, second, _ = np.moveaxis(Y[:, patch.bonds], 1, 0)
-            count += int((first[0] * second[1] - first[1] * second[0] <= 0).sum())
-        return count
+        Y = self.lattice.stretched(u[None])[0][..., 0]
+        sides = [(sites.S @ Y).reshape(3, -1, 2) for sites, _ in self.active if sites.corner]
+        return sum(int((x[:, 0] * y[:, 1] <= x[:, 1] * y[:, 0]).sum()) for x, y, _ in sides)
 
     def nodal_energy(self, u: ArrayLike) -> np.ndarray:
         """What every node and the bonds that begin there hold, over h², shape [..., N]."""
 
         def sweep(u: np.ndarray) -> np.ndarray:
             e, total = self.lattice.stretched(u)[1], np.zeros(u.shape[:2])
-            for patch, each in self.active:
-                total[:, patch.pair[0]] += self._stored(patch, each, patch.seen(e)).numpy()
+            for sites, each in self.active:
+                total[:, sites.pair[0]] += self._stored(sites, each, sites.seen(e)).numpy().T
             return total
 
         return self._swept(sweep, u)
@@ -257,12 +253,10 @@ class HyperelasticSheetOperator(Swept):
         def sweep(u: np.ndarray, v: np.ndarray) -> np.ndarray:
             (Y, e), away = self.lattice.stretched(u), self.lattice.differences(v)
             along, tension, change = (Y * away).sum(axis=1), np.zeros_like(e), np.zeros_like(e)
-            for patch, each in self.active:
-                stress = self._slope(patch, each, q := patch.seen(e), graph=True)
-                patch.pull(stress.detach(), tension)
-                bent = torch.autograd.grad(stress, q, patch.seen(along), allow_unused=True)[0]
-                if bent is not None:
-                    patch.pull(bent, change)
+            for sites, each in self.active:
+                stress = self._slope(sites, each, q := sites.seen(e), graph=True)
+                tension += sites.pull(stress.detach())
+                change += sites.pull(torch.autograd.grad(stress, q, sites.seen(along))[0])
             return self.lattice.at_ends(tension[:, None] * away + change[:, None] * Y)
 
         return self._swept(sweep, u, v)
@@ -275,59 +269,55 @@ class HyperelasticSheetOperator(Swept):
         """The transposed product, on all nodes [..., N, 2]: that of energies is symmetric."""
         return self._product(u, self.on_all(w))
 
-    def curvatures(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[Any]]:
-        """Of one field what pulls at bonds [pairs], these bonds as they are now [2, pairs], and
-        patches with the second derivatives of their energies [Q, Q, n].
-        """
-        (Y,), e = self.lattice.stretched(plain("u", u)[None])
-        tension, found = np.zeros_like(e), list[Any]()
+    def _tangent(self, u: np.ndarray) -> sp.bsr_array:
+        """The derivative of the force at a field, between interior nodes, blocks [2, 2]."""
+        Y, e = self.lattice.stretched(plain("u", u)[None])
+        tension, curved = np.zeros_like(e), []
         with torch.enable_grad(), one_thread(3 * len(self.points.x) < FEW):
-            for patch, each in self.active:
-                stress = self._slope(patch, each, q := patch.seen(e), graph=True)
-                patch.pull(stress.detach(), tension)
+            for sites, each in self.active:
+                stress = self._slope(sites, each, q := sites.seen(e), graph=True)
+                tension += sites.pull(stress.detach())
                 rows = [torch.autograd.grad(s.sum(), q, retain_graph=True)[0] for s in stress]
-                found.append((patch, torch.stack(rows)[:, :, 0].numpy()))
-        return tension[0], Y, found
+                curved.append((sites, torch.stack(rows)[..., 0].permute(2, 0, 1).numpy()))
+        return self.lattice.tangent(Y[..., 0], tension[:, 0], curved)
+
+    def interior_tangent(self, u: np.ndarray) -> sp.csc_array:
+        """The same as a sparse matrix, shape [2 I, 2 I]."""
+        return sp.csc_array(self._tangent(u))
+
+    def factors(self, u: np.ndarray, shifts: bool = False) -> tuple[Inner | None, bool]:
+        """Of that, as SheetLattice.factors."""
+        return self.lattice.factors(self._tangent(u), shifts)
 
     def features(self, u: ArrayLike, *, by: str = "coefficient") -> np.ndarray:
         """The derivative of the force by the coefficient of every energy, shape [..., I, 2, K].
 
-        Args:
-            u: displacements.
-            by: "angle" or "exponent" for that by the fibre's number; other columns are then zero.
+        With `by` "angle" or "exponent" that by the fibre's number; other columns are then zero.
         """
-        one = np.ones(len(self.model.dictionary))
-        energies = self._energies(one) if by == "coefficient" else self.active
+        one, numbers = np.ones(len(self.model.dictionary)), by != "coefficient"
+        energies = self.active if numbers else self._energies(one)
+        chosen = [(s, e) for s, each in energies for e in each if e.is_fibre or not numbers]
 
         def sweep(u: np.ndarray) -> np.ndarray:
             Y, e = self.lattice.stretched(u)
             forces = np.zeros((len(u), len(self.interior), 2, len(one)))
-            for patch, each in energies:
-                q = patch.seen(e).requires_grad_()
-                for energy in (
-                    each if by == "coefficient" else (one for one in each if one.is_fibre)
-                ):
-                    value = torch.tensor(getattr(energy, by), dtype=q.dtype, requires_grad=True)
-                    number: dict[str, Any] = {by: value}
-                    moved = energy._replace(**number)
-                    stored = self._stored(patch, [moved], q).sum()
-                    (slope,) = torch.autograd.grad(stored, value, create_graph=True)
-                    tension = np.zeros_like(e)
-                    patch.pull(torch.autograd.grad(slope, q)[0], tension)
-                    pulled = self.lattice.at_ends(tension[:, None] * Y)[:, self.interior]
-                    forces[..., energy.number] += pulled
+            for sites, energy in chosen:
+                q = sites.seen(e).requires_grad_()
+                value = torch.tensor(getattr(energy, by), dtype=q.dtype, requires_grad=True)
+                number: dict[str, Any] = {by: value}
+                stored = self._stored(sites, [energy._replace(**number)], q).sum()
+                (slope,) = torch.autograd.grad(stored, value, create_graph=True)
+                tension = sites.pull(torch.autograd.grad(slope, q)[0])
+                pulled = self.lattice.at_ends(tension[:, None] * Y)[:, self.interior]
+                forces[..., energy.number] += pulled
             return forces
 
         return self._swept(sweep, u)
 
     def by_thickness(self, u: ArrayLike, slopes: np.ndarray) -> np.ndarray:
-        """The derivative of the force by what the thickness depends on, shape [..., I, 2, P].
+        """The derivative of the force by P numbers of the thickness, shape [..., I, 2, P].
 
-        Args:
-            u: displacements.
-            slopes: derivative of every node's thickness by those numbers, shape [N, P].
-
-        The force is linear in the thickness, so this is the force of sheets as thick as the slopes.
+        The force is linear in the thickness: it is that of sheets as thick as its slopes [N, P].
         """
         sheets = (self.changed(self.model, each) for each in np.asarray(slopes).T)
         return np.stack([sheet.force(u) for sheet in sheets], axis=-1)
@@ -346,34 +336,25 @@ class HyperelasticSheetOperator(Swept):
         """Derivatives of Σ w · force(u) to the coefficients [K], of fields [S, N, 2]."""
         return np.asarray(np.tensordot(w, self.features(u), np.ndim(w)))
 
-    def interior_tangent(self, u: np.ndarray) -> Any:
-        """The derivative of the force at a field, between interior nodes, sparse [2 I, 2 I]."""
-        return self.lattice.tangent.matrix(*self.curvatures(u))
-
-    def factors(self, u: np.ndarray, shifts: bool = False) -> Any:
-        """Of that, as TangentPattern.factors."""
-        return self.lattice.tangent.factors(*self.curvatures(u), shifts=shifts)
-
     def stress(self, u: ArrayLike) -> np.ndarray:
         """First Piola stress P = ½ Σ t (ξ + η)⊗ξ of a node's bonds, (H16), shape [..., I, 2, 2].
 
-        It is ∂W/∂F in uniform strain. Of a sheet that is not even it is the pull per length of a
-        section, over thickness one. Corners carry theirs at their apex.
+        It is ∂W/∂F in uniform strain, of a sheet that is not even over a thickness of one. Corners
+        carry theirs at their apex.
         """
-        xi = self.lattice.xi
+        ends, nodal = abs(self.lattice.ends) / 2, [(s, e) for s, e in self.active if not s.corner]
 
         def sweep(u: np.ndarray) -> np.ndarray:
             Y, e = self.lattice.stretched(u)
-            nodal = [(patch, each) for patch, each in self.active if not patch.corner]
-            carried = np.einsum("sb,sib,jb->bsij", self._tension(e, nodal), Y, xi)
-            P = abs(self.lattice.ends) @ carried.reshape(e.shape[1], -1) / 2
-            P = P.reshape(-1, len(u), 2, 2).swapaxes(0, 1)
-            for patch, each in self.active:
-                if patch.corner:
-                    t = patch.along(self._slope(patch, each, patch.seen(e)))
-                    given = t, Y[..., patch.bonds], xi[:, patch.bonds]
-                    P[:, patch.pair[0]] += np.einsum("sln,siln,jln->snij", *given)
-            return np.asarray(P[:, self.interior])
+            bonds = Y[:, :, None] * self.lattice.xi[:, None, :, None]  # (ξ + η)⊗ξ
+            pull = self._tension(e, nodal)[:, None, None] * bonds
+            P = (ends @ pull.reshape(len(e), -1)).reshape(-1, *pull.shape[1:])
+            for sites, each in self.active:
+                if sites.corner:
+                    slope = self._slope(sites, each, sites.seen(e)).numpy()
+                    moments = (sites.S @ bonds.reshape(len(e), -1)).reshape(3, -1, *P.shape[1:])
+                    P[sites.pair[0]] += (slope[:, :, None, None] * moments).sum(axis=0)
+            return np.asarray(np.moveaxis(P, -1, 0)[:, self.interior])
 
         return self._swept(sweep, u)
 
@@ -397,10 +378,9 @@ class HyperelasticSheetOperator(Swept):
             u: displacement, same shape; read on the collar only.
             solver: Newton(tolerance).
 
-        The details of the solution are an Equilibrium for each sample, with the smallest
-        eigenvalue of its tangent. Warns of stretches beyond the data that the solid was learned
-        from. Raises NoEquilibriumError where none was found, naming the sample; InputError for
-        arrays that do not fit.
+        The details of the solution are an Equilibrium for each sample. Warns of stretches beyond
+        the data that the solid was learned from. Raises NoEquilibriumError where none was found,
+        naming the sample; InputError for arrays that do not fit.
         """
         refuse_solver(solver, (Newton,), "a hyperelastic solid")
         load, given = checked_fields(self.points, b, u)
@@ -418,16 +398,16 @@ class HyperelasticSheetOperator(Swept):
 
     def errors(self, samples: Samples, near: np.ndarray | None = None) -> dict[str, Any]:
         """As evaluate_hyperelastic, of samples on these points."""
-        loads, told, found = samples.b, dict[str, Any](), []
-        if loads is not None:
-            left = self.force(samples.u) - loads[:, self.interior]
-            residuals = _size(left) / _size(loads[:, self.interior])
+        told, found, start, inverse = dict[str, Any](), [], None, None
+        if samples.b is not None:
+            loads = samples.b[:, self.interior]
+            residuals = _size(self.force(samples.u) - loads) / _size(loads)
             told = {"E_res": float(residuals.mean()), "residuals": residuals}
-        for u, b in zip(samples.u, [None] * len(samples) if loads is None else loads):
-            start = None if near is None else self._combined(near, u)
-            few = 2 * len(self.interior) <= DIRECT
-            factors = None if start is None or not few else self.factors(start)[0]
-            found.append(find_equilibrium(self, b, u, start=start, near=factors))
+        for u, b in zip(samples.u, 0 * samples.u if samples.b is None else samples.b):
+            if near is not None:
+                start = self._combined(near, u)
+                inverse = self.factors(start)[0] if 2 * len(self.interior) <= DIRECT else None
+            found.append(find_equilibrium(self, b, u, start=start, near=inverse))
         fields = np.array([one.u if one else np.full(self.shape, np.nan) for one in found])
         gaps, seen = fields.reshape(samples.u.shape) - samples.u, seen_of(samples)[..., None]
         gaps, u = (each[:, self.interior] for each in (gaps * seen, samples.u * seen))
@@ -474,8 +454,7 @@ def evaluate_hyperelastic(
         number, and left_branch, the number of those that (Equilibrium.followed) another branch may
         hold; residuals and displacements with the errors of every sample, NaN where not solved.
 
-    Raises InputError for samples in other units than the solid.
-
-    Warns of solved fields that are stretched beyond the data that the solid was learned from.
+    Warns of fields that are stretched beyond the data that the solid was learned from. Raises
+    InputError for samples in other units.
     """
     return solid.on(samples, thickness=thickness).errors(samples, near)
