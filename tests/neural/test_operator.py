@@ -96,6 +96,10 @@ def test_force_is_the_printed_one_and_products_are_those_of_its_tangent(form):
     inner = np.where(points.interior[:, None], v, 0)
     across = placed.interior_tangent(u) @ v[points.interior].ravel()
     np.testing.assert_allclose(across, placed.jvp(u, inner).ravel(), atol=1e-11)
+    leaf = torch.tensor(u, requires_grad=True)
+    w = np.random.default_rng(4).normal(size=product.shape)
+    (back,) = torch.autograd.grad(placed(leaf), leaf, torch.tensor(w))
+    np.testing.assert_allclose(back, placed.vjp(u, w), atol=1e-11)
 
 
 def test_any_strain_has_a_force():
