@@ -78,8 +78,7 @@ def iter_dump(path: str | os.PathLike[str]) -> Iterator[DumpFrame]:
     """Every frame of a trajectory, one in memory at a time.
 
     LAMMPS dumps (`dump custom`) as text, packed by gzip, bzip2, xz or zstd, or not; .xyz, .extxyz
-    and .traj by ASE. Wrapped positions are
-    unwrapped where the file has images, and a warning says so.
+    and .traj by ASE. Wrapped positions are unwrapped by the images of a file, with a warning.
 
     Args:
         path: a dump with the columns id, x, y, z, or the wrapped, unwrapped or scaled forms of the
@@ -260,13 +259,10 @@ def read_masses(path: str | os.PathLike[str], masses: Sequence[float]) -> np.nda
     if frame.types is None:
         columns = " ".join(frame.columns)
         raise InputError(f"{path}: expected the columns id and type, got {columns}")
-    each = checked("masses", masses, float, ("T",))
-    if not (each > 0).all():
-        raise InputError(f"masses: expected numbers > 0, got {each.min():g}")
     if (most := frame.types.max()) > len(masses):
         words = f"masses: expected one for each of the types 1 to {most} of {path}"
         raise InputError(f"{words}, got {len(masses)}")
-    return np.asarray(np.take(each, frame.types - 1), dtype=float)
+    return np.asarray(checked("masses", masses)[frame.types - 1])
 
 
 @typed
@@ -414,15 +410,10 @@ def coarse_grain_dumps(
     for path in tqdm([*unloaded, *dumps], desc="dumps", unit="dump", disable=not progress):
         averages.append(mean_displacement(path, atoms.reference, **how))
         _warn_of_torn(Path(path), np.asarray(atoms.reference, float), averages[-1], atoms.box)
-    fields, at_rest = np.stack(averages[len(unloaded) :]), averages[: len(unloaded)]
-    u, b = coarse_grain(
-        omega,
-        displacement=fields - np.stack(at_rest) if at_rest else fields,
-        force=force,
-        mass=atoms.mass,
-        node_area=node_area,
-        thickness=thickness,
-    )
+    moved, at_rest = np.stack(averages[len(unloaded) :]), averages[: len(unloaded)]
+    moved = moved - np.stack(at_rest) if at_rest else moved
+    sizes: Any = {"mass": atoms.mass, "node_area": node_area, "thickness": thickness}
+    u, b = coarse_grain(omega, displacement=moved, force=force, **sizes)
     names = {"load_id": np.array([Path(path).name for path in dumps])}
     return Samples(nodes_of(points), u, b, names)
 

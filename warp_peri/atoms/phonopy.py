@@ -98,17 +98,13 @@ def _opened(file: Path, beside: dict[str, Path]) -> tuple[Any, Any]:
     if getattr(told, "site_mixture_scheme", None) is not None:
         raise InputError("site_mixture_scheme: sites of several elements are not read")
     matrix, primitive = told.supercell_matrix, told.primitive_matrix
-    cells = 1 if matrix is None else abs(np.linalg.det(np.asarray(matrix, dtype=float)))
+    matrix = np.eye(3, dtype=int) if matrix is None else np.asarray(matrix)
+    cells = abs(np.linalg.det(matrix))
     if cells * len(told.unitcell) > MOST:
         raise InputError(f"supercell_matrix: expected at most {MOST} atoms, got {cells:.0f} cells")
-    found = optional("phonopy", WITHOUT).Phonopy(
-        told.unitcell,
-        np.eye(3, dtype=int) if matrix is None else matrix,
-        primitive_matrix="auto" if primitive is None else primitive,
-        calculator=told.calculator,
-        log_level=0,
-    )
-    return found, told
+    primitive = "auto" if primitive is None else primitive
+    made = optional("phonopy", WITHOUT).Phonopy
+    return made(told.unitcell, matrix, primitive, calculator=told.calculator, log_level=0), told
 
 
 def _force_constants(found: Any, told: Any, beside: dict[str, Path]) -> Any:

@@ -152,14 +152,6 @@ def compliance(tensor: np.ndarray) -> np.ndarray:
     return voigt_to_tensor(np.linalg.inv(matrix) * np.outer(engineering, engineering))
 
 
-def directional(tensor: np.ndarray, along: np.ndarray, across: np.ndarray) -> tuple[float, float]:
-    """Young's modulus along a direction, and Poisson's number across it (unit vectors, [d])."""
-    S = compliance(tensor)
-    long = np.einsum("ijkl,i,j,k,l", S, along, along, along, along)
-    wide = np.einsum("ijkl,i,j,k,l", S, along, along, across, across)
-    return float(1 / long), float(-wide / long)
-
-
 def extremes(tensor: np.ndarray) -> tuple[list[float], list[float]]:
     """Smallest and largest Young's modulus and Poisson's number over all directions, [E], [ν].
 

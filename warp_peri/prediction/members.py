@@ -78,10 +78,9 @@ class Spectrum:
         grid = grid - grid.min(axis=0)
         self.shape = tuple(int(n) for n in grid.max(axis=0) + 1)
         self.place = np.ravel_multi_index(tuple(grid.T), self.shape)
-        there = np.zeros(self.shape, bool)
-        there.flat[self.place] = True
-        depth = distance_transform_edt(np.pad(there, 1))[(slice(1, -1),) * len(self.shape)]
-        depth = depth.flat[self.place]
+        there, padded = np.zeros(np.add(self.shape, 2), bool), tuple(grid.T + 1)
+        there[padded] = True
+        depth = distance_transform_edt(there)[padded]
         self.window = np.sin(np.pi / 2 * depth / depth.max()) ** 2
         self.affine = np.linalg.qr(np.column_stack([np.ones(len(grid)), grid]))[0]
         self.wide = [scipy.fft.next_fast_len(2 * n, real=True) for n in self.shape]
