@@ -54,10 +54,9 @@ def load_mpi_library() -> None:
     # aborts the process when there is none to be had.
     if not ranks_started():
         os.environ.setdefault("UCX_TLS", "self")
-    for folder in (Path(sys.prefix, "lib"), Path(sys.base_prefix, "lib")):
-        if (folder / "libmpi.so.12").is_file():
-            ctypes.CDLL(str(folder / "libmpi.so.12"), mode=ctypes.RTLD_GLOBAL)
-            break
+    libraries = (Path(place, "lib", "libmpi.so.12") for place in (sys.prefix, sys.base_prefix))
+    if library := next(filter(Path.is_file, libraries), None):
+        ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)
 
 
 @functools.cache
@@ -207,8 +206,8 @@ def lammps_calculator(
 
     kinds = sorted(set(symbols))
     lines = [line.strip() for line in commands.split(";") if line.strip()]
-    if not lines or not lines[0].startswith("pair_style "):
-        lines[:1] = [f"pair_style {lines[0]}"] if lines else []
+    if lines and not lines[0].startswith("pair_style "):
+        lines[0] = f"pair_style {lines[0]}"
     if potential is not None:
         path = Path(potential)
         if not path.is_file() and path.name == str(path):  # a name alone: the wheel's

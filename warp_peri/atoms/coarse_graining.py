@@ -89,13 +89,12 @@ def smoothing_matrix(
     images, owner = _images(atoms, nodes, radius, box)
     if len(images) == 0:
         return sp.csr_array((len(nodes), len(atoms)))
-    tau = _tau(nodes, images, radius, shape)
+    tau = every = _tau(nodes, images, radius, shape)
     if spacing is not None:
-        total = _tau(_reached(nodes[0], images, radius, spacing), images, radius, shape).sum(axis=0)
-    else:
-        total = np.asarray(tau.sum(axis=0))
-        if box is not None:
-            total = np.bincount(owner, total, len(atoms))[owner]
+        every = _tau(_reached(nodes[0], images, radius, spacing), images, radius, shape)
+    total = np.asarray(every.sum(axis=0))
+    if spacing is None and box is not None:
+        total = np.bincount(owner, total, len(atoms))[owner]
     scale = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0)
     shared = sp.csr_array((scale, (np.arange(len(owner)), owner)), shape=(len(owner), len(atoms)))
     return sp.csr_array(tau @ shared)
