@@ -451,7 +451,7 @@ def table_3_as_printed() -> Table:
         data()["val"],
         SWEEPS / "graphene_0K_as_printed",
         test=data()["test"],
-        method=TwoStage(outer_iterations=100),
+        law=wp.LPS(20.0, method=TwoStage(outer_iterations=100)),
         jobs=1,
         progress=True,
     )

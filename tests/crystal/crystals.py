@@ -71,21 +71,16 @@ def lattice(d, n, collar, spacing=1.5, ball=False, box=False):
 
 def plain_force(law, points, u):
     """L u at the interior nodes by a loop over nodes and bonds."""
-    place = {
-        tuple(key): n for n, key in enumerate(np.rint(points.x / law.spacing).astype(int).tolist())
-    }
     sides = None if points.box is None else np.rint(np.array(points.box) / law.spacing).astype(int)
-    force = []
-    for i in np.flatnonzero(points.interior):
-        at = np.rint(points.x[i] / law.spacing).astype(int)
-        total = np.zeros(law.dimension)
-        for step, C in zip(
-            np.concatenate([law.steps, -law.steps]), np.tile(law.tensors, (2, 1, 1))
-        ):
-            other = at + step if sides is None else (at + step) % sides
-            total += C @ (u[i] - u[place[tuple(other.tolist())]])
-        force.append(total)
-    return np.array(force)
+    steps = np.rint(points.x / law.spacing).astype(int)
+    place = {tuple(step): n for n, step in enumerate(steps.tolist())}
+    force = np.zeros((points.interior.sum(), law.dimension))
+    for total, i in zip(force, np.flatnonzero(points.interior)):
+        for sign, (step, C) in itertools.product((1, -1), zip(law.steps, law.tensors)):
+            far = steps[i] + sign * step
+            far = far if sides is None else far % sides
+            total += C @ (u[i] - u[place[tuple(far.tolist())]])
+    return force
 
 
 def huang_defect(law):

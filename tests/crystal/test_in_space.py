@@ -23,12 +23,10 @@ def test_a_model_is_found_again_with_its_proof(made):
     model, samples = made
     fit = wp.fit(samples, wp.LPS(2.0, wp.Bernstein(2)))
     assert fit.material.lam == pytest.approx(0.5, rel=1e-6)
-    r = np.linspace(0.5, 2.0, 9)
-    found, true = fit.material.influence(r), model.influence(r)
+    found, true = (one.influence(np.linspace(0.5, 2.0, 9)) for one in (fit.material, model))
     np.testing.assert_allclose(found / found[0], true / true[0], rtol=1e-6)
-    assert fit.certificate.symbol_bound == pytest.approx(
-        crystal_from_lps(model, 1.0).certificate.proven
-    )
+    proven = crystal_from_lps(model, 1.0).certificate.proven
+    assert fit.certificate.symbol_bound == pytest.approx(proven)
 
 
 @pytest.mark.parametrize("moduli", ["isotropic", (0.5, 0.8)])

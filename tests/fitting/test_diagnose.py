@@ -5,11 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.crystal.crystals import dispersive
 from tests.support.cubes import cube, solid
 from tests.support.problems import kernel, lattice, manufactured, noise, smooth
 from tests.support.waves import fluctuation
 from warp_peri import LPS, Bernstein, Crystal, InputError, Samples, diagnose, fit
+from warp_peri.core.elastic import voigt_to_tensor
 from warp_peri.fitting.diagnose import _families
+from warp_peri.materials.crystal_fit import fit_dispersion
 from warp_peri.materials.lps_operator import LPSOperator
 
 HORIZON = 2.5
@@ -38,21 +41,20 @@ def families(samples):
     return found
 
 
-def planted(samples, cause):
-    if cause == "dispersion":
-        other = kernel("steep", HORIZON, lam=0.4, mu=0.7)
-        return other.on(samples.points)(samples.u)
-    if cause == "anisotropy":
-        return families(samples)["anisotropy"][0][..., 0]
-    if cause == "nonlinearity":
-        return families(samples)["nonlinearity"][0][..., [3, 20]].sum(axis=-1)
-    factor = np.random.default_rng(0).normal(size=(samples.interior.sum(), 1))
-    return factor * samples.b[:, samples.interior]
+PLANTED = {
+    "dispersion": lambda samples: kernel("steep", HORIZON, lam=0.4, mu=0.7).on(samples)(samples.u),
+    "anisotropy": lambda samples: families(samples)["anisotropy"][0][..., 0],
+    "nonlinearity": lambda samples: families(samples)["nonlinearity"][0][..., [3, 20]].sum(axis=-1),
+    "heterogeneity": lambda samples: (
+        samples.b[:, samples.interior]
+        * np.random.default_rng(0).normal(size=(samples.interior.sum(), 1))
+    ),
+}
 
 
-@pytest.mark.parametrize("cause", ["dispersion", "anisotropy", "nonlinearity", "heterogeneity"])
+@pytest.mark.parametrize("cause", PLANTED)
 def test_the_planted_cause_is_named(samples, cause):
-    diagnosis = diagnose(MODEL, with_force(samples, planted(samples, cause)))
+    diagnosis = diagnose(MODEL, with_force(samples, PLANTED[cause](samples)))
     assert diagnosis.residual == pytest.approx(0.1, rel=0.15)
     assert max(diagnosis.shares, key=diagnosis.shares.get) == cause
     assert diagnosis.shares[cause] > 0.5
@@ -86,35 +88,11 @@ def test_noise_is_named_where_its_fields_are_given(samples):
 
 
 def test_what_cannot_be_told_is_refused(samples):
-    few = replace(samples, u=samples.u[:3], b=samples.b[:3])
+    with pytest.raises(InputError, match="expected 8 at least on a lattice, got 3"):
+        diagnose(MODEL, samples[:3])
     u = np.random.default_rng(0).normal(size=(8, len(cube(2, 2.0).x), 3))
-    for model, given, words in (
-        (MODEL, few, "expected 8 at least on a lattice, got 3"),
-        (solid(2.0), Samples(cube(2, 2.0), u, u), "samples in the plane, got 3 dimensions"),
-    ):
-        with pytest.raises(InputError, match=words):
-            diagnose(model, given)
-
-
-def stretched(points, count):
-    """Fields of an orthotropic solid, C11 a third below C22, with the ripple that smoothing leaves.
-
-    Loads are those that second differences of three steps along x and y need.
-    """
-    generator = np.random.default_rng(4)
-    x, h = points.x, points.spacing
-    u, b = np.zeros((2, count, len(x), 2))
-    for s in range(count):
-        k = generator.uniform(0.08, 0.25) * np.array([np.cos(s), np.sin(s)])
-        angle, phase = generator.uniform(0, 2 * np.pi, 2)
-        e, wave = np.array([np.cos(angle), np.sin(angle)]), np.cos(x @ k + phase)
-        c, s2 = (2 - 2 * np.cos(k * h)) / h**2, np.sin(k * h) / h
-        D = np.array([[0.7 * c[0] + 0.4 * c[1], 0.5 * s2[0] * s2[1]]])
-        D = np.vstack([D, [D[0, 1], 1.1 * c[1] + 0.4 * c[0]]])
-        u[s], b[s] = wave[:, None] * e, wave[:, None] * (D @ e)
-    size = np.linalg.norm(b, axis=(1, 2)) / np.sqrt(b[0].size)
-    b += 0.01 * size[:, None, None] * generator.normal(size=b.shape)
-    return Samples(points, u, b)
+    with pytest.raises(InputError, match="samples in the plane, got 3 dimensions"):
+        diagnose(solid(2.0), Samples(cube(2, 2.0), u, u))
 
 
 def test_forces_that_grow_with_the_cube_are_nonlinear(samples):
@@ -134,15 +112,6 @@ def test_pairs_of_bonds_are_dispersion(samples):
     assert diagnose(MODEL, with_force(samples, far)).shares["dispersion"] > 0.7
 
 
-def test_dispersion_leaves_long_waves_isotropic(samples):
-    """A quadratic field feels of it what two Lamé parameters do, the same at every node."""
-    x = samples.x[None]
-    bent = np.stack([x[..., 0] ** 2 - x[..., 0] * x[..., 1], x[..., 1] ** 2], axis=-1)
-    for columns in families(replace(samples, u=bent, b=bent))["dispersion"]:
-        forces = columns[0].reshape(-1, columns.shape[-1])
-        assert np.linalg.matrix_rank(forces, tol=1e-9 * np.linalg.norm(forces)) == 2
-
-
 def test_one_solid_of_two_phases_is_warned_of():
     """An inclusion four times as stiff: λ + μ of the fit are below those of the softest phase."""
     points = lattice(15, HORIZON)
@@ -159,8 +128,12 @@ def test_one_solid_of_two_phases_is_warned_of():
 
 @pytest.mark.filterwarnings("ignore")
 def test_a_crystal_is_told_what_symmetry_it_lacks():
-    """Square tensors on an orthotropic sheet; tensors without symmetry leave nothing."""
-    samples = stretched(lattice(9, HORIZON), 24)
+    """Square tensors on an orthotropic sheet, with the ripple that smoothing leaves."""
+    C = voigt_to_tensor(np.array([[0.7, 0.1, 0.0], [0.1, 1.1, 0.0], [0.0, 0.0, 0.4]]))
+    sheet = fit_dispersion(dispersive(C), 1.0, HORIZON, symmetry="2mm", tensor=C)
+    made = manufactured(sheet, replace(lattice(9, HORIZON), axis=0.0), COUNT, wave_number=0.25)
+    size = np.linalg.norm(made.b, axis=(1, 2), keepdims=True) / np.sqrt(made.b[0].size)
+    samples = replace(made, b=made.b + 0.01 * size * noise(made, COUNT))
     square, without = (Crystal(HORIZON, name).learn(samples).material for name in ("4mm", "2mm"))
     assert diagnose(square, samples).causes[0] == "anisotropy"
     assert diagnose(without, samples).residual < 0.05

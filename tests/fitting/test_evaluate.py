@@ -22,28 +22,15 @@ def points():
 
 
 def test_numbers_are_their_definitions(points):
-    table = evaluate(MODEL, points)
-    inside = points.interior
-    residual, load, wrong, size = [], [], [], []
-    for u, b in zip(points.u, points.b):
-        Lu = reference.operator(points.x, inside, MODEL, u)
-        residual.append(np.sqrt(((Lu - b[inside]) ** 2).sum()))
-        load.append(np.sqrt((b[inside] ** 2).sum()))
-        solved = solve(MODEL, points, b, u)
-        wrong.append(np.sqrt(((solved - u)[inside] ** 2).sum()))
-        size.append(np.sqrt((u[inside] ** 2).sum()))
-    residual, load, wrong, size = map(np.array, (residual, load, wrong, size))
-    expected = {
-        "E_res": np.mean(residual / load),
-        "E_res_abs": np.mean(residual),
-        "E_u": np.mean(wrong / size),
-        "E_res_samples": residual / load,
-        "E_res_abs_samples": residual,
-        "E_u_samples": wrong / size,
-    }
-    assert set(table) >= set(expected)
-    for key, value in expected.items():
-        assert table[key] == pytest.approx(value, rel=1e-9), key
+    table, inside = evaluate(MODEL, points), points.interior
+    force = np.array([reference.operator(points.x, inside, MODEL, u) for u in points.u])
+    off = (solve(MODEL, points, points.b, points.u) - points.u)[:, inside]
+    u, b = points.u[:, inside], points.b[:, inside]
+    residual, load, wrong, size = (np.sqrt((f**2).sum(axis=(1, 2))) for f in (force - b, b, off, u))
+    expected = {"E_res": residual / load, "E_res_abs": residual, "E_u": wrong / size}
+    for key, values in expected.items():
+        assert table[f"{key}_samples"] == pytest.approx(values, rel=1e-9), key
+        assert table[key] == pytest.approx(values.mean(), rel=1e-9), key
     assert table["E_res"] > 0.01
 
 
@@ -55,9 +42,8 @@ def test_the_true_model_has_no_error_whatever_loads_the_collar_bears(points):
 
 
 def test_sets_that_have_no_error_to_speak_of_are_refused(points):
-    none = np.empty((0, *points.u.shape[1:]))
     with pytest.raises(InputError, match="the set has no samples"):
-        evaluate(MODEL, replace(points, u=none, b=none))
+        evaluate(MODEL, points[:0])
     zero = points.u.copy()
     zero[1, points.interior] = 0
     with pytest.raises(InputError, match="u: sample 1 is zero on the interior"):
@@ -70,15 +56,13 @@ def test_without_load_there_is_no_residual_to_be_relative_to(points, level):
     b = points.b.copy()
     b[1, points.interior] = level
     some, every = evaluate(MODEL, replace(points, b=b)), evaluate(MODEL, points)
-    assert some["E_res_samples"][1] is None
-    rest = [error for s, error in enumerate(every["E_res_samples"]) if s != 1]
-    assert some["E_res"] == pytest.approx(np.mean(rest))
+    first, _, last = every["E_res_samples"]
+    assert some["E_res_samples"] == [pytest.approx(first), None, pytest.approx(last)]
+    assert some["E_res"] == pytest.approx((first + last) / 2)
     assert some["E_u_samples"][0] == pytest.approx(every["E_u_samples"][0])
-    assert np.isfinite(some["E_u"])
     none = evaluate(MODEL, replace(points, b=np.full_like(b, level)))
     assert none["E_res"] is None
-    assert none["E_res_abs"] > 0
-    assert none["E_u"] > 0
+    assert min(none["E_res_abs"], none["E_u"]) > 0
 
 
 def test_the_error_of_shape_does_not_see_rigid_motion(points):

@@ -111,28 +111,27 @@ def test_the_wave_response_is_exact_for_every_parity_and_so_is_its_tangent(clean
     assert_tangent(response)
     k, x = clean.arrays["wave_vector"], clean.x
     quarter = np.pi / 2 / np.where(k == 0, np.inf, k)  # cos becomes sin along axis 0
+    axis, sample = np.arange(len(k)) % 2, np.arange(len(k))
     for shift in ([1, 0], [0, 1], [1, 1]):
+        phase = k[:, None] * (x - quarter[:, None] * shift)
         u, b = np.zeros_like(clean.u), np.zeros_like(clean.b)
-        for s in range(len(clean)):
-            phase, axis = k[s] * (x - quarter[s] * shift), s % 2
-            c, d = np.cos(phase).prod(axis=1), np.sin(phase).prod(axis=1)
-            u[s, :, axis] = response.u[s, axis] * c
-            u[s, :, 1 - axis] = -response.u[s, 1 - axis] * d
-            b[s, :, axis] = response.b[s, axis] * c
+        cos, sin = np.cos(phase).prod(axis=2).T, np.sin(phase).prod(axis=2).T
+        u[sample, :, axis] = (response.u[sample, axis] * cos).T
+        u[sample, :, 1 - axis] = -(response.u[sample, 1 - axis] * sin).T
+        b[sample, :, axis] = (response.b[sample, axis] * cos).T
         there = WaveResponse(Products(dataclasses.replace(clean, u=u, b=b), HORIZON))
         assert square(there.about(MODEL), MODEL) < 1e-20
 
 
 def test_what_noise_and_waves_cannot_be_used_is_refused(clean):
-    noise = fluctuation(clean, 2, SIZE, seed=4)
+    noise, b = fluctuation(clean, 2, SIZE, seed=4), clean.b.copy()
     for given, words in (
-        (dataclasses.replace(noise, u=noise.u[:0]), "at least one field"),
+        (noise[:0], "at least one field"),
         (with_nodes(noise, x=noise.x + 0.5), "nodes"),
         ([noise, noise], "expected 1 sets"),
     ):
         with pytest.raises(InputError, match=words):
             fit(clean, HORIZON, Bernstein(2), noise=given)
-    b = clean.b.copy()
     b[3] = 0
     with pytest.raises(InputError, match="sample 3"):
         WaveResponse(Products(dataclasses.replace(clean, b=b), HORIZON))

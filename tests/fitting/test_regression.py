@@ -26,13 +26,13 @@ def test_the_optimum_is_one():
 def test_no_bound_that_matters_is_plain_least_squares():
     A, y = np.diag([1.0, 2.0, 4.0]), np.array([1.0, 2.0, 4.0])
     np.testing.assert_allclose(least_squares_above(A, y, np.zeros((0, 3)), np.zeros(0)), 1)
-    np.testing.assert_allclose(least_squares_above(A, y, np.eye(3), np.full(3, 0.5)), 1)
-    np.testing.assert_allclose(least_squares_above(A, y, np.eye(3), np.full(3, 2.0)), 2)
+    for bound, expected in ((0.5, 1), (2.0, 2)):
+        found = least_squares_above(A, y, np.eye(3), np.full(3, bound))
+        np.testing.assert_allclose(found, expected)
 
 
 def test_what_cannot_be_is_refused():
     G = np.array([[1.0, 0.0], [-1.0, 0.0]])
-    with pytest.raises(InputError, match="no x"):
-        least_squares_above(np.eye(2), np.zeros(2), G, np.ones(2))
-    with pytest.raises(InputError, match="full column rank"):
-        least_squares_above(np.diag([1.0, 0.0]), np.zeros(2), G, -np.ones(2))
+    for last, h, words in ((1.0, np.ones(2), "no x"), (0.0, -np.ones(2), "full column rank")):
+        with pytest.raises(InputError, match=words):
+            least_squares_above(np.diag([1.0, last]), np.zeros(2), G, h)

@@ -10,7 +10,6 @@ from tests.crystal.crystals import cubic_tensor, dispersive
 from tests.support.problems import AXIS
 from warp_peri.materials.crystal_fit import fit_dispersion
 from warp_peri.materials.third_order import Smoothing, ThirdOrderMaterial
-from warp_peri.points.families import bond_classes
 from warp_peri.points.lattice import lattice_steps
 
 LAM, MU = 0.3, 0.7
@@ -88,12 +87,3 @@ def bent_tangent(op, u, steps, into, out):
             part = push[b].T @ sp.diags_array(bends[:, a, b, c, e].numpy()) @ pull[e]
             total += sp.kron(part[op.points.interior], np.outer(eye[a], eye[c])) / len(into)
     return sp.csr_array(total)
-
-
-def tangent(op, u):
-    """∂(L u)/∂u of a crystal of third order at u [N, 2], [2 I, 2 N]."""
-    classes = bond_classes(op.model.spacing, op.model.reach)
-    xi = classes.xi @ lattice_steps(op.points)[1].T
-    sides = (2 * p[classes.bond_class, None] * xi for p in op.model.weights(classes))
-    bent = bent_tangent(op, u, classes.steps, *(side[None] for side in sides))
-    return sp.csr_array(op.straight.matrix() + bent)

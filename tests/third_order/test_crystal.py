@@ -1,47 +1,37 @@
-"""Third-order constants on micromodulus tensors: force, proof, learning, files."""
+"""A third-order crystal as numbers: its energy, its weights, other lattices, learning, refusals."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-import warp_peri
+import warp_peri as wp
 from tests.crystal.crystals import cubic_tensor, dispersive
 from tests.support.clouds import cloud
-from tests.support.nonlinear import LAM, MU, TENSOR, psi, solid
+from tests.support.nonlinear import FORMS, LAM, MU, TENSOR, psi, solid
 from tests.support.problems import lattice, smooth
-from warp_peri import fit
+from warp_peri import Crystal, InputError, ThirdOrder
 from warp_peri.core.elastic import voigt
-from warp_peri.errors import InputError
-from warp_peri.materials.crystal_fit import Crystal, fit_dispersion
+from warp_peri.materials.crystal_fit import fit_dispersion
 from warp_peri.materials.third_order import Smoothing, energy_density
-from warp_peri.materials.third_order_fit import ThirdOrder
-from warp_peri.points.samples import Samples
+from warp_peri.points.families import bond_classes
 
 REACH = 3.0
-AXIS = 20.0
+POINTS = replace(lattice(11, REACH), axis=20.0)
 
 
-@pytest.fixture(scope="module", params=["filtered", "energy"])
-def law(request):
-    return solid(request.param)
-
-
-def nodes(interior=5, spacing=1.0, angle=0.0):
-    return replace(lattice(interior, REACH * spacing, spacing, angle), axis=AXIS)
-
-
-def loaded(law, points, size, count=1, seed=0, wave_number=0.8):
+def loaded(law, size, count):
     """Smooth fields in equilibrium with a law."""
-    u = size * smooth(points.x, count, seed, wave_number=wave_number)
+    u = size * smooth(POINTS.x, count, 0, wave_number=0.8)
     b = np.zeros_like(u)
-    b[:, points.interior] = law.on(points)(u)
-    return Samples(points, u, b)
+    b[:, POINTS.interior] = law.on(POINTS)(u)
+    return wp.Samples(POINTS, u, b)
 
 
-def test_the_energy_is_that_of_the_green_strain(law):
-    H = 0.3 * np.random.default_rng(0).normal(size=(20, 2, 2))
+def test_the_energy_is_that_of_the_green_strain():
+    H, law = 0.3 * np.random.default_rng(0).normal(size=(20, 2, 2)), solid("energy")
     small = (H + H.swapaxes(1, 2)) / 2
     E = torch.from_numpy(small + H.swapaxes(1, 2) @ H / 2)
     numbers = dict(zip(("lam", "mu", "t3", "tq2", "q3"), law.numbers))
@@ -50,22 +40,42 @@ def test_the_energy_is_that_of_the_green_strain(law):
     np.testing.assert_allclose(density, psi(H, law, 0.3), rtol=1e-11)
 
 
-def test_on_other_spacings_it_keeps_moduli_and_constants_and_is_proven_anew(law):
-    fine = lattice(5, REACH, 0.75)
-    operator = law.on(replace(fine, axis=AXIS))
-    np.testing.assert_allclose(operator.model.numbers, law.numbers, rtol=1e-6)
-    assert operator.model.proven_strain(0.75) > 0.3 * law.proven_strain(1.0) > 0
-    assert law.proven_strain(0.75) == 0
-    with pytest.raises(InputError, match="spacing"):
-        law.on(replace(fine, axis=AXIS), transfer=False)(0 * fine.x)
+def test_on_other_spacings_and_in_other_units_it_keeps_what_is_the_materials():
+    law, fine = solid("energy"), replace(lattice(5, REACH, 0.75), axis=20.0)
+    there = law.on(fine).model
+    np.testing.assert_allclose(there.numbers, law.numbers, rtol=1e-6)
+    assert there.proven_strain(0.75) > 0.3 * law.proven_strain(1.0) > law.proven_strain(0.75) == 0
+    other = law.in_units(("nm", "GPa"))
+    one, two = (m.weights(bond_classes(h, 3 * h))[0] for m, h in ((law, 1), (other, 0.1)))
+    np.testing.assert_allclose(two, 100 * one, rtol=1e-9)
+    assert (other.proven_strain(0.1), other.proven_strain(0.2)) == (law.proven_strain(1.0), 0)
 
 
-def test_what_made_the_data_is_found_again(law):
-    points = nodes(11)
-    samples = loaded(law, points, 0.05, count=6)
-    recipe = Crystal(REACH, moduli=voigt(TENSOR))
+@pytest.mark.parametrize("ridge", [0.0, 0.1])
+def test_filtered_form_takes_weights_that_undo_the_smoothing(ridge):
+    smoothing, classes = Smoothing(10.0, ridge), bond_classes(5.0, 20.0)
+    weights = smoothing.weights(classes)
+    angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    for number in (0.05, 0.15, 0.25):
+        k = number * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        sine = 2 * np.sin(k @ classes.xi.T)
+        small = number**2 * 0.3 * 100 / 4  # of a cone, to fourth order
+        known = smoothing.transform(np.array([number]))
+        assert known == pytest.approx(1 - small, abs=0.4 * (number * 10 / 3) ** 4)
+        # that of the data is kept small, for the sake of the proof
+        for p, factor, most in zip(weights, (smoothing.inverse(number), known), (0.1, 1e-3)):
+            wanted = k * factor
+            wrong = sine @ (p[classes.bond_class, None] * classes.xi) - wanted
+            assert np.abs(wrong).max() <= most * np.abs(wanted).max()
+    assert [classes.count * classes.r**2 @ p for p in weights] == pytest.approx([1, 1])
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_what_made_the_data_is_found_again(form):
+    law = solid(form)
+    recipe = ThirdOrder(Crystal(REACH, moduli=voigt(TENSOR)), law.smoothing, form)
     with pytest.warns(UserWarning, match=r"the training data reach .*; a larger ridge"):
-        found = fit(samples, ThirdOrder(recipe, law.smoothing, law.form))
+        found = wp.fit(loaded(law, 0.05, 6), recipe)
     model = found.material
     assert found.history["largest_gradient"] > model.proven_strain(1.0)
     np.testing.assert_allclose(model.numbers, law.numbers, rtol=1e-6)
@@ -75,28 +85,45 @@ def test_what_made_the_data_is_found_again(law):
     assert model.proven["strain"] == pytest.approx(law.proven["strain"], rel=1e-4)
 
 
-def test_what_does_not_fit_is_refused():
-    law, points, other = solid("energy"), nodes(), cubic_tensor(2)
-    square = fit_dispersion(dispersive(other), 1.0, REACH, symmetry="4mm", tensor=other)
-    with pytest.raises(InputError, match="isotropic long waves"):
-        replace(law, linear=square)
-    with pytest.raises(InputError, match="certificate"):
-        replace(law, linear=replace(law.linear, certificate=None)).on(points)
-    with pytest.raises(InputError, match="form"):
-        replace(law, form="both")
-    for u in (points.x[:-1], points.x[None, :0], np.zeros((0, *points.x.shape))):
-        with pytest.raises(InputError, match=r"u: expected float64 of shape \[S, 289, 2\]"):
-            law.on(points)(u)
-    with pytest.raises(InputError, match="a third-order crystal is for lattices"):
-        law.on(cloud(2, REACH))
-    samples, linear = loaded(law, points, 0.01), Crystal(REACH)
-    for asked, words in (
-        ((linear, None), "smoothing"),
-        ((Crystal(REACH, moduli=None), Smoothing(2.0)), "moduli"),
-        ((linear, Smoothing(2.0), "auto"), "form: expected one of filtered, energy, got 'auto'"),
-        ((warp_peri.LPS(REACH), Smoothing(2.0)), "linear: expected Crystal, got LPS"),
-    ):
-        with pytest.raises(InputError, match=words):
-            fit(samples, ThirdOrder(*asked))
-    with pytest.raises(InputError, match="one set"):
-        fit([samples, samples], ThirdOrder(linear, Smoothing(2.0)))
+LINEAR, SMOOTHED = Crystal(REACH), Smoothing(2.0)
+
+
+def square():
+    C = cubic_tensor(2)
+    return fit_dispersion(dispersive(C), 1.0, REACH, symmetry="4mm", tensor=C)
+
+
+def uncertified(law):
+    return replace(law, linear=replace(law.linear, certificate=None))
+
+
+REFUSED = {
+    "isotropic long waves": lambda law: replace(law, linear=square()),
+    "certificate": lambda law: uncertified(law).on(POINTS),
+    "form: expected one of filtered, energy, got 'both'": lambda law: replace(law, form="both"),
+    "tq2: expected a finite number": lambda law: replace(law, tq2=np.nan),
+    "ridge: expected a number ≥ 0": lambda law: Smoothing(10.0, -0.1),
+    "radius: expected a number > 0": lambda law: Smoothing("wide"),
+    r"\[S, 529, 2\], S ≥ 1": lambda law: law.on(POINTS)(POINTS.x[None, :0]),
+    "crystal is for lattices": lambda law: law.on(cloud(2, REACH)),
+    "and transfer=False": lambda law: law.on(lattice(2, REACH, 0.75), transfer=False),
+    "smoothing": lambda law: ThirdOrder(LINEAR, None),
+    "linear: expected Crystal, got LPS": lambda law: ThirdOrder(wp.LPS(REACH), SMOOTHED),
+    "moduli: expected some": lambda law: wp.fit(
+        loaded(law, 0.01, 1), ThirdOrder(Crystal(REACH, moduli=None), SMOOTHED)
+    ),
+    "one set": lambda law: wp.fit(2 * [loaded(law, 0.01, 1)], ThirdOrder(LINEAR, SMOOTHED)),
+}
+
+
+@pytest.mark.parametrize("words", REFUSED)
+def test_what_does_not_fit_is_refused(words):
+    with pytest.raises(InputError, match=words):
+        REFUSED[words](solid("energy"))
+
+
+def test_a_file_whose_linear_part_is_none_is_refused(tmp_path):
+    solid("energy").save(path := tmp_path / "m.json")
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"linear": {}}))
+    with pytest.raises(InputError, match="linear: format: expected 'warp_peri.micromodulus'"):
+        wp.load(path)

@@ -259,7 +259,7 @@ def _sheet_of(data: Dataset) -> str:
 
 def run_sweep(given: Namespace) -> Said:
     """Algorithm 2 on a data file: sweep.json and the models, in a folder."""
-    data = _dataset(given)
+    data, conditions = _dataset(given), settings.StabilityConditions(given.conditions)
     sweep = warp_peri.methods.sweep(
         data[given.set],
         data[given.val],
@@ -268,7 +268,7 @@ def run_sweep(given: Namespace) -> Said:
         noise=data[given.noise] if given.noise else None,
         horizons=given.horizons,
         degrees=given.degrees,
-        conditions=given.conditions,
+        law=warp_peri.LPS(HORIZON, None, settings.GaussNewton(moduli=None), conditions),
         jobs=given.jobs,
         progress=given.progress,
     )

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from warp_peri.fitting.regression import Linearised, Regression, Settled, felt, particular
+from warp_peri.fitting.settings import AugmentedLagrangian, TwoStage
 
 Objective = Callable[[], tuple[torch.Tensor, torch.Tensor]]
 """What is minimised, and the loss that is part of it."""
@@ -88,9 +89,7 @@ def as_printed(
     losses: list[float],
     loss: Callable[[], torch.Tensor],
     margins: Callable[[], torch.Tensor],
-    *,
-    steps: int,
-    rounds: int,
+    method: TwoStage,
     tick: Tick,
     keep: Callable[[], None] = lambda: None,
 ) -> None:
@@ -103,8 +102,7 @@ def as_printed(
         state: variables, then what printed_state gives; moved in place.
         losses: by epoch, goes on.
         loss, margins: of the variables, differentiable.
-        steps: most epochs of a round.
-        rounds: most rounds.
+        method: the most epochs of a round, and rounds.
         tick: called with the loss after every epoch.
         keep: called after every round.
     """
@@ -114,18 +112,18 @@ def as_printed(
         value, H = loss(), margins() - slack**2
         return value + multiplier @ H + penalty / 2 * (H @ H), value
 
-    while done < rounds:
-        losses += adam([*variables, slack], objective, steps, tick)[1]
+    while done < method.outer_iterations:
+        losses += adam([*variables, slack], objective, method.inner_epochs, tick)[1]
         done += 1
         with torch.no_grad():
             signed = margins() - slack**2
             H = signed.abs()
-            if (H <= TOLERANCE).all() and stagnant(losses, steps):
-                done.fill_(rounds)
+            if (H <= TOLERANCE).all() and stagnant(losses, method.inner_epochs):
+                done.fill_(method.outer_iterations)
             elif ((H >= REQUIRED_DECREASE * previous) & (H > TOLERANCE)).any():
                 penalty *= PENALTY_GROWTH
                 if penalty >= LARGEST_PENALTY:
-                    done.fill_(rounds)
+                    done.fill_(method.outer_iterations)
             else:
                 multiplier += penalty * signed
             previous.copy_(H)
@@ -144,9 +142,7 @@ def to_the_optimum(
     problem: Regression,
     theta: np.ndarray,
     loss: Callable[[torch.Tensor], torch.Tensor],
-    *,
-    steps: int,
-    rounds: int,
+    method: AugmentedLagrangian,
     tick: Tick,
 ) -> tuple[Settled, float]:
     """Minimise a loss under the conditions over the whole zone, from one start.
@@ -158,8 +154,8 @@ def to_the_optimum(
         problem: conditions, and rows that curvatures and waves below the floor are found from.
         theta: where to begin.
         loss: of θ, differentiable.
-        steps: of Adam in a round.
-        rounds: at most, each with its own multipliers, coordinates and waves to keep.
+        method: steps of Adam in a round, and the most rounds, each with its own multipliers,
+            coordinates and waves to keep.
         tick: called with the loss after every step.
 
     Returns the result, and of ζ, how little a margin of it may miss.
@@ -172,28 +168,28 @@ def to_the_optimum(
         value, missed = loss(z), torch.clamp(margins_of(problem, z) + phi / psi, max=0)
         return value + psi / 2 * missed @ missed, value
 
-    y = _equal(problem, theta)
-    damping, penalty, before = DAMPING, PENALTY, np.inf
-    now, margin = problem.state(y), -np.inf
+    y = _equal(theta, problem.state(theta))
+    now = problem.state(y)
+    damping, penalty, before, margin = DAMPING, PENALTY, np.inf, -np.inf
     phi, losses = np.zeros(len(now.margins)), [now.loss]
-    for _ in range(rounds):
-        now = problem.state(y)
+    for _ in range(method.rounds):
         far = float((np.minimum(now.margins, 0) ** 2).sum())
         psi = penalty * now.loss / max(1.0, far)  # far from all conditions the loss counts as well
         frame = _frame(now, phi, psi, damping)
         x = torch.zeros(frame.shape[1], dtype=torch.float64, requires_grad=True)
         at, along, held = map(torch.from_numpy, (y, frame, phi))
         objective = partial(lagrangian, x, at, along, held, psi)
-        totals, _ = adam([x], objective, steps, tick, framed=True)
+        totals, _ = adam([x], objective, method.steps, tick, framed=True)
         if not objective()[0].item() <= totals[0]:
             damping *= 10
             continue
-        y = _equal(problem, y + frame @ x.detach().numpy())
-        now = problem.state(y)
-        there = np.minimum(phi + psi * now.margins, 0)
-        most, phi = float(np.abs(there - phi).max()) / psi, there
+        y = y + frame @ x.detach().numpy()
+        y = _equal(y, problem.state(y))
         margin = problem.look(problem.law(y))
-        phi = np.append(phi, np.zeros(len(problem.state(y).margins) - len(phi)))
+        now = problem.state(y)  # with the waves that were found below the floor, at the end
+        there = np.minimum(phi + psi * now.margins[: len(phi)], 0)
+        most = float(np.abs(there - phi).max()) / psi
+        phi = np.pad(there, (0, len(now.margins) - len(there)))
         losses.append(now.loss)
         change = abs(losses[-2] - now.loss)
         met = margin >= -MET and most <= MET
@@ -223,9 +219,8 @@ def _frame(now: Linearised, phi: np.ndarray, psi: float, damping: float) -> np.n
     return np.asarray(free @ (axes / np.sqrt(np.maximum(values, 0) + damping) / size[:, None]))
 
 
-def _equal(problem: Regression, y: np.ndarray) -> np.ndarray:
+def _equal(y: np.ndarray, now: Linearised) -> np.ndarray:
     """The nearest y that meets the equalities, as they are linear about it."""
-    now = problem.state(y)
     width = 1 / felt(np.linalg.norm(now.J, axis=0))
     met: np.ndarray = y + width * particular(now.A * width, -now.equal)[0]
     return met

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.special import stdtrit
 from tqdm import tqdm
 
 from warp_peri.errors import InputError, quietly
-from warp_peri.points.arguments import Natural, typed, typed_methods
+from warp_peri.points.arguments import Bound, Natural, Share, typed, typed_methods
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
 from warp_peri.protocols import offered
@@ -19,6 +19,7 @@ from warp_peri.protocols import offered
 LEAST_LOADS, LEAST_DRAWS, DRAWS = 4, 10, 40
 ONE_DEVIATION = (0.1587, 0.8413)
 """Of normal numbers, the parts below minus and plus one standard deviation."""
+Draws = Annotated[int, Bound(f"at least {LEAST_DRAWS}", lambda draws: draws >= LEAST_DRAWS)]
 REDRAWN = 0.2
 """Of the draws, that may determine no law and are drawn again."""
 
@@ -49,15 +50,13 @@ class BootstrapResult:
         return np.asarray(np.sqrt(self.loads / (self.loads - 1)) * (high - low) / 2)
 
     def band(
-        self, material: Any, quantity: Callable[[Any], np.ndarray | float], level: float = 0.9
+        self, material: Any, quantity: Callable[[Any], np.ndarray | float], level: Share = 0.9
     ) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper end of the band that holds a quantity with probability `level`.
 
         About the material learned from all loads, by Student's distribution of their number.
         Raises InputError for a level that is no probability.
         """
-        if not 0 < level < 1:
-            raise InputError(f"level: expected a probability between 0 and 1, got {level}")
         half = stdtrit(self.loads - 1, (1 + level) / 2) * self.deviation(quantity)
         middle = np.asarray(quantity(material))
         return middle - half, middle + half
@@ -68,7 +67,7 @@ def bootstrap(
     samples: Samples | Dataset,
     law: Any,
     *,
-    draws: int = DRAWS,
+    draws: Draws = DRAWS,
     seed: Natural = 0,
     progress: bool = False,
     **options: Any,
@@ -89,8 +88,6 @@ def bootstrap(
     count, rng, again = len(one), np.random.default_rng(seed), 0
     if count < LEAST_LOADS:
         raise InputError(f"samples: expected at least {LEAST_LOADS} loads, got {count}")
-    if draws < LEAST_DRAWS:
-        raise InputError(f"draws: expected at least {LEAST_DRAWS}, got {draws}")
     offered(law, "learn", "bootstrap", "a model: LPS(…), Crystal(…)")
     if getattr(law, "symmetry", None) == "auto":
         law = dataclasses.replace(law, symmetry=law.learn(one, **options).material.symmetry)

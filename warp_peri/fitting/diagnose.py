@@ -47,8 +47,7 @@ may be as large as linear ones; a residual above which the solid does not descri
 CAUSES = {
     "noise": ("noise in the displacement", "fields of noise in fit(…, noise=…), or longer means"),
     "species": (
-        "a displacement that follows the load: forces on the species of a cell that are not spread "
-        "as their masses, with which displacement is averaged",
+        "a displacement that follows the load: species of a cell are forced unlike their masses",
         "forces in proportion to the masses of a cell's species, or equal masses",
     ),
     "dispersion": (
@@ -64,10 +63,9 @@ CAUSES = {
         "smaller loads, or third-order constants, ThirdOrder(Crystal(…), …)",
     ),
     "heterogeneity": (
-        "heterogeneity: stiffness, or the ripple that smoothing leaves, differs from place to "
-        "place, and moduli of one solid may be below those of the softest part",
-        "fields λ(x), μ(x) of the LPS, model.on(points, lam=…, mu=…), with their gradients, or "
-        "where the sheet is uniform a larger smoothing radius and spacing",
+        "heterogeneity: stiffness, or the ripple that smoothing leaves, is another in places, and "
+        "moduli of one solid may be below those of the softest part",
+        "fields λ(x), μ(x) of the LPS, model.on(points, lam=…, mu=…), or a larger smoothing radius",
     ),
     "unexplained": ("what none of these explains", "smaller, smoother and more loads"),
     "rounding": ("rounding: the model answers the data to all of their digits", "larger loads"),

@@ -14,6 +14,7 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
+from warp_peri.fitting.rows import norms
 from warp_peri.points.arguments import typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
@@ -31,11 +32,11 @@ def residual_errors(operator: Any, points: Samples) -> np.ndarray:
     A load that is rounding beside the forces that cancel in op(u) counts as none: 0.
     """
     load = operator.rhs(points.loads)
-    size = _norms(load)
+    size = norms(load)
     # the force of the interior's displacement alone, which that of the collar takes off again
     straight = getattr(operator, "straight", operator)
-    inner = _norms(straight(np.where(points.interior[:, None], points.u, 0.0)))
-    return np.array([_norms(operator(points.u) - load), np.where(size > ROUNDING * inner, size, 0)])
+    inner = norms(straight(np.where(points.interior[:, None], points.u, 0.0)))
+    return np.array([norms(operator(points.u) - load), np.where(size > ROUNDING * inner, size, 0)])
 
 
 @typed
@@ -77,8 +78,6 @@ def evaluate(
     """
     if isinstance(samples, Dataset):
         samples = samples.obvious()
-    if not isinstance(samples, Samples):
-        raise InputError(f"samples: expected Samples or a Dataset, got {type(samples).__name__}")
     if len(samples) == 0:
         raise InputError("the set has no samples to evaluate")
     options: dict[str, Any] = {} if transfer else {"transfer": False}  # not of every law
@@ -103,10 +102,10 @@ def _table(
     u, off = points.u[:, inside], (solved - points.u)[:, inside]
     if inside.all():  # no node is held: where a periodic body as a whole lies is nobody's answer
         u, off = (field - field.mean(axis=1, keepdims=True) for field in (u, off))
-    size, wrong = _norms(u), _norms(off)
+    size, wrong = norms(u), norms(off)
     if not (size > 0).all():
         raise InputError(f"u: sample {int(np.argmin(size))} is zero on the interior")
-    bent = _norms(without_rigid_part(points.x[inside], u))
+    bent = norms(without_rigid_part(points.x[inside], u))
     bent = np.where(bent > ROUNDING * size, bent, 0.0)
     table: dict[str, Any] = {}
     for key, above, below in (
@@ -131,11 +130,6 @@ def without_rigid_part(x: np.ndarray, u: np.ndarray) -> np.ndarray:
     turns = [(x[:, [b]] * one[a] - x[:, [a]] * one[b]).ravel() for a, b in pairs]
     left, T = (u - u.mean(axis=1, keepdims=True)).reshape(len(u), -1).T, np.transpose(turns)
     return np.asarray((left - T @ np.linalg.lstsq(T, left)[0]).T.reshape(u.shape))
-
-
-def _norms(fields: np.ndarray) -> np.ndarray:
-    norms: np.ndarray = np.linalg.norm(fields.reshape(len(fields), -1), axis=1)
-    return norms
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 
 from warp_peri.core.stencil import central_weights
 from warp_peri.errors import InputError
@@ -295,28 +296,22 @@ def gradients(samples: Samples, kept: np.ndarray, reach: int = REACH) -> np.ndar
     )
 
 
+@torch.enable_grad()
 def _stresses(H: np.ndarray, turn: complex, count: int) -> list[np.ndarray]:
     """First Piola-Kirchhoff stress of each unit constant at H, those of λ and μ without H itself.
 
     The energies are powers of θ = tr E, q = dev E : dev E and z, half the deviator as a complex
     number along the axis: λ, μ, θ³, θq, Re z³ and Im z³, θ⁴, θ²q, q², θ Re z³ and θ Im z³.
     """
-    one = np.eye(2)
-    F, transposed = one + H, H.swapaxes(-1, -2)
-    small = (H + transposed) / 2
-    E = small + transposed @ H / 2
-    theta, traced = (np.trace(e, axis1=-2, axis2=-1)[..., None, None] for e in (E, small))
-    dev = E - theta * one / 2
-    q = (dev**2).sum(axis=(-1, -2))[..., None, None]
-    z = (dev[..., 0, 0] + 1j * dev[..., 0, 1])[..., None, None] * turn**2
-    along = np.array([[1, 1j], [1j, -1]]) / 2 * turn**2  # dz/dE
-    cubes = [(z**3 * phase, 3 * z**2 * along * phase) for phase in (1, -1j)][:count]
-    found = [F @ (theta * one) - traced * one, F @ (2 * E) - 2 * small]
-    third = [3 * theta**2 * one, q * one + 2 * theta * dev, *(slope.real for _, slope in cubes)]
-    fourth = [
-        4 * theta**3 * one,
-        2 * theta * q * one + 2 * theta**2 * dev,
-        4 * q * dev,
-        *(cube.real * one + theta * slope.real for cube, slope in cubes),
-    ]
-    return found + [F @ S for S in third + fourth]
+    at = torch.tensor(H, requires_grad=True)
+    small = (at + at.mT) / 2
+    E = small + at.mT @ at / 2
+    theta, traced = (e.diagonal(dim1=-2, dim2=-1).sum(dim=-1) for e in (E, small))
+    q = (E**2).sum(dim=(-2, -1)) - theta**2 / 2
+    z = torch.complex((E[..., 0, 0] - E[..., 1, 1]) / 2, E[..., 0, 1]) * turn**2
+    cubes = [(z**3).real, (z**3).imag][:count]
+    energies = [(theta**2 - traced**2) / 2, (E**2 - small**2).sum(dim=(-2, -1))]
+    energies += [theta**3, theta * q, *cubes, theta**4, theta**2 * q, q**2]
+    energies += [theta * cube for cube in cubes]
+    slopes = (torch.autograd.grad(W.sum(), at, retain_graph=True)[0] for W in energies)
+    return [slope.numpy() for slope in slopes]

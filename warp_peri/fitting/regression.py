@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeAlias
 
 import numpy as np
 import scipy.linalg
@@ -363,10 +362,6 @@ class Regression:
         return Settled(theta, [*at.p], losses[-1] ** 0.5, losses, margin, missed, count)
 
 
-Minimum: TypeAlias = tuple[float, np.ndarray, np.ndarray]
-"""Λmin D/s at a wave, its k h, and the eigenvector."""
-
-
 class Zone:
     """Looks for the softest waves of a lattice: a grid on the zone, then zooms into its minima."""
 
@@ -386,30 +381,28 @@ class Zone:
         """
         tensors = np.tensordot(p[: len(self.bonds.basis)], self.bonds.basis, 1)
         value, vector = ratios(self.bonds.steps, tensors, self.phase, self.wave)
-        first, *others = self._apart(value, vector)
-        starts = [first, *(one for one in others if one[0] < near)]
-        found = [self._zoomed(tensors, *start) for start in starts]
+        starts = self._apart(value)
+        starts = [n for n in starts if n == starts[0] or value[n] < near]
+        found = [self._zoomed(tensors, value[n], self.phase[n], vector[n]) for n in starts]
         low = [one for one in found if one[0] < below]
         phase, vectors = (np.array([one[n] for one in low]) for n in (1, 2))
         return min(one[0] for one in found), phase, vectors
 
-    def _apart(
-        self, value: np.ndarray, vector: np.ndarray
-    ) -> list[tuple[float, np.ndarray, np.ndarray]]:
+    def _apart(self, value: np.ndarray) -> list[int]:
         """The lowest waves of the grid that are no neighbours of one another: narrow dips too."""
-        found: list[Minimum] = []
+        found: list[int] = []
         for n in np.argsort(value):
-            k = self.phase[n]
-            if all(np.abs(k - other[1]).max() > APART * self.step for other in found):
-                found.append((value[n], k, vector[n]))
+            away = np.abs(self.phase[found] - self.phase[n]).max(axis=1, initial=0)
+            if (away > APART * self.step).all():
+                found.append(n)
                 if len(found) == NEW_CUTS:
                     break
         return found
 
     def _zoomed(
         self, tensors: np.ndarray, value: float, k: np.ndarray, vector: np.ndarray
-    ) -> Minimum:
-        """A minimum followed down through ever finer patches."""
+    ) -> tuple[float, np.ndarray, np.ndarray]:
+        """A minimum followed down through ever finer patches: Λmin D/s, its k h, the vector."""
         reach = self.step
         for _ in range(ZOOMS):
             near = k + reach * self.patch

@@ -67,10 +67,8 @@ def forces(u: np.ndarray, nodes: Grid, bonds: Basis) -> np.ndarray:
     planes, d = nodes.scatter(u).swapaxes(0, 1), nodes.dimension
     stride = np.cumprod((1, *nodes.wide[:0:-1]))[::-1]
     place = np.array(np.unravel_index(nodes.interior, nodes.shape)) + nodes.reach * nodes.periodic
-    planes, at = (
-        np.ascontiguousarray(planes.reshape(d, len(u), -1).transpose(2, 0, 1)),
-        stride @ place,
-    )
+    planes, at = planes.reshape(d, len(u), -1).transpose(2, 0, 1), stride @ place
+    planes = np.ascontiguousarray(planes)
     F, inner = np.zeros((len(bonds.basis), len(at), d, len(u))), 2 * planes[at]
     for step, tensors in zip(stride @ bonds.steps.T, bonds.basis.swapaxes(0, 1)):
         pulled = inner - planes[at + step] - planes[at - step]
@@ -87,8 +85,12 @@ def over_loads(samples: Samples) -> np.ndarray:
 
 def load_sizes(samples: Samples) -> np.ndarray:
     """‖b‖ of each sample on its interior, shape [S]."""
-    b = samples.loads[:, samples.interior].reshape(len(samples), -1)
-    return np.asarray(np.linalg.norm(b, axis=1))
+    return norms(samples.loads[:, samples.interior])
+
+
+def norms(fields: np.ndarray) -> np.ndarray:
+    """‖·‖ of each of S fields, shape [S, ...] to [S]."""
+    return np.asarray(np.linalg.norm(fields.reshape(len(fields), -1), axis=1))
 
 
 def compressed(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

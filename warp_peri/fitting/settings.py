@@ -98,26 +98,24 @@ class GaussNewton:
     smoothness: NotNegative = SMOOTHNESS
 
     def __post_init__(self) -> None:
-        named = isinstance(self.moduli, str) and self.moduli in (ISOTROPIC, LONG_WAVES)
-        if not (self.moduli is None or named or _are_moduli(self.moduli)):
+        named = isinstance(self.moduli, str)
+        if self.moduli is None or (named and self.moduli in (ISOTROPIC, LONG_WAVES)):
+            return
+        try:
+            lam, mu = map(float, () if named else self.moduli)
+        except (TypeError, ValueError):
+            lam = mu = np.nan
+        if not (np.isfinite(lam + mu) and mu > 0 and lam + mu > 0):
             raise InputError(
                 f"moduli: expected (λ, μ) with μ > 0, λ + μ > 0, {ISOTROPIC!r} or "
                 f"{LONG_WAVES!r}, got {self.moduli!r:.60}"
             )
+        object.__setattr__(self, "moduli", (lam, mu))  # of a list or an array too
 
     @property
     def held(self) -> tuple[float, float] | str | None:
         """What a search holds by itself: those of long waves are found before it."""
         return None if self.moduli == LONG_WAVES else self.moduli
-
-
-def _are_moduli(given: Any) -> bool:
-    """Whether it is (λ, μ) of a solid."""
-    try:
-        lam, mu = map(float, given)
-    except (TypeError, ValueError):
-        return False
-    return bool(np.isfinite([lam, mu]).all() and mu > 0 and lam + mu > 0)
 
 
 @typed

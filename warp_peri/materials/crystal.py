@@ -36,18 +36,13 @@ from warp_peri.solvers.solution import CG, Solution, Solver, by_sample, refuse_s
 
 
 class TensorOperator(OperatorBase):
-    """L of one law on the nodes of one lattice, all bonds whole.
-
-    Made by Crystal.on.
+    """L of one law on the nodes of one lattice, all bonds whole; made by its `on`.
 
     Args:
+        model: the law.
         points: lattice nodes with a collar, or periodic.
-        stencil: of the law.
-        tensor: C_ijkl along the nodes' axes [stress], for `stress`.
         method: "rows", "fft", or "auto", which takes what is faster.
         dtype: float64 or float32.
-        why: said beside the error for nodes whose bonds are cut.
-        model: the law, as it is told.
 
     Raises InputError as grid_of does.
     """
@@ -56,20 +51,16 @@ class TensorOperator(OperatorBase):
 
     def __init__(
         self,
+        model: StencilMaterial,
         points: Points,
-        stencil: Stencil,
-        tensor: np.ndarray,
         *,
         method: str = "auto",
         dtype: Any = np.float64,
-        why: str = "",
-        model: Any = None,
     ) -> None:
-        self.points, self.spacing, self.model = points, stencil.spacing, model
-        self.tensor = tensor
-        self.linear = Linear(stencil, points, by=method, dtype=dtype, why=why)
-        self.nodes, self.pull, self.dtype = self.linear.grid, self.linear.pull, self.linear.dtype
-        self.steps, self.tensors, self.method = stencil.steps, stencil.tensors, self.linear.by
+        self.model, self.points, stencil = model, points, model.stencil
+        self.linear = Linear(stencil, points, by=method, dtype=dtype, why=f": {model.uncut}")
+        self.nodes, self.dtype, self.method = self.linear.grid, self.linear.dtype, self.linear.by
+        self.spacing, self.steps, self.tensors = stencil.spacing, stencil.steps, stencil.tensors
 
     def force(self, u: ArrayLike) -> np.ndarray:
         """L u, minus the internal force density [stress/length], at the interior nodes.
@@ -94,7 +85,7 @@ class TensorOperator(OperatorBase):
         asked = solver if isinstance(solver, CG) else CG()
         b, u = checked_fields(self.points, b, u)
         loads, fields = (field.reshape(-1, *self.points.x.shape) for field in (b, u))
-        proof, proven = getattr(self.model, "certificate", None), None
+        proof, proven = self.model.certificate, None
         if proof is not None and proof.holds:
             proven = f"one stable answer: D(k) ≥ {proof.proven:.3g} s(k) for all k"
         else:
@@ -124,10 +115,9 @@ class TensorOperator(OperatorBase):
         they have; nothing is proven of it yet."""
         law, C = self.model, np.asarray(numbers["tensors"], dtype=float)
         held = law.stress if isinstance(law, CrystalMaterial) else None
-        C, units = (C + C.transpose(0, 2, 1)) / 2, getattr(law, "units", USUAL)
-        law = CrystalMaterial(self.spacing, self.steps, C, units, stress=held)
-        how: Any = {"method": self.method, "dtype": self.dtype, "model": law}
-        return TensorOperator(self.points, law.stencil, law.tensor(), **how)
+        C = (C + C.transpose(0, 2, 1)) / 2
+        law = CrystalMaterial(self.spacing, self.steps, C, law.units, stress=held)
+        return TensorOperator(law, self.points, method=self.method, dtype=self.dtype)
 
     def by_numbers(self, name: str, u: ArrayLike, w: ArrayLike) -> np.ndarray:
         """Derivatives of Σ w · L u to the tensors, of fields [K, N, d] and weights [K, I, d]."""
@@ -179,7 +169,7 @@ class TensorOperator(OperatorBase):
 
         Exact on affine fields; on others the stress of the solid that long waves see.
         """
-        C = elastic.turned(self.tensor, self.nodes.axes)
+        C = elastic.turned(self.model.tensor(), self.nodes.axes)
         return np.asarray(np.einsum("abcd,...cd->...ab", C, self.gradient(u), optimize=True))
 
     def matrix(self) -> sp.csr_array:
@@ -290,10 +280,7 @@ class StencilMaterial(Record):
 
         Raises InputError for another spacing or other units, and for nodes whose bonds are cut.
         """
-        return TensorOperator(
-            self.fitting(points), self.stencil, self.tensor(),
-            method=method, dtype=dtype, why=f": {self.uncut}", model=self,
-        )  # fmt: skip
+        return TensorOperator(self, self.fitting(points), method=method, dtype=dtype)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

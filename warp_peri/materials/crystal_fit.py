@@ -32,6 +32,7 @@ from warp_peri.fitting.long_waves import long_wave_moduli
 from warp_peri.fitting.regression import Form, LatticeRows, Numbers, Settled, particular
 from warp_peri.fitting.result import Fit
 from warp_peri.fitting.rows import compressed, over_loads, rows
+from warp_peri.fitting.settings import LONG_WAVES
 from warp_peri.fitting.symmetry import judged
 from warp_peri.fitting.training_data import listed
 from warp_peri.fitting.transfer import LARGEST_WAVE, WaveSymbol, carried_symbol, wave_rows
@@ -45,8 +46,8 @@ from warp_peri.points.unit_names import USUAL, Units, factors, symbols
 if TYPE_CHECKING:
     from warp_peri.atoms.force_constants import ForceConstants
 
-LONG_WAVE_MODULI, POOR = "long waves", 0.1
-"""Moduli that fields tell, and the part of the loads of long waves that they may leave unsaid."""
+POOR = 0.1
+"""The part of the loads of long waves that moduli which fields tell may leave unsaid."""
 ABSURD = 10.0
 """Times the loads, that no law leaves of data in its own units, however noisy."""
 FLOOR = 0.3
@@ -181,7 +182,7 @@ class Crystal:
     horizon: Positive
     symmetry: Symmetry = "auto"
     orientation: Any = None
-    moduli: Any = LONG_WAVE_MODULI
+    moduli: Any = LONG_WAVES
     normalise: bool = False
 
     def learn(self, samples: Samples | Dataset, *, progress: bool | None = None) -> Fit:
@@ -195,15 +196,14 @@ class Crystal:
         too few or too short to tell moduli.
         """
         given = one_set(samples)
-        axes = lattice_steps(given.points)[1]
-        turn = self.turn(given, axes)
-        moduli = self.checked_moduli(len(turn))
-        reach, misfit = self.horizon / given.spacing, None
+        axes, d = lattice_steps(given)[1], given.points.dimension
+        stated = given.axis if self.orientation is None else self.orientation
+        turn = np.eye(d) if stated is None else axes.T @ checked_orientation(stated, d)
+        reach, C, misfit = self.horizon / given.spacing, self.held_moduli(turn), None
         name, ratio = judged(given, reach, turn, self.normalise, self.symmetry)
         tensors = Tensors(given.spacing, self.horizon, name, turn)
         R, y = rows(given, tensors.bonds, weight=over_loads(given) if self.normalise else None)
-        C = None if moduli is None else turned(moduli, turn)
-        if self.moduli is not None and moduli is None:
+        if self.moduli is not None and C is None:
             C, misfit = long_wave_moduli(given, tensors.allowed)
             if misfit > POOR:
                 warn(
@@ -227,25 +227,20 @@ class Crystal:
         material = tensors.crystal(found, given.points.units, record)
         return Fit(material, material.certificate, {}, dict(material.provenance["fit"]))
 
-    def turn(self, samples: Samples, axes: np.ndarray) -> np.ndarray:
-        """The crystal's axes in those of the nodes, as columns, [d, d]."""
-        stated = samples.axis if self.orientation is None else self.orientation
-        d = len(axes)
-        return np.eye(d) if stated is None else axes.T @ checked_orientation(stated, d)
-
-    def checked_moduli(self, d: int) -> np.ndarray | None:
-        """The elastic tensor that is given; None for none, and for those of long waves."""
+    def held_moduli(self, turn: np.ndarray) -> np.ndarray | None:
+        """The elastic tensor that is given, along the nodes' axes; None for none, and for those of
+        long waves."""
         if self.moduli is None or isinstance(self.moduli, str):
-            if self.moduli not in (None, LONG_WAVE_MODULI):
+            if self.moduli not in (None, LONG_WAVES):
                 raise InputError(
-                    f"moduli: expected {LONG_WAVE_MODULI!r}, None or a Voigt matrix, got "
+                    f"moduli: expected {LONG_WAVES!r}, None or a Voigt matrix, got "
                     f"{self.moduli!r:.60}"
                 )
             return None
-        moduli = voigt_to_tensor(self.moduli)
+        moduli, d = voigt_to_tensor(self.moduli), len(turn)
         if len(moduli) != d:
             raise InputError(f"moduli: expected those of {d} dimensions, got {len(moduli)}")
-        return moduli
+        return turned(moduli, turn)
 
 
 def one_set(samples: Any) -> Samples:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,8 +20,8 @@ from scipy.spatial import KDTree
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import locked
-from warp_peri.files.checkpoint import ArrayFile
-from warp_peri.fitting.augmented_lagrangian import adam, as_printed, printed_state
+from warp_peri.files.checkpoint import ArrayFile, fingerprint
+from warp_peri.fitting.augmented_lagrangian import Tick, adam, as_printed, printed_state
 from warp_peri.fitting.settings import TwoStage
 from warp_peri.materials.lps import LPSParameters, bernstein_basis
 from warp_peri.materials.lps_force import Bonds
@@ -272,25 +273,25 @@ def _least(matrices: Sequence[np.ndarray]) -> tuple[int, float, np.ndarray]:
     return which, least, vector
 
 
-def two_stages(learner: Any, start: LPSFound, method: TwoStage, unit: float, key: str) -> LPSFound:
-    """Algorithm 1: Adam with D ≥ 0, then D of any sign under the conditions.
+def two_stages(learner: Any, kernel: Any, method: TwoStage) -> LPSFound:
+    """Algorithm 1 from random numbers: Adam with D ≥ 0, then D of any sign under the conditions.
 
     Args:
-        learner: training data, and what runs a stage by name.
-        start: where to begin.
+        learner: training data, the unit of moduli, and what runs a stage by name.
+        kernel: Bernstein(…).
         method: the most epochs and iterations, and a file that the state is kept in after every
-            outer iteration; a run that finds one goes on from it.
-        unit: of moduli, that suits the steps.
-        key: what the state depends on.
+            outer iteration; a run on the same data that finds one goes on from it.
 
     Raises InputError for a checkpoint of another run, or one that another job writes to.
     """
-    variables = Variables(start.solid, unit, positive=True)
+    random, unit = np.random.default_rng(method.seed), learner.unit
+    D, (lam, mu, alpha) = random.uniform(size=1 + kernel.degree), random.uniform(size=3)
+    variables = Variables(LPSParameters(lam * unit, mu * unit, alpha, D), unit, positive=True)
 
     def loss() -> torch.Tensor:
         return total_loss(learner.operator, variables.bounded())
 
-    def positive(tick: Callable[[float], None]) -> LPSFound:
+    def positive(tick: Tick) -> LPSFound:
         leaves, epochs = variables.leaves, method.epochs
         return variables.found(adam(leaves, lambda: 2 * (loss(),), epochs, tick)[1])
 
@@ -299,6 +300,8 @@ def two_stages(learner: Any, start: LPSFound, method: TwoStage, unit: float, key
     margins = DenseMargins(learner.sets, learner.law.horizon)
     state = [*variables.leaves, *printed_state(len(margins.levels))]
     losses: list[float] = []
+    known = replace(method, checkpoint=None)
+    key = fingerprint(learner.law.horizon, known, kernel, learner.sets)
     kept = ArrayFile(method.checkpoint, key, "a run on other data or settings")
 
     def go_on(before: dict[str, np.ndarray]) -> None:
@@ -311,12 +314,11 @@ def two_stages(learner: Any, start: LPSFound, method: TwoStage, unit: float, key
         tensors = {f"tensor{number}": one.detach().numpy() for number, one in enumerate(state)}
         kept.write(tensors | {"losses": losses})
 
-    def signed(tick: Callable[[float], None]) -> LPSFound:
+    def signed(tick: Tick) -> LPSFound:
         with nullcontext() if kept.path is None else locked(kept.path):
             kept.read(go_on)
-            how: dict[str, Any] = {"steps": method.inner_epochs, "rounds": method.outer_iterations}
-            how |= {"margins": lambda: margins(*variables.bounded()[2:])}
-            as_printed(state, losses, loss, tick=tick, keep=keep, **how)
+            of_kernel = lambda: margins(*variables.bounded()[2:])  # noqa: E731
+            as_printed(state, losses, loss, of_kernel, method, tick, keep)
             return variables.found(losses)
 
     found: LPSFound = learner.run("2 sign-changing", signed)

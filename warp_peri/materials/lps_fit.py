@@ -8,18 +8,19 @@ import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from functools import partial
+from importlib.metadata import version
 from typing import Any, Literal
 
 import numpy as np
 import torch
 from tqdm.auto import tqdm
 
+from warp_peri import __version__
 from warp_peri.core.elastic import plane_isotropic, voigt_to_tensor
 from warp_peri.core.stencil import difference_tensors
 from warp_peri.errors import InputError, quietly, warn
-from warp_peri.files.checkpoint import fingerprint
-from warp_peri.fitting.augmented_lagrangian import to_the_optimum
+from warp_peri.fitting.augmented_lagrangian import Tick, to_the_optimum
 from warp_peri.fitting.evaluate import evaluate
 from warp_peri.fitting.long_waves import lame_of_long_waves
 from warp_peri.fitting.losses import without_noise
@@ -51,7 +52,7 @@ from warp_peri.materials.lps_adam import (
     two_stages,
 )
 from warp_peri.materials.lps_law import HEADROOM, LPSFound, LPSLaw, optimum
-from warp_peri.materials.lps_output import fit_output_error, responses_of, squares
+from warp_peri.materials.lps_output import fit_output_error, squares
 from warp_peri.materials.lps_rows import Products, products
 from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.dataset import Dataset
@@ -82,7 +83,6 @@ MOST_NODES, MOST_LOADS, MOST_REACH = 2000, 16, 8
 set; the reach of its differences."""
 ERROR_TOLERANCE, ROUNDING = 1e-6, 1e-8
 """By which the residual by rows may depart from the operator's: of it, and of the loads."""
-Tick = Callable[[float], None]
 
 
 @typed
@@ -165,11 +165,7 @@ class LPS:
 class Learner:
     """One fit: its data, and its stages, each timed, and shown while it runs.
 
-    Args:
-        law: what is learned.
-        sets: on lattices.
-        noise: fields of noise alone on the nodes of each; empty when nothing is known of it.
-        progress: as of LPS.learn.
+    Arguments are those of LPS.learn, the sets as lists.
 
     Attributes:
         conditions: to keep on each lattice, with their ζ.
@@ -177,9 +173,7 @@ class Learner:
         lattices: bond classes of each lattice that carries the conditions.
         operator: the residual of each set by Warp's operator.
         blocks: rows of the loss.
-        history: the stages that were run, in order.
-        starts: E of stage 3 by start.
-        degrees: error on loads left out by degree, where that was looked for.
+        history, starts, degrees: as of the Fit.
 
     Raises InputError for sets that cannot be learned from.
     """
@@ -256,15 +250,15 @@ class Learner:
         probe = [*starts][:2][-1]  # from which the share of noise, and what moduli cost, are found
         choice = self.choose_loss(starts[probe])
         self.blocks = self.rows(choice.name)
-        asked = GaussNewton(moduli=None)
-        if not isinstance(method, TwoStage):
-            asked = method.optimum if isinstance(method, AugmentedLagrangian) else method
-            asked = self.hold(asked, starts[probe])
+        asked = method if isinstance(method, GaussNewton) else GaussNewton(moduli=None)
+        if isinstance(method, AugmentedLagrangian):
+            asked = method.optimum
+        asked = self.hold(asked, starts[probe])
         if kernel is None:
             kernel = self.choose_degree(choice.name, asked)
             starts = self.plain(kernel)
         if isinstance(method, TwoStage):
-            final = self.two_stages(kernel, method)
+            final = two_stages(self, kernel, method)
         else:
             if isinstance(method, AugmentedLagrangian) and isinstance(kernel, Bernstein):
                 starts = {"Adam": self.adam(kernel, method, asked)} | starts
@@ -273,7 +267,8 @@ class Learner:
                 why = "the residual's optimum is worse than local elasticity"
                 choice = LossSelection("output", why)
             if choice.name == "output":
-                final = self.run("4 output error", lambda tick: self.output(final, asked, tick))
+                misfit = partial(fit_output_error, self, final, asked)
+                final = self.run("4 output error", misfit)
         self.check(final, choice.name)
         done = dataclasses.replace(law, kernel=kernel, method=asked, conditions=self.conditions)
         return self.certified(final, done, choice)
@@ -397,29 +392,14 @@ class Learner:
         """Of moduli, that suits the steps of Adam [stress]."""
         return self.stiffness / USUAL_STIFFNESS
 
-    def two_stages(self, kernel: Any, method: TwoStage) -> LPSFound:
-        """Algorithm 1 from random numbers; its checkpoint is known by the data and the settings."""
-        random = np.random.default_rng(method.seed)
-        D, (lam, mu, alpha) = random.uniform(size=1 + kernel.degree), random.uniform(size=3)
-        rough = LPSFound(LPSParameters(lam * self.unit, mu * self.unit, alpha, D))
-        known = dataclasses.replace(method, checkpoint=None)
-        key = fingerprint(self.law.horizon, known, kernel, self.sets)
-        return two_stages(self, rough, method, self.unit, key)
-
     def adam(self, kernel: Bernstein, method: AugmentedLagrangian, asked: GaussNewton) -> LPSFound:
         """Adam and the augmented Lagrangian on Warp's operator, from a random kernel."""
         D = np.random.default_rng(method.seed).uniform(size=1 + kernel.degree)
         rough = LPSFound(LPSParameters(0.0, self.unit, 1.0, D))
         law = LPSLaw(self.lattices, rough, self.conditions, asked)
         problem = Regression(self.rows("residual"), law, law.zeta, 1.0)
-        loss = in_torch(self.operator, law)
-        how = {"steps": method.steps, "rounds": method.rounds}
-        return self.run(
-            "1 Adam",
-            lambda tick: law.found(
-                *to_the_optimum(problem, law.start(rough), loss, tick=tick, **how)
-            ),
-        )
+        given = problem, law.start(rough), in_torch(self.operator, law), method
+        return self.run("1 Adam", lambda tick: law.found(*to_the_optimum(*given, tick)))
 
     def best(self, starts: Mapping[str, LPSFound], method: GaussNewton, tick: Tick) -> LPSFound:
         """Stage 3: the best of the constrained optima reached from all starts.
@@ -449,21 +429,6 @@ class Learner:
         lowest = min(reached.loss for reached in kept)
         # Equal losses are one optimum: the first start is kept, whatever the rounding.
         return next(reached for reached in kept if reached.loss <= lowest * (1 + SAME_LOSS))
-
-    def output(self, start: LPSFound, method: GaussNewton, tick: Tick) -> LPSFound:
-        """Stage 4: on from there to the least misfit of displacement.
-
-        Raises RuntimeError when it ends with the conditions or the moduli not kept.
-        """
-        responses = responses_of(self.products)
-        given = responses, self.lattices, start, self.conditions, method
-        found = fit_output_error(*given, tick=tick)
-        if not found.converged:
-            raise RuntimeError(
-                f"stage 4: ended with a margin of {found.margin:.1e}, and moduli to be held "
-                f"missed by {found.departure:.1e}"
-            )
-        return found
 
     def worse(self, found: LPSFound, method: GaussNewton) -> bool:
         """Whether training displacement is better had from local elasticity of moduli that are
@@ -504,8 +469,7 @@ class Learner:
         bound = HEADROOM * self.conditions.level
         if isinstance(self.law.method, TwoStage):
             bound = SMALLEST_MODULUS * self.unit
-        lam, mu = final.solid.lam, final.solid.mu
-        ended = {"μ": mu, "λ + μ": lam + mu}
+        ended = {"μ": final.solid.mu, "λ + μ": final.solid.lam + final.solid.mu}
         low = [name for name, value in ended.items() if value <= bound * (1 + ON_BOUND)]
         if low:
             unit = symbols(self.sets[0].points.units)[1]
@@ -537,7 +501,8 @@ class Learner:
             largest_wave_number=max(largest_wave_number(points) or 0.0 for points in sets) or None,
             certificate={f"{proof.spacing:g}": proof.figures() for proof in proofs},
             provenance=provenance,
-            versions=_versions(),
+            versions={"python": platform.python_version(), "warp_peri": __version__}
+            | {name: version(name) for name in ("warp-lang", "torch", "numpy", "scipy")},
         )
         return Fit(
             model,
@@ -567,13 +532,3 @@ def local_error(C: np.ndarray, samples: Samples) -> float:
         except InputError:  # bonds reach beyond the collar
             continue
     return np.inf
-
-
-def _versions() -> dict[str, str]:
-    versions = {"python": platform.python_version()}
-    for name in ("warp_peri", "warp-lang", "torch", "numpy", "scipy"):
-        try:
-            versions[name] = version(name)
-        except PackageNotFoundError:
-            versions[name] = "not installed"
-    return versions

@@ -8,20 +8,22 @@ is, not through a second derivative, and does not bias the fit.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
-from typing import TypeAlias
+from collections.abc import Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from warp_peri.core.groups import lattice_group
 from warp_peri.errors import InputError
+from warp_peri.fitting.augmented_lagrangian import Tick
 from warp_peri.fitting.regression import LatticeRows
 from warp_peri.fitting.rows import compressed
-from warp_peri.fitting.settings import GaussNewton, StabilityConditions
+from warp_peri.fitting.settings import GaussNewton
 from warp_peri.materials.lps import LPSMaterial
-from warp_peri.materials.lps_law import LPSFound, optimum
+from warp_peri.materials.lps_law import LPSFound
 from warp_peri.materials.lps_matrices import matrices
 from warp_peri.materials.lps_rows import Products, products
+from warp_peri.points.arrays import checked
 from warp_peri.points.families import BondClasses
 from warp_peri.points.samples import WAVE_VECTOR
 from warp_peri.solvers.direct import MatrixProblem
@@ -47,9 +49,7 @@ class WaveResponse:
 
     def __init__(self, made: Products) -> None:
         points, self.classes, self.bonds = made.samples, made.classes, made.bonds
-        k = np.asarray(points.arrays[WAVE_VECTOR], dtype=float)
-        if k.shape != (len(points), 2) or not np.isfinite(k).all():
-            raise InputError(f"{WAVE_VECTOR}: expected shape [{len(points)}, 2], got {k.shape}")
+        k = checked(WAVE_VECTOR, points.arrays[WAVE_VECTOR], float, (len(points), 2))
         onto = [_projection(points.x, *sample) for sample in zip(k, points.loads)]
         self.u, self.b = (
             np.array([(wave * field.T).sum(axis=1) for wave, field in zip(onto, fields)])
@@ -57,9 +57,8 @@ class WaveResponse:
         )
         parts = self.bonds.symbol(k * points.spacing) / points.spacing**2
         self.symbol = parts.transpose(0, 2, 3, 1)
-        place = "at its wave vector"
-        _over("b", self.b, place)
-        self.weight = _over("u", self.u, place)
+        _over("b", self.b, "at its wave vector")
+        self.weight = _over("u", self.u, "at its wave vector")
 
     def about(self, model: LPSMaterial) -> LatticeRows:
         """û against u at the wave vectors, relative, û linear in the products about a model."""
@@ -140,38 +139,31 @@ def _projection(x: np.ndarray, k: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray(onto[list(best)])
 
 
-def fit_output_error(
-    responses: Sequence[Response],
-    lattices: Sequence[BondClasses],
-    start: LPSFound,
-    conditions: StabilityConditions,
-    method: GaussNewton,
-    *,
-    tick: Callable[[float], None],
-) -> LPSFound:
+def fit_output_error(learner: Any, start: LPSFound, method: GaussNewton, tick: Tick) -> LPSFound:
     """Minimise the misfit of displacement under the conditions over the whole zone.
 
     Each step is a constrained optimum of the loss linearised about the last one. A step that does
     not lower the loss itself ends the search.
 
     Args:
-        responses: of the training set on each lattice.
-        lattices: bond classes of each.
+        learner: training data and conditions.
         start: where to begin, an optimum of another loss.
-        conditions: what must hold on each lattice.
-        method: as for optimum.
+        method: as for the optimum.
         tick: called with the loss after each step.
+
+    Raises RuntimeError when it ends with the conditions or the moduli not kept.
     """
+    responses = responses_of(learner.products)
 
     def about(found: LPSFound) -> tuple[list[LatticeRows], float]:
-        model = found.model(lattices[0].horizon)
+        model = learner.model(found)
         blocks = [response.about(model) for response in responses]
-        return blocks, squares(blocks, lattices, model)
+        return blocks, squares(blocks, learner.lattices, model)
 
     best, (blocks, loss) = start, about(start)
     losses = [loss]
     for _ in range(STEPS):
-        reached = optimum(blocks, lattices, best, conditions, method)
+        reached = learner.optimum(best, method, blocks)
         linearised, lower = about(reached)
         if not (reached.converged and lower < loss):
             break
@@ -181,6 +173,11 @@ def fit_output_error(
         tick(loss)
         if gained <= GAIN * loss:
             break
+    if not best.converged:
+        raise RuntimeError(
+            f"stage 4: ended with a margin of {best.margin:.1e}, and moduli to be held "
+            f"missed by {best.departure:.1e}"
+        )
     return dataclasses.replace(best, losses=losses)
 
 

@@ -8,7 +8,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, cast
 
 import joblib
 import numpy as np
@@ -18,18 +18,10 @@ from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import locked
 from warp_peri.files.checkpoint import fingerprint
 from warp_peri.fitting.evaluate import ERRORS, evaluate
-from warp_peri.fitting.settings import (
-    DEGREES,
-    HORIZONS,
-    Bernstein,
-    GaussNewton,
-    Method,
-    StabilityConditions,
-    TwoStage,
-)
+from warp_peri.fitting.settings import DEGREES, HORIZONS, Bernstein, GaussNewton, TwoStage
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_fit import LPS
-from warp_peri.points.arguments import typed, typed_methods
+from warp_peri.points.arguments import Bound, typed, typed_methods
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols
@@ -95,6 +87,10 @@ class SweepResult:
     cheapest: Trial
 
 
+FREE = LPS(HORIZONS[0], method=GaussNewton(moduli=None))
+Jobs = Annotated[int, Bound("a number of processes, or −1 for one per core", lambda n: n != 0)]
+
+
 @typed
 def sweep(
     train: Samples,
@@ -103,11 +99,10 @@ def sweep(
     *,
     test: Samples | None = None,
     noise: Samples | None = None,
+    law: LPS = FREE,
     horizons: Sequence[float] = HORIZONS,
     degrees: Sequence[int] = DEGREES,
-    conditions: Literal["direct", "paper"] = "direct",
-    method: Method = GaussNewton(moduli=None),  # noqa: B008 (a frozen value)
-    jobs: int = -1,
+    jobs: Jobs = -1,
     progress: bool = False,
 ) -> SweepResult:
     """Fit every horizon and degree and choose.
@@ -121,10 +116,10 @@ def sweep(
         folder: for the models and their errors.
         test: samples whose error is reported and takes no part in the choice.
         noise: fields of noise alone on the training nodes, as in `fit`.
+        law: what is fitted, and how, with each horizon and degree in the place of its own;
+            Algorithm 2 as printed has method=TwoStage().
         horizons: δ [Å].
         degrees: M.
-        conditions: "direct" or "paper", as in StabilityConditions.
-        method: of each fit; Algorithm 2 as printed has TwoStage().
         jobs: number of processes, −1 for one per core; a joblib.parallel_config around the call
             chooses another backend.
         progress: show a progress bar.
@@ -134,32 +129,21 @@ def sweep(
     """
     if not (len(horizons) and len(degrees)):
         raise InputError("sweep: expected at least one horizon and one degree")
-    if not isinstance(jobs, int) or jobs == 0:
-        raise InputError(
-            f"jobs: expected a number of processes, or −1 for one per core, got {jobs!r}"
-        )
     sets = {"train": train, "val": val} | ({} if test is None else {"test": test})
-    common = (sets, noise, StabilityConditions(conditions), method)
     files = {}
     for horizon, degree in itertools.product(horizons, degrees):
-        key = fingerprint(horizon, degree, *common)
-        name = f"d{horizon:g}_M{degree}_{key[:12]}.model.json"
-        files[Path(folder) / name] = (horizon, degree, key)
+        one = dataclasses.replace(law, horizon=horizon, kernel=Bernstein(degree))
+        key = fingerprint(one, sets, noise)
+        files[Path(folder) / f"d{horizon:g}_M{degree}_{key[:12]}.model.json"] = one, key
     with locked(folder):
-        found = {file: _read(file, train, case) for file, case in files.items()}
+        found = {file: _read(file, train.spacing, key) for file, (_, key) in files.items()}
         todo = [file for file in files if found[file] is None]
-        work = (joblib.delayed(_fit)(*common, *files[file], file) for file in todo)
-        failed = []
-        with tqdm(
-            total=len(files), initial=len(files) - len(todo), unit="fit", disable=not progress
-        ) as bar:
-            parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
-            for failure in parallel(work) if todo else ():
-                failed += [failure] if failure else []
-                bar.update()
-        for failure in sorted(failed):
+        work = (joblib.delayed(_fit)(*files[file], sets, noise, file) for file in todo)
+        failures = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(work)
+        about: Any = {"total": len(files), "initial": len(files) - len(todo), "unit": "fit"}
+        for failure in sorted(filter(None, tqdm(failures, **about, disable=not progress))):
             warn(f"sweep: {failure}; the other fits go on")
-        found |= {file: _read(file, train, files[file]) for file in todo}
+        found |= {file: _read(file, train.spacing, files[file][1]) for file in todo}
     if not (trials := [trial for trial in found.values() if trial is not None]):
         raise RuntimeError("sweep: every fit failed")
     return choose(trials)
@@ -188,51 +172,45 @@ def _average(trial: Trial, base: Trial) -> float:
     return float(np.mean([getattr(trial, name) / getattr(base, name) for name in names]))
 
 
-def _fit(
-    sets: dict[str, Samples],
-    noise: Samples | None,
-    conditions: StabilityConditions,
-    method: Method,
-    horizon: float,
-    degree: int,
-    key: str,
-    file: Path,
-) -> str:
+def _fit(law: LPS, key: str, sets: dict[str, Samples], noise: Samples | None, file: Path) -> str:
     """Fit, evaluate, and leave the model with its errors in `file`.
 
     Returns what went wrong when a fit finds no optimum; nothing is left then, and the next run
     tries again. A fit of hours keeps its state beside the model, and goes on from there. Input
     that cannot be used ends the sweep.
     """
-    state, train = file.with_suffix(".h5"), sets["train"]
-    if isinstance(method, TwoStage):
-        method = dataclasses.replace(method, checkpoint=state)
-    law = LPS(horizon, Bernstein(degree), method, conditions)
+    state, train, kernel = file.with_suffix(".h5"), sets["train"], cast(Bernstein, law.kernel)
+    if isinstance(law.method, TwoStage):
+        law = dataclasses.replace(law, method=dataclasses.replace(law.method, checkpoint=state))
     try:
         model = law.learn(train, noise=noise, progress=False).material
     except RuntimeError as error:
         unit = symbols(train.points.units)[0]
-        return f"δ = {horizon:g} {unit}, M = {degree}: {error}"
+        return f"δ = {law.horizon:g} {unit}, M = {kernel.degree}: {error}"
     tables = {name: evaluate(model, one, allow_uncertified=True) for name, one in sets.items()}
-    errors = {key: {name: table[key] for name, table in tables.items()} for key in ERRORS}
-    provenance = model.provenance | {"sweep": fingerprint(key, errors, model.learnable)}
-    dataclasses.replace(model, errors=errors, provenance=provenance).save(file)
+    errors = {kind: {name: table[kind] for name, table in tables.items()} for kind in ERRORS}
+    model = dataclasses.replace(model, errors=errors)
+    provenance = model.provenance | {"sweep": _mark(model, key)}
+    dataclasses.replace(model, provenance=provenance).save(file)
     state.unlink(missing_ok=True)
     return ""
 
 
-def _read(file: Path, train: Samples, case: tuple[float, int, str]) -> Trial | None:
+def _mark(model: LPSMaterial, key: str) -> str:
+    """What a file of a finished fit is known by."""
+    return fingerprint(key, model.horizon, model.errors, model.learnable)
+
+
+def _read(file: Path, spacing: float, key: str) -> Trial | None:
     """A finished trial, whose file and proof `load` checks; None where there is none of this."""
-    horizon, degree, key = case
     try:
         model = LPSMaterial.load(file)
-        mark = fingerprint(key, model.errors, model.learnable)
-        if (model.horizon, model.degree, model.provenance["sweep"]) != (horizon, degree, mark):
+        if model.provenance["sweep"] != _mark(model, key):
             return None
         res, u = (model.errors[name] for name in ("E_res", "E_u"))
-        bonds = int(bond_classes(train.spacing, model.horizon).count.sum())
+        bonds = int(bond_classes(spacing, model.horizon).count.sum())
         errors = res["train"], u["train"], res["val"], u["val"], u.get("test")
-        bound = model.certificate[f"{train.spacing:g}"]["symbol_bound"]
+        bound = model.certificate[f"{spacing:g}"]["symbol_bound"]
         numbers = model.lam, model.mu, model.alpha, bound
         return Trial(model.horizon, model.degree, bonds, *errors, *numbers, file.name)
     except (InputError, KeyError, TypeError):

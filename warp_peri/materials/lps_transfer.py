@@ -166,8 +166,7 @@ def _fitted(
     model: LPSMaterial, home: float, spacing: float, horizon: float, band: float
 ) -> LPSMaterial | None:
     """A kernel of one horizon; None where the conditions cannot be kept."""
-    figures = model.certificate.get(f"{home:g}", {})
-    proven = figures.get("symbol_bound", 0.0) if isinstance(figures, dict) else 0.0
+    proven = model.figures.get(home, {}).get("symbol_bound", 0.0)
     usual, unit = ZETA * model.mu, model.mu  # of stiffness: soft materials meet the same tolerances
     zeta = min(usual, proven) or max(usual, proven)
     length = search_length(model.units, model.horizon)

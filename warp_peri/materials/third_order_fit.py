@@ -11,16 +11,14 @@ from typing import Literal
 import numpy as np
 from scipy.optimize import root
 
-from warp_peri.core.elastic import turned
-from warp_peri.core.grid import grid_of
 from warp_peri.core.groups import checked_orientation
 from warp_peri.core.pointwise import Pointwise
-from warp_peri.core.stencil import Stencil, invariant_basis
+from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.long_waves import long_wave_moduli, long_wave_rows, moduli_of
 from warp_peri.fitting.regression import Settled
 from warp_peri.fitting.result import Fit
-from warp_peri.fitting.rows import load_sizes, rows, swept
+from warp_peri.fitting.rows import load_sizes, norms, rows, swept
 from warp_peri.materials.crystal_fit import Crystal, Tensors, one_set
 from warp_peri.materials.third_order import (
     CUBIC,
@@ -33,6 +31,7 @@ from warp_peri.materials.third_order import (
 from warp_peri.points.arguments import typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
+from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples, axis_of
 
 SETTLED = 1e-9
@@ -83,20 +82,16 @@ class ThirdOrder:
         horizon, h = asked.horizon, given.spacing
         if given.points.dimension != 2:
             raise InputError("samples: expected a sheet; in space LPS and Crystal are learned")
-        axes = grid_of(given.points, invariant_basis(horizon / h, np.eye(2)[None]).steps).axes
-        way = asked.orientation
-        turn = np.eye(2) if way is None else axes.T @ checked_orientation(way, 2)
+        turn = np.eye(2)
+        if asked.orientation is not None:
+            turn = lattice_steps(given)[1].T @ checked_orientation(asked.orientation, 2)
         auto = isinstance(asked.symmetry, str) and asked.symmetry == "auto"
         tensors = Tensors(h, horizon, "isotropic" if auto else asked.symmetry, turn)
         weights = smoothing.weights(bond_classes(h, horizon), self.form)
-        fields = nonlinear_features(given, horizon, weights)
-        extra = np.einsum("sima,ak->sikm", fields, axes)
-        moduli, misfit = asked.checked_moduli(2), None
-        learning = Learning(given, tensors, extra)
+        moduli, misfit = asked.held_moduli(turn), None
+        learning = Learning(given, tensors, nonlinear_features(given, horizon, weights))
         if moduli is None:
             moduli, misfit = learning.found_moduli()
-        else:
-            moduli = turned(moduli, turn)
         found, _ = learning.at(moduli)
         linear = tensors.crystal(found, given.points.units, {})
         t3, tq2, q3 = found.p[0][len(tensors.bonds.basis) :]
@@ -112,7 +107,7 @@ class ThirdOrder:
         ).certified()
         operator = PlacedThirdOrder(law, given.points)
         b = given.loads[:, given.interior]
-        wrong = np.linalg.norm((operator(given.u) - b).reshape(len(b), -1), axis=1)
+        wrong = norms(operator(given.u) - b)
         largest = float(operator.largest_gradient(given.u).max())
         if largest > (proven := law.proven_strain(law.spacing)):
             warn(
@@ -129,7 +124,7 @@ class ThirdOrder:
 def nonlinear_features(
     points: Samples, horizon: float, weights: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
-    """The force of t3, tq2, q3, λ and μ of Ψ, each at 1, shape [S, I, 5, 2].
+    """The force of t3, tq2, q3, λ and μ of Ψ, each at 1, along the nodes' axes, [S, I, 2, 5].
 
     Args:
         points: the samples, whose points state the axis of the crystal.
@@ -145,8 +140,8 @@ def nonlinear_features(
     )  # fmt: skip
     for name in numbers:
         operator.take(numbers | {name: 1.0})
-        columns.append(operator.force(points.u))
-    return np.stack(columns, axis=2)
+        columns.append(operator.force(points.u) @ lattice_steps(points)[1])
+    return np.stack(columns, axis=-1)
 
 
 class Learning:
