@@ -626,7 +626,7 @@ def pair(found: Mapping[str, float], name: str) -> str:
 
 
 def long_averages() -> Table:
-    """E_res and E_u [%] of the 0 K solid against averages of so many steps at 300 K.
+    """Errors of the 0 K solid against averages of so many steps at 300 K.
 
     The ten validation loads and the four disks: two hours of one core, run by run kept in data/.
     """
@@ -645,11 +645,14 @@ def long_averages() -> Table:
                 assert average is not None
                 fields.append(thermal.settled(body, sample.reference, average.average))
             samples = on_nodes(body, rested[0].reference, np.stack(fields), force, spacing=5.0)
-            table = wp.evaluate(model, samples)
-            rows.append([name, f"{steps}", *percent([table["E_res"], table["E_u"]])])
+            found = errors_of(model, {"": samples})
+            residual, displacement = percent([found["E_res "], found["E_u "]])
+            if name == "four disks":  # their interior bears next to no load
+                residual = f"{found['absolute ']:.3f} GPa/Å"
+            rows.append([name, f"{steps}", residual, displacement])
     printed = [
         ["ten loads", "*printed*", "18.08", "8.88"],
-        ["four disks", "*printed*", "–", "9.21"],
+        ["four disks", "*printed*", "0.208 GPa/Å", "9.21"],
     ]
     return ["", "steps", "E_res", "E_u"], [*rows, *printed]
 
