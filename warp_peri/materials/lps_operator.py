@@ -144,8 +144,11 @@ class LPSOperator(OperatorBase):
                     f"of {d} float64 each, got {type(array).__name__} of {list(np.shape(array))}"
                 )
         numbers = 4 * (None,) if parameters is None else parameters.values()
-        own = zip(self.learnable.values(), numbers)
-        law = self.bonds.law(*(value if one is None else one.numpy() for value, one in own))
+        told = list(zip(self.learnable.values(), numbers))
+        D = told[-1]
+        if D[1] is not None and len(D[1]) != len(D[0]):
+            raise InputError(f"D: expected {len(D[0])} numbers, as the model has, got {len(D[1])}")
+        law = self.bonds.law(*(value if one is None else one.numpy() for value, one in told))
         Lu, *felt = law.force(u.numpy().reshape(len(u), -1))
         out.numpy()[:] = Lu.reshape(out.numpy().shape)
         arrays = [u, *numbers]
