@@ -83,15 +83,21 @@ def deep():
 @pytest.mark.filterwarnings("ignore")  # parsers leave files open
 @pytest.mark.parametrize(("name", "parse"), PARSERS)
 def test_no_file_runs_or_passes(name, parse, deep, tmp_path, monkeypatch):
+    """Nor a pipe, which would be waited for."""
     monkeypatch.chdir(tmp_path)
     packers = itertools.cycle(PACKERS.items())
+    refused = ValueError if parse is read_arrays else InputError
     for n, content in enumerate(HOSTILE):
         for ending, packed in (("", bytes), next(packers)):
             path = tmp_path / f"{n}{ending}" / (name + ending)
             path.parent.mkdir()
             path.write_bytes(packed(content))
-            with pytest.raises(ValueError if parse is read_arrays else InputError):
+            with pytest.raises(refused):
                 parse(path)
+    (tmp_path / "pipe").mkdir()
+    os.mkfifo(tmp_path / "pipe" / name)
+    with pytest.raises(refused):
+        parse(tmp_path / "pipe" / name)
     assert not [*tmp_path.rglob(MARK)]
 
 
@@ -113,13 +119,6 @@ def test_yaml_with_numbers_that_are_none_reaches_no_parser(number, tmp_path):
     path.write_text(f"points:\n- symbol: Al\n  coordinates: [ {number}, 0.0, 0.0 ]\n")
     with pytest.raises(InputError, match="expected finite numbers"):
         wp.atoms.from_phonopy(path)
-
-
-@pytest.mark.parametrize(("name", "parse"), PARSERS)
-def test_a_pipe_is_no_file(name, parse, tmp_path):
-    os.mkfifo(tmp_path / name)
-    with pytest.raises(ValueError if parse is read_arrays else InputError):
-        parse(tmp_path / name)
 
 
 @pytest.mark.parametrize(
