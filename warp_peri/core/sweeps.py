@@ -17,8 +17,8 @@ SCALARS = {np.dtype(np.float64): wp.float64, np.dtype(np.float32): wp.float32}
 FASTER = 4
 """How much less than a usual node a lane of a piece has to do, for the number of threads."""
 FFT_BONDS = {2: 75, 3: 120}
-"""Half families from which FFT takes less time than rows: the middle of where four runs of
-`tools/benchmark.py crystals` on an idle machine crossed."""
+"""Half families from which FFT takes less time than rows: the middle of where four measurements on
+an idle machine crossed."""
 
 
 def entries(tensors: np.ndarray) -> np.ndarray:
