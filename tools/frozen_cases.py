@@ -330,8 +330,12 @@ def fits() -> Entries:
     yield "neural: curve", "refitted", np.array(found.history.curve)
 
 
-ROWS = {"tensors on 20 bonds": "crystal model, 20 bonds"}
-"""Rows of the record that have other names than their entries in the record."""
+ROWS = {
+    "this library": "linear peridynamic solid (LPS)",
+    "symbol > 0": "LPS, positive symbol alone",
+    "tensors on 20 bonds": "crystal model, 20 bonds",
+}
+"""Rows of docs/record/graphene.json that the entries are about."""
 
 
 def graphene() -> Entries:
@@ -341,7 +345,7 @@ def graphene() -> Entries:
     data = wp.load(DATA)
     sets = {role: data[role] for role in ("train", "val", "test")}
     B, smoothing = wp.Bernstein, wp.methods.Smoothing
-    printed = {"this library": "", "symbol > 0": "", "tensors on 20 bonds": ""}
+    printed = dict.fromkeys(ROWS, "")
     for name, law in (
         ("this library", wp.LPS(20.0, B(10), conditions=wp.methods.StabilityConditions("paper"))),
         ("symbol > 0", wp.LPS(20.0, B(10))),
@@ -372,7 +376,7 @@ def graphene() -> Entries:
     record = json.loads((ROOT / "docs" / "record" / "graphene.json").read_text(encoding="utf-8"))
     shown = {name: " ".join(f"{n:.2f}" for n in row if n) for name, *row in record["rows"]}
     for name, numbers in printed.items():
-        printed_row = shown.get(ROWS.get(name, name))
+        printed_row = shown.get(ROWS[name])
         yield f"{name}: row of the record", "moved", f"{numbers}, printed {printed_row}"
     if not METRICS.exists():
         raise Absent("runs/graphene_0K/metrics.json is not there; make graphene makes it")
