@@ -1,19 +1,31 @@
 """What every law must do: a new law is done when it is in tests/support/materials.py and passes."""
 
+from copy import copy
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import warp_peri as wp
-from tests.support.materials import LAWS, OTHER, SPREAD, H, near, placed, solved_samples, uneven
+from tests.support.materials import (
+    KINKED,
+    LAWS,
+    OTHER,
+    SPREAD,
+    H,
+    near,
+    placed,
+    saint_venant,
+    solved_samples,
+    uneven,
+)
 from tests.support.nonlinear import rotation
-from tests.support.problems import difference, lattice, noise
+from tests.support.problems import lattice, noise
 from tests.support.sheets import SPACING
-from warp_peri import runtime
+from warp_peri import runtime, testing
 from warp_peri.neural.material import NeuralOperator
 from warp_peri.points.dataset import in_units
-from warp_peri.points.unit_names import factors
 
 pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning")
 TURN = 0.4
@@ -107,29 +119,50 @@ def test_directions_of_a_network_turn_with_the_axis():
     assert np.abs(other - force).max() > 1e-6 * np.abs(force).max()
 
 
-def test_the_force_is_the_derivative_of_the_energy(name):
+@pytest.mark.parametrize("name", SPREAD)
+def test_force_energy_product_units_and_file_pass_the_checks_of_any_material(name):
     op, points = placed(name)
-    u, v = uneven(points), points.spacing * noise(points) * points.interior[:, None]
-    if not LAWS[name].energy:
-        assert op.energy(u) is None
-        return
-    slope = difference(lambda t: op.energy(u + t[0] * v), [0.0], 1e-3)[0]
-    near(points.spacing**2 * (op(u) * v[points.interior]).sum(), slope, 1e-8)
+    u, kinks = uneven(points), {"step": 1e-6, "tolerance": 1e-6} if name in KINKED else {}
+    testing.check_force(op, u)
+    testing.check_energy(op, u)
+    testing.check_product(op, u, **kinks)
+    material = SPREAD[name].on(points)
+    testing.check_units(material, points, u, OTHER)
+    own = name == "density"
+    read = (lambda path: wp.DensityMaterial.read(path, saint_venant)) if own else wp.load
+    testing.check_file(material, points, u, read=read)
 
 
-def test_other_units_are_the_same_material_there_and_back(name):
+def test_other_units_prove_what_these_do_and_are_not_mixed_with_them(name):
     material, (op, points) = LAWS[name].material(), placed(name)
-    u = uneven(points, 1)
-    length, stress = factors(points.units, OTHER)
-    theirs, other = in_units(wp.Samples(points, u), OTHER), material.in_units(OTHER)
-    there = other.on(theirs.points)
-    near(there(theirs.u), op(u) * stress / length, 1e-12)
-    near(there.stress(theirs.u), op.stress(u) * stress, 1e-12)
-    back = other.in_units(points.units).on(points)
-    near(back(u), op(u), 1e-13)
+    back = material.in_units(OTHER).in_units(points.units).on(points)
     assert back.proven == op.proven if hasattr(op, "proven") else True
     with pytest.raises(wp.InputError, match="in_units"):
-        material.on(theirs.points)
+        material.on(in_units(wp.Samples(points, uneven(points, 1)), OTHER).points)
+
+
+def test_checks_of_a_material_see_what_is_wrong():
+    """A force without a load, and energies, products, units and files off by a thousandth."""
+    op, points = placed("own")
+    u, law = uneven(points), SPREAD["own"].on(points)
+    testing.check_material(law, points, u)
+    wrong = {
+        "force": (testing.check_force, lambda v: op(v) + 1e-3 * np.abs(op(u)).max()),
+        "energy": (testing.check_energy, lambda v: 1.001 * op.energy(v)),
+        "jvp": (testing.check_product, lambda u, v: 1.001 * op.jvp(u, v)),
+        "vjp": (testing.check_product, lambda u, w: 1.001 * op.vjp(u, w)),
+    }
+    for name, (check, method) in wrong.items():
+        bad = copy(op)
+        setattr(bad, name, method)
+        with pytest.raises(AssertionError):
+            check(bad, u)
+    other = replace(law, c=1.001 * law.c)
+    with pytest.raises(AssertionError):
+        testing.check_file(law, points, u, read=lambda path: other)
+    loose = SimpleNamespace(on=law.on, in_units=other.in_units)
+    with pytest.raises(AssertionError):
+        testing.check_units(loose, points, u)
 
 
 @pytest.mark.parametrize("name", SPREAD)

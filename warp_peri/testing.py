@@ -1,0 +1,127 @@
+"""Checks that every material must pass, as functions of a material, points and a field.
+
+Whoever keeps a material in a package of their own calls `check_material` in its tests; the tests
+of this library call them for its own materials. Each raises AssertionError, with the numbers that
+differ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import torch
+
+from warp_peri.points.dataset import in_units
+from warp_peri.points.points import Points
+from warp_peri.points.samples import Samples
+from warp_peri.points.unit_names import Units, factors
+from warp_peri.storage import load, save
+
+SLOPE = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])
+"""Weights of the central difference of order 8."""
+
+
+def check_material(
+    material: Any,
+    points: Points,
+    u: np.ndarray,
+    *,
+    step: float = 1e-3,
+    read: Callable[[Path], Any] = load,
+) -> None:
+    """All checks below.
+
+    Args:
+        material: what `fit` or `load` gives.
+        points: a lattice with a collar, in the material's units.
+        u: displacement, shape [N, d], at which it is differentiated.
+        step: of central differences, as a share of the largest displacement.
+        read: reads the material from a file; `load` by default.
+    """
+    operator = material.on(points)
+    check_force(operator, u)
+    check_energy(operator, u, step=step)
+    check_product(operator, u, step=step)
+    check_units(material, points, u)
+    check_file(material, points, u, read=read)
+
+
+def check_force(operator: Any, u: np.ndarray) -> None:
+    """The force has the shape of the interior nodes, translation causes none, and a field among
+    several is felt as if it were alone."""
+    f, shift = operator(u), np.full_like(u, np.abs(u).max())
+    assert_near(f.shape, u[operator.points.interior].shape, 0.0)
+    assert_near(operator(shift), 0 * f, 1e-11, np.abs(f).max())
+    assert_near(operator(np.stack([shift, u]))[1], f, 1e-13)
+
+
+def check_energy(
+    operator: Any, u: np.ndarray, *, step: float = 1e-3, tolerance: float = 1e-8
+) -> None:
+    """The force is the derivative of the energy, where there is one."""
+    if operator.energy(u) is None:
+        return
+    points, v = operator.points, _direction(operator, u, 0)
+    slope = _slope(lambda t: operator.energy(u + t * v), step)
+    work = points.spacing**points.dimension * (operator(u) * v[points.interior]).sum()
+    assert_near(work, slope, tolerance)
+
+
+def check_product(
+    operator: Any, u: np.ndarray, *, step: float = 1e-3, tolerance: float = 1e-8
+) -> None:
+    """`jvp` is the derivative of the force, `vjp` its transpose, and torch's gradient `vjp`."""
+    v, w = _direction(operator, u, 1), np.random.default_rng(2).normal(size=operator(u).shape)
+    along, back = operator.jvp(u, v), operator.vjp(u, w)
+    assert_near(along, _slope(lambda t: operator(u + t * v), step), tolerance)
+    size = float(np.linalg.norm(along) * np.linalg.norm(w))
+    assert_near((along * w).sum(), (v * back).sum(), 1e-12, size)
+    given = torch.from_numpy(u).requires_grad_()
+    (found,) = torch.autograd.grad(operator(given), given, torch.from_numpy(w))
+    assert_near(found.numpy(), back, 1e-12)
+
+
+def check_units(material: Any, points: Points, u: np.ndarray, other: Units = ("nm", "GPa")) -> None:
+    """In other units force and stress are the same there, and the material is the same again."""
+    operator, there = material.on(points), material.in_units(other)
+    length, stress = factors(points.units, other)
+    samples = in_units(Samples(points, u[None]), other)
+    theirs = there.on(samples.points)
+    assert_near(theirs(samples.u[0]), operator(u) * stress / length, 1e-12)
+    if operator.stress(u) is not None:
+        assert_near(theirs.stress(samples.u[0]), operator.stress(u) * stress, 1e-12)
+    assert_near(there.in_units(points.units).on(points)(u), operator(u), 1e-13)
+
+
+def check_file(
+    material: Any, points: Points, u: np.ndarray, *, read: Callable[[Path], Any] = load
+) -> None:
+    """A material that was saved and read again gives the same bits."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "material.json")
+        save(path, material)
+        assert_near(read(path).on(points)(u), material.on(points)(u), 0.0)
+
+
+def assert_near(actual: Any, expected: Any, tolerance: float, size: float | None = None) -> None:
+    """Equal shapes, and values within a share of `size`, by default the largest expected."""
+    expected = np.asarray(expected)
+    limit = tolerance * (np.abs(expected).max(initial=0.0) if size is None else size)
+    np.testing.assert_equal(np.shape(actual), expected.shape)
+    np.testing.assert_allclose(actual, expected, rtol=0, atol=limit)
+
+
+def _direction(operator: Any, u: np.ndarray, seed: int) -> np.ndarray:
+    """A rough field on the interior, as large as u."""
+    v = np.random.default_rng(seed).uniform(-1, 1, size=u.shape)
+    return np.where(operator.points.interior[:, None], v * np.abs(u).max(), 0.0)
+
+
+def _slope(value: Callable[[float], Any], step: float) -> Any:
+    """The derivative at 0 by central differences."""
+    pairs = enumerate(SLOPE, start=1)
+    return sum(c * (value(n * step) - value(-n * step)) for n, c in pairs) / step
