@@ -305,8 +305,8 @@ def placed(
 
     Raises InputError for an operator on other points, and for what is neither.
     """
-    if hasattr(material, has) and not hasattr(material, by):
-        mine = material.points
+    mine = getattr(material, "points", None)
+    if mine is not None and hasattr(material, has) and not hasattr(material, by):
         if mine is not points and (what := mine.first_difference(points)):
             raise InputError(
                 "operator: expected one on the points of the problem, got another's, which differ "

@@ -5,6 +5,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+import torch
 
 import warp_peri as wp
 from tests.support.materials import LAWS, placed, solved_samples
@@ -59,6 +60,8 @@ def test_what_a_verb_does_not_mean_is_refused_by_name():
         (f"prove_uniqueness: expected .*, got {name}",
          lambda: wp.certificates.prove_uniqueness(solid, spacing=0.1)),
         ("evaluate: expected a material.*, got Points", lambda: wp.evaluate(many.points, many)),
+        ("solve: expected a material.*, got Tensor",
+         lambda: wp.solve(torch.ones(3), wp.Dirichlet(many.points, many.b, many.u))),
         (f"evaluate: transfer: not among .* {name}",
          lambda: wp.evaluate(solid, many, transfer=False)),
         (r"solver: expected none for a Body.*, got Direct\(",
