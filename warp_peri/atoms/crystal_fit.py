@@ -303,9 +303,8 @@ def fit_crystal(
 ) -> CrystalFit:
     """The model of a crystal from its structure and a calculator.
 
-    The structure is relaxed, checked (forces, stress, imaginary phonons), and brought to its
-    smallest cell. Force constants are made, and the model is learned from them. It is compared
-    under waves of all lengths.
+    The structure is relaxed, checked (forces, stress, imaginary phonons), brought to its smallest
+    cell. The model is learned from its force constants, and compared under waves of all lengths.
 
     Args:
         atoms: periodic in space, or in a plane with vacuum (8 Å) or without a period across.

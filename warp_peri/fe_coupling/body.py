@@ -181,10 +181,8 @@ def solve_body(
     else:
         if (hole := mesh.hole_sizes.min(initial=np.inf)) < overlap:
             unit = symbols(model.units)[0]
-            raise InputError(
-                f"mesh: a hole of {hole:.3g} {unit} is smaller than the overlap of rim and bulk, "
-                f"{overlap:g} {unit}"
-            )
+            small = f"mesh: a hole of {hole:.3g} {unit} is smaller than the overlap of rim and bulk"
+            raise InputError(f"{small}, {overlap:g} {unit}")
         points, cell = lattice
         if not isinstance(model, LPSMaterial):  # the mesh lies as the nodes of the law do
             points = replace(points, axis=_axis_of(model))

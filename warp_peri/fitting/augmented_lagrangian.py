@@ -191,9 +191,8 @@ def to_the_optimum(
         most = float(np.abs(there - phi).max()) / psi
         phi = np.pad(there, (0, len(now.margins) - len(there)))
         losses.append(now.loss)
-        change = abs(losses[-2] - now.loss)
         met = margin >= -MET and most <= MET
-        if met and (change <= SETTLED * now.loss or now.loss <= NO_LOSS):
+        if met and (abs(losses[-2] - now.loss) <= SETTLED * now.loss or now.loss <= NO_LOSS):
             break
         if most > max(DECREASE * before, MET):
             penalty = min(GROWTH * penalty, MOST_PENALTY)

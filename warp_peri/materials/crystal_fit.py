@@ -317,8 +317,7 @@ def fit_phonons(
     """
     d, turn = atoms.dimension, checked_orientation(orientation, atoms.dimension)
     length, stress = factors(units, USUAL)
-    auto = isinstance(symmetry, str) and symmetry == "auto"
-    name: Symmetry = name_of(atoms.group()) if auto else symmetry
+    name: Symmetry = name_of(atoms.group()) if str(symmetry) == "auto" else symmetry
     cell = (atoms.volume / (atoms.thickness or 1.0)) ** (1 / d)
     if not 1 / FAR < spacing * length / cell < FAR:
         raise InputError(

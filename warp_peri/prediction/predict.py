@@ -108,8 +108,6 @@ def _predict(
 def _corrected(first: Prediction, told: float | None) -> Prediction:
     """Correct until the tolerance is kept, or cannot be; without one until nothing improves.
 
-    A screen, parts that ask the record alone and no member, may suffice (Q5).
-
     Args:
         first: the linear answer, with the part that noise has.
         told: error of such fields by the record.
@@ -137,7 +135,7 @@ def _corrected(first: Prediction, told: float | None) -> Prediction:
         if placed.nonlinear:
             bent = share((first.u - u)[inside] - left)
         if told is not None and placed.turned is None:
-            screen = {
+            screen = {  # of the record alone, which asks no member: it may suffice (Q5)
                 "left": factors.left * moved,
                 "waves": factors.floor * told,
                 "data": placed.family.moduli_error,
