@@ -7,7 +7,7 @@ from examples.exact import westergaard
 from examples.static_crack import edge_crack, static_crack
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import fitted_order, kernel
-from warp_peri import InputError, LPSMaterial, Points, Solution, simulate
+from warp_peri import InputError, LPSMaterial, Points, Solution, simulate, solve
 from warp_peri.fracture import (
     Cracked,
     apparent_toughness,
@@ -80,6 +80,23 @@ def test_j_in_space_is_that_of_a_straight_front_along_any_axis(axes, torn):
     cut = CutSolid(model, lattice_body(turned, h, 2 * h), nobody, cracks=[corners], moves=True)
     J = j_integral(Solution(moved, None, cut, 0.0, "exact"), tip, (0.25, 0.5))
     assert J == pytest.approx(expected, rel=0.02)
+
+
+def test_j_sees_the_crack_whose_tip_it_is_asked_about():
+    """An edge crack beside others, far from its tip: two parallel ones, and one across."""
+    x = rectangle_nodes(32.0, 32.0, 1.0)
+    points = Points(x, np.abs(x).max(axis=1) < 13, 1.0)
+    own, far = [(-20.0, 0.0), (0.5, 0.0)], [(3.0, 9.0), (20.0, 9.0)]
+    others = [], [far], [far, [(3.0, -9.0), (20.0, -9.0)]], [[(9.0, 3.0), (9.0, 20.0)]]
+    u = 1e-3 * x * (0.0, 1.0)
+    found = []
+    for more in others:
+        problem = Cracked(points, u=u, cracks=[own, *more])
+        solution = solve(solid(horizon=2.0).model, problem)
+        found.append(j_integral(solution, (0.5, 0.0), (2, 5)))
+    assert min(found) > 0.5 * max(found) > 0
+    with pytest.raises(InputError, match="tip: expected the end of a crack"):
+        j_integral(solution, (-8.0, 0.0), (2, 4))
 
 
 def test_a_straight_front_in_space_spends_more_than_a_straight_cut():

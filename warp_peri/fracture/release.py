@@ -200,14 +200,14 @@ def _crack_axes(solution: Solution, tip: np.ndarray, reach: float) -> tuple[list
     its growth: it comes from where bonds are broken within reach."""
     body, d = solution.operator.body, len(tip)
     cut = []
-    for axis, normal in enumerate(np.eye(d)):
+    for normal in np.eye(d):
         away = body.x[_columns(solution, normal)[0]] - tip
-        cut.append(away[(np.abs(np.delete(away, axis, axis=1)) <= reach).all(axis=1)])
+        cut.append(away[(np.abs(away) <= reach).all(axis=1)])
     across = int(np.argmax([len(away) for away in cut]))
-    if not len(cut[across]):
-        raise InputError(f"tip: expected the end of a crack along an axis, got {tip.tolist()}")
-    behind = np.where(np.arange(d) == across, 0.0, cut[across].mean(axis=0))
+    behind = np.where(np.arange(d) == across, 0.0, cut[across].sum(axis=0))
     along = int(np.abs(behind).argmax())
+    if not behind[along]:
+        raise InputError(f"tip: expected the end of a crack along an axis, got {tip.tolist()}")
     rest = [axis for axis in range(d) if axis not in (along, across)]
     return [along, across, *rest], -float(np.sign(behind[along]))
 
