@@ -151,6 +151,7 @@ def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
         "ranks: expected at most 1 for 8 × 52 nodes in tiles of 8, got 2",
     ), strict=True):  # fmt: skip
         assert said.startswith(words)
+    assert jobs[2]["equal"]
     door = jobs[2]["door"]  # before anything is sent
     assert len(door) == 4
     for name, told in door.items():
