@@ -1,6 +1,7 @@
 """What a file beside a run says of the run: every field of points, samples, settings, functions."""
 
 import json
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -196,6 +197,18 @@ def test_a_checkpoint_has_the_last_step_and_what_was_written(tmp_path):
         file["u"][points.interior] *= 1.5
     with pytest.raises(wp.InputError, match="the contents are not what was written"):
         run(26)
+    path.write_bytes(whole)
+    with h5py.File(path, "r+") as file:  # text, whose bytes as they lie are addresses
+        del file["u"]
+        file["u"] = np.full(points.x.shape, b"text", dtype=h5py.string_dtype())
+    with pytest.raises(wp.InputError, match="u holds no numbers"):
+        run(26)
+    for place in range(8, 400, 7):
+        torn = bytearray(whole)
+        torn[place] ^= 255
+        path.write_bytes(torn)
+        with suppress(wp.InputError):  # another error ends the test
+            run(26)
     path.write_bytes(whole)
     with h5py.File(path, "r+") as file:
         del file["u"]

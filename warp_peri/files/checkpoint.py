@@ -347,8 +347,10 @@ def read_arrays(
             check_hdf5(file, os.path.getsize(path))
             for name, rows in (dict.fromkeys(file) if place is None else place).items():
                 one, offset = file[name], file[name].id.get_offset()
+                if one.dtype.kind not in "biufc":  # bytes of anything else would be pointers
+                    raise ValueError(f"{name} holds no numbers")
                 whole = np.memmap(path, one.dtype, "r", offset, one.shape) if one.size else one
                 found[name] = np.array(whole[()] if rows is None else whole[rows])
             return found, dict(file.attrs)
-    except (OSError, KeyError, AttributeError, TypeError, ValueError, IndexError) as error:
+    except (OSError, RuntimeError, LookupError, AttributeError, TypeError, ValueError) as error:
         raise InputError(f"{path}: not a readable checkpoint ({error})") from None
