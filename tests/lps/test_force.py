@@ -241,6 +241,7 @@ def test_on_a_tape_of_the_user():
     assert np.array_equal(out.numpy(), operator(u))
     shorter = LPSParameters(*numbers[:-1], numbers[-1][:-1])
     for given, words in (
+        ((field, out, {}), "parameters: expected LPSParameters.*, got dict"),
         ((field, out, shorter), "D: expected 5 numbers, as the model has, got 4"),
         ((field, out[:, :-1]), r"out: expected a contiguous .* \[2, 25\]"),
         ((field.numpy(), out), "u: expected a contiguous array of Warp of shape"),
@@ -284,3 +285,18 @@ def test_moduli_are_those_of_the_continuum_on_every_lattice():
     assert C == pytest.approx({"C11": LAM + 2 * MU, "C12": LAM, "C44": MU}, rel=1e-9)
     C = moduli(cubes.solid(2.5), bond_classes(1.0, 2.5, dimension=3))
     assert C == pytest.approx({"C11": 1.9, "C12": 0.3, "C44": 0.8}, rel=1e-12)
+
+
+def test_other_weights_stay_those_of_a_solve_with_other_numbers():
+    """And the certificate, which is of the usual weights, says nothing of them."""
+    points, model = lattice(7, HORIZON), kernel("1/r", HORIZON)
+    b, other = noise(points), replace(model, mu=0.6)
+    for degree in (2, 6):
+        operator = model.on(points, quadrature_degree=degree)
+        given = {"mu": torch.tensor(0.6, dtype=torch.float64)}
+        found = operator.solve(b, 0 * b, parameters=given)
+        expected = other.on(points, quadrature_degree=degree).solve(b, 0 * b)
+        assert error(np.asarray(found.u), expected.u) < 1e-9
+        assert operator.proven is None
+    with pytest.raises(InputError, match="parameters: expected values by name"):
+        operator.solve(b, 0 * b, parameters=LPSParameters(**model.learnable))

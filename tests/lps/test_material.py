@@ -110,6 +110,7 @@ REFUSED = [
     (numbers(lam=-0.8), "expected μ > 0 and λ . μ > 0, got -0.8, 0.8"),
     (numbers(lam=-0.6, dimension=3), "μ > 0 and λ . 2μ/3 > 0"),
     (numbers(dimension=4), "dimension: expected 2 or 3, got 4"),
+    (numbers(lam=[], mu=[]), r"lambda: expected a number, .* got shape \[0\]"),
     (numbers(D=[]), "D: expected at least one coefficient, at most 1001, got 0"),
     (numbers(D=[0.0, 0.0]), "D: expected a coefficient other than 0"),
     (numbers(D=[[1.0, 2.0]]), "D: expected a list of numbers, got lists"),

@@ -17,7 +17,7 @@ from torch.autograd import forward_ad
 
 from warp_peri.errors import InputError, quietly
 from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import as_array, plain
+from warp_peri.points.arrays import as_array, check_mapping, plain
 from warp_peri.protocols import SINGULAR, placed, uncompiled
 
 TWICE = (
@@ -175,8 +175,8 @@ def on_fields(
 
 
 def as_tensor(name: str, value: Any) -> torch.Tensor:
-    """A tensor itself, or what NumPy makes of numbers, of which torch keeps half the digits, masked
-    entries as NaN; InputError for what is no array of numbers."""
+    """A tensor itself, or one of float64 of other numbers, masked entries as NaN; InputError for
+    what is no array of numbers. (Of a list torch itself would keep half the digits.)"""
     if isinstance(value, torch.Tensor):
         return value
     array = as_array(name, value)
@@ -202,6 +202,7 @@ def real(name: str, value: Any) -> torch.Tensor:
 def with_numbers(operator: Any, numbers: Mapping[str, Any]) -> tuple[Any, dict[str, torch.Tensor]]:
     """The operator with some of its `learnable` numbers changed, itself where they are its own, and
     these as tensors of float64. Raises InputError for others, and as its `at`."""
+    check_mapping("parameters", numbers)
     known = getattr(operator, "learnable", {}) if hasattr(operator, "at") else {}
     names = ", ".join(f"{name} {list(np.shape(own))}" for name, own in known.items()) or "none"
     refuse_tangents(*numbers.values())

@@ -158,7 +158,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
             if self.certified_on:
                 raise InputError("certified_on: expected nothing, for moduli as fields")
         for name, one in (("lambda", self.lam), ("mu", self.mu)):
-            if (shape := np.shape(one)) not in ((), (N,)):
+            if (shape := np.shape(one)) not in ((), (N,) if N else ()):
                 raise InputError(
                     f"{name}: expected a number, or one of each of {N} nodes, got shape "
                     f"{list(shape)}"
@@ -296,8 +296,8 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
     @property
     def figures(self) -> dict[float, dict[str, Any]]:
-        """Those of its certificate by the spacing, to all digits where certified; InputError where
-        a name is none."""
+        """What its certificate says by the spacing of the lattice; InputError where a name is no
+        spacing."""
         exact, found = {f"{h:g}": h for h in self.certified_on}, {}
         for name, each in self.certificate.items():
             try:
@@ -375,7 +375,8 @@ class LPSMaterial(Record, format="warp_peri.model"):
     def transferred_from(self) -> float | None:
         """Spacing [Å] of the lattice whose dispersion this model was fitted to; None at home."""
         record = self.provenance.get("transfer")
-        return record.get("from_spacing") if isinstance(record, dict) else None
+        spacing = record.get("from_spacing") if isinstance(record, dict) else None
+        return spacing if is_number(spacing) else None
 
     def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
         """Figures of the certificate go along, for a transfer asks for as much as is proven; the

@@ -143,16 +143,17 @@ class LPSOperator(OperatorBase):
                     f"{name}: expected a contiguous array of Warp of shape [{len(u)}, {nodes}], "
                     f"of {d} float64 each, got {type(array).__name__} of {list(np.shape(array))}"
                 )
-        numbers = 4 * (None,) if parameters is None else parameters.values()
-        told = list(zip(self.learnable.values(), numbers))
-        D = told[-1]
-        if D[1] is not None and len(D[1]) != len(D[0]):
-            raise InputError(f"D: expected {len(D[0])} numbers, as the model has, got {len(D[1])}")
-        law = self.bonds.law(*(value if one is None else one.numpy() for value, one in told))
+        if parameters is not None and not hasattr(parameters, "lam"):
+            what = type(parameters).__name__
+            raise InputError(f"parameters: expected LPSParameters(lam, mu, alpha, D), got {what}")
+        numbers, own = parameters.values() if parameters else (), self.learnable.values()
+        if numbers and (got := len(numbers[-1])) != (size := len(self.model.D)):
+            raise InputError(f"D: expected {size} numbers, as the model has, got {got}")
+        law = self.bonds.law(*(one.numpy() for one in numbers) if numbers else own)
         Lu, *felt = law.force(u.numpy().reshape(len(u), -1))
         out.numpy()[:] = Lu.reshape(out.numpy().shape)
         arrays = [u, *numbers]
-        asked = [one is not None and one.requires_grad for one in arrays]
+        asked = [one.requires_grad for one in arrays] + [False] * (5 - len(arrays))
 
         def back() -> None:
             parts = law.gradient(felt, out.grad.numpy().reshape(len(u), -1), asked)
@@ -185,7 +186,9 @@ class LPSOperator(OperatorBase):
     def at(self, numbers: dict[str, Any]) -> LPSOperator:
         """The same with other numbers; InputError for no solid, or an indefinite whole lattice."""
         model = self.model.with_parameters(numbers)
-        made = LPSOperator(model, self.points, allow_uncertified=True)
+        made = LPSOperator(
+            model, self.points, quadrature_degree=self.quadrature_degree, allow_uncertified=True
+        )
         if model.bond_based or not self.bonds.bond_based:
             made.__dict__["bonds"] = self.bonds
         if model.nodes is None and (self.nodes.is_open_lattice or self.nodes.box is not None):
@@ -218,9 +221,9 @@ class LPSOperator(OperatorBase):
 
     @property
     def proven(self) -> str | None:
-        """What the certificate of the lattice says, if it holds."""
+        """What the certificate of the lattice says, if it holds for these weights."""
         spacing = self.points.spacing
-        if not self.model.is_certified_on(spacing):
+        if not self.model.is_certified_on(spacing) or self.quadrature_degree != DEGREE:
             return None
         return self.model.statements.get(self.model.certified_spacing_near(spacing))
 
@@ -277,7 +280,7 @@ class LPSOperator(OperatorBase):
         by = MatrixProblem.solve if method == "lu" else by_gmres
         answer = by(self._problem, *fields).reshape(given.shape)
         self._refuse_indefinite()
-        return Solution(self._known(answer), self.points, self, self.rhs(load), method,
+        return Solution(self._within_data(answer), self.points, self, self.rhs(load), method,
                         proven=self.proven)  # fmt: skip
 
     def solve_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
@@ -310,8 +313,8 @@ class LPSOperator(OperatorBase):
             loads, bonds_within(self.model.horizon, self.nodes.spacing)
         )
 
-    def _known(self, u: np.ndarray) -> np.ndarray:
-        """A displacement, with a warning where it is strained beyond the data."""
+    def _within_data(self, u: np.ndarray) -> np.ndarray:
+        """The displacement itself, warned of where it is strained beyond the data."""
         warn_beyond(self.model, lambda: largest_strain(self.nodes, u))
         return u
 
@@ -322,7 +325,7 @@ class LPSOperator(OperatorBase):
         if self.model.nodes is None:
             self.linear.check_definite()
         found, took = self.linear.solve(b, u, tolerance, method)
-        u, counts = self._known(found.reshape(load.shape)), [one.iterations for one in took]
+        u, counts = self._within_data(found.reshape(load.shape)), [one.iterations for one in took]
         return by_sample(self, u, self.rhs(load), took, counts, method, self.proven)
 
     @property
@@ -370,9 +373,11 @@ class LPSOperator(OperatorBase):
             with suppress(InputError):
                 self.linear.check_definite()
                 return
+        if not (cut or whole):
+            return
         stiffness = self._problem.stiffness
         symmetric = sp.csc_array((stiffness + stiffness.T) / 2)
-        if not (cut or whole) or definite_factors(symmetric) is not None:
+        if definite_factors(symmetric) is not None:
             return
         if (least := smallest_eigenvalue(symmetric)) > 0:
             return
@@ -419,8 +424,8 @@ def lps_force(bonds: Bonds, u: Tensor, *values: Any) -> Tensor:
 
     Raises InputError for such λ and μ on bond-based bonds, and moduli of another shape.
     """
-    torch, felt = core.torch_bridge, list[Any]()
-    torch.refuse_tangents(u, *values)
+    bridge, felt = core.torch_bridge, list[Any]()
+    bridge.refuse_tangents(u, *values)
 
     def there(u: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray]:
         law = bonds.law(*values)
@@ -433,6 +438,6 @@ def lps_force(bonds: Bonds, u: Tensor, *values: Any) -> Tensor:
         return law.gradient(kept, g, asked)  # type: ignore[no-any-return]
 
     flat = u.double().reshape(-1, bonds.nodes * bonds.dimension)
-    numbers = [torch.real(name, value) for name, value in zip(("lam", "mu", "alpha", "D"), values)]
-    (Lu,) = torch.once(there, back, flat, *numbers)
+    numbers = [bridge.real(name, value) for name, value in zip(("lam", "mu", "alpha", "D"), values)]
+    (Lu,) = bridge.once(there, back, flat, *numbers)
     return Lu.reshape(*u.shape[:-2], -1, bonds.dimension)  # type: ignore[no-any-return]
