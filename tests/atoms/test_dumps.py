@@ -132,7 +132,7 @@ def test_options_without_sense_are_refused(tmp_path):
         (lambda: mean_displacement(path, REFERENCE, box=wide), "header's 12 x 9 Å, got 12.00024"),
         (lambda: mean_displacement(tmp_path / "none.dump", REFERENCE), "no such dump"),
         (lambda: grained([path, other]), "other.dump: expected the ids of the reference"),
-        (lambda: grained([path], unloaded=3 * [path]), "none, 1 or as many, got 1 and 3"),
+        (lambda: grained([path], unloaded=3 * [path]), "0, 1 or as many, got 1 and 3"),
     ):
         with pytest.raises(InputError, match=words):
             call()

@@ -288,6 +288,10 @@ def test_settings_that_make_no_sense_are_refused(data, tmp_path, capsys):
         said = refused(capsys, "fit", data, "--out", tmp_path / "out", "--config", path)
         assert words in said
         assert said.startswith(f"error: {path}: ")
+    for value in ("{a = 1}", "[[1, 2]]", "1"):  # of a switch
+        path.write_text(f"[solve]\ntransfer = {value}\n")
+        said = refused(capsys, "solve", "m", data, "--out", tmp_path / "out", "--config", path)
+        assert "is not what this option takes" in said
         assert not (tmp_path / "out").exists()
 
 

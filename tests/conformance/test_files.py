@@ -171,6 +171,8 @@ def test_what_is_no_value_or_not_known_is_one_error(material):
         if key not in (*RECORDS, "sha256"):
             refused(path, hashed(content | {key: {"x": 10**400}}))
     refused(path, content | {"sha256": {}}, "sha256")
+    if units := {"length_unit", "stress_unit"} & {*content}:
+        refused(path, hashed(content | dict.fromkeys(units)), "unit")
     inner = [at for at, value in places(content) if isinstance(value, dict) and "format" in value]
     for at in [(), *inner]:
         refused(path, hashed(changed(content, (*at, "colour"), "red")), "unknown keys: colour")

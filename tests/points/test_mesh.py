@@ -11,7 +11,7 @@ import warp_peri as wp
 from tests.support.problems import kernel
 from warp_peri.errors import InputError
 from warp_peri.points.mesh import REST, load_mesh, make_mesh, pieces
-from warp_peri.points.outlines import Circle, Polygon, Sphere, box, mesh_outline, mesh_solid
+from warp_peri.points.outlines import Block, Circle, Polygon, Sphere, box, mesh_outline, mesh_solid
 
 HALVES = [[0, 1, 2], [0, 2, 3]]
 SIXTHS = []
@@ -77,6 +77,8 @@ def test_an_outline_has_its_parts_curves_holes_and_distances():
             mesh_outline(**wrong)
     with pytest.raises(InputError, match="radius: expected a number > 0"):
         mesh_solid(Sphere(np.nan), size=1.0)
+    with pytest.raises(InputError, match="sides > 0"):
+        mesh_solid(Block((9.0, 9.0, -9.0)), [Sphere(2.0)], size=2.0)
 
 
 @pytest.mark.parametrize(("sides", "scale"), [((4, 3), 1e-6), ((3, 2, 2), 1e6)])

@@ -156,7 +156,7 @@ def _factors(units: list[Any], size: float, unit: str | None) -> tuple[np.ndarra
         raise InputError(f"expected units of {', '.join(UNITS)}, got {unknown[0]!r}")
     known = [_unit(word) or (None, 1.0) for word in words]
     if None not in {n for n, _ in known} and (size, unit) not in ((1.0, None), (1.0, known[0][0])):
-        raise InputError(f"it is in {x}, expected no other pixel, got {size:g} {unit or ''}")
+        raise InputError(f"pixel: expected none for a table in {x}, got {size:g} {unit or ''}")
     known = [(name, one) if name else (unit, size) for name, one in known]
     if len({name is None for name, _ in known}) > 1:
         said = ", ".join(f"{axis} in {word or 'no unit'}" for axis, word in zip("xyuv", words))

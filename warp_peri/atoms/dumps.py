@@ -262,7 +262,10 @@ def read_masses(path: str | os.PathLike[str], masses: Sequence[float]) -> np.nda
     if (most := frame.types.max()) > len(masses):
         words = f"masses: expected one for each of the types 1 to {most} of {path}"
         raise InputError(f"{words}, got {len(masses)}")
-    return np.asarray(checked("masses", masses)[frame.types - 1])
+    each = checked("masses", masses)
+    if not (each > 0).all():
+        raise InputError(f"masses: expected numbers > 0, got {each.min():g}")
+    return np.asarray(each[frame.types - 1])
 
 
 @typed
@@ -401,7 +404,7 @@ def coarse_grain_dumps(
     """
     if not len(dumps) or len(unloaded) not in (0, 1, len(dumps)):
         counts = f"{len(dumps)} and {len(unloaded)}"
-        raise InputError(f"dumps, unloaded: expected some, and none, 1 or as many, got {counts}")
+        raise InputError(f"dumps, unloaded: expected 1 or more, and 0, 1 or as many, got {counts}")
     force = checked("force", force, shape=(len(dumps), "A", 2))
     _warn_of_shares(force, np.broadcast_to(np.asarray(atoms.mass, float), force.shape[1]))
     ids = next(iter_dump(dumps[0])).ids if atoms.ids is None else atoms.ids
@@ -429,7 +432,7 @@ def _warn_of_shares(force: np.ndarray, mass: np.ndarray) -> None:
         masses = ", ".join(f"{one:g}" for one in kinds)
         warn(
             f"force: atoms of masses {masses} carry loads per mass of {shares}, relative: expected "
-            "a load over the atoms of a cell by mass, or their mean is not the answer to it alone"
+            "a load over the atoms of a cell by mass; otherwise they move against each other"
         )
 
 
@@ -448,5 +451,5 @@ def _warn_of_torn(
     if count := int((longer & bonds).any(axis=1).sum()):
         warn(
             f"{path.name}: {count} of {len(x)} atoms are {TORN - 1:.0%} or more further from a "
-            "neighbour than without load: torn, which no field on nodes is"
+            "neighbour than without load: the sheet is torn, and no smooth field describes it"
         )

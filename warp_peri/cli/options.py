@@ -143,7 +143,7 @@ def parse(words: Sequence[str]) -> Namespace:
         return parser.parse_args(rest, given)
     actions = {one.dest: one for one in parser._actions if one.dest not in ("help", "config")}
     try:
-        kept = _kept(_table(path, given.command), actions)
+        kept = _values_of(_table(path, given.command), actions)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     usual = {name: action.default for name, action in actions.items()}
@@ -169,7 +169,7 @@ def _table(path: Path, command: str) -> dict[str, Any]:
     return table
 
 
-def _kept(table: dict[str, Any], actions: dict[str, Any]) -> dict[str, Any]:
+def _values_of(table: dict[str, Any], actions: dict[str, Any]) -> dict[str, Any]:
     """Options as a table of settings has them; InputError for keys and values of no option."""
     kept = {}
     for key, value in table.items():
@@ -187,7 +187,7 @@ def _kept(table: dict[str, Any], actions: dict[str, Any]) -> dict[str, Any]:
             isinstance(value, list) != single,
             all(isinstance(one, bool) == switch for one in values),
             action.nargs in (None, "?", 0, "+", len(values)),
-            len(found) == len(values) and {*found} <= {*(action.choices or found)},
+            len(found) == len(values) and all(one in (action.choices or found) for one in found),
         )
         if not all(fits):
             raise InputError(f"{key}: {value!r} is not what this option takes")

@@ -187,7 +187,7 @@ def by_spglib(ask: str, crystal: tuple[np.ndarray, ...], precision: float, **how
         warnings.simplefilter("ignore", DeprecationWarning)  # of how it will report errors one day
         found = getattr(spglib, ask)(crystal, symprec=precision, **how)
     if found is None:
-        raise InputError("symmetry: spglib finds none of this structure; name the group")
+        raise InputError("symmetry: spglib finds none of this structure")
     return found
 
 

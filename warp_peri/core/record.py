@@ -189,10 +189,10 @@ class Record(Shown):
                 raise InputError(f"{key}: expected {expected!r}, got {content.get(key)!r:.60}")
         own, units = {k: v for k, v in content.items() if k not in HEAD}, {}
         if _has_units(cls):
-            named = [content.get(key) for key in UNITS]
-            if named == [None, None]:
+            named = [content[key] for key in UNITS if key in content]
+            if not named:
                 warn(f"{where}it names no units: taken as Å and TPa")
-            units = {"units": check_units(USUAL if named == [None, None] else named)}
+            units = {"units": check_units(named or USUAL)}
         made = cls(**units, **_values(cls, own))
         for key, value in made.derived().items():
             if (said := own.pop(key, None)) != plain(value):

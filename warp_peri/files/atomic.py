@@ -86,7 +86,7 @@ def _no_place(path: Path) -> Iterator[None]:
     """Errors of folders that take no files, or are none, as one line that names the path."""
     try:
         yield
-    except (FileExistsError, FileNotFoundError, NotADirectoryError) as error:
+    except (FileExistsError, FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
         raise InputError(f"{path}: cannot be written ({error.strerror})") from None
 
 

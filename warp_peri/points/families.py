@@ -121,10 +121,10 @@ def bond_classes(
     Raises InputError for a horizon below one spacing or too large, and where no weights exist.
     """
     most = LARGEST_REACH[dimension]
-    if not spacing <= horizon <= most * spacing:
-        raise InputError(
-            f"horizon: expected at least one spacing ({spacing}), got {horizon}; at most {most}"
-        )
+    if not 0 < spacing <= horizon < np.inf:
+        raise InputError(f"horizon: expected at least one spacing ({spacing}), got {horizon}")
+    if horizon > most * spacing:
+        raise InputError(f"horizon: expected at most {most} spacings of {spacing:g}, got {horizon}")
     longest = math.floor((horizon / spacing * (1 + 2 * HORIZON_TOLERANCE)) ** 2)
     reach = math.isqrt(longest)
     steps = np.indices(dimension * (2 * reach + 1,)).reshape(dimension, -1).T - reach

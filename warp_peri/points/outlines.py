@@ -195,6 +195,8 @@ def mesh_solid(outer: Sphere | Block, voids: Sequence[Sphere] = (), *, size: Pos
         for one in balls
     ]
     if isinstance(outer, Block):
+        if not min(outer.sides) > 0:
+            raise InputError(f"solid: expected sides > 0, got {outer.sides}")
         out = np.kron(np.eye(3), [[-1.0], [1.0]])
         half = np.array(outer.sides) / 2
         planes = [csg.Plane(csg.Pnt(*(n * half)), csg.Vec(*n)) for n in out]
