@@ -156,14 +156,14 @@ def solved(
     seeds, points = numbers_from(seed), disk_points() if shape == "disk" else square_points(shape)
     with tqdm(total=count, desc=f"{shape}s", disable=not progress, leave=False) as bar:
         for batch in [count, *20 * [max(2, count // 10)]]:
-            if len(pairs) == count:
-                u, b = (np.reshape([p[n] for p in pairs], (-1, len(points.x), 2)) for n in (0, 1))
-                return u, b
             tasks = [(folder, material, shape, number) for number in islice(seeds, batch)]
             for pair in in_parallel(jobs, sample, tasks):
                 if pair is not None and len(pairs) < count:
                     pairs.append(pair)
                     bar.update()
+            if len(pairs) == count:
+                u, b = (np.reshape([p[n] for p in pairs], (-1, len(points.x), 2)) for n in (0, 1))
+                return u, b
     raise InputError(f"{shape}s: too few equilibria; the loads are too large")
 
 
@@ -228,6 +228,8 @@ def main() -> None:
     given = vars(Options(__doc__, options=how | sheet).parse_args())
     material = Material(**{name: given[name] for name in sheet})
     out = given["out"]
+    if len(given["counts"]) != 4:
+        raise InputError(f"counts: expected four numbers, got {given['counts']}")
     chosen = {name: given[name] for name in ("counts", "seed", "jobs")}
     sets, file = make_hgo(out, material=material, **chosen), out.with_suffix(".h5")
     provenance = given | {"out": out.name}
