@@ -361,7 +361,7 @@ def waves(points: Samples) -> np.ndarray:
 
 
 def split(train: Samples) -> tuple[Samples, np.ndarray]:
-    """The waves that fits see, those with even p + q; of the others the shorter half, by number."""
+    """The waves with even p + q, to fit to; of the others the shorter half, by number."""
     size, out = np.hypot(*waves(train).T), waves(train).sum(axis=1) % 2 == 1
     seen = Samples(train.points, train.u[~out], train.loads[~out])
     return seen, np.flatnonzero(out & (size >= np.median(size[out])))
@@ -417,10 +417,9 @@ def candidates(data: wp.Dataset, seen: Samples, third: list[float]) -> dict[str,
     rich = wp.ThirdOrder(wp.Crystal(15.0), wp.methods.Smoothing(10.0))
     truth = data.provenance["truth"]
     C = plane_isotropic(truth["lambda"], truth["mu"])
-    free = wp.LPS(20.0, wp.Bernstein(10), wp.methods.GaussNewton(moduli=None))
     network = wp.load(ROOT / "examples" / "neural_weights" / "graphene.json")
     found: dict[str, tuple[str, Any]] = {
-        "LPS": ("", by_rest(learned(free))),
+        "LPS": ("", by_rest(learned(wp.LPS(20.0)))),
         "crystal": ("", by_rest(learned(wp.Crystal(12.5)))),
         "third order on a crystal": ("", by_rest(learned(rich))),
         "prediction at 1 %": (
@@ -468,11 +467,12 @@ def front(*, quick: bool, threads: int) -> None:
         samples = making.read_samples(file.with_suffix(".cache"), name)
         sets[f"{name}_ten"] = making.point_set(*samples, spacing=10.0)
     with warnings.catch_warnings(action="ignore"):
-        for name, (end, prepare) in candidates(data, seen, third).items():
+        told = candidates(data, data["train"], third), candidates(data, seen, third)
+        for (name, (end, prepare)), (_, half) in zip(told[0].items(), told[1].values()):
             if quick and end:
                 continue
             disks = timed(prepare, sets[f"test{end}"], range(1 if quick else 4))
-            rough = timed(prepare, sets[f"train{end}"], short[: 1 if quick else None])
+            rough = timed(half, sets[f"train{end}"], short[: 1 if quick else None])
             row = [1e3 * disks[0], 1e3 * disks[1], 100 * disks[2], 100 * rough[2]]
             rows.append([name, *(float(f"{value:.3g}") for value in row)])
             print(rows[-1], flush=True)
@@ -481,7 +481,8 @@ def front(*, quick: bool, threads: int) -> None:
     rows.append(["atoms (LAMMPS)", *(float(f"{1e3 * s:.3g}") for s in atoms()), 0.0, 0.0])
     commit = check_output(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, text=True).strip()
     caption = (
-        "Free disks of graphene and waves of 16 to 24 Å; fits saw the other half of the waves."
+        "Free disks of graphene, after fits to all 70 loads; waves of 16 to 24 Å, after fits to 34 "
+        "of these loads, other waves."
     )
     table: dict[str, Any] = {"caption": caption, "date": f"{date.today()}", "commit": commit}
     table["command"] = "python tools/benchmark.py front"
@@ -498,10 +499,10 @@ PLACES = {
     "local, 2.5 Å": ((6, 3), (-6, -3)),
     "local third order, 10 Å": ((6, 3), (6, -3)),
     "local third order, 5 Å": ((6, 3), (6, -3)),
-    "local third order, 2.5 Å": ((-6, -4), (6, 5)),
-    "local third order, quadratic, 2.5 Å": ((2, 6), (2, -13)),
+    "local third order, 2.5 Å": ((0, -13), (6, 5)),
+    "local third order, quadratic, 2.5 Å": ((0, 6), (0, -13)),
     "prediction at 1 %": ((-6, -3), (-6, -10)),
-    "third order on a crystal": ((6, -3), (6, -10)),
+    "third order on a crystal": ((-6, -3), (6, -10)),
     "neural operator": ((-6, 4), (-6, 5)),
 }
 """Shifts of the names in the two panels [points]."""
@@ -532,7 +533,7 @@ def draw(path: Path = ROOT / "docs" / "pictures" / "front.png") -> None:
             text = name.replace("local third order, quadratic", "quadratic third order")
             ax.annotate(text, at, shift, color=color, size=8, ha=side, textcoords="offset points")
         ax.set(xscale="log", yscale="log", xlabel="set-up and one load [ms]", title=title)
-    axes[0].set(ylabel="error of displacement [%]", ylim=(0.05, 60))
+    axes[0].set(ylabel="error of displacement [%]", ylim=(0.04, 60))
     axes[0].set_yticks([0.1, 0.2, 0.5, 1, 2, 5, 10], ["0.1", "0.2", "0.5", "1", "2", "5", "10"])
     save_figure(figure, path)
 
