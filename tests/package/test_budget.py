@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 20_555,
-    "tokens": 252_503,
-    "lines of warp_peri": 35_112,
+    "code lines": 20_573,
+    "tokens": 252_654,
+    "lines of warp_peri": 35_134,
     "lines of kernels": 1_017,
-    "lines of warp_peri, kernels, examples and tools": 47_186,
-    "lines of the longest file": 540,
+    "lines of warp_peri, kernels, examples and tools": 47_210,
+    "lines of the longest file": 541,
     "lines of the longest function": 60,
     "parameters of one function": 10,
     "characters of the longest string": 1_783,
@@ -33,20 +33,20 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2453,
+    "atoms": 2456,
     "cli": 1041,
-    "core": 1592,
+    "core": 1593,
     "diffusion": 241,
     "face": 978,
     "fe_coupling": 749,
-    "files": 502,
+    "files": 504,
     "fitting": 1256,
     "fracture": 1571,
-    "materials": 4963,
+    "materials": 4969,
     "neural": 644,
-    "points": 1656,
+    "points": 1658,
     "prediction": 677,
-    "mpi": 754,
+    "mpi": 758,
     "solvers": 1478,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
