@@ -189,10 +189,11 @@ class Record(Shown):
                 raise InputError(f"{key}: expected {expected!r}, got {content.get(key)!r:.60}")
         own, units = {k: v for k, v in content.items() if k not in HEAD}, {}
         if _has_units(cls):
-            named = [content[key] for key in UNITS if key in content]
-            if not named:
+            named: Any = [content.get(key) for key in UNITS]
+            if not {*UNITS} & {*content}:
                 warn(f"{where}it names no units: taken as Å and TPa")
-            units = {"units": check_units(named or USUAL)}
+                named = USUAL
+            units = {"units": check_units(named)}
         made = cls(**units, **_values(cls, own))
         for key, value in made.derived().items():
             if (said := own.pop(key, None)) != plain(value):

@@ -58,8 +58,7 @@ def check_influence(alpha: float, D: np.ndarray) -> None:
     """Raise InputError for an exponent or coefficients that make no influence function."""
     if D.ndim != 1:
         raise InputError(f"D: expected a list of numbers, got lists of shape {list(D.shape)}")
-    if not 0 < len(D) <= LARGEST_DEGREE + 1:
-        most = LARGEST_DEGREE + 1
+    if not 0 < len(D) <= (most := LARGEST_DEGREE + 1):
         raise InputError(f"D: expected at least one coefficient, at most {most}, got {len(D)}")
     if not alpha < ALPHA_BOUND:
         raise InputError(f"alpha: expected less than {ALPHA_BOUND:g}, got {alpha}")
