@@ -18,7 +18,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 20_573,
+    "code lines": 20_574,
     "tokens": 252_662,
     "lines of warp_peri": 35_134,
     "lines of kernels": 1_017,
@@ -42,7 +42,7 @@ ROOMS = {
     "files": 504,
     "fitting": 1256,
     "fracture": 1571,
-    "materials": 4968,
+    "materials": 4969,
     "neural": 644,
     "points": 1658,
     "prediction": 677,

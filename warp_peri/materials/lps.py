@@ -58,7 +58,8 @@ def check_influence(alpha: float, D: np.ndarray) -> None:
     """Raise InputError for an exponent or coefficients that make no influence function."""
     if D.ndim != 1:
         raise InputError(f"D: expected a list of numbers, got lists of shape {list(D.shape)}")
-    if not 0 < len(D) <= (most := LARGEST_DEGREE + 1):
+    most = LARGEST_DEGREE + 1
+    if not 0 < len(D) <= most:
         raise InputError(f"D: expected at least one coefficient, at most {most}, got {len(D)}")
     if not alpha < ALPHA_BOUND:
         raise InputError(f"alpha: expected less than {ALPHA_BOUND:g}, got {alpha}")
@@ -295,8 +296,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
     @property
     def figures(self) -> dict[float, dict[str, Any]]:
-        """What its certificate says by the spacing of the lattice; InputError where a name is no
-        spacing."""
+        """What its certificate says by spacing; InputError where a name is no spacing."""
         exact, found = {f"{h:g}": h for h in self.certified_on}, {}
         for name, each in self.certificate.items():
             try:
