@@ -12,12 +12,13 @@ import pytest
 import warp_peri as wp
 from examples.inclusion import Mixed
 from tests.support.bodies import random_breaking
-from tests.support.materials import OTHER, near
+from tests.support.materials import OTHER
 from tests.support.problems import difference, noise
 from warp_peri import runtime
 from warp_peri.fracture import BondLaw, BrittleMaterial, Cracked, SofteningMaterial, box_nodes
 from warp_peri.fracture.statics import CutSolid
 from warp_peri.points.unit_names import factors
+from warp_peri.testing import assert_near as near
 
 SIDES = {2: (9, 8), 3: (6, 5, 6)}
 CRACK = {

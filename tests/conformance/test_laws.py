@@ -14,7 +14,6 @@ from tests.support.materials import (
     OTHER,
     SPREAD,
     H,
-    near,
     placed,
     saint_venant,
     solved_samples,
@@ -26,6 +25,7 @@ from tests.support.sheets import SPACING
 from warp_peri import runtime, testing
 from warp_peri.neural.material import NeuralOperator
 from warp_peri.points.dataset import in_units
+from warp_peri.testing import assert_near as near
 
 pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning")
 TURN = 0.4

@@ -8,7 +8,7 @@ import pytest
 
 import warp_peri as wp
 from tests.conformance.test_breaking import CRACK, SOLIDS, points_of
-from tests.support.materials import LAWS, SPREAD, near, placed, solved_samples, uneven
+from tests.support.materials import LAWS, SPREAD, placed, solved_samples, uneven
 from tests.support.plates import plate
 from tests.support.problems import kernel, lattice
 from tests.support.sheets import waves
@@ -16,6 +16,7 @@ from warp_peri.diffusion import DiffusionMaterial
 from warp_peri.fracture import Cracked
 from warp_peri.materials.crystal import crystal_from_lps
 from warp_peri.points.unit_names import USUAL, factors
+from warp_peri.testing import assert_near as near
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:strain:UserWarning", "ignore:transferred:UserWarning"

@@ -225,13 +225,6 @@ def solved_samples(law, op, points):
     return wp.Samples(points, u, b)
 
 
-def near(actual, expected, tolerance, size=None):
-    """Equal within a part of the size, that of what is expected by default."""
-    size = np.abs(expected).max() if size is None else size
-    assert np.shape(actual) == np.shape(expected)
-    assert np.abs(np.asarray(actual) - expected).max() <= tolerance * size
-
-
 def scattered():
     grid = np.argwhere(np.ones((23, 23))) - 11
     x = grid + np.random.default_rng(3).uniform(-0.45, 0.45, grid.shape)
