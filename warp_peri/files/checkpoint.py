@@ -292,9 +292,9 @@ class ArrayFile:
         if self.path is None or not self.path.exists():
             return None
         arrays, head = read_arrays(self.path)
-        if head.get("key") != self.key:
+        if str(head.get("key")) != self.key:
             raise InputError(f"{self.path}: the checkpoint of {self.other}")
-        if head.get("mark") != fingerprint(arrays):
+        if str(head.get("mark")) != fingerprint(arrays):
             raise InputError(f"{self.path}: not a readable checkpoint, not what was written")
         return made(arrays)
 

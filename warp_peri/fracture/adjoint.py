@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-import torch as torch
+import torch
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 from tqdm import tqdm

@@ -116,9 +116,9 @@ def sweep(
         folder: for the models and their errors.
         test: samples whose error is reported and takes no part in the choice.
         noise: fields of noise alone on the training nodes, as in `fit`.
-        law: what is fitted, and how, with each horizon and degree in the place of its own; by
-            default an LPS whose moduli are learned freely, as no LPS(…) of yours is unless its
-            method says moduli=None. Algorithm 2 as printed has method=TwoStage().
+        law: what is fitted, and how, with each horizon and degree in the place of its own. The
+            default learns moduli freely, by GaussNewton(moduli=None); LPS(…) by itself holds those
+            of long waves. Algorithm 2 as printed has method=TwoStage().
         horizons: δ [Å].
         degrees: M.
         jobs: number of processes, −1 for one per core; a joblib.parallel_config around the call

@@ -163,7 +163,7 @@ class Halo:
         sides = (n + 2 * w * (axis < cuts) for axis, n in enumerate(field.shape[1:]))
         wide = np.zeros((len(field), *sides), field.dtype)
         wide[:, *self._inside] = field
-        return wide, _exchanged(self.comm, field, wide, self._give, self._take, w)
+        return wide, _exchange(self.comm, field, wide, self._give, self._take, w)
 
     def __call__(self, field: np.ndarray) -> np.ndarray:
         """The field with the nodes of others around it."""
@@ -172,7 +172,7 @@ class Halo:
         return wide
 
 
-def _exchanged(
+def _exchange(
     comm: Comm, field: np.ndarray, wide: np.ndarray, give: Any, take: Any, tag: int = 0
 ) -> Callable[[], None]:
     """Send parts of a field to ranks, given as pairs (rank, place), and return what waits for
@@ -258,7 +258,7 @@ class NodeHalo:
 
     def exchange(self, field: np.ndarray) -> None:
         """Fill others' nodes in a field [m or more, ...] from their owners."""
-        _exchanged(self.comm, field, field, self._give, self._take)()
+        _exchange(self.comm, field, field, self._give, self._take)()
 
     def around(self, values: np.ndarray) -> np.ndarray:
         """Values [n, ...] of the piece's own nodes on all nodes here, [m, ...]."""

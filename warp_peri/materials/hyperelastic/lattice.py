@@ -140,10 +140,10 @@ class SheetLattice:
         field may be folded, and its energy no number.
         """
         if (kind, *of) not in self._sites:
-            self._sites[kind, *of] = self._made(kind, *of)
+            self._sites[kind, *of] = self._build(kind, *of)
         return self._sites[kind, *of]
 
-    def _made(self, kind: str, *of: int) -> Sites:
+    def _build(self, kind: str, *of: int) -> Sites:
         inside, number = self.points.interior, self.number
         one = sp.eye_array(len(self.kind), format="csr")  # its rows are bonds
         if kind == "strain":
@@ -254,11 +254,11 @@ class SheetLattice:
                 factors = cholesky_banded(band, lower=True)
             except (np.linalg.LinAlgError, ValueError):  # not definite, or no numbers
                 continue
-            return partial(_solved, factors, order), shift == 0
+            return partial(_solve, factors, order), shift == 0
         return None, False
 
 
-def _solved(factors: np.ndarray, order: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _solve(factors: np.ndarray, order: np.ndarray, y: np.ndarray) -> np.ndarray:
     """K⁻¹ y of a band of factors, its unknowns in an order; y as fields [I, 2] or [2 I, ...]."""
     x = np.empty((len(order), y.size // len(order)))
     flat = y.reshape(x.shape)[order]
