@@ -29,8 +29,7 @@ from warp_peri.atoms.finite_strains import joined
 from warp_peri.atoms.force_constants import finite_differences, from_supercell
 from warp_peri.atoms.phonons import at_zone_edge, check_phonons
 from warp_peri.atoms.relaxed import at_rest
-from warp_peri.core.elastic import allowed_tensors
-from warp_peri.core.groups import point_group
+from warp_peri.core.elastic import allowed_tensors, point_group
 from warp_peri.crystals import NonAnalyticCorrection, from_calculator
 
 ALUMINIUM = {"C11": 53.3253, "C12": 32.8906, "C44": 36.2004}

@@ -18,8 +18,7 @@ import warp_peri as wp
 from warp_peri.atoms.calculators import lammps_calculator
 from warp_peri.atoms.relaxed import at_rest
 from warp_peri.cli.main import main
-from warp_peri.core.elastic import voigt
-from warp_peri.core.groups import group_of_structure
+from warp_peri.core.elastic import group_of_structure, voigt
 
 TERSOFF = "SiC_1989.tersoff"
 

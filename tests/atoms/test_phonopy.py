@@ -8,8 +8,7 @@ from ase.build import bulk
 from ase.calculators.emt import EMT
 
 import warp_peri as wp
-from warp_peri.core.elastic import allowed_tensors, voigt
-from warp_peri.core.groups import point_group
+from warp_peri.core.elastic import allowed_tensors, point_group, voigt
 from warp_peri.crystals import from_calculator
 
 EXAMPLES = Path(__file__).parent.parent.parent / "examples" / "phonopy"

@@ -10,8 +10,7 @@ import warp_peri as wp
 from tests.crystal.crystals import learned, random_law
 from tests.support.problems import difference, kernel
 from warp_peri.core import proof
-from warp_peri.core.elastic import plane_isotropic, voigt_to_tensor
-from warp_peri.core.groups import lattice_group
+from warp_peri.core.elastic import lattice_group, plane_isotropic, voigt_to_tensor
 from warp_peri.core.proof import StencilCertificate, largest, long_wave_radius, parts, prove
 from warp_peri.core.stencil import (
     Stencil,

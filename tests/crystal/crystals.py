@@ -4,8 +4,13 @@ import itertools
 
 import numpy as np
 
-from warp_peri.core.elastic import huang_rows, stress_brackets
-from warp_peri.core.groups import checked_orientation, point_group, shared_with_nodes
+from warp_peri.core.elastic import (
+    checked_orientation,
+    huang_rows,
+    point_group,
+    shared_with_nodes,
+    stress_brackets,
+)
 from warp_peri.core.stencil import invariant_basis
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import fit_dispersion

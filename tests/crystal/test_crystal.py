@@ -8,7 +8,7 @@ import pytest
 import warp_peri
 from tests.crystal.crystals import COPPER, cubic_tensor, huang_defect, lattice, learned, random_law
 from warp_peri.core import elastic
-from warp_peri.core.groups import checked_orientation, name_of, point_group, shared_with_nodes
+from warp_peri.core.elastic import checked_orientation, name_of, point_group, shared_with_nodes
 from warp_peri.core.stencil import invariant_basis, q1_tensors
 from warp_peri.errors import InputError
 from warp_peri.materials.crystal import CrystalMaterial

@@ -14,8 +14,7 @@ from tests.support.problems import kernel
 from tests.support.problems import lattice as plane_lattice
 from warp_peri.atoms.force_constants import Supercell, from_calculator, from_supercell
 from warp_peri.atoms.ions import NonAnalyticCorrection
-from warp_peri.core.elastic import allowed_tensors, voigt
-from warp_peri.core.groups import checked_orientation, point_group
+from warp_peri.core.elastic import allowed_tensors, checked_orientation, point_group, voigt
 from warp_peri.errors import InputError
 from warp_peri.materials.crystal import crystal_from_lps
 from warp_peri.materials.crystal_fit import (

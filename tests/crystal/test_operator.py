@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from tests.crystal.crystals import lattice, learned, plain_force, random_law
-from warp_peri.core.groups import checked_orientation
+from warp_peri.core.elastic import checked_orientation
 from warp_peri.errors import InputError
 from warp_peri.points.points import Points
 

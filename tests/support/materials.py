@@ -13,7 +13,7 @@ from tests.support import cubes
 from tests.support.nonlinear import psi, solid
 from tests.support.problems import AXIS, difference, kernel, lattice, periodic
 from tests.support.sheets import NEAREST, SPACING, waves
-from warp_peri.core.groups import point_group, shared_with_nodes
+from warp_peri.core.elastic import point_group, shared_with_nodes
 from warp_peri.core.stencil import invariant_basis
 from warp_peri.crystals import crystal_from_lps
 from warp_peri.fracture import lattice_body

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from warp_peri.core.groups import lattice_group
+from warp_peri.core.elastic import lattice_group
 from warp_peri.core.stencil import laplacian
 from warp_peri.fitting.regression import Zone
 from warp_peri.materials.lps import stiffnesses

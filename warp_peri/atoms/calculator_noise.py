@@ -12,8 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from warp_peri.atoms.force_constants import TINY, ForceConstants, Supercell, forces_of
-from warp_peri.core.elastic import PAIRS, stress_brackets
-from warp_peri.core.groups import by_spglib, kinds_of
+from warp_peri.core.elastic import PAIRS, by_spglib, kinds_of, stress_brackets
 from warp_peri.errors import optional
 from warp_peri.points.unit_names import STRESSES
 

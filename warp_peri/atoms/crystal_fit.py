@@ -18,16 +18,18 @@ from warp_peri.atoms.force_constants import STEP, WIDER, ForceConstants
 from warp_peri.atoms.phonons import at_zone_edge, check_phonons, force_constants
 from warp_peri.atoms.relaxed import Reference, at_rest, usual_spacing
 from warp_peri.core.elastic import (
+    Symmetry,
     acoustic,
     allowed_tensors,
     brackets_from_elastic,
     compliance,
+    directions,
+    name_of,
     named_moduli,
+    point_group,
     stress_brackets,
     voigt,
 )
-from warp_peri.core.groups import Symmetry, name_of, point_group
-from warp_peri.core.stencil import directions
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.transfer import WaveSymbol
 from warp_peri.materials.crystal import CrystalMaterial

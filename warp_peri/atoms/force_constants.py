@@ -16,9 +16,14 @@ from ase import Atoms
 from ase.build import make_supercell
 
 from warp_peri.atoms.ions import DECAYED, NonAnalyticCorrection
-from warp_peri.core.elastic import acoustic, stress_brackets
-from warp_peri.core.groups import group_of_structure, kinds_of, point_group
-from warp_peri.core.stencil import directions
+from warp_peri.core.elastic import (
+    acoustic,
+    directions,
+    group_of_structure,
+    kinds_of,
+    point_group,
+    stress_brackets,
+)
 from warp_peri.errors import InputError, warn
 from warp_peri.points.arguments import Positive, typed, typed_methods
 from warp_peri.points.unit_names import STRESSES

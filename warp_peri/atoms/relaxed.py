@@ -19,10 +19,10 @@ from scipy.linalg import polar, sqrtm
 
 from warp_peri.atoms.calculator_noise import EV_IN_TPA, ON_SITES, TIMES, Noise, measured, strained
 from warp_peri.atoms.calculators import LammpsError
-from warp_peri.core.elastic import PAIRS
-from warp_peri.core.groups import (
+from warp_peri.core.elastic import (
     COUNTED,
     KNOWN,
+    PAIRS,
     by_spglib,
     group_of_structure,
     kinds_of,

@@ -1,17 +1,28 @@
-"""Nodes of a square or cubic lattice laid out in a box, with all that the bonds of a law reach."""
+"""Nodes of a lattice in a box with all that bonds reach; products by rows, or by FFT (T1, T15)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import scipy.fft
+import warp as wp
 
 from warp_peri.errors import InputError
+from warp_peri.kernels.micromodulus.rows import rows
 from warp_peri.points.lattice import LATTICE_TOLERANCE, lattice_steps
 from warp_peri.points.points import Points
+from warp_peri.runtime import DEVICE, floats, get_num_threads, ints, launch_slices
 
 SPARE = 60
 """Largest box, in places a node; beyond that the nodes lie too far apart to be laid out."""
+SCALARS = {np.dtype(np.float64): wp.float64, np.dtype(np.float32): wp.float32}
+FASTER = 4
+"""How much less than a usual node a lane of a piece has to do, for the number of threads."""
+FFT_BONDS = {2: 75, 3: 120}
+"""Half families from which FFT takes less time than rows: the middle of where four measurements on
+an idle machine crossed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,3 +187,129 @@ def refuse_cut(lacking: int, count: int, why: str = "") -> None:
             f"points: expected all bonds of every interior node, got {lacking} of "
             f"{count} nodes with cut bonds{why}"
         )
+
+
+class ByRows:
+    """Half families by rows; the bits are the same on any number of threads.
+
+    Args:
+        nodes: the box.
+        steps, tensors: of one half of the bonds.
+        dtype: float64 or float32.
+    """
+
+    def __init__(
+        self, nodes: Grid, steps: np.ndarray, tensors: np.ndarray, dtype: Any = np.float64
+    ) -> None:
+        self.nodes, self.core = nodes, (slice(None), slice(None), *nodes.core)
+        self.dtype, self.scalar = np.dtype(dtype), SCALARS[np.dtype(dtype)]
+        self.kernels = rows(self.scalar, nodes.dimension)
+        strides = np.array([int(np.prod(nodes.wide[a + 1 :])) for a in range(nodes.dimension)])
+        self.offset = ints(steps @ strides)
+        upper = tensors[(slice(None), *np.triu_indices(nodes.dimension))]  # of symmetric matrices
+        self.tensors = floats(np.ascontiguousarray(upper, self.dtype), self.scalar)
+        mask = np.zeros(nodes.wide, bool)
+        mask[nodes.core] = nodes.unknown
+        places = np.flatnonzero(mask)
+        pieces = row_pieces(places, self.kernels.lanes, places)[:, ::2]
+        self.asked: Any = wp.array(pieces, dtype=wp.vec2i, device=DEVICE)
+
+    def __call__(self, planes: np.ndarray) -> np.ndarray:
+        """L u at the unknown nodes of planes [S, d, *wide]; planes [S, d, *shape], else zero."""
+        nodes, count, lanes = self.nodes, len(planes), self.kernels.lanes
+        room = np.zeros(planes.size + lanes, self.dtype)  # for lanes that read beyond
+        laid = room[:-lanes].reshape(count, -1)
+        laid[:] = planes.reshape(count, -1)
+        out = np.zeros_like(laid)
+        if len(self.asked):
+            launch_slices(
+                self.kernels.pulled,
+                len(self.asked),
+                (self.asked, self.offset, self.tensors, floats(laid, self.scalar)),
+                (floats(out, self.scalar),),
+                samples=count,
+                weight=lanes // FASTER,
+            )
+        force = out.reshape(planes.shape)
+        return force[self.core] if nodes.periodic else force
+
+
+def row_pieces(places: np.ndarray, lanes: int, numbers: np.ndarray) -> np.ndarray:
+    """Runs of rising places and their numbers, cut to so many lanes, as (first place, first number,
+    count), shape [P, 3]."""
+    begin = np.flatnonzero(np.diff(places, prepend=-2) - 1 | np.diff(numbers, prepend=-2) - 1)
+    length = np.diff(np.append(begin, len(places)))
+    parts = -(-length // lanes)
+    step = lanes * (np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts))
+    first = np.repeat(begin, parts) + step
+    count = np.minimum(np.repeat(length, parts) - step, lanes)
+    return np.stack([places[first], numbers[first], count], axis=1).astype(np.int32)
+
+
+class ByFFT:
+    """The same by convolution on a torus that nothing reaches around, exact but for rounding."""
+
+    def __init__(
+        self, nodes: Grid, steps: np.ndarray, tensors: np.ndarray, dtype: Any = np.float64
+    ) -> None:
+        self.nodes, self.dtype = nodes, np.dtype(dtype)
+        self.torus = torus_shape(nodes)
+        self.symbol = torus_symbol(self.torus, steps, tensors).astype(self.dtype)
+        self.mask = nodes.mask()
+
+    def __call__(self, planes: np.ndarray) -> np.ndarray:
+        """L u at the unknown nodes of planes [S, d, *wide]; planes [S, d, *shape], else zero."""
+        nodes = self.nodes
+        if nodes.periodic:
+            planes = planes[(slice(None), slice(None), *nodes.core)]
+        out = np.stack([convolved(self.symbol, one, self.torus) for one in planes])
+        inside = tuple(slice(0, n) for n in nodes.shape)
+        return np.asarray(out[(slice(None), slice(None), *inside)] * self.mask)
+
+
+def torus_shape(nodes: Grid) -> tuple[int, ...]:
+    """A torus that holds the box, whose collar keeps its images apart; a period is its own."""
+    if nodes.periodic:
+        return nodes.shape
+    return tuple(scipy.fft.next_fast_len(n, real=True) for n in nodes.shape)
+
+
+def torus_symbol(torus: tuple[int, ...], steps: np.ndarray, tensors: np.ndarray) -> np.ndarray:
+    """D(k) h² or D(k), as the tensors are, at the waves of a torus, [d, d, *torus] with the last
+    axis halved."""
+    d = len(torus)
+    symbol = np.empty((d, d, *torus[:-1], torus[-1] // 2 + 1))
+    place = np.ravel_multi_index(tuple(np.concatenate([steps, -steps]).T), torus, mode="wrap")
+    for i, j in zip(*np.triu_indices(d)):
+        stencil, c = np.zeros(torus), tensors[:, i, j]
+        np.subtract.at(stencil.reshape(-1), place, np.concatenate([c, c]))
+        stencil.flat[0] += 2 * c.sum()
+        wave = scipy.fft.rfftn(stencil, workers=get_num_threads(), overwrite_x=True)
+        symbol[i, j] = symbol[j, i] = wave.real
+    return symbol
+
+
+def convolved(symbol: np.ndarray, field: np.ndarray, torus: tuple[int, ...]) -> np.ndarray:
+    """A symbol's product with one field [d, …] in a corner of the torus, on all of it."""
+    how: dict[str, Any] = {
+        "s": torus,
+        "axes": range(1, len(torus) + 1),
+        "workers": get_num_threads(),
+    }
+    mixed = np.einsum("ij...,j...->i...", symbol, scipy.fft.rfftn(field, **how))
+    return np.asarray(scipy.fft.irfftn(mixed, overwrite_x=True, **how))
+
+
+def inverse(symbol: np.ndarray) -> np.ndarray:
+    """D⁻¹ of matrices [d, d, …]; 0 where that has none (k = 0)."""
+    answer, largest, first = np.empty_like(symbol), np.abs(symbol).max(), (0,) * (symbol.ndim - 3)
+    for row in range(symbol.shape[2]):  # in space all matrices at once are much memory
+        full = np.moveaxis(symbol[:, :, row], (0, 1), (-2, -1)).copy()
+        singular = row == 0 and np.abs(full[first]).max() <= 1e-12 * largest
+        if singular:
+            full[first] = np.eye(len(symbol))
+        found = np.linalg.inv(full)
+        if singular:
+            found[first] = 0
+        answer[:, :, row] = np.moveaxis(found, (-2, -1), (0, 1))
+    return answer

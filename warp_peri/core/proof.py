@@ -17,8 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.core.elastic import acoustic
-from warp_peri.core.groups import canonical
+from warp_peri.core.elastic import acoustic, canonical
 from warp_peri.core.record import Stress
 from warp_peri.core.stencil import Stencil, bend, laplacian_stencil, zone_sample
 from warp_peri.errors import InputError

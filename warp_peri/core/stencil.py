@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from warp_peri.core.groups import orbit_grid
+from warp_peri.core.elastic import directions, orbit_grid
 from warp_peri.errors import InputError
 from warp_peri.points.families import HORIZON_TOLERANCE
 
@@ -129,18 +129,6 @@ def half_ball(reach: float, dimension: int) -> np.ndarray:
     if not len(half):
         raise InputError(f"horizon: expected at least one spacing, got {reach:g} of them")
     return half[np.argsort((half**2).sum(axis=1), kind="stable")]
-
-
-def directions(count: int, dimension: int) -> np.ndarray:
-    """Unit vectors spread evenly over half the circle, or over the sphere, shape [count, d]."""
-    number = np.arange(count) + 0.5
-    if dimension == 2:
-        angle = np.pi * number / count
-        return np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    z = 1 - 2 * number / count
-    angle = np.pi * (1 + np.sqrt(5)) * number
-    r = np.sqrt(1 - z * z)
-    return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
 
 
 def laplacian(phase: np.ndarray) -> np.ndarray:

@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 from scipy.linalg import null_space
 
-from warp_peri.core.elastic import allowed_tensors, elastic_from_brackets
+from warp_peri.core.elastic import allowed_tensors, elastic_from_brackets, point_group
 from warp_peri.core.grid import grid_of
-from warp_peri.core.groups import point_group
 from warp_peri.core.stencil import Basis, invariant_basis
 from warp_peri.errors import InputError, quietly, warn
 from warp_peri.fitting.evaluate import ROUNDING

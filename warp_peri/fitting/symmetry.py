@@ -6,8 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from warp_peri.core.elastic import allowed_tensors
-from warp_peri.core.groups import CANDIDATES, LEAST, Symmetry, point_group, shared_with_nodes
+from warp_peri.core.elastic import (
+    CANDIDATES,
+    LEAST,
+    Symmetry,
+    allowed_tensors,
+    point_group,
+    shared_with_nodes,
+)
 from warp_peri.core.stencil import invariant_basis
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.long_waves import long_wave_equations

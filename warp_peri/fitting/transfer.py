@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from warp_peri.core.groups import orbit_grid
-from warp_peri.core.stencil import Basis, directions
+from warp_peri.core.elastic import directions, orbit_grid
+from warp_peri.core.stencil import Basis
 from warp_peri.fitting.rows import compressed
 
 WaveSymbol = Callable[[np.ndarray], np.ndarray]

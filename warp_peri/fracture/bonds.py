@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 import warp as wp
 
-from warp_peri.core.groups import lattice_group
+from warp_peri.core.elastic import lattice_group
 from warp_peri.core.proof import largest
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import LatticeBody

@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from warp_peri.core import elastic
-from warp_peri.core.groups import (
+from warp_peri.core.elastic import (
     LATTICE_GROUP,
     Symmetry,
     checked_orientation,

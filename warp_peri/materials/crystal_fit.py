@@ -9,23 +9,22 @@ import numpy as np
 
 from warp_peri.core import elastic
 from warp_peri.core.elastic import (
+    Symmetry,
     acoustic,
     allowed_tensors,
     bracket_rows,
     brackets_from_elastic,
+    checked_orientation,
+    directions,
     huang_rows,
+    name_of,
+    point_group,
+    shared_with_nodes,
     stress_brackets,
     turned,
     voigt_to_tensor,
 )
-from warp_peri.core.groups import (
-    Symmetry,
-    checked_orientation,
-    name_of,
-    point_group,
-    shared_with_nodes,
-)
-from warp_peri.core.stencil import directions, invariant_basis
+from warp_peri.core.stencil import invariant_basis
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting import regression
 from warp_peri.fitting.long_waves import long_wave_moduli

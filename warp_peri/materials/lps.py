@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.special import comb
 
 import warp_peri.materials as materials
-from warp_peri.core.elastic import elastic_from_brackets
-from warp_peri.core.groups import lattice_group
+from warp_peri.core.elastic import elastic_from_brackets, lattice_group
 from warp_peri.core.proof import StencilCertificate, prove
 from warp_peri.core.record import FieldUnits, Length, Record, taken
 from warp_peri.core.stencil import Stencil

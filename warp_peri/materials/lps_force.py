@@ -18,7 +18,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 from scipy.special import comb
 
-from warp_peri.core.sweeps import row_pieces
+from warp_peri.core.grid import row_pieces
 from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.lps.influence import influence

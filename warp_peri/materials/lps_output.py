@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from warp_peri.core.groups import lattice_group
+from warp_peri.core.elastic import lattice_group
 from warp_peri.errors import InputError
 from warp_peri.fitting.augmented_lagrangian import Tick
 from warp_peri.fitting.regression import LatticeRows

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from warp_peri.core.elastic import lattice_group
 from warp_peri.core.grid import grid_of
-from warp_peri.core.groups import lattice_group
 from warp_peri.core.stencil import Basis, half_ball
 from warp_peri.fitting.regression import LatticeRows
 from warp_peri.fitting.rows import forces, rows

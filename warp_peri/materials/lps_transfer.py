@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.core.groups import lattice_group
+from warp_peri.core.elastic import lattice_group
 from warp_peri.core.stencil import Basis
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.regression import LatticeRows

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from scipy.optimize import root
 
-from warp_peri.core.groups import checked_orientation
+from warp_peri.core.elastic import checked_orientation
 from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, warn

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_peri.core.grid import Grid, complete, refuse_cut
+from warp_peri.core.grid import SCALARS, Grid, complete, refuse_cut, torus_symbol
 from warp_peri.core.stencil import q1_tensors
-from warp_peri.core.sweeps import SCALARS, torus_symbol
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import agreed
 from warp_peri.kernels.micromodulus.rows import rows as row_kernels

@@ -12,7 +12,6 @@ from functools import lru_cache, reduce
 import numpy as np
 import scipy.fft
 
-from warp_peri.core.sweeps import component
 from warp_peri.materials.crystal import StencilMaterial
 from warp_peri.mpi.halo import Halo, Tiles
 from warp_peri.mpi.processes import Comm
@@ -46,7 +45,7 @@ class Convolution:
     Args:
         comm, tiles: the box and who owns what.
         reach: of the stencil [nodes].
-        symbol: its transform on a torus of a given shape, [d (d + 1)/2, *torus] halved.
+        symbol: its transform on a torus of a given shape, [d, d, *torus] halved.
         dtype: of the transforms, float64 or float32.
     """
 
@@ -97,9 +96,8 @@ class Convolution:
         wave = np.empty((d, *torus[:-1], torus[-1] // 2 + 1), np.result_type(self.dtype, 1j))
         for one, there in zip(wave, here):
             one[...] = scipy.fft.rfftn(there, s=torus, workers=get_num_threads())
-        mixed, room = np.empty_like(wave[:2])
         for i in range(d):
-            component(self.symbol, wave, i, mixed, room)
+            mixed = np.einsum("j...,j...->...", self.symbol[i], wave)
             found = scipy.fft.irfftn(mixed, s=torus, workers=get_num_threads(), overwrite_x=True)
             out[i][part] = found[*kept]
 
@@ -124,16 +122,17 @@ def inverse_filter(law: StencilMaterial) -> tuple[int, Callable[[tuple[int, ...]
     window = reduce(np.multiply.outer, d * [along])
     kernel = [
         np.roll(scipy.fft.irfftn(one, s=torus), d * (width,), axes)[d * (slice(size),)] * window
-        for one in shifted_inverse(torus, steps, tensors, shift)
+        for row in shifted_inverse(torus, steps, tensors, shift)
+        for one in row
     ]
 
     def symbol(torus: tuple[int, ...]) -> np.ndarray:
-        waves = np.empty((len(kernel), *torus[:-1], torus[-1] // 2 + 1))
+        waves = np.empty((d * d, *torus[:-1], torus[-1] // 2 + 1))
         for part, wave in zip(kernel, waves):  # one at a time: transforms are large in space
             field = np.zeros(torus)
             field[d * (slice(size),)] = part
             wave[:] = scipy.fft.rfftn(np.roll(field, d * (-width,), axes)).real
-        return waves
+        return waves.reshape(d, d, *waves.shape[1:])
 
     return width, symbol
 

@@ -13,10 +13,9 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from warp_peri.core.elastic import elastic_from_brackets
-from warp_peri.core.grid import grid_of
+from warp_peri.core.grid import FFT_BONDS, SCALARS, ByFFT, ByRows, convolved, grid_of
 from warp_peri.core.proof import smallest_eigenvalue
 from warp_peri.core.stencil import Stencil
-from warp_peri.core.sweeps import FFT_BONDS, SCALARS, ByFFT, ByRows, convolved
 from warp_peri.errors import InputError
 from warp_peri.points.points import Points
 from warp_peri.solvers.conjugate_gradients import SolveRecord, definite
@@ -256,20 +255,16 @@ def smallest_ratio(symbol: np.ndarray, torus: tuple[int, ...]) -> float:
     """Smallest Λmin D(k) / Σ_a 4 sin²(k_a h/2) over the waves of a torus but k = 0.
 
     Args:
-        symbol: as torus_symbol packs it, [d (d + 1)/2, *torus] halved.
+        symbol: as of torus_symbol.
         torus: nodes along each axis.
     """
-    d = len(torus)
     waves = [4 * np.sin(np.pi * np.arange(n) / n) ** 2 for n in torus]
     waves[-1] = waves[-1][: symbol.shape[-1]]
     s = reduce(np.add.outer, waves).ravel()
-    flat, smallest = symbol.reshape(len(symbol), -1), np.inf
-    upper = np.triu_indices(d)
+    D, smallest = symbol.reshape(*symbol.shape[:2], -1).T, np.inf
     for first in range(1, len(s), WAVES):  # k = 0 is the first
         part = slice(first, first + WAVES)
-        D = np.empty((len(s[part]), d, d))
-        D[:, upper[0], upper[1]] = D[:, upper[1], upper[0]] = flat[:, part].T
-        low = smallest_eigenvalue(D)
+        low = smallest_eigenvalue(D[part])
         smallest = min(smallest, float((low / s[part]).min()))
     return smallest
 

@@ -15,10 +15,9 @@ import scipy.fft
 import scipy.sparse as sp
 from scipy.ndimage import distance_transform_cdt
 
-from warp_peri.core.grid import Grid
+from warp_peri.core.grid import ByRows, Grid, convolved, inverse, torus_shape, torus_symbol
 from warp_peri.core.proof import smallest_eigenvalue
 from warp_peri.core.stencil import Stencil, q1_tensors
-from warp_peri.core.sweeps import ByRows, convolved, inverse, torus_shape, torus_symbol
 from warp_peri.runtime import get_num_threads
 from warp_peri.solvers.direct import symmetric_factors
 
@@ -103,10 +102,9 @@ def torus_inverse(
 def shifted_inverse(
     torus: tuple[int, ...], steps: np.ndarray, tensors: np.ndarray, shift: np.ndarray | float
 ) -> np.ndarray:
-    """(D(k) + shift I)⁻¹ at the waves of a torus, packed as torus_symbol packs D."""
+    """(D(k) + shift I)⁻¹ at the waves of a torus, as torus_symbol has D."""
     symbol = torus_symbol(torus, steps, tensors)
-    i, j = np.triu_indices(len(torus))
-    symbol[i == j] += shift
+    symbol[range(len(torus)), range(len(torus))] += shift
     return inverse(symbol)
 
 
