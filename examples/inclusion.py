@@ -14,7 +14,7 @@ import numpy as np
 
 import warp_peri as wp
 from warp_peri.fracture import LatticeBody, box_nodes
-from warp_peri.points.arrays import mean_inverse
+from warp_peri.points.arguments import mean_inverse
 
 Field = Callable[[np.ndarray], np.ndarray]
 RADIUS, RATIO = 0.5, {2: 3.0, 3: 2.0}

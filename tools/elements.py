@@ -16,8 +16,7 @@ import warp_peri as wp
 from tools.hyperelastic_elements import finite_elements
 from warp_peri import InputError, Points, Samples
 from warp_peri.core.elastic import voigt, voigt_to_tensor
-from warp_peri.points.lattice import lattice_steps
-from warp_peri.points.samples import PointsLike
+from warp_peri.points.points import PointsLike, lattice_steps
 
 STEPS, SETTLED = 60, 1e-9
 """Most linear solves of a load of third order, and the relative residual that ends them."""

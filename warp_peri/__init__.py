@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from warp_peri.points.dataset import Dataset as Dataset
     from warp_peri.points.mesh import Mesh as Mesh
     from warp_peri.points.points import Points as Points
-    from warp_peri.points.samples import Samples as Samples
+    from warp_peri.points.points import Samples as Samples
     from warp_peri.prediction.predict import predict as predict
     from warp_peri.problems import Body as Body
     from warp_peri.problems import Dirichlet as Dirichlet
@@ -80,8 +80,7 @@ _HOMES = {
     "materials.third_order_fit": "ThirdOrder",
     "points.dataset": "Dataset",
     "points.mesh": "Mesh",
-    "points.points": "Points",
-    "points.samples": "Samples",
+    "points.points": "Points Samples",
     "prediction.predict": "predict",
     "problems": "Body Dirichlet Periodic",
     "solvers.motion": "Motion",

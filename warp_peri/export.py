@@ -13,7 +13,7 @@ from warp_peri.files.series import in_space, meshio_of, write_vtu
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_matrices import node_fields
 from warp_peri.points.arguments import typed
-from warp_peri.points.samples import PointsLike, Samples
+from warp_peri.points.points import PointsLike, Samples
 
 if TYPE_CHECKING:
     from warp_peri.fe_coupling.body import BodySolution

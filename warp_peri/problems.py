@@ -12,11 +12,9 @@ from numpy.typing import ArrayLike
 
 from warp_peri.fe_coupling.body import solve_body
 from warp_peri.fe_coupling.boundary_elements import Field, Traction
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import checked
+from warp_peri.points.arguments import checked, typed
 from warp_peri.points.mesh import Mesh
-from warp_peri.points.points import Points
-from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.points import Points, PointsLike, nodes_of
 from warp_peri.protocols import is_tensor, offered, placed, taken
 from warp_peri.solvers.adjoint import in_motion
 from warp_peri.solvers.motion import Motion, refuse_learning

@@ -17,9 +17,8 @@ import numpy as np
 
 import warp_peri.core as core
 from warp_peri.errors import InputError, quietly
-from warp_peri.points.arguments import check_arguments
-from warp_peri.points.arrays import checked, plain
-from warp_peri.points.samples import Samples
+from warp_peri.points.arguments import check_arguments, checked, plain
+from warp_peri.points.points import Samples
 
 if TYPE_CHECKING:
     from torch import Tensor

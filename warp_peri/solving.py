@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from warp_peri.files.checkpoint import ALONE, agreed
-from warp_peri.points.arrays import check_flag, check_mapping, is_piece
+from warp_peri.points.arguments import check_flag, check_mapping, is_piece
 from warp_peri.protocols import offered, uncompiled
 from warp_peri.solvers.motion import Motion, refuse_learning
 from warp_peri.solvers.solution import Solution, Solver, told

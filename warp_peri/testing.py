@@ -17,8 +17,7 @@ import torch
 
 from warp_peri.core.stencil import central_weights
 from warp_peri.points.dataset import in_units
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
+from warp_peri.points.points import Points, Samples
 from warp_peri.points.unit_names import Units, factors
 from warp_peri.storage import load, save
 

@@ -1,6 +1,64 @@
-"""A material on another lattice, and samples on one: `warp_peri.transfers`."""
+"""A material on another lattice, and samples carried to one: `warp_peri.transfers`."""
 
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import RBFInterpolator
+from scipy.spatial import cKDTree
+
+from warp_peri.errors import InputError
 from warp_peri.materials.lps_transfer import on_lattice
-from warp_peri.points.interpolation import onto_lattice
+from warp_peri.points.arguments import Count, Positive, typed
+from warp_peri.points.points import Points, PointsLike, Samples
 
 __all__ = ["on_lattice", "onto_lattice"]
+
+NEIGHBOURS = 80
+"""Nearest nodes that a value is interpolated from: more of them see shorter waves."""
+SPACING_NEIGHBOURS = 12
+FULL = 1.5
+"""Distance to the nearest node, in spacings, beyond which a place counts as outside the points."""
+
+
+def mean_spacing(points: PointsLike) -> float:
+    """Spacing [Å] of a square lattice as dense as the points are around their interior."""
+    count = min(SPACING_NEIGHBOURS, len(points.x) - 1)
+    r, _ = cKDTree(points.x).query(points.x[points.interior], count + 1)
+    return float(np.median(r[:, -1]) * np.sqrt(np.pi / (count + 0.5)))
+
+
+@typed
+def onto_lattice(samples: Samples, *, spacing: Positive, neighbours: Count = NEIGHBOURS) -> Samples:
+    """Fields at scattered nodes carried to a lattice, to learn from (theory, M6).
+
+    By quintic splines of the nearest nodes, exact for polynomials of degree 2.
+
+    Args:
+        samples: u and b at scattered nodes.
+        spacing: h [Å] of the lattice; places on the rim where nodes are missing are left out.
+        neighbours: nearest nodes that a value is interpolated from.
+
+    Returns:
+        Samples on the lattice, whose interior is what lies within a spacing of interior nodes.
+
+    Raises InputError for a spacing that is no length, fewer nodes than neighbours, and nodes on a
+    line or a conic.
+    """
+    x, dense = samples.x, mean_spacing(samples)
+    if len(x) < neighbours:
+        raise InputError(
+            f"points: expected at least {neighbours} nodes to interpolate from, got {len(x)}"
+        )
+    low, high = np.ceil(x.min(0) / spacing - 1e-6), np.floor(x.max(0) / spacing + 1e-6)
+    lines = [np.arange(a, b + 1) for a, b in zip(low, high)]
+    y = spacing * np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
+    y = y[cKDTree(x).query(y)[0] <= FULL * dense]
+    interior = cKDTree(x[samples.interior]).query(y)[0] <= dense
+    fields = np.concatenate([samples.u] if samples.b is None else [samples.u, samples.b])
+    try:
+        carry = RBFInterpolator(x, fields.swapaxes(0, 1), neighbors=neighbours, kernel="quintic")
+        u, *b = np.split(carry(y).swapaxes(0, 1), len(fields) // len(samples))
+    except np.linalg.LinAlgError:
+        raise InputError("points: nodes to interpolate from lie on a line or a conic") from None
+    nodes = Points(y, interior, spacing, units=samples.points.units, axis=samples.axis)
+    return Samples(nodes, u, b[0] if b else None, samples.arrays)

@@ -11,7 +11,7 @@ from warp_peri.fitting.diagnose import warn_of_kind
 from warp_peri.fitting.result import Fit
 from warp_peri.fitting.training_data import listed
 from warp_peri.points.dataset import Dataset
-from warp_peri.points.samples import Samples
+from warp_peri.points.points import Samples
 from warp_peri.protocols import offered, taken
 
 if TYPE_CHECKING:

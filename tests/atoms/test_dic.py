@@ -7,7 +7,7 @@ import pytest
 
 from warp_peri import InputError
 from warp_peri.atoms.dic import dic_to_lattice, estimate_noise, frames_of_folder, read_dic_frame
-from warp_peri.points.samples import SEEN
+from warp_peri.points.points import SEEN
 
 X = np.argwhere(np.ones((15, 16), bool)) * 20.0 + [100.0, 60.0]
 

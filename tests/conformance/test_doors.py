@@ -12,7 +12,7 @@ from tests.support.materials import LAWS, operator, placed
 from tests.support.problems import kernel, lattice, noise
 from warp_peri.fracture import Cracked, rectangle_nodes
 from warp_peri.methods import Coupling, LPSParameters
-from warp_peri.points.arrays import checked_fields
+from warp_peri.points.arguments import checked_fields
 from warp_peri.points.mesh import make_mesh
 from warp_peri.points.outlines import Polygon, box, mesh_outline
 

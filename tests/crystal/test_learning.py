@@ -23,7 +23,7 @@ from warp_peri.materials.crystal_fit import (
     fit_phonons,
     transfer_to_lattice,
 )
-from warp_peri.points.samples import Samples
+from warp_peri.points.points import Samples
 
 
 def fit(samples, horizon, **asked):

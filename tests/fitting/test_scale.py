@@ -13,7 +13,7 @@ from warp_peri import Bernstein, InputError
 from warp_peri.materials.lps_adam import stiffness_of
 from warp_peri.materials.lps_fit import RELATIVE_ZETA
 from warp_peri.methods import StabilityConditions, TwoStage
-from warp_peri.points.samples import Samples
+from warp_peri.points.points import Samples
 
 HORIZON = 2.5
 TRUE = kernel("positive", HORIZON, lam=0.1, mu=0.7)

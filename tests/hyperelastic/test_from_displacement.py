@@ -19,8 +19,7 @@ from warp_peri.materials.hyperelastic.from_displacement import (
 from warp_peri.materials.hyperelastic.lattice import SheetLattice
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial, evaluate_hyperelastic
 from warp_peri.materials.hyperelastic.thickness import ThicknessField
-from warp_peri.points.points import Points
-from warp_peri.points.samples import PULL, Samples
+from warp_peri.points.points import PULL, Points, Samples
 
 TRUE_ANGLE, TRUE_EXPONENT = 1.1, 2.0
 TRUTH = np.array([0.1] * 4 + [0.05, 0.15])

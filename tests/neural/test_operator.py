@@ -20,8 +20,7 @@ from warp_peri.neural import training
 from warp_peri.neural.material import NeuralOperator
 from warp_peri.neural.placed import EquilibriumSolver, evaluate, interpolated_force
 from warp_peri.neural.training import TrainingSettings, train
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
+from warp_peri.points.points import Points, Samples
 
 HORIZON = 3.0
 FORMS = {

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from warp_peri import InputError, Points, Samples
-from warp_peri.points.interpolation import mean_spacing
-from warp_peri.transfers import onto_lattice
+from warp_peri.transfers import mean_spacing, onto_lattice
 
 
 def cloud(half=9, shift=0.35, seed=0):

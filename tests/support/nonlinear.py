@@ -10,7 +10,7 @@ from tests.crystal.crystals import cubic_tensor, dispersive
 from tests.support.problems import AXIS
 from warp_peri.materials.crystal_fit import fit_dispersion
 from warp_peri.materials.third_order import Smoothing, ThirdOrderMaterial
-from warp_peri.points.lattice import lattice_steps
+from warp_peri.points.points import lattice_steps
 
 LAM, MU = 0.3, 0.7
 TENSOR = cubic_tensor(2, LAM + 2 * MU, LAM, MU)

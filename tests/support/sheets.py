@@ -4,8 +4,7 @@ import numpy as np
 
 from warp_peri.materials.hyperelastic.energies import BONDS, KINDS, EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
+from warp_peri.points.points import Points, Samples
 
 SPACING = 0.1
 NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))

@@ -7,7 +7,7 @@ import numpy as np
 from tests.support.problems import lattice
 from tests.support.symbols import symbol
 from warp_peri import Samples
-from warp_peri.points.samples import nodes_of
+from warp_peri.points.points import nodes_of
 
 
 def waves(model, cells=6, period=19.0, highest=4):

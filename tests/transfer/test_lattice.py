@@ -10,7 +10,7 @@ from warp_peri import InputError, Samples
 from warp_peri.materials.lps_rows import product_basis, products
 from warp_peri.materials.lps_transfer import TOLERANCE, wave_loss, wave_vectors
 from warp_peri.points.families import bond_classes
-from warp_peri.points.samples import largest_wave_number
+from warp_peri.points.fields import largest_wave_number
 from warp_peri.transfers import on_lattice
 
 HOME = replace(kernel("1/r", 3.0), largest_wave_number=2.0)

@@ -22,11 +22,9 @@ from scipy.spatial import cKDTree
 from warp_peri.atoms.dic import ON_LATTICE, spacing_of, surrounded
 from warp_peri.errors import InputError
 from warp_peri.files.foreign import check_hdf5, check_regular
-from warp_peri.points.arguments import Count, Positive, typed
-from warp_peri.points.arrays import checked
+from warp_peri.points.arguments import Count, Positive, checked, typed
 from warp_peri.points.mesh import Mesh
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
+from warp_peri.points.points import Points, Samples
 from warp_peri.points.unit_names import Units, check_units
 
 EV_PER_CUBIC_ANGSTROM = 0.1602176634

@@ -16,10 +16,8 @@ from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError, warn
 from warp_peri.files.foreign import content, encoding_of
-from warp_peri.points.arguments import NotNegative, Positive, typed
-from warp_peri.points.arrays import checked, plain
-from warp_peri.points.points import Points
-from warp_peri.points.samples import PULL, SEEN, Samples
+from warp_peri.points.arguments import NotNegative, Positive, checked, plain, typed
+from warp_peri.points.points import PULL, SEEN, Points, Samples
 from warp_peri.points.unit_names import LENGTHS, USUAL, check_units
 
 MATCHID = ("disphorizontaldisplacement§", "dispverticaldisplacement§")

@@ -20,9 +20,8 @@ from tqdm import tqdm
 from warp_peri.atoms.coarse_graining import coarse_grain
 from warp_peri.errors import InputError, warn
 from warp_peri.files.foreign import check_regular, encoding_of, unpacked
-from warp_peri.points.arguments import Natural, Positive, typed
-from warp_peri.points.arrays import MOST, checked
-from warp_peri.points.samples import PointsLike, Samples, nodes_of
+from warp_peri.points.arguments import MOST, Natural, Positive, checked, typed
+from warp_peri.points.points import PointsLike, Samples, nodes_of
 
 EXPECTED = "a LAMMPS dump (text, packed or not), .extxyz, .xyz or .traj"
 BEGIN = ("ITEM: TIMESTEP", "ITEM: UNITS", "ITEM: TIME")

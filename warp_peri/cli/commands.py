@@ -18,7 +18,7 @@ from warp_peri.cli.options import keep, parser_of
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import finite, locked, plain
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
-from warp_peri.points.samples import Samples
+from warp_peri.points.points import Samples
 from warp_peri.points.unit_names import Units, symbols
 from warp_peri.protocols import offered
 from warp_peri.solvers.solution import CG, Coupling, Direct

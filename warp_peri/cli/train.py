@@ -25,7 +25,7 @@ from warp_peri.files.atomic import locked, read_arrays, write_json
 from warp_peri.files.foreign import content
 from warp_peri.fitting import settings
 from warp_peri.fitting.evaluate import Run, train
-from warp_peri.points.arrays import checked
+from warp_peri.points.arguments import checked
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import LENGTHS, symbols

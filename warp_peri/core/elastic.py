@@ -16,8 +16,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from warp_peri.errors import InputError, optional
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import checked
+from warp_peri.points.arguments import checked, typed
 
 Symmetry: TypeAlias = str | np.ndarray
 """Name of a point group, or rotations of one, shape [G, d, d]."""

@@ -11,8 +11,7 @@ import warp as wp
 
 from warp_peri.errors import InputError
 from warp_peri.kernels.micromodulus.rows import rows
-from warp_peri.points.lattice import LATTICE_TOLERANCE, lattice_steps
-from warp_peri.points.points import Points
+from warp_peri.points.points import LATTICE_TOLERANCE, Points, lattice_steps
 from warp_peri.runtime import DEVICE, floats, get_num_threads, ints, launch_slices
 
 SPARE = 60

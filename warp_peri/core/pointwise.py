@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 
 from warp_peri.core.grid import grid_of
 from warp_peri.core.stencil import Stencil, half_ball
-from warp_peri.points.arrays import plain
-from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.arguments import plain
+from warp_peri.points.points import PointsLike, nodes_of
 from warp_peri.protocols import OperatorBase
 from warp_peri.runtime import one_thread
 

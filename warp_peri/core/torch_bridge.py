@@ -16,8 +16,7 @@ from scipy.sparse.linalg import LinearOperator, gmres, splu
 from torch.autograd import forward_ad
 
 from warp_peri.errors import InputError, quietly
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import as_array, check_mapping, plain
+from warp_peri.points.arguments import as_array, check_mapping, plain, typed
 from warp_peri.protocols import SINGULAR, placed, uncompiled
 
 TWICE = (

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.errors import InputError
 from warp_peri.materials.lps import ALPHA_BOUND, bernstein_basis
-from warp_peri.points.arrays import checked, checked_fields, mean_inverse, plain
+from warp_peri.points.arguments import checked, checked_fields, mean_inverse, plain
 from warp_peri.points.families import families_of
-from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.points import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same
 from warp_peri.protocols import OperatorBase
 from warp_peri.solvers.adjoint import stepped

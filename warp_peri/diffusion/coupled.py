@@ -23,7 +23,7 @@ from warp_peri.fracture.body import lattice_body
 from warp_peri.fracture.bonds import bond_matrix, bonds_of, dilatations
 from warp_peri.fracture.statics import INDEFINITE
 from warp_peri.materials.lps import LPSMaterial
-from warp_peri.points.samples import PointsLike
+from warp_peri.points.points import PointsLike
 from warp_peri.points.unit_names import Units, check_same
 from warp_peri.solvers.direct import definite_factors
 

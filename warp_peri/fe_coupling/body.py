@@ -37,12 +37,11 @@ from warp_peri.fe_coupling.schwarz import Exchange, Schwarz, in_elements
 from warp_peri.materials.certificate import with_proof
 from warp_peri.materials.lps import LPSMaterial, moduli
 from warp_peri.materials.lps_transfer import model_at
-from warp_peri.points.arrays import checked, is_number
+from warp_peri.points.arguments import checked, is_number
 from warp_peri.points.families import bond_classes
-from warp_peri.points.lattice import largest_strain
+from warp_peri.points.fields import edge_strain, largest_strain
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
-from warp_peri.points.samples import edge_strain
 from warp_peri.points.unit_names import symbols
 from warp_peri.solvers.direct import definite_factors
 from warp_peri.solvers.linear import STIFF

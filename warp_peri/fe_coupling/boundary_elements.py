@@ -15,7 +15,7 @@ from scipy.ndimage import binary_dilation
 from scipy.sparse.linalg import LinearOperator, splu
 
 from warp_peri.errors import InputError, optional
-from warp_peri.points.arrays import checked
+from warp_peri.points.arguments import checked
 from warp_peri.points.mesh import Mesh, pieces
 from warp_peri.solvers.direct import loose_pieces
 

@@ -13,7 +13,7 @@ from tqdm import tqdm
 from warp_peri.errors import InputError, quietly
 from warp_peri.points.arguments import Bound, Natural, Share, typed, typed_methods
 from warp_peri.points.dataset import Dataset
-from warp_peri.points.samples import Samples
+from warp_peri.points.points import Samples
 from warp_peri.protocols import offered
 
 LEAST_LOADS, LEAST_DRAWS, DRAWS = 4, 10, 40

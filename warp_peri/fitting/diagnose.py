@@ -24,8 +24,7 @@ from warp_peri.fitting.long_waves import gradients
 from warp_peri.fitting.rows import forces
 from warp_peri.fitting.training_data import check_noise
 from warp_peri.points.arguments import typed
-from warp_peri.points.lattice import lattice_steps
-from warp_peri.points.samples import Samples
+from warp_peri.points.points import Samples, lattice_steps
 from warp_peri.protocols import LINEAR, offered, placed, stencil_of
 from warp_peri.reprs import Shown
 

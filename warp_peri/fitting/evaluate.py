@@ -17,7 +17,7 @@ from warp_peri.files.atomic import write_json
 from warp_peri.fitting.rows import norms
 from warp_peri.points.arguments import typed
 from warp_peri.points.dataset import Dataset
-from warp_peri.points.samples import Samples
+from warp_peri.points.points import Samples
 from warp_peri.protocols import offered, placed
 
 ERRORS = ("E_res", "E_u", "E_res_abs")

@@ -17,8 +17,8 @@ import torch
 from warp_peri.core.stencil import central_weights
 from warp_peri.errors import InputError
 from warp_peri.fitting.rows import over_loads
-from warp_peri.points.lattice import lattice_steps, neighbour_table
-from warp_peri.points.samples import Samples
+from warp_peri.points.families import neighbour_table
+from warp_peri.points.points import Samples, lattice_steps
 
 MODES, LEAST_HALF_WAVE = 1, 3
 """Half waves along an axis of the longest test fields, and spacings that one has at least."""

@@ -9,7 +9,7 @@ import scipy.linalg
 
 from warp_peri.core.grid import Grid, grid_of
 from warp_peri.core.stencil import Basis
-from warp_peri.points.samples import Samples
+from warp_peri.points.points import Samples
 
 BLOCK = 2**22
 """Numbers of a block of rows before it is compressed."""

@@ -18,7 +18,7 @@ from warp_peri.core.stencil import invariant_basis
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.long_waves import long_wave_equations
 from warp_peri.fitting.rows import over_loads, rows
-from warp_peri.points.samples import Samples
+from warp_peri.points.points import Samples
 
 AS_GOOD = 1.02
 """A group is taken while the loss with it is at most so many times that of the best group,"""

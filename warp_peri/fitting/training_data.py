@@ -9,7 +9,7 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.fitting.rows import load_sizes
 from warp_peri.points.dataset import Dataset
-from warp_peri.points.samples import Samples
+from warp_peri.points.points import Samples
 from warp_peri.points.unit_names import check_units
 
 

@@ -21,8 +21,7 @@ from warp_peri.fracture.bonds import bonds_of, check_breakable, stretch_matrix, 
 from warp_peri.fracture.softening import BondLaw, pull_of, share_of, slope_of
 from warp_peri.fracture.statics import check_no_fail, check_pieces, strain_of
 from warp_peri.materials.lps import LPSMaterial, bernstein_basis
-from warp_peri.points.arguments import Share
-from warp_peri.points.arrays import checked
+from warp_peri.points.arguments import Share, checked
 from warp_peri.protocols import is_tensor
 from warp_peri.solvers.adjoint import in_motion as in_motion
 from warp_peri.solvers.direct import definite_factors, symmetric_factors

@@ -14,11 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError, warn
-from warp_peri.points.arguments import Count, Positive, typed, typed_methods
-from warp_peri.points.arrays import check_whole, checked
-from warp_peri.points.families import HORIZON_TOLERANCE, BondClasses, bond_classes
-from warp_peri.points.lattice import neighbour_table, straight_steps
-from warp_peri.points.points import check_dimensions
+from warp_peri.points.arguments import Count, Positive, check_whole, checked, typed, typed_methods
+from warp_peri.points.families import HORIZON_TOLERANCE, BondClasses, bond_classes, neighbour_table
+from warp_peri.points.points import check_dimensions, straight_steps
 
 HAIR = 1e-3
 """How far a crack through a row of nodes is moved to one side, in spacings."""

@@ -21,7 +21,7 @@ from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.damage import sweeps as kernels
 from warp_peri.materials.lps import LPSMaterial, stencil_of, stiffnesses
 from warp_peri.points.families import BondClasses
-from warp_peri.points.lattice import straight_steps
+from warp_peri.points.points import straight_steps
 from warp_peri.runtime import Shared, filled, floats, get_num_threads, ints, zeros
 
 WEIGHT = 4

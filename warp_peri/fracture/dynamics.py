@@ -28,8 +28,7 @@ from warp_peri.fracture.bonds import (
 from warp_peri.fracture.statics import by_component, check_no_fail
 from warp_peri.kernels.damage.motion import halves
 from warp_peri.materials.lps import LPSMaterial
-from warp_peri.points.arguments import Positive, typed
-from warp_peri.points.arrays import checked
+from warp_peri.points.arguments import Positive, checked, typed
 from warp_peri.points.families import bond_classes
 from warp_peri.points.unit_names import REDUCED
 from warp_peri.runtime import floats, launch_slices, zeros

@@ -17,8 +17,7 @@ from warp_peri.fracture.growth import grow
 from warp_peri.fracture.release import crack_area, crack_opening_volume
 from warp_peri.fracture.run import CrackRun
 from warp_peri.fracture.statics import CutSolid, crack_load
-from warp_peri.points.arguments import NotNegative, typed
-from warp_peri.points.arrays import checked
+from warp_peri.points.arguments import NotNegative, checked, typed
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
 from warp_peri.protocols import is_tensor, offered, refuse_uncut, taken

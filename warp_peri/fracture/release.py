@@ -14,8 +14,7 @@ from warp_peri.errors import InputError
 from warp_peri.fracture.body import box_nodes, lattice_body, size_and_normal, through
 from warp_peri.fracture.statics import CutSolid
 from warp_peri.materials.lps import LPSMaterial
-from warp_peri.points.arguments import Positive, typed
-from warp_peri.points.arrays import checked
+from warp_peri.points.arguments import Positive, checked, typed
 from warp_peri.protocols import offered
 from warp_peri.solvers.solution import CG, Direct, Solution
 

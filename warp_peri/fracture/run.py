@@ -12,8 +12,7 @@ from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import AllNodes, agreed, fingerprint
 from warp_peri.fracture.body import HAIR, section
 from warp_peri.fracture.dynamics import BreakingBody, BreakingState, step
-from warp_peri.points.arguments import Positive
-from warp_peri.points.arrays import checked
+from warp_peri.points.arguments import Positive, checked
 from warp_peri.solvers.motion import Motion, Recorder
 
 NODAL = ("u", "v", "force", "energy", "work")

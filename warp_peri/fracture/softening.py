@@ -17,8 +17,7 @@ from warp_peri.core.record import OnLinear
 from warp_peri.errors import InputError
 from warp_peri.fracture.bonds import unit_toughness
 from warp_peri.materials.lps import LPSMaterial
-from warp_peri.points.arguments import NotNegative, Positive, typed
-from warp_peri.points.arrays import checked, is_positive
+from warp_peri.points.arguments import NotNegative, Positive, checked, is_positive, typed
 from warp_peri.points.families import bond_classes
 
 

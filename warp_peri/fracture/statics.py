@@ -15,7 +15,7 @@ import warp_peri.fracture as fracture
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import LatticeBody, cracked
 from warp_peri.fracture.bonds import CutRows, bond_matrix, bond_weights, bonds_of, largest_stiffness
-from warp_peri.points.arrays import checked
+from warp_peri.points.arguments import checked
 from warp_peri.points.points import Points
 from warp_peri.protocols import OperatorBase
 from warp_peri.solvers.conjugate_gradients import SolveRecord, definite

@@ -16,7 +16,7 @@ from warp_peri.materials.lps import LPSMaterial, statement_of
 from warp_peri.materials.lps_force import bonds_of
 from warp_peri.materials.lps_matrices import matrices
 from warp_peri.points.arguments import Positive, typed
-from warp_peri.points.samples import PointsLike
+from warp_peri.points.points import PointsLike
 from warp_peri.points.unit_names import USUAL, Units, symbols
 from warp_peri.protocols import LINEAR, offered, stencil_of
 from warp_peri.solvers.direct import DENSE, smallest_eigenvalue

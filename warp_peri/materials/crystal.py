@@ -24,11 +24,8 @@ from warp_peri.core.proof import StencilCertificate, largest, prove
 from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, warn
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import checked_fields, plain
-from warp_peri.points.lattice import lattice_steps
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples, nodes_of, unsaid
+from warp_peri.points.arguments import checked_fields, plain, typed
+from warp_peri.points.points import Points, Samples, lattice_steps, nodes_of, unsaid
 from warp_peri.points.unit_names import USUAL, Units, check_same, factors, shown_moduli, symbols
 from warp_peri.protocols import SAME_SPACING, OperatorBase
 from warp_peri.solvers.linear import Linear

@@ -38,8 +38,7 @@ from warp_peri.fitting.transfer import LARGEST_WAVE, WaveSymbol, carried_symbol,
 from warp_peri.materials.crystal import BROKEN, CrystalMaterial
 from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.dataset import Dataset
-from warp_peri.points.lattice import check_lattice, lattice_steps
-from warp_peri.points.samples import Samples
+from warp_peri.points.points import Samples, check_lattice, lattice_steps
 from warp_peri.points.unit_names import USUAL, Units, factors, symbols
 
 if TYPE_CHECKING:

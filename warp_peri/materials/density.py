@@ -23,8 +23,7 @@ from warp_peri.files.atomic import parsed
 from warp_peri.fitting.result import Fit
 from warp_peri.materials.crystal_fit import one_set
 from warp_peri.points.arguments import Positive, typed
-from warp_peri.points.lattice import lattice_steps
-from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.points import PointsLike, lattice_steps, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same
 from warp_peri.solvers.equilibria import SOLVES, equilibria_of, probed
 from warp_peri.solvers.linear import Inverse, Linear

@@ -18,12 +18,10 @@ from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, warn
 from warp_peri.materials.lps_force import CANCELLED
 from warp_peri.materials.lps_operator import LPSOperator
-from warp_peri.points.arguments import Positive, typed
-from warp_peri.points.arrays import checked, is_number
+from warp_peri.points.arguments import Positive, checked, is_number, typed
 from warp_peri.points.families import BondClasses, bond_classes
-from warp_peri.points.points import Points
+from warp_peri.points.points import Points, PointsLike, nodes_of
 from warp_peri.points.quadrature import DEGREE, SINGULARITY
-from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, shown_moduli, symbols
 from warp_peri.protocols import is_tensor
 from warp_peri.reprs import error_rows

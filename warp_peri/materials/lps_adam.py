@@ -29,7 +29,7 @@ from warp_peri.materials.lps_law import ALPHA_IN_SIGHT, LARGEST_ALPHA, LPSFound,
 from warp_peri.materials.lps_matrices import assemble
 from warp_peri.materials.lps_operator import lps_force
 from warp_peri.points.families import BondClasses, bond_classes
-from warp_peri.points.samples import Samples
+from warp_peri.points.points import Samples
 
 SMALLEST_MODULUS = 1e-3
 """μ and λ + μ stay above it, in the unit of the steps."""

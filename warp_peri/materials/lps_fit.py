@@ -56,8 +56,8 @@ from warp_peri.materials.lps_output import fit_output_error, squares
 from warp_peri.materials.lps_rows import Products, products
 from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.dataset import Dataset
-from warp_peri.points.lattice import check_lattice, largest_strain
-from warp_peri.points.samples import WAVE_VECTOR, Samples, largest_wave_number
+from warp_peri.points.fields import largest_strain, largest_wave_number
+from warp_peri.points.points import WAVE_VECTOR, Samples, check_lattice
 from warp_peri.points.unit_names import symbols
 
 RELATIVE_ZETA = 0.0161

@@ -24,8 +24,8 @@ from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.lps.influence import influence
 from warp_peri.kernels.lps.sweeps import LANES, struct, sweeps
 from warp_peri.points.families import families_of
+from warp_peri.points.points import PointsLike, nodes_of
 from warp_peri.points.quadrature import DEGREE
-from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.runtime import (
     DEVICE,
     Shared,

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
 from warp_peri.materials.lps_force import Bonds, bonds_of
-from warp_peri.points.arrays import checked
-from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.arguments import checked
+from warp_peri.points.points import PointsLike, nodes_of
 
 if TYPE_CHECKING:
     from warp_peri.materials.lps import LPSMaterial

@@ -23,9 +23,9 @@ from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_law import LPSFound
 from warp_peri.materials.lps_matrices import matrices
 from warp_peri.materials.lps_rows import Products, products
-from warp_peri.points.arrays import checked
+from warp_peri.points.arguments import checked
 from warp_peri.points.families import BondClasses
-from warp_peri.points.samples import WAVE_VECTOR
+from warp_peri.points.points import WAVE_VECTOR
 from warp_peri.solvers.direct import MatrixProblem
 
 SAMPLES_AT_ONCE = 8

@@ -17,8 +17,8 @@ from warp_peri.fitting.regression import LatticeRows
 from warp_peri.fitting.rows import forces, rows
 from warp_peri.materials.lps import LPSMaterial, stiffnesses
 from warp_peri.points.families import BondClasses, bond_classes
+from warp_peri.points.points import Samples
 from warp_peri.points.quadrature import DEGREE
-from warp_peri.points.samples import Samples
 
 
 def class_pairs(number: int) -> tuple[np.ndarray, np.ndarray]:

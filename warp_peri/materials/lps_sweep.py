@@ -23,7 +23,7 @@ from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_fit import LPS
 from warp_peri.points.arguments import Bound, typed, typed_methods
 from warp_peri.points.families import bond_classes
-from warp_peri.points.samples import Samples
+from warp_peri.points.points import Samples
 from warp_peri.points.unit_names import symbols
 
 COST_TOLERANCE = 0.1

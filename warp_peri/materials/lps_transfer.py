@@ -20,7 +20,7 @@ from warp_peri.materials.lps_law import LPSFound, optimum
 from warp_peri.materials.lps_rows import product_basis
 from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.families import AT_EDGES, bond_classes, carried_horizon
-from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.points import PointsLike, nodes_of
 from warp_peri.points.unit_names import check_same, search_length, symbols
 
 LEAST, LARGEST = 2.0, 5.0

@@ -27,11 +27,9 @@ from warp_peri.core.stencil import Stencil, squared
 from warp_peri.errors import InputError, warn
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import transfer_to_lattice
-from warp_peri.points.arguments import NotNegative, Positive, typed
-from warp_peri.points.arrays import is_number
+from warp_peri.points.arguments import NotNegative, Positive, is_number, typed
 from warp_peri.points.families import BondClasses, bond_classes
-from warp_peri.points.lattice import lattice_steps
-from warp_peri.points.samples import PointsLike, axis_of, nodes_of
+from warp_peri.points.points import PointsLike, axis_of, lattice_steps, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, shown_moduli, symbols
 from warp_peri.protocols import SAME_SPACING, offered, stencil_of
 from warp_peri.solvers.equilibria import SOLVES, equilibria_of, figures_of

@@ -31,8 +31,7 @@ from warp_peri.materials.third_order import (
 from warp_peri.points.arguments import typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
-from warp_peri.points.lattice import lattice_steps
-from warp_peri.points.samples import Samples, axis_of
+from warp_peri.points.points import Samples, axis_of, lattice_steps
 
 SETTLED = 1e-9
 """Relative, of moduli that are found."""

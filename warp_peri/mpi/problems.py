@@ -26,7 +26,7 @@ from warp_peri.kernels.damage.sweeps import sweep
 from warp_peri.mpi.halo import NodeHalo
 from warp_peri.mpi.linear import operator_on
 from warp_peri.mpi.processes import build
-from warp_peri.points.arrays import as_array, checked_fields
+from warp_peri.points.arguments import as_array, checked_fields
 from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.unit_names import check_same
 from warp_peri.protocols import MATERIAL, offered, taken

@@ -15,8 +15,7 @@ from warp_peri.mpi import problems
 from warp_peri.mpi.halo import Tiles, cut
 from warp_peri.mpi.linear import operator_on
 from warp_peri.mpi.processes import Comm, fingerprint, inner, total, world
-from warp_peri.points.lattice import LATTICE_TOLERANCE
-from warp_peri.points.points import Points
+from warp_peri.points.points import LATTICE_TOLERANCE, Points
 from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.runtime import ranks_started
 from warp_peri.solvers.conjugate_gradients import Inner

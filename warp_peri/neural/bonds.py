@@ -7,7 +7,7 @@ import torch
 
 from warp_peri.errors import InputError
 from warp_peri.points.families import families_of
-from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.points import PointsLike, nodes_of
 from warp_peri.protocols import Remade
 
 

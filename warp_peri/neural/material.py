@@ -21,9 +21,8 @@ from warp_peri.files import foreign
 from warp_peri.neural.bonds import NetworkBonds
 from warp_peri.neural.placed import Placed
 from warp_peri.neural.training import NeuralFit, TrainingSettings, train
-from warp_peri.points.arguments import Natural, Positive, typed
-from warp_peri.points.arrays import is_positive
-from warp_peri.points.samples import PointsLike, Samples, nodes_of
+from warp_peri.points.arguments import Natural, Positive, is_positive, typed
+from warp_peri.points.points import PointsLike, Samples, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, check_units, factors, symbols
 from warp_peri.reprs import Shown
 

@@ -14,9 +14,8 @@ from tqdm import tqdm
 from warp_peri.core.torch_bridge import on_fields, refuse_tangents
 from warp_peri.errors import InputError
 from warp_peri.neural.bonds import NetworkBonds
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import checked_fields, plain
-from warp_peri.points.samples import Samples
+from warp_peri.points.arguments import checked_fields, plain, typed
+from warp_peri.points.points import Samples
 from warp_peri.protocols import OperatorBase
 from warp_peri.solvers.equilibria import Equilibria, probed
 from warp_peri.solvers.linear import Inverse, Linear

@@ -25,7 +25,7 @@ from warp_peri.neural.placed import (
     interpolated_force,
 )
 from warp_peri.points.arguments import Count, Natural, Positive, typed
-from warp_peri.points.samples import Samples
+from warp_peri.points.points import Samples
 
 if TYPE_CHECKING:
     from warp_peri.neural.material import NeuralOperator

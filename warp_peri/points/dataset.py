@@ -16,10 +16,8 @@ import numpy as np
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import parsed, plain, whole_file
 from warp_peri.files.foreign import check_hdf5, check_regular
-from warp_peri.points.arguments import Positive, typed
-from warp_peri.points.arrays import is_name
-from warp_peri.points.points import Points
-from warp_peri.points.samples import FIELDS, WAVE_VECTOR, Samples
+from warp_peri.points.arguments import Positive, is_name, typed
+from warp_peri.points.points import FIELDS, WAVE_VECTOR, Points, Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units, factors, symbols
 from warp_peri.reprs import Shown
 

@@ -9,14 +9,13 @@ from functools import lru_cache
 import numpy as np
 import warp as wp
 from scipy.ndimage import distance_transform_edt
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from warp_peri.errors import InputError
 from warp_peri.kernels import neighbours as kernels
-from warp_peri.points import scattered
-from warp_peri.points.arrays import listed
-from warp_peri.points.lattice import neighbour_table
-from warp_peri.points.quadrature import DEGREE, quadrature_weights
-from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.arguments import listed
+from warp_peri.points.points import PointsLike, nearest, nodes_of
+from warp_peri.points.quadrature import DEGREE, quadrature_weights, weights
 from warp_peri.points.unit_names import symbols
 from warp_peri.runtime import ints, launch_slices, zeros
 
@@ -173,10 +172,10 @@ def families_of(
         row = row.astype(np.int32)
     else:  # bonds, and weights of their own for each family
         reach = horizon * (1 + HORIZON_TOLERANCE)
-        row, neighbour, r, reverse = scattered.neighbours(x, reach, points.box)
+        row, neighbour, r, reverse = neighbours(x, reach, points.box)
         lacking = np.zeros(len(x), bool)
         if points.box is None:
-            lacking = scattered.cut_balls(x, horizon, len(neighbour))
+            lacking = cut_balls(x, horizon, len(neighbour))
     ends, has_broken = neighbour, np.zeros(len(x), bool)
     if outside is not None:
         has_broken = _any_neighbour(row, neighbour, outside) & ~outside
@@ -191,7 +190,7 @@ def families_of(
     nodes = np.flatnonzero(interior), whole, cut
     if classes is None:
         some = np.flatnonzero(needed)
-        weight = scattered.weights(x, some, row, ends, points.box, horizon, degree)
+        weight = weights(x, some, row, ends, points.box, horizon, degree)
         return Families(row, neighbour, reverse, r, weight, *nodes)
     order = np.lexsort(classes.steps.T)
     reverse = np.empty(len(order), dtype=np.int32)
@@ -257,3 +256,95 @@ def carried_horizon(points: PointsLike) -> float:
     there[tuple((grid + 1).T)] = True
     clear = distance_transform_edt(there)[tuple((grid[points.interior] + 1).T)]
     return float(clear.min()) * h / 2 * (1 - 2 * HORIZON_TOLERANCE)
+
+
+def neighbour_table(
+    grid: np.ndarray, steps: np.ndarray, size: np.ndarray | None = None
+) -> np.ndarray:
+    """The node at each step of a family from each node, −1 where there is none: [N, B] int32.
+
+    Args:
+        grid: lattice steps of the nodes, shape [N, d].
+        steps: bond vectors of a family in lattice steps, shape [B, d].
+        size: periods in lattice steps, more than twice the longest step; None without.
+
+    Raises InputError for nodes given twice.
+    """
+    reach = int(np.abs(steps).max())
+    if size is None:
+        grid = grid - grid.min(axis=0) + reach
+        size = grid.max(axis=0) + 1 + reach
+        wrapped = 0
+    else:
+        grid, wrapped = grid % size, reach
+    number = np.full(size, -1, dtype=np.int32)
+    number[tuple(grid.T)] = nodes = np.arange(len(grid))
+    twice = np.flatnonzero(number[tuple(grid.T)] != nodes)
+    if len(twice):
+        raise InputError(f"points: {len(twice)} duplicates: {listed(twice)}")
+    number = np.pad(number, wrapped, mode="wrap")
+    stride = np.array(number.strides) // number.itemsize
+    table = zeros(len(grid), len(steps), dtype=wp.int32)
+    lattice = (ints((grid + wrapped) @ stride), ints(steps @ stride), ints(number.ravel()))
+    launch_slices(kernels.lattice_neighbours, len(grid), lattice, (table,))
+    found: np.ndarray = table.numpy()
+    return found
+
+
+def neighbours(
+    x: np.ndarray, reach: float, box: tuple[float, ...] | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Points within reach of each point, itself excluded.
+
+    Args:
+        x: positions [Å], shape [N, d], d = 2 or 3.
+        reach: largest distance that counts [Å].
+        box: d periods [Å], more than twice the reach; None when the points are not periodic.
+
+    Returns:
+        row [N + 1], neighbour [E], distance [Å] [E], and the bond back of each bond [E]; those of
+        point i are row[i] … row[i + 1].
+
+    Raises InputError for a box that is too small, points that are alone, and more bonds than int32
+    can number.
+    """
+    d, at = x.shape[1], x
+    if box is not None:
+        if not (np.shape(box) == (d,) and np.isfinite(box).all() and 2 * reach < min(box)):
+            number = "two" if d == 2 else "three"
+            raise InputError(f"box: expected {number} periods above {2 * reach:g}, got {box}")
+        at = x % box
+        at = np.where(at < box, at, 0.0)  # of −1e-17 it is the period itself
+    pairs = cKDTree(at, boxsize=box).query_pairs(reach, output_type="ndarray")
+    if 2 * len(pairs) >= 2**31:
+        raise InputError(f"points: {2 * len(pairs)} bonds are more than can be numbered (2³¹)")
+    start, end = np.concatenate([pairs, pairs[:, ::-1]]).T
+    order = np.lexsort((end, start))
+    place = np.empty(len(order), np.int32)
+    place[order] = np.arange(len(order))
+    reverse = np.roll(place, len(pairs))[order]
+    count = np.bincount(start, minlength=len(x))
+    if not count.all():
+        alone = listed(np.flatnonzero(count == 0))
+        raise InputError(f"points: isolated, with no other within the horizon: {alone}")
+    row = np.concatenate([[0], np.cumsum(count)]).astype(np.int32)
+    start, end = start[order], end[order].astype(np.int32)
+    return row, end, np.linalg.norm(nearest(x[end] - x[start], box), axis=1), reverse
+
+
+def cut_balls(x: np.ndarray, horizon: float, bonds: int) -> np.ndarray:
+    """Nodes whose ball leaves the convex hull of the points by more than one spacing, [N] bool.
+
+    The spacing is that of as many points in a square or cubic lattice. Balls that reach into a
+    hole or a bay cannot be told from balls of a coarser cloud, and pass.
+    """
+    try:
+        hull = ConvexHull(x).equations
+    except QhullError:  # all points on one line or plane
+        return np.ones(len(x), bool)
+    d, nodes = x.shape[1], bonds / len(x) + 1
+    spacing = horizon * (np.sqrt(np.pi / nodes) if d == 2 else np.cbrt(4 / 3 * np.pi / nodes))
+    depth = np.full(len(x), np.inf)
+    for normal, offset in zip(hull[:, :d], hull[:, d]):
+        depth = np.minimum(depth, -(x @ normal) - offset)
+    return np.asarray(depth < horizon - spacing)

@@ -21,8 +21,7 @@ from warp_peri.errors import InputError, warn
 from warp_peri.files.foreign import check_hdf5, check_xml, content
 from warp_peri.files.series import meshio_of
 from warp_peri.points.abaqus import read_abaqus
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import checked
+from warp_peri.points.arguments import checked, typed
 
 REST = "rest"
 """Name of the edges of an outline, or the faces of a surface, that have no other."""

@@ -1,19 +1,30 @@
-"""Nodes of a body: where they are, which are unknown, and what bounds them."""
+"""Nodes of a body: where they are, which are unknown; displacements and loads on them."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeAlias
+from weakref import WeakValueDictionary
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import InputError
-from warp_peri.points.arguments import NotNegative, Positive, typed
-from warp_peri.points.arrays import check_whole, checked, is_number, listed
+from warp_peri.errors import InputError, warn
+from warp_peri.points.arguments import (
+    NotNegative,
+    Positive,
+    as_array,
+    check_whole,
+    checked,
+    is_name,
+    is_number,
+    is_piece,
+    listed,
+    typed,
+)
 from warp_peri.points.unit_names import USUAL, Units, check_units, symbols
 from warp_peri.reprs import Shown
 
@@ -324,3 +335,174 @@ def check_dimensions(name: str, count: int) -> None:
     """InputError for another number of sides than 2 or 3."""
     if count not in (2, 3):
         raise InputError(f"{name}: expected 2 or 3, got {count} of them")
+
+
+def nearest(xi: np.ndarray, box: tuple[float, ...] | None) -> np.ndarray:
+    """Bond vectors to the nearest images."""
+    return xi if box is None else xi - np.round(xi / box) * box
+
+
+SEEN = "seen"
+"""Array of frames that were measured: nodes whose displacement was, shape [S, N] bool; that of the
+others is filled in."""
+PULL = "pull"
+"""Array of frames: pull over width and mean thickness on sections across x, and across y, that go
+from edge to edge, shape [S, 2] [stress]; NaN where it was not measured."""
+FIELDS = ("x", "u", "b", "interior", "outside")
+"""Names that no array of samples may bear."""
+
+
+@typed
+@dataclass(frozen=True, eq=False, repr=False)
+class Samples(Shown):
+    """Samples of one body on one set of points.
+
+    Attributes:
+        points: the nodes; x, interior, spacing, box and outside are theirs.
+        u: displacements [Å], shape [S, N, d].
+        b: body force densities [TPa/Å], shape [S, N, d]; None where the load is not known.
+        arrays: optional per-sample arrays by name, each with first dimension S.
+
+    Raises InputError naming the first field of wrong shape or with a value that is not finite.
+
+    >>> samples = wp.Samples(points, u, b)
+    >>> len(samples), len(samples[:5]), len(samples[-1])
+    (12, 5, 1)
+    """
+
+    points: Points
+    u: np.ndarray
+    b: np.ndarray | None = None
+    arrays: dict[str, np.ndarray] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("u", "b") if self.b is not None else ("u",):
+            count: int | str = "S" if name == "u" else len(self.u)
+            field = checked(name, getattr(self, name), shape=(count, *self.x.shape))
+            object.__setattr__(self, name, field)
+        for name, value in self.arrays.items():
+            if name in FIELDS or not is_name(name):
+                raise InputError(f"arrays: {name!r} cannot be the name of an array")
+            found = as_array(name, value)
+            if found.ndim == 0 or len(found) != len(self.u) or np.ma.is_masked(found):
+                count = f"each of {len(self.u)} samples"
+                raise InputError(f"{name}: expected one entry for {count}, and none that is masked")
+
+    def __len__(self) -> int:
+        """Number of samples."""
+        return len(self.u)
+
+    def __getitem__(self, which: Any) -> Samples:
+        """Some of the samples, with what belongs to them: a number, a slice, or an array."""
+        try:
+            rows = np.atleast_1d(np.arange(len(self))[which])
+        except (IndexError, TypeError) as error:
+            if isinstance(which, (int, np.integer)):  # where a loop over samples ends
+                raise
+            raise InputError(f"samples: expected some of {len(self)} ({error})") from None
+        arrays = {name: np.asarray(values)[rows] for name, values in self.arrays.items()}
+        b = None if self.b is None else self.b[rows]
+        return replace(self, u=self.u[rows], b=b, arrays=arrays)
+
+    @property
+    def x(self) -> np.ndarray:
+        """Positions [Å], shape [N, d]."""
+        return self.points.x
+
+    @property
+    def interior(self) -> np.ndarray:
+        """Nodes where equilibrium is asked, shape [N] bool."""
+        return self.points.interior
+
+    @property
+    def spacing(self) -> float:
+        """Lattice spacing [Å]; 0 for scattered points."""
+        return self.points.spacing
+
+    @property
+    def box(self) -> tuple[float, ...] | None:
+        """Periods [Å] of the points, or None."""
+        return self.points.box
+
+    @property
+    def outside(self) -> np.ndarray | None:
+        """Nodes that are not part of the body, shape [N] bool."""
+        return self.points.outside
+
+    @property
+    def axis(self) -> Any:
+        """Of the material against the points, as Points.axis, or None."""
+        return self.points.axis
+
+    @property
+    def loads(self) -> np.ndarray:
+        """b [TPa/Å]; InputError where it is not known."""
+        if self.b is None:
+            raise InputError("b: expected loads, got samples whose loads are not known (b=None)")
+        return self.b
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know at a glance: name and value."""
+        length, stress = symbols(self.points.units)
+        rows = [("samples", str(len(self))), *self.points.rows()]
+        rows.append(("u", f"up to {np.abs(self.u).max(initial=0.0):.3g} {length}"))
+        known = "not known"
+        if self.b is not None:
+            largest = np.abs(self.b[:, self.interior]).max(initial=0.0)
+            known = f"up to {largest:.3g} {stress}/{length}"
+        return [*rows, ("b", known), *((name, "by sample") for name in self.arrays)]
+
+
+def seen_of(samples: Samples) -> np.ndarray:
+    """Nodes whose displacement was seen, shape [S, N] bool: all where nothing says otherwise."""
+    return checked(SEEN, samples.arrays.get(SEEN, np.ones(samples.u.shape[:2], bool)), bool)
+
+
+PointsLike: TypeAlias = Points | Samples
+"""What has nodes: functions that look at no field take either."""
+
+
+def nodes_of(given: PointsLike) -> Points:
+    """The points themselves, or a rank's piece of them; InputError for what is none."""
+    if not (isinstance(given, (Points, Samples)) or is_piece(given)):
+        raise InputError(
+            f"points: expected Points(x, interior, spacing), got {type(given).__name__}"
+        )
+    return given.points if isinstance(given, Samples) else given
+
+
+def lattice_steps(points: PointsLike) -> Lattice:
+    """`Points.lattice` of points or samples."""
+    return nodes_of(points).lattice
+
+
+_said: WeakValueDictionary[int, np.ndarray] = WeakValueDictionary()
+"""Positions that a direction was assumed on; gone with the points."""
+
+
+def unsaid(points: PointsLike) -> bool:
+    """Whether nothing was said of the direction on these positions before; now it is."""
+    x = points.x
+    if _said.get(id(x)) is x:
+        return False
+    _said[id(x)] = x
+    return True
+
+
+def axis_of(points: PointsLike) -> float:
+    """Angle [rad] from the x axis of points to that of the material.
+
+    Where none is stated it is taken as 0, with a warning, once for these points.
+    """
+    if points.axis is None:
+        if unsaid(points):
+            warn(
+                "axis: the model depends on direction, and the points do not state that of the "
+                "material: taken along x; Points(…, axis=degrees) states it"
+            )
+        return 0.0
+    return float(np.deg2rad(points.axis))
+
+
+WAVE_VECTOR = "wave_vector"
+"""Per-sample array of a set whose loads are single waves: k [1/Å], shape [S, 2]."""

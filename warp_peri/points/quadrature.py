@@ -6,11 +6,15 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
+import warp as wp
 from numpy.typing import ArrayLike
 from scipy.special import beta
 
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import check_whole
+from warp_peri.kernels import quadrature as kernels
+from warp_peri.points.arguments import check_whole, listed
+from warp_peri.points.points import nearest
+from warp_peri.runtime import floats, ints, launch_slices, zeros
 
 DEGREE = 5
 SINGULARITY = 3
@@ -85,3 +89,41 @@ def ball_integral(powers: Sequence[int], exponent: float) -> float:
         sphere *= beta(half, (n + 1) / 2)
         half += (n + 1) / 2
     return float(sphere / (sum(powers) + len(powers) - exponent))
+
+
+FAMILY = 50
+"""How much more than a node's sweep its weights take a thread."""
+
+
+def weights(
+    x: np.ndarray,
+    nodes: np.ndarray,
+    row: np.ndarray,
+    neighbour: np.ndarray,
+    box: tuple[float, ...] | None,
+    horizon: float,
+    degree: int,
+) -> np.ndarray:
+    """Quadrature weights of the families of `nodes` [Å^d], zero on all other bonds, shape [E].
+
+    Raises InputError naming the nodes whose family is too poor.
+    """
+    d = x.shape[1]
+    powers, exact = conditions(degree, d)
+    vec = wp.types.vector(d, wp.float64)
+    links = (floats(x, vec), ints(row), ints(neighbour), vec(*(box or d * (0.0,))))
+    found = zeros(len(neighbour)), zeros(len(nodes))
+    inputs = (ints(nodes), *links, horizon, INDEPENDENT, floats(exact))
+    kernel = kernels.family_weights(tuple(powers))
+    launch_slices(kernel, len(nodes), inputs, found, weight=FAMILY)
+    weight, residual = (array.numpy() for array in found)
+    for n in np.flatnonzero(residual < 0):  # normal equations do not do near a line
+        bonds = slice(*row[nodes[n] : nodes[n] + 2])
+        xi = nearest(x[neighbour[bonds]] - x[nodes[n]], box)
+        weight[bonds], residual[n] = family_weights(xi, horizon, degree=degree)
+    if len(poor := nodes[~(residual <= RESIDUAL)]):
+        raise InputError(
+            f"quadrature: no weights are exact for the families of {len(poor)} nodes: "
+            f"{listed(np.sort(poor))}; a larger horizon has more bonds"
+        )
+    return np.asarray(weight)

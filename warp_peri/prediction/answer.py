@@ -15,8 +15,7 @@ from scipy.spatial import cKDTree
 from warp_peri.errors import InputError
 from warp_peri.materials.third_order import curvature_bound
 from warp_peri.points.arguments import typed, typed_methods
-from warp_peri.points.lattice import lattice_steps
-from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.points import PointsLike, lattice_steps, nodes_of
 from warp_peri.points.unit_names import symbols
 from warp_peri.prediction.ensemble import CalibrationFactors
 from warp_peri.prediction.members import EnsembleOperator, Parts, norm

@@ -15,8 +15,8 @@ from scipy.ndimage import distance_transform_edt
 from warp_peri.core.grid import Grid, grid_of
 from warp_peri.core.record import FieldUnits
 from warp_peri.errors import InputError
-from warp_peri.points.lattice import largest_strain, lattice_steps
-from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.fields import largest_strain
+from warp_peri.points.points import PointsLike, lattice_steps, nodes_of
 from warp_peri.protocols import placed
 
 if TYPE_CHECKING:

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.points.arguments import Positive, typed
-from warp_peri.points.arrays import checked_fields
-from warp_peri.points.samples import Samples, nodes_of
+from warp_peri.points.arguments import Positive, checked_fields, typed
+from warp_peri.points.points import Samples, nodes_of
 from warp_peri.prediction.answer import AXIS, Prediction, combined
 from warp_peri.prediction.ensemble import MOST, CalibrationFactors, EnsembleMaterial
 from warp_peri.prediction.members import EnsembleOperator, norm

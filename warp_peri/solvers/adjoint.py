@@ -38,8 +38,7 @@ from warp_peri.core.torch_bridge import (
     with_numbers,
 )
 from warp_peri.errors import InputError
-from warp_peri.points.arguments import Natural, Positive
-from warp_peri.points.arrays import checked
+from warp_peri.points.arguments import Natural, Positive, checked
 from warp_peri.protocols import is_tensor, taken
 from warp_peri.solvers import verlet
 from warp_peri.solvers.direct import MatrixProblem

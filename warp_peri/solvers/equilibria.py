@@ -22,9 +22,8 @@ from scipy.sparse.linalg import LinearOperator
 
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, warn
-from warp_peri.points.arrays import checked_fields
-from warp_peri.points.lattice import lattice_steps
-from warp_peri.points.points import Points
+from warp_peri.points.arguments import checked_fields
+from warp_peri.points.points import Points, lattice_steps
 from warp_peri.solvers.conjugate_gradients import HERE, definite, newton, norm
 from warp_peri.solvers.direct import smallest_eigenvalue
 from warp_peri.solvers.linear import DIRECT, Inverse

@@ -13,8 +13,7 @@ import numpy as np
 import warp_peri
 from warp_peri.errors import InputError, heard, warn
 from warp_peri.points.arguments import Positive, Share, typed, typed_methods
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
+from warp_peri.points.points import Points, Samples
 from warp_peri.points.unit_names import symbols
 from warp_peri.reprs import Shown
 

@@ -14,11 +14,10 @@ from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError, quietly, warn
 from warp_peri.files.checkpoint import AllNodes, agreed, fingerprint
-from warp_peri.points.arguments import Count, Positive, typed
-from warp_peri.points.arrays import checked as read
-from warp_peri.points.arrays import is_piece
-from warp_peri.points.lattice import check_lattice
+from warp_peri.points.arguments import Count, Positive, is_piece, typed
+from warp_peri.points.arguments import checked as read
 from warp_peri.points.mesh import check_numbers
+from warp_peri.points.points import check_lattice
 from warp_peri.points.unit_names import USUAL, Units, factors
 from warp_peri.protocols import offered, stencil_of
 from warp_peri.runtime import shared_by

@@ -17,7 +17,7 @@ from warp_peri.points.arguments import typed
 from warp_peri.protocols import taken
 
 if TYPE_CHECKING:
-    from warp_peri.points.samples import Samples
+    from warp_peri.points.points import Samples
 
 half_family = cache(partial(half_ball, dimension=2))
 """One bond of each pair ±ξ in lattice steps, by length, of a reach in spacings, shape [C, 2]."""

@@ -25,7 +25,7 @@ from warp_peri.materials.hyperelastic.operator import (
     HyperelasticSheetOperator,
 )
 from warp_peri.points.arguments import Count, NotNegative, typed, typed_methods
-from warp_peri.points.samples import PointsLike, Samples, nodes_of
+from warp_peri.points.points import PointsLike, Samples, nodes_of
 
 RIDGE = 1e-9
 """Of the squared length of the scaled coefficients, relative to the data."""

@@ -11,7 +11,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 
 from warp_peri.errors import warn
 from warp_peri.materials.hyperelastic.lattice import softest
-from warp_peri.points.arrays import checked_fields
+from warp_peri.points.arguments import checked_fields
 from warp_peri.solvers.direct import lanczos_start, smallest_eigenvalue
 from warp_peri.solvers.equilibria import Inner, direction, stable_way
 

@@ -29,8 +29,7 @@ from warp_peri.materials.hyperelastic.fibres import fibre_numbers, fibres_of, wi
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.materials.hyperelastic.thickness import ThicknessField
 from warp_peri.points.arguments import Count, NotNegative, Share, typed, typed_methods
-from warp_peri.points.points import Points
-from warp_peri.points.samples import PULL, Samples, seen_of
+from warp_peri.points.points import PULL, Points, Samples, seen_of
 
 
 class Sections:

@@ -17,8 +17,8 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from warp_peri.errors import InputError
 from warp_peri.materials.hyperelastic.energies import half_family, strain_weights
-from warp_peri.points.lattice import neighbour_table, straight_steps
-from warp_peri.points.points import Points
+from warp_peri.points.families import neighbour_table
+from warp_peri.points.points import Points, straight_steps
 from warp_peri.solvers.direct import lanczos_start
 from warp_peri.solvers.equilibria import Inner
 

@@ -31,7 +31,7 @@ from warp_peri.materials.hyperelastic.from_displacement import (
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial, evaluate_hyperelastic
 from warp_peri.materials.hyperelastic.thickness import ThicknessField
 from warp_peri.points.arguments import Natural, typed, typed_methods
-from warp_peri.points.samples import Samples, seen_of
+from warp_peri.points.points import Samples, seen_of
 
 
 def kept_fit(path: Path | None, compute: Callable[[], DisplacementFit]) -> DisplacementFit:

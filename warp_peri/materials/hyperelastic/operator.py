@@ -25,9 +25,8 @@ from warp_peri.materials.hyperelastic.equilibrium import (
     stable_equilibrium,
 )
 from warp_peri.materials.hyperelastic.lattice import CORNERS, SheetLattice, Sites
-from warp_peri.points.arguments import typed
-from warp_peri.points.arrays import checked, checked_fields, plain
-from warp_peri.points.samples import PointsLike, Samples, nodes_of, seen_of
+from warp_peri.points.arguments import checked, checked_fields, plain, typed
+from warp_peri.points.points import PointsLike, Samples, nodes_of, seen_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, shown_moduli, symbols
 from warp_peri.runtime import one_thread
 from warp_peri.solvers.equilibria import Inner

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.points.arguments import typed_methods
-from warp_peri.points.arrays import checked
+from warp_peri.points.arguments import checked, typed_methods
 
 LARGEST_DEGREE = 6
 
