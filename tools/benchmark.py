@@ -50,7 +50,8 @@ from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
 from warp_peri.fracture import box_nodes, lattice_body
 from warp_peri.fracture.bonds import CutOperator
-from warp_peri.fracture.dynamics import BreakingBody, BrittleMaterial, step
+from warp_peri.fracture.dynamics import BreakingBody, step
+from warp_peri.fracture.materials import BrittleMaterial
 from warp_peri.materials.lps_force import Bonds
 from warp_peri.materials.lps_operator import LPSOperator, lps_force
 from warp_peri.runtime import floats, set_num_threads, zeros

@@ -10,7 +10,7 @@ from tests.support.plates import plate
 from warp_peri import LPSMaterial, certify
 from warp_peri.errors import InputError
 from warp_peri.fe_coupling.body import Coupling, long_wave, solve_body
-from warp_peri.fe_coupling.lattice_interior import bulk_lattice
+from warp_peri.fe_coupling.schwarz import bulk_lattice
 
 SPACING, RADIUS, HALF, TENSION = 1.0, 8.0, 32.0, 0.005
 

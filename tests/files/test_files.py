@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from warp_peri import InputError, LPSMaterial, load
-from warp_peri.diffusion.conductor import DiffusionMaterial
+from warp_peri.diffusion import DiffusionMaterial
 from warp_peri.files.atomic import whole_file, write_json, write_text
 from warp_peri.points.unit_names import check_units, factors
 

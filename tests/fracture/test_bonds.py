@@ -18,7 +18,7 @@ from warp_peri.fracture.bonds import (
     stretch_matrix,
     unit_toughness,
 )
-from warp_peri.fracture.dynamics import continuum_stretch
+from warp_peri.fracture.materials import continuum_stretch
 from warp_peri.points.families import bond_classes
 from warp_peri.runtime import floats, zeros
 

@@ -7,8 +7,7 @@ import pytest
 
 from tests.support.bodies import plate, pulled, solid
 from warp_peri import InputError
-from warp_peri.fracture.dynamics import BreakingBody, step
-from warp_peri.fracture.run import CrackRun
+from warp_peri.fracture.dynamics import BreakingBody, CrackRun, step
 
 CRACK = [[(-20, 0), (-4, 0)]]
 KINDS = {

@@ -21,8 +21,7 @@ from warp_peri.fracture import (
 from warp_peri.fracture.adjoint import SoftBody
 from warp_peri.fracture.body import crossing_bonds
 from warp_peri.fracture.bonds import bond_weights, check_breakable
-from warp_peri.fracture.dynamics import BreakingBody
-from warp_peri.fracture.run import CrackRun
+from warp_peri.fracture.dynamics import BreakingBody, CrackRun
 from warp_peri.points.families import bond_classes
 
 X = rectangle_nodes(12.0, 12.0, 1.0)

@@ -13,9 +13,8 @@ from examples.exact import westergaard
 from tests.known_problems.statics import LEARNED, Outcome, UnitScale, material, plane, solid
 from warp_peri.fracture.body import box_nodes, penny_corners, point_force, rectangle_nodes
 from warp_peri.fracture.bonds import unit_toughness
-from warp_peri.fracture.growth import apparent_toughness, cut_by_spacing, spent
-from warp_peri.fracture.problems import Cracked
-from warp_peri.fracture.release import energy_release, tip_shift
+from warp_peri.fracture.problems import Cracked, energy_release, tip_shift
+from warp_peri.fracture.statics import apparent_toughness, cut_by_spacing, spent
 from warp_peri.points.families import bond_classes
 from warp_peri.points.points import Points
 from warp_peri.solvers.solution import CG

@@ -26,7 +26,7 @@ from warp_peri import runtime
 from warp_peri.certificates import critical_time_step
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import box_nodes, rectangle_nodes
-from warp_peri.fracture.dynamics import BrittleMaterial
+from warp_peri.fracture.materials import BrittleMaterial
 from warp_peri.fracture.problems import Cracked
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.mpi import gather, partition

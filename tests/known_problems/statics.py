@@ -13,7 +13,7 @@ import numpy as np
 from examples.exact import compliances, plate_with_hole, roots
 from warp_peri.fe_coupling.body import BodySolution
 from warp_peri.fe_coupling.boundary_elements import Moduli
-from warp_peri.fe_coupling.lattice_interior import MARGIN
+from warp_peri.fe_coupling.schwarz import MARGIN
 from warp_peri.materials.crystal import crystal_from_lps
 from warp_peri.materials.crystal_fit import fit_dispersion
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic

@@ -99,7 +99,7 @@ MISSING = "import sys; sys.modules['torch'] = None\nimport warp_peri\ntry: warp_
     [
         (f"import sys, warp_peri; warp_peri.load; {LOADED}", ""),
         (QUIET + LOADED, ""),
-        ("import sys, warp_peri.mpi.problems; print({'torch'} & {*sys.modules})", "set()"),
+        ("import sys, warp_peri.mpi.subdomain; print({'torch'} & {*sys.modules})", "set()"),
         (f"{MISSING}except ModuleNotFoundError as error: print(error.name)", "torch"),
     ],
 )

@@ -4,7 +4,8 @@ import numpy as np
 
 from warp_peri import LPSMaterial
 from warp_peri.fracture.body import box_nodes, lattice_body
-from warp_peri.fracture.dynamics import BreakingBody, BrittleMaterial
+from warp_peri.fracture.dynamics import BreakingBody
+from warp_peri.fracture.materials import BrittleMaterial
 from warp_peri.solvers.verlet import inertia
 
 

@@ -53,13 +53,13 @@ HOMES = {
     "warp_peri.model": "materials.lps",
     "warp_peri.third_order_crystal": "materials.third_order",
     "warp_peri.density": "materials.density",
-    "warp_peri.brittle_solid": "fracture.dynamics",
-    "warp_peri.soft_solid": "fracture.softening",
+    "warp_peri.brittle_solid": "fracture.materials",
+    "warp_peri.soft_solid": "fracture.materials",
     "warp_peri.micromodulus": "materials.crystal",
     "warp_peri.hyperelastic": "materials.hyperelastic.operator",
     "warp_peri.neural": "neural.material",
-    "warp_peri.conductor": "diffusion.conductor",
-    "warp_peri.coupled_solid": "diffusion.coupled",
+    "warp_peri.conductor": "diffusion",
+    "warp_peri.coupled_solid": "diffusion",
     "warp_peri.family": "prediction.ensemble",
 }
 """Modules below warp_peri that a format's kind is in; those of others are loaded already."""

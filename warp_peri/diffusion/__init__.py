@@ -1,6 +1,427 @@
-"""Conduction and diffusion along bonds, alone and with mechanics (theory, Di)."""
+"""Conduction and diffusion along bonds, alone (theory, Di) and with mechanics that feels it:
+σ = σ_mech + ε φ I (Di5)."""
 
-from warp_peri.diffusion.conductor import DiffusionMaterial, DiffusionOperator
-from warp_peri.diffusion.coupled import CoupledOperator, ThermoelasticMaterial
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+import scipy.sparse as sp
+import torch
+from numpy.typing import ArrayLike
+
+from warp_peri.core.record import FieldUnits, Length, Record, Stress
+from warp_peri.errors import InputError
+from warp_peri.fracture.adjoint import bond_force
+from warp_peri.fracture.body import lattice_body
+from warp_peri.fracture.bonds import bond_matrix, bonds_of, dilatations
+from warp_peri.fracture.statics import INDEFINITE
+from warp_peri.materials.lps import ALPHA_BOUND, LPSMaterial, bernstein_basis
+from warp_peri.points.arguments import checked, checked_fields, mean_inverse, plain
+from warp_peri.points.families import families_of
+from warp_peri.points.points import PointsLike, nodes_of
+from warp_peri.points.unit_names import USUAL, Units, check_same
+from warp_peri.protocols import OperatorBase
+from warp_peri.solvers.adjoint import stepped
+from warp_peri.solvers.direct import MatrixProblem, definite_factors
+from warp_peri.solvers.solution import Direct, Solution, Solver, refuse_solver
 
 __all__ = ["DiffusionMaterial", "CoupledOperator", "ThermoelasticMaterial", "DiffusionOperator"]
+Conductivity = float | np.ndarray | Callable[[np.ndarray], np.ndarray]
+ROUNDING = 1e-10
+"""Eigenvalues so far below zero, over the largest diagonal, count as zero."""
+
+
+class FlowOperator(OperatorBase):
+    """A linear law by its matrix, which flows in time: fields of all nodes, forces of the interior.
+
+    Attributes:
+        matrix: of flat fields, sparse, rows of the interior in order.
+    """
+
+    is_linear = True
+    matrix: sp.csr_array
+    march = stepped  # ∂φ/∂t = −L φ + b by implicit steps (theory, Di4)
+
+    def force(self, u: np.ndarray) -> np.ndarray:
+        """L u on the interior, [..., I, …] of u [..., N, …]; InputError for another shape."""
+        self.check(u := plain("u", u))
+        lead, rest = u.shape[: u.ndim - len(self.shape)], self.shape[1:]
+        return np.asarray((u.reshape(*lead, -1) @ self.matrix.T).reshape(*lead, -1, *rest))
+
+    def vjp(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """Lᵗ w on all nodes, [..., N, …], of w on the interior, [..., I, …], whatever u."""
+        lead = np.shape(w)[: np.ndim(w) - len(self.shape)]
+        return np.asarray(
+            (plain("w", w).reshape(*lead, -1) @ self.matrix).reshape(*lead, *self.shape)
+        )
+
+    def tangent(self, u: Any) -> sp.csr_array:
+        """`matrix`, whatever u."""
+        return self.matrix
+
+    def interior_tangent(self, u: Any) -> sp.csc_array:
+        """L between interior nodes, sparse."""
+        components = int(np.prod(self.shape[1:]))
+        return self.matrix.tocsc()[:, np.repeat(self.points.interior, components)]
+
+    def solve(self, b: ArrayLike | None, u: ArrayLike, solver: Solver = None) -> Solution:
+        """The steady state, with L u = b on the interior, given on all other nodes.
+
+        Args:
+            b: loads, as fields [N, …] or [S, N, …], read on the interior; None for none.
+            u: a field, same shape, read off the interior.
+            solver: Direct().
+
+        Raises InputError for other shapes, values that are not finite, a matrix that is singular,
+        as of a piece that nothing touches, or has eigenvalues below zero.
+        """
+        refuse_solver(solver, (Direct,), "what flows")
+        b, given = checked_fields(self.points, b, u, self.shape)
+        self.interior_tangent(None)  # refuses what would grow
+        problem = MatrixProblem(self.matrix, self.points.interior)
+        fields = problem.solve(*(one.reshape(-1, *self.shape) for one in (b, given)))
+        answer = fields.reshape(given.shape), self.points, self, self.rhs(b)
+        return Solution(*answer, "lu", measured=problem.left)
+
+
+class DiffusionOperator(FlowOperator):
+    """−∇·κ∇φ, nonlocal, on the interior of a point set (theory, Di1).
+
+    Args:
+        law: influence function and conductivity.
+        points: a lattice or scattered points with a collar of δ; nodes outside break their bonds,
+            which leaves an insulated surface.
+        kappa: the conductivity: a number, one by node [N] (harmonic mean along a bond), or a
+            function of positions [..., 2], taken in series along each bond (Di2). By default the
+            law's.
+
+    ``op(phi)`` takes φ on all nodes, shape [N] or [S, N], and returns L φ on the interior, [I] or
+    [S, I].
+
+    Raises InputError for a conductivity not > 0, or points that do not carry the horizon.
+    """
+
+    implicit = 0.5
+
+    def __init__(
+        self, law: DiffusionMaterial, points: PointsLike, *, kappa: Conductivity | None = None
+    ) -> None:
+        self.model, self.points = law, nodes_of(points)
+        check_same(law.units, self.points.units)
+        self.is_symmetric = self.points.spacing > 0  # on lattices
+        families = families_of(self.points, law.horizon, bond_based=True)
+        self.rows, row, classes = families.rows, families.row, families.lattice
+        counts = row[self.rows + 1] - row[self.rows]
+        own = np.repeat(np.arange(len(counts)), counts)  # bonds of the interior, in its order
+        place = np.arange(len(own)) - np.repeat(np.cumsum(counts) - counts, counts)
+        bond = place + row[self.rows[own]]
+        number = bond if classes is None else classes.bond_class[place]
+        self._owner, self._r, self._weight = own, families.r[number], families.weight[number]
+        # broken bonds count in m and carry nothing; on a lattice −1 is also of no node
+        self._kept = (far := families.neighbour[bond]) >= 0
+        self._ends = self.rows[own[self._kept]], far[self._kept]
+        self.given: Any = law.conductivity if kappa is None else kappa
+        self._series = self._along_bonds(self.given) if callable(self.given) else None
+        if self._series is None:
+            _conductivities(self.given, len(self.points.x), "node")
+        with torch.no_grad():
+            strength = self._strengths(**_tensors(self.learnable)).numpy()
+        shape, rows = 2 * (len(self.points.x),), np.tile(self._ends[0], 2)
+        entries = np.concatenate([strength, -strength]), (rows, np.concatenate(self._ends))
+        self.matrix = sp.csr_array(entries, shape=shape)[self.rows]
+        # weights of scattered points are negative here and there, of any kernel
+        signs = 1.0 if classes is not None else np.sign(self._weight[self._kept])
+        self._changes_sign = bool((strength * signs < 0).any())
+
+    def _strengths(self, alpha: Any, D: Any, kappa: Any = None) -> torch.Tensor:
+        """v κ of each bond, shape [E], of tensors; its derivatives are torch's."""
+        r, weight, own = map(torch.from_numpy, (self._r, self._weight, self._owner))
+        basis = bernstein_basis(self._r, self.model.horizon, len(D) - 1)
+        K = r**-alpha * (torch.from_numpy(basis) @ D)
+        volume = r.new_zeros(len(self.rows)).index_add(0, own, K * r**2 * weight)
+        if (volume.abs() < 1e-300).any():
+            raise InputError("influence function: its weighted volume is zero")
+        scale = 2 * self.points.dimension
+        v = (scale * K * weight / volume[own])[torch.from_numpy(self._kept)]
+        if kappa is None:
+            kappa = torch.from_numpy(self._series)
+        elif kappa.dim():
+            kappa = 2 / sum(1 / kappa[end] for end in self._ends)
+        return torch.as_tensor(v * kappa)
+
+    def _along_bonds(self, kappa: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """κ of each bond, its parts in series (Di2), shape [E]."""
+        points, (near, far) = self.points, self._ends
+        xi = points.x[far] - points.x[near]
+        if points.box is not None:
+            xi -= np.asarray(points.box) * np.rint(xi / points.box)
+
+        def along(place: float) -> np.ndarray:
+            values = kappa(points.x[near] + place * xi)
+            return np.broadcast_to(_conductivities(values, len(near), "position"), len(near))
+
+        return np.asarray(1 / mean_inverse(along))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of one field, [N]."""
+        return (len(self.points.x),)
+
+    def interior_tangent(self, u: Any) -> sp.csc_array:
+        """L between interior nodes, shape [I, I].
+
+        Raises InputError where a kernel that changes sign gives L + Lᵗ
+        eigenvalues below zero: φ would grow without end.
+        """
+        matrix = super().interior_tangent(u)
+        if self._changes_sign and len(self.rows):
+            shift = ROUNDING * np.abs(matrix.diagonal()).max()
+            even = (matrix + matrix.T) / 2 + shift * sp.eye_array(len(self.rows))
+            if definite_factors(even) is None:
+                raise InputError(
+                    "influence function: it changes sign on these points, and L + Lᵗ has "
+                    "eigenvalues below zero, with which φ grows without end; take D ≥ 0"
+                )
+        return matrix
+
+    @property
+    def learnable(self) -> dict[str, Any]:
+        """α and D, and κ where it is one number or one a node [N]."""
+        own = {"alpha": self.model.alpha, "D": self.model.D}
+        return own if callable(self.given) else own | {"kappa": self.given}
+
+    def at(self, numbers: Mapping[str, Any]) -> DiffusionOperator:
+        """The same with other numbers; InputError for κ not > 0."""
+        law = replace(self.model, alpha=float(numbers["alpha"]), D=numbers["D"])
+        return DiffusionOperator(law, self.points, kappa=numbers.get("kappa", self.given))
+
+    @torch.enable_grad()
+    def by_numbers(self, name: str, u: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """Derivatives of Σ w · L φ to a number, of fields [K, N] and weights [K, I]."""
+        near, far = self._ends
+        work = ((u[:, near] - u[:, far]) * w[:, self._owner[self._kept]]).sum(axis=0)
+        numbers = _tensors(self.learnable)
+        strength = self._strengths(**numbers | {name: (one := numbers[name].requires_grad_())})
+        return np.asarray(torch.autograd.grad(strength, one, torch.from_numpy(work))[0])
+
+    def energy(self, u: np.ndarray) -> np.ndarray | None:
+        """h^d (½ φ_I·L φ_I + φ_I·L φ_C), shape [...]; None on scattered points."""
+        return None if self.points.spacing == 0 else self.quadratic(u)
+
+    def storage(self) -> sp.csr_array:
+        """What multiplies ∂φ/∂t, one on the interior, sparse [I, N]."""
+        return sp.eye_array(len(self.points.x), format="csr")[self.rows]
+
+
+def _tensors(numbers: Mapping[str, Any]) -> dict[str, torch.Tensor]:
+    return {name: torch.tensor(value, dtype=torch.float64) for name, value in numbers.items()}
+
+
+def _conductivities(given: Any, count: int, place: str) -> np.ndarray:
+    """One number or one a place, checked."""
+    values = checked("conductivity", given)
+    if values.shape not in ((), (count,)):
+        raise InputError(
+            f"conductivity: expected one number or one a {place}, shape [{count}], got shape "
+            f"{list(values.shape)}"
+        )
+    if not (values > 0).all():
+        raise InputError(
+            f"conductivity: expected finite values > 0, got {values.min():g}, with which "
+            "diffusion would run backwards"
+        )
+    return values
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DiffusionMaterial(Record, format="warp_peri.conductor"):
+    """Flux −κ∇φ spread over a ball, with K(r) = r^(−α) Σ_k D_k B_k,M(r/δ).
+
+    Attributes:
+        horizon: δ [length].
+        conductivity: κ > 0, of where no field of it is given [stress length²/time of a φ without a
+            unit].
+        alpha: exponent α < 3.
+        D: Bernstein coefficients, shape [M + 1]; their common scale has no effect.
+        units: names of the units of length and stress that it is in, as a Model's.
+
+    Raises InputError naming the first number out of its range.
+    """
+
+    horizon: Length
+    conductivity: Annotated[float, FieldUnits(length=2, stress=1, positive=True)] = 1.0
+    alpha: float = 1.0
+    D: np.ndarray = field(default_factory=lambda: np.ones(1))
+    units: Units = USUAL
+    dimension: ClassVar[int] = 2
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.alpha < ALPHA_BOUND:
+            raise InputError(f"alpha: expected less than {ALPHA_BOUND:g}, got {self.alpha}")
+        if self.D.ndim != 1 or not self.D.any():
+            raise InputError("D: expected finite coefficients, one of them other than 0")
+
+    def on(self, points: PointsLike, *, kappa: Conductivity | None = None) -> DiffusionOperator:
+        """The law on points, with a conductivity of its own as of DiffusionOperator."""
+        return DiffusionOperator(self, points, kappa=kappa)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ThermoelasticMaterial(Record, format="warp_peri.coupled_solid"):
+    """A solid and what diffuses in it: fields are u₁, u₂ and φ, loads b₁, b₂ and the source.
+
+    L u + ε Φᵗ φ = b and c ∂φ/∂t − ε ∂θ/∂t + L_κ φ = g, θ = Φ u. Φᵗ is minus the nonlocal gradient
+    that goes with the dilatation, so that what one side works the other receives.
+
+    Attributes:
+        model: of the solid, one influence function.
+        conductor: of φ.
+        coupling: ε [stress].
+        storage: c ≥ 0 [stress].
+
+    Raises InputError for a coupling that is not finite, a storage below 0, and other units of one.
+    """
+
+    model: LPSMaterial
+    conductor: DiffusionMaterial
+    coupling: Stress
+    storage: Stress = 0.0
+    dimension: ClassVar[int] = 2
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_same(self.model.units, self.conductor.units)
+        if self.storage < 0:
+            raise InputError(f"storage: expected a number ≥ 0, got {self.storage}")
+
+    @property
+    def horizon(self) -> float:
+        """δ, the longer of the two [length]."""
+        return max(self.model.horizon, self.conductor.horizon)
+
+    @property
+    def units(self) -> Units:
+        """Names of the units of length and stress."""
+        return self.model.units
+
+    def with_parameters(self, numbers: Mapping[str, Any]) -> ThermoelasticMaterial:
+        """The same with other numbers of the solid, and another coupling."""
+        own = {name: numbers[name] for name in self.model.learnable}
+        return replace(
+            self, model=self.model.with_parameters(own), coupling=float(numbers["coupling"])
+        )
+
+    def on(self, points: PointsLike, *, kappa: Conductivity | None = None) -> CoupledOperator:
+        """The solid on a lattice, with a conductivity of its own as of DiffusionOperator."""
+        return CoupledOperator(self, points, kappa=kappa)
+
+
+OF_CONDUCTOR = "conductor_"
+"""What names of the conductor's numbers begin with."""
+
+
+class CoupledOperator(FlowOperator):
+    """A coupled solid on a lattice.
+
+    Args:
+        material: the solid.
+        points: a lattice; its interior is what is free, of u and of φ.
+        kappa: conductivity, as of DiffusionOperator.
+
+    ``op(u)`` takes u₁, u₂, φ of all nodes, shape [N, 3], and returns what loads and source are in
+    the steady state, [I, 3].
+
+    Raises InputError for kernels that change sign and leave one of the two with eigenvalues below
+    zero, and as DiffusionOperator.
+    """
+
+    implicit = 1.0
+
+    def __init__(
+        self,
+        material: ThermoelasticMaterial,
+        points: PointsLike,
+        *,
+        kappa: Conductivity | None = None,
+    ) -> None:
+        self.model, model = material, material.model
+        self.diffusion = diffusion = DiffusionOperator(material.conductor, points, kappa=kappa)
+        self.points, self.rows = nodes, rows = diffusion.points, diffusion.rows
+        if nodes.box is not None:
+            raise InputError("box: a coupled solid is for a body that does not repeat")
+        self.body = body = lattice_body(nodes.x, nodes.spacing, model.horizon)
+        self.table = table = body.neighbour
+        if nodes.outside is not None:
+            gone = np.append(nodes.outside, False)
+            self.table = table = np.where(gone[table] | nodes.outside[:, None], -1, table)
+        bonds, free = bonds_of(model, body.classes), np.ravel(2 * rows[:, None] + [0, 1])
+        theta = dilatations(body, bonds.share, table, np.arange(len(table)))
+        solid = bond_matrix(body, table, bonds)[free]
+        if (bonds.share < 0).any() and definite_factors(solid[:, free]) is None:
+            raise InputError(INDEFINITE)
+        diffusion.interior_tangent(None)  # refuses one that would grow
+        pull = sp.csr_array(material.coupling * theta.T)[free]
+        squeeze = sp.csr_array(-material.coupling * theta[rows])
+        self.matrix = self._whole([[solid, pull], [None, diffusion.matrix]])
+        kept = material.storage * diffusion.storage()
+        self._storage = self._whole([[0 * solid, 0 * pull], [squeeze, kept]])
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of one field, [N, 3]."""
+        return (len(self.points.x), 3)
+
+    def _whole(self, blocks: list[list[Any]]) -> sp.csr_array:
+        """A matrix of the blocks of displacement and φ, in the order of fields."""
+        both = sp.block_array(blocks, format="csr")
+        rows, columns = (
+            np.column_stack([2 * n, 2 * n + 1, 2 * len(n) + n]).ravel()
+            for n in map(np.arange, (len(self.rows), len(self.points.x)))
+        )
+        return both[rows][:, columns]
+
+    @property
+    def learnable(self) -> dict[str, Any]:
+        """λ, μ, α and D of the solid, ε, and the conductor's as conductor_alpha and so on."""
+        conductor = {OF_CONDUCTOR + n: value for n, value in self.diffusion.learnable.items()}
+        return self.model.model.learnable | {"coupling": self.model.coupling} | conductor
+
+    def _of_conductor(self, numbers: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: numbers[OF_CONDUCTOR + name] for name in self.diffusion.learnable}
+
+    def at(self, numbers: Mapping[str, Any]) -> CoupledOperator:
+        """The same with other numbers; InputError as the class, and for κ not > 0."""
+        diffusion = self.diffusion.at(self._of_conductor(numbers))
+        material = replace(self.model.with_parameters(numbers), conductor=diffusion.model)
+        return CoupledOperator(material, self.points, kappa=diffusion.given)
+
+    def force_with_parameters(self, u: Any, numbers: Any) -> Any:
+        """The force of tensors [S, N, 3] with other numbers, differentiable once in all."""
+        field, phi = u[..., :2], u[..., 2]
+        parts = self.model.model, self.body, self.table
+        force = bond_force(*parts, field, numbers, numbers["coupling"] * phi)
+        flux = self.diffusion.force_with_parameters(phi, self._of_conductor(numbers))
+        return torch.cat([force[:, self.rows], flux[..., None]], dim=-1)
+
+    def storage(self) -> sp.csr_array:
+        """What multiplies the rates of u₁, u₂ and φ, sparse [3 I, 3 N]."""
+        return self._storage
+
+    def storage_slopes(self, names: list[str], rates: np.ndarray, w: np.ndarray) -> dict[str, Any]:
+        """Derivatives of Σ w · storage() rates to numbers, of rates [K, N, 3], w [K, I, 3]."""
+        with torch.enable_grad():
+            numbers = {
+                name: torch.tensor(value, dtype=torch.float64, requires_grad=True)
+                for name, value in self.learnable.items()
+            }
+            phi = torch.from_numpy(self.on_all(w)[..., 2])
+            parts = self.model.model, self.body, self.table
+            rate = torch.from_numpy(np.ascontiguousarray(rates[..., :2]))
+            pull = bond_force(*parts, 0 * rate, numbers, numbers["coupling"] * phi)
+            asked = [numbers[name] for name in names]
+            each = torch.autograd.grad(-(rate * pull).sum(), asked, allow_unused=True)
+        return {name: one.numpy() for name, one in zip(names, each) if one is not None}

@@ -24,16 +24,18 @@ from warp_peri.fe_coupling.boundary_elements import (
     check_part,
     loads_on,
 )
-from warp_peri.fe_coupling.lattice_interior import (
+from warp_peri.fe_coupling.schwarz import (
     MARGIN,
     Bulk,
+    Exchange,
+    Schwarz,
     Tried,
     bulk_lattice,
     bulk_points,
     collar_and_overlap,
     cubic,
+    in_elements,
 )
-from warp_peri.fe_coupling.schwarz import Exchange, Schwarz, in_elements
 from warp_peri.materials.certificate import with_proof
 from warp_peri.materials.lps import LPSMaterial, moduli
 from warp_peri.materials.lps_transfer import model_at

@@ -12,26 +12,24 @@ if TYPE_CHECKING:
     from warp_peri.fracture.body import penny_corners as penny_corners
     from warp_peri.fracture.body import point_force as point_force
     from warp_peri.fracture.body import rectangle_nodes as rectangle_nodes
-    from warp_peri.fracture.dynamics import BrittleMaterial as BrittleMaterial
-    from warp_peri.fracture.dynamics import continuum_stretch as continuum_stretch
-    from warp_peri.fracture.dynamics import with_positive_kernel as with_positive_kernel
-    from warp_peri.fracture.growth import apparent_toughness as apparent_toughness
+    from warp_peri.fracture.materials import BondLaw as BondLaw
+    from warp_peri.fracture.materials import BrittleMaterial as BrittleMaterial
+    from warp_peri.fracture.materials import SofteningMaterial as SofteningMaterial
+    from warp_peri.fracture.materials import continuum_stretch as continuum_stretch
+    from warp_peri.fracture.materials import with_positive_kernel as with_positive_kernel
     from warp_peri.fracture.problems import Cracked as Cracked
     from warp_peri.fracture.problems import Injected as Injected
-    from warp_peri.fracture.release import crack_opening_volume as crack_opening_volume
-    from warp_peri.fracture.release import energy_release as energy_release
-    from warp_peri.fracture.release import j_integral as j_integral
-    from warp_peri.fracture.release import tip_shift as tip_shift
-    from warp_peri.fracture.softening import BondLaw as BondLaw
-    from warp_peri.fracture.softening import SofteningMaterial as SofteningMaterial
+    from warp_peri.fracture.problems import crack_opening_volume as crack_opening_volume
+    from warp_peri.fracture.problems import energy_release as energy_release
+    from warp_peri.fracture.problems import j_integral as j_integral
+    from warp_peri.fracture.problems import tip_shift as tip_shift
+    from warp_peri.fracture.statics import apparent_toughness as apparent_toughness
 
 _HOMES = {
     "body": "LatticeBody box_nodes lattice_body penny_corners point_force rectangle_nodes",
-    "dynamics": "BrittleMaterial continuum_stretch with_positive_kernel",
-    "growth": "apparent_toughness",
-    "problems": "Cracked Injected",
-    "release": "j_integral energy_release crack_opening_volume tip_shift",
-    "softening": "BondLaw SofteningMaterial",
+    "materials": "BondLaw BrittleMaterial SofteningMaterial continuum_stretch with_positive_kernel",
+    "problems": "Cracked Injected crack_opening_volume energy_release j_integral tip_shift",
+    "statics": "apparent_toughness",
 }
 
 __all__ = sorted(" ".join(_HOMES.values()).split())

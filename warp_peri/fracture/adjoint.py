@@ -18,7 +18,7 @@ from warp_peri.core.torch_bridge import linear, nonlinear, real, refuse_tangents
 from warp_peri.errors import InputError, warn
 from warp_peri.fracture.body import LatticeBody, cracked, section
 from warp_peri.fracture.bonds import bonds_of, check_breakable, stretch_matrix, stretch_rows
-from warp_peri.fracture.softening import BondLaw, pull_of, share_of, slope_of
+from warp_peri.fracture.materials import BondLaw, pull_of, share_of, slope_of
 from warp_peri.fracture.statics import check_no_fail, check_pieces, strain_of
 from warp_peri.materials.lps import LPSMaterial, bernstein_basis
 from warp_peri.points.arguments import Share, checked

@@ -1,4 +1,4 @@
-"""Motion of a body whose bonds break: its state, one step, and the ledger of energies.
+"""Motion of a body whose bonds break: its state, one step, the ledger of energies, and runs.
 
 Velocity Verlet keeps the force of a bond for the second half-kick of the step in which it breaks
 and drops it after (theory, C10); work = kinetic + elastic + dissipated is then kept to second
@@ -7,113 +7,24 @@ order.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from warp_peri.core.record import FieldUnits, OnLinear
 from warp_peri.errors import InputError
-from warp_peri.fracture.body import LatticeBody, cracked
-from warp_peri.fracture.bonds import (
-    CutOperator,
-    check_breakable,
-    largest_stiffness,
-    mean_gradients,
-    unit_toughness,
-)
+from warp_peri.files.checkpoint import AllNodes, agreed, fingerprint
+from warp_peri.fracture.body import HAIR, LatticeBody, cracked, section
+from warp_peri.fracture.bonds import CutOperator, mean_gradients, unit_toughness
+from warp_peri.fracture.materials import BrittleMaterial
 from warp_peri.fracture.statics import by_component, check_no_fail
 from warp_peri.kernels.damage.motion import halves
-from warp_peri.materials.lps import LPSMaterial
-from warp_peri.points.arguments import Positive, checked, typed
-from warp_peri.points.families import bond_classes
-from warp_peri.points.unit_names import REDUCED
+from warp_peri.points.arguments import Positive, checked
 from warp_peri.runtime import floats, launch_slices, zeros
-from warp_peri.solvers.verlet import inertia
-
-CRITERIA = ("toughness", "critical_stretch", "critical_energy")
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class BrittleMaterial(OnLinear, format="warp_peri.brittle_solid", version=3):
-    """What breaks, and when.
-
-    Attributes:
-        model: moduli and a positive influence function, the same for the dilatation.
-        density: ρ [kg/m³], and times are in ps; in reduced units mass per volume in these.
-        toughness: G_c [stress · length]; the lattice's critical stretch follows from it (C6).
-        critical_stretch: s₀ itself, instead of G_c.
-        critical_energy: energy density of a bond over its quadrature weight at which it breaks
-            [stress / length^d], instead of both (C8).
-        tension_only: bonds in compression do not break.
-
-    Raises InputError unless exactly one of the three criteria is given and all numbers are > 0, and
-    for an influence function that changes sign.
-    """
-
-    model: LPSMaterial
-    density: Positive
-    toughness: Annotated[float | None, FieldUnits(length=1, stress=1, positive=True)] = None
-    critical_stretch: Annotated[float | None, FieldUnits(positive=True)] = None
-    critical_energy: Annotated[float | None, FieldUnits(stress=1, volume=-1, positive=True)] = None
-    tension_only: bool = True
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        given = [name for name in CRITERIA if getattr(self, name) is not None]
-        if len(given) != 1:
-            names = ", ".join(given) or "none"
-            raise InputError(f"criterion: expected one of {', '.join(CRITERIA)}, got {names}")
-        check_breakable(self.model)
-
-    @property
-    def linear(self) -> LPSMaterial:
-        """The solid before anything breaks."""
-        return self.model
-
-    @property
-    def inertia(self) -> float:
-        """ρ in units of stress · time² over length², of kg/m³ and ps where units are named."""
-        return self.density if self.units == REDUCED else inertia(self.density, self.units)
-
-    def rows(self) -> list[tuple[str, str]]:
-        """What to know at a glance, the density with its unit."""
-        unit = "" if self.units == REDUCED else " kg/m³"
-        return [(n, text + unit if n == "density" else text) for n, text in super().rows()]
-
-    def longest_step(self, spacing: float) -> float:
-        """Time step on a lattice that is stable whatever breaks (theory, C9)."""
-        classes = bond_classes(spacing, self.model.horizon, dimension=self.dimension)
-        return float(2 * np.sqrt(self.inertia / largest_stiffness(self.model, classes)))
-
-
-@typed
-def with_positive_kernel(model: LPSMaterial, horizon: Positive) -> LPSMaterial:
-    """λ and μ of a model with K = 1/r, which has them exactly on every lattice (C7).
-
-    This is how a model whose influence function changes sign goes to fracture.
-    """
-    return LPSMaterial(
-        model.lam, model.mu, 1.0, np.ones(1), horizon, units=model.units, dimension=model.dimension
-    )
-
-
-@typed
-def continuum_stretch(model: LPSMaterial, toughness: Positive) -> float:
-    """s₀ of the continuum for a toughness G_c (theory, C5, V5), N. Trask and others 2019.
-
-    In three dimensions G_c is energy over the area of the crack. λ = μ is the bond-based solid.
-    """
-    lam, mu = model.lam, model.mu
-    if model.dimension == 3:
-        unit = (3 * mu + (3 / 4) ** 4 * (lam - mu)) * model.horizon
-    else:
-        unit = (6 * mu / np.pi + 16 / (9 * np.pi**2) * (lam - mu)) * model.horizon
-    return float(np.sqrt(toughness / unit))
-
+from warp_peri.solvers.motion import Motion, Recorder
 
 SPREAD = 0.25
 """Least eigenvalue of the shape tensor of a node that is corrected in motion, over a whole ball's:
@@ -405,3 +316,181 @@ def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
     state.time += dt
     state.steps += 1
     return state
+
+
+NODAL = ("u", "v", "force", "energy", "work")
+"""Arrays of a state that a checkpoint holds for each node."""
+LEDGER = ("time", "work", "kinetic", "elastic", "dissipated")
+
+
+class Broken(NamedTuple):
+    """How a motion has ended: φ, the share of bonds that a node has lost, [N]; body and state."""
+
+    damage: np.ndarray
+    body: BreakingBody
+    state: BreakingState
+
+
+class Section:
+    """The bonds across a straight line, to sum the force that they carry.
+
+    Args:
+        body: the body in motion.
+        line: two ends, shape [2, 2]; in space the corners of a flat polygon, [P, 3].
+        own: the nodes whose bonds are summed here.
+
+    Raises InputError for a line of another shape.
+    """
+
+    def __init__(self, body: BreakingBody, line: ArrayLike, own: Any) -> None:
+        cut, self.ends, normal = section(body.body, line, "section")
+        node, bond = np.nonzero(cut)
+        here = np.zeros(len(cut), bool)
+        here[own] = True
+        height = (body.body.x[node] - self.ends[0]) @ normal
+        left = here[node] & (height > -HAIR / 2 * body.body.spacing)  # those on it stand there
+        self.count = int(here[node].sum())
+        self._node, self._bond, self._owner = node[left], bond[left], body
+
+    def carried(self, state: BreakingState) -> np.ndarray:
+        """Force density of each bond across the line, shape [E, d]."""
+        owner, node, bond = self._owner, self._node, self._bond
+        body, (stiffness, share, excess) = owner.body, owner.operator.bonded
+        far, kept = body.neighbour[node, bond], owner.operator.kept(state.links, node, bond)
+        u, xi = state.u.numpy(), body.xi[bond]
+        e = (xi * (u[far] - u[node])).sum(axis=1)
+        pull = 2 * stiffness[bond] * e
+        if excess != 0:
+            theta = owner.operator.dilatation(node) + owner.operator.dilatation(far)
+            pull = pull + excess * share[bond] * theta
+        return np.asarray((pull * kept)[:, None] * xi)
+
+
+class CrackRun(Recorder):
+    """Marches a body, and goes on from its checkpoint with the same bits.
+
+    On ranks the body is that of some nodes, and all records are of the whole body.
+
+    Args:
+        body: the body; on ranks of the nodes here.
+        step: Δt, at most the body's longest.
+        regions: own nodes whose mean displacement and velocity are recorded, [n] bool by name.
+        watch: functions of φ [N], the share of bonds that nodes have lost, recorded by name.
+        sections: lines across which the force is recorded, [2, 2] by name; in space polygons.
+        nodes: which of the body's are this process's own, as AllNodes; all by default.
+        files: the options of Recorder; `every` is 20 by default.
+
+    Attributes:
+        history: of each record by name: those of LEDGER, "u NAME" and "v NAME" of regions,
+            "force NAME" across sections, per thickness on the side that lies to the left of the
+            line, and what is watched.
+
+    Raises InputError for a step or counts that are not > 0 or too long, for regions without nodes,
+    and for sections without bonds.
+    """
+
+    kind = "warp_peri.crack"
+
+    def __init__(
+        self,
+        body: BreakingBody,
+        *,
+        step: Positive,
+        regions: Mapping[str, ArrayLike] | None = None,
+        watch: Mapping[str, Callable[[np.ndarray], Any]] | None = None,
+        sections: Mapping[str, ArrayLike] | None = None,
+        nodes: Any = None,
+        **files: Any,
+    ) -> None:
+        nodes = AllNodes(len(body.body.x)) if nodes is None else nodes
+        x, comm = body.body.x[nodes.own], nodes.comm
+        super().__init__(nodes, x, **{"every": 20} | files)
+        with agreed(comm):
+            if not step <= body.longest_step:
+                raise InputError(
+                    f"step: expected at most {body.longest_step:.6g}, the longest that is stable "
+                    f"whatever breaks, got {step:.6g}"
+                )
+            self.watch: dict[str, Any] = dict(watch or {})
+            if not all(map(callable, self.watch.values())) or {*LEDGER} & {*self.watch}:
+                raise InputError(
+                    f"watch: expected functions by name, none of {', '.join(LEDGER)}, got "
+                    f"{watch!r:.50}"
+                )
+            self.regions = {
+                name: checked(f"region {name}", mask, bool, (len(x),))
+                for name, mask in (regions or {}).items()
+            }
+            self.sections = {
+                name: Section(body, line, nodes.own) for name, line in (sections or {}).items()
+            }
+        counts = {f"region {name}": int(mask.sum()) for name, mask in self.regions.items()}
+        counts |= {f"section {name}": one.count for name, one in self.sections.items()}
+        self._size = {name: comm.allreduce(count) for name, count in counts.items()}
+        if empty := [name for name, size in self._size.items() if not size]:
+            raise InputError(f"{empty[0]}: expected nodes, or a line that bonds cross, got none")
+        self.body, self.dt, self.shares = body, float(step), list[float]()
+        self.history = {name: [] for name in LEDGER}
+
+    def motion(self, state: BreakingState) -> Motion:
+        """What has been recorded, with the end at the nodes of this process."""
+        own, (time, history) = self.nodes.own, self.recorded()
+        u, v = (field.numpy()[own].copy() for field in (state.u, state.v))
+        broken = Broken(self.body.damage(state)[own], self.body, state)
+        return Motion(time, u, v, history, broken)
+
+    def advance(self, state: BreakingState) -> BreakingState:
+        return step(self.body, state, self.dt)
+
+    def record(self, state: BreakingState) -> tuple[float, dict[str, Any], dict[str, Any]]:
+        body, nodes = self.body, self.nodes
+        found: dict[str, Any] = dict(zip(LEDGER, body.ledger(state, nodes)))
+        for name, mask in self.regions.items():
+            for kind, field in (("u", state.u), ("v", state.v)):
+                total = nodes.sum(field.numpy()[nodes.own][mask])
+                found[f"{kind} {name}"] = total / self._size[f"region {name}"]
+        cell = body.body.spacing**body.body.dimension
+        for name, across in self.sections.items():
+            found[f"force {name}"] = cell * nodes.sum(across.carried(state))
+        if not (self.watch or self.series):
+            return state.time, found, {}
+        phi = body.damage(state)[nodes.own]
+        if self.watch:
+            everywhere = nodes.gather(phi)
+            found |= {name: function(everywhere) for name, function in self.watch.items()}
+        return state.time, found, {"damage": phi}
+
+    def nodal(self, state: BreakingState) -> dict[str, np.ndarray]:
+        """`left`: bonds of the ball that each node has, [m, B]."""
+        arrays = {name: getattr(state, name).numpy() for name in NODAL}
+        left = self.body.operator.kept(state.links).astype(np.uint8)
+        return arrays | {"dissipated": state.dissipated, "whole": state.whole, "left": left}
+
+    def _times(self, steps: int) -> list[float]:
+        """After each of so many steps, as they add up."""
+        return np.cumsum(np.full(steps, self.dt)).tolist()  # type: ignore[no-any-return]
+
+    def key(self, steps: int) -> dict[str, str]:
+        body, nodes, lines = self.body, self.nodes, [one.ends for one in self.sections.values()]
+        masks = [nodes.gather(mask) for mask in self.regions.values()]
+        names = list(self.sections), list(self.regions), self.watch
+        fields = {name: getattr(body, name).numpy() for name in ("load", "held", "grip")}
+        fields |= {"nodes": body.body.x, "no_fail": body.no_fail}
+        self.shares += map(body.share, self._times(steps)[len(self.shares) :])
+        return {name: nodes.mark(field) for name, field in fields.items()} | {
+            "solid": fingerprint(body.solid, body.operator.limits, body.corrected),
+            "load history": fingerprint(self.shares[:steps]),
+            "step": fingerprint(self.dt),
+            "records": fingerprint(self.every, names, lines, masks),
+        }
+
+    def restored(
+        self, state: BreakingState, arrays: dict[str, np.ndarray], steps: int
+    ) -> BreakingState:
+        for name in NODAL:
+            getattr(state, name).numpy()[:] = arrays[name]
+        left = np.where(arrays["left"], self.body.body.neighbour, -1)
+        state.links, state.correction = self.body.links_of(left)
+        state.dissipated[:], state.whole = arrays["dissipated"], arrays["whole"]
+        state.time, state.steps = self._times(steps)[-1], steps
+        return state

@@ -155,7 +155,7 @@ def total(comm: Comm, values: np.ndarray) -> np.ndarray:
     return np.asarray(np.ldexp(np.asarray(exact / (1 << LIMB * LIMBS), dtype=float), exponent))
 
 
-def fingerprint(comm: Comm, number: np.ndarray, *arrays: np.ndarray) -> str:
+def nodal_fingerprint(comm: Comm, number: np.ndarray, *arrays: np.ndarray) -> str:
     """Of arrays [n, ...] on the nodes of these global numbers, whoever owns them."""
     marks = np.zeros((len(arrays), 2), np.uint64)
     with np.errstate(over="ignore"):

@@ -18,8 +18,7 @@ from warp_peri.core import record
 from warp_peri.core.record import Length
 from warp_peri.errors import InputError
 from warp_peri.files import foreign
-from warp_peri.neural.bonds import NetworkBonds
-from warp_peri.neural.placed import Placed
+from warp_peri.neural.placed import NetworkBonds, Placed
 from warp_peri.neural.training import NeuralFit, TrainingSettings, train
 from warp_peri.points.arguments import Natural, Positive, is_positive, typed
 from warp_peri.points.points import PointsLike, Samples, nodes_of

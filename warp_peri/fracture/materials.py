@@ -1,24 +1,106 @@
-"""Bonds that soften before they break, pulled slowly until the body comes apart (C16, C18).
+"""Solids whose bonds break at once, or soften first.
 
 Strength and toughness belong to the material, the horizon to the numbers: `at_horizon` gives the
-law of bonds at another horizon that has both.
+law of bonds at another horizon that has both (theory, C18).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.optimize import brentq
 from scipy.special import hyp1f1
 
-from warp_peri.core.record import OnLinear
+from warp_peri.core.record import FieldUnits, OnLinear
 from warp_peri.errors import InputError
-from warp_peri.fracture.bonds import unit_toughness
+from warp_peri.fracture.bonds import check_breakable, largest_stiffness, unit_toughness
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.points.arguments import NotNegative, Positive, checked, is_positive, typed
 from warp_peri.points.families import bond_classes
+from warp_peri.points.unit_names import REDUCED
+from warp_peri.solvers.verlet import inertia
+
+CRITERIA = ("toughness", "critical_stretch", "critical_energy")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BrittleMaterial(OnLinear, format="warp_peri.brittle_solid", version=3):
+    """What breaks, and when.
+
+    Attributes:
+        model: moduli and a positive influence function, the same for the dilatation.
+        density: ρ [kg/m³], and times are in ps; in reduced units mass per volume in these.
+        toughness: G_c [stress · length]; the lattice's critical stretch follows from it (C6).
+        critical_stretch: s₀ itself, instead of G_c.
+        critical_energy: energy density of a bond over its quadrature weight at which it breaks
+            [stress / length^d], instead of both (C8).
+        tension_only: bonds in compression do not break.
+
+    Raises InputError unless exactly one of the three criteria is given and all numbers are > 0, and
+    for an influence function that changes sign.
+    """
+
+    model: LPSMaterial
+    density: Positive
+    toughness: Annotated[float | None, FieldUnits(length=1, stress=1, positive=True)] = None
+    critical_stretch: Annotated[float | None, FieldUnits(positive=True)] = None
+    critical_energy: Annotated[float | None, FieldUnits(stress=1, volume=-1, positive=True)] = None
+    tension_only: bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        given = [name for name in CRITERIA if getattr(self, name) is not None]
+        if len(given) != 1:
+            names = ", ".join(given) or "none"
+            raise InputError(f"criterion: expected one of {', '.join(CRITERIA)}, got {names}")
+        check_breakable(self.model)
+
+    @property
+    def linear(self) -> LPSMaterial:
+        """The solid before anything breaks."""
+        return self.model
+
+    @property
+    def inertia(self) -> float:
+        """ρ in units of stress · time² over length², of kg/m³ and ps where units are named."""
+        return self.density if self.units == REDUCED else inertia(self.density, self.units)
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know at a glance, the density with its unit."""
+        unit = "" if self.units == REDUCED else " kg/m³"
+        return [(n, text + unit if n == "density" else text) for n, text in super().rows()]
+
+    def longest_step(self, spacing: float) -> float:
+        """Time step on a lattice that is stable whatever breaks (theory, C9)."""
+        classes = bond_classes(spacing, self.model.horizon, dimension=self.dimension)
+        return float(2 * np.sqrt(self.inertia / largest_stiffness(self.model, classes)))
+
+
+@typed
+def with_positive_kernel(model: LPSMaterial, horizon: Positive) -> LPSMaterial:
+    """λ and μ of a model with K = 1/r, which has them exactly on every lattice (C7).
+
+    This is how a model whose influence function changes sign goes to fracture.
+    """
+    return LPSMaterial(
+        model.lam, model.mu, 1.0, np.ones(1), horizon, units=model.units, dimension=model.dimension
+    )
+
+
+@typed
+def continuum_stretch(model: LPSMaterial, toughness: Positive) -> float:
+    """s₀ of the continuum for a toughness G_c (theory, C5, V5), N. Trask and others 2019.
+
+    In three dimensions G_c is energy over the area of the crack. λ = μ is the bond-based solid.
+    """
+    lam, mu = model.lam, model.mu
+    if model.dimension == 3:
+        unit = (3 * mu + (3 / 4) ** 4 * (lam - mu)) * model.horizon
+    else:
+        unit = (6 * mu / np.pi + 16 / (9 * np.pi**2) * (lam - mu)) * model.horizon
+    return float(np.sqrt(toughness / unit))
 
 
 @typed
