@@ -6,13 +6,15 @@ One pattern for every law:
     solution = warp_peri.solve(fit.material, warp_peri.Dirichlet(points, b, u))
     warp_peri.save("material.json", fit.material)
 
-The names below are imported on first use, so that neither torch nor Warp is loaded before it is
-needed.
+Names are imported on first use, so that neither torch nor Warp is loaded before it is needed.
 """
 
-from typing import TYPE_CHECKING
-
-from .lazy import lazy
+import ast
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from sys import modules
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from warp_peri import atoms as atoms
@@ -64,48 +66,28 @@ if TYPE_CHECKING:
 
 __version__ = "0.2.0"
 
-_HOMES = {
-    "atoms.crystal_fit": "fit_crystal",
-    "core.torch_bridge": "TorchModule",
-    "errors": "InputError",
-    "fitting.diagnose": "diagnose",
-    "fitting.evaluate": "evaluate",
-    "fitting.settings": "Bernstein",
-    "fracture.problems": "Cracked",
-    "materials.certificate": "certify",
-    "materials.crystal_fit": "Crystal",
-    "materials.density": "Density DensityMaterial",
-    "materials.lps": "LPSMaterial",
-    "materials.lps_fit": "LPS",
-    "materials.third_order_fit": "ThirdOrder",
-    "points.dataset": "Dataset",
-    "points.mesh": "Mesh",
-    "points.points": "Points Samples",
-    "prediction.predict": "predict",
-    "problems": "Body Dirichlet Periodic",
-    "solvers.motion": "Motion",
-    "solvers.solution": "CG Direct Newton Solution",
-    "solving": "simulate solve",
-    "storage": "load save",
-    "verbs": "fit",
-}
-__all__ = sorted(" ".join(_HOMES.values()).split())
-_MODULES = (
-    "atoms",
-    "certificates",
-    "crystals",
-    "diffusion",
-    "export",
-    "fracture",
-    "hyperelastic",
-    "influence",
-    "methods",
-    "neural",
-    "plots",
-    "prediction",
-    "runtime",
-    "transfers",
-)
+
+def lazy(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """`__getattr__`, `__dir__` and `__all__` of a package that is being imported (PEP 562).
+
+    Its names are those that its `__init__` imports for type checkers; `__all__` leaves modules out.
+    """
+    home: dict[str, str] = {}
+    for node in ast.walk(ast.parse(Path(str(modules[package].__file__)).read_bytes())):
+        if isinstance(node, ast.ImportFrom) and node.col_offset:  # below `if TYPE_CHECKING`
+            home |= {alias.name: str(node.module) for alias in node.names}
+
+    def get(name: str) -> Any:
+        if name not in home:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        if home[name] == package:
+            return import_module(f"{package}.{name}")
+        value = getattr(import_module(home[name]), name)
+        return vars(modules[package]).setdefault(name, value)
+
+    names = sorted(name for name, module in home.items() if module != package)
+    return get, lambda: sorted(home), names
+
 
 if not TYPE_CHECKING:  # a type checker would take any misspelt name for one of these
-    __getattr__, __dir__ = lazy(__name__, _HOMES, *_MODULES, "__version__")
+    __getattr__, __dir__, __all__ = lazy(__name__)

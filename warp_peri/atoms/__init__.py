@@ -5,7 +5,7 @@ The names below are imported on first use, so that no reader is loaded before it
 
 from typing import TYPE_CHECKING
 
-from warp_peri.lazy import lazy
+from warp_peri import lazy
 
 if TYPE_CHECKING:
     from warp_peri.atoms.calculators import load_mpi_library as load_mpi_library
@@ -32,17 +32,5 @@ if TYPE_CHECKING:
     from warp_peri.atoms.dumps import read_masses as read_masses
     from warp_peri.atoms.phonopy import from_phonopy as from_phonopy
 
-_HOMES = {
-    "calculators": "load_mpi_library make_calculator",
-    "coarse_graining": "coarse_grain force_on_mesh read_mat smoothing_matrix",
-    "crystal_fit": "CrystalFit fit_crystal crystal_from_force_constants",
-    "dic": "dic_to_lattice estimate_noise read_dic_frame",
-    "dumps": "DumpFrame FrameAverage ReferenceAtoms check_box coarse_grain_dumps iter_dump "
-    "mean_displacement read_masses",
-    "phonopy": "from_phonopy",
-}
-
-__all__ = sorted(" ".join(_HOMES.values()).split())
-
 if not TYPE_CHECKING:  # a type checker would take any misspelt name for one of these
-    __getattr__, __dir__ = lazy(__name__, _HOMES)
+    __getattr__, __dir__, __all__ = lazy(__name__)

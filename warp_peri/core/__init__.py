@@ -2,9 +2,9 @@
 
 from typing import TYPE_CHECKING
 
-from warp_peri.lazy import lazy
+from warp_peri import lazy
 
 if TYPE_CHECKING:
     from warp_peri.core import torch_bridge as torch_bridge
 else:
-    __getattr__, __dir__ = lazy(__name__, {}, "torch_bridge")
+    __getattr__, __dir__, _ = lazy(__name__)

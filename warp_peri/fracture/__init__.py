@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from warp_peri.lazy import lazy
+from warp_peri import lazy
 
 if TYPE_CHECKING:
     from warp_peri.fracture import adjoint as adjoint
@@ -25,14 +25,5 @@ if TYPE_CHECKING:
     from warp_peri.fracture.problems import tip_shift as tip_shift
     from warp_peri.fracture.statics import apparent_toughness as apparent_toughness
 
-_HOMES = {
-    "body": "LatticeBody box_nodes lattice_body penny_corners point_force rectangle_nodes",
-    "materials": "BondLaw BrittleMaterial SofteningMaterial continuum_stretch with_positive_kernel",
-    "problems": "Cracked Injected crack_opening_volume energy_release j_integral tip_shift",
-    "statics": "apparent_toughness",
-}
-
-__all__ = sorted(" ".join(_HOMES.values()).split())
-
 if not TYPE_CHECKING:  # a type checker would take any misspelt name for one of these
-    __getattr__, __dir__ = lazy(__name__, _HOMES, "adjoint")
+    __getattr__, __dir__, __all__ = lazy(__name__)

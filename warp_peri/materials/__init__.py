@@ -2,9 +2,9 @@
 
 from typing import TYPE_CHECKING
 
-from warp_peri.lazy import lazy
+from warp_peri import lazy
 
 if TYPE_CHECKING:
     from warp_peri.materials import lps_transfer as lps_transfer
 else:
-    __getattr__, __dir__ = lazy(__name__, {}, "lps_transfer")
+    __getattr__, __dir__, _ = lazy(__name__)
