@@ -58,11 +58,11 @@ if TYPE_CHECKING:
     from warp_peri.solvers.solution import Direct as Direct
     from warp_peri.solvers.solution import Newton as Newton
     from warp_peri.solvers.solution import Solution as Solution
-    from warp_peri.solving import simulate as simulate
-    from warp_peri.solving import solve as solve
-    from warp_peri.storage import load as load
-    from warp_peri.storage import save as save
     from warp_peri.verbs import fit as fit
+    from warp_peri.verbs import load as load
+    from warp_peri.verbs import save as save
+    from warp_peri.verbs import simulate as simulate
+    from warp_peri.verbs import solve as solve
 
 __version__ = "0.2.0"
 

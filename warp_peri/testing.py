@@ -19,7 +19,7 @@ from warp_peri.core.stencil import central_weights
 from warp_peri.points.dataset import in_units
 from warp_peri.points.points import Points, Samples
 from warp_peri.points.unit_names import Units, factors
-from warp_peri.storage import load, save
+from warp_peri.verbs import load, save
 
 REACH = 4
 """Steps to either side that a central difference takes, of an order twice that."""

@@ -34,7 +34,7 @@ from warp_peri.mpi.processes import own_mpiexec
 from warp_peri.points.points import Points
 from warp_peri.problems import Dirichlet
 from warp_peri.solvers.verlet import inertia
-from warp_peri.solving import simulate
+from warp_peri.verbs import simulate
 
 DENSITY = 1000.0
 """kg/m³."""

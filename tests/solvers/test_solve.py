@@ -12,7 +12,7 @@ from tests.support.problems import ell, kernel, lattice, manufactured, noise, pe
 from tests.support.solving import solve, solve_periodic
 from warp_peri import Dirichlet, InputError, LPSMaterial, Periodic, Points
 from warp_peri.solvers.linear import DIRECT, cheapest_method
-from warp_peri.solving import solve as at_rest
+from warp_peri.verbs import solve as at_rest
 
 HORIZON = 3.0  # at which all of them are
 

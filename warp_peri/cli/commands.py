@@ -22,7 +22,7 @@ from warp_peri.points.points import Samples
 from warp_peri.points.unit_names import Units, symbols
 from warp_peri.protocols import offered
 from warp_peri.solvers.solution import CG, Coupling, Direct
-from warp_peri.storage import load
+from warp_peri.verbs import load
 
 Result = dict[str, Any]
 Said = tuple[Result, list[str]]

@@ -22,7 +22,7 @@ from warp_peri.errors import InputError, quietly, warn
 from warp_peri.fitting.evaluate import ROUNDING
 from warp_peri.fitting.long_waves import gradients
 from warp_peri.fitting.rows import forces
-from warp_peri.fitting.training_data import check_noise
+from warp_peri.fitting.training_data import check_noise, listed
 from warp_peri.points.arguments import typed
 from warp_peri.points.points import Samples, lattice_steps
 from warp_peri.protocols import LINEAR, offered, placed, stencil_of
@@ -137,13 +137,14 @@ def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> D
     return _diagnosed(material, samples, noise, 0.0)
 
 
-def warn_of_kind(material: Any, samples: Samples, noise: Samples | None = None) -> None:
-    """Say where so much is left of data that they ask for another kind of material."""
-    with suppress(InputError):  # in space, scattered, too few
-        with quietly():  # said by the fit
-            told = _diagnosed(material, samples, noise, LOUD).advice
-        if told:
-            warn(told)
+def warn_of_kind(material: Any, samples: Any, noise: Any = None) -> None:
+    """Say where so much is left of sets of data that they ask for another kind of material."""
+    for each, quiet in itertools.zip_longest(listed(samples, space=True), listed(noise, "noise")):
+        with suppress(InputError):  # in space, scattered, too few
+            with quietly():  # said by the fit
+                told = _diagnosed(material, each, quiet, LOUD).advice
+            if told:
+                warn(told)
 
 
 def _diagnosed(material: Any, samples: Samples, noise: Samples | None, least: float) -> Diagnosis:

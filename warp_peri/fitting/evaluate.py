@@ -85,8 +85,7 @@ def evaluate(
     operator = placed(material, samples.points, verb="evaluate", **options)
     offered(operator, "jvp", "evaluate", "a material whose fields are displacements")
     if hasattr(operator, "errors"):  # a law whose samples may fail one by one
-        table: dict[str, Any] = operator.errors(samples)
-        return table
+        return operator.errors(samples)  # type: ignore[no-any-return]
     residual, load = residual_errors(operator, samples)
     solution = operator.solve(samples.loads, samples.u)
     figures = operator.figures(solution) if hasattr(operator, "figures") else {}
@@ -114,10 +113,9 @@ def _table(
         ("E_shape", wrong, bent),
         ("E_res_abs", residual, np.ones(len(residual))),
     ):
-        ratio = above[below > 0] / below[below > 0]
-        values = iter(ratio.tolist())
-        table[key] = float(ratio.mean()) if len(ratio) else None
-        table[f"{key}_samples"] = [next(values) if size > 0 else None for size in below]
+        values = [a / b if b > 0 else None for a, b in zip(above.tolist(), below.tolist())]
+        known = [value for value in values if value is not None]
+        table |= {key: float(np.mean(known)) if known else None, f"{key}_samples": values}
     if home is not None:
         table["transferred_from"] = home
     return table
@@ -173,9 +171,8 @@ class Run:
             "sha256": hashlib.sha256(data.read_bytes()).hexdigest(),
             **provenance,
         }
-        model = replace(
-            material, **{name: value for name, value in said.items() if hasattr(material, name)}
-        )
+        known = {name: value for name, value in said.items() if hasattr(material, name)}
+        model = replace(material, **known)
         model.save(folder / "model.json")
         write_json(folder / "metrics.json", metrics)
         return model

@@ -20,8 +20,7 @@ def without_noise(R: np.ndarray, y: np.ndarray, noise: np.ndarray) -> tuple[np.n
     kept = size > np.finfo(float).eps * R.shape[1] * size[0]
     left, size, right = left[:, kept], size[kept], right[kept]
     root, axes = np.linalg.svd((noise @ right.T) / size)[1:]
-    share = np.zeros(len(axes))
-    share[: len(root)] = root**2
+    share = np.pad(root**2, (0, len(axes) - len(root)))
     along = axes @ (left.T @ y)
     known = 1 - share > KNOWN
     gain = np.sqrt(1 - share[known])
