@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from warp_peri.materials.density import DensityMaterial as DensityMaterial
     from warp_peri.materials.lps import LPSMaterial as LPSMaterial
     from warp_peri.materials.lps_fit import LPS as LPS
-    from warp_peri.materials.third_order_fit import ThirdOrder as ThirdOrder
+    from warp_peri.materials.third_order import ThirdOrder as ThirdOrder
     from warp_peri.points.dataset import Dataset as Dataset
     from warp_peri.points.mesh import Mesh as Mesh
     from warp_peri.points.points import Points as Points

@@ -1,18 +1,22 @@
 """Soft tissue: hyperelastic sheets, learned from loads or from displacement (theory, H)."""
 
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
-from warp_peri.materials.hyperelastic.energy_fit import EnergyFit, fit_fibre_families
-from warp_peri.materials.hyperelastic.equilibrium import Equilibrium, NoEquilibriumError
-from warp_peri.materials.hyperelastic.febio import in_words, material_terms, save_febio
-from warp_peri.materials.hyperelastic.fibres import (
+from warp_peri.materials.hyperelastic.energy_fit import (
+    EnergyFit,
+    ThicknessField,
     fibre_energy_by_angle,
     fibre_families,
     fibre_fan,
+    fit_fibre_families,
     with_corners,
 )
+from warp_peri.materials.hyperelastic.equilibrium import Equilibrium, NoEquilibriumError
 from warp_peri.materials.hyperelastic.from_displacement import DisplacementFit, fit_thickness
 from warp_peri.materials.hyperelastic.model_selection import (
     ModelSelection,
+    in_words,
+    material_terms,
+    save_febio,
     select_model,
     uniaxial_stress,
 )
@@ -21,7 +25,6 @@ from warp_peri.materials.hyperelastic.operator import (
     HyperelasticSheetOperator,
     evaluate_hyperelastic,
 )
-from warp_peri.materials.hyperelastic.thickness import ThicknessField
 
 __all__ = [
     "Hyperelastic",

@@ -275,7 +275,7 @@ def stencil_of(law: Any, spacing: float, verb: str) -> tuple[Any, np.ndarray]:
     if not abs(spacing / stencil.spacing - 1) <= SAME_SPACING:
         raise InputError(
             f"spacing: the model is for {stencil.spacing:g}, got {spacing:g}; "
-            "transferred(law, spacing) fits another"
+            "transfer_to_lattice(law, spacing) fits another"
         )
     return stencil, law.group
 

@@ -27,7 +27,7 @@ from warp_peri.solvers.solution import Solution, Solver, told
 if TYPE_CHECKING:
     from warp_peri.materials.crystal_fit import Crystal
     from warp_peri.materials.lps_fit import LPS
-    from warp_peri.materials.third_order_fit import ThirdOrder
+    from warp_peri.materials.third_order import ThirdOrder
 
 Sets = Samples | Dataset | Sequence[Samples]
 

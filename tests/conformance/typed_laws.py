@@ -8,8 +8,7 @@ from warp_peri.materials.hyperelastic.operator import (
 )
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_operator import LPSOperator
-from warp_peri.materials.third_order import PlacedThirdOrder, ThirdOrderMaterial
-from warp_peri.materials.third_order_fit import ThirdOrder
+from warp_peri.materials.third_order import PlacedThirdOrder, ThirdOrder, ThirdOrderMaterial
 from warp_peri.points.points import Points
 from warp_peri.problems import Body, Dirichlet, Periodic
 from warp_peri.protocols import FittableModel, Material, Operator, Problem

@@ -3,12 +3,13 @@
 import json
 from dataclasses import replace
 from types import SimpleNamespace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 import warp_peri as wp
-from tests.support.sheets import NEAREST, square, waves
+from tests.support.sheets import NEAREST, hgo_dictionary, square, waves
 from tools import make_frames
 from tools.hyperelastic_elements import Elements, quadrilaterals
 from tools.hyperelastic_energies import Family, plane_stress_hgo
@@ -17,6 +18,7 @@ from warp_peri.cli.main import main
 from warp_peri.hyperelastic import EnergyTerm, Hyperelastic, HyperelasticMaterial, uniaxial_stress
 from warp_peri.materials.hyperelastic import model_selection
 from warp_peri.materials.hyperelastic.from_displacement import DisplacementFit
+from warp_peri.materials.hyperelastic.model_selection import febio_material, in_words, save_febio
 from warp_peri.points.outlines import Circle, box, mesh_outline
 
 C1, C2 = 0.35, 0.15
@@ -206,3 +208,48 @@ def test_a_rubber_sheet_with_a_hole_pulls_as_it_should(tmp_path, error):
     (folder := tmp_path / "cut").mkdir()
     table(folder, cut, [0.1 * cut, 0.2 * cut, 0.3 * cut, 0.4 * cut])
     assert command(folder, tmp_path / "out", "--stress", "1", "--along", "y") == 2
+
+
+HGO = HyperelasticMaterial(hgo_dictionary(), np.array([0.3] * 4 + [0.0713, 0.0780, 0.2]), 0.1)
+"""Its deviations vanish in uniform strain."""
+
+
+def of_febio(text, F):
+    """Energy of "HGO unconstrained" and "fiber-exp-pow" in plane strain, from FEBio's manual."""
+    C, J = F.T @ F, np.linalg.det(F)
+    total = 0.0
+    for solid in ElementTree.fromstring(text).iter("solid"):
+        p = {child.tag: float(child.text) for child in solid if child.tag != "fiber"}
+        if solid.get("type") == "HGO unconstrained":
+            total += p["c"] / 2 * (np.trace(C) + 1 - 3) - p["c"] * np.log(J)
+            total += p["k"] / 2 * ((J**2 - 1) / 2 - np.log(J))
+        else:
+            theta = np.deg2rad(float(solid.find("fiber/theta").text))
+            n = np.array([np.cos(theta), np.sin(theta)])
+            x = max(n @ C @ n - 1, 0.0)
+            scale = p["ksi"] / (p["alpha"] * p["beta"])
+            total += scale * np.expm1(p["alpha"] * x ** p["beta"])
+    return total
+
+
+def test_the_energy_is_the_learned_one():
+    F = np.array([[0.8, 0.0], [0.3, 1.4]])
+    op = HGO.on(square(1))
+    (learned,) = op.nodal_energy(op.points.x @ (F - np.eye(2)).T)[op.interior]
+    assert of_febio(febio_material(HGO), F) == pytest.approx(float(learned), rel=1e-10)
+
+
+def test_a_sheet_in_plane_stress_becomes_incompressible(tmp_path):
+    fibre = EnergyTerm("fibre_exponential", 0.5, 2.0)
+    sheet = solid((EnergyTerm("plane_stress"), 3.5), (EnergyTerm("mooney"), 1.5), (fibre, 15.0))
+    save_febio(sheet, tmp_path / "sheet.xml")
+    root = ElementTree.parse(tmp_path / "sheet.xml").getroot()
+    assert root.get("type") == "uncoupled solid mixture"
+    assert [float(root.find(f"solid/{name}").text) for name in ("c1", "c2")] == [3.5, 1.5]
+    assert in_words(sheet) == [
+        "incompressible matrix: shear modulus 10 (Mooney and Rivlin: C1 = 3.5, C2 = 1.5)",
+        "fibres at 28.6°: k1 = 15, k2 = 2",
+    ]
+    words = in_words(HGO)
+    assert words[0] == "matrix: shear modulus 0.1426, volumetric coefficient 0.078"
+    assert words[1].startswith("as the published energy: E = 0.3279, ν = 0.15")

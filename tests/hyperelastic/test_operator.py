@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.sheets import SPACING, everything, hgo_dictionary, sheet_on, square, waves
-from warp_peri.materials.hyperelastic.energies import (
-    BONDS,
-    EnergyTerm,
-    Hyperelastic,
-    half_family,
-    strain_weights,
-)
+from warp_peri.materials.hyperelastic.energies import BONDS, EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.points.points import Points
 
@@ -95,14 +89,6 @@ def test_slopes_of_bonds():
         K = float(op.jvp((stretch - 1) * points.x * [1, 0], v)[0, 0])
         slope, curve = SLOPES[name]((stretch**2 - 1) / 2)
         assert K == pytest.approx(2 * (curve * stretch**2 + slope) / SPACING**2, rel=1e-12), name
-
-
-def test_weights_reproduce_uniform_strain_and_no_fourth_moment():
-    for reach in (2.5, 3.0, 4.0):
-        x, y = half_family(reach).T
-        w = 2 * strain_weights(reach, 4)
-        np.testing.assert_allclose(np.stack([x * x, y * y, x * y]) @ w, np.eye(3), atol=1e-9)
-        np.testing.assert_allclose([(x**n * y ** (4 - n)) @ w for n in range(5)], 0, atol=1e-9)
 
 
 def test_a_uniform_strain_is_seen_along_fibres_too_and_has_no_force():

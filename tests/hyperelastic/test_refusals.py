@@ -16,8 +16,8 @@ from warp_peri.hyperelastic import (
     select_model,
 )
 from warp_peri.materials.hyperelastic.energy_fit import fit_energy
-from warp_peri.materials.hyperelastic.febio import febio_material
 from warp_peri.materials.hyperelastic.from_displacement import fit_displacement, fit_thickness
+from warp_peri.materials.hyperelastic.model_selection import febio_material
 
 POINTS, HGO = square(4), hgo_dictionary()
 FRAMES = wp.Samples(POINTS, np.stack([waves(POINTS, 0.3, seed) for seed in range(3)]))

@@ -9,12 +9,8 @@ from scipy.sparse.linalg import splu
 from tests.support.nonlinear import FORMS, psi, solid
 from tests.support.problems import lattice, noise
 from warp_peri.certificates import prove_uniqueness
-from warp_peri.materials.third_order import (
-    PlacedThirdOrder,
-    curvature_bound,
-    largest_parts,
-    proven_kappa,
-)
+from warp_peri.materials.certificate import curvature_bound, largest_parts, proven_kappa
+from warp_peri.materials.third_order import PlacedThirdOrder
 from warp_peri.points.families import bond_classes
 
 HORIZON = 3.0

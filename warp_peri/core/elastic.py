@@ -85,14 +85,8 @@ GENERATORS |= {"m": np.diag([1.0, -1.0, 1.0]), "cycle": np.eye(3)[[1, 2, 0]]}
 
 
 def point_group(symmetry: Symmetry, dimension: int) -> np.ndarray:
-    """Rotations of a group in the crystal's axes, shape [G, d, d], with the inversion.
-
-    Args:
-        symmetry: a name such as "4mm" (plane) or "m3m", or rotations, shape [G, d, d].
-        dimension: 2 or 3.
-
-    Raises InputError for a name that is not known, or matrices that are not rotations.
-    """
+    """Rotations of a group, as "4mm" or "m3m", in the crystal's axes with the inversion, [G, d, d];
+    InputError for a name that is not known, or matrices that are not rotations."""
     if isinstance(symmetry, str):
         table, aliases = (_PLANE, {}) if dimension == 2 else (_SOLID, _ALIASES)
         words = table.get(aliases.get(symmetry, symmetry))
@@ -136,14 +130,8 @@ def _closed(generators: list[np.ndarray], dimension: int) -> np.ndarray:
 
 
 def shared_with_nodes(group: np.ndarray, orientation: np.ndarray) -> np.ndarray:
-    """What a square or cubic lattice of nodes has in common with a crystal (theory, T5).
-
-    Args:
-        group: of the crystal in its own axes, shape [G, d, d].
-        orientation: the crystal's axes in those of the nodes, as columns.
-
-    Returns integer matrices in the axes of the nodes, shape [g, d, d].
-    """
+    """What a square or cubic lattice of nodes has in common with a crystal's group (theory, T5):
+    integer matrices in the axes of the nodes, [g, d, d]."""
     turned = orientation @ group @ orientation.T
     whole = np.rint(turned)
     return np.asarray(whole[np.abs(turned - whole).max(axis=(1, 2)) < TOLERANCE].astype(np.int64))
@@ -156,10 +144,8 @@ def lattice_group(dimension: int) -> np.ndarray:
 
 
 def checked_orientation(orientation: Any, dimension: int) -> np.ndarray:
-    """A rotation from the crystal's axes to those of the nodes; or degrees about the third axis.
-
-    Raises InputError for what is no rotation.
-    """
+    """A rotation from the crystal's axes to those of the nodes, or degrees about the third axis;
+    InputError for what is none."""
     given = checked("orientation", np.eye(dimension) if orientation is None else orientation)
     if given.ndim == 0:
         return about_third(float(given))[:dimension, :dimension]
@@ -186,16 +172,11 @@ def kinds_of(atoms: Any, names: Sequence[str] | None = None) -> tuple[np.ndarray
 
 
 def by_spglib(ask: str, crystal: tuple[np.ndarray, ...], precision: float, **how: bool) -> Any:
-    """What spglib's function `ask` finds of a crystal.
+    """What spglib's function `ask` finds of a crystal: edges of its cell as rows [Å], atoms in
+    parts of them, and numbers that tell these apart.
 
-    Args:
-        ask: name of the function.
-        crystal: edges of the cell as rows [Å], atoms in parts of them, and numbers that tell these
-            apart.
-        precision: distance [Å] within which atoms are on their sites.
-        how: what else the function is told.
-
-    Raises InputError where spglib is not installed, or finds nothing.
+    Atoms are on their sites within `precision` [Å]. Raises InputError where spglib is not
+    installed, or finds nothing.
     """
     spglib = optional(
         "spglib",
@@ -218,16 +199,7 @@ def primitive_cell(crystal: tuple[np.ndarray, ...], precision: float) -> Any:
 def group_of_structure(
     cell: np.ndarray, fractions: np.ndarray, species: np.ndarray, *, precision: float = 1e-4
 ) -> np.ndarray:
-    """Point group of a crystal by spglib, in the axes its cell is given in, [G, d, d].
-
-    Args:
-        cell: edges as rows [Å], shape [3, 3].
-        fractions: positions of the atoms in parts of the edges, shape [n, 3].
-        species: numbers that tell atoms apart, shape [n].
-        precision: distance [Å] within which atoms are on their sites.
-
-    Raises InputError where spglib is not installed or finds nothing.
-    """
+    """Point group of a crystal in the axes its cell is given in, [G, d, d]; as by_spglib."""
     # of the primitive cell: a larger one hides turns that are no whole numbers of its edges
     small = primitive_cell((np.asarray(cell, dtype=float), fractions, species), precision)
     found, edges = by_spglib("get_symmetry", small, precision), np.array(small[0]).T
@@ -237,10 +209,10 @@ def group_of_structure(
 def canonical(
     vectors: np.ndarray, group: np.ndarray, margin: float | np.ndarray = 0.0
 ) -> np.ndarray:
-    """Which vectors may lie in one cone whose images under the group fill space, shape [K] bool.
+    """Which vectors [K, d] may lie in one cone whose images under the group fill space.
 
-    A vector is left out when all of it, out to `margin` times the 1-norm of the cone's face, has an
-    image nearer to one direction in general position (theory, T12). shape [K, d].
+    One is left out when all of it, out to `margin` times the 1-norm of the cone's face, has an
+    image nearer to one direction in general position (theory, T12).
     """
     d = vectors.shape[1]
     direction = np.array([1.0, 0.6137, 0.2719])[:d]
@@ -279,15 +251,12 @@ def directions(count: int, dimension: int) -> np.ndarray:
 
 
 def elastic_from_brackets(brackets: np.ndarray) -> np.ndarray:
-    """C_ijkl = [ik, jl] + [jk, il] − [jl, ik] of brackets [ij, kl], same shape (T4).
-
-    Symmetric as an elastic tensor is where Huang's relations hold.
-    """
-    first = np.einsum("...abgl->...agbl", brackets)
-    second = np.einsum("...bgal->...agbl", brackets)
-    third = np.einsum("...blag->...agbl", brackets)
-    tensor: np.ndarray = first + second - third
-    return tensor
+    """C_ijkl = [ik, jl] + [jk, il] − [jl, ik] of brackets [ij, kl], same shape (T4); symmetric as
+    an elastic tensor is where Huang's relations hold."""
+    first, second, third = (
+        np.einsum(f"...{order}->...agbl", brackets) for order in ("abgl", "bgal", "blag")
+    )
+    return np.asarray(first + second - third)
 
 
 def brackets_from_elastic(tensor: np.ndarray) -> np.ndarray:
@@ -335,10 +304,8 @@ def plane_isotropic(lam: float, mu: float) -> np.ndarray:
 
 @typed
 def voigt_to_tensor(moduli: np.ndarray) -> np.ndarray:
-    """The elastic tensor [d, d, d, d] of a symmetric Voigt matrix.
-
-    Raises InputError for another shape, a matrix that is not symmetric or not finite.
-    """
+    """The elastic tensor [d, d, d, d] of a Voigt matrix; InputError for another shape, and one that
+    is not symmetric or not finite."""
     matrix = checked("moduli", moduli)
     if matrix.shape not in ((3, 3), (6, 6)):
         raise InputError(f"moduli: expected 3 × 3 or 6 × 6, got {list(matrix.shape)}")
@@ -417,11 +384,7 @@ def extremes(tensor: np.ndarray) -> tuple[list[float], list[float]]:
 
 
 def named_symmetry(tensor: np.ndarray) -> str:
-    """What an elastic tensor looks like in the axes it is given in.
-
-    "isotropic", "cubic", "square", "hexagonal" (about the third axis), "tetragonal",
-    "orthotropic", or "lower".
-    """
+    """What an elastic tensor looks like in the axes it is given in: a key of NAMES, or "lower"."""
     d, tiny = tensor.shape[0], SAME * np.abs(voigt(tensor)).max()
     for name, symmetry in NAMES[d].items():
         allowed = allowed_tensors(symmetry, point_group(symmetry, d), np.eye(d)).reshape(-1, d**4)
@@ -432,10 +395,8 @@ def named_symmetry(tensor: np.ndarray) -> str:
 
 
 def named_moduli(tensor: np.ndarray) -> dict[str, float]:
-    """Elastic constants by name that are not zero, those that symmetry makes equal once.
-
-    In the plane C44 is the shear modulus, as for the other laws.
-    """
+    """Elastic constants by name that are not zero, those that symmetry makes equal once; in the
+    plane C44 is the shear modulus."""
     M, label = voigt(tensor), "123456" if len(tensor) == 3 else "124"
     found = {f"C{label[m]}{label[n]}": float(M[m, n]) for m, n in zip(*np.triu_indices(len(M)))}
     if (name := named_symmetry(tensor)) in KEPT:

@@ -30,12 +30,10 @@ class Grid:
 
     Attributes:
         axes: of the lattice, as columns, shape [d, d].
-        shape: of the box: the box of the interior with `reach` more on each side; of a periodic
-            set the period alone.
+        shape: of the box: that of the interior with `reach` more on each side, or the period.
         reach: steps that a bond may lead along an axis.
         periodic: whether the box closes on itself.
-        near: numbers of the nodes that lie in the box.
-        place: their places in it, flat.
+        near, place: numbers of the nodes in the box, and their places in it, flat.
         interior: places of the interior nodes, flat, in the order of the point set.
     """
 
@@ -103,14 +101,10 @@ class Grid:
 def grid_of(points: Points, steps: np.ndarray, *, why: str = "", least: int | None = None) -> Grid:
     """Lay the nodes of a lattice out for bonds of the given steps, shape [H, d] of one half.
 
-    Args:
-        points: lattice nodes with a collar, or periodic.
-        steps: ξ/h of the bonds.
-        why: said beside the error for nodes whose bonds are cut.
-        least: steps that a period must be longer than; twice the reach of the bonds by default.
-
-    Raises InputError for scattered points, another dimension, nodes off the lattice or given
-    twice, interior nodes without all their neighbours, and a box that bonds reach around.
+    `why` is said of nodes whose bonds are cut; a period must be longer than `least` steps, by
+    default twice the reach. Raises InputError for scattered points, another dimension, nodes off
+    the lattice or given twice, interior nodes without all their neighbours, and a box that bonds
+    reach around.
     """
     d = steps.shape[1]
     if points.x.shape[1] != d:
@@ -171,8 +165,7 @@ def _check(points: Points, nodes: Grid, steps: np.ndarray, why: str) -> None:
 
 
 def complete(body: np.ndarray, steps: np.ndarray, r: int) -> np.ndarray:
-    """Which places of a box have all their neighbours by some steps and back, of a body in the box
-    with r more around it."""
+    """Which places have all their neighbours by some steps and back, of a body with r more."""
     whole = np.ones([n - 2 * r for n in body.shape], bool)
     for step in np.concatenate([steps, -steps]):
         whole &= body[tuple(slice(r + s, n - r + s) for s, n in zip(step, body.shape))]
@@ -189,13 +182,7 @@ def refuse_cut(lacking: int, count: int, why: str = "") -> None:
 
 
 class ByRows:
-    """Half families by rows; the bits are the same on any number of threads.
-
-    Args:
-        nodes: the box.
-        steps, tensors: of one half of the bonds.
-        dtype: float64 or float32.
-    """
+    """Half families by rows; the bits are the same on any number of threads."""
 
     def __init__(
         self, nodes: Grid, steps: np.ndarray, tensors: np.ndarray, dtype: Any = np.float64
@@ -234,8 +221,7 @@ class ByRows:
 
 
 def row_pieces(places: np.ndarray, lanes: int, numbers: np.ndarray) -> np.ndarray:
-    """Runs of rising places and their numbers, cut to so many lanes, as (first place, first number,
-    count), shape [P, 3]."""
+    """Runs of rising places and numbers cut to lanes: first place, first number, count [P, 3]."""
     begin = np.flatnonzero(np.diff(places, prepend=-2) - 1 | np.diff(numbers, prepend=-2) - 1)
     length = np.diff(np.append(begin, len(places)))
     parts = -(-length // lanes)
@@ -274,8 +260,7 @@ def torus_shape(nodes: Grid) -> tuple[int, ...]:
 
 
 def torus_symbol(torus: tuple[int, ...], steps: np.ndarray, tensors: np.ndarray) -> np.ndarray:
-    """D(k) h² or D(k), as the tensors are, at the waves of a torus, [d, d, *torus] with the last
-    axis halved."""
+    """D(k), or D(k) h² as tensors are, at waves of a torus [d, d, *torus], its last axis halved."""
     d = len(torus)
     symbol = np.empty((d, d, *torus[:-1], torus[-1] // 2 + 1))
     place = np.ravel_multi_index(tuple(np.concatenate([steps, -steps]).T), torus, mode="wrap")

@@ -230,17 +230,11 @@ def _positive(
     asked: Callable[[np.ndarray, float], np.ndarray],
     most: int,
 ) -> tuple[bool, int, np.ndarray | None]:
-    """Whether a matrix function is positive definite on [−edge, edge]^n, by cells that are halved
-    where that fails.
+    """Whether a matrix function is positive definite on [−edge, edge]^n, how many cells were looked
+    at, halved where that fails, and a middle where it is not.
 
-    Args:
-        affine: its value and slopes at the middles of cells.
-        rest: times half², what the function may be below its affine part.
-        slack: for rounding.
-        asked: middles and half a side to those cells that must be looked at.
-        most: cells after which it is given up.
-
-    Returns whether it is, how many cells were looked at, and a middle where it is not.
+    It may be rest · half² below its `affine` part about the middle of a cell, and `slack` for
+    rounding; `asked` tells which cells matter, and after `most` of them it is given up.
     """
     corners, cells, half, seen = _corners(dimension), *_first_cells(edge, dimension), 0
 
@@ -296,13 +290,8 @@ def _positive_on_zone(
 ) -> tuple[bool, int, np.ndarray | None]:
     """Whether D(k) > 0 is proven for all k ≠ 0, the cells that took, and a wave where it is not.
 
-    On cells outside the ball of long waves, where D is at least its value and slope at the middle
-    less Σ |C| (η·ξ)².
-
-    Args:
-        stencil: on nodes that are 1 apart.
-        group: as of `prove`.
-        long: q > 0 with Q(e) ≥ q |e|², proven.
+    On cells outside the ball of long waves, which Q(e) ≥ long |e|² gives, where D is at least its
+    value and slope at the middle less Σ |C| (η·ξ)².
     """
     d, (above, below) = stencil.dimension, parts(stencil.tensors)
     radius = long_wave_radius(stencil, long)

@@ -1,10 +1,10 @@
 """A material as a value: its fields say types and units, and file, units and looks are one.
 
     @dataclass(frozen=True, eq=False, repr=False)
-    class Crystal(Record, format="warp_peri.micromodulus"):
+    class CrystalMaterial(Record, format="warp_peri.micromodulus"):
         spacing: Length
-        tensors: Annotated[np.ndarray, Entry(length=-2, stress=1)]
-        certificate: Proof | None = None
+        tensors: Annotated[np.ndarray, FieldUnits(length=-2, stress=1)]
+        certificate: StencilCertificate | None = None
 
 is checked when it is made, has `save`, `content`, `in_units` and a table of what it is, and `load`
 reads its files. What a file says to be proven is proven again.
@@ -67,7 +67,7 @@ HOMES = {
 
 @dataclass(frozen=True)
 class FieldUnits:
-    """Of a field, as ``Annotated[float, Entry(stress=1)]``.
+    """Of a field, as ``Annotated[float, FieldUnits(stress=1)]``.
 
     Attributes:
         length, stress: powers of the units that it is in.
@@ -209,10 +209,8 @@ class Record(Shown):
         return made
 
     def verify_certificates(self) -> None:
-        """Prove again what a file says to be proven; InputError where it is not.
-
-        Of a core.proof.Proof among the fields, which is of `stencil` under `group`.
-        """
+        """InputError unless what a file says to be proven is: a StencilCertificate of `stencil`
+        under `group`."""
         for each in fields_of(self):
             proof = getattr(self, each.name)
             if hasattr(proof, "check_of"):
@@ -243,10 +241,8 @@ class Record(Shown):
             raise InputError(f"{path}: expected plain, finite values ({error})") from None
 
     def in_units(self, units: Any) -> Self:
-        """The same with its numbers in other units; records of how it came to be stay.
-
-        Raises InputError for units that are not known, or that no factor leads to.
-        """
+        """The same with its numbers in other units, but records of how it came to be; InputError
+        for units that are not known, or that no factor leads to."""
         by = factors(self.units, units)
         if self.units == (units := check_units(units)):
             return self
@@ -381,15 +377,8 @@ def _part(kind: Any, entries: dict[str, Any]) -> Any:
 
 
 def taken(key: str, hint: Any, value: Any, says: FieldUnits = PLAIN, *, read: bool = False) -> Any:
-    """A value as its field has it; InputError naming the key for what is none.
-
-    Args:
-        key: for errors.
-        hint: type of the field.
-        value: as it is given, or as JSON has it.
-        says: of the field.
-        read: whether it is from a file: parts are made of what it holds.
-    """
+    """A value as a field of a type has it, where it is `read` as JSON has it; InputError naming the
+    key for what is none."""
     parts = get_args(hint)
     if get_origin(hint) in (Union, UnionType):
         if (value is None and NoneType in parts) or (isinstance(value, str) and str in parts):
@@ -427,11 +416,8 @@ def taken(key: str, hint: Any, value: Any, says: FieldUnits = PLAIN, *, read: bo
 
 
 WORDS: dict[Any, str] = {
-    bool: "true or false",
-    int: "a whole number",
-    str: "a name",
-    dict: "an object",
-}
+    bool: "true or false", int: "a whole number", str: "a name", dict: "an object",
+}  # fmt: skip
 
 
 def _number(key: str, value: Any, positive: bool) -> float:

@@ -90,13 +90,8 @@ def laplacian_stencil(spacing: float, dimension: int, components: int) -> Stenci
 
 
 def squared(spacing: float, steps: np.ndarray, field: np.ndarray) -> Stencil:
-    """f ∗ f of an odd vector field, whose symbol is |Σ f(ξ) sin k·ξ|² times the identity.
-
-    Args:
-        spacing: h.
-        steps: ξ/h of whole families, shape [B, d].
-        field: f(ξ) = −f(−ξ), shape [B, d].
-    """
+    """f ∗ f of a field f(ξ) = −f(−ξ) on whole families ξ/h, each [B, d], whose symbol is
+    |Σ f(ξ) sin k·ξ|² times the identity."""
     d, far = steps.shape[1], 2 * int(np.abs(steps).max())
     box = np.zeros((2 * far + 1,) * d)
     for step, f in zip(steps, field):
@@ -108,8 +103,7 @@ def squared(spacing: float, steps: np.ndarray, field: np.ndarray) -> Stencil:
 
 def bend(phase: np.ndarray, steps: np.ndarray) -> np.ndarray:
     """2 (1 − cos k·ξ) without cancellation at small k, shape [K, H]."""
-    wave: np.ndarray = 4 * np.sin(phase @ steps.T / 2) ** 2
-    return wave
+    return np.asarray(4 * np.sin(phase @ steps.T / 2) ** 2)
 
 
 def half_ball(reach: float, dimension: int) -> np.ndarray:
@@ -133,8 +127,7 @@ def half_ball(reach: float, dimension: int) -> np.ndarray:
 
 def laplacian(phase: np.ndarray) -> np.ndarray:
     """s(k) h² = 4 Σ sin²(k_a h/2) at k h = `phase`, shape [K]."""
-    wave: np.ndarray = 4 * (np.sin(phase / 2) ** 2).sum(axis=1)
-    return wave
+    return np.asarray(4 * (np.sin(phase / 2) ** 2).sum(axis=1))
 
 
 def zone_sample(group: np.ndarray, dimension: int, intervals: int) -> np.ndarray:
@@ -148,21 +141,16 @@ def zone_sample(group: np.ndarray, dimension: int, intervals: int) -> np.ndarray
 def ratios(
     steps: np.ndarray, tensors: np.ndarray, phase: np.ndarray, wave: np.ndarray | None = None
 ) -> tuple[np.ndarray, ...]:
-    """Λmin D/s h^−2 at k h = `phase`, shape [K], and the eigenvectors it is taken at, [K, d].
-
-    `wave` is bend(phase, steps), where that is known.
-    """
+    """Λmin D/s h^−2 at k h = `phase`, [K], and the eigenvectors it is taken at, [K, d]; `wave` is
+    bend(phase, steps), where that is known."""
     symbol = np.tensordot(bend(phase, steps) if wave is None else wave, tensors, 1)
     value, vector = np.linalg.eigh(symbol)
     return value[:, 0] / laplacian(phase), vector[:, :, 0]
 
 
 def q1_tensors(elastic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Steps [H, d] of one half and C(ξ) h² [stress], [H, d, d], of Q1 elements of C_ijkl.
-
-    Two Gauss points an axis, squares or cubes of side h; C(ξ) = C(−ξ) is symmetric since an element
-    is its own image in its middle.
-    """
+    """Steps [H, d] of one half and C(ξ) h² [stress], [H, d, d], of Q1 elements of C_ijkl of side h
+    with two Gauss points an axis; symmetric since an element is its own image in its middle."""
     d = elastic.shape[0]
     corner = np.array(list(itertools.product((0, 1), repeat=d)))
     side = 2 * corner - 1
@@ -246,12 +234,8 @@ def symmetric_matrices(dimension: int) -> np.ndarray:
 
 
 def invariant_basis(reach: float, group: np.ndarray) -> Basis:
-    """The half ball and its invariant tensors under C(Rξ) = R C(ξ) Rᵗ.
-
-    Args:
-        reach: horizon over spacing.
-        group: integer matrices with the inversion, shape [g, d, d].
-    """
+    """The half ball and its invariant tensors under C(Rξ) = R C(ξ) Rᵗ, R of integer matrices with
+    the inversion, [g, d, d]."""
     d = group.shape[1]
     steps = half_ball(reach, d)
     number = {tuple(step): i for i, step in enumerate(steps)}

@@ -215,7 +215,7 @@ def _on_lattice(
         if spacing not in (None, model.spacing):
             raise InputError(
                 f"coupling: expected spacing {model.spacing:g} or None, got {spacing:g}; "
-                "transferred(law, spacing) fits another"
+                "transfer_to_lattice(law, spacing) fits another"
             )
         if model.stress is not None and np.any(model.stress):
             raise InputError(

@@ -1,7 +1,9 @@
-"""What is proven of a solid on lattices, and of a model on one domain (theory, 20–25)."""
+"""What is proven of a solid on lattices, of a model on one domain (theory, 20–25), and of large
+strain (N13–N17)."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -11,11 +13,13 @@ from scipy.linalg import eigh, eigvalsh, null_space
 from scipy.sparse.linalg import LinearOperator, splu
 
 from warp_peri.core.proof import prove
+from warp_peri.core.stencil import Stencil, squared
 from warp_peri.errors import InputError
 from warp_peri.materials.lps import LPSMaterial, statement_of
 from warp_peri.materials.lps_force import bonds_of
 from warp_peri.materials.lps_matrices import matrices
 from warp_peri.points.arguments import Positive, typed
+from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.points import PointsLike
 from warp_peri.points.unit_names import USUAL, Units, symbols
 from warp_peri.protocols import LINEAR, offered, stencil_of
@@ -24,6 +28,12 @@ from warp_peri.solvers.direct import DENSE, smallest_eigenvalue
 RANK_TOLERANCE = 1e-9
 """Eigenvalues of ΦΓ⁻¹Φᵗ below this fraction of the largest count as zero."""
 SCHWARZ_TOLERANCE = 1e-10
+DIRECTIONS = 400
+"""Intervals on which homogeneous parts of Ψ are sampled along each of two angles."""
+SLACKS = (1.001, 1.002, 1.005, 1.01, 1.02, 1.05, 1.1, 1.25, 1.5, 2.0, 4.0)
+"""Multiples of the sampled κ² that are tried, smallest first."""
+CONTRACTION = 0.999
+"""What C κ_in κ_out must stay below."""
 
 
 @dataclass(frozen=True)
@@ -204,3 +214,104 @@ def with_proof(model: LPSMaterial, spacing: float | None = None) -> LPSMaterial:
         raise InputError(f"model: nothing is proven of it on {home:g} {unit}; {proof.statement}")
     figures = {f"{proof.spacing:g}": proof.figures()}
     return replace(model, certified_on=(proof.spacing,), certificate=figures)
+
+
+@dataclass(frozen=True)
+class Uniqueness:
+    """The guarantee of a nonlinear model on one lattice.
+
+    Attributes:
+        spacing: h [Å].
+        strain: ε*, largest |H| up to which solutions are proven unique; 0 where nothing is.
+        kappa_in, kappa_out: proven bounds of κ [TPa^(−1/2)].
+        curvature: the bound C(ε*) of Ψ″ [TPa].
+        largest_parts: M_d, bounds of the homogeneous parts of Ψ of degree 3 to 6 at |H| = 1 [TPa].
+        units: names of the units of length and stress.
+    """
+
+    spacing: float
+    strain: float
+    kappa_in: float
+    kappa_out: float
+    curvature: float
+    largest_parts: tuple[float, ...]
+    units: Units = USUAL
+
+    @property
+    def statement(self) -> str:
+        """What is proven, in one sentence."""
+        length = symbols(self.units)[0]
+        if not self.strain > 0:
+            return f"Nothing is proven on the lattice of spacing {self.spacing:g} {length}."
+        return (
+            f"On any finite set of nodes of the square lattice of spacing {self.spacing:g} "
+            f"{length}, with displacement given out to twice the horizon around it, for every "
+            f"load, at most one solution has |H| ≤ {self.strain:.4f} at every node within the "
+            "horizon of an unknown."
+        )
+
+    def figures(self) -> dict[str, Any]:
+        """The figures as plain values, and the statement."""
+        found = vars(self) | {"statement": self.statement}
+        return {name: found[name] for name in found if name != "units"}
+
+
+@typed
+def prove_uniqueness(model: Any, *, spacing: Positive) -> Uniqueness:
+    """Prove up to which |H| solutions of a solid of third order are unique on a lattice: the
+    largest that proven bounds of κ leave (N15).
+
+    Raises InputError for a horizon below one spacing, and another material.
+    """
+    offered(model, "reach", "prove_uniqueness", "a solid of third order")
+    stencil, group = stencil_of(model.linear, spacing, "prove_uniqueness")
+    classes = bond_classes(spacing, model.reach)
+    p_in, p_out = model.weights(classes)
+    kappa_out = proven_kappa(stencil, group, classes, p_out)
+    kappa_in = kappa_out if p_in is p_out else proven_kappa(stencil, group, classes, p_in)
+    parts = largest_parts(model)
+    kappas, strain, high = (kappa_in, kappa_out), 0.0, 1.0
+    for _ in range(60):
+        middle = (strain + high) / 2
+        small = curvature_bound(parts, middle) * kappa_in * kappa_out < CONTRACTION
+        strain, high = (middle, high) if small else (strain, middle)
+    bound = curvature_bound(parts, strain)
+    return Uniqueness(stencil.spacing, strain, *kappas, bound, tuple(parts), model.units)
+
+
+def curvature_bound(parts: Sequence[float], strain: float) -> float:
+    """C(ε) = Σ_d d (d − 1) M_d ε^(d−2) [TPa], (N16): no eigenvalue of Ψ″ is larger in |H| ≤ ε."""
+    return float(sum(d * (d - 1) * m * strain ** (d - 2) for d, m in enumerate(parts, start=3)))
+
+
+def largest_parts(model: Any) -> list[float]:
+    """M_d ≥ max |Ψ_d| over |H| = 1 of the parts of degree d = 3, 4, 5, 6 of Ψ [TPa], (N17).
+
+    Ψ_d depends on t, |q|, ω and, through q3, on the phase of q, which is put where it is worst. A
+    polynomial of degree d on the sphere, sampled at a distance of η at most, is nowhere larger than
+    its largest sample over cos dη (M. Riesz).
+    """
+    a, b = np.meshgrid(np.linspace(0, np.pi, DIRECTIONS + 1), np.linspace(0, np.pi / 2, DIRECTIONS))
+    t, side = np.sqrt(2) * np.cos(a), np.sin(a) / np.sqrt(2)
+    q, w = side * np.cos(b), side * np.sin(b)
+    reach = np.pi / DIRECTIONS / np.sqrt(2)  # of the nearest sample, from any point
+    s = np.exp(2j * np.pi * np.arange(8) / 8)[:, None, None]  # sizes of H, whose powers FFTs tell
+    m = 1 + s * t + s**2 * (t**2 / 4 + w**2)
+    e, shear = m - 1 + s**2 * q**2, s**2 * q**2 * m
+    lam, mu, t3, tq2, q3 = model.numbers
+    psi = (lam + mu) / 2 * e**2 + 2 * mu * shear + t3 * e**3 + tq2 * e * shear
+    smooth, size, parts = np.fft.fft(psi, axis=0).real / 8, np.hypot(t / 2, w), []
+    for d, binomial in enumerate((1, 3, 3, 1), start=3):
+        worst = np.abs(smooth[d]) + abs(q3) * binomial * q**3 * size ** (d - 3)
+        parts.append(float(worst.max() / np.cos(d * reach)))
+    return parts
+
+
+def proven_kappa(stencil: Stencil, group: np.ndarray, classes: BondClasses, p: np.ndarray) -> float:
+    """A proven upper bound of κ_p [stress^(−1/2)] of weights p of a gradient by class [1/length²];
+    infinite when none was found (N14)."""
+    d = stencil.dimension
+    gradient = d * p[classes.bond_class, None] * classes.xi
+    weight = squared(stencil.spacing, classes.steps, gradient)
+    proven = prove(stencil, group, weight, tuple(1 / slack for slack in SLACKS)).proven
+    return float(1 / np.sqrt(proven)) if proven > 0 else float(np.inf)

@@ -33,16 +33,7 @@ from warp_peri.solvers.solution import CG, Solution, Solver, by_sample, refuse_s
 
 
 class TensorOperator(OperatorBase):
-    """L of one law on the nodes of one lattice, all bonds whole; made by its `on`.
-
-    Args:
-        model: the law.
-        points: lattice nodes with a collar, or periodic.
-        method: "rows", "fft", or "auto", which takes what is faster.
-        dtype: float64 or float32.
-
-    Raises InputError as grid_of does.
-    """
+    """L of one law on the nodes of one lattice, all bonds whole; made by its `on`."""
 
     is_linear = is_symmetric = True
 
@@ -60,24 +51,15 @@ class TensorOperator(OperatorBase):
         self.spacing, self.steps, self.tensors = stencil.spacing, stencil.steps, stencil.tensors
 
     def force(self, u: ArrayLike) -> np.ndarray:
-        """L u, minus the internal force density [stress/length], at the interior nodes.
-
-        u [length], shape [..., N, d]; returns shape [..., I, d]. Raises InputError for another
-        shape or values that are not finite.
-        """
+        """L u [stress/length] at the interior nodes, [..., I, d], of u [..., N, d]; InputError for
+        another shape or values that are not finite."""
         fields, lead = self.fields(u), np.shape(u)[:-2]
         force = self.linear(fields)
         return force.reshape(*lead, *force.shape[1:])
 
     def solve(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
-        """In equilibrium with b on the interior, u given on the collar, shape [..., N, d].
-
-        Args:
-            b, u: on all nodes; b counts on the interior, u on the collar.
-            solver: CG(preconditioner, tolerance), or None.
-
-        Raises InputError as Linear.solve does.
-        """
+        """In equilibrium with b on the interior, u given on the collar, [..., N, d], by
+        CG(preconditioner, tolerance); InputError as Linear.solve."""
         refuse_solver(solver, (CG,), "a crystal model")
         asked = solver if isinstance(solver, CG) else CG()
         b, u = checked_fields(self.points, b, u)
@@ -93,7 +75,7 @@ class TensorOperator(OperatorBase):
         return by_sample(self, found.reshape(u.shape), self.rhs(b), took, counts, method, proven)
 
     def solve_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
-        """In equilibrium with b on a period, without its mean; as `rest`."""
+        """In equilibrium with b on a period, without its mean."""
         return self.solve(b, np.zeros(np.shape(b)), solver)
 
     def vjp(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
@@ -108,8 +90,7 @@ class TensorOperator(OperatorBase):
         return {"tensors": self.tensors}
 
     def at(self, numbers: Mapping[str, ArrayLike]) -> TensorOperator:
-        """The operator of the crystal with the symmetric part of other tensors, whatever symmetry
-        they have; nothing is proven of it yet."""
+        """The operator with the symmetric part of other tensors; nothing is proven of it yet."""
         law, C = self.model, np.asarray(numbers["tensors"], dtype=float)
         held = law.stress if isinstance(law, CrystalMaterial) else None
         C = (C + C.transpose(0, 2, 1)) / 2
@@ -129,8 +110,8 @@ class TensorOperator(OperatorBase):
 
     @cached_property
     def ends(self) -> np.ndarray:
-        """Numbers of the interior nodes, and of those that each of the steps, and then each of the
-        opposite ones, leads to, shape [1 + 2 H, I]."""
+        """Numbers of the interior nodes, and of those that each of the steps, then of the opposite
+        ones, leads to, shape [1 + 2 H, I]."""
         nodes, steps = self.nodes, self.steps
         number = np.full(int(np.prod(nodes.shape)), -1)
         number[nodes.place] = nodes.near
@@ -139,10 +120,8 @@ class TensorOperator(OperatorBase):
         return np.asarray(number[np.ravel_multi_index(tuple(far), nodes.shape, "wrap")])
 
     def energy(self, u: ArrayLike) -> np.ndarray | float:
-        """Energy [stress · length^d] of all bonds with an unknown at an end, shape [...] (T15).
-
-        Its derivative to the interior displacement is h^d L u. (In the plane for a unit thickness.)
-        """
+        """Energy [stress · length^d] of all bonds with an unknown at an end, shape [...] (T15); in
+        the plane for a unit thickness."""
         collar, d = ~self.points.interior, self.nodes.dimension
         ones = np.repeat(np.eye(d)[:, None], self.points.interior.sum(), axis=1)
         ends = -self.vjp(u, ones)[:, collar]  # Σ C(ξ) over unknowns, [d, N − I, d]
@@ -162,10 +141,8 @@ class TensorOperator(OperatorBase):
         return np.asarray((A @ found @ A.T).reshape(*np.shape(u)[:-2], *found.shape[1:]))
 
     def stress(self, u: ArrayLike) -> np.ndarray:
-        """σ = C : ε at the interior nodes [stress], ε from `gradient`, shape [..., I, d, d].
-
-        Exact on affine fields; on others the stress of the solid that long waves see.
-        """
+        """σ = C : ε of `gradient` at the interior nodes [stress], [..., I, d, d]: exact on affine
+        fields, on others the stress of the solid that long waves see."""
         C = elastic.turned(self.model.tensor(), self.nodes.axes)
         return np.asarray(np.einsum("abcd,...cd->...ab", C, self.gradient(u), optimize=True))
 
@@ -226,11 +203,8 @@ class StencilMaterial(Record):
         return np.asarray((C + C.transpose(2, 3, 0, 1)) / 2)
 
     def elastic_tensor(self, unit: str | None = None) -> np.ndarray:
-        """Voigt matrix of long waves, 3 × 3 in the plane (11, 22, 12) and 6 × 6 in space.
-
-        Along the nodes' axes. In the law's own unit of stress, or another by name, as "GPa". Raises
-        InputError for a name that is not known.
-        """
+        """Voigt matrix of long waves along the nodes' axes, 3 × 3 in the plane (11, 22, 12) and
+        6 × 6 in space, in the law's unit of stress or another, as "GPa"; InputError for none."""
         return elastic.voigt(self.tensor()) * self._stress(unit)
 
     def _stress(self, unit: str | None) -> float:
@@ -258,7 +232,7 @@ class StencilMaterial(Record):
         if not abs(nodes.spacing / own - 1) <= SAME_SPACING:
             raise InputError(
                 f"spacing: the model is for {own:g}, the points have {nodes.spacing:g}; "
-                "transferred(law, spacing) fits another"
+                "transfer_to_lattice(law, spacing) fits another"
             )
         return nodes
 
@@ -267,12 +241,12 @@ class StencilMaterial(Record):
     ) -> TensorOperator:
         """The operator on nodes of the law's own spacing, its steps along their axes.
 
-        A turned lattice turns a crystal with it; `learning.transferred` is for a crystal that
-        stays, and for other spacings.
+        A turned lattice turns a crystal with it; transfer_to_lattice is for a crystal that stays,
+        and for other spacings.
 
         Args:
             points: lattice nodes with a collar, or periodic, in the law's units.
-            method: "rows", "fft" or "auto".
+            method: "rows", "fft", or "auto", which takes what is faster.
             dtype: float64 or float32.
 
         Raises InputError for another spacing or other units, and for nodes whose bonds are cut.
@@ -361,11 +335,8 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         return Stencil(self.spacing, self.steps, self.tensors)
 
     def moduli(self, unit: str | None = None) -> dict[str, float]:
-        """Elastic constants by name that are not zero, those of a cubic crystal as C11, C12, C44.
-
-        In the crystal's own axes, however it lies on its nodes. In the plane C44 is the shear
-        modulus, as for the other laws.
-        """
+        """Elastic constants in the crystal's own axes by name, as C11, C12, C44 of a cubic one,
+        but those that are zero; in the plane C44 is the shear modulus."""
         return elastic.named_moduli(self._own_tensor() * self._stress(unit))
 
     def _own_tensor(self) -> np.ndarray:
@@ -385,10 +356,8 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         ]
 
     def describe(self, unit: str | None = None) -> dict[str, Any]:
-        """Moduli as they are read: symmetry, constants, extremes of E and ν over direction.
-
-        In the crystal's own axes; Zener's ratio of cubic and square crystals, None for others.
-        """
+        """Symmetry, moduli, Zener's ratio of cubic and square crystals, None for others, and
+        extremes of E and ν over direction."""
         C = self._own_tensor() * self._stress(unit)
         M, name = elastic.voigt(C), elastic.named_symmetry(C)
         cubic = name in ("cubic", "square", "isotropic")
@@ -398,11 +367,8 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         return told | {"E_range": young, "nu_range": poisson}
 
     def _surface_traction(self) -> float:
-        """Largest traction per radian [stress] of a turned body where a face cuts bonds (T16).
-
-        |[ij, kl] W_jk n_l| over faces n along the axes and turns W in coordinate planes. A law of
-        micromodulus tensors is objective only where this is zero, or where no bond is cut.
-        """
+        """Largest traction per radian [stress] of a turned body where a face cuts bonds (T16):
+        |[ij, kl] W_jk n_l| over faces n along the axes and turns W in coordinate planes."""
         B = self.stencil.brackets
         return float(np.linalg.norm(B - B.swapaxes(1, 2), axis=0).max())
 
@@ -422,11 +388,8 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         return nodes
 
     def _check_axis(self, nodes: Points) -> None:
-        """Raise InputError where points state another direction of the crystal than the law's.
-
-        Where they state none, and lattice or crystal are turned, what is assumed is said once for
-        these points.
-        """
+        """Raise InputError where points state another direction of the crystal than the law's;
+        where they state none, and lattice or crystal are turned, what is assumed is said once."""
         isotropic = isinstance(self.symmetry, str) and self.symmetry == "isotropic"
         if isotropic or nodes.dimension != self.dimension:
             return
@@ -438,7 +401,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
             angle = np.degrees(np.arccos(np.clip((np.trace(there) - (d - 2)) / 2, -1, 1)))
             raise InputError(
                 f"axis: the crystal stands at {angle:.4g}° to these nodes, not as in the model; "
-                "transferred(law, spacing, rotation=…) turns it"
+                "transfer_to_lattice(law, spacing, rotation=…) turns it"
             )
         turned = off or np.abs(axes - np.eye(d)).max() > SAME_AXIS
         if turned and not stated and unsaid(nodes):
@@ -461,18 +424,8 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
 
 @typed
 def crystal_from_lps(model: Any, spacing: float) -> CrystalMaterial:
-    """The law of an LPS, with one influence function or two, on a lattice, exactly.
-
-    C(ξ) is minus its stencil at ξ: products of dilatations make bonds of range 2δ. Any points whose
-    families are whole give the same force. Of a solid in space it is what is proven,
-    and solved where nodes are many.
-
-    Args:
-        model: linear.
-        spacing: of the lattice, in the model's units.
-
-    Raises InputError for what is no linear peridynamic solid, and a spacing without bonds.
-    """
+    """The law of an LPS on a lattice of some spacing, exactly; products of dilatations make bonds
+    of range 2δ. InputError for what is no linear peridynamic solid, and a spacing without bonds."""
     if not callable(made := getattr(model, "stencil", None)):
         raise InputError(f"model: expected a linear peridynamic solid, got {type(model).__name__}")
     stencil = made(spacing)

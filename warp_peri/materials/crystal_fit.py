@@ -69,8 +69,7 @@ class Tensors:
 
     Args:
         spacing, horizon: of the nodes and of the longest bond.
-        symmetry: of the crystal, by name or as rotations.
-        turn: the crystal's axes in those of the nodes, as columns, shape [d, d].
+        symmetry, turn: of the crystal, and its axes in those of the nodes, as columns, [d, d].
     """
 
     def __init__(
@@ -89,16 +88,11 @@ class Tensors:
         tensor: np.ndarray | None,
         stress: np.ndarray | None = None,
     ) -> Settled:
-        """The best numbers, and those of the extra columns of R.
+        """The best numbers, and those of the extra columns of rows R [n, P + E] and y [n].
 
-        Args:
-            R, y: rows, shape [n, P + E] and [n].
-            tensor: elastic tensor along the nodes' axes that is held; without it Huang's relations
-                alone are.
-            stress: that the crystal is held under.
-
-        Raises InputError for an elastic tensor that is no crystal's or that no law of this family
-        has, more numbers than the rows can tell, or a floor that none meets.
+        The elastic tensor, along the nodes' axes, is held, without it Huang's relations alone are.
+        Raises InputError for one that is no crystal's or that no law of this family has, more
+        numbers than the rows can tell, or a floor that none meets.
         """
         d, count = len(self.turn), len(self.bonds.basis)
         moments, equations = self.bonds.moments(), huang_rows
@@ -184,10 +178,8 @@ class Crystal:
     normalise: bool = False
 
     def learn(self, samples: Samples | Dataset, *, progress: bool | None = None) -> Fit:
-        """The fit; it is one least squares, with no progress to show.
-
-        Its history has the loss, the group's loss over that of the best group (`symmetry_ratio`),
-        cuts and numbers.
+        """The fit by one least squares, with no progress to show; its history has the loss, the
+        group's loss over that of the best group (`symmetry_ratio`), cuts and numbers.
 
         Raises InputError for samples that do not carry the horizon or do not determine the law. A
         UserWarning says where data contradict the symmetry that is told, and where long waves are
@@ -226,8 +218,7 @@ class Crystal:
         return Fit(material, material.certificate, {}, dict(material.provenance["fit"]))
 
     def held_moduli(self, turn: np.ndarray) -> np.ndarray | None:
-        """The elastic tensor that is given, along the nodes' axes; None for none, and for those of
-        long waves."""
+        """The elastic tensor that is given, along the nodes' axes; None where there is none."""
         if self.moduli is None or isinstance(self.moduli, str):
             if self.moduli not in (None, LONG_WAVES):
                 raise InputError(
@@ -397,13 +388,8 @@ def transfer_to_lattice(
 
 @typed
 def plane_strain(law: CrystalMaterial, normal: int = 2) -> CrystalMaterial:
-    """The law of fields that do not change along an axis of the nodes: bonds summed along it.
-
-    Exactly what the law in space does with such fields, at all wavelengths.
-
-    Args:
-        law: in space.
-        normal: axis of the nodes, 0, 1 or 2.
+    """The law in space of fields that do not change along an axis of the nodes, 0, 1 or 2: bonds
+    summed along it, exact at all wavelengths.
 
     Raises InputError for a law in the plane, another axis, and a crystal that such fields push out
     of the plane: a mirror or a twofold turn about the normal forbids it.
@@ -440,9 +426,8 @@ def plane_stress(law: CrystalMaterial, normal: int = 2) -> CrystalMaterial:
     """The law of a thin sheet of a crystal in space, free of stress across an axis of its nodes.
 
     Its moduli are a Schur complement; at short waves it answers as that elastic solid does, for
-    what a sheet's faces do there is no property of the crystal. Bonds are those of `plane_strain`.
-
-    Raises InputError as `plane_strain` does.
+    what a sheet's faces do there is no property of the crystal. Bonds and errors are those of
+    `plane_strain`.
     """
     kept = _kept(law, normal)
     order = [*kept, normal]

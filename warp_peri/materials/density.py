@@ -38,11 +38,8 @@ DIFFERENCE = 1e-4
 
 
 def sided_gradients(points: Any, horizon: float) -> tuple[np.ndarray, np.ndarray]:
-    """Steps [B, d] and weights [2^d, B, d] of gradients by least squares over one corner each, the
-    part of the family with coordinates of given signs, or zero.
-
-    Unlike that of a whole family they vanish together for rigid fields alone.
-    """
+    """Steps [B, d] and weights [2^d, B, d] of gradients by least squares over one corner each,
+    bonds with coordinates of given signs; they vanish together for rigid fields alone."""
     d, (_, axes) = points.dimension, lattice_steps(points)
     half = half_ball(horizon / points.spacing, d)
     steps = np.concatenate([0 * half[:1], half, -half])
@@ -107,10 +104,8 @@ class DensityMaterial(Record, format="warp_peri.density"):
 
     @classmethod
     def read(cls, path: Any, energy: Energy) -> Self:
-        """The material of a file, of the energy that it was saved with.
-
-        Raises InputError for an energy of another name, and as Record.from_dict.
-        """
+        """The material of a file, of the energy that it was saved with; InputError for one of
+        another name, and as Record.from_dict."""
         made = cls.from_dict(parsed(Path(path).read_text(encoding="utf-8")))
         if (name := getattr(energy, "__name__", "")) != made.name:
             raise InputError(f"energy: the file has the parameters of {made.name!r}, got {name!r}")
@@ -159,7 +154,7 @@ class DensityOperator(Pointwise):
 
         super().__init__(nodes, material.horizon, energy, steps, weights, numbers=numbers)
         none = torch.zeros(nodes.dimension, nodes.dimension, 1, dtype=torch.float64)
-        stress, stiff = self._slope(none).abs().max(), self.stiffness().abs().max()
+        stress, stiff = self._stress(none).abs().max(), self.stiffness().abs().max()
         if not stress <= REST * stiff:
             raise InputError(
                 f"energy: expected no stress at rest, got {float(stress):.2e} of a stiffness of "
@@ -181,8 +176,7 @@ class DensityOperator(Pointwise):
         return DensityOperator(self.material.at(numbers), self.points)
 
     def max_symbol_eigenvalue(self) -> float:
-        """Twice the largest eigenvalue of the tangent at rest [stress / length²], for time steps of
-        small strain."""
+        """Twice that of the tangent at rest [stress / length²], for time steps of small strain."""
         d = self.points.dimension
         return 2 * largest(self.linear.stencil, np.eye(d, dtype=int)[None])
 
@@ -191,10 +185,8 @@ class DensityOperator(Pointwise):
         return self.linear.cheapest_inverse(SOLVES * loads, len(self.linear.stencil.steps))
 
     def solve(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
-        """Equilibrium with b on the interior, u given on the collar, [N, d] or [S, N, d].
-
-        Raises InputError for arrays that do not fit, and a sample without an equilibrium.
-        """
+        """Equilibrium with b on the interior, u given on the collar, [N, d] or [S, N, d];
+        InputError for arrays that do not fit, and a sample without an equilibrium."""
         return equilibria_of(self, b, u, solver)
 
 

@@ -1,37 +1,44 @@
 """Third-order elasticity of sheets: material, operator, uniqueness and fit (theory, N).
 
 Of sheets whose long waves are isotropic: crystals with three- or sixfold axes, as graphene. The
-linear part is a crystal; an LPS goes in by crystal_from_lps(model, spacing). With
-stresses of gradients projected to |H| ≤ ε, u ← u + L⁻¹ (b − L u) contracts in the energy norm of
-the linear part by C(ε) κ_in κ_out: C bounds Ψ″ on the ball, κ_p² the ratio of |h_p(k)|² to
-Λmin D(k) over the zone.
+linear part is a crystal; an LPS goes in by crystal_from_lps(model, spacing). With stresses of
+gradients projected to |H| ≤ ε, u ← u + L⁻¹ (b − L u) contracts in the energy norm of the linear
+part by C(ε) κ_in κ_out: C bounds Ψ″ on the ball, κ_p² the ratio of |h_p(k)|² to Λmin D(k).
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
+from scipy.optimize import root
 from scipy.special import j0
 
-from warp_peri.core.elastic import plane_isotropic
+from warp_peri.core.elastic import checked_orientation, plane_isotropic
 from warp_peri.core.pointwise import Pointwise
-from warp_peri.core.proof import largest, prove
+from warp_peri.core.proof import largest
 from warp_peri.core.record import Length, OnLinear, Stress
-from warp_peri.core.stencil import Stencil, squared
+from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, warn
+from warp_peri.fitting.long_waves import long_wave_moduli, long_wave_rows, moduli_of
+from warp_peri.fitting.regression import Settled
+from warp_peri.fitting.result import Fit
+from warp_peri.fitting.rows import load_sizes, norms, rows, swept
+from warp_peri.materials.certificate import prove_uniqueness
 from warp_peri.materials.crystal import CrystalMaterial
-from warp_peri.materials.crystal_fit import transfer_to_lattice
-from warp_peri.points.arguments import NotNegative, Positive, is_number, typed
+from warp_peri.materials.crystal_fit import Crystal, Tensors, one_set, transfer_to_lattice
+from warp_peri.points.arguments import NotNegative, is_number, typed
+from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import BondClasses, bond_classes
-from warp_peri.points.points import PointsLike, axis_of, lattice_steps, nodes_of
-from warp_peri.points.unit_names import USUAL, Units, check_same, shown_moduli, symbols
-from warp_peri.protocols import SAME_SPACING, offered, stencil_of
+from warp_peri.points.points import PointsLike, Samples, axis_of, lattice_steps, nodes_of
+from warp_peri.points.unit_names import check_same, shown_moduli
+from warp_peri.protocols import SAME_SPACING, stencil_of
 from warp_peri.solvers.equilibria import SOLVES, equilibria_of, figures_of
 from warp_peri.solvers.linear import Inverse, bonds_within
 from warp_peri.solvers.solution import Solution, Solver
@@ -48,29 +55,23 @@ CORE = 3.3
 """Components of wave vectors times R up to which smoothing leaves enough to fit an exact answer."""
 SIZE = 1e-6
 """Weight of the size of p beside relative errors."""
-DIRECTIONS = 400
-"""Intervals on which homogeneous parts of Ψ are sampled along each of two angles."""
-SLACKS = (1.001, 1.002, 1.005, 1.01, 1.02, 1.05, 1.1, 1.25, 1.5, 2.0, 4.0)
-"""Multiples of the sampled κ² that are tried, smallest first."""
-CONTRACTION = 0.999
-"""What C κ_in κ_out must stay below."""
 SAME = 1e-5
 """Relative, that a proven strain may be above that of a proof anew."""
 MEASURES = torch.tensor([[1, 0, 0, 1], [0.5, 0, 0, -0.5], [0, 0.5, 0.5, 0]], dtype=torch.float64)
 """Of E00, E01, E10 and E11 the trace t and the deviator a, b."""
+SETTLED = 1e-9
+"""Relative, of moduli that are found."""
 
 
 @typed
 @dataclass(frozen=True)
 class Smoothing:
-    """How the data were smoothed, for the filtered form.
+    """How the data were smoothed.
 
     Attributes:
-        radius: R of the cone max(0, R − r) [Å].
-        ridge: ρ of the Wiener inverse (1 + ρ) ω̂/(ω̂² + ρ); 0 is the exact inverse 1/ω̂, which
+        radius: R > 0 of the cone max(0, R − r) [Å].
+        ridge: ρ ≥ 0 of the Wiener inverse (1 + ρ) ω̂/(ω̂² + ρ); 0 is the exact inverse 1/ω̂, which
             amplifies short waves. A smaller one is closer to the data and proves less.
-
-    Raises InputError for a radius that is not > 0 or a ridge that is not ≥ 0.
     """
 
     radius: Length = 10.0
@@ -98,12 +99,9 @@ class Smoothing:
     ) -> tuple[np.ndarray, np.ndarray]:
         """p_in and p_out of the bond classes of a lattice [1/length²], each of shape [C].
 
-        Of the energy form both fit the root (N23). Of the filtered one (N6) Σ n r² p = 1, and
-        2 Σ p sin(k·ξ) ξ fits k times the inverse, or the transform, of the smoothing by least
-        squares: the Wiener inverse over all waves that the lattice has, |k_a| ≤ π/h, the exact
-        inverse and the transform over |k_a| ≤ CORE / R. Errors count as those of the gradient under
-        a unit load, which displaces by 1/|k|², and wave numbers alike, which is |k|^(−5/2) in all.
-        Of such powers it has the least residual on training loads that were held out.
+        Of the energy form both fit the root (N23) over all waves that the lattice has, |k_a| ≤ π/h.
+        Of the filtered one (N6) they fit the Wiener inverse there, the exact inverse and the
+        transform over |k_a| ≤ CORE / R.
         """
         zone = np.pi / classes.spacing
         if form == "energy":
@@ -116,12 +114,11 @@ class Smoothing:
 def fitted_weights(
     classes: BondClasses, factor: Callable[[np.ndarray], np.ndarray], reach: float
 ) -> np.ndarray:
-    """Weights p [1/Å²] whose symbol fits k factor(|k|) over the square |k_a| ≤ reach; Σ n r² p = 1.
+    """Weights p [1/Å²], Σ n r² p = 1, whose symbol 2 Σ p sin(k·ξ) ξ fits k factor(|k|) over the
+    square |k_a| ≤ reach [1/Å].
 
-    Args:
-        classes: bond classes of a lattice.
-        factor: of wave numbers [1/Å].
-        reach: [1/Å].
+    Errors count as those of the gradient under a unit load, which displaces by 1/|k|², and wave
+    numbers alike: |k|^(−5/2) has the least residual on training loads that were held out.
     """
     sigma = classes.count * classes.r**2
     member = np.eye(len(classes.r))[classes.bond_class]
@@ -132,7 +129,7 @@ def fitted_weights(
     k, number = k[some], number[some]
     slope = 2 * np.sin(k @ classes.xi.T)
     symbol = np.stack([slope @ (x[:, None] * member) for x in classes.xi.T], axis=1)
-    weight = number**-2.5  # see weights
+    weight = number**-2.5
     weight /= np.sqrt((weight**2 * number**2).mean())
     rows = [
         (symbol * weight[:, None, None]).reshape(-1, len(sigma)),
@@ -142,117 +139,6 @@ def fitted_weights(
     right = [(k * (weight * factor(number))[:, None]).ravel(), [HELD], np.zeros(len(sigma))]
     p = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0]
     return np.asarray(p / (sigma @ p))
-
-
-@dataclass(frozen=True)
-class Uniqueness:
-    """The guarantee of a nonlinear model on one lattice.
-
-    Attributes:
-        spacing: h [Å].
-        strain: ε*, largest |H| up to which solutions are proven unique; 0 where nothing is.
-        kappa_in, kappa_out: proven bounds of κ [TPa^(−1/2)].
-        curvature: the bound C(ε*) of Ψ″ [TPa].
-        largest_parts: M_d, bounds of the homogeneous parts of Ψ of degree 3 to 6 at |H| = 1 [TPa].
-        units: names of the units of length and stress.
-    """
-
-    spacing: float
-    strain: float
-    kappa_in: float
-    kappa_out: float
-    curvature: float
-    largest_parts: tuple[float, ...]
-    units: Units = USUAL
-
-    @property
-    def statement(self) -> str:
-        """What is proven, in one sentence."""
-        length = symbols(self.units)[0]
-        if not self.strain > 0:
-            return f"Nothing is proven on the lattice of spacing {self.spacing:g} {length}."
-        return (
-            f"On any finite set of nodes of the square lattice of spacing {self.spacing:g} "
-            f"{length}, with displacement given out to twice the horizon around it, for every "
-            f"load, at most one solution has |H| ≤ {self.strain:.4f} at every node within the "
-            "horizon of an unknown."
-        )
-
-    def figures(self) -> dict[str, Any]:
-        """The figures as plain values, and the statement."""
-        found = vars(self) | {"statement": self.statement}
-        return {name: found[name] for name in found if name != "units"}
-
-
-@typed
-def prove_uniqueness(model: Any, *, spacing: Positive) -> Uniqueness:
-    """Prove up to which |H| solutions on a lattice are unique: the largest that proven bounds of κ
-    [stress^(−1/2)] leave (N15).
-
-    Args:
-        model: a solid of third order.
-        spacing: h [length].
-
-    Raises InputError when the horizon is below one spacing, and for another material.
-    """
-    offered(model, "reach", "prove_uniqueness", "a solid of third order")
-    stencil, group = stencil_of(model.linear, spacing, "prove_uniqueness")
-    classes = bond_classes(spacing, model.reach)
-    p_in, p_out = model.weights(classes)
-    kappa_out = proven_kappa(stencil, group, classes, p_out)
-    kappa_in = kappa_out if p_in is p_out else proven_kappa(stencil, group, classes, p_in)
-    parts = largest_parts(model)
-    kappas, strain, high = (kappa_in, kappa_out), 0.0, 1.0
-    for _ in range(60):
-        middle = (strain + high) / 2
-        small = curvature_bound(parts, middle) * kappa_in * kappa_out < CONTRACTION
-        strain, high = (middle, high) if small else (strain, middle)
-    bound = curvature_bound(parts, strain)
-    return Uniqueness(stencil.spacing, strain, *kappas, bound, tuple(parts), model.units)
-
-
-def curvature_bound(parts: Sequence[float], strain: float) -> float:
-    """C(ε) = Σ_d d (d − 1) M_d ε^(d−2) [TPa], (N16): no eigenvalue of Ψ″ is larger in |H| ≤ ε."""
-    return float(sum(d * (d - 1) * m * strain ** (d - 2) for d, m in enumerate(parts, start=3)))
-
-
-def largest_parts(model: Any) -> list[float]:
-    """M_d ≥ max |Ψ_d| over |H| = 1 of the parts of degree d = 3, 4, 5, 6 of Ψ [TPa], (N17).
-
-    Ψ_d depends on t, |q|, ω and, through q3, on the phase of q, which is put where it is worst. A
-    polynomial of degree d on the sphere, sampled at a distance of η at most, is nowhere larger than
-    its largest sample over cos dη (M. Riesz).
-    """
-    a, b = np.meshgrid(np.linspace(0, np.pi, DIRECTIONS + 1), np.linspace(0, np.pi / 2, DIRECTIONS))
-    t, side = np.sqrt(2) * np.cos(a), np.sin(a) / np.sqrt(2)
-    q, w = side * np.cos(b), side * np.sin(b)
-    reach = np.pi / DIRECTIONS / np.sqrt(2)  # of the nearest sample, from any point
-    s = np.exp(2j * np.pi * np.arange(8) / 8)[:, None, None]  # sizes of H, whose powers FFTs tell
-    m = 1 + s * t + s**2 * (t**2 / 4 + w**2)
-    e, shear = m - 1 + s**2 * q**2, s**2 * q**2 * m
-    lam, mu, t3, tq2, q3 = model.numbers
-    psi = (lam + mu) / 2 * e**2 + 2 * mu * shear + t3 * e**3 + tq2 * e * shear
-    smooth, size, parts = np.fft.fft(psi, axis=0).real / 8, np.hypot(t / 2, w), []
-    for d, binomial in enumerate((1, 3, 3, 1), start=3):
-        worst = np.abs(smooth[d]) + abs(q3) * binomial * q**3 * size ** (d - 3)
-        parts.append(float(worst.max() / np.cos(d * reach)))
-    return parts
-
-
-def proven_kappa(stencil: Stencil, group: np.ndarray, classes: BondClasses, p: np.ndarray) -> float:
-    """A proven upper bound of κ_p [stress^(−1/2)]; infinite when none was found (N14).
-
-    Args:
-        stencil: of the linear solid, certified.
-        group: integer matrices under which it is invariant, shape [g, d, d].
-        classes: bond classes of the gradient's family.
-        p: its weights by class [1/length²], Σ n r² p = 1.
-    """
-    d = stencil.dimension
-    gradient = d * p[classes.bond_class, None] * classes.xi
-    weight = squared(stencil.spacing, classes.steps, gradient)
-    proven = prove(stencil, group, weight, tuple(1 / slack for slack in SLACKS)).proven
-    return float(1 / np.sqrt(proven)) if proven > 0 else float(np.inf)
 
 
 @lru_cache(maxsize=64)
@@ -285,21 +171,19 @@ def gradient_stencil(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
-    """A law of micromodulus tensors and the energy Ψ of a displacement gradient (N1–N6, N22).
+    """A crystal and the energy Ψ of a displacement gradient (N1–N6, N22).
 
     Attributes:
-        linear: the tensors, which are the tangent at zero; the λ and μ of their long waves are
-            those of Ψ.
+        linear: the tangent at zero; the λ and μ of its long waves are those of Ψ.
         t3, tq2, q3: third-order elastic constants [stress], q3 in the frame of the crystal, whose
             zigzag direction the points state (Points.axis).
         smoothing: of the data, where the weights of the gradient undo it.
         form: "filtered", or "energy", whose tangent is symmetric.
         reach: horizon of the gradient [length].
-        proven: figures of the guarantee of uniqueness on the spacing of the law.
+        proven: figures of Uniqueness on the spacing of the law.
         provenance: of the data and the fit; plain JSON values.
 
-    Raises InputError for numbers that are none, a law in space, and moduli of long waves that are
-    not isotropic, which Ψ is not made for.
+    Raises InputError for a law in space, and moduli of long waves that are not isotropic.
     """
 
     linear: CrystalMaterial
@@ -356,16 +240,14 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
     ) -> PlacedThirdOrder:
         """The law on a lattice, for its spacing: tensors transferred, proven anew.
 
-        Constants, smoothing and reach belong to the material and go along; the weights follow the
-        lattice.
-
         Args:
-            points: as of PlacedThirdOrder.
+            points: a lattice with a collar as wide as the linear part needs and twice the
+                gradient's horizon; their axis is that of the crystal, x where none is stated.
             transfer: False refuses lattices that the material itself is not certified on.
             allow_uncertified: take tensors that hold no certificate, with a warning.
 
-        Raises InputError for other units, scattered points, tensors without a certificate, and as
-        PlacedThirdOrder.
+        Raises InputError for other units, nodes without the collar, scattered points, and tensors
+        without a certificate.
         """
         nodes, here = nodes_of(points), self
         check_same(self.units, nodes.units)
@@ -427,16 +309,7 @@ def _transferred(law: ThirdOrderMaterial, spacing: float) -> ThirdOrderMaterial:
 
 
 class PlacedThirdOrder(Pointwise):
-    """Minus the internal force density of a solid of third order; b in equilibrium.
-
-    Args:
-        model: the solid, for the spacing of the points.
-        points: a lattice, whose interior has a collar as wide as the linear part needs and twice
-            the gradient's horizon; their axis is that of the crystal, x where none is stated, which
-            is said once.
-
-    Raises InputError for nodes without the collar.
-    """
+    """A solid of third order on a lattice of its spacing; as Pointwise."""
 
     def __init__(self, model: ThirdOrderMaterial, points: PointsLike) -> None:
         self.model, nodes = model, nodes_of(points)
@@ -461,9 +334,8 @@ class PlacedThirdOrder(Pointwise):
         return PlacedThirdOrder(replace(self.model, **own, proven={}), self.points)
 
     def energy(self, u: ArrayLike) -> np.ndarray | None:
-        """Of the linear part, and h² Σ Ψ(H) [stress · length²], shape [...], up to what the collar
-        alone has: its derivative to the interior displacement is h² L u (N1, N24). None of the
-        filtered form."""
+        """Of the linear part and h² Σ Ψ(H) [stress · length²], shape [...], up to what the collar
+        alone has (N1, N24); None of the filtered form."""
         own = super().energy(u)
         return None if own is None else np.asarray(own + self.straight.energy(u))
 
@@ -473,10 +345,7 @@ class PlacedThirdOrder(Pointwise):
 
     def max_symbol_eigenvalue(self) -> float:
         """A bound on the eigenvalues of the tangent [stress / length²] up to the proven strain, for
-        time steps: twice that of the linear part (N15).
-
-        Raises InputError for the filtered form, which has no energy that a motion could keep.
-        """
+        time steps: twice that of the linear part (N15). InputError for the filtered form."""
         if self.model.form != "energy":
             raise InputError(
                 "simulate: expected form='energy', got 'filtered', whose force is no gradient: its "
@@ -495,18 +364,150 @@ class PlacedThirdOrder(Pointwise):
         return figures_of(solution.details)
 
     def solve(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
-        """Equilibrium with b on the interior, u given on the collar.
-
-        Args:
-            b: body force density [stress/length], [N, 2] or [S, N, 2]; only interior values count.
-            u: displacement [length], same shape; only collar values count.
-            solver: Newton(…).
+        """Equilibrium with b [stress/length] on the interior, u given on the collar, [N, 2] or
+        [S, N, 2], by Newton(…); its details are one NonlinearRecord for each sample.
 
         A UserWarning says where |H| exceeds the proven strain, so that another solution is not
-        ruled out. The details of the solution are one NonlinearRecord for each sample.
-
-        Raises InputError for arrays that do not fit, and a sample for which no equilibrium was
-        found.
+        ruled out. Raises InputError for arrays that do not fit, and where no equilibrium is found.
         """
         proven = self.model.proven_strain(self.points.spacing)
         return equilibria_of(self, b, u, solver, proven)
+
+
+@typed
+@dataclass(frozen=True)
+class ThirdOrder:
+    """A crystal with third-order elastic constants t3, tq2, q3 (theory, N1–N6, N22–N29).
+
+    Attributes:
+        linear: Crystal(…), whose tensors are learned with the constants by one least squares;
+            its "auto" symmetry is "isotropic" here. "long waves" holds the moduli with which no
+            long wave is left of the loads (N29).
+        smoothing: of the data, which the weights of the gradient undo.
+        form: "filtered", closer to the data, or "energy", whose force has an energy and can move.
+
+    The samples' points state the direction of the crystal (Points.axis). An LPS goes in by
+    ThirdOrderMaterial(crystal_from_lps(model, spacing), …). `fit` raises InputError where no moduli
+    are held.
+
+    >>> law = wp.ThirdOrder(wp.Crystal(10.0), wp.methods.Smoothing(10.0, 0.2), "energy")
+    >>> wp.fit(samples, law).material.proven_strain(5.0) > 0
+    True
+    """
+
+    linear: Crystal
+    smoothing: Smoothing
+    form: Literal["filtered", "energy"] = "filtered"
+
+    def learn(
+        self, samples: Samples | Dataset | Sequence[Samples], *, progress: bool | None = None
+    ) -> Fit:
+        """The fit by one least squares (N28–N29); each sample counts by 1/‖b‖.
+
+        Its errors have the mean relative residual on the training samples, E_res, and its history
+        the largest |H| of these, which a UserWarning says to be beyond the proven strain. Raises
+        InputError for samples that do not carry twice the horizon, do not determine the law, or
+        have no load.
+        """
+        begin, (asked, smoothing) = time.perf_counter(), (self.linear, self.smoothing)
+        if asked.moduli is None:
+            raise InputError("moduli: expected some that are held, beside third-order constants")
+        given = one_set(samples)
+        horizon, h = asked.horizon, given.spacing
+        if given.points.dimension != 2:
+            raise InputError("samples: expected a sheet; in space LPS and Crystal are learned")
+        turn = np.eye(2)
+        if asked.orientation is not None:
+            turn = lattice_steps(given)[1].T @ checked_orientation(asked.orientation, 2)
+        auto = isinstance(asked.symmetry, str) and asked.symmetry == "auto"
+        tensors = Tensors(h, horizon, "isotropic" if auto else asked.symmetry, turn)
+        weights = smoothing.weights(bond_classes(h, horizon), self.form)
+        moduli, misfit = asked.held_moduli(turn), None
+        learning = Learning(given, tensors, nonlinear_features(given, horizon, weights))
+        if moduli is None:
+            moduli, misfit = learning.found_moduli()
+        found, _ = learning.at(moduli)
+        linear = tensors.crystal(found, given.points.units, {})
+        t3, tq2, q3 = found.p[0][len(tensors.bonds.basis) :]
+        record = {"from": "fields", "loss": found.loss, "long_wave_misfit": misfit}
+        record |= {"cuts": found.cuts, "numbers": len(found.p[0])}
+        law = ThirdOrderMaterial(
+            linear, t3, tq2, q3, smoothing, self.form, float(horizon), provenance={"fit": record}
+        ).certified()
+        operator = PlacedThirdOrder(law, given.points)
+        b = given.loads[:, given.interior]
+        wrong = float((norms(operator(given.u) - b) / learning.size).mean())
+        largest = float(operator.largest_gradient(given.u).max())
+        if largest > (proven := law.proven_strain(law.spacing)):
+            warn(
+                f"strain: solutions are proven unique up to |H| = {proven:.2%}, the training data "
+                f"reach {largest:.2%}; a larger ridge of the smoothing than {smoothing.ridge:g} "
+                "may prove more"
+            )
+        history = record | {"largest_gradient": largest, "seconds": time.perf_counter() - begin}
+        return Fit(law, linear.certificate, {"E_res": wrong}, history)
+
+
+def nonlinear_features(
+    points: Samples, horizon: float, weights: tuple[np.ndarray, np.ndarray]
+) -> np.ndarray:
+    """The force of t3, tq2, q3, λ and μ of Ψ, each at 1, along the nodes' axes, [S, I, 2, 5]."""
+    (steps, into), (_, out) = (gradient_stencil(points, horizon, p) for p in weights)
+    energy, none = partial(energy_density, axis=axis_of(points)), np.zeros((2, 2, 2))
+    numbers, columns = dict.fromkeys((*CUBIC, "lam", "mu"), 0.0), []
+    operator = Pointwise(
+        points, horizon, energy, steps, into, back=out, numbers=numbers,
+        stencil=Stencil(points.spacing, np.eye(2, dtype=int), none),
+    )  # fmt: skip
+    for name in numbers:
+        operator.take(numbers | {name: 1.0})
+        columns.append(operator.force(points.u) @ lattice_steps(points)[1])
+    return np.stack(columns, axis=-1)
+
+
+class Learning:
+    """The regression of tensors with columns of t3, tq2, q3, and of λ and μ in Ψ, whose forces
+    along the nodes' axes are `extra` [S, I, 2, 5]."""
+
+    def __init__(self, samples: Samples, tensors: Tensors, extra: np.ndarray) -> None:
+        self.samples, self.tensors, self.extra = samples, tensors, extra
+        self.size = load_sizes(samples)
+        if not (self.size > 0).all():
+            raise InputError(f"b: expected loads, got none on sample {int(np.argmin(self.size))}")
+        self.R, self.y = rows(samples, tensors.bonds, weight=1 / self.size, extra=extra)
+        if len(self.R) < self.R.shape[1]:
+            raise InputError(
+                f"data: expected enough to tell {self.R.shape[1]} numbers apart; give more loads"
+            )
+
+    def at(self, tensor: np.ndarray) -> tuple[Settled, np.ndarray]:
+        """The fit with some moduli, and the numbers that belong to all columns."""
+        lame = np.array([tensor[0, 0, 1, 1], tensor[0, 1, 0, 1]])  # Ψ has those of the tensors
+        y = self.y - self.R[:, -2:] @ lame
+        found = self.tensors.fitted(self.R[:, :-2], y, tensor)
+        return found, np.concatenate([found.p[0], lame])
+
+    def found_moduli(self) -> tuple[np.ndarray, float]:
+        """The moduli with which what the law leaves of the loads has no long waves (N29)."""
+        allowed, samples = self.tensors.allowed, self.samples
+        values, kept, moments = long_wave_rows(samples, allowed, 0)
+        place, seen, load = (np.cumsum(samples.interior) - 1)[kept], [], []
+        for _, F, b in swept(samples, self.tensors.bonds, self.extra):
+            seen.append(np.einsum("vn,snka->svka", values, F[:, place], optimize=True))
+            load.append(np.einsum("vn,snk->svk", values, b[:, place], optimize=True))
+        weight = 1 / self.size[:, None, None, None]
+        long, right = np.concatenate(seen) * weight, np.concatenate(load) * weight[..., 0]
+        own = long[..., -2:] @ np.array([[C[0, 0, 1, 1], C[0, 1, 0, 1]] for C in allowed]).T
+        R = np.concatenate([moments * weight + own, long[..., -5:-2]], axis=-1)
+
+        def left(c: np.ndarray) -> np.ndarray:
+            return np.asarray(right - long @ self.at(np.tensordot(c, allowed, 1))[1])
+
+        def change(c: np.ndarray) -> np.ndarray:
+            return moduli_of(R, left(c))[0][: len(c)]
+
+        guess = long_wave_moduli(samples, allowed)[0]
+        start = np.linalg.lstsq(allowed.reshape(len(allowed), -1).T, guess.ravel())[0]
+        c = root(change, start, tol=SETTLED).x
+        misfit = np.linalg.norm(left(c)) / np.linalg.norm(right)
+        return np.tensordot(c, allowed, 1), float(misfit)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
-from warp_peri.materials.third_order import curvature_bound
+from warp_peri.materials.certificate import curvature_bound
 from warp_peri.points.arguments import typed, typed_methods
 from warp_peri.points.points import PointsLike, lattice_steps, nodes_of
 from warp_peri.points.unit_names import symbols

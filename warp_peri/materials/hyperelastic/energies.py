@@ -219,7 +219,7 @@ class Hyperelastic:
 
     def __len__(self) -> int:
         """Number of coefficients."""
-        return self.classes * len(self.bonds) + len(self.deviations) + len(self.terms)
+        return self.first_term + len(self.terms)
 
     @property
     def classes(self) -> int:
@@ -228,12 +228,12 @@ class Hyperelastic:
 
     @property
     def first_deviation(self) -> int:
-        """Place of the first deviation in the vector of coefficients."""
+        """Place of the first deviation among the coefficients."""
         return self.classes * len(self.bonds)
 
     @property
     def first_term(self) -> int:
-        """Place of the first strain energy in the vector of coefficients."""
+        """Place of the first strain energy among them."""
         return self.first_deviation + len(self.deviations)
 
     @property
@@ -275,8 +275,7 @@ class Hyperelastic:
         return torch.stack([e.density(sees, e.angle, e.exponent) for e, sees in own])
 
     def learn(self, samples: Samples, **options: Any) -> Any:
-        """An EnergyFit by fit_energy where there are loads, else a DisplacementFit by
-        fit_displacement; options and errors are theirs."""
+        """As fit_energy where there are loads, else as fit_displacement."""
         if samples.b is None:
             learned: Any = hyperelastic.from_displacement.fit_displacement
         else:
@@ -290,10 +289,10 @@ class Hyperelastic:
         return replace(self, terms=tuple(terms))
 
 
-def strain_weights(reach: float, order: int, *, locality: float = 16.0) -> np.ndarray:
+def strain_weights(reach: float, order: int) -> np.ndarray:
     """Weights w of E11, E22 and 2 E12 (H3) on a lattice of spacing one, shape [C, 3].
 
-    Least Σ w² |ξ|^(4 + locality) among those exact for the second moments, and with vanishing
+    Least Σ w² |ξ|^20 among those exact for the second moments, and with vanishing
     fourth moments for order 4. Raises InputError where the family is too small for the order.
     """
     x, y = half_family(reach).T.astype(float)
@@ -302,7 +301,7 @@ def strain_weights(reach: float, order: int, *, locality: float = 16.0) -> np.nd
         powers += [(n, 4 - n) for n in range(5)]
     moments = np.array([2 * x**a * y**b for a, b in powers])
     target = np.eye(len(powers))[:, :3]
-    scale = (x**2 + y**2) ** (-(4 + locality) / 4)
+    scale = (x**2 + y**2) ** -5.0
     scaled, *_ = np.linalg.lstsq(moments * scale, target, rcond=1e-10)
     weights = np.asarray(scale[:, None] * scaled)
     if np.abs(moments @ weights - target).max() > 1e-8:

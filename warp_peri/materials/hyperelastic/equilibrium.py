@@ -1,17 +1,25 @@
-"""Equilibria of sheets: what the one driver asks of them, and how stable they are."""
+"""A sheet's lattice, what energies see of its bonds, and equilibria there.
+
+All that an energy sees is linear in e = |ξ|² s, (H2), of the bonds around a site: q = S e.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache, cached_property, partial
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import LinearOperator, eigsh
+import torch
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
-from warp_peri.errors import warn
-from warp_peri.materials.hyperelastic.lattice import softest
+from warp_peri.errors import InputError, warn
+from warp_peri.materials.hyperelastic.energies import half_family, strain_weights
 from warp_peri.points.arguments import checked_fields
+from warp_peri.points.families import neighbour_table
+from warp_peri.points.points import Points, straight_steps
 from warp_peri.solvers.direct import lanczos_start, smallest_eigenvalue
 from warp_peri.solvers.equilibria import Inner, direction, stable_way
 
@@ -23,6 +31,229 @@ SMALLEST_AREA = 0.02
 """Of the nodal strain, det C: below it a solve treats a field as folded."""
 TOLERANCE = 1e-8
 """Of the residual, relative to the largest force."""
+SHORT_REACH = 2**0.5
+"""Horizon of the short strain in spacings, (H4)."""
+CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
+"""Sides of the bonds along both axes that a corner of a cell has, (H19)."""
+AXIS_TOLERANCE = 1e-3
+"""Degrees between the stated axis and that of the lattice."""
+SHIFTS = 1e-3 * 4.0 ** np.arange(12)
+"""Of the largest entry of the diagonal, added to all until a tangent is positive definite."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sites:
+    """The n places where energies act that see the same, Q numbers of each.
+
+    Attributes:
+        S: of q = S e [1/length²], rows of one number after the other, shape [Q n, pairs].
+        pair: the site, and the node that shares its energy or the site again, shape [2, n].
+        corner: whether it is one of the four corners at a node, which share an energy.
+    """
+
+    S: sp.csr_array
+    pair: np.ndarray
+    corner: bool
+
+    @cached_property
+    def blocks(self) -> sp.bsr_array:
+        """S with the rows of each site together, as blocks [Q, 1]."""
+        count = self.pair.shape[1]
+        order = np.arange(self.S.shape[0]).reshape(-1, count).T
+        return self.S[order.ravel()].tobsr((order.shape[1], 1))
+
+    def seen(self, e: np.ndarray) -> torch.Tensor:
+        """q of bonds [pairs, S], shape [Q, n, S]."""
+        return torch.from_numpy((self.S @ e).reshape(-1, self.pair.shape[1], e.shape[1]))
+
+    def pull(self, stress: torch.Tensor) -> np.ndarray:
+        """What stresses [Q, n, S] pull at the bonds, over ξ + η, [pairs, S]."""
+        return np.asarray(self.S.T @ stress.flatten(0, 1).numpy())
+
+
+class SheetLattice:
+    """Families of `reach` spacings on the nodes of a square lattice, bonds ξ and −ξ of one class.
+
+    Directions of the solid are told from an axis of the lattice: that along the points' axis where
+    it is stated, else the one at most 45° from x.
+
+    Attributes:
+        interior: numbers of the interior nodes, shape [I].
+        grid: place of every node in lattice steps, shape [N, 2].
+        steps: bond vectors in lattice steps, those of the half family first, shape [2 C, 2].
+        neighbour: far end of every bond, −1 where there is none, shape [N, 2 C].
+        pairs: every bond once: its ends i and j, shape [2, pairs].
+        kind, xi: class and vector [length] of each, shapes [pairs] and [pairs, 2].
+        number: which pair every bond is, shape [N, 2 C].
+        ends: 1 at a pair's end and −1 at its beginning, shape [N, pairs].
+
+    Raises InputError for scattered points, an axis beside those of the lattice, or where an
+    interior node does not keep 2δ from the edge.
+    """
+
+    def __init__(self, points: Points, reach: float) -> None:
+        self.points, self.reach, self.spacing = points, reach, points.spacing
+        if not points.spacing > 0:
+            raise InputError("points: expected a lattice (spacing > 0), got scattered points")
+        if points.box is not None or points.outside is not None:
+            raise InputError("points: expected neither a box nor nodes outside of the body")
+        grid, axes = straight_steps(points.x, points.spacing)
+        if points.axis is not None:
+            own = float(np.rad2deg(np.arctan2(axes[1, 0], axes[0, 0])))
+            quarters = round((points.axis - own) / 90)
+            if abs(points.axis - own - 90 * quarters) > AXIS_TOLERANCE:
+                raise InputError(
+                    "axis: directions of a hyperelastic solid are told from an axis of the lattice;"
+                    f" expected none, or {own:.4g}° and quarter turns from it, got {points.axis:g}°"
+                )
+            turn = np.linalg.matrix_power(np.array([[0, -1], [1, 0]]), quarters % 4)
+            grid, axes = grid @ turn, axes @ turn
+        half = half_family(reach)
+        self.grid, self.steps = grid, np.concatenate([half, -half])
+        self.neighbour = neighbour_table(grid, self.steps)
+        self.interior = np.flatnonzero(points.interior)
+        far = self.neighbour[points.interior]
+        if not ((far >= 0).all() and (self.neighbour[far] >= 0).all()):
+            raise InputError(
+                "points: interior nodes need complete families out to twice the horizon"
+            )
+        ahead, behind = np.split(self.neighbour, 2, axis=1)
+        i, self.kind = np.nonzero(ahead >= 0)
+        self.pairs = np.stack([i, ahead[i, self.kind]])
+        number = np.cumsum(ahead >= 0).reshape(ahead.shape) - 1
+        self.number = np.concatenate([number, number[behind, np.arange(len(half))]], axis=1)
+        signs, numbers = np.repeat([-1.0, 1.0], len(i)), np.tile(np.arange(len(i)), 2)
+        self.ends = sp.csr_array((signs, (self.pairs.ravel(), numbers)))
+        self.xi = points.spacing * half[self.kind] @ axes.T
+        self.sites = cache(self._sites)
+
+    def differences(self, u: np.ndarray) -> np.ndarray:
+        """η = u_j − u_i of fields [S, N, 2], shape [pairs, 2, S]."""
+        (i, j), u = self.pairs, np.ascontiguousarray(u.transpose(1, 2, 0))
+        return np.asarray(np.take(u, j, axis=0) - np.take(u, i, axis=0))
+
+    def stretched(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Bonds ξ + η as they are now, [pairs, 2, S], and e = ξ·η + ½ η·η, [pairs, S]."""
+        eta, xi = self.differences(u), self.xi[..., None]
+        return xi + eta, ((xi + eta / 2) * eta).sum(axis=1)
+
+    def at_ends(self, pull: np.ndarray) -> np.ndarray:
+        """What pulls of the bonds [pairs, 2, S] come to at the nodes, [S, N, 2]."""
+        flat = self.ends @ pull.reshape(len(pull), -1)
+        return np.asarray(flat.reshape(-1, *pull.shape[1:]).transpose(2, 0, 1))
+
+    def _sites(self, kind: str = "strain", *of: int) -> Sites:
+        """Where strains, bonds, deviations or corners are.
+
+        Those that the interior does not move are left out, but strains: far out in the collar a
+        field may be folded, and its energy no number.
+        """
+        inside, number = self.points.interior, self.number
+        one = sp.eye_array(len(self.kind), format="csr")  # its rows are bonds
+        if kind == "strain":
+            strains, whole, _ = self._strains(self.reach, 4)
+            own = other = np.flatnonzero(whole)
+            rows = [E[own] for E in strains]
+        elif kind == "corner":
+            p, q = of
+            along, across, third = map(self.steps.tolist().index, ([p, 0], [0, q], [-p, q]))
+            near = self.neighbour[:, [along, across]]
+            moves = inside | inside[near].any(axis=1)
+            own = other = np.flatnonzero((near >= 0).all(axis=1) & moves)
+            x, y = one[number[own, along]], one[number[own, across]]
+            rows = [x, y, p * q * (x + y - one[number[near[own, 0], third]])]
+        elif kind == "bond":
+            chosen = np.flatnonzero((self.kind == of[0]) & inside[self.pairs].any(axis=0))
+            own, other = self.pairs[:, chosen]
+            rows = [one[chosen] / (self.steps[of] ** 2).sum()]
+        else:
+            step = np.array(of)
+            strains, whole, moves = self._strains(SHORT_REACH, 2)
+            (x, y), length = step, step @ step
+            mean = (x * x * strains[0] + y * y * strains[1] + x * y * strains[2]) / length
+            known = whole[self.pairs].all(axis=0) & moves[self.pairs].any(axis=0)
+            chosen = np.flatnonzero(known & (self.steps[self.kind] == step).all(axis=1))
+            own, other = self.pairs[:, chosen]
+            rows = [2 * one[chosen] / length, mean[own] + mean[other]]
+        S = sp.csr_array(sp.vstack(rows) / self.spacing**2)
+        return Sites(S, np.stack([own, other]), kind == "corner")
+
+    def _strains(self, reach: float, order: int) -> tuple[list[Any], Any, Any]:
+        """Nodal strains by bonds [N, pairs]; where whole, and moved by the interior, [N]."""
+        w, inside = strain_weights(reach, order), self.points.interior
+        short, C = len(w), len(self.steps) // 2
+        family = self.neighbour[:, [*range(short), *range(C, C + short)]]
+        of_bond, both = np.pad(w, ((0, C - short), (0, 0)))[self.kind], abs(self.ends)
+        strains = [both @ sp.diags_array(one) for one in of_bond.T]
+        return strains, (family >= 0).all(axis=1), inside | inside[family].any(axis=1)
+
+    @cached_property
+    def laplacian(self) -> sp.csr_array:
+        """Of five points, on the interior, shape [I, N]."""
+        near = self.ends[:, (self.steps[self.kind] ** 2).sum(axis=1) == 1]
+        return sp.csr_array(near @ near.T)[self.interior] / self.spacing**2
+
+    @cached_property
+    def laplace(self) -> Any:
+        """The inverse of the Laplacian between interior nodes."""
+        return splu(self.laplacian[:, self.interior].tocsc()).solve
+
+    @cached_property
+    def softest(self) -> float:
+        """The smallest eigenvalue of that Laplacian [1 / length²]."""
+        return softest(len(self.interior), self.laplace, 1e-4)
+
+    def lift(self, u: np.ndarray) -> np.ndarray:
+        """u [N, 2] with its interior replaced by the harmonic extension of the collar."""
+        lifted = np.where(self.points.interior[:, None], 0.0, u)
+        lifted[self.interior] = self.laplace(-(self.laplacian @ lifted))
+        return lifted
+
+    @cached_property
+    def order(self) -> np.ndarray:
+        """Of the interior nodes in a band that is narrow, by lines along the shorter side."""
+        inner = self.grid[self.interior]
+        shorter = int(np.argmin(np.ptp(inner, axis=0)))
+        return np.lexsort((inner[:, shorter], inner[:, 1 - shorter]))
+
+    def factors(self, K: sp.bsr_array, shifts: bool = False) -> tuple[Inner | None, bool]:
+        """The inverse of a tangent where it is positive definite, and whether it is; with shifts
+        that of it and a multiple of one that is enough."""
+        place = np.argsort(self.order)
+        row, col = np.repeat(place, np.diff(K.indptr)), place[K.indices]
+        low = row >= col
+        (row, col), blocks = 2 * np.stack([row, col])[:, low], K.data[low]
+        band = np.zeros(((row - col).max() + 2, K.shape[0]), order="F")
+        for a, b in np.ndindex(2, 2):
+            i, j = row + a, col + b  # of blocks on the diagonal above it, too
+            band[np.abs(i - j), np.minimum(i, j)] = blocks[:, a, b]
+        order = (2 * self.order[:, None] + [0, 1]).ravel()
+        diagonal = band[0].copy()
+        for shift in (0.0, *SHIFTS) if shifts else (0.0,):
+            band[0] = diagonal + shift * np.abs(diagonal).max()
+            try:
+                factors = cholesky_banded(band, lower=True)
+            except (np.linalg.LinAlgError, ValueError):  # not definite, or no numbers
+                continue
+            return partial(_solve, factors, order), shift == 0
+        return None, False
+
+
+def _solve(factors: np.ndarray, order: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """K⁻¹ y of a band of factors, its unknowns in an order; y as fields [I, 2] or [2 I, ...]."""
+    x = np.empty((len(order), y.size // len(order)))
+    flat = y.reshape(x.shape)[order]
+    x[order] = cho_solve_banded((factors, True), flat, check_finite=False)
+    return x.reshape(y.shape)
+
+
+def softest(size: int, inverse: Inner, tolerance: float) -> float:
+    """The smallest eigenvalue of what is positive, by its inverse."""
+    if size <= 2:
+        return 1 / float(np.linalg.eigvalsh(inverse(np.eye(size)))[-1])
+    ends = {"v0": lanczos_start(size), "return_eigenvectors": False, "tol": tolerance}
+    K = LinearOperator((size, size), inverse, dtype=float)
+    return 1 / float(eigsh(K, 1, which="LA", **ends)[0])
 
 
 class NoEquilibriumError(RuntimeError):
@@ -56,10 +287,8 @@ class Equilibrium:
 def stable_equilibrium(
     op: Any, b: np.ndarray | None, u: np.ndarray, tolerance: float = TOLERANCE
 ) -> Equilibrium:
-    """As find_equilibrium, with the smallest eigenvalue, above zero.
-
-    Warns where the answer is not followed from rest. Raises NoEquilibriumError where there is none.
-    """
+    """As find_equilibrium, with the smallest eigenvalue, above zero; NoEquilibriumError where there
+    is none, a warning where the answer is not followed from rest."""
     equilibrium = find_equilibrium(op, b, u, tolerance=tolerance)
     if equilibrium is None:
         raise NoEquilibriumError("no stable equilibrium found on the way to all of load and collar")
@@ -170,8 +399,7 @@ class Sheet:
         return float(self.op.nodal_energy(u).sum() - (self.load * u[self.op.interior]).sum())
 
     def folds(self, u: np.ndarray) -> float:
-        """Corners that are turned over, which their energies, functions of C, do not see; infinite
-        where the nodal strain folds."""
+        """Corners that are turned over, unseen by functions of C; infinite where strain folds."""
         return self.op.folded(u) if self.op.smallest_area(u) > SMALLEST_AREA else np.inf
 
     def jvp(self, u: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -189,10 +417,8 @@ class Sheet:
         return self.op.lattice.laplace if 2 * len(self.op.interior) > DIRECT else None
 
     def too_small(self) -> float:
-        """Times by which load and collar must grow for strains that rounding leaves; or 1.
-
-        Below, what answers them is in proportion: strains are differences of products near one.
-        """
+        """Times by which load and collar must grow for strains that rounding leaves; or 1. Below,
+        what answers them is in proportion."""
         spacing, rest = self.op.points.spacing, np.zeros_like(self.collar)
         strain = float(np.ptp(self.begin(), axis=0).max()) / spacing
         if self.load.any() and strain < LINEAR / 2:

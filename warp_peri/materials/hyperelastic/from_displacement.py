@@ -14,20 +14,22 @@ from warp_peri.errors import InputError, warn
 from warp_peri.fitting.rows import compressed
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.energy_fit import (
+    ThicknessField,
     between,
     columns,
     equations,
+    fibre_numbers,
+    fibres_of,
     lower_bounds,
     sheet_on,
+    with_numbers,
 )
 from warp_peri.materials.hyperelastic.equilibrium import (
     SMALLEST_AREA,
     NoEquilibriumError,
     find_equilibrium,
 )
-from warp_peri.materials.hyperelastic.fibres import fibre_numbers, fibres_of, with_numbers
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
-from warp_peri.materials.hyperelastic.thickness import ThicknessField
 from warp_peri.points.arguments import Count, NotNegative, Share, typed, typed_methods
 from warp_peri.points.points import PULL, Points, Samples, seen_of
 

@@ -19,12 +19,14 @@ from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.errors import InputError, warn
 from warp_peri.materials.hyperelastic.energies import Energy, Hyperelastic, Strain, read
 from warp_peri.materials.hyperelastic.equilibrium import (
+    CORNERS,
     DIRECT,
     NoEquilibriumError,
+    SheetLattice,
+    Sites,
     find_equilibrium,
     stable_equilibrium,
 )
-from warp_peri.materials.hyperelastic.lattice import CORNERS, SheetLattice, Sites
 from warp_peri.points.arguments import checked, checked_fields, plain, typed
 from warp_peri.points.points import PointsLike, Samples, nodes_of, seen_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, shown_moduli, symbols
@@ -113,15 +115,12 @@ Active = list[tuple[Sites, list[Energy]]]
 
 
 class HyperelasticSheetOperator(Swept):
-    """A solid on a lattice.
+    """A solid on a lattice; forces are per volume of the reference, (H8), of a thickness of one.
 
     Args:
         model: the solid.
         points: a lattice whose interior has the 2δ collar.
         thickness: of every node, > 0, shape [N]; an even sheet where none is given, (H18).
-
-    Displacements have shape [..., N, 2]. Forces are per volume of the reference, (H8), of a sheet
-    of thickness one.
 
     Raises InputError for points that are no lattice, in other units, or whose collar is too narrow,
     and a thickness that is none.
@@ -269,16 +268,26 @@ class HyperelasticSheetOperator(Swept):
         return self._product(u, self.on_all(w))
 
     def _tangent(self, u: np.ndarray) -> sp.bsr_array:
-        """The derivative of the force at a field, between interior nodes, blocks [2, 2]."""
+        """The derivative of the force at a field between interior nodes (H10), blocks [2, 2]."""
         Y, e = self.lattice.stretched(plain("u", u)[None])
+        inner = self.lattice.ends[self.interior]
+        far = inner.T.tocsr()  # ∂e/∂u = Y·(v_j − v_i)
+        pulls = far.data[:, None, None] * np.repeat(Y[:, None, :, 0], np.diff(far.indptr), axis=0)
+        by_u = sp.bsr_array((pulls, far.indices, far.indptr), (len(Y), 2 * len(self.interior)))
         tension, curved = np.zeros_like(e), []
         with torch.enable_grad(), one_thread(3 * len(self.points.x) < FEW):
             for sites, each in self.active:
                 stress = self._slope(sites, each, q := sites.seen(e), graph=True)
                 tension += sites.pull(stress.detach())
                 rows = [torch.autograd.grad(s.sum(), q, retain_graph=True)[0] for s in stress]
-                curved.append((sites, torch.stack(rows)[..., 0].permute(2, 0, 1).numpy()))
-        return self.lattice.tangent(Y[..., 0], tension[:, 0], curved)
+                H, at = (
+                    torch.stack(rows)[..., 0].permute(2, 0, 1).numpy(),
+                    np.arange(q.shape[1] + 1),
+                )
+                B = sites.blocks @ by_u
+                curved.append(B.T @ (sp.bsr_array((H, at[:-1], at)) @ B))
+        turned = inner @ sp.diags_array(tension[:, 0]) @ inner.T
+        return sum(curved, sp.kron(turned, np.eye(2)).tobsr((2, 2)))
 
     def interior_tangent(self, u: np.ndarray) -> sp.csc_array:
         """The same as a sparse matrix, shape [2 I, 2 I]."""

@@ -1,24 +1,31 @@
-"""Learning without loads: the truth up to its scale, sensitivities, and what cannot be known."""
+"""Learning: the truth where the dictionary holds it; without loads up to its scale; slopes."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import warp_peri as wp
 from tests.support.sheets import NEAREST, hgo_dictionary, sheet_on, square, waves
 from warp_peri import InputError
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
-from warp_peri.materials.hyperelastic.equilibrium import stable_equilibrium
-from warp_peri.materials.hyperelastic.fibres import fibre_families, fibre_fan, grouped, with_corners
+from warp_peri.materials.hyperelastic.energy_fit import (
+    ThicknessField,
+    fibre_families,
+    fibre_fan,
+    fit_energy,
+    fit_fibre_families,
+    grouped,
+    with_corners,
+)
+from warp_peri.materials.hyperelastic.equilibrium import SheetLattice, stable_equilibrium
 from warp_peri.materials.hyperelastic.from_displacement import (
     Search,
     Sections,
     fit_displacement,
     fit_thickness,
 )
-from warp_peri.materials.hyperelastic.lattice import SheetLattice
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial, evaluate_hyperelastic
-from warp_peri.materials.hyperelastic.thickness import ThicknessField
 from warp_peri.points.points import PULL, Points, Samples
 
 TRUE_ANGLE, TRUE_EXPONENT = 1.1, 2.0
@@ -31,6 +38,7 @@ def sheet(angle=TRUE_ANGLE, exponent=TRUE_EXPONENT):
     return Hyperelastic(3.0, (), NEAREST, terms)
 
 
+LOADED = np.array([0.2, 0.15, 0.1, 0.1, 0.07, 0.08, 0.2])
 SCALED = TRUTH / (sheet().stiffness @ TRUTH)
 
 
@@ -207,3 +215,38 @@ def test_the_thickness_is_the_exponential_of_a_polynomial():
     assert max(abs(p).max(), abs(q).max()) == pytest.approx(1.0)
     expected = 0.1 * p - 0.2 * q + 0.3 * p**2 + 0.4 * p * q - 0.5 * q**2
     np.testing.assert_allclose(np.log(uneven.at(x)), expected, atol=1e-14)
+
+
+@pytest.fixture(scope="module")
+def loads():
+    points = square(4)
+    u = np.stack([waves(points, 0.3, seed) for seed in range(3)])
+    return Samples(points, u, sheet_on(points, c=LOADED).everywhere(u))
+
+
+def test_least_squares_finds_the_truth_and_says_what_forces_leave(loads):
+    fit = wp.fit(loads, hgo_dictionary(), ridge=0.0, progress=False)
+    np.testing.assert_allclose(fit.material.coefficients, LOADED, rtol=1e-6)
+    assert fit.residual < 1e-8
+    assert 1.1 < fit.material.stretch < 1.8
+    fit = fit_energy(loads, hgo_dictionary(), positive=True, stiffness=0.12)
+    assert (fit.material.coefficients[:4] >= 0.12).all()
+    assert (fit.material.coefficients >= 0).all()
+    b = loads.b[:, loads.interior]
+    both = fit.material.on(loads.points)(loads.u) - b, b
+    left, size = (np.linalg.norm(force, axis=(1, 2)) for force in both)
+    assert fit.residual == pytest.approx(np.sqrt(np.mean((left / size) ** 2)))
+    assert 0 < fit.residual < 0.2
+
+
+def test_a_material_is_read_out_of_loaded_fields():
+    points = square(6)
+    kinds = EnergyTerm("neo_hookean"), EnergyTerm("volumetric")
+    fibre, truth = EnergyTerm("fibre_exponential", 0.5, 1.5), [0.2] * 4 + [0.07, 0.08, 0.2]
+    u = np.stack([waves(points, 0.4, seed) for seed in range(4)])
+    b = sheet_on(points, Hyperelastic(3.0, (), NEAREST, (*kinds, fibre)), truth).everywhere(u)
+    solid = fit_fibre_families(Samples(points, u, b), directions=8)
+    (fibre,) = [term for term in solid.dictionary.terms if term.is_fibre]
+    assert fibre.angle == pytest.approx(0.5, abs=1e-3)
+    assert fibre.exponent == pytest.approx(1.5, abs=1e-2)
+    np.testing.assert_allclose(solid.coefficients, truth, rtol=1e-2)
