@@ -12,6 +12,7 @@ ROOT = Path(__file__).parent.parent.parent
 RECORD = json.loads((ROOT / "docs/record/stability.json").read_text("utf-8"))["cases"]
 PAGE = (ROOT / "docs/explanation/where_it_fails.md").read_text("utf-8")
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+WORST = {"no_conditions": 22.5, "noisy_data": 4.0, "small_holes": 50.0, "critical_stretch": 3.0}
 SECTIONS = dict(re.findall(r"^### [^{]+\{#([\w-]+)\}\n(.*?)(?=^##|\Z)", PAGE, re.M | re.S))
 
 
@@ -28,13 +29,14 @@ def readable(number):
 @pytest.mark.parametrize("case", stability.CASES, ids=lambda case: case.__name__)
 def test_a_failure_is_provoked_named_and_helped(case, graphene, monkeypatch):
     monkeypatch.setattr(stability, "DATA", graphene)
-    found, kept = case(), RECORD[case.__name__]
+    name = case.__name__
+    found, kept = case((WORST[name],)) if name in WORST else case(), RECORD[name]
     failed, helped = found.remedy
     assert failed < 0 < helped or 0 <= helped < failed / 2
     assert found.said == kept["said"]
     assert failed == pytest.approx(kept["remedy"][0], rel=0.1)
     assert helped == pytest.approx(kept["remedy"][1], rel=0.3, abs=1e-6)
-    text = SECTIONS[case.__name__.replace("_", "-")]
+    text = SECTIONS[name.replace("_", "-")]
     assert f"```text\n{kept['said']}\n```" in text
     assert all(f"**{readable(f'{number:.2g}')}" in text for number in kept["remedy"])
 
