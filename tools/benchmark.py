@@ -160,23 +160,23 @@ def operator(*, quick: bool, threads: int) -> None:
         pairs = zip(ours(bonds, fields), rivals.torch_scatter(t, torch.float64))
         forward, both = ({"warp_peri": a, "torch scatter": b} for a, b in pairs)
         forward["SciPy CSR, built before"] = rivals.scipy_csr(t)
-        forward |= by_numba(t, np.float64, threads)
+        by_numba(t, threads, forward, both)
         report("force", forward, rounds, threads, 1e-8)
         report("force and gradient to u, D, α", both, rounds, threads, 1e-8)
     print("\na block in space that may break:", json.dumps(block(rounds, 8 if quick else 16)))
 
 
-def by_numba(t: rivals.Tables, dtype: Any, threads: int) -> Candidates:
-    """Numba's loops, none where it is not installed."""
+def by_numba(t: rivals.Tables, threads: int, forward: Candidates, both: Candidates) -> None:
+    """Add Numba's loops to the candidates, none where it is not installed."""
     if find_spec("numba") is None:
         print("  Numba is not installed: pip install 'warp_peri[bench]'")
-        return {}
+        return
     from tools import rivals_numba
 
     rivals_numba.numba.set_num_threads(threads)
+    forward["Numba by lists"], both["Numba by lists"] = rivals_numba.lists(t, np.float64)
     if len(t.r) < len(t.neighbour):
-        return {"Numba by rows": rivals_numba.rows(t, dtype)}
-    return {"Numba": rivals_numba.scattered(t, dtype)}
+        forward["Numba by rows"] = rivals_numba.rows(t, np.float64)
 
 
 # Solves

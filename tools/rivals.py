@@ -25,6 +25,7 @@ class Tables:
 
     Attributes:
         row [N + 1], neighbour [E], bond_class [E]: the bonds, int32.
+        reverse: number of the bond back, shape [E] on scattered points.
         xi: bond vectors, shape [E, 2].
         r, weight: of the classes, shape [C].
         horizon, alpha, D, lam, mu: the model, one influence function.
@@ -35,6 +36,7 @@ class Tables:
     row: np.ndarray
     neighbour: np.ndarray
     bond_class: np.ndarray
+    reverse: np.ndarray
     xi: np.ndarray
     r: np.ndarray
     weight: np.ndarray
@@ -70,7 +72,8 @@ def tables(
         xi = np.tile(families.pattern, (len(x), 1))
         bond_class = np.tile(families.lattice.bond_class, len(x)).astype(np.int32)
     classes = families.r, families.weight, bonds.horizon
-    return Tables(row, neighbour, bond_class, np.ascontiguousarray(xi), *classes, **model, u=u, g=g)
+    links = row, neighbour, bond_class, families.reverse
+    return Tables(*links, np.ascontiguousarray(xi), *classes, **model, u=u, g=g)
 
 
 def torch_scatter(t: Tables, dtype: torch.dtype) -> tuple[Callable, Callable]:

@@ -38,45 +38,134 @@ def influence_of(t: Tables, dtype: Any, jit: Any) -> tuple[Callable[[], None], n
 
 
 @parallel
-def _dilatation(row, neighbour, r, xi, kw, u, m, theta):
-    """Weighted volume and dilatation of every node."""
+def _dilatation(row, neighbour, same, r, xi, k, u, m, theta):
+    """Weighted volume and dilatation of every node; `same`: 1 where one node's bonds serve all."""
     for i in prange(len(m)):
-        volume = total = kw.dtype.type(0)
+        volume = total = k.dtype.type(0)
         for e in range(row[i], row[i + 1]):
-            j = neighbour[e]
-            volume += kw[e] * r[e] * r[e]
-            total += kw[e] * (xi[e, 0] * (u[j, 0] - u[i, 0]) + xi[e, 1] * (u[j, 1] - u[i, 1]))
+            p, j = e - same * row[i], neighbour[e]
+            volume += k[p] * r[p] * r[p]
+            total += k[p] * (xi[p, 0] * (u[j, 0] - u[i, 0]) + xi[p, 1] * (u[j, 1] - u[i, 1]))
         m[i], theta[i] = volume, (total + total) / volume
 
 
 @parallel
-def _force(row, neighbour, xi, kw, u, m, theta, bulk, shear, out):
+def _force(row, neighbour, same, xi, k, u, m, theta, bulk, shear, out):
     """L u at every node."""
     for i in prange(len(m)):
-        a = b = kw.dtype.type(0)
+        a = b = k.dtype.type(0)
         for e in range(row[i], row[i + 1]):
-            j, x, y = neighbour[e], xi[e, 0], xi[e, 1]
+            p, j = e - same * row[i], neighbour[e]
+            x, y = xi[p, 0], xi[p, 1]
             stretch = (x * (u[j, 0] - u[i, 0]) + y * (u[j, 1] - u[i, 1])) / (x * x + y * y)
-            density = kw[e] * (bulk * (theta[i] + theta[j]) + shear * stretch)
+            density = k[p] * (bulk * (theta[i] + theta[j]) + shear * stretch)
             a += density * x
             b += density * y
         out[i, 0], out[i, 1] = a / m[i], b / m[i]
 
 
-def scattered(t: Tables, dtype: Any) -> Callable[[], np.ndarray]:
-    """Forward in parallel loops over the bonds of scattered points."""
+@parallel
+def _pressure(row, neighbour, same, back, xi, k, m, h, bulk, tau):
+    """2 / m times the gradient to θ, gathered over the bonds back."""
+    for i in prange(len(m)):
+        total = k.dtype.type(0)
+        for e in range(row[i], row[i + 1]):
+            p, j = e - same * row[i], neighbour[e]
+            mine, far = k[p], k[back[p]]
+            total += xi[p, 0] * (mine * h[i, 0] - far * h[j, 0])
+            total += xi[p, 1] * (mine * h[i, 1] - far * h[j, 1])
+        tau[i] = (bulk + bulk) / m[i] * total
+
+
+@parallel
+def _gradient(
+    row, neighbour, same, back, xi, k, u, m, theta, h, tau, bulk, shear, volumes, by_u, by_k
+):
+    """Gradients to u and, in pieces that no two threads add to, to the K·W of every bond."""
+    size = len(m) // len(volumes) + 1
+    for piece in prange(len(volumes)):
+        for i in range(piece * size, min((piece + 1) * size, len(m))):
+            a = b = volume = k.dtype.type(0)
+            for e in range(row[i], row[i + 1]):
+                p, j = e - same * row[i], neighbour[e]
+                mine, far, x, y = k[p], k[back[p]], xi[p, 0], xi[p, 1]
+                square = x * x + y * y
+                own, other = x * h[i, 0] + y * h[i, 1], x * h[j, 0] + y * h[j, 1]
+                push = -shear * (mine * own - far * other) / square
+                push -= mine * tau[i] + far * tau[j]
+                a += push * x
+                b += push * y
+                stretch = x * (u[j, 0] - u[i, 0]) + y * (u[j, 1] - u[i, 1])
+                density = own * (shear * stretch / square + bulk * (theta[i] + theta[j]))
+                volume -= mine * density
+                by_k[piece * same, p] += density + tau[i] * stretch
+            by_u[i, 0], by_u[i, 1] = a, b
+            volume = volume / m[i] - tau[i] * theta[i] / 2
+            if same:
+                volumes[piece] += volume
+            else:
+                for e in range(row[i], row[i + 1]):
+                    by_k[0, e] += volume * (xi[e, 0] ** 2 + xi[e, 1] ** 2)
+        if same:
+            for p in range(len(xi)):
+                by_k[piece, p] += volumes[piece] * (xi[p, 0] ** 2 + xi[p, 1] ** 2)
+
+
+@parallel
+def _by_influence(r, weight, binomial, alpha, D, horizon, by_kw, by_D, by_alpha):
+    """Gradients to D and α, in pieces that no two threads add to."""
+    pieces, one = len(by_D), by_kw.dtype.type(1)
+    size = len(r) // pieces + 1
+    for piece in prange(pieces):
+        basis = np.empty(len(D), by_kw.dtype)
+        for c in range(piece * size, min((piece + 1) * size, len(r))):
+            x = min(r[c] / horizon, one)
+            power, total = by_kw[c] * weight[c] * r[c] ** -alpha, one - one
+            for k in range(len(D)):
+                basis[k] = binomial[k] * power
+                power *= x
+            power = one
+            for k in range(len(D) - 1, -1, -1):
+                by_D[piece, k] += basis[k] * power
+                total += D[k] * basis[k] * power
+                power *= one - x
+            by_alpha[piece] -= np.log(r[c]) * total
+
+
+def lists(t: Tables, dtype: Any) -> tuple[Callable[[], np.ndarray], Callable[[], list]]:
+    """Forward, and forward and gradients to u, D and α, in parallel loops over lists of bonds."""
     fill, kw = influence_of(t, dtype, parallel)
-    xi, r, u = (np.ascontiguousarray(v, dtype) for v in (t.xi, t.r, t.u))
-    m, theta, out = np.empty(len(u), dtype), np.empty(len(u), dtype), np.empty_like(u)
+    same, pieces = int(len(t.r) < len(t.neighbour)), 2 * numba.get_num_threads()
+    bonds = slice(t.row[1] if same else None)
+    of = t.bond_class[bonds]
+    back = np.arange(len(of)) if same else t.reverse
+    xi, u, g = (np.ascontiguousarray(v, dtype) for v in (t.xi[bonds], t.u, t.g))
+    r, degree, k = t.r.astype(dtype)[of], len(t.D) - 1, np.empty(len(of), dtype)
+    m, theta, tau, out = *np.empty((3, len(u)), dtype), np.empty_like(u)
     bulk, shear = dtype(-2 * (t.lam - t.mu)), dtype(-16 * t.mu)
+    shape = [np.asarray(v, dtype) for v in (t.r, t.weight, comb(degree, np.arange(degree + 1)))]
+    shape += [dtype(t.alpha), np.asarray(t.D, dtype), dtype(t.horizon)]
+    links, by_u = (t.row, t.neighbour, same), np.empty_like(u)
 
     def forward() -> np.ndarray:
         fill()
-        _dilatation(t.row, t.neighbour, r, xi, kw, u, m, theta)
-        _force(t.row, t.neighbour, xi, kw, u, m, theta, bulk, shear, out)
+        np.take(kw, of, out=k)
+        _dilatation(*links, r, xi, k, u, m, theta)
+        _force(*links, xi, k, u, m, theta, bulk, shear, out)
         return out
 
-    return forward
+    def both() -> list[np.ndarray]:
+        forward()
+        h, by_k = g / m[:, None], np.zeros((pieces if same else 1, len(of)), dtype)
+        _pressure(*links, back, xi, k, m, h, bulk, tau)
+        state, volumes = (u, m, theta, h, tau), np.zeros(pieces, dtype)
+        _gradient(*links, back, xi, k, *state, bulk, shear, volumes, by_u, by_k)
+        by_kw = np.bincount(of, by_k.sum(axis=0)).astype(dtype) if same else by_k[0]
+        by_D, by_alpha = np.zeros((pieces, degree + 1), dtype), np.zeros(pieces, dtype)
+        _by_influence(*shape, by_kw, by_D, by_alpha)
+        return [by_u, by_D.sum(axis=0), by_alpha.sum()]
+
+    return forward, both
 
 
 @parallel
