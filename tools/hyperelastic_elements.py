@@ -9,7 +9,7 @@ import torch
 
 from tools.hyperelastic_energies import Energy
 from warp_peri import InputError
-from warp_peri.solvers.direct import symmetric_factors
+from warp_peri.solvers.systems import symmetric_factors
 
 SMALLEST_JACOBIAN = 0.02
 """A field with a smaller det F somewhere is folded: the step that led there is shortened."""

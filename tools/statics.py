@@ -8,7 +8,7 @@ import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
 from tools.lammps_session import LammpsSession
-from warp_peri.solvers.direct import symmetric_factors
+from warp_peri.solvers.systems import symmetric_factors
 
 STEP = 1e-4
 """Half width of the central difference [Å]."""

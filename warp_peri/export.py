@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.files.series import in_space, meshio_of, write_vtu
+from warp_peri.files.atomic import whole_file
+from warp_peri.files.checkpoint import in_space
+from warp_peri.files.foreign import meshio_of
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_matrices import node_fields
 from warp_peri.points.arguments import typed
@@ -91,6 +94,29 @@ def write_body(path: str | os.PathLike[str], body: BodySolution) -> dict[str, fl
         "largest_displacement": float(np.linalg.norm(u, axis=1).max()),
         "largest_principal_stress": float(np.linalg.eigvalsh(stress).max()),
     }
+
+
+def write_vtu(
+    path: str | os.PathLike[str],
+    x: np.ndarray,
+    cells: tuple[str, np.ndarray],
+    data: Mapping[str, np.ndarray],
+    extra: str = "export",
+) -> Path:
+    """Write nodes, cells of one kind and fields on the nodes; vectors in the plane get a third
+    component.
+
+    Args:
+        path: of the file.
+        x: positions, shape [N, d].
+        cells: their kind and nodes, shape [C, n].
+        data: fields by name, shape [N, ...].
+        extra: that brings meshio.
+    """
+    meshio, data = meshio_of(extra), {name: in_space(field) for name, field in data.items()}
+    with whole_file(path) as temporary:
+        meshio.Mesh(in_space(x), [cells], point_data=data).write(temporary, "vtu")
+    return Path(path)
 
 
 def _samples(model: Any, points: Samples, u: np.ndarray) -> list[dict[str, np.ndarray]]:

@@ -154,14 +154,7 @@ class Body:
         refuse_solver(solver, (), "a Body, whose coupling says how it is solved")
         (options,) = taken(options, "solve", solve_body, given=GIVEN)
         body = solve_body(
-            material,
-            self.mesh,
-            displacement=self.displacement,
-            traction=self.traction,
-            b=self.b,
-            edge=self.edge,
-            coupling=self.coupling,
-            **options,
+            material, self.mesh, **{name: getattr(self, name) for name in GIVEN}, **options
         )
         u, _ = body.on_corners()
         exchange = body.exchange

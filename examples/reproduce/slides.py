@@ -32,7 +32,7 @@ from warp_peri.materials.lps_force import Bonds
 from warp_peri.materials.lps_matrices import Matrices, assemble, matrices
 from warp_peri.points.families import HORIZON_TOLERANCE, bond_classes
 from warp_peri.points.quadrature import ball_integral
-from warp_peri.solvers.direct import MatrixProblem
+from warp_peri.solvers.systems import MatrixProblem
 from warp_peri.transfers import mean_spacing
 
 EXPONENTS = (1.0, 2.0, 2.5, 3.0, 3.5)

@@ -16,7 +16,7 @@ from warp_peri.materials.lps import stiffnesses
 from warp_peri.materials.lps_matrices import matrices
 from warp_peri.materials.lps_rows import class_pairs, product_basis
 from warp_peri.points.families import bond_classes
-from warp_peri.solvers.direct import DENSE, smallest_eigenvalue
+from warp_peri.solvers.systems import DENSE, smallest_eigenvalue
 
 ZONE = np.stack(np.meshgrid(*2 * [np.linspace(-np.pi, np.pi, 161)]), -1).reshape(-1, 2)
 ZONE = ZONE[np.hypot(*ZONE.T) > 1e-9]

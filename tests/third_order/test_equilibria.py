@@ -10,7 +10,7 @@ from tests.support.nonlinear import FORMS, solid
 from tests.support.problems import ell, lattice, smooth
 from tests.support.solving import solve, solve_nonlinear
 from warp_peri import InputError
-from warp_peri.solvers import conjugate_gradients, equilibria, linear
+from warp_peri.solvers import equilibria, linear, systems
 from warp_peri.solvers.equilibria import NonlinearRecord
 
 
@@ -61,6 +61,6 @@ def test_newton_goes_where_the_fixed_point_does_not(monkeypatch):
         solved = solve_nonlinear(model, points, b, u, records=records)
     assert records[0].method == "newton"
     assert np.abs(solved - u).max() <= 1e-6 * np.abs(u).max()
-    monkeypatch.setattr(conjugate_gradients, "MOST", 1)
+    monkeypatch.setattr(systems, "MOST", 1)
     with pytest.raises(InputError, match="sample 0: no equilibrium was found beyond"):
         solve_nonlinear(model, points, 40 * b, u)

@@ -25,8 +25,8 @@ from warp_peri.points.points import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same
 from warp_peri.protocols import OperatorBase
 from warp_peri.solvers.adjoint import stepped
-from warp_peri.solvers.direct import MatrixProblem, definite_factors
 from warp_peri.solvers.solution import Direct, Solution, Solver, refuse_solver
+from warp_peri.solvers.systems import MatrixProblem, definite_factors
 
 __all__ = ["DiffusionMaterial", "CoupledOperator", "ThermoelasticMaterial", "DiffusionOperator"]
 Conductivity = float | np.ndarray | Callable[[np.ndarray], np.ndarray]

@@ -45,10 +45,10 @@ from warp_peri.points.fields import edge_strain, largest_strain
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import symbols
-from warp_peri.solvers.direct import definite_factors
 from warp_peri.solvers.linear import STIFF
 from warp_peri.solvers.solution import TOLERANCE, warn_beyond
 from warp_peri.solvers.solution import Coupling as Coupling
+from warp_peri.solvers.systems import definite_factors
 
 UNTOLD = Coupling()
 

@@ -17,7 +17,7 @@ from scipy.sparse.linalg import LinearOperator, splu
 from warp_peri.errors import InputError, optional
 from warp_peri.points.arguments import checked
 from warp_peri.points.mesh import Mesh, pieces
-from warp_peri.solvers.direct import loose_pieces
+from warp_peri.solvers.systems import loose_pieces
 
 Field = Callable[[np.ndarray], np.ndarray]
 """Vectors, shape [n, d], at positions [Å], shape [n, d]."""

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.lib import format as npy
 
 from warp_peri.errors import InputError
 from warp_peri.files.foreign import check_regular
@@ -28,8 +27,6 @@ DEEPER = np.zeros(256, int)
 """By how much the text after a byte is deeper."""
 DEEPER[[*b"[{"]], DEEPER[[*b"]}"]] = 1, -1
 
-HEADERS: dict[Any, Any] = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
-"""What reads the header of an array, by the version of its format."""
 BROKEN = zipfile.BadZipFile, EOFError, RuntimeError, KeyError, NotImplementedError, MemoryError
 """What reading an archive of arrays runs into."""
 
@@ -41,22 +38,16 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     truncated, with arrays whose headers claim other sizes than the file holds, or with objects.
     """
     check_regular(path)
-    arrays, size = {}, min(os.path.getsize(path), MOST)
+    size = min(os.path.getsize(path), MOST)
     try:
         with zipfile.ZipFile(path) as archive:
             for entry in archive.infolist():
                 if entry.compress_type != zipfile.ZIP_STORED or entry.file_size > size:
                     raise ValueError(f"{entry.filename!r}: expected an array as it is, not packed")
-                with archive.open(entry) as file:
-                    shape, _, kind = HEADERS[npy.read_magic(file)](file)
-                    if file.tell() + math.prod(shape) * kind.itemsize != entry.file_size:
-                        raise ValueError(f"{entry.filename!r}: {shape} does not fit the file")
-                with archive.open(entry) as file:
-                    name = entry.filename.removesuffix(".npy")
-                    arrays[name] = npy.read_array(file, allow_pickle=False)
+        with np.load(path, allow_pickle=False) as file:
+            return dict(file)
     except BROKEN as error:
         raise ValueError(str(error)) from None
-    return arrays
 
 
 PART = ".part-"

@@ -24,8 +24,8 @@ from warp_peri.materials.lps import LPSMaterial, bernstein_basis
 from warp_peri.points.arguments import Share, checked
 from warp_peri.protocols import is_tensor
 from warp_peri.solvers.adjoint import in_motion as in_motion
-from warp_peri.solvers.direct import definite_factors, symmetric_factors
 from warp_peri.solvers.motion import Motion
+from warp_peri.solvers.systems import definite_factors, symmetric_factors
 
 NEWTON = 40
 TOLERANCE = 1e-8

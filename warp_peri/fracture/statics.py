@@ -34,10 +34,16 @@ from warp_peri.points.arguments import Count, Positive, checked, typed
 from warp_peri.points.families import BondClasses
 from warp_peri.points.points import Points
 from warp_peri.protocols import OperatorBase
-from warp_peri.solvers.conjugate_gradients import SolveRecord, definite
-from warp_peri.solvers.direct import MatrixProblem, is_definite, loose_pieces, symmetric_factors
 from warp_peri.solvers.motion import Motion
 from warp_peri.solvers.solution import CG, Direct, Solution, Solver, by_sample, refuse_solver
+from warp_peri.solvers.systems import (
+    MatrixProblem,
+    SolveRecord,
+    definite,
+    is_definite,
+    loose_pieces,
+    symmetric_factors,
+)
 
 TOLERANCE = 1e-11
 """Of a body that has lost bonds, by the factors that it had before."""

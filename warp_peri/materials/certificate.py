@@ -23,7 +23,7 @@ from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.points import PointsLike
 from warp_peri.points.unit_names import USUAL, Units, symbols
 from warp_peri.protocols import LINEAR, offered, stencil_of
-from warp_peri.solvers.direct import DENSE, smallest_eigenvalue
+from warp_peri.solvers.systems import DENSE, smallest_eigenvalue
 
 RANK_TOLERANCE = 1e-9
 """Eigenvalues of ΦΓ⁻¹Φᵗ below this fraction of the largest count as zero."""

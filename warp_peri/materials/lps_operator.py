@@ -25,7 +25,6 @@ from warp_peri.points.points import PointsLike, nodes_of
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.protocols import OperatorBase, is_tensor
 from warp_peri.runtime import recording
-from warp_peri.solvers.direct import RESIDUAL, MatrixProblem, definite_factors, smallest_eigenvalue
 from warp_peri.solvers.linear import DIRECT, STIFF, Inverse, Linear, bonds_within, cheapest_method
 from warp_peri.solvers.solution import (
     CG,
@@ -37,6 +36,7 @@ from warp_peri.solvers.solution import (
     refuse_solver,
     warn_beyond,
 )
+from warp_peri.solvers.systems import RESIDUAL, MatrixProblem, definite_factors, smallest_eigenvalue
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -26,7 +26,7 @@ from warp_peri.materials.lps_rows import Products, products
 from warp_peri.points.arguments import checked
 from warp_peri.points.families import BondClasses
 from warp_peri.points.points import WAVE_VECTOR
-from warp_peri.solvers.direct import MatrixProblem
+from warp_peri.solvers.systems import MatrixProblem
 
 SAMPLES_AT_ONCE = 8
 STEPS = 12

@@ -6,7 +6,7 @@ A rank is one of the processes. Each owns a piece of the nodes; what comes back 
 from contextlib import suppress
 
 from warp_peri.errors import InputError
-from warp_peri.files.series import TimeSeriesWriter
+from warp_peri.files.checkpoint import TimeSeriesWriter
 from warp_peri.mpi.processes import is_root, together, world
 from warp_peri.mpi.subdomain import Subdomain, gather, lattice, partition
 from warp_peri.runtime import ranks_started

@@ -28,7 +28,6 @@ from warp_peri.mpi.processes import Comm, build, in_turn, inner, world
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
 from warp_peri.runtime import get_num_threads, shared_by
-from warp_peri.solvers.conjugate_gradients import Inner, SolveRecord, definite
 from warp_peri.solvers.multigrid import (
     SHIFT,
     VCycle,
@@ -40,6 +39,7 @@ from warp_peri.solvers.multigrid import (
     shear,
     shifted_inverse,
 )
+from warp_peri.solvers.systems import Inner, SolveRecord, definite
 
 if TYPE_CHECKING:
     from warp_peri.mpi.subdomain import Subdomain

@@ -23,7 +23,7 @@ from warp_peri import errors
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import agreed
 from warp_peri.runtime import DEVICE, get_num_threads, ranks_started, set_num_threads, shared_by
-from warp_peri.solvers.conjugate_gradients import Inner
+from warp_peri.solvers.systems import Inner
 
 Comm: TypeAlias = Any
 """A communicator of mpi4py."""

@@ -31,9 +31,9 @@ from warp_peri.points.points import LATTICE_TOLERANCE, Points
 from warp_peri.points.unit_names import USUAL, Units, check_same, check_units
 from warp_peri.protocols import MATERIAL, offered, taken
 from warp_peri.runtime import ranks_started
-from warp_peri.solvers.conjugate_gradients import Inner, SolveRecord, norm
 from warp_peri.solvers.motion import Motion, Recorder
 from warp_peri.solvers.solution import CG, TOLERANCE, Solution, Solver, by_sample, refuse_solver
+from warp_peri.solvers.systems import Inner, SolveRecord, norm
 from warp_peri.solvers.verlet import march
 
 STAGE = 1e-3

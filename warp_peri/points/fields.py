@@ -97,13 +97,7 @@ def largest_wave_number(points: Samples) -> float | None:
     return float(np.sqrt(largest)) or None
 
 
-DIAGONAL = 1.5
-"""Spacings within which nodes of a lattice are neighbours where strain is told."""
-
-
-def largest_strain(
-    points: PointsLike, u: ArrayLike, nodes: np.ndarray | slice = slice(None)
-) -> float:
+def largest_strain(points: PointsLike, u: ArrayLike) -> float:
     """Largest |ξ·(u_j − u_i)|/r² between nodes and their nearest neighbours.
 
     On a lattice those across the diagonals of a square count too: shear along the axes stretches no
@@ -112,31 +106,23 @@ def largest_strain(
     Args:
         points: a lattice or scattered points; nodes outside the body do not count.
         u: displacement [Å], shape [N, d] or [S, N, d].
-        nodes: of the body, that are looked at; all by default.
     """
     body = np.ones(len(points.x), bool) if points.outside is None else ~points.outside
     x, d = points.x[body], points.x.shape[1]
     if points.spacing > 0 and len(points.x) > 1:
         steps = np.array(list(itertools.product((-1, 0, 1), repeat=d)))
         steps = steps[np.isin((steps**2).sum(axis=1), (1, 2))]
-        if isinstance(nodes, slice):  # each bond once
-            steps = steps[len(steps) // 2 :]
-        table = neighbour_table(nodes_of(points).lattice.steps[body], steps)[nodes]
-        near = np.where(table < 0, np.arange(len(x))[nodes, None], table)
+        table = neighbour_table(nodes_of(points).lattice.steps[body], steps[len(steps) // 2 :])
+        near = np.where(table < 0, np.arange(len(x))[:, None], table)  # each bond once
     else:
         count = min(2 * d + 1, len(x))
-        near = cKDTree(x).query(x[nodes], k=count)[1].reshape(-1, count)[:, 1:]
-    xi = x[near] - x[nodes, None]
+        near = cKDTree(x).query(x, k=count)[1].reshape(-1, count)[:, 1:]
+    xi = x[near] - x[:, None]
     square = (xi**2).sum(axis=-1)
     unit = xi / np.where(square > 0, square, np.inf)[..., None]
     fields = np.asarray(u).reshape(-1, *points.x.shape)[:, body]
-    return max(
-        (
-            float(np.abs((unit * (field[near] - field[nodes, None])).sum(axis=-1)).max(initial=0))
-            for field in fields
-        ),
-        default=0.0,
-    )
+    along = (np.abs((unit * (one[near] - one[:, None])).sum(axis=-1)) for one in fields)
+    return max((float(one.max(initial=0)) for one in along), default=0.0)
 
 
 def edge_strain(x: np.ndarray, triangles: np.ndarray, u: np.ndarray) -> float:

@@ -73,14 +73,14 @@ def symbols(units: Units) -> tuple[str, str]:
     return SYMBOLS.get(length, length), SYMBOLS.get(stress, stress)
 
 
-def shown_moduli(units: Units, values: Iterable[float], digits: int = 4) -> str:
+def shown_moduli(units: Units, values: Iterable[float]) -> str:
     """Moduli as they are printed: in GPa where they are in an atomic unit, else as they are.
 
     Who says GPa, MPa or Pa reads that, and reduced units stay as they are.
     """
     unit = units[1]
     factor, shown = (STRESSES[unit] * 1e3, "GPa") if unit in ATOMIC else (1.0, symbols(units)[1])
-    return ", ".join(f"{factor * value:.{digits}g}" for value in values) + f" {shown}"
+    return ", ".join(f"{factor * value:.4g}" for value in values) + f" {shown}"
 
 
 def factors(have: Units, want: Units) -> tuple[float, float]:

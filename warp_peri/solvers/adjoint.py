@@ -41,8 +41,8 @@ from warp_peri.errors import InputError
 from warp_peri.points.arguments import Natural, Positive, checked
 from warp_peri.protocols import is_tensor, taken
 from warp_peri.solvers import verlet
-from warp_peri.solvers.direct import MatrixProblem
 from warp_peri.solvers.motion import Motion, Recorder
+from warp_peri.solvers.systems import MatrixProblem
 
 PIECES, BATCH = 8, 16
 """States kept of a motion, and fields whose derivatives to numbers are taken at once."""

@@ -24,10 +24,9 @@ from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, warn
 from warp_peri.points.arguments import checked_fields
 from warp_peri.points.points import Points, lattice_steps
-from warp_peri.solvers.conjugate_gradients import HERE, definite, newton, norm
-from warp_peri.solvers.direct import smallest_eigenvalue
 from warp_peri.solvers.linear import DIRECT, Inverse
 from warp_peri.solvers.solution import Newton, Solution, Solver, by_sample, refuse_solver
+from warp_peri.solvers.systems import HERE, definite, newton, norm, smallest_eigenvalue
 
 NOTHING = 1e-12
 """Relative, of tensors that are rounding."""

@@ -18,9 +18,8 @@ from warp_peri.core.proof import smallest_eigenvalue
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
 from warp_peri.points.points import Points
-from warp_peri.solvers.conjugate_gradients import SolveRecord, definite
-from warp_peri.solvers.direct import definite_factors, factorised
 from warp_peri.solvers.multigrid import Edge, Filter, block, multigrid, sine, torus_inverse
+from warp_peri.solvers.systems import SolveRecord, definite, definite_factors, factorised
 
 Inverse: TypeAlias = Callable[[np.ndarray, float], np.ndarray]
 """An inverse of the linear part: of a load on the interior [I, d], to a relative residual."""

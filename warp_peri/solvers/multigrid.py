@@ -19,7 +19,7 @@ from warp_peri.core.grid import ByRows, Grid, convolved, inverse, torus_shape, t
 from warp_peri.core.proof import smallest_eigenvalue
 from warp_peri.core.stencil import Stencil, q1_tensors
 from warp_peri.runtime import get_num_threads
-from warp_peri.solvers.direct import symmetric_factors
+from warp_peri.solvers.systems import symmetric_factors
 
 
 class Edge:

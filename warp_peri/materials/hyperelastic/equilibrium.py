@@ -20,8 +20,8 @@ from warp_peri.materials.hyperelastic.energies import half_family, strain_weight
 from warp_peri.points.arguments import checked_fields
 from warp_peri.points.families import neighbour_table
 from warp_peri.points.points import Points, straight_steps
-from warp_peri.solvers.direct import lanczos_start, smallest_eigenvalue
 from warp_peri.solvers.equilibria import Inner, direction, stable_way
+from warp_peri.solvers.systems import lanczos_start, smallest_eigenvalue
 
 DIRECT = 20_000
 """Unknowns up to which the tangent is factorised; beyond, conjugate gradients take its products."""
