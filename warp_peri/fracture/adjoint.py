@@ -43,12 +43,8 @@ def bond_force(
 ) -> torch.Tensor:
     """L u of (C4) on all nodes, [S, N, d], of a model with other numbers; has every derivative.
 
-    Args:
-        model: whose influence function has the form of other numbers.
-        body, neighbour: nodes and their bonds, broken ones are −1.
-        u: displacement, shape [S, N, d].
-        numbers: lam, mu, alpha and D as tensors.
-        pressure: more stress at nodes that resists a dilatation [stress], shape [S, N].
+    numbers: lam, mu, alpha and D as tensors. pressure: more stress at nodes that resists a
+    dilatation [stress], shape [S, N].
     """
     classes, d, mu = body.classes, body.dimension, numbers["mu"]
     r = torch.from_numpy(
@@ -138,10 +134,8 @@ class SoftBody:
         self.free = ~held.ravel()
 
     def rest(self, u: np.ndarray, share: np.ndarray) -> np.ndarray:
-        """u at rest from a start that holds the given components, by Newton's method, flat [d N].
-
-        share: what is left of the pull of each bond.
-        """
+        """u at rest from a start that holds the given components, by Newton's method, flat [d N];
+        share is what is left of the pull of each bond."""
         softness = self.law.softness
         for _ in range(NEWTON):
             d = self.rows @ u
@@ -166,12 +160,8 @@ class SoftBody:
         return sp.csc_array(sp.csr_array(K)[self.free][:, self.free])
 
     def levers(self, line: ArrayLike) -> np.ndarray:
-        """What bonds add to the force at right angles to a straight line, in space to a flat
-        polygon, of one side on the other, tension positive, by thickness; over their law's pull
-        and what is left of it, [E].
-
-        Raises InputError for another line than two ends, and one that no bond crosses.
-        """
+        """What bonds add to the force at right angles to a line, of one side on the other, tension
+        positive, by thickness; over their law's pull and what is left of it, [E]."""
         crossing, _, normal = section(self.body, line, "line")
         if not (cut := crossing[self.node, self.bond]).any():
             raise InputError("line: no bond of the body crosses it, so no force can be read there")
@@ -271,7 +261,7 @@ class SoftBody:
         soft, numbers = with_numbers(self, parameters or {})
         if asked and soft.law.tail == 0:
             raise InputError(
-                "tail: expected > 0 for a gradient, which bonds that break at once lack"
+                "tail: expected > 0 for a gradient, bonds that break at once have none"
             )
         refuse_tangents(u)
         own = (numbers.get(name, real(name, value)) for name, value in soft.learnable.items())
@@ -284,11 +274,8 @@ class SoftBody:
         return linear(u, self.rows.dot, self.rows.T.dot) / torch.from_numpy(self.square)
 
     def _stable(self, s: torch.Tensor, worst: torch.Tensor, share: torch.Tensor) -> bool:
-        """Hill's test: the tangent is positive definite in which bonds that fail go on failing.
-
-        Bonds at their worst stretch beyond `stretch` fall by the slope of the tail; the others keep
-        what is left of them.
-        """
+        """Hill's test: the tangent is positive definite in which bonds that fail, at their worst
+        stretch beyond `stretch`, fall by the slope of the tail; the others keep what is left."""
         law, fails = self.law, ((s == worst) & (worst > self.law.stretch)).numpy()
         own = share.numpy() * slope_of(s.numpy(), law.softness)
         fall = -float(law.pull(np.array(law.stretch))) / law.tail

@@ -96,10 +96,7 @@ def lattice_body(
 
 @typed
 def rectangle_nodes(width: Positive, height: Positive, spacing: Positive) -> np.ndarray:
-    """Nodes in the middle of square cells that fill a rectangle about the origin, shape [N, 2].
-
-    Raises InputError when the sides are not whole multiples of the spacing.
-    """
+    """As box_nodes, in the plane."""
     return box_nodes((width, height), spacing)
 
 
@@ -138,20 +135,12 @@ def through(left: float, right: float, side: float, dimension: int) -> list[tupl
 def point_force(
     x: np.ndarray, spacing: Positive, place: Sequence[float], force: Sequence[float]
 ) -> np.ndarray:
-    """Body force density of a force at a place, as on an edge between or beyond nodes (C27).
+    """Body force density b [force / length^d], shape [N, d], of a force at a place, as on an edge
+    between or beyond nodes x (C27).
 
     Least squares of the nodes within two spacings: in any affine displacement they do the work that
-    the force does at its place.
-
-    Args:
-        x: nodes [length], shape [N, d].
-        spacing: h [length].
-        place: where it acts [length], shape [d].
-        force: per thickness in the plane, shape [d].
-
-    Returns b [force / length^d], shape [N, d].
-
-    Raises InputError where these nodes do not span the space.
+    the force, in the plane per thickness, does at its place. Raises InputError where these nodes do
+    not span the space.
     """
     x = checked("x", x, float, ("N", "d"))
     d = x.shape[1]
@@ -181,13 +170,8 @@ def crossing_bonds(body: LatticeBody, polyline: ArrayLike, name: str = "crack") 
     a hair, with a warning. In space a crack is a flat convex polygon, whose edges cut nothing;
     nodes on it stand where the corners are seen to go round against the clock.
 
-    Args:
-        body: the body.
-        polyline: corners [length], shape [P ≥ 2, 2]; in space in their order, [P ≥ 3, 3].
-        name: of it in errors.
-
-    Raises InputError for another shape, a segment without length, and a polygon that is not flat
-    and convex.
+    Raises InputError for corners of another shape than [P ≥ 2, 2], in space [P ≥ 3, 3], a segment
+    without length, and a polygon that is not flat and convex.
     """
     d = body.dimension
     corners = checked(name, polyline)
@@ -306,12 +290,8 @@ def _near(body: LatticeBody, corners: np.ndarray) -> np.ndarray:
 
 
 def cracked(body: LatticeBody, cracks: Sequence[ArrayLike]) -> np.ndarray:
-    """The body's neighbours with the bonds across cracks broken (−1 − j), shape [N, B] int32.
-
-    Args:
-        body: the body.
-        cracks: polylines [length], shape [P, 2] each; in space flat polygons, [P, 3].
-    """
+    """The body's neighbours with the bonds across cracks, as crossing_bonds takes each, broken
+    (−1 − j), shape [N, B] int32."""
     if not np.iterable(cracks):
         raise InputError(f"cracks: expected a list of polylines, got {cracks!r:.50}")
     neighbour = body.neighbour.copy()

@@ -1,7 +1,7 @@
 """The operator of a lattice body with broken bonds: matrix, forces and energies (theory, C1–C4).
 
-The dilatation is plain: a sum over unbroken bonds with the weighted volume of the whole ball. So
-the energy is a sum of squares of stretches that any breaking leaves positive where K is positive.
+The dilatation is a sum over unbroken bonds with the weighted volume of the whole ball: the energy
+is a sum of squares of stretches, which any breaking leaves positive where K is positive.
 """
 
 from __future__ import annotations
@@ -96,14 +96,6 @@ def check_breakable(model: LPSMaterial, classes: BondClasses | None = None) -> N
         )
 
 
-def energy_bounds(model: LPSMaterial) -> tuple[float, float]:
-    """Least and largest energy of a node over Σ w e²/r² of its unbroken bonds [stress] (C2)."""
-    d = model.dimension
-    shear = d * (d + 2) * model.mu / 2
-    ends = shear, d * d / 2 * (model.lam + 2 * model.mu / d)
-    return min(ends), max(ends)
-
-
 def largest_stiffness(model: LPSMaterial, classes: BondClasses) -> float:
     """A proven upper bound of Λmax L of every body on the lattice under any breaking (C9).
 
@@ -112,21 +104,18 @@ def largest_stiffness(model: LPSMaterial, classes: BondClasses) -> float:
     Raises InputError as check_breakable.
     """
     check_breakable(model, classes)
-    w = bond_weights(model, classes)
-    v = np.bincount(classes.bond_class, w) / classes.count
+    v = np.bincount(classes.bond_class, bond_weights(model, classes)) / classes.count
     d = model.dimension
-    gamma = largest(stencil_of(classes, v, 0.0), lattice_group(d))
-    return energy_bounds(model)[1] / (d * (d + 2) / 2) * gamma
+    stiffer = max(model.mu, d / (d + 2) * (model.lam + 2 * model.mu / d))  # shear or bulk
+    return stiffer * largest(stencil_of(classes, v, 0.0), lattice_group(d))
 
 
 def stretch_matrix(body: LatticeBody, neighbour: np.ndarray) -> tuple[sp.csr_array, np.ndarray]:
-    """e = ξ·(u_j − u_i) of the unbroken bonds as a matrix [length], [E, d N], and their places.
-
-    Component a of node i is column d i + a; the places are numbers in the flat [N B] table.
-    """
-    place = np.flatnonzero(neighbour.ravel() >= 0)
-    node, bond = np.divmod(place, neighbour.shape[1])
-    return stretch_rows(body, node, bond, neighbour.ravel()[place]), place
+    """e = ξ·(u_j − u_i) of the unbroken bonds as a matrix [length], [E, d N], and their places in
+    the flat [N B] table; component a of node i is column d i + a."""
+    node, bond = np.nonzero(neighbour >= 0)
+    place = node * neighbour.shape[1] + bond
+    return stretch_rows(body, node, bond, neighbour[node, bond]), place
 
 
 def stretch_rows(
@@ -193,13 +182,12 @@ def corrections(body: LatticeBody, neighbour: np.ndarray, bonds: SplitBonds) -> 
 def mean_gradients(
     xi: np.ndarray, there: np.ndarray, stiffness: np.ndarray, share: np.ndarray, least: float
 ) -> tuple[np.ndarray, ...]:
-    """(C26) of nodes that have some bonds of a ball, xi [B, d], by which, `there` [n, B], where
-    these span space: their shape tensor's eigenvalues are `least` of a whole ball's.
+    """(C26) of nodes with the bonds `there` [n, B] of a ball, xi [B, d], where these span space:
+    their shape tensor's eigenvalues are `least` of a whole ball's.
 
     Returns where they do [n]; and, zero elsewhere, ∂u_i/∂x_j of each bond's u_j − u_i, least
     squares with the weights |a| [n, d, B]; and what the bonds that are lacked make of it, by j and
-    i: stress [n, d², d²] and dilatation [n, d²]. Node by node, so that the bits are the same
-    however many there are. Stiffness and share as of SplitBonds, the first by node too.
+    i: stress [n, d², d²] and dilatation [n, d²]. Node by node: the bits are the same however many.
     """
     along = np.einsum("bj,bi->bji", xi, xi).reshape(len(xi), -1)  # e = along · gradient
     weight = np.abs(share)
@@ -348,14 +336,8 @@ class CutOperator:
 
 
 class CutRows:
-    """L of a cut body, [S, N, d] to [S, N, d]: by rows, and where bonds are corrected by a short
-    list.
-
-    Args:
-        model, corrected: as of CutSolid.
-        body: not endless.
-        neighbour: with broken bonds, shape [N, B].
-    """
+    """L of a cut body that is not endless, [S, N, d] to [S, N, d]: by rows, and where bonds are
+    corrected by a short list; arguments as of CutSolid."""
 
     def __init__(
         self, model: LPSMaterial, body: LatticeBody, neighbour: np.ndarray, corrected: bool

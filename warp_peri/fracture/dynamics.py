@@ -96,16 +96,12 @@ class BreakingState:
     """What a motion has come to; arrays are Warp's.
 
     Attributes:
-        u, v: displacement and velocity.
         links: which bonds are unbroken, as the operator's `kept` tells.
         correction: of bonds that are lacked, before those that the next step breaks; or None.
-        force: internal force density over the bonds that are left.
-        energy: elastic energy density over them.
+        force, energy: internal force and elastic energy density over the bonds that are left.
         work: done on the body so far and what it started with, per node and area [stress].
         dissipated: energy density of the bonds broken so far [stress].
         whole: bonds that count as undamaged at the start, shape [N].
-        time: elapsed.
-        steps: taken.
     """
 
     u: wp.array[Any]
@@ -180,18 +176,15 @@ class BreakingBody:
         if not (ramp is None or callable(ramp)):
             raise InputError(f"ramp: expected a function of time, got {ramp!r:.50}")
         held = None if held is None else by_component(held, body.x.shape).astype(float)
-        self.load, self.held, self.grip = (
-            self._padded(name, field)
-            for name, field in (("load", load), ("held", held), ("grip", grip))
-        )
+        given = {"load": load, "held": held, "grip": grip}
+        self.load, self.held, self.grip = (self._nodal(*one) for one in given.items())
         self.exchange: Callable[[np.ndarray], None] | None = None
 
-    def _padded(self, name: str, field: ArrayLike | None) -> wp.array[Any]:
-        count, d = self.body.x.shape
-        values: np.ndarray = np.zeros((count, d))
-        if field is not None:
-            values[:] = checked(name, field, float, (count, d))
-        return floats(values, self.operator.vector)
+    def _nodal(self, name: str, field: ArrayLike | None) -> wp.array[Any]:
+        """A field [N, d] of Warp; zeros for None."""
+        shape = self.body.x.shape
+        values = np.zeros(shape) if field is None else checked(name, field, float, shape)
+        return floats(values.copy(), self.operator.vector)
 
     def share(self, time: float) -> float:
         """The ramp at a time; InputError where it is no number."""
@@ -215,7 +208,7 @@ class BreakingBody:
 
         Raises InputError when u alone is beyond the criterion: such a body breaks at rest.
         """
-        fields, neighbour = (self._padded("u", u), self._padded("v", v)), cracked(self.body, cracks)
+        fields, neighbour = (self._nodal("u", u), self._nodal("v", v)), cracked(self.body, cracks)
         count, known = len(self.body.x), self.body.neighbour if count_cracks else neighbour
         state = BreakingState(
             *fields,
@@ -332,25 +325,17 @@ class Broken(NamedTuple):
 
 
 class Section:
-    """The bonds across a straight line, to sum the force that they carry.
-
-    Args:
-        body: the body in motion.
-        line: two ends, shape [2, 2]; in space the corners of a flat polygon, [P, 3].
-        own: the nodes whose bonds are summed here.
-
-    Raises InputError for a line of another shape.
-    """
+    """The bonds of own nodes across a straight line [2, 2], in space a flat polygon [P, 3], to sum
+    the force that they carry; InputError for a line of another shape."""
 
     def __init__(self, body: BreakingBody, line: ArrayLike, own: Any) -> None:
         cut, self.ends, normal = section(body.body, line, "section")
-        node, bond = np.nonzero(cut)
-        here = np.zeros(len(cut), bool)
-        here[own] = True
-        height = (body.body.x[node] - self.ends[0]) @ normal
-        left = here[node] & (height > -HAIR / 2 * body.body.spacing)  # those on it stand there
-        self.count = int(here[node].sum())
-        self._node, self._bond, self._owner = node[left], bond[left], body
+        own_cut = np.zeros_like(cut)
+        own_cut[own] = cut[own]
+        self.count = int(own_cut.sum())
+        height = (body.body.x - self.ends[0]) @ normal  # nodes on the line stand to its left
+        own_cut &= (height > -HAIR / 2 * body.body.spacing)[:, None]
+        (self._node, self._bond), self._owner = np.nonzero(own_cut), body
 
     def carried(self, state: BreakingState) -> np.ndarray:
         """Force density of each bond across the line, shape [E, d]."""
@@ -374,16 +359,13 @@ class CrackRun(Recorder):
     Args:
         body: the body; on ranks of the nodes here.
         step: Δt, at most the body's longest.
-        regions: own nodes whose mean displacement and velocity are recorded, [n] bool by name.
+        regions: own nodes whose mean displacement and velocity are recorded as "u NAME" and
+            "v NAME", [n] bool by name.
         watch: functions of φ [N], the share of bonds that nodes have lost, recorded by name.
-        sections: lines across which the force is recorded, [2, 2] by name; in space polygons.
+        sections: lines by name, [2, 2], in space polygons, across which the force is recorded as
+            "force NAME", per thickness on the side that lies to the left of the line.
         nodes: which of the body's are this process's own, as AllNodes; all by default.
         files: the options of Recorder; `every` is 20 by default.
-
-    Attributes:
-        history: of each record by name: those of LEDGER, "u NAME" and "v NAME" of regions,
-            "force NAME" across sections, per thickness on the side that lies to the left of the
-            line, and what is watched.
 
     Raises InputError for a step or counts that are not > 0 or too long, for regions without nodes,
     and for sections without bonds.
@@ -452,13 +434,11 @@ class CrackRun(Recorder):
         cell = body.body.spacing**body.body.dimension
         for name, across in self.sections.items():
             found[f"force {name}"] = cell * nodes.sum(across.carried(state))
-        if not (self.watch or self.series):
-            return state.time, found, {}
-        phi = body.damage(state)[nodes.own]
+        phi = body.damage(state)[nodes.own] if self.watch or self.series else None
         if self.watch:
             everywhere = nodes.gather(phi)
             found |= {name: function(everywhere) for name, function in self.watch.items()}
-        return state.time, found, {"damage": phi}
+        return state.time, found, {} if phi is None else {"damage": phi}
 
     def nodal(self, state: BreakingState) -> dict[str, np.ndarray]:
         """`left`: bonds of the ball that each node has, [m, B]."""

@@ -90,10 +90,14 @@ class Cracked:
             raise InputError("points: a Cracked is for lattices that have no box and none outside")
         return lattice_body(self.points.x, self.points.spacing, linear.horizon)
 
+    @property
+    def _cuts(self) -> dict[str, Any]:
+        return {"cracks": self.cracks, "corrected": self.corrected}
+
     def waves(self, material: Any) -> CutSolid:
         """L of a positive solid whose bonds stay, which moves; InputError as of CutSolid."""
-        how: dict[str, Any] = {"cracks": self.cracks, "corrected": self.corrected, "moves": True}
-        return CutSolid(material, self.body(material, "simulate"), self.held, **how)
+        body = self.body(material, "simulate")
+        return CutSolid(material, body, self.held, moves=True, **self._cuts)
 
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
         """The body at rest, of a solid with a linear part, or of one with several moduli."""
@@ -101,8 +105,7 @@ class Cracked:
         numbers = options.pop("parameters", None)
         taken(options, "solve")
         body = self.body(material, "solve")
-        how: dict[str, Any] = {"cracks": self.cracks, "corrected": self.corrected, "solver": solver}
-        cut = CutSolid(material, body, self.held, **how)
+        cut = CutSolid(material, body, self.held, solver=solver, **self._cuts)
         b: Any
         b, u = (np.zeros_like(body.x) if one is None else one for one in (self.b, self.u))
         learns = numbers is not None or is_tensor(b) or is_tensor(u)
@@ -169,8 +172,7 @@ class Cracked:
         u = u if is_tensor(u) else checked("u", u, float, body.x.shape, self.held)
         if "events" in options:
             (how,) = taken(options, "simulate", grow, given=("cracks", "corrected"))
-            how |= {"cracks": self.cracks, "corrected": self.corrected}
-            return grow(material.linear, body, self.held, u, **how)
+            return grow(material.linear, body, self.held, u, **how, **self._cuts)
         law = offered(material, "law", "simulate", "a SofteningMaterial for loads=…")
         soft: Any = fracture.adjoint.SoftBody
         own, how = taken(options, "simulate", soft.__init__, soft.pull, given=("cracks",))
@@ -193,16 +195,14 @@ def options_of_steps(options: dict[str, Any]) -> tuple[dict[str, Any], ...]:
 class Injected:
     """A crack |x| < a on y = 0, in space a penny, that a fluid drives through a body, slowly (C14).
 
-    At each half length the pressure is that of G = G_c; G of unit pressure is p² half the change of
+    At each half length the pressure is that of G = G_c; G of unit pressure is half the change of
     the opening's volume with the crack's length or area, that of the bonds cut.
 
     Attributes:
         points: a lattice along the axes, held off the interior.
-        halves: half lengths, or radii, in rising order, more than a spacing, one or more.
-        leak: volume lost per length or area of new face [length], ≥ 0.
-        compressibility: of the fluid [1 / stress], ≥ 0.
-
-    Raises InputError for half lengths that do not rise, and a fluid below 0.
+        halves: half lengths, or radii, that rise from more than a spacing; InputError for others.
+        leak: volume lost per length or area of new face [length].
+        compressibility: of the fluid [1 / stress].
     """
 
     points: Points
@@ -229,16 +229,16 @@ class Injected:
         grow [stress], volume of the fluid in it [length^d], and pumped, leaks included.
         """
         taken(options, "simulate")
-        toughness = getattr(material, "toughness", None)
-        if toughness is None:
+        if (toughness := getattr(material, "toughness", None)) is None:
             raise InputError(
                 "simulate: expected a BrittleMaterial with a toughness for an Injected"
             )
-        h, normal, rows = self.points.spacing, np.eye(self.points.dimension)[1], []
+        h, rows = self.points.spacing, []
         for half in self.halves:
-            found = [self._at(material, half + d, normal) for d in (0.0, h, -h)]
-            here, longer, shorter = (crack_opening_volume(one, normal) for one in found)
-            area, more, less = (crack_area(one, normal) for one in found)
+            found = [self._at(material, half + d) for d in (0.0, h, -h)]
+            here, longer, shorter = map(crack_opening_volume, found)
+            columns = np.array([len(_columns(one, None)[0]) for one in found])
+            area, more, less = columns * h ** (self.points.dimension - 1)  # or lengths in a sheet
             released = (longer - shorter) / (more - less) / 2  # at unit pressure
             pressure = float(np.sqrt(toughness / released))
             volume = pressure * here
@@ -247,11 +247,12 @@ class Injected:
         history = dict(zip(("half", "pressure", "volume", "pumped"), np.array(rows).T))
         return Motion(history["half"], pressure * found[0].u, None, history, found[0])
 
-    def _at(self, material: Any, half: float, normal: np.ndarray) -> Solution:
+    def _at(self, material: Any, half: float) -> Solution:
         """At rest under unit pressure."""
-        crack = [(-half, 0.0), (half, 0.0)] if len(normal) == 2 else penny_corners(half)
-        problem = Cracked(self.points, cracks=[crack], pressure=np.outer(normal, normal))
-        return problem.solved(material, None, {})
+        d = self.points.dimension
+        crack = [(-half, 0.0), (half, 0.0)] if d == 2 else penny_corners(half)
+        pressure = np.diag([0.0, 1.0, 0.0][:d])
+        return Cracked(self.points, cracks=[crack], pressure=pressure).solved(material, None, {})
 
 
 RADIUS = 4.0
@@ -267,23 +268,19 @@ def energy_release(
     shift: float = 0.0,
     solver: Direct | CG | None = None,
 ) -> float:
-    """G by energies of cracks of several lengths, at given displacement and dead loads (C11).
+    """G by energies of cracks of several lengths, at given displacement and dead loads (C11): what
+    is released per length added, in space per area, by least squares [stress · length].
 
     Along rows of nodes a shorter and a longer crack, one spacing either way, are enough. Bonds are
     cut one by one where a crack is inclined: take nine lengths over ± 2 spacings there, for 2 %.
 
     Args:
-        material: as of `solve`.
-        problem: a Cracked, whose cracks are not looked at; loads stay as the crack grows, their
-            potential counts.
-        cracks: for each length its polylines, two or more; what longer ones add is the new area.
+        material, solver: as of `solve`.
+        problem: a Cracked, whose cracks are not looked at; loads stay as the crack grows.
+        cracks: for each length its polylines; what longer ones add is the new area.
         shift: how much further a tip acts than it is cut [length], `tip_shift` of the solid; G is
             then that of the length asked for, by a parabola through three lengths or a quartic
             through five or more (C25).
-        solver: as of `solve`.
-
-    Returns what is released per length added, in space per area, by least squares
-    [stress · length]; with two tips, of each.
 
     Raises InputError for fewer than two lengths, with a shift fewer than three or in space, for a
     body that nothing pulls at, and as Cracked.solved.
@@ -330,12 +327,8 @@ def tip_shift(material: Any, spacing: Positive, *, corrected: bool = False) -> f
     side; the place where the cut tip releases what that field brings is behind its origin by the
     shift. What is left falls with the inverse of the side and is taken off.
 
-    Args:
-        material: a solid with a linear part; in space the strain is plane.
-        spacing: of the nodes [length].
-        corrected: as of the Cracked that it is for.
-
-    Raises InputError for a solid without a linear part.
+    Of a solid with a linear part, on nodes of this spacing [length], `corrected` as the Cracked
+    that it is for; in space the strain is plane. Raises InputError for another material.
     """
     model = offered(material, "linear", "tip_shift", "a solid with a linear part")
     sides = RADIUS * model.horizon * np.array([1.0, 2.0])
@@ -344,12 +337,14 @@ def tip_shift(material: Any, spacing: Positive, *, corrected: bool = False) -> f
 
 
 def _shift(model: LPSMaterial, h: float, radius: float, corrected: bool) -> float:
-    """As tip_shift, of one square."""
+    """As tip_shift, of one square; the field of a tip is M. L. Williams' of 1957, K = 1."""
     d, inner = model.dimension, np.ceil(radius / h - 1e-6) * h
     side = 2 * (inner + 2 * np.ceil(model.horizon / h - 1e-6) * h)
     x = box_nodes((side, side, h)[:d], h)  # all layers are alike
     held, u = (np.abs(x) >= inner).any(axis=1), np.zeros_like(x)
-    u[:, :2] = _tip_field(x, model)
+    kolosov, angle = (model.lam + 3 * model.mu) / (model.lam + model.mu), np.arctan2(*x.T[1::-1])
+    size = np.sqrt(np.hypot(*x.T[:2]) / (2 * np.pi)) / (2 * model.mu) * (kolosov - np.cos(angle))
+    u[:, 0], u[:, 1] = size * np.cos(angle / 2), size * np.sin(angle / 2)
     body, energies = lattice_body(x, h, model.horizon, endless=d == 3), []
     places = h * np.arange(-1, 2)
     for place in places:
@@ -357,20 +352,8 @@ def _shift(model: LPSMaterial, h: float, radius: float, corrected: bool) -> floa
         cut = CutSolid(model, body, held, cracks=[crack], corrected=corrected)
         energies.append(cut.energy(cut.solve(None, u).u) / h ** (d - 2))
     bend, slope, _ = np.polyfit(places, energies, 2)
-    released = (_kolosov(model) + 1) / (8 * model.mu)  # 1/E of a sheet, (1 − ν²)/E in space
+    released = (kolosov + 1) / (8 * model.mu)  # 1/E of a sheet, (1 − ν²)/E in space
     return float((slope + released) / (2 * bend))
-
-
-def _kolosov(model: LPSMaterial) -> float:
-    return (model.lam + 3 * model.mu) / (model.lam + model.mu)
-
-
-def _tip_field(x: np.ndarray, model: LPSMaterial) -> np.ndarray:
-    """Displacement about a crack's tip at the origin, K = 1; M. L. Williams, 1957."""
-    angle = np.arctan2(x[:, 1], x[:, 0])
-    size = np.sqrt(np.hypot(*x[:, :2].T) / (2 * np.pi)) / (2 * model.mu)
-    size *= _kolosov(model) - np.cos(angle)
-    return np.asarray(size[:, None] * np.column_stack([np.cos(angle / 2), np.sin(angle / 2)]))
 
 
 @typed
@@ -378,8 +361,8 @@ def j_integral(solution: Solution, tip: Sequence[float], radii: tuple[float, flo
     """J around the tip of a crack along an axis, for its growth straight on, by a domain (C12).
 
     Gradients are differences, one-sided across the crack; the weight falls from 1 to 0 between two
-    squares about the tip. In space these are cubes about a point of a front that is straight within
-    the larger one, and J is the mean over what is in it.
+    squares about the tip, in space cubes about a point of a front that is straight in the larger
+    one, over which J is the mean.
 
     Args:
         solution: of a Cracked on a rectangle or box of nodes, of one material, with the crack
@@ -462,22 +445,14 @@ def _gradient(u: np.ndarray, x: np.ndarray, h: float, axes: list[int], sign: flo
 
 @typed
 def crack_opening_volume(solution: Solution, normal: Sequence[float] | None = None) -> float:
-    """Room between the faces of cracks with one normal [length^d], from the bonds across them.
+    """Room between the faces of cracks along rows of nodes, in the solution of a Cracked
+    [length^d]: each broken bond of one spacing along the normal is a column of it.
 
-    Each broken bond of one spacing along the normal is a column of the opening; cracks along a
-    row of nodes. The solution is that of a Cracked; the normal is the second axis unless given.
-
-    Raises InputError unless the normal is along an axis.
+    Raises InputError unless the normal, the second axis by default, is along an axis.
     """
     node, far, along = _columns(solution, normal)
     body, u = solution.operator.body, solution.u
     return float(body.spacing ** (body.dimension - 1) * ((u[far] - u[node]) @ along).sum())
-
-
-def crack_area(solution: Solution, normal: Sequence[float] | None = None) -> float:
-    """Length, in space area, of these cracks: a spacing or a square of it for each column."""
-    body = solution.operator.body
-    return float(len(_columns(solution, normal)[0]) * body.spacing ** (body.dimension - 1))
 
 
 def _columns(

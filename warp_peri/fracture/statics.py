@@ -65,9 +65,7 @@ class CutSolid(OperatorBase):
         body: nodes and bonds.
         held: components of the displacement that are given, shape [N] or [N, d] bool.
         neighbour: with broken bonds, shape [N, B]; the body's own by default.
-        cracks: polylines, in space flat polygons, that cut it, instead.
-        corrected: bonds that a node lacks, at edges and cracks, take the mean gradient of those
-            that it has (C26).
+        cracks, corrected: as of Cracked, the former instead of `neighbour`.
         solver: Direct, or CG by rows.
         moves: for waves alone; nothing need hold it, and it is not factorised.
         near: factors of the body before it lost some bonds, which stand before conjugate gradients.
@@ -75,9 +73,9 @@ class CutSolid(OperatorBase):
     Attributes:
         factors: of the rows and columns of L that are free, or `near`; none for CG.
 
-    Raises InputError for a piece of the body that nothing holds, naming it, for an operator
-    with negative eigenvalues, and CG for another material; of
-    one that moves for an influence function that changes sign, and nodes that are held in part.
+    Raises InputError for a piece of the body that nothing holds, an operator with negative
+    eigenvalues, and CG for another material; of one that moves for an influence function that
+    changes sign, and nodes that are held in part.
     """
 
     is_linear = is_symmetric = True
@@ -144,10 +142,8 @@ class CutSolid(OperatorBase):
         return Points(self.body.x, self.inside, self.body.spacing, units=self.model.units)
 
     def force(self, u: np.ndarray) -> np.ndarray:
-        """Minus the internal force density on nodes that are not held, [..., N, d] to [..., I, d].
-
-        Raises InputError for another shape and what is not finite.
-        """
+        """Minus the internal force density on nodes that are not held, [..., N, d] to [..., I, d];
+        InputError for another shape and what is not finite."""
         force = self.times(self.fields(u))[:, self.inside]
         return force.reshape(*np.shape(u)[:-2], *force.shape[1:])
 
@@ -157,15 +153,8 @@ class CutSolid(OperatorBase):
         return self.times(fields.reshape(-1, *self.shape)).reshape(fields.shape)
 
     def solve(self, b: Any, u: Any, solver: Solver = None) -> Solution:
-        """The body at rest.
-
-        Args:
-            b: body force density [stress / length], shape [..., N, d]; None for none.
-            u: same shape, holds the given components; the others are not looked at.
-            solver: as it was made for.
-
-        Raises InputError for other shapes and for what is not finite.
-        """
+        """The body at rest, of b [stress / length], None for none, and a u whose held components
+        are looked at, [..., N, d]; InputError for other shapes and what is not finite."""
         refuse_solver(solver, (Direct, CG), "a body with cracks")
         given = np.where(self.held, checked("u", u, float, (..., *self.shape), self.held), 0.0)
         load = np.zeros(given.shape) if b is None else checked("b", b, float, given.shape)
@@ -216,9 +205,7 @@ class CutSolid(OperatorBase):
 
     def max_symbol_eigenvalue(self) -> float:
         """A proven upper bound of Λmax L [stress / length²]: (C9), or S. Gershgorin's of 1931.
-
-        Raises InputError at rest: whether such a body may move is not looked at there.
-        """
+        InputError at rest, where nobody has looked whether the body may move."""
         if not self.moves:
             raise InputError(
                 "simulate: expected a Cracked of a BrittleMaterial, or one with a density"
@@ -265,14 +252,9 @@ def crack_load(cut: CutSolid, stress: np.ndarray, numbers: Any = None) -> Any:
     """Body force density [stress / length] that presses on what has been cut, shape [N, d].
 
     Minus the force that the missing bonds would carry under the uniform stress: a crack with it, in
-    a body pulled by the stress, is as if it were not there (C13).
-
-    Args:
-        cut: the solid, of one material.
-        stress: symmetric, shape [d, d]; p n⊗n for a pressure on faces with normal n.
-        numbers: of the material as tensors, in which it is then differentiable; not corrected.
-
-    Raises InputError for another stress, and several materials.
+    a body pulled by the stress, is as if it were not there (C13). With numbers of the material as
+    tensors it is differentiable in them, unless corrected. Raises InputError for a stress [d, d]
+    that is not symmetric, and several materials.
     """
     if not cut.one:
         raise InputError("pressure: expected one material, isotropic")
@@ -314,26 +296,23 @@ def grow(
     """Break the bond most stretched, and its mirror images, event by event.
 
     Args:
-        model, body, held, corrected: as of CutSolid; a model that changes sign is refused.
+        model, body, held, cracks, corrected: as of CutSolid; one that changes sign is refused.
         u: the held components at unit load, shape [N, d].
         events: how many, fewer when the body comes apart.
-        cracks, no_fail: open from the start; nodes whose bonds do not break, shape [N] bool.
+        no_fail: nodes whose bonds do not break, shape [N] bool.
         progress: shows a bar.
 
-    Returns:
-        A motion whose time is the load, the factor of u at which each event's bond breaks, over the
-        critical stretch. Its histories are load, energy: elastic at unit load before each event
-        [stress · area], and broken: bonds up to it, both directions. The details are the neighbours
-        at the end, shape [N, B].
-
-    Raises InputError as CutSolid, and for another `no_fail`.
+    Returns a motion whose time is the load, the factor of u at which each event's bond breaks, over
+    the critical stretch. Its histories are load, energy: elastic at unit load before each event
+    [stress · area], and broken: bonds up to it, both directions. The details are the neighbours at
+    the end, shape [N, B].
     """
     check_breakable(model, body.classes)
-    table, rows = cracked(body, cracks), list[tuple[float, float, int]]()
+    table, rows, near = cracked(body, cracks), list[tuple[float, float, int]](), None
     end, safe = np.zeros_like(body.x), check_no_fail(no_fail, len(body.x))
     node, bond = np.nonzero(table >= 0)
     far, xi, square = table[node, bond], body.xi[bond], body.r[bond] ** 2
-    safe, near = safe[node] | safe[far], None
+    safe = safe[node] | safe[far]
     for _ in tqdm(range(events), disable=not progress, unit="event"):
         try:
             cut = CutSolid(model, body, held, neighbour=table, corrected=corrected, near=near)
@@ -405,13 +384,8 @@ def cut_by_spacing(classes: BondClasses) -> int:
 
 
 def spent(growth: Motion, classes: BondClasses, *, tips: int) -> float:
-    """G at a unit critical stretch of a growth along a row, the mean of each spacing's largest.
-
-    Args:
-        growth: of `grow`, by one spacing or more.
-        classes: of its body.
-        tips: that grow alike.
-    """
+    """G at a unit critical stretch of a growth along a row by one spacing or more, of so many tips
+    that grow alike: the mean of each spacing's largest."""
     grown = growth["broken"] / (2 * tips * cut_by_spacing(classes))  # spacings of each tip
     peaks = []
     for k in range(int(grown[-1])):
