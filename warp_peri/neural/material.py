@@ -18,7 +18,7 @@ from warp_peri.core import record
 from warp_peri.core.record import Length
 from warp_peri.errors import InputError
 from warp_peri.files import foreign
-from warp_peri.neural.placed import NetworkBonds, Placed
+from warp_peri.neural.placed import Placed
 from warp_peri.neural.training import NeuralFit, TrainingSettings, train
 from warp_peri.points.arguments import Natural, Positive, is_positive, typed
 from warp_peri.points.points import PointsLike, Samples, nodes_of
@@ -121,7 +121,7 @@ class NeuralOperator(Shown, torch.nn.Module):
         Raises InputError for scattered points, an interior without its 2δ collar, or other units.
         """
         check_same(self.units, nodes_of(points).units)
-        return Placed(self, NetworkBonds(points, self.horizon))
+        return Placed(self, points)
 
     def save(
         self,
@@ -141,9 +141,8 @@ class NeuralOperator(Shown, torch.nn.Module):
         if Path(path).suffix != ".json":
             raise InputError(f"{path}: expected a name that ends in .json")
         weights = {key: part.detach().numpy() for key, part in self.state_dict().items()}
-        own = {key: value for key, value in self.content().items() if key not in record.UNITS}
         kind = precision or next(iter(weights.values())).dtype.name
-        said = NeuralFile(**own, precision=kind, weights={}, units=self.units)
+        said = NeuralFile(**self.content(), precision=kind, weights={})
         written = {key: part.astype(said.dtype) for key, part in weights.items()}
         _check_finite(written)
         if (size := sum(part.nbytes for part in written.values())) > FITS:
@@ -184,18 +183,8 @@ class NeuralOperator(Shown, torch.nn.Module):
         return other
 
     def content(self) -> dict[str, Any]:
-        """Everything but the weights, as it stands in a file."""
-        return {
-            "horizon": self.horizon,
-            **{name: list(widths) for name, widths in self.widths.items()},
-            "anisotropic": self.anisotropic,
-            "proportional": self.proportional,
-            "strain": self.strain,
-            "scale": self.scale,
-            "length_unit": self.units[0],
-            "stress_unit": self.units[1],
-            "provenance": self.provenance,
-        }
+        """Everything that a file says but the weights."""
+        return self.widths | {name: getattr(self, name) for name in SAID}
 
     def numbers(self) -> int:
         """How many numbers are learned."""
@@ -215,6 +204,8 @@ class NeuralOperator(Shown, torch.nn.Module):
         ]
 
 
+SAID = "horizon", "anisotropic", "proportional", "strain", "units", "scale", "provenance"
+"""Of an operator that its file says, beside widths and weights."""
 PRECISIONS = ("float16", "float32", "float64")
 FITS = foreign.LARGEST * 3 // 4 - 2**16
 """Bytes of weights whose file is read again."""
@@ -222,14 +213,7 @@ FITS = foreign.LARGEST * 3 // 4 - 2**16
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NeuralFile(record.Record, format="warp_peri.neural", version=2):
-    """What a file says of an operator.
-
-    Attributes:
-        horizon, influence, state, anisotropic, proportional, strain, scale, units, provenance: of
-            the operator.
-        precision: of the weights.
-        weights: by name, in base 64.
-    """
+    """What a file says of an operator; its weights by name, in base 64."""
 
     horizon: Length
     influence: tuple[int, int]
@@ -244,7 +228,7 @@ class NeuralFile(record.Record, format="warp_peri.neural", version=2):
     units: Units
 
     def _read_from(self, path: Path | None) -> NeuralOperator:  # type: ignore[override]
-        names = ["horizon", "influence", "state", "anisotropic", "proportional", "strain", "units"]
+        names = ("influence", "state", *SAID[:5])
         material = NeuralOperator(**{name: getattr(self, name) for name in names}).double()
         material.scale, material.provenance = self.scale, self.provenance
         wanted = {key: tuple(part.shape) for key, part in material.state_dict().items()}

@@ -16,7 +16,7 @@ from warp_peri.errors import InputError
 from warp_peri.points.arguments import checked_fields, plain, typed
 from warp_peri.points.families import families_of
 from warp_peri.points.points import PointsLike, Samples, nodes_of
-from warp_peri.protocols import OperatorBase, Remade
+from warp_peri.protocols import OperatorBase
 from warp_peri.solvers.equilibria import Equilibria, probed
 from warp_peri.solvers.linear import Inverse, Linear
 from warp_peri.solvers.solution import Newton, Solution, Solver, by_sample, refuse_solver
@@ -32,61 +32,6 @@ ROUNDING = 16
 """In units of the networks' precision: a residual that steps of Newton no longer lower."""
 LOADS = 8
 """Loads that the solid at rest is set up for."""
-
-
-class NetworkBonds(Remade):
-    """Families of the nodes within a horizon of the interior of a lattice.
-
-    Attributes:
-        points: the nodes.
-        xi: bond vectors of a family [length], shape [B, 2], r their lengths.
-        kind: class of each bond of a family by length, shape [B].
-        whole: nodes with whole families, whose dilatation is known, shape [F].
-        ends: the node at each of their bonds, shape [F, B].
-        row: place of each node among the whole ones, shape [N]; −1 of others.
-        own: of the interior nodes, shape [I].
-        node, place: the bonds with an interior end, in one of both directions each, by their first
-            node among the whole ones and their number in its family, shape [A].
-        forward, back: numbers among these of the bonds of the interior nodes, and of the same bonds
-            from their other end, shape [I, B].
-
-    Raises InputError for scattered points and those in space, broken bonds, and an interior without
-    its 2δ collar.
-    """
-
-    def __init__(self, points: PointsLike, horizon: float) -> None:
-        if points.x.shape[1] != 2:
-            raise InputError(f"points: expected a plane, got {points.x.shape[1]} dimensions")
-        if points.outside is not None:
-            raise InputError("points: expected none outside of the body")
-        families = families_of(points, horizon)
-        self.points, self.kind = nodes_of(points), families.classes.bond_class
-        self.xi, self.whole = families.pattern, families.whole
-        self.r = np.hypot(*self.xi.T)
-        self.ends = families.neighbour.reshape(-1, len(self.xi))[self.whole]
-        self.row = np.full(len(points.x), -1)
-        self.row[self.whole] = np.arange(len(self.whole))
-        self.own = self.row[families.rows]
-        acts = points.interior[self.whole][:, None] | points.interior[self.ends]
-        number = np.cumsum(acts).reshape(acts.shape) - 1
-        self.node, self.place = np.nonzero(acts)
-        self.forward = number[self.own]
-        self.back = number[self.row[self.ends[self.own]], families.reverse]
-
-    def stretch(
-        self, u: torch.Tensor, share: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Extensions e = |Y| − |ξ| of whole families [length], [S, F, B], dilatations ϑ = Σ share e
-        (NO3), [S, F], and directions M = Y/|Y| of the interior's bonds, [S, I, B, 2], of u
-        [S, N, 2] and shares [B]; Y = ξ + u_j − u_i."""
-        xi, r = (torch.as_tensor(one, dtype=u.dtype) for one in (self.xi, self.r))
-        eta = u[:, self.ends] - u[:, self.whole, None]
-        Y = xi + eta
-        length = torch.linalg.vector_norm(Y, dim=-1)
-        e = ((2 * xi + eta) * eta).sum(dim=-1) / (length + r)  # without the cancellation
-        length = length[:, self.own]
-        M = Y[:, self.own] / torch.where(length > 0, length, 1.0)[..., None]
-        return e, e @ share, M
 
 
 @dataclass(frozen=True)
@@ -180,13 +125,13 @@ def interpolated_force(
     begins before the range by a share of a cell: drawn anew in every step of a training, corners
     stand nowhere twice. The error falls with the square of 1/cells.
     """
-    bonds, material, size = placed.bonds, placed.material, cells + 2
+    material, size = placed.material, cells + 2
     omega, share, r = placed.shares(u.dtype)
-    every, theta, M = bonds.stretch(u, share)
-    kinds = np.arange(len(bonds.xi)) if material.anisotropic else bonds.kind
+    every, theta, M = placed.stretch(u, share)
+    kinds = np.arange(len(placed.xi)) if material.anisotropic else placed.kind
     first = np.unique(kinds, return_index=True)[1]
-    kind = torch.as_tensor(kinds[bonds.place])
-    e, theta = every[:, bonds.node, bonds.place], theta[:, bonds.node]
+    kind = torch.as_tensor(kinds[placed.place])
+    e, theta = every[:, placed.node, placed.place], theta[:, placed.node]
     furthest = e.detach().abs().amax(dim=0)
     most = furthest.new_zeros(len(first)).scatter_reduce(0, kind, furthest, "amax")
     low, step = _range(theta.detach().abs().max(), cells, offset[0])
@@ -212,11 +157,57 @@ def _range(most: torch.Tensor, cells: int, offset: float) -> tuple[torch.Tensor,
 
 
 class Placed(OperatorBase):
-    """Minus the internal force density of a neural operator on a lattice; b in equilibrium."""
+    """Minus the internal force density of a neural operator on a lattice; b in equilibrium.
 
-    def __init__(self, material: NeuralOperator, bonds: NetworkBonds) -> None:
+    Attributes:
+        xi: bond vectors of a family [length], shape [B, 2], r their lengths.
+        kind: class of each bond of a family by length, shape [B].
+        whole: nodes with whole families, whose dilatation is known, shape [F].
+        ends: the node at each of their bonds, shape [F, B].
+        own: places of the interior nodes among the whole ones, shape [I].
+        node, place: the bonds with an interior end, in one of both directions each, by their first
+            node among the whole ones and their number in its family, shape [A].
+        forward, back: numbers among these of the bonds of the interior nodes, and of the same bonds
+            from their other end, shape [I, B].
+
+    Raises InputError for scattered points and those in space, broken bonds, and an interior without
+    its 2δ collar.
+    """
+
+    def __init__(self, material: NeuralOperator, points: PointsLike) -> None:
         self.model = self.material = material
-        self.bonds, self.points = bonds, bonds.points
+        if points.x.shape[1] != 2:
+            raise InputError(f"points: expected a plane, got {points.x.shape[1]} dimensions")
+        if points.outside is not None:
+            raise InputError("points: expected none outside of the body")
+        families = families_of(points, material.horizon)
+        self.points, self.kind = nodes_of(points), families.classes.bond_class
+        self.xi, self.whole = families.pattern, families.whole
+        self.r = np.hypot(*self.xi.T)
+        self.ends = families.neighbour.reshape(-1, len(self.xi))[self.whole]
+        row = np.full(len(points.x), -1)
+        row[self.whole] = np.arange(len(self.whole))
+        self.own = row[families.rows]
+        acts = points.interior[self.whole][:, None] | points.interior[self.ends]
+        number = np.cumsum(acts).reshape(acts.shape) - 1
+        self.node, self.place = np.nonzero(acts)
+        self.forward = number[self.own]
+        self.back = number[row[self.ends[self.own]], families.reverse]
+
+    def stretch(
+        self, u: torch.Tensor, share: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Extensions e = |Y| − |ξ| of whole families [length], [S, F, B], dilatations ϑ = Σ share e
+        (NO3), [S, F], and directions M = Y/|Y| of the interior's bonds, [S, I, B, 2], of u
+        [S, N, 2] and shares [B]; Y = ξ + u_j − u_i."""
+        xi, r = (torch.as_tensor(one, dtype=u.dtype) for one in (self.xi, self.r))
+        eta = u[:, self.ends] - u[:, self.whole, None]
+        Y = xi + eta
+        length = torch.linalg.vector_norm(Y, dim=-1)
+        e = ((2 * xi + eta) * eta).sum(dim=-1) / (length + r)  # without the cancellation
+        length = length[:, self.own]
+        M = Y[:, self.own] / torch.where(length > 0, length, 1.0)[..., None]
+        return e, e @ share, M
 
     def inverse(self, loads: int) -> Inverse:
         """Of the solid at rest, of a load on the interior."""
@@ -272,7 +263,7 @@ class Placed(OperatorBase):
 
     def vjp(self, u: Any, w: Any) -> np.ndarray:
         """The transposed product with w on the interior [..., I, 2], on all nodes [..., N, 2]."""
-        seeds = plain("w", w).reshape(-1, 2 * len(self.bonds.own))
+        seeds = plain("w", w).reshape(-1, 2 * len(self.own))
         pairs = zip(self._taken(u), seeds, strict=True)
         return np.reshape([self.tangent(field).T @ one for field, one in pairs], np.shape(u))
 
@@ -286,29 +277,29 @@ class Placed(OperatorBase):
 
         By the slopes of each bond's force state to its extension and its node's dilatation.
         """
-        bonds, x = self.bonds, u.double().numpy()
+        x = u.double().numpy()
         with torch.no_grad():
             omega, share, r = self.shares(u.dtype)
-            omega, theta, e, r = self.inputs(omega, *bonds.stretch(u[None], share)[1::-1], r)
+            omega, theta, e, r = self.inputs(omega, *self.stretch(u[None], share)[1::-1], r)
         by = theta.clone().requires_grad_(), e.clone().requires_grad_()
         with torch.enable_grad():
             state = self.material.force_state(omega, *by, r)
             slopes = torch.autograd.grad(state.sum(), by)
         t, to_theta, to_e = (one.detach().double().numpy() for one in (state, *slopes))
-        Y = bonds.xi + x[bonds.ends] - x[bonds.whole][:, None]
+        Y = self.xi + x[self.ends] - x[self.whole][:, None]
         length = np.linalg.norm(Y, axis=-1)[..., None]
-        M, own, node, place = Y / length, bonds.own, bonds.node, bonds.place
-        along, far = M[node, place][:, None, None], bonds.ends[node, place][:, None]
-        by_e = sp.diags_array(to_e) @ _differences(along, far, bonds.whole[node], len(x))
+        M, own, node, place = Y / length, self.own, self.node, self.place
+        along, far = M[node, place][:, None, None], self.ends[node, place][:, None]
+        by_e = sp.diags_array(to_e) @ _differences(along, far, self.whole[node], len(x))
         average = (share.double().numpy()[:, None] * M)[:, :, None]
-        dilatation = _differences(average, bonds.ends, bonds.whole, len(x))
+        dilatation = _differences(average, self.ends, self.whole, len(x))
         by_theta = sp.csr_array((to_theta, node, np.arange(len(t) + 1)), (len(t), len(M)))
-        both = np.concatenate([bonds.forward, bonds.back], axis=1)
+        both = np.concatenate([self.forward, self.back], axis=1)
         pull = _blocks(np.tile(M[own], (1, 2, 1))[..., None], both, len(t))
         J = pull @ by_e + (pull @ by_theta) @ dilatation
         across = np.eye(2) - M[own][..., :, None] * M[own][..., None, :]
-        turning = ((t[bonds.forward] + t[bonds.back])[..., None] / length[own])[..., None] * across
-        J = J + _differences(turning, bonds.ends[own], bonds.whole[own], len(x))
+        turning = ((t[self.forward] + t[self.back])[..., None] / length[own])[..., None] * across
+        J = J + _differences(turning, self.ends[own], self.whole[own], len(x))
         return sp.csr_array(-(self.points.spacing**2) * J)
 
     def stress(self, u: Any) -> np.ndarray:
@@ -318,7 +309,7 @@ class Placed(OperatorBase):
         """
         with torch.no_grad():
             pull = self._pull(*self.tension(self._taken(u)))
-            xi = torch.as_tensor(self.bonds.xi, dtype=pull.dtype)
+            xi = torch.as_tensor(self.xi, dtype=pull.dtype)
             stress = torch.einsum("sibx,by->sixy", pull, xi)
         size = self.points.spacing**2 / 2
         return np.reshape(size * stress.double().numpy(), (*np.shape(u)[:-2], -1, 2, 2))
@@ -327,13 +318,13 @@ class Placed(OperatorBase):
         """Force states [stress/length³] of the bonds with an interior end, [S, A] of u [S, N, 2],
         and the directions of those of the interior nodes, [S, I, B, 2]."""
         omega, share, r = self.shares(u.dtype)
-        e, theta, M = self.bonds.stretch(u, share)
+        e, theta, M = self.stretch(u, share)
         state = self.material.force_state(*self.inputs(omega, theta, e, r))
         return state.reshape(len(u), -1), M
 
     def _pull(self, tension: torch.Tensor, M: torch.Tensor) -> torch.Tensor:
         """Force states of both ends along the bonds of the interior nodes, [S, I, B, 2]."""
-        both: torch.Tensor = tension[:, self.bonds.forward] + tension[:, self.bonds.back]
+        both: torch.Tensor = tension[:, self.forward] + tension[:, self.back]
         return both[..., None] * M
 
     def force_of(self, tension: torch.Tensor, M: torch.Tensor) -> torch.Tensor:
@@ -343,22 +334,22 @@ class Placed(OperatorBase):
 
     def shares(self, dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """ω, ω |ξ| / Σ ω |ξ|² and |ξ| of the bonds of a family, each of shape [B]."""
-        bonds, material = self.bonds, self.material
+        material = self.material
         turn = np.radians(self.points.axis or 0.0)  # directions are those of the material
-        along = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-        xi = torch.as_tensor(bonds.xi @ along, dtype=dtype)
-        r = torch.as_tensor(bonds.r, dtype=dtype)
+        turned = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+        xi = torch.as_tensor(self.xi @ turned, dtype=dtype)
+        r = torch.as_tensor(self.r, dtype=dtype)
         if material.anisotropic:
             omega = material.omega(xi)
         else:  # one value for a class
-            omega = material.omega(xi[np.unique(bonds.kind, return_index=True)[1]])[bonds.kind]
+            omega = material.omega(xi[np.unique(self.kind, return_index=True)[1]])[self.kind]
         return omega, omega * r / (omega * r**2).sum(), r
 
     def inputs(
         self, omega: torch.Tensor, theta: torch.Tensor, e: torch.Tensor, r: torch.Tensor
     ) -> tuple[torch.Tensor, ...]:
         """What the force state takes of the bonds with an interior end, each of shape [S A]."""
-        node, place = self.bonds.node, self.bonds.place
+        node, place = self.node, self.place
         e = e[:, node, place]
         parts = omega[place], theta[:, node], e, r[place]
         return tuple(part.expand_as(e).reshape(-1) for part in parts)
