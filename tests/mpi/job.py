@@ -91,7 +91,7 @@ def proofs():
     proof._symbol_slopes = lambda *given: seen.append(len(given[-1])) or looked(*given)
     try:
         with together():
-            return wp.certificates.certify(solid(2), spacing=H).symbol_bound, sum(seen)
+            return wp.certify(solid(2), spacing=H).symbol_bound, sum(seen)
     finally:
         proof._symbol_slopes = looked
 
