@@ -18,7 +18,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError, warn
-from warp_peri.files.foreign import check_hdf5, check_xml, content, meshio_of, read_abaqus
+from warp_peri.files.foreign import check_hdf5, check_xml, content, meshio_of
+from warp_peri.points.abaqus import read_abaqus
 from warp_peri.points.arguments import checked, typed
 
 REST = "rest"
@@ -336,7 +337,7 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh:
 
     Raises InputError for another format, a file that is not read, without meshio (the extra
     `bodies`), with cells of other kinds or none, for triangles that are not plane, for what
-    `files.foreign.read_abaqus` does not read, and as `make_mesh`.
+    `points.abaqus.read_abaqus` does not read, and as `make_mesh`.
     """
     path = Path(path)
     if not path.is_file():
