@@ -31,10 +31,9 @@ from tools.options import Options
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import finite, plain, write_json
 from warp_peri.fitting.regression import Regression, settle
-from warp_peri.fitting.training_data import sample_weights
+from warp_peri.fitting.rows import sample_weights
 from warp_peri.materials.lps import LPSParameters
-from warp_peri.materials.lps_law import LPSFound, LPSLaw
-from warp_peri.materials.lps_rows import Products
+from warp_peri.materials.lps_law import LPSFound, LPSLaw, Products
 from warp_peri.methods import GaussNewton, StabilityConditions
 from warp_peri.points.outlines import Circle, box, mesh_outline
 from warp_peri.points.quadrature import family_weights

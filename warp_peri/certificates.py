@@ -13,7 +13,7 @@ from warp_peri.materials.certificate import (
     check_solvability,
     prove_uniqueness,
 )
-from warp_peri.materials.lps_transfer import model_at
+from warp_peri.materials.transfer import model_at
 from warp_peri.points.arguments import Positive, typed
 from warp_peri.protocols import offered
 from warp_peri.solvers.verlet import inertia, stiffest_of

@@ -14,7 +14,7 @@ from warp_peri.files.atomic import whole_file
 from warp_peri.files.checkpoint import in_space
 from warp_peri.files.foreign import meshio_of
 from warp_peri.materials.lps import LPSMaterial
-from warp_peri.materials.lps_matrices import node_fields
+from warp_peri.materials.lps_operator import node_fields
 from warp_peri.points.arguments import typed
 from warp_peri.points.points import PointsLike, Samples
 

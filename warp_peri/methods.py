@@ -1,6 +1,6 @@
 """How a solid is learned, under which conditions, and how sure it is: `warp_peri.methods`."""
 
-from warp_peri.fitting.bootstrap import BootstrapResult, bootstrap
+from warp_peri.fitting.evaluate import BootstrapResult, bootstrap
 from warp_peri.fitting.settings import (
     AugmentedLagrangian,
     GaussNewton,
@@ -8,7 +8,7 @@ from warp_peri.fitting.settings import (
     TwoStage,
 )
 from warp_peri.materials.lps import LPSParameters
-from warp_peri.materials.lps_sweep import SweepResult, sweep
+from warp_peri.materials.sweep import SweepResult, sweep
 from warp_peri.materials.third_order import Smoothing
 from warp_peri.solvers.solution import Coupling
 

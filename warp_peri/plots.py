@@ -10,7 +10,7 @@ from matplotlib.collections import QuadMesh
 from matplotlib.ticker import LogFormatter, MaxNLocator
 from numpy.typing import ArrayLike
 
-from warp_peri.fitting.result import Stage
+from warp_peri.fitting.settings import Stage
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.unit_names import symbols

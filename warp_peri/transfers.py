@@ -7,7 +7,7 @@ from scipy.interpolate import RBFInterpolator
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
-from warp_peri.materials.lps_transfer import on_lattice
+from warp_peri.materials.transfer import on_lattice
 from warp_peri.points.arguments import Count, Positive, typed
 from warp_peri.points.points import Points, PointsLike, Samples
 

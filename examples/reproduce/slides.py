@@ -29,7 +29,7 @@ from warp_peri.errors import exit_status
 from warp_peri.fracture import continuum_stretch
 from warp_peri.fracture.bonds import unit_toughness
 from warp_peri.materials.lps_force import Bonds
-from warp_peri.materials.lps_matrices import Matrices, assemble, matrices
+from warp_peri.materials.lps_operator import Matrices, assemble, matrices
 from warp_peri.points.families import HORIZON_TOLERANCE, bond_classes
 from warp_peri.points.quadrature import ball_integral
 from warp_peri.solvers.systems import MatrixProblem

@@ -12,7 +12,7 @@ from tests.support.cubes import cube
 from tests.support.problems import kernel, lattice, manufactured
 from warp_peri import InputError, Samples
 from warp_peri.export import write_vtk
-from warp_peri.materials.lps_matrices import node_fields
+from warp_peri.materials.lps_operator import node_fields
 
 HORIZON = 2.5
 

@@ -16,9 +16,9 @@ from warp_peri.fitting.augmented_lagrangian import as_printed, margins_of, print
 from warp_peri.fitting.regression import Regression
 from warp_peri.materials import lps_force
 from warp_peri.materials.lps import LPSParameters, stiffnesses
-from warp_peri.materials.lps_adam import DENSE_ZETA, PRINTED_HORIZON, DenseMargins, in_torch
 from warp_peri.materials.lps_fit import Learner
 from warp_peri.materials.lps_law import LPSFound, LPSLaw
+from warp_peri.materials.lps_stages import DENSE_ZETA, PRINTED_HORIZON, DenseMargins, in_torch
 from warp_peri.methods import AugmentedLagrangian, GaussNewton, StabilityConditions, TwoStage
 from warp_peri.points.families import bond_classes
 

@@ -7,7 +7,7 @@ import pytest
 
 import warp_peri as wp
 from tests.support.problems import kernel, lattice, manufactured
-from warp_peri.fitting.bootstrap import BootstrapResult
+from warp_peri.fitting.evaluate import BootstrapResult
 from warp_peri.methods import bootstrap
 
 NOISE, LOADS = 0.3, 10

@@ -10,10 +10,9 @@ from tests.support.problems import difference, kernel, lattice, manufactured, wi
 from tests.support.solving import solve
 from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import Bernstein, InputError, Samples
-from warp_peri.fitting.losses import without_noise
-from warp_peri.fitting.training_data import sample_weights
-from warp_peri.materials.lps_output import CollarResponse, WaveResponse, squares
-from warp_peri.materials.lps_rows import Products, products
+from warp_peri.fitting.rows import sample_weights, without_noise
+from warp_peri.materials.lps_law import Products, products
+from warp_peri.materials.lps_stages import CollarResponse, WaveResponse, squares
 from warp_peri.points.families import bond_classes
 
 HORIZON, SIZE = 3.0, 0.02

@@ -9,9 +9,9 @@ import torch
 from tests.support.problems import KERNELS, REDUCED, ell, kernel, lattice, manufactured, noise
 from warp_peri import InputError
 from warp_peri.fitting import rows
-from warp_peri.fitting.training_data import sample_weights
-from warp_peri.materials.lps_adam import OperatorLoss, class_weights, total_loss
-from warp_peri.materials.lps_rows import Products, class_pairs
+from warp_peri.fitting.rows import sample_weights
+from warp_peri.materials.lps_law import Products, class_pairs
+from warp_peri.materials.lps_stages import OperatorLoss, class_weights, total_loss
 
 HORIZON = 2.5
 

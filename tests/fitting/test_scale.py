@@ -10,8 +10,8 @@ from tests.support.problems import kernel, lattice, manufactured
 from tests.support.solving import solve
 from tests.support.waves import waves
 from warp_peri import Bernstein, InputError
-from warp_peri.materials.lps_adam import stiffness_of
 from warp_peri.materials.lps_fit import RELATIVE_ZETA
+from warp_peri.materials.lps_stages import stiffness_of
 from warp_peri.methods import StabilityConditions, TwoStage
 from warp_peri.points.points import Samples
 

@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.problems import kernel, lattice, manufactured, with_nodes
 from warp_peri import LPS, InputError, LPSMaterial
-from warp_peri.materials.lps_sweep import Trial, choose
+from warp_peri.materials.sweep import Trial, choose
 from warp_peri.methods import sweep
 
 

@@ -13,8 +13,8 @@ from warp_peri import InputError, LPSMaterial, certify
 from warp_peri.core.stencil import ratios
 from warp_peri.fitting.settings import StabilityConditions
 from warp_peri.materials.lps import stiffnesses
-from warp_peri.materials.lps_matrices import matrices
-from warp_peri.materials.lps_rows import class_pairs, product_basis
+from warp_peri.materials.lps_law import class_pairs, product_basis
+from warp_peri.materials.lps_operator import matrices
 from warp_peri.points.families import bond_classes
 from warp_peri.solvers.systems import DENSE, smallest_eigenvalue
 

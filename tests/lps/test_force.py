@@ -24,9 +24,8 @@ from tests.support.problems import (
 from tests.support.symbols import symbol
 from warp_peri import InputError, Points
 from warp_peri.materials.lps import moduli
-from warp_peri.materials.lps_force import Bonds
-from warp_peri.materials.lps_matrices import matrices
-from warp_peri.materials.lps_operator import lps_force
+from warp_peri.materials.lps_force import Bonds, lps_force
+from warp_peri.materials.lps_operator import matrices
 from warp_peri.methods import LPSParameters
 from warp_peri.points.families import bond_classes
 from warp_peri.runtime import get_num_threads, set_num_threads

@@ -10,7 +10,7 @@ from tools.rivals import BULK, SHEAR, SIZE, PeriLps
 from warp_peri import LPSMaterial
 from warp_peri.atoms.calculators import LammpsError, lammps_class
 from warp_peri.materials.lps_force import Bonds
-from warp_peri.materials.lps_matrices import assemble
+from warp_peri.materials.lps_operator import assemble
 from warp_peri.points.families import bond_classes
 
 HORIZON = 2.0

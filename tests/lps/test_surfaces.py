@@ -10,7 +10,7 @@ from tests.support.clouds import cloud, plain
 from tests.support.problems import ell, fitted_order, kernel, lattice, noise
 from tests.support.solving import solve
 from warp_peri import InputError, LPSMaterial, certify
-from warp_peri.materials.lps_matrices import matrices
+from warp_peri.materials.lps_operator import matrices
 from warp_peri.points.families import families_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")

@@ -17,7 +17,7 @@ from warp_peri import certificates, methods, transfers
 from warp_peri.atoms import CrystalFit
 from warp_peri.fe_coupling.body import BodyGradient, Coupling, body_gradient
 from warp_peri.fitting.diagnose import Diagnosis
-from warp_peri.fitting.result import Fit
+from warp_peri.fitting.settings import Fit
 from warp_peri.materials.third_order import ThirdOrderMaterial
 
 HORIZON = 2.5

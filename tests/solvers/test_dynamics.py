@@ -11,7 +11,7 @@ from tests.support.solving import velocity_verlet
 from tests.support.symbols import symbol
 from warp_peri import InputError
 from warp_peri.certificates import critical_time_step
-from warp_peri.materials.lps_matrices import matrices
+from warp_peri.materials.lps_operator import matrices
 from warp_peri.problems import Dirichlet
 from warp_peri.solvers.verlet import INERTIA, Inert, inertia, march, step
 from warp_peri.verbs import simulate

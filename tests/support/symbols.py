@@ -6,7 +6,7 @@ from warp_peri.core.elastic import lattice_group
 from warp_peri.core.stencil import laplacian
 from warp_peri.fitting.regression import Zone
 from warp_peri.materials.lps import stiffnesses
-from warp_peri.materials.lps_rows import class_pairs, product_basis
+from warp_peri.materials.lps_law import class_pairs, product_basis
 from warp_peri.points.families import bond_classes
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from tests.support.problems import kernel, lattice
 from warp_peri import InputError, Samples
-from warp_peri.materials.lps_rows import product_basis, products
-from warp_peri.materials.lps_transfer import TOLERANCE, wave_loss, wave_vectors
+from warp_peri.materials.lps_law import product_basis, products
+from warp_peri.materials.transfer import TOLERANCE, wave_loss, wave_vectors
 from warp_peri.points.families import bond_classes
 from warp_peri.points.fields import largest_wave_number
 from warp_peri.transfers import on_lattice

@@ -13,9 +13,9 @@ from tests.support.problems import kernel, lattice, manufactured, noise
 from tests.support.solving import solve, solve_periodic
 from warp_peri import InputError, Points, evaluate
 from warp_peri.certificates import critical_time_step
-from warp_peri.materials import lps_transfer
+from warp_peri.materials import transfer
 from warp_peri.materials.lps import LPSMaterial
-from warp_peri.materials.lps_transfer import model_for
+from warp_peri.materials.transfer import model_for
 from warp_peri.methods import Smoothing
 from warp_peri.points.families import carried_horizon, families_of
 from warp_peri.solvers.solution import Direct
@@ -27,13 +27,13 @@ ASKED = {"spacing": 0.8, "horizon": 1.6}
 
 @pytest.fixture(autouse=True)
 def forgotten(monkeypatch):
-    monkeypatch.setattr(lps_transfer, "_memory", {})
-    monkeypatch.setattr(lps_transfer, "_said", set())
+    monkeypatch.setattr(transfer, "_memory", {})
+    monkeypatch.setattr(transfer, "_said", set())
 
 
 def test_a_process_fits_each_lattice_once(monkeypatch):
     first = on_lattice(HOME, **ASKED)
-    monkeypatch.setattr(lps_transfer, "_transferred", None)  # would be called to make it anew
+    monkeypatch.setattr(transfer, "_transferred", None)  # would be called to make it anew
     assert on_lattice(replace(HOME), **ASKED) is first
     with pytest.raises(TypeError):
         on_lattice(replace(HOME, mu=0.9), **ASKED)

@@ -10,7 +10,7 @@ import scipy.fft
 import warp as wp
 
 from warp_peri.errors import InputError
-from warp_peri.kernels.micromodulus.rows import rows
+from warp_peri.kernels.micromodulus import rows
 from warp_peri.points.points import LATTICE_TOLERANCE, Points, lattice_steps
 from warp_peri.runtime import DEVICE, floats, get_num_threads, ints, launch_slices
 

@@ -38,7 +38,7 @@ from warp_peri.fe_coupling.schwarz import (
 )
 from warp_peri.materials.certificate import with_proof
 from warp_peri.materials.lps import LPSMaterial, moduli
-from warp_peri.materials.lps_transfer import model_at
+from warp_peri.materials.transfer import model_at
 from warp_peri.points.arguments import checked, is_number
 from warp_peri.points.families import bond_classes
 from warp_peri.points.fields import edge_strain, largest_strain

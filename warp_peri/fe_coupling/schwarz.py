@@ -16,7 +16,7 @@ from warp_peri.errors import InputError, warn
 from warp_peri.fe_coupling.boundary_elements import BodyLoads, Field, Moduli, Rim, RimProblem
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_operator import LPSOperator
-from warp_peri.materials.lps_transfer import LEAST, TOLERANCE, on_lattice
+from warp_peri.materials.transfer import LEAST, TOLERANCE, on_lattice
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import USUAL, Units, symbols

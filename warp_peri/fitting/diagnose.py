@@ -21,8 +21,7 @@ from warp_peri.core.stencil import Basis, invariant_basis
 from warp_peri.errors import InputError, quietly, warn
 from warp_peri.fitting.evaluate import ROUNDING
 from warp_peri.fitting.long_waves import gradients
-from warp_peri.fitting.rows import forces
-from warp_peri.fitting.training_data import check_noise, listed
+from warp_peri.fitting.rows import check_noise, forces, listed
 from warp_peri.points.arguments import typed
 from warp_peri.points.points import Samples, lattice_steps
 from warp_peri.protocols import LINEAR, offered, placed, stencil_of

@@ -5,6 +5,6 @@ from typing import TYPE_CHECKING
 from warp_peri import lazy
 
 if TYPE_CHECKING:
-    from warp_peri.materials import lps_transfer as lps_transfer
+    from warp_peri.materials import transfer as transfer
 else:
     __getattr__, __dir__, _ = lazy(__name__)

@@ -17,7 +17,7 @@ from warp_peri.core.stencil import Stencil, squared
 from warp_peri.errors import InputError
 from warp_peri.materials.lps import LPSMaterial, statement_of
 from warp_peri.materials.lps_force import bonds_of
-from warp_peri.materials.lps_matrices import matrices
+from warp_peri.materials.lps_operator import matrices
 from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.points import PointsLike

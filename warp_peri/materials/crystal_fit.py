@@ -27,15 +27,12 @@ from warp_peri.core.elastic import (
 from warp_peri.core.stencil import invariant_basis
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting import regression
-from warp_peri.fitting.long_waves import long_wave_moduli
+from warp_peri.fitting.long_waves import judged, long_wave_moduli
 from warp_peri.fitting.regression import Form, LatticeRows, Numbers, Settled, particular
-from warp_peri.fitting.result import Fit
-from warp_peri.fitting.rows import compressed, over_loads, rows
-from warp_peri.fitting.settings import LONG_WAVES
-from warp_peri.fitting.symmetry import judged
-from warp_peri.fitting.training_data import listed
-from warp_peri.fitting.transfer import LARGEST_WAVE, WaveSymbol, carried_symbol, wave_rows
+from warp_peri.fitting.rows import compressed, listed, over_loads, rows
+from warp_peri.fitting.settings import LONG_WAVES, Fit
 from warp_peri.materials.crystal import BROKEN, CrystalMaterial
+from warp_peri.materials.transfer import LARGEST_WAVE, WaveSymbol, carried_symbol, wave_rows
 from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.points import Samples, check_lattice, lattice_steps

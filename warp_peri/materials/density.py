@@ -20,7 +20,7 @@ from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.core.stencil import half_ball
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import parsed
-from warp_peri.fitting.result import Fit
+from warp_peri.fitting.settings import Fit
 from warp_peri.materials.crystal_fit import one_set
 from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.points import PointsLike, lattice_steps, nodes_of

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import comb
 
 import warp_peri.materials as materials
 from warp_peri.core.elastic import elastic_from_brackets, lattice_group
@@ -16,7 +16,7 @@ from warp_peri.core.proof import StencilCertificate, prove
 from warp_peri.core.record import FieldUnits, Length, Record, taken
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, warn
-from warp_peri.materials.lps_force import CANCELLED
+from warp_peri.materials.lps_force import CANCELLED, LARGEST_DEGREE, bernstein_basis
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.arguments import Positive, checked, is_number, typed
 from warp_peri.points.families import BondClasses, bond_classes
@@ -28,8 +28,6 @@ from warp_peri.reprs import error_rows
 
 ALPHA_BOUND = 3.0
 """The quadrature is consistent for α below this (You et al. 2021, remark 1)."""
-LARGEST_DEGREE = 1000
-"""Above 1029 the binomial coefficients are no floating-point numbers."""
 QUADRATURE = {"degree": DEGREE, "singularity": SINGULARITY}
 SPACING_TOLERANCE = 1e-6
 """A lattice within this of a certified one, relative to its spacing, is taken as that lattice."""
@@ -40,15 +38,6 @@ GAMMAS = ("gamma_min", "gamma_max", "gamma_minus_2phi_min", "gamma_minus_2phi_ma
 AVERAGED = 8
 """Positions along the radius of the ball that moduli as a function are averaged over."""
 Modulus = ArrayLike | Callable[[np.ndarray], ArrayLike]
-
-
-def bernstein_basis(r: ArrayLike, horizon: float, degree: int) -> np.ndarray:
-    """Bernstein polynomials B_k,M(r/δ) at lengths in [0, δ], to rounding, shape [..., M + 1]."""
-    if degree > LARGEST_DEGREE:
-        raise InputError(f"degree: expected at most {LARGEST_DEGREE}, got {degree}")
-    t = np.minimum(np.asarray(r, dtype=float) / horizon, 1.0)[..., None]
-    k = np.arange(degree + 1)
-    return np.asarray(comb(degree, k) * t**k * (1 - t) ** (degree - k))
 
 
 def check_influence(alpha: float, D: np.ndarray) -> None:
@@ -81,10 +70,8 @@ class LPSParameters:
         found = {n: checked(n, v.detach().cpu() if is_tensor(v) else v) for n, v in given}
         for name in ("lam", "mu", "alpha"):
             if found[name].size != 1:
-                shape = list(found[name].shape)
-                raise InputError(
-                    f"{name}: expected one number of a homogeneous solid, got shape {shape}"
-                )
+                got = f"one number of a homogeneous solid, got shape {list(found[name].shape)}"
+                raise InputError(f"{name}: expected {got}")
         check_influence(found["alpha"].item(), np.atleast_1d(found["D"]))
 
     def values(self) -> tuple[Any, ...]:
@@ -427,48 +414,33 @@ class LPSMaterial(Record, format="warp_peri.model"):
         Raises InputError for an uncertified spacing without a transfer, scattered points without
         allow_uncertified, and as `spread` and LPSOperator.
         """
-        model, allowed = self, allow_uncertified
+        model, how = self, {"allow_uncertified": allow_uncertified}
         if self.nodes is None and not self.is_certified_on(points.spacing):
-            model_for = materials.lps_transfer.model_for
-            model = model_for(self, points, transfer=transfer, allow_uncertified=allowed)
+            model = materials.transfer.model_for(self, points, transfer=transfer, **how)
         if lam is not None or mu is not None:
             model = model.spread(points, lam, mu)
-        return LPSOperator(model, points, allow_uncertified=allowed, **options)
-
-    def summary(self) -> dict[str, Any]:
-        """Constants, lattices and errors, as plain values."""
-        names = ("mu", "E", "nu", "alpha", "degree", "horizon")
-        lists = ("units", "trained_on", "certified_on")
-        return {
-            "format": "model",
-            "lambda": self.lam,
-            **{name: getattr(self, name) for name in names},
-            **{name: list(getattr(self, name)) for name in lists},
-            "errors": self.errors,
-            "versions": self.versions,
-        }
+        return LPSOperator(model, points, **how, **options)
 
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value."""
-        length = symbols(self.units)[0]
+        length, shown = symbols(self.units)[0], partial(shown_moduli, self.units)
         if self.nodes is None:
-            rows = [
-                ("λ, μ", shown_moduli(self.units, (self.lam, self.mu))),
-                ("E, ν", f"{shown_moduli(self.units, (self.E,))}, {self.nu:.3g}"),
-            ]
+            moduli = {
+                "λ, μ": shown((self.lam, self.mu)),
+                "E, ν": f"{shown((self.E,))}, {self.nu:.3g}",
+            }
         else:
-            rows = [
-                (f"{name}, least and largest", shown_moduli(self.units, (np.min(x), np.max(x))))
-                for name, x in (("λ", self.lam), ("μ", self.mu))
-            ]
-        rows += [
+            pairs = {"λ": self.lam, "μ": self.mu}.items()
+            moduli = {f"{n}, least and largest": shown((np.min(x), np.max(x))) for n, x in pairs}
+        spacings = (f"{h:g} {length}" for h in self.certified_on)
+        return [
+            *moduli.items(),
             ("horizon", f"{self.horizon:g} {length}"),
             ("K", f"degree {self.degree}, α = {self.alpha:.3g}"),
+            ("certified on", ", ".join(spacings) or "no lattice"),
+            *(("proven", told) for told in self.statements.values()),
+            *error_rows(self.errors),
         ]
-        spacings = (f"{h:g} {length}" for h in self.certified_on)
-        rows.append(("certified on", ", ".join(spacings) or "no lattice"))
-        rows += [("proven", told) for told in self.statements.values()]
-        return rows + error_rows(self.errors)
 
 
 def statement_of(spacing: float, bound: float, units: Units, dimension: int) -> str:

@@ -23,37 +23,37 @@ from warp_peri.errors import InputError, quietly, warn
 from warp_peri.fitting.augmented_lagrangian import Tick, to_the_optimum
 from warp_peri.fitting.evaluate import evaluate
 from warp_peri.fitting.long_waves import lame_of_long_waves
-from warp_peri.fitting.losses import without_noise
 from warp_peri.fitting.regression import LatticeRows, Regression
-from warp_peri.fitting.result import Fit, LossSelection, Stage
-from warp_peri.fitting.rows import compressed
+from warp_peri.fitting.rows import check_noise, compressed, listed, sample_weights, without_noise
 from warp_peri.fitting.settings import (
     LONG_WAVES,
     AugmentedLagrangian,
     Bernstein,
+    Fit,
     GaussNewton,
     Kernel,
+    LossSelection,
     Method,
     StabilityConditions,
+    Stage,
     TwoStage,
 )
-from warp_peri.fitting.training_data import check_noise, listed, sample_weights
 from warp_peri.materials.certificate import certify
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import POOR
 from warp_peri.materials.influence import shapes_of
 from warp_peri.materials.lps import LPSMaterial, LPSParameters
 from warp_peri.materials.lps import moduli as moduli_of
-from warp_peri.materials.lps_adam import (
+from warp_peri.materials.lps_law import HEADROOM, LPSFound, LPSLaw, Products, optimum, products
+from warp_peri.materials.lps_stages import (
     SMALLEST_MODULUS,
     OperatorLoss,
+    fit_output_error,
     in_torch,
+    squares,
     stiffness_of,
     two_stages,
 )
-from warp_peri.materials.lps_law import HEADROOM, LPSFound, LPSLaw, optimum
-from warp_peri.materials.lps_output import fit_output_error, squares
-from warp_peri.materials.lps_rows import Products, products
 from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.fields import largest_strain, largest_wave_number

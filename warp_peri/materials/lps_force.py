@@ -1,9 +1,9 @@
 """The linear solid on points of any kind: its bonds, its force, and all derivatives of it.
 
 A lattice lies row by row in a box, many nodes at a time; anything else as it is numbered, with
-lists of bonds. L is its own transpose once each bond reads the stiffness of the bond back, and the
-influence function has Warp's tape. Sums over nodes run over fixed blocks, without atomics,
-so that threads change no bit. Nothing that a call writes is kept.
+lists of bonds. L is its own transpose once each bond reads the stiffness of the bond back. Sums
+over nodes run over fixed blocks, without atomics, so that threads change no bit. Nothing that a
+call writes is kept.
 """
 
 from __future__ import annotations
@@ -18,41 +18,47 @@ import warp as wp
 from numpy.typing import ArrayLike
 from scipy.special import comb
 
+import warp_peri.core as core
 from warp_peri.core.grid import row_pieces
 from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import stay
-from warp_peri.kernels.lps.influence import influence
-from warp_peri.kernels.lps.sweeps import LANES, struct, sweeps
+from warp_peri.kernels.lps import LANES, struct, sweeps
 from warp_peri.points.families import families_of
 from warp_peri.points.points import PointsLike, nodes_of
 from warp_peri.points.quadrature import DEGREE
-from warp_peri.runtime import (
-    DEVICE,
-    Shared,
-    filled,
-    floats,
-    get_num_threads,
-    ints,
-    launch_slices,
-    zeros,
-)
+from warp_peri.runtime import DEVICE, Shared, filled, floats, get_num_threads, ints, launch_slices
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from warp_peri.materials.lps import LPSMaterial
 
+LARGEST_DEGREE = 1000
+"""Above 1029 the binomial coefficients are no floating-point numbers."""
 CANCELLED = 1e-10
 """A weighted volume below this fraction of the sum of its terms' sizes counts as zero."""
 SPARE, SHORT = 2, 4
 """Largest box, in places a node, and least mean length of a piece, that are worth it."""
 BLOCKS = 8
 """Parts in which nodes are summed over, whatever the number of threads."""
+AT_ONCE = 2**24
+"""Numbers of a table of polynomials that are held."""
 FASTER = 4
 """How much less a thread has to do with a node in rows than in its list of bonds."""
 
 
+def bernstein_basis(r: ArrayLike, horizon: float, degree: int) -> np.ndarray:
+    """Bernstein polynomials B_k,M(r/δ) at lengths in [0, δ], to rounding, shape [..., M + 1]."""
+    if degree > LARGEST_DEGREE:
+        raise InputError(f"degree: expected at most {LARGEST_DEGREE}, got {degree}")
+    t = np.minimum(np.asarray(r, dtype=float) / horizon, 1.0)[..., None]
+    k = np.arange(degree + 1)
+    return np.asarray(comb(degree, k) * t**k * (1 - t) ** (degree - k))
+
+
 @dataclass(frozen=True)
 class Layout:
-    """Places and bonds, as kernels/lps/sweeps.py says.
+    """Places and bonds, as kernels/lps.py says.
 
     Attributes:
         in_rows: whether all places share one family, and are laid out in planes.
@@ -185,31 +191,16 @@ class Bonds:
         ends = np.array([0, len(steps)]), steps[pairs] @ stride
         return Layout(True, *ends, *bonds, node, home, pieces)
 
-    @cached_property
-    def _tables(self) -> list[wp.array[Any]]:
-        """Length, its logarithm and weight of the bonds of each class, [C]."""
-        r = self.families.r
-        return [floats(one) for one in (r, np.log(r), self.families.weight)]
-
     def influence(self, alpha: ArrayLike, D: ArrayLike, by: Any = None) -> Any:
-        """K W of each class, [C]; with derivatives of a scalar to it those to α and D, by Warp's
-        tape, which is this call's alone."""
-        degree, taped = np.size(D) - 1, by is not None
-        given: list[Any] = [
-            wp.array(np.ravel(one).astype(float), device=DEVICE, requires_grad=taped)
-            for one in (alpha, D)
-        ]
-        binomials = floats(comb(degree, np.arange(degree + 1)))
-        inputs: Any = [wp.float64(self.horizon), binomials, *self._tables, *given]
-        kernel, kw = influence(degree), zeros(len(self.families.r), gradient=taped)
-        if not taped:
-            launch_slices(kernel, len(kw), inputs, (kw,))
-            return kw.numpy()
-        tape: Any = wp.Tape()
-        kernel.module.load(DEVICE)
-        tape.record_launch(kernel, len(kw), 0, [0, *inputs], [kw], DEVICE)
-        tape.backward(grads={kw: floats(by)})
-        return [one.grad.numpy() for one in given]
+        """K W of each class, [C]; with derivatives of a scalar to it those to α and D."""
+        r, D = self.families.r, np.ravel(D)
+        plain, M = self.families.weight * r ** -np.ravel(alpha), len(D) - 1
+        parts = np.array_split(np.arange(len(r)), 1 + len(r) * len(D) // AT_ONCE)
+        tables = ((at, bernstein_basis(r[at], self.horizon, M)) for at in parts)
+        if by is None:
+            return plain * np.concatenate([basis @ D for _, basis in tables])
+        to_alpha = -(by * np.log(r)) @ self.influence(alpha, D)
+        return [to_alpha, sum((by * plain)[at] @ basis for at, basis in tables)]
 
     def volumes(self, terms: np.ndarray) -> Any:
         """The sum of a table by class over each whole ball, [N]; of a lattice one number."""
@@ -442,7 +433,7 @@ class Law:
 
     def _slopes(self, *fields: np.ndarray) -> None:
         """Sums of derivatives to `own`, to μ and to λ − μ, of planes, dilatations and theirs by the
-        transpose, as kernels/lps/sweeps.py says."""
+        transpose, as kernels/lps.py says."""
         whole = self.bonds.layout.pieces["whole"]
         ends = ints(np.arange(BLOCKS + 1) * len(whole) // BLOCKS)
         *given, by_own, by_mu, by_bulk = map(floats, fields)
@@ -486,3 +477,33 @@ def refuse_bond_based() -> None:
         "lambda, mu: expected equal values without a gradient on a collar of one horizon, "
         "which has no dilatations; a collar of two has them"
     )
+
+
+def lps_force(bonds: Bonds, u: Tensor, *values: Any) -> Tensor:
+    """L u [TPa/Å] on the interior nodes, shape [..., I, d], differentiable once in all.
+
+    Args:
+        bonds: of a point set with N nodes.
+        u: displacement [Å], shape [N, d] or [S, N, d].
+        values: λ and μ, numbers or one value a node, shape [N], α and D; λ = μ, of which neither
+            asks for a gradient, for bonds that are bond-based.
+
+    Raises InputError for such λ and μ on bond-based bonds, and moduli of another shape.
+    """
+    bridge, felt = core.torch_bridge, list[Any]()
+    bridge.refuse_tangents(u, *values)
+
+    def there(u: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray]:
+        law = bonds.law(*values)
+        Lu, *kept = law.force(np.ascontiguousarray(u))
+        felt[:] = law, kept
+        return (Lu,)
+
+    def back(asked: tuple[bool, ...], g: np.ndarray) -> list[Any]:
+        law, kept = felt
+        return law.gradient(kept, g, asked)  # type: ignore[no-any-return]
+
+    flat = u.double().reshape(-1, bonds.nodes * bonds.dimension)
+    numbers = [bridge.real(name, value) for name, value in zip(("lam", "mu", "alpha", "D"), values)]
+    (Lu,) = bridge.once(there, back, flat, *numbers)
+    return Lu.reshape(*u.shape[:-2], -1, bonds.dimension)  # type: ignore[no-any-return]

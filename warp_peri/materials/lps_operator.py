@@ -1,8 +1,10 @@
-"""The linear peridynamic solid on points: its force, its stress, and its equilibria."""
+"""The linear peridynamic solid on points: force, equilibria, matrices and stress."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import compress
 from typing import TYPE_CHECKING, Any
@@ -13,11 +15,9 @@ import warp as wp
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator, gmres, spilu
 
-import warp_peri.core as core
 from warp_peri.core.proof import largest
 from warp_peri.errors import InputError, warn
-from warp_peri.materials.lps_force import Bonds, Law, bonds_of
-from warp_peri.materials.lps_matrices import assemble, node_fields
+from warp_peri.materials.lps_force import Bonds, Law, bonds_of, lps_force
 from warp_peri.points.arguments import checked, checked_fields, plain
 from warp_peri.points.families import families_of
 from warp_peri.points.fields import largest_strain
@@ -36,7 +36,13 @@ from warp_peri.solvers.solution import (
     refuse_solver,
     warn_beyond,
 )
-from warp_peri.solvers.systems import RESIDUAL, MatrixProblem, definite_factors, smallest_eigenvalue
+from warp_peri.solvers.systems import (
+    RESIDUAL,
+    MatrixProblem,
+    SolveRecord,
+    definite_factors,
+    smallest_eigenvalue,
+)
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -278,10 +284,9 @@ class LPSOperator(OperatorBase):
                     raise
                 method = "lu"  # the symbol does not prove every definite operator so
         by = MatrixProblem.solve if method == "lu" else by_gmres
-        answer = by(self._problem, *fields).reshape(given.shape)
+        found = by(self._problem, *fields)
         self._refuse_indefinite()
-        return Solution(self._within_data(answer), self.points, self, self.rhs(load), method,
-                        proven=self.proven)  # fmt: skip
+        return self._answer(load, found, method)
 
     def solve_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
         """Equilibrium on a period, u of zero mean, under a load [N, d] or [S, N, d] less its mean.
@@ -297,7 +302,7 @@ class LPSOperator(OperatorBase):
                 "points: expected a lattice that fills its box, all of its nodes interior, for a "
                 "periodic problem; see Points.sheet"
             )
-        load = checked("b", b, float, (..., *nodes.x.shape))
+        load = checked("b", b, float, (..., *self.shape))
         load = load - load.mean(axis=-2, keepdims=True)
         fields = load.reshape(-1, *self.shape)
         return self._iterated(load, fields, np.zeros(fields.shape), "fft", TOLERANCE)
@@ -309,23 +314,24 @@ class LPSOperator(OperatorBase):
             return self._problem.inverse
         if self.model.nodes is not None:
             return lambda right, tolerance: self.linear.inverse(right, tolerance)[0]
-        return self.linear.cheapest_inverse(
-            loads, bonds_within(self.model.horizon, self.nodes.spacing)
-        )
-
-    def _within_data(self, u: np.ndarray) -> np.ndarray:
-        """The displacement itself, warned of where it is strained beyond the data."""
-        warn_beyond(self.model, lambda: largest_strain(self.nodes, u))
-        return u
+        bonds = bonds_within(self.model.horizon, self.nodes.spacing)
+        return self.linear.cheapest_inverse(loads, bonds)
 
     def _iterated(
         self, load: np.ndarray, b: np.ndarray, u: np.ndarray, method: str, tolerance: float
     ) -> Solution:
-        """Equilibrium of fields [S, N, d] by iteration, in the shape of the load."""
+        """Equilibrium of fields [S, N, d] by iteration."""
         if self.model.nodes is None:
             self.linear.check_definite()
         found, took = self.linear.solve(b, u, tolerance, method)
-        u, counts = self._within_data(found.reshape(load.shape)), [one.iterations for one in took]
+        return self._answer(load, found, method, took)
+
+    def _answer(
+        self, load: np.ndarray, found: np.ndarray, method: str, took: Sequence[SolveRecord] = ()
+    ) -> Solution:
+        """The Solution in the shape of the load, warned of where it is strained beyond the data."""
+        u, counts = found.reshape(load.shape), [one.iterations for one in took]
+        warn_beyond(self.model, lambda: largest_strain(self.nodes, u))
         return by_sample(self, u, self.rhs(load), took, counts, method, self.proven)
 
     @property
@@ -371,29 +377,22 @@ class LPSOperator(OperatorBase):
         cut, whole = self.nodes.outside is not None, self.nodes.is_open_lattice
         if whole and self.model.nodes is None:
             with suppress(InputError):
-                self.linear.check_definite()
-                return
+                return self.linear.check_definite()
         if not (cut or whole):
-            return
+            return None
         stiffness = self._problem.stiffness
         symmetric = sp.csc_array((stiffness + stiffness.T) / 2)
-        if definite_factors(symmetric) is not None:
-            return
-        if (least := smallest_eigenvalue(symmetric)) > 0:
-            return
-        if not cut:
-            raise InputError(
-                f"the operator on these {self._unknown} nodes is indefinite: its smallest "
-                f"eigenvalue is {least:.1e}, so that its equilibria are not stable"
-            )
+        if definite_factors(symmetric) or (least := smallest_eigenvalue(symmetric)) > 0:
+            return None
         message = (
-            f"outside: with these bonds broken the operator on {self._unknown} nodes is not "
-            "positive definite: the smallest eigenvalue of its symmetric part is "
-            f"{least:.2g}, and its solutions may be wrong; Body(mesh, …) does without broken bonds"
+            f"{'outside: with these bonds broken ' * cut}the operator on these {self._unknown} "
+            "nodes is indefinite: the smallest eigenvalue of its symmetric part is "
+            f"{least:.2g}, and its solutions may be wrong"
+            f"{'; Body(mesh, …) does without broken bonds' * cut}"
         )
-        if not self.allowed:
-            raise InputError(message)
-        warn(message)
+        if cut and self.allowed:
+            return warn(message)
+        raise InputError(message)
 
 
 def by_gmres(problem: MatrixProblem, b: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -413,31 +412,124 @@ def by_gmres(problem: MatrixProblem, b: np.ndarray, u: np.ndarray) -> np.ndarray
     return problem.filled(u, solution)
 
 
-def lps_force(bonds: Bonds, u: Tensor, *values: Any) -> Tensor:
-    """L u [TPa/Å] on the interior nodes, shape [..., I, d], differentiable once in all.
+@dataclass(frozen=True)
+class Matrices:
+    """Matrices on a point set of N nodes, I of them interior; component a of node i is d i + a.
+
+    Attributes:
+        gamma: Γ, forces on the interior nodes from displacements [Å⁻²], shape [d I, d N]; of a
+            field μ μ Γ, the mean of both ends in each bond.
+        phi: Φ, dilatations at all nodes from displacements [Å⁻¹], shape [N, d N]; zero rows where
+            no force needs them.
+        psi: Ψ, Σ_j (d/m) K ξ (θ_i + θ_j) W on the interior nodes [Å⁻¹], shape [d I, N].
+    """
+
+    gamma: sp.csr_array
+    phi: sp.csr_array
+    psi: sp.csr_array
+
+    def operator(self, lam: Any, mu: Any) -> sp.csr_array:
+        """L [TPa/Å²], shape [d I, d N]."""
+        if np.ndim(lam - mu):
+            return sp.csr_array(self.gamma - self.psi @ (sp.diags_array(lam - mu) @ self.phi))
+        return sp.csr_array(mu * self.gamma - (lam - mu) * (self.psi @ self.phi))
+
+
+def matrices(model: LPSMaterial, points: PointsLike) -> Matrices:
+    """Γ, Φ and Ψ of a model on a point set; InputError where that does not carry the horizon."""
+    bonds = bonds_of(model, points)
+    return assemble(bonds, *bonds.table(model.alpha, model.D), model.mu)
+
+
+def assemble(bonds: Bonds, kw: np.ndarray, m: Any, mu: Any = 1.0) -> Matrices:
+    """Γ, Φ and Ψ of tables: K W by class, weighted volumes, of nodes or of all, and a field μ."""
+    families, nodes, d = bonds.families, bonds.nodes, bonds.dimension
+    owner, end, xi, kind = bonds.listing
+    own = kw[kind] / np.broadcast_to(m, nodes)[owner]
+    needed = np.isin(owner, np.concatenate([families.whole, families.cut]))
+    some = np.flatnonzero((end >= 0) & needed)
+    push, bent = d * own[some, None] * xi[some], bonds.bent(kw, own)[some]
+    owner, end, xi, one = owner[some], end[some], xi[some], np.ones((len(some), 1))
+    shear = 2 * (d + 2) / (xi**2).sum(axis=1)
+    shear = shear * (mu[owner] + mu[end]) / 2 if np.ndim(mu) else shear
+
+    def at(where: np.ndarray, values: np.ndarray) -> sp.csr_array:
+        """From fields of c components to values · field at a node of each bond, [E, c N]."""
+        c = values.shape[1]
+        columns, starts = c * where[:, None] + np.arange(c), c * np.arange(len(some) + 1)
+        entries = values.ravel(), columns.ravel(), starts
+        return sp.csr_array(entries, shape=(len(some), c * nodes))
+
+    interior = (d * families.rows[:, None] + np.arange(d)).ravel()
+    force, along = sp.csr_array(at(owner, push).T)[interior], at(end, xi) - at(owner, xi)
+    return Matrices(
+        sp.csr_array(force @ (sp.diags_array(-shear) @ along)),
+        sp.csr_array(at(owner, one).T @ (at(end, bent) - at(owner, bent))),
+        sp.csr_array(force @ (at(owner, one) + at(end, one))),
+    )
+
+
+@dataclass(frozen=True)
+class NodeFields:
+    """What a displacement does at the interior nodes.
+
+    Attributes:
+        stress: σ [TPa], shape [S, I, d, d], symmetric.
+        strain: ε, symmetric part of the least-squares gradient over the family, same shape.
+        dilatation: θ, shape [S, I].
+        energy: density [TPa], shape [S, I].
+    """
+
+    stress: np.ndarray
+    strain: np.ndarray
+    dilatation: np.ndarray
+    energy: np.ndarray
+
+
+def node_fields(model: LPSMaterial, points: PointsLike, u: ArrayLike) -> NodeFields:
+    """Collapsed stress of S. A. Silling and R. B. Lehoucq (2008), with strain and energy.
+
+    The stress is that of a family deformed as the node's own force state is; on a lattice it is
+    exact on affine fields and approaches the stress of the local solid as fields become smooth. On
+    scattered points only as far as the weights of each family are symmetric; the strain is exact.
 
     Args:
-        bonds: of a point set with N nodes.
-        u: displacement [Å], shape [N, d] or [S, N, d].
-        values: λ and μ, numbers or one value a node, shape [N], α and D; λ = μ, of which neither
-            asks for a gradient, for bonds that are bond-based.
+        model: the model; no certificate is asked for.
+        points: a lattice or scattered points; its u is not looked at.
+        u: displacement [Å] on all nodes, shape [N, d] or [S, N, d].
 
-    Raises InputError for such λ and μ on bond-based bonds, and moduli of another shape.
+    Raises InputError for a u of another shape, a point set that does not carry the horizon, or
+    nodes outside the body: the stress is that of complete families.
     """
-    bridge, felt = core.torch_bridge, list[Any]()
-    bridge.refuse_tangents(u, *values)
+    if (given := nodes_of(points)).outside is not None:
+        raise InputError("outside: expected none, for stress needs complete families")
+    bonds = bonds_of(model, points)
+    kw, m = bonds.table(model.alpha, model.D)
+    nodes, d, inside = bonds.nodes, bonds.dimension, np.flatnonzero(given.interior)
+    u = checked("u", u, float, (..., nodes, d)).reshape(-1, nodes, d)
+    mine = given.interior[bonds.listing[0]]
+    owner, far, xi, kind = (one[mine] for one in bonds.listing)
+    lam, mu, m = (np.broadcast_to(one, nodes)[inside] for one in (model.lam, model.mu, m))
+    place = np.searchsorted(inside, owner)
+    entries = np.ones(len(place)), (place, np.arange(len(place)))
+    sums = sp.csr_array(entries, shape=(len(inside), len(place)))
 
-    def there(u: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray]:
-        law = bonds.law(*values)
-        Lu, *kept = law.force(np.ascontiguousarray(u))
-        felt[:] = law, kept
-        return (Lu,)
+    def total(values: np.ndarray) -> np.ndarray:
+        """Sum over each family: [E, …] → [I, …]."""
+        flat = sums @ values.reshape(len(place), -1)
+        return np.asarray(flat.reshape(len(inside), *values.shape[1:]))
 
-    def back(asked: tuple[bool, ...], g: np.ndarray) -> list[Any]:
-        law, kept = felt
-        return law.gradient(kept, g, asked)  # type: ignore[no-any-return]
-
-    flat = u.double().reshape(-1, bonds.nodes * bonds.dimension)
-    numbers = [bridge.real(name, value) for name, value in zip(("lam", "mu", "alpha", "D"), values)]
-    (Lu,) = bridge.once(there, back, flat, *numbers)
-    return Lu.reshape(*u.shape[:-2], -1, bonds.dimension)  # type: ignore[no-any-return]
+    K, outer, c2 = kw[kind], xi[:, :, None] * xi[:, None, :], d * (d + 2)
+    sheared = K / (xi**2).sum(axis=1)
+    shape, inverse = total(K[:, None, None] * outer), np.linalg.inv(total(outer))
+    parts = []
+    for field in u:
+        eta = field[far] - field[owner]
+        along = (xi * eta).sum(axis=1)
+        theta = d / m * total(K * along)
+        stress = ((lam - mu) * d / m * theta)[:, None, None] * shape
+        stress += (c2 * mu / m)[:, None, None] * total((sheared * along)[:, None, None] * outer)
+        gradient = total(eta[:, :, None] * xi[:, None, :]) @ inverse
+        energy = ((lam - mu) * theta**2 + c2 * mu / m * total(sheared * along**2)) / 2
+        parts.append((stress, (gradient + gradient.transpose(0, 2, 1)) / 2, theta, energy))
+    return NodeFields(*(np.stack(part) for part in zip(*parts)))

@@ -19,10 +19,10 @@ from warp_peri.core.grid import SCALARS, Grid, complete, refuse_cut, torus_symbo
 from warp_peri.core.stencil import q1_tensors
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import agreed
-from warp_peri.kernels.micromodulus.rows import rows as row_kernels
+from warp_peri.kernels.micromodulus import rows as row_kernels
 from warp_peri.materials.crystal import StencilMaterial, crystal_from_lps
 from warp_peri.materials.lps import LPSMaterial
-from warp_peri.materials.lps_transfer import model_at
+from warp_peri.materials.transfer import model_at
 from warp_peri.mpi.halo import Halo, Tiles
 from warp_peri.mpi.processes import Comm, build, in_turn, inner, world
 from warp_peri.points.points import Points

@@ -67,7 +67,7 @@ class BondClasses:
 
 @dataclass(frozen=True)
 class Families:
-    """Families of the nodes of one point set; see kernels/lps/sweeps.py for how sweeps read them.
+    """Families of the nodes of one point set; see kernels/lps.py for how sweeps read them.
 
     Attributes:
         row: first bond of each node, shape [N + 1].

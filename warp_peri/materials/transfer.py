@@ -1,31 +1,104 @@
-"""The linear solid on another lattice: a kernel fitted to its waves (theory, M2–M6)."""
+"""A solid on another lattice: a kernel fitted to its waves (theory, M2–M6, T9)."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from warp_peri.core.elastic import lattice_group
+from warp_peri.core.elastic import directions, lattice_group, orbit_grid
 from warp_peri.core.stencil import Basis
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.regression import LatticeRows
 from warp_peri.fitting.rows import compressed
 from warp_peri.fitting.settings import GaussNewton, StabilityConditions
-from warp_peri.fitting.transfer import wave_errors, waves_against
 from warp_peri.materials.certificate import certify, with_proof
 from warp_peri.materials.lps import LPSMaterial, LPSParameters
-from warp_peri.materials.lps_law import LPSFound, optimum
-from warp_peri.materials.lps_rows import product_basis
+from warp_peri.materials.lps_law import LPSFound, optimum, product_basis
 from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.families import AT_EDGES, bond_classes, carried_horizon
 from warp_peri.points.points import PointsLike, nodes_of
 from warp_peri.points.unit_names import check_same, search_length, symbols
 
+WaveSymbol = Callable[[np.ndarray], np.ndarray]
+"""k [K, d] along the nodes' axes to D(k) [K, d, d] [stress/length²]."""
+WAVES, LARGEST_WAVE = 400, 2.0
+"""Waves that a symbol is matched on, and their largest |k| h."""
+LONG_WAVES, LONGEST, LONG_WEIGHT = 30, 0.02, 4.0
+"""Long waves among the rows, their |k| h, and what they weigh together."""
+ZONE_INTERVALS, ZONE_WEIGHT = {2: 12, 3: 10}, 0.1
+"""Of a grid on the rest of the zone."""
+
+
+def wave_rows(
+    target: WaveSymbol,
+    spacing: float,
+    bonds: Basis,
+    group: np.ndarray,
+    largest_wave: float = LARGEST_WAVE,
+) -> tuple[np.ndarray, np.ndarray]:
+    """R and y of p = C h² [stress] against D₀(k): waves up to the largest |k| h, long ones, and
+    lightly the rest of the zone."""
+    d, number = bonds.dimension, np.arange(WAVES)
+    size = largest_wave * (0.02 + 0.98 * ((number * 0.6180339887) % 1))
+    grid = orbit_grid(ZONE_INTERVALS[d], group, d)
+    blocks = (
+        (size[:, None] * directions(WAVES, d), 1.0),
+        (LONGEST * directions(LONG_WAVES, d), np.sqrt(LONG_WEIGHT)),
+        (grid[np.linalg.norm(grid, axis=1) > largest_wave], ZONE_WEIGHT),
+    )
+    phase = np.concatenate([waves for waves, _ in blocks])
+    each = [np.full(len(waves), weight / max(len(waves), 1) ** 0.5) for waves, weight in blocks]
+    D = target(phase / spacing) * spacing**2
+    return compressed(*waves_against(D, phase, bonds, np.concatenate(each)))
+
+
+def waves_against(
+    target: np.ndarray, phase: np.ndarray, bonds: Basis, share: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """R and y of ‖D₀⁻¹ D e − e‖ over polarisations e of single waves.
+
+    Args:
+        target: D₀ in the units of the symbol of the basis, shape [K, d, d].
+        phase: k h, shape [K, d].
+        share: weight of each wave, shape [K].
+    """
+    rows = np.linalg.inv(target)[:, None] @ bonds.symbol(phase)
+    right = np.broadcast_to(np.eye(bonds.dimension), target.shape) * share[:, None, None]
+    rows = rows.transpose(0, 2, 3, 1) * share[:, None, None, None]
+    return rows.reshape(-1, rows.shape[-1]), right.ravel()
+
+
+def wave_errors(answer: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """‖D⁻¹ D₀ − I‖₂ at wave vectors, shape [..., d, d] to [...] (theory, M4).
+
+    The largest relative error of displacement under a load at that wave vector.
+    """
+    wrong = np.linalg.solve(answer, target) - np.eye(answer.shape[-1])
+    return np.asarray(np.linalg.norm(wrong, ord=2, axis=(-2, -1)))
+
+
+def carried_symbol(symbol: WaveSymbol, spacing: float, turn: np.ndarray) -> WaveSymbol:
+    """D(k) of a solid on nodes of a spacing, turned on them, for k of any other nodes.
+
+    Beyond the zone of coarser nodes their symbol repeats; the local limit goes on there.
+    """
+
+    def carried(k: np.ndarray) -> np.ndarray:
+        size = np.linalg.norm(k, axis=1, keepdims=True)
+        part = np.minimum(1.0, LARGEST_WAVE / np.maximum(size * spacing, 1e-300))
+        D = symbol(part * k @ turn) / part[:, :, None] ** 2
+        return np.asarray(turn @ D @ turn.T)
+
+    return carried
+
+
 LEAST, LARGEST = 2.0, 5.0
 """Smallest horizon that a lattice has, and the largest that is tried, in spacings."""
-WAVES, LONG_WAVES, LONGEST, LONG_WEIGHT = 60, 4, 0.04, 4.0
+FITTED, LONG, LONG_SHARE = 60, 4, 0.04
 """Wave vectors that a kernel is fitted on; very long ones, their |k| over the largest of these, and
 their weight beside all others: it holds the moduli and costs short waves nothing."""
 GOLDEN_ANGLE = np.pi * (1 + np.sqrt(5))
@@ -76,10 +149,9 @@ def on_lattice(
     Raises InputError for a model without a certificate, a horizon below two spacings, or a
     tolerance that no horizon meets (saying the best there is).
     """
-    asked = {"horizon": horizon, "tolerance": tolerance, "largest_horizon": largest_horizon}
-    key = model.content()["sha256"], spacing, *asked.values()
-    if key not in _memory:
-        _memory[key] = _transferred(model, spacing, **asked)
+    asked = spacing, horizon, tolerance, largest_horizon
+    if (key := (model.content()["sha256"], *asked)) not in _memory:
+        _memory[key] = _transferred(model, *asked)
     return _memory[key]
 
 
@@ -96,10 +168,8 @@ def _transferred(
             "on_lattice: in space crystals.transfer_to_lattice carries crystal_from_lps(model)"
         )
     if not model.certified_on:
-        raise InputError(
-            "model: expected one that is certified on a lattice, which others are fitted to; "
-            "this one is certified on none"
-        )
+        what = "one that is certified on a lattice, which others are fitted to"
+        raise InputError(f"model: expected {what}; this one is certified on none")
     home = min(model.certified_on, key=lambda h: abs(np.log(h / spacing)))
     largest = model.largest_wave_number or SHARE * np.pi / min(model.certified_on)
     band = min(largest, SHARE * np.pi / home, SHARE * np.pi / spacing)
@@ -143,11 +213,11 @@ def wave_vectors(largest: float) -> tuple[np.ndarray, np.ndarray]:
     |k| is spread evenly, so that long waves weigh as much as short ones; directions go on by the
     golden angle. Very long ones follow, on which only the moduli count.
     """
-    number = np.arange(WAVES) + 0.5
-    size = np.append(largest * number / WAVES, np.full(LONG_WAVES, LONGEST * largest))
-    angle = np.append(GOLDEN_ANGLE * number, np.linspace(0, np.pi / 4, LONG_WAVES))
+    number = np.arange(FITTED) + 0.5
+    size = np.append(largest * number / FITTED, np.full(LONG, LONG_SHARE * largest))
+    angle = np.append(GOLDEN_ANGLE * number, np.linspace(0, np.pi / 4, LONG))
     k = size[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return k, np.repeat([1 / WAVES, LONG_WEIGHT / LONG_WAVES], [WAVES, LONG_WAVES])
+    return k, np.repeat([1 / FITTED, LONG_WEIGHT / LONG], [FITTED, LONG])
 
 
 def wave_loss(
@@ -167,8 +237,8 @@ def _fitted(
 ) -> LPSMaterial | None:
     """A kernel of one horizon; None where the conditions cannot be kept."""
     proven = model.figures.get(home, {}).get("symbol_bound", 0.0)
-    usual, unit = ZETA * model.mu, model.mu  # of stiffness: soft materials meet the same tolerances
-    zeta = min(usual, proven) or max(usual, proven)
+    unit = model.mu  # of stiffness: soft materials meet the same tolerances
+    zeta = min(ZETA * unit, proven) or ZETA * unit
     length = search_length(model.units, model.horizon)
     classes = bond_classes(spacing / length, horizon / length)
     k, weight = wave_vectors(band)
@@ -179,10 +249,8 @@ def _fitted(
     best = optimum([loss], [classes], start, asked, method)
     if not best.converged:
         return None
-    solid = best.solid
-    return LPSMaterial(
-        unit * solid.lam, unit * solid.mu, solid.alpha, solid.D, horizon, units=model.units
-    )
+    lam, mu, alpha, D = best.solid.values()
+    return LPSMaterial(unit * lam, unit * mu, alpha, D, horizon, units=model.units)
 
 
 def _errors(
@@ -271,7 +339,11 @@ def model_at(
     if model.dimension == 3 and not model.is_certified_on(spacing):
         model = replace(model, certified_on=())  # in space no kernel is carried: it is proven anew
     if spacing and transfer and not (model.certified_on or allow_uncertified):
-        model = _proven(model, spacing)
+        if (key := (model.content()["sha256"], spacing)) not in _memory:
+            _memory[key] = model
+            with suppress(InputError):  # where nothing holds here whoever asks says what that means
+                _memory[key] = with_proof(model, spacing)
+        model = _memory[key]
     at_home = spacing == 0 or model.is_certified_on(spacing)
     if at_home or allow_uncertified or not transfer or not model.certified_on:
         model.check_spacing(spacing, allow_uncertified=allow_uncertified)
@@ -279,22 +351,10 @@ def model_at(
     found = on_lattice(model, spacing=spacing)
     if largest_horizon is not None and found.horizon > largest_horizon * (1 + 1e-9):
         found = on_lattice(model, spacing=spacing, largest_horizon=largest_horizon)
-    statement = found.provenance["transfer"]["statement"]
     if (once := found.content()["sha256"]) not in _said:
         _said.add(once)
-        warn(f"transferred {statement}")
+        warn(f"transferred {found.provenance['transfer']['statement']}")
     return found
-
-
-def _proven(model: LPSMaterial, spacing: float) -> LPSMaterial:
-    """The model with a proof on this lattice, looked for once; as it is where there is none."""
-    key = model.content()["sha256"], spacing
-    if key not in _memory:
-        try:
-            _memory[key] = with_proof(model, spacing)
-        except InputError:  # nothing holds of it here: whoever asks says what that means
-            _memory[key] = model
-    return _memory[key]
 
 
 def model_for(

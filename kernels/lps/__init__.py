@@ -1,1 +1,0 @@
-"""The linear peridynamic solid: influence, dilatation, force, and what gradients are made of."""

@@ -1,1 +1,0 @@
-"""Crystal tensors: the force of a lattice by half families."""
