@@ -54,7 +54,7 @@ def write_vtk(
         One file for each sample, sample_0000.vtu and so on.
 
     Raises InputError without meshio (the extra `export`), for a folder where more samples than S
-    lie already, which ParaView would show as one group, or as node_fields does.
+    lie already, which ParaView would show as one group, or another program's, or as node_fields.
     """
     meshio_of()
     u = np.asarray(u, dtype=float)
@@ -62,7 +62,10 @@ def write_vtk(
         raise InputError(f"u: expected the samples of the set, {points.u.shape}, got {u.shape}")
     folder, cells = Path(folder), _cells(points)
     paths = [folder / f"sample_{s:04d}.vtu" for s in range(len(u))]
-    if left := sorted(set(folder.glob("sample_*.vtu")) - set(paths)):
+    there = sorted(folder.glob("sample_*.vtu"))
+    if left := [
+        one for one in there if one not in paths or b'Name="interior"' not in one.read_bytes()
+    ]:
         raise InputError(
             f"{folder}: expected a folder without samples of another export, "
             f"got {left[0].name}; remove it or name another folder"

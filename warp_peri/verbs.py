@@ -17,7 +17,7 @@ from warp_peri.files.foreign import check_regular
 from warp_peri.fitting.settings import Fit
 from warp_peri.points.arguments import check_flag, check_mapping, is_piece, typed
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
-from warp_peri.points.mesh import load_mesh
+from warp_peri.points.outlines import load_mesh
 from warp_peri.points.points import Samples
 from warp_peri.points.unit_names import Units
 from warp_peri.protocols import offered, taken, uncompiled

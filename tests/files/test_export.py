@@ -23,7 +23,7 @@ def points():
 
 
 def test_fields_for_paraview(points, tmp_path, monkeypatch):
-    """Twice into one folder: as many as before are replaced, fewer are refused."""
+    """Into one folder as many as before are replaced; fewer, and others' files, are refused."""
     u, model = 1.01 * points.u, kernel("positive", HORIZON)
     write_vtk(tmp_path, model, points, points.u)
     paths = write_vtk(tmp_path, model, points, u)
@@ -44,6 +44,10 @@ def test_fields_for_paraview(points, tmp_path, monkeypatch):
         assert np.isnan(data["stress"][~inside]).all()
     with pytest.raises(InputError, match=r"without samples .* got sample_0001\.vtu"):
         write_vtk(tmp_path, model, points[:1], u[:1])
+    paths[1].write_text("another program's")
+    with pytest.raises(InputError, match=r"without samples .* got sample_0001\.vtu"):
+        write_vtk(tmp_path, model, points, u)
+    assert paths[1].read_text() == "another program's"
     monkeypatch.setitem(sys.modules, "meshio", None)
     with pytest.raises(InputError, match=r"warp_peri\[export\]"):
         write_vtk(tmp_path, model, points, u)

@@ -64,6 +64,7 @@ def errors(value, leaves, step, networks=(), least=0.0):
         way = torch.ones(leaf.shape, dtype=torch.float64)
         if leaf.numel() > 1:
             way = torch.from_numpy(np.random.default_rng(7).normal(size=leaf.shape))
+        way = way + way.mT if name == "tensors" else way  # unsymmetric ones are refused
         way = 0.01 * max(float(leaf.abs().max()), least) * way
 
         def along(t, name=name, leaf=leaf, way=way):

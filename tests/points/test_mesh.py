@@ -10,8 +10,17 @@ import pytest
 import warp_peri as wp
 from tests.support.problems import kernel
 from warp_peri.errors import InputError
-from warp_peri.points.mesh import REST, load_mesh, make_mesh, pieces
-from warp_peri.points.outlines import Block, Circle, Polygon, Sphere, box, mesh_outline, mesh_solid
+from warp_peri.points.mesh import REST, make_mesh, pieces
+from warp_peri.points.outlines import (
+    Block,
+    Circle,
+    Polygon,
+    Sphere,
+    box,
+    load_mesh,
+    mesh_outline,
+    mesh_solid,
+)
 
 HALVES = [[0, 1, 2], [0, 2, 3]]
 SIXTHS = []

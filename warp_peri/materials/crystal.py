@@ -90,10 +90,9 @@ class TensorOperator(OperatorBase):
         return {"tensors": self.tensors}
 
     def at(self, numbers: Mapping[str, ArrayLike]) -> TensorOperator:
-        """The operator with the symmetric part of other tensors; nothing is proven of it yet."""
+        """The operator with other tensors, symmetric ones; nothing is proven of it yet."""
         law, C = self.model, np.asarray(numbers["tensors"], dtype=float)
         held = law.stress if isinstance(law, CrystalMaterial) else None
-        C = (C + C.transpose(0, 2, 1)) / 2
         law = CrystalMaterial(self.spacing, self.steps, C, law.units, stress=held)
         return TensorOperator(law, self.points, method=self.method, dtype=self.dtype)
 

@@ -1,16 +1,12 @@
-"""Meshes of triangles or tetrahedra, and their files."""
+"""Meshes of triangles or tetrahedra: what they are, and what they must be."""
 
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
-import h5py
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
@@ -18,8 +14,6 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError, warn
-from warp_peri.files.foreign import check_hdf5, check_xml, content, meshio_of
-from warp_peri.points.abaqus import read_abaqus
 from warp_peri.points.arguments import checked, typed
 
 REST = "rest"
@@ -191,7 +185,7 @@ def _outline(x: np.ndarray, t: np.ndarray) -> np.ndarray:
     """
     d = x.shape[1]
     name, _, facet, _ = KINDS[d]
-    every, keys, back, count = _facets(t)
+    every, keys, back, count = facets_of(t)
     if count.max() > 2:
         raise InputError(f"{name}: expected one or two at each {facet}, some {facet} has more")
     across = np.concatenate([t[:, corner] for corner in ACROSS[d]])
@@ -216,7 +210,7 @@ def check_numbers(name: str, numbers: np.ndarray, count: int, what: str = "corne
         raise InputError(f"{name}: expected {what} 0 to {count - 1}, got {least}, {most}")
 
 
-def _facets(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def facets_of(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Facets of all cells, those that differ by rising corners, which each is, and how often."""
     every = np.concatenate([t[:, corners] for corners in FACETS[t.shape[1] - 1]])
     keys, back, count = np.unique(
@@ -313,145 +307,6 @@ def cells_holding(corners: np.ndarray, x: np.ndarray, depth: float = -WITHIN) ->
 
 def pieces(cells: np.ndarray) -> np.ndarray:
     """Number of the piece of the body that each cell belongs to; those of a piece share facets."""
-    count, (_, keys, facet, _) = len(cells), _facets(cells)
+    count, (_, keys, facet, _) = len(cells), facets_of(cells)
     pairs = np.stack([np.tile(np.arange(count), cells.shape[1]), count + facet], axis=1)
     return _joined(count + len(keys), pairs)[:count]
-
-
-CORNERS = {"triangle": 3, "triangle6": 3, "tetra": 4, "tetra10": 4}
-CORNERS |= dict.fromkeys(("quad", "quad8", "quad9"), 4)
-"""Of cells, by meshio's names; they come first."""
-FORMATS = {".msh": "gmsh", ".vtk": "vtk", ".vtu": "vtu", ".xdmf": "xdmf", ".inp": "abaqus"}
-"""Meshes that are read, by how their files' names end."""
-GROUPS = (":physical", ":ref", "cell_tags")
-"""How data of cells end that are numbers of groups, in files that meshio made of others too."""
-
-
-def load_mesh(path: str | os.PathLike[str]) -> Mesh:
-    """A mesh of Gmsh (.msh), VTK (.vtk, .vtu), XDMF or Abaqus (.inp, one flat part), in Å.
-
-    Tetrahedra, of second order too, of which the corners count; or triangles and quadrilaterals
-    (cut in two), straight or of second order, whose edges' midpoints are kept on the outline. Parts
-    are the lines' physical names, sets or numbers of groups, of a surface those of its triangles,
-    and Abaqus's sets of nodes; what is named inside the body is left out with a warning.
-
-    Raises InputError for another format, a file that is not read, without meshio (the extra
-    `bodies`), with cells of other kinds or none, for triangles that are not plane, for what
-    `points.abaqus.read_abaqus` does not read, and as `make_mesh`.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such mesh file")
-    form = FORMATS.get(path.suffix.lower())
-    if form is None:
-        raise InputError(
-            f"{path}: expected a mesh in {', '.join(FORMATS)}; convert it with meshio, then check "
-            "the groups"
-        )
-    try:
-        if form == "abaqus":
-            return _body_of(read_abaqus(content(path).decode("utf-8", "replace")))
-        if form in ("vtu", "xdmf"):
-            _check_arrays(path)
-        return _body_of(meshio_of("bodies").read(path, file_format=form))
-    except InputError as error:
-        raise InputError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
-    except (Exception, SystemExit) as error:  # meshio leaves the program on some files
-        raise InputError(f"{path}: not a mesh of {form} ({error})") from None
-
-
-def _check_arrays(path: Path) -> None:
-    """InputError for XML with entities, and for arrays of XDMF that are not in HDF5 beside it."""
-    check_xml(path, text := content(path))
-    if path.suffix.lower() == ".vtu":
-        return
-    items = [item for item in ElementTree.fromstring(text).iter() if item.tag == "DataItem"]
-    if any(item.get("Format") not in (None, "XML", "HDF") for item in items):
-        raise InputError("expected arrays in the file or in HDF5, got others")
-    for name in {(i.text or "").strip().split(":")[0] for i in items if i.get("Format") == "HDF"}:
-        if Path(name).name != name or not (beside := path.with_name(name)).is_file():
-            raise InputError(f"expected its arrays in HDF5 beside it, got {name!r}")
-        with h5py.File(beside, "r") as file:
-            check_hdf5(file, beside.stat().st_size)
-
-
-def _body_of(read: Any) -> Mesh:
-    """The body of a meshio mesh; InputError for one with cells of other kinds."""
-    points = np.asarray(read.points, dtype=float)
-    kinds = {block.type for block in read.cells if block.dim > 1}
-    d = max([block.dim for block in read.cells], default=0)
-    for block in read.cells:
-        if not np.size(block.data) or np.shape(block.data)[1] < CORNERS.get(block.type, 1):
-            raise InputError(f"expected whole cells, got a block of {block.type} that is cut off")
-    known = {kind for kind in CORNERS if d == 2 or not kind.startswith("quad")}
-    if not kinds or not kinds <= known:
-        kinds = kinds - known or {block.type for block in read.cells}
-        raise InputError(
-            "expected triangles and quadrilaterals, or tetrahedra, and no other cells, got "
-            + (", ".join(sorted(kinds)) or "nothing")
-        )
-    if d == 2 and points.shape[1] == 3 and np.ptp(points[:, 2]) > 1e-9 * np.ptp(points, 0).max():
-        raise InputError(f"expected a plane mesh, z varies by {np.ptp(points[:, 2]):g}")
-    x, every, middle = points[:, :d], [], dict[tuple[int, int], np.ndarray]()
-    for block in read.cells:
-        if block.dim != d:
-            continue
-        n, cells = CORNERS[block.type], np.asarray(block.data)
-        every.append(_halves(x, cells[:, :4]) if d < n - 1 else cells[:, :n])
-        if d == 2 and cells.shape[1] > n:
-            for k in range(n):
-                ends = np.sort(cells[:, [k, (k + 1) % n]], axis=1)
-                middle |= {tuple(pair): x[m] for pair, m in zip(ends.tolist(), cells[:, n + k])}
-    cells = np.concatenate(every)
-    if "gmsh:physical" in read.cell_data:  # where cells of several groups stand once for each
-        cells = cells[np.sort(np.unique(np.sort(cells, 1), axis=0, return_index=True)[1])]
-    return make_mesh(x, cells, _groups(read, cells), middle, inner=True)
-
-
-def _halves(x: np.ndarray, quads: np.ndarray) -> np.ndarray:
-    """Quadrilaterals [T, 4] cut in two, [n, 3], at the corner that is turned in where one is.
-
-    Those that have a corner twice are one triangle.
-    """
-    cuts = quads[:, [[[0, 1, 2], [0, 2, 3]], [[1, 2, 3], [1, 3, 0]]]]
-    size = np.linalg.det(x[cuts[..., 1:]] - x[cuts[..., :1]])
-    least = (size * np.sign(size.sum(axis=2, keepdims=True))).min(axis=2)
-    second = (least[:, 0] <= 0) & (least[:, 1] > 0)
-    halves = np.where(second[:, None, None], cuts[:, 1], cuts[:, 0])
-    every = np.swapaxes(halves, 0, 1).reshape(-1, 3)
-    return np.asarray(every[(np.diff(np.sort(every, axis=1), axis=1) > 0).all(axis=1)])
-
-
-def _groups(read: Any, body: np.ndarray) -> dict[str, np.ndarray]:
-    """Lines or triangles of a meshio mesh by name: its sets, and its groups by name or number.
-
-    Of a set of nodes the sides of the body's outline with all their corners in it.
-    """
-    dim = body.shape[1] - 2
-    sets: dict[str, list[np.ndarray]] = {}
-    names = {int(v[0]): [name] for name, v in read.field_data.items() if v[1] == dim}
-    lines = [(n, block.data) for n, block in enumerate(read.cells) if block.dim == dim]
-    for number, data in lines:
-        found = np.asarray(data)[:, : dim + 1]
-        for key in (key for key in read.cell_data if key.endswith(GROUPS)):
-            tags = np.asarray(read.cell_data[key][number])
-            for tag in np.unique(tags[tags != 0]).tolist():
-                for name in names.get(tag, names.get(-tag, [str(abs(tag))])):
-                    sets.setdefault(name, []).append(found[tags == tag])
-        for name, kept in read.cell_sets.items():
-            if not name.startswith("gmsh:") and kept[number] is not None and len(kept[number]):
-                sets.setdefault(name, []).append(found[kept[number]])
-    _, outer, _, count = _facets(body)
-    for name, nodes in read.point_sets.items():
-        if not name.startswith("gmsh:"):
-            sides = outer[(count == 1) & np.isin(outer, nodes).all(axis=1)]
-            if not len(sides):
-                warn(f"{name}: no side of the outline is between its nodes")
-            sets.setdefault(name, []).append(sides)
-    if lines and not sets:
-        warn(
-            f"none of the {sum(len(data) for _, data in lines)} {('lines', 'faces')[dim - 1]} in "
-            f"the file is in a group: all parts are '{REST}'; vtu, vtk and xdmf keep no sets, .msh "
-            "and .inp do"
-        )
-    return {name: np.concatenate(facets) for name, facets in sets.items()}
