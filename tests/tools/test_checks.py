@@ -1,13 +1,14 @@
 """What holds the library to its numbers: the record, the table of faults, the benchmark."""
 
 import json
+import sys
 from importlib.util import find_spec
 
 import numpy as np
 import pytest
 import torch
 
-from tools import benchmark, frozen
+from tools import benchmark, entered, frozen
 from tools.mutants import NET, ROOT, read_faults, with_fault
 from warp_peri import runtime
 
@@ -87,3 +88,11 @@ def test_a_wrong_rival_is_found_and_the_front_is_drawn(tmp_path):
         benchmark.report("x", {"one": lambda: np.ones(3), "two": lambda: np.zeros(3)}, 1, 1, 1e-9)
     benchmark.draw(tmp_path / "front.png")
     assert (tmp_path / "front.png").stat().st_size > 10_000
+
+
+def test_files_that_a_fit_and_a_solve_enter_are_told(graphene, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["entered", "--data", str(graphene)])
+    assert entered.main() == 0
+    fit, solve = capsys.readouterr().out.splitlines()
+    assert ("fitting/regression.py" in fit, "regression" in solve) == (True, False)
+    assert "materials/lps" in solve
