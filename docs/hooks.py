@@ -60,7 +60,7 @@ def _table(found: re.Match) -> str:
 
 def commands() -> str:
     """Every command with its help, as sections."""
-    from warp_peri.cli.options import COMMANDS, parser_of
+    from warp_peri.cli.main import COMMANDS, parser_of
 
     helps = {name: parser_of(name).format_help() for name in COMMANDS}
     return "".join(f"\n## {name}\n\n```text\n{text}```\n" for name, text in helps.items())

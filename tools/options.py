@@ -30,7 +30,7 @@ class Options(argparse.ArgumentParser):
     ) -> None:
         formatter = argparse.RawDescriptionHelpFormatter
         super().__init__(description=doc, formatter_class=formatter)
-        every = dict(options or {})
+        every, self._lists = dict(options or {}), {}
         if out:
             every["out"] = RUNS / out, "folder for the results"
         if json:
@@ -46,6 +46,9 @@ class Options(argparse.ArgumentParser):
             elif isinstance(default, list):
                 how |= {"type": type(default[0]), "nargs": "+"}
             told = f" (default: {how['default']})" if how.get("default") not in (None, "") else ""
+            if isinstance(default, list):  # replaced by what is typed, which adds up
+                self._lists[name] = default
+                how |= {"action": "extend", "default": argparse.SUPPRESS}
             self.add_argument(
                 f"--{name.replace('_', '-')}", **how, help=(words + told).replace("%", "%%")
             )
@@ -54,6 +57,7 @@ class Options(argparse.ArgumentParser):
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """What is given; the folder of results is made."""
         given = super().parse_args(args, namespace)
+        vars(given).update(self._lists | vars(given))
         if self._makes:
             given.out.mkdir(parents=True, exist_ok=True)
         return given

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from warp_peri.points.mesh import Mesh as Mesh
     from warp_peri.points.points import Points as Points
     from warp_peri.points.points import Samples as Samples
-    from warp_peri.prediction.predict import predict as predict
+    from warp_peri.prediction.answer import predict as predict
     from warp_peri.problems import Body as Body
     from warp_peri.problems import Dirichlet as Dirichlet
     from warp_peri.problems import Periodic as Periodic

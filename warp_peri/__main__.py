@@ -1,6 +1,6 @@
 """python -m warp_peri is the command warp-peri."""
 
-from warp_peri.cli.start import main
+from warp_peri.cli import start
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(start())

@@ -1,7 +1,7 @@
 """Crystals of any symmetry in two and three dimensions: a tensor for every bond (theory, T)."""
 
-from warp_peri.atoms.force_constants import from_calculator
-from warp_peri.atoms.ions import NonAnalyticCorrection
+from warp_peri.atoms.force_constants import NonAnalyticCorrection
+from warp_peri.atoms.phonons import from_calculator
 from warp_peri.core.elastic import voigt_to_tensor
 from warp_peri.materials.crystal import CrystalMaterial, StencilMaterial, crystal_from_lps
 from warp_peri.materials.crystal_fit import (

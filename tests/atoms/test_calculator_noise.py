@@ -21,13 +21,13 @@ from warp_peri.atoms.calculator_noise import (
     ROUGH,
     Symmetric,
     bent_by_strain,
+    joined,
     measured,
     projected,
 )
 from warp_peri.atoms.calculators import lammps_calculator
-from warp_peri.atoms.finite_strains import joined
-from warp_peri.atoms.force_constants import finite_differences, from_supercell
-from warp_peri.atoms.phonons import at_zone_edge, check_phonons
+from warp_peri.atoms.force_constants import from_supercell
+from warp_peri.atoms.phonons import at_zone_edge, check_phonons, finite_differences
 from warp_peri.atoms.relaxed import at_rest
 from warp_peri.core.elastic import allowed_tensors, point_group
 from warp_peri.crystals import NonAnalyticCorrection, from_calculator

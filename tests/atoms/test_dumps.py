@@ -18,8 +18,8 @@ from warp_peri.atoms.dumps import (
     iter_dump,
     mean_displacement,
     read_masses,
+    read_structure,
 )
-from warp_peri.cli.crystals_sheets import read_structure
 
 BOX = (12.0, 9.0)
 RANDOM = np.random.default_rng(0)

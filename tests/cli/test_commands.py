@@ -18,8 +18,7 @@ from tests.support.problems import kernel, smooth
 from tests.support.solving import solve
 from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import Dataset, InputError, Samples, load
-from warp_peri.cli.main import main
-from warp_peri.cli.options import COMMANDS, parse, parser_of
+from warp_peri.cli.main import COMMANDS, main, parse, parser_of
 from warp_peri.cli.train import atom_forces
 from warp_peri.crystals import fit_dispersion
 from warp_peri.materials.lps import LPSMaterial

@@ -16,8 +16,7 @@ from tests.support.plates import plate
 from tests.support.problems import kernel, lattice
 from tests.third_order.test_equilibria import problem
 from warp_peri.cli.commands import solver_of
-from warp_peri.cli.main import main
-from warp_peri.cli.options import parser_of
+from warp_peri.cli.main import main, parser_of
 from warp_peri.points.dataset import load_dataset
 from warp_peri.solvers.solution import Preconditioner
 

@@ -12,8 +12,8 @@ from ase.calculators.lj import LennardJones
 from tests.crystal.crystals import cubic_tensor, dispersive, huang_defect, lattice, learned
 from tests.support.problems import kernel
 from tests.support.problems import lattice as plane_lattice
-from warp_peri.atoms.force_constants import Supercell, from_calculator, from_supercell
-from warp_peri.atoms.ions import NonAnalyticCorrection
+from warp_peri.atoms.force_constants import NonAnalyticCorrection, Supercell, from_supercell
+from warp_peri.atoms.phonons import from_calculator
 from warp_peri.core.elastic import allowed_tensors, checked_orientation, point_group, voigt
 from warp_peri.errors import InputError
 from warp_peri.materials.crystal import crystal_from_lps

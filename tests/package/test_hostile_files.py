@@ -22,8 +22,7 @@ import pytest
 
 import warp_peri as wp
 from warp_peri import InputError
-from warp_peri.atoms.dumps import iter_dump
-from warp_peri.cli.crystals_sheets import read_structure
+from warp_peri.atoms.dumps import iter_dump, read_structure
 from warp_peri.cli.train import atom_forces
 from warp_peri.files.atomic import read_arrays
 from warp_peri.points.dataset import load_dataset

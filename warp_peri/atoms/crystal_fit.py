@@ -11,9 +11,8 @@ import ase
 import numpy as np
 from matplotlib.figure import Figure
 
-from warp_peri.atoms.calculator_noise import PULLED, SMALLER
+from warp_peri.atoms.calculator_noise import PULLED, SMALLER, by_strains, joined
 from warp_peri.atoms.calculator_noise import STRAIN as STRETCH
-from warp_peri.atoms.finite_strains import by_strains, joined
 from warp_peri.atoms.force_constants import STEP, WIDER, ForceConstants
 from warp_peri.atoms.phonons import at_zone_edge, check_phonons, force_constants
 from warp_peri.atoms.relaxed import Reference, at_rest, usual_spacing

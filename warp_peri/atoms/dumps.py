@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import re
+import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,13 +14,15 @@ from typing import Any
 import ase.io
 import numpy as np
 import scipy.sparse as sp
+from ase.io.formats import filetype
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 from tqdm import tqdm
 
 from warp_peri.atoms.coarse_graining import coarse_grain
 from warp_peri.errors import InputError, warn
-from warp_peri.files.foreign import check_regular, encoding_of, unpacked
+from warp_peri.files.atomic import parsed
+from warp_peri.files.foreign import MARKS, check_regular, check_xml, content, encoding_of, unpacked
 from warp_peri.points.arguments import MOST, Natural, Positive, checked, typed
 from warp_peri.points.points import PointsLike, Samples, nodes_of
 
@@ -236,6 +239,57 @@ def _by_ase(path: str | os.PathLike[str]) -> Iterator[DumpFrame]:
         if set(IMAGES) <= set(held):
             images = np.stack([held[name] for name in IMAGES], axis=1)
         yield _ordered(ids, atoms.positions, types, cell, tuple(held), images)
+
+
+LARGEST_HEADER = 2**16
+"""Bytes of a file of atoms by which its kind is told."""
+PACKERS = (".gz", ".bz2", ".xz", ".zst")
+REFUSED = ("castep", "bundle")
+"""What names of ASE's formats begin with whose readers run a program or look elsewhere."""
+
+
+@typed
+def read_structure(path: Path) -> Any:
+    """The last structure of a file that ASE reads; InputError for any other.
+
+    Files may be packed; they are looked at first, and read as they were then, from a copy.
+
+    Of a dump that names no elements, or a data file of LAMMPS without masses, ASE would take the
+    types for atomic numbers.
+    """
+    if path.is_dir():
+        raise InputError(f"{path}: expected a file; a folder of phonopy goes without a calculator")
+    whole = content(path)
+    check_xml(path, whole)
+    if whole.startswith(MARKS):
+        whole = whole.decode(encoding_of(whole), "replace").encode()
+    name = path.with_suffix("") if path.suffix.lower() in PACKERS else path
+    with tempfile.TemporaryDirectory() as folder:  # ASE goes by the ending alone
+        readable = Path(folder) / name.name
+        readable.write_bytes(whole)
+        try:
+            head = whole[:LARGEST_HEADER]
+            if head.startswith(b"ITEM:") and b" element" not in head:
+                raise InputError("expected a structure with its elements, got a dump without")
+            of_lammps = re.search(rb"xlo\s+xhi", head) is not None
+            if of_lammps and not re.search(rb"(?m)^\s*Masses", head):
+                raise InputError("expected the masses of the types in a LAMMPS data file, got none")
+            form = "lammps-data" if of_lammps else filetype(str(readable))
+            if form.startswith(REFUSED):
+                raise InputError(
+                    f"expected another format than {form}, whose reader runs a program"
+                )
+            if form == "json":  # brackets within brackets end the process
+                parsed(whole)
+            found: Any = ase.io.read(str(readable), -1, form, do_not_split_by_at_sign=True)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+        except Exception as error:  # ASE's readers raise whatever their parsing runs into
+            why = f"{type(error).__name__}: {error}"
+            if "atom_style" in why:
+                why += "; a data file of LAMMPS says it behind Atoms, as in: Atoms # charge"
+            raise InputError(f"{path}: ASE reads no structure from it ({why})") from None
+    return found
 
 
 BOX_TOLERANCE = 1e-5

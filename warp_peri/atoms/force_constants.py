@@ -15,7 +15,6 @@ import numpy as np
 from ase import Atoms
 from ase.build import make_supercell
 
-from warp_peri.atoms.ions import DECAYED, NonAnalyticCorrection
 from warp_peri.core.elastic import (
     acoustic,
     directions,
@@ -25,7 +24,7 @@ from warp_peri.core.elastic import (
     stress_brackets,
 )
 from warp_peri.errors import InputError, warn
-from warp_peri.points.arguments import Positive, typed, typed_methods
+from warp_peri.points.arguments import typed, typed_methods
 from warp_peri.points.unit_names import STRESSES
 
 STEP, WIDER = 2e-3, 5
@@ -44,6 +43,10 @@ LONG = 4e-3
 """|k| [1/Å] of waves that have the moduli of moments where Φ keeps its sums."""
 SMALL = 2e-3
 """|k| [1/Å] of the differences that second moments of ions' fields are taken by."""
+COULOMB = 14.399645
+"""e²/(4π ε₀) [eV Å]."""
+DECAYED, NEGLECTED = 3.5, 36.0
+"""x with erfc(x) ≈ 0 at half a supercell, and exponents of Gaussians that are left out."""
 TINY = float(np.finfo(float).tiny)
 """Divides what is zero."""
 SOFT = 1e-14
@@ -54,6 +57,65 @@ HELD = 1e3
 """Of the largest Φ, that a sheet's mean height is held with."""
 NOT_ELASTIC = 3e-3
 """Of long waves, that may be missed by all elastic tensors of the symmetry."""
+
+
+@typed
+@dataclass(frozen=True, eq=False)
+class NonAnalyticCorrection:
+    """What waves of ions' displacement do through their electric field (theory, T18).
+
+    Attributes:
+        born: effective charges of the atoms of a cell [e], shape [n, 3, 3]. Their mean is taken
+            off, since charges of a cell sum to zero.
+        dielectric: of clamped ions, shape [3, 3].
+        decay: Λ [1/Å] of the Gaussians; from_supercell sets it where it is 0.
+    """
+
+    born: np.ndarray
+    dielectric: np.ndarray
+    decay: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "born", self.born - self.born.mean(axis=0))
+
+    def matrix(
+        self, k: np.ndarray, cell: np.ndarray, positions: np.ndarray, *, field: bool = True
+    ) -> np.ndarray:
+        """Dipoles with dipoles [eV/Å²] but for what is short-ranged, [K, n, 3, n, 3].
+
+        Without `field`, the macroscopic one, it is smooth at k = 0.
+        """
+        least = np.linalg.eigvalsh(self.dielectric)[0]
+        furthest = 2 * self.decay * np.sqrt(NEGLECTED / least) + np.linalg.norm(k, axis=1).max()
+        most = np.ceil(furthest * np.linalg.norm(cell, axis=1) / (2 * np.pi)).astype(int)
+        counts = np.array(list(itertools.product(*(range(-n, n + 1) for n in most))))
+        G = 2 * np.pi * counts @ np.linalg.inv(cell).T
+        zero = self._sums(np.zeros(3), G, cell, positions).sum(axis=2)
+        around = G if field else G[counts.any(axis=1)]
+        D = np.stack([self._sums(one, around, cell, positions) for one in k])
+        atoms = np.arange(len(positions))
+        # translations cost nothing; a site of low symmetry leaves a part that is not symmetric
+        D[:, atoms, :, atoms, :] -= ((zero + zero.conj().swapaxes(1, 2)) / 2)[:, None]
+        return D
+
+    def at_long_waves(self, e: np.ndarray, cell: np.ndarray) -> np.ndarray:
+        """What the macroscopic field adds to D along unit vectors e [K, 3], [K, n, 3, n, 3]."""
+        pull = np.einsum("kb,nba->kna", e, self.born)
+        screened = np.einsum("ki,ij,kj->k", e, self.dielectric, e)
+        factor = 4 * np.pi * COULOMB / abs(np.linalg.det(cell)) / screened
+        return np.asarray(np.einsum("k,kia,kjb->kiajb", factor, pull, pull))
+
+    def _sums(self, k: np.ndarray, G: np.ndarray, cell: np.ndarray, positions: np.ndarray) -> Any:
+        """Over the waves k + G, [n, 3, n, 3]."""
+        K = k + G
+        square = np.einsum("gi,ij,gj->g", K, self.dielectric, K)
+        kept = (square > 1e-14) & (square < 4 * self.decay**2 * NEGLECTED)
+        K, square = K[kept], square[kept]
+        factor = np.exp(-square / (4 * self.decay**2)) / square
+        factor *= 4 * np.pi * COULOMB / abs(np.linalg.det(cell))
+        phase = np.exp(1j * G[kept] @ positions.T)
+        pull = np.einsum("gb,nba->gna", K, self.born) * phase[..., None]
+        return np.einsum("g,gia,gjb->iajb", factor, pull, pull.conj(), optimize=True)
 
 
 @typed_methods
@@ -462,62 +524,6 @@ def from_supercell(
         made, pairs=made.pairs[kept], vectors=made.vectors[kept], values=values[kept],
         edge=every.edge(values), change=change,
     )  # fmt: skip
-
-
-def finite_differences(
-    forces: Callable[[np.ndarray], np.ndarray],
-    positions: np.ndarray,
-    displaced: Sequence[int],
-    *,
-    step: float = STEP,
-) -> tuple[np.ndarray, float]:
-    """Φ [eV/Å²] of some atoms with all, by differences of fourth order, [n, N, 3, 3].
-
-    Beside it stands how much Φ changes from the one step to one five times as wide, over the
-    largest: 1e-3 or less where the energy is smooth.
-
-    Args:
-        forces: on all atoms [eV/Å] at positions [Å], shape [N, 3] to [N, 3].
-        positions: at rest.
-        displaced: numbers of the atoms to move.
-    """
-    phi, change = np.zeros((len(displaced), len(positions), 3, 3)), 0.0
-    for (row, i), axis in itertools.product(enumerate(displaced), range(3)):
-        near, wide = slopes = np.zeros((2, len(positions), 3))
-        for slope, length in zip(slopes, (step, WIDER * step)):
-            for sign in (1, -1):
-                moved = positions.copy()
-                moved[i, axis] += sign * length
-                slope += sign * np.array(forces(moved)) / (2 * length)
-        phi[row, :, axis] = -(WIDER**2 * near - wide) / (WIDER**2 - 1)
-        change = max(change, float(np.abs(near - wide).max()))
-    return phi, change / max(float(np.abs(phi).max()), TINY)
-
-
-@typed
-def from_calculator(
-    structure: Any,
-    calculator: Any,
-    repeats: Sequence[int],
-    *,
-    thickness: Positive | None = None,
-    step: Positive = STEP,
-) -> ForceConstants:
-    """Force constants of a crystal by an ASE calculator, on a supercell of repeats.
-
-    Args:
-        structure: the cell at rest, an ase.Atoms.
-        calculator: with forces in eV/Å.
-        repeats: of the cell along its edges; the supercell is to be wider than twice what the
-            forces reach.
-        thickness: of a sheet.
-        step: of finite differences [Å].
-    """
-    many, first = structure.repeat(tuple(repeats)), range(len(structure))
-    phi, change = finite_differences(
-        forces_of(many, calculator), np.array(many.positions), first, step=step
-    )
-    return from_supercell(structure, many, phi, first, thickness=thickness, change=change)
 
 
 def forces_of(many: Any, calculator: Any) -> Callable[[np.ndarray], np.ndarray]:

@@ -1,21 +1,36 @@
-"""Force constants and phonons of a structure, and what their waves say."""
+"""Force constants and phonons of a structure, by its calculator or by phonopy."""
 
 from __future__ import annotations
 
+import io
 import itertools
+import os
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import ase
+import h5py
 import numpy as np
 from ase.data import atomic_masses
 
-from warp_peri.atoms.calculator_noise import TIMES, rattled
-from warp_peri.atoms.force_constants import EDGE, STEP, ForceConstants, forces_of, from_calculator
-from warp_peri.atoms.relaxed import Reference
-from warp_peri.errors import InputError, warn
+from warp_peri.atoms.calculator_noise import TIMES, projected, rattled
+from warp_peri.atoms.force_constants import (
+    EDGE,
+    STEP,
+    TINY,
+    WIDER,
+    ForceConstants,
+    NonAnalyticCorrection,
+    forces_of,
+    from_supercell,
+)
+from warp_peri.atoms.relaxed import VACUUM, Reference, check_sites, gap, thickness_of
+from warp_peri.errors import InputError, optional, warn
+from warp_peri.files.foreign import check_hdf5, check_yaml, content
+from warp_peri.points.arguments import Positive, checked, typed
 
 WIDTHS = (10.0, 14.0, 18.0, 22.0, 26.0, 32.0, 40.0)
 """Of supercells [Å], tried in turn."""
@@ -62,8 +77,8 @@ def force_constants(
     if supercell is None:
         repeats = wide_enough(reference, calculator, WIDTHS)
     else:
-        repeats = tuple(int(n) for n in supercell)
-        if len(repeats) != 3 or min(repeats) < 1 or (d == 2 and repeats[2] != 1):
+        repeats = tuple(checked("supercell", supercell, int, (3,)).tolist())
+        if min(repeats) < 1 or (d == 2 and repeats[2] != 1):
             raise InputError(f"supercell: expected three counts, a sheet's third 1, got {repeats}")
     many = cell.repeat(repeats)
     told = {"force constants": f"{_cells(repeats[:d])}, {len(many)} atoms"}
@@ -179,3 +194,176 @@ def at_zone_edge(atoms: ForceConstants) -> tuple[float, float, float]:
     low, middle, high = (THZ * np.sqrt(np.clip(size + way * off, 0, None)) for way in (-1, 0, 1))
     soft, error = middle.argmin(), (high - low) / 2
     return float(middle.flat[soft]), float(error.flat[soft]), float(error.max())
+
+
+def finite_differences(
+    forces: Callable[[np.ndarray], np.ndarray], positions: np.ndarray, displaced: Sequence[int]
+) -> tuple[np.ndarray, float]:
+    """Φ [eV/Å²] of some atoms with all, by differences of fourth order, [n, N, 3, 3].
+
+    Beside it stands how much Φ changes from the one step to one five times as wide, over the
+    largest: 1e-3 or less where the energy is smooth.
+
+    Args:
+        forces: on all atoms [eV/Å] at positions [Å], shape [N, 3] to [N, 3].
+        positions: at rest.
+        displaced: numbers of the atoms to move.
+    """
+    phi, change = np.zeros((len(displaced), len(positions), 3, 3)), 0.0
+    for (row, i), axis in itertools.product(enumerate(displaced), range(3)):
+        near, wide = slopes = np.zeros((2, len(positions), 3))
+        for slope, length in zip(slopes, (STEP, WIDER * STEP)):
+            for sign in (1, -1):
+                moved = positions.copy()
+                moved[i, axis] += sign * length
+                slope += sign * np.array(forces(moved)) / (2 * length)
+        phi[row, :, axis] = -(WIDER**2 * near - wide) / (WIDER**2 - 1)
+        change = max(change, float(np.abs(near - wide).max()))
+    return phi, change / max(float(np.abs(phi).max()), TINY)
+
+
+@typed
+def from_calculator(
+    structure: Any, calculator: Any, repeats: Sequence[int], *, thickness: Positive | None = None
+) -> ForceConstants:
+    """Force constants of a crystal by an ASE calculator, on a supercell of repeats.
+
+    Args:
+        structure: the cell at rest, an ase.Atoms.
+        calculator: with forces in eV/Å.
+        repeats: of the cell along its edges; the supercell is to be wider than twice what the
+            forces reach.
+        thickness: of a sheet.
+    """
+    many, first = structure.repeat(tuple(repeats)), range(len(structure))
+    forces = forces_of(many, calculator)
+    phi, change = finite_differences(forces, np.array(many.positions), first)
+    return from_supercell(structure, many, phi, first, thickness=thickness, change=change)
+
+
+WITHOUT = "phonopy: pip install 'warp_peri[phonons]'"
+MOST = 20_000
+"""Atoms of a supercell."""
+BESIDE = ("FORCE_CONSTANTS", "force_constants.hdf5", "FORCE_SETS", "BORN")
+"""Files that are read where they lie beside the one that is named."""
+YAML = ("phonopy.yaml", "phonopy_params.yaml", "phonopy_disp.yaml")
+
+
+@typed
+def from_phonopy(
+    path: str | os.PathLike[str], *, thickness: Positive | None = None
+) -> ForceConstants:
+    """Force constants of what phonopy computed.
+
+    Beside phonopy.yaml may lie FORCE_CONSTANTS, force_constants.hdf5, FORCE_SETS and BORN; nothing
+    is read of any other folder. Units are those that phonopy has for the code it names.
+    Force constants are brought to what space group, exchange of atoms, translations and rotations
+    ask, and how far they move is their error. With Born charges the field of the ions is part of
+    every wave (theory, T18); a solid of several elements without BORN is warned of.
+
+    Args:
+        path: phonopy.yaml, phonopy_params.yaml or phonopy_disp.yaml, or the folder that has one.
+        thickness: of a sheet across z [Å]; by default as `fit_crystal` has it.
+
+    Raises InputError where phonopy is not installed, for files that it does not read, for forces
+    that are not there, and for Born charges of a sheet.
+    """
+    file = _yaml(Path(path))
+    beside = {name: file.parent / name for name in BESIDE if (file.parent / name).is_file()}
+    try:
+        found, told = _opened(file, beside)
+        force_constants = _force_constants(found, told, beside)
+        ions, reader = told.nac_params, optional("phonopy.file_IO", WITHOUT)
+        if "BORN" in beside:
+            ions = reader.parse_BORN(found.primitive, filename=beside["BORN"])
+        codes = optional("phonopy.interface.calculator", WITHOUT)
+        units = codes.get_calculator_physical_units(found.calculator)
+    except Exception as error:  # phonopy raises whatever its parsing runs into
+        raise InputError(f"{path}: phonopy does not read it ({error})") from None
+    if force_constants is None:
+        raise InputError(f"{path}: expected FORCE_CONSTANTS or FORCE_SETS beside it, found neither")
+    small, large, x = found.primitive, found.supercell, units.distance_to_A
+    cell, supercell = (
+        ase.Atoms(part.numbers, positions=x * part.positions, cell=x * part.cell, pbc=True)
+        for part in (small, large)
+    )
+    check_sites(cell)
+    if small.magnetic_moments is not None:  # sites that they tell apart are no images
+        cell.set_initial_magnetic_moments(small.magnetic_moments)
+    displaced = np.asarray(small.p2s_map).tolist()
+    phi = units.force_to_eVperA / x * np.asarray(force_constants)
+    phi = phi if len(phi) == len(displaced) else phi[displaced]
+    if gap(cell, 2)[0] >= VACUUM and thickness is None:
+        thickness = thickness_of(cell)[0]
+    polar = None
+    if ions is not None:
+        polar = NonAnalyticCorrection(np.asarray(ions["born"]), np.asarray(ions["dielectric"]))
+    elif thickness is None and len(set(cell.numbers)) > 1:
+        warn(f"{file.parent}: no BORN is there; the field of ions with charges misses in its waves")
+    if thickness is not None and polar is None and np.abs(cell.cell[:2, 2]).max() > 1e-6:
+        raise InputError(f"{path}: expected a sheet across z")
+    return projected(cell, supercell, phi, displaced, thickness=thickness, polar=polar)
+
+
+def _opened(file: Path, beside: dict[str, Path]) -> tuple[Any, Any]:
+    """phonopy's crystal, and what its file says; nothing is read that lies elsewhere."""
+    for name, path in beside.items():
+        if name.endswith(".hdf5"):
+            with h5py.File(path) as held:
+                check_hdf5(held, path.stat().st_size)
+        else:
+            content(path)
+    text = content(file)
+    check_yaml(file, text)
+    told: Any = optional("phonopy.interface.phonopy_yaml", WITHOUT).PhonopyYaml()
+    told.read(io.StringIO(text.decode()))
+    if getattr(told, "site_mixture_scheme", None) is not None:
+        raise InputError("site_mixture_scheme: sites of several elements are not read")
+    block = re.search(rb"(?m)^supercell_matrix:[^a-z]*", text)  # phonopy cuts off what is no count
+    if block and (part := re.search(rb"\d*\.\d*[1-9]", block[0])):
+        raise InputError(f"supercell_matrix: expected whole numbers, got {part[0].decode()}")
+    matrix, primitive = told.supercell_matrix, told.primitive_matrix
+    matrix = np.eye(3, dtype=int) if matrix is None else np.asarray(matrix)
+    cells = abs(np.linalg.det(matrix))
+    if cells * len(told.unitcell) > MOST:
+        raise InputError(f"supercell_matrix: expected at most {MOST} atoms, got {cells:.0f} cells")
+    primitive = "auto" if primitive is None else primitive
+    made = optional("phonopy", WITHOUT).Phonopy
+    return made(told.unitcell, matrix, primitive, calculator=told.calculator, log_level=0), told
+
+
+def _force_constants(found: Any, told: Any, beside: dict[str, Path]) -> Any:
+    """Of phonopy's own file, else of those beside it, else from its forces; None without them."""
+    reader, rows = optional("phonopy.file_IO", WITHOUT), found.primitive.p2s_map
+    if told.force_constants is not None:
+        return told.force_constants
+    if "FORCE_CONSTANTS" in beside:
+        return reader.parse_FORCE_CONSTANTS(filename=beside["FORCE_CONSTANTS"], p2s_map=rows)
+    if (name := "force_constants.hdf5") in beside:
+        helper = optional("phonopy.cui.load_helper", WITHOUT)
+        return helper.read_force_constants_from_hdf5(beside[name], rows, found.calculator)
+    data, count = told.dataset or {}, len(found.supercell)
+    if "forces" not in data | data.get("first_atoms", [{}])[0]:
+        if "FORCE_SETS" not in beside:
+            return None
+        data = reader.parse_FORCE_SETS(natom=count, filename=beside["FORCE_SETS"])
+        if data.get("natom", count) != count:
+            raise InputError(f"FORCE_SETS: expected forces on {count} atoms, got {data['natom']}")
+    moved = [one["displacement"] for one in data.get("first_atoms", [])]
+    if not all(np.linalg.norm(one) > 0 for one in moved):
+        raise InputError("displacement: expected one of every first atom, got 0 0 0")
+    found.dataset = data
+    by = "symfc" if "displacements" in data else None
+    found.produce_force_constants(calculate_full_force_constants=False, fc_calculator=by)
+    return found.force_constants
+
+
+def _yaml(path: Path) -> Path:
+    """phonopy's file, of a folder the first of YAML that is there."""
+    there = [one for one in (path, *(path / name for name in YAML)) if one.is_file()]
+    if not there:
+        raise InputError(
+            f"{path}: expected a file of phonopy or a folder with {' or '.join(YAML)}; "
+            "`phonopy-init --dim …` (once `phonopy -d`) writes the last beside a code's unit cell"
+        )
+    return there[0]

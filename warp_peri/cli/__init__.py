@@ -1,10 +1,32 @@
-"""The command warp-peri; `main` is loaded when it runs."""
+"""The command warp-peri. It begins here: Ctrl-C while it is still being imported is quiet, too."""
 
-from typing import TYPE_CHECKING
+import os
+import signal
+import sys
+from importlib import import_module
+from types import FrameType
 
-from warp_peri import lazy
 
-if TYPE_CHECKING:
-    from warp_peri.cli import main as main
-else:
-    __getattr__, __dir__, _ = lazy(__name__)
+def start() -> int:
+    """Run `warp-peri`; see warp_peri.cli.main."""
+    # An interrupt inside the import of a compiled module may come out as any error: leave at once.
+    usual = signal.getsignal(signal.SIGINT)
+    if usual is signal.default_int_handler:  # not where the shell has it ignored
+        signal.signal(signal.SIGINT, _leave)
+    run = import_module(f"{__name__}.main").main  # imports all that takes time
+    if usual is signal.default_int_handler:
+        signal.signal(signal.SIGINT, usual)
+    try:
+        return int(run())
+    except KeyboardInterrupt:
+        _say()
+        return 130
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    _say()
+    os._exit(130)
+
+
+def _say() -> None:
+    print("interrupted; nothing is kept yet", file=sys.stderr, flush=True)

@@ -9,14 +9,15 @@ from __future__ import annotations
 import dataclasses
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomli_w
 
 import warp_peri
-from warp_peri.cli.options import keep, parser_of
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import finite, locked, plain
+from warp_peri.files.atomic import finite, locked, plain, write_text
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.points import Samples
 from warp_peri.points.unit_names import Units, symbols
@@ -195,8 +196,7 @@ def _solve_body(given: Namespace) -> Said:
 
 def refuse_options(given: Namespace, names: Sequence[str], whose: str) -> None:
     """InputError for options that are set, apart from their defaults, and would do nothing."""
-    usual = parser_of(given.command).get_default
-    if idle := [name for name in names if getattr(given, name) != usual(name)]:
+    if idle := [name for name in names if getattr(given, name) != given.usual[name]]:
         words = ", ".join("no-transfer" if name == "transfer" else name for name in idle)
         raise InputError(f"{words}: expected with {whose}")
 
@@ -277,6 +277,25 @@ def set_summary(points: Samples) -> Result:
         "spacing": points.spacing,
         "arrays": sorted(points.arrays),
     }
+
+
+def keep(given: Namespace, path: Path) -> None:
+    """Write the settings of a command, which `--config` takes again; its own file is left."""
+    if given.config is None or not (path.exists() and path.samefile(given.config)):
+        write_text(path, settings_of(given))
+
+
+def settings_of(given: Namespace) -> str:
+    """The options of a command as TOML."""
+
+    def plainly(value: Any) -> Any:
+        return str(value) if isinstance(value, Path) else value
+
+    table = {}
+    for name in given.options:
+        if (value := getattr(given, name)) is not None:
+            table[name] = [*map(plainly, value)] if isinstance(value, list) else plainly(value)
+    return tomli_w.dumps({given.command: table})
 
 
 def _with_units(result: Result, units: Units) -> list[str]:
