@@ -26,12 +26,11 @@ def test_types_by_number_are_elements_by_their_masses_and_asked_for_without(tmp_
     assert ends[0] == pytest.approx(ends[1], rel=1e-9)
     numbers = "lj/cut 6.0; pair_coeff 1 1 0.1 2.0; pair_coeff 2 2 0.2 1.9"
     for lines in (numbers, "amoeba; pair_coeff * * a.prm", "table linear 9; pair_coeff * * 1.0"):
-        with pytest.raises(wp.InputError, match="expected which of Mg, O each type of its lines"):
+        with pytest.raises(wp.InputError, match="types for Mg, O, by .* 15.999, got none"):
             lammps_calculator(lines, ["Mg", "O"])
-    with pytest.raises(wp.InputError, match="types, by pair_coeff or mass, for Mg, O, got O"):
+    with pytest.raises(wp.InputError, match="types for Mg, O, by .*, got O"):
         lammps_calculator(f"{numbers}; mass 1 15.999; mass 2 40.1", ["Mg", "O"])
     lammps_calculator("lj/cut 6.0; pair_coeff 1 1 0.1 2.0", ["Mg"])
-    lammps_calculator("lj/cut 6.0; pair_coeff * * 0.1 2.0", ["Mg", "O"])
 
 
 def test_lines_with_charges_have_the_energy_of_madelung():
@@ -55,7 +54,7 @@ def test_elements_of_a_typed_pair_coeff_are_its_types():
         energy[elements] = alloy.get_potential_energy()
     alloy.calc = lammps_calculator("eam/alloy", ["Al", "Ni"], path)
     assert list(energy.values()) == pytest.approx([alloy.get_potential_energy()] * 2, rel=1e-12)
-    with pytest.raises(wp.InputError, match="for Al, Ni, got Ni Ni"):
+    with pytest.raises(wp.InputError, match="for Al, Ni, .*, got Ni Ni"):
         lammps_calculator(f"eam/alloy; pair_coeff * * {path} Ni Ni", ["Al", "Ni"])
     lines = "; ".join(f"pair_coeff * * a {e}" for e in ("Ni NULL", "Al Ni"))
     with pytest.raises(wp.InputError, match="one element for type 1, got Ni and Al"):

@@ -102,13 +102,7 @@ class Noise:
 
 
 def measured(cell: ase.Atoms, calculator: Any, flat: bool) -> Noise:
-    """Noise of forces and stress: of one displaced crystal, translated and turned.
-
-    Args:
-        cell: the crystal.
-        calculator: with forces.
-        flat: whether it is a sheet across z.
-    """
+    """Noise of forces and stress: of one displaced crystal, translated and turned."""
     rng, count = np.random.default_rng(0), int(np.ceil((ENOUGH / len(cell)) ** (1 / (3 - flat))))
     many = cell.repeat((count, count, 1 if flat else count))
     u = _directions(rng, len(many), SHAKEN)
@@ -190,8 +184,7 @@ def _directions(rng: np.random.Generator, count: int, size: float) -> np.ndarray
 class Symmetric(Supercell):
     """Force constants on a supercell that its space group and exchange leave (symfc).
 
-    Arguments are those of `Supercell`. `basis` has Φ of each number, orthonormal, shape
-    [M, n, N, 3, 3].
+    `basis` has Φ of each number, orthonormal, shape [M, n, N, 3, 3].
     """
 
     def __init__(
@@ -225,8 +218,8 @@ class Symmetric(Supercell):
     def rules(self) -> tuple[np.ndarray, np.ndarray]:
         """A particular solution of what physics asks, and a basis of the numbers that it leaves.
 
-        Translations and turns of the crystal cost nothing (M. Born, K. Huang, 1954), and second
-        moments are those of the stress it is under (Huang's relations).
+        Translations and turns cost nothing (M. Born, K. Huang, 1954), and second moments are those
+        of the stress that the crystal is under (Huang's relations).
         """
         atoms, held = self.pairs, np.zeros((3, 3))
         furthest = float(np.linalg.norm(atoms.vectors, axis=1).max())
@@ -251,10 +244,9 @@ class Symmetric(Supercell):
 def projected(
     cell: ase.Atoms, many: ase.Atoms, phi: np.ndarray, displaced: Sequence[int], **how: Any
 ) -> ForceConstants:
-    """The nearest force constants that keep what physics asks; arguments as for `from_supercell`.
+    """The nearest force constants that keep what physics asks; their change is their error.
 
-    Their standard error is their change. What is at half the supercell's width should have decayed,
-    and as much may be cut off.
+    What is at half the supercell's width should have decayed, and as much may be cut off.
     """
     every = Symmetric(cell, many, displaced, **how)
     phi = every.balanced(every.short_ranged(phi))
@@ -273,14 +265,8 @@ def rattled(
 ) -> tuple[ForceConstants, dict[str, str]]:
     """Force constants with their standard errors of crystals whose atoms all are displaced.
 
-    Args:
-        cell, many: the crystal at rest and repeats of it.
-        calculator: with forces.
-        noise: which says how far atoms are displaced.
-        how: thickness and stress, as for `Supercell`.
-
-    Returns what was found on the way as well. The rules of physics hold in the fit itself. Beside
-    displacements of one size some of a smaller one are asked: what forces change by is an error.
+    The rules of physics hold in the fit itself. Beside displacements of one size some of a smaller
+    one are asked: what forces change by is an error. Returns what was found on the way as well.
     """
     h = noise.length
     every = Symmetric(cell, many, range(len(cell)), **how)
@@ -339,18 +325,9 @@ def by_strains(
     """C_ijkl [TPa] by finite strains, atoms relaxed by force constants, and standard errors.
 
     By differences of the second Piola–Kirchhoff stress S = det F · F⁻¹ σ F⁻ᵗ, so that the stress of
-    a crystal that is held counts as (T19) has it.
-
-    Args:
-        cell: at rest.
-        calculator: with forces and stress; None is returned where it has none.
-        largest: strain.
-        atoms: force constants.
-        allowed: elastic tensors of the symmetry, shape [m, d, d, d, d].
-        rough: whether slopes depend on the size of strains: those of the whole size are taken then,
-            and how those of each smaller one differ are the last errors.
-
-    Returns [d, d, d, d] and [Q, d, d, d, d].
+    a crystal that is held counts as (T19) has it. Where slopes depend on the size of strains, as
+    `rough` says, those of the largest are taken, and how each smaller one differs are the last
+    errors. Returns [d, d, d, d] and [Q, d, d, d, d], or None of a calculator without stress.
     """
     d, e = atoms.dimension, largest * np.array(PULLED)
     try:
@@ -390,10 +367,7 @@ def by_strains(
 def _under_strain(
     cell: ase.Atoms, calculator: Any, e: np.ndarray, atoms: ForceConstants
 ) -> tuple[np.ndarray, np.ndarray]:
-    """S [TPa] and forces on atoms [eV/Å] under all strains of sizes e, either sign, one after one.
-
-    Returns shapes [2, E, kinds of strain, components] and [2, E, kinds, n, 3].
-    """
+    """S [TPa] and forces [eV/Å] under strains of sizes e, [2, E, kinds, 3 or 6 | n, 3]."""
     d, n, flat = atoms.dimension, len(cell), atoms.thickness is not None
     G = np.eye(3) + np.einsum("e,s,kij->eksij", e, [1, -1], unit_strains(d))
     many = cell.repeat((2, 2, 1 if flat else 2))
@@ -408,10 +382,7 @@ def _under_strain(
 
 
 def _slope(y: np.ndarray, e: np.ndarray, secant: bool) -> tuple[np.ndarray, float, float]:
-    """Slopes of y = a e + b e³, y [E, ...], their standard error, and that over the error of y.
-
-    Of a secant b is zero.
-    """
+    """Slopes a of y = a e + b e³, their standard error, and that over y's; b is 0 of a secant."""
     X = e[:, None] if secant else np.column_stack([e, e**3])
     flat, P = y.reshape(len(e), -1), np.linalg.pinv(X)
     free = flat.shape[1] * max(len(e) - X.shape[1], 1)
@@ -427,10 +398,7 @@ def _relaxed(
     allowed: np.ndarray,
     values: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What atoms that relax take off C [TPa], of the symmetry, and its standard errors.
-
-    push: forces on atoms for a strain [eV/Å], shape [n, 3, d, d]; error: of one of its components.
-    """
+    """What atoms that relax take off C [TPa], and its errors, by their push [n, 3, d, d]."""
     n, d, m = len(push), atoms.dimension, atoms.moving
     push = (push - push.mean(axis=0))[:, :m].reshape(n * m, d, d)
     stiff = atoms.moments(values)[0][:, :m, :, :m].reshape(n * m, n * m)
@@ -452,14 +420,9 @@ def joined(
 ) -> tuple[ForceConstants, float, float]:
     """Force constants moved by their own errors until their moduli agree with others (R. Kalman).
 
-    Args:
-        atoms: force constants with `doubt`.
-        allowed: elastic tensors of the symmetry, shape [m, d, d, d, d].
-        C, errors: of finite strains, as `by_strains` gives them.
-        shared: how many of the last errors are of both, so that joining makes them no smaller.
-
-    Returns them, χ² between both for each modulus, and how far Φ moved. Errors of force constants
-    are widened by √χ² above one, for what they know nothing of: a supercell that forces leave.
+    Those are C and errors of `by_strains`, of which so many of the last are shared: joining makes
+    them no smaller. Returns χ² between both for each modulus, and how far Φ moved, as well. Errors
+    of Φ are widened by √χ² above one, for what they know nothing of: a supercell that forces leave.
     """
     onto = np.linalg.pinv(allowed.reshape(len(allowed), -1).T)
     own, both = np.split(onto @ errors.reshape(len(errors), -1).T, [len(errors) - shared], axis=1)

@@ -10,7 +10,6 @@ import importlib
 import importlib.util
 import inspect
 import os
-import re
 import sys
 import typing
 from collections.abc import Iterator, Sequence
@@ -33,7 +32,6 @@ LINES = {
     *("dielectric", "mass", "set", "neighbor", "neigh_modify", "comm_modify", "newton"),
 }
 """Commands that a potential is made of; beside them a `fix` that equilibrates charges."""
-NUMBER = re.compile(r"[-+]?[\d.]+([eE][-+]?\d+)?")
 SAME_MASS = 0.02
 """Of a mass, within which it is an element's."""
 CODE = {"python", "mliappy", "unified", "quip"}
@@ -147,12 +145,10 @@ def _check_line(line: str) -> None:
 def _types(lines: Sequence[str], kinds: Sequence[str]) -> dict[str, int]:
     """Number of each element's type: its place behind the file of a pair_coeff, or by its mass.
 
-    InputError for lines that name other elements than the structure has, or each in other places,
-    and for several elements whose types are told apart by number, or by a file, alone.
+    InputError where they name other elements than the structure has, or none for several of them.
     """
     named: dict[int, str] = {}
-    split = [line.split() for line in lines]
-    for words in split:
+    for words in map(str.split, lines):
         found: list[tuple[int, str]] = []
         if words[0] == "mass" and len(words) > 2 and words[1].isdecimal():
             mass = float(words[2])
@@ -165,23 +161,14 @@ def _types(lines: Sequence[str], kinds: Sequence[str]) -> dict[str, int]:
             if element != "NULL" and named.setdefault(place, element) != element:
                 both = f"{named[place]} and {element}"
                 raise InputError(f"calculator: expected one element for type {place}, got {both}")
-    if not named:
-        numbered = [words for words in split if words[0] in ("pair_coeff", "set") and words[2:]]
-        told = [word for words in numbered for word in words[3:]] + split[0][1:]
-        alike = all(words[1:3] == ["*", "*"] for words in numbered) and all(
-            NUMBER.fullmatch(word) or word in _pair_styles() for word in told
-        )
-        if len(kinds) > 1 and not alike:  # a file has an order of its own
-            raise InputError(
-                f"calculator: expected which of {', '.join(kinds)} each type of its lines is, by "
-                "its mass, as in: mass 1 24.305; mass 2 15.999"
-            )
-        return {kind: number for number, kind in enumerate(kinds, start=1)}
+    if not named and len(kinds) == 1:
+        return {kinds[0]: 1}
     types = {element: place for place, element in sorted(named.items(), reverse=True)}
     if not set(kinds) <= set(types) or len(types) < len(named):
-        got = " ".join(named[place] for place in sorted(named))
+        got = " ".join(named[place] for place in sorted(named)) or "none"
         raise InputError(
-            f"calculator: expected types, by pair_coeff or mass, for {', '.join(kinds)}, got {got}"
+            f"calculator: expected types for {', '.join(kinds)}, by pair_coeff or by masses as in "
+            f"mass 1 24.305; mass 2 15.999, got {got}"
         )
     return types
 
@@ -193,8 +180,8 @@ def lammps_calculator(
 
     Args:
         commands: "pair_style sw", or several lines with ; between; without a pair_coeff one is made
-            of the potential's file. Types are elements as its pair_coeff names them, or by lines
-            `mass 1 24.305`; where no line has a number, in the order of their names.
+            of the potential's file. Types of several elements are as its pair_coeff names them, or
+            by lines `mass 1 24.305`.
         symbols: of the atoms that it will see.
         potential: file of the potential; a name without a folder may be one of the wheel's.
 

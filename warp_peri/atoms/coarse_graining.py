@@ -30,7 +30,6 @@ from warp_peri.points.unit_names import Units, check_units
 EV_PER_CUBIC_ANGSTROM = 0.1602176634
 """1 eV/Å³ in TPa."""
 
-SHAPES = ("cone", "paraboloid")
 NUMBERS = {"double", "single"} | {f"{u}int{n}" for u in ("", "u") for n in (8, 16, 32, 64)}
 """Classes of MATLAB's arrays of numbers."""
 LARGEST_ARRAY, LARGEST_GRID = 2**31, 10**7
@@ -152,12 +151,13 @@ def coarse_grain(
         raise InputError(f"mass: expected values > 0, got {mass}")
     weighted = omega @ sp.diags_array(np.broadcast_to(mass, (atoms,)))
     density = np.asarray(weighted.sum(axis=1))
-    if not (density > 0).all():
-        bad = np.flatnonzero(~(density > 0))
+    if len(bad := np.flatnonzero(~(density > 0))):
         words = f"{len(bad)} nodes have no atom within the radius, the first is {bad[0]}"
         raise InputError(f"{words}: expected nodes inside the body, or its periods (box)")
-    u = _apply(weighted, moved) / density[:, None]
-    b = _apply(omega, pushed) * (EV_PER_CUBIC_ANGSTROM / (node_area * thickness))
+    u = np.array([weighted @ one for one in moved]) / density[:, None]
+    b = np.array([omega @ one for one in pushed]) * (
+        EV_PER_CUBIC_ANGSTROM / (node_area * thickness)
+    )
     return u, b
 
 
@@ -219,10 +219,6 @@ def _mass_matrix(mesh: Mesh) -> sp.csc_array:
     values = area[:, None, None] * (1 + np.eye(3)) / 12
     place = np.repeat(mesh.cells, 3, axis=1).ravel(), np.tile(mesh.cells, 3).ravel()
     return sp.csc_array((values.ravel(), place), shape=(len(mesh.x), len(mesh.x)))
-
-
-def _apply(matrix: sp.csr_array, values: np.ndarray) -> np.ndarray:
-    return np.array([matrix @ one for one in values])
 
 
 def _images(

@@ -50,10 +50,9 @@ class DumpFrame:
 
     Attributes:
         ids: rising, shape [A]; 1, 2, … in a file without them.
-        x: positions [Å], shape [A, 2].
+        x, z: positions [Å], shape [A, 2], and third coordinates, shape [A].
         types: of the atoms, shape [A]; None without that column.
         columns: of the file.
-        z: third coordinates [Å], shape [A].
         cell: edges of the box as rows [Å], shape [3, 3].
         unwrapped: whether atoms that leave the box go on: columns xu or xsu, or images added.
     """
@@ -93,8 +92,8 @@ def iter_dump(path: str | os.PathLike[str]) -> Iterator[DumpFrame]:
     number, first = 0, None
     try:
         for frame in _frames_of(path):
-            if first is None:
-                first = frame
+            first = first or frame
+            if frame is first:
                 if frame.unwrapped and not {"xu", "xsu"} & set(frame.columns):
                     warn(f"{path}: unwrapped by the images ix, iy, iz")
             elif not np.array_equal(first.ids, frame.ids):
@@ -117,10 +116,7 @@ def iter_dump(path: str | os.PathLike[str]) -> Iterator[DumpFrame]:
 
 
 def jumps(frame: DumpFrame, x: np.ndarray) -> bool:
-    """Whether some atom is half an edge of the box or more from where it was, x, shape [A, 2].
-
-    That is no displacement of a solid: such atoms were taken to the other side of the box.
-    """
+    """Whether some atom is half an edge of the box or more from where it was, x, shape [A, 2]."""
     edges = frame.cell[np.abs(frame.cell[:, :2]).max(axis=1) > ROUND * np.abs(frame.cell).max()]
     parts = (frame.x - x) @ np.linalg.pinv(edges[:, :2])
     return bool((np.abs(parts) >= 0.5).any())
@@ -252,10 +248,8 @@ REFUSED = ("castep", "bundle")
 def read_structure(path: Path) -> Any:
     """The last structure of a file that ASE reads; InputError for any other.
 
-    Files may be packed; they are looked at first, and read as they were then, from a copy.
-
-    Of a dump that names no elements, or a data file of LAMMPS without masses, ASE would take the
-    types for atomic numbers.
+    Files may be packed; they are looked at first, and read as they were then, from a copy. Of a
+    dump without elements, or a data file without masses, ASE would take types for atomic numbers.
     """
     if path.is_dir():
         raise InputError(f"{path}: expected a file; a folder of phonopy goes without a calculator")
@@ -263,33 +257,30 @@ def read_structure(path: Path) -> Any:
     check_xml(path, whole)
     if whole.startswith(MARKS):
         whole = whole.decode(encoding_of(whole), "replace").encode()
+    head = whole[:LARGEST_HEADER]
+    of_lammps = re.search(rb"xlo\s+xhi", head)
+    if head.startswith(b"ITEM:") and b" element" not in head:
+        raise InputError(f"{path}: expected a structure with its elements, got a dump without")
+    if of_lammps and not re.search(rb"(?m)^\s*Masses", head):
+        raise InputError(f"{path}: expected the masses of the types in a data file, got none")
     name = path.with_suffix("") if path.suffix.lower() in PACKERS else path
     with tempfile.TemporaryDirectory() as folder:  # ASE goes by the ending alone
         readable = Path(folder) / name.name
         readable.write_bytes(whole)
         try:
-            head = whole[:LARGEST_HEADER]
-            if head.startswith(b"ITEM:") and b" element" not in head:
-                raise InputError("expected a structure with its elements, got a dump without")
-            of_lammps = re.search(rb"xlo\s+xhi", head) is not None
-            if of_lammps and not re.search(rb"(?m)^\s*Masses", head):
-                raise InputError("expected the masses of the types in a LAMMPS data file, got none")
             form = "lammps-data" if of_lammps else filetype(str(readable))
             if form.startswith(REFUSED):
-                raise InputError(
-                    f"expected another format than {form}, whose reader runs a program"
-                )
+                raise InputError(f"expected no format whose reader runs a program, got {form}")
             if form == "json":  # brackets within brackets end the process
                 parsed(whole)
-            found: Any = ase.io.read(str(readable), -1, form, do_not_split_by_at_sign=True)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
+            return ase.io.read(str(readable), -1, form, do_not_split_by_at_sign=True)
         except Exception as error:  # ASE's readers raise whatever their parsing runs into
-            why = f"{type(error).__name__}: {error}"
+            why = str(error)
+            if not isinstance(error, InputError):
+                why = f"ASE reads no structure from it ({type(error).__name__}: {error})"
             if "atom_style" in why:
                 why += "; a data file of LAMMPS says it behind Atoms, as in: Atoms # charge"
-            raise InputError(f"{path}: ASE reads no structure from it ({why})") from None
-    return found
+            raise InputError(f"{path}: {why}") from None
 
 
 BOX_TOLERANCE = 1e-5

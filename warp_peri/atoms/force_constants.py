@@ -193,24 +193,6 @@ class ForceConstants:
         hermitian: np.ndarray = (flat + flat.conj().swapaxes(1, 2)) / 2
         return hermitian
 
-    def answer(self, k: np.ndarray, f: np.ndarray) -> np.ndarray:
-        """Amplitudes [Å] of the atoms of a cell under waves of one force on each, [K, n, d, F].
-
-        k [1/Å], shape [K, d], and the force's amplitudes f [eV/Å], shape [K, d, F]. Raises
-        InputError for a crystal that is not stable at one of the waves, or for k = 0.
-        """
-        d, m, n = self.dimension, self.moving, len(self.positions)
-        k = np.asarray(k, dtype=float)
-        D = self.dynamical(k)
-        least = np.linalg.eigvalsh(D)[:, 0]
-        if least.min() <= SOFT * np.abs(self.values).max():
-            at = f"{least.min():.2e} eV/Å² at k = {np.round(k[least.argmin()], 4).tolist()} 1/Å"
-            raise InputError(f"force constants: expected a stable crystal, got the stiffness {at}")
-        force = np.zeros((len(k), n, m, f.shape[-1]), complex)
-        force[:, :, :d] = f[:, None]
-        moved = np.linalg.solve(D, force.reshape(len(k), n * m, -1))
-        return np.asarray(moved.reshape(force.shape)[:, :, :d])
-
     def stiffness_error(self, k: np.ndarray, waves: np.ndarray) -> Any:
         """Errors [eV/Å²] of the stiffness of waves [..., n, m] at k [1/Å]; 0 where none is told."""
         doubt, m = self.doubt if self.spread is None else self.spread, waves.shape[-1]
@@ -225,10 +207,17 @@ class ForceConstants:
         """D_eff(k) = [(V/n²) Pᵗ D_at(k)⁻¹ P]⁻¹ [TPa/Å²], shape [K, d, d] (T14).
 
         What the mean displacement of a cell's atoms feels when all else has relaxed.
-        Raises InputError as `answer` does.
+        Raises InputError for a crystal that is not stable at one of the waves k [1/Å], [K, d].
         """
-        unit = np.broadcast_to(np.eye(self.dimension), (len(k), *[self.dimension] * 2))
-        flexible = self.answer(k, unit).mean(axis=1).real * (self.volume / len(self.positions))
+        d, m, n = self.dimension, self.moving, len(self.positions)
+        D = self.dynamical(k)
+        least = np.linalg.eigvalsh(D)[:, 0]
+        if least.min() <= SOFT * np.abs(self.values).max():
+            at = f"{least.min():.2e} eV/Å² at k = {np.round(k[least.argmin()], 4).tolist()} 1/Å"
+            raise InputError(f"force constants: expected a stable crystal, got the stiffness {at}")
+        moved = np.linalg.solve(D, np.tile(np.eye(m, d, dtype=complex), (n, 1)))
+        mean = moved.reshape(len(k), n, m, d)[:, :, :d].mean(axis=1)
+        flexible = mean.real * (self.volume / n)
         stiff = np.linalg.inv(flexible) * STRESSES["eV/angstrom^3"]
         return np.asarray((stiff + stiff.swapaxes(1, 2)) / 2)
 
@@ -495,22 +484,15 @@ class Supercell:
 
 
 def from_supercell(
-    cell: Any,
-    many: Any,
-    phi: np.ndarray,
-    displaced: Sequence[int],
-    *,
-    change: float | None = None,
-    **how: Any,
+    cell: Any, many: Any, phi: np.ndarray, displaced: Sequence[int], **how: Any
 ) -> ForceConstants:
     """Force constants of a cell from Φ [eV/Å²] of its atoms with those of a supercell.
 
     Args:
         cell, many, displaced, how: as for Supercell.
         phi: shape [n, N, 3, 3].
-        change: of it between two steps, as `finite_differences` gives it.
 
-    Raises InputError as Supercell does, and where there are no forces at all.
+    Raises InputError where there are no forces at all.
     """
     every = Supercell(cell, many, displaced, **how)
     phi = every.short_ranged(phi)
@@ -520,10 +502,8 @@ def from_supercell(
     phi = every.balanced(np.where(size > NEGLIGIBLE * size.max(), phi, 0.0))
     values, made = every.values(phi), every.pairs
     kept = values.any(axis=(1, 2))
-    return replace(
-        made, pairs=made.pairs[kept], vectors=made.vectors[kept], values=values[kept],
-        edge=every.edge(values), change=change,
-    )  # fmt: skip
+    some = {"pairs": made.pairs[kept], "vectors": made.vectors[kept], "values": values[kept]}
+    return replace(made, **some, edge=every.edge(values))
 
 
 def forces_of(many: Any, calculator: Any) -> Callable[[np.ndarray], np.ndarray]:

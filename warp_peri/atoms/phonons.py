@@ -60,16 +60,8 @@ def force_constants(
 ) -> tuple[ForceConstants, dict[str, str]]:
     """Φ of a crystal at rest by finite differences, and what was taken for it, by name.
 
-    Under noise all atoms are displaced at once, and Φ has its standard errors (`rattled`).
-
-    Args:
-        reference: at rest.
-        calculator: with forces.
-        supercell: repeats of the smallest cell along its edges; by default the smallest supercell
-            at half whose width a displaced atom's forces have ended.
-
-    Born charges of a calculator are not read, with a warning. Raises InputError for repeats that
-    are not three counts, and a crystal with imaginary phonons.
+    Under noise all atoms are displaced at once, and Φ has its standard errors (`rattled`). By
+    default the supercell is the smallest at half whose width a displaced atom's forces have ended.
     """
     d, cell = reference.dimension, reference.cell
     if BORN in getattr(calculator, "implemented_properties", ()):
@@ -82,12 +74,12 @@ def force_constants(
             raise InputError(f"supercell: expected three counts, a sheet's third 1, got {repeats}")
     many = cell.repeat(repeats)
     told = {"force constants": f"{_cells(repeats[:d])}, {len(many)} atoms"}
-    thickness, stress = reference.thickness, reference.stress
+    how: Any = {"thickness": reference.thickness}
     if reference.noise is None:
-        exact = from_calculator(cell, calculator, repeats, thickness=thickness)
-        found = replace(exact, stress=stress)
+        found = from_calculator(cell, calculator, repeats, **how)
+        found = replace(found, stress=reference.stress)
     else:
-        how = {"thickness": thickness, "stress": stress}
+        how["stress"] = reference.stress
         found, said = rattled(cell, many, calculator, reference.noise, **how)
         told |= said
     check_phonons(found)
@@ -99,10 +91,7 @@ def _cells(repeats: Sequence[int]) -> str:
 
 
 def wide_enough(reference: Reference, calculator: Any, widths: Sequence[float]) -> tuple[int, ...]:
-    """Repeats of the cell at half of whose width forces have ended, or the widest that may be.
-
-    A supercell that the calculator has no memory for is told.
-    """
+    """Repeats of the cell at half of whose width forces have ended, or the widest that may be."""
     cell, d = reference.cell, reference.dimension
     heights = 1 / np.linalg.norm(np.linalg.inv(np.array(cell.cell)), axis=0)
     most = MOST_ATOMS if reference.noise is None else NOISY_ATOMS
@@ -148,10 +137,9 @@ def _at_rim(
 
 
 def check_phonons(atoms: ForceConstants) -> None:
-    """Raise InputError for imaginary phonons, with the worst wave vector.
+    """Raise InputError for imaginary phonons on a grid of waves, and for parts that are loose.
 
-    A grid of waves is looked at, and the edges of the zone with it; a sheet's mean height is held,
-    so that its bending is not. Raises it too for parts that feel no force from the rest.
+    A sheet's mean height is held, so that its bending is not looked at.
     """
     d = atoms.dimension
     parts = np.array(list(itertools.product(np.arange(GRID[d]) / GRID[d], repeat=d)))
@@ -203,11 +191,6 @@ def finite_differences(
 
     Beside it stands how much Φ changes from the one step to one five times as wide, over the
     largest: 1e-3 or less where the energy is smooth.
-
-    Args:
-        forces: on all atoms [eV/Å] at positions [Å], shape [N, 3] to [N, 3].
-        positions: at rest.
-        displaced: numbers of the atoms to move.
     """
     phi, change = np.zeros((len(displaced), len(positions), 3, 3)), 0.0
     for (row, i), axis in itertools.product(enumerate(displaced), range(3)):
@@ -238,7 +221,8 @@ def from_calculator(
     many, first = structure.repeat(tuple(repeats)), range(len(structure))
     forces = forces_of(many, calculator)
     phi, change = finite_differences(forces, np.array(many.positions), first)
-    return from_supercell(structure, many, phi, first, thickness=thickness, change=change)
+    found = from_supercell(structure, many, phi, first, thickness=thickness)
+    return replace(found, change=change)
 
 
 WITHOUT = "phonopy: pip install 'warp_peri[phonons]'"
@@ -268,7 +252,14 @@ def from_phonopy(
     Raises InputError where phonopy is not installed, for files that it does not read, for forces
     that are not there, and for Born charges of a sheet.
     """
-    file = _yaml(Path(path))
+    path = Path(path)
+    there = [one for one in (path, *(path / name for name in YAML)) if one.is_file()]
+    if not there:
+        raise InputError(
+            f"{path}: expected a file of phonopy or a folder with {' or '.join(YAML)}; "
+            "`phonopy-init --dim …` (once `phonopy -d`) writes the last beside a code's unit cell"
+        )
+    file = there[0]
     beside = {name: file.parent / name for name in BESIDE if (file.parent / name).is_file()}
     try:
         found, told = _opened(file, beside)
@@ -356,14 +347,3 @@ def _force_constants(found: Any, told: Any, beside: dict[str, Path]) -> Any:
     by = "symfc" if "displacements" in data else None
     found.produce_force_constants(calculate_full_force_constants=False, fc_calculator=by)
     return found.force_constants
-
-
-def _yaml(path: Path) -> Path:
-    """phonopy's file, of a folder the first of YAML that is there."""
-    there = [one for one in (path, *(path / name for name in YAML)) if one.is_file()]
-    if not there:
-        raise InputError(
-            f"{path}: expected a file of phonopy or a folder with {' or '.join(YAML)}; "
-            "`phonopy-init --dim …` (once `phonopy -d`) writes the last beside a code's unit cell"
-        )
-    return there[0]
