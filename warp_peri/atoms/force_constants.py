@@ -1,7 +1,4 @@
-"""Force constants of atoms, and the lattice they amount to when seen from nodes (theory, T14).
-
-Lengths in Å, energies in eV as every code of atoms has them; the stiffness of nodes in TPa/Å².
-"""
+"""Force constants of atoms, and the lattice they amount to when seen from nodes (theory, T14)."""
 
 from __future__ import annotations
 
@@ -83,7 +80,7 @@ class NonAnalyticCorrection:
     ) -> np.ndarray:
         """Dipoles with dipoles [eV/Å²] but for what is short-ranged, [K, n, 3, n, 3].
 
-        Without `field`, the macroscopic one, it is smooth at k = 0.
+        Without the macroscopic `field` it is smooth at k = 0.
         """
         least = np.linalg.eigvalsh(self.dielectric)[0]
         furthest = 2 * self.decay * np.sqrt(NEGLECTED / least) + np.linalg.norm(k, axis=1).max()
@@ -177,10 +174,9 @@ class ForceConstants:
         return 2 if flat else 3
 
     def dynamical(self, k: np.ndarray, moving: int | None = None) -> np.ndarray:
-        """D_at(k) [eV/Å²] with the phases of atoms' positions and no masses, [K, n m, n m].
+        """D_at(k) [eV/Å²] at k [1/Å] with phases of atoms' positions and no masses, [K, n m, n m].
 
         m is `moving`, by default the property; the mean height of a sheet's cell is held.
-        k in 1/Å, shape [K, d].
         """
         d, m, n = self.dimension, moving or self.moving, len(self.positions)
         phase = np.exp(1j * (k @ self.vectors[:, :d].T))
@@ -231,11 +227,10 @@ class ForceConstants:
         return sums
 
     def moments(self, values: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
-        """Moments Σ Φ r⁰, Σ Φ r¹ of each atom and Σ Φ r² of the cell, that of r² as [3, 3, 3, 3].
+        """Moments Σ Φ r⁰ [..., n, 3, n, 3], Σ Φ r¹ [..., n, 3, 3, 3], Σ Φ r² [..., 3, 3, 3, 3].
 
-        Of other values, [..., P, 3, 3], in place of the own ones, if given. Shapes [..., n, 3, n,
-        3], [..., n, 3, 3, 3] with the vector last, and [..., 3, 3, 3, 3] with the vectors last.
-        Ions' fields belong to them, but for the macroscopic one.
+        Vectors stand last. Ions' fields belong to them, but for the macroscopic one. `values`
+        [..., P, 3, 3] stand in place of the own ones.
         """
         r, phi = self.vectors, np.moveaxis(self.values if values is None else values, -3, 0)
         sums = self._by_atoms(np.column_stack([np.ones(len(r)), r]).T, phi)
@@ -284,10 +279,7 @@ class ForceConstants:
     def nearest_elastic(
         self, allowed: np.ndarray, values: np.ndarray | None = None, *, field: bool = True
     ) -> tuple[np.ndarray, float]:
-        """The nearest elastic tensor of these, and the share of long waves that it misses.
-
-        Arguments are those of `elastic` and `acoustic`.
-        """
+        """The nearest elastic tensor of these, and the share of long waves that it misses."""
         e = directions(60, self.dimension)
         wanted = self.acoustic(e, values, field=field)
         if self.stress is not None:
@@ -301,10 +293,9 @@ class ForceConstants:
     def elastic(self, allowed: np.ndarray) -> np.ndarray:
         """The elastic tensor [TPa] that long waves have, [d, d, d, d], of tensors [m, d, d, d, d].
 
-        By moments of Φ. Internal relaxation is part of it, the stress that the crystal is held
-        under is not. Force constants that have not decayed in their supercell, or hang on the step
-        that they are made with, are warned of. Raises InputError for long waves that no such tensor
-        has, as those of piezoelectric crystals.
+        Internal relaxation is part of it, a stress that the crystal is held under is not. Warns of
+        Φ that has not decayed, or hangs on its step. Raises InputError for long waves that no such
+        tensor has, as those of piezoelectric crystals.
         """
         doubts, e = self.doubts(), directions(60, self.dimension)
         C, off = self.nearest_elastic(allowed)
@@ -329,8 +320,7 @@ class ForceConstants:
     def elastic_doubt(self, allowed: np.ndarray, *, bent: bool = False) -> np.ndarray:
         """Independent standard errors of the elastic tensor [TPa], shape [Q, d, d, d, d].
 
-        With `bent` [2 Q, ...]: what is even in errors of Φ comes behind what is odd in them. A
-        tensor that is moved by one of them lies within √2 of both.
+        With `bent`, [2 Q, ...]: what is even in errors of Φ comes behind what is odd in them.
         """
         given = [*(() if self.doubt is None else self.doubt)]
         given += [] if self.cut is None else [self.cut]
@@ -359,10 +349,7 @@ class ForceConstants:
         return said
 
     def group(self) -> np.ndarray:
-        """Point group by spglib, [G, d, d], in the axes of the cell's coordinates.
-
-        Raises InputError where spglib is not installed.
-        """
+        """Point group by spglib, [G, d, d], in the axes of the cell's coordinates."""
         kinds = self.species if self.kinds is None else self.kinds
         turns = group_of_structure(self.cell, self.positions @ np.linalg.inv(self.cell), kinds)
         if self.dimension == 3:
@@ -372,12 +359,7 @@ class ForceConstants:
 
 
 def relaxing(stiff: np.ndarray, moving: int) -> np.ndarray:
-    """How atoms of a cell answer forces that sum to zero, the inverse without translations.
-
-    Args:
-        stiff: Σ Φ over images, shape [..., n m, n m].
-        moving: m, coordinates that an atom moves in.
-    """
+    """How atoms answer forces that sum to zero: Σ Φ [..., n m, n m] inverted but translations."""
     n = stiff.shape[-1] // moving
     whole = np.kron(np.ones((n, n)) / n, np.eye(moving))
     size = np.abs(stiff).max() or 1.0
@@ -391,14 +373,9 @@ class Supercell:
         cell: the crystal's, an ase.Atoms; moments, charges and tags tell its atoms apart.
         many: the supercell, an ase.Atoms whose atoms lie on sites of the cell.
         displaced: numbers in the supercell of the atoms of the cell, in turn, length n.
-        thickness: of a sheet.
-        polar: charges of ions; without them a polar crystal's waves are wrong between those of the
-            supercell.
-        stress: that the crystal is held under [TPa], shape [d, d].
+        thickness, polar, stress: as of ForceConstants.
 
     `pairs` has all pairs of the cell's atoms with the nearest images of the supercell's, without Φ.
-
-    Raises InputError for atoms that are not on sites, and polar sheets.
     """
 
     def __init__(
@@ -486,13 +463,9 @@ class Supercell:
 def from_supercell(
     cell: Any, many: Any, phi: np.ndarray, displaced: Sequence[int], **how: Any
 ) -> ForceConstants:
-    """Force constants of a cell from Φ [eV/Å²] of its atoms with those of a supercell.
+    """Force constants of a cell from Φ [eV/Å²] of its atoms with those of a supercell [n, N, 3, 3].
 
-    Args:
-        cell, many, displaced, how: as for Supercell.
-        phi: shape [n, N, 3, 3].
-
-    Raises InputError where there are no forces at all.
+    Other arguments are those of Supercell.
     """
     every = Supercell(cell, many, displaced, **how)
     phi = every.short_ranged(phi)
@@ -502,7 +475,7 @@ def from_supercell(
     phi = every.balanced(np.where(size > NEGLIGIBLE * size.max(), phi, 0.0))
     values, made = every.values(phi), every.pairs
     kept = values.any(axis=(1, 2))
-    some = {"pairs": made.pairs[kept], "vectors": made.vectors[kept], "values": values[kept]}
+    some: Any = {"pairs": made.pairs[kept], "vectors": made.vectors[kept], "values": values[kept]}
     return replace(made, **some, edge=every.edge(values))
 
 

@@ -106,10 +106,7 @@ def check_sites(atoms: ase.Atoms) -> None:
 
 
 def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
-    """The structure with a sheet across z, amid a high box, and whether it is one.
-
-    Without turning, axes stay as they are; InputError for a sheet that is not across z then.
-    """
+    """The structure with a sheet across z, amid a high box, and whether it is one."""
     check_sites(atoms)
     periodic = np.array(atoms.pbc)
     if not periodic.any():
@@ -220,15 +217,7 @@ def at_rest(
 ) -> Reference:
     """The smallest cell of a structure where no atom feels a force and what is free no stress.
 
-    Args:
-        atoms: the structure, periodic in the plane (a sheet) or in space.
-        calculator: with forces, and stress unless all strains are held.
-        thickness: of a sheet [Å]; by default from the lowest to the highest nucleus and a van der
-            Waals radius beyond each.
-        hold: strains that stay as they are: of xx, yy, zz, yz, xz, xy, or "all".
-
-    Raises InputError for a structure that is no crystal, sites that are not full, strains that are
-    not known, and where relaxation leaves a force or a stress.
+    Arguments are those of `fit_crystal`.
     """
     held = set(VOIGT) if "all" in hold else set(hold)
     if not held <= set(VOIGT):
@@ -328,10 +317,7 @@ def _check_stress(cell: ase.Atoms, flat: bool) -> None:
 
 
 def _relax(cell: ase.Atoms, flat: bool, held: set[str], noise: Noise | None) -> None:
-    """To rest but for the strains that are held; under noise with the symmetry that is given.
-
-    Raises InputError for a force that is left, or no stress where strains are free.
-    """
+    """To rest but for the strains that are held; under noise with the symmetry that is given."""
     quiet, left, steps = QUIET, RESIDUAL_FORCE, STEPS
     if noise is not None:  # a force, or a stress on the cell, that is told from none
         cell.set_constraint(FixSymmetry(cell, ON_SITES))  # exact forces keep it by themselves
@@ -356,10 +342,7 @@ def _relax(cell: ase.Atoms, flat: bool, held: set[str], noise: Noise | None) -> 
 def _stress_left(
     cell: ase.Atoms, thickness: float | None, flat: bool, held: set[str], noise: Noise | None
 ) -> np.ndarray | None:
-    """The stress of the strains that are held, [d, d]; None where there is none.
-
-    Raises InputError for a stress where the strain is free.
-    """
+    """The stress of the strains that are held, [d, d]; None where there is none."""
     d = 2 if flat else 3
     try:
         stress = cell.get_stress(voigt=False)[:d, :d]
@@ -378,7 +361,7 @@ def _stress_left(
 
 
 def thickness_of(cell: ase.Atoms) -> tuple[float, str]:
-    """By the rule that Reference states [Å]."""
+    """From the lowest to the highest nucleus and a van der Waals radius beyond each [Å]."""
     z = np.array(cell.positions)[:, 2]
     radii = [vdw_radii[cell.numbers[n]] for n in (z.argmin(), z.argmax())]
     known = [USUAL_RADIUS if np.isnan(r) else float(r) for r in radii]

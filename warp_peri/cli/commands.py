@@ -77,11 +77,10 @@ def run_evaluate(given: Namespace) -> Said:
     """Errors of a model on the sets of a file."""
     model = load(given.model)
     data = data_for(given, model)
-    asked = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
     tables: dict[str, Result] = {}
     for name in given.sets or data:
         try:
-            found = warp_peri.evaluate(model, data[name], **asked)
+            found = warp_peri.evaluate(model, data[name], **options_of(given))
             each = {f"{key}_samples": one for key, one in found.pop("samples", {}).items()}
             tables[name] = finite(plain({"samples": len(data[name])} | found | each))
         except InputError as error:

@@ -155,8 +155,8 @@ def _taken(option: str, marks: list[str]) -> dict[str, Any]:
                 how["action"] = "extend"
     elif "choices" not in how:
         how["action"] = "store_false" if option.startswith("--no-") else "store_true"
-    if default is not None and "," in default:  # replaced, not added to, by what is typed
-        how |= {"default": [*map(how["type"], default.split(","))], "action": "store"}
+    if default is not None and "," in default:
+        how["default"] = [*map(how["type"], default.split(","))]
     elif default is not None:
         how["default"] = [] if default == "[]" else how.get("type", str)(default)
     return how
@@ -174,9 +174,6 @@ def parse(words: Sequence[str]) -> Namespace:
     The file has one table with the name of the command; its keys are the long options with `_` for
     `-`, and the names of the positional arguments. `from_file` of what is returned names those
     that the file set, `options` all, and `usual` has their defaults.
-
-    Raises InputError for a line that makes no sense, a file that is not TOML, has no such table or
-    a key that is no option.
     """
     known = "\n".join(f"  {name:14}{text.splitlines()[0]}" for name, text in COMMANDS.items())
     top = Parser(
@@ -198,7 +195,7 @@ def parse(words: Sequence[str]) -> Namespace:
     path, kept = ahead.parse_known_args(rest)[0].config, {}
     if path is not None and not {"-h", "--help"} & {*rest}:
         try:
-            kept = _values_of(_table(path, given.command), options)
+            kept = _settings_of(path, given.command, options)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
     for action in parser._actions:  # a line without defaults tells what is typed
@@ -213,18 +210,14 @@ def parse(words: Sequence[str]) -> Namespace:
     return Namespace(**vars(given) | usual | kept | typed | told)
 
 
-def _table(path: Path, command: str) -> dict[str, Any]:
+def _settings_of(path: Path, command: str, options: dict[str, Any]) -> dict[str, Any]:
+    """Options as a file of settings has them; InputError for keys and values of no option."""
     try:
         table = tomllib.loads(content(path).decode()).get(command)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"expected a TOML file ({error})") from None
     if not isinstance(table, dict):
         raise InputError(f"expected a table [{command}]")
-    return table
-
-
-def _values_of(table: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:
-    """Options as a table of settings has them; InputError for keys and values of no option."""
     kept = {}
     for key, value in table.items():
         if key not in options:
@@ -250,10 +243,7 @@ def _values_of(table: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]
 
 
 def check_output(given: Namespace) -> None:
-    """Refuse, before anything is done, to write over what is read or what is no file.
-
-    Raises InputError saying which it is.
-    """
+    """Refuse, before anything is done, to write over what is read or what is no file."""
     if getattr(given, "out", None) is None:
         return
     for name, read in vars(given).items():

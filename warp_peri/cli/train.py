@@ -1,7 +1,4 @@
-"""Commands that learn: dumps to data, and data, a crystal or frames of a sheet to a model.
-
-What needs torch or Warp is imported where a command runs, so that `--help` does without.
-"""
+"""Commands that learn: dumps to data, and data, a crystal or frames of a sheet to a model."""
 
 from __future__ import annotations
 
@@ -125,10 +122,7 @@ def run_coarse_grain(given: Namespace) -> Said:
 
 
 def _take_sheet(given: Namespace) -> Dataset | None:
-    """Set thickness and density to the data file's; the file, if it is there.
-
-    Raises InputError for a given value that is not the file's, and for none where there is no file.
-    """
+    """Set thickness and density to the data file's, which is returned, if it is there."""
     before = load_dataset(given.out) if given.out.exists() else None
     for name, unit, why in (
         ("thickness", "Å", "forces become stresses by it: all moduli go as one over it"),
@@ -147,12 +141,7 @@ def _take_sheet(given: Namespace) -> Dataset | None:
 
 
 def atom_forces(path: Path, atoms: int) -> np.ndarray:
-    """External forces on the atoms [eV/Å], shape [A, 2]: f_x, f_y in the order of the atoms' ids.
-
-    From the one array of an .npz file (numpy.savez), or from text with commas.
-
-    Raises InputError for a file that cannot be read or of another shape.
-    """
+    """External forces on the atoms [eV/Å], shape [A, 2], of an .npz file or text with commas."""
     try:
         if path.suffix == ".npz":
             (force,) = read_arrays(path).values()
@@ -163,12 +152,8 @@ def atom_forces(path: Path, atoms: int) -> np.ndarray:
             f"{path}: expected one array in .npz (numpy.savez, not compressed), or a .csv file "
             f"({error})"
         ) from None
-    if np.shape(force) != (atoms, 2):
-        raise InputError(
-            f"{path}: expected shape [{atoms}, 2], got {list(np.shape(force))}; the columns are "
-            "f_x, f_y [eV/Å] alone, the rows in the order of the atoms' ids"
-        )
-    return checked(f"{path}: force", force)
+    columns = f"{path}: f_x, f_y [eV/Å] alone, rows in the order of the atoms' ids"
+    return checked(columns, force, float, (atoms, 2))
 
 
 def _dataset(given: Namespace) -> Dataset:

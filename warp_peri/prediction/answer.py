@@ -70,7 +70,6 @@ class ErrorBound(Shown):
     statement: str
 
     def rows(self) -> list[tuple[str, str]]:
-        """What to know at a glance: name and value."""
         names = ("relative", "displacement", "contraction", "largest_gradient")
         return [("proven", self.statement), *((n, f"{getattr(self, n):.3g}") for n in names)]
 
@@ -115,11 +114,7 @@ def guarantee(placed: EnsembleOperator, load: np.ndarray, u: np.ndarray) -> Erro
 
 
 def contraction(model: Any, gradient: float, size: float) -> tuple[float, float] | None:
-    """q and a radius ε for gradients that no iterate leaves; None where none is proven.
-
-    All iterates lie within size/(1 − q) of u in the energy norm, and their gradients, whose norm is
-    at most κ_in times that, below ε.
-    """
+    """q and a radius for gradients, ≤ κ_in size/(1 − q) off, that no iterate leaves; or None."""
     names = ("strain", "kappa_in", "kappa_out", "largest_parts")
     if not all(name in model.proven for name in names):
         return None
@@ -243,11 +238,9 @@ class Prediction(Shown):
         return self._plus(self.fields.fields["left"])
 
     def of(self, quantity: Callable[[np.ndarray], Any]) -> QuantityEstimate:
-        """A quantity with its error (Q4).
+        """A quantity of a displacement on all nodes, [N, d] → numbers, with its error (Q4).
 
-        Args:
-            quantity: of a displacement on all nodes, [N, d] → numbers; warp_peri.prediction has
-                strain, stress, means and forces.
+        warp_peri.prediction has strain, stress, means and forces.
         """
         at, fields = np.asarray(quantity(self.u), float), self.fields
 
@@ -291,7 +284,6 @@ class Prediction(Shown):
         return u
 
     def rows(self) -> list[tuple[str, str]]:
-        """What to know at a glance: name and value."""
         parts = ", ".join(f"{name} {said(value)}" for name, value in self.parts.items() if value)
         rows = [("likely error", said(self.error)), ("of it", parts or "nothing")]
         if self.operator.points.axis is not None:
@@ -404,34 +396,20 @@ def predict(
     uncovered = _uncovered(members, points)
     flat = [each.reshape(-1, *members.points.x.shape) for each in (load, field)]
     members.loads = max(members.loads, len(flat[0]))
-    noise = _noise(points, len(field) if field.ndim == 3 else 1)
-    answers = tuple(
-        _predict(members, b, u, tolerance, uncovered, n) for b, u, n in zip(*flat, noise)
-    )
-    return answers if load.ndim == 3 else answers[0]
-
-
-def _predict(
-    placed: EnsembleOperator,
-    b: np.ndarray,
-    given: np.ndarray,
-    tolerance: float | None,
-    uncovered: tuple[str, ...],
-    noise: float,
-) -> Prediction:
-    """The answer for one load: a linear solve, and corrections."""
-    inside, load = placed.points.interior, placed.rhs(b)
+    inside, answers = members.points.interior, []
     share = SOLVED if tolerance is None else min(SOLVED, SHARE * tolerance)
-    start = np.where(inside[:, None], 0.0, given)
-    start[inside] = placed.inverse(load - placed.straight(start), share)
-    told, unseen = placed.recorded(start)
-    first = Prediction(start, {"noise": noise}, uncovered, 0, tolerance, placed, load)
-    found = _corrected(first, told)
-    beyond = _beyond(placed, found.u, unseen)
-    unknown = {part: math.nan for part, _ in beyond if part}
-    return replace(
-        found, parts=found.parts | unknown, uncovered=uncovered + tuple(why for _, why in beyond)
-    )
+    for b, given, noise in zip(*flat, _noise(points, len(flat[0]))):
+        right = members.rhs(b)
+        start = np.where(inside[:, None], 0.0, given)
+        start[inside] = members.inverse(right - members.straight(start), share)
+        told, unseen = members.recorded(start)
+        first = Prediction(start, {"noise": noise}, uncovered, 0, tolerance, members, right)
+        found = _corrected(first, told)
+        beyond = _beyond(members, found.u, unseen)
+        parts = found.parts | {part: math.nan for part, _ in beyond if part}
+        more = tuple(why for _, why in beyond)
+        answers.append(replace(found, parts=parts, uncovered=uncovered + more))
+    return tuple(answers) if load.ndim == 3 else answers[0]
 
 
 def _corrected(first: Prediction, told: float | None) -> Prediction:

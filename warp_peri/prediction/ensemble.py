@@ -112,7 +112,6 @@ class EnsembleMaterial(OnLinear, format="warp_peri.family", version=2):
         return EnsembleOperator(self, points, **options)
 
     def rows(self) -> list[tuple[str, str]]:
-        """What to know at a glance: name and value."""
         names = [type(one).__name__ for one in (self.rich, self.second)]
         rows = [("rich, second", ", ".join(names)), ("strain seen", f"{self.strain:.2%}")]
         rows.append(("factors", f"{self.factors.left:.2f} left, {self.factors.floor:.2f} floor"))
@@ -192,10 +191,7 @@ def poorer(law: Any) -> Any:
 def calibrated(
     family: EnsembleMaterial, samples: Samples, validation: Samples | None
 ) -> EnsembleMaterial:
-    """The family with its factors and its record by wavelength, from answers whose truth is known.
-
-    The factors are quantiles of what was true over what was computed.
-    """
+    """The family with its record by wavelength, and quantiles of truth over answers as factors."""
     nonlinear = family.linear is not family.rich
     bare = replace(family, factors=CalibrationFactors(1.0, 1.0, 1.0), record=None)
     if not nonlinear:
@@ -222,10 +218,7 @@ def calibrated(
 
 
 def quadratic(family: EnsembleMaterial, samples: Samples) -> tuple[float, ...]:
-    """Constants of the forces of second order in the strain that a linear rich member misses.
-
-    Fitted to what the half that has not seen a sample leaves of its load.
-    """
+    """Constants of `second_order`, by what the half that has not seen a sample leaves of it."""
     placed, points = EnsembleOperator(family, samples.points), samples.points
     left = [
         placed.rhs(b) - placed.others[2 - n % 2](u)  # even ones are the first half's

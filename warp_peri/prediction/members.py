@@ -64,13 +64,9 @@ class ErrorSpectrum:
 
 
 class Spectrum:
-    """Shares of fields on a lattice by wavelength; what is affine in a field belongs to none.
+    """Shares of fields on a lattice by wavelength [length], growing, shape [K].
 
-    A field is taken to zero towards the edge of its nodes.
-
-    Args:
-        points: the lattice.
-        wavelength: [length], growing, shape [K].
+    What is affine in a field belongs to none; it is taken to zero towards the edge of its nodes.
     """
 
     def __init__(self, points: PointsLike, wavelength: np.ndarray) -> None:
@@ -113,13 +109,7 @@ class Spectrum:
 
 
 def recorded(wavelength: np.ndarray, rows: np.ndarray, errors: np.ndarray) -> ErrorSpectrum:
-    """The root mean square of the errors of samples, by what they have of a wavelength.
-
-    Args:
-        wavelength: [length], shape [K].
-        rows: shares of the samples there, shape [S, K].
-        errors: of their answers, fractions, shape [S].
-    """
+    """The root mean square of errors [S] of samples, by their shares [S, K] of wavelengths [K]."""
     there = rows.sum(axis=0)
     error = np.sqrt((rows * errors[:, None] ** 2).sum(axis=0) / np.maximum(there, 1e-300))
     enough = there >= min(SEEN, there.max())
@@ -262,9 +252,7 @@ class EnsembleOperator:
     def series(self, gradient: float, slowed: float = 0.0) -> float:
         """What is beyond the orders of the rich member may be, over what is not linear (Q3).
 
-        Args:
-            gradient: |H|.
-            slowed: the second correction over the first, where both are known.
+        `slowed` is the second correction over the first, where both are known.
         """
         if not self.nonlinear:
             return 1.0
