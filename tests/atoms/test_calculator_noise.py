@@ -60,12 +60,9 @@ def test_noise_is_measured_and_rounding_of_forces_is_noise():
     assert not any(one.rounding for one in (noisy, rounded))
 
 
-@pytest.fixture(scope="module")
-def aluminium():
-    return wp.fit_crystal(ase.build.bulk("Al"), Noisy(EMT(), 1e-5, 3), supercell=(5, 5, 5))
-
-
-def test_a_noisy_calculator_gives_a_law_whose_errors_are_true_and_small(aluminium):
+def test_a_noisy_calculator_gives_a_law_whose_errors_are_true_and_small():
+    noisy = Noisy(EMT(), 1e-5, 3)
+    aluminium = wp.fit_crystal(ase.build.bulk("Al"), noisy, supercell=(5, 5, 5))
     figures = aluminium.content()
     bars = figures["standard_errors_GPa"]
     for name, true in ALUMINIUM.items():
@@ -88,30 +85,11 @@ def differences(cell, many):
     return finite_differences(forces, many.positions.copy(), range(len(cell)))[0]
 
 
-@pytest.fixture(scope="module")
-def hexagonal():
-    """A hexagonal crystal of two atoms, repeats of it, and their Φ."""
+def test_broken_force_constants_are_brought_to_the_rules_and_the_shift_is_their_error():
+    """Of a hexagonal crystal of two atoms."""
     cell = ase.build.bulk("Ni", "hcp", a=2.47, c=4.03)
     many = cell.repeat((3, 3, 2))
-    return cell, many, differences(cell, many)
-
-
-def test_numbers_of_a_crystal_are_all_of_phi_and_give_its_forces(hexagonal):
-    cell, many, phi = hexagonal
-    every = Symmetric(cell, many, (0, 1))
-    assert len(every.basis) < 0.05 * phi.size
-    numbers = np.tensordot(every.basis, phi, 4)
-    left = np.tensordot(numbers, every.basis, 1) - phi
-    assert np.abs(left).max() < 1e-4 * np.abs(phi).max()
-    u = 1e-3 * np.random.default_rng(0).standard_normal((len(many), 3))
-    forces, x = phonons.forces_of(many, EMT()), many.positions
-    wanted = (forces(x + u) - forces(x - u)) / 2
-    found = (every.forces(u) @ numbers).reshape(-1, 3)
-    assert np.abs(found - wanted).max() < 1e-3 * np.abs(found).max()
-
-
-def test_broken_force_constants_are_brought_to_the_rules_and_the_shift_is_their_error(hexagonal):
-    cell, many, phi = hexagonal
+    phi = differences(cell, many)
     noise = np.random.default_rng(1).standard_normal(phi.shape)
     size = 1e-3 * np.abs(phi).max()
     kept, true = (projected(cell, many, one, (0, 1)) for one in (phi + size * noise, phi))

@@ -12,8 +12,8 @@ from tests.crystal.crystals import learned
 from tests.support.nonlinear import solid
 from tests.support.problems import kernel, lattice, manufactured, noise, smooth
 from warp_peri.cli.main import main
-from warp_peri.points import samples as points_samples
 from warp_peri.points.fields import largest_strain
+from warp_peri.points.points import _said
 from warp_peri.points.unit_names import factors
 from warp_peri.prediction import (
     CalibrationFactors,
@@ -182,7 +182,7 @@ def test_a_linear_family_is_bounded_without_a_contraction(family):
 def test_what_is_not_known_is_named(family):
     points, u, given = problem(family, 0.01)
     unstated = replace(points, axis=None)
-    points_samples._said.clear()
+    _said.clear()
     with pytest.warns(UserWarning, match="axis"):
         answer = wp.predict(family, wp.Dirichlet(unstated, given.b, u), 0.01)
     assert any("axis" in one for one in answer.uncovered)
