@@ -14,10 +14,8 @@ from tests.support.materials import LAWS, hyperelastic, solved_samples
 from tests.support.nonlinear import solid
 from tests.support.plates import plate
 from tests.support.problems import kernel, lattice
-from tests.third_order.test_equilibria import problem
 from warp_peri.cli.commands import solver_of
 from warp_peri.cli.main import main, parser_of
-from warp_peri.points.dataset import load_dataset
 from warp_peri.solvers.solution import Preconditioner
 
 EACH = {name: law.material for name, law in LAWS.items()}
@@ -58,33 +56,20 @@ def test_every_command_answers_or_refuses_whatever_the_law(name, tmp_path, capsy
             assert json.loads(said.out)["test"]["samples"] == len(samples)
 
 
-def test_third_order_is_evaluated_certified_and_solved(tmp_path, capsys):
-    model = solid("energy")
-    points, u, b = problem(model, 0.004)
-    file, data = tmp_path / "m.json", tmp_path / "d.h5"
+def test_third_order_and_crystals_are_certified_on_their_lattices(tmp_path, capsys):
+    model, file = solid("energy"), tmp_path / "m.json"
     model.save(file)
-    wp.save(data, wp.Dataset({"test": wp.Samples(points, u[None], b[None])}, 3.35, 2200.0))
-    table = answer(capsys, "evaluate", file, data)["test"]
-    assert table["E_u"] < 1e-6
-    assert table["unique"] is True
     proof = answer(capsys, "certify", file)["1 Å"]["nonlinear"]
     assert proof["strain"] == pytest.approx(model.proven_strain(1.0))
     about = answer(capsys, "info", file)
     assert about["form"] == "energy"
     assert about["t3, tq2, q3"].startswith(f"{1e3 * model.t3:.4g}, ")
-    answer(capsys, "solve", file, data, "--out", tmp_path / "solved.h5")
-    solved = load_dataset(tmp_path / "solved.h5")["test"].u[0]
-    assert np.abs(solved - u).max() <= 1e-6 * np.abs(u).max()
-
-
-def test_a_crystal_is_certified_on_its_own_lattice(tmp_path, capsys):
     law = LAWS["crystal"].material()
-    wp.save(tmp_path / "crystal.json", law)
-    (proven,) = answer(capsys, "certify", tmp_path / "crystal.json").values()
+    wp.save(file, law)
+    (proven,) = answer(capsys, "certify", file).values()
     assert proven["holds"]
     assert "exactly one solution" in proven["statement"]
-    other = str(3 * law.spacing)
-    assert main(["certify", str(tmp_path / "crystal.json"), "--spacing", other]) == 2
+    assert main(["certify", str(file), "--spacing", str(3 * law.spacing)]) == 2
     assert f"spacing: the model is for {law.spacing:g}, got" in capsys.readouterr().err
 
 
@@ -147,23 +132,16 @@ NO_BODY = {
     "--hold left=0,0 --method lu --axis 0": "method, axis: expected with loads of a data",
     "--hold left=0,0 --no-transfer": "no-transfer: expected with loads",
     "--hold left=0,0 --units mm stone": "stress_unit: expected one of",
+    "--hold left=1,0": "error: solve: expected a linear material for a Body",
 }
 
 
 def test_bodies_that_make_no_sense_write_nothing(files, capsys):
-    base, before = (
-        ["solve", files / "model.json", "--body", files / "plate.msh"],
-        {*files.iterdir()},
-    )
+    hyperelastic().save(files / "other.json")
+    before = {*files.iterdir()}
     for words, message in NO_BODY.items():
-        out = [] if "--out" in words else ["--out", files / "new.vtu"]
-        assert main([*map(str, [*base, *out]), *words.split()]) == 2
+        model = files / ("other.json" if "linear material" in message else "model.json")
+        line = f"solve {model} --body {files}/plate.msh --out {files}/new.vtu {words}"
+        assert main(line.split()) == 2
         assert message in capsys.readouterr().err
         assert {path for path in files.iterdir() if path.suffix != ".lock"} == before
-
-
-def test_a_material_that_bodies_are_not_of_is_refused(files, capsys):
-    hyperelastic().save(files / "other.json")
-    words = ["solve", files / "other.json", "--body", files / "plate.msh", "--hold", "left=0,0"]
-    assert main([str(word) for word in [*words, "--out", files / "new.vtu"]]) == 2
-    assert "error: solve: expected a linear material for a Body" in capsys.readouterr().err
