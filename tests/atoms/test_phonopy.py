@@ -52,9 +52,17 @@ def test_born_charges_make_the_field_of_ions_part_of_every_wave():
 def test_what_is_no_file_of_phonopy_and_charges_of_a_sheet_are_refused(tmp_path):
     with pytest.raises(wp.InputError, match="a file of phonopy .* `phonopy-init"):
         wp.atoms.from_phonopy(tmp_path)
-    (tmp_path / "phonopy.yaml").write_text("nothing: here\n")
-    with pytest.raises(wp.InputError, match="phonopy does not read it"):
-        wp.atoms.from_phonopy(tmp_path)
+    given = (EXAMPLES / "copper" / "phonopy_disp.yaml").read_text()
+    assert "- [   3,   0,   0 ]" in given
+    for text, words in (
+        ("nothing: here\n", "phonopy does not read it"),
+        (given.replace("3,", "1.5,", 1), "supercell_matrix: expected whole numbers, got 1.5"),
+    ):
+        (tmp_path / "phonopy.yaml").write_text(text)
+        with pytest.raises(wp.InputError, match=words):
+            wp.atoms.from_phonopy(tmp_path)
+    with pytest.raises(wp.InputError, match="supercell: expected int values"):
+        wp.fit_crystal(bulk("Cu"), EMT(), supercell=(1.5, 2, 2))
     with pytest.raises(wp.InputError, match="BORN: expected a solid"):
         wp.atoms.from_phonopy(EXAMPLES / "magnesia", thickness=4.0)
 

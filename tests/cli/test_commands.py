@@ -297,7 +297,7 @@ def test_sets_on_the_line_take_the_place_of_those_in_the_file(fitted, data, tmp_
     settings.write_text("[evaluate]\n")
     said = refused(capsys, "evaluate", fitted / "model.json", "--config", settings)
     assert "are required: DATA.h5; warp-peri evaluate --help" in said
-    typed = parse("sweep d.h5 --out o --degrees 1 --degrees 2 3".split()).degrees
+    typed = parse(["sweep", "d.h5", "--out", "o", "--degrees", "1", "--degrees", "2", "3"]).degrees
     assert typed == [1, 2, 3]  # in place of what is usual
 
 

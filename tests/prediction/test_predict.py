@@ -9,6 +9,7 @@ import pytest
 import warp_peri as wp
 from tests.crystal.crystals import lattice as plain_lattice
 from tests.crystal.crystals import learned
+from tests.crystal.test_operator import body
 from tests.support.nonlinear import solid
 from tests.support.problems import kernel, lattice, manufactured, noise, smooth
 from warp_peri.cli.main import main
@@ -20,6 +21,7 @@ from warp_peri.prediction import (
     Ensemble,
     EnsembleMaterial,
     EnsembleOperator,
+    design_loads,
     force,
     mean,
     strain,
@@ -27,7 +29,7 @@ from warp_peri.prediction import (
 )
 from warp_peri.prediction.members import BEYOND, ErrorSpectrum, Spectrum, pulled
 
-pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning")
+pytestmark = pytest.mark.filterwarnings("ignore:(strain|transferred):UserWarning")
 HORIZON, APART = 3.0, 0.02
 
 
@@ -353,3 +355,62 @@ def test_a_family_has_the_standard_error_of_its_crystal_beside_its_own_data(fami
     told = wp.predict(unsure, posed, None).parts
     assert told["data"] == pytest.approx(np.hypot(sure.parts["data"], 0.05), rel=1e-3)
     assert told["waves"] == pytest.approx(sure.parts["waves"], rel=1e-3)  # a looser solve
+
+
+def of_linear(rich, *numbers):
+    """A second member 1 % stiffer than the rich one, and halves 2 % to either side."""
+    second, *halves = (
+        replace(rich, **{name: getattr(rich, name) * f for name in numbers})
+        for f in (1.01, 1.02, 0.98)
+    )
+    plain = CalibrationFactors(1.0, 1.0, 0.0)
+    return EnsembleMaterial(rich, second, tuple(halves), factors=plain)
+
+
+@pytest.fixture(scope="module")
+def lps():
+    """Of a certified linear solid."""
+    rich = kernel("positive", HORIZON)
+    rich = replace(rich, certificate={"1": wp.certify(rich, spacing=1.0).figures()})
+    return of_linear(rich, "lam", "mu")
+
+
+@pytest.mark.parametrize("turned", [True, False])
+def test_turned_lattices_and_crystals_in_space(lps, turned):
+    """Half of the doubts' squares: waves 1 %, data 2 % times √2."""
+    points = lattice(9, HORIZON, angle=0.3) if turned else body(3, "cube")
+    family = lps if turned else of_linear(learned(3), "tensors")
+    answer = wp.predict(family, along_x(points), None)
+    assert answer.uncovered == ()
+    assert answer.error == pytest.approx(np.sqrt((0.01**2 + 2 * APART**2) / 2), rel=0.15)
+    assert answer.corrected.shape == points.x.shape
+    assert answer.map()[points.interior].min() >= 0
+
+
+def test_what_data_hold_nothing_of_is_named(lps):
+    points = lattice(9, HORIZON)
+    strained = replace(lps, strain=1e-6, quadratic=7 * (0.1,))
+    answer = wp.predict(strained, along_x(points), 1.0)
+    assert "of the data of a linear law" in answer.uncovered[0]
+    assert not answer.kept
+    model, points = kernel("positive", HORIZON), lattice(10, HORIZON)
+    long, short = (manufactured(model, points, 4, wave_number=k) for k in (0.25, 2.0))
+    family = wp.fit(long, Ensemble(wp.LPS(HORIZON, wp.Bernstein(1))), progress=False).material
+    answer = wp.predict(family, wp.Dirichlet(short, short.b[0], short.u[0]), None)
+    assert any(one.startswith("short waves") for one in answer.uncovered)
+    assert np.isnan(answer.error)
+    assert np.isnan(answer.map()[short.interior]).all()
+    assert not answer.kept
+
+
+def test_designed_loads_hold_all_waves_without_a_mean():
+    sheet = wp.Points.sheet((20, 20), 5.0)
+    loads = design_loads(sheet, shortest_wave=20.0)
+    assert loads.shape == (2, 400, 2)
+    assert np.abs(loads.mean(axis=1)).max() < 1e-12
+    assert np.linalg.norm(loads, axis=-1).max() == pytest.approx(1)
+    power = np.abs(np.fft.fft2(loads[0].reshape(20, 20, 2), axes=(0, 1))).sum(axis=-1)
+    k = np.hypot(*np.meshgrid(*2 * [np.fft.fftfreq(20)]))
+    assert np.array_equal(power > 1e-9 * power.max(), (k > 0) & (k <= 0.25 + 1e-9))
+    with pytest.raises(wp.InputError, match="box"):
+        design_loads(lattice(4, 1.0), 3.0)

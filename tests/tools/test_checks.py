@@ -10,6 +10,7 @@ import torch
 
 from tools import benchmark, entered, frozen
 from tools.mutants import NET, ROOT, read_faults, with_fault
+from tools.options import Options
 from warp_peri import runtime
 
 FIELD = np.random.default_rng(0).normal(size=(40, 2))
@@ -42,6 +43,12 @@ def test_an_entry_of_the_record_is_held_to_its_class():
         assert stands(*given) == expected, given[0]
     assert stands("moved", FIELD, near, same_machine=False) == "within 1e-12"
     assert stands("resolved", FIELD, FIELD * (1 + 1e-9), tightest="resummed") == "BEYOND"
+
+
+def test_values_of_an_option_typed_twice_add_up():
+    options = Options("", options={"sizes": ([1, 2], "of steps")})
+    assert options.parse_args([]).sizes == [1, 2]
+    assert options.parse_args(["--sizes", "3", "--sizes", "4", "5"]).sizes == [3, 4, 5]
 
 
 def test_what_fails_is_beyond_and_what_is_absent_is_skipped(monkeypatch):
