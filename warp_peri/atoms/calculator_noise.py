@@ -42,13 +42,6 @@ ROUGHER = 3
 BENDING = 0.01
 """Of stress over strain, that changes from STRAIN to LARGEST, from which a surface is rough; more
 than was seen of any potential that is smooth."""
-ROUGH_SAID = (
-    f"forces on {SHAKEN:g} Å, or stress on {LARGEST:.0%} of strain, are {{:.0%}} off what smaller "
-    "steps say: moduli are those of the largest steps, and how they change down to the smallest is "
-    "in their errors"
-)
-SYMFC = "symfc: pip install 'warp_peri[phonons]'"
-OPERATIONS = ("rotations", "translations")
 NONE = 1e-8
 """Of singular values of the rules: an equation that holds by symmetry."""
 
@@ -191,7 +184,8 @@ class Symmetric(Supercell):
         self, cell: ase.Atoms, many: ase.Atoms, displaced: Sequence[int], **how: Any
     ) -> None:
         super().__init__(cell, many, displaced, **how)
-        sets, utils = (optional(f"symfc.{name}", SYMFC) for name in ("basis_sets", "utils.utils"))
+        how_to = "symfc: pip install 'warp_peri[phonons]'"
+        sets, utils = (optional(f"symfc.{name}", how_to) for name in ("basis_sets", "utils.utils"))
         kinds, parts, count = kinds_of(cell)[0][self.site], many.get_scaled_positions(), len(many)
         group = by_spglib("get_symmetry", (self.box, parts, kinds), ON_SITES)
         turns = group["rotations"].reshape(-1, 9)
@@ -199,7 +193,7 @@ class Symmetric(Supercell):
         some = np.union1d(some, np.flatnonzero((turns == np.eye(3).ravel()).all(axis=1)))
         found = sets.FCBasisSetO2(
             utils.SymfcAtoms(cell=self.box, scaled_positions=parts, numbers=kinds + 1),
-            spacegroup_operations={name: group[name][some] for name in OPERATIONS},
+            spacegroup_operations={n: group[n][some] for n in ("rotations", "translations")},
             symprec=ON_SITES,
         ).run()
         self.translations = found.translation_permutations
@@ -309,7 +303,12 @@ def rattled(
         f"{slope:+.1%} of linear ones",
     }
     if noise.rough:
-        said["rough"] = ROUGH_SAID.format(noise.rough / noise.linear)
+        off = noise.rough / noise.linear
+        said["rough"] = (
+            f"forces on {SHAKEN:g} Å, or stress on {LARGEST:.0%} of strain, are {off:.0%} off what "
+            "smaller steps say: moduli are those of the largest steps, and how they change down to "
+            "the smallest is in their errors"
+        )
     return found, said
 
 

@@ -225,7 +225,6 @@ WITHIN = {
     for name in ("acn", "eam", "emt", "idealgas", "lj", "morse", "tip3p", "tip4p")
 }
 """Modules of ASE whose classes start no program and load no code, whatever they are given."""
-TRUST = "--trust, or the calculator on the line, takes it"
 
 
 @typed
@@ -260,7 +259,8 @@ def make_calculator(
         if module.split(".")[0] in sys.stdlib_module_names:
             raise InputError("Python itself has no calculators")
         if not trusted and module not in WITHIN:
-            raise InputError(f"it could run a program or load code: {TRUST}")
+            taken = "--trust, or the calculator on the line, takes it"
+            raise InputError(f"it could run a program or load code: {taken}")
         return _found(module, path)(*arguments, **options)
     except Exception as error:  # constructors raise whatever they miss
         words = 'lammps:"pair_style …" or module:Class(…), as ase.calculators.emt:EMT'

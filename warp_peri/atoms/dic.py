@@ -20,8 +20,8 @@ from warp_peri.points.arguments import NotNegative, Positive, checked, plain, ty
 from warp_peri.points.points import PULL, SEEN, Points, Samples
 from warp_peri.points.unit_names import LENGTHS, USUAL, check_units
 
-MATCHID = ("disphorizontaldisplacement§", "dispverticaldisplacement§")
-MOVES = ("§", "u*", "displacement*", "*displacement", "disp*", "d*", *MATCHID)
+MOVES = ("§", "u*", "displacement*", "*displacement", "disp*", "d*",
+         "disphorizontaldisplacement§", "dispverticaldisplacement§")  # fmt: skip
 RANKS = (
     (("modelcoordinates*", "model*"), ("modeldisplacement*", "model§")),
     (("*undef", "*undeformed", "*ref", "*reference", "*0"), MOVES),
@@ -196,8 +196,6 @@ OFTEN = 0.5
 """Part of the frames that see a node of the sheet; the others may have lost it."""
 OWN, FILLED, AROUND = 0.75, 2.5, 12
 """How near a node, in spacings, its own point is, and points that fill it in; so many do."""
-FOURTH = 70**0.5
-"""Standard deviation of a fourth difference of independent noise of one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -468,5 +466,5 @@ def estimate_noise(samples: Samples) -> np.ndarray:
     grid[:, steps[:, 0], steps[:, 1]] = samples.u
     fourth = [np.diff(grid, 4, axis=axis).reshape(len(samples), -1) for axis in (1, 2)]
     both = np.abs(np.concatenate(fourth, axis=1))
-    deviation: np.ndarray = np.nanmedian(both, axis=1) / 0.6745 / FOURTH
-    return deviation
+    deviation = np.nanmedian(both, axis=1) / 0.6745
+    return np.asarray(deviation / 70**0.5)  # that of noise of one

@@ -239,9 +239,6 @@ def _by_ase(path: str | os.PathLike[str]) -> Iterator[DumpFrame]:
 
 LARGEST_HEADER = 2**16
 """Bytes of a file of atoms by which its kind is told."""
-PACKERS = (".gz", ".bz2", ".xz", ".zst")
-REFUSED = ("castep", "bundle")
-"""What names of ASE's formats begin with whose readers run a program or look elsewhere."""
 
 
 @typed
@@ -263,13 +260,14 @@ def read_structure(path: Path) -> Any:
         raise InputError(f"{path}: expected a structure with its elements, got a dump without")
     if of_lammps and not re.search(rb"(?m)^\s*Masses", head):
         raise InputError(f"{path}: expected the masses of the types in a data file, got none")
-    name = path.with_suffix("") if path.suffix.lower() in PACKERS else path
+    packed = path.suffix.lower() in (".gz", ".bz2", ".xz", ".zst")
+    name = path.with_suffix("") if packed else path
     with tempfile.TemporaryDirectory() as folder:  # ASE goes by the ending alone
         readable = Path(folder) / name.name
         readable.write_bytes(whole)
         try:
             form = "lammps-data" if of_lammps else filetype(str(readable))
-            if form.startswith(REFUSED):
+            if form.startswith(("castep", "bundle")):
                 raise InputError(f"expected no format whose reader runs a program, got {form}")
             if form == "json":  # brackets within brackets end the process
                 parsed(whole)
@@ -283,8 +281,6 @@ def read_structure(path: Path) -> Any:
             raise InputError(f"{path}: {why}") from None
 
 
-BOX_TOLERANCE = 1e-5
-"""Relative difference of a given period from that of a dump's header."""
 TORN, NEAR = 1.5, 1.3
 """Lengths of a bond that broke, over what it was, and of bonds over the usual one."""
 
@@ -347,7 +343,7 @@ def mean_displacement(
         if ids is not None and not np.array_equal(frame.ids, ids):
             raise InputError(f"{path}: expected the ids of the reference's atoms, got others")
         if box is not None:
-            check_box(path, box, frame.box, BOX_TOLERANCE)
+            check_box(path, box, frame.box, 1e-5)
         frames += 1
         if frames <= skip:
             continue

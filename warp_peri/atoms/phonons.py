@@ -43,8 +43,6 @@ GRID = {2: 24, 3: 8}
 """Wave vectors along each reciprocal edge that are looked at for soft modes."""
 SOFT = 1e-5
 """Of the largest eigenvalue: a negative one beyond it is no rounding."""
-MEMORY = re.compile("memory|alloc", re.IGNORECASE)
-"""In what a calculator says where it has too little."""
 LOOSE = (
     "structure: parts of it feel no force from the rest; expected one crystal, without loose atoms "
     "or layers"
@@ -104,7 +102,8 @@ def wide_enough(reference: Reference, calculator: Any, widths: Sequence[float]) 
         try:
             rim, none = _at_rim(many, calculator, (count * heights)[:d].min(), reference)
         except (MemoryError, RuntimeError) as error:  # networks' libraries raise the latter
-            if not (repeats and MEMORY.search(f"{type(error).__name__} {error}")):
+            words = f"{type(error).__name__} {error}".lower()
+            if not (repeats and ("memory" in words or "alloc" in words)):
                 raise
             ended = f"{len(many)} atoms need more memory than there is"
             break
@@ -228,8 +227,6 @@ def from_calculator(
 WITHOUT = "phonopy: pip install 'warp_peri[phonons]'"
 MOST = 20_000
 """Atoms of a supercell."""
-BESIDE = ("FORCE_CONSTANTS", "force_constants.hdf5", "FORCE_SETS", "BORN")
-"""Files that are read where they lie beside the one that is named."""
 YAML = ("phonopy.yaml", "phonopy_params.yaml", "phonopy_disp.yaml")
 
 
@@ -260,7 +257,8 @@ def from_phonopy(
             "`phonopy-init --dim …` (once `phonopy -d`) writes the last beside a code's unit cell"
         )
     file = there[0]
-    beside = {name: file.parent / name for name in BESIDE if (file.parent / name).is_file()}
+    names = ("FORCE_CONSTANTS", "force_constants.hdf5", "FORCE_SETS", "BORN")
+    beside = {name: file.parent / name for name in names if (file.parent / name).is_file()}
     try:
         found, told = _opened(file, beside)
         force_constants = _force_constants(found, told, beside)

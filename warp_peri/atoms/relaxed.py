@@ -232,7 +232,30 @@ def at_rest(
     if np.linalg.norm(short) < (1 - ROUNDING) * np.linalg.norm(cell.cell):
         cell.set_cell(short)  # a skewed cell's repeats would be many
     cell.calc = calculator
-    before = np.array(cell.cell)
+    cell, strain, found = _settled(cell, flat, held)
+    noise = None if found.rounding else found
+    kind, lengths = "a sheet" if flat else "a solid", cell.cell.lengths()[: 2 if flat else 3]
+    shape = f"{' x '.join(f'{one:.5g}' for one in lengths)} Å, {len(cell)} atoms"
+    said = {"structure": f"{cell.get_chemical_formula()}, {kind}", "cell": shape}
+    if noise is None:
+        said["noise"] = f"{found.force:.1e} eV/Å, which is rounding"
+    if turned:
+        where = ": x along an edge of the cell, z across" if flat else " to the conventional cell's"
+        said["axes"] = f"turned{where}"
+    if np.abs(strain).max() > MOVED:
+        said["relaxed"] = f"the cell by strains of {strain.min():+.1%} to {strain.max():+.1%}"
+    size, rule = thickness_of(cell) if flat and thickness is None else (thickness, "as given")
+    stress = _stress_left(cell, size, flat, held, noise)
+    if flat:
+        said["thickness"] = f"{size:.4g} Å, {rule}"
+        said["bending"] = "not in the model: it moves a sheet in its plane only"
+    cell.calc = None
+    return Reference(cell, size, stress, usual_spacing(cell, flat), said, noise)
+
+
+def _settled(cell: ase.Atoms, flat: bool, held: set[str]) -> tuple[ase.Atoms, np.ndarray, Noise]:
+    """A relaxed cell, its strain on the way there, and the noise of its calculator."""
+    calculator, before = cell.calc, np.array(cell.cell)
     _check_forces(cell)
     _check_stress(cell, flat)
     found = measured(cell, calculator, flat)
@@ -253,37 +276,8 @@ def at_rest(
             cell = exact_cell(cell)
             cell.calc = calculator
         here = measured(cell, calculator, flat)  # dimples lie at rest, not where a cell was given
-        noise = noise if here.rounding else here
-    said = {} if noise is not None else {"noise": f"{found.force:.1e} eV/Å, which is rounding"}
-    if turned:
-        where = ": x along an edge of the cell, z across" if flat else " to the conventional cell's"
-        said["axes"] = f"turned{where}"
-    if np.abs(strain).max() > MOVED:
-        said["relaxed"] = f"the cell by strains of {strain.min():+.1%} to {strain.max():+.1%}"
-    return _at_rest(cell, thickness, flat, held, noise, said)
-
-
-def _at_rest(
-    cell: ase.Atoms,
-    thickness: float | None,
-    flat: bool,
-    held: set[str],
-    noise: Noise | None,
-    said: dict[str, str],
-) -> Reference:
-    """A relaxed cell with its thickness, the stress that is left, and what is to be told of it."""
-    kind, lengths = "a sheet" if flat else "a solid", cell.cell.lengths()[: 2 if flat else 3]
-    shape = f"{' x '.join(f'{one:.5g}' for one in lengths)} Å, {len(cell)} atoms"
-    said = {"structure": f"{cell.get_chemical_formula()}, {kind}", "cell": shape} | said
-    size, rule = thickness, "as given"
-    if flat and size is None:
-        size, rule = thickness_of(cell)
-    stress = _stress_left(cell, size, flat, held, noise)
-    if flat:
-        said["thickness"] = f"{size:.4g} Å, {rule}"
-        said["bending"] = "not in the model: it moves a sheet in its plane only"
-    cell.calc = None
-    return Reference(cell, size, stress, usual_spacing(cell, flat), said, noise)
+        found = found if here.rounding else here
+    return cell, strain, found
 
 
 def _check_forces(cell: ase.Atoms) -> None:

@@ -63,8 +63,6 @@ ONE = "exactly one equilibrium for every load"
 LINE = 72 * "-"
 """Between what there is, how good it is and what comes next, and the details."""
 
-NO_FORCE = "are scaled: C11 + C22 + C66 without load is 1, no force is known (--stress gives one)"
-UNSAID = "as in the tables; no unit was said"
 STEP, PRINTED, ROWS = 0.025, 4, 8
 """Of the stretch in curves; every fourth of them is printed, or fewer, for at most so many rows."""
 
@@ -362,8 +360,9 @@ def run_fit_sheet(given: Namespace) -> Said:
         stress=given.stress,
         along=given.along,
     )
-    length_known = frames.points.units != USUAL  # what frames without a unit are taken for
-    if given.stress and not length_known:
+    usual = frames.points.units == USUAL  # what frames without a unit are taken for
+    length = None if usual else frames.points.units[0]
+    if given.stress and usual:
         raise InputError("stress: it needs a length; expected --pixel with a unit, as 0.012mm")
 
     def done(candidate: Any) -> None:
@@ -392,7 +391,7 @@ def run_fit_sheet(given: Namespace) -> Said:
             "frames": len(frames),
             "interior": int(frames.interior.sum()),
             "noise_in_spacings": float(np.median(estimate_noise(frames)) / frames.spacing),
-            "lengths": frames.points.units[0] if length_known else UNSAID,
+            "lengths": length or "as in the tables; no unit was said",
         }
         result = finite(told | result)
         write_json(given.out / "sheet.json", result)
@@ -410,7 +409,7 @@ def run_fit_sheet(given: Namespace) -> Said:
 def _written(given: Namespace, choice: Any) -> tuple[Result, str]:
     """What a sheet is made of, its curves in files where there are any, and a line on them."""
     material, candidates = choice.material, choice.candidates
-    told = NO_FORCE
+    told = "are scaled: C11 + C22 + C66 without load is 1, no force is known (--stress gives one)"
     if given.stress:
         scatter = f"{100 * choice.fit.scatter:.2g}"
         told = f"are in MPa by --stress; sections and frames scatter by {scatter} % around it"

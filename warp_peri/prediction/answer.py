@@ -41,9 +41,6 @@ SHORTER, STRAINED = 0.01, 1.2
 """Share of waves shorter than the data's, and strain over the data's where the rich member is
 linear, from which the error does not speak of an answer."""
 FAMILY = "an ensemble, as fit(samples, Ensemble(…)).material; one model knows nothing of its error"
-FREE_EDGE = "free edges: the ensemble was learned inside a body, and atoms at an edge differ"
-BROKEN = "broken bonds: the ensemble knows none"
-ALONE = "waves: force constants alone determine the error of the moduli, and no other"
 ACCURATE = 1e-5
 """Relative residual of the one solve that the bound takes."""
 
@@ -471,9 +468,12 @@ def _corrected(first: Prediction, told: float | None) -> Prediction:
 
 def _uncovered(placed: EnsembleOperator, points: Any) -> tuple[str, ...]:
     """What the error of a problem does not speak of."""
-    found = [ALONE] if placed.family.second is placed.family.rich else []
+    found = []
+    if placed.family.second is placed.family.rich:
+        found.append("waves: force constants alone determine the error of the moduli, and no other")
     if placed.points.outside is not None:
-        found += [FREE_EDGE, BROKEN]
+        found.append("free edges: the ensemble was learned inside a body; atoms at an edge differ")
+        found.append("broken bonds: the ensemble knows none")
     if placed.turned is not None and placed.points.axis is None:
         found.append(AXIS)
     there = getattr(points, "arrays", {}).get("temperature")
