@@ -246,8 +246,7 @@ def from_phonopy(
         path: phonopy.yaml, phonopy_params.yaml or phonopy_disp.yaml, or the folder that has one.
         thickness: of a sheet across z [Å]; by default as `fit_crystal` has it.
 
-    Raises InputError where phonopy is not installed, for files that it does not read, for forces
-    that are not there, and for Born charges of a sheet.
+    Raises InputError without phonopy or forces, for what it does not read, for charges of a sheet.
     """
     path = Path(path)
     there = [one for one in (path, *(path / name for name in YAML)) if one.is_file()]
