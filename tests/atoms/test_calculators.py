@@ -129,40 +129,33 @@ RUNS = {
 }
 
 
-def test_a_file_of_settings_runs_nothing(installed, capsys):
+def test_a_file_of_settings_runs_nothing_and_trust_is_typed(installed, monkeypatch, capsys):
+    """A calculator on the line is one's own: a class, or a function that returns one."""
     ase.io.write(installed / "cu.xyz", ase.build.bulk("Cu"))
-    settings, path = {"structure": "cu.xyz", "out": "out"}, installed / "evil.toml"
-    path.touch()
-    there = {*installed.iterdir()}
+    line, seen = ["fit-crystal", "--config", "own.toml"], []
+
+    def keep(name, **more):
+        table = {"structure": "cu.xyz", "out": "out", "calculator": name} | more
+        (installed / "own.toml").write_text(tomli_w.dumps({"fit-crystal": table}))
+        return {*installed.iterdir()}
+
     for name, what in RUNS.items():
-        path.write_text(tomli_w.dumps({"fit-crystal": settings | {"calculator": name}}))
-        assert main(["fit-crystal", "--config", "evil.toml"]) == 2
+        there = keep(name)
+        assert main(line) == 2
         error = capsys.readouterr().err
         assert what in error
         assert len(error.splitlines()) == 1
         assert {*installed.iterdir()} == there
-    path.write_text(tomli_w.dumps({"fit-crystal": settings | {"calculator": name, "trust": True}}))
-    assert main(["fit-crystal", "--config", "evil.toml"]) == 2
+    keep(name, trust=True)
+    assert main(line) == 2
     assert "no option 'trust'" in capsys.readouterr().err
 
-
-def test_trust_is_typed_and_a_calculator_on_the_line_is_ones_own(installed, monkeypatch, capsys):
-    """A class, or a function that returns one."""
-    seen = []
-
-    def from_atoms(structure, calculator, **_):
-        seen.append(calculator)
+    def fit_crystal(structure, calculator, **_):
+        seen.append(calculator.parameters["sigma"])
         raise wp.InputError("enough")
 
-    monkeypatch.setattr(wp, "fit_crystal", from_atoms)
-    ase.io.write(installed / "cu.xyz", ase.build.bulk("Cu"))
-    table = {"structure": "cu.xyz", "out": "out", "calculator": "here:Mine(sigma=2.5)"}
-    (installed / "own.toml").write_text(tomli_w.dumps({"fit-crystal": table}))
-    line = ["fit-crystal", "--config", "own.toml"]
-    assert main(line) == 2
-    assert "--trust, or the calculator on the line" in capsys.readouterr().err
-    assert not seen
-    main([*line, "--trust"])
-    main([*line, "--calculator", "here:Mine(sigma=1.5)"])
-    main([*line, "--calc", "here:says(0.5)"])
-    assert [law.parameters["sigma"] for law in seen] == [2.5, 1.5, 0.5]
+    monkeypatch.setattr(wp, "fit_crystal", fit_crystal)
+    keep("here:Mine(sigma=2.5)")
+    for more in ("--trust", "--calculator here:Mine(sigma=1.5)", "--calc here:says(0.5)"):
+        assert main([*line, *more.split()]) == 2
+    assert seen == [2.5, 1.5, 0.5]

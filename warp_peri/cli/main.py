@@ -4,7 +4,7 @@ Parsers are made from commands.txt. There the first line of a command is its sen
 example; then come groups of options. An option is a line: its name, the names of its values, and
 its help behind two blanks; lines indented further go on. `V+` is one value or more, `V?` one or
 none, `a|b` a choice, `=x` the default, `!` required, `@dest` the name in the settings. Without a
-value it is a switch.
+value it is a switch. A line of names alone stands for the lines that first have them.
 """
 
 from __future__ import annotations
@@ -84,6 +84,10 @@ COMMANDS: dict[str, str] = {}
 for _text in Path(__file__).with_name("commands.txt").read_text("utf-8").split("\n\n"):
     _name, _, COMMANDS[_name.strip("[]")] = _text.partition("\n")
 """The text of each command, by its name."""
+LINES: dict[str, str] = {}
+for _line in "\n".join(COMMANDS.values()).replace("\n    ", " ").splitlines():
+    if "  " in _line.strip():
+        LINES.setdefault(_line.split()[0], _line)
 
 PATHS = ("DUMP", "FILE", "FOLDER", "FRAMES", "MESH", "PATH", "STRUCTURE")
 WORDS = ("NAME", "STRAIN", "LENGTH", "STRESS")
@@ -114,13 +118,14 @@ def parser_of(name: str) -> Parser:
         if not line.startswith("  "):
             group = parser.add_argument_group(line)
             continue
-        spec, text = re.split(r" {2,}", line.strip(), maxsplit=1)
-        option, *marks = spec.split()
-        how = _taken(option, marks)
-        if how.get("default", []) != []:
-            many = how["default"] if "nargs" in how else [how["default"]]
-            text += f" (default: {' '.join(map(str, many))})"
-        group.add_argument(option, help=text.replace("%", "%%"), **how)
+        for one in [line] if "  " in line.strip() else map(LINES.__getitem__, line.split()):
+            spec, text = re.split(r" {2,}", one.strip(), maxsplit=1)
+            option, *marks = spec.split()
+            how = _taken(option, marks)
+            if how.get("default", []) != []:
+                many = how["default"] if "nargs" in how else [how["default"]]
+                text += f" (default: {' '.join(map(str, many))})"
+            group.add_argument(option, help=text.replace("%", "%%"), **how)
     needed = [one for one in parser._actions if one.required]
     words = [" ".join([*one.option_strings, str(one.metavar)]) for one in needed]
     words.sort(key=lambda word: word.startswith("--"))
