@@ -189,9 +189,9 @@ class CrystalFit(Shown):
             for n, row in rows.items()
         }
 
-    def directional(self, count: int = 181) -> tuple[np.ndarray, np.ndarray]:
+    def directional(self) -> tuple[np.ndarray, np.ndarray]:
         """Angles in the plane of the first and the last axis, and Young's modulus along [GPa]."""
-        angle, one = np.linspace(0, 2 * np.pi, count), np.eye(self.atoms.dimension)
+        angle, one = np.linspace(0, 2 * np.pi, 181), np.eye(self.atoms.dimension)
         e = np.outer(np.cos(angle), one[0]) + np.outer(np.sin(angle), one[-1])
         S = compliance(1e3 * self.law.tensor())
         return angle, 1 / np.einsum("ijkl,ni,nj,nk,nl->n", S, e, e, e, e, optimize=True)

@@ -192,6 +192,8 @@ ON_LATTICE = 0.02
 """Points this near to lattice nodes, in spacings, are taken as those nodes."""
 APART = 0.1
 """How far, in spacings, points of two frames may lie apart that are the same."""
+REACH = 3
+"""Horizon [spacings] of what is learned from frames."""
 OFTEN = 0.5
 """Part of the frames that see a node of the sheet; the others may have lost it."""
 OWN, FILLED, AROUND = 0.75, 2.5, 12
@@ -267,10 +269,9 @@ def dic_to_lattice(
     *,
     spacing: Positive | None = None,
     radius: NotNegative = 0.0,
-    reach: int = 3,
     positions: Literal["reference", "current"] | None = None,
 ) -> Samples:
-    """All frames on the nodes that most of them have, with the collar that a model needs.
+    """All frames on the nodes that most of them have, with a collar of twice REACH spacings.
 
     A node that a frame lost is filled in there from the points around, which the array SEEN tells:
     fits do not look at it.
@@ -280,7 +281,6 @@ def dic_to_lattice(
         spacing: of the lattice; that of the points where none is given.
         radius: of the local quadratic fits that smooth, in spacings; 0 keeps points that lie on
             nodes as they are, and takes 1.6 for others.
-        reach: horizon in spacings; nodes whose surroundings to twice that are there are interior.
         positions: "reference" or "current", what the frames' positions are; None tells it: where
             positions less displacements are the same in all frames, or those of one a lattice, and
             positions are not, they are of the current frame, and a warning says so.
@@ -301,19 +301,18 @@ def dic_to_lattice(
     step = spacing_of(frames[0].x) if spacing is None else float(spacing)
     every = np.concatenate([frame.x for frame in frames])
     counts = np.floor(np.ptp(every, axis=0) / step + 1 + ON_LATTICE).astype(int)
-    if counts.min() < 4 * reach + 1 or counts.prod() > 10**7:
-        raise InputError(
-            f"frames: expected at least {4 * reach + 1} nodes a side, got {counts[0]} × {counts[1]}"
-        )
+    if counts.min() < (least := 4 * REACH + 1) or counts.prod() > 10**7:
+        got = f"{counts[0]} × {counts[1]}"
+        raise InputError(f"frames: expected at least {least} nodes a side, got {got}")
     x = every.min(axis=0) + step * np.argwhere(np.ones(counts, bool))
     each = [on_nodes(frame, x, step, radius) for frame in frames]
     fields, seen = np.stack([u for u, _ in each]), np.stack([there for _, there in each])
     there = np.isfinite(fields).all(axis=(0, 2)) & (seen.mean(axis=0) >= OFTEN)
-    interior = surrounded(there.reshape(counts), reach).ravel()[there]
+    interior = surrounded(there.reshape(counts), REACH).ravel()[there]
     if not interior.any():
         count = seen.sum(axis=1)
         raise InputError(
-            f"frames: expected nodes with all nodes within {2 * reach} spacings around them, got "
+            f"frames: expected nodes with all nodes within {2 * REACH} spacings around them, got "
             f"none; {frames[count.argmin()].name} has {count.min()} nodes of {len(x)}, "
             f"{frames[count.argmax()].name} has {count.max()}"
         )

@@ -343,15 +343,12 @@ def mean(where: ArrayLike) -> Measure:
 
 
 @typed
-def force(
-    placed: EnsembleOperator, start: ArrayLike, end: ArrayLike, *, number: int = 50
-) -> Measure:
+def force(placed: EnsembleOperator, start: ArrayLike, end: ArrayLike) -> Measure:
     """What is carried across a straight cut from one point to another, on its right-hand side:
     the reaction of what lies beyond it [stress · length], shape [2]."""
     a, b = np.asarray(start, float), np.asarray(end, float)
-    share = (np.arange(number) + 0.5) / number
-    along = b - a
-    normal = np.array([along[1], -along[0]]) / number
+    share, along = (np.arange(50) + 0.5) / 50, b - a
+    normal = np.array([along[1], -along[0]]) / 50
     of = stress(placed, a + share[:, None] * along)
     return lambda u: np.asarray((of(u) @ normal).sum(axis=0))
 

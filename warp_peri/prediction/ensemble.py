@@ -125,8 +125,7 @@ class Ensemble:
 
     Attributes:
         rich: the best law that the data bear: LPS(…), ThirdOrder(…), Crystal(…).
-        second: a poorer law, as good on long waves; by default the rich one with a shorter horizon,
-            or what its own `poorer()` says.
+        second: a poorer law, as good on long waves; by default the rich one with a shorter horizon.
     """
 
     rich: Any
@@ -174,9 +173,7 @@ class EnsembleFit:
 
 
 def poorer(law: Any) -> Any:
-    """The same law with a shorter horizon and, of polynomials, fewer of them; or as it says."""
-    if hasattr(law, "poorer"):
-        return law.poorer()
+    """The same law with a shorter horizon and, of polynomials, fewer of them."""
     inner = getattr(law, "linear", law)
     if not hasattr(inner, "horizon"):
         raise InputError("second: expected a model, as none with a shorter horizon is known")
