@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from warp_peri.atoms.coarse_graining import EV_PER_CUBIC_ANGSTROM
-from warp_peri.points.fields import mixed_waves
+from warp_peri.points.dataset import mixed_waves
 
 Box = tuple[float, float] | None
 """Periods (Lx, Ly) of the atoms [Å]; None for a free body."""

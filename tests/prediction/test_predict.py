@@ -13,7 +13,7 @@ from tests.crystal.test_operator import body
 from tests.support.nonlinear import solid
 from tests.support.problems import kernel, lattice, manufactured, noise, smooth
 from warp_peri.cli.main import main
-from warp_peri.points.fields import largest_strain
+from warp_peri.points.families import largest_strain
 from warp_peri.points.points import _said
 from warp_peri.points.unit_names import factors
 from warp_peri.prediction import (

@@ -9,8 +9,8 @@ from tests.support.problems import kernel, lattice
 from warp_peri import InputError, Samples
 from warp_peri.materials.lps_law import product_basis, products
 from warp_peri.materials.transfer import TOLERANCE, wave_loss, wave_vectors
+from warp_peri.points.dataset import largest_wave_number
 from warp_peri.points.families import bond_classes
-from warp_peri.points.fields import largest_wave_number
 from warp_peri.transfers import on_lattice
 
 HOME = replace(kernel("1/r", 3.0), largest_wave_number=2.0)

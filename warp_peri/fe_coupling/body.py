@@ -40,8 +40,7 @@ from warp_peri.materials.certificate import with_proof
 from warp_peri.materials.lps import LPSMaterial, moduli
 from warp_peri.materials.transfer import model_at
 from warp_peri.points.arguments import checked, is_number
-from warp_peri.points.families import bond_classes
-from warp_peri.points.fields import edge_strain, largest_strain
+from warp_peri.points.families import bond_classes, edge_strain, largest_strain
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import symbols

@@ -18,14 +18,13 @@ from scipy.linalg import null_space
 from warp_peri.core.elastic import allowed_tensors, elastic_from_brackets, point_group
 from warp_peri.core.grid import grid_of
 from warp_peri.core.stencil import Basis, invariant_basis
-from warp_peri.errors import InputError, quietly, warn
+from warp_peri.errors import InputError, Shown, quietly, warn
 from warp_peri.fitting.evaluate import ROUNDING
 from warp_peri.fitting.long_waves import gradients
 from warp_peri.fitting.rows import check_noise, forces, listed
 from warp_peri.points.arguments import typed
 from warp_peri.points.points import Samples, lattice_steps
 from warp_peri.protocols import LINEAR, offered, placed, stencil_of
-from warp_peri.reprs import Shown
 
 TINY = 1e-300
 LEAST_TOLD = 0.005

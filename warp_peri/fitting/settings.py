@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, Shown
 from warp_peri.points.arguments import Count, Natural, NotNegative, Positive, typed
 from warp_peri.points.unit_names import shown_moduli
-from warp_peri.reprs import Shown
 
 if TYPE_CHECKING:
     from warp_peri.materials.influence import InfluenceFunction

@@ -15,7 +15,7 @@ from warp_peri.core.elastic import elastic_from_brackets, lattice_group
 from warp_peri.core.proof import StencilCertificate, prove
 from warp_peri.core.record import FieldUnits, Length, Record, taken
 from warp_peri.core.stencil import Stencil
-from warp_peri.errors import InputError, warn
+from warp_peri.errors import InputError, error_rows, warn
 from warp_peri.materials.lps_force import CANCELLED, LARGEST_DEGREE, bernstein_basis
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.arguments import Positive, checked, is_number, typed
@@ -24,7 +24,6 @@ from warp_peri.points.points import Points, PointsLike, nodes_of
 from warp_peri.points.quadrature import DEGREE, SINGULARITY
 from warp_peri.points.unit_names import USUAL, Units, check_same, shown_moduli, symbols
 from warp_peri.protocols import is_tensor
-from warp_peri.reprs import error_rows
 
 ALPHA_BOUND = 3.0
 """The quadrature is consistent for α below this (You et al. 2021, remark 1)."""

@@ -16,14 +16,13 @@ import torch
 
 from warp_peri.core import record
 from warp_peri.core.record import Length
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, Shown
 from warp_peri.files import foreign
 from warp_peri.neural.placed import Placed
 from warp_peri.neural.training import NeuralFit, TrainingSettings, train
 from warp_peri.points.arguments import Natural, Positive, is_positive, typed
 from warp_peri.points.points import PointsLike, Samples, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, check_units, factors, symbols
-from warp_peri.reprs import Shown
 
 
 def network(*widths: int) -> torch.nn.Sequential:

@@ -1,13 +1,15 @@
-"""Which nodes are joined by bonds: families, bond classes, the collar that carries them."""
+"""Which nodes are joined by bonds: families, bond classes, collars; how far bonds stretch."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
 import warp as wp
+from numpy.typing import ArrayLike
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
@@ -348,3 +350,45 @@ def cut_balls(x: np.ndarray, horizon: float, bonds: int) -> np.ndarray:
     for normal, offset in zip(hull[:, :d], hull[:, d]):
         depth = np.minimum(depth, -(x @ normal) - offset)
     return np.asarray(depth < horizon - spacing)
+
+
+def largest_strain(points: PointsLike, u: ArrayLike) -> float:
+    """Largest |ξ·(u_j − u_i)|/r² between nodes and their nearest neighbours.
+
+    On a lattice those across the diagonals of a square count too: shear along the axes stretches no
+    other bond.
+
+    Args:
+        points: a lattice or scattered points; nodes outside the body do not count.
+        u: displacement [Å], shape [N, d] or [S, N, d].
+    """
+    body = np.ones(len(points.x), bool) if points.outside is None else ~points.outside
+    x, d = points.x[body], points.x.shape[1]
+    if points.spacing > 0 and len(points.x) > 1:
+        steps = np.array(list(itertools.product((-1, 0, 1), repeat=d)))
+        steps = steps[np.isin((steps**2).sum(axis=1), (1, 2))]
+        table = neighbour_table(nodes_of(points).lattice.steps[body], steps[len(steps) // 2 :])
+        near = np.where(table < 0, np.arange(len(x))[:, None], table)  # each bond once
+    else:
+        count = min(2 * d + 1, len(x))
+        near = cKDTree(x).query(x, k=count)[1].reshape(-1, count)[:, 1:]
+    xi = x[near] - x[:, None]
+    square = (xi**2).sum(axis=-1)
+    unit = xi / np.where(square > 0, square, np.inf)[..., None]
+    fields = np.asarray(u).reshape(-1, *points.x.shape)[:, body]
+    along = (np.abs((unit * (one[near] - one[:, None])).sum(axis=-1)) for one in fields)
+    return max((float(one.max(initial=0)) for one in along), default=0.0)
+
+
+def edge_strain(x: np.ndarray, triangles: np.ndarray, u: np.ndarray) -> float:
+    """As largest_strain, between the ends of the edges of triangles.
+
+    Args:
+        x: corners [Å], shape [P, 2].
+        triangles: their corners, shape [T, 3].
+        u: displacement of the corners [Å], shape [P, 2].
+    """
+    after = np.roll(triangles, -1, axis=1)
+    xi, relative = x[after] - x[triangles], u[after] - u[triangles]
+    along = (xi * relative).sum(axis=-1) / (xi**2).sum(axis=-1)
+    return float(np.abs(along).max(initial=0.0))

@@ -12,7 +12,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import InputError, warn
+from warp_peri.errors import InputError, Shown, warn
 from warp_peri.points.arguments import (
     NotNegative,
     Positive,
@@ -26,7 +26,6 @@ from warp_peri.points.arguments import (
     typed,
 )
 from warp_peri.points.unit_names import USUAL, Units, check_units, symbols
-from warp_peri.reprs import Shown
 
 ROTATION, TWICE = 1e-6, 1e-9
 """That a rotation may be off; distance of nodes at one place, over the mean one of neighbours."""

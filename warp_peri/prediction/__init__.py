@@ -1,6 +1,6 @@
 """An answer with its error: the richest model is evaluated, and corrects (theory, Q1–Q11)."""
 
-from warp_peri.points.fields import design_loads, mixed_waves
+from warp_peri.points.dataset import design_loads, mixed_waves
 from warp_peri.prediction.answer import (
     ErrorBound,
     Prediction,

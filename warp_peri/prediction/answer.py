@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, Shown
 from warp_peri.materials.certificate import curvature_bound
 from warp_peri.points.arguments import Positive, checked_fields, typed, typed_methods
 from warp_peri.points.points import PointsLike, Samples, lattice_steps, nodes_of
@@ -25,7 +25,6 @@ from warp_peri.points.unit_names import symbols
 from warp_peri.prediction.ensemble import MOST, CalibrationFactors, EnsembleMaterial
 from warp_peri.prediction.members import EnsembleOperator, Parts, norm
 from warp_peri.protocols import placed
-from warp_peri.reprs import Shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

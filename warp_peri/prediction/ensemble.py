@@ -12,7 +12,7 @@ from warp_peri.core.record import FieldUnits, OnLinear
 from warp_peri.errors import InputError
 from warp_peri.points.arguments import NotNegative, typed
 from warp_peri.points.dataset import Dataset
-from warp_peri.points.fields import largest_strain
+from warp_peri.points.families import largest_strain
 from warp_peri.points.points import PointsLike, Samples
 from warp_peri.prediction.members import (
     KNOTS,

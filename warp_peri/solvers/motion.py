@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tqdm import tqdm
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, Shown
 from warp_peri.files.checkpoint import RunFile, TimeSeriesWriter
 from warp_peri.points.arguments import Count, Natural, typed_methods
 from warp_peri.protocols import is_tensor
-from warp_peri.reprs import Shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 
 import warp_peri
-from warp_peri.errors import InputError, heard, warn
+from warp_peri.errors import InputError, Shown, heard, warn
 from warp_peri.points.arguments import Positive, Share, typed, typed_methods
 from warp_peri.points.points import Points, Samples
 from warp_peri.points.unit_names import symbols
-from warp_peri.reprs import Shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
