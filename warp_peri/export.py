@@ -106,16 +106,8 @@ def write_vtu(
     data: Mapping[str, np.ndarray],
     extra: str = "export",
 ) -> Path:
-    """Write nodes, cells of one kind and fields on the nodes; vectors in the plane get a third
-    component.
-
-    Args:
-        path: of the file.
-        x: positions, shape [N, d].
-        cells: their kind and nodes, shape [C, n].
-        data: fields by name, shape [N, ...].
-        extra: that brings meshio.
-    """
+    """Write nodes [N, d], cells [C, n] of one kind and fields [N, ...] by name, vectors with three
+    components; `extra` brings meshio."""
     meshio, data = meshio_of(extra), {name: in_space(field) for name, field in data.items()}
     with whole_file(path) as temporary:
         meshio.Mesh(in_space(x), [cells], point_data=data).write(temporary, "vtu")

@@ -16,23 +16,22 @@ from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.unit_names import symbols
 
 
-def influence_function(model: LPSMaterial, *, spacing: float, ax: Axes, color: str = "C0") -> Axes:
+def influence_function(model: LPSMaterial, *, spacing: float, ax: Axes) -> Axes:
     """K(r), scaled to unit weighted volume, and its values at the bond lengths of a lattice.
 
     Args:
         model: the model.
         spacing: of the lattice [Å].
         ax: where to draw.
-        color: of the lines.
     """
     classes = bond_classes(spacing, model.horizon)
     r = np.linspace(0.5 * spacing, model.horizon, 1000)
     values = kernel_values(model, classes, classes.r)
     ax.axhline(0, color="0.7", linewidth=0.8)
-    ax.plot(r, kernel_values(model, classes, r), color=color, linewidth=1, alpha=0.6, label="K(r)")
+    ax.plot(r, kernel_values(model, classes, r), color="C0", linewidth=1, alpha=0.6, label="K(r)")
     unit = symbols(model.units)[0]
     label = f"at the bonds of the {spacing:g} {unit} lattice"
-    ax.plot(classes.r, values, "o", color=color, label=label)
+    ax.plot(classes.r, values, "o", color="C0", label=label)
     room = 1.5 * np.abs(values).max()
     ax.set(xlim=(0, 1.03 * model.horizon), ylim=(-room, room))
     ax.set(xlabel=f"bond length r [{unit}]", ylabel=f"K / m  [{unit}⁻⁴]")

@@ -214,14 +214,9 @@ def recorded(kernel: Any, dim: int, inputs: Sequence[Any], outputs: Sequence[Any
 class Shared:
     """A kernel that shares its work out among threads, packed once.
 
-    Its first argument counts what has been taken and done, see kernels/bonds.py, where helpers stay
-    a while to serve what comes next.
-
-    Args:
-        kernel, inputs, outputs: without the first argument.
-        phases: how many.
-        work: of all of them, that of a node being 1.
-        stay: the kernel in which they stay.
+    Its first argument, which inputs leave out, counts what has been taken and done of so many
+    phases, see kernels/bonds.py; helpers `stay` in a kernel a while to serve what comes next. The
+    work is that of all phases, of a node being 1.
     """
 
     def __init__(

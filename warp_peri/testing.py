@@ -21,33 +21,26 @@ from warp_peri.points.points import Points, Samples
 from warp_peri.points.unit_names import Units, factors
 from warp_peri.verbs import load, save
 
+STEP = 1e-3
+"""Of central differences, as a share of the largest displacement."""
 REACH = 4
 """Steps to either side that a central difference takes, of an order twice that."""
 
 
-def check_material(
-    material: Any,
-    points: Points,
-    u: np.ndarray,
-    *,
-    step: float = 1e-3,
-    read: Callable[[Path], Any] = load,
-) -> None:
+def check_material(material: Any, points: Points, u: np.ndarray) -> None:
     """All checks below.
 
     Args:
         material: what `fit` or `load` gives.
         points: a lattice with a collar, in the material's units.
         u: displacement, shape [N, d], at which it is differentiated.
-        step: of central differences, as a share of the largest displacement.
-        read: reads the material from a file; `load` by default.
     """
     operator = material.on(points)
     check_force(operator, u)
-    check_energy(operator, u, step=step)
-    check_product(operator, u, step=step)
+    check_energy(operator, u)
+    check_product(operator, u)
     check_units(material, points, u)
-    check_file(material, points, u, read=read)
+    check_file(material, points, u)
 
 
 def check_force(operator: Any, u: np.ndarray) -> None:
@@ -58,20 +51,18 @@ def check_force(operator: Any, u: np.ndarray) -> None:
     assert_near(operator(np.stack([shift, u]))[1], f, 1e-13)
 
 
-def check_energy(
-    operator: Any, u: np.ndarray, *, step: float = 1e-3, tolerance: float = 1e-8
-) -> None:
+def check_energy(operator: Any, u: np.ndarray) -> None:
     """The force is the derivative of the energy, where there is one."""
     if operator.energy(u) is None:
         return
     points, v = operator.points, _direction(operator, u, 0)
-    slope = _slope(lambda t: operator.energy(u + t * v), step)
+    slope = _slope(lambda t: operator.energy(u + t * v), STEP)
     work = points.spacing**points.dimension * (operator(u) * v[points.interior]).sum()
-    assert_near(work, slope, tolerance)
+    assert_near(work, slope, 1e-8)
 
 
 def check_product(
-    operator: Any, u: np.ndarray, *, step: float = 1e-3, tolerance: float = 1e-8
+    operator: Any, u: np.ndarray, *, step: float = STEP, tolerance: float = 1e-8
 ) -> None:
     """`jvp` is the derivative of the force, `vjp` its transpose, and torch's gradient `vjp`."""
     v, w = _direction(operator, u, 1), np.random.default_rng(2).normal(size=operator(u).shape)

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
 from warp_peri.materials.transfer import on_lattice
-from warp_peri.points.arguments import Count, Positive, typed
+from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.points import Points, PointsLike, Samples
 
 __all__ = ["on_lattice", "onto_lattice"]
@@ -28,26 +28,25 @@ def mean_spacing(points: PointsLike) -> float:
 
 
 @typed
-def onto_lattice(samples: Samples, *, spacing: Positive, neighbours: Count = NEIGHBOURS) -> Samples:
+def onto_lattice(samples: Samples, *, spacing: Positive) -> Samples:
     """Fields at scattered nodes carried to a lattice, to learn from (theory, M6).
 
-    By quintic splines of the nearest nodes, exact for polynomials of degree 2.
+    By quintic splines of the 80 nearest nodes, exact for polynomials of degree 2.
 
     Args:
         samples: u and b at scattered nodes.
         spacing: h [Å] of the lattice; places on the rim where nodes are missing are left out.
-        neighbours: nearest nodes that a value is interpolated from.
 
     Returns:
         Samples on the lattice, whose interior is what lies within a spacing of interior nodes.
 
-    Raises InputError for a spacing that is no length, fewer nodes than neighbours, and nodes on a
+    Raises InputError for a spacing that is no length, fewer nodes than these, and nodes on a
     line or a conic.
     """
     x, dense = samples.x, mean_spacing(samples)
-    if len(x) < neighbours:
+    if len(x) < NEIGHBOURS:
         raise InputError(
-            f"points: expected at least {neighbours} nodes to interpolate from, got {len(x)}"
+            f"points: expected at least {NEIGHBOURS} nodes to interpolate from, got {len(x)}"
         )
     low, high = np.ceil(x.min(0) / spacing - 1e-6), np.floor(x.max(0) / spacing + 1e-6)
     lines = [np.arange(a, b + 1) for a, b in zip(low, high)]
@@ -56,7 +55,7 @@ def onto_lattice(samples: Samples, *, spacing: Positive, neighbours: Count = NEI
     interior = cKDTree(x[samples.interior]).query(y)[0] <= dense
     fields = np.concatenate([samples.u] if samples.b is None else [samples.u, samples.b])
     try:
-        carry = RBFInterpolator(x, fields.swapaxes(0, 1), neighbors=neighbours, kernel="quintic")
+        carry = RBFInterpolator(x, fields.swapaxes(0, 1), neighbors=NEIGHBOURS, kernel="quintic")
         u, *b = np.split(carry(y).swapaxes(0, 1), len(fields) // len(samples))
     except np.linalg.LinAlgError:
         raise InputError("points: nodes to interpolate from lie on a line or a conic") from None

@@ -211,12 +211,9 @@ def same(comm: Any, **parts: Any) -> None:
 
 
 class RunFile:
-    """A run's file: arrays on the nodes of a body, and plain values, with a hash of all.
+    """A run's file, there or not: arrays on the nodes of a body, and plain values, with a hash.
 
-    Args:
-        path: of the file, which need not be there yet.
-        kind: what it is of, which is written down and asked for again.
-        nodes: of this process, as AllNodes has them.
+    `kind` says what it is of, and is asked for again; `nodes` are this process's, as AllNodes.
     """
 
     def __init__(self, path: str | os.PathLike[str], kind: str, nodes: Any) -> None:
@@ -266,12 +263,9 @@ class RunFile:
 
 
 class ArrayFile:
-    """A checkpoint of one process: arrays by name, written whole or not at all.
+    """A checkpoint of one process: arrays by name, written whole or not at all, or nowhere.
 
-    Args:
-        path: of the file, which need not be there yet; None keeps nothing.
-        key: what the run depends on.
-        other: what the checkpoint of another key is of, for errors.
+    `key` is what the run depends on, `other` what the checkpoint of another key is of, for errors.
     """
 
     def __init__(self, path: str | os.PathLike[str] | None, key: str, other: str) -> None:
@@ -307,13 +301,8 @@ def write_arrays(
 ) -> None:
     """Write an HDF5 file of arrays whole or not at all: the first rank, which gets all of them.
 
-    Args:
-        path: of the file.
-        comm: the ranks, or ALONE; all come here.
-        arrays: by name.
-        attributes: of the file, the same on all ranks.
-
-    Raises InputError on all ranks for a file that cannot be written.
+    All ranks come here, with the same attributes. Raises InputError on all of them for a file that
+    cannot be written.
     """
     whole: dict[str, np.ndarray] = {}
     for name, (mine, own, count) in arrays.items():

@@ -107,15 +107,10 @@ def checked(
 def checked_fields(
     points: Any, b: Any, u: Any, one: tuple[int, ...] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Load and displacement of a problem on nodes, for every material; the second a copy.
+    """Load and displacement of a problem on nodes, [N, d] or [S, N, d]; the second a copy.
 
-    Args:
-        points: nodes; b is looked at on the interior, u on the others.
-        b: None for no load.
-        u: shape [N, d] or [S, N, d]; b has the same.
-        one: shape of one field where it is not [N, d].
-
-    Raises InputError as `checked`, and for other shapes.
+    b, or None for no load, is looked at on the interior, u on the others; `one` is the shape of one
+    field where it is not [N, d]. Raises InputError as `checked`, and for other shapes.
     """
     one = points.x.shape if one is None else one
     inside = points.interior.reshape(-1, *[1] * (len(one) - 1))

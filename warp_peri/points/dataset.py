@@ -122,16 +122,6 @@ class Dataset(Shown):
         return rows
 
 
-def converted(dataset: Dataset, want: Units) -> Dataset:
-    """The data set with its numbers in other units; the mass density stays as it is.
-
-    Raises InputError for units that are not known, or that no factor leads to.
-    """
-    length, _ = factors(dataset.units, want)
-    sets = {name: in_units(dataset[name], want) for name in dataset}
-    return dataclasses.replace(dataset, sets=sets, thickness=dataset.thickness * length)
-
-
 def in_units(samples: Samples, want: Units) -> Samples:
     """Samples with their numbers in other units.
 
@@ -318,22 +308,23 @@ def load_dataset(path: str | os.PathLike[str], *, units: Units | None = None) ->
     """Read a data set.
 
     Its points carry the units that the file names; a file that names none is taken to be in Å and
-    TPa, with a warning. With `units`, as ("angstrom", "TPa"), the numbers are converted to them.
+    TPa, with a warning. With `units`, as ("angstrom", "TPa"), the numbers are converted to them;
+    the mass density stays as it is.
 
-    Nothing outside the file is read: links to other files and arrays kept in other files are
-    refused. Sizes are checked before memory is taken, and the contents against the hash that
-    save_dataset wrote; a file without one is taken as it is.
-
-    Raises InputError naming what is wrong: not an HDF5 file, another format or version, units
-    that are not known or cannot be converted, a missing or misshapen array, a value that is not
-    finite, arrays larger than the file can hold, contents that are not what was written.
+    Nothing outside the file is read: links and arrays kept in other files are refused. Sizes are
+    checked before memory is taken, and the contents against the hash that save_dataset wrote; a
+    file without one is taken as it is. Raises InputError naming what is wrong.
     """
     check_regular(path)
     try:
         with h5py.File(path, "r") as file:
             check_hdf5(file, os.path.getsize(path))
             data = _read(file)
-        return data if units is None else converted(data, units)
+        if units is None:
+            return data
+        thickness = data.thickness * factors(data.units, units)[0]
+        sets = {name: in_units(samples, units) for name, samples in data.sets.items()}
+        return dataclasses.replace(data, sets=sets, thickness=thickness)
     except FileNotFoundError:
         raise InputError(f"{path}: no such data set") from None
     except InputError as error:

@@ -263,12 +263,8 @@ def carried_horizon(points: PointsLike) -> float:
 def neighbour_table(
     grid: np.ndarray, steps: np.ndarray, size: np.ndarray | None = None
 ) -> np.ndarray:
-    """The node at each step of a family from each node, −1 where there is none: [N, B] int32.
-
-    Args:
-        grid: lattice steps of the nodes, shape [N, d].
-        steps: bond vectors of a family in lattice steps, shape [B, d].
-        size: periods in lattice steps, more than twice the longest step; None without.
+    """The node at each of steps [B, d] from nodes at lattice steps [N, d], −1 where there is none:
+    [N, B] int32. `size` are periods in lattice steps, more than twice the longest step.
 
     Raises InputError for nodes given twice.
     """
@@ -296,16 +292,10 @@ def neighbour_table(
 def neighbours(
     x: np.ndarray, reach: float, box: tuple[float, ...] | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Points within reach of each point, itself excluded.
+    """Points within reach [Å] of each point, itself excluded; periods are more than twice that.
 
-    Args:
-        x: positions [Å], shape [N, d], d = 2 or 3.
-        reach: largest distance that counts [Å].
-        box: d periods [Å], more than twice the reach; None when the points are not periodic.
-
-    Returns:
-        row [N + 1], neighbour [E], distance [Å] [E], and the bond back of each bond [E]; those of
-        point i are row[i] … row[i + 1].
+    Returns row [N + 1], neighbour [E], distance [Å] [E], and the bond back of each bond [E]; those
+    of point i are row[i] … row[i + 1].
 
     Raises InputError for a box that is too small, points that are alone, and more bonds than int32
     can number.
@@ -355,12 +345,8 @@ def cut_balls(x: np.ndarray, horizon: float, bonds: int) -> np.ndarray:
 def largest_strain(points: PointsLike, u: ArrayLike) -> float:
     """Largest |ξ·(u_j − u_i)|/r² between nodes and their nearest neighbours.
 
-    On a lattice those across the diagonals of a square count too: shear along the axes stretches no
-    other bond.
-
-    Args:
-        points: a lattice or scattered points; nodes outside the body do not count.
-        u: displacement [Å], shape [N, d] or [S, N, d].
+    Nodes outside the body do not count; on a lattice those across the diagonals of a square do:
+    shear along the axes stretches no other bond. u [Å] has the shape [N, d] or [S, N, d].
     """
     body = np.ones(len(points.x), bool) if points.outside is None else ~points.outside
     x, d = points.x[body], points.x.shape[1]
@@ -381,13 +367,7 @@ def largest_strain(points: PointsLike, u: ArrayLike) -> float:
 
 
 def edge_strain(x: np.ndarray, triangles: np.ndarray, u: np.ndarray) -> float:
-    """As largest_strain, between the ends of the edges of triangles.
-
-    Args:
-        x: corners [Å], shape [P, 2].
-        triangles: their corners, shape [T, 3].
-        u: displacement of the corners [Å], shape [P, 2].
-    """
+    """As largest_strain, between the ends of edges of triangles [T, 3] of corners x [P, 2]."""
     after = np.roll(triangles, -1, axis=1)
     xi, relative = x[after] - x[triangles], u[after] - u[triangles]
     along = (xi * relative).sum(axis=-1) / (xi**2).sum(axis=-1)

@@ -284,12 +284,9 @@ def _named(
 
 
 def cells_holding(corners: np.ndarray, x: np.ndarray, depth: float = -WITHIN) -> np.ndarray:
-    """Number of a cell that holds each position so deep in its own coordinates, or −1.
+    """Number of a cell, of corners [T, d + 1, d], that holds each position [n, d], or −1.
 
-    Args:
-        corners: of the cells [length], shape [T, d + 1, d].
-        x: positions [length], shape [n, d].
-        depth: in the cells' own coordinates, 0 to 1 across.
+    So deep in the cell's own coordinates, which are 0 to 1 across.
     """
     inverse = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
     middle = corners.mean(axis=1)

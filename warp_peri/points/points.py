@@ -44,12 +44,7 @@ LARGEST_TABLE = 2**30
 
 
 class Lattice(NamedTuple):
-    """Where the nodes of a lattice lie.
-
-    Attributes:
-        steps: of the nodes from its corner, shape [N, d] int32.
-        axes: directions of the lattice as columns, shape [d, d].
-    """
+    """Steps of the nodes of a lattice from its corner, [N, d] int32, and its axes as columns."""
 
     steps: np.ndarray
     axes: np.ndarray

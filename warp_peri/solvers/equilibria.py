@@ -33,13 +33,9 @@ NOTHING = 1e-12
 
 
 def probed(operator: Any) -> Stencil:
-    """The stencil at rest, along the axes of the operator's own nodes.
+    """The stencil at rest of a placed material, along the axes of its nodes.
 
-    Of a material whose force at a node depends on what lies within two horizons, and is odd in
-    displacement at rest.
-
-    Args:
-        operator: a placed material with `material`, `points` and `product(u, v)`.
+    Its force at a node depends on what lies within two horizons, and is odd in u at rest.
     """
     nodes, d = operator.points, operator.points.x.shape[1]
     h, axes = nodes.spacing, lattice_steps(nodes)[1]
@@ -220,12 +216,8 @@ def follow(
 ) -> tuple[Any, float, int]:
     """Answers from a share of zero to one, at once or in steps that halve where nothing is found.
 
-    Args:
-        solve: the answer to a share of the load, from a guess by the last two; None where none is
-            found. At first there is no guess.
-
-    Returns:
-        The last answer, zero where there is none, its share, and the number of steps.
+    `solve` answers a share of the load, from a guess by the last two once there are some; None
+    where nothing is found. Returns the last answer, or zero, its share, and the number of steps.
     """
     done, last, step, steps = 0.0, 0.0, 1.0, 0
     now: Any = 0.0
@@ -249,14 +241,8 @@ def anderson(
 ) -> tuple[np.ndarray, float]:
     """u ← u + correction(left(u)), accelerated by mixing the last steps (D. G. Anderson, 1965).
 
-    Args:
-        left: residual of a field, relative.
-        correction: the step that answers a residual.
-        start: a field.
-        tolerance: of the residual's norm.
-
-    Returns:
-        The field of the smallest residual, and that residual's norm.
+    `left` is the relative residual of a field, `correction` the step that answers it. Returns the
+    field of the smallest residual, and that residual's norm.
     """
     u, best = start, (start, np.inf)
     steps: list[np.ndarray] = []

@@ -251,12 +251,8 @@ class Linear:
 
 
 def smallest_ratio(symbol: np.ndarray, torus: tuple[int, ...]) -> float:
-    """Smallest Λmin D(k) / Σ_a 4 sin²(k_a h/2) over the waves of a torus but k = 0.
-
-    Args:
-        symbol: as of torus_symbol.
-        torus: nodes along each axis.
-    """
+    """Smallest Λmin D(k) / Σ_a 4 sin²(k_a h/2) over the waves of a torus of so many nodes along
+    each axis but k = 0, of a symbol as of torus_symbol."""
     waves = [4 * np.sin(np.pi * np.arange(n) / n) ** 2 for n in torus]
     waves[-1] = waves[-1][: symbol.shape[-1]]
     s = reduce(np.add.outer, waves).ravel()
@@ -282,15 +278,9 @@ def cheapest_method(
     loads: int = 1,
     bonds: float = BONDS,
 ) -> str:
-    """The cheapest method for so many unknown nodes of a lattice.
+    """The cheapest method for so many unknown nodes of a lattice, which fill a box or not.
 
-    Args:
-        nodes: unknown.
-        box: whether they fill one.
-        space: whether it lies in space.
-        stiff: λ ≫ μ.
-        loads: how many are solved for; 0 for iteration in any case.
-        bonds: of a node, about.
+    `stiff` says that λ ≫ μ, `loads` how many are solved for, 0 for iteration in any case.
     """
     if space and nodes <= FEW_IN_SPACE and loads:
         return "lu"

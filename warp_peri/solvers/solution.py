@@ -286,11 +286,7 @@ def by_sample(
 ) -> Solution:  # fmt: skip
     """The Solution of samples that were solved one after the other.
 
-    Args:
-        operator: of the material on the points.
-        u, load, method, proven: as of Solution.
-        records: of each sample, which has a `residual`; they are its details.
-        counts: iterations of each.
+    `records` of each sample have a `residual`, and are its details; `counts` are iterations.
     """
     measured = max((one.residual for one in records), default=None)
     of = operator.points, operator, load, method, tuple(counts), proven
@@ -307,12 +303,8 @@ BEYOND = 2.0
 
 
 def warn_beyond(model: Any, strain: Callable[[], float]) -> None:
-    """Warn when a solution is strained far beyond the data that the model was trained on.
-
-    Args:
-        model: that may know the strain of these data.
-        strain: the solution's largest, worked out where it is needed.
-    """
+    """Warn when a solution, whose largest strain is worked out where it is needed, is strained far
+    beyond the data that the model was trained on."""
     if model.trained_strain is None:
         return
     largest = strain()

@@ -87,12 +87,7 @@ class MatrixProblem:
         self.rounding = np.finfo(float).eps * np.max(abs(L).sum(axis=1), initial=0.0)
 
     def right(self, b: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """b − L u of the collar [TPa/Å], one column a sample: shape [d I, S].
-
-        Args:
-            b: load, shape [S, N, d].
-            u: displacement, same shape; that of the collar counts.
-        """
+        """b − L u of the collar [TPa/Å], of fields [S, N, d], one column a sample: [d I, S]."""
         load, held = (field.reshape(len(field), len(self.unknown)) for field in (b, u))
         return np.asarray(load[:, self.unknown].T - self.collar @ held[:, ~self.unknown].T)
 
@@ -165,10 +160,7 @@ def loose_pieces(
     """Pieces of a body that what is held lets move rigidly: their nodes, how many of their rigid
     motions it stops, and how many they have, three in the plane and six in space.
 
-    Args:
-        x: positions [length], shape [N, d].
-        piece: number of the piece of each node, shape [N].
-        held: components that are given, shape [N, d] bool.
+    `piece` numbers the piece of each node, [N]; `held` are components that are given, [N, d] bool.
     """
     d = x.shape[1]
     turns = list(itertools.combinations(range(d), 2))
@@ -223,12 +215,7 @@ def norm(field: Any, inner: Inner = HERE) -> float:
 
 @dataclass
 class SolveRecord:
-    """What a solve took.
-
-    Attributes:
-        iterations: of conjugate gradients.
-        residual: the true ‖L u − b‖ / ‖right-hand side‖ of the answer.
-    """
+    """Iterations that a solve took, and the true ‖L u − b‖ / ‖right-hand side‖ of its answer."""
 
     iterations: int = 0
     residual: float = 0.0
@@ -307,13 +294,8 @@ Residual = Callable[[np.ndarray], np.ndarray]
 
 
 def newton(residual: Residual, start: np.ndarray, tolerance: float) -> np.ndarray:
-    """Where a preconditioned residual vanishes, as far as it comes.
-
-    Args:
-        residual: of a field, near the identity times what is missing.
-        start: a field.
-        tolerance: of the residual's norm.
-    """
+    """Where a preconditioned residual, near the identity times what is missing, has a norm below
+    the tolerance, as far as it comes."""
     v, r = start, residual(start)
     size = HERE.norm(r)
     for _ in range(MOST):

@@ -43,14 +43,7 @@ def stiffest_of(law: Any, spacing: float, allow_uncertified: bool) -> float:
 
 @dataclass(frozen=True)
 class State:
-    """A motion between two steps.
-
-    Attributes:
-        u: displacement of all nodes [Å], shape [N, d].
-        v: velocity of the interior nodes [Å/ps], shape [I, d].
-        g: L u − b on them [TPa/Å], shape [I, d].
-        steps: before it.
-    """
+    """A motion after so many steps: u of all nodes [N, d], v and L u − b of the interior [I, d]."""
 
     u: np.ndarray
     v: np.ndarray
@@ -139,12 +132,9 @@ class Inert:
 
 
 def step(body: Inert, state: State, dt: float) -> State:
-    """One step of velocity Verlet (theory, 49): kick, drift, force, kick.
+    """One step Δt [ps] of velocity Verlet (theory, 49): kick, drift, force, kick.
 
-    Args:
-        body: what moves.
-        state: before the step, which is left as it is.
-        dt: Δt [ps]; nothing is asked of it. Below zero it undoes the step before the state.
+    Below zero it undoes the step before the state, which is left as it is.
     """
     half = state.v - dt / (2 * body.inertia) * state.g
     u = state.u.copy()
@@ -261,15 +251,8 @@ def recorded_nodes(record: ArrayLike | None, count: int) -> np.ndarray | None:
 
 
 class WaveRun(Recorder):
-    """A motion whose records are the energy (52) halfway in every so many steps.
-
-    Args:
-        nodes: of this process, as AllNodes.
-        body: what moves.
-        dt: Δt.
-        seen: numbers of the nodes whose displacement is recorded.
-        files: the other arguments of Recorder.
-    """
+    """A motion whose records are the energy (52) halfway in every so many steps, and displacements
+    of the nodes `seen`; `files` are the other arguments of Recorder."""
 
     kind, phase, ends = "warp_peri.waves", 1, False
 
