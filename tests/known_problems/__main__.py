@@ -10,7 +10,7 @@ Ends with 1 where a row does not hold that rows.toml expects to, or the other wa
 import sys
 from pathlib import Path
 
-from tests.known_problems.rows import as_csv, by_material, listed, numbered, page, table, verified
+from tests.known_problems.rows import as_csv, by_material, numbered, page, table, verified
 from tools.options import Options
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_text
@@ -18,16 +18,11 @@ from warp_peri.files.atomic import write_text
 
 def main(arguments: list[str] | None = None) -> int:
     parser = Options(__doc__)
-    parser.add_argument(
-        "only", nargs="*", help="parts of problems' names, or statics, cracks, motion"
-    )
-    parser.add_argument(
-        "--scale", action="store_true", help="in mm and Å too, moduli × 1e6 and × 1e-6"
-    )
+    some, scale = "parts of names, or statics, cracks, motion", "in mm and Å, moduli × 1e6 and 1e-6"
+    parser.add_argument("only", nargs="*", help=some)
+    parser.add_argument("--scale", action="store_true", help=scale)
     parser.add_argument("--processes", type=int, default=2, help="number of processes")
-    parser.add_argument(
-        "--page", type=Path, help="file for the page; all rows as data go beside it"
-    )
+    parser.add_argument("--page", type=Path, help="file for the page; its data go beside it")
     given = parser.parse_args(arguments)
     lines = verified(given.only, scaled=given.scale, processes=given.processes)
     if given.page is not None:
@@ -35,7 +30,8 @@ def main(arguments: list[str] | None = None) -> int:
         write_text(given.page, page(lines, data.name))
         write_text(data, as_csv(lines))
     sources = numbered(lines)
-    print("\n\n".join([by_material(lines), table(lines, sources), listed(sources)]))
+    told = "\n".join(f"{n}. {source}." for source, n in sources.items())
+    print(by_material(lines), table(lines, sources), told, sep="\n\n")
     return int(any(line["holds"] is bool(line["misses"]) for line in lines))
 
 

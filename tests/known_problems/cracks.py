@@ -38,13 +38,9 @@ def shift_of(name: str) -> float:
 def intensity(
     name: str, s: UnitScale, x: np.ndarray, stress: np.ndarray, tips: Sequence[Sequence[Any]]
 ) -> float:
-    """K [MPa √m] of dead loads.
+    """K [MPa √m] of free nodes x [m], a metre apart, under a balanced load `stress` [MPa/m].
 
-    Args:
-        name: of the material.
-        x: nodes [m], a metre apart, held nowhere.
-        stress: what pulls on the nodes [MPa/m], shape [N, 2], balanced.
-        tips: sets of polylines [m] by LENGTHS.
+    `tips` are sets of polylines [m] by LENGTHS.
     """
     law = material(name, plane(1000.0, NU[name]).tensor, 1.0, s)
     points = Points(s.length * x, np.ones(len(x), bool), s.length, units=s.units)

@@ -11,17 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from tests.known_problems.statics import (
-    GRAPHENE,
-    LEARNED,
-    THIRD,
-    Outcome,
-    UnitScale,
-    material,
-    order,
-    plane,
-    solid,
-)
+from tests.known_problems import statics
+from tests.known_problems.statics import LEARNED, THIRD, Outcome, UnitScale, material, plane
 from warp_peri import runtime
 from warp_peri.certificates import critical_time_step
 from warp_peri.errors import InputError
@@ -58,7 +49,7 @@ def wave(name: str, s: UnitScale, length: int, *, local: bool = False) -> Outcom
     k = 2 * np.pi / (length * s.length)
     stencil = law.stencil(s.length) if isinstance(law, LPSMaterial) else law.stencil
     D = stencil.symbol(np.array([[k * s.length, 0.0]]))[0, 0, 0]
-    C = GRAPHENE.tensor if name == LEARNED else THIRD
+    C = statics.GRAPHENE.tensor if name == LEARNED else THIRD
     D = s.stiffness * C[0, 0, 0, 0] * k**2 if local else D
     omega = float(np.sqrt(D / inertia(DENSITY, s.units)))
     step = SHARE * critical_time_step(law, spacing=s.length, density=DENSITY)
@@ -75,7 +66,7 @@ def bar(name: str, s: UnitScale, *, twist: bool = False) -> Outcome:
     """Frequency of a free bar over that of the theory, stretched along x, or twisted about z."""
     h = s.length
     sides, nu = ((22, 22, 88), 0.25) if twist else ((60, 8), 1 / 3)
-    C = THIRD if not twist else solid(1.0, nu)
+    C = THIRD if not twist else statics.solid(1.0, nu)
     law, far = material(name, C, 1.0, s), max(sides)
     law = replace(law, horizon=2 * h) if twist else law
     x = box_nodes(list(sides), 1.0)
@@ -96,7 +87,7 @@ def rayleigh(name: str, s: UnitScale) -> Outcome:
     counts = 25, 35, 50
     found = [edge_wave(name, s, count) for count in counts]
     off = [abs(one.value - 1) for one in found]
-    return replace(found[-1], order=-order(counts, off))
+    return replace(found[-1], order=-statics.order(counts, off))
 
 
 def edge_wave(name: str, s: UnitScale, length: int) -> Outcome:
@@ -171,10 +162,7 @@ GLASS = {"LPS": 0.22, "bond-based": 1 / 3}
 
 
 def crack_speed(name: str, s: UnitScale, cells: int) -> float:
-    """Speed over Rayleigh's of a crack in pulled glass, 10 to 30 mm after its start.
-
-    NaN of a crack that does not come so far.
-    """
+    """Speed over Rayleigh's of a crack in pulled glass, 10 to 30 mm after its start, or NaN."""
     nu, E, h = GLASS[name], 64e3, 0.1 / cells
     glass, plate, x = glass_plate(name, s, h, E, 2450.0, 3.8e-6, 1.0)
     rim = np.abs(x[:, 1]) > 0.02 - h
@@ -225,9 +213,8 @@ def branches(name: str, s: UnitScale, cells: int = 200) -> Outcome:
 def hit(name: str, s: UnitScale, cells: int = 200) -> Outcome:
     """Angle [degrees] of the cracks of Kalthoff and Winkler's plate to its notches.
 
-    A plate of 100 by 200 mm with notches of 50 mm, in plane stress, is hit between them at 33 m/s;
-    steel on steel moves at half of that. The horizon is six spacings, where the lattice turns a
-    crack by a degree at most.
+    100 by 200 mm with notches of 50 mm, in plane stress, are hit between them at 33 m/s; steel on
+    steel moves at half of that. At six spacings the lattice turns a crack by a degree at most.
     """
     nu, h = {"LPS": 0.3, "bond-based": 1 / 3}[name], 0.1 / cells
     law = material(name, plane(190e3, nu).tensor, h, s)

@@ -30,7 +30,6 @@ SAME = 1e-6
 """Relative; by how much an answer may change with units and with the size of the moduli."""
 SCALES = UnitScale("mm", 1e6), UnitScale("angstrom", 1e-6)
 """That are compared with metres."""
-
 COLUMNS = (
     *("problem", "material", "reference", "source", "answer", "error", "allowed", "order"),
     *("least", "scaled", "seconds", "holds", "note"),
@@ -71,11 +70,6 @@ POSED = vars(statics) | vars(cracks) | vars(motion)
 """Functions that pose problems, by name."""
 
 
-def unposed(name: str, s: UnitScale) -> Outcome:
-    """Refuse a problem that no material of today takes."""
-    raise InputError(f"{name}: no material takes this problem")
-
-
 def _read() -> list[Row]:
     """Each problem with each material, posed or with the reason why not."""
     told, rows = tomllib.loads(Path(__file__).with_name("rows.toml").read_text("utf-8")), []
@@ -84,7 +78,7 @@ def _read() -> list[Row]:
         if (needed := one.pop("needs", "")) and find_spec(needed) is None:
             posed, why = [], why | dict.fromkeys(posed, f"{needed} is not installed")
         why = told["besides"] | why | one.pop("without", {})
-        pose, how = POSED.get(one.pop("run", ""), unposed), one.pop("with", {})
+        pose, how = POSED.get(one.pop("run", ""), Outcome), one.pop("with", {})
         limits = one.pop("misses", {})
         for name in told["materials"]:
             said = {"material": name, "why": "" if name in posed else why[name]}
@@ -98,10 +92,7 @@ ROWS = _read()
 
 
 def chosen(only: Sequence[str] = ()) -> list[Row]:
-    """Rows whose names hold one of some words, or of statics, cracks, motion; all without any.
-
-    Raises InputError for a word that no name holds, or an empty one.
-    """
+    """Rows whose names hold one of some words, or of statics, cracks, motion; all without any."""
     wanted = [word.lower() for word in only]
     for word, lower in zip(only, wanted):
         if not word.strip() or not any(lower in one.words for one in ROWS):
@@ -111,12 +102,7 @@ def chosen(only: Sequence[str] = ()) -> list[Row]:
 
 
 def measured(one: Row, *, scaled: bool = False) -> Line:
-    """A row's line: its answer, error and order, seconds, and whether it holds.
-
-    Args:
-        one: the row.
-        scaled: pose it in other units and with other moduli too.
-    """
+    """A row's answer, error, order, seconds, and whether it holds; `scaled` in other units too."""
     told = ("name", "problem", "material", "reference", "source", "allowed", "least", "misses")
     line: Line = {name: getattr(one, name) for name in told}
     line |= {"answer": None, "error": None, "order": None, "scaled": None, "seconds": 0.0}
@@ -149,20 +135,11 @@ def _numbered(number: int, scaled: bool) -> Line:
 
 
 def verified(only: Sequence[str] = (), *, scaled: bool = False, processes: int = 2) -> list[Line]:
-    """Lines of the rows that are chosen, in their order, by some processes at once.
-
-    Args:
-        only: parts of names, as of `chosen`.
-        scaled: as of `measured`.
-        processes: that share the rows.
-    """
-    rows = chosen(only)
-    spawn = multiprocessing.get_context("spawn")
+    """What is measured of the rows that are `chosen`, in their order, by some processes at once."""
+    numbers, spawn = [*map(ROWS.index, chosen(only))], multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes, spawn, set_num_threads, (1,)) as pool:
-        numbers = [ROWS.index(one) for one in rows]
         found = pool.map(partial(_numbered, scaled=scaled), numbers)
-        lines = list(tqdm(found, total=len(rows), unit="row"))
-    return lines
+        return list(tqdm(found, total=len(numbers), unit="row"))
 
 
 def numbered(lines: Sequence[Line]) -> dict[str, int]:
@@ -187,11 +164,6 @@ def table(lines: Sequence[Line], sources: dict[str, int]) -> str:
     return "\n".join(words)
 
 
-def listed(sources: dict[str, int]) -> str:
-    """Sources as a list in Markdown."""
-    return "\n".join(f"{n}. {source}." for source, n in sources.items())
-
-
 def by_material(lines: Sequence[Line]) -> str:
     """Materials × problems as Markdown: error in %, or a dash where it does not apply."""
     names, numbers = list(dict.fromkeys(line["material"] for line in lines)), numbered(lines)
@@ -211,12 +183,7 @@ def _percent(line: Line, name: str, unit: str = "") -> str:
 
 
 def page(lines: Sequence[Line], data: str = "verification.csv") -> str:
-    """The page of the documentation: its words, of rows.md, around what was measured.
-
-    Args:
-        lines: of the rows, as `verified` gives them.
-        data: name of the file beside the page that holds what `as_csv` gives.
-    """
+    """The page of the documentation: words of rows.md around what was measured; `data`: its CSV."""
     posed = [line for line in lines if line["holds"] is not None]
     held = f"{sum(line['holds'] for line in posed)} of {len(posed)} rows hold"
     numbers = numbered(lines)

@@ -56,13 +56,7 @@ class UnitScale:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What a row found: a value, or where the reference is zero the error itself.
-
-    Attributes:
-        value: to be held against the reference.
-        order: fitted order of convergence; None where none was measured.
-        note: what else has to be known.
-    """
+    """A value, or where the reference is zero the error itself; a fitted order of convergence."""
 
     value: float
     order: float | None = None
