@@ -122,15 +122,8 @@ UNSAFE = {"log_area", "area", "inverse_area", *(f"quadratic {pair}" for pair in 
 
 
 class Energy(NamedTuple):
-    """An energy with a coefficient of its own.
-
-    Attributes:
-        sees: "bond" and a class, "deviation" and a step, "strain" or "corner".
-        label: its name in tables.
-        density: of what it sees, of a fibre's angle and exponent.
-        is_fibre: whether it is of a family of fibres.
-        number, coefficient: its place among the coefficients of a solid, and what is there.
-    """
+    """An energy that `sees` a "bond" and its class, a "deviation" and its step, a "strain" or a
+    "corner", its `number` among the coefficients of a solid, and what is there."""
 
     sees: tuple[Any, ...]
     label: str

@@ -122,14 +122,9 @@ def fibre_families(
 ) -> tuple[Hyperelastic, np.ndarray]:
     """One exponential family for each direction of a fit on fixed directions, (H15).
 
-    Args:
-        solid: fitted with many directions.
-        share: directions with less than this share of all fibre energy are dropped.
-        within: directions closer than this angle [rad] become one.
-
-    Returns:
-        A dictionary whose angles and exponents are worth moving, and coefficients to start from.
-        Energies other than fibres stay.
+    Directions with less than a share of all fibre energy are dropped, those within an angle [rad]
+    become one. Returns a dictionary whose angles and exponents are worth moving, and coefficients
+    to start from; energies other than fibres stay.
     """
     dictionary, strain, energy = solid.dictionary, _strain(solid), fibre_energy_by_angle(solid)
     least = share * sum(energy.values())
@@ -182,8 +177,7 @@ def fibre_numbers(
 def with_numbers(
     solid: HyperelasticMaterial, moving: Sequence[int], x: np.ndarray
 ) -> HyperelasticMaterial:
-    """The solid with other coefficients, and angles and exponents of the fibres at M places, of
-    x [K + 2 M]."""
+    """The solid with the coefficients, angles and exponents of fibres at M places, x [K + 2 M]."""
     K, terms = len(solid.coefficients), list(solid.dictionary.terms)
     for n, angle, exponent in zip(moving, *np.reshape(x[K:], (2, -1))):
         term = terms[place := n - solid.dictionary.first_term]
@@ -200,10 +194,8 @@ def sheet_on(dictionary: Hyperelastic, points: PointsLike) -> HyperelasticSheetO
 
 
 def columns(op: HyperelasticSheetOperator, u: np.ndarray, moving: Sequence[int] = ()) -> np.ndarray:
-    """Slopes of the interior's force at a field, shape [2 I, K + 2 M].
-
-    By all coefficients, and by angles and then exponents of the fibres at M places.
-    """
+    """Slopes of the interior's force at a field by all coefficients, and by angles and then
+    exponents of the fibres at M places, shape [2 I, K + 2 M]."""
     found = [op.features(u)]
     for by in ("angle", "exponent") if len(moving) else ():
         found.append(op.features(u, by=by)[..., moving])
@@ -217,10 +209,8 @@ def equations(
     weights: np.ndarray,
     moving: Sequence[int] = (),
 ) -> tuple[np.ndarray, np.ndarray]:
-    """R and y of the `columns` and loads inside of fields, in few rows, (H11).
-
-    ‖R c − y‖ is the norm of what forces leave of the loads, times weights of shape [S, 1 or 2 I].
-    """
+    """R and y of the `columns` and loads of fields in few rows, (H11): ‖R c − y‖ is the norm of
+    what forces leave of the loads, times weights of shape [S, 1 or 2 I]."""
     R, y = np.zeros((0, len(op.model.coefficients) + 2 * len(moving))), np.zeros(0)
     for u, b, weight in zip(fields, loads, weights):
         R = np.concatenate([R, columns(op, u, moving) * weight[:, None]])
@@ -231,10 +221,8 @@ def equations(
 def of_samples(
     op: HyperelasticSheetOperator, samples: Samples, moving: Sequence[int] = ()
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The same of samples, whose ‖R c − y‖ is the root of the mean squared relative residual.
-
-    Raises InputError where there are no samples, or one without load.
-    """
+    """The same of samples, whose ‖R c − y‖ is the root of the mean squared relative residual;
+    InputError where there are none, or one without load."""
     if not (len(samples) and (sizes := load_sizes(samples)).all()):
         raise InputError(
             "samples: expected some, and a load on the interior of each, got one without; "
@@ -247,10 +235,8 @@ def of_samples(
 def between(
     J: np.ndarray, y: np.ndarray, now: np.ndarray, bounds: Any, damping: float, held: Any = NONE
 ) -> np.ndarray:
-    """The x between two bounds of least |J x − y|², its steps from `now` damped as Levenberg does.
-
-    Products of x with the rows `held` stay about what they are.
-    """
+    """The x between two bounds of least |J x − y|², its steps from `now` damped as Levenberg does;
+    products of x with the rows `held` stay about what they are."""
     length = np.linalg.norm(J, axis=0)
     length[length == 0] = 1.0
     A = np.concatenate([J / length, np.sqrt(damping) * np.eye(len(now)), held / length])
@@ -261,10 +247,7 @@ def between(
 
 
 def lower_bounds(dictionary: Hyperelastic, stiffness: float, others: float = 0.0) -> np.ndarray:
-    """Least coefficients: `stiffness` for what keeps hourglasses away, `others` for the rest.
-
-    Shape [K] [stress].
-    """
+    """Least coefficients [stress]: `stiffness` of what keeps hourglasses away, else `others`."""
     lower = np.full(len(dictionary), others)
     first, last, bonds = dictionary.first_deviation, dictionary.first_term, len(dictionary.bonds)
     lower[first:last] = stiffness or others
@@ -276,13 +259,8 @@ def lower_bounds(dictionary: Hyperelastic, stiffness: float, others: float = 0.0
 @typed_methods
 @dataclass(frozen=True, eq=False)
 class EnergyFit:
-    """A fitted solid.
-
-    Attributes:
-        material: dictionary and coefficients.
-        residual: root mean squared relative residual on the training samples.
-        guaranteed: whether no coefficient is below its bound, so that (H9) holds.
-    """
+    """A fitted solid, its root mean squared relative residual on the training samples, and whether
+    no coefficient is below its bound, so that (H9) holds."""
 
     material: HyperelasticMaterial
     residual: float
@@ -347,9 +325,8 @@ def fit_fibre_families(
     Args:
         samples: with loads.
         matrix: kinds of the energies beside the fibres.
-        deviations: as of Hyperelastic; `stiffness` is their least coefficient.
-        directions: of the first fit.
-        most_steps: of Gauss and Newton.
+        deviations, stiffness: as of Hyperelastic, and their least coefficient.
+        directions, most_steps: of the first fit, and of Gauss and Newton.
     """
 
     def fitted(samples: Samples, model: HyperelasticMaterial) -> HyperelasticMaterial:

@@ -316,14 +316,11 @@ def find_equilibrium(
 
     Args:
         op: HyperelasticSheetOperator.
-        b: body force on all nodes [stress / length], shape [N, 2]; none for no load.
-        u: displacement, shape [N, 2]; read on the collar only.
+        b, u: body force [stress / length], None for no load, and displacement, read on the collar.
         start: where to begin, shape [N, 2]; at the harmonic extension of the collar without.
         near: the inverse of a tangent near the start, with which Newton's way is tried first; only
             conjugate gradients look for negative curvature then, in a few directions.
         tolerance: of the residual, relative to the largest force.
-
-    Raises InputError for values that are not finite on the collar.
     """
     load, collar = checked_fields(op.points, b, u)
     collar[op.interior] = 0.0
@@ -342,11 +339,9 @@ def find_equilibrium(
 
 
 def smallest_of_tangent(op: Any, u: np.ndarray) -> float:
-    """Smallest eigenvalue of the tangent between interior nodes at u [stress / length²].
-
-    Where it is not factorised: its smallest ratio to the Laplacian's quadratic form, times the
-    Laplacian's smallest eigenvalue. That has the same sign and, where positive, is not larger.
-    """
+    """Smallest eigenvalue of the tangent between interior nodes at u [stress / length²]; where
+    it is not factorised its smallest ratio to the Laplacian, times the smallest eigenvalue of that, which
+    has the same sign and, where positive, is not larger."""
     sheet, size = Sheet(op, np.zeros((1, 2)), u), 2 * len(op.interior)
     if sheet.rough is None:
         if inverse := op.factors(u)[0]:

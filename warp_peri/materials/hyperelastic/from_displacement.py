@@ -35,11 +35,8 @@ from warp_peri.points.points import PULL, Points, Samples, seen_of
 
 
 class Sections:
-    """Lines of nodes across an axis from edge to edge of a sheet, with such lines for 2δ around.
-
-    Beyond the edges displacement goes on as its mirror image in the point there. Raises InputError
-    where a hole or an edge leaves no such line.
-    """
+    """Lines of nodes across an axis from edge to edge of a sheet, with such lines for 2δ around;
+    InputError where there is none. Beyond the edges displacement goes on as its mirror image."""
 
     def __init__(self, frames: Samples, dictionary: Hyperelastic, axis: int) -> None:
         R, turn, origin = 2 * int(dictionary.reach), [axis, 1 - axis], frames.x.min(axis=0)
@@ -68,7 +65,7 @@ class Sections:
         self, n: int, solid: HyperelasticMaterial, thickness: ThicknessField | None
     ) -> np.ndarray:
         """Pull over width and mean thickness on every line of a frame, shape [L], without
-        deviations: they belong to the lattice, and see noise at edges."""
+        deviations, which see noise at edges."""
         c, of_nodes = solid.coefficients.copy(), None
         c[solid.dictionary.first_deviation : solid.dictionary.first_term] = 0.0
         if thickness is not None:
@@ -132,8 +129,7 @@ class Place:
     Attributes:
         x: coefficients, angles and exponents of fibres, numbers of the thickness, shape [T].
         fields: of all frames, shape [S, N, 2].
-        slopes: of the displacement inside by the unknowns, [2 I, T], of each frame that has an
-            equilibrium, by number.
+        slopes: of displacement inside by unknowns, [2 I, T], by frame that has an equilibrium.
         equations: of these, rows whose squared sum is the loss: slopes, and errors as they are.
     """
 
@@ -161,14 +157,8 @@ class Search:
     """A search for the unknowns of a sheet by the method of Gauss, Newton and Levenberg.
 
     Every step predicts the fields, whose tangents then lead to equilibria and to their slopes.
-
-    Args:
-        frames: the data.
-        dictionary: energies.
-        stiffness: least coefficient of the deviations.
-        moving: whether angles and exponents of fibres are unknowns.
-        thickness: to begin with, where it is an unknown.
-        held: whether the coefficients are none.
+    Unknowns are coefficients unless they are `held`, those of deviations at least `stiffness`,
+    numbers of fibres that are `moving`, and of a thickness to begin with.
     """
 
     def __init__(
@@ -226,8 +216,7 @@ class Search:
     def _nearest(
         self, J: np.ndarray, y: np.ndarray, now: np.ndarray, bounds: Any, damping: float
     ) -> np.ndarray:
-        """Unknowns between bounds of least |J x − y|, as Levenberg damps them, of the same initial
-        stiffness."""
+        """Unknowns of least |J x − y|, as Levenberg damps them, of the same initial stiffness."""
         K, held = len(self.measure), np.zeros((1, len(now)))
         held[0, :K] = SCALE_WEIGHT * self.measure / np.abs(self.measure).max()
         x = between(J, y, now, bounds, damping, held)
@@ -333,8 +322,7 @@ class Search:
     def _scale(
         self, left: list[int], solid: HyperelasticMaterial, thickness: ThicknessField | None
     ) -> tuple[float, float]:
-        """What the pulls of frames that are not left out say that a stress of one is, and the
-        relative scatter of that; one where there is no pull."""
+        """What pulls of frames not left out say a stress of one is, and its relative scatter."""
         if not len(self.pull):
             return 1.0, 0.0
         own = ~np.isin(self.pulled[:, 0], left)
@@ -382,8 +370,8 @@ def fit_displacement(
             coefficients of least equation error where none.
         thickness: degree of the polynomial that is the logarithm of the sheet's thickness, (H18);
             0 for an even sheet.
-        most_steps: of Gauss and Newton.
-        tolerance: ends when a step lowers the loss by less than this fraction.
+        most_steps, tolerance: of Gauss and Newton, and the fraction of the loss that a step must
+            take away to go on.
         progress: show a bar on stderr; a text is its name.
 
     Warns where deviations come out so stiff that they, and not a material, explain the frames.
@@ -432,13 +420,9 @@ def fit_thickness(
 ) -> DisplacementFit:
     """The thickness (H18) of a sheet whose material is known, from its own displacement.
 
-    Args:
-        frames: samples without loads.
-        solid: the material; its coefficients stay, scaled to an initial stiffness of one.
-        degree: of the polynomial; the others as in fit_displacement.
-
-    Raises InputError for frames with loads, none, or at rest; NoEquilibriumError where no frame has
-    one in an even sheet.
+    Its coefficients stay, scaled to an initial stiffness of one; `degree` is that of the polynomial,
+    the others are as in fit_displacement. Raises InputError for frames with loads, none, or at
+    rest; NoEquilibriumError where no frame has one in an even sheet.
     """
     check_unloaded(frames)
     uneven = ThicknessField.over(frames.x, degree)
@@ -447,8 +431,7 @@ def fit_thickness(
 
 
 def check_enough(count: int, what: str, numbers: int) -> None:
-    """Raise InputError for fewer than ten of what is counted for each number: of a fit components
-    of all frames, of a choice nodes, as frames of one test are much alike."""
+    """Raise InputError for fewer than ten of what is counted for each number."""
     if count < TEN * numbers:
         raise InputError(
             f"frames: expected {TEN * numbers} {what} for {numbers} numbers, got {count}"

@@ -89,17 +89,13 @@ they may fit."""
 LEAST_FRAMES = 4
 SETTINGS = (REACH, NEAREST, DEVIATIONS, STEPS, TOLERANCE, UNEVEN)
 
-Candidates = dict[str, tuple[tuple[EnergyTerm, ...], int]]
-"""Terms and degree of the thickness by name."""
-
 
 @dataclass(frozen=True)
 class Candidate:
     """One material that was tried.
 
     Attributes:
-        name: of it.
-        fit: what was learned; None where it failed.
+        name, fit: of it, and what was learned; None where it failed.
         held_out: mean relative error of frames that it never saw; infinite where it failed.
         why: it failed, in its own words.
         numbers: that were learned.
@@ -115,12 +111,8 @@ class Candidate:
 @typed_methods
 @dataclass(frozen=True)
 class ModelSelection:
-    """What candidates came to.
-
-    Attributes:
-        candidates: all of them, the best first: of those that as many independent residuals cannot
-            tell from the least error, that of the fewest numbers.
-    """
+    """Candidates, the best first: of those that as many independent residuals cannot tell from the
+    least error, that of the fewest numbers."""
 
     candidates: list[Candidate]
 
@@ -217,7 +209,8 @@ def select_model(
     return ModelSelection(tried)
 
 
-def _candidates(fibres: int, uneven: bool) -> Candidates:
+def _candidates(fibres: int, uneven: bool) -> dict[str, tuple[tuple[EnergyTerm, ...], int]]:
+    """Terms and degree of the thickness by name."""
     matrix = EnergyTerm("plane_stress")
     kinds = {"neo-Hookean": (matrix,), "Mooney-Rivlin": (matrix, EnergyTerm("mooney"))}
     kinds["Yeoh"] = (matrix, *(EnergyTerm("yeoh", exponent=p) for p in (2.0, 3.0)))

@@ -211,8 +211,7 @@ class HyperelasticSheetOperator(Swept):
         return min(1.0, float(Strain(self.lattice.sites().seen(e)).area.min()))
 
     def folded(self, u: np.ndarray) -> int:
-        """Number of corners with an interior node that one field turns over, shape of u [N, 2];
-        zero where no energy acts on corners."""
+        """Corners with an interior node and an energy that one field [N, 2] turns over."""
         Y = self.lattice.stretched(u[None])[0][..., 0]
         sides = [(sites.S @ Y).reshape(3, -1, 2) for sites, _ in self.active if sites.corner]
         return sum(int((x[:, 0] * y[:, 1] <= x[:, 1] * y[:, 0]).sum()) for x, y, _ in sides)
@@ -298,10 +297,8 @@ class HyperelasticSheetOperator(Swept):
         return self.lattice.factors(self._tangent(u), shifts)
 
     def features(self, u: ArrayLike, *, by: str = "coefficient") -> np.ndarray:
-        """The derivative of the force by the coefficient of every energy, shape [..., I, 2, K].
-
-        With `by` "angle" or "exponent" that by the fibre's number; other columns are then zero.
-        """
+        """The derivative of the force by the coefficient of every energy, or by the "angle" or
+        "exponent" of fibres, other columns zero, shape [..., I, 2, K]."""
         one, numbers = np.ones(len(self.model.dictionary)), by != "coefficient"
         energies = self.active if numbers else self._energies(one)
         chosen = [(s, e) for s, each in energies for e in each if e.is_fibre or not numbers]
@@ -323,10 +320,8 @@ class HyperelasticSheetOperator(Swept):
         return self._swept(sweep, u)
 
     def by_thickness(self, u: ArrayLike, slopes: np.ndarray) -> np.ndarray:
-        """The derivative of the force by P numbers of the thickness, shape [..., I, 2, P].
-
-        The force is linear in the thickness: it is that of sheets as thick as its slopes [N, P].
-        """
+        """The derivative of the force by P numbers of the thickness, [..., I, 2, P]: the force of
+        sheets as thick as its slopes [N, P]."""
         sheets = (self.changed(self.model, each) for each in np.asarray(slopes).T)
         return np.stack([sheet.force(u) for sheet in sheets], axis=-1)
 
@@ -345,11 +340,8 @@ class HyperelasticSheetOperator(Swept):
         return np.asarray(np.tensordot(w, self.features(u), np.ndim(w)))
 
     def stress(self, u: ArrayLike) -> np.ndarray:
-        """First Piola stress P = ½ Σ t (ξ + η)⊗ξ of a node's bonds, (H16), shape [..., I, 2, 2].
-
-        It is ∂W/∂F in uniform strain, of a sheet that is not even over a thickness of one. Corners
-        carry theirs at their apex.
-        """
+        """First Piola stress P = ½ Σ t (ξ + η)⊗ξ of a node's bonds, (H16), shape [..., I, 2, 2],
+        of an uneven sheet over a thickness of one; corners carry theirs at their apex."""
         ends, nodal = abs(self.lattice.ends) / 2, [(s, e) for s, e in self.active if not s.corner]
 
         def sweep(u: np.ndarray) -> np.ndarray:
@@ -381,14 +373,10 @@ class HyperelasticSheetOperator(Swept):
     def solve(self, b: ArrayLike | None, u: ArrayLike, solver: Solver = None) -> Solution:
         """The stable equilibrium under a load, displacement given on the collar.
 
-        Args:
-            b: body force [stress/length], shape [N, 2] or [S, N, 2]; None for no load.
-            u: displacement, same shape; read on the collar only.
-            solver: Newton(tolerance).
-
-        The details of the solution are an Equilibrium for each sample. Warns of stretches beyond
-        the data that the solid was learned from. Raises NoEquilibriumError where none was found,
-        naming the sample; InputError for arrays that do not fit.
+        b [stress/length], None for no load, and u have shape [N, 2] or [S, N, 2]; the solver is
+        Newton(tolerance). The details of the solution are an Equilibrium for each sample. Warns of
+        stretches beyond the data that the solid was learned from. Raises NoEquilibriumError where
+        none was found, naming the sample; InputError for arrays that do not fit.
         """
         refuse_solver(solver, (Newton,), "a hyperelastic solid")
         load, given = checked_fields(self.points, b, u)
@@ -453,9 +441,9 @@ def evaluate_hyperelastic(
     Args:
         solid: a material, of the same spacing or another.
         samples: with loads or, for E_u alone, without.
-        thickness: of every node of the samples, shape [N]; an even sheet where none is given.
-        near: fields of the same points under other loads, shape [M, N, 2]: each search begins at
-            their combination that fits its collar best. It begins at rest where none are given.
+        thickness: of every node, shape [N]; an even sheet where none is given.
+        near: fields of other loads, shape [M, N, 2], whose combination that fits its collar best
+            each search begins at; at rest where none are given.
 
     Returns:
         E_res where there are loads; E_u over the samples that were solved, not_solved, their
