@@ -339,9 +339,9 @@ def find_equilibrium(
 
 
 def smallest_of_tangent(op: Any, u: np.ndarray) -> float:
-    """Smallest eigenvalue of the tangent between interior nodes at u [stress / length²]; where
-    it is not factorised its smallest ratio to the Laplacian, times the smallest eigenvalue of that, which
-    has the same sign and, where positive, is not larger."""
+    """Smallest eigenvalue of the tangent between interior nodes at u [stress / length²]; where it
+    is not factorised its smallest ratio to the Laplacian, times the smallest eigenvalue of that,
+    which has the same sign and, where positive, is not larger."""
     sheet, size = Sheet(op, np.zeros((1, 2)), u), 2 * len(op.interior)
     if sheet.rough is None:
         if inverse := op.factors(u)[0]:

@@ -420,9 +420,9 @@ def fit_thickness(
 ) -> DisplacementFit:
     """The thickness (H18) of a sheet whose material is known, from its own displacement.
 
-    Its coefficients stay, scaled to an initial stiffness of one; `degree` is that of the polynomial,
-    the others are as in fit_displacement. Raises InputError for frames with loads, none, or at
-    rest; NoEquilibriumError where no frame has one in an even sheet.
+    Its coefficients stay, scaled to an initial stiffness of one; `degree` is that of the
+    polynomial, the others are as in fit_displacement. Raises InputError for frames with loads,
+    none, or at rest; NoEquilibriumError where no frame has one in an even sheet.
     """
     check_unloaded(frames)
     uneven = ThicknessField.over(frames.x, degree)
