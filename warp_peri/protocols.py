@@ -115,14 +115,14 @@ class OperatorBase(Remade):
     force on the interior nodes, [..., I, d]. Tensors of another precision than float64, or on
     another device, are computed in float64 on the processor, and so is their gradient.
 
-    The first derivative of torch is `vjp`, a tangent of forward mode is `product`.
+    The first derivative of torch is `vjp`, a tangent of forward mode is `jvp`.
     The second is right for a linear force; of others it is refused by an InputError.
     """
 
     is_linear = False
     """Whether the force is linear in u, so that derivatives of any order are had."""
     is_symmetric = False
-    """Whether it is linear, and symmetric on the interior: `rest` is then its own adjoint."""
+    """Whether it is linear, and symmetric on the interior: `solve` is then its own adjoint."""
     networks: tuple[Any, ...] = ()
     """Parameters of torch that the material itself holds."""
     points: Any
@@ -168,7 +168,7 @@ class OperatorBase(Remade):
         return core.torch_bridge.force_with_parameters(self, u, numbers)
 
     def solve_torch(self, b: Any, u: Any, solver: Any = None, parameters: Any = None) -> Any:
-        """`rest` of tensors, differentiable in both and in numbers: core.torch_bridge.at_rest."""
+        """`solve` of tensors, differentiable in both and in numbers: core.torch_bridge.at_rest."""
         return core.torch_bridge.at_rest(self, b, u, solver, parameters)
 
     @property

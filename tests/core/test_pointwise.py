@@ -77,19 +77,6 @@ def test_stress_of_a_uniform_gradient_is_that_of_the_density():
     assert np.abs(op.force(op.points.x @ H.T)).max() < 1e-12
 
 
-def test_slopes_to_numbers_are_those_of_differences():
-    op = operator(2)
-    rng = np.random.default_rng(2)
-    u = 0.1 * rng.normal(size=(3, *op.points.x.shape))
-    w = rng.normal(size=(3, op.points.interior.sum(), 2))
-    for name, value in op.numbers.items():
-        slope = op.by_numbers(name, u, w)
-        op.numbers = op.numbers | {name: value + 0.1}
-        more = (w * op.force(u)).sum()
-        op.numbers = op.numbers | {name: value}
-        assert slope == pytest.approx((more - (w * op.force(u)).sum()) / 0.1, rel=1e-10)
-
-
 def test_one_thread_is_given_back_by_the_last_of_four_and_after_an_error():
     before, meet = torch.get_num_threads(), Barrier(4)
     torch.set_num_threads(3)

@@ -9,7 +9,9 @@ import pytest
 from ase.calculators.emt import EMT
 from ase.calculators.lj import LennardJones
 
+import warp_peri as wp
 from tests.crystal.crystals import cubic_tensor, dispersive, huang_defect, lattice, learned
+from tests.support import cubes
 from tests.support.problems import kernel
 from tests.support.problems import lattice as plane_lattice
 from warp_peri.atoms.force_constants import NonAnalyticCorrection, Supercell, from_supercell
@@ -23,6 +25,7 @@ from warp_peri.materials.crystal_fit import (
     fit_phonons,
     transfer_to_lattice,
 )
+from warp_peri.methods import GaussNewton
 from warp_peri.points.points import Samples
 
 
@@ -132,44 +135,22 @@ def test_a_larger_cell_of_the_same_crystal_has_the_same_symbol():
     np.testing.assert_allclose(four.effective(k), one.effective(k), rtol=1e-7, atol=1e-10)
 
 
-def ions(positions, elements, charges, a=4.0, repeats=3):
-    """Force constants of a cubic cell of ions: springs to neighbours and their electric field.
-
-    The field by Ewald's sum with a width so small that what it leaves is nothing; with Polar, and
-    as the exact matrix [K, n, 3, n, 3] at any waves.
-    """
-    cell = ase.Atoms(elements, positions=np.array(positions) * a, cell=[a] * 3, pbc=True)
-    box = cell.repeat((repeats,) * 3)
-    far = box.get_all_distances(mic=True, vector=True)[: len(cell)]
+def test_a_piezoelectric_crystal_is_refused():
+    """Zinc blende of springs and charges: no elastic tensor has the stiffness of its long waves."""
+    four = np.array([[0, 0, 0], [0, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 0.5, 0]])
+    cell = ase.Atoms("Zn4S4", 5.4 * np.concatenate([four, four + 0.25]), cell=[5.4] * 3, pbc=True)
+    box, every = cell.repeat((2, 2, 2)), range(8)
+    far = box.get_all_distances(mic=True, vector=True)[:8]
     size = np.linalg.norm(far, axis=-1)
     near = (size > 0.1) & (size < np.min(size[size > 0.1]) * 1.5)
     e = far / np.maximum(size, 1e-9)[..., None]
     spring = -4.0 * near[..., None, None] * (0.2 * np.eye(3) + e[..., :, None] * e[..., None, :])
-    spring[range(len(cell)), range(len(cell))] -= spring.sum(axis=1)
-    born = np.array([charges[s] * np.eye(3) for s in elements])
+    spring[every, every] -= spring.sum(axis=1)
+    born = np.repeat([1.5, -1.5], 4)[:, None, None] * np.eye(3)
     exact = NonAnalyticCorrection(born, 2.0 * np.eye(3), decay=2.2)
-    every = range(len(cell))
     field = Supercell(cell, box, every, polar=exact).field_of_ions()
     polar = NonAnalyticCorrection(born, 2.0 * np.eye(3))
     whole = from_supercell(cell, box, spring + field, every, polar=polar)
-    return whole, from_supercell(cell, box, spring, every), exact
-
-
-def test_the_field_of_ions_is_right_between_the_waves_of_the_supercell():
-    salt = [[0, 0, 0], [0.5, 0.5, 0.5]], ["Cs", "Cl"], {"Cs": 0.8, "Cl": -0.8}
-    whole, springs, exact = ions(*salt)
-    k = np.array([[0.05, 0.02, 0.01], [0.31, -0.2, 0.1], [0.7, 0.6, 0.5]])
-    true = springs.dynamical(k) + exact.matrix(k, whole.cell, whole.positions).reshape(3, 6, 6)
-    np.testing.assert_allclose(whole.dynamical(k), true, atol=1e-5 * np.abs(true).max())
-    C = voigt(whole.elastic(allowed_tensors("m-3m", point_group("m-3m", 3), np.eye(3))))
-    assert np.linalg.eigvalsh(C).min() > 0
-
-
-def test_a_piezoelectric_crystal_is_refused():
-    """Zinc blende: its long waves carry a field, and no elastic tensor has their stiffness."""
-    four = [[0, 0, 0], [0, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 0.5, 0]]
-    both = four + [[x + 0.25, y + 0.25, z + 0.25] for x, y, z in four]
-    whole, _, _ = ions(both, ["Zn"] * 4 + ["S"] * 4, {"Zn": 1.5, "S": -1.5}, a=5.4, repeats=2)
     with pytest.raises(InputError, match="piezoelectric"):
         whole.elastic(allowed_tensors("m-3m", point_group("m-3m", 3), np.eye(3)))
 
@@ -226,3 +207,32 @@ def test_a_linear_peridynamic_solid_is_a_crystal_of_twice_the_range():
     force = model.on(points, allow_uncertified=True)(u)
     np.testing.assert_allclose(law.on(replace(points, axis=0.0))(u), force, atol=1e-11)
     assert law.horizon <= 2 * model.horizon
+
+
+@pytest.fixture(scope="module")
+def made():
+    """Rough and smooth fields on a period, and the loads that a model answers them with."""
+    model = cubes.solid(2.0, 0.5, 0.8, D=[1.0, 0.6, 1.4])
+    points, random = cubes.periodic_cube((10, 10, 10)), np.random.default_rng(0)
+    k = 2 * np.pi / 10 * random.integers(-2, 3, size=(4, 3))
+    u = random.normal(size=(4, 1000, 3)) + 10 * np.sin(points.x @ k.T).T[:, :, None]
+    return model, wp.Samples(points, u, crystal_from_lps(model, 1.0).on(points)(u))
+
+
+def test_a_model_is_found_again_with_its_proof(made):
+    model, samples = made
+    fit = wp.fit(samples, wp.LPS(2.0, wp.Bernstein(2)))
+    assert fit.material.lam == pytest.approx(0.5, rel=1e-6)
+    found, true = (one.influence(np.linspace(0.5, 2.0, 9)) for one in (fit.material, model))
+    np.testing.assert_allclose(found / found[0], true / true[0], rtol=1e-6)
+    proven = crystal_from_lps(model, 1.0).certificate.proven
+    assert fit.certificate.symbol_bound == pytest.approx(proven)
+
+
+@pytest.mark.parametrize("moduli", ["isotropic", (0.5, 0.8)])
+def test_long_waves_are_isotropic_where_asked(made, moduli):
+    fit = wp.fit(made[1], wp.LPS(2.0, wp.Bernstein(2), method=GaussNewton(moduli=moduli)))
+    C = crystal_from_lps(fit.material, 1.0).moduli()
+    assert C["C11"] - C["C12"] == pytest.approx(2 * C["C44"])
+    if moduli != "isotropic":
+        assert (C["C12"], C["C44"]) == pytest.approx(moduli)

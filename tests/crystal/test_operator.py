@@ -40,23 +40,6 @@ def test_force_and_energy_are_those_of_all_bonds(d, kind):
     assert operator.energy(u)[1] == pytest.approx(total, rel=1e-10)
 
 
-@pytest.mark.parametrize(
-    ("d", "kind", "method"),
-    [(2, "cube", "sine"), (2, "ball", "multigrid"), (2, "period", None), (3, "ball", "fft")],
-)
-def test_solves_find_the_field_whose_force_they_are_given(d, kind, method):
-    points = body(d, kind, {2: 26, 3: 9}[d])
-    operator = learned(d).on(points)
-    u = np.random.default_rng(6).normal(size=points.x.shape)
-    if kind == "period":
-        u -= u.mean(axis=0)
-    b = np.zeros_like(u)
-    b[points.interior] = operator(u)
-    (found,), (record,) = operator.linear.solve(b[None], u[None], 1e-10, method)
-    assert record.residual <= 1e-10
-    np.testing.assert_allclose(found, u, atol=1e-7)
-
-
 def test_affine_fields_have_their_gradient_and_stress_on_a_turned_lattice():
     law, points, turn = learned(3), body(3, "ball"), checked_orientation(25.0, 3)
     stated = Points(points.x @ turn.T, points.interior, points.spacing, axis=turn)

@@ -1,6 +1,5 @@
 """A third-order crystal as numbers: its energy, its weights, other lattices, learning, refusals."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -120,10 +119,3 @@ REFUSED = {
 def test_what_does_not_fit_is_refused(words):
     with pytest.raises(InputError, match=words):
         REFUSED[words](solid("energy"))
-
-
-def test_a_file_whose_linear_part_is_none_is_refused(tmp_path):
-    solid("energy").save(path := tmp_path / "m.json")
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"linear": {}}))
-    with pytest.raises(InputError, match="linear: format: expected 'warp_peri.micromodulus'"):
-        wp.load(path)

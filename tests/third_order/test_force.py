@@ -60,15 +60,6 @@ def test_samples_that_follow_one_another_change_nothing(monkeypatch):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-13 * np.abs(one).max())
 
 
-def test_the_linear_solid_is_the_tangent_at_zero():
-    points, model = lattice(3, HORIZON), solid("filtered")
-    linear, op = model.linear.on(points)(noise(points)), PlacedThirdOrder(model, points)
-    off = [np.abs(op(size * noise(points)) / size - linear).max() for size in (1e-3, 1e-4)]
-    assert off[0] / off[1] == pytest.approx(10, rel=0.1)  # second order is left
-    product = op.jvp(0 * points.x, noise(points))
-    assert np.abs(product - linear).max() <= ROUNDING * np.abs(linear).max()
-
-
 def test_clipping_projects_the_gradient():
     points, model = lattice(2, HORIZON), solid("energy")
     u = smooth(points.x, 1, wave_number=0.3)[0] * 0.2

@@ -323,9 +323,15 @@ def turned(tensor: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     return np.asarray(np.einsum("ai,bj,ck,dl,ijkl->abcd", R, R, R, R, tensor, optimize=True))
 
 
-def invariant_tensors(group: np.ndarray) -> np.ndarray:
-    """A basis of the elastic tensors that a group leaves as they are, shape [m, d, d, d, d]."""
+def allowed_tensors(symmetry: Symmetry, group: np.ndarray, orientation: np.ndarray) -> np.ndarray:
+    """A basis of the elastic tensors that a crystal may have, in the axes of the nodes,
+    [m, d, d, d, d]: those that its group leaves as they are."""
     d = group.shape[-1]
+    if isinstance(symmetry, str) and symmetry == "isotropic" and d == 3:
+        one = np.eye(3)
+        bulk = np.einsum("ij,kl->ijkl", one, one)
+        shear = np.einsum("ik,jl->ijkl", one, one) + np.einsum("il,jk->ijkl", one, one)
+        return np.array([bulk, shear])
     basis = []
     for m, n in zip(*np.triu_indices(len(PAIRS[d]))):
         one = np.zeros(2 * (len(PAIRS[d]),))
@@ -333,20 +339,11 @@ def invariant_tensors(group: np.ndarray) -> np.ndarray:
         basis.append(voigt_to_tensor(one).ravel())
     pairs = np.einsum("gai,gbj->gabij", group, group).reshape(len(group), d * d, d * d)
     mean = np.einsum("gmn,gop->monp", pairs, pairs, optimize=True) / len(group)
-    flat = np.array(basis) @ mean.reshape(d**4, d**4).T
-    _, sizes, rows = np.linalg.svd(flat, full_matrices=False)
-    return np.asarray(rows[sizes > 1e-9 * sizes[0]].reshape(-1, d, d, d, d))
-
-
-def allowed_tensors(symmetry: Symmetry, group: np.ndarray, orientation: np.ndarray) -> np.ndarray:
-    """Elastic tensors that a crystal may have, in the axes of the nodes, [m, d, d, d, d]."""
-    d = group.shape[-1]
-    if isinstance(symmetry, str) and symmetry == "isotropic" and d == 3:
-        one = np.eye(3)
-        bulk = np.einsum("ij,kl->ijkl", one, one)
-        shear = np.einsum("ik,jl->ijkl", one, one) + np.einsum("il,jk->ijkl", one, one)
-        return np.array([bulk, shear])
-    return np.array([turned(tensor, orientation) for tensor in invariant_tensors(group)])
+    _, sizes, rows = np.linalg.svd(
+        np.array(basis) @ mean.reshape(d**4, d**4).T, full_matrices=False
+    )
+    found = rows[sizes > 1e-9 * sizes[0]].reshape(-1, d, d, d, d)
+    return np.array([turned(tensor, orientation) for tensor in found])
 
 
 def acoustic(brackets: np.ndarray, e: np.ndarray) -> np.ndarray:

@@ -130,8 +130,11 @@ def prove(
     if weight is None:
         weight = laplacian_stencil(stencil.spacing, stencil.dimension, stencil.tensors.shape[1])
     stiff, weight = _lattice_units(stencil), _lattice_units(weight)
-    ratio = partial(_ratio, stiff, weight)
-    sampled = _smallest_ratio(ratio, group)
+    ratio, d = partial(_ratio, stiff, weight), stencil.dimension
+    grid = zone_sample(group, d, SAMPLE[d])
+    value = in_blocks(ratio, grid, AT_ONCE)
+    lowest = grid[np.argsort(value)[:STARTS]]
+    sampled = min(float(value.min()), _zoomed(ratio, lowest, np.pi / SAMPLE[d]))
     proven = long = 0.0
     cells, left = 0, list(shares)
     if sampled > 0:
@@ -171,15 +174,6 @@ def _ratio(stencil: Stencil, weight: Stencil, phase: np.ndarray) -> np.ndarray:
     low = smallest_eigenvalue(stencil.symbol(phase))
     seen = w > NO_WEIGHT * (phase**2).sum(axis=1)
     return np.where(seen, low / np.where(seen, w, 1.0), np.where(low > 0, np.inf, -np.inf))
-
-
-def _smallest_ratio(ratio: Ratio, group: np.ndarray) -> float:
-    """The smallest ratio of a grid, and of zooms into its lowest waves."""
-    d = group.shape[-1]
-    grid = zone_sample(group, d, SAMPLE[d])
-    value = in_blocks(ratio, grid, AT_ONCE)
-    lowest = grid[np.argsort(value)[:STARTS]]
-    return min(float(value.min()), _zoomed(ratio, lowest, np.pi / SAMPLE[d]))
 
 
 def _zoomed(ratio: Ratio, k: np.ndarray, reach: float) -> float:

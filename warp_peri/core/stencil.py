@@ -225,14 +225,6 @@ class Basis:
         return np.asarray(np.einsum("anij,nk,nl->aijkl", self.basis, x, x, optimize=True))
 
 
-def symmetric_matrices(dimension: int) -> np.ndarray:
-    """An orthonormal basis of symmetric matrices, shape [d (d + 1)/2, d, d]."""
-    i, j = np.triu_indices(dimension)
-    found, n = np.zeros((len(i), dimension, dimension)), np.arange(len(i))
-    found[n, i, j] = found[n, j, i] = np.where(i == j, 1.0, np.sqrt(0.5))
-    return found
-
-
 def invariant_basis(reach: float, group: np.ndarray) -> Basis:
     """The half ball and its invariant tensors under C(Rξ) = R C(ξ) Rᵗ, R of integer matrices with
     the inversion, [g, d, d]."""
@@ -240,7 +232,9 @@ def invariant_basis(reach: float, group: np.ndarray) -> Basis:
     steps = half_ball(reach, d)
     number = {tuple(step): i for i, step in enumerate(steps)}
     number |= {tuple(-step): i for i, step in enumerate(steps)}
-    plain = symmetric_matrices(d).reshape(-1, d * d)
+    (i, j), n = np.triu_indices(d), np.arange(d * (d + 1) // 2)
+    plain = np.zeros((len(n), d, d))  # an orthonormal basis of symmetric matrices
+    plain[n, i, j] = plain[n, j, i] = np.where(i == j, 1.0, np.sqrt(0.5))
     seen, basis = np.zeros(len(steps), bool), []
     for first, step in enumerate(steps):
         if seen[first]:
@@ -249,7 +243,7 @@ def invariant_basis(reach: float, group: np.ndarray) -> Basis:
         seen[image] = True
         fixing = group[image == first]  # ξ and −ξ carry the same tensor
         mean = np.mean([np.kron(g, g) for g in fixing], axis=0)
-        vectors, size, _ = np.linalg.svd(mean @ plain.T)
+        vectors, size, _ = np.linalg.svd(mean @ plain.reshape(-1, d * d).T)
         for tensor in vectors[:, : len(size)].T[size > 0.5]:
             on_bonds = np.zeros((len(steps), d, d))
             on_bonds[image] = group @ tensor.reshape(d, d) @ group.transpose(0, 2, 1)

@@ -261,15 +261,10 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
     force at the answer, b has w, u on the collar g − L′ᵗ w, and a number a −wᵗ ∂(L u)/∂a. What is
     linear has every derivative to b and u; of others, and to numbers, the second is refused.
 
-    Args:
-        operator: that offers `rest`, and `interior_tangent` or `inverse` where it is not symmetric.
-        b, u: of all nodes, [N, d] or [S, N, d]; b counts on the interior, u on the collar.
-        solver: of `rest`.
-        parameters: some of the operator's `learnable` by name; the others stay as they are. The
-            numbers of a network are learned without being named.
-
-    Raises InputError as `rest`, for what does not fit, where L′ is singular, and for a tangent of
-    forward mode of a number, or of what is not linear.
+    The operator offers `solve`, and `interior_tangent` or `inverse` where it is not symmetric; b
+    and u are of all nodes, [N, d] or [S, N, d]. `parameters` are some of its `learnable` by name,
+    those of a network are learned without being named. Raises InputError as `solve`, where L′ is
+    singular, and for a tangent of forward mode of a number, or of what is not linear.
     """
     given = as_tensor("u", u)
     fields = [real("b", b), real("u", given)]
@@ -349,9 +344,7 @@ def _transposed(operator: Any, fields: np.ndarray, g: np.ndarray) -> np.ndarray:
     return np.array(found)
 
 
-def in_steps(
-    operator: Any, u: np.ndarray, g: np.ndarray, inverse: Any, tolerance: float = EXACT
-) -> np.ndarray:
+def in_steps(operator: Any, u: np.ndarray, g: np.ndarray, inverse: Any) -> np.ndarray:
     """L′⁻ᵗ g on the interior by GMRES, of one field [N, d] and g [I, d], shape [d I], before which
     the solid's own `inverse` stands; InputError where L′ is singular, or nearly."""
     inside = operator.points.interior
@@ -359,10 +352,10 @@ def in_steps(
         LinearOperator(2 * (g.size,), matvec=part, dtype=float)
         for part in (
             lambda w: operator.vjp(u, w.reshape(g.shape))[inside].ravel(),
-            lambda r: inverse(r.reshape(g.shape), max(tolerance, ROUGH)).ravel(),
+            lambda r: inverse(r.reshape(g.shape), ROUGH).ravel(),
         )
     )
-    w, failed = gmres(J, g.ravel(), M=M, rtol=tolerance, restart=KEPT, maxiter=ROUNDS)
+    w, failed = gmres(J, g.ravel(), M=M, rtol=EXACT, restart=KEPT, maxiter=ROUNDS)
     if failed:
         raise InputError(f"solve: {SINGULAR}")
     return np.asarray(w)

@@ -381,17 +381,12 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         )
 
     def fitting(self, points: Points | Samples) -> Points:
-        """As of others, of the crystal's own axis too."""
+        """As of others, of the crystal's own axis too; where points state none, and lattice or
+        crystal are turned, what is assumed is said once."""
         nodes = super().fitting(points)
-        self._check_axis(nodes)
-        return nodes
-
-    def _check_axis(self, nodes: Points) -> None:
-        """Raise InputError where points state another direction of the crystal than the law's;
-        where they state none, and lattice or crystal are turned, what is assumed is said once."""
         isotropic = isinstance(self.symmetry, str) and self.symmetry == "isotropic"
         if isotropic or nodes.dimension != self.dimension:
-            return
+            return nodes
         d, axes, stated = self.dimension, lattice_steps(nodes)[1], nodes.axis is not None
         same = np.asarray(self.orientation) @ point_group(self.symmetry, d)
         there = axes.T @ checked_orientation(nodes.axis, d)
@@ -408,6 +403,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
                 "axis: lattice or crystal are turned, and the points do not state how the "
                 "crystal lies: taken as on its nodes in the model; Points(…, axis=…) states it"
             )
+        return nodes
 
     def summary(self) -> dict[str, Any]:
         """Symmetry, moduli, lattice and proof as plain values."""

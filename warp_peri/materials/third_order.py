@@ -141,24 +141,15 @@ def fitted_weights(
     return np.asarray(p / (sigma @ p))
 
 
-@lru_cache(maxsize=64)
-def _moduli(axis: float) -> torch.Tensor:
-    """∂W/∂(t, a, b) as t, a, b times 1, t², a² and b² have it of λ, μ, t3, tq2, q3, [3, 4, 5]."""
-    moduli, c, s = torch.zeros(3, 4, 5, dtype=torch.float64), np.cos(6 * axis), np.sin(6 * axis)
-    moduli[0, 0, :2], moduli[1:, 0, 1] = 0.5, 2.0
-    moduli[0, 1, 2] = moduli[0, 2, 3] = moduli[0, 3, 3] = 1.0
-    moduli[1:, 2:, 4] = torch.tensor([[c, -3 * c], [3 * s, -s]])
-    return moduli
-
-
 def energy_density(
     E: torch.Tensor, *, axis: float, lam: Any, mu: Any, t3: Any, tq2: Any, q3: Any
-) -> Any:
+) -> torch.Tensor:
     """The energy (N3) [stress] of Green strains E [..., 2, 2], of a crystal at `axis` [rad]."""
-    given = (torch.as_tensor(n, dtype=torch.float64) for n in (lam, mu, t3, tq2, q3))
-    moduli = _moduli(axis) @ torch.stack([*given])
-    v = MEASURES @ E.flatten(-2).movedim(-1, 0).reshape(4, -1)
-    return (v * (moduli[:, :1] * v + moduli[:, 1:] @ (v * v))).sum(0).reshape(E.shape[:-2])
+    t, a, b = (MEASURES @ E.flatten(-2).movedim(-1, 0).reshape(4, -1)).unbind()
+    A, B, c, s = a * a, b * b, np.cos(6 * axis), np.sin(6 * axis)
+    q, phase = A + B, c * a * (A - 3 * B) + s * b * (3 * A - B)
+    W = t * ((lam + mu) / 2 * t + t3 * t * t + tq2 * q) + 2 * mu * q + q3 * phase
+    return W.reshape(E.shape[:-2])
 
 
 def gradient_stencil(
@@ -423,7 +414,7 @@ class ThirdOrder:
         tensors = Tensors(h, horizon, "isotropic" if auto else asked.symmetry, turn)
         weights = smoothing.weights(bond_classes(h, horizon), self.form)
         moduli, misfit = asked.held_moduli(turn), None
-        learning = Learning(given, tensors, nonlinear_features(given, horizon, weights))
+        learning = Learning(given, tensors, horizon, weights)
         if moduli is None:
             moduli, misfit = learning.found_moduli()
         found, _ = learning.at(moduli)
@@ -448,33 +439,32 @@ class ThirdOrder:
         return Fit(law, linear.certificate, {"E_res": wrong}, history)
 
 
-def nonlinear_features(
-    points: Samples, horizon: float, weights: tuple[np.ndarray, np.ndarray]
-) -> np.ndarray:
-    """The force of t3, tq2, q3, λ and μ of Ψ, each at 1, along the nodes' axes, [S, I, 2, 5]."""
-    (steps, into), (_, out) = (gradient_stencil(points, horizon, p) for p in weights)
-    energy, none = partial(energy_density, axis=axis_of(points)), np.zeros((2, 2, 2))
-    numbers, columns = dict.fromkeys((*CUBIC, "lam", "mu"), 0.0), []
-    operator = Pointwise(
-        points, horizon, energy, steps, into, back=out, numbers=numbers,
-        stencil=Stencil(points.spacing, np.eye(2, dtype=int), none),
-    )  # fmt: skip
-    for name in numbers:
-        operator.take(numbers | {name: 1.0})
-        columns.append(operator.force(points.u) @ lattice_steps(points)[1])
-    return np.stack(columns, axis=-1)
-
-
 class Learning:
-    """The regression of tensors with columns of t3, tq2, q3, and of λ and μ in Ψ, whose forces
-    along the nodes' axes are `extra` [S, I, 2, 5]."""
+    """The regression of tensors with forces of t3, tq2 and q3, and of λ and μ in Ψ, each at 1,
+    whose gradient has weights p_in and p_out by class, each of shape [C]."""
 
-    def __init__(self, samples: Samples, tensors: Tensors, extra: np.ndarray) -> None:
-        self.samples, self.tensors, self.extra = samples, tensors, extra
-        self.size = load_sizes(samples)
+    def __init__(
+        self,
+        samples: Samples,
+        tensors: Tensors,
+        horizon: float,
+        weights: tuple[np.ndarray, np.ndarray],
+    ) -> None:
+        self.samples, self.tensors, self.size = samples, tensors, load_sizes(samples)
         if not (self.size > 0).all():
             raise InputError(f"b: expected loads, got none on sample {int(np.argmin(self.size))}")
-        self.R, self.y = rows(samples, tensors.bonds, weight=1 / self.size, extra=extra)
+        (steps, into), (_, out) = (gradient_stencil(samples, horizon, p) for p in weights)
+        energy, none = partial(energy_density, axis=axis_of(samples)), np.zeros((2, 2, 2))
+        numbers, columns = dict.fromkeys((*CUBIC, "lam", "mu"), 0.0), []
+        operator = Pointwise(
+            samples, horizon, energy, steps, into, back=out, numbers=numbers,
+            stencil=Stencil(samples.spacing, np.eye(2, dtype=int), none),
+        )  # fmt: skip
+        for name in numbers:
+            operator.take(numbers | {name: 1.0})
+            columns.append(operator.force(samples.u) @ lattice_steps(samples)[1])
+        self.extra = np.stack(columns, axis=-1)  # along the nodes' axes, [S, I, 2, 5]
+        self.R, self.y = rows(samples, tensors.bonds, weight=1 / self.size, extra=self.extra)
         if len(self.R) < self.R.shape[1]:
             raise InputError(
                 f"data: expected enough to tell {self.R.shape[1]} numbers apart; give more loads"
