@@ -62,6 +62,7 @@ REFUSED = {
     "expected neo_hookean and volumetric": lambda: febio_material(
         solid(Hyperelastic(terms=TWO_MATRICES))
     ),
+    "stretches: expected such": lambda: wp.hyperelastic.uniaxial_stress(solid(HGO), [0.1]),
     "positive: .* convex and stress-free": loaded(dictionary=everything(), positive=True),
     "loads are not known": loaded(FRAMES),
     "got one without": loaded(wp.Samples(POINTS, FRAMES.u, 0 * FRAMES.u)),

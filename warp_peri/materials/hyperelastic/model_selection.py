@@ -15,7 +15,6 @@ from xml.etree import ElementTree
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq
 from scipy.special import ndtri, stdtrit
 
 from warp_peri.errors import InputError
@@ -269,22 +268,33 @@ def uniaxial_stress(
 ) -> np.ndarray:
     """Nominal stress of an even sheet under uniaxial tension along a direction, [stretches].
 
-    The other principal direction is free; shear across them is not let go.
+    The other principal direction is free; shear across them is not let go. Raises InputError for
+    stretches at which no width is free of stress.
     """
-    c, s = np.cos(angle), np.sin(angle)
-    turn, coefficients = np.array([[c, -s], [s, c]]), torch.from_numpy(solid.coefficients)
+    c, s, along = np.cos(angle), np.sin(angle), np.asarray(stretches, dtype=float)
+    coefficients = torch.from_numpy(solid.coefficients)
 
-    def stress(across: float, along: float, axis: int = 1) -> float:
-        F = turn @ np.diag([along, across]) @ turn.T
-        C = F.T @ F
-        q = torch.tensor([(C[0, 0] - 1) / 2, (C[1, 1] - 1) / 2, C[0, 1]], requires_grad=True)
-        energy = coefficients @ solid.dictionary.uniform(q)
-        x, y, shear = torch.autograd.grad(energy, q)[0].tolist()
-        return float((turn.T @ F @ [[x, shear], [shear, y]] @ turn)[axis, axis])
+    def stress(across: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Along the direction and across."""
+        a, b = along**2, across**2
+        E = (
+            np.stack([c * c * a + s * s * b - 1, s * s * a + c * c * b - 1, 2 * c * s * (a - b)])
+            / 2
+        )
+        q = torch.from_numpy(E).requires_grad_()
+        energy = (coefficients @ solid.dictionary.uniform(q)).sum()
+        x, y, shear = torch.autograd.grad(energy, q)[0].numpy()
+        turn = 2 * c * s * shear
+        return along * (c * c * x + s * s * y + turn), across * (s * s * x + c * c * y - turn)
 
-    given = np.asarray(stretches, dtype=float)
-    free = [brentq(stress, 0.3 / stretch, 1.3, args=(stretch,)) for stretch in given]
-    return np.array([stress(across, along, 0) for across, along in zip(free, given)])
+    low, high = 0.3 / along, np.full_like(along, 1.3)
+    if not ((stress(low)[1] < 0) & (stress(high)[1] > 0)).all():
+        raise InputError("stretches: expected such as the sheet can have, free across")
+    for _ in range(50):
+        middle = (low + high) / 2
+        wide = stress(middle)[1] > 0
+        low, high = np.where(wide, low, middle), np.where(wide, middle, high)
+    return stress(high)[0]
 
 
 def febio_material(solid: HyperelasticMaterial) -> str:
