@@ -420,6 +420,14 @@ class LPSMaterial(Record, format="warp_peri.model"):
             model = model.spread(points, lam, mu)
         return LPSOperator(model, points, **how, **options)
 
+    def summary(self) -> dict[str, Any]:
+        """Constants, lattices and errors as plain values."""
+        names = ("mu", "E", "nu", "alpha", "degree", "horizon", "errors", "versions")
+        lists = ("units", "trained_on", "certified_on")
+        found: dict[str, Any] = {"format": "model", "lambda": self.lam}
+        found |= {name: getattr(self, name) for name in names}
+        return found | {name: list(getattr(self, name)) for name in lists}
+
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value."""
         length, shown = symbols(self.units)[0], partial(shown_moduli, self.units)
