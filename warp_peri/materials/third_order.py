@@ -143,7 +143,7 @@ def fitted_weights(
 
 def energy_density(
     E: torch.Tensor, *, axis: float, lam: Any, mu: Any, t3: Any, tq2: Any, q3: Any
-) -> torch.Tensor:
+) -> Any:
     """The energy (N3) [stress] of Green strains E [..., 2, 2], of a crystal at `axis` [rad]."""
     t, a, b = (MEASURES @ E.flatten(-2).movedim(-1, 0).reshape(4, -1)).unbind()
     A, B, c, s = a * a, b * b, np.cos(6 * axis), np.sin(6 * axis)
