@@ -95,10 +95,8 @@ class BodySolution:
         return np.asarray(self.problem.bulk.stress(self.u_bulk))
 
     def on_corners(self) -> tuple[np.ndarray, np.ndarray]:
-        """u [Å], shape [P, d], and σ [TPa], shape [P, d, d], at the mesh's corners.
-
-        The rim's where it is, the bulk's elsewhere.
-        """
+        """u [Å], shape [P, d], and σ [TPa], shape [P, d, d], at the mesh's corners: the rim's where
+        it is, the bulk's elsewhere."""
         rim, d, count = self.rim, self.rim.d, len(self.rim.mesh.x)
         u, stress, rest = np.empty((count, d)), np.empty((count, d, d)), np.ones(count, bool)
         u[rim.corners] = self.u_rim[rim.corner_nodes]
@@ -111,15 +109,8 @@ class BodySolution:
         return u, stress
 
     def probe(self, x: np.ndarray) -> tuple[sp.csr_array, sp.csr_array]:
-        """Matrices R and B, u(x) = R u_rim + B u_bulk, shapes [m, n] and [m, N].
-
-        The rim's where it is, the bulk's elsewhere.
-
-        Args:
-            x: positions [Å], shape [m, d].
-
-        Raises InputError for positions outside the mesh.
-        """
+        """Matrices R and B, u(x) = R u_rim + B u_bulk, shapes [m, n] and [m, N], at positions x
+        [m, d]: the rim's where it is, the bulk's elsewhere; InputError outside the mesh."""
         cell = self.rim.mesh.holding(x)
         if (cell < 0).any():
             raise InputError(f"x: {np.count_nonzero(cell < 0)} positions are outside the mesh")

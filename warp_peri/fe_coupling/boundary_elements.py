@@ -169,12 +169,8 @@ class Rim:
         return f
 
     def probe(self, x: np.ndarray, holding: np.ndarray) -> sp.csr_array:
-        """Matrix from values at the nodes to values at points, shape [m, n].
-
-        Args:
-            x: positions [Å], shape [m, d].
-            holding: number of the mesh's cell that holds each, one of the rim's.
-        """
+        """Matrix from values at the nodes to values at points x [m, d], each held by a cell of the
+        rim with this number in the mesh, shape [m, n]."""
         cells, mapping = self.cells[holding], self.basis.mapping
         at, count = self._places(x, cells), range(self.basis.Nbfun)
         values = [self.element.gbasis(mapping, at, k, tind=cells)[0] for k in count]
@@ -183,10 +179,8 @@ class Rim:
         return sp.csr_array(sp.coo_array(entries, shape=(len(x), len(self.x))))
 
     def _places(self, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
-        """Positions in the coordinates of their cells, shape [d, m, 1], by Newton's method.
-
-        A position next to a curved face may lie a little outside of the cell that held it.
-        """
+        """Positions in the coordinates of their cells, shape [d, m, 1], by Newton's method; next to
+        a curved face they may lie a little outside."""
         mapping, goal = self.basis.mapping, x.T[:, :, None]
         places = np.full(goal.shape, 1 / (self.d + 1))
         for _ in range(MOST_STEPS):
@@ -275,13 +269,8 @@ FINE = 4
 
 @dataclass(frozen=True)
 class BodyLoads:
-    """Displacement and traction by part of the outline, and a body force.
-
-    Attributes:
-        held: displacement [Å] as functions of positions; NaN leaves a component free.
-        pulls: force per area [TPa] as functions of positions and outward normals.
-        b: body force density [TPa/Å] as a function of positions; None for none.
-    """
+    """Displacement [Å], of which NaN leaves a component free, and traction by part of the outline,
+    and a body force density."""
 
     held: Mapping[str, Field]
     pulls: Mapping[str, Traction]
@@ -362,10 +351,8 @@ def loads_on(
     traction: Mapping[str, Traction | ArrayLike] | None,
     b: Field | None,
 ) -> BodyLoads:
-    """Loads as functions, which raise InputError for other shapes and what is not finite.
-
-    Raises InputError for a part that the mesh has not, or a body force that is no function.
-    """
+    """Loads as functions, which raise InputError for other shapes and what is not finite; one for a
+    part that the mesh has not, or a body force that is no function."""
     every = {"displacement": displacement, "traction": traction or {}}
     for name, given in every.items():
         if not isinstance(given, Mapping):
@@ -390,13 +377,8 @@ def check_part(name: str, mesh: Mesh) -> None:
 
 
 def _field(name: str, value: Field | Traction | ArrayLike, *, free: bool = False) -> Any:
-    """A value as a function that answers with finite vectors of the right shape.
-
-    Args:
-        name: of it in messages.
-        value: vectors, or a function of positions, and of normals where it is a traction.
-        free: NaN is taken, for a component that is not held.
-    """
+    """A value, or a function of positions and normals, as one that answers with finite vectors of
+    the right shape; `free` takes NaN for a component that is not held."""
 
     def answer(*where: np.ndarray) -> np.ndarray:
         given = value(*where) if callable(value) else value

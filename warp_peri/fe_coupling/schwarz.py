@@ -39,16 +39,10 @@ LOOSEST = 1e-3
 def bulk_points(
     mesh: Mesh, spacing: float, reach: float, depth: float, *, units: Units = USUAL
 ) -> tuple[Points, np.ndarray] | None:
-    """Lattice nodes of a body, unknown where they are deep enough off the outline.
+    """Lattice nodes of a body, multiples of the spacing [Å], unknown where they are `depth` off the
+    outline [Å], with a collar that reaches so far [Å]; and the cell that holds each, shape [N].
 
-    Args:
-        mesh: of the body.
-        spacing: h [Å]; nodes are multiples of it.
-        reach: of the collar [Å]: 2δ of a peridynamic solid, δ of a crystal.
-        depth: of unknown nodes [Å]: the collar and a margin at least.
-
-    Returns the nodes with their collar, and the cell that holds each, shape [N]; None where no node
-    is so far inside. Raises InputError as check_extent.
+    None where no node is so far inside. Raises InputError as check_extent.
     """
     check_extent(mesh, spacing, units)
     low, high = mesh.x.min(axis=0), mesh.x.max(axis=0)
@@ -83,22 +77,15 @@ class Bulk(LinearOperator):  # type: ignore[misc]
     """L u = b on the unknown nodes of a linear material: a linear map from b there and u on the
     collar, flat [d (I + C)], to u there, flat [d I].
 
-    Args:
-        model: the material, on its own lattice, or a model that is certified or allowed there.
-        points: the unknown nodes and their collar.
-        stiff: whether λ ≫ μ.
-
-    `accuracy` is that of the next solve.
-
-    Raises InputError for an operator that is singular or indefinite.
+    `accuracy` is that of the next solve; `stiff` says that λ ≫ μ. Raises InputError for an operator
+    that is singular or indefinite.
     """
 
     accuracy = 0.0
 
     def __init__(self, model: Any, points: Points, *, stiff: bool = False) -> None:
-        placed: Any = (
-            LPSOperator(model, points) if isinstance(model, LPSMaterial) else model.on(points)
-        )
+        is_lps = isinstance(model, LPSMaterial)
+        placed: Any = LPSOperator(model, points) if is_lps else model.on(points)
         self.points, self.linear, self.stress = points, placed.linear, placed.stress
         self.inside, self.collar = np.flatnonzero(points.interior), np.flatnonzero(~points.interior)
         self._inverse = self.linear.cheapest_inverse(EXCHANGES, stiff=stiff)
@@ -131,12 +118,8 @@ class Bulk(LinearOperator):  # type: ignore[misc]
 
 
 def cubic(points: Points, x: np.ndarray) -> sp.csr_array:
-    """Matrix from values at unknown nodes to values at positions, cubic along each axis (B5).
-
-    Shape [m, I]; Lagrange's polynomials of the 4^d nodes around each position.
-
-    Raises InputError where one of them is not an unknown node.
-    """
+    """Matrix from values at unknown nodes to values at positions, shape [m, I], by Lagrange's
+    cubics of the 4^d nodes around each (B5); InputError where one of them is not unknown."""
     h, d = points.spacing, x.shape[1]
     grid = np.rint(points.x / h).astype(int)
     corner = grid.min(axis=0)
@@ -205,15 +188,13 @@ class Tried:
 def bulk_lattice(
     model: LPSMaterial, mesh: Mesh, b: Field | None, coupling: Coupling
 ) -> tuple[LPSMaterial, tuple[Tried, ...]]:
-    """The model on the coarsest lattice that resolves the loads and the body, and the search.
+    """The model on the coarsest lattice that resolves the loads and the body, and what was tried,
+    what was taken at last.
 
-    The loads are resolved where waves as long as those of the body force, by its mean square
+    The loads are resolved where waves as long as those of the body force b, by its mean square
     slope, agree with the model at home to the tolerance of a transfer. The body is where half of
     its area lies two horizons inside, and no hole is smaller than the overlap. Where no lattice
     does, the finest is taken, with a warning when it is for the loads.
-
-    Returns the model, certified on some lattice, on the one that was chosen, and what was tried;
-    the last is what was taken. b [TPa/Å] is None for no load. Raises InputError as check_extent.
     """
     home, unit = max(model.certified_on), symbols(model.units)[0]
     check_extent(mesh, home, model.units)
@@ -294,8 +275,8 @@ class Exchange:
         exchanges: solves of the rim, each with one of the bulk.
         mismatch: of the rim's inner side, relative: what the bulk hands back less what it was
             given.
-        rim_residual: ‖K u − f‖ over the right-hand side, its inner side as the bulk has it.
-        bulk_residual: ‖L u − b‖ over the right-hand side, its collar as the rim has it.
+        rim_residual, bulk_residual: ‖K u − f‖ and ‖L u − b‖ over the right-hand side, what one
+            takes of the other as it has it.
     """
 
     exchanges: int = 0
@@ -312,12 +293,8 @@ def in_elements(
 
     Were the bulk elements of the same kind, one exchange would be g ↦ M g + r with a matrix M for
     which (I − M)⁻¹ is a solve of the whole body. What is left for GMRES is the difference between
-    the bulk and those elements.
-
-    Args:
-        moduli, springs, loads: of the body.
-        rim: its rim.
-        outside: corners of the mesh that are less deep than unknown nodes of the bulk, shape [P].
+    the bulk and those elements. `outside` are corners of the mesh that are less deep than unknown
+    nodes of the bulk, shape [P].
     """
     elements = Rim(rim.mesh, np.ones(len(rim.mesh.cells), bool), degree=1)
     K, d = elements.stiffness(moduli, springs), rim.d
@@ -353,11 +330,8 @@ class Schwarz:
     what is given: u = S (q + P g), and the bulk hands back g = R u. Derivatives are the same
     exchange with Sᵗ, Rᵗ and Pᵗ (B12, B13).
 
-    Args:
-        rim, problem: elements and their problem, in which the inner side is among what is given.
-        bulk: the other.
-        cell: of the mesh, that holds each of the bulk's nodes.
-        whole: of `in_elements`, for what passes slowly.
+    Of elements and their problem, in which the inner side is among what is given, the bulk, the
+    cell that holds each of its nodes, and, for what passes slowly, what `in_elements` gives.
     """
 
     def __init__(

@@ -82,15 +82,11 @@ class Tiles:
 
 
 def cut(comm: Comm, shape: tuple[int, ...], block: tuple[int, ...]) -> Tiles:
-    """A box cut into tiles for the ranks there are: who has most has as few as can be, then the
-    nodes along the cuts are as few as can be.
+    """A box of so many nodes along each axis cut into tiles for the ranks there are: who has most
+    has as few as can be, then the nodes along the cuts are as few as can be.
 
-    Args:
-        comm: the ranks.
-        shape: nodes along each axis.
-        block: nodes of a tile along the first axes, even numbers.
-
-    Raises InputError for other tiles, and ranks that are more than tiles or form no grid of them.
+    `block` are the nodes of a tile along the first axes, even numbers. Raises InputError for other
+    tiles, and ranks that are more than tiles or form no grid of them.
     """
     fits = 0 < len(block) <= len(shape) and all(isinstance(n, int) for n in block)
     if not fits or any(n < 2 or n % 2 for n in block):
@@ -137,14 +133,8 @@ def _grid(
 
 
 class Halo:
-    """Nodes of other ranks around those of this one, with the corners, along the axes that are cut.
-
-    Args:
-        comm: the ranks.
-        tiles: who owns what.
-        width: nodes on each side; beyond the box they are zero. More than a neighbour has come
-            from the next ones.
-    """
+    """So many nodes of other ranks around those of this one, with the corners, along the axes that
+    are cut; beyond the box zeros. More than a neighbour has come from the next ones."""
 
     def __init__(self, comm: Comm, tiles: Tiles, width: int) -> None:
         self.comm, self.width = comm, width
@@ -211,45 +201,37 @@ def _from(box: tuple[slice, ...], own: tuple[slice, ...], margin: int) -> tuple[
 
 
 class NodeHalo:
-    """Nodes of other ranks in the boxes around a piece.
+    """Nodes of other ranks in the box around a piece, as far as it feels.
 
     The nodes here are the piece's own and theirs, in the order of the whole body: sums over
     neighbours then have the same bits on any rank.
-
-    Args:
-        piece: the nodes that this rank owns.
-        reach: how far it feels [length].
 
     Attributes:
         number: of all nodes here in the whole body, rising, shape [m].
         x: their positions, shape [m, d].
         own: places of the piece's own among them, shape [n].
-        count: nodes of the whole body.
-        sum, gather: as of the piece, of values on its own nodes.
+        count, sum, gather: as of the piece, of values on its own nodes.
     """
 
     def __init__(self, piece: Subdomain, reach: float) -> None:
         self.piece, self.count = piece, piece.count
         self.sum, self.gather = piece.sum, piece.gather
-        comm, slack = piece.comm, 1e-6 * piece.spacing
-        low, high = piece.x.min(axis=0) - reach - slack, piece.x.max(axis=0) + reach + slack
-        boxes = comm.allgather((low, high))
-        given = [np.zeros(0, np.int64)] * comm.size
-        for rank, (low, high) in enumerate(boxes):
-            if rank != comm.rank:
-                given[rank] = np.flatnonzero(((piece.x >= low) & (piece.x <= high)).all(axis=1))
-        taken = comm.alltoall([(piece.number[nodes], piece.x[nodes]) for nodes in given])
+        self.comm, reach = piece.comm, reach + 1e-6 * piece.spacing
+        boxes = self.comm.allgather((piece.x.min(axis=0) - reach, piece.x.max(axis=0) + reach))
+        given = [
+            np.flatnonzero(((piece.x >= low) & (piece.x <= high)).all(axis=1))
+            for low, high in boxes
+        ]
+        given[self.comm.rank] = given[self.comm.rank][:0]
+        taken = self.comm.alltoall([(piece.number[nodes], piece.x[nodes]) for nodes in given])
         number = np.concatenate([piece.number, *[numbers for numbers, _ in taken]])
         order = np.argsort(number)
         self.number = number[order]
         self.x = np.concatenate([piece.x, *[x for _, x in taken]])[order]
-        self.own = np.searchsorted(self.number, piece.number)
-        ranks = range(comm.size)
-        self._give = [(r, self.own[given[r]]) for r in ranks if len(given[r])]
-        self._take = [
-            (r, np.searchsorted(self.number, taken[r][0])) for r in ranks if len(taken[r][0])
-        ]
-        self.comm = comm
+        places = [np.searchsorted(self.number, n) for n in (piece.number, *[n for n, _ in taken])]
+        self.own = places[0]
+        self._give = [(r, self.own[nodes]) for r, nodes in enumerate(given) if len(nodes)]
+        self._take = [(r, nodes) for r, nodes in enumerate(places[1:]) if len(nodes)]
 
     def mark(self, *parts: Any) -> str:
         """As Subdomain.mark, of arrays [m or more, ...] on the nodes here."""

@@ -56,14 +56,8 @@ MOST = 32
 
 
 class Convolution:
-    """A symmetric stencil's product with fields in tiles, zero beyond the box.
-
-    Args:
-        comm, tiles: the box and who owns what.
-        reach: of the stencil [nodes].
-        symbol: its transform on a torus of a given shape, [d, d, *torus] halved.
-        dtype: of the transforms, float64 or float32.
-    """
+    """A symmetric stencil's product with fields in tiles, zero beyond the box: its reach [nodes],
+    and its transform on a torus of a given shape, [d, d, *torus] halved."""
 
     def __init__(
         self,
@@ -158,12 +152,8 @@ WHOLE = 10_000
 
 
 class Between:
-    """Restriction from nodes of ranks to every second one, and prolongation back.
-
-    Args:
-        comm: the ranks.
-        tiles: who owns which fine nodes; they can be halved.
-    """
+    """Restriction from nodes of ranks to every second one, and prolongation back, of tiles that can
+    be halved."""
 
     def __init__(self, comm: Comm, tiles: Tiles) -> None:
         self.coarse, every = tiles.coarser(), tiles.everywhere()
@@ -239,14 +229,8 @@ class _Gathered:
 
 
 class RowOperator:
-    """L of a lattice in tiles, and what inverts it nearly.
-
-    Args:
-        law: certified on the lattice.
-        piece: the nodes of this rank, in tiles.
-
-    Raises InputError for a law without a proof, and interior nodes near the edge of the box.
-    """
+    """L of a law on a lattice in tiles, and what inverts it nearly; InputError without a proof, and
+    for interior nodes near the edge of the box."""
 
     method = "multigrid"
 
@@ -268,14 +252,9 @@ class RowOperator:
         self.stencil = stencil = law.stencil
         self._check_whole()
         build(comm, row_kernels(SCALARS[np.dtype(np.float64)], d).pulled)
-        tensors = stencil.tensors * stencil.spacing**2
-        scale = stencil.spacing**-2
-        self._L = Convolution(
-            comm,
-            tiles,
-            stencil.reach,
-            lambda torus: scale * torus_symbol(torus, stencil.steps, tensors),
-        )
+        tensors, scale = stencil.tensors * stencil.spacing**2, stencil.spacing**-2
+        symbol = lambda torus: scale * torus_symbol(torus, stencil.steps, tensors)  # noqa: E731
+        self._L = Convolution(comm, tiles, stencil.reach, symbol)
 
     @cached_property
     def _near(self) -> tuple[Convolution, Between, Any]:

@@ -208,13 +208,10 @@ class Subdomain:
         return whole
 
     def read(self, path: str | os.PathLike[str], name: str) -> np.ndarray:
-        """Of an array [N, ...] of all nodes in an HDF5 file those of this rank, [n, ...].
-
-        Raises InputError for a file without it, or an array of another length.
-        """
+        """Of an array [N, ...] of all nodes in an HDF5 file those of this rank, [n, ...];
+        InputError as read_rows."""
         with agreed(self.comm):
-            values = read_rows(path, name, self.number, self.count)
-        return values
+            return read_rows(path, name, self.number, self.count)
 
     def __getattr__(self, name: str) -> Any:
         if name in _OF_A_WHOLE:
