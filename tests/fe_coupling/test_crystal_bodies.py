@@ -1,4 +1,4 @@
-"""Bodies of crystals: anisotropic triangles and tetrahedra at the edge, the crystal inside."""
+"""Uniform fields, and crystals: anisotropic triangles and tetrahedra at the edge."""
 
 import dataclasses
 
@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from tests.crystal.crystals import learned
+from tests.support.plates import plate as round_hole
+from warp_peri import LPSMaterial
 from warp_peri.errors import InputError
-from warp_peri.fe_coupling.body import Coupling, solve_body
+from warp_peri.fe_coupling.body import Coupling, long_wave, solve_body
 from warp_peri.points.mesh import make_mesh
 from warp_peri.points.outlines import Circle, Sphere, box, mesh_outline, mesh_solid
 
@@ -24,6 +26,7 @@ def ball():
 
 
 BODIES = {2: (plate, SIDES, 2), 3: (ball, ("skin",), 1)}
+SOLID = LPSMaterial(0.3, 0.8, 1.0, [0.4, 0.6, -0.3, 0.6, -0.2], horizon=3.0, certified_on=(1.0,))
 
 
 @pytest.fixture(scope="module", params=[2, pytest.param(3, marks=pytest.mark.slow)])
@@ -35,23 +38,28 @@ def body(request):
     return law, make(), held, degree
 
 
-def test_an_affine_field_is_exact_and_its_stress_too(body):
+@pytest.mark.parametrize("crystal", [True, False])
+def test_an_affine_field_is_exact_and_its_stress_too(body, crystal):
     law, mesh, held, degree = body
+    spacing = law.spacing
+    if not crystal:
+        law, mesh, held, spacing = SOLID, round_hole(8.0, 32.0, 12, 40), ("sides",), 1.0
+        degree = 2
     A = 1e-3 * np.random.default_rng(0).normal(size=(law.dimension,) * 2)
-    stress = np.einsum("ijkl,kl->ij", law.tensor(), A)
-    pulls = {name: lambda x, n: n @ stress for name in mesh.parts if name not in held}
+    stress = long_wave(law, spacing).stress(A)
     found = solve_body(
         law,
         mesh,
         displacement={name: lambda x: x @ A.T for name in held},
-        traction=pulls,
-        coupling=Coupling(degree=degree, tolerance=1e-11),
+        traction={name: lambda x, n: n @ stress for name in mesh.parts if name not in held},
+        coupling=Coupling(spacing=spacing, degree=degree, tolerance=1e-11),
     )
-    assert found.points is not None
     assert found.points.interior.sum() > 300
-    for x, u in ((found.rim.x, found.u_rim), (found.points.x, found.u_bulk)):
+    corners, everywhere = found.on_corners()
+    for x, u in ((found.rim.x, found.u_rim), (found.points.x, found.u_bulk), (mesh.x, corners)):
         assert np.abs(u - x @ A.T).max() < 1e-10 * np.abs(x @ A.T).max()
-    assert np.abs(found.on_corners()[1] - stress).max() < 1e-9 * np.abs(stress).max()
+    for values in (found.rim_stress, everywhere):
+        assert np.abs(values - stress).max() < 1e-9 * np.abs(stress).max()
 
 
 def test_a_turned_body_with_free_faces_feels_nothing(body):

@@ -66,28 +66,6 @@ def test_stress_along_a_hole_converges_with_the_mesh(model):
     assert errors[-1] < 0.01
 
 
-def test_an_affine_field_is_exact(model):
-    gradient = np.array([[2e-3, 7e-4], [-3e-4, -1e-3]])
-    stress = long_wave(model, SPACING).stress(gradient)
-    solution = solve_body(
-        model,
-        plate(RADIUS, HALF, 12, 40),
-        displacement={"sides": lambda x: x @ gradient.T},
-        traction={"hole": lambda x, n: n @ stress},
-        coupling=Coupling(spacing=SPACING, tolerance=1e-12),
-    )
-    assert error(solution.u_rim, solution.rim.x @ gradient.T) < 1e-10
-    assert error(solution.u_bulk, solution.points.x @ gradient.T) < 1e-10
-    np.testing.assert_allclose(
-        solution.rim_stress,
-        np.broadcast_to(stress, solution.rim_stress.shape),
-        atol=1e-10 * np.abs(stress).max(),
-    )
-    u, everywhere = solution.on_corners()
-    assert error(u, solution.rim.mesh.x @ gradient.T) < 1e-10
-    assert np.abs(everywhere - stress).max() < 1e-9 * np.abs(stress).max()
-
-
 SMALL = plate(RADIUS, HALF, 8, 32)
 
 

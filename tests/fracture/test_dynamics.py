@@ -59,16 +59,10 @@ def test_breaking_follows_the_stretch():
 def test_held_nodes_move_as_told_and_their_work_counts():
     held = np.abs(plate().x[:, 1]) > 5
     grip = np.where(held[:, None], np.sign(plate().x) * (0.0, 1e-3), 0.0)
-    body = BreakingBody(
-        solid(0.5, critical_stretch=1.0),
-        plate(),
-        held=held,
-        grip=grip,
-        ramp=lambda t: min(1.0, t / 5.0),
-    )
-    run = CrackRun(
-        body, step=0.3 * body.longest_step, every=1, sections={"middle": [(-9, 0), (9, 0)]}
-    )
+    how = {"held": held, "grip": grip, "ramp": lambda t: min(1.0, t / 5.0)}
+    body = BreakingBody(solid(0.5, critical_stretch=1.0), plate(), **how)
+    how = {"every": 1, "sections": {"middle": [(-9, 0), (9, 0)]}}
+    run = CrackRun(body, step=0.3 * body.longest_step, **how)
     state = run.march(body.start(), steps=200)
     assert run.motion(state).missing < 2e-3
     np.testing.assert_allclose(state.v.numpy()[held], grip[held])
@@ -79,25 +73,18 @@ def test_held_nodes_move_as_told_and_their_work_counts():
 
 
 def test_killed_and_resumed_gives_the_same_bits(tmp_path):
-    straight = marched("state-based", 0.5, regions={"left": plate(24, 16).x[:, 0] < 0})
-    body = pulled(**KINDS["state-based"])
-    options = {
-        "every": 1,
-        "checkpoint": tmp_path / "run.h5",
-        "checkpoint_every": 7,
-        "series": tmp_path / "series",
-        "regions": {"left": body.body.x[:, 0] < 0},
-    }
-    dt = straight[1].dt
-    steps = straight[2].steps
-    first = CrackRun(body, step=dt, **options)
-    assert 0 < body.damage(first.march(body.start(cracks=CRACK), steps=steps // 2)).max()
-    again = CrackRun(body, step=dt, **options)
+    regions = {"left": plate(24, 16).x[:, 0] < 0}
+    body, straight, end = marched("state-based", 0.5, regions=regions)
+    options = {"checkpoint": tmp_path / "run.h5", "series": tmp_path / "series"}
+    options |= {"every": 1, "checkpoint_every": 7, "regions": regions, "step": straight.dt}
+    steps = end.steps
+    first = CrackRun(body, **options).march(body.start(cracks=CRACK), steps=steps // 2)
+    assert 0 < body.damage(first).max()
+    again = CrackRun(body, **options)
     state = again.march(body.start(cracks=CRACK), steps=steps)
     for name in ("u", "v", "links", "work"):
-        want, got = getattr(straight[2], name).numpy(), getattr(state, name).numpy()
-        assert want.tobytes() == got.tobytes()
-    known, found = straight[1].recorded(), again.recorded()
+        assert getattr(state, name).numpy().tobytes() == getattr(end, name).numpy().tobytes()
+    known, found = straight.recorded(), again.recorded()
     np.testing.assert_array_equal(found[0], known[0])
     for name, values in known[1].items():
         np.testing.assert_array_equal(found[1][name], values)

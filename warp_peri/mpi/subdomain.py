@@ -98,10 +98,6 @@ class Subdomain:
         others = [part for part in parts if not isinstance(part, np.ndarray)]
         return nodal_fingerprint(self.comm, self.number, *arrays) + "".join(map(repr, others))
 
-    def dot(self, a: np.ndarray, b: np.ndarray) -> float:
-        """Scalar product of vectors [n, d] over all ranks, with the same bits on any number."""
-        return float(total(self.comm, (a * b).sum(axis=1)))
-
     def solve(
         self, material: Any, problem: Any, solver: Solver, options: dict[str, Any]
     ) -> Solution:

@@ -230,7 +230,7 @@ def started(
     free = points.interior
     body = Inert(operator, free, density, start["b"][free], start["u"], signal)
     if nodes is points:
-        body.dot, body.count = points.dot, int(nodes.comm.allreduce(body.count))
+        body.dot, body.count = points.inner.dot, int(nodes.comm.allreduce(body.count))
     elif free.all():
         along = np.ones(shape)
         felt = np.abs(operator(along) - operator(0 * along)).max()
