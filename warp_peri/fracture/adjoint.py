@@ -84,11 +84,8 @@ class SoftBody:
 
     Args:
         model: λ = μ, positive on the lattice.
-        body: the body.
-        law: of the bonds.
+        body, law, cracks, no_fail: as of `grow`; the law is that of the bonds.
         held: components of the displacement that are given, shape [N, d] bool.
-        cracks: polylines open from the start.
-        no_fail: nodes whose bonds do not break, shape [N] bool.
 
     Attributes:
         node, bond: where a bond begins, and its number in the ball; each bond once, [E].
@@ -96,19 +93,16 @@ class SoftBody:
         stiffness, square, breakable: k [stress/length^4], r² [length²], and which may fail, [E].
         free: components that are not given, flat [d N].
 
-    Raises InputError for another model or horizon, arrays that do not fit, and for a piece of the
-    body that nothing holds.
+    `pull` returns a motion whose time is the load, with the histories load, force: across its line,
+    at right angles to it, per thickness, and broken: bonds by then. With parameters, or a tensor as
+    u, force and the u at the end are tensors, differentiable once along the path that was taken:
+    which bonds failed when is felt, how often a load was settled is not. A body that has come apart
+    along the line has the force 0; where no equilibrium is found before, the curve ends with a
+    warning.
 
-    `pull` takes u, given components at unit load, [N, d], the others where the first solve begins;
-    loads, rising factors; line, a straight one, in space a flat polygon; stop, the share of the
-    largest force at which it ends; parameters, softness, stretch or tail. It returns a motion whose
-    time is the load, with the histories load, force: across the line, at right angles to it, per
-    thickness, and broken: bonds by then. With parameters, or where u is a tensor, force and the u
-    at the end are tensors, differentiable once along the path that was taken: which bonds failed
-    when is felt, how often a load was settled is not. A body that has come apart along the line has
-    the force 0; where no equilibrium is found before, the curve ends with a warning. It raises
-    InputError for loads that do not rise, a line that no bond crosses, a first load without an
-    equilibrium, other numbers, and derivatives to bonds that break at once.
+    Raises InputError for another model, and for a piece of the body that nothing holds; `pull` for
+    loads that do not rise, a line that no bond crosses, a first load without an equilibrium, and
+    derivatives to bonds that break at once.
     """
 
     def __init__(
@@ -180,13 +174,15 @@ class SoftBody:
         progress: bool = False,
         parameters: Mapping[str, Any] | None = None,
     ) -> Motion:
-        """Raise the load step by step; at each, let bonds fail until none does; see the class."""
+        """Raise the load step by step; at each, let bonds fail until none does.
+
+        u: given components at unit load, [N, d]; others are where the first solve begins. line: a
+        straight one, in space a flat polygon. stop: share of the largest force at which it ends.
+        parameters: softness, stretch or tail.
+        """
         loads = checked("loads", loads, float, ("n",))
         if not (len(loads) and loads[0] >= 0 and (np.diff(loads) > 0).all()):
-            raise InputError(
-                "loads: expected one factor or more, factors that rise from ≥ 0, got "
-                f"{loads.tolist()}"
-            )
+            raise InputError(f"loads: expected factors that rise from ≥ 0, got {loads.tolist()}")
         levers = torch.from_numpy(self.levers(line))
         soft, asked, given, *law = self._learned(u, parameters)
         start = checked("u", given.detach().numpy(), float, self.held.shape).ravel()

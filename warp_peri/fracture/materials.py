@@ -30,7 +30,7 @@ class BrittleMaterial(OnLinear, format="warp_peri.brittle_solid", version=3):
     """What breaks, and when.
 
     Attributes:
-        model: moduli and a positive influence function, the same for the dilatation.
+        model: moduli and a positive influence function.
         density: ρ [kg/m³], and times are in ps; in reduced units mass per volume in these.
         toughness: G_c [stress · length]; the lattice's critical stretch follows from it (C6).
         critical_stretch: s₀ itself, instead of G_c.
