@@ -14,7 +14,7 @@ import pytest
 
 import warp_peri as wp
 from tests.mpi.job import SWING, TOLERANCE, corrected, crack, swings, uneven, whole
-from warp_peri.mpi.halo import cut
+from warp_peri.mpi.processes import cut
 
 pytest.importorskip("mpi4py", reason="mpi4py is not installed: pip install 'warp_peri[mpi]'")
 MPIEXEC = Path(sys.executable).with_name("mpiexec")

@@ -23,8 +23,7 @@ from warp_peri.kernels.micromodulus import rows as row_kernels
 from warp_peri.materials.crystal import StencilMaterial, crystal_from_lps
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.transfer import model_at
-from warp_peri.mpi.halo import Halo, Tiles
-from warp_peri.mpi.processes import Comm, build, in_turn, inner, world
+from warp_peri.mpi.processes import Comm, Halo, Tiles, build, in_turn, inner, world
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
 from warp_peri.runtime import get_num_threads, shared_by

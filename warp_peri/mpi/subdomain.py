@@ -22,9 +22,18 @@ from warp_peri.fracture.problems import Cracked, options_of_steps
 from warp_peri.kernels import neighbours
 from warp_peri.kernels.damage.motion import halves
 from warp_peri.kernels.damage.sweeps import sweep
-from warp_peri.mpi.halo import NodeHalo, Tiles, cut
 from warp_peri.mpi.linear import operator_on
-from warp_peri.mpi.processes import Comm, build, inner, nodal_fingerprint, total, world
+from warp_peri.mpi.processes import (
+    Comm,
+    Tiles,
+    build,
+    cut,
+    exchange,
+    inner,
+    nodal_fingerprint,
+    total,
+    world,
+)
 from warp_peri.points.arguments import as_array, checked_fields
 from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.points import LATTICE_TOLERANCE, Points
@@ -213,6 +222,57 @@ class Subdomain:
         if name in _OF_A_WHOLE:
             raise InputError("points: expected Points, got a piece of some, which are on ranks")
         raise AttributeError(name)
+
+
+class NodeHalo:
+    """Nodes of other ranks in the box around a piece, as far as it feels.
+
+    The nodes here are the piece's own and theirs, in the order of the whole body: sums over
+    neighbours then have the same bits on any rank.
+
+    Attributes:
+        number: of all nodes here in the whole body, rising, shape [m].
+        x: their positions, shape [m, d].
+        own: places of the piece's own among them, shape [n].
+        count, sum, gather: as of the piece, of values on its own nodes.
+    """
+
+    def __init__(self, piece: Subdomain, reach: float) -> None:
+        self.piece, self.count = piece, piece.count
+        self.sum, self.gather = piece.sum, piece.gather
+        self.comm, reach = piece.comm, reach + 1e-6 * piece.spacing
+        boxes = self.comm.allgather((piece.x.min(axis=0) - reach, piece.x.max(axis=0) + reach))
+        given = [
+            np.flatnonzero(((piece.x >= low) & (piece.x <= high)).all(axis=1))
+            for low, high in boxes
+        ]
+        given[self.comm.rank] = given[self.comm.rank][:0]
+        taken = self.comm.alltoall([(piece.number[nodes], piece.x[nodes]) for nodes in given])
+        number = np.concatenate([piece.number, *[numbers for numbers, _ in taken]])
+        order = np.argsort(number)
+        self.number = number[order]
+        self.x = np.concatenate([piece.x, *[x for _, x in taken]])[order]
+        places = [np.searchsorted(self.number, n) for n in (piece.number, *[n for n, _ in taken])]
+        self.own = places[0]
+        self._give = [(r, self.own[nodes]) for r, nodes in enumerate(given) if len(nodes)]
+        self._take = [(r, nodes) for r, nodes in enumerate(places[1:]) if len(nodes)]
+
+    def mark(self, *parts: Any) -> str:
+        """As Subdomain.mark, of arrays [m or more, ...] on the nodes here."""
+        own = [part[self.own] if isinstance(part, np.ndarray) else part for part in parts]
+        return self.piece.mark(*own)
+
+    def exchange(self, field: np.ndarray) -> None:
+        """Fill others' nodes in a field [m or more, ...] from their owners."""
+        exchange(self.comm, field, field, self._give, self._take)()
+
+    def around(self, values: np.ndarray) -> np.ndarray:
+        """Values [n, ...] of the piece's own nodes on all nodes here, [m, ...]."""
+        values = np.asarray(values)
+        here = np.zeros((len(self.number), *values.shape[1:]), values.dtype)
+        here[self.own] = values
+        self.exchange(here)
+        return here
 
 
 def lattice(
