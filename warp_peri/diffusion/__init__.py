@@ -69,12 +69,8 @@ class FlowOperator(OperatorBase):
         return self.matrix.tocsc()[:, np.repeat(self.points.interior, components)]
 
     def solve(self, b: ArrayLike | None, u: ArrayLike, solver: Solver = None) -> Solution:
-        """The steady state, with L u = b on the interior, given on all other nodes.
-
-        Args:
-            b: loads, as fields [N, …] or [S, N, …], read on the interior; None for none.
-            u: a field, same shape, read off the interior.
-            solver: Direct().
+        """The steady state, with L u = b on the interior, given on all other nodes, of fields
+        [N, …] or [S, N, …]; b None for none.
 
         Raises InputError for other shapes, values that are not finite, a matrix that is singular,
         as of a piece that nothing touches, or has eigenvalues below zero.
@@ -172,11 +168,8 @@ class DiffusionOperator(FlowOperator):
         return (len(self.points.x),)
 
     def interior_tangent(self, u: Any) -> sp.csc_array:
-        """L between interior nodes, shape [I, I].
-
-        Raises InputError where a kernel that changes sign gives L + Lᵗ
-        eigenvalues below zero: φ would grow without end.
-        """
+        """L between interior nodes, shape [I, I]; InputError where a kernel that changes sign gives
+        L + Lᵗ eigenvalues below zero: φ would grow without end."""
         matrix = super().interior_tangent(u)
         if self._changes_sign and len(self.rows):
             shift = ROUNDING * np.abs(matrix.diagonal()).max()
@@ -205,8 +198,10 @@ class DiffusionOperator(FlowOperator):
         near, far = self._ends
         work = ((u[:, near] - u[:, far]) * w[:, self._owner[self._kept]]).sum(axis=0)
         numbers = _tensors(self.learnable)
-        strength = self._strengths(**numbers | {name: (one := numbers[name].requires_grad_())})
-        return np.asarray(torch.autograd.grad(strength, one, torch.from_numpy(work))[0])
+        one = numbers[name].requires_grad_()
+        return np.asarray(
+            torch.autograd.grad(self._strengths(**numbers), one, torch.from_numpy(work))[0]
+        )
 
     def energy(self, u: np.ndarray) -> np.ndarray | None:
         """h^d (½ φ_I·L φ_I + φ_I·L φ_C), shape [...]; None on scattered points."""
@@ -245,11 +240,9 @@ class DiffusionMaterial(Record, format="warp_peri.conductor"):
         horizon: δ [length].
         conductivity: κ > 0, of where no field of it is given [stress length²/time of a φ without a
             unit].
-        alpha: exponent α < 3.
+        alpha: exponent α < 3; InputError for others.
         D: Bernstein coefficients, shape [M + 1]; their common scale has no effect.
         units: names of the units of length and stress that it is in, as a Model's.
-
-    Raises InputError naming the first number out of its range.
     """
 
     horizon: Length
@@ -326,18 +319,13 @@ OF_CONDUCTOR = "conductor_"
 
 
 class CoupledOperator(FlowOperator):
-    """A coupled solid on a lattice.
-
-    Args:
-        material: the solid.
-        points: a lattice; its interior is what is free, of u and of φ.
-        kappa: conductivity, as of DiffusionOperator.
+    """A coupled solid on a lattice, whose interior is what is free, of u and of φ.
 
     ``op(u)`` takes u₁, u₂, φ of all nodes, shape [N, 3], and returns what loads and source are in
     the steady state, [I, 3].
 
     Raises InputError for kernels that change sign and leave one of the two with eigenvalues below
-    zero, and as DiffusionOperator.
+    zero, and as DiffusionOperator, which says what `kappa` is.
     """
 
     implicit = 1.0
@@ -414,15 +402,12 @@ class CoupledOperator(FlowOperator):
 
     def storage_slopes(self, names: list[str], rates: np.ndarray, w: np.ndarray) -> dict[str, Any]:
         """Derivatives of Σ w · storage() rates to numbers, of rates [K, N, 3], w [K, I, 3]."""
+        numbers = _tensors(self.learnable)
+        asked = [numbers[name].requires_grad_() for name in names]
+        phi = torch.from_numpy(self.on_all(w)[..., 2])
+        rate = torch.from_numpy(np.ascontiguousarray(rates[..., :2]))
+        parts = self.model.model, self.body, self.table, 0 * rate, numbers
         with torch.enable_grad():
-            numbers = {
-                name: torch.tensor(value, dtype=torch.float64, requires_grad=True)
-                for name, value in self.learnable.items()
-            }
-            phi = torch.from_numpy(self.on_all(w)[..., 2])
-            parts = self.model.model, self.body, self.table
-            rate = torch.from_numpy(np.ascontiguousarray(rates[..., :2]))
-            pull = bond_force(*parts, 0 * rate, numbers, numbers["coupling"] * phi)
-            asked = [numbers[name] for name in names]
-            each = torch.autograd.grad(-(rate * pull).sum(), asked, allow_unused=True)
+            work = -(rate * bond_force(*parts, numbers["coupling"] * phi)).sum()
+            each = torch.autograd.grad(work, asked, allow_unused=True)
         return {name: one.numpy() for name, one in zip(names, each) if one is not None}

@@ -69,14 +69,11 @@ class EquilibriumSolver:
         self.way = Equilibria(placed, straight, self.inverse, points.interior)
 
     def solve(self, b: ArrayLike, u: ArrayLike, *, tolerance: float = TOLERANCE) -> Found:
-        """Where the force on the interior is b [stress/length], of shape [N, 2].
+        """Where the force on the interior is b [stress/length], near u [length]: data on the
+        collar, the start on the interior; both [N, 2].
 
-        Args:
-            b: load; only interior values count.
-            u: displacement [length], shape [N, 2]: data on the collar, the start on the interior.
-            tolerance: ‖force − b‖ over that of the start with a zero interior.
-
-        Raises InputError for arrays of other shapes.
+        tolerance: ‖force − b‖ over that of the start with a zero interior. InputError for arrays of
+        other shapes.
         """
         load, field, enough = self._asked(b, u, tolerance)
         found, record = self.way.solve_from(load, field, enough)
@@ -85,11 +82,8 @@ class EquilibriumSolver:
     def solve_by_continuation(
         self, b: ArrayLike, u: ArrayLike, *, tolerance: float = TOLERANCE
     ) -> Found:
-        """Where the force on the interior is b, on the branch that leaves the state of rest; where
-        it is not found, what the solid at rest answers.
-
-        Arguments and errors are those of `solve`; what `u` has inside does not count.
-        """
+        """The same on the branch that leaves the state of rest, whatever `u` has inside; where it
+        is not found, what the solid at rest answers."""
         load, given, enough = self._asked(b, u, tolerance)
         try:
             found, record = self.way.solve(load, given, enough)
