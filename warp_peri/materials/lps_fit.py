@@ -52,6 +52,7 @@ from warp_peri.materials.lps_stages import (
     in_torch,
     squares,
     stiffness_of,
+    total_loss,
     two_stages,
 )
 from warp_peri.points.arguments import Positive, typed
@@ -188,8 +189,8 @@ class Learner:
         weights = sample_weights(sets, normalise=law.normalise)
         if noise and len(noise) != len(sets):
             raise InputError(f"noise: expected {len(sets)} sets, got {len(noise)}")
-        for quiet, each in zip(noise, sets):
-            check_noise(quiet, each)
+        for pair in zip(noise, sets):
+            check_noise(*pair)
         self.products = [Products(each, law.horizon) for each in sets]
         self.lattices = [one.classes for one in self.products]
         self.operator = [OperatorLoss(each, law.horizon, w) for each, w in zip(sets, weights)]
@@ -298,15 +299,14 @@ class Learner:
 
         Raises InputError for one that these data cannot have.
         """
-        asked = self.law.loss
+        asked, printed = self.law.loss, isinstance(self.law.method, TwoStage)
         if asked == "corrected" and not self.noise:
             raise InputError("loss: 'corrected' needs fields of noise")
         if asked != "auto":
             return LossSelection(asked, "asked for")
-        if isinstance(self.law.method, TwoStage):
-            return LossSelection("residual", "Algorithm 1 has no other")
-        if not self.noise:
-            return LossSelection("residual", "no fields of noise were given")
+        if printed or not self.noise:
+            no_other = "Algorithm 1 has no other", "no fields of noise were given"
+            return LossSelection("residual", no_other[not printed])
         found = self.model(self.optimum(start, GaussNewton()))
         weights = (sum(weight for _, weight in parts) for parts in self.folds)
         c = [products(found, classes) for classes in self.lattices]
@@ -409,22 +409,19 @@ class Learner:
         results = []
         for name, start in starts.items():
             try:
-                reached = self.optimum(start, method)
+                results.append(reached := self.optimum(start, method))
             except InputError as error:  # a function that is not defined where it was led
                 failed = error
                 continue
             tick(reached.loss)
             self.starts[name] = float(np.sqrt(reached.loss))
-            results.append(reached)
         if not results:
             raise failed
-        kept = [reached for reached in results if reached.converged]
-        if not kept:
-            margin = max(reached.margin for reached in results)
-            closest = min(reached.departure for reached in results)
+        if not (kept := [reached for reached in results if reached.converged]):
             raise RuntimeError(
                 "stage 3: no start ended with the conditions kept; smallest margin "
-                f"{margin:.1e}, moduli to be held missed by {closest:.1e} or more"
+                f"{max(one.margin for one in results):.1e}, moduli to be held missed by "
+                f"{min(one.departure for one in results):.1e} or more"
             )
         lowest = min(reached.loss for reached in kept)
         # Equal losses are one optimum: the first start is kept, whatever the rounding.
@@ -453,9 +450,9 @@ class Learner:
         the displacement. A UserWarning says which modulus ended on its lower bound.
         """
         with torch.no_grad():
-            whole = sum(float(one.loss(*final.solid.values())) for one in self.operator)
+            size = float(total_loss(self.operator, final.solid.values()).sqrt())
         of_rows = squares(self.rows("residual"), self.lattices, self.model(final))
-        apart, size = abs(math.sqrt(of_rows) - math.sqrt(whole)), math.sqrt(whole)
+        apart = abs(math.sqrt(of_rows) - size)
         if not apart <= ERROR_TOLERANCE * size + ROUNDING:
             raise RuntimeError(
                 f"the residual by rows departs from the operator's by {apart:.1e} of {size:.1e}"
@@ -466,9 +463,8 @@ class Learner:
                 f"u, b: the best model leaves {100 * math.sqrt(final.loss):.4g} % of the {what}, "
                 "no less than no model: they do not belong together, or noise drowns them"
             )
-        bound = HEADROOM * self.conditions.level
-        if isinstance(self.law.method, TwoStage):
-            bound = SMALLEST_MODULUS * self.unit
+        printed = isinstance(self.law.method, TwoStage)
+        bound = SMALLEST_MODULUS * self.unit if printed else HEADROOM * self.conditions.level
         ended = {"μ": final.solid.mu, "λ + μ": final.solid.lam + final.solid.mu}
         low = [name for name, value in ended.items() if value <= bound * (1 + ON_BOUND)]
         if low:
