@@ -1,7 +1,5 @@
 """λ and μ as one value a node: equilibria, waves, files, and what is refused."""
 
-import pickle
-
 import numpy as np
 import pytest
 import torch
@@ -27,9 +25,7 @@ def test_iteration_and_factors_have_one_answer():
     by_cg = wp.solve(model, problem, solver=wp.CG(tolerance=1e-11), lam=lam, mu=mu)
     by_lu = wp.solve(model, problem, solver=wp.Direct(), lam=lam, mu=mu)
     assert error(by_cg.u, by_lu.u) < 1e-8
-    op = by_lu.operator
-    assert error(op(by_lu.u), problem.b[points.interior]) < 1e-9
-    assert np.array_equal(pickle.loads(pickle.dumps(op))(by_lu.u), op(by_lu.u))
+    assert error(by_lu.operator(by_lu.u), problem.b[points.interior]) < 1e-9
 
 
 def test_a_kernel_that_changes_sign_is_not_proven_with_fields():
@@ -102,13 +98,10 @@ def test_what_fields_refuse():
             use()
 
 
-def test_a_period_with_fields_is_solved_and_a_file_keeps_them(tmp_path):
+def test_a_period_with_fields_is_solved():
     model, whole = kernel("positive", HORIZON), periodic((12, 14))[0]
     mu = MU * (1.5 + np.sin(2 * np.pi * whole.x[:, 0] / 12))
     solid, b = model.spread(whole, 0.4 * mu, mu), noise(whole)
     answer = wp.solve(solid, wp.Periodic(whole, b))
     assert error(answer.operator(answer.u), b - b.mean(axis=0)) < 1e-7
-    wp.save(tmp_path / "m.json", solid)
-    again = wp.load(tmp_path / "m.json")
-    assert np.array_equal(again.on(whole)(b), answer.operator(b))
-    assert "λ, least and largest" in repr(again)
+    assert "λ, least and largest" in repr(solid)

@@ -20,22 +20,18 @@ CASES = {
     "constant": (ONE, 0),
     "two lattices": (TWO, 4),
 }
-every_case = pytest.mark.parametrize(("lattices", "degree"), CASES.values(), ids=CASES)
 
 
-def some(degree, seed=0):
-    D = np.random.default_rng(seed).uniform(0.3, 1, degree + 1)
-    return LPSFound(LPSParameters(0.2, 0.7, 1.4, D))
-
-
-def law_of(lattices, given):
+def law_of(lattices, D):
+    """The law about λ = 0.2, μ = 0.7, α = 1.4 and D, and their θ."""
+    given = LPSFound(LPSParameters(0.2, 0.7, 1.4, D))
     method = GaussNewton(moduli=None, smoothness=1e-3)
-    return LPSLaw(lattices, given, StabilityConditions(zeta=0.01), method)
+    law = LPSLaw(lattices, given, StabilityConditions(zeta=0.01), method)
+    return law, law.start(given)
 
 
 def back(law, theta):
-    at = Settled(theta, [], 0.0, [], 0.0, 0.0, 0)
-    return law.found(at).solid
+    return law.found(Settled(theta, [], 0.0, [], 0.0, 0.0, 0)).solid
 
 
 def tables(classes, alpha, D):
@@ -44,39 +40,24 @@ def tables(classes, alpha, D):
     return kw / (classes.count @ (kw * classes.r**2))
 
 
-@every_case
-def test_a_point_has_the_stiffnesses_of_its_parameters(lattices, degree):
-    given = some(degree)
-    law = law_of(lattices, given)
-    theta = law.start(given)
+@pytest.mark.parametrize(("lattices", "degree"), CASES.values(), ids=CASES)
+def test_a_point_has_its_stiffnesses_and_slopes_and_leads_back_to_its_solid(lattices, degree):
+    D = np.random.default_rng(0).uniform(0.3, 1, degree + 1)
+    law, theta = law_of(lattices, D)
     found, mu = law.stiffnesses(theta)
-    assert mu == pytest.approx(0.7)
-    assert theta[0] == pytest.approx((0.2 - 0.7) / 0.7)
-    for classes, v in zip(lattices, found):
-        np.testing.assert_allclose(v, 0.7 * tables(classes, 1.4, given.solid.D), atol=1e-9)
-
-
-@every_case
-def test_there_and_back_keeps_the_kernel_at_every_bond(lattices, degree):
-    given = some(degree)
-    law = law_of(lattices, given)
-    solid = back(law, law.start(given))
+    assert (mu, theta[0]) == pytest.approx((0.7, (0.2 - 0.7) / 0.7))
+    solid = back(law, theta)
     assert (solid.lam, solid.mu, solid.alpha) == pytest.approx((0.2, 0.7, 1.4))
-    for classes in lattices:
-        expected = tables(classes, 1.4, given.solid.D)
+    for classes, v in zip(lattices, found):
+        expected = tables(classes, 1.4, D)
+        np.testing.assert_allclose(v, 0.7 * expected, atol=1e-9)
         np.testing.assert_allclose(tables(classes, 1.4, solid.D), expected, atol=1e-9)
+    first = lattices[0]
     volumes = [
-        lattices[0].count @ (K * lattices[0].weight * lattices[0].r ** (2 - 1.4))
-        for K in (bernstein_basis(lattices[0].r, 3.0, degree) @ solid.D, 1.0)
+        first.count @ (K * first.weight * first.r ** (2 - 1.4))
+        for K in (bernstein_basis(first.r, 3.0, degree) @ solid.D, 1.0)
     ]
     assert volumes[0] == pytest.approx(volumes[1])
-
-
-@every_case
-def test_derivatives(lattices, degree):
-    given = some(degree)
-    law = law_of(lattices, given)
-    theta = law.start(given)
     if law.kernel.free_alpha:
         theta[-1] += 0.2  # away from where the tables were made
 
@@ -96,14 +77,13 @@ def test_derivatives(lattices, degree):
 def test_the_exponent_is_free_where_coefficients_do_not_reach_every_length(lattices, degree, free):
     kernel = BernsteinKernel(lattices, 1.0, degree)
     assert kernel.free_alpha == free
-    assert len(kernel.start(some(degree))) == kernel.rank + free
+    given = LPSFound(LPSParameters(0.2, 0.7, 1.4, np.ones(degree + 1)))
+    assert len(kernel.start(given)) == kernel.rank + free
     assert kernel.rank == min(degree + 1, 6) if len(lattices) == 1 else degree + 1
     assert not BernsteinKernel(lattices, 1.0, degree, fixed=True).free_alpha
 
 
 def test_coefficients_that_no_bond_sees_are_smooth():
     """Of a straight line through the bond lengths, degree 9 makes a straight line."""
-    line = LPSFound(LPSParameters(0.2, 0.7, 1.4, np.linspace(0.2, 1.4, 10)))
-    law = law_of(ONE, line)
-    D = back(law, law.start(line)).D
+    D = back(*law_of(ONE, np.linspace(0.2, 1.4, 10))).D
     np.testing.assert_allclose(np.diff(D, n=2), 0, atol=1e-7 * np.abs(D).max())

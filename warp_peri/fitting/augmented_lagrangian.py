@@ -98,13 +98,8 @@ def as_printed(
     Where the printed algorithm is inconsistent, |H| is what is tested, against 1e-5, and the
     multiplier term is φ_p H_p + (ψ/2) H_p², so that φ_p ← φ_p + ψ H_p is the ascent of the dual.
 
-    Args:
-        state: variables, then what printed_state gives; moved in place.
-        losses: by epoch, goes on.
-        loss, margins: of the variables, differentiable.
-        method: the most epochs of a round, and rounds.
-        tick: called with the loss after every epoch.
-        keep: called after every round.
+    The state, variables and what printed_state gives, is moved in place, and losses by epoch go on;
+    `tick` is called after every epoch, `keep` after every round.
     """
     *variables, slack, multiplier, previous, penalty, done = state
 
@@ -150,15 +145,9 @@ def to_the_optimum(
     Slacks at their best, ϖ² = max(m + φ/ψ, 0), are no variables: what is minimised beside the loss
     is (ψ/2) min(m + φ/ψ, 0)² (Rockafellar 1973).
 
-    Args:
-        problem: conditions, and rows that curvatures and waves below the floor are found from.
-        theta: where to begin.
-        loss: of θ, differentiable.
-        method: steps of Adam in a round, and the most rounds, each with its own multipliers,
-            coordinates and waves to keep.
-        tick: called with the loss after every step.
-
-    Returns the result, and of ζ, how little a margin of it may miss.
+    The loss is differentiable; curvatures, and waves below the floor, are those of the problem's
+    rows. Each round has its own multipliers, coordinates and waves to keep. Returns the result, and
+    of ζ, how little a margin of it may miss.
     """
 
     def lagrangian(

@@ -156,13 +156,8 @@ class Run:
     def save(
         self, folder: Path, metrics: dict[str, Any], *, data: Path, provenance: Mapping[str, Any]
     ) -> Any:
-        """Write model.json, with its errors and the hash of its data, and metrics.json.
-
-        Args:
-            folder: made if it is not there.
-            metrics: contents of metrics.json.
-            data: the file that was learned from.
-            provenance: what else the model says of how it came to be.
+        """Write model.json, with its errors, the hash of the file it was learned from and more of
+        its provenance, and metrics.json; the folder is made if it is not there.
 
         Raises OSError when a file cannot be written.
         """
@@ -189,16 +184,8 @@ def train(
     allow_uncertified: bool = False,
     **options: Any,
 ) -> Run:
-    """Learn a law from samples, and evaluate it on sets.
-
-    Args:
-        law: what is learned, as LPS(…).
-        samples: training samples.
-        sets: to evaluate on, by name; one that `evaluate` refuses is passed over with its reason.
-        allow_uncertified: warn about an uncertified spacing instead of refusing the set.
-        options: of the law's `learn`: progress, and noise where it takes it.
-
-    Raises what `fit` raises.
+    """Learn a law from samples, and evaluate it on sets by name; one that `evaluate` refuses is
+    passed over with its reason. `options` are those of the law's `learn`. Raises what `fit` raises.
     """
     begin = time.perf_counter()
     learned = law.learn(samples, **options)

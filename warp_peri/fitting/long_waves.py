@@ -41,14 +41,8 @@ NOTHING = 1e-13
 def long_wave_moduli(samples: Samples, allowed: np.ndarray) -> tuple[np.ndarray, float]:
     """The elastic tensor that the longest waves of fields have (theory, T10).
 
-    Args:
-        samples: fields and loads on a lattice, periodic or with a collar.
-        allowed: elastic tensors along the nodes' axes that may be mixed, [m, d, d, d, d].
-
-    Returns:
-        the tensor [d, d, d, d], and the relative residual of the equations.
-
-    Raises InputError for loads that do not tell the tensors apart.
+    A mixture of `allowed` ones along the nodes' axes, [m, d, d, d, d], and the relative residual of
+    the equations. Raises InputError for loads that do not tell the tensors apart.
     """
     c, misfit = moduli_of(*long_wave_equations(samples, allowed))
     return np.tensordot(c, allowed, 1), misfit

@@ -144,13 +144,7 @@ def particular(A: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def least_squares_above(A: np.ndarray, y: np.ndarray, G: np.ndarray, h: np.ndarray) -> np.ndarray:
-    """The x of least ‖A x − y‖ with G x ≥ h, shape [K].
-
-    Args:
-        A: of full column rank, shape [M, K].
-        y: shape [M].
-        G: shape [C, K].
-        h: shape [C].
+    """The x [K] of least ‖A x − y‖ with G x ≥ h, A [M, K] of full column rank, G [C, K].
 
     Raises InputError where no x obeys, or the rank of A is not full.
     """
@@ -277,15 +271,13 @@ def fit(
     linear: bool = False,
     rounds: int = ROUNDS,
 ) -> Settled:
-    """The optimum that is reached from one start, its conditions kept over the whole zones.
+    """The optimum that is reached from θ, its conditions kept over the whole zones.
 
     Args:
         blocks: of each lattice; the sum of their losses is minimised.
-        law: what θ stands for.
-        theta: the start.
+        law: what θ stands for; `linear` where it is.
         floor: ζ [stress], the size of margins of forms.
         size: of the residual; ‖y‖ by default.
-        linear: whether the law is linear in θ.
         rounds: most rounds of cuts.
     """
     problem = Regression(blocks, law, floor, size)

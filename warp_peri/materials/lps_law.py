@@ -72,13 +72,7 @@ def product_basis(classes: BondClasses) -> Basis:
 
 
 class Products:
-    """Forces of the products on a set of samples.
-
-    Args:
-        samples: on a lattice.
-        horizon: δ [length].
-        quadrature_degree: of the polynomials that the weights are exact for.
-    """
+    """Forces of the products on samples on a lattice; weights are exact to a degree."""
 
     def __init__(
         self, samples: Samples, horizon: float, *, quadrature_degree: int = DEGREE
@@ -381,16 +375,8 @@ def optimum(
     *,
     fixed_alpha: bool = False,
 ) -> LPSFound:
-    """Minimise a loss under the conditions over the whole zone, from one start (theory, 26–28).
-
-    Args:
-        blocks: of the loss on each lattice; their sum is minimised.
-        lattices: bond classes of each.
-        start: where to begin.
-        conditions: what must hold on each of the lattices, with their ζ.
-        method: moduli to hold, and how many rounds of cutting planes there may be.
-        fixed_alpha: keep α of the start.
-    """
+    """Minimise the sum of losses from one start, whose α may be kept, under conditions, with their
+    ζ, over the whole zone of each lattice (theory, 26–28)."""
     law = LPSLaw(lattices, start, conditions, method, fixed_alpha=fixed_alpha)
     theta = law.start(start)
     return law.found(fit(blocks, law, theta, law.zeta, size=1.0, rounds=method.rounds))

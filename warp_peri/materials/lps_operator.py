@@ -493,8 +493,8 @@ def node_fields(model: LPSMaterial, points: PointsLike, u: ArrayLike) -> NodeFie
     scattered points only as far as the weights of each family are symmetric; the strain is exact.
 
     Args:
-        model: the model; no certificate is asked for.
-        points: a lattice or scattered points; its u is not looked at.
+        model: of which no certificate is asked.
+        points: a lattice or scattered points.
         u: displacement [Å] on all nodes, shape [N, d] or [S, N, d].
 
     Raises InputError for a u of another shape, a point set that does not carry the horizon, or

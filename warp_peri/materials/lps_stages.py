@@ -67,13 +67,7 @@ def volume(classes: BondClasses, kw: torch.Tensor) -> torch.Tensor:
 
 
 class OperatorLoss:
-    """Σ_s weight_s ‖L u − b‖² over the interior of one set.
-
-    Args:
-        points: samples on a lattice.
-        horizon: δ [Å].
-        weight: of each sample, shape [S].
-    """
+    """Σ_s weight_s ‖L u − b‖² over the interior of one set on a lattice, weight [S]."""
 
     def __init__(self, points: Samples, horizon: float, weight: np.ndarray) -> None:
         self.bonds = Bonds(points, horizon)
@@ -283,13 +277,8 @@ def _least(matrices: Sequence[np.ndarray]) -> tuple[int, float, np.ndarray]:
 def two_stages(learner: Any, kernel: Any, method: TwoStage) -> LPSFound:
     """Algorithm 1 from random numbers: Adam with D ≥ 0, then D of any sign under the conditions.
 
-    Args:
-        learner: training data, the unit of moduli, and what runs a stage by name.
-        kernel: Bernstein(…).
-        method: the most epochs and iterations, and a file that the state is kept in after every
-            outer iteration; a run on the same data that finds one goes on from it.
-
-    Raises InputError for a checkpoint of another run, or one that another job writes to.
+    A run on the same data goes on from the file that the state is kept in after every outer
+    iteration. Raises InputError for one of another run, or one that another job writes to.
     """
     random, unit = np.random.default_rng(method.seed), learner.unit
     D, (lam, mu, alpha) = random.uniform(size=1 + kernel.degree), random.uniform(size=3)
@@ -359,13 +348,9 @@ class WaveResponse:
     """Amplitudes of displacement at the loads' own wave vectors, all nodes projected on them.
 
     A load B cos k₁x cos k₂y along x is answered by (U cos cos, −V sin sin), D(k) (U, V)ᵗ = (B, 0)ᵗ,
-    and loads with sines in place of cosines by such waves with the same D(k). The part of the
-    field that no load caused does not count.
-
-    Args:
-        made: products on samples with `wave_vector`.
-
-    Raises InputError for a sample without load or displacement at its wave vector.
+    and loads with sines in place of cosines by such waves with the same D(k). The part of the field
+    that no load caused does not count. Raises InputError for a sample without load or displacement
+    at its wave vector.
     """
 
     def __init__(self, made: Products) -> None:
@@ -395,12 +380,8 @@ class CollarResponse:
     """Displacement on the interior, solved with the loads and the displacement of the collar.
 
     Noise in the collar's displacement reaches the solution through the parameters, so that this
-    one is biased where the collar is noisy.
-
-    Args:
-        made: products on any samples, few enough nodes for a dense matrix.
-
-    Raises InputError for a sample without displacement on its interior.
+    one is biased where the collar is noisy. Raises InputError for a sample without displacement on
+    its interior.
     """
 
     def __init__(self, made: Products) -> None:
@@ -461,16 +442,12 @@ def _projection(x: np.ndarray, k: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def fit_output_error(learner: Any, start: LPSFound, method: GaussNewton, tick: Tick) -> LPSFound:
-    """Minimise the misfit of displacement under the conditions over the whole zone.
+    """Minimise the misfit of displacement from an optimum of another loss (theory, 38).
 
-    Each step is a constrained optimum of the loss linearised about the last one. A step that does
-    not lower the loss itself ends the search.
-
-    Args:
-        learner: training data and conditions.
-        start: where to begin, an optimum of another loss.
-        method: as for the optimum.
-        tick: called with the loss after each step.
+    Each step is a constrained optimum of the loss linearised about the last one: with û the model's
+    displacement at products c₀, û − L₀⁻¹ (L(c) û − b) is that at c to first order, and affine in c.
+    A step that does not lower the loss itself ends the search. Noise in u enters as it is, not
+    through a second derivative, and does not bias the fit.
 
     Raises RuntimeError when it ends with the conditions or the moduli not kept.
     """

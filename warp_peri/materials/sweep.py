@@ -174,12 +174,8 @@ def _average(trial: Trial, base: Trial) -> float:
 
 
 def _fit(law: LPS, key: str, sets: dict[str, Samples], noise: Samples | None, file: Path) -> str:
-    """Fit, evaluate, and leave the model with its errors in `file`.
-
-    Returns what went wrong when a fit finds no optimum; nothing is left then, and the next run
-    tries again. A fit of hours keeps its state beside the model, and goes on from there. Input
-    that cannot be used ends the sweep.
-    """
+    """Fit, evaluate, and leave the model with its errors in `file`; or what went wrong when a fit
+    finds no optimum, of which nothing is left. A fit of hours keeps its state beside it."""
     state, train, kernel = file.with_suffix(".h5"), sets["train"], cast(Bernstein, law.kernel)
     if isinstance(law.method, TwoStage):
         law = dataclasses.replace(law, method=dataclasses.replace(law.method, checkpoint=state))

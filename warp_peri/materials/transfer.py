@@ -59,13 +59,8 @@ def wave_rows(
 def waves_against(
     target: np.ndarray, phase: np.ndarray, bonds: Basis, share: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """R and y of ‖D₀⁻¹ D e − e‖ over polarisations e of single waves.
-
-    Args:
-        target: D₀ in the units of the symbol of the basis, shape [K, d, d].
-        phase: k h, shape [K, d].
-        share: weight of each wave, shape [K].
-    """
+    """R and y of ‖D₀⁻¹ D e − e‖ over polarisations e of single waves: D₀ [K, d, d] in the units of
+    the basis's symbol, k h [K, d] and the weight of each [K]."""
     rows = np.linalg.inv(target)[:, None] @ bonds.symbol(phase)
     right = np.broadcast_to(np.eye(bonds.dimension), target.shape) * share[:, None, None]
     rows = rows.transpose(0, 2, 3, 1) * share[:, None, None, None]
@@ -325,16 +320,11 @@ def model_at(
     transfer: bool = True,
     allow_uncertified: bool = False,
 ) -> LPSMaterial:
-    """The model for a lattice of some spacing [Å]: itself where it is certified, or transferred.
+    """The model for a lattice of some spacing [Å], 0 of scattered points, which carries a horizon:
+    itself where it is certified, else transferred; one certified on none is proven here.
 
-    Args:
-        model: certified on some lattice; one certified on none is proven on this, or refused.
-        spacing: h [Å]; 0 for scattered points, which have no transfer.
-        largest_horizon: what the points carry [Å].
-        transfer: False refuses other spacings.
-        allow_uncertified: the model's own numbers, with a warning.
-
-    Raises InputError where the model is certified on no lattice, and nothing is proven of it here.
+    Without `transfer` other spacings are refused; with `allow_uncertified` it is itself, with a
+    warning. Raises InputError where nothing is proven of it here.
     """
     if model.dimension == 3 and not model.is_certified_on(spacing):
         model = replace(model, certified_on=())  # in space no kernel is carried: it is proven anew
