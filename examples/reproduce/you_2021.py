@@ -37,7 +37,7 @@ from warp_peri import Bernstein, Dataset, Points, Samples
 from warp_peri.errors import exit_status
 from warp_peri.fitting.rows import sample_weights
 from warp_peri.materials.lps_force import bernstein_basis
-from warp_peri.materials.lps_law import Products, class_pairs
+from warp_peri.materials.lps_law import Products
 from warp_peri.materials.lps_stages import class_weights
 from warp_peri.methods import GaussNewton, SweepResult, TwoStage
 from warp_peri.points.families import BondClasses
@@ -175,7 +175,7 @@ def _products(
     reduced: Reduced, R: torch.Tensor, alpha: torch.Tensor, D: torch.Tensor
 ) -> torch.Tensor:
     w = class_weights(reduced.classes, alpha, D)
-    i, j = class_pairs(len(w))
+    i, j = np.triu_indices(len(w))
     return R @ torch.cat([MU * w, (LAM - MU) * w[i] * w[j], torch.ones(1, dtype=torch.float64)])
 
 

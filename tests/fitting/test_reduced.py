@@ -10,7 +10,7 @@ from tests.support.problems import KERNELS, REDUCED, ell, kernel, lattice, manuf
 from warp_peri import InputError
 from warp_peri.fitting import rows
 from warp_peri.fitting.rows import sample_weights
-from warp_peri.materials.lps_law import Products, class_pairs
+from warp_peri.materials.lps_law import Products
 from warp_peri.materials.lps_stages import OperatorLoss, class_weights, total_loss
 
 HORIZON = 2.5
@@ -33,7 +33,7 @@ def by_rows(sets, weights, lam, mu, alpha, D):
     for each, weight in zip(sets, weights):
         products = Products(each, HORIZON)
         of, w = products.rows(weight), class_weights(products.classes, alpha, D)
-        i, j = class_pairs(len(w))
+        i, j = np.triu_indices(len(w))
         p = torch.cat([mu * w, (lam - mu) * w[i] * w[j]])
         total += (torch.from_numpy(of.R) @ p - torch.from_numpy(of.y)).square().sum()
     return total

@@ -13,7 +13,7 @@ from warp_peri import InputError, LPSMaterial, certify
 from warp_peri.core.stencil import ratios
 from warp_peri.fitting.settings import StabilityConditions
 from warp_peri.materials.lps import stiffnesses
-from warp_peri.materials.lps_law import class_pairs, product_basis
+from warp_peri.materials.lps_law import product_basis
 from warp_peri.materials.lps_operator import matrices
 from warp_peri.points.families import bond_classes
 from warp_peri.solvers.systems import DENSE, smallest_eigenvalue
@@ -130,7 +130,7 @@ def test_the_conditions_are_the_printed_ones_and_the_search_finds_the_softest(ki
     model, conditions = kernel("sign-changing", 3.0, lam=0.7), StabilityConditions(kind, 0.02)
     v, kappa = stiffnesses(model, CLASSES)
     k = np.random.default_rng(2).uniform(-np.pi, np.pi, (7, 2))
-    bonds, (i, j) = product_basis(CLASSES), class_pairs(len(v))
+    bonds, (i, j) = product_basis(CLASSES), np.triu_indices(len(v))
     for number, (own, level) in enumerate(conditions.forms(kappa, model.mu)):
         tensors = np.tensordot(np.concatenate([v, own * v[i] * v[j]]), bonds.basis, 1)
         margins = ratios(bonds.steps, tensors, k)[0] - level

@@ -6,7 +6,7 @@ from warp_peri.core.elastic import lattice_group
 from warp_peri.core.stencil import laplacian
 from warp_peri.fitting.regression import Zone
 from warp_peri.materials.lps import stiffnesses
-from warp_peri.materials.lps_law import class_pairs, product_basis
+from warp_peri.materials.lps_law import product_basis
 from warp_peri.points.families import bond_classes
 
 
@@ -32,7 +32,7 @@ def smallest(D, k, spacing=1.0):
 
 def smallest_margins(classes, conditions, v, kappa):
     """Smallest Λmin / s less its level of each condition, as the search finds them."""
-    zone, (i, j) = Zone(product_basis(classes), lattice_group(2)), class_pairs(len(v))
+    zone, (i, j) = Zone(product_basis(classes), lattice_group(2)), np.triu_indices(len(v))
     mu = classes.count * classes.r**2 @ v
     return np.array(
         [

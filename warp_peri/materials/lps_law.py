@@ -32,15 +32,10 @@ from warp_peri.points.points import Samples
 from warp_peri.points.quadrature import DEGREE
 
 
-def class_pairs(number: int) -> tuple[np.ndarray, np.ndarray]:
-    """Class numbers of each quadratic product, each of shape [C (C + 1) / 2]."""
-    return np.triu_indices(number)
-
-
 def products(model: LPSMaterial, classes: BondClasses) -> np.ndarray:
     """The products of a model on a lattice: v, and κ v v of the pairs of classes; shape [P]."""
     v, kappa = stiffnesses(model, classes)
-    i, j = class_pairs(len(v))
+    i, j = np.triu_indices(len(v))
     return np.concatenate([v, kappa * v[i] * v[j]])
 
 
@@ -53,7 +48,7 @@ def product_basis(classes: BondClasses) -> Basis:
     place = np.full((2 * far + 1,) * d, -1)
     steps = steps[np.abs(steps).max(axis=1) <= far]
     place[tuple((steps + far).T)] = np.arange(len(steps))
-    i, j = class_pairs(count)
+    i, j = np.triu_indices(count)
     column = np.zeros((count, count), int)
     column[i, j] = column[j, i] = count + np.arange(len(i))
     tensors = np.zeros((count + len(i), len(steps), d, d))
@@ -294,7 +289,7 @@ class LPSLaw:
         self.unit, self.size = start.solid.mu, start.solid.mu / lattices[0].horizon ** 2
         self.moduli, self.smoothness = method.held, method.smoothness
         self._sigma = [(classes.count * classes.r**2)[:, None] for classes in lattices]
-        self._pairs = [class_pairs(len(classes.r)) for classes in lattices]
+        self._pairs = [np.triu_indices(len(classes.r)) for classes in lattices]
         self._shears = []  # C44 of unit v of each class, (22)
         for each in lattices:
             x, d = each.xi.T, each.xi.shape[1]
