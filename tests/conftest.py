@@ -24,7 +24,7 @@ MAKERS = sorted(
 
 LONGEST = (
     "test_mpi", "test_table", "test_train_graphene", "test_predict", "test_pages",
-    "test_crystal_fit", "test_rows", "test_gradients", "test_phonopy",
+    "test_crystal_fit", "test_rows", "test_gradients",
     "test_calculator_noise", "test_files", "test_scales", "test_commands", "test_special_values",
 )  # fmt: skip
 """Files of ten seconds to a minute, begun first, so that no process waits for another."""

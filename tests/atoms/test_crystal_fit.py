@@ -1,6 +1,7 @@
-"""Structures to laws: moduli of finite strains, sheets and solids found, what is refused."""
+"""Structures to laws, by calculators or phonopy: moduli, sheets and solids, what is refused."""
 
 import json
+from pathlib import Path
 from typing import ClassVar
 
 import ase.build
@@ -18,7 +19,8 @@ import warp_peri as wp
 from warp_peri.atoms.calculators import lammps_calculator
 from warp_peri.atoms.relaxed import at_rest
 from warp_peri.cli.main import main
-from warp_peri.core.elastic import group_of_structure, voigt
+from warp_peri.core.elastic import allowed_tensors, group_of_structure, point_group, voigt
+from warp_peri.crystals import from_calculator
 
 TERSOFF = "SiC_1989.tersoff"
 
@@ -216,3 +218,68 @@ def test_a_strain_is_held_along_the_axes_that_it_was_said_in(flat):
     np.testing.assert_allclose(off - np.diag(np.eye(len(off))[0]), 0, atol=1e-3)
     assert found.stress[0, 0] > (1e-2 if flat else 1e-3)
     assert "axes" not in found.said
+
+
+EXAMPLES = Path(__file__).parent.parent.parent / "examples" / "phonopy"
+STRAINED = (392.963, 164.309, 164.298)
+"""C11 and C12 by strains of a period of 3³ cells; C44 of a wider supercell's waves [GPa]."""
+COPPER = (172.588, 115.426, 89.904)
+"""Under EMT, by finite strains."""
+
+
+def moduli(atoms):
+    """C11, C12, C44 [GPa]."""
+    C = 1e3 * voigt(atoms.elastic(allowed_tensors("m-3m", point_group("m-3m", 3), np.eye(3))))
+    return C[0, 0], C[0, 1], C[3, 3]
+
+
+@pytest.fixture(scope="module")
+def copper():
+    """From the forces of its calculator."""
+    return wp.atoms.from_phonopy(EXAMPLES / "copper")
+
+
+def test_force_sets_are_those_of_the_calculator_and_what_a_supercell_cuts_off_is_an_error(copper):
+    """Of copper's forces 3 % of the moment are at half the width; moduli by strains are within."""
+    assert len(copper.positions) == 1
+    assert moduli(copper) == pytest.approx(COPPER, rel=1e-2)  # its supercell is a little narrow
+    with pytest.raises(wp.InputError, match="nodes about as far apart as a cell of the atoms"):
+        wp.atoms.crystal_from_force_constants(copper, spacing=3.59e-10)
+    found = wp.atoms.crystal_from_force_constants(copper)
+    bars = found.content()["standard_errors_GPa"]
+    for name, true in zip(("C11", "C12", "C44"), COPPER):
+        assert abs(found.law.moduli("GPa")[name] - true) < bars[name] < 0.05 * true
+
+
+def test_born_charges_make_the_field_of_ions_part_of_every_wave():
+    """Magnesium oxide of rigid ions: moduli of finite strains, which a Coulomb cut-off has not."""
+    found = wp.atoms.from_phonopy(EXAMPLES / "magnesia")
+    assert found.polar is not None
+    assert moduli(found) == pytest.approx(STRAINED, rel=5e-3)
+
+
+def test_what_is_no_file_of_phonopy_and_charges_of_a_sheet_are_refused(tmp_path):
+    with pytest.raises(wp.InputError, match="a file of phonopy .* `phonopy-init"):
+        wp.atoms.from_phonopy(tmp_path)
+    given = (EXAMPLES / "copper" / "phonopy_disp.yaml").read_text()
+    assert "- [   3,   0,   0 ]" in given
+    for text, words in (
+        ("nothing: here\n", "phonopy does not read it"),
+        (given.replace("3,", "1.5,", 1), "supercell_matrix: expected whole numbers, got 1.5"),
+    ):
+        (tmp_path / "phonopy.yaml").write_text(text)
+        with pytest.raises(wp.InputError, match=words):
+            wp.atoms.from_phonopy(tmp_path)
+    with pytest.raises(wp.InputError, match="supercell: expected int values"):
+        wp.fit_crystal(ase.build.bulk("Cu"), EMT(), supercell=(1.5, 2, 2))
+    with pytest.raises(wp.InputError, match="BORN: expected a solid"):
+        wp.atoms.from_phonopy(EXAMPLES / "magnesia", thickness=4.0)
+
+
+def test_forces_that_have_not_decayed_at_half_the_width_are_told_by_number(copper):
+    """Of eight atoms of copper every other one is as near as its images: nothing can decay."""
+    narrow = from_calculator(ase.build.bulk("Cu", a=3.59), EMT(), (2, 2, 2))
+    assert (copper.edge, narrow.edge) == (pytest.approx(0.026, abs=0.002), pytest.approx(1))
+    with pytest.warns(UserWarning, match=r"100% of what moduli are made of, .* is at half the"):
+        found = wp.atoms.crystal_from_force_constants(narrow, symmetry="m-3m")
+    assert found.said["at the supercell's edge"] == "100.0% of Σ |Φ| r²"
