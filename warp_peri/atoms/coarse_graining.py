@@ -56,20 +56,16 @@ def smoothing_matrix(
         atoms: reference positions [Å], shape [A, 2].
         nodes: node positions [Å], shape [N, 2]; they may reach beyond a periodic box.
         radius: coarse-graining radius R [Å].
-        shape: "cone" or "paraboloid".
+        shape: of τ.
         box: periods (Lx, Ly) of the atoms [Å]; None for a free body. A node sees every image of
             an atom, and all of them are summed into the atom's column.
         spacing: of the infinite square lattice that the nodes belong to, whose nodes are summed
-            over in the denominator; None sums over the given nodes, so that atoms outside their
-            reach or at the edge of the node set are shared out among fewer nodes. Nodes that reach
-            beyond a box need it: some are images of others, among which no atom may be shared.
+            over in the denominator; None sums over the given nodes, so that atoms at their edge are
+            shared out among fewer. Nodes that reach beyond a box need it: some are images of
+            others, among which no atom may be shared.
 
-    Returns:
-        Sparse ω, shape [N, A], dimensionless.
-
-    Raises InputError for an unknown shape, a radius that no node of the lattice can meet, a box
-    without two periods, nodes that are not on a lattice of the given spacing, or reach beyond a box
-    without one, or arrays of another shape.
+    Returns sparse ω, shape [N, A], dimensionless. Raises InputError for a radius that no node of
+    the lattice can meet, and nodes off it, or beyond a box without it.
     """
     atoms, nodes = _positions("atoms", atoms), _positions("nodes", nodes)
     if box is not None and not (np.shape(box) == (2,) and np.isfinite(box).all() and min(box) > 0):
@@ -134,11 +130,8 @@ def coarse_grain(
             a density needs ∫ω dx = 1.
         thickness: of the sheet [Å].
 
-    Returns:
-        u [Å] and b [TPa/Å], each of shape [S, N, 2].
-
-    Raises InputError when arrays do not fit, a value is not finite, a mass or size is not > 0, or
-    a node has no atom within the radius.
+    Returns u [Å] and b [TPa/Å], each of shape [S, N, 2]. Raises InputError where a node has no atom
+    within the radius.
     """
     atoms = omega.shape[1]
     moved = checked("displacement", displacement, shape=("S", atoms, 2))
@@ -174,11 +167,8 @@ def force_on_mesh(
         force: external force on the atoms [eV/Å], shape [A, 2].
         thickness: of the sheet [Å].
 
-    Returns:
-        b [TPa/Å] as a function of positions [Å], both of shape [n, 2]; for `solve_body`.
-
-    Raises InputError for arrays of another shape or not finite, a thickness that is not > 0, or
-    atoms that lie outside the mesh.
+    Returns b [TPa/Å] as a function of positions [Å], both of shape [n, 2]; for `solve_body`. Raises
+    InputError for atoms that lie outside the mesh.
     """
     atoms = _positions("atoms", atoms)
     force = checked("force", force, shape=atoms.shape)
@@ -267,9 +257,8 @@ def read_mat(
         reach: horizon in spacings; nodes whose surroundings to twice that are there are interior.
         units: of lengths and stresses; the file does not say them.
 
-    Raises InputError for a file that cannot be read, lacks a variable (with those that it has), or
-    has another shape; for a factor, reach or spacing that is none; for positions off a square
-    lattice, and a sheet without interior.
+    Raises InputError for a file that cannot be read or lacks a variable, with those that it has;
+    for positions off a square lattice, and a sheet without interior.
     """
     path, names = Path(path), (displacement, load, positions)
     asked = [name for name in names if isinstance(name, str)]

@@ -298,7 +298,7 @@ def fit_crystal(
 
     Args:
         atoms: periodic in space, or in a plane with vacuum (8 Å) or without a period across.
-        calculator: any ASE calculator; None takes the one of the atoms.
+        calculator: of ASE; None takes the one of the atoms.
         thickness: of a sheet [Å]; by default from the lowest to the highest nucleus and a van der
             Waals radius beyond each.
         hold: strains that are not relaxed: of xx, yy, zz, yz, xz, xy, or "all".
@@ -310,8 +310,7 @@ def fit_crystal(
         units: of the model: "ase", "metal", "si", or names of a length and a stress.
 
     Moduli of long waves whose error is 2 % against finite strains are warned of. Raises InputError
-    for what is no crystal, does not relax, or has imaginary phonons, and for moduli whose error is
-    20 %.
+    for what is no crystal, does not relax, has imaginary phonons, or moduli whose error is 20 %.
 
     >>> from ase.build import bulk; from ase.calculators.emt import EMT
     >>> round(wp.fit_crystal(bulk("Al"), EMT()).material.moduli("GPa")["C11"])
@@ -380,11 +379,8 @@ def crystal_from_force_constants(
 ) -> CrystalFit:
     """The law of a crystal whose force constants are known, as `fit_crystal` gives it.
 
-    Args:
-        atoms: force constants, as of `from_phonopy`.
-        spacing, horizon, symmetry, units: as for `fit_crystal`.
-
-    Raises InputError for a crystal with imaginary phonons.
+    Arguments are those of `fit_crystal`, with force constants as of `from_phonopy`. Raises
+    InputError for a crystal with imaginary phonons.
     """
     check_phonons(atoms)
     cell = ase.Atoms(atoms.species, positions=atoms.positions, cell=atoms.cell, pbc=True)

@@ -53,8 +53,7 @@ def read_table(
     """Positions in the reference and displacements, shape [P, 2], and their unit of length.
 
     Rows are left out where a number is missing or the correlation failed: by a column that says so,
-    or by a number that fills in for lost points. A pixel, and what is in no unit, has a size and a
-    unit. Raises InputError for a text that is no table, or contradicts itself.
+    or by a number that fills in for lost points. A pixel, or no unit, is of that size and unit.
     """
     lines = [line.strip("\ufeff\r\n") for line in text.splitlines()]
     headers = (split(re.sub(r"^[\s#%*/]+", "", line)) for line in lines[:BEFORE])
@@ -202,13 +201,9 @@ OWN, FILLED, AROUND = 0.75, 2.5, 12
 
 @dataclass(frozen=True, eq=False)
 class DICFrame:
-    """One frame.
+    """One frame: positions in the reference, displacement, [P, 2], and the file's name.
 
-    Attributes:
-        x: positions in the reference, shape [P, 2].
-        u: displacement, shape [P, 2]; points without one are left out.
-        name: of the file.
-        length: name of the unit of length; None where nobody said it.
+    `length` names the unit; it is None where nobody said it. Points without displacement are out.
     """
 
     x: np.ndarray
@@ -235,7 +230,7 @@ def read_dic_frame(path: str | os.PathLike[str], *, pixel: float | str = 1.0) ->
 
     Points are left out where a number is missing, or the correlation failed. Positions of the
     current frame that are named so are taken back to the reference. Raises InputError for a table
-    that is not clearly one, or without points, and a pixel that is no length > 0.
+    that is not clearly one.
     """
     data, (size, unit) = content(path), length_of(pixel)
     try:
@@ -286,8 +281,7 @@ def dic_to_lattice(
             positions are not, they are of the current frame, and a warning says so.
 
     Samples are in the length that the frames carry, with MPa; in Å and TPa where they carry none.
-    Raises InputError for frames in several units, and where points are too few or no node has its
-    surroundings.
+    Raises InputError for frames in several units, and where no node has its surroundings.
     """
     if not frames:
         raise InputError("frames: expected at least one, got none")

@@ -86,8 +86,8 @@ def iter_dump(path: str | os.PathLike[str]) -> Iterator[DumpFrame]:
             last three; in a tilted box xu, yu, zu, or x, y, z with ix, iy, iz.
 
     Raises InputError for a file that is no such thing, or ends in the middle of a frame; for ids
-    that are missing, come twice, or are others than those of the first frame; for atoms of a tilted
-    box that are wrapped, without images; for a packed file whose packer is not installed.
+    that come twice, or are others than those of the first frame; for atoms of a tilted box that are
+    wrapped, without images.
     """
     number, first = 0, None
     try:
@@ -287,13 +287,11 @@ TORN, NEAR = 1.5, 1.3
 
 @typed
 def read_masses(path: str | os.PathLike[str], masses: Sequence[float]) -> np.ndarray:
-    """Mass of every atom of the first frame of a dump, shape [A], by id.
+    """Mass of every atom of the first frame of a dump with a column type, shape [A], by id.
 
     Args:
-        path: as for iter_dump, with the column type.
+        path: as for iter_dump.
         masses: of the types 1, 2, … in any unit.
-
-    Raises InputError for a dump without the column, or a type without a mass.
     """
     frame = next(iter_dump(path))
     if frame.types is None:
@@ -329,8 +327,8 @@ def mean_displacement(
         iota: ι of the smoothing u ← (1 − ι) u + ι u_frame from u = 0 (You et al. 2021, 2.10); None
             for the plain average.
 
-    Raises InputError for another number of atoms, other ids, a box that is not the header's within
-    1e-5, atoms beyond half the box without one, too few frames, or ι outside 0 … 1.
+    Raises InputError for other atoms, a box that is not the header's within 1e-5, atoms beyond half
+    the box without one, and too few frames.
     """
     reference = checked("reference", reference, shape=("A", 2))
     if iota is not None and not 0 < iota <= 1:
@@ -393,12 +391,7 @@ class ReferenceAtoms:
 @typed
 @dataclass(frozen=True)
 class FrameAverage:
-    """How the frames of a dump are reduced to one, as in mean_displacement.
-
-    Attributes:
-        skip: frames left out at the begin.
-        iota: ι of the smoothing in time; None takes the plain average.
-    """
+    """How the frames of a dump are reduced to one: skip and iota of mean_displacement."""
 
     skip: Natural = 0
     iota: float | None = None
@@ -439,8 +432,7 @@ def coarse_grain_dumps(
         progress: show a progress bar over the dumps.
 
     Warns of forces that are not shared among species as their masses are, and of torn sheets.
-    Raises InputError as its parts do, and for forces or unloaded dumps that do not fit, or whose
-    ids differ.
+    Raises InputError as its parts do, and for forces or dumps that do not belong together.
     """
     if not len(dumps) or len(unloaded) not in (0, 1, len(dumps)):
         counts = f"{len(dumps)} and {len(unloaded)}"

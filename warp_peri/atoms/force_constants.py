@@ -62,8 +62,7 @@ class NonAnalyticCorrection:
     """What waves of ions' displacement do through their electric field (theory, T18).
 
     Attributes:
-        born: effective charges of the atoms of a cell [e], shape [n, 3, 3]. Their mean is taken
-            off, since charges of a cell sum to zero.
+        born: effective charges of the atoms of a cell [e], [n, 3, 3]; their mean is taken off.
         dielectric: of clamped ions, shape [3, 3].
         decay: Λ [1/Å] of the Gaussians; from_supercell sets it where it is 0.
     """

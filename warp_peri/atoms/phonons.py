@@ -212,10 +212,9 @@ def from_calculator(
 
     Args:
         structure: the cell at rest, an ase.Atoms.
-        calculator: with forces in eV/Å.
-        repeats: of the cell along its edges; the supercell is to be wider than twice what the
-            forces reach.
-        thickness: of a sheet.
+        calculator: of ASE.
+        repeats: of the cell along its edges, wider than twice what the forces reach.
+        thickness: of a sheet [Å].
     """
     many, first = structure.repeat(tuple(repeats)), range(len(structure))
     forces = forces_of(many, calculator)
