@@ -70,47 +70,8 @@ class ErrorBound(Shown):
         return [("proven", self.statement), *((n, f"{getattr(self, n):.3g}") for n in names)]
 
 
-def guarantee(placed: EnsembleOperator, load: np.ndarray, u: np.ndarray) -> ErrorBound | None:
-    """The bound for an answer u, or None where nothing is proven of the rich member there."""
-    operator: Any = placed.rich
-    points, inside = placed.points, placed.points.interior
-    stiffness = proven_stiffness(operator, points.spacing)
-    if not (points.is_open_lattice and stiffness > 0):
-        return None
-    grid = lattice_steps(points)[0][inside]
-    sides = grid.max(axis=0) - grid.min(axis=0) + 1  # of the box, whose Laplacian is softer
-    laplacian = float(sum(4 * np.sin(np.pi / 2 / (n + 1)) ** 2 for n in sides))
-    smallest = stiffness * laplacian / points.spacing**2
-
-    def linear(v: np.ndarray) -> np.ndarray:
-        return placed.straight(operator.on_all(v))
-
-    r, inner = load - operator(u), u[inside]
-    e = placed.inverse(r, ACCURATE)
-    le = linear(e)
-    rest = r - le
-    # r·L⁻¹r = e·Le + 2 e·rest + rest·L⁻¹rest, and L ≥ smallest
-    square = np.vdot(e, le) + 2 * np.vdot(e, rest) + np.vdot(rest, rest) / smallest
-    size = float(np.sqrt(max(square, 0.0)))
-    q = largest = 0.0
-    if placed.nonlinear:
-        found = contraction(operator.model, float(operator.largest_gradient(u)), size)
-        if found is None:
-            return None
-        q, largest = found
-    bound, whole = size / (1 - q), float(np.sqrt(max(np.vdot(inner, linear(inner)), 0.0)))
-    relative = bound / whole if whole > 0 else np.inf
-    moved = bound / float(np.sqrt(smallest)) / max(norm(inner), 1e-300)
-    words = (
-        f"The model's own solution lies within {100 * relative:.2g} % of this answer in the energy "
-        "norm, the root of twice the strain energy of their difference over that of the answer"
-        + (f", and no other has |H| ≤ {largest:.2%}." if placed.nonlinear else ".")
-    )
-    return ErrorBound(bound, relative, q, largest, moved, words)
-
-
 def contraction(model: Any, gradient: float, size: float) -> tuple[float, float] | None:
-    """q and a radius for gradients, ≤ κ_in size/(1 − q) off, that no iterate leaves; or None."""
+    """q and a radius of gradients, κ_in size/(1 − q) off, that no iterate leaves; or None."""
     names = ("strain", "kappa_in", "kappa_out", "largest_parts")
     if not all(name in model.proven for name in names):
         return None
@@ -260,7 +221,43 @@ class Prediction(Shown):
     @cached_property
     def guarantee(self) -> ErrorBound | None:
         """How far the rich member's own solution is at most, proven; None where nothing is (Q9)."""
-        return guarantee(self.operator, self.load, self.u)
+        placed, u = self.operator, self.u
+        operator: Any = placed.rich
+        points, inside = placed.points, placed.points.interior
+        stiffness = proven_stiffness(operator, points.spacing)
+        if not (points.is_open_lattice and stiffness > 0):
+            return None
+        grid = lattice_steps(points)[0][inside]
+        sides = grid.max(axis=0) - grid.min(axis=0) + 1  # of the box, whose Laplacian is softer
+        laplacian = float(sum(4 * np.sin(np.pi / 2 / (n + 1)) ** 2 for n in sides))
+        smallest = stiffness * laplacian / points.spacing**2
+
+        def linear(v: np.ndarray) -> np.ndarray:
+            return placed.straight(operator.on_all(v))
+
+        r, inner = self.load - operator(u), u[inside]
+        e = placed.inverse(r, ACCURATE)
+        le = linear(e)
+        rest = r - le
+        # r·L⁻¹r = e·Le + 2 e·rest + rest·L⁻¹rest, and L ≥ smallest
+        square = np.vdot(e, le) + 2 * np.vdot(e, rest) + np.vdot(rest, rest) / smallest
+        size = float(np.sqrt(max(square, 0.0)))
+        q = largest = 0.0
+        if placed.nonlinear:
+            found = contraction(operator.model, float(operator.largest_gradient(u)), size)
+            if found is None:
+                return None
+            q, largest = found
+        bound, whole = size / (1 - q), float(np.sqrt(max(np.vdot(inner, linear(inner)), 0.0)))
+        relative = bound / whole if whole > 0 else np.inf
+        moved = bound / float(np.sqrt(smallest)) / max(norm(inner), 1e-300)
+        alone = f", and no other has |H| ≤ {largest:.2%}." if placed.nonlinear else "."
+        words = (
+            f"The model's own solution lies within {100 * relative:.2g} % of this answer in the "
+            "energy norm, the root of twice the strain energy of their difference over that of the "
+            f"answer{alone}"
+        )
+        return ErrorBound(bound, relative, q, largest, moved, words)
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
         """The map of the likely error over the nodes."""

@@ -69,7 +69,6 @@ class EnsembleMaterial(OnLinear, format="warp_peri.family", version=2):
         strain: largest strain between neighbouring nodes in the samples.
         temperature: [K] of the samples, where they state it.
         quadratic: of a linear rich member the constants [stress] of `quadratic_stresses`.
-        provenance: of the fit.
     """
 
     rich: Any
@@ -136,10 +135,7 @@ class Ensemble:
     ) -> EnsembleFit:
         """The ensemble, with the history and the certificate of the rich one's fit.
 
-        Args:
-            samples: with loads, at least four; of a Dataset `train`, or its only set.
-            validation: samples on the same kind of nodes, not learned from, that calibrate too.
-            progress: as for the laws, whose errors are raised.
+        Of at least four samples with loads; `validation` on the same kind of nodes calibrates too.
         """
         if isinstance(samples, Dataset):
             samples = samples.obvious("train")

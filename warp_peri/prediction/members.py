@@ -40,14 +40,10 @@ HALF_PERIOD = 30.0
 
 @dataclass(frozen=True)
 class ErrorSpectrum:
-    """The relative error of a material's answers by wavelength.
+    """The relative error [K] of a material's answers by wavelength [length], growing, [K].
 
-    Attributes:
-        wavelength: [length], growing, shape [K].
-        error: a fraction, shape [K]; between the wavelengths its square is linear in their
-            logarithms, and it is constant beyond them.
-        shortest: wavelength that samples held enough of [length]; below it the largest error that
-            is known stands for one that is not.
+    Between wavelengths its square is linear in their logarithms; below the `shortest` that samples
+    held enough of, the largest error that is known stands for one that is not.
     """
 
     wavelength: Annotated[np.ndarray, FieldUnits(length=1)]
@@ -120,15 +116,12 @@ def recorded(wavelength: np.ndarray, rows: np.ndarray, errors: np.ndarray) -> Er
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """Fields of errors on the interior nodes by origin (Q1–Q3).
+    """Fields of errors [I, d] [length] on the interior nodes by origin (Q1–Q3).
 
-    Attributes:
-        fields: by name, each of shape [I, d] [length]: "left", the correction; "waves", by the
-            second member; "data", by the halves; "strain", what the orders of the force would go on
-            to as a series, or of a linear member the forces of second order; "axis", by the crystal
-            at its other extreme; "moduli", by their standard error, which belongs to the data.
-        pull: what waves and data are multiplied with, half way in logarithms to what the record
-            says of such wavelengths (Q6).
+    "left" is the correction; "waves" is by the second member, "data" by the halves; "strain" what
+    the orders of the force would go on to, or of a linear member the forces of second order; "axis"
+    by the crystal at its other extreme; "moduli" by their standard error. Waves and data are
+    multiplied with `pull`, half way in logarithms to what the record says of wavelengths (Q6).
     """
 
     fields: dict[str, np.ndarray]
@@ -141,15 +134,10 @@ def norm(field: np.ndarray) -> float:
 
 
 class EnsembleOperator:
-    """The members of a family on the points of a problem.
+    """The members of a family on a lattice, or on whatever points a linear rich member goes.
 
-    Args:
-        family: what was learned.
-        points: a lattice, or for a linear rich member any points it goes on.
-        options: of its `on`.
-
-    Attributes:
-        loads: how many are asked for at once, before the first: what a factorisation is worth.
+    Options are those of its `on`; `loads` says how many are asked for at once: what a factorisation
+    is worth.
     """
 
     loads = 1
