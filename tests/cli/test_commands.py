@@ -414,7 +414,6 @@ def test_every_command_answers_or_refuses_whatever_the_law(name, tmp_path, capsy
     model, data = str(tmp_path / "m.json"), str(tmp_path / "d.h5")
     for words in (
         ["info", model],
-        ["evaluate", model, data],
         ["evaluate", model, data, "--json"],
         ["certify", model],
         ["export", model, data, "--out", str(tmp_path / "out")],
