@@ -127,7 +127,7 @@ def problem_of(given: Namespace) -> tuple[Any, Dataset, Any]:
 
 def options_of(given: Namespace) -> Result:
     """What is asked of a solve beside the usual; laws without such options know no default."""
-    asked = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
+    asked = chosen(given, "transfer", "allow_uncertified")
     return {name: value for name, value in asked.items() if value != (name == "transfer")}
 
 
@@ -173,7 +173,7 @@ def _solve_body(given: Namespace) -> Said:
         load(given.body),
         _vectors("hold", given.hold),
         _vectors("pull", given.pull),
-        coupling=Coupling(spacing=given.spacing, overlap=given.overlap),
+        coupling=Coupling(**chosen(given, "spacing", "overlap")),
     )
     solution = warp_peri.solve(material, problem, **options_of(given)).details
     with locked(given.out):
@@ -276,6 +276,11 @@ def set_summary(points: Samples) -> Result:
         "spacing": points.spacing,
         "arrays": sorted(points.arrays),
     }
+
+
+def chosen(given: Namespace, *names: str) -> Result:
+    """Some options by their names, which those of a function are too."""
+    return {name: getattr(given, name) for name in names}
 
 
 def keep(given: Namespace, path: Path) -> None:

@@ -21,6 +21,7 @@ from warp_peri.atoms.dic import estimate_noise, frames_of_folder
 from warp_peri.cli.commands import (
     Result,
     Said,
+    chosen,
     error_table,
     keep,
     lines_of,
@@ -80,19 +81,15 @@ def run_coarse_grain(given: Namespace) -> Said:
         what = "half the smallest period" if box else "the extent of the body"
         raise InputError(f"radius: expected at most {limit:g} Å, {what}, got {given.radius:g} Å")
     force = np.stack([atom_forces(path, len(reference)) for path in given.force])
-    mass = np.ones(len(reference))
-    if given.mass:
-        mass = dumps.read_masses(given.reference, given.mass)
+    mass = dumps.read_masses(given.reference, given.mass) if given.mass else 1.0
     if not 0 < given.spacing <= given.interior < given.reach:
         lengths = f"{given.spacing:g}, {given.interior:g}, {given.reach:g} Å"
         raise InputError(
             f"spacing, interior, reach: expected 0 < spacing ≤ interior < reach, got {lengths}"
         )
     around: Result = {"spacing": given.spacing, "horizon": (given.reach - given.interior) / 2}
-    if box:
-        points = Points.block((2 * given.interior, 2 * given.interior), **around)
-    else:
-        points = Points.disk(given.interior, **around)
+    size = given.interior
+    points = Points.block(2 * [2 * size], **around) if box else Points.disk(size, **around)
     points = dataclasses.replace(points, x=points.x + reference.mean(axis=0))
     omega = smoothing_matrix(
         reference, points.x, radius=given.radius, box=box, spacing=given.spacing
@@ -106,8 +103,7 @@ def run_coarse_grain(given: Namespace) -> Said:
         unloaded=given.unloaded or [],
         average=dumps.FrameAverage(given.skip, given.iota),
         node_area=given.spacing**2,
-        thickness=given.thickness,
-        progress=given.progress,
+        **chosen(given, "thickness", "progress"),
     )
     with locked(given.out):
         before = _take_sheet(given)  # another job may have written it meanwhile
@@ -278,11 +274,8 @@ def run_sweep(given: Namespace) -> Said:
         given.out,
         test=data[given.test] if given.test else None,
         noise=data[given.noise] if given.noise else None,
-        horizons=given.horizons,
-        degrees=given.degrees,
         law=warp_peri.LPS(HORIZON, None, settings.GaussNewton(moduli=None), conditions),
-        jobs=given.jobs,
-        progress=given.progress,
+        **chosen(given, "horizons", "degrees", "jobs", "progress"),
     )
     result: Result = {
         "fits": len(sweep.trials),
@@ -301,30 +294,19 @@ def run_fit_crystal(given: Namespace) -> Said:
     """A structure → model.json, crystal.json, report.txt and law.png, in a folder."""
     begin, path = time.perf_counter(), given.out / "model.json"
     units = given.units[0] if len(given.units) == 1 else tuple(given.units)
-    nodes = {"spacing": given.spacing, "horizon": given.horizon, "symmetry": given.symmetry}
+    how = chosen(given, "spacing", "horizon", "symmetry") | {"units": units}
     with locked(given.out):  # a place that takes no files is told before the calculator works
         if given.calculator is None:
             constants = warp_peri.atoms.from_phonopy(given.structure, thickness=given.thickness)
-            found: Any = warp_peri.atoms.crystal_from_force_constants(
-                constants, **nodes, units=units
-            )
+            found: Any = warp_peri.atoms.crystal_from_force_constants(constants, **how)
         else:
             structure = dumps.read_structure(given.structure)
+            trusted = given.trust or "calculator" not in given.from_file
             calculator = warp_peri.atoms.make_calculator(
-                given.calculator,
-                structure.get_chemical_symbols(),
-                given.potential,
-                trusted=given.trust or "calculator" not in getattr(given, "from_file", ()),
+                given.calculator, list(structure.symbols), given.potential, trusted=trusted
             )
-            found = warp_peri.fit_crystal(
-                structure,
-                calculator,
-                thickness=given.thickness,
-                hold=given.hold,
-                supercell=given.supercell,
-                **nodes,
-                units=units,
-            )
+            how |= chosen(given, "thickness", "hold", "supercell")
+            found = warp_peri.fit_crystal(structure, calculator, **how)
         warp_peri.save(path, found.material)
         write_json(given.out / "crystal.json", finite(plain(found.content())))
         group, wave, proof = found.law.symmetry, found.holds_to["law"], found.certificate
@@ -351,15 +333,8 @@ def run_fit_crystal(given: Namespace) -> Said:
 
 def run_fit_sheet(given: Namespace) -> Said:
     """Frames → material.json, sheet.json, curves and every candidate's file, in a folder."""
-    frames = frames_of_folder(
-        given.folder,
-        given.count,
-        pixel=given.pixel,
-        radius=given.smooth,
-        positions=given.positions,
-        stress=given.stress,
-        along=given.along,
-    )
+    how = chosen(given, "pixel", "positions", "stress", "along")
+    frames = frames_of_folder(given.folder, given.count, radius=given.smooth, **how)
     usual = frames.points.units == USUAL  # what frames without a unit are taken for
     length = None if usual else frames.points.units[0]
     if given.stress and usual:
@@ -379,11 +354,10 @@ def run_fit_sheet(given: Namespace) -> Said:
     with locked(given.out):
         choice = warp_peri.hyperelastic.select_model(
             frames,
-            fibres=given.fibres,
             uneven=not given.even,
             folder=given.out / "fits",  # where a second start goes on from
             done=done,
-            progress=given.progress,
+            **chosen(given, "fibres", "progress"),
         )
         warp_peri.save(given.out / "material.json", choice.material)
         result, shown = _written(given, choice)
