@@ -99,7 +99,8 @@ def error_table(tables: Mapping[str, Result], units: Units) -> list[str]:
         if "error" in table:
             lines.append(f"{name:{width}}  {table['error']}")
             continue
-        res, u, shape = (percent(table.get(key)) for key in ("E_res", "E_u", "E_shape"))
+        shown = (table.get(key) for key in ("E_res", "E_u", "E_shape"))
+        res, u, shape = ("–" if one is None else f"{100 * one:.3f}" for one in shown)
         left = "–" if table.get("E_res_abs") is None else f"{table['E_res_abs']:.3e}"
         count = f"{name:{width}}  {table['samples']:7d}"
         lines.append(f"{count}  {res:>10}  {left:>17}  {u:>8}  {shape:>11}")
@@ -110,11 +111,6 @@ def error_table(tables: Mapping[str, Result], units: Units) -> list[str]:
             "relative to them; the error of a solve is E_u"
         )
     return lines
-
-
-def percent(error: float | None) -> str:
-    """An error in %, or a dash where there is nothing that it could be relative to."""
-    return "–" if error is None else f"{100 * error:.3f}"
 
 
 def problem_of(given: Namespace) -> tuple[Any, Dataset, Any]:
@@ -179,7 +175,6 @@ def _solve_body(given: Namespace) -> Said:
     with locked(given.out):
         largest = warp_peri.export.write_body(given.out, solution)
         keep(given, given.out.with_suffix(".solve.toml"))
-    names = ("exchanges", "mismatch", "rim_residual", "bulk_residual")
     result = {
         "file": str(given.out),
         **largest,
@@ -187,7 +182,7 @@ def _solve_body(given: Namespace) -> Said:
         "spacing": solution.spacing,
         "horizon": solution.model.horizon,
         "lattice_nodes": 0 if solution.points is None else int(solution.points.interior.sum()),
-        **{name: getattr(solution.exchange, name) for name in names},
+        **chosen(solution.exchange, "exchanges", "mismatch", "rim_residual", "bulk_residual"),
         "overlap": solution.overlap,
     }
     return result, _with_units(result, material.units)
@@ -225,7 +220,7 @@ def run_predict(given: Namespace) -> Said:
     answers: Any = warp_peri.predict(model, problem, given.tolerance or None, **options_of(given))
     points, samples = problem.points, []
     for answer, truth in zip(answers, points.u[:, points.interior]):
-        told = {n: getattr(answer, n) for n in ("error", "parts", "kept", "why", "uncovered")}
+        told = chosen(answer, "error", "parts", "kept", "why", "uncovered")
         if size := float(np.linalg.norm(truth)):  # the set holds what was measured or computed
             told["true"] = float(np.linalg.norm(answer.u[points.interior] - truth)) / size
         samples.append(told)
@@ -248,9 +243,9 @@ def run_info(given: Namespace) -> Said:
     """What a model, a data file or a mesh holds."""
     held: Any = load(given.file)
     if isinstance(held, Dataset):
-        sheet = {"thickness": held.thickness, "density": held.density}
         sets = {name: set_summary(one) for name, one in held.sets.items()}
-        result: Result = {"format": "data set", "units": list(held.units), **sheet, "sets": sets}
+        result: Result = {"format": "data set", "units": list(held.units)}
+        result |= chosen(held, "thickness", "density") | {"sets": sets}
         result["provenance"] = held.provenance
         return result, lines_of(result | dict(held.rows()[:2]))
     if hasattr(held, "cells"):
@@ -278,8 +273,8 @@ def set_summary(points: Samples) -> Result:
     }
 
 
-def chosen(given: Namespace, *names: str) -> Result:
-    """Some options by their names, which those of a function are too."""
+def chosen(given: Any, *names: str) -> Result:
+    """Some options by their names, which those of a function are too, or what else has them."""
     return {name: getattr(given, name) for name in names}
 
 
@@ -293,13 +288,12 @@ def settings_of(given: Namespace) -> str:
     """The options of a command as TOML."""
 
     def plainly(value: Any) -> Any:
+        if isinstance(value, list):
+            return [*map(plainly, value)]
         return str(value) if isinstance(value, Path) else value
 
-    table = {}
-    for name in given.options:
-        if (value := getattr(given, name)) is not None:
-            table[name] = [*map(plainly, value)] if isinstance(value, list) else plainly(value)
-    return tomli_w.dumps({given.command: table})
+    table = chosen(given, *given.options).items()
+    return tomli_w.dumps({given.command: {n: plainly(v) for n, v in table if v is not None}})
 
 
 def _with_units(result: Result, units: Units) -> list[str]:
