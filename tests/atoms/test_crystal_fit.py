@@ -14,7 +14,7 @@ from ase.calculators.lj import LennardJones
 
 import warp_peri as wp
 from warp_peri.atoms.calculators import lammps_calculator
-from warp_peri.atoms.relaxed import at_rest
+from warp_peri.atoms.relaxed import at_rest, usual_spacing
 from warp_peri.cli.main import main
 from warp_peri.core.elastic import allowed_tensors, group_of_structure, point_group, voigt
 from warp_peri.crystals import from_calculator
@@ -176,7 +176,8 @@ def test_a_sheet_across_a_face_is_put_together_turned_and_made_small():
     with pytest.raises(wp.InputError, match="hold: expected a sheet across z"):
         at_rest(sheet, made, hold=["xx"])
     assert found.thickness == pytest.approx(3.118 + 3.6, abs=0.01)
-    assert found.spacing == pytest.approx(np.sqrt(3) * found.cell.cell.lengths()[0], rel=1e-6)
+    edge = found.cell.cell.lengths()[0]
+    assert usual_spacing(found.cell, True) == pytest.approx(np.sqrt(3) * edge, rel=1e-6)
 
 
 def test_a_solid_is_turned_to_axes_that_nodes_share():

@@ -118,7 +118,7 @@ class CrystalFit(Shown):
     @cached_property
     def tensor(self) -> np.ndarray:
         """C_ijkl [TPa] of the atoms' long waves, [d, d, d, d]."""
-        return self.atoms.elastic(_allowed(self.material.symmetry, self.atoms.dimension))
+        return self.atoms.elastic(_allowed(self.atoms, self.material.symmetry))
 
     @cached_property
     def errors(self) -> Any:
@@ -127,7 +127,7 @@ class CrystalFit(Shown):
         Of an exact potential the difference of finite strains from long waves.
         """
         if self.atoms.doubt is not None:
-            allowed = _allowed(self.material.symmetry, self.atoms.dimension)
+            allowed = _allowed(self.atoms, self.material.symmetry)
             return self.atoms.elastic_doubt(allowed, bent=True)
         return None if self.strained is None else (self.strained - self.tensor)[None]
 
@@ -270,7 +270,8 @@ def _written(C: np.ndarray, errors: np.ndarray) -> str:
     return ", ".join(f"{name} {value:.2f} ± {bar:.2g}" for name, (value, bar) in moduli) + " GPa"
 
 
-def _allowed(symmetry: Symmetry, d: int) -> np.ndarray:
+def _allowed(atoms: ForceConstants, symmetry: Symmetry) -> np.ndarray:
+    d = atoms.dimension
     return allowed_tensors(symmetry, point_group(symmetry, d), np.eye(d))
 
 
@@ -326,7 +327,7 @@ def fit_crystal(
     constants, strained, taken = with_strains(constants, reference, calculator, group)
     said = reference.said | said | taken
     if strained is not None:
-        waves = constants.elastic(_allowed(group, constants.dimension))
+        waves = constants.elastic(_allowed(constants, group))
         off = float(np.abs(waves - strained).max() / np.abs(strained).max())
         if off > AGREE:
             told = (
@@ -337,7 +338,7 @@ def fit_crystal(
                 raise InputError(f"moduli: {told}")
             warn(f"moduli: {told}")
             said["moduli disagree"] = told
-    return _learned(constants, spacing or reference.spacing, horizon, group, units, said, strained)
+    return _learned(constants, spacing, horizon, group, units, said, strained)
 
 
 def with_strains(
@@ -347,12 +348,12 @@ def with_strains(
 
     Under noise force constants are moved until their moduli are the likeliest of both.
     """
-    noise, allowed = reference.noise, _allowed(symmetry, atoms.dimension)
+    noise, allowed = reference.noise, _allowed(atoms, symmetry)
     largest = STRETCH if noise is None else noise.strain
     rough = noise is not None and noise.rough > 0
     found = by_strains(reference.cell, calculator, largest, atoms, allowed, rough=rough)
     if found is None or noise is None:
-        return atoms, None if found is None else found[0], _doubts(atoms)
+        return atoms, None if found is None else found[0], {}
     # what is unstable within its errors is refused only if strains do not mend it
     alone = _written(atoms.nearest_elastic(allowed)[0], atoms.elastic_doubt(allowed))
     new, chi, moved = joined(atoms, allowed, *found, shared=SMALLER * rough)
@@ -365,7 +366,7 @@ def with_strains(
         "moduli, finite strains alone": f"{_written(*found)}, {sizes}",
         "both": f"χ² = {chi:.2g} for each modulus: {believed}; Φ moved by {moved:.1e}",
     }
-    return new, found[0], told | _doubts(new)
+    return new, found[0], told
 
 
 @typed
@@ -383,11 +384,9 @@ def crystal_from_force_constants(
     InputError for a crystal with imaginary phonons.
     """
     check_phonons(atoms)
-    cell = ase.Atoms(atoms.species, positions=atoms.positions, cell=atoms.cell, pbc=True)
-    h = spacing or usual_spacing(cell, atoms.dimension == 2)
-    said, group = _doubts(atoms), _group(atoms, symmetry)
+    group = _group(atoms, symmetry)
     if atoms.doubt is not None:
-        allowed = _allowed(group, atoms.dimension)
+        allowed = _allowed(atoms, group)
         errors = replace(atoms, cut=None).elastic_doubt(allowed, bent=True)
         share = np.abs(errors).max(initial=0.0) / np.abs(atoms.elastic(allowed)).max()
         if share > RULES:
@@ -395,7 +394,7 @@ def crystal_from_force_constants(
                 f"force constants: rules that they break (space group, rotations, …) leave moduli "
                 f"unsure by {share:.0%}; expected less than {RULES:.0%}"
             )
-    return _learned(atoms, h, horizon, group, check_units(units), said, None)
+    return _learned(atoms, spacing, horizon, group, check_units(units), {}, None)
 
 
 def _doubts(atoms: ForceConstants) -> dict[str, str]:
@@ -416,16 +415,17 @@ def _doubts(atoms: ForceConstants) -> dict[str, str]:
 
 def _learned(
     atoms: ForceConstants,
-    spacing: float,
+    spacing: float | None,
     horizon: float | None,
     symmetry: Symmetry,
     units: Units,
     said: dict[str, str],
     strained: np.ndarray | None,
 ) -> CrystalFit:
-    reach = spacing * REACH[atoms.dimension] if horizon is None else horizon
-    law = fit_phonons(atoms, spacing, reach, symmetry=symmetry)
-    found = CrystalFit(law, atoms, strained, said)
+    cell = ase.Atoms(atoms.species, positions=atoms.positions, cell=atoms.cell, pbc=True)
+    h = spacing or usual_spacing(cell, atoms.dimension == 2)
+    law = fit_phonons(atoms, h, horizon or h * REACH[atoms.dimension], symmetry=symmetry)
+    found = CrystalFit(law, atoms, strained, said | _doubts(atoms))
     record: dict[str, Any] = {"moduli_error": found.unsure}  # relative, of any sound wave
     law = replace(law, provenance=law.provenance | record) if found.errors is not None else law
     return replace(found, material=law.in_units(units))

@@ -65,7 +65,6 @@ class Reference:
         cell: its smallest cell, an ase.Atoms without a calculator; a sheet lies across z.
         thickness: of a sheet [Å], or None.
         stress: that it is held under [TPa], shape [d, d]; None for one at rest.
-        spacing: that its nodes have unless another is asked for [Å].
         noise: of the calculator's forces; None where it is rounding.
         said: what was found or chosen, by name.
     """
@@ -73,7 +72,6 @@ class Reference:
     cell: ase.Atoms
     thickness: float | None
     stress: np.ndarray | None
-    spacing: float
     said: dict[str, str]
     noise: Noise | None = None
 
@@ -250,7 +248,7 @@ def at_rest(
         said["thickness"] = f"{size:.4g} Å, {rule}"
         said["bending"] = "not in the model: it moves a sheet in its plane only"
     cell.calc = None
-    return Reference(cell, size, stress, usual_spacing(cell, flat), said, noise)
+    return Reference(cell, size, stress, said, noise)
 
 
 def _settled(cell: ase.Atoms, flat: bool, held: set[str]) -> tuple[ase.Atoms, np.ndarray, Noise]:
