@@ -374,10 +374,10 @@ def test_every_law_is_fitted_at_the_shell(kind, tmp_path, capsys):
     C = crystals.cubic_tensor(2)
     C[1, 1, 1, 1] *= 1.3
     law = fit_dispersion(crystals.dispersive(C), 1.5, 3.0, symmetry="2mm", tensor=C)
-    points = crystals.lattice(2, 20, 8, law.spacing)
+    points = crystals.lattice(2, 14, 8, law.spacing)
     sets = {}
     for seed, name in enumerate(("train", "val")):
-        u = 1e-3 * smooth(points.x, 16, seed, wave_number=0.25)
+        u = 1e-3 * smooth(points.x, 8, seed, wave_number=0.25)
         b = np.zeros_like(u)
         b[:, points.interior] = law.on(points)(u)
         sets[name] = Samples(points, u, b)

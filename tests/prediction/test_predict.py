@@ -115,7 +115,7 @@ def test_strain_counts_what_its_orders_go_on_to(family, steady):
     family = replace(family, factors=replace(family.factors, screen=screen))
     points, u, given = problem(family, 0.05)
     best, placed = wp.predict(family, given, None), family.ensemble_on(points)
-    inside, load = points.interior, placed.rhs(given.b)
+    inside, load = points.interior, placed.rich.rhs(given.b)
     found = np.where(inside[:, None], 0, u)
     found[inside] = placed.inverse(load - placed.straight(found), 1e-6)
     bent = far(found, u, points)

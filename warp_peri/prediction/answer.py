@@ -389,7 +389,7 @@ def predict(
     inside, answers = members.points.interior, []
     share = SOLVED if tolerance is None else min(SOLVED, SHARE * tolerance)
     for b, given, noise in zip(*flat, _noise(points, len(flat[0]))):
-        right = members.rhs(b)
+        right = members.rich.rhs(b)
         start = np.where(inside[:, None], 0.0, given)
         start[inside] = members.inverse(right - members.straight(start), share)
         told, unseen = members.recorded(start)

@@ -214,7 +214,7 @@ def quadratic(family: EnsembleMaterial, samples: Samples) -> tuple[float, ...]:
     """Constants of `second_order`, by what the half that has not seen a sample leaves of it."""
     placed, points = EnsembleOperator(family, samples.points), samples.points
     left = [
-        placed.rhs(b) - placed.others[2 - n % 2](u)  # even ones are the first half's
+        placed.rich.rhs(b) - placed.others[2 - n % 2](u)  # even ones are the first half's
         for n, (b, u) in enumerate(zip(samples.loads, samples.u))
     ]
     grid = grid_of(points, 2 * np.eye(points.dimension, dtype=int))
@@ -228,7 +228,7 @@ def _measured(family: EnsembleMaterial, samples: Samples) -> list[dict[str, Any]
     inside = samples.interior
     rows = []
     for b, truth in zip(samples.loads, samples.u):
-        load, size = placed.rhs(b), norm(truth[inside])
+        load, size = placed.rich.rhs(b), norm(truth[inside])
         u = np.where(inside[:, None], 0.0, truth)
         u[inside] = placed.inverse(load - placed.straight(u), 3e-3)
         first = u.copy()

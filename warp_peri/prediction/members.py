@@ -177,10 +177,6 @@ class EnsembleOperator:
 
         return solved
 
-    def rhs(self, b: np.ndarray) -> np.ndarray:
-        """What the operator equals in equilibrium, shape [I, d]."""
-        return np.asarray(self.rich.rhs(b))
-
     def gradient(self, u: np.ndarray) -> float:
         """Root mean square of |H|; of a linear member the largest strain between neighbours."""
         if not self.nonlinear:
