@@ -9,26 +9,12 @@ from scipy.optimize import brentq
 import warp_peri as wp
 from tests.crystal.crystals import learned
 from tests.support.problems import ell, kernel, lattice, manufactured, noise, periodic
-from tests.support.solving import solve, solve_periodic
+from tests.support.solving import solve
 from warp_peri import Dirichlet, InputError, LPSMaterial, Periodic, Points
 from warp_peri.solvers.linear import DIRECT, cheapest_method
 from warp_peri.verbs import solve as at_rest
 
 HORIZON = 3.0  # at which all of them are
-
-
-@pytest.mark.parametrize(("name", "angle"), [("1/r", 0.0), ("sign-changing", 0.5)])
-def test_a_manufactured_solution_is_recovered_whatever_the_collar(name, angle):
-    model = kernel(name, HORIZON, lam=-0.2)
-    points = manufactured(model, lattice(ell(), HORIZON, angle=angle, origin=(4.0, 9.0)), 3)
-    assert np.abs(points.u[:, ~points.interior]).min() > 0
-    collar = np.where(points.interior[:, None], np.nan, points.u)
-    load = np.where(points.interior[:, None], points.b, np.nan)
-    solved = solve(model, points, load, collar)
-    np.testing.assert_allclose(solved, points.u, rtol=0, atol=1e-11)
-    assert np.array_equal(solved[:, ~points.interior], points.u[:, ~points.interior])
-    assert np.isnan(collar[:, points.interior]).all()  # what was given stays as it was
-    np.testing.assert_allclose(solve(model, points, load[1], collar[1]), points.u[1], atol=1e-11)
 
 
 def test_the_residual_is_that_of_the_worst_load():
@@ -47,10 +33,9 @@ def test_the_periodic_solve_is_the_inverse_of_the_operator(name, side):
     points, _ = periodic((9, side), spacing=2.5)
     u = noise(points, 2)
     u -= u.mean(axis=1, keepdims=True)
-    b = model.on(points)(u).reshape(2, 9, side, 2)
-    solved = solve_periodic(model, b + np.array([0.3, -5.0]), spacing=2.5)
-    np.testing.assert_allclose(solved.reshape(u.shape), u, rtol=0, atol=1e-11)
-    assert np.abs(solved.mean(axis=(1, 2))).max() < 1e-14
+    solved = at_rest(model, Periodic(points, model.on(points)(u) + np.array([0.3, -5.0]))).u
+    np.testing.assert_allclose(solved, u, rtol=0, atol=1e-11)
+    assert np.abs(solved.mean(axis=1)).max() < 1e-14
 
 
 def test_a_model_that_is_certified_nowhere_is_proven_where_it_is_asked():
@@ -92,13 +77,6 @@ def test_a_sheet_must_fill_its_box(change):
     points = replace(Points.sheet((8, 8), 1.0), **change)
     with pytest.raises(InputError, match="points: expected"):
         at_rest(kernel("1/r", HORIZON), Periodic(points, np.zeros((64, 2))))
-
-
-def test_a_collar_that_is_too_thin_is_refused():
-    points = lattice(2, 2.0)
-    zero = np.zeros((len(points.x), 2))
-    with pytest.raises(InputError, match="; 2.49 Å fits"):
-        solve(kernel("1/r", HORIZON), points, zero, zero)
 
 
 def test_a_constant_load_moves_nothing_on_a_period():

@@ -2,9 +2,7 @@
 
 from typing import get_args
 
-import numpy as np
-
-from warp_peri import CG, Direct, Dirichlet, Newton, Periodic, Points, simulate
+from warp_peri import CG, Direct, Dirichlet, Newton
 from warp_peri import solve as solved
 from warp_peri.solvers.solution import Preconditioner
 
@@ -34,16 +32,3 @@ def solve_nonlinear(
     if records is not None:
         records.extend(solution.details)
     return solution.u
-
-
-def solve_periodic(model, b, *, spacing, **options):
-    """Displacement on a sheet of shape [..., n₁, n₂, 2]."""
-    b = np.asarray(b, dtype=float)
-    points = Points.sheet(b.shape[-3:-1], spacing, units=model.units)
-    flat = b.reshape(-1, len(points.x), 2)
-    return solved(model, Periodic(points, flat), **options).u.reshape(b.shape)
-
-
-def velocity_verlet(model, points, u, v, *, b=None, **options):
-    """The motion from u and v."""
-    return simulate(model, Dirichlet(points, b, u), v=v, **options)

@@ -10,7 +10,7 @@ import torch
 import warp_peri as wp
 from tests.support.clouds import cloud
 from tests.support.problems import kernel, lattice, manufactured, noise
-from tests.support.solving import solve, solve_periodic
+from tests.support.solving import solve
 from warp_peri import InputError, Points, evaluate
 from warp_peri.certificates import critical_time_step
 from warp_peri.materials import transfer
@@ -60,9 +60,9 @@ def test_everything_takes_points_of_another_spacing(points):
     assert table["transferred_from"] == 1.0
     assert table == evaluate(there, points)
     assert table["E_u"] < 1e-9
-    b = np.random.default_rng(0).normal(size=(24, 28, 2))
-    sheet = solve_periodic(model, b, spacing=0.8)
-    assert np.array_equal(sheet, solve_periodic(there, b, spacing=0.8))
+    sheet = Points.sheet((24, 28), 0.8)
+    load = wp.Periodic(sheet, np.random.default_rng(0).normal(size=sheet.x.shape))
+    assert np.array_equal(wp.solve(model, load).u, wp.solve(there, load).u)
     step = critical_time_step(model, spacing=0.8, density=1000.0)
     assert step == critical_time_step(there, spacing=0.8, density=1000.0)
     tensors = [torch.from_numpy(field) for field in (points.b, points.u)]
