@@ -342,7 +342,7 @@ def test_arguments_of_bodies_solids_and_tables():
         (lambda: wp.Points.sheet((4,), 1.0), "sides"),
         (lambda: wp.fracture.box_nodes((), 1.0), "sides"),
         (lambda: box(0.0, 20.0), "width"),
-        (lambda: mesh_outline(Polygon(((0, 0), (1, 0), (2, 0))), size=1.0), "polygon"),
+        (lambda: mesh_outline(Polygon(((0, 0), (1, 0), (2, 0))), size=1.0), "corners"),
         (lambda: wp.Crystal(-1.5), "horizon"),
         (lambda: wp.influence.gaussian(np.ones(2), 0.0), "width"),
         (lambda: wp.fracture.continuum_stretch(kernel("1/r", 3.0), -1.0), "toughness"),

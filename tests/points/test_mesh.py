@@ -11,16 +11,7 @@ import warp_peri as wp
 from tests.support.problems import kernel
 from warp_peri.errors import InputError
 from warp_peri.points.mesh import REST, make_mesh, pieces
-from warp_peri.points.outlines import (
-    Block,
-    Circle,
-    Polygon,
-    Sphere,
-    box,
-    load_mesh,
-    mesh_outline,
-    mesh_solid,
-)
+from warp_peri.points.outlines import Block, Circle, Polygon, Sphere, box, load_mesh, mesh_outline
 
 HALVES = [[0, 1, 2], [0, 2, 3]]
 SIXTHS = []
@@ -77,17 +68,19 @@ def test_an_outline_has_its_parts_curves_holes_and_distances():
     assert size(mesh_outline(Polygon(corners[::-1]), size=2)) == pytest.approx(64)
     hole = Polygon(((0, 0), (3, 0), (0, 3)), ("cut",))
     assert set(mesh_outline(Circle(10, name="edge"), [hole], size=1).parts) == {"edge", "cut"}
-    for wrong, words in (
-        ({"outer": box(10, 10), "size": -1}, "size: expected a number > 0"),
-        ({"outer": Polygon(corners, ("a", "b")), "size": 1}, "a name for each of 6 sides"),
-        ({"outer": Polygon(corners[:2]), "size": 1}, r"corners \[n ≥ 3, 2\]"),
+    for make, words in (
+        (lambda: mesh_outline(box(10, 10), size=-1), "size: expected a number > 0"),
+        (lambda: Circle(1.0, (0.0, 0.0, 0.0)), r"centre: expected shape \[2\], got \[3\]"),
+        (lambda: Polygon(corners, ("a", "b")), "names: expected one for each of 6 sides"),
+        (lambda: Polygon(corners[:2]), "corners: expected three at least, got 2"),
+        (lambda: Polygon(((0, 0), (1, 0), (2, 0))), "corners around an area, got 0"),
+        (lambda: Polygon(([0], [1, 2])), "corners: expected"),
+        (lambda: Sphere(np.nan), "radius: expected a number > 0"),
+        (lambda: Sphere(1.0, (0.0, np.nan, 0.0)), "centre: expected finite values"),
+        (lambda: Block((9.0, 9.0, -9.0)), "sides: expected three > 0"),
     ):
         with pytest.raises(InputError, match=words):
-            mesh_outline(**wrong)
-    with pytest.raises(InputError, match="radius: expected a number > 0"):
-        mesh_solid(Sphere(np.nan), size=1.0)
-    with pytest.raises(InputError, match="sides > 0"):
-        mesh_solid(Block((9.0, 9.0, -9.0)), [Sphere(2.0)], size=2.0)
+            make()
 
 
 @pytest.mark.parametrize(("sides", "scale"), [((4, 3), 1e-6), ((3, 2, 2), 1e6)])

@@ -19,9 +19,11 @@ import numpy as np
 
 from warp_peri.errors import InputError, optional, warn
 from warp_peri.files.foreign import check_hdf5, check_xml, content, meshio_of
-from warp_peri.points.arguments import Positive, typed
+from warp_peri.points.arguments import Positive, checked, typed
 from warp_peri.points.mesh import REST, Mesh, facets_of, make_mesh
 
+ROUND = 1e-6
+"""How far from a circle or a sphere, relatively, the ends of its edges may be."""
 GRADING = 0.2
 """Netgen's measure of how fast triangles may grow, 0 to 1."""
 
@@ -45,6 +47,9 @@ class Circle:
     name: str = "hole"
     size: Positive | None = None
 
+    def __post_init__(self) -> None:
+        checked("centre", self.centre, float, (2,))
+
 
 @typed
 @dataclass(frozen=True)
@@ -55,11 +60,28 @@ class Polygon:
         corners: [Å], counter-clockwise or not; at least three.
         names: of the sides, from each corner to the next; one for all where it is one.
         size: sides of the triangles along it [Å]; None for that of the mesh.
+
+    Raises InputError for what encloses no area, and another number of names.
     """
 
     corners: tuple[tuple[float, float], ...]
     names: tuple[str, ...] = ("side",)
     size: Positive | None = None
+
+    def __post_init__(self) -> None:
+        count = len(checked("corners", self.corners, float, ("n", 2)))
+        if count < 3:
+            raise InputError(f"corners: expected three at least, got {count}")
+        if len(self.names) not in (1, count):
+            raise InputError(f"names: expected one for each of {count} sides, got {self.names}")
+        if not abs(self.area) > ROUND * np.ptp(self.corners, axis=0).max() ** 2:
+            raise InputError(f"corners: expected corners around an area, got {self.area:g}")
+
+    @property
+    def area(self) -> float:
+        """Above zero where corners turn counter-clockwise."""
+        here, there = np.asarray(self.corners), np.roll(self.corners, -1, axis=0)
+        return float((here[:, 0] * there[:, 1] - here[:, 1] * there[:, 0]).sum() / 2)
 
 
 Outline = Circle | Polygon
@@ -82,7 +104,7 @@ def mesh_outline(outer: Outline, holes: Sequence[Outline] = (), *, size: Positiv
         holes: none may meet another or the outer outline.
         size: sides of the triangles [Å] where the outlines ask for nothing.
 
-    Raises InputError for sizes that are not positive, a polygon that is none, outlines that cannot
+    Raises InputError for sizes that are not positive, outlines that cannot
     be meshed, and without Netgen.
     """
     netgen = optional("netgen.geom2d", WITHOUT)
@@ -128,29 +150,16 @@ def _add(geometry: Any, outline: Outline, size: float, *, inside: bool) -> None:
         sides = {"leftdomain": int(inside), "rightdomain": int(not inside), "maxh": maxh}
         geometry.AddCircle(c=outline.centre, r=outline.radius, bc=outline.name, **sides)
         return
-    corners = np.asarray(outline.corners, dtype=float)
-    names = outline.names if len(outline.names) > 1 else outline.names * len(corners)
-    if corners.ndim != 2 or corners.shape[1:] != (2,) or len(corners) < 3:
-        raise InputError(f"polygon: expected corners [n ≥ 3, 2], got {list(corners.shape)}")
-    if len(names) != len(corners):
-        raise InputError(f"polygon: expected a name for each of {len(corners)} sides, got {names}")
-    turn = np.roll(corners, -1, axis=0)
-    area = (corners[:, 0] * turn[:, 1] - corners[:, 1] * turn[:, 0]).sum() / 2
-    if not abs(area) > ROUND * np.ptp(corners, axis=0).max() ** 2:
-        raise InputError(f"polygon: expected corners around an area, got {area:g}")
-    left = (area > 0) == inside
+    names = outline.names if len(outline.names) > 1 else outline.names * len(outline.corners)
+    left = (outline.area > 0) == inside
     sides = {"leftdomain": int(left), "rightdomain": int(not left), "maxh": maxh}
-    numbers = [geometry.AppendPoint(*corner) for corner in corners.tolist()]
+    numbers = [geometry.AppendPoint(*map(float, corner)) for corner in outline.corners]
     for start, end, name in zip(numbers, numbers[1:] + numbers[:1], names):
         geometry.Append(["line", start, end], bc=name, **sides)
 
 
 SIDES = ("left", "right", "front", "back", "bottom", "top")
 """Of a block: the ends of its first, second and third axis."""
-
-
-ROUND = 1e-6
-"""How far from a circle or a sphere, relatively, the ends of its edges may be."""
 
 
 @typed
@@ -170,6 +179,9 @@ class Sphere:
     name: str = "void"
     size: Positive | None = None
 
+    def __post_init__(self) -> None:
+        checked("centre", self.centre, float, (3,))
+
 
 @typed
 @dataclass(frozen=True)
@@ -181,6 +193,10 @@ class Block:
     """
 
     sides: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        if not min(checked("sides", self.sides, float, (3,))) > 0:
+            raise InputError(f"sides: expected three > 0, got {self.sides}")
 
 
 @typed
@@ -202,8 +218,6 @@ def mesh_solid(outer: Sphere | Block, voids: Sequence[Sphere] = (), *, size: Pos
         for one in balls
     ]
     if isinstance(outer, Block):
-        if not min(outer.sides) > 0:
-            raise InputError(f"solid: expected sides > 0, got {outer.sides}")
         out = np.kron(np.eye(3), [[-1.0], [1.0]])
         half = np.array(outer.sides) / 2
         planes = [csg.Plane(csg.Pnt(*(n * half)), csg.Vec(*n)) for n in out]
