@@ -144,7 +144,7 @@ def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
         "points: expected all bonds of every interior node, got 768 of 2704",
         "step: expected at most 0.0025",
         "interior: expected at least one interior node, got none",
-        "material: expected a linear solid or a crystal on ranks, got DiffusionMaterial",
+        "material: expected a linear solid or a crystal on ranks, got Own",
         "solve: expected tensors without a gradient",
         "points: expected a lattice",
         "simulate: expected bonds that break by their stretch, and no pressure, on ranks",
