@@ -54,7 +54,10 @@ REFUSED = {
     "no area": (crossing((0, 0, 0), (1, 0, 0), (2, 0, 0)), "with an area"),
     "bent": (crossing((0, 0, 0), (3, 0, 0), (3, 3, 0), (0, 3, 1)), "flat"),
     "hollow": (crossing((0, 0, 0), (3, 0, 0), (1, 1, 0), (0, 3, 0)), "convex"),
-    "place": (lambda: point_force(X, 1.0, (9, 9), (1, 1)), "span the space within 2 spacings"),
+    "place": (
+        lambda: point_force(X, 1.0, (9, 9), (1, 1)),
+        "its 0 nodes within 2 spacings span no space",
+    ),
     "in two": (at_rest(u=X, cracks=[[(-9, 0), (9, 0)]], free=~HELD | (X[:, 1:] > 0)), "72 nodes,"),
     "sign": (
         lambda: check_breakable(WILD, bond_classes(1.0, 4.0)),

@@ -221,14 +221,10 @@ def _conductivities(given: Any, count: int, place: str) -> np.ndarray:
     values = checked("conductivity", given)
     if values.shape not in ((), (count,)):
         raise InputError(
-            f"conductivity: expected one number or one a {place}, shape [{count}], got shape "
-            f"{list(values.shape)}"
+            f"conductivity: expected one number or one a {place}, [{count}], got {values.shape}"
         )
     if not (values > 0).all():
-        raise InputError(
-            f"conductivity: expected finite values > 0, got {values.min():g}, with which "
-            "diffusion would run backwards"
-        )
+        raise InputError(f"conductivity: expected finite values > 0, got {values.min():g}")
     return values
 
 

@@ -209,8 +209,7 @@ def _on_lattice(
             )
         if model.stress is not None and np.any(model.stress):
             raise InputError(
-                "model: expected a crystal at rest; one under stress pulls on its free faces, "
-                "which elements do not know"
+                "model: expected a crystal at rest; elements do not know the stress of another"
             )
         return model, long_wave(model, model.spacing), model.spacing, tried
     if not (model.certified_on or (allow_uncertified and spacing)):
@@ -228,8 +227,7 @@ def _rim_problem(K: Any, fixed: np.ndarray, springs: Mapping[str, float]) -> Rim
     problem = RimProblem(K, fixed.ravel())
     if min(springs.values(), default=0.0) < 0 and definite_factors(problem.inside) is None:
         raise InputError(
-            "edge: with this negative stiffness the rim is not positive definite, so that its "
-            "equilibria are not stable; expected a smaller size, or larger triangles at the edge"
+            "edge: with this negative stiffness no equilibrium is stable; give larger triangles"
         )
     return problem
 
@@ -253,8 +251,7 @@ def long_wave(model: Any, spacing: float) -> Moduli:
     a, c = np.triu_indices(model.dimension)
     if (least := np.linalg.eigvalsh(found.tensor[a[:, None], c[:, None], a, c]).min()) <= 0:
         raise InputError(
-            "model: expected long-wave moduli of positive energy, got one of "
-            f"{least:.4g} {symbols(model.units)[1]}"
+            f"model: expected positive long-wave moduli, got {least:.4g} {symbols(model.units)[1]}"
         )
     return found
 

@@ -136,8 +136,7 @@ def cubic(points: Points, x: np.ndarray) -> sp.csr_array:
     at = np.moveaxis(base[:, None] + around + 4, -1, 0)
     if (node := np.pad(number, (4, 7), constant_values=-1)[tuple(at)]).min(initial=0) < 0:
         raise InputError(
-            "overlap: the inner side of the rim leaves the nodes that are solved for; expected an "
-            "overlap of three spacings or more, or a wider body"
+            "overlap: the rim leaves the unknown nodes; give three spacings, or a wider body"
         )
     value = np.prod([weight[:, a, around[:, a]] for a in range(d)], axis=0)
     row = np.repeat(np.arange(len(x)), len(around))
@@ -374,8 +373,8 @@ class Schwarz:
         u, record = self._joined(*ways, q, self.guess, tolerance)
         if not record.mismatch <= tolerance:
             raise InputError(
-                f"rim and bulk do not agree: mismatch {record.mismatch:.1e} after "
-                f"{record.exchanges} exchanges, {tolerance:.1e} was asked for"
+                f"tolerance: rim and bulk agree to {record.mismatch:.1e} after "
+                f"{record.exchanges} exchanges, expected {tolerance:.1e}"
             )
         of_rim, of_bulk = (part.reshape(-1, self.d) for part in np.split(u, [f.size]))
         side = of_rim.copy()

@@ -201,9 +201,8 @@ class SoftBody:
                     unstable = [] if stable else [*unstable, load]
                     if len(unstable) == 2:
                         warn(
-                            f"loads {before:g} and {load:g}: the body stays unstable, so that "
-                            "small changes may tear it another way; derivatives from here on are "
-                            "of this path, and may be larger by orders. End the loads before"
+                            f"loads {before:g} and {load:g}: the body stays unstable and may tear "
+                            "another way; derivatives from here on are larger: end the loads before"
                         )
                 forces.append((levers * share * pull_of(s, law[0], torch)).sum())
             except InputError as error:
@@ -257,9 +256,7 @@ class SoftBody:
         asked = parameters is not None or is_tensor(u)
         soft, numbers = with_numbers(self, parameters or {})
         if asked and soft.law.tail == 0:
-            raise InputError(
-                "tail: expected > 0 for a gradient, bonds that break at once have none"
-            )
+            raise InputError("tail: expected > 0 for a gradient, which an abrupt break has not")
         refuse_tangents(u)
         own = (numbers.get(name, real(name, value)) for name, value in soft.learnable.items())
         of = (lambda x, upstream: upstream,)

@@ -151,10 +151,7 @@ def point_force(
     weight = 1 - (away[near] ** 2).sum(axis=1) / FELT**2
     moments = (affine.T * weight) @ affine
     if len(near) <= d or np.linalg.eigvalsh(moments)[0] < 1e-6 * len(near):
-        raise InputError(
-            f"place: expected nodes that span the space within {FELT:g} spacings of "
-            f"{list(place)}, got {len(near)}"
-        )
+        raise InputError(f"place: its {len(near)} nodes within {FELT:g} spacings span no space")
     share = weight * (affine @ np.linalg.inv(moments)[0])
     b = np.zeros(x.shape)
     b[near] = share[:, None] * pull / spacing**d
@@ -176,9 +173,7 @@ def crossing_bonds(body: LatticeBody, polyline: ArrayLike, name: str = "crack") 
     d = body.dimension
     corners = checked(name, polyline)
     if corners.ndim != 2 or corners.shape[1:] != (d,) or len(corners) < d:
-        raise InputError(
-            f"{name}: expected corners of shape [P ≥ {d}, {d}], got {list(corners.shape)}"
-        )
+        raise InputError(f"{name}: expected corners of shape [P ≥ {d}, {d}], got {corners.shape}")
     if (np.diff(corners, axis=0) == 0).all(axis=1).any():
         raise InputError(f"{name}: expected segments with a length")
     cut = np.zeros(body.neighbour.shape, bool)
@@ -215,9 +210,7 @@ def _polygon(corners: np.ndarray, name: str) -> Iterator[Face]:
         raise InputError(f"{name}: expected the corners of a flat polygon with an area")
     inward = np.cross(normal, np.roll(corners, -1, axis=0) - corners)
     if (corners @ inward.T - (inward * corners).sum(axis=1)).min() < -1e-9 * size:
-        raise InputError(
-            f"{name}: expected a convex polygon, its corners in order; cut it in parts"
-        )
+        raise InputError(f"{name}: expected a convex polygon, corners in order; cut it in parts")
     yield corners, normal, inward, np.full(len(corners), 1e-9 * size)
 
 
@@ -236,10 +229,7 @@ def _cut_face(
     hit = np.abs(height) < ON_LINE * h
     hit &= (x @ inward.T - offset > np.maximum(slack, 0)).all(axis=1)
     if hit.any():
-        warn(
-            f"crack: {np.count_nonzero(hit)} nodes lie on it; it is moved by {HAIR:g} spacings "
-            "against its normal, to the right of a polyline"
-        )
+        warn(f"crack: {hit.sum()} nodes lie on it; it is moved by {HAIR:g} spacings to its right")
         height = height + HAIR * h
     rise = body.xi @ normal
     for bond in np.flatnonzero(rise):

@@ -168,9 +168,7 @@ class BreakingBody:
             no_fail=self.no_fail,
         )
         if corrected and solid.critical_energy is not None:
-            raise InputError(
-                "corrected: expected a linear peridynamic solid whose bonds break at a stretch"
-            )
+            raise InputError("corrected: expected a solid whose bonds break at a stretch")
         if grip is not None and held is None:
             raise InputError("grip: expected held components too, whose velocity it is")
         if not (ramp is None or callable(ramp)):
@@ -222,8 +220,7 @@ class BreakingBody:
         broken = self.operator.sweep(*state.swept, breaking=u is not None)
         if len(broken):
             raise InputError(
-                f"criterion: bonds of {len(broken)} nodes are beyond it in the displacement "
-                "at rest, before anything moves"
+                f"criterion: {len(broken)} nodes lose bonds in the displacement at rest"
             )
         self.correct(state)
         kinetic = self.solid.inertia / 2 * np.square(fields[1].numpy()).sum(axis=1)
@@ -396,8 +393,7 @@ class CrackRun(Recorder):
             self.watch: dict[str, Any] = dict(watch or {})
             if not all(map(callable, self.watch.values())) or {*LEDGER} & {*self.watch}:
                 raise InputError(
-                    f"watch: expected functions by name, none of {', '.join(LEDGER)}, got "
-                    f"{watch!r:.50}"
+                    f"watch: expected functions, none named {', '.join(LEDGER)}, got {watch!r:.40}"
                 )
             self.regions = {
                 name: checked(f"region {name}", mask, bool, (len(x),))

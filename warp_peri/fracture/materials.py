@@ -149,8 +149,7 @@ class BondLaw:
         """
         if not (np.isfinite(self.stretch) and is_positive(times)):
             raise InputError(
-                "at_horizon: expected a law with a finite stretch and a number > 0, got "
-                f"{self.stretch} and {times}"
+                f"at_horizon: expected finite stretch and times > 0, got {self.stretch}, {times}"
             )
         goal = self.spent() / times
         abrupt = BondLaw(self.softness, self.stretch)

@@ -207,9 +207,7 @@ class CutSolid(OperatorBase):
         """A proven upper bound of Λmax L [stress / length²]: (C9), or S. Gershgorin's of 1931.
         InputError at rest, where nobody has looked whether the body may move."""
         if not self.moves:
-            raise InputError(
-                "simulate: expected a Cracked of a BrittleMaterial, or one with a density"
-            )
+            raise InputError("simulate: expected a Cracked of a BrittleMaterial, or a density")
         if not self.corrected:
             return largest_stiffness(self.model, self.body.classes)
         return float(abs(self.matrix).sum(axis=1).max())

@@ -279,11 +279,10 @@ def cut(comm: Comm, shape: tuple[int, ...], block: tuple[int, ...]) -> Tiles:
     while len(block) > 1 and block[-1] >= shape[len(block) - 1]:
         block = block[:-1]  # as wide as the box: not cut there
     counts = tuple(-(-n // size) for n, size in zip(shape, block))
-    if comm.size > math.prod(counts):
+    if comm.size > (most := math.prod(counts)):
         nodes, tile = (" × ".join(map(str, sizes)) for sizes in (shape, block))
         raise InputError(
-            f"ranks: expected at most {math.prod(counts)} for {nodes} nodes in tiles of {tile}, "
-            f"got {comm.size}"
+            f"ranks: expected at most {most} for {nodes} nodes in tiles of {tile}, got {comm.size}"
         )
     found = _grid(comm.size, shape, block, counts)
     if found is None:

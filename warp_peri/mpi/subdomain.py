@@ -161,15 +161,10 @@ class Subdomain:
             return march(operator_on(material, self), problem.b, problem.u, **how | files)
         with agreed(comm):
             if not isinstance(problem, Cracked) or "step" not in options:
-                raise InputError(
-                    "simulate: expected a Dirichlet or Cracked, and step=…, steps=… on ranks"
-                )
+                raise InputError("simulate: expected a Dirichlet or Cracked with steps on ranks")
             offered(material, "density", "simulate", "a BrittleMaterial")
             if material.critical_energy is not None or problem.pressure is not None:
-                raise InputError(
-                    "simulate: expected bonds that break by their stretch, and no pressure, on "
-                    "ranks"
-                )
+                raise InputError("simulate: expected breaking by stretch, no pressure, on ranks")
             check_same(material.units, self.units)
             material.linear.check_dimension(self)
             how, begin, files, records, run = options_of_steps(options)
@@ -190,9 +185,7 @@ class Subdomain:
         with agreed(comm):
             body = lattice_body(halo.x, self.spacing, model.horizon)
             if not np.array_equal(body.axes, np.eye(d)):
-                raise InputError(
-                    "points: expected a lattice along the axes on ranks, got a turned one"
-                )
+                raise InputError("points: expected a lattice along the axes on ranks")
             at_start = {name: here.pop(name, None) for name in ("u", "v")}
             moving = BreakingBody(material, body, corrected=problem.corrected, **here, **how)
             state = moving.start(**at_start, cracks=problem.cracks, **begin)
@@ -464,8 +457,7 @@ def solved(
     while (left := norm(rest := load - operator(field), inner)) > tolerance * size:
         if not left < last:
             raise InputError(
-                f"tolerance: {tolerance:.1e} of the load was asked for, the residual stays at "
-                f"{last / size:.1e}, which is rounding"
+                f"tolerance: expected more than rounding, {last / size:.1e}, got {tolerance:.1e}"
             )
         last = left
         more, part = operator.inverted(rest, max(tolerance * size / left, STAGE))

@@ -145,9 +145,7 @@ class NeuralOperator(Shown, torch.nn.Module):
         written = {key: part.astype(said.dtype) for key, part in weights.items()}
         _check_finite(written)
         if (size := sum(part.nbytes for part in written.values())) > FITS:
-            raise InputError(
-                f"{path}: expected at most {FITS} bytes of weights, got {size}: precision"
-            )
+            raise InputError(f"{path}: expected at most {FITS} bytes of weights, got {size}")
         coded = {key: binascii.b2a_base64(w, newline=False).decode() for key, w in written.items()}
         replace(said, weights=coded).save(path)
 

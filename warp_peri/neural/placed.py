@@ -60,9 +60,7 @@ class EquilibriumSolver:
     def __init__(self, placed: Placed) -> None:
         points = placed.points
         if points.interior.all():
-            raise InputError(
-                "points: expected a collar where u is given; without one it is known up to a motion"
-            )
+            raise InputError("points: expected a collar; without one u is known up to a motion")
         self.placed, linear = placed, Linear(probed(placed), points)
         self.inverse = linear.cheapest_inverse(LOADS, definite=False)
         straight = lambda u: linear(u[None])[0]  # noqa: E731
@@ -223,11 +221,9 @@ class Placed(OperatorBase):
         search = EquilibriumSolver(self)
         pairs = zip(*(np.reshape(f, (-1, *self.points.x.shape)) for f in (load, given)))
         found = [search.solve_by_continuation(*pair, tolerance=asked.tolerance) for pair in pairs]
-        for number, one in enumerate(found):
+        for n, one in enumerate(found):
             if not one.converged:
-                raise InputError(
-                    f"sample {number}: no equilibrium was found; residual {one.residual:.1e}"
-                )
+                raise InputError(f"sample {n}: no equilibrium was found ({one.residual:.1e} left)")
         answer = np.reshape([one.u for one in found], given.shape)
         return by_sample(self, answer, self.rhs(load), found, [one.steps for one in found])
 
