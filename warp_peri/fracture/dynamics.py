@@ -220,7 +220,8 @@ class BreakingBody:
         broken = self.operator.sweep(*state.swept, breaking=u is not None)
         if len(broken):
             raise InputError(
-                f"criterion: {len(broken)} nodes lose bonds in the displacement at rest"
+                f"criterion: bonds of {len(broken)} nodes are beyond it in the displacement "
+                "at rest, before anything moves"
             )
         self.correct(state)
         kinetic = self.solid.inertia / 2 * np.square(fields[1].numpy()).sum(axis=1)
