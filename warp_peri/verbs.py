@@ -127,7 +127,7 @@ def simulate(material: Any, problem: Any, **options: Any) -> Motion:
     return uncompiled(moved)(material, options)  # type: ignore[no-any-return]
 
 
-FLAGS = {"transfer", "allow_uncertified", "count_cracks"}
+FLAGS = {"transfer", "allow_uncertified"}
 """Options that are True or False."""
 
 

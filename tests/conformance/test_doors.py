@@ -236,7 +236,6 @@ WRONG_OPTIONS = FLAGS | {
     "density": ("a", None, 1j, np.nan, True),
 }
 WRONG_OF_BREAKING = {
-    "count_cracks": ("no", 1),
     "ramp": (3.0, "a"),
     "watch": ({"a": 3}, 3, ["a"]),
     "regions": (3, ["a"], {"a": [1, [2]]}, {"a": [0, 1]}),

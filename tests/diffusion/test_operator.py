@@ -147,7 +147,7 @@ def test_what_does_not_fit_is_refused():
 
     soft(wide)  # torn, its bonds leave negative eigenvalues
     for words, call in (
-        (r"shape \[", lambda: law.on(points, kappa=np.ones(3))),
+        ("one a node", lambda: law.on(points, kappa=np.ones(3))),
         ("one a position", lambda: law.on(points, kappa=lambda x: np.ones(3))),
         ("finite values > 0, got -1", lambda: law.on(points, kappa=-1.0)),
         ("finite values > 0, got -", lambda: law.on(points, kappa=lambda x: x[..., 0])),

@@ -195,19 +195,13 @@ class BreakingBody:
         u: ArrayLike | None = None,
         v: ArrayLike | None = None,
         cracks: Sequence[ArrayLike] = (),
-        count_cracks: bool = False,
     ) -> BreakingState:
-        """A state at time zero.
-
-        Args:
-            u, v: displacement and velocity, shape [N, d]; zero by default.
-            cracks: polylines, in space flat polygons, open from the start, shape [P, d] each.
-            count_cracks: whether the bonds they cut count as damage.
+        """A state at time zero, with u and v [N, d], zero by default, and cracks open.
 
         Raises InputError when u alone is beyond the criterion: such a body breaks at rest.
         """
         fields, neighbour = (self._nodal("u", u), self._nodal("v", v)), cracked(self.body, cracks)
-        count, known = len(self.body.x), self.body.neighbour if count_cracks else neighbour
+        count = len(self.body.x)
         state = BreakingState(
             *fields,
             *self.links_of(neighbour),
@@ -215,7 +209,7 @@ class BreakingBody:
             energy=zeros(count),
             work=zeros(count),
             dissipated=np.zeros(count),
-            whole=(known >= 0).sum(axis=1, dtype=float),
+            whole=(neighbour >= 0).sum(axis=1, dtype=float),
         )
         broken = self.operator.sweep(*state.swept, breaking=u is not None)
         if len(broken):
@@ -234,10 +228,8 @@ class BreakingBody:
         return links, SurfaceCorrection(self.operator, links) if self.corrected else None
 
     def correct(self, state: BreakingState, lost: np.ndarray | None = None) -> None:
-        """Add to force and energy what bonds that are lacked do.
-
-        lost: nodes that have lost bonds since the last call.
-        """
+        """Add to force and energy what bonds that are lacked do; `lost` are nodes that have lost
+        some since the last call."""
         if (correction := state.correction) is None:
             return
         if lost is not None:
@@ -252,9 +244,8 @@ class BreakingBody:
         return np.asarray(1 - left / np.maximum(state.whole, 1))
 
     def ledger(self, state: BreakingState, nodes: Any) -> list[float]:
-        """Time, work, kinetic, elastic and dissipated energy [stress · volume] of this state, in a
-        sheet per thickness [stress · area]; of the own nodes of all processes, as AllNodes says
-        which those are. work = kinetic + elastic + dissipated."""
+        """Time, work, kinetic, elastic and dissipated energy [stress · volume] of the own nodes of
+        all processes, in a sheet per thickness; work = kinetic + elastic + dissipated."""
         body, density = self.body, self.solid.inertia
         kinetic = density / 2 * np.square(state.v.numpy()).sum(axis=1)
         fields = (state.work.numpy(), kinetic, state.energy.numpy(), state.dissipated)

@@ -130,7 +130,7 @@ class Cracked:
                 solvers.verlet.march, and its tensors.
             step, steps: motion of a BrittleMaterial. Also `progress`; `every`, `regions`,
                 `sections`, `watch`, `checkpoint`, `checkpoint_every`, `series` (CrackRun);
-                `no_fail`, `grip`, `ramp` (BreakingBody); `v`, `count_cracks` (its start). The
+                `no_fail`, `grip`, `ramp` (BreakingBody); `v` (its start). The
                 histories are the ledger's, and of regions, sections and what is watched by their
                 names; the details are Broken.
             events: slow growth in any positive solid, `no_fail` and `progress` (C7).
