@@ -116,8 +116,8 @@ class Convolution:
 
 
 @lru_cache(MOST)
-def inverse_filter(law: StencilMaterial) -> tuple[int, Callable[[tuple[int, ...]], np.ndarray]]:
-    """The inverse of D + SHIFT G p(k) at short range, beside multigrid: its width and symbol.
+def inverse_filter(law: StencilMaterial) -> Callable[[tuple[int, ...]], np.ndarray]:
+    """The symbol of the inverse of D + SHIFT G p(k) at short range, beside multigrid.
 
     The kernel of the inverse times Bartlett's window, whose transform is not negative, so that its
     symbol is positive (theory, R2). Cut off without a window it would not be.
@@ -143,7 +143,7 @@ def inverse_filter(law: StencilMaterial) -> tuple[int, Callable[[tuple[int, ...]
             wave[:] = scipy.fft.rfftn(np.roll(field, d * (-width,), axes)).real
         return waves.reshape(d, d, *waves.shape[1:])
 
-    return width, symbol
+    return symbol
 
 
 WHOLE = 10_000
@@ -156,18 +156,24 @@ class Between:
 
     def __init__(self, comm: Comm, tiles: Tiles) -> None:
         self.coarse, every = tiles.coarser(), tiles.everywhere()
-        self.around, self._few = Halo(comm, every, 1), Halo(comm, self.coarse.everywhere(), 1)
+        self._all, self._few = Halo(comm, every, 1), Halo(comm, self.coarse.everywhere(), 1)
         follows = (at + 1 < count for at, count in zip(every.at(comm.rank), every.grid))
         self._with_next = tuple(slice(1, None if more else -1) for more in follows)
+        self._wide = tuple(n + 2 for n in tiles.box(comm.rank))
+
+    def around(self, field: np.ndarray) -> np.ndarray:
+        """The nodes of this rank and one more around them."""
+        return self._all(field)
 
     def restrict(self, field: np.ndarray) -> np.ndarray:
         """Pᵗ of the nodes of this rank, one of the next rank's along each cut included."""
         return restrict(self.around(field)[:, *self._with_next])
 
-    def prolong(self, field: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-        """P to nodes of this rank, of a given shape."""
-        before = self._few(field)[:, *(slice(None, -1),) * len(shape)]
-        return prolong(before, tuple(n + 2 for n in shape))[:, *(slice(2, None),) * len(shape)]
+    def prolong(self, field: np.ndarray) -> np.ndarray:
+        """P to the nodes of this rank."""
+        d = len(self._wide)
+        before = self._few(field)[:, *(slice(None, -1),) * d]
+        return prolong(before, self._wide)[:, *(slice(2, None),) * d]
 
 
 def cycle(
@@ -182,25 +188,16 @@ def cycle(
     return _InTiles(comm, steps, tensors, mask, tiles)
 
 
-class _InTiles(VCycle):
+class _InTiles(Between, VCycle):
     """As VCycle, of this rank's nodes: a level reads one more around them."""
 
     def __init__(
         self, comm: Comm, steps: np.ndarray, tensors: np.ndarray, mask: np.ndarray, tiles: Tiles
     ) -> None:
+        Between.__init__(self, comm, tiles)
         self._lay(steps, tensors, mask)
-        self.largest, self._between = largest(steps, tensors), Between(comm, tiles)
-        few, tensors = coarser(mask), tensors * 2.0 ** (mask.ndim - 2)
-        self.coarser = cycle(comm, steps, tensors, few, self._between.coarse)
-
-    def around(self, field: np.ndarray) -> np.ndarray:
-        return self._between.around(field)
-
-    def restrict(self, field: np.ndarray) -> np.ndarray:
-        return self._between.restrict(field)
-
-    def prolong(self, field: np.ndarray) -> np.ndarray:
-        return self._between.prolong(field, self.shape)
+        self.largest, few = largest(steps, tensors), coarser(mask)
+        self.coarser = cycle(comm, steps, tensors * 2.0 ** (mask.ndim - 2), few, self.coarse)
 
 
 class _Gathered:
@@ -261,11 +258,10 @@ class RowOperator:
         on every second node."""
         law, comm, tiles, d = self.model, self.points.comm, self._tiles, self.dimension
         scale = self.stencil.spacing**-2
-        width, symbol = inverse_filter(law)
-        short = Convolution(comm, tiles, width, lambda torus: symbol(torus) / scale, np.float32)
-        between = Between(comm, tiles)
-        near = q1_tensors(law.tensor() * 2.0 ** (d - 2) * scale)
-        return short, between, cycle(comm, *near, coarser(self.mask), between.coarse)
+        near, between = inverse_filter(law), Between(comm, tiles)
+        short = Convolution(comm, tiles, WIDTH[d], lambda torus: near(torus) / scale, np.float32)
+        long = q1_tensors(law.tensor() * 2.0 ** (d - 2) * scale)
+        return short, between, cycle(comm, *long, coarser(self.mask), between.coarse)
 
     def _check_whole(self) -> None:
         """InputError where nodes are missing within the law's reach of an unknown one."""
@@ -306,7 +302,7 @@ class RowOperator:
         short, between, coarse = self._near
         short.start(r)
         long = coarse(between.restrict(r) * coarse.mask)
-        z: np.ndarray = between.prolong(long, self._box)
+        z: np.ndarray = between.prolong(long)
         z *= LONG  # in place: here a rank has most in memory
         z += short.finish()
         z *= self.mask
