@@ -336,7 +336,6 @@ def test_arguments_of_bodies_solids_and_tables():
         (lambda: wp.Points.disk(2.0, 1.0, 2.0, dimension=5), "dimension"),
         (lambda: wp.influence.table([1, 2, 3], hidden), "K"),
         (lambda: wp.influence.table([1, 2, 3], [3, 2, 1], learned="no"), "learned"),
-        (lambda: wp.fracture.penny_corners(1.0, 1), "corners"),
         (lambda: wp.Points.block([], 1.0, 2.0), "lengths"),
         (lambda: wp.Points.sheet((4,), 1.0), "sides"),
         (lambda: wp.fracture.box_nodes((), 1.0), "sides"),

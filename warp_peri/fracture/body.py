@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError, warn
-from warp_peri.points.arguments import Count, Positive, check_whole, checked, typed, typed_methods
+from warp_peri.points.arguments import Positive, checked, typed, typed_methods
 from warp_peri.points.families import HORIZON_TOLERANCE, BondClasses, bond_classes, neighbour_table
 from warp_peri.points.points import check_dimensions, straight_steps
 
@@ -116,11 +116,10 @@ def box_nodes(sides: Sequence[float], spacing: Positive) -> np.ndarray:
 
 
 @typed
-def penny_corners(radius: Positive, corners: Count = 48) -> np.ndarray:
-    """Corners of a round crack about the origin on y = 0, as large as a circle, shape [P, 3]."""
-    check_whole("corners", corners, 3)
-    t = 2 * np.pi * np.arange(corners) / corners
-    reach = radius * np.sqrt(2 * np.pi / corners / np.sin(2 * np.pi / corners))
+def penny_corners(radius: Positive) -> np.ndarray:
+    """48 corners of a round crack about the origin on y = 0, as large as a circle, [48, 3]."""
+    t = 2 * np.pi * np.arange(48) / 48
+    reach = radius * np.sqrt(t[1] / np.sin(t[1]))
     return np.asarray(reach * np.stack([np.cos(t), 0 * t, np.sin(t)], axis=1))
 
 
