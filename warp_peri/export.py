@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import whole_file
+from warp_peri.files.atomic import meshio_of, whole_file
 from warp_peri.files.checkpoint import in_space
-from warp_peri.files.foreign import meshio_of
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_operator import node_fields
 from warp_peri.points.arguments import typed

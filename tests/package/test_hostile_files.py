@@ -102,7 +102,7 @@ def test_no_file_runs_or_passes(name, parse, deep, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("name", ["phonopy.yaml", "a.cif", "force.csv", "a.vtu"])
 def test_what_unpacks_to_more_than_is_read_is_refused(name, tmp_path, monkeypatch):
-    monkeypatch.setattr("warp_peri.files.foreign.LARGEST", 10**5)
+    monkeypatch.setattr("warp_peri.files.atomic.LARGEST", 10**5)
     path = tmp_path / (name + ".xz" * (name != "a.vtu"))
     path.write_bytes(lzma.compress(bytes(3 * 10**7)))
     tracemalloc.start()

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from warp_peri.atoms.dic import ON_LATTICE, spacing_of, surrounded
 from warp_peri.errors import InputError
-from warp_peri.files.foreign import check_hdf5, check_regular
+from warp_peri.files.atomic import check_hdf5, check_regular
 from warp_peri.points.arguments import Count, Positive, checked, typed
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points, Samples

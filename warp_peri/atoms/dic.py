@@ -15,7 +15,7 @@ from scipy.ndimage import binary_erosion
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError, warn
-from warp_peri.files.foreign import content, encoding_of
+from warp_peri.files.atomic import content, encoding_of
 from warp_peri.points.arguments import NotNegative, Positive, checked, plain, typed
 from warp_peri.points.points import PULL, SEEN, Points, Samples
 from warp_peri.points.unit_names import LENGTHS, USUAL, check_units

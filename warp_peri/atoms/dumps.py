@@ -21,8 +21,15 @@ from tqdm import tqdm
 
 from warp_peri.atoms.coarse_graining import coarse_grain
 from warp_peri.errors import InputError, warn
-from warp_peri.files.atomic import parsed
-from warp_peri.files.foreign import MARKS, check_regular, check_xml, content, encoding_of, unpacked
+from warp_peri.files.atomic import (
+    MARKS,
+    check_regular,
+    check_xml,
+    content,
+    encoding_of,
+    parsed,
+    unpacked,
+)
 from warp_peri.points.arguments import MOST, Natural, Positive, checked, typed
 from warp_peri.points.points import PointsLike, Samples, nodes_of
 

@@ -25,8 +25,7 @@ import h5py
 
 import warp_peri
 from warp_peri.errors import InputError, exit_status
-from warp_peri.files.atomic import destination
-from warp_peri.files.foreign import content
+from warp_peri.files.atomic import content, destination
 
 LEARNING = ("coarse-grain", "fit", "sweep", "fit-crystal", "fit-sheet")
 """Commands that are in `train`, others in `commands`; imported when asked for: it takes time."""

@@ -31,6 +31,7 @@ from warp_peri.cli.commands import (
 )
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import (
+    content,
     finite,
     locked,
     plain,
@@ -39,7 +40,6 @@ from warp_peri.files.atomic import (
     write_json,
     write_text,
 )
-from warp_peri.files.foreign import content
 from warp_peri.fitting import settings
 from warp_peri.fitting.evaluate import Run, train
 from warp_peri.points.arguments import checked

@@ -37,7 +37,7 @@ from typing import (
 import numpy as np
 
 from warp_peri.errors import InputError, Shown, warn
-from warp_peri.files import foreign
+from warp_peri.files import atomic
 from warp_peri.files.atomic import parsed, plain, write_json
 from warp_peri.points.arguments import ABOVE, LARGEST, checked, is_number, typed, typed_methods
 from warp_peri.points.unit_names import USUAL, Units, check_units, factors, shown_moduli, symbols
@@ -459,7 +459,7 @@ def read_content(content: Any, path: Path | None = None) -> Any:
 
 def load(path: str | os.PathLike[str]) -> Any:
     """Read the file of a material; InputError naming the file and what is wrong with it."""
-    raw = foreign.content(path)
+    raw = atomic.content(path)
     try:
         held = parsed(raw)
     except ValueError as error:

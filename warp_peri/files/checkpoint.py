@@ -23,8 +23,7 @@ import numpy as np
 
 from warp_peri import __version__
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import parsed, whole_file, write_text
-from warp_peri.files.foreign import check_hdf5
+from warp_peri.files.atomic import check_hdf5, parsed, whole_file, write_text
 
 T = TypeVar("T")
 Placed = tuple[np.ndarray, np.ndarray | None, int]

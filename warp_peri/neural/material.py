@@ -17,7 +17,7 @@ import torch
 from warp_peri.core import record
 from warp_peri.core.record import Length
 from warp_peri.errors import InputError, Shown
-from warp_peri.files import foreign
+from warp_peri.files import atomic
 from warp_peri.neural.placed import Placed
 from warp_peri.neural.training import NeuralFit, TrainingSettings, train
 from warp_peri.points.arguments import Natural, Positive, is_positive, typed
@@ -204,7 +204,7 @@ class NeuralOperator(Shown, torch.nn.Module):
 SAID = "horizon", "anisotropic", "proportional", "strain", "units", "scale", "provenance"
 """Of an operator that its file says, beside widths and weights."""
 PRECISIONS = ("float16", "float32", "float64")
-FITS = foreign.LARGEST * 3 // 4 - 2**16
+FITS = atomic.LARGEST * 3 // 4 - 2**16
 """Bytes of weights whose file is read again."""
 
 

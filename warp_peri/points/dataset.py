@@ -15,8 +15,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError, Shown, warn
-from warp_peri.files.atomic import parsed, plain, whole_file
-from warp_peri.files.foreign import check_hdf5, check_regular
+from warp_peri.files.atomic import check_hdf5, check_regular, parsed, plain, whole_file
 from warp_peri.points.arguments import Count, Natural, Positive, checked, is_name, typed
 from warp_peri.points.points import FIELDS, WAVE_VECTOR, Points, PointsLike, Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units, factors, symbols

@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 
 from warp_peri.errors import InputError, optional, warn
-from warp_peri.files.foreign import check_hdf5, check_xml, content, meshio_of
+from warp_peri.files.atomic import check_hdf5, check_xml, content, meshio_of
 from warp_peri.points.arguments import Positive, checked, typed
 from warp_peri.points.mesh import REST, Mesh, facets_of, make_mesh
 
