@@ -1,6 +1,7 @@
 """Small laws and lattices that the tests of micromodulus tensors share."""
 
 import itertools
+from functools import cache
 
 import numpy as np
 
@@ -40,6 +41,7 @@ def dispersive(tensor, length=1.0):
     return symbol
 
 
+@cache
 def learned(d, spacing=1.5, orientation=None, symmetry=None):
     """A certified law of a copper-like crystal."""
     name, reach = CUBIC[d]

@@ -13,7 +13,7 @@ from warp_peri.fe_coupling.body import Coupling, long_wave, solve_body
 from warp_peri.points.mesh import make_mesh
 from warp_peri.points.outlines import Circle, Sphere, box, mesh_outline, mesh_solid
 
-TURNED = {2: 20.0, 3: [[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]]}
+TURNED = {2: 20.0, 3: ((0.6, -0.8, 0.0), (0.8, 0.6, 0.0), (0.0, 0.0, 1.0))}
 SIDES = ("left", "right", "top", "bottom")
 
 

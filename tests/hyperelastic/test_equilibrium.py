@@ -83,8 +83,9 @@ def test_a_sheet_pushed_together_is_stable_or_refused(manufactured):
 
 def test_an_answer_that_is_not_stable_is_not_given(manufactured, monkeypatch):
     op, u, b = manufactured
+    none = sheet_on(square(2), c=-COEFFICIENTS)
     with pytest.raises(NoEquilibriumError, match="no stable equilibrium found"):
-        op.at({"coefficients": -COEFFICIENTS}).solve(b, u)
+        none.solve(None, waves(none.points))
     monkeypatch.setattr(equilibrium, "smallest_of_tangent", lambda *_: -1.0)
     with pytest.raises(NoEquilibriumError, match="sample 0: .* unstable: eigenvalue -1"):
         op.solve(b, u)

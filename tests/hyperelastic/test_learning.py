@@ -123,11 +123,10 @@ def test_thickness_and_material_are_found_together(uneven_frames):
     frames, thickness = uneven_frames
     even = fit_displacement(frames, sheet(), **TIGHT)
     assert even.history[-1] > 0.003
-    for start in (None, even):
-        fit = fit_displacement(frames, sheet(), start=start, thickness=2, **TIGHT)
-        assert fit.history[-1] < 1e-5
-        np.testing.assert_allclose(fit.thickness.numbers, thickness.numbers, atol=1e-3)
-        np.testing.assert_allclose(fit.material.coefficients, SCALED, rtol=1e-3, atol=1e-5)
+    fit = fit_displacement(frames, sheet(), start=even, thickness=2, **TIGHT)
+    assert fit.history[-1] < 1e-5
+    np.testing.assert_allclose(fit.thickness.numbers, thickness.numbers, atol=1e-3)
+    np.testing.assert_allclose(fit.material.coefficients, SCALED, rtol=1e-3, atol=1e-5)
 
 
 def test_a_known_material_tells_the_thickness_of_another_sheet(uneven_frames):
