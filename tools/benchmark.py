@@ -45,7 +45,7 @@ from tools.options import Options
 from warp_peri import CG, LPSMaterial, Points, Samples
 from warp_peri.atoms.calculators import LammpsError
 from warp_peri.core.elastic import plane_isotropic
-from warp_peri.core.grid import Grid
+from warp_peri.core.stencil import Grid
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
 from warp_peri.fracture import box_nodes, lattice_body

@@ -15,8 +15,7 @@ import scipy.fft
 import torch
 from numpy.typing import ArrayLike
 
-from warp_peri.core.grid import grid_of
-from warp_peri.core.stencil import Stencil, half_ball
+from warp_peri.core.stencil import Stencil, grid_of, half_ball
 from warp_peri.points.arguments import plain
 from warp_peri.points.points import PointsLike, nodes_of
 from warp_peri.protocols import OperatorBase

@@ -16,8 +16,7 @@ import numpy as np
 from scipy.linalg import null_space
 
 from warp_peri.core.elastic import allowed_tensors, elastic_from_brackets, point_group
-from warp_peri.core.grid import grid_of
-from warp_peri.core.stencil import Basis, invariant_basis
+from warp_peri.core.stencil import Basis, grid_of, invariant_basis
 from warp_peri.errors import InputError, Shown, quietly, warn
 from warp_peri.fitting.evaluate import ROUNDING
 from warp_peri.fitting.long_waves import gradients

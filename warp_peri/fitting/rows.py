@@ -7,8 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import scipy.linalg
 
-from warp_peri.core.grid import Grid, grid_of
-from warp_peri.core.stencil import Basis
+from warp_peri.core.stencil import Basis, Grid, grid_of
 from warp_peri.errors import InputError
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.points import Samples

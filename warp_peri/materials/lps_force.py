@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from scipy.special import comb
 
 import warp_peri.core as core
-from warp_peri.core.grid import row_pieces
+from warp_peri.core.stencil import row_pieces
 from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.lps import LANES, struct, sweeps

@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 
 from warp_peri.core.elastic import lattice_group
-from warp_peri.core.grid import grid_of
-from warp_peri.core.stencil import Basis, half_ball
+from warp_peri.core.stencil import Basis, grid_of, half_ball
 from warp_peri.errors import InputError
 from warp_peri.fitting.regression import MET, Form, LatticeRows, Numbers, Settled, fit
 from warp_peri.fitting.rows import forces, rows

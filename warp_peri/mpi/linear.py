@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.fft
 
-from warp_peri.core.grid import SCALARS, Grid, complete, refuse_cut, torus_symbol
-from warp_peri.core.stencil import q1_tensors
+from warp_peri.core.stencil import SCALARS, Grid, complete, q1_tensors, refuse_cut, torus_symbol
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import agreed
 from warp_peri.kernels.micromodulus import rows as row_kernels

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from warp_peri.core.grid import grid_of
 from warp_peri.core.record import FieldUnits, OnLinear
+from warp_peri.core.stencil import grid_of
 from warp_peri.errors import InputError
 from warp_peri.points.arguments import NotNegative, typed
 from warp_peri.points.dataset import Dataset

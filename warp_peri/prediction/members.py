@@ -12,8 +12,8 @@ import scipy.fft
 import scipy.sparse as sp
 from scipy.ndimage import distance_transform_edt
 
-from warp_peri.core.grid import Grid, grid_of
 from warp_peri.core.record import FieldUnits
+from warp_peri.core.stencil import Grid, grid_of
 from warp_peri.errors import InputError
 from warp_peri.points.families import largest_strain
 from warp_peri.points.points import PointsLike, lattice_steps, nodes_of

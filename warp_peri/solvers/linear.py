@@ -13,9 +13,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from warp_peri.core.elastic import elastic_from_brackets
-from warp_peri.core.grid import FFT_BONDS, SCALARS, ByFFT, ByRows, convolved, grid_of
 from warp_peri.core.proof import smallest_eigenvalue
-from warp_peri.core.stencil import Stencil
+from warp_peri.core.stencil import FFT_BONDS, SCALARS, ByFFT, ByRows, Stencil, convolved, grid_of
 from warp_peri.errors import InputError
 from warp_peri.points.points import Points
 from warp_peri.solvers.multigrid import Edge, Filter, block, multigrid, sine, torus_inverse

@@ -15,9 +15,17 @@ import scipy.fft
 import scipy.sparse as sp
 from scipy.ndimage import distance_transform_cdt
 
-from warp_peri.core.grid import ByRows, Grid, convolved, inverse, torus_shape, torus_symbol
 from warp_peri.core.proof import smallest_eigenvalue
-from warp_peri.core.stencil import Stencil, q1_tensors
+from warp_peri.core.stencil import (
+    ByRows,
+    Grid,
+    Stencil,
+    convolved,
+    inverse,
+    q1_tensors,
+    torus_shape,
+    torus_symbol,
+)
 from warp_peri.runtime import get_num_threads
 from warp_peri.solvers.systems import symmetric_factors
 
