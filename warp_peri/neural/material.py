@@ -165,12 +165,6 @@ class NeuralOperator(Shown, torch.nn.Module):
         history = train(material, samples, validation, training or TrainingSettings(), **how)
         return NeuralFit(material, history)
 
-    def fitted(self, forces: torch.Tensor, loads: torch.Tensor) -> None:
-        """Scale the force state so that forces are as large as loads: where training starts."""
-        size = float(forces.detach().norm())
-        if size > 0:
-            self.scale *= float(loads.norm()) / size
-
     def in_units(self, units: Units) -> NeuralOperator:
         """The same material in other units."""
         length, stress = factors(self.units, units)

@@ -36,14 +36,8 @@ LOADS = 8
 
 @dataclass(frozen=True)
 class Found:
-    """An equilibrium, or where the search ended.
-
-    Attributes:
-        u: displacement of all nodes [length], shape [N, 2].
-        residual: ‖force − b‖ over that of the start.
-        steps: solves of the solid at rest.
-        converged: whether the residual is within the tolerance, or the networks' rounding.
-    """
+    """An equilibrium, or where the search ended: u [N, 2], ‖force − b‖ over that of the start, the
+    solves of the solid at rest, and whether the residual is within the tolerance, or rounding."""
 
     u: np.ndarray
     residual: float

@@ -138,11 +138,9 @@ class TrainingSettings:
 
 @dataclass
 class TrainingHistory:
-    """What a training did.
+    """What a training did in so many epochs and seconds.
 
     Attributes:
-        epochs: done.
-        seconds: they took.
         curve: epoch, mean training error while it ran, validation error, of every look.
         best: the epoch whose numbers the material holds.
     """
@@ -174,8 +172,7 @@ class _Loads:
         else:
             force = self.placed(u)
         left, b = (f.flatten(1).norm(dim=1) for f in (force - self.b[some], self.b[some]))
-        errors: torch.Tensor = left / b
-        return errors
+        return torch.as_tensor(left / b)
 
     def learn(self, some: torch.Tensor, cells: int, offset: tuple[float, float]) -> torch.Tensor:
         """The errors, with gradients of their mean added to the material's."""
@@ -186,12 +183,8 @@ class _Loads:
 
 @dataclass(frozen=True)
 class NeuralFit:
-    """A trained operator; nothing is proven of it, so that it has no certificate.
-
-    Attributes:
-        material: with the numbers of the best epoch.
-        history: of the training.
-    """
+    """A trained operator with the numbers of its best epoch; nothing is proven of it, so that it
+    has no certificate."""
 
     material: NeuralOperator
     history: TrainingHistory
@@ -211,8 +204,7 @@ def train(
 
     Args:
         material: with the numbers to start from.
-        samples: to learn from; every interior node counts.
-        val: to choose the epoch by.
+        samples, val: to learn from, and to choose the epoch by; every interior node counts.
         training: settings; with more epochs than a checkpoint has, the work goes on.
         checkpoint: a file of all that is needed to go on, written every ten seconds.
         progress: a bar on stderr.
@@ -274,10 +266,11 @@ class _Run:
         same = replace(training, epochs=1)
         self.key = fingerprint(same, material, learned.samples, unseen.samples)
         self.kept: dict[str, torch.Tensor] = {}
-        if isinstance(learned, _Loads):
+        if isinstance(learned, _Loads):  # it starts where forces are as large as loads
             with torch.no_grad():
-                force = interpolated_force(learned.placed, learned.u[:FIRST])
-            material.fitted(force, learned.b[:FIRST])
+                size = float(interpolated_force(learned.placed, learned.u[:FIRST]).norm())
+            if size > 0:
+                material.scale *= float(learned.b[:FIRST].norm()) / size
 
     def epoch(self) -> float:
         """Once over all samples; the mean error on the way."""
