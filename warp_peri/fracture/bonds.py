@@ -132,14 +132,8 @@ def stretch_rows(
 def bond_matrix(
     body: LatticeBody, neighbour: np.ndarray, bonds: SplitBonds, *, corrected: bool = False
 ) -> sp.csr_array:
-    """L of a cut body as a symmetric matrix [stress / length²], shape [d N, d N] (C4).
-
-    Args:
-        body: the body.
-        neighbour: with broken bonds, shape [N, B].
-        bonds: of the ball, or of all.
-        corrected: bonds that a node lacks take the mean gradient of those that it has (C26).
-    """
+    """L of a body with broken bonds, [N, B], as a symmetric matrix [stress / length²], shape
+    [d N, d N] (C4); corrected as of Cracked."""
     stretch, place = stretch_matrix(body, neighbour)
     each = np.broadcast_to(bonds.stiffness, neighbour.shape)
     total = stretch.T @ (sp.diags_array(each.ravel()[place]) @ stretch)
@@ -215,8 +209,6 @@ class CutOperator:
     """Forces and energies of a lattice body over its unbroken bonds, by rows in Warp.
 
     Args:
-        model: a linear solid.
-        body: the nodes and their bonds.
         limits: by bond of the ball, of the criterion, shape [B]; none breaks by default.
         by_energy: the criterion is the bond's energy density instead of e = s r².
         tension_only: bonds in compression do not break.

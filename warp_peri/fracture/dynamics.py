@@ -34,16 +34,8 @@ SHORTER = 0.95
 
 
 class SurfaceCorrection:
-    """What (C26) adds to force and energy at nodes that lack bonds, as they lose more of them.
-
-    Args:
-        operator: of the body.
-        links: which bonds are unbroken, as the operator has it.
-
-    Attributes:
-        nodes: that lack bonds.
-        near: these and the ends of their bonds, where forces change.
-    """
+    """What (C26) adds to energy at `nodes` that lack bonds, as they lose more of them, and to force
+    there and at the ends of their bonds, `near`; links as the operator has them."""
 
     def __init__(self, operator: CutOperator, links: wp.array[Any]) -> None:
         self._operator, self._links = operator, links
@@ -133,13 +125,12 @@ class BreakingBody:
         held: components of the displacement that are prescribed, shape [N] or [N, d] bool.
         grip: velocity of held components, shape [N, d]; zero by default, and where not held.
         ramp: share of load and grip at a time; 1 by default.
-        corrected: bonds that a node lacks take the mean gradient of those that it has (C26).
+        corrected: as of Cracked.
 
     Attributes:
         longest_step: Δt proven stable under any breaking (theory, C9); where bonds are corrected
             a little less, measured.
-        exchange: fills the displacement [N, d] of nodes that another process moves; None where
-            none does.
+        exchange: fills the displacement [N, d] of nodes that another process moves, or None.
 
     Raises InputError for a model that changes sign, or arrays that do not fit.
     """

@@ -80,10 +80,8 @@ class BrittleMaterial(OnLinear, format="warp_peri.brittle_solid", version=3):
 
 @typed
 def with_positive_kernel(model: LPSMaterial, horizon: Positive) -> LPSMaterial:
-    """λ and μ of a model with K = 1/r, which has them exactly on every lattice (C7).
-
-    This is how a model whose influence function changes sign goes to fracture.
-    """
+    """λ and μ of a model with K = 1/r, which has them exactly on every lattice (C7): how one whose
+    influence function changes sign goes to fracture."""
     return LPSMaterial(
         model.lam, model.mu, 1.0, np.ones(1), horizon, units=model.units, dimension=model.dimension
     )
@@ -190,14 +188,8 @@ def share_of(worst: Any, softness: Any, stretch: Any, tail: Any, of: Any) -> Any
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SofteningMaterial(OnLinear, format="warp_peri.soft_solid"):
-    """A solid whose bonds soften and fail by one law (C16).
-
-    Attributes:
-        model: λ = μ, positive on the lattice.
-        law: of the bonds.
-
-    Raises InputError for a model with another λ.
-    """
+    """A solid whose bonds soften and fail by one law (C16), of a model with λ = μ, positive on the
+    lattice; InputError for another λ."""
 
     model: LPSMaterial
     law: BondLaw

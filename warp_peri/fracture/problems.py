@@ -178,10 +178,8 @@ class Cracked:
 
 
 def options_of_steps(options: dict[str, Any]) -> tuple[dict[str, Any], ...]:
-    """Those of a motion in steps: for BreakingBody, its start, Recorder, CrackRun and its march.
-
-    Raises InputError for others.
-    """
+    """Those of a motion in steps: for BreakingBody, its start, Recorder, CrackRun and its march;
+    InputError for others."""
     given = "load", "held", "u", "cracks", "nodes", "corrected"
     begin, run = (BreakingBody.__init__, BreakingBody.start), (CrackRun.__init__, CrackRun.march)
     return taken(options, "simulate", *begin, Recorder.__init__, *run, given=given)
