@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from warp_peri.fitting.settings import Stage
 from warp_peri.materials.lps import LPSMaterial
-from warp_peri.points.families import BondClasses, bond_classes
+from warp_peri.points.families import bond_classes
 from warp_peri.points.unit_names import symbols
 
 
@@ -26,9 +26,11 @@ def influence_function(model: LPSMaterial, *, spacing: float, ax: Axes) -> Axes:
     """
     classes = bond_classes(spacing, model.horizon)
     r = np.linspace(0.5 * spacing, model.horizon, 1000)
-    values = kernel_values(model, classes, classes.r)
+    volume = classes.count @ (model.influence(classes.r) * classes.weight * classes.r**2)
+    values = model.influence(classes.r) / volume
     ax.axhline(0, color="0.7", linewidth=0.8)
-    ax.plot(r, kernel_values(model, classes, r), color="C0", linewidth=1, alpha=0.6, label="K(r)")
+    curve = model.influence(r) / volume
+    ax.plot(r, curve, color="C0", linewidth=1, alpha=0.6, label="K(r)")
     unit = symbols(model.units)[0]
     label = f"at the bonds of the {spacing:g} {unit} lattice"
     ax.plot(classes.r, values, "o", color="C0", label=label)
@@ -37,12 +39,6 @@ def influence_function(model: LPSMaterial, *, spacing: float, ax: Axes) -> Axes:
     ax.set(xlabel=f"bond length r [{unit}]", ylabel=f"K / m  [{unit}⁻⁴]")
     ax.legend(frameon=False)
     return ax
-
-
-def kernel_values(model: LPSMaterial, classes: BondClasses, r: np.ndarray) -> np.ndarray:
-    """K(r) over the weighted volume on a lattice [Å⁻⁴]."""
-    volume = classes.count @ (model.influence(classes.r) * classes.weight * classes.r**2)
-    return np.asarray(model.influence(r) / volume)
 
 
 def loss_by_stage(history: Sequence[Stage], *, ax: Axes) -> Axes:

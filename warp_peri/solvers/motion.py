@@ -172,7 +172,8 @@ class Recorder:
                     arrays = {name: one[own] for name, one in self.nodal(state).items()}
                     history = {name: np.array(rows).tolist() for name, rows in self.history.items()}
                     times = {} if self.series is None else self.series.times
-                    content = {"steps": state.steps, "key": self._key(state.steps)}
+                    key = self.key(state.steps) | {"start": self.start}
+                    content = {"steps": state.steps, "key": key}
                     self.file.write(arrays, content | {"history": history, "files": times})
         return state
 
@@ -181,16 +182,14 @@ class Recorder:
         history = {name: np.array(rows) for name, rows in self.history.items()}
         return history.pop("time"), history
 
-    def _key(self, steps: int) -> dict[str, str]:
-        return self.key(steps) | {"start": self.start}
-
     def _resumed(self, file: RunFile, state: Any) -> Any:
         """The state to go on from, which is the checkpoint's where there is one."""
         if (kept := file.read(*self.nodal(state))) is None:
             return state
         arrays, content = kept
         taken, known = content["steps"], content["key"]
-        if differ := [name for name, mark in self._key(taken).items() if known.get(name) != mark]:
+        key = self.key(taken) | {"start": self.start}
+        if differ := [name for name, mark in key.items() if known.get(name) != mark]:
             raise InputError(
                 f"{file.path}: expected a checkpoint of this motion, got another's; what differs: "
                 f"{', '.join(differ)}"

@@ -226,15 +226,23 @@ class Solution(Shown):
         """
         import matplotlib.pyplot as plt
 
-        x, u = self._nodes(sample)
-        several = self._values.size // u.size
+        if self.points is None:
+            x, unit = self.details.rim.mesh.x, symbols(self.details.model.units)[0]
+        else:
+            x, unit = self.points.x, symbols(self.points.units)[0]
+        u, several = self._values, 1
+        if u.ndim == 3 or (u.ndim == 2 and u.shape != x.shape):
+            several = len(u)
+            try:
+                u = u[operator.index(sample)]
+            except (IndexError, TypeError):
+                raise InputError(f"sample: expected one of {several}, got {sample!r:.60}") from None
         if x.shape[1] == 3:
             near = np.abs(x[:, 2] - np.median(x[:, 2])).min() + 1e-9 * np.ptp(x)
             kept = np.abs(x[:, 2] - np.median(x[:, 2])) <= near
             x, u = x[kept], u[kept]
         ax = plt.figure(layout="constrained").add_subplot() if ax is None else ax
         size = u if u.ndim == 1 else np.linalg.norm(u, axis=1)
-        unit = symbols(self._units)[0]
         shown = ax.scatter(x[:, 0], x[:, 1], c=size, s=9, linewidths=0)
         ax.figure.colorbar(shown, ax=ax, label="φ" if u.ndim == 1 else f"|u| [{unit}]")
         ax.set(aspect="equal", xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
@@ -243,24 +251,9 @@ class Solution(Shown):
         return ax
 
     @property
-    def _units(self) -> tuple[str, str]:
-        return self.points.units if self.points is not None else self.details.model.units
-
-    @property
     def _values(self) -> np.ndarray:
         """The displacement without torch."""
         return np.asarray(self.u.detach().cpu() if hasattr(self.u, "detach") else self.u)
-
-    def _nodes(self, sample: int) -> tuple[np.ndarray, np.ndarray]:
-        """Positions and displacement of one sample."""
-        x = self.details.rim.mesh.x if self.points is None else self.points.x
-        u = self._values
-        if u.ndim == 3 or (u.ndim == 2 and u.shape != x.shape):
-            try:
-                u = u[operator.index(sample)]
-            except (IndexError, TypeError):
-                raise InputError(f"sample: expected one of {len(u)}, got {sample!r:.60}") from None
-        return x, u
 
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value."""
