@@ -17,8 +17,8 @@ from warp_peri.core.elastic import lattice_group
 from warp_peri.core.proof import largest
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import LatticeBody
+from warp_peri.kernels import damage as kernels
 from warp_peri.kernels.bonds import stay
-from warp_peri.kernels.damage import sweeps as kernels
 from warp_peri.materials.lps import LPSMaterial, stencil_of, stiffnesses
 from warp_peri.points.families import BondClasses
 from warp_peri.points.points import straight_steps

@@ -21,7 +21,7 @@ from warp_peri.fracture.body import HAIR, LatticeBody, cracked, section
 from warp_peri.fracture.bonds import CutOperator, mean_gradients, unit_toughness
 from warp_peri.fracture.materials import BrittleMaterial
 from warp_peri.fracture.statics import by_component, check_no_fail
-from warp_peri.kernels.damage.motion import halves
+from warp_peri.kernels.damage import halves
 from warp_peri.points.arguments import Positive, checked
 from warp_peri.runtime import floats, launch_slices, zeros
 from warp_peri.solvers.motion import Motion, Recorder

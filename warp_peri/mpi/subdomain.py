@@ -20,8 +20,7 @@ from warp_peri.fracture.body import lattice_body
 from warp_peri.fracture.dynamics import BreakingBody, CrackRun
 from warp_peri.fracture.problems import Cracked, options_of_steps
 from warp_peri.kernels import neighbours
-from warp_peri.kernels.damage.motion import halves
-from warp_peri.kernels.damage.sweeps import sweep
+from warp_peri.kernels.damage import halves, sweep
 from warp_peri.mpi.linear import operator_on
 from warp_peri.mpi.processes import (
     Comm,

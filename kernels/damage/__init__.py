@@ -1,1 +1,0 @@
-"""Solids whose bonds break: dilatation, force and energy over unbroken bonds, and motion."""
