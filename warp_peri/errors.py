@@ -14,7 +14,6 @@ from typing import Any
 
 LAST_WORDS: list[Callable[[str, int], None]] = []
 """What ends all processes of a run that has many, given a line to say and the exit status."""
-
 LONGEST = 2000
 """Characters of a message; what a file holds may be repeated in it, and may be long."""
 

@@ -27,7 +27,6 @@ LINE = 16
 """Counters of a sweep that threads share are so far apart, as in kernels/bonds.py."""
 SLICE = 2000
 """Least number of nodes a thread is worth starting for."""
-
 wp.config.log_level = wp.LOG_WARNING  # its banner would mix with what commands print
 
 

@@ -12,7 +12,6 @@ from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.points import Points, PointsLike, Samples
 
 __all__ = ["on_lattice", "onto_lattice"]
-
 NEIGHBOURS = 80
 """Nearest nodes that a value is interpolated from: more of them see shorter waves."""
 SPACING_NEIGHBOURS = 12

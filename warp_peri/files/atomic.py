@@ -33,7 +33,6 @@ DEEPEST, BLOCK = 100, 2**20
 DEEPER = np.zeros(256, int)
 """By how much the text after a byte is deeper."""
 DEEPER[[*b"[{"]], DEEPER[[*b"]}"]] = 1, -1
-
 BROKEN = zipfile.BadZipFile, EOFError, RuntimeError, KeyError, NotImplementedError, MemoryError
 """What reading an archive of arrays runs into."""
 

@@ -28,8 +28,6 @@ from warp_peri.files.atomic import check_hdf5, parsed, whole_file, write_text
 T = TypeVar("T")
 Placed = tuple[np.ndarray, np.ndarray | None, int]
 """Rows [n, ...], their places in the whole and how many it has; None where they are the whole."""
-
-
 PLAIN = (bool, int, float, complex, str, bytes, tuple, list, dict, np.ndarray, np.generic)
 """What a module may hold for a function to read; what lives, as os.environ, is none of it."""
 OF_A_FIT = ("sha256", "certificate", "proven", "provenance")

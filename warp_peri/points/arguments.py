@@ -27,12 +27,8 @@ from warp_peri.points.unit_names import Units
 
 LARGEST = 1e100
 """Values above it are no data, and their squares soon no numbers."""
-
-
 MOST = 2**53
 """Counts above it are none, nor whole numbers told apart in float64."""
-
-
 GRADIENT = "expected values without a gradient, which is not had here, got tensors with one"
 
 
@@ -195,8 +191,6 @@ Kind = TypeVar("Kind", bound=type)
 ARRAY = get_args(ArrayLike)
 KINDS = (bool, int, float, str, os.PathLike, Mapping, dict, Sequence, tuple, list, NoneType,
          np.ndarray)  # fmt: skip
-
-
 _signature = cache(inspect.signature)
 """Of a function, worked out at its first call: most are never called."""
 
@@ -227,7 +221,7 @@ def typed(call: Call) -> Call:
         return typed_methods(call)
 
     @wraps(call)
-    def checked(*args: Any, **options: Any) -> Any:
+    def with_kinds(*args: Any, **options: Any) -> Any:
         if not kinds_of(call):
             return call(*args, **options)
         try:
@@ -237,16 +231,16 @@ def typed(call: Call) -> Call:
         given.arguments.update(check_arguments(call, given.arguments))
         return call(*given.args, **given.kwargs)
 
-    return checked  # type: ignore[return-value]
+    return with_kinds  # type: ignore[return-value]
 
 
 def typed_methods(kind: Kind) -> Kind:
     """A class whose own public methods look at their arguments as `typed` functions do."""
     for name, method in [*vars(kind).items()]:
-        plain = getattr(method, "__func__", method)
-        if (name[0] != "_" or name == "__call__") and not hasattr(plain, "__wrapped__"):
+        own = getattr(method, "__func__", method)
+        if (name[0] != "_" or name == "__call__") and not hasattr(own, "__wrapped__"):
             if isinstance(method, (classmethod, staticmethod)):
-                setattr(kind, name, type(method)(typed(plain)))
+                setattr(kind, name, type(method)(typed(own)))
             elif isinstance(method, FunctionType):
                 setattr(kind, name, typed(method))
     return kind
@@ -292,8 +286,8 @@ def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> dict[
             words = "a text" if first is str else " or ".join(kind.__name__ for kind in kinds)
             words = "a path" if os.PathLike in more else words.replace("NoneType", "None")
         if not fine or (bound and value != default and not bound.holds(value)):
-            expected, plain = bound.words if bound else words, first in KINDS and first is not str
-            got = f"{value!r:.60}" if plain or bound else type(value).__name__
+            expected, short = bound.words if bound else words, first in KINDS and first is not str
+            got = f"{value!r:.60}" if short or bound else type(value).__name__
             got = str(getattr(value, "dtype", got)) if first is np.ndarray else got
             raise InputError(f"{name}: expected {expected}, got {got}")
         if first is int or (first is float and isinstance(value, np.ndarray)):

@@ -24,14 +24,11 @@ from warp_peri.runtime import ints, launch_slices, zeros
 HORIZON_TOLERANCE = 1e-6
 """The ball is closed: a bond belongs to the family when r ≤ δ (1 + this); on a lattice, whose
 spacing has a tolerance of its own, 1 + twice this."""
-
 COLLAR = "interior nodes need complete families out to twice the horizon"
 ROUNDING = 1e-12
 """Weights below this, relative to the largest, are zero."""
-
 LARGEST_REACH = {2: 100, 3: 20}
 """Largest horizon in spacings, by dimension: a family of 31 000 or 33 000 bonds."""
-
 BOND_COLLAR = "interior nodes need complete families"
 AT_EDGES = "Free edges and holes: Body(mesh, …), whose elements take what an edge cuts"
 

@@ -26,7 +26,6 @@ ROUND = 1e-6
 """How far from a circle or a sphere, relatively, the ends of its edges may be."""
 GRADING = 0.2
 """Netgen's measure of how fast triangles may grow, 0 to 1."""
-
 WITHOUT = "netgen-mesher is not installed: pip install 'warp_peri[bodies]'"
 
 

@@ -29,13 +29,10 @@ from warp_peri.points.unit_names import USUAL, Units, check_units, symbols
 
 ROTATION, TWICE = 1e-6, 1e-9
 """That a rotation may be off; distance of nodes at one place, over the mean one of neighbours."""
-
-
 SHAPES = {2: "square", 3: "cubic"}
 SPARSE = "points: expected a {} lattice of spacing {}{}, but no two points are that close"
 LATTICE_TOLERANCE = 1e-6
 """Largest distance of a node from its lattice position, in spacings."""
-
 EMPTY_SHARE, SMALL_TABLE = 1000, 10**7
 """The table of lattice places around the nodes may be so much larger than their number, or so
 large; beyond that the nodes are too far apart to be one body."""

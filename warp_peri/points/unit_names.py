@@ -28,7 +28,6 @@ ATOMIC = ("TPa", "eV/angstrom^3", "bar")
 """Units of stress in which codes of atoms compute; their moduli are printed in GPa."""
 USUAL_HORIZON = 16.0
 """A horizon [Å] that the numbers of searches suit."""
-
 SYSTEMS: dict[str, Units] = {
     "ase": ("angstrom", "eV/angstrom^3"),
     "metal": ("angstrom", "bar"),
@@ -36,7 +35,6 @@ SYSTEMS: dict[str, Units] = {
     "reduced": REDUCED,
 }
 """Units of length and stress that go by one name: of ASE, of LAMMPS metal, of the SI, none."""
-
 Units: TypeAlias = tuple[str, str]
 """Names of a unit of length and of one of stress."""
 USUAL: Units = ("angstrom", "TPa")

@@ -78,8 +78,6 @@ STEPS_DOWN, STEPS_PAST = 15, 60
 """Most of Newton's steps through stable tangents, and past others."""
 SHORTEST, DESCENT, NEARER = 1e-4, 1e-4, 0.5
 """Shortest part of a step down; what of its promise it must keep, or by what residuals shrink."""
-
-
 Force = Callable[[np.ndarray], np.ndarray]
 """A field of all nodes [N, d] to the force on the interior [I, d]."""
 

@@ -289,7 +289,6 @@ APART = 1e-6
 """Difference that the derivative is taken over, relative to the field."""
 SHORTEST, DESCENT = 2.0**-8, 1e-4
 """Shortest share of a step that is tried, and what of its promise it must keep (Armijo)."""
-
 Residual = Callable[[np.ndarray], np.ndarray]
 
 
