@@ -1,52 +1,43 @@
 """Soft tissue: hyperelastic sheets, learned from loads or from displacement (theory, H)."""
 
-from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
-from warp_peri.materials.hyperelastic.energy_fit import (
-    EnergyFit,
-    ThicknessField,
-    fibre_energy_by_angle,
-    fibre_families,
-    fibre_fan,
-    fit_fibre_families,
-    with_corners,
-)
-from warp_peri.materials.hyperelastic.equilibrium import Equilibrium, NoEquilibriumError
-from warp_peri.materials.hyperelastic.from_displacement import DisplacementFit, fit_thickness
-from warp_peri.materials.hyperelastic.model_selection import (
-    ModelSelection,
-    in_words,
-    material_terms,
-    save_febio,
-    select_model,
-    uniaxial_stress,
-)
-from warp_peri.materials.hyperelastic.operator import (
-    HyperelasticMaterial,
-    HyperelasticSheetOperator,
-    evaluate_hyperelastic,
-)
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "Hyperelastic",
-    "DisplacementFit",
-    "EnergyFit",
-    "Equilibrium",
-    "HyperelasticMaterial",
-    "NoEquilibriumError",
-    "HyperelasticSheetOperator",
-    "ModelSelection",
-    "EnergyTerm",
-    "ThicknessField",
-    "select_model",
-    "fibre_families",
-    "fit_thickness",
-    "evaluate_hyperelastic",
-    "in_words",
-    "material_terms",
-    "fit_fibre_families",
-    "fibre_fan",
-    "fibre_energy_by_angle",
-    "save_febio",
-    "uniaxial_stress",
-    "with_corners",
-]
+from warp_peri import lazy
+
+if TYPE_CHECKING:
+    from warp_peri.materials.hyperelastic.energies import EnergyTerm as EnergyTerm
+    from warp_peri.materials.hyperelastic.energies import Hyperelastic as Hyperelastic
+    from warp_peri.materials.hyperelastic.energy_fit import EnergyFit as EnergyFit
+    from warp_peri.materials.hyperelastic.energy_fit import ThicknessField as ThicknessField
+    from warp_peri.materials.hyperelastic.energy_fit import (
+        fibre_energy_by_angle as fibre_energy_by_angle,
+    )
+    from warp_peri.materials.hyperelastic.energy_fit import fibre_families as fibre_families
+    from warp_peri.materials.hyperelastic.energy_fit import fibre_fan as fibre_fan
+    from warp_peri.materials.hyperelastic.energy_fit import fit_fibre_families as fit_fibre_families
+    from warp_peri.materials.hyperelastic.energy_fit import with_corners as with_corners
+    from warp_peri.materials.hyperelastic.equilibrium import Equilibrium as Equilibrium
+    from warp_peri.materials.hyperelastic.equilibrium import (
+        NoEquilibriumError as NoEquilibriumError,
+    )
+    from warp_peri.materials.hyperelastic.from_displacement import (
+        DisplacementFit as DisplacementFit,
+    )
+    from warp_peri.materials.hyperelastic.from_displacement import fit_thickness as fit_thickness
+    from warp_peri.materials.hyperelastic.model_selection import ModelSelection as ModelSelection
+    from warp_peri.materials.hyperelastic.model_selection import in_words as in_words
+    from warp_peri.materials.hyperelastic.model_selection import material_terms as material_terms
+    from warp_peri.materials.hyperelastic.model_selection import save_febio as save_febio
+    from warp_peri.materials.hyperelastic.model_selection import select_model as select_model
+    from warp_peri.materials.hyperelastic.model_selection import uniaxial_stress as uniaxial_stress
+    from warp_peri.materials.hyperelastic.operator import (
+        HyperelasticMaterial as HyperelasticMaterial,
+    )
+    from warp_peri.materials.hyperelastic.operator import (
+        HyperelasticSheetOperator as HyperelasticSheetOperator,
+    )
+    from warp_peri.materials.hyperelastic.operator import (
+        evaluate_hyperelastic as evaluate_hyperelastic,
+    )
+else:
+    __getattr__, __dir__, __all__ = lazy(__name__)

@@ -1,21 +1,16 @@
 """Shapes of influence functions: what users call warp_peri.influence."""
 
-from warp_peri.materials.influence import (
-    InfluenceFunction,
-    conical,
-    damped_wave,
-    exponential,
-    gaussian,
-    named,
-    table,
-)
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "InfluenceFunction",
-    "conical",
-    "damped_wave",
-    "exponential",
-    "gaussian",
-    "named",
-    "table",
-]
+from warp_peri import lazy
+
+if TYPE_CHECKING:
+    from warp_peri.materials.influence import InfluenceFunction as InfluenceFunction
+    from warp_peri.materials.influence import conical as conical
+    from warp_peri.materials.influence import damped_wave as damped_wave
+    from warp_peri.materials.influence import exponential as exponential
+    from warp_peri.materials.influence import gaussian as gaussian
+    from warp_peri.materials.influence import named as named
+    from warp_peri.materials.influence import table as table
+else:
+    __getattr__, __dir__, __all__ = lazy(__name__)

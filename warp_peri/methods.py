@@ -1,27 +1,20 @@
 """How a solid is learned, under which conditions, and how sure it is: `warp_peri.methods`."""
 
-from warp_peri.fitting.evaluate import BootstrapResult, bootstrap
-from warp_peri.fitting.settings import (
-    AugmentedLagrangian,
-    GaussNewton,
-    StabilityConditions,
-    TwoStage,
-)
-from warp_peri.materials.lps import LPSParameters
-from warp_peri.materials.sweep import SweepResult, sweep
-from warp_peri.materials.third_order import Smoothing
-from warp_peri.solvers.solution import Coupling
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "StabilityConditions",
-    "AugmentedLagrangian",
-    "Coupling",
-    "GaussNewton",
-    "BootstrapResult",
-    "Smoothing",
-    "LPSParameters",
-    "SweepResult",
-    "TwoStage",
-    "bootstrap",
-    "sweep",
-]
+from warp_peri import lazy
+
+if TYPE_CHECKING:
+    from warp_peri.fitting.evaluate import BootstrapResult as BootstrapResult
+    from warp_peri.fitting.evaluate import bootstrap as bootstrap
+    from warp_peri.fitting.settings import AugmentedLagrangian as AugmentedLagrangian
+    from warp_peri.fitting.settings import GaussNewton as GaussNewton
+    from warp_peri.fitting.settings import StabilityConditions as StabilityConditions
+    from warp_peri.fitting.settings import TwoStage as TwoStage
+    from warp_peri.materials.lps import LPSParameters as LPSParameters
+    from warp_peri.materials.sweep import SweepResult as SweepResult
+    from warp_peri.materials.sweep import sweep as sweep
+    from warp_peri.materials.third_order import Smoothing as Smoothing
+    from warp_peri.solvers.solution import Coupling as Coupling
+else:
+    __getattr__, __dir__, __all__ = lazy(__name__)
