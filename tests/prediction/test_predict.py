@@ -27,7 +27,7 @@ from warp_peri.prediction import (
     strain,
     stress,
 )
-from warp_peri.prediction.members import BEYOND, ErrorSpectrum, Spectrum, pulled
+from warp_peri.prediction.ensemble import BEYOND, ErrorSpectrum, Spectrum, pulled
 
 pytestmark = pytest.mark.filterwarnings("ignore:(strain|transferred):UserWarning")
 HORIZON, APART = 3.0, 0.02

@@ -17,6 +17,6 @@ if TYPE_CHECKING:
     from warp_peri.prediction.ensemble import CalibrationFactors as CalibrationFactors
     from warp_peri.prediction.ensemble import Ensemble as Ensemble
     from warp_peri.prediction.ensemble import EnsembleMaterial as EnsembleMaterial
-    from warp_peri.prediction.members import EnsembleOperator as EnsembleOperator
+    from warp_peri.prediction.ensemble import EnsembleOperator as EnsembleOperator
 else:
     __getattr__, __dir__, __all__ = lazy(__name__)

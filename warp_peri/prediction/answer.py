@@ -22,8 +22,14 @@ from warp_peri.materials.certificate import curvature_bound
 from warp_peri.points.arguments import Positive, checked_fields, typed, typed_methods
 from warp_peri.points.points import PointsLike, Samples, lattice_steps, nodes_of
 from warp_peri.points.unit_names import symbols
-from warp_peri.prediction.ensemble import MOST, CalibrationFactors, EnsembleMaterial
-from warp_peri.prediction.members import EnsembleOperator, Parts, norm
+from warp_peri.prediction.ensemble import (
+    MOST,
+    CalibrationFactors,
+    EnsembleMaterial,
+    EnsembleOperator,
+    Parts,
+    norm,
+)
 from warp_peri.protocols import placed
 
 if TYPE_CHECKING:
