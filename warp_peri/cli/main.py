@@ -137,17 +137,13 @@ def parser_of(name: str) -> Parser:
 def _taken(option: str, marks: list[str]) -> dict[str, Any]:
     """How argparse takes an option, from the marks between its name and its help."""
     how: dict[str, Any] = {"required": True} if "!" in marks else {}
-    named: list[str] = []
-    default = None
     for mark in marks:
-        if mark[0] == "=":
-            default = mark[1:]
-        elif mark[0] == "@":
+        if mark[0] == "@":
             how["dest"] = mark[1:]
-        elif "|" in mark:
+        if "|" in mark:
             how["choices"] = mark.split("|")
-        elif mark != "!":
-            named.append(mark)
+    named = [mark for mark in marks if mark[0] not in "!=@" and "|" not in mark]
+    default = next((mark[1:] for mark in marks if mark[0] == "="), None)
     if named:
         first = named[0].rstrip("+?")
         how |= {"type": _kind(first), "metavar": first}
