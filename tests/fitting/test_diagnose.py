@@ -83,7 +83,6 @@ def test_forces_that_species_share_unlike_their_masses_are_named():
 def test_noise_is_named_where_its_fields_are_given(samples):
     noisy = replace(samples, u=samples.u + fluctuation(samples, COUNT, 0.01, seed=1).u)
     diagnosis = diagnose(MODEL, noisy, fluctuation(samples, 12, 0.01, seed=2))
-    assert max(diagnosis.shares, key=diagnosis.shares.get) == "noise"
     assert diagnosis.shares["noise"] == pytest.approx(1.0, abs=0.2)
 
 

@@ -70,13 +70,10 @@ def test_the_degree_is_the_smallest_that_foretells_loads_left_out():
 
 
 def test_a_violating_model_ends_feasible_with_the_condition_active():
-    points, true = data("sign-changing", 2.5)
-    assert certify(true, spacing=1.0).symbol_min < -0.01
+    points, _ = data("sign-changing", 2.5)
     learned = fit(points, 2.5, Bernstein(4), conditions=StabilityConditions(zeta=ZETA))
     assert ZETA <= learned.certificate.symbol_min <= 1.02 * ZETA
     assert learned.errors["E_res"] == pytest.approx(evaluate(learned.material, points)["E_res"])
-    assert learned.certificate.holds
-    assert learned.material.certified_on == (1.0,)
     losses = np.array(list(learned.starts.values()))
     assert np.ptp(losses) < 1e-6 * losses.max()
     assert losses.min() > 1e-3
@@ -86,9 +83,7 @@ def test_the_printed_conditions_hold_densely_and_are_active():
     horizon, asked = 3.0, StabilityConditions("paper", ZETA)
     points, _ = data("sign-changing", horizon)
     learned = fit(points, horizon, Bernstein(5), conditions=asked)
-    dense = certify(learned.material, spacing=1.0, points=points)
-    assert dense.gamma_minus_2phi_min >= -1e-10 * dense.gamma_minus_2phi_max
-    assert dense.paper
+    assert certify(learned.material, spacing=1.0, points=points).paper
     margins = smallest_margins(bond_classes(1.0, horizon), asked, *shares(learned.material))
     assert (margins >= -1e-8).all()
     # the model that made the data keeps (i) and breaks (iii)

@@ -1,10 +1,16 @@
-"""Least squares under inequalities: the optimum obeys, and those it meets carry its slope."""
+"""Least squares under inequalities, and the coordinates of the linear solid's optimum."""
 
 import numpy as np
 import pytest
 
+from tests.support.problems import GRADIENT, difference
 from warp_peri import InputError
-from warp_peri.fitting.regression import least_squares_above
+from warp_peri.fitting.regression import Settled, least_squares_above
+from warp_peri.fitting.settings import GaussNewton, StabilityConditions
+from warp_peri.materials.lps import LPSParameters
+from warp_peri.materials.lps_force import bernstein_basis
+from warp_peri.materials.lps_law import BernsteinKernel, LPSFound, LPSLaw
+from warp_peri.points.families import bond_classes
 
 
 def test_the_optimum_is_one():
@@ -36,3 +42,81 @@ def test_what_cannot_be_is_refused():
     for last, h, words in ((1.0, np.ones(2), "no x"), (0.0, -np.ones(2), "full column rank")):
         with pytest.raises(InputError, match=words):
             least_squares_above(np.diag([1.0, last]), np.zeros(2), G, h)
+
+
+ONE = [bond_classes(1.0, 3.0)]  # 6 bond lengths
+TWO = [bond_classes(1.0, 3.0), bond_classes(0.8, 3.0)]  # 6 and 9, one of them in both
+CASES = {
+    "free exponent": (ONE, 3),
+    "redundant exponent": (ONE, 5),
+    "more coefficients than lengths": (ONE, 9),
+    "constant": (ONE, 0),
+    "two lattices": (TWO, 4),
+}
+
+
+def law_of(lattices, D):
+    """The law about λ = 0.2, μ = 0.7, α = 1.4 and D, and their θ."""
+    given = LPSFound(LPSParameters(0.2, 0.7, 1.4, D))
+    method = GaussNewton(moduli=None, smoothness=1e-3)
+    law = LPSLaw(lattices, given, StabilityConditions(zeta=0.01), method)
+    return law, law.start(given)
+
+
+def back(law, theta):
+    return law.found(Settled(theta, [], 0.0, [], 0.0, 0.0, 0)).solid
+
+
+def tables(classes, alpha, D):
+    """K W / m of each class."""
+    kw = classes.weight * classes.r**-alpha * (bernstein_basis(classes.r, 3.0, len(D) - 1) @ D)
+    return kw / (classes.count @ (kw * classes.r**2))
+
+
+@pytest.mark.parametrize(("lattices", "degree"), CASES.values(), ids=CASES)
+def test_a_point_has_its_stiffnesses_and_slopes_and_leads_back_to_its_solid(lattices, degree):
+    D = np.random.default_rng(0).uniform(0.3, 1, degree + 1)
+    law, theta = law_of(lattices, D)
+    found, mu = law.stiffnesses(theta)
+    assert (mu, theta[0]) == pytest.approx((0.7, (0.2 - 0.7) / 0.7))
+    solid = back(law, theta)
+    assert (solid.lam, solid.mu, solid.alpha) == pytest.approx((0.2, 0.7, 1.4))
+    for classes, v in zip(lattices, found):
+        expected = tables(classes, 1.4, D)
+        np.testing.assert_allclose(v, 0.7 * expected, atol=1e-9)
+        np.testing.assert_allclose(tables(classes, 1.4, solid.D), expected, atol=1e-9)
+    first = lattices[0]
+    volumes = [
+        first.count @ (K * first.weight * first.r ** (2 - 1.4))
+        for K in (bernstein_basis(first.r, 3.0, degree) @ solid.D, 1.0)
+    ]
+    assert volumes[0] == pytest.approx(volumes[1])
+    if law.kernel.free_alpha:
+        theta[-1] += 0.2  # away from where the tables were made
+
+    def values(theta):
+        at = law(theta)
+        return np.concatenate([*at.p, at.margins, at.beside])
+
+    expected, at = difference(values, theta, 1e-3).T, law(theta)
+    derivatives = np.vstack([*at.slopes, at.M, at.by])
+    assert np.abs(derivatives - expected).max() <= GRADIENT * np.abs(expected).max()
+
+
+@pytest.mark.parametrize(
+    ("lattices", "degree", "free"),
+    [(ONE, 4, True), (ONE, 5, False), (ONE, 8, False), (TWO, 4, True)],
+)
+def test_the_exponent_is_free_where_coefficients_do_not_reach_every_length(lattices, degree, free):
+    kernel = BernsteinKernel(lattices, 1.0, degree)
+    assert kernel.free_alpha == free
+    given = LPSFound(LPSParameters(0.2, 0.7, 1.4, np.ones(degree + 1)))
+    assert len(kernel.start(given)) == kernel.rank + free
+    assert kernel.rank == min(degree + 1, 6) if len(lattices) == 1 else degree + 1
+    assert not BernsteinKernel(lattices, 1.0, degree, fixed=True).free_alpha
+
+
+def test_coefficients_that_no_bond_sees_are_smooth():
+    """Of a straight line through the bond lengths, degree 9 makes a straight line."""
+    D = back(*law_of(ONE, np.linspace(0.2, 1.4, 10))).D
+    np.testing.assert_allclose(np.diff(D, n=2), 0, atol=1e-7 * np.abs(D).max())

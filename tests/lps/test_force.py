@@ -33,7 +33,6 @@ from warp_peri.runtime import get_num_threads, set_num_threads
 pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")
 HORIZON = 3.0
 STEPS = {"u": (1.0, 2), "lam": (1.0, 2), "mu": (1.0, 2), "alpha": (0.005, 8), "D": (0.002, 8)}
-every_kernel = pytest.mark.parametrize("name", ["1/r", "sign-changing"])
 
 
 def error(value, expected):
@@ -260,7 +259,7 @@ def test_no_table_is_stale_and_a_bond_may_have_no_influence():
         assert error(operator(u).ravel(), operator.matrix() @ u.ravel()) < ROUNDING
 
 
-@every_kernel
+@pytest.mark.parametrize("name", ["1/r", "sign-changing"])
 def test_plane_waves_have_the_symbol_of_the_stencil_and_long_ones_feel_the_moduli(name):
     spacing, small = 2.5, 1e-4
     model = kernel(name, 2.5 * spacing, spacing, lam=-0.2)
