@@ -29,19 +29,6 @@ ROUNDING = 1e-12
 """What is less than this beside the parts that cancel in it is rounding."""
 
 
-def residual_errors(operator: Any, points: Samples) -> np.ndarray:
-    """‖op(u) − load‖₂ and ‖load‖₂ of each sample on the interior [TPa/Å], shape [2, S].
-
-    A load that is rounding beside the forces that cancel in op(u) counts as none: 0.
-    """
-    load = operator.rhs(points.loads)
-    size = norms(load)
-    # the force of the interior's displacement alone, which that of the collar takes off again
-    straight = getattr(operator, "straight", operator)
-    inner = norms(straight(np.where(points.interior[:, None], points.u, 0.0)))
-    return np.array([norms(operator(points.u) - load), np.where(size > ROUNDING * inner, size, 0)])
-
-
 @typed
 def evaluate(
     material: Any,
@@ -89,11 +76,17 @@ def evaluate(
     offered(operator, "jvp", "evaluate", "a material whose fields are displacements")
     if hasattr(operator, "errors"):  # a law whose samples may fail one by one
         return operator.errors(samples)  # type: ignore[no-any-return]
-    residual, load = residual_errors(operator, samples)
+    load = operator.rhs(samples.loads)
+    size, residual = norms(load), norms(operator(samples.u) - load)
+    # the force of the interior's displacement alone, which that of the collar takes off again;
+    # a load that is rounding beside it counts as none
+    straight = getattr(operator, "straight", operator)
+    inner = norms(straight(np.where(samples.interior[:, None], samples.u, 0.0)))
+    size = np.where(size > ROUNDING * inner, size, 0)
     solution = operator.solve(samples.loads, samples.u)
     figures = operator.figures(solution) if hasattr(operator, "figures") else {}
     home = getattr(getattr(operator.model, "linear", None), "transferred_from", None)
-    return _table(samples, residual, load, solution.u, home) | figures
+    return _table(samples, residual, size, solution.u, home) | figures
 
 
 def _table(

@@ -16,7 +16,7 @@ from warp_peri.core.proof import StencilCertificate, prove
 from warp_peri.core.record import FieldUnits, Length, Record, taken
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, error_rows, warn
-from warp_peri.materials.lps_force import CANCELLED, LARGEST_DEGREE, bernstein_basis
+from warp_peri.materials.lps_force import LARGEST_DEGREE, bernstein_basis, weighted_volume
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.arguments import Positive, checked, is_number, typed
 from warp_peri.points.families import BondClasses, bond_classes
@@ -479,13 +479,8 @@ def stiffnesses(model: LPSMaterial, classes: BondClasses) -> tuple[np.ndarray, f
         )
     r = classes.r * (model.certified_spacing_near(classes.spacing) / classes.spacing)
     kw = model.influence(r) * classes.weight
-    terms = classes.count * kw * classes.r**2
-    if not abs(terms.sum()) > CANCELLED * np.abs(terms).sum():
-        raise InputError(
-            "influence function: its weighted volume m (theory, 5) is zero on the lattice of "
-            f"spacing {classes.spacing:g}: positive and negative parts cancel"
-        )
-    return model.mu * kw / terms.sum(), (model.lam - model.mu) / model.mu**2
+    m = weighted_volume(classes, kw)
+    return model.mu * kw / m, (model.lam - model.mu) / model.mu**2
 
 
 def stencil_of(classes: BondClasses, v: np.ndarray, kappa: float) -> Stencil:

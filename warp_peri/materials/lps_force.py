@@ -23,7 +23,7 @@ from warp_peri.core.stencil import row_pieces
 from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.lps import LANES, struct, sweeps
-from warp_peri.points.families import families_of
+from warp_peri.points.families import BondClasses, families_of
 from warp_peri.points.points import PointsLike, nodes_of
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.runtime import DEVICE, Shared, filled, floats, get_num_threads, ints, launch_slices
@@ -54,6 +54,17 @@ def bernstein_basis(r: ArrayLike, horizon: float, degree: int) -> np.ndarray:
     t = np.minimum(np.asarray(r, dtype=float) / horizon, 1.0)[..., None]
     k = np.arange(degree + 1)
     return np.asarray(comb(degree, k) * t**k * (1 - t) ** (degree - k))
+
+
+def weighted_volume(classes: BondClasses, kw: np.ndarray, name: str = "influence function") -> Any:
+    """m = Σ n r² K W on a lattice (theory, 5); InputError where it is zero."""
+    terms = classes.count * kw * classes.r**2
+    if not abs(terms.sum()) > CANCELLED * np.abs(terms).sum():
+        raise InputError(
+            f"{name}: its weighted volume m (theory, 5) is zero on the lattice of spacing "
+            f"{classes.spacing:g}: positive and negative parts cancel"
+        )
+    return terms.sum()
 
 
 @dataclass(frozen=True)

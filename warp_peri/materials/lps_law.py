@@ -25,7 +25,7 @@ from warp_peri.fitting.rows import forces, rows
 from warp_peri.fitting.settings import GaussNewton, StabilityConditions
 from warp_peri.materials.influence import InfluenceFunction
 from warp_peri.materials.lps import LPSMaterial, LPSParameters, stiffnesses
-from warp_peri.materials.lps_force import CANCELLED, bernstein_basis
+from warp_peri.materials.lps_force import bernstein_basis, weighted_volume
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.points import Samples
 from warp_peri.points.quadrature import DEGREE
@@ -226,12 +226,8 @@ class ShapeKernel:
         width = self._ends[1] - self._ends[0]
         self._room = np.where(np.isfinite(width), width, self._size)
         for classes in lattices:
-            terms = classes.count * classes.r**2 * classes.weight * shape(classes.r)
-            if not abs(terms.sum()) > CANCELLED * np.abs(terms).sum():
-                raise InputError(
-                    f"influence '{shape.name}': its weighted volume (theory, 5) is zero on the "
-                    f"lattice of spacing {classes.spacing:g} with {dict(shape.parameters)}"
-                )
+            name = f"influence '{shape.name}' with {dict(shape.parameters)}"
+            weighted_volume(classes, classes.weight * shape(classes.r), name)
 
     def start(self, found: LPSFound) -> np.ndarray:
         """q of the shape."""

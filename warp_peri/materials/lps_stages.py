@@ -7,7 +7,7 @@ import itertools
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import torch
@@ -410,15 +410,6 @@ class CollarResponse:
         return LatticeRows(R, y, bonds, lattice_group(2))
 
 
-Response: TypeAlias = WaveResponse | CollarResponse
-
-
-def responses_of(sets: Sequence[Products]) -> list[Response]:
-    """The response of each set: at the wave vectors of its loads, if it has them."""
-    waves = (WAVE_VECTOR in made.samples.arrays for made in sets)
-    return [(WaveResponse if wave else CollarResponse)(made) for wave, made in zip(waves, sets)]
-
-
 def _over(name: str, fields: np.ndarray, where: str) -> np.ndarray:
     """1/‖·‖ of each of S fields, over √S, shape [S]; InputError for one that is zero."""
     size = np.linalg.norm(fields, axis=1)
@@ -451,7 +442,10 @@ def fit_output_error(learner: Any, start: LPSFound, method: GaussNewton, tick: T
 
     Raises RuntimeError when it ends with the conditions or the moduli not kept.
     """
-    responses = responses_of(learner.products)
+    responses = [
+        (WaveResponse if WAVE_VECTOR in made.samples.arrays else CollarResponse)(made)
+        for made in learner.products
+    ]
 
     def about(found: LPSFound) -> tuple[list[LatticeRows], float]:
         model = learner.model(found)
