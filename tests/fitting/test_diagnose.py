@@ -139,12 +139,10 @@ def test_a_crystal_is_told_what_symmetry_it_lacks():
 
 
 def test_rounding_is_called_rounding(samples):
-    random = np.random.default_rng(0)
-    exact = diagnose(MODEL, samples)
-    nearly = replace(samples, b=samples.b * (1 + 1e-14 * random.normal(size=samples.b.shape)))
-    for told in (exact, diagnose(MODEL, nearly)):
-        assert told.causes == ["rounding"]
+    rough = np.random.default_rng(0).normal(size=samples.b.shape)
+    for size in (0.0, 1e-14):
+        told = diagnose(MODEL, replace(samples, b=samples.b * (1 + size * rough)))
+        assert (told.causes, told.advice) == (["rounding"], "")
         assert "100 % of its square is rounding" in told.sentence
-    seen = replace(samples, b=samples.b * (1 + 1e-9 * random.normal(size=samples.b.shape)))
+    seen = replace(samples, b=samples.b * (1 + 1e-9 * rough))
     assert "rounding" not in diagnose(MODEL, seen).shares
-    assert exact.advice == ""

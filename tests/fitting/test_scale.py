@@ -40,9 +40,12 @@ def plain(data):
     return learned(data)
 
 
-@pytest.mark.parametrize(("length", "stress"), [(1.0, 1e11), (1e-10, 1.0)])
-def test_stiffness_and_lengths_of_any_size(data, plain, length, stress):
-    there = at_scale(data, length, stress)
+@pytest.mark.parametrize(
+    ("length", "stress", "units"),
+    [(1.0, 1e11, None), (1e-10, 1.0, None), (0.1, 1000.0, ("nm", "GPa"))],
+)
+def test_stiffness_and_lengths_of_any_size_and_unit(data, plain, length, stress, units):
+    there = at_scale(data, length, stress, units)
     result = learned(there, length)
     found, expected = (
         [(s.parameters.lam, s.parameters.mu) for s in one.history] for one in (result, plain)
@@ -59,6 +62,12 @@ def test_stiffness_and_lengths_of_any_size(data, plain, length, stress):
     assert zeta == pytest.approx(RELATIVE_ZETA * stiffness)
     kept = result.material.provenance["zeta"]
     assert kept == pytest.approx({"zeta": zeta, "stiffness of the data": stiffness})
+    if units:
+        shown = repr(result)
+        assert (" GPa" in shown, "TPa" in shown, "Å" in shown) == (True, False, False)
+        assert "spacing 0.1 nm, with" in result.certificate.statement
+        with pytest.raises(InputError, match="units: expected the same for all sets"):
+            learned(data, noise=there)
 
 
 def test_steps_that_end_on_their_way_are_those_of_any_size():
@@ -68,18 +77,6 @@ def test_steps_that_end_on_their_way_are_those_of_any_size():
     found = learned(at_scale(small, length, stress), length, method=how).material
     assert (found.lam / stress, found.mu / stress) == pytest.approx((first.lam, first.mu), rel=1e-9)
     assert found.D == pytest.approx(first.D, rel=1e-9)
-
-
-def test_a_fit_carries_the_units_of_its_data_and_is_held_to_them(data, plain):
-    there = at_scale(data, 0.1, 1000.0, ("nm", "GPa"))
-    result = learned(there, 0.1)
-    assert result.material.units == ("nm", "GPa")
-    assert result.material.mu == pytest.approx(1000 * plain.material.mu, rel=1e-5)
-    assert "spacing 0.1 nm, with" in result.certificate.statement
-    shown = repr(result)
-    assert (" GPa" in shown, "TPa" in shown, "Å" in shown) == (True, False, False)
-    with pytest.raises(InputError, match="units: expected the same for all sets"):
-        learned(data, noise=there)
 
 
 def test_noise_does_not_soften_the_stiffness(data):

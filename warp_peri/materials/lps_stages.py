@@ -97,7 +97,7 @@ PROBED_HORIZON = 2.0
 
 
 def stiffness_of(sets: Sequence[Samples], horizon: float) -> float:
-    """The stiffness that loads and displacements show together [TPa].
+    """The stiffness that loads and displacements on lattices show together [TPa].
 
     That of the bond-based solid, K = 1/r, whose loads have the given work with the loads: ‖b‖² over
     b·A u, A of unit stiffness. Noise in u, which b knows nothing of, averages out of it.
@@ -106,10 +106,8 @@ def stiffness_of(sets: Sequence[Samples], horizon: float) -> float:
     """
     loads = work = 0.0
     for samples in sets:
-        h = samples.spacing
-        bonds = Bonds(
-            samples.points, min(PROBED_HORIZON * h, horizon) if h else horizon, bond_based=True
-        )
+        near = min(PROBED_HORIZON * samples.spacing, horizon)
+        bonds = Bonds(samples.points, near, bond_based=True)
         force = bonds.law(1.0, 1.0, 1.0, 1.0).force(samples.u.reshape(len(samples.u), -1))[0]
         b = samples.loads[:, samples.interior].reshape(force.shape)
         loads, work = loads + float((b**2).sum()), work + float((force * b).sum())
