@@ -19,7 +19,6 @@ import numpy as np
 
 from warp_peri.core.elastic import lattice_group
 from warp_peri.core.stencil import Basis, grid_of, half_ball
-from warp_peri.errors import InputError
 from warp_peri.fitting.regression import MET, Form, LatticeRows, Numbers, Settled, fit
 from warp_peri.fitting.rows import forces, rows
 from warp_peri.fitting.settings import GaussNewton, StabilityConditions
