@@ -262,9 +262,9 @@ class Hyperelastic:
         """What each energy is in uniform strains q [3, ...], with coefficient one, [K, ...]."""
         x, y = (half := half_family(self.reach)).T
         units = torch.from_numpy(np.stack([x * x, y * y, x * y]) / (half**2).sum(axis=1)).T
-        stretches, none = torch.tensordot(units, q, 1), (0 * q[0], 0 * q[0])
+        stretches, none, strain = torch.tensordot(units, q, 1), (0 * q[0], 0 * q[0]), Strain(q)
         seen = {"bond": lambda k: stretches[k], "deviation": lambda *_: none}
-        own = ((e, seen.get(e.sees[0], lambda: Strain(q))(*e.sees[1:])) for e in self.energies)
+        own = ((e, seen.get(e.sees[0], lambda: strain)(*e.sees[1:])) for e in self.energies)
         return torch.stack([e.density(sees, e.angle, e.exponent) for e, sees in own])
 
     def learn(self, samples: Samples, **options: Any) -> Any:
