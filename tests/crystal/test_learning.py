@@ -213,7 +213,7 @@ def test_a_linear_peridynamic_solid_is_a_crystal_of_twice_the_range():
 def made():
     """Rough and smooth fields on a period, and the loads that a model answers them with."""
     model = cubes.solid(2.0, 0.5, 0.8, D=[1.0, 0.6, 1.4])
-    points, random = cubes.periodic_cube((10, 10, 10)), np.random.default_rng(0)
+    points, random = wp.Points.sheet((10, 10, 10), 1.0), np.random.default_rng(0)
     k = 2 * np.pi / 10 * random.integers(-2, 3, size=(4, 3))
     u = random.normal(size=(4, 1000, 3)) + 10 * np.sin(points.x @ k.T).T[:, :, None]
     return model, wp.Samples(points, u, crystal_from_lps(model, 1.0).on(points)(u))

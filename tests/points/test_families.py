@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.support import reference
 from tests.support.clouds import cloud, periodic_cloud, plain
-from tests.support.cubes import cube, periodic_cube
+from tests.support.cubes import cube
 from tests.support.problems import ell, kernel, lattice, manufactured, noise, periodic
 from tests.support.solving import solve
 from warp_peri import LPS, Bernstein, InputError, LPSMaterial, Points, fit
@@ -96,7 +96,7 @@ def test_a_turned_cube_has_the_families_of_the_straight_one():
     np.testing.assert_allclose(turned.x[ends] - turned.x[i], there.pattern, atol=1e-12)
     with pytest.raises(InputError, match="complete families out to twice the horizon.*2.49 Å fits"):
         families_of(points, 3.0)
-    assert (families_of(periodic_cube((5, 6, 7)), 2.0).neighbour >= 0).all()
+    assert (families_of(Points.sheet((5, 6, 7), 1.0), 2.0).neighbour >= 0).all()
 
 
 RANDOM = np.random.default_rng(3)

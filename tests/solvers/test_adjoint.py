@@ -1,14 +1,14 @@
 """Gradients through waves: differences of the whole motion, few states, and what is refused."""
 
 import weakref
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 import pytest
 import torch
 
 import warp_peri as wp
-from tests.support.materials import OPERATORS, field
+from tests.support.materials import field, operator
 from tests.support.problems import difference
 from warp_peri.certificates import critical_time_step
 from warp_peri.solvers import adjoint, verlet
@@ -17,12 +17,6 @@ from warp_peri.solvers.adjoint import BATCH, PIECES
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 DENSITY = 2000.0
 STEPS, EVERY = 14, 4
-
-
-@cache
-def made(name):
-    """Every operator once."""
-    return OPERATORS[name]()
 
 
 def longest(op):
@@ -56,7 +50,7 @@ def loss(op, fields, options, parameters=None):
 
 
 def test_a_nonlinear_force_is_felt_where_the_motion_went():
-    op = made("third order, energy")
+    op = operator("third order, energy")
     fields, options = given(op)
     leaf = fields["u"].clone().requires_grad_()
     (gradient,) = torch.autograd.grad(loss(op, fields | {"u": leaf}, options), leaf)
@@ -67,7 +61,7 @@ def test_a_nonlinear_force_is_felt_where_the_motion_went():
 
 
 def test_the_motion_is_that_of_arrays_to_the_bit():
-    op = made("LPS")
+    op = operator("LPS")
     fields, options = given(op)
     arrays = {name: value.numpy() for name, value in fields.items()}
 
@@ -88,7 +82,7 @@ def test_the_motion_is_that_of_arrays_to_the_bit():
 
 
 def test_a_motion_that_does_not_run_back_says_so(monkeypatch):
-    op = made("LPS, bond-based")
+    op = operator("LPS, bond-based")
     fields, options = given(op)
     monkeypatch.setattr(adjoint, "UNDONE", 1e-20)
     mu = torch.tensor(op.model.mu, requires_grad=True)
@@ -99,7 +93,7 @@ def test_a_motion_that_does_not_run_back_says_so(monkeypatch):
 
 
 def test_few_states_are_kept(monkeypatch):
-    steps, op, alive, most = 200, made("LPS, bond-based"), {}, [0]
+    steps, op, alive, most = 200, operator("LPS, bond-based"), {}, [0]
 
     def forget(key, _):
         alive.pop(key, None)
@@ -130,7 +124,7 @@ def test_few_states_are_kept(monkeypatch):
 
 
 def test_what_has_no_gradient_says_so():
-    op = made("LPS")
+    op = operator("LPS")
     fields, options = given(op)
     u = fields["u"].requires_grad_()
 
@@ -149,7 +143,7 @@ def test_what_has_no_gradient_says_so():
     ):
         with pytest.raises(wp.InputError, match=words):
             moved(**extra)
-    crystal = made("crystal")
+    crystal = operator("crystal")
     with pytest.raises(wp.InputError, match=r"numbers of shape tensors \[14, 2, 2\], got mu"):
         moved(crystal, torch.zeros(crystal.shape), parameters={"mu": 1.0}, record=None)
     cracked = wp.Cracked(op.points, u=torch.zeros(op.shape, requires_grad=True))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import warp_peri
-from tests.support.cubes import cube, field, load, periodic_cube, solid
+from tests.support.cubes import cube, field, load, solid
 from tests.support.problems import fitted_order
 from tests.support.solving import solve
 from warp_peri import CG, Direct
@@ -82,7 +82,7 @@ def test_large_cubes_and_periods_are_solved_in_space():
     inside = large.interior
     left = operator(solution.u) - b[inside]
     assert np.linalg.norm(left) <= 1.1e-8 * np.linalg.norm(b[inside])
-    cell = model.on(periodic_cube((6, 6, 6)), allow_uncertified=True)
+    cell = model.on(warp_peri.Points.sheet((6, 6, 6), 1.0), allow_uncertified=True)
     u = np.random.default_rng(1).normal(size=(216, 3))
     u -= u.mean(axis=0)
     found = warp_peri.solve(cell, warp_peri.Periodic(cell.points, cell(u))).u

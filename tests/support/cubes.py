@@ -13,11 +13,6 @@ def cube(number, horizon, spacing=1.0, centred=False):
     return Points(spacing * (steps + 0.5 * centred), inside, spacing)
 
 
-def periodic_cube(sides):
-    """A periodic cubic lattice, all of it interior."""
-    return Points.sheet(sides, 1.0)
-
-
 def periodic_cloud(number, perturbation=0.2, seed=0):
     """number³ perturbed nodes in a periodic box, all interior."""
     steps = np.argwhere(np.ones(3 * [number]))
