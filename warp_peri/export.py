@@ -70,7 +70,7 @@ def write_vtk(
             f"got {left[0].name}; remove it or name another folder"
         )
     for path, data in zip(paths, _samples(model, points, u)):
-        write_vtu(path, points.x, cells, data)
+        _write_vtu(path, points.x, cells, data)
     return paths
 
 
@@ -91,14 +91,14 @@ def write_body(path: str | os.PathLike[str], body: BodySolution) -> dict[str, fl
     elements[body.rim.corners] = 1
     data = {"displacement": u, "stress": _tensor(stress), "elements": elements}
     kind = "triangle" if mesh.x.shape[1] == 2 else "tetra"
-    write_vtu(path, mesh.x, (kind, mesh.cells), data, extra="bodies")
+    _write_vtu(path, mesh.x, (kind, mesh.cells), data, extra="bodies")
     return {
         "largest_displacement": float(np.linalg.norm(u, axis=1).max()),
         "largest_principal_stress": float(np.linalg.eigvalsh(stress).max()),
     }
 
 
-def write_vtu(
+def _write_vtu(
     path: str | os.PathLike[str],
     x: np.ndarray,
     cells: tuple[str, np.ndarray],
