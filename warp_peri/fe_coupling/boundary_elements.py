@@ -58,11 +58,6 @@ class Moduli:
         return np.asarray(np.einsum("ijkl,...kl->...ij", self.tensor, gradient))
 
 
-def finite_elements() -> Any:
-    """scikit-fem; InputError where it is not installed."""
-    return optional("skfem", "scikit-fem is not installed: pip install 'warp_peri[bodies]'")
-
-
 MOST_STEPS, FOUND = 30, 1e-11
 """Of Newton's method for a position in a cell, and a step of it that is none."""
 
@@ -79,7 +74,8 @@ class Rim:
     """
 
     def __init__(self, mesh: Mesh, kept: np.ndarray, degree: int = 2) -> None:
-        self._fem, self.d, self.mesh = finite_elements(), mesh.dimension, mesh
+        needed = "scikit-fem is not installed: pip install 'warp_peri[bodies]'"
+        self._fem, self.d, self.mesh = optional("skfem", needed), mesh.dimension, mesh
         kind = {2: "Tri", 3: "Tet"}[self.d]
         self.corners, cells = np.unique(mesh.cells[kept], return_inverse=True)
         cells, place = cells.reshape(-1, self.d + 1), np.full(len(mesh.x), -1)
@@ -89,12 +85,10 @@ class Rim:
         self.facets = _columns(place[mesh.faces], straight.facets)
         if degree == 2 and len(mesh.curved):
             shape = getattr(self._fem, f"Mesh{kind}2").from_mesh(straight)
-            positions, of = shape.doflocs.copy(), shape.dofs
-            dofs, ends = {2: (of.facet_dofs, straight.facets), 3: (of.edge_dofs, straight.edges)}[
-                self.d
-            ]
-            edge = _columns(place[mesh.curved], ends)
-            positions[:, dofs[0, edge[edge >= 0]]] = mesh.middle[edge >= 0].T
+            positions, kinds = shape.doflocs.copy(), ("facet", "edge")[self.d - 2]
+            edge = _columns(place[mesh.curved], getattr(straight, f"{kinds}s"))
+            dofs = getattr(shape.dofs, f"{kinds}_dofs")[0, edge[edge >= 0]]
+            positions[:, dofs] = mesh.middle[edge >= 0].T
             shape = replace(shape, doflocs=positions)
         self.cells = np.full(len(mesh.cells), -1)
         self.cells[kept] = np.arange(len(cells))

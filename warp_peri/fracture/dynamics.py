@@ -150,15 +150,15 @@ class BreakingBody:
         self.solid, self.body, self.ramp, self.corrected = solid, body, ramp, corrected
         self.longest_step = solid.longest_step(body.spacing) * (SHORTER if corrected else 1)
         self.no_fail = check_no_fail(no_fail, len(body.x))
-        self.operator = CutOperator(
-            solid.model,
-            body,
-            limits=limits_of(solid, body),
-            by_energy=solid.critical_energy is not None,
-            tension_only=solid.tension_only,
-            no_fail=self.no_fail,
-        )
-        if corrected and solid.critical_energy is not None:
+        by_energy, stretch = solid.critical_energy is not None, solid.critical_stretch
+        if solid.toughness is not None:
+            stretch = np.sqrt(solid.toughness / unit_toughness(solid.model, body.classes))
+        weight: Any = body.classes.weight[body.classes.bond_class] if by_energy else body.r**2
+        limits = weight * (solid.critical_energy if by_energy else stretch)
+        how: dict[str, Any] = {"by_energy": by_energy, "tension_only": solid.tension_only}
+        how |= {"limits": limits, "no_fail": self.no_fail}
+        self.operator = CutOperator(solid.model, body, **how)
+        if corrected and by_energy:
             raise InputError("corrected: expected a solid whose bonds break at a stretch")
         if grip is not None and held is None:
             raise InputError("grip: expected held components too, whose velocity it is")
@@ -242,16 +242,6 @@ class BreakingBody:
         fields = (state.work.numpy(), kinetic, state.energy.numpy(), state.dissipated)
         sums = nodes.sum(np.stack([field[nodes.own] for field in fields], axis=1))
         return [state.time, *(body.spacing**body.dimension * sums).tolist()]
-
-
-def limits_of(solid: BrittleMaterial, body: LatticeBody) -> np.ndarray:
-    """What each bond of the ball bears: of its e = s r², or of its energy density, shape [B]."""
-    stretch: Any = solid.critical_stretch
-    if solid.critical_energy is not None:
-        return np.asarray(solid.critical_energy * body.classes.weight[body.classes.bond_class])
-    if solid.toughness is not None:
-        stretch = np.sqrt(solid.toughness / unit_toughness(solid.model, body.classes))
-    return np.asarray(stretch * body.r**2)
 
 
 def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
