@@ -301,10 +301,8 @@ class ForceConstants:
         waves, moments = self.effective(LONG * e) / LONG**2, self.acoustic(e)
         off += float(np.linalg.norm(waves - moments) / np.linalg.norm(waves))
         if off > NOT_ELASTIC:
-            if (
-                self.polar is not None
-                and self.nearest_elastic(allowed, field=False)[1] <= NOT_ELASTIC
-            ):
+            without = self.nearest_elastic(allowed, field=False)[1]
+            if self.polar is not None and without <= NOT_ELASTIC:
                 doubts.insert(0, "a piezoelectric crystal: it is one but for its ions' field")
             why = "; ".join(doubts) or (
                 "a piezoelectric crystal's non-analytic term, a stress that it is held under, or "

@@ -47,8 +47,6 @@ LOOSE = (
     "structure: parts of it feel no force from the rest; expected one crystal, without loose atoms "
     "or layers"
 )
-BORN = "born_effective_charges"
-"""ASE's name for what a calculator may give."""
 THZ = 15.633302
 """√(eV/Å²/amu) / 2π [THz]."""
 
@@ -62,7 +60,7 @@ def force_constants(
     default the supercell is the smallest at half whose width a displaced atom's forces have ended.
     """
     d, cell = reference.dimension, reference.cell
-    if BORN in getattr(calculator, "implemented_properties", ()):
+    if "born_effective_charges" in getattr(calculator, "implemented_properties", ()):
         warn("calculator: its Born charges are not read; a folder of phonopy with BORN has them")
     if supercell is None:
         repeats = wide_enough(reference, calculator, WIDTHS)
@@ -147,9 +145,7 @@ def check_phonons(atoms: ForceConstants) -> None:
     k, size, waves = _phonons(atoms, parts)
     worst = int(size[:, 0].argmin())
     least, top = size[worst, 0], size[:, -2 if d == 2 else -1].max()  # a sheet's last is held
-    error = 0.0
-    if atoms.doubt is not None and least < 0:
-        error = float(atoms.stiffness_error(k[worst], waves[worst, 0]))
+    error = float(atoms.stiffness_error(k[worst], waves[worst, 0]))
     if least >= -max(SOFT * top, TIMES * error):
         stiffest = np.linalg.eigvalsh(atoms.dynamical(k))[:, 0].max()
         if stiffest <= SOFT * np.abs(atoms.values).max():
