@@ -14,7 +14,7 @@ from warp_peri.files.atomic import meshio_of, whole_file
 from warp_peri.files.checkpoint import in_space
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_operator import node_fields
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import checked, typed
 from warp_peri.points.points import PointsLike, Samples
 
 if TYPE_CHECKING:
@@ -56,9 +56,7 @@ def write_vtk(
     lie already, which ParaView would show as one group, or another program's, or as node_fields.
     """
     meshio_of()
-    u = np.asarray(u, dtype=float)
-    if u.shape != points.u.shape:
-        raise InputError(f"u: expected the samples of the set, {points.u.shape}, got {u.shape}")
+    u = checked("u", u, float, points.u.shape)
     folder, cells = Path(folder), _cells(points)
     paths = [folder / f"sample_{s:04d}.vtu" for s in range(len(u))]
     there = sorted(folder.glob("sample_*.vtu"))

@@ -37,12 +37,15 @@ def onto_lattice(samples: Samples, *, spacing: Positive) -> Samples:
         spacing: h [Å] of the lattice; places on the rim where nodes are missing are left out.
 
     Returns:
-        Samples on the lattice, whose interior is what lies within a spacing of interior nodes.
+        Samples on the lattice, whose interior is what lies within a spacing of interior nodes;
+        arrays with an entry for each node have that of the nearest.
 
     Raises InputError for a spacing that is no length, fewer nodes than these, and nodes on a
     line or a conic.
     """
     x, dense = samples.x, mean_spacing(samples)
+    if samples.points.dimension != 2:
+        raise InputError("samples: expected nodes in a plane, got some in space")
     if len(x) < NEIGHBOURS:
         raise InputError(
             f"points: expected at least {NEIGHBOURS} nodes to interpolate from, got {len(x)}"
@@ -50,7 +53,8 @@ def onto_lattice(samples: Samples, *, spacing: Positive) -> Samples:
     low, high = np.ceil(x.min(0) / spacing - 1e-6), np.floor(x.max(0) / spacing + 1e-6)
     lines = [np.arange(a, b + 1) for a, b in zip(low, high)]
     y = spacing * np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
-    y = y[cKDTree(x).query(y)[0] <= FULL * dense]
+    r, near = cKDTree(x).query(y)
+    y, near = y[r <= FULL * dense], near[r <= FULL * dense]
     interior = cKDTree(x[samples.interior]).query(y)[0] <= dense
     fields = np.concatenate([samples.u] if samples.b is None else [samples.u, samples.b])
     try:
@@ -59,4 +63,8 @@ def onto_lattice(samples: Samples, *, spacing: Positive) -> Samples:
     except np.linalg.LinAlgError:
         raise InputError("points: nodes to interpolate from lie on a line or a conic") from None
     nodes = Points(y, interior, spacing, units=samples.points.units, axis=samples.axis)
-    return Samples(nodes, u, b[0] if b else None, samples.arrays)
+    arrays = {
+        name: np.asarray(one)[:, near] if np.shape(one)[1:2] == (len(x),) else one
+        for name, one in samples.arrays.items()
+    }
+    return Samples(nodes, u, b[0] if b else None, arrays)

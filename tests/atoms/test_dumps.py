@@ -96,6 +96,7 @@ TILTED = f"ITEM: BOX BOUNDS xy xz yz pp pp pp\n0 {BOX[0] + 2} 2\n0 {BOX[1]} 0\n-
 PLAIN, OTHER_IDS = frame(REFERENCE), frame(REFERENCE, 1).replace("\n30 1 ", "\n31 1 ")
 REFUSED = {
     "frame 2": PLAIN + frame(REFERENCE, 1)[:-200],
+    "30 atoms announced, 29 there": PLAIN.rstrip().rsplit("\n", 1)[0] + "\n\n",
     "expected 30 atoms, got 29": frame(REFERENCE[:-1]),
     "expected the columns id, x, .* got mol": frame(REFERENCE, 0, "mol type x y z"),
     "frame 1.*id 7 comes twice": PLAIN.replace("\n30 1 ", "\n7 1 "),

@@ -372,3 +372,43 @@ def test_arguments_of_bodies_solids_and_tables():
         with pytest.raises(wp.InputError, match=f"^{words}: expected"):
             call()
     assert wp.Points.sheet((4, 4), 1.0, units="reduced").units[0] == "sigma"
+
+
+def watched(name, watch):
+    x = rectangle_nodes(8.0, 8.0, 1.0)
+    region = {"regions": {"a": x[:, 0] > 0}, "watch": {name: watch}}
+    body = Cracked(wp.Points(x, np.ones(len(x), bool), 1.0))
+    return wp.simulate(solid(), body, step=1e-6, steps=2, every=1, **region)
+
+
+def test_what_watches_damage_is_named_once_gives_numbers_and_changes_nothing():
+    sizes, run = iter((1, 2)), watched("b", lambda phi: phi.sum())
+    assert run["b"].shape == (2,)
+    for name, watch, words in (
+        ("u a", np.sum, "watch: expected functions, none named .*, u a, v a"),
+        ("b", lambda phi: 1j, "watch b: expected float values"),
+        ("b", lambda phi: np.zeros(next(sizes)), r"watch b: expected shape \[1\], got \[2\]"),
+    ):
+        with pytest.raises(wp.InputError, match=words):
+            watched(name, watch)
+    assert not watched("b", lambda phi: phi.fill(1) or phi.sum()).details.damage.any()
+
+
+def test_tensors_beside_a_pressure_and_numbers_of_no_dimension():
+    x, pressure = rectangle_nodes(8.0, 8.0, 1.0), 1e-3 * np.eye(2)
+    points = wp.Points(x, np.abs(x).max(axis=1) < 3, 1.0)
+    body = Cracked(points, torch.zeros(x.shape), 0 * x, [[(-2, 0), (2, 0)]], pressure=pressure)
+    both = (wp.solve(solid().model, one).u for one in (body, replace(body, b=None)))
+    np.testing.assert_allclose(*map(np.asarray, both), atol=1e-12)
+    for b in (torch.tensor(1e-4), torch.ones(2), torch.ones(len(x), 1), torch.ones(x.shape) > 0):
+        with pytest.raises(wp.InputError, match="b: expected (shape|real numbers)"):
+            wp.solve(solid().model, replace(body, b=b))
+    points, u = lattice(3, 2.0), noise(lattice(3, 2.0))
+    model, how = kernel("positive", 2.0), {"density": torch.tensor(2.0), "steps": 1}
+    run = wp.simulate(model, wp.Dirichlet(points, None, u), step=torch.tensor(1e-9), **how)
+    assert run.u.shape == u.shape
+    turned = np.ascontiguousarray(u[::-1])[::-1]
+    mu = {"mu": torch.tensor(model.mu, requires_grad=True)}
+    problem = wp.Dirichlet(points, 0 * turned, turned)
+    assert wp.solve(model, problem, parameters=mu).u.requires_grad
+    assert wp.TorchModule(model, points)(turned).requires_grad

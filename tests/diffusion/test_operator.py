@@ -129,6 +129,19 @@ def test_steps_come_to_the_steady_state_and_those_of_tensors_are_differentiated_
         first.sum().backward()
 
 
+def test_a_collar_of_another_shape_is_refused_and_none_is_forgotten():
+    points = square(4, 6.0)
+    op, one = DiffusionMaterial(0.75).on(points), np.ones(len(points.x))
+
+    def flow(collar=None, b=None):
+        return simulate(op, Dirichlet(points, b, one), step=0.1, steps=2, collar=collar)
+
+    assert flow().u == pytest.approx(1, abs=1e-12)
+    for how in ({"collar": 0.0}, {"collar": []}, {"b": lambda t: one[: int(10 * t)]}):
+        with pytest.raises(InputError, match="(collar|b): expected shape"):
+            flow(**how)
+
+
 def test_what_does_not_fit_is_refused():
     points, law = square(3, 6.0), DiffusionMaterial(1.0)
     metres, wide = DiffusionMaterial(1.0, units=("m", "Pa")), square(3, 6.0)

@@ -44,6 +44,8 @@ def test_fields_for_paraview(points, tmp_path, monkeypatch):
         assert np.isnan(data["stress"][~inside]).all()
     with pytest.raises(InputError, match=r"without samples .* got sample_0001\.vtu"):
         write_vtk(tmp_path, model, points[:1], u[:1])
+    with pytest.raises(InputError, match="u: expected values everywhere, got 1 of"):
+        write_vtk(tmp_path, model, points, np.ma.array(u, mask=np.arange(u.size) == 7))
     paths[1].write_text("another program's")
     with pytest.raises(InputError, match=r"without samples .* got sample_0001\.vtu"):
         write_vtk(tmp_path, model, points, u)

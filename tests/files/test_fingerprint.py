@@ -41,6 +41,7 @@ def test_where_a_value_stands_and_of_what_kind_it_is_counts():
     ones = np.ones(4)
     parts = [
         (ones, 2), (ones.reshape(2, 2), 2), (ones.astype(int), 2), ([1, 2], 3), ([1], 2, 3),
+        (np.complex128(1 + 2j),), (1 + 3j,), (10**400,),
         ({"a": 1},), ({"a": 2},), ("1",), (1,), (None,), (0,), ([],), ("0",), (set(),),
     ]  # fmt: skip
     assert len({fingerprint(*one) for one in parts}) == len(parts)
@@ -64,6 +65,11 @@ class Above:
 
     def __call__(self, field):
         return (field > self.limit).sum()
+
+
+class AtMost(Above):
+    def __call__(self, field):
+        return (field <= self.limit).sum()
 
 
 class Slotted:
@@ -97,6 +103,7 @@ def test_materials_settings_functions_and_objects_count_by_what_they_hold():
         (lambda field: field.max(), lambda field: field.min()),
         (by(above(0.3)), by(above(0.4))),
         (Above(0.3), Above(0.4)),
+        (Above(0.3), AtMost(0.3)),
         (Above(0.3).__call__, Above(0.4).__call__),
         (partial(above, 0.3), partial(above, 0.4)),
         (lambda f: sum(x > 1 for x in f), lambda f: sum(x > 2 for x in f)),

@@ -105,9 +105,9 @@ def points():
 QUICK = TwoStage(epochs=60, inner_epochs=10, outer_iterations=4)
 
 
-def run(points, checkpoint=None, degree=3):
+def run(points, checkpoint=None, degree=3, **how):
     method = replace(QUICK, checkpoint=checkpoint)
-    return fit(points, 2.5, Bernstein(degree), method=method).history[-1]
+    return fit(points, 2.5, Bernstein(degree), method=method, **how).history[-1]
 
 
 def test_resumed_is_unbroken_and_what_is_finished_is_not_run_again(points, tmp_path, monkeypatch):
@@ -138,8 +138,9 @@ def test_resumed_is_unbroken_and_what_is_finished_is_not_run_again(points, tmp_p
     same(run(points, path))
     monkeypatch.setattr(augmented_lagrangian, "adam", not_again)
     same(run(points, path))
-    with pytest.raises(InputError, match="other data or settings"):
-        run(points, path, degree=4)
+    for other in ({"degree": 4}, {"normalise": True}):
+        with pytest.raises(InputError, match="other data or settings"):
+            run(points, path, **other)
     path.write_bytes(b"half of it")
     with pytest.raises(InputError, match="state.h5: not a readable checkpoint"):
         run(points, path)

@@ -137,6 +137,18 @@ def test_a_band_is_no_narrower_than_the_misfit_and_deviations_have_none():
         model_selection.ModelSelection([rules]).curves([1.2])
 
 
+def test_a_fit_that_is_kept_is_that_of_its_candidate_as_it_was_written(tmp_path):
+    path, asked = tmp_path / "one.fit.json", []
+    fit = lambda: asked.append(1) or DisplacementFit(SHEET, np.ones(1), [], [])
+    for key in ("neo-Hookean", "neo-Hookean", "Yeoh"):
+        assert model_selection.kept_fit(path, key, fit).errors == [1.0]
+    path.write_text(path.read_text().replace('"errors": [1.0]', '"errors": [0.1]').replace(
+        '"errors": [\n      1.0', '"errors": [\n      0.1'))  # fmt: skip
+    assert "0.1" in path.read_text()
+    assert model_selection.kept_fit(path, "Yeoh", fit).errors == [1.0]
+    assert len(asked) == 3
+
+
 def stretched(mesh, energy, fixed, given, x, levels):
     """Fields of elements at parts of what is given, with noise of 0.002 spacings, and forces."""
     rng, u, fields, forces = np.random.default_rng(5), None, [], []

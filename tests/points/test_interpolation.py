@@ -32,6 +32,11 @@ def test_fields_carried_to_a_lattice():
     assert carried.u[:, inside] == pytest.approx(wave(carried.x)[:, inside], abs=1e-3)
     assert carried.b == pytest.approx(2 * carried.u)
     assert onto_lattice(Samples(points, wave(points.x)), spacing=1.0).b is None
+    left = {"seen": points.x[None, :, 0] < 0, "load_id": np.array(["a"])}
+    carried = onto_lattice(Samples(points, wave(points.x)[:1], arrays=left), spacing=1.0)
+    near = np.abs(carried.x[:, 0]) > 0.8
+    assert np.array_equal(carried.arrays["seen"][0, near], carried.x[near, 0] < 0)
+    assert carried.arrays["load_id"].tolist() == ["a"]
 
 
 def test_what_cannot_be_interpolated():

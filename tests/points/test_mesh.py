@@ -330,7 +330,8 @@ def test_what_is_not_read_is_refused_by_name(tmp_path):
             abaqus(tmp_path, text)
     with pytest.raises(InputError, match="no such mesh file"):
         load_mesh(tmp_path / "none.msh")
-    for name, said in (("a.mesh", "convert it with meshio, then"), ("a.msh", "not a mesh of gmsh")):
+    for name, said in (("a.mesh", "convert it with meshio, then"), ("a.msh", "not a mesh of gmsh"),
+                       ("a.vtk", "expected an UNSTRUCTURED_GRID")):  # fmt: skip
         (tmp_path / name).write_text("no mesh")
         with pytest.raises(InputError, match=said):
             load_mesh(tmp_path / name)

@@ -155,7 +155,7 @@ def _of_lammps(file: io.TextIOWrapper) -> Iterator[DumpFrame]:
             items[title] = []
             if title.startswith("ATOMS "):
                 announced = int(items["NUMBER OF ATOMS"][0])
-        elif items:
+        elif items and line.strip():
             items[title].append(line)
         if items and len(items[title]) == announced:
             yield _of_items(items, title.split()[1:], items[title])

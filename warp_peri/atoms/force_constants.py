@@ -21,7 +21,7 @@ from warp_peri.core.elastic import (
     stress_brackets,
 )
 from warp_peri.errors import InputError, warn
-from warp_peri.points.arguments import typed, typed_methods
+from warp_peri.points.arguments import checked, typed, typed_methods
 from warp_peri.points.unit_names import STRESSES
 
 STEP, WIDER = 2e-3, 5
@@ -72,7 +72,11 @@ class NonAnalyticCorrection:
     decay: float = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "born", self.born - self.born.mean(axis=0))
+        born = checked("born", self.born, shape=("n", 3, 3))
+        object.__setattr__(self, "born", born - born.mean(axis=0))
+        object.__setattr__(self, "dielectric", checked("dielectric", self.dielectric, shape=(3, 3)))
+        if not (np.linalg.eigvalsh(self.dielectric) > 0).all():
+            raise InputError(f"dielectric: expected a positive tensor, got {self.dielectric}")
 
     def matrix(
         self, k: np.ndarray, cell: np.ndarray, positions: np.ndarray, *, field: bool = True

@@ -181,8 +181,10 @@ def as_tensor(name: str, value: Any) -> torch.Tensor:
     array = as_array(name, value)
     if array.dtype.kind not in "fiuc":
         raise InputError(f"{name}: expected an array of numbers, got {type(value).__name__}")
-    masked = np.ma.is_masked(array)
-    return torch.as_tensor(np.ma.filled(array.astype(float), np.nan) if masked else array.data)
+    if np.ma.is_masked(array):
+        return torch.from_numpy(np.ma.filled(array.astype(float), np.nan))
+    kind = complex if array.dtype.kind == "c" else float
+    return torch.from_numpy(np.require(array.data, kind, ["C", "W"]))
 
 
 def real(name: str, value: Any) -> torch.Tensor:
@@ -196,6 +198,12 @@ def real(name: str, value: Any) -> torch.Tensor:
     if tensor.is_complex() or tensor.dtype == torch.bool:
         raise InputError(f"{name}: expected real numbers, got {tensor.dtype}")
     return tensor.to("cpu", torch.float64)
+
+
+def check_shape(name: str, tensor: torch.Tensor, shape: tuple[int, ...]) -> None:
+    """Raise InputError for a tensor of another shape."""
+    if tuple(tensor.shape) != tuple(shape):
+        raise InputError(f"{name}: expected shape {list(shape)}, got {list(tensor.shape)}")
 
 
 def with_numbers(operator: Any, numbers: Mapping[str, Any]) -> tuple[Any, dict[str, torch.Tensor]]:
@@ -269,8 +277,7 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
     given = as_tensor("u", u)
     fields = [real("b", b), real("u", given)]
     operator.check(fields[1])
-    if fields[0].shape != given.shape:
-        raise InputError(f"b: expected shape {list(given.shape)}, got {list(fields[0].shape)}")
+    check_shape("b", fields[0], given.shape)
     operator, named = with_numbers(operator, parameters or {})
     numbers = [*named.values(), *operator.networks]
     found: list[Any] = []
@@ -401,7 +408,7 @@ class TorchModule(torch.nn.Module):
         operator, numbers = self.operator, dict(self.named_parameters(recurse=False))
         if not numbers:
             return operator(u)  # type: ignore[no-any-return]
-        u = u if isinstance(u, torch.Tensor) else torch.as_tensor(plain("u", u))
+        u = u if isinstance(u, torch.Tensor) else as_tensor("u", plain("u", u))
         force = on_fields(
             operator, u, lambda fields: operator.force_with_parameters(fields, numbers)
         )

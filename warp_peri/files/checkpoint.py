@@ -12,6 +12,7 @@ import inspect
 import json
 import os
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
@@ -107,9 +108,13 @@ def _spelled(part: Any, above: frozenset[int] = frozenset()) -> Iterator[bytes]:
     if hasattr(part, "numpy") and not isinstance(part, type):  # and of Warp
         part = part.numpy()
     inside = above | {id(part)}
-    if isinstance(part, (bool, int, float, np.number, np.bool_)):
+    if isinstance(part, (int, np.integer, np.bool_)):
+        yield repr(int(part)).encode()
+    elif isinstance(part, (float, np.floating)):
         number = float(part)
-        yield repr(int(part) if number.is_integer() else number).encode()
+        yield repr(int(number) if number.is_integer() else number).encode()
+    elif isinstance(part, complex):
+        yield repr(complex(part)).encode()
     elif isinstance(part, np.ndarray) and part.dtype != object:
         yield from (part.dtype.str.encode(), repr(part.shape).encode(), part.tobytes())
     elif id(part) in above:
@@ -137,6 +142,7 @@ def _spelled(part: Any, above: frozenset[int] = frozenset()) -> Iterator[bytes]:
         yield repr(os.fspath(part)).encode()
     elif isinstance(part, type):
         yield f"{part.__module__}.{part.__qualname__}".encode()
+        yield from _spelled(_methods(part), inside)
     elif hasattr(part, "content"):
         yield from _spelled(_lasting(part.content()), inside)
         yield from _spelled(getattr(part, "state_dict", dict)(), inside)  # of networks
@@ -151,6 +157,7 @@ def _spelled(part: Any, above: frozenset[int] = frozenset()) -> Iterator[bytes]:
         names = [name for some in slots for name in ([some] if isinstance(some, str) else some)]
         own = {name: getattr(part, name, None) for name in names if name[:2] != "__"}
         yield from _spelled(own | getattr(part, "__dict__", {}), inside)
+        yield from _spelled(_methods(type(part)), inside)
 
 
 def _read_by(function: Any) -> dict[str, Any]:
@@ -167,10 +174,24 @@ def _read_by(function: Any) -> dict[str, Any]:
             own = {key: getattr(one, key, None) for key in sorted(names)}
             read[name] = {key: value for key, value in own.items() if isinstance(value, PLAIN)}
         elif not (inspect.isroutine(one) or isinstance(one, type)) or (
-            one is not function and one.__module__ == function.__module__
+            one is not function and (one.__module__ == function.__module__ or _is_users(one))
         ):
             read[name] = one
     return {**read, **inspect.getclosurevars(function).nonlocals}
+
+
+def _methods(kind: type) -> dict[str, Any]:
+    """Functions of a class of a user's own, by name."""
+    if not _is_users(kind):
+        return {}
+    plain = {name: getattr(one, "__func__", one) for name, one in vars(kind).items()}
+    return {name: one for name, one in plain.items() if inspect.isfunction(one)}
+
+
+def _is_users(one: Any) -> bool:
+    """Whether code is of no installed package: a script's, a notebook's, of a module beside it."""
+    file = getattr(sys.modules.get(one.__module__ or ""), "__file__", None) or ""
+    return not file.startswith((sys.prefix, sys.base_prefix, str(Path(__file__).parents[1])))
 
 
 def _lasting(content: Any) -> Any:

@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 from tqdm import tqdm
 
-from warp_peri.core.torch_bridge import as_tensor as as_tensor
-from warp_peri.core.torch_bridge import linear, nonlinear, real, refuse_tangents, with_numbers
+from warp_peri.core.torch_bridge import check_shape as check_shape
+from warp_peri.core.torch_bridge import linear, nonlinear, refuse_tangents, with_numbers
+from warp_peri.core.torch_bridge import real as real
 from warp_peri.errors import InputError, warn
 from warp_peri.fracture.body import LatticeBody, cracked, section
 from warp_peri.fracture.bonds import bonds_of, check_breakable, stretch_matrix, stretch_rows

@@ -22,7 +22,7 @@ from warp_peri.fracture.bonds import CutOperator, mean_gradients, unit_toughness
 from warp_peri.fracture.materials import BrittleMaterial
 from warp_peri.fracture.statics import by_component, check_no_fail
 from warp_peri.kernels.damage import halves
-from warp_peri.points.arguments import Positive, checked
+from warp_peri.points.arguments import Positive, checked, plain
 from warp_peri.runtime import floats, launch_slices, zeros
 from warp_peri.solvers.motion import Motion, Recorder
 
@@ -363,11 +363,6 @@ class CrackRun(Recorder):
                     f"step: expected at most {body.longest_step:.6g}, the longest that is stable "
                     f"whatever breaks, got {step:.6g}"
                 )
-            self.watch: dict[str, Any] = dict(watch or {})
-            if not all(map(callable, self.watch.values())) or {*LEDGER} & {*self.watch}:
-                raise InputError(
-                    f"watch: expected functions, none named {', '.join(LEDGER)}, got {watch!r:.40}"
-                )
             self.regions = {
                 name: checked(f"region {name}", mask, bool, (len(x),))
                 for name, mask in (regions or {}).items()
@@ -375,6 +370,14 @@ class CrackRun(Recorder):
             self.sections = {
                 name: Section(body, line, nodes.own) for name, line in (sections or {}).items()
             }
+            self.watch: dict[str, Any] = dict(watch or {})
+            others = {*LEDGER, *(f"force {name}" for name in self.sections)}
+            others |= {f"{kind} {name}" for kind in "uv" for name in self.regions}
+            if not all(map(callable, self.watch.values())) or others & {*self.watch}:
+                raise InputError(
+                    f"watch: expected functions, none named {', '.join(sorted(others))}, got "
+                    f"{watch!r:.40}"
+                )
         counts = {f"region {name}": int(mask.sum()) for name, mask in self.regions.items()}
         counts |= {f"section {name}": one.count for name, one in self.sections.items()}
         self._size = {name: comm.allreduce(count) for name, count in counts.items()}
@@ -406,7 +409,10 @@ class CrackRun(Recorder):
         phi = body.damage(state)[nodes.own] if self.watch or self.series else None
         if self.watch:
             everywhere = nodes.gather(phi)
-            found |= {name: function(everywhere) for name, function in self.watch.items()}
+            for name, function in self.watch.items():
+                found[name] = plain(f"watch {name}", function(everywhere.copy()))
+                for one in self.history.get(name, [])[:1]:
+                    checked(f"watch {name}", np.zeros(found[name].shape), shape=np.shape(one))
         return state.time, found, {} if phi is None else {"damage": phi}
 
     def nodal(self, state: BreakingState) -> dict[str, np.ndarray]:

@@ -124,6 +124,7 @@ class BondLaw:
 
     def share(self, worst: np.ndarray) -> np.ndarray:
         """What is left of that pull after a largest stretch, from 1 to 0."""
+        worst = checked("worst", worst)
         return np.asarray(share_of(worst, self.softness, np.float64(self.stretch), self.tail, np))
 
     def spent(self) -> float:

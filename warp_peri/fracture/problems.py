@@ -115,7 +115,8 @@ class Cracked:
             pressure = checked("pressure", self.pressure, float, (body.dimension,) * 2)
             extra = crack_load(cut, pressure, numbers or {} if learns else None)
             if learns:
-                b, extra = map(fracture.adjoint.as_tensor, ("b", "pressure"), (b, extra))
+                b, extra = map(fracture.adjoint.real, ("b", "pressure"), (b, extra))
+                fracture.adjoint.check_shape("b", b, body.x.shape)
             else:
                 b = checked("b", b, float, body.x.shape)
             b = b + extra

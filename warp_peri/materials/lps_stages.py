@@ -294,8 +294,8 @@ def two_stages(learner: Any, kernel: Any, method: TwoStage) -> LPSFound:
     margins = DenseMargins(learner.sets, learner.law.horizon)
     state = [*variables.leaves, *printed_state(len(margins.levels))]
     losses: list[float] = []
-    known = replace(method, checkpoint=None)
-    key = fingerprint(learner.law.horizon, known, kernel, learner.sets)
+    law = replace(learner.law, kernel=kernel, method=replace(method, checkpoint=None))
+    key = fingerprint(law, learner.sets)
     kept = ArrayFile(method.checkpoint, key, "a run on other data or settings")
 
     def go_on(before: dict[str, np.ndarray]) -> None:

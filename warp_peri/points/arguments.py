@@ -280,6 +280,7 @@ def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> dict[
             fine, words = isinstance(value, Mapping), "values by name"
         elif first in (Sequence, tuple, list):
             fine = not isinstance(value, str) and isinstance(value, (Sequence, np.ndarray))
+            fine = fine and getattr(value, "ndim", 1) > 0
             words = "a sequence"
         else:
             fine = isinstance(value, first) or is_piece(value)
@@ -290,7 +291,7 @@ def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> dict[
             got = f"{value!r:.60}" if short or bound else type(value).__name__
             got = str(getattr(value, "dtype", got)) if first is np.ndarray else got
             raise InputError(f"{name}: expected {expected}, got {got}")
-        if first is int or (first is float and isinstance(value, np.ndarray)):
+        if first is int or (first is float and not isinstance(value, (int, float))):
             found[name] = first(value)
     return found
 

@@ -158,7 +158,10 @@ def mixed_waves(
 
     Raises InputError for a wave that is longer than the periods.
     """
-    random, box = np.random.default_rng(seed), np.asarray(box, dtype=float)
+    random, box = np.random.default_rng(seed), checked("box", box, shape=(2,))
+    x = checked("x", x, shape=("N", 2))
+    if not (box > 0).all():
+        raise InputError(f"box: expected periods > 0, got {box}")
     if not shortest <= box.max():
         raise InputError(f"shortest wave: expected one in a box of {box}, got {shortest!r:.40}")
     most = int(box.max() / shortest) + 1

@@ -262,6 +262,8 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh:
             return _body_of(read_abaqus(content(path).decode("utf-8", "replace")))
         if form in ("vtu", "xdmf"):
             _check_arrays(path)
+        if form == "vtk" and b"UNSTRUCTURED_GRID" not in content(path).upper():
+            raise InputError("expected an UNSTRUCTURED_GRID, got none")
         return _body_of(meshio_of("bodies").read(path, file_format=form))
     except InputError as error:
         raise InputError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None

@@ -32,6 +32,7 @@ import torch
 from warp_peri.core.torch_bridge import (
     as_tensor,
     by_numbers,
+    check_shape,
     once,
     real,
     refuse_tangents,
@@ -220,10 +221,13 @@ def stepped(
     times, tensors = step * np.arange(steps + 1), [u, *(parameters or {}).values()]
     start = real("u", u)
     fields = [start]
-    for name, field in (("b", 0 * start.detach() if b is None else b), ("collar", collar or u)):
+    given = 0 * start.detach() if b is None else b, u if collar is None else collar
+    for name, field in zip(("b", "collar"), given):
         each = list(map(field, times[1:])) if callable(field) else [field]
         tensors += each
         each = [real(name, one) for one in each or [start]]
+        for one in each:
+            check_shape(name, one, start.shape)
         fields.append(torch.stack(each).expand(steps, *each[0].shape))
     refuse_tangents(*tensors)
     flow = Implicit(operator, step, list(numbers))

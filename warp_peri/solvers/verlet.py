@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError, quietly, warn
 from warp_peri.files.checkpoint import AllNodes, agreed, fingerprint
-from warp_peri.points.arguments import Count, Positive, is_piece, typed
+from warp_peri.points.arguments import Count, Positive, as_array, is_piece, typed
 from warp_peri.points.arguments import checked as read
 from warp_peri.points.mesh import check_numbers
 from warp_peri.points.points import check_lattice
@@ -242,7 +242,7 @@ def recorded_nodes(record: ArrayLike | None, count: int) -> np.ndarray | None:
     """Numbers of the nodes to record, [n]; InputError for what names none of so many."""
     if record is None:
         return None
-    nodes = np.atleast_1d(np.asarray(record))
+    nodes = np.atleast_1d(as_array("record", record))
     if nodes.dtype == bool:
         nodes = np.flatnonzero(read("record", nodes, bool, (count,)))
     nodes = read("record", nodes, int, ("n",))

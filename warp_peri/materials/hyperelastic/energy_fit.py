@@ -58,6 +58,8 @@ class ThicknessField:
             object.__setattr__(self, "numbers", np.zeros(len(self.names)))
         for name, count in (("centre", 2), ("half", 2), ("numbers", len(self.names))):
             object.__setattr__(self, name, checked(name, getattr(self, name), shape=(count,)))
+        if not (self.half > 0).all():
+            raise InputError(f"half: expected lengths > 0, got {self.half}")
 
     @classmethod
     def over(cls, x: np.ndarray, degree: int) -> ThicknessField:

@@ -35,7 +35,7 @@ from warp_peri.materials.hyperelastic.from_displacement import (
     stiffest_deviation,
 )
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial, evaluate_hyperelastic
-from warp_peri.points.arguments import Natural, typed, typed_methods
+from warp_peri.points.arguments import Natural, checked, typed, typed_methods
 from warp_peri.points.points import Samples, seen_of
 
 COMPRESSIBLE = {"neo_hookean", "volumetric"}
@@ -44,14 +44,19 @@ BULK = 2000.0
 """Of an incompressible mixture, times C1 + C2: a thousand times the shear modulus."""
 
 
-def kept_fit(path: Path | None, compute: Callable[[], DisplacementFit]) -> DisplacementFit:
-    """The fit of a file; where nothing can be read, compute it and write it there, if anywhere."""
+def kept_fit(
+    path: Path | None, key: str, compute: Callable[[], DisplacementFit]
+) -> DisplacementFit:
+    """The fit that a file has of this key; where it has none, compute it and write it there."""
     with suppress(OSError, ValueError, TypeError, KeyError):
         if path is not None:
-            return _read(parsed(path.read_bytes()))
+            kept = parsed(path.read_bytes())
+            if kept["sha256"] == fingerprint(key, kept["fit"]):
+                return _read(kept["fit"])
     found = compute()
     if path is not None:
-        write_json(path, finite(plain(_content(found))))
+        content = finite(plain(_content(found)))
+        write_json(path, {"fit": content, "sha256": fingerprint(key, content)})
     return found
 
 
@@ -187,9 +192,9 @@ def select_model(
     train, test = frames[pick], frames[~pick]
     tried: list[Candidate] = []
     with locked(folder) if folder is not None else nullcontext():
-        key = fingerprint(SETTINGS, frames)[:12]
         for name, (terms, degree) in _candidates(fibres, uneven).items():
-            stem = f"{name.replace(', ', '_').replace(' ', '_')}_{key}"
+            key = fingerprint(SETTINGS, frames, terms, degree)
+            stem = f"{name.replace(', ', '_').replace(' ', '_')}_{key[:12]}"
             path = None if folder is None else Path(folder) / f"{stem}.fit.json"
             dictionary = Hyperelastic(REACH, (), NEAREST, terms)
             even = (c.fit for c in tried if c.fit and c.fit.material.dictionary == dictionary)
@@ -197,7 +202,9 @@ def select_model(
                 fit_displacement, train, stiffness=DEVIATIONS, thickness=degree, most_steps=STEPS,
                 tolerance=TOLERANCE, progress=progress and name,
             )  # fmt: skip
-            fit = partial(kept_fit, path, partial(_learned, learn, dictionary, next(even, None)))
+            fit = partial(
+                kept_fit, path, key, partial(_learned, learn, dictionary, next(even, None))
+            )
             tried.append(_tried(name, fit, dictionary, degree, train, test))
             done(tried[-1])
     least = min(candidate.held_out for candidate in tried)
@@ -271,7 +278,9 @@ def uniaxial_stress(
     The other principal direction is free; shear across them is not let go. Raises InputError for
     stretches at which no width is free of stress.
     """
-    c, s, along = np.cos(angle), np.sin(angle), np.asarray(stretches, dtype=float)
+    c, s, along = np.cos(angle), np.sin(angle), checked("stretches", stretches)
+    if not (along > 0).all():
+        raise InputError(f"stretches: expected numbers > 0, got {along.min():g}")
     coefficients = torch.from_numpy(solid.coefficients)
 
     def stress(across: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
