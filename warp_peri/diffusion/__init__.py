@@ -36,11 +36,7 @@ ROUNDING = 1e-10
 
 
 class FlowOperator(OperatorBase):
-    """A linear law by its matrix, which flows in time: fields of all nodes, forces of the interior.
-
-    Attributes:
-        matrix: of flat fields, sparse, rows of the interior in order.
-    """
+    """A linear law by its sparse matrix, of flat fields to the interior, which flows in time."""
 
     is_linear = True
     matrix: sp.csr_array

@@ -192,8 +192,7 @@ def solve_body(
 def _on_lattice(
     model: Any, mesh: Mesh, b: Field | None, coupling: Coupling, allow_uncertified: bool
 ) -> tuple[Any, Moduli, float, tuple[Tried, ...]]:
-    """The model on the bulk's lattice, its long waves' moduli there, the spacing, and lattices that
-    were looked at; errors as of solve_body."""
+    """The model on the bulk's lattice, its long waves' moduli, the spacing, and what was tried."""
     spacing, tried, plane = coupling.spacing, tuple[Tried, ...](), isinstance(model, LPSMaterial)
     if mesh.dimension != (dimension := 2 if plane else model.dimension):
         kind = {2: "triangles", 3: "tetrahedra"}
@@ -306,10 +305,8 @@ class BodyGradient:
         traction: Mapping[str, Traction | ArrayLike] | None = None,
         b: Field | None = None,
     ) -> float:
-        """dJ of a change of the loads, given as solve_body takes them.
-
-        Raises InputError for a part that the mesh has not, and displacement where none was held.
-        """
+        """dJ of a change of the loads, given as solve_body takes them; InputError for a part that
+        the mesh has not, and displacement where none was held."""
         rim, points, problem = self.solution.rim, self.solution.points, self.solution.problem
         change = loads_on(rim.mesh, displacement or {}, traction, b)
         total = float(np.vdot(self.f, change.on(rim)))

@@ -173,8 +173,7 @@ class Rim:
         return sp.csr_array(sp.coo_array(entries, shape=(len(x), len(self.x))))
 
     def _places(self, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
-        """Positions in the coordinates of their cells, shape [d, m, 1], by Newton's method; next to
-        a curved face they may lie a little outside."""
+        """Positions in coordinates of their cells, or a little outside, [d, m, 1], by Newton."""
         mapping, goal = self.basis.mapping, x.T[:, :, None]
         places = np.full(goal.shape, 1 / (self.d + 1))
         for _ in range(MOST_STEPS):
@@ -371,8 +370,7 @@ def check_part(name: str, mesh: Mesh) -> None:
 
 
 def _field(name: str, value: Field | Traction | ArrayLike, *, free: bool = False) -> Any:
-    """A value, or a function of positions and normals, as one that answers with finite vectors of
-    the right shape; `free` takes NaN for a component that is not held."""
+    """A value or function as one that answers with finite vectors; NaN where it may be free."""
 
     def answer(*where: np.ndarray) -> np.ndarray:
         given = value(*where) if callable(value) else value

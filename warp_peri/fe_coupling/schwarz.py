@@ -407,10 +407,7 @@ class Schwarz:
         side: np.ndarray,
         tolerance: float,
     ) -> tuple[np.ndarray, Exchange]:
-        """u = once (q + place g) with g = read u, by GMRES; correct is nearly (I − M)⁻¹ (B6, B11).
-
-        Later vectors count for less and are worked out less closely.
-        """
+        """u = once (q + place g), g = read u, by GMRES, later vectors less closely (B6, B11)."""
         record, bulk = Exchange(), self.bulk
 
         def exchange(q: np.ndarray) -> np.ndarray:

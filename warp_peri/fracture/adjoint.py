@@ -227,8 +227,7 @@ class SoftBody:
     def _settled(
         self, at: np.ndarray, given: torch.Tensor, damage: list[torch.Tensor], law: Sequence[Any]
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """u [d N] where no bond fails further, from a start, and s of each bond; `damage` is what
-        is left of bonds and their largest s so far, and goes on."""
+        """u [d N] where no bond fails further, and s; `damage`, share and worst, goes on."""
         change, breakable = 1.0, torch.from_numpy(self.breakable)
         while not change < SETTLED:
             share, worst = damage
@@ -252,8 +251,7 @@ class SoftBody:
         return soft
 
     def _learned(self, u: Any, parameters: Mapping[str, Any] | None) -> tuple[Any, ...]:
-        """The body with these numbers, whether derivatives are asked for, and u, softness, stretch
-        and tail, of which second ones are refused."""
+        """The body with these numbers, whether slopes are asked for, u and the numbers."""
         asked = parameters is not None or is_tensor(u)
         soft, numbers = with_numbers(self, parameters or {})
         if asked and soft.law.tail == 0:
@@ -269,8 +267,7 @@ class SoftBody:
         return linear(u, self.rows.dot, self.rows.T.dot) / torch.from_numpy(self.square)
 
     def _stable(self, s: torch.Tensor, worst: torch.Tensor, share: torch.Tensor) -> bool:
-        """Hill's test: the tangent is positive definite in which bonds that fail, at their worst
-        stretch beyond `stretch`, fall by the slope of the tail; the others keep what is left."""
+        """Hill's test: the tangent is positive definite in which bonds that fail go on failing."""
         law, fails = self.law, ((s == worst) & (worst > self.law.stretch)).numpy()
         own = share.numpy() * slope_of(s.numpy(), law.softness)
         fall = -float(law.pull(np.array(law.stretch))) / law.tail
@@ -280,8 +277,7 @@ class SoftBody:
     def _at_rest(
         self, u: np.ndarray, share: torch.Tensor, softness: torch.Tensor, given: torch.Tensor
     ) -> torch.Tensor:
-        """u at rest [d N], with derivatives to what is left of bonds, their softness and what is
-        held: those of a step of Newton's method from there, which does not move it."""
+        """u at rest [d N], with the derivatives of a step of Newton's that does not move it."""
         left, factors = share.detach().numpy(), list[Any]()
 
         def inverse(g: np.ndarray) -> np.ndarray:

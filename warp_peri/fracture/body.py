@@ -102,10 +102,8 @@ def rectangle_nodes(width: Positive, height: Positive, spacing: Positive) -> np.
 
 @typed
 def box_nodes(sides: Sequence[float], spacing: Positive) -> np.ndarray:
-    """Nodes in the middle of cells that fill a box about the origin, shape [N, d].
-
-    Raises InputError when the sides are not whole multiples of the spacing.
-    """
+    """Nodes in the middle of cells that fill a box about the origin, shape [N, d]; InputError when
+    the sides are not whole multiples of the spacing."""
     check_dimensions("sides", len(sides))
     count = np.rint(checked("sides", sides, float, ("d",)) / spacing).astype(int)
     if (count < 1).any() or np.abs(count * spacing - sides).max() > 1e-6 * spacing:
@@ -240,10 +238,8 @@ def _cut_face(
 
 
 def size_and_normal(corners: np.ndarray) -> tuple[float, np.ndarray]:
-    """Length of a polyline and normal to the left of its ends, or area and normal of a polygon.
-
-    Zeros for a polygon without area.
-    """
+    """Length of a polyline and normal to the left of its ends, or area and normal of a polygon;
+    zeros for one without area."""
     if corners.shape[1] == 2:
         along = corners[-1] - corners[0]
         length = float(np.hypot(*np.diff(corners, axis=0).T).sum())
@@ -256,9 +252,7 @@ def size_and_normal(corners: np.ndarray) -> tuple[float, np.ndarray]:
 
 def section(body: LatticeBody, line: ArrayLike, name: str) -> tuple[np.ndarray, ...]:
     """Which bonds cross a straight line, in space a flat polygon, [N, B] bool; its ends and normal.
-
-    Raises InputError as crossing_bonds, and for a line that is bent.
-    """
+    Raises InputError as crossing_bonds, and for a line that is bent."""
     cut, ends = crossing_bonds(body, line, name), checked(name, line)
     if body.dimension == 2 and len(ends) != 2:
         raise InputError(f"{name}: expected two ends, got {len(ends)} corners")

@@ -80,10 +80,8 @@ def unit_toughness(model: LPSMaterial, classes: BondClasses) -> float:
 
 
 def check_breakable(model: LPSMaterial, classes: BondClasses | None = None) -> None:
-    """Refuse a model whose bonds must not break (theory, C3).
-
-    Raises InputError for an influence function that changes sign, anywhere or on a lattice.
-    """
+    """InputError for an influence function that changes sign, anywhere or on a lattice, whose bonds
+    must not break (theory, C3)."""
     if classes is None:
         w, where = model.influence(model.horizon * np.linspace(0.1, 1.0, 91)), ""
     else:
@@ -283,10 +281,8 @@ class CutOperator:
         *,
         breaking: bool = False,
     ) -> np.ndarray:
-        """Fill force and energy densities at u; the nodes that lose bonds by it, by number.
-
-        Force and energy are of all bonds that were there before.
-        """
+        """Fill force and energy densities at u, of all bonds that were there before; the nodes that
+        lose bonds by it, by number."""
         arrays = u, links, force, energy
         key = get_num_threads(), breaking, *(array.ptr for array in arrays)
         if key not in self._recorded:
@@ -303,10 +299,7 @@ class CutOperator:
     def _shared(
         self, pieces: Sequence[np.ndarray], criterion: int, *fields: wp.array[Any]
     ) -> Shared:
-        """To lay out u, fill θ, and fill force and energy, of pieces of their own each, packed.
-
-        fields: u, links, force and energy.
-        """
+        """To lay out u, fill θ, and fill force and energy, of pieces of their own each, packed."""
         laid, dilated, swept = pieces
         dilated = dilated if self.excess else laid[:0]
         phases: Any = [wp.array(of, dtype=wp.vec2i, device="cpu") for of in (laid, dilated, swept)]
@@ -361,8 +354,7 @@ class CutRows:
 
 
 def _places(body: LatticeBody) -> tuple[np.ndarray, np.ndarray]:
-    """Places from a node to the end of each bond, [B], and of all nodes [N], in rows with room
-    beside them for bonds that lead off the body."""
+    """Places from a node to the end of each bond [B], and of nodes [N], in rows with margins."""
     grid, _ = straight_steps(body.x, body.spacing)
     steps, d = body.classes.steps, body.dimension
     along = int(np.count_nonzero(np.diff(grid, axis=0), axis=0).argmax())  # as nodes are numbered

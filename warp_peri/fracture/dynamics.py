@@ -187,10 +187,8 @@ class BreakingBody:
         v: ArrayLike | None = None,
         cracks: Sequence[ArrayLike] = (),
     ) -> BreakingState:
-        """A state at time zero, with u and v [N, d], zero by default, and cracks open.
-
-        Raises InputError when u alone is beyond the criterion: such a body breaks at rest.
-        """
+        """A state at time zero, with u and v [N, d], zero by default, and cracks open; InputError
+        when u alone is beyond the criterion: such a body breaks at rest."""
         fields, neighbour = (self._nodal("u", u), self._nodal("v", v)), cracked(self.body, cracks)
         count = len(self.body.x)
         state = BreakingState(
@@ -245,10 +243,7 @@ class BreakingBody:
 
 
 def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
-    """Advance a state by dt, in place, and return it.
-
-    dt is not looked at: CrackRun refuses one that is longer than `longest_step`.
-    """
+    """Advance a state by dt in place and return it; CrackRun refuses one above `longest_step`."""
     operator, count = body.operator, len(body.body.x)
     density, kernels = body.solid.inertia, halves(body.body.dimension)
     share, later = (body.share(time) for time in (state.time, state.time + dt))

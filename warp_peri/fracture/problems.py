@@ -406,8 +406,7 @@ def j_integral(solution: Solution, tip: Sequence[float], radii: tuple[float, flo
 
 
 def _crack_axes(solution: Solution, tip: np.ndarray, reach: float) -> tuple[list[int], float]:
-    """The axes along the crack that ends in a tip, across it, and along its front; and the sign of
-    its growth: it comes from where bonds are broken within reach."""
+    """The axes along the crack that ends in a tip, across it and along its front, and its sense."""
     body, d = solution.operator.body, len(tip)
     cut = []
     for normal in np.eye(d):
@@ -423,8 +422,7 @@ def _crack_axes(solution: Solution, tip: np.ndarray, reach: float) -> tuple[list
 
 
 def _gradient(u: np.ndarray, x: np.ndarray, h: float, axes: list[int], sign: float) -> np.ndarray:
-    """∂u_i/∂x_j by differences of a box of nodes about a tip, one-sided across the crack behind it,
-    shape [n₁, n₂, …, d, d]."""
+    """∂u_i/∂x_j by differences in a box about a tip, [n₁, n₂, …, d, d], one-sided at the crack."""
     slopes = [np.gradient(u, h, axis=axis, edge_order=2) for axis in range(u.shape[-1])]
     along, across = axes[:2]
     row = round(float((x[..., across] < 0).mean()) * x.shape[across])

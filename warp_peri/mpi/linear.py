@@ -178,10 +178,8 @@ class Between:
 def cycle(
     comm: Comm, steps: np.ndarray, tensors: np.ndarray, mask: np.ndarray, tiles: Tiles
 ) -> _InTiles | _Gathered:
-    """A V-cycle on this rank's nodes of a mask, whole where nodes are few or tiles too small.
-
-    Which levels are whole does not depend on the ranks.
-    """
+    """A V-cycle on this rank's nodes of a mask, whole where nodes are few or tiles too small, on
+    any number of ranks."""
     if np.prod(tiles.shape) <= WHOLE or any(size % 2 for size in tiles.block):
         return _Gathered(comm, steps, tensors, mask, tiles)
     return _InTiles(comm, steps, tensors, mask, tiles)
@@ -253,8 +251,7 @@ class RowOperator:
 
     @cached_property
     def _near(self) -> tuple[Convolution, Between, Any]:
-        """What nearly inverts L, which waves do not need: a filter for short waves, and multigrid
-        on every second node."""
+        """What nearly inverts L: a filter for short waves, and multigrid on every second node."""
         law, comm, tiles, d = self.model, self.points.comm, self._tiles, self.dimension
         scale = self.stencil.spacing**-2
         near, between = inverse_filter(law), Between(comm, tiles)
@@ -350,11 +347,8 @@ def _tensors_of(model: LPSMaterial, spacing: float) -> StencilMaterial:
 
 
 def operator_on(material: Any, piece: Subdomain) -> Any:
-    """RowOperator of a linear solid on a lattice in tiles; a Model is transferred as `model_at`
-    does.
-
-    Raises InputError for other materials, as RowOperator and as their `fitting` does.
-    """
+    """RowOperator of a linear solid on a lattice in tiles, an LPS as `model_at` transfers it;
+    InputError for other materials, as RowOperator and as their `fitting`."""
     with agreed(piece.comm):
         if not hasattr(material, "stencil"):
             what = type(material).__name__

@@ -111,10 +111,8 @@ def together() -> AbstractContextManager[None]:
 
 
 def in_turn(comm: Comm, make: Callable[[], Any]) -> Any:
-    """What `make` gives, first on one rank, which keeps in files what the others then find there.
-
-    Raises InputError on all, where it does on any.
-    """
+    """What `make` gives, first on one rank, which keeps in files what the others then find there;
+    InputError on all, where it does on any."""
     found = None
     for turn in (comm.rank == 0, comm.rank != 0):
         with agreed(comm):
@@ -182,10 +180,8 @@ def _mixed(x: np.ndarray) -> np.ndarray:
 
 
 def inner(comm: Comm, along: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Inner:
-    """Scalar products and largest values over all ranks, for conjugate gradients.
-
-    `along` gives the products of two fields in parts that do not depend on the number of ranks.
-    """
+    """Scalar products and largest values over all ranks, for conjugate gradients; `along` gives the
+    products of two fields in parts that do not depend on the number of ranks."""
     from mpi4py import MPI
 
     def dot(a: np.ndarray, b: np.ndarray) -> float:

@@ -317,11 +317,8 @@ def lattice(
 def read_rows(
     path: str | os.PathLike[str], name: str, number: np.ndarray, count: int
 ) -> np.ndarray:
-    """Rows of rising numbers of an array of `count` in an HDF5 file; some READ at a time, with
-    those that lie between.
-
-    Raises InputError for a file without the array, and one of another length.
-    """
+    """Rows of rising numbers of an array of `count` in an HDF5 file, READ at a time with those that
+    lie between; InputError for a file without it, and another length."""
     import h5py
 
     try:
@@ -418,10 +415,8 @@ NODAL = ("points", "b", "u", "free", "v", "no_fail", "grip", "record")
 
 
 def alike(material: Any, problem: Any, options: Mapping[str, Any]) -> None:
-    """Refuse ranks that were given different things: a step, a material, a crack, a signal.
-
-    Raises InputError on all, before anything is sent that depends on what was given.
-    """
+    """InputError on all ranks that were given different things: a step, a material, a crack, before
+    anything is sent that depends on it."""
     comm = problem.points.comm
     with agreed(comm):
         asked = {f.name: getattr(problem, f.name) for f in fields(problem)} | dict(options)

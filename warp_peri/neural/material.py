@@ -115,10 +115,8 @@ class NeuralOperator(Shown, torch.nn.Module):
         return value * extension if self.proportional else value
 
     def on(self, points: PointsLike) -> Placed:
-        """The operator on the nodes of a lattice.
-
-        Raises InputError for scattered points, an interior without its 2δ collar, or other units.
-        """
+        """The operator on the nodes of a lattice; InputError for scattered points, an interior
+        without its 2δ collar, or other units."""
         check_same(self.units, nodes_of(points).units)
         return Placed(self, points)
 

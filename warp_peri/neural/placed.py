@@ -46,10 +46,8 @@ class Found:
 
 
 class EquilibriumSolver:
-    """Equilibria of one operator, with the stencil that it was at rest before them.
-
-    The material's numbers may change meanwhile. Raises InputError for points without a collar.
-    """
+    """Equilibria of one operator, with the stencil that it was at rest before them, though its
+    numbers may change; InputError for points without a collar."""
 
     def __init__(self, placed: Placed) -> None:
         points = placed.points
@@ -257,10 +255,8 @@ class Placed(OperatorBase):
         return sp.csc_array(self.tangent(self._taken(u)[0])[:, unknown])
 
     def tangent(self, u: torch.Tensor) -> sp.csr_array:
-        """J = ∂force/∂u at one field [N, 2], interior by all nodes, sparse [2 I, 2 N] (NO9).
-
-        By the slopes of each bond's force state to its extension and its node's dilatation.
-        """
+        """J = ∂force/∂u at one field [N, 2], interior by all nodes, sparse [2 I, 2 N], by slopes of
+        force states to extensions and dilatations (NO9)."""
         x = u.double().numpy()
         with torch.no_grad():
             omega, share, r = self.shares(u.dtype)
@@ -287,10 +283,8 @@ class Placed(OperatorBase):
         return sp.csr_array(-(self.points.spacing**2) * J)
 
     def stress(self, u: Any) -> np.ndarray:
-        """First Piola–Kirchhoff stress [stress] at the interior nodes, shape [..., I, 2, 2].
-
-        Half of Σ tension M ⊗ ξ over a node's bonds, (NO13); exact for uniform strain.
-        """
+        """First Piola–Kirchhoff stress [stress] at the interior nodes, shape [..., I, 2, 2]: half
+        of Σ tension M ⊗ ξ over a node's bonds, (NO13); exact for uniform strain."""
         with torch.no_grad():
             pull = self._pull(*self.tension(self._taken(u)))
             xi = torch.as_tensor(self.xi, dtype=pull.dtype)

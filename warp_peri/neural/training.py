@@ -245,11 +245,7 @@ def train(
 
 
 class _Run:
-    """A training as it stands.
-
-    Attributes:
-        key: what a checkpoint must be of: all but how many epochs are asked for.
-    """
+    """A training as it stands; a checkpoint's key is all but how many epochs are asked for."""
 
     def __init__(
         self,
