@@ -205,11 +205,10 @@ class Numbers:
     """What one θ [T] stands for.
 
     Attributes:
-        p: on each block, shape [P + E]; slopes their derivatives, [P + E, T].
+        p, slopes: on each block, shape [P + E], and their derivatives, [P + E, T].
         forms: that must be positive.
-        equal: what must be zero, of size one; A its derivative.
-        margins: what must not be negative, of size one; M its derivative.
-        beside: more residuals; by their derivative.
+        equal, A; margins, M: what must be zero, and not negative, of size one; their derivatives.
+        beside, by: more residuals, and their derivatives.
     """
 
     p: Sequence[np.ndarray]

@@ -166,17 +166,9 @@ class LPS:
 class Learner:
     """One fit: its data, and its stages, each timed, and shown while it runs.
 
-    Arguments are those of LPS.learn, the sets as lists.
-
-    Attributes:
-        conditions: to keep on each lattice, with their ζ.
-        stiffness: that the data show.
-        lattices: bond classes of each lattice that carries the conditions.
-        operator: the residual of each set by Warp's operator.
-        blocks: rows of the loss.
-        history, starts, degrees: as of the Fit.
-
-    Raises InputError for sets that cannot be learned from.
+    Arguments are those of LPS.learn, the sets as lists; `history`, `starts` and `degrees` become
+    those of the Fit. `lattices` are bond classes, `operator` the residual of each set by Warp's
+    operator, `blocks` rows of the loss. Raises InputError for sets that cannot be learned from.
     """
 
     def __init__(

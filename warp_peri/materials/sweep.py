@@ -39,14 +39,11 @@ class Trial:
         horizon: δ [Å].
         degree: M.
         bonds: bonds of a family, which is what a sweep of the operator costs.
-        E_res_train: error of the equation (theory, 30) on the training set, a fraction.
-        E_u_train: error of the solved displacement (31) there.
-        E_res_val: as E_res_train, on the validation set.
-        E_u_val: as E_u_train, on the validation set.
+        E_res_train, E_res_val: error of the equation (theory, 30) on training and validation
+            samples, a fraction.
+        E_u_train, E_u_val: of the solved displacement (31).
         E_u_test: on the test set; None without one. It takes no part in any choice.
-        lam: learned λ [TPa].
-        mu: learned μ [TPa].
-        alpha: exponent.
+        lam, mu, alpha: learned, moduli in TPa.
         symbol_bound: proven lower bound of D/s [TPa].
         model: name of the model's file in the folder of the sweep.
     """
