@@ -16,6 +16,7 @@ from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_operator import node_fields
 from warp_peri.points.arguments import checked, typed
 from warp_peri.points.points import PointsLike, Samples
+from warp_peri.protocols import MATERIAL, offered
 
 if TYPE_CHECKING:
     from warp_peri.fe_coupling.body import BodySolution
@@ -148,7 +149,7 @@ def _of_linear(model: LPSMaterial, points: Samples, u: np.ndarray) -> dict[str, 
 
 def _of_law(model: Any, points: Samples, u: np.ndarray) -> dict[str, np.ndarray]:
     """What interior nodes have of any other law, [S, I, …]."""
-    operator = model.on(points.points)
+    operator = offered(model, "on", "write_vtk", MATERIAL)(points.points)
     found, stress = {}, operator.stress(u)
     if stress is not None:
         found["stress"] = _tensor(np.asarray(stress))

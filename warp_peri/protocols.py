@@ -194,18 +194,26 @@ class OperatorBase(Remade):
 
     def quadratic(self, u: Any) -> np.ndarray:
         """h^d (½ u_I·L u_I + u_I·L u_C) of a linear force on a lattice, shape [...]."""
-        u, inside, of = plain("u", u), self.points.interior, self.points
+        self.check(u := plain("u", u))
+        inside, of = self.points.interior, self.points
         axes = tuple(range(-len(self.shape), 0))
         mask = np.expand_dims(inside, axes[1:])
         own, collar = (self.force(np.where(one, u, 0.0)) for one in (mask, ~mask))
         inner = np.compress(inside, u, axes[0])
         return np.asarray(of.spacing**of.dimension * (inner * (own / 2 + collar)).sum(axis=axes))
 
+    def of_interior(self, w: Any) -> np.ndarray:
+        """w as fields on the interior nodes, [..., I, d]; InputError for another shape."""
+        values, one = plain("w", w), (int(self.points.interior.sum()), *self.shape[1:])
+        if values.shape[-len(one) :] != one:
+            raise InputError(f"w: expected shape [..., {one}], got {list(values.shape)}")
+        return values
+
     def on_all(self, w: Any) -> np.ndarray:
         """Fields of the interior nodes [..., I, d] as those of all, zero elsewhere, [..., N, d]."""
-        rest = len(self.shape)
+        w, rest = self.of_interior(w), len(self.shape)
         fields = np.zeros((*np.shape(w)[:-rest], *self.shape))
-        fields[(..., self.points.interior, *[slice(None)] * (rest - 1))] = plain("w", w)
+        fields[(..., self.points.interior, *[slice(None)] * (rest - 1))] = w
         return fields
 
 

@@ -86,6 +86,9 @@ def test_fields_of_a_solve_a_motion_and_an_operator(name):
         for bad in (hidden, rows, zero * 1j, zero.astype(str), zero.astype(object)):
             with pytest.raises(wp.InputError, match="expected (float )?values"):
                 read(bad)
+    for bad in (np.zeros(3), zero[points.interior][:-1], zero[points.interior][:, :1]):
+        with pytest.raises(wp.InputError, match="expected "):
+            op.vjp(zero, bad)
 
 
 @pytest.mark.parametrize("name", [name for name, law in LAWS.items() if law.periodic])

@@ -77,7 +77,7 @@ def read_table(
     good = np.isfinite(table).all(axis=1) & (errors >= 0).all(axis=1)
     table = table[good & (np.nan_to_num(flags) != 0).all(axis=1)]
     table = table[np.sort(np.unique(table, axis=0, return_index=True)[1])]
-    table = table[~filled_in(table[:, :2], table[:, 2:])]
+    table = table[~filled_in(table[:, :2], table[:, 2:])] if len(table) else table
     if not len(table):
         raise InputError("expected points with finite numbers, got none")
     if len(np.unique(table[:, :2], axis=0)) < len(table):

@@ -50,10 +50,9 @@ class FlowOperator(OperatorBase):
 
     def vjp(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Lᵗ w on all nodes, [..., N, …], of w on the interior, [..., I, …], whatever u."""
-        lead = np.shape(w)[: np.ndim(w) - len(self.shape)]
-        return np.asarray(
-            (plain("w", w).reshape(*lead, -1) @ self.matrix).reshape(*lead, *self.shape)
-        )
+        w = self.of_interior(w)
+        lead = w.shape[: w.ndim - len(self.shape)]
+        return np.asarray((w.reshape(*lead, -1) @ self.matrix).reshape(*lead, *self.shape))
 
     def tangent(self, u: Any) -> sp.csr_array:
         """`matrix`, whatever u."""

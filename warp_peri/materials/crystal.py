@@ -80,7 +80,7 @@ class TensorOperator(OperatorBase):
 
     def vjp(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
         """Lᵗ w on all nodes, shape [..., N, d], of w on the interior, whatever u."""
-        w, shape = plain("w", w), self.points.x.shape
+        w, shape = self.of_interior(w), self.points.x.shape
         pushed = [self.linear.push(one) for one in w.reshape(-1, *w.shape[-2:])]
         return np.reshape(pushed, (*w.shape[:-2], *shape))
 

@@ -122,11 +122,8 @@ class LPSOperator(OperatorBase):
 
     def vjp(self, u: Any, w: ArrayLike) -> np.ndarray:
         """Lᵗ w on all nodes, shape [..., N, d], of w on the interior [..., I, d], whatever u."""
-        w = np.require(plain("w", w), float, ["C", "W"])
-        one = self._unknown, self.points.dimension
-        if w.shape[-2:] != one:
-            raise InputError(f"w: expected shape [..., {one[0]}, {one[1]}], got {list(w.shape)}")
-        by_u = self._law.transposed(w.reshape(-1, one[0] * one[1]))[0]
+        w = np.require(self.of_interior(w), float, ["C", "W"])
+        by_u = self._law.transposed(w.reshape(-1, w.shape[-2] * w.shape[-1]))[0]
         return by_u.reshape(*w.shape[:-2], *self.shape)
 
     def launch(self, u: Any, out: Any, parameters: LPSParameters | None = None) -> None:

@@ -81,7 +81,7 @@ class NeuralOperator(Shown, torch.nn.Module):
     ) -> None:
         super().__init__()
         for name, widths in (("influence", influence), ("state", state)):
-            whole = np.shape(widths) == (2,) and all(is_positive(w) and w % 1 == 0 for w in widths)
+            whole = len(widths) == 2 and all(is_positive(w) and w % 1 == 0 for w in widths)
             if not (whole and max(widths) <= WIDEST):
                 raise InputError(
                     f"{name}: expected two whole numbers from 1 to {WIDEST}, got {widths!r:.60}"

@@ -245,7 +245,7 @@ class Placed(OperatorBase):
 
     def vjp(self, u: Any, w: Any) -> np.ndarray:
         """The transposed product with w on the interior [..., I, 2], on all nodes [..., N, 2]."""
-        seeds = plain("w", w).reshape(-1, 2 * len(self.own))
+        seeds = self.of_interior(w).reshape(-1, 2 * len(self.own))
         pairs = zip(self._taken(u), seeds, strict=True)
         return np.reshape([self.tangent(field).T @ one for field, one in pairs], np.shape(u))
 

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError, warn
-from warp_peri.points.arguments import checked, typed
+from warp_peri.points.arguments import as_array, checked, typed
 
 REST = "rest"
 """Name of the edges of an outline, or the faces of a surface, that have no other."""
@@ -147,7 +147,7 @@ def make_mesh(
     overlap, or that meet at a part of a facet, and facets of parts inside the body.
     """
     parts, middle = parts or {}, middle or {}
-    x = checked("x", x, shape=("P", 3 if np.shape(x)[1:] == (3,) else 2))
+    x = checked("x", x, shape=("P", 3 if as_array("x", x).shape[1:] == (3,) else 2))
     d = x.shape[1]
     name, measure, _, whole = KINDS[d]
     t = checked(name, cells, int, ("T", d + 1))

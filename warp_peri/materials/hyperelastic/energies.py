@@ -199,7 +199,7 @@ class Hyperelastic:
 
     def __post_init__(self) -> None:
         for name in self.bonds:
-            if name not in BONDS:
+            if name not in [*BONDS]:
                 raise InputError(f"bonds: expected some of {', '.join(BONDS)}, got {name!r}")
         if not 2 <= self.reach <= 10:
             raise InputError(f"reach: expected 2 to 10 spacings, got {self.reach}")
