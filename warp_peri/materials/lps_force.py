@@ -1,9 +1,9 @@
 """The linear solid on points of any kind: its bonds, its force, and all derivatives of it.
 
 A lattice lies row by row in a box, many nodes at a time; anything else as it is numbered, with
-lists of bonds. L is its own transpose once each bond reads the stiffness of the bond back. Sums
-over nodes run over fixed blocks, without atomics, so that threads change no bit. Nothing that a
-call writes is kept.
+lists of bonds. L is its own transpose once each bond reads the stiffness of the bond back, and the
+influence function has Warp's tape. Sums over nodes run over fixed blocks, without atomics,
+so that threads change no bit. Nothing that a call writes is kept.
 """
 
 from __future__ import annotations
@@ -22,11 +22,21 @@ import warp_peri.core as core
 from warp_peri.core.stencil import row_pieces
 from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import stay
+from warp_peri.kernels.influence import influence
 from warp_peri.kernels.lps import LANES, struct, sweeps
 from warp_peri.points.families import BondClasses, families_of
 from warp_peri.points.points import PointsLike, nodes_of
 from warp_peri.points.quadrature import DEGREE
-from warp_peri.runtime import DEVICE, Shared, filled, floats, get_num_threads, ints, launch_slices
+from warp_peri.runtime import (
+    DEVICE,
+    Shared,
+    filled,
+    floats,
+    get_num_threads,
+    ints,
+    launch_slices,
+    zeros,
+)
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -41,8 +51,6 @@ SPARE, SHORT = 2, 4
 """Largest box, in places a node, and least mean length of a piece, that are worth it."""
 BLOCKS = 8
 """Parts in which nodes are summed over, whatever the number of threads."""
-AT_ONCE = 2**24
-"""Numbers of a table of polynomials that are held."""
 FASTER = 4
 """How much less a thread has to do with a node in rows than in its list of bonds."""
 
@@ -202,16 +210,31 @@ class Bonds:
         ends = np.array([0, len(steps)]), steps[pairs] @ stride
         return Layout(True, *ends, *bonds, node, home, pieces)
 
+    @cached_property
+    def _tables(self) -> list[wp.array[Any]]:
+        """Length, its logarithm and weight of the bonds of each class, [C]."""
+        r = self.families.r
+        return [floats(one) for one in (r, np.log(r), self.families.weight)]
+
     def influence(self, alpha: ArrayLike, D: ArrayLike, by: Any = None) -> Any:
-        """K W of each class, [C]; with derivatives of a scalar to it those to α and D."""
-        r, D = self.families.r, np.ravel(D)
-        plain, M = self.families.weight * r ** -np.ravel(alpha), len(D) - 1
-        parts = np.array_split(np.arange(len(r)), 1 + len(r) * len(D) // AT_ONCE)
-        tables = ((at, bernstein_basis(r[at], self.horizon, M)) for at in parts)
-        if by is None:
-            return plain * np.concatenate([basis @ D for _, basis in tables])
-        to_alpha = -(by * np.log(r)) @ self.influence(alpha, D)
-        return [to_alpha, sum((by * plain)[at] @ basis for at, basis in tables)]
+        """K W of each class, [C]; with derivatives of a scalar to it those to α and D, by Warp's
+        tape, which is this call's alone."""
+        degree, taped = np.size(D) - 1, by is not None
+        given: list[Any] = [
+            wp.array(np.ravel(one).astype(float), device=DEVICE, requires_grad=taped)
+            for one in (alpha, D)
+        ]
+        binomials = floats(comb(degree, np.arange(degree + 1)))
+        inputs: Any = [wp.float64(self.horizon), binomials, *self._tables, *given]
+        kernel, kw = influence(degree), zeros(len(self.families.r), gradient=taped)
+        if not taped:
+            launch_slices(kernel, len(kw), inputs, (kw,))
+            return kw.numpy()
+        tape: Any = wp.Tape()
+        kernel.module.load(DEVICE)
+        tape.record_launch(kernel, len(kw), 0, [0, *inputs], [kw], DEVICE)
+        tape.backward(grads={kw: floats(by)})
+        return [one.grad.numpy() for one in given]
 
     def volumes(self, terms: np.ndarray) -> Any:
         """The sum of a table by class over each whole ball, [N]; of a lattice one number."""
