@@ -57,7 +57,7 @@ def test_the_api_lists_every_public_name_and_each_has_a_docstring():
     for block in "\n".join(page.read_text("utf-8") for page in API.glob("*.md")).split("\n::: ")[
         1:
     ]:
-        path, options = block.split("\n\n")[0].split("\n", 1)
+        path, _, options = block.split("\n\n")[0].strip().partition("\n")
         members, module = re.search(r"members: \[(.*)\]", options), import_module(path)
         names = members[1].split(", ") if members else getattr(module, "__all__", vars(module))
         shown |= {id(getattr(module, name)) for name in names}
