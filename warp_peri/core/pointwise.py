@@ -1,7 +1,7 @@
 """A material on a lattice that is an energy density of each node's strain: L u + Gᵗ P(G u).
 
 G are gradients by stencils, H_q(x) = Σ_ξ u(x + ξ) ⊗ w_q(ξ), and W a function of torch of the Green
-strain E = (H + Hᵗ + HᵗH)/2. P = ∂W/∂H, of which a linear part L has what W is at rest.
+strain E = (H + Hᵗ + HᵗH)/2. P = (1 + H) W′(E), of which a linear part L has what W is at rest.
 Fields are planes on a torus around the nodes that are felt, components first.
 """
 
@@ -29,9 +29,24 @@ MOST = 2**23
 """Numbers of the gradients that are held at once; more samples follow one another."""
 
 
+def times(A: torch.Tensor, B: torch.Tensor) -> torch.Tensor:
+    """Products of matrices [d, d, ...]."""
+    return (A[:, :, None] * B).sum(1)
+
+
+def symmetric(A: torch.Tensor) -> torch.Tensor:
+    """(A + Aᵗ)/2 of matrices [d, d, ...]."""
+    return (A + A.transpose(0, 1)).div_(2)
+
+
+def strain_rate(H: torch.Tensor, X: torch.Tensor) -> torch.Tensor:
+    """The derivative of the Green strain at H along X, each [d, d, ...]."""
+    return symmetric(times(H.transpose(0, 1), X).add_(X))
+
+
 def strain(H: torch.Tensor) -> torch.Tensor:
     """The Green strain (H + Hᵗ + HᵗH)/2 of gradients [d, d, ...]."""
-    return (H + H.transpose(0, 1) + (H.transpose(0, 1)[:, :, None] * H).sum(1)) / 2
+    return strain_rate(H / 2, H)
 
 
 class Swept(OperatorBase):
@@ -184,17 +199,24 @@ class Pointwise(Swept):
         return self.density(E.movedim((0, 1), (-2, -1)), **(numbers or self.numbers))
 
     @torch.enable_grad()
-    def _stress(self, H: torch.Tensor, numbers: Any = None, *, graph: bool = False) -> torch.Tensor:
-        """P of gradients [d, d, ...] [stress], with a graph of these, a leaf, and of numbers."""
-        H = (H if graph else H.detach()).requires_grad_()
-        W = self._energies(strain(H), numbers)
-        return torch.autograd.grad(W.sum(), H, create_graph=graph)[0]
+    def _slope(self, E: torch.Tensor, numbers: Any = None, *, graph: bool = False) -> torch.Tensor:
+        """W′(E) of strains [d, d, ...]; with a graph of E, a leaf, and of numbers."""
+        E = E if graph else E.detach().requires_grad_()
+        W = self._energies(E, numbers)
+        return symmetric(torch.autograd.grad(W.sum(), E, create_graph=graph)[0])
+
+    def _stress(self, H: torch.Tensor) -> torch.Tensor:
+        """P of gradients [d, d, ...] [stress]."""
+        S = self._slope(strain(H))
+        return times(H, S).add_(S)
 
     def _bent(self, u: np.ndarray, v: np.ndarray, side: int, places: np.ndarray) -> np.ndarray:
         """The derivative of the force at fields u along v, or transposed (1), at some places."""
         waves, H = self._field(v), self._gradient(self._field(u))
-        P = self._stress(H, graph=True)
-        (change,) = torch.autograd.grad(P, H, self._gradient(waves, side))
+        X, E = self._gradient(waves, side), strain(H).requires_grad_()
+        S = self._slope(E, graph=True)
+        bent = symmetric(torch.autograd.grad(S, E, strain_rate(H, X))[0])
+        change = times(X, S.detach()).add_(times(H, bent)).add_(bent)
         return self._pulled(change, 1 - side, places, waves)
 
     def force(self, u: ArrayLike, radius: float = 0.0) -> np.ndarray:
@@ -237,8 +259,8 @@ class Pointwise(Swept):
 
         def sweep(u: np.ndarray, w: np.ndarray) -> torch.Tensor:
             H, X = self._gradient(self._field(u)), self._gradient(self._field(w), 1)
-            P = self._stress(H, {**self.numbers, name: one}, graph=True)
-            return torch.autograd.grad(P, one, X, materialize_grads=True)[0]
+            S = self._slope(strain(H).requires_grad_(), {**self.numbers, name: one}, graph=True)
+            return torch.autograd.grad(S, one, strain_rate(H, X), materialize_grads=True)[0]
 
         return np.asarray(np.sum(self._parts(sweep, u, self.on_all(w)), axis=0))
 
