@@ -1,7 +1,5 @@
-"""From atoms and frames to fields on nodes, and from crystals to models: `warp_peri.atoms`.
-
-The names below are imported on first use, so that no reader is loaded before it is needed.
-"""
+"""Fields on nodes from atoms and frames, and models from crystals; names are imported on first
+use."""
 
 from typing import TYPE_CHECKING
 

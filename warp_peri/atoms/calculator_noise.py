@@ -1,4 +1,4 @@
-"""Force constants and elastic constants, each with its error, of a calculator that is noisy."""
+"""Force constants and elastic constants, with standard errors, of a calculator that is noisy."""
 
 from __future__ import annotations
 
@@ -48,15 +48,14 @@ NONE = 1e-8
 
 @dataclass(frozen=True)
 class Noise:
-    """What a calculator's forces scatter by.
+    """Noise of a calculator's forces and stress.
 
     Attributes:
-        force: standard error of a component [eV/Å].
-        stress: of a component [TPa], on the cell at rest; zero where there is none.
+        force: standard error of a force component [eV/Å].
+        stress: of a stress component of the cell at rest [TPa]; zero without stress.
         stiffness: root mean square force over the displacement that made it [eV/Å²].
-        rough: what the force on twice a small displacement, or stress likewise, is off twice that
-            force [eV/Å]; zero of surfaces that are smooth. Those of networks may have a dimple at
-            perfect crystals.
+        rough: force on twice a small displacement less twice the force, or stress likewise [eV/Å];
+            zero of smooth energies. Networks may have a dimple at perfect crystals.
     """
 
     force: float
@@ -66,36 +65,33 @@ class Noise:
 
     @property
     def linear(self) -> float:
-        """Root mean square of a component of the force on SHAKEN [eV/Å]."""
+        """Root mean square force component [eV/Å] under the displacement SHAKEN."""
         return SHAKEN * self.stiffness / 3**0.5
 
     @property
     def rounding(self) -> bool:
-        """Whether it is too small to matter."""
+        """Whether the noise is too small to matter."""
         return self.force <= EXACT * SHAKEN * self.stiffness
 
     @property
     def length(self) -> float:
-        """Displacement [Å] at which noise and the force's third differences are the same.
-
-        What is rough counts as noise, so that steps are wider than a dimple.
-        """
+        """Displacement [Å] at which noise and roughness equal the force's third differences."""
         wanted = (BENT**2 * max(self.force, self.rough) / max(self.stiffness, TINY)) ** (1 / 3)
         return float(np.clip(wanted, LEAST, MOST))
 
     @property
     def sites(self) -> float:
-        """Distance [Å] from sites that noise may leave an atom at."""
+        """Largest distance [Å] from its site at which noise may leave an atom."""
         return max(ON_SITES, AWAY * self.force / max(self.stiffness, TINY))
 
     @property
     def strain(self) -> float:
-        """Largest strain, by the same rule; sums of long range are rough on smaller ones."""
+        """Largest strain of finite differences, by the rule of `length`."""
         return max(LARGEST * self.length / MOST, STRAIN)
 
 
 def measured(cell: ase.Atoms, calculator: Any, flat: bool) -> Noise:
-    """Noise of forces and stress: of one displaced crystal, translated and turned."""
+    """Measure the noise of forces and stress on one displaced crystal, translated and turned."""
     rng, count = np.random.default_rng(0), int(np.ceil((ENOUGH / len(cell)) ** (1 / (3 - flat))))
     many = cell.repeat((count, count, 1 if flat else count))
     u = _directions(rng, len(many), SHAKEN)
@@ -139,7 +135,7 @@ def measured(cell: ase.Atoms, calculator: Any, flat: bool) -> Noise:
 
 
 def strained(calculator: Any, cell: ase.Atoms, turns: np.ndarray) -> Iterator[ase.Atoms]:
-    """A cell under deformation gradients [K, 3, 3], one after one, with the calculator."""
+    """Yield a cell under each of the deformation gradients [K, 3, 3], with the calculator."""
     for F in turns:
         one = cell.copy()
         one.set_cell(np.array(cell.cell) @ F, scale_atoms=True)
@@ -148,13 +144,13 @@ def strained(calculator: Any, cell: ase.Atoms, turns: np.ndarray) -> Iterator[as
 
 
 def unit_strains(d: int) -> np.ndarray:
-    """Strains of one in Voigt's order, [k, 3, 3]; a shear has half of it on both sides."""
+    """Unit strains in Voigt's order, [k, 3, 3]; a shear has half of it on both sides."""
     one = [np.outer(*np.eye(3)[list(pair)]) for pair in PAIRS[d]]
     return np.array([(each + each.T) / 2 for each in one])
 
 
 def bent_by_strain(cell: ase.Atoms, calculator: Any, flat: bool, noise: float) -> float:
-    """What stress over strain changes by from STRAIN to LARGEST, over it; 0 within noise [TPa]."""
+    """Relative change of the moduli from strain STRAIN to LARGEST; 0 within the noise [TPa]."""
     rng, slopes = np.random.default_rng(0), []
     G = rng.standard_normal((2, 3, 3)) * (np.outer([1, 1, 0], [1, 1, 0]) if flat else 1)
     own = unit_strains(2 if flat else 3)  # of moduli, as far along an axis
@@ -175,10 +171,7 @@ def _directions(rng: np.random.Generator, count: int, size: float) -> np.ndarray
 
 
 class Symmetric(Supercell):
-    """Force constants on a supercell that its space group and exchange leave (symfc).
-
-    `basis` has Φ of each number, orthonormal, shape [M, n, N, 3, 3].
-    """
+    """Symmetrised force constants on a supercell, in an orthonormal `basis` [M, n, N, 3, 3]."""
 
     def __init__(
         self, cell: ase.Atoms, many: ase.Atoms, displaced: Sequence[int], **how: Any
@@ -202,7 +195,7 @@ class Symmetric(Supercell):
         self.basis = (count / len(cell)) ** 0.5 * basis.reshape(-1, len(cell), count, 3, 3)
 
     def forces(self, u: np.ndarray) -> np.ndarray:
-        """−Φ u on all atoms of each number's Φ, for u [N, 3], shape [3 N, M]."""
+        """Forces −Φ u on all atoms by each Φ of the basis, for u [N, 3], shape [3 N, M]."""
         pulled = np.einsum("mijab,ljb->iaml", self.basis, u[self.translations], optimize=True)
         forces = np.empty((len(u), 3, len(self.basis)))
         for place, atom in enumerate(self.displaced):
@@ -210,10 +203,10 @@ class Symmetric(Supercell):
         return forces.reshape(-1, len(self.basis))
 
     def rules(self) -> tuple[np.ndarray, np.ndarray]:
-        """A particular solution of what physics asks, and a basis of the numbers that it leaves.
+        """Particular solution of the invariances in basis coefficients, and a basis of the rest.
 
         Translations and turns cost nothing (M. Born, K. Huang, 1954), and second moments are those
-        of the stress that the crystal is under (Huang's relations).
+        of the crystal's stress (Huang's relations).
         """
         atoms, held = self.pairs, np.zeros((3, 3))
         furthest = float(np.linalg.norm(atoms.vectors, axis=1).max())
@@ -238,9 +231,9 @@ class Symmetric(Supercell):
 def projected(
     cell: ase.Atoms, many: ase.Atoms, phi: np.ndarray, displaced: Sequence[int], **how: Any
 ) -> ForceConstants:
-    """The nearest force constants that keep what physics asks; their change is their error.
+    """Nearest force constants that obey symmetry and invariance; the change is their error.
 
-    What is at half the supercell's width should have decayed, and as much may be cut off.
+    What they have at half the supercell's width should have decayed, and is an error too.
     """
     every = Symmetric(cell, many, displaced, **how)
     phi = every.balanced(every.short_ranged(phi))
@@ -257,10 +250,10 @@ def projected(
 def rattled(
     cell: ase.Atoms, many: ase.Atoms, calculator: Any, noise: Noise, **how: Any
 ) -> tuple[ForceConstants, dict[str, str]]:
-    """Force constants with their standard errors of crystals whose atoms all are displaced.
+    """Force constants with standard errors from crystals whose atoms are all displaced.
 
-    The rules of physics hold in the fit itself. Beside displacements of one size some of a smaller
-    one are asked: what forces change by is an error. Returns what was found on the way as well.
+    The fit obeys the invariances; smaller displacements show what depends on size, an error too.
+    Returns notes by name as well.
     """
     h = noise.length
     every = Symmetric(cell, many, range(len(cell)), **how)
@@ -321,12 +314,11 @@ def by_strains(
     *,
     rough: bool = False,
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """C_ijkl [TPa] by finite strains, atoms relaxed by force constants, and standard errors.
+    """Elastic tensor C_ijkl [TPa] by finite strains with relaxed atoms, and its standard errors.
 
-    By differences of the second Piola–Kirchhoff stress S = det F · F⁻¹ σ F⁻ᵗ, so that the stress of
-    a crystal that is held counts as (T19) has it. Where slopes depend on the size of strains, as
-    `rough` says, those of the largest are taken, and how each smaller one differs are the last
-    errors. Returns [d, d, d, d] and [Q, d, d, d, d], or None of a calculator without stress.
+    From differences of the second Piola–Kirchhoff stress S = det F · F⁻¹ σ F⁻ᵗ, as (T19) has it.
+    Where slopes depend on the strain, as `rough` says, those of the largest are taken and the
+    differences are the last errors. Returns [d, d, d, d] and [Q, d, d, d, d]; None without stress.
     """
     d, e = atoms.dimension, largest * np.array(PULLED)
     try:
@@ -397,7 +389,7 @@ def _relaxed(
     allowed: np.ndarray,
     values: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What atoms that relax take off C [TPa], and its errors, by their push [n, 3, d, d]."""
+    """Reduction of C [TPa] by relaxing atoms, and its errors; forces per strain [n, 3, d, d]."""
     n, d, m = len(push), atoms.dimension, atoms.moving
     push = (push - push.mean(axis=0))[:, :m].reshape(n * m, d, d)
     stiff = atoms.moments(values)[0][:, :m, :, :m].reshape(n * m, n * m)
@@ -417,11 +409,10 @@ def joined(
     *,
     shared: int = 0,
 ) -> tuple[ForceConstants, float, float]:
-    """Force constants moved by their own errors until their moduli agree with others (R. Kalman).
+    """Force constants moved by their own errors until their moduli agree with C (R. Kalman).
 
-    Those are C and errors of `by_strains`, of which so many of the last are shared: joining makes
-    them no smaller. Returns χ² between both for each modulus, and how far Φ moved, as well. Errors
-    of Φ are widened by √χ² above one, for what they know nothing of: a supercell that forces leave.
+    C, errors as of `by_strains`; the last `shared` errors stay. Returns χ² per modulus, and the
+    move of Φ, as well; above χ² = 1 errors of Φ grow by √χ².
     """
     onto = np.linalg.pinv(allowed.reshape(len(allowed), -1).T)
     own, both = np.split(onto @ errors.reshape(len(errors), -1).T, [len(errors) - shared], axis=1)

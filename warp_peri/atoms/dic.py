@@ -1,4 +1,4 @@
-"""Frames of image correlation, and tables of any kind that they come in."""
+"""Frames of digital image correlation (DIC): tables of many kinds, and samples on a lattice."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ differ from it, and in times of what a plane leaves of them; spacings to the fir
 def read_table(
     text: str, size: float, unit: str | None
 ) -> tuple[np.ndarray, np.ndarray, str | None]:
-    """Positions in the reference and displacements, shape [P, 2], and their unit of length.
+    """Reference positions and displacements [P, 2] from a table's text, and their unit of length.
 
-    Rows are left out where a number is missing or the correlation failed: by a column that says so,
-    or by a number that fills in for lost points. A pixel, or no unit, is of that size and unit.
+    Rows with a missing number, failed correlation or a filler value for lost points are left out.
+    Lengths in pixels, or without a unit, are multiplied by `size` and have `unit`.
     """
     lines = [line.strip("\ufeff\r\n") for line in text.splitlines()]
     headers = (split(re.sub(r"^[\s#%*/]+", "", line)) for line in lines[:BEFORE])
@@ -88,7 +88,7 @@ def read_table(
 
 
 def split(line: str) -> list[str]:
-    """Fields of a line; a decimal comma is not one beside semicolons or tabs."""
+    """Split a line into fields; beside semicolons or tabs a comma is a decimal point."""
     for separator in (";", "\t", ","):
         if separator in line:
             fields = line.rstrip().rstrip(separator).split(separator)
@@ -99,7 +99,7 @@ def split(line: str) -> list[str]:
 
 
 def columns_of(header: list[str]) -> tuple[list[int], list[str | None], bool] | None:
-    """Places of x, y, u and v, their units, and whether positions are current; None without one."""
+    """Find a header's columns of x, y, u, v, units, whether positions are current; else None."""
     names, units = zip(*map(_named, header))
     for rank, kinds in enumerate(RANKS):
         found = []
@@ -118,7 +118,7 @@ def columns_of(header: list[str]) -> tuple[list[int], list[str | None], bool] | 
 
 
 def _named(header: str) -> tuple[str, str | None]:
-    """Name of a column in small letters, and its unit, of "x", "x [mm]", "x_mm" or "xmm"."""
+    """Name of a column in lower case, and its unit, of "x", "x [mm]", "x_mm" or "xmm"."""
     if found := re.fullmatch(r"(.+?)\s*[\[(](.*)[\])]", header):
         return re.sub(r"[^a-z0-9]", "", found[1].lower()), found[2].strip() or None
     plain = re.sub(r"[^a-z0-9µμ]", "", header.lower())
@@ -127,12 +127,12 @@ def _named(header: str) -> tuple[str, str | None]:
 
 
 def _unit(word: str | None) -> tuple[str | None, float] | None:
-    """The unit of LENGTHS that a word says, and how many of it; None for no unit."""
+    """The unit of LENGTHS that a word names, and its multiple; None for no unit."""
     return UNITS.get(re.sub("[µμ]", "u", (word or "").strip("[]()")).lower())
 
 
 def _number(field: str) -> float:
-    """A number, NaN for none; InputError for other text."""
+    """Read a number, NaN for an empty field; InputError for other text."""
     try:
         return WORDS[field.lower()] if field.lower() in WORDS else float(field)
     except ValueError:
@@ -140,7 +140,7 @@ def _number(field: str) -> float:
 
 
 def _factors(units: list[Any], size: float, unit: str | None) -> tuple[np.ndarray, str | None]:
-    """What x, y, u and v are multiplied by to be in the unit of x, shape [4], and its name."""
+    """Factors that bring x, y, u and v to the unit of x, shape [4], and its name."""
     x, y, u, v = units
     words = [x, y or x, u or x, v or y or x]
     if unknown := [word for word in words if word and not _unit(word)]:
@@ -157,10 +157,10 @@ def _factors(units: list[Any], size: float, unit: str | None) -> tuple[np.ndarra
 
 
 def filled_in(x: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Points where a component of u stands for a lost point: 0, −1, or what is there most often.
+    """Mask of points whose displacement is a filler: 0, −1 or the most frequent value.
 
-    A plane through the nearest other points tells what a point that is there shows. Far from those,
-    one component alone tells nothing: that may be a part at rest.
+    A point is one where it leaves the plane of its neighbours; an isolated one needs both
+    components, as it may be a part at rest.
     """
     counted = [np.unique(values, return_counts=True) for values in u.T]
     suspect = (u == 0) | (u == -1) | (u == [values[n.argmax()] for values, n in counted])
@@ -201,9 +201,9 @@ OWN, FILLED, AROUND = 0.75, 2.5, 12
 
 @dataclass(frozen=True, eq=False)
 class DICFrame:
-    """One frame: positions in the reference, displacement, [P, 2], and the file's name.
+    """One frame: reference positions and displacement [P, 2], its file's name and unit of length.
 
-    `length` names the unit; it is None where nobody said it. Points without displacement are out.
+    The unit is None where it is unknown. Points without displacement are left out.
     """
 
     x: np.ndarray
@@ -220,17 +220,15 @@ class DICFrame:
 
 @typed
 def read_dic_frame(path: str | os.PathLike[str], *, pixel: float | str = 1.0) -> DICFrame:
-    """Read one frame.
+    """Read one frame of image correlation from a table with a header.
 
     Args:
-        path: a table with a header.
-        pixel: length of the table's unit; what is in pixels, or in no unit that is said, is
-            multiplied by it. With its unit, as "0.012mm", or "mm" alone, the frame carries that;
-            without one, the unit of the columns, of their names or a second line.
+        path: of the table.
+        pixel: length of a pixel, or of the table's unit where it names none. With a unit, as
+            "0.012mm", or "mm" alone, the frame has that; else that of the names of columns.
 
-    Points are left out where a number is missing, or the correlation failed. Positions of the
-    current frame that are named so are taken back to the reference. Raises InputError for a table
-    that is not clearly one.
+    Points with missing numbers or failed correlation are left out; named current positions are
+    taken back to the reference. Raises InputError for a table that is not clearly one.
     """
     data, (size, unit) = content(path), length_of(pixel)
     try:
@@ -245,7 +243,7 @@ def read_dic_frame(path: str | os.PathLike[str], *, pixel: float | str = 1.0) ->
 
 
 def length_of(pixel: float | str) -> tuple[float, str | None]:
-    """A length and the name of its unit, as of 0.012, "0.012mm", "0.5 um" or "mm"."""
+    """Parse a length with its unit, as 0.012, "0.012mm", "0.5 um" or "mm"; the unit may be None."""
     found = re.fullmatch(r"([-+.\deE]*)\s*(.*)", str(pixel))
     number, name = found.groups() if found and isinstance(pixel, str) else (str(pixel), "")
     unit = {"µm": "um", "μm": "um", "Å": "angstrom"}.get(name, name) or None
@@ -266,22 +264,20 @@ def dic_to_lattice(
     radius: NotNegative = 0.0,
     positions: Literal["reference", "current"] | None = None,
 ) -> Samples:
-    """All frames on the nodes that most of them have, with a collar of twice REACH spacings.
+    """Interpolate frames to the lattice nodes that most have seen, with a collar of 2 REACH
+    spacings.
 
-    A node that a frame lost is filled in there from the points around, which the array SEEN tells:
-    fits do not look at it.
+    A node that a frame lost is filled in from its neighbours; fits ignore it (array SEEN).
 
     Args:
         frames: of one sheet.
-        spacing: of the lattice; that of the points where none is given.
-        radius: of the local quadratic fits that smooth, in spacings; 0 keeps points that lie on
-            nodes as they are, and takes 1.6 for others.
-        positions: "reference" or "current", what the frames' positions are; None tells it: where
-            positions less displacements are the same in all frames, or those of one a lattice, and
-            positions are not, they are of the current frame, and a warning says so.
+        spacing: of the lattice; by default that of the points.
+        radius: of the smoothing local quadratic fits, in spacings; 0 keeps points that lie on nodes
+            as they are, and takes 1.6 for others.
+        positions: "reference" or "current"; None finds out, and warns of current ones.
 
-    Samples are in the length that the frames carry, with MPa; in Å and TPa where they carry none.
-    Raises InputError for frames in several units, and where no node has its surroundings.
+    Samples have the frames' length unit and MPa; Å and TPa without one. Raises InputError for
+    frames in several units, and where no node has its surroundings.
     """
     if not frames:
         raise InputError("frames: expected at least one, got none")
@@ -315,7 +311,7 @@ def dic_to_lattice(
 
 
 def surrounded(grid: np.ndarray, reach: int) -> np.ndarray:
-    """Nodes of a grid of bool whose nodes to twice the reach are there."""
+    """Mask of the grid nodes whose surroundings to twice the reach are all there."""
     a, b = np.ogrid[-reach : reach + 1, -reach : reach + 1]
     ball = a**2 + b**2 <= reach**2
     return np.asarray(binary_erosion(binary_erosion(grid, ball), ball))
@@ -331,11 +327,10 @@ def frames_of_folder(
     stress: Sequence[float] = (),
     along: str = "x",
 ) -> Samples:
-    """So many frames of a folder, in the order of their names and numbers, on one lattice.
+    """Samples on one lattice from `count` frames of a folder, ordered by their names and numbers.
 
-    They are spread from a quarter of the test to its end. Files that are no frames are passed over
-    with a warning: tables of forces lie beside frames. `stress` is a PULL of the last frame or of
-    every frame of the folder.
+    Frames are spread from a quarter of the test to its end; other files, as tables of forces, are
+    skipped with a warning. `stress` is a PULL of the last frame or of every frame of the folder.
     """
     length_of(pixel)
     if count < LEAST:
@@ -370,7 +365,7 @@ def frames_of_folder(
 
 
 def in_reference(frames: Sequence[DICFrame], positions: str | None) -> list[DICFrame]:
-    """The frames with positions in the reference, as `dic_to_lattice` tells what they are."""
+    """Frames with reference positions, `positions` as of `dic_to_lattice`."""
     back = [replace(frame, x=frame.x - frame.u) for frame in frames]
     if positions is None:
         given, taken = (_apart([frame.x for frame in some]) for some in (frames, back))
@@ -386,7 +381,7 @@ def in_reference(frames: Sequence[DICFrame], positions: str | None) -> list[DICF
 
 
 def _apart(sets: list[np.ndarray]) -> float:
-    """How far positions are from those of the first set, of one alone from a lattice [spacings]."""
+    """Largest distance [spacings] of positions from the first set's, or of one set to a lattice."""
     step = spacing_of(sets[0])
     if len(sets) == 1:
         parts = (sets[0] - sets[0].min(axis=0)) / step
@@ -396,13 +391,13 @@ def _apart(sets: list[np.ndarray]) -> float:
 
 
 def by_number(path: Path) -> list[tuple[int, str]]:
-    """To sort names by, so that frame10 comes behind frame9."""
+    """Sort key that puts frame10 behind frame9."""
     parts = re.split(r"(\d+)", path.name)
     return [(int(part), "") if n % 2 else (-1, part) for n, part in enumerate(parts)]
 
 
 def spacing_of(x: np.ndarray) -> float:
-    """Median distance to the nearest other point."""
+    """Median distance of points to their nearest neighbour."""
     if len(x) < 2:
         raise InputError("frames: expected points on a lattice, got fewer than two")
     distance, _ = cKDTree(x).query(x, 2)
@@ -415,7 +410,7 @@ def spacing_of(x: np.ndarray) -> float:
 def on_nodes(
     frame: DICFrame, x: np.ndarray, step: float, radius: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement on nodes, [N, 2], NaN where points around are too few; where it was seen."""
+    """Displacement on nodes, [N, 2], NaN where points are too few; and the mask of nodes seen."""
     tree = cKDTree(frame.x)
     distance, nearest = tree.query(x)
     fitted = np.full(x.shape, np.nan)
@@ -440,7 +435,7 @@ def on_nodes(
 def surface(
     frame: DICFrame, members: Sequence[int], x: np.ndarray, step: float, radius: float
 ) -> np.ndarray | None:
-    """Displacement at a place by a quadratic surface through points; None where they tell none."""
+    """Displacement at a position by a quadratic fit to points; None where they are too few."""
     p, q = local = (frame.x[members] - x).T / step
     weight = np.exp(-(local**2).sum(axis=0) / radius**2)
     design = np.stack([np.ones_like(p), p, q, p * p, p * q, q * q], axis=1) * weight[:, None]
@@ -450,7 +445,7 @@ def surface(
 
 @typed
 def estimate_noise(samples: Samples) -> np.ndarray:
-    """Standard deviation of the noise of every frame [displacement], shape [S].
+    """Standard deviation of the displacement noise of every frame [length], shape [S].
 
     From fourth differences: subsets that overlap make the estimate too small.
     """

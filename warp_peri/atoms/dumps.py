@@ -1,4 +1,4 @@
-"""Atoms from their trajectories: frames of LAMMPS or ASE, their displacement, samples on nodes."""
+"""Trajectories of LAMMPS or ASE: frames, mean displacements, samples on nodes."""
 
 from __future__ import annotations
 
@@ -53,15 +53,15 @@ ROUND = 1e-9
 
 @dataclass(frozen=True)
 class DumpFrame:
-    """One frame, its atoms in the order of their ids.
+    """One frame of a trajectory, its atoms in the order of their ids.
 
     Attributes:
         ids: rising, shape [A]; 1, 2, … in a file without them.
         x, z: positions [Å], shape [A, 2], and third coordinates, shape [A].
         types: of the atoms, shape [A]; None without that column.
-        columns: of the file.
+        columns: names of the file's columns.
         cell: edges of the box as rows [Å], shape [3, 3].
-        unwrapped: whether atoms that leave the box go on: columns xu or xsu, or images added.
+        unwrapped: whether positions go on beyond the box: columns xu or xsu, or images added.
     """
 
     ids: np.ndarray
@@ -74,7 +74,7 @@ class DumpFrame:
 
     @property
     def box(self) -> tuple[float, float] | None:
-        """Periods [Å]; None where the box is tilted, or there is none."""
+        """Periods of the box [Å]; None where it is tilted, or there is none."""
         size = np.diag(self.cell)
         if min(size[:2]) <= 0 or np.abs(self.cell - np.diag(size)).max() > ROUND * self.cell.max():
             return None
@@ -83,18 +83,17 @@ class DumpFrame:
 
 @typed
 def iter_dump(path: str | os.PathLike[str]) -> Iterator[DumpFrame]:
-    """Every frame of a trajectory, one in memory at a time.
+    """Iterate over the frames of a trajectory, one in memory at a time.
 
-    LAMMPS dumps (`dump custom`) as text, packed by gzip, bzip2, xz or zstd, or not; .xyz, .extxyz
-    and .traj by ASE. Wrapped positions are unwrapped by the images of a file, with a warning.
+    Reads LAMMPS dumps (`dump custom`) as text or packed by gzip, bzip2, xz or zstd; .xyz, .extxyz
+    and .traj by ASE. Wrapped positions are unwrapped by the file's images, with a warning.
 
     Args:
         path: a dump with the columns id, x, y, z, or the wrapped, unwrapped or scaled forms of the
             last three; in a tilted box xu, yu, zu, or x, y, z with ix, iy, iz.
 
-    Raises InputError for a file that is no such thing, or ends in the middle of a frame; for ids
-    that come twice, or are others than those of the first frame; for atoms of a tilted box that are
-    wrapped, without images.
+    Raises InputError for other files, an incomplete frame, ids that repeat or change, and wrapped
+    atoms of a tilted box without images.
     """
     number, first = 0, None
     try:
@@ -123,7 +122,7 @@ def iter_dump(path: str | os.PathLike[str]) -> Iterator[DumpFrame]:
 
 
 def jumps(frame: DumpFrame, x: np.ndarray) -> bool:
-    """Whether some atom is half an edge of the box or more from where it was, x, shape [A, 2]."""
+    """Whether any atom is half an edge of the box or more from positions x, shape [A, 2]."""
     edges = frame.cell[np.abs(frame.cell[:, :2]).max(axis=1) > ROUND * np.abs(frame.cell).max()]
     parts = (frame.x - x) @ np.linalg.pinv(edges[:, :2])
     return bool((np.abs(parts) >= 0.5).any())
@@ -141,7 +140,7 @@ def _frames_of(path: str | os.PathLike[str]) -> Iterator[DumpFrame]:
 
 
 def _of_lammps(file: io.TextIOWrapper) -> Iterator[DumpFrame]:
-    """Frames of text, which end with the last atom that they announce."""
+    """Iterate over the frames of a LAMMPS dump's text, each with all atoms that it announces."""
     items: dict[str, list[str]] = {}
     title, size, announced = "", 0, -1
     for line in iter(lambda: file.readline(LONGEST), ""):
@@ -165,7 +164,7 @@ def _of_lammps(file: io.TextIOWrapper) -> Iterator[DumpFrame]:
 
 
 def _of_items(items: dict[str, list[str]], columns: list[str], rows: list[str]) -> DumpFrame:
-    """A frame of its lines by title. Raises ValueError, or what parsing runs into."""
+    """Build a frame from a dump's lines by title; raises ValueError, or what parsing runs into."""
     if (units := items.get("UNITS", ["metal"])[0].strip()) not in ANGSTROM_UNITS:
         raise ValueError(f"expected units {' or '.join(ANGSTROM_UNITS)}, got {units}")
     (bounds,) = (title for title in items if title.startswith("BOX BOUNDS"))
@@ -212,7 +211,7 @@ def _ordered(
     columns: Sequence[str],
     images: np.ndarray | None,
 ) -> DumpFrame:
-    """Atoms by rising id, none twice, all somewhere, unwrapped where there are images of a box."""
+    """Build a frame with atoms by rising id, checked, unwrapped by their images."""
     x = x if images is None else x + images @ cell
     if not np.isfinite(x).all():
         raise ValueError("positions that are not finite")
@@ -226,7 +225,7 @@ def _ordered(
 
 
 def _by_ase(path: str | os.PathLike[str]) -> Iterator[DumpFrame]:
-    """Types are 1, 2, … in the order of atomic numbers; ids a column id, or the file's order."""
+    """Iterate over frames read by ASE, types by atomic number, ids a column or the file's order."""
     form = "traj" if str(path).endswith(".traj") else "extxyz"  # never by what it looks like
     if form == "extxyz":
         with open(path, "rb") as file:
@@ -250,10 +249,9 @@ LARGEST_HEADER = 2**16
 
 @typed
 def read_structure(path: Path) -> Any:
-    """The last structure of a file that ASE reads; InputError for any other.
+    """Read the last structure of a file, packed or not, by ASE; InputError for any other file.
 
-    Files may be packed; they are looked at first, and read as they were then, from a copy. Of a
-    dump without elements, or a data file without masses, ASE would take types for atomic numbers.
+    Refuses dumps without elements and data files without masses: types are no atomic numbers.
     """
     if path.is_dir():
         raise InputError(f"{path}: expected a file; a folder of phonopy goes without a calculator")
@@ -294,12 +292,7 @@ TORN, NEAR = 1.5, 1.3
 
 @typed
 def read_masses(path: str | os.PathLike[str], masses: Sequence[float]) -> np.ndarray:
-    """Mass of every atom of the first frame of a dump with a column type, shape [A], by id.
-
-    Args:
-        path: as for iter_dump.
-        masses: of the types 1, 2, … in any unit.
-    """
+    """Mass of every atom of a dump's first frame, [A] by id, from the masses of types 1, 2, …"""
     frame = next(iter_dump(path))
     if frame.types is None:
         columns = " ".join(frame.columns)
@@ -323,7 +316,7 @@ def mean_displacement(
     skip: Natural = 0,
     iota: float | None = None,
 ) -> np.ndarray:
-    """Displacement from the reference [Å], shape [A, 2], over the frames of a dump.
+    """Mean displacement from the reference [Å] over the frames of a dump, shape [A, 2].
 
     Args:
         path: as for iter_dump.
@@ -334,8 +327,8 @@ def mean_displacement(
         iota: ι of the smoothing u ← (1 − ι) u + ι u_frame from u = 0 (You et al. 2021, 2.10); None
             for the plain average.
 
-    Raises InputError for other atoms, a box that is not the header's within 1e-5, atoms beyond half
-    the box without one, and too few frames.
+    Raises InputError for other atoms, a box other than the header's, atoms beyond half the box
+    without one, and too few frames.
     """
     reference = checked("reference", reference, shape=("A", 2))
     if iota is not None and not 0 < iota <= 1:
@@ -370,7 +363,7 @@ def check_box(
     header: tuple[float, float] | None,
     tolerance: float,
 ) -> None:
-    """InputError unless periods agree with those of a dump's header, relative to them."""
+    """Raise InputError unless periods agree with a dump's header within the relative tolerance."""
     if header is None:
         raise InputError(f"{path}: box: expected an orthogonal box in the dump, got a tilted one")
     if np.shape(box) != (2,) or not np.allclose(box, header, rtol=tolerance, atol=0):
@@ -380,13 +373,12 @@ def check_box(
 
 @dataclass(frozen=True)
 class ReferenceAtoms:
-    """The atoms that dumps are of.
+    """Atoms of the dumps in their reference state.
 
     Attributes:
         reference: positions without load [Å], shape [A, 2], by id.
         mass: of each, in any unit, shape [A], or one for all.
-        ids: rising, shape [A]; None takes those of the first dump.
-        box: their periods [Å], for dumps of wrapped positions; None for a free body.
+        ids, box: as of `mean_displacement`.
     """
 
     reference: ArrayLike
@@ -398,7 +390,7 @@ class ReferenceAtoms:
 @typed
 @dataclass(frozen=True)
 class FrameAverage:
-    """How the frames of a dump are reduced to one: skip and iota of mean_displacement."""
+    """How a dump's frames are averaged: skip and iota of mean_displacement."""
 
     skip: Natural = 0
     iota: float | None = None
@@ -424,17 +416,17 @@ def coarse_grain_dumps(
     average: FrameAverage = FrameAverage(),
     progress: bool = False,
 ) -> Samples:
-    """Samples on nodes from the dump of each load.
+    """Coarse-grain dumps, one for each load, to samples on nodes.
 
     Args:
         dumps: one for each load.
         omega: smoothing functions of the nodes and atoms (see smoothing_matrix), shape [N, A].
         points: the nodes.
-        atoms: that the dumps are of.
+        atoms: in the reference state.
         force: external forces on the atoms of each load [eV/Å], shape [S, A, 2].
         node_area, thickness: as for coarse_grain.
-        unloaded: a dump without load for each load, whose displacement is subtracted: runs of one
-            Langevin seed share most of their noise. One alone serves every load; none is fine.
+        unloaded: dumps without load, one for each load or for all, whose displacement is
+            subtracted: runs of one Langevin seed share most of their noise.
         average: of the frames of each dump.
         progress: show a progress bar over the dumps.
 
@@ -461,7 +453,7 @@ def coarse_grain_dumps(
 
 
 def _warn_of_shares(force: np.ndarray, mass: np.ndarray) -> None:
-    """Say where the forces of loads are not shared among species as their masses are."""
+    """Warn where forces are not shared among species as their masses are."""
     kinds = np.unique(mass)
     if not force.size or len(kinds) > SPECIES:
         return
@@ -478,7 +470,7 @@ def _warn_of_shares(force: np.ndarray, mass: np.ndarray) -> None:
 def _warn_of_torn(
     path: Path, x: np.ndarray, moved: np.ndarray, box: tuple[float, float] | None
 ) -> None:
-    """Say how many of the neighbours of atoms are further apart than nodes can follow."""
+    """Warn of neighbouring atoms that are further apart than nodes can follow."""
     near = cKDTree(x if box is None else x % box, boxsize=box).query(x, k=min(7, len(x)))[1][:, 1:]
     apart = x[near] - x[:, None]
     if box is not None:

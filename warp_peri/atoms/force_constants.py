@@ -1,4 +1,4 @@
-"""Force constants of atoms, and the lattice they amount to when seen from nodes (theory, T14)."""
+"""Force constants of atoms, and their effective stiffness on a lattice of nodes (theory, T14)."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ NOT_ELASTIC = 3e-3
 @typed
 @dataclass(frozen=True, eq=False)
 class NonAnalyticCorrection:
-    """What waves of ions' displacement do through their electric field (theory, T18).
+    """Dipole–dipole part of the force constants of ions (theory, T18).
 
     Attributes:
         born: effective charges of the atoms of a cell [e], [n, 3, 3]; their mean is taken off.
@@ -81,10 +81,7 @@ class NonAnalyticCorrection:
     def matrix(
         self, k: np.ndarray, cell: np.ndarray, positions: np.ndarray, *, field: bool = True
     ) -> np.ndarray:
-        """Dipoles with dipoles [eV/Å²] but for what is short-ranged, [K, n, 3, n, 3].
-
-        Without the macroscopic `field` it is smooth at k = 0.
-        """
+        """Dipole–dipole matrix [eV/Å²], [K, n, 3, n, 3]; without macroscopic `field` smooth."""
         least = np.linalg.eigvalsh(self.dielectric)[0]
         furthest = 2 * self.decay * np.sqrt(NEGLECTED / least) + np.linalg.norm(k, axis=1).max()
         most = np.ceil(furthest * np.linalg.norm(cell, axis=1) / (2 * np.pi)).astype(int)
@@ -99,14 +96,14 @@ class NonAnalyticCorrection:
         return D
 
     def at_long_waves(self, e: np.ndarray, cell: np.ndarray) -> np.ndarray:
-        """What the macroscopic field adds to D along unit vectors e [K, 3], [K, n, 3, n, 3]."""
+        """Part of D by the macroscopic field along unit vectors e [K, 3], [K, n, 3, n, 3]."""
         pull = np.einsum("kb,nba->kna", e, self.born)
         screened = np.einsum("ki,ij,kj->k", e, self.dielectric, e)
         factor = 4 * np.pi * COULOMB / abs(np.linalg.det(cell)) / screened
         return np.asarray(np.einsum("k,kia,kjb->kiajb", factor, pull, pull))
 
     def _sums(self, k: np.ndarray, G: np.ndarray, cell: np.ndarray, positions: np.ndarray) -> Any:
-        """Over the waves k + G, [n, 3, n, 3]."""
+        """Sums of dipole interactions over the waves k + G, [n, 3, n, 3]."""
         K = k + G
         square = np.einsum("gi,ij,gj->g", K, self.dielectric, K)
         kept = (square > 1e-14) & (square < 4 * self.decay**2 * NEGLECTED)
@@ -121,7 +118,7 @@ class NonAnalyticCorrection:
 @typed_methods
 @dataclass(frozen=True, eq=False)
 class ForceConstants:
-    """Φ between the atoms of one cell and all others, as a list of pairs.
+    """Force constants Φ between the atoms of one cell and all others, as a list of pairs.
 
     Attributes:
         cell: edges as rows [Å], shape [3, 3].
@@ -131,15 +128,15 @@ class ForceConstants:
         vectors: from i to an image of j [Å], shape [P, 3].
         values: Φ [eV/Å²], ∂²E/∂u_i ∂u_j, shape [P, 3, 3]; shared among images equally near.
         thickness: of a sheet in the plane of the first two axes [Å]; None for a solid.
-        polar: of ions; `values` then are what their dipoles leave.
+        polar: dipoles of ions, which `values` then are without.
         stress: that the crystal is held under [TPa], shape [d, d]; None for one at rest.
         kinds: numbers that tell atoms apart where `species` do not, shape [n].
-        edge: share of Σ |Φ| r² that is at half the supercell's width, where none should be.
-        change: of Φ between the two steps of finite differences, over the largest, if known.
-        doubt: independent standard errors of `values`, shape [Q, P, 3, 3]; None where none is told.
-        spread: the same, if what they change by with the size of displacements is each number's own
-            and not one for all; None where they do not change.
-        cut: what of `values` is at half the supercell's width, an error of moduli, if told.
+        edge: share of Σ |Φ| r² at half the supercell's width, where none should be.
+        change: relative change of Φ between the two steps of finite differences, if known.
+        doubt: independent standard errors of `values`, shape [Q, P, 3, 3]; None where unknown.
+        spread: the same, with changes by the size of displacements independent for each number
+            instead of common; None without changes.
+        cut: part of `values` at half the supercell's width, an error of moduli, or None.
     """
 
     cell: np.ndarray
@@ -165,19 +162,19 @@ class ForceConstants:
 
     @property
     def volume(self) -> float:
-        """Of a cell [Å³]; its area times the thickness of a sheet."""
+        """Volume of a cell [Å³]; of a sheet its area times the thickness."""
         if self.thickness is None:
             return float(abs(np.linalg.det(self.cell)))
         return float(abs(np.linalg.det(self.cell[:2, :2]))) * self.thickness
 
     @property
     def moving(self) -> int:
-        """Coordinates in which atoms move: 2 for a sheet whose atoms lie in one plane, else 3."""
+        """Number of coordinates in which atoms move: 2 for a flat sheet, else 3."""
         flat = self.dimension == 2 and np.ptp(self.positions[:, 2]) < FLAT
         return 2 if flat else 3
 
     def dynamical(self, k: np.ndarray, moving: int | None = None) -> np.ndarray:
-        """D_at(k) [eV/Å²] at k [1/Å] with phases of atoms' positions and no masses, [K, n m, n m].
+        """Stiffness matrix D_at(k) [eV/Å²] at k [1/Å], without masses, [K, n m, n m].
 
         m is `moving`, by default the property; the mean height of a sheet's cell is held.
         """
@@ -193,7 +190,7 @@ class ForceConstants:
         return hermitian
 
     def stiffness_error(self, k: np.ndarray, waves: np.ndarray) -> Any:
-        """Errors [eV/Å²] of the stiffness of waves [..., n, m] at k [1/Å]; 0 where none is told."""
+        """Standard errors [eV/Å²] of the stiffness of waves [..., n, m] at k [1/Å], or 0."""
         doubt, m = self.doubt if self.spread is None else self.spread, waves.shape[-1]
         if doubt is None:
             return np.zeros(waves.shape[:-2])
@@ -203,10 +200,9 @@ class ForceConstants:
         return np.linalg.norm(ends.real, axis=-1)
 
     def effective(self, k: np.ndarray) -> np.ndarray:
-        """D_eff(k) = [(V/n²) Pᵗ D_at(k)⁻¹ P]⁻¹ [TPa/Å²], shape [K, d, d] (T14).
+        """Stiffness D_eff(k) [TPa/Å²] of a cell's mean displacement, all relaxed, [K, d, d] (T14).
 
-        What the mean displacement of a cell's atoms feels when all else has relaxed.
-        Raises InputError for a crystal that is not stable at one of the waves k [1/Å], [K, d].
+        D_eff = [(V/n²) Pᵗ D_at(k)⁻¹ P]⁻¹ at k [1/Å], [K, d]. Raises InputError for unstable waves.
         """
         d, m, n = self.dimension, self.moving, len(self.positions)
         D = self.dynamical(k)
@@ -221,7 +217,7 @@ class ForceConstants:
         return np.asarray((stiff + stiff.swapaxes(1, 2)) / 2)
 
     def _by_atoms(self, weight: np.ndarray, phi: np.ndarray) -> np.ndarray:
-        """Σ weight [K, P] · phi [P, ...] over the pairs of each two atoms, [n, n, K, ...]."""
+        """Sum weight [K, P] · phi [P, ...] over the pairs of each two atoms, [n, n, K, ...]."""
         n = len(self.positions)
         sums = np.zeros((n, n, len(weight), *phi.shape[1:]), weight.dtype)
         for i, j in np.unique(self.pairs, axis=0):
@@ -232,8 +228,7 @@ class ForceConstants:
     def moments(self, values: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
         """Moments Σ Φ r⁰ [..., n, 3, n, 3], Σ Φ r¹ [..., n, 3, 3, 3], Σ Φ r² [..., 3, 3, 3, 3].
 
-        Vectors stand last. Ions' fields belong to them, but for the macroscopic one. `values`
-        [..., P, 3, 3] stand in place of the own ones.
+        Dipoles count but for the macroscopic field; `values` [..., P, 3, 3] replace Φ.
         """
         r, phi = self.vectors, np.moveaxis(self.values if values is None else values, -3, 0)
         sums = self._by_atoms(np.column_stack([np.ones(len(r)), r]).T, phi)
@@ -248,7 +243,7 @@ class ForceConstants:
 
     @cached_property
     def _of_ions(self) -> tuple[np.ndarray, ...]:
-        """Moments of ions' fields, by differences at k = 0."""
+        """Moments of the ions' fields, by differences at k = 0."""
         polar: Any = self.polar
         n, signs = len(self.positions), np.array([1.0, -1.0])
         steps = np.einsum("s,cx->scx", signs, np.eye(3)) * SMALL
@@ -262,9 +257,9 @@ class ForceConstants:
     def acoustic(
         self, e: np.ndarray, values: np.ndarray | None = None, *, field: bool = True
     ) -> np.ndarray:
-        """D_eff(k)/|k|² [TPa] of long waves along unit vectors e, by moments, [K, d, d] (T14).
+        """Stiffness D_eff(k)/|k|² [TPa] of long waves along unit vectors e, [K, d, d] (T14).
 
-        Atoms have relaxed. `values` as for `moments`; without `field` ions make no macroscopic one.
+        `values` as for `moments`; without `field` ions make no macroscopic one.
         """
         d, m, n = self.dimension, self.moving, len(self.positions)
         zeroth, first, second = self.moments(values)
@@ -282,7 +277,7 @@ class ForceConstants:
     def nearest_elastic(
         self, allowed: np.ndarray, values: np.ndarray | None = None, *, field: bool = True
     ) -> tuple[np.ndarray, float]:
-        """The nearest elastic tensor of these, and the share of long waves that it misses."""
+        """Nearest elastic tensor in the span of `allowed`, and the share of waves it misses."""
         e = directions(60, self.dimension)
         wanted = self.acoustic(e, values, field=field)
         if self.stress is not None:
@@ -294,11 +289,10 @@ class ForceConstants:
         return np.tensordot(c, allowed, 1), off
 
     def elastic(self, allowed: np.ndarray) -> np.ndarray:
-        """The elastic tensor [TPa] that long waves have, [d, d, d, d], of tensors [m, d, d, d, d].
+        """Elastic tensor [TPa] of long waves, [d, d, d, d], in the span of tensors [m, d, d, d, d].
 
-        Internal relaxation is part of it, a stress that the crystal is held under is not. Warns of
-        Φ that has not decayed, or hangs on its step. Raises InputError for long waves that no such
-        tensor has, as those of piezoelectric crystals.
+        Relaxed-ion, without the crystal's own stress. Warns of Φ that has not decayed or depends on
+        its step. Raises InputError for long waves of no such tensor, as of piezoelectric crystals.
         """
         doubts, e = self.doubts(), directions(60, self.dimension)
         C, off = self.nearest_elastic(allowed)
@@ -321,7 +315,7 @@ class ForceConstants:
     def elastic_doubt(self, allowed: np.ndarray, *, bent: bool = False) -> np.ndarray:
         """Independent standard errors of the elastic tensor [TPa], shape [Q, d, d, d, d].
 
-        With `bent`, [2 Q, ...]: what is even in errors of Φ comes behind what is odd in them.
+        With `bent` [2 Q, ...]: those even in the errors of Φ behind those odd in them.
         """
         given = [*(() if self.doubt is None else self.doubt)]
         given += [] if self.cut is None else [self.cut]
@@ -335,7 +329,7 @@ class ForceConstants:
         return np.array(found).reshape(-1, *middle.shape)
 
     def doubts(self) -> list[str]:
-        """What moduli of these force constants are not to be trusted for."""
+        """Reasons why the elastic moduli of these force constants are not to be trusted."""
         said = []
         if self.change is not None and self.change > KINKED:
             said.append(
@@ -350,7 +344,7 @@ class ForceConstants:
         return said
 
     def group(self) -> np.ndarray:
-        """Point group by spglib, [G, d, d], in the axes of the cell's coordinates."""
+        """Point group of the crystal by spglib, [G, d, d], in the axes of its coordinates."""
         kinds = self.species if self.kinds is None else self.kinds
         turns = group_of_structure(self.cell, self.positions @ np.linalg.inv(self.cell), kinds)
         if self.dimension == 3:
@@ -360,7 +354,7 @@ class ForceConstants:
 
 
 def relaxing(stiff: np.ndarray, moving: int) -> np.ndarray:
-    """How atoms answer forces that sum to zero: Σ Φ [..., n m, n m] inverted but translations."""
+    """Response of atoms to forces that sum to zero: Σ Φ [..., n m, n m] inverted on these."""
     n = stiff.shape[-1] // moving
     whole = np.kron(np.ones((n, n)) / n, np.eye(moving))
     size = np.abs(stiff).max() or 1.0
@@ -368,15 +362,13 @@ def relaxing(stiff: np.ndarray, moving: int) -> np.ndarray:
 
 
 class Supercell:
-    """A supercell of a crystal, and Φ between a cell's atoms and all others as a list of pairs.
+    """Supercell of a crystal, and `pairs` of the cell's atoms with the nearest images of all.
 
     Args:
         cell: the crystal's, an ase.Atoms; moments, charges and tags tell its atoms apart.
         many: the supercell, an ase.Atoms whose atoms lie on sites of the cell.
         displaced: numbers in the supercell of the atoms of the cell, in turn, length n.
         thickness, polar, stress: as of ForceConstants.
-
-    `pairs` has all pairs of the cell's atoms with the nearest images of the supercell's, without Φ.
     """
 
     def __init__(
@@ -420,18 +412,18 @@ class Supercell:
         self.at_edge = far[i, j, image] > EDGE * widths.min()
 
     def values(self, phi: np.ndarray) -> np.ndarray:
-        """What pairs have of Φ [..., n, N, 3, 3], shape [..., P, 3, 3]."""
+        """Values of Φ [..., n, N, 3, 3] by pair, shape [..., P, 3, 3]."""
         return np.asarray(phi[..., *self.entries, :, :] * self.share)
 
     def short_ranged(self, phi: np.ndarray) -> np.ndarray:
-        """Φ [n, N, 3, 3] without what charges of ions add to it; InputError for another shape."""
+        """Subtract the ions' dipole part from Φ [n, N, 3, 3]; InputError for another shape."""
         shape = len(self.displaced), len(self.site), 3, 3
         if phi.shape != shape:
             raise InputError(f"phi: expected shape {list(shape)}, got {list(phi.shape)}")
         return phi if self.pairs.polar is None else phi - self.field_of_ions()
 
     def field_of_ions(self) -> np.ndarray:
-        """What their charges add to Φ, [n, N, 3, 3]: the mean of waves that fit the supercell."""
+        """Dipole part of Φ, [n, N, 3, 3]: the mean of waves that fit the supercell."""
         polar: Any = self.pairs.polar
         cell, x = self.pairs.cell, self.pairs.positions
         multiples = np.rint(self.box @ np.linalg.inv(cell)).astype(int)
@@ -447,7 +439,7 @@ class Supercell:
         return phi
 
     def balanced(self, phi: np.ndarray) -> np.ndarray:
-        """Φ whose sums are zero, as translations ask, at the atoms themselves."""
+        """Correct Φ of each atom with itself so that its sums are zero (translations)."""
         phi = phi.copy()
         for row, atom in zip(phi, self.displaced):
             row[atom] -= row.sum(axis=0)
@@ -455,7 +447,7 @@ class Supercell:
         return phi
 
     def edge(self, values: np.ndarray) -> float:
-        """Share of Σ |Φ| r² that is at half the supercell's width, of a sheet in its plane."""
+        """Share of Σ |Φ| r² at half the supercell's width, of a sheet in its plane."""
         size = np.linalg.norm(self.pairs.vectors, axis=1)
         moment = np.abs(values).max(axis=(1, 2)) * size**2
         return float(moment[self.at_edge].sum() / max(moment.sum(), TINY))
@@ -464,10 +456,7 @@ class Supercell:
 def from_supercell(
     cell: Any, many: Any, phi: np.ndarray, displaced: Sequence[int], **how: Any
 ) -> ForceConstants:
-    """Force constants of a cell from Φ [eV/Å²] of its atoms with those of a supercell [n, N, 3, 3].
-
-    Other arguments are those of Supercell.
-    """
+    """Force constants of a cell from Φ [eV/Å²] of a Supercell of these arguments, [n, N, 3, 3]."""
     every = Supercell(cell, many, displaced, **how)
     phi = every.short_ranged(phi)
     size = np.abs(phi).max(axis=(2, 3), keepdims=True)
@@ -481,7 +470,7 @@ def from_supercell(
 
 
 def forces_of(many: Any, calculator: Any) -> Callable[[np.ndarray], np.ndarray]:
-    """Forces [eV/Å] that a calculator has on the atoms of an ase.Atoms at positions [Å]."""
+    """Make a function from positions [Å] to a calculator's forces [eV/Å] on these atoms."""
     many = many.copy()
     many.calc = calculator
 

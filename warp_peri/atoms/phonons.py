@@ -54,10 +54,10 @@ THZ = 15.633302
 def force_constants(
     reference: Reference, calculator: Any, supercell: Sequence[int] | None = None
 ) -> tuple[ForceConstants, dict[str, str]]:
-    """Φ of a crystal at rest by finite differences, and what was taken for it, by name.
+    """Force constants of a crystal at rest by finite differences, and notes on them by name.
 
-    Under noise all atoms are displaced at once, and Φ has its standard errors (`rattled`). By
-    default the supercell is the smallest at half whose width a displaced atom's forces have ended.
+    Under noise all atoms are displaced at once (`rattled`). By default the supercell is the
+    smallest at half whose width a displaced atom's forces have ended.
     """
     d, cell = reference.dimension, reference.cell
     if "born_effective_charges" in getattr(calculator, "implemented_properties", ()):
@@ -87,7 +87,7 @@ def _cells(repeats: Sequence[int]) -> str:
 
 
 def wide_enough(reference: Reference, calculator: Any, widths: Sequence[float]) -> tuple[int, ...]:
-    """Repeats of the cell at half of whose width forces have ended, or the widest that may be."""
+    """Repeats of the cell at half of whose width forces have ended, or the most that may be."""
     cell, d = reference.cell, reference.dimension
     heights = 1 / np.linalg.norm(np.linalg.inv(np.array(cell.cell)), axis=0)
     most = MOST_ATOMS if reference.noise is None else NOISY_ATOMS
@@ -116,7 +116,7 @@ def wide_enough(reference: Reference, calculator: Any, widths: Sequence[float]) 
 def _at_rim(
     many: ase.Atoms, calculator: Any, width: float, reference: Reference
 ) -> tuple[float, float]:
-    """The force at half a supercell's width from a displaced atom, over the largest; none's."""
+    """Relative force at half a supercell's width from a displaced atom, and that of the noise."""
     noise, x, rim, none = reference.noise, np.array(many.positions), 0.0, DECAYED_FORCE
     forces = forces_of(many, calculator)
     still, far = forces(x), many.get_distances(0, range(len(many)), mic=True)
@@ -134,7 +134,7 @@ def _at_rim(
 
 
 def check_phonons(atoms: ForceConstants) -> None:
-    """Raise InputError for imaginary phonons on a grid of waves, and for parts that are loose.
+    """Raise InputError for imaginary phonons on a grid of waves, and for loose parts.
 
     A sheet's mean height is held, so that its bending is not looked at.
     """
@@ -161,7 +161,7 @@ def check_phonons(atoms: ForceConstants) -> None:
 
 
 def _phonons(atoms: ForceConstants, parts: np.ndarray) -> tuple[np.ndarray, ...]:
-    """At parts [K, d] of the reciprocal edges: k [1/Å], ω², and modes over √mass [K, 3 n, n, 3]."""
+    """Phonons at fractions [K, d] of reciprocal edges: k [1/Å], ω², modes/√mass [K, 3 n, n, 3]."""
     d = atoms.dimension
     k = 2 * np.pi * parts @ np.linalg.inv(atoms.cell[:d, :d]).T
     weight = 1 / np.sqrt(np.repeat(atomic_masses[atoms.species], 3))
@@ -170,7 +170,7 @@ def _phonons(atoms: ForceConstants, parts: np.ndarray) -> tuple[np.ndarray, ...]
 
 
 def at_zone_edge(atoms: ForceConstants) -> tuple[float, float, float]:
-    """The softest phonon [THz] at halves of the reciprocal edges, its error, the largest error."""
+    """Softest phonon [THz] at halves of the reciprocal edges, its error, and the largest error."""
     parts = np.array(list(itertools.product((0, 0.5), repeat=atoms.dimension)))[1:]
     k, size, waves = _phonons(atoms, parts)
     off = np.array([atoms.stiffness_error(*pair) for pair in zip(k, waves)])
@@ -182,10 +182,10 @@ def at_zone_edge(atoms: ForceConstants) -> tuple[float, float, float]:
 def finite_differences(
     forces: Callable[[np.ndarray], np.ndarray], positions: np.ndarray, displaced: Sequence[int]
 ) -> tuple[np.ndarray, float]:
-    """Φ [eV/Å²] of some atoms with all, by differences of fourth order, [n, N, 3, 3].
+    """Force constants Φ [eV/Å²] of some atoms with all, by fourth-order differences, [n, N, 3, 3].
 
-    Beside it stands how much Φ changes from the one step to one five times as wide, over the
-    largest: 1e-3 or less where the energy is smooth.
+    Also returns the relative change of Φ from one step to one five times as wide: 1e-3 or less
+    where the energy is smooth.
     """
     phi, change = np.zeros((len(displaced), len(positions), 3, 3)), 0.0
     for (row, i), axis in itertools.product(enumerate(displaced), range(3)):
@@ -204,7 +204,7 @@ def finite_differences(
 def from_calculator(
     structure: Any, calculator: Any, repeats: Sequence[int], *, thickness: Positive | None = None
 ) -> ForceConstants:
-    """Force constants of a crystal by an ASE calculator, on a supercell of repeats.
+    """Force constants of a crystal by an ASE calculator, on a supercell.
 
     Args:
         structure: the cell at rest, an ase.Atoms.
@@ -229,19 +229,19 @@ YAML = ("phonopy.yaml", "phonopy_params.yaml", "phonopy_disp.yaml")
 def from_phonopy(
     path: str | os.PathLike[str], *, thickness: Positive | None = None
 ) -> ForceConstants:
-    """Force constants of what phonopy computed.
+    """Read the force constants that phonopy computed.
 
-    Beside phonopy.yaml may lie FORCE_CONSTANTS, force_constants.hdf5, FORCE_SETS and BORN; nothing
-    is read of any other folder. Units are those that phonopy has for the code it names.
-    Force constants are brought to what space group, exchange of atoms, translations and rotations
-    ask, and how far they move is their error. With Born charges the field of the ions is part of
-    every wave (theory, T18); a solid of several elements without BORN is warned of.
+    They are symmetrised (space group, exchange of atoms, translations, rotations); how far they
+    move is their error. With Born charges the field of the ions is part of every wave (theory,
+    T18); a solid of several elements without BORN is warned of.
 
     Args:
-        path: phonopy.yaml, phonopy_params.yaml or phonopy_disp.yaml, or the folder that has one.
+        path: phonopy.yaml, phonopy_params.yaml or phonopy_disp.yaml, or its folder; only
+            FORCE_CONSTANTS, force_constants.hdf5, FORCE_SETS and BORN beside it are read. Units are
+            phonopy's.
         thickness: of a sheet across z [Å]; by default as `fit_crystal` has it.
 
-    Raises InputError without phonopy or forces, for what it does not read, for charges of a sheet.
+    Raises InputError without phonopy or forces, for files it cannot read, for charges of a sheet.
     """
     path = Path(path)
     there = [one for one in (path, *(path / name for name in YAML)) if one.is_file()]
@@ -289,7 +289,7 @@ def from_phonopy(
 
 
 def _opened(file: Path, beside: dict[str, Path]) -> tuple[Any, Any]:
-    """phonopy's crystal, and what its file says; nothing is read that lies elsewhere."""
+    """Open a phonopy file: phonopy's crystal, and the file's content; reads no other folder."""
     for name, path in beside.items():
         if name.endswith(".hdf5"):
             with h5py.File(path) as held:
@@ -316,7 +316,7 @@ def _opened(file: Path, beside: dict[str, Path]) -> tuple[Any, Any]:
 
 
 def _force_constants(found: Any, told: Any, beside: dict[str, Path]) -> Any:
-    """Of phonopy's own file, else of those beside it, else from its forces; None without them."""
+    """Force constants of phonopy's file, else of those beside it, else of its forces; or None."""
     reader, rows = optional("phonopy.file_IO", WITHOUT), found.primitive.p2s_map
     if told.force_constants is not None:
         return told.force_constants

@@ -1,4 +1,4 @@
-"""Cells, and structures at rest."""
+"""Relaxation of crystal structures, and their smallest cells."""
 
 from __future__ import annotations
 
@@ -59,14 +59,14 @@ VOIGT = ("xx", "yy", "zz", "yz", "xz", "xy")
 
 @dataclass(frozen=True)
 class Reference:
-    """A crystal at rest.
+    """Crystal at rest.
 
     Attributes:
         cell: its smallest cell, an ase.Atoms without a calculator; a sheet lies across z.
         thickness: of a sheet [Å], or None.
         stress: that it is held under [TPa], shape [d, d]; None for one at rest.
         noise: of the calculator's forces; None where it is rounding.
-        said: what was found or chosen, by name.
+        said: notes on what was found or chosen, by name.
     """
 
     cell: ase.Atoms
@@ -82,7 +82,7 @@ class Reference:
 
 
 def check_sites(atoms: ase.Atoms) -> None:
-    """Raise InputError for atoms upon each other, and shared sites, of which ASE keeps one atom."""
+    """Raise InputError for coinciding atoms, and for shared sites, of which ASE keeps one atom."""
     for site in (atoms.info.get("occupancy") or {}).values():
         if len(site) > 1 or min(site.values()) < FULL:
             shared = ", ".join(f"{kind} {part:g}" for kind, part in site.items())
@@ -104,7 +104,7 @@ def check_sites(atoms: ase.Atoms) -> None:
 
 
 def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
-    """The structure with a sheet across z, amid a high box, and whether it is one."""
+    """Structure with a sheet across z, in the middle of a high box, and whether it is a sheet."""
     check_sites(atoms)
     periodic = np.array(atoms.pbc)
     if not periodic.any():
@@ -138,7 +138,7 @@ def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
 
 
 def gap(atoms: ase.Atoms, axis: int) -> tuple[float, float]:
-    """Largest distance between neighbours along an edge [Å], and the part of it where it ends."""
+    """Largest gap between atoms along an edge [Å], and the fraction of the edge where it ends."""
     part = np.sort(atoms.cell.scaled_positions(atoms.positions)[:, axis] % 1.0)
     apart = 1 / np.linalg.norm(np.linalg.inv(np.array(atoms.cell))[:, axis])
     steps = np.diff(part, prepend=part[-1] - 1)
@@ -146,12 +146,12 @@ def gap(atoms: ase.Atoms, axis: int) -> tuple[float, float]:
 
 
 def crystal_of(atoms: ase.Atoms) -> tuple[np.ndarray, ...]:
-    """As spglib takes it: edges, parts of them, and numbers that tell atoms apart."""
+    """Crystal for spglib: edges, fractional positions, and numbers that tell atoms apart."""
     return np.array(atoms.cell), atoms.get_scaled_positions(), kinds_of(atoms)[0]
 
 
 def to_shared_axes(atoms: ase.Atoms) -> ase.Atoms:
-    """A solid turned to spglib's standard axes, where these share more turns with nodes."""
+    """Turn a solid to spglib's standard axes, where these share more rotations with the lattice."""
     given = crystal_of(atoms)
     group = group_of_structure(*given)
     turn = np.array(by_spglib("get_symmetry_dataset", given, ON_SITES).std_rotation_matrix)
@@ -166,7 +166,7 @@ def to_shared_axes(atoms: ase.Atoms) -> ase.Atoms:
 
 
 def exact_cell(atoms: ase.Atoms) -> ase.Atoms:
-    """The cell without the last digits that break its symmetry, and turns of nodes: 1e-4 Å."""
+    """Cell symmetrised within 1e-4 Å, also to the rotations that a lattice of nodes shares."""
     found = by_spglib("get_symmetry", crystal_of(atoms), ON_SITES)
     W, edges = found["rotations"].astype(float), np.array(atoms.cell).T
     metric = (W.transpose(0, 2, 1) @ (edges.T @ edges) @ W).mean(axis=0)
@@ -182,8 +182,7 @@ def exact_cell(atoms: ase.Atoms) -> ase.Atoms:
 
 
 def smallest(atoms: ase.Atoms, flat: bool) -> ase.Atoms:
-    """The primitive cell in the same axes, its atoms with all their arrays; a sheet's third edge
-    stays."""
+    """Primitive cell in the same axes, with all arrays of atoms; a sheet's third edge stays."""
     small = primitive_cell(crystal_of(atoms), ON_SITES)
     if len(small[2]) >= len(atoms):
         return atoms
@@ -202,7 +201,7 @@ def smallest(atoms: ase.Atoms, flat: bool) -> ase.Atoms:
 
 
 def _told_apart(atoms: ase.Atoms) -> None:
-    """Say which arrays beside those that calculators go by tell atoms of one element apart."""
+    """Warn of arrays beside those of calculators that tell atoms of one element apart."""
     kinds = len(kinds_of(atoms, KNOWN)[1])
     own = [name for name in atoms.arrays if name not in COUNTED]
     if names := [n for n in own if len(kinds_of(atoms, (*KNOWN, n))[1]) > kinds]:
@@ -213,10 +212,7 @@ def _told_apart(atoms: ase.Atoms) -> None:
 def at_rest(
     atoms: ase.Atoms, calculator: Any, *, thickness: float | None = None, hold: Sequence[str] = ()
 ) -> Reference:
-    """The smallest cell of a structure where no atom feels a force and what is free no stress.
-
-    Arguments are those of `fit_crystal`.
-    """
+    """Relax a structure's smallest cell in forces and free stresses; arguments of `fit_crystal`."""
     held = set(VOIGT) if "all" in hold else set(hold)
     if not held <= set(VOIGT):
         raise InputError(f"hold: expected all, or of {', '.join(VOIGT)}, got {' '.join(hold)}")
@@ -252,7 +248,7 @@ def at_rest(
 
 
 def _settled(cell: ase.Atoms, flat: bool, held: set[str]) -> tuple[ase.Atoms, np.ndarray, Noise]:
-    """A relaxed cell, its strain on the way there, and the noise of its calculator."""
+    """Relaxed cell, its strain on the way there, and the noise of its calculator."""
     calculator, before = cell.calc, np.array(cell.cell)
     _check_forces(cell)
     _check_stress(cell, flat)
@@ -290,7 +286,7 @@ def _check_forces(cell: ase.Atoms) -> None:
 
 
 def _check_stress(cell: ase.Atoms, flat: bool) -> None:
-    """Raise InputError for a stress that is not what the energy changes by under strain, at 1 %."""
+    """Raise InputError for a stress that is not the energy's derivative by strain, to 1 %."""
     way = np.diag([1.0, 0.7, 0.0 if flat else 0.4])
     turns = np.eye(3) + STRAINED * np.array([0.5, 1.5, 1.0])[:, None, None] * way
     less, more, middle = strained(cell.calc, cell, turns)
@@ -309,7 +305,7 @@ def _check_stress(cell: ase.Atoms, flat: bool) -> None:
 
 
 def _relax(cell: ase.Atoms, flat: bool, held: set[str], noise: Noise | None) -> None:
-    """To rest but for the strains that are held; under noise with the symmetry that is given."""
+    """Relax atoms and the strains that are not held; under noise within the given symmetry."""
     quiet, left, steps = QUIET, RESIDUAL_FORCE, STEPS
     if noise is not None:  # a force, or a stress on the cell, that is told from none
         cell.set_constraint(FixSymmetry(cell, ON_SITES))  # exact forces keep it by themselves
@@ -334,7 +330,7 @@ def _relax(cell: ase.Atoms, flat: bool, held: set[str], noise: Noise | None) -> 
 def _stress_left(
     cell: ase.Atoms, thickness: float | None, flat: bool, held: set[str], noise: Noise | None
 ) -> np.ndarray | None:
-    """The stress of the strains that are held, [d, d]; None where there is none."""
+    """Residual stress of the strains that are held, [d, d]; None without any."""
     d = 2 if flat else 3
     try:
         stress = cell.get_stress(voigt=False)[:d, :d]
@@ -353,7 +349,7 @@ def _stress_left(
 
 
 def thickness_of(cell: ase.Atoms) -> tuple[float, str]:
-    """From the lowest to the highest nucleus and a van der Waals radius beyond each [Å]."""
+    """Thickness [Å] of a sheet from outermost nuclei and their van der Waals radii, and a note."""
     z = np.array(cell.positions)[:, 2]
     radii = [vdw_radii[cell.numbers[n]] for n in (z.argmin(), z.argmax())]
     known = [USUAL_RADIUS if np.isnan(r) else float(r) for r in radii]
@@ -365,8 +361,10 @@ def thickness_of(cell: ase.Atoms) -> tuple[float, str]:
 
 
 def usual_spacing(cell: ase.Atoms, flat: bool) -> float:
-    """Of nodes [Å]: the edge of a cube with the volume of the conventional cell, of a hexagonal one
-    twice that; of a sheet the longer edge of its smallest rectangle, √(2 area) where it has none.
+    """Default node spacing [Å]: the edge of a cube as large as the conventional cell.
+
+    A hexagonal cell counts twice; of a sheet the longer edge of its smallest rectangle, or √(2
+    area).
     """
     if not flat:
         given = np.array(cell.cell), cell.get_scaled_positions(), cell.numbers

@@ -1,4 +1,4 @@
-"""The command warp-peri. It begins here: Ctrl-C while it is still being imported is quiet, too."""
+"""The command warp-peri; Ctrl-C while it is still being imported is quiet, too."""
 
 import os
 import signal

@@ -1,8 +1,5 @@
-"""Commands that use a model: from files to files, each with a result for JSON and lines to print.
-
-What needs torch or Warp is reached through the package, which imports it on first use: `--help` and
-`info` do without.
-"""
+"""Commands that use a model, each with a result for JSON and lines to print; torch and Warp on
+use."""
 
 from __future__ import annotations
 
@@ -41,7 +38,7 @@ LENGTHS = ("largest_displacement", "spacing", "horizon", "overlap")
 
 
 def run_certify(given: Namespace) -> Said:
-    """What is proven of a material's linear part, by lattice; and up to which strain."""
+    """Certify a material's linear part by lattice, and tell up to which strain."""
     material = load(given.model)
     law = getattr(material, "linear", material)
     own: Sequence[Any] = [None]  # one for a lattice of its own knows which
@@ -61,7 +58,7 @@ def run_certify(given: Namespace) -> Said:
 
 
 def data_for(given: Namespace, model: Any) -> Dataset:
-    """The data in the units of a model, with the axis of its crystal where one was typed."""
+    """Load data in the units of a model, with the axis of its crystal where one was typed."""
     offered(model, "on", given.command, "a material that is placed on nodes")
     data = load_dataset(given.data, units=model.units)
     if given.axis is None:
@@ -74,7 +71,7 @@ def data_for(given: Namespace, model: Any) -> Dataset:
 
 
 def run_evaluate(given: Namespace) -> Said:
-    """Errors of a model on the sets of a file."""
+    """Evaluate a model on the sets of a file."""
     model = load(given.model)
     data = data_for(given, model)
     tables: dict[str, Result] = {}
@@ -91,7 +88,7 @@ def run_evaluate(given: Namespace) -> Said:
 
 
 def error_table(tables: Mapping[str, Result], units: Units) -> list[str]:
-    """Errors by set, a line each, and why they differ where they do."""
+    """Lines of a table of errors, one for each set, and why they differ where they do."""
     absolute = "E_res_abs [{1}/{0}]".format(*symbols(units))
     width = max(map(len, tables))
     lines = [f"{'set':{width}}  samples   E_res [%]  {absolute:>17}   E_u [%]  E_shape [%]"]
@@ -114,7 +111,7 @@ def error_table(tables: Mapping[str, Result], units: Units) -> list[str]:
 
 
 def problem_of(given: Namespace) -> tuple[Any, Dataset, Any]:
-    """A model, the data in its units, and the loads and the collar of the set that was named."""
+    """Load a model, the data in its units, and the problem of the set that was named."""
     model = load(given.model)
     data = data_for(given, model)
     points = data[given.set]
@@ -122,13 +119,13 @@ def problem_of(given: Namespace) -> tuple[Any, Dataset, Any]:
 
 
 def options_of(given: Namespace) -> Result:
-    """What is asked of a solve beside the usual; laws without such options know no default."""
+    """Options of a solve that differ from the usual; materials without them know no default."""
     asked = chosen(given, "transfer", "allow_uncertified")
     return {name: value for name, value in asked.items() if value != (name == "transfer")}
 
 
 def run_solve(given: Namespace) -> Said:
-    """Displacement under the loads of a set, or of a body with an outline, in a file."""
+    """Solve for the displacement under the loads of a set, or of a body; writes a file."""
     if (given.body is None) == (given.data is None):
         raise InputError("data, body: expected one of DATA.h5 and --body MESH")
     if given.body is not None:
@@ -148,7 +145,7 @@ def run_solve(given: Namespace) -> Said:
 
 
 def solver_of(name: Any, material: Any) -> Any:
-    """Settings of a solver by the name they have on the command line; nonlinear laws have one."""
+    """Solver settings by their name on the command line; nonlinear materials have one solver."""
     if name == "auto":
         return None
     if getattr(material, "linear", None) is not material:
@@ -158,7 +155,7 @@ def solver_of(name: Any, material: Any) -> Any:
 
 
 def _solve_body(given: Namespace) -> Said:
-    """A body in equilibrium: a VTU file of its mesh."""
+    """Solve for a body in equilibrium and write a VTU file of its mesh."""
     refuse_options(given, OF_DATA, "loads of a data file, not of a body")
     if given.out.suffix != ".vtu":
         raise InputError(f"out: expected a .vtu file for a body, got {given.out.name}")
@@ -189,14 +186,14 @@ def _solve_body(given: Namespace) -> Said:
 
 
 def refuse_options(given: Namespace, names: Sequence[str], whose: str) -> None:
-    """InputError for options that are set, apart from their defaults, and would do nothing."""
+    """Raise InputError for options that were set apart from their defaults and would do nothing."""
     if idle := [name for name in names if getattr(given, name) != given.usual[name]]:
         words = ", ".join("no-transfer" if name == "transfer" else name for name in idle)
         raise InputError(f"{words}: expected with {whose}")
 
 
 def _vectors(option: str, words: Sequence[str]) -> dict[str, np.ndarray]:
-    """PART=a,b or PART=a,b,c as vectors by part; "-" is no number."""
+    """Parse PART=a,b or PART=a,b,c to vectors by part of the outline; "-" is no number."""
     vectors: dict[str, np.ndarray] = {}
     for word in words:
         name, _, numbers = word.rpartition("=")
@@ -215,7 +212,7 @@ def _vectors(option: str, words: Sequence[str]) -> dict[str, np.ndarray]:
 
 
 def run_predict(given: Namespace) -> Said:
-    """Displacement under the loads of a set, each with its likely error."""
+    """Predict displacement under the loads of a set, each with its likely error."""
     model, _, problem = problem_of(given)
     answers: Any = warp_peri.predict(model, problem, given.tolerance or None, **options_of(given))
     points, samples = problem.points, []
@@ -229,7 +226,7 @@ def run_predict(given: Namespace) -> Said:
 
 
 def run_export(given: Namespace) -> Said:
-    """The solved fields of a set for ParaView."""
+    """Write the solved fields of a set for ParaView."""
     model, _, problem = problem_of(given)
     solved = warp_peri.solve(model, problem, **options_of(given))
     with locked(given.out):
@@ -240,7 +237,7 @@ def run_export(given: Namespace) -> Said:
 
 
 def run_info(given: Namespace) -> Said:
-    """What a model, a data file or a mesh holds."""
+    """Describe a model, a data file or a mesh."""
     held: Any = load(given.file)
     if isinstance(held, Dataset):
         sets = {name: set_summary(one) for name, one in held.sets.items()}
@@ -263,7 +260,7 @@ def run_info(given: Namespace) -> Said:
 
 
 def set_summary(points: Samples) -> Result:
-    """How many nodes, unknowns and samples a set has."""
+    """Count the nodes, unknowns and samples of a set."""
     return {
         "samples": len(points),
         "nodes": len(points.x),
@@ -274,18 +271,18 @@ def set_summary(points: Samples) -> Result:
 
 
 def chosen(given: Any, *names: str) -> Result:
-    """Some options by their names, which those of a function are too, or what else has them."""
+    """Pick the named options, or attributes of any object, into a dict."""
     return {name: getattr(given, name) for name in names}
 
 
 def keep(given: Namespace, path: Path) -> None:
-    """Write the settings of a command, which `--config` takes again; its own file is left."""
+    """Write the settings of a command for `--config`; a file of that option is left alone."""
     if given.config is None or not (path.exists() and path.samefile(given.config)):
         write_text(path, settings_of(given))
 
 
 def settings_of(given: Namespace) -> str:
-    """The options of a command as TOML."""
+    """Write the options of a command as TOML."""
 
     def plainly(value: Any) -> Any:
         if isinstance(value, list):
@@ -297,14 +294,14 @@ def settings_of(given: Namespace) -> str:
 
 
 def _with_units(result: Result, units: Units) -> list[str]:
-    """The lines of a result whose numbers are told with their units; JSON names these apart."""
+    """Lines of a result with units; JSON has these apart."""
     length, stress = symbols(units)
     unit = dict.fromkeys(LENGTHS, length) | {"largest_principal_stress": stress}
     return lines_of({f"{k} [{unit[k]}]" if k in unit else k: v for k, v in result.items()})
 
 
 def lines_of(result: Result, indent: str = "") -> list[str]:
-    """A result as text, one number a line."""
+    """Lines of a result as text, one number each."""
     lines = []
     for key, value in result.items():
         if isinstance(value, dict):

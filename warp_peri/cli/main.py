@@ -1,10 +1,10 @@
-"""The command `warp-peri`, also `python -m warp_peri`: from dumps to a certified model and on.
+"""The command `warp-peri`, also `python -m warp_peri`.
 
-Parsers are made from commands.txt. There the first line of a command is its sentence, the second an
-example; then come groups of options. An option is a line: its name, the names of its values, and
-its help behind two blanks; lines indented further go on. `V+` is one value or more, `V?` one or
-none, `a|b` a choice, `=x` the default, `!` required, `@dest` the name in the settings. Without a
-value it is a switch. A line of names alone stands for the lines that first have them.
+Parsers are made from commands.txt. A command's first line is its sentence, the second an example;
+then come groups of options, a line each: name, names of values, two blanks, help; lines indented
+further go on. `V+` is one value or more, `V?` one or none, `a|b` a choice, `=x` the default, `!`
+required, `@dest` the name in the settings; without a value it is a switch. A line of names alone
+stands for the lines that first have them.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ LEARNING = ("coarse-grain", "fit", "sweep", "fit-crystal", "fit-sheet")
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run a command.
+    """Run a command; returns its exit status.
 
-    Returns the exit status: 0; 1 after a failure, such as a full disk or a row that does not hold;
-    2 for input that cannot be used; 130 after Ctrl-C.
+    That is 0; 1 after a failure, such as a full disk or a row that does not hold; 2 for input that
+    cannot be used; 130 after Ctrl-C.
     """
     known: dict[str, Any] = {}
 
@@ -72,7 +72,7 @@ def _warn(message: Warning | str, *_: Any, **__: Any) -> None:
 
 
 def _printable(line: str) -> str:
-    """A line without what a file could make a terminal do."""
+    """Escape the characters of a line that could control a terminal."""
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
 
 
@@ -97,7 +97,7 @@ NOT_KEPT = ("config", "json", "trust", "overwrite", "help")
 
 
 class Parser(ArgumentParser):
-    """A parser whose errors are an InputError."""
+    """Argument parser whose errors are an InputError."""
 
     def error(self, message: str) -> NoReturn:
         """Raise InputError."""
@@ -105,7 +105,7 @@ class Parser(ArgumentParser):
 
 
 def parser_of(name: str) -> Parser:
-    """The parser of a command, its options in their groups, its example below."""
+    """Make the parser of a command, its options in their groups, its example below."""
     sentence, example, *lines = COMMANDS[name].replace("\n    ", " ").splitlines()
     parser = Parser(
         prog=f"warp-peri {name}",
@@ -135,7 +135,7 @@ def parser_of(name: str) -> Parser:
 
 
 def _taken(option: str, marks: list[str]) -> dict[str, Any]:
-    """How argparse takes an option, from the marks between its name and its help."""
+    """Arguments of argparse for an option, from the marks between its name and its help."""
     how: dict[str, Any] = {"required": True} if "!" in marks else {}
     for mark in marks:
         if mark[0] == "@":
@@ -169,11 +169,11 @@ def _kind(value: str) -> Any:
 
 
 def parse(words: Sequence[str]) -> Namespace:
-    """The command and its options, those missing on the line taken from the file of --config.
+    """Parse the command and its options, those missing on the line from the file of --config.
 
-    The file has one table with the name of the command; its keys are the long options with `_` for
-    `-`, and the names of the positional arguments. `from_file` of what is returned names those
-    that the file set, `options` all, and `usual` has their defaults.
+    The file has one table named as the command, with long options (`_` for `-`) and positional
+    arguments as keys. The result also has `from_file` (set by the file), `options`, `usual`
+    (defaults).
     """
     known = "\n".join(f"  {name:14}{text.splitlines()[0]}" for name, text in COMMANDS.items())
     top = Parser(
@@ -211,7 +211,7 @@ def parse(words: Sequence[str]) -> Namespace:
 
 
 def _settings_of(path: Path, command: str, options: dict[str, Any]) -> dict[str, Any]:
-    """Options as a file of settings has them; InputError for keys and values of no option."""
+    """Read options from a file of settings; InputError for keys and values of no option."""
     try:
         table = tomllib.loads(content(path).decode()).get(command)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -243,7 +243,7 @@ def _settings_of(path: Path, command: str, options: dict[str, Any]) -> dict[str,
 
 
 def check_output(given: Namespace) -> None:
-    """Refuse, before anything is done, to write over what is read or what is no file."""
+    """Refuse, before anything is done, to overwrite inputs or what is no file."""
     if getattr(given, "out", None) is None:
         return
     for name, read in vars(given).items():

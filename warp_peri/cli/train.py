@@ -69,7 +69,7 @@ STEP, PRINTED, ROWS = 0.025, 4, 8
 
 
 def run_coarse_grain(given: Namespace) -> Said:
-    """Dumps → a set of a data file; sets of other names that the file has stay in it."""
+    """Coarse-grain dumps to a set of a data file; other sets of the file stay."""
     _take_sheet(given)
     frame = next(dumps.iter_dump(given.reference))
     reference, box = frame.x, None
@@ -116,7 +116,7 @@ def run_coarse_grain(given: Namespace) -> Said:
 
 
 def _take_sheet(given: Namespace) -> Dataset | None:
-    """Set thickness and density to the data file's, which is returned, if it is there."""
+    """Set thickness and density from the data file, if it exists, and return its data."""
     before = load_dataset(given.out) if given.out.exists() else None
     for name, unit, why in (
         ("thickness", "Å", "forces become stresses by it: all moduli go as one over it"),
@@ -135,7 +135,7 @@ def _take_sheet(given: Namespace) -> Dataset | None:
 
 
 def atom_forces(path: Path, atoms: int) -> np.ndarray:
-    """External forces on the atoms [eV/Å], shape [A, 2], of an .npz file or text with commas."""
+    """Read external forces on the atoms [eV/Å], shape [A, 2], from .npz or text with commas."""
     try:
         if path.suffix == ".npz":
             (force,) = read_arrays(path).values()
@@ -151,12 +151,12 @@ def atom_forces(path: Path, atoms: int) -> np.ndarray:
 
 
 def _dataset(given: Namespace) -> Dataset:
-    """The data in their own units, or those asked for."""
+    """Load the data in their own units, or those asked for."""
     return load_dataset(given.data, units=tuple(given.units) if given.units else None)
 
 
 def run_fit(given: Namespace) -> Said:
-    """Data → model.json, metrics.json and the settings, in a folder."""
+    """Fit a material to data; writes model.json, metrics.json and the settings to a folder."""
     model, kept = given.out / "model.json", given.out / "fit.toml"
     there = [one for one in (model, kept, given.out / "metrics.json") if one.exists()]
     same = kept.exists() and kept.read_text() == settings_of(given)
@@ -195,7 +195,7 @@ def run_fit(given: Namespace) -> Said:
 
 
 def _law(given: Namespace, spacing: float) -> Any:
-    """What is learned, by the options; InputError for those of an LPS with another law."""
+    """Material to learn, by the options; InputError for options of an LPS with another material."""
     if given.law == "lps":
         if given.influence and given.degree is not None:
             raise InputError("degree, influence: expected one of the two")
@@ -212,7 +212,7 @@ def _law(given: Namespace, spacing: float) -> Any:
 
 
 def _metrics(run: Run) -> Result:
-    """Constants, certificate and errors of a training run."""
+    """Collect constants, certificate and errors of a training run."""
     fit, material = run.fit, run.fit.material
     proof = fit.certificate
     certified = proof is not None and bool(proof.holds)
@@ -234,7 +234,7 @@ def _metrics(run: Run) -> Result:
 
 
 def _first(given: Namespace, metrics: Result, data: Dataset) -> list[str]:
-    """What was learned, how good it is in one number, and the next command."""
+    """Lines on what was learned, its error in one number, and the next command."""
     path, solved, samples = given.out / "model.json", metrics["E_u"], data[given.set]
     kind = f"{KINDS[given.law]}, horizon {given.horizon:g} {symbols(data.units)[0]}"
     others = [
@@ -260,13 +260,13 @@ def _first(given: Namespace, metrics: Result, data: Dataset) -> list[str]:
 
 
 def _sheet_of(data: Dataset) -> str:
-    """Words on the numbers of a sheet that stresses depend on."""
+    """Describe the sheet's thickness and density, on which stresses depend."""
     size = f"{data.thickness:g} {symbols(data.units)[0]}"
     return f"of a sheet {size} thick, of {data.density:g} kg/m³, as the data file says"
 
 
 def run_sweep(given: Namespace) -> Said:
-    """Algorithm 2 on a data file: sweep.json and the models, in a folder."""
+    """Run Algorithm 2 on a data file; writes sweep.json and the models to a folder."""
     data, conditions = _dataset(given), settings.StabilityConditions(given.conditions)
     sweep = warp_peri.methods.sweep(
         data[given.set],
@@ -291,7 +291,7 @@ def run_sweep(given: Namespace) -> Said:
 
 
 def run_fit_crystal(given: Namespace) -> Said:
-    """A structure → model.json, crystal.json, report.txt and law.png, in a folder."""
+    """Fit a crystal; writes model.json, crystal.json, report.txt and law.png to a folder."""
     begin, path = time.perf_counter(), given.out / "model.json"
     units = given.units[0] if len(given.units) == 1 else tuple(given.units)
     how = chosen(given, "spacing", "horizon", "symmetry") | {"units": units}
@@ -332,7 +332,7 @@ def run_fit_crystal(given: Namespace) -> Said:
 
 
 def run_fit_sheet(given: Namespace) -> Said:
-    """Frames → material.json, sheet.json, curves and every candidate's file, in a folder."""
+    """Fit a sheet; writes material.json, sheet.json, curves and every candidate to a folder."""
     how = chosen(given, "pixel", "positions", "stress", "along")
     frames = frames_of_folder(given.folder, given.count, radius=given.smooth, **how)
     usual = frames.points.units == USUAL  # what frames without a unit are taken for
@@ -341,7 +341,7 @@ def run_fit_sheet(given: Namespace) -> Said:
         raise InputError("stress: it needs a length; expected --pixel with a unit, as 0.012mm")
 
     def done(candidate: Any) -> None:
-        """Each is kept as it ends."""
+        """Save a candidate as soon as it is fitted."""
         if candidate.fit is None:
             warn(f"passed over: {candidate.why}")
             return
@@ -381,7 +381,7 @@ def run_fit_sheet(given: Namespace) -> Said:
 
 
 def _written(given: Namespace, choice: Any) -> tuple[Result, str]:
-    """What a sheet is made of, its curves in files where there are any, and a line on them."""
+    """Write a sheet's material and its curves, if any, to files; returns values and words."""
     material, candidates = choice.material, choice.candidates
     told = "are scaled: C11 + C22 + C66 without load is 1, no force is known (--stress gives one)"
     if given.stress:
@@ -422,7 +422,7 @@ def _written(given: Namespace, choice: Any) -> tuple[Result, str]:
 
 
 def _beside(fit: Any) -> list[str]:
-    """What is in a sheet beside its material: deviations, which are the lattice's, a thickness."""
+    """Lines on a sheet's other values: deviations, which are the lattice's, a thickness."""
     own = slice(fit.material.dictionary.first_deviation, fit.material.dictionary.first_term)
     numbers = ", ".join(f"{value:.4g}" for value in fit.material.coefficients[own])
     lines = [f"deviations, which belong to the lattice: {numbers}"]

@@ -1,5 +1,4 @@
-"""Conduction and diffusion along bonds, alone (theory, Di) and with mechanics that feels it:
-σ = σ_mech + ε φ I (Di5)."""
+"""Nonlocal diffusion (theory, Di) alone, and coupled with mechanics: σ = σ_mech + ε φ I (Di5)."""
 
 from __future__ import annotations
 
@@ -36,39 +35,38 @@ ROUNDING = 1e-10
 
 
 class FlowOperator(OperatorBase):
-    """A linear law by its sparse matrix, of flat fields to the interior, which flows in time."""
+    """Linear operator by a sparse matrix from flat fields to the interior; also flows in time."""
 
     is_linear = True
     matrix: sp.csr_array
     march = stepped  # ∂φ/∂t = −L φ + b by implicit steps (theory, Di4)
 
     def force(self, u: np.ndarray) -> np.ndarray:
-        """L u on the interior, [..., I, …] of u [..., N, …]; InputError for another shape."""
+        """Force L u on the interior, [..., I, …], of u [..., N, …]; InputError for other shapes."""
         self.check(u := plain("u", u))
         lead, rest = u.shape[: u.ndim - len(self.shape)], self.shape[1:]
         return np.asarray((u.reshape(*lead, -1) @ self.matrix.T).reshape(*lead, -1, *rest))
 
     def vjp(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
-        """Lᵗ w on all nodes, [..., N, …], of w on the interior, [..., I, …], whatever u."""
+        """Transposed product Lᵗ w on all nodes, [..., N, …], of w on the interior, [..., I, …]."""
         w = self.of_interior(w)
         lead = w.shape[: w.ndim - len(self.shape)]
         return np.asarray((w.reshape(*lead, -1) @ self.matrix).reshape(*lead, *self.shape))
 
     def tangent(self, u: Any) -> sp.csr_array:
-        """`matrix`, whatever u."""
+        """Tangent L = `matrix` at any u."""
         return self.matrix
 
     def interior_tangent(self, u: Any) -> sp.csc_array:
-        """L between interior nodes, sparse."""
+        """Tangent L between interior nodes, sparse."""
         components = int(np.prod(self.shape[1:]))
         return self.matrix.tocsc()[:, np.repeat(self.points.interior, components)]
 
     def solve(self, b: ArrayLike | None, u: ArrayLike, solver: Solver = None) -> Solution:
-        """The steady state, with L u = b on the interior, given on all other nodes, of fields
-        [N, …] or [S, N, …]; b None for none.
+        """Solve L u = b (or 0) for the steady state, given on other nodes, [N, …] or [S, N, …].
 
-        Raises InputError for other shapes, values that are not finite, a matrix that is singular,
-        as of a piece that nothing touches, or has eigenvalues below zero.
+        Raises InputError for other shapes, values not finite, and a matrix that is singular, as of
+        a piece that nothing touches, or has eigenvalues below zero.
         """
         refuse_solver(solver, (Direct,), "what flows")
         b, given = checked_fields(self.points, b, u, self.shape)
@@ -80,7 +78,7 @@ class FlowOperator(OperatorBase):
 
 
 class DiffusionOperator(FlowOperator):
-    """−∇·κ∇φ, nonlocal, on the interior of a point set (theory, Di1).
+    """Nonlocal diffusion −∇·κ∇φ on the interior of a point set (theory, Di1).
 
     Args:
         law: influence function and conductivity.
@@ -90,9 +88,7 @@ class DiffusionOperator(FlowOperator):
             function of positions [..., 2], taken in series along each bond (Di2). By default the
             law's.
 
-    ``op(phi)`` takes φ on all nodes, shape [N] or [S, N], and returns L φ on the interior, [I] or
-    [S, I].
-
+    ``op(phi)`` takes φ on all nodes, [N] or [S, N], and returns L φ on the interior, [I] or [S, I].
     Raises InputError for a conductivity not > 0, or points that do not carry the horizon.
     """
 
@@ -129,7 +125,7 @@ class DiffusionOperator(FlowOperator):
         self._changes_sign = bool((strength * signs < 0).any())
 
     def _strengths(self, alpha: Any, D: Any, kappa: Any = None) -> torch.Tensor:
-        """v κ of each bond, shape [E], of tensors; its derivatives are torch's."""
+        """Strength v κ of each bond, shape [E], as a tensor with torch's derivatives."""
         r, weight, own = map(torch.from_numpy, (self._r, self._weight, self._owner))
         basis = bernstein_basis(self._r, self.model.horizon, len(D) - 1)
         K = r**-alpha * (torch.from_numpy(basis) @ D)
@@ -145,7 +141,7 @@ class DiffusionOperator(FlowOperator):
         return torch.as_tensor(v * kappa)
 
     def _along_bonds(self, kappa: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-        """κ of each bond, its parts in series (Di2), shape [E]."""
+        """Conductivity κ of each bond, its parts in series (Di2), shape [E]."""
         points, (near, far) = self.points, self._ends
         xi = points.x[far] - points.x[near]
         if points.box is not None:
@@ -159,12 +155,11 @@ class DiffusionOperator(FlowOperator):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of one field, [N]."""
+        """Shape of one field, [N]."""
         return (len(self.points.x),)
 
     def interior_tangent(self, u: Any) -> sp.csc_array:
-        """L between interior nodes, shape [I, I]; InputError where a kernel that changes sign gives
-        L + Lᵗ eigenvalues below zero: φ would grow without end."""
+        """Tangent L [I, I] of interior nodes; InputError for eigenvalues of L + Lᵗ below zero."""
         matrix = super().interior_tangent(u)
         if self._changes_sign and len(self.rows):
             shift = ROUNDING * np.abs(matrix.diagonal()).max()
@@ -178,18 +173,18 @@ class DiffusionOperator(FlowOperator):
 
     @property
     def learnable(self) -> dict[str, Any]:
-        """α and D, and κ where it is one number or one a node [N]."""
+        """Learnable parameters α and D, and κ where it is one number or one a node [N]."""
         own = {"alpha": self.model.alpha, "D": self.model.D}
         return own if callable(self.given) else own | {"kappa": self.given}
 
     def at(self, numbers: Mapping[str, Any]) -> DiffusionOperator:
-        """The same with other numbers; InputError for κ not > 0."""
+        """Operator with other parameters; InputError for κ not > 0."""
         law = replace(self.model, alpha=float(numbers["alpha"]), D=numbers["D"])
         return DiffusionOperator(law, self.points, kappa=numbers.get("kappa", self.given))
 
     @torch.enable_grad()
     def by_numbers(self, name: str, u: np.ndarray, w: np.ndarray) -> np.ndarray:
-        """Derivatives of Σ w · L φ to a number, of fields [K, N] and weights [K, I]."""
+        """Derivative of Σ w · L φ by one parameter, of fields [K, N] and weights [K, I]."""
         near, far = self._ends
         work = ((u[:, near] - u[:, far]) * w[:, self._owner[self._kept]]).sum(axis=0)
         numbers = _tensors(self.learnable)
@@ -199,11 +194,11 @@ class DiffusionOperator(FlowOperator):
         )
 
     def energy(self, u: np.ndarray) -> np.ndarray | None:
-        """h^d (½ φ_I·L φ_I + φ_I·L φ_C), shape [...]; None on scattered points."""
+        """Energy h^d (½ φ_I·L φ_I + φ_I·L φ_C), shape [...]; None on scattered points."""
         return None if self.points.spacing == 0 else self.quadratic(u)
 
     def storage(self) -> sp.csr_array:
-        """What multiplies ∂φ/∂t, one on the interior, sparse [I, N]."""
+        """Storage matrix of ∂φ/∂t, one on the interior, sparse [I, N]."""
         return sp.eye_array(len(self.points.x), format="csr")[self.rows]
 
 
@@ -212,7 +207,7 @@ def _tensors(numbers: Mapping[str, Any]) -> dict[str, torch.Tensor]:
 
 
 def _conductivities(given: Any, count: int, place: str) -> np.ndarray:
-    """One number or one a place, checked."""
+    """Check one conductivity, or one a place."""
     values = checked("conductivity", given)
     if values.shape not in ((), (count,)):
         raise InputError(
@@ -225,15 +220,14 @@ def _conductivities(given: Any, count: int, place: str) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DiffusionMaterial(Record, format="warp_peri.conductor"):
-    """Flux −κ∇φ spread over a ball, with K(r) = r^(−α) Σ_k D_k B_k,M(r/δ).
+    """Material with flux −κ∇φ over a ball, K(r) = r^(−α) Σ_k D_k B_k,M(r/δ).
 
     Attributes:
         horizon: δ [length].
-        conductivity: κ > 0, of where no field of it is given [stress length²/time of a φ without a
-            unit].
+        conductivity: κ > 0 where no field is given [stress length²/time of a φ without a unit].
         alpha: exponent α < 3; InputError for others.
         D: Bernstein coefficients, shape [M + 1]; their common scale has no effect.
-        units: names of the units of length and stress that it is in, as a Model's.
+        units: names of the units of length and stress.
     """
 
     horizon: Length
@@ -251,16 +245,16 @@ class DiffusionMaterial(Record, format="warp_peri.conductor"):
             raise InputError("D: expected finite coefficients, one of them other than 0")
 
     def on(self, points: PointsLike, *, kappa: Conductivity | None = None) -> DiffusionOperator:
-        """The law on points, with a conductivity of its own as of DiffusionOperator."""
+        """Operator on points; `kappa` as of DiffusionOperator."""
         return DiffusionOperator(self, points, kappa=kappa)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ThermoelasticMaterial(Record, format="warp_peri.coupled_solid"):
-    """A solid and what diffuses in it: fields are u₁, u₂ and φ, loads b₁, b₂ and the source.
+    """Solid with a diffusing field φ: fields are u₁, u₂ and φ, loads b₁, b₂ and the source.
 
-    L u + ε Φᵗ φ = b and c ∂φ/∂t − ε ∂θ/∂t + L_κ φ = g, θ = Φ u. Φᵗ is minus the nonlocal gradient
-    that goes with the dilatation, so that what one side works the other receives.
+    L u + ε Φᵗ φ = b and c ∂φ/∂t − ε ∂θ/∂t + L_κ φ = g, θ = Φ u; Φᵗ is minus the nonlocal gradient
+    of the dilatation, so that energy is exchanged exactly.
 
     Attributes:
         model: of the solid, one influence function.
@@ -268,7 +262,7 @@ class ThermoelasticMaterial(Record, format="warp_peri.coupled_solid"):
         coupling: ε [stress].
         storage: c ≥ 0 [stress].
 
-    Raises InputError for a coupling that is not finite, a storage below 0, and other units of one.
+    Raises InputError for a coupling that is not finite, a storage below 0, and differing units.
     """
 
     model: LPSMaterial
@@ -285,7 +279,7 @@ class ThermoelasticMaterial(Record, format="warp_peri.coupled_solid"):
 
     @property
     def horizon(self) -> float:
-        """δ, the longer of the two [length]."""
+        """Horizon δ [length], the longer of the two."""
         return max(self.model.horizon, self.conductor.horizon)
 
     @property
@@ -294,14 +288,14 @@ class ThermoelasticMaterial(Record, format="warp_peri.coupled_solid"):
         return self.model.units
 
     def with_parameters(self, numbers: Mapping[str, Any]) -> ThermoelasticMaterial:
-        """The same with other numbers of the solid, and another coupling."""
+        """Material with other parameters of the solid, and another coupling."""
         own = {name: numbers[name] for name in self.model.learnable}
         return replace(
             self, model=self.model.with_parameters(own), coupling=float(numbers["coupling"])
         )
 
     def on(self, points: PointsLike, *, kappa: Conductivity | None = None) -> CoupledOperator:
-        """The solid on a lattice, with a conductivity of its own as of DiffusionOperator."""
+        """Operator on a lattice; `kappa` as of DiffusionOperator."""
         return CoupledOperator(self, points, kappa=kappa)
 
 
@@ -310,13 +304,10 @@ OF_CONDUCTOR = "conductor_"
 
 
 class CoupledOperator(FlowOperator):
-    """A coupled solid on a lattice, whose interior is what is free, of u and of φ.
+    """Coupled solid on a lattice, whose interior are the free nodes of u and of φ.
 
-    ``op(u)`` takes u₁, u₂, φ of all nodes, shape [N, 3], and returns what loads and source are in
-    the steady state, [I, 3].
-
-    Raises InputError for kernels that change sign and leave one of the two with eigenvalues below
-    zero, and as DiffusionOperator, which says what `kappa` is.
+    ``op(u)`` takes u₁, u₂, φ on all nodes, [N, 3], and returns steady loads and source, [I, 3].
+    Raises InputError for kernels that leave eigenvalues below zero, and as DiffusionOperator.
     """
 
     implicit = 1.0
@@ -352,11 +343,11 @@ class CoupledOperator(FlowOperator):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of one field, [N, 3]."""
+        """Shape of one field, [N, 3]."""
         return (len(self.points.x), 3)
 
     def _whole(self, blocks: list[list[Any]]) -> sp.csr_array:
-        """A matrix of the blocks of displacement and φ, in the order of fields."""
+        """Assemble blocks of displacement and φ in the order of fields."""
         both = sp.block_array(blocks, format="csr")
         rows, columns = (
             np.column_stack([2 * n, 2 * n + 1, 2 * len(n) + n]).ravel()
@@ -366,7 +357,7 @@ class CoupledOperator(FlowOperator):
 
     @property
     def learnable(self) -> dict[str, Any]:
-        """λ, μ, α and D of the solid, ε, and the conductor's as conductor_alpha and so on."""
+        """Learnable parameters λ, μ, α, D, ε, and the conductor's as conductor_alpha and so on."""
         conductor = {OF_CONDUCTOR + n: value for n, value in self.diffusion.learnable.items()}
         return self.model.model.learnable | {"coupling": self.model.coupling} | conductor
 
@@ -374,13 +365,13 @@ class CoupledOperator(FlowOperator):
         return {name: numbers[OF_CONDUCTOR + name] for name in self.diffusion.learnable}
 
     def at(self, numbers: Mapping[str, Any]) -> CoupledOperator:
-        """The same with other numbers; InputError as the class, and for κ not > 0."""
+        """Operator with other parameters; InputError as the class, and for κ not > 0."""
         diffusion = self.diffusion.at(self._of_conductor(numbers))
         material = replace(self.model.with_parameters(numbers), conductor=diffusion.model)
         return CoupledOperator(material, self.points, kappa=diffusion.given)
 
     def force_with_parameters(self, u: Any, numbers: Any) -> Any:
-        """The force of tensors [S, N, 3] with other numbers, differentiable once in all."""
+        """Force of tensors [S, N, 3] with other parameters, differentiable once in all."""
         field, phi = u[..., :2], u[..., 2]
         parts = self.model.model, self.body, self.table
         force = bond_force(*parts, field, numbers, numbers["coupling"] * phi)
@@ -388,11 +379,11 @@ class CoupledOperator(FlowOperator):
         return torch.cat([force[:, self.rows], flux[..., None]], dim=-1)
 
     def storage(self) -> sp.csr_array:
-        """What multiplies the rates of u₁, u₂ and φ, sparse [3 I, 3 N]."""
+        """Storage matrix of the rates of u₁, u₂ and φ, sparse [3 I, 3 N]."""
         return self._storage
 
     def storage_slopes(self, names: list[str], rates: np.ndarray, w: np.ndarray) -> dict[str, Any]:
-        """Derivatives of Σ w · storage() rates to numbers, of rates [K, N, 3], w [K, I, 3]."""
+        """Derivatives of Σ w · storage() rates by parameters, of rates [K, N, 3], w [K, I, 3]."""
         numbers = _tensors(self.learnable)
         asked = [numbers[name].requires_grad_() for name in names]
         phi = torch.from_numpy(self.on_all(w)[..., 2])

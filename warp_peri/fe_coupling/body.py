@@ -1,7 +1,7 @@
-"""Bodies with free edges at rest, and its gradient to load and material (theory, B).
+"""Equilibria of bodies with free edges, and their gradients to load and material (theory, B).
 
-A kernel that changes sign does not bear families that an edge cuts. The operator stays where its
-families are whole; a rim along the outline is elasticity with the operator's own long-wave moduli.
+The operator stays where its families are whole; a rim along the outline is elasticity with the
+operator's own long-wave moduli.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ UNTOLD = Coupling()
 
 @dataclass(frozen=True, eq=False)
 class BodySolution:
-    """A body in equilibrium.
+    """Body in equilibrium.
 
     Attributes:
         model: of the bulk, on its lattice; a peridynamic solid or a crystal.
@@ -66,8 +66,8 @@ class BodySolution:
         points: nodes of the bulk, unknown and collar; None where elements are alone.
         u_bulk: displacement of these [Å], shape [N, d].
         overlap: of the two [Å].
-        exchange: what it took, and residuals of both.
-        problem: what was solved, factorised; for gradients.
+        exchange: record of the iterations, and residuals of both.
+        problem: the factorised problem, for gradients.
     """
 
     model: Any
@@ -84,19 +84,18 @@ class BodySolution:
 
     @property
     def rim_stress(self) -> np.ndarray:
-        """σ [TPa] at the rim's nodes, shape [n, d, d]."""
+        """Stress σ [TPa] at the rim's nodes, shape [n, d, d]."""
         return self.rim.stress(self.moduli, self.u_rim)
 
     @property
     def bulk_stress(self) -> np.ndarray:
-        """σ [TPa] at the unknown nodes of the bulk, shape [I, d, d]."""
+        """Stress σ [TPa] at the unknown nodes of the bulk, shape [I, d, d]."""
         if not isinstance(self.problem, Schwarz):
             return np.zeros((0, self.rim.d, self.rim.d))
         return np.asarray(self.problem.bulk.stress(self.u_bulk))
 
     def on_corners(self) -> tuple[np.ndarray, np.ndarray]:
-        """u [Å], shape [P, d], and σ [TPa], shape [P, d, d], at the mesh's corners: the rim's where
-        it is, the bulk's elsewhere."""
+        """Displacement [Å], [P, d], and stress [TPa], [P, d, d], at the mesh's corners."""
         rim, d, count = self.rim, self.rim.d, len(self.rim.mesh.x)
         u, stress, rest = np.empty((count, d)), np.empty((count, d, d)), np.ones(count, bool)
         u[rim.corners] = self.u_rim[rim.corner_nodes]
@@ -109,8 +108,10 @@ class BodySolution:
         return u, stress
 
     def probe(self, x: np.ndarray) -> tuple[sp.csr_array, sp.csr_array]:
-        """Matrices R and B, u(x) = R u_rim + B u_bulk, shapes [m, n] and [m, N], at positions x
-        [m, d]: the rim's where it is, the bulk's elsewhere; InputError outside the mesh."""
+        """Matrices R [m, n] and B [m, N] with u(x) = R u_rim + B u_bulk at positions x [m, d].
+
+        The rim's where it is, the bulk's elsewhere; InputError outside the mesh.
+        """
         cell = self.rim.mesh.holding(x)
         if (cell < 0).any():
             raise InputError(f"x: {np.count_nonzero(cell < 0)} positions are outside the mesh")
@@ -123,7 +124,7 @@ class BodySolution:
         return sp.csr_array(R), sp.csr_array(B)
 
     def displacement(self, x: np.ndarray) -> np.ndarray:
-        """u [Å] at positions of the body, both of shape [m, 2]; as `probe`."""
+        """Displacement [Å] at positions of the body, both of shape [m, 2]; as `probe`."""
         R, B = self.probe(x)
         return np.asarray(R @ self.u_rim + B @ self.u_bulk)
 
@@ -139,16 +140,15 @@ def solve_body(
     coupling: Coupling = UNTOLD,
     allow_uncertified: bool = False,
 ) -> BodySolution:
-    """A body in equilibrium, its outline held in part, pulled in part, free elsewhere (B1–B7).
+    """Solve for a body's equilibrium, its outline held in part, pulled in part, else free (B1–B7).
 
     Args:
         model: a peridynamic solid, certified on some lattice and transferred to that of the bulk,
             in the plane; or a crystal, on its own lattice, its axes those of the mesh.
         mesh, displacement, traction, b, edge, coupling: as of problems.Body.
-        allow_uncertified: the model's own numbers on a lattice that nothing is proven of.
+        allow_uncertified: the model's own parameters on a lattice that nothing is proven of.
 
-    Warns of strains far beyond the data that the model was trained on. Raises InputError as
-    problems.Body says.
+    Warns of strains far beyond the training data. Raises InputError as problems.Body.
     """
     loads, springs = loads_on(mesh, displacement, traction, b), _springs(edge or {}, mesh)
     model, stiff, spacing, tried = _on_lattice(model, mesh, loads.b, coupling, allow_uncertified)
@@ -192,7 +192,7 @@ def solve_body(
 def _on_lattice(
     model: Any, mesh: Mesh, b: Field | None, coupling: Coupling, allow_uncertified: bool
 ) -> tuple[Any, Moduli, float, tuple[Tried, ...]]:
-    """The model on the bulk's lattice, its long waves' moduli, the spacing, and what was tried."""
+    """Model on the bulk's lattice, its long-wave moduli, the spacing, and the lattices tried."""
     spacing, tried, plane = coupling.spacing, tuple[Tried, ...](), isinstance(model, LPSMaterial)
     if mesh.dimension != (dimension := 2 if plane else model.dimension):
         kind = {2: "triangles", 3: "tetrahedra"}
@@ -222,7 +222,7 @@ def _on_lattice(
 
 
 def _rim_problem(K: Any, fixed: np.ndarray, springs: Mapping[str, float]) -> RimProblem:
-    """The rim's problem; InputError where softer edges leave it without a stable answer."""
+    """Make the rim's problem; InputError where softer edges leave it without a stable answer."""
     problem = RimProblem(K, fixed.ravel())
     if min(springs.values(), default=0.0) < 0 and definite_factors(problem.inside) is None:
         raise InputError(
@@ -232,7 +232,7 @@ def _rim_problem(K: Any, fixed: np.ndarray, springs: Mapping[str, float]) -> Rim
 
 
 def _alone(model: Any, needed: float, deepest: float) -> str:
-    """Why elements are alone, and what gives the lattice room; depths of cells, [Å]."""
+    """Explain why elements are alone, and what gives the lattice room; depths of cells, [Å]."""
     unit, cell = symbols(model.units)[0], "triangle" if model.dimension == 2 else "tetrahedron"
     return (
         f"mesh: no {cell} is {needed:g} {unit} from the body's edge, the collar and the overlap "
@@ -242,7 +242,7 @@ def _alone(model: Any, needed: float, deepest: float) -> str:
 
 
 def long_wave(model: Any, spacing: float) -> Moduli:
-    """The moduli of a model on its lattice; InputError unless their energy is positive."""
+    """Moduli of a model's long waves on its lattice; InputError unless their energy is positive."""
     if isinstance(model, LPSMaterial):
         found = Moduli.square(**moduli(model, bond_classes(spacing, model.horizon)))
     else:
@@ -256,7 +256,7 @@ def long_wave(model: Any, spacing: float) -> Moduli:
 
 
 def _axis_of(crystal: Any) -> Any:
-    """How the crystal lies on its own nodes, as points state it."""
+    """Orientation of a crystal on its own nodes, as points state it."""
     turn = np.asarray(crystal.orientation)
     return float(np.degrees(np.arctan2(turn[1, 0], turn[0, 0]))) if len(turn) == 2 else turn
 
@@ -269,7 +269,7 @@ def _largest_strain(found: BodySolution) -> float:
 
 
 def _springs(edge: Mapping[str, float], mesh: Mesh) -> dict[str, float]:
-    """Edge stiffnesses by part, checked."""
+    """Check edge stiffnesses by part of the outline."""
     for name, size in edge.items():
         check_part(name, mesh)
         if not (is_number(size) and np.isfinite(size)):
@@ -305,8 +305,10 @@ class BodyGradient:
         traction: Mapping[str, Traction | ArrayLike] | None = None,
         b: Field | None = None,
     ) -> float:
-        """dJ of a change of the loads, given as solve_body takes them; InputError for a part that
-        the mesh has not, and displacement where none was held."""
+        """Derivative dJ along a change of the loads, given as solve_body takes them.
+
+        Raises InputError for a part that the mesh has not, and displacement where none was held.
+        """
         rim, points, problem = self.solution.rim, self.solution.points, self.solution.problem
         change = loads_on(rim.mesh, displacement or {}, traction, b)
         total = float(np.vdot(self.f, change.on(rim)))
@@ -352,7 +354,7 @@ def body_gradient(
 
 
 def _work(solution: BodySolution, model: LPSMaterial, f: np.ndarray, b: np.ndarray) -> float:
-    """w · K u + v · L u with the λ and μ of a model."""
+    """Virtual work w · K u + v · L u with the λ and μ of a model."""
     K = solution.rim.stiffness(long_wave(model, solution.spacing))
     total = float(np.vdot(f, K @ solution.u_rim.ravel()))
     if solution.points is not None:

@@ -1,4 +1,4 @@
-"""Elements at the rim of a body, and what is given there: tractions, held parts, loads (B1–B3)."""
+"""Elements at the rim of a body, and its loads: tractions, held parts, body forces (B1–B3)."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ Traction = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Moduli:
-    """C_ijkl [stress] of an elastic solid, shape [d, d, d, d]."""
+    """Elastic moduli C_ijkl [stress] of a solid, shape [d, d, d, d]."""
 
     tensor: np.ndarray
 
     @classmethod
     def square(cls, C11: float, C12: float, C44: float) -> Moduli:
-        """Of a sheet whose axes are those of a square lattice."""
+        """Moduli of a sheet whose axes are those of a square lattice."""
         C = np.zeros((2, 2, 2, 2))
         for a in (0, 1):
             C[a, a, a, a], C[a, a, 1 - a, 1 - a] = C11, C12
@@ -50,11 +50,11 @@ class Moduli:
 
     @property
     def C44(self) -> float:
-        """The shear modulus of the first two axes."""
+        """Shear modulus of the first two axes."""
         return float(self.tensor[0, 1, 0, 1])
 
     def stress(self, gradient: np.ndarray) -> np.ndarray:
-        """σ [stress] of displacement gradients, both of shape [..., d, d]."""
+        """Stress σ [stress] of displacement gradients, both of shape [..., d, d]."""
         return np.asarray(np.einsum("ijkl,...kl->...ij", self.tensor, gradient))
 
 
@@ -63,7 +63,7 @@ MOST_STEPS, FOUND = 30, 1e-11
 
 
 class Rim:
-    """Some cells of a mesh as elements of degree 1, or of degree 2 and curved at the outline.
+    """Elements of degree 1, or of degree 2 and curved at the outline, on some cells of a mesh.
 
     Node i has the displacements d i to d i + d − 1.
 
@@ -114,7 +114,7 @@ class Rim:
 
     @cached_property
     def _squares(self) -> dict[tuple[int, int], sp.csr_array]:
-        """∫ ∂_a φ_i ∂_c φ_j, [n, n] by a and c."""
+        """Integrals ∫ ∂_a φ_i ∂_c φ_j, [n, n] by a and c."""
         each = {
             (a, c): self._product(lambda u, v, w, a=a, c=c: v.grad[a] * u.grad[c], self.basis)
             for a, c in itertools.combinations_with_replacement(range(self.d), 2)
@@ -122,13 +122,10 @@ class Rim:
         return {(c, a): square.T for (a, c), square in each.items()} | each
 
     def stiffness(self, moduli: Moduli, springs: Mapping[str, float] | None = None) -> sp.csr_array:
-        """K [stress], shape [d n, d n], linear in the moduli (B2).
+        """Stiffness K [stress], shape [d n, d n], linear in the moduli (B2).
 
-        Args:
-            moduli: of the elements.
-            springs: stiffness E_s of an edge of its own by part of the outline, its force over its
-                strain and the sheet's thickness [stress · length]: ∫ E_s (τ · ε(v) τ) (τ · ε(u) τ)
-                (B10); in the plane.
+        `springs` has by part of the outline the stiffness E_s of an edge of its own, force over
+        strain and thickness [stress · length]: ∫ E_s (τ · ε(v) τ) (τ · ε(u) τ), in the plane (B10).
         """
         C = moduli.tensor
         K = sum(sp.kron(square, C[:, a, :, c]) for (a, c), square in self._squares.items())
@@ -143,11 +140,11 @@ class Rim:
         return sp.csr_array(K)
 
     def body_force(self, b: Field) -> np.ndarray:
-        """∫ b · φ [TPa Å], shape [n, d], of a body force density [TPa/Å]."""
+        """Nodal loads ∫ b · φ [TPa Å], shape [n, d], of a body force density [TPa/Å]."""
         return self._load(self.basis, b)
 
     def traction(self, part: str, t: Traction) -> np.ndarray:
-        """∫ t · φ [TPa Å], shape [n, d], of a force per area [TPa] on a part of the outline."""
+        """Nodal loads ∫ t · φ [TPa Å], shape [n, d], of a force per area [TPa] on a part."""
         basis = self._facets(part, self.element)
         return self._load(basis, lambda x: t(x, _points(basis.normals)))
 
@@ -163,8 +160,8 @@ class Rim:
         return f
 
     def probe(self, x: np.ndarray, holding: np.ndarray) -> sp.csr_array:
-        """Matrix from values at the nodes to values at points x [m, d], each held by a cell of the
-        rim with this number in the mesh, shape [m, n]."""
+        """Matrix [m, n] from values at nodes to values at x [m, d], in the cells `holding`
+        these."""
         cells, mapping = self.cells[holding], self.basis.mapping
         at, count = self._places(x, cells), range(self.basis.Nbfun)
         values = [self.element.gbasis(mapping, at, k, tind=cells)[0] for k in count]
@@ -185,10 +182,10 @@ class Rim:
         raise InputError("mesh: expected curved cells that are one-to-one, some are folded")
 
     def stress(self, moduli: Moduli, u: np.ndarray) -> np.ndarray:
-        """σ [TPa] at the nodes, shape [n, d, d]: means over the elements that meet there.
+        """Stress σ [TPa] at the nodes, shape [n, d, d]: means over the elements that meet there.
 
-        In each element it is the linear field through its values at d + 1 places inside. Those are
-        more accurate than values at nodes, above all in elements with curved sides.
+        In each element it is the linear field through its values at d + 1 places inside, which are
+        more accurate than those at nodes, above all in curved elements.
         """
         basis = self._fem.Basis(self.basis.mesh, self.element, intorder=2)
         nodes = self.basis.element_dofs.T
@@ -206,8 +203,9 @@ class Rim:
 
 
 class RimProblem(LinearOperator):  # type: ignore[misc]
-    """K u = f with some displacements given, factorised once: a linear map from (f, given), flat
-    [2 d n], to u, flat [d n].
+    """Problem K u = f with some displacements given, factorised once.
+
+    A linear map from (f, given), flat [2 d n], to u, flat [d n].
 
     Args:
         K: stiffness [TPa], shape [d n, d n], symmetric.
@@ -228,7 +226,7 @@ class RimProblem(LinearOperator):  # type: ignore[misc]
         return u
 
     def _rmatvec(self, by_u: np.ndarray) -> np.ndarray:
-        """Derivatives by f and by what is given, of ones by u."""
+        """Derivatives by f and by given displacements, of derivatives by u."""
         by_f = np.zeros((2, len(self.free)))
         if self._factors:
             by_f[0, self.free] = w = self._factors.solve(by_u.ravel()[self.free])
@@ -237,7 +235,7 @@ class RimProblem(LinearOperator):  # type: ignore[misc]
         return by_f.ravel()
 
     def residual(self, f: np.ndarray, u: np.ndarray) -> float:
-        """‖K u − f‖ over ‖f − K of what is given‖ on the free displacements."""
+        """Residual ‖K u − f‖ over ‖f − K of what is given‖ on the free displacements."""
         left, right = (f[self.free] - self._rows @ one for one in (u, np.where(self.free, 0.0, u)))
         return float(np.linalg.norm(left) / (np.linalg.norm(right) or 1.0))
 
@@ -252,7 +250,7 @@ def _columns(asked: np.ndarray, there: np.ndarray) -> np.ndarray:
 
 
 def _points(field: Any) -> np.ndarray:
-    """[d, elements, places] as [n, d]."""
+    """Reshape a field [d, elements, places] to [n, d]."""
     return np.moveaxis(np.asarray(field), 0, -1).reshape(-1, len(field))
 
 
@@ -262,8 +260,8 @@ FINE = 4
 
 @dataclass(frozen=True)
 class BodyLoads:
-    """Displacement [Å], of which NaN leaves a component free, and traction by part of the outline,
-    and a body force density."""
+    """Displacement [Å], NaN for a free component, and traction by part of the outline; body
+    force."""
 
     held: Mapping[str, Field]
     pulls: Mapping[str, Traction]
@@ -277,13 +275,10 @@ class BodyLoads:
         return f
 
     def density(self, x: np.ndarray, spacing: float) -> np.ndarray:
-        """The body force density [TPa/Å] that nodes of a lattice feel, both of shape [n, d].
+        """Body force density [TPa/Å] at lattice nodes x, along the axes [Å], both of shape [n, d].
 
-        Its mean around a node (B16), by weights that add up to one over the nodes and
-        leave quadratic fields as they are: no force is lost between nodes, and what changes from
-        triangle to triangle is not taken for a long wave. It is read up to 2.5 spacings away.
-
-        x: along the axes, so that they lie on a lattice of the spacing [Å].
+        The mean around a node, read up to 2.5 spacings away (B16): no force is lost between nodes,
+        quadratic fields stay, and jumps between triangles are smoothed.
         """
         if self.b is None:
             return np.zeros_like(x)
@@ -308,7 +303,7 @@ class BodyLoads:
         return there
 
     def given(self, rim: Rim) -> tuple[np.ndarray, np.ndarray]:
-        """Held displacements of the nodes of elements, and which they are, shape [n, d] each."""
+        """Held displacements of the nodes of elements, and their mask, shape [n, d] each."""
         given, fixed = np.zeros_like(rim.x), np.zeros(rim.x.shape, bool)
         for name, values in self.held.items():
             nodes, own = rim.nodes_of(name), rim.mesh.parts[name]
@@ -344,8 +339,10 @@ def loads_on(
     traction: Mapping[str, Traction | ArrayLike] | None,
     b: Field | None,
 ) -> BodyLoads:
-    """Loads as functions, which raise InputError for other shapes and what is not finite; one for a
-    part that the mesh has not, or a body force that is no function."""
+    """Make loads as functions, which raise InputError for other shapes and values not finite.
+
+    Raises InputError for a part that the mesh has not, or a body force that is no function.
+    """
     every = {"displacement": displacement, "traction": traction or {}}
     for name, given in every.items():
         if not isinstance(given, Mapping):
@@ -370,7 +367,7 @@ def check_part(name: str, mesh: Mesh) -> None:
 
 
 def _field(name: str, value: Field | Traction | ArrayLike, *, free: bool = False) -> Any:
-    """A value or function as one that answers with finite vectors; NaN where it may be free."""
+    """Make a function with finite values of a value or function; NaN where it may be free."""
 
     def answer(*where: np.ndarray) -> np.ndarray:
         given = value(*where) if callable(value) else value

@@ -1,5 +1,4 @@
-"""The lattice inside a body, laid into it (theory, B4, B15), and how it meets the rim: alternating
-solves, and whole bodies in elements (B5–B7, B11)."""
+"""Lattice inside a body (theory, B4, B15), and its coupling to the rim (B5–B7, B11)."""
 
 from __future__ import annotations
 
@@ -39,10 +38,10 @@ LOOSEST = 1e-3
 def bulk_points(
     mesh: Mesh, spacing: float, reach: float, depth: float, *, units: Units = USUAL
 ) -> tuple[Points, np.ndarray] | None:
-    """Lattice nodes of a body, multiples of the spacing [Å], unknown where they are `depth` off the
-    outline [Å], with a collar that reaches so far [Å]; and the cell that holds each, shape [N].
+    """Lattice nodes of a body, multiples of the spacing [Å], and the cell that holds each, [N].
 
-    None where no node is so far inside. Raises InputError as check_extent.
+    Unknown are those at least `depth` [Å] inside, the collar reaches `reach` [Å] from them. None
+    where no node is so far inside. Raises InputError as check_extent.
     """
     check_extent(mesh, spacing, units)
     low, high = mesh.x.min(axis=0), mesh.x.max(axis=0)
@@ -74,11 +73,11 @@ def check_extent(mesh: Mesh, spacing: float, units: Units = USUAL) -> None:
 
 
 class Bulk(LinearOperator):  # type: ignore[misc]
-    """L u = b on the unknown nodes of a linear material: a linear map from b there and u on the
-    collar, flat [d (I + C)], to u there, flat [d I].
+    """Problem L u = b of a linear material on the unknown nodes.
 
-    `accuracy` is that of the next solve; `stiff` says that λ ≫ μ. Raises InputError for an operator
-    that is singular or indefinite.
+    A linear map from b and u on the collar, flat [d (I + C)], to u, flat [d I]. `accuracy` is that
+    of the next solve; `stiff` says that λ ≫ μ. Raises InputError for a singular or indefinite
+    operator.
     """
 
     accuracy = 0.0
@@ -92,13 +91,13 @@ class Bulk(LinearOperator):  # type: ignore[misc]
         super().__init__(float, (self.inside.size * points.dimension, points.x.size))
 
     def joined(self, inner: np.ndarray, collar: np.ndarray) -> np.ndarray:
-        """A field of all nodes [N, d], of its values on the unknown ones and on the collar."""
+        """Field of all nodes [N, d], from its values on the unknown ones and on the collar."""
         u = np.empty_like(self.points.x)
         u[self.inside], u[self.collar] = inner.reshape(-1, u.shape[1]), collar
         return u
 
     def residual(self, b: np.ndarray, u: np.ndarray) -> float:
-        """‖L u − b‖ over ‖b − L of the collar‖."""
+        """Residual ‖L u − b‖ over ‖b − L of the collar‖."""
         held = self.joined(0 * u[self.inside], u[self.collar])
         left, right = (np.linalg.norm(b - self.linear(one[None])[0]) for one in (u, held))
         return float(left / (right or 1.0))
@@ -113,13 +112,15 @@ class Bulk(LinearOperator):  # type: ignore[misc]
         return np.append(w, -self.linear.push(w.reshape(len(self.inside), -1))[self.collar])
 
     def _solved(self, right: np.ndarray) -> np.ndarray:
-        """L_II⁻¹ of a right-hand side [I, d], well within the accuracy."""
+        """Solve L_II u = right [I, d], well within the accuracy."""
         return np.ravel(self._inverse(right, min(LOOSEST, SHARE * self.accuracy)))
 
 
 def cubic(points: Points, x: np.ndarray) -> sp.csr_array:
-    """Matrix from values at unknown nodes to values at positions, shape [m, I], by Lagrange's
-    cubics of the 4^d nodes around each (B5); InputError where one of them is not unknown."""
+    """Matrix [m, I] of cubic Lagrange interpolation from the 4^d nodes around each position (B5).
+
+    Raises InputError where one of them is not unknown.
+    """
     h, d = points.spacing, x.shape[1]
     grid = np.rint(points.x / h).astype(int)
     corner = grid.min(axis=0)
@@ -158,7 +159,7 @@ OVERLAP, CRYSTAL_OVERLAP = 2.0, 4.0
 
 
 def collar_and_overlap(model: Any, horizon: float, coupling: Coupling) -> tuple[float, float]:
-    """How far unknown nodes feel with this horizon, and how deep elements and lattice overlap."""
+    """Collar width of unknown nodes with this horizon, and depth of the elements' overlap."""
     plane = isinstance(model, LPSMaterial)
     usual = OVERLAP * horizon if plane else CRYSTAL_OVERLAP * model.spacing
     return (2 if plane else 1) * horizon, coupling.overlap or usual
@@ -166,7 +167,7 @@ def collar_and_overlap(model: Any, horizon: float, coupling: Coupling) -> tuple[
 
 @dataclass(frozen=True)
 class Tried:
-    """A lattice that was looked at.
+    """Lattice that was tried for the bulk.
 
     Attributes:
         spacing: h [Å].
@@ -187,13 +188,12 @@ class Tried:
 def bulk_lattice(
     model: LPSMaterial, mesh: Mesh, b: Field | None, coupling: Coupling
 ) -> tuple[LPSMaterial, tuple[Tried, ...]]:
-    """The model on the coarsest lattice that resolves the loads and the body, and what was tried,
-    what was taken at last.
+    """Transfer the model to the coarsest lattice that resolves loads and body; lists those tried.
 
-    The loads are resolved where waves as long as those of the body force b, by its mean square
-    slope, agree with the model at home to the tolerance of a transfer. The body is where half of
-    its area lies two horizons inside, and no hole is smaller than the overlap. Where no lattice
-    does, the finest is taken, with a warning when it is for the loads.
+    Loads are resolved where waves as long as those of b, by its mean square slope, agree with the
+    model at home to the tolerance of a transfer; the body where half of its area lies two horizons
+    inside and no hole is smaller than the overlap. Else the finest is taken, for loads with a
+    warning.
     """
     home, unit = max(model.certified_on), symbols(model.units)[0]
     check_extent(mesh, home, model.units)
@@ -237,7 +237,7 @@ def bulk_lattice(
 
 
 def _wave_error(model: LPSMaterial, wave_number: float) -> float:
-    """Largest error of waves as long, or longer, that the transfer's record knows."""
+    """Largest error that the transfer's record has of waves as long, or longer."""
     record = model.provenance["transfer"]
     numbers = 2 * np.pi / np.array(record["wavelength"])
     errors = np.maximum.accumulate(record["error"])
@@ -268,14 +268,13 @@ GOAL = 0.5
 
 @dataclass
 class Exchange:
-    """What an exchange took, and how well both sides are solved at the end.
+    """Record of the alternating solves of rim and bulk.
 
     Attributes:
         exchanges: solves of the rim, each with one of the bulk.
         mismatch: of the rim's inner side, relative: what the bulk hands back less what it was
             given.
-        rim_residual, bulk_residual: ‖K u − f‖ and ‖L u − b‖ over the right-hand side, what one
-            takes of the other as it has it.
+        rim_residual, bulk_residual: ‖K u − f‖ and ‖L u − b‖ over the right-hand side.
     """
 
     exchanges: int = 0
@@ -287,13 +286,11 @@ class Exchange:
 def in_elements(
     moduli: Moduli, springs: Mapping[str, float], loads: BodyLoads, rim: Rim, outside: np.ndarray
 ) -> tuple[np.ndarray, LinearOperator]:
-    """The whole body in linear elements: a first guess of the rim's inner side [Å], flat [d G], and
-    (I − M)⁻¹ of a jump of it, [d G, d G].
+    """First guess of the rim's inner side [Å], flat [d G], and (I − M)⁻¹ of its jumps, [d G, d G].
 
-    Were the bulk elements of the same kind, one exchange would be g ↦ M g + r with a matrix M for
-    which (I − M)⁻¹ is a solve of the whole body. What is left for GMRES is the difference between
-    the bulk and those elements. `outside` are corners of the mesh that are less deep than unknown
-    nodes of the bulk, shape [P].
+    Both are of the whole body in linear elements: with these as bulk an exchange would be g ↦ M g +
+    r, and GMRES is left the difference. `outside` are the corners of the mesh that are less deep
+    than unknown nodes of the bulk, shape [P].
     """
     elements = Rim(rim.mesh, np.ones(len(rim.mesh.cells), bool), degree=1)
     K, d = elements.stiffness(moduli, springs), rim.d
@@ -323,14 +320,12 @@ def in_elements(
 
 
 class Schwarz:
-    """The two problems and what passes between them.
+    """Alternating solves of rim and bulk with their exchange of displacement.
 
     One exchange is linear in the loads q = (f, given, b) and in the inner side g, which is among
     what is given: u = S (q + P g), and the bulk hands back g = R u. Derivatives are the same
-    exchange with Sᵗ, Rᵗ and Pᵗ (B12, B13).
-
-    Of elements and their problem, in which the inner side is among what is given, the bulk, the
-    cell that holds each of its nodes, and, for what passes slowly, what `in_elements` gives.
+    exchange with Sᵗ, Rᵗ and Pᵗ (B12, B13). `cell` holds each bulk node; `whole` is of
+    `in_elements`.
     """
 
     def __init__(
@@ -363,10 +358,10 @@ class Schwarz:
     def solve(
         self, f: np.ndarray, given: np.ndarray, b: np.ndarray, tolerance: float
     ) -> tuple[np.ndarray, np.ndarray, Exchange]:
-        """Displacement of rim [n, d] and bulk [N, d] that agree to a tolerance, and the record.
+        """Displacements of rim [n, d] and bulk [N, d] that agree to a tolerance, and the record.
 
-        Of the load f [TPa Å] and the held displacement on the rim, [n, d], and the body force
-        density b [TPa/Å] on the unknown nodes, [I, d]. Raises InputError when they do not agree.
+        For the load f [TPa Å] and held displacement on the rim, [n, d], and the body force density
+        b [TPa/Å] on the unknown nodes, [I, d]. Raises InputError when they do not agree.
         """
         q = np.concatenate([f.ravel(), given.ravel(), b.ravel()])
         ways = self.once, self.place, self.read, self.correct
@@ -387,8 +382,7 @@ class Schwarz:
     def transposed(
         self, by_rim: np.ndarray, by_bulk: np.ndarray, tolerance: float
     ) -> tuple[np.ndarray, ...]:
-        """The transpose of `solve`: derivatives by f, what is given and b, of ones by the
-        displacement of the rim [n, d] and of the bulk's nodes [N, d]."""
+        """Derivatives by f, given and b, of derivatives by u on rim [n, d] and bulk [N, d]."""
         by_rim = by_rim + self.to_bulk.T @ by_bulk[self.bulk.collar]
         by, n = np.append(by_rim, by_bulk[self.bulk.inside]), by_rim.size
         ways = self.once.T, self.read.T, self.place.T, self.correct.T
@@ -407,7 +401,7 @@ class Schwarz:
         side: np.ndarray,
         tolerance: float,
     ) -> tuple[np.ndarray, Exchange]:
-        """u = once (q + place g), g = read u, by GMRES, later vectors less closely (B6, B11)."""
+        """Solve u = once (q + place g), g = read u by GMRES, later vectors less accurately (B6)."""
         record, bulk = Exchange(), self.bulk
 
         def exchange(q: np.ndarray) -> np.ndarray:
@@ -440,5 +434,5 @@ class Schwarz:
 
 
 def vectors(matrix: sp.csr_array, d: int) -> sp.csr_array:
-    """A matrix of values, for each component of vectors, shape [d m, d n]."""
+    """Matrix of values applied to each component of vectors, shape [d m, d n]."""
     return sp.csr_array(sp.kron(matrix, np.eye(d)))

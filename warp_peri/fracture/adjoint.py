@@ -1,4 +1,4 @@
-"""Bodies in torch: the force of cut ones, and those whose bonds soften, pulled slowly (C16)."""
+"""Forces of cut bodies in torch, and bodies with softening bonds under slow loads (C16)."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ def bond_force(
     numbers: Mapping[str, Any],
     pressure: Any = 0.0,
 ) -> torch.Tensor:
-    """L u of (C4) on all nodes, [S, N, d], of a model with other numbers; has every derivative.
+    """Force L u of (C4) on all nodes, [S, N, d], with other parameters; has every derivative.
 
-    numbers: lam, mu, alpha and D as tensors. pressure: more stress at nodes that resists a
+    numbers: lam, mu, alpha and D as tensors. pressure: additional stress at nodes that resists a
     dilatation [stress], shape [S, N].
     """
     classes, d, mu = body.classes, body.dimension, numbers["mu"]
@@ -68,7 +68,7 @@ def bond_force(
 
 
 def crack_load(cut: Any, stress: np.ndarray, parameters: Mapping[str, Any]) -> torch.Tensor:
-    """As statics.crack_load, of other numbers and differentiable in them, [N, d]."""
+    """Crack load as statics.crack_load, differentiable in the given parameters, [N, d]."""
     numbers = {name: real(name, value) for name, value in (cut.learnable | {**parameters}).items()}
     even, sigma = torch.eye(cut.body.dimension).double(), torch.from_numpy(stress)
     strain = strain_of(sigma, numbers["lam"], numbers["mu"], even)
@@ -81,7 +81,7 @@ def crack_load(cut: Any, stress: np.ndarray, parameters: Mapping[str, Any]) -> t
 
 
 class SoftBody:
-    """A bond-based body whose bonds soften and fail by one law.
+    """Bond-based body whose bonds soften and fail by one law.
 
     Args:
         model: λ = μ, positive on the lattice.
@@ -94,16 +94,7 @@ class SoftBody:
         stiffness, square, breakable: k [stress/length^4], r² [length²], and which may fail, [E].
         free: components that are not given, flat [d N].
 
-    `pull` returns a motion whose time is the load, with the histories load, force: across its line,
-    at right angles to it, per thickness, and broken: bonds by then. With parameters, or a tensor as
-    u, force and the u at the end are tensors, differentiable once along the path that was taken:
-    which bonds failed when is felt, how often a load was settled is not. A body that has come apart
-    along the line has the force 0; where no equilibrium is found before, the curve ends with a
-    warning.
-
-    Raises InputError for another model, and for a piece of the body that nothing holds; `pull` for
-    loads that do not rise, a line that no bond crosses, a first load without an equilibrium, and
-    derivatives to bonds that break at once.
+    Raises InputError for another model, and for a piece of the body that nothing holds.
     """
 
     def __init__(
@@ -130,8 +121,10 @@ class SoftBody:
         self.free = ~held.ravel()
 
     def rest(self, u: np.ndarray, share: np.ndarray) -> np.ndarray:
-        """u at rest from a start that holds the given components, by Newton's method, flat [d N];
-        share is what is left of the pull of each bond."""
+        """Displacement at rest, flat [d N], by Newton's method from u with the given components.
+
+        `share` is what is left of the pull of each bond.
+        """
         softness = self.law.softness
         for _ in range(NEWTON):
             d = self.rows @ u
@@ -151,13 +144,12 @@ class SoftBody:
         raise InputError("softening: no equilibrium was found; the body may have come apart")
 
     def tangent(self, slope: np.ndarray) -> sp.csc_array:
-        """Of bonds whose pull rises by so much of their stiffness, between free components."""
+        """Tangent between free components, of the bonds' slopes relative to their stiffness."""
         K = self.rows.T @ (sp.diags_array(self.stiffness * slope) @ self.rows)
         return sp.csc_array(sp.csr_array(K)[self.free][:, self.free])
 
     def levers(self, line: ArrayLike) -> np.ndarray:
-        """What bonds add to the force at right angles to a line, of one side on the other, tension
-        positive, by thickness; over their law's pull and what is left of it, [E]."""
+        """Weights of bonds in the force per thickness normal to a line, tension positive, [E]."""
         crossing, _, normal = section(self.body, line, "line")
         if not (cut := crossing[self.node, self.bond]).any():
             raise InputError("line: no bond of the body crosses it, so no force can be read there")
@@ -177,9 +169,19 @@ class SoftBody:
     ) -> Motion:
         """Raise the load step by step; at each, let bonds fail until none does.
 
-        u: given components at unit load, [N, d]; others are where the first solve begins. line: a
-        straight one, in space a flat polygon. stop: share of the largest force at which it ends.
-        parameters: softness, stretch or tail.
+        Args:
+            u: given components at unit load, [N, d]; others are where the first solve begins.
+            line: a straight one, in space a flat polygon.
+            stop: share of the largest force at which it ends.
+            parameters: softness, stretch or tail.
+
+        Returns a motion whose time is the load, with the histories load, force, normal to its line
+        per thickness, and broken bonds. With parameters, or a tensor as u, force and the last u are
+        tensors, differentiable once along the path taken: which bonds failed when counts, how often
+        a load was settled does not. A body apart along the line has force 0; without an equilibrium
+        before, the curve ends with a warning. Raises InputError for loads that do not rise, a line
+        that no bond crosses, a first load without an equilibrium, and derivatives to bonds that
+        break at once.
         """
         loads = checked("loads", loads, float, ("n",))
         if not (len(loads) and loads[0] >= 0 and (np.diff(loads) > 0).all()):
@@ -227,7 +229,8 @@ class SoftBody:
     def _settled(
         self, at: np.ndarray, given: torch.Tensor, damage: list[torch.Tensor], law: Sequence[Any]
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """u [d N] where no bond fails further, and s; `damage`, share and worst, goes on."""
+        """Displacement u [d N] and s where no bond fails further; `damage`, share and worst,
+        grows."""
         change, breakable = 1.0, torch.from_numpy(self.breakable)
         while not change < SETTLED:
             share, worst = damage
@@ -241,17 +244,17 @@ class SoftBody:
 
     @property
     def learnable(self) -> dict[str, float]:
-        """The numbers of the law by name."""
+        """Learnable parameters of the law by name."""
         return vars(self.law)
 
     def at(self, numbers: Mapping[str, Any]) -> SoftBody:
-        """The same body with other numbers of its law."""
+        """Body with other parameters of its law."""
         soft = copy(self)
         soft.law = BondLaw(**{name: float(value) for name, value in numbers.items()})
         return soft
 
     def _learned(self, u: Any, parameters: Mapping[str, Any] | None) -> tuple[Any, ...]:
-        """The body with these numbers, whether slopes are asked for, u and the numbers."""
+        """Body with these parameters, whether derivatives are asked for, u and the parameters."""
         asked = parameters is not None or is_tensor(u)
         soft, numbers = with_numbers(self, parameters or {})
         if asked and soft.law.tail == 0:
@@ -263,11 +266,11 @@ class SoftBody:
         return soft, asked, *once
 
     def _stretch(self, u: torch.Tensor) -> torch.Tensor:
-        """s of each bond at u, flat [d N]."""
+        """Stretch s of each bond at u, flat [d N]."""
         return linear(u, self.rows.dot, self.rows.T.dot) / torch.from_numpy(self.square)
 
     def _stable(self, s: torch.Tensor, worst: torch.Tensor, share: torch.Tensor) -> bool:
-        """Hill's test: the tangent is positive definite in which bonds that fail go on failing."""
+        """Hill's test: whether the tangent is positive definite with failing bonds failing on."""
         law, fails = self.law, ((s == worst) & (worst > self.law.stretch)).numpy()
         own = share.numpy() * slope_of(s.numpy(), law.softness)
         fall = -float(law.pull(np.array(law.stretch))) / law.tail
@@ -277,7 +280,7 @@ class SoftBody:
     def _at_rest(
         self, u: np.ndarray, share: torch.Tensor, softness: torch.Tensor, given: torch.Tensor
     ) -> torch.Tensor:
-        """u at rest [d N], with the derivatives of a step of Newton's that does not move it."""
+        """Displacement u at rest [d N], with the derivatives of a Newton step of length zero."""
         left, factors = share.detach().numpy(), list[Any]()
 
         def inverse(g: np.ndarray) -> np.ndarray:

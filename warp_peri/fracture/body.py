@@ -1,7 +1,6 @@
-"""A body on a lattice with free surfaces, and the polylines, in space polygons, that cut its bonds.
+"""Lattice bodies with free surfaces, where bonds are missing, and cracks that cut bonds.
 
-Unlike the families of a Dirichlet problem a body needs no collar: where it ends, bonds are missing.
-The weights of a bond are those of the whole ball.
+A body needs no collar; the weights of a bond are those of the whole ball.
 """
 
 from __future__ import annotations
@@ -35,8 +34,7 @@ class LatticeBody:
         x: positions [length], shape [N, d].
         spacing: h [length].
         classes: bond classes of the whole ball.
-        neighbour: node at the end of each bond of the ball, shape [N, B] int32; −1 where the body
-            has none.
+        neighbour: node at the end of each bond of the ball, [N, B] int32; −1 where there is none.
         axes: of the lattice, as columns.
         endless: whether it goes on along its last axis, as of lattice_body.
     """
@@ -50,7 +48,7 @@ class LatticeBody:
 
     @property
     def dimension(self) -> int:
-        """2 or 3."""
+        """Dimension of space, 2 or 3."""
         return int(self.x.shape[1])
 
     @property
@@ -74,14 +72,14 @@ class LatticeBody:
 def lattice_body(
     x: ArrayLike, spacing: Positive, horizon: Positive, *, endless: bool = False
 ) -> LatticeBody:
-    """The bonds of a body on a square or cubic lattice, straight or turned.
+    """Make a body and its bonds on a square or cubic lattice, straight or turned.
 
     Args:
         x: positions [length], shape [N, 2] or [N, 3], in any order.
         spacing: h [length].
         horizon: δ [length].
-        endless: x is one layer, straight, of a body that goes on along its last axis, all layers
-            alike; a bond then leads to the node of this layer below or above its end.
+        endless: x is one layer of an untilted body that goes on along its last axis, all layers
+            alike; a bond beyond its end leads to the node of this layer.
 
     Raises InputError for points off the lattice, or given twice.
     """
@@ -96,14 +94,16 @@ def lattice_body(
 
 @typed
 def rectangle_nodes(width: Positive, height: Positive, spacing: Positive) -> np.ndarray:
-    """As box_nodes, in the plane."""
+    """Nodes in the middle of cells that fill a rectangle, as box_nodes."""
     return box_nodes((width, height), spacing)
 
 
 @typed
 def box_nodes(sides: Sequence[float], spacing: Positive) -> np.ndarray:
-    """Nodes in the middle of cells that fill a box about the origin, shape [N, d]; InputError when
-    the sides are not whole multiples of the spacing."""
+    """Nodes in the middle of cells that fill a box about the origin, shape [N, d].
+
+    Raises InputError when the sides are not whole multiples of the spacing.
+    """
     check_dimensions("sides", len(sides))
     count = np.rint(checked("sides", sides, float, ("d",)) / spacing).astype(int)
     if (count < 1).any() or np.abs(count * spacing - sides).max() > 1e-6 * spacing:
@@ -115,14 +115,14 @@ def box_nodes(sides: Sequence[float], spacing: Positive) -> np.ndarray:
 
 @typed
 def penny_corners(radius: Positive) -> np.ndarray:
-    """48 corners of a round crack about the origin on y = 0, as large as a circle, [48, 3]."""
+    """Corners, 48 of them, of a circular crack about the origin on y = 0, same area, [48, 3]."""
     t = 2 * np.pi * np.arange(48) / 48
     reach = radius * np.sqrt(t[1] / np.sin(t[1]))
     return np.asarray(reach * np.stack([np.cos(t), 0 * t, np.sin(t)], axis=1))
 
 
 def through(left: float, right: float, side: float, dimension: int) -> list[tuple[float, ...]]:
-    """A crack on y = 0 from x = left to right; in space through |z| < side."""
+    """Crack on y = 0 from x = left to right; in space through |z| < side."""
     if dimension == 2:
         return [(left, 0.0), (right, 0.0)]
     return [(left, 0.0, -side), (left, 0.0, side), (right, 0.0, side), (right, 0.0, -side)]
@@ -132,12 +132,10 @@ def through(left: float, right: float, side: float, dimension: int) -> list[tupl
 def point_force(
     x: np.ndarray, spacing: Positive, place: Sequence[float], force: Sequence[float]
 ) -> np.ndarray:
-    """Body force density b [force / length^d], shape [N, d], of a force at a place, as on an edge
-    between or beyond nodes x (C27).
+    """Body force density [force / length^d], [N, d], of a force at a place, on a node or not (C27).
 
-    Least squares of the nodes within two spacings: in any affine displacement they do the work that
-    the force, in the plane per thickness, does at its place. Raises InputError where these nodes do
-    not span the space.
+    Its work equals the force's (in the plane per thickness) in any affine displacement, by least
+    squares of the nodes within two spacings. Raises InputError where these do not span the space.
     """
     x = checked("x", x, float, ("N", "d"))
     d = x.shape[1]
@@ -158,11 +156,10 @@ def point_force(
 def crossing_bonds(body: LatticeBody, polyline: ArrayLike, name: str = "crack") -> np.ndarray:
     """Bonds that a crack along a polyline cuts, shape [N, B] bool; both directions of a bond.
 
-    A bond that meets an end of the polyline is not cut, one that meets a corner is, or an end
-    beyond which the body has no nodes: a mouth. A polyline that comes back to its start has corners
-    only. Where a segment runs through nodes, these nodes stand on its left: the segment is moved by
-    a hair, with a warning. In space a crack is a flat convex polygon, whose edges cut nothing;
-    nodes on it stand where the corners are seen to go round against the clock.
+    A bond that meets an end is not cut, one that meets a corner or a mouth is: an end beyond which
+    the body has no nodes. A closed polyline has corners only. Nodes on a segment stand on its left,
+    with a warning. In space a crack is a flat convex polygon, whose edges cut nothing; nodes on it
+    stand where its corners go round against the clock.
 
     Raises InputError for corners of another shape than [P ≥ 2, 2], in space [P ≥ 3, 3], a segment
     without length, and a polygon that is not flat and convex.
@@ -187,7 +184,7 @@ and how far inside of each edge a bond must cross it, in lengths of these normal
 
 
 def _segments(body: LatticeBody, corners: np.ndarray) -> Iterator[Face]:
-    """Of a polyline; a bond that meets a tip is not cut, one that meets a corner or a mouth is."""
+    """Iterate over the faces of a polyline, corners and mouths included, tips not."""
     open_ended, last = not np.array_equal(corners[0], corners[-1]), len(corners) - 2
     for number, ends in enumerate(pairwise(corners)):
         along = (ends[1] - ends[0]) / np.hypot(*(ends[1] - ends[0]))
@@ -201,7 +198,7 @@ def _segments(body: LatticeBody, corners: np.ndarray) -> Iterator[Face]:
 
 
 def _polygon(corners: np.ndarray, name: str) -> Iterator[Face]:
-    """Of a flat convex polygon in space, whose edges cut nothing."""
+    """Yield the face of a flat convex polygon in space, whose edges cut nothing."""
     size, normal = size_and_normal(corners)
     if not size > 0 or np.abs((corners - corners[0]) @ normal).max() > ON_LINE * size**0.5:
         raise InputError(f"{name}: expected the corners of a flat polygon with an area")
@@ -238,8 +235,7 @@ def _cut_face(
 
 
 def size_and_normal(corners: np.ndarray) -> tuple[float, np.ndarray]:
-    """Length of a polyline and normal to the left of its ends, or area and normal of a polygon;
-    zeros for one without area."""
+    """Length and left normal of a polyline, or area and normal of a polygon; zeros without size."""
     if corners.shape[1] == 2:
         along = corners[-1] - corners[0]
         length = float(np.hypot(*np.diff(corners, axis=0).T).sum())
@@ -251,8 +247,10 @@ def size_and_normal(corners: np.ndarray) -> tuple[float, np.ndarray]:
 
 
 def section(body: LatticeBody, line: ArrayLike, name: str) -> tuple[np.ndarray, ...]:
-    """Which bonds cross a straight line, in space a flat polygon, [N, B] bool; its ends and normal.
-    Raises InputError as crossing_bonds, and for a line that is bent."""
+    """Bonds that cross a straight line, in space a flat polygon, [N, B] bool; its ends and normal.
+
+    Raises InputError as crossing_bonds, and for a line that is bent.
+    """
     cut, ends = crossing_bonds(body, line, name), checked(name, line)
     if body.dimension == 2 and len(ends) != 2:
         raise InputError(f"{name}: expected two ends, got {len(ends)} corners")
@@ -260,21 +258,20 @@ def section(body: LatticeBody, line: ArrayLike, name: str) -> tuple[np.ndarray, 
 
 
 def _goes_on(body: LatticeBody, tip: np.ndarray, along: np.ndarray) -> bool:
-    """Whether the body has nodes further along than the end of a crack; else it is a mouth."""
+    """Whether the body has nodes beyond the end of a crack; else that is a mouth."""
     away = body.x[_near(body, tip[None])] - tip
     return bool((away @ along > ON_LINE * body.spacing).any())
 
 
 def _near(body: LatticeBody, corners: np.ndarray) -> np.ndarray:
-    """Numbers of the nodes that a bond may lead to beyond these corners from."""
+    """Numbers of the nodes with bonds that may lead beyond these corners."""
     reach = body.classes.horizon * (1 + HORIZON_TOLERANCE)
     low, high = corners.min(axis=0) - reach, corners.max(axis=0) + reach
     return np.flatnonzero(((body.x >= low) & (body.x <= high)).all(axis=1))
 
 
 def cracked(body: LatticeBody, cracks: Sequence[ArrayLike]) -> np.ndarray:
-    """The body's neighbours with the bonds across cracks, as crossing_bonds takes each, broken
-    (−1 − j), shape [N, B] int32."""
+    """Neighbours of a body with the bonds across cracks broken (−1 − j), shape [N, B] int32."""
     if not np.iterable(cracks):
         raise InputError(f"cracks: expected a list of polylines, got {cracks!r:.50}")
     neighbour = body.neighbour.copy()

@@ -1,7 +1,7 @@
-"""The operator of a lattice body with broken bonds: matrix, forces and energies (theory, C1–C4).
+"""Operators of a lattice body with broken bonds: matrix, forces and energies (theory, C1–C4).
 
-The dilatation is a sum over unbroken bonds with the weighted volume of the whole ball: the energy
-is a sum of squares of stretches, which any breaking leaves positive where K is positive.
+The weighted volume in the dilatation is that of the whole ball, so that the energy is a sum of
+squares of stretches, positive whatever breaks where K is positive.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ SPANNED = 1e-3
 
 
 class SplitBonds(NamedTuple):
-    """Energy of a node, ½ Σ c e² + ½ x (Σ a e)² over its unbroken bonds (theory, C1).
+    """Coefficients of a node's energy ½ Σ c e² + ½ x (Σ a e)² over its bonds (theory, C1).
 
     Attributes:
         stiffness: c of the bonds of a ball [stress / length⁴], shape [B]; or [N, B] of all bonds,
@@ -48,22 +48,20 @@ class SplitBonds(NamedTuple):
 
 
 def bonds_of(model: LPSMaterial, classes: BondClasses, moduli: Any = None) -> SplitBonds:
-    """Of the bonds of a ball; or with other moduli than the model's, μ of bonds [N, B] and λ − μ of
-    nodes [N], those of the bonds and nodes of a body."""
+    """Energy coefficients of a ball's bonds, or with moduli (μ [N, B], λ − μ [N]) of a body's."""
     d, w, r = model.dimension, bond_weights(model, classes), classes.r[classes.bond_class]
     mu, excess = (model.mu, model.lam - model.mu) if moduli is None else moduli
     return SplitBonds(d * (d + 2) * mu * w / r**2, d * w, excess)
 
 
 def bond_weights(model: LPSMaterial, classes: BondClasses) -> np.ndarray:
-    """w = K W / m of the bonds of a ball [length⁻²], Σ w r² = 1, shape [B]."""
+    """Dilatation weights w = K W / m of a ball's bonds [length⁻²], Σ w r² = 1, shape [B]."""
     v, _ = stiffnesses(model, classes)
     return np.asarray(v[classes.bond_class] / model.mu)
 
 
 def unit_toughness(model: LPSMaterial, classes: BondClasses) -> float:
-    """Energy of a straight cut between node rows whose bonds all have stretch 1, (C6), over its
-    length; in space (V5), over its area.
+    """Energy per length (in space area) of a straight cut whose bonds have stretch 1 (C6, V5).
 
     G_c = this × s₀². The dilatation's part is that of nodes whose cut bonds alone are stretched.
     """
@@ -80,8 +78,8 @@ def unit_toughness(model: LPSMaterial, classes: BondClasses) -> float:
 
 
 def check_breakable(model: LPSMaterial, classes: BondClasses | None = None) -> None:
-    """InputError for an influence function that changes sign, anywhere or on a lattice, whose bonds
-    must not break (theory, C3)."""
+    """Raise InputError for an influence function that changes sign anywhere, or on a lattice
+    (C3)."""
     if classes is None:
         w, where = model.influence(model.horizon * np.linspace(0.1, 1.0, 91)), ""
     else:
@@ -95,11 +93,9 @@ def check_breakable(model: LPSMaterial, classes: BondClasses | None = None) -> N
 
 
 def largest_stiffness(model: LPSMaterial, classes: BondClasses) -> float:
-    """A proven upper bound of Λmax L of every body on the lattice under any breaking (C9).
+    """Proven upper bound of Λmax L [stress / length²] of every body, whatever breaks (C9).
 
-    max(μ, κ d / (d + 2)) max_k Λmax Γ(k), κ = λ + 2 μ/d, [stress / length²].
-
-    Raises InputError as check_breakable.
+    max(μ, κ d / (d + 2)) max_k Λmax Γ(k), κ = λ + 2 μ/d. Raises InputError as check_breakable.
     """
     check_breakable(model, classes)
     v = np.bincount(classes.bond_class, bond_weights(model, classes)) / classes.count
@@ -109,8 +105,7 @@ def largest_stiffness(model: LPSMaterial, classes: BondClasses) -> float:
 
 
 def stretch_matrix(body: LatticeBody, neighbour: np.ndarray) -> tuple[sp.csr_array, np.ndarray]:
-    """e = ξ·(u_j − u_i) of the unbroken bonds as a matrix [length], [E, d N], and their places in
-    the flat [N B] table; component a of node i is column d i + a."""
+    """Matrix [length] from u to e = ξ·(u_j − u_i) of unbroken bonds, [E, d N]; places in [N B]."""
     node, bond = np.nonzero(neighbour >= 0)
     place = node * neighbour.shape[1] + bond
     return stretch_rows(body, node, bond, neighbour[node, bond]), place
@@ -119,7 +114,7 @@ def stretch_matrix(body: LatticeBody, neighbour: np.ndarray) -> tuple[sp.csr_arr
 def stretch_rows(
     body: LatticeBody, node: np.ndarray, bond: np.ndarray, far: np.ndarray
 ) -> sp.csr_array:
-    """e of these bonds, by the node that they begin at, their number in the ball and their end."""
+    """Rows of stretch_matrix of bonds, by their first node, number in the ball and end."""
     xi, count, d = body.xi[bond], len(bond), body.dimension
     columns = (d * np.column_stack([far, node])[:, :, None] + np.arange(d)).ravel()
     values = np.column_stack([xi, -xi]).ravel()
@@ -130,8 +125,7 @@ def stretch_rows(
 def bond_matrix(
     body: LatticeBody, neighbour: np.ndarray, bonds: SplitBonds, *, corrected: bool = False
 ) -> sp.csr_array:
-    """L of a body with broken bonds, [N, B], as a symmetric matrix [stress / length²], shape
-    [d N, d N] (C4); corrected as of Cracked."""
+    """Matrix L [stress / length²] of a body with broken bonds, symmetric, [d N, d N] (C4)."""
     stretch, place = stretch_matrix(body, neighbour)
     each = np.broadcast_to(bonds.stiffness, neighbour.shape)
     total = stretch.T @ (sp.diags_array(each.ravel()[place]) @ stretch)
@@ -147,7 +141,7 @@ def bond_matrix(
 
 
 def corrections(body: LatticeBody, neighbour: np.ndarray, bonds: SplitBonds) -> sp.csr_array:
-    """What (C26) adds to L, of nodes near those that lack bonds; as bond_matrix."""
+    """Correction (C26) of L near nodes that lack bonds; as bond_matrix."""
     node, d = np.flatnonzero((neighbour < 0).any(axis=1)), body.dimension
     each, there = np.broadcast_to(bonds.stiffness, neighbour.shape)[node], neighbour[node] >= 0
     spans, *made = mean_gradients(body.xi, there, each, bonds.share, SPANNED)
@@ -174,12 +168,12 @@ def corrections(body: LatticeBody, neighbour: np.ndarray, bonds: SplitBonds) -> 
 def mean_gradients(
     xi: np.ndarray, there: np.ndarray, stiffness: np.ndarray, share: np.ndarray, least: float
 ) -> tuple[np.ndarray, ...]:
-    """(C26) of nodes with the bonds `there` [n, B] of a ball, xi [B, d], where these span space:
-    their shape tensor's eigenvalues are `least` of a whole ball's.
+    """Mean gradients (C26) of nodes with the bonds `there` [n, B] of a ball, xi [B, d].
 
-    Returns where they do [n]; and, zero elsewhere, ∂u_i/∂x_j of each bond's u_j − u_i, least
-    squares with the weights |a| [n, d, B]; and what the bonds that are lacked make of it, by j and
-    i: stress [n, d², d²] and dilatation [n, d²]. Node by node: the bits are the same however many.
+    Returns where the bonds span space, with eigenvalues of the shape tensor above `least` of a
+    whole ball's, [n]; and, zero elsewhere, ∂u_i/∂x_j by each bond's u_j − u_i, weighted by |a| [n,
+    d, B], and what missing bonds make of it, by j and i: stress [n, d², d²], dilatation [n, d²].
+    Node by node: the bits are the same however many.
     """
     along = np.einsum("bj,bi->bji", xi, xi).reshape(len(xi), -1)  # e = along · gradient
     weight = np.abs(share)
@@ -196,7 +190,7 @@ def mean_gradients(
 def dilatations(
     body: LatticeBody, share: np.ndarray, neighbour: np.ndarray, nodes: np.ndarray
 ) -> sp.csr_array:
-    """The plain dilatation θ of (C1) of some nodes as a matrix [1/length], shape [n, d N]."""
+    """Matrix of the plain dilatation θ of (C1) of some nodes [1/length], shape [n, d N]."""
     at, bond = np.nonzero(neighbour[nodes] >= 0)
     stretch = stretch_rows(body, nodes[at], bond, neighbour[nodes[at], bond])
     gather = sp.csr_array((share[bond], (at, np.arange(len(at)))), shape=(len(nodes), len(at)))
@@ -207,7 +201,7 @@ class CutOperator:
     """Forces and energies of a lattice body over its unbroken bonds, by rows in Warp.
 
     Args:
-        limits: by bond of the ball, of the criterion, shape [B]; none breaks by default.
+        limits: of the criterion, by bond of the ball, shape [B]; none breaks by default.
         by_energy: the criterion is the bond's energy density instead of e = s r².
         tension_only: bonds in compression do not break.
         no_fail: nodes whose bonds do not break, shape [N] bool.
@@ -254,7 +248,7 @@ class CutOperator:
         self._recorded: dict[tuple[Any, ...], Shared] = {}
 
     def links(self, neighbour: np.ndarray) -> wp.array[Any]:
-        """Which bonds are there in a table of neighbours [N, B], as the sweeps take it."""
+        """Pack the bonds of a table of neighbours [N, B] as sweeps take them."""
         words: np.ndarray = np.zeros((len(self._pieces), self.bonds), np.uint16)
         for lane in range(kernels.LANES):
             nodes = np.flatnonzero(self._lane == lane)
@@ -262,14 +256,14 @@ class CutOperator:
         return wp.array(words.ravel(), dtype=wp.uint16, device="cpu")
 
     def kept(self, links: wp.array[Any], node: Any = None, bond: Any = None) -> np.ndarray:
-        """Which bonds are unbroken, [N, B] bool, or of these nodes those of these numbers."""
+        """Mask of unbroken bonds, [N, B] bool, or of these bonds of these nodes."""
         words, lane = links.numpy().reshape(-1, self.bonds), self._lane
         if node is None:
             return np.asarray(words[self._row] >> lane[:, None] & 1, bool)
         return np.asarray(words[self._row[node], bond] >> lane[node] & 1, bool)
 
     def dilatation(self, nodes: np.ndarray) -> np.ndarray:
-        """θ of these nodes in the last sweep, where λ ≠ μ."""
+        """Dilatation θ of these nodes in the last sweep, where λ ≠ μ."""
         return np.asarray(self._theta.numpy()[self.home[nodes]])
 
     def sweep(
@@ -281,8 +275,8 @@ class CutOperator:
         *,
         breaking: bool = False,
     ) -> np.ndarray:
-        """Fill force and energy densities at u, of all bonds that were there before; the nodes that
-        lose bonds by it, by number."""
+        """Fill force and energy densities at u, bonds that break included; nodes that lose
+        bonds."""
         arrays = u, links, force, energy
         key = get_num_threads(), breaking, *(array.ptr for array in arrays)
         if key not in self._recorded:
@@ -299,7 +293,7 @@ class CutOperator:
     def _shared(
         self, pieces: Sequence[np.ndarray], criterion: int, *fields: wp.array[Any]
     ) -> Shared:
-        """To lay out u, fill θ, and fill force and energy, of pieces of their own each, packed."""
+        """Arguments to lay out u, fill θ, and fill force and energy, of pieces packed apart."""
         laid, dilated, swept = pieces
         dilated = dilated if self.excess else laid[:0]
         phases: Any = [wp.array(of, dtype=wp.vec2i, device="cpu") for of in (laid, dilated, swept)]
@@ -310,8 +304,7 @@ class CutOperator:
     def again(
         self, links: wp.array[Any], nodes: np.ndarray, force: wp.array[Any], energy: wp.array[Any]
     ) -> None:
-        """Force and energy at the u of the last sweep where these nodes have lost bonds, and at
-        their neighbours."""
+        """Recompute force and energy at and around nodes that lost bonds in the last sweep."""
         changed = around = np.unique(self._row[nodes])
         if self.excess:  # θ has changed, and neighbours feel it
             ends = self.body.neighbour[nodes]
@@ -321,8 +314,7 @@ class CutOperator:
 
 
 class CutRows:
-    """L of a cut body that is not endless, [S, N, d] to [S, N, d]: by rows, and where bonds are
-    corrected by a short list; arguments as of CutSolid."""
+    """Operator L of a cut body that is not endless on fields [S, N, d]; arguments of CutSolid."""
 
     def __init__(
         self, model: LPSMaterial, body: LatticeBody, neighbour: np.ndarray, corrected: bool
@@ -336,7 +328,7 @@ class CutRows:
 
     @property
     def diagonal(self) -> np.ndarray:
-        """Of L, shape [N, d]."""
+        """Diagonal of L, shape [N, d]."""
         (stiffness, share, excess), xi = self._operator.bonded, self._operator.body.xi
         once, twice = (2 * stiffness)[:, None] * xi**2, share[:, None] * xi
         there = self._neighbour >= 0
@@ -354,7 +346,7 @@ class CutRows:
 
 
 def _places(body: LatticeBody) -> tuple[np.ndarray, np.ndarray]:
-    """Places from a node to the end of each bond [B], and of nodes [N], in rows with margins."""
+    """Offsets from a node to its bonds' ends [B], and places of nodes [N], in rows with margins."""
     grid, _ = straight_steps(body.x, body.spacing)
     steps, d = body.classes.steps, body.dimension
     along = int(np.count_nonzero(np.diff(grid, axis=0), axis=0).argmax())  # as nodes are numbered

@@ -1,8 +1,7 @@
 """Motion of a body whose bonds break: its state, one step, the ledger of energies, and runs.
 
-Velocity Verlet keeps the force of a bond for the second half-kick of the step in which it breaks
-and drops it after (theory, C10); work = kinetic + elastic + dissipated is then kept to second
-order.
+Velocity Verlet keeps the force of a breaking bond for the step's second half-kick (theory, C10):
+work = kinetic + elastic + dissipated then holds to second order.
 """
 
 from __future__ import annotations
@@ -34,8 +33,7 @@ SHORTER = 0.95
 
 
 class SurfaceCorrection:
-    """What (C26) adds to energy at `nodes` that lack bonds, as they lose more of them, and to force
-    there and at the ends of their bonds, `near`; links as the operator has them."""
+    """Surface correction (C26): energy at `nodes` that lack bonds, force there and `near` them."""
 
     def __init__(self, operator: CutOperator, links: wp.array[Any]) -> None:
         self._operator, self._links = operator, links
@@ -44,7 +42,7 @@ class SurfaceCorrection:
         self.lose(np.flatnonzero(~operator.kept(links).all(axis=1)))
 
     def lose(self, nodes: np.ndarray) -> None:
-        """These nodes lack bonds, or more of them."""
+        """Add nodes that lack bonds, or more of them."""
         stiffness, share, _ = self._operator.bonded
         body = self._operator.body
         there = self._operator.kept(self._links, nodes[:, None], np.arange(len(share)))
@@ -85,12 +83,12 @@ class SurfaceCorrection:
 
 @dataclass(eq=False)
 class BreakingState:
-    """What a motion has come to; arrays are Warp's.
+    """State of a motion with breaking bonds; arrays are Warp's.
 
     Attributes:
-        links: which bonds are unbroken, as the operator's `kept` tells.
-        correction: of bonds that are lacked, before those that the next step breaks; or None.
-        force, energy: internal force and elastic energy density over the bonds that are left.
+        links: unbroken bonds, to be read by the operator's `kept`.
+        correction: of missing bonds, before those that the next step breaks; or None.
+        force, energy: internal force and elastic energy density over the unbroken bonds.
         work: done on the body so far and what it started with, per node and area [stress].
         dissipated: energy density of the bonds broken so far [stress].
         whole: bonds that count as undamaged at the start, shape [N].
@@ -110,12 +108,12 @@ class BreakingState:
 
     @property
     def swept(self) -> tuple[wp.array[Any], ...]:
-        """What a sweep reads and fills."""
+        """Arrays that a sweep reads and fills."""
         return self.u, self.links, self.force, self.energy
 
 
 class BreakingBody:
-    """A brittle solid on a lattice body, with its loads: what `step` marches.
+    """Brittle solid on a lattice body, with its loads: what `step` marches.
 
     Args:
         solid: the solid; its influence function must be positive on the lattice.
@@ -128,8 +126,8 @@ class BreakingBody:
         corrected: as of Cracked.
 
     Attributes:
-        longest_step: Δt proven stable under any breaking (theory, C9); where bonds are corrected
-            a little less, measured.
+        longest_step: Δt proven stable whatever breaks (theory, C9); corrected a little less,
+            measured.
         exchange: fills the displacement [N, d] of nodes that another process moves, or None.
 
     Raises InputError for a model that changes sign, or arrays that do not fit.
@@ -170,13 +168,13 @@ class BreakingBody:
         self.exchange: Callable[[np.ndarray], None] | None = None
 
     def _nodal(self, name: str, field: ArrayLike | None) -> wp.array[Any]:
-        """A field [N, d] of Warp; zeros for None."""
+        """Copy a field [N, d] to Warp; zeros for None."""
         shape = self.body.x.shape
         values = np.zeros(shape) if field is None else checked(name, field, float, shape)
         return floats(values.copy(), self.operator.vector)
 
     def share(self, time: float) -> float:
-        """The ramp at a time; InputError where it is no number."""
+        """Share of the loads at a time, by the ramp; InputError where it is no number."""
         ramp, name = self.ramp, f"ramp at t = {time:g}"
         return 1.0 if ramp is None else float(checked(name, ramp(time), float, ()))
 
@@ -187,8 +185,10 @@ class BreakingBody:
         v: ArrayLike | None = None,
         cracks: Sequence[ArrayLike] = (),
     ) -> BreakingState:
-        """A state at time zero, with u and v [N, d], zero by default, and cracks open; InputError
-        when u alone is beyond the criterion: such a body breaks at rest."""
+        """State at time zero, with u and v [N, d], zero by default, and cracks open.
+
+        Raises InputError for a u beyond the criterion: such a body breaks at rest.
+        """
         fields, neighbour = (self._nodal("u", u), self._nodal("v", v)), cracked(self.body, cracks)
         count = len(self.body.x)
         state = BreakingState(
@@ -217,8 +217,8 @@ class BreakingBody:
         return links, SurfaceCorrection(self.operator, links) if self.corrected else None
 
     def correct(self, state: BreakingState, lost: np.ndarray | None = None) -> None:
-        """Add to force and energy what bonds that are lacked do; `lost` are nodes that have lost
-        some since the last call."""
+        """Add the surface correction to force and energy; `lost` are nodes with new broken
+        bonds."""
         if (correction := state.correction) is None:
             return
         if lost is not None:
@@ -228,13 +228,13 @@ class BreakingBody:
         state.energy.numpy()[correction.nodes] += stored
 
     def damage(self, state: BreakingState) -> np.ndarray:
-        """φ, the share of bonds that a node has lost, shape [N]."""
+        """Damage φ, the share of bonds that a node has lost, shape [N]."""
         left = self.operator.kept(state.links).sum(axis=1)
         return np.asarray(1 - left / np.maximum(state.whole, 1))
 
     def ledger(self, state: BreakingState, nodes: Any) -> list[float]:
-        """Time, work, kinetic, elastic and dissipated energy [stress · volume] of the own nodes of
-        all processes, in a sheet per thickness; work = kinetic + elastic + dissipated."""
+        """Time, and work = kinetic + elastic + dissipated [stress · volume], of all processes; in a
+        sheet per thickness."""
         body, density = self.body, self.solid.inertia
         kinetic = density / 2 * np.square(state.v.numpy()).sum(axis=1)
         fields = (state.work.numpy(), kinetic, state.energy.numpy(), state.dissipated)
@@ -282,7 +282,7 @@ LEDGER = ("time", "work", "kinetic", "elastic", "dissipated")
 
 
 class Broken(NamedTuple):
-    """How a motion has ended: φ, the share of bonds that a node has lost, [N]; body and state."""
+    """End of a motion: damage φ, the share of bonds that a node has lost, [N]; body and state."""
 
     damage: np.ndarray
     body: BreakingBody
@@ -290,8 +290,7 @@ class Broken(NamedTuple):
 
 
 class Section:
-    """The bonds of own nodes across a straight line [2, 2], in space a flat polygon [P, 3], to sum
-    the force that they carry; InputError for a line of another shape."""
+    """Bonds of own nodes across a straight line [2, 2], in space a flat polygon [P, 3]."""
 
     def __init__(self, body: BreakingBody, line: ArrayLike, own: Any) -> None:
         cut, self.ends, normal = section(body.body, line, "section")
@@ -317,15 +316,13 @@ class Section:
 
 
 class CrackRun(Recorder):
-    """Marches a body, and goes on from its checkpoint with the same bits.
-
-    On ranks the body is that of some nodes, and all records are of the whole body.
+    """Recorder that marches a body, and goes on from its checkpoint with the same bits.
 
     Args:
-        body: the body; on ranks of the nodes here.
+        body: the body; on ranks that of the nodes here. Records are of the whole.
         step: Δt, at most the body's longest.
-        regions: own nodes whose mean displacement and velocity are recorded as "u NAME" and
-            "v NAME", [n] bool by name.
+        regions: own nodes whose mean displacement and velocity are recorded as "u NAME" and "v
+            NAME", [n] bool by name.
         watch: functions of φ [N], the share of bonds that nodes have lost, recorded by name.
         sections: lines by name, [2, 2], in space polygons, across which the force is recorded as
             "force NAME", per thickness on the side that lies to the left of the line.
@@ -382,7 +379,7 @@ class CrackRun(Recorder):
         self.history = {name: [] for name in LEDGER}
 
     def motion(self, state: BreakingState) -> Motion:
-        """What has been recorded, with the end at the nodes of this process."""
+        """Records so far as a Motion, with the end at the nodes of this process."""
         own, (time, history) = self.nodes.own, self.recorded()
         u, v = (field.numpy()[own].copy() for field in (state.u, state.v))
         broken = Broken(self.body.damage(state)[own], self.body, state)
@@ -411,13 +408,13 @@ class CrackRun(Recorder):
         return state.time, found, {} if phi is None else {"damage": phi}
 
     def nodal(self, state: BreakingState) -> dict[str, np.ndarray]:
-        """`left`: bonds of the ball that each node has, [m, B]."""
+        """Arrays by name: `left`, the unbroken bonds of the ball at each node, [m, B]."""
         arrays = {name: getattr(state, name).numpy() for name in NODAL}
         left = self.body.operator.kept(state.links).astype(np.uint8)
         return arrays | {"dissipated": state.dissipated, "whole": state.whole, "left": left}
 
     def _times(self, steps: int) -> list[float]:
-        """After each of so many steps, as they add up."""
+        """Times after each of so many steps, as they add up."""
         return np.cumsum(np.full(steps, self.dt)).tolist()  # type: ignore[no-any-return]
 
     def key(self, steps: int) -> dict[str, str]:

@@ -1,7 +1,7 @@
 """Solids whose bonds break at once, or soften first.
 
-Strength and toughness belong to the material, the horizon to the numbers: `at_horizon` gives the
-law of bonds at another horizon that has both (theory, C18).
+Strength and toughness belong to the material, the horizon to the discretisation: `at_horizon` keeps
+both (theory, C18).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ CRITERIA = ("toughness", "critical_stretch", "critical_energy")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BrittleMaterial(OnLinear, format="warp_peri.brittle_solid", version=3):
-    """What breaks, and when.
+    """Solid whose bonds break at a toughness, stretch or energy.
 
     Attributes:
         model: moduli and a positive influence function.
@@ -59,16 +59,16 @@ class BrittleMaterial(OnLinear, format="warp_peri.brittle_solid", version=3):
 
     @property
     def linear(self) -> LPSMaterial:
-        """The solid before anything breaks."""
+        """Solid before anything breaks."""
         return self.model
 
     @property
     def inertia(self) -> float:
-        """ρ in units of stress · time² over length², of kg/m³ and ps where units are named."""
+        """Density ρ in stress · time² / length², of kg/m³ and ps where units are named."""
         return self.density if self.units == REDUCED else inertia(self.density, self.units)
 
     def rows(self) -> list[tuple[str, str]]:
-        """What to know at a glance, the density with its unit."""
+        """Name and value of what its printed form shows, the density with its unit."""
         unit = "" if self.units == REDUCED else " kg/m³"
         return [(n, text + unit if n == "density" else text) for n, text in super().rows()]
 
@@ -80,8 +80,10 @@ class BrittleMaterial(OnLinear, format="warp_peri.brittle_solid", version=3):
 
 @typed
 def with_positive_kernel(model: LPSMaterial, horizon: Positive) -> LPSMaterial:
-    """λ and μ of a model with K = 1/r, which has them exactly on every lattice (C7): how one whose
-    influence function changes sign goes to fracture."""
+    """Solid with the λ and μ of a model and K = 1/r, which has them on every lattice (C7).
+
+    Use it for fracture of a model whose influence function changes sign.
+    """
     return LPSMaterial(
         model.lam, model.mu, 1.0, np.ones(1), horizon, units=model.units, dimension=model.dimension
     )
@@ -89,9 +91,9 @@ def with_positive_kernel(model: LPSMaterial, horizon: Positive) -> LPSMaterial:
 
 @typed
 def continuum_stretch(model: LPSMaterial, toughness: Positive) -> float:
-    """s₀ of the continuum for a toughness G_c (theory, C5, V5), N. Trask and others 2019.
+    """Critical stretch s₀ of the continuum for a toughness G_c (C5, V5), N. Trask and others 2019.
 
-    In three dimensions G_c is energy over the area of the crack. λ = μ is the bond-based solid.
+    In space G_c is energy over the area of the crack. λ = μ is the bond-based solid.
     """
     lam, mu = model.lam, model.mu
     if model.dimension == 3:
@@ -104,7 +106,7 @@ def continuum_stretch(model: LPSMaterial, toughness: Positive) -> float:
 @typed
 @dataclass(frozen=True)
 class BondLaw:
-    """How a bond pulls: k d exp(−β s), s = d/r² > 0, and k d in compression (C16).
+    """Pull law of a bond: k d exp(−β s), s = d/r² > 0, and k d in compression (C16).
 
     Attributes:
         softness: β ≥ 0; it would pull hardest at s = 1/β.
@@ -119,18 +121,18 @@ class BondLaw:
     tail: NotNegative = 0.0
 
     def pull(self, s: np.ndarray) -> np.ndarray:
-        """Pull over k r² of a bond that has not begun to fail."""
+        """Pull of a bond over k r² before it begins to fail."""
         return np.asarray(pull_of(checked("s", s), self.softness, np))
 
     def share(self, worst: np.ndarray) -> np.ndarray:
-        """What is left of that pull after a largest stretch, from 1 to 0."""
+        """Share of the pull that is left after a largest stretch, from 1 to 0."""
         worst = checked("worst", worst)
         return np.asarray(share_of(worst, self.softness, np.float64(self.stretch), self.tail, np))
 
     def spent(self) -> float:
-        """Energy that a bond takes to break, over k r²; s₀²/2 without softness and tail (C18).
+        """Energy that breaks a bond, over k r²; s₀²/2 without softness and tail (C18).
 
-        Of a bond that never fails what it takes to pull it to any length: 1/β², or inf.
+        Of a bond that never fails the energy to pull it to any length: 1/β², or inf.
         """
         b, s = self.softness, self.stretch
         if np.isinf(s):
@@ -139,12 +141,11 @@ class BondLaw:
         return float(before + self.pull(np.array(s)) * self.tail / 2)
 
     def at_horizon(self, times: float) -> BondLaw:
-        """The law with the same strength and toughness at a horizon so many times as long (C18).
+        """Law with the same strength and toughness at a horizon so many times as long (C18).
 
-        A bond that stores more than its part of the toughness before it fails has no tail left, and
-        fails earlier: then the strength gives way.
-
-        Raises InputError for a law that never fails, or times not > 0.
+        A bond that stores more than its part of the toughness before it fails gets no tail and
+        fails earlier, at less strength. Raises InputError for a law that never fails, or times not
+        > 0.
         """
         if not (np.isfinite(self.stretch) and is_positive(times)):
             raise InputError(
@@ -166,7 +167,7 @@ class BondLaw:
 
 
 def pull_of(s: Any, softness: Any, of: Any) -> Any:
-    """As BondLaw.pull, of NumPy or torch."""
+    """Pull as BondLaw.pull, of NumPy or torch."""
     return s * of.exp(-softness * of.clip(s, 0, None))
 
 
@@ -177,7 +178,7 @@ def slope_of(s: np.ndarray, softness: float) -> np.ndarray:
 
 
 def share_of(worst: Any, softness: Any, stretch: Any, tail: Any, of: Any) -> Any:
-    """As BondLaw.share, of NumPy or torch; a tail of 0 breaks at once, and has no gradient."""
+    """Share as BondLaw.share, of NumPy or torch; a tail of 0 breaks at once, without a gradient."""
     beyond = worst > stretch
     if tail == 0 or not beyond.any():
         return of.where(beyond, 0.0, of.ones_like(worst))
@@ -189,8 +190,7 @@ def share_of(worst: Any, softness: Any, stretch: Any, tail: Any, of: Any) -> Any
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SofteningMaterial(OnLinear, format="warp_peri.soft_solid"):
-    """A solid whose bonds soften and fail by one law (C16), of a model with λ = μ, positive on the
-    lattice; InputError for another λ."""
+    """Solid whose bonds soften and fail by one law (C16), with λ = μ, positive on the lattice."""
 
     model: LPSMaterial
     law: BondLaw
@@ -202,10 +202,10 @@ class SofteningMaterial(OnLinear, format="warp_peri.soft_solid"):
 
     @property
     def linear(self) -> LPSMaterial:
-        """The solid before anything softens."""
+        """Solid before anything softens."""
         return self.model
 
     def toughness(self, spacing: float) -> float:
-        """G_c of a straight cut between rows of nodes so far apart [stress length], (C6, C18)."""
+        """Toughness G_c [stress length] of a straight cut on a lattice with this spacing (C18)."""
         classes = bond_classes(spacing, self.model.horizon, dimension=self.model.dimension)
         return 2 * unit_toughness(self.model, classes) * self.law.spent()

@@ -1,4 +1,4 @@
-"""Problems of bodies with cracks, and what cracks release, how far they open, how tips act."""
+"""Problems of bodies with cracks: energy release, opening, tips."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from warp_peri.solvers.solution import CG, Direct, Solution, refuse_solver
 @typed
 @dataclass(frozen=True, eq=False)
 class Cracked:
-    """A body on a lattice with free edges and cracks, held where nodes are not interior (C11).
+    """Body on a lattice with free edges and cracks, held where nodes are not interior (C11).
 
     Attributes:
         points: a lattice; where it ends, the body ends. Displacement is given off the interior.
@@ -42,13 +42,12 @@ class Cracked:
             it is that of the start, of slow loads that of unit load.
         cracks: polylines [length], shape [P, 2] each, that cut bonds; in space the corners of flat
             convex polygons, [P, 3].
-        free: components that are not given, shape [N, d] bool, where a node is held in part;
-            by default all of the interior.
+        free: components that are not given, shape [N, d] bool, where a node is held in part; by
+            default all of the interior.
         pressure: [stress], shape [d, d], of what presses on the faces of the cracks, p n⊗n of a
             fluid (C13); of bodies in equilibrium.
-        corrected: whether bonds that a node lacks, at edges and faces of cracks, take the mean
-            gradient of those that it has, so that both are as stiff as the solid (C26); of a solid
-            that breaks, not by energy.
+        corrected: give missing bonds, at edges and cracks, the mean gradient of a node's others,
+            which makes both as stiff as the solid (C26); not for bonds that break by energy.
 
     `solve` and `simulate` raise InputError for points that are no plain lattice, fields of other
     shapes or not finite, a piece that nothing holds, a material without a linear part, and one
@@ -76,7 +75,7 @@ class Cracked:
         return ~checked("free", self.free, bool, shape)
 
     def body(self, material: Any, verb: str) -> LatticeBody:
-        """Nodes and bonds; InputError for what has no linear part, and for other points."""
+        """Nodes and bonds of the body; InputError for no linear part, and for other points."""
         refuse_uncut(material, "Cracked")
         if hasattr(material, "numbers") and hasattr(material, "linear"):
             raise InputError(
@@ -95,12 +94,12 @@ class Cracked:
         return {"cracks": self.cracks, "corrected": self.corrected}
 
     def waves(self, material: Any) -> CutSolid:
-        """L of a positive solid whose bonds stay, which moves; InputError as of CutSolid."""
+        """Operator L of a positive solid whose bonds stay, for waves; InputError as of CutSolid."""
         body = self.body(material, "simulate")
         return CutSolid(material, body, self.held, moves=True, **self._cuts)
 
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
-        """The body at rest, of a solid with a linear part, or of one with several moduli."""
+        """Solve for the body at rest, of a solid with a linear part, or with several moduli."""
         refuse_solver(solver, (Direct, CG), "a body with cracks")
         numbers = options.pop("parameters", None)
         taken(options, "solve")
@@ -124,20 +123,18 @@ class Cracked:
         return replace(solved, points=self.points)
 
     def moved(self, material: Any, options: dict[str, Any]) -> Motion:
-        """Bonds that break: in motion, event by event, or under loads that rise slowly.
+        """Simulate the body: waves, breaking bonds, slow growth event by event, or slow loads.
 
         The options say which:
             density: waves in any positive solid, whose bonds stay; with the options of
                 solvers.verlet.march, and its tensors.
             step, steps: motion of a BrittleMaterial. Also `progress`; `every`, `regions`,
                 `sections`, `watch`, `checkpoint`, `checkpoint_every`, `series` (CrackRun);
-                `no_fail`, `grip`, `ramp` (BreakingBody); `v` (its start). The
-                histories are the ledger's, and of regions, sections and what is watched by their
-                names; the details are Broken.
+                `no_fail`, `grip`, `ramp` (BreakingBody); `v` (its start). The histories are the
+                ledger's and CrackRun's; the details are Broken.
             events: slow growth in any positive solid, `no_fail` and `progress` (C7).
-            loads, line: pull of a SofteningMaterial, `no_fail`, `stop` and `progress` (C16). With
-                `parameters`, softness, stretch or tail as tensors, or u of torch, the force and
-                the displacement at the end are differentiable: see SoftBody.pull.
+            loads, line: pull of a SofteningMaterial, `no_fail`, `stop`, `progress` and `parameters`
+                (C16); see SoftBody.pull.
         """
         if self.pressure is not None:
             raise InputError("pressure: a Cracked under pressure is solved at rest; see Injected")
@@ -179,8 +176,8 @@ class Cracked:
 
 
 def options_of_steps(options: dict[str, Any]) -> tuple[dict[str, Any], ...]:
-    """Those of a motion in steps: for BreakingBody, its start, Recorder, CrackRun and its march;
-    InputError for others."""
+    """Split options of a motion in steps: for BreakingBody, its start, Recorder, CrackRun,
+    march."""
     given = "load", "held", "u", "cracks", "nodes", "corrected"
     begin, run = (BreakingBody.__init__, BreakingBody.start), (CrackRun.__init__, CrackRun.march)
     return taken(options, "simulate", *begin, Recorder.__init__, *run, given=given)
@@ -189,7 +186,7 @@ def options_of_steps(options: dict[str, Any]) -> tuple[dict[str, Any], ...]:
 @typed
 @dataclass(frozen=True, eq=False)
 class Injected:
-    """A crack |x| < a on y = 0, in space a penny, that a fluid drives through a body, slowly (C14).
+    """Crack |x| < a on y = 0, in space a penny, that a fluid drives through a body, slowly (C14).
 
     At each half length the pressure is that of G = G_c; G of unit pressure is half the change of
     the opening's volume with the crack's length or area, that of the bonds cut.
@@ -219,7 +216,7 @@ class Injected:
             )
 
     def moved(self, material: Any, options: dict[str, Any]) -> Motion:
-        """Stage by stage, of a BrittleMaterial with a toughness.
+        """Drive the crack stage by stage through a BrittleMaterial with a toughness.
 
         The time is the half length; the histories are half, pressure at which the crack is about to
         grow [stress], volume of the fluid in it [length^d], and pumped, leaks included.
@@ -242,7 +239,7 @@ class Injected:
         return Motion(history["half"], pressure * found[0].u, None, history, found[0])
 
     def _at(self, material: Any, half: float) -> Solution:
-        """At rest under unit pressure."""
+        """Solve for the body at rest under unit pressure at a half length."""
         d = self.points.dimension
         crack = [(-half, 0.0), (half, 0.0)] if d == 2 else penny_corners(half)
         pressure = np.diag([0.0, 1.0, 0.0][:d])
@@ -262,19 +259,19 @@ def energy_release(
     shift: float = 0.0,
     solver: Direct | CG | None = None,
 ) -> float:
-    """G by energies of cracks of several lengths, at given displacement and dead loads (C11): what
-    is released per length added, in space per area, by least squares [stress · length].
+    """Energy release rate G [stress · length] from energies of cracks of several lengths (C11).
 
-    Along rows of nodes a shorter and a longer crack, one spacing either way, are enough. Bonds are
-    cut one by one where a crack is inclined: take nine lengths over ± 2 spacings there, for 2 %.
+    The slope by length, in space area, at given displacement and dead loads, by least squares.
+    Along rows of nodes two cracks, one spacing either way, are enough; inclined take nine lengths
+    over ± 2 spacings, for 2 %, as bonds are cut one by one.
 
     Args:
         material, solver: as of `solve`.
         problem: a Cracked, whose cracks are not looked at; loads stay as the crack grows.
         cracks: for each length its polylines; what longer ones add is the new area.
-        shift: how much further a tip acts than it is cut [length], `tip_shift` of the solid; G is
-            then that of the length asked for, by a parabola through three lengths or a quartic
-            through five or more (C25).
+        shift: how much further a tip acts than it is cut [length], by `tip_shift`; G is then that
+            of the length asked for, by a parabola of three lengths or a quartic of five or more
+            (C25).
 
     Raises InputError for fewer than two lengths, with a shift fewer than three or in space, for a
     body that nothing pulls at, and as Cracked.solved.
@@ -301,7 +298,7 @@ def energy_release(
 
 
 def _moving(cracks: Sequence[Sequence[ArrayLike]]) -> int:
-    """How many ends of the polylines are elsewhere in the last of these sets than in the first."""
+    """Number of polyline ends that differ between the first and the last of these sets."""
     first, last = (
         [np.asarray(line, dtype=float) for line in one] for one in (cracks[0], cracks[-1])
     )
@@ -313,14 +310,12 @@ def _moving(cracks: Sequence[Sequence[ArrayLike]]) -> int:
 
 @typed
 def tip_shift(material: Any, spacing: Positive, *, corrected: bool = False) -> float:
-    """How much further the tip of a crack along rows of nodes acts than it is cut (C25) [length].
+    """Distance [length] by which a crack tip along rows of nodes acts further than it is cut (C25).
 
-    The field of a tip in an endless sheet is given around squares of four and eight horizons half
-    side; the place where the cut tip releases what that field brings is behind its origin by the
-    shift. What is left falls with the inverse of the side and is taken off.
-
-    Of a solid with a linear part, on nodes of this spacing [length], `corrected` as the Cracked
-    that it is for; in space the strain is plane. Raises InputError for another material.
+    The field of a tip is given around squares of four and eight horizons half side; the shift is
+    where the cut tip releases that field's energy, extrapolated by the inverse side. `corrected` is
+    as the Cracked that it is for; in space the strain is plane. Raises InputError for a material
+    without a linear part.
     """
     model = offered(material, "linear", "tip_shift", "a solid with a linear part")
     sides = RADIUS * model.horizon * np.array([1.0, 2.0])
@@ -329,7 +324,7 @@ def tip_shift(material: Any, spacing: Positive, *, corrected: bool = False) -> f
 
 
 def _shift(model: LPSMaterial, h: float, radius: float, corrected: bool) -> float:
-    """As tip_shift, of one square; the field of a tip is M. L. Williams' of 1957, K = 1."""
+    """Shift of tip_shift by one square; the field is M. L. Williams' of 1957, K = 1."""
     d, inner = model.dimension, np.ceil(radius / h - 1e-6) * h
     side = 2 * (inner + 2 * np.ceil(model.horizon / h - 1e-6) * h)
     x = box_nodes((side, side, h)[:d], h)  # all layers are alike
@@ -350,7 +345,7 @@ def _shift(model: LPSMaterial, h: float, radius: float, corrected: bool) -> floa
 
 @typed
 def j_integral(solution: Solution, tip: Sequence[float], radii: tuple[float, float]) -> float:
-    """J around the tip of a crack along an axis, for its growth straight on, by a domain (C12).
+    """J integral around the tip of a crack along an axis, for straight growth, by a domain (C12).
 
     Gradients are differences, one-sided across the crack; the weight falls from 1 to 0 between two
     squares about the tip, in space cubes about a point of a front that is straight in the larger
@@ -406,7 +401,7 @@ def j_integral(solution: Solution, tip: Sequence[float], radii: tuple[float, flo
 
 
 def _crack_axes(solution: Solution, tip: np.ndarray, reach: float) -> tuple[list[int], float]:
-    """The axes along the crack that ends in a tip, across it and along its front, and its sense."""
+    """Axes along the crack that ends in a tip, across it and along its front, and its sense."""
     body, d = solution.operator.body, len(tip)
     cut = []
     for normal in np.eye(d):
@@ -422,7 +417,7 @@ def _crack_axes(solution: Solution, tip: np.ndarray, reach: float) -> tuple[list
 
 
 def _gradient(u: np.ndarray, x: np.ndarray, h: float, axes: list[int], sign: float) -> np.ndarray:
-    """∂u_i/∂x_j by differences in a box about a tip, [n₁, n₂, …, d, d], one-sided at the crack."""
+    """Gradients ∂u_i/∂x_j by differences in a box about a tip, [n₁, n₂, …, d, d]."""
     slopes = [np.gradient(u, h, axis=axis, edge_order=2) for axis in range(u.shape[-1])]
     along, across = axes[:2]
     row = round(float((x[..., across] < 0).mean()) * x.shape[across])
@@ -435,10 +430,10 @@ def _gradient(u: np.ndarray, x: np.ndarray, h: float, axes: list[int], sign: flo
 
 @typed
 def crack_opening_volume(solution: Solution, normal: Sequence[float] | None = None) -> float:
-    """Room between the faces of cracks along rows of nodes, in the solution of a Cracked
-    [length^d]: each broken bond of one spacing along the normal is a column of it.
+    """Volume [length^d] between the faces of cracks along rows of nodes, in a Cracked's solution.
 
-    Raises InputError unless the normal, the second axis by default, is along an axis.
+    Each broken bond of one spacing along the normal is a column of it. Raises InputError unless the
+    normal, the second axis by default, is along an axis.
     """
     node, far, along = _columns(solution, normal)
     body, u = solution.operator.body, solution.u

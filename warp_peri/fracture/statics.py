@@ -1,8 +1,7 @@
 """Bodies whose bonds are cut, at rest, under pressure too; and slow growth of their cracks.
 
-In slow growth the most stretched bond breaks first, one event after the other. The body is linear
-between events, so each state of damage has one load at which the next bond is at its limit; what a
-growing crack spends follows from the largest of them (theory, C7).
+In slow growth the most stretched bond breaks first, one after the other; between events the body is
+linear, and the largest loads give what the crack spends (theory, C7).
 """
 
 from __future__ import annotations
@@ -57,18 +56,18 @@ INDEFINITE = (
 
 
 class CutSolid(OperatorBase):
-    """A body with broken bonds at rest, its operator factorised once.
+    """Operator of a body with broken bonds at rest, factorised once.
 
     Args:
-        material: with one influence function; one that changes sign is checked by inertia, and so
-            is one with `moduli(body, weights)`, μ of bonds and λ − μ of nodes.
+        material: with one influence function, checked by inertia if it changes sign, as is one with
+            `moduli(body, weights)`: μ of bonds and λ − μ of nodes.
         body: nodes and bonds.
         held: components of the displacement that are given, shape [N] or [N, d] bool.
         neighbour: with broken bonds, shape [N, B]; the body's own by default.
         cracks, corrected: as of Cracked, the former instead of `neighbour`.
         solver: Direct, or CG by rows.
         moves: for waves alone; nothing need hold it, and it is not factorised.
-        near: factors of the body before it lost some bonds, which stand before conjugate gradients.
+        near: factors of the body before it lost some bonds, as preconditioner.
 
     Attributes:
         factors: of the rows and columns of L that are free, or `near`; none for CG.
@@ -127,34 +126,32 @@ class CutSolid(OperatorBase):
 
     @cached_property
     def matrix(self) -> sp.csr_array:
-        """L of (C4), symmetric, shape [d N, d N]."""
+        """Matrix L of (C4), symmetric, shape [d N, d N]."""
         return bond_matrix(self.body, self.neighbour, self.bonds, corrected=self.corrected)
 
     def times(self, fields: np.ndarray) -> np.ndarray:
-        """L of fields of all nodes, [S, N, d]."""
+        """Product L u of fields of all nodes, [S, N, d]."""
         if self._rows is not None:
             return self._rows(fields)
         return np.asarray(fields.reshape(len(fields), -1) @ self.matrix).reshape(fields.shape)
 
     @cached_property
     def points(self) -> Points:
-        """The nodes; those free in part are interior."""
+        """Nodes as Points; those free in part are interior."""
         return Points(self.body.x, self.inside, self.body.spacing, units=self.model.units)
 
     def force(self, u: np.ndarray) -> np.ndarray:
-        """Minus the internal force density on nodes that are not held, [..., N, d] to [..., I, d];
-        InputError for another shape and what is not finite."""
+        """Minus the internal force density on nodes not held, [..., N, d] to [..., I, d]."""
         force = self.times(self.fields(u))[:, self.inside]
         return force.reshape(*np.shape(u)[:-2], *force.shape[1:])
 
     def vjp(self, u: Any, w: np.ndarray) -> np.ndarray:
-        """The matrix, which is symmetric, of w on nodes that are not held, on all, [..., N, d]."""
+        """Transposed product L w, of w on nodes not held [..., I, d], on all nodes [..., N, d]."""
         fields = self.on_all(w)
         return self.times(fields.reshape(-1, *self.shape)).reshape(fields.shape)
 
     def solve(self, b: Any, u: Any, solver: Solver = None) -> Solution:
-        """The body at rest, of b [stress / length], None for none, and a u whose held components
-        are looked at, [..., N, d]; InputError for other shapes and what is not finite."""
+        """Solve for the body at rest under b [stress / length] or None, u given where held."""
         refuse_solver(solver, (Direct, CG), "a body with cracks")
         given = np.where(self.held, checked("u", u, float, (..., *self.shape), self.held), 0.0)
         load = np.zeros(given.shape) if b is None else checked("b", b, float, given.shape)
@@ -170,7 +167,7 @@ class CutSolid(OperatorBase):
     def _searched(
         self, load: np.ndarray, known: np.ndarray
     ) -> tuple[np.ndarray, list[SolveRecord]]:
-        """The same of fields [S, N, d] by conjugate gradients."""
+        """Solve for fields [S, N, d] at rest by conjugate gradients."""
         free = ~self.held
         scale = free / self._rows.diagonal if self._rows else free
 
@@ -189,23 +186,25 @@ class CutSolid(OperatorBase):
 
     @property
     def learnable(self) -> dict[str, Any]:
-        """λ, μ, α and D by name; none of several materials, or corrected."""
+        """Learnable parameters λ, μ, α and D by name; none of several materials, or corrected."""
         return self.model.learnable if self.one and not self.corrected else {}
 
     def at(self, numbers: Mapping[str, Any]) -> CutSolid:
-        """The same body with other numbers; InputError where they leave it indefinite."""
+        """Body with other parameters; InputError where they leave it indefinite."""
         model = self.model.with_parameters(numbers)
         how: dict[str, Any] = {"neighbour": self.neighbour, "solver": self.solver}
         return CutSolid(model, self.body, self.held, **how)
 
     def force_with_parameters(self, u: Any, numbers: Any) -> Any:
-        """The force of tensors [S, N, d] with other numbers, which has every derivative."""
+        """Force of tensors [S, N, d] with other parameters, which has every derivative."""
         force = fracture.adjoint.bond_force(self.model, self.body, self.neighbour, u, numbers)
         return force[:, self.inside]
 
     def max_symbol_eigenvalue(self) -> float:
-        """A proven upper bound of Λmax L [stress / length²]: (C9), or S. Gershgorin's of 1931.
-        InputError at rest, where nobody has looked whether the body may move."""
+        """Proven upper bound of Λmax L [stress / length²]: (C9), or S. Gershgorin's of 1931.
+
+        Raises InputError unless the body was made with `moves`.
+        """
         if not self.moves:
             raise InputError("simulate: expected a Cracked of a BrittleMaterial, or a density")
         if not self.corrected:
@@ -220,7 +219,7 @@ class CutSolid(OperatorBase):
 
 
 def by_component(held: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
-    """Which components are given, shape [N, d], of nodes [N] or components [N, d] bool."""
+    """Mask of given components, shape [N, d], of nodes [N] or components [N, d] bool."""
     mask = checked("held", held, bool)
     if mask.shape == shape[:1]:
         mask = np.repeat(mask[:, None], shape[1], axis=1)
@@ -233,8 +232,7 @@ def check_no_fail(no_fail: ArrayLike | None, count: int) -> np.ndarray:
 
 
 def check_pieces(body: LatticeBody, neighbour: np.ndarray, held: np.ndarray) -> None:
-    """Refuse a body of which a piece may move freely: cracks have cut it off and nothing holds it,
-    as loose_pieces finds."""
+    """Refuse a body of which cracks have cut a piece that nothing holds, as loose_pieces finds."""
     node, bond = np.nonzero(neighbour >= 0)
     links = sp.csr_array(
         (np.ones(len(node)), (node, neighbour[node, bond])), shape=2 * (len(neighbour),)
@@ -247,12 +245,11 @@ def check_pieces(body: LatticeBody, neighbour: np.ndarray, held: np.ndarray) -> 
 
 
 def crack_load(cut: CutSolid, stress: np.ndarray, numbers: Any = None) -> Any:
-    """Body force density [stress / length] that presses on what has been cut, shape [N, d].
+    """Body force density [stress / length] that presses on the cut faces, shape [N, d].
 
-    Minus the force that the missing bonds would carry under the uniform stress: a crack with it, in
-    a body pulled by the stress, is as if it were not there (C13). With numbers of the material as
-    tensors it is differentiable in them, unless corrected. Raises InputError for a stress [d, d]
-    that is not symmetric, and several materials.
+    Minus the force that the missing bonds would carry under the uniform stress: a body pulled by it
+    is as if the crack were not there (C13). Differentiable in parameters that are tensors, unless
+    corrected. Raises InputError for a stress [d, d] not symmetric, and several materials.
     """
     if not cut.one:
         raise InputError("pressure: expected one material, isotropic")
@@ -267,7 +264,7 @@ def crack_load(cut: CutSolid, stress: np.ndarray, numbers: Any = None) -> Any:
 
 
 def strain_of(stress: Any, lam: Any, mu: Any, even: Any) -> Any:
-    """Of an isotropic solid, arrays of NumPy or torch; `even` is the identity."""
+    """Strain of an isotropic solid under a stress, NumPy or torch; `even` is the identity."""
     d = len(even)
     bulk = d * (lam + 2 * mu / d)
     return (stress - lam / bulk * stress.trace() * even) / (2 * mu)
@@ -338,18 +335,16 @@ def grow(
 def apparent_toughness(
     model: LPSMaterial, spacing: Positive, *, cells: Count = 20, length: Count = 3
 ) -> float:
-    """What a growing crack spends over the toughness of (C6) behind its critical stretch.
+    """Energy that a growing crack spends, over the toughness of (C6) behind its critical stretch.
 
-    A central crack in a plane under tension, `cells` spacings from its middle to the collar and 0.4
-    of that long to each side, grown by `length` spacings; the largest load of each spacing counts,
-    and their mean, with G from the energies. Divide a stretch by the root of this to calibrate it
-    (C7). In space the strain is plane, and the front straight: it advances as one, which a bent
-    front does not; there this is an upper end.
+    From a central crack in a plane under tension, grown by `length` spacings: the mean of each
+    spacing's largest load. Divide a stretch by its root to calibrate it (C7). In space strain is
+    plane and the front straight; for a bent front this is an upper end.
 
     Args:
         model: positive on the lattice.
         spacing: h; the ratio of horizon to spacing is what matters.
-        cells: from the middle to the collar.
+        cells: spacings from the middle to the collar; the crack's half length is 0.4 of that.
         length: spacings of growth that are averaged.
     """
     h, reach, d = spacing, int(np.ceil(model.horizon / spacing)), model.dimension
@@ -376,14 +371,13 @@ def _westergaard(x: np.ndarray, half: float, lam: float, mu: float) -> np.ndarra
 
 
 def cut_by_spacing(classes: BondClasses) -> int:
-    """Bonds that a straight crack cuts as it grows by a spacing."""
+    """Number of bonds that a straight crack cuts as it grows by a spacing."""
     up = classes.steps[:, 1]
     return int(up[up > 0].sum())
 
 
 def spent(growth: Motion, classes: BondClasses, *, tips: int) -> float:
-    """G at a unit critical stretch of a growth along a row by one spacing or more, of so many tips
-    that grow alike: the mean of each spacing's largest."""
+    """Energy release rate at unit critical stretch of a growth by spacings, of equal tips."""
     grown = growth["broken"] / (2 * tips * cut_by_spacing(classes))  # spacings of each tip
     peaks = []
     for k in range(int(grown[-1])):

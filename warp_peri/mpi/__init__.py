@@ -1,6 +1,6 @@
-"""One solve or motion on many processes, under mpiexec: `mpiexec -n 64 python my_script.py`.
+"""Parallel solves and motions on ranks, processes of `mpiexec -n 64 python my_script.py`.
 
-A rank is one of the processes. Each owns a piece of the nodes; what comes back is on these.
+Each rank owns a piece of the nodes; what comes back is on these.
 """
 
 from contextlib import suppress

@@ -1,9 +1,7 @@
-"""Linear bodies at rest on many ranks: stencils on tiles, and what nearly inverts them (R1, R2).
+"""Linear bodies at rest on many ranks: stencils on tiles and their approximate inverses (R1, R2).
 
-A filter for short waves stands beside multigrid for long ones.
-
-A tile has nodes of others around it and its own transform; none crosses ranks, and a tile's has the
-same bits on any number of them.
+Each tile has its own transform over its nodes and those around it; none crosses ranks, so that the
+bits are the same on any number of them.
 """
 
 from __future__ import annotations
@@ -54,8 +52,10 @@ MOST = 32
 
 
 class Convolution:
-    """A symmetric stencil's product with fields in tiles, zero beyond the box: its reach [nodes],
-    and its transform on a torus of a given shape, [d, d, *torus] halved."""
+    """Product of a symmetric stencil with fields in tiles, zero beyond the box.
+
+    `symbol` gives the stencil's transform on a torus of a given shape, [d, d, *torus] halved.
+    """
 
     def __init__(
         self,
@@ -74,11 +74,11 @@ class Convolution:
         self.symbol: np.ndarray = symbol(self.torus).astype(dtype)
 
     def start(self, field: np.ndarray) -> None:
-        """Send for the nodes of others; `finish` gives the product."""
+        """Request the nodes of other ranks; `finish` gives the product."""
         self._wide, self._fill_halo = self.halo.start(field.astype(self.dtype, copy=False))
 
     def finish(self) -> np.ndarray:
-        """The product with the field that was sent for, [d, *box]; inner tiles first."""
+        """Product with the field given to `start`, [d, *box]; inner tiles first."""
         out: np.ndarray = np.empty((len(self._wide), *self.box), self.dtype)
         inner = [part for part in self.parts if self._is_inner(part)]
         for part in inner:
@@ -91,12 +91,12 @@ class Convolution:
         return out
 
     def _is_inner(self, part: tuple[slice, ...]) -> bool:
-        """Whether a tile feels no node of others."""
+        """Whether a tile's stencils reach no node of other ranks."""
         far = self.reach
         return all(p.start >= far and p.stop + far <= n for p, n in zip(part, self.box))
 
     def _fill(self, out: np.ndarray, part: tuple[slice, ...]) -> None:
-        """One tile of the product: a component at a time, for in space a transform is large."""
+        """Compute one tile of the product, a component at a time to save memory."""
         d, far, torus = len(self._wide), self.reach, self.torus
         here = self._wide[:, *(slice(p.start, p.stop + 2 * far) for p in part)]
         kept = [slice(far, far + p.stop - p.start) for p in part]
@@ -116,10 +116,9 @@ class Convolution:
 
 @lru_cache(MOST)
 def inverse_filter(law: StencilMaterial) -> Callable[[tuple[int, ...]], np.ndarray]:
-    """The symbol of the inverse of D + SHIFT G p(k) at short range, beside multigrid.
+    """Short-range part of the inverse of D + SHIFT G p(k) as a symbol, beside multigrid.
 
-    The kernel of the inverse times Bartlett's window, whose transform is not negative, so that its
-    symbol is positive (theory, R2). Cut off without a window it would not be.
+    Windowed by Bartlett's window, whose transform is not negative, so that it stays positive (R2).
     """
     steps, d = law.stencil.steps, law.dimension
     width, axes = WIDTH[d], tuple(range(d))
@@ -150,8 +149,7 @@ WHOLE = 10_000
 
 
 class Between:
-    """Restriction from nodes of ranks to every second one, and prolongation back, of tiles that can
-    be halved."""
+    """Restriction from the nodes of ranks to every second one, and prolongation back."""
 
     def __init__(self, comm: Comm, tiles: Tiles) -> None:
         self.coarse, every = tiles.coarser(), tiles.everywhere()
@@ -161,15 +159,15 @@ class Between:
         self._wide = tuple(n + 2 for n in tiles.box(comm.rank))
 
     def around(self, field: np.ndarray) -> np.ndarray:
-        """The nodes of this rank and one more around them."""
+        """Values on the nodes of this rank and one more around them."""
         return self._all(field)
 
     def restrict(self, field: np.ndarray) -> np.ndarray:
-        """Pᵗ of the nodes of this rank, one of the next rank's along each cut included."""
+        """Restriction Pᵗ from this rank's nodes, and one of the next rank's along each cut."""
         return restrict(self.around(field)[:, *self._with_next])
 
     def prolong(self, field: np.ndarray) -> np.ndarray:
-        """P to the nodes of this rank."""
+        """Prolongation P to the nodes of this rank."""
         d = len(self._wide)
         before = self._few(field)[:, *(slice(None, -1),) * d]
         return prolong(before, self._wide)[:, *(slice(2, None),) * d]
@@ -178,15 +176,14 @@ class Between:
 def cycle(
     comm: Comm, steps: np.ndarray, tensors: np.ndarray, mask: np.ndarray, tiles: Tiles
 ) -> _InTiles | _Gathered:
-    """A V-cycle on this rank's nodes of a mask, whole where nodes are few or tiles too small, on
-    any number of ranks."""
+    """Make a multigrid V-cycle on this rank's nodes of a mask, gathered where nodes are few."""
     if np.prod(tiles.shape) <= WHOLE or any(size % 2 for size in tiles.block):
         return _Gathered(comm, steps, tensors, mask, tiles)
     return _InTiles(comm, steps, tensors, mask, tiles)
 
 
 class _InTiles(Between, VCycle):
-    """As VCycle, of this rank's nodes: a level reads one more around them."""
+    """VCycle of this rank's nodes, whose levels read one more node around them."""
 
     def __init__(
         self, comm: Comm, steps: np.ndarray, tensors: np.ndarray, mask: np.ndarray, tiles: Tiles
@@ -198,7 +195,7 @@ class _InTiles(Between, VCycle):
 
 
 class _Gathered:
-    """A level that every rank has the whole of: the same work on each, and one exchange."""
+    """Multigrid level that every rank computes as a whole, with one exchange."""
 
     def __init__(
         self, comm: Comm, steps: np.ndarray, tensors: np.ndarray, mask: np.ndarray, tiles: Tiles
@@ -222,8 +219,10 @@ class _Gathered:
 
 
 class RowOperator:
-    """L of a law on a lattice in tiles, and what inverts it nearly; InputError without a proof, and
-    for interior nodes near the edge of the box."""
+    """Operator L of a proven material on a lattice in tiles, and an approximate inverse.
+
+    Raises InputError without a proof, and for interior nodes near the edge of the box.
+    """
 
     method = "multigrid"
 
@@ -251,7 +250,8 @@ class RowOperator:
 
     @cached_property
     def _near(self) -> tuple[Convolution, Between, Any]:
-        """What nearly inverts L: a filter for short waves, and multigrid on every second node."""
+        """Parts of the approximate inverse: a filter for short waves, multigrid on every second
+        node."""
         law, comm, tiles, d = self.model, self.points.comm, self._tiles, self.dimension
         scale = self.stencil.spacing**-2
         near, between = inverse_filter(law), Between(comm, tiles)
@@ -260,7 +260,7 @@ class RowOperator:
         return short, between, cycle(comm, *long, coarser(self.mask), between.coarse)
 
     def _check_whole(self) -> None:
-        """InputError where nodes are missing within the law's reach of an unknown one."""
+        """Raise InputError where nodes are missing within reach of an unknown one."""
         grid, comm, steps = self._grid, self.points.comm, self.stencil.steps
         there = np.zeros((1, *self._box), np.int8)
         there.flat[grid.place] = 1
@@ -272,29 +272,29 @@ class RowOperator:
 
     @property
     def proven(self) -> str | None:
-        """What is proven of the law, in one sentence."""
+        """Statement in one sentence of what is proven of the material, or None."""
         proof = self.model.certificate
         if proof is None or not proof.holds:
             return None
         return f"one stable answer: D(k) ≥ {proof.proven:.3g} s(k) for all k"
 
     def product(self, field: np.ndarray) -> np.ndarray:
-        """L of planes, at the unknown nodes."""
+        """Product L u of planes, at the unknown nodes."""
         pulled = self._L(field)
         pulled *= self.mask
         return pulled
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
-        """L u at this rank's interior nodes, shape [i, d], of u [n, d]."""
+        """Force L u at this rank's interior nodes, shape [i, d], of u [n, d]."""
         field = self._grid.scatter(np.asarray(u)[None])[0]
         return np.asarray(self._grid.gather(self.product(field)[None])[0])
 
     def rhs(self, b: np.ndarray) -> np.ndarray:
-        """b on this rank's interior, which the operator equals in equilibrium."""
+        """Right-hand side b on this rank's interior."""
         return np.asarray(b, dtype=float)[..., self.points.interior, :]
 
     def nearly_inverse(self, r: np.ndarray) -> np.ndarray:
-        """z ≈ L⁻¹ r: multigrid while the nodes for the filter are on their way, then the filter."""
+        """Approximate L⁻¹ r by multigrid, while the filter's nodes are sent, and by the filter."""
         short, between, coarse = self._near
         short.start(r)
         long = coarse(between.restrict(r) * coarse.mask)
@@ -305,8 +305,7 @@ class RowOperator:
         return z
 
     def inner(self) -> Inner:
-        """Scalar products and largest values over all ranks; sums of the rows of each tile, then
-        of all of them."""
+        """Scalar products and largest values over all ranks, summed by rows and tiles."""
         parts = self._tiles.parts(self._box)
         columns = [(slice(None), *p[1:]) for p in parts if p[0].start == 0]
 
@@ -320,7 +319,7 @@ class RowOperator:
         return inner(self.points.comm, along)
 
     def inverted(self, right: np.ndarray, tolerance: float) -> tuple[np.ndarray, SolveRecord]:
-        """L⁻¹ of a load on this rank's interior, both [i, d]."""
+        """Solve L u = right on this rank's interior, both [i, d]."""
         _ = self._near  # made before the search has its fields
         planes = self._grid.scatter_interior(right)
         found, record = definite(
@@ -334,7 +333,7 @@ _proven: dict[tuple[str, float], StencilMaterial] = {}
 
 
 def _tensors_of(model: LPSMaterial, spacing: float) -> StencilMaterial:
-    """The stencil of a solid on a spacing, proven there by all ranks."""
+    """Stencil of a solid on a spacing, proven there by all ranks."""
     comm, here, key = world(), model, (str(model.content()["sha256"]), spacing)
     if key not in _proven:
         if not model.is_certified_on(spacing):
@@ -347,8 +346,10 @@ def _tensors_of(model: LPSMaterial, spacing: float) -> StencilMaterial:
 
 
 def operator_on(material: Any, piece: Subdomain) -> Any:
-    """RowOperator of a linear solid on a lattice in tiles, an LPS as `model_at` transfers it;
-    InputError for other materials, as RowOperator and as their `fitting`."""
+    """Make the RowOperator of a linear solid on a lattice in tiles, of an LPS by `model_at`.
+
+    Raises InputError for other materials, as RowOperator and as their `fitting`.
+    """
     with agreed(piece.comm):
         if not hasattr(material, "stencil"):
             what = type(material).__name__

@@ -1,8 +1,5 @@
-"""The processes that mpiexec started: who speaks, how an error ends all, sums over all nodes, and
-what a rank feels of a box of lattice nodes in tiles that others own.
-
-Sums have the same bits however the nodes lie on ranks (theory, R3).
-"""
+"""Ranks of mpiexec: output, errors, sums with the same bits on any number of them (R3), tiles,
+halos."""
 
 from __future__ import annotations
 
@@ -38,10 +35,10 @@ THREADS = get_num_threads()
 
 @functools.cache
 def world() -> Comm:
-    """All ranks. From here on the first one speaks, an error of one ends all, and a rank sweeps on
-    one thread unless another number has been set.
+    """Communicator of all ranks; from here on the first prints, and an error of one ends all.
 
-    Raises InputError without mpi4py, and under another mpiexec than that of its MPI library.
+    Sweeps run on one thread unless set otherwise. Raises InputError without mpi4py, and under
+    another mpiexec than that of its MPI library.
     """
     os.environ.setdefault("MPIR_CVAR_SUPPRESS_ABORT_MESSAGE", "1")  # our line says it
     started = ranks_started() or 1
@@ -76,7 +73,7 @@ def world() -> Comm:
 
 
 def own_mpiexec() -> str:
-    """The mpiexec of this environment, beside its Python where there is one."""
+    """Path of this environment's mpiexec, beside its Python where there is one."""
     beside = Path(sys.executable).with_name("mpiexec")
     return str(beside) if beside.exists() else "the mpiexec of that library"
 
@@ -87,7 +84,7 @@ def is_root() -> bool:
 
 
 def _ended(comm: Comm, line: str, status: int) -> None:
-    """Say one line, once, and end all ranks."""
+    """Print one line, once, and end all ranks."""
     if comm.rank:
         time.sleep(GRACE)
     print(line, file=sys.__stderr__, flush=True)
@@ -103,16 +100,16 @@ def _uncaught(comm: Comm, kind: type[BaseException], error: BaseException, trace
 
 
 def together() -> AbstractContextManager[None]:
-    """Proofs inside, which all ranks must come to, are shared: each looks at some of the cells.
+    """Share proofs among ranks, each some of the cells; all ranks must come here.
 
-    What is proven does not depend on how many they are. Without mpiexec nothing changes.
+    Results do not depend on the number of ranks. Without mpiexec nothing changes.
     """
     return shared_by(world()) if ranks_started() else nullcontext()
 
 
 def in_turn(comm: Comm, make: Callable[[], Any]) -> Any:
-    """What `make` gives, first on one rank, which keeps in files what the others then find there;
-    InputError on all, where it does on any."""
+    """Call `make` on one rank, then on the others, which find its files; an InputError is on
+    all."""
     found = None
     for turn in (comm.rank == 0, comm.rank != 0):
         with agreed(comm):
@@ -122,7 +119,7 @@ def in_turn(comm: Comm, make: Callable[[], Any]) -> Any:
 
 
 def build(comm: Comm, *kernels: Any) -> None:
-    """Load kernels, which one rank compiles and the others then find in Warp's cache."""
+    """Compile kernels on one rank and load them on the others from Warp's cache."""
     in_turn(comm, lambda: [kernel.module.load(DEVICE) for kernel in kernels])
 
 
@@ -131,10 +128,9 @@ LIMB, LIMBS = 30, 4
 
 
 def total(comm: Comm, values: np.ndarray) -> np.ndarray:
-    """Sums along the first axis over all ranks, shape [...] of values [n, ...].
+    """Sum values [n, ...] along the first axis over all ranks, shape [...], in any order alike.
 
-    Each value is cut to whole multiples of one power of two, far below the largest of all ranks;
-    sums of whole numbers do not depend on their order.
+    Each value is rounded to multiples of one power of two far below the largest of all ranks.
     """
     from mpi4py import MPI
 
@@ -157,7 +153,7 @@ def total(comm: Comm, values: np.ndarray) -> np.ndarray:
 
 
 def nodal_fingerprint(comm: Comm, number: np.ndarray, *arrays: np.ndarray) -> str:
-    """Of arrays [n, ...] on the nodes of these global numbers, whoever owns them."""
+    """Fingerprint of arrays [n, ...] on nodes of these global numbers, whoever owns them."""
     marks = np.zeros((len(arrays), 2), np.uint64)
     with np.errstate(over="ignore"):
         for mark, array in zip(marks, arrays):
@@ -171,7 +167,7 @@ def nodal_fingerprint(comm: Comm, number: np.ndarray, *arrays: np.ndarray) -> st
 
 
 def _mixed(x: np.ndarray) -> np.ndarray:
-    """Splitmix64, a bijection that spreads every bit."""
+    """Hash numbers by Splitmix64, a bijection that spreads every bit."""
     x = x + np.uint64(0x9E3779B97F4A7C15)
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -180,8 +176,10 @@ def _mixed(x: np.ndarray) -> np.ndarray:
 
 
 def inner(comm: Comm, along: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Inner:
-    """Scalar products and largest values over all ranks, for conjugate gradients; `along` gives the
-    products of two fields in parts that do not depend on the number of ranks."""
+    """Scalar products and largest values over all ranks, for conjugate gradients.
+
+    `along` gives the products of two fields in parts that do not depend on the number of ranks.
+    """
     from mpi4py import MPI
 
     def dot(a: np.ndarray, b: np.ndarray) -> float:
@@ -200,9 +198,7 @@ def inner(comm: Comm, along: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> 
 
 @dataclass(frozen=True, eq=False)
 class Tiles:
-    """A box of lattice nodes in tiles along its first axes, owned by a grid of ranks.
-
-    What is computed tile by tile has the same bits on any number of ranks, and on any grid of them.
+    """Box of lattice nodes in tiles along its first axes, owned by a grid of ranks.
 
     Attributes:
         shape: nodes of the box along the axes.
@@ -217,29 +213,29 @@ class Tiles:
 
     @property
     def grid(self) -> tuple[int, ...]:
-        """Ranks along the axes that are cut."""
+        """Number of ranks along the axes that are cut."""
         return tuple(len(starts) - 1 for starts in self.starts)
 
     def at(self, rank: int) -> tuple[int, ...]:
-        """Where a rank lies in the grid."""
+        """Position of a rank in the grid."""
         return tuple(int(n) for n in np.unravel_index(rank, self.grid))
 
     def own(self, rank: int) -> tuple[slice, ...]:
-        """The nodes of a rank along the axes that are cut."""
+        """Slices of a rank's nodes along the axes that are cut."""
         return tuple(slice(int(s[i]), int(s[i + 1])) for s, i in zip(self.starts, self.at(rank)))
 
     def box(self, rank: int) -> tuple[int, ...]:
-        """Nodes of a rank along all axes."""
+        """Number of a rank's nodes along each axis."""
         own = self.own(rank)
         return (*(part.stop - part.start for part in own), *self.shape[len(own) :])
 
     def corner(self, rank: int) -> np.ndarray:
-        """The first node of a rank, shape [d]."""
+        """First node of a rank, shape [d]."""
         first = [part.start for part in self.own(rank)]
         return np.array(first + [0] * (len(self.shape) - len(first)), np.int32)
 
     def parts(self, box: tuple[int, ...]) -> list[tuple[slice, ...]]:
-        """The tiles of a rank with so many nodes, from its own first node."""
+        """Slices of the tiles of a rank with so many nodes, from its own first node."""
         along = [
             [slice(first, min(first + size, count)) for first in range(0, count, size)]
             for size, count in zip(self.block, box)
@@ -247,13 +243,13 @@ class Tiles:
         return list(itertools.product(*along))
 
     def everywhere(self) -> Tiles:
-        """The same, cut along all axes, into one part along those that are not."""
+        """Tiles cut along all axes, into one part along those that were not."""
         rest = self.shape[len(self.block) :]
         ends = tuple(np.array([0, n]) for n in rest)
         return replace(self, block=self.block + rest, starts=self.starts + ends)
 
     def coarser(self) -> Tiles:
-        """Every second node along each axis, from the second on."""
+        """Tiles of every second node along each axis, from the second on."""
         return replace(
             self,
             shape=tuple(n // 2 for n in self.shape),
@@ -263,11 +259,10 @@ class Tiles:
 
 
 def cut(comm: Comm, shape: tuple[int, ...], block: tuple[int, ...]) -> Tiles:
-    """A box of so many nodes along each axis cut into tiles for the ranks there are: who has most
-    has as few as can be, then the nodes along the cuts are as few as can be.
+    """Cut a box of nodes into tiles for all ranks, evenly and with few nodes along the cuts.
 
     `block` are the nodes of a tile along the first axes, even numbers. Raises InputError for other
-    tiles, and ranks that are more than tiles or form no grid of them.
+    tiles, and for more ranks than tiles or a number that forms no grid.
     """
     fits = 0 < len(block) <= len(shape) and all(isinstance(n, int) for n in block)
     if not fits or any(n < 2 or n % 2 for n in block):
@@ -297,7 +292,7 @@ def cut(comm: Comm, shape: tuple[int, ...], block: tuple[int, ...]) -> Tiles:
 def _grid(
     ranks: int, shape: tuple[int, ...], block: tuple[int, ...], counts: tuple[int, ...]
 ) -> tuple[int, ...] | None:
-    """The best grid of so many ranks; None where no grid has a tile for each."""
+    """Find the best grid of so many ranks; None where no grid has a tile for each."""
     factors = [n for n in range(ranks, 0, -1) if ranks % n == 0]  # along the first axis at best
     grids = [
         grid
@@ -313,8 +308,7 @@ def _grid(
 
 
 class Halo:
-    """So many nodes of other ranks around those of this one, with the corners, along the axes that
-    are cut; beyond the box zeros. More than a neighbour has come from the next ones."""
+    """Layer, `width` nodes wide, of other ranks' nodes around this one's; zeros beyond the box."""
 
     def __init__(self, comm: Comm, tiles: Tiles, width: int) -> None:
         self.comm, self.width = comm, width
@@ -327,8 +321,7 @@ class Halo:
         self._take = [(r, (slice(None), *_from(box, own, width))) for r, box in taken if box]
 
     def start(self, field: np.ndarray) -> tuple[np.ndarray, Callable[[], None]]:
-        """A field [c, *box] among zeros, and what waits for the nodes of others and puts them
-        there."""
+        """Start an exchange: a field [c, *box] among zeros, and the function that fills these."""
         w, cuts = self.width, len(self._inside)
         sides = (n + 2 * w * (axis < cuts) for axis, n in enumerate(field.shape[1:]))
         wide = np.zeros((len(field), *sides), field.dtype)
@@ -336,7 +329,7 @@ class Halo:
         return wide, exchange(self.comm, field, wide, self._give, self._take, w)
 
     def __call__(self, field: np.ndarray) -> np.ndarray:
-        """The field with the nodes of others around it."""
+        """Field with the nodes of other ranks around it."""
         wide, finish = self.start(field)
         finish()
         return wide
@@ -345,8 +338,7 @@ class Halo:
 def exchange(
     comm: Comm, field: np.ndarray, wide: np.ndarray, give: Any, take: Any, tag: int = 0
 ) -> Callable[[], None]:
-    """Send parts of a field to ranks, given as pairs (rank, place), and return what waits for
-    theirs and puts them into places of another array."""
+    """Send parts of a field, as pairs (rank, place); returns the function that receives theirs."""
     from mpi4py import MPI
 
     out = [(r, np.ascontiguousarray(field[place])) for r, place in give]
@@ -366,7 +358,7 @@ def exchange(
 def _shared(
     have: tuple[slice, ...], want: tuple[slice, ...], width: int
 ) -> tuple[slice, ...] | None:
-    """What one box has of another with so many nodes more around it; None for nothing."""
+    """Part of one box within another that is widened by `width`; None for nothing."""
     both = tuple(
         slice(max(h.start, w.start - width), min(h.stop, w.stop + width))
         for h, w in zip(have, want)
@@ -375,6 +367,6 @@ def _shared(
 
 
 def _from(box: tuple[slice, ...], own: tuple[slice, ...], margin: int) -> tuple[slice, ...]:
-    """A box as counted from the first of own nodes with a margin around them."""
+    """Box in coordinates that begin a margin before the first of a rank's own nodes."""
     shifts = (margin - part.start for part in own)
     return tuple(slice(part.start + s, part.stop + s) for part, s in zip(box, shifts))

@@ -1,8 +1,7 @@
-"""Nodes of one body, each owned by one rank: tiles of a lattice, or parts by bisection.
+"""Nodes of one body, each owned by one rank, and problems on them: at rest, waves, breaking bonds.
 
-Problems on them: at rest, waves, and bodies that break. A rank that breaks a body steps its nodes
-and those of others within δ, 2δ with a dilatation, whose displacement comes from their owners after
-each drift. All bonds that its own nodes feel then break here as they do there.
+A breaking rank steps its nodes and those of others within δ, 2δ with a dilatation, whose
+displacement comes from their owners after each drift: bonds break here as they do there.
 """
 
 from __future__ import annotations
@@ -61,7 +60,7 @@ _OF_A_WHOLE = ("box", "outside", "is_open_lattice")
 
 @dataclass(frozen=True, eq=False)
 class Subdomain:
-    """The nodes that this rank owns. Fields that go with it are on these.
+    """Nodes that this rank owns, on which its fields are.
 
     Attributes:
         comm: the ranks.
@@ -88,20 +87,20 @@ class Subdomain:
 
     @property
     def own(self) -> slice:
-        """Which of these nodes are this rank's own: all."""
+        """Slice of the nodes that are this rank's own: all."""
         return slice(None)
 
     @property
     def dimension(self) -> int:
-        """2 or 3."""
+        """Dimension of space, 2 or 3."""
         return int(self.x.shape[1])
 
     def sum(self, values: np.ndarray) -> np.ndarray:
-        """Of values [k, ...] over all ranks, shape [...], with the same bits on any number."""
+        """Sum values [k, ...] over all ranks, shape [...], with the same bits on any number."""
         return total(self.comm, values)
 
     def mark(self, *parts: Any) -> str:
-        """A fingerprint of arrays [n, ...] on these nodes, and of other values as printed."""
+        """Fingerprint of arrays [n, ...] on these nodes, and of other values as printed."""
         arrays = [part for part in parts if isinstance(part, np.ndarray)]
         others = [part for part in parts if not isinstance(part, np.ndarray)]
         return nodal_fingerprint(self.comm, self.number, *arrays) + "".join(map(repr, others))
@@ -109,12 +108,11 @@ class Subdomain:
     def solve(
         self, material: Any, problem: Any, solver: Solver, options: dict[str, Any]
     ) -> Solution:
-        """A Dirichlet problem on these nodes at rest; u and load are those of this rank's nodes.
+        """Solve a Dirichlet problem at rest; u and load are those of this rank's nodes.
 
-        With the option checkpoint=PATH what was found is written as the solve goes, and a later one
-        goes on from there, on any number of ranks.
-
-        Raises InputError for other problems and laws, and as RowOperator and `definite` do.
+        The option checkpoint=PATH writes iterates, from which a later solve goes on, on any number
+        of ranks. Raises InputError for other problems and materials, and as RowOperator and
+        `definite`.
         """
         alike(material, problem, options | {"solver": solver})
         (asked,) = taken(options, "solve", _asked)
@@ -146,8 +144,7 @@ class Subdomain:
         return by_sample(operator, answers.reshape(u.shape), right, records, counts, *how)
 
     def move(self, material: Any, problem: Any, options: dict[str, Any]) -> Motion:
-        """Motion of a Cracked on ranks: see Cracked.moved; fields are those of this rank's nodes.
-        Of an unbroken body: see solvers.verlet.march.
+        """Move a Cracked on ranks, as Cracked.moved, or an unbroken body, as solvers.verlet.march.
 
         Raises InputError for anything but steps, and for bonds that break by energy.
         """
@@ -194,19 +191,18 @@ class Subdomain:
 
     @property
     def inner(self) -> Inner:
-        """How fields [k, d] on some of the nodes are measured, over all ranks."""
+        """Scalar products and norms of fields [k, d] on nodes, over all ranks."""
         return inner(self.comm, lambda a, b: (a * b).sum(axis=1))
 
     def gather(self, values: np.ndarray) -> np.ndarray:
-        """Values [n, ...] of all pieces, on every rank, in the order of the whole body."""
+        """Gather values [n, ...] of all pieces on every rank, in the order of the whole body."""
         whole = np.empty((self.count, *np.shape(values)[1:]), np.asarray(values).dtype)
         for number, part in self.comm.allgather((self.number, np.asarray(values))):
             whole[number] = part
         return whole
 
     def read(self, path: str | os.PathLike[str], name: str) -> np.ndarray:
-        """Of an array [N, ...] of all nodes in an HDF5 file those of this rank, [n, ...];
-        InputError as read_rows."""
+        """Read this rank's rows [n, ...] of an array [N, ...] in an HDF5 file, as read_rows."""
         with agreed(self.comm):
             return read_rows(path, name, self.number, self.count)
 
@@ -217,10 +213,9 @@ class Subdomain:
 
 
 class NodeHalo:
-    """Nodes of other ranks in the box around a piece, as far as it feels.
+    """Nodes of a piece and of other ranks in the box around it, in the order of the whole body.
 
-    The nodes here are the piece's own and theirs, in the order of the whole body: sums over
-    neighbours then have the same bits on any rank.
+    Sums over neighbours then have the same bits on any rank.
 
     Attributes:
         number: of all nodes here in the whole body, rising, shape [m].
@@ -250,7 +245,7 @@ class NodeHalo:
         self._take = [(r, nodes) for r, nodes in enumerate(places[1:]) if len(nodes)]
 
     def mark(self, *parts: Any) -> str:
-        """As Subdomain.mark, of arrays [m or more, ...] on the nodes here."""
+        """Fingerprint, as Subdomain.mark, of arrays [m or more, ...] on the nodes here."""
         own = [part[self.own] if isinstance(part, np.ndarray) else part for part in parts]
         return self.piece.mark(*own)
 
@@ -259,7 +254,7 @@ class NodeHalo:
         exchange(self.comm, field, field, self._give, self._take)()
 
     def around(self, values: np.ndarray) -> np.ndarray:
-        """Values [n, ...] of the piece's own nodes on all nodes here, [m, ...]."""
+        """Extend values [n, ...] of the piece's own nodes to all nodes here, [m, ...]."""
         values = np.asarray(values)
         here = np.zeros((len(self.number), *values.shape[1:]), values.dtype)
         here[self.own] = values
@@ -282,15 +277,13 @@ def lattice(
     Args:
         shape: nodes along each axis; the ranks share tiles of the first two.
         spacing: h [length].
-        interior: which nodes are unknown, of positions [n, d] as bool [n]; or an HDF5 file whose
-            `interior` says it of all nodes, [N], of which a rank reads its own.
+        interior: which nodes are unknown, a function of positions [n, d] to bool [n]; or an HDF5
+            file whose `interior` [N] says it.
         origin: position of the first node.
-        block: nodes of a tile along the first axes, which stay together, even numbers; a number
-            alone is of whole rows.
+        block: even numbers of nodes of a tile along the first axes; one number is of whole rows.
         units, axis: as of Points.
 
-    Raises InputError for more ranks than tiles, a number of ranks that is no grid of them, and no
-    interior node anywhere.
+    Raises InputError for ranks more than tiles or that form no grid, and for no interior node.
     """
     comm = world()
     same(comm, shape=shape, spacing=spacing, origin=origin, block=block, units=units, axis=axis)
@@ -317,8 +310,10 @@ def lattice(
 def read_rows(
     path: str | os.PathLike[str], name: str, number: np.ndarray, count: int
 ) -> np.ndarray:
-    """Rows of rising numbers of an array of `count` in an HDF5 file, READ at a time with those that
-    lie between; InputError for a file without it, and another length."""
+    """Read rows, of rising numbers, of an array of length `count` in an HDF5 file, READ at a time.
+
+    Raises InputError for a file without the array, and another length.
+    """
     import h5py
 
     try:
@@ -372,18 +367,18 @@ def partition(points: Points, by: str = "rows") -> Any:
 
 
 def gather(points: Any, values: np.ndarray) -> np.ndarray:
-    """Values on all nodes, on every rank: of a piece gathered, of Points as they are."""
+    """Gather values of a piece's nodes on every rank; values on Points stay as they are."""
     return values if isinstance(points, Points) else np.asarray(points.gather(values))
 
 
 def _slab(rows: int) -> tuple[int]:
-    """Rows of a slab of a box with so many, a power of two."""
+    """Rows of a slab, a power of two, for a box of so many rows."""
     wanted = 1 << int(np.log2(max(rows / SLABS, 1)))
     return (min(max(wanted, SMALLEST), LARGEST),)
 
 
 def _usual(shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Nodes of a tile along the axes that are cut, of a box of this shape."""
+    """Default tile size along the axes that are cut, for a box of this shape."""
     d, unit = len(shape), 4  # two levels of multigrid at least
     if min(shape[:2]) < TILED[d]:
         return _slab(shape[0])
@@ -406,7 +401,7 @@ def _bisected(grid: np.ndarray, nodes: np.ndarray, parts: int) -> list[np.ndarra
 
 
 def _asked(*, checkpoint: str | os.PathLike[str] | None = None) -> Any:
-    """The options of a solve on ranks: the file of a checkpoint."""
+    """Options of a solve on ranks: the file of a checkpoint."""
     return checkpoint
 
 
@@ -415,8 +410,7 @@ NODAL = ("points", "b", "u", "free", "v", "no_fail", "grip", "record")
 
 
 def alike(material: Any, problem: Any, options: Mapping[str, Any]) -> None:
-    """InputError on all ranks that were given different things: a step, a material, a crack, before
-    anything is sent that depends on it."""
+    """Raise InputError on all ranks if they were given different steps, materials or cracks."""
     comm = problem.points.comm
     with agreed(comm):
         asked = {f.name: getattr(problem, f.name) for f in fields(problem)} | dict(options)
@@ -431,10 +425,10 @@ def alike(material: Any, problem: Any, options: Mapping[str, Any]) -> None:
 def solved(
     operator: Any, b: np.ndarray, u: np.ndarray, tolerance: float, file: RunFile | None, mark: str
 ) -> tuple[np.ndarray, SolveRecord]:
-    """Displacement [n, d] of a linear operator with load b on the interior, u given elsewhere.
+    """Solve a linear operator for u [n, d] with load b on the interior, u given elsewhere.
 
-    With a file, which the mark says to be of this problem, the answer goes on from what is kept
-    there, and is written each time that the residual is STAGE of what it was. All ranks come here.
+    With a file, of this problem by its `mark`, the solve goes on from what it holds, and writes
+    each time that the residual falls by STAGE. All ranks come here.
     """
     inside, load = operator.points.interior, operator.rhs(b)
     field = np.where(inside[:, None], 0.0, u)

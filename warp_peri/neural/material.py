@@ -1,4 +1,4 @@
-"""The peridynamic neural operator: networks, material, file."""
+"""The peridynamic neural operator: its networks, material and file."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from warp_peri.points.unit_names import USUAL, Units, check_same, check_units, f
 
 
 def network(*widths: int) -> torch.nn.Sequential:
-    """Linear layers with rectifiers between them."""
+    """Make a network of linear layers with rectifiers between them."""
     layers: list[torch.nn.Module] = []
     for width, following in itertools.pairwise(widths):
         layers += [torch.nn.Linear(width, following), torch.nn.ReLU()]
@@ -43,7 +43,7 @@ CHUNK = 2048
 
 @typed
 class NeuralOperator(Shown, torch.nn.Module):
-    """ω as a network of the bond, the scalar force state as one of (ω, ϑ, e, |ξ|), (NO1)–(NO4).
+    """Neural material with networks ω(ξ) and force state t(ω, ϑ, e, |ξ|), (NO1)–(NO4).
 
     Args:
         horizon: δ [length].
@@ -53,16 +53,15 @@ class NeuralOperator(Shown, torch.nn.Module):
         proportional: the force state is the network times e, (NO5).
         strain: the scale of the networks' inputs ϑ and e/|ξ|.
         units: of length and stress.
-        seed: of the first numbers.
+        seed: of the initial weights.
 
     Attributes:
         scale: s of (NO4) [stress/length³].
         widths: of both networks' hidden layers.
-        provenance: how the numbers were learned.
+        provenance: how the weights were learned.
 
-    Numbers are float32 until `.double()` is called, and forces are computed in their precision.
-
-    Raises InputError for a horizon, a strain or widths that are none.
+    Weights are float32 until `.double()` is called, and forces are computed in their precision.
+    Raises InputError for an invalid horizon, strain or widths.
     """
 
     dimension = 2
@@ -99,7 +98,7 @@ class NeuralOperator(Shown, torch.nn.Module):
             torch.nn.init.ones_(next(reversed(list(self.state.parameters()))))
 
     def omega(self, xi: torch.Tensor) -> torch.Tensor:
-        """ω of bonds, shape [n], from ξ [length], shape [n, 2]: (NO1) or (NO2)."""
+        """Influence function ω of bonds ξ [length], [n, 2], shape [n]: (NO1) or (NO2)."""
         inputs = xi if self.anisotropic else xi.norm(dim=1, keepdim=True)
         value: torch.Tensor = self.influence(inputs / self.horizon)[:, 0]
         return value
@@ -107,7 +106,7 @@ class NeuralOperator(Shown, torch.nn.Module):
     def force_state(
         self, omega: torch.Tensor, theta: torch.Tensor, e: torch.Tensor, r: torch.Tensor
     ) -> torch.Tensor:
-        """t [stress/length³] of bonds (NO4), all of shape [n]."""
+        """Force state t [stress/length³] of bonds (NO4), all of shape [n]."""
         extension = e / (self.strain * r)
         inputs = torch.stack([omega, theta / self.strain, extension, r / self.horizon], dim=1)
         parts = [self.state(part)[:, 0] for part in inputs.split(CHUNK)]
@@ -115,8 +114,7 @@ class NeuralOperator(Shown, torch.nn.Module):
         return value * extension if self.proportional else value
 
     def on(self, points: PointsLike) -> Placed:
-        """The operator on the nodes of a lattice; InputError for scattered points, an interior
-        without its 2δ collar, or other units."""
+        """Operator on the nodes of a lattice; InputError as Placed, and for other units."""
         check_same(self.units, nodes_of(points).units)
         return Placed(self, points)
 
@@ -126,14 +124,10 @@ class NeuralOperator(Shown, torch.nn.Module):
         *,
         precision: Literal["float16", "float32", "float64"] | None = None,
     ) -> None:
-        """Write one JSON file with the weights in it, whole or not at all.
+        """Write one .json file with the weights in it, whole or not at all.
 
-        Args:
-            path: ends in .json.
-            precision: of the weights in the file; the material's own where none is given.
-
-        Raises InputError for another ending, and for weights that are not finite in the precision
-        or too many for a file.
+        `precision` of the weights is by default the material's. Raises InputError for another
+        ending, and for weights that are not finite in the precision or too many for a file.
         """
         if Path(path).suffix != ".json":
             raise InputError(f"{path}: expected a name that ends in .json")
@@ -164,7 +158,7 @@ class NeuralOperator(Shown, torch.nn.Module):
         return NeuralFit(material, history)
 
     def in_units(self, units: Units) -> NeuralOperator:
-        """The same material in other units."""
+        """Convert the material to other units."""
         length, stress = factors(self.units, units)
         other = copy.deepcopy(self)
         other.units, other.horizon = check_units(units), self.horizon * length
@@ -172,15 +166,15 @@ class NeuralOperator(Shown, torch.nn.Module):
         return other
 
     def content(self) -> dict[str, Any]:
-        """Everything that a file says but the weights."""
+        """Content of the material's file without the weights."""
         return self.widths | {name: getattr(self, name) for name in SAID}
 
     def numbers(self) -> int:
-        """How many numbers are learned."""
+        """Number of weights that are learned."""
         return sum(part.numel() for part in self.parameters())
 
     def rows(self) -> list[tuple[str, str]]:
-        """What to know at a glance: name and value."""
+        """Name and value of what its printed form shows."""
         length, stress = symbols(self.units)
         first = "ω(ξ)" if self.anisotropic else "ω(|ξ|)"
         widths = ", ".join(f"{key} {pair}" for key, pair in self.widths.items())
@@ -202,7 +196,7 @@ FITS = atomic.LARGEST * 3 // 4 - 2**16
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NeuralFile(record.Record, format="warp_peri.neural", version=2):
-    """What a file says of an operator; its weights by name, in base 64."""
+    """Content of a neural material's file; its weights by name, in base 64."""
 
     horizon: Length
     influence: tuple[int, int]
@@ -235,7 +229,7 @@ class NeuralFile(record.Record, format="warp_peri.neural", version=2):
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Of the weights; InputError for a precision that is none."""
+        """Data type of the weights; InputError for an unknown precision."""
         if self.precision not in PRECISIONS:
             raise InputError(f"precision: expected one of {PRECISIONS}, got {self.precision!r}")
         return np.dtype(self.precision).newbyteorder("<")

@@ -1,4 +1,4 @@
-"""A neural material on a lattice: its bonds, force, tangent, equilibria, errors."""
+"""Operator of a neural material on a lattice: force, tangent, equilibria, errors."""
 
 from __future__ import annotations
 
@@ -36,8 +36,7 @@ LOADS = 8
 
 @dataclass(frozen=True)
 class Found:
-    """An equilibrium, or where the search ended: u [N, 2], ‖force − b‖ over that of the start, the
-    solves of the solid at rest, and whether the residual is within the tolerance, or rounding."""
+    """Equilibrium, or last iterate, u [N, 2], with its relative residual ‖force − b‖ and solves."""
 
     u: np.ndarray
     residual: float
@@ -46,8 +45,7 @@ class Found:
 
 
 class EquilibriumSolver:
-    """Equilibria of one operator, with the stencil that it was at rest before them, though its
-    numbers may change; InputError for points without a collar."""
+    """Solver for equilibria of one operator, preconditioned by its stencil at rest."""
 
     def __init__(self, placed: Placed) -> None:
         points = placed.points
@@ -59,11 +57,10 @@ class EquilibriumSolver:
         self.way = Equilibria(placed, straight, self.inverse, points.interior)
 
     def solve(self, b: ArrayLike, u: ArrayLike, *, tolerance: float = TOLERANCE) -> Found:
-        """Where the force on the interior is b [stress/length], near u [length]: data on the
-        collar, the start on the interior; both [N, 2].
+        """Find the equilibrium with load b [stress/length] near u [length], both [N, 2].
 
-        tolerance: ‖force − b‖ over that of the start with a zero interior. InputError for arrays of
-        other shapes.
+        u holds data on the collar and the start on the interior; `tolerance` is of ‖force − b‖ over
+        that of a zero interior. Raises InputError for arrays of other shapes.
         """
         load, field, enough = self._asked(b, u, tolerance)
         found, record = self.way.solve_from(load, field, enough)
@@ -72,8 +69,7 @@ class EquilibriumSolver:
     def solve_by_continuation(
         self, b: ArrayLike, u: ArrayLike, *, tolerance: float = TOLERANCE
     ) -> Found:
-        """The same on the branch that leaves the state of rest, whatever `u` has inside; where it
-        is not found, what the solid at rest answers."""
+        """Find the equilibrium on the branch from rest, whatever u is inside, or a linear one."""
         load, given, enough = self._asked(b, u, tolerance)
         try:
             found, record = self.way.solve(load, given, enough)
@@ -88,7 +84,7 @@ class EquilibriumSolver:
     def _asked(
         self, b: ArrayLike, u: ArrayLike, tolerance: float
     ) -> tuple[np.ndarray, np.ndarray, float]:
-        """The load on the interior, the field, and a residual that is small enough."""
+        """Checked load on the interior, field, and the residual that is small enough."""
         load, field = checked_fields(self.placed.points, b, u)
         rounding = ROUNDING * torch.finfo(self.placed.dtype).eps
         return load[self.placed.points.interior], field, max(tolerance, float(rounding))
@@ -103,11 +99,10 @@ MARGIN = 1 + 1e-4
 def interpolated_force(
     placed: Placed, u: torch.Tensor, *, cells: int = CELLS, offset: tuple[float, float] = (0.5, 0.5)
 ) -> torch.Tensor:
-    """Forces on the interior [stress/length], [S, I, 2], of an operator in fields u [S, N, 2].
+    """Forces on the interior [stress/length], [S, I, 2], in u [S, N, 2], by an interpolated state.
 
-    The force state is interpolated on a grid of so many cells along both axes, and one more, which
-    begins before the range by a share of a cell: drawn anew in every step of a training, corners
-    stand nowhere twice. The error falls with the square of 1/cells.
+    The grid has `cells` + 1 cells along both axes and begins a share of a cell below the range,
+    `offset`: drawn anew in each step of a training. The error falls with the square of 1/cells.
     """
     material, size = placed.material, cells + 2
     omega, share, r = placed.shares(u.dtype)
@@ -134,7 +129,7 @@ def interpolated_force(
 
 
 def _range(most: torch.Tensor, cells: int, offset: float) -> tuple[torch.Tensor, torch.Tensor]:
-    """Where a grid over values from −most to most begins, and its step."""
+    """Start and step of a grid over values from −most to most."""
     most = most * MARGIN + torch.finfo(most.dtype).tiny
     step = 2 * most / cells
     return -most - offset * step, step
@@ -149,13 +144,13 @@ class Placed(OperatorBase):
         whole: nodes with whole families, whose dilatation is known, shape [F].
         ends: the node at each of their bonds, shape [F, B].
         own: places of the interior nodes among the whole ones, shape [I].
-        node, place: the bonds with an interior end, in one of both directions each, by their first
-            node among the whole ones and their number in its family, shape [A].
+        node, place: the bonds with an interior end, once each, by their first node among the whole
+            ones and their number in its family, shape [A].
         forward, back: numbers among these of the bonds of the interior nodes, and of the same bonds
             from their other end, shape [I, B].
 
-    Raises InputError for scattered points and those in space, broken bonds, and an interior without
-    its 2δ collar.
+    Raises InputError for points in space or scattered, broken bonds, or an interior without a 2δ
+    collar.
     """
 
     def __init__(self, material: NeuralOperator, points: PointsLike) -> None:
@@ -181,9 +176,8 @@ class Placed(OperatorBase):
     def stretch(
         self, u: torch.Tensor, share: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Extensions e = |Y| − |ξ| of whole families [length], [S, F, B], dilatations ϑ = Σ share e
-        (NO3), [S, F], and directions M = Y/|Y| of the interior's bonds, [S, I, B, 2], of u
-        [S, N, 2] and shares [B]; Y = ξ + u_j − u_i."""
+        """Extensions |Y| − |ξ| [S, F, B], dilatations [S, F] (NO3), directions of Y [S, I, B,
+        2]."""
         xi, r = (torch.as_tensor(one, dtype=u.dtype) for one in (self.xi, self.r))
         eta = u[:, self.ends] - u[:, self.whole, None]
         Y = xi + eta
@@ -194,18 +188,18 @@ class Placed(OperatorBase):
         return e, e @ share, M
 
     def inverse(self, loads: int) -> Inverse:
-        """Of the solid at rest, of a load on the interior."""
+        """Inverse of the solid at rest for `loads` loads on the interior."""
         return EquilibriumSolver(self).inverse
 
     def errors(self, samples: Samples) -> dict[str, Any]:
-        """For `evaluate`: samples whose equilibrium is not found are told apart."""
+        """Errors on samples for `evaluate`; samples without an equilibrium are told apart."""
         return evaluate(self.model, samples)
 
     def solve(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
-        """Equilibrium with b on the interior, u given on the collar, shape [N, 2] or [S, N, 2].
+        """Solve for equilibrium with b on the interior, u given on the collar, [N, 2] or [S, N, 2].
 
-        The details of the solution are what EquilibriumSolver found of each sample. Raises
-        InputError for arrays that do not fit, and for a sample without an equilibrium.
+        The solution's details are the EquilibriumSolver's of each sample. Raises InputError for
+        arrays that do not fit, and for a sample without an equilibrium.
         """
         refuse_solver(solver, (Newton,), "a neural operator")
         asked = solver if isinstance(solver, Newton) else Newton()
@@ -221,11 +215,11 @@ class Placed(OperatorBase):
 
     @property
     def networks(self) -> tuple[torch.nn.Parameter, ...]:  # type: ignore[override]
-        """The numbers of the networks."""
+        """Weights of the networks."""
         return tuple(self.material.parameters())
 
     def force_torch(self, u: torch.Tensor) -> Any:
-        """Forces on the interior, (NO6), differentiable in the networks' numbers too."""
+        """Forces on the interior, (NO6), differentiable in the weights too."""
         if not any(p.requires_grad for p in self.material.parameters()):
             return super().force_torch(u)
         refuse_tangents(u)
@@ -244,19 +238,18 @@ class Placed(OperatorBase):
         return np.reshape(found, (*np.shape(v)[:-2], -1, 2))
 
     def vjp(self, u: Any, w: Any) -> np.ndarray:
-        """The transposed product with w on the interior [..., I, 2], on all nodes [..., N, 2]."""
+        """Transposed derivative of the force at u times w [..., I, 2], on all nodes [..., N, 2]."""
         seeds = self.of_interior(w).reshape(-1, 2 * len(self.own))
         pairs = zip(self._taken(u), seeds, strict=True)
         return np.reshape([self.tangent(field).T @ one for field, one in pairs], np.shape(u))
 
     def interior_tangent(self, u: np.ndarray) -> sp.csc_array:
-        """The derivative of the force at a field, between interior nodes, sparse [2 I, 2 I]."""
+        """Derivative of the force at a field, between interior nodes, sparse [2 I, 2 I]."""
         unknown = np.repeat(self.points.interior, 2)
         return sp.csc_array(self.tangent(self._taken(u)[0])[:, unknown])
 
     def tangent(self, u: torch.Tensor) -> sp.csr_array:
-        """J = ∂force/∂u at one field [N, 2], interior by all nodes, sparse [2 I, 2 N], by slopes of
-        force states to extensions and dilatations (NO9)."""
+        """Tangent ∂force/∂u at one field [N, 2], interior by all nodes, sparse [2 I, 2 N] (NO9)."""
         x = u.double().numpy()
         with torch.no_grad():
             omega, share, r = self.shares(u.dtype)
@@ -283,8 +276,8 @@ class Placed(OperatorBase):
         return sp.csr_array(-(self.points.spacing**2) * J)
 
     def stress(self, u: Any) -> np.ndarray:
-        """First Piola–Kirchhoff stress [stress] at the interior nodes, shape [..., I, 2, 2]: half
-        of Σ tension M ⊗ ξ over a node's bonds, (NO13); exact for uniform strain."""
+        """First Piola–Kirchhoff stress ½ Σ tension M ⊗ ξ at interior nodes, [..., I, 2, 2]
+        (NO13)."""
         with torch.no_grad():
             pull = self._pull(*self.tension(self._taken(u)))
             xi = torch.as_tensor(self.xi, dtype=pull.dtype)
@@ -293,25 +286,26 @@ class Placed(OperatorBase):
         return np.reshape(size * stress.double().numpy(), (*np.shape(u)[:-2], -1, 2, 2))
 
     def tension(self, u: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Force states [stress/length³] of the bonds with an interior end, [S, A] of u [S, N, 2],
-        and the directions of those of the interior nodes, [S, I, B, 2]."""
+        """Force states [stress/length³] of interior nodes' bonds, [S, A]; directions [S, I, B,
+        2]."""
         omega, share, r = self.shares(u.dtype)
         e, theta, M = self.stretch(u, share)
         state = self.material.force_state(*self.inputs(omega, theta, e, r))
         return state.reshape(len(u), -1), M
 
     def _pull(self, tension: torch.Tensor, M: torch.Tensor) -> torch.Tensor:
-        """Force states of both ends along the bonds of the interior nodes, [S, I, B, 2]."""
+        """Sum the force states of both ends along the interior nodes' bonds, [S, I, B, 2]."""
         both: torch.Tensor = tension[:, self.forward] + tension[:, self.back]
         return both[..., None] * M
 
     def force_of(self, tension: torch.Tensor, M: torch.Tensor) -> torch.Tensor:
-        """Forces on the interior [S, I, 2] of what `tension` gives."""
+        """Forces on the interior [S, I, 2] from the results of `tension`."""
         area: float = self.points.spacing**2
         return self._pull(tension, M).sum(dim=2) * -area
 
     def shares(self, dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """ω, ω |ξ| / Σ ω |ξ|² and |ξ| of the bonds of a family, each of shape [B]."""
+        """Influence ω of a family's bonds, dilatation weights ω |ξ| / Σ ω |ξ|², lengths, each
+        [B]."""
         material = self.material
         turn = np.radians(self.points.axis or 0.0)  # directions are those of the material
         turned = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
@@ -326,7 +320,7 @@ class Placed(OperatorBase):
     def inputs(
         self, omega: torch.Tensor, theta: torch.Tensor, e: torch.Tensor, r: torch.Tensor
     ) -> tuple[torch.Tensor, ...]:
-        """What the force state takes of the bonds with an interior end, each of shape [S A]."""
+        """Inputs of the force state for the bonds with an interior end, each of shape [S A]."""
         node, place = self.node, self.place
         e = e[:, node, place]
         parts = omega[place], theta[:, node], e, r[place]
@@ -338,27 +332,27 @@ class Placed(OperatorBase):
         return next(self.material.parameters()).dtype
 
     def _taken(self, u: Any) -> torch.Tensor:
-        """Fields [S, N, 2] in the material's precision; InputError for other shapes."""
+        """Convert fields to [S, N, 2] in the material's precision; InputError for other shapes."""
         u = plain("u", u)
         self.check(u)
         return torch.as_tensor(np.ascontiguousarray(u.reshape(-1, *self.shape)), dtype=self.dtype)
 
 
 def _differences(blocks: np.ndarray, ends: np.ndarray, own: np.ndarray, count: int) -> sp.bsr_array:
-    """Σ over bonds of blocks [n, B, k, 2] times v_end − v_own, sparse [k n, 2 count]."""
+    """Matrix of Σ over bonds of blocks [n, B, k, 2] times v_end − v_own, sparse [k n, 2 count]."""
     blocks = np.concatenate([blocks, -blocks.sum(axis=1, keepdims=True)], axis=1)
     return _blocks(blocks, np.column_stack([ends, own]), count)
 
 
 def _blocks(values: np.ndarray, columns: np.ndarray, count: int) -> sp.bsr_array:
-    """Blocks [n, m, k, c] in so many columns [n, m] of a count, sparse [k n, c count]."""
+    """Sparse matrix [k n, c count] of blocks [n, m, k, c] in the columns [n, m]."""
     (n, m), (*_, k, c) = columns.shape, values.shape
     blocks = values.reshape(-1, k, c), columns.ravel(), m * np.arange(n + 1)
     return sp.bsr_array(blocks, shape=(k * n, c * count))
 
 
 def affine(samples: Samples, u: np.ndarray) -> np.ndarray:
-    """A field with the interior on the affine motion that fits its collar best, shape [N, 2]."""
+    """Replace the interior of a field by the affine motion that fits its collar best, [N, 2]."""
     places = np.column_stack([samples.x, np.ones(len(u))])
     collar = ~samples.interior
     motion, *_ = np.linalg.lstsq(places[collar], u[collar], rcond=None)
@@ -373,12 +367,11 @@ SMALL = {torch.float64: 1e-8, torch.float32: 1e-5}
 def evaluate(
     material: NeuralOperator, samples: Samples, *, solve: bool = True, progress: bool = False
 ) -> dict[str, Any]:
-    """Errors on one set, means over samples and by sample ("samples"), relative ℓ2 norms.
+    """Evaluate a neural material on samples: mean relative ℓ2 errors, and by sample ("samples").
 
-    E_res_abs is ‖force − b‖ [stress/length], E_u the error of the displacement that is solved for
-    from zero or, without loads, from the affine motion of the collar, "converged" the share of the
-    samples whose equilibrium was found; an E_u is told of all, found or not. A sample without a
-    load has no E_res, and nodes that are all interior, as of a periodic sheet, have no E_u.
+    E_res_abs is ‖force − b‖ [stress/length]; E_u the error of the solved displacement from zero, or
+    from the collar's affine motion without loads, found or not; "converged" the share of equilibria
+    found. Without loads there is no E_res, without a collar no E_u.
     """
     placed, inside = material.on(samples.points), samples.interior
     loads = np.zeros_like(samples.u) if samples.b is None else samples.loads

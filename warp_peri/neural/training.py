@@ -1,4 +1,4 @@
-"""How a neural material is trained and evaluated."""
+"""Training of a neural material."""
 
 from __future__ import annotations
 
@@ -37,11 +37,10 @@ FARTHEST = 0.2
 
 
 class Frames:
-    """Samples whose displacement is seen and whose load is zero.
+    """Training samples with known displacement and zero load.
 
-    Every RENEWED epochs each equilibrium is searched from the affine motion of the collar, as it
-    will be where nothing but the collar is known, and the tangent there is factorised. In between
-    a visit moves it by one step with these factors and learns from where it is then, (NO14).
+    Every RENEWED epochs each equilibrium is searched from the affine motion of the collar and its
+    tangent factorised; in between a visit moves it by one step with these factors (NO14).
     """
 
     def __init__(self, material: NeuralOperator, samples: Samples) -> None:
@@ -59,7 +58,7 @@ class Frames:
         self.numbers: dict[str, torch.Tensor] = {}
 
     def errors(self, some: torch.Tensor, *_: Any) -> torch.Tensor:
-        """Relative ℓ2 errors of the displacement that is solved for."""
+        """Relative ℓ2 errors of the solved displacement."""
         return torch.tensor([self._error(int(n), self._found(int(n)).u) for n in some])
 
     def renew(self) -> None:
@@ -75,7 +74,7 @@ class Frames:
             self.factors.append(splu(self.placed.interior_tangent(field.numpy())))
 
     def learn(self, some: torch.Tensor, *_: Any) -> torch.Tensor:
-        """The errors, with gradients of their mean added to the material's."""
+        """Errors of some samples; adds the gradient of their mean to the weights'."""
         chosen = some.tolist()
         force = self.placed(torch.as_tensor(self.state[chosen], dtype=self.u.dtype))
         weights, errors = np.zeros(force.shape), []
@@ -93,7 +92,7 @@ class Frames:
         return torch.tensor(errors)
 
     def resume(self, state: torch.Tensor, numbers: dict[str, torch.Tensor]) -> None:
-        """Equilibria and factors as they were; the material's numbers are those of the factors."""
+        """Restore equilibria and factors; the factors belong to the weights `numbers`."""
         self.material.load_state_dict(numbers)
         self.renew()
         self.state = state.numpy().copy()
@@ -138,11 +137,11 @@ class TrainingSettings:
 
 @dataclass
 class TrainingHistory:
-    """What a training did in so many epochs and seconds.
+    """Epochs, seconds and errors of a training.
 
     Attributes:
-        curve: epoch, mean training error while it ran, validation error, of every look.
-        best: the epoch whose numbers the material holds.
+        curve: epoch, mean training error in it, and validation error, of every look.
+        best: the epoch whose weights the material holds.
     """
 
     epochs: int = 0
@@ -152,7 +151,7 @@ class TrainingHistory:
 
 
 class _Loads:
-    """Samples whose loads are known, as a training takes them: (NO7)."""
+    """Training samples with known loads (NO7)."""
 
     def __init__(self, material: NeuralOperator, samples: Samples) -> None:
         self.samples, self.placed = samples, material.on(samples.points)
@@ -175,7 +174,7 @@ class _Loads:
         return torch.as_tensor(left / b)
 
     def learn(self, some: torch.Tensor, cells: int, offset: tuple[float, float]) -> torch.Tensor:
-        """The errors, with gradients of their mean added to the material's."""
+        """Errors of some samples; adds the gradient of their mean to the weights'."""
         errors = self.errors(some, cells, offset)
         errors.mean().backward()
         return errors.detach()
@@ -183,8 +182,7 @@ class _Loads:
 
 @dataclass(frozen=True)
 class NeuralFit:
-    """A trained operator with the numbers of its best epoch; nothing is proven of it, so that it
-    has no certificate."""
+    """Trained neural operator with the weights of its best epoch; nothing is proven of it."""
 
     material: NeuralOperator
     history: TrainingHistory
@@ -200,10 +198,10 @@ def train(
     checkpoint: str | os.PathLike[str] | None = None,
     progress: bool = True,
 ) -> TrainingHistory:
-    """Learn the material's numbers in place; it ends with those of least train + val error.
+    """Train the material's weights in place; keeps those of least train + val error.
 
     Args:
-        material: with the numbers to start from.
+        material: with the weights to start from.
         samples, val: to learn from, and to choose the epoch by; every interior node counts.
         training: settings; with more epochs than a checkpoint has, the work goes on.
         checkpoint: a file of all that is needed to go on, written every ten seconds.
@@ -245,7 +243,7 @@ def train(
 
 
 class _Run:
-    """A training as it stands; a checkpoint's key is all but how many epochs are asked for."""
+    """State of a training; a checkpoint's key is all but the number of epochs."""
 
     def __init__(
         self,
@@ -269,7 +267,7 @@ class _Run:
                 material.scale *= float(learned.b[:FIRST].norm()) / size
 
     def epoch(self) -> float:
-        """Once over all samples; the mean error on the way."""
+        """Train one epoch over all samples; returns the mean error on the way."""
         training, count = self.training, len(self.learned.u)
         if isinstance(self.learned, Frames) and self.history.epochs % RENEWED == 0:
             self.learned.renew()
@@ -287,7 +285,7 @@ class _Run:
 
     @torch.no_grad()
     def look(self, error: float) -> float:
-        """The validation error; the numbers are kept if they are the best."""
+        """Compute the validation error; keeps the weights if they are the best."""
         every = torch.arange(len(self.unseen.u))
         other = float(self.unseen.errors(every, self.training.cells).mean())
         self.history.curve.append((self.history.epochs, error, other))
@@ -297,7 +295,7 @@ class _Run:
         return other
 
     def save(self, file: ArrayFile) -> None:
-        """Everything that is needed to go on."""
+        """Write a checkpoint."""
         state: dict[str, Any] = {"scale": self.material.scale, "adam": self.adam.state_dict()}
         state |= {"material": self.material.state_dict()}
         state |= {"random": self.random.get_state(), "history": asdict(self.history)}
@@ -308,7 +306,7 @@ class _Run:
         file.write({"state": np.frombuffer(stream.getvalue(), np.uint8)})
 
     def resume(self, file: ArrayFile) -> None:
-        """Go on from a checkpoint, where there is one."""
+        """Continue from a checkpoint, if there is one."""
         state = file.read(
             lambda held: torch.load(io.BytesIO(held["state"].tobytes()), weights_only=True)
         )
@@ -329,7 +327,7 @@ class _Run:
 
 
 def _share(epoch: int, epochs: int) -> float:
-    """Of the rate in an epoch: a rise, a plateau, and half a cosine down to zero."""
+    """Share of the learning rate in an epoch: a rise, a plateau, and half a cosine down to zero."""
     left = (epochs - epoch) / (DECAY * epochs)
     fall = 0.5 - 0.5 * math.cos(math.pi * min(1.0, left))
     return min(1.0, (epoch + 1) / WARM) * fall

@@ -1,4 +1,4 @@
-"""An answer with its error: the richest model is evaluated, and corrects (theory, Q1–Q11)."""
+"""Predictions with an error: the richest model is evaluated, and corrects (theory, Q1–Q11)."""
 
 from typing import TYPE_CHECKING
 

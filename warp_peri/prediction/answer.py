@@ -1,8 +1,5 @@
-"""A tolerance in, an answer with its error out (theory, Q1–Q5).
-
-The cheapest member is solved, the richest is evaluated, never solved: what its residual asks for is
-both the estimate and the improvement.
-"""
+"""Predictions to a tolerance (theory, Q1–Q5): solved by the cheapest member, corrected by the
+richest."""
 
 from __future__ import annotations
 
@@ -53,7 +50,7 @@ ACCURATE = 1e-5
 @typed_methods
 @dataclass(frozen=True, repr=False)
 class ErrorBound(Shown):
-    """What is proven of an answer: it speaks of the model, not of the atoms.
+    """Proven bound of a prediction's distance from the rich member's solution, not from the atoms.
 
     Attributes:
         energy: bound of ‖u_rich − u‖_L [√(stress · length)] on the interior, ‖v‖²_L = Σ v·L v.
@@ -77,7 +74,7 @@ class ErrorBound(Shown):
 
 
 def contraction(model: Any, gradient: float, size: float) -> tuple[float, float] | None:
-    """q and a radius of gradients, κ_in size/(1 − q) off, that no iterate leaves; or None."""
+    """Contraction q and a radius κ_in size/(1 − q) of gradients that no iterate leaves; or None."""
     names = ("strain", "kappa_in", "kappa_out", "largest_parts")
     if not all(name in model.proven for name in names):
         return None
@@ -95,7 +92,7 @@ def contraction(model: Any, gradient: float, size: float) -> tuple[float, float]
 
 
 def proven_stiffness(operator: Any, spacing: float) -> float:
-    """c with D(k) ≥ c s(k), proven [stress]; 0 without a certificate."""
+    """Proven constant c with D(k) ≥ c s(k) [stress]; 0 without a certificate."""
     linear = getattr(operator.model, "linear", operator.model)
     proof = linear.certificate
     if isinstance(proof, dict):
@@ -116,17 +113,17 @@ WORDS = {
 
 
 def said(error: float, form: str = "{:.2f}%") -> str:
-    """An error in %, or that it is unknown."""
+    """Format an error in %, or say that it is unknown."""
     return "unknown" if np.isnan(error) else form.format(100 * error)
 
 
 @dataclass(frozen=True)
 class QuantityEstimate:
-    """A quantity of an answer.
+    """Value of a quantity in a prediction, its correction and likely error.
 
     Attributes:
-        value: of the answer's displacement.
-        correction: signed; value + correction is what the rich member says.
+        value: of the prediction's displacement.
+        correction: signed; value + correction is the rich member's value.
         bar: likely error of the value, same shape.
     """
 
@@ -138,15 +135,15 @@ class QuantityEstimate:
 @typed_methods
 @dataclass(frozen=True, eq=False, repr=False)
 class Prediction(Shown):
-    """A body at rest, and how wrong it may be.
+    """Displacement of a body at rest with its likely error.
 
     Attributes:
         u: displacement [length] on all nodes, shape [N, d].
         parts: likely error of u on the interior over u by origin: left, waves, data, strain, noise,
-            and axis where the direction of a crystal is not stated. Not a number where it is
-            unknown, as of waves shorter than any of the data.
-        uncovered: what the error does not speak of.
-        corrections: times that the rich member was asked to correct.
+            and axis where a crystal's direction is not stated; NaN where unknown, as of waves
+            shorter than any of the data.
+        uncovered: error sources that are not included.
+        corrections: how often the rich member corrected.
         tolerance: that was asked for; None for the best.
     """
 
@@ -161,8 +158,7 @@ class Prediction(Shown):
 
     @property
     def error(self) -> float:
-        """Likely error, a fraction, the root of the sum of the squares of its parts: with the
-        factors as they were calibrated nine of ten answers are closer (theory, Q4)."""
+        """Likely relative error, root sum of squares of `parts`; nine of ten are closer (Q4)."""
         return math.hypot(*self.parts.values())
 
     @property
@@ -171,12 +167,12 @@ class Prediction(Shown):
 
     @property
     def kept(self) -> bool:
-        """Whether the error is within the tolerance and nothing but the axis is uncovered."""
+        """Whether the error is within the tolerance and no source but the axis is uncovered."""
         return self._within and all(one == AXIS for one in self.uncovered)
 
     @property
     def why(self) -> str:
-        """What was done and what most of the error is, in one sentence."""
+        """One sentence on what was done and what most of the error is."""
         n, parts = self.corrections, self.parts
         way = "linear" + (f" and {n} nonlinear correction{'s' * (n != 1)}" if n else "")
         way = way.replace(" 1 ", " one ")
@@ -188,7 +184,7 @@ class Prediction(Shown):
 
     @cached_property
     def fields(self) -> Parts:
-        """Errors by origin as fields on the interior; computed now where a screen sufficed."""
+        """Error fields on the interior by origin, computed on first use."""
         known, placed = self.known, self.operator
         if known is None:
             left = placed.correction(self.load, self.u)
@@ -197,11 +193,11 @@ class Prediction(Shown):
 
     @property
     def corrected(self) -> np.ndarray:
-        """The next answer, u and the correction that is left, on all nodes."""
+        """Displacement with the remaining correction added, on all nodes."""
         return self._plus(self.fields.fields["left"])
 
     def of(self, quantity: Callable[[np.ndarray], Any]) -> QuantityEstimate:
-        """A quantity of a displacement on all nodes, [N, d] → numbers, with its error (Q4).
+        """Estimate a quantity, a function of nodal displacements [N, d], with its error (Q4).
 
         warp_peri.prediction has strain, stress, means and forces.
         """
@@ -226,7 +222,7 @@ class Prediction(Shown):
 
     @cached_property
     def guarantee(self) -> ErrorBound | None:
-        """How far the rich member's own solution is at most, proven; None where nothing is (Q9)."""
+        """Proven bound of the distance from the rich member's solution, or None (Q9)."""
         placed, u = self.operator, self.u
         operator: Any = placed.rich
         points, inside = placed.points, placed.points.interior
@@ -266,7 +262,7 @@ class Prediction(Shown):
         return ErrorBound(bound, relative, q, largest, moved, words)
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
-        """The map of the likely error over the nodes."""
+        """Plot the map of the likely error over the nodes."""
         import matplotlib.pyplot as plt
 
         points = self.operator.points
@@ -294,7 +290,7 @@ class Prediction(Shown):
 def combined(
     parts: Parts, factors: CalibrationFactors, size: Callable[[np.ndarray], Any]
 ) -> dict[str, Any]:
-    """Likely errors by origin, of fields of errors or what was made of them (Q4)."""
+    """Combine error fields, or quantities made of them, to likely errors by origin (Q4)."""
     share = parts.pull * factors.floor / np.sqrt(2)
     weights = {"left": factors.left, "waves": share, "data": share, "strain": factors.floor}
     found = {name: weights.get(name, 1.0) * size(part) for name, part in parts.fields.items()}
@@ -309,9 +305,9 @@ Measure = Callable[[np.ndarray], np.ndarray]
 
 @typed
 def strain(points: PointsLike, at: ArrayLike) -> Measure:
-    """ε at the nodes nearest to positions [m, d], by central differences, shape [m, d, d].
+    """Make a measure of the strain ε at the nodes nearest to positions [m, d], shape [m, d, d].
 
-    Raises InputError for scattered points, and positions whose node lacks a neighbour.
+    By central differences. Raises InputError for scattered points, and nodes without neighbours.
     """
     nodes = nodes_of(points)
     if not nodes.spacing > 0:
@@ -331,7 +327,7 @@ def strain(points: PointsLike, at: ArrayLike) -> Measure:
 
 @typed
 def stress(placed: EnsembleOperator, at: ArrayLike) -> Measure:
-    """σ [stress] of the rich member at the interior nodes nearest to positions, [m, d, d]."""
+    """Make a measure of the rich member's stress at the interior nodes nearest to `at`."""
     inside = placed.points.x[placed.points.interior]
     nodes = cKDTree(inside).query(np.atleast_2d(np.asarray(at, float)))[1]
     return lambda u: np.asarray(placed.rich.stress(u))[nodes]
@@ -339,15 +335,14 @@ def stress(placed: EnsembleOperator, at: ArrayLike) -> Measure:
 
 @typed
 def mean(where: ArrayLike) -> Measure:
-    """Mean displacement of nodes, by a mask [N] or numbers, shape [d]."""
+    """Make a measure of the mean displacement of nodes, by a mask [N] or numbers, shape [d]."""
     nodes = np.asarray(where)
     return lambda u: u[nodes].mean(axis=0)
 
 
 @typed
 def force(placed: EnsembleOperator, start: ArrayLike, end: ArrayLike) -> Measure:
-    """What is carried across a straight cut from one point to another, on its right-hand side:
-    the reaction of what lies beyond it [stress · length], shape [2]."""
+    """Make a measure of the force [stress · length] that the right of a straight cut exerts."""
     a, b = np.asarray(start, float), np.asarray(end, float)
     share, along = (np.arange(50) + 0.5) / 50, b - a
     normal = np.array([along[1], -along[0]]) / 50
@@ -359,7 +354,7 @@ def force(placed: EnsembleOperator, start: ArrayLike, end: ArrayLike) -> Measure
 def predict(
     material: Any, problem: Any, tolerance: Positive | None = 0.01, **options: Any
 ) -> Prediction | tuple[Prediction, ...]:
-    """The cheapest answer that keeps a tolerance, and how wrong it is.
+    """Predict a displacement within a tolerance at the least cost, with its likely error.
 
     Args:
         material: an ensemble, from fit(samples, prediction.Ensemble(…)), or its EnsembleOperator
@@ -367,12 +362,11 @@ def predict(
             standard errors gives those alone, and says so.
         problem: Dirichlet(points, b, u).
         tolerance: largest displacement error, relative to the displacement of the interior; None
-            for the best answer, with its error.
+            for the best prediction.
         options: of the material's `on`: transfer, allow_uncertified.
 
-    Returns an answer, or one for each of several loads; one whose tolerance is not kept says so.
-    Raises InputError for a material that is no ensemble, a problem of another kind, and whatever
-    `solve` refuses.
+    Returns a prediction, or one for each of several loads; `kept` tells whether within the
+    tolerance. Raises InputError for a material that is no ensemble, other problems, and as `solve`.
 
     >>> ensemble = wp.fit(samples, Ensemble(wp.LPS(12.5, wp.Bernstein(3)))).material
     >>> bool(wp.predict(ensemble, wp.Dirichlet(points, b[0], u[0]), tolerance=0.05).kept)
@@ -409,7 +403,7 @@ def predict(
 
 
 def _corrected(first: Prediction, told: float | None) -> Prediction:
-    """Correct until the tolerance is kept, or cannot be; `told` is the error by the record."""
+    """Correct a prediction until the tolerance is kept or cannot be; `told` is the known error."""
     placed, load, tolerance, u = first.operator, first.load, first.tolerance, first.u
     factors, inside, noise = placed.family.factors, placed.points.interior, first.parts["noise"]
     before, slowed, least, best = math.inf, 0.0, math.inf, (u, u[inside], 0)
@@ -466,7 +460,7 @@ def _corrected(first: Prediction, told: float | None) -> Prediction:
 
 
 def _uncovered(placed: EnsembleOperator, points: Any) -> tuple[str, ...]:
-    """What the error of a problem does not speak of."""
+    """Error sources of a problem that the prediction does not include."""
     found = []
     if placed.family.second is placed.family.rich:
         found.append("waves: force constants alone determine the error of the moduli, and no other")
@@ -483,7 +477,7 @@ def _uncovered(placed: EnsembleOperator, points: Any) -> tuple[str, ...]:
 
 
 def _beyond(placed: EnsembleOperator, u: np.ndarray, unseen: float) -> list[tuple[str, str]]:
-    """Parts that are unknown, and what the family's data say nothing of."""
+    """Parts of the error that are unknown, each with the limit of the data that is exceeded."""
     found = []
     if unseen > SHORTER:
         found.append(("waves", "short waves: shorter than any that the ensemble learned from"))
@@ -499,7 +493,7 @@ def _beyond(placed: EnsembleOperator, u: np.ndarray, unseen: float) -> list[tupl
 
 
 def _noise(points: Any, number: int) -> list[float]:
-    """Noise of the displacement that is given, over it, of each sample."""
+    """Relative noise of the given displacement of each sample."""
     if isinstance(points, Samples) and "snr" in points.arrays and len(points) == number:
         return [float(1 / value) if value > 0 else 0.0 for value in points.arrays["snr"]]
     return [0.0] * number

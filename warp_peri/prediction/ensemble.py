@@ -1,4 +1,4 @@
-"""Ensembles: members learned from one data set, and fields of what they do not know (Q1–Q6)."""
+"""Ensembles: members learned from one data set, and fields of their likely errors (Q1–Q6)."""
 
 from __future__ import annotations
 
@@ -49,10 +49,10 @@ ROUNDING = 1e-12
 
 @dataclass(frozen=True)
 class ErrorSpectrum:
-    """The relative error [K] of a material's answers by wavelength [length], growing, [K].
+    """Relative error [K] of a material's solutions by wavelength [length], growing, [K].
 
-    Between wavelengths its square is linear in their logarithms; below the `shortest` that samples
-    held enough of, the largest error that is known stands for one that is not.
+    Its square is linear in log wavelength; below the `shortest` that samples held enough of, it is
+    unknown, and the largest known error stands for it.
     """
 
     wavelength: Annotated[np.ndarray, FieldUnits(length=1)]
@@ -60,19 +60,17 @@ class ErrorSpectrum:
     shortest: Annotated[float, FieldUnits(length=1)] = 0.0
 
     def of(self, shares: np.ndarray) -> float:
-        """The error of a field with those shares, relative to the field."""
+        """Relative error of a field with these shares by wavelength."""
         return float(np.sqrt(shares @ self.error**2))
 
     def unseen(self, shares: np.ndarray) -> float:
-        """The share of a field that is shorter than all that samples held."""
+        """Share of a field with wavelengths shorter than all that samples held."""
         return float(shares[self.wavelength < self.shortest * (1 - 1e-9)].sum())
 
 
 class Spectrum:
-    """Shares of fields on a lattice by wavelength [length], growing, shape [K].
-
-    What is affine in a field belongs to none; it is taken to zero towards the edge of its nodes.
-    """
+    """Spectrum of lattice fields by wavelength [length], growing, [K]; affine parts do not
+    count."""
 
     def __init__(self, points: PointsLike, wavelength: np.ndarray) -> None:
         grid, _ = lattice_steps(points)
@@ -100,7 +98,7 @@ class Spectrum:
         self.by_knot = sp.csr_array((values, at), (count, low.size))
 
     def shares(self, u: np.ndarray) -> np.ndarray:
-        """Shares of the square of a field [N, d], shape [K]."""
+        """Shares by wavelength of the square of a field [N, d], shape [K]."""
         u = u / max(float(np.abs(u).max()), 1e-300)
         left = (u - self.affine @ (self.affine.T @ u)) * self.window[:, None]
         field = np.zeros((u.shape[1], int(np.prod(self.shape))), np.float32)
@@ -114,7 +112,7 @@ class Spectrum:
 
 
 def recorded(wavelength: np.ndarray, rows: np.ndarray, errors: np.ndarray) -> ErrorSpectrum:
-    """The root mean square of errors [S] of samples, by their shares [S, K] of wavelengths [K]."""
+    """Make the error spectrum from samples' errors [S] and shares [S, K] of wavelengths [K]."""
     there = rows.sum(axis=0)
     error = np.sqrt((rows * errors[:, None] ** 2).sum(axis=0) / np.maximum(there, 1e-300))
     enough = there >= min(SEEN, there.max())
@@ -125,12 +123,12 @@ def recorded(wavelength: np.ndarray, rows: np.ndarray, errors: np.ndarray) -> Er
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """Fields of errors [I, d] [length] on the interior nodes by origin (Q1–Q3).
+    """Error fields [I, d] [length] on the interior nodes by origin (Q1–Q3).
 
-    "left" is the correction; "waves" is by the second member, "data" by the halves; "strain" what
-    the orders of the force would go on to, or of a linear member the forces of second order; "axis"
-    by the crystal at its other extreme; "moduli" by their standard error. Waves and data are
-    multiplied with `pull`, half way in logarithms to what the record says of wavelengths (Q6).
+    "left": the remaining correction; "waves": by the second member; "data": by the halves;
+    "strain": by higher orders of the force, of a linear member the second; "axis": by the crystal
+    at its other extreme; "moduli": by their standard error. Waves and data are multiplied with
+    `pull`, half way in logarithms to the recorded error (Q6).
     """
 
     fields: dict[str, np.ndarray]
@@ -138,15 +136,14 @@ class Parts:
 
 
 def norm(field: np.ndarray) -> float:
-    """‖field‖₂ of vectors [n, d]."""
+    """Euclidean norm ‖field‖₂ of vectors [n, d]."""
     return float(np.linalg.norm(field))
 
 
 class EnsembleOperator:
-    """The members of a family on a lattice, or on whatever points a linear rich member goes.
+    """Members of an ensemble on points, a lattice unless the rich one is linear; options of `on`.
 
-    Options are those of its `on`; `loads` says how many are asked for at once: what a factorisation
-    is worth.
+    `loads` is the number of loads to come, by which a factorisation is chosen.
     """
 
     loads = 1
@@ -162,12 +159,12 @@ class EnsembleOperator:
         return placed(material, points, verb="predict", has="straight", **self.options)
 
     def straight(self, u: np.ndarray) -> np.ndarray:
-        """The linear part of the rich member at u."""
+        """Force of the rich member's linear part at u."""
         return np.asarray((self.rich.straight if self.nonlinear else self.rich)(u))
 
     @cached_property
     def others(self) -> tuple[Any, Any, Any]:
-        """The second member's linear part and the halves, placed when they are first asked for."""
+        """Operators of the second member's linear part and of the halves, made on first use."""
         second, halves = self.family.second, self.family.halves
         rich = halves if self.nonlinear else tuple(getattr(m, "linear", m) for m in halves)
         one, *both = [self._on(each, self.points) for each in (second, *rich)]
@@ -175,7 +172,7 @@ class EnsembleOperator:
 
     @cached_property
     def inverse(self) -> Callable[[np.ndarray, float], np.ndarray]:
-        """S: L⁻¹ of a load on the interior, to a relative residual."""
+        """Inverse S = L⁻¹ of a load on the interior, to a relative residual."""
         if hasattr(self.rich, "inverse"):
             return self.rich.inverse(self.loads)  # type: ignore[no-any-return]
         zero = np.zeros(self.points.x.shape)
@@ -187,7 +184,7 @@ class EnsembleOperator:
         return solved
 
     def gradient(self, u: np.ndarray) -> float:
-        """Root mean square of |H|; of a linear member the largest strain between neighbours."""
+        """Root mean square gradient |H| of u; of a linear member the largest bond strain."""
         if not self.nonlinear:
             return float(largest_strain(self.points, u))
         H, _ = self.rich.gradients(u)
@@ -195,15 +192,14 @@ class EnsembleOperator:
 
     @cached_property
     def spectrum(self) -> Spectrum:
-        """What part of a field has which wavelength, by the record."""
+        """Spectrum of fields on these points at the recorded wavelengths."""
         record = self.family.record
         return Spectrum(
             self.points, self.points.spacing * KNOTS if record is None else record.wavelength
         )
 
     def recorded(self, u: np.ndarray) -> tuple[float | None, float]:
-        """The relative error that the record gives a field, None without one; and the share of its
-        square that is shorter than all that the data held."""
+        """Recorded relative error of a field, or None, and its share of unrecorded short waves."""
         record = self.family.record
         if record is None or self.points.spacing == 0:
             return None, 0.0
@@ -212,20 +208,18 @@ class EnsembleOperator:
 
     @cached_property
     def turned(self) -> Any:
-        """The rich member with the crystal at its other extreme; None where its axis is stated, or
-        it has none."""
+        """Rich member with the crystal at its other extreme; None where that is not in doubt."""
         if self.points.axis is not None or not getattr(self.rich.model, "q3", 0.0):
             return None
         return self._on(self.family.rich, replace(self.points, axis=HALF_PERIOD))
 
     def correction(self, load: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """e = S (b − R u), the error and the improvement of u, shape [I, d] (Q1)."""
+        """Correction e = S (b − R u) of u by the rich member: its estimated error, [I, d] (Q1)."""
         return self.inverse(load - self.rich(u), ROUGH)
 
     @cached_property
     def grid(self) -> Grid | None:
-        """Of a linear member's forces of second order; None where its data show none, off lattices
-        and behind a narrow collar."""
+        """Grid for second-order forces of a linear member; None where none are known or defined."""
         if not (self.family.quadratic and self.points.spacing):
             return None
         try:
@@ -234,7 +228,7 @@ class EnsembleOperator:
             return None
 
     def bent(self, u: np.ndarray) -> np.ndarray | None:
-        """What it moves by since its force is not linear at u, [I, d] (Q3); None without `grid`."""
+        """Displacement by the force's nonlinearity at u, [I, d] (Q3); None without `grid`."""
         if self.nonlinear:
             return self.inverse(self.rich(u) - self.straight(u), ROUGH)
         if self.grid is None:
@@ -243,7 +237,7 @@ class EnsembleOperator:
         return self.inverse(np.tensordot(self.family.quadratic, forces, 1)[0], ROUGH)
 
     def series(self, gradient: float, slowed: float = 0.0) -> float:
-        """What is beyond the orders of the rich member may be, over what is not linear (Q3).
+        """Likely size of the orders beyond the rich member's, over its nonlinear part (Q3).
 
         `slowed` is the second correction over the first, where both are known.
         """
@@ -254,8 +248,7 @@ class EnsembleOperator:
     def doubts(
         self, u: np.ndarray, left: np.ndarray, told: float | None = None, slowed: float = 0.0
     ) -> Parts:
-        """What the members do not know of u; `left` is its correction, `told` its error by the
-        record, `slowed` as in `series`."""
+        """Error fields of u; `left` its correction, `told` recorded, `slowed` as of `series`."""
         second, *halves = self.others
         fields = {
             "left": left,
@@ -274,7 +267,7 @@ class EnsembleOperator:
 
 
 def quadratic_stresses(H: np.ndarray) -> np.ndarray:
-    """All isotropic stresses that are quadratic in H = ∇u, [..., d, d], shape [7, ..., d, d]."""
+    """Isotropic stresses, 7 in all, that are quadratic in H = ∇u [..., d, d], [7, ..., d, d]."""
     E, one = (H + H.swapaxes(-1, -2)) / 2, np.eye(H.shape[-1])
     W, trace = H - E, np.trace(E, axis1=-2, axis2=-1)[..., None, None]
     squares = ((F * F).sum(axis=(-1, -2))[..., None, None] * one for F in (E, W))
@@ -283,7 +276,7 @@ def quadratic_stresses(H: np.ndarray) -> np.ndarray:
 
 
 def second_order(grid: Grid, spacing: float, u: np.ndarray) -> np.ndarray:
-    """Forces of those stresses of u [S, N, d], by differences on a lattice, [7, S, I, d]."""
+    """Forces of the quadratic stresses of u [S, N, d], by lattice differences, [7, S, I, d]."""
     axes = tuple(range(2, 2 + grid.dimension))
     crop: tuple[Any, ...] = (..., *grid.core) if grid.periodic else (...,)
 
@@ -299,12 +292,12 @@ def second_order(grid: Grid, spacing: float, u: np.ndarray) -> np.ndarray:
 
 
 def spread(waves: np.ndarray, data: np.ndarray) -> float:
-    """What members say otherwise: the root mean square of the sizes of both fields."""
+    """Root mean square size of the two fields in which other members differ."""
     return float(np.hypot(norm(waves), norm(data)) / np.sqrt(2))
 
 
 def pulled(members: float, told: float | None) -> float:
-    """The factor towards what the record has told, of the same (Q6)."""
+    """Factor from the members' error towards the recorded one, of the same (Q6)."""
     if told is None or not members > 0:
         return 1.0
     return float(np.clip(np.sqrt(told / members), 1 / PULLED, PULLED))
@@ -313,12 +306,12 @@ def pulled(members: float, told: float | None) -> float:
 @typed
 @dataclass(frozen=True)
 class CalibrationFactors:
-    """Calibration: by how much what can be computed is multiplied, so that it is an error (Q4).
+    """Calibration factors that turn error fields into likely errors (Q4).
 
     Attributes:
-        left: of the correction that is left.
+        left: of the remaining correction.
         floor: of what waves, data and strain may miss.
-        screen: of the mean gradient, for what the linear answer misses.
+        screen: of the mean gradient, for the error of the linear solution.
     """
 
     left: NotNegative = 1.2
@@ -328,14 +321,15 @@ class CalibrationFactors:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EnsembleMaterial(OnLinear, format="warp_peri.family", version=2):
-    """What `fit(samples, prediction.Ensemble(…))` learns: a material with its doubts.
+    """Material with alternatives that show its errors, learned by `fit(samples, Ensemble(…))`.
 
     It solves, moves and is placed on points as its rich member; `predict` uses all.
 
     Attributes:
-        rich: the best law of the data, linear or of third order.
-        second: a poorer one; how they differ is what short waves may miss.
-        halves: the rich law from two halves of the samples; how they differ is what data may miss.
+        rich: the best material of the data, linear or of third order.
+        second: a poorer one; the difference is the error of short waves.
+        halves: the rich material from two halves of the samples; the difference is the data's
+            error.
         record: error of the rich member by wavelength; None of scattered samples.
         factors: calibration.
         strain: largest strain between neighbouring nodes in the samples.
@@ -361,12 +355,12 @@ class EnsembleMaterial(OnLinear, format="warp_peri.family", version=2):
 
     @property
     def horizon(self) -> float:
-        """δ [length] of the rich member."""
+        """Horizon δ [length] of the rich member."""
         return float(self.rich.horizon)
 
     @property
     def linear(self) -> Any:
-        """The linear part of the rich member."""
+        """Linear part of the rich member."""
         return getattr(self.rich, "linear", self.rich)
 
     @property
@@ -375,11 +369,11 @@ class EnsembleMaterial(OnLinear, format="warp_peri.family", version=2):
         return float(getattr(self.linear, "provenance", {}).get("moduli_error", 0.0))
 
     def on(self, points: PointsLike, **options: Any) -> Any:
-        """The rich member on points."""
+        """Operator of the rich member on points."""
         return self.rich.on(points, **options)
 
     def ensemble_on(self, points: PointsLike, **options: Any) -> EnsembleOperator:
-        """All members on points, with what they do not know there; options of `on`."""
+        """Operators of all members on points; options of `on`."""
         return EnsembleOperator(self, points, **options)
 
     def rows(self) -> list[tuple[str, str]]:
@@ -392,11 +386,11 @@ class EnsembleMaterial(OnLinear, format="warp_peri.family", version=2):
 @typed
 @dataclass(frozen=True)
 class Ensemble:
-    """A family of laws of one material.
+    """Ensemble of materials to learn from one data set.
 
     Attributes:
-        rich: the best law that the data bear: LPS(…), ThirdOrder(…), Crystal(…).
-        second: a poorer law, as good on long waves; by default the rich one with a shorter horizon.
+        rich: the best that the data bear: LPS(…), ThirdOrder(…), Crystal(…).
+        second: a poorer one, as good on long waves; by default `rich` with a shorter horizon.
     """
 
     rich: Any
@@ -405,9 +399,9 @@ class Ensemble:
     def learn(
         self, samples: Any, *, validation: Samples | None = None, progress: bool | None = None
     ) -> EnsembleFit:
-        """The ensemble, with the history and the certificate of the rich one's fit.
+        """Learn the ensemble from at least four samples with loads.
 
-        Of at least four samples with loads; `validation` on the same kind of nodes calibrates too.
+        `validation`, on the same kind of nodes, calibrates too.
         """
         if isinstance(samples, Dataset):
             samples = samples.obvious("train")
@@ -433,7 +427,7 @@ class Ensemble:
 
 @dataclass(frozen=True)
 class EnsembleFit:
-    """A learned ensemble, with the certificate and the history of its rich member's fit."""
+    """Learned ensemble, with the certificate and the history of its rich member's fit."""
 
     material: EnsembleMaterial
     certificate: Any
@@ -441,7 +435,7 @@ class EnsembleFit:
 
 
 def poorer(law: Any) -> Any:
-    """The same law with a shorter horizon and, of polynomials, fewer of them."""
+    """The learning settings with a shorter horizon and, of polynomials, fewer of them."""
     inner = getattr(law, "linear", law)
     if not hasattr(inner, "horizon"):
         raise InputError("second: expected a model, as none with a shorter horizon is known")
@@ -456,7 +450,7 @@ def poorer(law: Any) -> Any:
 def calibrated(
     family: EnsembleMaterial, samples: Samples, validation: Samples | None
 ) -> EnsembleMaterial:
-    """The family with its record by wavelength, and quantiles of truth over answers as factors."""
+    """Calibrate an ensemble: its record by wavelength, and factors by quantiles of true errors."""
     nonlinear = family.linear is not family.rich
     bare = replace(family, factors=CalibrationFactors(1.0, 1.0, 1.0), record=None)
     if not nonlinear:
@@ -483,7 +477,7 @@ def calibrated(
 
 
 def quadratic(family: EnsembleMaterial, samples: Samples) -> tuple[float, ...]:
-    """Constants of `second_order`, by what the half that has not seen a sample leaves of it."""
+    """Fit the constants of `second_order` to residuals of the half that has not seen a sample."""
     placed, points = EnsembleOperator(family, samples.points), samples.points
     left = [
         placed.rich.rhs(b) - placed.others[2 - n % 2](u)  # even ones are the first half's
@@ -495,7 +489,7 @@ def quadratic(family: EnsembleMaterial, samples: Samples) -> tuple[float, ...]:
 
 
 def _measured(family: EnsembleMaterial, samples: Samples) -> list[dict[str, Any]]:
-    """What is computed of each sample and what is true, as fractions."""
+    """Estimated and true relative errors of each sample."""
     placed = EnsembleOperator(family, samples.points)
     inside = samples.interior
     rows = []
