@@ -231,10 +231,8 @@ class Symmetric(Supercell):
 def projected(
     cell: ase.Atoms, many: ase.Atoms, phi: np.ndarray, displaced: Sequence[int], **how: Any
 ) -> ForceConstants:
-    """Nearest force constants that obey symmetry and invariance; the change is their error.
-
-    What they have at half the supercell's width should have decayed, and is an error too.
-    """
+    """Nearest force constants that obey symmetry and invariance; the change is their error. What
+    they have at half the supercell's width should have decayed, and is an error too."""
     every = Symmetric(cell, many, displaced, **how)
     phi = every.balanced(every.short_ranged(phi))
     known, free = every.rules()

@@ -122,10 +122,8 @@ class CrystalFit(Shown):
 
     @cached_property
     def errors(self) -> Any:
-        """Independent standard errors of `tensor` [TPa], [Q, d, d, d, d], or None where unknown.
-
-        Of an exact potential the difference between finite strains and long waves.
-        """
+        """Independent standard errors of `tensor` [TPa], [Q, d, d, d, d], or None where unknown. Of
+        an exact potential the difference between finite strains and long waves."""
         if self.atoms.doubt is not None:
             allowed = _allowed(self.atoms, self.material.symmetry)
             return self.atoms.elastic_doubt(allowed, bent=True)
@@ -345,7 +343,7 @@ def fit_crystal(
 def with_strains(
     atoms: ForceConstants, reference: Reference, calculator: Any, symmetry: Symmetry
 ) -> tuple[ForceConstants, np.ndarray | None, dict[str, str]]:
-    """Force constants, under noise joined with finite strains; their moduli [TPa], if any;
+    """Force constants, under noise joined with finite strains; the latter's moduli or None;
     notes."""
     noise, allowed = reference.noise, _allowed(atoms, symmetry)
     largest = STRETCH if noise is None else noise.strain
@@ -378,9 +376,7 @@ def crystal_from_force_constants(
     units: Units | str = USUAL,
 ) -> CrystalFit:
     """Fit a material to known force constants, as of `from_phonopy`; arguments as of `fit_crystal`.
-
-    Raises InputError for a crystal with imaginary phonons.
-    """
+    Raises InputError for a crystal with imaginary phonons."""
     check_phonons(atoms)
     group = _group(atoms, symmetry)
     if atoms.doubt is not None:

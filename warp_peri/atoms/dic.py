@@ -202,9 +202,7 @@ OWN, FILLED, AROUND = 0.75, 2.5, 12
 @dataclass(frozen=True, eq=False)
 class DICFrame:
     """One frame: reference positions and displacement [P, 2], its file's name and unit of length.
-
-    The unit is None where it is unknown. Points without displacement are left out.
-    """
+    The unit is None where it is unknown. Points without displacement are left out."""
 
     x: np.ndarray
     u: np.ndarray
@@ -264,7 +262,7 @@ def dic_to_lattice(
     radius: NotNegative = 0.0,
     positions: Literal["reference", "current"] | None = None,
 ) -> Samples:
-    """Interpolate frames to the lattice nodes that most have seen, with a collar of 2 REACH
+    """Interpolate frames to the lattice nodes that most have seen, and a collar of 2 REACH
     spacings.
 
     A node that a frame lost is filled in from its neighbours; fits ignore it (array SEEN).
@@ -445,10 +443,8 @@ def surface(
 
 @typed
 def estimate_noise(samples: Samples) -> np.ndarray:
-    """Standard deviation of the displacement noise of every frame [length], shape [S].
-
-    From fourth differences: subsets that overlap make the estimate too small.
-    """
+    """Standard deviation of the displacement noise of every frame [length], shape [S]. From fourth
+    differences: subsets that overlap make the estimate too small."""
     steps = np.rint((samples.x - samples.x.min(axis=0)) / samples.spacing).astype(int)
     grid = np.full((len(samples), *(steps.max(axis=0) + 1), 2), np.nan)
     grid[:, steps[:, 0], steps[:, 1]] = samples.u

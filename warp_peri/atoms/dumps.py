@@ -250,9 +250,7 @@ LARGEST_HEADER = 2**16
 @typed
 def read_structure(path: Path) -> Any:
     """Read the last structure of a file, packed or not, by ASE; InputError for any other file.
-
-    Refuses dumps without elements and data files without masses: types are no atomic numbers.
-    """
+    Refuses dumps without elements and data files without masses: types are no atomic numbers."""
     if path.is_dir():
         raise InputError(f"{path}: expected a file; a folder of phonopy goes without a calculator")
     whole = content(path)

@@ -174,10 +174,8 @@ class ForceConstants:
         return 2 if flat else 3
 
     def dynamical(self, k: np.ndarray, moving: int | None = None) -> np.ndarray:
-        """Stiffness matrix D_at(k) [eV/Å²] at k [1/Å], without masses, [K, n m, n m].
-
-        m is `moving`, by default the property; the mean height of a sheet's cell is held.
-        """
+        """Stiffness matrix D_at(k) [eV/Å²] at k [1/Å], without masses, [K, n m, n m]. m is
+        `moving`, by default the property; the mean height of a sheet's cell is held."""
         d, m, n = self.dimension, moving or self.moving, len(self.positions)
         phase = np.exp(1j * (k @ self.vectors[:, :d].T))
         D = self._by_atoms(phase, self.values[:, :m, :m]).transpose(2, 0, 3, 1, 4)
@@ -227,9 +225,7 @@ class ForceConstants:
 
     def moments(self, values: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
         """Moments Σ Φ r⁰ [..., n, 3, n, 3], Σ Φ r¹ [..., n, 3, 3, 3], Σ Φ r² [..., 3, 3, 3, 3].
-
-        Dipoles count but for the macroscopic field; `values` [..., P, 3, 3] replace Φ.
-        """
+        Dipoles count but for the macroscopic field; `values` [..., P, 3, 3] replace Φ."""
         r, phi = self.vectors, np.moveaxis(self.values if values is None else values, -3, 0)
         sums = self._by_atoms(np.column_stack([np.ones(len(r)), r]).T, phi)
         zeroth = np.moveaxis(sums[:, :, 0], (0, 1), (-4, -2))
@@ -258,9 +254,7 @@ class ForceConstants:
         self, e: np.ndarray, values: np.ndarray | None = None, *, field: bool = True
     ) -> np.ndarray:
         """Stiffness D_eff(k)/|k|² [TPa] of long waves along unit vectors e, [K, d, d] (T14).
-
-        `values` as for `moments`; without `field` ions make no macroscopic one.
-        """
+        `values` as for `moments`; without `field` ions make no macroscopic one."""
         d, m, n = self.dimension, self.moving, len(self.positions)
         zeroth, first, second = self.moments(values)
         push = np.einsum("iabc,nc->niab", first[:, :m, :d, :d], e).reshape(len(e), n * m, d)
@@ -313,10 +307,8 @@ class ForceConstants:
         return C
 
     def elastic_doubt(self, allowed: np.ndarray, *, bent: bool = False) -> np.ndarray:
-        """Independent standard errors of the elastic tensor [TPa], shape [Q, d, d, d, d].
-
-        With `bent` [2 Q, ...]: those even in the errors of Φ behind those odd in them.
-        """
+        """Independent standard errors of the elastic tensor [TPa], shape [Q, d, d, d, d]. With
+        `bent` [2 Q, ...]: those even in the errors of Φ behind those odd in them."""
         given = [*(() if self.doubt is None else self.doubt)]
         given += [] if self.cut is None else [self.cut]
         ends = [

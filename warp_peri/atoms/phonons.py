@@ -134,10 +134,8 @@ def _at_rim(
 
 
 def check_phonons(atoms: ForceConstants) -> None:
-    """Raise InputError for imaginary phonons on a grid of waves, and for loose parts.
-
-    A sheet's mean height is held, so that its bending is not looked at.
-    """
+    """Raise InputError for imaginary phonons on a grid of waves, and for loose parts. A sheet's
+    mean height is held, so that its bending is not looked at."""
     d = atoms.dimension
     parts = np.array(list(itertools.product(np.arange(GRID[d]) / GRID[d], repeat=d)))
     parts = np.where(parts > 0.5, parts - 1, parts)

@@ -361,11 +361,8 @@ def thickness_of(cell: ase.Atoms) -> tuple[float, str]:
 
 
 def usual_spacing(cell: ase.Atoms, flat: bool) -> float:
-    """Default node spacing [Å]: the edge of a cube as large as the conventional cell.
-
-    A hexagonal cell counts twice; of a sheet the longer edge of its smallest rectangle, or √(2
-    area).
-    """
+    """Default node spacing [Å]: the edge of a cube as large as the conventional cell. A hexagonal
+    cell counts twice; of a sheet the longer edge of its smallest rectangle, or √(2 area)."""
     if not flat:
         given = np.array(cell.cell), cell.get_scaled_positions(), cell.numbers
         found = by_spglib("get_symmetry_dataset", given, ON_SITES)

@@ -108,10 +108,8 @@ class BodySolution:
         return u, stress
 
     def probe(self, x: np.ndarray) -> tuple[sp.csr_array, sp.csr_array]:
-        """Matrices R [m, n] and B [m, N] with u(x) = R u_rim + B u_bulk at positions x [m, d].
-
-        The rim's where it is, the bulk's elsewhere; InputError outside the mesh.
-        """
+        """Matrices R [m, n] and B [m, N] with u(x) = R u_rim + B u_bulk at positions x [m, d]. The
+        rim's where it is, the bulk's elsewhere; InputError outside the mesh."""
         cell = self.rim.mesh.holding(x)
         if (cell < 0).any():
             raise InputError(f"x: {np.count_nonzero(cell < 0)} positions are outside the mesh")
@@ -305,10 +303,8 @@ class BodyGradient:
         traction: Mapping[str, Traction | ArrayLike] | None = None,
         b: Field | None = None,
     ) -> float:
-        """Derivative dJ along a change of the loads, given as solve_body takes them.
-
-        Raises InputError for a part that the mesh has not, and displacement where none was held.
-        """
+        """Derivative dJ along a change of the loads, given as solve_body takes them. Raises
+        InputError for a part that the mesh has not, and displacement where none was held."""
         rim, points, problem = self.solution.rim, self.solution.points, self.solution.problem
         change = loads_on(rim.mesh, displacement or {}, traction, b)
         total = float(np.vdot(self.f, change.on(rim)))

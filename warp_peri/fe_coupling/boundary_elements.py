@@ -160,8 +160,7 @@ class Rim:
         return f
 
     def probe(self, x: np.ndarray, holding: np.ndarray) -> sp.csr_array:
-        """Matrix [m, n] from values at nodes to values at x [m, d], in the cells `holding`
-        these."""
+        """Matrix [m, n] from nodal values to values at x [m, d], in the rim's cells `holding`."""
         cells, mapping = self.cells[holding], self.basis.mapping
         at, count = self._places(x, cells), range(self.basis.Nbfun)
         values = [self.element.gbasis(mapping, at, k, tind=cells)[0] for k in count]
@@ -260,8 +259,7 @@ FINE = 4
 
 @dataclass(frozen=True)
 class BodyLoads:
-    """Displacement [Å], NaN for a free component, and traction by part of the outline; body
-    force."""
+    """Displacement [Å], NaN for free components, traction by part of the outline; body force."""
 
     held: Mapping[str, Field]
     pulls: Mapping[str, Traction]
@@ -340,9 +338,7 @@ def loads_on(
     b: Field | None,
 ) -> BodyLoads:
     """Make loads as functions, which raise InputError for other shapes and values not finite.
-
-    Raises InputError for a part that the mesh has not, or a body force that is no function.
-    """
+    Raises InputError for a part that the mesh has not, or a body force that is no function."""
     every = {"displacement": displacement, "traction": traction or {}}
     for name, given in every.items():
         if not isinstance(given, Mapping):

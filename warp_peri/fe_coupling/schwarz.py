@@ -118,9 +118,7 @@ class Bulk(LinearOperator):  # type: ignore[misc]
 
 def cubic(points: Points, x: np.ndarray) -> sp.csr_array:
     """Matrix [m, I] of cubic Lagrange interpolation from the 4^d nodes around each position (B5).
-
-    Raises InputError where one of them is not unknown.
-    """
+    Raises InputError where one of them is not unknown."""
     h, d = points.spacing, x.shape[1]
     grid = np.rint(points.x / h).astype(int)
     corner = grid.min(axis=0)

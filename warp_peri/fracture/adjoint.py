@@ -122,9 +122,7 @@ class SoftBody:
 
     def rest(self, u: np.ndarray, share: np.ndarray) -> np.ndarray:
         """Displacement at rest, flat [d N], by Newton's method from u with the given components.
-
-        `share` is what is left of the pull of each bond.
-        """
+        `share` is what is left of the pull of each bond."""
         softness = self.law.softness
         for _ in range(NEWTON):
             d = self.rows @ u
@@ -169,11 +167,9 @@ class SoftBody:
     ) -> Motion:
         """Raise the load step by step; at each, let bonds fail until none does.
 
-        Args:
-            u: given components at unit load, [N, d]; others are where the first solve begins.
-            line: a straight one, in space a flat polygon.
-            stop: share of the largest force at which it ends.
-            parameters: softness, stretch or tail.
+        u: given components at unit load, [N, d]; others are where the first solve begins. line: a
+        straight one, in space a flat polygon. stop: share of the largest force at which it ends.
+        parameters: softness, stretch or tail.
 
         Returns a motion whose time is the load, with the histories load, force, normal to its line
         per thickness, and broken bonds. With parameters, or a tensor as u, force and the last u are
@@ -229,8 +225,7 @@ class SoftBody:
     def _settled(
         self, at: np.ndarray, given: torch.Tensor, damage: list[torch.Tensor], law: Sequence[Any]
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Displacement u [d N] and s where no bond fails further; `damage`, share and worst,
-        grows."""
+        """Displacement u [d N] and s where no bond fails further; updates share and worst."""
         change, breakable = 1.0, torch.from_numpy(self.breakable)
         while not change < SETTLED:
             share, worst = damage

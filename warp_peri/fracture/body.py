@@ -100,10 +100,8 @@ def rectangle_nodes(width: Positive, height: Positive, spacing: Positive) -> np.
 
 @typed
 def box_nodes(sides: Sequence[float], spacing: Positive) -> np.ndarray:
-    """Nodes in the middle of cells that fill a box about the origin, shape [N, d].
-
-    Raises InputError when the sides are not whole multiples of the spacing.
-    """
+    """Nodes in the middle of cells that fill a box about the origin, shape [N, d]. Raises
+    InputError when the sides are not whole multiples of the spacing."""
     check_dimensions("sides", len(sides))
     count = np.rint(checked("sides", sides, float, ("d",)) / spacing).astype(int)
     if (count < 1).any() or np.abs(count * spacing - sides).max() > 1e-6 * spacing:
@@ -248,9 +246,7 @@ def size_and_normal(corners: np.ndarray) -> tuple[float, np.ndarray]:
 
 def section(body: LatticeBody, line: ArrayLike, name: str) -> tuple[np.ndarray, ...]:
     """Bonds that cross a straight line, in space a flat polygon, [N, B] bool; its ends and normal.
-
-    Raises InputError as crossing_bonds, and for a line that is bent.
-    """
+    Raises InputError as crossing_bonds, and for a line that is bent."""
     cut, ends = crossing_bonds(body, line, name), checked(name, line)
     if body.dimension == 2 and len(ends) != 2:
         raise InputError(f"{name}: expected two ends, got {len(ends)} corners")

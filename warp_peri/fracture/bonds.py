@@ -61,10 +61,8 @@ def bond_weights(model: LPSMaterial, classes: BondClasses) -> np.ndarray:
 
 
 def unit_toughness(model: LPSMaterial, classes: BondClasses) -> float:
-    """Energy per length (in space area) of a straight cut whose bonds have stretch 1 (C6, V5).
-
-    G_c = this × s₀². The dilatation's part is that of nodes whose cut bonds alone are stretched.
-    """
+    """Energy per length (in space area) of a straight cut whose bonds have stretch 1 (C6, V5). G_c
+    = this × s₀². The dilatation's part is that of nodes whose cut bonds alone are stretched."""
     w = bond_weights(model, classes)
     r2 = (classes.xi.astype(float) ** 2).sum(axis=1)
     rows = classes.steps[:, 1]
@@ -78,8 +76,7 @@ def unit_toughness(model: LPSMaterial, classes: BondClasses) -> float:
 
 
 def check_breakable(model: LPSMaterial, classes: BondClasses | None = None) -> None:
-    """Raise InputError for an influence function that changes sign anywhere, or on a lattice
-    (C3)."""
+    """Raise InputError for an influence function that changes sign, here or on a lattice (C3)."""
     if classes is None:
         w, where = model.influence(model.horizon * np.linspace(0.1, 1.0, 91)), ""
     else:
@@ -93,10 +90,8 @@ def check_breakable(model: LPSMaterial, classes: BondClasses | None = None) -> N
 
 
 def largest_stiffness(model: LPSMaterial, classes: BondClasses) -> float:
-    """Proven upper bound of Λmax L [stress / length²] of every body, whatever breaks (C9).
-
-    max(μ, κ d / (d + 2)) max_k Λmax Γ(k), κ = λ + 2 μ/d. Raises InputError as check_breakable.
-    """
+    """Proven upper bound of Λmax L [stress / length²] of every body, whatever breaks (C9). max(μ, κ
+    d / (d + 2)) max_k Λmax Γ(k), κ = λ + 2 μ/d. Raises InputError as check_breakable."""
     check_breakable(model, classes)
     v = np.bincount(classes.bond_class, bond_weights(model, classes)) / classes.count
     d = model.dimension
@@ -275,8 +270,7 @@ class CutOperator:
         *,
         breaking: bool = False,
     ) -> np.ndarray:
-        """Fill force and energy densities at u, bonds that break included; nodes that lose
-        bonds."""
+        """Fill force and energy at u over bonds before breaking; returns nodes that lose some."""
         arrays = u, links, force, energy
         key = get_num_threads(), breaking, *(array.ptr for array in arrays)
         if key not in self._recorded:

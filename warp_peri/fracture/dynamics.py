@@ -185,10 +185,8 @@ class BreakingBody:
         v: ArrayLike | None = None,
         cracks: Sequence[ArrayLike] = (),
     ) -> BreakingState:
-        """State at time zero, with u and v [N, d], zero by default, and cracks open.
-
-        Raises InputError for a u beyond the criterion: such a body breaks at rest.
-        """
+        """State at time zero, with u and v [N, d], zero by default, and cracks open. Raises
+        InputError for a u beyond the criterion: such a body breaks at rest."""
         fields, neighbour = (self._nodal("u", u), self._nodal("v", v)), cracked(self.body, cracks)
         count = len(self.body.x)
         state = BreakingState(
@@ -233,8 +231,8 @@ class BreakingBody:
         return np.asarray(1 - left / np.maximum(state.whole, 1))
 
     def ledger(self, state: BreakingState, nodes: Any) -> list[float]:
-        """Time, and work = kinetic + elastic + dissipated [stress · volume], of all processes; in a
-        sheet per thickness."""
+        """Time, work, kinetic, elastic and dissipated energy [stress · volume] over all processes.
+        In a sheet they are per thickness; work = kinetic + elastic + dissipated."""
         body, density = self.body, self.solid.inertia
         kinetic = density / 2 * np.square(state.v.numpy()).sum(axis=1)
         fields = (state.work.numpy(), kinetic, state.energy.numpy(), state.dissipated)

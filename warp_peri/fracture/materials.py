@@ -80,10 +80,8 @@ class BrittleMaterial(OnLinear, format="warp_peri.brittle_solid", version=3):
 
 @typed
 def with_positive_kernel(model: LPSMaterial, horizon: Positive) -> LPSMaterial:
-    """Solid with the λ and μ of a model and K = 1/r, which has them on every lattice (C7).
-
-    Use it for fracture of a model whose influence function changes sign.
-    """
+    """Solid with the λ and μ of a model and K = 1/r, which has them on every lattice (C7). Use it
+    for fracture of a model whose influence function changes sign."""
     return LPSMaterial(
         model.lam, model.mu, 1.0, np.ones(1), horizon, units=model.units, dimension=model.dimension
     )
@@ -92,9 +90,7 @@ def with_positive_kernel(model: LPSMaterial, horizon: Positive) -> LPSMaterial:
 @typed
 def continuum_stretch(model: LPSMaterial, toughness: Positive) -> float:
     """Critical stretch s₀ of the continuum for a toughness G_c (C5, V5), N. Trask and others 2019.
-
-    In space G_c is energy over the area of the crack. λ = μ is the bond-based solid.
-    """
+    In space G_c is energy over the area of the crack. λ = μ is the bond-based solid."""
     lam, mu = model.lam, model.mu
     if model.dimension == 3:
         unit = (3 * mu + (3 / 4) ** 4 * (lam - mu)) * model.horizon
@@ -130,10 +126,8 @@ class BondLaw:
         return np.asarray(share_of(worst, self.softness, np.float64(self.stretch), self.tail, np))
 
     def spent(self) -> float:
-        """Energy that breaks a bond, over k r²; s₀²/2 without softness and tail (C18).
-
-        Of a bond that never fails the energy to pull it to any length: 1/β², or inf.
-        """
+        """Energy that breaks a bond, over k r²; s₀²/2 without softness and tail (C18). Of a bond
+        that never fails the energy to pull it to any length: 1/β², or inf."""
         b, s = self.softness, self.stretch
         if np.isinf(s):
             return 1 / b**2 if b else np.inf

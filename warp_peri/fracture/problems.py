@@ -176,8 +176,7 @@ class Cracked:
 
 
 def options_of_steps(options: dict[str, Any]) -> tuple[dict[str, Any], ...]:
-    """Split options of a motion in steps: for BreakingBody, its start, Recorder, CrackRun,
-    march."""
+    """Split options of a motion in steps: of BreakingBody, start, Recorder, CrackRun and march."""
     given = "load", "held", "u", "cracks", "nodes", "corrected"
     begin, run = (BreakingBody.__init__, BreakingBody.start), (CrackRun.__init__, CrackRun.march)
     return taken(options, "simulate", *begin, Recorder.__init__, *run, given=given)

@@ -201,10 +201,8 @@ class CutSolid(OperatorBase):
         return force[:, self.inside]
 
     def max_symbol_eigenvalue(self) -> float:
-        """Proven upper bound of Λmax L [stress / length²]: (C9), or S. Gershgorin's of 1931.
-
-        Raises InputError unless the body was made with `moves`.
-        """
+        """Proven upper bound of Λmax L [stress / length²]: (C9), or S. Gershgorin's of 1931. Raises
+        InputError unless the body was made with `moves`."""
         if not self.moves:
             raise InputError("simulate: expected a Cracked of a BrittleMaterial, or a density")
         if not self.corrected:

@@ -52,10 +52,8 @@ MOST = 32
 
 
 class Convolution:
-    """Product of a symmetric stencil with fields in tiles, zero beyond the box.
-
-    `symbol` gives the stencil's transform on a torus of a given shape, [d, d, *torus] halved.
-    """
+    """Product of a symmetric stencil with fields in tiles, zero beyond the box. `symbol` gives the
+    stencil's transform on a torus of a given shape, [d, d, *torus] halved."""
 
     def __init__(
         self,
@@ -116,10 +114,8 @@ class Convolution:
 
 @lru_cache(MOST)
 def inverse_filter(law: StencilMaterial) -> Callable[[tuple[int, ...]], np.ndarray]:
-    """Short-range part of the inverse of D + SHIFT G p(k) as a symbol, beside multigrid.
-
-    Windowed by Bartlett's window, whose transform is not negative, so that it stays positive (R2).
-    """
+    """Short-range part of the inverse of D + SHIFT G p(k) as a symbol, beside multigrid. Windowed
+    by Bartlett's window, whose transform is not negative, so that it stays positive (R2)."""
     steps, d = law.stencil.steps, law.dimension
     width, axes = WIDTH[d], tuple(range(d))
     torus, size = (TORUS * width,) * d, 2 * width + 1
@@ -219,10 +215,8 @@ class _Gathered:
 
 
 class RowOperator:
-    """Operator L of a proven material on a lattice in tiles, and an approximate inverse.
-
-    Raises InputError without a proof, and for interior nodes near the edge of the box.
-    """
+    """Operator L of a proven material on a lattice in tiles, and an approximate inverse. Raises
+    InputError without a proof, and for interior nodes near the edge of the box."""
 
     method = "multigrid"
 
@@ -250,8 +244,7 @@ class RowOperator:
 
     @cached_property
     def _near(self) -> tuple[Convolution, Between, Any]:
-        """Parts of the approximate inverse: a filter for short waves, multigrid on every second
-        node."""
+        """Parts of the approximate inverse: a filter of short waves, multigrid for long ones."""
         law, comm, tiles, d = self.model, self.points.comm, self._tiles, self.dimension
         scale = self.stencil.spacing**-2
         near, between = inverse_filter(law), Between(comm, tiles)
@@ -346,10 +339,8 @@ def _tensors_of(model: LPSMaterial, spacing: float) -> StencilMaterial:
 
 
 def operator_on(material: Any, piece: Subdomain) -> Any:
-    """Make the RowOperator of a linear solid on a lattice in tiles, of an LPS by `model_at`.
-
-    Raises InputError for other materials, as RowOperator and as their `fitting`.
-    """
+    """Make the RowOperator of a linear solid on a lattice in tiles, of an LPS by `model_at`. Raises
+    InputError for other materials, as RowOperator and as their `fitting`."""
     with agreed(piece.comm):
         if not hasattr(material, "stencil"):
             what = type(material).__name__

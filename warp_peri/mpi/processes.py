@@ -100,16 +100,13 @@ def _uncaught(comm: Comm, kind: type[BaseException], error: BaseException, trace
 
 
 def together() -> AbstractContextManager[None]:
-    """Share proofs among ranks, each some of the cells; all ranks must come here.
-
-    Results do not depend on the number of ranks. Without mpiexec nothing changes.
-    """
+    """Share proofs among ranks, each some of the cells; all ranks must come here. Results do not
+    depend on the number of ranks. Without mpiexec nothing changes."""
     return shared_by(world()) if ranks_started() else nullcontext()
 
 
 def in_turn(comm: Comm, make: Callable[[], Any]) -> Any:
-    """Call `make` on one rank, then on the others, which find its files; an InputError is on
-    all."""
+    """Call `make` on one rank, then on others, which find its files; an InputError is on all."""
     found = None
     for turn in (comm.rank == 0, comm.rank != 0):
         with agreed(comm):
@@ -129,9 +126,7 @@ LIMB, LIMBS = 30, 4
 
 def total(comm: Comm, values: np.ndarray) -> np.ndarray:
     """Sum values [n, ...] along the first axis over all ranks, shape [...], in any order alike.
-
-    Each value is rounded to multiples of one power of two far below the largest of all ranks.
-    """
+    Each value is rounded to multiples of one power of two far below the largest of all ranks."""
     from mpi4py import MPI
 
     values = np.asarray(values, dtype=float)
@@ -176,10 +171,8 @@ def _mixed(x: np.ndarray) -> np.ndarray:
 
 
 def inner(comm: Comm, along: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Inner:
-    """Scalar products and largest values over all ranks, for conjugate gradients.
-
-    `along` gives the products of two fields in parts that do not depend on the number of ranks.
-    """
+    """Scalar products and largest values over all ranks, for conjugate gradients. `along` gives the
+    products of two fields in parts that do not depend on the number of ranks."""
     from mpi4py import MPI
 
     def dot(a: np.ndarray, b: np.ndarray) -> float:

@@ -145,9 +145,7 @@ class Subdomain:
 
     def move(self, material: Any, problem: Any, options: dict[str, Any]) -> Motion:
         """Move a Cracked on ranks, as Cracked.moved, or an unbroken body, as solvers.verlet.march.
-
-        Raises InputError for anything but steps, and for bonds that break by energy.
-        """
+        Raises InputError for anything but steps, and for bonds that break by energy."""
         comm = self.comm
         alike(material, problem, options)
         if hasattr(problem, "b") and not isinstance(problem, Cracked):
@@ -311,9 +309,7 @@ def read_rows(
     path: str | os.PathLike[str], name: str, number: np.ndarray, count: int
 ) -> np.ndarray:
     """Read rows, of rising numbers, of an array of length `count` in an HDF5 file, READ at a time.
-
-    Raises InputError for a file without the array, and another length.
-    """
+    Raises InputError for a file without the array, and another length."""
     import h5py
 
     try:

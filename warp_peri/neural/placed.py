@@ -176,7 +176,7 @@ class Placed(OperatorBase):
     def stretch(
         self, u: torch.Tensor, share: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Extensions |Y| − |ξ| [S, F, B], dilatations [S, F] (NO3), directions of Y [S, I, B,
+        """Extensions |Y| − |ξ| [S, F, B], dilatations (NO3) [S, F], unit vectors of Y [S, I, B,
         2]."""
         xi, r = (torch.as_tensor(one, dtype=u.dtype) for one in (self.xi, self.r))
         eta = u[:, self.ends] - u[:, self.whole, None]
@@ -276,8 +276,7 @@ class Placed(OperatorBase):
         return sp.csr_array(-(self.points.spacing**2) * J)
 
     def stress(self, u: Any) -> np.ndarray:
-        """First Piola–Kirchhoff stress ½ Σ tension M ⊗ ξ at interior nodes, [..., I, 2, 2]
-        (NO13)."""
+        """First Piola–Kirchhoff stress at interior nodes, [..., I, 2, 2], ½ Σ t M ⊗ ξ (NO13)."""
         with torch.no_grad():
             pull = self._pull(*self.tension(self._taken(u)))
             xi = torch.as_tensor(self.xi, dtype=pull.dtype)
@@ -286,7 +285,7 @@ class Placed(OperatorBase):
         return np.reshape(size * stress.double().numpy(), (*np.shape(u)[:-2], -1, 2, 2))
 
     def tension(self, u: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Force states [stress/length³] of interior nodes' bonds, [S, A]; directions [S, I, B,
+        """Force states [stress/length³] of interior nodes' bonds [S, A]; unit vectors [S, I, B,
         2]."""
         omega, share, r = self.shares(u.dtype)
         e, theta, M = self.stretch(u, share)
@@ -304,8 +303,7 @@ class Placed(OperatorBase):
         return self._pull(tension, M).sum(dim=2) * -area
 
     def shares(self, dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Influence ω of a family's bonds, dilatation weights ω |ξ| / Σ ω |ξ|², lengths, each
-        [B]."""
+        """Influence ω of a family's bonds, dilatation weight ω |ξ| / Σ ω |ξ|², length, each [B]."""
         material = self.material
         turn = np.radians(self.points.axis or 0.0)  # directions are those of the material
         turned = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])

@@ -198,9 +198,7 @@ class Prediction(Shown):
 
     def of(self, quantity: Callable[[np.ndarray], Any]) -> QuantityEstimate:
         """Estimate a quantity, a function of nodal displacements [N, d], with its error (Q4).
-
-        warp_peri.prediction has strain, stress, means and forces.
-        """
+        warp_peri.prediction has strain, stress, means and forces."""
         at, fields = np.asarray(quantity(self.u), float), self.fields
 
         def change(part: np.ndarray) -> np.ndarray:
@@ -305,10 +303,8 @@ Measure = Callable[[np.ndarray], np.ndarray]
 
 @typed
 def strain(points: PointsLike, at: ArrayLike) -> Measure:
-    """Make a measure of the strain ε at the nodes nearest to positions [m, d], shape [m, d, d].
-
-    By central differences. Raises InputError for scattered points, and nodes without neighbours.
-    """
+    """Make a measure of the strain ε at the nodes nearest to positions [m, d], shape [m, d, d]. By
+    central differences. Raises InputError for scattered points, and nodes without neighbours."""
     nodes = nodes_of(points)
     if not nodes.spacing > 0:
         raise InputError("strain: expected a lattice, got scattered points")

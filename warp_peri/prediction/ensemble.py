@@ -69,8 +69,7 @@ class ErrorSpectrum:
 
 
 class Spectrum:
-    """Spectrum of lattice fields by wavelength [length], growing, [K]; affine parts do not
-    count."""
+    """Spectrum of lattice fields, less affine parts, by wavelength [length], growing, shape [K]."""
 
     def __init__(self, points: PointsLike, wavelength: np.ndarray) -> None:
         grid, _ = lattice_steps(points)
@@ -142,9 +141,7 @@ def norm(field: np.ndarray) -> float:
 
 class EnsembleOperator:
     """Members of an ensemble on points, a lattice unless the rich one is linear; options of `on`.
-
-    `loads` is the number of loads to come, by which a factorisation is chosen.
-    """
+    `loads` is the number of loads to come, by which a factorisation is chosen."""
 
     loads = 1
 
@@ -238,9 +235,7 @@ class EnsembleOperator:
 
     def series(self, gradient: float, slowed: float = 0.0) -> float:
         """Likely size of the orders beyond the rich member's, over its nonlinear part (Q3).
-
-        `slowed` is the second correction over the first, where both are known.
-        """
+        `slowed` is the second correction over the first, where both are known."""
         if not self.nonlinear:
             return 1.0
         return max(BEYOND * self.family.factors.screen * gradient, slowed)
@@ -399,10 +394,8 @@ class Ensemble:
     def learn(
         self, samples: Any, *, validation: Samples | None = None, progress: bool | None = None
     ) -> EnsembleFit:
-        """Learn the ensemble from at least four samples with loads.
-
-        `validation`, on the same kind of nodes, calibrates too.
-        """
+        """Learn the ensemble from at least four samples with loads. `validation`, on the same kind
+        of nodes, calibrates too."""
         if isinstance(samples, Dataset):
             samples = samples.obvious("train")
         if not isinstance(samples, Samples) or len(samples) < 4:
