@@ -6,23 +6,14 @@ import ase
 import ase.build
 import numpy as np
 import pytest
+from ase.calculators.calculator import Calculator
 from ase.calculators.emt import EMT
 from ase.neighborlist import neighbor_list
 
 import warp_peri as wp
-from tests.support.noisy import Noisy
+from warp_peri.atoms import calculator_noise as noises
 from warp_peri.atoms import phonons
-from warp_peri.atoms.calculator_noise import (
-    BENDING,
-    LARGEST,
-    PULLED,
-    ROUGH,
-    Symmetric,
-    bent_by_strain,
-    joined,
-    measured,
-    projected,
-)
+from warp_peri.atoms.calculator_noise import Symmetric, bent_by_strain, joined, measured, projected
 from warp_peri.atoms.calculators import lammps_calculator
 from warp_peri.atoms.force_constants import from_supercell
 from warp_peri.atoms.phonons import at_zone_edge, check_phonons, finite_differences
@@ -32,6 +23,24 @@ from warp_peri.crystals import NonAnalyticCorrection, from_calculator
 
 ALUMINIUM = {"C11": 53.3253, "C12": 32.8906, "C44": 36.2004}
 """Under EMT, by finite strains of 1e-4 [GPa]."""
+
+
+class Noisy(Calculator):
+    """Gaussian noise on forces, a tenth of it on the stress over the root of the atoms' number."""
+
+    def __init__(self, inner, noise, seed=0):
+        super().__init__()
+        self.inner, self.noise, self.rng = inner, noise, np.random.default_rng(seed)
+        self.implemented_properties = list(inner.implemented_properties)
+
+    def calculate(self, atoms=None, properties=(), changes=()):
+        super().calculate(atoms, properties, changes)
+        one = atoms.copy()
+        one.calc = self.inner
+        forces, stress, random = one.get_forces(), one.get_stress(), self.rng.standard_normal
+        stress = stress + 0.1 * self.noise / np.sqrt(len(one)) * random(6)
+        forces = forces + self.noise * random(forces.shape)
+        self.results = {**self.inner.results, "forces": forces, "stress": stress}
 
 
 class Rounded(EMT):
@@ -199,7 +208,7 @@ def test_a_surface_with_a_dimple_is_measured_beyond_it_and_its_spread_is_an_erro
     crystal = wp.fit_crystal(cell, Dimpled())
     figures = crystal.content()
     value, bar = figures["moduli_GPa"]["atoms"]["C11"], figures["standard_errors_GPa"]["C11"]
-    small, *sizes = (secant(e) for e in (1e-3, *(LARGEST * size for size in PULLED)))
+    small, *sizes = (secant(e) for e in (1e-3, *(noises.LARGEST * size for size in noises.PULLED)))
     assert small > 1.2 * sizes[-1]  # the dimple is there
     assert abs(value - sizes[-1]) < bar
     assert abs(value - small) < 3 * bar < small
@@ -239,9 +248,11 @@ def test_what_is_rough_is_told_from_what_is_smooth_by_stress_over_strain():
     tungsten = lammps_calculator("eam/alloy", ["W"], "W_zhou.eam.alloy")
     for name, calculator in (("Al", EMT()), ("W", tungsten)):
         cell = at_rest(ase.build.bulk(name), calculator).cell
-        assert 0 < bent_by_strain(cell, calculator, False, 0.0) < BENDING
+        assert 0 < bent_by_strain(cell, calculator, False, 0.0) < noises.BENDING
     cell = ase.build.bulk("Al", a=2**0.5 * Dimpled.REST)
     found = measured(cell, Shallow(), False)
-    assert BENDING < found.rough / found.linear < ROUGH  # less than asked of displacements
+    assert (
+        noises.BENDING < found.rough / found.linear < noises.ROUGH
+    )  # less than asked of displacements
     assert found.length == 0.03
     assert measured(cell, Noisy(EMT(), 1e-3), False).rough == 0  # noise is not taken for it

@@ -36,9 +36,7 @@ def test_is_the_brute_force_sum(shape, box, spacing):
 
 
 def test_every_atom_is_shared_out_completely_among_the_nodes_of_a_period():
-    """Nodes beyond the box are images of others, and carry the same; nothing is shared among both.
-
-    An atom that no node reaches is left out."""
+    """Nodes beyond the box are images of others, and carry the same; far atoms are left out."""
     omega = smoothing_matrix(ATOMS, nodes(-3, 9), radius=4.0, spacing=H)
     np.testing.assert_allclose(omega.sum(axis=0), 1, rtol=ROUNDING)
     periodic = smoothing_matrix(ATOMS, nodes(0, 4), radius=8.0, box=BOX)

@@ -45,9 +45,7 @@ GRADIENT = np.array([[0.013, -0.002], [0.004, -0.007]])
 
 @pytest.mark.parametrize("radius", [0.0, 1.5])
 def test_points_lost_in_single_frames_are_missing_there_alone(tmp_path, radius):
-    """With a hole, at edges, smoothed or not, no node leaves the sheet for good.
-
-    What all frames lost is a hole, and nodes near it are not of the interior."""
+    """What all frames lost is a hole, and nodes near it are not of the interior."""
     from_hole = np.linalg.norm(BIG - BIG[12 * 25 + 4], axis=1)
     hole = from_hole < 6
     rng = np.random.default_rng(5)

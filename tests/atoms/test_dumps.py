@@ -11,15 +11,9 @@ import zstandard
 
 from tests.support.problems import lattice
 from warp_peri import InputError, Points
+from warp_peri.atoms import dumps
 from warp_peri.atoms.coarse_graining import coarse_grain, smoothing_matrix
-from warp_peri.atoms.dumps import (
-    ReferenceAtoms,
-    coarse_grain_dumps,
-    iter_dump,
-    mean_displacement,
-    read_masses,
-    read_structure,
-)
+from warp_peri.atoms.dumps import ReferenceAtoms, coarse_grain_dumps, iter_dump, mean_displacement
 
 BOX = (12.0, 9.0)
 RANDOM = np.random.default_rng(0)
@@ -64,10 +58,10 @@ def test_frames_and_structures_are_read_whatever_they_are_packed_in(tmp_path):
         for name in ("a.data", "a.cif") if way != "zst" else ():
             path = tmp_path / f"packed_{name}{'.gz' * (way == 'gz')}"
             path.write_bytes(packed((tmp_path / name).read_bytes()))
-            assert sorted(read_structure(path).symbols) == sorted(SALT.symbols)
+            assert sorted(dumps.read_structure(path).symbols) == sorted(SALT.symbols)
     ase.io.write(tmp_path / "bare.data", SALT, format="lammps-data")
     with pytest.raises(InputError, match=r"bare\.data: expected the masses of the types"):
-        read_structure(tmp_path / "bare.data")
+        dumps.read_structure(tmp_path / "bare.data")
 
 
 def test_averages_smoothing_and_samples_on_nodes(tmp_path):
@@ -143,12 +137,12 @@ def test_masses_by_type_in_the_order_of_ids(tmp_path):
     path, text = tmp_path / "types.dump", frame(REFERENCE[:5], 3, "type id x y z").splitlines()
     text[9:] = [f"{1 + (i % 3 == 0)} {i + 1} 0 0 0" for i in (4, 3, 2, 1, 0)]
     path.write_text("\n".join(text) + "\n")
-    np.testing.assert_array_equal(read_masses(path, [10.8, 14.0]), [14, 10.8, 10.8, 14, 10.8])
+    np.testing.assert_array_equal(dumps.read_masses(path, [10.8, 14.0]), [14, 10.8, 10.8, 14, 10.8])
     with pytest.raises(InputError, match="each of the types 1 to 2 .* got 1"):
-        read_masses(path, [10.8])
+        dumps.read_masses(path, [10.8])
     path.write_text(frame(REFERENCE, 0, "id element x y z").replace(" 1 ", " B "))
     with pytest.raises(InputError, match="expected the columns id and type, got id element x y z"):
-        read_masses(path, [10.8])
+        dumps.read_masses(path, [10.8])
 
 
 def test_scaled_and_unwrapped_positions(tmp_path):

@@ -6,19 +6,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 
 import warp_peri as wp
-from tests.support.materials import (
-    KINKED,
-    LAWS,
-    OTHER,
-    SPREAD,
-    H,
-    placed,
-    saint_venant,
-    solved_samples,
-    uneven,
-)
+from tests.support import materials
+from tests.support.materials import KINKED, LAWS, OTHER, SPREAD, H, placed, solved_samples, uneven
 from tests.support.nonlinear import rotation
 from tests.support.problems import lattice, noise
 from tests.support.sheets import SPACING
@@ -129,7 +121,7 @@ def test_force_energy_product_units_and_file_pass_the_checks_of_any_material(nam
     material = SPREAD[name].on(points)
     testing.check_units(material, points, u, OTHER)
     own = name == "density"
-    read = (lambda path: wp.DensityMaterial.read(path, saint_venant)) if own else wp.load
+    read = (lambda path: wp.DensityMaterial.read(path, materials.saint_venant)) if own else wp.load
     testing.check_file(material, points, u, read=read)
 
 
@@ -177,6 +169,11 @@ def test_threads_change_no_bit(name, monkeypatch):
             runtime.set_num_threads(count)
             fresh = law.on(points).on(points)
             found.append([fresh(u), fresh.jvp(u, v), fresh.stress(u), fresh.energy(u)])
+            if known := getattr(fresh, "learnable", {}):
+                numbers = {n: torch.tensor(one).double() for n, one in known.items()}
+                leaves = [one.requires_grad_() for one in numbers.values()]
+                force = fresh.force_with_parameters(torch.from_numpy(u), numbers)
+                found[-1] += torch.autograd.grad((force**2).sum(), leaves)
     finally:
         runtime.set_num_threads(before)
     for one, two in zip(*found):

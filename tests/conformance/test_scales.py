@@ -88,7 +88,9 @@ def test_a_force_a_solve_and_a_motion(name, scale):
     near(np.asarray(again.v), np.asarray(moved.v) * length / slower, 1e-6)
 
 
-@pytest.mark.parametrize("name", ["third order, energy", "density", "neural operator"])
+@pytest.mark.parametrize(
+    "name", ["third order, energy", "density", "hyperelastic", "neural operator"]
+)
 def test_very_small_loads_are_answered_in_proportion_and_unanswerable_ones_refused(name):
     op, points = placed(name)
     b, u = waves(points, 1e-3), np.where(points.interior[:, None], 0, waves(points, 1.0, 1))

@@ -19,19 +19,14 @@ from warp_peri.atoms.phonons import from_calculator
 from warp_peri.core.elastic import allowed_tensors, checked_orientation, point_group, voigt
 from warp_peri.errors import InputError
 from warp_peri.materials.crystal import crystal_from_lps
-from warp_peri.materials.crystal_fit import (
-    Crystal,
-    fit_dispersion,
-    fit_phonons,
-    transfer_to_lattice,
-)
+from warp_peri.materials.crystal_fit import fit_dispersion, fit_phonons, transfer_to_lattice
 from warp_peri.methods import GaussNewton
 from warp_peri.points.points import Samples
 
 
 def fit(samples, horizon, **asked):
     """The material that is learned."""
-    return Crystal(horizon, **asked).learn(samples).material
+    return wp.Crystal(horizon, **asked).learn(samples).material
 
 
 def waves(law, points, count):

@@ -79,19 +79,3 @@ def test_the_lines_of_the_readme_run_and_print_what_it_says(
     assert f"{100 * float(error):.2f}" == re.search(r"This fit errs by (\S+) %", README)[1]
     assert statement.startswith("Every static problem on any finite set of nodes")
     assert load("model.json").certified_on == (5.0,)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--horizon", "30"], "twice the horizon: 152 of 441 have not at horizon 30 Å"),
-        (["--degree", "-1"], "degree: expected a whole number ≥ 0, got -1"),
-        (["--spacing", "3"], "no training set on nodes 3 Å apart"),
-        (["--data", "nowhere.h5"], "nowhere.h5: no such file"),
-    ],
-)
-def test_bad_input_is_one_line_and_leaves_nothing(arguments, words, graphene, tmp_path, capsys):
-    out = tmp_path / "out"
-    assert train_graphene.main(["--data", str(graphene), "--out", str(out), *arguments]) == 2
-    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error")]
-    assert (len(said), words in said[0], out.exists()) == (1, True, False)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support.learning import fit
 from tests.support.problems import GRADIENT, difference, ell, kernel, lattice, manufactured
+from tests.support.solving import fit
 from tests.support.symbols import smallest_margins
 from warp_peri import LPS, Bernstein, InputError, LPSMaterial, certify
 from warp_peri.files.checkpoint import ArrayFile

@@ -8,7 +8,7 @@ import pytest
 from tests.crystal.crystals import dispersive
 from tests.support.cubes import cube, solid
 from tests.support.problems import kernel, lattice, manufactured, noise, smooth
-from tests.support.waves import fluctuation
+from tests.support.symbols import fluctuation
 from warp_peri import LPS, Bernstein, Crystal, InputError, Samples, diagnose, fit
 from warp_peri.core.elastic import voigt_to_tensor
 from warp_peri.fitting.diagnose import _families

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support.learning import fit
 from tests.support.problems import (
     KERNELS,
     REDUCED,
@@ -19,8 +18,8 @@ from tests.support.problems import (
     noise,
     with_nodes,
 )
-from tests.support.solving import solve
-from tests.support.waves import fluctuation, noisy, waves
+from tests.support.solving import fit, solve
+from tests.support.symbols import fluctuation, noisy, waves
 from warp_peri import Bernstein, InputError, Samples
 from warp_peri.fitting import rows
 from warp_peri.fitting.rows import sample_weights, without_noise

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from tests.support.learning import fit
 from tests.support.problems import LAM as TRUE_LAM
 from tests.support.problems import MU as TRUE_MU
 from tests.support.problems import kernel, lattice, manufactured, noise
+from tests.support.solving import fit
 from tests.support.symbols import smallest_margins
 from warp_peri import LPS, Bernstein, InputError, Samples, certify, evaluate
 from warp_peri.core.elastic import plane_isotropic, voigt_to_tensor

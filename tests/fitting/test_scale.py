@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support.learning import fit
 from tests.support.problems import kernel, lattice, manufactured
-from tests.support.solving import solve
-from tests.support.waves import waves
+from tests.support.solving import fit, solve
+from tests.support.symbols import waves
 from warp_peri import Bernstein, InputError
 from warp_peri.materials.lps_fit import RELATIVE_ZETA
 from warp_peri.materials.lps_stages import stiffness_of

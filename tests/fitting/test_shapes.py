@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support.learning import fit
 from tests.support.problems import kernel, lattice, manufactured
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, off, solid
-from tests.support.waves import fluctuation, noisy, waves
+from tests.support.solving import fit
+from tests.support.symbols import fluctuation, noisy, waves
 from warp_peri import InputError, evaluate
 from warp_peri.influence import InfluenceFunction
 from warp_peri.materials.influence import gaussian, named, table

@@ -56,9 +56,7 @@ def test_a_sweep_finds_the_horizon_of_the_data_and_resumes(sets, tmp_path):
 
 
 def test_a_trial_is_not_believed_as_it_stands(sets, tmp_path):
-    """Of other errors, of a bound that is not proven, under the name of another; a horizon that is
-    the same to six digits is another trial, and so are the same numbers in other units, or a set
-    that is for something else."""
+    """By its errors, bound, name, seventh digit of the horizon, units, or a set for another use."""
     options = {"horizons": (2.0, 2.0 + 1e-7), "degrees": (0,), "jobs": 1}
     first = sweep(*sets, tmp_path, **options).trials
     one, other = sorted(tmp_path.glob("*.model.json"))

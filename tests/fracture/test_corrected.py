@@ -8,15 +8,8 @@ import torch
 
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import difference
-from warp_peri import CG, Points, simulate, solve
-from warp_peri.fracture import (
-    Cracked,
-    bonds,
-    box_nodes,
-    penny_corners,
-    point_force,
-    rectangle_nodes,
-)
+from warp_peri import CG, Cracked, Points, simulate, solve
+from warp_peri.fracture import bonds, box_nodes, penny_corners, point_force, rectangle_nodes
 from warp_peri.fracture.bonds import bond_matrix, bonds_of, largest_stiffness
 from warp_peri.fracture.dynamics import SPREAD, BreakingBody
 from warp_peri.solvers.verlet import inertia

@@ -74,27 +74,6 @@ def test_held_nodes_move_as_told_and_their_work_counts():
     assert run.history["dissipated"][-1] == 0
 
 
-def test_killed_and_resumed_gives_the_same_bits(tmp_path):
-    regions = {"left": plate(24, 16).x[:, 0] < 0}
-    body, straight, end = marched("state-based", 0.5, regions=regions)
-    options = {"checkpoint": tmp_path / "run.h5", "series": tmp_path / "series"}
-    options |= {"every": 1, "checkpoint_every": 7, "regions": regions, "step": straight.dt}
-    steps = end.steps
-    first = CrackRun(body, **options).march(body.start(cracks=CRACK), steps=steps // 2)
-    assert 0 < body.damage(first).max()
-    again = CrackRun(body, **options)
-    state = again.march(body.start(cracks=CRACK), steps=steps)
-    for name in ("u", "v", "links", "work"):
-        assert getattr(state, name).numpy().tobytes() == getattr(end, name).numpy().tobytes()
-    known, found = straight.recorded(), again.recorded()
-    np.testing.assert_array_equal(found[0], known[0])
-    for name, values in known[1].items():
-        np.testing.assert_array_equal(found[1][name], values)
-    records = sorted((tmp_path / "series").glob("record_*.h5"))
-    assert len(records) == steps
-    assert (tmp_path / "series" / "motion.xdmf").read_text().count("<Time ") == steps
-
-
 def test_a_checkpoint_says_what_differs_and_goes_on_under_the_same_history_of_loads(tmp_path):
     options = {"checkpoint": tmp_path / "run.h5", "every": 1, "checkpoint_every": 1}
     body = pulled(**KINDS["bond-based"])

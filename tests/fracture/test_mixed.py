@@ -2,15 +2,13 @@
 
 import numpy as np
 import pytest
-import torch
 
 from examples import inclusion as inclusions
 from examples import pressurised_crack
 from examples.inclusion import Mixed
 from tests.support.bodies import plate, solid
-from tests.support.problems import difference
 from warp_peri import InputError, Points, simulate, solve
-from warp_peri.fracture import Cracked, Injected, box_nodes, crack_opening_volume, rectangle_nodes
+from warp_peri.fracture import Cracked, Injected, box_nodes, crack_opening_volume
 from warp_peri.fracture.body import cracked
 from warp_peri.fracture.statics import CutSolid, crack_load
 
@@ -71,20 +69,3 @@ def test_the_load_of_a_crack_undoes_it(sides, crack):
     strain = (stress - 0.4 / (2 + d * 0.4) * np.trace(stress) * np.eye(d)) / 2
     there, here = (one.times((body.x @ strain)[None])[0] for one in (whole, cut))
     np.testing.assert_allclose(here + load, there, atol=1e-13)
-
-
-def test_a_pressed_crack_has_the_gradient_of_differences():
-    x, model = rectangle_nodes(10, 8, 1.0), solid(0.4, horizon=2.0).model
-    points, stress = Points(x, np.abs(x).max(axis=1) < 3, 1.0), np.diag([0.3, 1.0])
-    problem = Cracked(points, cracks=[[(-2, 0), (2, 0)]], pressure=stress)
-    weight = torch.from_numpy(np.random.default_rng(0).normal(size=x.shape))
-
-    def value(mu):
-        return (solve(model, problem, parameters={"mu": mu}).u * weight).sum()
-
-    mu = torch.tensor(1.0, dtype=torch.float64, requires_grad=True)
-    (slope,) = torch.autograd.grad(value(mu), mu)
-    expected = difference(lambda t: value(torch.tensor(t[0])).item(), [1.0], 1e-3)[0]
-    assert float(slope) == pytest.approx(expected, rel=1e-8)
-    fields = solve(model, problem).u, solve(model, problem, parameters={"mu": mu}).u.detach()
-    np.testing.assert_allclose(*fields, atol=1e-13)

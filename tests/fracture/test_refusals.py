@@ -10,14 +10,7 @@ from examples.inclusion import Mixed
 from tests.support.bodies import plate, pulled, solid
 from tests.support.problems import kernel
 from warp_peri import CG, InputError, Points, simulate, solve
-from warp_peri.fracture import (
-    BondLaw,
-    Cracked,
-    Injected,
-    j_integral,
-    point_force,
-    rectangle_nodes,
-)  # fmt: skip
+from warp_peri.fracture import BondLaw, Cracked, Injected, j_integral, point_force, rectangle_nodes
 from warp_peri.fracture.adjoint import SoftBody
 from warp_peri.fracture.body import crossing_bonds
 from warp_peri.fracture.bonds import bond_weights, check_breakable

@@ -18,8 +18,7 @@ MODEL, LINE = LPSMaterial(1.0, 1.0, 1.0, [1.0], 10.05), [(-30.0, 0.0), (30.0, 0.
 
 
 def torn_problem():
-    """The published plate at a small size, cracked, its ends displaced by one at unit load, and
-    nodes whose bonds do not break."""
+    """The published plate, small, its ends moved by one; and nodes whose bonds do not break."""
     lines = np.arange(-4, 5) * 5.0, (np.arange(-8, 8) + 0.5) * 5.0
     x = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
     free = np.column_stack([x[:, 0] != 0, np.abs(x[:, 1]) < 36])

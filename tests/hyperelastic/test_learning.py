@@ -8,16 +8,9 @@ import pytest
 import warp_peri as wp
 from tests.support.sheets import NEAREST, hgo_dictionary, sheet_on, square, waves
 from warp_peri import InputError
+from warp_peri.materials.hyperelastic import energy_fit
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
-from warp_peri.materials.hyperelastic.energy_fit import (
-    ThicknessField,
-    fibre_families,
-    fibre_fan,
-    fit_energy,
-    fit_fibre_families,
-    grouped,
-    with_corners,
-)
+from warp_peri.materials.hyperelastic.energy_fit import ThicknessField, fit_energy
 from warp_peri.materials.hyperelastic.equilibrium import SheetLattice, stable_equilibrium
 from warp_peri.materials.hyperelastic.from_displacement import (
     Search,
@@ -186,22 +179,22 @@ def test_forces_set_the_scale_and_their_scatter_is_told(frames):
 
 
 def test_families_come_from_a_rose():
-    terms = (EnergyTerm("neo_hookean"), *fibre_fan(8, (2.0, 4.0)))
+    terms = (EnergyTerm("neo_hookean"), *energy_fit.fibre_fan(8, (2.0, 4.0)))
     dictionary = Hyperelastic(3.0, (), NEAREST, terms)
     first, c = dictionary.first_term, np.zeros(len(dictionary))
     c[first] = 0.07
     for n, value in ((3, 0.2), (4, 0.1), (6, 0.3)):
         c[first + 1 + 2 * n] = value
     solid = HyperelasticMaterial(dictionary, c, 0.1, stretch=1.3)
-    apart, start = fibre_families(solid)
+    apart, start = energy_fit.fibre_families(solid)
     assert [round(np.rad2deg(t.angle), 1) for t in apart.terms[1:]] == [67.5, 90.0, 135.0]
-    together, _ = fibre_families(solid, within=0.4)
+    together, _ = energy_fit.fibre_families(solid, within=0.4)
     assert [round(np.rad2deg(t.angle), 1) for t in together.terms[1:]] == [75.0, 135.0]
     assert start[dictionary.first_term] == 0.07
-    assert grouped({0.05: 1.0, 3.1: 1.0}, 0.2)[0][0] == pytest.approx(0.0042, abs=1e-3)
-    cornered = with_corners(hgo_dictionary())
+    assert energy_fit.grouped({0.05: 1.0, 3.1: 1.0}, 0.2)[0][0] == pytest.approx(0.0042, abs=1e-3)
+    cornered = energy_fit.with_corners(hgo_dictionary())
     np.testing.assert_array_equal(cornered.stiffness[7:], cornered.stiffness[4:7])
-    assert with_corners(cornered) == cornered
+    assert energy_fit.with_corners(cornered) == cornered
 
 
 def test_the_thickness_is_the_exponential_of_a_polynomial():
@@ -244,7 +237,7 @@ def test_a_material_is_read_out_of_loaded_fields():
     fibre, truth = EnergyTerm("fibre_exponential", 0.5, 1.5), [0.2] * 4 + [0.07, 0.08, 0.2]
     u = np.stack([waves(points, 0.4, seed) for seed in range(4)])
     b = sheet_on(points, Hyperelastic(3.0, (), NEAREST, (*kinds, fibre)), truth).everywhere(u)
-    solid = fit_fibre_families(Samples(points, u, b), directions=8)
+    solid = energy_fit.fit_fibre_families(Samples(points, u, b), directions=8)
     (fibre,) = [term for term in solid.dictionary.terms if term.is_fibre]
     assert fibre.angle == pytest.approx(0.5, abs=1e-3)
     assert fibre.exponent == pytest.approx(1.5, abs=1e-2)

@@ -8,13 +8,7 @@ import pytest
 
 import warp_peri as wp
 from tests.support.sheets import everything, hgo_dictionary, sheet_on, square, waves
-from warp_peri.hyperelastic import (
-    EnergyTerm,
-    Hyperelastic,
-    HyperelasticMaterial,
-    ThicknessField,
-    select_model,
-)
+from warp_peri.hyperelastic import EnergyTerm, Hyperelastic, HyperelasticMaterial, ThicknessField
 from warp_peri.materials.hyperelastic.energy_fit import fit_energy
 from warp_peri.materials.hyperelastic.from_displacement import fit_displacement, fit_thickness
 from warp_peri.materials.hyperelastic.model_selection import febio_material
@@ -84,7 +78,7 @@ REFUSED = {
     "50 interior nodes for 5 numbers, got 16": partial(
         wp.hyperelastic.select_model, FRAMES[[0] * 4]
     ),
-    "frames: expected at least 4, got 3": partial(select_model, FRAMES),
+    "frames: expected at least 4, got 3": partial(wp.hyperelastic.select_model, FRAMES),
 }
 
 

@@ -1,26 +1,16 @@
 """The force and its derivatives: against slow sums and differences, on points of any kind."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 import torch
 import warp as wp
 
-from tests.support import cubes, reference
+from tests.support import cubes, problems, reference
 from tests.support.clouds import cloud, periodic_cloud
-from tests.support.problems import (
-    KERNELS,
-    LAM,
-    MU,
-    ROUNDING,
-    difference,
-    ell,
-    kernel,
-    lattice,
-    noise,
-    periodic,
-)
+from tests.support.problems import KERNELS, LAM, MU, ROUNDING, ell, kernel, lattice, noise, periodic
 from tests.support.symbols import symbol
 from warp_peri import InputError, Points
 from warp_peri.materials.lps import moduli
@@ -28,7 +18,6 @@ from warp_peri.materials.lps_force import Bonds, lps_force
 from warp_peri.materials.lps_operator import matrices
 from warp_peri.methods import LPSParameters
 from warp_peri.points.families import bond_classes
-from warp_peri.runtime import get_num_threads, set_num_threads
 
 pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")
 HORIZON = 3.0
@@ -123,18 +112,6 @@ def test_is_the_reference(name, horizon, angle):
     assert error(scaled.on(points)(u), expected) < 10 * ROUNDING
 
 
-@pytest.mark.parametrize("name", ["lattice", "cloud"])
-def test_in_space_it_is_its_matrices(name):
-    """Which are those of the theory: see their moduli, and LAMMPS."""
-    horizon, points = 2.0, cubes.cube(2, 2.0)
-    if name == "cloud":
-        horizon, points = 2.9, cubes.periodic_cloud(6)
-    model = cubes.solid(horizon, alpha=1.2, D=[1.0, -0.3, 0.6])
-    operator, u = model.on(points, allow_uncertified=True), noise(points, 2)
-    Lu = operator(u)
-    assert error((operator.matrix() @ u.reshape(2, -1).T).T.reshape(Lu.shape), Lu) < 1e-12
-
-
 @pytest.mark.parametrize("kind", ["lattice", "periodic cloud", "cut lattice", "cut cloud"])
 def test_derivatives_are_those_of_differences_and_fields_those_of_numbers(kind):
     problem, random = Problem("sign-changing", KINDS[kind](), 1, fields=True), np.random.default_rng
@@ -142,7 +119,7 @@ def test_derivatives_are_those_of_differences_and_fields_those_of_numbers(kind):
     for part, leaf in problem.leaves.items():
         way = random(0).normal(size=leaf.shape)
         along = lambda t, p=part, leaf=leaf, way=way: problem.value(p, leaf + t[0] * way)
-        expected = difference(along, [0.0], *STEPS[part])[0]
+        expected = problems.difference(along, [0.0], *STEPS[part])[0]
         size = np.linalg.norm(found[part]) * np.linalg.norm(way) / way.size**0.5
         assert abs((found[part] * way).sum() - expected) <= 1e-8 * size, part
     number = Problem("sign-changing", KINDS[kind](), 1).gathered()
@@ -158,8 +135,13 @@ def test_an_operator_with_fields_is_symmetric_on_a_period_and_its_matrix_anywher
     law = law.bonds.law(*[*law.leaves.values()][1:])
     u = noise(law.bonds.points, 2).reshape(2, -1)
     assert error(law.transposed(u)[0], law.force(u)[0]) < 1e-14
-    for kind in ("periodic cloud", "cut cloud"):
-        points, model = KINDS[kind](), kernel("sign-changing", HORIZON)
+    flat, deep = kernel("sign-changing", HORIZON), partial(cubes.solid, alpha=1.2, D=[1, -0.3, 0.6])
+    for points, model in (
+        (KINDS["periodic cloud"](), flat),
+        (KINDS["cut cloud"](), flat),
+        (cubes.cube(2, 2.0), deep(2.0)),
+        (cubes.periodic_cloud(6), deep(2.9)),
+    ):
         u, operator = noise(points), model.on(points, allow_uncertified=True)
         assert error(operator(u).ravel(), operator.matrix() @ u.ravel()) < 10 * ROUNDING
 
@@ -181,21 +163,6 @@ def test_nodes_in_no_order_or_far_apart_or_beside_a_crack_stay_in_their_lists():
     apart = Points(np.concatenate([points.x, points.x + 200.0]), np.tile(points.interior, 2), 1.0)
     for one in (mixed, apart, cut(points)):
         assert not Bonds(one, HORIZON).layout.in_rows
-
-
-def test_gradients_are_the_same_on_any_number_of_threads(monkeypatch):
-    monkeypatch.setattr("warp_peri.runtime.SLICE", 3)
-    problem = Problem("sign-changing", KINDS["periodic lattice"](), 3)
-    before, results = get_num_threads(), []
-    try:
-        for count in (1, 3):
-            set_num_threads(count)
-            results.append(problem.gathered())
-    finally:
-        set_num_threads(before)
-    assert all(np.array_equal(one, results[1][part]) for part, one in results[0].items())
-    with pytest.raises(InputError, match="count: expected a whole number"):
-        set_num_threads(1.5)
 
 
 def test_bond_based_forces_need_half_the_collar_and_no_dilatation():

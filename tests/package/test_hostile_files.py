@@ -1,7 +1,4 @@
-"""Files of strangers, given to everything that another library parses: nothing of them runs.
-
-Nor is anything read that nobody named, or memory taken that a file only claims.
-"""
+"""Files of strangers, given to all that parses: nothing runs, is read besides, or takes memory."""
 
 import bz2
 import gzip

@@ -39,12 +39,10 @@ def pulled(lam=1.0, sides=(24, 16), horizon=3.0, **criterion):
 def random_breaking(body, random, share):
     """The body's neighbours with a random share of its bonds broken, both directions at once."""
     neighbour = body.neighbour.copy()
-    node, bond = np.nonzero(neighbour >= 0)
-    far = neighbour[node, bond]
-    first = node < far
-    node, bond, far = (part[first] for part in (node, bond, far))
+    node, bond = np.nonzero(neighbour > np.arange(len(neighbour))[:, None])  # each pair once
     chosen = random.random(len(node)) < share
-    node, bond, far = (part[chosen] for part in (node, bond, far))
+    node, bond = node[chosen], bond[chosen]
+    far = neighbour[node, bond]
     neighbour[node, bond] = -1 - far
     neighbour[far, body.opposite[bond]] = -1 - node
     return neighbour

@@ -6,10 +6,7 @@ from warp_peri import LPSMaterial, Points
 
 
 def cloud(number, horizon, perturbation=0.3, seed=0, length=None):
-    """A square of number × number perturbed nodes and a collar that carries the horizon.
-
-    The spacing of the unperturbed nodes is length/number, 1 by default.
-    """
+    """number × number perturbed nodes, length/number or 1 apart, and a collar for the horizon."""
     h = 1.0 if length is None else length / number
     pad = int(np.ceil(2 * horizon / h + 2 * perturbation + 1))
     steps = np.argwhere(np.ones(2 * [number + 2 * pad])) - pad

@@ -32,35 +32,20 @@ OTHER = ("nm", "GPa")
 
 @dataclass(frozen=True)
 class Law:
-    """A law under test.
-
-    Attributes:
-        material: makes it.
-        stress: material and displacement gradient to the stress of uniform strain.
-        axis: of the material on an unturned lattice [rad].
-        energy: whether there is one.
-        periodic: whether the law takes a periodic lattice.
-        single: material, points and field to the force in float32, where the law offers it.
-        stress_turns, force_turns: whether a finite rotation turns the stress of uniform strain and
-            the force of any field.
-        horizon: in spacings.
-        collar: half of the width of the lattice's collar, in spacings.
-        spacing: of the lattice [Å].
-        fields: whether its moduli differ from node to node.
-    """
+    """A law under test, its lengths in spacings."""
 
     material: Callable
-    stress: Callable
-    axis: float = 0.0
+    stress: Callable  # of a material and a displacement gradient, in uniform strain
+    axis: float = 0.0  # of the material on an unturned lattice [rad]
     energy: bool = True
-    periodic: bool = True
-    single: Callable | None = None
-    stress_turns: bool = False
-    force_turns: bool = False
+    periodic: bool = True  # whether it takes a periodic lattice
+    single: Callable | None = None  # material, points and field to the force in float32
+    stress_turns: bool = False  # that of uniform strain, with a finite rotation
+    force_turns: bool = False  # that of any field
     horizon: float = 3.0
-    collar: float = 3.0
-    spacing: float = 1.0
-    fields: bool = False
+    collar: float = 3.0  # half of its width
+    spacing: float = 1.0  # [Å]
+    fields: bool = False  # whether its moduli differ from node to node
 
     def points(self, side, angle=0.0):
         """A lattice of a side's interior, turned with the material by an angle [rad]."""

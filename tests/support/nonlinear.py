@@ -3,14 +3,11 @@
 from functools import cache
 
 import numpy as np
-import scipy.sparse as sp
-import torch
 
 from tests.crystal.crystals import cubic_tensor, dispersive
 from tests.support.problems import AXIS
 from warp_peri.materials.crystal_fit import fit_dispersion
 from warp_peri.materials.third_order import Smoothing, ThirdOrderMaterial
-from warp_peri.points.points import lattice_steps
 
 LAM, MU = 0.3, 0.7
 TENSOR = cubic_tensor(2, LAM + 2 * MU, LAM, MU)
@@ -47,43 +44,3 @@ def psi(H, model, axis=AXIS):
 
 def rotation(angle):
     return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-
-
-def far_ends(steps, points, at):
-    """Bonds ξ [B, d] of steps and the nodes that they lead to from some, [n, B]."""
-    xi = points.spacing * steps @ lattice_steps(points)[1].T
-    box = np.full(xi.shape[1], np.inf) if points.box is None else np.asarray(points.box)
-    ends = []
-    for x in points.x[at][:, None] + xi:
-        away = x[:, None] - points.x
-        away -= np.where(np.isfinite(box), box, 0) * np.rint(away / box)
-        ends.append(np.abs(away).max(axis=2).argmin(axis=1))
-    return xi, np.array(ends)
-
-
-def bent_tangent(op, u, steps, into, out):
-    """∂force/∂u at u [N, d] without the linear part, by sums over bonds and no FFT, [d I, d N].
-
-    Of an operator of one energy and weights [Q, B, d] of H and of the force.
-    """
-    d, ends = u.shape[1], far_ends(steps, op.points, op.full)[1]
-    rows, places = np.arange(len(op.full)).repeat(len(steps)), ends.ravel()
-    shape, eye = (len(op.full), len(op.points.x)), np.eye(d)
-
-    def energy(H):
-        E = (H + H.T + H.T @ H) / 2
-        at_rest = (H * torch.tensordot(op.at_rest, H)).sum() / 2
-        return op.density(E[None], **op.numbers)[0] - at_rest
-
-    total = 0
-    for one, other in zip(into, out):
-        pull, push = (
-            [sp.csr_array((np.tile(w, shape[0]), (rows, places)), shape) for w in side.T]
-            for side in (one, other)
-        )
-        H = torch.from_numpy(np.stack([each @ u for each in pull], axis=2))
-        bends = torch.stack([torch.autograd.functional.hessian(energy, each) for each in H])
-        for a, b, c, e in np.ndindex(4 * (d,)):
-            part = push[b].T @ sp.diags_array(bends[:, a, b, c, e].numpy()) @ pull[e]
-            total += sp.kron(part[op.points.interior], np.outer(eye[a], eye[c])) / len(into)
-    return sp.csr_array(total)

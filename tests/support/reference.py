@@ -1,7 +1,4 @@
-"""A slow reference of the linear peridynamic solid: NumPy, one node and one bond at a time.
-
-It shares nothing with the library but the equations of docs/theory.
-"""
+"""The linear peridynamic solid by NumPy, one bond at a time, from the equations of docs/theory."""
 
 from math import comb
 
@@ -78,28 +75,24 @@ def operator(x, interior, model, u, box=None):
 
 
 def smoothing(atoms, nodes, radius, shape, box=None, spacing=None):
-    """ω, (1), by a triple loop over nodes, atoms and images."""
+    """ω, (1), by sums over nodes and images; over all of a lattice where its spacing is known."""
 
     def tau(x, X):
-        r = np.hypot(*(x - X))
-        return max(0.0, radius - r if shape == "cone" else radius**2 - r**2)
+        r = np.hypot(*(x - X).T)
+        return np.maximum(0.0, radius - r if shape == "cone" else radius**2 - r**2)
 
-    images = [(0, 0)]
-    if box is not None:
-        images = [(a * box[0], b * box[1]) for a in range(-4, 5) for b in range(-4, 5)]
+    images = np.zeros((1, 2)) if box is None else (np.argwhere(np.ones((9, 9))) - 4) * box
     omega = np.zeros((len(nodes), len(atoms)))
     for number, atom in enumerate(atoms):
-        if spacing is None:
-            total = sum(tau(x, atom + image) for x in nodes for image in images)
-        for image in images:
-            X = atom + image
-            reached = [tau(x, X) for x in nodes]
-            if not any(reached):
+        for X in atom + images:
+            if not (reached := tau(nodes, X)).any():
                 continue
-            if spacing is not None:
+            if spacing is None:
+                total = sum(tau(nodes, atom + image).sum() for image in images)
+            else:
                 reach = int(radius / spacing) + 2
+                steps = np.argwhere(np.ones(2 * [2 * reach + 1])) - reach
                 near = nodes[0] + spacing * np.round((X - nodes[0]) / spacing)
-                steps = range(-reach, reach + 1)
-                total = sum(tau(near + spacing * np.array([p, q]), X) for p in steps for q in steps)
-            omega[:, number] += np.array(reached) / total
+                total = tau(near + spacing * steps, X).sum()
+            omega[:, number] += reached / total
     return omega

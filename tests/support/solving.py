@@ -1,8 +1,8 @@
-"""Solves and motions with what they are asked for one by one, which tests like to vary."""
+"""Solves and fits with what they are asked for one by one, which tests like to vary."""
 
 from typing import get_args
 
-from warp_peri import CG, Direct, Dirichlet, Newton
+from warp_peri import CG, LPS, Direct, Dirichlet, Newton
 from warp_peri import solve as solved
 from warp_peri.solvers.solution import Preconditioner
 
@@ -32,3 +32,7 @@ def solve_nonlinear(
     if records is not None:
         records.extend(solution.details)
     return solution.u
+
+
+def fit(samples, horizon, kernel=None, *, noise=None, progress=None, **options):
+    return LPS(horizon, kernel, **options).learn(samples, noise=noise, progress=progress)

@@ -4,17 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
 import warp_peri as wp
 from tests.crystal.crystals import cubic_tensor, dispersive
 from tests.support.clouds import cloud
-from tests.support.nonlinear import FORMS, LAM, MU, TENSOR, psi, solid
+from tests.support.nonlinear import FORMS, TENSOR, solid
 from tests.support.problems import lattice, smooth
 from warp_peri import Crystal, InputError, ThirdOrder
 from warp_peri.core.elastic import voigt
 from warp_peri.materials.crystal_fit import fit_dispersion
-from warp_peri.materials.third_order import Smoothing, energy_density
+from warp_peri.materials.third_order import Smoothing
 from warp_peri.points.families import bond_classes
 
 REACH = 3.0
@@ -27,16 +26,6 @@ def loaded(law, size, count):
     b = np.zeros_like(u)
     b[:, POINTS.interior] = law.on(POINTS)(u)
     return wp.Samples(POINTS, u, b)
-
-
-def test_the_energy_is_that_of_the_green_strain():
-    H, law = 0.3 * np.random.default_rng(0).normal(size=(20, 2, 2)), solid("energy")
-    small = (H + H.swapaxes(1, 2)) / 2
-    E = torch.from_numpy(small + H.swapaxes(1, 2) @ H / 2)
-    numbers = dict(zip(("lam", "mu", "t3", "tq2", "q3"), law.numbers))
-    linear = LAM / 2 * np.trace(small, axis1=1, axis2=2) ** 2 + MU * (small**2).sum(axis=(1, 2))
-    density = energy_density(E, axis=0.3, **numbers).numpy() - linear
-    np.testing.assert_allclose(density, psi(H, law, 0.3), rtol=1e-11)
 
 
 def test_on_other_spacings_and_in_other_units_it_keeps_what_is_the_materials():

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support.nonlinear import far_ends, psi, solid
+from tests.support.nonlinear import psi, solid
 from tests.support.problems import ROUNDING, difference, lattice, noise, periodic, smooth
 from warp_peri.core import pointwise
 from warp_peri.materials.third_order import PlacedThirdOrder
 from warp_peri.points.families import bond_classes
+from warp_peri.points.points import lattice_steps
 
 HORIZON = 3.0
 
@@ -26,6 +27,18 @@ def apart():
 def partly_periodic():
     """Periodic, with an interior of nine columns."""
     return replace(periodic((20, 30))[0], interior=np.arange(600) % 30 < 9)
+
+
+def far_ends(steps, points, at):
+    """Bonds ξ [B, d] of steps and the nodes that they lead to from some, [n, B]."""
+    xi = points.spacing * steps @ lattice_steps(points)[1].T
+    box = np.full(xi.shape[1], np.inf) if points.box is None else np.asarray(points.box)
+    ends = []
+    for x in points.x[at][:, None] + xi:
+        away = x[:, None] - points.x
+        away -= np.where(np.isfinite(box), box, 0) * np.rint(away / box)
+        ends.append(np.abs(away).max(axis=2).argmin(axis=1))
+    return xi, np.array(ends)
 
 
 @pytest.mark.parametrize("points", [apart, partly_periodic])
