@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support.problems import GRADIENT, difference, ell, kernel, lattice, manufactured
+from tests.support.problems import difference, ell, kernel, lattice, manufactured
 from tests.support.solving import fit
 from tests.support.symbols import smallest_margins
 from warp_peri import LPS, Bernstein, InputError, LPSMaterial, certify
@@ -94,7 +94,7 @@ def test_dense_margins_are_those_of_the_certificate_with_their_slopes(interior):
     assert found[2] == pytest.approx(unit * certificate.gamma_minus_2phi_min, rel=1e-9)
     slope = difference(lambda x: values(torch.from_numpy(x)).numpy(), given.numpy(), 1e-5).T
     found = torch.autograd.functional.jacobian(values, given).numpy()
-    assert np.abs(found - slope).max() <= GRADIENT * np.abs(slope).max()
+    assert np.abs(found - slope).max() <= 1e-7 * np.abs(slope).max()
 
 
 @pytest.fixture

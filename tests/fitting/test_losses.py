@@ -9,7 +9,6 @@ import torch
 
 from tests.support.problems import (
     KERNELS,
-    REDUCED,
     difference,
     ell,
     kernel,
@@ -84,9 +83,9 @@ def test_is_the_full_loss_with_its_gradients(sets, normalise, block, monkeypatch
     for name, shape in KERNELS.items():
         given = leaves(**shape)
         pair = by_rows(sets, weights, *given), total_loss(full, given)
-        assert abs(pair[0].item() / pair[1].item() - 1) <= REDUCED, name
+        assert abs(pair[0].item() / pair[1].item() - 1) <= 1e-10, name
         gradient, expected = (slopes(loss, given) for loss in pair)
-        assert (gradient - expected).norm() <= REDUCED * size, name
+        assert (gradient - expected).norm() <= 1e-10 * size, name
 
 
 def test_the_loss_is_its_definition():

@@ -64,6 +64,10 @@ def test_uniaxial_tension_is_that_of_the_formula():
     for angle in (0.0, 0.7):
         found = uniaxial_stress(SHEET, stretches, angle)
         np.testing.assert_allclose(found, tension(stretches), rtol=1e-8)
+    slope, first = stretches - stretches**-2, stretches**2 + 2 / stretches - 3
+    for p in (2.0, 3.0):  # powers of I1 − 3
+        found = uniaxial_stress(solid((EnergyTerm("yeoh", exponent=p), 0.7)), stretches)
+        np.testing.assert_allclose(found, 2 * 0.7 * p * slope * first ** (p - 1), rtol=1e-8)
 
 
 def test_the_command_keeps_every_fit_and_passes_over_what_fails(tmp_path, monkeypatch):

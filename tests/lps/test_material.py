@@ -9,7 +9,7 @@ import scipy.linalg
 from tests.support import cubes
 from tests.support.clouds import cloud, periodic_cloud, plain
 from tests.support.problems import ROUNDING, fitted_order, kernel, lattice, noise, periodic
-from tests.support.shapes import HORIZON, LENGTHS, SHAPES, every_shape, solid
+from tests.support.shapes import HORIZON, LENGTHS, SHAPES, solid
 from warp_peri import InputError, LPSMaterial, certify
 from warp_peri.influence import InfluenceFunction
 from warp_peri.materials.influence import gaussian, table
@@ -59,7 +59,7 @@ def test_a_spacing_is_the_certified_one_to_a_millionth():
 # Influence functions
 
 
-@every_shape
+@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
 def test_the_polynomial_is_the_function_at_every_bond_and_near_it_between(shape):
     model = solid(shape, 1.0, 0.8)
     for spacing in (1.0, 0.8):

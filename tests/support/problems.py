@@ -10,10 +10,6 @@ ROUNDING = 1e-12
 """Two ways of computing the same number; relative to its size."""
 QUADRATURE = 1e-10
 """Exactness that quadrature weights are accepted with."""
-GRADIENT = 1e-7
-"""Gradients against differences, relative to the largest component."""
-REDUCED = 1e-10
-"""Reduced against full loss, and their gradients."""
 ORDER = 1.9
 """Least fitted order of what converges with the square of the spacing."""
 

@@ -3,7 +3,6 @@
 import dataclasses
 
 import numpy as np
-import pytest
 
 from warp_peri.influence import InfluenceFunction
 from warp_peri.materials.influence import conical, exponential, gaussian
@@ -34,7 +33,6 @@ SHAPES = {
     ),
     "table": InfluenceFunction(lines, {"K": [1.0, 0.7, -0.1, 0.2]}),
 }
-every_shape = pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
 
 
 def solid(shape, *spacings, lam=0.1, mu=0.7, horizon=HORIZON):

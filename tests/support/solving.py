@@ -2,7 +2,7 @@
 
 from typing import get_args
 
-from warp_peri import CG, LPS, Direct, Dirichlet, Newton
+from warp_peri import CG, LPS, Direct, Dirichlet
 from warp_peri import solve as solved
 from warp_peri.solvers.solution import Preconditioner
 
@@ -18,18 +18,6 @@ def solve(model, points, b, u, *, method="auto", iteration=None, **options):
         solver = Direct(method == "gmres")
     solution = solved(model, Dirichlet(points, b, u), solver=solver, **options)
     if records is not None and solution.details:
-        records.extend(solution.details)
-    return solution.u
-
-
-def solve_nonlinear(
-    model, points, b, u, *, records=None, tolerance=1e-8, eigenvalues=False, **options
-):
-    """Displacement; `records` takes one NonlinearRecord for each sample."""
-    solution = solved(
-        model, Dirichlet(points, b, u), solver=Newton(tolerance, eigenvalues), **options
-    )
-    if records is not None:
         records.extend(solution.details)
     return solution.u
 

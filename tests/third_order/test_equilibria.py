@@ -8,10 +8,8 @@ import pytest
 
 from tests.support.nonlinear import FORMS, solid
 from tests.support.problems import ell, lattice, smooth
-from tests.support.solving import solve, solve_nonlinear
-from warp_peri import InputError
+from warp_peri import Dirichlet, InputError, Newton, solve
 from warp_peri.solvers import equilibria, linear, systems
-from warp_peri.solvers.equilibria import NonlinearRecord
 
 
 def problem(model, size, interior=7):
@@ -27,27 +25,27 @@ def problem(model, size, interior=7):
 def test_a_known_answer_is_found_within_the_proven_strain(form, monkeypatch):
     model = solid(form)
     points, u, b = problem(model, 0.004)
-    records: list[NonlinearRecord] = []
+    posed = Dirichlet(points, b, u)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        solved = solve_nonlinear(model, points, b, u, records=records, eigenvalues=True)
-    assert np.abs(solved - u).max() <= 1e-7 * np.abs(u).max()
-    (record,) = records
+        solution = solve(model, posed, solver=Newton(1e-8, True))
+    assert np.abs(solution.u - u).max() <= 1e-7 * np.abs(u).max()
+    (record,) = solution.details
     assert record.unique
     assert record.largest_gradient <= model.proven_strain(1.0)
     assert record.solves <= 10
     assert record.eigenvalue > 0
-    assert np.abs(solve(model.linear, points, b, u) - u).max() > 1e-4 * np.abs(u).max()
+    assert np.abs(solve(model.linear, posed).u - u).max() > 1e-4 * np.abs(u).max()
     monkeypatch.setattr(linear, "cheapest_method", lambda *points, **options: "lu")
-    factorised = solve_nonlinear(model, points, b, u)
-    assert np.abs(solved - factorised).max() <= 1e-6 * np.abs(u).max()
+    factorised = solve(model, posed, solver=Newton(1e-8)).u
+    assert np.abs(solution.u - factorised).max() <= 1e-6 * np.abs(u).max()
 
 
 def test_answers_beyond_the_proven_strain_come_with_a_warning():
     model = solid("energy")
     points, u, b = problem(model, 0.1, ell())
     with pytest.warns(UserWarning, match=r"proven unique up to \|H\| = .* go beyond it"):
-        solved = solve_nonlinear(model, points, np.stack([b, 0 * b]), np.stack([u, 0 * u]))
+        solved = solve(model, Dirichlet(points, np.stack([b, 0 * b]), np.stack([u, 0 * u]))).u
     assert np.abs(solved[0] - u).max() <= 1e-6 * np.abs(u).max()
     assert not solved[1].any()
 
@@ -56,11 +54,10 @@ def test_newton_goes_where_the_fixed_point_does_not(monkeypatch):
     model = replace(solid("energy"), proven={})
     points, u, b = problem(model, 0.03, ell())
     monkeypatch.setattr(equilibria, "MOST_STEPS", 2)
-    records: list[NonlinearRecord] = []
     with pytest.warns(UserWarning, match="no strain, for want of a certificate"):
-        solved = solve_nonlinear(model, points, b, u, records=records)
-    assert records[0].method == "newton"
-    assert np.abs(solved - u).max() <= 1e-6 * np.abs(u).max()
+        solution = solve(model, Dirichlet(points, b, u))
+    assert solution.details[0].method == "newton"
+    assert np.abs(solution.u - u).max() <= 1e-6 * np.abs(u).max()
     monkeypatch.setattr(systems, "MOST", 1)
     with pytest.raises(InputError, match="sample 0: no equilibrium was found beyond"):
-        solve_nonlinear(model, points, 40 * b, u)
+        solve(model, Dirichlet(points, 40 * b, u))
