@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from warp_peri import testing
 from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.stencil import Stencil, half_ball
 from warp_peri.points.points import Points
@@ -46,19 +47,10 @@ def test_force_is_the_gradient_of_the_energy_and_products_are_those_of_the_tange
     steps = half_ball(1.0, d)
     stencil = Stencil(0.5, steps, np.stack([(1.0 + n) * np.eye(d) for n in range(len(steps))]))
     op = operator(d, stencil=stencil if linear else None)
-    points, rng = op.points, np.random.default_rng(0)
-    u, v = 0.05 * rng.normal(size=(2, 2, *points.x.shape))
-    w = rng.normal(size=(2, points.interior.sum(), d))
-    inner = np.where(points.interior[:, None], v, 0.0)
-    step = 1e-4
-    ends = [op.force(u + s * step * v) for s in (1, -1)]
-    np.testing.assert_allclose(op.jvp(u, v), (ends[0] - ends[1]) / (2 * step), atol=1e-5)
-    back = (op.vjp(u, w) * v).sum(axis=(1, 2))
-    np.testing.assert_allclose((op.jvp(u, v) * w).sum(axis=(1, 2)), back, rtol=1e-12)
-    ends = [op.energy(u + s * step * inner) for s in (1, -1)]
-    bent = op.force(u) - (0 if not linear else op.force(1e-9 * u) / 1e-9)
-    work = 0.5**d * (bent * inner[:, points.interior]).sum(axis=(1, 2))
-    np.testing.assert_allclose((ends[0] - ends[1]) / (2 * step), work, rtol=1e-5, atol=1e-9)
+    u = 0.05 * np.random.default_rng(0).normal(size=op.points.x.shape)
+    testing.check_product(op, u)
+    if not linear:  # whose energy is its stencil's
+        testing.check_energy(op, u)
 
 
 def test_stress_of_a_uniform_gradient_is_that_of_the_density():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.sheets import SPACING, everything, hgo_dictionary, sheet_on, square, waves
+from warp_peri import testing
 from warp_peri.materials.hyperelastic.energies import BONDS, EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.points.points import Points
@@ -29,20 +30,14 @@ def problem(request):
 
 def test_force_tangent_and_single_forces_are_those_of_the_energy(problem):
     op, u, v = problem
-    inside, step = np.where(op.points.interior[:, None], v, 0.0), 1e-5
-    ends = [op.energy(u + s * step * inside) for s in (1, -1)]
-    work = SPACING**2 * (op.force(u) * v[:, op.interior]).sum(axis=(1, 2))
-    np.testing.assert_allclose(work, (ends[0] - ends[1]) / (2 * step), rtol=1e-6)
-    ends = [op.force(u + s * 3e-6 * v) for s in (1, -1)]
-    slope = (ends[0] - ends[1]) / 6e-6
-    np.testing.assert_allclose(op.jvp(u, v), slope, atol=1e-6 * np.abs(slope).max())
-    K = op.interior_tangent(u[0])
-    expected = op.jvp(u[0], inside[0]).ravel()
+    testing.check_energy(op, u[0])
+    testing.check_product(op, u[0], step=3e-6, tolerance=1e-6)
+    K, inside = op.interior_tangent(u[0]), np.where(op.points.interior[:, None], v[0], 0.0)
+    expected = op.jvp(u[0], inside).ravel()
     found = K @ v[0, op.interior].ravel()
     np.testing.assert_allclose(found, expected, atol=1e-11 * np.abs(expected).max())
     assert abs(K - K.T).max() < 1e-11 * abs(K).max()
-    force = op.force(u)
-    single = op.features(u) @ op.model.coefficients
+    single, force = op.features(u) @ op.model.coefficients, op.force(u)
     np.testing.assert_allclose(single, force, atol=1e-12 * np.abs(force).max())
 
 

@@ -14,6 +14,7 @@ import torch
 import warp_peri as wp
 from tests.support.nonlinear import rotation
 from tests.support.problems import ell, lattice
+from warp_peri import testing
 from warp_peri.core.record import content_hash
 from warp_peri.errors import InputError
 from warp_peri.neural import training
@@ -88,6 +89,7 @@ def test_force_is_the_printed_one(form):
         placed, u = material.on(points), random_field(points)
         expected = slow_force(material, points, u)
         np.testing.assert_allclose(placed(u), expected, atol=1e-12 * abs(expected).max())
+    testing.check_product(placed, u, step=1e-6, tolerance=1e-6)
 
 
 def test_any_strain_has_a_force():
