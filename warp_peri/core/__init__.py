@@ -1,4 +1,4 @@
-"""What every material is made of; torch is loaded with `torch_bridge`, when it is asked for."""
+"""Building blocks of every material; torch is loaded with `torch_bridge` on demand."""
 
 from typing import TYPE_CHECKING
 

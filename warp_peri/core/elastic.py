@@ -1,8 +1,8 @@
-"""Crystals: point groups, what of them a lattice of nodes shares, and elastic tensors.
+"""Crystals: point groups, symmetries shared with a lattice of nodes, and elastic tensors.
 
-C(−ξ) = C(ξ) whatever the crystal, so that every group here contains the inversion (theory, T5). An
-elastic tensor has the shape [d, d, d, d]; Voigt's order is 11, 22, 33, 23, 13, 12, and 11, 22, 12
-in the plane, with engineering shear strains (theory, T3–T6).
+Every group contains the inversion, C(−ξ) = C(ξ) (theory, T5). Elastic tensors are [d, d, d, d];
+Voigt's order is 11, 22, 33, 23, 13, 12, in the plane 11, 22, 12, with engineering shear strains
+(theory, T3–T6).
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ KEPT |= dict.fromkeys(("hexagonal", "tetragonal"), ("C11", "C12", "C13", "C33", 
 
 
 def about_third(degrees: float) -> np.ndarray:
-    """A turn about the third axis, shape [3, 3]."""
+    """Rotation about the third axis, shape [3, 3]."""
     cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
 
@@ -85,8 +85,8 @@ GENERATORS |= {"m": np.diag([1.0, -1.0, 1.0]), "cycle": np.eye(3)[[1, 2, 0]]}
 
 
 def point_group(symmetry: Symmetry, dimension: int) -> np.ndarray:
-    """Rotations of a group, as "4mm" or "m3m", in the crystal's axes with the inversion, [G, d, d];
-    InputError for a name that is not known, or matrices that are not rotations."""
+    """Matrices of a point group, as "4mm" or "m3m", in the crystal's axes with the inversion, [G,
+    d, d]; InputError for an unknown name, or matrices that are not rotations."""
     if isinstance(symmetry, str):
         table, aliases = (_PLANE, {}) if dimension == 2 else (_SOLID, _ALIASES)
         words = table.get(aliases.get(symmetry, symmetry))
@@ -102,7 +102,7 @@ def point_group(symmetry: Symmetry, dimension: int) -> np.ndarray:
 
 
 def name_of(group: np.ndarray) -> Symmetry:
-    """The name of a group along the axes as `point_group` has it; the rotations where none is."""
+    """Name of a point group along its usual axes; the matrices where there is none."""
     d = group.shape[1]
     for name in reversed(_PLANE if d == 2 else _SOLID):
         known = point_group(name, d)
@@ -114,7 +114,7 @@ def name_of(group: np.ndarray) -> Symmetry:
 
 
 def _closed(generators: list[np.ndarray], dimension: int) -> np.ndarray:
-    """All products of generators and of the inversion."""
+    """All products of the generators and the inversion."""
     found = [np.eye(dimension), -np.eye(dimension)]
     waiting = list(found)
     while waiting:
@@ -130,22 +130,21 @@ def _closed(generators: list[np.ndarray], dimension: int) -> np.ndarray:
 
 
 def shared_with_nodes(group: np.ndarray, orientation: np.ndarray) -> np.ndarray:
-    """What a square or cubic lattice of nodes has in common with a crystal's group (theory, T5):
-    integer matrices in the axes of the nodes, [g, d, d]."""
+    """Symmetries that a square or cubic lattice of nodes shares with a crystal's group: integer
+    matrices in the nodes' axes, [g, d, d] (theory, T5)."""
     turned = orientation @ group @ orientation.T
     whole = np.rint(turned)
     return np.asarray(whole[np.abs(turned - whole).max(axis=(1, 2)) < TOLERANCE].astype(np.int64))
 
 
 def lattice_group(dimension: int) -> np.ndarray:
-    """All turns of a square or cubic lattice of nodes, integer matrices, shape [g, d, d]."""
+    """All symmetries of a square or cubic lattice, integer matrices, shape [g, d, d]."""
     group = point_group(LATTICE_GROUP[dimension], dimension)
     return shared_with_nodes(group, np.eye(dimension))
 
 
 def checked_orientation(orientation: Any, dimension: int) -> np.ndarray:
-    """A rotation from the crystal's axes to those of the nodes, or degrees about the third axis;
-    InputError for what is none."""
+    """Rotation from the crystal's axes to the nodes', of degrees or a matrix; else InputError."""
     given = checked("orientation", np.eye(dimension) if orientation is None else orientation)
     if given.ndim == 0:
         return about_third(float(given))[:dimension, :dimension]
@@ -157,11 +156,8 @@ def checked_orientation(orientation: Any, dimension: int) -> np.ndarray:
 
 
 def kinds_of(atoms: Any, names: Sequence[str] | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers that tell the atoms of an ase.Atoms apart, shape [n], and a first atom of each kind.
-
-    Atoms are of one kind where all their arrays agree but those of COUNTED, or those that are
-    named; numbers to three decimals.
-    """
+    """Numbers that tell the atoms of an ase.Atoms apart, [n], and a first atom of each kind. Atoms
+    of one kind agree, to three decimals, in the named arrays, or all but those of COUNTED."""
     told = []
     for name, values in atoms.arrays.items():
         if name not in COUNTED if names is None else name in names:
@@ -172,12 +168,8 @@ def kinds_of(atoms: Any, names: Sequence[str] | None = None) -> tuple[np.ndarray
 
 
 def by_spglib(ask: str, crystal: tuple[np.ndarray, ...], precision: float, **how: bool) -> Any:
-    """What spglib's function `ask` finds of a crystal: edges of its cell as rows [Å], atoms in
-    parts of them, and numbers that tell these apart.
-
-    Atoms are on their sites within `precision` [Å]. Raises InputError where spglib is not
-    installed, or finds nothing.
-    """
+    """Call spglib's `ask` on a crystal (edges of its cell as rows [Å], fractional coordinates,
+    species), sites within `precision` [Å]; InputError where spglib is missing, or finds nothing."""
     spglib = optional(
         "spglib",
         "symmetry: auto asks spglib for the group of a structure: pip install "
@@ -192,14 +184,14 @@ def by_spglib(ask: str, crystal: tuple[np.ndarray, ...], precision: float, **how
 
 
 def primitive_cell(crystal: tuple[np.ndarray, ...], precision: float) -> Any:
-    """The crystal by its primitive cell, in the axes given."""
+    """Primitive cell of a crystal, in the axes given."""
     return by_spglib("standardize_cell", crystal, precision, to_primitive=True, no_idealize=True)
 
 
 def group_of_structure(
     cell: np.ndarray, fractions: np.ndarray, species: np.ndarray, *, precision: float = 1e-4
 ) -> np.ndarray:
-    """Point group of a crystal in the axes its cell is given in, [G, d, d]; as by_spglib."""
+    """Point group of an atomic structure in the axes of its cell, [G, d, d]; as by_spglib."""
     # of the primitive cell: a larger one hides turns that are no whole numbers of its edges
     small = primitive_cell((np.asarray(cell, dtype=float), fractions, species), precision)
     found, edges = by_spglib("get_symmetry", small, precision), np.array(small[0]).T
@@ -209,11 +201,9 @@ def group_of_structure(
 def canonical(
     vectors: np.ndarray, group: np.ndarray, margin: float | np.ndarray = 0.0
 ) -> np.ndarray:
-    """Which vectors [K, d] may lie in one cone whose images under the group fill space.
-
-    One is left out when all of it, out to `margin` times the 1-norm of the cone's face, has an
-    image nearer to one direction in general position (theory, T12).
-    """
+    """Whether each vector [K, d] may lie in one cone whose images under the group fill space; False
+    when all of its cell, to `margin` times the 1-norm of the cone's face, has an image nearer to
+    one direction in general position (theory, T12)."""
     d = vectors.shape[1]
     direction = np.array([1.0, 0.6137, 0.2719])[:d]
     kept = np.ones(len(vectors), bool)
@@ -223,7 +213,7 @@ def canonical(
 
 
 def orbit_grid(intervals: int, group: np.ndarray, dimension: int) -> np.ndarray:
-    """Points of a grid on [−π, π]^d, one of each orbit, without 0, shape [K, d]; read only."""
+    """Grid points on [−π, π]^d, one of each orbit, without 0, shape [K, d]; read only."""
     return _orbits(intervals, group.astype(np.int64).tobytes(), dimension)
 
 
@@ -251,8 +241,7 @@ def directions(count: int, dimension: int) -> np.ndarray:
 
 
 def elastic_from_brackets(brackets: np.ndarray) -> np.ndarray:
-    """C_ijkl = [ik, jl] + [jk, il] − [jl, ik] of brackets [ij, kl], same shape (T4); symmetric as
-    an elastic tensor is where Huang's relations hold."""
+    """Elastic tensor [ik, jl] + [jk, il] − [jl, ik] of brackets (T4), symmetric after Huang."""
     first, second, third = (
         np.einsum(f"...{order}->...agbl", brackets) for order in ("abgl", "bgal", "blag")
     )
@@ -260,43 +249,43 @@ def elastic_from_brackets(brackets: np.ndarray) -> np.ndarray:
 
 
 def brackets_from_elastic(tensor: np.ndarray) -> np.ndarray:
-    """[ij, kl] = (C_ikjl + C_iljk)/2, what an elastic solid has: the inverse of (T4)."""
+    """Brackets [ij, kl] = (C_ikjl + C_iljk)/2 of an elastic tensor: the inverse of (T4)."""
     plain = np.einsum("...agbl->...abgl", tensor)
     brackets: np.ndarray = (plain + plain.swapaxes(-1, -2)) / 2
     return brackets
 
 
 def stress_brackets(stress: np.ndarray) -> np.ndarray:
-    """δ_ij σ_kl, what a stress that a crystal is held under adds to [ij, kl] (T19)."""
+    """Brackets δ_ij σ_kl that a held stress adds to those of a crystal (T19)."""
     return np.asarray(np.einsum("ij,kl->ijkl", np.eye(len(stress)), stress))
 
 
 def bracket_rows(brackets: np.ndarray) -> np.ndarray:
-    """All independent [ij, kl] of each of P tensors, shape [E, P]."""
+    """All independent entries [ij, kl] of P bracket tensors, shape [E, P]."""
     return _independent(brackets).reshape(len(brackets), -1).T
 
 
 def huang_rows(brackets: np.ndarray) -> np.ndarray:
-    """[ij, kl] − [kl, ij] of each of P tensors, shape [E, P]: Huang's relations set them to 0."""
+    """Huang's relations [ij, kl] − [kl, ij] = 0 of P bracket tensors, shape [E, P]."""
     pairs = _independent(brackets)
     first, second = np.triu_indices(pairs.shape[-1], 1)
     return np.asarray((pairs - pairs.swapaxes(1, 2))[:, first, second].T)
 
 
 def _independent(brackets: np.ndarray) -> np.ndarray:
-    """[ij, kl] for i ≤ j and k ≤ l, shape [P, pairs, pairs]."""
+    """Entries [ij, kl] for i ≤ j and k ≤ l, shape [P, pairs, pairs]."""
     i, j = np.triu_indices(brackets.shape[-1])
     return np.asarray(brackets[:, i[:, None], j[:, None], i, j])
 
 
 def voigt(tensor: np.ndarray) -> np.ndarray:
-    """Elastic tensor [..., d, d, d, d] as a matrix, 3 × 3 in the plane and 6 × 6 in space."""
+    """Voigt matrix of elastic tensors [..., d, d, d, d], 3 × 3 in the plane, 6 × 6 in space."""
     i, j = np.transpose(PAIRS[tensor.shape[-1]])
     return np.asarray(tensor[..., i[:, None], j[:, None], i, j])
 
 
 def plane_isotropic(lam: float, mu: float) -> np.ndarray:
-    """The elastic matrix of λ and μ in the plane [stress], Voigt, shape [3, 3]."""
+    """Voigt matrix of λ and μ in the plane [stress], shape [3, 3]."""
     C = np.diag([lam + 2 * mu, lam + 2 * mu, mu])
     C[0, 1] = C[1, 0] = lam
     return C
@@ -304,8 +293,7 @@ def plane_isotropic(lam: float, mu: float) -> np.ndarray:
 
 @typed
 def voigt_to_tensor(moduli: np.ndarray) -> np.ndarray:
-    """The elastic tensor [d, d, d, d] of a Voigt matrix; InputError for another shape, and one that
-    is not symmetric or not finite."""
+    """Elastic tensor [d, d, d, d] of a Voigt matrix; InputError unless symmetric and finite."""
     matrix = checked("moduli", moduli)
     if matrix.shape not in ((3, 3), (6, 6)):
         raise InputError(f"moduli: expected 3 × 3 or 6 × 6, got {list(matrix.shape)}")
@@ -318,14 +306,13 @@ def voigt_to_tensor(moduli: np.ndarray) -> np.ndarray:
 
 
 def turned(tensor: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """The tensor of a turned crystal: R R R R C."""
+    """Elastic tensor of a rotated crystal: R R R R C."""
     R = rotation
     return np.asarray(np.einsum("ai,bj,ck,dl,ijkl->abcd", R, R, R, R, tensor, optimize=True))
 
 
 def allowed_tensors(symmetry: Symmetry, group: np.ndarray, orientation: np.ndarray) -> np.ndarray:
-    """A basis of the elastic tensors that a crystal may have, in the axes of the nodes,
-    [m, d, d, d, d]: those that its group leaves as they are."""
+    """Basis of the elastic tensors that a crystal's group allows, nodes' axes, [m, d, d, d, d]."""
     d = group.shape[-1]
     if isinstance(symmetry, str) and symmetry == "isotropic" and d == 3:
         one = np.eye(3)
@@ -347,12 +334,12 @@ def allowed_tensors(symmetry: Symmetry, group: np.ndarray, orientation: np.ndarr
 
 
 def acoustic(brackets: np.ndarray, e: np.ndarray) -> np.ndarray:
-    """Q(e) = [ij, kl] e_k e_l, what D(k) is at long waves, shape [K, d, d]."""
+    """Acoustic tensor Q(e) = [ij, kl] e_k e_l, D(k) at long waves, shape [K, d, d]."""
     return np.asarray(np.einsum("ijkl,nk,nl->nij", brackets, e, e, optimize=True))
 
 
 def compliance(tensor: np.ndarray) -> np.ndarray:
-    """S_ijkl, so that ε = S σ; InputError for a tensor that has none."""
+    """Compliance S_ijkl with ε = S σ; InputError for a singular elastic tensor."""
     d = tensor.shape[0]
     matrix = voigt(tensor)
     if not np.linalg.eigvalsh(matrix).min() > 0:
@@ -362,10 +349,8 @@ def compliance(tensor: np.ndarray) -> np.ndarray:
 
 
 def extremes(tensor: np.ndarray) -> tuple[list[float], list[float]]:
-    """Smallest and largest Young's modulus and Poisson's number over all directions, [E], [ν].
-
-    Along a dense set of directions; across each, ν is a quadratic form whose extremes are exact.
-    """
+    """Smallest and largest Young's modulus and Poisson's number over a dense set of directions,
+    [E], [ν]; across each, the extremes of ν are exact."""
     d, S = tensor.shape[0], compliance(tensor)
     if d == 2:
         angle = np.pi * np.arange(DIRECTIONS) / DIRECTIONS
@@ -381,7 +366,7 @@ def extremes(tensor: np.ndarray) -> tuple[list[float], list[float]]:
 
 
 def named_symmetry(tensor: np.ndarray) -> str:
-    """What an elastic tensor looks like in the axes it is given in: a key of NAMES, or "lower"."""
+    """Symmetry of an elastic tensor in the axes it is given in: a key of NAMES, or "lower"."""
     d, tiny = tensor.shape[0], SAME * np.abs(voigt(tensor)).max()
     for name, symmetry in NAMES[d].items():
         allowed = allowed_tensors(symmetry, point_group(symmetry, d), np.eye(d)).reshape(-1, d**4)
@@ -392,8 +377,7 @@ def named_symmetry(tensor: np.ndarray) -> str:
 
 
 def named_moduli(tensor: np.ndarray) -> dict[str, float]:
-    """Elastic constants by name that are not zero, those that symmetry makes equal once; in the
-    plane C44 is the shear modulus."""
+    """Nonzero elastic constants by name, equal ones once; in the plane C44 is the shear modulus."""
     M, label = voigt(tensor), "123456" if len(tensor) == 3 else "124"
     found = {f"C{label[m]}{label[n]}": float(M[m, n]) for m, n in zip(*np.triu_indices(len(M)))}
     if (name := named_symmetry(tensor)) in KEPT:
@@ -403,7 +387,7 @@ def named_moduli(tensor: np.ndarray) -> dict[str, float]:
 
 
 def plane_stress(tensor: np.ndarray) -> np.ndarray:
-    """The plane tensor of a sheet free of stresses 33, 23 and 13: a Schur complement (T6)."""
+    """Plane-stress tensor of a sheet free of stresses 33, 23 and 13: a Schur complement (T6)."""
     M = voigt(tensor)
     kept, free = [0, 1, 5], [2, 3, 4]
     inner = np.linalg.solve(M[np.ix_(free, free)], M[np.ix_(free, kept)])

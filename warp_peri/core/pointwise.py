@@ -1,4 +1,4 @@
-"""A material on a lattice that is an energy density of each node's strain: L u + Gᵗ P(G u).
+"""Materials on a lattice with an energy density of each node's strain: L u + Gᵗ P(G u).
 
 G are gradients by stencils, H_q(x) = Σ_ξ u(x + ξ) ⊗ w_q(ξ), and W a function of torch of the Green
 strain E = (H + Hᵗ + HᵗH)/2. P = (1 + H) W′(E), of which a linear part L has what W is at rest.
@@ -30,37 +30,33 @@ MOST = 2**23
 
 
 def times(A: torch.Tensor, B: torch.Tensor) -> torch.Tensor:
-    """Products of matrices [d, d, ...]."""
+    """Matrix products of [d, d, ...]."""
     return (A[:, :, None] * B).sum(1)
 
 
 def symmetric(A: torch.Tensor) -> torch.Tensor:
-    """(A + Aᵗ)/2 of matrices [d, d, ...]."""
+    """Symmetric part (A + Aᵗ)/2 of matrices [d, d, ...]."""
     return (A + A.transpose(0, 1)).div_(2)
 
 
 def strain_rate(H: torch.Tensor, X: torch.Tensor) -> torch.Tensor:
-    """The derivative of the Green strain at H along X, each [d, d, ...]."""
+    """Derivative of the Green strain at H along X, each [d, d, ...]."""
     return symmetric(times(H.transpose(0, 1), X).add_(X))
 
 
 def strain(H: torch.Tensor) -> torch.Tensor:
-    """The Green strain (H + Hᵗ + HᵗH)/2 of gradients [d, d, ...]."""
+    """Green strain (H + Hᵗ + HᵗH)/2 of gradients [d, d, ...]."""
     return strain_rate(H / 2, H)
 
 
 class Swept(OperatorBase):
-    """An operator that looks at a few samples at once.
-
-    Attributes:
-        size: numbers that a sample takes; torch works on arrays of `parts` of them.
-    """
+    """An operator that works on a few samples at once: `size` numbers each, arrays of `parts`."""
 
     size: int
     parts = 1
 
     def _parts(self, sweep: Callable[..., Any], *fields: ArrayLike) -> list[np.ndarray]:
-        """What a sweep makes of fields [S, N, d], a few samples at once, one after another."""
+        """Results of a sweep over fields [S, N, d], a few samples at once."""
         given = [plain("u", field) for field in fields]
         for each in given:
             self.check(each)
@@ -72,13 +68,13 @@ class Swept(OperatorBase):
             return [np.asarray(sweep(*piece)) for piece in pieces]
 
     def _swept(self, sweep: Callable[..., Any], *fields: ArrayLike) -> np.ndarray:
-        """The same joined, of the leading shape of the fields."""
+        """Results of a sweep joined, in the leading shape of the fields."""
         found = np.concatenate(self._parts(sweep, *fields))
         return found.reshape(np.shape(fields[0])[:-2] + found.shape[1:])
 
 
 class Pointwise(Swept):
-    """Minus the internal force density of an energy density on a lattice; b in equilibrium.
+    """Operator of an energy density on a lattice: minus the internal force density.
 
     Args:
         points: a lattice, whose interior has a collar of twice the horizon, or periodic.
@@ -143,7 +139,7 @@ class Pointwise(Swept):
         self.take(numbers or {})
 
     def take(self, numbers: Mapping[str, Any]) -> None:
-        """Change the numbers of the density; a linear part has what W is at rest with them."""
+        """Change the density's numbers, and what the linear part has of W at rest."""
         self.numbers = dict(numbers)
         if self._straight is not None:
             self.at_rest = self.stiffness()
@@ -152,41 +148,40 @@ class Pointwise(Swept):
 
     @torch.enable_grad()
     def stiffness(self) -> torch.Tensor:
-        """∂²W/∂E² at rest [stress], shape [d, d, d, d]."""
+        """Stiffness ∂²W/∂E² at rest [stress], shape [d, d, d, d]."""
         energy = lambda E: self._energies((E + E.T)[..., None] / 2).sum()  # noqa: E731
         rest = torch.zeros(2 * self.shape[1:], dtype=torch.float64)
         return torch.as_tensor(torch.autograd.functional.hessian(energy, rest))
 
     def _symbol(self, steps: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Of u ↦ Σ w(ξ) u(x + ξ), shape [..., *half a torus], of w [..., B]."""
+        """Symbol of u ↦ Σ w(ξ) u(x + ξ), shape [..., *half a torus], of w [..., B]."""
         field = np.zeros((*values.shape[:-1], *self._torus))
         np.add.at(field, (..., *(-steps % self._torus).T), values)
         return np.asarray(scipy.fft.rfftn(field, axes=self._axes))
 
     def _waves(self, values: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """Of values at some places [..., n], zero elsewhere, shape [..., *half a torus]."""
+        """Fourier transform of values at places [..., n], zero elsewhere, [..., *half a torus]."""
         planes = np.zeros((*values.shape[:-1], int(np.prod(self._torus))))
         planes[..., places] = values
         planes = planes.reshape(*values.shape[:-1], *self._torus)
         return np.asarray(scipy.fft.rfftn(planes, axes=self._axes, overwrite_x=True))
 
     def _planes(self, waves: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """At some places, shape [..., n]."""
+        """Inverse transform of waves at some places, shape [..., n]."""
         planes = scipy.fft.irfftn(waves, self._torus, self._axes, overwrite_x=True)
         return np.take(planes.reshape(*planes.shape[: -len(self._torus)], -1), places, axis=-1)
 
     def _field(self, u: np.ndarray) -> np.ndarray:
-        """Waves of fields [S, N, d], [d, S, *half a torus]."""
+        """Fourier transform of fields [S, N, d], [d, S, *half a torus]."""
         return self._waves(np.take(u.transpose(2, 0, 1), self._near, axis=-1), self._places)
 
     def _gradient(self, waves: np.ndarray, side: int = 0) -> torch.Tensor:
-        """H of waves of fields at the nodes `full`, shape [d, d, S, Q, F]."""
+        """Gradients H of transformed fields at the nodes `full`, shape [d, d, S, Q, F]."""
         slopes = waves[:, None, :, None] * self._symbols[side][:, None]
         return torch.from_numpy(self._planes(slopes, self._full))
 
     def _pulled(self, P: torch.Tensor, side: int, places: np.ndarray, field: Any) -> np.ndarray:
-        """`_gradient` transposed, of P [d, d, S, Q, F], and the linear part, of the waves of a
-        field, at some places, [S, n, d]."""
+        """`_gradient` transposed of P, plus the linear part's force, at some places, [S, n, d]."""
         waves = self._waves(P.numpy(), self._full) * self._mirrored[side][:, None]
         total = waves.sum(axis=(1, 3))
         if self._linear is not None:
@@ -195,23 +190,23 @@ class Pointwise(Swept):
         return self._planes(total, places).transpose(1, 2, 0)
 
     def _energies(self, E: torch.Tensor, numbers: Any = None) -> torch.Tensor:
-        """W of strains [d, d, ...]."""
+        """Energy density W of strains [d, d, ...]."""
         return self.density(E.movedim((0, 1), (-2, -1)), **(numbers or self.numbers))
 
     @torch.enable_grad()
     def _slope(self, E: torch.Tensor, numbers: Any = None, *, graph: bool = False) -> torch.Tensor:
-        """W′(E) of strains [d, d, ...]; with a graph of E, a leaf, and of numbers."""
+        """Derivative W′(E) at strains [d, d, ...]; with a graph of E, a leaf, and of numbers."""
         E = E if graph else E.detach().requires_grad_()
         W = self._energies(E, numbers)
         return symmetric(torch.autograd.grad(W.sum(), E, create_graph=graph)[0])
 
     def _stress(self, H: torch.Tensor) -> torch.Tensor:
-        """P of gradients [d, d, ...] [stress]."""
+        """Stress P of gradients [d, d, ...]."""
         S = self._slope(strain(H))
         return times(H, S).add_(S)
 
     def _bent(self, u: np.ndarray, v: np.ndarray, side: int, places: np.ndarray) -> np.ndarray:
-        """The derivative of the force at fields u along v, or transposed (1), at some places."""
+        """Derivative of the force at fields u along v, or its transpose (side 1), at places."""
         waves, H = self._field(v), self._gradient(self._field(u))
         X, E = self._gradient(waves, side), strain(H).requires_grad_()
         S = self._slope(E, graph=True)
@@ -220,8 +215,8 @@ class Pointwise(Swept):
         return self._pulled(change, 1 - side, places, waves)
 
     def force(self, u: ArrayLike, radius: float = 0.0) -> np.ndarray:
-        """The force on the interior nodes [stress/length], [..., I, d]; of gradients projected to
-        |H| ≤ `radius` where that is above zero (N10)."""
+        """Force on the interior nodes [stress/length], [..., I, d]; with `radius` > 0 that of
+        gradients projected to |H| ≤ radius (N10)."""
 
         def sweep(u: np.ndarray) -> np.ndarray:
             H = near = self._gradient(waves := self._field(u))
@@ -235,11 +230,11 @@ class Pointwise(Swept):
         return self._swept(sweep, u)
 
     def jvp(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
-        """The derivative at u along v, shape [..., I, d]."""
+        """Derivative of the force at u along v, shape [..., I, d]."""
         return self._swept(lambda u, v: self._bent(u, v, 0, self._inside), u, v)
 
     def vjp(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
-        """The transposed product with w on the interior [..., I, d], on all nodes [..., N, d]."""
+        """Transposed derivative of the force at u times w [..., I, d], on all nodes [..., N, d]."""
 
         def sweep(u: np.ndarray, w: np.ndarray) -> np.ndarray:
             out = np.zeros_like(u)
@@ -250,11 +245,11 @@ class Pointwise(Swept):
 
     @property
     def learnable(self) -> dict[str, Any]:
-        """Numbers of the density, by name."""
+        """Numbers of the energy density, by name."""
         return self.numbers
 
     def by_numbers(self, name: str, u: ArrayLike, w: ArrayLike) -> np.ndarray:
-        """Derivatives of Σ w · force(u) to a number, of fields [K, N, d] and weights [K, I, d]."""
+        """Derivative of Σ w · force(u) by a number, for fields [K, N, d] and weights [K, I, d]."""
         one = torch.tensor(self.numbers[name], dtype=torch.float64, requires_grad=True)
 
         def sweep(u: np.ndarray, w: np.ndarray) -> torch.Tensor:
@@ -265,7 +260,7 @@ class Pointwise(Swept):
         return np.asarray(np.sum(self._parts(sweep, u, self.on_all(w)), axis=0))
 
     def gradients(self, u: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """H and P [stress], means over q, at the nodes `full`, each [..., F, d, d]."""
+        """Gradients H and stresses P, means over q, at the nodes `full`, each [..., F, d, d]."""
 
         def sweep(u: np.ndarray) -> torch.Tensor:
             H = self._gradient(self._field(u))
@@ -280,8 +275,8 @@ class Pointwise(Swept):
         return np.asarray(np.linalg.norm(self.gradients(u)[0], axis=(-2, -1)).max(axis=-1))
 
     def energy(self, u: ArrayLike) -> np.ndarray | None:
-        """h^d Σ W(H) over the nodes `full` [stress · length^d], shape [...], without the linear
-        part; None where the force has no energy."""
+        """Energy h^d Σ W(H) over the nodes `full` [stress · length^d], [...], without that of the
+        linear part; None where the force has no energy."""
         if not self.has_energy:
             return None
 
@@ -293,5 +288,5 @@ class Pointwise(Swept):
         return np.asarray(self.points.spacing**self.points.dimension * self._swept(sweep, u))
 
     def stress(self, u: ArrayLike) -> np.ndarray:
-        """P [stress] at the interior nodes, [..., I, d, d], without the linear part."""
+        """First Piola stress P at the interior nodes, [..., I, d, d], without the linear part."""
         return self.gradients(u)[1][..., self.points.interior[self.full], :, :]

@@ -1,9 +1,9 @@
-"""One proof for every stencil, in the plane and in space: D(k) ≥ c w(k) for all waves (T11–T13).
+"""Proofs for stencils, in the plane and in space: D(k) ≥ c w(k) for all waves (T11–T13).
 
 The weight w is a stencil too: the Laplacian for static problems, |h_p|² of a gradient for solids of
 third order. D − c w is then one stencil, whose symbol is to be positive. On a cell of waves a
 symbol is affine but for a remainder of known size, and the smallest eigenvalue of an affine matrix
-function is concave: it is positive on the cell if it is at the corners, by more than the remainder.
+function is concave: positive on the cell if it is at the corners, by more than the remainder.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ Affine = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True)
 class StencilCertificate:
-    """What was proven of a symbol, in the stress unit of its stencil.
+    """Proven lower bound of a stencil's symbol, in its stress unit.
 
     Attributes:
         proven: c with D(k) ≥ c s(k) for every k; 0 where none was found.
@@ -80,7 +80,7 @@ class StencilCertificate:
 
     @property
     def statement(self) -> str:
-        """What is proven, in one sentence."""
+        """What the certificate proves, in one sentence."""
         if not self.holds:
             return "Nothing is proven."
         return (
@@ -91,11 +91,11 @@ class StencilCertificate:
         )
 
     def content(self) -> dict[str, Any]:
-        """Plain values for a file."""
+        """The certificate as plain values for a file."""
         return asdict(self)
 
     def check_of(self, stencil: Stencil, group: np.ndarray) -> None:
-        """Raise InputError unless this is proven of a stencil: the cells are gone through again."""
+        """Raise InputError unless the bound is proven of a stencil: all cells are checked again."""
         stiff, c = _lattice_units(stencil), self.proven
         long, _ = _long_waves(stiff, group)
         most = max(self.sampled, 0.0)  # of an indefinite law nothing is said to be proven
@@ -121,8 +121,8 @@ def prove(
 
     Args:
         stencil: of D.
-        group: integer matrices under which D and w are invariant, shape [g, d, d]; the identity
-            and the inversion alone give the proof of the whole zone.
+        group: integer matrices under which D and w are invariant, shape [g, d, d]; the identity and
+            the inversion alone give the proof of the whole zone.
         weight: of w, which is |k|² at long waves; s(k) by default.
         shares: of the sampled minimum, the largest first.
     """
@@ -156,12 +156,12 @@ def prove(
 
 
 def _lattice_units(stencil: Stencil) -> Stencil:
-    """The same on nodes that are 1 apart: tensors in units of stress, those of a weight of none."""
+    """The stencil on nodes 1 apart: tensors in units of stress, those of a weight of none."""
     return Stencil(1.0, stencil.steps, stencil.tensors * stencil.spacing**2)
 
 
 def smallest_eigenvalue(matrices: np.ndarray) -> np.ndarray:
-    """Of symmetric matrices [..., c, c], shape [...]."""
+    """Smallest eigenvalue of symmetric matrices [..., c, c], shape [...]."""
     if matrices.shape[-1] == 2:  # much faster than by LAPACK
         a, b, c = matrices[..., 0, 0], matrices[..., 1, 1], matrices[..., 0, 1]
         return np.asarray((a + b) / 2 - np.hypot((a - b) / 2, c))
@@ -177,7 +177,7 @@ def _ratio(stencil: Stencil, weight: Stencil, phase: np.ndarray) -> np.ndarray:
 
 
 def _zoomed(ratio: Ratio, k: np.ndarray, reach: float) -> float:
-    """The smallest ratio of grids about waves [n, d], each finer by a factor of 3 than the last."""
+    """Smallest ratio on grids about waves [n, d], each finer by a factor of 3 than the last."""
     patch = np.array(list(itertools.product(np.linspace(-1, 1, 7), repeat=k.shape[1])))
     smallest = np.inf
     for _ in range(ZOOMS):
@@ -191,7 +191,7 @@ def _zoomed(ratio: Ratio, k: np.ndarray, reach: float) -> float:
 
 
 def parts(tensors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The positive and the negative part of symmetric matrices, C = C⁺ − C⁻."""
+    """Positive and negative part of symmetric matrices, C = C⁺ − C⁻."""
     value, vector = np.linalg.eigh(tensors)
     above, below = (
         (vector * np.maximum(sign * value, 0)[:, None]) @ vector.swapaxes(-1, -2)
@@ -205,7 +205,7 @@ def _corners(d: int) -> np.ndarray:
 
 
 def _most(stencil: Stencil, tensors: np.ndarray) -> float:
-    """max of Λmax Σ T (t·ξ)² over corners t of a cube."""
+    """Maximum of Λmax Σ T (t·ξ)² over corners t of a cube."""
     lengths = (stencil.steps @ _corners(stencil.dimension).T) ** 2
     return float(np.linalg.eigvalsh(np.tensordot(lengths.T, tensors, 1))[:, -1].max())
 
@@ -224,8 +224,8 @@ def _positive(
     asked: Callable[[np.ndarray, float], np.ndarray],
     most: int,
 ) -> tuple[bool, int, np.ndarray | None]:
-    """Whether a matrix function is positive definite on [−edge, edge]^n, how many cells were looked
-    at, halved where that fails, and a middle where it is not.
+    """Whether a matrix function is proven positive definite on [−edge, edge]^n, the number of cells
+    (halved on failure), and a middle where it is not.
 
     It may be rest · half² below its `affine` part about the middle of a cell, and `slack` for
     rounding; `asked` tells which cells matter, and after `most` of them it is given up.
@@ -233,7 +233,7 @@ def _positive(
     corners, cells, half, seen = _corners(dimension), *_first_cells(edge, dimension), 0
 
     def states(half: float, some: np.ndarray) -> np.ndarray:
-        """0 where it is positive, 1 where a corner failed, 2 where the middle is negative."""
+        """State of cells: 0 proven positive, 1 a corner failed, 2 negative at the middle."""
         value, slopes = affine(some)
         state = np.where(smallest_eigenvalue(value) < 0, 2, 0)
         for corner in corners:
@@ -257,14 +257,14 @@ def _positive(
 
 
 def _first_cells(edge: float, dimension: int) -> tuple[np.ndarray, float]:
-    """Middles of cells of [−edge, edge]^d, FIRST along an axis, and half a side."""
+    """Middles of the FIRST cells per axis of [−edge, edge]^d, and half a side."""
     half = edge / FIRST
     line = -edge + half * (2 * np.arange(FIRST) + 1)
     return np.array(list(itertools.product(line, repeat=dimension))), half
 
 
 def _symbol_slopes(stencil: Stencil, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """D, shape [K, c, c], and its derivatives, [d, K, c, c]."""
+    """Symbol D, shape [K, c, c], and its derivatives, [d, K, c, c]."""
     flat = stencil.tensors.reshape(len(stencil.tensors), -1)
     shape = (len(phase), *stencil.tensors.shape[1:])
     sine = 2 * np.sin(phase @ stencil.steps.T)
@@ -273,7 +273,7 @@ def _symbol_slopes(stencil: Stencil, phase: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def long_wave_radius(stencil: Stencil, long: float) -> float:
-    """|k| h within which D > 0 of k ≠ 0, from Q(e) ≥ long |e|² and 1 − cos x ≥ x²/2 − x⁴/24."""
+    """Radius |k| h in which D > 0 for k ≠ 0, from Q(e) ≥ long |e|² and 1 − cos x ≥ x²/2 − x⁴/24."""
     lengths = (stencil.steps.astype(float) ** 2).sum(axis=1)
     quartic = np.tensordot(lengths**2, parts(stencil.tensors)[0], 1) / 12
     return float(0.999 * np.sqrt(long / np.linalg.eigvalsh(quartic)[-1]))
@@ -282,11 +282,8 @@ def long_wave_radius(stencil: Stencil, long: float) -> float:
 def _positive_on_zone(
     stencil: Stencil, group: np.ndarray, long: float
 ) -> tuple[bool, int, np.ndarray | None]:
-    """Whether D(k) > 0 is proven for all k ≠ 0, the cells that took, and a wave where it is not.
-
-    On cells outside the ball of long waves, which Q(e) ≥ long |e|² gives, where D is at least its
-    value and slope at the middle less Σ |C| (η·ξ)².
-    """
+    """Whether D(k) > 0 is proven for all k ≠ 0, the number of cells, and a wave where it is not;
+    outside the ball of long waves D ≥ value and slope at a cell's middle less Σ |C| (η·ξ)²."""
     d, (above, below) = stencil.dimension, parts(stencil.tensors)
     radius = long_wave_radius(stencil, long)
 
@@ -300,11 +297,8 @@ def _positive_on_zone(
 
 
 def _long_waves(stencil: Stencil, group: np.ndarray) -> tuple[float, int]:
-    """q > 0 with Q(e) ≥ q |e|² for all e, and the cells that took; 0 where none is proven (T13).
-
-    On cells of the faces e_a = 1 of a cube: there Q(e) − q |e|² is its value and slope at the
-    middle and a quadratic rest that is at least −Σ C⁻ (t·ξ)² − q |t|².
-    """
+    """Proven q > 0 with Q(e) ≥ q |e|² for all e, or 0, and the number of cells (T13). On cells of
+    faces e_a = 1 of a cube Q(e) − q |e|² is affine plus at least −Σ C⁻ (t·ξ)² − q |t|²."""
     d, brackets = stencil.dimension, stencil.brackets
     one, both = np.eye(brackets.shape[0]), brackets + brackets.swapaxes(2, 3)
     line = np.linspace(-1, 1, {2: 2001, 3: 121}[d])
@@ -335,11 +329,8 @@ def _long_waves(stencil: Stencil, group: np.ndarray) -> tuple[float, int]:
 
 
 def largest(stencil: Stencil, group: np.ndarray, tolerance: float = UPPER_TOLERANCE) -> float:
-    """A bound of Λmax D(k) over all k [stress/length²], proven cell by cell (theory, T21).
-
-    Within `tolerance`, relative, of a value that D takes, unless that needs more than MOST_CELLS;
-    then it is what was proven so far.
-    """
+    """Upper bound of Λmax D(k) over all k [stress/length²], proven cell by cell (theory, T21),
+    within the relative `tolerance` of a value that D takes, or as far as MOST_CELLS lead."""
     d, work, taken = stencil.dimension, 0, 0.0
     rest = _most(stencil, np.sum(parts(stencil.tensors), axis=0))
     slack, corners = _slack(stencil), _corners(d)

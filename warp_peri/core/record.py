@@ -1,4 +1,4 @@
-"""A material as a value: its fields say types and units, and file, units and looks are one.
+"""Materials as values: field types state units, from which follow file, units and summary table.
 
     @dataclass(frozen=True, eq=False, repr=False)
     class CrystalMaterial(Record, format="warp_peri.micromodulus"):
@@ -6,8 +6,8 @@
         tensors: Annotated[np.ndarray, FieldUnits(length=-2, stress=1)]
         certificate: StencilCertificate | None = None
 
-is checked when it is made, has `save`, `content`, `in_units` and a table of what it is, and `load`
-reads its files. What a file says to be proven is proven again.
+is checked when made, and has `save`, `content`, `in_units`; `load` reads its file, and proves again
+what that says to be proven.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ HOMES = {
 
 @dataclass(frozen=True)
 class FieldUnits:
-    """Of a field, as ``Annotated[float, FieldUnits(stress=1)]``.
+    """Units and file entry of a field, as ``Annotated[float, FieldUnits(stress=1)]``.
 
     Attributes:
         length, stress: powers of the units that it is in.
@@ -98,7 +98,7 @@ Stress: TypeAlias = Annotated[float, FieldUnits(stress=1)]
 
 @dataclass(frozen=True)
 class Field:
-    """What is known of a field: its name, that in a file, its type, what it says, its default."""
+    """Facts of a field: its name, file key, type, units and default."""
 
     name: str
     key: str
@@ -108,7 +108,7 @@ class Field:
 
 
 def fields_of(value: Any) -> tuple[Field, ...]:
-    """Of a dataclass or one of its values, but for `units`, which a file names at its head."""
+    """Fields of a dataclass or its value, except `units`, which a file names at its head."""
     return _fields_of(value if isinstance(value, type) else type(value))
 
 
@@ -126,7 +126,7 @@ def _fields_of(kind: Any) -> tuple[Field, ...]:
 
 
 class Record(Shown):
-    """What a material can do as a value; its class adds its own checks and its physics.
+    """Base of materials as values: checks, file, units, table; subclasses add checks and physics.
 
     A class names its `format`, and its `version` where that is not the first. In `__post_init__` it
     calls that of here first, which turns what is given into the types of the fields.
@@ -157,11 +157,11 @@ class Record(Shown):
             object.__setattr__(self, "units", check_units(self.units))
 
     def derived(self) -> dict[str, Any]:
-        """Entries of a file that are no fields; what a reader finds there must be the same."""
+        """Entries of a file that are no fields; a reader must find the same there."""
         return {}
 
     def content(self) -> dict[str, Any]:
-        """What a file holds, plain values; the last is a hash of the others."""
+        """Plain values of the material's file, the last a hash of the others."""
         found: dict[str, Any] = {"format": self.FORMAT, "version": self.VERSION}
         found |= dict(zip(UNITS, self.units)) if _has_units(self) else {}
         found |= _entries(self) | self.derived()
@@ -175,11 +175,9 @@ class Record(Shown):
 
     @classmethod
     def from_dict(cls, content: Any, where: str = "") -> Self:
-        """What a file holds; `where` begins warnings.
-
-        Raises InputError naming what is wrong: another format or version, keys that are missing or
-        unknown, values that are none, contents that are not what was written, a proof of others.
-        """
+        """Make the material from the contents of a file; `where` begins warnings. InputError for
+        another format or version, missing or unknown keys, wrong or changed values, a failing
+        proof."""
         if not isinstance(content, dict):
             raise InputError(f"expected a JSON object, got {type(content).__name__}")
         for key, expected in (("format", cls.FORMAT), ("version", cls.VERSION)):
@@ -208,21 +206,20 @@ class Record(Shown):
         return made
 
     def verify_certificates(self) -> None:
-        """InputError unless what a file says to be proven is: a StencilCertificate of `stencil`
-        under `group`."""
+        """Raise InputError unless the file's StencilCertificate of `stencil` is proven again."""
         for each in fields_of(self):
             proof = getattr(self, each.name)
             if hasattr(proof, "check_of"):
                 proof.check_of(self.stencil, self.group)  # type: ignore[attr-defined]
 
     def _read_from(self, path: Path | None) -> Self:
-        """With what lies beside its file."""
+        """The material with what lies beside its file."""
         return self
 
     @classmethod
     @typed
     def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a file of this kind; InputError for one of another, and as `from_dict`."""
+        """Read a material's file; InputError for one of another kind, and as `from_dict`."""
         found = load(path)
         if not isinstance(found, cls):
             what = f"expected a {cls.__name__}, got a {type(found).__name__}"
@@ -231,7 +228,7 @@ class Record(Shown):
 
     @typed
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a JSON file, whole or not at all; InputError for what JSON does not know."""
+        """Write a JSON file, whole or not at all; InputError for values that JSON lacks."""
         try:
             write_json(path, self.content())
         except InputError:
@@ -240,8 +237,8 @@ class Record(Shown):
             raise InputError(f"{path}: expected plain, finite values ({error})") from None
 
     def in_units(self, units: Any) -> Self:
-        """The same with its numbers in other units, but records of how it came to be; InputError
-        for units that are not known, or that no factor leads to."""
+        """The material in other units, records of its origin excepted; InputError for units that
+        are not known, or that no factor leads to."""
         by = factors(self.units, units)
         if self.units == (units := check_units(units)):
             return self
@@ -249,16 +246,16 @@ class Record(Shown):
         return replace(self, **moved | self.elsewhere(*by))  # type: ignore[type-var]
 
     def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
-        """Fields in other units that their types do not tell, given the factors."""
+        """Fields in other units that their types do not tell, for the factors."""
         return {}
 
     def _moved(self, part: Any, by: tuple[float, float], units: Units) -> dict[str, Any]:
-        """The fields of a part in other units."""
+        """Fields of a part, in other units."""
         fields = [(each.name, each.says) for each in fields_of(part)]
         return {name: self._scaled(getattr(part, name), says, by, units) for name, says in fields}
 
     def _scaled(self, value: Any, says: FieldUnits, by: tuple[float, float], units: Units) -> Any:
-        """A value in other units."""
+        """A field's value in other units."""
         if isinstance(value, Record):
             return value.in_units(units)
         if hasattr(value, "__dataclass_fields__"):
@@ -272,7 +269,7 @@ class Record(Shown):
         return value * (stress * size if power >= 0 else stress / size)
 
     def rows(self) -> list[tuple[str, str]]:
-        """What to know at a glance: name and value; of what has no words of its own its numbers."""
+        """Name and value of each line of the material's summary table."""
         found = []
         for each in fields_of(self):
             value, power = getattr(self, each.name), (each.says.length, each.says.stress)
@@ -288,7 +285,7 @@ class Record(Shown):
 
 
 class OnLinear(Record):
-    """A material whose units, dimension and horizon are those of its linear solid."""
+    """A material with the units, dimension and horizon of its linear solid."""
 
     if TYPE_CHECKING:
 
@@ -307,12 +304,12 @@ class OnLinear(Record):
 
     @property
     def dimension(self) -> int:
-        """2 or 3."""
+        """Dimension of space: 2 or 3."""
         return int(self.linear.dimension)
 
     @property
     def horizon(self) -> float:
-        """δ [length]."""
+        """Horizon δ [length] of the linear solid."""
         return float(self.linear.horizon)
 
 
@@ -321,7 +318,7 @@ def _has_units(kind: Any) -> bool:
 
 
 def _entries(value: Any) -> dict[str, Any]:
-    """Entries of a file for the fields of a record, or of a part of one."""
+    """File entries for the fields of a record, or of a part of one."""
     found: dict[str, Any] = {}
     for each in fields_of(value):
         one = getattr(value, each.name)
@@ -344,7 +341,7 @@ def _plain(value: Any) -> Any:
 
 
 def _values(kind: Any, entries: dict[str, Any]) -> dict[str, Any]:
-    """Values of the fields of a dataclass, taken out of the entries of a file."""
+    """Field values of a dataclass, taken out of the entries of a file."""
     found: dict[str, Any] = {}
     missing = []
     for each in fields_of(kind):
@@ -369,15 +366,14 @@ def _refuse_unknown(left: dict[str, Any]) -> None:
 
 
 def _part(kind: Any, entries: dict[str, Any]) -> Any:
-    """A dataclass of the entries that it has in a file."""
+    """Dataclass from its entries in a file."""
     made = kind(**_values(kind, entries))
     _refuse_unknown(entries)
     return made
 
 
 def taken(key: str, hint: Any, value: Any, says: FieldUnits = PLAIN, *, read: bool = False) -> Any:
-    """A value as a field of a type has it, where it is `read` as JSON has it; InputError naming the
-    key for what is none."""
+    """Convert a value, of JSON if `read`, to a field's type; InputError naming the key."""
     parts = get_args(hint)
     if get_origin(hint) in (Union, UnionType):
         if (value is None and NoneType in parts) or (isinstance(value, str) and str in parts):
@@ -440,13 +436,13 @@ def _within(key: str, make: Callable[..., Any], *of: Any) -> Any:
 
 
 def content_hash(content: dict[str, Any]) -> str:
-    """SHA-256 of everything else in a file."""
+    """SHA-256 of the contents of a file except the hash itself."""
     kept = {key: value for key, value in content.items() if key != "sha256"}
     return hashlib.sha256(json.dumps(plain(kept), sort_keys=True).encode()).hexdigest()
 
 
 def read_content(content: Any, path: Path | None = None) -> Any:
-    """A material of what a file holds, of any format."""
+    """Make a material of any format from the contents of a file."""
     name = content.get("format") if isinstance(content, dict) else content
     if isinstance(name, str) and name in HOMES:
         import_module(f"warp_peri.{HOMES[name]}")
@@ -458,7 +454,7 @@ def read_content(content: Any, path: Path | None = None) -> Any:
 
 
 def load(path: str | os.PathLike[str]) -> Any:
-    """Read the file of a material; InputError naming the file and what is wrong with it."""
+    """Read the file of a material; InputError naming the file and the fault."""
     raw = atomic.content(path)
     try:
         held = parsed(raw)

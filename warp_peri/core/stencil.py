@@ -1,4 +1,4 @@
-"""A linear solid on one lattice as a stencil: L u(x) = Σ C(ξ) (u(x) − u(x + ξ)) (theory, T1–T2).
+"""Linear solids on one lattice as stencils: L u(x) = Σ C(ξ) (u(x) − u(x + ξ)) (theory, T1–T2).
 
 C(−ξ) = C(ξ) is symmetric. Every homogeneous linear material on a lattice is a stencil, and what is
 proven, transferred or solved on lattices is written for stencils alone. Their products are taken in
@@ -55,26 +55,26 @@ class Stencil:
 
     @property
     def dimension(self) -> int:
-        """2 or 3."""
+        """Dimension of space: 2 or 3."""
         return int(self.steps.shape[1])
 
     @property
     def reach(self) -> int:
-        """Largest step along an axis."""
+        """Largest step along an axis, in spacings."""
         return int(np.abs(self.steps).max())
 
     def symbol(self, phase: np.ndarray) -> np.ndarray:
-        """D(k) = 2 Σ C(ξ) (1 − cos k·ξ) at k h = `phase`, shape [K, d]; shape [K, c, c]."""
+        """Symbol D(k) = 2 Σ C(ξ) (1 − cos k·ξ) at k h = `phase`, [K, d] to [K, c, c]."""
         return np.asarray(np.tensordot(bend(phase, self.steps), self.tensors, 1))
 
     @cached_property
     def brackets(self) -> np.ndarray:
-        """[ij, kl] = Σ C_ij ξ_k ξ_l over the half [stress], shape [c, c, d, d] (T3)."""
+        """Brackets [ij, kl] = Σ C_ij ξ_k ξ_l over the half [stress], shape [c, c, d, d] (T3)."""
         xi = self.spacing * self.steps
         return np.asarray(np.einsum("nij,nk,nl->ijkl", self.tensors, xi, xi, optimize=True))
 
     def asymmetry(self, group: np.ndarray) -> float:
-        """How far C(Rξ) = R C(ξ) Rᵗ is from holding for R [g, d, d], over the largest entry."""
+        """Largest error of C(Rξ) = R C(ξ) Rᵗ over R [g, d, d], relative to the largest entry."""
         number = {tuple(s): i for i, s in enumerate(self.steps.tolist())}
         number |= {tuple(-s for s in key): i for key, i in list(number.items())}
         worst = 0.0
@@ -87,7 +87,7 @@ class Stencil:
         return worst / max(float(np.abs(self.tensors).max()), 1e-300)
 
     def minus(self, other: Stencil, factor: float = 1.0) -> Stencil:
-        """The stencil of D − factor · (symbol of another on the same lattice)."""
+        """The stencil less a factor times another on the same lattice."""
         steps = np.concatenate([self.steps, other.steps])
         first = steps @ (2 * int(np.abs(steps).max()) + 1) ** np.arange(steps.shape[1]) > 0
         steps = np.where(first[:, None], steps, -steps)  # ξ and −ξ are one bond
@@ -99,14 +99,14 @@ class Stencil:
 
 
 def laplacian_stencil(spacing: float, dimension: int, components: int) -> Stencil:
-    """The 2 d + 1-point Laplacian times the identity [1/length²]; its symbol is s(k)."""
+    """Stencil of the 2 d + 1-point Laplacian times the identity [1/length²]; its symbol is s(k)."""
     steps = np.eye(dimension, dtype=np.int64)
     return Stencil(spacing, steps, np.tile(np.eye(components), (dimension, 1, 1)) / spacing**2)
 
 
 def squared(spacing: float, steps: np.ndarray, field: np.ndarray) -> Stencil:
-    """f ∗ f of a field f(ξ) = −f(−ξ) on whole families ξ/h, each [B, d], whose symbol is
-    |Σ f(ξ) sin k·ξ|² times the identity."""
+    """Stencil f ∗ f of a field f(ξ) = −f(−ξ) on whole families ξ/h, each [B, d]; symbol |Σ f(ξ) sin
+    k·ξ|²."""
     d, far = steps.shape[1], 2 * int(np.abs(steps).max())
     box = np.zeros((2 * far + 1,) * d)
     for step, f in zip(steps, field):
@@ -122,10 +122,8 @@ def bend(phase: np.ndarray, steps: np.ndarray) -> np.ndarray:
 
 
 def half_ball(reach: float, dimension: int) -> np.ndarray:
-    """ξ/h of one half of the bonds with |ξ| ≤ reach h, shape [H, d].
-
-    Raises InputError for a ball without bonds, or with more than MOST_BONDS of a half.
-    """
+    """Steps ξ/h of one half of the bonds with |ξ| ≤ reach h, shape [H, d]. InputError for a ball
+    without bonds, or with more than MOST_BONDS of a half."""
     most = min(reach, 4.0 * MOST_BONDS) ** 2 * (1 + HORIZON_TOLERANCE) ** 2
     side = int(np.sqrt(most))
     if (2 * side + 1) ** dimension > 4 * MOST_BONDS:
@@ -141,12 +139,12 @@ def half_ball(reach: float, dimension: int) -> np.ndarray:
 
 
 def laplacian(phase: np.ndarray) -> np.ndarray:
-    """s(k) h² = 4 Σ sin²(k_a h/2) at k h = `phase`, shape [K]."""
+    """Laplacian symbol s(k) h² = 4 Σ sin²(k_a h/2) at k h = `phase`, shape [K]."""
     return np.asarray(4 * (np.sin(phase / 2) ** 2).sum(axis=1))
 
 
 def zone_sample(group: np.ndarray, dimension: int, intervals: int) -> np.ndarray:
-    """k h of one of each orbit of a grid on the zone, and of very long waves, shape [K, d]."""
+    """Phases k h of one wave per orbit of a grid on the zone, and of very long waves, [K, d]."""
     grid = orbit_grid(intervals, group, dimension)
     axes = np.array([v for v in np.ndindex((3,) * dimension) if v != (1,) * dimension]) - 1.0
     axes /= np.linalg.norm(axes, axis=1)[:, None]
@@ -156,16 +154,14 @@ def zone_sample(group: np.ndarray, dimension: int, intervals: int) -> np.ndarray
 def ratios(
     steps: np.ndarray, tensors: np.ndarray, phase: np.ndarray, wave: np.ndarray | None = None
 ) -> tuple[np.ndarray, ...]:
-    """Λmin D/s h^−2 at k h = `phase`, [K], and the eigenvectors it is taken at, [K, d]; `wave` is
-    bend(phase, steps), where that is known."""
+    """Λmin D/s h^−2 at k h = `phase`, [K], and its eigenvectors, [K, d]; `wave`: known bend."""
     symbol = np.tensordot(bend(phase, steps) if wave is None else wave, tensors, 1)
     value, vector = np.linalg.eigh(symbol)
     return value[:, 0] / laplacian(phase), vector[:, :, 0]
 
 
 def q1_tensors(elastic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Steps [H, d] of one half and C(ξ) h² [stress], [H, d, d], of Q1 elements of C_ijkl of side h
-    with two Gauss points an axis; symmetric since an element is its own image in its middle."""
+    """Steps and C(ξ) h² [H, d, d] [stress] of Q1 elements of side h, two Gauss points an axis."""
     d = elastic.shape[0]
     corner = np.array(list(itertools.product((0, 1), repeat=d)))
     side = 2 * corner - 1
@@ -187,14 +183,14 @@ def q1_tensors(elastic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def central_weights(reach: int) -> np.ndarray:
-    """w with u′ ≈ Σ w_m (u(m) − u(−m)) of m = 1 … reach spacings of one, of order 2 reach."""
+    """Weights w with u′ ≈ Σ w_m (u(m) − u(−m)), m = 1 … reach unit spacings, of order 2 reach."""
     m = np.arange(1, reach + 1)
     ways = np.cumprod((reach + 1 - m) / (reach + m))  # r!²/((r − m)! (r + m)!)
     return np.asarray(-((-1.0) ** m) * ways / m)
 
 
 def difference_tensors(elastic: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
-    """As q1_tensors, of central differences of order 2 reach: waves err by (k h) to that power."""
+    """Steps and C(ξ) h² of central differences of order 2 reach, as q1_tensors."""
     d, m, first = elastic.shape[0], np.arange(1, reach + 1), central_weights(reach)
     found = [
         (step * np.eye(d, dtype=int)[a], 2 * weight / step * elastic[:, a, :, a])
@@ -212,7 +208,7 @@ def difference_tensors(elastic: np.ndarray, reach: int) -> tuple[np.ndarray, np.
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """Half of a family, ξ and −ξ being one bond, and the tensors that a group allows on it.
+    """Half of a family and the bond tensors that a symmetry group allows on it.
 
     Attributes:
         steps: ξ/h, shape [H, d] int64; the other half is −steps.
@@ -224,22 +220,21 @@ class Basis:
 
     @property
     def dimension(self) -> int:
-        """2 or 3."""
+        """Dimension of space: 2 or 3."""
         return int(self.steps.shape[1])
 
     def symbol(self, phase: np.ndarray) -> np.ndarray:
-        """2 Σ (1 − cos k·ξ) basis at k h = `phase`, shape [K, d]; shape [K, P, d, d]."""
+        """Symbols 2 Σ (1 − cos k·ξ) basis at k h = `phase`, [K, d] to [K, P, d, d]."""
         return np.asarray(np.tensordot(bend(phase, self.steps), self.basis, (1, 1)))
 
     def moments(self) -> np.ndarray:
-        """[ij, kl] of each basis tensor in units of h² (T3), shape [P, d, d, d, d]."""
+        """Brackets [ij, kl] of each basis tensor in units of h² (T3), shape [P, d, d, d, d]."""
         x = self.steps.astype(float)
         return np.asarray(np.einsum("anij,nk,nl->aijkl", self.basis, x, x, optimize=True))
 
 
 def invariant_basis(reach: float, group: np.ndarray) -> Basis:
-    """The half ball and its invariant tensors under C(Rξ) = R C(ξ) Rᵗ, R of integer matrices with
-    the inversion, [g, d, d]."""
+    """Basis of half-ball tensors with C(Rξ) = R C(ξ) Rᵗ for integer R with −1, [g, d, d]."""
     d = group.shape[1]
     steps = half_ball(reach, d)
     number = {tuple(step): i for i, step in enumerate(steps)}
@@ -265,7 +260,7 @@ def invariant_basis(reach: float, group: np.ndarray) -> Basis:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Where nodes lie in a box around the unknowns that holds every node they feel.
+    """Places of nodes in a box around the unknowns that holds every node they feel.
 
     Attributes:
         axes: of the lattice, as columns, shape [d, d].
@@ -286,23 +281,23 @@ class Grid:
 
     @property
     def dimension(self) -> int:
-        """2 or 3."""
+        """Dimension of space: 2 or 3."""
         return len(self.shape)
 
     @property
     def wide(self) -> tuple[int, ...]:
-        """The box, and around a period its images within reach."""
+        """Shape of the box with, around a period, its images within reach."""
         return tuple(n + 2 * self.reach * self.periodic for n in self.shape)
 
     @property
     def core(self) -> tuple[slice, ...]:
-        """Where the box of the interior lies in the wide one."""
+        """Slices of the interior's box in the wide one."""
         r = self.reach
         return tuple(slice(r, n - r) for n in self.wide)
 
     @property
     def is_box(self) -> bool:
-        """Whether all nodes of a box are unknown."""
+        """Whether all nodes of the interior's box are unknown."""
         return bool(self.periodic or self.unknown.all())
 
     def mask(self) -> np.ndarray:
@@ -313,7 +308,7 @@ class Grid:
 
     @property
     def unknown(self) -> np.ndarray:
-        """Which places of the box of the interior are unknown, in that one's shape."""
+        """Which places of the interior's box are unknown, in that box's shape."""
         return self.mask() if self.periodic else self.mask()[self.core]
 
     def scatter(self, u: np.ndarray, dtype: type = np.float64) -> np.ndarray:
@@ -326,13 +321,13 @@ class Grid:
         return field
 
     def scatter_interior(self, inner: np.ndarray) -> np.ndarray:
-        """Vectors of the interior nodes [I, d] in planes [d, *shape], zero elsewhere."""
+        """Vectors of the interior nodes [I, d] laid out in planes [d, *shape], zero elsewhere."""
         field: np.ndarray = np.zeros((self.dimension, int(np.prod(self.shape))))
         field[:, self.interior] = (inner @ self.axes).T
         return field.reshape(self.dimension, *self.shape)
 
     def gather(self, planes: np.ndarray) -> np.ndarray:
-        """Planes [S, d, *shape] at the interior nodes, along the points' axes, [S, I, d]."""
+        """Values of planes [S, d, *shape] at interior nodes, along the points' axes, [S, I, d]."""
         flat = planes.reshape(*planes.shape[:2], -1)[:, :, self.interior]
         return np.ascontiguousarray(flat.transpose(0, 2, 1) @ self.axes.T.astype(planes.dtype))
 
@@ -371,7 +366,7 @@ def grid_of(points: Points, steps: np.ndarray, *, why: str = "", least: int | No
 
 
 def _period(points: Points, axes: np.ndarray, least: int) -> tuple[int, ...]:
-    """Nodes of a period along the axes."""
+    """Number of nodes in a period along each axis."""
     if np.abs(axes - np.eye(len(axes))).max() > LATTICE_TOLERANCE:
         raise InputError("box: expected the lattice's axes along the coordinates, got a turned one")
     counts = np.asarray(points.box) / points.spacing
@@ -404,7 +399,7 @@ def _check(points: Points, nodes: Grid, steps: np.ndarray, why: str) -> None:
 
 
 def complete(body: np.ndarray, steps: np.ndarray, r: int) -> np.ndarray:
-    """Which places have all their neighbours by some steps and back, of a body with r more."""
+    """Which places of a body with r more have all their neighbours by some steps and back."""
     whole = np.ones([n - 2 * r for n in body.shape], bool)
     for step in np.concatenate([steps, -steps]):
         whole &= body[tuple(slice(r + s, n - r + s) for s, n in zip(step, body.shape))]
@@ -412,7 +407,7 @@ def complete(body: np.ndarray, steps: np.ndarray, r: int) -> np.ndarray:
 
 
 def refuse_cut(lacking: int, count: int, why: str = "") -> None:
-    """InputError where some of so many interior nodes lack neighbours."""
+    """Raise InputError where some of `count` interior nodes lack neighbours."""
     if lacking:
         raise InputError(
             f"points: expected all bonds of every interior node, got {lacking} of "
@@ -421,7 +416,7 @@ def refuse_cut(lacking: int, count: int, why: str = "") -> None:
 
 
 class ByRows:
-    """Half families by rows; the bits are the same on any number of threads."""
+    """Stencil product by rows; the bits are the same on any number of threads."""
 
     def __init__(
         self, nodes: Grid, steps: np.ndarray, tensors: np.ndarray, dtype: Any = np.float64
@@ -471,7 +466,7 @@ def row_pieces(places: np.ndarray, lanes: int, numbers: np.ndarray) -> np.ndarra
 
 
 class ByFFT:
-    """The same by convolution on a torus that nothing reaches around, exact but for rounding."""
+    """Stencil product by FFT on a torus that nothing reaches around, exact but for rounding."""
 
     def __init__(
         self, nodes: Grid, steps: np.ndarray, tensors: np.ndarray, dtype: Any = np.float64
@@ -492,14 +487,14 @@ class ByFFT:
 
 
 def torus_shape(nodes: Grid) -> tuple[int, ...]:
-    """A torus that holds the box, whose collar keeps its images apart; a period is its own."""
+    """Shape of a torus that holds the box and keeps its images apart; a period is its own."""
     if nodes.periodic:
         return nodes.shape
     return tuple(scipy.fft.next_fast_len(n, real=True) for n in nodes.shape)
 
 
 def torus_symbol(torus: tuple[int, ...], steps: np.ndarray, tensors: np.ndarray) -> np.ndarray:
-    """D(k), or D(k) h² as tensors are, at waves of a torus [d, d, *torus], its last axis halved."""
+    """Symbol D(k) (or D(k) h², as tensors are) at waves of a torus [d, d, *half a torus]."""
     d = len(torus)
     symbol = np.empty((d, d, *torus[:-1], torus[-1] // 2 + 1))
     place = np.ravel_multi_index(tuple(np.concatenate([steps, -steps]).T), torus, mode="wrap")
@@ -513,7 +508,7 @@ def torus_symbol(torus: tuple[int, ...], steps: np.ndarray, tensors: np.ndarray)
 
 
 def convolved(symbol: np.ndarray, field: np.ndarray, torus: tuple[int, ...]) -> np.ndarray:
-    """A symbol's product with one field [d, …] in a corner of the torus, on all of it."""
+    """Convolve a symbol with one field [d, …] in a corner of the torus, on all of it."""
     how: dict[str, Any] = {
         "s": torus,
         "axes": range(1, len(torus) + 1),
@@ -524,7 +519,7 @@ def convolved(symbol: np.ndarray, field: np.ndarray, torus: tuple[int, ...]) -> 
 
 
 def inverse(symbol: np.ndarray) -> np.ndarray:
-    """D⁻¹ of matrices [d, d, …]; 0 where that has none (k = 0)."""
+    """Inverse of symbol matrices [d, d, …]; 0 where that has none (k = 0)."""
     answer, largest, first = np.empty_like(symbol), np.abs(symbol).max(), (0,) * (symbol.ndim - 3)
     for row in range(symbol.shape[2]):  # in space all matrices at once are much memory
         full = np.moveaxis(symbol[:, :, row], (0, 1), (-2, -1)).copy()

@@ -1,5 +1,5 @@
-"""Operators in torch: one function for the force of every material; derivatives that are had once
-are refused a second time on every path, where torch would leave out terms."""
+"""Operators in torch: one force function for every material; a derivative that can be had once is
+refused a second time on every path, where torch would leave out terms."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ keeps, and how often it begins anew."""
 
 
 class _Made(torch.autograd.Function):
-    """What `make` makes of tensors; `along` is its derivative, of tensors and tangents; `back` that
-    transposed, given which are asked for, the tensors and what is upstream."""
+    """Function `make` of tensors; `along` is its derivative, of tensors and tangents; `back` that
+    transposed, given which are asked for, the tensors and the upstream gradient."""
 
     @staticmethod
     def forward(make: Any, along: Any, back: Any, *of: torch.Tensor) -> Any:
@@ -68,18 +68,18 @@ def _refused(*_: torch.Tensor) -> Any:
 
 
 def _called(apply: Callable[..., Any], *fields: torch.Tensor) -> torch.Tensor:
-    """What a function of NumPy makes of tensors; float64, without a gradient."""
+    """Apply a NumPy function to tensors, in float64, without a gradient."""
     given = (field.detach().contiguous().numpy() for field in fields)
     return torch.from_numpy(np.require(apply(*given), float, ["C", "W"]))
 
 
 def _once(make: Callable[..., torch.Tensor], *of: torch.Tensor) -> torch.Tensor:
-    """What is made of tensors and has no derivative by them, and says so."""
+    """Apply a function without a derivative, whose differentiation raises InputError."""
     return _made(make, _refused, _refused, *of)  # type: ignore[no-any-return]
 
 
 def linear(x: torch.Tensor, there: Callable[..., Any], back: Callable[..., Any]) -> torch.Tensor:
-    """A linear map of fields of NumPy, [S, …], which `back` transposes; it has every derivative."""
+    """Linear map of NumPy fields [S, …] with transpose `back`, differentiable to any order."""
     return _made(  # type: ignore[no-any-return]
         partial(_called, there),
         lambda _, tangent: linear(tangent, there, back),
@@ -89,9 +89,8 @@ def linear(x: torch.Tensor, there: Callable[..., Any], back: Callable[..., Any])
 
 
 def nonlinear(make: Any, along: Any, backs: tuple[Any, ...], *of: torch.Tensor) -> torch.Tensor:
-    """What `make` makes of fields of NumPy, differentiated once: `along` is its derivative, of the
-    fields and tangents, None where it is refused; `backs` of each field that transposed, of the
-    fields and what is upstream."""
+    """Function `make` of NumPy fields, differentiable once: `along` is its derivative by tangents
+    (None: refused), `backs` its transposes for each field and the upstream gradient."""
 
     def pulled(asked: Any, *given: torch.Tensor) -> list[torch.Tensor | None]:
         pairs = zip(backs, asked)
@@ -102,8 +101,7 @@ def nonlinear(make: Any, along: Any, backs: tuple[Any, ...], *of: torch.Tensor) 
 
 
 def refuse_tangents(*inputs: Any) -> None:
-    """InputError for tensors with a tangent of forward mode, which would be lost, and for those of
-    torch.func, of which a function that is differentiated once makes nothing."""
+    """Raise InputError for tensors with a tangent of forward mode, or of torch.func."""
     for one in filter(torch.is_tensor, inputs):
         if torch._C._functorch.is_functorch_wrapped_tensor(one):
             raise InputError(
@@ -118,8 +116,8 @@ def refuse_tangents(*inputs: Any) -> None:
 
 
 def once(there: Any, back: Any, *of: torch.Tensor) -> Any:
-    """Arrays that `there` makes of arrays, and what `back` makes of arrays upstream: derivatives to
-    each, given which are asked for; None, or one number for all of an array, are zero there.
+    """Function `there` of arrays, differentiable once: `back` makes the derivatives of upstream
+    arrays, given which are asked for; None, or one number for all of an array, are zero there.
 
     A derivative of these raises InputError, by `backward`, `grad`, `hessian` or `hvp`; torch's own
     once_differentiable lets those pass that do not go through the upstream gradient.
@@ -145,14 +143,14 @@ def once(there: Any, back: Any, *of: torch.Tensor) -> Any:
 
 
 def _like(slope: Any, number: torch.Tensor) -> Any:
-    """A derivative in the shape of what it is a derivative to."""
+    """A derivative in the shape of the number it is by."""
     slope = torch.as_tensor(slope, dtype=torch.float64)
     return (slope if slope.dim() else slope.expand(number.shape)).reshape_as(number).to(number)
 
 
 def force_of(operator: Any, u: torch.Tensor) -> torch.Tensor:
-    """The force of an operator on the interior nodes, [..., I, d], differentiable in u [..., N, d];
-    InputError for another shape or type, and for a second derivative of one that is not linear."""
+    """Force of an operator on the interior nodes, [..., I, d], differentiable in u [..., N, d];
+    InputError for another shape or type, and for a second derivative of a nonlinear one."""
 
     def force(fields: torch.Tensor) -> torch.Tensor:
         if operator.is_linear:
@@ -166,7 +164,7 @@ def force_of(operator: Any, u: torch.Tensor) -> torch.Tensor:
 def on_fields(
     operator: Any, u: torch.Tensor, force: Callable[[torch.Tensor], torch.Tensor]
 ) -> torch.Tensor:
-    """What `force` makes of fields [S, N, d] in float64, of u [..., N, d] and in its precision;
+    """Apply `force` to u [..., N, d] as fields [S, N, d] in float64, back in u's precision;
     InputError for a u of another shape or type."""
     operator.check(u, u.is_floating_point())
     found = force(u.to("cpu", torch.float64).reshape(-1, *operator.shape))
@@ -174,8 +172,8 @@ def on_fields(
 
 
 def as_tensor(name: str, value: Any) -> torch.Tensor:
-    """A tensor itself, or one of float64 of other numbers, masked entries as NaN; InputError for
-    what is no array of numbers. (Of a list torch itself would keep half the digits.)"""
+    """Convert numbers to a float64 tensor (tensors stay; of a list torch would keep half the
+    digits), masked entries NaN; InputError for other values."""
     if isinstance(value, torch.Tensor):
         return value
     array = as_array(name, value)
@@ -188,8 +186,7 @@ def as_tensor(name: str, value: Any) -> torch.Tensor:
 
 
 def real(name: str, value: Any) -> torch.Tensor:
-    """A tensor of float64 on the processor; InputError for complex numbers, truth values, and what
-    is not in memory as it is."""
+    """A float64 tensor on the processor; InputError for complex numbers, booleans, lazy views."""
     tensor = as_tensor(name, value)
     if tensor.is_meta or tensor.layout is not torch.strided:
         raise InputError(
@@ -207,8 +204,8 @@ def check_shape(name: str, tensor: torch.Tensor, shape: tuple[int, ...]) -> None
 
 
 def with_numbers(operator: Any, numbers: Mapping[str, Any]) -> tuple[Any, dict[str, torch.Tensor]]:
-    """The operator with some of its `learnable` numbers changed, itself where they are its own, and
-    these as tensors of float64. Raises InputError for others, and as its `at`."""
+    """The operator with some `learnable` numbers changed (itself if equal), and these as float64
+    tensors; InputError for other names, and as its `at`."""
     check_mapping("parameters", numbers)
     known = getattr(operator, "learnable", {}) if hasattr(operator, "at") else {}
     names = ", ".join(f"{name} {list(np.shape(own))}" for name, own in known.items()) or "none"
@@ -229,7 +226,7 @@ def with_numbers(operator: Any, numbers: Mapping[str, Any]) -> tuple[Any, dict[s
 def force_with_parameters(
     operator: Any, u: torch.Tensor, numbers: Mapping[str, Any]
 ) -> torch.Tensor:
-    """The force of fields [S, N, d] with other numbers, by an operator's `at` and `by_numbers`."""
+    """Force of fields [S, N, d] with other numbers, by an operator's `at` and `by_numbers`."""
     names, made = list(operator.learnable), list[Any]()
 
     def there(u: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray]:
@@ -247,7 +244,7 @@ def force_with_parameters(
 
 
 def by_numbers(operator: Any, names: list[str], u: np.ndarray, w: np.ndarray) -> dict[str, Any]:
-    """Derivatives of Σ w · force(u) to numbers, of fields [K, N, d] and weights [K, I, d]."""
+    """Derivatives of Σ w · force(u) by numbers, for fields [K, N, d] and weights [K, I, d]."""
     if not names:
         return {}
     if hasattr(operator, "by_numbers"):
@@ -263,7 +260,7 @@ def by_numbers(operator: Any, names: list[str], u: np.ndarray, w: np.ndarray) ->
 
 
 def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any = None) -> Any:
-    """The Solution of any operator in equilibrium, its u a tensor with a gradient (theory, 29).
+    """Solution of any operator in equilibrium, its u a tensor with a gradient (theory, 29).
 
     With g the derivative of a scalar to u and L′ᵗ w = g on the interior, L′ the derivative of the
     force at the answer, b has w, u on the collar g − L′ᵗ w, and a number a −wᵗ ∂(L u)/∂a. What is
@@ -310,15 +307,14 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
 
 
 def _rest(operator: Any, b: np.ndarray, u: np.ndarray, solver: Any) -> Any:
-    """The Solution, of nodes without a collar that of a period where there is one."""
+    """Solution by an operator; of nodes without a collar that of a period."""
     if operator.points.interior.all() and hasattr(operator, "solve_periodic"):
         return operator.solve_periodic(b, solver)
     return operator.solve(b, u, solver)
 
 
 def _pulled(operator: Any, u: np.ndarray, g: np.ndarray, solver: Any) -> tuple[np.ndarray, ...]:
-    """L′⁻ᵗ g on the interior [..., I, d], L′ at the answer u, and what that makes of b and of u,
-    [..., N, d]."""
+    """Adjoint L′⁻ᵗ g on the interior [..., I, d], L′ at the answer, and derivatives to b and u."""
     one, inside = operator.shape, operator.points.interior
     axis = -len(one)
     with quietly():  # g is no displacement
@@ -332,7 +328,7 @@ def _pulled(operator: Any, u: np.ndarray, g: np.ndarray, solver: Any) -> tuple[n
 
 
 def _transposed(operator: Any, fields: np.ndarray, g: np.ndarray) -> np.ndarray:
-    """L′⁻ᵗ of each field's g on the interior, by a factorisation, or in steps where it is large."""
+    """L′⁻ᵗ g of each field on the interior, by a factorisation, or by GMRES where it is large."""
     right, factors, found = g.reshape(len(fields), -1), None, []
     many = np.count_nonzero(operator.points.interior) > DIRECT and hasattr(operator, "inverse")
     steps = many or not hasattr(operator, "interior_tangent")
@@ -352,8 +348,8 @@ def _transposed(operator: Any, fields: np.ndarray, g: np.ndarray) -> np.ndarray:
 
 
 def in_steps(operator: Any, u: np.ndarray, g: np.ndarray, inverse: Any) -> np.ndarray:
-    """L′⁻ᵗ g on the interior by GMRES, of one field [N, d] and g [I, d], shape [d I], before which
-    the solid's own `inverse` stands; InputError where L′ is singular, or nearly."""
+    """L′⁻ᵗ g on the interior by GMRES, [d I], of one field [N, d] and g [I, d], preconditioned by
+    the solid's `inverse`; InputError where L′ is nearly singular."""
     inside = operator.points.interior
     J, M = (
         LinearOperator(2 * (g.size,), matvec=part, dtype=float)
@@ -386,8 +382,8 @@ class TorchModule(torch.nn.Module):
         networks: of a neural operator, the material itself with its parameters.
 
     Other materials have no parameters and give the gradient in u alone. Parameters are float64;
-    with them the second derivative is refused. Raises InputError as `on`, and for a u that does
-    not fit.
+    with them the second derivative is refused. Raises InputError as `on`, and for a u that does not
+    fit.
 
     >>> tuple(wp.TorchModule(model, points)(torch.from_numpy(u)).shape)
     (12, 121, 2)

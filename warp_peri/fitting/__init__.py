@@ -1,4 +1,4 @@
-"""One regression over rows of a basis; materials bring their parametrisation and nothing else."""
+"""The regression over rows of a basis that all materials are fitted by."""
 
 from typing import TYPE_CHECKING
 

@@ -44,11 +44,8 @@ def adam(
     *,
     framed: bool = False,
 ) -> tuple[list[float], list[float]]:
-    """Move leaves; what was minimised and the loss, by epoch.
-
-    In a frame the rate follows the first gradient and falls as a cosine; else it is constant, and
-    stagnation ends the run.
-    """
+    """Minimise by Adam; returns the objective and the loss by epoch. `framed`, the rate follows the
+    first gradient and falls as a cosine; else it is constant, and stagnation ends the run."""
     how: dict[str, Any] = {"lr": LEARNING_RATE}
     if framed:
         first, loss = objective()
@@ -76,7 +73,7 @@ def adam(
 
 
 def stagnant(losses: list[float], window: int) -> bool:
-    """Whether a loss fell by less than STAGNATION over so many epochs."""
+    """Whether a loss fell by less than STAGNATION over `window` epochs."""
     return len(losses) > window and losses[-1 - window] - losses[-1] < STAGNATION * abs(losses[-1])
 
 
@@ -93,12 +90,10 @@ def as_printed(
     tick: Tick,
     keep: Callable[[], None] = lambda: None,
 ) -> None:
-    """Stage 2 of Algorithm 1: H_p = margin of condition p − ϖ_p².
+    """Run stage 2 of Algorithm 1: H_p = margin of condition p − ϖ_p², state and losses in place.
 
     Where the printed algorithm is inconsistent, |H| is what is tested, against 1e-5, and the
     multiplier term is φ_p H_p + (ψ/2) H_p², so that φ_p ← φ_p + ψ H_p is the ascent of the dual.
-
-    The state, variables and what printed_state gives, is moved in place, and losses by epoch go on;
     `tick` is called after every epoch, `keep` after every round.
     """
     *variables, slack, multiplier, previous, penalty, done = state
@@ -126,8 +121,7 @@ def as_printed(
 
 
 def printed_state(conditions: int) -> list[torch.Tensor]:
-    """What the printed algorithm begins with beside its variables: slacks of one, no multipliers,
-    what conditions missed before, ψ, and rounds that are done."""
+    """Start of the printed algorithm: slacks of one, multipliers, last violations, ψ, rounds."""
     zero = torch.zeros(conditions, dtype=torch.float64)
     slack, none = torch.ones_like(zero).requires_grad_(), torch.zeros((), dtype=torch.float64)
     return [slack, zero, zero + torch.inf, none + 1, none]
@@ -140,14 +134,12 @@ def to_the_optimum(
     method: AugmentedLagrangian,
     tick: Tick,
 ) -> tuple[Settled, float]:
-    """Minimise a loss under the conditions over the whole zone, from one start.
+    """Minimise a differentiable loss under the conditions over the whole zone, from one start.
 
     Slacks at their best, ϖ² = max(m + φ/ψ, 0), are no variables: what is minimised beside the loss
-    is (ψ/2) min(m + φ/ψ, 0)² (Rockafellar 1973).
-
-    The loss is differentiable; curvatures, and waves below the floor, are those of the problem's
-    rows. Each round has its own multipliers, coordinates and waves to keep. Returns the result, and
-    of ζ, how little a margin of it may miss.
+    is (ψ/2) min(m + φ/ψ, 0)² (Rockafellar 1973). Curvatures, and waves below the floor, are those
+    of the problem's rows; each round has its own multipliers, coordinates and waves to keep.
+    Returns the result, and of ζ, how little a margin of it may miss.
     """
 
     def lagrangian(
@@ -190,15 +182,14 @@ def to_the_optimum(
 
 
 def margins_of(problem: Regression, theta: torch.Tensor) -> torch.Tensor:
-    """The margins of a problem at θ, with their slopes."""
+    """Margins of a problem at θ, with their slopes, in torch."""
     there = theta.detach()
     now = problem.state(there.numpy())
     return torch.from_numpy(now.margins) + torch.from_numpy(now.M) @ (theta - there)
 
 
 def _frame(now: Linearised, phi: np.ndarray, psi: float, damping: float) -> np.ndarray:
-    """How θ moves with x, within the equalities; `damping` is added to each curvature, in parts of
-    the largest."""
+    """Matrix of θ by x within the equalities, curvatures damped relative to the largest."""
     free = particular(now.A, now.equal)[1]
     J, M = now.J @ free, now.M[now.margins + phi / psi < CLOSE] @ free
     curvature = 2 * J.T @ J + psi * M.T @ M
@@ -208,7 +199,7 @@ def _frame(now: Linearised, phi: np.ndarray, psi: float, damping: float) -> np.n
 
 
 def _equal(y: np.ndarray, now: Linearised) -> np.ndarray:
-    """The nearest y that meets the equalities, as they are linear about it."""
+    """Nearest y that meets the linearised equalities."""
     width = 1 / felt(np.linalg.norm(now.J, axis=0))
     met: np.ndarray = y + width * particular(now.A * width, -now.equal)[0]
     return met

@@ -1,4 +1,4 @@
-"""What data say of the law that they need: nested rows, each judged on samples left out.
+"""Diagnosis of what residuals say of the law: nested rows, each judged on samples left out.
 
 What a family of forces takes off the residual beyond those before it is the share of its cause:
 products of gradients, any isotropic bonds, any tensor for every bond, a stiffness of each node.
@@ -70,7 +70,7 @@ CAUSES = {
 
 @dataclass(frozen=True, repr=False)
 class Diagnosis(Shown):
-    """Where the squared residual of a model on training data comes from.
+    """Causes of the squared residual of a model on training data.
 
     Attributes:
         residual: ‖L u − b‖ / ‖b‖ over all samples.
@@ -83,13 +83,13 @@ class Diagnosis(Shown):
 
     @property
     def causes(self) -> list[str]:
-        """Names by share, the largest first; what is unexplained only where nothing is larger."""
+        """Causes by share, the largest first; "unexplained" only where nothing is larger."""
         names = sorted(self.shares, key=lambda name: -self.shares[name])
         return names if names[0] == "unexplained" else [n for n in names if n != "unexplained"]
 
     @property
     def sentence(self) -> str:
-        """The largest cause in words, and the next one."""
+        """Sentence on the two largest causes."""
         name, second = (*self.causes, "unexplained")[:2]
         after = f" Next comes {second}, {100 * self.shares[second]:.0f} %."
         return (
@@ -99,7 +99,7 @@ class Diagnosis(Shown):
 
     @property
     def advice(self) -> str:
-        """What to try next where the residual is above LOUD, else empty."""
+        """Advice on what to try where the residual is above LOUD, else empty."""
         if self.residual <= LOUD:
             return ""
         what, attempt = CAUSES[self.causes[0]]
@@ -110,7 +110,7 @@ class Diagnosis(Shown):
         )
 
     def rows(self) -> list[tuple[str, str]]:
-        """What is left, the causes of it, and what to try."""
+        """Table of the residual, its causes, and what to try."""
         shares = [(name, f"{100 * self.shares[name]:.0f} % of its square") for name in self.causes]
         rows = [("left", f"{100 * self.residual:.3g} % of the loads"), *shares]
         return [*rows, ("try next", self.advice)] if self.advice else rows
@@ -135,7 +135,7 @@ def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> D
 
 
 def warn_of_kind(material: Any, samples: Any, noise: Any = None) -> None:
-    """Say where so much is left of sets of data that they ask for another kind of material."""
+    """Warn where the residual on data sets is so large that they ask for another material."""
     for each, quiet in itertools.zip_longest(listed(samples, space=True), listed(noise, "noise")):
         with suppress(InputError):  # in space, scattered, too few
             with quietly():  # said by the fit
@@ -145,7 +145,7 @@ def warn_of_kind(material: Any, samples: Any, noise: Any = None) -> None:
 
 
 def _diagnosed(material: Any, samples: Samples, noise: Samples | None, least: float) -> Diagnosis:
-    """As `diagnose`; of a relative residual up to the least no causes."""
+    """Diagnosis as by `diagnose`; without causes for a residual up to `least`."""
     points, b = samples.points, samples.loads[:, samples.interior]
     if samples.spacing == 0 or len(samples) < LEAST_SAMPLES:
         got = f"{len(samples)} at a spacing of {samples.spacing:g}"
@@ -184,11 +184,11 @@ def _diagnosed(material: Any, samples: Samples, noise: Samples | None, least: fl
 def _families(
     samples: Samples, operator: Any, drawn: np.ndarray, residual: float
 ) -> list[tuple[str, np.ndarray]]:
-    """Forces of families at interior nodes that are drawn, along the lattice's axes, [S, I, d, n].
+    """Forces of families at the drawn interior nodes, along the lattice's axes, [S, I, d, n]; of
+    heterogeneity what each node may weigh as it likes, [S, I, n]: strain, second differences.
 
-    Of heterogeneity what each node may weigh as it likes, [S, I, n]: strain, second differences.
-    Bonds of twice the horizon and products of three gradients, which are looked at where stresses
-    of that order may be as large as the residual, are many: they get what single nodes leave.
+    Bonds of twice the horizon and products of three gradients are many: they get what single nodes
+    leave, where stresses of that order may be as large as the residual.
     """
     d, h, u = samples.points.dimension, samples.spacing, samples.u
     model = getattr(operator.model, "linear", operator.model)
@@ -203,7 +203,7 @@ def _families(
     grid = replace(grid, interior=grid.interior[drawn])
 
     def own(horizon: float) -> np.ndarray:
-        """Forces of bonds whose long waves have moduli of the model's own symmetry."""
+        """Forces of bonds whose long-wave moduli have the model's own symmetry."""
         bonds = invariant_basis(horizon, group)
         C = elastic_from_brackets(bonds.moments())
         C = ((C + C.transpose(0, 3, 4, 1, 2)) / 2).reshape(len(C), -1)
@@ -211,7 +211,7 @@ def _families(
         return np.asarray(forces(u, grid, bonds) @ mix)
 
     def products(order: int) -> np.ndarray:
-        """Divergences of every stress that is a product of so many entries of the gradient."""
+        """Divergences of all stresses that are products of `order` entries of the gradient."""
         columns = []
         for some in itertools.combinations_with_replacement(range(d * d), order):
             slope = sum(
@@ -242,10 +242,8 @@ def _families(
 
 
 def _explained(left: np.ndarray, families: list[tuple[str, np.ndarray]]) -> dict[str, float]:
-    """The part of ‖residual‖², of shape [S, I, d], that each cause takes; none less than nothing.
-
-    Each family is fitted with all before it but the nodes, which get what those leave.
-    """
+    """Part of ‖residual‖², [S, I, d], that each cause takes, at least zero. Each family is fitted
+    with all before it but the nodes, which get what those leave."""
     y = rest = left.reshape(1, len(left), -1, 1)
     rows, whole, taken = y[..., :0], float((y**2).sum()), dict.fromkeys(dict(families), 0.0)
     for name, columns in families:
@@ -267,10 +265,8 @@ def _explained(left: np.ndarray, families: list[tuple[str, np.ndarray]]) -> dict
 
 
 def _left_out(rows: np.ndarray, y: np.ndarray, ridges: Sequence[float]) -> np.ndarray:
-    """What fits of y [G, S, E, D] by rows [G, S, E, F] leave, with the ridge that leaves the least.
-
-    Of each sample by the fit to those outside its part; each of G groups has its own numbers.
-    """
+    """Residuals of y [G, S, E, D] by rows [G, S, E, F] with the best ridge, of each sample by the
+    fit outside its part; each of G groups has its own numbers."""
     size = np.sqrt((rows**2).sum(axis=(0, 1, 2)))
     rows = rows / np.where(size > 0, size, np.inf)
     gram, side = rows.swapaxes(-1, -2) @ rows, rows.swapaxes(-1, -2) @ y

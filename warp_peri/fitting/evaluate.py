@@ -1,4 +1,4 @@
-"""How good and how sure a model is: errors on data (theory, 30–31), bands of the bootstrap."""
+"""Errors of a model on data (theory, 30–31), training runs, and bootstrap bands."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def evaluate(
     transfer: bool = True,
     allow_uncertified: bool = False,
 ) -> dict[str, Any]:
-    """Errors on every sample of a set and their means.
+    """Compute a material's errors on every sample of a set and their means.
 
     Args:
         material: any, or its operator on their points. A solid certified on some lattice is
@@ -48,20 +48,19 @@ def evaluate(
 
     Returns:
         E_res = mean ‖L u − b‖₂/‖b‖₂, E_u = mean ‖u_solved − u‖₂/‖u‖₂ on interior nodes, u solved
-        with b on the interior and u given on the collar, both less their means where no node is
-        held; E_shape, as E_u with ‖u‖ less its rigid part below the line, which no translation or
-        turn of the body changes; E_res_abs = mean ‖L u − b‖₂ [TPa/Å]; the lists of per-sample
-        values E_res_samples, E_res_abs_samples, E_u_samples, E_shape_samples; and of a transferred
-        model transferred_from, the spacing [Å] of the lattice that it comes from. For a nonlinear
-        model also linear_solves and largest_gradient, the most linear solves that a sample took and
-        its largest |H|, and unique, whether all answers are proven to be the only ones.
+            with b on the interior and u given on the collar, both less their means where no node is
+            held; E_shape, as E_u with ‖u‖ less its rigid part below the line, which no translation
+            or turn of the body changes; E_res_abs = mean ‖L u − b‖₂ [TPa/Å]; the lists of
+            per-sample values E_res_samples, E_res_abs_samples, E_u_samples, E_shape_samples; and of
+            a transferred model transferred_from, the spacing [Å] of the lattice that it comes from.
+            For a nonlinear model also linear_solves and largest_gradient, the most linear solves
+            that a sample took and its largest |H|, and unique, whether all answers are proven to be
+            the only ones.
 
-    Samples whose interior carries no load, or one that is rounding, have no E_res, and those that
-    move as a rigid body no E_shape: None, and the means are those of the others; None where there
-    are none.
-
-    Raises InputError for a set without samples, with a sample that has no displacement on its
-    interior, or that the model cannot be used on.
+    Samples whose interior carries no load, or one that is rounding, have no E_res, rigid motions no
+    E_shape: None, and the means are those of the others; None where there are none. Raises
+    InputError for a set without samples, with a sample that has no displacement on its interior, or
+    that the model cannot be used on.
 
     >>> wp.evaluate(model, samples)["E_u"] < 1e-9
     True
@@ -92,7 +91,7 @@ def evaluate(
 def _table(
     points: Samples, residual: np.ndarray, load: np.ndarray, solved: np.ndarray, home: float | None
 ) -> dict[str, Any]:
-    """Errors of solutions; `home` is the spacing that a transferred model comes from."""
+    """Table of errors of solutions; `home` is the spacing that a transferred model comes from."""
     inside = points.interior
     u, off = points.u[:, inside], (solved - points.u)[:, inside]
     if inside.all():  # no node is held: where a periodic body as a whole lies is nobody's answer
@@ -118,7 +117,7 @@ def _table(
 
 
 def without_rigid_part(x: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Fields u, shape [S, N, d], less the translation and small turn nearest to them."""
+    """Fields u, [S, N, d], less the translation and small rotation nearest to them."""
     x, one = x - x.mean(axis=0), np.eye(x.shape[1])
     pairs = combinations(range(len(one)), 2)
     turns = [(x[:, [b]] * one[a] - x[:, [a]] * one[b]).ravel() for a, b in pairs]
@@ -128,7 +127,7 @@ def without_rigid_part(x: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Run:
-    """What a training run found.
+    """Results of a training run.
 
     Attributes:
         fit: the material, its certificate and the way to them.
@@ -143,17 +142,14 @@ class Run:
     seconds: dict[str, float]
 
     def mean(self, error: str) -> dict[str, float]:
-        """An error of `evaluate`, averaged over the samples of each set, by the set's name."""
+        """Mean of one error of `evaluate` over the samples of each set, by the set's name."""
         return {name: table[error] for name, table in self.tables.items()}
 
     def save(
         self, folder: Path, metrics: dict[str, Any], *, data: Path, provenance: Mapping[str, Any]
     ) -> Any:
-        """Write model.json, with its errors, the hash of the file it was learned from and more of
-        its provenance, and metrics.json; the folder is made if it is not there.
-
-        Raises OSError when a file cannot be written.
-        """
+        """Write model.json, with its errors, the hash of its data file and more provenance, and
+        metrics.json into a folder, made if missing; OSError where a file cannot be written."""
         material = self.fit.material
         said = {"errors": {key: metrics[key] for key in ERRORS if key in metrics}}
         said["provenance"] = {
@@ -177,9 +173,8 @@ def train(
     allow_uncertified: bool = False,
     **options: Any,
 ) -> Run:
-    """Learn a law from samples, and evaluate it on sets by name; one that `evaluate` refuses is
-    passed over with its reason. `options` are those of the law's `learn`. Raises what `fit` raises.
-    """
+    """Learn a law from samples with `options` of its `learn`, and evaluate it on named sets; one
+    that `evaluate` refuses is passed over with its reason. Raises what `fit` raises."""
     begin = time.perf_counter()
     learned = law.learn(samples, **options)
     between = time.perf_counter()
@@ -204,7 +199,7 @@ REDRAWN = 0.2
 @typed_methods
 @dataclasses.dataclass(frozen=True)
 class BootstrapResult:
-    """Materials learned from other choices of the loads.
+    """Materials learned from random choices of the loads (bootstrap).
 
     Attributes:
         materials: one of each choice.
@@ -217,11 +212,9 @@ class BootstrapResult:
     knows: str
 
     def deviation(self, quantity: Callable[[Any], np.ndarray | float]) -> np.ndarray:
-        """Standard deviation of anything a material determines, of the shape of the quantity.
-
-        Half of what lies between 16 and 84 % of the draws: one that hardly determines a law does
-        not widen the band.
-        """
+        """Standard deviation of a quantity of the material, in the quantity's shape: half of what
+        lies between 16 and 84 % of the draws, so that one poorly determined law does not widen
+        it."""
         values = np.array([np.asarray(quantity(material)) for material in self.materials])
         low, high = np.quantile(values, ONE_DEVIATION, axis=0)
         return np.asarray(np.sqrt(self.loads / (self.loads - 1)) * (high - low) / 2)
@@ -229,11 +222,9 @@ class BootstrapResult:
     def band(
         self, material: Any, quantity: Callable[[Any], np.ndarray | float], level: Share = 0.9
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper end of the band that holds a quantity with probability `level`.
-
-        About the material learned from all loads, by Student's distribution of their number.
-        Raises InputError for a level that is no probability.
-        """
+        """Lower and upper end of the band that holds a quantity with probability `level`
+        (InputError if none), about the material of all loads, by Student's distribution of their
+        number."""
         half = stdtrit(self.loads - 1, (1 + level) / 2) * self.deviation(quantity)
         middle = np.asarray(quantity(material))
         return middle - half, middle + half
@@ -249,7 +240,7 @@ def bootstrap(
     progress: bool = False,
     **options: Any,
 ) -> BootstrapResult:
-    """The same fit to other choices of the loads, with repetition (bootstrap).
+    """Repeat a fit on random choices of the loads, with repetition (bootstrap).
 
     Args:
         samples: that the law is learned from; of a Dataset `train`, or its only set.

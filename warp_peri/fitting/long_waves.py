@@ -1,8 +1,7 @@
-"""What the long waves of fields say: moduli (theory, T10, 28a), and the symmetry of a crystal (T8).
+"""Long waves of fields: moduli (theory, T10, 28a), and the symmetry of a crystal (T8).
 
-Smooth test fields v that end before the nodes do see of a solid only its moduli:
-Σ b·v = −Σ u·div(C : grad v), linear in C. Long waves dominate both sides, whatever else the fields
-hold.
+Smooth test fields v that end before the nodes do see of a solid only its moduli: Σ b·v = −Σ u·div(C
+: grad v), linear in C. Long waves dominate both sides, whatever else the fields hold.
 """
 
 from __future__ import annotations
@@ -39,17 +38,15 @@ NOTHING = 1e-13
 
 
 def long_wave_moduli(samples: Samples, allowed: np.ndarray) -> tuple[np.ndarray, float]:
-    """The elastic tensor that the longest waves of fields have (theory, T10).
-
-    A mixture of `allowed` ones along the nodes' axes, [m, d, d, d, d], and the relative residual of
-    the equations. Raises InputError for loads that do not tell the tensors apart.
-    """
+    """Fit the elastic tensor of the longest waves as a mixture of `allowed` ones along the nodes'
+    axes, [m, d, d, d, d] (theory, T10); also the relative residual. InputError for too few
+    loads."""
     c, misfit = moduli_of(*long_wave_equations(samples, allowed))
     return np.tensordot(c, allowed, 1), misfit
 
 
 def long_wave_equations(samples: Samples, allowed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """R and y of what `long_wave_moduli` solves, shape [n, m] and [n]."""
+    """Equations R and y that `long_wave_moduli` solves, shapes [n, m] and [n]."""
     values, kept, R = long_wave_rows(samples, allowed, MODES)
     axes = lattice_steps(samples.points)[1]
     y = np.einsum("vn,snk->svk", values, (samples.loads @ axes)[:, kept], optimize=True)
@@ -57,11 +54,8 @@ def long_wave_equations(samples: Samples, allowed: np.ndarray) -> tuple[np.ndarr
 
 
 def long_wave_rows(samples: Samples, allowed: np.ndarray, modes: int) -> tuple[np.ndarray, ...]:
-    """Test fields with up to so many half waves each way, and what they see of elastic tensors.
-
-    Returns v, shape [V, n], the numbers of the nodes it is on, and −Σ u·div(C : grad v) of each
-    tensor, [S, V, d, m].
-    """
+    """Test fields v [V, n] with up to `modes` half waves each way, the numbers of their nodes, and
+    −Σ u·div(C : grad v) of each allowed tensor, [S, V, d, m]."""
     axes = lattice_steps(samples.points)[1]
     lines, kept = lines_of_waves(samples, modes)
     one = np.eye(len(axes), dtype=int)
@@ -73,8 +67,7 @@ def long_wave_rows(samples: Samples, allowed: np.ndarray, modes: int) -> tuple[n
 
 
 def moduli_of(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
-    """Least squares of rows [..., m], and its relative residual; InputError where rows tell less
-    than m constants apart."""
+    """Least-squares constants of rows [..., m], relative residual; InputError for too few rows."""
     R, y = R.reshape(-1, R.shape[-1]), y.ravel()
     size = np.linalg.norm(R, axis=0)
     R = R / np.where(size > 0, size, 1)
@@ -88,10 +81,8 @@ def moduli_of(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def lines_of_waves(samples: Samples, modes: int) -> tuple[list[np.ndarray], np.ndarray]:
-    """Long waves v by axis, with derivatives 0 to 4, [M, 5, n], and the numbers of their nodes.
-
-    Plane waves of a period; else sin⁴(π t) cos(m π t) on a box of interior nodes.
-    """
+    """Long waves v by axis, with derivatives 0 to 4, [M, 5, n], and the numbers of their nodes:
+    plane waves of a period, else sin⁴(π t) cos(m π t) on a box of interior nodes."""
     points, grid = samples.points, lattice_steps(samples.points)[0]
     h, d = points.spacing, grid.shape[1]
     if points.box is not None:
@@ -110,7 +101,7 @@ def lines_of_waves(samples: Samples, modes: int) -> tuple[list[np.ndarray], np.n
 
 
 def derived(lines: list[np.ndarray], orders: np.ndarray) -> np.ndarray:
-    """Products of one wave of each axis, derived so often along each, shape [V, n]."""
+    """Products of one wave of each axis, with derivatives of given orders, shape [V, n]."""
     fields = np.ones((1, lines[0].shape[-1]))
     for line, order in zip(lines, orders):
         fields = (fields[:, None] * line[:, order]).reshape(-1, fields.shape[1])
@@ -140,12 +131,12 @@ def _waves(x: np.ndarray, length: float) -> np.ndarray:
 
 
 def _derivatives(k: float, cos: np.ndarray, sin: np.ndarray) -> np.ndarray:
-    """Of cos k x, from itself and sin k x, shape [5, n]."""
+    """Derivatives of cos k x, from itself and sin k x, shape [5, n]."""
     return np.array([cos, -k * sin, -(k**2) * cos, k**3 * sin, k**4 * cos])
 
 
 def _largest_box(grid: np.ndarray, interior: np.ndarray) -> np.ndarray:
-    """Numbers of the interior nodes in the largest box about their middle that they fill."""
+    """Numbers of the interior nodes in the largest filled box about their middle."""
     inside = np.flatnonzero(interior)
     low, high = grid[inside].min(axis=0), grid[inside].max(axis=0)
     while (high >= low).all():
@@ -158,7 +149,7 @@ def _largest_box(grid: np.ndarray, interior: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class LongWaves:
-    """λ and μ that the long waves of fields have, and how sure they are (theory, 28a).
+    """Moduli λ and μ of the long waves of fields, with standard errors (theory, 28a).
 
     Attributes:
         lam, mu: [stress].
@@ -175,13 +166,12 @@ class LongWaves:
 
 
 def lame_of_long_waves(sets: Sequence[Samples]) -> LongWaves:
-    """λ and μ of the long waves of lattices in the plane, beside no more terms than foretell.
+    """Fit λ and μ to the long waves of lattices in the plane, with other terms that predict.
 
     Samples count by their loads, test fields by what all terms leave on them. Of all choices of
-    dispersion, third order and constants of fourth order the smallest is taken that foretells as
-    well as the best, to the standard error of that. An axis that is not stated is learned.
-
-    Raises InputError for samples that see no long waves, or do not tell λ and μ.
+    dispersion, third order and constants of fourth order the smallest is taken that predicts as
+    well as the best, to one standard error. An axis that is not stated is learned. Raises
+    InputError for samples that see no long waves, or do not tell λ and μ.
     """
     turns = 1 if all(each.points.axis is not None for each in sets) else 2
     tables, loads = zip(*(_long_wave_table(each, turns) for each in sets))
@@ -205,7 +195,7 @@ def lame_of_long_waves(sets: Sequence[Samples]) -> LongWaves:
     best = min((left for left, _ in tried.values()), key=np.sum)
 
     def lost(names: tuple[str, ...]) -> float:
-        """What these leave more than the best, in standard errors of that."""
+        """Loss of these terms over the best choice's, in standard errors."""
         more = tried[names][0] - best
         return float(more.sum() / max(np.sqrt(len(more)) * more.std(), NOTHING * best.sum()))
 
@@ -224,7 +214,7 @@ LAME, DISPERSION, THIRD = ("linear", "geometric"), "dispersion", "third order"
 
 
 def _groups(turns: int) -> dict[str, slice]:
-    """Columns of each group, of a term with six periods a turn so many."""
+    """Columns of each group of terms, `turns` for a term with six periods a turn."""
     sizes = {"linear": 2, "geometric": 2, DISPERSION: 2 + turns, THIRD: 2 + turns}
     sizes |= {"θ⁴": 1, "θ²q": 1, "q²": 1, "θ z³": turns}
     ends = np.cumsum([0, *sizes.values()]).tolist()
@@ -236,7 +226,7 @@ def _mixed(R: np.ndarray, columns: Sequence[slice]) -> np.ndarray:
 
 
 def _foretold(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Squares that the other parts leave of each part [P], and their first two numbers, [P, 2]."""
+    """Squared prediction errors of each part by the others [P], and their λ and μ, [P, 2]."""
     square, side = np.einsum("pra,prb->pab", R, R), np.einsum("pra,pr->pa", R, y)
     others = square.sum(axis=0) - square, side.sum(axis=0) - side
     c = (np.linalg.pinv(others[0], rcond=NOTHING, hermitian=True) @ others[1][..., None])[..., 0]
@@ -244,10 +234,8 @@ def _foretold(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _long_wave_table(samples: Samples, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """What test fields see of every term, [S, V, 2, m], and of the loads, [S, V, 2].
-
-    Terms that have six periods a turn are `count`, 1 along the axis of the points or 2.
-    """
+    """Moments of every term with test fields, [S, V, 2, m], and of the loads, [S, V, 2]; terms with
+    six periods a turn are `count`, 1 along the axis of the points or 2."""
     axes = lattice_steps(samples.points)[1]
     lines, kept = lines_of_waves(samples, HALF_WAVES)
     u, b = (samples.u @ axes)[:, kept], (samples.loads @ axes)[:, kept]
@@ -260,7 +248,7 @@ def _long_wave_table(samples: Samples, count: int) -> tuple[np.ndarray, np.ndarr
         return np.asarray(np.einsum("vn,snk->svk", field, u, optimize=True))
 
     def elastic(*more: tuple[int, int]) -> list[np.ndarray]:
-        """−Σ u·div(C : grad v) of λ and of μ, of the sum of derivatives of v."""
+        """−Σ u·div(C : grad v) of λ and of μ, for the sum of derivatives of v."""
         xx, xy, yy = (
             seen(*(tuple(np.add(one, two)) for one in more)) for two in ((2, 0), (1, 1), (0, 2))
         )
@@ -284,7 +272,7 @@ def _long_wave_table(samples: Samples, count: int) -> tuple[np.ndarray, np.ndarr
 
 
 def gradients(samples: Samples, kept: np.ndarray, reach: int = REACH) -> np.ndarray:
-    """∂u/∂x along the nodes' axes by differences over some spacings, [S, n, 2, 2]."""
+    """Displacement gradients ∂u/∂x along the nodes' axes by differences, [S, n, 2, 2]."""
     points, h = samples.points, samples.spacing
     grid, axes = lattice_steps(points)
     period = None if points.box is None else np.rint(np.asarray(points.box) / h).astype(int)
@@ -330,13 +318,13 @@ MUCH, MUCH_OF_ALL = 1.5, 0.01
 def judged(
     samples: Samples, reach: float, turn: np.ndarray, normalise: bool, told: Symmetry
 ) -> tuple[Symmetry, float | None]:
-    """The symmetry that is told, or the largest group that costs nothing; and what it costs.
+    """The given symmetry, or for "auto" the largest group without loss; and its loss over the best.
 
     It is to cost nothing in L u = b, nor in the moduli of long waves. Each half of the samples is
     judged by the fit of the other, and the best of all groups is what others are held against:
     hundreds of numbers without symmetry fit few samples too well. The figure is the larger of both
-    losses over the best, None where the data do not determine the group. A UserWarning says
-    where data contradict the symmetry that is told.
+    losses over the best, None where the data do not determine the group. Warns where data
+    contradict the given symmetry.
     """
     d, auto = len(turn), isinstance(told, str) and told == "auto"
     if len(samples) < 2 and not auto:
@@ -386,10 +374,7 @@ def judged(
 
 
 def _crossed(equations: Sequence[tuple[np.ndarray, ...]], mix: np.ndarray) -> float:
-    """‖R M p − y‖ / ‖y‖, of each part with the p of the other; of one part with its own.
-
-    Infinite where a part does not determine p.
-    """
+    """‖R M p − y‖ / ‖y‖ of each part with the other's p (one part: its own); or infinity."""
     parts = [(R @ mix, y) for R, y in equations]
     if any(np.linalg.matrix_rank(R) < R.shape[1] for R, _ in parts):
         return np.inf

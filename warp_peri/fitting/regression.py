@@ -41,10 +41,8 @@ DEPENDENT = 1e-10
 
 @dataclass(frozen=True)
 class Linearised:
-    """Residual r, equalities e and inequalities m at some θ [T], each with its slopes [·, T].
-
-    Their sizes should be about one where they matter.
-    """
+    """Residual r, equalities e and inequalities m at θ [T], about one in size, and slopes
+    [·, T]."""
 
     residual: np.ndarray
     J: np.ndarray
@@ -55,12 +53,12 @@ class Linearised:
 
     @property
     def loss(self) -> float:
-        """‖r‖²."""
+        """Squared residual ‖r‖²."""
         return float(self.residual @ self.residual)
 
     @property
     def violated(self) -> float:
-        """Sum of what the conditions miss."""
+        """Sum of the violations of all conditions."""
         missed = np.append(np.abs(self.equal), -self.margins)
         return float(missed[missed > ROUNDED].sum())
 
@@ -68,8 +66,7 @@ class Linearised:
 def settle(
     state: Callable[[np.ndarray], Linearised], theta: np.ndarray
 ) -> tuple[np.ndarray, Linearised]:
-    """The optimum that is reached from θ, and its state; `violated` says how far it keeps to the
-    conditions."""
+    """Find the optimum reached from θ by Gauss–Newton, and its state with any violation."""
     now, penalty, damping, settled = state(theta), 0.0, DAMPING, False
 
     def merit(of: Linearised) -> float:
@@ -129,12 +126,12 @@ def _step(now: Linearised, damping: float) -> np.ndarray:
 
 
 def felt(sizes: np.ndarray) -> np.ndarray:
-    """Sizes of columns or curvatures, the small ones taken for FELT of the largest."""
+    """Sizes of columns or curvatures, the small ones raised to FELT of the largest."""
     return np.asarray(np.maximum(sizes, FELT * float(sizes.max(initial=1e-300))))
 
 
 def particular(A: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The least x with A x = a where one is, and a basis of those of A x = 0, as columns."""
+    """Least x with A x = a where one is, and a basis of the null space of A, as columns."""
     if not len(A):
         return np.zeros(A.shape[1]), np.eye(A.shape[1])
     U, size, V = np.linalg.svd(A)
@@ -144,10 +141,8 @@ def particular(A: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def least_squares_above(A: np.ndarray, y: np.ndarray, G: np.ndarray, h: np.ndarray) -> np.ndarray:
-    """The x [K] of least ‖A x − y‖ with G x ≥ h, A [M, K] of full column rank, G [C, K].
-
-    Raises InputError where no x obeys, or the rank of A is not full.
-    """
+    """Minimise ‖A x − y‖ with G x ≥ h, A [M, K] of full column rank, G [C, K]. Raises InputError
+    where no x obeys, or the rank of A is not full."""
     Q, R = np.linalg.qr(A)
     if not R.diagonal().all():
         raise InputError("A: expected full column rank")
@@ -171,7 +166,7 @@ def least_squares_above(A: np.ndarray, y: np.ndarray, G: np.ndarray, h: np.ndarr
 
 @dataclass(frozen=True)
 class LatticeRows:
-    """What one lattice says of the numbers p = C h² [stress] on a basis, then of extra ones.
+    """Least-squares rows of one lattice for the numbers p = C h² [stress] on a basis, and extras.
 
     Attributes:
         R, y: of the loss ‖R p − y‖², shape [n, P + E] and [n].
@@ -187,12 +182,8 @@ class LatticeRows:
 
 @dataclass(frozen=True)
 class Form:
-    """A stencil on a block's lattice that must be positive: D(k; p) ≥ level s(k) [stress].
-
-    Attributes:
-        block: number of the block.
-        p: shape [P]; slopes its derivative, [P, T].
-    """
+    """A stencil on a block that must be positive, D(k; p) ≥ level s(k) [stress]; p [P] by θ,
+    [P, T]."""
 
     block: int
     p: np.ndarray
@@ -202,7 +193,7 @@ class Form:
 
 @dataclass(frozen=True)
 class Numbers:
-    """What one θ [T] stands for.
+    """Numbers, conditions and penalties of a law at one θ [T].
 
     Attributes:
         p, slopes: on each block, shape [P + E], and their derivatives, [P + E, T].
@@ -224,7 +215,7 @@ class Numbers:
 
 @dataclass(frozen=True)
 class Settled:
-    """An optimum.
+    """An optimum of the regression.
 
     Attributes:
         theta: θ.
@@ -270,7 +261,7 @@ def fit(
     linear: bool = False,
     rounds: int = ROUNDS,
 ) -> Settled:
-    """The optimum that is reached from θ, its conditions kept over the whole zones.
+    """Find the optimum reached from θ, its conditions kept over the whole zones.
 
     Args:
         blocks: of each lattice; the sum of their losses is minimised.
@@ -295,7 +286,7 @@ def fit(
 
 
 class Regression:
-    """The loss, the conditions and the cuts of a regression as functions of θ; see fit."""
+    """Loss, conditions and cuts of a regression as functions of θ; see fit."""
 
     def __init__(
         self,
@@ -311,7 +302,7 @@ class Regression:
         self.cuts: list[tuple[int, np.ndarray]] = []
 
     def state(self, theta: np.ndarray) -> Linearised:
-        """Residual and conditions at θ, those of waves as far as they were looked at."""
+        """Residual and conditions at θ, waves as far as they are cuts."""
         at = self.law(theta)
         J = [block.R @ slopes / self.size for block, slopes in zip(self.blocks, at.slopes)]
         margins, M = [at.margins], [at.M]
@@ -329,12 +320,12 @@ class Regression:
         )
 
     def left(self, at: Numbers) -> np.ndarray:
-        """The residual of all blocks over the size."""
+        """Residual of all blocks, over the size."""
         left = (block.R @ p - block.y for block, p in zip(self.blocks, at.p))
         return np.concatenate([*left]) / self.size
 
     def look(self, at: Numbers) -> float:
-        """The smallest margin over the zones, over the floor; waves below zero become cuts."""
+        """Smallest margin over the zones, over the floor; waves below zero become cuts."""
         smallest = np.inf
         for number, form in enumerate(at.forms):
             zone = self.zones[form.block]
@@ -346,7 +337,7 @@ class Regression:
         return smallest
 
     def found(self, theta: np.ndarray, losses: list[float], margin: float) -> Settled:
-        """The result of a search that ended at θ."""
+        """The Settled result of a search that ended at θ."""
         at = self.law(theta)
         missed = float(np.append(np.abs(at.equal), -at.margins).max(initial=0.0))
         count = sum(len(G) for _, G in self.cuts)
@@ -354,7 +345,7 @@ class Regression:
 
 
 class Zone:
-    """Looks for the softest waves of a lattice: a grid on the zone, then zooms into its minima."""
+    """Search for the softest waves of a lattice: a grid on the zone, then zooms into its minima."""
 
     def __init__(self, bonds: Basis, group: np.ndarray) -> None:
         d = bonds.dimension
@@ -366,10 +357,8 @@ class Zone:
     def softest(
         self, p: np.ndarray, below: float, near: float = np.inf
     ) -> tuple[float, np.ndarray, np.ndarray]:
-        """The smallest Λmin D/s, and k h and the eigenvectors of minima below a level, [n, d].
-
-        Beside the lowest wave of the grid only those below `near` are looked at closer.
-        """
+        """Smallest Λmin D/s, and k h [n, d] and eigenvectors of minima below a level; except for
+        the lowest wave of the grid only those below `near` are refined."""
         tensors = np.tensordot(p[: len(self.bonds.basis)], self.bonds.basis, 1)
         value, vector = ratios(self.bonds.steps, tensors, self.phase, self.wave)
         starts = self._apart(value)
@@ -380,7 +369,7 @@ class Zone:
         return min(one[0] for one in found), phase, vectors
 
     def _apart(self, value: np.ndarray) -> list[int]:
-        """The lowest waves of the grid that are no neighbours of one another: narrow dips too."""
+        """Lowest waves of the grid that are no neighbours of one another: narrow dips too."""
         found: list[int] = []
         for n in np.argsort(value):
             away = np.abs(self.phase[found] - self.phase[n]).max(axis=1, initial=0)
@@ -393,7 +382,7 @@ class Zone:
     def _zoomed(
         self, tensors: np.ndarray, value: float, k: np.ndarray, vector: np.ndarray
     ) -> tuple[float, np.ndarray, np.ndarray]:
-        """A minimum followed down through ever finer patches: Λmin D/s, its k h, the vector."""
+        """A minimum refined by ever finer patches: Λmin D/s, its k h, the vector."""
         reach = self.step
         for _ in range(ZOOMS):
             near = k + reach * self.patch

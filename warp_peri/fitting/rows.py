@@ -20,12 +20,8 @@ def listed(
     *,
     space: bool = False,
 ) -> list[Samples]:
-    """One set, several or none as a list; of a data set the one called train, or the only one.
-
-    Sets in space are for those who ask for them.
-
-    Raises InputError, which begins with the name, for anything else.
-    """
+    """One set, several or none as a list; of a Dataset `train`, or its only set; InputError, which
+    begins with the name, for anything else, and for sets in space unless `space`."""
     if samples is None:
         return []
     if isinstance(samples, Dataset):
@@ -42,12 +38,8 @@ def listed(
 
 
 def sample_weights(sets: Sequence[Samples], *, normalise: bool) -> list[np.ndarray]:
-    """Weight of each sample's ‖L u − b‖² in the loss, one array of shape [S] a set.
-
-    The loss is Σ f² ‖L u − b‖² / Σ f² ‖b‖² over the samples of all sets, f = 1, or 1/‖b‖ with
-    `normalise`. Raises InputError for a set without samples or loads, or a sample without load
-    that is to be normalised.
-    """
+    """Weights f² / Σ f² ‖b‖² of each sample's ‖L u − b‖² in the loss, one array [S] a set; f = 1,
+    or 1/‖b‖ with `normalise`. InputError for no samples or loads; normalised, for any zero load."""
     if not sets:
         raise InputError("points: expected at least one training set, got none")
     named = {" and ".join(check_units(points.points.units)) for points in sets}
@@ -68,7 +60,7 @@ def sample_weights(sets: Sequence[Samples], *, normalise: bool) -> list[np.ndarr
 
 
 def check_noise(noise: Samples, points: Samples) -> None:
-    """Raise InputError when noise does not belong to a training set."""
+    """Raise InputError for noise on other nodes than its training set's."""
     if len(noise) == 0:
         raise InputError("noise: expected at least one field, got none")
     mine, its = points.points, noise.points
@@ -95,7 +87,7 @@ def rows(
     extra: np.ndarray | None = None,
     least: int | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """R [n, P + E] and y [n] of numbers p = C h² [stress] on a basis, then of extra columns.
+    """Rows R [n, P + E] and y [n] for numbers p = C h² [stress] on a basis, then of extra columns.
 
     Args:
         samples: displacements and loads on lattice nodes, along whose axes the basis is.
@@ -120,10 +112,8 @@ def rows(
 def swept(
     samples: Samples, bonds: Basis, extra: np.ndarray | None = None, least: int | None = None
 ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-    """By blocks of samples: which, the columns at the interior nodes [S, I, d, P + E], the loads.
-
-    Both along the lattice's axes; arguments and errors as of rows.
-    """
+    """Iterate over blocks of samples: the slice, columns at the interior nodes [S, I, d, P + E] and
+    loads, along the lattice's axes; arguments and errors as of rows."""
     nodes = grid_of(samples.points, bonds.steps, least=least)
     b = samples.loads[:, samples.interior] @ nodes.axes
     count = len(bonds.basis) + (0 if extra is None else extra.shape[-1])
@@ -135,7 +125,7 @@ def swept(
 
 
 def forces(u: np.ndarray, nodes: Grid, bonds: Basis) -> np.ndarray:
-    """h² L u of every basis tensor at the interior nodes, along the axes, shape [S, I, d, P]."""
+    """Forces h² L u of every basis tensor at the interior nodes, along the axes, [S, I, d, P]."""
     planes, d = nodes.scatter(u).swapaxes(0, 1), nodes.dimension
     stride = np.cumprod((1, *nodes.wide[:0:-1]))[::-1]
     place = np.array(np.unravel_index(nodes.interior, nodes.shape)) + nodes.reach * nodes.periodic
@@ -156,17 +146,17 @@ def over_loads(samples: Samples) -> np.ndarray:
 
 
 def load_sizes(samples: Samples) -> np.ndarray:
-    """‖b‖ of each sample on its interior, shape [S]."""
+    """Norm ‖b‖ of each sample's interior load, shape [S]."""
     return norms(samples.loads[:, samples.interior])
 
 
 def norms(fields: np.ndarray) -> np.ndarray:
-    """‖·‖ of each of S fields, shape [S, ...] to [S]."""
+    """Norm of each of S fields, shape [S, ...] to [S]."""
     return np.asarray(np.linalg.norm(fields.reshape(len(fields), -1), axis=1))
 
 
 def compressed(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """As few rows with the same least squares."""
+    """Compress rows R, y to as few with the same least squares."""
     if len(R) <= R.shape[1] + 1:
         return R, y
     factor = scipy.linalg.qr(np.column_stack([R, y]), mode="r", overwrite_a=True)[0]
@@ -179,12 +169,13 @@ KNOWN = 0.1
 
 
 def without_noise(R: np.ndarray, y: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """‖R p − y‖² less ‖N p‖², what noise in u adds to it, as a square again (theory, 36–37).
+    """Rows of ‖R p − y‖² less ‖N p‖², what noise in u adds to it, as a square again (theory,
+    36–37).
 
     Loads carry no noise, so that the difference is a quadratic form of p that has the minimum of
     ‖√(1−ν) Vᵗ R p − (1−ν)^(−½) Uᵗ y‖² and a constant. Directions of which less than KNOWN is not
-    noise count nothing; they hang on those that are looked at, so that p are to be the numbers of
-    the law. No squares are subtracted, so that digits are kept.
+    noise count nothing; p are to be the numbers of the law. No squares are subtracted, so that
+    digits are kept.
     """
     left, size, right = np.linalg.svd(R, full_matrices=False)
     kept = size > np.finfo(float).eps * R.shape[1] * size[0]

@@ -1,4 +1,4 @@
-"""How a solid is learned, and what a fit returns: kernel, method, conditions; the fit."""
+"""Settings of a fit (kernel, method, conditions) and its result."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ nothing that can be seen, and keeps D from growing until its terms cancel to the
 @typed
 @dataclass(frozen=True)
 class Bernstein:
-    """The influence function K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) of any sign (theory, 4).
+    """Influence function K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) of any sign (theory, 4).
 
     Attributes:
         degree: M ≥ 0.
@@ -50,7 +50,7 @@ Kernel: TypeAlias = "Bernstein | InfluenceFunction | Sequence[InfluenceFunction]
 @typed
 @dataclass(frozen=True)
 class StabilityConditions:
-    """What a fit must keep on every lattice.
+    """Stability conditions that a fit must keep on every lattice.
 
     Attributes:
         kind: "direct", D(k) ≥ ζ s(k); "paper" asks for (i) and (iii) of (4.6) besides.
@@ -65,13 +65,13 @@ class StabilityConditions:
 
     @property
     def level(self) -> float:
-        """ζ [stress]; InputError where none is given, for it is a part of a stiffness."""
+        """Level ζ [stress]; InputError where none is given, for it is a part of a stiffness."""
         if self.zeta is None:
             raise InputError("zeta: expected a stiffness > 0, a small part of the shear modulus")
         return self.zeta
 
     def forms(self, kappa: Any, mu: Any, zeta: float | None = None) -> list[tuple[Any, float]]:
-        """For each condition κ of its form Γ + κφφᵗ, and the level; of numbers or tensors."""
+        """κ of the form Γ + κφφᵗ of each condition, and its level; of numbers or tensors."""
         level = zeta or self.level
         forms = [(kappa, level)]
         if self.kind == "paper":  # Σ w r² = 1
@@ -82,13 +82,13 @@ class StabilityConditions:
 @typed
 @dataclass(frozen=True)
 class GaussNewton:
-    """The constrained optimum of the loss (theory, 26–28), from plain kernels r^(−α).
+    """Fit method: the constrained optimum of the loss (theory, 26–28), from plain kernels r^(−α).
 
     Attributes:
         moduli: (λ, μ) [TPa] to hold at long waves on every lattice (8 Σ w ξ₁²ξ₂²/r² = 1 makes them
-            the moduli of the discrete operator); "isotropic" holds that condition and learns λ
-            and μ; None learns them freely. "long waves" holds those that the long waves of the
-            samples show (theory, 28a), where free ones are two standard errors away.
+            the moduli of the discrete operator); "isotropic" holds that condition and learns λ and
+            μ; None learns them freely. "long waves" holds those that the long waves of the samples
+            show (theory, 28a), where free ones are two standard errors away.
         rounds: most rounds of cutting planes.
         smoothness: weight η of the second differences of D beside the relative residual (28).
 
@@ -116,15 +116,15 @@ class GaussNewton:
 
     @property
     def held(self) -> tuple[float, float] | str | None:
-        """What a search holds by itself: those of long waves are found before it."""
+        """Moduli that a search holds by itself; those of long waves are found before it."""
         return None if self.moduli == LONG_WAVES else self.moduli
 
 
 @typed
 @dataclass(frozen=True)
 class TwoStage:
-    """Algorithm 1 of You et al. (2021) as printed: Adam on positive kernels, then an augmented
-    Lagrangian that holds the eigenvalues (4.6) of the training domain.
+    """Fit method: Algorithm 1 of You et al. (2021) as printed, Adam on positive kernels, then an
+    augmented Lagrangian that holds the eigenvalues (4.6) of the training domain.
 
     Attributes:
         seed: of the initial constants and D.
@@ -146,7 +146,7 @@ class TwoStage:
 @typed
 @dataclass(frozen=True)
 class AugmentedLagrangian:
-    """Adam and an augmented Lagrangian to the constrained optimum, which GaussNewton then checks.
+    """Fit method: Adam and an augmented Lagrangian to the optimum, which GaussNewton then checks.
 
     Unlike Algorithm 1 in coordinates that suit its steps (theory, 28b), so that it arrives.
 
@@ -169,7 +169,7 @@ Method: TypeAlias = TwoStage | GaussNewton | AugmentedLagrangian
 
 
 def named(name: str, **settings: Any) -> Method:
-    """A method by the name it has on the command line; `seed` is of its initial D."""
+    """Fit method of a command-line name; `seed` is of its initial D."""
     made = {"optimum": GaussNewton, "two-stage": TwoStage, "constrained": AugmentedLagrangian}
     if name not in made:
         raise InputError(f"method: expected one of {', '.join(made)}, got {name!r}")
@@ -178,7 +178,7 @@ def named(name: str, **settings: Any) -> Method:
 
 @dataclass(frozen=True)
 class LossSelection:
-    """A loss and, in words, why it was taken."""
+    """The selected loss and, in words, why it was taken."""
 
     name: str
     reason: str
@@ -189,11 +189,8 @@ class LossSelection:
 
 @dataclass(frozen=True)
 class Stage:
-    """One stage of a fit: its result, E_res on the training set, and how long it took.
-
-    `loss` is the trace of the loss: by epoch, or round of cuts; `steps` counts gradients of Warp's
-    operator in stages of Adam, starts in stage 3.
-    """
+    """One stage of a fit: its result, E_res on the training set, and seconds. `loss` is its trace
+    by epoch or round of cuts; `steps` counts gradients in Adam, starts in stage 3."""
 
     name: str
     parameters: LPSParameters
@@ -205,7 +202,7 @@ class Stage:
 
 @dataclass(frozen=True, repr=False)
 class Fit(Shown):
-    """A learned material and how it was learned; the last lines are for an LPS.
+    """A learned material and how it was learned; the last four lines are for an LPS.
 
     Attributes:
         material: the model.
@@ -232,7 +229,7 @@ class Fit(Shown):
     influence: InfluenceFunction | None = None
 
     def rows(self) -> list[tuple[str, str]]:
-        """What to know of a fit at a glance: name and value."""
+        """Name and value of each line of the fit's summary table."""
         rows: list[tuple[str, str]] = self.material.rows()
         for constants in self.moduli[:1]:
             held = "" if self.law.method.moduli is None else ", held"

@@ -1,5 +1,4 @@
-"""What is proven of a solid on lattices, of a model on one domain (theory, 20–25), and of large
-strain (N13–N17)."""
+"""Proofs of solvability on lattices (theory, 20–25) and of uniqueness at large strain (N13–N17)."""
 
 from __future__ import annotations
 
@@ -38,18 +37,17 @@ CONTRACTION = 0.999
 
 @dataclass(frozen=True)
 class Certificate:
-    """Solvability figures of a model on one lattice.
+    """Solvability figures of a linear solid on one lattice.
 
     Attributes:
         spacing: h [Å].
         symbol_min: smallest Λmin D(k)/s(k) found over the zone [TPa].
         symbol_bound: c with a proof that D(k) ≥ c s(k) for every k [TPa]; 0 when there is none.
-        gamma_min: Λmin(Γ) [Å⁻²] on the training domain; None where none was given, as below.
+        gamma_min: Λmin(Γ) [Å⁻²] on the training domain; this and what follows None without one.
         inf_sup_min: smallest nonzero eigenvalue of ΦΓ⁻¹Φᵗ (theorem 4.2 of You et al. 2021).
         inf_sup_rank: number of its eigenvalues that are not zero.
-        gamma_minus_2phi_min: Λmin(Γ − 2ΦᵗΦ) [Å⁻²].
-        gamma_minus_2phi_max: Λmax(Γ − 2ΦᵗΦ) [Å⁻²], which sets what zero means for the one above.
-        units: names of the units of length and stress of these figures.
+        gamma_minus_2phi_min, gamma_minus_2phi_max: Λmin and Λmax of Γ − 2ΦᵗΦ [Å⁻²].
+        units: names of the units of length and stress.
     """
 
     spacing: float
@@ -75,18 +73,17 @@ class Certificate:
 
     @property
     def paper(self) -> bool | None:
-        """Whether (i) and (iii) of (4.6) of You et al. (2021) hold, Γ > 0 and Γ − 2ΦᵗΦ ≥ 0, which
-        conditions="paper" adds; None without a training domain."""
+        """Whether (i) Γ > 0 and (iii) Γ − 2ΦᵗΦ ≥ 0 of (4.6) of You et al. (2021) hold; or None."""
         return None if self.gamma_min is None else self.gamma_min > 0 and bool(self.schwarz)
 
     @property
     def schwarz(self) -> bool | None:
-        """Whether Γ − 2ΦᵗΦ ≥ 0 to rounding; asked for by conditions="paper" only."""
+        """Whether Γ − 2ΦᵗΦ ≥ 0 to rounding; None without a training domain."""
         least, largest = self.gamma_minus_2phi_min, self.gamma_minus_2phi_max
         return None if least is None else least >= -SCHWARZ_TOLERANCE * (largest or 0.0)
 
     def figures(self) -> dict[str, Any]:
-        """The figures as plain values, in the units of the model they belong to; the statement."""
+        """The certificate's figures and statement as plain values, in its units."""
         figures = asdict(self) | {"statement": self.statement}
         return {k: v for k, v in figures.items() if k not in ("units", "dimension")}
 
@@ -152,7 +149,7 @@ def certify(
 
 @dataclass(frozen=True)
 class Solvability:
-    """Figures of L on the unknown displacements of a point set.
+    """Eigenvalue and singular-value figures of L on the interior of a point set.
 
     Attributes:
         symmetric_min: smallest eigenvalue of (L + Lᵗ)/2 [TPa/Å²]; above 0, every Dirichlet problem
@@ -170,11 +167,8 @@ class Solvability:
 
 @typed
 def check_solvability(model: LPSMaterial, points: PointsLike) -> Solvability:
-    """Smallest eigenvalue of (L + Lᵗ)/2 and smallest singular value of L on the interior of points
-    of any kind: between scattered ones W_ij ≠ W_ji, L is not symmetric, and no certificate speaks.
-
-    Raises InputError for a point set that does not carry the horizon.
-    """
+    """Compute the solvability figures of L on points of any kind; between scattered ones W_ij ≠
+    W_ji and no certificate speaks. Raises InputError where they do not carry the horizon."""
     L = matrices(model, points).operator(model.lam, model.mu)
     A = sp.csc_array(L[:, np.repeat(points.interior, points.x.shape[1])])
     symmetric = (A + A.T) / 2
@@ -190,7 +184,7 @@ def check_solvability(model: LPSMaterial, points: PointsLike) -> Solvability:
 
 
 def _least_singular(A: sp.csc_array) -> float:
-    """The smallest singular value of a sparse matrix; 0 of one that is exactly singular."""
+    """The smallest singular value of a sparse matrix; 0 for an exactly singular one."""
     try:
         factors = splu(A)
     except RuntimeError:
@@ -205,8 +199,8 @@ def _least_singular(A: sp.csc_array) -> float:
 
 
 def with_proof(model: LPSMaterial, spacing: float | None = None) -> LPSMaterial:
-    """A model that is certified nowhere with a proof on the lattice of a spacing, by default of its
-    data, else a third of its horizon; InputError where nothing is proven of it there."""
+    """An uncertified model, certified for a lattice spacing (default: its data's, else a third of
+    its horizon); InputError where the proof fails."""
     home = spacing or max(model.trained_on, default=model.horizon / 3)
     proof = certify(model, spacing=home)
     if not proof.holds:
@@ -218,7 +212,7 @@ def with_proof(model: LPSMaterial, spacing: float | None = None) -> LPSMaterial:
 
 @dataclass(frozen=True)
 class Uniqueness:
-    """The guarantee of a nonlinear model on one lattice.
+    """Guarantee of unique solutions of a third-order solid on one lattice.
 
     Attributes:
         spacing: h [Å].
@@ -239,7 +233,7 @@ class Uniqueness:
 
     @property
     def statement(self) -> str:
-        """What is proven, in one sentence."""
+        """What the guarantee says of uniqueness, in one sentence."""
         length = symbols(self.units)[0]
         if not self.strain > 0:
             return f"Nothing is proven on the lattice of spacing {self.spacing:g} {length}."
@@ -251,18 +245,15 @@ class Uniqueness:
         )
 
     def figures(self) -> dict[str, Any]:
-        """The figures as plain values, and the statement."""
+        """The guarantee's figures and statement as plain values."""
         found = vars(self) | {"statement": self.statement}
         return {name: found[name] for name in found if name != "units"}
 
 
 @typed
 def prove_uniqueness(model: Any, *, spacing: Positive) -> Uniqueness:
-    """Prove up to which |H| solutions of a solid of third order are unique on a lattice: the
-    largest that proven bounds of κ leave (N15).
-
-    Raises InputError for a horizon below one spacing, and another material.
-    """
+    """Prove up to which |H| solutions of a third-order solid are unique on a lattice (N15). Raises
+    InputError for a horizon below one spacing, and other materials."""
     offered(model, "reach", "prove_uniqueness", "a solid of third order")
     stencil, group = stencil_of(model.linear, spacing, "prove_uniqueness")
     classes = bond_classes(spacing, model.reach)
@@ -280,17 +271,14 @@ def prove_uniqueness(model: Any, *, spacing: Positive) -> Uniqueness:
 
 
 def curvature_bound(parts: Sequence[float], strain: float) -> float:
-    """C(ε) = Σ_d d (d − 1) M_d ε^(d−2) [TPa], (N16): no eigenvalue of Ψ″ is larger in |H| ≤ ε."""
+    """Bound C(ε) = Σ_d d (d − 1) M_d ε^(d−2) [TPa] of the eigenvalues of Ψ″ in |H| ≤ ε (N16)."""
     return float(sum(d * (d - 1) * m * strain ** (d - 2) for d, m in enumerate(parts, start=3)))
 
 
 def largest_parts(model: Any) -> list[float]:
-    """M_d ≥ max |Ψ_d| over |H| = 1 of the parts of degree d = 3, 4, 5, 6 of Ψ [TPa], (N17).
-
-    Ψ_d depends on t, |q|, ω and, through q3, on the phase of q, which is put where it is worst. A
-    polynomial of degree d on the sphere, sampled at a distance of η at most, is nowhere larger than
-    its largest sample over cos dη (M. Riesz).
-    """
+    """Bounds M_d ≥ max |Ψ_d| over |H| = 1 of the parts of Ψ of degree d = 3 to 6 [TPa] (N17). The
+    phase of q, which q3 sees, is put where it is worst. A polynomial of degree d on a sphere
+    sampled within η is nowhere larger than its largest sample over cos dη (M. Riesz)."""
     a, b = np.meshgrid(np.linspace(0, np.pi, DIRECTIONS + 1), np.linspace(0, np.pi / 2, DIRECTIONS))
     t, side = np.sqrt(2) * np.cos(a), np.sin(a) / np.sqrt(2)
     q, w = side * np.cos(b), side * np.sin(b)
@@ -308,8 +296,7 @@ def largest_parts(model: Any) -> list[float]:
 
 
 def proven_kappa(stencil: Stencil, group: np.ndarray, classes: BondClasses, p: np.ndarray) -> float:
-    """A proven upper bound of κ_p [stress^(−1/2)] of weights p of a gradient by class [1/length²];
-    infinite when none was found (N14)."""
+    """Proven upper bound of κ_p [stress^(−1/2)] of weights p by class [1/length²], or inf (N14)."""
     d = stencil.dimension
     gradient = d * p[classes.bond_class, None] * classes.xi
     weight = squared(stencil.spacing, classes.steps, gradient)

@@ -1,4 +1,4 @@
-"""A crystal of micromodulus tensors: numbers, file, force on nodes (theory, T1–T8, T15, T17)."""
+"""Crystals of micromodulus tensors: numbers, file, force on nodes (theory, T1–T8, T15, T17)."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from warp_peri.solvers.solution import CG, Solution, Solver, by_sample, refuse_s
 
 
 class TensorOperator(OperatorBase):
-    """L of one law on the nodes of one lattice, all bonds whole; made by its `on`."""
+    """Operator L of a stencil material on lattice nodes whose bonds are all whole; made by `on`."""
 
     is_linear = is_symmetric = True
 
@@ -51,14 +51,14 @@ class TensorOperator(OperatorBase):
         self.spacing, self.steps, self.tensors = stencil.spacing, stencil.steps, stencil.tensors
 
     def force(self, u: ArrayLike) -> np.ndarray:
-        """L u [stress/length] at the interior nodes, [..., I, d], of u [..., N, d]; InputError for
-        another shape or values that are not finite."""
+        """L u [stress/length] at the interior nodes, [..., I, d], for u [..., N, d]; InputError for
+        other shapes or values that are not finite."""
         fields, lead = self.fields(u), np.shape(u)[:-2]
         force = self.linear(fields)
         return force.reshape(*lead, *force.shape[1:])
 
     def solve(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
-        """In equilibrium with b on the interior, u given on the collar, [..., N, d], by
+        """Equilibrium with b on the interior, u given on the collar, [..., N, d], by
         CG(preconditioner, tolerance); InputError as Linear.solve."""
         refuse_solver(solver, (CG,), "a crystal model")
         asked = solver if isinstance(solver, CG) else CG()
@@ -75,11 +75,11 @@ class TensorOperator(OperatorBase):
         return by_sample(self, found.reshape(u.shape), self.rhs(b), took, counts, method, proven)
 
     def solve_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
-        """In equilibrium with b on a period, without its mean."""
+        """Equilibrium with the load b, less its mean, on a period."""
         return self.solve(b, np.zeros(np.shape(b)), solver)
 
     def vjp(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
-        """Lᵗ w on all nodes, shape [..., N, d], of w on the interior, whatever u."""
+        """Transposed product Lᵗ w on all nodes, [..., N, d], for w on the interior, whatever u."""
         w, shape = self.of_interior(w), self.points.x.shape
         pushed = [self.linear.push(one) for one in w.reshape(-1, *w.shape[-2:])]
         return np.reshape(pushed, (*w.shape[:-2], *shape))
@@ -90,14 +90,14 @@ class TensorOperator(OperatorBase):
         return {"tensors": self.tensors}
 
     def at(self, numbers: Mapping[str, ArrayLike]) -> TensorOperator:
-        """The operator with other tensors, symmetric ones; nothing is proven of it yet."""
+        """The operator with other symmetric tensors; nothing is proven of it yet."""
         law, C = self.model, np.asarray(numbers["tensors"], dtype=float)
         held = law.stress if isinstance(law, CrystalMaterial) else None
         law = CrystalMaterial(self.spacing, self.steps, C, law.units, stress=held)
         return TensorOperator(law, self.points, method=self.method, dtype=self.dtype)
 
     def by_numbers(self, name: str, u: ArrayLike, w: ArrayLike) -> np.ndarray:
-        """Derivatives of Σ w · L u to the tensors, of fields [K, N, d] and weights [K, I, d]."""
+        """Derivatives of Σ w · L u with respect to the tensors, for u [K, N, d] and w [K, I, d]."""
         A, H, ends = self.nodes.axes, len(self.steps), self.ends[1:]
         fields, weights = self.fields(u) @ A, plain("w", w) @ A
         both = 2 * fields[:, self.ends[0]]
@@ -109,8 +109,7 @@ class TensorOperator(OperatorBase):
 
     @cached_property
     def ends(self) -> np.ndarray:
-        """Numbers of the interior nodes, and of those that each of the steps, then of the opposite
-        ones, leads to, shape [1 + 2 H, I]."""
+        """Numbers of the interior nodes and of the far ends of ±steps, [1 + 2 H, I]."""
         nodes, steps = self.nodes, self.steps
         number = np.full(int(np.prod(nodes.shape)), -1)
         number[nodes.place] = nodes.near
@@ -119,8 +118,7 @@ class TensorOperator(OperatorBase):
         return np.asarray(number[np.ravel_multi_index(tuple(far), nodes.shape, "wrap")])
 
     def energy(self, u: ArrayLike) -> np.ndarray | float:
-        """Energy [stress · length^d] of all bonds with an unknown at an end, shape [...] (T15); in
-        the plane for a unit thickness."""
+        """Energy [stress · length^d] of bonds with an unknown end, [...] (T15); 2D: thickness 1."""
         collar, d = ~self.points.interior, self.nodes.dimension
         ones = np.repeat(np.eye(d)[:, None], self.points.interior.sum(), axis=1)
         ends = -self.vjp(u, ones)[:, collar]  # Σ C(ξ) over unknowns, [d, N − I, d]
@@ -129,7 +127,7 @@ class TensorOperator(OperatorBase):
         return np.asarray(self.quadratic(u) + self.spacing**d / 2 * bent)[()]
 
     def gradient(self, u: ArrayLike) -> np.ndarray:
-        """∂u_a/∂x_b at the interior nodes by least squares over the family, [..., I, d, d]."""
+        """Displacement gradient ∂u_a/∂x_b at interior nodes by least squares, [..., I, d, d]."""
         A, xi, H = self.nodes.axes, self.spacing * self.steps, len(self.steps)
         fields = self.fields(u) @ A
         found = np.zeros((len(fields), self.ends.shape[1], *A.shape))
@@ -140,8 +138,8 @@ class TensorOperator(OperatorBase):
         return np.asarray((A @ found @ A.T).reshape(*np.shape(u)[:-2], *found.shape[1:]))
 
     def stress(self, u: ArrayLike) -> np.ndarray:
-        """σ = C : ε of `gradient` at the interior nodes [stress], [..., I, d, d]: exact on affine
-        fields, on others the stress of the solid that long waves see."""
+        """Stress C : ε of `gradient` at the interior nodes [stress], [..., I, d, d]: exact on
+        affine fields, on others the stress of the solid that long waves see."""
         C = elastic.turned(self.model.tensor(), self.nodes.axes)
         return np.asarray(np.einsum("abcd,...cd->...ab", C, self.gradient(u), optimize=True))
 
@@ -163,11 +161,8 @@ BROKEN = 1e-8
 
 
 class StencilMaterial(Record):
-    """A linear material on one lattice, whose stencil says all: its force, its proof, its solves.
-
-    A class of its own is a frozen dataclass with `eq=False` whose fields are its numbers, among
-    them `horizon`, `units` and `certificate`, and which makes its `stencil` of them.
-    """
+    """A linear material defined by its stencil on one lattice: a frozen dataclass with `eq=False`
+    of numbers, among them `horizon`, `units`, `certificate`, which makes its `stencil` of them."""
 
     if TYPE_CHECKING:
         certificate: StencilCertificate | None
@@ -179,53 +174,53 @@ class StencilMaterial(Record):
 
     @property
     def dimension(self) -> int:
-        """2 or 3."""
+        """Dimension of space: 2 or 3."""
         return self.stencil.dimension
 
     @property
     def group(self) -> np.ndarray:
-        """Turns of the lattice that leave the stencil as it is, shape [g, d, d]."""
+        """Rotations and mirrors of the lattice that leave the stencil unchanged, [g, d, d]."""
         turns = lattice_group(self.dimension)
         return turns[[self.stencil.asymmetry(turn[None]) <= BROKEN for turn in turns]]
 
     def symbol(self, k: np.ndarray) -> np.ndarray:
-        """D(k) = 2 Σ_half C(ξ)(1 − cos k·ξ) (T2), at k of shape [..., d], shape [..., d, d]."""
+        """Symbol D(k) = 2 Σ_half C(ξ)(1 − cos k·ξ) (T2) at wave vectors k [..., d]; [..., d, d]."""
         k = np.asarray(k, dtype=float)
         D = self.stencil.symbol(k.reshape(-1, self.dimension) * self.stencil.spacing)
         return np.asarray(D.reshape(*k.shape, self.dimension))
 
     def tensor(self) -> np.ndarray:
-        """C_ijkl of long waves along the nodes' axes [stress], shape [d, d, d, d] (T4)."""
+        """Elastic tensor C_ijkl of long waves along the nodes' axes [stress], [d, d, d, d] (T4)."""
         held = getattr(self, "stress", None)  # adds to brackets (T19)
         brackets = self.stencil.brackets - (0 if held is None else elastic.stress_brackets(held))
         C = elastic.elastic_from_brackets(brackets)
         return np.asarray((C + C.transpose(2, 3, 0, 1)) / 2)
 
     def elastic_tensor(self, unit: str | None = None) -> np.ndarray:
-        """Voigt matrix of long waves along the nodes' axes, 3 × 3 in the plane (11, 22, 12) and
-        6 × 6 in space, in the law's unit of stress or another, as "GPa"; InputError for none."""
+        """Voigt matrix of long waves along the nodes' axes, 3 × 3 in the plane (11, 22, 12), 6 × 6
+        in space, in the law's stress unit or another, as "GPa"; InputError for an unknown unit."""
         return elastic.voigt(self.tensor()) * self._stress(unit)
 
     def _stress(self, unit: str | None) -> float:
         return 1.0 if unit is None else factors(self.units, (self.units[0], unit))[1]
 
     def certified(self) -> Self:
-        """The law with its certificate; `certificate.holds` says whether one was found."""
+        """The material with its certificate; `certificate.holds` says whether a proof was found."""
         proof = prove(self.stencil, self.group)
         return replace(self, certificate=proof)  # type: ignore[type-var]
 
     def max_symbol_eigenvalue(self) -> float:
-        """A bound on Λmax D(k) over all waves [stress / length²], for time steps (T21)."""
+        """Upper bound of Λmax D(k) over all waves [stress / length²], for time steps (T21)."""
         return largest(self.stencil, self.group)
 
     @property
     def uncut(self) -> str:
-        """Why no bonds may be cut."""
+        """Reason why no bonds of this material may be cut."""
         what = type(self).__name__
         return f"a {what} is a stencil of whole families; give a collar {self.horizon:g} wide"
 
     def fitting(self, points: Points | Samples) -> Points:
-        """Nodes of the law's own spacing, units and axis; InputError for others."""
+        """The nodes, checked for the material's spacing, units and axis; InputError for others."""
         nodes, own = nodes_of(points), self.stencil.spacing
         check_same(self.units, nodes.units)
         if not abs(nodes.spacing / own - 1) <= SAME_SPACING:
@@ -238,13 +233,12 @@ class StencilMaterial(Record):
     def on(
         self, points: Points | Samples, *, method: str = "auto", dtype: Any = np.float64
     ) -> TensorOperator:
-        """The operator on nodes of the law's own spacing, its steps along their axes.
-
-        A turned lattice turns a crystal with it; transfer_to_lattice is for a crystal that stays,
-        and for other spacings.
+        """Build the operator on nodes of the material's own spacing, its steps along their axes;
+        for other spacings, and for a crystal that stays when the lattice turns, see
+        transfer_to_lattice.
 
         Args:
-            points: lattice nodes with a collar, or periodic, in the law's units.
+            points: lattice nodes with a collar, or periodic, in the material's units.
             method: "rows", "fft", or "auto", which takes what is faster.
             dtype: float64 or float32.
 
@@ -255,7 +249,7 @@ class StencilMaterial(Record):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
-    """The law of one crystal on one square or cubic lattice of nodes.
+    """A crystal on one square or cubic lattice of nodes: a micromodulus tensor for every bond.
 
     Steps and tensors are along the axes of the nodes; C(−ξ) = C(ξ).
 
@@ -265,15 +259,14 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         tensors: C(ξ), in stress over length², shape [H, d, d], symmetric, of any sign.
         units: names of the units of length and stress.
         symmetry: name of the crystal's point group, or rotations, shape [G, d, d].
-        orientation: the crystal's axes in those of the nodes, as columns; an angle in degrees in
-            the plane.
+        orientation: the crystal's axes in those of the nodes, as columns; degrees in the plane.
         certificate: what is proven of the symbol; None where nothing was asked.
         provenance: how it came to be; plain JSON values.
-        stress: that the crystal is held under, along the nodes' axes [stress], shape [d, d]; None
-            for one at rest.
+        stress: that the crystal is held under, along the nodes' axes [stress], [d, d]; None at
+            rest.
 
     Raises InputError for shapes that do not fit, steps given twice, tensors that are not symmetric
-    or do not have the symmetry they are said to have.
+    or do not have the stated symmetry.
     """
 
     spacing: Length
@@ -315,7 +308,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
 
     @property
     def bonds(self) -> int:
-        """Of a node."""
+        """Number of bonds of a node."""
         return 2 * len(self.steps)
 
     @property
@@ -325,25 +318,25 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
 
     @property
     def group(self) -> np.ndarray:
-        """What nodes and crystal share: integer matrices, shape [g, d, d]."""
+        """Symmetries that the nodes and the crystal share: integer matrices, shape [g, d, d]."""
         return shared_with_nodes(point_group(self.symmetry, self.dimension), self.orientation)
 
     @property
     def stencil(self) -> Stencil:
-        """Its numbers alone."""
+        """The stencil of spacing, steps and tensors."""
         return Stencil(self.spacing, self.steps, self.tensors)
 
     def moduli(self, unit: str | None = None) -> dict[str, float]:
-        """Elastic constants in the crystal's own axes by name, as C11, C12, C44 of a cubic one,
-        but those that are zero; in the plane C44 is the shear modulus."""
+        """Nonzero elastic constants by name in the crystal's own axes, as C11, C12, C44 of a cubic
+        one; in the plane C44 is the shear modulus."""
         return elastic.named_moduli(self._own_tensor() * self._stress(unit))
 
     def _own_tensor(self) -> np.ndarray:
-        """C_ijkl in the crystal's own axes."""
+        """Elastic tensor in the crystal's own axes."""
         return elastic.turned(self.tensor(), np.asarray(self.orientation).T)
 
     def rows(self) -> list[tuple[str, str]]:
-        """What to know at a glance: name and value."""
+        """Name and value of each line of the crystal's summary table."""
         length, constants = symbols(self.units)[0], self.moduli()
         symmetry = self.symmetry if isinstance(self.symmetry, str) else "rotations"
         return [
@@ -355,8 +348,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         ]
 
     def describe(self, unit: str | None = None) -> dict[str, Any]:
-        """Symmetry, moduli, Zener's ratio of cubic and square crystals, None for others, and
-        extremes of E and ν over direction."""
+        """Symmetry, moduli, Zener's ratio (None unless cubic or square), extremes of E and ν."""
         C = self._own_tensor() * self._stress(unit)
         M, name = elastic.voigt(C), elastic.named_symmetry(C)
         cubic = name in ("cubic", "square", "isotropic")
@@ -373,7 +365,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
 
     @property
     def uncut(self) -> str:
-        """Why no bonds may be cut, with the figure of `_surface_traction`."""
+        """Reason why no bonds may be cut, with the figure of `_surface_traction`."""
         return (
             "a crystal model is not objective there (a turned face feels up to "
             f"{self._surface_traction():.3g} {symbols(self.units)[1]} per radian); give a collar "
@@ -381,8 +373,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         )
 
     def fitting(self, points: Points | Samples) -> Points:
-        """As of others, of the crystal's own axis too; where points state none, and lattice or
-        crystal are turned, what is assumed is said once."""
+        """The nodes, checked for the crystal's axis too; an assumed axis is warned of once."""
         nodes = super().fitting(points)
         isotropic = isinstance(self.symmetry, str) and self.symmetry == "isotropic"
         if isotropic or nodes.dimension != self.dimension:
@@ -406,7 +397,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         return nodes
 
     def summary(self) -> dict[str, Any]:
-        """Symmetry, moduli, lattice and proof as plain values."""
+        """Symmetry, moduli, lattice and proof of the crystal as plain values."""
         proof = None if self.certificate is None else self.certificate.content()
         return {
             "format": "crystal",
@@ -419,8 +410,8 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
 
 @typed
 def crystal_from_lps(model: Any, spacing: float) -> CrystalMaterial:
-    """The law of an LPS on a lattice of some spacing, exactly; products of dilatations make bonds
-    of range 2δ. InputError for what is no linear peridynamic solid, and a spacing without bonds."""
+    """Convert an LPS on a lattice spacing into a crystal, exactly, with bonds up to 2δ. Raises
+    InputError for other materials, and a spacing without bonds."""
     if not callable(made := getattr(model, "stencil", None)):
         raise InputError(f"model: expected a linear peridynamic solid, got {type(model).__name__}")
     stencil = made(spacing)

@@ -1,4 +1,4 @@
-"""Crystals learned from fields, from phonons, and from other crystals (theory, T7–T10, T14–T20)."""
+"""Crystals learned from fields, phonons and other crystals (theory, T7–T10, T14–T20)."""
 
 from __future__ import annotations
 
@@ -62,12 +62,7 @@ SAME = 1e-6
 
 
 class Tensors:
-    """A crystal while it is learned: θ are C h² [stress] of all tensors that its group allows.
-
-    Args:
-        spacing, horizon: of the nodes and of the longest bond.
-        symmetry, turn: of the crystal, and its axes in those of the nodes, as columns, [d, d].
-    """
+    """Unknowns θ of a crystal fit: C h² [stress] of all tensors that the group allows."""
 
     def __init__(
         self, spacing: float, horizon: float, symmetry: Symmetry, turn: np.ndarray
@@ -85,12 +80,9 @@ class Tensors:
         tensor: np.ndarray | None,
         stress: np.ndarray | None = None,
     ) -> Settled:
-        """The best numbers, and those of the extra columns of rows R [n, P + E] and y [n].
-
-        The elastic tensor, along the nodes' axes, is held, without it Huang's relations alone are.
-        Raises InputError for one that is no crystal's or that no law of this family has, more
-        numbers than the rows can tell, or a floor that none meets.
-        """
+        """Fit the tensors, and the numbers of extra columns, to rows R [n, P + E] and y [n],
+        holding an elastic tensor along the nodes' axes, else Huang's relations alone. Raises
+        InputError for a tensor that the family lacks, too few rows, or a floor that none meets."""
         d, count = len(self.turn), len(self.bonds.basis)
         moments, equations = self.bonds.moments(), huang_rows
         asked = stress_brackets(np.zeros((d, d)) if stress is None else stress)
@@ -137,7 +129,7 @@ class Tensors:
     def crystal(
         self, found: Settled, units: Units, record: dict[str, Any], stress: np.ndarray | None = None
     ) -> CrystalMaterial:
-        """The crystal with these numbers, and its certificate."""
+        """Build the certified crystal from fitted numbers."""
         p = found.p[0][: len(self.bonds.basis)]
         tensors = np.tensordot(p, self.bonds.basis, 1) / self.spacing**2
         record = {"fit": record | {"loss": found.loss, "cuts": found.cuts}} if record else {}
@@ -150,19 +142,20 @@ class Tensors:
 @typed
 @dataclass(frozen=True)
 class Crystal:
-    """A tensor C(ξ) for every bond, of any crystal in the plane or in space (theory, T).
+    """Settings of a crystal fit: a tensor C(ξ) for every bond, in the plane or in space (theory,
+    T).
 
     Attributes:
         horizon: length of the longest bond [length].
         symmetry: name of the crystal's point group, rotations, or "auto": the largest group with
             which the fit is as good as without one.
-        orientation: the crystal's axes in the coordinates of the points, columns of a rotation
-            [d, d], or degrees; the points' own axis by default.
+        orientation: the crystal's axes in the coordinates of the points, columns of a rotation [d,
+            d], or degrees; the points' own axis by default.
         moduli: "long waves" holds those that a fit of long waves finds, None holds none, a Voigt
             matrix (crystal's axes) [stress], shape [3, 3], in space [6, 6], holds its own.
         normalise: weigh each sample by 1/‖b‖.
 
-    `fit` raises InputError for several sets, scattered points, or a symmetry that is none.
+    `fit` raises InputError for several sets, scattered points, or an unknown symmetry.
 
     >>> wp.fit(samples, wp.Crystal(12.5, "4mm")).material.certificate.proven > 0
     True
@@ -175,12 +168,12 @@ class Crystal:
     normalise: bool = False
 
     def learn(self, samples: Samples | Dataset, *, progress: bool | None = None) -> Fit:
-        """The fit by one least squares, with no progress to show; its history has the loss, the
-        group's loss over that of the best group (`symmetry_ratio`), cuts and numbers.
+        """Learn the crystal by one least squares, without a progress bar; the fit's history has the
+        loss, the group's loss over the best group's (`symmetry_ratio`), cuts and numbers.
 
-        Raises InputError for samples that do not carry the horizon or do not determine the law. A
-        UserWarning says where data contradict the symmetry that is told, and where long waves are
-        too few or too short to tell moduli.
+        Raises InputError for samples that do not carry the horizon or do not determine the law.
+        Warns where data contradict the given symmetry, and where long waves are too few or too
+        short to tell moduli.
         """
         given = one_set(samples)
         axes, d = lattice_steps(given)[1], given.points.dimension
@@ -215,7 +208,7 @@ class Crystal:
         return Fit(material, material.certificate, {}, dict(material.provenance["fit"]))
 
     def held_moduli(self, turn: np.ndarray) -> np.ndarray | None:
-        """The elastic tensor that is given, along the nodes' axes; None where there is none."""
+        """The given elastic tensor along the nodes' axes; None where none was given."""
         if self.moduli is None or isinstance(self.moduli, str):
             if self.moduli not in (None, LONG_WAVES):
                 raise InputError(
@@ -230,7 +223,7 @@ class Crystal:
 
 
 def one_set(samples: Any) -> Samples:
-    """The samples of one set; of a Dataset `train`, or its only set."""
+    """The samples of a single set; of a Dataset `train`, or its only set."""
     sets = listed(samples, space=True)
     if len(sets) != 1:
         raise InputError(f"samples: expected one set for a crystal model, got {len(sets)}")
@@ -252,15 +245,15 @@ def fit_dispersion(
     largest_wave: float = LARGEST_WAVE,
     record: dict[str, Any] | None = None,
 ) -> CrystalMaterial:
-    """The law whose answers to plane waves are those of a symbol: rows D₀⁻¹ D e − e (T9).
+    """Fit a crystal's tensors to a symbol D₀: rows D₀⁻¹ D e − e (T9).
 
     Args:
         target: D₀(k) [stress/length²] at k [K, d] along the nodes' axes, to [K, d, d].
-        spacing, horizon: of the law.
+        spacing, horizon: of the crystal's nodes and longest bond.
         symmetry: of the crystal, by name or as rotations.
         orientation: the crystal's axes in those of the nodes.
-        tensor: elastic tensor along the nodes' axes that is held, [d, d, d, d]; without it Huang's
-            relations alone are, and the orientation is a rotation.
+        tensor: elastic tensor to hold, along the nodes' axes, [d, d, d, d]; without it Huang's
+            relations alone are held, and the orientation is a rotation.
         stress: that the crystal is held under, along the nodes' axes, [d, d].
         largest_wave: |k| h up to which waves weigh fully; beyond it a tenth.
         record: goes into the provenance.
@@ -288,18 +281,17 @@ def fit_phonons(
     orientation: Any = None,
     units: Units = USUAL,
 ) -> CrystalMaterial:
-    """The law that answers plane waves as atoms do, from their force constants alone (T14).
+    """Fit a certified crystal to the phonons of atoms, from their force constants alone (T14).
 
     Args:
         atoms: force constants; the crystal's axes are those of their coordinates.
         spacing, horizon: of the nodes and of the longest bond, in the unit of length.
         symmetry: "auto" asks spglib.
         orientation: the crystal's axes in those of the nodes.
-        units: of the law.
+        units: of the crystal.
 
-    Returns a law with its certificate. It has the elastic constants of the atoms exactly where a
-    family has NUMBERS for each; elsewhere long waves weigh four times. Raises InputError for a
-    crystal that is not stable.
+    It has the atoms' elastic constants exactly where a family has NUMBERS for each; elsewhere long
+    waves weigh four times. Raises InputError for a crystal that is not stable.
     """
     d, turn = atoms.dimension, checked_orientation(orientation, atoms.dimension)
     length, stress = factors(units, USUAL)
@@ -349,16 +341,16 @@ def transfer_to_lattice(
     rotation: Any = None,
     horizon: Positive | None = None,
 ) -> CrystalMaterial:
-    """The law of the same crystal on other nodes: a fit to its own symbol, moduli held (T17).
+    """Fit the same crystal on other nodes to its own symbol, moduli held, with a certificate (T17).
 
     Args:
-        law: to be carried over.
+        law: the crystal.
         spacing: of the new nodes.
         rotation: by which the crystal is turned on its nodes, [d, d], or degrees in the plane:
             C(Rξ) is R C(ξ) Rᵗ, so that its symbol is R D(Rᵗ k) Rᵗ.
-        horizon: of the new law; as many spacings as the old one.
+        horizon: on the new nodes; by default as many spacings as on the old ones.
 
-    Returns a law with its certificate. Raises InputError where the symbol is not positive.
+    Raises InputError where the symbol is not positive.
     """
     d = law.dimension
     turn = checked_orientation(rotation, d)
@@ -385,11 +377,11 @@ def transfer_to_lattice(
 
 @typed
 def plane_strain(law: CrystalMaterial, normal: int = 2) -> CrystalMaterial:
-    """The law in space of fields that do not change along an axis of the nodes, 0, 1 or 2: bonds
-    summed along it, exact at all wavelengths.
+    """Reduce a crystal in space to plane strain: fields constant along axis 0, 1 or 2 of the nodes,
+    bonds summed along it, exact at all wavelengths.
 
-    Raises InputError for a law in the plane, another axis, and a crystal that such fields push out
-    of the plane: a mirror or a twofold turn about the normal forbids it.
+    Raises InputError for a crystal in the plane, another axis, and one that such fields push out of
+    the plane: a mirror or a twofold turn about the normal forbids it.
     """
     kept = _kept(law, normal)
     sums: dict[tuple[int, ...], np.ndarray] = {}
@@ -420,10 +412,10 @@ def plane_strain(law: CrystalMaterial, normal: int = 2) -> CrystalMaterial:
 
 @typed
 def plane_stress(law: CrystalMaterial, normal: int = 2) -> CrystalMaterial:
-    """The law of a thin sheet of a crystal in space, free of stress across an axis of its nodes.
+    """Reduce a crystal in space to a thin sheet, free of stress across an axis of its nodes.
 
     Its moduli are a Schur complement; at short waves it answers as that elastic solid does, for
-    what a sheet's faces do there is no property of the crystal. Bonds and errors are those of
+    what a sheet's faces do there is no property of the crystal. Bonds and errors as in
     `plane_strain`.
     """
     kept = _kept(law, normal)

@@ -1,4 +1,4 @@
-"""A material of one's own: the energy of a node as a function of torch, its parameters by name."""
+"""Materials from a user's energy density: a torch function of the strain with named parameters."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ DIFFERENCE = 1e-4
 
 
 def sided_gradients(points: Any, horizon: float) -> tuple[np.ndarray, np.ndarray]:
-    """Steps [B, d] and weights [2^d, B, d] of gradients by least squares over one corner each,
-    bonds with coordinates of given signs; they vanish together for rigid fields alone."""
+    """Steps [B, d] and weights [2^d, B, d] of least-squares gradients over one corner of the family
+    each; all vanish together for rigid fields alone."""
     d, (_, axes) = points.dimension, lattice_steps(points)
     half = half_ball(horizon / points.spacing, d)
     steps = np.concatenate([0 * half[:1], half, -half])
@@ -54,7 +54,7 @@ def sided_gradients(points: Any, horizon: float) -> tuple[np.ndarray, np.ndarray
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DensityMaterial(Record, format="warp_peri.density"):
-    """A material whose energy density is a function of the Green strain.
+    """A material whose energy density is a given function of the Green strain.
 
     Attributes:
         horizon: of the gradients [length].
@@ -88,7 +88,7 @@ class DensityMaterial(Record, format="warp_peri.density"):
     def of(
         cls, energy: Energy, horizon: float, parameters: Mapping[str, float], **more: Any
     ) -> Self:
-        """A material of an energy, in the plane unless `dimension` is 3."""
+        """Make a material from an energy function, in the plane unless `dimension` is 3."""
         named = {name: float(value) for name, value in parameters.items()}
         name = getattr(energy, "__name__", type(energy).__name__)
         return cls(horizon, named, more.pop("dimension", 2), name, energy=energy, **more)
@@ -104,33 +104,32 @@ class DensityMaterial(Record, format="warp_peri.density"):
 
     @classmethod
     def read(cls, path: Any, energy: Energy) -> Self:
-        """The material of a file, of the energy that it was saved with; InputError for one of
-        another name, and as Record.from_dict."""
+        """Read a material's file with its energy; InputError for another name, and as from_dict."""
         made = cls.from_dict(parsed(Path(path).read_text(encoding="utf-8")))
         if (name := getattr(energy, "__name__", "")) != made.name:
             raise InputError(f"energy: the file has the parameters of {made.name!r}, got {name!r}")
         return replace(made, energy=energy)
 
     def rows(self) -> list[tuple[str, str]]:
-        """As a Record's, and the parameters, whose units only the energy knows."""
+        """The summary table of a Record, and the parameters, whose units only the energy knows."""
         return super().rows() + [(name, f"{value:.4g}") for name, value in self.parameters.items()]
 
     def on(self, points: PointsLike) -> DensityOperator:
-        """The operator on a lattice whose interior has a collar of twice the horizon."""
+        """Build the operator on a lattice whose interior has a collar of twice the horizon."""
         return DensityOperator(self, points)
 
     def at(self, numbers: Mapping[str, Any]) -> Self:
-        """The same energy with other parameters."""
+        """The material with the same energy and other parameters."""
         own = {name: float(value) for name, value in numbers.items()}
         return replace(self, parameters=self.parameters | own)
 
     def proven_strain(self, spacing: float) -> float:
-        """0: nothing is proven of it."""
+        """Strain up to which solutions are proven unique: 0, for nothing is proven."""
         return 0.0
 
 
 class DensityOperator(Pointwise):
-    """A material of one's own on a lattice; as Pointwise."""
+    """Operator of a DensityMaterial on a lattice; see Pointwise."""
 
     def __init__(self, material: DensityMaterial, points: PointsLike) -> None:
         nodes = nodes_of(points)
@@ -163,25 +162,25 @@ class DensityOperator(Pointwise):
 
     @cached_property
     def linear(self) -> Linear:
-        """The tangent at rest on the same nodes."""
+        """The linear operator of the tangent at rest, on the same nodes."""
         return Linear(probed(self), self.points)
 
     def straight(self, u: ArrayLike) -> np.ndarray:
-        """The force of the tangent at rest, shape [..., I, d]."""
+        """Force of the tangent at rest, shape [..., I, d]."""
         force = self.linear(np.reshape(u, (-1, *self.shape)))
         return np.asarray(force.reshape(*np.shape(u)[:-2], *force.shape[1:]))
 
     def at(self, numbers: Mapping[str, Any]) -> DensityOperator:
-        """The same with other parameters."""
+        """The operator with other parameters."""
         return DensityOperator(self.material.at(numbers), self.points)
 
     def max_symbol_eigenvalue(self) -> float:
-        """Twice that of the tangent at rest [stress / length²], for time steps of small strain."""
+        """Twice the largest eigenvalue at rest [stress / length²], for steps of small strain."""
         d = self.points.dimension
         return 2 * largest(self.linear.stencil, np.eye(d, dtype=int)[None])
 
     def inverse(self, loads: int) -> Inverse:
-        """Of the tangent at rest, of a load on the interior: factorised, or by iteration."""
+        """Inverse of the tangent at rest on interior loads: factorised, or by iteration."""
         return self.linear.cheapest_inverse(SOLVES * loads, len(self.linear.stencil.steps))
 
     def solve(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
@@ -193,7 +192,7 @@ class DensityOperator(Pointwise):
 @typed
 @dataclass(frozen=True)
 class Density:
-    """An energy of one's own, its parameters to be fitted.
+    """Settings of a fit of a user's energy density: its parameters are learned.
 
     Attributes:
         energy: W(E, **parameters) [stress] of Green strains E [..., d, d], in torch, shape [...].
@@ -216,7 +215,7 @@ class Density:
     loss: Literal["forces", "displacement"] = "forces"
 
     def learn(self, samples: Any) -> Fit:
-        """The fit by least squares, each sample over its load or displacement."""
+        """Learn the parameters by least squares, each sample over its load or displacement."""
         given = one_set(samples)
         points, inside = given.points, given.interior
         material = DensityMaterial.of(

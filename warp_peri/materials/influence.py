@@ -4,8 +4,7 @@
     fit = warp_peri.fit(samples, horizon=20.0, kernel=shape)
     fit.influence.parameters["width"]
 
-A model keeps such a function as the polynomial (60), so files, certificates and solves know one
-kind of model only.
+A model keeps the polynomial (60) of it, so that files, certificates and solves know one kind.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ itself, where K changes by less than SEEN of its size; of fourth order, hence ex
 @typed
 @dataclass(frozen=True, eq=False)
 class InfluenceFunction:
-    """K(r) as a function of the bond length and of parameters; its scale has no effect.
+    """An influence function K(r) of the bond length and parameters; its scale has no effect.
 
     Attributes:
         function: called as function(r, **parameters) with r [Å] of shape [R]; returns K, shape [R].
@@ -93,12 +92,12 @@ class InfluenceFunction:
 
     @property
     def vector(self) -> np.ndarray:
-        """All parameters one after the other, shape [P]."""
+        """All parameters in one vector, shape [P]."""
         return np.concatenate([np.zeros(0), *map(np.ravel, self.parameters.values())]).astype(float)
 
     @property
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lowest and highest value of each of them, infinite where it has no bounds."""
+        """Lowest and highest value of each parameter, infinite where it has no bounds."""
         free = (-np.inf, np.inf)
         pairs = [
             np.tile(self.bounds.get(name, free), (np.size(value), 1))
@@ -108,7 +107,7 @@ class InfluenceFunction:
         return lowest, highest
 
     def at(self, vector: np.ndarray) -> InfluenceFunction:
-        """This function with other values of its parameters, one after the other, shape [P]."""
+        """The influence function with other parameters, in one vector [P]."""
         values, first = {}, 0
         for name, value in self.parameters.items():
             part = vector[first : first + np.size(value)]
@@ -117,7 +116,7 @@ class InfluenceFunction:
         return dataclasses.replace(self, parameters=values)
 
     def __call__(self, r: ArrayLike) -> np.ndarray:
-        """K at the distances r [Å], of the shape of r."""
+        """Values of K at the distances r [Å], of the shape of r."""
         distance = np.asarray(r, dtype=float)
         K = np.array(self.function(distance.copy(), **copy.deepcopy(self.parameters)))
         if K.dtype.kind not in "iufb" or K.shape != distance.shape:
@@ -133,7 +132,7 @@ class InfluenceFunction:
         return K.astype(float)
 
     def slopes(self, r: np.ndarray) -> np.ndarray:
-        """Derivatives of K to the parameters, shape [R, P], by differences within the bounds."""
+        """Derivatives of K by the parameters, [R, P], by differences within the bounds."""
         p, columns = self.vector, []
         for one, value, low, high in zip(np.eye(len(p)), p, *self.ends):
             widest = (high - low) / 8
@@ -191,43 +190,40 @@ class InfluenceFunction:
         spacings: Sequence[float],
         units: Units = USUAL,
     ) -> LPSMaterial:
-        """The solid with λ, μ [TPa] and this influence function to δ [Å], exact at the bonds of the
-        lattices of some spacings [Å], not certified.
-
-        Raises InputError as `coefficients` does, and for numbers out of range.
-        """
+        """Make an uncertified LPS of λ, μ [TPa] and this function to δ [Å], exact at the bonds of
+        some spacings [Å]. Raises InputError as `coefficients`, and for numbers out of range."""
         lengths = np.concatenate([bond_classes(spacing, horizon).r for spacing in spacings])
         D, departure = self.coefficients(lengths, horizon)
         kept = {"influence": self.record(departure)}
         return LPSMaterial(lam, mu, 0.0, D, horizon, provenance=kept, units=units)
 
     def record(self, departure: float) -> dict[str, Any]:
-        """What a model keeps of it beside the polynomial, with the departure of that."""
+        """Provenance of the influence function, with the departure of its polynomial."""
         values = {name: np.asarray(value).tolist() for name, value in self.parameters.items()}
         return {"function": self.name, "parameters": values, "departure": departure}
 
 
 @typed
 def gaussian(r: np.ndarray, width: Positive) -> np.ndarray:
-    """exp(−(r/width)²), width [Å]."""
+    """Gaussian influence function exp(−(r/width)²), width [Å]."""
     return np.exp(-((r / width) ** 2))
 
 
 @typed
 def exponential(r: np.ndarray, length: Positive) -> np.ndarray:
-    """exp(−r/length), length [Å]."""
+    """Exponential influence function exp(−r/length), length [Å]."""
     return np.exp(-r / length)
 
 
 @typed
 def damped_wave(r: np.ndarray, length: Positive, period: Positive, phase: float) -> np.ndarray:
-    """exp(−r/length) cos(2π r/period + phase), lengths [Å]."""
+    """Influence function exp(−r/length) cos(2π r/period + phase), lengths [Å]."""
     return np.exp(-r / length) * np.cos(2 * np.pi * r / period + phase)
 
 
 @typed
 def conical(r: np.ndarray, reach: Positive) -> np.ndarray:
-    """1 − r/reach out to the reach [Å], 0 beyond."""
+    """Conical influence function 1 − r/reach out to the reach [Å], 0 beyond."""
     return np.maximum(1 - r / reach, 0.0)
 
 
@@ -237,7 +233,7 @@ NAMED = {"gaussian": gaussian, "exponential": exponential, "conical": conical}
 
 @typed
 def named(name: str, horizon: Positive) -> InfluenceFunction:
-    """One of NAMED, its length from the horizon [Å] on, within 1/20 and 20 times of it."""
+    """An influence function of NAMED, its length from the horizon [Å] on, within a factor of 20."""
     if name not in NAMED:
         raise InputError(f"influence: expected {', '.join(NAMED)} or a .csv file, got {name!r}")
     function = NAMED[name]
@@ -248,8 +244,8 @@ def named(name: str, horizon: Positive) -> InfluenceFunction:
 
 @typed
 def table(r: ArrayLike, K: ArrayLike, *, learned: bool = False) -> InfluenceFunction:
-    """K on straight lines between values K [T] at rising distances r [Å], constant beyond the ends;
-    `learned` takes them as parameters to learn."""
+    """Piecewise linear influence function through values K [T] at rising distances r [Å], constant
+    beyond the ends; `learned` takes the values as parameters to learn."""
     knots, given = checked("r", r), checked("K", K)
     if knots.ndim != 1 or len(knots) < 2 or knots.shape != given.shape:
         raise InputError(
@@ -265,7 +261,7 @@ def table(r: ArrayLike, K: ArrayLike, *, learned: bool = False) -> InfluenceFunc
 
 
 def tabulated(r: np.ndarray, K: np.ndarray, knots: np.ndarray) -> np.ndarray:
-    """K on straight lines between its values at the knots."""
+    """Piecewise linear K at distances r between its values at the knots."""
     return np.asarray(np.interp(r, knots, K))
 
 

@@ -1,4 +1,4 @@
-"""The linear peridynamic solid as a value: its numbers, its file, its stencil on a lattice."""
+"""The linear peridynamic solid (LPS) as a value: its numbers, file and stencil on a lattice."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def check_influence(alpha: float, D: np.ndarray) -> None:
 @typed
 @dataclass(frozen=True, eq=False)
 class LPSParameters:
-    """λ, μ [TPa], α < 3 and D [M + 1] of a homogeneous solid: numbers, or torch tensors with their
+    """Numbers λ, μ [TPa], α < 3 and D [M + 1] of a homogeneous LPS, or torch tensors with
     gradients.
 
     Raises InputError where λ, μ or α is no single real number, D no list of them, and for α ≥ 3.
@@ -74,7 +74,7 @@ class LPSParameters:
         check_influence(found["alpha"].item(), np.atleast_1d(found["D"]))
 
     def values(self) -> tuple[Any, ...]:
-        """λ, μ, α and D."""
+        """The values of λ, μ, α and D."""
         return self.lam, self.mu, self.alpha, self.D
 
 
@@ -95,8 +95,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
             claimed of the model beyond it.
         certificate, errors: figures by spacing, and on data sets by name.
         provenance, versions: of the data and the fit, and of the packages.
-        units: names of the units of length and stress that all of it is in; Å and TPa where these
-            lines say so.
+        units: names of the units of length and stress, in the place of Å and TPa here.
         dimension: 2, a sheet, or 3, a solid.
         nodes: of moduli that are fields, which are for these points alone [Å], shape [N, d].
 
@@ -162,7 +161,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         dimension: Literal[2, 3] = 2,
         units: Units = USUAL,
     ) -> LPSMaterial:
-        """The solid of an isotropic continuum, K = 1/r, proven on a lattice.
+        """Make the LPS of an isotropic continuum, K = 1/r, proven on a lattice.
 
         Args:
             E: Young's modulus [stress], of a sheet in plane stress.
@@ -193,12 +192,12 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
     @property
     def learnable(self) -> dict[str, Any]:
-        """λ, μ, α and D by name."""
+        """Numbers λ, μ, α and D by name."""
         return {name: getattr(self, name) for name in ("lam", "mu", "alpha", "D")}
 
     @property
     def mean(self) -> LPSMaterial:
-        """Itself, or of fields the solid of their means."""
+        """The material with moduli that are fields replaced by their means."""
         if self.nodes is None:
             return self
         return replace(self, lam=float(np.mean(self.lam)), mu=float(np.mean(self.mu)), nodes=None)
@@ -206,21 +205,20 @@ class LPSMaterial(Record, format="warp_peri.model"):
     def with_parameters(
         self, numbers: Mapping[str, Any], nodes: np.ndarray | None = None
     ) -> LPSMaterial:
-        """The same with other `learnable` numbers, of which nothing is proven; of fields those of
-        some nodes [N, d]."""
+        """The unproven material with other `learnable` numbers, fields for some nodes [N, d]."""
         made = self.learnable | dict(numbers)
         fields = np.ndim(made["lam"]) or np.ndim(made["mu"])
         of = (self.nodes if nodes is None else nodes) if fields else None
         return replace(self, **made, nodes=of, certified_on=(), certificate={})
 
     def spread(self, points: PointsLike, lam: Modulus | None, mu: Modulus | None) -> LPSMaterial:
-        """The same with moduli that differ from node to node.
+        """The material with moduli that differ from node to node.
 
         Args:
             points: N nodes x.
-            lam, mu: numbers, one value a node, shape [N], or functions of x [N, d], of which
-                λ + 2μ/d and μ are averaged harmonically over a ball of δ/2 around each node; None
-                for its own.
+            lam, mu: numbers, one value a node, shape [N], or functions of x [N, d], of which λ +
+                2μ/d and μ are averaged harmonically over a ball of δ/2 around each node; None for
+                its own.
 
         Raises InputError for others, and where μ > 0 and λ + 2μ/d > 0 do not hold everywhere.
         """
@@ -241,19 +239,17 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
     @property
     def linear(self) -> LPSMaterial:
-        """Itself: the linear solid at zero strain, which nonlinear laws have too."""
+        """The linear solid at zero strain, which nonlinear materials have too: itself."""
         return self
 
     @property
     def group(self) -> np.ndarray:
-        """Turns of a lattice of nodes, shape [g, d, d], under which it is the same solid."""
+        """Symmetries of a lattice of nodes that leave the solid unchanged, shape [g, d, d]."""
         return lattice_group(self.dimension)
 
     def stencil(self, spacing: float, *, degree: int = DEGREE) -> Stencil:
-        """The solid on a lattice as a stencil of twice its range, exactly (theory, T17).
-
-        Raises InputError as `stiffnesses` does, and for a spacing without bonds.
-        """
+        """Stencil of the solid on a lattice, of twice its range, exact (theory, T17). Raises
+        InputError as `stiffnesses` does, and for a spacing without bonds."""
         classes = bond_classes(spacing, self.horizon, dimension=self.dimension, degree=degree)
         return stencil_of(classes, *stiffnesses(self, classes))
 
@@ -279,7 +275,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
     @property
     def figures(self) -> dict[float, dict[str, Any]]:
-        """What its certificate says by spacing; InputError where a name is no spacing."""
+        """Certificate figures by spacing; InputError where a name is no spacing."""
         exact, found = {f"{h:g}": h for h in self.certified_on}, {}
         for name, each in self.certificate.items():
             try:
@@ -290,26 +286,24 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
     @property
     def statements(self) -> dict[float, str]:
-        """What is proven by the spacing of the lattice, made of the numbers."""
+        """Sentences on what is proven, by the spacing of the lattice."""
         bounds = {h: each.get("symbol_bound") for h, each in self.figures.items()}
         about = self.units, self.dimension
         return {h: statement_of(h, c, *about) for h, c in bounds.items() if c is not None}
 
     def certified_spacing_near(self, spacing: float) -> float:
-        """The certified spacing [Å] that a lattice within SPACING_TOLERANCE of it is taken as.
-
-        Between bond lengths K may swing by orders of magnitude, so that what is proven of one
-        spacing says nothing of the next millionth. Any other spacing is returned as it is.
-        """
+        """The certified spacing [Å] within SPACING_TOLERANCE of a lattice's, or that spacing
+        itself. Between bond lengths K may swing by orders of magnitude, so that what is proven of
+        one spacing says nothing of the next millionth."""
         known = min(self.certified_on, key=lambda h: abs(h - spacing), default=np.inf)
         return known if abs(spacing / known - 1) <= SPACING_TOLERANCE else spacing
 
     def is_certified_on(self, spacing: float) -> bool:
-        """Whether a lattice spacing [Å] counts as one that the model holds a certificate for."""
+        """Whether the model holds a certificate for a lattice spacing [Å], to SPACING_TOLERANCE."""
         return spacing > 0 and self.certified_spacing_near(spacing) in self.certified_on
 
     def check_spacing(self, spacing: float, *, allow_uncertified: bool = False) -> None:
-        """Refuse, or warn about, a lattice spacing [Å] that the model is not certified for."""
+        """Refuse, or warn about, an uncertified lattice spacing [Å]."""
         if self.is_certified_on(spacing):
             return
         unit = symbols(self.units)[0]
@@ -337,12 +331,9 @@ class LPSMaterial(Record, format="warp_peri.model"):
             )
 
     def certified_nodes(self, points: PointsLike) -> Points:
-        """The nodes, scaled to the certified spacing that theirs is taken as.
-
-        With the bond lengths of the certified lattice the operator is the one of the proof, which
-        says nothing a millionth beside it. Any other lattice, and scattered points, are returned as
-        they are. Raises InputError for points in other units or dimensions than the model.
-        """
+        """The nodes, scaled to the certified spacing near theirs, so that the operator is the one
+        of the proof; other lattices and scattered points as they are. Raises InputError for points
+        in other units or dimensions than the model."""
         nodes = nodes_of(points)
         check_same(self.units, nodes.units)
         self.check_dimension(nodes)
@@ -355,14 +346,13 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
     @property
     def transferred_from(self) -> float | None:
-        """Spacing [Å] of the lattice whose dispersion this model was fitted to; None at home."""
+        """Spacing [Å] of the lattice whose dispersion the model was fitted to; None at home."""
         record = self.provenance.get("transfer")
         spacing = record.get("from_spacing") if isinstance(record, dict) else None
         return spacing if is_number(spacing) else None
 
     def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
-        """Figures of the certificate go along, for a transfer asks for as much as is proven; the
-        provenance names the units that records of errors and of the fit stay in."""
+        """Certificate figures in other units; the provenance names the units of its records."""
         times = dict.fromkeys(GAMMAS, length**-2) | {"spacing": length}
         times |= {"symbol_min": stress, "symbol_bound": stress}
         figures = {
@@ -376,11 +366,11 @@ class LPSMaterial(Record, format="warp_peri.model"):
         return {"certificate": figures, "provenance": provenance}
 
     def derived(self) -> dict[str, Any]:
-        """Degree and quadrature, which a file names."""
+        """Degree and quadrature for a file."""
         return {"degree": self.degree, "quadrature": QUADRATURE}
 
     def verify_certificates(self) -> None:
-        """As of a Record, on every spacing that the model is said to be certified on."""
+        """Raise InputError unless all spacings in `certified_on` are proven again."""
         figures = self.figures
         for spacing in dict.fromkeys((*self.certified_on, *figures)):
             each, stencil = figures.get(spacing, {}), self.stencil(spacing)
@@ -401,7 +391,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         mu: Modulus | None = None,
         **options: Any,
     ) -> LPSOperator:
-        """The model on points: transferred there, certified, its bonds built when first needed.
+        """Build the operator on points: transferred there, certified, its bonds when first needed.
 
         Args:
             points: a lattice or scattered points.
@@ -421,7 +411,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         return LPSOperator(model, points, **how, **options)
 
     def summary(self) -> dict[str, Any]:
-        """Constants, lattices and errors as plain values."""
+        """Constants, lattices and errors of the model as plain values."""
         names = ("mu", "E", "nu", "alpha", "degree", "horizon", "errors", "versions")
         lists = ("units", "trained_on", "certified_on")
         found: dict[str, Any] = {"format": "model", "lambda": self.lam}
@@ -429,7 +419,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         return found | {name: list(getattr(self, name)) for name in lists}
 
     def rows(self) -> list[tuple[str, str]]:
-        """What to know at a glance: name and value."""
+        """Name and value of each line of the model's summary table."""
         length, shown = symbols(self.units)[0], partial(shown_moduli, self.units)
         if self.nodes is None:
             moduli = {
@@ -451,7 +441,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
 
 def statement_of(spacing: float, bound: float, units: Units, dimension: int) -> str:
-    """What is proven of a lattice with this bound of D/s, in one sentence."""
+    """Sentence on what a proven bound of D/s says of a lattice."""
     length, stress = symbols(units)
     shape, points = {2: ("square", 5), 3: ("cubic", 7)}[dimension]
     if not bound > 0:
@@ -465,11 +455,8 @@ def statement_of(spacing: float, bound: float, units: Units, dimension: int) -> 
 
 
 def stiffnesses(model: LPSMaterial, classes: BondClasses) -> tuple[np.ndarray, float]:
-    """v [TPa/Å²] of the bond classes and κ = (λ−μ)/μ² [1/TPa] of a model on a lattice.
-
-    Raises InputError for an influence function whose weighted volume is zero, and a lattice of
-    another dimension than the model's.
-    """
+    """Stiffnesses v [TPa/Å²] of the bond classes and κ = (λ−μ)/μ² [1/TPa] of a model on a lattice.
+    Raises InputError for an influence function of zero weighted volume, and another dimension."""
     if model.nodes is not None:
         raise InputError("lambda, mu: expected numbers, got fields, which have no stencil or proof")
     if classes.steps.shape[1] != model.dimension:
@@ -484,7 +471,7 @@ def stiffnesses(model: LPSMaterial, classes: BondClasses) -> tuple[np.ndarray, f
 
 
 def stencil_of(classes: BondClasses, v: np.ndarray, kappa: float) -> Stencil:
-    """Stiffnesses of bond classes as a stencil: products of dilatations make bonds of range 2δ."""
+    """Make a stencil of class stiffnesses; products of dilatations make bonds of range 2δ."""
     d = classes.steps.shape[1]
     reach = int(np.abs(classes.steps).max())
     near, of, xi = tuple((classes.steps + reach).T), classes.bond_class, classes.xi

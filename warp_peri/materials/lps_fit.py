@@ -1,4 +1,4 @@
-"""The linear peridynamic solid learned from fields: loss, degree, stages, checks, certificate."""
+"""Fits of the LPS to displacements and loads: loss, degree, stages, checks, certificate."""
 
 from __future__ import annotations
 
@@ -89,7 +89,8 @@ ERROR_TOLERANCE, ROUNDING = 1e-6, 1e-8
 @typed
 @dataclass(frozen=True)
 class LPS:
-    """The linear peridynamic solid, its influence function learned (theory, 4–9, V7).
+    """Settings of a fit of the linear peridynamic solid and its influence function (theory, 4–9,
+    V7).
 
     Attributes:
         horizon: δ [Å], at least one spacing.
@@ -142,7 +143,7 @@ class LPS:
         return Learner(self, sets, quiet, progress).fit()
 
     def checked(self, dimension: int) -> None:
-        """Raise InputError for settings that are none, or go with no others or the dimension."""
+        """Raise InputError for settings that contradict one another or the dimension."""
         kernel, printed = self.kernel, isinstance(self.method, TwoStage)
         if printed and self.loss in ("corrected", "output"):
             raise InputError(f"loss: {self.loss!r} is not for the two-stage method")
@@ -164,12 +165,9 @@ class LPS:
 
 
 class Learner:
-    """One fit: its data, and its stages, each timed, and shown while it runs.
-
-    Arguments are those of LPS.learn, the sets as lists; `history`, `starts` and `degrees` become
-    those of the Fit. `lattices` are bond classes, `operator` the residual of each set by Warp's
-    operator, `blocks` rows of the loss. Raises InputError for sets that cannot be learned from.
-    """
+    """State of one LPS fit: its data, and its timed stages; `history`, `starts` and `degrees`
+    become those of the Fit. `lattices` are bond classes, `operator` the residual of each set by
+    Warp's operator, `blocks` rows of the loss. InputError for sets that cannot be learned from."""
 
     def __init__(
         self, law: LPS, sets: list[Samples], noise: list[Samples], progress: bool | None
@@ -207,10 +205,7 @@ class Learner:
         self.blocks = self.rows("residual")
 
     def rows(self, loss: str, folds: Sequence[int] | None = None) -> list[LatticeRows]:
-        """Rows of a loss on each lattice, of all loads or of some parts of them.
-
-        "output" begins with the corrected one.
-        """
+        """Rows of a loss on each lattice, of all loads or some folds; "corrected" for "output"."""
         found = []
         for number, parts in enumerate(self.folds):
             of = parts if folds is None else [parts[n] for n in folds]
@@ -222,7 +217,7 @@ class Learner:
         return found
 
     def model(self, found: LPSFound, **more: Any) -> LPSMaterial:
-        """The model of what was found, and what else is known of it."""
+        """Make the material from a fitted solid and its known facts."""
         of = self.sets[0].points
         known: dict[str, Any] = {"dimension": of.dimension, "units": of.units}
         return found.model(self.law.horizon, **known, **more)
@@ -230,14 +225,11 @@ class Learner:
     def optimum(
         self, start: LPSFound, method: GaussNewton, blocks: list[LatticeRows] | None = None
     ) -> LPSFound:
-        """The constrained optimum from one start, of the loss or of other rows.
-
-        Raises InputError where a function is led out of its domain.
-        """
+        """The constrained optimum from one start; InputError where a function leaves its domain."""
         return optimum(blocks or self.blocks, self.lattices, start, self.conditions, method)
 
     def fit(self) -> Fit:
-        """Run the stages and prove what they found."""
+        """Run all stages of the fit and certify the result."""
         law, method, kernel = self.law, self.law.method, self.law.kernel
         starts = self.plain(kernel or Bernstein(self.largest_degree()))
         probe = [*starts][:2][-1]  # from which the share of noise, and what moduli cost, are found
@@ -267,7 +259,7 @@ class Learner:
         return self.certified(final, done, choice)
 
     def plain(self, kernel: Kernel) -> dict[str, LPSFound]:
-        """What an optimum is looked for from, by name: plain kernels, or the functions given."""
+        """Starts of the search by name: plain kernels, or the functions given."""
         if isinstance(kernel, Bernstein):
             ones = np.ones(1 + kernel.degree)
             plain = PLAIN_EXPONENTS[: None if self.flat else 1]  # in space α stays as it begins
@@ -287,10 +279,8 @@ class Learner:
         return np.concatenate([classes.r for classes in self.lattices])
 
     def choose_loss(self, start: LPSFound) -> LossSelection:
-        """The loss that was asked for, or for "auto" the one that the noise calls for.
-
-        Raises InputError for one that these data cannot have.
-        """
+        """Select the loss that was asked for, or for "auto" the one that the noise calls for;
+        InputError for one that these data cannot have."""
         asked, printed = self.law.loss, isinstance(self.law.method, TwoStage)
         if asked == "corrected" and not self.noise:
             raise InputError("loss: 'corrected' needs fields of noise")
@@ -311,16 +301,13 @@ class Learner:
         return LossSelection("output" if waves else "corrected", why)
 
     def largest_degree(self) -> int:
-        """That of as many coefficients as there are bond lengths, of which more say no more."""
+        """Largest useful degree: that of as many coefficients as there are bond lengths."""
         lengths = np.unique((self.lengths / self.law.horizon).round(9))
         return min(LARGEST_DEGREE, len(lengths) - 1)
 
     def choose_degree(self, loss: str, method: GaussNewton) -> Bernstein:
-        """The smallest degree whose error on loads left out is within 2 % of the best.
-
-        Kernels of a degree are among those of the next: from the largest it goes down until one
-        is worse. A single load leaves none to be left out: the largest.
-        """
+        """Select the smallest degree whose error on loads left out is within 2 % of the best, going
+        down from the largest until one is worse; the largest for a single load."""
         degree = self.largest_degree()
         count, best, chosen = len(self.folds[0]), np.inf, degree
         splits = [
@@ -340,7 +327,7 @@ class Learner:
         return Bernstein(chosen)
 
     def run(self, name: str, stage: Callable[[Tick], LPSFound]) -> LPSFound:
-        """What a stage finds."""
+        """Run, time and record one stage; returns its result."""
         begin, steps = time.perf_counter(), 0
         with tqdm(desc=name, unit=" steps", disable=self.disable) as bar:  # its end is not known
 
@@ -358,8 +345,7 @@ class Learner:
         return found
 
     def hold(self, method: GaussNewton, start: LPSFound) -> GaussNewton:
-        """The method with the moduli of long waves, where it asks for them and free ones, those
-        that are reached from one start, miss them."""
+        """The method; it holds the long-wave moduli if asked to and a free fit misses them."""
         free = dataclasses.replace(method, moduli=method.held)
         if method.moduli != LONG_WAVES or self.noise or not self.flat:
             return free
@@ -381,11 +367,11 @@ class Learner:
 
     @property
     def unit(self) -> float:
-        """Of moduli, that suits the steps of Adam [stress]."""
+        """Unit of moduli for the steps of Adam [stress]."""
         return self.stiffness / USUAL_STIFFNESS
 
     def adam(self, kernel: Bernstein, method: AugmentedLagrangian, asked: GaussNewton) -> LPSFound:
-        """Adam and the augmented Lagrangian on Warp's operator, from a random kernel."""
+        """Run Adam and the augmented Lagrangian on Warp's operator, from a random kernel."""
         D = np.random.default_rng(method.seed).uniform(size=1 + kernel.degree)
         rough = LPSFound(LPSParameters(0.0, self.unit, 1.0, D))
         law = LPSLaw(self.lattices, rough, self.conditions, asked)
@@ -394,10 +380,7 @@ class Learner:
         return self.run("1 Adam", lambda tick: law.found(*to_the_optimum(*given, tick)))
 
     def best(self, starts: Mapping[str, LPSFound], method: GaussNewton, tick: Tick) -> LPSFound:
-        """Stage 3: the best of the constrained optima reached from all starts.
-
-        Raises RuntimeError when no start ends with the conditions and the moduli kept.
-        """
+        """Stage 3: the best optimum from all starts; RuntimeError when none keeps conditions."""
         results = []
         for name, start in starts.items():
             try:
@@ -420,8 +403,7 @@ class Learner:
         return next(reached for reached in kept if reached.loss <= lowest * (1 + SAME_LOSS))
 
     def worse(self, found: LPSFound, method: GaussNewton) -> bool:
-        """Whether training displacement is better had from local elasticity of moduli that are
-        held; sets in space, or of many unknowns, are not solved for this."""
+        """Whether local elasticity of held moduli explains the displacement better."""
         large = any(np.count_nonzero(each.interior) > MOST_NODES for each in self.sets)
         if large or not (self.flat and isinstance(method.moduli, tuple)):
             return False
@@ -435,12 +417,8 @@ class Learner:
         return bool(errors[0] > errors[1])
 
     def check(self, final: LPSFound, loss: str) -> None:
-        """Hold the rows to the operator, and the fit to what it explains.
-
-        Raises RuntimeError where the residual by rows departs from Warp's operator's, InputError
-        for a loss that is no less than without a model: relative to the loads, or with "output" to
-        the displacement. A UserWarning says which modulus ended on its lower bound.
-        """
+        """Check rows against the operator (RuntimeError where residuals differ) and the loss
+        (InputError where no less than without a model); warn of a modulus on its lower bound."""
         with torch.no_grad():
             size = float(total_loss(self.operator, final.solid.values()).sqrt())
         of_rows = squares(self.rows("residual"), self.lattices, self.model(final))
@@ -507,10 +485,7 @@ class Learner:
 
 
 def local_error(C: np.ndarray, samples: Samples) -> float:
-    """Error of the displacement by local elasticity of central differences.
-
-    By the widest that the collar has nodes for.
-    """
+    """Displacement error of local elasticity by the widest central differences that fit."""
     h, no_axis = samples.spacing, dataclasses.replace(samples.points, axis=None)
     for reach in range(MOST_REACH, 1, -1):
         steps, tensors = difference_tensors(C, reach)

@@ -1,9 +1,9 @@
-"""The linear solid on points of any kind: its bonds, its force, and all derivatives of it.
+"""The LPS on points of any kind: its bonds, its force, and all derivatives of it.
 
-A lattice lies row by row in a box, many nodes at a time; anything else as it is numbered, with
-lists of bonds. L is its own transpose once each bond reads the stiffness of the bond back, and the
-influence function has Warp's tape. Sums over nodes run over fixed blocks, without atomics,
-so that threads change no bit. Nothing that a call writes is kept.
+A lattice lies row by row in a box, many nodes at a time; other points as numbered, with lists of
+bonds. L is its own transpose once each bond reads the stiffness of the bond back. Sums over nodes
+run over fixed blocks, without atomics, so that threads change no bit. Nothing that a call writes is
+kept.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def bernstein_basis(r: ArrayLike, horizon: float, degree: int) -> np.ndarray:
 
 
 def weighted_volume(classes: BondClasses, kw: np.ndarray, name: str = "influence function") -> Any:
-    """m = Σ n r² K W on a lattice (theory, 5); InputError where it is zero."""
+    """Weighted volume m = Σ n r² K W on a lattice (theory, 5); InputError where it is zero."""
     terms = classes.count * kw * classes.r**2
     if not abs(terms.sum()) > CANCELLED * np.abs(terms).sum():
         raise InputError(
@@ -77,7 +77,7 @@ def weighted_volume(classes: BondClasses, kw: np.ndarray, name: str = "influence
 
 @dataclass(frozen=True)
 class Layout:
-    """Places and bonds, as kernels/lps.py says.
+    """Places and bonds in the order of kernels/lps.py.
 
     Attributes:
         in_rows: whether all places share one family, and are laid out in planes.
@@ -102,7 +102,7 @@ class Layout:
 
 
 class Bonds:
-    """Families of a point set and what sweeps over them read; InputError as of families_of.
+    """Families of a point set in the layouts that sweeps read; InputError as of families_of.
 
     Args:
         points: a lattice, or scattered points (spacing 0). Bonds to nodes outside are broken, and
@@ -135,8 +135,7 @@ class Bonds:
 
     @cached_property
     def listing(self) -> tuple[np.ndarray, ...]:
-        """Owner, far end, negative where a bond is broken or leads nowhere, vector, and number in
-        tables by class of each bond, shape [E]."""
+        """Owner, far end (negative: broken or nowhere), vector, and class index of each bond."""
         families, points, end = self.families, self.points, self.families.neighbour
         owner = np.repeat(np.arange(self.nodes), np.diff(families.row))
         if families.lattice is not None:
@@ -149,11 +148,11 @@ class Bonds:
 
     @cached_property
     def layout(self) -> Layout:
-        """In rows where that can be, and in lists otherwise."""
+        """Layout in rows where possible, else in lists."""
         return self._rows() or self._lists()
 
     def _lists(self) -> Layout:
-        """The layout of nodes as they are numbered."""
+        """Layout of nodes as they are numbered."""
         families, (owner, end, xi, kind) = self.families, self.listing
         nodes, needed = np.arange(self.nodes), np.append(families.whole, families.cut)
         places = {"needed": needed, "whole": needed, "forces": families.rows, "nodes": nodes}
@@ -163,8 +162,7 @@ class Bonds:
         return Layout(False, families.row, to, _bond(xi), kind, nodes, nodes, pieces)
 
     def _rows(self) -> Layout | None:
-        """The layout of a lattice in a box; None with broken bonds, and where the box or the pieces
-        of it would be mostly empty."""
+        """Layout of a lattice in a box; None with broken bonds, or for a mostly empty box."""
         families, box = self.families, self.points.box
         if families.lattice is None or len(families.cut):
             return None
@@ -217,8 +215,7 @@ class Bonds:
         return [floats(one) for one in (r, np.log(r), self.families.weight)]
 
     def influence(self, alpha: ArrayLike, D: ArrayLike, by: Any = None) -> Any:
-        """K W of each class, [C]; with derivatives of a scalar to it those to α and D, by Warp's
-        tape, which is this call's alone."""
+        """K W of each class, [C]; given derivatives `by` of a scalar to it, those to α and D."""
         degree, taped = np.size(D) - 1, by is not None
         given: list[Any] = [
             wp.array(np.ravel(one).astype(float), device=DEVICE, requires_grad=taped)
@@ -237,26 +234,25 @@ class Bonds:
         return [one.grad.numpy() for one in given]
 
     def volumes(self, terms: np.ndarray) -> Any:
-        """The sum of a table by class over each whole ball, [N]; of a lattice one number."""
+        """Sum of a table by class over each whole ball, [N]; on a lattice one number."""
         if self.families.lattice is not None:
             return (self.families.lattice.count * terms).sum()
         return np.add.reduceat(terms, self.families.row[:-1])
 
     def table(self, alpha: ArrayLike, D: ArrayLike) -> tuple[np.ndarray, Any]:
-        """K W of each class, and weighted volumes; 1 of nodes that need none."""
+        """K W of each class, and weighted volumes (1 at nodes that need none)."""
         kw = self.influence(alpha, D)
         m = self.volumes(kw * self.families.r**2)
         return kw, np.where(m == 0, 1, m)
 
     @cached_property
     def left(self) -> np.ndarray:
-        """Numbers of the bonds that nodes have left which have lost some."""
+        """Indices of the unbroken bonds of nodes with broken ones."""
         owner, end, _, _ = self.listing
         return np.flatnonzero((end >= 0) & np.isin(owner, self.families.cut))
 
     def inverted(self, kw: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Of the bonds `left`, of K W by class: K W and S⁻¹ ξ, (40–41), and whose they are among
-        `cut`, shape [·], [·, d] and [·]."""
+        """K W and S⁻¹ ξ, (40–41), of the bonds `left`, and the indices of their owners in `cut`."""
         owner, _, xi, kind = (one[self.left] for one in self.listing)
         place, d, weight = np.searchsorted(self.families.cut, owner), self.dimension, kw[kind]
         shape = np.zeros((len(self.families.cut), d, d))
@@ -264,8 +260,7 @@ class Bonds:
         return weight, np.einsum("eab,eb->ea", np.linalg.inv(shape)[place], xi), place
 
     def bent(self, kw: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """θ is the sum of these over a node's bonds, times u(ξ) − u, [E, d]: d K W/m ξ, and
-        K W S⁻¹ ξ of nodes that have lost bonds, (40–41)."""
+        """Factors of u(ξ) − u in θ, [E, d]: d K W/m ξ, or K W S⁻¹ ξ beside broken bonds (40–41)."""
         found: np.ndarray = self.dimension * own[:, None] * self.listing[2]
         if len(self.left):
             weight, turned, _ = self.inverted(kw)
@@ -273,7 +268,7 @@ class Bonds:
         return found
 
     def law(self, *values: Any) -> Law:
-        """What sweeps read of λ, μ, α and D; that of the last is kept."""
+        """The Law of λ, μ, α and D; the last one is cached."""
         arrays = [np.array(value, dtype=float).ravel() for value in values]  # nobody changes copies
         key, last = [array.tobytes() for array in arrays], self.kept
         if last is None or last[0] != key:
@@ -282,7 +277,7 @@ class Bonds:
         return last[1]
 
     def check_volumes(self, kw: np.ndarray) -> None:
-        """InputError for K W whose weighted volume, which the operator divides by, vanishes."""
+        """Raise InputError for K W whose weighted volume vanishes."""
         families, terms = self.families, kw * self.families.r**2
         needed = np.append(families.whole, families.cut) if families.lattice is None else ...
         m, size = (np.atleast_1d(self.volumes(x))[needed] for x in (terms, np.abs(terms)))
@@ -303,15 +298,14 @@ def _bond(xi: np.ndarray) -> np.ndarray:
 
 
 def _pieces(places: np.ndarray, numbers: np.ndarray, lanes: int) -> wp.array[Any]:
-    """Pieces of at most so many lanes, in the order of their places, [P] of vectors."""
+    """Pieces of at most `lanes` lanes, in the order of their places, [P] of vectors."""
     order = np.argsort(places, kind="stable")
     pieces = row_pieces(places[order], lanes, numbers[order])
     return wp.array(pieces, dtype=wp.vec3i, device=DEVICE)
 
 
 def bonds_of(model: LPSMaterial, points: PointsLike, degree: int = DEGREE) -> Bonds:
-    """The bonds of a model on points, those of the certified lattice where they lie on one; errors
-    as of Bonds and `check_volumes`."""
+    """The bonds of a model on points or their certified lattice; InputError for no volume."""
     make = partial(Bonds, model.certified_nodes(points), model.horizon, quadrature_degree=degree)
     try:
         bonds = make()
@@ -324,13 +318,13 @@ def bonds_of(model: LPSMaterial, points: PointsLike, degree: int = DEGREE) -> Bo
 
 
 class Law:
-    """A solid on bonds: what sweeps read of its numbers, and the sweeps.
+    """An LPS on bonds: its numbers as sweeps read them, and the sweeps.
 
     Fields are flat, [S, d N] of all nodes and [S, d I] of the interior, contiguous.
 
     Args:
         values: λ and μ of shape [1], or [N], one value a node; α [1] and D [M + 1].
-        known: of the same α and D.
+        known: a Law of the same α and D.
 
     Attributes:
         kw, m: K W of each class [C] and weighted volume of each node [N], of a lattice one number.
@@ -364,7 +358,7 @@ class Law:
 
     @cached_property
     def forward(self) -> Any:
-        """What a sweep reads; of lists without the bonds back."""
+        """Arrays that a sweep for L reads; of lists without the bonds back."""
         bonds, layout, moduli = self.bonds, self.bonds.layout, (self.bulk, self.values[1])
         if self.fields:  # one value a place
             every = (np.append(np.broadcast_to(one, bonds.nodes), 0.0) for one in moduli)
@@ -378,7 +372,7 @@ class Law:
 
     @cached_property
     def back(self) -> Any:
-        """Of the transpose, which of rows is the same."""
+        """Arrays that a sweep for Lᵗ reads; in rows the same as `forward`."""
         bonds, of, families = self.bonds, self.forward, self.bonds.families
         if bonds.layout.in_rows:
             return of
@@ -392,8 +386,8 @@ class Law:
         return filled(Form, *known, floats(self.own[reverse]), _vectors(bent))
 
     def _sweep(self, of: Any, pieces: Sequence[str | None], *fields: np.ndarray) -> None:
-        """Lays out, finds dilatations, then forces, on the pieces of these names, None for none; of
-        values by number, planes, dilatations and forces by number."""
+        """Lay out values, find dilatations, then forces, on the named pieces (None: skip); fields
+        are values by number, planes, dilatations and forces by number."""
         bonds, samples = self.bonds, len(fields[0])
         key = (*pieces, samples, get_num_threads(), self.fields)
         ready = bonds.ready.setdefault(key, [])
@@ -415,8 +409,7 @@ class Law:
         ready.append((shared, ends, of))
 
     def force(self, u: np.ndarray) -> tuple[np.ndarray, ...]:
-        """L u, with the displacement as sweeps read it and dilatations by place, which a gradient
-        reads."""
+        """L u, and the laid-out displacement and dilatations, which a gradient reads."""
         bonds, size, places = self.bonds, len(u), len(self.bonds.layout.node)
         d = bonds.dimension
         Lu, theta = (np.zeros((size, n)) for n in (d * len(bonds.families.rows), places))
@@ -425,8 +418,7 @@ class Law:
         return Lu, planes, theta
 
     def transposed(self, g: np.ndarray, *, asked: bool = True) -> tuple[np.ndarray, ...]:
-        """Lᵗ g on all nodes, of g on the interior, where that is asked for; g as sweeps read it,
-        and its dilatation by the transpose."""
+        """Lᵗ g on all nodes if asked, g laid out, and its dilatation by the transpose."""
         bonds, layout, size, d = self.bonds, self.bonds.layout, len(g), self.bonds.dimension
         seeds, tau = (np.zeros((size, n * len(layout.node))) for n in (d, 1))
         if not layout.in_rows:
@@ -438,13 +430,8 @@ class Law:
     def gradient(
         self, felt: Sequence[np.ndarray], g: np.ndarray, asked: Sequence[bool]
     ) -> list[Any]:
-        """Derivatives of a scalar to u [S, d N], λ, μ, α and D, None where none is asked for.
-
-        Args:
-            felt: planes and dilatations of `force`.
-            g: derivative of the scalar to L u.
-            asked: for which; those to λ and μ come together, those to α and D too.
-        """
+        """Derivatives of a scalar to u [S, d N], λ and μ, α and D, None where not asked, from
+        planes and dilatations of `force` (`felt`) and the derivative g to L u."""
         bonds, layout, (lam, mu, alpha, D) = self.bonds, self.bonds.layout, self.values
         if bonds.bond_based and any(asked[1:3]):
             refuse_bond_based()
@@ -466,8 +453,7 @@ class Law:
         return [by_u, *moduli, *bonds.influence(alpha, D, by_kw)]
 
     def _slopes(self, *fields: np.ndarray) -> None:
-        """Sums of derivatives to `own`, to μ and to λ − μ, of planes, dilatations and theirs by the
-        transpose, as kernels/lps.py says."""
+        """Sum derivatives to `own`, μ and λ − μ from planes and dilatations of both directions."""
         whole = self.bonds.layout.pieces["whole"]
         ends = ints(np.arange(BLOCKS + 1) * len(whole) // BLOCKS)
         *given, by_own, by_mu, by_bulk = map(floats, fields)
@@ -477,12 +463,9 @@ class Law:
         )  # fmt: skip
 
     def _by_class(self, by: np.ndarray, u: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """Derivatives to K W of each class, [C], of those to `own` of each bond, [E], as if every
-        dilatation were d own ξ·(u(ξ) − u).
-
-        Of a bond f of a node that has lost some (40–41) makes them
-        p_f · S⁻¹ ξ_f − (S⁻¹ ξ_f) · (Σ_e K W p_e ⊗ S⁻¹ ξ_e) ξ_f, p that to K W S⁻¹ ξ.
-        """
+        """Derivatives by K W of each class, [C], from those to `own` of each bond, [E], as if every
+        dilatation were d own ξ·(u(ξ) − u). At nodes with broken bonds (40–41) a bond f adds p_f ·
+        S⁻¹ ξ_f − (S⁻¹ ξ_f) · (Σ_e K W p_e ⊗ S⁻¹ ξ_e) ξ_f, p the derivative to K W S⁻¹ ξ."""
         bonds, layout, d = self.bonds, self.bonds.layout, self.bonds.dimension
         lost: Any = 0.0
         if not layout.in_rows:
@@ -506,7 +489,7 @@ class Law:
 
 
 def refuse_bond_based() -> None:
-    """InputError for λ ≠ μ, or a gradient to one of them, on bonds without dilatations."""
+    """Raise InputError for λ ≠ μ, or a gradient to one of them, on bonds without dilatations."""
     raise InputError(
         "lambda, mu: expected equal values without a gradient on a collar of one horizon, "
         "which has no dilatations; a collar of two has them"
@@ -514,16 +497,9 @@ def refuse_bond_based() -> None:
 
 
 def lps_force(bonds: Bonds, u: Tensor, *values: Any) -> Tensor:
-    """L u [TPa/Å] on the interior nodes, shape [..., I, d], differentiable once in all.
-
-    Args:
-        bonds: of a point set with N nodes.
-        u: displacement [Å], shape [N, d] or [S, N, d].
-        values: λ and μ, numbers or one value a node, shape [N], α and D; λ = μ, of which neither
-            asks for a gradient, for bonds that are bond-based.
-
-    Raises InputError for such λ and μ on bond-based bonds, and moduli of another shape.
-    """
+    """L u [TPa/Å] on the interior nodes, shape [..., I, d], differentiable once in all arguments: u
+    [Å] [N, d] or [S, N, d], λ and μ (numbers or [N]), α and D. Bond-based bonds ask for λ = μ
+    without a gradient; InputError otherwise, and for moduli of another shape."""
     bridge, felt = core.torch_bridge, list[Any]()
     bridge.refuse_tangents(u, *values)
 

@@ -1,12 +1,11 @@
-"""The linear peridynamic solid as a regression sees it: rows of products, and coordinates θ.
+"""The LPS as a regression sees it: rows of products, and coordinates θ.
 
 With the stiffness v = μ w of each bond class and κ = (λ−μ)/μ², L u is linear in the products v and
 κ v v (theory, 14–17, T17). θ = (κ, q) stands for a solid: q are numbers of the influence function,
 of which K W of each class is made, and the scale of K falls out. α is a number of q only where the
 coefficients do not already reach every bond length; elsewhere, and in space, it keeps its value.
-
-All numbers are analytic in θ, so that a step of i·10⁻³⁰ has their derivatives in its imaginary
-part, to the last digit (W. Squire and G. Trapp 1998). θ and q may have axes in front.
+All is analytic in θ, so that a step of i·10⁻³⁰ has the derivatives in its imaginary part, to the
+last digit (W. Squire and G. Trapp 1998). θ and q may have axes in front.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from warp_peri.points.quadrature import DEGREE
 
 
 def products(model: LPSMaterial, classes: BondClasses) -> np.ndarray:
-    """The products of a model on a lattice: v, and κ v v of the pairs of classes; shape [P]."""
+    """The products v, and κ v v of the pairs of classes, of a model on a lattice; shape [P]."""
     v, kappa = stiffnesses(model, classes)
     i, j = np.triu_indices(len(v))
     return np.concatenate([v, kappa * v[i] * v[j]])
@@ -65,7 +64,7 @@ def product_basis(classes: BondClasses) -> Basis:
 
 
 class Products:
-    """Forces of the products on samples on a lattice; weights are exact to a degree."""
+    """Forces of each product on samples on a lattice."""
 
     def __init__(
         self, samples: Samples, horizon: float, *, quadrature_degree: int = DEGREE
@@ -76,13 +75,13 @@ class Products:
         self.bonds = product_basis(self.classes)
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
-        """Of u, shape [S, N, d], on the interior nodes: shape [S, I, P, d]."""
+        """Forces of u [S, N, d] at the interior nodes by each product, [S, I, P, d]."""
         nodes = grid_of(self.samples.points, self.bonds.steps, least=self.least)
         F = forces(u, nodes, self.bonds) / self.samples.spacing**2
         return np.asarray(np.einsum("sika,lk->sial", F, nodes.axes))
 
     def rows(self, weight: np.ndarray, samples: Samples | None = None) -> LatticeRows:
-        """Rows of Σ_s weight_s ‖L u − b‖², weight [S], of its samples or others on the nodes."""
+        """Rows of Σ_s weight_s ‖L u − b‖², weight [S], for its samples or others on the nodes."""
         given: dict[str, Any] = {"weight": np.sqrt(weight), "least": self.least}
         R, y = rows(self.samples if samples is None else samples, self.bonds, **given)
         return LatticeRows(R, y, self.bonds, lattice_group(self.bonds.dimension))
@@ -90,7 +89,7 @@ class Products:
 
 @dataclass(frozen=True)
 class LPSFound:
-    """A solid while it is learned.
+    """An LPS during or after a search.
 
     Attributes:
         solid: λ, μ, α, D.
@@ -112,11 +111,11 @@ class LPSFound:
 
     @property
     def loss(self) -> float:
-        """At the end, relative to the loads."""
+        """Final loss relative to the loads."""
         return self.losses[-1]
 
     def model(self, horizon: float, **more: Any) -> LPSMaterial:
-        """The model of these numbers, and what else is known of it."""
+        """Make the material of these numbers and other known facts."""
         return LPSMaterial(**vars(self.solid), horizon=horizon, **more)
 
 
@@ -132,14 +131,8 @@ STEP = 1e-30
 
 
 class BernsteinKernel:
-    """r^(−α) Σ D_k B_k,M of any D: q has coordinates of the tables, then α where it is free.
-
-    Args:
-        lattices: bond classes of each lattice; the first sets the scale of the kernels.
-        alpha: exponent to start from, or to keep.
-        degree: M.
-        fixed: whether to keep it anyway.
-    """
+    """Kernel r^(−α) Σ D_k B_k,M of any D in coordinates q: of the tables, then α where it is free
+    (not `fixed`). The first lattice's bond classes set the scale."""
 
     def __init__(
         self, lattices: Sequence[BondClasses], alpha: float, degree: int, *, fixed: bool = False
@@ -170,11 +163,11 @@ class BernsteinKernel:
         self._plain = first.count * first.r**2 * first.weight
 
     def start(self, found: LPSFound) -> np.ndarray:
-        """q of given coefficients, of any scale."""
+        """Coordinates q of given coefficients, of any scale."""
         return np.append(self._q_of_D @ found.solid.D, [self.alpha] * self.free_alpha)
 
     def tables(self, q: np.ndarray) -> list[np.ndarray]:
-        """K W on each lattice, shape [..., C]."""
+        """K W of the kernel on each lattice, shape [..., C]."""
         alpha: Any = q[..., -1:] if self.free_alpha else self.alpha
         # Constraints bound α; on its way a search may look where r^(−α) overflows.
         alpha = alpha - alpha.real + np.clip(alpha.real, *ALPHA_IN_SIGHT)
@@ -184,36 +177,29 @@ class BernsteinKernel:
         ]
 
     def limits(self, q: np.ndarray) -> np.ndarray:
-        """What must not be negative for α to be within its bounds."""
+        """Constraints ≥ 0 that keep α within its bounds."""
         alpha = q[..., len(q.T) - self.free_alpha :]
         return np.concatenate([LARGEST_ALPHA - alpha, alpha - SMALLEST_ALPHA], axis=-1)
 
     def _volume(self, alpha: float) -> float:
-        """Σ n r² K W of K = (r/δ)^(−α) on the first lattice."""
+        """Weighted volume Σ n r² K W of K = (r/δ)^(−α) on the first lattice."""
         return float(self._plain @ np.exp(-alpha * self._log_r[0]))
 
     def rough(self, q: np.ndarray, mu: np.ndarray) -> np.ndarray:
-        """Second differences of D, as large as those of a kernel of plain volume."""
+        """Second differences of D, scaled to a kernel of plain volume."""
         bends = q[..., : self.rank] @ (self._second @ self.D_of_q).T
         return np.asarray(self._volume(self.alpha) * bends / mu)
 
     def coefficients(self, q: np.ndarray, mu: float) -> tuple[np.ndarray, float, None]:
-        """D, the smoothest of the weighted volume of K = r^(−α), and α."""
+        """D, the smoothest with the weighted volume of K = r^(−α), and α."""
         alpha = float(q[-1]) if self.free_alpha else self.alpha
         return self.D_of_q @ q[: self.rank] * (self._volume(alpha) / mu), alpha, None
 
 
 class ShapeKernel:
-    """A function of the bond length: q = (size a of K, its parameters), K W a (theory, 59).
-
-    μ = Σ n r² v is no coordinate, so that a search may pass where the weighted volume is zero.
-
-    Args:
-        lattices: bond classes of each lattice.
-        shape: the influence function, with the values to start from.
-
-    Raises InputError for a shape whose weighted volume is zero on a lattice.
-    """
+    """Kernel given by a function of the bond length: q = (size a of K, parameters), K W a (theory,
+    59). μ = Σ n r² v is no coordinate, so that a search may pass where the weighted volume is zero;
+    InputError where it is zero on a lattice at the start."""
 
     rank = 1
     """How many numbers of q K is linear in."""
@@ -229,14 +215,14 @@ class ShapeKernel:
             weighted_volume(classes, classes.weight * shape(classes.r), name)
 
     def start(self, found: LPSFound) -> np.ndarray:
-        """q of the shape."""
+        """Coordinates q of the shape at the scale of a solid."""
         return np.append(1.0, self._first)
 
     def _at(self, q: np.ndarray) -> InfluenceFunction:
         return self.shape.at(np.clip(q[1:].real, *self._ends))
 
     def tables(self, q: np.ndarray) -> list[np.ndarray]:
-        """K W on each lattice, shape [..., C], of q that differ in their imaginary parts alone."""
+        """K W on each lattice, [..., C], for q that differ in their imaginary parts alone."""
         shape, found, ahead = self._at(q.reshape(-1, q.shape[-1])[0]), [], (q - q.real)[..., 1:]
         for classes in self.lattices:
             K = shape(classes.r) + ahead @ shape.slopes(classes.r).T
@@ -244,14 +230,13 @@ class ShapeKernel:
         return found
 
     def limits(self, q: np.ndarray) -> np.ndarray:
-        """Distances from the bounds, in parts of what lies between."""
+        """Distances of the parameters from their bounds, as shares of the range."""
         apart = np.concatenate([q[..., 1:] - self._ends[0], self._ends[1] - q[..., 1:]], axis=-1)
         bounded = np.isfinite(np.concatenate(self._ends))
         return np.asarray(apart[..., bounded] / np.tile(self._room, 2)[bounded])
 
     def rough(self, q: np.ndarray, mu: np.ndarray) -> np.ndarray:
-        """How far the parameters are from where they began, which keeps one that hardly matters
-        from running away."""
+        """Distances of the parameters from their start, to hold those that hardly matter."""
         return np.asarray((q[..., 1:] - self._first) / self._size)
 
     def coefficients(self, q: np.ndarray, mu: float) -> tuple[np.ndarray, float, InfluenceFunction]:
@@ -261,8 +246,7 @@ class ShapeKernel:
 
 
 class LPSLaw:
-    """θ = (κ, q) to the products on each lattice, as the regression asks for them; arguments as of
-    `optimum`."""
+    """Map of θ = (κ, q) to the products on each lattice; arguments as of `optimum`."""
 
     def __init__(
         self,
@@ -291,7 +275,7 @@ class LPSLaw:
             self._shears.append(np.bincount(each.bond_class, fourth)[:, None])
 
     def start(self, found: LPSFound) -> np.ndarray:
-        """θ of a solid, from where the moduli keep what is asked."""
+        """Coordinates θ of a solid, its moduli raised where μ is below the floor ζ."""
         lam, mu, q = found.solid.lam, found.solid.mu, self.kernel.start(found)
         if mu < self.zeta:
             lam, mu = 0.0, 2 * self.zeta
@@ -299,15 +283,15 @@ class LPSLaw:
         return np.append(self.unit * (lam - mu) / mu**2, q)
 
     def stiffnesses(self, theta: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
-        """v on each lattice, [..., C], and μ = Σ n r² v, which is that of all, [..., 1]."""
+        """v on each lattice, [..., C], and the common μ = Σ n r² v, [..., 1]."""
         sigma, (first, *others) = self._sigma, self.kernel.tables(theta[..., 1:])
         mu = self.size * first @ sigma[0]
         scaled = (v * (mu / (v @ one)) for v, one in zip(others, sigma[1:]))
         return [self.size * first, *scaled], mu
 
     def values(self, theta: np.ndarray) -> list[np.ndarray]:
-        """What is zero and what is not negative, in parts of ζ; what is small; and the products
-        (v, κ v⊗v) of each form, the first of which is L itself, on each lattice; [..., ·]."""
+        """Equalities and inequalities in parts of ζ; penalties; and the products (v, κ v⊗v) of each
+        form, L itself first, on each lattice; [..., ·]."""
         (v, mu), kappa, zeta = self.stiffnesses(theta), theta[..., :1] / self.unit, self.zeta
         limits = self.kernel.limits(theta[..., 1:])
         margins = [mu - zeta, 2 * mu + kappa * mu**2 - zeta, limits]  # of μ and λ + μ
@@ -339,7 +323,7 @@ class LPSLaw:
         return Numbers(p, slopes, forms, equal, A, margins, M, beside, by)
 
     def found(self, of: Settled, met: float = MET) -> LPSFound:
-        """The result of a search; `met`, of ζ, is how little a margin may miss."""
+        """Turn a search's result into an LPSFound; a margin may miss by `met` of ζ."""
         mu = float(self.stiffnesses(of.theta)[1][0])
         lam = mu + of.theta[0] / self.unit * mu**2
         D, alpha, shape = self.kernel.coefficients(of.theta[1:], mu / self.size)
@@ -364,8 +348,7 @@ def optimum(
     *,
     fixed_alpha: bool = False,
 ) -> LPSFound:
-    """Minimise the sum of losses from one start, whose α may be kept, under conditions, with their
-    ζ, over the whole zone of each lattice (theory, 26–28)."""
+    """Minimise the losses from one start under conditions on the whole zones (theory, 26–28)."""
     law = LPSLaw(lattices, start, conditions, method, fixed_alpha=fixed_alpha)
     theta = law.start(start)
     return law.found(fit(blocks, law, theta, law.zeta, size=1.0, rounds=method.rounds))

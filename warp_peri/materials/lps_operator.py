@@ -1,4 +1,4 @@
-"""The linear peridynamic solid on points: force, equilibria, matrices and stress."""
+"""The operator of the LPS on points: force, equilibria, matrices and stress."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ LARGEST_LU = 40_000
 
 
 class LPSOperator(OperatorBase):
-    """A linear peridynamic solid on points of any kind (theory, M2–M5).
+    """The operator of a linear peridynamic solid on points of any kind (theory, M2–M5).
 
     On scattered points each family has weights of its own, of which nothing is proven. With λ = μ
     no dilatation enters, and a collar of δ is enough, but for derivatives to λ and μ. Of moduli
@@ -121,17 +121,16 @@ class LPSOperator(OperatorBase):
         return Lu.reshape(*field.shape[:-2], -1, field.shape[-1])
 
     def vjp(self, u: Any, w: ArrayLike) -> np.ndarray:
-        """Lᵗ w on all nodes, shape [..., N, d], of w on the interior [..., I, d], whatever u."""
+        """Transposed product Lᵗ w on all nodes, [..., N, d], for w [..., I, d], whatever u."""
         w = np.require(self.of_interior(w), float, ["C", "W"])
         by_u = self._law.transposed(w.reshape(-1, w.shape[-2] * w.shape[-1]))[0]
         return by_u.reshape(*w.shape[:-2], *self.shape)
 
     def launch(self, u: Any, out: Any, parameters: LPSParameters | None = None) -> None:
-        """L u of Warp arrays, on the tape that records, if one does.
+        """Write L u [TPa/Å] of Warp arrays into `out`, on the tape that records, if one does.
 
         Args:
-            u: displacement [Å], shape [S, N] of vectors of float64, contiguous.
-            out: takes L u [TPa/Å], shape [S, I] of such vectors.
+            u, out: [S, N] and [S, I] of vectors of float64, contiguous; u [Å].
             parameters: arrays of λ, μ, α [1] and D [M + 1]; the model's own by default.
 
         Raises InputError for other arrays.
@@ -168,7 +167,7 @@ class LPSOperator(OperatorBase):
 
     @property
     def learnable(self) -> dict[str, Any]:
-        """λ, μ, α and D by name."""
+        """Numbers λ, μ, α and D by name."""
         return self.model.learnable
 
     def force_with_parameters(self, u: Tensor, numbers: dict[str, Tensor]) -> Tensor:
@@ -182,11 +181,11 @@ class LPSOperator(OperatorBase):
 
     @property
     def is_symmetric(self) -> bool:  # type: ignore[override]
-        """Whether so is L on the interior, of a lattice without broken bonds."""
+        """Whether L is symmetric on the interior: on lattices without broken bonds."""
         return self.points.spacing > 0 and self.points.outside is None
 
     def at(self, numbers: dict[str, Any]) -> LPSOperator:
-        """The same with other numbers; InputError for no solid, or an indefinite whole lattice."""
+        """The operator with other numbers; InputError for no solid, or an indefinite lattice."""
         model = self.model.with_parameters(numbers)
         made = LPSOperator(
             model, self.points, quadrature_degree=self.quadrature_degree, allow_uncertified=True
@@ -199,8 +198,7 @@ class LPSOperator(OperatorBase):
 
     @cached_property
     def linear(self) -> Linear:
-        """Its stencil on the nodes of a lattice; of fields that of their means, beside products
-        with all of them."""
+        """Stencil operator of a lattice; of fields of moduli with their means, beside products."""
         nodes, mean = self.nodes, self.model.mean
         try:
             stencil = mean.stencil(nodes.spacing, degree=self.quadrature_degree)
@@ -223,25 +221,24 @@ class LPSOperator(OperatorBase):
 
     @property
     def proven(self) -> str | None:
-        """What the certificate of the lattice says, if it holds for these weights."""
+        """Statement of the lattice's certificate, if it holds for these weights."""
         spacing = self.points.spacing
         if not self.model.is_certified_on(spacing) or self.quadrature_degree != DEGREE:
             return None
         return self.model.statements.get(self.model.certified_spacing_near(spacing))
 
     def energy(self, u: np.ndarray) -> np.ndarray | None:
-        """h^d (½ u_I·L u_I + u_I·L u_C) [stress · length^d], shape [...]; on lattices."""
+        """Energy h^d (½ u_I·L u_I + u_I·L u_C) [stress · length^d], shape [...]; on lattices."""
         return None if self.points.spacing == 0 else self.quadratic(u)
 
     def stress(self, u: np.ndarray) -> np.ndarray | None:
-        """σ [TPa] at the interior nodes, [..., I, d, d]."""
+        """Stress σ [TPa] at the interior nodes, [..., I, d, d]."""
         stress = node_fields(self.model, self.points, u).stress
         return stress if np.ndim(u) == 3 else stress[0]
 
     def max_symbol_eigenvalue(self) -> float:
-        """A bound on the eigenvalues of L [stress/length²] on a lattice, for time steps; of fields
-        that of their means, times how much stiffer a node is, which InputError refuses for a K
-        that changes sign."""
+        """Upper bound of L's eigenvalues [stress/length²] on a lattice, for time steps; of fields
+        their means', times how much stiffer a node is (InputError for a K that changes sign)."""
         model, mean = self.model, self.model.mean
         stencil = mean.stencil(self.nodes.spacing, degree=self.quadrature_degree)
         bound = float(largest(stencil, mean.group))
@@ -286,10 +283,7 @@ class LPSOperator(OperatorBase):
 
     def solve_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
         """Equilibrium on a period, u of zero mean, under a load [N, d] or [S, N, d] less its mean.
-
-        Raises InputError for points that do not fill a period, a load that does not fit, a solver,
-        and an operator that is not positive definite there.
-        """
+        InputError for points that do not fill a period, as `solve`, and an indefinite operator."""
         refuse_solver(solver, (), "a periodic sheet, which has one way")
         nodes = self.nodes
         sides = () if nodes.box is None else np.rint(np.divide(nodes.box, nodes.spacing))
@@ -304,8 +298,7 @@ class LPSOperator(OperatorBase):
         return self._iterated(load, fields, np.zeros(fields.shape), "fft", TOLERANCE)
 
     def inverse(self, loads: int) -> Inverse:
-        """L⁻¹ of what the operator equals on the interior [I, d], to a relative residual; set up
-        once for so many loads."""
+        """Inverse of L on the interior [I, d], to a relative residual, set up for many loads."""
         if not self.nodes.is_open_lattice:
             return self._problem.inverse
         if self.model.nodes is not None:
@@ -325,7 +318,7 @@ class LPSOperator(OperatorBase):
     def _answer(
         self, load: np.ndarray, found: np.ndarray, method: str, took: Sequence[SolveRecord] = ()
     ) -> Solution:
-        """The Solution in the shape of the load, warned of where it is strained beyond the data."""
+        """Solution in the shape of the load; warns of strain beyond the data."""
         u, counts = found.reshape(load.shape), [one.iterations for one in took]
         warn_beyond(self.model, lambda: largest_strain(self.nodes, u))
         return by_sample(self, u, self.rhs(load), took, counts, method, self.proven)
@@ -335,8 +328,7 @@ class LPSOperator(OperatorBase):
         return int(np.count_nonzero(self.points.interior))
 
     def _method(self, solver: Solver, loads: int) -> str:
-        """The name of the method, the cheapest by default; InputError where it does not go with
-        the points."""
+        """Name of the solve method, the cheapest by default; InputError where it cannot be used."""
         nodes, model = self.nodes, self.model.mean
         if isinstance(solver, Direct):
             return solver.method
@@ -368,8 +360,7 @@ class LPSOperator(OperatorBase):
 
     def _refuse_indefinite(self) -> None:
         """Raise InputError where the symmetric part of L_II is not positive definite, on open
-        lattices and where bonds are broken, which a kernel that changes sign seldom bears (theory,
-        B9)."""
+        lattices and where bonds are broken (theory, B9)."""
         cut, whole = self.nodes.outside is not None, self.nodes.is_open_lattice
         if whole and self.model.nodes is None:
             with suppress(InputError):
@@ -392,7 +383,7 @@ class LPSOperator(OperatorBase):
 
 
 def by_gmres(problem: MatrixProblem, b: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """The solution by GMRES with an incomplete factorisation, where a whole one is too large."""
+    """Solve by GMRES with an incomplete factorisation, where a whole one is too large."""
     rough = spilu(problem.stiffness, drop_tol=1e-4, fill_factor=10)
     preconditioner = LinearOperator(problem.stiffness.shape, rough.solve)
     right, columns = problem.right(b, u), []
@@ -410,7 +401,7 @@ def by_gmres(problem: MatrixProblem, b: np.ndarray, u: np.ndarray) -> np.ndarray
 
 @dataclass(frozen=True)
 class Matrices:
-    """Matrices on a point set of N nodes, I of them interior; component a of node i is d i + a.
+    """Sparse matrices of an LPS on N nodes, I interior; component a of node i is d i + a.
 
     Attributes:
         gamma: Γ, forces on the interior nodes from displacements [Å⁻²], shape [d I, d N]; of a
@@ -425,7 +416,7 @@ class Matrices:
     psi: sp.csr_array
 
     def operator(self, lam: Any, mu: Any) -> sp.csr_array:
-        """L [TPa/Å²], shape [d I, d N]."""
+        """Assemble L [TPa/Å²], shape [d I, d N]."""
         if np.ndim(lam - mu):
             return sp.csr_array(self.gamma - self.psi @ (sp.diags_array(lam - mu) @ self.phi))
         return sp.csr_array(mu * self.gamma - (lam - mu) * (self.psi @ self.phi))
@@ -438,7 +429,7 @@ def matrices(model: LPSMaterial, points: PointsLike) -> Matrices:
 
 
 def assemble(bonds: Bonds, kw: np.ndarray, m: Any, mu: Any = 1.0) -> Matrices:
-    """Γ, Φ and Ψ of tables: K W by class, weighted volumes, of nodes or of all, and a field μ."""
+    """Γ, Φ and Ψ from K W by class, weighted volumes (of each node or one), and a field μ."""
     families, nodes, d = bonds.families, bonds.nodes, bonds.dimension
     owner, end, xi, kind = bonds.listing
     own = kw[kind] / np.broadcast_to(m, nodes)[owner]
@@ -450,7 +441,7 @@ def assemble(bonds: Bonds, kw: np.ndarray, m: Any, mu: Any = 1.0) -> Matrices:
     shear = shear * (mu[owner] + mu[end]) / 2 if np.ndim(mu) else shear
 
     def at(where: np.ndarray, values: np.ndarray) -> sp.csr_array:
-        """From fields of c components to values · field at a node of each bond, [E, c N]."""
+        """Map fields of c components to values · field at a node of each bond, [E, c N]."""
         c = values.shape[1]
         columns, starts = c * where[:, None] + np.arange(c), c * np.arange(len(some) + 1)
         entries = values.ravel(), columns.ravel(), starts
@@ -467,7 +458,7 @@ def assemble(bonds: Bonds, kw: np.ndarray, m: Any, mu: Any = 1.0) -> Matrices:
 
 @dataclass(frozen=True)
 class NodeFields:
-    """What a displacement does at the interior nodes.
+    """Stress, strain, dilatation and energy of a displacement at the interior nodes.
 
     Attributes:
         stress: σ [TPa], shape [S, I, d, d], symmetric.
@@ -483,7 +474,7 @@ class NodeFields:
 
 
 def node_fields(model: LPSMaterial, points: PointsLike, u: ArrayLike) -> NodeFields:
-    """Collapsed stress of S. A. Silling and R. B. Lehoucq (2008), with strain and energy.
+    """Compute nodal stress (collapsed, S. A. Silling and R. B. Lehoucq 2008), strain and energy.
 
     The stress is that of a family deformed as the node's own force state is; on a lattice it is
     exact on affine fields and approaches the stress of the local solid as fields become smooth. On

@@ -1,4 +1,4 @@
-"""Stages of a fit of the linear solid beside its optimum: Adam, Algorithm 1, and output error."""
+"""Other stages of an LPS fit: Adam, Algorithm 1 of You et al. (2021), and output error."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ Blocks = list[tuple[np.ndarray, np.ndarray]]
 
 
 def class_weights(classes: BondClasses, alpha: torch.Tensor, D: torch.Tensor) -> torch.Tensor:
-    """w = K(r) W / m [length⁻²] of each bond class, shape [C]; differentiable."""
+    """Weights w = K(r) W / m [length⁻²] of each bond class, shape [C]; differentiable."""
     kw = tables(classes, alpha, D)
     return kw / volume(classes, kw)
 
@@ -62,12 +62,12 @@ def tables(classes: BondClasses, alpha: torch.Tensor, D: torch.Tensor) -> torch.
 
 
 def volume(classes: BondClasses, kw: torch.Tensor) -> torch.Tensor:
-    """Σ n r² K W."""
+    """Weighted volume Σ n r² K W."""
     return torch.from_numpy(classes.count * classes.r**2) @ kw
 
 
 class OperatorLoss:
-    """Σ_s weight_s ‖L u − b‖² over the interior of one set on a lattice, weight [S]."""
+    """Loss Σ_s weight_s ‖L u − b‖² over the interior of one set on a lattice, weight [S]."""
 
     def __init__(self, points: Samples, horizon: float, weight: np.ndarray) -> None:
         self.bonds = Bonds(points, horizon)
@@ -85,7 +85,7 @@ class OperatorLoss:
         return self.weight @ self._squares(*parameters)
 
     def errors(self, *parameters: Any) -> np.ndarray:
-        """‖L u − b‖/‖b‖ of each sample that has a load."""
+        """Relative residual ‖L u − b‖/‖b‖ of each sample that has a load."""
         load = (self.b**2).sum(dim=(1, 2))
         loaded = load > 0
         with torch.no_grad():
@@ -97,13 +97,9 @@ PROBED_HORIZON = 2.0
 
 
 def stiffness_of(sets: Sequence[Samples], horizon: float) -> float:
-    """The stiffness that loads and displacements on lattices show together [TPa].
-
-    That of the bond-based solid, K = 1/r, whose loads have the given work with the loads: ‖b‖² over
-    b·A u, A of unit stiffness. Noise in u, which b knows nothing of, averages out of it.
-
-    Raises InputError where it is not above zero: loads and displacements of opposite work.
-    """
+    """Stiffness that loads and displacements on lattices show together [TPa]: that of the
+    bond-based solid, K = 1/r, of equal work, ‖b‖² over b·A u, A of unit stiffness, where noise in u
+    averages out. Raises InputError where it is not above zero."""
     loads = work = 0.0
     for samples in sets:
         near = min(PROBED_HORIZON * samples.spacing, horizon)
@@ -120,7 +116,7 @@ def stiffness_of(sets: Sequence[Samples], horizon: float) -> float:
 
 
 def total_loss(terms: Sequence[OperatorLoss], values: Sequence[torch.Tensor]) -> torch.Tensor:
-    """The loss over all training sets at λ, μ, α and D, by Warp's operator."""
+    """Loss over all training sets at λ, μ, α and D, by Warp's operator."""
     return torch.stack([term.loss(*values) for term in terms]).sum()
 
 
@@ -140,14 +136,14 @@ class Variables:
             leaf.requires_grad_()
 
     def bounded(self) -> list[torch.Tensor]:
-        """λ, μ, α and D, as the loss sees them."""
+        """λ, μ, α and D within their bounds, as the loss sees them."""
         lam, mu, alpha, D = self.leaves
         stiff = torch.relu(mu)
         lam, alpha = torch.relu(lam + mu) - stiff, 3 - torch.relu(3 - alpha)
         return [self.unit * lam, self.unit * stiff, alpha, torch.relu(D) if self.positive else D]
 
     def found(self, losses: list[float]) -> LPSFound:
-        """Their values strictly inside the bounds, with the loss on the way."""
+        """The fitted solid, strictly inside the bounds, with the losses so far."""
         *numbers, D = (value.detach().numpy().copy() for value in self.bounded())
         lam, mu, alpha = map(float, numbers)
         mu = max(mu, SMALLEST_MODULUS * self.unit)
@@ -156,13 +152,12 @@ class Variables:
 
 
 class DenseMargins:
-    """The three conditions (4.6) on the interior of each training set.
+    """Margins of the three conditions (4.6) on the interior of each training set.
 
     Λmin(Γ) − ζ, Λmin(ΦΓ⁻¹Φᵗ) − ζ with zeros left out, Λmin(Γ − 2ΦᵗΦ), with Φ the dilatation of
-    interior nodes, in the length l of which the horizon is PRINTED_HORIZON. Γ and Φ are
-    linear in the class weights: Σ w_c Γ_c, Σ w_c Φ_c, and a smallest eigenvalue changes as its
-    quotient at its own vector does. Where a domain is its own mirror image the matrices fall into
-    blocks, a tenth of the work with the same values.
+    interior nodes, in the length l of which the horizon is PRINTED_HORIZON. Γ and Φ are linear in
+    the class weights, and a smallest eigenvalue changes as its quotient at its own vector does.
+    Where a domain is its own mirror image the matrices fall into blocks, a tenth of the work.
     """
 
     def __init__(self, sets: Sequence[Samples], horizon: float) -> None:
@@ -188,12 +183,12 @@ class DenseMargins:
 
 
 def least_of_blocks(blocks: Blocks, weights: torch.Tensor) -> list[torch.Tensor]:
-    """The least eigenvalues of Γ, ΦΓ⁻¹Φᵗ and Γ − 2ΦᵗΦ as functions of the class weights."""
+    """Smallest eigenvalues of Γ, ΦΓ⁻¹Φᵗ and Γ − 2ΦᵗΦ as functions of the class weights."""
     w = weights.detach().numpy()
     gammas, phis = ([np.tensordot(w, block[n], 1) for block in blocks] for n in (0, 1))
 
     def at(part: np.ndarray, *fields: np.ndarray) -> torch.Tensor:
-        """Σ w_c of a part of each class, which is applied to fields."""
+        """Σ w_c of each class's matrix, applied to fields."""
         for each in fields:
             part = part @ each
         return (weights.reshape(-1, *[1] * (part.ndim - 1)) * torch.from_numpy(part)).sum(dim=0)
@@ -213,7 +208,7 @@ def least_of_blocks(blocks: Blocks, weights: torch.Tensor) -> list[torch.Tensor]
 
 
 def class_matrices(points: Samples, horizon: float) -> tuple[np.ndarray, np.ndarray]:
-    """Γ_c [C, 2 I, 2 I] and Φ_c [C, I, 2 I] of unit class weights on the interior."""
+    """Matrices Γ_c [C, 2 I, 2 I] and Φ_c [C, I, 2 I] of unit class weights on the interior."""
     bonds = Bonds(points, horizon)
     unknown = np.repeat(points.interior, 2)
     gammas, phis = [], []
@@ -225,10 +220,7 @@ def class_matrices(points: Samples, horizon: float) -> tuple[np.ndarray, np.ndar
 
 
 def mirror_blocks(gammas: np.ndarray, phis: np.ndarray, x: np.ndarray) -> Blocks:
-    """Γ_c and Φ_c between fields that both mirrors of the nodes keep or turn round.
-
-    All as one block where a mirror takes some node of `x`, shape [I, 2], to a place without one.
-    """
+    """Γ_c and Φ_c in blocks of fields even or odd under both mirrors of the nodes, if there are."""
     mirrors = []
     for axis in (0, 1):
         image = x.copy()
@@ -255,11 +247,8 @@ def _kept(mirrors: Sequence[np.ndarray], signs: Sequence[int]) -> np.ndarray:
 
 
 def _least(matrices: Sequence[np.ndarray]) -> tuple[int, float, np.ndarray]:
-    """Which of some symmetric matrices has the smallest eigenvalue, the value and its vector.
-
-    A matrix that is positive definite after the least value so far is taken away has none smaller:
-    a tenth of the work of its eigenvalues.
-    """
+    """Index of the matrix with the smallest eigenvalue, the value and its vector; a Cholesky factor
+    of the matrix less the least so far rules others out at a tenth of the work."""
     which, least, vector = 0, np.inf, np.zeros(0)
     for number, matrix in enumerate(matrices):
         if np.isfinite(least):
@@ -273,11 +262,9 @@ def _least(matrices: Sequence[np.ndarray]) -> tuple[int, float, np.ndarray]:
 
 
 def two_stages(learner: Any, kernel: Any, method: TwoStage) -> LPSFound:
-    """Algorithm 1 from random numbers: Adam with D ≥ 0, then D of any sign under the conditions.
-
-    A run on the same data goes on from the file that the state is kept in after every outer
-    iteration. Raises InputError for one of another run, or one that another job writes to.
-    """
+    """Run Algorithm 1 from random numbers: Adam with D ≥ 0, then D of any sign under the
+    conditions. The state is kept in a file after each outer iteration, for the same run to go on
+    from; InputError for another run's, or one that another job writes to."""
     random, unit = np.random.default_rng(method.seed), learner.unit
     D, (lam, mu, alpha) = random.uniform(size=1 + kernel.degree), random.uniform(size=3)
     variables = Variables(LPSParameters(lam * unit, mu * unit, alpha, D), unit, positive=True)
@@ -320,7 +307,7 @@ def two_stages(learner: Any, kernel: Any, method: TwoStage) -> LPSFound:
 
 
 def in_torch(terms: Sequence[OperatorLoss], law: LPSLaw) -> Callable[[torch.Tensor], torch.Tensor]:
-    """The loss by Warp's operator over all training sets, as a function of a law's θ."""
+    """Loss by Warp's operator over all training sets, as a function of a law's θ."""
     kernel: Any = law.kernel
     D_of_q = torch.from_numpy(kernel.D_of_q)
 
@@ -343,12 +330,12 @@ GAIN = 1e-5
 
 
 class WaveResponse:
-    """Amplitudes of displacement at the loads' own wave vectors, all nodes projected on them.
+    """Displacement amplitudes at the loads' own wave vectors, all nodes projected on them.
 
     A load B cos k₁x cos k₂y along x is answered by (U cos cos, −V sin sin), D(k) (U, V)ᵗ = (B, 0)ᵗ,
-    and loads with sines in place of cosines by such waves with the same D(k). The part of the field
-    that no load caused does not count. Raises InputError for a sample without load or displacement
-    at its wave vector.
+    and loads with sines in place of cosines by such waves with the same D(k). Other parts of the
+    field do not count. Raises InputError for a sample without load or displacement at its wave
+    vector.
     """
 
     def __init__(self, made: Products) -> None:
@@ -365,7 +352,7 @@ class WaveResponse:
         self.weight = _over("u", self.u, "at its wave vector")
 
     def about(self, model: LPSMaterial) -> LatticeRows:
-        """û against u at the wave vectors, relative, û linear in the products about a model."""
+        """Rows of the relative displacement misfit at the wave vectors, linearised at a model."""
         D = self.symbol @ products(model, self.classes)
         answer = np.linalg.solve(D, self.b[..., None])[..., 0]
         R = np.linalg.solve(D, np.einsum("sabp,sb->sap", self.symbol, answer))
@@ -377,9 +364,8 @@ class WaveResponse:
 class CollarResponse:
     """Displacement on the interior, solved with the loads and the displacement of the collar.
 
-    Noise in the collar's displacement reaches the solution through the parameters, so that this
-    one is biased where the collar is noisy. Raises InputError for a sample without displacement on
-    its interior.
+    Noise in the collar's displacement biases it. Raises InputError for a sample without
+    displacement on its interior.
     """
 
     def __init__(self, made: Products) -> None:
@@ -388,7 +374,7 @@ class CollarResponse:
         self.weight = _over("u", inside, "on the interior")
 
     def about(self, model: LPSMaterial) -> LatticeRows:
-        """û against u on the interior, relative, û linear in the products about a model."""
+        """Rows of the relative misfit of interior displacement, linearised about a model."""
         points, inside = self.points, self.points.interior
         L = matrices(model, points).operator(model.lam, model.mu)
         problem, bonds = MatrixProblem(L, inside), self.products.bonds
@@ -409,7 +395,7 @@ class CollarResponse:
 
 
 def _over(name: str, fields: np.ndarray, where: str) -> np.ndarray:
-    """1/‖·‖ of each of S fields, over √S, shape [S]; InputError for one that is zero."""
+    """Weights 1/‖·‖ of each of S fields, over √S, shape [S]; InputError for one that is zero."""
     size = np.linalg.norm(fields, axis=1)
     if not (size > 0).all():
         raise InputError(f"{name}: sample {int(np.argmin(size))} is zero {where}")
@@ -417,10 +403,7 @@ def _over(name: str, fields: np.ndarray, where: str) -> np.ndarray:
 
 
 def _projection(x: np.ndarray, k: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Onto the amplitudes of a field's components, D(k) û = b̂, shape [2, N].
-
-    Of the four parities of waves, the one that holds most of the load.
-    """
+    """Projection onto a field's amplitudes, [2, N], in the parity that holds most of the load."""
     (c1, c2), (s1, s2) = np.cos(k * x).T, np.sin(k * x).T
     waves = np.stack([c1 * c2, -s1 * s2, s1 * c2, c1 * s2], axis=1)
     parities = ((0, 1), (1, 0), (2, 3), (3, 2))  # wave of the first and of the second component
@@ -436,9 +419,8 @@ def fit_output_error(learner: Any, start: LPSFound, method: GaussNewton, tick: T
     Each step is a constrained optimum of the loss linearised about the last one: with û the model's
     displacement at products c₀, û − L₀⁻¹ (L(c) û − b) is that at c to first order, and affine in c.
     A step that does not lower the loss itself ends the search. Noise in u enters as it is, not
-    through a second derivative, and does not bias the fit.
-
-    Raises RuntimeError when it ends with the conditions or the moduli not kept.
+    through a second derivative, and does not bias the fit. Raises RuntimeError when it ends with
+    the conditions or the moduli not kept.
     """
     responses = [
         (WaveResponse if WAVE_VECTOR in made.samples.arrays else CollarResponse)(made)
@@ -474,6 +456,6 @@ def fit_output_error(learner: Any, start: LPSFound, method: GaussNewton, tick: T
 def squares(
     blocks: Sequence[LatticeRows], lattices: Sequence[BondClasses], model: LPSMaterial
 ) -> float:
-    """Σ ‖R p − y‖² over lattices at a model."""
+    """Sum Σ ‖R p − y‖² over lattices at a model."""
     left = [one.R @ products(model, classes) - one.y for one, classes in zip(blocks, lattices)]
     return float(sum(np.sum(one**2) for one in left))

@@ -1,4 +1,4 @@
-"""The sweep over horizons and degrees of the linear peridynamic solid."""
+"""The sweep over horizons and degrees of the LPS."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Trial:
 @typed_methods
 @dataclass(frozen=True)
 class SweepResult:
-    """Result of a sweep.
+    """All fits of a sweep and the chosen ones.
 
     Attributes:
         trials: every fit.
@@ -104,9 +104,9 @@ def sweep(
 ) -> SweepResult:
     """Fit every horizon and degree and choose.
 
-    Finished fits stay in `folder` as model files with their errors, so that an interrupted sweep
-    goes on where it was; they are known by a hash of the data and the settings, and proven again.
-    A fit that finds no optimum is warned about and left out.
+    Finished fits stay in `folder` with their errors, known by a hash of the data and the settings,
+    so that an interrupted sweep goes on where it was; they are proven again. A fit that finds no
+    optimum is warned about and left out.
 
     Args:
         train, val: training and validation samples.
@@ -118,8 +118,7 @@ def sweep(
             of long waves. Algorithm 2 as printed has method=TwoStage().
         horizons: δ [Å].
         degrees: M.
-        jobs: number of processes, −1 for one per core; a joblib.parallel_config around the call
-            chooses another backend.
+        jobs: processes, −1 for one per core; joblib.parallel_config chooses another backend.
         progress: show a progress bar.
 
     Raises InputError for input that cannot be used or a folder that another job writes to,
@@ -148,7 +147,7 @@ def sweep(
 
 
 def choose(trials: list[Trial]) -> SweepResult:
-    """The choices of Algorithm 2 and by cost, among finished trials."""
+    """Choose by Algorithm 2 and by cost among finished trials."""
     degrees = sorted({trial.degree for trial in trials})
     by_degree = [
         min((t for t in trials if t.degree == degree), key=lambda t: t.E_res_train)
@@ -171,8 +170,8 @@ def _average(trial: Trial, base: Trial) -> float:
 
 
 def _fit(law: LPS, key: str, sets: dict[str, Samples], noise: Samples | None, file: Path) -> str:
-    """Fit, evaluate, and leave the model with its errors in `file`; or what went wrong when a fit
-    finds no optimum, of which nothing is left. A fit of hours keeps its state beside it."""
+    """Fit, evaluate, and save the model with its errors in `file`, its state beside it meanwhile;
+    returns the failure where no optimum is found."""
     state, train, kernel = file.with_suffix(".h5"), sets["train"], cast(Bernstein, law.kernel)
     if isinstance(law.method, TwoStage):
         law = dataclasses.replace(law, method=dataclasses.replace(law.method, checkpoint=state))
@@ -191,12 +190,12 @@ def _fit(law: LPS, key: str, sets: dict[str, Samples], noise: Samples | None, fi
 
 
 def _mark(model: LPSMaterial, key: str) -> str:
-    """What a file of a finished fit is known by."""
+    """Key that identifies a finished fit's file."""
     return fingerprint(key, model.horizon, model.errors, model.learnable)
 
 
 def _read(file: Path, spacing: float, key: str) -> Trial | None:
-    """A finished trial, whose file and proof `load` checks; None where there is none of this."""
+    """The finished trial of a file, checked by `load`; None where there is none with this key."""
     try:
         model = LPSMaterial.load(file)
         if model.provenance["sweep"] != _mark(model, key):

@@ -1,9 +1,9 @@
 """Third-order elasticity of sheets: material, operator, uniqueness and fit (theory, N).
 
-Of sheets whose long waves are isotropic: crystals with three- or sixfold axes, as graphene. The
-linear part is a crystal; an LPS goes in by crystal_from_lps(model, spacing). With stresses of
-gradients projected to |H| ≤ ε, u ← u + L⁻¹ (b − L u) contracts in the energy norm of the linear
-part by C(ε) κ_in κ_out: C bounds Ψ″ on the ball, κ_p² the ratio of |h_p(k)|² to Λmin D(k).
+For sheets whose long waves are isotropic: crystals with three- or sixfold axes, as graphene. The
+linear part is a crystal (or crystal_from_lps(model, spacing)). With stresses of gradients projected
+to |H| ≤ ε, u ← u + L⁻¹ (b − L u) contracts in the energy norm of the linear part by C(ε) κ_in
+κ_out: C bounds Ψ″ on the ball, κ_p² the ratio of |h_p(k)|² to Λmin D(k).
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ SETTLED = 1e-9
 @typed
 @dataclass(frozen=True)
 class Smoothing:
-    """How the data were smoothed.
+    """Cone filter by which the data were smoothed, and its regularised inverse.
 
     Attributes:
         radius: R > 0 of the cone max(0, R − r) [Å].
@@ -78,26 +78,26 @@ class Smoothing:
     ridge: NotNegative = 0.1
 
     def transform(self, k: np.ndarray) -> np.ndarray:
-        """ω̂(|k|) of the cone of unit integral, at wave numbers k [1/Å]."""
+        """Transform ω̂(|k|) of the cone of unit integral, at wave numbers k [1/Å]."""
         node, weight = np.polynomial.legendre.leggauss(200)
         r = (node + 1) * self.radius / 2
         part = weight * (self.radius - r) * r
         return np.asarray(j0(np.multiply.outer(k, r)) @ part / part.sum())
 
     def inverse(self, k: np.ndarray) -> np.ndarray:
-        """The Wiener inverse (1 + ρ) ω̂/(ω̂² + ρ)."""
+        """Wiener inverse (1 + ρ) ω̂/(ω̂² + ρ) at wave numbers k [1/Å]."""
         smooth = self.transform(k)
         return (1 + self.ridge) * smooth / (smooth**2 + self.ridge)
 
     def root(self, k: np.ndarray) -> np.ndarray:
-        """√((1 + ρ) ω̂²/(ω̂² + ρ)), what the inverse and the transform make together (N23)."""
+        """√((1 + ρ) ω̂²/(ω̂² + ρ)), the root of inverse times transform (N23)."""
         square = self.transform(k) ** 2
         return np.asarray(np.sqrt((1 + self.ridge) * square / (square + self.ridge)))
 
     def weights(
         self, classes: BondClasses, form: str = "filtered"
     ) -> tuple[np.ndarray, np.ndarray]:
-        """p_in and p_out of the bond classes of a lattice [1/length²], each of shape [C].
+        """Weights p_in and p_out of the bond classes of a lattice [1/length²], each of shape [C].
 
         Of the energy form both fit the root (N23) over all waves that the lattice has, |k_a| ≤ π/h.
         Of the filtered one (N6) they fit the Wiener inverse there, the exact inverse and the
@@ -114,8 +114,8 @@ class Smoothing:
 def fitted_weights(
     classes: BondClasses, factor: Callable[[np.ndarray], np.ndarray], reach: float
 ) -> np.ndarray:
-    """Weights p [1/Å²], Σ n r² p = 1, whose symbol 2 Σ p sin(k·ξ) ξ fits k factor(|k|) over the
-    square |k_a| ≤ reach [1/Å].
+    """Fit weights p [1/Å²], Σ n r² p = 1, whose symbol 2 Σ p sin(k·ξ) ξ is near k factor(|k|) over
+    the square |k_a| ≤ reach [1/Å].
 
     Errors count as those of the gradient under a unit load, which displaces by 1/|k|², and wave
     numbers alike: |k|^(−5/2) has the least residual on training loads that were held out.
@@ -144,7 +144,7 @@ def fitted_weights(
 def energy_density(
     E: torch.Tensor, *, axis: float, lam: Any, mu: Any, t3: Any, tq2: Any, q3: Any
 ) -> Any:
-    """The energy (N3) [stress] of Green strains E [..., 2, 2], of a crystal at `axis` [rad]."""
+    """Energy density (N3) [stress] of Green strains E [..., 2, 2], of a crystal at `axis` [rad]."""
     t, a, b = (MEASURES @ E.flatten(-2).movedim(-1, 0).reshape(4, -1)).unbind()
     A, B, c, s = a * a, b * b, np.cos(6 * axis), np.sin(6 * axis)
     q, phase = A + B, c * a * (A - 3 * B) + s * b * (3 * A - B)
@@ -155,14 +155,14 @@ def energy_density(
 def gradient_stencil(
     points: PointsLike, reach: float, p: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Steps [B, 2] and weights 2 p ξ [1, B, 2] of H (N1), of p by class, in the points' axes."""
+    """Steps [B, 2] and weights 2 p ξ [1, B, 2] of the gradient H (N1), in the points' axes."""
     classes, (_, axes) = bond_classes(points.spacing, reach), lattice_steps(nodes_of(points))
     return classes.steps, 2 * p[classes.bond_class, None] * (classes.xi @ axes.T)[None]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
-    """A crystal and the energy Ψ of a displacement gradient (N1–N6, N22).
+    """A crystal with a third-order energy Ψ of the displacement gradient (N1–N6, N22).
 
     Attributes:
         linear: the tangent at zero; the λ and μ of its long waves are those of Ψ.
@@ -171,10 +171,10 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
         smoothing: of the data, where the weights of the gradient undo it.
         form: "filtered", or "energy", whose tangent is symmetric.
         reach: horizon of the gradient [length].
-        proven: figures of Uniqueness on the spacing of the law.
+        proven: figures of Uniqueness on the spacing of the crystal.
         provenance: of the data and the fit; plain JSON values.
 
-    Raises InputError for a law in space, and moduli of long waves that are not isotropic.
+    Raises InputError for a crystal in space, and moduli of long waves that are not isotropic.
     """
 
     linear: CrystalMaterial
@@ -203,33 +203,33 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
 
     @property
     def spacing(self) -> float:
-        """Of the nodes."""
+        """Lattice spacing of the nodes."""
         return self.linear.spacing
 
     @property
     def horizon(self) -> float:
-        """Of the longest bond that tensors or gradient have."""
+        """Length of the longest bond of the tensors or the gradient."""
         return max(self.linear.horizon, self.reach)
 
     @property
     def lame(self) -> tuple[float, float]:
-        """λ and μ of long waves [stress]."""
+        """Lamé parameters λ and μ of long waves [stress]."""
         C = self.linear.tensor()
         return C[0, 0, 1, 1], C[0, 1, 0, 1]
 
     @property
     def numbers(self) -> np.ndarray:
-        """λ, μ, t3, tq2 and q3 [stress], shape [5]."""
+        """Constants λ, μ, t3, tq2 and q3 [stress], shape [5]."""
         return np.array([*self.lame, self.t3, self.tq2, self.q3])
 
     def weights(self, classes: BondClasses) -> tuple[np.ndarray, np.ndarray]:
-        """p_in and p_out of the bond classes of a lattice [1/length²], each of shape [C]."""
+        """Gradient weights p_in and p_out of a lattice's bond classes [1/length²], each [C]."""
         return self.smoothing.weights(classes, self.form)
 
     def on(
         self, points: PointsLike, *, transfer: bool = True, allow_uncertified: bool = False
     ) -> PlacedThirdOrder:
-        """The law on a lattice, for its spacing: tensors transferred, proven anew.
+        """Build the operator on a lattice, for its spacing: tensors transferred, proven anew.
 
         Args:
             points: a lattice with a collar as wide as the linear part needs and twice the
@@ -265,14 +265,14 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
         return float(self.proven.get("strain", 0.0)) if here else 0.0
 
     def certified(self) -> ThirdOrderMaterial:
-        """The law with its guarantee of uniqueness, where its tensors are certified (N14)."""
+        """The material with its guarantee of uniqueness, where its tensors are certified (N14)."""
         proof = self.linear.certificate
         if proof is None or not proof.holds:
             return self
         return replace(self, proven=prove_uniqueness(self, spacing=self.spacing).figures())
 
     def verify_certificates(self) -> None:
-        """Raise InputError unless the strain that a file says to be proven is, of these numbers."""
+        """Raise InputError unless the proven strain that a file states is proven again."""
         said = self.proven.get("strain", 0.0)
         proven = prove_uniqueness(self, spacing=self.spacing).strain if said else 0.0
         if not (is_number(said) and 0 <= said <= (1 + SAME) * proven):
@@ -281,11 +281,11 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
             )
 
     def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
-        """Of what is proven the strain, which has no unit, goes along."""
+        """Figures of the proof in other units: the strain, which has none."""
         return {"proven": {k: v for k, v in self.proven.items() if k == "strain"}}
 
     def rows(self) -> list[tuple[str, str]]:
-        """What to know at a glance: name and value, those of the tensors last."""
+        """Name and value of each line of the material's table, those of the crystal last."""
         shown = shown_moduli(self.units, (getattr(self, name) for name in CUBIC))
         rows = [("form", self.form), (", ".join(CUBIC), shown)]
         if self.proven.get("strain"):
@@ -300,7 +300,7 @@ def _transferred(law: ThirdOrderMaterial, spacing: float) -> ThirdOrderMaterial:
 
 
 class PlacedThirdOrder(Pointwise):
-    """A solid of third order on a lattice of its spacing; as Pointwise."""
+    """Operator of a third-order solid on a lattice of its spacing; see Pointwise."""
 
     def __init__(self, model: ThirdOrderMaterial, points: PointsLike) -> None:
         self.model, nodes = model, nodes_of(points)
@@ -316,27 +316,27 @@ class PlacedThirdOrder(Pointwise):
 
     @cached_property
     def straight(self) -> Any:
-        """The linear part alone, on the same nodes."""
+        """Linear operator alone, on the same nodes."""
         return self.model.linear.on(self.points)
 
     def at(self, numbers: Mapping[str, Any]) -> PlacedThirdOrder:
-        """The same with other constants, of which nothing is proven."""
+        """The operator with other constants, of which nothing is proven."""
         own: dict[str, Any] = {name: float(value) for name, value in numbers.items()}
         return PlacedThirdOrder(replace(self.model, **own, proven={}), self.points)
 
     def energy(self, u: ArrayLike) -> np.ndarray | None:
-        """Of the linear part and h² Σ Ψ(H) [stress · length²], shape [...], up to what the collar
-        alone has (N1, N24); None of the filtered form."""
+        """Energy of the linear part and h² Σ Ψ(H) [stress · length²], shape [...], up to what the
+        collar alone has (N1, N24); None for the filtered form."""
         own = super().energy(u)
         return None if own is None else np.asarray(own + self.straight.energy(u))
 
     def stress(self, u: ArrayLike) -> np.ndarray:
-        """σ of the linear part and P of Ψ [stress] at the interior nodes, [..., I, 2, 2] (N2)."""
+        """Stress of the linear part plus P of Ψ [stress] at interior nodes, [..., I, 2, 2] (N2)."""
         return np.asarray(self.straight.stress(u) + super().stress(u))
 
     def max_symbol_eigenvalue(self) -> float:
-        """A bound on the eigenvalues of the tangent [stress / length²] up to the proven strain, for
-        time steps: twice that of the linear part (N15). InputError for the filtered form."""
+        """Upper bound of the tangent's eigenvalues [stress / length²] up to the proven strain, for
+        time steps: twice the linear part's (N15). InputError for the filtered form."""
         if self.model.form != "energy":
             raise InputError(
                 "simulate: expected form='energy', got 'filtered', whose force is no gradient: its "
@@ -345,21 +345,21 @@ class PlacedThirdOrder(Pointwise):
         return 2 * largest(*stencil_of(self.model.linear, self.points.spacing, "simulate"))
 
     def inverse(self, loads: int) -> Inverse:
-        """L⁻¹ of the linear part, of a load on the interior: factorised, or by iteration."""
+        """Inverse of the linear part on interior loads: factorised, or by iteration."""
         bonds = bonds_within(self.model.horizon, self.points.spacing)
         inverse: Inverse = self.straight.linear.cheapest_inverse(SOLVES * loads, bonds)
         return inverse
 
     def figures(self, solution: Solution) -> dict[str, Any]:
-        """What solves took, and whether their answers are the only ones, for `evaluate`."""
+        """Linear solves of solutions, and whether they are proven unique, for `evaluate`."""
         return figures_of(solution.details)
 
     def solve(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
-        """Equilibrium with b [stress/length] on the interior, u given on the collar, [N, 2] or
-        [S, N, 2], by Newton(…); its details are one NonlinearRecord for each sample.
+        """Equilibrium with b [stress/length] on the interior, u given on the collar, [N, 2] or [S,
+        N, 2], by Newton(…); its details are one NonlinearRecord for each sample.
 
-        A UserWarning says where |H| exceeds the proven strain, so that another solution is not
-        ruled out. Raises InputError for arrays that do not fit, and where no equilibrium is found.
+        Warns where |H| exceeds the proven strain, so that another solution is not ruled out. Raises
+        InputError for arrays that do not fit, and where no equilibrium is found.
         """
         proven = self.model.proven_strain(self.points.spacing)
         return equilibria_of(self, b, u, solver, proven)
@@ -368,12 +368,13 @@ class PlacedThirdOrder(Pointwise):
 @typed
 @dataclass(frozen=True)
 class ThirdOrder:
-    """A crystal with third-order elastic constants t3, tq2, q3 (theory, N1–N6, N22–N29).
+    """Settings of a fit of a crystal with third-order constants t3, tq2, q3 (theory, N1–N6,
+    N22–N29).
 
     Attributes:
-        linear: Crystal(…), whose tensors are learned with the constants by one least squares;
-            its "auto" symmetry is "isotropic" here. "long waves" holds the moduli with which no
-            long wave is left of the loads (N29).
+        linear: Crystal(…), whose tensors are learned with the constants by one least squares; its
+            "auto" symmetry is "isotropic" here. "long waves" holds the moduli with which no long
+            wave is left of the loads (N29).
         smoothing: of the data, which the weights of the gradient undo.
         form: "filtered", closer to the data, or "energy", whose force has an energy and can move.
 
@@ -393,12 +394,11 @@ class ThirdOrder:
     def learn(
         self, samples: Samples | Dataset | Sequence[Samples], *, progress: bool | None = None
     ) -> Fit:
-        """The fit by one least squares (N28–N29); each sample counts by 1/‖b‖.
+        """Learn crystal and constants by one least squares (N28–N29); each sample counts by 1/‖b‖.
 
-        Its errors have the mean relative residual on the training samples, E_res, and its history
-        the largest |H| of these, which a UserWarning says to be beyond the proven strain. Raises
-        InputError for samples that do not carry twice the horizon, do not determine the law, or
-        have no load.
+        The fit's errors have the mean relative training residual, E_res, its history the largest
+        |H|, warned of where it is beyond the proven strain. Raises InputError for samples that do
+        not carry twice the horizon, do not determine the law, or have no load.
         """
         begin, (asked, smoothing) = time.perf_counter(), (self.linear, self.smoothing)
         if asked.moduli is None:
@@ -440,8 +440,8 @@ class ThirdOrder:
 
 
 class Learning:
-    """The regression of tensors with forces of t3, tq2 and q3, and of λ and μ in Ψ, each at 1,
-    whose gradient has weights p_in and p_out by class, each of shape [C]."""
+    """Regression of tensors together with forces of t3, tq2, q3, and of λ and μ in Ψ, each at 1;
+    gradient weights p_in and p_out by class, [C]."""
 
     def __init__(
         self,
@@ -471,14 +471,14 @@ class Learning:
             )
 
     def at(self, tensor: np.ndarray) -> tuple[Settled, np.ndarray]:
-        """The fit with some moduli, and the numbers that belong to all columns."""
+        """Fit with some moduli held; also the numbers of all columns."""
         lame = np.array([tensor[0, 0, 1, 1], tensor[0, 1, 0, 1]])  # Ψ has those of the tensors
         y = self.y - self.R[:, -2:] @ lame
         found = self.tensors.fitted(self.R[:, :-2], y, tensor)
         return found, np.concatenate([found.p[0], lame])
 
     def found_moduli(self) -> tuple[np.ndarray, float]:
-        """The moduli with which what the law leaves of the loads has no long waves (N29)."""
+        """Moduli that leave no long waves of the loads unexplained (N29), and the residual."""
         allowed, samples = self.tensors.allowed, self.samples
         values, kept, moments = long_wave_rows(samples, allowed, 0)
         place, seen, load = (np.cumsum(samples.interior) - 1)[kept], [], []

@@ -1,4 +1,4 @@
-"""A solid on another lattice: a kernel fitted to its waves (theory, M2–M6, T9)."""
+"""Transfer of an LPS to another lattice: a kernel fitted to its waves (theory, M2–M6, T9)."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def wave_rows(
     group: np.ndarray,
     largest_wave: float = LARGEST_WAVE,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """R and y of p = C h² [stress] against D₀(k): waves up to the largest |k| h, long ones, and
-    lightly the rest of the zone."""
+    """Rows R and y that fit p = C h² [stress] to D₀(k): waves up to `largest_wave` = |k| h, very
+    long ones, and lightly the rest of the zone."""
     d, number = bonds.dimension, np.arange(WAVES)
     size = largest_wave * (0.02 + 0.98 * ((number * 0.6180339887) % 1))
     grid = orbit_grid(ZONE_INTERVALS[d], group, d)
@@ -59,8 +59,7 @@ def wave_rows(
 def waves_against(
     target: np.ndarray, phase: np.ndarray, bonds: Basis, share: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """R and y of ‖D₀⁻¹ D e − e‖ over polarisations e of single waves: D₀ [K, d, d] in the units of
-    the basis's symbol, k h [K, d] and the weight of each [K]."""
+    """Rows R and y of ‖D₀⁻¹ D e − e‖ over polarisations e, for D₀ [K, d, d] and k h, weighted."""
     rows = np.linalg.inv(target)[:, None] @ bonds.symbol(phase)
     right = np.broadcast_to(np.eye(bonds.dimension), target.shape) * share[:, None, None]
     rows = rows.transpose(0, 2, 3, 1) * share[:, None, None, None]
@@ -68,19 +67,14 @@ def waves_against(
 
 
 def wave_errors(answer: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """‖D⁻¹ D₀ − I‖₂ at wave vectors, shape [..., d, d] to [...] (theory, M4).
-
-    The largest relative error of displacement under a load at that wave vector.
-    """
+    """Relative displacement error ‖D⁻¹ D₀ − I‖₂ at wave vectors, [..., d, d] to [...] (M4)."""
     wrong = np.linalg.solve(answer, target) - np.eye(answer.shape[-1])
     return np.asarray(np.linalg.norm(wrong, ord=2, axis=(-2, -1)))
 
 
 def carried_symbol(symbol: WaveSymbol, spacing: float, turn: np.ndarray) -> WaveSymbol:
-    """D(k) of a solid on nodes of a spacing, turned on them, for k of any other nodes.
-
-    Beyond the zone of coarser nodes their symbol repeats; the local limit goes on there.
-    """
+    """Symbol D(k) of a solid turned on its nodes, for k of any other nodes; beyond the zone of
+    coarser nodes, where it would repeat, the local limit goes on."""
 
     def carried(k: np.ndarray) -> np.ndarray:
         size = np.linalg.norm(k, axis=1, keepdims=True)
@@ -122,7 +116,7 @@ def on_lattice(
     tolerance: Positive | None = None,
     largest_horizon: Positive | None = None,
 ) -> LPSMaterial:
-    """The same material on another square lattice, certified there (theory, M2–M5).
+    """Transfer a material to another square lattice and certify it there (theory, M2–M5).
 
     The kernel is fitted to the dispersion D₀(k) of the model on the nearest lattice that it is
     certified on, with the conditions of a fit kept; no data are needed. A coarser, a finer, or the
@@ -137,12 +131,9 @@ def on_lattice(
             None asks for TOLERANCE and takes the best there is.
         largest_horizon: bound [Å] where no horizon is given, such as what a collar carries.
 
-    Returns:
-        A model whose provenance tells where it comes from and, under "transfer", up to which
-        wavelength it agrees with home, and how well; its statement is a line of that.
-
-    Raises InputError for a model without a certificate, a horizon below two spacings, or a
-    tolerance that no horizon meets (saying the best there is).
+    The model's provenance tells where it comes from and, under "transfer", up to which wavelength
+    it agrees with home, and how well. Raises InputError for a model without a certificate, a
+    horizon below two spacings, or a tolerance that no horizon meets (saying the best there is).
     """
     asked = spacing, horizon, tolerance, largest_horizon
     if (key := (model.content()["sha256"], *asked)) not in _memory:
@@ -203,11 +194,8 @@ def _horizons(spacing: float, largest: float | None, unit: str) -> list[float]:
 
 
 def wave_vectors(largest: float) -> tuple[np.ndarray, np.ndarray]:
-    """Wave vectors [1/Å] of |k| up to `largest`, [K, 2], and their weights in the loss (M3), [K].
-
-    |k| is spread evenly, so that long waves weigh as much as short ones; directions go on by the
-    golden angle. Very long ones follow, on which only the moduli count.
-    """
+    """Wave vectors [1/Å] spread evenly in |k| up to `largest`, [K, 2], and weights (M3), [K]; last
+    very long waves, on which only the moduli count."""
     number = np.arange(FITTED) + 0.5
     size = np.append(largest * number / FITTED, np.full(LONG, LONG_SHARE * largest))
     angle = np.append(GOLDEN_ANGLE * number, np.linspace(0, np.pi / 4, LONG))
@@ -218,11 +206,8 @@ def wave_vectors(largest: float) -> tuple[np.ndarray, np.ndarray]:
 def wave_loss(
     target: np.ndarray, k: np.ndarray, spacing: float, bonds: Basis, weight: np.ndarray
 ) -> LatticeRows:
-    """The loss (M3) of a lattice against D₀(k), shape [K, 2, 2], at wave vectors k, [K, 2].
-
-    Half the sum over waves and polarisations of weight · |D₀⁻¹ D e − e|²: the square of the
-    relative error of displacement, to first order.
-    """
+    """Loss (M3) of a lattice's symbol against D₀(k), [K, 2, 2], at wave vectors k, [K, 2]: half the
+    sum of weight · |D₀⁻¹ D e − e|², the squared relative error of displacement to first order."""
     R, y = waves_against(target, k * spacing, bonds, np.sqrt(weight / 2))
     return LatticeRows(*compressed(R / spacing**2, y), bonds, lattice_group(2))
 
@@ -230,7 +215,7 @@ def wave_loss(
 def _fitted(
     model: LPSMaterial, home: float, spacing: float, horizon: float, band: float
 ) -> LPSMaterial | None:
-    """A kernel of one horizon; None where the conditions cannot be kept."""
+    """Fit the kernel at one horizon; None where the conditions cannot be kept."""
     proven = model.figures.get(home, {}).get("symbol_bound", 0.0)
     unit = model.mu  # of stiffness: soft materials meet the same tolerances
     zeta = min(ZETA * unit, proven) or ZETA * unit
@@ -251,10 +236,8 @@ def _fitted(
 def _errors(
     there: LPSMaterial, spacing: float, model: LPSMaterial, home: float, largest: float
 ) -> np.ndarray:
-    """Largest relative error of displacement of waves of |k| up to the largest (M4), [RADII].
-
-    From an axis to a diagonal of the lattice: by its symmetry that is all directions.
-    """
+    """Largest relative displacement error of waves of |k| up to `largest` (M4), [RADII], in
+    directions from an axis to a diagonal, by symmetry all."""
     angle = np.linspace(0, np.pi / 4, DIRECTIONS)
     size = largest * (np.arange(RADII) + 1) / RADII
     k = (size[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)).reshape(-1, 2)
@@ -265,10 +248,8 @@ def _errors(
 def _recorded(
     model: LPSMaterial, home: float, largest: float, found: LPSMaterial, spacing: float, band: float
 ) -> LPSMaterial:
-    """The model with its certificate, where it comes from, and its error by wavelength.
-
-    Raises InputError when the proof does not hold, or the longest waves are missed.
-    """
+    """The certified model with its origin and its error by wavelength; InputError when the proof
+    does not hold, or the longest waves are missed."""
     certificate, unit = certify(found, spacing=spacing), symbols(model.units)[0]
     on = f"on the lattice of {spacing:g} {unit}"
     if not certificate.holds:
@@ -320,12 +301,10 @@ def model_at(
     transfer: bool = True,
     allow_uncertified: bool = False,
 ) -> LPSMaterial:
-    """The model for a lattice of some spacing [Å], 0 of scattered points, which carries a horizon:
-    itself where it is certified, else transferred; one certified on none is proven here.
-
-    Without `transfer` other spacings are refused; with `allow_uncertified` it is itself, with a
-    warning. Raises InputError where nothing is proven of it here.
-    """
+    """The model for a lattice spacing [Å] (0: scattered points): itself where certified, else
+    transferred within the largest horizon; one certified on none is proven here. Without `transfer`
+    other spacings are refused; with `allow_uncertified` it is itself, with a warning. Raises
+    InputError where nothing is proven of it here."""
     if model.dimension == 3 and not model.is_certified_on(spacing):
         model = replace(model, certified_on=())  # in space no kernel is carried: it is proven anew
     if spacing and transfer and not (model.certified_on or allow_uncertified):
@@ -354,11 +333,8 @@ def model_for(
     transfer: bool = True,
     allow_uncertified: bool = False,
 ) -> LPSMaterial:
-    """As model_at, for the spacing of the points and the horizon that their collar carries.
-
-    Raises InputError also where the points are in other units than the model, and where their
-    collar carries no horizon that a transfer could have.
-    """
+    """The model for the spacing of points and the horizon that their collar carries, as model_at;
+    InputError also for points in other units, or a collar that no transfer fits."""
     check_same(model.units, nodes_of(points).units)
     carried, h = None, points.spacing
     if h > 0 and not model.is_certified_on(h):

@@ -1,4 +1,4 @@
-"""A hyperelastic solid: a dictionary of bond and strain energies, linear in its coefficients."""
+"""Hyperelastic energies: a dictionary of bond and strain energies, linear in its coefficients."""
 
 from __future__ import annotations
 
@@ -24,29 +24,29 @@ half_family = cache(partial(half_ball, dimension=2))
 
 
 class Strain:
-    """Strains E [3, ...] of E11, E22 and 2 E12, and what energies are made of."""
+    """Green strains E [3, ...] (E11, E22, 2 E12) and the invariants that energies are made of."""
 
     def __init__(self, E: torch.Tensor) -> None:
         self.parts = E.unbind(0)
 
     @cached_property
     def area(self) -> torch.Tensor:
-        """D = det C, C = 1 + 2 E."""
+        """Squared area ratio D = det C, C = 1 + 2 E."""
         x, y, shear = self.parts
         return (1 + 2 * x) * (1 + 2 * y) - shear**2
 
     @property
     def log_area(self) -> torch.Tensor:
-        """ln D."""
+        """Logarithm of the squared area ratio, ln D."""
         return torch.log(self.area)
 
     @property
     def trace(self) -> torch.Tensor:
-        """tr C − 2."""
+        """First invariant tr C, less 2."""
         return 2 * (self.parts[0] + self.parts[1])
 
     def along(self, angle: Any) -> torch.Tensor:
-        """I4 − 1 = 2 n·E n."""
+        """Squared stretch of a fibre less one, I4 − 1 = 2 n·E n."""
         c, s = (f(torch.as_tensor(angle, dtype=torch.float64)) for f in (torch.cos, torch.sin))
         x, y, shear = self.parts
         return 2 * c * c * x + 2 * s * s * y + 2 * c * s * shear
@@ -106,13 +106,13 @@ KINDS: dict[str, Density] = {
 
 
 def deviation(ends: tuple[torch.Tensor, torch.Tensor], *_: Any) -> torch.Tensor:
-    """½ d² / (1 + 2 m), (H6), of 2 s of a bond and of 2 m."""
+    """Deviation energy ½ d² / (1 + 2 m), (H6), from 2 s of a bond and 2 m."""
     own, mean = ends
     return (torch.log1p(own) - torch.log1p(mean)) ** 2 / (8 * (1 + mean))
 
 
 def read(q: torch.Tensor) -> Any:
-    """What energies are given of q [Q, ...]: a bond's strain, that and its mean, or a strain."""
+    """The arguments of energies in q [Q, ...]: a bond's strain, that and its mean, or a strain."""
     return Strain(q) if len(q) == 3 else q.unbind(0) if len(q) == 2 else q[0]
 
 
@@ -122,8 +122,8 @@ UNSAFE = {"log_area", "area", "inverse_area", *(f"quadratic {pair}" for pair in 
 
 
 class Energy(NamedTuple):
-    """An energy that `sees` a "bond" and its class, a "deviation" and its step, a "strain" or a
-    "corner", its `number` among the coefficients of a solid, and what is there."""
+    """One energy of a dictionary: what it `sees` ("bond" and class, "deviation" and step, "strain"
+    or "corner"), and its coefficient's `number`."""
 
     sees: tuple[Any, ...]
     label: str
@@ -164,12 +164,12 @@ class EnergyTerm:
 
     @property
     def is_fibre(self) -> bool:
-        """Whether it is the energy of a family of fibres."""
+        """Whether the term is the energy of a family of fibres."""
         return self.kind in FIBRES
 
     @property
     def label(self) -> str:
-        """Its name in tables."""
+        """The term's name in tables."""
         words = self.kind + (" of corners" if self.corner else "")
         if self.kind in (*FIBRES, "along"):
             words += f" at {np.rad2deg(self.angle):.1f}°"
@@ -179,7 +179,7 @@ class EnergyTerm:
 @typed
 @dataclass(frozen=True)
 class Hyperelastic:
-    """What energies a material may be made of, (H1); every coefficient has a place in one vector.
+    """A dictionary of energies that a hyperelastic material may be made of, (H1).
 
     Attributes:
         reach: horizon δ in spacings, at least 2.
@@ -188,8 +188,8 @@ class Hyperelastic:
             penalised, (H6).
         terms: strain energies.
 
-    The coefficients stand in this order: bond classes by length with their energies, deviations,
-    terms. Raises InputError for an unknown bond energy or a bond that is out of reach.
+    The coefficients are one vector: bond classes by length with their energies, deviations, terms.
+    Raises InputError for an unknown bond energy or a bond that is out of reach.
     """
 
     reach: float = 3.0
@@ -216,22 +216,22 @@ class Hyperelastic:
 
     @property
     def classes(self) -> int:
-        """Number of bond classes: bonds ξ and −ξ are one."""
+        """Number of bond classes; bonds ξ and −ξ are one."""
         return len(half_family(self.reach))
 
     @property
     def first_deviation(self) -> int:
-        """Place of the first deviation among the coefficients."""
+        """Index of the first deviation energy among the coefficients."""
         return self.classes * len(self.bonds)
 
     @property
     def first_term(self) -> int:
-        """Place of the first strain energy among them."""
+        """Index of the first strain energy among the coefficients."""
         return self.first_deviation + len(self.deviations)
 
     @property
     def energies(self) -> list[Energy]:
-        """One for every coefficient."""
+        """The dictionary's energies, one for every coefficient."""
         steps = enumerate(map(tuple, half_family(self.reach).tolist()))
         own = [
             Energy(("bond", k), f"bond {step}, {name}", BONDS[name])
@@ -259,7 +259,7 @@ class Hyperelastic:
         return np.asarray(curves.diagonal(dim1=1, dim2=2).sum(1))
 
     def uniform(self, q: torch.Tensor) -> torch.Tensor:
-        """What each energy is in uniform strains q [3, ...], with coefficient one, [K, ...]."""
+        """Values of the energies, coefficients one, in uniform strains q [3, ...]; [K, ...]."""
         x, y = (half := half_family(self.reach)).T
         units = torch.from_numpy(np.stack([x * x, y * y, x * y]) / (half**2).sum(axis=1)).T
         stretches, none, strain = torch.tensordot(units, q, 1), (0 * q[0], 0 * q[0]), Strain(q)
@@ -268,7 +268,7 @@ class Hyperelastic:
         return torch.stack([e.density(sees, e.angle, e.exponent) for e, sees in own])
 
     def learn(self, samples: Samples, **options: Any) -> Any:
-        """As fit_energy where there are loads, else as fit_displacement."""
+        """Fit the coefficients by fit_energy where there are loads, else by fit_displacement."""
         if samples.b is None:
             learned: Any = hyperelastic.from_displacement.fit_displacement
         else:
@@ -278,16 +278,14 @@ class Hyperelastic:
         return learned(samples, self, **options)
 
     def with_terms(self, terms: Sequence[EnergyTerm]) -> Hyperelastic:
-        """The same bonds with other strain energies."""
+        """The dictionary with the same bonds and other strain energies."""
         return replace(self, terms=tuple(terms))
 
 
 def strain_weights(reach: float, order: int) -> np.ndarray:
-    """Weights w of E11, E22 and 2 E12 (H3) on a lattice of spacing one, shape [C, 3].
-
-    Least Σ w² |ξ|^20 among those exact for the second moments, and with vanishing
-    fourth moments for order 4. Raises InputError where the family is too small for the order.
-    """
+    """Weights w of the nodal strains E11, E22, 2 E12 (H3) on a lattice of spacing one, [C, 3]: of
+    least Σ w² |ξ|^20 with exact second and, for order 4, zero fourth moments. Raises InputError
+    where the family is too small for the order."""
     x, y = half_family(reach).T.astype(float)
     powers = [(2, 0), (0, 2), (1, 1)]
     if order == 4:

@@ -1,4 +1,4 @@
-"""Energies fitted to forces; what else is learned of a sheet: its fibres and its thickness."""
+"""Fits of hyperelastic energies to forces, and of fibre families and sheet thickness."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ LARGEST_DEGREE = 6
 @typed_methods
 @dataclass(frozen=True, eq=False)
 class ThicknessField:
-    """A thickness that is positive everywhere and one at the centre.
+    """A polynomial thickness of a sheet, positive everywhere and one at the centre.
 
     Attributes:
         degree: of the polynomial, 1 to 6.
         centre, half: where −1 and 1 of its coordinates are: centre ± half [length], shape [2].
         numbers: its coefficients in the order of `names`, shape [P]; zeros where none are given.
 
-    The thickness of the whole sheet is no number here: from displacement alone it cannot be told.
-    Raises InputError for another degree, or numbers of another count.
+    The overall thickness is no number here: displacement alone does not tell it. Raises InputError
+    for another degree, or numbers of another count.
     """
 
     degree: int
@@ -63,7 +63,7 @@ class ThicknessField:
 
     @classmethod
     def over(cls, x: np.ndarray, degree: int) -> ThicknessField:
-        """An even thickness whose coordinates go from −1 to 1 over the nodes x, shape [N, 2]."""
+        """A uniform thickness whose coordinates go from −1 to 1 over the nodes x, shape [N, 2]."""
         low, high = np.min(x, axis=0), np.max(x, axis=0)
         return cls(degree, (low + high) / 2, (high - low) / 2)
 
@@ -73,7 +73,7 @@ class ThicknessField:
 
     @property
     def names(self) -> list[str]:
-        """Names of the numbers: x, y, x^2, x y, …"""
+        """Names of the polynomial's coefficients: x, y, x^2, x y, …"""
         each = ([*zip("xy", powers)] for powers in self._powers)
         return [" ".join(v if n == 1 else f"{v}^{n}" for v, n in one if n) for one in each]
 
@@ -82,22 +82,22 @@ class ThicknessField:
         return np.stack([x**a * y**b for a, b in self._powers], axis=1)
 
     def at(self, x: np.ndarray) -> np.ndarray:
-        """Thickness at positions [length] of shape [N, 2], over that at the centre, shape [N]."""
+        """Thickness at positions [length], [N, 2], relative to that at the centre, [N]."""
         return np.asarray(np.exp(self._terms(x) @ self.numbers))
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
-        """Its derivative by the numbers, shape [N, P]."""
+        """Derivative of the thickness with respect to its coefficients, shape [N, P]."""
         return np.asarray(self.at(x)[:, None] * self._terms(x))
 
 
 @typed
 def fibre_fan(count: Count, powers: Sequence[float] = (2.0, 3.0, 4.0)) -> list[EnergyTerm]:
-    """Fibre energies ⟨I4 − 1⟩^p/p in so many directions."""
+    """Fibre energies ⟨I4 − 1⟩^p/p in evenly spread directions."""
     return [EnergyTerm("fibre_power", np.pi * n / count, p) for n in range(count) for p in powers]
 
 
 def _strain(solid: HyperelasticMaterial) -> float:
-    """I4 − 1 of the largest stretch of the data."""
+    """I4 − 1 at the largest stretch of the data."""
     return max((solid.stretch or 1.2) ** 2 - 1, 0.05)
 
 
@@ -122,11 +122,11 @@ def fibre_energy_by_angle(solid: HyperelasticMaterial) -> dict[float, float]:
 def fibre_families(
     solid: HyperelasticMaterial, *, share: float = 0.02, within: float = 0.0
 ) -> tuple[Hyperelastic, np.ndarray]:
-    """One exponential family for each direction of a fit on fixed directions, (H15).
+    """Reduce a fit on fixed fibre directions to one exponential family per direction, (H15).
 
-    Directions with less than a share of all fibre energy are dropped, those within an angle [rad]
-    become one. Returns a dictionary whose angles and exponents are worth moving, and coefficients
-    to start from; energies other than fibres stay.
+    Directions with less than a `share` of all fibre energy are dropped, those `within` an angle
+    [rad] become one; other energies stay. Returns a dictionary whose angles and exponents are to be
+    moved, and coefficients to start from.
     """
     dictionary, strain, energy = solid.dictionary, _strain(solid), fibre_energy_by_angle(solid)
     least = share * sum(energy.values())
@@ -142,13 +142,13 @@ def fibre_families(
 
 @typed
 def with_corners(dictionary: Hyperelastic) -> Hyperelastic:
-    """A dictionary whose energies of a uniform strain act on corners of cells as well."""
+    """The dictionary with energies of uniform strain acting on cell corners as well."""
     corners = (replace(term, corner=True) for term in dictionary.terms)
     return dictionary.with_terms([*dict.fromkeys((*dictionary.terms, *corners))])
 
 
 def grouped(energy: dict[float, float], within: float) -> list[tuple[float, float]]:
-    """Directions and energies, those within an angle of each other as one in their middle."""
+    """Directions and energies, those within an angle of each other merged at their middle."""
     if not energy:
         return []
     angles = np.array(sorted(energy))
@@ -161,7 +161,7 @@ def grouped(energy: dict[float, float], within: float) -> list[tuple[float, floa
 
 
 def fibres_of(dictionary: Hyperelastic) -> list[int]:
-    """Places of families of fibres among the coefficients."""
+    """Indices of the fibre families among the coefficients."""
     first = dictionary.first_term
     return [first + n for n, term in enumerate(dictionary.terms) if term.is_fibre]
 
@@ -169,7 +169,7 @@ def fibres_of(dictionary: Hyperelastic) -> list[int]:
 def fibre_numbers(
     dictionary: Hyperelastic, moving: Sequence[int]
 ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """Angles, then exponents of the fibres at M places, shape [2 M], and their bounds."""
+    """Angles, then exponents of the fibres at M indices, shape [2 M], and their bounds."""
     terms, M = [dictionary.terms[n - dictionary.first_term] for n in moving], len(moving)
     numbers = np.array([*(t.angle for t in terms), *(t.exponent for t in terms)])
     least = [*M * [-np.inf], *(LEAST[term.kind] for term in terms)]
@@ -179,7 +179,7 @@ def fibre_numbers(
 def with_numbers(
     solid: HyperelasticMaterial, moving: Sequence[int], x: np.ndarray
 ) -> HyperelasticMaterial:
-    """The solid with the coefficients, angles and exponents of fibres at M places, x [K + 2 M]."""
+    """The material with other coefficients, angles and exponents of M fibres, x [K + 2 M]."""
     K, terms = len(solid.coefficients), list(solid.dictionary.terms)
     for n, angle, exponent in zip(moving, *np.reshape(x[K:], (2, -1))):
         term = terms[place := n - solid.dictionary.first_term]
@@ -189,15 +189,15 @@ def with_numbers(
 
 
 def sheet_on(dictionary: Hyperelastic, points: PointsLike) -> HyperelasticSheetOperator:
-    """A sheet of all energies with coefficient one."""
+    """Build the sheet operator of all energies with coefficient one."""
     nodes = nodes_of(points)
     one = np.ones(len(dictionary))
     return HyperelasticMaterial(dictionary, one, nodes.spacing, units=nodes.units).on(nodes)
 
 
 def columns(op: HyperelasticSheetOperator, u: np.ndarray, moving: Sequence[int] = ()) -> np.ndarray:
-    """Slopes of the interior's force at a field by all coefficients, and by angles and then
-    exponents of the fibres at M places, shape [2 I, K + 2 M]."""
+    """Derivatives of the interior's force at a field by all coefficients, then by angles and
+    exponents of the fibres at M indices, shape [2 I, K + 2 M]."""
     found = [op.features(u)]
     for by in ("angle", "exponent") if len(moving) else ():
         found.append(op.features(u, by=by)[..., moving])
@@ -211,8 +211,7 @@ def equations(
     weights: np.ndarray,
     moving: Sequence[int] = (),
 ) -> tuple[np.ndarray, np.ndarray]:
-    """R and y of the `columns` and loads of fields in few rows, (H11): ‖R c − y‖ is the norm of
-    what forces leave of the loads, times weights of shape [S, 1 or 2 I]."""
+    """Compressed rows R and y of `columns` and loads, (H11); residuals weigh by [S, 1 or 2 I]."""
     R, y = np.zeros((0, len(op.model.coefficients) + 2 * len(moving))), np.zeros(0)
     for u, b, weight in zip(fields, loads, weights):
         R = np.concatenate([R, columns(op, u, moving) * weight[:, None]])
@@ -223,7 +222,7 @@ def equations(
 def of_samples(
     op: HyperelasticSheetOperator, samples: Samples, moving: Sequence[int] = ()
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The same of samples, whose ‖R c − y‖ is the root of the mean squared relative residual;
+    """Rows R and y, (H11), with ‖R c − y‖ the root mean squared relative residual of samples;
     InputError where there are none, or one without load."""
     if not (len(samples) and (sizes := load_sizes(samples)).all()):
         raise InputError(
@@ -237,8 +236,8 @@ def of_samples(
 def between(
     J: np.ndarray, y: np.ndarray, now: np.ndarray, bounds: Any, damping: float, held: Any = NONE
 ) -> np.ndarray:
-    """The x between two bounds of least |J x − y|², its steps from `now` damped as Levenberg does;
-    products of x with the rows `held` stay about what they are."""
+    """Minimise |J x − y|² between two bounds, with Levenberg's damping of the step from `now`;
+    products of x with the rows `held` nearly stay."""
     length = np.linalg.norm(J, axis=0)
     length[length == 0] = 1.0
     A = np.concatenate([J / length, np.sqrt(damping) * np.eye(len(now)), held / length])
@@ -249,7 +248,7 @@ def between(
 
 
 def lower_bounds(dictionary: Hyperelastic, stiffness: float, others: float = 0.0) -> np.ndarray:
-    """Least coefficients [stress]: `stiffness` of what keeps hourglasses away, else `others`."""
+    """Lower bounds [stress] of coefficients: `stiffness` against hourglasses, `others` else."""
     lower = np.full(len(dictionary), others)
     first, last, bonds = dictionary.first_deviation, dictionary.first_term, len(dictionary.bonds)
     lower[first:last] = stiffness or others
@@ -261,8 +260,8 @@ def lower_bounds(dictionary: Hyperelastic, stiffness: float, others: float = 0.0
 @typed_methods
 @dataclass(frozen=True, eq=False)
 class EnergyFit:
-    """A fitted solid, its root mean squared relative residual on the training samples, and whether
-    no coefficient is below its bound, so that (H9) holds."""
+    """A fitted material, its root mean squared relative residual on the training samples, and
+    whether all coefficients keep their bounds, so that (H9) holds."""
 
     material: HyperelasticMaterial
     residual: float
@@ -289,10 +288,10 @@ def fit_energy(
     stiffness: NotNegative = 0.0,
     ridge: NotNegative = RIDGE,
 ) -> EnergyFit:
-    """Fit the coefficients of a dictionary.
+    """Fit the coefficients of a dictionary of energies to displacements and loads on a lattice.
 
     Args:
-        samples: displacements and loads on a lattice.
+        samples: displacements and loads.
         dictionary: of energies.
         positive: coefficients ≥ 0; asks for a dictionary whose energies are safe with them.
         stiffness: least coefficient of the deviations (or, without deviations, of the bonds within
@@ -319,7 +318,8 @@ def fit_fibre_families(
     directions: Count = 16,
     most_steps: Count = 12,
 ) -> HyperelasticMaterial:
-    """The material in few numbers: matrix moduli, and families with direction, k1 and k2.
+    """Fit a material of few parameters: matrix moduli, and fibre families with direction, k1 and
+    k2.
 
     A fit on many directions says where the families are; then angles and exponents are unknowns of
     a Gauss–Newton method, and families that meet become one.
@@ -350,7 +350,7 @@ def fit_fibre_families(
 def _moved(
     op: HyperelasticSheetOperator, samples: Samples, lower: np.ndarray, most_steps: int
 ) -> HyperelasticMaterial:
-    """Least squares over coefficients, angles and exponents, from where they are."""
+    """Gauss–Newton over coefficients, angles and exponents, from where they are."""
     moving, K = fibres_of(op.model.dictionary), len(lower)
     if not moving:
         return op.model

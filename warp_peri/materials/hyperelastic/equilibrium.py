@@ -1,7 +1,5 @@
-"""A sheet's lattice, what energies see of its bonds, and equilibria there.
-
-All that an energy sees is linear in e = |ξ|² s, (H2), of the bonds around a site: q = S e.
-"""
+"""Lattice and equilibria of hyperelastic sheets. All that an energy sees is linear in e = |ξ|² s,
+(H2), of the bonds around a site: q = S e."""
 
 from __future__ import annotations
 
@@ -43,7 +41,7 @@ SHIFTS = 1e-3 * 4.0 ** np.arange(12)
 
 @dataclass(frozen=True, eq=False)
 class Sites:
-    """The n places where energies act that see the same, Q numbers of each.
+    """The n sites of energies with the same Q inputs.
 
     Attributes:
         S: of q = S e [1/length²], rows of one number after the other, shape [Q n, pairs].
@@ -63,19 +61,19 @@ class Sites:
         return self.S[order.ravel()].tobsr((order.shape[1], 1))
 
     def seen(self, e: np.ndarray) -> torch.Tensor:
-        """q of bonds [pairs, S], shape [Q, n, S]."""
+        """Inputs q of the energies from bonds e [pairs, S], shape [Q, n, S]."""
         return torch.from_numpy((self.S @ e).reshape(-1, self.pair.shape[1], e.shape[1]))
 
     def pull(self, stress: torch.Tensor) -> np.ndarray:
-        """What stresses [Q, n, S] pull at the bonds, over ξ + η, [pairs, S]."""
+        """Bond tensions over ξ + η, [pairs, S], from energy derivatives [Q, n, S]."""
         return np.asarray(self.S.T @ stress.flatten(0, 1).numpy())
 
 
 class SheetLattice:
-    """Families of `reach` spacings on the nodes of a square lattice, bonds ξ and −ξ of one class.
+    """Bonds of range `reach` spacings on a square lattice, ξ and −ξ of one class.
 
-    Directions of the solid are told from an axis of the lattice: that along the points' axis where
-    it is stated, else the one at most 45° from x.
+    Directions of the material are relative to an axis of the lattice: that along the points' axis
+    where it is stated, else the one at most 45° from x.
 
     Attributes:
         interior: numbers of the interior nodes, shape [I].
@@ -128,26 +126,23 @@ class SheetLattice:
         self.sites = cache(self._sites)
 
     def differences(self, u: np.ndarray) -> np.ndarray:
-        """η = u_j − u_i of fields [S, N, 2], shape [pairs, 2, S]."""
+        """Bond displacements η = u_j − u_i of fields [S, N, 2], shape [pairs, 2, S]."""
         (i, j), u = self.pairs, np.ascontiguousarray(u.transpose(1, 2, 0))
         return np.asarray(np.take(u, j, axis=0) - np.take(u, i, axis=0))
 
     def stretched(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Bonds ξ + η as they are now, [pairs, 2, S], and e = ξ·η + ½ η·η, [pairs, S]."""
+        """Deformed bonds ξ + η, [pairs, 2, S], and e = ξ·η + ½ η·η, [pairs, S]."""
         eta, xi = self.differences(u), self.xi[..., None]
         return xi + eta, ((xi + eta / 2) * eta).sum(axis=1)
 
     def at_ends(self, pull: np.ndarray) -> np.ndarray:
-        """What pulls of the bonds [pairs, 2, S] come to at the nodes, [S, N, 2]."""
+        """Sum bond forces [pairs, 2, S] at the nodes, [S, N, 2]."""
         flat = self.ends @ pull.reshape(len(pull), -1)
         return np.asarray(flat.reshape(-1, *pull.shape[1:]).transpose(2, 0, 1))
 
     def _sites(self, kind: str = "strain", *of: int) -> Sites:
-        """Where strains, bonds, deviations or corners are.
-
-        Those that the interior does not move are left out, but strains: far out in the collar a
-        field may be folded, and its energy no number.
-        """
+        """Sites of strains, bonds, deviations or corners; those that the interior does not move are
+        left out (not of strains), for in the collar a field may be folded, its energy no number."""
         inside, number = self.points.interior, self.number
         one = sp.eye_array(len(self.kind), format="csr")  # its rows are bonds
         if kind == "strain":
@@ -189,36 +184,36 @@ class SheetLattice:
 
     @cached_property
     def laplacian(self) -> sp.csr_array:
-        """Of five points, on the interior, shape [I, N]."""
+        """Five-point Laplacian on the interior, shape [I, N]."""
         near = self.ends[:, (self.steps[self.kind] ** 2).sum(axis=1) == 1]
         return sp.csr_array(near @ near.T)[self.interior] / self.spacing**2
 
     @cached_property
     def laplace(self) -> Any:
-        """The inverse of the Laplacian between interior nodes."""
+        """Inverse of the Laplacian between interior nodes."""
         return splu(self.laplacian[:, self.interior].tocsc()).solve
 
     @cached_property
     def softest(self) -> float:
-        """The smallest eigenvalue of that Laplacian [1 / length²]."""
+        """Smallest eigenvalue of the Laplacian between interior nodes [1 / length²]."""
         return softest(len(self.interior), self.laplace, 1e-4)
 
     def lift(self, u: np.ndarray) -> np.ndarray:
-        """u [N, 2] with its interior replaced by the harmonic extension of the collar."""
+        """Replace the interior of u [N, 2] by the harmonic extension of the collar."""
         lifted = np.where(self.points.interior[:, None], 0.0, u)
         lifted[self.interior] = self.laplace(-(self.laplacian @ lifted))
         return lifted
 
     @cached_property
     def order(self) -> np.ndarray:
-        """Of the interior nodes in a band that is narrow, by lines along the shorter side."""
+        """Numbering of the interior nodes by lines along the shorter side, for a narrow band."""
         inner = self.grid[self.interior]
         shorter = int(np.argmin(np.ptp(inner, axis=0)))
         return np.lexsort((inner[:, shorter], inner[:, 1 - shorter]))
 
     def factors(self, K: sp.bsr_array, shifts: bool = False) -> tuple[Inner | None, bool]:
-        """The inverse of a tangent where it is positive definite, and whether it is; with shifts
-        that of it and a multiple of one that is enough."""
+        """Inverse of a tangent where it is positive definite, and whether it is; with `shifts` else
+        that of a tangent made so by a multiple of one."""
         place = np.argsort(self.order)
         row, col = np.repeat(place, np.diff(K.indptr)), place[K.indices]
         low = row >= col
@@ -240,7 +235,7 @@ class SheetLattice:
 
 
 def _solve(factors: np.ndarray, order: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """K⁻¹ y of a band of factors, its unknowns in an order; y as fields [I, 2] or [2 I, ...]."""
+    """K⁻¹ y from banded factors, its unknowns in an order; y as fields [I, 2] or [2 I, ...]."""
     x = np.empty((len(order), y.size // len(order)))
     flat = y.reshape(x.shape)[order]
     x[order] = cho_solve_banded((factors, True), flat, check_finite=False)
@@ -248,7 +243,7 @@ def _solve(factors: np.ndarray, order: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def softest(size: int, inverse: Inner, tolerance: float) -> float:
-    """The smallest eigenvalue of what is positive, by its inverse."""
+    """Smallest eigenvalue of a positive definite matrix, from its inverse."""
     if size <= 2:
         return 1 / float(np.linalg.eigvalsh(inverse(np.eye(size)))[-1])
     ends = {"v0": lanczos_start(size), "return_eigenvectors": False, "tol": tolerance}
@@ -262,7 +257,7 @@ class NoEquilibriumError(RuntimeError):
 
 @dataclass(frozen=True, eq=False)
 class Equilibrium:
-    """A stable equilibrium.
+    """A stable equilibrium of a sheet and how it was found.
 
     Attributes:
         u: displacement on all nodes, shape [N, 2].
@@ -272,8 +267,8 @@ class Equilibrium:
             unknowns it is a lower bound of that, see smallest_of_tangent.
         iterations: Newton steps.
         load_steps: 1 where no continuation was needed.
-        followed: whether stable equilibria lead to it from rest along the load, as far as the
-            steps tell; false for another minimum, found by going down.
+        followed: whether stable equilibria lead to it from rest along the load, as far as the steps
+            tell; false for another minimum, found by going down.
     """
 
     u: np.ndarray
@@ -287,8 +282,8 @@ class Equilibrium:
 def stable_equilibrium(
     op: Any, b: np.ndarray | None, u: np.ndarray, tolerance: float = TOLERANCE
 ) -> Equilibrium:
-    """As find_equilibrium, with the smallest eigenvalue, above zero; NoEquilibriumError where there
-    is none, a warning where the answer is not followed from rest."""
+    """Find an equilibrium and its smallest eigenvalue, above zero; NoEquilibriumError where there
+    is none, a warning where it is not followed from rest."""
     equilibrium = find_equilibrium(op, b, u, tolerance=tolerance)
     if equilibrium is None:
         raise NoEquilibriumError("no stable equilibrium found on the way to all of load and collar")
@@ -312,14 +307,15 @@ def find_equilibrium(
     near: Inner | None = None,
     tolerance: float = TOLERANCE,
 ) -> Equilibrium | None:
-    """The equilibrium of a sheet, its smallest eigenvalue NaN; None where no stable one is found.
+    """Find an equilibrium of a sheet, its smallest eigenvalue NaN; None where no stable one is
+    found.
 
     Args:
         op: HyperelasticSheetOperator.
-        b, u: body force [stress / length], None for no load, and displacement, read on the collar.
-        start: where to begin, shape [N, 2]; at the harmonic extension of the collar without.
-        near: the inverse of a tangent near the start, with which Newton's way is tried first; only
-            conjugate gradients look for negative curvature then, in a few directions.
+        b, u: body force [stress / length], None for no load; displacement, read on the collar.
+        start: where to begin, shape [N, 2]; by default the harmonic extension of the collar.
+        near: inverse of a tangent near the start, for Newton's first try; negative curvature is
+            then looked for by conjugate gradients alone, in a few directions.
         tolerance: of the residual, relative to the largest force.
     """
     load, collar = checked_fields(op.points, b, u)
@@ -339,9 +335,8 @@ def find_equilibrium(
 
 
 def smallest_of_tangent(op: Any, u: np.ndarray) -> float:
-    """Smallest eigenvalue of the tangent between interior nodes at u [stress / length²]; where it
-    is not factorised its smallest ratio to the Laplacian, times the smallest eigenvalue of that,
-    which has the same sign and, where positive, is not larger."""
+    """Smallest eigenvalue of the tangent between interior nodes at u [stress / length²]; where not
+    factorised a number of that sign, no larger if positive."""
     sheet, size = Sheet(op, np.zeros((1, 2)), u), 2 * len(op.interior)
     if sheet.rough is None:
         if inverse := op.factors(u)[0]:
@@ -361,59 +356,58 @@ def smallest_of_tangent(op: Any, u: np.ndarray) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """A sheet under a load, as the driver asks: fields are of all nodes, loads of the interior."""
+    """A sheet under a load, for the Newton driver: fields of all nodes, loads of the interior."""
 
     op: Any
     load: np.ndarray
     collar: np.ndarray
 
     def part(self, share: float) -> Sheet:
-        """The same under a share of load and collar."""
+        """The sheet under a share of the load and the collar's displacement."""
         return replace(self, load=share * self.load, collar=share * self.collar)
 
     def begin(self) -> np.ndarray:
-        """Where a search begins."""
+        """Field that a search begins at."""
         return np.asarray(self.op.lattice.lift(self.collar))
 
     def on_collar(self, u: np.ndarray) -> np.ndarray:
-        """A field with what is given on the collar."""
+        """The field with the given displacement on the collar."""
         return np.where(self.op.points.interior[:, None], u, self.collar)
 
     def moved(self, u: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """A field after a step of the interior."""
+        """The field after a step of the interior."""
         return np.asarray(u + self.op.on_all(step))
 
     def left(self, u: np.ndarray) -> tuple[np.ndarray, float]:
-        """What forces leave of the load, and the largest of both."""
+        """Residual of force and load, and the largest of both."""
         f = self.op.everywhere(u)
         scale = max(np.abs(self.load).max(), np.abs(f).max(), 1e-300)
         return self.load - f[self.op.interior], scale
 
     def potential(self, u: np.ndarray) -> float:
-        """Of all forces, over the area of a node."""
+        """Potential energy of all forces, over the area of a node."""
         return float(self.op.nodal_energy(u).sum() - (self.load * u[self.op.interior]).sum())
 
     def folds(self, u: np.ndarray) -> float:
-        """Corners that are turned over, unseen by functions of C; infinite where strain folds."""
+        """Number of corners turned over, unseen by functions of C; infinite where strain folds."""
         return self.op.folded(u) if self.op.smallest_area(u) > SMALLEST_AREA else np.inf
 
     def jvp(self, u: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """The tangent at u along p on the interior."""
+        """Product of the tangent at u with a step p, on the interior."""
         return np.asarray(self.op.jvp(u, self.op.on_all(p)))
 
     def inverse(self, u: np.ndarray, shifts: bool) -> tuple[Inner | None, bool]:
-        """The inverse of the tangent, or of one that is positive definite, and whether it is."""
+        """Inverse of the tangent, or of one shifted to be positive definite, and whether it is."""
         found: tuple[Inner | None, bool] = self.op.factors(u, shifts)
         return found
 
     @property
     def rough(self) -> Inner | None:
-        """The inverse that stands for those of all tangents, where none is factorised."""
+        """Approximate inverse for all tangents, where none is factorised."""
         return self.op.lattice.laplace if 2 * len(self.op.interior) > DIRECT else None
 
     def too_small(self) -> float:
-        """Times by which load and collar must grow for strains that rounding leaves; or 1. Below,
-        what answers them is in proportion."""
+        """Factor by which load and collar must grow for strains above rounding; 1 if none."""
         spacing, rest = self.op.points.spacing, np.zeros_like(self.collar)
         strain = float(np.ptp(self.begin(), axis=0).max()) / spacing
         if self.load.any() and strain < LINEAR / 2:

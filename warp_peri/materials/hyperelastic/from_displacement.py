@@ -1,4 +1,4 @@
-"""Energies, fibres and thickness fitted to displacement alone: (H12), its slopes (H13), (H18)."""
+"""Fits of energies, fibres and thickness to displacement alone: (H12), its slopes (H13), (H18)."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ from warp_peri.points.points import PULL, Points, Samples, seen_of
 
 
 class Sections:
-    """Lines of nodes across an axis from edge to edge of a sheet, with such lines for 2δ around;
-    InputError where there is none. Beyond the edges displacement goes on as its mirror image."""
+    """Lines of nodes across a sheet from edge to edge, with 2δ of such lines around; InputError
+    where there is none. Beyond the edges displacement is mirrored."""
 
     def __init__(self, frames: Samples, dictionary: Hyperelastic, axis: int) -> None:
         R, turn, origin = 2 * int(dictionary.reach), [axis, 1 - axis], frames.x.min(axis=0)
@@ -64,8 +64,7 @@ class Sections:
     def stress(
         self, n: int, solid: HyperelasticMaterial, thickness: ThicknessField | None
     ) -> np.ndarray:
-        """Pull over width and mean thickness on every line of a frame, shape [L], without
-        deviations, which see noise at edges."""
+        """Pull over width and mean thickness on every line of frame n, [L]; without deviations."""
         c, of_nodes = solid.coefficients.copy(), None
         c[solid.dictionary.first_deviation : solid.dictionary.first_term] = 0.0
         if thickness is not None:
@@ -96,13 +95,13 @@ TURN, GROWTH, THICKEN = 0.2, 1.0, 0.5
 @typed_methods
 @dataclass(frozen=True, eq=False)
 class DisplacementFit:
-    """A solid, known up to its scale where no frame has a pull.
+    """A material fitted to displacement, known up to its scale where no frame has a pull.
 
     Attributes:
         material: with an initial stiffness (H14) of `scale`.
         errors: relative error of the solved displacement of every training frame.
         history: root mean square of those errors after every step.
-        frames_left_out: frames that it does not stand on: no equilibrium was found at the start.
+        frames_left_out: frames without an equilibrium at the start, on which it does not stand.
         thickness: of the sheet, where it was an unknown.
         others: the same with each frame left out in turn, by one Gauss-Newton step from here, with
             the errors that its linear equations tell.
@@ -124,7 +123,7 @@ class DisplacementFit:
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """Where a search stands: unknowns, equilibria and what both are to first order.
+    """State of a search: unknowns, equilibria and both linearised.
 
     Attributes:
         x: coefficients, angles and exponents of fibres, numbers of the thickness, shape [T].
@@ -139,27 +138,23 @@ class Place:
     equations: dict[int, np.ndarray]
 
     def errors(self, change: Any = 0.0) -> np.ndarray:
-        """Relative errors of these frames after a change of the unknowns, to first order."""
+        """Relative errors of the frames after a change of the unknowns, to first order."""
         moved = np.append(change + 0 * self.x, 1.0)
         return np.array([np.linalg.norm(rows @ moved) for rows in self.equations.values()])
 
     def loss(self, change: Any = 0.0) -> float:
-        """The sum of their squares."""
+        """Sum of squared frame errors after a change of the unknowns."""
         return float((self.errors(change) ** 2).sum())
 
     @property
     def rms(self) -> float:
-        """Root mean square of the relative errors."""
+        """Root mean square of the frames' relative errors."""
         return float(np.sqrt(self.loss() / len(self.equations)))
 
 
 class Search:
-    """A search for the unknowns of a sheet by the method of Gauss, Newton and Levenberg.
-
-    Every step predicts the fields, whose tangents then lead to equilibria and to their slopes.
-    Unknowns are coefficients unless they are `held`, those of deviations at least `stiffness`,
-    numbers of fibres that are `moving`, and of a thickness to begin with.
-    """
+    """Gauss-Newton-Levenberg search for coefficients that are not `held` (deviations ≥
+    `stiffness`), numbers of `moving` fibres, and a thickness."""
 
     def __init__(
         self,
@@ -200,7 +195,7 @@ class Search:
         self.rest = np.append(fibres, thick)
 
     def scaled(self, c: np.ndarray) -> np.ndarray:
-        """The same material with an initial stiffness of one."""
+        """The coefficients scaled to an initial stiffness of one."""
         size = float(self.measure @ c)
         if not size > 0:
             raise InputError("coefficients: expected an initial stiffness > 0")
@@ -216,7 +211,7 @@ class Search:
     def _nearest(
         self, J: np.ndarray, y: np.ndarray, now: np.ndarray, bounds: Any, damping: float
     ) -> np.ndarray:
-        """Unknowns of least |J x − y|, as Levenberg damps them, of the same initial stiffness."""
+        """Unknowns of least |J x − y|, damped by Levenberg, of the same initial stiffness."""
         K, held = len(self.measure), np.zeros((1, len(now)))
         held[0, :K] = SCALE_WEIGHT * self.measure / np.abs(self.measure).max()
         x = between(J, y, now, bounds, damping, held)
@@ -224,14 +219,14 @@ class Search:
         return x
 
     def sheet(self, x: np.ndarray) -> tuple[HyperelasticMaterial, ThicknessField | None]:
-        """The material and the thickness of unknowns."""
+        """The material and the thickness of the unknowns x."""
         K, thickness = len(self.measure) + 2 * len(self.moving), self.thickness
         if thickness is not None:
             thickness = replace(thickness, numbers=x[K:])
         return with_numbers(self.op.model, self.moving, x[:K]), thickness
 
     def step(self, place: Place, damping: float, left: Sequence[int] = ()) -> np.ndarray:
-        """The change of the unknowns that meets the equations best, but those of some frames."""
+        """Change of the unknowns that meets the equations best, some frames left out."""
         rows = np.concatenate([one for n, one in place.equations.items() if n not in left])
         low, high = np.maximum(self.low, place.x - self.reach), place.x + self.reach
         high[self.own] = STIFFEN * np.maximum(place.x[self.own], 1.0)
@@ -241,14 +236,14 @@ class Search:
         return np.asarray(self._nearest(J, J @ place.x - r, place.x, bounds, damping) - place.x)
 
     def moved(self, place: Place, change: np.ndarray) -> Place:
-        """After a change of the unknowns."""
+        """State of the search after a change of the unknowns."""
         fields = place.fields.copy()
         for n, J in place.slopes.items():
             fields[n, self.inner] += (J @ change).reshape(-1, 2)
         return self.settled(place.x + change, fields, place.slopes)
 
     def settled(self, x: np.ndarray, fields: np.ndarray, frames: Iterable[int]) -> Place:
-        """Equilibria of frames, from fields near them; of those that have none no equations."""
+        """State with equilibria of frames, from fields near them; no equations without one."""
         (solid, thickness), fields = self.sheet(x), fields.copy()
         nodes = self.op.points.x
         op = self.op.changed(solid, None if thickness is None else thickness.at(nodes))
@@ -279,7 +274,7 @@ class Search:
         progress: bool | str,
         start: np.ndarray | None = None,
     ) -> DisplacementFit:
-        """The whole search from coefficients c, and from fields, the measured ones without some."""
+        """Run the search from coefficients c, and from fields, by default the measured ones."""
         name = progress if isinstance(progress, str) else "Gauss-Newton"
         bar = tqdm(range(TRIES * most_steps), desc=name, disable=not progress, leave=False)
         fields = self.data if start is None else start
@@ -303,7 +298,7 @@ class Search:
         return replace(self._fit(place, []), history=history, others=others, fields=place.fields)
 
     def _fit(self, place: Place, left: list[int]) -> DisplacementFit:
-        """What is here, or one step from here with some frames left out, in the scale of forces."""
+        """The fit at a state, or one step on with some frames left out, in the scale of forces."""
         errors = np.full(len(self.data), np.inf)
         change = self.step(place, DAMPING[1], left) if left else 0 * place.x
         errors[[*place.equations]] = place.errors(change)
@@ -322,7 +317,7 @@ class Search:
     def _scale(
         self, left: list[int], solid: HyperelasticMaterial, thickness: ThicknessField | None
     ) -> tuple[float, float]:
-        """What pulls of frames not left out say a stress of one is, and its relative scatter."""
+        """Scale that pulls of frames not left out give to a stress of one, and its scatter."""
         if not len(self.pull):
             return 1.0, 0.0
         own = ~np.isin(self.pulled[:, 0], left)
@@ -359,17 +354,17 @@ def fit_displacement(
     tolerance: Share = 1e-4,
     progress: bool | str = False,
 ) -> DisplacementFit:
-    """Learn from displacement on a lattice whose collar is data and whose interior carries no load.
+    """Learn a material from displacement on a lattice whose interior carries no load.
 
     Args:
-        frames: samples without loads.
+        frames: samples without loads; the collar is data.
         dictionary: energies that are safe with coefficients ≥ 0.
         stiffness: least coefficient of the deviations, in units of the initial stiffness.
         moving: whether angles and exponents of fibres are unknowns too.
         start: coefficients to begin with, shape [K], or a fit of the same frames and energies;
             coefficients of least equation error where none.
-        thickness: degree of the polynomial that is the logarithm of the sheet's thickness, (H18);
-            0 for an even sheet.
+        thickness: degree of the polynomial that is the logarithm of the sheet's thickness, (H18); 0
+            for an even sheet.
         most_steps, tolerance: of Gauss and Newton, and the fraction of the loss that a step must
             take away to go on.
         progress: show a bar on stderr; a text is its name.
@@ -377,7 +372,7 @@ def fit_displacement(
     Warns where deviations come out so stiff that they, and not a material, explain the frames.
     Raises InputError for frames with loads, affine frames, a frame at rest, fewer than ten measured
     components inside, of all frames, for each energy, energies that guarantee nothing, and numbers
-    that make no sense; NoEquilibriumError where no frame has one at the start.
+    out of range; NoEquilibriumError where no frame has one at the start.
     """
     check_unloaded(frames)
     if not dictionary.guaranteed:
@@ -418,9 +413,9 @@ def fit_thickness(
     tolerance: Share = 1e-4,
     progress: bool = False,
 ) -> DisplacementFit:
-    """The thickness (H18) of a sheet whose material is known, from its own displacement.
+    """Fit the thickness (H18) of a sheet whose material is known, from its displacement.
 
-    Its coefficients stay, scaled to an initial stiffness of one; `degree` is that of the
+    The coefficients stay, scaled to an initial stiffness of one; `degree` is that of the
     polynomial, the others are as in fit_displacement. Raises InputError for frames with loads,
     none, or at rest; NoEquilibriumError where no frame has one in an even sheet.
     """
@@ -431,7 +426,7 @@ def fit_thickness(
 
 
 def check_enough(count: int, what: str, numbers: int) -> None:
-    """Raise InputError for fewer than ten of what is counted for each number."""
+    """Raise InputError for fewer than ten measured values (`what`) for each unknown."""
     if count < TEN * numbers:
         raise InputError(
             f"frames: expected {TEN * numbers} {what} for {numbers} numbers, got {count}"
@@ -467,7 +462,7 @@ def check_identifiable(frames: Samples) -> None:
 
 
 def stiffest_deviation(fit: DisplacementFit) -> float:
-    """Largest of the deviations, in units of the initial stiffness."""
+    """Largest coefficient of the deviations, in units of the initial stiffness."""
     dictionary, c = fit.material.dictionary, fit.material.coefficients
     own = c[dictionary.first_deviation : dictionary.first_term]
     return float(own.max(initial=0.0)) / fit.scale

@@ -1,4 +1,4 @@
-"""A sheet's material from its frames: candidates judged by frames they never saw; what it says."""
+"""Selection of a sheet's material by frames held out, and the selected material's stress curves."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ BULK = 2000.0
 def kept_fit(
     path: Path | None, key: str, compute: Callable[[], DisplacementFit]
 ) -> DisplacementFit:
-    """The fit that a file has of this key; where it has none, compute it and write it there."""
+    """Read the fit that a file has of this key, or compute it and write it there."""
     with suppress(OSError, ValueError, TypeError, KeyError):
         if path is not None:
             kept = parsed(path.read_bytes())
@@ -96,7 +96,7 @@ SETTINGS = (REACH, NEAREST, DEVIATIONS, STEPS, TOLERANCE, UNEVEN)
 
 @dataclass(frozen=True)
 class Candidate:
-    """One material that was tried.
+    """One candidate material of a selection.
 
     Attributes:
         name, fit: of it, and what was learned; None where it failed.
@@ -115,24 +115,24 @@ class Candidate:
 @typed_methods
 @dataclass(frozen=True)
 class ModelSelection:
-    """Candidates, the best first: of those that as many independent residuals cannot tell from the
-    least error, that of the fewest numbers."""
+    """Candidates, the best first: the one of fewest numbers among those that as many independent
+    residuals cannot tell from the least error."""
 
     candidates: list[Candidate]
 
     @property
     def best(self) -> Candidate:
-        """The first candidate."""
+        """The best candidate."""
         return self.candidates[0]
 
     @property
     def fit(self) -> Any:
-        """The DisplacementFit of the best."""
+        """The best candidate's DisplacementFit."""
         return self.best.fit
 
     @property
     def material(self) -> Any:
-        """The best one's; its scale is an initial stiffness of one where no frame has a pull."""
+        """The best candidate's material; its initial stiffness is one where no frame has a pull."""
         return self.fit.material
 
     def curves(
@@ -142,8 +142,7 @@ class ModelSelection:
 
         The band is of each learned frame left out, by Student's distribution, of the misfit of
         frames that were never seen, and of the scatter of the scale: no error that all frames
-        share. Raises InputError where deviations, which are no material,
-        explain the frames.
+        share. Raises InputError where deviations, which are no material, explain the frames.
         """
         n = len(others := [other.material for other in self.fit.others])
         if (times := stiffest_deviation(self.fit)) > INTERPOLATES:
@@ -171,14 +170,13 @@ def select_model(
     done: Callable[[Candidate], None] = lambda _: None,
     progress: bool = False,
 ) -> ModelSelection:
-    """Materials that a sheet may be made of, learned from every second frame, the last included.
+    """Select a sheet's material, learning candidates from every second frame, the last included.
 
     Args:
         frames: without loads, in the order of the test.
         fibres: directions, at least 8, that families of fibres are looked for in; 0 for none.
         uneven: whether each is tried with a thickness that varies, too.
-        folder: keeps each fit as it ends; those of the same frames and settings that are there are
-            taken as they are.
+        folder: keeps each fit as it ends; those of the same frames and settings are reused.
         done: called with each candidate as it ends.
         progress: show a bar for each fit, with the candidate's name, and what the folder held.
 
@@ -216,7 +214,7 @@ def select_model(
 
 
 def _candidates(fibres: int, uneven: bool) -> dict[str, tuple[tuple[EnergyTerm, ...], int]]:
-    """Terms and degree of the thickness by name."""
+    """Terms and thickness degree of the candidates by name."""
     matrix = EnergyTerm("plane_stress")
     kinds = {"neo-Hookean": (matrix,), "Mooney-Rivlin": (matrix, EnergyTerm("mooney"))}
     kinds["Yeoh"] = (matrix, *(EnergyTerm("yeoh", exponent=p) for p in (2.0, 3.0)))
@@ -236,7 +234,7 @@ def _tried(
     train: Samples,
     test: Samples,
 ) -> Candidate:
-    """A candidate, whatever becomes of it."""
+    """A candidate, fitted or failed."""
     numbers = len(dictionary) + (len(ThicknessField.over(train.x, degree).names) if degree else 0)
     try:
         check_enough(int(np.count_nonzero(train.interior)), "interior nodes", numbers)
@@ -258,7 +256,7 @@ def _tried(
 def _learned(
     learn: Callable[..., DisplacementFit], dictionary: Hyperelastic, start: DisplacementFit | None
 ) -> DisplacementFit:
-    """A material; of fibres in fixed directions the families that they tell, (H15)."""
+    """Learn a material; fibres in fixed directions become families, (H15)."""
     wide = learn(dictionary, start=start)
     directions = len({term.angle for term in dictionary.terms if term.is_fibre})
     for within in (1.6 * np.pi / directions, 0.0) if directions else ():
@@ -273,7 +271,8 @@ def _learned(
 def uniaxial_stress(
     solid: HyperelasticMaterial, stretches: ArrayLike, angle: float = 0.0
 ) -> np.ndarray:
-    """Nominal stress of an even sheet under uniaxial tension along a direction, [stretches].
+    """Nominal stress of a uniform sheet under uniaxial tension along a direction [rad],
+    [stretches].
 
     The other principal direction is free; shear across them is not let go. Raises InputError for
     stretches at which no width is free of stress.
@@ -284,7 +283,7 @@ def uniaxial_stress(
     coefficients = torch.from_numpy(solid.coefficients)
 
     def stress(across: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Along the direction and across."""
+        """Stresses along the direction and across."""
         a, b = along**2, across**2
         E = (
             np.stack([c * c * a + s * s * b - 1, s * s * a + c * c * b - 1, 2 * c * s * (a - b)])
@@ -307,15 +306,14 @@ def uniaxial_stress(
 
 
 def febio_material(solid: HyperelasticMaterial) -> str:
-    """The material as an XML element of FEBio's Material section.
+    """Convert the material to an XML element of FEBio's Material section.
 
     With neo_hookean and volumetric energies it is a mixture of "HGO unconstrained" without fibres
     and "fiber-exp-pow" for each family, which is the learned energy exactly in plane strain. With
     plane_stress and mooney it is an incompressible mixture ("Mooney-Rivlin" and
     "fiber-exp-pow-uncoupled"), the learned energy exactly in plane stress and in the limit of its
-    bulk modulus. Deviations, which belong to the lattice, are left out.
-
-    Raises InputError for a solid with bonds, or with energies beside these and fibre exponentials.
+    bulk modulus. Deviations, which belong to the lattice, are left out. Raises InputError for a
+    solid with bonds, or with energies beside these and fibre exponentials.
     """
     if np.any(solid.coefficients[: solid.dictionary.first_deviation]):
         raise InputError("solid: expected no bond energies, which FEBio does not know")
@@ -355,13 +353,13 @@ def _numbers(parent: ElementTree.Element, **numbers: float) -> None:
 
 @typed
 def save_febio(solid: HyperelasticMaterial, path: str | os.PathLike[str]) -> None:
-    """Write that element to a file, whole or not at all."""
+    """Write the material's FEBio element to a file, whole or not at all."""
     write_text(path, febio_material(solid) + "\n")
 
 
 @typed
 def material_terms(solid: HyperelasticMaterial) -> list[tuple[EnergyTerm, float]]:
-    """Energies of uniform strain with their coefficients; nodes and corners are one material."""
+    """Strain energies with their coefficients, those at nodes and corners added."""
     sums: dict[EnergyTerm, float] = {}
     values = solid.coefficients[solid.dictionary.first_term :].tolist()
     for term, value in zip(solid.dictionary.terms, values):
@@ -372,7 +370,7 @@ def material_terms(solid: HyperelasticMaterial) -> list[tuple[EnergyTerm, float]
 
 @typed
 def in_words(solid: HyperelasticMaterial) -> list[str]:
-    """What the coefficients say, one line for each number."""
+    """Describe the coefficients in words, one line for each."""
     active, matrix, fibres = material_terms(solid), list[str](), list[str]()
     values = defaultdict(float, {term.kind: value for term, value in active})
     told = {"fibre_power": "{:.4g}, power {:.3g}", "fibre_exponential": "k1 = {:.4g}, k2 = {:.3g}"}

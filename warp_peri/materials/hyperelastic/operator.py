@@ -1,7 +1,5 @@
-"""A hyperelastic solid, and on a lattice: force, energy, tangent, forces of single energies.
-
-Slopes and curvatures by what energies see are torch's; they pull at bonds, these at their ends.
-"""
+"""Hyperelastic materials and their lattice operators: force, energy, tangent. torch differentiates
+energies by what they see, bonds carry that to their ends."""
 
 from __future__ import annotations
 
@@ -42,7 +40,7 @@ MOST_SHOWN = 8
 
 @dataclass(frozen=True, eq=False, repr=False)
 class HyperelasticMaterial(Record, format="warp_peri.hyperelastic"):
-    """A dictionary with its coefficients.
+    """A hyperelastic material: a dictionary of energies with its coefficients.
 
     Attributes:
         dictionary: the energies.
@@ -73,7 +71,7 @@ class HyperelasticMaterial(Record, format="warp_peri.hyperelastic"):
 
     @property
     def sparse(self) -> HyperelasticMaterial:
-        """The same solid without the strain energies whose coefficient is zero."""
+        """The material without the strain energies whose coefficient is zero."""
         first = self.dictionary.first_term
         kept = [n for n, c in enumerate(self.coefficients[first:]) if c != 0]
         terms = tuple(self.dictionary.terms[n] for n in kept)
@@ -83,15 +81,15 @@ class HyperelasticMaterial(Record, format="warp_peri.hyperelastic"):
     def on(
         self, points: PointsLike, *, thickness: np.ndarray | None = None
     ) -> HyperelasticSheetOperator:
-        """The solid on a lattice, of an even sheet or with a thickness of every node [N] (H18)."""
+        """Build the operator on a lattice; thickness of each node [N] or an even sheet (H18)."""
         return HyperelasticSheetOperator(self, points, thickness=thickness)
 
     def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
-        """The provenance names the units that its records stay in."""
+        """Provenance naming the units that its records stay in."""
         return {"provenance": {**self.provenance, "units_before": list(self.units)}}
 
     def rows(self) -> list[tuple[str, str]]:
-        """What to know at a glance: name and value, energies by the size of their coefficients."""
+        """Name and value of each line of the material's table, the largest energies first."""
         stretch = "not known" if self.stretch is None else f"up to {self.stretch:.3g}"
         rows = [("learned on", f"{self.spacing:g} {symbols(self.units)[0]}")]
         rows += [("stretch of the data", stretch), ("energies", f"{len(self.dictionary)}")]
@@ -106,7 +104,7 @@ class HyperelasticMaterial(Record, format="warp_peri.hyperelastic"):
 
     @property
     def horizon(self) -> float:
-        """δ on the lattice it was learned on [length]."""
+        """Horizon δ on the lattice of the training data [length]."""
         return self.dictionary.reach * self.spacing
 
 
@@ -115,15 +113,16 @@ Active = list[tuple[Sites, list[Energy]]]
 
 
 class HyperelasticSheetOperator(Swept):
-    """A solid on a lattice; forces are per volume of the reference, (H8), of a thickness of one.
+    """A hyperelastic material on a lattice; forces per reference volume, (H8), of a thickness of
+    one.
 
     Args:
-        model: the solid.
+        model: the material.
         points: a lattice whose interior has the 2δ collar.
         thickness: of every node, > 0, shape [N]; an even sheet where none is given, (H18).
 
     Raises InputError for points that are no lattice, in other units, or whose collar is too narrow,
-    and a thickness that is none.
+    and a thickness that is not positive.
     """
 
     parts = 9  # bonds, of which a site sees three numbers
@@ -153,7 +152,7 @@ class HyperelasticSheetOperator(Swept):
     def changed(
         self, model: HyperelasticMaterial, thickness: np.ndarray | None
     ) -> HyperelasticSheetOperator:
-        """Another solid of the same reach, or thickness, on the same lattice."""
+        """The operator of another material of the same reach, or thickness, on the same lattice."""
         kind = type(self)
         other = kind.__new__(kind, model, self.points, thickness=thickness)
         vars(other).update(points=self.points, lattice=self.lattice, interior=self.interior)
@@ -161,7 +160,7 @@ class HyperelasticSheetOperator(Swept):
         return other
 
     def _energies(self, c: np.ndarray) -> Active:
-        """Those whose coefficient is not zero."""
+        """The energies whose coefficient is not zero."""
         found = dict[Any, list[Energy]]()
         for number, energy in enumerate(self.model.dictionary.energies):
             one = energy._replace(number=number, coefficient=float(c[number]))
@@ -185,7 +184,7 @@ class HyperelasticSheetOperator(Swept):
         return torch.autograd.grad(stored, q, create_graph=graph)[0]
 
     def _tension(self, e: np.ndarray, active: Active) -> np.ndarray:
-        """What energies pull at bonds e [pairs, S], over ξ + η."""
+        """Tension of bonds e [pairs, S] by the energies, over ξ + η."""
         slopes = (sites.pull(self._slope(sites, each, sites.seen(e))) for sites, each in active)
         return sum(slopes, np.zeros_like(e))
 
@@ -211,13 +210,13 @@ class HyperelasticSheetOperator(Swept):
         return min(1.0, float(Strain(self.lattice.sites().seen(e)).area.min()))
 
     def folded(self, u: np.ndarray) -> int:
-        """Corners with an interior node and an energy that one field [N, 2] turns over."""
+        """Number of energy corners at interior nodes that a field [N, 2] turns over."""
         Y = self.lattice.stretched(u[None])[0][..., 0]
         sides = [(sites.S @ Y).reshape(3, -1, 2) for sites, _ in self.active if sites.corner]
         return sum(int((x[:, 0] * y[:, 1] <= x[:, 1] * y[:, 0]).sum()) for x, y, _ in sides)
 
     def nodal_energy(self, u: ArrayLike) -> np.ndarray:
-        """What every node and the bonds that begin there hold, over h², shape [..., N]."""
+        """Energy of every node and the bonds that begin there, over h², shape [..., N]."""
 
         def sweep(u: np.ndarray) -> np.ndarray:
             e, total = self.lattice.stretched(u)[1], np.zeros(u.shape[:2])
@@ -228,11 +227,11 @@ class HyperelasticSheetOperator(Swept):
         return self._swept(sweep, u)
 
     def energy(self, u: ArrayLike) -> np.ndarray:
-        """Elastic energy U, (H1) [stress · area], shape [...], up to what the collar alone has."""
+        """Elastic energy U, (H1) [stress · area], shape [...], up to the collar's own part."""
         return np.asarray(self.nodal_energy(u).sum(axis=-1) * self.points.spacing**2)
 
     def everywhere(self, u: ArrayLike) -> np.ndarray:
-        """The derivative of U by every node's displacement over h², (H8), shape [..., N, 2]."""
+        """Force at all nodes: derivative of U by displacement over h², (H8), shape [..., N, 2]."""
 
         def sweep(u: np.ndarray) -> np.ndarray:
             Y, e = self.lattice.stretched(u)
@@ -241,7 +240,7 @@ class HyperelasticSheetOperator(Swept):
         return self._swept(sweep, u)
 
     def force(self, u: ArrayLike) -> np.ndarray:
-        """The force on the interior nodes [stress / length], shape [..., I, 2]."""
+        """Force on the interior nodes [stress / length], shape [..., I, 2]."""
         return self.everywhere(u)[..., self.interior, :]
 
     def _product(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
@@ -259,15 +258,15 @@ class HyperelasticSheetOperator(Swept):
         return self._swept(sweep, u, v)
 
     def jvp(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
-        """The derivative at u along v, shape [..., I, 2]."""
+        """Derivative of the force at u along v, shape [..., I, 2]."""
         return self._product(u, v)[..., self.interior, :]
 
     def vjp(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
-        """The transposed product, on all nodes [..., N, 2]: that of energies is symmetric."""
+        """Transposed tangent, which is symmetric, times w, on all nodes [..., N, 2]."""
         return self._product(u, self.on_all(w))
 
     def _tangent(self, u: np.ndarray) -> sp.bsr_array:
-        """The derivative of the force at a field between interior nodes (H10), blocks [2, 2]."""
+        """Tangent between interior nodes at a field (H10), blocks [2, 2]."""
         Y, e = self.lattice.stretched(plain("u", u)[None])
         inner = self.lattice.ends[self.interior]
         far = inner.T.tocsr()  # ∂e/∂u = Y·(v_j − v_i)
@@ -289,16 +288,16 @@ class HyperelasticSheetOperator(Swept):
         return sum(curved, sp.kron(turned, np.eye(2)).tobsr((2, 2)))
 
     def interior_tangent(self, u: np.ndarray) -> sp.csc_array:
-        """The same as a sparse matrix, shape [2 I, 2 I]."""
+        """Tangent between interior nodes at a field, sparse [2 I, 2 I]."""
         return sp.csc_array(self._tangent(u))
 
     def factors(self, u: np.ndarray, shifts: bool = False) -> tuple[Inner | None, bool]:
-        """Of that, as SheetLattice.factors."""
+        """Inverse of the tangent at a field; see SheetLattice.factors."""
         return self.lattice.factors(self._tangent(u), shifts)
 
     def features(self, u: ArrayLike, *, by: str = "coefficient") -> np.ndarray:
-        """The derivative of the force by the coefficient of every energy, or by the "angle" or
-        "exponent" of fibres, other columns zero, shape [..., I, 2, K]."""
+        """Derivative of the force by every energy's coefficient, or by the "angle" or "exponent" of
+        fibres, other columns zero, shape [..., I, 2, K]."""
         one, numbers = np.ones(len(self.model.dictionary)), by != "coefficient"
         energies = self.active if numbers else self._energies(one)
         chosen = [(s, e) for s, each in energies for e in each if e.is_fibre or not numbers]
@@ -320,28 +319,27 @@ class HyperelasticSheetOperator(Swept):
         return self._swept(sweep, u)
 
     def by_thickness(self, u: ArrayLike, slopes: np.ndarray) -> np.ndarray:
-        """The derivative of the force by P numbers of the thickness, [..., I, 2, P]: the force of
-        sheets as thick as its slopes [N, P]."""
+        """Derivative of the force by P thickness numbers, [..., I, 2, P]; slopes [N, P]."""
         sheets = (self.changed(self.model, each) for each in np.asarray(slopes).T)
         return np.stack([sheet.force(u) for sheet in sheets], axis=-1)
 
     @property
     def learnable(self) -> dict[str, np.ndarray]:
-        """The coefficients of the energies [stress]."""
+        """Coefficients of the energies [stress] by name."""
         return {"coefficients": self.model.coefficients}
 
     def at(self, numbers: Mapping[str, Any]) -> HyperelasticSheetOperator:
-        """The same with other coefficients, on the same lattice."""
+        """The operator with other coefficients, on the same lattice."""
         model = replace(self.model, coefficients=numbers["coefficients"], provenance={})
         return self.changed(model, self.thickness)
 
     def by_numbers(self, name: str, u: np.ndarray, w: np.ndarray) -> np.ndarray:
-        """Derivatives of Σ w · force(u) to the coefficients [K], of fields [S, N, 2]."""
+        """Derivatives of Σ w · force(u) by the coefficients [K], for fields [S, N, 2]."""
         return np.asarray(np.tensordot(w, self.features(u), np.ndim(w)))
 
     def stress(self, u: ArrayLike) -> np.ndarray:
-        """First Piola stress P = ½ Σ t (ξ + η)⊗ξ of a node's bonds, (H16), shape [..., I, 2, 2],
-        of an uneven sheet over a thickness of one; corners carry theirs at their apex."""
+        """First Piola stress P = ½ Σ t (ξ + η)⊗ξ of a node's bonds, (H16), shape [..., I, 2, 2], of
+        an uneven sheet over a thickness of one; corners carry theirs at their apex."""
         ends, nodal = abs(self.lattice.ends) / 2, [(s, e) for s, e in self.active if not s.corner]
 
         def sweep(u: np.ndarray) -> np.ndarray:
@@ -371,12 +369,12 @@ class HyperelasticSheetOperator(Swept):
             )
 
     def solve(self, b: ArrayLike | None, u: ArrayLike, solver: Solver = None) -> Solution:
-        """The stable equilibrium under a load, displacement given on the collar.
+        """Stable equilibrium under a load, displacement given on the collar.
 
         b [stress/length], None for no load, and u have shape [N, 2] or [S, N, 2]; the solver is
-        Newton(tolerance). The details of the solution are an Equilibrium for each sample. Warns of
-        stretches beyond the data that the solid was learned from. Raises NoEquilibriumError where
-        none was found, naming the sample; InputError for arrays that do not fit.
+        Newton(tolerance); the solution's details are an Equilibrium for each sample. Warns of
+        stretches beyond the training data. Raises NoEquilibriumError where none was found, naming
+        the sample; InputError for arrays that do not fit.
         """
         refuse_solver(solver, (Newton,), "a hyperelastic solid")
         load, given = checked_fields(self.points, b, u)
@@ -393,7 +391,7 @@ class HyperelasticSheetOperator(Swept):
         return by_sample(self, answer.reshape(given.shape), self.rhs(load), found, counts)
 
     def errors(self, samples: Samples, near: np.ndarray | None = None) -> dict[str, Any]:
-        """As evaluate_hyperelastic, of samples on these points."""
+        """Errors of evaluate_hyperelastic for samples on the operator's points."""
         told, found, start, inverse = dict[str, Any](), [], None, None
         if samples.b is not None:
             loads = samples.b[:, self.interior]
@@ -436,7 +434,7 @@ def evaluate_hyperelastic(
     thickness: np.ndarray | None = None,
     near: np.ndarray | None = None,
 ) -> dict[str, Any]:
-    """Relative ℓ2 errors on the interior, (30) and (31), as means over samples and one by one.
+    """Compute relative ℓ2 errors of a material on the interior, (30) and (31), and their means.
 
     Args:
         solid: a material, of the same spacing or another.
@@ -445,12 +443,10 @@ def evaluate_hyperelastic(
         near: fields of other loads, shape [M, N, 2], whose combination that fits its collar best
             each search begins at; at rest where none are given.
 
-    Returns:
-        E_res where there are loads; E_u over the samples that were solved, not_solved, their
-        number, and left_branch, the number of those that (Equilibrium.followed) another branch may
-        hold; residuals and displacements with the errors of every sample, NaN where not solved.
+    Returns E_res where there are loads; E_u over the samples that were solved, not_solved, their
+    number, and left_branch, the number of those that (Equilibrium.followed) another branch may
+    hold; residuals and displacements with the errors of every sample, NaN where not solved.
 
-    Warns of fields that are stretched beyond the data that the solid was learned from. Raises
-    InputError for samples in other units.
+    Warns of stretches beyond the training data. Raises InputError for samples in other units.
     """
     return solid.on(samples, thickness=thickness).errors(samples, near)
