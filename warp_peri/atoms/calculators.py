@@ -101,7 +101,7 @@ def _potentials() -> Path:
 
 
 def check_path(name: str, path: Path) -> None:
-    """Raise InputError for a path that LAMMPS would interpret."""
+    """Raise InputError for a path with characters that LAMMPS would interpret."""
     if not str(path).isprintable() or {*str(path)} & {*COMMAND_SIGNS}:
         raise InputError(
             f"{name}: expected a path without {COMMAND_SIGNS} or control signs, got {str(path)!r}"
@@ -225,13 +225,12 @@ def make_calculator(
     *,
     trusted: bool = True,
 ) -> Any:
-    """Make an ASE calculator from its name.
+    """Make an ASE calculator, for atoms with these symbols, from its name.
 
     Args:
         name: "lammps:pair_style sw", or "module:Class" or "module:function" with literal arguments,
             as "ase.calculators.lj:LennardJones(sigma=3.4, epsilon=0.0104, rc=9.0)". A function must
             have its calculator as return annotation.
-        symbols: of the atoms that it will see.
         potential: file of a LAMMPS potential.
         trusted: False for a name from elsewhere: only LAMMPS and ASE's own calculators may run.
 

@@ -116,17 +116,12 @@ def coarse_grain(
     node_area: Positive,
     thickness: Positive,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Smoothed displacement u [Å] and body force density b [TPa/Å], [S, N, 2] (ibid., 2.2 and 2.3).
+    """Smoothed displacement u [Å] and body force density b [TPa/Å], both [S, N, 2].
 
-    Args:
-        omega: smoothing functions, shape [N, A].
-        displacement: of the atoms [Å], shape [S, A, 2].
-        force: external force on the atoms [eV/Å], shape [S, A, 2].
-        mass: of the atoms, shape [A] or one number; any unit, it cancels.
-        node_area: area that a node stands for [Å²], h² on a lattice.
-        thickness: of the sheet [Å].
-
-    Raises InputError where a node has no atom within the radius.
+    Equations 2.2 and 2.3 of You et al. 2021 with smoothing functions `omega` [N, A], of the atoms'
+    displacement [Å] and external force [eV/Å], both [S, A, 2], and mass in any unit, [A] or one
+    number; `node_area` is what a node stands for [Å²], h² on a lattice; `thickness` of the sheet
+    [Å]. Raises InputError where a node has no atom within the radius.
     """
     atoms = omega.shape[1]
     moved = checked("displacement", displacement, shape=("S", atoms, 2))
@@ -150,15 +145,10 @@ def force_on_mesh(
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Body force density that does the work of the atoms' forces, up to free edges (equation 3a).
 
-    Piecewise linear, so that force, moment and the work on linear displacements are kept. Triangles
-    with few atoms give a ragged density, those wider than a tenth of a wave an inaccurate one.
-
-    Args:
-        mesh: the body [Å].
-        atoms: reference positions [Å], shape [A, 2]; those a little outside act on the nearest
-            triangle.
-        force: external force on the atoms [eV/Å], shape [A, 2].
-        thickness: of the sheet [Å].
+    Piecewise linear on the mesh [Å], so that force, moment and the work on linear displacements are
+    kept. Triangles with few atoms give a ragged density, those wider than a tenth of a wave an
+    inaccurate one. Atoms have reference positions [Å] and external forces [eV/Å], both [A, 2];
+    those a little outside act on the nearest triangle.
 
     Returns b [TPa/Å] as a function of positions [Å], both of shape [n, 2]; for `solve_body`. Raises
     InputError for atoms that lie outside the mesh.

@@ -343,8 +343,7 @@ def fit_crystal(
 def with_strains(
     atoms: ForceConstants, reference: Reference, calculator: Any, symmetry: Symmetry
 ) -> tuple[ForceConstants, np.ndarray | None, dict[str, str]]:
-    """Force constants, under noise joined with finite strains; the latter's moduli or None;
-    notes."""
+    """Join force constants with finite strains under noise; also returns these moduli and notes."""
     noise, allowed = reference.noise, _allowed(atoms, symmetry)
     largest = STRETCH if noise is None else noise.strain
     rough = noise is not None and noise.rough > 0

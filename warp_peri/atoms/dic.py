@@ -220,13 +220,10 @@ class DICFrame:
 def read_dic_frame(path: str | os.PathLike[str], *, pixel: float | str = 1.0) -> DICFrame:
     """Read one frame of image correlation from a table with a header.
 
-    Args:
-        path: of the table.
-        pixel: length of a pixel, or of the table's unit where it names none. With a unit, as
-            "0.012mm", or "mm" alone, the frame has that; else that of the names of columns.
-
-    Points with missing numbers or failed correlation are left out; named current positions are
-    taken back to the reference. Raises InputError for a table that is not clearly one.
+    `pixel` is the length of a pixel, or of the table's unit where it names none. With a unit, as
+    "0.012mm", or "mm" alone, the frame has that; else that of the names of columns. Points with
+    missing numbers or failed correlation are left out; named current positions are taken back to
+    the reference. Raises InputError for a table that is not clearly one.
     """
     data, (size, unit) = content(path), length_of(pixel)
     try:
@@ -262,13 +259,11 @@ def dic_to_lattice(
     radius: NotNegative = 0.0,
     positions: Literal["reference", "current"] | None = None,
 ) -> Samples:
-    """Interpolate frames to the lattice nodes that most have seen, and a collar of 2 REACH
-    spacings.
+    """Interpolate a sheet's frames to the lattice nodes that most have seen, with a 2δ collar.
 
     A node that a frame lost is filled in from its neighbours; fits ignore it (array SEEN).
 
     Args:
-        frames: of one sheet.
         spacing: of the lattice; by default that of the points.
         radius: of the smoothing local quadratic fits, in spacings; 0 keeps points that lie on nodes
             as they are, and takes 1.6 for others.

@@ -85,12 +85,9 @@ class DumpFrame:
 def iter_dump(path: str | os.PathLike[str]) -> Iterator[DumpFrame]:
     """Iterate over the frames of a trajectory, one in memory at a time.
 
-    Reads LAMMPS dumps (`dump custom`) as text or packed by gzip, bzip2, xz or zstd; .xyz, .extxyz
-    and .traj by ASE. Wrapped positions are unwrapped by the file's images, with a warning.
-
-    Args:
-        path: a dump with the columns id, x, y, z, or the wrapped, unwrapped or scaled forms of the
-            last three; in a tilted box xu, yu, zu, or x, y, z with ix, iy, iz.
+    Reads LAMMPS dumps (`dump custom`) as text or packed by gzip, bzip2, xz or zstd, with the
+    columns id, x, y, z, or the wrapped, unwrapped or scaled forms of the last three; .xyz, .extxyz
+    and .traj by ASE. Wrapped positions are unwrapped by the images ix, iy, iz, with a warning.
 
     Raises InputError for other files, an incomplete frame, ids that repeat or change, and wrapped
     atoms of a tilted box without images.
@@ -322,8 +319,7 @@ def mean_displacement(
         ids: of the atoms of the reference, rising, shape [A]; None takes the dump's.
         box: periods of the atoms [Å], for dumps of wrapped positions; None for a free body.
         skip: frames at the begin that are left out.
-        iota: ι of the smoothing u ← (1 − ι) u + ι u_frame from u = 0 (You et al. 2021, 2.10); None
-            for the plain average.
+        iota: ι of u ← (1 − ι) u + ι u_frame from u = 0 (You et al. 2021, 2.10), or None: the mean.
 
     Raises InputError for other atoms, a box other than the header's, atoms beyond half the box
     without one, and too few frames.
@@ -371,13 +367,8 @@ def check_box(
 
 @dataclass(frozen=True)
 class ReferenceAtoms:
-    """Atoms of the dumps in their reference state.
-
-    Attributes:
-        reference: positions without load [Å], shape [A, 2], by id.
-        mass: of each, in any unit, shape [A], or one for all.
-        ids, box: as of `mean_displacement`.
-    """
+    """Atoms of the dumps: reference positions without load [Å], [A, 2], by id, and mass [A] or of
+    all. The mass is in any unit; ids and box are as of `mean_displacement`."""
 
     reference: ArrayLike
     mass: ArrayLike = 1.0
@@ -414,19 +405,14 @@ def coarse_grain_dumps(
     average: FrameAverage = FrameAverage(),
     progress: bool = False,
 ) -> Samples:
-    """Coarse-grain dumps, one for each load, to samples on nodes.
+    """Coarse-grain dumps, one for each load, to samples on the nodes `points`.
 
     Args:
-        dumps: one for each load.
-        omega: smoothing functions of the nodes and atoms (see smoothing_matrix), shape [N, A].
-        points: the nodes.
-        atoms: in the reference state.
+        omega, node_area, thickness: as for coarse_grain.
         force: external forces on the atoms of each load [eV/Å], shape [S, A, 2].
-        node_area, thickness: as for coarse_grain.
         unloaded: dumps without load, one for each load or for all, whose displacement is
             subtracted: runs of one Langevin seed share most of their noise.
         average: of the frames of each dump.
-        progress: show a progress bar over the dumps.
 
     Warns of forces that are not shared among species as their masses are, and of torn sheets.
     Raises InputError as its parts do, and for forces or dumps that do not belong together.

@@ -61,10 +61,8 @@ NOT_ELASTIC = 3e-3
 class NonAnalyticCorrection:
     """Dipole–dipole part of the force constants of ions (theory, T18).
 
-    Attributes:
-        born: effective charges of the atoms of a cell [e], [n, 3, 3]; their mean is taken off.
-        dielectric: of clamped ions, shape [3, 3].
-        decay: Λ [1/Å] of the Gaussians; from_supercell sets it where it is 0.
+    Of the effective charges `born` of a cell's atoms [e], [n, 3, 3], less their mean, and the
+    clamped-ion `dielectric` tensor [3, 3]; `decay` is Λ [1/Å] of the Gaussians, 0 by default.
     """
 
     born: np.ndarray
@@ -96,7 +94,7 @@ class NonAnalyticCorrection:
         return D
 
     def at_long_waves(self, e: np.ndarray, cell: np.ndarray) -> np.ndarray:
-        """Part of D by the macroscopic field along unit vectors e [K, 3], [K, n, 3, n, 3]."""
+        """Macroscopic field's part of D along unit vectors e [K, 3], shape [K, n, 3, n, 3]."""
         pull = np.einsum("kb,nba->kna", e, self.born)
         screened = np.einsum("ki,ij,kj->k", e, self.dielectric, e)
         factor = 4 * np.pi * COULOMB / abs(np.linalg.det(cell)) / screened
@@ -356,11 +354,9 @@ def relaxing(stiff: np.ndarray, moving: int) -> np.ndarray:
 class Supercell:
     """Supercell of a crystal, and `pairs` of the cell's atoms with the nearest images of all.
 
-    Args:
-        cell: the crystal's, an ase.Atoms; moments, charges and tags tell its atoms apart.
-        many: the supercell, an ase.Atoms whose atoms lie on sites of the cell.
-        displaced: numbers in the supercell of the atoms of the cell, in turn, length n.
-        thickness, polar, stress: as of ForceConstants.
+    `cell` and the supercell `many` are ase.Atoms; moments, charges and tags tell atoms apart.
+    `displaced` are the numbers in the supercell of the cell's atoms, in turn, length n; other
+    arguments are of ForceConstants.
     """
 
     def __init__(

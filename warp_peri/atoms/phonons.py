@@ -202,14 +202,8 @@ def finite_differences(
 def from_calculator(
     structure: Any, calculator: Any, repeats: Sequence[int], *, thickness: Positive | None = None
 ) -> ForceConstants:
-    """Force constants of a crystal by an ASE calculator, on a supercell.
-
-    Args:
-        structure: the cell at rest, an ase.Atoms.
-        calculator: of ASE.
-        repeats: of the cell along its edges, wider than twice what the forces reach.
-        thickness: of a sheet [Å].
-    """
+    """Force constants of a crystal at rest, an ase.Atoms, by an ASE calculator on a supercell.
+    `repeats` of the cell must be wider than twice what forces reach; `thickness` of a sheet [Å]."""
     many, first = structure.repeat(tuple(repeats)), range(len(structure))
     forces = forces_of(many, calculator)
     phi, change = finite_differences(forces, np.array(many.positions), first)
@@ -233,13 +227,10 @@ def from_phonopy(
     move is their error. With Born charges the field of the ions is part of every wave (theory,
     T18); a solid of several elements without BORN is warned of.
 
-    Args:
-        path: phonopy.yaml, phonopy_params.yaml or phonopy_disp.yaml, or its folder; only
-            FORCE_CONSTANTS, force_constants.hdf5, FORCE_SETS and BORN beside it are read. Units are
-            phonopy's.
-        thickness: of a sheet across z [Å]; by default as `fit_crystal` has it.
-
-    Raises InputError without phonopy or forces, for files it cannot read, for charges of a sheet.
+    `path` is phonopy.yaml, phonopy_params.yaml or phonopy_disp.yaml, or its folder; only
+    FORCE_CONSTANTS, force_constants.hdf5, FORCE_SETS and BORN beside it are read, in phonopy's
+    units. `thickness` of a sheet across z [Å] is as of `fit_crystal`. Raises InputError without
+    phonopy or forces, for files it cannot read, for charges of a sheet.
     """
     path = Path(path)
     there = [one for one in (path, *(path / name for name in YAML)) if one.is_file()]

@@ -169,8 +169,7 @@ def parse(words: Sequence[str]) -> Namespace:
     """Parse the command and its options, those missing on the line from the file of --config.
 
     The file has one table named as the command, with long options (`_` for `-`) and positional
-    arguments as keys. The result also has `from_file` (set by the file), `options`, `usual`
-    (defaults).
+    arguments as keys. `from_file` of the result are those it set, `options` all, `usual` defaults.
     """
     known = "\n".join(f"  {name:14}{text.splitlines()[0]}" for name, text in COMMANDS.items())
     top = Parser(

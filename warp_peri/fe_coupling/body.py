@@ -324,13 +324,8 @@ def body_gradient(
 ) -> BodyGradient:
     """Derivatives of J by loads, held displacement, λ and μ, by one adjoint solve.
 
-    Args:
-        solution: of solve_body.
-        x: positions of the body that J depends on the displacement of [Å], shape [m, 2].
-        by_u: ∂J/∂u there [J/Å], shape [m, 2].
-        tolerance: of the adjoint exchange.
-
-    Raises InputError for other shapes, and positions outside the mesh.
+    J depends on the displacement at positions x of the body [Å], with ∂J/∂u = by_u there [J/Å],
+    both [m, 2]. Raises InputError for other shapes, and positions outside the mesh.
     """
     model, problem = solution.model, solution.problem
     if not isinstance(model, LPSMaterial):

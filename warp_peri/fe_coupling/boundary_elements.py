@@ -63,15 +63,8 @@ MOST_STEPS, FOUND = 30, 1e-11
 
 
 class Rim:
-    """Elements of degree 1, or of degree 2 and curved at the outline, on some cells of a mesh.
-
-    Node i has the displacements d i to d i + d − 1.
-
-    Args:
-        mesh: of the body, triangles or tetrahedra.
-        kept: cells of the rim, shape [T] bool.
-        degree: of the elements.
-    """
+    """Elements of degree 1, or of degree 2 and curved at the outline, on cells `kept` [T] of a
+    mesh. Node i has the displacements d i to d i + d − 1."""
 
     def __init__(self, mesh: Mesh, kept: np.ndarray, degree: int = 2) -> None:
         needed = "scikit-fem is not installed: pip install 'warp_peri[bodies]'"
@@ -202,14 +195,8 @@ class Rim:
 
 
 class RimProblem(LinearOperator):  # type: ignore[misc]
-    """Problem K u = f with some displacements given, factorised once.
-
-    A linear map from (f, given), flat [2 d n], to u, flat [d n].
-
-    Args:
-        K: stiffness [TPa], shape [d n, d n], symmetric.
-        fixed: given displacements, shape [d n] bool.
-    """
+    """Problem K u = f with displacements given where `fixed` [d n], factorised once; K in TPa. A
+    linear map from (f, given), flat [2 d n], to u, flat [d n]."""
 
     def __init__(self, K: sp.csr_array, fixed: np.ndarray) -> None:
         super().__init__(float, (len(fixed), 2 * len(fixed)))

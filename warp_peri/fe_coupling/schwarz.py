@@ -76,8 +76,7 @@ class Bulk(LinearOperator):  # type: ignore[misc]
     """Problem L u = b of a linear material on the unknown nodes.
 
     A linear map from b and u on the collar, flat [d (I + C)], to u, flat [d I]. `accuracy` is that
-    of the next solve; `stiff` says that λ ≫ μ. Raises InputError for a singular or indefinite
-    operator.
+    of the next solve; `stiff` says λ ≫ μ. InputError for a singular or indefinite operator.
     """
 
     accuracy = 0.0
@@ -190,8 +189,8 @@ def bulk_lattice(
 
     Loads are resolved where waves as long as those of b, by its mean square slope, agree with the
     model at home to the tolerance of a transfer; the body where half of its area lies two horizons
-    inside and no hole is smaller than the overlap. Else the finest is taken, for loads with a
-    warning.
+    inside and no hole is smaller than the overlap. Else the finest is taken; a warning tells of
+    loads.
     """
     home, unit = max(model.certified_on), symbols(model.units)[0]
     check_extent(mesh, home, model.units)
@@ -266,13 +265,10 @@ GOAL = 0.5
 
 @dataclass
 class Exchange:
-    """Record of the alternating solves of rim and bulk.
+    """Record of the alternating solves of rim and bulk, so many `exchanges`.
 
-    Attributes:
-        exchanges: solves of the rim, each with one of the bulk.
-        mismatch: of the rim's inner side, relative: what the bulk hands back less what it was
-            given.
-        rim_residual, bulk_residual: ‖K u − f‖ and ‖L u − b‖ over the right-hand side.
+    `mismatch`: relative difference of what the bulk hands back to the rim's inner side and was
+    given; the residuals are ‖K u − f‖ and ‖L u − b‖ over the right-hand side.
     """
 
     exchanges: int = 0
@@ -322,8 +318,7 @@ class Schwarz:
 
     One exchange is linear in the loads q = (f, given, b) and in the inner side g, which is among
     what is given: u = S (q + P g), and the bulk hands back g = R u. Derivatives are the same
-    exchange with Sᵗ, Rᵗ and Pᵗ (B12, B13). `cell` holds each bulk node; `whole` is of
-    `in_elements`.
+    exchange with Sᵗ, Rᵗ and Pᵗ (B12, B13). `cell` holds each bulk node; `whole` is in_elements'.
     """
 
     def __init__(

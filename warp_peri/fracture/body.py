@@ -74,14 +74,9 @@ def lattice_body(
 ) -> LatticeBody:
     """Make a body and its bonds on a square or cubic lattice, straight or turned.
 
-    Args:
-        x: positions [length], shape [N, 2] or [N, 3], in any order.
-        spacing: h [length].
-        horizon: δ [length].
-        endless: x is one layer of an untilted body that goes on along its last axis, all layers
-            alike; a bond beyond its end leads to the node of this layer.
-
-    Raises InputError for points off the lattice, or given twice.
+    Positions x [length], [N, 2] or [N, 3], are in any order; with `endless` they are one layer of a
+    straight body that goes on along its last axis, all layers alike, and bonds beyond its end lead
+    to this layer's nodes. Raises InputError for points off the lattice, or given twice.
     """
     x = checked("x", x, float, ("N", "d"))
     if len(x) == 0 or x.shape[1] not in (2, 3):

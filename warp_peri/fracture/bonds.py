@@ -35,11 +35,8 @@ SPANNED = 1e-3
 class SplitBonds(NamedTuple):
     """Coefficients of a node's energy ½ Σ c e² + ½ x (Σ a e)² over its bonds (theory, C1).
 
-    Attributes:
-        stiffness: c of the bonds of a ball [stress / length⁴], shape [B]; or [N, B] of all bonds,
-            the same in both directions.
-        share: a, of a bond in the dilatation [1 / length²], shape [B].
-        excess: x [stress]; or of each node, shape [N].
+    `stiffness` c [stress / length⁴] of the bonds of a ball [B], or of all [N, B]; `share` a of a
+    bond in the dilatation [1 / length²], [B]; `excess` x [stress], one or of each node [N].
     """
 
     stiffness: np.ndarray
@@ -195,11 +192,9 @@ def dilatations(
 class CutOperator:
     """Forces and energies of a lattice body over its unbroken bonds, by rows in Warp.
 
-    Args:
-        limits: of the criterion, by bond of the ball, shape [B]; none breaks by default.
-        by_energy: the criterion is the bond's energy density instead of e = s r².
-        tension_only: bonds in compression do not break.
-        no_fail: nodes whose bonds do not break, shape [N] bool.
+    `limits` of the criterion are by bond of the ball [B], for its energy density with `by_energy`,
+    else for e = s r²; none breaks by default. With `tension_only` bonds in compression do not
+    break, nor do those of the nodes `no_fail`, [N] bool.
     """
 
     def __init__(

@@ -138,8 +138,7 @@ class BondLaw:
         """Law with the same strength and toughness at a horizon so many times as long (C18).
 
         A bond that stores more than its part of the toughness before it fails gets no tail and
-        fails earlier, at less strength. Raises InputError for a law that never fails, or times not
-        > 0.
+        fails earlier, at less strength. Raises InputError for a law that never fails.
         """
         if not (np.isfinite(self.stretch) and is_positive(times)):
             raise InputError(
@@ -161,7 +160,7 @@ class BondLaw:
 
 
 def pull_of(s: Any, softness: Any, of: Any) -> Any:
-    """Pull as BondLaw.pull, of NumPy or torch."""
+    """Pull of a bond as BondLaw.pull, of NumPy or torch."""
     return s * of.exp(-softness * of.clip(s, 0, None))
 
 
@@ -172,7 +171,7 @@ def slope_of(s: np.ndarray, softness: float) -> np.ndarray:
 
 
 def share_of(worst: Any, softness: Any, stretch: Any, tail: Any, of: Any) -> Any:
-    """Share as BondLaw.share, of NumPy or torch; a tail of 0 breaks at once, without a gradient."""
+    """Share of a bond's pull as BondLaw.share, of NumPy or torch; a tail of 0 has no gradient."""
     beyond = worst > stretch
     if tail == 0 or not beyond.any():
         return of.where(beyond, 0.0, of.ones_like(worst))
@@ -184,7 +183,7 @@ def share_of(worst: Any, softness: Any, stretch: Any, tail: Any, of: Any) -> Any
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SofteningMaterial(OnLinear, format="warp_peri.soft_solid"):
-    """Solid whose bonds soften and fail by one law (C16), with λ = μ, positive on the lattice."""
+    """Solid whose bonds soften and fail by one law (C16), positive; InputError unless λ = μ."""
 
     model: LPSMaterial
     law: BondLaw

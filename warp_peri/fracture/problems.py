@@ -133,8 +133,8 @@ class Cracked:
                 `no_fail`, `grip`, `ramp` (BreakingBody); `v` (its start). The histories are the
                 ledger's and CrackRun's; the details are Broken.
             events: slow growth in any positive solid, `no_fail` and `progress` (C7).
-            loads, line: pull of a SofteningMaterial, `no_fail`, `stop`, `progress` and `parameters`
-                (C16); see SoftBody.pull.
+            loads, line: SoftBody.pull of a SofteningMaterial, `no_fail`, `stop`, `progress`,
+                `parameters`.
         """
         if self.pressure is not None:
             raise InputError("pressure: a Cracked under pressure is solved at rest; see Injected")
@@ -265,12 +265,10 @@ def energy_release(
     over ± 2 spacings, for 2 %, as bonds are cut one by one.
 
     Args:
-        material, solver: as of `solve`.
         problem: a Cracked, whose cracks are not looked at; loads stay as the crack grows.
         cracks: for each length its polylines; what longer ones add is the new area.
-        shift: how much further a tip acts than it is cut [length], by `tip_shift`; G is then that
-            of the length asked for, by a parabola of three lengths or a quartic of five or more
-            (C25).
+        shift: how much further a tip acts than it is cut [length], by `tip_shift`; G is then by a
+            parabola of three lengths or a quartic of five or more (C25).
 
     Raises InputError for fewer than two lengths, with a shift fewer than three or in space, for a
     body that nothing pulls at, and as Cracked.solved.
@@ -313,8 +311,7 @@ def tip_shift(material: Any, spacing: Positive, *, corrected: bool = False) -> f
 
     The field of a tip is given around squares of four and eight horizons half side; the shift is
     where the cut tip releases that field's energy, extrapolated by the inverse side. `corrected` is
-    as the Cracked that it is for; in space the strain is plane. Raises InputError for a material
-    without a linear part.
+    as the Cracked that it is for; in space the strain is plane. InputError without a linear part.
     """
     model = offered(material, "linear", "tip_shift", "a solid with a linear part")
     sides = RADIUS * model.horizon * np.array([1.0, 2.0])
@@ -346,15 +343,10 @@ def _shift(model: LPSMaterial, h: float, radius: float, corrected: bool) -> floa
 def j_integral(solution: Solution, tip: Sequence[float], radii: tuple[float, float]) -> float:
     """J integral around the tip of a crack along an axis, for straight growth, by a domain (C12).
 
-    Gradients are differences, one-sided across the crack; the weight falls from 1 to 0 between two
-    squares about the tip, in space cubes about a point of a front that is straight in the larger
-    one, over which J is the mean.
-
-    Args:
-        solution: of a Cracked on a rectangle or box of nodes, of one material, with the crack
-            midway between two of their rows, columns or layers.
-        tip: where the crack ends, shape [d].
-        radii: half sides of the squares [length], the smaller first; taken to the nearest spacing.
+    The weight falls from 1 to 0 between two squares about the tip [d], in space cubes about a point
+    of a front that is straight in the larger one, over which J is the mean; `radii` are their half
+    sides [length], the smaller first, taken to the nearest spacing. The solution is of a Cracked on
+    a box of nodes, of one material, with the crack midway between two rows or layers.
 
     Raises InputError for a body that is no box, several materials, squares that do not differ by a
     spacing or do not fit into the body, and a tip that no crack is near.

@@ -293,12 +293,11 @@ def grow(
         u: the held components at unit load, shape [N, d].
         events: how many, fewer when the body comes apart.
         no_fail: nodes whose bonds do not break, shape [N] bool.
-        progress: shows a bar.
 
     Returns a motion whose time is the load, the factor of u at which each event's bond breaks, over
     the critical stretch. Its histories are load, energy: elastic at unit load before each event
-    [stress · area], and broken: bonds up to it, both directions. The details are the neighbours at
-    the end, shape [N, B].
+    [stress · area], and broken: bonds up to it, both directions; details: the last neighbours [N,
+    B].
     """
     check_breakable(model, body.classes)
     table, rows, near = cracked(body, cracks), list[tuple[float, float, int]](), None
@@ -335,15 +334,10 @@ def apparent_toughness(
 ) -> float:
     """Energy that a growing crack spends, over the toughness of (C6) behind its critical stretch.
 
-    From a central crack in a plane under tension, grown by `length` spacings: the mean of each
-    spacing's largest load. Divide a stretch by its root to calibrate it (C7). In space strain is
-    plane and the front straight; for a bent front this is an upper end.
-
-    Args:
-        model: positive on the lattice.
-        spacing: h; the ratio of horizon to spacing is what matters.
-        cells: spacings from the middle to the collar; the crack's half length is 0.4 of that.
-        length: spacings of growth that are averaged.
+    From a central crack in a plane under tension, `cells` spacings from the middle to the collar,
+    of half length 0.4 of that, grown by `length` spacings: the mean of each spacing's largest load.
+    Divide a stretch by its root to calibrate it (C7). The model must be positive on the lattice. In
+    space strain is plane and the front straight; for a bent front this is an upper end.
     """
     h, reach, d = spacing, int(np.ceil(model.horizon / spacing)), model.dimension
     side = 2 * (cells + 2 * reach) * h

@@ -196,8 +196,7 @@ class Tiles:
     Attributes:
         shape: nodes of the box along the axes.
         block: nodes of a tile along the axes that are cut; of slabs of rows that is one.
-        starts: along each of these the first node of each rank of the grid, and the number of
-            nodes, shape [p + 1].
+        starts: along each of these the ranks' first nodes, and the number of nodes, shape [p + 1].
     """
 
     shape: tuple[int, ...]

@@ -111,8 +111,7 @@ class Subdomain:
         """Solve a Dirichlet problem at rest; u and load are those of this rank's nodes.
 
         The option checkpoint=PATH writes iterates, from which a later solve goes on, on any number
-        of ranks. Raises InputError for other problems and materials, and as RowOperator and
-        `definite`.
+        of ranks. Raises InputError for other problems and materials, and as RowOperator.
         """
         alike(material, problem, options | {"solver": solver})
         (asked,) = taken(options, "solve", _asked)
@@ -213,13 +212,9 @@ class Subdomain:
 class NodeHalo:
     """Nodes of a piece and of other ranks in the box around it, in the order of the whole body.
 
-    Sums over neighbours then have the same bits on any rank.
-
-    Attributes:
-        number: of all nodes here in the whole body, rising, shape [m].
-        x: their positions, shape [m, d].
-        own: places of the piece's own among them, shape [n].
-        count, sum, gather: as of the piece, of values on its own nodes.
+    Sums over neighbours then have the same bits on any rank. The m nodes here have rising numbers
+    `number` in the whole body and positions `x` [m, d]; `own` are the places of the piece's own
+    [n]; count, sum and gather are the piece's.
     """
 
     def __init__(self, piece: Subdomain, reach: float) -> None:
@@ -328,11 +323,8 @@ def read_rows(
 def partition(points: Points, by: str = "rows") -> Any:
     """This rank's piece of points that every rank has; the points themselves without mpiexec.
 
-    Args:
-        points: a lattice along the axes, without a box, the same on every rank.
-        by: "rows" of the lattice, or "bisection" of boxes at the middle of their longest side.
-
-    Raises InputError for other points, for more ranks than there are rows in blocks, or nodes.
+    Of a lattice along the axes, without a box; by "rows" of it, or "bisection" of boxes at the
+    middle of their longest side. Raises InputError for other points, and too many ranks.
     """
     if not ranks_started():
         return points

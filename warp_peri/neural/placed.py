@@ -149,8 +149,7 @@ class Placed(OperatorBase):
         forward, back: numbers among these of the bonds of the interior nodes, and of the same bonds
             from their other end, shape [I, B].
 
-    Raises InputError for points in space or scattered, broken bonds, or an interior without a 2δ
-    collar.
+    Raises InputError for points in space or scattered, broken bonds, or no 2δ collar.
     """
 
     def __init__(self, material: NeuralOperator, points: PointsLike) -> None:
@@ -176,7 +175,7 @@ class Placed(OperatorBase):
     def stretch(
         self, u: torch.Tensor, share: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Extensions |Y| − |ξ| [S, F, B], dilatations (NO3) [S, F], unit vectors of Y [S, I, B,
+        """Extensions |Y| − |ξ| [S, F, B], dilatations (NO3) [S, F], directions Y/|Y| [S, I, B,
         2]."""
         xi, r = (torch.as_tensor(one, dtype=u.dtype) for one in (self.xi, self.r))
         eta = u[:, self.ends] - u[:, self.whole, None]
@@ -285,8 +284,7 @@ class Placed(OperatorBase):
         return np.reshape(size * stress.double().numpy(), (*np.shape(u)[:-2], -1, 2, 2))
 
     def tension(self, u: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Force states [stress/length³] of interior nodes' bonds [S, A]; unit vectors [S, I, B,
-        2]."""
+        """Force states [stress/length³] of interior nodes' bonds [S, A], and directions Y/|Y|."""
         omega, share, r = self.shares(u.dtype)
         e, theta, M = self.stretch(u, share)
         state = self.material.force_state(*self.inputs(omega, theta, e, r))

@@ -164,7 +164,7 @@ class _Loads:
     def errors(
         self, some: torch.Tensor, cells: int, offset: tuple[float, float] = (0.5, 0.5)
     ) -> torch.Tensor:
-        """Relative ℓ2 errors of b of some samples."""
+        """Relative ℓ2 errors of the load b of some samples."""
         u = self.u[some]
         if cells:
             force = interpolated_force(self.placed, u, cells=cells, offset=offset)

@@ -119,13 +119,7 @@ def said(error: float, form: str = "{:.2f}%") -> str:
 
 @dataclass(frozen=True)
 class QuantityEstimate:
-    """Value of a quantity in a prediction, its correction and likely error.
-
-    Attributes:
-        value: of the prediction's displacement.
-        correction: signed; value + correction is the rich member's value.
-        bar: likely error of the value, same shape.
-    """
+    """Value of a quantity, its likely error `bar`, and signed `correction` to the rich member's."""
 
     value: np.ndarray
     correction: np.ndarray

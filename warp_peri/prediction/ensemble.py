@@ -303,10 +303,8 @@ def pulled(members: float, told: float | None) -> float:
 class CalibrationFactors:
     """Calibration factors that turn error fields into likely errors (Q4).
 
-    Attributes:
-        left: of the remaining correction.
-        floor: of what waves, data and strain may miss.
-        screen: of the mean gradient, for the error of the linear solution.
+    Of the correction `left`; `floor` of what waves, data and strain may miss; `screen` of the mean
+    gradient, for the error of the linear solution.
     """
 
     left: NotNegative = 1.2
@@ -381,11 +379,10 @@ class EnsembleMaterial(OnLinear, format="warp_peri.family", version=2):
 @typed
 @dataclass(frozen=True)
 class Ensemble:
-    """Ensemble of materials to learn from one data set.
+    """Ensemble to learn: `rich`, the best material that the data bear, and a poorer `second`.
 
-    Attributes:
-        rich: the best that the data bear: LPS(…), ThirdOrder(…), Crystal(…).
-        second: a poorer one, as good on long waves; by default `rich` with a shorter horizon.
+    They are LPS(…), ThirdOrder(…) or Crystal(…); the second, as good on long waves, is by default
+    the rich one with a shorter horizon.
     """
 
     rich: Any
