@@ -5,13 +5,8 @@ from functools import cache
 
 import numpy as np
 
-from warp_peri.core.elastic import (
-    checked_orientation,
-    huang_rows,
-    point_group,
-    shared_with_nodes,
-    stress_brackets,
-)
+from warp_peri.core import elastic
+from warp_peri.core.elastic import checked_orientation, point_group, shared_with_nodes
 from warp_peri.core.stencil import invariant_basis
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import fit_dispersion
@@ -92,6 +87,6 @@ def plain_force(law, points, u):
 
 def huang_defect(law):
     """Largest break of Huang's relations, relative to the largest bracket."""
-    held = 0.0 if law.stress is None else stress_brackets(law.stress)
+    held = 0.0 if law.stress is None else elastic.stress_brackets(law.stress)
     brackets = law.stencil.brackets
-    return np.abs(huang_rows((brackets - held)[None])).max() / np.abs(brackets).max()
+    return np.abs(elastic.huang_rows((brackets - held)[None])).max() / np.abs(brackets).max()

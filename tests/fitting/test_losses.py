@@ -1,36 +1,20 @@
 """Losses by rows: that of Warp's operator, the correction for noise, displacement's responses."""
 
-import dataclasses
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from tests.support.problems import (
-    KERNELS,
-    difference,
-    ell,
-    kernel,
-    lattice,
-    manufactured,
-    noise,
-    with_nodes,
-)
+from tests.support.problems import KERNELS, difference, ell, kernel, lattice, manufactured, noise
 from tests.support.solving import fit, solve
 from tests.support.symbols import fluctuation, noisy, waves
 from warp_peri import Bernstein, InputError, Samples
 from warp_peri.fitting import rows
 from warp_peri.fitting.rows import sample_weights, without_noise
+from warp_peri.materials import lps_stages
 from warp_peri.materials.lps_law import Products, products
-from warp_peri.materials.lps_stages import (
-    CollarResponse,
-    OperatorLoss,
-    WaveResponse,
-    class_weights,
-    squares,
-    total_loss,
-)
+from warp_peri.materials.lps_stages import CollarResponse, OperatorLoss, WaveResponse, class_weights
 from warp_peri.points.families import bond_classes
 
 NEAR_HORIZON = 2.5
@@ -79,10 +63,10 @@ def test_is_the_full_loss_with_its_gradients(sets, normalise, block, monkeypatch
     weights = sample_weights(sets, normalise=normalise)
     full = [OperatorLoss(each, NEAR_HORIZON, weight) for each, weight in zip(sets, weights)]
     start = leaves(0.0, 1.0, alpha=1.0, D=np.random.default_rng(0).uniform(size=4))
-    size = slopes(total_loss(full, start), start).norm()
+    size = slopes(lps_stages.total_loss(full, start), start).norm()
     for name, shape in KERNELS.items():
         given = leaves(**shape)
-        pair = by_rows(sets, weights, *given), total_loss(full, given)
+        pair = by_rows(sets, weights, *given), lps_stages.total_loss(full, given)
         assert abs(pair[0].item() / pair[1].item() - 1) <= 1e-10, name
         gradient, expected = (slopes(loss, given) for loss in pair)
         assert (gradient - expected).norm() <= 1e-10 * size, name
@@ -116,7 +100,7 @@ MODEL = kernel("sign-changing", HORIZON, lam=-0.2, mu=0.7)
 def moved(x):
     """The model with other λ, μ, α and D."""
     numbers = dict(zip(("lam", "mu", "alpha"), x.tolist()))
-    return dataclasses.replace(MODEL, **numbers, D=x[3:], certified_on=(1.0,))
+    return replace(MODEL, **numbers, D=x[3:], certified_on=(1.0,))
 
 
 HERE = np.array([MODEL.lam, MODEL.mu, MODEL.alpha, *MODEL.D])
@@ -130,7 +114,7 @@ def clean():
 
 
 def square(rows, model):
-    return squares([rows], [CLASSES], model)
+    return lps_stages.squares([rows], [CLASSES], model)
 
 
 def noise_rows(noise, weight):
@@ -211,7 +195,7 @@ def test_the_wave_response_is_exact_for_every_parity_and_so_is_its_tangent(clean
         u[sample, :, axis] = (response.u[sample, axis] * cos).T
         u[sample, :, 1 - axis] = -(response.u[sample, 1 - axis] * sin).T
         b[sample, :, axis] = (response.b[sample, axis] * cos).T
-        there = WaveResponse(Products(dataclasses.replace(clean, u=u, b=b), HORIZON))
+        there = WaveResponse(Products(replace(clean, u=u, b=b), HORIZON))
         assert square(there.about(MODEL), MODEL) < 1e-20
 
 
@@ -219,11 +203,11 @@ def test_what_noise_and_waves_cannot_be_used_is_refused(clean):
     noise, b = fluctuation(clean, 2, SIZE, seed=4), clean.b.copy()
     for given, words in (
         (noise[:0], "at least one field"),
-        (with_nodes(noise, x=noise.x + 0.5), "nodes"),
+        (replace(noise, points=replace(noise.points, x=noise.x + 0.5)), "nodes"),
         ([noise, noise], "expected 1 sets"),
     ):
         with pytest.raises(InputError, match=words):
             fit(clean, HORIZON, Bernstein(2), noise=given)
     b[3] = 0
     with pytest.raises(InputError, match="sample 3"):
-        WaveResponse(Products(dataclasses.replace(clean, b=b), HORIZON))
+        WaveResponse(Products(replace(clean, b=b), HORIZON))

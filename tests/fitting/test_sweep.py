@@ -1,11 +1,11 @@
 """Algorithm 2: choices among trials, and a sweep that resumes."""
 
-import dataclasses
 import json
+from dataclasses import replace
 
 import pytest
 
-from tests.support.problems import kernel, lattice, manufactured, with_nodes
+from tests.support.problems import kernel, lattice, manufactured
 from warp_peri import LPS, InputError, LPSMaterial
 from warp_peri.materials.sweep import Trial, choose
 from warp_peri.methods import sweep
@@ -70,8 +70,9 @@ def test_a_trial_is_not_believed_as_it_stands(sets, tmp_path):
         one.write_text(json.dumps(told))
         assert sweep(*sets, tmp_path, **options).trials == first
     (train, val), options = sets, options | {"horizons": (2.0,)}
-    sweep(*(with_nodes(each, units=("nm", "GPa")) for each in sets), tmp_path, **options)
-    quiet = dataclasses.replace(val, u=1e-9 * val.u)
+    there = [replace(each, points=replace(each.points, units=("nm", "GPa"))) for each in sets]
+    sweep(*there, tmp_path, **options)
+    quiet = replace(val, u=1e-9 * val.u)
     for more in ({"noise": quiet}, {"test": quiet}, {"law": LPS(2.0, loss="residual")}):
         sweep(train, val, tmp_path, **more, **options)
     models = [LPSMaterial.load(path) for path in tmp_path.glob("*.model.json")]

@@ -16,17 +16,7 @@ from warp_peri.cli.main import main
 from warp_peri.points.families import largest_strain
 from warp_peri.points.points import _said
 from warp_peri.points.unit_names import factors
-from warp_peri.prediction import (
-    CalibrationFactors,
-    Ensemble,
-    EnsembleMaterial,
-    EnsembleOperator,
-    design_loads,
-    force,
-    mean,
-    strain,
-    stress,
-)
+from warp_peri.prediction import CalibrationFactors, Ensemble, EnsembleMaterial, EnsembleOperator
 from warp_peri.prediction.ensemble import BEYOND, ErrorSpectrum, Spectrum, pulled
 
 pytestmark = pytest.mark.filterwarnings("ignore:(strain|transferred):UserWarning")
@@ -138,10 +128,10 @@ def test_quantities_come_with_a_signed_correction(family):
     rough = wp.predict(family, given, 0.5)
     at = [(4.0, 4.0), (2.0, 5.0)]
     for quantity in (
-        strain(points, at),
-        stress(rough.operator, at),
-        mean(points.interior),
-        force(rough.operator, (2.0, 4.0), (6.0, 4.0)),
+        wp.prediction.strain(points, at),
+        wp.prediction.stress(rough.operator, at),
+        wp.prediction.mean(points.interior),
+        wp.prediction.force(rough.operator, (2.0, 4.0), (6.0, 4.0)),
     ):
         found = rough.of(quantity)
         wrong = np.asarray(quantity(u)) - found.value
@@ -405,7 +395,7 @@ def test_what_data_hold_nothing_of_is_named(lps):
 
 def test_designed_loads_hold_all_waves_without_a_mean():
     sheet = wp.Points.sheet((20, 20), 5.0)
-    loads = design_loads(sheet, shortest_wave=20.0)
+    loads = wp.prediction.design_loads(sheet, shortest_wave=20.0)
     assert loads.shape == (2, 400, 2)
     assert np.abs(loads.mean(axis=1)).max() < 1e-12
     assert np.linalg.norm(loads, axis=-1).max() == pytest.approx(1)
@@ -413,4 +403,4 @@ def test_designed_loads_hold_all_waves_without_a_mean():
     k = np.hypot(*np.meshgrid(*2 * [np.fft.fftfreq(20)]))
     assert np.array_equal(power > 1e-9 * power.max(), (k > 0) & (k <= 0.25 + 1e-9))
     with pytest.raises(wp.InputError, match="box"):
-        design_loads(lattice(4, 1.0), 3.0)
+        wp.prediction.design_loads(lattice(4, 1.0), 3.0)

@@ -15,21 +15,18 @@ def plate(radius: float, half: float, rings: int, around: int) -> Mesh:
     share = np.linspace(0, 1, rings + 1)[:, None, None] ** 1.5  # finer at the hole
     x = (radius * circle * (1 - share) + half * square * share).reshape(-1, 2)
     here, next = np.arange(around), (np.arange(around) + 1) % around
-    triangles = []
-    for ring in range(0, rings * around, around):
-        inner, outer = ring + here, ring + around + here
-        inner_next, outer_next = ring + next, ring + around + next
-        triangles += [
-            np.stack([inner, inner_next, outer], axis=1),
-            np.stack([inner_next, outer_next, outer], axis=1),
-        ]
+    first = around * np.arange(rings)[:, None]
+    inner, inner_next, outer, outer_next = (
+        first + nodes for nodes in (here, next, around + here, around + next)
+    )
+    triangles = np.stack([[inner, inner_next, outer], [inner_next, outer_next, outer]])
     hole = np.stack([here, next], axis=1)
     ends = np.sort(hole, axis=1)
     middle = x[ends].sum(axis=1)
     middle *= radius / np.hypot(*middle.T)[:, None]
     return make_mesh(
         x,
-        np.concatenate(triangles),
+        triangles.transpose(2, 0, 3, 1).reshape(-1, 3),  # ring by ring
         {"hole": hole, "sides": hole + rings * around},
         {(a, b): point for (a, b), point in zip(ends.tolist(), middle)},
     )

@@ -1,7 +1,5 @@
 """Problems defined once: lattices, kernels, fields, and the tolerances they are held to."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from warp_peri import LPSMaterial, Points, Samples
@@ -103,8 +101,3 @@ def difference(function, point, step, order=8):
 def fitted_order(spacings, errors):
     """Slope of the error over the spacing on logarithmic axes."""
     return np.polyfit(np.log(spacings), np.log(errors), 1)[0]
-
-
-def with_nodes(samples, **change):
-    """The same fields on changed points."""
-    return replace(samples, points=replace(samples.points, **change))
