@@ -124,8 +124,6 @@ def installed(tmp_path, monkeypatch):
 RUNS = {
     "here:Mine(sigma=2.5)": "could run a program or load code",
     "ase.calculators.lammpslib:LAMMPSlib(lmpcmds=['shell touch ran'])": "could run a program",
-    "ase.calculators.emt:os.system('touch ran')": "no attribute",
-    "lammps:lj/cut 5; pair_coeff * * 0.4 2.3; shell touch ran": "shell touch",
 }
 
 

@@ -169,17 +169,12 @@ def test_files_claim_what_is_proven_and_nothing_else(tmp_path):
     proof = StencilCertificate(proven=0.0, sampled=-1e-13, long_waves=0.0, cells=0, seconds=0.0)
     wp.save(tmp_path / "law.json", replace(law, certificate=proof))
     assert wp.load(tmp_path / "law.json").certificate.statement == "Nothing is proven."
-    wp.save(tmp_path / "law.json", replace(law, certificate=replace(proof, proven=0.1)))
-    with pytest.raises(wp.InputError, match="is not proven of these tensors"):
-        wp.load(tmp_path / "law.json")
     law = learned(2)
     for times in (0.995, 1.7):
         forged = replace(law.certificate, sampled=times * law.certificate.sampled)
         wp.save(tmp_path / "law.json", replace(law, certificate=forged))
         with pytest.raises(wp.InputError, match="is not proven of these tensors"):
             wp.load(tmp_path / "law.json")
-    wp.save(tmp_path / "law.json", law)
-    assert wp.load(tmp_path / "law.json").certificate.statement == law.certificate.statement
 
 
 @pytest.mark.parametrize("reach", [1, 2, 4])

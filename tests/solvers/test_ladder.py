@@ -12,7 +12,8 @@ from tests.support.solving import solve
 from tools.benchmark import MODEL_FILE as TABLE
 from tools.benchmark import lattice_of as problem
 from tools.benchmark import loads, mask_of
-from warp_peri import CG, Direct, InputError, LPSMaterial
+from warp_peri import CG, Direct, Dirichlet, InputError, LPSMaterial
+from warp_peri import solve as at_rest
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.solvers.multigrid import prolong, restrict
 
@@ -32,12 +33,13 @@ def test_solves_recover_a_manufactured_solution_whatever_is_not_read(method):
     model = kernel("sign-changing", HORIZON, lam=-0.2)
     mask = np.ones((23, 31), bool) if method == "sine" else notched()
     points = lattice(mask, HORIZON, angle=0.4, origin=(3.0, -8.0))
-    points, records = manufactured(model, points, 2), []
+    points = manufactured(model, points, 2)
     assert np.abs(points.u[:, ~points.interior]).max() > 0.1
     collar = np.where(points.interior[:, None], np.nan, points.u)
     load = np.where(points.interior[:, None], points.b, np.nan)
-    iteration = {} if method == "lu" else dict(tolerance=1e-11, records=records)
-    solved = solve(model, points, load, collar, method=method, iteration=iteration)
+    solver = Direct() if method == "lu" else CG(method, tolerance=1e-11)
+    solution = at_rest(model, Dirichlet(points, load, collar), solver=solver)
+    solved, records = solution.u, solution.details or ()
     np.testing.assert_allclose(solved, points.u, rtol=0, atol=1e-11 if method == "lu" else 2e-8)
     assert np.array_equal(solved[:, ~points.interior], points.u[:, ~points.interior])
     assert np.isnan(collar[:, points.interior]).all()  # what was given stays as it was
@@ -105,18 +107,19 @@ def test_an_indefinite_operator_is_named_by_every_method():
     model = LPSMaterial(0.3, 0.8, 1.0, [1.0, -0.9, 0.3], HORIZON, certified_on=(1.0,))
     points = lattice(8, HORIZON)
     for method in ("lu", "sine", "multigrid", "strip"):
+        solver = Direct() if method == "lu" else CG(method)
         with pytest.raises(InputError, match="nodes is indefinite"):
-            solve(model, points, noise(points), noise(points), method=method)
+            solve(model, points, noise(points), noise(points), solver=solver)
         fields = (torch.from_numpy(noise(points)) for _ in range(2))
         with pytest.raises(InputError, match="nodes is indefinite"):
-            model.on(points).solve(*fields, Direct() if method == "lu" else CG(method))
+            model.on(points).solve(*fields, solver)
 
 
 def test_a_tolerance_out_of_reach_is_an_error():
     points = lattice(12, HORIZON)
-    given, how = (points, noise(points), noise(points)), dict(tolerance=1e-17)
+    given, how = (points, noise(points), noise(points)), CG("sine", tolerance=1e-17)
     with pytest.raises(InputError, match="the solve stalled: residual"):
-        solve(kernel("1/r", HORIZON, lam=0.3), *given, method="sine", iteration=how)
+        solve(kernel("1/r", HORIZON, lam=0.3), *given, solver=how)
 
 
 def test_methods_that_do_not_fit_are_refused():
@@ -124,10 +127,10 @@ def test_methods_that_do_not_fit_are_refused():
     points = lattice(notched(), HORIZON)
     zero = np.zeros((len(points.x), 2))
     with pytest.raises(InputError, match="sine is for boxes"):
-        solve(model, points, zero, zero, method="sine")
+        solve(model, points, zero, zero, solver=CG("sine"))
     cut = replace(points, outside=np.zeros(len(points.x), bool))
     with pytest.raises(InputError, match="is for lattices without a box"):
-        solve(model, cut, zero, zero, method="multigrid")
+        solve(model, cut, zero, zero, solver=CG("multigrid"))
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
