@@ -116,7 +116,7 @@ def wide_enough(reference: Reference, calculator: Any, widths: Sequence[float]) 
 def _at_rim(
     many: ase.Atoms, calculator: Any, width: float, reference: Reference
 ) -> tuple[float, float]:
-    """Relative force at half a supercell's width from a displaced atom, and that of the noise."""
+    """Relative force at half a supercell's width from a displaced atom, and what counts as none."""
     noise, x, rim, none = reference.noise, np.array(many.positions), 0.0, DECAYED_FORCE
     forces = forces_of(many, calculator)
     still, far = forces(x), many.get_distances(0, range(len(many)), mic=True)

@@ -59,7 +59,7 @@ VOIGT = ("xx", "yy", "zz", "yz", "xz", "xy")
 
 @dataclass(frozen=True)
 class Reference:
-    """Crystal at rest.
+    """Crystal at rest, with the noise of its calculator.
 
     Attributes:
         cell: its smallest cell, an ase.Atoms without a calculator; a sheet lies across z.

@@ -85,8 +85,7 @@ class DiffusionOperator(FlowOperator):
         points: a lattice or scattered points with a collar of δ; nodes outside break their bonds,
             which leaves an insulated surface.
         kappa: the conductivity: a number, one by node [N] (harmonic mean along a bond), or a
-            function of positions [..., 2], taken in series along each bond (Di2). By default the
-            law's.
+            function of positions [..., 2], in series along each bond (Di2). By default the law's.
 
     ``op(phi)`` takes φ on all nodes, [N] or [S, N], and returns L φ on the interior, [I] or [S, I].
     Raises InputError for a conductivity not > 0, or points that do not carry the horizon.
@@ -279,7 +278,7 @@ class ThermoelasticMaterial(Record, format="warp_peri.coupled_solid"):
 
     @property
     def horizon(self) -> float:
-        """Horizon δ [length], the longer of the two."""
+        """Horizon δ [length], the longer of solid and conductor."""
         return max(self.model.horizon, self.conductor.horizon)
 
     @property

@@ -279,7 +279,7 @@ def _springs(edge: Mapping[str, float], mesh: Mesh) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class BodyGradient:
-    """Derivatives of J(u), with everything else held.
+    """Derivatives of a function J of a body's displacement by its loads and material.
 
     Attributes:
         lam, mu: by λ and μ of the model on its lattice [J/TPa], in the bulk and the rim's moduli.

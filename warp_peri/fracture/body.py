@@ -53,12 +53,12 @@ class LatticeBody:
 
     @property
     def xi(self) -> np.ndarray:
-        """Bond vectors of the ball [length], shape [B, d]."""
+        """Bond vectors of a node's whole ball [length], shape [B, d]."""
         return np.asarray(self.classes.xi @ self.axes.T)
 
     @property
     def r(self) -> np.ndarray:
-        """Bond lengths of the ball [length], shape [B]."""
+        """Bond lengths of a node's whole ball [length], shape [B]."""
         return np.asarray(self.classes.r[self.classes.bond_class])
 
     @property

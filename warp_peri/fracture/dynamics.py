@@ -215,7 +215,7 @@ class BreakingBody:
         return links, SurfaceCorrection(self.operator, links) if self.corrected else None
 
     def correct(self, state: BreakingState, lost: np.ndarray | None = None) -> None:
-        """Add the surface correction to force and energy; `lost` are nodes with new broken ones."""
+        """Add the surface correction to force and energy, where nodes have `lost` bonds anew."""
         if (correction := state.correction) is None:
             return
         if lost is not None:

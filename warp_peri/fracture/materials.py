@@ -59,7 +59,7 @@ class BrittleMaterial(OnLinear, format="warp_peri.brittle_solid", version=3):
 
     @property
     def linear(self) -> LPSMaterial:
-        """Solid before anything breaks."""
+        """Linear solid before anything breaks."""
         return self.model
 
     @property
@@ -121,7 +121,7 @@ class BondLaw:
         return np.asarray(pull_of(checked("s", s), self.softness, np))
 
     def share(self, worst: np.ndarray) -> np.ndarray:
-        """Share of the pull that is left after a largest stretch, from 1 to 0."""
+        """Share of a bond's pull that is left after a largest stretch, from 1 to 0."""
         worst = checked("worst", worst)
         return np.asarray(share_of(worst, self.softness, np.float64(self.stretch), self.tail, np))
 
@@ -135,7 +135,7 @@ class BondLaw:
         return float(before + self.pull(np.array(s)) * self.tail / 2)
 
     def at_horizon(self, times: float) -> BondLaw:
-        """Law with the same strength and toughness at a horizon so many times as long (C18).
+        """Bond law with the same strength and toughness at a horizon so many times as long (C18).
 
         A bond that stores more than its part of the toughness before it fails gets no tail and
         fails earlier, at less strength. Raises InputError for a law that never fails.
@@ -195,7 +195,7 @@ class SofteningMaterial(OnLinear, format="warp_peri.soft_solid"):
 
     @property
     def linear(self) -> LPSMaterial:
-        """Solid before anything softens."""
+        """Linear solid before anything softens."""
         return self.model
 
     def toughness(self, spacing: float) -> float:

@@ -296,8 +296,7 @@ def grow(
 
     Returns a motion whose time is the load, the factor of u at which each event's bond breaks, over
     the critical stretch. Its histories are load, energy: elastic at unit load before each event
-    [stress · area], and broken: bonds up to it, both directions; details: the last neighbours [N,
-    B].
+    [stress · area], and broken: bonds up to it, both directions; details: the neighbours [N, B].
     """
     check_breakable(model, body.classes)
     table, rows, near = cracked(body, cracks), list[tuple[float, float, int]](), None

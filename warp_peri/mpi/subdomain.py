@@ -87,7 +87,7 @@ class Subdomain:
 
     @property
     def own(self) -> slice:
-        """Slice of the nodes that are this rank's own: all."""
+        """Slice of the nodes that belong to this rank: all."""
         return slice(None)
 
     @property

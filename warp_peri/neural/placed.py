@@ -175,8 +175,8 @@ class Placed(OperatorBase):
     def stretch(
         self, u: torch.Tensor, share: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Extensions |Y| − |ξ| [S, F, B], dilatations (NO3) [S, F], directions Y/|Y| [S, I, B,
-        2]."""
+        """Extensions |Y| − |ξ| [S, F, B], dilatations [S, F], directions Y/|Y| [S, I, B, 2]
+        (NO3)."""
         xi, r = (torch.as_tensor(one, dtype=u.dtype) for one in (self.xi, self.r))
         eta = u[:, self.ends] - u[:, self.whole, None]
         Y = xi + eta
@@ -187,7 +187,7 @@ class Placed(OperatorBase):
         return e, e @ share, M
 
     def inverse(self, loads: int) -> Inverse:
-        """Inverse of the solid at rest for `loads` loads on the interior."""
+        """Inverse of the force's linear part at rest, for `loads` loads on the interior."""
         return EquilibriumSolver(self).inverse
 
     def errors(self, samples: Samples) -> dict[str, Any]:

@@ -137,12 +137,8 @@ class TrainingSettings:
 
 @dataclass
 class TrainingHistory:
-    """Epochs, seconds and errors of a training.
-
-    Attributes:
-        curve: epoch, mean training error in it, and validation error, of every look.
-        best: the epoch whose weights the material holds.
-    """
+    """Epochs and seconds of a training, the `best` epoch, whose weights are kept, and error curve.
+    The curve has epoch, mean training error in it, and validation error, of every look."""
 
     epochs: int = 0
     seconds: float = 0.0
@@ -200,15 +196,10 @@ def train(
 ) -> TrainingHistory:
     """Train the material's weights in place; keeps those of least train + val error.
 
-    Args:
-        material: with the weights to start from.
-        samples, val: to learn from, and to choose the epoch by; every interior node counts.
-        training: settings; with more epochs than a checkpoint has, the work goes on.
-        checkpoint: a file of all that is needed to go on, written every ten seconds.
-        progress: a bar on stderr.
-
-    Raises InputError for no samples, one of zero load or a frame at rest, loads in one set alone, a
-    checkpoint of other settings or samples, and a training that diverges.
+    Every interior node counts. With more epochs than a `checkpoint` has, a file written every ten
+    seconds, the work goes on from there; `progress` is a bar on stderr. Raises InputError for no
+    samples, one of zero load or a frame at rest, loads in one set alone, a checkpoint of other
+    settings or samples, and a training that diverges.
     """
     if not (len(samples) and len(val)):
         raise InputError("samples: expected at least one, got none")
