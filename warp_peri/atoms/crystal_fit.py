@@ -112,7 +112,7 @@ class CrystalFit(Shown):
 
     @cached_property
     def law(self) -> CrystalMaterial:
-        """The material in Å and TPa, in the axes of the force constants."""
+        """Fitted material in Å and TPa, the units of the force constants."""
         return self.material.in_units(USUAL)
 
     @cached_property

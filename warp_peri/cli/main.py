@@ -32,8 +32,8 @@ LEARNING = ("coarse-grain", "fit", "sweep", "fit-crystal", "fit-sheet")
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run a command; returns its exit status. That is 0; 1 after a failure, such as a full disk or
-    a row that does not hold; 2 for input that cannot be used; 130 after Ctrl-C."""
+    """Run a command; its exit status is 0, 1 after a failure, such as a full disk or a row that
+    does not hold, 2 for input that cannot be used, or 130 after Ctrl-C."""
     known: dict[str, Any] = {}
 
     def kept() -> str:
