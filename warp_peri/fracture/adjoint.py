@@ -95,6 +95,16 @@ class SoftBody:
         free: components that are not given, flat [d N].
 
     Raises InputError for another model, and for a piece of the body that nothing holds.
+
+    Arguments of `pull`: u are given components at unit load, [N, d], the others where the first
+    solve begins; line is straight, in space a flat polygon; at the share `stop` of the largest
+    force it ends; parameters are softness, stretch or tail. It returns a motion whose time is the
+    load, with the histories load, force, normal to its line per thickness, and broken bonds. With
+    parameters, or a tensor as u, force and the last u are tensors, differentiable once along the
+    path taken: which bonds failed when counts, how often a load was settled does not. A body apart
+    along the line has force 0; without an equilibrium before, the curve ends with a warning. Raises
+    InputError for loads that do not rise, a line that no bond crosses, a first load without an
+    equilibrium, and derivatives to bonds that break at once.
     """
 
     def __init__(
@@ -165,20 +175,7 @@ class SoftBody:
         progress: bool = False,
         parameters: Mapping[str, Any] | None = None,
     ) -> Motion:
-        """Raise the load step by step; at each, let bonds fail until none does.
-
-        u: given components at unit load, [N, d]; others are where the first solve begins. line: a
-        straight one, in space a flat polygon. stop: share of the largest force at which it ends.
-        parameters: softness, stretch or tail.
-
-        Returns a motion whose time is the load, with the histories load, force, normal to its line
-        per thickness, and broken bonds. With parameters, or a tensor as u, force and the last u are
-        tensors, differentiable once along the path taken: which bonds failed when counts, how often
-        a load was settled does not. A body apart along the line has force 0; without an equilibrium
-        before, the curve ends with a warning. Raises InputError for loads that do not rise, a line
-        that no bond crosses, a first load without an equilibrium, and derivatives to bonds that
-        break at once.
-        """
+        """Raise the load step by step; at each, let bonds fail until none does; see the class."""
         loads = checked("loads", loads, float, ("n",))
         if not (len(loads) and loads[0] >= 0 and (np.diff(loads) > 0).all()):
             raise InputError(f"loads: expected factors that rise from ≥ 0, got {loads.tolist()}")
