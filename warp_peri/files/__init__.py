@@ -1,1 +1,1 @@
-"""How files are written: whole or not at all, and read with care."""
+"""Files written whole or not at all, and read with care."""

@@ -1,7 +1,5 @@
-"""Files written whole or not at all, and those of strangers read with care.
-
-What another library parses, which might run it, is looked at first.
-"""
+"""Files written whole or not at all, and files of strangers read with care: what another library
+parses, which might run it, is looked at first."""
 
 from __future__ import annotations
 
@@ -38,11 +36,9 @@ BROKEN = zipfile.BadZipFile, EOFError, RuntimeError, KeyError, NotImplementedErr
 
 
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
-    """The arrays of a file that np.savez wrote, by name.
-
-    Raises OSError when it cannot be read, ValueError when it is anything else: compressed,
-    truncated, with arrays whose headers claim other sizes than the file holds, or with objects.
-    """
+    """Read the arrays of an np.savez file by name. OSError when it cannot be read, ValueError when
+    it is anything else: compressed, truncated, with other sizes than its headers claim, or with
+    objects."""
     check_regular(path)
     size = min(os.path.getsize(path), MOST)
     try:
@@ -61,10 +57,8 @@ PART = ".part-"
 
 
 def destination(path: str | os.PathLike[str]) -> Path:
-    """Where a file of this name is written: links are followed, to what they point at.
-
-    Raises InputError for what is there and is no regular file: a folder, a device, a pipe.
-    """
+    """Path where a file of this name is written, links followed; InputError for what is there and
+    is no regular file: a folder, a device, a pipe."""
     followed = Path(os.path.realpath(path))
     try:
         mode = os.stat(followed).st_mode
@@ -80,7 +74,7 @@ def destination(path: str | os.PathLike[str]) -> Path:
 
 @contextmanager
 def _no_place(path: Path) -> Iterator[None]:
-    """Errors of folders that take no files, or are none, as one line that names the path."""
+    """Turn errors of folders that take no files, or are none, into one line that names the path."""
     try:
         yield
     except (FileExistsError, FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
@@ -91,12 +85,10 @@ def _no_place(path: Path) -> Iterator[None]:
 def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path beside `path`; rename it to `path` on success, remove it on error.
 
-    The temporary file is locked meanwhile, so HDF5 must write it with `locking=False`.
-
-    The folder is created if it is missing. A reader therefore sees the old file, the new file or
-    none, never half of one. A link stays, and what it points at is replaced.
-
-    Raises InputError for a path that is no regular file; nothing is touched then.
+    A reader sees the old file, the new file or none, never half of one. The temporary file is
+    locked meanwhile, so HDF5 must write it with `locking=False`. The folder is created if it is
+    missing. A link stays, and what it points at is replaced. InputError for a path that is no
+    regular file.
     """
     path = destination(path)
     with _no_place(path):
@@ -116,10 +108,8 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def _begun(path: Path) -> tuple[int, Path]:
-    """A new half-written file, locked by this process; those of killed saves are removed.
-
-    The lock is the operating system's and ends with the process: what nobody holds nobody writes.
-    """
+    """Create a half-written file, locked by this process until it ends; those of killed saves,
+    which nobody holds, are removed."""
     handle, made = tempfile.mkstemp(path.suffix, f".{path.name}{PART}", path.parent)
     _held(handle)
     temporary = path.with_name(f".{path.name}{_mark(handle)}{path.suffix}")
@@ -129,10 +119,8 @@ def _begun(path: Path) -> tuple[int, Path]:
 
 
 def _mark(handle: int) -> str:
-    """What the name of a half-written file holds: its own number on the disk.
-
-    No file of a user, and no copy, has that in its name.
-    """
+    """Part of a half-written file's name: its own number on the disk, as no user's file or copy
+    has."""
     return f"{PART}{os.fstat(handle).st_ino}"
 
 
@@ -171,10 +159,9 @@ def locked(path: str | os.PathLike[str]) -> Iterator[None]:
     """Hold a file or folder that is being written against every other job.
 
     The lock is the operating system's, on a hidden file beside `path`: it ends with the process,
-    however that ends. Half-written files that a killed job left are removed.
-
-    Raises InputError when another job holds it, or where no file can be; and where the hidden file
-    is a user's, with something in it.
+    however that ends. Half-written files that a killed job left are removed. Raises InputError when
+    another job holds it, or where no file can be; and where the hidden file is a user's, with
+    something in it.
     """
     path = Path(os.path.realpath(path))
     beside = path.with_name(f".{path.name}.lock")
@@ -203,7 +190,7 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
 
 def plain(value: Any) -> Any:
-    """Turn NumPy numbers and arrays inside `value` into what JSON knows."""
+    """Turn NumPy numbers and arrays inside `value` into JSON values."""
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -214,7 +201,7 @@ def plain(value: Any) -> Any:
 
 
 def finite(value: Any) -> Any:
-    """None for the floats inside plain `value` that JSON has no number for."""
+    """Replace the floats inside plain `value` that JSON has no number for by None."""
     if isinstance(value, dict):
         return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -223,11 +210,8 @@ def finite(value: Any) -> Any:
 
 
 def parsed(text: str | bytes) -> Any:
-    """What JSON says.
-
-    Raises ValueError for other text, and for brackets deeper than DEEPEST: they end the process
-    where a package has raised Python's limit of recursion.
-    """
+    """Parse JSON text; ValueError for other text, and brackets deeper than DEEPEST, which end the
+    process where a package has raised Python's limit of recursion."""
     if not isinstance(text, str | bytes):
         raise ValueError(f"expected text, got {type(text).__name__}")
     raw = text.encode() if isinstance(text, str) else text
@@ -256,12 +240,12 @@ MARKS = b"\xff\xfe", b"\xfe\xff", b"\xef\xbb\xbf"
 
 
 def encoding_of(head: bytes) -> str:
-    """Of text, by the mark that it may begin with."""
+    """Encoding of text, by the mark that it may begin with."""
     return "utf-16" if head.startswith(MARKS[:2]) else "utf-8-sig"
 
 
 def unpacked(path: str | os.PathLike[str], head: bytes) -> Any:
-    """The bytes of a file, packed or not, by how it begins."""
+    """Open a file's bytes, unpacking by how it begins."""
     for mark, opened in PACKED.items():
         if head.startswith(mark):
             return opened(path, "rb")
@@ -272,7 +256,7 @@ def unpacked(path: str | os.PathLike[str], head: bytes) -> Any:
 
 
 def content(path: str | os.PathLike[str]) -> bytes:
-    """The bytes of a whole file, unpacked. Raises InputError for more than LARGEST, or none."""
+    """Bytes of a whole file, unpacked; InputError for more than LARGEST, or none."""
     check_regular(path)
     try:
         with open(path, "rb") as file:
@@ -307,7 +291,7 @@ def check_yaml(path: str | os.PathLike[str], text: bytes) -> None:
 
 
 def _is_endless(text: str) -> bool:
-    """Whether it is a number that is not finite, as YAML or Python writes it."""
+    """Whether text is a number that is not finite, as YAML or Python writes it."""
     try:
         return not np.isfinite(float(text.lower().replace(".nan", "nan").replace(".inf", "inf")))
     except ValueError:
@@ -315,7 +299,7 @@ def _is_endless(text: str) -> bool:
 
 
 def check_regular(path: str | os.PathLike[str]) -> None:
-    """Raise InputError for what is there and no file, as a pipe, which may never end."""
+    """Raise InputError for a path that is there and no file, as a pipe, which may never end."""
     if os.path.exists(path) and not os.path.isfile(path):
         raise InputError(f"{path}: expected a file, got another thing of that name")
 
@@ -363,5 +347,5 @@ def check_hdf5(file: h5py.File, size: int) -> None:
 
 
 def meshio_of(extra: str = "export") -> Any:
-    """meshio, which writes VTU; InputError names the extra that brings it."""
+    """Module meshio, which writes VTU; InputError names the extra that brings it."""
     return optional("meshio", f"meshio is not installed: pip install 'warp_peri[{extra}]'")

@@ -1,8 +1,5 @@
-"""Files of long runs: checkpoints, one HDF5 file of arrays on nodes and of plain values; records.
-
-Of ranks the first writes it, in the order of the whole body, so that the file is the same from any
-number of them, is read by any HDF5, and a run goes on from it on any other number.
-"""
+"""Files of long runs: checkpoints (one HDF5 file of arrays on nodes and plain values) and records.
+On ranks the first writes them, in the order of the whole body: the same from any number of them."""
 
 from __future__ import annotations
 
@@ -36,22 +33,22 @@ OF_A_FIT = ("sha256", "certificate", "proven", "provenance")
 
 
 class Alone:
-    """The communicator of a process that shares its work with none."""
+    """Communicator of a process that shares its work with none."""
 
     rank, size = 0, 1
 
     def bcast(self, value: Any) -> Any:
-        """What the first process has."""
+        """Value that the first process has."""
         return value
 
     def allgather(self, value: Any) -> list[Any]:
-        """What each process has."""
+        """Values that all processes have."""
         return [value]
 
     gather = allgather
 
     def allreduce(self, value: Any) -> Any:
-        """The sum over all processes."""
+        """Sum of a value over all processes."""
         return value
 
 
@@ -59,7 +56,7 @@ ALONE = Alone()
 
 
 class AllNodes:
-    """The nodes of a body of which one process has all; of some of them: mpi.NodeHalo.
+    """All nodes of a body in one process; pieces of them are mpi.NodeHalo.
 
     Attributes:
         own: which of the nodes here are this process's own.
@@ -75,15 +72,15 @@ class AllNodes:
         self.count = count
 
     def sum(self, values: np.ndarray) -> np.ndarray:
-        """Of values [n, ...] over all nodes, whoever has them, shape [...]."""
+        """Sum of values [n, ...] over all nodes, whoever has them, shape [...]."""
         return np.asarray(values.sum(axis=0))
 
     def gather(self, values: np.ndarray) -> np.ndarray:
-        """Values [n, ...] of the own nodes on all of the whole body."""
+        """Values [n, ...] of the own nodes gathered on all nodes of the body."""
         return values
 
     def mark(self, *parts: Any) -> str:
-        """A fingerprint of arrays on the nodes here, and of other values."""
+        """Fingerprint of arrays on the nodes here, and of other values."""
         return fingerprint(*parts)
 
 
@@ -91,9 +88,9 @@ def fingerprint(*parts: Any) -> str:
     """SHA-256 of values, by which a file kept beside a run knows what the run depends on.
 
     Arrays count with kind and shape; data classes (points, samples, settings, problems) with all
-    their fields, so that none is forgotten; materials with what their file holds; functions with
-    their code and the values that it reads; other objects with their attributes; numbers alike
-    whatever type they are of. The version of the library counts, too.
+    their fields; materials with what their file holds; functions with their code and the values
+    that it reads; other objects with their attributes; numbers alike whatever type they are of. The
+    version of the library counts, too.
     """
     digest = hashlib.sha256(__version__.encode())
     for text in _spelled(parts):
@@ -102,7 +99,7 @@ def fingerprint(*parts: Any) -> str:
 
 
 def _spelled(part: Any, above: frozenset[int] = frozenset()) -> Iterator[bytes]:
-    """What tells a value from others, bit by bit; `above` are those that it is a part of."""
+    """Bytes that tell a value from others; `above` are those that it is a part of."""
     if hasattr(part, "detach"):  # of torch
         part = part.detach().cpu()
     if hasattr(part, "numpy") and not isinstance(part, type):  # and of Warp
@@ -161,7 +158,7 @@ def _spelled(part: Any, above: frozenset[int] = frozenset()) -> Iterator[bytes]:
 
 
 def _read_by(function: Any) -> dict[str, Any]:
-    """What a function encloses, and the values that it reads of its module."""
+    """Values that a function encloses or reads of its module, by name."""
     names, code = set[str](), [function.__code__]
     for one in code:  # those of what is defined inside, too
         names |= {*one.co_names}
@@ -181,7 +178,7 @@ def _read_by(function: Any) -> dict[str, Any]:
 
 
 def _methods(kind: type) -> dict[str, Any]:
-    """Functions of a class of a user's own, by name."""
+    """Methods of a user's own class, by name."""
     if not _is_users(kind):
         return {}
     plain = {name: getattr(one, "__func__", one) for name, one in vars(kind).items()}
@@ -195,7 +192,7 @@ def _is_users(one: Any) -> bool:
 
 
 def _lasting(content: Any) -> Any:
-    """Of what a material's file holds what makes the material."""
+    """Contents of a material's file that determine the material."""
     if not isinstance(content, dict):
         return content
     return {key: _lasting(one) for key, one in content.items() if key not in OF_A_FIT}
@@ -203,7 +200,7 @@ def _lasting(content: Any) -> Any:
 
 @contextmanager
 def agreed(comm: Any) -> Iterator[None]:
-    """An InputError that any rank meets inside is raised on all. No rank may wait for others."""
+    """Raise an InputError that any rank meets inside on all. No rank may wait for others."""
     mine: InputError | None = None
     try:
         yield
@@ -215,10 +212,8 @@ def agreed(comm: Any) -> Iterator[None]:
 
 
 def same(comm: Any, **parts: Any) -> None:
-    """Refuse what the ranks do not all have alike, before anything else is sent.
-
-    Raises InputError on all, which names the first that differs and a rank that has another.
-    """
+    """Raise InputError on all ranks for the first of `parts` that they do not all have alike,
+    naming it and a rank that differs."""
     with agreed(comm):
         mine = {name: fingerprint(part) for name, part in parts.items()}
     first, *others = comm.allgather(mine)
@@ -229,16 +224,14 @@ def same(comm: Any, **parts: Any) -> None:
 
 
 class RunFile:
-    """A run's file, there or not: arrays on the nodes of a body, and plain values, with a hash.
-
-    `kind` says what it is of, and is asked for again; `nodes` are this process's, as AllNodes.
-    """
+    """File of a run, there or not: arrays on the nodes of a body, and plain values, with a hash.
+    `kind` is checked on reading; `nodes` are this process's, as AllNodes."""
 
     def __init__(self, path: str | os.PathLike[str], kind: str, nodes: Any) -> None:
         self.path, self.kind, self.nodes = Path(path), kind, nodes
 
     def write(self, nodal: Mapping[str, np.ndarray], values: Mapping[str, Any]) -> None:
-        """Write arrays [n, ...] on the own nodes, and what JSON knows; all ranks come here."""
+        """Write arrays [n, ...] on the own nodes, and JSON values; all ranks come here."""
         nodes, comm = self.nodes, self.nodes.comm
         number = None if nodes.number is None else nodes.number[nodes.own]
         text = np.frombuffer(json.dumps(values).encode(), np.uint8)
@@ -249,16 +242,14 @@ class RunFile:
         write_arrays(self.path, comm, placed, head)
 
     def _mark(self, nodal: Mapping[str, np.ndarray], text: np.ndarray) -> str:
-        """A fingerprint of arrays on the own nodes, and of the values that the first rank has."""
+        """Fingerprint of arrays on the own nodes, and of the first rank's values."""
         own = getattr(self.nodes, "piece", self.nodes)
         values = self.nodes.comm.bcast(fingerprint(text))
         return str(own.mark(*(nodal[name] for name in sorted(nodal)), values))
 
     def read(self, *names: str) -> tuple[dict[str, np.ndarray], dict[str, Any]] | None:
-        """Arrays on all nodes here by name, and the values; None where there is no file yet.
-
-        Raises InputError for a file of another kind, and one that is not read.
-        """
+        """Read arrays on all nodes here by name, and the values; None where there is no file yet.
+        InputError for a file of another kind, and one that is not read."""
         nodes, comm = self.nodes, self.nodes.comm
         if not comm.bcast(self.path.exists()):
             return None
@@ -281,26 +272,22 @@ class RunFile:
 
 
 class ArrayFile:
-    """A checkpoint of one process: arrays by name, written whole or not at all, or nowhere.
-
-    `key` is what the run depends on, `other` what the checkpoint of another key is of, for errors.
-    """
+    """Checkpoint of one process: arrays by name, written whole or not at all, or nowhere. `key` is
+    what the run depends on, `other` names another key's checkpoint in errors."""
 
     def __init__(self, path: str | os.PathLike[str] | None, key: str, other: str) -> None:
         self.path, self.key, self.other = None if path is None else Path(path), key, other
 
     def write(self, arrays: Mapping[str, Any]) -> None:
-        """Write arrays, or what they are made of."""
+        """Write a checkpoint's arrays, or values that make them."""
         if self.path is not None:
             made = {name: np.asarray(one) for name, one in arrays.items()}
             placed: dict[str, Placed] = {name: (one, None, 0) for name, one in made.items()}
             write_arrays(self.path, ALONE, placed, {"key": self.key, "mark": fingerprint(made)})
 
     def read(self, made: Callable[[dict[str, np.ndarray]], T]) -> T | None:
-        """What is made of the arrays; None where there is no file yet.
-
-        Raises InputError for a file of another run, and one that is not read.
-        """
+        """Read the checkpoint and apply `made` to its arrays; None where there is no file yet;
+        InputError for a file of another run, and one that is not read."""
         if self.path is None or not self.path.exists():
             return None
         arrays, head = read_arrays(self.path)
@@ -317,11 +304,8 @@ def write_arrays(
     arrays: Mapping[str, Placed],
     attributes: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write an HDF5 file of arrays whole or not at all: the first rank, which gets all of them.
-
-    All ranks come here, with the same attributes. Raises InputError on all of them for a file that
-    cannot be written.
-    """
+    """Write an HDF5 file of arrays whole or not at all, from the first rank; all ranks come here
+    with the same attributes. InputError on all of them for a file that cannot be written."""
     whole: dict[str, np.ndarray] = {}
     for name, (mine, own, count) in arrays.items():
         for values, place in comm.gather((mine, own)) or ():
@@ -344,10 +328,8 @@ def write_arrays(
 def read_arrays(
     path: str | os.PathLike[str], place: Mapping[str, np.ndarray | None] | None = None
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Rows at places of arrays by name, all where None is asked or no name, and the attributes.
-
-    Raises InputError for a file that is none or lacks an array.
-    """
+    """Read rows at places of arrays by name (None, or no name: all), and the attributes; InputError
+    for a file that is none or lacks an array."""
     found = {}
     try:
         with h5py.File(path, locking=False) as file:
@@ -367,7 +349,7 @@ INCLUDE = "http://www.w3.org/2001/XInclude"
 
 
 class TimeSeriesWriter:
-    """Records of a motion: one file each, and one that names their times, which ParaView opens.
+    """Writer of a motion's records: one file each, and one that names their times, for ParaView.
 
     `record_<step>.h5`, `nodes.h5` and `motion.xdmf`, the same from any number of ranks.
 
@@ -425,12 +407,12 @@ class TimeSeriesWriter:
 
 
 def _item(shape: str, text: str, kind: str = "Float", size: int = 8) -> str:
-    """An array of an HDF5 file in an XDMF one."""
+    """XDMF text that refers to an array of an HDF5 file."""
     what = f'DataType="{kind}" Precision="{size}" Format="HDF" Dimensions="{shape}"'
     return f"<DataItem {what}>{text}</DataItem>"
 
 
 def in_space(values: np.ndarray) -> np.ndarray:
-    """Vectors [n, 2] with three components; what else there is as it is."""
+    """Vectors [n, 2] with a third component; other arrays as they are."""
     flat = values.ndim == 2 and values.shape[1] == 2
     return np.pad(values, ((0, 0), (0, 1))) if flat else values

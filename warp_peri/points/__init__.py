@@ -1,1 +1,1 @@
-"""Where nodes are, which bonds join them, and the quadrature weights of the bonds."""
+"""Nodes of bodies, the bonds that join them, and the quadrature weights of the bonds."""

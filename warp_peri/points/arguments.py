@@ -1,4 +1,4 @@
-"""Arguments of public functions and classes: told apart, checked against their annotations."""
+"""Checks of the arguments of public functions and classes against their annotations."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ GRADIENT = "expected values without a gradient, which is not had here, got tenso
 
 
 def as_array(name: str, value: Any) -> np.ma.MaskedArray[Any, Any]:
-    """An array of what a user gave, masked where its parts are; InputError for what makes none."""
+    """Make an array of a user's value, masked where its parts are; InputError where none can be."""
     try:
         return np.ma.array(np.ma.asanyarray(value), copy=False)
     except (RuntimeError, TypeError, ValueError) as error:
@@ -43,8 +43,8 @@ def as_array(name: str, value: Any) -> np.ma.MaskedArray[Any, Any]:
 
 
 def plain(name: str, value: Any) -> np.ndarray:
-    """An array of float64, whose values may be anything; InputError for a tensor whose gradient
-    would be lost, for masked entries, complex numbers, text and objects."""
+    """Make a float64 array of any values; InputError for a tensor whose gradient would be lost,
+    masked entries, complex numbers, text and objects."""
     found = as_array(name, value)  # that of a list of masked arrays too
     if found.dtype.kind not in "fiu" or np.ma.is_masked(found):
         got = "masked entries" if np.ma.is_masked(found) else found.dtype
@@ -59,7 +59,7 @@ def checked(
     shape: tuple[Any, ...] | None = None,
     read: np.ndarray | bool = True,
 ) -> np.ndarray:
-    """An array of float64, of bool, or of whole numbers, whose entries are all there.
+    """Check a user's value; returns an array of float64, bool, or whole numbers, nothing missing.
 
     Args:
         name: of it in messages.
@@ -103,11 +103,9 @@ def checked(
 def checked_fields(
     points: Any, b: Any, u: Any, one: tuple[int, ...] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Load and displacement of a problem on nodes, [N, d] or [S, N, d]; the second a copy.
-
-    b, or None for no load, is looked at on the interior, u on the others; `one` is the shape of one
-    field where it is not [N, d]. Raises InputError as `checked`, and for other shapes.
-    """
+    """Check load and displacement of a problem, [N, d] or [S, N, d]; the second is a copy. b, or
+    None for no load, is read on the interior, u on the others; `one` is the shape of one field
+    where it is not [N, d]. Raises InputError as `checked`, and for other shapes."""
     one = points.x.shape if one is None else one
     inside = points.interior.reshape(-1, *[1] * (len(one) - 1))
     field = checked("u", u, float, (..., *one), ~inside).copy()
@@ -119,12 +117,12 @@ def checked_fields(
 
 
 def is_piece(points: Any) -> bool:
-    """Whether nodes are a rank's piece of those that many processes have."""
+    """Whether points are a rank's piece of a body's nodes."""
     return hasattr(points, "comm")
 
 
 def is_number(value: Any) -> bool:
-    """Whether it is one real number; InputError for a tensor whose gradient would be lost."""
+    """Whether a value is one real number; InputError for a tensor whose gradient would be lost."""
     if getattr(value, "requires_grad", False):
         raise InputError(f"number: {GRADIENT}")
     strange = isinstance(value, (list, tuple)) or getattr(value, "is_meta", False)  # for NumPy
@@ -132,7 +130,7 @@ def is_number(value: Any) -> bool:
 
 
 def are_numbers(value: Any) -> bool:
-    """Whether an array can be made of it, no text and no objects; tensors are looked at later."""
+    """Whether a value makes an array without text and objects; tensors are looked at later."""
     try:
         found = value if hasattr(value, "dtype") else np.ma.asanyarray(value)
     except RuntimeError:  # of tensors with a gradient
@@ -143,12 +141,12 @@ def are_numbers(value: Any) -> bool:
 
 
 def is_positive(value: Any) -> bool:
-    """Whether it is one real number above zero, and finite."""
+    """Whether a value is one real number above zero, and finite."""
     return is_number(value) and 0 < value < np.inf
 
 
 def check_whole(name: str, value: Any, least: int) -> int:
-    """The whole number that it is; InputError for what is none from `least` on, or no count."""
+    """Check and return a whole number; InputError for what is none from `least` on, or no count."""
     if not (is_number(value) and least <= value <= MOST and value % 1 == 0):
         raise InputError(f"{name}: expected a whole number ≥ {least}, got {value!r:.60}")
     return int(value)
@@ -161,18 +159,18 @@ def check_flag(name: str, value: Any) -> None:
 
 
 def check_mapping(name: str, value: Any) -> None:
-    """Raise InputError for what is no mapping of names."""
+    """Raise InputError for a value that is no mapping of names."""
     if not (isinstance(value, Mapping) and all(isinstance(key, str) for key in value)):
         raise InputError(f"{name}: expected values by name, as {{'name': …}}, got {value!r:.60}")
 
 
 def listed(nodes: np.ndarray) -> str:
-    """The first few node numbers."""
+    """Text of the first few node numbers."""
     return ", ".join(str(i) for i in nodes[:8]) + (" …" if len(nodes) > 8 else "")
 
 
 def is_name(name: Any) -> bool:
-    """Whether HDF5 takes it as the name of one thing."""
+    """Whether HDF5 takes a value as the name of one thing."""
     return isinstance(name, str) and name not in ("", ".") and not {"/", "\0"} & {*name}
 
 
@@ -181,7 +179,7 @@ SAMPLES = 32
 
 
 def mean_inverse(values: Callable[[float], np.ndarray]) -> np.ndarray:
-    """Mean along bonds of 1/field, whose values at a share of each bond's length are given."""
+    """Mean along bonds of 1/field, from its `values` at a share of each bond's length."""
     places = (np.arange(SAMPLES) + 0.5) / SAMPLES
     return np.asarray(sum(1 / values(float(place)) for place in places) / SAMPLES)
 
@@ -196,7 +194,7 @@ _signature = cache(inspect.signature)
 
 
 class Bound(NamedTuple):
-    """Which values of a kind are taken, in words and as a test."""
+    """Range of accepted values of a kind, in words and as a test."""
 
     words: str
     holds: Callable[[Any], bool]
@@ -211,11 +209,8 @@ Natural = Annotated[int, Bound("a whole number ≥ 0", lambda value: value >= 0)
 
 
 def typed(call: Call) -> Call:
-    """Let a function, or a class when it is made and in its public methods, raise InputError for
-    arguments that are not of the kind that they are annotated with, naming the first.
-
-    Arguments are looked at as by check_arguments.
-    """
+    """Decorate a function, or a class and its public methods, to check arguments as
+    check_arguments."""
     if isinstance(call, type):
         call.__init__ = typed(call.__init__)  # type: ignore[misc]
         return typed_methods(call)
@@ -235,7 +230,7 @@ def typed(call: Call) -> Call:
 
 
 def typed_methods(kind: Kind) -> Kind:
-    """A class whose own public methods look at their arguments as `typed` functions do."""
+    """Decorate a class so that its own public methods check arguments as `typed` functions do."""
     for name, method in [*vars(kind).items()]:
         own = getattr(method, "__func__", method)
         if (name[0] != "_" or name == "__call__") and not hasattr(own, "__wrapped__"):
@@ -247,12 +242,12 @@ def typed_methods(kind: Kind) -> Kind:
 
 
 def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """The arguments, whole numbers of other types as int; InputError for one that is not of the
-    kind that it is annotated with.
+    """Check arguments against annotations and return them, whole numbers of other types as int;
+    InputError naming the first of another kind.
 
     Kinds are bool, int, float, str, paths, mappings, sequences, classes of this package, literals
     and arrays, each alone or with others. A number is finite and within its Bound, or the default.
-    What is annotated with anything else is not looked at, nor is a default.
+    Other annotations and defaults are not looked at.
     """
     found = dict(given)
     for name, (kinds, default, bound) in kinds_of(call).items():
@@ -298,7 +293,7 @@ def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> dict[
 
 @cache
 def kinds_of(call: Callable[..., Any]) -> dict[str, tuple[tuple[Any, ...], Any, Bound | None]]:
-    """The kinds of each argument that is looked at, its default, and which values it takes."""
+    """Kinds of each checked argument of a function, its default, and its Bound."""
     names, found = inspect.unwrap(call).__globals__, {}
     for name, parameter in _signature(call).parameters.items():
         if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
@@ -318,7 +313,7 @@ def kinds_of(call: Callable[..., Any]) -> dict[str, tuple[tuple[Any, ...], Any, 
 
 
 def _kind(hint: Any) -> Any:
-    """The class of values, of one part of an annotation."""
+    """Class of values for one part of an annotation."""
     if get_origin(hint) is Literal:
         return type(get_args(hint)[0])
     hint = getattr(hint, "__origin__", hint) if get_origin(hint) is Annotated else hint
@@ -326,7 +321,7 @@ def _kind(hint: Any) -> Any:
 
 
 def _bound(hint: Any) -> Bound | None:
-    """Which values it takes, where it says that."""
+    """Bound in an annotation, if there is one."""
     if get_origin(hint) is Literal:
         values = get_args(hint)
         return Bound(f"one of {', '.join(map(str, values))}", values.__contains__)
@@ -339,6 +334,6 @@ def _bound(hint: Any) -> Bound | None:
 
 
 def _is_own(kind: Any) -> bool:
-    """Whether it is a class of this package, not a protocol."""
+    """Whether a kind is a class of this package, not a protocol."""
     own = isinstance(kind, type) and kind.__module__.startswith("warp_peri.")
     return own and not getattr(kind, "_is_protocol", False)

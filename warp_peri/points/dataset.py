@@ -1,4 +1,4 @@
-"""Data sets: named samples, the loads that they are made with, their units, their HDF5 file."""
+"""Data sets: named samples with units, their HDF5 file, and loads to make them with."""
 
 from __future__ import annotations
 
@@ -63,13 +63,13 @@ class Dataset(Shown):
         return next(iter(self.sets.values())).points.units
 
     def __getitem__(self, name: str) -> Samples:
-        """The point set called `name`; InputError lists what there is when it is missing."""
+        """The samples called `name`; InputError lists what there is when they are missing."""
         if name not in self.sets:
             raise InputError(f"no set '{name}' in the data; it has {', '.join(self.sets)}")
         return self.sets[name]
 
     def __len__(self) -> int:
-        """Number of sets."""
+        """Number of sets in the data set."""
         return len(self.sets)
 
     def keys(self) -> Iterable[str]:
@@ -77,10 +77,8 @@ class Dataset(Shown):
         return self.sets.keys()
 
     def obvious(self, name: str | None = None) -> Samples:
-        """The set that is meant where none was named: that of the usual name, or the only one.
-
-        Raises InputError that lists the sets where neither is there.
-        """
+        """The set called `name` or the only one; InputError lists the sets where neither is
+        there."""
         if name in self.sets:
             return self.sets[str(name)]
         if len(self.sets) == 1:
@@ -97,10 +95,8 @@ class Dataset(Shown):
     def of_sheet(
         self, *, thickness: Positive | None = None, density: Positive | None = None
     ) -> Dataset:
-        """The same forces and displacements of a sheet of another thickness or density.
-
-        Loads are per volume: they go as one over the thickness, and with them all moduli of a fit.
-        """
+        """The data set for another thickness or density of the sheet: forces and displacements are
+        the same, loads per volume, and so fitted moduli, go as one over the thickness."""
         wide = self.thickness if thickness is None else thickness
         share = self.thickness / wide
         sets = {
@@ -111,7 +107,7 @@ class Dataset(Shown):
         return dataclasses.replace(self, sets=sets, thickness=wide, density=heavy)
 
     def rows(self) -> list[tuple[str, str]]:
-        """What to know at a glance: name and value, the sets one after the other."""
+        """Name and value of each line of the data set's summary table."""
         length = symbols(self.units)[0]
         rows = [("thickness", f"{self.thickness:g} {length}")]
         rows.append(("density", f"{self.density:g} kg/m³"))
@@ -122,11 +118,8 @@ class Dataset(Shown):
 
 
 def in_units(samples: Samples, want: Units) -> Samples:
-    """Samples with their numbers in other units.
-
-    x, u, spacing and box are lengths, b a stress over a length, wave vectors one over a length;
-    other arrays stay as they are.
-    """
+    """Convert x, u, b, spacing, box and wave vectors of samples to other units; other arrays
+    stay."""
     points, want = samples.points, check_units(want)
     if points.units == want:
         return samples
@@ -145,7 +138,7 @@ def in_units(samples: Samples, want: Units) -> Samples:
 def mixed_waves(
     x: np.ndarray, box: tuple[float, ...] | np.ndarray, shortest: Positive, *, seed: Natural = 0
 ) -> np.ndarray:
-    """Σ |k| e cos(k·x + φ) over the waves of a period with |k| ≤ 2π/shortest (theory, Q11).
+    """Make a field of mixed waves Σ |k| e cos(k·x + φ) over |k| ≤ 2π/shortest (theory, Q11).
 
     Args:
         x: positions [length], shape [N, 2].
@@ -153,10 +146,8 @@ def mixed_waves(
         shortest: the shortest wave [length].
         seed: of the phases φ and the directions e.
 
-    Returns:
-        A field [N, 2] without mean, to be scaled to what the atoms bear.
-
-    Raises InputError for a wave that is longer than the periods.
+    Returns [N, 2] without mean, to be scaled to what the atoms bear. Raises InputError for a wave
+    that is longer than the periods.
     """
     random, box = np.random.default_rng(seed), checked("box", box, shape=(2,))
     x = checked("x", x, shape=("N", 2))
@@ -180,7 +171,7 @@ def mixed_waves(
 
 @typed
 def design_loads(points: PointsLike, shortest_wave: Positive, *, number: Count = 2) -> np.ndarray:
-    """Loads that a material is learned from in place of many single waves.
+    """Make loads that a material is learned from in place of many single waves.
 
     One does for a fit whose moduli are held, two for one that finds them. Give each to the atoms
     and its reverse: what their answers have of even order then cancels, which few loads do not
@@ -191,10 +182,8 @@ def design_loads(points: PointsLike, shortest_wave: Positive, *, number: Count =
         shortest_wave: [length]; twice the horizon or less, and no shorter than four nodes apart.
         number: of loads.
 
-    Returns:
-        Loads without mean, shape [number, N, 2], largest vector 1: scale them to what is bearable.
-
-    Raises InputError for points without a box, and a wave longer than it.
+    Returns loads without mean, shape [number, N, 2], largest vector 1: scale them to what is
+    bearable. Raises InputError for points without a box, and a wave longer than it.
     """
     if points.box is None:
         raise InputError("points: expected a periodic body, with its box, for designed loads")
@@ -203,11 +192,8 @@ def design_loads(points: PointsLike, shortest_wave: Positive, *, number: Count =
 
 
 def largest_wave_number(points: Samples) -> float | None:
-    """Largest |k| [1/Å] of the samples' loads; None on scattered points or without loads.
-
-    Of loads at wave vectors their own; of others the root mean square of |k| over the spectrum of
-    b, from differences of neighbouring nodes (theory, M1).
-    """
+    """Largest |k| [1/Å] of the samples' loads; None on scattered points or without loads. Without
+    wave vectors the root mean square of |k| over the spectrum of b, by differences (theory, M1)."""
     if WAVE_VECTOR in points.arrays:
         k = checked(WAVE_VECTOR, points.arrays[WAVE_VECTOR])
         return float(np.linalg.norm(k, axis=-1).max(initial=0.0)) or None
@@ -233,7 +219,7 @@ LAYOUT = ("v110", "v110")
 
 
 def _written(provenance: Any) -> str:
-    """A provenance as JSON; InputError where it is none."""
+    """Provenance as JSON text; InputError where it is not JSON."""
     try:
         return json.dumps(plain(provenance), allow_nan=False)
     except (TypeError, ValueError, RecursionError) as error:
@@ -241,10 +227,10 @@ def _written(provenance: Any) -> str:
 
 
 def save_dataset(path: str | os.PathLike[str], dataset: Dataset) -> None:
-    """Write `dataset` to an HDF5 file, whole or not at all, with the units of the data by name.
+    """Write `dataset` to an HDF5 file, whole or not at all, with its units and a content hash.
 
-    In a layout whose structure is checksummed (HDF5 1.10) and with strings of fixed length, since
-    the HDF5 library can hang on a damaged heap of strings; the contents are hashed.
+    The layout's structure is checksummed (HDF5 1.10) and strings have fixed length, since the HDF5
+    library can hang on a damaged heap of strings.
     """
     length, stress = dataset.units
     attributes = {"format": FORMAT, "version": VERSION}
@@ -262,7 +248,7 @@ def save_dataset(path: str | os.PathLike[str], dataset: Dataset) -> None:
 
 
 def _write(place: Any, values: Mapping[str, Any]) -> None:
-    """Arrays or attributes of a file, but those that are None; text as UTF-8 of fixed length."""
+    """Write arrays or attributes that are not None into a file; text as UTF-8 of fixed length."""
     for key, value in values.items():
         if value is not None:
             value = np.asarray(value)
@@ -273,12 +259,12 @@ def _write(place: Any, values: Mapping[str, Any]) -> None:
 
 
 def _arrays(samples: Samples) -> dict[str, Any]:
-    """Everything in a set that is an array, by its name in the file."""
+    """All arrays of a set, by name in the file."""
     return {key: getattr(samples, key) for key in FIELDS} | samples.arrays
 
 
 def content_hash(dataset: Dataset) -> str:
-    """SHA-256 of what a data set holds, whatever the layout of its file."""
+    """SHA-256 of a data set's contents, whatever the layout of its file."""
     digest = hashlib.sha256()
 
     def add(*parts: Any) -> None:
@@ -307,15 +293,13 @@ def content_hash(dataset: Dataset) -> str:
 
 
 def load_dataset(path: str | os.PathLike[str], *, units: Units | None = None) -> Dataset:
-    """Read a data set.
+    """Read a data set from an HDF5 file.
 
-    Its points carry the units that the file names; a file that names none is taken to be in Å and
-    TPa, with a warning. With `units`, as ("angstrom", "TPa"), the numbers are converted to them;
-    the mass density stays as it is.
-
-    Nothing outside the file is read: links and arrays kept in other files are refused. Sizes are
-    checked before memory is taken, and the contents against the hash that save_dataset wrote; a
-    file without one is taken as it is. Raises InputError naming what is wrong.
+    A file that names no units is taken to be in Å and TPa, with a warning. With `units`, as
+    ("angstrom", "TPa"), the numbers are converted; the mass density stays as it is. Nothing outside
+    the file is read: links and arrays kept in other files are refused. Sizes are checked before
+    memory is taken, and the contents against the hash, if there is one. Raises InputError naming
+    what is wrong.
     """
     check_regular(path)
     try:
@@ -336,7 +320,7 @@ def load_dataset(path: str | os.PathLike[str], *, units: Units | None = None) ->
 
 
 def _read(file: h5py.File) -> Dataset:
-    """What a file holds."""
+    """Data set of an open file."""
     for key, expected in {"format": FORMAT, "version": VERSION}.items():
         value = _text(file.attrs.get(key))
         if np.shape(value) != () or value != expected:
@@ -379,7 +363,7 @@ def _read_points(group: h5py.Group, units: Units) -> Samples:
 
 
 def _attributes(place: Any, needed: tuple[str, ...], more: tuple[str, ...]) -> dict[str, Any]:
-    """Attributes by name; InputError for one that is missing, or that nothing here reads."""
+    """Attributes by name; InputError for a missing one, or one that nothing here reads."""
     names, known = {*place.attrs}, (*needed, *more)
     if missing := sorted({*needed} - names):
         raise InputError(f"attribute {missing[0]!r} is missing")
@@ -391,6 +375,6 @@ def _attributes(place: Any, needed: tuple[str, ...], more: tuple[str, ...]) -> d
 
 
 def _text(value: Any) -> Any:
-    """An attribute that holds text as str, whatever its length, one number as Python has it."""
+    """An attribute's text as str, one number as Python's."""
     value = value.item() if isinstance(value, np.generic) else value
     return value.decode("utf-8", "surrogatepass") if isinstance(value, bytes) else value

@@ -1,4 +1,4 @@
-"""Which nodes are joined by bonds: families, bond classes, collars; how far bonds stretch."""
+"""Families of nodes joined by bonds: bond classes, collars, bond strain."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class Families:
 
     @property
     def classes(self) -> BondClasses:
-        """Bond classes of a lattice; InputError for scattered points, which have none."""
+        """Bond classes of the lattice; InputError for scattered points, which have none."""
         if self.lattice is None:
             raise InputError("points: expected a lattice (spacing > 0), got scattered points")
         return self.lattice
@@ -108,7 +108,7 @@ class Families:
 def bond_classes(
     spacing: float, horizon: float, *, degree: int = DEGREE, dimension: int = 2
 ) -> BondClasses:
-    """Bonds, orbits and weights of the full family on a square or cubic lattice, made once.
+    """Bonds, orbits and weights of the full family on a square or cubic lattice; cached.
 
     Args:
         spacing: lattice spacing h [Å].
@@ -146,7 +146,7 @@ def bond_classes(
 def families_of(
     points: PointsLike, horizon: float, *, bond_based: bool = False, degree: int = DEGREE
 ) -> Families:
-    """Families and quadrature weights of the nodes that a force on the interior needs.
+    """Build families and quadrature weights of all nodes that a force on the interior needs.
 
     Args:
         points: a lattice (spacing > 0, maybe rotated) or scattered points (spacing 0), periodic or
@@ -199,7 +199,7 @@ def families_of(
 
 
 def _lattice_table(points: PointsLike, classes: BondClasses) -> tuple[np.ndarray, np.ndarray]:
-    """The node at each bond's end [N, B], −1 where there is none, and the lattice's axes."""
+    """Node at each bond's end [N, B], −1 where there is none, and the lattice's axes."""
     h, box, size = classes.spacing, points.box, None
     grid, axes = nodes_of(points).lattice
     if box is not None:
@@ -289,14 +289,10 @@ def neighbour_table(
 def neighbours(
     x: np.ndarray, reach: float, box: tuple[float, ...] | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Points within reach [Å] of each point, itself excluded; periods are more than twice that.
-
+    """Find the points within reach [Å] of each point, itself excluded; periods exceed twice that.
     Returns row [N + 1], neighbour [E], distance [Å] [E], and the bond back of each bond [E]; those
-    of point i are row[i] … row[i + 1].
-
-    Raises InputError for a box that is too small, points that are alone, and more bonds than int32
-    can number.
-    """
+    of point i are row[i] … row[i + 1]. InputError for a small box, lone points, too many bonds for
+    int32."""
     d, at = x.shape[1], x
     if box is not None:
         if not (np.shape(box) == (d,) and np.isfinite(box).all() and 2 * reach < min(box)):
@@ -322,11 +318,9 @@ def neighbours(
 
 
 def cut_balls(x: np.ndarray, horizon: float, bonds: int) -> np.ndarray:
-    """Nodes whose ball leaves the convex hull of the points by more than one spacing, [N] bool.
-
-    The spacing is that of as many points in a square or cubic lattice. Balls that reach into a
-    hole or a bay cannot be told from balls of a coarser cloud, and pass.
-    """
+    """Whether each node's ball leaves the convex hull of the points by more than one spacing, [N].
+    The spacing is that of as many points on a lattice; holes and bays cannot be told from coarser
+    clouds, and pass."""
     try:
         hull = ConvexHull(x).equations
     except QhullError:  # all points on one line or plane
@@ -340,11 +334,9 @@ def cut_balls(x: np.ndarray, horizon: float, bonds: int) -> np.ndarray:
 
 
 def largest_strain(points: PointsLike, u: ArrayLike) -> float:
-    """Largest |ξ·(u_j − u_i)|/r² between nodes and their nearest neighbours.
-
-    Nodes outside the body do not count; on a lattice those across the diagonals of a square do:
-    shear along the axes stretches no other bond. u [Å] has the shape [N, d] or [S, N, d].
-    """
+    """Largest bond strain |ξ·(u_j − u_i)|/r² between nearest neighbours for u [Å] [N, d] or
+    [S, N, d]. Nodes outside the body do not count; on a lattice diagonals do, which shear along the
+    axes stretches."""
     body = np.ones(len(points.x), bool) if points.outside is None else ~points.outside
     x, d = points.x[body], points.x.shape[1]
     if points.spacing > 0 and len(points.x) > 1:
@@ -364,7 +356,7 @@ def largest_strain(points: PointsLike, u: ArrayLike) -> float:
 
 
 def edge_strain(x: np.ndarray, triangles: np.ndarray, u: np.ndarray) -> float:
-    """As largest_strain, between the ends of edges of triangles [T, 3] of corners x [P, 2]."""
+    """Largest strain of edges of triangles [T, 3] of corners x [P, 2], as largest_strain."""
     after = np.roll(triangles, -1, axis=1)
     xi, relative = x[after] - x[triangles], u[after] - u[triangles]
     along = (xi * relative).sum(axis=-1) / (xi**2).sum(axis=-1)

@@ -1,4 +1,4 @@
-"""Meshes of triangles or tetrahedra: what they are, and what they must be."""
+"""Meshes of triangles or tetrahedra, and their checks."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class Mesh:
 
     @property
     def dimension(self) -> int:
-        """2 in the plane, 3 in space."""
+        """Dimension of space: 2 or 3."""
         return 3 if np.shape(self.x)[1:] == (3,) else 2
 
     @property
@@ -132,13 +132,12 @@ def make_mesh(
     *,
     inner: bool = False,
 ) -> Mesh:
-    """A mesh from corners and triangles or tetrahedra.
+    """Make a mesh from corners and triangles or tetrahedra.
 
     Args:
         x: corners [length], shape [P, d]; those that no cell has are left out.
         cells: corners of each, shape [T, d + 1], in either sense.
-        parts: edges of the outline, or triangles of the surface, by name, by their corners, shape
-            [n, d].
+        parts: edges of the outline, or triangles of the surface, by name, by their corners, [n, d].
         middle: points halfway along curved edges [length], by the pair of corners.
         inner: facets of parts that are inside are left out with a warning, not refused.
 
@@ -179,10 +178,8 @@ def make_mesh(
 
 
 def _outline(x: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Edges of the outline, or faces of the surface, of cells t, with the body on their left.
-
-    Raises InputError for cells that overlap, or do not share whole facets.
-    """
+    """Outline edges, or surface faces, of cells t, the body on their left; InputError for cells
+    that overlap, or do not share whole facets."""
     d = x.shape[1]
     name, _, facet, _ = KINDS[d]
     every, keys, back, count = facets_of(t)
@@ -204,14 +201,14 @@ def _outline(x: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 
 def check_numbers(name: str, numbers: np.ndarray, count: int, what: str = "corners") -> None:
-    """Raise InputError unless all are 0 to `count` − 1."""
+    """Raise InputError unless all numbers are 0 to `count` − 1."""
     least, most = (numbers.min(), numbers.max()) if numbers.size else (0, 0)
     if numbers.size and not 0 <= least <= most < count:
         raise InputError(f"{name}: expected {what} 0 to {count - 1}, got {least}, {most}")
 
 
 def facets_of(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Facets of all cells, those that differ by rising corners, which each is, and how often."""
+    """Facets of all cells, the distinct ones by rising corners, indices into these, and counts."""
     every = np.concatenate([t[:, corners] for corners in FACETS[t.shape[1] - 1]])
     keys, back, count = np.unique(
         np.sort(every, axis=1), axis=0, return_inverse=True, return_counts=True
@@ -220,13 +217,13 @@ def facets_of(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nda
 
 
 def _joined(count: int, pairs: np.ndarray) -> np.ndarray:
-    """Number of the group that each of so many things belongs to, joined by pairs [n, 2]."""
+    """Group number of each of `count` things joined by pairs [n, 2]."""
     links = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(count, count))
     return np.asarray(connected_components(links, directed=False)[1])
 
 
 def _welded(x: np.ndarray, near: float) -> np.ndarray:
-    """For each corner the first that lies at its place, shape [P]; a warning where some do."""
+    """First corner at each corner's place, shape [P]; warns where some coincide."""
     label = _joined(len(x), cKDTree(x).query_pairs(near, output_type="ndarray"))
     first = np.unique(label, return_index=True)[1]
     if len(first) < len(x):
@@ -238,10 +235,8 @@ def _welded(x: np.ndarray, near: float) -> np.ndarray:
 
 
 def _refuse_covered(x: np.ndarray, t: np.ndarray, facets: np.ndarray, across: np.ndarray) -> None:
-    """Raise InputError where there is a cell just beyond the outline, or at a corner of it.
-
-    Then cells overlap; or one has a corner amid an edge or a face of another, which are not joined.
-    """
+    """Raise InputError where a cell lies just beyond the outline or a corner of it: cells overlap,
+    or a corner lies amid an edge or face of another."""
     d = x.shape[1]
     some = {2: (0.5, 0.05, 0.275), 3: (1 / 3, 0.05, 0.475)}[d]
     weights = np.unique(
@@ -284,10 +279,8 @@ def _named(
 
 
 def cells_holding(corners: np.ndarray, x: np.ndarray, depth: float = -WITHIN) -> np.ndarray:
-    """Number of a cell, of corners [T, d + 1, d], that holds each position [n, d], or −1.
-
-    So deep in the cell's own coordinates, which are 0 to 1 across.
-    """
+    """Number of a cell, of corners [T, d + 1, d], that holds each position [n, d], or −1; `depth`
+    is in the cell's own coordinates, which are 0 to 1 across."""
     inverse = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
     middle = corners.mean(axis=1)
     size = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1) * (1 + WITHIN)
@@ -303,7 +296,7 @@ def cells_holding(corners: np.ndarray, x: np.ndarray, depth: float = -WITHIN) ->
 
 
 def pieces(cells: np.ndarray) -> np.ndarray:
-    """Number of the piece of the body that each cell belongs to; those of a piece share facets."""
+    """Piece number of each cell; cells of a piece are connected by facets."""
     count, (_, keys, facet, _) = len(cells), facets_of(cells)
     pairs = np.stack([np.tile(np.arange(count), cells.shape[1]), count + facet], axis=1)
     return _joined(count + len(keys), pairs)[:count]

@@ -1,4 +1,4 @@
-"""Where meshes come from: outlines in the plane, solids in space, files of other programs."""
+"""Sources of meshes: outlines in the plane, solids in space, files of other programs."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ WITHOUT = "netgen-mesher is not installed: pip install 'warp_peri[bodies]'"
 @typed
 @dataclass(frozen=True)
 class Circle:
-    """A round outline.
+    """A circular outline.
 
     Attributes:
         radius: [Å].
@@ -78,7 +78,7 @@ class Polygon:
 
     @property
     def area(self) -> float:
-        """Above zero where corners turn counter-clockwise."""
+        """Signed area, above zero where corners turn counter-clockwise."""
         here, there = np.asarray(self.corners), np.roll(self.corners, -1, axis=0)
         return float((here[:, 0] * there[:, 1] - here[:, 1] * there[:, 0]).sum() / 2)
 
@@ -88,7 +88,7 @@ Outline = Circle | Polygon
 
 @typed
 def box(width: Positive, height: Positive, size: Positive | None = None) -> Polygon:
-    """A rectangle about the origin; its sides are bottom, right, top and left."""
+    """Make a rectangle about the origin; its sides are bottom, right, top and left."""
     a, c = width / 2, height / 2
     corners = ((-a, -c), (a, -c), (a, c), (-a, c))
     return Polygon(corners, ("bottom", "right", "top", "left"), size)
@@ -96,15 +96,15 @@ def box(width: Positive, height: Positive, size: Positive | None = None) -> Poly
 
 @typed
 def mesh_outline(outer: Outline, holes: Sequence[Outline] = (), *, size: Positive) -> Mesh:
-    """Triangles between an outline and holes in it, the circles' edges curved.
+    """Mesh the area between an outline and holes in it by triangles, the circles' edges curved.
 
     Args:
         outer: of the body.
         holes: none may meet another or the outer outline.
         size: sides of the triangles [Å] where the outlines ask for nothing.
 
-    Raises InputError for sizes that are not positive, outlines that cannot
-    be meshed, and without Netgen.
+    Raises InputError for sizes that are not positive, outlines that cannot be meshed, and without
+    Netgen.
     """
     netgen = optional("netgen.geom2d", WITHOUT)
     outlines = (outer, *holes)
@@ -116,7 +116,7 @@ def mesh_outline(outer: Outline, holes: Sequence[Outline] = (), *, size: Positiv
 
 
 def _meshed(what: str, geometry: Any, size: float, balls: list[Any], d: int) -> Mesh:
-    """A geometry's mesh, with points of the circles or spheres halfway along their edges."""
+    """Mesh of a geometry, with points of the circles or spheres halfway along their edges."""
     try:
         made = geometry.GenerateMesh(maxh=float(size), grading=GRADING)
     except Exception as error:  # Netgen's own kind
@@ -143,7 +143,7 @@ def _meshed(what: str, geometry: Any, size: float, balls: list[Any], d: int) -> 
 
 
 def _add(geometry: Any, outline: Outline, size: float, *, inside: bool) -> None:
-    """One closed curve, the body on its inside or its outside."""
+    """Add a closed curve to a geometry, the body on its inside or its outside."""
     maxh = float(outline.size or size)
     if isinstance(outline, Circle):
         sides = {"leftdomain": int(inside), "rightdomain": int(not inside), "maxh": maxh}
@@ -185,7 +185,7 @@ class Sphere:
 @typed
 @dataclass(frozen=True)
 class Block:
-    """A block about the origin, its faces named SIDES.
+    """A block about the origin, its faces named SIDES, with `sides` along the axes [length].
 
     Attributes:
         sides: lengths along the axes.
@@ -200,7 +200,7 @@ class Block:
 
 @typed
 def mesh_solid(outer: Sphere | Block, voids: Sequence[Sphere] = (), *, size: Positive) -> Mesh:
-    """Tetrahedra between a surface and voids in it.
+    """Mesh the volume between a surface and voids in it by tetrahedra.
 
     Args:
         outer: of the body; none of the voids may meet it or another.
@@ -237,16 +237,15 @@ GROUPS = (":physical", ":ref", "cell_tags")
 
 
 def load_mesh(path: str | os.PathLike[str]) -> Mesh:
-    """A mesh of Gmsh (.msh), VTK (.vtk, .vtu), XDMF or Abaqus (.inp, one flat part), in Å.
+    """Read a mesh of Gmsh (.msh), VTK (.vtk, .vtu), XDMF or Abaqus (.inp, one flat part), in Å.
 
     Tetrahedra, of second order too, of which the corners count; or triangles and quadrilaterals
     (cut in two), straight or of second order, whose edges' midpoints are kept on the outline. Parts
     are the lines' physical names, sets or numbers of groups, of a surface those of its triangles,
-    and Abaqus's sets of nodes; what is named inside the body is left out with a warning.
-
-    Raises InputError for another format, a file that is not read, without meshio (the extra
-    `bodies`), with cells of other kinds or none, for triangles that are not plane, for what
-    `read_abaqus` does not read, and as `make_mesh`.
+    and Abaqus's sets of nodes; what is named inside the body is left out with a warning. Raises
+    InputError for another format, a file that is not read, without meshio (the extra `bodies`),
+    with cells of other kinds or none, for triangles that are not plane, for what `read_abaqus` does
+    not read, and as `make_mesh`.
     """
     path = Path(path)
     if not path.is_file():
@@ -272,7 +271,8 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh:
 
 
 def _check_arrays(path: Path) -> None:
-    """InputError for XML with entities, and for arrays of XDMF that are not in HDF5 beside it."""
+    """Raise InputError for XML with entities, and for XDMF arrays that are not in HDF5 beside
+    it."""
     check_xml(path, text := content(path))
     if path.suffix.lower() == ".vtu":
         return
@@ -287,7 +287,7 @@ def _check_arrays(path: Path) -> None:
 
 
 def _body_of(read: Any) -> Mesh:
-    """The body of a meshio mesh; InputError for one with cells of other kinds."""
+    """Body of a meshio mesh; InputError for one with cells of other kinds."""
     points = np.asarray(read.points, dtype=float)
     kinds = {block.type for block in read.cells if block.dim > 1}
     d = max([block.dim for block in read.cells], default=0)
@@ -320,10 +320,8 @@ def _body_of(read: Any) -> Mesh:
 
 
 def _halves(x: np.ndarray, quads: np.ndarray) -> np.ndarray:
-    """Quadrilaterals [T, 4] cut in two, [n, 3], at the corner that is turned in where one is.
-
-    Those that have a corner twice are one triangle.
-    """
+    """Cut quadrilaterals [T, 4] in two triangles, [n, 3], at a reentrant corner if there is one;
+    those with a repeated corner are one triangle."""
     cuts = quads[:, [[[0, 1, 2], [0, 2, 3]], [[1, 2, 3], [1, 3, 0]]]]
     size = np.linalg.det(x[cuts[..., 1:]] - x[cuts[..., :1]])
     least = (size * np.sign(size.sum(axis=2, keepdims=True))).min(axis=2)
@@ -334,10 +332,8 @@ def _halves(x: np.ndarray, quads: np.ndarray) -> np.ndarray:
 
 
 def _groups(read: Any, body: np.ndarray) -> dict[str, np.ndarray]:
-    """Lines or triangles of a meshio mesh by name: its sets, and its groups by name or number.
-
-    Of a set of nodes the sides of the body's outline with all their corners in it.
-    """
+    """Lines or triangles of a meshio mesh by the names or numbers of its sets and groups; of a set
+    of nodes the outline's sides with all corners in it."""
     dim = body.shape[1] - 2
     sets: dict[str, list[np.ndarray]] = {}
     names = {int(v[0]): [name] for name, v in read.field_data.items() if v[1] == dim}
@@ -392,8 +388,7 @@ BESIDE |= {"BEAM SECTION", "BOUNDARY", "AMPLITUDE", "INITIAL CONDITIONS", "RESTA
 
 
 def keywords(text: str) -> Iterator[tuple[str, dict[str, str], list[list[str]]]]:
-    """Each keyword, its options, and the words of its lines; those from the first *STEP on are
-    left."""
+    """Iterate over an Abaqus file's keywords, options and words by line, up to the first *STEP."""
     lines = [line.strip() for line in text.splitlines() if not line.startswith("**")]
     joined = re.sub(r"^(\*.*,)\n", r"\1", "\n".join(filter(None, lines)), flags=re.M)
     first, *parts = ("\n" + joined).split("\n*")
@@ -411,12 +406,9 @@ def keywords(text: str) -> Iterator[tuple[str, dict[str, str], list[list[str]]]]
 
 
 def read_abaqus(text: str) -> SimpleNamespace:
-    """Points, cells and sets, named as meshio names them.
-
-    Warns of keywords beside the shape. Raises InputError for every other that is not read, and its
-    options: instances that are moved or repeated, systems of coordinates, what makes nodes and
-    elements of others, surfaces.
-    """
+    """Read points, cells and sets of an Abaqus file, named as meshio names them. Warns of keywords
+    beside the shape; InputError for every other that is not read, and its options: instances moved
+    or repeated, coordinate systems, nodes and elements made of others, surfaces."""
     nodes: dict[int, tuple[float, ...]] = {}
     elements: set[int] = set()
     blocks: list[tuple[int, str, np.ndarray]] = []
@@ -492,7 +484,7 @@ def _members(
     sets: dict[str, set[int]],
     there: set[int],
 ) -> set[int]:
-    """Numbers of a set, of those that are there; InputError for others."""
+    """Numbers in a set, of those that exist; InputError for others."""
     if "GENERATE" in options:
         runs = [(int(row[0]), int(row[1]) + 1, *map(int, row[2:])) for row in rows]
         return {n for run in runs for n in there if n in range(*run)}

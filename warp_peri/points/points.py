@@ -1,4 +1,4 @@
-"""Nodes of a body: where they are, which are unknown; displacements and loads on them."""
+"""Nodes of a body, interior and collar, with samples of displacement and load on them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ LARGEST_TABLE = 2**30
 
 
 class Lattice(NamedTuple):
-    """Steps of the nodes of a lattice from its corner, [N, d] int32, and its axes as columns."""
+    """Lattice steps of nodes from its corner, [N, d] int32, and its axes as columns."""
 
     steps: np.ndarray
     axes: np.ndarray
@@ -50,7 +50,7 @@ class Lattice(NamedTuple):
 @typed
 @dataclass(frozen=True, eq=False, repr=False)
 class Points(Shown):
-    """Nodes of one body.
+    """Nodes of one body: positions, interior, spacing, periods.
 
     Attributes:
         x: positions [Å], shape [N, d], d = 2 or 3.
@@ -60,8 +60,7 @@ class Points(Shown):
         box: periods (Lx, Ly), or (Lx, Ly, Lz), along the axes [Å], more than twice the horizon and
             on a lattice whole multiples of the spacing; None when the points are not periodic.
         outside: nodes that are not part of the body, shape [N] bool, or None: they complete the
-            balls that the quadrature integrates over, and bonds to them are broken (theory,
-            40–42).
+            balls that the quadrature integrates over, and bonds to them are broken (theory, 40–42).
         units: names of the units of length and stress that these nodes and their fields are in.
         axis: angle [degrees] from the x axis of the nodes to the axis of the material, a crystal's
             zigzag direction; in space that about the third axis, or the material's axes, columns of
@@ -83,7 +82,7 @@ class Points(Shown):
     axis: Any = None
 
     def rows(self) -> list[tuple[str, str]]:
-        """What to know at a glance: name and value."""
+        """Name and value of each line of the points' summary table."""
         length = symbols(self.units)[0]
         kind = f"a lattice of {self.spacing:g} {length}" if self.spacing else "scattered"
         inside = np.count_nonzero(self.interior)
@@ -137,7 +136,7 @@ class Points(Shown):
         units: Units = USUAL,
         axis: float | None = None,
     ) -> Points:
-        """A periodic lattice along the axes, all of its nodes interior.
+        """Make a periodic lattice along the axes, all of its nodes interior.
 
         Args:
             sides: nodes along each of d axes; node (i, j) is number i · sides[1] + j.
@@ -165,7 +164,7 @@ class Points(Shown):
         units: Units = USUAL,
         axis: Any = None,
     ) -> Points:
-        """A lattice about the origin: a box, its interior, in a collar two horizons wide.
+        """Make a lattice about the origin: a box, its interior, in a collar two horizons wide.
 
         Args:
             lengths: sides of the box [length], 2 or 3.
@@ -194,7 +193,8 @@ class Points(Shown):
         units: Units = USUAL,
         axis: Any = None,
     ) -> Points:
-        """A lattice about the origin: a disk or a ball, its interior, in a collar of two horizons.
+        """Make a lattice about the origin: a disk or ball, its interior, in a collar of two
+        horizons.
 
         Args:
             radius: of the interior [length].
@@ -215,14 +215,14 @@ class Points(Shown):
     def _around(
         cls, beyond: Any, half: np.ndarray, spacing: float, horizon: float, **more: Any
     ) -> Points:
-        """The nodes of a lattice up to two horizons beyond a body, interior where within it."""
+        """Lattice nodes up to two horizons beyond a body, interior where within it."""
         count = np.floor((half + 2 * horizon) / spacing * (1 + LATTICE_TOLERANCE)).astype(int)
         x = spacing * (np.indices(tuple(2 * count + 1)).reshape(len(half), -1).T - count)
         x = x[beyond(x) <= 2 * horizon + LATTICE_TOLERANCE * spacing]
         return cls(x, beyond(x) <= LATTICE_TOLERANCE * spacing, spacing, **more)
 
     def first_difference(self, other: Points) -> str:
-        """What these points have another than others: the first that differs by name, or none."""
+        """Name of the first attribute in which two sets of points differ, or ""."""
         for name in ("spacing", "units", "box", "axis", "x", "interior", "outside"):
             mine, theirs = getattr(self, name), getattr(other, name)
             if (mine is None) != (theirs is None) or not np.array_equal(mine, theirs):
@@ -231,26 +231,25 @@ class Points(Shown):
 
     @property
     def dimension(self) -> int:
-        """2 in the plane, 3 in space."""
+        """Dimension of space: 2 or 3."""
         return int(self.x.shape[1])
 
     @cached_property
     def lattice(self) -> Lattice:
-        """Where the nodes of a lattice lie; InputError for others, naming points off it."""
+        """Lattice steps and axes of the nodes; InputError for scattered points, naming points off
+        it."""
         check_lattice(self)
         return straight_steps(self.x, self.spacing, " " + symbols(self.units)[0])
 
     @property
     def is_open_lattice(self) -> bool:
-        """Whether it is a lattice that neither repeats nor has broken bonds."""
+        """Whether the points are a lattice without periods and broken bonds."""
         return self.spacing > 0 and self.box is None and self.outside is None
 
 
 def refuse_twice(x: np.ndarray) -> None:
-    """Raise InputError for nodes that stand at one place, naming some; one sort of x along a line.
-
-    Nodes are at one place within 1e-9 of the mean distance of as many in a square or cube.
-    """
+    """Raise InputError for nodes within 1e-9 of their mean distance of one another, naming some;
+    one sort of x along a line."""
     n, d = x.shape
     near = TWICE * float(np.ptp(x, axis=0).max()) / n ** (1 / d)
     along = x @ np.array([1.0, 0.6180339887, 0.4142135624])[:d]
@@ -266,7 +265,7 @@ def refuse_twice(x: np.ndarray) -> None:
 
 
 def check_lattice(points: Any) -> None:
-    """Raise InputError for scattered points, saying what carries samples from there."""
+    """Raise InputError for scattered points, saying what carries samples to a lattice."""
     if points.spacing == 0:
         raise InputError(
             "points: expected a lattice, got scattered points; "
@@ -275,10 +274,8 @@ def check_lattice(points: Any) -> None:
 
 
 def straight_steps(x: np.ndarray, h: float, unit: str = "") -> Lattice:
-    """Where nodes of a lattice of spacing h lie, whose axes are those of x where it is along them.
-
-    Raises InputError naming points off the lattice, and for nodes too far apart to be one body.
-    """
+    """Lattice steps and axes of nodes of spacing h, the axes those of x where along them;
+    InputError naming points off the lattice, and for nodes too far apart to be one body."""
     places, d = np.prod(np.ptp(x, axis=0) / h + 1), x.shape[1]
     if places > max(SMALL_TABLE, min(EMPTY_SHARE * len(x), LARGEST_TABLE)):
         raise InputError(
@@ -304,8 +301,8 @@ def straight_steps(x: np.ndarray, h: float, unit: str = "") -> Lattice:
 
 
 def _axes(x: np.ndarray, h: float, unit: str) -> np.ndarray:
-    """Of the directions of nearest-neighbour bonds, as near to the coordinates as can be named, and
-    then those that fit all positions best."""
+    """Lattice axes that fit all positions best, of nearest-neighbour directions close to the
+    coordinates."""
     some = x[:: max(1, len(x) // 2000)]
     pairs = cKDTree(x).query_ball_point(some, h * (1 + LATTICE_TOLERANCE))
     step = np.concatenate([x[near] - at for near, at in zip(pairs, some)]) / h
@@ -323,13 +320,13 @@ def _axes(x: np.ndarray, h: float, unit: str) -> np.ndarray:
 
 
 def check_dimensions(name: str, count: int) -> None:
-    """InputError for another number of sides than 2 or 3."""
+    """Raise InputError for another number of sides than 2 or 3."""
     if count not in (2, 3):
         raise InputError(f"{name}: expected 2 or 3, got {count} of them")
 
 
 def nearest(xi: np.ndarray, box: tuple[float, ...] | None) -> np.ndarray:
-    """Bond vectors to the nearest images."""
+    """Bond vectors to the nearest periodic images."""
     return xi if box is None else xi - np.round(xi / box) * box
 
 
@@ -346,7 +343,7 @@ FIELDS = ("x", "u", "b", "interior", "outside")
 @typed
 @dataclass(frozen=True, eq=False, repr=False)
 class Samples(Shown):
-    """Samples of one body on one set of points.
+    """Displacements and loads of one body on one set of points, S samples of them.
 
     Attributes:
         points: the nodes; x, interior, spacing, box and outside are theirs.
@@ -384,7 +381,7 @@ class Samples(Shown):
         return len(self.u)
 
     def __getitem__(self, which: Any) -> Samples:
-        """Some of the samples, with what belongs to them: a number, a slice, or an array."""
+        """The samples of a number, a slice, or an index array, with their arrays."""
         try:
             rows = np.atleast_1d(np.arange(len(self))[which])
         except (IndexError, TypeError) as error:
@@ -397,7 +394,7 @@ class Samples(Shown):
 
     @property
     def x(self) -> np.ndarray:
-        """Positions [Å], shape [N, d]."""
+        """Positions of the nodes [Å], shape [N, d]."""
         return self.points.x
 
     @property
@@ -417,23 +414,23 @@ class Samples(Shown):
 
     @property
     def outside(self) -> np.ndarray | None:
-        """Nodes that are not part of the body, shape [N] bool."""
+        """Nodes that are not part of the body, shape [N] bool, or None."""
         return self.points.outside
 
     @property
     def axis(self) -> Any:
-        """Of the material against the points, as Points.axis, or None."""
+        """Direction of the material against the points, as Points.axis, or None."""
         return self.points.axis
 
     @property
     def loads(self) -> np.ndarray:
-        """b [TPa/Å]; InputError where it is not known."""
+        """Loads b [TPa/Å]; InputError where they are not known."""
         if self.b is None:
             raise InputError("b: expected loads, got samples whose loads are not known (b=None)")
         return self.b
 
     def rows(self) -> list[tuple[str, str]]:
-        """What to know at a glance: name and value."""
+        """Name and value of each line of the samples' summary table."""
         length, stress = symbols(self.points.units)
         rows = [("samples", str(len(self))), *self.points.rows()]
         rows.append(("u", f"up to {np.abs(self.u).max(initial=0.0):.3g} {length}"))
@@ -445,7 +442,7 @@ class Samples(Shown):
 
 
 def seen_of(samples: Samples) -> np.ndarray:
-    """Nodes whose displacement was seen, shape [S, N] bool: all where nothing says otherwise."""
+    """Whether each node's displacement was measured, [S, N]: all where nothing says otherwise."""
     return checked(SEEN, samples.arrays.get(SEEN, np.ones(samples.u.shape[:2], bool)), bool)
 
 
@@ -454,7 +451,7 @@ PointsLike: TypeAlias = Points | Samples
 
 
 def nodes_of(given: PointsLike) -> Points:
-    """The points themselves, or a rank's piece of them; InputError for what is none."""
+    """The Points of points, samples or a rank's piece; InputError for other values."""
     if not (isinstance(given, (Points, Samples)) or is_piece(given)):
         raise InputError(
             f"points: expected Points(x, interior, spacing), got {type(given).__name__}"
@@ -472,7 +469,7 @@ _said: WeakValueDictionary[int, np.ndarray] = WeakValueDictionary()
 
 
 def unsaid(points: PointsLike) -> bool:
-    """Whether nothing was said of the direction on these positions before; now it is."""
+    """Whether no warning about the axis at these positions was given before; records that it is."""
     x = points.x
     if _said.get(id(x)) is x:
         return False
@@ -481,10 +478,8 @@ def unsaid(points: PointsLike) -> bool:
 
 
 def axis_of(points: PointsLike) -> float:
-    """Angle [rad] from the x axis of points to that of the material.
-
-    Where none is stated it is taken as 0, with a warning, once for these points.
-    """
+    """Angle [rad] from the x axis of points to that of the material; 0, with one warning, where
+    none is stated."""
     if points.axis is None:
         if unsaid(points):
             warn(

@@ -28,7 +28,8 @@ takes a hundred times as long."""
 
 
 def quadrature_weights(xi: ArrayLike, horizon: float, *, degree: int = DEGREE) -> np.ndarray:
-    """Minimum-norm weights W with Σ_j W_j q(ξ_j) = ∫ q over the ball.
+    """Minimum-norm quadrature weights W of a family with Σ_j W_j q(ξ_j) = ∫ q over the ball, [Å^d],
+    [B].
 
     q = p / r³ with monomials p of 4 − d ≤ degree of p ≤ degree: those whose quotient is integrable
     in d dimensions (Trask et al. 2019; You et al. 2021, section 3.2).
@@ -37,9 +38,6 @@ def quadrature_weights(xi: ArrayLike, horizon: float, *, degree: int = DEGREE) -
         xi: bond vectors of the family [Å], shape [B, d], d = 2 or 3, none of them zero.
         horizon: δ [Å].
         degree: of the polynomials, at least 2.
-
-    Returns:
-        W [Å^d], shape [B].
 
     Raises InputError when no weights meet the conditions (the family is too poor).
     """
@@ -56,7 +54,7 @@ def quadrature_weights(xi: ArrayLike, horizon: float, *, degree: int = DEGREE) -
 def family_weights(
     xi: np.ndarray, horizon: float, *, degree: int = DEGREE
 ) -> tuple[np.ndarray, float]:
-    """As `quadrature_weights`, by the SVD, and the largest relative residual, whatever it is."""
+    """Weights as of `quadrature_weights`, by the SVD, and the largest relative residual."""
     powers, exact = conditions(degree, xi.shape[1])
     scaled = xi / horizon
     rows = np.array([(scaled**p).prod(axis=1) for p in powers])
@@ -69,10 +67,8 @@ def family_weights(
 
 
 def conditions(degree: int, dimension: int) -> tuple[list[tuple[int, ...]], np.ndarray]:
-    """Exponents of the Q polynomials in d variables, and their integrals over the unit ball, [Q].
-
-    Raises InputError for a degree that is no whole number ≥ 2.
-    """
+    """Exponents of the Q polynomials in d variables, and their integrals over the unit ball, [Q];
+    InputError for a degree that is no whole number ≥ 2."""
     check_whole("quadrature degree", degree, SINGULARITY - 1)
     lowest = SINGULARITY + 1 - dimension
     every = itertools.product(range(degree, -1, -1), repeat=dimension)
@@ -81,7 +77,7 @@ def conditions(degree: int, dimension: int) -> tuple[list[tuple[int, ...]], np.n
 
 
 def ball_integral(powers: Sequence[int], exponent: float) -> float:
-    """∫ ξ₁ᵃ ξ₂ᵇ … r^(−exponent) over the unit ball in as many dimensions as there are powers."""
+    """Integral ∫ ξ₁ᵃ ξ₂ᵇ … r^(−exponent) over the unit ball in as many dimensions as powers."""
     if any(n % 2 for n in powers):
         return 0.0
     sphere, half = 2.0, (powers[0] + 1) / 2
@@ -104,10 +100,8 @@ def weights(
     horizon: float,
     degree: int,
 ) -> np.ndarray:
-    """Quadrature weights of the families of `nodes` [Å^d], zero on all other bonds, shape [E].
-
-    Raises InputError naming the nodes whose family is too poor.
-    """
+    """Quadrature weights of the families of `nodes` [Å^d], zero on all other bonds, shape [E];
+    InputError naming the nodes whose family is too poor."""
     d = x.shape[1]
     powers, exact = conditions(degree, d)
     vec = wp.types.vector(d, wp.float64)

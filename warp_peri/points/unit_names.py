@@ -1,4 +1,4 @@
-"""Units that files and values carry by name."""
+"""Units of length and stress by name."""
 
 from __future__ import annotations
 
@@ -42,10 +42,8 @@ USUAL: Units = ("angstrom", "TPa")
 
 
 def check_units(units: Any) -> Units:
-    """The units, if they are known by name; InputError with the names that are.
-
-    One of SYSTEMS stands for its pair.
-    """
+    """The units as a pair of known names, of a pair or a key of SYSTEMS; InputError lists the
+    names."""
     if isinstance(units, str) and units in SYSTEMS:
         return SYSTEMS[units]
     try:
@@ -66,26 +64,21 @@ def check_units(units: Any) -> Units:
 
 
 def symbols(units: Units) -> tuple[str, str]:
-    """Length and stress as they are printed: "Å", "TPa"."""
+    """Printed symbols of length and stress: "Å", "TPa"."""
     length, stress = units
     return SYMBOLS.get(length, length), SYMBOLS.get(stress, stress)
 
 
 def shown_moduli(units: Units, values: Iterable[float]) -> str:
-    """Moduli as they are printed: in GPa where they are in an atomic unit, else as they are.
-
-    Who says GPa, MPa or Pa reads that, and reduced units stay as they are.
-    """
+    """Text of moduli: in GPa from atomic units, else in their own unit (GPa, MPa, Pa, reduced)."""
     unit = units[1]
     factor, shown = (STRESSES[unit] * 1e3, "GPa") if unit in ATOMIC else (1.0, symbols(units)[1])
     return ", ".join(f"{factor * value:.4g}" for value in values) + f" {shown}"
 
 
 def factors(have: Units, want: Units) -> tuple[float, float]:
-    """What lengths and stresses in the units `have` are multiplied by to be in the units `want`.
-
-    Raises InputError for units that are not known, and from reduced units to others.
-    """
+    """Factors from the units `have` to the units `want` for lengths and stresses; InputError for
+    unknown units, and from reduced units to others."""
     have, want = check_units(have), check_units(want)
     if have == want:
         return 1.0, 1.0
@@ -98,7 +91,7 @@ def factors(have: Units, want: Units) -> tuple[float, float]:
 
 
 def check_same(model: Units, points: Units) -> None:
-    """Raise InputError where a model and points are not in the same units."""
+    """Raise InputError where a model and points are in different units."""
     if model != points:
         theirs = f"{points[0]!r}, {points[1]!r}"
         raise InputError(
@@ -108,11 +101,11 @@ def check_same(model: Units, points: Units) -> None:
 
 
 def search_length(units: Units, horizon: float) -> float:
-    """The unit of length that a search works in, in that of `units`, for a horizon in it.
+    """Unit of length that a search works in, in that of `units`, for a horizon in it.
 
     Starts, steps, bounds and tolerances of a search are numbers. It works in Å whatever the data
-    are in, so that it finds the same in any units; of horizons of another size than usual in
-    powers of 2⁶ of it, to the bits of these.
+    are in, so that it finds the same in any units; of horizons of another size than usual in powers
+    of 2⁶ of it, to the bits of these.
     """
     known = LENGTHS.get(units[0], 1.0)
     return math.ldexp(1.0, 6 * round(math.log2(horizon * known / USUAL_HORIZON) / 6)) / known

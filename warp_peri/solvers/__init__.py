@@ -1,1 +1,1 @@
-"""Equilibrium and motion: linear and nonlinear solves, time steps, their gradients."""
+"""Solvers for equilibrium and motion: linear, nonlinear, time steps, gradients."""

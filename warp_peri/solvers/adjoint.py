@@ -62,7 +62,7 @@ def moved(
     record: Any = None,
     **sizes: Any,
 ) -> Motion:
-    """The motion of verlet.march, its u, v and history "u" differentiable tensors in float64.
+    """Motion of verlet.march with u, v and history "u" as differentiable float64 tensors.
 
     Args:
         operator, record, sizes: as of verlet.march; sizes are density, step, steps and every.
@@ -70,8 +70,8 @@ def moved(
         signal: of the load, shape [steps + 1], as of verlet.march.
         parameters: numbers of the material by name, as of wp.TorchModule; the others stay.
 
-    Raises InputError as verlet.march, for files, parameters that the material does not have or
-    with which waves would grow, a second derivative, a tangent of forward mode, and, in the pass
+    Raises InputError as verlet.march, for files, parameters that the material does not have or with
+    which waves would grow, a second derivative, a tangent of forward mode, and, in the pass
     backwards, a motion that rounding does not let run back.
     """
     if files := sizes.keys() - {"density", "step", "steps", "every"}:
@@ -93,7 +93,7 @@ def moved(
 
 
 def in_motion(operator: Any, b: Any, u: Any, options: dict[str, Any]) -> Motion:
-    """The motion of verlet.march; of tensors, or with `parameters`, that of `moved`."""
+    """Motion of verlet.march; for tensors, or with `parameters`, that of `moved`."""
     how, files, learned = taken(options, "simulate", verlet.march, Recorder.__init__, moved)
     fields = b, u, how.get("v"), how.get("signal")
     if "parameters" in learned or any(map(is_tensor, fields)):
@@ -102,7 +102,7 @@ def in_motion(operator: Any, b: Any, u: Any, options: dict[str, Any]) -> Motion:
 
 
 class _Kept(verlet.WaveRun):
-    """A motion that keeps every so many states, from which displacements are come back to."""
+    """A motion that stores every so many states, from which to recompute displacements."""
 
     stretch = 0
     kept: dict[int, verlet.State]
@@ -125,8 +125,8 @@ class _Waves:
         self.kept: dict[int, verlet.State] = {}
 
     def there(self, *given: np.ndarray) -> list[Any]:
-        """u and v [N, d] at the end, and the records [R, n, d] where there are some; of u, v, b, a
-        signal and numbers."""
+        """u and v [N, d] at the end, and any records [R, n, d], from u, v, b, a signal and
+        numbers."""
         fields = dict(zip(("u", "v", "b"), given))
         nodes, self.body, state = verlet.started(self.operator, fields, given[3], **self.options)
         run = _Kept(nodes, self.body, self.dt, self.record, every=self.every)
@@ -136,10 +136,8 @@ class _Waves:
         return ends if self.record is None else [*ends, self.motion["u"]]
 
     def back(self, asked: tuple[bool, ...], p: Any, v: Any, seen: Any = None) -> list[Any]:
-        """Derivatives to u, v and b [N, d], to the signal, and to the numbers that are asked for.
-
-        p, v, seen: what is upstream of u and v at the end, and of the records; p is overwritten.
-        """
+        """Derivatives to u, v and b [N, d], the signal, and the asked numbers, from the derivatives
+        p, v of the end (p is overwritten) and `seen` of the records."""
         wanted = [name for name, one in zip(self.names, asked[4:]) if one]
         free, whole, last = self.body.interior, self.dt / self.body.inertia, self.steps
         q, load, totals = v[free], np.zeros_like(v[free]), dict[str, Any].fromkeys(wanted, 0.0)
@@ -165,8 +163,8 @@ class _Waves:
         return [p, self.body.on_all(q), self.body.on_all(load), by_signal, *own]
 
     def _undone(self) -> Iterator[tuple[int, Any]]:
-        """Numbers of steps from the last to none, with the displacement then, or None where
-        nothing asks for it. Raises InputError where a state is not come back to."""
+        """Iterate over steps backwards with the displacement, if needed; InputError where a stored
+        state is not reached."""
         if not self.kept:
             yield from ((number, None) for number in reversed(range(self.steps + 1)))
             return
@@ -197,25 +195,22 @@ def stepped(
     collar: Callable[[float], Any] | None = None,
     parameters: Mapping[str, Any] | None = None,
 ) -> Motion:
-    """What flows, by implicit steps of any length; differentiable once in tensors.
+    """Solve linear flow by implicit steps of any length; differentiable once in tensors.
 
     Args:
         operator: linear; its `tangent`, `storage` and `implicit` are L, E and θ.
-        b: load or source of all nodes, [N] or [N, d], or a function of time that gives it; None
-            for none. It is read on the interior.
+        b: load or source of all nodes, [N] or [N, d], or a function of time that gives it; None for
+            none. It is read on the interior.
         u: field of all nodes at the start, of the same shape.
         step: Δt > 0.
         steps: number of steps.
         collar: field of all nodes at a time, read off the interior; unchanged by default.
         parameters: numbers of the operator's `learnable` by name. The others stay as they are.
 
-    Returns:
-        A motion whose history u is the field at the start and after every step, [steps + 1, N, …];
-        a tensor where one was given.
-
-    Raises InputError for other shapes, what is not finite, a step not > 0, a number of steps below
-    0, numbers that the operator does not have, a solve that loses its digits, a second derivative
-    and a tangent of forward mode.
+    Returns a motion whose history u is the field at the start and after every step,
+    [steps + 1, N, …]; a tensor where one was given. Raises InputError for other shapes, what is not
+    finite, a step not > 0, a number of steps below 0, numbers that the operator does not have, a
+    solve that loses its digits, a second derivative and a tangent of forward mode.
     """
     operator, numbers = with_numbers(operator, parameters or {})
     times, tensors = step * np.arange(steps + 1), [u, *(parameters or {}).values()]
@@ -237,7 +232,7 @@ def stepped(
 
 
 class Implicit:
-    """Implicit steps of what is linear. Raises InputError where a step has no one solution."""
+    """Implicit steps of a linear operator; InputError where a step has no one solution."""
 
     def __init__(self, operator: Any, step: float, names: list[str]) -> None:
         self.operator, self.step, self.names = operator, step, names
@@ -249,7 +244,7 @@ class Implicit:
         self.behind = E - (1 - self.theta) * L
 
     def there(self, start: Any, loads: Any, given: Any, *_: np.ndarray) -> tuple[np.ndarray]:
-        """Fields at the start and after each step, of loads and what is given in each."""
+        """Fields at the start and after each step, from loads and given values of each."""
         one = self.operator.shape
         fields = [checked("u", start, float, one)]
         loads = checked("b", loads, float, (len(loads), *one), self.inside)
@@ -261,11 +256,8 @@ class Implicit:
         return (self.fields,)
 
     def back(self, asked: tuple[bool, ...], p: np.ndarray) -> list[Any]:
-        """Derivatives to the start, to loads and what is given in each step, and to the numbers
-        that are asked for.
-
-        p: what is upstream of the fields at the start and after each step; overwritten.
-        """
+        """Derivatives to the start, to loads and given values of each step, and to asked numbers,
+        from those of the fields, p (overwritten)."""
         wanted = [name for name, one in zip(self.names, asked[3:]) if one]
         steps, one, free = len(p) - 1, p.shape[1:], self.ahead.unknown
         p, w = p.reshape(steps + 1, -1), np.zeros((steps, np.count_nonzero(free)))

@@ -1,12 +1,11 @@
-"""Equilibria of one force on one body: mixed steps of the solid at rest, Newton, parts of a load.
+"""Equilibria of one force on one body: mixed steps of the solid at rest, Newton, load increments.
 
 u ← u + L₀⁻¹ (b − f(u)), L₀ the solid at rest, whose inverse is all that is asked of a material
 beside its force. The last steps are mixed (D. G. Anderson, 1965). Where that stalls, clipped
-gradients make it a contraction if a strain is proven (theory, N13–N15); then Newton's method
-with GMRES on the same preconditioned residual; then the load in parts.
-
-Of a solid with an energy Newton's method goes down its potential instead, through tangents that are
-positive definite; then the load in parts; then past negative curvature, to another minimum.
+gradients make it a contraction if a strain is proven (theory, N13–N15); then Newton's method with
+GMRES on the same preconditioned residual; then the load in parts. Of a solid with an energy
+Newton's method goes down its potential instead, through tangents that are positive definite; then
+the load in parts; then past negative curvature, to another minimum.
 """
 
 from __future__ import annotations
@@ -33,10 +32,8 @@ NOTHING = 1e-12
 
 
 def probed(operator: Any) -> Stencil:
-    """The stencil at rest of a placed material, along the axes of its nodes.
-
-    Its force at a node depends on what lies within two horizons, and is odd in u at rest.
-    """
+    """Stencil at rest of a placed material, along the axes of its nodes, by probing its force,
+    which reaches two horizons and is odd in u at rest."""
     nodes, d = operator.points, operator.points.x.shape[1]
     h, axes = nodes.spacing, lattice_steps(nodes)[1]
     reach = 2 * int(operator.material.horizon / h + 1e-6)
@@ -84,7 +81,7 @@ Force = Callable[[np.ndarray], np.ndarray]
 
 @dataclass
 class NonlinearRecord:
-    """What the solve of one sample took, and what is known of its answer.
+    """Record of one sample's nonlinear solve.
 
     Attributes:
         solves: linear solves in all.
@@ -92,9 +89,8 @@ class NonlinearRecord:
         residual: ‖L u − b‖ over the linear right-hand side.
         largest_gradient: largest |H| within δ of the unknowns.
         unique: whether |H| stays below the proven strain, so that no other solution does.
-        eigenvalue: smallest eigenvalue of the symmetric part of the tangent at the answer
-            [TPa/Å²]; above zero the answer is stable. None where not asked for, and above DIRECT
-            nodes.
+        eigenvalue: smallest eigenvalue of the symmetric part of the tangent at the answer [TPa/Å²];
+            above zero the answer is stable. None where not asked for, and above DIRECT nodes.
     """
 
     solves: int = 0
@@ -107,7 +103,7 @@ class NonlinearRecord:
 
 @dataclass(frozen=True, eq=False)
 class Equilibria:
-    """Where a force on the interior is a load, for many loads.
+    """Solver for the displacements whose force on the interior equals given loads.
 
     Attributes:
         force: of a field of all nodes.
@@ -126,10 +122,8 @@ class Equilibria:
     def solve(
         self, load: np.ndarray, given: np.ndarray, tolerance: float
     ) -> tuple[np.ndarray, NonlinearRecord]:
-        """u [N, d] with force = load [I, d] and u as given elsewhere, on the branch from rest.
-
-        Raises InputError where nothing finds an equilibrium.
-        """
+        """Displacement u [N, d] with force = load [I, d] and u given elsewhere, on the branch from
+        rest; InputError where none is found."""
         record = NonlinearRecord()
         field = np.where(self.inside[:, None], 0.0, given)
         right = load - self.straight(field)
@@ -159,10 +153,8 @@ class Equilibria:
     def solve_from(
         self, load: np.ndarray, start: np.ndarray, tolerance: float
     ) -> tuple[np.ndarray, NonlinearRecord]:
-        """The same from a start near it, shape [N, d], by Newton's method; it may not come there.
-
-        The residual of the record is relative to that of the start with a zero interior.
-        """
+        """Displacement from a start [N, d] near it, by Newton's method, with no guarantee; the
+        record's residual is relative to that of the start with a zero interior."""
         record, field = NonlinearRecord(method="newton"), start.copy()
         zero = np.where(self.inside[:, None], 0.0, start)
         scale = float(np.linalg.norm(load - self.force(zero))) or 1.0
@@ -181,7 +173,8 @@ class Equilibria:
         *,
         mixes: bool = True,
     ) -> np.ndarray:
-        """The interior as far as it comes; the record's residual tells how far."""
+        """Displacement of the interior, as far as the iteration comes (see the record's
+        residual)."""
 
         def left(inner: np.ndarray, force: Force = self.force) -> np.ndarray:
             field[self.inside] = inner
@@ -212,11 +205,9 @@ class Equilibria:
 def follow(
     solve: Callable[[float, np.ndarray | None], np.ndarray | None],
 ) -> tuple[Any, float, int]:
-    """Answers from a share of zero to one, at once or in steps that halve where nothing is found.
-
-    `solve` answers a share of the load, from a guess by the last two once there are some; None
-    where nothing is found. Returns the last answer, or zero, its share, and the number of steps.
-    """
+    """Follow answers of `solve` from a share of zero to one, at once or in steps that halve on
+    failure. It is given a share of the load and a guess, and answers None where it fails. Returns
+    the last answer, or zero, its share, and the number of steps."""
     done, last, step, steps = 0.0, 0.0, 1.0, 0
     now: Any = 0.0
     before = now
@@ -237,11 +228,9 @@ def anderson(
     start: np.ndarray,
     tolerance: float,
 ) -> tuple[np.ndarray, float]:
-    """u ← u + correction(left(u)), accelerated by mixing the last steps (D. G. Anderson, 1965).
-
-    `left` is the relative residual of a field, `correction` the step that answers it. Returns the
-    field of the smallest residual, and that residual's norm.
-    """
+    """Iterate u ← u + correction(left(u)), accelerated by mixing the last steps (D. G. Anderson,
+    1965), `left` the relative residual. Returns the field of the smallest residual, and its
+    norm."""
     u, best = start, (start, np.inf)
     steps: list[np.ndarray] = []
     fields: list[np.ndarray] = []
@@ -274,7 +263,8 @@ Inner = Callable[[np.ndarray], np.ndarray]
 def stable_way(
     solid: Any, start: np.ndarray | None, near: Inner | None, tolerance: float
 ) -> tuple[np.ndarray | None, int, int, bool]:
-    """Down from a start; without `near` by the load in parts, too, and past negative curvature.
+    """Find a stable equilibrium down from a start; without `near` also by load increments, and past
+    negative curvature.
 
     Args:
         solid: with an energy, under a load, as hyperelastic.equilibrium.Sheet.
@@ -282,9 +272,8 @@ def stable_way(
         near: the inverse of a tangent near the start.
         tolerance: of the largest residual, over the largest force.
 
-    Returns:
-        The stable equilibrium or None, Newton's steps, parts that the load was applied in, and
-        whether stable equilibria lead to it from rest, as far as the steps tell.
+    Returns the equilibrium or None, Newton's steps, load increments, and whether stable equilibria
+    lead to it from rest, as far as the steps tell.
     """
     count = 0
 
@@ -316,7 +305,7 @@ def stable_way(
 def descend(
     solid: Any, u: np.ndarray, tolerance: float, *, near: Inner | None = None, shifts: bool = False
 ) -> tuple[np.ndarray | None, int]:
-    """Where the potential is least down from u, and Newton's steps; None where it does not come.
+    """Minimise the potential down from u; returns the field, or None, and Newton's steps.
 
     Without shifts it also ends where the tangent is not positive definite: the branch of stable
     equilibria that u lies near has been left. With the inverse of a tangent `near` none is
@@ -345,7 +334,7 @@ def descend(
 def direction(
     solid: Any, u: np.ndarray, left: np.ndarray, near: Inner | None, shifts: bool
 ) -> tuple[Any, bool, Inner | None]:
-    """A step down, whether the tangent is positive definite as far as it tells, and its inverse or
+    """Descent step, whether the tangent is positive definite as far as it tells, and its inverse or
     one near."""
     if near is not None:
         try:
@@ -362,8 +351,8 @@ def direction(
 def _searched(
     solid: Any, u: np.ndarray, step: np.ndarray, left: np.ndarray, small: float, folds: float
 ) -> tuple[np.ndarray, float] | None:
-    """u after the longest part of a step that lowers the potential, or the residual near the end;
-    and how it is folded."""
+    """Field after the longest part of a step that lowers the potential (near the end the residual),
+    and its folds."""
     before, slope, part = solid.potential(u), float((left * step).sum()), 1.0
     while part > SHORTEST:
         ahead = solid.moved(u, part * step)
@@ -381,16 +370,15 @@ def _searched(
 def equilibria_of(
     operator: Any, b: ArrayLike, u: ArrayLike, solver: Solver, proven: float | None = None
 ) -> Solution:
-    """The Solution of a nonlinear operator: b [S, N, d] on the interior, u given on the collar.
+    """Solve equilibria of a nonlinear operator: b [S, N, d] on the interior, u given on the collar.
 
     Args:
         operator: that offers `force(u, radius=)`, `largest_gradient`, products with its tangent,
             and, of the solid at rest, `straight` and `inverse`.
         b, u, solver: as of Operator.solve; the solver is a Newton.
-        proven: |H| up to which its answers are the only ones, 0 for none; beyond it a UserWarning
-            says so. None where nobody asks.
+        proven: |H| up to which answers are unique, 0 for none, warned of beyond; None: not asked.
 
-    The details of the solution are one NonlinearRecord for each sample. Raises InputError for
+    The details of the Solution are one NonlinearRecord for each sample. Raises InputError for
     arrays that do not fit, another solver, and a sample for which no equilibrium was found.
     """
     refuse_solver(solver, (Newton,), "a nonlinear solid")
@@ -436,7 +424,7 @@ def smallest_of(operator: Any, field: np.ndarray) -> float:
 
 
 def figures_of(records: tuple[NonlinearRecord, ...]) -> dict[str, Any]:
-    """Most solves, largest gradient, and whether all answers are the only ones."""
+    """Most linear solves, largest gradient, and whether all answers are unique, over records."""
     return {
         "linear_solves": max(record.solves for record in records),
         "largest_gradient": max(record.largest_gradient for record in records),
@@ -445,7 +433,7 @@ def figures_of(records: tuple[NonlinearRecord, ...]) -> dict[str, Any]:
 
 
 def warn_beyond(records: list[NonlinearRecord], proven: float) -> None:
-    """A UserWarning where answers go beyond the proven strain."""
+    """Warn where answers go beyond the proven strain."""
     beyond = [n for n, record in enumerate(records) if not record.unique]
     if not beyond:
         return

@@ -1,4 +1,4 @@
-"""A stencil on the nodes of one body: its products, and what inverts it (theory, T15).
+"""Products and inverses of a stencil on the nodes of one body (theory, T15).
 
 L_II is a block of the operator of a torus, so the smallest eigenvalue of that operator's symbol
 bounds it from below: above zero, conjugate gradients find the one answer.
@@ -49,7 +49,7 @@ WAVES = 1 << 17
 
 
 class Linear:
-    """L of one stencil on the nodes of one body or of one period, all bonds whole.
+    """Operator L of one stencil on the nodes of one body or of one period, all bonds whole.
 
     Args:
         stencil: of the solid.
@@ -84,7 +84,7 @@ class Linear:
         self._filters: dict[str, tuple[Filter, Filter | None]] = {}
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
-        """L of fields [S, N, d] at the interior nodes, [S, I, d]."""
+        """Force L u of fields [S, N, d] at the interior nodes, [S, I, d]."""
         return self.grid.gather(self.pull(self.grid.scatter(u, self.dtype)))
 
     @cached_property
@@ -94,7 +94,7 @@ class Linear:
         return ByFFT(self.grid, self.stencil.steps, self.stencil.tensors)
 
     def push(self, inner: np.ndarray) -> np.ndarray:
-        """Lᵗ of a field on the interior [I, d], on all nodes, [N, d]."""
+        """Transposed product Lᵗ of a field on the interior [I, d], on all nodes, [N, d]."""
         grid, by = self.grid, self._torus
         field = convolved(by.symbol, grid.scatter_interior(inner), by.torus)
         field = field[(slice(None), *(slice(0, n) for n in grid.shape))]
@@ -122,7 +122,8 @@ class Linear:
         )
 
     def method(self, asked: str | None = None) -> str:
-        """The name of a method; InputError where it does not go with the nodes."""
+        """Name of the solve method, `asked` or cheapest; InputError where it does not go with the
+        nodes."""
         grid = self.grid
         if grid.periodic:
             return "fft"
@@ -131,7 +132,7 @@ class Linear:
         return asked or cheapest_method(len(grid.interior), box=grid.is_box, loads=0)
 
     def filter(self, method: str) -> tuple[Filter, Filter | None]:
-        """z ≈ L_II⁻¹ r of planes [d, *shape], one application; and where a search begins."""
+        """Preconditioner z ≈ L_II⁻¹ r of planes [d, *shape], and where a search begins."""
         if method not in self._filters:
             stencil, h2 = self.stencil, self.stencil.spacing**2
             args = self.grid, stencil.steps, stencil.tensors * h2
@@ -151,7 +152,7 @@ class Linear:
         return self._filters[method]
 
     def _product(self, field: np.ndarray) -> np.ndarray:
-        """L of planes [d, *shape] that are zero off the unknowns, there."""
+        """Product of L with planes [d, *shape], at the unknowns, zero elsewhere."""
         grid = self.grid
         if grid.periodic:
             around = [(0, 0), *[(grid.reach,) * 2] * grid.dimension]
@@ -161,7 +162,7 @@ class Linear:
     def _inverted(
         self, right: np.ndarray, method: str, tolerance: float
     ) -> tuple[np.ndarray, SolveRecord]:
-        """L_II⁻¹ of planes [d, *shape]."""
+        """Solution of L_II x = r in planes [d, *shape]."""
         if self.dtype != np.float64:
             raise InputError(f"dtype: expected float64 for a solve, got {self.dtype}")
         apply, begin = self.filter(method)
@@ -179,7 +180,8 @@ class Linear:
     def inverse(
         self, right: np.ndarray, tolerance: float, method: str | None = None
     ) -> tuple[np.ndarray, SolveRecord]:
-        """L_II⁻¹ of a field on the interior [I, d], zero on the collar, and its record."""
+        """Solution L_II⁻¹ b of a field on the interior [I, d], zero on the collar, and its
+        record."""
         planes = self.grid.scatter_interior(right)
         z, record = self._inverted(planes, self.method(method), tolerance)
         return self.grid.gather(z[None])[0], record
@@ -188,11 +190,9 @@ class Linear:
         self, loads: int, bonds: float = BONDS, *, definite: bool = True, stiff: bool = False
     ) -> Inverse:
         """L_II⁻¹ for so many loads: factorised, or iterated to the tolerance that it is asked for.
-
-        Few nodes are factorised too where the symbol does not prove L_II definite. Raises
-        InputError as check_definite for more, and for factors that show that it is not; with
-        `definite` false, any factors will do. `stiff` says that λ ≫ μ.
-        """
+        Few nodes are factorised too where L_II is not proven definite; `definite` False accepts any
+        factors; `stiff` says that λ ≫ μ. InputError as check_definite for more nodes, and
+        indefinite factors."""
         grid, nodes = self.grid, len(self.grid.interior)
         space = grid.dimension == 3
         how = cheapest_method(
@@ -220,7 +220,7 @@ class Linear:
     def solve(
         self, b: np.ndarray, u: np.ndarray, tolerance: float, method: str | None = None
     ) -> tuple[np.ndarray, list[SolveRecord]]:
-        """Displacement with L u = b at the interior nodes and u as given elsewhere.
+        """Solve L u = b at the interior nodes, u given elsewhere.
 
         Args:
             b: loads [stress/length] on all nodes, shape [S, N, d]; only the interior's are read.
@@ -250,8 +250,8 @@ class Linear:
 
 
 def smallest_ratio(symbol: np.ndarray, torus: tuple[int, ...]) -> float:
-    """Smallest Λmin D(k) / Σ_a 4 sin²(k_a h/2) over the waves of a torus of so many nodes along
-    each axis but k = 0, of a symbol as of torus_symbol."""
+    """Smallest Λmin D(k) / Σ_a 4 sin²(k_a h/2) over the waves k ≠ 0 of a torus, of a symbol as of
+    torus_symbol."""
     waves = [4 * np.sin(np.pi * np.arange(n) / n) ** 2 for n in torus]
     waves[-1] = waves[-1][: symbol.shape[-1]]
     s = reduce(np.add.outer, waves).ravel()
@@ -264,7 +264,7 @@ def smallest_ratio(symbol: np.ndarray, torus: tuple[int, ...]) -> float:
 
 
 def bonds_within(horizon: float, spacing: float) -> float:
-    """About how many bonds a node of a plane lattice has; BONDS off lattices."""
+    """Approximate number of bonds of a node on a plane lattice; BONDS off lattices."""
     return float(np.pi * (horizon / spacing) ** 2 if spacing > 0 else BONDS)
 
 
@@ -277,10 +277,8 @@ def cheapest_method(
     loads: int = 1,
     bonds: float = BONDS,
 ) -> str:
-    """The cheapest method for so many unknown nodes of a lattice, which fill a box or not.
-
-    `stiff` says that λ ≫ μ, `loads` how many are solved for, 0 for iteration in any case.
-    """
+    """Name of the cheapest method for `nodes` unknown nodes of a lattice, which fill a `box` or
+    not; `stiff`: λ ≫ μ, `loads`: how many are solved for, 0 for iteration in any case."""
     if space and nodes <= FEW_IN_SPACE and loads:
         return "lu"
     pays = 2 + nodes * bonds / PAYS["sine" if box else "fft"]

@@ -1,4 +1,4 @@
-"""A motion in steps, and what it leaves, whatever the law."""
+"""Motions in steps and their records, whatever the law."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @typed_methods
 @dataclass(frozen=True, eq=False, repr=False)
 class Motion(Shown):
-    """A motion, or a load that rises slowly.
+    """A motion, or a load that rises slowly, as a solver returns it.
 
     Attributes:
         time: of the records (of slow loads their factor), shape [R].
@@ -43,7 +43,7 @@ class Motion(Shown):
     details: Any = None
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """One history by its name; InputError lists those there are."""
+        """A history by its name; InputError lists those there are."""
         if name not in self.history:
             known = ", ".join(self.history) or "none"
             raise InputError(f"motion: expected one of {known}, got {name!r}")
@@ -51,23 +51,20 @@ class Motion(Shown):
 
     @property
     def energy(self) -> np.ndarray:
-        """What a conservative motion keeps, shape [R]."""
+        """Conserved energy of the motion, shape [R]."""
         return self["energy"]
 
     @property
     def drift(self) -> float:
-        """Largest departure of the energy from its first value, relative.
-
-        Raises InputError for a motion that records no energy, as that of a body that breaks, whose
-        books are `missing`.
-        """
+        """Largest relative departure of the energy from its first value; InputError for a motion
+        without, as that of a body that breaks, whose books are `missing`."""
         energy = self.energy
         gone = float(np.abs(energy - energy[0]).max())
         return gone / float(np.abs(energy[0])) if gone else 0.0
 
     @property
     def missing(self) -> float:
-        """Largest part of the largest work so far that the ledger does not account for."""
+        """Largest relative part of the work that the energy ledger does not account for."""
         if len(self.time) == 0:
             raise InputError("motion: expected a run of some steps, nothing has been recorded")
         work, parts = self["work"], ("kinetic", "elastic", "dissipated")
@@ -75,7 +72,7 @@ class Motion(Shown):
         return float(missing.max() / np.abs(work).max()) if work.any() else 0.0
 
     def plot(self, name: str = "", *, ax: Axes | None = None) -> Axes:
-        """One history over time, of every record; the first one where none is named."""
+        """Plot a history over time; the first one where none is named."""
         import matplotlib.pyplot as plt
 
         name = name or next(iter(self.history), "")
@@ -86,15 +83,15 @@ class Motion(Shown):
         return ax
 
     def rows(self) -> list[tuple[str, str]]:
-        """What to know at a glance: name and value."""
+        """Name and value of each line of the motion's summary table."""
         span = f"{self.time[0]:.4g} to {self.time[-1]:.4g}" if len(self.time) else "no time"
         names = ", ".join(self.history) or "none"
         return [("records", f"{len(self.time)}, {span}"), ("histories", names)]
 
 
 class Recorder:
-    """The loop over steps of a state that counts its `steps`: records, a checkpoint to go on from
-    with the same bits, and files for ParaView. What a step is, a subclass says.
+    """Loop over steps of a state that counts its `steps`: records, a checkpoint to go on from with
+    the same bits, and files for ParaView. What a step is, a subclass says.
 
     Args:
         nodes: of this process, as AllNodes.
@@ -139,11 +136,9 @@ class Recorder:
         self.series = None if series is None else TimeSeriesWriter(series, of_body, x)
 
     def march(self, state: Any, *, steps: Natural, progress: bool = False) -> Any:
-        """March to `steps` steps in all, from the checkpoint if there is one, else from `state`.
-
-        Raises InputError for the checkpoint of another motion, naming what differs, and for fewer
-        steps than the checkpoint or the state has behind it.
-        """
+        """March to `steps` steps in all, from the checkpoint if there is one, else from `state`;
+        InputError for another motion's checkpoint, or fewer steps than it or the state has behind
+        it."""
         own = self.nodes.own
         if self.file is not None:
             if not self.start or state.steps == 0:
@@ -178,12 +173,12 @@ class Recorder:
         return state
 
     def recorded(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """The times of the records, and the histories by name."""
+        """Times of the records, and the histories by name."""
         history = {name: np.array(rows) for name, rows in self.history.items()}
         return history.pop("time"), history
 
     def _resumed(self, file: RunFile, state: Any) -> Any:
-        """The state to go on from, which is the checkpoint's where there is one."""
+        """State to go on from, the checkpoint's where there is one."""
         if (kept := file.read(*self.nodal(state))) is None:
             return state
         arrays, content = kept
@@ -201,7 +196,7 @@ class Recorder:
 
 
 def refuse_learning(problem: Any, options: dict[str, Any], verb: str) -> None:
-    """InputError for tensors that ask for a gradient which a problem does not have."""
+    """Raise InputError for tensors whose gradient a problem does not have."""
     if asks_for_gradient((vars(problem), options)) or "parameters" in options:
         raise InputError(
             f"{verb}: expected tensors without a gradient, which only {LEARNS[verb]} have; got a "
@@ -216,7 +211,7 @@ LEARNS = {
 
 
 def asks_for_gradient(given: Any) -> bool:
-    """Whether a tensor is among values, mappings and sequences that a gradient is asked for."""
+    """Whether values, mappings or sequences hold a tensor that asks for a gradient."""
     if isinstance(given, Mapping):
         return any(map(asks_for_gradient, given.values()))
     if isinstance(given, list | tuple):

@@ -1,8 +1,6 @@
-"""Approximate inverses of a stencil on a body: edge elimination, multigrid.
-
-Fields are planes [d, *box], zero where nothing is unknown; all is in units of stress: L h².
-Filters work in single precision and hand back double.
-"""
+"""Approximate inverses of a stencil on a body: edge elimination, multigrid. Fields are planes
+[d, *box], zero where nothing is unknown, in units of stress, L h²; filters work in single precision
+and hand back double."""
 
 from __future__ import annotations
 
@@ -31,7 +29,8 @@ from warp_peri.solvers.systems import symmetric_factors
 
 
 class Edge:
-    """z = E A_ee⁻¹ Eᵗ r on the nodes e within a reach of the edge, zero elsewhere."""
+    """Edge elimination z = E A_ee⁻¹ Eᵗ r on the nodes within a reach of the edge, zero
+    elsewhere."""
 
     def __init__(self, grid: Grid, stencil: Stencil) -> None:
         mask = grid.mask()
@@ -40,19 +39,19 @@ class Edge:
         self.factors = symmetric_factors(block(stencil, self.near))
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
-        """The displacement [d, *shape] that leaves no residual on the edge."""
+        """Displacement [d, *shape] that leaves no residual on the edge."""
         return solved(self.factors, self.near, r)
 
 
 def solved(factors: Any, mask: np.ndarray, r: np.ndarray) -> np.ndarray:
-    """The planes [d, *shape] on a mask that factors of its block give for r, zero elsewhere."""
+    """Solution of a block's factors for r, in planes [d, *shape], zero off the mask."""
     z = np.zeros_like(r)
     z[:, mask] = factors.solve(np.ascontiguousarray(r[:, mask].T).ravel()).reshape(-1, len(r)).T
     return z
 
 
 def block(stencil: Stencil, mask: np.ndarray) -> sp.csc_array:
-    """The operator between the nodes of a mask, shape [d n, d n]."""
+    """Matrix of the operator between the nodes of a mask, shape [d n, d n]."""
     d, here = stencil.dimension, np.argwhere(mask)
     number = np.full(mask.shape, -1)
     number[mask] = np.arange(len(here))
@@ -84,7 +83,7 @@ WAVES = 16
 
 
 def shear(elastic: np.ndarray) -> float:
-    """A mean shear modulus: of C_ijij − C_iijj/d, over the number of shears."""
+    """Mean shear modulus: of C_ijij − C_iijj/d, over the number of shears."""
     d = elastic.shape[0]
     full, trace = np.einsum("ijij", elastic), np.einsum("iijj", elastic)
     return float((full - trace / d) / (d * (d + 1) - 2))
@@ -93,7 +92,7 @@ def shear(elastic: np.ndarray) -> float:
 def torus_inverse(
     nodes: Grid, steps: np.ndarray, tensors: np.ndarray, shift: np.ndarray | float = 0.0
 ) -> Filter:
-    """(D(k) + shift I)⁻¹ on the torus around the nodes, cut off at them."""
+    """Filter (D(k) + shift I)⁻¹ on the torus around the nodes, cut off at them."""
     torus = torus_shape(nodes)
     kind = np.float64 if nodes.periodic else np.float32  # on a period it is the whole inverse
     table = shifted_inverse(torus, steps, tensors, shift).astype(kind)
@@ -110,24 +109,22 @@ def torus_inverse(
 def shifted_inverse(
     torus: tuple[int, ...], steps: np.ndarray, tensors: np.ndarray, shift: np.ndarray | float
 ) -> np.ndarray:
-    """(D(k) + shift I)⁻¹ at the waves of a torus, as torus_symbol has D."""
+    """Inverse (D(k) + shift I)⁻¹ at the waves of a torus, as torus_symbol has D."""
     symbol = torus_symbol(torus, steps, tensors)
     symbol[range(len(torus)), range(len(torus))] += shift
     return inverse(symbol)
 
 
 def seen_by_coarser(torus: tuple[int, ...]) -> np.ndarray:
-    """p = Π (1 + cos k_a h)/2 at the waves of a torus: what P makes of a wave."""
+    """Factor p = Π (1 + cos k_a h)/2 of prolongation at the waves of a torus."""
     seen = [(1 + np.cos(2 * np.pi * np.arange(n) / n)) / 2 for n in torus]
     seen[-1] = seen[-1][: torus[-1] // 2 + 1]
     return np.asarray(reduce(np.multiply.outer, seen))
 
 
 def sine(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarray) -> Filter:
-    """For boxes: the symbol's diagonal in the sine basis at long waves, all of it at short ones.
-
-    z = H ∗ r + S D_a⁻¹ shift (D_a + shift)⁻¹ S r, S the DST-I, D_a = D_aa at its waves.
-    """
+    """Filter for boxes: z = H ∗ r + S D_a⁻¹ shift (D_a + shift)⁻¹ S r, S the DST-I, the symbol's
+    diagonal D_a = D_aa in the sine basis at long waves, all of it at short ones."""
     d, core = nodes.dimension, nodes.core
     shift = SINE_SHIFT * shear(elastic)
     short = torus_inverse(nodes, steps, tensors, shift)
@@ -155,7 +152,7 @@ def sine(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarra
 
 
 def multigrid(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarray) -> Filter:
-    """For any mask: short waves by a filter on the torus, long ones by a V-cycle, added.
+    """Filter for any mask: short waves by a filter on the torus, long ones by a V-cycle, added.
 
     z = mask (H ∗ r + P V(Pᵗ r)), H = (D + shift p(k))⁻¹ with p of `seen_by_coarser`; V is a V-cycle
     for Q1 elements of the same moduli on every second node.
@@ -180,12 +177,12 @@ def multigrid(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.n
 
 
 def coarser(mask: np.ndarray) -> np.ndarray:
-    """Grid that a coarser level keeps: every second along each axis, from the second on."""
+    """Mask of a coarser level: every second node along each axis, from the second on."""
     return mask[(slice(1, None, 2),) * mask.ndim]
 
 
 def restrict(field: np.ndarray) -> np.ndarray:
-    """Pᵗ: sums of planes [d, …] with weights 1 and 1/2 along each axis around the coarser nodes."""
+    """Restriction Pᵗ: sums of planes [d, …] with weights 1 and 1/2 along each axis."""
     for axis in range(1, field.ndim):
         moved = np.moveaxis(field, axis, 0)
         n = len(moved) // 2
@@ -197,7 +194,7 @@ def restrict(field: np.ndarray) -> np.ndarray:
 
 
 def prolong(field: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """P: linear interpolation along each axis of coarser planes to a box of the given shape."""
+    """Prolongation P: linear interpolation of coarser planes to a box of the given shape."""
     for axis in range(1, field.ndim):
         moved = np.moveaxis(field, axis, 0)
         fine = np.zeros((shape[axis - 1], *moved.shape[1:]), field.dtype)
@@ -210,7 +207,7 @@ def prolong(field: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def largest(steps: np.ndarray, tensors: np.ndarray) -> float:
-    """Largest eigenvalue of a stencil over its diagonal on all of a lattice, hence on any mask."""
+    """Largest eigenvalue of a stencil over its diagonal on a lattice, hence on any mask."""
     d = tensors.shape[-1]
     scale = 1 / np.sqrt(2 * np.diag(tensors.sum(axis=0)))
     phase = 2 * np.pi / WAVES * np.indices((WAVES,) * d).reshape(d, -1).T
@@ -219,10 +216,8 @@ def largest(steps: np.ndarray, tensors: np.ndarray) -> float:
 
 
 class VCycle:
-    """z ≈ A⁻¹ r for a stencil of nearest cells on a mask; symmetric and positive.
-
-    The operator of each coarser level is the same stencil times 2^(d − 2).
-    """
+    """V-cycle z ≈ A⁻¹ r for a stencil of nearest cells on a mask; symmetric and positive. Each
+    coarser level has the same stencil times 2^(d − 2)."""
 
     coarser: Any = None
     factors: Any = None
@@ -247,19 +242,19 @@ class VCycle:
         self.diagonal = 2 * np.diag(tensors.sum(axis=0)).reshape(d, *([1] * d))
 
     def around(self, field: np.ndarray) -> np.ndarray:
-        """Planes [d, …] with one node more on each side."""
+        """Planes [d, …] padded by one node on each side."""
         return np.pad(field, [(0, 0)] + [(1, 1)] * self.mask.ndim)
 
     def restrict(self, field: np.ndarray) -> np.ndarray:
-        """Planes to the coarser level."""
+        """Restrict planes to the coarser level."""
         return restrict(field)
 
     def prolong(self, field: np.ndarray) -> np.ndarray:
-        """Planes from the coarser level."""
+        """Prolong planes from the coarser level."""
         return prolong(field, self.shape)
 
     def product(self, field: np.ndarray) -> np.ndarray:
-        """The level's operator on planes [d, …]."""
+        """Apply the level's operator to planes [d, …]."""
         inner = (0, slice(None)) + (slice(1, -1),) * self.mask.ndim
         return np.asarray(self.rows(self.around(field)[None])[inner])
 
@@ -275,7 +270,7 @@ class VCycle:
         return np.asarray(z + step)
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
-        """z ≈ A⁻¹ r for r zero outside the mask."""
+        """Approximate solution z ≈ A⁻¹ r for r zero outside the mask."""
         if self.factors is not None:
             return solved(self.factors, self.mask, r)
         z = self._smoothed(r, None)

@@ -1,4 +1,4 @@
-"""How a problem is solved, and what comes back: settings of solvers, solutions."""
+"""Settings of solvers, and the solution they return."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Preconditioner = Literal["multigrid", "sine", "strip"]
 @typed
 @dataclass(frozen=True)
 class Direct:
-    """A factorisation of the assembled operator.
+    """Solver setting: a factorisation of the assembled operator.
 
     Attributes:
         iterative: GMRES with an incomplete factorisation, for many scattered points.
@@ -43,14 +43,14 @@ class Direct:
 
     @property
     def method(self) -> str:
-        """Its name in records."""
+        """Name of the method in records."""
         return "gmres" if self.iterative else "lu"
 
 
 @typed
 @dataclass(frozen=True)
 class CG:
-    """Conjugate gradients on a lattice.
+    """Solver setting: conjugate gradients on a lattice.
 
     Attributes:
         preconditioner: "sine" for boxes of nodes, "multigrid" for any nodes, "strip" where λ ≫ μ;
@@ -70,7 +70,7 @@ class CG:
 @typed
 @dataclass(frozen=True)
 class Newton:
-    """Repeated linear solves, then Newton's method, for materials that are not linear.
+    """Solver setting for nonlinear materials: repeated linear solves, then Newton's method.
 
     Attributes:
         tolerance: residual over the linear right-hand side.
@@ -90,7 +90,7 @@ class Newton:
 @typed
 @dataclass(frozen=True)
 class Coupling:
-    """How rim and bulk meet.
+    """Settings for coupling finite elements at the rim of a body with a lattice in its bulk.
 
     Attributes:
         spacing: of the bulk's lattice [Å]; None for the coarsest that resolves loads and body.
@@ -115,7 +115,7 @@ Solver: TypeAlias = Direct | CG | Newton | None
 
 
 def refuse_solver(solver: Solver, known: tuple[type, ...], law: str) -> None:
-    """Raise InputError for settings of a solver that does not go with a law."""
+    """Raise InputError for solver settings that a law does not take."""
     if solver is not None and not isinstance(solver, known):
         names = " or ".join(f"{kind.__name__}(…)" for kind in known) or "none"
         raise InputError(f"solver: expected {names} for {law}, got {solver!r:.60}")
@@ -124,11 +124,11 @@ def refuse_solver(solver: Solver, known: tuple[type, ...], law: str) -> None:
 @typed_methods
 @dataclass(frozen=True, eq=False, repr=False)
 class Solution(Shown):
-    """A body in equilibrium.
+    """A body in equilibrium: its displacement, and how it was found.
 
     Attributes:
-        u: displacement [length] (of diffusion φ), shape as given: what was given on the collar,
-            the answer on the interior; of a body on the corners of its mesh.
+        u: displacement [length] (of diffusion φ), shape as given: what was given on the collar, the
+            answer on the interior; of a body on the corners of its mesh.
         points: the nodes; None for a body on a mesh.
         operator: the material on these points.
         load: what ``operator(u)`` equals in equilibrium, shape [..., I, d].
@@ -159,7 +159,8 @@ class Solution(Shown):
 
     @property
     def residual(self) -> float:
-        """Largest ‖op(u) − load‖ of a sample over ‖load − op(u of the collar alone)‖."""
+        """Largest relative residual ‖op(u) − load‖ / ‖load − op(u of the collar alone)‖ of a
+        sample."""
         if self.measured is not None:
             return self.measured
         if self.points is None:
@@ -171,10 +172,8 @@ class Solution(Shown):
         return float(np.max(np.divide(left, right, out=np.zeros_like(left), where=right > 0)))
 
     def stress(self) -> np.ndarray:
-        """σ [stress] at the interior nodes, [..., I, d, d]; of a body at the mesh's corners.
-
-        Raises InputError for a law that has none.
-        """
+        """Stress σ [stress] at the interior nodes, [..., I, d, d]; of a body at the mesh's
+        corners."""
         if self.points is None:
             return np.asarray(self.details.on_corners()[1])
         stress = self.operator.stress(self._values)
@@ -183,23 +182,21 @@ class Solution(Shown):
         return np.asarray(stress)
 
     def energy(self) -> np.ndarray:
-        """Elastic energy, as the operator's `energy`; InputError for a law without one."""
+        """Elastic energy, as the operator's `energy`."""
         energy = self.operator.energy(self._values)
         if energy is None:
             raise InputError("energy: this model has none")
         return np.asarray(energy)
 
     def at(self, x: np.ndarray) -> np.ndarray:
-        """Displacement at positions of the body, both of shape [m, d]; InputError for lattices."""
+        """Displacement at positions of a meshed body, both [m, d]; InputError for lattices."""
         if not hasattr(self.details, "displacement"):
             raise InputError("at: only of bodies on meshes; u holds the values at the nodes")
         return np.asarray(self.details.displacement(np.asarray(x, dtype=float)))
 
     def to_samples(self) -> Samples:
-        """Displacement and load as samples, to learn from or to save.
-
-        Raises InputError for a body on a mesh, and what is no displacement.
-        """
+        """Samples of displacement and load, to learn from or to save; InputError for a body on a
+        mesh, and what is no displacement."""
         if self.points is None or self._values.shape[-2:] != self.points.x.shape:
             raise InputError("to_samples: expected displacements on nodes, got another solution")
         u, shape = self._values, (-1, *self.points.x.shape)
@@ -208,9 +205,7 @@ class Solution(Shown):
 
     def to_vtk(self, path: str | os.PathLike[str]) -> None:
         """Write the fields for ParaView: a folder with a file a sample; of a body one .vtu file.
-
-        Raises InputError as export.write_vtk, export.write_body and `to_samples`.
-        """
+        InputError as export.write_vtk, export.write_body and `to_samples`."""
         if self.points is None:
             warp_peri.export.write_body(path, self.details)
         else:
@@ -218,12 +213,8 @@ class Solution(Shown):
             warp_peri.export.write_vtk(path, self.operator.model, samples, samples.u)
 
     def plot(self, sample: int = 0, *, ax: Axes | None = None) -> Axes:
-        """The size of the displacement over the body, or φ, as coloured nodes; a slice in space.
-
-        Args:
-            sample: which, of several.
-            ax: where to draw; a new figure by default.
-        """
+        """Plot the size of the displacement, or φ, of one sample as coloured nodes; a slice in
+        space."""
         import matplotlib.pyplot as plt
 
         if self.points is None:
@@ -252,11 +243,11 @@ class Solution(Shown):
 
     @property
     def _values(self) -> np.ndarray:
-        """The displacement without torch."""
+        """Displacement as a NumPy array."""
         return np.asarray(self.u.detach().cpu() if hasattr(self.u, "detach") else self.u)
 
     def rows(self) -> list[tuple[str, str]]:
-        """What to know at a glance: name and value."""
+        """Name and value of each line of the solution's summary table."""
         shape = list(self.u.shape)
         lines = [("displacement", f"shape {shape}"), ("solved by", self.method)]
         if any(self.iterations):
@@ -267,7 +258,7 @@ class Solution(Shown):
 
 
 def told(solved: Callable[[], Solution]) -> Solution:
-    """A solution with what was said on the way to it."""
+    """Call `solved`; returns its solution with the warnings on the way."""
     with heard() as texts:
         solution = solved()
     return replace(solution, warnings=tuple(dict.fromkeys(texts))) if texts else solution
@@ -277,10 +268,8 @@ def by_sample(
     operator: Any, u: Any, load: Any, records: Any, counts: Any, method: str = "newton",
     proven: str | None = None,
 ) -> Solution:  # fmt: skip
-    """The Solution of samples that were solved one after the other.
-
-    `records` of each sample have a `residual`, and are its details; `counts` are iterations.
-    """
+    """Solution of samples solved one after the other; `records`, each with a `residual`, are its
+    details, `counts` iterations."""
     measured = max((one.residual for one in records), default=None)
     of = operator.points, operator, load, method, tuple(counts), proven
     return Solution(u, *of, details=tuple(records), measured=measured)
@@ -296,8 +285,8 @@ BEYOND = 2.0
 
 
 def warn_beyond(model: Any, strain: Callable[[], float]) -> None:
-    """Warn when a solution, whose largest strain is worked out where it is needed, is strained far
-    beyond the data that the model was trained on."""
+    """Warn when a solution is strained far beyond the model's training data; `strain` is called
+    where needed."""
     if model.trained_strain is None:
         return
     largest = strain()

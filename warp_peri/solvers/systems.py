@@ -1,8 +1,5 @@
-"""Linear systems by factors, conjugate gradients on one process or many, Newton with GMRES.
-
-Of fields that ranks have pieces of too: scalar products are those of `Inner`, and so the answer has
-the same bits on any number of ranks.
-"""
+"""Linear systems by factors, conjugate gradients on one process or many, Newton with GMRES. With
+the scalar products of `Inner` the answer has the same bits on any number of ranks."""
 
 from __future__ import annotations
 
@@ -27,7 +24,7 @@ DENSE = 1500
 
 
 def factorised(matrix: sp.csc_array) -> Any:
-    """LU of a matrix; of a symmetric one by minimum degree, which has a third of the operations."""
+    """LU factors of a matrix; of a symmetric one by minimum degree, a third of the operations."""
     apart = abs(matrix - matrix.T)
     if apart.nnz and apart.max() > SYMMETRIC * abs(matrix).max():
         return splu(matrix)
@@ -35,22 +32,22 @@ def factorised(matrix: sp.csc_array) -> Any:
 
 
 def symmetric_factors(matrix: sp.sparray | sp.spmatrix, pivot: float = 0.0) -> Any:
-    """Sparse factors with pivots on the diagonal, down to a share of the largest of their column.
-    Raises RuntimeError for a singular matrix."""
+    """Sparse factors with pivots on the diagonal, down to a share `pivot` of the largest in their
+    column; RuntimeError for a singular matrix."""
     options = {"SymmetricMode": True}
     how = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": pivot, "options": options}
     return splu(sp.csc_matrix(matrix), **how)
 
 
 def is_definite(factors: Any) -> bool:
-    """Whether what symmetric_factors are of is positive definite: the signs of their pivots are
-    those of its eigenvalues (Sylvester's law of inertia), unless rows were exchanged for a zero."""
+    """Whether the matrix of symmetric_factors is positive definite, by the signs of its pivots
+    (Sylvester's law of inertia), unless rows were exchanged for a zero."""
     plain = np.array_equal(factors.perm_r, factors.perm_c)
     return plain and bool((factors.U.diagonal() > 0).all())
 
 
 def definite_factors(matrix: sp.sparray | sp.spmatrix) -> Any:
-    """The factors of a symmetric matrix where it is positive definite, else None."""
+    """Factors of a symmetric matrix where it is positive definite, else None."""
     try:
         factors = symmetric_factors(matrix)
     except RuntimeError:  # exactly singular
@@ -59,11 +56,11 @@ def definite_factors(matrix: sp.sparray | sp.spmatrix) -> Any:
 
 
 class MatrixProblem:
-    """L u = b on the unknown nodes, u given on the collar (theory, 29).
+    """Assembled problem L u = b on the unknown nodes, u given on the collar (theory, 29).
 
     Args:
-        L: the rows of the operator that belong to unknowns, of d components a node [TPa/Å²]:
-            shape [d I, d N].
+        L: the rows of the operator that belong to unknowns, of d components a node [TPa/Å²]: shape
+            [d I, d N].
         interior: unknown nodes, shape [N] bool, or components of them, [N, d].
         factorise: of the unknowns' matrix; RuntimeError for one that is singular.
 
@@ -87,13 +84,13 @@ class MatrixProblem:
         self.rounding = np.finfo(float).eps * np.max(abs(L).sum(axis=1), initial=0.0)
 
     def right(self, b: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """b − L u of the collar [TPa/Å], of fields [S, N, d], one column a sample: [d I, S]."""
+        """Right-hand side b − L u of the collar [TPa/Å], for fields [S, N, d]: [d I, S]."""
         load, held = (field.reshape(len(field), len(self.unknown)) for field in (b, u))
         return np.asarray(load[:, self.unknown].T - self.collar @ held[:, ~self.unknown].T)
 
     @cached_property
     def factors(self) -> Any:
-        """L_II factorised; InputError where it is singular."""
+        """Factors of L_II; InputError where it is singular."""
         try:
             return self.factorise(self.stiffness)
         except RuntimeError as error:
@@ -103,7 +100,8 @@ class MatrixProblem:
             ) from None
 
     def inverse(self, right: np.ndarray, tolerance: float) -> np.ndarray:
-        """L_II⁻¹ of a load on the unknown nodes [I, d]; exact, whatever the tolerance."""
+        """Solution L_II⁻¹ b of a load on the unknown nodes [I, d]; exact, whatever the
+        tolerance."""
         return np.asarray(self.factors.solve(right.ravel()).reshape(right.shape))
 
     def check(self, solution: np.ndarray, right: np.ndarray) -> None:
@@ -119,24 +117,22 @@ class MatrixProblem:
             )
 
     def solve(self, b: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Displacement [Å], shape [S, N, d]: u on the collar, the solution elsewhere.
-
-        Raises InputError for an operator that is singular, or nearly.
-        """
+        """Displacement [Å], [S, N, d]: u on the collar, the solution elsewhere; InputError for an
+        operator that is singular, or nearly."""
         right = self.right(b, u)
         solution = self.factors.solve(right)
         self.check(solution, right)
         return self.filled(u, solution)
 
     def filled(self, u: np.ndarray, solution: np.ndarray) -> np.ndarray:
-        """u with the columns of a solution on its unknown nodes."""
+        """Fields u with the columns of a solution on the unknown nodes."""
         flat = u.reshape(len(u), len(self.unknown)).copy()
         flat[:, self.unknown] = solution.T
         return flat.reshape(u.shape)
 
 
 def smallest_eigenvalue(symmetric: sp.csc_array | LinearOperator) -> float:
-    """Smallest eigenvalue of what is symmetric; dense for few unknowns."""
+    """Smallest eigenvalue of a symmetric matrix or operator; dense for few unknowns."""
     if (size := symmetric.shape[0]) <= DENSE:
         return float(np.linalg.eigvalsh(symmetric @ np.eye(size))[0])
     found = eigsh(
@@ -147,21 +143,17 @@ def smallest_eigenvalue(symmetric: sp.csc_array | LinearOperator) -> float:
 
 
 def lanczos_start(size: int) -> np.ndarray:
-    """A start of Lanczos iterations, shape [size], the same every time so that results repeat.
-
-    It has no symmetry of the body's: ones would be orthogonal to half of a symmetric body's modes.
-    """
+    """Start vector of Lanczos iterations, [size], the same every time; unlike ones without
+    symmetry, so not orthogonal to half of a symmetric body's modes."""
     return np.random.default_rng(0).standard_normal(size)
 
 
 def loose_pieces(
     x: np.ndarray, piece: np.ndarray, held: np.ndarray
 ) -> Iterator[tuple[np.ndarray, int, int]]:
-    """Pieces of a body that what is held lets move rigidly: their nodes, how many of their rigid
-    motions it stops, and how many they have, three in the plane and six in space.
-
-    `piece` numbers the piece of each node, [N]; `held` are components that are given, [N, d] bool.
-    """
+    """Iterate over pieces of a body that can still move rigidly: their nodes, how many rigid
+    motions are stopped, and of how many (3 or 6). `piece` numbers the piece of each node, [N];
+    `held` are components that are given, [N, d] bool."""
     d = x.shape[1]
     turns = list(itertools.combinations(range(d), 2))
     for number in np.unique(piece):
@@ -185,7 +177,8 @@ Field = Callable[[Any], Any]
 
 
 class Inner(NamedTuple):
-    """Of fields: scalar product, norm, largest absolute value; u += a p in place of (u, a, p)."""
+    """Scalar product, norm, and largest absolute value of fields; u += a p in place of (u, a,
+    p)."""
 
     dot: Callable[[Any, Any], float]
     norm: Callable[[Any], float]
@@ -208,14 +201,14 @@ HERE = Inner(
 
 
 def norm(field: Any, inner: Inner = HERE) -> float:
-    """‖field‖, also where the squares of very small and very large values are no numbers."""
+    """Norm ‖field‖, also where the squares of very small and very large values are no numbers."""
     largest = inner.largest(field)
     return largest and largest * inner.norm(field / largest)
 
 
 @dataclass
 class SolveRecord:
-    """Iterations that a solve took, and the true ‖L u − b‖ / ‖right-hand side‖ of its answer."""
+    """Iterations of a solve, and the true ‖L u − b‖ / ‖right-hand side‖ of its answer."""
 
     iterations: int = 0
     residual: float = 0.0
@@ -232,7 +225,7 @@ def definite(
     where: str = "",
     hint: str = "",
 ) -> tuple[Any, SolveRecord]:
-    """u with L u = right to a true relative residual, the tolerance, and its record.
+    """Solve L u = right by conjugate gradients to a true relative residual; also its record.
 
     `precondition` makes z ≈ L⁻¹ r, in memory of its own; `begin` where a search for L u = r starts,
     zero by default. A field is an array, or what else `inner` measures. Of messages, `where` says
@@ -244,7 +237,7 @@ def definite(
         return u, record
 
     def descend(r: Any) -> Any:
-        """What the search adds, until the recursive residual meets the goal."""
+        """Correction by the search, until the recursive residual meets the goal."""
         u, p, last = r - r if begin is None else begin(r), None, 1.0
         r = 1 * r if begin is None else r - product(u)
         while inner.norm(r) > 0.9 * tolerance * size and record.iterations < MOST_ITERATIONS:
@@ -293,8 +286,8 @@ Residual = Callable[[np.ndarray], np.ndarray]
 
 
 def newton(residual: Residual, start: np.ndarray, tolerance: float) -> np.ndarray:
-    """Where a preconditioned residual, near the identity times what is missing, has a norm below
-    the tolerance, as far as it comes."""
+    """Find a zero of a preconditioned residual, near the identity times what is missing, to a
+    tolerance as far as it comes."""
     v, r = start, residual(start)
     size = HERE.norm(r)
     for _ in range(MOST):
@@ -314,7 +307,7 @@ def newton(residual: Residual, start: np.ndarray, tolerance: float) -> np.ndarra
 
 
 def _newton_step(residual: Residual, v: np.ndarray, r: np.ndarray) -> np.ndarray:
-    """p with a derivative along p at v of −r, the residual there, to FORCED, by GMRES."""
+    """Step p whose derivative along p at v is −r, the residual there, to FORCED, by GMRES."""
     apart = APART * (HERE.norm(v) or 1.0)
 
     def slope(p: np.ndarray) -> np.ndarray:

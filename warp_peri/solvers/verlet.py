@@ -1,7 +1,5 @@
-"""Explicit dynamics ρ ü = b − L u on a lattice: velocity Verlet, its time step and its energy.
-
-The step is bounded by the symbol (theory, 49–51); the energy that leapfrog keeps is (52).
-"""
+"""Explicit dynamics ρ ü = b − L u on a lattice: velocity Verlet, its time step and its energy. The
+symbol bounds the step (theory, 49–51); the energy that leapfrog keeps is (52)."""
 
 from __future__ import annotations
 
@@ -33,7 +31,8 @@ PROBE, SMALL = np.array([[1.3, -0.7, 2.1], [0.4, 1.9, -1.1], [-2.3, 0.6, 0.9]]),
 
 
 def stiffest_of(law: Any, spacing: float, allow_uncertified: bool) -> float:
-    """The stiffest wave of a law of tensors, which is for one spacing and needs its proof."""
+    """Largest symbol eigenvalue of a law of tensors, which is for one spacing and needs its
+    proof."""
     offered(law, "max_symbol_eigenvalue", "critical_time_step", "a linear solid or a crystal")
     stencil_of(law, spacing, "critical_time_step")
     if not (allow_uncertified or (law.certificate or law.certified().certificate).holds):
@@ -43,7 +42,7 @@ def stiffest_of(law: Any, spacing: float, allow_uncertified: bool) -> float:
 
 @dataclass(frozen=True)
 class State:
-    """A motion after so many steps: u of all nodes [N, d], v and L u − b of the interior [I, d]."""
+    """State of a motion after some steps: u [N, d], v and L u − b of the interior [I, d]."""
 
     u: np.ndarray
     v: np.ndarray
@@ -57,17 +56,14 @@ NO_FORCE = 1e-9
 
 @typed
 def inertia(density: Positive, units: Units) -> float:
-    """ρ in units of stress · ps² over length², of kg/m³.
-
-    Raises InputError for reduced units, which have neither kilograms nor picoseconds, and for a
-    density not > 0.
-    """
+    """Density ρ in units of stress · ps² over length², from kg/m³; InputError for reduced units,
+    which have neither kilograms nor picoseconds, and a density not > 0."""
     length, stress = factors(units, USUAL)
     return INERTIA * density * length**2 / stress
 
 
 class Inert:
-    """Interior nodes of some density under a load: ρ ü = s(t) b − L u.
+    """Interior nodes with inertia under a load: ρ ü = s(t) b − L u.
 
     Args:
         operator: L on a lattice.
@@ -100,13 +96,13 @@ class Inert:
         self.floats = False
 
     def on_all(self, inner: np.ndarray) -> np.ndarray:
-        """A field of interior nodes [I, d] on all, zero elsewhere."""
+        """Extend a field of interior nodes [I, d] to all by zeros."""
         field = np.zeros((len(self.interior), inner.shape[1]))
         field[self.interior] = inner
         return field
 
     def share(self, steps: int) -> float:
-        """s after so many steps."""
+        """Load factor s after so many steps."""
         return 1.0 if self.signal is None else float(self.signal[steps])
 
     def state(self, u: np.ndarray, v: np.ndarray, steps: int = 0) -> State:
@@ -114,8 +110,8 @@ class Inert:
         return State(u, v, self.operator(u) - self.share(steps) * self.load, steps)
 
     def potential(self, before: State, after: State) -> float:
-        """Halfway in a step, per volume of a node, up to what never changes: of a linear force what
-        leapfrog keeps (52), of others the mean of both ends."""
+        """Potential energy per volume of a node halfway in a step, up to a constant: of a linear
+        force what leapfrog keeps (52), of others the mean of both ends."""
         operator: Any = self.operator
         free, load = self.interior, self.load
         if getattr(operator, "is_linear", True):
@@ -132,10 +128,8 @@ class Inert:
 
 
 def step(body: Inert, state: State, dt: float) -> State:
-    """One step Δt [ps] of velocity Verlet (theory, 49): kick, drift, force, kick.
-
-    Below zero it undoes the step before the state, which is left as it is.
-    """
+    """Make one step Δt [ps] of velocity Verlet (theory, 49): kick, drift, force, kick; Δt < 0
+    undoes one. The state is left as it is."""
     half = state.v - dt / (2 * body.inertia) * state.g
     u = state.u.copy()
     u[body.interior] += dt * half
@@ -156,7 +150,7 @@ def march(
     signal: Any = None,
     **files: Any,
 ) -> Motion:
-    """March ρ ü = b − L u on the interior; the collar stays where it is.
+    """March ρ ü = b − L u on the interior of a lattice; the collar stays where it is.
 
     Only on lattices: on scattered points ``op(u)`` of LPSOperator is a node's share of the load
     around it, whose mass is a matrix. On ranks fields are those of this rank's nodes.
@@ -165,8 +159,7 @@ def march(
         operator: of a model on a lattice.
         b: body force density [TPa/Å], shape [N, d]; None for none.
         u: displacement at the start [Å], shape [N, d].
-        v: velocity at the start [Å/ps], shape [N, d], zero by default; that of the collar is not
-            looked at.
+        v: velocity at the start [Å/ps], shape [N, d], zero by default, read on the interior.
         density: ρ [kg/m³].
         step: Δt [ps], at most the critical one.
         steps: number of steps.
@@ -175,13 +168,11 @@ def march(
             [steps + 1]; 1 by default. The energy is then conserved only while it is constant.
         files: every, checkpoint, checkpoint_every and series, as of Recorder.
 
-    Returns:
-        A motion whose time [ps] is half a step after each `every` steps, and whose energy is what
-        leapfrog conserves (theory, 52), a mean over interior nodes [TPa]. With `record` there
-        is a history "u" too, [R, n, d]: the mean of the displacements around these times.
-
-    Raises InputError for scattered points, arrays that do not fit, a step that is too long, which
-    says how long it may be, the checkpoint of another motion, and one beside a record.
+    Returns a motion whose time [ps] is half a step after each `every` steps, and whose energy is
+    what leapfrog conserves (theory, 52), a mean over interior nodes [TPa]. With `record` there is a
+    history "u" too, [R, n, d]: the mean of the displacements around these times. Raises InputError
+    for scattered points, arrays that do not fit, a step that is too long, which says how long it
+    may be, the checkpoint of another motion, and one beside a record.
     """
     nodes, body, state = started(
         operator, {"u": u, "v": v, "b": b}, signal, density=density, step=step, steps=steps
@@ -203,10 +194,9 @@ def started(
     step: float,
     steps: int,
 ) -> tuple[Any, Inert, State]:
-    """Nodes of this process, what moves and its start, after the checks of `march`.
-
-    `fields` are u, v and b, shape [N, d]; None for zero. The rest, and errors, are as of `march`.
-    """
+    """Check the arguments of `march`; returns nodes of this process, the moving body and its start.
+    `fields` are u, v and b, shape [N, d]; None for zero. The rest, and errors, are as of
+    `march`."""
     points: Any = operator.points
     nodes: Any = points if is_piece(points) else AllNodes(len(points.x))
     with agreed(nodes.comm):
@@ -239,7 +229,7 @@ def started(
 
 
 def recorded_nodes(record: ArrayLike | None, count: int) -> np.ndarray | None:
-    """Numbers of the nodes to record, [n]; InputError for what names none of so many."""
+    """Numbers of the nodes to record, [n]; InputError for what names none of `count` nodes."""
     if record is None:
         return None
     nodes = np.atleast_1d(as_array("record", record))
@@ -251,8 +241,8 @@ def recorded_nodes(record: ArrayLike | None, count: int) -> np.ndarray | None:
 
 
 class WaveRun(Recorder):
-    """A motion whose records are the energy (52) halfway in every so many steps, and displacements
-    of the nodes `seen`; `files` are the other arguments of Recorder."""
+    """Motion that records the energy (52) halfway in every so many steps, and displacements of the
+    nodes `seen`; `files` are the other arguments of Recorder."""
 
     kind, phase, ends = "warp_peri.waves", 1, False
 
@@ -295,8 +285,8 @@ class WaveRun(Recorder):
         }
 
     def motion(self, state: State) -> Motion:
-        """What has been recorded, and the end. Raises InputError for one that has grown without
-        bound; warns of strains that the step is not proven for."""
+        """Motion recorded so far; InputError for unbounded growth, a warning for strains that the
+        step is not proven for."""
         if not np.isfinite(state.u).all():
             raise InputError(
                 f"step: the motion grew without bound in {state.steps} steps; shorten it"
