@@ -68,10 +68,8 @@ __version__ = "0.2.0"
 
 
 def lazy(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """`__getattr__`, `__dir__` and `__all__` of a package that is being imported (PEP 562).
-
-    Its names are those that its `__init__` imports for type checkers; `__all__` leaves modules out.
-    """
+    """Make `__getattr__`, `__dir__` and `__all__` of a package that is being imported (PEP 562),
+    from the names that its `__init__` imports for type checkers; `__all__` leaves modules out."""
     home: dict[str, str] = {}
     for node in ast.walk(ast.parse(Path(str(modules[package].__file__)).read_bytes())):
         if isinstance(node, ast.ImportFrom) and node.col_offset:  # below `if TYPE_CHECKING`

@@ -1,4 +1,4 @@
-"""What can be proven of a material or of a domain: `warp_peri.certificates`."""
+"""Certificates of materials and domains: `warp_peri.certificates`."""
 
 from typing import Any
 
@@ -34,7 +34,7 @@ __all__ = [
 def critical_time_step(
     model: Any, *, spacing: Positive, density: Positive, allow_uncertified: bool = False
 ) -> float:
-    """Time step [ps] below which velocity Verlet is stable on all parts of the lattice (51, T21).
+    """Compute the time step [ps] below which velocity Verlet is stable on a lattice (51, T21).
 
     2/ω with ω² = max Λmax D(k)/ρ, the maximum proven over the whole zone and at most 0.02 % too
     large (T21). It holds on any set of nodes with displacement given out to 2δ, and on periodic

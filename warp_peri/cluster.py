@@ -1,4 +1,4 @@
-"""The same parallel work on many machines: joblib's Dask backend, around any sweep or data set."""
+"""Parallel work on many machines: joblib's Dask backend, around any sweep or data set."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ WAIT = 30
 def scheduler(address: str | None) -> Iterator[None]:
     """Run joblib's work inside on the workers of a Dask scheduler; here where address is None.
 
-    Workers that die are replaced by others in their work. They must see the same files and have
-    this library installed.
+    Workers that die are replaced; they must see the same files and have this library installed.
 
     Args:
         address: of the scheduler, such as tcp://host:8786.

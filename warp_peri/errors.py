@@ -1,4 +1,4 @@
-"""What a person is told: the one exception for what cannot be used, warnings, values as rows."""
+"""The exception for bad input, warnings, and values shown as tables."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LONGEST = 2000
 
 
 class InputError(ValueError):
-    """Bad input. The message says what was expected and what came, in one printable line.
+    """Bad input; the message says what was expected and what came, in one printable line.
 
     Args:
         message: what `str` makes one line of, cut to LONGEST characters.
@@ -41,7 +41,7 @@ _HOME = str(Path(__file__).parent)
 
 
 def warn(text: str) -> None:
-    """Warn of something, once in what `heard` surrounds, at the line that called the library."""
+    """Issue a warning, once inside `heard`, at the line that called the library."""
     lists, aloud = _EARS.get()
     known = any(text in each for each in lists)
     for each in lists:
@@ -57,7 +57,7 @@ def warn(text: str) -> None:
 
 @contextmanager
 def heard() -> Iterator[list[str]]:
-    """Texts of warnings that this thread has inside, which are said all the same."""
+    """Collect the texts of this thread's warnings inside, which are issued all the same."""
     lists, aloud = _EARS.get()
     texts: list[str] = []
     token = _EARS.set(((*lists, texts), aloud))
@@ -69,7 +69,7 @@ def heard() -> Iterator[list[str]]:
 
 @contextmanager
 def quietly(wanted: bool = True) -> Iterator[None]:
-    """Warnings that this thread has inside are neither said nor heard, where that is wanted."""
+    """Suppress this thread's warnings inside, where that is wanted."""
     token = _EARS.set(((), False) if wanted else _EARS.get())
     try:
         yield
@@ -78,7 +78,7 @@ def quietly(wanted: bool = True) -> Iterator[None]:
 
 
 def optional(module: str, without: str) -> Any:
-    """A module of an extra; InputError, which says `without`, where it is not installed."""
+    """Import a module of an extra; InputError, which says `without`, where it is not installed."""
     try:
         return import_module(module)
     except ImportError:
@@ -91,12 +91,9 @@ def exit_status(
     *,
     name: str = "",
 ) -> int:
-    """Run the work of a command and return its exit status.
-
-    Its own where it returns one, or 0; 130 after Ctrl-C, which says `interrupted`; 2 for input
-    that cannot be used; 1 after a failure, such as a full disk. One line, that `name` begins, says
-    what was wrong.
-    """
+    """Run a command's work and return its exit status: its own or 0; 130 after Ctrl-C, which says
+    `interrupted`; 2 for bad input; 1 after a failure, such as a full disk, in one line from `name`
+    on."""
     begin = f"{name}: " if name else ""
     for stream in (sys.stdout, sys.stderr):  # a terminal without λ shows its number
         if hasattr(stream, "reconfigure"):
@@ -121,10 +118,10 @@ def _ended(line: str, status: int) -> int:
 
 
 class Shown:
-    """What a person looks at as names and values, its `rows`, in text and in notebooks."""
+    """Base of values shown as a table of their `rows`, in text and in notebooks."""
 
     def rows(self) -> list[tuple[str, str]]:
-        """What to know at a glance: name and value."""
+        """Name and value of each line of the table."""
         return []
 
     def __repr__(self) -> str:
@@ -141,7 +138,7 @@ class Shown:
 
 
 def error_rows(errors: dict[str, Any]) -> list[tuple[str, str]]:
-    """E_res and E_u on data sets, by name."""
+    """Table lines of E_res and E_u on data sets, by name."""
     rows = []
     for name, table in errors.items():
         known = table if isinstance(table, dict) else {}

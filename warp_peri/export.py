@@ -1,4 +1,4 @@
-"""Results for other tools: fields for ParaView."""
+"""Export of results for ParaView."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ AROUND = {
 def write_vtk(
     folder: str | os.PathLike[str], model: Any, points: Samples, u: np.ndarray
 ) -> list[Path]:
-    """What a displacement does, and how far off it is, for ParaView.
+    """Write displacement, errors and nodal stress of samples for ParaView.
 
     Points are the nodes; four neighbours on a lattice make a quadrilateral, in space eight a
     hexahedron, other points stand alone. On all nodes displacement [Å], its error against the set's
@@ -50,11 +50,9 @@ def write_vtk(
         points: the set, with u to compare, and b where it is known.
         u: displacement [Å], shape [S, N, d].
 
-    Returns:
-        One file for each sample, sample_0000.vtu and so on.
-
-    Raises InputError without meshio (the extra `export`), for a folder where more samples than S
-    lie already, which ParaView would show as one group, or another program's, or as node_fields.
+    Returns the files, one for each sample, sample_0000.vtu and so on. Raises InputError without
+    meshio (the extra `export`), for a folder where more samples than S lie already, which ParaView
+    would show as one group, or another program's, or as node_fields.
     """
     meshio_of()
     u = checked("u", u, float, points.u.shape)
@@ -75,14 +73,11 @@ def write_vtk(
 
 @typed
 def write_body(path: str | os.PathLike[str], body: BodySolution) -> dict[str, float]:
-    """Displacement [Å] and stress [TPa] of a body on its mesh, as one VTU file.
+    """Write displacement [Å] and stress [TPa] of a body on its mesh as one VTU file.
 
     `elements` is 1 at corners whose values the elements gave, those of the outline among them, and
-    0 where the lattice did.
-
-    Returns the largest displacement of a corner [Å] and the largest principal stress at one [TPa].
-
-    Raises InputError without meshio (the extra `bodies`).
+    0 where the lattice did. Returns the largest displacement of a corner [Å] and the largest
+    principal stress at one [TPa]. Raises InputError without meshio (the extra `bodies`).
     """
     mesh = body.rim.mesh
     u, stress = body.on_corners()
@@ -104,8 +99,7 @@ def _write_vtu(
     data: Mapping[str, np.ndarray],
     extra: str = "export",
 ) -> Path:
-    """Write nodes [N, d], cells [C, n] of one kind and fields [N, ...] by name, vectors with three
-    components; `extra` brings meshio."""
+    """Write nodes [N, d], cells [C, n] of one kind and named fields [N, ...] to a VTU file."""
     meshio, data = meshio_of(extra), {name: in_space(field) for name, field in data.items()}
     with whole_file(path) as temporary:
         meshio.Mesh(in_space(x), [cells], point_data=data).write(temporary, "vtu")
@@ -113,7 +107,7 @@ def _write_vtu(
 
 
 def _samples(model: Any, points: Samples, u: np.ndarray) -> list[dict[str, np.ndarray]]:
-    """The point data of each sample."""
+    """Point data of each sample."""
     if isinstance(linear := getattr(model, "linear", None), LPSMaterial):
         inside = _of_linear(linear, points, u)
     else:
@@ -131,11 +125,7 @@ def _samples(model: Any, points: Samples, u: np.ndarray) -> list[dict[str, np.nd
 
 
 def _of_linear(model: LPSMaterial, points: Samples, u: np.ndarray) -> dict[str, np.ndarray]:
-    """What interior nodes have of a linear peridynamic solid, [S, I, …].
-
-    One of another lattice is carried there, as `solve` does; one that is certified nowhere stays
-    as it is.
-    """
+    """Fields of an LPS at interior nodes, [S, I, …], transferred unless certified nowhere."""
     if model.certified_on and points.spacing > 0:
         model = model.on(points.points).model
     fields = node_fields(model, points, u)
@@ -148,7 +138,7 @@ def _of_linear(model: LPSMaterial, points: Samples, u: np.ndarray) -> dict[str, 
 
 
 def _of_law(model: Any, points: Samples, u: np.ndarray) -> dict[str, np.ndarray]:
-    """What interior nodes have of any other law, [S, I, …]."""
+    """Fields of any other law at interior nodes, [S, I, …]."""
     operator = offered(model, "on", "write_vtk", MATERIAL)(points.points)
     found, stress = {}, operator.stress(u)
     if stress is not None:
@@ -161,7 +151,7 @@ def _of_law(model: Any, points: Samples, u: np.ndarray) -> dict[str, np.ndarray]
 
 
 def _tensor(field: np.ndarray) -> np.ndarray:
-    """ParaView's symmetric tensors have six components: XX, YY, ZZ, XY, YZ, XZ."""
+    """Six components of ParaView's symmetric tensors: XX, YY, ZZ, XY, YZ, XZ."""
     beyond = 3 - field.shape[-1]
     full = np.pad(field, [(0, 0)] * (field.ndim - 2) + [(0, beyond)] * 2)
     places = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))

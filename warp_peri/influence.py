@@ -1,4 +1,4 @@
-"""Shapes of influence functions: what users call warp_peri.influence."""
+"""Influence functions of users: `warp_peri.influence`."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""How a solid is learned, under which conditions, and how sure it is: `warp_peri.methods`."""
+"""Fit methods, their conditions and their bootstrap: `warp_peri.methods`."""
 
 from typing import TYPE_CHECKING
 

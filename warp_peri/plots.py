@@ -1,4 +1,4 @@
-"""Figures of a model and its fit. Every function draws on the Axes it is given."""
+"""Figures of a model and its fit, each drawn on the Axes it is given."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from warp_peri.points.unit_names import symbols
 
 
 def influence_function(model: LPSMaterial, *, spacing: float, ax: Axes) -> Axes:
-    """K(r), scaled to unit weighted volume, and its values at the bond lengths of a lattice.
+    """Plot K(r), scaled to unit weighted volume, and its values at a lattice's bond lengths.
 
     Args:
         model: the model.
@@ -42,9 +42,7 @@ def influence_function(model: LPSMaterial, *, spacing: float, ax: Axes) -> Axes:
 
 
 def loss_by_stage(history: Sequence[Stage], *, ax: Axes) -> Axes:
-    """√loss over the steps of each stage, one after the other.
-
-    It is a relative residual, or in stage 4 a relative error of displacement.
+    """Plot √loss (a relative residual, in stage 4 of displacement) over the steps of each stage.
 
     Args:
         history: stages of a fit.
@@ -68,7 +66,7 @@ def loss_by_stage(history: Sequence[Stage], *, ax: Axes) -> Axes:
 
 
 def node_field(x: ArrayLike, values: ArrayLike, *, limit: float, ax: Axes) -> QuadMesh:
-    """A scalar on the nodes of a lattice along the axes, on a colour scale from −limit to limit.
+    """Plot a scalar on the nodes of a lattice along the axes, coloured from −limit to limit.
 
     Args:
         x: node positions [Å], shape [N, 2].
@@ -76,8 +74,7 @@ def node_field(x: ArrayLike, values: ArrayLike, *, limit: float, ax: Axes) -> Qu
         limit: of the colour scale.
         ax: where to draw.
 
-    Returns:
-        The mesh, for a colour bar.
+    Returns the mesh, for a colour bar.
     """
     x, values = np.asarray(x), np.asarray(values)
     unit = 1e-9 * max(float(np.ptp(x)), np.finfo(float).tiny)  # places nearer than that are one
@@ -94,7 +91,7 @@ def node_field(x: ArrayLike, values: ArrayLike, *, limit: float, ax: Axes) -> Qu
 def errors_by_wave_number(
     wave_number: ArrayLike, errors: dict[str, ArrayLike], *, ax: Axes
 ) -> Axes:
-    """Errors of each sample against the wave number of its load.
+    """Plot errors of each sample against the wave number of its load.
 
     Args:
         wave_number: |k| of each sample [1/Å], shape [S].

@@ -1,4 +1,4 @@
-"""Problems that a material is solved for: what is given, in one value."""
+"""Problems that a material is solved for: points, loads, boundary values."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ LINEAR = (
 @typed
 @dataclass(frozen=True, eq=False)
 class Dirichlet:
-    """Load on the interior, displacement given on the collar (theory, 29).
+    """Problem with load on the interior and displacement given on the collar (theory, 29).
 
     Attributes:
         points: a lattice or scattered points, or samples on them.
@@ -53,7 +53,7 @@ class Dirichlet:
     learns = True  # gradients
 
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
-        """The material at rest."""
+        """Solve for the material at rest."""
         extra = {"parameters": options.pop("parameters")} if "parameters" in options else {}
         operator = placed(material, nodes_of(self.points), **options)
         load = np.zeros(np.shape(self.u)) if self.b is None else self.b
@@ -63,12 +63,12 @@ class Dirichlet:
         return operator.solve(load, self.u, solver)  # type: ignore[no-any-return]
 
     def moved(self, material: Any, options: dict[str, Any]) -> Motion:
-        """The material in motion, from the displacement u.
+        """Solve for the material in motion, from the displacement u.
 
         `options` are those of the law's own motion, or of solvers.verlet.march: `v`, `density`,
         `step`, `steps`, `every`, `record`, `signal`; and `transfer`, `allow_uncertified`. Of
-        tensors, or with `parameters`, it is that of solvers.adjoint.moved. What flows, as heat,
-        has the options of solvers.adjoint.stepped.
+        tensors, or with `parameters`, it is that of solvers.adjoint.moved. Flow, as of heat, has
+        the options of solvers.adjoint.stepped.
         """
         on = {"transfer", "allow_uncertified"} & options.keys()
         how = {name: options.pop(name) for name in on}
@@ -85,7 +85,7 @@ class Dirichlet:
 @typed
 @dataclass(frozen=True, eq=False)
 class Periodic:
-    """A load of zero mean on a periodic lattice (theory, 59).
+    """Problem with a load of zero mean on a periodic lattice (theory, 59).
 
     Attributes:
         points: a lattice with a box, all of its nodes interior; see Points.sheet.
@@ -105,7 +105,7 @@ class Periodic:
     learns = True
 
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
-        """The material at rest, with a displacement of zero mean."""
+        """Solve for the material at rest, with a displacement of zero mean."""
         extra = {"parameters": options.pop("parameters")} if "parameters" in options else {}
         operator = placed(material, nodes_of(self.points), **options)
         rest = offered(operator, "solve_periodic", "solve", "a model that solves periodic problems")
@@ -148,7 +148,7 @@ class Body:
     coupling: Coupling = field(default_factory=Coupling)
 
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
-        """The material at rest; the details of the solution are a BodySolution."""
+        """Solve for the material at rest; the solution's details are a BodySolution."""
         if not hasattr(material, "tensors"):  # a crystal, which elements go on for at the edge
             offered(material, "spread", "solve", LINEAR)
         refuse_solver(solver, (), "a Body, whose coupling says how it is solved")

@@ -1,4 +1,4 @@
-"""What a material, an operator, a problem and a law are: what one must offer to be taken as such.
+"""Protocols of materials, operators, problems and laws: what each must offer.
 
 Nothing need derive from these. A new law is whatever offers the same, and passes the conformance
 test (tests/conformance). `OperatorBase` gives an operator its torch tensors and copies.
@@ -29,7 +29,7 @@ SINGULAR = "expected an equilibrium where the tangent has an inverse, got a sing
 
 
 class Operator(Protocol):
-    """A material on points: what is resolved and built once, and then used.
+    """A material on points: built once, and then used.
 
     In equilibrium ``op(u)`` equals ``op.rhs(b)``: b itself on the interior nodes, or on scattered
     points a node's share of the load around it.
@@ -43,26 +43,26 @@ class Operator(Protocol):
         """Minus the internal force density [stress/length] on the interior nodes, [..., I, d]."""
 
     def rhs(self, b: np.ndarray) -> np.ndarray:
-        """What the operator equals in equilibrium with b, shape [..., N, d] to [..., I, d]."""
+        """Right-hand side on the interior nodes for a body force b [..., N, d]; [..., I, d]."""
 
     def jvp(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """The derivative of the operator at u along v, shape [..., I, d]."""
+        """Derivative of the operator at u along v, shape [..., I, d]."""
 
     def vjp(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
-        """That derivative transposed: of w on the interior [..., I, d], on all [..., N, d]."""
+        """Transposed derivative at u times w [..., I, d], on all nodes [..., N, d]."""
 
     def energy(self, u: np.ndarray) -> np.ndarray | None:
-        """What the operator is the derivative of: ∂(energy)/∂u_i = h^d op(u)_i; None without."""
+        """Energy with ∂(energy)/∂u_i = h^d op(u)_i; None for a law without."""
 
     def stress(self, u: np.ndarray) -> np.ndarray | None:
-        """At the interior nodes, shape [..., I, d, d]; None where a law has none."""
+        """Stress at the interior nodes, shape [..., I, d, d]; None where a law has none."""
 
     def solve(self, b: Any, u: Any, solver: Any) -> Any:
         """The Solution in equilibrium with b on the interior, u given on the collar."""
 
 
 class Remade:
-    """What is copied and pickled by the arguments it was made with, and made anew of them."""
+    """Base of values that are copied and pickled by the arguments they were made with."""
 
     _made_of: tuple[tuple[Any, ...], dict[str, Any]]
 
@@ -77,7 +77,7 @@ class Remade:
 
 
 def _kept(value: Any) -> Any:
-    """The nodes alone of samples; of what is often changed afterwards, a copy."""
+    """The points of samples; a copy of values that are often changed afterwards."""
     if isinstance(value, np.ndarray | list | dict):
         return deepcopy(value)
     return value.points if isinstance(value, Samples) else value
@@ -89,12 +89,12 @@ def _remade(kind: Callable[..., Any], given: tuple[Any, ...], options: dict[str,
 
 
 def is_tensor(value: Any) -> bool:
-    """Whether it is of torch, which is not loaded for the question."""
+    """Whether a value is a torch tensor; torch is not loaded for the question."""
     return "torch" in sys.modules and isinstance(value, sys.modules["torch"].Tensor)
 
 
 def uncompiled(call: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that torch.compile leaves as it is: what it does is no program of torch."""
+    """Wrap a function so that torch.compile leaves it as it is."""
     made: list[Callable[..., Any]] = []
 
     @wraps(call)
@@ -109,14 +109,13 @@ def uncompiled(call: Callable[..., Any]) -> Callable[..., Any]:
 
 
 class OperatorBase(Remade):
-    """What operators share: NumPy in, NumPy out; torch in, differentiable torch out.
+    """Base of operators: NumPy in, NumPy out; torch in, differentiable torch out.
 
     ``op(u)`` takes fields on all nodes, [N, d] or [S, N, d], of torch [..., N, d], and gives the
     force on the interior nodes, [..., I, d]. Tensors of another precision than float64, or on
-    another device, are computed in float64 on the processor, and so is their gradient.
-
-    The first derivative of torch is `vjp`, a tangent of forward mode is `jvp`.
-    The second is right for a linear force; of others it is refused by an InputError.
+    another device, are computed in float64 on the processor, and so is their gradient. torch's
+    first derivative is `vjp`, a tangent of forward mode is `jvp`; the second is right for a linear
+    force, of others refused by an InputError.
     """
 
     is_linear = False
@@ -131,7 +130,7 @@ class OperatorBase(Remade):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of one field, [N, d]."""
+        """Shape of one field, [N, d]."""
         return tuple(self.points.x.shape)
 
     @overload
@@ -144,40 +143,40 @@ class OperatorBase(Remade):
         return self.force_torch(u) if is_tensor(u) else self.force(u)
 
     def jvp(self, u: Any, v: Any) -> np.ndarray:
-        """The derivative of the force at u along v, [..., I, d]; of a linear one the force of v."""
+        """Derivative of the force at u along v, [..., I, d]; the force of v if linear."""
         return self.force(v)
 
     def rhs(self, b: Any) -> np.ndarray:
-        """b on the interior nodes, [..., I, d], which the force equals in equilibrium."""
+        """Right-hand side: b on the interior nodes, [..., I, d]."""
         load = checked("b", b, float, (..., *self.shape), ~self.held)
         return np.compress(self.points.interior, load, axis=-len(self.shape))
 
     def energy(self, u: Any) -> Any:
-        """Shape [...], as Operator's; None where there is none, as here."""
+        """Energy, [...], as Operator's; None where there is none, as here."""
 
     def stress(self, u: Any) -> Any:
-        """At the interior nodes, shape [..., I, d, d]; None where there is none, as here."""
+        """Stress at the interior nodes, [..., I, d, d]; None where there is none, as here."""
 
     def force_torch(self, u: Any) -> Any:
-        """The force of a tensor, differentiable."""
+        """Force of a tensor, differentiable."""
         return core.torch_bridge.force_of(self, u)
 
     def force_with_parameters(self, u: Any, numbers: Any) -> Any:
-        """The force of tensors [S, N, d] with other numbers of its `learnable`, once differentiable
-        in all; of what offers `at(numbers)` and `by_numbers(name, u, w)`."""
+        """Force of tensors [S, N, d] with other `learnable` numbers, once differentiable in all;
+        needs `at(numbers)` and `by_numbers(name, u, w)`."""
         return core.torch_bridge.force_with_parameters(self, u, numbers)
 
     def solve_torch(self, b: Any, u: Any, solver: Any = None, parameters: Any = None) -> Any:
-        """`solve` of tensors, differentiable in both and in numbers: core.torch_bridge.at_rest."""
+        """Solve with tensors, differentiable in both and in numbers: core.torch_bridge.at_rest."""
         return core.torch_bridge.at_rest(self, b, u, solver, parameters)
 
     @property
     def held(self) -> np.ndarray:
-        """Which components of fields a solve is given, of a shape that broadcasts to [N, d]."""
+        """Which components of fields are given in a solve, of a shape that broadcasts to [N, d]."""
         return np.asarray(~self.points.interior.reshape(-1, *[1] * (len(self.shape) - 1)))
 
     def check(self, u: Any, real: bool = True) -> None:
-        """Raise InputError for what is no real fields on the nodes."""
+        """Raise InputError for values that are no real fields on the nodes."""
         one, given = self.shape, tuple(u.shape)
         if not real or given[-len(one) :] != one or 0 in given:
             shown = ", ".join(map(str, one))
@@ -193,7 +192,7 @@ class OperatorBase(Remade):
         return values.reshape(-1, *self.shape)
 
     def quadratic(self, u: Any) -> np.ndarray:
-        """h^d (½ u_I·L u_I + u_I·L u_C) of a linear force on a lattice, shape [...]."""
+        """Energy h^d (½ u_I·L u_I + u_I·L u_C) of a linear force on a lattice, shape [...]."""
         self.check(u := plain("u", u))
         inside, of = self.points.interior, self.points
         axes = tuple(range(-len(self.shape), 0))
@@ -210,7 +209,7 @@ class OperatorBase(Remade):
         return values
 
     def on_all(self, w: Any) -> np.ndarray:
-        """Fields of the interior nodes [..., I, d] as those of all, zero elsewhere, [..., N, d]."""
+        """Extend fields of the interior nodes [..., I, d] to all by zeros, [..., N, d]."""
         w, rest = self.of_interior(w), len(self.shape)
         fields = np.zeros((*np.shape(w)[:-rest], *self.shape))
         fields[(..., self.points.interior, *[slice(None)] * (rest - 1))] = w
@@ -218,11 +217,11 @@ class OperatorBase(Remade):
 
 
 class Material(Protocol):
-    """A law with its numbers."""
+    """A law with its numbers, as every module takes it."""
 
     @property
     def dimension(self) -> int:
-        """d of the space it fills."""
+        """Dimension d of the space it fills."""
 
     @property
     def units(self) -> tuple[str, str]:
@@ -230,32 +229,32 @@ class Material(Protocol):
 
     @property
     def horizon(self) -> float:
-        """δ [length]."""
+        """Horizon δ [length]."""
 
     def on(self, points: Any) -> Operator:
         """The material on points: transferred there, certified, with its bonds."""
 
     def content(self) -> dict[str, Any]:
-        """What its file holds; `load` reads it again."""
+        """Contents of the material's file; `load` reads it again."""
 
 
 class Problem(Protocol):
-    """What is given of a body, and what is asked."""
+    """A problem on a body: the given values, and how to solve."""
 
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Any:
-        """The Solution for a material, or for its operator on the problem's points."""
+        """Solve for a material, or for its operator on the problem's points; returns a Solution."""
 
 
 class FittableModel(Protocol):
-    """What may be learned: a family of materials, and how its numbers are found."""
+    """Settings of a fit: a family of materials, and how its numbers are learned."""
 
     @property
     def learn(self) -> Callable[..., Any]:
-        """Of samples and options the Fit: material, certificate, history."""
+        """Function of samples and options that returns a Fit: material, certificate, history."""
 
 
 def offered(given: Any, name: str, verb: str, kinds: str) -> Any:
-    """The method `name` of what was given; InputError that says what `verb` is for otherwise."""
+    """Method `name` of a given object; InputError that says what `verb` is for otherwise."""
     method = getattr(given, name, None)
     if method is None or isinstance(given, type):
         what = given.__name__ if isinstance(given, type) else type(given).__name__
@@ -264,7 +263,7 @@ def offered(given: Any, name: str, verb: str, kinds: str) -> Any:
 
 
 def refuse_uncut(material: Any, problem: str) -> None:
-    """InputError for a law that does not bear cut bonds, in its own words (its `uncut`)."""
+    """Raise InputError for a law that does not bear cut bonds, in its own words (`uncut`)."""
     if why := getattr(getattr(material, "model", material), "uncut", ""):
         raise InputError(f"solve: the bonds of a {problem} end at its edges, and {why}")
 
@@ -273,11 +272,8 @@ LINEAR = "a linear solid, or a material with a linear part"
 
 
 def stencil_of(law: Any, spacing: float, verb: str) -> tuple[Any, np.ndarray]:
-    """The stencil that a linear solid is on a lattice, and the turns of nodes that leave it so.
-
-    Of one for any lattice by its `stencil(spacing)`, of one for its own by its `stencil`.
-    Raises InputError for another spacing than the latter's, and for what has none.
-    """
+    """Stencil of a linear solid on a lattice, and the symmetries of nodes that leave it unchanged;
+    InputError for another spacing than a one-lattice solid's, and laws without a stencil."""
     found = offered(law, "stencil", verb, LINEAR)
     stencil = found(spacing) if callable(found) else found
     if not abs(spacing / stencil.spacing - 1) <= SAME_SPACING:
@@ -301,7 +297,7 @@ def placed(
     kinds: str = MATERIAL,
     **options: Any,
 ) -> Any:
-    """The operator of a material on points; what is an operator on these points already, as it is.
+    """Operator of a material on points; an operator on these points is returned as it is.
 
     Args:
         material: that offers `by`, or what came of it and offers `has`.
@@ -332,11 +328,8 @@ def placed(
 def taken(
     options: dict[str, Any], verb: str, *takers: Callable[..., Any], given: tuple[str, ...] = ()
 ) -> tuple[dict[str, Any], ...]:
-    """Options for each taker, by its keyword-only arguments but those that are `given` elsewhere.
-
-    Raises InputError for an option that none takes, for one that is missing, and for one of another
-    kind than it is annotated with.
-    """
+    """Sort options by taker, by keyword-only arguments that are not `given` elsewhere. InputError
+    for an option that none takes, a missing one, and one of another kind than annotated."""
     kinds = [
         {n: p for n, p in signature(taker).parameters.items() if p.kind is p.KEYWORD_ONLY}
         for taker in takers

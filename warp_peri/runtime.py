@@ -1,4 +1,4 @@
-"""Where and how Warp kernels run: slices of the nodes on Python threads."""
+"""Launches of Warp kernels: slices of the nodes on Python threads."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ wp.config.log_level = wp.LOG_WARNING  # its banner would mix with what commands 
 
 
 def _start() -> None:
-    """Start Warp, whose native part would say on every start that there is no CUDA driver."""
+    """Start Warp without its messages on a missing CUDA driver."""
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, 2)
@@ -66,13 +66,13 @@ if hasattr(os, "register_at_fork"):
 
 
 def _help(asked: SimpleQueue[Callable[[], None]]) -> None:
-    """What a thread does that helps: a queue wakes it in half the time that a pool takes."""
+    """Loop of a helper thread; a queue wakes it in half the time that a pool takes."""
     while True:
         asked.get()()
 
 
 def _helped(count: int) -> SimpleQueue[Callable[[], None]]:
-    """The queue that so many helpers or more wait on."""
+    """Queue that at least `count` helpers wait on."""
     global _helpers
     for _ in range(count - _helpers):
         Thread(target=_help, args=(_asked,), daemon=True, name="warp_peri").start()
@@ -81,7 +81,7 @@ def _helped(count: int) -> SimpleQueue[Callable[[], None]]:
 
 
 def _serve(task: Future[None], work: Callable[[], None]) -> None:
-    """Work that a helper is asked for, unless it was taken back."""
+    """Do a helper's work, unless it was taken back."""
     if task.set_running_or_notify_cancel():
         try:
             work()
@@ -91,10 +91,8 @@ def _serve(task: Future[None], work: Callable[[], None]) -> None:
 
 
 def set_num_threads(count: int) -> None:
-    """Run the sweeps of a point set on `count` Python threads (default: all processors).
-
-    Results are bitwise the same for any number. Raises InputError for a count below 1.
-    """
+    """Run the sweeps of a point set on `count` Python threads (default: all processors). Results
+    are bitwise the same for any number. Raises InputError for a count below 1."""
     global _count
     whole = isinstance(count, (int, np.integer)) and not isinstance(count, bool)
     if not (whole and 0 < count < LARGEST):
@@ -135,7 +133,7 @@ def at_once(jobs: Sequence[Callable[[], None]]) -> None:
 
 
 def ranks_started() -> int | None:
-    """Processes that mpiexec started this one among, by any launcher; None where none did."""
+    """Number of processes that mpiexec started with this one, by any launcher; else None."""
     for name in ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE"):
         if os.environ.get(name, "").isdigit():
             return int(os.environ[name])
@@ -148,7 +146,7 @@ _sharing: list[Any] = []
 
 @contextmanager
 def shared_by(comm: Any) -> Iterator[None]:
-    """What `in_blocks` works on inside is shared by ranks, all of which must come here."""
+    """Share the work of `in_blocks` inside among ranks, all of which must come here."""
     _sharing.append(comm)
     try:
         yield
@@ -157,10 +155,8 @@ def shared_by(comm: Any) -> Iterator[None]:
 
 
 def in_blocks(work: Callable[[np.ndarray], np.ndarray], rows: np.ndarray, most: int) -> np.ndarray:
-    """What `work` gives of rows, at most so many at once, joined.
-
-    Blocks do not depend on the number of ranks, and so the result has the same bits on any.
-    """
+    """Apply `work` to rows in blocks of at most `most`, joined; blocks do not depend on the number
+    of ranks, and so the result has the same bits on any."""
     blocks = np.array_split(rows, -(-len(rows) // most) or 1)
     if not _sharing:
         return np.concatenate([work(block) for block in blocks])
@@ -184,11 +180,8 @@ def launch_slices(
     samples: int = 0,
     weight: int = 1,
 ) -> None:
-    """Launch a gather kernel, whose first argument is the first index, on slices of 0 … count.
-
-    With samples the dimensions are (samples, slice). `weight` is the work of an index, that of a
-    node being 1.
-    """
+    """Launch a gather kernel, whose first argument is the first index, on slices of 0 … count. With
+    samples the dimensions are (samples, slice); `weight` is the work of an index, 1 for a node."""
     work = count * max(samples, 1) * weight
     slices = max(1, min(_count, count, work // SLICE))
     ends = [count * n // slices for n in range(slices + 1)]
@@ -203,8 +196,8 @@ def launch_slices(
 
 
 def recorded(kernel: Any, dim: int, inputs: Sequence[Any], outputs: Sequence[Any]) -> Any:
-    """A launch on the processor, packed once, which takes longer than a sweep over a thousand
-    nodes; inputs and outputs that are given later are None here."""
+    """Pack a launch on the processor once, which takes longer than a small sweep; inputs and
+    outputs that are given later are None here."""
     kernel.module.load(DEVICE)
     all_of: dict[str, Any] = {"inputs": list(inputs), "outputs": list(outputs), "device": DEVICE}
     return wp.launch(kernel, dim=dim, **all_of, record_cmd=True, record_tape=False)
@@ -238,10 +231,8 @@ class Shared:
             self._stay = recorded(stay, 1, [box], ())
 
     def give(self, place: int, value: Any) -> None:
-        """Another array or struct, the first of the inputs being number 0, outputs after them.
-
-        It must live until the launch is over: its memory is all that is known here.
-        """
+        """Replace an array or struct, number 0 being the first input, outputs after them; it must
+        live until the launch is over, for its memory is all that is known here."""
         self._launch.set_param_at_index(place + 1, value)
 
     def _come(self, bell: int) -> None:
@@ -249,7 +240,7 @@ class Shared:
             self._stay.launch()
 
     def __call__(self) -> None:
-        """Launch, and wait for all."""
+        """Launch the kernel, and wait for all threads."""
         global _staying
         self._turns[0], self._turns[LINE:] = 0, 0
         for _ in range(self._helpers - _staying):
@@ -265,23 +256,23 @@ def recording() -> Any:
 
 
 def zeros(*shape: int, dtype: Any = wp.float64, gradient: bool = False) -> wp.array[Any]:
-    """A Warp array of zeros."""
+    """Make a Warp array of zeros."""
     return wp.zeros(shape, dtype=dtype, requires_grad=gradient, device=DEVICE)
 
 
 def empty(*shape: int, dtype: Any) -> wp.array[Any]:
-    """A Warp array that a kernel is about to fill."""
+    """Make a Warp array that a kernel is about to fill."""
     return wp.empty(shape, dtype=dtype, device=DEVICE)
 
 
 def ints(values: np.ndarray) -> wp.array[Any]:
-    """An int32 Warp array; shares memory with an int32 NumPy array."""
+    """Make an int32 Warp array; shares memory with an int32 NumPy array."""
     values = np.ascontiguousarray(values, dtype=np.int32)
     return wp.array(values, dtype=wp.int32, device=DEVICE, copy=False)
 
 
 def filled(struct: Any, *values: Any) -> Any:
-    """An instance of a kernel's struct, its members in order."""
+    """Make an instance of a kernel's struct from its members in order."""
     instance = struct()
     for name, value in zip(struct.vars, values):
         setattr(instance, name, value)
@@ -289,7 +280,7 @@ def filled(struct: Any, *values: Any) -> Any:
 
 
 def floats(values: np.ndarray, dtype: Any = wp.float64) -> wp.array[Any]:
-    """A Warp array of scalars or vectors; shares memory with `values` where it can."""
+    """Make a Warp array of scalars or vectors; shares memory with `values` where it can."""
     return wp.array(values, dtype=dtype, device=DEVICE, copy=False)
 
 
@@ -301,10 +292,8 @@ class _TorchThreads:
 
 @contextmanager
 def one_thread(wanted: bool = True) -> Iterator[None]:
-    """Keep torch on one thread, where that is wanted, until the last such call has left.
-
-    The number of threads is each caller's own, and that of new threads the one that was set last.
-    """
+    """Keep torch on one thread, where wanted, until the last such call has left; each caller has
+    its own number of threads, a new thread the last one set."""
     if not wanted:
         yield
         return

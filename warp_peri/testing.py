@@ -1,8 +1,7 @@
 """Checks that every material must pass, as functions of a material, points and a field.
 
-Whoever keeps a material in a package of their own calls `check_material` in its tests; the tests
-of this library call them for its own materials. Each raises AssertionError, with the numbers that
-differ.
+Whoever keeps a material in a package of their own calls `check_material` in its tests. Each check
+raises AssertionError, with the numbers that differ.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ REACH = 4
 
 
 def check_material(material: Any, points: Points, u: np.ndarray) -> None:
-    """All checks below.
+    """Run all checks below on a material.
 
     Args:
         material: what `fit` or `load` gives.
@@ -44,15 +43,14 @@ def check_material(material: Any, points: Points, u: np.ndarray) -> None:
 
 
 def check_force(operator: Any, u: np.ndarray) -> None:
-    """The force has the shape of the interior nodes, translation causes none, and a field among
-    several is felt as if it were alone."""
+    """Check the force's shape, that translation causes none, and that fields do not mix."""
     f, shift = operator(u), np.full_like(u, np.abs(u).max())
     assert_near(operator(shift), 0 * u[operator.points.interior], 1e-11, np.abs(f).max())
     assert_near(operator(np.stack([shift, u]))[1], f, 1e-13)
 
 
 def check_energy(operator: Any, u: np.ndarray) -> None:
-    """The force is the derivative of the energy, where there is one."""
+    """Check that the force is the derivative of the energy, where there is one."""
     if operator.energy(u) is None:
         return
     points, v = operator.points, _direction(operator, u, 0)
@@ -64,7 +62,7 @@ def check_energy(operator: Any, u: np.ndarray) -> None:
 def check_product(
     operator: Any, u: np.ndarray, *, step: float = STEP, tolerance: float = 1e-8
 ) -> None:
-    """`jvp` is the derivative of the force, `vjp` its transpose, and torch's gradient `vjp`."""
+    """Check that `jvp` is the force's derivative, `vjp` its transpose, and torch's gradient."""
     v, w = _direction(operator, u, 1), np.random.default_rng(2).normal(size=operator(u).shape)
     along, back = operator.jvp(u, v), operator.vjp(u, w)
     assert_near(along, _slope(lambda t: operator(u + t * v), step), tolerance)
@@ -76,7 +74,7 @@ def check_product(
 
 
 def check_units(material: Any, points: Points, u: np.ndarray, other: Units = ("nm", "GPa")) -> None:
-    """In other units force and stress are the same there, and the material is the same again."""
+    """Check that force, stress and the material are the same after a change of units and back."""
     operator, there = material.on(points), material.in_units(other)
     length, stress = factors(points.units, other)
     samples = in_units(Samples(points, u[None]), other)
@@ -90,7 +88,7 @@ def check_units(material: Any, points: Points, u: np.ndarray, other: Units = ("n
 def check_file(
     material: Any, points: Points, u: np.ndarray, *, read: Callable[[Path], Any] = load
 ) -> None:
-    """A material that was saved and read again gives the same bits."""
+    """Check that a material that was saved and read again gives the same bits."""
     with TemporaryDirectory() as folder:
         path = Path(folder, "material.json")
         save(path, material)
@@ -98,7 +96,7 @@ def check_file(
 
 
 def assert_near(actual: Any, expected: Any, tolerance: float, size: float | None = None) -> None:
-    """Equal shapes, and numbers within a share of `size`, by default the largest expected."""
+    """Check equal shapes, and numbers within a share of `size`, by default the largest expected."""
     expected = np.asarray(expected)
     limit = tolerance * (np.abs(expected).max(initial=0.0) if size is None else size)
     np.testing.assert_equal(np.shape(actual), expected.shape)
@@ -112,6 +110,6 @@ def _direction(operator: Any, u: np.ndarray, seed: int) -> np.ndarray:
 
 
 def _slope(value: Callable[[float], Any], step: float) -> Any:
-    """The derivative at 0 by differences."""
+    """Derivative at 0 by differences."""
     pairs = enumerate(central_weights(REACH), start=1)
     return sum(c * (value(n * step) - value(-n * step)) for n, c in pairs) / step

@@ -1,4 +1,4 @@
-"""A material on another lattice, and samples carried to one: `warp_peri.transfers`."""
+"""Transfers of materials and samples to lattices: `warp_peri.transfers`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def mean_spacing(points: PointsLike) -> float:
 
 @typed
 def onto_lattice(samples: Samples, *, spacing: Positive) -> Samples:
-    """Fields at scattered nodes carried to a lattice, to learn from (theory, M6).
+    """Interpolate samples at scattered nodes to a lattice, to learn from (theory, M6).
 
     By quintic splines of the 80 nearest nodes, exact for polynomials of degree 2.
 
@@ -36,12 +36,9 @@ def onto_lattice(samples: Samples, *, spacing: Positive) -> Samples:
         samples: u and b at scattered nodes.
         spacing: h [Å] of the lattice; places on the rim where nodes are missing are left out.
 
-    Returns:
-        Samples on the lattice, whose interior is what lies within a spacing of interior nodes;
-        arrays with an entry for each node have that of the nearest.
-
-    Raises InputError for a spacing that is no length, fewer nodes than these, and nodes on a
-    line or a conic.
+    The new interior is what lies within a spacing of interior nodes; arrays with an entry for each
+    node have that of the nearest. Raises InputError for a spacing that is no length, fewer nodes
+    than these, and nodes on a line or a conic.
     """
     x, dense = samples.x, mean_spacing(samples)
     if samples.points.dimension != 2:

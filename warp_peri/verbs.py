@@ -1,4 +1,4 @@
-"""What is done with materials: they are learned, solved for, moved, written and read."""
+"""The verbs of the library: fit, solve, simulate, load, save."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def fit(samples: Sets, law: LPS | Crystal | ThirdOrder, **options: Any) -> Fit: 
 @overload
 def fit(samples: Any, law: Any, **options: Any) -> Any: ...
 def fit(samples: Any, law: Any = None, **options: Any) -> Any:
-    """Learn a material model from samples.
+    """Learn a material from samples.
 
     Args:
         samples: one set or several; of a Dataset `train`, or its only set.
@@ -45,11 +45,9 @@ def fit(samples: Any, law: Any = None, **options: Any) -> Any:
         options: of its `learn`; all take `progress`, linear solids `noise`: fields of noise
             alone on the nodes of each training set.
 
-    Returns:
-        A fit with `material`, and with `certificate` and `history` where the model has them.
-
-    Raises InputError for input that cannot be used, RuntimeError where a search fails. A
-    UserWarning says where data ask for another kind of solid, and for which.
+    Returns a fit with `material`, and with `certificate` and `history` where the model has them.
+    Warns where data ask for another kind of solid, and for which. Raises InputError for input that
+    cannot be used, RuntimeError where a search fails.
 
     >>> round(wp.fit(samples, wp.LPS(12.5, wp.Bernstein(3))).material.mu, 3)
     0.7
@@ -69,7 +67,7 @@ PROBLEMS = "a problem: Dirichlet(points, b, u), Periodic(points, b), Body(mesh, 
 
 
 def solve(material: Any, problem: Any, *, solver: Solver = None, **options: Any) -> Solution:
-    """A material in equilibrium.
+    """Solve for the equilibrium of a material.
 
     Args:
         material: what `fit` or `load` gave, or its operator, `material.on(points)`, where the same
@@ -80,10 +78,8 @@ def solve(material: Any, problem: Any, *, solver: Solver = None, **options: Any)
             allow_uncertified=True takes its own numbers there, with a warning; parameters={name:
             tensor} of the operator's `learnable`, which the answer is then differentiable in.
 
-    Returns:
-        The solution, with its residual, what is proven of it, and what was warned of. Of tensors
-        in a Dirichlet its u is differentiable, along the branch of equilibria that it lies on.
-
+    Returns the solution, with its residual, what is proven of it, and what was warned of. Of
+    tensors in a Dirichlet its u is differentiable, along the branch of equilibria that it lies on.
     Raises InputError for what does not fit, naming what was expected, and for a gradient that is
     asked for and not had.
 
@@ -98,20 +94,18 @@ def solve(material: Any, problem: Any, *, solver: Solver = None, **options: Any)
 
 
 def simulate(material: Any, problem: Any, **options: Any) -> Motion:
-    """A material in motion: waves, growing cracks, loads that rise slowly, flow.
+    """Solve for the motion of a material: waves, growing cracks, loads that rise slowly, flow.
 
     Args:
         material: as for `solve`.
         problem: what is given; its displacement is that of the start.
         options: of the material's motion: `step` [ps] and `steps`, `density` [kg/m³], `every`
-            (steps between two records), `record` (nodes), `checkpoint`, `progress`; see the
-            `moved` of the problem.
+            (steps between two records), `record` (nodes), `checkpoint`, `progress`; see the `moved`
+            of the problem.
 
-    Returns:
-        The motion: times, histories by name, the fields at the end. Waves, heat and coupled fields
-        of torch tensors are differentiable, in `parameters` too: see solvers.adjoint.
-
-    Raises InputError for what does not fit, and for a step that is not proven stable.
+    Returns times, histories by name, the fields at the end. Waves, heat and coupled fields of torch
+    tensors are differentiable, in `parameters` too: see solvers.adjoint. Raises InputError for what
+    does not fit, and for a step that is not proven stable.
 
     >>> start = wp.Dirichlet(points, b[0], u[0])
     >>> wp.simulate(model, start, density=2e3, step=0.005, steps=4).u.shape
@@ -131,8 +125,8 @@ FLAGS = {"transfer", "allow_uncertified"}
 
 
 def _check(problem: Any, options: dict[str, Any], verb: str) -> None:
-    """InputError, on all ranks, for options of another kind than their names say, and for tensors
-    that ask for a gradient of a problem that has none."""
+    """Raise InputError, on all ranks, for options of another kind than their names say, and for
+    tensors whose gradient the problem does not have."""
     with agreed(problem.points.comm if _on_ranks(problem) else ALONE):
         for name in FLAGS & options.keys():
             check_flag(name, options[name])
@@ -144,7 +138,7 @@ def _check(problem: Any, options: dict[str, Any], verb: str) -> None:
 
 
 def _on_ranks(problem: Any) -> bool:
-    """Whether its points are a piece of some that many processes have."""
+    """Whether a problem's points are a rank's piece of a body."""
     return is_piece(getattr(problem, "points", None))
 
 

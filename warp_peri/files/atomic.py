@@ -36,9 +36,8 @@ BROKEN = zipfile.BadZipFile, EOFError, RuntimeError, KeyError, NotImplementedErr
 
 
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
-    """Read the arrays of an np.savez file by name. OSError when it cannot be read, ValueError when
-    it is anything else: compressed, truncated, with other sizes than its headers claim, or with
-    objects."""
+    """Read the arrays of an np.savez file by name. OSError when it cannot be read, ValueError for
+    all else: compressed, truncated, other sizes than its headers claim, objects."""
     check_regular(path)
     size = min(os.path.getsize(path), MOST)
     try:
@@ -108,8 +107,7 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def _begun(path: Path) -> tuple[int, Path]:
-    """Create a half-written file, locked by this process until it ends; those of killed saves,
-    which nobody holds, are removed."""
+    """Create a half-written file, locked by this process, and remove those of killed saves."""
     handle, made = tempfile.mkstemp(path.suffix, f".{path.name}{PART}", path.parent)
     _held(handle)
     temporary = path.with_name(f".{path.name}{_mark(handle)}{path.suffix}")
@@ -119,8 +117,7 @@ def _begun(path: Path) -> tuple[int, Path]:
 
 
 def _mark(handle: int) -> str:
-    """Part of a half-written file's name: its own number on the disk, as no user's file or copy
-    has."""
+    """Part of a half-written file's name: its own number on the disk, which no copy has."""
     return f"{PART}{os.fstat(handle).st_ino}"
 
 

@@ -212,8 +212,7 @@ def agreed(comm: Any) -> Iterator[None]:
 
 
 def same(comm: Any, **parts: Any) -> None:
-    """Raise InputError on all ranks for the first of `parts` that they do not all have alike,
-    naming it and a rank that differs."""
+    """Raise InputError on all ranks for the first of `parts` that differs, naming a rank."""
     with agreed(comm):
         mine = {name: fingerprint(part) for name, part in parts.items()}
     first, *others = comm.allgather(mine)

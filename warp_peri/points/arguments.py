@@ -209,8 +209,7 @@ Natural = Annotated[int, Bound("a whole number ≥ 0", lambda value: value >= 0)
 
 
 def typed(call: Call) -> Call:
-    """Decorate a function, or a class and its public methods, to check arguments as
-    check_arguments."""
+    """Decorate a function, or a class and its public methods, with check_arguments."""
     if isinstance(call, type):
         call.__init__ = typed(call.__init__)  # type: ignore[misc]
         return typed_methods(call)

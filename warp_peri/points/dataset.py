@@ -77,8 +77,7 @@ class Dataset(Shown):
         return self.sets.keys()
 
     def obvious(self, name: str | None = None) -> Samples:
-        """The set called `name` or the only one; InputError lists the sets where neither is
-        there."""
+        """The set called `name`, or the only one; InputError where neither is there."""
         if name in self.sets:
             return self.sets[str(name)]
         if len(self.sets) == 1:
@@ -118,8 +117,7 @@ class Dataset(Shown):
 
 
 def in_units(samples: Samples, want: Units) -> Samples:
-    """Convert x, u, b, spacing, box and wave vectors of samples to other units; other arrays
-    stay."""
+    """Convert x, u, b, spacing, box and wave vectors to other units; other arrays stay."""
     points, want = samples.points, check_units(want)
     if points.units == want:
         return samples

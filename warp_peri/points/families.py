@@ -291,8 +291,7 @@ def neighbours(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Find the points within reach [Å] of each point, itself excluded; periods exceed twice that.
     Returns row [N + 1], neighbour [E], distance [Å] [E], and the bond back of each bond [E]; those
-    of point i are row[i] … row[i + 1]. InputError for a small box, lone points, too many bonds for
-    int32."""
+    of point i are row[i] … row[i + 1]. InputError for a small box, lone points, too many bonds."""
     d, at = x.shape[1], x
     if box is not None:
         if not (np.shape(box) == (d,) and np.isfinite(box).all() and 2 * reach < min(box)):
@@ -318,9 +317,8 @@ def neighbours(
 
 
 def cut_balls(x: np.ndarray, horizon: float, bonds: int) -> np.ndarray:
-    """Whether each node's ball leaves the convex hull of the points by more than one spacing, [N].
-    The spacing is that of as many points on a lattice; holes and bays cannot be told from coarser
-    clouds, and pass."""
+    """Whether each node's ball leaves the convex hull of the points by more than a lattice spacing
+    of their density, [N]; holes and bays cannot be told from coarser clouds, and pass."""
     try:
         hull = ConvexHull(x).equations
     except QhullError:  # all points on one line or plane
@@ -334,9 +332,8 @@ def cut_balls(x: np.ndarray, horizon: float, bonds: int) -> np.ndarray:
 
 
 def largest_strain(points: PointsLike, u: ArrayLike) -> float:
-    """Largest bond strain |ξ·(u_j − u_i)|/r² between nearest neighbours for u [Å] [N, d] or
-    [S, N, d]. Nodes outside the body do not count; on a lattice diagonals do, which shear along the
-    axes stretches."""
+    """Largest bond strain |ξ·(u_j − u_i)|/r² of nearest neighbours in the body, on a lattice also
+    across diagonals, which shear along the axes stretches; u [Å] is [N, d] or [S, N, d]."""
     body = np.ones(len(points.x), bool) if points.outside is None else ~points.outside
     x, d = points.x[body], points.x.shape[1]
     if points.spacing > 0 and len(points.x) > 1:

@@ -271,8 +271,7 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh:
 
 
 def _check_arrays(path: Path) -> None:
-    """Raise InputError for XML with entities, and for XDMF arrays that are not in HDF5 beside
-    it."""
+    """Raise InputError for XML with entities, and XDMF arrays not in HDF5 beside it."""
     check_xml(path, text := content(path))
     if path.suffix.lower() == ".vtu":
         return

@@ -236,8 +236,7 @@ class Points(Shown):
 
     @cached_property
     def lattice(self) -> Lattice:
-        """Lattice steps and axes of the nodes; InputError for scattered points, naming points off
-        it."""
+        """Lattice steps and axes; InputError for scattered points, naming points off it."""
         check_lattice(self)
         return straight_steps(self.x, self.spacing, " " + symbols(self.units)[0])
 
@@ -248,8 +247,7 @@ class Points(Shown):
 
 
 def refuse_twice(x: np.ndarray) -> None:
-    """Raise InputError for nodes within 1e-9 of their mean distance of one another, naming some;
-    one sort of x along a line."""
+    """Raise InputError for coincident nodes (to 1e-9 of the mean distance), by one sort of x."""
     n, d = x.shape
     near = TWICE * float(np.ptp(x, axis=0).max()) / n ** (1 / d)
     along = x @ np.array([1.0, 0.6180339887, 0.4142135624])[:d]
@@ -301,8 +299,7 @@ def straight_steps(x: np.ndarray, h: float, unit: str = "") -> Lattice:
 
 
 def _axes(x: np.ndarray, h: float, unit: str) -> np.ndarray:
-    """Lattice axes that fit all positions best, of nearest-neighbour directions close to the
-    coordinates."""
+    """Lattice axes of nearest-neighbour directions, close to the coordinates, that fit best."""
     some = x[:: max(1, len(x) // 2000)]
     pairs = cKDTree(x).query_ball_point(some, h * (1 + LATTICE_TOLERANCE))
     step = np.concatenate([x[near] - at for near, at in zip(pairs, some)]) / h
@@ -478,8 +475,7 @@ def unsaid(points: PointsLike) -> bool:
 
 
 def axis_of(points: PointsLike) -> float:
-    """Angle [rad] from the x axis of points to that of the material; 0, with one warning, where
-    none is stated."""
+    """Angle [rad] from the x axis of points to the material's; 0, with a warning, if not stated."""
     if points.axis is None:
         if unsaid(points):
             warn(

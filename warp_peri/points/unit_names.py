@@ -42,8 +42,7 @@ USUAL: Units = ("angstrom", "TPa")
 
 
 def check_units(units: Any) -> Units:
-    """The units as a pair of known names, of a pair or a key of SYSTEMS; InputError lists the
-    names."""
+    """Units as a pair of known names, from a pair or a key of SYSTEMS; else InputError."""
     if isinstance(units, str) and units in SYSTEMS:
         return SYSTEMS[units]
     try:

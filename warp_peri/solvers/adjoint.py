@@ -125,8 +125,7 @@ class _Waves:
         self.kept: dict[int, verlet.State] = {}
 
     def there(self, *given: np.ndarray) -> list[Any]:
-        """u and v [N, d] at the end, and any records [R, n, d], from u, v, b, a signal and
-        numbers."""
+        """Final u and v [N, d], and records [R, n, d], from u, v, b, a signal and numbers."""
         fields = dict(zip(("u", "v", "b"), given))
         nodes, self.body, state = verlet.started(self.operator, fields, given[3], **self.options)
         run = _Kept(nodes, self.body, self.dt, self.record, every=self.every)
@@ -163,8 +162,7 @@ class _Waves:
         return [p, self.body.on_all(q), self.body.on_all(load), by_signal, *own]
 
     def _undone(self) -> Iterator[tuple[int, Any]]:
-        """Iterate over steps backwards with the displacement, if needed; InputError where a stored
-        state is not reached."""
+        """Iterate over steps backwards, with displacements if needed; InputError if not reached."""
         if not self.kept:
             yield from ((number, None) for number in reversed(range(self.steps + 1)))
             return

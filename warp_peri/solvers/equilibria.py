@@ -173,8 +173,7 @@ class Equilibria:
         *,
         mixes: bool = True,
     ) -> np.ndarray:
-        """Displacement of the interior, as far as the iteration comes (see the record's
-        residual)."""
+        """Displacement of the interior, as far as it converges (see the record)."""
 
         def left(inner: np.ndarray, force: Force = self.force) -> np.ndarray:
             field[self.inside] = inner
@@ -228,9 +227,8 @@ def anderson(
     start: np.ndarray,
     tolerance: float,
 ) -> tuple[np.ndarray, float]:
-    """Iterate u ← u + correction(left(u)), accelerated by mixing the last steps (D. G. Anderson,
-    1965), `left` the relative residual. Returns the field of the smallest residual, and its
-    norm."""
+    """Iterate u ← u + correction(left(u)), `left` the relative residual, mixing the last steps (D.
+    G. Anderson, 1965). Returns the field of the smallest residual, and its norm."""
     u, best = start, (start, np.inf)
     steps: list[np.ndarray] = []
     fields: list[np.ndarray] = []
@@ -334,8 +332,7 @@ def descend(
 def direction(
     solid: Any, u: np.ndarray, left: np.ndarray, near: Inner | None, shifts: bool
 ) -> tuple[Any, bool, Inner | None]:
-    """Descent step, whether the tangent is positive definite as far as it tells, and its inverse or
-    one near."""
+    """Descent step, whether the tangent seems positive definite, and its inverse or one near."""
     if near is not None:
         try:
             step, record = definite(partial(solid.jvp, u), near, left, KRYLOV)
@@ -351,8 +348,7 @@ def direction(
 def _searched(
     solid: Any, u: np.ndarray, step: np.ndarray, left: np.ndarray, small: float, folds: float
 ) -> tuple[np.ndarray, float] | None:
-    """Field after the longest part of a step that lowers the potential (near the end the residual),
-    and its folds."""
+    """Field after the longest part of a step that lowers the potential or residual; its folds."""
     before, slope, part = solid.potential(u), float((left * step).sum()), 1.0
     while part > SHORTEST:
         ahead = solid.moved(u, part * step)

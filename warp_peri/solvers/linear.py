@@ -122,8 +122,7 @@ class Linear:
         )
 
     def method(self, asked: str | None = None) -> str:
-        """Name of the solve method, `asked` or cheapest; InputError where it does not go with the
-        nodes."""
+        """Name of the solve method, `asked` or cheapest; InputError where nodes do not allow it."""
         grid = self.grid
         if grid.periodic:
             return "fft"
@@ -180,8 +179,7 @@ class Linear:
     def inverse(
         self, right: np.ndarray, tolerance: float, method: str | None = None
     ) -> tuple[np.ndarray, SolveRecord]:
-        """Solution L_II⁻¹ b of a field on the interior [I, d], zero on the collar, and its
-        record."""
+        """Solution L_II⁻¹ b of an interior field [I, d], zero on the collar, and its record."""
         planes = self.grid.scatter_interior(right)
         z, record = self._inverted(planes, self.method(method), tolerance)
         return self.grid.gather(z[None])[0], record
@@ -190,9 +188,8 @@ class Linear:
         self, loads: int, bonds: float = BONDS, *, definite: bool = True, stiff: bool = False
     ) -> Inverse:
         """L_II⁻¹ for so many loads: factorised, or iterated to the tolerance that it is asked for.
-        Few nodes are factorised too where L_II is not proven definite; `definite` False accepts any
-        factors; `stiff` says that λ ≫ μ. InputError as check_definite for more nodes, and
-        indefinite factors."""
+        Few nodes are factorised even if L_II is not proven definite; `definite` False takes any
+        factors; `stiff`: λ ≫ μ. InputError as check_definite for more nodes, and bad factors."""
         grid, nodes = self.grid, len(self.grid.interior)
         space = grid.dimension == 3
         how = cheapest_method(
@@ -250,8 +247,7 @@ class Linear:
 
 
 def smallest_ratio(symbol: np.ndarray, torus: tuple[int, ...]) -> float:
-    """Smallest Λmin D(k) / Σ_a 4 sin²(k_a h/2) over the waves k ≠ 0 of a torus, of a symbol as of
-    torus_symbol."""
+    """Smallest Λmin D(k) / Σ_a 4 sin²(k_a h/2) over waves k ≠ 0 of a torus and its torus_symbol."""
     waves = [4 * np.sin(np.pi * np.arange(n) / n) ** 2 for n in torus]
     waves[-1] = waves[-1][: symbol.shape[-1]]
     s = reduce(np.add.outer, waves).ravel()

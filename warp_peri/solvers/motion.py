@@ -137,8 +137,7 @@ class Recorder:
 
     def march(self, state: Any, *, steps: Natural, progress: bool = False) -> Any:
         """March to `steps` steps in all, from the checkpoint if there is one, else from `state`;
-        InputError for another motion's checkpoint, or fewer steps than it or the state has behind
-        it."""
+        InputError for another motion's checkpoint, or fewer steps than are done."""
         own = self.nodes.own
         if self.file is not None:
             if not self.start or state.steps == 0:

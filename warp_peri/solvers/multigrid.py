@@ -1,6 +1,5 @@
 """Approximate inverses of a stencil on a body: edge elimination, multigrid. Fields are planes
-[d, *box], zero where nothing is unknown, in units of stress, L h²; filters work in single precision
-and hand back double."""
+[d, *box], zero off the unknowns, in units of stress, L h²; filters work in single precision."""
 
 from __future__ import annotations
 
@@ -29,8 +28,7 @@ from warp_peri.solvers.systems import symmetric_factors
 
 
 class Edge:
-    """Edge elimination z = E A_ee⁻¹ Eᵗ r on the nodes within a reach of the edge, zero
-    elsewhere."""
+    """Edge elimination z = E A_ee⁻¹ Eᵗ r on nodes within a reach of the edge, else zero."""
 
     def __init__(self, grid: Grid, stencil: Stencil) -> None:
         mask = grid.mask()

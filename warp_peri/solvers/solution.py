@@ -159,8 +159,7 @@ class Solution(Shown):
 
     @property
     def residual(self) -> float:
-        """Largest relative residual ‖op(u) − load‖ / ‖load − op(u of the collar alone)‖ of a
-        sample."""
+        """Largest relative residual ‖op(u) − load‖ / ‖load − op(u of the collar alone)‖."""
         if self.measured is not None:
             return self.measured
         if self.points is None:
@@ -172,8 +171,7 @@ class Solution(Shown):
         return float(np.max(np.divide(left, right, out=np.zeros_like(left), where=right > 0)))
 
     def stress(self) -> np.ndarray:
-        """Stress σ [stress] at the interior nodes, [..., I, d, d]; of a body at the mesh's
-        corners."""
+        """Stress σ at the interior nodes, [..., I, d, d]; of a body at the mesh's corners."""
         if self.points is None:
             return np.asarray(self.details.on_corners()[1])
         stress = self.operator.stress(self._values)
@@ -195,8 +193,7 @@ class Solution(Shown):
         return np.asarray(self.details.displacement(np.asarray(x, dtype=float)))
 
     def to_samples(self) -> Samples:
-        """Samples of displacement and load, to learn from or to save; InputError for a body on a
-        mesh, and what is no displacement."""
+        """Samples of displacement and load; InputError for a body on a mesh, or no displacement."""
         if self.points is None or self._values.shape[-2:] != self.points.x.shape:
             raise InputError("to_samples: expected displacements on nodes, got another solution")
         u, shape = self._values, (-1, *self.points.x.shape)
@@ -213,8 +210,8 @@ class Solution(Shown):
             warp_peri.export.write_vtk(path, self.operator.model, samples, samples.u)
 
     def plot(self, sample: int = 0, *, ax: Axes | None = None) -> Axes:
-        """Plot the size of the displacement, or φ, of one sample as coloured nodes; a slice in
-        space."""
+        """Plot the size of the displacement, or φ, of a sample by node colours; in space a
+        slice."""
         import matplotlib.pyplot as plt
 
         if self.points is None:
@@ -268,8 +265,7 @@ def by_sample(
     operator: Any, u: Any, load: Any, records: Any, counts: Any, method: str = "newton",
     proven: str | None = None,
 ) -> Solution:  # fmt: skip
-    """Solution of samples solved one after the other; `records`, each with a `residual`, are its
-    details, `counts` iterations."""
+    """Solution of samples solved in turn; details are `records`, iterations `counts`."""
     measured = max((one.residual for one in records), default=None)
     of = operator.points, operator, load, method, tuple(counts), proven
     return Solution(u, *of, details=tuple(records), measured=measured)
@@ -285,8 +281,7 @@ BEYOND = 2.0
 
 
 def warn_beyond(model: Any, strain: Callable[[], float]) -> None:
-    """Warn when a solution is strained far beyond the model's training data; `strain` is called
-    where needed."""
+    """Warn when a solution is strained far beyond the training data; `strain` computes it."""
     if model.trained_strain is None:
         return
     largest = strain()

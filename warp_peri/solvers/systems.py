@@ -100,8 +100,7 @@ class MatrixProblem:
             ) from None
 
     def inverse(self, right: np.ndarray, tolerance: float) -> np.ndarray:
-        """Solution L_II⁻¹ b of a load on the unknown nodes [I, d]; exact, whatever the
-        tolerance."""
+        """Solution L_II⁻¹ b of a load on unknown nodes [I, d]; exact, whatever the tolerance."""
         return np.asarray(self.factors.solve(right.ravel()).reshape(right.shape))
 
     def check(self, solution: np.ndarray, right: np.ndarray) -> None:
@@ -143,8 +142,7 @@ def smallest_eigenvalue(symmetric: sp.csc_array | LinearOperator) -> float:
 
 
 def lanczos_start(size: int) -> np.ndarray:
-    """Start vector of Lanczos iterations, [size], the same every time; unlike ones without
-    symmetry, so not orthogonal to half of a symmetric body's modes."""
+    """Start vector of Lanczos iterations, the same every time, without a body's symmetries."""
     return np.random.default_rng(0).standard_normal(size)
 
 
@@ -177,8 +175,7 @@ Field = Callable[[Any], Any]
 
 
 class Inner(NamedTuple):
-    """Scalar product, norm, and largest absolute value of fields; u += a p in place of (u, a,
-    p)."""
+    """Scalar product, norm, largest absolute value of fields; u += a p in place."""
 
     dot: Callable[[Any, Any], float]
     norm: Callable[[Any], float]
@@ -286,8 +283,7 @@ Residual = Callable[[np.ndarray], np.ndarray]
 
 
 def newton(residual: Residual, start: np.ndarray, tolerance: float) -> np.ndarray:
-    """Find a zero of a preconditioned residual, near the identity times what is missing, to a
-    tolerance as far as it comes."""
+    """Find a zero of a preconditioned residual, near the identity, as far as it comes."""
     v, r = start, residual(start)
     size = HERE.norm(r)
     for _ in range(MOST):

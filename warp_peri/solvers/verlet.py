@@ -31,8 +31,7 @@ PROBE, SMALL = np.array([[1.3, -0.7, 2.1], [0.4, 1.9, -1.1], [-2.3, 0.6, 0.9]]),
 
 
 def stiffest_of(law: Any, spacing: float, allow_uncertified: bool) -> float:
-    """Largest symbol eigenvalue of a law of tensors, which is for one spacing and needs its
-    proof."""
+    """Largest symbol eigenvalue of a law of tensors, for its own spacing, which needs a proof."""
     offered(law, "max_symbol_eigenvalue", "critical_time_step", "a linear solid or a crystal")
     stencil_of(law, spacing, "critical_time_step")
     if not (allow_uncertified or (law.certificate or law.certified().certificate).holds):
@@ -194,9 +193,8 @@ def started(
     step: float,
     steps: int,
 ) -> tuple[Any, Inert, State]:
-    """Check the arguments of `march`; returns nodes of this process, the moving body and its start.
-    `fields` are u, v and b, shape [N, d]; None for zero. The rest, and errors, are as of
-    `march`."""
+    """Check the arguments of `march`, `fields` u, v and b, [N, d], None for zero; returns nodes of
+    this process, the moving body and its start."""
     points: Any = operator.points
     nodes: Any = points if is_piece(points) else AllNodes(len(points.x))
     with agreed(nodes.comm):
@@ -285,8 +283,7 @@ class WaveRun(Recorder):
         }
 
     def motion(self, state: State) -> Motion:
-        """Motion recorded so far; InputError for unbounded growth, a warning for strains that the
-        step is not proven for."""
+        """Motion so far; InputError for unbounded growth, warns beyond the proven strain."""
         if not np.isfinite(state.u).all():
             raise InputError(
                 f"step: the motion grew without bound in {state.steps} steps; shorten it"
