@@ -20,10 +20,10 @@ from tests.crystal import crystals
 from tests.support.materials import LAWS, hyperelastic, solved_samples
 from tests.support.nonlinear import solid
 from tests.support.plates import plate
-from tests.support.problems import kernel, lattice, smooth
+from tests.support.problems import kernel, lattice, loaded, smooth
 from tests.support.solving import solve
 from tests.support.symbols import fluctuation, noisy, waves
-from warp_peri import Dataset, InputError, Samples, load
+from warp_peri import Dataset, InputError, load
 from warp_peri.cli.commands import solver_of
 from warp_peri.cli.main import COMMANDS, main, parse, parser_of
 from warp_peri.cli.train import atom_forces
@@ -366,12 +366,8 @@ def test_every_law_is_fitted_at_the_shell(kind, tmp_path, capsys):
     C[1, 1, 1, 1] *= 1.3
     law = fit_dispersion(crystals.dispersive(C), 1.5, 3.0, symmetry="2mm", tensor=C)
     points = crystals.lattice(2, 14, 8, law.spacing)
-    sets = {}
-    for seed, name in enumerate(("train", "val")):
-        u = 1e-3 * smooth(points.x, 8, seed, wave_number=0.25)
-        b = np.zeros_like(u)
-        b[:, points.interior] = law.on(points)(u)
-        sets[name] = Samples(points, u, b)
+    fields = {"train": smooth(points.x, 8, 0, 0.25), "val": smooth(points.x, 8, 1, 0.25)}
+    sets = {name: loaded(law.on(points), 1e-3 * u) for name, u in fields.items()}
     save_dataset(tmp_path / "crystal.h5", Dataset(sets, 3.35, 2200.0))
     words = ["fit", tmp_path / "crystal.h5", "--out", tmp_path, "--horizon", law.horizon]
     words += ["--degree", 3] if kind == "lps" else ["--law", kind]
@@ -398,7 +394,7 @@ def test_every_command_answers_or_refuses_whatever_the_law(name, tmp_path, capsy
     wp.save(tmp_path / "m.json", EACH[name]())
     if name in LAWS:
         points = LAWS[name].points(4)
-        samples = solved_samples(LAWS[name], EACH[name]().on(points), points)
+        samples = solved_samples(EACH[name]().on(points))
     else:
         samples = wp.Samples(lattice(4, 2.0), np.zeros((1, 144, 2)), np.zeros((1, 144, 2)))
     wp.save(tmp_path / "d.h5", wp.Dataset({"test": samples}, 3.35, 2200.0))

@@ -10,7 +10,7 @@ import warp_peri as wp
 from tests.conformance.test_breaking import CRACK, SOLIDS, points_of
 from tests.support.materials import LAWS, SPREAD, placed, solved_samples, uneven
 from tests.support.plates import plate
-from tests.support.problems import kernel, lattice
+from tests.support.problems import kernel, lattice, loaded
 from tests.support.sheets import waves
 from warp_peri.diffusion import DiffusionMaterial
 from warp_peri.fracture import Cracked
@@ -69,7 +69,7 @@ def test_a_force_a_solve_and_a_motion(name, scale):
     near(twin.stress(length * u), op.stress(u) * stress, 1e-9)
     if law.energy:
         near(twin.energy(length * u), op.energy(u) * stress * length**2, 1e-9)
-    samples = solved_samples(law, op, points)[:1]
+    samples = solved_samples(op)[:1]
     b = samples.b * stress / length
     errors = wp.evaluate(twin, wp.Samples(there, length * samples.u, b))
     assert errors["E_res"] < 1e-9
@@ -132,13 +132,9 @@ def test_another_lattice(scale):
     material = dataclasses.replace(SOLID, certificate={"1": bound})
     other, length, stress = resized(material, scale)
     points = lattice(6, 5.0, 0.5)
-    op = material.on(points)
-    u = uneven(points)
-    b = np.zeros_like(u)
-    b[points.interior] = op(u)
-    there = larger(points, length)
-    found = wp.solve(other, wp.Dirichlet(there, b * stress / length, length * u))
-    near(found.u, length * u, 1e-4)
+    made, there = loaded(material.on(points), uneven(points, 1)), larger(points, length)
+    found = wp.solve(other, wp.Dirichlet(there, made.b * stress / length, length * made.u))
+    near(found.u, length * made.u, 1e-4)
     assert found.proven
 
 

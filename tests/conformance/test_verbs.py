@@ -18,8 +18,8 @@ pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning")
 
 
 def of(name, side=2, copies=1):
-    op, points = placed(name, side)
-    one = solved_samples(LAWS[name], op, points)
+    op, _ = placed(name, side)
+    one = solved_samples(op)
     return LAWS[name].material(), op, replace(one, u=np.tile(one.u, (copies, 1, 1)),
                                               b=np.tile(one.b, (copies, 1, 1)))  # fmt: skip
 

@@ -12,7 +12,7 @@ from ase.calculators.lj import LennardJones
 import warp_peri as wp
 from tests.crystal.crystals import cubic_tensor, dispersive, huang_defect, lattice, learned
 from tests.support import cubes
-from tests.support.problems import kernel
+from tests.support.problems import kernel, loaded
 from tests.support.problems import lattice as plane_lattice
 from warp_peri.atoms.force_constants import NonAnalyticCorrection, Supercell, from_supercell
 from warp_peri.atoms.phonons import from_calculator
@@ -21,7 +21,6 @@ from warp_peri.errors import InputError
 from warp_peri.materials.crystal import crystal_from_lps
 from warp_peri.materials.crystal_fit import fit_dispersion, fit_phonons, transfer_to_lattice
 from warp_peri.methods import GaussNewton
-from warp_peri.points.points import Samples
 
 
 def fit(samples, horizon, **asked):
@@ -35,9 +34,7 @@ def waves(law, points, count):
     k, phase = rng.normal(size=(count, 6, d)), rng.uniform(0, 6, (count, 6, 1))
     k *= rng.uniform(0.05, 2.0, (count, 6, 1)) / law.spacing / np.linalg.norm(k, axis=2)[..., None]
     u = np.einsum("swn,swi->sni", np.cos(k @ points.x.T + phase), rng.normal(size=(count, 6, d)))
-    b = np.zeros_like(u)
-    b[:, points.interior] = law.on(points)(u)
-    return Samples(points, u, b)
+    return loaded(law.on(points), u)
 
 
 @pytest.mark.parametrize("d", [2, 3])

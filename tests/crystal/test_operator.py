@@ -58,7 +58,6 @@ REFUSED = {
     "coordinates": lambda law, p: learned(2).on(p),
     "cut bonds: .*; give a collar": lambda law, p: random_law(3, 3.0).on(p),
     "stands at 20°": lambda law, p: law.on(replace(p, axis=checked_orientation(20.0, 3))),
-    "sine is for boxes": lambda law, p: law.on(p).linear.solve(p.x, p.x, 1e-9, "sine"),
     "expected symmetric matrices": lambda law, p: law.on(p).at({"tensors": np.triu(law.tensors)}),
     "the operator on these .* nodes is indefinite": lambda law, p: (
         replace(law, tensors=-law.tensors).on(p).solve(0 * p.x, p.x)

@@ -98,8 +98,6 @@ def test_a_checkpoint_says_what_differs_and_goes_on_under_the_same_history_of_lo
     ):
         with pytest.raises(InputError, match=f"what differs: {words}$"):
             march(slow, **how)
-    with pytest.raises(InputError, match="at least the 3 taken before, got 2"):
-        march(slow, steps=2)
     changed = lambda t: slow(t) * later(t)  # later than the checkpoint
     resumed, options = march(changed, steps=6), {"every": 1}
     assert march(changed, steps=6).u.numpy().tobytes() == resumed.u.numpy().tobytes()

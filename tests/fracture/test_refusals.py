@@ -4,7 +4,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-import torch
 
 from examples.inclusion import Mixed
 from tests.support.bodies import plate, pulled, solid
@@ -25,7 +24,6 @@ CORRECTED = dataclasses.replace(PROBLEM, corrected=True)
 BY_ENERGY = dataclasses.replace(solid(), critical_stretch=None, critical_energy=1.0)
 WILD, SOFT = kernel("sign-changing", 3.0), BondLaw(2.0, 0.05, 0.02)
 HELD = np.repeat(ENDS[:, None], 2, axis=1)
-LEAF = torch.zeros(X.shape).double().requires_grad_()
 
 
 def at_rest(solver=None, **given):
@@ -72,7 +70,6 @@ REFUSED = {
     "radii: expected 0 ≤ smaller < larger by a spacing of 1 or more, up to 5.5": j_at((0, 0), 9),
     "grip: expected held components": lambda: BreakingBody(solid(), BODY, grip=X),
     "section far: expected .* that bonds": lambda: CrackRun(pulled(), step=1e-6, sections=FAR),
-    "expected tensors without a gradient": moving(solid(), Cracked(POINTS, LEAF)),
     "corrected: expected slow growth": moving(solid(), CORRECTED, loads=[1.0], line=LINE),
     "corrected: .* whose bonds break at a stretch": moving(BY_ENERGY, CORRECTED),
     "at_horizon: expected": lambda: BondLaw(1.0).at_horizon(2.0),

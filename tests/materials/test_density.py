@@ -9,6 +9,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import warp_peri as wp
+from tests.support.problems import loaded
 from warp_peri import InputError
 
 LAM, MU = 0.4, 0.9
@@ -80,9 +81,7 @@ def test_parameters_are_found_again(name, loss):
     rng = np.random.default_rng(0)
     true = wp.DensityMaterial.of(energy, 0.5, parameters, dimension=d)
     u = 0.02 * rng.normal(size=(2, *points.x.shape)) + 0.05 * points.x
-    b = np.zeros_like(u)
-    b[:, points.interior] = true.on(points)(u)
-    samples = wp.Samples(points, u, b)
+    samples = loaded(true.on(points), u)
     start = {key: 1.3 * value for key, value in parameters.items()}
     found = wp.fit(samples, wp.Density(energy, 0.5, start, loss)).material
     for key, value in parameters.items():

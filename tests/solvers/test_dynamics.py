@@ -116,8 +116,8 @@ def test_waves_go_on_from_a_checkpoint_with_the_same_bits_and_go_to_paraview(tmp
     model, points = kernel("positive", 2.5, lam=-0.2), lattice(ell(), 2.5)
     operator, u, v, b = model.on(points), *(noise(points, seed=seed) for seed in range(3))
     dt = 0.9 * critical_time_step(model, spacing=points.spacing, density=DENSITY)
-    options, path = {"v": v, "density": DENSITY, "step": dt, "every": 3}, tmp_path / "run.h5"
-    files = {"checkpoint": path, "checkpoint_every": 1, "series": tmp_path / "s"}
+    options = {"v": v, "density": DENSITY, "step": dt, "every": 3}
+    files = {"checkpoint": tmp_path / "run.h5", "checkpoint_every": 1, "series": tmp_path / "s"}
     march(operator, b, u, **options, **files, steps=10)
     resumed = march(operator, b, u, **options, **files, steps=25)
     straight = march(operator, b, u, **options, steps=25)
@@ -128,12 +128,7 @@ def test_waves_go_on_from_a_checkpoint_with_the_same_bits_and_go_to_paraview(tmp
     for name in ("u", "v", "energy"):
         assert getattr(resumed, name).tobytes() == getattr(straight, name).tobytes()
     assert (tmp_path / "s" / "motion.xdmf").read_text().count("<Time ") == len(straight.time)
-    with pytest.raises(InputError, match="expected a checkpoint of this motion"):
-        march(operator, b, 2 * u, **options, **files, steps=25)
     with pytest.raises(InputError, match="at least the 25 taken before, got 20"):
         march(operator, b, u, **options, **files, steps=20)
     with pytest.raises(InputError, match="record: expected nodes 0 to .*, got -1, 3"):
         march(operator, b, u, **options, steps=2, record=[3, -1])
-    path.write_bytes(b"no HDF5")
-    with pytest.raises(InputError, match="run.h5: not a readable checkpoint"):
-        march(operator, b, u, **options, **files, steps=25)

@@ -11,7 +11,7 @@ import warp_peri as wp
 from examples.own_law import Springs
 from tests.support import cubes
 from tests.support.nonlinear import psi, solid
-from tests.support.problems import AXIS, difference, kernel, lattice, periodic
+from tests.support.problems import AXIS, difference, kernel, lattice, loaded, periodic
 from tests.support.sheets import NEAREST, SPACING, waves
 from warp_peri.core.elastic import point_group, shared_with_nodes
 from warp_peri.core.stencil import invariant_basis
@@ -202,12 +202,8 @@ def uneven(points, samples=None):
     return fields if samples else fields[0]
 
 
-def solved_samples(law, op, points):
-    """Samples that the law's own operator is in equilibrium with."""
-    u = uneven(points, 2)
-    b = np.zeros_like(u)
-    b[:, points.interior] = op(u)
-    return wp.Samples(points, u, b)
+def solved_samples(op):
+    return loaded(op, uneven(op.points, 2))
 
 
 def scattered():

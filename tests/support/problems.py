@@ -74,13 +74,16 @@ def smooth(x, samples, seed=0, wave_number=1.2):
     return np.einsum("swn,swa->sna", waves, amplitude)
 
 
+def loaded(operator, u):
+    """Fields [S, N, d] and the loads that hold them."""
+    b = np.zeros_like(u)
+    b[:, operator.points.interior] = operator(u)
+    return Samples(operator.points, u, b)
+
+
 def manufactured(model, points, samples, seed=0, wave_number=1.2, **options):
     """Samples in exact equilibrium with a model: any smooth u, and b = L u."""
-
-    u = smooth(points.x, samples, seed, wave_number)
-    b = np.zeros_like(u)
-    b[:, points.interior] = model.on(points, **options)(u)
-    return Samples(points, u, b)
+    return loaded(model.on(points, **options), smooth(points.x, samples, seed, wave_number))
 
 
 STENCILS = {2: (1 / 2,), 8: (4 / 5, -1 / 5, 4 / 105, -1 / 280)}

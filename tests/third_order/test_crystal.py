@@ -9,7 +9,7 @@ import warp_peri as wp
 from tests.crystal.crystals import cubic_tensor, dispersive
 from tests.support.clouds import cloud
 from tests.support.nonlinear import FORMS, TENSOR, solid
-from tests.support.problems import lattice, smooth
+from tests.support.problems import lattice, loaded, smooth
 from warp_peri import Crystal, InputError, ThirdOrder
 from warp_peri.core.elastic import voigt
 from warp_peri.materials.crystal_fit import fit_dispersion
@@ -20,12 +20,8 @@ REACH = 3.0
 POINTS = replace(lattice(11, REACH), axis=20.0)
 
 
-def loaded(law, size, count):
-    """Smooth fields in equilibrium with a law."""
-    u = size * smooth(POINTS.x, count, 0, wave_number=0.8)
-    b = np.zeros_like(u)
-    b[:, POINTS.interior] = law.on(POINTS)(u)
-    return wp.Samples(POINTS, u, b)
+def made(law, size, count):
+    return loaded(law.on(POINTS), size * smooth(POINTS.x, count, 0, wave_number=0.8))
 
 
 def test_on_other_spacings_and_in_other_units_it_keeps_what_is_the_materials():
@@ -63,7 +59,7 @@ def test_what_made_the_data_is_found_again(form):
     law = solid(form)
     recipe = ThirdOrder(Crystal(REACH, moduli=voigt(TENSOR)), law.smoothing, form)
     with pytest.warns(UserWarning, match=r"the training data reach .*; a larger ridge"):
-        found = wp.fit(loaded(law, 0.05, 6), recipe)
+        found = wp.fit(made(law, 0.05, 6), recipe)
     model = found.material
     assert found.history["largest_gradient"] > model.proven_strain(1.0)
     np.testing.assert_allclose(model.numbers, law.numbers, rtol=1e-6)
@@ -98,9 +94,9 @@ REFUSED = {
     "smoothing": lambda law: ThirdOrder(LINEAR, None),
     "linear: expected Crystal, got LPS": lambda law: ThirdOrder(wp.LPS(REACH), SMOOTHED),
     "moduli: expected some": lambda law: wp.fit(
-        loaded(law, 0.01, 1), ThirdOrder(Crystal(REACH, moduli=None), SMOOTHED)
+        made(law, 0.01, 1), ThirdOrder(Crystal(REACH, moduli=None), SMOOTHED)
     ),
-    "one set": lambda law: wp.fit(2 * [loaded(law, 0.01, 1)], ThirdOrder(LINEAR, SMOOTHED)),
+    "one set": lambda law: wp.fit(2 * [made(law, 0.01, 1)], ThirdOrder(LINEAR, SMOOTHED)),
 }
 
 

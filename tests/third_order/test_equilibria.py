@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.nonlinear import FORMS, solid
-from tests.support.problems import ell, lattice, smooth
+from tests.support.problems import ell, lattice, loaded, smooth
 from warp_peri import Dirichlet, InputError, Newton, solve
 from warp_peri.solvers import equilibria, linear, systems
 
@@ -15,10 +15,8 @@ from warp_peri.solvers import equilibria, linear, systems
 def problem(model, size, interior=7):
     """A smooth field and the load that holds it."""
     points = replace(lattice(interior, 3.0), axis=0.0)
-    u = size * smooth(points.x, 1, 0, wave_number=0.5)[0]
-    b = np.zeros_like(u)
-    b[points.interior] = model.on(points)(u)
-    return points, u, b
+    made = loaded(model.on(points), size * smooth(points.x, 1, 0, wave_number=0.5))
+    return points, made.u[0], made.b[0]
 
 
 @pytest.mark.parametrize("form", FORMS)
