@@ -22,11 +22,11 @@ U = 0.2 * RANDOM.normal(size=(9, 30, 2))
 GRAIN = {"node_area": 9.0, "thickness": 3.35}
 
 
-def frame(x, step=0, columns="id type x y z"):
+def frame(x, step=0, columns="id type x y z", box=BOX):
     """A frame as LAMMPS writes it, its atoms in any order."""
     order = np.random.default_rng(step).permutation(len(x))
     lines = ["ITEM: TIMESTEP", f"{step}", "ITEM: NUMBER OF ATOMS", f"{len(x)}"]
-    lines += ["ITEM: BOX BOUNDS pp pp pp", f"0 {BOX[0]}", f"0 {BOX[1]}", "-5 5"]
+    lines += ["ITEM: BOX BOUNDS pp pp pp", f"0 {box[0]}", f"0 {box[1]}", "-5 5"]
     lines.append(f"ITEM: ATOMS {columns}")
     lines += [f"{i + 1} 1 {x[i, 0]:.12f} {x[i, 1]:.12f} 0" for i in order]
     return "\n".join(lines) + "\n"

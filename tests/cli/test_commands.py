@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
+from tests.atoms.test_dumps import frame
 from tests.conformance.test_breaking import SOLIDS
 from tests.crystal import crystals
 from tests.support.materials import LAWS, hyperelastic, solved_samples
@@ -174,14 +175,6 @@ def test_sweep_chooses_and_keeps_its_settings(data, tmp_path, capsys):
     assert tomllib.loads((tmp_path / "sweep.toml").read_text())["sweep"]["degrees"] == [1]
 
 
-def dump(path, positions):
-    lines = ["ITEM: TIMESTEP", "0", "ITEM: NUMBER OF ATOMS", f"{len(positions)}"]
-    lines += ["ITEM: BOX BOUNDS pp pp pp", "0 40", "0 40", "-5 5", "ITEM: ATOMS id type x y z"]
-    lines += [f"{i} 1 {x:.12f} {y:.12f} 0" for i, (x, y) in enumerate(positions, start=1)]
-    path.write_text("\n".join(lines) + "\n")
-    return path
-
-
 @pytest.fixture
 def sheet(tmp_path):
     """Words of coarse-grain for one load on a small body that was moved by [0.3, -0.1]."""
@@ -190,7 +183,9 @@ def sheet(tmp_path):
     force = np.random.default_rng(0).normal(size=x.shape)
     np.savez(tmp_path / "f.npz", force)
     np.savetxt(tmp_path / "f.csv", force, delimiter=",")
-    rest, moved = dump(tmp_path / "r.dump", x), dump(tmp_path / "l.dump", x + np.array([0.3, -0.1]))
+    rest, moved = tmp_path / "r.dump", tmp_path / "l.dump"
+    rest.write_text(frame(x, box=(40, 40)))
+    moved.write_text(frame(x + np.array([0.3, -0.1]), box=(40, 40)))
     words = ["coarse-grain", moved, "--reference", rest, "--out", tmp_path / "own.h5"]
     words += ["--spacing", 4, "--radius", 6, "--reach", 40, "--interior", 12]
     return [*words, "--force", tmp_path / "f.npz"]

@@ -37,27 +37,20 @@ def dispersive(tensor, length=1.0):
 
 
 @cache
-def learned(d, spacing=1.5, orientation=None, symmetry=None):
+def learned(d, orientation=None):
     """A certified law of a copper-like crystal."""
-    name, reach = CUBIC[d]
-    turn = checked_orientation(orientation, d)
-    tensor = np.einsum("ai,bj,ck,dl,ijkl->abcd", *[turn] * 4, cubic_tensor(d))
-    return fit_dispersion(
-        dispersive(tensor),
-        spacing,
-        spacing * reach,
-        symmetry=symmetry or name,
-        orientation=turn,
-        tensor=tensor,
-    )
+    (name, reach), turn = CUBIC[d], checked_orientation(orientation, d)
+    C = np.einsum("ai,bj,ck,dl,ijkl->abcd", *[turn] * 4, cubic_tensor(d))
+    how = {"symmetry": name, "orientation": turn, "tensor": C}
+    return fit_dispersion(dispersive(C), 1.5, 1.5 * reach, **how)
 
 
-def random_law(d, reach=2.0, spacing=1.5, symmetry="m-3m", seed=0):
+def random_law(d, reach=2.0, symmetry="m-3m"):
     """Tensors of a symmetry, of any sign, that are no crystal's."""
     name = symmetry if d == 3 else "4mm"
     bonds = invariant_basis(reach, shared_with_nodes(point_group(name, d), np.eye(d)))
-    p = np.random.default_rng(seed).normal(size=len(bonds.basis))
-    return CrystalMaterial(spacing, bonds.steps, np.tensordot(p, bonds.basis, 1), symmetry=name)
+    p = np.random.default_rng(0).normal(size=len(bonds.basis))
+    return CrystalMaterial(1.5, bonds.steps, np.tensordot(p, bonds.basis, 1), symmetry=name)
 
 
 def lattice(d, n, collar, spacing=1.5, ball=False, box=False):

@@ -33,7 +33,7 @@ SOLID = LPSMaterial(0.3, 0.8, 1.0, [0.4, 0.6, -0.3, 0.6, -0.2], horizon=3.0, cer
 def body(request):
     """A law of a turned crystal, a mesh, its held parts and the degree of its elements."""
     d = request.param
-    law = learned(d, orientation=TURNED[d], symmetry="4mm" if d == 2 else "m-3m")
+    law = learned(d, orientation=TURNED[d])
     make, held, degree = BODIES[d]
     return law, make(), held, degree
 

@@ -4,19 +4,16 @@ import numpy as np
 
 from warp_peri.materials.hyperelastic.energies import BONDS, KINDS, EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
-from warp_peri.points.points import Points, Samples
+from warp_peri.points.points import Points
 
 SPACING = 0.1
 NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
 
 
-def square(interior, *, spacing=SPACING, reach=3, u=None, b=None):
+def square(interior, *, spacing=SPACING):
     """Interior nodes a side and the collar they need."""
-    side = interior + 4 * reach
-    steps = np.argwhere(np.ones((side, side), bool))
-    inner = ((steps >= 2 * reach) & (steps < side - 2 * reach)).all(axis=1)
-    points = Points(spacing * steps, inner, spacing)
-    return points if u is None else Samples(points, u, b)
+    steps = np.argwhere(np.ones(2 * [interior + 12]))
+    return Points(spacing * steps, ((steps >= 6) & (steps < interior + 6)).all(axis=1), spacing)
 
 
 def everything():
@@ -31,14 +28,10 @@ def everything():
     return Hyperelastic(3.0, tuple(BONDS), (*NEAREST, (2, 0)), tuple(terms))
 
 
-def hgo_dictionary(*, deviations=NEAREST, angle=1.2):
+def hgo_dictionary():
     """A matrix and one exponential fibre family, with deviations against hourglasses."""
-    terms = (
-        EnergyTerm("neo_hookean"),
-        EnergyTerm("volumetric"),
-        EnergyTerm("fibre_exponential", angle, 1.5),
-    )
-    return Hyperelastic(3.0, (), deviations, terms)
+    kinds = ("neo_hookean",), ("volumetric",), ("fibre_exponential", 1.2, 1.5)
+    return Hyperelastic(3.0, (), NEAREST, tuple(EnergyTerm(*kind) for kind in kinds))
 
 
 def sheet_on(points, dictionary=None, c=None, thickness=None):

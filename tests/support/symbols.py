@@ -47,10 +47,10 @@ def smallest_margins(classes, conditions, v, kappa):
     )
 
 
-def waves(model, cells=6, period=19.0, highest=4):
+def waves(model, cells=6, highest=4):
     """Loads cos k₁x cos k₂y along each axis, answered exactly by the model; |u| ≈ 1 each."""
     points = lattice(cells, model.horizon)
-    k = np.array([(p, q) for p in range(highest) for q in range(highest)][1:]) * 2 * np.pi / period
+    k = np.array([(p, q) for p in range(highest) for q in range(highest)][1:]) * 2 * np.pi / 19
     k = np.repeat(k, 2, axis=0)
     D = symbol(model, k)
     load = np.tile(np.eye(2), (len(k) // 2, 1))
