@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support import clouds
-from tests.support.problems import LAM, MU, ORDER, fitted_order, kernel, lattice
+from tests.support.problems import LAM, MU, fitted_order, kernel, lattice
 from tests.support.solving import solve
 from warp_peri.certificates import check_solvability
 
@@ -73,7 +73,7 @@ def test_forces_converge_and_those_of_other_kernels_to_other_constants():
         for name, found in errors.items():
             force = kernel(name, 3 * spacing, spacing).on(points)(u)
             found.append(np.abs(force - b[points.interior]).max())
-    assert fitted_order(1 / NUMBERS, errors["1/r"]) >= ORDER
+    assert fitted_order(1 / NUMBERS, errors["1/r"]) >= 1.9
     assert fitted_order(1 / NUMBERS, errors["steep"]) < 0.5
 
 

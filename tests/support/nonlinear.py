@@ -25,7 +25,7 @@ def solid(form, horizon=3.0, spacing=1.0):
     return ThirdOrderMaterial(linear, *CONSTANTS, smoothing, form, horizon).certified()
 
 
-def psi(H, model, axis=AXIS):
+def psi(H, model):
     """Ψ of (N3) [TPa] at H, shape [..., 2, 2], with the small-strain energy taken off."""
     small = (H + np.swapaxes(H, -1, -2)) / 2
     E = small + np.swapaxes(H, -1, -2) @ H / 2
@@ -37,7 +37,7 @@ def psi(H, model, axis=AXIS):
 
     t = np.trace(E, axis1=-2, axis2=-1)
     q = (E[..., 0, 0] - E[..., 1, 1]) / 2 + 1j * E[..., 0, 1]
-    q = q * np.exp(-2j * axis)
+    q = q * np.exp(-2j * AXIS)
     cubic = model.t3 * t**3 + model.tq2 * t * np.abs(q) ** 2 + model.q3 * (q**3).real
     return harmonic(E) - harmonic(small) + cubic
 

@@ -1,4 +1,4 @@
-"""Problems defined once: lattices, kernels, fields, and the tolerances they are held to."""
+"""Problems defined once: lattices, kernels and fields."""
 
 import numpy as np
 
@@ -6,10 +6,6 @@ from warp_peri import LPSMaterial, Points, Samples
 
 ROUNDING = 1e-12
 """Two ways of computing the same number; relative to its size."""
-QUADRATURE = 1e-10
-"""Exactness that quadrature weights are accepted with."""
-ORDER = 1.9
-"""Least fitted order of what converges with the square of the spacing."""
 
 LAM, MU = 0.3, 0.8
 AXIS = 0.3

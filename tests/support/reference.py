@@ -11,9 +11,8 @@ def influence(r, horizon, alpha, D):
     return r**-alpha * sum(D[k] * comb(M, k) * t**k * (1 - t) ** (M - k) for k in range(M + 1))
 
 
-def monomials(degree=5, singularity=3):
-    """Exponents (a, b) of the reproducing space, (8)."""
-    return [(p - b, b) for p in range(singularity - 1, degree + 1) for b in range(p + 1)]
+MONOMIALS = [(p - b, b) for p in range(2, 6) for b in range(p + 1)]
+"""Exponents (a, b) of the reproducing space of degree 5, (8)."""
 
 
 def ball_integral(a, b, horizon):
@@ -26,8 +25,8 @@ def ball_integral(a, b, horizon):
 def quadrature(xi, horizon):
     """Weights of smallest norm among those exact on the reproducing space, (7)."""
     r = np.hypot(*xi.T)
-    rows = np.array([xi[:, 0] ** a * xi[:, 1] ** b / r**3 for a, b in monomials()])
-    exact = np.array([ball_integral(a, b, horizon) for a, b in monomials()])
+    rows = np.array([xi[:, 0] ** a * xi[:, 1] ** b / r**3 for a, b in MONOMIALS])
+    exact = np.array([ball_integral(a, b, horizon) for a, b in MONOMIALS])
     size = np.abs(rows).max(axis=1)
     return np.linalg.pinv(rows / size[:, None], rcond=1e-10) @ (exact / size)
 
