@@ -202,7 +202,7 @@ class OperatorBase(Remade):
         return np.asarray(of.spacing**of.dimension * (inner * (own / 2 + collar)).sum(axis=axes))
 
     def of_interior(self, w: Any) -> np.ndarray:
-        """w as fields on the interior nodes, [..., I, d]; InputError for another shape."""
+        """Check w as fields on the interior nodes, [..., I, d]; InputError for another shape."""
         values, one = plain("w", w), (int(self.points.interior.sum()), *self.shape[1:])
         if values.shape[-len(one) :] != one:
             raise InputError(f"w: expected shape [..., {one}], got {list(values.shape)}")
@@ -217,7 +217,7 @@ class OperatorBase(Remade):
 
 
 class Material(Protocol):
-    """A law with its numbers, as every module takes it."""
+    """A material: a law with its numbers, which is put on points and saved."""
 
     @property
     def dimension(self) -> int:

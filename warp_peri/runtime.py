@@ -204,12 +204,10 @@ def recorded(kernel: Any, dim: int, inputs: Sequence[Any], outputs: Sequence[Any
 
 
 class Shared:
-    """A kernel that shares its work out among threads, packed once.
-
-    Its first argument, which inputs leave out, counts what has been taken and done of so many
-    phases, see kernels/bonds.py; helpers `stay` in a kernel a while to serve what comes next. The
-    work is that of all phases, of a node being 1.
-    """
+    """A kernel that shares its work out among threads, packed once. Its first argument, which
+    inputs leave out, counts what has been taken and done of so many phases, see kernels/bonds.py;
+    helpers `stay` in a kernel a while to serve what comes next. The work is that of all phases, of
+    a node being 1."""
 
     def __init__(
         self,

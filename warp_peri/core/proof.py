@@ -225,11 +225,9 @@ def _positive(
     most: int,
 ) -> tuple[bool, int, np.ndarray | None]:
     """Whether a matrix function is proven positive definite on [−edge, edge]^n, the number of cells
-    (halved on failure), and a middle where it is not.
-
-    It may be rest · half² below its `affine` part about the middle of a cell, and `slack` for
-    rounding; `asked` tells which cells matter, and after `most` of them it is given up.
-    """
+    (halved on failure), and a middle where it is not. It may be rest · half² below its `affine`
+    part about the middle of a cell, and `slack` for rounding; `asked` tells which cells matter, and
+    after `most` of them it is given up."""
     corners, cells, half, seen = _corners(dimension), *_first_cells(edge, dimension), 0
 
     def states(half: float, some: np.ndarray) -> np.ndarray:

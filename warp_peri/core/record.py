@@ -126,11 +126,9 @@ def _fields_of(kind: Any) -> tuple[Field, ...]:
 
 
 class Record(Shown):
-    """Base of materials as values: checks, file, units, table; subclasses add checks and physics.
-
-    A class names its `format`, and its `version` where that is not the first. In `__post_init__` it
-    calls that of here first, which turns what is given into the types of the fields.
-    """
+    """Base of materials as values: checks, file, units, table; subclasses add checks and physics. A
+    class names its `format`, and its `version` where that is not the first. In `__post_init__` it
+    calls that of here first, which turns what is given into the types of the fields."""
 
     FORMAT: ClassVar[str]
     VERSION: ClassVar[int]

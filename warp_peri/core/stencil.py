@@ -399,7 +399,7 @@ def _check(points: Points, nodes: Grid, steps: np.ndarray, why: str) -> None:
 
 
 def complete(body: np.ndarray, steps: np.ndarray, r: int) -> np.ndarray:
-    """Which places of a body with r more have all their neighbours by some steps and back."""
+    """Whether each place of a body padded by r has all its neighbours by steps and −steps."""
     whole = np.ones([n - 2 * r for n in body.shape], bool)
     for step in np.concatenate([steps, -steps]):
         whole &= body[tuple(slice(r + s, n - r + s) for s, n in zip(step, body.shape))]
@@ -455,7 +455,7 @@ class ByRows:
 
 
 def row_pieces(places: np.ndarray, lanes: int, numbers: np.ndarray) -> np.ndarray:
-    """Runs of rising places and numbers cut to lanes: first place, first number, count [P, 3]."""
+    """Cut runs of rising places and numbers to lanes: first place, first number, count [P, 3]."""
     begin = np.flatnonzero(np.diff(places, prepend=-2) - 1 | np.diff(numbers, prepend=-2) - 1)
     length = np.diff(np.append(begin, len(places)))
     parts = -(-length // lanes)

@@ -82,13 +82,10 @@ def _no_place(path: Path) -> Iterator[None]:
 
 @contextmanager
 def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary path beside `path`; rename it to `path` on success, remove it on error.
-
-    A reader sees the old file, the new file or none, never half of one. The temporary file is
-    locked meanwhile, so HDF5 must write it with `locking=False`. The folder is created if it is
-    missing. A link stays, and what it points at is replaced. InputError for a path that is no
-    regular file.
-    """
+    """Yield a temporary path beside `path`; rename it to `path` on success, remove it on error. A
+    reader sees the old file, the new file or none, never half of one. The temporary file is locked
+    meanwhile, so HDF5 must write it with `locking=False`. The folder is created if it is missing. A
+    link stays, and what it points at is replaced. InputError for a path that is no regular file."""
     path = destination(path)
     with _no_place(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -153,13 +150,10 @@ def _remove_left(folder: Path, start: str = ".") -> None:
 
 @contextmanager
 def locked(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Hold a file or folder that is being written against every other job.
-
-    The lock is the operating system's, on a hidden file beside `path`: it ends with the process,
-    however that ends. Half-written files that a killed job left are removed. Raises InputError when
-    another job holds it, or where no file can be; and where the hidden file is a user's, with
-    something in it.
-    """
+    """Hold a file or folder that is being written against every other job. The lock is the
+    operating system's, on a hidden file beside `path`: it ends with the process, however that ends.
+    Half-written files that a killed job left are removed. Raises InputError when another job holds
+    it, or where no file can be; and where the hidden file is a user's, with something in it."""
     path = Path(os.path.realpath(path))
     beside = path.with_name(f".{path.name}.lock")
     with _no_place(path):

@@ -366,7 +366,7 @@ class TimeSeriesWriter:
         self.times: dict[str, float] = {}
 
     def write(self, step: int, time: float, fields: Mapping[str, np.ndarray]) -> None:
-        """Write one record; vectors in the plane get a third component."""
+        """Write one record of the motion; vectors in the plane get a third component."""
         name, data = f"record_{step:08d}", {key: in_space(value) for key, value in fields.items()}
         self._write(f"{name}.h5", data)
         if not (self.folder / "nodes.h5").exists() or not self.times:

@@ -91,11 +91,9 @@ def as_printed(
     keep: Callable[[], None] = lambda: None,
 ) -> None:
     """Run stage 2 of Algorithm 1: H_p = margin of condition p − ϖ_p², state and losses in place.
-
     Where the printed algorithm is inconsistent, |H| is what is tested, against 1e-5, and the
     multiplier term is φ_p H_p + (ψ/2) H_p², so that φ_p ← φ_p + ψ H_p is the ascent of the dual.
-    `tick` is called after every epoch, `keep` after every round.
-    """
+    `tick` is called after every epoch, `keep` after every round."""
     *variables, slack, multiplier, previous, penalty, done = state
 
     def objective() -> tuple[torch.Tensor, torch.Tensor]:

@@ -185,11 +185,9 @@ def _families(
     samples: Samples, operator: Any, drawn: np.ndarray, residual: float
 ) -> list[tuple[str, np.ndarray]]:
     """Forces of families at the drawn interior nodes, along the lattice's axes, [S, I, d, n]; of
-    heterogeneity what each node may weigh as it likes, [S, I, n]: strain, second differences.
-
-    Bonds of twice the horizon and products of three gradients are many: they get what single nodes
-    leave, where stresses of that order may be as large as the residual.
-    """
+    heterogeneity what each node may weigh as it likes, [S, I, n]: strain, second differences. Bonds
+    of twice the horizon and products of three gradients are many: they get what single nodes leave,
+    where stresses of that order may be as large as the residual."""
     d, h, u = samples.points.dimension, samples.spacing, samples.u
     model = getattr(operator.model, "linear", operator.model)
     stencil, group = stencil_of(model, h, "diagnose")

@@ -289,10 +289,8 @@ def gradients(samples: Samples, kept: np.ndarray, reach: int = REACH) -> np.ndar
 @torch.enable_grad()
 def _stresses(H: np.ndarray, turn: complex, count: int) -> list[np.ndarray]:
     """First Piola-Kirchhoff stress of each unit constant at H, those of λ and μ without H itself.
-
     The energies are powers of θ = tr E, q = dev E : dev E and z, half the deviator as a complex
-    number along the axis: λ, μ, θ³, θq, Re z³ and Im z³, θ⁴, θ²q, q², θ Re z³ and θ Im z³.
-    """
+    number along the axis: λ, μ, θ³, θq, Re z³ and Im z³, θ⁴, θ²q, q², θ Re z³ and θ Im z³."""
     at = torch.tensor(H, requires_grad=True)
     small = (at + at.mT) / 2
     E = small + at.mT @ at / 2

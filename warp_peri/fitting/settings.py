@@ -71,7 +71,7 @@ class StabilityConditions:
         return self.zeta
 
     def forms(self, kappa: Any, mu: Any, zeta: float | None = None) -> list[tuple[Any, float]]:
-        """κ of the form Γ + κφφᵗ of each condition, and its level; of numbers or tensors."""
+        """Coefficient κ of each stability condition's form Γ + κφφᵗ, and its level."""
         level = zeta or self.level
         forms = [(kappa, level)]
         if self.kind == "paper":  # Σ w r² = 1

@@ -86,7 +86,7 @@ class TensorOperator(OperatorBase):
 
     @property
     def learnable(self) -> dict[str, np.ndarray]:
-        """C(ξ) of one half of the bonds [stress/length²], [H, d, d], along the nodes' axes."""
+        """Tensors C(ξ) of half of the bonds [stress/length²], [H, d, d], along the nodes' axes."""
         return {"tensors": self.tensors}
 
     def at(self, numbers: Mapping[str, ArrayLike]) -> TensorOperator:

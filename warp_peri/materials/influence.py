@@ -86,7 +86,7 @@ class InfluenceFunction:
 
     @property
     def name(self) -> str:
-        """Name of the function."""
+        """Name of the influence function."""
         inner = getattr(self.function, "func", self.function)  # of a functools.partial
         return str(getattr(inner, "__name__", type(inner).__name__))
 
@@ -198,7 +198,7 @@ class InfluenceFunction:
         return LPSMaterial(lam, mu, 0.0, D, horizon, provenance=kept, units=units)
 
     def record(self, departure: float) -> dict[str, Any]:
-        """Provenance of the influence function, with the departure of its polynomial."""
+        """Provenance entry of an influence function, with its polynomial's departure."""
         values = {name: np.asarray(value).tolist() for name, value in self.parameters.items()}
         return {"function": self.name, "parameters": values, "departure": departure}
 

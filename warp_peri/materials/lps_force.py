@@ -305,7 +305,7 @@ def _pieces(places: np.ndarray, numbers: np.ndarray, lanes: int) -> wp.array[Any
 
 
 def bonds_of(model: LPSMaterial, points: PointsLike, degree: int = DEGREE) -> Bonds:
-    """The bonds of a model on points or their certified lattice; InputError for no volume."""
+    """The bonds of a model on points or their certified lattice; InputError as of Bonds."""
     make = partial(Bonds, model.certified_nodes(points), model.horizon, quadrature_degree=degree)
     try:
         bonds = make()

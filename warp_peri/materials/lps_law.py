@@ -64,7 +64,7 @@ def product_basis(classes: BondClasses) -> Basis:
 
 
 class Products:
-    """Forces of each product on samples on a lattice."""
+    """Linear operators of the products v and κ v v, applied to samples on a lattice."""
 
     def __init__(
         self, samples: Samples, horizon: float, *, quadrature_degree: int = DEGREE

@@ -502,7 +502,7 @@ def node_fields(model: LPSMaterial, points: PointsLike, u: ArrayLike) -> NodeFie
     sums = sp.csr_array(entries, shape=(len(inside), len(place)))
 
     def total(values: np.ndarray) -> np.ndarray:
-        """Sum over each family: [E, …] → [I, …]."""
+        """Sum of bond values over each family: [E, …] → [I, …]."""
         flat = sums @ values.reshape(len(place), -1)
         return np.asarray(flat.reshape(len(inside), *values.shape[1:]))
 

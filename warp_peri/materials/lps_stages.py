@@ -121,12 +121,10 @@ def total_loss(terms: Sequence[OperatorLoss], values: Sequence[torch.Tensor]) ->
 
 
 class Variables:
-    """λ, μ, α, D as torch leaves for Adam, λ and μ in a unit that suits its steps.
-
-    The loss sees ReLU(μ), ReLU(λ + μ) − ReLU(μ), 3 − ReLU(3 − α) and, for a positive kernel,
-    ReLU(D), as printed (4.8). A ReLU has no gradient once its argument is negative, and λ + μ,
-    which every run drives to zero early in stage 1, stays there for good.
-    """
+    """λ, μ, α, D as torch leaves for Adam, λ and μ in a unit that suits its steps. The loss sees
+    ReLU(μ), ReLU(λ + μ) − ReLU(μ), 3 − ReLU(3 − α) and, for a positive kernel, ReLU(D), as printed
+    (4.8). A ReLU has no gradient once its argument is negative, and λ + μ, which every run drives
+    to zero early in stage 1, stays there for good."""
 
     def __init__(self, start: LPSParameters, unit: float, *, positive: bool = False) -> None:
         self.unit, self.positive = unit, positive
@@ -330,13 +328,10 @@ GAIN = 1e-5
 
 
 class WaveResponse:
-    """Displacement amplitudes at the loads' own wave vectors, all nodes projected on them.
-
-    A load B cos k₁x cos k₂y along x is answered by (U cos cos, −V sin sin), D(k) (U, V)ᵗ = (B, 0)ᵗ,
-    and loads with sines in place of cosines by such waves with the same D(k). Other parts of the
-    field do not count. Raises InputError for a sample without load or displacement at its wave
-    vector.
-    """
+    """Displacement amplitudes at the loads' own wave vectors, all nodes projected on them. A load B
+    cos k₁x cos k₂y along x is answered by (U cos cos, −V sin sin), D(k) (U, V)ᵗ = (B, 0)ᵗ, and
+    loads with sines in place of cosines by such waves with the same D(k). Other parts of the field
+    do not count. Raises InputError for a sample without load or displacement at its wave vector."""
 
     def __init__(self, made: Products) -> None:
         points, self.classes, self.bonds = made.samples, made.classes, made.bonds
@@ -362,11 +357,9 @@ class WaveResponse:
 
 
 class CollarResponse:
-    """Displacement on the interior, solved with the loads and the displacement of the collar.
-
-    Noise in the collar's displacement biases it. Raises InputError for a sample without
-    displacement on its interior.
-    """
+    """Displacement on the interior, solved with the loads and the displacement of the collar. Noise
+    in the collar's displacement biases it. Raises InputError for a sample without displacement on
+    its interior."""
 
     def __init__(self, made: Products) -> None:
         self.points, self.products = made.samples, made

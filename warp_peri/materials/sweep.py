@@ -147,7 +147,7 @@ def sweep(
 
 
 def choose(trials: list[Trial]) -> SweepResult:
-    """Choose by Algorithm 2 and by cost among finished trials."""
+    """Choose among finished trials by Algorithm 2, as printed and by cost."""
     degrees = sorted({trial.degree for trial in trials})
     by_degree = [
         min((t for t in trials if t.degree == degree), key=lambda t: t.E_res_train)

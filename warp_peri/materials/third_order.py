@@ -98,11 +98,9 @@ class Smoothing:
         self, classes: BondClasses, form: str = "filtered"
     ) -> tuple[np.ndarray, np.ndarray]:
         """Weights p_in and p_out of the bond classes of a lattice [1/length²], each of shape [C].
-
         Of the energy form both fit the root (N23) over all waves that the lattice has, |k_a| ≤ π/h.
         Of the filtered one (N6) they fit the Wiener inverse there, the exact inverse and the
-        transform over |k_a| ≤ CORE / R.
-        """
+        transform over |k_a| ≤ CORE / R."""
         zone = np.pi / classes.spacing
         if form == "energy":
             return 2 * (fitted_weights(classes, self.root, zone),)
@@ -115,11 +113,9 @@ def fitted_weights(
     classes: BondClasses, factor: Callable[[np.ndarray], np.ndarray], reach: float
 ) -> np.ndarray:
     """Fit weights p [1/Å²], Σ n r² p = 1, whose symbol 2 Σ p sin(k·ξ) ξ is near k factor(|k|) over
-    the square |k_a| ≤ reach [1/Å].
-
-    Errors count as those of the gradient under a unit load, which displaces by 1/|k|², and wave
-    numbers alike: |k|^(−5/2) has the least residual on training loads that were held out.
-    """
+    the square |k_a| ≤ reach [1/Å]. Errors count as those of the gradient under a unit load, which
+    displaces by 1/|k|², and wave numbers alike: |k|^(−5/2) has the least residual on training loads
+    that were held out."""
     sigma = classes.count * classes.r**2
     member = np.eye(len(classes.r))[classes.bond_class]
     line = np.linspace(-reach, reach, GRID)
@@ -281,7 +277,7 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
             )
 
     def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
-        """Figures of the proof in other units: the strain, which has none."""
+        """Proof in other units: the proven strain alone, which has no unit."""
         return {"proven": {k: v for k, v in self.proven.items() if k == "strain"}}
 
     def rows(self) -> list[tuple[str, str]]:
@@ -316,7 +312,7 @@ class PlacedThirdOrder(Pointwise):
 
     @cached_property
     def straight(self) -> Any:
-        """Linear operator alone, on the same nodes."""
+        """Operator of the linear part alone, on the same nodes."""
         return self.model.linear.on(self.points)
 
     def at(self, numbers: Mapping[str, Any]) -> PlacedThirdOrder:
@@ -351,16 +347,14 @@ class PlacedThirdOrder(Pointwise):
         return inverse
 
     def figures(self, solution: Solution) -> dict[str, Any]:
-        """Linear solves of solutions, and whether they are proven unique, for `evaluate`."""
+        """Number of linear solves, and whether answers are proven unique, for `evaluate`."""
         return figures_of(solution.details)
 
     def solve(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
-        """Equilibrium with b [stress/length] on the interior, u given on the collar, [N, 2] or [S,
-        N, 2], by Newton(…); its details are one NonlinearRecord for each sample.
-
-        Warns where |H| exceeds the proven strain, so that another solution is not ruled out. Raises
-        InputError for arrays that do not fit, and where no equilibrium is found.
-        """
+        """Equilibrium with b [stress/length] on the interior, u given on the collar, [N, 2] or
+        [S, N, 2], by Newton(…); its details are one NonlinearRecord for each sample. Warns where
+        |H| exceeds the proven strain, so that another solution is not ruled out. Raises InputError
+        for arrays that do not fit, and where no equilibrium is found."""
         proven = self.model.proven_strain(self.points.spacing)
         return equilibria_of(self, b, u, solver, proven)
 
@@ -395,11 +389,9 @@ class ThirdOrder:
         self, samples: Samples | Dataset | Sequence[Samples], *, progress: bool | None = None
     ) -> Fit:
         """Learn crystal and constants by one least squares (N28–N29); each sample counts by 1/‖b‖.
-
         The fit's errors have the mean relative training residual, E_res, its history the largest
         |H|, warned of where it is beyond the proven strain. Raises InputError for samples that do
-        not carry twice the horizon, do not determine the law, or have no load.
-        """
+        not carry twice the horizon, do not determine the law, or have no load."""
         begin, (asked, smoothing) = time.perf_counter(), (self.linear, self.smoothing)
         if asked.moduli is None:
             raise InputError("moduli: expected some that are held, beside third-order constants")

@@ -225,11 +225,9 @@ def _written(provenance: Any) -> str:
 
 
 def save_dataset(path: str | os.PathLike[str], dataset: Dataset) -> None:
-    """Write `dataset` to an HDF5 file, whole or not at all, with its units and a content hash.
-
-    The layout's structure is checksummed (HDF5 1.10) and strings have fixed length, since the HDF5
-    library can hang on a damaged heap of strings.
-    """
+    """Write `dataset` to an HDF5 file, whole or not at all, with its units and a content hash. The
+    layout's structure is checksummed (HDF5 1.10) and strings have fixed length, since the HDF5
+    library can hang on a damaged heap of strings."""
     length, stress = dataset.units
     attributes = {"format": FORMAT, "version": VERSION}
     attributes |= {"length_unit": length, "stress_unit": stress}

@@ -242,11 +242,9 @@ def _lacking_collar(
 
 
 def carried_horizon(points: PointsLike) -> float:
-    """Horizon [Å] below which every interior node of a lattice has its families out to 2δ.
-
-    Half the distance from the interior to the nearest place of the lattice without a node; on a
-    periodic sheet a quarter of the smaller period.
-    """
+    """Horizon [Å] below which every interior node of a lattice has its families out to 2δ. Half the
+    distance from the interior to the nearest place of the lattice without a node; on a periodic
+    sheet a quarter of the smaller period."""
     h = points.spacing
     if points.box is not None:
         return float(min(points.box)) / 4
@@ -261,10 +259,8 @@ def neighbour_table(
     grid: np.ndarray, steps: np.ndarray, size: np.ndarray | None = None
 ) -> np.ndarray:
     """The node at each of steps [B, d] from nodes at lattice steps [N, d], −1 where there is none:
-    [N, B] int32. `size` are periods in lattice steps, more than twice the longest step.
-
-    Raises InputError for nodes given twice.
-    """
+    [N, B] int32. `size` are periods in lattice steps, more than twice the longest step. Raises
+    InputError for nodes given twice."""
     reach = int(np.abs(steps).max())
     if size is None:
         grid = grid - grid.min(axis=0) + reach

@@ -457,7 +457,7 @@ def nodes_of(given: PointsLike) -> Points:
 
 
 def lattice_steps(points: PointsLike) -> Lattice:
-    """`Points.lattice` of points or samples."""
+    """Lattice steps and axes of points or samples, as Points.lattice."""
     return nodes_of(points).lattice
 
 

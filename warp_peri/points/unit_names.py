@@ -100,11 +100,9 @@ def check_same(model: Units, points: Units) -> None:
 
 
 def search_length(units: Units, horizon: float) -> float:
-    """Unit of length that a search works in, in that of `units`, for a horizon in it.
-
-    Starts, steps, bounds and tolerances of a search are numbers. It works in Å whatever the data
-    are in, so that it finds the same in any units; of horizons of another size than usual in powers
-    of 2⁶ of it, to the bits of these.
-    """
+    """Unit of length that a search works in, in that of `units`, for a horizon in it. Starts,
+    steps, bounds and tolerances of a search are numbers. It works in Å whatever the data are in, so
+    that it finds the same in any units; of horizons of another size than usual in powers of 2⁶ of
+    it, to the bits of these."""
     known = LENGTHS.get(units[0], 1.0)
     return math.ldexp(1.0, 6 * round(math.log2(horizon * known / USUAL_HORIZON) / 6)) / known

@@ -303,12 +303,10 @@ def stable_way(
 def descend(
     solid: Any, u: np.ndarray, tolerance: float, *, near: Inner | None = None, shifts: bool = False
 ) -> tuple[np.ndarray | None, int]:
-    """Minimise the potential down from u; returns the field, or None, and Newton's steps.
-
-    Without shifts it also ends where the tangent is not positive definite: the branch of stable
-    equilibria that u lies near has been left. With the inverse of a tangent `near` none is
-    factorised; else the first and the last are, and those that many products tell to be far.
-    """
+    """Minimise the potential down from u; returns the field, or None, and Newton's steps. Without
+    shifts it also ends where the tangent is not positive definite: the branch of stable equilibria
+    that u lies near has been left. With the inverse of a tangent `near` none is factorised; else
+    the first and the last are, and those that many products tell to be far."""
     given, folds = near is not None, solid.folds(u)
     near = near or solid.rough
     for steps in range(STEPS_PAST if shifts else STEPS_DOWN):

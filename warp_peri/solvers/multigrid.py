@@ -150,11 +150,9 @@ def sine(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarra
 
 
 def multigrid(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarray) -> Filter:
-    """Filter for any mask: short waves by a filter on the torus, long ones by a V-cycle, added.
-
-    z = mask (H ∗ r + P V(Pᵗ r)), H = (D + shift p(k))⁻¹ with p of `seen_by_coarser`; V is a V-cycle
-    for Q1 elements of the same moduli on every second node.
-    """
+    """Filter for any mask: short waves by a filter on the torus, long ones by a V-cycle, added. z =
+    mask (H ∗ r + P V(Pᵗ r)), H = (D + shift p(k))⁻¹ with p of `seen_by_coarser`; V is a V-cycle for
+    Q1 elements of the same moduli on every second node."""
     seen = seen_by_coarser(torus_shape(nodes))
     short = torus_inverse(nodes, steps, tensors, SHIFT * shear(elastic) * seen)
     mask = nodes.unknown

@@ -41,7 +41,7 @@ SHIFTS = 1e-3 * 4.0 ** np.arange(12)
 
 @dataclass(frozen=True, eq=False)
 class Sites:
-    """The n sites of energies with the same Q inputs.
+    """The n sites where energies with the same Q inputs act.
 
     Attributes:
         S: of q = S e [1/length²], rows of one number after the other, shape [Q n, pairs].

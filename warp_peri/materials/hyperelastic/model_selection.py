@@ -138,12 +138,10 @@ class ModelSelection:
     def curves(
         self, stretches: ArrayLike, angle: float = 0.0, level: float = 0.9
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Nominal stress of uniaxial tension along a direction [rad], and the ends of its band.
-
-        The band is of each learned frame left out, by Student's distribution, of the misfit of
-        frames that were never seen, and of the scatter of the scale: no error that all frames
-        share. Raises InputError where deviations, which are no material, explain the frames.
-        """
+        """Nominal stress of uniaxial tension along a direction [rad], and the ends of its band. The
+        band is of each learned frame left out, by Student's distribution, of the misfit of frames
+        that were never seen, and of the scatter of the scale: no error that all frames share.
+        Raises InputError where deviations, which are no material, explain the frames."""
         n = len(others := [other.material for other in self.fit.others])
         if (times := stiffest_deviation(self.fit)) > INTERPOLATES:
             raise InputError(
