@@ -92,8 +92,8 @@ def exit_status(
     name: str = "",
 ) -> int:
     """Run a command's work and return its exit status: its own or 0; 130 after Ctrl-C, which says
-    `interrupted`; 2 for bad input; 1 after a failure, such as a full disk, in one line from `name`
-    on."""
+    `interrupted`; 2 for bad input; 1 after a failure, such as a full disk. `name` begins the
+    message."""
     begin = f"{name}: " if name else ""
     for stream in (sys.stdout, sys.stderr):  # a terminal without λ shows its number
         if hasattr(stream, "reconfigure"):

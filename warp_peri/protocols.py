@@ -52,7 +52,7 @@ class Operator(Protocol):
         """Transposed derivative at u times w [..., I, d], on all nodes [..., N, d]."""
 
     def energy(self, u: np.ndarray) -> np.ndarray | None:
-        """Energy with ∂(energy)/∂u_i = h^d op(u)_i; None for a law without."""
+        """Elastic energy, with ∂(energy)/∂u_i = h^d op(u)_i; None for a law without."""
 
     def stress(self, u: np.ndarray) -> np.ndarray | None:
         """Stress at the interior nodes, shape [..., I, d, d]; None where a law has none."""
@@ -152,13 +152,13 @@ class OperatorBase(Remade):
         return np.compress(self.points.interior, load, axis=-len(self.shape))
 
     def energy(self, u: Any) -> Any:
-        """Energy, [...], as Operator's; None where there is none, as here."""
+        """Elastic energy, [...], as Operator's; None where there is none, as here."""
 
     def stress(self, u: Any) -> Any:
         """Stress at the interior nodes, [..., I, d, d]; None where there is none, as here."""
 
     def force_torch(self, u: Any) -> Any:
-        """Force of a tensor, differentiable."""
+        """Force of a displacement tensor, differentiable."""
         return core.torch_bridge.force_of(self, u)
 
     def force_with_parameters(self, u: Any, numbers: Any) -> Any:
@@ -186,7 +186,7 @@ class OperatorBase(Remade):
             )
 
     def fields(self, u: Any) -> np.ndarray:
-        """u as fields of finite numbers, [S, N, d]."""
+        """Convert u to fields of finite numbers, [S, N, d]."""
         values = checked("u", u, float, (..., *self.shape))
         self.check(values)
         return values.reshape(-1, *self.shape)
@@ -221,7 +221,7 @@ class Material(Protocol):
 
     @property
     def dimension(self) -> int:
-        """Dimension d of the space it fills."""
+        """Dimension d of the space that the material fills."""
 
     @property
     def units(self) -> tuple[str, str]:

@@ -206,8 +206,8 @@ def recorded(kernel: Any, dim: int, inputs: Sequence[Any], outputs: Sequence[Any
 class Shared:
     """A kernel that shares its work out among threads, packed once. Its first argument, which
     inputs leave out, counts what has been taken and done of so many phases, see kernels/bonds.py;
-    helpers `stay` in a kernel a while to serve what comes next. The work is that of all phases, of
-    a node being 1."""
+    helpers `stay` in a kernel a while to serve what comes next. The work, 1 a node, is of all
+    phases."""
 
     def __init__(
         self,

@@ -30,7 +30,7 @@ MOST = 2**23
 
 
 def times(A: torch.Tensor, B: torch.Tensor) -> torch.Tensor:
-    """Matrix products of [d, d, ...]."""
+    """Matrix products A B, each [d, d, ...]."""
     return (A[:, :, None] * B).sum(1)
 
 

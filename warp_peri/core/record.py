@@ -174,8 +174,8 @@ class Record(Shown):
     @classmethod
     def from_dict(cls, content: Any, where: str = "") -> Self:
         """Make the material from the contents of a file; `where` begins warnings. InputError for
-        another format or version, missing or unknown keys, wrong or changed values, a failing
-        proof."""
+        another format or version, missing or unknown keys, wrong or changed values, failing
+        proofs."""
         if not isinstance(content, dict):
             raise InputError(f"expected a JSON object, got {type(content).__name__}")
         for key, expected in (("format", cls.FORMAT), ("version", cls.VERSION)):

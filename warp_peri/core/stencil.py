@@ -105,8 +105,7 @@ def laplacian_stencil(spacing: float, dimension: int, components: int) -> Stenci
 
 
 def squared(spacing: float, steps: np.ndarray, field: np.ndarray) -> Stencil:
-    """Stencil f ∗ f of a field f(ξ) = −f(−ξ) on whole families ξ/h, each [B, d]; symbol |Σ f(ξ) sin
-    k·ξ|²."""
+    """Stencil f ∗ f of a field f(ξ) = −f(−ξ) on whole families [B, d]; symbol |Σ f(ξ) sin k·ξ|²."""
     d, far = steps.shape[1], 2 * int(np.abs(steps).max())
     box = np.zeros((2 * far + 1,) * d)
     for step, f in zip(steps, field):
@@ -399,7 +398,7 @@ def _check(points: Points, nodes: Grid, steps: np.ndarray, why: str) -> None:
 
 
 def complete(body: np.ndarray, steps: np.ndarray, r: int) -> np.ndarray:
-    """Whether each place of a body padded by r has all its neighbours by steps and −steps."""
+    """Whether each place of a body's mask, padded by r, has its neighbours by all ±steps."""
     whole = np.ones([n - 2 * r for n in body.shape], bool)
     for step in np.concatenate([steps, -steps]):
         whole &= body[tuple(slice(r + s, n - r + s) for s, n in zip(step, body.shape))]

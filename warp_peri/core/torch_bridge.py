@@ -196,7 +196,7 @@ def real(name: str, value: Any) -> torch.Tensor:
 
 
 def check_shape(name: str, tensor: torch.Tensor, shape: tuple[int, ...]) -> None:
-    """Raise InputError for a tensor of another shape."""
+    """Raise InputError for a tensor of another shape than the given one."""
     if tuple(tensor.shape) != tuple(shape):
         raise InputError(f"{name}: expected shape {list(shape)}, got {list(tensor.shape)}")
 

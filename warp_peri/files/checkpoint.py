@@ -200,7 +200,7 @@ def _lasting(content: Any) -> Any:
 
 @contextmanager
 def agreed(comm: Any) -> Iterator[None]:
-    """Raise an InputError that any rank meets inside on all. No rank may wait for others."""
+    """Raise on all ranks an InputError that any meets inside; no rank may wait for others."""
     mine: InputError | None = None
     try:
         yield

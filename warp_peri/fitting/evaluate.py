@@ -212,9 +212,8 @@ class BootstrapResult:
     knows: str
 
     def deviation(self, quantity: Callable[[Any], np.ndarray | float]) -> np.ndarray:
-        """Standard deviation of a quantity of the material, in the quantity's shape: half of what
-        lies between 16 and 84 % of the draws, so that one poorly determined law does not widen
-        it."""
+        """Standard deviation of a quantity of the material, in its shape: half of what lies between
+        16 and 84 % of the draws, so that one poorly determined law does not widen it."""
         values = np.array([np.asarray(quantity(material)) for material in self.materials])
         low, high = np.quantile(values, ONE_DEVIATION, axis=0)
         return np.asarray(np.sqrt(self.loads / (self.loads - 1)) * (high - low) / 2)
@@ -222,9 +221,8 @@ class BootstrapResult:
     def band(
         self, material: Any, quantity: Callable[[Any], np.ndarray | float], level: Share = 0.9
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper end of the band that holds a quantity with probability `level`
-        (InputError if none), about the material of all loads, by Student's distribution of their
-        number."""
+        """Lower and upper end of the band that holds a quantity with probability `level` (else
+        InputError), about the material of all loads, by Student's distribution of the loads."""
         half = stdtrit(self.loads - 1, (1 + level) / 2) * self.deviation(quantity)
         middle = np.asarray(quantity(material))
         return middle - half, middle + half

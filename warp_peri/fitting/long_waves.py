@@ -38,9 +38,8 @@ NOTHING = 1e-13
 
 
 def long_wave_moduli(samples: Samples, allowed: np.ndarray) -> tuple[np.ndarray, float]:
-    """Fit the elastic tensor of the longest waves as a mixture of `allowed` ones along the nodes'
-    axes, [m, d, d, d, d] (theory, T10); also the relative residual. InputError for too few
-    loads."""
+    """Fit the elastic tensor of the longest waves as a mixture of `allowed` ones along nodes' axes,
+    [m, d, d, d, d] (theory, T10); also the relative residual. InputError for too few loads."""
     c, misfit = moduli_of(*long_wave_equations(samples, allowed))
     return np.tensordot(c, allowed, 1), misfit
 
@@ -243,12 +242,12 @@ def _long_wave_table(samples: Samples, count: int) -> tuple[np.ndarray, np.ndarr
     turn = np.exp(-1j * axis)
 
     def seen(*orders: tuple[int, int]) -> np.ndarray:
-        """Σ u times the sum of derivatives of v, [S, V, 2]."""
+        """Moments Σ u times the sum of derivatives of v, [S, V, 2]."""
         field = sum(derived(lines, np.array(one)) for one in orders)
         return np.asarray(np.einsum("vn,snk->svk", field, u, optimize=True))
 
     def elastic(*more: tuple[int, int]) -> list[np.ndarray]:
-        """−Σ u·div(C : grad v) of λ and of μ, for the sum of derivatives of v."""
+        """Moments −Σ u·div(C : grad v) of λ and of μ, for the sum of derivatives of v."""
         xx, xy, yy = (
             seen(*(tuple(np.add(one, two)) for one in more)) for two in ((2, 0), (1, 1), (0, 2))
         )

@@ -41,8 +41,7 @@ DEPENDENT = 1e-10
 
 @dataclass(frozen=True)
 class Linearised:
-    """Residual r, equalities e and inequalities m at θ [T], about one in size, and slopes
-    [·, T]."""
+    """Residual r, equalities e and inequalities m at θ [T], about one in size, with slopes."""
 
     residual: np.ndarray
     J: np.ndarray
@@ -182,8 +181,7 @@ class LatticeRows:
 
 @dataclass(frozen=True)
 class Form:
-    """A stencil on a block that must be positive, D(k; p) ≥ level s(k) [stress]; p [P] by θ,
-    [P, T]."""
+    """A stencil on a block that must be positive, D(k; p) ≥ level s(k) [stress]; slopes by θ."""
 
     block: int
     p: np.ndarray
@@ -237,7 +235,7 @@ class Settled:
 
     @property
     def kept(self) -> bool:
-        """Whether all conditions hold."""
+        """Whether all conditions hold at the optimum."""
         return self.margin >= -MET and self.missed <= KEPT
 
 
@@ -357,8 +355,8 @@ class Zone:
     def softest(
         self, p: np.ndarray, below: float, near: float = np.inf
     ) -> tuple[float, np.ndarray, np.ndarray]:
-        """Smallest Λmin D/s, and k h [n, d] and eigenvectors of minima below a level; except for
-        the lowest wave of the grid only those below `near` are refined."""
+        """Smallest Λmin D/s over the zone, and k h [n, d] and eigenvectors of minima below a level;
+        except for the lowest wave of the grid only those below `near` are refined."""
         tensors = np.tensordot(p[: len(self.bonds.basis)], self.bonds.basis, 1)
         value, vector = ratios(self.bonds.steps, tensors, self.phase, self.wave)
         starts = self._apart(value)

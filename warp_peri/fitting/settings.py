@@ -169,7 +169,7 @@ Method: TypeAlias = TwoStage | GaussNewton | AugmentedLagrangian
 
 
 def named(name: str, **settings: Any) -> Method:
-    """Fit method of a command-line name; `seed` is of its initial D."""
+    """Fit method from its command-line name; `seed` is of its initial D."""
     made = {"optimum": GaussNewton, "two-stage": TwoStage, "constrained": AugmentedLagrangian}
     if name not in made:
         raise InputError(f"method: expected one of {', '.join(made)}, got {name!r}")

@@ -191,7 +191,7 @@ def _least_singular(A: sp.csc_array) -> float:
         return 0.0
 
     def below(v: np.ndarray) -> np.ndarray:
-        """Minus (AᵗA)⁻¹ v."""
+        """Product of −(AᵗA)⁻¹ with v."""
         return np.asarray(-factors.solve(factors.solve(v, "T")))
 
     squared = LinearOperator(A.shape, below, matmat=below, dtype=float)

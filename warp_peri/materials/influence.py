@@ -92,7 +92,7 @@ class InfluenceFunction:
 
     @property
     def vector(self) -> np.ndarray:
-        """All parameters in one vector, shape [P]."""
+        """All parameters of the influence function in one vector, shape [P]."""
         return np.concatenate([np.zeros(0), *map(np.ravel, self.parameters.values())]).astype(float)
 
     @property

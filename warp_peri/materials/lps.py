@@ -74,7 +74,7 @@ class LPSParameters:
         check_influence(found["alpha"].item(), np.atleast_1d(found["D"]))
 
     def values(self) -> tuple[Any, ...]:
-        """The values of λ, μ, α and D."""
+        """Values of λ, μ, α and D as a tuple."""
         return self.lam, self.mu, self.alpha, self.D
 
 
@@ -269,7 +269,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         return self.lam / ((self.dimension - 1) * self.lam + 2 * self.mu)
 
     def influence(self, r: ArrayLike) -> np.ndarray:
-        """K at the distances r [Å] in (0, δ]."""
+        """Influence function K at the distances r [Å] in (0, δ]."""
         r = np.asarray(r, dtype=float)
         return np.asarray(r**-self.alpha * (bernstein_basis(r, self.horizon, self.degree) @ self.D))
 
@@ -366,7 +366,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         return {"certificate": figures, "provenance": provenance}
 
     def derived(self) -> dict[str, Any]:
-        """Degree and quadrature for a file."""
+        """Degree and quadrature, which the material's file states."""
         return {"degree": self.degree, "quadrature": QUADRATURE}
 
     def verify_certificates(self) -> None:

@@ -327,7 +327,7 @@ class Learner:
         return Bernstein(chosen)
 
     def run(self, name: str, stage: Callable[[Tick], LPSFound]) -> LPSFound:
-        """Run, time and record one stage; returns its result."""
+        """Run, time and record one stage of the fit."""
         begin, steps = time.perf_counter(), 0
         with tqdm(desc=name, unit=" steps", disable=self.disable) as bar:  # its end is not known
 
@@ -345,7 +345,7 @@ class Learner:
         return found
 
     def hold(self, method: GaussNewton, start: LPSFound) -> GaussNewton:
-        """The method; it holds the long-wave moduli if asked to and a free fit misses them."""
+        """Set the method to hold the long-wave moduli if asked and a free fit misses them."""
         free = dataclasses.replace(method, moduli=method.held)
         if method.moduli != LONG_WAVES or self.noise or not self.flat:
             return free

@@ -148,7 +148,7 @@ class Bonds:
 
     @cached_property
     def layout(self) -> Layout:
-        """Layout in rows where possible, else in lists."""
+        """Layout of the bonds, in rows where possible, else in lists."""
         return self._rows() or self._lists()
 
     def _lists(self) -> Layout:
@@ -215,7 +215,7 @@ class Bonds:
         return [floats(one) for one in (r, np.log(r), self.families.weight)]
 
     def influence(self, alpha: ArrayLike, D: ArrayLike, by: Any = None) -> Any:
-        """K W of each class, [C]; given derivatives `by` of a scalar to it, those to α and D."""
+        """Influence K W of each bond class, [C]; with derivatives `by` to it, those to α and D."""
         degree, taped = np.size(D) - 1, by is not None
         given: list[Any] = [
             wp.array(np.ravel(one).astype(float), device=DEVICE, requires_grad=taped)
@@ -234,7 +234,7 @@ class Bonds:
         return [one.grad.numpy() for one in given]
 
     def volumes(self, terms: np.ndarray) -> Any:
-        """Sum of a table by class over each whole ball, [N]; on a lattice one number."""
+        """Sum over each whole ball of a value given by bond class, [N]; on a lattice one number."""
         if self.families.lattice is not None:
             return (self.families.lattice.count * terms).sum()
         return np.add.reduceat(terms, self.families.row[:-1])
@@ -268,7 +268,7 @@ class Bonds:
         return found
 
     def law(self, *values: Any) -> Law:
-        """The Law of λ, μ, α and D; the last one is cached."""
+        """The Law on these bonds of given λ, μ, α and D; the last one is cached."""
         arrays = [np.array(value, dtype=float).ravel() for value in values]  # nobody changes copies
         key, last = [array.tobytes() for array in arrays], self.kept
         if last is None or last[0] != key:

@@ -37,7 +37,7 @@ def products(model: LPSMaterial, classes: BondClasses) -> np.ndarray:
 
 
 def product_basis(classes: BondClasses) -> Basis:
-    """C h² of the products of bond classes, of range 2δ (T17)."""
+    """Basis of the products of bond classes: their C h² on bonds of range 2δ (T17)."""
     d, count, x = classes.steps.shape[1], len(classes.r), classes.steps
     h, of = classes.spacing, classes.bond_class
     steps = half_ball(2 * classes.horizon / h, d)
@@ -111,7 +111,7 @@ class LPSFound:
 
     @property
     def loss(self) -> float:
-        """Final loss relative to the loads."""
+        """Final loss of the search relative to the loads."""
         return self.losses[-1]
 
     def model(self, horizon: float, **more: Any) -> LPSMaterial:
@@ -290,8 +290,8 @@ class LPSLaw:
         return [self.size * first, *scaled], mu
 
     def values(self, theta: np.ndarray) -> list[np.ndarray]:
-        """Equalities and inequalities in parts of ζ; penalties; and the products (v, κ v⊗v) of each
-        form, L itself first, on each lattice; [..., ·]."""
+        """Equalities and inequalities at θ in parts of ζ; penalties; and the products (v, κ v⊗v) of
+        each form, L itself first, on each lattice; [..., ·]."""
         (v, mu), kappa, zeta = self.stiffnesses(theta), theta[..., :1] / self.unit, self.zeta
         limits = self.kernel.limits(theta[..., 1:])
         margins = [mu - zeta, 2 * mu + kappa * mu**2 - zeta, limits]  # of μ and λ + μ

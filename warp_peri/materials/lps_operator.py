@@ -114,7 +114,7 @@ class LPSOperator(OperatorBase):
         return self.bonds.law(*self.learnable.values())
 
     def force(self, u: ArrayLike) -> np.ndarray:
-        """L u on the interior nodes, shape [..., I, d]; InputError for another shape."""
+        """Force L u on the interior nodes, shape [..., I, d]; InputError for another shape."""
         field = np.require(plain("u", u), float, ["C", "W"])
         self.check(field)
         Lu = self._law.force(field.reshape(-1, self.points.x.size))[0]
@@ -355,7 +355,7 @@ class LPSOperator(OperatorBase):
         return MatrixProblem(self.matrix(), self.nodes.interior)
 
     def interior_tangent(self, u: Any) -> Any:
-        """L between interior nodes, sparse [d I, d I]."""
+        """Sparse matrix of L between interior nodes, [d I, d I]."""
         return self._problem.stiffness
 
     def _refuse_indefinite(self) -> None:
@@ -423,13 +423,13 @@ class Matrices:
 
 
 def matrices(model: LPSMaterial, points: PointsLike) -> Matrices:
-    """Γ, Φ and Ψ of a model on a point set; InputError where that does not carry the horizon."""
+    """Matrices Γ, Φ and Ψ of a model on points; InputError where these do not carry the horizon."""
     bonds = bonds_of(model, points)
     return assemble(bonds, *bonds.table(model.alpha, model.D), model.mu)
 
 
 def assemble(bonds: Bonds, kw: np.ndarray, m: Any, mu: Any = 1.0) -> Matrices:
-    """Γ, Φ and Ψ from K W by class, weighted volumes (of each node or one), and a field μ."""
+    """Assemble Γ, Φ and Ψ from K W by class, weighted volumes (of nodes or one), and a field μ."""
     families, nodes, d = bonds.families, bonds.nodes, bonds.dimension
     owner, end, xi, kind = bonds.listing
     own = kw[kind] / np.broadcast_to(m, nodes)[owner]

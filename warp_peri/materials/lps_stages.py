@@ -134,7 +134,7 @@ class Variables:
             leaf.requires_grad_()
 
     def bounded(self) -> list[torch.Tensor]:
-        """λ, μ, α and D within their bounds, as the loss sees them."""
+        """Parameters λ, μ, α and D within their bounds, as the loss sees them."""
         lam, mu, alpha, D = self.leaves
         stiff = torch.relu(mu)
         lam, alpha = torch.relu(lam + mu) - stiff, 3 - torch.relu(3 - alpha)
@@ -186,7 +186,7 @@ def least_of_blocks(blocks: Blocks, weights: torch.Tensor) -> list[torch.Tensor]
     gammas, phis = ([np.tensordot(w, block[n], 1) for block in blocks] for n in (0, 1))
 
     def at(part: np.ndarray, *fields: np.ndarray) -> torch.Tensor:
-        """Σ w_c of each class's matrix, applied to fields."""
+        """Sum Σ w_c of each class's matrix, applied to fields."""
         for each in fields:
             part = part @ each
         return (weights.reshape(-1, *[1] * (part.ndim - 1)) * torch.from_numpy(part)).sum(dim=0)
@@ -357,9 +357,8 @@ class WaveResponse:
 
 
 class CollarResponse:
-    """Displacement on the interior, solved with the loads and the displacement of the collar. Noise
-    in the collar's displacement biases it. Raises InputError for a sample without displacement on
-    its interior."""
+    """Displacement on the interior, solved with the loads and the displacement of the collar, whose
+    noise biases it. Raises InputError for a sample without displacement on its interior."""
 
     def __init__(self, made: Products) -> None:
         self.points, self.products = made.samples, made
@@ -449,6 +448,6 @@ def fit_output_error(learner: Any, start: LPSFound, method: GaussNewton, tick: T
 def squares(
     blocks: Sequence[LatticeRows], lattices: Sequence[BondClasses], model: LPSMaterial
 ) -> float:
-    """Sum Σ ‖R p − y‖² over lattices at a model."""
+    """Sum of squares Σ ‖R p − y‖² of all lattices' rows at a model."""
     left = [one.R @ products(model, classes) - one.y for one, classes in zip(blocks, lattices)]
     return float(sum(np.sum(one**2) for one in left))

@@ -463,7 +463,7 @@ class Learning:
             )
 
     def at(self, tensor: np.ndarray) -> tuple[Settled, np.ndarray]:
-        """Fit with some moduli held; also the numbers of all columns."""
+        """Fit the numbers with some moduli held; also those of all columns."""
         lame = np.array([tensor[0, 0, 1, 1], tensor[0, 1, 0, 1]])  # Ψ has those of the tensors
         y = self.y - self.R[:, -2:] @ lame
         found = self.tensors.fitted(self.R[:, :-2], y, tensor)

@@ -43,8 +43,8 @@ def as_array(name: str, value: Any) -> np.ma.MaskedArray[Any, Any]:
 
 
 def plain(name: str, value: Any) -> np.ndarray:
-    """Make a float64 array of any values; InputError for a tensor whose gradient would be lost,
-    masked entries, complex numbers, text and objects."""
+    """Make a float64 array whose values may be anything; InputError for a tensor whose gradient
+    would be lost, masked entries, complex numbers, text and objects."""
     found = as_array(name, value)  # that of a list of masked arrays too
     if found.dtype.kind not in "fiu" or np.ma.is_masked(found):
         got = "masked entries" if np.ma.is_masked(found) else found.dtype

@@ -242,7 +242,7 @@ class Implicit:
         self.behind = E - (1 - self.theta) * L
 
     def there(self, start: Any, loads: Any, given: Any, *_: np.ndarray) -> tuple[np.ndarray]:
-        """Fields at the start and after each step, from loads and given values of each."""
+        """Compute the fields at the start and after each step from loads and given values."""
         one = self.operator.shape
         fields = [checked("u", start, float, one)]
         loads = checked("b", loads, float, (len(loads), *one), self.inside)

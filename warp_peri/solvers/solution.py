@@ -210,8 +210,7 @@ class Solution(Shown):
             warp_peri.export.write_vtk(path, self.operator.model, samples, samples.u)
 
     def plot(self, sample: int = 0, *, ax: Axes | None = None) -> Axes:
-        """Plot the size of the displacement, or φ, of a sample by node colours; in space a
-        slice."""
+        """Plot the size of the displacement, or φ, of a sample by node colours (3D: a slice)."""
         import matplotlib.pyplot as plt
 
         if self.points is None:

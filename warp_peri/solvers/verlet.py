@@ -101,7 +101,7 @@ class Inert:
         return field
 
     def share(self, steps: int) -> float:
-        """Load factor s after so many steps."""
+        """Load factor s(t) after so many steps."""
         return 1.0 if self.signal is None else float(self.signal[steps])
 
     def state(self, u: np.ndarray, v: np.ndarray, steps: int = 0) -> State:

@@ -55,7 +55,7 @@ class Sites:
 
     @cached_property
     def blocks(self) -> sp.bsr_array:
-        """S with the rows of each site together, as blocks [Q, 1]."""
+        """Matrix S with the rows of each site together, as blocks [Q, 1]."""
         count = self.pair.shape[1]
         order = np.arange(self.S.shape[0]).reshape(-1, count).T
         return self.S[order.ravel()].tobsr((order.shape[1], 1))
