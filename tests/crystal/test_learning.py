@@ -20,7 +20,9 @@ from warp_peri.core.elastic import allowed_tensors, checked_orientation, point_g
 from warp_peri.errors import InputError
 from warp_peri.materials.crystal import crystal_from_lps
 from warp_peri.materials.crystal_fit import fit_dispersion, fit_phonons, transfer_to_lattice
+from warp_peri.materials.lps import moduli
 from warp_peri.methods import GaussNewton
+from warp_peri.points.families import bond_classes
 
 
 def fit(samples, horizon, **asked):
@@ -192,13 +194,19 @@ def test_a_turned_crystal():
     assert turned.certificate.holds
 
 
+@pytest.mark.filterwarnings("ignore:spacing. the model is certified")
 def test_a_linear_peridynamic_solid_is_a_crystal_of_twice_the_range():
-    model, points = kernel("sign-changing", 2.0), plane_lattice(5, 2.0)
-    law = crystal_from_lps(model, 1.0)
-    u = np.random.default_rng(3).normal(size=points.x.shape)
-    force = model.on(points, allow_uncertified=True)(u)
-    np.testing.assert_allclose(law.on(replace(points, axis=0.0))(u), force, atol=1e-11)
-    assert law.horizon <= 2 * model.horizon
+    for model, points in (
+        (kernel("sign-changing", 2.0), replace(plane_lattice(5, 2.0), axis=0.0)),
+        (cubes.solid(2.0, D=[1.0, -0.3, 0.6]), cubes.cube(3, 2.0)),
+    ):
+        law, u = crystal_from_lps(model, 1.0), np.random.default_rng(3).normal(size=points.x.shape)
+        force = model.on(points, allow_uncertified=True)(u)
+        np.testing.assert_allclose(law.on(points)(u), force, atol=1e-12 * np.abs(force).max())
+        assert law.horizon <= 2 * model.horizon
+    assert law.certificate.proven > 0.9 * law.certificate.sampled > 0
+    expected = moduli(model, bond_classes(1.0, 2.0, dimension=3))
+    assert {name: law.moduli()[name] for name in expected} == pytest.approx(expected)
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,6 @@ from tests.support.solving import solve
 from warp_peri import CG, Direct
 from warp_peri.certificates import critical_time_step
 from warp_peri.crystals import crystal_from_lps
-from warp_peri.materials.lps import moduli
-from warp_peri.points.families import bond_classes
 from warp_peri.solvers.verlet import inertia
 
 pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")
@@ -33,18 +31,6 @@ def test_the_solution_tends_to_that_of_elasticity_with_second_order(lam):
     numbers = np.array([3, 4, 6])
     errors = [error(number, lam, 0.8) for number in numbers]
     assert fitted_order(LENGTH / numbers, errors) >= 2
-
-
-def test_as_tensors_it_has_the_same_forces_and_a_proof():
-    model = solid(2.0, D=[1.0, -0.3, 0.6])
-    tensors = crystal_from_lps(model, 1.0)
-    points = cube(3, 2.0)
-    u = np.random.default_rng(1).normal(size=points.x.shape)
-    force = model.on(points, allow_uncertified=True)(u)
-    np.testing.assert_allclose(tensors.on(points)(u), force, atol=1e-12 * np.abs(force).max())
-    assert tensors.certificate.proven > 0.9 * tensors.certificate.sampled > 0
-    expected = moduli(model, bond_classes(1.0, 2.0, dimension=3))
-    assert {name: tensors.moduli()[name] for name in expected} == pytest.approx(expected)
 
 
 def test_it_moves_at_a_proven_step_not_much_shorter_than_the_longest():
