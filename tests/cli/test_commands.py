@@ -68,9 +68,7 @@ def refused(capsys, *words):
     return err
 
 
-def test_a_fit_leaves_a_certified_model_and_its_settings_and_is_repeated(
-    fitted, data, tmp_path, capsys
-):
+def test_a_fit_leaves_a_model_and_its_settings(fitted, data, tmp_path, capsys):
     model = LPSMaterial.load(fitted / "model.json")
     assert model.certified_on == (1.0,)
     assert model.mu == pytest.approx(0.7, rel=0.02)

@@ -68,9 +68,7 @@ def test_models_have_the_errors_of_the_record_and_of_the_readme(job):
         assert [float(cell.strip(" *%")) for cell in cells] == pytest.approx(found, abs=0.02)
 
 
-def test_the_lines_of_the_readme_run_and_print_what_it_says(
-    graphene, tmp_path, monkeypatch, capsys
-):
+def test_the_lines_of_the_readme_run(graphene, tmp_path, monkeypatch, capsys):
     (tmp_path / "data").mkdir()
     shutil.copy(graphene, tmp_path / "data" / "graphene_0K.h5")
     monkeypatch.chdir(tmp_path)

@@ -113,9 +113,7 @@ def test_elements_reach_as_deep_as_asked(model):
     ("half", "depth", "words"),
     [(14.0, None, "elements alone"), (HALF, 10 * HALF, "a smaller spacing, overlap or depth")],
 )
-def test_without_room_for_the_lattice_elements_are_alone_and_a_strain_is_told(
-    model, half, depth, words
-):
+def test_without_room_for_the_lattice_elements_are_alone(model, half, depth, words):
     field = exact(model)
     trained = dataclasses.replace(model, trained_strain=0.5 * TENSION)
     mesh, held = plate(RADIUS, half, 16, 80), {"sides": lambda x: field(x)[0]}

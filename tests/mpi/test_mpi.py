@@ -166,9 +166,7 @@ def test_ranks_share_the_cells_of_a_proof_and_a_file_of_nodes(jobs):
     assert [job["file"] for job in jobs.values()] == [[True] * count for count in jobs]
 
 
-def test_a_crack_has_the_bits_of_one_process_and_goes_on_with_another_number(
-    jobs, folder, tmp_path
-):
+def test_a_crack_has_the_bits_of_one_process(jobs, folder, tmp_path):
     meshio = pytest.importorskip("meshio", reason="meshio writes the files of one process")
     alone = crack(tmp_path)
     assert (tmp_path / "series" / "motion.xdmf").exists()  # the files of one process

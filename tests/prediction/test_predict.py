@@ -187,9 +187,7 @@ def test_what_is_not_known_is_named(family):
     assert "temperature" in answer.why
 
 
-def test_a_family_is_one_file_in_any_units_and_the_command_says_error_and_truth(
-    family, tmp_path, capsys
-):
+def test_a_family_is_one_file_in_any_units_and_has_a_command(family, tmp_path, capsys):
     points, u, given = problem(family, 0.01)
     path = tmp_path / "family.json"
     wp.save(path, family)
