@@ -79,8 +79,8 @@ def write_body(path: str | os.PathLike[str], body: BodySolution) -> dict[str, fl
     0 where the lattice did. Returns the largest displacement of a corner [Å] and the largest
     principal stress at one [TPa]. Raises InputError without meshio (the extra `bodies`).
     """
-    mesh = body.rim.mesh
-    u, stress = body.on_corners()
+    corners = offered(body, "on_corners", "write_body", "the details of a Body's Solution")
+    mesh, (u, stress) = body.rim.mesh, corners()
     elements = np.zeros(len(mesh.x))
     elements[body.rim.corners] = 1
     data = {"displacement": u, "stress": _tensor(stress), "elements": elements}

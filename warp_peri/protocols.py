@@ -205,7 +205,8 @@ class OperatorBase(Remade):
         """Check w as fields on the interior nodes, [..., I, d]; InputError for another shape."""
         values, one = plain("w", w), (int(self.points.interior.sum()), *self.shape[1:])
         if values.shape[-len(one) :] != one:
-            raise InputError(f"w: expected shape [..., {one}], got {list(values.shape)}")
+            shown = ", ".join(map(str, one))
+            raise InputError(f"w: expected shape [..., {shown}], got {list(values.shape)}")
         return values
 
     def on_all(self, w: Any) -> np.ndarray:

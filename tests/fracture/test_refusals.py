@@ -7,8 +7,8 @@ import pytest
 
 from examples.inclusion import Mixed
 from tests.support.bodies import plate, pulled, solid
-from tests.support.problems import kernel
-from warp_peri import CG, InputError, Points, simulate, solve
+from tests.support.problems import kernel, lattice
+from warp_peri import CG, Dirichlet, InputError, Points, fracture, simulate, solve
 from warp_peri.fracture import BondLaw, Cracked, Injected, j_integral, point_force, rectangle_nodes
 from warp_peri.fracture.adjoint import SoftBody
 from warp_peri.fracture.body import crossing_bonds
@@ -23,6 +23,7 @@ PROBLEM, CRACK, LINE = Cracked(POINTS, u=X), [[(-3, 0), (3, 0)]], [(-7, 0.1), (7
 CORRECTED = dataclasses.replace(PROBLEM, corrected=True)
 BY_ENERGY = dataclasses.replace(solid(), critical_stretch=None, critical_energy=1.0)
 WILD, SOFT = kernel("sign-changing", 3.0), BondLaw(2.0, 0.05, 0.02)
+SMALL = lattice(3, 2.0)
 HELD = np.repeat(ENDS[:, None], 2, axis=1)
 
 
@@ -73,6 +74,12 @@ REFUSED = {
     "corrected: expected slow growth": moving(solid(), CORRECTED, loads=[1.0], line=LINE),
     "corrected: .* whose bonds break at a stretch": moving(BY_ENERGY, CORRECTED),
     "at_horizon: expected": lambda: BondLaw(1.0).at_horizon(2.0),
+    "solution: expected that of a Cracked, got": lambda: fracture.crack_opening_volume(
+        solve(kernel("positive", 2.0), Dirichlet(SMALL, None, SMALL.x))
+    ),
+    "problem: expected Cracked": lambda: fracture.energy_release(
+        MODEL, Dirichlet(POINTS, None, X), []
+    ),
     "factors that rise": softly(loads=[0.2, 0.1]),
     "no bond of the body crosses it": softly(line=[(-7, 40), (7, 40)]),
     "line: expected two ends, got 3": softly(line=[(-7, 0.1), (0, 0.1), (7, 2)]),

@@ -99,6 +99,8 @@ def test_what_cannot_be_used_is_refused_and_files_ask_for_the_energy(tmp_path):
     for words, call in {
         "energy: the file has the parameters of 'blatz_ko'": lambda: wp.load(path),
         "'blatz_ko', got 'saint_venant'": lambda: wp.DensityMaterial.read(path, saint_venant),
+        "energy: expected a function of strains, got 5": lambda: of(5),
+        "parameters: expected those of the energy": lambda: of(blatz_ko, parameters={"k": 1.0}),
         "energy: expected no stress at rest": lambda: pulled.on(points),
         f"{one} NoneType": lambda: of(lambda E: None).on(points),
         f"{one} float": lambda: of(lambda E: 2.0).on(points),

@@ -70,6 +70,8 @@ def test_an_outline_has_its_parts_curves_holes_and_distances():
     assert set(mesh_outline(Circle(10, name="edge"), [hole], size=1).parts) == {"edge", "cut"}
     for make, words in (
         (lambda: mesh_outline(box(10, 10), size=-1), "size: expected a number > 0"),
+        (lambda: mesh_outline(box(10, 10), [Circle(6)], size=1), "holes: expected holes inside"),
+        (lambda: mesh_outline(box(9, 9), [Circle(2), Circle(1)], size=1), "that meet nothing"),
         (lambda: Circle(1.0, (0.0, 0.0, 0.0)), r"centre: expected shape \[2\], got \[3\]"),
         (lambda: Polygon(corners, ("a", "b")), "names: expected one for each of 6 sides"),
         (lambda: Polygon(corners[:2]), "corners: expected three at least, got 2"),

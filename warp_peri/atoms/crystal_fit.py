@@ -35,6 +35,7 @@ from warp_peri.materials.crystal_fit import fit_phonons
 from warp_peri.materials.transfer import WaveSymbol
 from warp_peri.points.arguments import Positive, typed, typed_methods
 from warp_peri.points.unit_names import USUAL, Units, check_units
+from warp_peri.protocols import offered
 
 PATHS = {2: ("10", "01", "11"), 3: ("100", "110", "111", "001")}
 """Directions that are drawn, along the axes of the nodes."""
@@ -317,6 +318,7 @@ def fit_crystal(
     53
     """
     units = check_units(units)
+    offered(atoms, "get_positions", "fit_crystal", "an ase.Atoms")
     calculator = atoms.calc if calculator is None else calculator
     if calculator is None:
         raise InputError("calculator: expected an ASE calculator, or atoms that have one")

@@ -31,6 +31,7 @@ from warp_peri.atoms.relaxed import VACUUM, Reference, check_sites, gap, thickne
 from warp_peri.errors import InputError, optional, warn
 from warp_peri.files.atomic import check_hdf5, check_yaml, content
 from warp_peri.points.arguments import Positive, checked, typed
+from warp_peri.protocols import offered
 
 WIDTHS = (10.0, 14.0, 18.0, 22.0, 26.0, 32.0, 40.0)
 """Of supercells [Å], tried in turn."""
@@ -204,7 +205,8 @@ def from_calculator(
 ) -> ForceConstants:
     """Force constants of a crystal at rest, an ase.Atoms, by an ASE calculator on a supercell.
     `repeats` of the cell must be wider than twice what forces reach; `thickness` of a sheet [Å]."""
-    many, first = structure.repeat(tuple(repeats)), range(len(structure))
+    repeat = offered(structure, "repeat", "from_calculator", "an ase.Atoms")
+    many, first = repeat(tuple(repeats)), range(len(structure))
     forces = forces_of(many, calculator)
     phi, change = finite_differences(forces, np.array(many.positions), first)
     found = from_supercell(structure, many, phi, first, thickness=thickness)

@@ -10,6 +10,7 @@ import json
 import os
 import re
 import sys
+import sysconfig
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
@@ -181,14 +182,19 @@ def _methods(kind: type) -> dict[str, Any]:
     """Methods of a user's own class, by name."""
     if not _is_users(kind):
         return {}
-    plain = {name: getattr(one, "__func__", one) for name, one in vars(kind).items()}
-    return {name: one for name, one in plain.items() if inspect.isfunction(one)}
+    found = {name: getattr(one, "__func__", one) for name, one in vars(kind).items()}
+    for name, one in vars(kind).items():
+        found[name] = getattr(one, "fget", getattr(one, "func", found[name]))
+    own = {name: one for name, one in found.items() if inspect.isfunction(one)}
+    return {above.__qualname__: _methods(above) for above in kind.__bases__} | own
 
 
 def _is_users(one: Any) -> bool:
     """Whether code is of no installed package: a script's, a notebook's, of a module beside it."""
-    file = getattr(sys.modules.get(one.__module__ or ""), "__file__", None) or ""
-    return not file.startswith((sys.prefix, sys.base_prefix, str(Path(__file__).parents[1])))
+    file = Path(getattr(sys.modules.get(one.__module__ or ""), "__file__", None) or "")
+    paths = sysconfig.get_paths() | {"own": str(Path(__file__).parents[1])}
+    installed = (paths[name] for name in ("stdlib", "purelib", "platlib", "own"))
+    return not any(map(file.is_relative_to, installed))
 
 
 def _lasting(content: Any) -> Any:

@@ -252,7 +252,7 @@ RADIUS = 4.0
 @typed
 def energy_release(
     material: Any,
-    problem: Any,
+    problem: Cracked,
     cracks: Sequence[Sequence[ArrayLike]],
     *,
     shift: float = 0.0,
@@ -435,6 +435,8 @@ def _columns(
     solution: Solution, normal: ArrayLike | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Nodes below and above a crack, joined by a bond that it broke, and the normal."""
+    if not hasattr(solution.operator, "body"):
+        raise InputError("solution: expected that of a Cracked, got another's")
     body, neighbour, d = solution.operator.body, solution.operator.neighbour, solution.u.shape[1]
     along = np.eye(d)[1] if normal is None else np.asarray(normal, dtype=float)
     if along.shape != (d,) or sorted(np.abs(along)) != [0] * (d - 1) + [1]:

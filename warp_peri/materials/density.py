@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from inspect import signature
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -90,6 +91,12 @@ class DensityMaterial(Record, format="warp_peri.density"):
     ) -> Self:
         """Make a material from an energy function, in the plane unless `dimension` is 3."""
         named = {name: float(value) for name, value in parameters.items()}
+        if not callable(energy):
+            raise InputError(f"energy: expected a function of strains, got {energy!r:.60}")
+        try:
+            signature(energy).bind(None, **named)
+        except TypeError as error:
+            raise InputError(f"parameters: expected those of the energy ({error})") from None
         name = getattr(energy, "__name__", type(energy).__name__)
         return cls(horizon, named, more.pop("dimension", 2), name, energy=energy, **more)
 

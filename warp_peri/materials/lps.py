@@ -389,7 +389,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         allow_uncertified: bool = False,
         lam: Modulus | None = None,
         mu: Modulus | None = None,
-        **options: Any,
+        quadrature_degree: int = DEGREE,
     ) -> LPSOperator:
         """Build the operator on points: transferred there, certified, its bonds when first needed.
 
@@ -398,7 +398,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
             transfer: False refuses what the model itself holds no certificate for.
             allow_uncertified: take its own numbers, with a warning.
             lam, mu: moduli that differ from node to node, as of `spread`.
-            options: quadrature_degree of LPSOperator.
+            quadrature_degree: as of LPSOperator.
 
         Raises InputError for an uncertified spacing without a transfer, scattered points without
         allow_uncertified, and as `spread` and LPSOperator.
@@ -408,7 +408,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
             model = materials.transfer.model_for(self, points, transfer=transfer, **how)
         if lam is not None or mu is not None:
             model = model.spread(points, lam, mu)
-        return LPSOperator(model, points, **how, **options)
+        return LPSOperator(model, points, quadrature_degree=quadrature_degree, **how)
 
     def summary(self) -> dict[str, Any]:
         """Constants, lattices and errors of the model as plain values."""

@@ -29,7 +29,9 @@ from warp_peri.points.points import PointsLike, nodes_of
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.runtime import (
     DEVICE,
+    SLICE,
     Shared,
+    at_once,
     filled,
     floats,
     get_num_threads,
@@ -216,22 +218,32 @@ class Bonds:
 
     def influence(self, alpha: ArrayLike, D: ArrayLike, by: Any = None) -> Any:
         """Influence K W of each bond class, [C]; with derivatives `by` to it, those to α and D."""
-        degree, taped = np.size(D) - 1, by is not None
-        given: list[Any] = [
-            wp.array(np.ravel(one).astype(float), device=DEVICE, requires_grad=taped)
-            for one in (alpha, D)
+        degree, count = np.size(D) - 1, len(self.families.r)
+        pieces = 1 if by is None else max(1, min(BLOCKS, count // SLICE))  # on any threads
+        given: list[list[Any]] = [
+            [
+                wp.array(np.ravel(one).astype(float), device=DEVICE, requires_grad=by is not None)
+                for one in (alpha, D)
+            ]
+            for _ in range(pieces)
         ]
         binomials = floats(comb(degree, np.arange(degree + 1)))
-        inputs: Any = [wp.float64(self.horizon), binomials, *self._tables, *given]
-        kernel, kw = influence(degree), zeros(len(self.families.r), gradient=taped)
-        if not taped:
-            launch_slices(kernel, len(kw), inputs, (kw,))
+        inputs: Any = [wp.float64(self.horizon), binomials, *self._tables]
+        kernel, kw = influence(degree), zeros(count, gradient=by is not None)
+        if by is None:
+            launch_slices(kernel, count, [*inputs, *given[0]], (kw,))
             return kw.numpy()
-        tape: Any = wp.Tape()
         kernel.module.load(DEVICE)
-        tape.record_launch(kernel, len(kw), 0, [0, *inputs], [kw], DEVICE)
-        tape.backward(grads={kw: floats(by)})
-        return [one.grad.numpy() for one in given]
+        kw.grad = floats(by)
+
+        def back(n: int) -> None:
+            first, last = (count * end // pieces for end in (n, n + 1))
+            tape: Any = wp.Tape()
+            tape.record_launch(kernel, last - first, 0, [first, *inputs, *given[n]], [kw], DEVICE)
+            tape.backward()
+
+        at_once([partial(back, n) for n in range(pieces)])
+        return [sum(one.grad.numpy() for one in each) for each in zip(*given)]
 
     def volumes(self, terms: np.ndarray) -> Any:
         """Sum over each whole ball of a value given by bond class, [N]; on a lattice one number."""

@@ -108,11 +108,30 @@ def mesh_outline(outer: Outline, holes: Sequence[Outline] = (), *, size: Positiv
     """
     netgen = optional("netgen.geom2d", WITHOUT)
     outlines = (outer, *holes)
+    _check_apart(*outlines)
     geometry = netgen.SplineGeometry()
     for outline in outlines:
         _add(geometry, outline, size, inside=outline is outer)
     circles = [one for one in outlines if isinstance(one, Circle)]
     return _meshed("outline", geometry, size, circles, 2)
+
+
+def _check_apart(outer: Outline, *holes: Outline) -> None:
+    """Raise InputError for holes that meet the outer outline or another: Netgen would not end."""
+    from matplotlib.path import Path as Curve
+
+    turn = np.linspace(0, 2 * np.pi, 200)
+    body, *rims = (
+        one.radius * np.stack([np.cos(turn), np.sin(turn)], axis=1) + one.centre
+        if isinstance(one, Circle)
+        else np.array([*one.corners, one.corners[0]])
+        for one in (outer, *holes)
+    )
+    for n, rim in enumerate(rims):
+        inside = Curve(body).contains_points(rim).all()
+        crosses = Curve(body).intersects_path(Curve(rim), filled=False)
+        if not inside or crosses or any(Curve(rim).intersects_path(Curve(r)) for r in rims[:n]):
+            raise InputError(f"holes: expected holes inside that meet nothing, got {holes[n]}")
 
 
 def _meshed(what: str, geometry: Any, size: float, balls: list[Any], d: int) -> Mesh:

@@ -363,7 +363,7 @@ class EnsembleMaterial(OnLinear, format="warp_peri.family", version=2):
 
     def on(self, points: PointsLike, **options: Any) -> Any:
         """Operator of the rich member on points."""
-        return self.rich.on(points, **options)
+        return placed(self.rich, points, verb="on", **options)
 
     def ensemble_on(self, points: PointsLike, **options: Any) -> EnsembleOperator:
         """Operators of all members on points; options of `on`."""
