@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 20_164,
-    "tokens": 251_146,
-    "lines of warp_peri": 31_991,
+    "code lines": 20_163,
+    "tokens": 251_145,
+    "lines of warp_peri": 31_990,
     "files of warp_peri": 113,
     "lines of kernels": 1_009,
-    "lines of warp_peri, kernels, examples and tools": 44_194,
+    "lines of warp_peri, kernels, examples and tools": 44_193,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -34,7 +34,7 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2432,
+    "atoms": 2431,
     "cli": 936,
     "core": 1565,
     "diffusion": 235,

@@ -319,8 +319,7 @@ def fit_crystal(
     """
     units = check_units(units)
     offered(atoms, "get_positions", "fit_crystal", "an ase.Atoms")
-    calculator = atoms.calc if calculator is None else calculator
-    if calculator is None:
+    if calculator is None and (calculator := atoms.calc) is None:
         raise InputError("calculator: expected an ASE calculator, or atoms that have one")
     reference = at_rest(atoms, calculator, thickness=thickness, hold=hold)
     constants, said = force_constants(reference, calculator, supercell)
