@@ -55,7 +55,7 @@ PLATE = "--spacing 1 --horizon 3 --radius 8 --half 32 --size 0.6"
         ("plate_with_hole", PLATE, {"u_error": 5e-4, "hoop_stress_error": 0.01}),
         ("inclusion_from_displacement", "--side 14 --steps 25", {"map error": 0.2}),
         pytest.param("toughness_from_crack", "--json --iterations 5", {"error of stretch": 0.1},
-                     marks=pytest.mark.slow),
+                     marks=[pytest.mark.slow, pytest.mark.filterwarnings("ignore:loads")]),
     ],
 )  # fmt: skip
 def test_a_command_errs_by_no_more(name, options, most, tmp_path, capsys, monkeypatch):

@@ -23,7 +23,7 @@ from warp_peri.fracture.materials import BondLaw, pull_of, share_of, slope_of
 from warp_peri.fracture.statics import check_no_fail, check_pieces, strain_of
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_force import bernstein_basis
-from warp_peri.points.arguments import Share, checked
+from warp_peri.points.arguments import NotNegative, checked
 from warp_peri.protocols import is_tensor
 from warp_peri.solvers.adjoint import in_motion as in_motion
 from warp_peri.solvers.motion import Motion
@@ -171,7 +171,7 @@ class SoftBody:
         *,
         loads: ArrayLike,
         line: ArrayLike,
-        stop: Share = 0.7,
+        stop: NotNegative = 0.7,
         progress: bool = False,
         parameters: Mapping[str, Any] | None = None,
     ) -> Motion:
