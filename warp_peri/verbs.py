@@ -16,7 +16,7 @@ from warp_peri.files.checkpoint import ALONE, agreed
 from warp_peri.fitting.settings import Fit
 from warp_peri.points.arguments import check_flag, check_mapping, is_piece, typed
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
-from warp_peri.points.outlines import load_mesh
+from warp_peri.points.mesh_files import load_mesh
 from warp_peri.points.points import Samples
 from warp_peri.points.unit_names import Units
 from warp_peri.protocols import offered, taken, uncompiled
@@ -147,7 +147,7 @@ HDF5 = b"\x89HDF\r\n\x1a\n"
 
 @typed
 def load(path: str | os.PathLike[str], *, units: Units | None = None) -> Any:
-    """Read a data set (HDF5), a material (JSON) or a mesh (as `points.mesh.load_mesh`).
+    """Read a data set (HDF5), a material (JSON) or a mesh (as `points.mesh_files.load_mesh`).
 
     Args:
         path: of the file.

@@ -11,7 +11,8 @@ import warp_peri as wp
 from tests.support.problems import kernel
 from warp_peri.errors import InputError
 from warp_peri.points.mesh import REST, make_mesh, pieces
-from warp_peri.points.outlines import Block, Circle, Polygon, Sphere, box, load_mesh, mesh_outline
+from warp_peri.points.mesh_files import load_mesh
+from warp_peri.points.outlines import Block, Circle, Polygon, Sphere, box, mesh_outline
 
 HALVES = [[0, 1, 2], [0, 2, 3]]
 SIXTHS = []
