@@ -277,12 +277,17 @@ def stencil_of(law: Any, spacing: float, verb: str) -> tuple[Any, np.ndarray]:
     InputError for another spacing than a one-lattice solid's, and laws without a stencil."""
     found = offered(law, "stencil", verb, LINEAR)
     stencil = found(spacing) if callable(found) else found
-    if not abs(spacing / stencil.spacing - 1) <= SAME_SPACING:
+    check_spacing(stencil.spacing, spacing, "got")
+    return stencil, law.group
+
+
+def check_spacing(own: float, spacing: float, said: str) -> None:
+    """Raise InputError for another spacing than a one-lattice solid's own."""
+    if not abs(spacing / own - 1) <= SAME_SPACING:
         raise InputError(
-            f"spacing: the model is for {stencil.spacing:g}, got {spacing:g}; "
+            f"spacing: the model is for {own:g}, {said} {spacing:g}; "
             "transfer_to_lattice(law, spacing) fits another"
         )
-    return stencil, law.group
 
 
 MATERIAL = "a material, as fit(…).material or load(…)"

@@ -94,6 +94,7 @@ def test_what_cannot_be_used_is_refused_and_files_ask_for_the_energy(tmp_path):
     material = of(blatz_ko, parameters={"mu": MU})
     wp.save(path := tmp_path / "own.json", material)
     assert wp.DensityMaterial.read(path, blatz_ko).parameters == material.parameters
+    assert of(max).name == "max"  # what does not tell its arguments is taken
     pulled = of(lambda E: E[..., 0, 0] + (E * E).sum((-1, -2)))
     one = "energy: expected one value a strain, .* got"
     for words, call in {

@@ -16,7 +16,7 @@ from scipy.sparse.linalg import LinearOperator, gmres, splu
 from torch.autograd import forward_ad
 
 from warp_peri.errors import InputError, quietly
-from warp_peri.points.arguments import as_array, check_mapping, plain, typed
+from warp_peri.points.arguments import as_array, check_mapping, check_shape, plain, typed
 from warp_peri.protocols import SINGULAR, placed, uncompiled
 
 TWICE = (
@@ -193,12 +193,6 @@ def real(name: str, value: Any) -> torch.Tensor:
     if tensor.is_complex() or tensor.dtype == torch.bool:
         raise InputError(f"{name}: expected real numbers, got {tensor.dtype}")
     return tensor.to("cpu", torch.float64)
-
-
-def check_shape(name: str, tensor: torch.Tensor, shape: tuple[int, ...]) -> None:
-    """Raise InputError for a tensor of another shape than the given one."""
-    if tuple(tensor.shape) != tuple(shape):
-        raise InputError(f"{name}: expected shape {list(shape)}, got {list(tensor.shape)}")
 
 
 def with_numbers(operator: Any, numbers: Mapping[str, Any]) -> tuple[Any, dict[str, torch.Tensor]]:

@@ -13,7 +13,7 @@ import sys
 import sysconfig
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -182,19 +182,27 @@ def _methods(kind: type) -> dict[str, Any]:
     """Methods of a user's own class, by name."""
     if not _is_users(kind):
         return {}
-    found = {name: getattr(one, "__func__", one) for name, one in vars(kind).items()}
+    found: dict[str, Any] = {above.__qualname__: _methods(above) for above in kind.__bases__}
     for name, one in vars(kind).items():
-        found[name] = getattr(one, "fget", getattr(one, "func", found[name]))
-    own = {name: one for name, one in found.items() if inspect.isfunction(one)}
-    return {above.__qualname__: _methods(above) for above in kind.__bases__} | own
+        for inner in ("__func__", "fget", "func"):  # of static and class methods, of properties
+            one = getattr(one, inner, one)
+        if inspect.isfunction(one):
+            found[name] = one
+    return found
+
+
+@cache
+def _installed() -> list[Path]:
+    """Folders of Python's own modules, of installed packages, and of this one."""
+    paths = sysconfig.get_paths()
+    names = ("stdlib", "purelib", "platlib")
+    return [*(Path(paths[name]) for name in names), Path(__file__).parents[1]]
 
 
 def _is_users(one: Any) -> bool:
     """Whether code is of no installed package: a script's, a notebook's, of a module beside it."""
     file = Path(getattr(sys.modules.get(one.__module__ or ""), "__file__", None) or "")
-    paths = sysconfig.get_paths() | {"own": str(Path(__file__).parents[1])}
-    installed = (paths[name] for name in ("stdlib", "purelib", "platlib", "own"))
-    return not any(map(file.is_relative_to, installed))
+    return not any(map(file.is_relative_to, _installed()))
 
 
 def _lasting(content: Any) -> Any:

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 from tqdm import tqdm
 
-from warp_peri.core.torch_bridge import check_shape as check_shape
 from warp_peri.core.torch_bridge import linear, nonlinear, refuse_tangents, with_numbers
 from warp_peri.core.torch_bridge import real as real
 from warp_peri.errors import InputError, warn

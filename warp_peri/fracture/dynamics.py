@@ -21,7 +21,7 @@ from warp_peri.fracture.bonds import CutOperator, mean_gradients, unit_toughness
 from warp_peri.fracture.materials import BrittleMaterial
 from warp_peri.fracture.statics import by_component, check_no_fail
 from warp_peri.kernels.damage import halves
-from warp_peri.points.arguments import Positive, checked, plain
+from warp_peri.points.arguments import Positive, check_shape, checked, plain
 from warp_peri.runtime import floats, launch_slices, zeros
 from warp_peri.solvers.motion import Motion, Recorder
 
@@ -401,7 +401,7 @@ class CrackRun(Recorder):
             for name, function in self.watch.items():
                 found[name] = plain(f"watch {name}", function(everywhere.copy()))
                 for one in self.history.get(name, [])[:1]:
-                    checked(f"watch {name}", np.zeros(found[name].shape), shape=np.shape(one))
+                    check_shape(f"watch {name}", found[name], np.shape(one))
         return state.time, found, {} if phi is None else {"damage": phi}
 
     def nodal(self, state: BreakingState) -> dict[str, np.ndarray]:

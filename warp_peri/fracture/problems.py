@@ -22,7 +22,7 @@ from warp_peri.fracture.body import (
 from warp_peri.fracture.dynamics import BreakingBody, CrackRun
 from warp_peri.fracture.statics import CutSolid, crack_load, grow
 from warp_peri.materials.lps import LPSMaterial
-from warp_peri.points.arguments import NotNegative, Positive, checked, typed
+from warp_peri.points.arguments import NotNegative, Positive, check_shape, checked, typed
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
 from warp_peri.protocols import is_tensor, offered, refuse_uncut, taken
@@ -115,7 +115,7 @@ class Cracked:
             extra = crack_load(cut, pressure, numbers or {} if learns else None)
             if learns:
                 b, extra = map(fracture.adjoint.real, ("b", "pressure"), (b, extra))
-                fracture.adjoint.check_shape("b", b, body.x.shape)
+                check_shape("b", b, body.x.shape)
             else:
                 b = checked("b", b, float, body.x.shape)
             b = b + extra

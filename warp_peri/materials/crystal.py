@@ -27,7 +27,7 @@ from warp_peri.errors import InputError, warn
 from warp_peri.points.arguments import checked_fields, plain, typed
 from warp_peri.points.points import Points, Samples, lattice_steps, nodes_of, unsaid
 from warp_peri.points.unit_names import USUAL, Units, check_same, factors, shown_moduli, symbols
-from warp_peri.protocols import SAME_SPACING, OperatorBase
+from warp_peri.protocols import OperatorBase, check_spacing
 from warp_peri.solvers.linear import Linear
 from warp_peri.solvers.solution import CG, Solution, Solver, by_sample, refuse_solver
 
@@ -221,13 +221,9 @@ class StencilMaterial(Record):
 
     def fitting(self, points: Points | Samples) -> Points:
         """The nodes, checked for the material's spacing, units and axis; InputError for others."""
-        nodes, own = nodes_of(points), self.stencil.spacing
+        nodes = nodes_of(points)
         check_same(self.units, nodes.units)
-        if not abs(nodes.spacing / own - 1) <= SAME_SPACING:
-            raise InputError(
-                f"spacing: the model is for {own:g}, the points have {nodes.spacing:g}; "
-                "transfer_to_lattice(law, spacing) fits another"
-            )
+        check_spacing(self.stencil.spacing, nodes.spacing, "the points have")
         return nodes
 
     def on(

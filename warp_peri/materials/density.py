@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from inspect import signature
@@ -94,7 +95,8 @@ class DensityMaterial(Record, format="warp_peri.density"):
         if not callable(energy):
             raise InputError(f"energy: expected a function of strains, got {energy!r:.60}")
         try:
-            signature(energy).bind(None, **named)
+            with suppress(ValueError):  # of what does not tell its arguments
+                signature(energy).bind(None, **named)
         except TypeError as error:
             raise InputError(f"parameters: expected those of the energy ({error})") from None
         name = getattr(energy, "__name__", type(energy).__name__)

@@ -218,19 +218,17 @@ class Bonds:
 
     def influence(self, alpha: ArrayLike, D: ArrayLike, by: Any = None) -> Any:
         """Influence K W of each bond class, [C]; with derivatives `by` to it, those to α and D."""
-        degree, count = np.size(D) - 1, len(self.families.r)
-        pieces = 1 if by is None else max(1, min(BLOCKS, count // SLICE))  # on any threads
+        degree, count, taped = np.size(D) - 1, len(self.families.r), by is not None
+        pieces = max(1, min(BLOCKS, count // SLICE)) if taped else 1  # on any number of threads
+        values = [np.ravel(one).astype(float) for one in (alpha, D)]
         given: list[list[Any]] = [
-            [
-                wp.array(np.ravel(one).astype(float), device=DEVICE, requires_grad=by is not None)
-                for one in (alpha, D)
-            ]
+            [wp.array(one, device=DEVICE, requires_grad=taped) for one in values]
             for _ in range(pieces)
         ]
         binomials = floats(comb(degree, np.arange(degree + 1)))
         inputs: Any = [wp.float64(self.horizon), binomials, *self._tables]
-        kernel, kw = influence(degree), zeros(count, gradient=by is not None)
-        if by is None:
+        kernel, kw = influence(degree), zeros(count, gradient=taped)
+        if not taped:
             launch_slices(kernel, count, [*inputs, *given[0]], (kw,))
             return kw.numpy()
         kernel.module.load(DEVICE)

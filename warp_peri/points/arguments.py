@@ -100,6 +100,12 @@ def checked(
     return np.asarray(value)
 
 
+def check_shape(name: str, given: Any, shape: tuple[int, ...]) -> None:
+    """Raise InputError for an array, or a tensor, of another shape."""
+    if tuple(given.shape) != tuple(shape):
+        raise InputError(f"{name}: expected shape {list(shape)}, got {list(given.shape)}")
+
+
 def checked_fields(
     points: Any, b: Any, u: Any, one: tuple[int, ...] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:

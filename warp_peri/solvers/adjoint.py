@@ -32,14 +32,13 @@ import torch
 from warp_peri.core.torch_bridge import (
     as_tensor,
     by_numbers,
-    check_shape,
     once,
     real,
     refuse_tangents,
     with_numbers,
 )
 from warp_peri.errors import InputError
-from warp_peri.points.arguments import Natural, Positive, checked
+from warp_peri.points.arguments import Natural, Positive, check_shape, checked
 from warp_peri.protocols import is_tensor, taken
 from warp_peri.solvers import verlet
 from warp_peri.solvers.motion import Motion, Recorder

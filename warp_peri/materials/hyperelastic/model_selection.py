@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
+from scipy.optimize.elementwise import find_root
 from scipy.special import ndtri, stdtrit
 
 from warp_peri.errors import InputError
@@ -280,7 +281,7 @@ def uniaxial_stress(
         raise InputError(f"stretches: expected numbers > 0, got {along.min():g}")
     coefficients = torch.from_numpy(solid.coefficients)
 
-    def stress(across: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def stress(across: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Stresses along the direction and across."""
         a, b = along**2, across**2
         E = (
@@ -293,14 +294,11 @@ def uniaxial_stress(
         turn = 2 * c * s * shear
         return along * (c * c * x + s * s * y + turn), across * (s * s * x + c * c * y - turn)
 
-    low, high = 0.3 / along, np.full_like(along, 1.3)
-    if not ((stress(low)[1] < 0) & (stress(high)[1] > 0)).all():
+    between = 0.3 / along, np.full_like(along, 1.3)
+    found = find_root(lambda *both: stress(*both)[1], between, args=(along,))
+    if not found.success.all():
         raise InputError("stretches: expected such as the sheet can have, free across")
-    for _ in range(50):
-        middle = (low + high) / 2
-        wide = stress(middle)[1] > 0
-        low, high = np.where(wide, low, middle), np.where(wide, middle, high)
-    return stress(high)[0]
+    return stress(found.x, along)[0]
 
 
 def febio_material(solid: HyperelasticMaterial) -> str:
