@@ -28,7 +28,7 @@ from warp_peri.points.arguments import checked_fields, plain, typed
 from warp_peri.points.points import Points, Samples, lattice_steps, nodes_of, unsaid
 from warp_peri.points.unit_names import USUAL, Units, check_same, factors, shown_moduli, symbols
 from warp_peri.protocols import OperatorBase, check_spacing
-from warp_peri.solvers.linear import Linear
+from warp_peri.solvers.linear import Inverse, Linear
 from warp_peri.solvers.solution import CG, Solution, Solver, by_sample, refuse_solver
 
 
@@ -73,6 +73,10 @@ class TensorOperator(OperatorBase):
         counts = [each.iterations for each in took]
         method = self.linear.method(asked.preconditioner)
         return by_sample(self, found.reshape(u.shape), self.rhs(b), took, counts, method, proven)
+
+    def inverse(self, loads: int) -> Inverse:
+        """Inverse of L on so many interior loads: factorised, or by iteration."""
+        return self.linear.cheapest_inverse(loads, 2 * len(self.steps))
 
     def solve_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
         """Equilibrium with the load b, less its mean, on a period."""

@@ -24,7 +24,6 @@ from warp_peri.prediction.ensemble import (
     CalibrationFactors,
     EnsembleMaterial,
     EnsembleOperator,
-    Parts,
     norm,
 )
 from warp_peri.protocols import placed
@@ -148,7 +147,7 @@ class Prediction(Shown):
     tolerance: float | None
     operator: EnsembleOperator
     load: np.ndarray
-    known: Parts | None = None
+    known: dict[str, np.ndarray] | None = None
 
     @property
     def error(self) -> float:
@@ -177,40 +176,39 @@ class Prediction(Shown):
         return told + "".join(f"; not covered: {one.split(':')[0]}" for one in self.uncovered)
 
     @cached_property
-    def fields(self) -> Parts:
-        """Error fields on the interior by origin, computed on first use."""
-        known, placed = self.known, self.operator
-        if known is None:
+    def fields(self) -> dict[str, np.ndarray]:
+        """Error fields on the interior by origin, computed on first use; NaN where unknown."""
+        fields, placed = self.known, self.operator
+        if fields is None:
             left = placed.correction(self.load, self.u)
-            known = placed.doubts(self.u, left, placed.recorded(self.u)[0])
-        return replace(known, pull=np.nan) if np.isnan(self.error) else known
+            fields = placed.doubts(self.u, left, placed.recorded(self.u)[0])
+        unknown = np.nan if np.isnan(self.error) else 1.0
+        return fields | {name: unknown * fields[name] for name in ("waves", "data")}
 
     @property
     def corrected(self) -> np.ndarray:
         """Displacement with the remaining correction added, on all nodes."""
-        return self._plus(self.fields.fields["left"])
+        return self._plus(self.fields["left"])
 
     def of(self, quantity: Callable[[np.ndarray], Any]) -> QuantityEstimate:
         """Estimate a quantity, a function of nodal displacements [N, d], with its error (Q4).
         warp_peri.prediction has strain, stress, means and forces."""
-        at, fields = np.asarray(quantity(self.u), float), self.fields
-
-        def change(part: np.ndarray) -> np.ndarray:
-            return np.asarray(np.asarray(quantity(self._plus(part)), float) - at)
-
-        changes = Parts({name: change(part) for name, part in fields.fields.items()}, fields.pull)
-        squares = combined(changes, self.operator.family.factors, np.abs)
-        bar = np.sqrt(sum(value**2 for value in squares.values()))
-        return QuantityEstimate(at, changes.fields["left"], bar)
+        at = np.asarray(quantity(self.u), float)
+        ends = {name: quantity(self._plus(part)) for name, part in self.fields.items()}
+        changes = {name: np.asarray(end, float) - at for name, end in ends.items()}
+        return QuantityEstimate(at, changes["left"], self._bar(changes))
 
     def map(self) -> np.ndarray:
         """Likely error of the displacement at each node [length], shape [N]; 0 on the collar."""
-        found = combined(
-            self.fields, self.operator.family.factors, lambda part: np.linalg.norm(part, axis=-1)
-        )
         bar = np.zeros(len(self.u))
-        bar[self.operator.points.interior] = np.sqrt(sum(v**2 for v in found.values()))
+        sizes = {name: np.linalg.norm(part, axis=-1) for name, part in self.fields.items()}
+        bar[self.operator.points.interior] = self._bar(sizes)
         return bar
+
+    def _bar(self, sizes: dict[str, np.ndarray]) -> np.ndarray:
+        """Likely error of numbers that error fields change by `sizes`."""
+        likely = combined(sizes, self.operator.family.factors)
+        return np.asarray(np.linalg.norm([*likely.values()], axis=0))
 
     @cached_property
     def guarantee(self) -> ErrorBound | None:
@@ -279,13 +277,11 @@ class Prediction(Shown):
         return [*rows, ("why", self.why)]
 
 
-def combined(
-    parts: Parts, factors: CalibrationFactors, size: Callable[[np.ndarray], Any]
-) -> dict[str, Any]:
-    """Combine error fields, or quantities made of them, to likely errors by origin (Q4)."""
-    share = parts.pull * factors.floor / np.sqrt(2)
+def combined(sizes: dict[str, Any], factors: CalibrationFactors) -> dict[str, Any]:
+    """Combine sizes of error fields, or of what they change, to likely errors by origin (Q4)."""
+    share = factors.floor / np.sqrt(2)
     weights = {"left": factors.left, "waves": share, "data": share, "strain": factors.floor}
-    found = {name: weights.get(name, 1.0) * size(part) for name, part in parts.fields.items()}
+    found = {name: weights.get(name, 1.0) * abs(size) for name, size in sizes.items()}
     if "moduli" in found:
         found["data"] = np.hypot(found["data"], found.pop("moduli"))
     return found
@@ -402,8 +398,8 @@ def _corrected(first: Prediction, told: float | None) -> Prediction:
         return norm(field) / (norm(u[inside]) or 1.0)
 
     def judged(u: np.ndarray, left: np.ndarray, done: int) -> Prediction:
-        fields, size = placed.doubts(u, left, told, slowed), norm(u[inside]) or 1.0
-        found = combined(fields, factors, lambda part: norm(part) / size)
+        fields = placed.doubts(u, left, told, slowed)
+        found = combined({name: share(part) for name, part in fields.items()}, factors)
         names = ("left", "waves", "data", "strain", *("axis",) * ("axis" in found))
         parts = {name: float(found.get(name, 0.0)) for name in names} | {"noise": noise}
         return replace(first, u=u, parts=parts, known=fields, corrections=done)

@@ -15,6 +15,7 @@ from scipy.ndimage import distance_transform_edt
 from warp_peri.core.record import FieldUnits, OnLinear
 from warp_peri.core.stencil import Grid, grid_of
 from warp_peri.errors import InputError
+from warp_peri.fitting.settings import Fit
 from warp_peri.points.arguments import NotNegative, typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import largest_strain
@@ -120,20 +121,6 @@ def recorded(wavelength: np.ndarray, rows: np.ndarray, errors: np.ndarray) -> Er
     return ErrorSpectrum(wavelength, error, float(wavelength[first]))
 
 
-@dataclass(frozen=True, eq=False)
-class Parts:
-    """Error fields [I, d] [length] on the interior nodes by origin (Q1–Q3).
-
-    "left": the remaining correction; "waves": by the second member; "data": by the halves;
-    "strain": by higher orders of the force, of a linear member the second; "axis": by the crystal
-    at its other extreme; "moduli": by their standard error. Waves and data are multiplied with
-    `pull`, half way in logarithms to the recorded error (Q6).
-    """
-
-    fields: dict[str, np.ndarray]
-    pull: float = 1.0
-
-
 def norm(field: np.ndarray) -> float:
     """Euclidean norm ‖field‖₂ of vectors [n, d]."""
     return float(np.linalg.norm(field))
@@ -170,15 +157,7 @@ class EnsembleOperator:
     @cached_property
     def inverse(self) -> Callable[[np.ndarray, float], np.ndarray]:
         """Inverse S = L⁻¹ of a load on the interior, to a relative residual."""
-        if hasattr(self.rich, "inverse"):
-            return self.rich.inverse(self.loads)  # type: ignore[no-any-return]
-        zero = np.zeros(self.points.x.shape)
-
-        def solved(right: np.ndarray, tolerance: float) -> np.ndarray:
-            solution = self.rich.solve(self.rich.on_all(right), zero)
-            return np.asarray(solution.u[self.points.interior])
-
-        return solved
+        return self.rich.inverse(self.loads)  # type: ignore[no-any-return]
 
     def gradient(self, u: np.ndarray) -> float:
         """Root mean square gradient |H| of u; of a linear member the largest bond strain."""
@@ -242,23 +221,26 @@ class EnsembleOperator:
 
     def doubts(
         self, u: np.ndarray, left: np.ndarray, told: float | None = None, slowed: float = 0.0
-    ) -> Parts:
-        """Error fields of u; `left` its correction, `told` recorded, `slowed` as of `series`."""
+    ) -> dict[str, np.ndarray]:
+        """Error fields [I, d] [length] of u by origin (Q1–Q3); `slowed` as of `series`.
+
+        "left": its remaining correction; "waves": by the second member; "data": by the halves, both
+        half way in logarithms to the recorded error `told` (Q6); "strain": by higher orders of the
+        force, of a linear member the second; "axis": by the crystal at its other extreme; "moduli":
+        by their standard error.
+        """
         second, *halves = self.others
-        fields = {
-            "left": left,
-            "waves": self.inverse(self.straight(u) - second(u), ROUGH),
-            "data": self.inverse(halves[0](u) - halves[1](u), ROUGH) / np.sqrt(2),
-        }
-        size = norm(u[self.points.interior]) or 1.0
-        pull = pulled(spread(fields["waves"], fields["data"]) / size, told)
+        waves = self.inverse(self.straight(u) - second(u), ROUGH)
+        data = self.inverse(halves[0](u) - halves[1](u), ROUGH) / np.sqrt(2)
+        pull = pulled(spread(waves, data) / (norm(u[self.points.interior]) or 1.0), told)
+        fields = {"left": left, "waves": pull * waves, "data": pull * data}
         if (strain := self.bent(u)) is not None:
             fields["strain"] = self.series(self.gradient(u), slowed) * strain
         if self.turned is not None:
             fields["axis"] = self.inverse(self.rich(u) - self.turned(u), ROUGH)
         if unsure := self.family.moduli_error:
             fields["moduli"] = unsure * u[self.points.interior]
-        return Parts(fields, pull)
+        return fields
 
 
 def quadratic_stresses(H: np.ndarray) -> np.ndarray:
@@ -390,9 +372,9 @@ class Ensemble:
 
     def learn(
         self, samples: Any, *, validation: Samples | None = None, progress: bool | None = None
-    ) -> EnsembleFit:
-        """Learn the ensemble from at least four samples with loads. `validation`, on the same kind
-        of nodes, calibrates too."""
+    ) -> Fit:
+        """Learn the ensemble from at least four samples with loads; certificate and history are
+        those of its rich member's fit. `validation`, on the same kind of nodes, calibrates too."""
         if isinstance(samples, Dataset):
             samples = samples.obvious("train")
         if not isinstance(samples, Samples) or len(samples) < 4:
@@ -411,17 +393,7 @@ class Ensemble:
             temperature=None if kelvin is None else float(np.mean(kelvin)),
         )
         material = calibrated(family, samples, validation)
-        certificate, history = (getattr(fit, n, None) for n in ("certificate", "history"))
-        return EnsembleFit(material, certificate, history)
-
-
-@dataclass(frozen=True)
-class EnsembleFit:
-    """Learned ensemble, with the certificate and the history of its rich member's fit."""
-
-    material: EnsembleMaterial
-    certificate: Any
-    history: Any
+        return Fit(material, fit.certificate, {}, fit.history)
 
 
 def poorer(law: Any) -> Any:
@@ -492,7 +464,7 @@ def _measured(family: EnsembleMaterial, samples: Samples) -> list[dict[str, Any]
         for _ in range(MOST if placed.nonlinear else 0):
             u[inside] += left
             left = placed.correction(load, u)
-        fields = placed.doubts(u, left).fields
+        fields = placed.doubts(u, left)
         rows.append(
             {
                 "left": norm(start) / size,
