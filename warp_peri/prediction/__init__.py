@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from warp_peri.prediction.answer import ErrorBound as ErrorBound
     from warp_peri.prediction.answer import Prediction as Prediction
     from warp_peri.prediction.answer import QuantityEstimate as QuantityEstimate
-    from warp_peri.prediction.answer import force as force
-    from warp_peri.prediction.answer import mean as mean
     from warp_peri.prediction.answer import strain as strain
     from warp_peri.prediction.answer import stress as stress
     from warp_peri.prediction.ensemble import CalibrationFactors as CalibrationFactors

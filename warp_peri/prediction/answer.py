@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from warp_peri.errors import InputError, Shown
 from warp_peri.materials.certificate import curvature_bound
 from warp_peri.points.arguments import Positive, checked_fields, typed, typed_methods
-from warp_peri.points.points import PointsLike, Samples, lattice_steps, nodes_of
+from warp_peri.points.points import PointsLike, lattice_steps, nodes_of
 from warp_peri.points.unit_names import symbols
 from warp_peri.prediction.ensemble import (
     MOST,
@@ -107,7 +107,6 @@ WORDS = {
     "data": "data",
     "strain": "strain beyond third order",
     "axis": "the direction of the crystal, which is not stated",
-    "noise": "noise of what is given",
 }
 
 
@@ -132,12 +131,13 @@ class Prediction(Shown):
 
     Attributes:
         u: displacement [length] on all nodes, shape [N, d].
-        parts: likely error of u on the interior over u by origin: left, waves, data, strain, noise,
-            and axis where a crystal's direction is not stated; NaN where unknown, as of waves
-            shorter than any of the data.
+        parts: likely error of u on the interior over u by origin: left, waves, data, strain, and
+            axis where a crystal's direction is not stated; NaN where unknown, as of waves shorter
+            than any of the data.
         uncovered: error sources that are not included.
         corrections: how often the rich member corrected.
         tolerance: that was asked for; None for the best.
+        slowed: the second correction over the first, where both are known.
     """
 
     u: np.ndarray
@@ -147,7 +147,7 @@ class Prediction(Shown):
     tolerance: float | None
     operator: EnsembleOperator
     load: np.ndarray
-    known: dict[str, np.ndarray] | None = None
+    slowed: float
 
     @property
     def error(self) -> float:
@@ -177,13 +177,9 @@ class Prediction(Shown):
 
     @cached_property
     def fields(self) -> dict[str, np.ndarray]:
-        """Error fields on the interior by origin, computed on first use; NaN where unknown."""
-        fields, placed = self.known, self.operator
-        if fields is None:
-            left = placed.correction(self.load, self.u)
-            fields = placed.doubts(self.u, left, placed.recorded(self.u)[0])
-        unknown = np.nan if np.isnan(self.error) else 1.0
-        return fields | {name: unknown * fields[name] for name in ("waves", "data")}
+        """Error fields on the interior by origin, computed on first use."""
+        placed, left = self.operator, self.operator.correction(self.load, self.u)
+        return placed.doubts(self.u, left, placed.recorded(self.u)[0], self.slowed)
 
     @property
     def corrected(self) -> np.ndarray:
@@ -192,7 +188,7 @@ class Prediction(Shown):
 
     def of(self, quantity: Callable[[np.ndarray], Any]) -> QuantityEstimate:
         """Estimate a quantity, a function of nodal displacements [N, d], with its error (Q4).
-        warp_peri.prediction has strain, stress, means and forces."""
+        warp_peri.prediction has strain and stress."""
         at = np.asarray(quantity(self.u), float)
         ends = {name: quantity(self._plus(part)) for name, part in self.fields.items()}
         changes = {name: np.asarray(end, float) - at for name, end in ends.items()}
@@ -206,9 +202,10 @@ class Prediction(Shown):
         return bar
 
     def _bar(self, sizes: dict[str, np.ndarray]) -> np.ndarray:
-        """Likely error of numbers that error fields change by `sizes`."""
+        """Likely error of numbers that error fields change by `sizes`; NaN where it is unknown."""
         likely = combined(sizes, self.operator.family.factors)
-        return np.asarray(np.linalg.norm([*likely.values()], axis=0))
+        bar = np.linalg.norm([*likely.values()], axis=0)
+        return np.where(np.isnan(self.error), np.nan, bar)
 
     @cached_property
     def guarantee(self) -> ErrorBound | None:
@@ -320,23 +317,6 @@ def stress(placed: EnsembleOperator, at: ArrayLike) -> Measure:
 
 
 @typed
-def mean(where: ArrayLike) -> Measure:
-    """Make a measure of the mean displacement of nodes, by a mask [N] or numbers, shape [d]."""
-    nodes = np.asarray(where)
-    return lambda u: u[nodes].mean(axis=0)
-
-
-@typed
-def force(placed: EnsembleOperator, start: ArrayLike, end: ArrayLike) -> Measure:
-    """Make a measure of the force [stress · length] that the right of a straight cut exerts."""
-    a, b = np.asarray(start, float), np.asarray(end, float)
-    share, along = (np.arange(50) + 0.5) / 50, b - a
-    normal = np.array([along[1], -along[0]]) / 50
-    of = stress(placed, a + share[:, None] * along)
-    return lambda u: np.asarray((of(u) @ normal).sum(axis=0))
-
-
-@typed
 def predict(
     material: Any, problem: Any, tolerance: Positive | None = 0.01, **options: Any
 ) -> Prediction | tuple[Prediction, ...]:
@@ -372,77 +352,66 @@ def predict(
     uncovered = _uncovered(members, points)
     flat = [each.reshape(-1, *members.points.x.shape) for each in (load, field)]
     members.loads = max(members.loads, len(flat[0]))
-    inside, answers = members.points.interior, []
-    share = SOLVED if tolerance is None else min(SOLVED, SHARE * tolerance)
-    for b, given, noise in zip(*flat, _noise(points, len(flat[0]))):
-        right = members.rich.rhs(b)
-        start = np.where(inside[:, None], 0.0, given)
-        start[inside] = members.inverse(right - members.straight(start), share)
-        told, unseen = members.recorded(start)
-        first = Prediction(start, {"noise": noise}, uncovered, 0, tolerance, members, right)
-        found = _corrected(first, told)
-        beyond = _beyond(members, found.u, unseen)
-        parts = found.parts | {part: math.nan for part, _ in beyond if part}
-        more = tuple(why for _, why in beyond)
-        answers.append(replace(found, parts=parts, uncovered=uncovered + more))
+    answers = [_answer(members, *each, tolerance, uncovered) for each in zip(*flat)]
     return tuple(answers) if load.ndim == 3 else answers[0]
 
 
-def _corrected(first: Prediction, told: float | None) -> Prediction:
-    """Correct a prediction until the tolerance is kept or cannot be; `told` is the known error."""
-    placed, load, tolerance, u = first.operator, first.load, first.tolerance, first.u
-    factors, inside, noise = placed.family.factors, placed.points.interior, first.parts["noise"]
-    before, slowed, least, best = math.inf, 0.0, math.inf, (u, u[inside], 0)
+def _answer(
+    placed: EnsembleOperator,
+    b: np.ndarray,
+    given: np.ndarray,
+    tolerance: float | None,
+    uncovered: tuple[str, ...],
+) -> Prediction:
+    """Solve by the linear part, and correct until the tolerance is kept or cannot be."""
+    inside, load, factors = placed.points.interior, placed.rich.rhs(b), placed.family.factors
+    u = np.where(inside[:, None], 0.0, given)
+    to = SOLVED if tolerance is None else min(SOLVED, SHARE * tolerance)
+    u[inside] = placed.inverse(load - placed.straight(u), to)
+    told, unseen = placed.recorded(u)
+    before, slowed, earlier, start = math.inf, 0.0, (u, u[inside], 0), u[inside]
+    bent = None if placed.nonlinear else placed.bent(u)
 
-    def share(field: np.ndarray) -> float:
-        return norm(field) / (norm(u[inside]) or 1.0)
+    def share(field: np.ndarray | None) -> float:
+        return 0.0 if field is None else norm(field) / (norm(u[inside]) or 1.0)
 
     def judged(u: np.ndarray, left: np.ndarray, done: int) -> Prediction:
         fields = placed.doubts(u, left, told, slowed)
-        found = combined({name: share(part) for name, part in fields.items()}, factors)
-        names = ("left", "waves", "data", "strain", *("axis",) * ("axis" in found))
-        parts = {name: float(found.get(name, 0.0)) for name in names} | {"noise": noise}
-        return replace(first, u=u, parts=parts, known=fields, corrections=done)
+        sizes = {"strain": 0.0} | {name: share(part) for name, part in fields.items()}
+        parts = combined(sizes, factors)
+        return Prediction(u, parts, uncovered, done, tolerance, placed, load, slowed)
 
-    added = None if placed.nonlinear else placed.bent(u)
-    bent = 0.0 if added is None else share(added)
     for done in count():
         left = placed.correction(load, u)
-        moved, rest = share(left), math.inf  # the latter where only members know
+        moved = share(left)
         slowed = max(slowed, moved / before) if done == 1 else slowed
-        if placed.nonlinear:
-            bent = share((first.u - u)[inside] - left)
-        if told is not None and placed.turned is None:
+        if told is not None and tolerance is not None and placed.turned is None:
+            bent = start - u[inside] - left if placed.nonlinear else bent
             screen = {  # of the record alone, which asks no member: it may suffice (Q5)
                 "left": factors.left * moved,
                 "waves": factors.floor * told,
                 "data": placed.family.moduli_error,
-                "strain": factors.floor * placed.series(placed.gradient(u), slowed) * bent,
-                "noise": noise,
+                "strain": factors.floor * placed.series(placed.gradient(u), slowed) * share(bent),
             }
-            rest = _rest(screen)
-            if tolerance is not None and math.hypot(*screen.values()) <= tolerance:
-                return replace(first, u=u, parts=screen, corrections=done)
-        worth = moved if rest == math.inf else math.hypot(factors.left * moved, rest)
-        if worth < least:
-            best, least = (u, left, done), worth
+            found = Prediction(u, screen, uncovered, done, tolerance, placed, load, slowed)
+            if found.error <= tolerance:
+                break
         last = done == MOST or moved > STALLED * before
-        # waves and strain that a screen sees say where an answer with no tolerance settles
-        goal = SETTLED * rest if tolerance is None else tolerance
-        if factors.left * moved <= goal or last:
+        if tolerance is None or factors.left * moved <= tolerance or last:
             found = judged(u, left, done)
-            floor = _rest(found.parts)
+            floor = math.hypot(*(part for name, part in found.parts.items() if name != "left"))
             if tolerance is None:
                 enough = found.parts["left"] <= SETTLED * floor
             else:  # or what is left is not what keeps it from being kept
                 enough = found.error <= tolerance or (floor > tolerance and done > 0)
             if enough or last:
-                if best[2] < done and not (tolerance and found.error <= tolerance):  # led away
-                    found = min(found, judged(*best), key=lambda one: one.error)
                 break
-        u, before = u.copy(), moved
+        earlier, before, u = (u, left, done), moved, u.copy()
         u[inside] += left
-    return found
+    found = found if moved <= before else judged(*earlier)  # the last correction led away
+    beyond = _beyond(placed, found.u, unseen)
+    parts = found.parts | {part: math.nan for part, _ in beyond if part}
+    return replace(found, parts=parts, uncovered=uncovered + tuple(why for _, why in beyond))
 
 
 def _uncovered(placed: EnsembleOperator, points: Any) -> tuple[str, ...]:
@@ -476,14 +445,3 @@ def _beyond(placed: EnsembleOperator, u: np.ndarray, unseen: float) -> list[tupl
             words = f"strain: {strain:.2%} is beyond the {known:.2%} of the data of a linear law"
             found.append(("", words))
     return found
-
-
-def _noise(points: Any, number: int) -> list[float]:
-    """Relative noise of the given displacement of each sample."""
-    if isinstance(points, Samples) and "snr" in points.arrays and len(points) == number:
-        return [float(1 / value) if value > 0 else 0.0 for value in points.arrays["snr"]]
-    return [0.0] * number
-
-
-def _rest(parts: dict[str, float]) -> float:
-    return math.hypot(*(part for name, part in parts.items() if name != "left"))
