@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 20_162,
-    "tokens": 251_095,
-    "lines of warp_peri": 32_006,
+    "code lines": 20_111,
+    "tokens": 250_499,
+    "lines of warp_peri": 31_934,
     "files of warp_peri": 114,
     "lines of kernels": 1_009,
-    "lines of warp_peri, kernels, examples and tools": 44_209,
+    "lines of warp_peri, kernels, examples and tools": 44_137,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -42,10 +42,10 @@ ROOMS = {
     "files": 509,
     "fitting": 1213,
     "fracture": 1513,
-    "materials": 4973,
+    "materials": 4975,
     "neural": 621,
     "points": 1652,
-    "prediction": 646,
+    "prediction": 593,
     "mpi": 733,
     "solvers": 1472,
 }
