@@ -16,10 +16,6 @@ if TYPE_CHECKING:
     from warp_peri.materials.hyperelastic.energy_fit import fibre_fan as fibre_fan
     from warp_peri.materials.hyperelastic.energy_fit import fit_fibre_families as fit_fibre_families
     from warp_peri.materials.hyperelastic.energy_fit import with_corners as with_corners
-    from warp_peri.materials.hyperelastic.equilibrium import Equilibrium as Equilibrium
-    from warp_peri.materials.hyperelastic.equilibrium import (
-        NoEquilibriumError as NoEquilibriumError,
-    )
     from warp_peri.materials.hyperelastic.from_displacement import (
         DisplacementFit as DisplacementFit,
     )
@@ -39,5 +35,7 @@ if TYPE_CHECKING:
     from warp_peri.materials.hyperelastic.operator import (
         evaluate_hyperelastic as evaluate_hyperelastic,
     )
+    from warp_peri.solvers.equilibria import NoEquilibriumError as NoEquilibriumError
+    from warp_peri.solvers.equilibria import NonlinearRecord as NonlinearRecord
 else:
     __getattr__, __dir__, __all__ = lazy(__name__)

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from tests.support.sheets import hgo_dictionary, sheet_on, square, waves
-from warp_peri import Points, Samples
+from warp_peri import Points, Samples, evaluate
 from warp_peri.hyperelastic import NoEquilibriumError
 from warp_peri.materials.hyperelastic import equilibrium
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
-from warp_peri.materials.hyperelastic.equilibrium import smallest_of_tangent, stable_equilibrium
-from warp_peri.materials.hyperelastic.operator import evaluate_hyperelastic
-from warp_peri.solvers.equilibria import stable_way
+from warp_peri.solvers.equilibria import Descent
 
 COEFFICIENTS = np.array([0.2] * 4 + [0.07, 0.08, 0.2])
 CORNERED = (EnergyTerm("neo_hookean", corner=True), EnergyTerm("volumetric", corner=True))
@@ -30,11 +28,12 @@ def test_a_known_equilibrium_is_found(manufactured, monkeypatch):
     op, u, b = manufactured
     for direct in (0, 10**6):
         monkeypatch.setattr(equilibrium, "DIRECT", direct)
-        answer = stable_equilibrium(op, b, u)
+        answer = sheet_on(op.points, c=COEFFICIENTS).solve(b, u)
         assert np.abs(answer.u - u).max() < 1e-6 * np.abs(u).max()
-        assert answer.followed
-        assert answer.residual < 1e-8
-        assert answer.smallest_eigenvalue > 0
+        (record,) = answer.details
+        assert record.followed
+        assert record.residual < 1e-8
+        assert record.eigenvalue > 0
 
 
 def test_the_smallest_eigenvalue_is_below_zero_where_the_tangent_is():
@@ -44,36 +43,34 @@ def test_the_smallest_eigenvalue_is_below_zero_where_the_tangent_is():
     values = np.linalg.eigvalsh(op.interior_tangent(u).toarray())
     assert values[0] < -100
     assert values[np.abs(values).argmin()] > 0
-    assert smallest_of_tangent(op, u) == pytest.approx(values[0], rel=1e-6)
+    assert op.smallest_eigenvalue(u) == pytest.approx(values[0], rel=1e-6)
     dense = np.linalg.eigvalsh(op.interior_tangent(0 * u).toarray())[0]
-    assert smallest_of_tangent(op, 0 * u) == pytest.approx(dense, rel=1e-2)
+    assert op.smallest_eigenvalue(0 * u) == pytest.approx(dense, rel=1e-2)
 
 
 def test_continuation_leads_where_one_step_does(manufactured):
     op, u, b = manufactured
-    inside = op.points.interior[:, None]
-    sheet = equilibrium.Sheet(op, b[op.interior], np.where(inside, 0.0, u))
-    far = np.where(inside, 9 * u, u)  # folded: nothing is found from there
-    found, _, parts, followed = stable_way(sheet, far, None, 1e-8)
-    assert followed
-    assert parts > 1
+    far = np.where(op.points.interior[:, None], 9 * u, u)  # folded: nothing is found from there
+    found, record = Descent(op).find(b[op.interior], u, 1e-8, far)
+    assert record.followed
+    assert record.method == "parts"
     np.testing.assert_allclose(found, u, atol=1e-6 * np.abs(u).max())
 
 
 def test_a_sheet_pushed_together_is_stable_or_refused(manufactured):
     """Compression to a third: the branch ends; what comes back says that it left it, or nothing."""
-    op, _, _ = manufactured
+    op, _, b = manufactured
     u = -0.66 * op.points.x + 1e-3 * waves(op.points)
     soft = op.at({"coefficients": COEFFICIENTS * ([0.01] * 4 + [1] * 3)})
-    answer = equilibrium.find_equilibrium(soft, None, u)
-    assert answer is None or not answer.followed
-    if answer is None:
+    found, record = Descent(soft).find(0 * b[op.interior], u, 1e-8)
+    if not record.converged:
         with pytest.raises(NoEquilibriumError, match="no stable equilibrium"):
-            stable_equilibrium(soft, None, u)
+            soft.solve(None, u)
     else:
-        assert smallest_of_tangent(soft, answer.u) > 0
+        assert not record.followed
+        assert soft.smallest_eigenvalue(found) > 0
         with pytest.warns(UserWarning, match="perhaps one of many"):
-            stable_equilibrium(soft, None, u)
+            soft.solve(None, u)
 
 
 def test_an_answer_that_is_not_stable_is_not_given(manufactured, monkeypatch):
@@ -81,7 +78,7 @@ def test_an_answer_that_is_not_stable_is_not_given(manufactured, monkeypatch):
     none = sheet_on(square(2), c=-COEFFICIENTS)
     with pytest.raises(NoEquilibriumError, match="no stable equilibrium found"):
         none.solve(None, waves(none.points))
-    monkeypatch.setattr(equilibrium, "smallest_of_tangent", lambda *_: -1.0)
+    monkeypatch.setattr(type(op), "smallest_eigenvalue", lambda *_: -1.0)
     with pytest.raises(NoEquilibriumError, match="sample 0: .* unstable: eigenvalue -1"):
         op.solve(b, u)
 
@@ -90,22 +87,21 @@ def test_a_collar_that_is_folded_far_out_does_not_stop_a_solve():
     """Nothing that the interior cannot move belongs to the energy, or to the scale of forces."""
     op = sheet_on(square(3), c=[0.1] * 4 + [0.07, 0.08, 0.2])
     x, u, h = op.points.x, waves(op.points, 0.1), op.points.spacing
-    even = stable_equilibrium(op, None, u)
+    even = op.solve(None, u).u
     corner = np.flatnonzero((x < 1.5 * h).all(axis=1))
     u[corner] += 1.5 * h * np.random.default_rng(2).normal(size=(len(corner), 2))
-    answer = stable_equilibrium(op, None, u)
-    np.testing.assert_allclose(answer.u[op.interior], even.u[op.interior], atol=1e-10)
+    np.testing.assert_allclose(op.solve(None, u).u[op.interior], even[op.interior], atol=1e-10)
 
 
 def test_a_corner_that_is_turned_over_is_no_equilibrium():
     op = sheet_on(square(3), Hyperelastic(3.0, terms=CORNERED), [0.07, 0.08])
-    u = np.zeros_like(op.points.x)
-    assert op.folded(u) == 0
-    u[op.interior[4]] = [-2.4 * op.points.spacing, 0.0]  # through its neighbour, to its other side
-    assert op.folded(u) > 0
-    answer = equilibrium.find_equilibrium(op, None, 0 * u, start=u)
-    assert answer is None or op.folded(answer.u) == 0
-    assert np.abs(stable_equilibrium(op, None, 0 * u).u).max() < 1e-12
+    u, none = np.zeros_like(op.points.x), np.zeros((9, 2))
+    assert op.folds(u) == 0
+    u[op.interior[4]] = [-1.2 * op.points.spacing, 0.0]  # beyond its neighbour
+    assert 0 < op.folds(u)
+    found, record = Descent(op).find(none, 0 * u, 1e-8, u)
+    assert not record.converged or op.folds(found) == 0
+    assert np.abs(op.solve(None, 0 * u).u).max() < 1e-12
 
 
 def test_stretches_beyond_the_training_data_warn(manufactured):
@@ -114,10 +110,10 @@ def test_stretches_beyond_the_training_data_warn(manufactured):
     assert reached > 1.05
     samples = Samples(op.points, u[None], b[None])
     known = replace(op.model, stretch=reached)
-    assert evaluate_hyperelastic(known, samples)["E_u"] < 1e-6
+    assert evaluate(known, samples)["E_u"] < 1e-6
     said = f"stretch: the fields reach {reached:.4g}, the training data 1.02"
     with pytest.warns(UserWarning, match=said):
-        evaluate_hyperelastic(replace(op.model, stretch=1.02), samples)
+        evaluate(replace(op.model, stretch=1.02), samples)
 
 
 @pytest.mark.parametrize("sides", [(7, 40), (40, 7)])

@@ -356,7 +356,7 @@ class PlacedThirdOrder(Pointwise):
         |H| exceeds the proven strain, so that another solution is not ruled out. Raises InputError
         for arrays that do not fit, and where no equilibrium is found."""
         proven = self.model.proven_strain(self.points.spacing)
-        return equilibria_of(self, b, u, solver, proven)
+        return equilibria_of(self, b, u, solver, proven=proven)
 
 
 @typed

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,31 +16,19 @@ from warp_peri.points.arguments import checked_fields, plain, typed
 from warp_peri.points.families import families_of
 from warp_peri.points.points import PointsLike, Samples, nodes_of
 from warp_peri.protocols import OperatorBase
-from warp_peri.solvers.equilibria import Equilibria, probed
+from warp_peri.solvers.equilibria import Equilibria, NonlinearRecord, equilibria_of, probed
 from warp_peri.solvers.linear import Inverse, Linear
-from warp_peri.solvers.solution import Newton, Solution, Solver, by_sample, refuse_solver
+from warp_peri.solvers.solution import TOLERANCE, Solution, Solver
 
 if TYPE_CHECKING:
     from warp_peri.neural.material import NeuralOperator
 
 SOLVED = 1e-5
 """Tolerance of the equilibria of frames."""
-TOLERANCE = 1e-8
-"""‖force − b‖ over that of the field that the search begins with."""
 ROUNDING = 16
 """In units of the networks' precision: a residual that steps of Newton no longer lower."""
 LOADS = 8
 """Loads that the solid at rest is set up for."""
-
-
-@dataclass(frozen=True)
-class Found:
-    """Equilibrium, or last iterate, u [N, 2], with its relative residual ‖force − b‖ and solves."""
-
-    u: np.ndarray
-    residual: float
-    steps: int
-    converged: bool
 
 
 class EquilibriumSolver:
@@ -54,40 +41,34 @@ class EquilibriumSolver:
         self.placed, linear = placed, Linear(probed(placed), points)
         self.inverse = linear.cheapest_inverse(LOADS, definite=False)
         straight = lambda u: linear(u[None])[0]  # noqa: E731
-        self.way = Equilibria(placed, straight, self.inverse, points.interior)
+        least = ROUNDING * float(torch.finfo(placed.dtype).eps)
+        self.way = Equilibria(placed, straight, self.inverse, points.interior, rounding=least)
 
-    def solve(self, b: ArrayLike, u: ArrayLike, *, tolerance: float = TOLERANCE) -> Found:
+    def solve(
+        self, b: ArrayLike, u: ArrayLike, *, tolerance: float = TOLERANCE
+    ) -> tuple[np.ndarray, NonlinearRecord]:
         """Find the equilibrium with load b [stress/length] near u [length], both [N, 2].
 
         u holds data on the collar and the start on the interior; `tolerance` is of ‖force − b‖ over
-        that of a zero interior. Raises InputError for arrays of other shapes.
+        that of a zero interior. Returns u, or the last iterate, and a record that says whether it
+        converged. Raises InputError for arrays of other shapes.
         """
-        load, field, enough = self._asked(b, u, tolerance)
-        found, record = self.way.solve_from(load, field, enough)
-        return Found(found, record.residual, record.solves, record.residual <= enough)
+        load, field = checked_fields(self.placed.points, b, u)
+        return self.way.solve_from(load[self.way.inside], field, tolerance)
 
     def solve_by_continuation(
         self, b: ArrayLike, u: ArrayLike, *, tolerance: float = TOLERANCE
-    ) -> Found:
+    ) -> tuple[np.ndarray, NonlinearRecord]:
         """Find the equilibrium on the branch from rest, whatever u is inside, or a linear one."""
-        load, given, enough = self._asked(b, u, tolerance)
+        load, given = checked_fields(self.placed.points, b, u)
+        inside, load = self.way.inside, load[self.way.inside]
         try:
-            found, record = self.way.solve(load, given, enough)
+            return self.way.solve(load, given, tolerance)
         except InputError:
-            inside = self.placed.points.interior
             field = np.where(inside[:, None], 0.0, given)
-            field[inside] = self.inverse(load - self.way.straight(field), enough)
-            left = np.linalg.norm(load - self.placed(field))
-            return Found(field, float(left / (np.linalg.norm(load) or 1.0)), 1, False)
-        return Found(found, record.residual, record.solves, True)
-
-    def _asked(
-        self, b: ArrayLike, u: ArrayLike, tolerance: float
-    ) -> tuple[np.ndarray, np.ndarray, float]:
-        """Checked load on the interior, field, and the residual that is small enough."""
-        load, field = checked_fields(self.placed.points, b, u)
-        rounding = ROUNDING * torch.finfo(self.placed.dtype).eps
-        return load[self.placed.points.interior], field, max(tolerance, float(rounding))
+            field[inside] = self.inverse(load - self.way.straight(field), tolerance)
+            left = np.linalg.norm(load - self.placed(field)) / (np.linalg.norm(load) or 1.0)
+            return field, NonlinearRecord(1, "linear", float(left), converged=False)
 
 
 CELLS = 16
@@ -197,20 +178,10 @@ class Placed(OperatorBase):
     def solve(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
         """Solve for equilibrium with b on the interior, u given on the collar, [N, 2] or [S, N, 2].
 
-        The solution's details are the EquilibriumSolver's of each sample. Raises InputError for
-        arrays that do not fit, and for a sample without an equilibrium.
+        The solution's details are a NonlinearRecord for each sample. Raises InputError for arrays
+        that do not fit, and for a sample without an equilibrium.
         """
-        refuse_solver(solver, (Newton,), "a neural operator")
-        asked = solver if isinstance(solver, Newton) else Newton()
-        load, given = checked_fields(self.points, b, u)
-        search = EquilibriumSolver(self)
-        pairs = zip(*(np.reshape(f, (-1, *self.points.x.shape)) for f in (load, given)))
-        found = [search.solve_by_continuation(*pair, tolerance=asked.tolerance) for pair in pairs]
-        for n, one in enumerate(found):
-            if not one.converged:
-                raise InputError(f"sample {n}: no equilibrium was found ({one.residual:.1e} left)")
-        answer = np.reshape([one.u for one in found], given.shape)
-        return by_sample(self, answer, self.rhs(load), found, [one.steps for one in found])
+        return equilibria_of(self, b, u, solver, EquilibriumSolver(self).way)
 
     @property
     def networks(self) -> tuple[torch.nn.Parameter, ...]:  # type: ignore[override]
@@ -380,12 +351,12 @@ def evaluate(
         rows["E_res"].append(float(miss / size) if size else np.nan)
         if search is not None:
             if samples.b is None:
-                found = search.solve(b, affine(samples, u), tolerance=enough)
+                found, record = search.solve(b, affine(samples, u), tolerance=enough)
             else:
-                found = search.solve_by_continuation(b, u, tolerance=enough)
-            gap = np.linalg.norm((found.u - u)[inside])
+                found, record = search.solve_by_continuation(b, u, tolerance=enough)
+            gap = np.linalg.norm((found - u)[inside])
             rows["E_u"].append(float(gap / np.linalg.norm(u[inside])))
-            rows["converged"].append(float(found.converged))
+            rows["converged"].append(float(record.converged))
     kept = {key: values for key, values in rows.items() if values and np.isfinite(values).all()}
     if not kept:
         raise InputError("samples: expected at least one")

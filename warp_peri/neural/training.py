@@ -16,16 +16,10 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import ArrayFile, fingerprint
-from warp_peri.neural.placed import (
-    CELLS,
-    SOLVED,
-    EquilibriumSolver,
-    Found,
-    affine,
-    interpolated_force,
-)
+from warp_peri.neural.placed import CELLS, SOLVED, EquilibriumSolver, affine, interpolated_force
 from warp_peri.points.arguments import Count, Natural, Positive, typed
 from warp_peri.points.points import Samples
+from warp_peri.solvers.equilibria import NonlinearRecord
 
 if TYPE_CHECKING:
     from warp_peri.neural.material import NeuralOperator
@@ -59,17 +53,17 @@ class Frames:
 
     def errors(self, some: torch.Tensor, *_: Any) -> torch.Tensor:
         """Relative ℓ2 errors of the solved displacement."""
-        return torch.tensor([self._error(int(n), self._found(int(n)).u) for n in some])
+        return torch.tensor([self._error(int(n), self._found(int(n))[0]) for n in some])
 
     def renew(self) -> None:
         """Search every equilibrium, at last from the frame itself, and factorise its tangent."""
         self.numbers = {key: part.clone() for key, part in self.material.state_dict().items()}
         self.factors = []
         for n, seen in enumerate(self.u.double().numpy()):
-            found = self._found(n)
-            if not found.converged:
-                found = self.search.solve(np.zeros_like(seen), seen, tolerance=SOLVED)
-            self.state[n] = found.u if found.converged else seen
+            found, record = self._found(n)
+            if not record.converged:
+                found, record = self.search.solve(0 * seen, seen, tolerance=SOLVED)
+            self.state[n] = found if record.converged else seen
             field = torch.as_tensor(self.state[n], dtype=self.u.dtype)
             self.factors.append(splu(self.placed.interior_tangent(field.numpy())))
 
@@ -97,9 +91,8 @@ class Frames:
         self.renew()
         self.state = state.numpy().copy()
 
-    def _found(self, n: int) -> Found:
-        start = self.start[n]
-        return self.search.solve(np.zeros_like(start), start, tolerance=SOLVED)
+    def _found(self, n: int) -> tuple[np.ndarray, NonlinearRecord]:
+        return self.search.solve(0 * self.start[n], self.start[n], tolerance=SOLVED)
 
     def _error(self, n: int, u: np.ndarray) -> float:
         return float(np.linalg.norm(u[self.inside] - self.seen[n]) / self.sizes[n])

@@ -75,6 +75,8 @@ STEPS_DOWN, STEPS_PAST = 15, 60
 """Most of Newton's steps through stable tangents, and past others."""
 SHORTEST, DESCENT, NEARER = 1e-4, 1e-4, 0.5
 """Shortest part of a step down; what of its promise it must keep, or by what residuals shrink."""
+LINEAR = 1e-5
+"""Strain below which what rounding leaves of forces is seen, and answers are in proportion."""
 Force = Callable[[np.ndarray], np.ndarray]
 """A field of all nodes [N, d] to the force on the interior [I, d]."""
 
@@ -85,12 +87,17 @@ class NonlinearRecord:
 
     Attributes:
         solves: linear solves in all.
-        method: "fixed point", "clipped" or "newton", whatever gave the answer.
-        residual: ‖L u − b‖ over the linear right-hand side.
+        method: "fixed point", "clipped", "newton" or "parts" of the load, whatever gave the answer.
+        residual: ‖L u − b‖ over the linear right-hand side; down a potential, the largest residual
+            over the largest force.
         largest_gradient: largest |H| within δ of the unknowns.
         unique: whether |H| stays below the proven strain, so that no other solution does.
-        eigenvalue: smallest eigenvalue of the symmetric part of the tangent at the answer [TPa/Å²];
-            above zero the answer is stable. None where not asked for, and above DIRECT nodes.
+        eigenvalue: smallest eigenvalue of the symmetric part of the tangent at the answer
+            [stress/length²]; above zero the answer is stable. None where not asked for, and above
+            DIRECT nodes.
+        converged: whether the residual is within the tolerance.
+        followed: whether stable equilibria lead to it from rest along the load, as far as the steps
+            tell; false for another minimum, found by going down.
     """
 
     solves: int = 0
@@ -99,6 +106,12 @@ class NonlinearRecord:
     largest_gradient: float = 0.0
     unique: bool = False
     eigenvalue: float | None = None
+    converged: bool = True
+    followed: bool = True
+
+
+class NoEquilibriumError(InputError):
+    """No stable equilibrium was found; the message says how far the load was followed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +124,7 @@ class Equilibria:
         inverse: of the solid at rest, of a load on the interior.
         inside: unknown nodes, shape [N] bool.
         clipped: gives the force with gradients clipped to a proven strain, where one is.
+        rounding: smallest residual that is asked for.
     """
 
     force: Force
@@ -118,6 +132,7 @@ class Equilibria:
     inverse: Inverse
     inside: np.ndarray
     clipped: Callable[[], Force] | None = None
+    rounding: float = 0.0
 
     def solve(
         self, load: np.ndarray, given: np.ndarray, tolerance: float
@@ -138,7 +153,7 @@ class Equilibria:
                 guess = self.inverse(share * right, ROUGH)
             of_share = share * load, share * field, guess, share * scale
             inner = self._found(*of_share, tolerance, record)
-            return inner if record.residual <= tolerance else None
+            return inner if record.converged else None
 
         field[self.inside], done, parts = follow(part)
         if done < 1:
@@ -184,6 +199,7 @@ class Equilibria:
             record.solves += 1
             return self.inverse(residual * scale, to)
 
+        tolerance = max(tolerance, self.rounding)
         v, size, rough = begin, np.inf, partial(correction, ROUGH)
         if mixes:
             v, size = anderson(left, rough, begin, tolerance)
@@ -197,7 +213,7 @@ class Equilibria:
             goal = NEWTON_SHARE * tolerance * HERE.norm(v)
             v = newton(lambda w: exact(left(w)), v, goal)
             size = HERE.norm(left(v))
-        record.residual = float(size)
+        record.residual, record.converged = float(size), bool(size <= tolerance)
         return v
 
 
@@ -258,118 +274,190 @@ Inner = Callable[[np.ndarray], np.ndarray]
 """What a matrix, or its inverse, makes of the interior [I, d]."""
 
 
-def stable_way(
-    solid: Any, start: np.ndarray | None, near: Inner | None, tolerance: float
-) -> tuple[np.ndarray | None, int, int, bool]:
-    """Find a stable equilibrium down from a start; without `near` also by load increments, and past
-    negative curvature.
+@dataclass(frozen=True, eq=False)
+class Descent:
+    """Solver for stable equilibria of an operator with an energy, down its potential.
 
-    Args:
-        solid: with an energy, under a load, as hyperelastic.equilibrium.Sheet.
-        start: a field of all nodes; where the solid says that a search begins, if there is none.
-        near: the inverse of a tangent near the start.
-        tolerance: of the largest residual, over the largest force.
-
-    Returns the equilibrium or None, Newton's steps, load increments, and whether stable equilibria
-    lead to it from rest, as far as the steps tell.
+    Beside a force the operator offers that of `everywhere`, its `nodal_energy`, `folds` of a field,
+    `factors` of its tangent, where none are taken a `rough` inverse, and `lift`, where a search
+    begins.
     """
-    count = 0
 
-    def down(solid: Any, u: np.ndarray, **how: Any) -> np.ndarray | None:
-        nonlocal count
-        found, steps = descend(solid, solid.on_collar(u), tolerance, **how)
-        count += steps
-        return found
+    op: Any
 
-    def part(share: float, guess: np.ndarray | None) -> np.ndarray | None:
-        of_share = solid.part(share)
-        if guess is None:
-            guess = first if share == 1 else of_share.begin()
-        return down(of_share, guess)
+    def solve(
+        self, load: np.ndarray, given: np.ndarray, tolerance: float
+    ) -> tuple[np.ndarray, NonlinearRecord]:
+        """Stable displacement u [N, d] with force = load [I, d] and u given on the collar;
+        NoEquilibriumError where there is none, a warning where it is not followed from rest."""
+        u, record = self.find(load, given, tolerance)
+        if not record.converged:
+            raise NoEquilibriumError(
+                "no stable equilibrium found on the way to all of load and collar"
+            )
+        if not record.followed:
+            warn(
+                "the branch of stable equilibria that begins at rest ended before all of load and "
+                "collar; what is returned is another minimum, perhaps one of many"
+            )
+        record.eigenvalue = self.op.smallest_eigenvalue(u)
+        if not record.eigenvalue > 0:
+            raise NoEquilibriumError(
+                f"the equilibrium found is unstable: eigenvalue {record.eigenvalue:.3g}"
+            )
+        return u, record
 
-    first = solid.begin() if start is None else start
-    if near is not None:
-        found = down(solid, first, near=near)
-        return found, count, 1, True
-    found, done, parts = follow(part)
-    if done == 1:
-        return found, count, parts, True
-    for guess in (found / done, first) if done else (first,):
-        if (found := down(solid, guess, shifts=True)) is not None:
-            break
-    return found, count, parts, False
+    def find(
+        self,
+        load: np.ndarray,
+        given: np.ndarray,
+        tolerance: float,
+        start: np.ndarray | None = None,
+        near: Inner | None = None,
+    ) -> tuple[np.ndarray, NonlinearRecord]:
+        """Find an equilibrium, stable as far as the steps tell; the record says if there is one.
 
+        Args:
+            load, given: on the interior [I, d]; a field whose collar is given, [N, d].
+            tolerance: of the largest residual, over the largest force.
+            start: field to begin at; by default the operator's own.
+            near: inverse of a tangent near the start, for a first try; negative curvature is then
+                looked for by conjugate gradients alone, in a few directions.
+        """
+        op, record = self.op, NonlinearRecord(method="newton")
+        given = np.where(op.points.interior[:, None], 0.0, given)
+        if (times := self._too_small(load, given)) > 1:
+            start = None if start is None else times * start
+            u, record = self.find(times * load, times * given, tolerance, start)
+            return u / times, record
+        first = op.lift(given) if start is None else start
+        answer: Any
 
-def descend(
-    solid: Any, u: np.ndarray, tolerance: float, *, near: Inner | None = None, shifts: bool = False
-) -> tuple[np.ndarray | None, int]:
-    """Minimise the potential down from u; returns the field, or None, and Newton's steps. Without
-    shifts it also ends where the tangent is not positive definite: the branch of stable equilibria
-    that u lies near has been left. With the inverse of a tangent `near` none is factorised; else
-    the first and the last are, and those that many products tell to be far."""
-    given, folds = near is not None, solid.folds(u)
-    near = near or solid.rough
-    for steps in range(STEPS_PAST if shifts else STEPS_DOWN):
-        left, scale = solid.left(u)
-        if not (folds < np.inf and np.isfinite(scale)):
-            break
-        small = np.abs(left).max() <= tolerance * scale
-        step, stable, near = direction(
-            solid, u, left, solid.rough if small and not given else near, shifts
-        )
-        if step is None or not (stable or shifts):
-            break
-        if small and stable:
-            return (None if folds else u), steps
-        if (ahead := _searched(solid, u, step, left, tolerance * scale, folds)) is None:
-            break
-        u, folds = ahead
-    return None, steps
+        def part(share: float, guess: np.ndarray | None, **how: Any) -> np.ndarray | None:
+            if guess is None:
+                guess = first if share == 1 else op.lift(share * given)
+            u = np.where(op.points.interior[:, None], guess, share * given)
+            found, steps = self._down(share * load, u, tolerance, **how)
+            record.solves += steps
+            return found
 
+        if near is None or (answer := part(1.0, first, near=near)) is None:
+            answer, done, parts = follow(part)
+            record.method = "newton" if parts == 1 else "parts"
+            record.followed = done == 1
+            for guess in [] if done == 1 else [answer / done, first] if done else [first]:
+                if (answer := part(1.0, guess, shifts=True)) is not None:
+                    break
+        record.converged = answer is not None
+        if answer is None:
+            return first, record
+        left, scale = self._left(load, answer)
+        record.residual = float(np.abs(left).max() / scale)
+        return answer, record
 
-def direction(
-    solid: Any, u: np.ndarray, left: np.ndarray, near: Inner | None, shifts: bool
-) -> tuple[Any, bool, Inner | None]:
-    """Descent step, whether the tangent seems positive definite, and its inverse or one near."""
-    if near is not None:
-        try:
-            step, record = definite(partial(solid.jvp, u), near, left, KRYLOV)
-            kept = near is solid.rough or record.iterations <= MANY
-            return step, True, near if kept else None
-        except InputError:  # of negative curvature
-            if near is solid.rough:
-                return near(left), False, near
-    inverse, stable = solid.inverse(u, shifts)
-    return inverse and inverse(left), stable, None if shifts else inverse
+    def _too_small(self, load: np.ndarray, given: np.ndarray) -> float:
+        """Factor by which load and collar must grow for strains above rounding; 1 if none."""
+        spacing, rest = self.op.points.spacing, 0 * given
+        strain = float(np.ptp(self.op.lift(given), axis=0).max()) / spacing
+        if load.any() and strain < LINEAR / 2:
+            step = self._direction(rest, load, self.op.rough, False)[0]
+            strain = max(strain, float(np.abs(step).max()) / spacing)
+        return LINEAR / strain if 0 < strain < LINEAR / 2 else 1.0
 
+    def _left(self, load: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, float]:
+        """Residual of force and load, and the largest of both."""
+        f = self.op.everywhere(u)
+        scale = max(np.abs(load).max(), np.abs(f).max(), 1e-300)
+        return load - f[self.op.points.interior], scale
 
-def _searched(
-    solid: Any, u: np.ndarray, step: np.ndarray, left: np.ndarray, small: float, folds: float
-) -> tuple[np.ndarray, float] | None:
-    """Field after the longest part of a step that lowers the potential or residual; its folds."""
-    before, slope, part = solid.potential(u), float((left * step).sum()), 1.0
-    while part > SHORTEST:
-        ahead = solid.moved(u, part * step)
-        if (turned := solid.folds(ahead)) <= folds:
-            if solid.potential(ahead) <= before - DESCENT * part * slope:
-                return ahead, turned
-            there = solid.left(ahead)[0]
-            nearer = np.linalg.norm(there) < NEARER * np.linalg.norm(left)
-            if nearer or np.abs(there).max() < small:
-                return ahead, turned
-        part /= 2
-    return None
+    def _potential(self, load: np.ndarray, u: np.ndarray) -> float:
+        """Potential energy of all forces, over the area of a node."""
+        work = (load * u[self.op.points.interior]).sum()
+        return float(self.op.nodal_energy(u).sum() - work)
+
+    def _down(
+        self,
+        load: np.ndarray,
+        u: np.ndarray,
+        tolerance: float,
+        *,
+        near: Inner | None = None,
+        shifts: bool = False,
+    ) -> tuple[np.ndarray | None, int]:
+        """Minimise the potential down from u; the field, or None, and Newton's steps. Without
+        shifts it also ends where the tangent is not positive definite: the branch of stable
+        equilibria that u lies near has been left. With the inverse of a tangent `near` none is
+        factorised; else the first and the last are, and those that many products tell to be far."""
+        given, rough, folds = near is not None, self.op.rough, self.op.folds(u)
+        near = near or rough
+        for steps in range(STEPS_PAST if shifts else STEPS_DOWN):
+            left, scale = self._left(load, u)
+            if not (folds < np.inf and np.isfinite(scale)):
+                break
+            small = np.abs(left).max() <= tolerance * scale
+            near = rough if small and not given else near
+            step, stable, near = self._direction(u, left, near, shifts)
+            if step is None or not (stable or shifts):
+                break
+            if small and stable:
+                return (None if folds else u), steps
+            if (ahead := self._searched(load, u, step, left, tolerance * scale, folds)) is None:
+                break
+            u, folds = ahead
+        return None, steps
+
+    def _direction(
+        self, u: np.ndarray, left: np.ndarray, near: Inner | None, shifts: bool
+    ) -> tuple[Any, bool, Inner | None]:
+        """Step down, whether the tangent seems positive definite, and its inverse or one near."""
+        op, rough = self.op, near is not None and near is self.op.rough
+        if near is not None:
+            try:
+                product = lambda p: op.jvp(u, op.on_all(p))  # noqa: E731
+                step, record = definite(product, near, left, KRYLOV)
+                return step, True, near if rough or record.iterations <= MANY else None
+            except InputError:  # of negative curvature
+                if rough:
+                    return near(left), False, near
+        inverse, stable = op.factors(u, shifts)
+        return inverse and inverse(left), stable, None if shifts else inverse
+
+    def _searched(
+        self, load: np.ndarray, u: np.ndarray, step: np.ndarray, left: np.ndarray, small: float,
+        folds: float,
+    ) -> tuple[np.ndarray, float] | None:  # fmt: skip
+        """Field after the longest part of a step that lowers the potential or residual; its
+        folds."""
+        before, slope, part = self._potential(load, u), float((left * step).sum()), 1.0
+        while part > SHORTEST:
+            ahead = u + self.op.on_all(part * step)
+            if (turned := self.op.folds(ahead)) <= folds:
+                if self._potential(load, ahead) <= before - DESCENT * part * slope:
+                    return ahead, turned
+                there = self._left(load, ahead)[0]
+                nearer = np.linalg.norm(there) < NEARER * np.linalg.norm(left)
+                if nearer or np.abs(there).max() < small:
+                    return ahead, turned
+            part /= 2
+        return None
 
 
 def equilibria_of(
-    operator: Any, b: ArrayLike, u: ArrayLike, solver: Solver, proven: float | None = None
+    operator: Any,
+    b: ArrayLike | None,
+    u: ArrayLike,
+    solver: Solver,
+    way: Equilibria | Descent | None = None,
+    *,
+    proven: float | None = None,
 ) -> Solution:
     """Solve equilibria of a nonlinear operator: b [S, N, d] on the interior, u given on the collar.
 
     Args:
-        operator: that offers `force(u, radius=)`, `largest_gradient`, products with its tangent,
-            and, of the solid at rest, `straight` and `inverse`.
+        operator: that offers products with its tangent, `largest_gradient` if it has one, and
+            without a `way` `force(u, radius=)` and, of the solid at rest, `straight` and `inverse`.
         b, u, solver: as of Operator.solve; the solver is a Newton.
+        way: solver for a sample; by default Equilibria of the solid at rest.
         proven: |H| up to which answers are unique, 0 for none, warned of beyond; None: not asked.
 
     The details of the Solution are one NonlinearRecord for each sample. Raises InputError for
@@ -380,17 +468,21 @@ def equilibria_of(
     load, field = checked_fields(operator.points, b, u)
     inside, answers = operator.points.interior, field.reshape(-1, *operator.shape)
     clipped = partial(partial, operator.force, radius=proven) if proven else None
-    way = Equilibria(operator, operator.straight, operator.inverse(len(answers)), inside, clipped)
+    if way is None:
+        inverse = operator.inverse(len(answers))
+        way = Equilibria(operator, operator.straight, inverse, inside, clipped)
+    gradient = getattr(operator, "largest_gradient", lambda field: 0.0)
     few = asked.eigenvalues and np.count_nonzero(inside) <= DIRECT
     records = []
     for n, (each, right) in enumerate(zip(answers, load.reshape(answers.shape)[:, inside])):
         try:
             each[:], record = way.solve(right, each, asked.tolerance)
         except InputError as error:
-            raise InputError(f"sample {n}: {error}") from None
-        record.largest_gradient = float(operator.largest_gradient(each))
+            raise type(error)(f"sample {n}: {error}") from None
+        record.largest_gradient = float(gradient(each))
         record.unique = record.largest_gradient <= (proven or 0)
-        record.eigenvalue = smallest_of(operator, each) if few else None
+        if few and record.eigenvalue is None:
+            record.eigenvalue = smallest_of(operator, each)
         records.append(record)
     if proven is not None:
         warn_beyond(records, proven)

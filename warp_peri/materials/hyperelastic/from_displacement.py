@@ -24,14 +24,10 @@ from warp_peri.materials.hyperelastic.energy_fit import (
     sheet_on,
     with_numbers,
 )
-from warp_peri.materials.hyperelastic.equilibrium import (
-    SMALLEST_AREA,
-    NoEquilibriumError,
-    find_equilibrium,
-)
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.points.arguments import Count, NotNegative, Share, typed, typed_methods
 from warp_peri.points.points import PULL, Points, Samples, seen_of
+from warp_peri.solvers.equilibria import Descent, NoEquilibriumError
 
 
 class Sections:
@@ -248,16 +244,17 @@ class Search:
         nodes = self.op.points.x
         op = self.op.changed(solid, None if thickness is None else thickness.at(nodes))
         slopes, equations = dict[int, np.ndarray](), dict[int, np.ndarray]()
+        none = np.zeros((len(self.inner), 2))
         for n in frames:
             start, given = fields[n], self.data[n]
-            near = op.factors(start)[0] if op.smallest_area(start) > SMALLEST_AREA else None
-            found = find_equilibrium(op, None, given, start=start, near=near, tolerance=SETTLED)
-            if found is None or not (inverse := near or op.factors(found.u)[0]):
+            near = op.factors(start)[0] if op.folds(start) < np.inf else None
+            u, record = Descent(op).find(none, given, SETTLED, start, near)
+            if not (record.converged and (inverse := near or op.factors(u)[0])):
                 continue
-            F = [columns(op, found.u, self.moving)]
+            F = [columns(op, u, self.moving)]
             if thickness is not None:
-                F.append(op.by_thickness(found.u, thickness.slopes(nodes)).reshape(len(F[0]), -1))
-            fields[n], J = found.u, -inverse(np.concatenate(F, axis=1))
+                F.append(op.by_thickness(u, thickness.slopes(nodes)).reshape(len(F[0]), -1))
+            fields[n], J = u, -inverse(np.concatenate(F, axis=1))
             # the force is linear in the coefficients, and so is what Newton's step has left
             left = J[:, : len(self.measure)] @ op.model.coefficients
             fields[n, self.inner] += left.reshape(-1, 2)

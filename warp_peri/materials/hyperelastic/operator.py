@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 import torch
 from numpy.typing import ArrayLike
+from scipy.sparse.linalg import LinearOperator, eigsh
 
 from warp_peri.core.pointwise import FEW, Swept
 from warp_peri.core.record import FieldUnits, Length, Record
@@ -18,19 +19,18 @@ from warp_peri.errors import InputError, warn
 from warp_peri.materials.hyperelastic.energies import Energy, Hyperelastic, Strain, read
 from warp_peri.materials.hyperelastic.equilibrium import (
     CORNERS,
-    DIRECT,
-    NoEquilibriumError,
+    SMALLEST_AREA,
     SheetLattice,
     Sites,
-    find_equilibrium,
-    stable_equilibrium,
+    softest,
 )
-from warp_peri.points.arguments import checked, checked_fields, plain, typed
+from warp_peri.points.arguments import checked, plain, typed
 from warp_peri.points.points import PointsLike, Samples, nodes_of, seen_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, shown_moduli, symbols
 from warp_peri.runtime import one_thread
-from warp_peri.solvers.equilibria import Inner
-from warp_peri.solvers.solution import Newton, Solution, Solver, by_sample, refuse_solver
+from warp_peri.solvers.equilibria import Descent, Inner, equilibria_of
+from warp_peri.solvers.solution import TOLERANCE, Solution, Solver
+from warp_peri.solvers.systems import lanczos_start, smallest_eigenvalue
 
 BEYOND = 1.1
 """Stretches less one above this many times those of the training data are worth a warning."""
@@ -137,7 +137,8 @@ class HyperelasticSheetOperator(Swept):
         self.points = nodes_of(points)
         check_same(model.units, self.points.units)
         self.lattice = SheetLattice(self.points, model.dictionary.reach)
-        self.interior = self.lattice.interior
+        self.interior, self.lift = self.lattice.interior, self.lattice.lift
+        self.rough = self.lattice.rough
         if thickness is not None:
             thickness = checked("thickness", thickness, float, (len(self.points.x),)).copy()
             if not thickness.min() > 0:
@@ -155,7 +156,7 @@ class HyperelasticSheetOperator(Swept):
         """The operator of another material of the same reach, or thickness, on the same lattice."""
         kind = type(self)
         other = kind.__new__(kind, model, self.points, thickness=thickness)
-        vars(other).update(points=self.points, lattice=self.lattice, interior=self.interior)
+        vars(other).update(vars(self) | {"_made_of": other._made_of})
         other._take(model, thickness)
         return other
 
@@ -204,15 +205,13 @@ class HyperelasticSheetOperator(Swept):
         x, y, shear = np.moveaxis(self.strain(u), -1, 0)
         return float(np.sqrt(1 + x + y + np.hypot(x - y, shear)).max())
 
-    def smallest_area(self, u: np.ndarray) -> float:
-        """Smallest det C of the nodal strain, 1 at rest; not positive where a field folds."""
-        e = self.lattice.stretched(np.reshape(u, (-1, *self.shape)))[1]
-        return min(1.0, float(Strain(self.lattice.sites().seen(e)).area.min()))
-
-    def folded(self, u: np.ndarray) -> int:
-        """Number of energy corners at interior nodes that a field [N, 2] turns over."""
-        Y = self.lattice.stretched(u[None])[0][..., 0]
-        sides = [(sites.S @ Y).reshape(3, -1, 2) for sites, _ in self.active if sites.corner]
+    def folds(self, u: np.ndarray) -> float:
+        """Number of energy corners at interior nodes that a field [N, 2] turns over, unseen by
+        functions of C; infinite where the nodal strain folds, its det C below SMALLEST_AREA."""
+        Y, e = self.lattice.stretched(u[None])
+        if not Strain(self.lattice.sites().seen(e)).area.min() > SMALLEST_AREA:
+            return np.inf
+        sides = [(s.S @ Y[..., 0]).reshape(3, -1, 2) for s, _ in self.active if s.corner]
         return sum(int((x[:, 0] * y[:, 1] <= x[:, 1] * y[:, 0]).sum()) for x, y, _ in sides)
 
     def nodal_energy(self, u: ArrayLike) -> np.ndarray:
@@ -295,6 +294,25 @@ class HyperelasticSheetOperator(Swept):
         """Inverse of the tangent at a field; see SheetLattice.factors."""
         return self.lattice.factors(self._tangent(u), shifts)
 
+    def smallest_eigenvalue(self, u: np.ndarray) -> float:
+        """Smallest eigenvalue of the tangent between interior nodes at u [stress / length²]; where
+        not factorised a number of that sign, no larger if positive."""
+        size = 2 * len(self.interior)
+        if self.rough is None:
+            if inverse := self.factors(u)[0]:
+                return softest(size, inverse, 1e-3)
+            return smallest_eigenvalue(self.interior_tangent(u))  # nearest to zero may be another
+
+        def flat(apply: Inner) -> LinearOperator:
+            of_flat = lambda p: apply(p.reshape(-1, 2)).ravel()  # noqa: E731
+            return LinearOperator((size, size), of_flat, dtype=float)
+
+        ends: dict[str, Any] = {"v0": lanczos_start(size), "return_eigenvectors": False}
+        K, Minv = flat(lambda p: self.jvp(u, self.on_all(p))), flat(self.rough)
+        L = sp.kron(self.lattice.laplacian[:, self.interior], sp.eye(2)).tocsr()
+        found = eigsh(K, 1, L, which="SA", Minv=Minv, tol=1e-2, maxiter=2000, **ends)
+        return float(self.lattice.softest * found[0])
+
     def features(self, u: ArrayLike, *, by: str = "coefficient") -> np.ndarray:
         """Derivative of the force by every energy's coefficient, or by the "angle" or "exponent" of
         fibres, other columns zero, shape [..., I, 2, K]."""
@@ -372,45 +390,37 @@ class HyperelasticSheetOperator(Swept):
         """Stable equilibrium under a load, displacement given on the collar.
 
         b [stress/length], None for no load, and u have shape [N, 2] or [S, N, 2]; the solver is
-        Newton(tolerance); the solution's details are an Equilibrium for each sample. Warns of
+        Newton(tolerance); the solution's details are a NonlinearRecord for each sample. Warns of
         stretches beyond the training data. Raises NoEquilibriumError where none was found, naming
         the sample; InputError for arrays that do not fit.
         """
-        refuse_solver(solver, (Newton,), "a hyperelastic solid")
-        load, given = checked_fields(self.points, b, u)
-        asked, found = solver if isinstance(solver, Newton) else Newton(), []
-        fields = given.reshape(-1, *given.shape[-2:])
-        for number, (force, one) in enumerate(zip(load.reshape(fields.shape), fields)):
-            try:
-                found.append(stable_equilibrium(self, force, one, asked.tolerance))
-            except NoEquilibriumError as error:
-                raise NoEquilibriumError(f"sample {number}: {error}") from None
-        answer = np.reshape([one.u for one in found], fields.shape)
-        self.warn_beyond(answer)
-        counts = [one.iterations for one in found]
-        return by_sample(self, answer.reshape(given.shape), self.rhs(load), found, counts)
+        solution = equilibria_of(self, b, u, solver, Descent(self))
+        self.warn_beyond(solution.u)
+        return solution
 
     def errors(self, samples: Samples, near: np.ndarray | None = None) -> dict[str, Any]:
         """Errors of evaluate_hyperelastic for samples on the operator's points."""
         told, found, start, inverse = dict[str, Any](), [], None, None
+        loads = np.zeros_like(samples.u) if samples.b is None else samples.b
+        loads = loads[:, self.interior]
         if samples.b is not None:
-            loads = samples.b[:, self.interior]
             residuals = _size(self.force(samples.u) - loads) / _size(loads)
             told = {"E_res": float(residuals.mean()), "residuals": residuals}
-        for u, b in zip(samples.u, 0 * samples.u if samples.b is None else samples.b):
+        for u, b in zip(samples.u, loads):
             if near is not None:
                 start = self._combined(near, u)
-                inverse = self.factors(start)[0] if 2 * len(self.interior) <= DIRECT else None
-            found.append(find_equilibrium(self, b, u, start=start, near=inverse))
-        fields = np.array([one.u if one else np.full(self.shape, np.nan) for one in found])
-        gaps, seen = fields.reshape(samples.u.shape) - samples.u, seen_of(samples)[..., None]
+                inverse = None if self.rough else self.factors(start)[0]
+            found.append(Descent(self).find(b, u, TOLERANCE, start, inverse))
+        there = np.array([record.converged for _, record in found])
+        fields = np.where(there[:, None, None], [u for u, _ in found], np.nan)
+        gaps, seen = fields - samples.u, seen_of(samples)[..., None]
         gaps, u = (each[:, self.interior] for each in (gaps * seen, samples.u * seen))
-        errors, there = _size(gaps) / _size(u), [one for one in found if one]
-        self.warn_beyond(np.array([one.u for one in there]))
+        errors = _size(gaps) / _size(u)
+        self.warn_beyond(fields[there])
         return told | {
-            "E_u": float(np.nanmean(errors)) if there else float("nan"),
-            "not_solved": len(found) - len(there),
-            "left_branch": sum(not one.followed for one in there),
+            "E_u": float(np.nanmean(errors)) if there.any() else float("nan"),
+            "not_solved": int((~there).sum()),
+            "left_branch": sum(not one.followed for _, one in found if one.converged),
             "displacements": errors,
         }
 
@@ -419,7 +429,7 @@ class HyperelasticSheetOperator(Swept):
         collar = ~self.points.interior
         given = near[:, collar].reshape(len(near), -1)
         mixed = np.tensordot(np.linalg.lstsq(given.T, u[collar].ravel(), rcond=None)[0], near, 1)
-        return np.asarray(mixed + self.lattice.lift(u - mixed))
+        return np.asarray(mixed + self.lift(u - mixed))
 
 
 def _size(fields: np.ndarray) -> np.ndarray:
