@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 20_111,
-    "tokens": 250_499,
-    "lines of warp_peri": 31_934,
+    "code lines": 20_120,
+    "tokens": 250_380,
+    "lines of warp_peri": 31_902,
     "files of warp_peri": 114,
     "lines of kernels": 1_009,
-    "lines of warp_peri, kernels, examples and tools": 44_137,
+    "lines of warp_peri, kernels, examples and tools": 44_105,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -42,12 +42,12 @@ ROOMS = {
     "files": 509,
     "fitting": 1213,
     "fracture": 1513,
-    "materials": 4975,
-    "neural": 621,
+    "materials": 4884,
+    "neural": 598,
     "points": 1652,
-    "prediction": 593,
+    "prediction": 646,
     "mpi": 733,
-    "solvers": 1472,
+    "solvers": 1542,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)
