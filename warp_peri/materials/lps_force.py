@@ -22,7 +22,7 @@ import warp_peri.core as core
 from warp_peri.core.stencil import row_pieces
 from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import stay
-from warp_peri.kernels.influence import influence
+from warp_peri.kernels.influence import BLOCK, influence
 from warp_peri.kernels.lps import LANES, struct, sweeps
 from warp_peri.points.families import BondClasses, families_of
 from warp_peri.points.points import PointsLike, nodes_of
@@ -218,18 +218,19 @@ class Bonds:
 
     def influence(self, alpha: ArrayLike, D: ArrayLike, by: Any = None) -> Any:
         """Influence K W of each bond class, [C]; with derivatives `by` to it, those to α and D."""
-        degree, count, taped = np.size(D) - 1, len(self.families.r), by is not None
-        pieces = max(1, min(BLOCKS, count // SLICE)) if taped else 1  # on any number of threads
-        values = [np.ravel(one).astype(float) for one in (alpha, D)]
+        terms, taped = np.size(D), by is not None
+        count = -(-len(self.families.r) // BLOCK)
+        pieces = max(1, min(BLOCKS, count * BLOCK // SLICE)) if taped else 1  # on any threads
+        numbers = (np.ravel(alpha), wp.float64), ([np.ravel(D)], wp.types.vector(terms, wp.float64))
         given: list[list[Any]] = [
-            [wp.array(one, device=DEVICE, requires_grad=taped) for one in values]
+            [wp.array(one, dtype=of, device=DEVICE, requires_grad=taped) for one, of in numbers]
             for _ in range(pieces)
         ]
-        binomials = floats(comb(degree, np.arange(degree + 1)))
+        binomials = floats(comb(terms - 1, np.arange(terms)))
         inputs: Any = [wp.float64(self.horizon), binomials, *self._tables]
-        kernel, kw = influence(degree), zeros(count, gradient=taped)
+        kernel, kw = influence(terms), zeros(len(self.families.r), gradient=taped)
         if not taped:
-            launch_slices(kernel, count, [*inputs, *given[0]], (kw,))
+            launch_slices(kernel, count, [*inputs, *given[0]], (kw,), weight=BLOCK)
             return kw.numpy()
         kernel.module.load(DEVICE)
         kw.grad = floats(by)
@@ -241,7 +242,7 @@ class Bonds:
             tape.backward()
 
         at_once([partial(back, n) for n in range(pieces)])
-        return [sum(one.grad.numpy() for one in each) for each in zip(*given)]
+        return [sum(one.grad.numpy().ravel() for one in each) for each in zip(*given)]
 
     def volumes(self, terms: np.ndarray) -> Any:
         """Sum over each whole ball of a value given by bond class, [N]; on a lattice one number."""
