@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 20_069,
-    "tokens": 249_784,
-    "lines of warp_peri": 31_830,
+    "code lines": 20_047,
+    "tokens": 249_650,
+    "lines of warp_peri": 31_802,
     "files of warp_peri": 114,
-    "lines of kernels": 1_009,
-    "lines of warp_peri, kernels, examples and tools": 44_033,
+    "lines of kernels": 1_026,
+    "lines of warp_peri, kernels, examples and tools": 44_022,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -42,12 +42,12 @@ ROOMS = {
     "files": 509,
     "fitting": 1213,
     "fracture": 1513,
-    "materials": 4886,
+    "materials": 4875,
     "neural": 598,
     "points": 1652,
     "prediction": 593,
     "mpi": 733,
-    "solvers": 1542,
+    "solvers": 1531,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

@@ -11,7 +11,8 @@ from tests.crystal.crystals import learned
 from tests.support.problems import ell, kernel, lattice, manufactured, noise, periodic
 from tests.support.solving import solve
 from warp_peri import Dirichlet, InputError, LPSMaterial, Periodic, Points
-from warp_peri.solvers.linear import DIRECT, cheapest_method
+from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.solvers.linear import DIRECT
 from warp_peri.verbs import solve as at_rest
 
 HORIZON = 3.0  # at which all of them are
@@ -93,7 +94,10 @@ def test_a_constant_load_moves_nothing_on_a_period():
     ("stiff", "loads", "method"), [(True, 40, "lu"), (True, 1, "strip"), (False, 40, "multigrid")]
 )
 def test_more_nodes_are_factorised_where_each_of_many_loads_takes_long(stiff, loads, method):
-    assert cheapest_method(2 * DIRECT, box=False, stiff=stiff, loads=loads) == method
+    solid = wp.LPSMaterial(100.0 if stiff else 1.0, 1.0, 1.0, np.ones(1), 2.0)
+    points = Points.disk(np.sqrt(2 * DIRECT / np.pi), 1.0, 4.0)
+    assert DIRECT < points.interior.sum() < 4 * DIRECT
+    assert LPSOperator(solid, points).linear.method(loads=loads) == method
 
 
 def test_a_solution_goes_on_as_samples_and_as_fields(tmp_path):

@@ -44,7 +44,6 @@ from warp_peri.points.families import bond_classes, edge_strain, largest_strain
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import symbols
-from warp_peri.solvers.linear import STIFF
 from warp_peri.solvers.solution import TOLERANCE, warn_beyond
 from warp_peri.solvers.solution import Coupling as Coupling
 from warp_peri.solvers.systems import definite_factors
@@ -175,7 +174,7 @@ def solve_body(
         points, cell = lattice
         if not isinstance(model, LPSMaterial):  # the mesh lies as the nodes of the law do
             points = replace(points, axis=_axis_of(model))
-        bulk = Bulk(model, points, stiff=stiff.C12 > STIFF * stiff.C44)
+        bulk = Bulk(model, points)
         whole = in_elements(stiff, springs, loads, rim, depth < collar)
         two = Schwarz(rim, problem, bulk, cell, whole)
         b_bulk = loads.density(points.x[bulk.inside], spacing)

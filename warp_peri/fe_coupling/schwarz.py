@@ -76,17 +76,17 @@ class Bulk(LinearOperator):  # type: ignore[misc]
     """Problem L u = b of a linear material on the unknown nodes.
 
     A linear map from b and u on the collar, flat [d (I + C)], to u, flat [d I]. `accuracy` is that
-    of the next solve; `stiff` says λ ≫ μ. InputError for a singular or indefinite operator.
+    of the next solve. InputError for a singular or indefinite operator.
     """
 
     accuracy = 0.0
 
-    def __init__(self, model: Any, points: Points, *, stiff: bool = False) -> None:
+    def __init__(self, model: Any, points: Points) -> None:
         is_lps = isinstance(model, LPSMaterial)
         placed: Any = LPSOperator(model, points) if is_lps else model.on(points)
         self.points, self.linear, self.stress = points, placed.linear, placed.stress
         self.inside, self.collar = np.flatnonzero(points.interior), np.flatnonzero(~points.interior)
-        self._inverse = self.linear.cheapest_inverse(EXCHANGES, stiff=stiff)
+        self._inverse = self.linear.cheapest_inverse(EXCHANGES)
         super().__init__(float, (self.inside.size * points.dimension, points.x.size))
 
     def joined(self, inner: np.ndarray, collar: np.ndarray) -> np.ndarray:

@@ -190,7 +190,7 @@ class DensityOperator(Pointwise):
 
     def inverse(self, loads: int) -> Inverse:
         """Inverse of the tangent at rest on interior loads: factorised, or by iteration."""
-        return self.linear.cheapest_inverse(SOLVES * loads, len(self.linear.stencil.steps))
+        return self.linear.cheapest_inverse(SOLVES * loads)
 
     def solve(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
         """Equilibrium with b on the interior, u given on the collar, [N, d] or [S, N, d];

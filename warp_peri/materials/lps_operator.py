@@ -24,7 +24,7 @@ from warp_peri.points.points import PointsLike, nodes_of
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.protocols import OperatorBase, is_tensor
 from warp_peri.runtime import recording
-from warp_peri.solvers.linear import DIRECT, STIFF, Inverse, Linear, bonds_within, cheapest_method
+from warp_peri.solvers.linear import DIRECT, Inverse, Linear
 from warp_peri.solvers.solution import (
     CG,
     TOLERANCE,
@@ -303,8 +303,7 @@ class LPSOperator(OperatorBase):
             return self._problem.inverse
         if self.model.nodes is not None:
             return lambda right, tolerance: self.linear.inverse(right, tolerance)[0]
-        bonds = bonds_within(self.model.horizon, self.nodes.spacing)
-        return self.linear.cheapest_inverse(loads, bonds)
+        return self.linear.cheapest_inverse(loads)
 
     def _iterated(
         self, load: np.ndarray, b: np.ndarray, u: np.ndarray, method: str, tolerance: float
@@ -329,24 +328,15 @@ class LPSOperator(OperatorBase):
 
     def _method(self, solver: Solver, loads: int) -> str:
         """Name of the solve method, the cheapest by default; InputError where it cannot be used."""
-        nodes, model = self.nodes, self.model.mean
         if isinstance(solver, Direct):
             return solver.method
-        if not nodes.is_open_lattice:
-            if solver is None:
-                return "lu" if self._unknown <= LARGEST_LU else "gmres"
-            raise InputError(
-                "solver: CG(…) is for lattices without a box and without broken bonds; try Direct()"
-            )
-        if isinstance(solver, CG) and solver.preconditioner is not None:
-            return solver.preconditioner
-        return cheapest_method(
-            self._unknown,
-            box=self.linear.grid.is_box,
-            space=nodes.dimension == 3,
-            stiff=model.lam > STIFF * model.mu,
-            loads=0 if solver else loads,
-            bonds=bonds_within(model.horizon, nodes.spacing),
+        if self.nodes.is_open_lattice:
+            asked = solver.preconditioner if isinstance(solver, CG) else None
+            return self.linear.method(asked, 0 if solver else loads)
+        if solver is None:
+            return "lu" if self._unknown <= LARGEST_LU else "gmres"
+        raise InputError(
+            "solver: CG(…) is for lattices without a box and without broken bonds; try Direct()"
         )
 
     @cached_property

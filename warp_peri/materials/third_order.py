@@ -40,7 +40,7 @@ from warp_peri.points.points import PointsLike, Samples, axis_of, lattice_steps,
 from warp_peri.points.unit_names import check_same, shown_moduli
 from warp_peri.protocols import SAME_SPACING, stencil_of
 from warp_peri.solvers.equilibria import SOLVES, equilibria_of, figures_of
-from warp_peri.solvers.linear import Inverse, bonds_within
+from warp_peri.solvers.linear import Inverse
 from warp_peri.solvers.solution import Solution, Solver
 
 FORMS = ("filtered", "energy")
@@ -342,9 +342,7 @@ class PlacedThirdOrder(Pointwise):
 
     def inverse(self, loads: int) -> Inverse:
         """Inverse of the linear part on interior loads: factorised, or by iteration."""
-        bonds = bonds_within(self.model.horizon, self.points.spacing)
-        inverse: Inverse = self.straight.linear.cheapest_inverse(SOLVES * loads, bonds)
-        return inverse
+        return self.straight.linear.cheapest_inverse(SOLVES * loads)  # type: ignore[no-any-return]
 
     def figures(self, solution: Solution) -> dict[str, Any]:
         """Number of linear solves, and whether answers are proven unique, for `evaluate`."""

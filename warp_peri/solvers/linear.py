@@ -17,7 +17,7 @@ from warp_peri.core.proof import smallest_eigenvalue
 from warp_peri.core.stencil import FFT_BONDS, SCALARS, ByFFT, ByRows, Stencil, convolved, grid_of
 from warp_peri.errors import InputError
 from warp_peri.points.points import Points
-from warp_peri.solvers.multigrid import Edge, Filter, block, multigrid, sine, torus_inverse
+from warp_peri.solvers.multigrid import Edge, Filter, block, multigrid, shear, sine, torus_inverse
 from warp_peri.solvers.systems import SolveRecord, definite, definite_factors, factorised
 
 Inverse: TypeAlias = Callable[[np.ndarray, float], np.ndarray]
@@ -33,11 +33,9 @@ MANY = 10
 """Loads that are many."""
 FEW_IN_SPACE = 500
 """Most unknown nodes in space whose factors, which fill up there, cost less than iteration."""
-PAYS = {"sine": 1700, "fft": 3500}
-"""A factorisation pays from 2 + n B/1700 loads on n nodes with B bonds where the sine transform
-does, from 2 + n B/3500 elsewhere."""
-BONDS = 34
-"""Where nobody says how many: between δ = 2.5 and 4 spacings."""
+PAYS = {"sine": 3400, "fft": 7000}
+"""A factorisation pays from 2 + n H/3400 loads on n nodes, H half of a stencil's bonds, where the
+sine transform does, from 2 + n H/7000 elsewhere."""
 STIFF = 30.0
 """λ/μ from which the strip at the edge costs less than the iterations that it saves."""
 SINGULAR = 1e-13
@@ -121,14 +119,35 @@ class Linear:
             "problems of the model have no unique or no stable answer here"
         )
 
-    def method(self, asked: str | None = None) -> str:
-        """Name of the solve method, `asked` or cheapest; InputError where nodes do not allow it."""
-        grid = self.grid
+    @cached_property
+    def _stiff(self) -> bool:
+        """Whether λ ≫ μ at long waves."""
+        C, d = elastic_from_brackets(self.stencil.brackets), self.grid.dimension
+        mu = shear(C)
+        return bool(np.einsum("iijj", C) / d**2 - 2 * mu / d > STIFF * mu)
+
+    def method(self, asked: str | None = None, loads: int = 0) -> str:
+        """Name of the solve method: `asked`, or the cheapest for so many loads, of 0 by iteration;
+        InputError where the nodes do not allow it."""
+        grid, nodes, stiff = self.grid, len(self.grid.interior), self._stiff
         if grid.periodic:
             return "fft"
         if asked == "sine" and not grid.is_box:
             raise InputError("method: sine is for boxes of nodes; try multigrid")
-        return asked or cheapest_method(len(grid.interior), box=grid.is_box, loads=0)
+        if asked:
+            return asked
+        pays = 2 + nodes * len(self.stencil.steps) / PAYS["sine" if grid.is_box else "fft"]
+        most = STIFFEST if stiff and loads >= MANY else DIRECT
+        few = (
+            nodes <= FEW_IN_SPACE
+            if grid.dimension == 3
+            else nodes <= most and (stiff or loads > pays)
+        )
+        if few and loads:
+            return "lu"
+        if stiff:
+            return "strip"
+        return "sine" if grid.is_box else "fft" if nodes <= FEW else "multigrid"
 
     def filter(self, method: str) -> tuple[Filter, Filter | None]:
         """Preconditioner z ≈ L_II⁻¹ r of planes [d, *shape], and where a search begins."""
@@ -184,17 +203,11 @@ class Linear:
         z, record = self._inverted(planes, self.method(method), tolerance)
         return self.grid.gather(z[None])[0], record
 
-    def cheapest_inverse(
-        self, loads: int, bonds: float = BONDS, *, definite: bool = True, stiff: bool = False
-    ) -> Inverse:
+    def cheapest_inverse(self, loads: int, *, definite: bool = True) -> Inverse:
         """L_II⁻¹ for so many loads: factorised, or iterated to the tolerance that it is asked for.
         Few nodes are factorised even if L_II is not proven definite; `definite` False takes any
-        factors; `stiff`: λ ≫ μ. InputError as check_definite for more nodes, and bad factors."""
-        grid, nodes = self.grid, len(self.grid.interior)
-        space = grid.dimension == 3
-        how = cheapest_method(
-            nodes, box=grid.is_box, space=space, stiff=stiff, loads=loads, bonds=bonds
-        )
+        factors. InputError as check_definite for more nodes, and for bad factors."""
+        grid, nodes, how = self.grid, len(self.grid.interior), self.method(loads=loads)
         try:
             self.check_definite()
             if how != "lu":
@@ -257,32 +270,3 @@ def smallest_ratio(symbol: np.ndarray, torus: tuple[int, ...]) -> float:
         low = smallest_eigenvalue(D[part])
         smallest = min(smallest, float((low / s[part]).min()))
     return smallest
-
-
-def bonds_within(horizon: float, spacing: float) -> float:
-    """Approximate number of bonds of a node on a plane lattice; BONDS off lattices."""
-    return float(np.pi * (horizon / spacing) ** 2 if spacing > 0 else BONDS)
-
-
-def cheapest_method(
-    nodes: int,
-    *,
-    box: bool,
-    space: bool = False,
-    stiff: bool = False,
-    loads: int = 1,
-    bonds: float = BONDS,
-) -> str:
-    """Name of the cheapest method for `nodes` unknown nodes of a lattice, which fill a `box` or
-    not; `stiff`: λ ≫ μ, `loads`: how many are solved for, 0 for iteration in any case."""
-    if space and nodes <= FEW_IN_SPACE and loads:
-        return "lu"
-    pays = 2 + nodes * bonds / PAYS["sine" if box else "fft"]
-    most = STIFFEST if stiff and loads >= MANY else DIRECT
-    if not space and nodes <= most and loads and (stiff or loads > pays):
-        return "lu"
-    if stiff:
-        return "strip"
-    if box:
-        return "sine"
-    return "fft" if nodes <= FEW else "multigrid"
