@@ -46,7 +46,6 @@ OPTIONS: dict[str, tuple[Any, str]] = {
     ),
     "method": (("constrained", "two-stage", "optimum"), "way of the fit"),
     "conditions": (("paper", "direct"), "of the fit: all of (4.6), or a positive symbol alone"),
-    "loads": (("waves", "designed"), "at 0 K: seventy waves, or two loads of all waves, both ways"),
     "temperature": (0.0, "of made data [K]; 300 K takes LAMMPS 15 to 30 minutes"),
     "jobs": (-1, "processes for LAMMPS; -1 for all cores"),
     "linear": (False, "learn no third-order and no crystal model"),
@@ -134,7 +133,7 @@ def alphas_as_good(train: Samples, law: Any) -> list[float]:
 
 
 def made_data(given: argparse.Namespace) -> Path:
-    """The data set for the temperature or the loads in data/, made if it is not there."""
+    """The data set for the temperature in data/, made if it is not there."""
     if given.temperature:
         from tools.make_thermal import Bath, make_thermal
 
@@ -142,15 +141,13 @@ def made_data(given: argparse.Namespace) -> Path:
         how: dict[str, Any] = {"reductions": ["shared"], "jobs": given.jobs}
         (path,) = make_thermal(DATA.parent, bath=Bath(given.temperature), **how).values()
         return path
-    path = DATA if given.loads == "waves" else DATA.with_stem(f"{DATA.stem}_{given.loads}")
-    if not path.exists():
-        from tools.make_graphene import LOADS, make_graphene
+    if not DATA.exists():
+        from tools.make_graphene import make_graphene
 
         said = "making graphene data with LAMMPS (once; finished samples are kept)"
         print(said, file=sys.stderr)
-        cache = DATA.with_suffix(".cache")  # atoms do not depend on what other loads there are
-        make_graphene(path, jobs=given.jobs, cache=cache, training=LOADS.get(given.loads))
-    return path
+        make_graphene(DATA, jobs=given.jobs)
+    return DATA
 
 
 def sets_at(data: Dataset, spacing: float) -> dict[str, Samples]:

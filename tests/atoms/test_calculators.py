@@ -1,11 +1,11 @@
 """Calculators by name and by lines of LAMMPS: types, charges, and what runs nothing."""
 
+import shlex
 import sys
 
 import ase.build
 import ase.io
 import pytest
-import tomli_w
 
 import warp_peri as wp
 from warp_peri.atoms.calculators import LammpsError, lammps_calculator, potential_file
@@ -130,11 +130,10 @@ RUNS = {
 def test_a_file_of_settings_runs_nothing_and_trust_is_typed(installed, monkeypatch, capsys):
     """A calculator on the line is one's own: a class, or a function that returns one."""
     ase.io.write(installed / "cu.xyz", ase.build.bulk("Cu"))
-    line, seen = ["fit-crystal", "--config", "own.toml"], []
+    line, seen = ["fit-crystal", "cu.xyz", "--out", "out", "@own.txt"], []
 
-    def keep(name, **more):
-        table = {"structure": "cu.xyz", "out": "out", "calculator": name} | more
-        (installed / "own.toml").write_text(tomli_w.dumps({"fit-crystal": table}))
+    def keep(*words):
+        (installed / "own.txt").write_text(shlex.join(["--calculator", *words]))
         return {*installed.iterdir()}
 
     for name, what in RUNS.items():
@@ -144,9 +143,9 @@ def test_a_file_of_settings_runs_nothing_and_trust_is_typed(installed, monkeypat
         assert what in error
         assert len(error.splitlines()) == 1
         assert {*installed.iterdir()} == there
-    keep(name, trust=True)
+    keep(name, "--trust")
     assert main(line) == 2
-    assert "no option 'trust'" in capsys.readouterr().err
+    assert "expected no --trust" in capsys.readouterr().err
 
     def fit_crystal(structure, calculator, **_):
         seen.append(calculator.parameters["sigma"])
@@ -154,6 +153,6 @@ def test_a_file_of_settings_runs_nothing_and_trust_is_typed(installed, monkeypat
 
     monkeypatch.setattr(wp, "fit_crystal", fit_crystal)
     keep("here:Mine(sigma=2.5)")
-    for more in ("--trust", "--calculator here:Mine(sigma=1.5)", "--calc here:says(0.5)"):
+    for more in ("--trust", "--calculator here:Mine(sigma=1.5)", "--calculator=here:says(0.5)"):
         assert main([*line, *more.split()]) == 2
     assert seen == [2.5, 1.5, 0.5]

@@ -116,7 +116,7 @@ def test_a_page_runs_in_turn_and_prints_what_it_shows(name, home, tmp_path, monk
         if language == "python":
             exec(compile(block, f"{name}.md", "exec"), names)
             assert not shown or capsys.readouterr().out == shown
-        elif not language and name != "how-to/free_edges":  # whose meshes are the reader's
+        elif not language:
             for line in commands(block):
                 if line.startswith("warp-peri "):
                     words = [sorted(glob(word)) or [word] for word in shlex.split(line)]  # a shell

@@ -2,9 +2,9 @@
 
 Parsers are made from commands.txt. A command's first line is its sentence, the second an example;
 then come groups of options, a line each: name, names of values, two blanks, help; lines indented
-further go on. `V+` is one value or more, `V?` one or none, `a|b` a choice, `=x` the default, `!`
-required, `@dest` the name in the settings; without a value it is a switch. A line of names alone
-stands for the lines that first have them.
+further go on. `V+` is one value or more, `a|b` a choice, `=x` the default (`=` an empty list), `!`
+required, `@dest` the name in the code; without a value it is a switch. A line of names alone stands
+for the lines that first have them.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import sys
-import tomllib
 import warnings
 from argparse import SUPPRESS, ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Sequence
@@ -74,8 +74,8 @@ def _printable(line: str) -> str:
 
 
 SETTINGS = """\
-Every command takes --config FILE.toml with its settings. Commands that write results leave such a
-file with them. --json prints one object for machines."""
+@FILE stands for the words in a file; commands that write results leave such a file with them, and
+options behind it win. --json prints one object for machines."""
 COMMANDS: dict[str, str] = {}
 for _text in Path(__file__).with_name("commands.txt").read_text("utf-8").split("\n\n"):
     _name, _, COMMANDS[_name.strip("[]")] = _text.partition("\n")
@@ -89,8 +89,8 @@ PATHS = ("DUMP", "FILE", "FOLDER", "FRAMES", "MESH", "PATH", "STRUCTURE")
 WORDS = ("NAME", "STRAIN", "LENGTH", "STRESS")
 COUNTS = ("N", "M")
 """Names of values that are paths, as are those with an ending; text; whole numbers; else reals."""
-NOT_KEPT = ("config", "json", "trust", "overwrite", "help")
-"""Options that no file of settings has."""
+TYPED = ("--json", "--trust", "--overwrite")
+"""Options that no settings file has."""
 
 
 class Parser(ArgumentParser):
@@ -109,6 +109,7 @@ def parser_of(name: str) -> Parser:
         description=sentence,
         epilog=f"Example:\n  warp-peri {name} {example}",
         formatter_class=RawDescriptionHelpFormatter,
+        allow_abbrev=False,
     )
     for line in lines:
         if not line.startswith("  "):
@@ -126,36 +127,37 @@ def parser_of(name: str) -> Parser:
     words = [" ".join([*one.option_strings, str(one.metavar)]) for one in needed]
     words.sort(key=lambda word: word.startswith("--"))
     parser.usage = " ".join([parser.prog, *words, "[options]"]).replace("%", "%%")
-    parser.add_argument("--config", type=Path, metavar="FILE.toml", help="file with settings")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     return parser
 
 
 def _taken(option: str, marks: list[str]) -> dict[str, Any]:
     """Arguments of argparse for an option, from the marks between its name and its help."""
-    how: dict[str, Any] = {"required": True} if "!" in marks else {}
+    how: dict[str, Any] = {}
+    names = []
     for mark in marks:
-        if mark[0] == "@":
+        if mark == "!":
+            how["required"] = True
+        elif mark[0] == "@":
             how["dest"] = mark[1:]
-        if "|" in mark:
+        elif mark[0] == "=":
+            how["default"] = mark[1:]
+        elif "|" in mark:
             how["choices"] = mark.split("|")
-    named = [mark for mark in marks if mark[0] not in "!=@" and "|" not in mark]
-    default = next((mark[1:] for mark in marks if mark[0] == "="), None)
-    if named:
-        first = named[0].rstrip("+?")
-        how |= {"type": _kind(first), "metavar": first}
-        if len(named) > 1:
-            how |= {"nargs": len(named), "metavar": tuple(named)}
-        elif named[0] != first:
-            how["nargs"] = named[0][-1]
-            if named[0][-1] == "+" and option.startswith("--"):
-                how["action"] = "extend"
+        else:
+            names.append(mark)
+    if names:
+        first = names[0].rstrip("+")
+        how |= {"type": _kind(first), "metavar": tuple(names) if names[1:] else first}
+        if names[1:] or names[0] != first:
+            how["nargs"] = len(names) if names[1:] else "+"
+        if how.get("nargs") == "+" and option.startswith("--"):
+            how["action"] = "extend"
     elif "choices" not in how:
         how["action"] = "store_false" if option.startswith("--no-") else "store_true"
-    if default is not None and "," in default:
-        how["default"] = [*map(how["type"], default.split(","))]
-    elif default is not None:
-        how["default"] = [] if default == "[]" else how.get("type", str)(default)
+    if "default" in how:
+        one, text = how.get("type", str), how["default"]
+        how["default"] = [one(v) for v in text.split(",") if v] if "nargs" in how else one(text)
     return how
 
 
@@ -166,10 +168,10 @@ def _kind(value: str) -> Any:
 
 
 def parse(words: Sequence[str]) -> Namespace:
-    """Parse the command and its options, those missing on the line from the file of --config.
+    """Parse the command and its options; `@FILE` stands for the words in a file.
 
-    The file has one table named as the command, with long options (`_` for `-`) and positional
-    arguments as keys. `from_file` of the result are those it set, `options` all, `usual` defaults.
+    Of the result, `usual` are the defaults, `options` what a settings file keeps, `words` those of
+    the line and of its `files`, and `typed` the words of the line alone.
     """
     known = "\n".join(f"  {name:14}{text.splitlines()[0]}" for name, text in COMMANDS.items())
     top = Parser(
@@ -182,60 +184,33 @@ def parse(words: Sequence[str]) -> Namespace:
     )
     top.add_argument("command", metavar="COMMAND", choices=COMMANDS, help="one of these")
     top.add_argument("--version", action="version", version=f"warp_peri {warp_peri.__version__}")
-    given = top.parse_args(words[:1])
-    parser, rest = parser_of(given.command), words[1:]
+    given, line = top.parse_args(words[:1]), words[1:]
+    parser = parser_of(given.command)
     usual = {one.dest: one.default for one in parser._actions if one.dest != "help"}
-    options = {one.dest: one for one in parser._actions if one.dest not in NOT_KEPT}
-    ahead = ArgumentParser(add_help=False)
-    ahead.add_argument("--config", type=Path)
-    path, kept = ahead.parse_known_args(rest)[0].config, {}
-    if path is not None and not {"-h", "--help"} & {*rest}:
-        try:
-            kept = _settings_of(path, given.command, options)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
-    for action in parser._actions:  # a line without defaults tells what is typed
-        action.default = SUPPRESS if action.option_strings else None
-        if action.dest in kept:
-            action.required = False
-            if not action.option_strings:
-                action.nargs = "*" if action.nargs == "+" else "?"
-    line = vars(parser.parse_args(rest)).items()
-    typed = {name: value for name, value in line if value is not None and value != []}
-    told = {"usual": usual, "options": [*options], "from_file": kept.keys() - typed.keys()}
-    return Namespace(**vars(given) | usual | kept | typed | told)
+    for action in parser._actions:
+        action.default = SUPPRESS  # values of a list are not added to the usual ones
+    every = [one for word in line for one in (words_of(word) if word[:1] == "@" else [word])]
+    values = usual | vars(parser.parse_args(every))
+    return Namespace(
+        **vars(given) | values,
+        usual=usual,
+        options={name: value for name, value in values.items() if f"--{name}" not in TYPED},
+        words=[word for word in every if word not in TYPED],
+        files=[Path(word[1:]) for word in line if word[:1] == "@"],
+        typed=[word for word in line if word[:1] != "@"],
+    )
 
 
-def _settings_of(path: Path, command: str, options: dict[str, Any]) -> dict[str, Any]:
-    """Read options from a file of settings; InputError for keys and values of no option."""
+def words_of(file: str) -> list[str]:
+    """Read the words of a settings file, `@FILE`, which are quoted as in a shell."""
+    text = content(file[1:])
     try:
-        table = tomllib.loads(content(path).decode()).get(command)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"expected a TOML file ({error})") from None
-    if not isinstance(table, dict):
-        raise InputError(f"expected a table [{command}]")
-    kept = {}
-    for key, value in table.items():
-        if key not in options:
-            raise InputError(f"no option {key!r}; there are {', '.join(sorted(options))}")
-        action = options[key]
-        values = value if isinstance(value, list) else [value]
-        switch, single = action.nargs == 0, action.nargs in (None, "?", 0)
-        try:
-            found = values if switch else [(action.type or str)(str(one)) for one in values]
-        except ValueError:
-            found = []
-        fits = (
-            isinstance(value, list) != single,
-            all(isinstance(one, bool) == switch for one in values),
-            action.nargs in (None, "?", 0, "+", len(values)),
-            len(found) == len(values) and all(one in (action.choices or found) for one in found),
-        )
-        if not all(fits):
-            raise InputError(f"{key}: {value!r} is not what this option takes")
-        if values:
-            kept[key] = found[0] if single else found
-    return kept
+        words = shlex.split(text.decode(), comments=True)
+    except ValueError as error:
+        raise InputError(f"{file[1:]}: expected words of a command ({error})") from None
+    if typed := [word for word in words if word in TYPED]:
+        raise InputError(f"{file[1:]}: expected no {typed[0]}, which is typed")
+    return words
 
 
 def check_output(given: Namespace) -> None:
@@ -252,8 +227,7 @@ def check_output(given: Namespace) -> None:
         raise InputError(f"out: expected a {wanted}, {given.out} is a {there}")
     if not folder:
         destination(given.out)
-        if given.command == "coarse-grain" or (given.data and given.body is None):
-            if given.out.suffix not in (".h5", ".hdf5"):
-                raise InputError(f"out: expected a .h5 file, got {given.out.name}")
-            if given.out.exists() and not h5py.is_hdf5(given.out):
-                raise InputError(f"out: {given.out} is there already, and no data file")
+        if given.out.suffix not in (".h5", ".hdf5"):
+            raise InputError(f"out: expected a .h5 file, got {given.out.name}")
+        if given.out.exists() and not h5py.is_hdf5(given.out):
+            raise InputError(f"out: {given.out} is there already, and no data file")

@@ -7,7 +7,6 @@ import dataclasses
 import io
 import itertools
 import shlex
-import time
 from argparse import Namespace
 from pathlib import Path
 from typing import Any
@@ -27,8 +26,8 @@ from warp_peri.cli.commands import (
     lines_of,
     refuse_options,
     set_summary,
-    settings_of,
 )
+from warp_peri.cli.main import parse
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import (
     content,
@@ -38,7 +37,6 @@ from warp_peri.files.atomic import (
     read_arrays,
     whole_file,
     write_json,
-    write_text,
 )
 from warp_peri.fitting import settings
 from warp_peri.fitting.evaluate import Run, train
@@ -49,7 +47,7 @@ from warp_peri.points.unit_names import LENGTHS, USUAL, symbols
 
 HORIZON = 20.0
 """δ [Å] that is learned where nothing else was asked for."""
-OF_LPS = ("influence", "noise", "method", "conditions", "zeta", "loss", "degree")
+OF_LPS = ("influence", "noise", "method", "loss", "degree")
 """Options that mean nothing to other laws."""
 KINDS = {
     "lps": "linear peridynamic solid (LPS)",
@@ -64,8 +62,8 @@ ONE = "exactly one equilibrium for every load"
 LINE = 72 * "-"
 """Between what there is, how good it is and what comes next, and the details."""
 
-STEP, PRINTED, ROWS = 0.025, 4, 8
-"""Of the stretch in curves; every fourth of them is printed, or fewer, for at most so many rows."""
+STEP = 0.025
+"""Of the stretch in curves."""
 
 
 def run_coarse_grain(given: Namespace) -> Said:
@@ -110,7 +108,7 @@ def run_coarse_grain(given: Namespace) -> Said:
         sets = {**(before.sets if before else {}), given.set: samples}
         provenance = before.provenance if before else {"source": "warp-peri coarse-grain"}
         save_dataset(given.out, Dataset(sets, given.thickness, given.density, provenance))
-        keep(given, given.out.with_suffix(f".{given.set}.coarse-grain.toml"))
+        keep(given, given.out.with_suffix(f".{given.set}.coarse-grain.txt"))
     result = {"file": str(given.out), "set": given.set, **set_summary(samples)}
     return result, lines_of(result)
 
@@ -157,9 +155,9 @@ def _dataset(given: Namespace) -> Dataset:
 
 def run_fit(given: Namespace) -> Said:
     """Fit a material to data; writes model.json, metrics.json and the settings to a folder."""
-    model, kept = given.out / "model.json", given.out / "fit.toml"
+    model, kept = given.out / "model.json", given.out / "fit.txt"
     there = [one for one in (model, kept, given.out / "metrics.json") if one.exists()]
-    same = kept.exists() and kept.read_text() == settings_of(given)
+    same = kept.exists() and parse(["fit", f"@{kept}"]).options == given.options
     if there and not (same or given.overwrite):
         raise InputError(
             f"{there[0]}: is there already, by other settings; name another folder, or --overwrite"
@@ -183,7 +181,7 @@ def run_fit(given: Namespace) -> Said:
         metrics |= {"thickness": data.thickness, "density": data.density}
         provenance = {"data_provenance": data.provenance}
         run.save(given.out, metrics, data=given.data, provenance=provenance)
-        keep(given, given.out / "fit.toml")
+        keep(given, kept)
     tables = {name: {"samples": len(data[name])} | one for name, one in run.tables.items()}
     tables |= {name: {"error": why} for name, why in run.refused.items()}
     lines = [*_first(given, metrics, data), LINE, *repr(run.fit.material).split("\n")[1:]]
@@ -202,9 +200,8 @@ def _law(given: Namespace, spacing: float) -> Any:
         kernel: Any = None if given.degree is None else settings.Bernstein(given.degree)
         if given.influence:
             kernel = warp_peri.influence.named(given.influence, given.horizon)
-        conditions = settings.StabilityConditions(given.conditions, given.zeta)
         method = settings.named(given.method)
-        return warp_peri.LPS(given.horizon, kernel, method, conditions, given.loss)
+        return warp_peri.LPS(given.horizon, kernel, method, loss=given.loss)
     refuse_options(given, OF_LPS, f"--law lps, not {given.law}")
     law = warp_peri.Crystal(given.horizon)
     smoothing = warp_peri.methods.Smoothing(2 * spacing)
@@ -267,14 +264,14 @@ def _sheet_of(data: Dataset) -> str:
 
 def run_sweep(given: Namespace) -> Said:
     """Run Algorithm 2 on a data file; writes sweep.json and the models to a folder."""
-    data, conditions = _dataset(given), settings.StabilityConditions(given.conditions)
+    data = _dataset(given)
     sweep = warp_peri.methods.sweep(
         data[given.set],
         data[given.val],
         given.out,
         test=data[given.test] if given.test else None,
         noise=data[given.noise] if given.noise else None,
-        law=warp_peri.LPS(HORIZON, None, settings.GaussNewton(moduli=None), conditions),
+        law=warp_peri.LPS(HORIZON, None, settings.GaussNewton(moduli=None)),
         **chosen(given, "horizons", "degrees", "jobs", "progress"),
     )
     result: Result = {
@@ -286,13 +283,13 @@ def run_sweep(given: Namespace) -> Said:
     }
     with locked(given.out):
         write_json(given.out / "sweep.json", result)
-        keep(given, given.out / "sweep.toml")
+        keep(given, given.out / "sweep.txt")
     return result, lines_of(result)
 
 
 def run_fit_crystal(given: Namespace) -> Said:
     """Fit a crystal; writes model.json, crystal.json, report.txt and law.png to a folder."""
-    begin, path = time.perf_counter(), given.out / "model.json"
+    path = given.out / "model.json"
     units = given.units[0] if len(given.units) == 1 else tuple(given.units)
     how = chosen(given, "spacing", "horizon", "symmetry") | {"units": units}
     with locked(given.out):  # a place that takes no files is told before the calculator works
@@ -301,7 +298,8 @@ def run_fit_crystal(given: Namespace) -> Said:
             found: Any = warp_peri.atoms.crystal_from_force_constants(constants, **how)
         else:
             structure = dumps.read_structure(given.structure)
-            trusted = given.trust or "calculator" not in given.from_file
+            named = any(word.startswith("--calculator") for word in given.typed)
+            trusted = given.trust or named or not given.files
             calculator = warp_peri.atoms.make_calculator(
                 given.calculator, list(structure.symbols), given.potential, trusted=trusted
             )
@@ -323,11 +321,8 @@ def run_fit_crystal(given: Namespace) -> Said:
             LINE,
             *repr(found).split("\n")[1:],
         ]
-        write_text(given.out / "report.txt", "\n".join([*lines, ""]))
         _save_figure(found.plot(), given.out / "law.png")
-        keep(given, given.out / "fit-crystal.toml")
-    names = "model.json, crystal.json, report.txt, law.png"
-    lines.append(f"  {time.perf_counter() - begin:.1f} s; in {given.out}: {names}")
+        keep(given, given.out / "fit-crystal.txt")
     return {**found.content(), "model": str(path)}, lines
 
 
@@ -369,7 +364,7 @@ def run_fit_sheet(given: Namespace) -> Said:
         }
         result = finite(told | result)
         write_json(given.out / "sheet.json", result)
-        keep(given, given.out / "fit-sheet.toml")
+        keep(given, given.out / "fit-sheet.txt")
     path, stress = given.out / "material.json", "; stresses in MPa need a force: --stress"
     first = [
         f"{path}: material of a sheet, {choice.best.name}",
@@ -395,14 +390,12 @@ def _written(given: Namespace, choice: Any) -> tuple[Result, str]:
     except InputError as error:
         words.append(f"no file for FEBio: {error}")
     stretches = np.arange(1.0, max(1.05, material.stretch or 1.2) + 1e-9, STEP)[1:]
-    curves: Result = {}
     shown = f"curves: {given.out / 'curves.png'}, stress over stretch with a 90 % band"
     try:
         curves = {f"{a:g} deg": choice.curves(stretches, np.radians(a)) for a in (0, 45, 90)}
         _write_curves(given.out, stretches, curves, "MPa" if given.stress else "scaled")
     except InputError as error:
         words.append(shown := f"no curves: {error}")
-    each = PRINTED * -(-len(stretches) // (PRINTED * ROWS))
     result = {
         "stresses": told,
         "material": choice.best.name,
@@ -410,13 +403,6 @@ def _written(given: Namespace, choice: Any) -> tuple[Result, str]:
         "held_out_E_u": {one.name: one.held_out for one in candidates if np.isfinite(one.held_out)},
         "passed_over": [one.why for one in candidates if one.fit is None],
         "largest_stretch": float(material.stretch or np.nan),
-        "tension_with_90_percent_band": {
-            f"along {name}": {
-                f"stretch {stretches[n]:g}": np.array(curve)[:, n].tolist()
-                for n in range(each - 1, len(stretches), each)
-            }
-            for name, curve in curves.items()
-        },
     }
     return result, shown
 

@@ -13,7 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import InputError, warn
+from warp_peri.errors import InputError, Shown, warn
 from warp_peri.points.arguments import as_array, checked, typed
 
 REST = "rest"
@@ -44,8 +44,8 @@ MOST_PARTS = {2: 10**6, 3: 12}
 
 
 @typed
-@dataclass(frozen=True, eq=False)
-class Mesh:
+@dataclass(frozen=True, eq=False, repr=False)
+class Mesh(Shown):
     """Triangles or tetrahedra of a body, with an outline or a surface that may be curved.
 
     Attributes:
@@ -87,6 +87,13 @@ class Mesh:
         for name, part in self.parts.items():
             name = f"part '{name}'"
             check_numbers(name, checked(name, part, int, ("n",)), len(self.faces), named[1][0])
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Name and value of each line of the mesh's summary table."""
+        box = ", ".join(f"{a:g} to {b:g}" for a, b in zip(self.x.min(axis=0), self.x.max(axis=0)))
+        parts = ", ".join(f"{name} ({len(faces)})" for name, faces in self.parts.items())
+        rows = [("corners", f"{len(self.x)}"), (KINDS[self.dimension][0], f"{len(self.cells)}")]
+        return [*rows, ("box", box), ("parts", parts)]
 
     @property
     def dimension(self) -> int:
