@@ -1,8 +1,8 @@
 """Solids whose bonds break: forces and energies over unbroken bonds of a lattice body, by rows, the
 breaking of bonds, and the two halves of a step with the work done in them.
 
-The table of the ball holds per bond ξ, a = d w, k = 2 d (d + 2) μ w / r² and the limit of its
-criterion; with e = ξ·(u_j − u_i) (theory, C1–C4)
+The table of the ball holds per bond ξ, a = d w, k = 2 d (d + 2) μ w / r² and the e at which it
+breaks; with e = ξ·(u_j − u_i) (theory, C1–C4)
 
     θ_i = Σ a e,   f_i = Σ [(λ−μ) a (θ_i + θ_j) + k e] ξ,   w_i = (λ−μ) θ_i²/2 + Σ k e²/4.
 
@@ -22,8 +22,6 @@ import warp as wp
 
 from warp_peri.kernels.bonds import shared, unpacked
 
-NONE, STRETCH, ENERGY = -1, 0, 1
-"""Criteria: nothing breaks; e beyond its limit; the bond's energy density beyond its limit."""
 LANES = 16
 """Places of a piece, and bits of a word."""
 
@@ -93,16 +91,9 @@ FORCE = (
         }
         for (int a = 0; a < DIM; ++a)
             f[a] += pull * bond[a];
-        if (criterion < 0)
+        if (!breaking)
             continue;
-        V value = e;
-        if (criterion == 1) {  // energy, counted as negative in compression
-            value = 0.5 * pull * e;
-            value = e < V(0.0) ? -__builtin_elementwise_abs(value) : value;
-        }
-        if (!tension_only)
-            value = __builtin_elementwise_abs(value);
-        const Bits over = __builtin_convertvector(value > V(bond[DIM + 2]), Bits) & there;
+        const Bits over = __builtin_convertvector(e > V(bond[DIM + 2]), Bits) & there;
         const wp::uint16 beyond = __builtin_bit_cast(wp::uint16, over);
         for (int l = 0; beyond >> l; ++l)
             if (beyond >> l & 1 && !no_fail.data[base + l] && !no_fail.data[base + step + l]) {
@@ -147,8 +138,7 @@ def sweep(dimension: int):
         number: wp.array(dtype=wp.int32)
         no_fail: wp.array(dtype=wp.uint8)
         excess: S
-        criterion: wp.int32
-        tension_only: wp.int32
+        breaking: wp.int32
         planes: wp.array(dtype=S)
         theta: wp.array(dtype=S)
         lost: wp.array(dtype=wp.uint16)

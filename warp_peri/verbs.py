@@ -130,7 +130,7 @@ def _check(problem: Any, options: dict[str, Any], verb: str) -> None:
     with agreed(problem.points.comm if _on_ranks(problem) else ALONE):
         for name in FLAGS & options.keys():
             check_flag(name, options[name])
-        for name in {"parameters", "watch", "regions", "sections"} & options.keys():
+        for name in {"parameters", "watch"} & options.keys():
             if options[name] is not None:
                 check_mapping(name, options[name])
         if _on_ranks(problem) or not hasattr(problem, "learns"):

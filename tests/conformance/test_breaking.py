@@ -34,7 +34,6 @@ def linear(d, lam):
 SOLIDS = {
     "brittle": lambda d: BrittleMaterial(linear(d, 0.3), 2.0, toughness=0.01),
     "brittle, by stretch": lambda d: BrittleMaterial(linear(d, 0.8), 2.0, critical_stretch=0.05),
-    "brittle, by energy": lambda d: BrittleMaterial(linear(d, 2.0), 2.0, critical_energy=1e-3),
     "soft": lambda d: SofteningMaterial(linear(d, 0.8), BondLaw(4.0, 0.05, 0.05)),
     "mixed": lambda d: Mixed(
         2.0, lambda x: 2.5 + 0.1 * x[..., 0], lambda x: 1 + 0.1 * x[..., 1], dimension=d

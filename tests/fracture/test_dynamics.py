@@ -1,6 +1,5 @@
 """Bodies that break in motion: energy, symmetry, flags, and going on with the same bits."""
 
-import dataclasses
 import json
 
 import numpy as np
@@ -15,7 +14,6 @@ CRACK = [[(-20, 0), (-4, 0)]]
 KINDS = {
     "bond-based": {"lam": 1.0, "critical_stretch": 0.012},
     "state-based": {"lam": 0.4, "critical_stretch": 0.012},
-    "by energy": {"lam": 1.0, "critical_energy": 2e-5},
     "in space": {"lam": 0.4, "critical_stretch": 0.008, "sides": (8, 12, 4), "horizon": 2.0},
 }
 SQUARE = [[(-9, 0, -9), (-9, 0, 9), (-1, 0, 9), (-1, 0, -9)]]
@@ -51,11 +49,9 @@ def test_breaking_follows_the_stretch():
     beyond = d.sum(axis=1) / body.body.r**2 > 0.01
     there = body.body.neighbour >= 0
     np.testing.assert_array_equal(body.operator.kept(state.links), there & ~beyond)
-    for tension_only in (True, False):
-        body = BreakingBody(dataclasses.replace(solid(), tension_only=tension_only), plate())
-        state = body.start(v=-body.body.x * (0.0, 0.02 / body.longest_step))
-        step(body, state, body.longest_step)
-        assert (body.damage(state).max() > 0.3) != tension_only
+    state = body.start(v=-body.body.x * (0.0, 0.02 / body.longest_step))  # pressed, none breaks
+    step(body, state, body.longest_step)
+    assert not body.damage(state).any()
 
 
 def test_held_nodes_move_as_told_and_their_work_counts():
@@ -63,14 +59,10 @@ def test_held_nodes_move_as_told_and_their_work_counts():
     grip = np.where(held[:, None], np.sign(plate().x) * (0.0, 1e-3), 0.0)
     how = {"held": held, "grip": grip, "ramp": lambda t: min(1.0, t / 5.0)}
     body = BreakingBody(solid(0.5, critical_stretch=1.0), plate(), **how)
-    how = {"every": 1, "sections": {"middle": [(-9, 0), (9, 0)]}}
-    run = CrackRun(body, step=0.3 * body.longest_step, **how)
+    run = CrackRun(body, step=0.3 * body.longest_step, every=1)
     state = run.march(body.start(), steps=200)
     assert run.motion(state).missing < 2e-3
     np.testing.assert_allclose(state.v.numpy()[held], grip[held])
-    upper = state.force.numpy()[: len(held)][body.body.x[:, 1] > 0].sum(axis=0)
-    np.testing.assert_allclose(run.history["force middle"][-1], upper, atol=1e-12)
-    assert abs(upper[1]) > 1e-4
     assert run.history["dissipated"][-1] == 0
 
 

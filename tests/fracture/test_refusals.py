@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from examples.inclusion import Mixed
-from tests.support.bodies import plate, pulled, solid
+from tests.support.bodies import plate, solid
 from tests.support.problems import kernel, lattice
 from warp_peri import CG, Dirichlet, InputError, Points, fracture, simulate, solve
 from warp_peri.fracture import BondLaw, Cracked, Injected, j_integral, point_force, rectangle_nodes
 from warp_peri.fracture.adjoint import SoftBody
 from warp_peri.fracture.body import crossing_bonds
 from warp_peri.fracture.bonds import bond_weights, check_breakable
-from warp_peri.fracture.dynamics import BreakingBody, CrackRun
+from warp_peri.fracture.dynamics import BreakingBody
 from warp_peri.points.families import bond_classes
 
 X = rectangle_nodes(12.0, 12.0, 1.0)
@@ -21,7 +21,6 @@ EDGE, ENDS = np.abs(X).max(axis=1) > 5, np.abs(X[:, 1]) > 4
 POINTS, MODEL, BODY = Points(X, ~EDGE, 1.0), solid().model, plate(12, 12)
 PROBLEM, CRACK, LINE = Cracked(POINTS, u=X), [[(-3, 0), (3, 0)]], [(-7, 0.1), (7, 0.1)]
 CORRECTED = dataclasses.replace(PROBLEM, corrected=True)
-BY_ENERGY = dataclasses.replace(solid(), critical_stretch=None, critical_energy=1.0)
 WILD, SOFT = kernel("sign-changing", 3.0), BondLaw(2.0, 0.05, 0.02)
 SMALL = lattice(3, 2.0)
 HELD = np.repeat(ENDS[:, None], 2, axis=1)
@@ -49,7 +48,7 @@ def j_at(tip, far, material=MODEL, problem=PROBLEM):
 
 ONE = lambda x: np.ones(x.shape[:-1])
 MIXED, PRESSED = Mixed(3.0, lambda x: 2 * ONE(x), ONE), Cracked(POINTS, pressure=np.eye(2))
-COARSE, FAR = bond_classes(1.0, 4.0), {"far": [(-9, 99), (9, 99)]}
+COARSE = bond_classes(1.0, 4.0)
 REFUSED = {
     "with an area": crossing((0, 0, 0), (1, 0, 0), (2, 0, 0)),
     "flat": crossing((0, 0, 0), (3, 0, 0), (3, 3, 0), (0, 3, 1)),
@@ -70,10 +69,7 @@ REFUSED = {
     "tip: expected the end of a crack along an axis": j_at((0, 0), 4),
     "radii: expected 0 ≤ smaller < larger by a spacing of 1 or more, up to 5.5": j_at((0, 0), 9),
     "grip: expected held components": lambda: BreakingBody(solid(), BODY, grip=X),
-    "section far: expected .* that bonds": lambda: CrackRun(pulled(), step=1e-6, sections=FAR),
     "corrected: expected slow growth": moving(solid(), CORRECTED, loads=[1.0], line=LINE),
-    "corrected: .* whose bonds break at a stretch": moving(BY_ENERGY, CORRECTED),
-    "at_horizon: expected": lambda: BondLaw(1.0).at_horizon(2.0),
     "solution: expected that of a Cracked, got": lambda: fracture.crack_opening_volume(
         solve(kernel("positive", 2.0), Dirichlet(SMALL, None, SMALL.x))
     ),

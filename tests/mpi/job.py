@@ -239,14 +239,12 @@ def crack(folder, by="rows", steps="60", pause="0"):
         steps=int(steps),
         every=20,
         no_fail=np.abs(x[:, 1]) > 7,
-        regions={"top": x[:, 1] > 0},
-        sections={"middle": [(-20.5, 6.0), (20.5, 6.0)]},
         watch={"worst": lambda phi: time.sleep(float(os.environ["PAUSE"])) or phi.max()},
         checkpoint=folder / "state.h5",
         checkpoint_every=1,
         series=folder / "series",
     )
-    names = "elastic", "force middle", "u top", "worst"
+    names = "elastic", "work", "worst"
     phi = gather(points, motion.details.damage)
     return {
         "u": digest(gather(points, motion.u)),

@@ -70,7 +70,6 @@ class FieldUnits:
 
     Attributes:
         length, stress: powers of the units that it is in.
-        volume: power of length^d, beside that of the length.
         positive: whether a number is to be above zero.
         key: in the file, where that is not the field's name.
         omit: whether a file leaves it out where it has its default.
@@ -81,7 +80,6 @@ class FieldUnits:
 
     length: int = 0
     stress: int = 0
-    volume: int = 0
     positive: bool = False
     key: str = ""
     omit: bool = False
@@ -262,9 +260,8 @@ class Record(Shown):
             return tuple(self._scaled(one, says, by, units) for one in value)
         if says is PLAIN or not isinstance(value, (float, np.ndarray)):
             return value
-        power = says.length + says.volume * self.dimension if says.volume else says.length
-        size, stress = by[0] ** abs(power), by[1] ** says.stress
-        return value * (stress * size if power >= 0 else stress / size)
+        size, stress = by[0] ** abs(says.length), by[1] ** says.stress
+        return value * (stress * size if says.length >= 0 else stress / size)
 
     def rows(self) -> list[tuple[str, str]]:
         """Name and value of each line of the material's summary table."""

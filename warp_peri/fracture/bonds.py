@@ -192,9 +192,8 @@ def dilatations(
 class CutOperator:
     """Forces and energies of a lattice body over its unbroken bonds, by rows in Warp.
 
-    `limits` of the criterion are by bond of the ball [B], for its energy density with `by_energy`,
-    else for e = s r²; none breaks by default. With `tension_only` bonds in compression do not
-    break, nor do those of the nodes `no_fail`, [N] bool.
+    `limits` are the e = s r² at which bonds of the ball break, [B]; none breaks by default. Those
+    of the nodes `no_fail`, [N] bool, do not.
     """
 
     def __init__(
@@ -203,8 +202,6 @@ class CutOperator:
         body: LatticeBody,
         *,
         limits: np.ndarray | None = None,
-        by_energy: bool = False,
-        tension_only: bool = True,
         no_fail: np.ndarray | None = None,
     ) -> None:
         self.model, self.body = model, body
@@ -215,16 +212,16 @@ class CutOperator:
         self._kernels = kernels.sweep(d)
         self.vector = self._kernels.vec
         table = np.column_stack([body.xi, share, 2 * stiffness, self.limits])
-        offset, self.home = _places(body)
-        first, self._row = _rows(self.home)
-        self._lane = (self.home - first[self._row]).astype(np.uint16)
+        offset, home = _places(body)
+        first, self._row = _rows(home)
+        self._lane = (home - first[self._row]).astype(np.uint16)
         self._pieces = np.column_stack([first, np.arange(len(first))]).astype(np.int32)
-        size = int(self.home.max() + np.abs(offset).max()) + 2 * kernels.LANES
+        size = int(home.max() + np.abs(offset).max()) + 2 * kernels.LANES
         # of zeros, which no memory holds until they are written: a rectangle may be mostly empty
         self._number = np.zeros(size, np.int32)
-        self._number[self.home] = np.arange(1, len(self.home) + 1)
+        self._number[home] = np.arange(1, len(home) + 1)
         flags = np.zeros(size, np.uint8)
-        flags[self.home] = False if no_fail is None else no_fail
+        flags[home] = False if no_fail is None else no_fail
         self._planes = floats(np.zeros(d * size))
         self._theta = floats(np.zeros(size if self.excess else 1))
         self._at = ints(offset), floats(np.ascontiguousarray(table), self._kernels.bond)
@@ -232,8 +229,6 @@ class CutOperator:
             ints(self._number),
             wp.array(flags, dtype=wp.uint8, device="cpu", copy=False),
         )
-        self._criterion = kernels.ENERGY if by_energy else kernels.STRETCH
-        self._tension_only = int(tension_only)
         self._lost = zeros(len(first), dtype=wp.uint16)
         self._recorded: dict[tuple[Any, ...], Shared] = {}
 
@@ -252,10 +247,6 @@ class CutOperator:
             return np.asarray(words[self._row] >> lane[:, None] & 1, bool)
         return np.asarray(words[self._row[node], bond] >> lane[node] & 1, bool)
 
-    def dilatation(self, nodes: np.ndarray) -> np.ndarray:
-        """Dilatation θ of these nodes in the last sweep, where λ ≠ μ."""
-        return np.asarray(self._theta.numpy()[self.home[nodes]])
-
     def sweep(
         self,
         u: wp.array[Any],
@@ -271,8 +262,7 @@ class CutOperator:
         if key not in self._recorded:
             if len(self._recorded) > 1:
                 self._recorded.clear()
-            criterion = self._criterion if breaking else kernels.NONE
-            self._recorded[key] = self._shared(3 * (self._pieces,), criterion, *arrays)
+            self._recorded[key] = self._shared(3 * (self._pieces,), breaking, *arrays)
         self._recorded[key]()
         lost = self._lost.numpy()
         rows, lanes = np.flatnonzero(lost), np.arange(kernels.LANES)
@@ -280,13 +270,13 @@ class CutOperator:
         return np.sort(losing) - 1
 
     def _shared(
-        self, pieces: Sequence[np.ndarray], criterion: int, *fields: wp.array[Any]
+        self, pieces: Sequence[np.ndarray], breaking: bool, *fields: wp.array[Any]
     ) -> Shared:
         """Arguments to lay out u, fill θ, and fill force and energy, of pieces packed apart."""
         laid, dilated, swept = pieces
         dilated = dilated if self.excess else laid[:0]
         phases: Any = [wp.array(of, dtype=wp.vec2i, device="cpu") for of in (laid, dilated, swept)]
-        how = self.excess, criterion, self._tension_only, self._planes, self._theta, self._lost
+        how = self.excess, int(breaking), self._planes, self._theta, self._lost
         of = filled(self._kernels.Cut, *phases, *self._at, *self._nodes, *how, *fields)
         return Shared(self._kernels.sweep, (of,), (), 3, WEIGHT * len(swept), stay)
 
@@ -299,7 +289,7 @@ class CutOperator:
             ends = self.body.neighbour[nodes]
             around = np.union1d(changed, self._row[ends[ends >= 0]])
         pieces = [self._pieces[rows] for rows in (np.arange(0), changed, around)]
-        self._shared(pieces, kernels.NONE, force, links, force, energy)()  # no u is laid out
+        self._shared(pieces, False, force, links, force, energy)()  # no u is laid out
 
 
 class CutRows:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import AllNodes, agreed, fingerprint
-from warp_peri.fracture.body import HAIR, LatticeBody, cracked, section
+from warp_peri.fracture.body import LatticeBody, cracked
 from warp_peri.fracture.bonds import CutOperator, mean_gradients, unit_toughness
 from warp_peri.fracture.materials import BrittleMaterial
 from warp_peri.fracture.statics import by_component, check_no_fail
@@ -148,16 +148,11 @@ class BreakingBody:
         self.solid, self.body, self.ramp, self.corrected = solid, body, ramp, corrected
         self.longest_step = solid.longest_step(body.spacing) * (SHORTER if corrected else 1)
         self.no_fail = check_no_fail(no_fail, len(body.x))
-        by_energy, stretch = solid.critical_energy is not None, solid.critical_stretch
+        stretch: Any = solid.critical_stretch
         if solid.toughness is not None:
             stretch = np.sqrt(solid.toughness / unit_toughness(solid.model, body.classes))
-        weight: Any = body.classes.weight[body.classes.bond_class] if by_energy else body.r**2
-        limits = weight * (solid.critical_energy if by_energy else stretch)
-        how: dict[str, Any] = {"by_energy": by_energy, "tension_only": solid.tension_only}
-        how |= {"limits": limits, "no_fail": self.no_fail}
-        self.operator = CutOperator(solid.model, body, **how)
-        if corrected and by_energy:
-            raise InputError("corrected: expected a solid whose bonds break at a stretch")
+        limits = stretch * body.r**2
+        self.operator = CutOperator(solid.model, body, limits=limits, no_fail=self.no_fail)
         if grip is not None and held is None:
             raise InputError("grip: expected held components too, whose velocity it is")
         if not (ramp is None or callable(ramp)):
@@ -286,48 +281,17 @@ class Broken(NamedTuple):
     state: BreakingState
 
 
-class Section:
-    """Bonds of own nodes across a straight line [2, 2], in space a flat polygon [P, 3]."""
-
-    def __init__(self, body: BreakingBody, line: ArrayLike, own: Any) -> None:
-        cut, self.ends, normal = section(body.body, line, "section")
-        own_cut = np.zeros_like(cut)
-        own_cut[own] = cut[own]
-        self.count = int(own_cut.sum())
-        height = (body.body.x - self.ends[0]) @ normal  # nodes on the line stand to its left
-        own_cut &= (height > -HAIR / 2 * body.body.spacing)[:, None]
-        (self._node, self._bond), self._owner = np.nonzero(own_cut), body
-
-    def carried(self, state: BreakingState) -> np.ndarray:
-        """Force density of each bond across the line, shape [E, d]."""
-        owner, node, bond = self._owner, self._node, self._bond
-        body, (stiffness, share, excess) = owner.body, owner.operator.bonded
-        far, kept = body.neighbour[node, bond], owner.operator.kept(state.links, node, bond)
-        u, xi = state.u.numpy(), body.xi[bond]
-        e = (xi * (u[far] - u[node])).sum(axis=1)
-        pull = 2 * stiffness[bond] * e
-        if excess != 0:
-            theta = owner.operator.dilatation(node) + owner.operator.dilatation(far)
-            pull = pull + excess * share[bond] * theta
-        return np.asarray((pull * kept)[:, None] * xi)
-
-
 class CrackRun(Recorder):
     """Recorder that marches a body, and goes on from its checkpoint with the same bits.
 
     Args:
         body: the body; on ranks that of the nodes here. Records are of the whole.
         step: Δt, at most the body's longest.
-        regions: own nodes whose mean displacement and velocity are recorded as "u NAME" and "v
-            NAME", [n] bool by name.
         watch: functions of φ [N], the share of bonds that nodes have lost, recorded by name.
-        sections: lines by name, [2, 2], in space polygons, across which the force is recorded as
-            "force NAME", per thickness on the side that lies to the left of the line.
         nodes: which of the body's are this process's own, as AllNodes; all by default.
         files: the options of Recorder; `every` is 20 by default.
 
-    Raises InputError for a step or counts that are not > 0 or too long, for regions without nodes,
-    and for sections without bonds.
+    Raises InputError for a step or counts that are not > 0 or too long.
     """
 
     kind = "warp_peri.crack"
@@ -337,9 +301,7 @@ class CrackRun(Recorder):
         body: BreakingBody,
         *,
         step: Positive,
-        regions: Mapping[str, ArrayLike] | None = None,
         watch: Mapping[str, Callable[[np.ndarray], Any]] | None = None,
-        sections: Mapping[str, ArrayLike] | None = None,
         nodes: Any = None,
         **files: Any,
     ) -> None:
@@ -352,26 +314,12 @@ class CrackRun(Recorder):
                     f"step: expected at most {body.longest_step:.6g}, the longest that is stable "
                     f"whatever breaks, got {step:.6g}"
                 )
-            self.regions = {
-                name: checked(f"region {name}", mask, bool, (len(x),))
-                for name, mask in (regions or {}).items()
-            }
-            self.sections = {
-                name: Section(body, line, nodes.own) for name, line in (sections or {}).items()
-            }
             self.watch: dict[str, Any] = dict(watch or {})
-            others = {*LEDGER, *(f"force {name}" for name in self.sections)}
-            others |= {f"{kind} {name}" for kind in "uv" for name in self.regions}
-            if not all(map(callable, self.watch.values())) or others & {*self.watch}:
+            if not all(map(callable, self.watch.values())) or {*LEDGER} & {*self.watch}:
+                names = ", ".join(LEDGER)
                 raise InputError(
-                    f"watch: expected functions, none named {', '.join(sorted(others))}, got "
-                    f"{watch!r:.40}"
+                    f"watch: expected functions, none named {names}, got {watch!r:.40}"
                 )
-        counts = {f"region {name}": int(mask.sum()) for name, mask in self.regions.items()}
-        counts |= {f"section {name}": one.count for name, one in self.sections.items()}
-        self._size = {name: comm.allreduce(count) for name, count in counts.items()}
-        if empty := [name for name, size in self._size.items() if not size]:
-            raise InputError(f"{empty[0]}: expected nodes, or a line that bonds cross, got none")
         self.body, self.dt, self.shares = body, float(step), list[float]()
         self.history = {name: [] for name in LEDGER}
 
@@ -388,13 +336,6 @@ class CrackRun(Recorder):
     def record(self, state: BreakingState) -> tuple[float, dict[str, Any], dict[str, Any]]:
         body, nodes = self.body, self.nodes
         found: dict[str, Any] = dict(zip(LEDGER, body.ledger(state, nodes)))
-        for name, mask in self.regions.items():
-            for kind, field in (("u", state.u), ("v", state.v)):
-                total = nodes.sum(field.numpy()[nodes.own][mask])
-                found[f"{kind} {name}"] = total / self._size[f"region {name}"]
-        cell = body.body.spacing**body.body.dimension
-        for name, across in self.sections.items():
-            found[f"force {name}"] = cell * nodes.sum(across.carried(state))
         phi = body.damage(state)[nodes.own] if self.watch or self.series else None
         if self.watch:
             everywhere = nodes.gather(phi)
@@ -415,9 +356,7 @@ class CrackRun(Recorder):
         return np.cumsum(np.full(steps, self.dt)).tolist()  # type: ignore[no-any-return]
 
     def key(self, steps: int) -> dict[str, str]:
-        body, nodes, lines = self.body, self.nodes, [one.ends for one in self.sections.values()]
-        masks = [nodes.gather(mask) for mask in self.regions.values()]
-        names = list(self.sections), list(self.regions), self.watch
+        body, nodes = self.body, self.nodes
         fields = {name: getattr(body, name).numpy() for name in ("load", "held", "grip")}
         fields |= {"nodes": body.body.x, "no_fail": body.no_fail}
         self.shares += map(body.share, self._times(steps)[len(self.shares) :])
@@ -425,7 +364,7 @@ class CrackRun(Recorder):
             "solid": fingerprint(body.solid, body.operator.limits, body.corrected),
             "load history": fingerprint(self.shares[:steps]),
             "step": fingerprint(self.dt),
-            "records": fingerprint(self.every, names, lines, masks),
+            "records": fingerprint(self.every, self.watch),
         }
 
     def restored(

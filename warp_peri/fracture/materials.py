@@ -1,8 +1,4 @@
-"""Solids whose bonds break at once, or soften first.
-
-Strength and toughness belong to the material, the horizon to the discretisation: `at_horizon` keeps
-both (theory, C18).
-"""
+"""Solids whose bonds break at once, or soften first."""
 
 from __future__ import annotations
 
@@ -10,51 +6,42 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import hyp1f1
 
 from warp_peri.core.record import FieldUnits, OnLinear
 from warp_peri.errors import InputError
 from warp_peri.fracture.bonds import check_breakable, largest_stiffness, unit_toughness
 from warp_peri.materials.lps import LPSMaterial
-from warp_peri.points.arguments import NotNegative, Positive, checked, is_positive, typed
+from warp_peri.points.arguments import NotNegative, Positive, checked, typed
 from warp_peri.points.families import bond_classes
 from warp_peri.points.unit_names import REDUCED
 from warp_peri.solvers.verlet import inertia
 
-CRITERIA = ("toughness", "critical_stretch", "critical_energy")
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BrittleMaterial(OnLinear, format="warp_peri.brittle_solid", version=3):
-    """Solid whose bonds break at a toughness, stretch or energy.
+class BrittleMaterial(OnLinear, format="warp_peri.brittle_solid", version=4):
+    """Solid whose bonds break in tension, at a toughness or a stretch.
 
     Attributes:
         model: moduli and a positive influence function.
         density: ρ [kg/m³], and times are in ps; in reduced units mass per volume in these.
         toughness: G_c [stress · length]; the lattice's critical stretch follows from it (C6).
         critical_stretch: s₀ itself, instead of G_c.
-        critical_energy: energy density of a bond over its quadrature weight at which it breaks
-            [stress / length^d], instead of both (C8).
-        tension_only: bonds in compression do not break.
 
-    Raises InputError unless exactly one of the three criteria is given and all numbers are > 0, and
-    for an influence function that changes sign.
+    Raises InputError unless one of the two criteria is given and all numbers are > 0, and for an
+    influence function that changes sign.
     """
 
     model: LPSMaterial
     density: Positive
     toughness: Annotated[float | None, FieldUnits(length=1, stress=1, positive=True)] = None
     critical_stretch: Annotated[float | None, FieldUnits(positive=True)] = None
-    critical_energy: Annotated[float | None, FieldUnits(stress=1, volume=-1, positive=True)] = None
-    tension_only: bool = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given = [name for name in CRITERIA if getattr(self, name) is not None]
-        if len(given) != 1:
-            names = ", ".join(given) or "none"
-            raise InputError(f"criterion: expected one of {', '.join(CRITERIA)}, got {names}")
+        if (self.toughness is None) == (self.critical_stretch is None):
+            got = f"{self.toughness}, {self.critical_stretch}"
+            raise InputError(f"criterion: expected toughness or critical_stretch, got {got}")
         check_breakable(self.model)
 
     @property
@@ -133,30 +120,6 @@ class BondLaw:
             return 1 / b**2 if b else np.inf
         before = s * s / 2 * hyp1f1(2, 3, -b * s)  # [1 − e^(−βs) (1 + βs)]/β² without cancellation
         return float(before + self.pull(np.array(s)) * self.tail / 2)
-
-    def at_horizon(self, times: float) -> BondLaw:
-        """Bond law with the same strength and toughness at a horizon so many times as long (C18).
-
-        A bond that stores more than its part of the toughness before it fails gets no tail and
-        fails earlier, at less strength. Raises InputError for a law that never fails.
-        """
-        if not (np.isfinite(self.stretch) and is_positive(times)):
-            raise InputError(
-                f"at_horizon: expected finite stretch and times > 0, got {self.stretch}, {times}"
-            )
-        goal = self.spent() / times
-        abrupt = BondLaw(self.softness, self.stretch)
-        if abrupt.spent() <= goal:
-            peak = float(self.pull(np.array(self.stretch)))
-            return BondLaw(self.softness, self.stretch, 2 * (goal - abrupt.spent()) / peak)
-        least = np.sqrt(2 * goal) * (1 - 1e-9)  # spends less than the goal, softness or not
-        earlier = brentq(
-            lambda s: BondLaw(self.softness, s).spent() / goal - 1,
-            least,
-            self.stretch,
-            xtol=1e-14 * self.stretch,
-        )
-        return BondLaw(self.softness, float(earlier))
 
 
 def pull_of(s: Any, softness: Any, of: Any) -> Any:

@@ -47,7 +47,7 @@ class Cracked:
         pressure: [stress], shape [d, d], of what presses on the faces of the cracks, p n⊗n of a
             fluid (C13); of bodies in equilibrium.
         corrected: give missing bonds, at edges and cracks, the mean gradient of a node's others,
-            which makes both as stiff as the solid (C26); not for bonds that break by energy.
+            which makes both as stiff as the solid (C26).
 
     `solve` and `simulate` raise InputError for points that are no plain lattice, fields of other
     shapes or not finite, a piece that nothing holds, a material without a linear part, and one
@@ -128,10 +128,10 @@ class Cracked:
         The options say which:
             density: waves in any positive solid, whose bonds stay; with the options of
                 solvers.verlet.march, and its tensors.
-            step, steps: motion of a BrittleMaterial. Also `progress`; `every`, `regions`,
-                `sections`, `watch`, `checkpoint`, `checkpoint_every`, `series` (CrackRun);
-                `no_fail`, `grip`, `ramp` (BreakingBody); `v` (its start). The histories are the
-                ledger's and CrackRun's; the details are Broken.
+            step, steps: motion of a BrittleMaterial. Also `progress`; `every`, `watch`,
+                `checkpoint`, `checkpoint_every`, `series` (CrackRun); `no_fail`, `grip`, `ramp`
+                (BreakingBody); `v` (its start). The histories are the ledger's and those of
+                `watch`; the details are Broken.
             events: slow growth in any positive solid, `no_fail` and `progress` (C7).
             loads, line: SoftBody.pull of a SofteningMaterial, with `no_fail` and that function's
                 options.
@@ -143,9 +143,8 @@ class Cracked:
             cut = self.waves(material)
             return fracture.adjoint.in_motion(cut, self.b, u, options)
         body = self.body(material, "simulate")
-        grows = "events" in options or ("step" in options and not options.get("sections"))
-        if self.corrected and not grows:
-            raise InputError("corrected: expected slow growth, events=…, or steps without sections")
+        if self.corrected and not {"events", "step"} & options.keys():
+            raise InputError("corrected: expected slow growth, events=…, or steps")
         if "loads" not in options:
             refuse_learning(self, options, "simulate")
         if "events" in options or "loads" in options:

@@ -144,7 +144,7 @@ class Subdomain:
 
     def move(self, material: Any, problem: Any, options: dict[str, Any]) -> Motion:
         """Move a Cracked on ranks, as Cracked.moved, or an unbroken body, as solvers.verlet.march.
-        Raises InputError for anything but steps, and for bonds that break by energy."""
+        Raises InputError for anything but steps, and for a pressure."""
         comm = self.comm
         alike(material, problem, options)
         if hasattr(problem, "b") and not isinstance(problem, Cracked):
@@ -156,8 +156,8 @@ class Subdomain:
             if not isinstance(problem, Cracked) or "step" not in options:
                 raise InputError("simulate: expected a Dirichlet or Cracked with steps on ranks")
             offered(material, "density", "simulate", "a BrittleMaterial")
-            if material.critical_energy is not None or problem.pressure is not None:
-                raise InputError("simulate: expected breaking by stretch, no pressure, on ranks")
+            if problem.pressure is not None:
+                raise InputError("simulate: expected no pressure on ranks")
             check_same(material.units, self.units)
             material.linear.check_dimension(self)
             how, begin, files, records, run = options_of_steps(options)
@@ -405,9 +405,8 @@ def alike(material: Any, problem: Any, options: Mapping[str, Any]) -> None:
         given = {name: asked.pop(name, None) for name in NODAL}
         there = [n for n, one in given.items() if one is not None and n != "record"]
         stacked = [as_array(n, given[n]).shape[:-2] for n in ("b", "u") if n in there]
-        regions = sorted(asked.pop("regions", None) or ())
     kind = type(problem).__name__
-    same(comm, material=material, problem=(kind, stacked, there, regions), **asked)
+    same(comm, material=material, problem=(kind, stacked, there), **asked)
 
 
 def solved(
