@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 19_881,
-    "tokens": 248_120,
-    "lines of warp_peri": 31_630,
+    "code lines": 19_798,
+    "tokens": 246_955,
+    "lines of warp_peri": 31_517,
     "files of warp_peri": 114,
-    "lines of kernels": 1_026,
-    "lines of warp_peri, kernels, examples and tools": 43_847,
+    "lines of kernels": 1_016,
+    "lines of warp_peri, kernels, examples and tools": 43_721,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -36,17 +36,17 @@ BUDGET = {
 ROOMS = {
     "atoms": 2431,
     "cli": 765,
-    "core": 1562,
+    "core": 1560,
     "face": 1160,
     "fe_coupling": 741,
     "files": 509,
     "fitting": 1213,
-    "fracture": 1513,
+    "fracture": 1433,
     "materials": 4875,
     "neural": 598,
     "points": 1657,
     "prediction": 593,
-    "mpi": 733,
+    "mpi": 732,
     "solvers": 1531,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
