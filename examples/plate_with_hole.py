@@ -45,13 +45,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--half", type=float, default=100.0, help="half the plate's width [Å]")
     parser.add_argument("--size", type=float, default=2.0, help="of triangles at the hole [Å]")
     parser.add_argument("--spacing", type=float, default=2.5, help="of the nodes inside [Å]")
-    parser.add_argument("--horizon", type=float, default=7.5, help="there [Å]")
+    parser.add_argument("--horizon", type=float, default=7.5, help="at most, there [Å]")
     parser.add_argument("--out", type=Path, default=ROOT / "runs/plate_with_hole")
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
     model, h = wp.load(given.model), given.spacing
     if not model.is_certified_on(h) or given.horizon != model.horizon:
-        model = wp.transfers.on_lattice(model, spacing=h, horizon=given.horizon)
+        model = wp.transfers.on_lattice(model, spacing=h, largest_horizon=given.horizon)
     moduli = Moduli(model, h)
 
     def exact(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -109,12 +109,7 @@ _said: set[str] = set()
 
 @typed
 def on_lattice(
-    model: LPSMaterial,
-    *,
-    spacing: Positive,
-    horizon: Positive | None = None,
-    tolerance: Positive | None = None,
-    largest_horizon: Positive | None = None,
+    model: LPSMaterial, *, spacing: Positive, largest_horizon: Positive | None = None
 ) -> LPSMaterial:
     """Transfer a material to another square lattice and certify it there (theory, M2–M5).
 
@@ -125,29 +120,20 @@ def on_lattice(
     Args:
         model: certified on some lattice.
         spacing: h [Å] of the lattice.
-        horizon: δ [Å], at least two spacings; None takes the fewest bonds that meet the tolerance.
-        tolerance: largest relative error of displacement that is allowed for single waves, against
-            the model at home, of those twice as long as the shortest that the kernel is fitted on;
-            None asks for TOLERANCE and takes the best there is.
-        largest_horizon: bound [Å] where no horizon is given, such as what a collar carries.
+        largest_horizon: largest δ [Å], at least two spacings, such as what a collar carries.
 
-    The model's provenance tells where it comes from and, under "transfer", up to which wavelength
-    it agrees with home, and how well. Raises InputError for a model without a certificate, a
-    horizon below two spacings, or a tolerance that no horizon meets (saying the best there is).
+    The horizon is that of the fewest bonds with which waves twice as long as the shortest that the
+    kernel is fitted on err by at most TOLERANCE against home, else the most accurate one. The
+    model's provenance tells where it comes from and, under "transfer", up to which wavelength it
+    agrees with home, and how well. Raises InputError for a model without a certificate, and a
+    horizon below two spacings.
     """
-    asked = spacing, horizon, tolerance, largest_horizon
-    if (key := (model.content()["sha256"], *asked)) not in _memory:
-        _memory[key] = _transferred(model, *asked)
+    if (key := (model.content()["sha256"], spacing, largest_horizon)) not in _memory:
+        _memory[key] = _transferred(model, spacing, largest_horizon)
     return _memory[key]
 
 
-def _transferred(
-    model: LPSMaterial,
-    spacing: float,
-    horizon: float | None,
-    tolerance: float | None,
-    largest_horizon: float | None,
-) -> LPSMaterial:
+def _transferred(model: LPSMaterial, spacing: float, largest_horizon: float | None) -> LPSMaterial:
     unit = symbols(model.units)[0]
     if model.dimension == 3:
         raise InputError(
@@ -160,24 +146,17 @@ def _transferred(
     largest = model.largest_wave_number or SHARE * np.pi / min(model.certified_on)
     band = min(largest, SHARE * np.pi / home, SHARE * np.pi / spacing)
     found: dict[float, LPSMaterial] = {}
-    for last in _horizons(spacing, largest_horizon, unit) if horizon is None else [horizon]:
+    for last in _horizons(spacing, largest_horizon, unit):
         if (one := _fitted(model, home, spacing, last, band)) is not None:
             found[float(_errors(one, spacing, model, home, band / 2).max())] = one
-        if min(found, default=np.inf) <= (tolerance or TOLERANCE):
+        if min(found, default=np.inf) <= TOLERANCE:
             break
-    on = f"on the lattice of {spacing:g} {unit}"
     if not found:
         raise InputError(
-            f"horizon: no kernel {on} keeps the conditions of a certificate within {last:g} {unit}"
+            f"horizon: no kernel on the lattice of {spacing:g} {unit} keeps the conditions of a "
+            f"certificate within {last:g} {unit}"
         )
-    best = found[least := min(found)]
-    if tolerance is not None and least > tolerance:
-        raise InputError(
-            f"tolerance: {on} waves longer than {4 * np.pi / band:.3g} {unit} cannot be had to "
-            f"{100 * tolerance:g} %; the best is {100 * least:.2g} % at horizon {best.horizon:g} "
-            f"{unit}"
-        )
-    return _recorded(model, home, largest, best, spacing, band)
+    return _recorded(model, home, largest, found[min(found)], spacing, band)
 
 
 def _horizons(spacing: float, largest: float | None, unit: str) -> list[float]:
