@@ -10,9 +10,6 @@ from tests.support.problems import ROUNDING
 from tests.support.sheets import square
 from warp_peri import InputError
 from warp_peri.atoms import coarse_grain, read_mat, smoothing_matrix
-from warp_peri.atoms.coarse_graining import EV_PER_CUBIC_ANGSTROM, force_on_mesh
-from warp_peri.points.outlines import Circle, mesh_outline
-from warp_peri.points.outlines import box as rectangle
 
 RANDOM = np.random.default_rng(3)
 BOX = (11.0, 13.5)  # not commensurate with the nodes
@@ -104,49 +101,6 @@ def test_what_cannot_be_smoothed_is_refused():
             coarse_grain(smoothing_matrix(ATOMS, nodes(0, 4), radius=5.0), **fields | change)
     with pytest.raises(InputError, match=r"1 nodes have no atom .* the first is 16"):
         coarse_grain(smoothing_matrix(ATOMS, [*nodes(0, 4), [99.0, 99]], radius=5.0), **fields)
-
-
-HOLE = mesh_outline(rectangle(60.0, 50.0), [Circle(12.0, size=5.0)], size=8.0)
-"""A plate around a hole."""
-BODY = RANDOM.uniform(-0.5, 0.5, (2000, 2)) * (60.0, 50.0)
-BODY = BODY[np.hypot(*BODY.T) > 11.5]  # some of them in the hole
-PUSH = RANDOM.normal(size=BODY.shape)
-
-
-def work_of(b, v):
-    """∫ b · v dx for b and v linear on the triangles, by the midpoints of their sides [TPa Å³]."""
-    corners = HOLE.x[HOLE.cells]
-    area = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 2
-    middles = (corners + np.roll(corners, 1, axis=1)) / 2
-    products = (b(middles.reshape(-1, 2)) * v(middles.reshape(-1, 2))).sum(axis=1)
-    return area @ products.reshape(-1, 3).mean(axis=1)
-
-
-def test_force_on_a_mesh_with_a_hole_does_the_work_of_the_atoms_up_to_its_edges():
-    assert (HOLE.holding(BODY) < 0).sum() > 5
-    b = force_on_mesh(HOLE, BODY, PUSH, thickness=2.0)
-    for v in (  # pushes, a turn, any affine field
-        lambda x: 0 * x + (1.0, 0.0),
-        lambda x: x[:, ::-1] * (-1.0, 1.0),
-        lambda x: x @ [[0.3, -1.0], [0.7, 0.2]] + 0.5,
-    ):
-        work = work_of(b, v) * 2.0 / EV_PER_CUBIC_ANGSTROM
-        assert work == pytest.approx(np.vdot(PUSH, v(BODY)), abs=1e-9 * np.abs(PUSH).sum())
-    line = np.arange(-29.75, 30, 0.5)
-    x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
-    x = x[HOLE.holding(x) >= 0]
-
-    def given(x):
-        return x @ [[0.1, 0.2], [-0.3, 0.4]] + (20.0, 30.0)
-
-    b = force_on_mesh(HOLE, x, 0.25 * given(x) / EV_PER_CUBIC_ANGSTROM, thickness=1.0)
-    np.testing.assert_allclose(b(HOLE.x), given(HOLE.x), rtol=0.05)
-    for atoms, message in (
-        ([[0.0, 20.0], [90.0, 0.0]], "atoms: 1 lie outside the mesh"),
-        ([[0.0, 20.0]], r"force: expected shape \[1, 2\], got \[2, 2\]"),
-    ):
-        with pytest.raises(InputError, match=message):
-            force_on_mesh(HOLE, atoms, np.ones((2, 2)), thickness=1.0)
 
 
 NODES = square(9, spacing=5.0)

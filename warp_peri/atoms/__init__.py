@@ -9,7 +9,6 @@ if TYPE_CHECKING:
     from warp_peri.atoms.calculators import load_mpi_library as load_mpi_library
     from warp_peri.atoms.calculators import make_calculator as make_calculator
     from warp_peri.atoms.coarse_graining import coarse_grain as coarse_grain
-    from warp_peri.atoms.coarse_graining import force_on_mesh as force_on_mesh
     from warp_peri.atoms.coarse_graining import read_mat as read_mat
     from warp_peri.atoms.coarse_graining import smoothing_matrix as smoothing_matrix
     from warp_peri.atoms.crystal_fit import CrystalFit as CrystalFit

@@ -1,11 +1,10 @@
-"""Coarse graining from atoms to nodes (theory, equations 1–3, 3a), and nodal fields in .mat
-files."""
+"""Coarse graining from atoms to nodes (theory, equations 1–3), and nodal fields in .mat files."""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,14 +13,12 @@ import numpy as np
 import scipy.io
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
-from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from warp_peri.atoms.dic import ON_LATTICE, spacing_of, surrounded
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import check_hdf5, check_regular
 from warp_peri.points.arguments import Count, Positive, checked, typed
-from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points, Samples
 from warp_peri.points.unit_names import Units, check_units
 
@@ -34,8 +31,6 @@ LARGEST_ARRAY, LARGEST_GRID = 2**31, 10**7
 """Bytes, and nodes of the rectangle around positions."""
 FULL = 1 - 1e-6
 """Of a period, beyond which nodes are images of others."""
-FURTHEST = 1.0
-"""How far outside a mesh an atom may lie, in heights of the triangle that takes its force."""
 
 
 @typed
@@ -137,53 +132,6 @@ def coarse_grain(
     u = np.array([weighted @ one for one in moved]) / density[:, None]
     b = np.array([omega @ one for one in pushed])
     return u, b * (EV_PER_CUBIC_ANGSTROM / (node_area * thickness))
-
-
-@typed
-def force_on_mesh(
-    mesh: Mesh, atoms: ArrayLike, force: ArrayLike, *, thickness: Positive
-) -> Callable[[np.ndarray], np.ndarray]:
-    """Body force density that does the work of the atoms' forces, up to free edges (equation 3a).
-
-    Piecewise linear on the mesh [Å], so that force, moment and the work on linear displacements are
-    kept. Triangles with few atoms give a ragged density, those wider than a tenth of a wave an
-    inaccurate one. Atoms have reference positions [Å] and external forces [eV/Å], both [A, 2];
-    those a little outside act on the nearest triangle.
-
-    Returns b [TPa/Å] as a function of positions [Å], both of shape [n, 2]; for `solve_body`. Raises
-    InputError for atoms that lie outside the mesh.
-    """
-    atoms = _positions("atoms", atoms)
-    force = checked("force", force, shape=atoms.shape)
-    linear = _linear_functions(mesh, atoms)
-    off = np.flatnonzero(linear.min(axis=1).toarray().ravel() < -FURTHEST)
-    if len(off):
-        raise InputError(f"atoms: {len(off)} lie outside the mesh, the first is {off[0]}")
-    work = linear.T @ force * (EV_PER_CUBIC_ANGSTROM / thickness)
-    density = splu(_mass_matrix(mesh)).solve(work)
-    return lambda x: np.asarray(_linear_functions(mesh, x) @ density)
-
-
-def _linear_functions(mesh: Mesh, x: np.ndarray) -> sp.csr_array:
-    """Values of the mesh's linear shape functions at positions, [n, P]; extrapolated outside."""
-    triangle, corners = mesh.holding(x), mesh.x[mesh.cells]
-    outside = triangle < 0
-    triangle[outside] = cKDTree(corners.mean(axis=1)).query(x[outside])[1]
-    corners = corners[triangle]
-    sides = np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 2)
-    last = np.linalg.solve(sides, (x - corners[:, 0])[..., None])[..., 0]
-    values = np.column_stack([1 - last.sum(axis=1), last])
-    place = np.repeat(np.arange(len(x)), 3), mesh.cells[triangle].ravel()
-    return sp.csr_array((values.ravel(), place), shape=(len(x), len(mesh.x)))
-
-
-def _mass_matrix(mesh: Mesh) -> sp.csc_array:
-    """Mass matrix ∫ φ_i φ_j dx of the linear shape functions [Å²], shape [P, P]."""
-    corners = mesh.x[mesh.cells]
-    area = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 2
-    values = area[:, None, None] * (1 + np.eye(3)) / 12
-    place = np.repeat(mesh.cells, 3, axis=1).ravel(), np.tile(mesh.cells, 3).ravel()
-    return sp.csc_array((values.ravel(), place), shape=(len(mesh.x), len(mesh.x)))
 
 
 def _images(
