@@ -9,7 +9,7 @@ import numpy as np
 from tools.graphene import THICKNESS, sheet
 from tools.lammps_session import LammpsSession
 from tools.statics import Statics
-from warp_peri.atoms.coarse_graining import EV_PER_CUBIC_ANGSTROM
+from warp_peri.points.unit_names import EV_IN_TPA
 
 STRAIN = 1e-4
 CUBIC_STRAINS = (0.01, 0.03)
@@ -93,4 +93,4 @@ def _stress(
     box = (periods[0] * (1 + strain[0]), periods[1] * (1 + strain[1]))
     with LammpsSession(positions, box=box, potential=potential, elements=elements) as session:
         session.forces(Statics(positions, box=box, session=session).reference)
-        return np.diag(session.membrane_stress()) * EV_PER_CUBIC_ANGSTROM / THICKNESS
+        return np.diag(session.membrane_stress()) * EV_IN_TPA / THICKNESS

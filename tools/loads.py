@@ -11,8 +11,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from warp_peri.atoms.coarse_graining import EV_PER_CUBIC_ANGSTROM
 from warp_peri.points.dataset import mixed_waves
+from warp_peri.points.unit_names import EV_IN_TPA
 
 Box = tuple[float, float] | None
 """Periods (Lx, Ly) of the atoms [Å]; None for a free body."""
@@ -154,7 +154,7 @@ def atom_force(density: np.ndarray, area: float, thickness: float) -> np.ndarray
 
     `area` belongs to the atom [Å²], `thickness` to the sheet [Å].
     """
-    return density * (area * thickness / EV_PER_CUBIC_ANGSTROM)
+    return density * (area * thickness / EV_IN_TPA)
 
 
 def _periods(box: Box) -> np.ndarray:

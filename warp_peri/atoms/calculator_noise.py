@@ -14,9 +14,8 @@ from scipy.spatial.transform import Rotation
 from warp_peri.atoms.force_constants import TINY, ForceConstants, Supercell, forces_of, relaxing
 from warp_peri.core.elastic import PAIRS, by_spglib, kinds_of, stress_brackets, voigt
 from warp_peri.errors import optional
-from warp_peri.points.unit_names import STRESSES
+from warp_peri.points.unit_names import EV_IN_TPA
 
-EV_IN_TPA = STRESSES["eV/angstrom^3"]
 ON_SITES = 1e-4
 """Distance [Å] within which atoms are on their sites."""
 SHAKEN, ANGLES, ENOUGH = 0.01, (0.0, 0.0, 25.0, 40.0), 8

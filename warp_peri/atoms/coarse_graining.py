@@ -15,20 +15,17 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from warp_peri.atoms.dic import ON_LATTICE, spacing_of, surrounded
+from warp_peri.atoms.dic import spacing_of, surrounded
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import check_hdf5, check_regular
 from warp_peri.points.arguments import Count, Positive, checked, typed
-from warp_peri.points.points import Points, Samples
-from warp_peri.points.unit_names import Units, check_units
-
-EV_PER_CUBIC_ANGSTROM = 0.1602176634
-"""1 eV/Å³ in TPa."""
+from warp_peri.points.points import Points, Samples, straight_steps
+from warp_peri.points.unit_names import EV_IN_TPA, Units, check_units
 
 NUMBERS = {"double", "single"} | {f"{u}int{n}" for u in ("", "u") for n in (8, 16, 32, 64)}
 """Classes of MATLAB's arrays of numbers."""
-LARGEST_ARRAY, LARGEST_GRID = 2**31, 10**7
-"""Bytes, and nodes of the rectangle around positions."""
+LARGEST_ARRAY = 2**31
+"""Bytes."""
 FULL = 1 - 1e-6
 """Of a period, beyond which nodes are images of others."""
 
@@ -131,7 +128,7 @@ def coarse_grain(
         raise InputError(f"{words}: expected nodes inside the body, or its periods (box)")
     u = np.array([weighted @ one for one in moved]) / density[:, None]
     b = np.array([omega @ one for one in pushed])
-    return u, b * (EV_PER_CUBIC_ANGSTROM / (node_area * thickness))
+    return u, b * (EV_IN_TPA / (node_area * thickness))
 
 
 def _images(
@@ -202,20 +199,16 @@ def read_mat(
         x = step * np.argwhere(np.ones((side, side), bool))
     u = _components_last(path, held, displacement, len(x))
     b = None if load is None else factor * _components_last(path, held, load, len(x))
-    nodes = np.rint(place := (x - x.min(axis=0)) / step).astype(int)
-    if np.abs(place - nodes).max() > ON_LATTICE or np.prod(place.max(axis=0) + 1) > LARGEST_GRID:
-        raise InputError(f"{path}: expected positions on a square lattice along x and y")
+    nodes, _ = straight_steps(x, step)
     grid = np.zeros(nodes.max(axis=0) + 1, bool)
     grid[*nodes.T] = True
-    fits = 4 * reach < min(grid.shape)
-    interior = surrounded(grid, reach)[*nodes.T] if fits else np.zeros(len(nodes), bool)
+    interior = surrounded(grid, reach)[*nodes.T] if 4 * reach < min(grid.shape) else grid[:0]
     if not interior.any():
         none = f"none of {' × '.join(map(str, grid.shape))}"
         raise InputError(
             f"{path}: expected all within {2 * reach} spacings around some, got {none}"
         )
-    points = Points(x.min(axis=0) + step * nodes, interior, step, units=check_units(units))
-    return Samples(points, u, b)
+    return Samples(Points(x, interior, step, units=check_units(units)), u, b)
 
 
 def _variables(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:

@@ -185,40 +185,32 @@ def _of_items(items: dict[str, list[str]], columns: list[str], rows: list[str]) 
     cell = np.diag(high - low)
     cell[1, 0], cell[2, 0], cell[2, 1] = tilt
     x = low + table[:, 1:4] @ cell if used in ("xs", "xsu") else table[:, 1:4]
-    images = None
-    if used in ("x", "xs") and set(IMAGES) <= set(values):
-        images = np.stack([values[name] for name in IMAGES], axis=1)
-    elif tilt.any() and used in ("x", "xs"):
+    if tilt.any() and used in ("x", "xs") and not {*IMAGES} <= {*values}:
         raise ValueError(
             f"expected xu, yu, zu in a tilted box, got {used}; or {used} with ix, iy, iz"
         )
-    for name in {"id", "type"} & {*wanted}:
-        one = values[name]
-        if not ((one >= 1) & (one < MOST) & (one % 1 == 0)).all():
-            raise ValueError(f"{name}: expected whole numbers from 1")
-        values[name] = one.astype(np.int64)
-    return _ordered(values["id"], x, values.get("type"), cell, columns, images)
+    return _ordered(values, x, cell, columns, used in ("xu", "xsu"))
 
 
 def _ordered(
-    ids: np.ndarray,
-    x: np.ndarray,
-    types: np.ndarray | None,
-    cell: np.ndarray,
-    columns: Sequence[str],
-    images: np.ndarray | None,
+    values: dict[str, Any], x: np.ndarray, cell: np.ndarray, columns: Sequence[str], free: bool
 ) -> DumpFrame:
-    """Build a frame with atoms by rising id, checked, unwrapped by their images."""
-    x = x if images is None else x + images @ cell
+    """Build a frame of columns by name with atoms by rising id, checked, unwrapped by their images
+    unless their positions already are `free`."""
+    if not free and {*IMAGES} <= {*values}:
+        free, x = True, x + np.stack([values[name] for name in IMAGES], axis=1) @ cell
     if not np.isfinite(x).all():
         raise ValueError("positions that are not finite")
-    order = np.argsort(ids)
-    ids, x = ids[order], x[order]
+    order, whole = np.argsort(values["id"]), {}
+    for name in {"id", "type"} & {*values}:
+        one = np.asarray(values[name])[order]
+        if not ((one >= 1) & (one < MOST) & (one % 1 == 0)).all():
+            raise ValueError(f"{name}: expected whole numbers from 1")
+        whole[name] = one.astype(np.int64)
+    ids, x = whole["id"], x[order]
     if (twice := ids[1:][ids[1:] == ids[:-1]]).size:
         raise ValueError(f"the id {twice[0]} comes twice")
-    kinds = None if types is None else types[order]
-    free = images is not None or bool({"xu", "xsu"} & set(columns))
-    return DumpFrame(ids, x[:, :2], kinds, tuple(columns), x[:, 2], cell, free)
+    return DumpFrame(ids, x[:, :2], whole.get("type"), tuple(columns), x[:, 2], cell, free)
 
 
 def _by_ase(path: str | os.PathLike[str]) -> Iterator[DumpFrame]:
@@ -231,13 +223,10 @@ def _by_ase(path: str | os.PathLike[str]) -> Iterator[DumpFrame]:
         if not int(count) + max(wide, default=0) < os.path.getsize(path):
             raise ValueError("expected as many atoms and columns as a file of that size holds")
     for atoms in ase.io.iread(os.fspath(path), index=":", format=form):
-        held, cell = atoms.arrays, np.array(atoms.cell) * atoms.pbc[:, None]
-        ids = np.asarray(held.get("id", np.arange(1, len(atoms) + 1)))
         types = 1 + np.unique(atoms.numbers, return_inverse=True)[1]
-        images = None
-        if set(IMAGES) <= set(held):
-            images = np.stack([held[name] for name in IMAGES], axis=1)
-        yield _ordered(ids, atoms.positions, types, cell, tuple(held), images)
+        values = {"id": np.arange(1, len(atoms) + 1)} | atoms.arrays | {"type": types}
+        cell = np.array(atoms.cell) * atoms.pbc[:, None]
+        yield _ordered(values, atoms.positions, cell, [*atoms.arrays], free=False)
 
 
 LARGEST_HEADER = 2**16

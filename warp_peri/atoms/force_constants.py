@@ -22,7 +22,7 @@ from warp_peri.core.elastic import (
 )
 from warp_peri.errors import InputError, warn
 from warp_peri.points.arguments import checked, typed, typed_methods
-from warp_peri.points.unit_names import STRESSES
+from warp_peri.points.unit_names import EV_IN_TPA
 
 STEP, WIDER = 2e-3, 5
 """Displacement of finite differences [Å], and the second one over it."""
@@ -209,7 +209,7 @@ class ForceConstants:
         moved = np.linalg.solve(D, np.tile(np.eye(m, d, dtype=complex), (n, 1)))
         mean = moved.reshape(len(k), n, m, d)[:, :, :d].mean(axis=1)
         flexible = mean.real * (self.volume / n)
-        stiff = np.linalg.inv(flexible) * STRESSES["eV/angstrom^3"]
+        stiff = np.linalg.inv(flexible) * EV_IN_TPA
         return np.asarray((stiff + stiff.swapaxes(1, 2)) / 2)
 
     def _by_atoms(self, weight: np.ndarray, phi: np.ndarray) -> np.ndarray:
@@ -263,7 +263,7 @@ class ForceConstants:
                 stiff = stiff + self.polar.at_long_waves(e, self.cell)
             flat = stiff[:, :, :m, :, :m].reshape(len(e), n * m, n * m)
             A = A - push.swapaxes(1, 2) @ relaxing(flat, m) @ push
-        A = A / self.volume * STRESSES["eV/angstrom^3"]
+        A = A / self.volume * EV_IN_TPA
         return np.asarray((A + A.swapaxes(1, 2)) / 2)
 
     def nearest_elastic(

@@ -17,7 +17,7 @@ from ase.optimize import BFGS
 from ase.spacegroup.symmetrize import refine_symmetry
 from scipy.linalg import polar, sqrtm
 
-from warp_peri.atoms.calculator_noise import EV_IN_TPA, ON_SITES, TIMES, Noise, measured, strained
+from warp_peri.atoms.calculator_noise import ON_SITES, TIMES, Noise, measured, strained
 from warp_peri.atoms.calculators import LammpsError
 from warp_peri.core.elastic import (
     COUNTED,
@@ -29,6 +29,7 @@ from warp_peri.core.elastic import (
     primitive_cell,
 )
 from warp_peri.errors import InputError, warn
+from warp_peri.points.unit_names import EV_IN_TPA
 
 VACUUM = 8.0
 """A gap between atoms [Å] that counts as vacuum."""

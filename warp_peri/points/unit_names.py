@@ -19,6 +19,7 @@ STRESSES = {
     "eV/angstrom^3": 0.1602176634,
 }
 """Units of stress [TPa]."""
+EV_IN_TPA = STRESSES["eV/angstrom^3"]
 REDUCED = ("sigma", "epsilon/sigma^3")
 """Of Lennard-Jones and other model potentials: no factor leads from them to metres and pascals."""
 SYMBOLS = {"angstrom": "Å", "um": "µm", "eV/angstrom^3": "eV/Å³"}
