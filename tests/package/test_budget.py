@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 19_732,
-    "tokens": 246_220,
-    "lines of warp_peri": 31_426,
+    "code lines": 19_734,
+    "tokens": 246_226,
+    "lines of warp_peri": 31_430,
     "files of warp_peri": 114,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 43_630,
+    "lines of warp_peri, kernels, examples and tools": 43_634,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -42,7 +42,7 @@ ROOMS = {
     "files": 509,
     "fitting": 1213,
     "fracture": 1433,
-    "materials": 4856,
+    "materials": 4858,
     "neural": 598,
     "points": 1658,
     "prediction": 593,
