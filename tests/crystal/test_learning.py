@@ -11,7 +11,7 @@ from ase.calculators.lj import LennardJones
 
 import warp_peri as wp
 from tests.crystal.crystals import cubic_tensor, dispersive, huang_defect, lattice, learned
-from tests.support import cubes
+from tests.support import clouds
 from tests.support.problems import kernel, loaded
 from tests.support.problems import lattice as plane_lattice
 from warp_peri.atoms.force_constants import NonAnalyticCorrection, Supercell, from_supercell
@@ -198,7 +198,7 @@ def test_a_turned_crystal():
 def test_a_linear_peridynamic_solid_is_a_crystal_of_twice_the_range():
     for model, points in (
         (kernel("sign-changing", 2.0), replace(plane_lattice(5, 2.0), axis=0.0)),
-        (cubes.solid(2.0, D=[1.0, -0.3, 0.6]), cubes.cube(3, 2.0)),
+        (clouds.solid(2.0, D=[1.0, -0.3, 0.6]), clouds.cube(3, 2.0)),
     ):
         law, u = crystal_from_lps(model, 1.0), np.random.default_rng(3).normal(size=points.x.shape)
         force = model.on(points, allow_uncertified=True)(u)
@@ -212,7 +212,7 @@ def test_a_linear_peridynamic_solid_is_a_crystal_of_twice_the_range():
 @pytest.fixture(scope="module")
 def made():
     """Rough and smooth fields on a period, and the loads that a model answers them with."""
-    model = cubes.solid(2.0, 0.5, 0.8, D=[1.0, 0.6, 1.4])
+    model = clouds.solid(2.0, 0.5, 0.8, D=[1.0, 0.6, 1.4])
     points, random = wp.Points.sheet((10, 10, 10), 1.0), np.random.default_rng(0)
     k = 2 * np.pi / 10 * random.integers(-2, 3, size=(4, 3))
     u = random.normal(size=(4, 1000, 3)) + 10 * np.sin(points.x @ k.T).T[:, :, None]

@@ -8,7 +8,7 @@ import torch
 
 from examples import diffusion
 from examples.diffusion import coupled, jump, smooth
-from tests.support.clouds import cloud, periodic_cloud
+from tests.support.clouds import cloud
 from tests.support.problems import difference, fitted_order, kernel
 from warp_peri import Dirichlet, InputError, LPSMaterial, Points, simulate, solve
 from warp_peri.diffusion import DiffusionMaterial, DiffusionOperator, ThermoelasticMaterial
@@ -64,8 +64,7 @@ def test_linear_fields_carry_no_flux_and_parabolas_that_of_their_laplacian(d):
 
 
 def test_periodic_lattices_keep_their_content_and_a_wave_decays_as_it_should():
-    points, box = periodic_cloud(24, perturbation=0.0)
-    points = Points(points.x, points.interior, 1.0, box=box)
+    points = Points.sheet((24, 24), 1.0)
     kappa = np.random.default_rng(0).uniform(0.1, 3, len(points.x))
     uneven = DiffusionOperator(DiffusionMaterial(3.0), points, kappa=kappa)
     assert abs(uneven(np.random.default_rng(1).standard_normal(len(points.x))).sum()) < 1e-11

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from tests.crystal import crystals
-from tests.support.clouds import cloud, plain
-from tests.support.cubes import cube
+from tests.support.clouds import cloud, cube, plain
 from tests.support.problems import kernel, lattice, manufactured
 from warp_peri import InputError, Samples
 from warp_peri.export import write_vtk

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.crystal.crystals import dispersive
-from tests.support.cubes import cube, solid
+from tests.support.clouds import cube, solid
 from tests.support.problems import kernel, lattice, manufactured, noise, smooth
 from tests.support.symbols import fluctuation
 from warp_peri import LPS, Bernstein, Crystal, InputError, Samples, diagnose, fit

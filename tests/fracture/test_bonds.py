@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from tests.support import cubes
+from tests.support import clouds
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import ROUNDING, lattice
 from warp_peri.fracture.body import lattice_body
@@ -74,7 +74,7 @@ def test_any_order_and_hole_has_the_bits_of_each_node_alone(sides, lam):
     np.testing.assert_array_equal(sorted_force, again[0][order])
 
 
-@pytest.mark.parametrize(("lam", "points"), [(-0.4, lattice(4, 3.0)), (1.0, cubes.cube(2, 2.0))])
+@pytest.mark.parametrize(("lam", "points"), [(-0.4, lattice(4, 3.0)), (1.0, clouds.cube(2, 2.0))])
 def test_an_uncut_interior_is_the_linear_peridynamic_solid(lam, points):
     horizon = 5.0 - points.dimension
     model = solid(lam, horizon=horizon, dimension=points.dimension).model

@@ -8,7 +8,7 @@ import pytest
 import torch
 import warp as wp
 
-from tests.support import cubes, problems, reference
+from tests.support import clouds, problems, reference
 from tests.support.clouds import cloud, periodic_cloud
 from tests.support.problems import KERNELS, LAM, MU, ROUNDING, ell, kernel, lattice, noise, periodic
 from tests.support.symbols import symbol
@@ -43,7 +43,7 @@ def across(points):
 KINDS = {
     "lattice": lambda: lattice(2, HORIZON),
     "periodic lattice": lambda: periodic((7, 8))[0],
-    "periodic cloud": lambda: periodic_cloud(7)[0],
+    "periodic cloud": lambda: periodic_cloud(7),
     "cut lattice": lambda: cut(lattice(2, HORIZON)),
     "cut cloud": lambda: cut(cloud(2, HORIZON)),
 }
@@ -135,12 +135,15 @@ def test_an_operator_with_fields_is_symmetric_on_a_period_and_its_matrix_anywher
     law = law.bonds.law(*[*law.leaves.values()][1:])
     u = noise(law.bonds.points, 2).reshape(2, -1)
     assert error(law.transposed(u)[0], law.force(u)[0]) < 1e-14
-    flat, deep = kernel("sign-changing", HORIZON), partial(cubes.solid, alpha=1.2, D=[1, -0.3, 0.6])
+    flat, deep = (
+        kernel("sign-changing", HORIZON),
+        partial(clouds.solid, alpha=1.2, D=[1, -0.3, 0.6]),
+    )
     for points, model in (
         (KINDS["periodic cloud"](), flat),
         (KINDS["cut cloud"](), flat),
-        (cubes.cube(2, 2.0), deep(2.0)),
-        (cubes.periodic_cloud(6), deep(2.9)),
+        (clouds.cube(2, 2.0), deep(2.0)),
+        (clouds.periodic_cloud(6, 0.2, dimension=3), deep(2.9)),
     ):
         u, operator = noise(points), model.on(points, allow_uncertified=True)
         assert error(operator(u).ravel(), operator.matrix() @ u.ravel()) < 10 * ROUNDING
@@ -248,7 +251,7 @@ def test_plane_waves_have_the_symbol_of_the_stencil_and_long_ones_feel_the_modul
 def test_moduli_are_those_of_the_continuum_on_every_lattice():
     C = moduli(kernel("1/r", 5.0), bond_classes(1.0, 5.0))
     assert C == pytest.approx({"C11": LAM + 2 * MU, "C12": LAM, "C44": MU}, rel=1e-9)
-    C = moduli(cubes.solid(2.5), bond_classes(1.0, 2.5, dimension=3))
+    C = moduli(clouds.solid(2.5), bond_classes(1.0, 2.5, dimension=3))
     assert C == pytest.approx({"C11": 1.9, "C12": 0.3, "C44": 0.8}, rel=1e-12)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from tests.support import cubes
+from tests.support import clouds
 from tests.support.clouds import cloud, periodic_cloud, plain
 from tests.support.problems import ROUNDING, fitted_order, kernel, lattice, noise, periodic
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, solid
@@ -21,7 +21,7 @@ from warp_peri.points.families import bond_classes
 
 
 def test_continuum_constants_are_those_of_plane_stress_and_of_space():
-    model, deep = LPSMaterial(0.4, 0.8, 1.0, [1.0], 3.0), cubes.solid(2.5)
+    model, deep = LPSMaterial(0.4, 0.8, 1.0, [1.0], 3.0), clouds.solid(2.5)
     assert model.E / (2 * (1 + model.nu)) == pytest.approx(0.8)  # μ
     assert model.E * model.nu / (1 - model.nu**2) == pytest.approx(0.4)  # λ in the plane
     bulk = deep.lam + 2 * deep.mu / 3
@@ -138,11 +138,11 @@ def test_what_makes_no_sense_is_refused_in_words():
 # Stress
 
 
-@pytest.mark.parametrize("points", [cloud(5, HORIZON), cubes.cube(2, 2.0)])
+@pytest.mark.parametrize("points", [cloud(5, HORIZON), clouds.cube(2, 2.0)])
 def test_an_affine_field_has_the_stress_of_hooke(points):
     d = points.dimension
     G = np.random.default_rng(2).normal(size=(d, d))
-    model = plain(HORIZON) if d == 2 else cubes.solid(2.0)
+    model = plain(HORIZON) if d == 2 else clouds.solid(2.0)
     fields, strain = node_fields(model, points, points.x @ G.T), (G + G.T) / 2
     stress = model.lam * np.trace(G) * np.eye(d) + 2 * model.mu * strain
     np.testing.assert_allclose(fields.stress - stress, 0, atol=1e-9)
@@ -181,8 +181,8 @@ def test_its_divergence_balances_the_force_to_second_order():
 
 
 def test_stress_is_that_of_nearest_images_and_of_complete_families():
-    points, box = periodic_cloud(9)
-    moved = replace(points, x=np.mod(points.x + np.array([3.3, 4.7]), box))  # cut elsewhere
+    points = periodic_cloud(9)
+    moved = replace(points, x=np.mod(points.x + np.array([3.3, 4.7]), points.box))  # cut elsewhere
     model, u = kernel("positive", HORIZON), noise(points)
     here, there = (node_fields(model, one, u) for one in (points, moved))
     for part, expected in vars(here).items():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.support.cubes import cube
+from tests.support.clouds import cube
 from tools.rivals import BULK, SHEAR, SIZE, PeriLps
 from warp_peri import LPSMaterial
 from warp_peri.atoms.calculators import LammpsError, lammps_class

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support import cubes
+from tests.support import clouds
 from tests.support.clouds import cloud, plain
 from tests.support.problems import ell, fitted_order, kernel, lattice, noise
 from tests.support.solving import solve
@@ -27,7 +27,7 @@ def body(points):
 BODIES = {
     "lattice": (body(lattice(ell(), HORIZON)), kernel("sign-changing", HORIZON)),
     "cloud": (body(cloud(6, HORIZON)), kernel("sign-changing", HORIZON)),
-    "space": (body(cubes.cube(3, 2.0)), cubes.solid(2.0, alpha=1.2, D=[1.0, -0.3, 0.6])),
+    "space": (body(clouds.cube(3, 2.0)), clouds.solid(2.0, alpha=1.2, D=[1.0, -0.3, 0.6])),
 }
 every_body = pytest.mark.parametrize(("points", "model"), BODIES.values(), ids=BODIES)
 

@@ -9,8 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.support import reference
-from tests.support.clouds import cloud, periodic_cloud, plain
-from tests.support.cubes import cube
+from tests.support.clouds import cloud, cube, periodic_cloud, plain
 from tests.support.problems import ell, kernel, lattice, manufactured, noise, periodic
 from tests.support.solving import solve
 from warp_peri import LPS, Bernstein, InputError, LPSMaterial, Points, fit
@@ -136,7 +135,7 @@ def test_each_scattered_family_has_its_own_weights():
 @pytest.mark.filterwarnings("ignore:spacing. the model is certified")
 @pytest.mark.parametrize("box", [None, (7.0, 7.0)])
 def test_the_operator_on_scattered_points_is_the_reference(box):
-    points = periodic_cloud(7)[0] if box else cloud(4, 3.0)
+    points = periodic_cloud(7) if box else cloud(4, 3.0)
     model, u = replace(kernel("sign-changing", 3.0), lam=-0.2), noise(points)
     wanted = reference.operator(points.x, points.interior, model, u, box and np.array(box))
     force = model.on(points, allow_uncertified=True)(u)
@@ -172,7 +171,7 @@ REFUSED = [
     (Points(np.r_[CLOUD.x, FAR], [*CLOUD.interior, False], 0.0), 3.0, f"isolated.*{len(CLOUD.x)}"),
     (CLOUD, 1.6, r"no weights are exact for the families of \d+ nodes: \d+, "),
     (CLOUD, 6.0, r"16 of 16 have not at horizon 6 Å \(nodes \d+, "),
-    (replace(periodic_cloud(7)[0], box=(5.9, 20.0)), 3.0, "box: expected two periods above 6"),
+    (replace(periodic_cloud(7), box=(5.9, 20.0)), 3.0, "box: expected two periods above 6"),
 ]
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import warp_peri
-from tests.support.cubes import cube, field, load, solid
+from tests.support.clouds import cube, field, load, solid
 from tests.support.problems import fitted_order
 from tests.support.solving import solve
 from warp_peri import CG, Direct

@@ -1,57 +1,58 @@
-"""Scattered points, cut bodies and manufactured solutions, defined once."""
+"""Scattered points, nodes in space, and displacement of local elasticity with its load."""
+
+from functools import partial
 
 import numpy as np
 
+from tests.support.problems import lattice, periodic
 from warp_peri import LPSMaterial, Points
 
 
 def cloud(number, horizon, perturbation=0.3, seed=0, length=None):
     """number × number perturbed nodes, length/number or 1 apart, and a collar for the horizon."""
     h = 1.0 if length is None else length / number
-    pad = int(np.ceil(2 * horizon / h + 2 * perturbation + 1))
-    steps = np.argwhere(np.ones(2 * [number + 2 * pad])) - pad
-    shift = np.random.default_rng(seed).uniform(-perturbation, perturbation, steps.shape)
-    inside = ((steps >= 0) & (steps < number)).all(axis=1)
-    return Points(h * (steps + 0.5 + shift), inside, 0.0)
+    grid = lattice(number, horizon + (perturbation + 0.5) * h, h, origin=(h / 2, h / 2))
+    return shaken(grid, perturbation * h, seed)
 
 
-def periodic_cloud(number, perturbation=0.3, seed=0):
-    """number × number perturbed nodes in a periodic box, all interior, and the box."""
-    steps = np.argwhere(np.ones((number, number)))
-    shift = np.random.default_rng(seed).uniform(-perturbation, perturbation, steps.shape)
-    box = (float(number), float(number))
-    return Points(steps + shift, np.ones(len(steps), bool), 0.0, box=box), box
+def periodic_cloud(number, perturbation=0.3, seed=0, dimension=2):
+    """Perturbed nodes in a periodic box, `number` along each axis, all interior."""
+    return shaken(periodic(dimension * (number,))[0], perturbation, seed)
 
 
-def plain(horizon, lam=0.3, mu=0.8):
-    """The model with K = 1/r, whose local limit is linear elasticity."""
-    return LPSMaterial(lam=lam, mu=mu, alpha=1.0, D=[1.0], horizon=horizon)
+def shaken(points, size, seed):
+    """The nodes, each at random up to a size away along each axis."""
+    shift = np.random.default_rng(seed).uniform(-size, size, points.x.shape)
+    return Points(points.x + shift, points.interior, 0.0, box=points.box)
 
 
-def bond_based_field(x):
-    """The paper's manufactured displacement; it has no dilatation."""
-    a, b = x.T
-    return np.stack([np.sin(a) * np.sin(b), np.cos(a) * np.cos(b)], axis=1)
+def cube(number, horizon, spacing=1.0, centred=False):
+    """number³ interior nodes of a cubic lattice, and the 2δ collar they need."""
+    inside = np.ones(3 * (number,), bool)
+    return lattice(inside, horizon, spacing, origin=3 * (spacing * centred / 2,))
 
 
-def bond_based_load(x, mu):
-    """−[μ∇²u + 2μ∇(∇·u)] of it."""
-    return 2 * mu * bond_based_field(x)
+def plain(horizon, lam=0.3, mu=0.8, **law):
+    """The model with K = 1/r, whose local limit is linear elasticity, unless told otherwise."""
+    known = {"lam": lam, "mu": mu, "alpha": 1.0, "D": [1.0], "horizon": horizon}
+    return LPSMaterial(**known | law)
 
 
-def _gradient_part(x):
-    a, b = x.T
-    return np.stack([np.cos(a) * np.sin(2 * b), 2 * np.sin(a) * np.cos(2 * b)], axis=1)
+solid = partial(plain, dimension=3)
 
 
-def state_based_field(x, lam, mu):
-    """curl ψ + (μ/λ) ∇χ, ψ = cos x cos 2y, χ = sin x sin 2y: its pressure stays finite."""
-    a, b = x.T
-    curl = np.stack([-2 * np.cos(a) * np.sin(2 * b), np.sin(a) * np.cos(2 * b)], axis=1)
-    return curl + mu / lam * _gradient_part(x)
+def field(x):
+    """A smooth displacement in space with divergence and rotation."""
+    a, b, c = x.T
+    return np.stack([np.sin(a) * np.cos(b), np.cos(b) * np.sin(c), np.sin(a) * np.cos(c)], axis=1)
 
 
-def state_based_load(x, lam, mu):
+def load(x, lam, mu):
     """−[μ∇²u + (λ+μ)∇(∇·u)] of it."""
-    pressure = 5 * (lam + mu) * mu / lam * _gradient_part(x)
-    return 5 * mu * state_based_field(x, lam, mu) + pressure
+    a, b, c = x.T
+    s, t = np.sin, np.cos
+    # ∇·u = cos a cos b − sin b sin c − sin a sin c
+    gradient = np.stack(
+        [-s(a) * t(b) - t(a) * s(c), -t(a) * s(b) - t(b) * s(c), -s(b) * t(c) - s(a) * t(c)], axis=1
+    )
+    return 2 * mu * field(x) - (lam + mu) * gradient

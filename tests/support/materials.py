@@ -9,7 +9,7 @@ import torch
 
 import warp_peri as wp
 from examples.own_law import Springs
-from tests.support import cubes
+from tests.support import clouds
 from tests.support.nonlinear import psi, solid
 from tests.support.problems import AXIS, difference, kernel, lattice, loaded, periodic
 from tests.support.sheets import NEAREST, SPACING, waves
@@ -249,8 +249,8 @@ def frozen():
 
 
 def in_space(of=lambda model: model):
-    model = replace(cubes.solid(2.0, 0.5, 0.8, D=[1.0, 0.6, 1.4]), certified_on=(1.0,))
-    return of(model).on(cubes.cube(2, 2.0))
+    model = replace(clouds.solid(2.0, 0.5, 0.8, D=[1.0, 0.6, 1.4]), certified_on=(1.0,))
+    return of(model).on(clouds.cube(2, 2.0))
 
 
 OPERATORS = {name: lambda name=name: placed(name)[0] for name in LAWS} | {

@@ -14,13 +14,10 @@ def plate(radius: float, half: float, rings: int, around: int) -> Mesh:
     square = circle / np.abs(circle).max(axis=1)[:, None]
     share = np.linspace(0, 1, rings + 1)[:, None, None] ** 1.5  # finer at the hole
     x = (radius * circle * (1 - share) + half * square * share).reshape(-1, 2)
-    here, next = np.arange(around), (np.arange(around) + 1) % around
-    first = around * np.arange(rings)[:, None]
-    inner, inner_next, outer, outer_next = (
-        first + nodes for nodes in (here, next, around + here, around + next)
-    )
-    triangles = np.stack([[inner, inner_next, outer], [inner_next, outer_next, outer]])
-    hole = np.stack([here, next], axis=1)
+    grid = np.arange((rings + 1) * around).reshape(-1, around)
+    turned = np.roll(grid, -1, axis=1)
+    triangles = np.stack([[grid[:-1], turned[:-1], grid[1:]], [turned[:-1], turned[1:], grid[1:]]])
+    hole = np.stack([grid[0], turned[0]], axis=1)
     ends = np.sort(hole, axis=1)
     middle = x[ends].sum(axis=1)
     middle *= radius / np.hypot(*middle.T)[:, None]

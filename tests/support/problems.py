@@ -27,15 +27,16 @@ def kernel(name, horizon, spacing=1.0, lam=LAM, mu=MU):
     return LPSMaterial(lam=lam, mu=mu, horizon=horizon, **KERNELS[name], **spacings)
 
 
-def lattice(interior, horizon, spacing=1.0, angle=0.0, origin=(0.0, 0.0)):
-    """A square lattice around interior nodes (a number or a mask), and the 2δ collar they need."""
+def lattice(interior, horizon, spacing=1.0, angle=0.0, origin=0.0):
+    """A lattice around interior nodes (a number or a mask), and the 2δ collar they need."""
     mask = np.ones((interior, interior), bool) if np.ndim(interior) == 0 else np.array(interior)
     pad = int(np.ceil(2 * horizon / spacing))
     mask = np.pad(mask, pad)
-    steps = np.argwhere(np.ones_like(mask)) - pad
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    x = spacing * steps @ turn.T + origin
-    return Points(x, mask.ravel(), spacing, axis=np.rad2deg(AXIS))
+    x, axis = spacing * (np.argwhere(np.ones_like(mask)) - pad), None
+    if mask.ndim == 2:
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        x, axis = x @ turn.T, np.rad2deg(AXIS)
+    return Points(x + origin, mask.ravel(), spacing, axis=axis)
 
 
 def ell():
@@ -47,11 +48,10 @@ def ell():
 
 
 def periodic(shape, spacing=1.0):
-    """A periodic square lattice, all of it interior, and its box."""
-    steps = np.argwhere(np.ones(shape))
-    box = (spacing * shape[0], spacing * shape[1])
-    inside = np.ones(len(steps), bool)
-    return Points(spacing * steps, inside, spacing, box=box, axis=np.rad2deg(AXIS)), box
+    """A periodic lattice, all of it interior, and its box."""
+    axis = np.rad2deg(AXIS) if len(shape) == 2 else None
+    points = Points.sheet(shape, spacing, axis=axis)
+    return points, points.box
 
 
 def noise(points, samples=None, seed=0):
