@@ -170,6 +170,6 @@ def test_the_wheel_holds_the_package_and_works_alone(tmp_path):
     assert {path.relative_to(ROOT): path.read_bytes() for path in walked} == {
         path.relative_to(home): path.read_bytes() for path in (home / "warp_peri").rglob("*.*")
     }
-    script = shutil.copy(ROOT / "tests/package/typed_use.py", tmp_path)
+    script = shutil.copy(ROOT / "examples" / "learn_from_arrays.py", out)  # its picture: ../runs
     alone = os.environ | {"PYTHONPATH": str(home)}
-    subprocess.run([sys.executable, script, tmp_path], cwd=tmp_path, env=alone, check=True)
+    subprocess.run([sys.executable, script], cwd=out, env=alone, check=True)

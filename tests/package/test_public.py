@@ -163,9 +163,3 @@ def test_imports_have_one_direction_among_folders_and_inside_each():
             elif (PACKAGE / room / f"{names[0]}.py").exists() and names[0] != inner[0]:
                 links.setdefault((room, inner[0]), set()).add((room, names[0]))
     TopologicalSorter(links).prepare()  # raises CycleError naming the circle
-
-
-def test_the_typed_script_uses_every_public_name():
-    """`make lint` has mypy check it, with the types that it asserts."""
-    script = Path(__file__).with_name("typed_use.py").read_text("utf-8")
-    assert {*wp.__all__} <= {*re.findall(r"\bwarp_peri\.(\w+)", script)}
