@@ -76,7 +76,7 @@ class TensorOperator(OperatorBase):
 
     def inverse(self, loads: int) -> Inverse:
         """Inverse of L on so many interior loads: factorised, or by iteration."""
-        return self.linear.cheapest_inverse(loads, 2 * len(self.steps))
+        return self.linear.cheapest_inverse(loads)
 
     def solve_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
         """Equilibrium with the load b, less its mean, on a period."""

@@ -352,7 +352,7 @@ def predict(
     uncovered = _uncovered(members, points)
     flat = [each.reshape(-1, *members.points.x.shape) for each in (load, field)]
     members.loads = max(members.loads, len(flat[0]))
-    answers = [_answer(members, *each, tolerance, uncovered) for each in zip(*flat)]
+    answers = [_answer(members, b, u, tolerance, uncovered) for b, u in zip(*flat)]
     return tuple(answers) if load.ndim == 3 else answers[0]
 
 
