@@ -19,7 +19,7 @@ import pytest
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
     "code lines": 19_734,
-    "tokens": 246_226,
+    "tokens": 246_220,
     "lines of warp_peri": 31_430,
     "files of warp_peri": 114,
     "lines of kernels": 1_016,
