@@ -11,8 +11,8 @@ import warp_peri as wp
 from tests.support.materials import field, operator
 from tests.support.problems import difference
 from warp_peri.certificates import critical_time_step
-from warp_peri.solvers import adjoint, verlet
-from warp_peri.solvers.adjoint import BATCH, PIECES
+from warp_peri.solvers import verlet
+from warp_peri.solvers.adjoint import BATCH
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 DENSITY = 2000.0
@@ -81,17 +81,6 @@ def test_the_motion_is_that_of_arrays_to_the_bit():
     assert np.array_equal(second["u"][1], mean)
 
 
-def test_a_motion_that_does_not_run_back_says_so(monkeypatch):
-    op = operator("LPS, bond-based")
-    fields, options = given(op)
-    monkeypatch.setattr(adjoint, "UNDONE", 1e-20)
-    mu = torch.tensor(op.model.mu, requires_grad=True)
-    problem = wp.Dirichlet(op.points, None, fields["u"])
-    motion = wp.simulate(op, problem, parameters={"mu": mu}, **options)
-    with pytest.raises(wp.InputError, match="expected a motion that can be run back"):
-        motion.u.sum().backward()
-
-
 def test_few_states_are_kept(monkeypatch):
     steps, op, alive, most = 200, operator("LPS, bond-based"), {}, [0]
 
@@ -112,9 +101,9 @@ def test_few_states_are_kept(monkeypatch):
     problem = wp.Dirichlet(op.points, None, fields["u"].requires_grad_())
     sizes = options | {"steps": steps, "every": 100}
     motion = wp.simulate(op, problem, parameters={"mu": mu}, **sizes)
-    assert most[0] <= PIECES + 3
+    assert most[0] <= np.sqrt(steps) + 3
     motion["u"].square().sum().backward()
-    assert most[0] <= PIECES + BATCH + 3
+    assert most[0] <= 2 * np.sqrt(steps) + BATCH + 3
     del motion
     kept = len(alive)  # the field that the operator swept last
     assert kept <= 1

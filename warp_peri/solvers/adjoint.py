@@ -9,8 +9,8 @@ Backwards, with p and q the derivatives of a scalar to u and v, and p_I those of
     q ← q + Δt p_I,   p ← p − w_n L′(u_n)ᵗ q,   b̄ ← b̄ + s_n w_n q,   s̄_n = w_n qᵗ b,
 
 and −w_n qᵗ ∂(L u_n)/∂a to a number a of the material. Displacements are needed for numbers, and
-where L is not linear. Nothing damps the motion, so that it is run backwards for them; PIECES states
-that are kept say how much of it rounding has spent, and set it right.
+where L is not linear: of n steps some √n states are kept, from which those between are computed
+again, the last stretch first.
 
 What flows is stepped implicitly (theory, Di4): of E u̇ + L u = b on the interior, θ in [1/2, 1],
 
@@ -21,6 +21,7 @@ with u_n given elsewhere. Backwards A_IIᵗ w_n = p_I, p ← Bᵗ w_n and the re
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
@@ -44,10 +45,8 @@ from warp_peri.solvers import verlet
 from warp_peri.solvers.motion import Motion, Recorder
 from warp_peri.solvers.systems import MatrixProblem
 
-PIECES, BATCH = 8, 16
-"""States kept of a motion, and fields whose derivatives to numbers are taken at once."""
-UNDONE = 1e-9
-"""Of a state that is come back to, over the largest kept: what rounding may have made of it."""
+BATCH = 16
+"""Fields whose derivatives to numbers are taken at once."""
 
 
 def moved(
@@ -70,8 +69,7 @@ def moved(
         parameters: numbers of the material by name, as of wp.TorchModule; the others stay.
 
     Raises InputError as verlet.march, for files, parameters that the material does not have or with
-    which waves would grow, a second derivative, a tangent of forward mode, and, in the pass
-    backwards, a motion that rounding does not let run back.
+    which waves would grow, a second derivative, and a tangent of forward mode.
     """
     if files := sizes.keys() - {"density", "step", "steps", "every"}:
         raise InputError(f"simulate: expected no {', '.join(sorted(files))} of tensors")
@@ -100,35 +98,26 @@ def in_motion(operator: Any, b: Any, u: Any, options: dict[str, Any]) -> Motion:
     return verlet.march(operator, b, u, **how | files)
 
 
-class _Kept(verlet.WaveRun):
-    """A motion that stores every so many states, from which to recompute displacements."""
-
-    stretch = 0
-    kept: dict[int, verlet.State]
-
-    def advance(self, state: verlet.State) -> verlet.State:
-        if self.stretch and state.steps % self.stretch == 0:
-            self.kept[state.steps] = state
-        return super().advance(state)
-
-
 class _Waves:
     """One motion of an operator, there and back; `options` are those of verlet.started."""
 
     keeps = False
-    """Whether states are kept, from which displacements are come back to."""
+    """Whether states are kept, from which displacements are computed again."""
 
     def __init__(self, operator: Any, names: list[str], record: Any, options: Any) -> None:
         self.operator, self.names, self.record, self.options = operator, names, record, options
         self.dt, self.steps, self.every = options["step"], options["steps"], options.pop("every")
-        self.kept: dict[int, verlet.State] = {}
+        self.kept: list[verlet.State] = []
 
     def there(self, *given: np.ndarray) -> list[Any]:
         """Final u and v [N, d], and records [R, n, d], from u, v, b, a signal and numbers."""
         fields = dict(zip(("u", "v", "b"), given))
         nodes, self.body, state = verlet.started(self.operator, fields, given[3], **self.options)
-        run = _Kept(nodes, self.body, self.dt, self.record, every=self.every)
-        run.kept, run.stretch = self.kept, self.keeps * -(-self.steps // PIECES)
+        run = verlet.WaveRun(nodes, self.body, self.dt, self.record, every=self.every)
+        if self.keeps:
+            for ahead in range(0, self.steps, math.isqrt(self.steps) + 1):
+                state = run.march(state, steps=ahead)
+                self.kept.append(state)
         self.motion = run.motion(run.march(state, steps=self.steps))
         ends = [self.motion.u, self.motion.v]
         return ends if self.record is None else [*ends, self.motion["u"]]
@@ -140,7 +129,7 @@ class _Waves:
         free, whole, last = self.body.interior, self.dt / self.body.inertia, self.steps
         q, load, totals = v[free], np.zeros_like(v[free]), dict[str, Any].fromkeys(wanted, 0.0)
         by_signal, batch = np.zeros(last + 1), list[tuple[np.ndarray, np.ndarray]]()
-        for number, u in self._undone():
+        for number, u in self._backwards():
             if number < last:
                 upstream = np.zeros_like(p)
                 if seen is not None and number % self.every == 0:
@@ -160,26 +149,17 @@ class _Waves:
         own = (totals.get(name) for name in self.names)
         return [p, self.body.on_all(q), self.body.on_all(load), by_signal, *own]
 
-    def _undone(self) -> Iterator[tuple[int, Any]]:
-        """Iterate over steps backwards, with displacements if needed; InputError if not reached."""
+    def _backwards(self) -> Iterator[tuple[int, Any]]:
+        """Iterate over steps backwards, with displacements where states are kept."""
         if not self.kept:
             yield from ((number, None) for number in reversed(range(self.steps + 1)))
-            return
-        end, free = self.motion, self.body.interior
-        state = self.body.state(end.u, np.asarray(end.v)[free], self.steps)
-        yield self.steps, state.u
-        size = max(float(np.linalg.norm(one.u)) for one in (state, *self.kept.values()))
-        while state.steps:
-            state = verlet.step(self.body, state, -self.dt)
-            if (true := self.kept.get(state.steps)) is not None:
-                wrong = float(np.linalg.norm(state.u - true.u)) / (size or 1.0)
-                if not wrong <= UNDONE:
-                    raise InputError(
-                        "simulate: expected a motion that can be run back, got one that comes to "
-                        f"its state at step {state.steps} with a relative error of {wrong:.1e}"
-                    )
-                state = true
-            yield state.steps, state.u
+        end = self.steps
+        for state in reversed(self.kept):
+            way = [state]
+            while way[-1].steps < end:
+                way.append(verlet.step(self.body, way[-1], self.dt))
+            yield from ((one.steps, one.u) for one in reversed(way))
+            end = state.steps - 1
 
 
 def stepped(

@@ -127,12 +127,12 @@ class Inert:
 
 
 def step(body: Inert, state: State, dt: float) -> State:
-    """Make one step Δt [ps] of velocity Verlet (theory, 49): kick, drift, force, kick; Δt < 0
-    undoes one. The state is left as it is."""
+    """Make one step Δt [ps] of velocity Verlet (theory, 49): kick, drift, force, kick. The state is
+    left as it is."""
     half = state.v - dt / (2 * body.inertia) * state.g
     u = state.u.copy()
     u[body.interior] += dt * half
-    moved = body.state(u, half, state.steps + (1 if dt > 0 else -1))
+    moved = body.state(u, half, state.steps + 1)
     return State(u, half - dt / (2 * body.inertia) * moved.g, moved.g, moved.steps)
 
 
