@@ -11,7 +11,7 @@ import warp
 from torch.autograd import forward_ad, functional, gradgradcheck
 
 import warp_peri as wp
-from tests.support.materials import LAWS, LINEAR, OPERATORS, field, operator, placed, seeded
+from tests.support.materials import LAWS, LINEAR, OPERATORS, field, operator, seeded
 from tests.support.problems import kernel, lattice
 from warp_peri.files.checkpoint import ALONE
 
@@ -56,25 +56,6 @@ def test_a_gradient_beside_a_tape_of_the_user():
         assert torch.equal(torch.autograd.grad(op(u).sum(), u)[0], expected)
 
 
-@pytest.mark.parametrize("name", ["crystal", "third order, energy"])
-def test_torch_func_maps_over_fields(name):
-    op = placed(name, 1)[0]
-    u, many = torch.from_numpy(field(op)), torch.from_numpy(field(op, 3))
-    for dim in (0, 1):
-        assert torch.equal(torch.func.vmap(op, dim)(many.movedim(0, dim)), op(many))
-    unit = torch.eye(u.numel(), dtype=u.dtype).reshape(-1, *u.shape).numpy()
-    J = op.jvp(np.broadcast_to(u, unit.shape), unit).reshape(len(unit), -1).T
-    for jacobian in (torch.func.jacrev, torch.func.jacfwd):
-        assert np.allclose(jacobian(op)(u).reshape(J.shape), J, rtol=0, atol=1e-13 * abs(J).max())
-    hessian = torch.func.hessian(lambda u: op(u).square().sum() / 2)
-    if name in LINEAR:
-        found, H = hessian(u).reshape(len(unit), -1), J.T @ J
-        assert np.allclose(found, H, rtol=0, atol=1e-12 * abs(H).max())
-    else:
-        with pytest.raises(wp.InputError, match="second derivative"):
-            hessian(u)
-
-
 def test_networks_that_learn_have_second_derivatives():
     op = operator("neural operator")
     u = torch.from_numpy(field(op)).requires_grad_()
@@ -108,9 +89,6 @@ def test_second_derivatives_of_others_are_refused(name):
     ):
         with pytest.raises(wp.InputError, match="second derivative"):
             second()
-    for mixed in (forward_over_reverse, reverse_over_forward):
-        with pytest.raises(wp.InputError, match=r"second derivative|tangent"):
-            mixed(op, u, v)
     if not hasattr(op, "solve") or "filtered" in name:
         return
     held = (0.01 * u).detach().requires_grad_()
@@ -118,37 +96,6 @@ def test_second_derivatives_of_others_are_refused(name):
     (first,) = torch.autograd.grad(answer.square().sum(), held, create_graph=True)
     with pytest.raises(wp.InputError, match="second derivative"):
         first.sum().backward()
-    fixed = held.detach()
-    with forward_ad.dual_level(), pytest.raises(wp.InputError, match="tangent"):
-        wp.solve(op, wp.Dirichlet(op.points, 0 * fixed, forward_ad.make_dual(fixed, fixed)))
-
-
-def forward_over_reverse(op, u, v):
-    with forward_ad.dual_level():
-        dual = forward_ad.make_dual(u, v)
-        torch.autograd.grad(op(dual).square().sum(), dual)
-
-
-def reverse_over_forward(op, u, v):
-    with forward_ad.dual_level():
-        along = forward_ad.unpack_dual(op(forward_ad.make_dual(u, v))).tangent
-        torch.autograd.grad(along.sum(), u)
-
-
-@pytest.mark.parametrize("name", [name for name in OPERATORS if name != "neural operator"])
-def test_a_tangent_is_the_product(name):
-    op = operator(name)
-    u, v = (torch.from_numpy(field(op, seed=n)) for n in (0, 1))
-    expected = op.jvp(u.numpy(), v.numpy())
-    with forward_ad.dual_level():
-        dual = op(forward_ad.make_dual(u, v))
-        tangent = forward_ad.unpack_dual(dual).tangent
-    assert np.allclose(tangent, expected, rtol=0, atol=1e-13 * np.abs(expected).max())
-    _, again = torch.func.jvp(op, (u,), (v,))
-    assert torch.equal(again, tangent)
-    by_u = torch.func.grad(lambda u: seeded(op(u)))(u)
-    leaf = u.clone().requires_grad_()
-    assert torch.equal(by_u, torch.autograd.grad(seeded(op(leaf)), leaf)[0])
 
 
 @pytest.mark.parametrize("name", OPERATORS)
@@ -317,17 +264,6 @@ def test_what_a_solve_takes_and_tells(name):
         assert told.plot().get_title()
 
 
-def test_a_tangent_of_a_number_is_not_lost():
-    for name in LAWS.keys() - {"neural operator"}:
-        op = operator(name)
-        number, own = next(iter(op.learnable.items()))
-        value, problem = torch.as_tensor(own).double(), wp.Dirichlet(op.points, None, 0 * field(op))
-        with forward_ad.dual_level():
-            of = {number: forward_ad.make_dual(value, torch.ones_like(value))}
-            with pytest.raises(wp.InputError, match="tangent"):
-                wp.solve(op, problem, parameters=of)
-
-
 @pytest.mark.parametrize("solver", [wp.Direct(), wp.CG("sine"), None])
 def test_a_second_derivative_to_numbers_is_refused(solver):
     """Where torch would drop terms; of the force without a solver."""
@@ -350,6 +286,12 @@ def test_a_second_derivative_to_numbers_is_refused(solver):
     for one in first:
         with pytest.raises(wp.InputError, match="second derivative"):
             torch.autograd.grad(one.sum(), leaves, retain_graph=True, allow_unused=True)
+
+
+def along(call, x):
+    """What a call makes of a tensor with a tangent of forward mode."""
+    with forward_ad.dual_level():
+        return call(forward_ad.make_dual(x, torch.ones_like(x)))
 
 
 def test_what_would_lose_a_gradient_says_so():
@@ -376,6 +318,11 @@ def test_what_would_lose_a_gradient_says_so():
         (lambda: grad(lambda phi: wp.simulate(
             heat, wp.Dirichlet(heat.points, None, phi), **steps).u, phi), plain),
         (lambda: torch.func.vmap(network)(torch.from_numpy(field(network, 3))), plain),
+        (lambda: along(op, u), "tangents of forward mode"),
+        (lambda: along(lambda u: wp.solve(op, on(u)).u, u), "tangents of forward mode"),
+        (lambda: along(lambda u: wp.simulate(op, on(u), **waves).u, u), "tangents of forward mode"),
+        (lambda: along(lambda mu: wp.solve(op, on(u), parameters={"mu": mu}).u, number),
+         "tangents of forward mode"),
         (lambda: wp.LPSMaterial(0.3, learns, 1.0, [1.0], horizon=3.0), "gradient"),
         (lambda: wp.Samples(points, leaf), "gradient"),
         (lambda: wp.simulate(op, on(0 * u), **waves | {"density": learns}), "gradient"),

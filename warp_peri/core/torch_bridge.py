@@ -3,17 +3,14 @@ refused a second time on every path, where torch would leave out terms."""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 import torch
 from scipy.sparse.linalg import LinearOperator, gmres, splu
-from torch.autograd import forward_ad
 
 from warp_peri.errors import InputError, quietly
 from warp_peri.points.arguments import as_array, check_mapping, check_shape, plain, typed
@@ -21,7 +18,8 @@ from warp_peri.protocols import SINGULAR, placed, uncompiled
 
 TWICE = (
     "second derivative: expected first derivatives alone of a force that is not linear, of its "
-    "numbers, or of an equilibrium; operator.jvp(u, v) is the derivative of a force along v"
+    "numbers, or of an equilibrium, and no tangents of forward mode; operator.jvp(u, v) is the "
+    "derivative of a force along v"
 )
 DIRECT = 4_000
 """Unknown nodes up to which a tangent is factorised for its adjoint, as `statics` does."""
@@ -30,89 +28,50 @@ EXACT, ROUGH, KEPT, ROUNDS = 1e-11, 1e-10, 40, 10
 keeps, and how often it begins anew."""
 
 
+def _refused(*_: Any) -> Any:
+    raise InputError(TWICE)
+
+
 class _Made(torch.autograd.Function):
-    """Function `make` of tensors; `along` is its derivative, of tensors and tangents; `back` that
-    transposed, given which are asked for, the tensors and the upstream gradient."""
+    """Function `make` of tensors; `back` is its derivative transposed, given which are asked for,
+    the tensors and the upstream gradient."""
+
+    jvp = staticmethod(_refused)  # type: ignore[assignment]
 
     @staticmethod
-    def forward(make: Any, along: Any, back: Any, *of: torch.Tensor) -> Any:
+    def forward(ctx: Any, make: Any, back: Any, *of: torch.Tensor) -> Any:
+        ctx.back = back
+        ctx.save_for_backward(*of)
         return make(*of)
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
-        _, ctx.along, ctx.back, *of = inputs
-        ctx.save_for_backward(*of)
-        ctx.save_for_forward(*of)
-
-    @staticmethod
     def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        asked = ctx.needs_input_grad[3:]
-        return None, None, None, *ctx.back(asked, *ctx.saved_tensors, *upstream)
-
-    @staticmethod
-    def vmap(_: Any, in_dims: Any, make: Any, along: Any, back: Any, *of: Any) -> Any:
-        pairs = [*zip(of, in_dims[3:])]
-        each = zip(*(x.unbind(d) if d is not None else itertools.repeat(x) for x, d in pairs))
-        return torch.stack([_made(make, along, back, *one) for one in each]), 0
-
-    @staticmethod
-    def jvp(ctx: Any, *tangents: Any) -> Any:
-        return ctx.along(*ctx.saved_tensors, *tangents[3:])
+        return None, None, *ctx.back(ctx.needs_input_grad[2:], *ctx.saved_tensors, *upstream)
 
 
 _made: Callable[..., Any] = _Made.apply
 
 
-def _refused(*_: torch.Tensor) -> Any:
-    raise InputError(TWICE)
-
-
-def _called(apply: Callable[..., Any], *fields: torch.Tensor) -> torch.Tensor:
-    """Apply a NumPy function to tensors, in float64, without a gradient."""
-    given = (field.detach().contiguous().numpy() for field in fields)
-    return torch.from_numpy(np.require(apply(*given), float, ["C", "W"]))
-
-
-def _once(make: Callable[..., torch.Tensor], *of: torch.Tensor) -> torch.Tensor:
-    """Apply a function without a derivative, whose differentiation raises InputError."""
-    return _made(make, _refused, _refused, *of)  # type: ignore[no-any-return]
+def _arrays(tensors: Iterable[torch.Tensor]) -> tuple[np.ndarray, ...]:
+    return tuple(one.detach().contiguous().numpy() for one in tensors)
 
 
 def linear(x: torch.Tensor, there: Callable[..., Any], back: Callable[..., Any]) -> torch.Tensor:
     """Linear map of NumPy fields [S, …] with transpose `back`, differentiable to any order."""
     return _made(  # type: ignore[no-any-return]
-        partial(_called, there),
-        lambda _, tangent: linear(tangent, there, back),
+        lambda x: torch.from_numpy(np.require(there(*_arrays([x])), float, ["C", "W"])),
         lambda *given: (linear(given[-1], back, there),),
         x,
     )
 
 
-def nonlinear(make: Any, along: Any, backs: tuple[Any, ...], *of: torch.Tensor) -> torch.Tensor:
-    """Function `make` of NumPy fields, differentiable once: `along` is its derivative by tangents
-    (None: refused), `backs` its transposes for each field and the upstream gradient."""
-
-    def pulled(asked: Any, *given: torch.Tensor) -> list[torch.Tensor | None]:
-        pairs = zip(backs, asked)
-        return [_once(partial(_called, b), *given) if one else None for b, one in pairs]
-
-    tangent = partial(_once, partial(_called, along)) if along else _refused
-    return _made(partial(_called, make), tangent, pulled, *of)  # type: ignore[no-any-return]
-
-
-def refuse_tangents(*inputs: Any) -> None:
-    """Raise InputError for tensors with a tangent of forward mode, or of torch.func."""
-    for one in filter(torch.is_tensor, inputs):
-        if torch._C._functorch.is_functorch_wrapped_tensor(one):
-            raise InputError(
-                "torch.func: expected plain tensors where numbers are learned, a body moves, or "
-                "what is not linear is solved; torch.autograd.grad and backward() have the gradient"
-            )
-        if forward_ad.unpack_dual(one).tangent is not None:
-            raise InputError(
-                "tangent: expected no forward-mode derivative; operator.jvp(u, v) is the "
-                "derivative of a force along v"
-            )
+def refuse_transform(tensor: torch.Tensor) -> None:
+    """Raise InputError for a tensor of torch.func."""
+    if torch._C._functorch.is_functorch_wrapped_tensor(tensor):
+        raise InputError(
+            "torch.func: expected plain tensors; torch.autograd.grad and backward() have the "
+            "gradient, operator.jvp(u, v) the derivative of a force along v"
+        )
 
 
 def once(there: Any, back: Any, *of: torch.Tensor) -> Any:
@@ -122,7 +81,7 @@ def once(there: Any, back: Any, *of: torch.Tensor) -> Any:
     once_differentiable lets those pass that do not go through the upstream gradient."""
 
     def make(*of: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        return tuple(map(torch.tensor, there(*(one.detach().numpy() for one in of))))
+        return tuple(map(torch.tensor, there(*_arrays(of))))
 
     def pulled(asked: Any, *given: torch.Tensor) -> list[torch.Tensor | None]:
         upstream, whole = given[len(of) :], torch.contiguous_format
@@ -133,11 +92,11 @@ def once(there: Any, back: Any, *of: torch.Tensor) -> Any:
         ]
         felt = [one for one in given if torch.is_grad_enabled() and one.requires_grad]
         return [
-            _once(lambda *_, n=one: n.clone(), *felt) if felt and one is not None else one
+            _made(lambda *_, n=one: n.clone(), _refused, *felt) if felt and one is not None else one
             for one in slopes
         ]
 
-    return _made(make, _refused, pulled, *of)
+    return _made(make, pulled, *of)
 
 
 def _like(slope: Any, number: torch.Tensor) -> Any:
@@ -153,8 +112,9 @@ def force_of(operator: Any, u: torch.Tensor) -> torch.Tensor:
     def force(fields: torch.Tensor) -> torch.Tensor:
         if operator.is_linear:
             return linear(fields, operator.force, lambda w: operator.vjp(None, w))
-        backs = (operator.vjp,)
-        return nonlinear(operator.force, operator.jvp, backs, fields)
+        back = lambda _, w: [operator.vjp(*_arrays([fields]), w)]  # noqa: E731
+        (found,) = once(lambda u: (operator.force(u),), back, fields)
+        return found  # type: ignore[no-any-return]
 
     return on_fields(operator, u, force)
 
@@ -164,6 +124,7 @@ def on_fields(
 ) -> torch.Tensor:
     """Apply `force` to u [..., N, d] as fields [S, N, d] in float64, back in u's precision;
     InputError for a u of another shape or type."""
+    refuse_transform(u)
     operator.check(u, u.is_floating_point())
     found = force(u.to("cpu", torch.float64).reshape(-1, *operator.shape))
     return found.reshape(*u.shape[: u.dim() - len(operator.shape)], *found.shape[1:]).to(u)
@@ -185,7 +146,7 @@ def as_tensor(name: str, value: Any) -> torch.Tensor:
 
 def real(name: str, value: Any) -> torch.Tensor:
     """A float64 tensor on the processor; InputError for complex numbers, booleans, lazy views."""
-    tensor = as_tensor(name, value)
+    refuse_transform(tensor := as_tensor(name, value))
     if tensor.is_meta or tensor.layout is not torch.strided:
         raise InputError(
             f"{name}: expected a dense tensor with values, got {tensor.layout} on {tensor.device}"
@@ -201,7 +162,6 @@ def with_numbers(operator: Any, numbers: Mapping[str, Any]) -> tuple[Any, dict[s
     check_mapping("parameters", numbers)
     known = getattr(operator, "learnable", {}) if hasattr(operator, "at") else {}
     names = ", ".join(f"{name} {list(np.shape(own))}" for name, own in known.items()) or "none"
-    refuse_tangents(*numbers.values())
     given = {name: real(name, value) for name, value in numbers.items()}
     values = {name: value.detach().numpy() for name, value in given.items()}
     for name, value in values.items():
@@ -230,7 +190,6 @@ def force_with_parameters(
         slopes = by_numbers(at, [n for n, one in zip(names, asked[1:]) if one], u, w)
         return [at.vjp(u, w) if asked[0] else None, *map(slopes.get, names)]
 
-    refuse_tangents(u, *numbers.values())
     (force,) = once(there, back, u, *(numbers[name] for name in names))
     return force  # type: ignore[no-any-return]
 
@@ -261,7 +220,7 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
     The operator offers `solve`, and `interior_tangent` or `inverse` where it is not symmetric; b
     and u are of all nodes, [N, d] or [S, N, d]. `parameters` are some of its `learnable` by name,
     those of a network are learned without being named. Raises InputError as `solve`, where L′ is
-    singular, and for a tangent of forward mode of a number, or of what is not linear.
+    singular.
     """
     given = as_tensor("u", u)
     fields = [real("b", b), real("u", given)]
@@ -289,11 +248,10 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
         learned = (held.pop(0) if one.requires_grad else None for one in operator.networks)
         return [*by, *(slopes.get(name) for name in named), *learned]
 
-    if operator.is_linear and not any(one.requires_grad for one in numbers):
+    if operator.is_linear and not numbers:
         pulled = lambda g: np.stack(_pulled(operator, g, g, solver)[1:])  # noqa: E731
         answer = linear(torch.stack(fields), lambda both: there(*both)[0], pulled)
     else:
-        refuse_tangents(*fields, *operator.networks)
         (answer,) = once(there, back, *fields, *numbers)
     return replace(found[0], u=answer.to(given if given.is_floating_point() else answer))
 

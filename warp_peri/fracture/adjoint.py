@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 from tqdm import tqdm
 
-from warp_peri.core.torch_bridge import linear, nonlinear, refuse_tangents, with_numbers
+from warp_peri.core.torch_bridge import linear, once, with_numbers
 from warp_peri.core.torch_bridge import real as real
 from warp_peri.errors import InputError, warn
 from warp_peri.fracture.body import LatticeBody, cracked, section
@@ -250,11 +250,9 @@ class SoftBody:
         soft, numbers = with_numbers(self, parameters or {})
         if asked and soft.law.tail == 0:
             raise InputError("tail: expected > 0 for a gradient, which an abrupt break has not")
-        refuse_tangents(u)
         own = (numbers.get(name, real(name, value)) for name, value in soft.learnable.items())
-        of = (lambda x, upstream: upstream,)
-        once = (nonlinear(lambda x: x, None, of, x) for x in (real("u", u), *own))
-        return soft, asked, *once
+        same = lambda *x: x  # noqa: E731
+        return soft, asked, *once(same, lambda _, *upstream: upstream, real("u", u), *own)
 
     def _stretch(self, u: torch.Tensor) -> torch.Tensor:
         """Stretch s of each bond at u, flat [d N]."""

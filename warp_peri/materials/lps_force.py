@@ -512,7 +512,6 @@ def lps_force(bonds: Bonds, u: Tensor, *values: Any) -> Tensor:
     [Å] [N, d] or [S, N, d], λ and μ (numbers or [N]), α and D. Bond-based bonds ask for λ = μ
     without a gradient; InputError otherwise, and for moduli of another shape."""
     bridge, felt = core.torch_bridge, list[Any]()
-    bridge.refuse_tangents(u, *values)
 
     def there(u: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray]:
         law = bonds.law(*values)

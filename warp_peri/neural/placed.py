@@ -10,7 +10,7 @@ import torch
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
-from warp_peri.core.torch_bridge import on_fields, refuse_tangents
+from warp_peri.core.torch_bridge import on_fields
 from warp_peri.errors import InputError
 from warp_peri.points.arguments import checked_fields, plain, typed
 from warp_peri.points.families import families_of
@@ -192,7 +192,6 @@ class Placed(OperatorBase):
         """Forces on the interior, (NO6), differentiable in the weights too."""
         if not any(p.requires_grad for p in self.material.parameters()):
             return super().force_torch(u)
-        refuse_tangents(u)
         return on_fields(self, u, lambda f: self.force_of(*self.tension(f.to(self.dtype))))
 
     def force(self, u: Any) -> np.ndarray:

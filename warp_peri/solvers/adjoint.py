@@ -30,14 +30,7 @@ import numpy as np
 import scipy.sparse as sp
 import torch
 
-from warp_peri.core.torch_bridge import (
-    as_tensor,
-    by_numbers,
-    once,
-    real,
-    refuse_tangents,
-    with_numbers,
-)
+from warp_peri.core.torch_bridge import as_tensor, by_numbers, once, real, with_numbers
 from warp_peri.errors import InputError
 from warp_peri.points.arguments import Natural, Positive, check_shape, checked
 from warp_peri.protocols import is_tensor, taken
@@ -69,7 +62,7 @@ def moved(
         parameters: numbers of the material by name, as of wp.TorchModule; the others stay.
 
     Raises InputError as verlet.march, for files, parameters that the material does not have or with
-    which waves would grow, a second derivative, and a tangent of forward mode.
+    which waves would grow, and a second derivative.
     """
     if files := sizes.keys() - {"density", "step", "steps", "every"}:
         raise InputError(f"simulate: expected no {', '.join(sorted(files))} of tensors")
@@ -77,7 +70,6 @@ def moved(
     zero, sizes = 0 * as_tensor("u", u), {"every": 1} | sizes
     pulse = np.ones(max(int(sizes["steps"]), 0) + 1) if signal is None else signal
     given: list[Any] = [*(zero if field is None else field for field in (u, v, b)), pulse]
-    refuse_tangents(*given)
     given = [*map(real, ("u", "v", "b", "signal"), given), *numbers.values()]
     waves = _Waves(
         operator, list(numbers), verlet.recorded_nodes(record, len(operator.points.x)), sizes
@@ -187,7 +179,7 @@ def stepped(
     Returns a motion whose history u is the field at the start and after every step,
     [steps + 1, N, …]; a tensor where one was given. Raises InputError for other shapes, what is not
     finite, a step not > 0, a number of steps below 0, numbers that the operator does not have, a
-    solve that loses its digits, a second derivative and a tangent of forward mode.
+    solve that loses its digits, and a second derivative.
     """
     operator, numbers = with_numbers(operator, parameters or {})
     times, tensors = step * np.arange(steps + 1), [u, *(parameters or {}).values()]
@@ -201,7 +193,6 @@ def stepped(
         for one in each:
             check_shape(name, one, start.shape)
         fields.append(torch.stack(each).expand(steps, *each[0].shape))
-    refuse_tangents(*tensors)
     flow = Implicit(operator, step, list(numbers))
     (found,) = once(flow.there, flow.back, *fields, *numbers.values())
     found = found if any(map(is_tensor, tensors)) else found.numpy()
