@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import meshio_of, whole_file
-from warp_peri.files.checkpoint import in_space
+from warp_peri.files.atomic import meshio_of, write_vtu
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_operator import node_fields
 from warp_peri.points.arguments import checked, typed
@@ -67,7 +65,7 @@ def write_vtk(
             f"got {left[0].name}; remove it or name another folder"
         )
     for path, data in zip(paths, _samples(model, points, u)):
-        _write_vtu(path, points.x, cells, data)
+        write_vtu(path, points.x, cells, data)
     return paths
 
 
@@ -85,25 +83,11 @@ def write_body(path: str | os.PathLike[str], body: BodySolution) -> dict[str, fl
     elements[body.rim.corners] = 1
     data = {"displacement": u, "stress": _tensor(stress), "elements": elements}
     kind = "triangle" if mesh.x.shape[1] == 2 else "tetra"
-    _write_vtu(path, mesh.x, (kind, mesh.cells), data, extra="bodies")
+    write_vtu(path, mesh.x, (kind, mesh.cells), data, extra="bodies")
     return {
         "largest_displacement": float(np.linalg.norm(u, axis=1).max()),
         "largest_principal_stress": float(np.linalg.eigvalsh(stress).max()),
     }
-
-
-def _write_vtu(
-    path: str | os.PathLike[str],
-    x: np.ndarray,
-    cells: tuple[str, np.ndarray],
-    data: Mapping[str, np.ndarray],
-    extra: str = "export",
-) -> Path:
-    """Write nodes [N, d], cells [C, n] of one kind and named fields [N, ...] to a VTU file."""
-    meshio, data = meshio_of(extra), {name: in_space(field) for name, field in data.items()}
-    with whole_file(path) as temporary:
-        meshio.Mesh(in_space(x), [cells], point_data=data).write(temporary, "vtu")
-    return Path(path)
 
 
 def _samples(model: Any, points: Samples, u: np.ndarray) -> list[dict[str, np.ndarray]]:
@@ -114,9 +98,9 @@ def _samples(model: Any, points: Samples, u: np.ndarray) -> list[dict[str, np.nd
         inside = _of_law(model, points, u)
     return [
         {
-            "displacement": in_space(field),
-            "error": in_space(field - points.u[s]),
-            **({} if points.b is None else {"body_force": in_space(points.b[s])}),
+            "displacement": field,
+            "error": field - points.u[s],
+            **({} if points.b is None else {"body_force": points.b[s]}),
             **{name: _everywhere(points, values[s]) for name, values in inside.items()},
             "interior": points.interior.astype(float),
         }

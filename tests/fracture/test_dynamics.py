@@ -100,4 +100,4 @@ def test_the_example_of_a_crack_that_branches_prints_and_draws(tmp_path, capsys)
     assert main([*command, "--out", str(tmp_path), "--series"]) == 0
     assert json.loads(capsys.readouterr().out)["nodes"] == 4000
     assert (tmp_path / "damage.png").stat().st_size > 5000
-    assert (tmp_path / "series" / "motion.xdmf").exists()
+    assert (tmp_path / "series" / "motion.pvd").exists()

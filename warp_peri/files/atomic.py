@@ -13,7 +13,7 @@ import os
 import stat
 import tempfile
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -340,3 +340,24 @@ def check_hdf5(file: h5py.File, size: int) -> None:
 def meshio_of(extra: str = "export") -> Any:
     """Module meshio, which writes VTU; InputError names the extra that brings it."""
     return optional("meshio", f"meshio is not installed: pip install 'warp_peri[{extra}]'")
+
+
+def in_space(values: np.ndarray) -> np.ndarray:
+    """Vectors [n, 2] with a third component; other arrays as they are."""
+    flat = values.ndim == 2 and values.shape[1] == 2
+    return np.pad(values, ((0, 0), (0, 1))) if flat else values
+
+
+def write_vtu(
+    path: str | os.PathLike[str],
+    x: np.ndarray,
+    cells: tuple[str, np.ndarray],
+    fields: Mapping[str, np.ndarray],
+    extra: str = "export",
+) -> None:
+    """Write nodes [N, d], cells [C, n] of one kind and named fields [N, ...] to a VTU file;
+    InputError without meshio, naming the extra that brings it."""
+    data = {name: in_space(field) for name, field in fields.items()}
+    mesh = meshio_of(extra).Mesh(in_space(x), [cells], point_data=data)
+    with whole_file(path) as temporary:
+        mesh.write(temporary, "vtu")

@@ -22,7 +22,7 @@ import numpy as np
 
 from warp_peri import __version__
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import check_hdf5, parsed, whole_file, write_text
+from warp_peri.files.atomic import check_hdf5, meshio_of, parsed, whole_file, write_text, write_vtu
 
 T = TypeVar("T")
 Placed = tuple[np.ndarray, np.ndarray | None, int]
@@ -311,14 +311,8 @@ class ArrayFile:
         return made(arrays)
 
 
-def write_arrays(
-    path: str | os.PathLike[str],
-    comm: Any,
-    arrays: Mapping[str, Placed],
-    attributes: Mapping[str, Any] | None = None,
-) -> None:
-    """Write an HDF5 file of arrays whole or not at all, from the first rank; all ranks come here
-    with the same attributes. InputError on all of them for a file that cannot be written."""
+def gathered(comm: Any, arrays: Mapping[str, Placed]) -> dict[str, np.ndarray]:
+    """Whole arrays by name on the first rank, from the rows of all; empty on others."""
     whole: dict[str, np.ndarray] = {}
     for name, (mine, own, count) in arrays.items():
         for values, place in comm.gather((mine, own)) or ():
@@ -327,6 +321,18 @@ def write_arrays(
             else:
                 shape = (count, *values.shape[1:])
                 whole.setdefault(name, np.empty(shape, values.dtype))[place] = values
+    return whole
+
+
+def write_arrays(
+    path: str | os.PathLike[str],
+    comm: Any,
+    arrays: Mapping[str, Placed],
+    attributes: Mapping[str, Any] | None = None,
+) -> None:
+    """Write an HDF5 file of arrays whole or not at all, from the first rank; all ranks come here
+    with the same attributes. InputError on all of them for a file that cannot be written."""
+    whole = gathered(comm, arrays)
     with agreed(comm):
         if comm.rank == 0:
             try:
@@ -358,13 +364,9 @@ def read_arrays(
         raise InputError(f"{path}: not a readable checkpoint ({error})") from None
 
 
-INCLUDE = "http://www.w3.org/2001/XInclude"
-
-
 class TimeSeriesWriter:
-    """Writer of a motion's records: one file each, and one that names their times, for ParaView.
-
-    `record_<step>.h5`, `nodes.h5` and `motion.xdmf`, the same from any number of ranks.
+    """Writer of a motion's records for ParaView, the same from any number of ranks: a file
+    `record_<step>.vtu` of each, and `motion.pvd`, which names them with their times.
 
     Args:
         folder: for the files; made if it is not there.
@@ -375,57 +377,22 @@ class TimeSeriesWriter:
     def __init__(
         self, folder: str | os.PathLike[str], nodes: Any, x: np.ndarray | None = None
     ) -> None:
+        meshio_of()
         self.folder, self.nodes = Path(folder), nodes
-        self.x = in_space(nodes.x if x is None else x)
+        self.x = nodes.x if x is None else x
         self.times: dict[str, float] = {}
 
     def write(self, step: int, time: float, fields: Mapping[str, np.ndarray]) -> None:
         """Write one record of the motion; vectors in the plane get a third component."""
-        name, data = f"record_{step:08d}", {key: in_space(value) for key, value in fields.items()}
-        self._write(f"{name}.h5", data)
-        if not (self.folder / "nodes.h5").exists() or not self.times:
-            number = np.arange(len(self.x)) if self.nodes.number is None else self.nodes.number
-            self._write("nodes.h5", {"x": self.x, "number": number.astype(np.int32)[:, None]})
-        self.times[f"{name}.h5"] = time
-        if self.nodes.comm.rank == 0:
-            write_text(self.folder / "motion.xdmf", self._header(data))
-
-    def _write(self, name: str, fields: Mapping[str, np.ndarray]) -> None:
-        nodes = self.nodes
-        placed = {key: (value, nodes.number, nodes.count) for key, value in fields.items()}
-        write_arrays(self.folder / name, nodes.comm, placed)
-
-    def _header(self, fields: Mapping[str, np.ndarray]) -> str:
-        count = self.nodes.count
-        nodes = _item(f"{count} 1", "nodes.h5:/number", "Int", 4)
-        lines = [
-            '<Xdmf Version="3.0"><Domain>',
-            '<Grid Name="nodes" GridType="Uniform">',
-            f'<Topology TopologyType="Polyvertex" NumberOfElements="{count}">{nodes}</Topology>',
-            f'<Geometry GeometryType="XYZ">{_item(f"{count} 3", "nodes.h5:/x")}</Geometry></Grid>',
-            '<Grid GridType="Collection" CollectionType="Temporal">',
-        ]
-        for name, time in self.times.items():
-            lines.append(f'<Grid Name="{name}" GridType="Uniform"><Time Value="{time!r}"/>')
-            for part in ("Topology", "Geometry"):
-                link = f"xpointer(//Grid[@Name=&quot;nodes&quot;]/{part})"
-                lines.append(f'<include xmlns="{INCLUDE}" xpointer="{link}"/>')
-            for key, value in fields.items():
-                kind = "Vector" if value.ndim == 2 else "Scalar"
-                data = _item(" ".join(map(str, (count, *value.shape[1:]))), f"{name}:/{key}")
-                what = f'Name="{key}" AttributeType="{kind}" Center="Node"'
-                lines.append(f"<Attribute {what}>{data}</Attribute>")
-            lines.append("</Grid>")
-        return "\n".join([*lines, "</Grid></Domain></Xdmf>", ""])
-
-
-def _item(shape: str, text: str, kind: str = "Float", size: int = 8) -> str:
-    """XDMF text that refers to an array of an HDF5 file."""
-    what = f'DataType="{kind}" Precision="{size}" Format="HDF" Dimensions="{shape}"'
-    return f"<DataItem {what}>{text}</DataItem>"
-
-
-def in_space(values: np.ndarray) -> np.ndarray:
-    """Vectors [n, 2] with a third component; other arrays as they are."""
-    flat = values.ndim == 2 and values.shape[1] == 2
-    return np.pad(values, ((0, 0), (0, 1))) if flat else values
+        nodes, name = self.nodes, f"record_{step:08d}.vtu"
+        self.times[name] = time
+        parts = {"positions": self.x, **fields}
+        placed = {key: (value, nodes.number, nodes.count) for key, value in parts.items()}
+        whole = gathered(nodes.comm, placed)
+        with agreed(nodes.comm):
+            if nodes.comm.rank == 0:
+                x = whole.pop("positions")
+                write_vtu(self.folder / name, x, ("vertex", np.arange(len(x))[:, None]), whole)
+                lines = [f'<DataSet timestep="{t!r}" file="{n}"/>' for n, t in self.times.items()]
+                text = "\n".join(['<VTKFile type="Collection"><Collection>', *lines])
+                write_text(self.folder / "motion.pvd", text + "\n</Collection></VTKFile>\n")
