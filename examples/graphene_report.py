@@ -72,7 +72,12 @@ def draw(folder: Path, run: Run, sets: Mapping[str, Samples], models: Mapping[st
             errors["displacement, local elasticity"] = local
             said += f", by local elasticity {100 * np.mean(local):.1f} %"
         figure, ax = panels()
-        plots.errors_by_wave_number(sets["train"].arrays["wave_number"], errors, ax=ax)
+        for (name, values), marker in zip(errors.items(), "os^"):
+            k = sets["train"].arrays["wave_number"]
+            ax.plot(k, 100 * np.asarray(values), marker, fillstyle="none", label=name)
+        ax.set(xlabel="wave number |k| of the load [1/Å]", ylabel="relative error [%]")
+        ax.set_ylim(bottom=0)
+        ax.legend(frameon=False)
         ax.set_title(said, fontsize="medium")
         save_figure(figure, folder / "waves.png")
 
@@ -90,8 +95,10 @@ def draw_disks(path: Path, disks: Samples, solved: np.ndarray, errors: dict[int,
             f"error [mÅ], {100 * error:.2f} %": (off, np.abs(off).max()),
         }
         for ax, (title, (values, limit)) in zip(row, fields.items()):
-            mesh = plots.node_field(disks.x[inside], values, limit=limit, ax=ax)
-            figure.colorbar(mesh, ax=ax, shrink=0.8)
+            how = {"c": values, "cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
+            shown = ax.scatter(*disks.x[inside].T, s=12, marker="s", **how)
+            figure.colorbar(shown, ax=ax, shrink=0.8)
+            ax.set_aspect("equal")
             ax.set_title(title, fontsize="medium")
             ax.set_xlabel("x₁ [Å]")
         row[0].set_ylabel(f"load {s + 1}\nx₂ [Å]")

@@ -6,9 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import QuadMesh
 from matplotlib.ticker import LogFormatter, MaxNLocator
-from numpy.typing import ArrayLike
 
 from warp_peri.fitting.settings import Stage
 from warp_peri.materials.lps import LPSMaterial
@@ -61,47 +59,5 @@ def loss_by_stage(history: Sequence[Stage], *, ax: Axes) -> Axes:
     ax.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.5)))  # "4", not a power of ten
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set(xlabel="rounds of the fit", ylabel="relative misfit of the training set [%]")
-    ax.legend(frameon=False)
-    return ax
-
-
-def node_field(x: ArrayLike, values: ArrayLike, *, limit: float, ax: Axes) -> QuadMesh:
-    """Plot a scalar on the nodes of a lattice along the axes, coloured from −limit to limit.
-
-    Args:
-        x: node positions [Å], shape [N, 2].
-        values: shape [N].
-        limit: of the colour scale.
-        ax: where to draw.
-
-    Returns the mesh, for a colour bar.
-    """
-    x, values = np.asarray(x), np.asarray(values)
-    unit = 1e-9 * max(float(np.ptp(x)), np.finfo(float).tiny)  # places nearer than that are one
-    steps = np.rint(x / unit)
-    lines = [np.unique(steps[:, a]) for a in (0, 1)]
-    grid = np.full([len(line) for line in lines], np.nan)
-    grid[tuple(np.searchsorted(line, steps[:, a]) for a, line in enumerate(lines))] = values
-    edges = [line * unit for line in lines]
-    mesh = ax.pcolormesh(*edges, grid.T, shading="nearest", cmap="RdBu_r", vmin=-limit, vmax=limit)
-    ax.set_aspect("equal")
-    return mesh
-
-
-def errors_by_wave_number(
-    wave_number: ArrayLike, errors: dict[str, ArrayLike], *, ax: Axes
-) -> Axes:
-    """Plot errors of each sample against the wave number of its load.
-
-    Args:
-        wave_number: |k| of each sample [1/Å], shape [S].
-        errors: named errors as fractions, each of shape [S].
-        ax: where to draw.
-    """
-    for number, (name, values) in enumerate(errors.items()):
-        marker = "os^v"[number % 4]
-        ax.plot(wave_number, 100 * np.asarray(values), marker, fillstyle="none", label=name)
-    ax.set(xlabel="wave number |k| of the load [1/Å]", ylabel="relative error [%]")
-    ax.set_ylim(bottom=0)
     ax.legend(frameon=False)
     return ax

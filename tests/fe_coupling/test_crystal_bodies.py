@@ -4,14 +4,15 @@ import dataclasses
 
 import numpy as np
 import pytest
+from netgen import csg
 
 from tests.crystal.crystals import learned
 from tests.support.plates import plate as round_hole
 from warp_peri import LPSMaterial
 from warp_peri.errors import InputError
 from warp_peri.fe_coupling.body import Coupling, long_wave, solve_body
-from warp_peri.points.mesh import make_mesh
-from warp_peri.points.outlines import Circle, Sphere, box, mesh_outline, mesh_solid
+from warp_peri.points.mesh import REST, make_mesh
+from warp_peri.points.outlines import Circle, box, mesh_outline
 
 TURNED = {2: 20.0, 3: ((0.6, -0.8, 0.0), (0.8, 0.6, 0.0), (0.0, 0.0, 1.0))}
 SIDES = ("left", "right", "top", "bottom")
@@ -22,10 +23,14 @@ def plate(size=2.0):
 
 
 def ball():
-    return mesh_solid(Sphere(19.0, name="skin"), size=4.0)
+    geometry = csg.CSGeometry()
+    geometry.Add(csg.Sphere(csg.Pnt(0, 0, 0), 19.0))
+    made = geometry.GenerateMesh(maxh=4.0, grading=0.2)
+    cells = [[p.nr - 1 for p in cell.points] for cell in made.Elements3D()]
+    return make_mesh([point.p for point in made.Points()], cells)
 
 
-BODIES = {2: (plate, SIDES, 2), 3: (ball, ("skin",), 1)}
+BODIES = {2: (plate, SIDES, 2), 3: (ball, (REST,), 1)}
 SOLID = LPSMaterial(0.3, 0.8, 1.0, [0.4, 0.6, -0.3, 0.6, -0.2], horizon=3.0, certified_on=(1.0,))
 
 

@@ -12,7 +12,7 @@ from tests.support.problems import kernel
 from warp_peri.errors import InputError
 from warp_peri.points.mesh import REST, make_mesh, pieces
 from warp_peri.points.mesh_files import load_mesh
-from warp_peri.points.outlines import Block, Circle, Polygon, Sphere, box, mesh_outline
+from warp_peri.points.outlines import Circle, Polygon, box, mesh_outline
 
 HALVES = [[0, 1, 2], [0, 2, 3]]
 SIXTHS = []
@@ -78,9 +78,7 @@ def test_an_outline_has_its_parts_curves_holes_and_distances():
         (lambda: Polygon(corners[:2]), "corners: expected three at least, got 2"),
         (lambda: Polygon(((0, 0), (1, 0), (2, 0))), "corners around an area, got 0"),
         (lambda: Polygon(([0], [1, 2])), "corners: expected"),
-        (lambda: Sphere(np.nan), "radius: expected a number > 0"),
-        (lambda: Sphere(1.0, (0.0, np.nan, 0.0)), "centre: expected finite values"),
-        (lambda: Block((9.0, 9.0, -9.0)), "sides: expected three > 0"),
+        (lambda: Circle(np.nan), "radius: expected a number > 0"),
     ):
         with pytest.raises(InputError, match=words):
             make()

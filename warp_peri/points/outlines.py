@@ -1,12 +1,9 @@
-"""Shapes to mesh by Netgen: outlines in the plane, solids in space."""
+"""Outlines in the plane, meshed by Netgen."""
 
 from __future__ import annotations
 
-import itertools
-import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -16,7 +13,7 @@ from warp_peri.points.arguments import Positive, checked, typed
 from warp_peri.points.mesh import Mesh, make_mesh
 
 ROUND = 1e-6
-"""How far from a circle or a sphere, relatively, the ends of its edges may be."""
+"""How far from a circle, relatively, the ends of its edges may be."""
 GRADING = 0.2
 """Netgen's measure of how fast triangles may grow, 0 to 1."""
 WITHOUT = "netgen-mesher is not installed: pip install 'warp_peri[bodies]'"
@@ -105,8 +102,26 @@ def mesh_outline(outer: Outline, holes: Sequence[Outline] = (), *, size: Positiv
     geometry = netgen.SplineGeometry()
     for outline in outlines:
         _add(geometry, outline, size, inside=outline is outer)
-    circles = [one for one in outlines if isinstance(one, Circle)]
-    return _meshed("outline", geometry, size, circles, 2)
+    try:
+        made = geometry.GenerateMesh(maxh=float(size), grading=GRADING)
+    except Exception as error:  # Netgen's own kind
+        raise InputError(f"outline: Netgen cannot mesh it ({error})") from None
+    x = np.array([point.p for point in made.Points()])[:, :2]
+    cells = np.array([[p.nr - 1 for p in cell.points] for cell in made.Elements2D()])
+    if not len(cells):
+        raise InputError("outline: Netgen finds nothing inside it")
+    parts: dict[str, list[list[int]]] = {}
+    for side in made.Elements1D():
+        parts.setdefault(made.GetBCName(side.index - 1), []).append([p.nr - 1 for p in side.points])
+    middle: dict[tuple[int, int], np.ndarray] = {}
+    for one in (one for one in outlines if isinstance(one, Circle)):
+        away = x - one.centre
+        on = np.abs(np.linalg.norm(away, axis=1) - one.radius) < ROUND * one.radius
+        for a, c in parts[one.name]:
+            if on[a] and on[c]:
+                out = away[a] + away[c]
+                middle[a, c] = one.centre + one.radius * out / np.linalg.norm(out)
+    return make_mesh(x, cells, parts, middle)
 
 
 def _check_apart(outer: Outline, *holes: Outline) -> None:
@@ -127,33 +142,6 @@ def _check_apart(outer: Outline, *holes: Outline) -> None:
             raise InputError(f"holes: expected holes inside that meet nothing, got {holes[n]}")
 
 
-def _meshed(what: str, geometry: Any, size: float, balls: list[Any], d: int) -> Mesh:
-    """Mesh of a geometry, with points of the circles or spheres halfway along their edges."""
-    try:
-        made = geometry.GenerateMesh(maxh=float(size), grading=GRADING)
-    except Exception as error:  # Netgen's own kind
-        raise InputError(f"{what}: Netgen cannot mesh it ({error})") from None
-    x = np.array([point.p for point in made.Points()])[:, :d]
-    *_, sides, body = (made.Elements1D, made.Elements2D, made.Elements3D)[:d]
-    cells = np.array([[p.nr - 1 for p in cell.points] for cell in body()])
-    if not len(cells):
-        raise InputError(f"{what}: Netgen finds nothing inside it")
-    parts: dict[str, list[list[int]]] = {}
-    for side in sides():
-        corners = sorted(p.nr - 1 for p in side.points)
-        parts.setdefault(made.GetBCName(side.index - 1), []).append(corners)
-    middle: dict[tuple[int, int], np.ndarray] = {}
-    for one in balls:
-        away = x - one.centre
-        on = np.abs(np.linalg.norm(away, axis=1) - one.radius) < ROUND * one.radius
-        for side in parts[one.name]:
-            for a, c in itertools.combinations(side, 2):
-                if on[a] and on[c]:
-                    out = away[a] + away[c]
-                    middle[a, c] = one.centre + one.radius * out / np.linalg.norm(out)
-    return make_mesh(x, cells, parts, middle)
-
-
 def _add(geometry: Any, outline: Outline, size: float, *, inside: bool) -> None:
     """Add a closed curve to a geometry, the body on its inside or its outside."""
     maxh = float(outline.size or size)
@@ -167,73 +155,3 @@ def _add(geometry: Any, outline: Outline, size: float, *, inside: bool) -> None:
     numbers = [geometry.AppendPoint(*map(float, corner)) for corner in outline.corners]
     for start, end, name in zip(numbers, numbers[1:] + numbers[:1], names):
         geometry.Append(["line", start, end], bc=name, **sides)
-
-
-SIDES = ("left", "right", "front", "back", "bottom", "top")
-"""Of a block: the ends of its first, second and third axis."""
-
-
-@typed
-@dataclass(frozen=True)
-class Sphere:
-    """A ball, or a round void, whose faces are curved.
-
-    Attributes:
-        radius: [length].
-        centre: [length].
-        name: of its surface.
-        size: of the faces along it [length]; None for that of the mesh.
-    """
-
-    radius: Positive
-    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    name: str = "void"
-    size: Positive | None = None
-
-    def __post_init__(self) -> None:
-        checked("centre", self.centre, float, (3,))
-
-
-@typed
-@dataclass(frozen=True)
-class Block:
-    """A block about the origin, its faces named SIDES, with `sides` along the axes [length].
-
-    Attributes:
-        sides: lengths along the axes.
-    """
-
-    sides: tuple[float, float, float]
-
-    def __post_init__(self) -> None:
-        if not min(checked("sides", self.sides, float, (3,))) > 0:
-            raise InputError(f"sides: expected three > 0, got {self.sides}")
-
-
-@typed
-def mesh_solid(outer: Sphere | Block, voids: Sequence[Sphere] = (), *, size: Positive) -> Mesh:
-    """Mesh the volume between a surface and voids in it by tetrahedra.
-
-    Args:
-        outer: of the body; none of the voids may meet it or another.
-        voids: inside.
-        size: of the cells [length] where the surfaces ask for nothing.
-
-    Raises InputError for sizes that are not positive, a body that cannot be meshed, and without
-    Netgen.
-    """
-    csg = optional("netgen.csg", WITHOUT)
-    balls = [one for one in (outer, *voids) if isinstance(one, Sphere)]
-    solids = [
-        csg.Sphere(csg.Pnt(*one.centre), one.radius).bc(one.name).maxh(float(one.size or size))
-        for one in balls
-    ]
-    if isinstance(outer, Block):
-        out = np.kron(np.eye(3), [[-1.0], [1.0]])
-        half = np.array(outer.sides) / 2
-        planes = [csg.Plane(csg.Pnt(*(n * half)), csg.Vec(*n)) for n in out]
-        faces = [plane.bc(name) for plane, name in zip(planes, SIDES)]
-        solids.insert(0, reduce(operator.mul, faces))
-    geometry = csg.CSGeometry()
-    geometry.Add(reduce(operator.sub, solids))
-    return _meshed("solid", geometry, size, balls, 3)
