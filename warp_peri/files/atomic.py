@@ -51,10 +51,6 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
         raise ValueError(str(error)) from None
 
 
-PART = ".part-"
-"""What the names of half-written files hold, between the name to be and a number of the file."""
-
-
 def destination(path: str | os.PathLike[str]) -> Path:
     """Path where a file of this name is written, links followed; InputError for what is there and
     is no regular file: a folder, a device, a pipe."""
@@ -83,17 +79,17 @@ def _no_place(path: Path) -> Iterator[None]:
 @contextmanager
 def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path beside `path`; rename it to `path` on success, remove it on error. A
-    reader sees the old file, the new file or none, never half of one. The temporary file is locked
-    meanwhile, so HDF5 must write it with `locking=False`. The folder is created if it is missing. A
-    link stays, and what it points at is replaced. InputError for a path that is no regular file."""
+    reader sees the old file, the new file or none, never half of one. The folder is created if it
+    is missing. A link stays, and what it points at is replaced. Of a process that is killed the
+    temporary file is left. InputError for a path that is no regular file."""
     path = destination(path)
     with _no_place(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = _begun(path)
+        handle, made = tempfile.mkstemp(path.suffix, f".{path.name}.part-", path.parent)
+    temporary = Path(made)
     try:
         yield temporary
-        with open(temporary, "rb") as written:
-            os.fsync(written.fileno())
+        os.fsync(handle)
         mask = os.umask(0)
         os.umask(mask)
         temporary.chmod(0o666 & ~mask)  # mkstemp makes private files; a result is not a secret
@@ -103,57 +99,23 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
         os.close(handle)
 
 
-def _begun(path: Path) -> tuple[int, Path]:
-    """Create a half-written file, locked by this process, and remove those of killed saves."""
-    handle, made = tempfile.mkstemp(path.suffix, f".{path.name}{PART}", path.parent)
-    _held(handle)
-    temporary = path.with_name(f".{path.name}{_mark(handle)}{path.suffix}")
-    os.replace(made, temporary)
-    _remove_left(path.parent, f".{path.name}{PART}")
-    return handle, temporary
-
-
-def _mark(handle: int) -> str:
-    """Part of a half-written file's name: its own number on the disk, which no copy has."""
-    return f"{PART}{os.fstat(handle).st_ino}"
-
-
-def _held(handle: int) -> bool | None:
-    """Lock an open file: False where another process holds it, None where there are no locks."""
+def _is_busy(handle: int) -> bool:
+    """Lock an open file; whether another process holds it, or removed it since it was opened."""
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        return False
-    except OSError:
-        return None
-    return True
-
-
-def _remove_left(folder: Path, start: str = ".") -> None:
-    """Remove the half-written files of a folder, of names that begin so, that no process holds."""
-    try:
-        names = os.listdir(folder)
-    except (FileNotFoundError, NotADirectoryError, PermissionError):
-        return
-    for name in names:
-        if not name.startswith(start) or PART not in name:
-            continue
-        path = folder / name
-        try:
-            handle = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
-        except OSError:  # finished meanwhile, or not a file of ours
-            continue
-        if f"{_mark(handle)}." in f"{name}." and _held(handle):
-            path.unlink(missing_ok=True)
-        os.close(handle)
+        return True
+    except OSError:  # of a disk without locks
+        pass
+    return not os.fstat(handle).st_nlink
 
 
 @contextmanager
 def locked(path: str | os.PathLike[str]) -> Iterator[None]:
     """Hold a file or folder that is being written against every other job. The lock is the
     operating system's, on a hidden file beside `path`: it ends with the process, however that ends.
-    Half-written files that a killed job left are removed. Raises InputError when another job holds
-    it, or where no file can be; and where the hidden file is a user's, with something in it."""
+    Raises InputError when another job holds it, or where no file can be; and where the hidden file
+    is a user's, with something in it."""
     path = Path(os.path.realpath(path))
     beside = path.with_name(f".{path.name}.lock")
     with _no_place(path):
@@ -162,11 +124,9 @@ def locked(path: str | os.PathLike[str]) -> Iterator[None]:
     try:
         if os.fstat(handle).st_size:
             raise InputError(f"{beside}: expected no file, or an empty one, got another's")
-        if _held(handle) is False or not os.fstat(handle).st_nlink:  # or gone since it was opened
+        if _is_busy(handle):
             raise InputError(f"{path}: another job is writing here")
         try:
-            _remove_left(path.parent, f".{path.name}{PART}")
-            _remove_left(path)
             yield
         finally:
             beside.unlink(missing_ok=True)  # still held
