@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 19_734,
-    "tokens": 246_220,
-    "lines of warp_peri": 31_430,
+    "code lines": 19_576,
+    "tokens": 244_408,
+    "lines of warp_peri": 31_161,
     "files of warp_peri": 114,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 43_634,
+    "lines of warp_peri, kernels, examples and tools": 43_372,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -36,18 +36,18 @@ BUDGET = {
 ROOMS = {
     "atoms": 2383,
     "cli": 765,
-    "core": 1560,
-    "face": 1160,
+    "core": 1533,
+    "face": 1128,
     "fe_coupling": 741,
-    "files": 509,
+    "files": 470,
     "fitting": 1213,
-    "fracture": 1433,
-    "materials": 4858,
-    "neural": 598,
-    "points": 1658,
+    "fracture": 1431,
+    "materials": 4857,
+    "neural": 597,
+    "points": 1618,
     "prediction": 593,
     "mpi": 732,
-    "solvers": 1531,
+    "solvers": 1515,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)
