@@ -12,7 +12,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from warp_peri.atoms.calculator_noise import PULLED, SMALLER, by_strains, joined
-from warp_peri.atoms.calculator_noise import STRAIN as STRETCH
 from warp_peri.atoms.force_constants import STEP, WIDER, ForceConstants
 from warp_peri.atoms.phonons import at_zone_edge, check_phonons, force_constants
 from warp_peri.atoms.relaxed import Reference, at_rest, usual_spacing
@@ -39,38 +38,6 @@ from warp_peri.protocols import offered
 
 PATHS = {2: ("10", "01", "11"), 3: ("100", "110", "111", "001")}
 """Directions that are drawn, along the axes of the nodes."""
-
-
-def picture(found: CrystalFit) -> Figure:
-    """Draw acoustic branches, Young's modulus by direction, and wave errors beside the rival's."""
-    figure = Figure(figsize=(11, 3.6), layout="constrained")
-    dispersion = figure.add_subplot(1, 3, 1)
-    law, d = found.law, found.atoms.dimension
-    reach = np.linspace(0.03, 1, 40) * np.pi / 2
-    for number, path in enumerate(PATHS[d]):
-        direction = np.array([*map(int, path)])
-        k = reach[:, None] / law.spacing * direction / np.linalg.norm(direction)
-        branches = (found.atoms.effective, law.symbol, found.local)
-        true, own, local = (np.sqrt(1e3 * np.linalg.eigvalsh(D(k)).clip(0)) for D in branches)
-        dispersion.plot(reach, own, color=f"C{number}", label=[f"[{path}]", *[None] * (d - 1)])
-        dispersion.plot(reach, local, ":", color=f"C{number}", linewidth=0.8)
-        dispersion.plot(reach[::3], true[::3], ".", color=f"C{number}")
-    dispersion.set(xlabel="wave number × spacing", ylabel="root of the wave's stiffness [√GPa / Å]")
-    dispersion.set_title("Waves of model (lines), atoms\n(dots), local elasticity (dotted)")
-    dispersion.legend(frameon=False, title="direction")
-    polar: Any = figure.add_subplot(1, 3, 2, projection="polar")
-    angle, young = found.directional()
-    polar.plot(angle, young)
-    polar.set_rlim(min(0.0, 1.1 * young.min()), 1.1 * young.max())
-    polar.set_rlabel_position(67.5)
-    polar.set_title(f"Young's modulus [GPa] over the\ndirection of the pull, axes 1 and {d}")
-    waves = figure.add_subplot(1, 3, 3)
-    for name, label in (("law", "model"), ("local", "local elasticity")):
-        waves.semilogy(found.wave_lengths, 100 * found.wave_errors[name].mean(axis=1), label=label)
-    waves.set(xlabel="wavelength [spacings]", ylabel="error of displacement [%]", xlim=(2, 20))
-    waves.set_title("Error of the answer to waves,\nmean over all directions")
-    waves.legend(frameon=False)
-    return figure
 
 
 REACH = {2: 3.0, 3: 6**0.5}
@@ -122,24 +89,23 @@ class CrystalFit(Shown):
         return self.atoms.elastic(_allowed(self.atoms, self.material.symmetry))
 
     @cached_property
-    def errors(self) -> Any:
-        """Independent standard errors of `tensor` [TPa], [Q, d, d, d, d], or None where unknown. Of
-        an exact potential the difference between finite strains and long waves."""
+    def errors(self) -> np.ndarray:
+        """Independent standard errors of `tensor` [TPa], [Q, d, d, d, d], none where unknown. Of an
+        exact potential the difference between finite strains and long waves."""
         if self.atoms.doubt is not None:
             allowed = _allowed(self.atoms, self.material.symmetry)
             return self.atoms.elastic_doubt(allowed, bent=True)
-        return None if self.strained is None else (self.strained - self.tensor)[None]
+        found = [] if self.strained is None else [self.strained - self.tensor]
+        return np.reshape(found, (-1, *self.tensor.shape))
 
     @cached_property
     def unsure(self) -> float:
         """Largest relative standard error of a long wave's modulus over all directions."""
-        if self.errors is None or not len(self.errors):
-            return 0.0
         e = directions(DIRECTIONS, self.atoms.dimension)
         size, waves = np.linalg.eigh(self.local(e))
-        off = np.array([acoustic(brackets_from_elastic(one), e) for one in self.errors])
+        off = np.einsum("qijkl,nk,nl->qnij", brackets_from_elastic(self.errors), e, e)
         share = np.einsum("nip,qnij,njp->qnp", waves, off, waves)
-        return float((np.sqrt((share**2).sum(axis=0)) / size).max())
+        return float((np.linalg.norm(share, axis=0) / size).max())
 
     @cached_property
     def local(self) -> WaveSymbol:
@@ -208,7 +174,7 @@ class CrystalFit(Shown):
             )
             name = {"law": "model", "atoms": "atoms' long waves"}.get(key, key)
             shown.append((f"moduli, {name}", f"{parts} GPa"))
-        if self.errors is not None:
+        if len(self.errors):
             bars = with_errors(self.tensor, self.errors).items()
             told = ", ".join(f"{name} {bar:.2g}" for name, (_, bar) in bars)
             told += f" GPa; a sound wave's modulus {self.unsure:.2%}"
@@ -232,14 +198,42 @@ class CrystalFit(Shown):
             )
         return [*self.said.items(), *shown]
 
-    def plot(self) -> Any:
-        """Draw a matplotlib Figure: dispersion, Young's modulus by direction, errors of waves."""
-        return picture(self)
+    def plot(self) -> Figure:
+        """Draw acoustic branches, Young's modulus by direction, and wave errors beside the
+        rival's."""
+        figure = Figure(figsize=(11, 3.6), layout="constrained")
+        bands = figure.add_subplot(1, 3, 1)
+        law, d = self.law, self.atoms.dimension
+        reach = np.linspace(0.03, 1, 40) * np.pi / 2
+        for number, path in enumerate(PATHS[d]):
+            direction = np.array([*map(int, path)])
+            k = reach[:, None] / law.spacing * direction / np.linalg.norm(direction)
+            branches = (self.atoms.effective, law.symbol, self.local)
+            true, own, local = (np.sqrt(1e3 * np.linalg.eigvalsh(D(k)).clip(0)) for D in branches)
+            bands.plot(reach, own, color=f"C{number}", label=[f"[{path}]", *[None] * (d - 1)])
+            bands.plot(reach, local, ":", color=f"C{number}", linewidth=0.8)
+            bands.plot(reach[::3], true[::3], ".", color=f"C{number}")
+        bands.set(xlabel="wave number × spacing", ylabel="root of the wave's stiffness [√GPa / Å]")
+        bands.set_title("Waves of model (lines), atoms\n(dots), local elasticity (dotted)")
+        bands.legend(frameon=False, title="direction")
+        polar: Any = figure.add_subplot(1, 3, 2, projection="polar")
+        angle, young = self.directional()
+        polar.plot(angle, young)
+        polar.set_rlim(min(0.0, 1.1 * young.min()), 1.1 * young.max())
+        polar.set_rlabel_position(67.5)
+        polar.set_title(f"Young's modulus [GPa] over the\ndirection of the pull, axes 1 and {d}")
+        waves = figure.add_subplot(1, 3, 3)
+        for off, label in zip(self.wave_errors.values(), ("model", "local elasticity")):
+            waves.semilogy(self.wave_lengths, 100 * off.mean(axis=1), label=label)
+        waves.set(xlabel="wavelength [spacings]", ylabel="error of displacement [%]", xlim=(2, 20))
+        waves.set_title("Error of the answer to waves,\nmean over all directions")
+        waves.legend(frameon=False)
+        return figure
 
     def content(self) -> dict[str, Any]:
         """The fit as plain values: Voigt matrices in GPa, lengths in Å, errors in %."""
         C, proof, told = self._tensors, self.certificate, self.law.certificate
-        bars = {} if self.errors is None else with_errors(self.tensor, self.errors)
+        bars = with_errors(self.tensor, self.errors) if len(self.errors) else {}
         return {
             "said": self.said,
             "elastic_tensor_GPa": {key: (1e3 * voigt(v)).tolist() for key, v in C.items()},
@@ -345,11 +339,10 @@ def with_strains(
     atoms: ForceConstants, reference: Reference, calculator: Any, symmetry: Symmetry
 ) -> tuple[ForceConstants, np.ndarray | None, dict[str, str]]:
     """Join force constants with finite strains under noise; also returns these moduli and notes."""
-    noise, allowed = reference.noise, _allowed(atoms, symmetry)
-    largest = STRETCH if noise is None else noise.strain
-    rough = noise is not None and noise.rough > 0
+    allowed, rough = _allowed(atoms, symmetry), reference.noise.rough > 0
+    largest = reference.noise.strain
     found = by_strains(reference.cell, calculator, largest, atoms, allowed, rough=rough)
-    if found is None or noise is None:
+    if found is None or reference.noise.rounding:
         return atoms, None if found is None else found[0], {}
     # what is unstable within its errors is refused only if strains do not mend it
     alone = _written(atoms.nearest_elastic(allowed)[0], atoms.elastic_doubt(allowed))
@@ -420,6 +413,6 @@ def _learned(
     h = spacing or usual_spacing(cell, atoms.dimension == 2)
     law = fit_phonons(atoms, h, horizon or h * REACH[atoms.dimension], symmetry=symmetry)
     found = CrystalFit(law, atoms, strained, said | _doubts(atoms))
-    record: dict[str, Any] = {"moduli_error": found.unsure}  # relative, of any sound wave
-    law = replace(law, provenance=law.provenance | record) if found.errors is not None else law
+    if len(found.errors):  # relative, of any sound wave
+        law = replace(law, provenance=law.provenance | {"moduli_error": found.unsure})
     return replace(found, material=law.in_units(units))

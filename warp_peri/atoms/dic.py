@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import content, encoding_of
-from warp_peri.points.arguments import NotNegative, Positive, checked, plain, typed
+from warp_peri.points.arguments import NotNegative, Positive, check_shape, checked, plain, typed
 from warp_peri.points.points import PULL, SEEN, Points, Samples
 from warp_peri.points.unit_names import LENGTHS, USUAL, check_units
 
@@ -212,8 +212,7 @@ class DICFrame:
     def __post_init__(self) -> None:
         object.__setattr__(self, "x", checked("x", self.x, float, ("P", 2)))
         object.__setattr__(self, "u", plain("u", self.u))
-        if self.u.shape != self.x.shape:
-            raise InputError(f"u: expected shape {list(self.x.shape)}, got {list(self.u.shape)}")
+        check_shape("u", self.u, self.x.shape)
 
 
 @typed

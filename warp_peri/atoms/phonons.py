@@ -72,7 +72,7 @@ def force_constants(
     many = cell.repeat(repeats)
     told = {"force constants": f"{_cells(repeats[:d])}, {len(many)} atoms"}
     how: Any = {"thickness": reference.thickness}
-    if reference.noise is None:
+    if reference.noise.rounding:
         found = from_calculator(cell, calculator, repeats, **how)
         found = replace(found, stress=reference.stress)
     else:
@@ -91,7 +91,7 @@ def wide_enough(reference: Reference, calculator: Any, widths: Sequence[float]) 
     """Repeats of the cell at half of whose width forces have ended, or the most that may be."""
     cell, d = reference.cell, reference.dimension
     heights = 1 / np.linalg.norm(np.linalg.inv(np.array(cell.cell)), axis=0)
-    most = MOST_ATOMS if reference.noise is None else NOISY_ATOMS
+    most = MOST_ATOMS if reference.noise.rounding else NOISY_ATOMS
     repeats, rim, ended = (), np.nan, "supercell=… takes a wider one"
     for width in widths:
         count = np.where(np.arange(3) < d, np.ceil(width / heights), 1).astype(int)
@@ -118,19 +118,18 @@ def _at_rim(
     many: ase.Atoms, calculator: Any, width: float, reference: Reference
 ) -> tuple[float, float]:
     """Relative force at half a supercell's width from a displaced atom, and what counts as none."""
-    noise, x, rim, none = reference.noise, np.array(many.positions), 0.0, DECAYED_FORCE
+    noise, x, rim = reference.noise, np.array(many.positions), 0.0
+    none = DECAYED_FORCE_ROUGH if noise.rough else DECAYED_FORCE
     forces = forces_of(many, calculator)
     still, far = forces(x), many.get_distances(0, range(len(many)), mic=True)
     for axis in range(reference.dimension):
         moved = x.copy()
-        moved[0, axis] += STEP if noise is None else noise.length
+        moved[0, axis] += STEP if noise.rounding else noise.length
         change = np.abs(forces(moved) - still).max(axis=1)
         if not change.max() > 0:
             raise InputError(LOOSE)
         rim = max(rim, float(change[far > EDGE * width].max(initial=0.0) / change.max()))
-        if noise is not None:
-            least = TIMES**2 * noise.force / float(change.max())
-            none = max(none, least, DECAYED_FORCE_ROUGH if noise.rough else 0.0)
+        none = max(none, TIMES**2 * noise.force / float(change.max()))
     return rim, none
 
 

@@ -66,15 +66,15 @@ class Reference:
         cell: its smallest cell, an ase.Atoms without a calculator; a sheet lies across z.
         thickness: of a sheet [Å], or None.
         stress: that it is held under [TPa], shape [d, d]; None for one at rest.
-        noise: of the calculator's forces; None where it is rounding.
+        noise: of the calculator's forces.
         said: notes on what was found or chosen, by name.
     """
 
     cell: ase.Atoms
     thickness: float | None
     stress: np.ndarray | None
+    noise: Noise
     said: dict[str, str]
-    noise: Noise | None = None
 
     @property
     def dimension(self) -> int:
@@ -227,13 +227,12 @@ def at_rest(
     if np.linalg.norm(short) < (1 - ROUNDING) * np.linalg.norm(cell.cell):
         cell.set_cell(short)  # a skewed cell's repeats would be many
     cell.calc = calculator
-    cell, strain, found = _settled(cell, flat, held)
-    noise = None if found.rounding else found
+    cell, strain, noise = _settled(cell, flat, held)
     kind, lengths = "a sheet" if flat else "a solid", cell.cell.lengths()[: 2 if flat else 3]
     shape = f"{' x '.join(f'{one:.5g}' for one in lengths)} Å, {len(cell)} atoms"
     said = {"structure": f"{cell.get_chemical_formula()}, {kind}", "cell": shape}
-    if noise is None:
-        said["noise"] = f"{found.force:.1e} eV/Å, which is rounding"
+    if noise.rounding:
+        said["noise"] = f"{noise.force:.1e} eV/Å, which is rounding"
     if turned:
         where = ": x along an edge of the cell, z across" if flat else " to the conventional cell's"
         said["axes"] = f"turned{where}"
@@ -245,7 +244,7 @@ def at_rest(
         said["thickness"] = f"{size:.4g} Å, {rule}"
         said["bending"] = "not in the model: it moves a sheet in its plane only"
     cell.calc = None
-    return Reference(cell, size, stress, said, noise)
+    return Reference(cell, size, stress, noise, said)
 
 
 def _settled(cell: ase.Atoms, flat: bool, held: set[str]) -> tuple[ase.Atoms, np.ndarray, Noise]:
@@ -253,26 +252,25 @@ def _settled(cell: ase.Atoms, flat: bool, held: set[str]) -> tuple[ase.Atoms, np
     calculator, before = cell.calc, np.array(cell.cell)
     _check_forces(cell)
     _check_stress(cell, flat)
-    found = measured(cell, calculator, flat)
-    noise = None if found.rounding else found
+    noise = measured(cell, calculator, flat)
     _relax(cell, flat, held, noise)
     strain = np.linalg.svd(np.linalg.solve(before, np.array(cell.cell)), compute_uv=False) - 1
     if flat:
         strain = np.delete(strain, np.abs(strain).argmin())  # across it nothing is relaxed
-    if noise is not None:  # it breaks the symmetry, which takes most of it away
+    if not noise.rounding:  # it breaks the symmetry, which takes most of it away
         refine_symmetry(cell, noise.sites)
     if not held:  # disorder that has relaxed leaves a smaller cell, its axes a little off
         cell = exact_cell(smallest(cell if flat else to_shared_axes(cell), flat))
     cell.calc = calculator
-    if noise is not None:
+    if not noise.rounding:
         refine_symmetry(cell, noise.sites)
         _relax(cell, flat, held, noise)
         if not held:  # steps under noise turn and shear a cell in its last digits
             cell = exact_cell(cell)
             cell.calc = calculator
         here = measured(cell, calculator, flat)  # dimples lie at rest, not where a cell was given
-        found = found if here.rounding else here
-    return cell, strain, found
+        noise = noise if here.rounding else here
+    return cell, strain, noise
 
 
 def _check_forces(cell: ase.Atoms) -> None:
@@ -305,14 +303,13 @@ def _check_stress(cell: ase.Atoms, flat: bool) -> None:
         )
 
 
-def _relax(cell: ase.Atoms, flat: bool, held: set[str], noise: Noise | None) -> None:
+def _relax(cell: ase.Atoms, flat: bool, held: set[str], noise: Noise) -> None:
     """Relax atoms and the strains that are not held; under noise within the given symmetry."""
-    quiet, left, steps = QUIET, RESIDUAL_FORCE, STEPS
-    if noise is not None:  # a force, or a stress on the cell, that is told from none
+    # a force, or a stress on the cell, that is told from none
+    quiet = max(QUIET, 2 * noise.force, 2 * noise.stress / EV_IN_TPA * cell.get_volume())
+    steps = STEPS if noise.rounding else NOISY_STEPS
+    if not noise.rounding:
         cell.set_constraint(FixSymmetry(cell, ON_SITES))  # exact forces keep it by themselves
-        scatter = max(noise.force, noise.stress / EV_IN_TPA * cell.get_volume())
-        quiet, steps = max(QUIET, 2 * scatter), NOISY_STEPS
-        left = max(RESIDUAL_FORCE, TIMES * quiet)
     free = [name not in held and not (flat and "z" in name) for name in VOIGT]
     try:
         moving: Any = FrechetCellFilter(cell, mask=free) if any(free) else cell
@@ -322,14 +319,14 @@ def _relax(cell: ase.Atoms, flat: bool, held: set[str], noise: Noise | None) -> 
         raise InputError(words) from None
     cell.set_constraint()
     force = float(np.abs(cell.get_forces()).max())
-    if not done and force > left:
+    if not done and force > max(RESIDUAL_FORCE, TIMES * quiet):
         raise InputError(
             f"structure: {steps} steps of relaxation leave a force of {force:.2g} eV/Å"
         )
 
 
 def _stress_left(
-    cell: ase.Atoms, thickness: float | None, flat: bool, held: set[str], noise: Noise | None
+    cell: ase.Atoms, thickness: float | None, flat: bool, held: set[str], noise: Noise
 ) -> np.ndarray | None:
     """Residual stress of the strains that are held, [d, d]; None without any."""
     d = 2 if flat else 3
@@ -339,7 +336,7 @@ def _stress_left(
         warn("calculator: it gives no stress; the crystal is taken to be at rest")
         return None
     stress = stress * EV_IN_TPA * (cell.cell[2, 2] / thickness if flat else 1.0)
-    none = RESIDUAL_STRESS if noise is None else max(RESIDUAL_STRESS, 2 * TIMES * noise.stress)
+    none = max(RESIDUAL_STRESS, 2 * TIMES * noise.stress)
     for name, (i, j) in zip(VOIGT, PAIRS[3]):
         if max(i, j) < d and name not in held and abs(stress[i, j]) > none:
             left = f"a stress {name} of {1e3 * stress[i, j]:.3g} GPa"
