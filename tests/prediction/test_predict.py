@@ -17,7 +17,7 @@ from warp_peri.points.families import largest_strain
 from warp_peri.points.points import _said
 from warp_peri.points.unit_names import factors
 from warp_peri.prediction import CalibrationFactors, Ensemble, EnsembleMaterial, EnsembleOperator
-from warp_peri.prediction.ensemble import BEYOND, ErrorSpectrum, Spectrum, pulled
+from warp_peri.prediction.ensemble import BEYOND, ErrorSpectrum, pulled, spectrum_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:(strain|transferred):UserWarning")
 HORIZON, APART = 3.0, 0.02
@@ -241,11 +241,11 @@ def test_shares_find_the_wavelength_and_members_are_pulled_half_way_to_their_rec
     points = lattice(40, 0.5)
     knots = np.array([4.0, 8.0, 16.0])
     u = np.stack([np.cos(2 * np.pi * points.x[:, 0] / 8), np.zeros(len(points.x))], axis=1)
-    found = Spectrum(points, knots).shares(u)
+    found = spectrum_of(points, knots)(u)
     assert found.argmax() == 1
     assert found.sum() == pytest.approx(1, abs=0.02)
     assert ErrorSpectrum(knots, np.array([0.0, 0.1, 0.0])).of(found) == pytest.approx(0.1, rel=0.15)
-    assert Spectrum(points, knots).shares(1e-3 * points.x).sum() < 1e-9
+    assert spectrum_of(points, knots)(1e-3 * points.x).sum() < 1e-9
     assert pulled(0.01, 0.02) == pytest.approx(np.sqrt(2))
     assert pulled(0.01, 0.0025) == pytest.approx(0.5)
     assert pulled(0.01, 1.0) == 2

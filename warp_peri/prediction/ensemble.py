@@ -69,46 +69,42 @@ class ErrorSpectrum:
         return float(shares[self.wavelength < self.shortest * (1 - 1e-9)].sum())
 
 
-class Spectrum:
-    """Spectrum of lattice fields, less affine parts, by wavelength [length], growing, shape [K]."""
+def spectrum_of(points: PointsLike, wavelength: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Function from lattice fields [N, d], less affine parts, to the shares of their squares by
+    wavelength [length], growing, [K]."""
+    steps, count = lattice_steps(points)[0], len(wavelength)
+    steps = steps - steps.min(axis=0)
+    shape = tuple(int(n) for n in steps.max(axis=0) + 1)
+    place = np.ravel_multi_index(tuple(steps.T), shape)
+    there, padded = np.zeros(np.add(shape, 2), bool), tuple(steps.T + 1)
+    there[padded] = True
+    depth = distance_transform_edt(there)[padded]
+    window = np.sin(np.pi / 2 * depth / depth.max())[:, None] ** 2
+    affine = np.linalg.qr(np.column_stack([np.ones(len(steps)), steps]))[0]
+    wide = [scipy.fft.next_fast_len(2 * n, real=True) for n in shape]
+    lines = [np.fft.fftfreq(n, points.spacing) for n in wide[:-1]]
+    lines.append(np.fft.rfftfreq(wide[-1], points.spacing))
+    length = 1 / np.maximum(np.linalg.norm(np.meshgrid(*lines, indexing="ij"), axis=0), 1e-300)
+    twice = np.full(len(lines[-1]), 2.0)  # of ±k one is not computed
+    twice[[0] if wide[-1] % 2 else [0, -1]] = 1.0
+    knot = np.interp(np.log(length), np.log(wavelength), np.arange(count)).ravel()
+    low = np.minimum(knot.astype(int), count - 2)
+    upper, whole = knot - low, np.broadcast_to(twice / np.prod(wide), length.shape).ravel()
+    values = np.concatenate([whole * (1 - upper), whole * upper])
+    at = np.concatenate([low, low + 1]), np.tile(np.arange(low.size), 2)
+    by_knot = sp.csr_array((values, at), (count, low.size))
 
-    def __init__(self, points: PointsLike, wavelength: np.ndarray) -> None:
-        grid, _ = lattice_steps(points)
-        grid = grid - grid.min(axis=0)
-        self.shape = tuple(int(n) for n in grid.max(axis=0) + 1)
-        self.place = np.ravel_multi_index(tuple(grid.T), self.shape)
-        there, padded = np.zeros(np.add(self.shape, 2), bool), tuple(grid.T + 1)
-        there[padded] = True
-        depth = distance_transform_edt(there)[padded]
-        self.window = np.sin(np.pi / 2 * depth / depth.max()) ** 2
-        self.affine = np.linalg.qr(np.column_stack([np.ones(len(grid)), grid]))[0]
-        self.wide = [scipy.fft.next_fast_len(2 * n, real=True) for n in self.shape]
-        lines = [np.fft.fftfreq(n, points.spacing) for n in self.wide[:-1]]
-        lines.append(np.fft.rfftfreq(self.wide[-1], points.spacing))
-        waves = np.meshgrid(*lines, indexing="ij")
-        length = 1 / np.maximum(np.linalg.norm(waves, axis=0), 1e-300)
-        twice = np.full(len(lines[-1]), 2.0)  # of ±k one is not computed
-        twice[[0] if self.wide[-1] % 2 else [0, -1]] = 1.0
-        share, count = twice / np.prod(self.wide), len(wavelength)
-        knot = np.interp(np.log(length), np.log(wavelength), np.arange(count)).ravel()
-        low = np.minimum(knot.astype(int), count - 2)
-        upper, whole = knot - low, np.broadcast_to(share, length.shape).ravel()
-        values = np.concatenate([whole * (1 - upper), whole * upper])
-        at = np.concatenate([low, low + 1]), np.tile(np.arange(low.size), 2)
-        self.by_knot = sp.csr_array((values, at), (count, low.size))
-
-    def shares(self, u: np.ndarray) -> np.ndarray:
-        """Shares by wavelength of the square of a field [N, d], shape [K]."""
+    def shares(u: np.ndarray) -> np.ndarray:
         u = u / max(float(np.abs(u).max()), 1e-300)
-        left = (u - self.affine @ (self.affine.T @ u)) * self.window[:, None]
-        field = np.zeros((u.shape[1], int(np.prod(self.shape))), np.float32)
-        field[:, self.place] = left.T
-        axes = tuple(range(1, 1 + len(self.shape)))
-        wave = scipy.fft.rfftn(field.reshape(-1, *self.shape), s=self.wide, axes=axes)
-        power = (wave.real**2 + wave.imag**2).sum(axis=0).ravel()
-        found = self.by_knot @ power
-        size = float(((u * self.window[:, None]) ** 2).sum())
+        left = (u - affine @ (affine.T @ u)) * window
+        field = np.zeros((u.shape[1], int(np.prod(shape))), np.float32)
+        field[:, place] = left.T
+        wave = scipy.fft.rfftn(field.reshape(-1, *shape), wide, axes=range(1, 1 + len(shape)))
+        found = by_knot @ (wave.real**2 + wave.imag**2).sum(axis=0).ravel()
+        size = float(((u * window) ** 2).sum())
         return np.asarray(found / size if size > 0 else found)
+
+    return shares
 
 
 def recorded(wavelength: np.ndarray, rows: np.ndarray, errors: np.ndarray) -> ErrorSpectrum:
@@ -167,19 +163,18 @@ class EnsembleOperator:
         return float(np.sqrt(np.vdot(H, H) / (H.size / H.shape[-1] ** 2)))
 
     @cached_property
-    def spectrum(self) -> Spectrum:
-        """Spectrum of fields on these points at the recorded wavelengths."""
+    def shares(self) -> Callable[[np.ndarray], np.ndarray]:
+        """Shares of fields on these points by the recorded wavelengths."""
         record = self.family.record
-        return Spectrum(
-            self.points, self.points.spacing * KNOTS if record is None else record.wavelength
-        )
+        knots = self.points.spacing * KNOTS if record is None else record.wavelength
+        return spectrum_of(self.points, knots)
 
     def recorded(self, u: np.ndarray) -> tuple[float | None, float]:
         """Recorded relative error of a field, or None, and its share of unrecorded short waves."""
         record = self.family.record
         if record is None or self.points.spacing == 0:
             return None, 0.0
-        shares = self.spectrum.shares(u)
+        shares = self.shares(u)
         return record.of(shares), record.unseen(shares)
 
     @cached_property
@@ -473,7 +468,7 @@ def _measured(family: EnsembleMaterial, samples: Samples) -> list[dict[str, Any]
                 "series": norm(fields["strain"]) / size if "strain" in fields else 0.0,
                 "members": spread(fields["waves"], fields["data"]) / size,
                 "gradient": placed.gradient(u),
-                "shares": placed.spectrum.shares(u),
+                "shares": placed.shares(u),
             }
         )
     return rows
