@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 19_576,
-    "tokens": 244_408,
-    "lines of warp_peri": 31_161,
+    "code lines": 19_546,
+    "tokens": 244_205,
+    "lines of warp_peri": 31_125,
     "files of warp_peri": 114,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 43_372,
+    "lines of warp_peri, kernels, examples and tools": 43_336,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -34,7 +34,7 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2383,
+    "atoms": 2358,
     "cli": 765,
     "core": 1533,
     "face": 1128,
@@ -45,7 +45,7 @@ ROOMS = {
     "materials": 4857,
     "neural": 597,
     "points": 1618,
-    "prediction": 593,
+    "prediction": 588,
     "mpi": 732,
     "solvers": 1515,
 }
