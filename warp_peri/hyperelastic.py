@@ -7,20 +7,11 @@ from warp_peri import lazy
 if TYPE_CHECKING:
     from warp_peri.materials.hyperelastic.energies import EnergyTerm as EnergyTerm
     from warp_peri.materials.hyperelastic.energies import Hyperelastic as Hyperelastic
-    from warp_peri.materials.hyperelastic.energy_fit import EnergyFit as EnergyFit
-    from warp_peri.materials.hyperelastic.energy_fit import ThicknessField as ThicknessField
-    from warp_peri.materials.hyperelastic.energy_fit import (
-        fibre_energy_by_angle as fibre_energy_by_angle,
-    )
-    from warp_peri.materials.hyperelastic.energy_fit import fibre_families as fibre_families
-    from warp_peri.materials.hyperelastic.energy_fit import fibre_fan as fibre_fan
-    from warp_peri.materials.hyperelastic.energy_fit import fit_fibre_families as fit_fibre_families
-    from warp_peri.materials.hyperelastic.energy_fit import with_corners as with_corners
-    from warp_peri.materials.hyperelastic.from_displacement import (
-        DisplacementFit as DisplacementFit,
-    )
-    from warp_peri.materials.hyperelastic.from_displacement import fit_thickness as fit_thickness
-    from warp_peri.materials.hyperelastic.model_selection import ModelSelection as ModelSelection
+    from warp_peri.materials.hyperelastic.fibres import ThicknessField as ThicknessField
+    from warp_peri.materials.hyperelastic.fibres import fibre_families as fibre_families
+    from warp_peri.materials.hyperelastic.fibres import fibre_fan as fibre_fan
+    from warp_peri.materials.hyperelastic.fibres import with_corners as with_corners
+    from warp_peri.materials.hyperelastic.model_selection import Candidate as Candidate
     from warp_peri.materials.hyperelastic.model_selection import in_words as in_words
     from warp_peri.materials.hyperelastic.model_selection import material_terms as material_terms
     from warp_peri.materials.hyperelastic.model_selection import save_febio as save_febio
@@ -32,9 +23,8 @@ if TYPE_CHECKING:
     from warp_peri.materials.hyperelastic.operator import (
         HyperelasticSheetOperator as HyperelasticSheetOperator,
     )
-    from warp_peri.materials.hyperelastic.operator import (
-        evaluate_hyperelastic as evaluate_hyperelastic,
-    )
+    from warp_peri.materials.hyperelastic.sheet_fit import SheetFit as SheetFit
+    from warp_peri.materials.hyperelastic.sheet_fit import fit_fibre_families as fit_fibre_families
     from warp_peri.solvers.equilibria import NoEquilibriumError as NoEquilibriumError
     from warp_peri.solvers.equilibria import NonlinearRecord as NonlinearRecord
 else:

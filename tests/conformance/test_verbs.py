@@ -78,7 +78,7 @@ SEEN = {
     "LPS": ("λ, μ 300, 800 GPa", "3 Å", "0.15 TPa", "certified on 1 Å"),
     "third order, energy": ("t3, tq2, q3", "-500, -6800, 1040 GPa", "|H| = 3.00%", "C11, C12, C44"),
     "density": ("1 Å", "saint_venant", "1000 GPa", "lam 0.4", "mu 0.9"),
-    "hyperelastic": ("0.1 Å", "bond (", "GPa", "stretch of the data not known"),
+    "hyperelastic": ("0.1 Å", "deviation (", "GPa", "stretch of the data not known"),
 }
 
 

@@ -155,7 +155,7 @@ def material(name: str, C: np.ndarray, h: float, s: UnitScale) -> Any:
         return LPSMaterial(lam, mu, D=np.array(KERNEL), units=s.units, **how)
     if name == "sheet energy":
         near = ((0, 1), (1, 0), (1, 1), (1, -1))
-        terms = Hyperelastic(3.0, (), near, (EnergyTerm("neo_hookean"), EnergyTerm("volumetric")))
+        terms = Hyperelastic(3.0, near, (EnergyTerm("neo_hookean"), EnergyTerm("volumetric")))
         c = np.array([mu, mu, mu, mu, mu / 2, lam / 2])
         return HyperelasticMaterial(terms, c, h, units=s.units)
     plain = LPSMaterial(

@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 19_546,
-    "tokens": 244_205,
-    "lines of warp_peri": 31_125,
+    "code lines": 19_304,
+    "tokens": 241_485,
+    "lines of warp_peri": 30_754,
     "files of warp_peri": 114,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 43_336,
+    "lines of warp_peri, kernels, examples and tools": 42_963,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -35,15 +35,15 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "atoms": 2358,
-    "cli": 765,
-    "core": 1533,
+    "cli": 761,
+    "core": 1519,
     "face": 1128,
     "fe_coupling": 741,
     "files": 470,
     "fitting": 1213,
     "fracture": 1431,
-    "materials": 4857,
-    "neural": 597,
+    "materials": 4643,
+    "neural": 587,
     "points": 1618,
     "prediction": 588,
     "mpi": 732,

@@ -348,13 +348,9 @@ def run_fit_sheet(given: Namespace) -> Said:
 
     with locked(given.out):
         choice = warp_peri.hyperelastic.select_model(
-            frames,
-            uneven=not given.even,
-            folder=given.out / "fits",  # where a second start goes on from
-            done=done,
-            **chosen(given, "fibres", "progress"),
+            frames, uneven=not given.even, done=done, **chosen(given, "fibres", "progress")
         )
-        warp_peri.save(given.out / "material.json", choice.material)
+        warp_peri.save(given.out / "material.json", choice[0].fit.material)
         result, shown = _written(given, choice)
         told = {
             "frames": len(frames),
@@ -367,8 +363,8 @@ def run_fit_sheet(given: Namespace) -> Said:
         keep(given, given.out / "fit-sheet.txt")
     path, stress = given.out / "material.json", "; stresses in MPa need a force: --stress"
     first = [
-        f"{path}: material of a sheet, {choice.best.name}",
-        f"error of displacement: {100 * choice.best.held_out:.2g} % on frames left out",
+        f"{path}: material of a sheet, {choice[0].name}",
+        f"error of displacement: {100 * choice[0].held_out:.2g} % on frames left out",
         shown,
         f"next: warp-peri info {shlex.quote(str(path))}{'' if given.stress else stress}",
     ]
@@ -377,12 +373,12 @@ def run_fit_sheet(given: Namespace) -> Said:
 
 def _written(given: Namespace, choice: Any) -> tuple[Result, str]:
     """Write a sheet's material and its curves, if any, to files; returns values and words."""
-    material, candidates = choice.material, choice.candidates
+    best, fit, material = choice[0], choice[0].fit, choice[0].fit.material
     told = "are scaled: C11 + C22 + C66 without load is 1, no force is known (--stress gives one)"
     if given.stress:
-        scatter = f"{100 * choice.fit.scatter:.2g}"
+        scatter = f"{100 * fit.scatter:.2g}"
         told = f"are in MPa by --stress; sections and frames scatter by {scatter} % around it"
-    words = [*warp_peri.hyperelastic.in_words(material), *_beside(choice.fit)]
+    words = [*warp_peri.hyperelastic.in_words(material), *_beside(fit)]
     words.append(f"stresses and coefficients {told}")
     try:
         warp_peri.hyperelastic.save_febio(material, given.out / "material.feb")
@@ -392,16 +388,16 @@ def _written(given: Namespace, choice: Any) -> tuple[Result, str]:
     stretches = np.arange(1.0, max(1.05, material.stretch or 1.2) + 1e-9, STEP)[1:]
     shown = f"curves: {given.out / 'curves.png'}, stress over stretch with a 90 % band"
     try:
-        curves = {f"{a:g} deg": choice.curves(stretches, np.radians(a)) for a in (0, 45, 90)}
+        curves = {f"{a:g} deg": best.curves(stretches, np.radians(a)) for a in (0, 45, 90)}
         _write_curves(given.out, stretches, curves, "MPa" if given.stress else "scaled")
     except InputError as error:
         words.append(shown := f"no curves: {error}")
     result = {
         "stresses": told,
-        "material": choice.best.name,
+        "material": best.name,
         "words": words,
-        "held_out_E_u": {one.name: one.held_out for one in candidates if np.isfinite(one.held_out)},
-        "passed_over": [one.why for one in candidates if one.fit is None],
+        "held_out_E_u": {one.name: one.held_out for one in choice if np.isfinite(one.held_out)},
+        "passed_over": [one.why for one in choice if one.fit is None],
         "largest_stretch": float(material.stretch or np.nan),
     }
     return result, shown
@@ -409,8 +405,8 @@ def _written(given: Namespace, choice: Any) -> tuple[Result, str]:
 
 def _beside(fit: Any) -> list[str]:
     """Lines on a sheet's other values: deviations, which are the lattice's, a thickness."""
-    own = slice(fit.material.dictionary.first_deviation, fit.material.dictionary.first_term)
-    numbers = ", ".join(f"{value:.4g}" for value in fit.material.coefficients[own])
+    own = fit.material.coefficients[: fit.material.dictionary.first_term]
+    numbers = ", ".join(f"{value:.4g}" for value in own)
     lines = [f"deviations, which belong to the lattice: {numbers}"]
     if fit.thickness is not None:
         pairs = zip(fit.thickness.names, fit.thickness.numbers)

@@ -57,8 +57,6 @@ LATTICE_GROUP = {2: "4mm", 3: "m-3m"}
 """Of a square and of a cubic lattice of nodes."""
 PAIRS = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}
 """Voigt's order."""
-DIRECTIONS = 2880
-"""Along which extremes are looked for; in the plane every sixteenth of a degree."""
 SAME = 1e-3
 """What a name does not allow of an elastic tensor may be this, relative to its largest entry."""
 NAMES = {
@@ -346,23 +344,6 @@ def compliance(tensor: np.ndarray) -> np.ndarray:
         raise InputError("moduli: expected a stable crystal, got an elastic tensor that is none")
     engineering = np.where(np.arange(len(matrix)) < d, 1.0, 0.5)
     return voigt_to_tensor(np.linalg.inv(matrix) * np.outer(engineering, engineering))
-
-
-def extremes(tensor: np.ndarray) -> tuple[list[float], list[float]]:
-    """Smallest and largest Young's modulus and Poisson's number over a dense set of directions,
-    [E], [ν]; across each, the extremes of ν are exact."""
-    d, S = tensor.shape[0], compliance(tensor)
-    if d == 2:
-        angle = np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-        e = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    else:  # with those of a cube's edges, faces and corners, where a cubic crystal has its extremes
-        e = np.array([v for v in np.ndindex(3, 3, 3) if v != (1, 1, 1)], dtype=float) - 1
-        e = np.concatenate([e / np.linalg.norm(e, axis=1)[:, None], directions(DIRECTIONS, d)])
-    across = np.linalg.svd(e[:, None])[2][:, 1:]  # [n, d − 1, d], at right angles to e
-    long = np.einsum("ijkl,ni,nj,nk,nl->n", S, e, e, e, e, optimize=True)
-    wide = np.einsum("ijkl,ni,nj,nak,nbl->nab", S, e, e, across, across, optimize=True)
-    nu = np.linalg.eigvalsh(-wide / long[:, None, None])
-    return [float(1 / long.max()), float(1 / long.min())], [float(nu.min()), float(nu.max())]
 
 
 def named_symmetry(tensor: np.ndarray) -> str:

@@ -329,11 +329,8 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
     def moduli(self, unit: str | None = None) -> dict[str, float]:
         """Nonzero elastic constants by name in the crystal's own axes, as C11, C12, C44 of a cubic
         one; in the plane C44 is the shear modulus."""
-        return elastic.named_moduli(self._own_tensor() * self._stress(unit))
-
-    def _own_tensor(self) -> np.ndarray:
-        """Elastic tensor in the crystal's own axes."""
-        return elastic.turned(self.tensor(), np.asarray(self.orientation).T)
+        own = elastic.turned(self.tensor(), np.asarray(self.orientation).T)
+        return elastic.named_moduli(own * self._stress(unit))
 
     def rows(self) -> list[tuple[str, str]]:
         """Name and value of each line of the crystal's summary table."""
@@ -346,16 +343,6 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
             ("nodes", f"{self.spacing:g} {length} apart"),
             ("proven", "nothing" if self.certificate is None else self.certificate.statement),
         ]
-
-    def describe(self, unit: str | None = None) -> dict[str, Any]:
-        """Symmetry, moduli, Zener's ratio (None unless cubic or square), extremes of E and ν."""
-        C = self._own_tensor() * self._stress(unit)
-        M, name = elastic.voigt(C), elastic.named_symmetry(C)
-        cubic = name in ("cubic", "square", "isotropic")
-        zener = float(2 * M[-1, -1] / (M[0, 0] - M[0, 1])) if cubic else None
-        young, poisson = elastic.extremes(C)
-        told = {"symmetry": name, "moduli": self.moduli(unit), "zener": zener}
-        return told | {"E_range": young, "nu_range": poisson}
 
     def _surface_traction(self) -> float:
         """Largest traction per radian [stress] of a turned body where a face cuts bonds (T16):

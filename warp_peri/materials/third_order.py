@@ -57,6 +57,8 @@ SIZE = 1e-6
 """Weight of the size of p beside relative errors."""
 SAME = 1e-5
 """Relative, that a proven strain may be above that of a proof anew."""
+MEASURES = torch.tensor([[1, 0, 0, 1], [0.5, 0, 0, -0.5], [0, 0.5, 0.5, 0]], dtype=torch.float64)
+"""Of E00, E01, E10 and E11 the trace t and the deviator a, b: no product rounds."""
 SETTLED = 1e-9
 """Relative, of moduli that are found."""
 
@@ -135,18 +137,13 @@ def fitted_weights(
     return np.asarray(p / (sigma @ p))
 
 
-@lru_cache(maxsize=64)
-def measures(axis: float) -> torch.Tensor:
-    """Matrix of E00, E01, E10 and E11 by the trace and the deviator a, b at an axis, [3, 4]."""
-    c, s = np.cos(2 * axis) / 2, np.sin(2 * axis) / 2
-    return torch.tensor([[1, 0, 0, 1], [c, s, s, -c], [-s, c, c, s]], dtype=torch.float64)
-
-
 def energy_density(
     E: torch.Tensor, *, axis: float, lam: Any, mu: Any, t3: Any, tq2: Any, q3: Any
 ) -> Any:
     """Energy density (N3) [stress] of Green strains E [..., 2, 2], of a crystal at `axis` [rad]."""
-    t, a, b = (measures(axis) @ E.flatten(-2).movedim(-1, 0).reshape(4, -1)).unbind()
+    t, a, b = (MEASURES @ E.flatten(-2).movedim(-1, 0).reshape(4, -1)).unbind()
+    c, s = np.cos(2 * axis), np.sin(2 * axis)
+    a, b = c * a + s * b, c * b - s * a
     A, B = a * a, b * b
     W = t * t * ((lam + mu) / 2 + t3 * t) + (A + B) * (2 * mu + tq2 * t) + q3 * a * (A - 3 * B)
     return W.reshape(E.shape[:-2])

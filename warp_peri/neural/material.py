@@ -7,9 +7,9 @@ import copy
 import itertools
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -118,28 +118,21 @@ class NeuralOperator(Shown, torch.nn.Module):
         check_same(self.units, nodes_of(points).units)
         return Placed(self, points)
 
-    def save(
-        self,
-        path: str | os.PathLike[str],
-        *,
-        precision: Literal["float16", "float32", "float64"] | None = None,
-    ) -> None:
-        """Write one .json file with the weights in it, whole or not at all.
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write one .json file with the weights in it, in their precision, whole or not at all.
 
-        `precision` of the weights is by default the material's. Raises InputError for another
-        ending, and for weights that are not finite in the precision or too many for a file.
+        Raises InputError for another ending, and for weights that are not finite or too many for a
+        file.
         """
         if Path(path).suffix != ".json":
             raise InputError(f"{path}: expected a name that ends in .json")
         weights = {key: part.detach().numpy() for key, part in self.state_dict().items()}
-        kind = precision or next(iter(weights.values())).dtype.name
-        said = NeuralFile(**self.content(), precision=kind, weights={})
-        written = {key: part.astype(said.dtype) for key, part in weights.items()}
-        _check_finite(written)
-        if (size := sum(part.nbytes for part in written.values())) > FITS:
+        _check_finite(weights)
+        if (size := sum(part.nbytes for part in weights.values())) > FITS:
             raise InputError(f"{path}: expected at most {FITS} bytes of weights, got {size}")
-        coded = {key: binascii.b2a_base64(w, newline=False).decode() for key, w in written.items()}
-        replace(said, weights=coded).save(path)
+        kind = next(iter(weights.values())).dtype.name
+        coded = {key: binascii.b2a_base64(w, newline=False).decode() for key, w in weights.items()}
+        NeuralFile(**self.content(), precision=kind, weights=coded).save(path)
 
     @typed
     def learn(
@@ -215,7 +208,9 @@ class NeuralFile(record.Record, format="warp_peri.neural", version=2):
         material = NeuralOperator(**{name: getattr(self, name) for name in names}).double()
         material.scale, material.provenance = self.scale, self.provenance
         wanted = {key: tuple(part.shape) for key, part in material.state_dict().items()}
-        dtype, read = self.dtype, binascii.a2b_base64
+        if self.precision not in PRECISIONS:
+            raise InputError(f"precision: expected one of {PRECISIONS}, got {self.precision!r}")
+        dtype, read = np.dtype(self.precision).newbyteorder("<"), binascii.a2b_base64
         try:
             weights = {
                 key: np.frombuffer(read(self.weights[key]), dtype).reshape(shape)
@@ -226,13 +221,6 @@ class NeuralFile(record.Record, format="warp_peri.neural", version=2):
         _check_finite(weights)
         material.load_state_dict({k: torch.as_tensor(v.astype(float)) for k, v in weights.items()})
         return material
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Data type of the weights; InputError for an unknown precision."""
-        if self.precision not in PRECISIONS:
-            raise InputError(f"precision: expected one of {PRECISIONS}, got {self.precision!r}")
-        return np.dtype(self.precision).newbyteorder("<")
 
 
 def _check_finite(weights: dict[str, np.ndarray]) -> None:

@@ -1,4 +1,3 @@
-"""Hyperelastic sheets. Both fits are loaded with the energies, which learn by them."""
+"""Hyperelastic sheets. The fit is loaded with the energies, which learn by it."""
 
-from warp_peri.materials.hyperelastic import energy_fit as energy_fit
-from warp_peri.materials.hyperelastic import from_displacement as from_displacement
+from warp_peri.materials.hyperelastic import sheet_fit as sheet_fit

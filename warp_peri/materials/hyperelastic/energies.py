@@ -24,21 +24,17 @@ half_family = cache(partial(half_ball, dimension=2))
 
 
 class Strain:
-    """Green strains E [3, ...] (E11, E22, 2 E12) and the invariants that energies are made of."""
+    """Green strains q [3, ...] (E11, E22, 2 E12) and the invariants that energies are made of; of a
+    deviation 2 s of a bond and 2 m of its ends, [2, ...]."""
 
-    def __init__(self, E: torch.Tensor) -> None:
-        self.parts = E.unbind(0)
+    def __init__(self, q: torch.Tensor) -> None:
+        self.parts = q.unbind(0)
 
     @cached_property
     def area(self) -> torch.Tensor:
         """Squared area ratio D = det C, C = 1 + 2 E."""
         x, y, shear = self.parts
         return (1 + 2 * x) * (1 + 2 * y) - shear**2
-
-    @property
-    def log_area(self) -> torch.Tensor:
-        """Logarithm of the squared area ratio, ln D."""
-        return torch.log(self.area)
 
     @property
     def trace(self) -> torch.Tensor:
@@ -65,65 +61,31 @@ def _exponential(x: torch.Tensor, k2: Any) -> torch.Tensor:
 
 
 Density = Callable[..., torch.Tensor]
-"""Energy of a strain, or of a bond's, and of a fibre's angle and exponent."""
-
-
-def _quadratic(pair: str) -> Density:
-    a, b = map(["11", "22", "12"].index, pair.split(","))
-    return lambda E, *_: E.parts[a] * E.parts[b]
-
-
+"""Energy of a Strain, and of a fibre's angle and exponent."""
 LEAST_EXPONENT = 1e-8
 """k2 below which the exponential is taken as its limit."""
-QUADRATICS = ("11,11", "22,22", "12,12", "11,22", "11,12", "22,12")
-"""Products of E11, E22 and 2 E12 that are energies."""
-BONDS: dict[str, Density] = {
-    "square": lambda s, *_: s**2 / 2,
-    "cube": lambda s, *_: s**3 / 3,
-    "tension": lambda s, *_: torch.relu(s) ** 2 / 2,
-    "tension_cube": lambda s, *_: torch.relu(s) ** 3 / 3,
-    "log": lambda s, *_: s - torch.log1p(2 * s) / 2,
-    "compression": lambda s, *_: torch.relu(-s) ** 2 / 2,
-}
-"""Bond energies ψ(s), (H2)."""
 KINDS: dict[str, Density] = {
-    **{f"quadratic {pair}": _quadratic(pair) for pair in QUADRATICS},
-    "log_area": lambda E, *_: E.log_area,
-    "area": lambda E, *_: E.area,
-    "inverse_area": lambda E, *_: 1 / E.area,
-    "neo_hookean": lambda E, *_: E.trace - E.log_area,
-    "volumetric": lambda E, *_: (E.area - 1 - E.log_area) / 2,
+    "neo_hookean": lambda E, *_: E.trace - torch.log(E.area),
+    "volumetric": lambda E, *_: (E.area - 1 - torch.log(E.area)) / 2,
     "plane_stress": lambda E, *_: E.trace + 1 / E.area - 1,
     "fibre_power": lambda E, angle, p: E.taut(angle, lambda x: x**p / p),
     "fibre_exponential": lambda E, angle, p: E.taut(angle, lambda x: _exponential(x, p)),
-    "trace": lambda E, *_: E.trace**2 / 8,
-    "shear": lambda E, *_: ((E.parts[0] - E.parts[1]) ** 2 + E.parts[2] ** 2) / 2,
-    "along": lambda E, angle, _: E.along(angle) ** 2 / 2,
     "mooney": lambda E, *_: E.area + (E.trace + 2) / E.area - 3,
     "yeoh": lambda E, _, p: torch.relu(E.trace + 1 / E.area - 1) ** p,
 }
-"""Strain energies Φ; docs/theory lists them in (H5)."""
+"""Strain energies Φ (H5), free of stress at rest and convex near it."""
+FIBRES = ("fibre_power", "fibre_exponential")
 
 
-def deviation(ends: tuple[torch.Tensor, torch.Tensor], *_: Any) -> torch.Tensor:
-    """Deviation energy ½ d² / (1 + 2 m), (H6), from 2 s of a bond and 2 m."""
-    own, mean = ends
+def deviation(E: Strain, *_: Any) -> torch.Tensor:
+    """Deviation energy ½ d² / (1 + 2 m), (H6)."""
+    own, mean = E.parts
     return (torch.log1p(own) - torch.log1p(mean)) ** 2 / (8 * (1 + mean))
 
 
-def read(q: torch.Tensor) -> Any:
-    """The arguments of energies in q [Q, ...]: a bond's strain, that and its mean, or a strain."""
-    return Strain(q) if len(q) == 3 else q.unbind(0) if len(q) == 2 else q[0]
-
-
-FIBRES = ("fibre_power", "fibre_exponential")
-UNSAFE = {"log_area", "area", "inverse_area", *(f"quadratic {pair}" for pair in QUADRATICS[3:])}
-"""Kinds that are not convex near rest, or not stress-free there."""
-
-
 class Energy(NamedTuple):
-    """One energy of a dictionary: what it `sees` ("bond" and class, "deviation" and step, "strain"
-    or "corner"), and its coefficient's `number`."""
+    """One energy of a dictionary: what it `sees` ("deviation" and step, "strain" or "corner"), and
+    its coefficient's `number`."""
 
     sees: tuple[Any, ...]
     label: str
@@ -171,9 +133,9 @@ class EnergyTerm:
     def label(self) -> str:
         """The term's name in tables."""
         words = self.kind + (" of corners" if self.corner else "")
-        if self.kind in (*FIBRES, "along"):
+        if self.is_fibre:
             words += f" at {np.rad2deg(self.angle):.1f}°"
-        return words + (f", {self.exponent:g}" if self.kind in (*FIBRES, "yeoh") else "")
+        return words + (f", {self.exponent:g}" if self.is_fibre or self.kind == "yeoh" else "")
 
 
 @typed
@@ -183,24 +145,19 @@ class Hyperelastic:
 
     Attributes:
         reach: horizon δ in spacings, at least 2.
-        bonds: energies of every bond class, keys of BONDS.
         deviations: bond vectors in lattice steps whose deviation from the nodal strain is
             penalised, (H6).
         terms: strain energies.
 
-    The coefficients are one vector: bond classes by length with their energies, deviations, terms.
-    Raises InputError for an unknown bond energy or a bond that is out of reach.
+    The coefficients are one vector: deviations, terms. With non-negative ones the material is
+    stable at rest, (H9). Raises InputError for a bond that is out of reach.
     """
 
     reach: float = 3.0
-    bonds: tuple[str, ...] = ()
     deviations: tuple[tuple[int, int], ...] = ()
     terms: tuple[EnergyTerm, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in self.bonds:
-            if name not in [*BONDS]:
-                raise InputError(f"bonds: expected some of {', '.join(BONDS)}, got {name!r}")
         if not 2 <= self.reach <= 10:
             raise InputError(f"reach: expected 2 to 10 spacings, got {self.reach}")
         known = set(map(tuple, half_family(self.reach).tolist()))
@@ -215,41 +172,20 @@ class Hyperelastic:
         return self.first_term + len(self.terms)
 
     @property
-    def classes(self) -> int:
-        """Number of bond classes; bonds ξ and −ξ are one."""
-        return len(half_family(self.reach))
-
-    @property
-    def first_deviation(self) -> int:
-        """Index of the first deviation energy among the coefficients."""
-        return self.classes * len(self.bonds)
-
-    @property
     def first_term(self) -> int:
         """Index of the first strain energy among the coefficients."""
-        return self.first_deviation + len(self.deviations)
+        return len(self.deviations)
 
     @property
     def energies(self) -> list[Energy]:
         """The dictionary's energies, one for every coefficient."""
-        steps = enumerate(map(tuple, half_family(self.reach).tolist()))
         own = [
-            Energy(("bond", k), f"bond {step}, {name}", BONDS[name])
-            for k, step in steps
-            for name in self.bonds
-        ]
-        own += [
             Energy(("deviation", *s), f"deviation {tuple(s)}", deviation) for s in self.deviations
         ]
         for t in self.terms:
             sees = ("corner" if t.corner else "strain",)
             own.append(Energy(sees, t.label, KINDS[t.kind], t.angle, t.exponent, t.is_fibre))
         return own
-
-    @property
-    def guaranteed(self) -> bool:
-        """Whether non-negative coefficients make a material that is stable at rest, (H9)."""
-        return "cube" not in self.bonds and not UNSAFE & {term.kind for term in self.terms}
 
     @property
     def stiffness(self) -> np.ndarray:
@@ -260,21 +196,13 @@ class Hyperelastic:
 
     def uniform(self, q: torch.Tensor) -> torch.Tensor:
         """Values of the energies, coefficients one, in uniform strains q [3, ...]; [K, ...]."""
-        x, y = (half := half_family(self.reach)).T
-        units = torch.from_numpy(np.stack([x * x, y * y, x * y]) / (half**2).sum(axis=1)).T
-        stretches, none, strain = torch.tensordot(units, q, 1), (0 * q[0], 0 * q[0]), Strain(q)
-        seen = {"bond": lambda k: stretches[k], "deviation": lambda *_: none}
-        own = ((e, seen.get(e.sees[0], lambda: strain)(*e.sees[1:])) for e in self.energies)
-        return torch.stack([e.density(sees, e.angle, e.exponent) for e, sees in own])
+        seen = {"deviation": Strain(0 * q[:2])}
+        each = ((e, seen.get(e.sees[0], Strain(q))) for e in self.energies)
+        return torch.stack([e.density(E, e.angle, e.exponent) for e, E in each])
 
     def learn(self, samples: Samples, **options: Any) -> Any:
-        """Fit the coefficients by fit_energy where there are loads, else by fit_displacement."""
-        if samples.b is None:
-            learned: Any = hyperelastic.from_displacement.fit_displacement
-        else:
-            learned = hyperelastic.energy_fit.fit_energy
-            options.pop("progress", None)
-        (options,) = taken(options, "fit", learned)
+        """Fit the coefficients; see fit_sheet."""
+        (options,) = taken(options, "fit", learned := hyperelastic.sheet_fit.fit_sheet)
         return learned(samples, self, **options)
 
     def with_terms(self, terms: Sequence[EnergyTerm]) -> Hyperelastic:

@@ -152,10 +152,6 @@ class SheetLattice:
             own = other = np.flatnonzero((near >= 0).all(axis=1) & moves)
             x, y = one[number[own, along]], one[number[own, across]]
             rows = [x, y, p * q * (x + y - one[number[near[own, 0], third]])]
-        elif kind == "bond":
-            chosen = np.flatnonzero((self.kind == of[0]) & inside[self.pairs].any(axis=0))
-            own, other = self.pairs[:, chosen]
-            rows = [one[chosen] / (self.steps[of] ** 2).sum()]
         else:
             step = np.array(of)
             strains, whole, moves = self._strains(SHORT_REACH, 2)

@@ -5,10 +5,7 @@ from __future__ import annotations
 import os
 from collections import defaultdict
 from collections.abc import Callable
-from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
-from functools import partial
-from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
@@ -19,23 +16,21 @@ from scipy.optimize.elementwise import find_root
 from scipy.special import ndtri, stdtrit
 
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import finite, locked, parsed, plain, write_json, write_text
-from warp_peri.files.checkpoint import fingerprint
+from warp_peri.files.atomic import write_text
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
-from warp_peri.materials.hyperelastic.energy_fit import (
+from warp_peri.materials.hyperelastic.fibres import (
     ThicknessField,
     fibre_families,
     fibre_fan,
     fibres_of,
 )
-from warp_peri.materials.hyperelastic.from_displacement import (
+from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
+from warp_peri.materials.hyperelastic.sheet_fit import (
     INTERPOLATES,
-    DisplacementFit,
+    SheetFit,
     check_enough,
-    fit_displacement,
-    stiffest_deviation,
+    fit_sheet,
 )
-from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial, evaluate_hyperelastic
 from warp_peri.points.arguments import Natural, checked, typed, typed_methods
 from warp_peri.points.points import Samples, seen_of
 
@@ -45,45 +40,8 @@ BULK = 2000.0
 """Of an incompressible mixture, times C1 + C2: a thousand times the shear modulus."""
 
 
-def kept_fit(
-    path: Path | None, key: str, compute: Callable[[], DisplacementFit]
-) -> DisplacementFit:
-    """Read the fit that a file has of this key, or compute it and write it there."""
-    with suppress(OSError, ValueError, TypeError, KeyError):
-        if path is not None:
-            kept = parsed(path.read_bytes())
-            if kept["sha256"] == fingerprint(key, kept["fit"]):
-                return _read(kept["fit"])
-    found = compute()
-    if path is not None:
-        content = finite(plain(_content(found)))
-        write_json(path, {"fit": content, "sha256": fingerprint(key, content)})
-    return found
-
-
-def _content(fit: DisplacementFit) -> dict[str, Any]:
-    return vars(fit) | {
-        "material": fit.material.content(),
-        "thickness": fit.thickness and vars(fit.thickness),
-        "others": [_content(other) for other in fit.others],
-        "fields": None,
-    }
-
-
-def _read(content: dict[str, Any]) -> DisplacementFit:
-    read = {
-        "material": HyperelasticMaterial.from_dict(content["material"]),
-        "errors": np.array(content["errors"], float),
-        "thickness": content["thickness"] and ThicknessField(**content["thickness"]),
-        "others": [_read(other) for other in content["others"]],
-    }
-    return DisplacementFit(**(content | read))
-
-
 REACH = 3.0
 NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
-DEVIATIONS = 0.05
-"""Least, in units of the initial stiffness."""
 STEPS, TOLERANCE = 10, 1e-3
 """Of a fit."""
 UNEVEN = 2
@@ -92,49 +50,26 @@ DIRECTIONS, WORSE = 8, 1.2
 """Least directions that families of fibres are looked for in, and how many times worse than those
 they may fit."""
 LEAST_FRAMES = 4
-SETTINGS = (REACH, NEAREST, DEVIATIONS, STEPS, TOLERANCE, UNEVEN)
 
 
+@typed_methods
 @dataclass(frozen=True)
 class Candidate:
     """One candidate material of a selection.
 
     Attributes:
-        name, fit: of it, and what was learned; None where it failed.
+        name, fit: of it, and what was learned, whose material has an initial stiffness of one where
+            no frame has a pull; None where it failed.
         held_out: mean relative error of frames that it never saw; infinite where it failed.
         why: it failed, in its own words.
         numbers: that were learned.
     """
 
     name: str
-    fit: DisplacementFit | None
+    fit: Any
     held_out: float
     why: str = ""
     numbers: int = 0
-
-
-@typed_methods
-@dataclass(frozen=True)
-class ModelSelection:
-    """Candidates, the best first: the one of fewest numbers among those that as many independent
-    residuals cannot tell from the least error."""
-
-    candidates: list[Candidate]
-
-    @property
-    def best(self) -> Candidate:
-        """The best candidate."""
-        return self.candidates[0]
-
-    @property
-    def fit(self) -> Any:
-        """The best candidate's DisplacementFit."""
-        return self.best.fit
-
-    @property
-    def material(self) -> Any:
-        """The best candidate's material; its initial stiffness is one where no frame has a pull."""
-        return self.fit.material
 
     def curves(
         self, stretches: ArrayLike, angle: float = 0.0, level: float = 0.9
@@ -144,17 +79,17 @@ class ModelSelection:
         that were never seen, and of the scatter of the scale: no error that all frames share.
         Raises InputError where deviations, which are no material, explain the frames."""
         n = len(others := [other.material for other in self.fit.others])
-        if (times := stiffest_deviation(self.fit)) > INTERPOLATES:
+        if (times := self.fit.stiffest_deviation) > INTERPOLATES:
             raise InputError(
                 f"frames: deviations came out {times:.0f} times as stiff as the sheet at rest and "
                 "explain the frames in the place of a material, which has no curves then"
             )
-        middle = uniaxial_stress(self.material, stretches, angle)
+        middle = uniaxial_stress(self.fit.material, stretches, angle)
         if n < 2:
             return middle, np.full_like(middle, np.nan), np.full_like(middle, np.nan)
         values = np.array([uniaxial_stress(other, stretches, angle) for other in others])
         deviation = stdtrit(n - 1, (1 + level) / 2) * np.sqrt(n - 1) * values.std(axis=0)
-        misfit = np.hypot(self.best.held_out, self.fit.scatter)
+        misfit = np.hypot(self.held_out, self.fit.scatter)
         half = np.hypot(deviation, ndtri((1 + level) / 2) * misfit * middle)
         return middle, middle - half, middle + half
 
@@ -165,84 +100,69 @@ def select_model(
     *,
     fibres: Natural = 0,
     uneven: bool = True,
-    folder: str | os.PathLike[str] | None = None,
     done: Callable[[Candidate], None] = lambda _: None,
     progress: bool = False,
-) -> ModelSelection:
+) -> list[Candidate]:
     """Select a sheet's material, learning candidates from every second frame, the last included.
 
     Args:
         frames: without loads, in the order of the test.
         fibres: directions, at least 8, that families of fibres are looked for in; 0 for none.
         uneven: whether each is tried with a thickness that varies, too.
-        folder: keeps each fit as it ends; those of the same frames and settings are reused.
         done: called with each candidate as it ends.
-        progress: show a bar for each fit, with the candidate's name, and what the folder held.
+        progress: show a bar for each fit, with the candidate's name.
 
-    A candidate that fails is passed over and says why; from a folder it is tried again. Raises
-    InputError for fewer than four frames, where every candidate fails, as it does with fewer than
-    ten interior nodes for each of its numbers, or for a folder that another job writes to.
+    Returns the candidates, the best first: the one of fewest numbers among those that as many
+    independent residuals cannot tell from the least error. One that fails is passed over and says
+    why. Raises InputError for fewer than four frames, and where every candidate fails, as it does
+    with fewer than ten interior nodes for each of its numbers.
     """
     if len(frames) < LEAST_FRAMES:
         raise InputError(f"frames: expected at least {LEAST_FRAMES}, got {len(frames)}")
     pick = np.arange(len(frames))[::-1] % 2 == 0
     train, test = frames[pick], frames[~pick]
+    matrix, even = EnergyTerm("plane_stress"), dict[str, Any]()
+    kinds = {"neo-Hookean": (matrix,), "Mooney-Rivlin": (matrix, EnergyTerm("mooney"))}
+    kinds["Yeoh"] = (matrix, *(EnergyTerm("yeoh", exponent=p) for p in (2.0, 3.0)))
+    if fibres:
+        kinds["families of fibres"] = (matrix, *fibre_fan(max(fibres, DIRECTIONS), (2.0, 4.0)))
     tried: list[Candidate] = []
-    with locked(folder) if folder is not None else nullcontext():
-        for name, (terms, degree) in _candidates(fibres, uneven).items():
-            key = fingerprint(SETTINGS, frames, terms, degree)
-            stem = f"{name.replace(', ', '_').replace(' ', '_')}_{key[:12]}"
-            path = None if folder is None else Path(folder) / f"{stem}.fit.json"
-            dictionary = Hyperelastic(REACH, (), NEAREST, terms)
-            even = (c.fit for c in tried if c.fit and c.fit.material.dictionary == dictionary)
-            learn = partial(
-                fit_displacement, train, stiffness=DEVIATIONS, thickness=degree, most_steps=STEPS,
-                tolerance=TOLERANCE, progress=progress and name,
-            )  # fmt: skip
-            fit = partial(
-                kept_fit, path, key, partial(_learned, learn, dictionary, next(even, None))
-            )
-            tried.append(_tried(name, fit, dictionary, degree, train, test))
+    for degree in (0, UNEVEN) if uneven else (0,):
+        for kind, terms in kinds.items():
+            name = f"{kind}, heterogeneous" if degree else kind
+            dictionary = Hyperelastic(REACH, NEAREST, terms)
+            how = {"thickness": degree, "progress": progress and name}
+            tried.append(_tried(name, dictionary, train, test, even.get(kind), how))
             done(tried[-1])
+            fit = tried[-1].fit
+            even[kind] = fit if fit and fit.material.dictionary == dictionary else None
     least = min(candidate.held_out for candidate in tried)
     alike = least * (1 + 2 / np.sqrt(2 * np.count_nonzero(seen_of(test)[:, test.interior])))
     tried.sort(key=lambda c: (c.held_out > alike, c.held_out if c.held_out > alike else c.numbers))
     if tried[0].fit is None:
         raise InputError("frames: no material fits them; " + "; ".join(c.why for c in tried))
-    return ModelSelection(tried)
-
-
-def _candidates(fibres: int, uneven: bool) -> dict[str, tuple[tuple[EnergyTerm, ...], int]]:
-    """Terms and thickness degree of the candidates by name."""
-    matrix = EnergyTerm("plane_stress")
-    kinds = {"neo-Hookean": (matrix,), "Mooney-Rivlin": (matrix, EnergyTerm("mooney"))}
-    kinds["Yeoh"] = (matrix, *(EnergyTerm("yeoh", exponent=p) for p in (2.0, 3.0)))
-    if fibres:
-        kinds["families of fibres"] = (matrix, *fibre_fan(max(fibres, DIRECTIONS), (2.0, 4.0)))
-    found = {name: (terms, 0) for name, terms in kinds.items()}
-    if uneven:
-        found |= {f"{name}, heterogeneous": (terms, UNEVEN) for name, terms in kinds.items()}
-    return found
+    return tried
 
 
 def _tried(
     name: str,
-    learn: Callable[[], DisplacementFit],
     dictionary: Hyperelastic,
-    degree: int,
     train: Samples,
     test: Samples,
+    start: SheetFit | None,
+    how: dict[str, Any],
 ) -> Candidate:
     """A candidate, fitted or failed."""
-    numbers = len(dictionary) + (len(ThicknessField.over(train.x, degree).names) if degree else 0)
+    uneven = ThicknessField.over(train.x, how["thickness"]).names if how["thickness"] else []
+    numbers = len(dictionary) + len(uneven)
     try:
         check_enough(int(np.count_nonzero(train.interior)), "interior nodes", numbers)
-        fit = learn()
+        fit = _learned(train, dictionary, start, how)
         found = fit.material.dictionary
         numbers += len(found) - len(dictionary) + 2 * len(fibres_of(found))
         thickness = None if fit.thickness is None else fit.thickness.at(test.x)
-        near = train.u if fit.fields is None else fit.fields
-        errors: Any = evaluate_hyperelastic(fit.material, test, thickness=thickness, near=near)
+        operator = fit.material.on(test.points, thickness=thickness)
+        errors = operator.errors(test, train.u if fit.fields is None else fit.fields)
         if missing := errors["not_solved"]:
             return Candidate(name, fit, np.inf, f"{name}: {missing} frames not solved", numbers)
         return Candidate(name, fit, float(errors["E_u"]), "", numbers)
@@ -253,15 +173,16 @@ def _tried(
 
 
 def _learned(
-    learn: Callable[..., DisplacementFit], dictionary: Hyperelastic, start: DisplacementFit | None
-) -> DisplacementFit:
+    train: Samples, dictionary: Hyperelastic, start: SheetFit | None, how: dict[str, Any]
+) -> SheetFit:
     """Learn a material; fibres in fixed directions become families, (H15)."""
-    wide = learn(dictionary, start=start)
+    how = {"most_steps": STEPS, "tolerance": TOLERANCE, **how}
+    wide = fit_sheet(train, dictionary, start=start, **how)
     directions = len({term.angle for term in dictionary.terms if term.is_fibre})
     for within in (1.6 * np.pi / directions, 0.0) if directions else ():
         found, c = fibre_families(wide.material, within=within)
-        fit = learn(found, moving=True, start=c)
-        if fit.history[-1] < WORSE * wide.history[-1]:
+        fit = fit_sheet(train, found, moving=True, start=c, **how)
+        if fit.residual < WORSE * wide.residual:
             return fit
     return wide
 
@@ -309,10 +230,8 @@ def febio_material(solid: HyperelasticMaterial) -> str:
     plane_stress and mooney it is an incompressible mixture ("Mooney-Rivlin" and
     "fiber-exp-pow-uncoupled"), the learned energy exactly in plane stress and in the limit of its
     bulk modulus. Deviations, which belong to the lattice, are left out. Raises InputError for a
-    solid with bonds, or with energies beside these and fibre exponentials.
+    solid with energies beside these and fibre exponentials.
     """
-    if np.any(solid.coefficients[: solid.dictionary.first_deviation]):
-        raise InputError("solid: expected no bond energies, which FEBio does not know")
     active, fibre = material_terms(solid), "fiber-exp-pow"
     matrix = {term.kind: value for term, value in active if term.kind != "fibre_exponential"}
     c = defaultdict(float, matrix)

@@ -16,7 +16,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 from warp_peri.core.pointwise import FEW, Swept
 from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.errors import InputError, warn
-from warp_peri.materials.hyperelastic.energies import Energy, Hyperelastic, Strain, read
+from warp_peri.materials.hyperelastic.energies import Energy, Hyperelastic, Strain
 from warp_peri.materials.hyperelastic.equilibrium import (
     CORNERS,
     SMALLEST_AREA,
@@ -24,7 +24,7 @@ from warp_peri.materials.hyperelastic.equilibrium import (
     Sites,
     softest,
 )
-from warp_peri.points.arguments import checked, plain, typed
+from warp_peri.points.arguments import checked, plain
 from warp_peri.points.points import PointsLike, Samples, nodes_of, seen_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, shown_moduli, symbols
 from warp_peri.runtime import one_thread
@@ -172,8 +172,8 @@ class HyperelasticSheetOperator(Swept):
 
     def _stored(self, sites: Sites, each: Any, q: torch.Tensor) -> torch.Tensor:
         """Energy of every site over h², shape [n, S]."""
-        seen = read(q)
-        total: Any = sum(e.coefficient * e.density(seen, e.angle, e.exponent) for e in each)
+        E = Strain(q)
+        total: Any = sum(e.coefficient * e.density(E, e.angle, e.exponent) for e in each)
         share: Any = 1 / len(CORNERS) if sites.corner else 1.0
         if self.thickness is not None:
             share = torch.from_numpy(share * self.thickness[sites.pair].mean(axis=0)[:, None])
@@ -399,7 +399,14 @@ class HyperelasticSheetOperator(Swept):
         return solution
 
     def errors(self, samples: Samples, near: np.ndarray | None = None) -> dict[str, Any]:
-        """Errors of evaluate_hyperelastic for samples on the operator's points."""
+        """Relative ℓ2 errors on the interior, (30) and (31), of samples on the operator's points.
+
+        `near` are fields of other loads, shape [M, N, 2]: each search begins at their combination
+        that fits its collar best, at rest where none are given. Returns E_res where there are
+        loads; E_u over the samples that were solved, not_solved, their number, and left_branch, the
+        number of those that another branch may hold; residuals and displacements with the errors of
+        every sample, NaN where not solved. Warns of stretches beyond the training data.
+        """
         told, found, start, inverse = dict[str, Any](), [], None, None
         loads = np.zeros_like(samples.u) if samples.b is None else samples.b
         loads = loads[:, self.interior]
@@ -434,29 +441,3 @@ class HyperelasticSheetOperator(Swept):
 
 def _size(fields: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.norm(fields, axis=(1, 2)))
-
-
-@typed
-def evaluate_hyperelastic(
-    solid: HyperelasticMaterial,
-    samples: Samples,
-    *,
-    thickness: np.ndarray | None = None,
-    near: np.ndarray | None = None,
-) -> dict[str, Any]:
-    """Compute relative ℓ2 errors of a material on the interior, (30) and (31), and their means.
-
-    Args:
-        solid: a material, of the same spacing or another.
-        samples: with loads or, for E_u alone, without.
-        thickness: of every node, shape [N]; an even sheet where none is given.
-        near: fields of other loads, shape [M, N, 2], whose combination that fits its collar best
-            each search begins at; at rest where none are given.
-
-    Returns E_res where there are loads; E_u over the samples that were solved, not_solved, their
-    number, and left_branch, the number of those that (Equilibrium.followed) another branch may
-    hold; residuals and displacements with the errors of every sample, NaN where not solved.
-
-    Warns of stretches beyond the training data. Raises InputError for samples in other units.
-    """
-    return solid.on(samples, thickness=thickness).errors(samples, near)

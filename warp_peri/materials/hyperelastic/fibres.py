@@ -1,0 +1,172 @@
+"""Families of fibres and the thickness of a sheet, whose numbers a fit may learn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+
+from warp_peri.errors import InputError
+from warp_peri.materials.hyperelastic.energies import KINDS, EnergyTerm, Hyperelastic, Strain
+from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
+from warp_peri.points.arguments import Count, checked, typed, typed_methods
+
+LEAST, LARGEST_EXPONENT = {"fibre_power": 2.0, "fibre_exponential": 0.0}, 60.0
+LARGEST_DEGREE = 6
+
+
+@typed_methods
+@dataclass(frozen=True, eq=False)
+class ThicknessField:
+    """A polynomial thickness of a sheet, positive everywhere and one at the centre.
+
+    Attributes:
+        degree: of the polynomial, 1 to 6.
+        centre, half: where −1 and 1 of its coordinates are: centre ± half [length], shape [2].
+        numbers: its coefficients in the order of `names`, shape [P]; zeros where none are given.
+
+    The overall thickness is no number here: displacement alone does not tell it. Raises InputError
+    for another degree, or numbers of another count.
+    """
+
+    degree: int
+    centre: np.ndarray
+    half: np.ndarray
+    numbers: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        if self.degree not in range(1, LARGEST_DEGREE + 1) or self.degree is True:
+            raise InputError(f"degree: expected 1 to {LARGEST_DEGREE}, got {self.degree!r}")
+        if not np.size(self.numbers):
+            object.__setattr__(self, "numbers", np.zeros(len(self.names)))
+        for name, count in (("centre", 2), ("half", 2), ("numbers", len(self.names))):
+            object.__setattr__(self, name, checked(name, getattr(self, name), shape=(count,)))
+        if not (self.half > 0).all():
+            raise InputError(f"half: expected lengths > 0, got {self.half}")
+
+    @classmethod
+    def over(cls, x: np.ndarray, degree: int) -> ThicknessField:
+        """A uniform thickness whose coordinates go from −1 to 1 over the nodes x, shape [N, 2]."""
+        low, high = np.min(x, axis=0), np.max(x, axis=0)
+        return cls(degree, (low + high) / 2, (high - low) / 2)
+
+    @property
+    def _powers(self) -> list[tuple[int, int]]:
+        return [(total - b, b) for total in range(1, self.degree + 1) for b in range(total + 1)]
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the polynomial's coefficients: x, y, x^2, x y, …"""
+        each = ([*zip("xy", powers)] for powers in self._powers)
+        return [" ".join(v if n == 1 else f"{v}^{n}" for v, n in one if n) for one in each]
+
+    def _terms(self, x: np.ndarray) -> np.ndarray:
+        x, y = ((checked("x", x, shape=("N", 2)) - self.centre) / self.half).T
+        return np.stack([x**a * y**b for a, b in self._powers], axis=1)
+
+    def at(self, x: np.ndarray) -> np.ndarray:
+        """Thickness at positions [length], [N, 2], relative to that at the centre, [N]."""
+        return np.asarray(np.exp(self._terms(x) @ self.numbers))
+
+    def slopes(self, x: np.ndarray) -> np.ndarray:
+        """Derivative of the thickness with respect to its coefficients, shape [N, P]."""
+        return np.asarray(self.at(x)[:, None] * self._terms(x))
+
+
+@typed
+def fibre_fan(count: Count, powers: Sequence[float] = (2.0, 3.0, 4.0)) -> list[EnergyTerm]:
+    """Fibre energies ⟨I4 − 1⟩^p/p in evenly spread directions."""
+    return [EnergyTerm("fibre_power", np.pi * n / count, p) for n in range(count) for p in powers]
+
+
+def _strain(solid: HyperelasticMaterial) -> float:
+    """I4 − 1 at the largest stretch of the data."""
+    return max((solid.stretch or 1.2) ** 2 - 1, 0.05)
+
+
+def _energy(term: EnergyTerm, x: float) -> float:
+    """Φ of a fibre with I4 − 1 = x > 0 and coefficient one."""
+    equal = Strain(torch.tensor([x / 2, x / 2, 0.0], dtype=torch.float64))
+    return float(KINDS[term.kind](equal, term.angle, term.exponent))
+
+
+def _energy_by_angle(solid: HyperelasticMaterial) -> dict[float, float]:
+    """Energy of the fibres in every direction [rad] at the largest stretch of the data."""
+    values, energies = solid.coefficients[solid.dictionary.first_term :], dict[float, float]()
+    for term, value in zip(solid.dictionary.terms, values):
+        if term.is_fibre:
+            angle = float(np.mod(term.angle, np.pi))
+            energies[angle] = energies.get(angle, 0.0) + value * _energy(term, _strain(solid))
+    return energies
+
+
+@typed
+def fibre_families(
+    solid: HyperelasticMaterial, *, share: float = 0.02, within: float = 0.0
+) -> tuple[Hyperelastic, np.ndarray]:
+    """Reduce a fit on fixed fibre directions to one exponential family per direction, (H15).
+
+    Directions with less than a `share` of all fibre energy are dropped, those `within` an angle
+    [rad] become one; other energies stay. Returns a dictionary whose angles and exponents are to be
+    moved, and coefficients to start from.
+    """
+    dictionary, strain, energy = solid.dictionary, _strain(solid), _energy_by_angle(solid)
+    least = share * sum(energy.values())
+    groups = grouped({angle: value for angle, value in energy.items() if value > least}, within)
+    known = [term.exponent for term in dictionary.terms if term.kind == "fibre_exponential"]
+    exponent = float(np.median(known)) if known else 1.0 / strain
+    fibres = [EnergyTerm("fibre_exponential", angle, exponent) for angle, _ in groups]
+    others = [term for term in dictionary.terms if not term.is_fibre]
+    start = [value / _energy(term, strain) for (_, value), term in zip(groups, fibres)]
+    left = np.delete(solid.coefficients, fibres_of(dictionary))
+    return dictionary.with_terms([*others, *fibres]), np.concatenate([left, start])
+
+
+@typed
+def with_corners(dictionary: Hyperelastic) -> Hyperelastic:
+    """The dictionary with energies of uniform strain acting on cell corners as well."""
+    corners = (replace(term, corner=True) for term in dictionary.terms)
+    return dictionary.with_terms([*dict.fromkeys((*dictionary.terms, *corners))])
+
+
+def grouped(energy: dict[float, float], within: float) -> list[tuple[float, float]]:
+    """Directions and energies, those within an angle of each other merged at their middle."""
+    if not energy:
+        return []
+    angles = np.array(sorted(energy))
+    first = int(np.diff(angles, append=angles[0] + np.pi).argmax()) + 1  # behind the widest gap
+    values = np.roll([energy[angle] for angle in angles], -first)
+    angles = np.append(angles[first:], angles[:first] + np.pi)
+    parts = np.split(np.arange(len(angles)), np.flatnonzero(np.diff(angles) > within) + 1)
+    middles = [float(angles[part] @ values[part] / values[part].sum() % np.pi) for part in parts]
+    return sorted(zip(middles, (float(values[part].sum()) for part in parts)))
+
+
+def fibres_of(dictionary: Hyperelastic) -> list[int]:
+    """Indices of the fibre families among the coefficients."""
+    first = dictionary.first_term
+    return [first + n for n, term in enumerate(dictionary.terms) if term.is_fibre]
+
+
+def fibre_numbers(
+    dictionary: Hyperelastic, moving: Sequence[int]
+) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Angles, then exponents of the fibres at M indices, shape [2 M], and their bounds."""
+    terms, M = [dictionary.terms[n - dictionary.first_term] for n in moving], len(moving)
+    numbers = np.array([*(t.angle for t in terms), *(t.exponent for t in terms)])
+    least = [*M * [-np.inf], *(LEAST[term.kind] for term in terms)]
+    return numbers, (np.array(least), np.repeat([np.inf, LARGEST_EXPONENT], M))
+
+
+def with_numbers(
+    solid: HyperelasticMaterial, moving: Sequence[int], x: np.ndarray
+) -> HyperelasticMaterial:
+    """The material with other coefficients, angles and exponents of M fibres, x [K + 2 M]."""
+    K, terms = len(solid.coefficients), list(solid.dictionary.terms)
+    for n, angle, exponent in zip(moving, *np.reshape(x[K:], (2, -1))):
+        term = terms[place := n - solid.dictionary.first_term]
+        exponent = max(float(exponent), LEAST[term.kind])
+        terms[place] = replace(term, angle=float(np.mod(angle, np.pi)), exponent=exponent)
+    return replace(solid, dictionary=solid.dictionary.with_terms(terms), coefficients=x[:K])
