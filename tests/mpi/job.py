@@ -14,7 +14,6 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-import h5py
 import numpy as np
 
 import warp_peri as wp
@@ -25,8 +24,6 @@ from warp_peri.mpi.processes import total, world
 
 H = 0.5
 SHAPE = {2: (52, 52), 3: (17, 17, 17)}
-TILE = {2: (32, 16), 3: (16, 8)}
-"""Of these two ranks cut a box along the first axis, three along the second."""
 TOLERANCE = {2: 1e-10, 3: 1e-8}
 SWING = {"density": 2000.0, "step": 1e-3, "every": 4}
 
@@ -65,11 +62,10 @@ def inside(x):
     return (np.abs(away) < 20).all(axis=1) & ~((away > 4).all(axis=1))
 
 
-def fields(x, share=1.0):
-    """A load and a displacement, from the positions alone; of a share of 0.4 the gradients reach
-    2 %."""
+def fields(x):
+    """A load and a displacement, from the positions alone."""
     waves = [np.sin(0.3 * x[:, 0] + a) * np.cos(0.2 * x[:, 1] - a) for a in range(x.shape[1])]
-    u = share * np.stack(waves, axis=1)
+    u = np.stack(waves, axis=1)
     return 0.01 * u[:, ::-1], 0.1 * u
 
 
@@ -96,33 +92,6 @@ def proofs():
         proof._symbol_slopes = looked
 
 
-def from_file(comm, folder):
-    """Whether nodes and fields of a file are those of the functions that made it."""
-    x, path = H * np.argwhere(np.ones(SHAPE[2])), folder / f"plate_{comm.size}.h5"
-    if comm.rank == 0:
-        with h5py.File(path, "w") as file:
-            file["interior"], file["b"] = inside(x), fields(x)[0]
-    comm.Barrier()
-    points = lattice(SHAPE[2], H, path)
-    same = np.array_equal(points.interior, inside(points.x))
-    return comm.allgather(
-        bool(same and np.array_equal(points.read(path, "b"), fields(points.x)[0]))
-    )
-
-
-def going_on(points, folder, share):
-    """A solve that goes on from what is kept, to a share of the digits that a fresh one has."""
-    law, tolerance, path = solid(2), 10.0 ** (-10 / share), folder / "Model.h5"
-    solver, problem = wp.CG(tolerance=tolerance), wp.Dirichlet(points, *fields(points.x, 0.4))
-    solution = wp.solve(law, problem, solver=solver, checkpoint=path)
-    u, fresh = points.gather(solution.u), wp.solve(law, problem, solver=solver)
-    far = np.abs(u - points.gather(fresh.u)).max() / np.abs(u).max()
-    other = wp.Dirichlet(points, *fields(points.x))
-    return {"far": far, "residual": solution.residual, "tolerance": tolerance,
-            "took": [solution.iterations[0], fresh.iterations[0]],
-            "other": told_by(lambda: wp.solve(law, other, checkpoint=path))}  # fmt: skip
-
-
 def told_by(wrong):
     """What is said of wrong input; None where nothing is."""
     try:
@@ -147,10 +116,10 @@ def waves(points, folder):
 def rest(folder):
     comm, found = world(), {}
     found["proof"], seen = proofs()
-    found["shared"], found["file"] = comm.allgather(seen), from_file(comm, folder)
+    found["shared"] = comm.allgather(seen)
     found["sums"] = total(comm, uneven()[comm.rank :: comm.size]).tolist()
     for d, shape in SHAPE.items():
-        points = lattice(shape, H, inside, block=TILE[d])
+        points = lattice(shape, H, inside)
         b, u = fields(points.x)
         problem, solver = wp.Dirichlet(points, b, u), wp.CG(tolerance=TOLERANCE[d])
         solution = wp.solve(solid(d), problem, solver=solver)
@@ -159,8 +128,6 @@ def rest(folder):
                        "iterations": solution.iterations[0], "residual": solution.residual,
                        "waves": waves(points, folder)}  # fmt: skip
     sheet = lattice(SHAPE[2], H, inside, axis=0.0)
-    found["kept"] = going_on(sheet, folder, 2 if comm.size == 2 else 1)
-    found["grid"] = points.tiles.grid
     if comm.size == 2:
         found |= {"door": at_the_door(sheet), "equal": once_more(sheet)}
         found["refused"] = refusals(sheet, points)
@@ -188,7 +155,7 @@ def refusals(sheet, ball):
         lambda: wp.solve(solid(2), flat, parameters={"mu": 0.4}),
         lambda: partition(wp.Points(everywhere, inside(everywhere), 0.0)),
         lambda: wp.simulate(brittle, wp.Cracked(sheet, pressure=np.eye(2)), step=0.1, steps=1),
-        lambda: lattice((8, 52), H, inside, block=8),
+        lambda: lattice((8, 52), H, inside),
     )]  # fmt: skip
 
 
@@ -214,10 +181,10 @@ def once_more(sheet):
     return bool(np.array_equal(u, wp.solve(other, problem).u))
 
 
-def notched(by, horizon, lam, corrected=False):
+def notched(horizon, lam, corrected=False):
     """A notched plate that is pulled at its ends, and its glass."""
     x = rectangle_nodes(40.0, 20.0, 1.0)
-    points = partition(wp.Points(x, np.ones(len(x), bool), 1.0, units=("mm", "GPa")), by)
+    points = partition(wp.Points(x, np.ones(len(x), bool), 1.0, units=("mm", "GPa")))
     model = wp.LPSMaterial(lam, 0.4, 1.0, [1.0], horizon=horizon, units=("mm", "GPa"))
     ends = np.abs(points.x[:, 1:]) > 9
     pull = np.where(ends, np.sign(points.x) * (0.0, 0.01), 0.0)
@@ -226,8 +193,8 @@ def notched(by, horizon, lam, corrected=False):
     return glass, Cracked(points, pull, cracks=cracks, corrected=corrected)
 
 
-def crack(folder, by="rows", steps="60", pause="0"):
-    glass, plate = notched(by, 2.5, 0.3)
+def crack(folder, steps="60", pause="0"):
+    glass, plate = notched(2.5, 0.3)
     points, x = plate.points, plate.points.x
     os.environ["PAUSE"] = pause  # no part of what a checkpoint knows a run by
     if pause != "0":
@@ -255,18 +222,18 @@ def crack(folder, by="rows", steps="60", pause="0"):
     }
 
 
-def corrected(by="rows"):
+def corrected():
     """A plate that breaks, its missing bonds made up for."""
-    glass, plate = notched(by, 3.0, 0.4, corrected=True)
+    glass, plate = notched(3.0, 0.4, corrected=True)
     motion = wp.simulate(glass, plate, step=0.5 * glass.longest_step(1.0), steps=60)
     return [digest(gather(plate.points, one)) for one in (motion.u, motion.details.damage)]
 
 
 if __name__ == "__main__":
-    folder, by, steps, pause, *more = sys.argv[1:]
-    found = {"crack": crack(Path(folder), by, steps, pause)}
+    folder, steps, pause, *more = sys.argv[1:]
+    found = {"crack": crack(Path(folder), steps, pause)}
     if pause == "0":
-        found["corrected"] = corrected(by)
+        found["corrected"] = corrected()
     if "rest" in more:
         found |= rest(Path(folder))
     print(json.dumps(found), flush=True)

@@ -306,9 +306,9 @@ class CrackRun(Recorder):
         **files: Any,
     ) -> None:
         nodes = AllNodes(len(body.body.x)) if nodes is None else nodes
-        x, comm = body.body.x[nodes.own], nodes.comm
+        x, body.exchange = body.body.x[nodes.own], getattr(nodes, "exchange", None)
         super().__init__(nodes, x, **{"every": 20} | files)
-        with agreed(comm):
+        with agreed(nodes.comm):
             if not step <= body.longest_step:
                 raise InputError(
                     f"step: expected at most {body.longest_step:.6g}, the longest that is stable "

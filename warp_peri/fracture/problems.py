@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 import warp_peri.fracture as fracture
 from warp_peri.errors import InputError
+from warp_peri.files.checkpoint import ALONE, agreed
 from warp_peri.fracture.body import (
     LatticeBody,
     box_nodes,
@@ -151,15 +152,22 @@ class Cracked:
             if self.b is not None:
                 raise InputError("b: slow growth and pulls are of given displacements, got a load")
             return self._slowly(material, body, options)
-        how, begin, files, records, run = options_of_steps(options)
+        asked = self.steps(options)
         offered(
             material, "density", "simulate", "a BrittleMaterial for steps, or events=…, or loads=…"
         )
+        return in_steps(material, body, asked)
+
+    def steps(self, options: dict[str, Any]) -> tuple[dict[str, Any], ...]:
+        """Sort options of a motion in steps by what takes them: BreakingBody and its start, with
+        the problem's fields, CrackRun, and its march."""
+        given = "load", "held", "u", "cracks", "nodes", "corrected"
+        takers = BreakingBody.__init__, BreakingBody.start, Recorder.__init__, CrackRun.__init__
+        how, begin, files, records, run = taken(
+            options, "simulate", *takers, CrackRun.march, given=given
+        )
         how |= {"load": self.b, "held": self.held, "corrected": self.corrected}
-        moving = BreakingBody(material, body, **how)
-        state = moving.start(u=self.u, cracks=self.cracks, **begin)
-        marching = CrackRun(moving, **records | files)
-        return marching.motion(marching.march(state, **run))
+        return how, begin | {"u": self.u, "cracks": self.cracks}, files | records, run
 
     def _slowly(self, material: Any, body: LatticeBody, options: dict[str, Any]) -> Motion:
         u: Any = np.zeros_like(body.x) if self.u is None else self.u
@@ -174,11 +182,15 @@ class Cracked:
         return pulled.pull(u, **how)  # type: ignore[no-any-return]
 
 
-def options_of_steps(options: dict[str, Any]) -> tuple[dict[str, Any], ...]:
-    """Split options of a motion in steps: of BreakingBody, start, Recorder, CrackRun and march."""
-    given = "load", "held", "u", "cracks", "nodes", "corrected"
-    begin, run = (BreakingBody.__init__, BreakingBody.start), (CrackRun.__init__, CrackRun.march)
-    return taken(options, "simulate", *begin, Recorder.__init__, *run, given=given)
+def in_steps(material: Any, body: LatticeBody, options: Any, nodes: Any = None) -> Motion:
+    """Motion of a body that breaks, by options as Cracked.steps sorts them, on all of its nodes or
+    those that this process has."""
+    how, begin, records, run = options
+    with agreed(ALONE if nodes is None else nodes.comm):
+        moving = BreakingBody(material, body, **how)
+        state = moving.start(**begin)
+    marching = CrackRun(moving, nodes=nodes, **records)
+    return marching.motion(marching.march(state, **run))
 
 
 @typed

@@ -1,11 +1,10 @@
-"""Ranks of mpiexec: output, errors, sums with the same bits on any number of them (R3), tiles,
+"""Ranks of mpiexec: output, errors, sums with the same bits on any number of them (R3), slabs,
 halos."""
 
 from __future__ import annotations
 
 import functools
 import hashlib
-import itertools
 import math
 import os
 import sys
@@ -13,7 +12,7 @@ import time
 import traceback
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -190,175 +189,77 @@ def inner(comm: Comm, along: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> 
 
 
 @dataclass(frozen=True, eq=False)
-class Tiles:
-    """Box of lattice nodes in tiles along its first axes, owned by a grid of ranks.
+class Slabs:
+    """Box of lattice nodes in slabs of rows, the first axis, each owned by one rank.
 
     Attributes:
         shape: nodes of the box along the axes.
-        block: nodes of a tile along the axes that are cut; of slabs of rows that is one.
-        starts: along each of these the ranks' first nodes, and the number of nodes, shape [p + 1].
+        rows: of a slab.
+        starts: first rows of the ranks, and the number of rows, shape [p + 1].
     """
 
     shape: tuple[int, ...]
-    block: tuple[int, ...]
-    starts: tuple[np.ndarray, ...]
+    rows: int
+    starts: np.ndarray
 
-    @property
-    def grid(self) -> tuple[int, ...]:
-        """Number of ranks along the axes that are cut."""
-        return tuple(len(starts) - 1 for starts in self.starts)
-
-    def at(self, rank: int) -> tuple[int, ...]:
-        """Position of a rank in the grid."""
-        return tuple(int(n) for n in np.unravel_index(rank, self.grid))
-
-    def own(self, rank: int) -> tuple[slice, ...]:
-        """Slices of a rank's nodes along the axes that are cut."""
-        return tuple(slice(int(s[i]), int(s[i + 1])) for s, i in zip(self.starts, self.at(rank)))
+    def own(self, rank: int) -> slice:
+        """Rows of a rank."""
+        return slice(int(self.starts[rank]), int(self.starts[rank + 1]))
 
     def box(self, rank: int) -> tuple[int, ...]:
         """Number of a rank's nodes along each axis."""
-        own = self.own(rank)
-        return (*(part.stop - part.start for part in own), *self.shape[len(own) :])
+        return int(np.diff(self.starts)[rank]), *self.shape[1:]
 
-    def corner(self, rank: int) -> np.ndarray:
-        """First node of a rank, shape [d]."""
-        first = [part.start for part in self.own(rank)]
-        return np.array(first + [0] * (len(self.shape) - len(first)), np.int32)
-
-    def parts(self, box: tuple[int, ...]) -> list[tuple[slice, ...]]:
-        """Slices of the tiles of a rank with so many nodes, from its own first node."""
-        along = [
-            [slice(first, min(first + size, count)) for first in range(0, count, size)]
-            for size, count in zip(self.block, box)
-        ]
-        return list(itertools.product(*along))
-
-    def everywhere(self) -> Tiles:
-        """Tiles cut along all axes, into one part along those that were not."""
-        rest = self.shape[len(self.block) :]
-        ends = tuple(np.array([0, n]) for n in rest)
-        return replace(self, block=self.block + rest, starts=self.starts + ends)
-
-    def coarser(self) -> Tiles:
-        """Tiles of every second node along each axis, from the second on."""
-        return replace(
-            self,
-            shape=tuple(n // 2 for n in self.shape),
-            block=tuple(n // 2 for n in self.block),
-            starts=tuple(starts // 2 for starts in self.starts),
-        )
+    def coarser(self) -> Slabs:
+        """Slabs of every second node along each axis, from the second on."""
+        return Slabs(tuple(n // 2 for n in self.shape), self.rows // 2, self.starts // 2)
 
 
-def cut(comm: Comm, shape: tuple[int, ...], block: tuple[int, ...]) -> Tiles:
-    """Cut a box of nodes into tiles for all ranks, evenly and with few nodes along the cuts.
-
-    `block` are the nodes of a tile along the first axes, even numbers. Raises InputError for other
-    tiles, and for more ranks than tiles or a number that forms no grid.
-    """
-    fits = 0 < len(block) <= len(shape) and all(isinstance(n, int) for n in block)
-    if not fits or any(n < 2 or n % 2 for n in block):
-        raise InputError(f"block: expected even numbers, at most {len(shape)}, got {block}")
-    while len(block) > 1 and block[-1] >= shape[len(block) - 1]:
-        block = block[:-1]  # as wide as the box: not cut there
-    counts = tuple(-(-n // size) for n, size in zip(shape, block))
-    if comm.size > (most := math.prod(counts)):
-        nodes, tile = (" × ".join(map(str, sizes)) for sizes in (shape, block))
+def cut(comm: Comm, shape: tuple[int, ...], rows: int) -> Slabs:
+    """Cut a box of nodes into slabs of an even number of rows for all ranks, evenly. Raises
+    InputError for more ranks than slabs."""
+    count, ranks = -(-shape[0] // rows), comm.size
+    if ranks > count:
+        nodes = " × ".join(map(str, shape))
         raise InputError(
-            f"ranks: expected at most {most} for {nodes} nodes in tiles of {tile}, got {comm.size}"
+            f"ranks: expected at most {count} for {nodes} nodes, slabs of {rows} rows, got {ranks}"
         )
-    found = _grid(comm.size, shape, block, counts)
-    if found is None:
-        fewer = (n for n in range(comm.size, 0, -1) if _grid(n, shape, block, counts))
-        raise InputError(
-            f"ranks: expected a product of numbers up to {' and '.join(map(str, counts))}, the "
-            f"tiles along the axes, got {comm.size}; {next(fewer)} would do"
-        )
-    starts = tuple(
-        np.minimum(size * (count * np.arange(p + 1) // p), n)
-        for n, size, count, p in zip(shape, block, counts, found)
-    )
-    return Tiles(tuple(int(n) for n in shape), tuple(int(n) for n in block), starts)
-
-
-def _grid(
-    ranks: int, shape: tuple[int, ...], block: tuple[int, ...], counts: tuple[int, ...]
-) -> tuple[int, ...] | None:
-    """Find the best grid of so many ranks; None where no grid has a tile for each."""
-    factors = [n for n in range(ranks, 0, -1) if ranks % n == 0]  # along the first axis at best
-    grids = [
-        grid
-        for grid in itertools.product(*[[n for n in factors if n <= count] for count in counts])
-        if math.prod(grid) == ranks
-    ]
-
-    def cost(grid: tuple[int, ...]) -> tuple[int, float]:
-        most = math.prod(-(-count // p) for count, p in zip(counts, grid))
-        return most, sum((p - 1) / n for p, n in zip(grid, shape))  # nodes of the cuts, over all
-
-    return min(grids, key=cost, default=None)
+    starts = np.minimum(rows * (count * np.arange(ranks + 1) // ranks), shape[0])
+    return Slabs(tuple(int(n) for n in shape), rows, starts)
 
 
 class Halo:
-    """Layer, `width` nodes wide, of other ranks' nodes around this one's; zeros beyond the box."""
+    """Layer, `width` nodes wide, around this rank's nodes; zeros beyond the box."""
 
-    def __init__(self, comm: Comm, tiles: Tiles, width: int) -> None:
+    def __init__(self, comm: Comm, slabs: Slabs, width: int) -> None:
         self.comm, self.width = comm, width
-        own = tiles.own(comm.rank)
-        self._inside = tuple(slice(width, width + part.stop - part.start) for part in own)
-        others = [(r, tiles.own(r)) for r in range(comm.size) if r != comm.rank]
-        given = [(r, _shared(own, theirs, width)) for r, theirs in others]
-        taken = [(r, _shared(theirs, own, width)) for r, theirs in others]
-        self._give = [(r, (slice(None), *_from(box, own, 0))) for r, box in given if box]
-        self._take = [(r, (slice(None), *_from(box, own, width))) for r, box in taken if box]
-
-    def start(self, field: np.ndarray) -> tuple[np.ndarray, Callable[[], None]]:
-        """Start an exchange: a field [c, *box] among zeros, and the function that fills these."""
-        w, cuts = self.width, len(self._inside)
-        sides = (n + 2 * w * (axis < cuts) for axis, n in enumerate(field.shape[1:]))
-        wide = np.zeros((len(field), *sides), field.dtype)
-        wide[:, *self._inside] = field
-        return wide, exchange(self.comm, field, wide, self._give, self._take, w)
+        own, give, take = slabs.own(comm.rank), list[Any](), list[Any]()
+        for rank in range(comm.size):
+            if rank != comm.rank:
+                theirs = slabs.own(rank)
+                for pairs, have, want, margin in (give, own, theirs, 0), (take, theirs, own, width):
+                    rows = max(have.start, want.start - width), min(have.stop, want.stop + width)
+                    if rows[0] < rows[1]:
+                        place = slice(*(row - own.start + margin for row in rows))
+                        pairs.append((rank, (slice(None), place)))
+        self._give, self._take = give, take
 
     def __call__(self, field: np.ndarray) -> np.ndarray:
-        """Field with the nodes of other ranks around it."""
-        wide, finish = self.start(field)
-        finish()
-        return wide
+        """Field [c, *box] with the nodes of other ranks around it."""
+        w = self.width
+        wide = np.pad(field, [(0, 0), (w, w)] + [(0, 0)] * (field.ndim - 2))
+        exchange(self.comm, field, wide, self._give, self._take)
+        return np.pad(wide, [(0, 0)] * 2 + [(w, w)] * (field.ndim - 2))
 
 
-def exchange(
-    comm: Comm, field: np.ndarray, wide: np.ndarray, give: Any, take: Any, tag: int = 0
-) -> Callable[[], None]:
-    """Send parts of a field, as pairs (rank, place); returns the function that receives theirs."""
+def exchange(comm: Comm, field: np.ndarray, wide: np.ndarray, give: Any, take: Any) -> None:
+    """Send parts of a field to others, and receive theirs, as pairs (rank, place)."""
     from mpi4py import MPI
 
     out = [(r, np.ascontiguousarray(field[place])) for r, place in give]
     buffers = [(r, np.empty_like(wide[place], order="C")) for r, place in take]
-    requests = [comm.Irecv(buffer, source=r, tag=tag) for r, buffer in buffers]
-    requests += [comm.Isend(buffer, dest=r, tag=tag) for r, buffer in out]
-
-    def finish() -> None:
-        MPI.Request.Waitall(requests)
-        for (_, place), (_, buffer) in zip(take, buffers):
-            wide[place] = buffer
-        out.clear()
-
-    return finish
-
-
-def _shared(
-    have: tuple[slice, ...], want: tuple[slice, ...], width: int
-) -> tuple[slice, ...] | None:
-    """Part of one box within another that is widened by `width`; None for nothing."""
-    both = tuple(
-        slice(max(h.start, w.start - width), min(h.stop, w.stop + width))
-        for h, w in zip(have, want)
-    )
-    return both if all(part.start < part.stop for part in both) else None
-
-
-def _from(box: tuple[slice, ...], own: tuple[slice, ...], margin: int) -> tuple[slice, ...]:
-    """Box in coordinates that begin a margin before the first of a rank's own nodes."""
-    shifts = (margin - part.start for part in own)
-    return tuple(slice(part.start + s, part.stop + s) for part, s in zip(box, shifts))
+    requests = [comm.Irecv(buffer, source=r) for r, buffer in buffers]
+    requests += [comm.Isend(buffer, dest=r) for r, buffer in out]
+    MPI.Request.Waitall(requests)
+    for (_, place), (_, buffer) in zip(take, buffers):
+        wide[place] = buffer

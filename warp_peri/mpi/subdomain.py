@@ -6,7 +6,6 @@ displacement comes from their owners after each drift: bonds break here as they 
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
@@ -14,16 +13,15 @@ from typing import Any
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.files.checkpoint import RunFile, agreed, fingerprint, same
+from warp_peri.files.checkpoint import agreed, same
 from warp_peri.fracture.body import lattice_body
-from warp_peri.fracture.dynamics import BreakingBody, CrackRun
-from warp_peri.fracture.problems import Cracked, options_of_steps
+from warp_peri.fracture.problems import Cracked, in_steps
 from warp_peri.kernels import neighbours
 from warp_peri.kernels.damage import halves, sweep
 from warp_peri.mpi.linear import operator_on
 from warp_peri.mpi.processes import (
     Comm,
-    Tiles,
+    Slabs,
     build,
     cut,
     exchange,
@@ -40,21 +38,14 @@ from warp_peri.protocols import MATERIAL, offered, taken
 from warp_peri.runtime import ranks_started
 from warp_peri.solvers.motion import Motion, Recorder
 from warp_peri.solvers.solution import CG, TOLERANCE, Solution, Solver, by_sample, refuse_solver
-from warp_peri.solvers.systems import Inner, SolveRecord, norm
+from warp_peri.solvers.systems import Inner
 from warp_peri.solvers.verlet import march
 
-STAGE = 1e-3
-"""Of a residual, after which a linear solve with a checkpoint writes it."""
-SLABS, SMALLEST, LARGEST = 8, 8, 128
-"""Slabs of rows that a box is cut to at least, where they have between so many rows each."""
-TILES, LONGEST, TILED = 4, {2: 256, 3: 48}, {2: 768, 3: 64}
-"""In the plane and in space: tiles along an axis at least, most nodes of each, and nodes of a box
-from which there are tiles, not slabs: the filter reaches 32 and 12 nodes beyond a tile."""
-FEW = 50_000
-"""Nodes of a level of multigrid that every rank can have, to which tiles are halved if they can."""
-READ = 100_000
-"""Nodes that are read from a file at a time: between those of a tile lie those of others."""
-TURNED = "points: expected a lattice along the axes on ranks, got a turned one"
+SLAB, FEW = 8, 50_000
+"""Least rows of a slab; nodes of a level of multigrid that every rank can have, to which slabs can
+be halved."""
+FIELDS = ("load", "held", "grip", "no_fail", "u", "v")
+"""Of a body that breaks, on nodes."""
 _OF_A_WHOLE = ("box", "outside", "is_open_lattice")
 
 
@@ -70,7 +61,7 @@ class Subdomain:
         number: of these nodes in the whole body, rising, shape [n].
         count: nodes of the whole body.
         grid: lattice steps from the corner of the whole body, shape [n, d].
-        tiles: of a box in tiles; None of other parts.
+        slabs: of the box around the whole body.
         units, axis: as of Points.
     """
 
@@ -81,7 +72,7 @@ class Subdomain:
     number: np.ndarray
     count: int
     grid: np.ndarray
-    tiles: Tiles | None
+    slabs: Slabs
     units: Units = USUAL
     axis: Any = None
 
@@ -108,15 +99,11 @@ class Subdomain:
     def solve(
         self, material: Any, problem: Any, solver: Solver, options: dict[str, Any]
     ) -> Solution:
-        """Solve a Dirichlet problem at rest; u and load are those of this rank's nodes.
-
-        The option checkpoint=PATH writes iterates, from which a later solve goes on, on any number
-        of ranks. Raises InputError for other problems and materials, and as RowOperator.
-        """
+        """Solve a Dirichlet problem at rest; u and load are those of this rank's nodes. Raises
+        InputError for other problems and materials, and as RowOperator."""
         alike(material, problem, options | {"solver": solver})
-        (asked,) = taken(options, "solve", _asked)
-        path = _asked(**asked)
         with agreed(self.comm):
+            taken(options, "solve")
             if not hasattr(problem, "u") or hasattr(problem, "cracks"):
                 raise InputError("solve: expected a Dirichlet(points, b, u) on ranks")
             offered(material, "on", "solve", MATERIAL)
@@ -126,21 +113,13 @@ class Subdomain:
                 raise InputError(f"preconditioner: expected multigrid on ranks, got {kind!r}")
         operator = operator_on(material, self)
         tolerance = TOLERANCE if solver is None else solver.tolerance  # type: ignore[union-attr]
-        inside, flat = self.interior, [field.reshape(-1, *self.x.shape) for field in (b, u)]
-        file, mark, mask = None, "", inside[:, None]
-        if path is not None:
-            if len(flat[0]) > 1:
-                raise InputError(f"checkpoint: expected one load, got {len(flat[0])}")
-            file = RunFile(path, "warp_peri.rest", self)
-            given = np.where(mask, flat[0][0], 0.0), np.where(mask, 0.0, flat[1][0]), mask, self.x
-            mark = self.mark(*given, fingerprint(material))
-        answers, records = np.where(mask, 0.0, flat[1]), list[SolveRecord]()
-        for field, load, held in zip(answers, *flat):
-            field[:], record = solved(operator, load, held, tolerance, file, mark)
+        answer, right, records = np.where(self.interior[:, None], 0.0, u), operator.rhs(b), []
+        fields = answer.reshape(-1, *self.x.shape)
+        for field, load in zip(fields, right.reshape(len(fields), -1, self.dimension)):
+            field[self.interior], record = operator.inverted(load - operator(field), tolerance)
             records.append(record)
-        right = operator.rhs(b).reshape(*b.shape[:-2], -1, b.shape[-1])
         counts, how = [record.iterations for record in records], (operator.method, operator.proven)
-        return by_sample(operator, answers.reshape(u.shape), right, records, counts, *how)
+        return by_sample(operator, answer, right, records, counts, *how)
 
     def move(self, material: Any, problem: Any, options: dict[str, Any]) -> Motion:
         """Move a Cracked on ranks, as Cracked.moved, or an unbroken body, as solvers.verlet.march.
@@ -160,31 +139,21 @@ class Subdomain:
                 raise InputError("simulate: expected no pressure on ranks")
             check_same(material.units, self.units)
             material.linear.check_dimension(self)
-            how, begin, files, records, run = options_of_steps(options)
-        model = material.model
-        d = self.dimension
+            how, begin, *_ = asked = problem.steps(options)
+        model, d = material.model, self.dimension
         build(comm, neighbours.lattice_neighbours, sweep(d).sweep, halves(d).kick_and_drift)
         balls = 1 if model.lam == model.mu and not problem.corrected else 2
-        felt = balls * model.horizon * (1 + HORIZON_TOLERANCE)
-        halo = NodeHalo(self, felt)
-        given: dict[str, Any] = {"load": problem.b, "held": problem.held, "u": problem.u}
-        given |= {name: how.pop(name, None) for name in ("no_fail", "grip")}
-        given = {k: v for k, v in (given | {"v": begin.pop("v", None)}).items() if v is not None}
+        halo = NodeHalo(self, balls * model.horizon * (1 + HORIZON_TOLERANCE))
+        fields = [(of, name) for of in (how, begin) for name in FIELDS if of.get(name) is not None]
         with agreed(comm):
-            for name, values in given.items():
-                if len(np.asarray(values)) != len(self.x):
+            for of, name in fields:
+                if len(np.asarray(of[name])) != len(self.x):
                     raise InputError(f"{name}: expected {len(self.x)} nodes of this rank")
-        here: dict[str, Any] = {name: halo.around(values) for name, values in given.items()}
+        for of, name in fields:
+            of[name] = halo.around(of[name])
         with agreed(comm):
             body = lattice_body(halo.x, self.spacing, model.horizon)
-            if not np.array_equal(body.axes, np.eye(d)):
-                raise InputError("points: expected a lattice along the axes on ranks")
-            at_start = {name: here.pop(name, None) for name in ("u", "v")}
-            moving = BreakingBody(material, body, corrected=problem.corrected, **here, **how)
-            state = moving.start(**at_start, cracks=problem.cracks, **begin)
-        marching = CrackRun(moving, nodes=halo, **records | files)
-        moving.exchange = halo.exchange
-        return marching.motion(marching.march(state, **run))
+        return in_steps(material, body, asked, halo)
 
     @property
     def inner(self) -> Inner:
@@ -197,11 +166,6 @@ class Subdomain:
         for number, part in self.comm.allgather((self.number, np.asarray(values))):
             whole[number] = part
         return whole
-
-    def read(self, path: str | os.PathLike[str], name: str) -> np.ndarray:
-        """Read this rank's rows [n, ...] of an array [N, ...] in an HDF5 file, as read_rows."""
-        with agreed(self.comm):
-            return read_rows(path, name, self.number, self.count)
 
     def __getattr__(self, name: str) -> Any:
         if name in _OF_A_WHOLE:
@@ -244,7 +208,7 @@ class NodeHalo:
 
     def exchange(self, field: np.ndarray) -> None:
         """Fill others' nodes in a field [m or more, ...] from their owners."""
-        exchange(self.comm, field, field, self._give, self._take)()
+        exchange(self.comm, field, field, self._give, self._take)
 
     def around(self, values: np.ndarray) -> np.ndarray:
         """Extend values [n, ...] of the piece's own nodes to all nodes here, [m, ...]."""
@@ -258,100 +222,65 @@ class NodeHalo:
 def lattice(
     shape: tuple[int, ...],
     spacing: float,
-    interior: Callable[[np.ndarray], np.ndarray] | str | os.PathLike[str],
+    interior: Callable[[np.ndarray], np.ndarray],
     *,
     origin: Any = 0.0,
-    block: int | tuple[int, ...] | None = None,
     units: Units = USUAL,
     axis: float | None = None,
 ) -> Any:
     """This rank's Subdomain of a box of lattice nodes, of which no rank ever holds the whole.
 
     Args:
-        shape: nodes along each axis; the ranks share tiles of the first two.
+        shape: nodes along each axis; the ranks share slabs of the first.
         spacing: h [length].
-        interior: which nodes are unknown, a function of positions [n, d] to bool [n]; or an HDF5
-            file whose `interior` [N] says it.
+        interior: which nodes are unknown, a function of positions [n, d] to bool [n].
         origin: position of the first node.
-        block: even numbers of nodes of a tile along the first axes; one number is of whole rows.
         units, axis: as of Points.
 
-    Raises InputError for ranks more than tiles or that form no grid, and for no interior node.
+    Raises InputError for more ranks than slabs, and for no interior node.
     """
     comm = world()
-    same(comm, shape=shape, spacing=spacing, origin=origin, block=block, units=units, axis=axis)
-    sizes = _usual(shape) if block is None else tuple(np.atleast_1d(np.array(block)).tolist())
-    tiles = cut(comm, shape, sizes)
-    grid = np.indices(tiles.box(comm.rank), dtype=np.int32).reshape(len(shape), -1).T
-    grid = np.ascontiguousarray(grid + tiles.corner(comm.rank))
+    same(comm, shape=shape, spacing=spacing, origin=origin, units=units, axis=axis)
+    slabs = cut(comm, shape, _rows(shape))
+    grid = np.indices(slabs.box(comm.rank), dtype=np.int32).reshape(len(shape), -1).T.copy()
+    grid[:, 0] += slabs.own(comm.rank).start
     x = np.asarray(origin) + spacing * grid
     number = np.asarray(np.ravel_multi_index(tuple(grid.T), shape))
     count = int(np.prod(shape))
     with agreed(comm):
-        if callable(interior):
-            inside = np.asarray(interior(x))
-        else:
-            inside = read_rows(interior, "interior", number, count)
+        inside = np.asarray(interior(x))
         if inside.shape != (len(x),) or inside.dtype != bool:
             raise InputError(f"interior: expected bool of shape [{len(x)}], got {inside.shape}")
         check_units(units)
     if not any(comm.allgather(bool(inside.any()))):
         raise InputError("interior: expected at least one interior node, got none")
-    return Subdomain(comm, x, inside, float(spacing), number, count, grid, tiles, units, axis)
+    return Subdomain(comm, x, inside, float(spacing), number, count, grid, slabs, units, axis)
 
 
-def read_rows(
-    path: str | os.PathLike[str], name: str, number: np.ndarray, count: int
-) -> np.ndarray:
-    """Read rows, of rising numbers, of an array of length `count` in an HDF5 file, READ at a time.
-    Raises InputError for a file without the array, and another length."""
-    import h5py
-
-    try:
-        with h5py.File(path) as file:
-            array = file[name]
-            length = len(array)
-            if length == count:
-                parts = np.array_split(number, len(number) // READ + 1)
-                found = [array[n[0] : n[-1] + 1][n - n[0]] for n in parts if len(n)]
-                return np.concatenate(found)
-    except (OSError, KeyError, TypeError) as error:
-        raise InputError(f"{path}: expected an HDF5 file with {name!r} ({error})") from None
-    raise InputError(f"{path}: expected {count} rows of {name!r}, got {length}")
-
-
-def partition(points: Points, by: str = "rows") -> Any:
-    """This rank's piece of points that every rank has; the points themselves without mpiexec.
-
-    Of a lattice along the axes, without a box; by "rows" of it, or "bisection" of boxes at the
-    middle of their longest side. Raises InputError for other points, and too many ranks.
-    """
+def partition(points: Points) -> Any:
+    """This rank's piece of points that every rank has, some rows; the points themselves without
+    mpiexec. Raises InputError unless they are a lattice along the axes, without a box, and for too
+    many ranks."""
     if not ranks_started():
         return points
     comm = world()
-    same(comm, points=points, by=by)
-    if by not in ("rows", "bisection"):
-        raise InputError(f"by: expected rows or bisection, got {by!r}")
+    same(comm, points=points)
     if not points.is_open_lattice:
         raise InputError("points: expected a lattice that has no box and none outside, for ranks")
     place = (points.x - points.x.min(axis=0)) / points.spacing
     grid = np.rint(place).astype(np.int32)
     if np.abs(place - grid).max() > LATTICE_TOLERANCE:
-        raise InputError(TURNED)
+        raise InputError("points: expected a lattice along the axes on ranks, got a turned one")
     if (twice := len(grid) - len(np.unique(grid, axis=0))) > 0:
         raise InputError(f"points: expected each node once, got {twice} duplicates")
-    tiles = None
-    if by == "rows":
-        shape = tuple((grid.max(axis=0) + 1).tolist())
-        tiles = cut(comm, shape, _slab(shape[0]))
-        (rows,) = tiles.own(comm.rank)
-        own = np.flatnonzero((grid[:, 0] >= rows.start) & (grid[:, 0] < rows.stop))
-    else:
-        own = np.sort(_bisected(grid, np.arange(len(grid)), comm.size)[comm.rank])
+    shape = tuple((grid.max(axis=0) + 1).tolist())
+    slabs = cut(comm, shape, _rows(shape))
+    rows = slabs.own(comm.rank)
+    own = np.flatnonzero((grid[:, 0] >= rows.start) & (grid[:, 0] < rows.stop))
     if min(comm.allgather(len(own))) == 0:
         raise InputError(f"points: {len(grid)} nodes are too few for {comm.size} ranks")
     parts = points.x[own], points.interior[own], points.spacing
-    return Subdomain(comm, *parts, own, len(grid), grid[own], tiles, points.units, points.axis)
+    return Subdomain(comm, *parts, own, len(grid), grid[own], slabs, points.units, points.axis)
 
 
 def gather(points: Any, values: np.ndarray) -> np.ndarray:
@@ -359,38 +288,12 @@ def gather(points: Any, values: np.ndarray) -> np.ndarray:
     return values if isinstance(points, Points) else np.asarray(points.gather(values))
 
 
-def _slab(rows: int) -> tuple[int]:
-    """Rows of a slab, a power of two, for a box of so many rows."""
-    wanted = 1 << int(np.log2(max(rows / SLABS, 1)))
-    return (min(max(wanted, SMALLEST), LARGEST),)
-
-
-def _usual(shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Default tile size along the axes that are cut, for a box of this shape."""
-    d, unit = len(shape), 4  # two levels of multigrid at least
-    if min(shape[:2]) < TILED[d]:
-        return _slab(shape[0])
-    while np.prod(shape) > FEW * unit**d and unit < LONGEST[d] // 3:
-        unit *= 2
-    sides = (n / max(-(-n // LONGEST[d]), TILES) for n in shape[:2])
-    return tuple(unit * int(np.ceil(side / unit)) for side in sides)
-
-
-def _bisected(grid: np.ndarray, nodes: np.ndarray, parts: int) -> list[np.ndarray]:
-    """Nodes cut in parts of equal size, again and again across the longest side (Berger, 1987)."""
-    if parts == 1:
-        return [nodes]
-    there = grid[nodes]
-    axis = int(np.ptp(there, axis=0).argmax())
-    order = nodes[np.lexsort((nodes, there[:, axis]))]
-    few = parts // 2
-    cut = len(order) * few // parts
-    return _bisected(grid, order[:cut], few) + _bisected(grid, order[cut:], parts - few)
-
-
-def _asked(*, checkpoint: str | os.PathLike[str] | None = None) -> Any:
-    """Options of a solve on ranks: the file of a checkpoint."""
-    return checkpoint
+def _rows(shape: tuple[int, ...]) -> int:
+    """Rows of a slab for a box of this shape, a power of two, on any number of ranks."""
+    rows = SLAB
+    while np.prod(shape, dtype=float) > FEW * rows ** len(shape):
+        rows *= 2
+    return rows
 
 
 NODAL = ("points", "b", "u", "free", "v", "no_fail", "grip", "record")
@@ -407,37 +310,3 @@ def alike(material: Any, problem: Any, options: Mapping[str, Any]) -> None:
         stacked = [as_array(n, given[n]).shape[:-2] for n in ("b", "u") if n in there]
     kind = type(problem).__name__
     same(comm, material=material, problem=(kind, stacked, there), **asked)
-
-
-def solved(
-    operator: Any, b: np.ndarray, u: np.ndarray, tolerance: float, file: RunFile | None, mark: str
-) -> tuple[np.ndarray, SolveRecord]:
-    """Solve a linear operator for u [n, d] with load b on the interior, u given elsewhere.
-
-    With a file, of this problem by its `mark`, the solve goes on from what it holds, and writes
-    each time that the residual falls by STAGE. All ranks come here.
-    """
-    inside, load = operator.points.interior, operator.rhs(b)
-    field = np.where(inside[:, None], 0.0, u)
-    right = load - operator(field)
-    if file is None:
-        field[inside], record = operator.inverted(right, tolerance)
-        return field, record
-    inner, record, last = operator.points.inner, SolveRecord(), np.inf
-    size = norm(right, inner)
-    if (kept := file.read("u")) is not None:
-        if kept[1]["mark"] != mark:
-            raise InputError(f"{file.path}: expected a checkpoint of this problem")
-        field[inside] = kept[0]["u"][inside]
-    while (left := norm(rest := load - operator(field), inner)) > tolerance * size:
-        if not left < last:
-            raise InputError(
-                f"tolerance: expected more than rounding, {last / size:.1e}, got {tolerance:.1e}"
-            )
-        last = left
-        more, part = operator.inverted(rest, max(tolerance * size / left, STAGE))
-        field[inside] += more
-        record.iterations += part.iterations
-        file.write({"u": field}, {"mark": mark})
-    record.residual = left / size if size > 0 else 0.0
-    return field, record

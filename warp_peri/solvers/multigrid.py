@@ -212,8 +212,8 @@ def largest(steps: np.ndarray, tensors: np.ndarray) -> float:
 
 
 class VCycle:
-    """V-cycle z ≈ A⁻¹ r for a stencil of nearest cells on a mask; symmetric and positive. Each
-    coarser level has the same stencil times 2^(d − 2)."""
+    """V-cycle z ≈ A⁻¹ r for a stencil on a mask; symmetric and positive. Each coarser level has the
+    same stencil, of nearest cells, times 2^(d − 2)."""
 
     coarser: Any = None
     factors: Any = None
@@ -229,17 +229,17 @@ class VCycle:
             self.coarser = VCycle(steps, tensors * 2.0 ** (mask.ndim - 2), coarse)
 
     def _lay(self, steps: np.ndarray, tensors: np.ndarray, mask: np.ndarray) -> None:
-        d = mask.ndim
+        d, self.reach = mask.ndim, int(np.abs(steps).max())
         self.mask, self.shape = mask, mask.shape
-        asked = np.pad(mask, 1)
+        asked = np.pad(mask, self.reach)
         place = np.flatnonzero(asked)
-        nodes = Grid(np.eye(d), asked.shape, 1, False, np.arange(len(place)), place, place)
+        nodes = Grid(np.eye(d), asked.shape, self.reach, False, np.arange(len(place)), place, place)
         self.rows = ByRows(nodes, steps, tensors)
         self.diagonal = 2 * np.diag(tensors.sum(axis=0)).reshape(d, *([1] * d))
 
     def around(self, field: np.ndarray) -> np.ndarray:
-        """Planes [d, …] padded by one node on each side."""
-        return np.pad(field, [(0, 0)] + [(1, 1)] * self.mask.ndim)
+        """Planes [d, …] padded by as many nodes as the stencil reaches."""
+        return np.pad(field, [(0, 0)] + [(self.reach,) * 2] * self.mask.ndim)
 
     def restrict(self, field: np.ndarray) -> np.ndarray:
         """Restrict planes to the coarser level."""
@@ -251,7 +251,7 @@ class VCycle:
 
     def product(self, field: np.ndarray) -> np.ndarray:
         """Apply the level's operator to planes [d, …]."""
-        inner = (0, slice(None)) + (slice(1, -1),) * self.mask.ndim
+        inner = (0, slice(None)) + (slice(self.reach, -self.reach),) * self.mask.ndim
         return np.asarray(self.rows(self.around(field)[None])[inner])
 
     def _smoothed(self, r: np.ndarray, z: np.ndarray | None) -> np.ndarray:
