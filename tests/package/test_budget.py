@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 19_298,
-    "tokens": 241_446,
-    "lines of warp_peri": 30_748,
+    "code lines": 19_033,
+    "tokens": 237_820,
+    "lines of warp_peri": 30_367,
     "files of warp_peri": 114,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 42_935,
+    "lines of warp_peri, kernels, examples and tools": 42_554,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -41,12 +41,12 @@ ROOMS = {
     "fe_coupling": 741,
     "files": 470,
     "fitting": 1213,
-    "fracture": 1431,
+    "fracture": 1438,
     "materials": 4637,
     "neural": 587,
     "points": 1618,
     "prediction": 588,
-    "mpi": 732,
+    "mpi": 460,
     "solvers": 1515,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
