@@ -1,6 +1,6 @@
 """Materials and operators as the contract's protocols: mypy holds them to it."""
 
-from warp_peri import LPS
+from warp_peri import LPS, protocols
 from warp_peri.materials.hyperelastic.energies import Hyperelastic
 from warp_peri.materials.hyperelastic.operator import (
     HyperelasticMaterial,
@@ -9,30 +9,18 @@ from warp_peri.materials.hyperelastic.operator import (
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.materials.third_order import PlacedThirdOrder, ThirdOrder, ThirdOrderMaterial
-from warp_peri.points.points import Points
 from warp_peri.problems import Body, Dirichlet, Periodic
-from warp_peri.protocols import FittableModel, Material, Operator, Problem
+
+Law = LPS | ThirdOrder | Hyperelastic
+Solid = LPSMaterial | ThirdOrderMaterial | HyperelasticMaterial
+Placed = LPSOperator | PlacedThirdOrder | HyperelasticSheetOperator
 
 
-def materials(
-    one: LPSMaterial, two: ThirdOrderMaterial, three: HyperelasticMaterial
-) -> list[Material]:
-    return [one, two, three]
+def fits(
+    law: Law, problem: Dirichlet | Periodic | Body
+) -> tuple[protocols.FittableModel, protocols.Problem]:
+    return law, problem
 
 
-def operators(
-    one: LPSOperator, two: PlacedThirdOrder, three: HyperelasticSheetOperator
-) -> list[Operator]:
-    return [one, two, three]
-
-
-def problems(one: Dirichlet, two: Periodic, three: Body) -> list[Problem]:
-    return [one, two, three]
-
-
-def laws(one: LPS, two: ThirdOrder, three: Hyperelastic) -> list[FittableModel]:
-    return [one, two, three]
-
-
-def placed(material: Material, points: Points) -> Operator:
-    return material.on(points)
+def solids(solid: Solid, placed: Placed) -> tuple[protocols.Material, protocols.Operator]:
+    return solid, placed

@@ -108,20 +108,15 @@ def rooms():
     return found
 
 
-def is_library_import(node):
-    """Whether a node imports the library, by statement or by importlib."""
-    called = getattr(node, "func", None)
-    if called and getattr(called, "attr", getattr(called, "id", "")) != "import_module":
-        return False
-    told = ast.unparse(node) if getattr(node, "level", 0) == 0 else "import warp_peri"
-    return re.match(r"(from|import) warp_peri\b|.*import_module\(['\"]warp_peri\b", told)
+LATE = re.compile(r"(from|import) (warp_peri|\.)|.*import_module\(['\"]warp_peri")
+"""How code that imports the library begins."""
 
 
 @cache
 def sums():
     functions = [*nodes(ast.FunctionDef | ast.AsyncFunctionDef)]
-    imports = ast.Import | ast.ImportFrom | ast.Call
-    inner = {node for one in functions for node in nodes(imports, one) if is_library_import(node)}
+    late = (nodes(ast.Import | ast.ImportFrom | ast.Call, one) for one in functions)
+    inner = {node for one in late for node in one if LATE.match(ast.unparse(node))}
     names = Counter(node.name for node in nodes(ast.ClassDef))
     texts = (node.value for node in nodes(ast.Constant) if isinstance(node.value, str))
     longest = max(path.read_bytes().count(b"\n") for path in files("warp_peri"))

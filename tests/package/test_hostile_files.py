@@ -40,12 +40,12 @@ def archive(**arrays):
     return file.getvalue()
 
 
-TAGS = [
+TAGS = (
     f"!!python/object/apply:pathlib.Path.touch [!!python/object/apply:pathlib.Path [{MARK}]]",
     f"a: [1, !!python/object/new:os.system [touch {MARK}]]",
     f"%TAG ! tag:yaml.org,2002:python/\n---\n!object/apply:os.system ['touch {MARK}']",
     "a: !!python/name:os.system",
-]
+)
 ENTITY = '<?xml version="1.0"?><!DOCTYPE a [<!ENTITY e "x">]><VTKFile type="UnstructuredGrid"/>'
 HOSTILE = [
     *(text.encode(code) for text in (*TAGS, ENTITY) for code in ("utf-8", "utf-16")),

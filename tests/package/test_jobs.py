@@ -32,8 +32,8 @@ with locked(sys.argv[1]), whole_file(sys.argv[2]) as part:
 
 
 def started(code, *words):
-    return subprocess.Popen([sys.executable, "-c", code, *map(str, words)], cwd=ROOT, text=True,
-                            stdin=subprocess.PIPE, stdout=subprocess.PIPE)  # fmt: skip
+    how = {"cwd": ROOT, "text": True, "stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    return subprocess.Popen([sys.executable, "-c", code, *map(str, words)], **how)
 
 
 @pytest.mark.parametrize("name", ["m.json", "a[b]*.h5"])
@@ -46,11 +46,8 @@ def test_a_second_job_is_refused_and_a_killed_one_holds_nothing(name, tmp_path):
     jobs[0].communicate()
     (tmp_path / "link").symlink_to(tmp_path / "out1")
     for held in ("out1", "link"):
-        with (
-            pytest.raises(InputError, match="another job is writing here"),
-            locked(tmp_path / held),
-        ):
-            pass
+        with pytest.raises(InputError, match="another job is writing here"):
+            locked(tmp_path / held).__enter__()
     with locked(tmp_path / "out0"), locked(out):
         write_text(target, "mine")
     assert all(part.exists() for part in parts)
@@ -71,11 +68,10 @@ def test_no_scheduler_is_one_clear_error(monkeypatch):
 
 def work(folder):
     """Six fits and the choice, and Algorithm 1 with a checkpoint."""
-    samples = [manufactured(kernel("positive", 2.5, lam=-0.2), lattice(5, 3.0), 5, seed=n)
-               for n in (0, 1)]  # fmt: skip
-    cases = {"horizons": (2.0, 2.5), "degrees": (0, 1, 2), "jobs": 1}
+    known, cases = kernel("positive", 2.5, lam=-0.2), {"horizons": (2.0, 2.5), "jobs": 1}
+    samples = [manufactured(known, lattice(5, 3.0), 5, seed=n) for n in (0, 1)]
     folder = Path(folder)
-    methods.sweep(*samples, folder / "fits", **cases)
+    methods.sweep(*samples, folder / "fits", degrees=(0, 1, 2), **cases)
     lengths = {"epochs": 100, "inner_epochs": 50, "outer_iterations": 12}
     stages = methods.TwoStage(seed=3, checkpoint=folder / "state.h5", **lengths)
     fit(samples[0], LPS(2.5, Bernstein(4), method=stages)).material.save(folder / "model.json")
@@ -88,8 +84,8 @@ WORK = "import sys; from tests.package.test_jobs import work; work(sys.argv[1])"
 def test_a_job_that_is_killed_again_and_again_ends_with_the_same_bits(tmp_path):
     """Each time once it has begun to write its n-th file."""
     whole, broken = tmp_path / "whole", tmp_path / "broken"
-    whole.mkdir()
-    broken.mkdir()
+    for folder in (whole, broken):
+        folder.mkdir()
     for count in range(1, 12, 2):
         job, seen = started(WORK, broken), set()
         while job.poll() is None and len(seen) < count:

@@ -23,8 +23,7 @@ ROOT = Path(__file__).parent.parent.parent
 PACKAGE, API = ROOT / "warp_peri", ROOT / "docs" / "reference" / "api"
 PARSED = {path: ast.parse(path.read_bytes()) for path in sorted(PACKAGE.rglob("*.py"))}
 MODULES = {*dir(wp)} - {*wp.__all__}
-SAYS_NO_ERROR = {"InputError", "Motion"}
-"""The error itself, and a result that only has fields."""
+SAYS_NO_ERROR = {"InputError", "Motion"}  # the error itself, a result that only has fields
 
 
 def run(*words, status=0):
@@ -55,9 +54,8 @@ def test_names_are_those_that_type_checkers_see():
 def test_the_api_lists_every_public_name_and_each_has_a_docstring():
     """Each `:::` of the pages with its members; a public module without members has its __all__."""
     shown = set()
-    for block in "\n".join(page.read_text("utf-8") for page in API.glob("*.md")).split("\n::: ")[
-        1:
-    ]:
+    pages = "\n".join(page.read_text("utf-8") for page in API.glob("*.md"))
+    for block in pages.split("\n::: ")[1:]:
         path, _, options = block.split("\n\n")[0].strip().partition("\n")
         members, module = re.search(r"members: \[(.*)\]", options), import_module(path)
         names = members[1].split(", ") if members else getattr(module, "__all__", vars(module))
@@ -122,13 +120,10 @@ def test_an_error_is_one_printable_line_and_a_status(capsys):
     def fails(error):
         raise error
 
+    long = f"x: expected 1\n2\x1b[1m{9000 * 'x'}"
     for error, status, words in (
         (KeyboardInterrupt(), 130, "interrupted; all is kept\n"),
-        (
-            InputError(f"x: expected 1\n2\x1b[1m{9000 * 'x'}"),
-            2,
-            "tool: error: x: expected 1 2\\x1b",
-        ),
+        (InputError(long), 2, "tool: error: x: expected 1 2\\x1b"),
         (OSError("disk\n  full"), 1, "tool: error: disk full\n"),
     ):
         assert exit_status(partial(fails, error), "all is kept", name="tool") == status
