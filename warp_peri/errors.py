@@ -86,10 +86,7 @@ def optional(module: str, without: str) -> Any:
 
 
 def exit_status(
-    work: Callable[[], int | None],
-    interrupted: str | Callable[[], str] = "what is finished is kept",
-    *,
-    name: str = "",
+    work: Callable[[], int | None], interrupted: str = "what is finished is kept", *, name: str = ""
 ) -> int:
     """Run a command's work and return its exit status: its own or 0; 130 after Ctrl-C, which says
     `interrupted`; 2 for bad input; 1 after a failure, such as a full disk. `name` begins the
@@ -101,8 +98,7 @@ def exit_status(
     try:
         return work() or 0
     except KeyboardInterrupt:
-        said = interrupted() if callable(interrupted) else interrupted
-        print(f"interrupted; {said}", file=sys.stderr)
+        print(f"interrupted; {interrupted}", file=sys.stderr)
         return 130
     except InputError as error:
         return _ended(f"{begin}error: {error}", 2)

@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 19_033,
-    "tokens": 237_820,
-    "lines of warp_peri": 30_367,
+    "code lines": 19_012,
+    "tokens": 237_628,
+    "lines of warp_peri": 30_328,
     "files of warp_peri": 114,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 42_554,
+    "lines of warp_peri, kernels, examples and tools": 42_515,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -35,9 +35,9 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "atoms": 2358,
-    "cli": 761,
+    "cli": 744,
     "core": 1519,
-    "face": 1128,
+    "face": 1124,
     "fe_coupling": 741,
     "files": 470,
     "fitting": 1213,

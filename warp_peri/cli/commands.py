@@ -16,7 +16,6 @@ import warp_peri
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import finite, locked, plain, write_text
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
-from warp_peri.points.points import Samples
 from warp_peri.points.unit_names import Units, symbols
 from warp_peri.protocols import offered
 from warp_peri.verbs import load
@@ -49,16 +48,16 @@ def run_certify(given: Namespace) -> Said:
     return proofs, lines_of(proofs)
 
 
-def data_for(given: Namespace, model: Any) -> Dataset:
-    """Load data in the units of a model."""
+def loaded(given: Namespace) -> tuple[Any, Dataset]:
+    """Load a model, and data in its units."""
+    model = load(given.model)
     offered(model, "on", given.command, "a material that is placed on nodes")
-    return load_dataset(given.data, units=model.units)
+    return model, load_dataset(given.data, units=model.units)
 
 
 def run_evaluate(given: Namespace) -> Said:
     """Evaluate a model on the sets of a file."""
-    model = load(given.model)
-    data = data_for(given, model)
+    model, data = loaded(given)
     tables: dict[str, Result] = {}
     for name in given.sets or data:
         try:
@@ -73,7 +72,7 @@ def run_evaluate(given: Namespace) -> Said:
 
 
 def error_table(tables: Mapping[str, Result], units: Units) -> list[str]:
-    """Lines of a table of errors, one for each set, and why they differ where they do."""
+    """Lines of a table of errors, one for each set."""
     absolute = "E_res_abs [{1}/{0}]".format(*symbols(units))
     width = max(map(len, tables))
     lines = [f"{'set':{width}}  samples   E_res [%]  {absolute:>17}   E_u [%]  E_shape [%]"]
@@ -91,8 +90,7 @@ def error_table(tables: Mapping[str, Result], units: Units) -> list[str]:
 
 def problem_of(given: Namespace) -> tuple[Any, Dataset, Any]:
     """Load a model, the data in its units, and the problem of the set that was named."""
-    model = load(given.model)
-    data = data_for(given, model)
+    model, data = loaded(given)
     points = data[given.set]
     return model, data, warp_peri.Dirichlet(points, points.loads, points.u)
 
@@ -117,12 +115,6 @@ def run_solve(given: Namespace) -> Said:
     result = {"file": str(given.out), "set": given.set}
     key = "largest_displacement"
     return result | {key: size}, lines_of(result | {f"{key} [{symbols(data.units)[0]}]": size})
-
-
-def refuse_options(given: Namespace, names: Sequence[str], whose: str) -> None:
-    """Raise InputError for options that were set apart from their defaults and would do nothing."""
-    if idle := [name for name in names if getattr(given, name) != given.usual[name]]:
-        raise InputError(f"{', '.join(idle)}: expected with {whose}")
 
 
 def run_predict(given: Namespace) -> Said:
@@ -155,17 +147,6 @@ def run_info(given: Namespace) -> Said:
     held: Any = load(given.file)
     told: Any = getattr(held, "summary", None) or held.rows
     return finite(plain(dict(told()))), repr(held).split("\n")
-
-
-def set_summary(points: Samples) -> Result:
-    """Count the nodes, unknowns and samples of a set."""
-    return {
-        "samples": len(points),
-        "nodes": len(points.x),
-        "interior": int(points.interior.sum()),
-        "spacing": points.spacing,
-        "arrays": sorted(points.arrays),
-    }
 
 
 def chosen(given: Any, *names: str) -> Result:

@@ -34,23 +34,15 @@ LEARNING = ("coarse-grain", "fit", "sweep", "fit-crystal", "fit-sheet")
 def main(words: Sequence[str] | None = None) -> int:
     """Run a command; its exit status is 0, 1 after a failure, such as a full disk or a row that
     does not hold, 2 for input that cannot be used, or 130 after Ctrl-C."""
-    known: dict[str, Any] = {}
-
-    def kept() -> str:
-        out = known.get("out")
-        there = out is not None and out.exists() and (not out.is_dir() or any(out.iterdir()))
-        return "what is finished is kept" if there or not known else "nothing is kept yet"
-
-    return exit_status(lambda: _run(sys.argv[1:] if words is None else words, known), kept)
+    return exit_status(lambda: _run(sys.argv[1:] if words is None else words))
 
 
-def _run(words: Sequence[str], known: dict[str, Any]) -> int:
+def _run(words: Sequence[str]) -> int:
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         warnings.showwarning = _warn
         given = parse(words)
         given.progress = sys.stderr.isatty() and not given.json  # no bars in files and pipes
-        known |= vars(given)
         check_output(given)
         home = "train" if given.command in LEARNING else "commands"
         run = f"run_{given.command.replace('-', '_')}"

@@ -17,16 +17,7 @@ import warp_peri
 from warp_peri.atoms import dumps
 from warp_peri.atoms.coarse_graining import smoothing_matrix
 from warp_peri.atoms.dic import estimate_noise, frames_of_folder
-from warp_peri.cli.commands import (
-    Result,
-    Said,
-    chosen,
-    error_table,
-    keep,
-    lines_of,
-    refuse_options,
-    set_summary,
-)
+from warp_peri.cli.commands import Result, Said, chosen, error_table, keep, lines_of
 from warp_peri.cli.main import parse
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import (
@@ -109,7 +100,7 @@ def run_coarse_grain(given: Namespace) -> Said:
         provenance = before.provenance if before else {"source": "warp-peri coarse-grain"}
         save_dataset(given.out, Dataset(sets, given.thickness, given.density, provenance))
         keep(given, given.out.with_suffix(f".{given.set}.coarse-grain.txt"))
-    result = {"file": str(given.out), "set": given.set, **set_summary(samples)}
+    result = {"file": str(given.out), "set": given.set, **dict(samples.rows())}
     return result, lines_of(result)
 
 
@@ -202,7 +193,8 @@ def _law(given: Namespace, spacing: float) -> Any:
             kernel = warp_peri.influence.named(given.influence, given.horizon)
         method = settings.named(given.method)
         return warp_peri.LPS(given.horizon, kernel, method, loss=given.loss)
-    refuse_options(given, OF_LPS, f"--law lps, not {given.law}")
+    if idle := [name for name in OF_LPS if getattr(given, name) != given.usual[name]]:
+        raise InputError(f"{', '.join(idle)}: expected with --law lps, not {given.law}")
     law = warp_peri.Crystal(given.horizon)
     smoothing = warp_peri.methods.Smoothing(2 * spacing)
     return law if given.law == "tensors" else warp_peri.ThirdOrder(law, smoothing)
@@ -288,7 +280,7 @@ def run_sweep(given: Namespace) -> Said:
 
 
 def run_fit_crystal(given: Namespace) -> Said:
-    """Fit a crystal; writes model.json, crystal.json, report.txt and law.png to a folder."""
+    """Fit a crystal; writes model.json, crystal.json and law.png to a folder."""
     path = given.out / "model.json"
     units = given.units[0] if len(given.units) == 1 else tuple(given.units)
     how = chosen(given, "spacing", "horizon", "symmetry") | {"units": units}
