@@ -8,7 +8,7 @@ import pytest
 from tests.support.sheets import hgo_dictionary, sheet_on, square, waves
 from warp_peri import Points, Samples, evaluate
 from warp_peri.hyperelastic import NoEquilibriumError
-from warp_peri.materials.hyperelastic import equilibrium
+from warp_peri.materials.hyperelastic import lattice
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
 from warp_peri.solvers.equilibria import Descent
 
@@ -27,7 +27,7 @@ def manufactured():
 def test_a_known_equilibrium_is_found(manufactured, monkeypatch):
     op, u, b = manufactured
     for direct in (0, 10**6):
-        monkeypatch.setattr(equilibrium, "DIRECT", direct)
+        monkeypatch.setattr(lattice, "DIRECT", direct)
         answer = sheet_on(op.points, c=COEFFICIENTS).solve(b, u)
         assert np.abs(answer.u - u).max() < 1e-6 * np.abs(u).max()
         (record,) = answer.details

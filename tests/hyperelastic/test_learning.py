@@ -10,8 +10,8 @@ from tests.support.sheets import NEAREST, hgo_dictionary, sheet_on, square, wave
 from warp_peri import InputError
 from warp_peri.materials.hyperelastic import fibres
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
-from warp_peri.materials.hyperelastic.equilibrium import SheetLattice
 from warp_peri.materials.hyperelastic.fibres import ThicknessField
+from warp_peri.materials.hyperelastic.lattice import SheetLattice
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.materials.hyperelastic.sheet_fit import Search, Sections, fit_fibre_families
 from warp_peri.points.points import PULL, Points, Samples

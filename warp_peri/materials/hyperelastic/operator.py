@@ -17,7 +17,7 @@ from warp_peri.core.pointwise import FEW, Swept
 from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.errors import InputError, warn
 from warp_peri.materials.hyperelastic.energies import Energy, Hyperelastic, Strain
-from warp_peri.materials.hyperelastic.equilibrium import (
+from warp_peri.materials.hyperelastic.lattice import (
     CORNERS,
     SMALLEST_AREA,
     SheetLattice,
@@ -264,35 +264,28 @@ class HyperelasticSheetOperator(Swept):
         """Transposed tangent, which is symmetric, times w, on all nodes [..., N, 2]."""
         return self._product(u, self.on_all(w))
 
-    def _tangent(self, u: np.ndarray) -> sp.bsr_array:
-        """Tangent between interior nodes at a field (H10), blocks [2, 2]."""
+    def interior_tangent(self, u: np.ndarray) -> sp.csc_array:
+        """Tangent between interior nodes at a field (H10), sparse [2 I, 2 I]."""
         Y, e = self.lattice.stretched(plain("u", u)[None])
-        inner = self.lattice.ends[self.interior]
-        far = inner.T.tocsr()  # ∂e/∂u = Y·(v_j − v_i)
-        pulls = far.data[:, None, None] * np.repeat(Y[:, None, :, 0], np.diff(far.indptr), axis=0)
-        by_u = sp.bsr_array((pulls, far.indices, far.indptr), (len(Y), 2 * len(self.interior)))
-        tension, curved = np.zeros_like(e), []
+        inner, tension = self.lattice.ends[self.interior], np.zeros_like(e)
+        away = (sp.diags_array(y) @ inner.T for y in Y[..., 0].T)
+        by_u = sp.hstack([*away], format="csr")  # ∂e/∂u = Y·(v_j − v_i)
+        total = []
         with torch.enable_grad(), one_thread(3 * len(self.points.x) < FEW):
             for sites, each in self.active:
                 stress = self._slope(sites, each, q := sites.seen(e), graph=True)
                 tension += sites.pull(stress.detach())
-                rows = [torch.autograd.grad(s.sum(), q, retain_graph=True)[0] for s in stress]
-                H, at = (
-                    torch.stack(rows)[..., 0].permute(2, 0, 1).numpy(),
-                    np.arange(q.shape[1] + 1),
-                )
-                B = sites.blocks @ by_u
-                curved.append(B.T @ (sp.bsr_array((H, at[:-1], at)) @ B))
+                H = [torch.autograd.grad(s.sum(), q, retain_graph=True)[0] for s in stress]
+                blocks = [[sp.diags_array(h) for h in row[..., 0].numpy()] for row in H]
+                B = sites.S @ by_u
+                total.append(B.T @ (sp.block_array(blocks) @ B))
         turned = inner @ sp.diags_array(tension[:, 0]) @ inner.T
-        return sum(curved, sp.kron(turned, np.eye(2)).tobsr((2, 2)))
-
-    def interior_tangent(self, u: np.ndarray) -> sp.csc_array:
-        """Tangent between interior nodes at a field, sparse [2 I, 2 I]."""
-        return sp.csc_array(self._tangent(u))
+        order = np.arange(2 * len(self.interior)).reshape(2, -1).T.ravel()
+        return sp.csc_array(sum(total, sp.block_diag([turned, turned])))[order][:, order]
 
     def factors(self, u: np.ndarray, shifts: bool = False) -> tuple[Inner | None, bool]:
         """Inverse of the tangent at a field; see SheetLattice.factors."""
-        return self.lattice.factors(self._tangent(u), shifts)
+        return self.lattice.factors(self.interior_tangent(u), shifts)
 
     def smallest_eigenvalue(self, u: np.ndarray) -> float:
         """Smallest eigenvalue of the tangent between interior nodes at u [stress / length²]; where

@@ -1,4 +1,4 @@
-"""Lattice and equilibria of hyperelastic sheets. All that an energy sees is linear in e = |ξ|² s,
+"""Lattice of a hyperelastic sheet. All that an energy sees is linear in e = |ξ|² s,
 (H2), of the bonds around a site: q = S e."""
 
 from __future__ import annotations
@@ -47,13 +47,6 @@ class Sites:
     S: sp.csr_array
     pair: np.ndarray
     corner: bool
-
-    @cached_property
-    def blocks(self) -> sp.bsr_array:
-        """Matrix S with the rows of each site together, as blocks [Q, 1]."""
-        count = self.pair.shape[1]
-        order = np.arange(self.S.shape[0]).reshape(-1, count).T
-        return self.S[order.ravel()].tobsr((order.shape[1], 1))
 
     def seen(self, e: np.ndarray) -> torch.Tensor:
         """Inputs q of the energies from bonds e [pairs, S], shape [Q, n, S]."""
@@ -207,18 +200,14 @@ class SheetLattice:
         shorter = int(np.argmin(np.ptp(inner, axis=0)))
         return np.lexsort((inner[:, shorter], inner[:, 1 - shorter]))
 
-    def factors(self, K: sp.bsr_array, shifts: bool = False) -> tuple[Inner | None, bool]:
+    def factors(self, K: sp.csc_array, shifts: bool = False) -> tuple[Inner | None, bool]:
         """Inverse of a tangent where it is positive definite, and whether it is; with `shifts` else
         that of a tangent made so by a multiple of one."""
-        place = np.argsort(self.order)
-        row, col = np.repeat(place, np.diff(K.indptr)), place[K.indices]
-        low = row >= col
-        (row, col), blocks = 2 * np.stack([row, col])[:, low], K.data[low]
-        band = np.zeros(((row - col).max() + 2, K.shape[0]), order="F")
-        for a, b in np.ndindex(2, 2):
-            i, j = row + a, col + b  # of blocks on the diagonal above it, too
-            band[np.abs(i - j), np.minimum(i, j)] = blocks[:, a, b]
         order = (2 * self.order[:, None] + [0, 1]).ravel()
+        lower = sp.tril(K[order][:, order]).tocoo()
+        row, col = lower.coords
+        band = np.zeros(((row - col).max() + 1, len(order)), order="F")
+        band[row - col, col] = lower.data
         diagonal = band[0].copy()
         for shift in (0.0, *SHIFTS) if shifts else (0.0,):
             band[0] = diagonal + shift * np.abs(diagonal).max()
