@@ -16,7 +16,7 @@ from warp_peri.certificates import critical_time_step
 from warp_peri.materials import transfer
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_law import product_basis, products
-from warp_peri.materials.transfer import TOLERANCE, model_for, wave_loss, wave_vectors
+from warp_peri.materials.transfer import TOLERANCE, wave_loss, wave_vectors
 from warp_peri.methods import Smoothing
 from warp_peri.points.dataset import largest_wave_number
 from warp_peri.points.families import bond_classes, carried_horizon, families_of
@@ -147,7 +147,7 @@ def test_everything_takes_points_of_another_spacing(points):
 
 
 def test_refusing_is_an_option(points):
-    for use in (LPSMaterial.on, evaluate, model_for):
+    for use in (LPSMaterial.on, evaluate):
         with pytest.raises(InputError, match="certified on 1 Å, not on 0.8 Å"):
             use(HOME, points, transfer=False)
 
@@ -161,7 +161,7 @@ def test_the_horizon_that_the_collar_carries():
             families_of(points, carried + 0.8)
     few = lattice(6, 0.8 * np.sqrt(5), spacing=0.8)
     with pytest.warns(UserWarning, match="transferred"):
-        assert model_for(HOME, few).horizon == pytest.approx(0.8 * np.sqrt(5))
+        assert HOME.on(few).model.horizon == pytest.approx(0.8 * np.sqrt(5))
 
 
 @pytest.mark.parametrize("spacing", [1.0, 0.8])

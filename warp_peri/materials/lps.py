@@ -405,7 +405,9 @@ class LPSMaterial(Record, format="warp_peri.model"):
         """
         model, how = self, {"allow_uncertified": allow_uncertified}
         if self.nodes is None and not self.is_certified_on(points.spacing):
-            model = materials.transfer.model_for(self, points, transfer=transfer, **how)
+            model = materials.transfer.model_at(
+                self, points.spacing, points, transfer=transfer, **how
+            )
         if lam is not None or mu is not None:
             model = model.spread(points, lam, mu)
         return LPSOperator(model, points, quadrature_degree=quadrature_degree, **how)

@@ -167,7 +167,7 @@ def _horizons(spacing: float, largest: float | None, unit: str) -> list[float]:
     if not kept:
         raise InputError(
             f"horizon: a lattice of spacing {spacing:g} {unit} needs one of {LEAST * spacing:g} or "
-            f"more, {largest:g} is the largest that fits"
+            f"more, {largest:g} is the largest that fits; nodes end at twice it. {AT_EDGES}"
         )
     return kept
 
@@ -275,15 +275,18 @@ def _recorded(
 def model_at(
     model: LPSMaterial,
     spacing: float,
+    points: PointsLike | None = None,
     *,
-    largest_horizon: float | None = None,
     transfer: bool = True,
     allow_uncertified: bool = False,
 ) -> LPSMaterial:
     """The model for a lattice spacing [Å] (0: scattered points): itself where certified, else
-    transferred within the largest horizon; one certified on none is proven here. Without `transfer`
-    other spacings are refused; with `allow_uncertified` it is itself, with a warning. Raises
-    InputError where nothing is proven of it here."""
+    transferred, within the horizon that the collar of points carries; one certified on none is
+    proven here. Without `transfer` other spacings are refused; with `allow_uncertified` it is
+    itself, with a warning. Raises InputError where nothing is proven of it here, and for points in
+    other units or with a collar that no transfer fits."""
+    if points is not None:
+        check_same(model.units, nodes_of(points).units)
     if model.dimension == 3 and not model.is_certified_on(spacing):
         model = replace(model, certified_on=())  # in space no kernel is carried: it is proven anew
     if spacing and transfer and not (model.certified_on or allow_uncertified):
@@ -297,34 +300,9 @@ def model_at(
         model.check_spacing(spacing, allow_uncertified=allow_uncertified)
         return model
     found = on_lattice(model, spacing=spacing)
-    if largest_horizon is not None and found.horizon > largest_horizon * (1 + 1e-9):
-        found = on_lattice(model, spacing=spacing, largest_horizon=largest_horizon)
+    if points is not None and found.horizon > (largest := carried_horizon(points)) * (1 + 1e-9):
+        found = on_lattice(model, spacing=spacing, largest_horizon=largest)
     if (once := found.content()["sha256"]) not in _said:
         _said.add(once)
         warn(f"transferred {found.provenance['transfer']['statement']}")
     return found
-
-
-def model_for(
-    model: LPSMaterial,
-    points: PointsLike,
-    *,
-    transfer: bool = True,
-    allow_uncertified: bool = False,
-) -> LPSMaterial:
-    """The model for the spacing of points and the horizon that their collar carries, as model_at;
-    InputError also for points in other units, or a collar that no transfer fits."""
-    check_same(model.units, nodes_of(points).units)
-    carried, h = None, points.spacing
-    if h > 0 and not model.is_certified_on(h):
-        carried = carried_horizon(points)
-        moved = transfer and not allow_uncertified and model.certified_on
-        if moved and carried < LEAST * h * (1 - 1e-6):
-            unit = symbols(model.units)[0]
-            raise InputError(
-                f"points: interior nodes lie {2 * carried:.3g} {unit} from an edge, where nodes "
-                f"end; a lattice of spacing {h:g} {unit} needs {2 * LEAST * h:g} {unit}, twice its "
-                f"smallest horizon. {AT_EDGES}"
-            )
-    given = {"transfer": transfer, "allow_uncertified": allow_uncertified}
-    return model_at(model, h, largest_horizon=carried, **given)
