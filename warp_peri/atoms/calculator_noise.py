@@ -303,21 +303,15 @@ def rattled(
 
 
 def by_strains(
-    cell: ase.Atoms,
-    calculator: Any,
-    largest: float,
-    atoms: ForceConstants,
-    allowed: np.ndarray,
-    *,
-    rough: bool = False,
+    cell: ase.Atoms, calculator: Any, noise: Noise, atoms: ForceConstants, allowed: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Elastic tensor C_ijkl [TPa] by finite strains with relaxed atoms, and its standard errors.
 
     From differences of the second Piola–Kirchhoff stress S = det F · F⁻¹ σ F⁻ᵗ, as (T19) has it.
-    Where slopes depend on the strain, as `rough` says, those of the largest are taken and the
+    Where slopes depend on the strain, as of a rough surface, those of the largest are taken and the
     differences are the last errors. Returns [d, d, d, d] and [Q, d, d, d, d]; None without stress.
     """
-    d, e = atoms.dimension, largest * np.array(PULLED)
+    d, e, rough = atoms.dimension, noise.strain * np.array(PULLED), noise.rough > 0
     try:
         S, F = _under_strain(cell, calculator, e, atoms)
     except NotImplementedError:

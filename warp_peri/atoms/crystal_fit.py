@@ -142,17 +142,6 @@ class CrystalFit(Shown):
             found[name] = float(length) if good else float("inf")
         return found
 
-    @property
-    def told_errors(self) -> dict[str, dict[str, float]]:
-        """Mean error [%] over directions at selected wavelengths, by material and rival."""
-        rows = {n: int(np.abs(self.wave_lengths - n).argmin()) for n in TOLD}
-        return {
-            f"waves of {n} spacings": {
-                name: float(100 * off[row].mean()) for name, off in self.wave_errors.items()
-            }
-            for n, row in rows.items()
-        }
-
     def directional(self) -> tuple[np.ndarray, np.ndarray]:
         """Angles in the plane of the first and last axis, and Young's modulus along them [GPa]."""
         angle, one = np.linspace(0, 2 * np.pi, 181), np.eye(self.atoms.dimension)
@@ -166,21 +155,18 @@ class CrystalFit(Shown):
         return found if self.strained is None else found | {"finite strains": self.strained}
 
     def rows(self) -> list[tuple[str, str]]:
-        d, held, law, group = self.atoms.dimension, self.atoms.stress, self.law, self.law.symmetry
+        held, law, group, content = self.atoms.stress, self.law, self.law.symmetry, self.content()
         shown = [("symmetry", group if isinstance(group, str) else f"{len(group)} rotations")]
-        for key, C in self._tensors.items():
-            parts = ", ".join(
-                f"{name} {value:.2f}" for name, value in named_moduli(1e3 * C).items()
-            )
+        for key, moduli in content["moduli_GPa"].items():
             name = {"law": "model", "atoms": "atoms' long waves"}.get(key, key)
+            parts = ", ".join(f"{name} {value:.2f}" for name, value in moduli.items())
             shown.append((f"moduli, {name}", f"{parts} GPa"))
-        if len(self.errors):
-            bars = with_errors(self.tensor, self.errors).items()
-            told = ", ".join(f"{name} {bar:.2g}" for name, (_, bar) in bars)
-            told += f" GPa; a sound wave's modulus {self.unsure:.2%}"
+        if bars := content["standard_errors_GPa"]:
+            parts = ", ".join(f"{name} {bar:.2g}" for name, bar in bars.items())
+            told = f"{parts} GPa; a sound wave's modulus {self.unsure:.2%}"
             shown.append(("standard errors", told))
         if held is not None:
-            stress = ", ".join(f"{1e3 * held[i, j]:.3g}" for i in range(d) for j in range(i, d))
+            stress = ", ".join(f"{1e3 * s:.3g}" for s in held[np.triu_indices(len(held))])
             shown.append(("stress held", f"{stress} GPa (upper triangle)"))
         own, local = (
             f"waves of {wave:.3g} Å" if np.isfinite(wave) else "no wave that was looked at"
@@ -189,13 +175,12 @@ class CrystalFit(Shown):
         within = f"{own}; local elasticity with the same moduli: {local}"
         shown += [
             ("nodes", f"{law.spacing:.4g} Å apart, {law.bonds} bonds up to {law.horizon:.4g} Å"),
-            ("proven", "nothing" if self.certificate is None else self.certificate.statement),
+            ("proven", content["statement"] or "nothing"),
             (f"within {WITHIN:.0%} down to", within),
         ]
-        for name, e in self.told_errors.items():
-            shown.append(
-                (f"error, {name}", f"{e['law']:.2f} %; local elasticity {e['local']:.2f} %")
-            )
+        for name, e in content["wave_errors_percent"].items():
+            told = f"{e['law']:.2f} %; local elasticity {e['local']:.2f} %"
+            shown.append((f"error, {name}", told))
         return [*self.said.items(), *shown]
 
     def plot(self) -> Figure:
@@ -234,6 +219,11 @@ class CrystalFit(Shown):
         """The fit as plain values: Voigt matrices in GPa, lengths in Å, errors in %."""
         C, proof, told = self._tensors, self.certificate, self.law.certificate
         bars = with_errors(self.tensor, self.errors) if len(self.errors) else {}
+        errors = {}  # means over directions
+        for n in TOLD:
+            row = np.abs(self.wave_lengths - n).argmin()
+            means = {name: float(100 * off[row].mean()) for name, off in self.wave_errors.items()}
+            errors[f"waves of {n} spacings"] = means
         return {
             "said": self.said,
             "elastic_tensor_GPa": {key: (1e3 * voigt(v)).tolist() for key, v in C.items()},
@@ -242,7 +232,7 @@ class CrystalFit(Shown):
             "spacing": self.law.spacing,
             "horizon": self.law.horizon,
             "holds_to": self.holds_to,
-            "wave_errors_percent": self.told_errors,
+            "wave_errors_percent": errors,
             "statement": "" if proof is None else proof.statement,  # in the file's units
             "proven_GPa": None if told is None else 1e3 * told.proven,
         }
@@ -339,16 +329,15 @@ def with_strains(
     atoms: ForceConstants, reference: Reference, calculator: Any, symmetry: Symmetry
 ) -> tuple[ForceConstants, np.ndarray | None, dict[str, str]]:
     """Join force constants with finite strains under noise; also returns these moduli and notes."""
-    allowed, rough = _allowed(atoms, symmetry), reference.noise.rough > 0
-    largest = reference.noise.strain
-    found = by_strains(reference.cell, calculator, largest, atoms, allowed, rough=rough)
-    if found is None or reference.noise.rounding:
+    allowed, noise, rough = _allowed(atoms, symmetry), reference.noise, reference.noise.rough > 0
+    found = by_strains(reference.cell, calculator, noise, atoms, allowed)
+    if found is None or noise.rounding:
         return atoms, None if found is None else found[0], {}
     # what is unstable within its errors is refused only if strains do not mend it
     alone = _written(atoms.nearest_elastic(allowed)[0], atoms.elastic_doubt(allowed))
     new, chi, moved = joined(atoms, allowed, *found, shared=SMALLER * rough)
     check_phonons(new)
-    sizes = f"strains of {largest * PULLED[0]:.2g} to {largest:.2g}"
+    sizes = f"strains of {noise.strain * PULLED[0]:.2g} to {noise.strain:.2g}"
     why = "forces leave the supercell" + " or are not linear" * rough
     believed = "they agree" if chi <= APART else f"strains are believed: {why}"
     told = {
@@ -384,22 +373,6 @@ def crystal_from_force_constants(
     return _learned(atoms, spacing, horizon, group, check_units(units), {}, None)
 
 
-def _doubts(atoms: ForceConstants) -> dict[str, str]:
-    """Notes, by name, on force constants that depend on the supercell or the step."""
-    said = {} if atoms.thickness is None else {"thickness": f"{atoms.thickness:.4g} Å"}
-    said |= {"at the supercell's edge": f"{atoms.edge:.1%} of Σ |Φ| r²"}
-    if atoms.doubt is not None:
-        share = np.linalg.norm(atoms.doubt) / np.linalg.norm(atoms.values)
-        said["force constants' error"] = f"{share:.1e} of Φ"
-        soft, error, most = at_zone_edge(atoms)
-        edge = f"{soft:.3f} ± {error:.2g} THz and more; standard errors up to {most:.2g} THz"
-        said["phonons at the zone's edge"] = edge
-    if atoms.change is not None:
-        change = f"by {atoms.change:.1e} of the largest from steps of {STEP:g} to "
-        said["force constants change"] = f"{change}{WIDER * STEP:g} Å"
-    return said
-
-
 def _learned(
     atoms: ForceConstants,
     spacing: float | None,
@@ -409,10 +382,22 @@ def _learned(
     said: dict[str, str],
     strained: np.ndarray | None,
 ) -> CrystalFit:
+    """Fit the material; adds notes on force constants that depend on the supercell or the step."""
+    said = said | ({} if atoms.thickness is None else {"thickness": f"{atoms.thickness:.4g} Å"})
+    said["at the supercell's edge"] = f"{atoms.edge:.1%} of Σ |Φ| r²"
+    if atoms.doubt is not None:
+        share = np.linalg.norm(atoms.doubt) / np.linalg.norm(atoms.values)
+        said["force constants' error"] = f"{share:.1e} of Φ"
+        soft, error, most = at_zone_edge(atoms)
+        edge = f"{soft:.3f} ± {error:.2g} THz and more; standard errors up to {most:.2g} THz"
+        said["phonons at the zone's edge"] = edge
+    if atoms.change is not None:
+        change = f"by {atoms.change:.1e} of the largest from steps of {STEP:g} to "
+        said["force constants change"] = f"{change}{WIDER * STEP:g} Å"
     cell = ase.Atoms(atoms.species, positions=atoms.positions, cell=atoms.cell, pbc=True)
     h = spacing or usual_spacing(cell, atoms.dimension == 2)
     law = fit_phonons(atoms, h, horizon or h * REACH[atoms.dimension], symmetry=symmetry)
-    found = CrystalFit(law, atoms, strained, said | _doubts(atoms))
+    found = CrystalFit(law, atoms, strained, said)
     if len(found.errors):  # relative, of any sound wave
         law = replace(law, provenance=law.provenance | {"moduli_error": found.unsure})
     return replace(found, material=law.in_units(units))
