@@ -37,6 +37,9 @@ def test_points_on_a_lattice_stay_and_scattered_ones_are_fitted_locally(tmp_path
     frame = frame_of(tmp_path / "a.csv", shaken, field(shaken))
     samples = dic_to_lattice([frame], spacing=20.0, radius=2.0)
     np.testing.assert_allclose(samples.u[0], field(samples.x), atol=1e-6)  # quadratic: exact
+    noise = 0.3 * np.random.default_rng(1).standard_normal(BIG.shape)
+    noisy = dic_to_lattice([frame_of(tmp_path / "a.csv", BIG, field(BIG) + noise)])
+    assert estimate_noise(noisy)[0] == pytest.approx(0.3, rel=0.15)
 
 
 BIG = np.argwhere(np.ones((30, 25), bool)) * 2.5 + 0.125
@@ -65,12 +68,6 @@ def test_points_lost_in_single_frames_are_missing_there_alone(tmp_path, radius):
         np.testing.assert_allclose(u, true, atol=1e-6)
 
 
-def test_the_noise_is_estimated(tmp_path):
-    big, random = np.argwhere(np.ones((30, 30), bool)) * 20.0, np.random.default_rng(1)
-    frame = frame_of(tmp_path / "a.csv", big, field(big) + random.normal(0, 0.3, big.shape))
-    assert estimate_noise(dic_to_lattice([frame]))[0] == pytest.approx(0.3, rel=0.15)
-
-
 def gradient(samples):
     """That of a displacement that is linear, [displacement, position]."""
     design = np.c_[np.ones(len(samples.x)), samples.x]
@@ -78,12 +75,11 @@ def gradient(samples):
 
 
 def told(path, header, columns, *, encoding="utf-8", **options):
-    """The gradient that a table tells; `columns` are numbers of x, y, u, v and text."""
+    """The samples that a table tells; `columns` are numbers of x, y, u, v and text."""
     return dic_to_lattice([read_dic_frame(write(path, columns, header, encoding), **options)])
 
 
-def linear(x=BIG):
-    return x[:, 0], x[:, 1], *(x @ GRADIENT.T).T
+LINEAR = *BIG.T, *(BIG @ GRADIENT.T).T
 
 
 COLUMNS = {
@@ -100,7 +96,7 @@ COLUMNS = {
 
 def test_columns_are_what_a_header_says_behind_a_comment_too(tmp_path):
     """Whatever stands beside them: strains, numbers, pixels (1234) of what is x, y, u and v."""
-    meant = dict(zip("xyuv", linear()))
+    meant = dict(zip("xyuv", LINEAR))
     meant |= {str(n + 1): 1.1 * meant[name] + 3 for n, name in enumerate("xyuv")}
     meant["."] = np.arange(len(BIG)) % 7 + 1.0
     for header, holds in COLUMNS.items():
@@ -121,7 +117,7 @@ REFUSED = [
 
 
 def test_columns_that_contradict_each_other_are_refused(tmp_path):
-    columns = dict(zip("xyuv", linear())) | {".": ["one"] * len(BIG)}
+    columns = dict(zip("xyuv", LINEAR)) | {".": ["one"] * len(BIG)}
     for header, names, how, words in REFUSED:
         with pytest.raises(InputError, match=words):
             told(tmp_path / "a.csv", header, [columns[name] for name in names], **how)
@@ -146,12 +142,12 @@ def test_every_column_has_its_unit(tmp_path):
         ("x,y,u,v", (3, 3, 3, 3), "um", {"pixel": "3um"}),
         ("x [px],y [px],u [mm],v [mm]", (0.5, 0.5, 1, 1), "mm", {"pixel": "0.5mm"}),
     ):
-        columns = [np.round(values / size, 9) for values, size in zip(linear(), sizes)]
+        columns = [np.round(values / size, 9) for values, size in zip(LINEAR, sizes)]
         samples = told(tmp_path / "a.csv", header, columns, **how)
         assert samples.points.units == (length, "MPa")
         assert samples.spacing == pytest.approx(2.5)
         np.testing.assert_allclose(gradient(samples), GRADIENT, atol=1e-6, err_msg=header)
-    samples = told(tmp_path / "a.csv", "x [\N{MICRO SIGN}m],y,u,v", linear(), encoding="utf-16")
+    samples = told(tmp_path / "a.csv", "x [\N{MICRO SIGN}m],y,u,v", LINEAR, encoding="utf-16")
     assert samples.points.units[0] == "um"
 
 
@@ -159,7 +155,7 @@ def test_every_column_has_its_unit(tmp_path):
 def test_lost_points_are_left_out_whatever_marks_them(tmp_path, column):
     """By a column, or by 0 or another number that fills in both components, or one of them."""
     rng = np.random.default_rng(3)
-    x, y, u, v = linear()
+    x, y, u, v = LINEAR
     u, v = (values + 1e-3 * rng.standard_normal(len(x)) for values in (u, v))
     lost = rng.uniform(size=len(x)) < 0.1
     lost[:3] = [False, True, True]
