@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 18_998,
-    "tokens": 237_397,
-    "lines of warp_peri": 30_310,
+    "code lines": 18_964,
+    "tokens": 237_209,
+    "lines of warp_peri": 30_269,
     "files of warp_peri": 114,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 42_497,
+    "lines of warp_peri, kernels, examples and tools": 42_456,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -34,7 +34,7 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2358,
+    "atoms": 2341,
     "cli": 744,
     "core": 1519,
     "face": 1124,
@@ -42,7 +42,7 @@ ROOMS = {
     "files": 470,
     "fitting": 1213,
     "fracture": 1438,
-    "materials": 4623,
+    "materials": 4606,
     "neural": 587,
     "points": 1618,
     "prediction": 588,
