@@ -70,8 +70,9 @@ def force_constants(
         if min(repeats) < 1 or (d == 2 and repeats[2] != 1):
             raise InputError(f"supercell: expected three counts, a sheet's third 1, got {repeats}")
     many, how = cell.repeat(repeats), {"thickness": reference.thickness, "stress": reference.stress}
+    said: dict[str, str] = {}
     if reference.noise.rounding:
-        found, said = _by_differences(cell, many, calculator, **how), {}
+        found = _by_differences(cell, many, calculator, **how)
     else:
         found, said = rattled(cell, many, calculator, reference.noise, **how)
     check_phonons(found)
