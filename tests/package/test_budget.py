@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 18_964,
-    "tokens": 237_209,
-    "lines of warp_peri": 30_269,
+    "code lines": 18_965,
+    "tokens": 237_215,
+    "lines of warp_peri": 30_270,
     "files of warp_peri": 114,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 42_456,
+    "lines of warp_peri, kernels, examples and tools": 42_457,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -34,7 +34,7 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2341,
+    "atoms": 2342,
     "cli": 744,
     "core": 1519,
     "face": 1124,
