@@ -10,9 +10,9 @@ solve      static problems by size and shape, and the gradient through a solve
 breaking   sweeps over a body whose bonds break: Numba
 front      error against time of set-up and one load: models, elements, atoms; drawn with --draw
 
-Candidates take turns, results are checked against the first, and each timing follows an untimed
-call. On one thread the processor's time counts, which a shared machine disturbs least. What to read
-are ratios. Numba is in the extra `bench`, scikit-fem in `compare`.
+Each rival takes turns with the library, results are checked against the library's, and each
+timing follows an untimed call. On one thread the processor's time counts, which a shared machine
+disturbs least. What to read are ratios. Numba is in the extra `bench`, scikit-fem in `compare`.
 """
 
 import functools
@@ -95,7 +95,8 @@ def alternating(jobs: Sequence[Callable[[], Any]], repeats: int) -> np.ndarray:
 
 
 def report(title: str, candidates: Candidates, rounds: int, threads: int, bound: float) -> None:
-    """Check results against the first candidate's, and print milliseconds and ratios."""
+    """Check results against the first candidate's; each other takes turns with it alone, for what a
+    rival leaves in caches and memory slows whoever comes next."""
     reference = None
     for name, function in candidates.items():
         results = function()
@@ -105,11 +106,12 @@ def report(title: str, candidates: Candidates, rounds: int, threads: int, bound:
             error = np.abs(result - other).max() / np.abs(other).max()
             if not error <= bound:
                 raise RuntimeError(f"{name} is wrong by {error:.1e}")
-    by_processor, by_clock = alternating([*candidates.values()], rounds)
-    times = np.median(by_processor if threads == 1 else by_clock, axis=1)
     print(f"  {title}")
-    for name, value in zip(candidates, times):
-        print(f"    {name:26}{value:9.2f} ms {value / times[0]:8.2f} × the first")
+    (name, first), *others = candidates.items()
+    for told, rival in others:
+        times = np.median(alternating([first, rival], rounds)[int(threads > 1)], axis=1)
+        ratio = f"{times[1] / times[0]:8.2f} × {name}, {times[0]:.2f} ms beside it"
+        print(f"    {told:26}{times[1]:9.2f} ms {ratio}")
 
 
 # The operator

@@ -19,11 +19,11 @@ import pytest
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
     "code lines": 18_965,
-    "tokens": 237_215,
-    "lines of warp_peri": 30_270,
+    "tokens": 237_220,
+    "lines of warp_peri": 30_271,
     "files of warp_peri": 114,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 42_457,
+    "lines of warp_peri, kernels, examples and tools": 42_460,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,

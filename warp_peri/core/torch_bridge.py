@@ -81,11 +81,12 @@ def once(there: Any, back: Any, *of: torch.Tensor) -> Any:
     once_differentiable lets those pass that do not go through the upstream gradient."""
 
     def make(*of: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        return tuple(map(torch.tensor, there(*_arrays(of))))
+        # NumPy copies: torch's own wait for its threads, which others may keep busy
+        return tuple(torch.from_numpy(np.array(one, float)) for one in there(*_arrays(of)))
 
     def pulled(asked: Any, *given: torch.Tensor) -> list[torch.Tensor | None]:
-        upstream, whole = given[len(of) :], torch.contiguous_format
-        by = back(asked, *(one.detach().clone(memory_format=whole).numpy() for one in upstream))
+        upstream = (np.array(one.detach().numpy(), order="C") for one in given[len(of) :])
+        by = back(asked, *upstream)
         slopes = [
             _like(one, number) if wanted and one is not None else None
             for one, number, wanted in zip(by, given, asked)
