@@ -35,8 +35,8 @@ from warp_peri.fitting.rows import sample_weights
 from warp_peri.materials.lps import LPSParameters
 from warp_peri.materials.lps_law import LPSFound, LPSLaw, Products
 from warp_peri.methods import GaussNewton, StabilityConditions
+from warp_peri.points.families import family_weights
 from warp_peri.points.outlines import Circle, box, mesh_outline
-from warp_peri.points.quadrature import family_weights
 from warp_peri.solvers.verlet import INERTIA
 
 DATA = ROOT / "data" / "graphene_0K.h5"

@@ -1,4 +1,4 @@
-"""The exception for bad input, warnings, and values shown as tables."""
+"""The exception for bad input, on which processes agree, warnings, and values shown as tables."""
 
 from __future__ import annotations
 
@@ -75,6 +75,42 @@ def quietly(wanted: bool = True) -> Iterator[None]:
         yield
     finally:
         _EARS.reset(token)
+
+
+class Alone:
+    """Communicator of a process that shares its work with none."""
+
+    rank, size = 0, 1
+
+    def bcast(self, value: Any) -> Any:
+        """Value that the first process has."""
+        return value
+
+    def allgather(self, value: Any) -> list[Any]:
+        """Values that all processes have."""
+        return [value]
+
+    gather = allgather
+
+    def allreduce(self, value: Any) -> Any:
+        """Sum of a value over all processes."""
+        return value
+
+
+ALONE = Alone()
+
+
+@contextmanager
+def agreed(comm: Any) -> Iterator[None]:
+    """Raise on all ranks an InputError that any meets inside; no rank may wait for others."""
+    mine: InputError | None = None
+    try:
+        yield
+    except InputError as error:
+        mine = error
+    told = [words for words in comm.allgather(None if mine is None else str(mine)) if words]
+    if told:
+        raise mine or InputError(told[0])
 
 
 def optional(module: str, without: str) -> Any:

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any, overload
 
 import warp_peri.fitting as fitting
 from warp_peri.core.record import load as load_record
-from warp_peri.errors import InputError
+from warp_peri.errors import ALONE, InputError, agreed
 from warp_peri.files.atomic import check_regular, write_json
-from warp_peri.files.checkpoint import ALONE, agreed
 from warp_peri.fitting.settings import Fit
 from warp_peri.points.arguments import check_flag, check_mapping, is_piece, typed
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset

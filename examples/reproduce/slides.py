@@ -30,8 +30,7 @@ from warp_peri.fracture import continuum_stretch
 from warp_peri.fracture.bonds import unit_toughness
 from warp_peri.materials.lps_force import Bonds
 from warp_peri.materials.lps_operator import Matrices, assemble, matrices
-from warp_peri.points.families import HORIZON_TOLERANCE, bond_classes
-from warp_peri.points.quadrature import ball_integral
+from warp_peri.points.families import HORIZON_TOLERANCE, ball_integral, bond_classes
 from warp_peri.solvers.systems import MatrixProblem
 from warp_peri.transfers import mean_spacing
 

@@ -13,7 +13,7 @@ from torch.autograd import forward_ad, functional, gradgradcheck
 import warp_peri as wp
 from tests.support.materials import LAWS, LINEAR, OPERATORS, field, operator, seeded
 from tests.support.problems import kernel, lattice
-from warp_peri.files.checkpoint import ALONE
+from warp_peri.errors import ALONE
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 OTHERS = [name for name in OPERATORS if name not in LINEAR]

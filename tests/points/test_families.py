@@ -14,9 +14,14 @@ from tests.support.problems import ell, kernel, lattice, manufactured, noise, pe
 from tests.support.solving import solve
 from warp_peri import LPS, Bernstein, InputError, LPSMaterial, Points, fit
 from warp_peri.certificates import check_solvability
-from warp_peri.points.families import bond_classes, families_of, largest_strain, neighbours
+from warp_peri.points.families import (
+    bond_classes,
+    families_of,
+    largest_strain,
+    neighbours,
+    quadrature_weights,
+)
 from warp_peri.points.points import axis_of, lattice_steps
-from warp_peri.points.quadrature import quadrature_weights
 
 DISK = np.hypot(*np.mgrid[-4:5, -4:5]) <= 4
 

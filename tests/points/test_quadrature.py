@@ -8,7 +8,7 @@ import pytest
 
 from tests.support import reference
 from warp_peri import InputError
-from warp_peri.points.quadrature import quadrature_weights
+from warp_peri.points.families import quadrature_weights
 
 
 def lattice_family(horizon, d=2):

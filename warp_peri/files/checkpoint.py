@@ -12,7 +12,6 @@ import re
 import sys
 import sysconfig
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -21,7 +20,7 @@ import h5py
 import numpy as np
 
 from warp_peri import __version__
-from warp_peri.errors import InputError
+from warp_peri.errors import ALONE, InputError, agreed
 from warp_peri.files.atomic import check_hdf5, meshio_of, parsed, whole_file, write_text, write_vtu
 
 T = TypeVar("T")
@@ -31,29 +30,6 @@ PLAIN = (bool, int, float, complex, str, bytes, tuple, list, dict, np.ndarray, n
 """What a module may hold for a function to read; what lives, as os.environ, is none of it."""
 OF_A_FIT = ("sha256", "certificate", "proven", "provenance")
 """Of a material's file, which a second fit of the same numbers has otherwise."""
-
-
-class Alone:
-    """Communicator of a process that shares its work with none."""
-
-    rank, size = 0, 1
-
-    def bcast(self, value: Any) -> Any:
-        """Value that the first process has."""
-        return value
-
-    def allgather(self, value: Any) -> list[Any]:
-        """Values that all processes have."""
-        return [value]
-
-    gather = allgather
-
-    def allreduce(self, value: Any) -> Any:
-        """Sum of a value over all processes."""
-        return value
-
-
-ALONE = Alone()
 
 
 class AllNodes:
@@ -210,19 +186,6 @@ def _lasting(content: Any) -> Any:
     if not isinstance(content, dict):
         return content
     return {key: _lasting(one) for key, one in content.items() if key not in OF_A_FIT}
-
-
-@contextmanager
-def agreed(comm: Any) -> Iterator[None]:
-    """Raise on all ranks an InputError that any meets inside; no rank may wait for others."""
-    mine: InputError | None = None
-    try:
-        yield
-    except InputError as error:
-        mine = error
-    told = [words for words in comm.allgather(None if mine is None else str(mine)) if words]
-    if told:
-        raise mine or InputError(told[0])
 
 
 def same(comm: Any, **parts: Any) -> None:

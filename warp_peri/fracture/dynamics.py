@@ -14,8 +14,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from warp_peri.errors import InputError
-from warp_peri.files.checkpoint import AllNodes, agreed, fingerprint
+from warp_peri.errors import InputError, agreed
+from warp_peri.files.checkpoint import AllNodes, fingerprint
 from warp_peri.fracture.body import LatticeBody, cracked
 from warp_peri.fracture.bonds import CutOperator, mean_gradients, unit_toughness
 from warp_peri.fracture.materials import BrittleMaterial

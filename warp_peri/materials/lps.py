@@ -19,9 +19,8 @@ from warp_peri.errors import InputError, error_rows, warn
 from warp_peri.materials.lps_force import LARGEST_DEGREE, bernstein_basis, weighted_volume
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.arguments import Positive, checked, is_number, typed
-from warp_peri.points.families import BondClasses, bond_classes
+from warp_peri.points.families import DEGREE, SINGULARITY, BondClasses, bond_classes
 from warp_peri.points.points import Points, PointsLike, nodes_of
-from warp_peri.points.quadrature import DEGREE, SINGULARITY
 from warp_peri.points.unit_names import USUAL, Units, check_same, shown_moduli, symbols
 from warp_peri.protocols import is_tensor
 

@@ -24,9 +24,8 @@ from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.influence import BLOCK, influence
 from warp_peri.kernels.lps import LANES, struct, sweeps
-from warp_peri.points.families import BondClasses, families_of
+from warp_peri.points.families import DEGREE, BondClasses, families_of
 from warp_peri.points.points import PointsLike, nodes_of
-from warp_peri.points.quadrature import DEGREE
 from warp_peri.runtime import (
     DEVICE,
     SLICE,

@@ -24,9 +24,8 @@ from warp_peri.fitting.settings import GaussNewton, StabilityConditions
 from warp_peri.materials.influence import InfluenceFunction
 from warp_peri.materials.lps import LPSMaterial, LPSParameters, stiffnesses
 from warp_peri.materials.lps_force import bernstein_basis, weighted_volume
-from warp_peri.points.families import BondClasses, bond_classes
+from warp_peri.points.families import DEGREE, BondClasses, bond_classes
 from warp_peri.points.points import Samples
-from warp_peri.points.quadrature import DEGREE
 
 
 def products(model: LPSMaterial, classes: BondClasses) -> np.ndarray:

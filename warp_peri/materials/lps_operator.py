@@ -19,9 +19,8 @@ from warp_peri.core.proof import largest
 from warp_peri.errors import InputError, warn
 from warp_peri.materials.lps_force import Bonds, Law, bonds_of, lps_force
 from warp_peri.points.arguments import checked, checked_fields, plain
-from warp_peri.points.families import families_of, largest_strain
+from warp_peri.points.families import DEGREE, families_of, largest_strain
 from warp_peri.points.points import PointsLike, nodes_of
-from warp_peri.points.quadrature import DEGREE
 from warp_peri.protocols import OperatorBase, is_tensor
 from warp_peri.runtime import recording
 from warp_peri.solvers.linear import DIRECT, Inverse, Linear

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_peri.core.stencil import SCALARS, Grid, complete, q1_tensors, refuse_cut
-from warp_peri.errors import InputError
-from warp_peri.files.checkpoint import agreed
+from warp_peri.errors import InputError, agreed
 from warp_peri.kernels.micromodulus import rows as row_kernels
 from warp_peri.materials.crystal import StencilMaterial, crystal_from_lps
 from warp_peri.materials.lps import LPSMaterial

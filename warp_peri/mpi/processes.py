@@ -19,8 +19,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from warp_peri import errors
-from warp_peri.errors import InputError
-from warp_peri.files.checkpoint import agreed
+from warp_peri.errors import InputError, agreed
 from warp_peri.runtime import DEVICE, get_num_threads, ranks_started, set_num_threads, shared_by
 from warp_peri.solvers.systems import Inner
 

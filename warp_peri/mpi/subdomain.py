@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.errors import InputError
-from warp_peri.files.checkpoint import agreed, same
+from warp_peri.errors import InputError, agreed
+from warp_peri.files.checkpoint import same
 from warp_peri.fracture.body import lattice_body
 from warp_peri.fracture.problems import Cracked, in_steps
 from warp_peri.kernels import neighbours

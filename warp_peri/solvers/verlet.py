@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.errors import InputError, quietly, warn
-from warp_peri.files.checkpoint import AllNodes, agreed, fingerprint
+from warp_peri.errors import InputError, agreed, quietly, warn
+from warp_peri.files.checkpoint import AllNodes, fingerprint
 from warp_peri.points.arguments import Count, Positive, as_array, is_piece, typed
 from warp_peri.points.arguments import checked as read
 from warp_peri.points.mesh import check_numbers
