@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import LinearOperator, eigsh, gmres, splu
+from scipy.optimize import NoConvergence, newton_krylov
+from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from warp_peri.errors import InputError
 
@@ -273,43 +274,17 @@ def definite(
     )
 
 
-FORCED, MOST, VECTORS = 0.03, 40, 30
-"""Residual that GMRES leaves of a step's equation, most steps, and most vectors of a step."""
-APART = 1e-6
-"""Difference that the derivative is taken over, relative to the field."""
-SHORTEST, DESCENT = 2.0**-8, 1e-4
-"""Shortest share of a step that is tried, and what of its promise it must keep (Armijo)."""
-Residual = Callable[[np.ndarray], np.ndarray]
+MOST, VECTORS = 40, 30
+"""Most steps of Newton's method, and most vectors of a step."""
 
 
-def newton(residual: Residual, start: np.ndarray, tolerance: float) -> np.ndarray:
+def newton(residual: Field, start: np.ndarray, tolerance: float) -> np.ndarray:
     """Find a zero of a preconditioned residual, near the identity, as far as it comes."""
-    v, r = start, residual(start)
-    size = HERE.norm(r)
-    for _ in range(MOST):
-        if not tolerance < size < np.inf:
-            break
-        step, share = _newton_step(residual, v, r), 1.0
-        while share >= SHORTEST:
-            there = residual(v + share * step)
-            new = HERE.norm(there)
-            if new <= (1 - DESCENT * share) * size:
-                break
-            share /= 2
-        else:
-            break  # no share of the step descends
-        v, r, size = v + share * step, there, new
-    return v
-
-
-def _newton_step(residual: Residual, v: np.ndarray, r: np.ndarray) -> np.ndarray:
-    """Step p whose derivative along p at v is −r, the residual there, to FORCED, by GMRES."""
-    apart = APART * (HERE.norm(v) or 1.0)
-
-    def slope(p: np.ndarray) -> np.ndarray:
-        t = apart / HERE.norm(p)
-        return np.asarray((residual(v + t * p.reshape(v.shape)) - r) / t).ravel()
-
-    J = LinearOperator(2 * (v.size,), matvec=slope, dtype=float)
-    p, _ = gmres(J, -r.ravel(), rtol=FORCED, restart=VECTORS, maxiter=1)
-    return np.asarray(p.reshape(v.shape))
+    how: dict[str, Any] = {"method": "gmres", "inner_maxiter": VECTORS, "maxiter": MOST}
+    try:
+        found = newton_krylov(residual, start, f_tol=tolerance, tol_norm=HERE.norm, **how)
+    except NoConvergence as last:
+        (found,) = last.args
+    except ValueError:  # of a step to where there is no force
+        return start
+    return np.asarray(found)
