@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 18_965,
-    "tokens": 237_220,
-    "lines of warp_peri": 30_271,
+    "code lines": 18_946,
+    "tokens": 236_993,
+    "lines of warp_peri": 30_222,
     "files of warp_peri": 114,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 42_460,
+    "lines of warp_peri, kernels, examples and tools": 42_410,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -37,9 +37,9 @@ ROOMS = {
     "atoms": 2342,
     "cli": 744,
     "core": 1519,
-    "face": 1124,
+    "face": 1144,
     "fe_coupling": 741,
-    "files": 470,
+    "files": 450,
     "fitting": 1213,
     "fracture": 1438,
     "materials": 4606,
@@ -47,7 +47,7 @@ ROOMS = {
     "points": 1618,
     "prediction": 588,
     "mpi": 460,
-    "solvers": 1515,
+    "solvers": 1496,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

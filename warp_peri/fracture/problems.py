@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import warp_peri.fracture as fracture
-from warp_peri.errors import InputError
-from warp_peri.files.checkpoint import ALONE, agreed
+from warp_peri.errors import ALONE, InputError, agreed
 from warp_peri.fracture.body import (
     LatticeBody,
     box_nodes,
