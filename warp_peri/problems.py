@@ -20,7 +20,7 @@ from warp_peri.solvers.adjoint import in_motion
 from warp_peri.solvers.motion import Motion, refuse_learning
 from warp_peri.solvers.solution import Coupling, Solution, refuse_solver
 
-GIVEN = ("displacement", "traction", "b", "edge", "coupling")
+GIVEN = ("displacement", "traction", "b", "coupling")
 """What a Body says itself, and no option may."""
 LINEAR = (
     "a linear material for a Body; of another, displacement is given on a collar (wp.Dirichlet), "
@@ -128,7 +128,6 @@ class Body:
         traction: force per area [stress] by part: a vector [d], or a function of positions and
             outward normals [n, d] that gives [n, d].
         b: body force density [stress/length], a function of positions [n, d] that gives [n, d].
-        edge: stiffness of an edge of its own [stress · length] by part, a number each (B10).
         coupling: how elements and lattice meet.
 
     `solve` raises InputError for parts that the mesh does not have, fields of other shapes or not
@@ -144,7 +143,6 @@ class Body:
     displacement: Mapping[str, Field | ArrayLike]
     traction: Mapping[str, Traction | ArrayLike] | None = None
     b: Field | None = None
-    edge: Mapping[str, float] | None = None
     coupling: Coupling = field(default_factory=Coupling)
 
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:

@@ -1,4 +1,4 @@
-"""Gradients of a coupled solve against differences, edges of their own, what a lattice feels."""
+"""Gradients of a coupled solve against differences, and what a lattice feels."""
 
 import dataclasses
 
@@ -9,8 +9,7 @@ from tests.support.plates import plate
 from warp_peri import LPSMaterial
 from warp_peri.errors import InputError
 from warp_peri.fe_coupling.body import Coupling, body_gradient, solve_body
-from warp_peri.fe_coupling.boundary_elements import BodyLoads, Moduli, Rim, RimProblem
-from warp_peri.points.outlines import Circle, mesh_outline
+from warp_peri.fe_coupling.boundary_elements import BodyLoads
 from warp_peri.solvers import linear
 
 MODEL = LPSMaterial(
@@ -28,7 +27,7 @@ def wave(x):
     return np.stack([np.cos(x[:, 1] / 8), 0 * x[:, 0]], axis=1)
 
 
-def solved(mesh=MESH, *, lam=0.0, mu=0.0, hold=0.0, pull=0.0, push=0.0, edge=0.3):
+def solved(mesh=MESH, *, lam=0.0, mu=0.0, hold=0.0, pull=0.0, push=0.0):
     """The plate with every number moved a little."""
     return solve_body(
         dataclasses.replace(MODEL, lam=MODEL.lam + lam, mu=MODEL.mu + mu),
@@ -36,7 +35,6 @@ def solved(mesh=MESH, *, lam=0.0, mu=0.0, hold=0.0, pull=0.0, push=0.0, edge=0.3
         displacement={"sides": lambda x: (1 + hold) * stretch(x)},
         traction={"hole": lambda x, n: (2e-3 + pull) * n},
         b=lambda x: (1e-4 + push) * wave(x),
-        edge={"hole": edge},
         coupling=Coupling(spacing=1.0, tolerance=1e-12),
     )
 
@@ -97,22 +95,6 @@ def test_what_does_not_fit_is_refused():
         gradient.along(displacement={"hole": (1.0, 0.0)})
     with pytest.raises(InputError, match="1 positions are outside the mesh"):
         solution.probe(np.zeros((1, 2)))
-
-
-def test_an_edge_of_its_own_carries_force():
-    """A disk pulled at its edge: u = t r / ((C11 + C12) + E_s / R), where C44 is isotropic."""
-    radius, size, pull = 12.0, 6.0, 0.01
-    mesh = mesh_outline(Circle(radius, name="edge"), size=2.0)
-    moduli = Moduli.square(C11=1.2, C12=0.4, C44=0.4)
-    rim = Rim(mesh, np.ones(len(mesh.cells), bool))
-    expected = pull / (moduli.C11 + moduli.C12 + size / radius) * rim.x
-    fixed = np.zeros(rim.x.shape, bool)
-    fixed[np.argmin(np.hypot(*rim.x.T))] = True
-    fixed[np.argmin(np.hypot(*(rim.x - (radius, 0)).T)), 1] = True
-    f = rim.traction("edge", lambda x, n: pull * n)
-    problem = RimProblem(rim.stiffness(moduli, {"edge": size}), fixed.ravel())
-    u = (problem @ np.append(f, expected)).reshape(-1, 2)
-    assert np.abs(u - expected).max() < 1e-4 * np.abs(expected).max()
 
 
 H = 2.5

@@ -82,8 +82,6 @@ def test_bad_input_is_named(model):
         ({"traction": {"hole": lambda x, n: n[:, :1]}}, "part 'hole': expected vectors of shape"),
         ({"b": (0.0, 0.0)}, "b: expected a function"),
         ({"b": lambda x: x[:, 0]}, r"b: expected vectors of shape \[\d+, 2\], got shape"),
-        ({"edge": {"hole": "soft"}}, "edge 'hole': expected a finite stiffness"),
-        ({"edge": {"hole": -100.0}}, "edge: with this negative stiffness"),
         ({"mesh": tiny}, "expected positions of a body that a"),
         ({"mesh": huge} | on, "expected positions of a"),
         ({"mesh": plate(2.0, HALF, 12, 32)} | on, "a hole of 4 Å is smaller than the over"),

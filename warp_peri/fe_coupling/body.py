@@ -21,7 +21,6 @@ from warp_peri.fe_coupling.boundary_elements import (
     Rim,
     RimProblem,
     Traction,
-    check_part,
     loads_on,
 )
 from warp_peri.fe_coupling.schwarz import (
@@ -39,14 +38,13 @@ from warp_peri.fe_coupling.schwarz import (
 from warp_peri.materials.certificate import with_proof
 from warp_peri.materials.lps import LPSMaterial, moduli
 from warp_peri.materials.transfer import model_at
-from warp_peri.points.arguments import checked, is_number
+from warp_peri.points.arguments import checked
 from warp_peri.points.families import bond_classes, edge_strain, largest_strain
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import symbols
 from warp_peri.solvers.solution import TOLERANCE, warn_beyond
 from warp_peri.solvers.solution import Coupling as Coupling
-from warp_peri.solvers.systems import definite_factors
 
 UNTOLD = Coupling()
 
@@ -133,7 +131,6 @@ def solve_body(
     displacement: Mapping[str, Field | ArrayLike],
     traction: Mapping[str, Traction | ArrayLike] | None = None,
     b: Field | None = None,
-    edge: Mapping[str, float] | None = None,
     coupling: Coupling = UNTOLD,
     allow_uncertified: bool = False,
 ) -> BodySolution:
@@ -142,12 +139,12 @@ def solve_body(
     Args:
         model: a peridynamic solid, certified on some lattice and transferred to that of the bulk,
             in the plane; or a crystal, on its own lattice, its axes those of the mesh.
-        mesh, displacement, traction, b, edge, coupling: as of problems.Body.
+        mesh, displacement, traction, b, coupling: as of problems.Body.
         allow_uncertified: the model's own parameters on a lattice that nothing is proven of.
 
     Warns of strains far beyond the training data. Raises InputError as problems.Body.
     """
-    loads, springs = loads_on(mesh, displacement, traction, b), _springs(edge or {}, mesh)
+    loads = loads_on(mesh, displacement, traction, b)
     model, stiff, spacing, tried = _on_lattice(model, mesh, loads.b, coupling, allow_uncertified)
     reach, overlap = collar_and_overlap(model, model.horizon, coupling)
     collar = max(reach + MARGIN * spacing, coupling.depth or 0.0)
@@ -160,7 +157,7 @@ def solve_body(
     f, (given, fixed) = loads.on(rim), loads.given(rim)
     loads.refuse_loose(rim, fixed)
     fixed[rim.inner] = True
-    problem = _rim_problem(rim.stiffness(stiff, springs), fixed, springs)
+    problem = RimProblem(rim.stiffness(stiff), fixed.ravel())
     if lattice is None or kept.all():
         warn(_alone(model, collar + overlap, depth[mesh.cells].min(axis=1).max()))
         u_rim = (problem @ np.append(f, given)).reshape(f.shape)
@@ -175,7 +172,7 @@ def solve_body(
         if not isinstance(model, LPSMaterial):  # the mesh lies as the nodes of the law do
             points = replace(points, axis=_axis_of(model))
         bulk = Bulk(model, points)
-        whole = in_elements(stiff, springs, loads, rim, depth < collar)
+        whole = in_elements(stiff, loads, rim, depth < collar)
         two = Schwarz(rim, problem, bulk, cell, whole)
         b_bulk = loads.density(points.x[bulk.inside], spacing)
         u_rim, u_bulk, record = two.solve(f, given, b_bulk, coupling.tolerance)
@@ -218,16 +215,6 @@ def _on_lattice(
     return model, long_wave(model, spacing), spacing, tried
 
 
-def _rim_problem(K: Any, fixed: np.ndarray, springs: Mapping[str, float]) -> RimProblem:
-    """Make the rim's problem; InputError where softer edges leave it without a stable answer."""
-    problem = RimProblem(K, fixed.ravel())
-    if min(springs.values(), default=0.0) < 0 and definite_factors(problem.inside) is None:
-        raise InputError(
-            "edge: with this negative stiffness no equilibrium is stable; give larger triangles"
-        )
-    return problem
-
-
 def _alone(model: Any, needed: float, deepest: float) -> str:
     """Explain why elements are alone, and what gives the lattice room; depths of cells, [Å]."""
     unit, cell = symbols(model.units)[0], "triangle" if model.dimension == 2 else "tetrahedron"
@@ -263,17 +250,6 @@ def _largest_strain(found: BodySolution) -> float:
     mesh = found.rim.mesh
     strain = edge_strain(mesh.x, mesh.cells, found.on_corners()[0])
     return max(strain, largest_strain(found.points, found.u_bulk)) if found.points else strain
-
-
-def _springs(edge: Mapping[str, float], mesh: Mesh) -> dict[str, float]:
-    """Check edge stiffnesses by part of the outline."""
-    for name, size in edge.items():
-        check_part(name, mesh)
-        if not (is_number(size) and np.isfinite(size)):
-            raise InputError(f"edge '{name}': expected a finite stiffness, got {size!r}")
-    if edge and mesh.dimension != 2:
-        raise InputError("edge: expected a mesh of triangles, whose edges have a stiffness")
-    return {name: float(size) for name, size in edge.items()}
 
 
 @dataclass(frozen=True, eq=False)

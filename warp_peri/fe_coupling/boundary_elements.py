@@ -102,35 +102,19 @@ class Rim:
         """Nodes on a named part of the outline."""
         return self._nodes(self.facets[self.mesh.parts[part]])
 
-    def _product(self, form: Callable[..., Any], basis: Any) -> sp.csr_array:
-        return sp.csr_array(self._fem.BilinearForm(form).assemble(basis))
-
     @cached_property
     def _squares(self) -> dict[tuple[int, int], sp.csr_array]:
         """Integrals ∫ ∂_a φ_i ∂_c φ_j, [n, n] by a and c."""
-        each = {
-            (a, c): self._product(lambda u, v, w, a=a, c=c: v.grad[a] * u.grad[c], self.basis)
-            for a, c in itertools.combinations_with_replacement(range(self.d), 2)
-        }
+        pairs, each = itertools.combinations_with_replacement(range(self.d), 2), {}
+        for a, c in pairs:
+            form = self._fem.BilinearForm(lambda u, v, w, a=a, c=c: v.grad[a] * u.grad[c])
+            each[a, c] = sp.csr_array(form.assemble(self.basis))
         return {(c, a): square.T for (a, c), square in each.items()} | each
 
-    def stiffness(self, moduli: Moduli, springs: Mapping[str, float] | None = None) -> sp.csr_array:
-        """Stiffness K [stress], shape [d n, d n], linear in the moduli (B2).
-
-        `springs` has by part of the outline the stiffness E_s of an edge of its own, force over
-        strain and thickness [stress · length]: ∫ E_s (τ · ε(v) τ) (τ · ε(u) τ), in the plane (B10).
-        """
-        C = moduli.tensor
-        K = sum(sp.kron(square, C[:, a, :, c]) for (a, c), square in self._squares.items())
-
-        def stretch(u: Any, w: Any) -> Any:
-            along = np.array((-w.n[1], w.n[0]))
-            return np.einsum("a...,ac...,c...->...", along, u.grad, along)
-
-        for part, size in (springs or {}).items():
-            basis = self._facets(part, self._fem.ElementVector(self.element))
-            K += size * self._product(lambda u, v, w: stretch(u, w) * stretch(v, w), basis)
-        return sp.csr_array(K)
+    def stiffness(self, moduli: Moduli) -> sp.csr_array:
+        """Stiffness K [stress], shape [d n, d n], linear in the moduli (B2)."""
+        C, squares = moduli.tensor, self._squares.items()
+        return sp.csr_array(sum(sp.kron(square, C[:, a, :, c]) for (a, c), square in squares))
 
     def body_force(self, b: Field) -> np.ndarray:
         """Nodal loads ∫ b · φ [TPa Å], shape [n, d], of a body force density [TPa/Å]."""
@@ -138,12 +122,9 @@ class Rim:
 
     def traction(self, part: str, t: Traction) -> np.ndarray:
         """Nodal loads ∫ t · φ [TPa Å], shape [n, d], of a force per area [TPa] on a part."""
-        basis = self._facets(part, self.element)
+        facets, on = self.facets[self.mesh.parts[part]], (self.basis.mesh, self.element)
+        basis = self._fem.FacetBasis(*on, facets=facets, intorder=self.order)
         return self._load(basis, lambda x: t(x, _points(basis.normals)))
-
-    def _facets(self, part: str, element: Any) -> Any:
-        facets, shape = self.facets[self.mesh.parts[part]], self.basis.mesh
-        return self._fem.FacetBasis(shape, element, facets=facets, intorder=self.order)
 
     def _load(self, basis: Any, density: Field) -> np.ndarray:
         x, f = np.asarray(basis.global_coordinates()), np.zeros_like(self.x)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -278,7 +277,7 @@ class Exchange:
 
 
 def in_elements(
-    moduli: Moduli, springs: Mapping[str, float], loads: BodyLoads, rim: Rim, outside: np.ndarray
+    moduli: Moduli, loads: BodyLoads, rim: Rim, outside: np.ndarray
 ) -> tuple[np.ndarray, LinearOperator]:
     """First guess of the rim's inner side [Å], flat [d G], and (I − M)⁻¹ of its jumps, [d G, d G].
 
@@ -287,7 +286,7 @@ def in_elements(
     than unknown nodes of the bulk, shape [P].
     """
     elements = Rim(rim.mesh, np.ones(len(rim.mesh.cells), bool), degree=1)
-    K, d = elements.stiffness(moduli, springs), rim.d
+    K, d = elements.stiffness(moduli), rim.d
     given, fixed = (each.ravel() for each in loads.given(elements))
     whole, x = RimProblem(K, fixed), rim.x[rim.inner]
     trace = vectors(elements.probe(x, rim.mesh.holding(x)), d)
