@@ -1,6 +1,7 @@
 """Noisy calculators: noise measured, rules of force constants, moduli with true errors."""
 
 from dataclasses import replace
+from typing import ClassVar
 
 import ase
 import ase.build
@@ -156,43 +157,33 @@ def test_the_widest_supercell_that_memory_holds_is_taken_and_told():
     assert phonons.wide_enough(rough, EMT(), (4.0, 6.0, 8.0)) == (3, 3, 3)
 
 
+REST = 2.8246
+
+
 class Dimpled(EMT):
-    """EMT, noise, and bonds that are stiffer on their first hundredth of an angstrom."""
+    """EMT and bonds that are stiffer on their first hundredth of an angstrom, or the width."""
 
-    REST, WIDTH, STIFF = 2.8246, 0.01, 0.5
-
-    def __init__(self, noise=3e-6):
-        super().__init__()
-        self.noise, self.rng = noise, np.random.default_rng(0)
+    default_parameters: ClassVar = EMT.default_parameters | {"width": 0.01, "stiff": 0.5}
 
     def calculate(self, *given, **named):
         super().calculate(*given, **named)
-        i, r, way = neighbor_list("idD", self.atoms, 1.15 * self.REST)
-        z = (r - self.REST) / self.WIDTH
-        depth = 0.5 * self.STIFF * self.WIDTH**2 * np.exp(-(z**2))
-        pull = (2 * depth * z / self.WIDTH / r)[:, None] * way  # on atom i, towards its neighbour
-        random = self.noise * self.rng.standard_normal((len(self.atoms), 3))
-        forces = self.results["forces"] + random
-        np.add.at(forces, i, pull)
-        virial = 0.5 * np.einsum("pa,pb->ab", pull, way) / self.atoms.get_volume()
-        stress = self.results["stress"] + virial[(0, 1, 2, 1, 0, 0), (0, 1, 2, 2, 2, 1)]
-        energy = self.results["energy"] - depth.sum() / 2
-        self.results |= {"energy": energy, "forces": forces, "stress": stress}
-
-
-class Shallow(Dimpled):
-    """A wide dimple, of which a hundredth of an angstrom shows little."""
-
-    WIDTH, STIFF = 0.03, 0.1
+        i, r, way = neighbor_list("idD", self.atoms, 1.15 * REST)
+        width = self.parameters.width
+        depth = 0.5 * self.parameters.stiff * width**2 * np.exp(-(((r - REST) / width) ** 2))
+        pull = (2 * depth * (r - REST) / width**2 / r)[:, None] * way  # on i, to its neighbour
+        np.add.at(self.results["forces"], i, pull)
+        virial = 0.5 * pull.T @ way / self.atoms.get_volume()
+        self.results["stress"] += virial[(0, 1, 2, 1, 0, 0), (0, 1, 2, 2, 2, 1)]
+        self.results["energy"] -= depth.sum() / 2
 
 
 def secant(strain):
     """C11 of the dimpled crystal from two strains [GPa]."""
     ends = []
     for e in (strain, -strain):
-        cell = ase.build.bulk("Al", a=2**0.5 * Dimpled.REST, cubic=True)
+        cell = ase.build.bulk("Al", a=2**0.5 * REST, cubic=True)
         cell.set_cell(np.array(cell.cell) * [1 + e, 1, 1], scale_atoms=True)
-        cell.calc = Dimpled(0.0)
+        cell.calc = Dimpled()
         ends.append(cell.get_stress()[0])
     return 160.2176634 * (ends[0] - ends[1]) / (2 * strain)
 
@@ -200,12 +191,12 @@ def secant(strain):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:force constants:UserWarning")  # what is rough has no end
 def test_a_surface_with_a_dimple_is_measured_beyond_it_and_its_spread_is_an_error():
-    cell = ase.build.bulk("Al", a=2**0.5 * Dimpled.REST)
-    found = measured(cell, Dimpled(), False)
+    cell = ase.build.bulk("Al", a=2**0.5 * REST)
+    found = measured(cell, Noisy(Dimpled(), 3e-6), False)
     assert found.rough > 100 * found.force
     assert found.length == 0.03
     assert measured(cell, Noisy(EMT(), 3e-6), False).rough == 0
-    crystal = wp.fit_crystal(cell, Dimpled())
+    crystal = wp.fit_crystal(cell, Noisy(Dimpled(), 3e-6))
     figures = crystal.content()
     value, bar = figures["moduli_GPa"]["atoms"]["C11"], figures["standard_errors_GPa"]["C11"]
     small, *sizes = (secant(e) for e in (1e-3, *(noises.LARGEST * size for size in noises.PULLED)))
@@ -249,10 +240,9 @@ def test_what_is_rough_is_told_from_what_is_smooth_by_stress_over_strain():
     for name, calculator in (("Al", EMT()), ("W", tungsten)):
         cell = at_rest(ase.build.bulk(name), calculator).cell
         assert 0 < bent_by_strain(cell, calculator, False, 0.0) < noises.BENDING
-    cell = ase.build.bulk("Al", a=2**0.5 * Dimpled.REST)
-    found = measured(cell, Shallow(), False)
-    assert (
-        noises.BENDING < found.rough / found.linear < noises.ROUGH
-    )  # less than asked of displacements
+    cell, shallow = ase.build.bulk("Al", a=2**0.5 * REST), Dimpled(width=0.03, stiff=0.1)
+    found = measured(cell, Noisy(shallow, 3e-6), False)
+    rough = found.rough / found.linear
+    assert noises.BENDING < rough < noises.ROUGH  # less than asked of displacements
     assert found.length == 0.03
     assert measured(cell, Noisy(EMT(), 1e-3), False).rough == 0  # noise is not taken for it
