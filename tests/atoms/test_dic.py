@@ -1,7 +1,5 @@
 """Frames of digital image correlation: headers, missing points, lattices, noise."""
 
-import re
-
 import numpy as np
 import pytest
 
@@ -82,27 +80,38 @@ def told(path, header, columns, *, encoding="utf-8", **options):
 LINEAR = *BIG.T, *(BIG @ GRADIENT.T).T
 
 
-COLUMNS = {
-    "id,x,y,u,v,sigma,eyy": ".xyuv..",
-    "X,Y,Z,U,V,W,x,y,u,v": "xy.uv.1234",
-    "#  ID,x_undef [mm],y_undef [mm],z_undef [mm],u [mm],v [mm],w [mm],ex [%]": ".xy.uv..",
-    "ID,COORDINATE_X,COORDINATE_Y,DISPLACEMENT_X,DISPLACEMENT_Y,MODEL_COORDINATES_X,"
-    "MODEL_COORDINATES_Y,MODEL_DISPLACEMENT_X,MODEL_DISPLACEMENT_Y,SIGMA": ".1234xyuv.",
-    "coor.X [mm],coor.Y [mm],disp.Horizontal Displacement U [mm],"
-    "disp.Vertical Displacement V [mm]": "xyuv",
-    "v,y,u,x,x_def": "vyux.",
-}
+TABLES = [  # header, what its columns hold (strains ., pixels 1234 of x, y, u, v), sizes, unit
+    ("id,x,y,u,v,sigma,eyy", ".xyuv..", 4 * [1], "angstrom", {}),
+    ("#X,Y,Z,U,V,W,x,y,u,v", "xy.uv.1234", 4 * [1], "angstrom", {}),
+    ("#  ID,x_undef [mm],y_undef [mm],z_undef [mm],u [mm],v [mm],w [mm],ex [%]", ".xy.uv..",
+     4 * [1], "mm", {}),
+    ("ID,COORDINATE_X,COORDINATE_Y,DISPLACEMENT_X,DISPLACEMENT_Y,MODEL_COORDINATES_X,"
+     "MODEL_COORDINATES_Y,MODEL_DISPLACEMENT_X,MODEL_DISPLACEMENT_Y,SIGMA", ".1234xyuv.",
+     4 * [1], "angstrom", {}),
+    ("coor.X [mm],coor.Y [mm],disp.Horizontal Displacement U [mm],"
+     "disp.Vertical Displacement V [mm]", "xyuv", 4 * [1], "mm", {}),
+    ("#v,y,u,x,x_def", "vyux.", 4 * [1], "angstrom", {}),
+    ("x [mm],y [mm],u [um],v [um]", "xyuv", (1, 1, 1e-3, 1e-3), "mm", {}),
+    ("x_mm,y_mm,u_um,v_um", "xyuv", (1, 1, 1e-3, 1e-3), "mm", {}),
+    ("x,y,u,v\ninch,inch,um,um", "xyuv", (25.4, 25.4, 1e-3, 1e-3), "mm", {}),
+    ("x,y,u,v", "xyuv", 4 * [3], "um", {"pixel": "3um"}),
+    ("x [px],y [px],u [mm],v [mm]", "xyuv", (0.5, 0.5, 1, 1), "mm", {"pixel": "0.5mm"}),
+    ("x [\N{MICRO SIGN}m],y,u,v", "xyuv", 4 * [1], "um", {"encoding": "utf-16"}),
+]  # fmt: skip
 
 
-def test_columns_are_what_a_header_says_behind_a_comment_too(tmp_path):
-    """Whatever stands beside them: strains, numbers, pixels (1234) of what is x, y, u and v."""
+def test_columns_and_their_units_are_what_a_header_says_behind_a_comment_too(tmp_path):
+    """x in mm beside u in µm: a strain of one hundredth is not ten."""
     meant = dict(zip("xyuv", LINEAR))
     meant |= {str(n + 1): 1.1 * meant[name] + 3 for n, name in enumerate("xyuv")}
     meant["."] = np.arange(len(BIG)) % 7 + 1.0
-    for header, holds in COLUMNS.items():
-        head = "#" * (header[0] != "#") + header
-        samples = told(tmp_path / "a.csv", head, [meant[one] for one in holds])
-        np.testing.assert_allclose(gradient(samples), GRADIENT, atol=1e-12, err_msg=header)
+    for header, holds, sizes, unit, how in TABLES:
+        size = dict(zip("xyuv", sizes))
+        columns = [np.round(meant[one] / size.get(one, 1), 9) for one in holds]
+        samples = told(tmp_path / "a.csv", header, columns, **how)
+        assert samples.points.units[0] == unit
+        assert samples.spacing == pytest.approx(2.5)
+        np.testing.assert_allclose(gradient(samples), GRADIENT, atol=1e-6, err_msg=header)
 
 
 REFUSED = [
@@ -131,24 +140,6 @@ def test_columns_that_contradict_each_other_are_refused(tmp_path):
     frames = [read_dic_frame(path, pixel=pixel) for pixel in ("mm", 1.0)]
     with pytest.raises(InputError, match=r"one unit of length, got mm in b.csv, no unit in b.csv"):
         dic_to_lattice(frames)
-
-
-def test_every_column_has_its_unit(tmp_path):
-    """x in mm beside u in µm: a strain of one hundredth is not ten."""
-    for header, sizes, length, how in (
-        ("x [mm],y [mm],u [um],v [um]", (1, 1, 1e-3, 1e-3), "mm", {}),
-        ("x_mm,y_mm,u_um,v_um", (1, 1, 1e-3, 1e-3), "mm", {}),
-        ("x,y,u,v\ninch,inch,um,um", (25.4, 25.4, 1e-3, 1e-3), "mm", {}),
-        ("x,y,u,v", (3, 3, 3, 3), "um", {"pixel": "3um"}),
-        ("x [px],y [px],u [mm],v [mm]", (0.5, 0.5, 1, 1), "mm", {"pixel": "0.5mm"}),
-    ):
-        columns = [np.round(values / size, 9) for values, size in zip(LINEAR, sizes)]
-        samples = told(tmp_path / "a.csv", header, columns, **how)
-        assert samples.points.units == (length, "MPa")
-        assert samples.spacing == pytest.approx(2.5)
-        np.testing.assert_allclose(gradient(samples), GRADIENT, atol=1e-6, err_msg=header)
-    samples = told(tmp_path / "a.csv", "x [\N{MICRO SIGN}m],y,u,v", LINEAR, encoding="utf-16")
-    assert samples.points.units[0] == "um"
 
 
 @pytest.mark.parametrize("column", ["MATCH", "converged", "none", "other", "u alone"])
@@ -210,43 +201,37 @@ def test_positions_that_nothing_tells_are_asked_for(tmp_path):
 
 
 def folder_of(path, frames):
-    """Tables of a lattice of 15 x 16 points, so many of each."""
+    """Tables of so many points of a lattice of 15 x 16, moved by size times the field."""
     path.mkdir()
-    for number, count in enumerate(frames):
-        write(path / f"frame{number}.csv", (X[:count], field(X[:count])))
+    for name, (count, size) in frames.items():
+        write(path / name, (X[:count], size * field(X[:count])))
     return path
 
 
 def test_frames_go_by_number_and_hidden_files_are_none(tmp_path):
-    for name in [*(f"frame{n}.csv" for n in range(11)), ".frame3.csv"]:
-        size = int(re.findall(r"\d+", name)[0])
-        write(tmp_path / name, (X, size * field(X)))
-    taken = frames_of_folder(tmp_path, 11, radius=0.0)
+    names = {f"frame{n}.csv": (len(X), n) for n in range(11)} | {".frame3.csv": (len(X), 3)}
+    taken = frames_of_folder(folder_of(tmp_path / "many", names), 11, radius=0.0)
     sizes = np.abs(taken.u).max(axis=(1, 2)) / np.abs(field(X)).max()
     np.testing.assert_allclose(sizes, np.arange(2.0, 11.0), rtol=1e-5)
 
 
 def test_a_folder_tells_what_it_passes_over_and_what_does_not_fit(tmp_path):
-    whole = folder_of(tmp_path / "whole", [len(X)] * 4)
+    whole = folder_of(tmp_path / "whole", {f"frame{n}.csv": (len(X), 1) for n in range(4)})
     (whole / "force.csv").write_text("time,load\n0,1\n")
     with pytest.warns(UserWarning, match=r"passed over: .*force.csv: expected columns x, y"):
         assert len(frames_of_folder(whole, 7, radius=0.0)) == 4
     (whole / "frame1.csv").unlink()
-    with pytest.raises(InputError, match="4 frames, got 3; .*force.csv: expected columns"):
-        frames_of_folder(whole, 7, radius=0.0)
+    counts = {f"frame{n}.csv": (100 if n == 3 else len(X), 1) for n in range(4)}
+    unequal, none = folder_of(tmp_path / "unequal", counts), folder_of(tmp_path / "none", {})
     for name in ("Ncorr.mat", "frame.npy"):
-        (whole / name).write_bytes(b"none")
-    for path in whole.glob("*.csv"):
-        path.unlink()
-    with pytest.raises(InputError, match=r"4 frames, got 0; of .mat, .npy files none; write x"):
-        frames_of_folder(whole, 7, radius=0.0)
-    unequal = folder_of(tmp_path / "unequal", [len(X)] * 3 + [100])
-    with pytest.raises(InputError, match="frame3.csv has 100 nodes of 240, frame0.csv has 240"):
-        frames_of_folder(unequal, 7, radius=0.0)
-    for wrong, words in (
-        ({"pixel": "2 inch"}, "pixel: expected a length"),
-        ({"count": 3}, "count: expected at least 4 frames, got 3"),
-        ({"radius": -1.0}, "radius: expected a number ≥ 0"),
+        (none / name).write_bytes(b"none")
+    for folder, wrong, words in (
+        (whole, {}, "4 frames, got 3; .*force.csv: expected columns"),
+        (none, {}, r"4 frames, got 0; of .mat, .npy files none; write x"),
+        (unequal, {}, "frame3.csv has 100 nodes of 240, frame0.csv has 240"),
+        (unequal, {"pixel": "2 inch"}, "pixel: expected a length"),
+        (unequal, {"count": 3}, "count: expected at least 4 frames, got 3"),
+        (unequal, {"radius": -1.0}, "radius: expected a number ≥ 0"),
     ):
         with pytest.raises(InputError, match=words):
-            frames_of_folder(unequal, **{"count": 7, "radius": 0.0} | wrong)
+            frames_of_folder(folder, **{"count": 7, "radius": 0.0} | wrong)
