@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from warp_peri.core.proof import prove
 from warp_peri.errors import InputError, Shown
 from warp_peri.materials.certificate import curvature_bound
 from warp_peri.points.arguments import Positive, checked_fields, typed, typed_methods
@@ -26,7 +27,7 @@ from warp_peri.prediction.ensemble import (
     EnsembleOperator,
     norm,
 )
-from warp_peri.protocols import placed
+from warp_peri.protocols import placed, stencil_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -88,16 +89,6 @@ def contraction(model: Any, gradient: float, size: float) -> tuple[float, float]
             return q, radius
         radius = 1.001 * needed
     return None
-
-
-def proven_stiffness(operator: Any, spacing: float) -> float:
-    """Proven constant c with D(k) ≥ c s(k) [stress]; 0 without a certificate."""
-    linear = getattr(operator.model, "linear", operator.model)
-    proof = linear.certificate
-    if isinstance(proof, dict):
-        figures = proof.get(f"{linear.certified_spacing_near(spacing):g}", {})
-        return float(figures.get("symbol_bound") or 0.0)
-    return float(getattr(proof, "proven", 0.0) or 0.0)
 
 
 AXIS = "axis: the points do not state the direction of the crystal; its largest swing is a part"
@@ -168,7 +159,6 @@ class Prediction(Shown):
         """One sentence on what was done and what most of the error is."""
         n, parts = self.corrections, self.parts
         way = "linear" + (f" and {n} nonlinear correction{'s' * (n != 1)}" if n else "")
-        way = way.replace(" 1 ", " one ")
         largest = max(parts, key=lambda name: (math.isnan(parts[name]), parts[name]))
         told = f"{way}; {said(self.error, '{:.2g} %')}, most of it {WORDS[largest]}"
         if not self._within:
@@ -213,13 +203,16 @@ class Prediction(Shown):
         placed, u = self.operator, self.u
         operator: Any = placed.rich
         points, inside = placed.points, placed.points.interior
-        stiffness = proven_stiffness(operator, points.spacing)
-        if not (points.is_open_lattice and stiffness > 0):
+        if not points.is_open_lattice:
+            return None
+        law = getattr(operator.model, "linear", operator.model)
+        proof = prove(*stencil_of(law, points.spacing, "predict"))
+        if not proof.holds:
             return None
         grid = lattice_steps(points)[0][inside]
         sides = grid.max(axis=0) - grid.min(axis=0) + 1  # of the box, whose Laplacian is softer
         laplacian = float(sum(4 * np.sin(np.pi / 2 / (n + 1)) ** 2 for n in sides))
-        smallest = stiffness * laplacian / points.spacing**2
+        smallest = proof.proven * laplacian / points.spacing**2
 
         def linear(v: np.ndarray) -> np.ndarray:
             return placed.straight(operator.on_all(v))
