@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from operator import attrgetter
 from typing import Any, Literal, NamedTuple, TypeAlias
 from weakref import WeakValueDictionary
 
@@ -389,35 +390,10 @@ class Samples(Shown):
         b = None if self.b is None else self.b[rows]
         return replace(self, u=self.u[rows], b=b, arrays=arrays)
 
-    @property
-    def x(self) -> np.ndarray:
-        """Positions of the nodes [Å], shape [N, d]."""
-        return self.points.x
-
-    @property
-    def interior(self) -> np.ndarray:
-        """Nodes where equilibrium is asked, shape [N] bool."""
-        return self.points.interior
-
-    @property
-    def spacing(self) -> float:
-        """Lattice spacing [Å]; 0 for scattered points."""
-        return self.points.spacing
-
-    @property
-    def box(self) -> tuple[float, ...] | None:
-        """Periods [Å] of the points, or None."""
-        return self.points.box
-
-    @property
-    def outside(self) -> np.ndarray | None:
-        """Nodes that are not part of the body, shape [N] bool, or None."""
-        return self.points.outside
-
-    @property
-    def axis(self) -> Any:
-        """Direction of the material against the points, as Points.axis, or None."""
-        return self.points.axis
+    x, interior, spacing, box, outside, axis = (
+        property(attrgetter(f"points.{name}"))
+        for name in ("x", "interior", "spacing", "box", "outside", "axis")
+    )
 
     @property
     def loads(self) -> np.ndarray:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import scipy.fft
 import scipy.sparse as sp
-from scipy.ndimage import distance_transform_cdt
+from scipy.ndimage import convolve1d, distance_transform_cdt
 
 from warp_peri.core.proof import smallest_eigenvalue
 from warp_peri.core.stencil import (
@@ -177,29 +177,23 @@ def coarser(mask: np.ndarray) -> np.ndarray:
     return mask[(slice(1, None, 2),) * mask.ndim]
 
 
+def _spread(field: np.ndarray) -> np.ndarray:
+    """Planes [d, …] and half of what is beside, along each axis."""
+    for axis in range(1, field.ndim):
+        field = convolve1d(field, (0.5, 1.0, 0.5), axis, mode="constant")
+    return field
+
+
 def restrict(field: np.ndarray) -> np.ndarray:
     """Restriction Pᵗ: sums of planes [d, …] with weights 1 and 1/2 along each axis."""
-    for axis in range(1, field.ndim):
-        moved = np.moveaxis(field, axis, 0)
-        n = len(moved) // 2
-        summed = moved[1::2] + 0.5 * moved[0 : 2 * n : 2]
-        after = moved[2::2]
-        summed[: len(after)] += 0.5 * after
-        field = np.moveaxis(summed, 0, axis)
-    return field
+    return _spread(field)[(slice(None), *[slice(1, None, 2)] * (field.ndim - 1))]
 
 
 def prolong(field: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """Prolongation P: linear interpolation of coarser planes to a box of the given shape."""
-    for axis in range(1, field.ndim):
-        moved = np.moveaxis(field, axis, 0)
-        fine = np.zeros((shape[axis - 1], *moved.shape[1:]), field.dtype)
-        fine[1::2] = moved
-        fine[0 : 2 * len(moved) : 2] += 0.5 * moved
-        after = fine[2::2]
-        after += 0.5 * moved[: len(after)]
-        field = np.moveaxis(fine, 0, axis)
-    return field
+    fine = np.zeros((len(field), *shape), field.dtype)
+    fine[(slice(None), *[slice(1, None, 2)] * len(shape))] = field
+    return _spread(fine)
 
 
 def largest(steps: np.ndarray, tensors: np.ndarray) -> float:
