@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 18_913,
-    "tokens": 236_538,
-    "lines of warp_peri": 30_169,
+    "code lines": 18_876,
+    "tokens": 236_324,
+    "lines of warp_peri": 30_118,
     "files of warp_peri": 114,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 42_357,
+    "lines of warp_peri, kernels, examples and tools": 42_306,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -42,12 +42,12 @@ ROOMS = {
     "files": 450,
     "fitting": 1213,
     "fracture": 1438,
-    "materials": 4606,
+    "materials": 4597,
     "neural": 587,
-    "points": 1618,
+    "points": 1604,
     "prediction": 583,
     "mpi": 460,
-    "solvers": 1496,
+    "solvers": 1482,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

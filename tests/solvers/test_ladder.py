@@ -15,7 +15,7 @@ from tools.benchmark import loads, mask_of
 from warp_peri import CG, Direct, Dirichlet, InputError, LPSMaterial
 from warp_peri import solve as at_rest
 from warp_peri.materials.lps_operator import LPSOperator
-from warp_peri.solvers.multigrid import prolong, restrict
+from warp_peri.solvers.linear import prolong, restrict
 
 HORIZON = 3.0
 

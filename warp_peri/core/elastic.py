@@ -336,6 +336,14 @@ def acoustic(brackets: np.ndarray, e: np.ndarray) -> np.ndarray:
     return np.asarray(np.einsum("ijkl,nk,nl->nij", brackets, e, e, optimize=True))
 
 
+def smallest_eigenvalue(matrices: np.ndarray) -> np.ndarray:
+    """Smallest eigenvalue of symmetric matrices [..., c, c], shape [...]."""
+    if matrices.shape[-1] == 2:  # much faster than by LAPACK
+        a, b, c = matrices[..., 0, 0], matrices[..., 1, 1], matrices[..., 0, 1]
+        return np.asarray((a + b) / 2 - np.hypot((a - b) / 2, c))
+    return np.asarray(np.linalg.eigvalsh(matrices)[..., 0])
+
+
 def compliance(tensor: np.ndarray) -> np.ndarray:
     """Compliance S_ijkl with ε = S σ; InputError for a singular elastic tensor."""
     d = tensor.shape[0]

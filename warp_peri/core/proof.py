@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.core.elastic import acoustic, canonical
+from warp_peri.core.elastic import acoustic, canonical, smallest_eigenvalue
 from warp_peri.core.record import Stress
 from warp_peri.core.stencil import Stencil, bend, laplacian_stencil, zone_sample
 from warp_peri.errors import InputError
@@ -158,14 +158,6 @@ def prove(
 def _lattice_units(stencil: Stencil) -> Stencil:
     """The stencil on nodes 1 apart: tensors in units of stress, those of a weight of none."""
     return Stencil(1.0, stencil.steps, stencil.tensors * stencil.spacing**2)
-
-
-def smallest_eigenvalue(matrices: np.ndarray) -> np.ndarray:
-    """Smallest eigenvalue of symmetric matrices [..., c, c], shape [...]."""
-    if matrices.shape[-1] == 2:  # much faster than by LAPACK
-        a, b, c = matrices[..., 0, 0], matrices[..., 1, 1], matrices[..., 0, 1]
-        return np.asarray((a + b) / 2 - np.hypot((a - b) / 2, c))
-    return np.asarray(np.linalg.eigvalsh(matrices)[..., 0])
 
 
 def _ratio(stencil: Stencil, weight: Stencil, phase: np.ndarray) -> np.ndarray:

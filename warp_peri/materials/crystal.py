@@ -37,17 +37,10 @@ class TensorOperator(OperatorBase):
 
     is_linear = is_symmetric = True
 
-    def __init__(
-        self,
-        model: StencilMaterial,
-        points: Points,
-        *,
-        method: str = "auto",
-        dtype: Any = np.float64,
-    ) -> None:
+    def __init__(self, model: StencilMaterial, points: Points, *, dtype: Any = np.float64) -> None:
         self.model, self.points, stencil = model, points, model.stencil
-        self.linear = Linear(stencil, points, by=method, dtype=dtype, why=f": {model.uncut}")
-        self.nodes, self.dtype, self.method = self.linear.grid, self.linear.dtype, self.linear.by
+        self.linear = Linear(stencil, points, dtype=dtype, why=f": {model.uncut}")
+        self.nodes, self.dtype = self.linear.grid, self.linear.dtype
         self.spacing, self.steps, self.tensors = stencil.spacing, stencil.steps, stencil.tensors
 
     def force(self, u: ArrayLike) -> np.ndarray:
@@ -98,7 +91,7 @@ class TensorOperator(OperatorBase):
         law, C = self.model, np.asarray(numbers["tensors"], dtype=float)
         held = law.stress if isinstance(law, CrystalMaterial) else None
         law = CrystalMaterial(self.spacing, self.steps, C, law.units, stress=held)
-        return TensorOperator(law, self.points, method=self.method, dtype=self.dtype)
+        return TensorOperator(law, self.points, dtype=self.dtype)
 
     def by_numbers(self, name: str, u: ArrayLike, w: ArrayLike) -> np.ndarray:
         """Derivatives of Σ w · L u with respect to the tensors, for u [K, N, d] and w [K, I, d]."""
@@ -230,21 +223,18 @@ class StencilMaterial(Record):
         check_spacing(self.stencil.spacing, nodes.spacing, "the points have")
         return nodes
 
-    def on(
-        self, points: Points | Samples, *, method: str = "auto", dtype: Any = np.float64
-    ) -> TensorOperator:
+    def on(self, points: Points | Samples, *, dtype: Any = np.float64) -> TensorOperator:
         """Build the operator on nodes of the material's own spacing, its steps along their axes;
         for other spacings, and for a crystal that stays when the lattice turns, see
         transfer_to_lattice.
 
         Args:
             points: lattice nodes with a collar, or periodic, in the material's units.
-            method: "rows", "fft", or "auto", which takes what is faster.
             dtype: float64 or float32.
 
         Raises InputError for another spacing or other units, and for nodes whose bonds are cut.
         """
-        return TensorOperator(self, self.fitting(points), method=method, dtype=dtype)
+        return TensorOperator(self, self.fitting(points), dtype=dtype)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -18,7 +18,7 @@ from warp_peri.mpi.processes import Comm, Halo, Slabs, build, in_turn, inner, wo
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
 from warp_peri.runtime import shared_by
-from warp_peri.solvers.multigrid import VCycle, coarser, largest, prolong, restrict
+from warp_peri.solvers.linear import VCycle, coarser, largest, prolong, restrict
 from warp_peri.solvers.systems import Inner, SolveRecord, definite
 
 if TYPE_CHECKING:
