@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
 from examples import diffusion
 from examples.diffusion import coupled, jump, smooth
 from tests.support.clouds import cloud
-from tests.support.problems import difference, fitted_order, kernel
+from tests.support.problems import fitted_order, kernel
 from warp_peri import Dirichlet, InputError, LPSMaterial, Points, simulate, solve
 from warp_peri.diffusion import DiffusionMaterial, DiffusionOperator, ThermoelasticMaterial
 
@@ -26,22 +25,6 @@ def square(cells, reach):
 def steady(operator, phi, source=None):
     """φ at rest."""
     return solve(operator, Dirichlet(operator.points, source, phi)).u
-
-
-def test_slopes_of_scattered_points_are_those_of_differences():
-    points, random = cloud(8, 3.2), np.random.default_rng(0)
-    phi, field = random.standard_normal((2, len(points.x)))
-    law = DiffusionMaterial(horizon=3.2, alpha=1.3, D=np.array([1.0, 0.4, 0.7]))
-    operator = DiffusionOperator(law, points, kappa=np.exp(field))
-    seed = random.standard_normal(len(operator.rows))
-    for name, start in operator.learnable.items():
-        way = random.standard_normal(np.shape(start))
-
-        def value(t, name=name, start=start, way=way):
-            return seed @ operator.at(operator.learnable | {name: start + t[0] * way})(phi)
-
-        slope = float((operator.by_numbers(name, phi[None], seed[None]) * way).sum())
-        assert slope == pytest.approx(difference(value, [0.0], 1e-3)[0], rel=1e-7, abs=1e-7)
 
 
 def test_errors_fall_with_their_orders():
@@ -109,36 +92,13 @@ def test_a_kernel_that_changes_sign_is_taken_where_diffusion_does_not_grow(latti
                 call(operator, problem)
 
 
-def test_steps_come_to_the_steady_state_and_those_of_tensors_are_differentiated_once():
+def test_steps_of_a_coupled_solid_come_to_its_steady_state():
     points, random = square(4, 6.0), np.random.default_rng(0)
     solid = ThermoelasticMaterial(SOLID, DiffusionMaterial(0.75), coupling=0.7, storage=0.3)
     problem = Dirichlet(points, *random.standard_normal((2, len(points.x), 3)))
     found = solve(solid, problem)
     np.testing.assert_allclose(found.operator(found.u), found.load, atol=1e-9)
     np.testing.assert_allclose(simulate(solid, problem, step=50.0, steps=8).u, found.u, atol=1e-6)
-    operator = DiffusionMaterial(0.9, 2.0).on(points)
-    phi, b = random.standard_normal((2, len(points.x)))
-    arrays = simulate(operator, Dirichlet(points, b, phi), step=0.1, steps=3)["u"]
-    leaf = torch.from_numpy(phi).requires_grad_()
-    how = {"step": 0.1, "steps": 3, "collar": lambda time: leaf}
-    held = simulate(operator, Dirichlet(points, b, leaf), **how)["u"]
-    assert np.array_equal(held.detach(), arrays)
-    (first,) = torch.autograd.grad(held.square().sum(), leaf, create_graph=True)
-    with pytest.raises(InputError, match="second derivative"):
-        first.sum().backward()
-
-
-def test_a_collar_of_another_shape_is_refused_and_none_is_forgotten():
-    points = square(4, 6.0)
-    op, one = DiffusionMaterial(0.75).on(points), np.ones(len(points.x))
-
-    def flow(collar=None, b=None):
-        return simulate(op, Dirichlet(points, b, one), step=0.1, steps=2, collar=collar)
-
-    assert flow().u == pytest.approx(1, abs=1e-12)
-    for how in ({"collar": 0.0}, {"collar": []}, {"b": lambda t: one[: int(10 * t)]}):
-        with pytest.raises(InputError, match="(collar|b): expected shape"):
-            flow(**how)
 
 
 def test_what_does_not_fit_is_refused():
@@ -149,6 +109,10 @@ def test_what_does_not_fit_is_refused():
     torn = np.random.default_rng(0).uniform(size=len(wide.x)) < 0.4
     torn = Points(wide.x, wide.interior & ~torn, 1.0, outside=torn)
     operator, x = law.on(points), points.x[:, 0]
+
+    def flow(collar=None, b=None):
+        return simulate(operator, Dirichlet(points, b, x), step=0.1, steps=2, collar=collar)
+
     coupled = ThermoelasticMaterial(SOLID, DiffusionMaterial(0.75), 1.0, 1.0)
     rest, three = np.zeros((len(x), 3)), replace(SOLID, horizon=3.0)
 
@@ -173,6 +137,9 @@ def test_what_does_not_fit_is_refused():
         ("units: the model is in", lambda: metres.on(points)),
         ("eigenvalues below zero", lambda: ThermoelasticMaterial(three, bad, 1.0, 1.0).on(wide)),
         ("negative eigenvalues", lambda: soft(torn)),
+        ("collar: expected shape", lambda: flow(0.0)),
+        ("collar: expected shape", lambda: flow([])),
+        ("b: expected shape", lambda: flow(b=lambda t: x[: int(10 * t)])),
         ("b: expected shape", lambda: solve(coupled, Dirichlet(points, rest[:, 0], rest))),
         (r"of shape alpha \[\], D \[1\], kappa \[\], got mu",
          lambda: solve(law, Dirichlet(points, None, x), parameters={"mu": 2.0})),

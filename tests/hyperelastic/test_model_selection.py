@@ -13,16 +13,9 @@ from tests.support.sheets import NEAREST, hgo_dictionary, square, waves
 from tools import make_frames
 from tools.hyperelastic_elements import Elements, quadrilaterals
 from tools.hyperelastic_energies import Family, plane_stress_hgo
-from warp_peri.atoms.dic import DICFrame, dic_to_lattice, frames_of_folder
+from warp_peri.atoms.dic import DICFrame, dic_to_lattice
 from warp_peri.cli.main import main
-from warp_peri.hyperelastic import (
-    Candidate,
-    EnergyTerm,
-    Hyperelastic,
-    HyperelasticMaterial,
-    SheetFit,
-    uniaxial_stress,
-)
+from warp_peri.hyperelastic import EnergyTerm, Hyperelastic, HyperelasticMaterial, uniaxial_stress
 from warp_peri.materials.hyperelastic import model_selection
 from warp_peri.materials.hyperelastic.model_selection import febio_material, in_words, save_febio
 from warp_peri.points.outlines import Circle, box, mesh_outline
@@ -79,7 +72,7 @@ def test_uniaxial_tension_is_that_of_the_formula():
         np.testing.assert_allclose(found, 2 * 0.7 * p * slope * first ** (p - 1), rtol=1e-8)
 
 
-def test_the_command_keeps_every_fit_and_passes_over_what_fails(tmp_path, monkeypatch):
+def test_the_command_passes_over_what_fails(tmp_path, monkeypatch):
     fit, points, out = model_selection.fit_sheet, square(8), tmp_path / "out"
     table(tmp_path, points.x, fields_of(SHEET, points, np.array([[0.3, 0.05], [0.0, 0.1]])))
 
@@ -98,16 +91,7 @@ def test_the_command_keeps_every_fit_and_passes_over_what_fails(tmp_path, monkey
     assert any(words.startswith("deviations") for words in found["words"])
     assert (out / "Mooney-Rivlin.json").exists()
     assert "Mooney-Rivlin" in (out / "material.feb").read_text()
-    material = wp.load(out / "material.json")
-    u = frames_of_folder(tmp_path, 7, radius=0.0).u[-1].reshape(20, 20, 2)
-    F = np.eye(2) + np.stack([np.gradient(u, 0.1, axis=axis) for axis in (0, 1)], axis=-1)
-    D, turned = np.linalg.det(F)[..., None, None] ** 2, np.linalg.inv(F).swapaxes(-1, -2)
-    T = (F**2).sum(axis=(-1, -2), keepdims=True)
-    c1, c2 = material.coefficients[-2:]
-    P = 2 * F * (c1 + c2 / D) + 2 * turned * (c2 * D - (c1 + c2 * T) / D)
-    lines = (P[6:-6, 1:, 0, 0] + P[6:-6, :-1, 0, 0]) / 2  # edge to edge, by no operator of ours
-    assert lines.mean() == pytest.approx(0.3, rel=0.01)
-    far, near = uniaxial_stress(material, [1.4, 1.05])
+    far, near = uniaxial_stress(wp.load(out / "material.json"), [1.4, 1.05])
     assert far / near == pytest.approx(tension(1.4) / tension(1.05), rel=0.01)
     _, middle, low, high, *_ = curves_of(out)
     assert ((low <= middle) & (middle <= high)).all()
@@ -137,12 +121,12 @@ def test_an_even_sheet_that_stiffens_is_not_called_uneven():
 
 def test_a_band_is_no_narrower_than_the_misfit_and_deviations_have_none():
     """Fits that agree exactly, as those of one number do, know no more than the frames tell."""
-    even = SheetFit(SHEET, np.zeros(1), [], [])
+    even = wp.hyperelastic.SheetFit(SHEET, np.zeros(1), [], [])
     alike = replace(even, others=[even] * 3)
-    middle, low, high = Candidate("one", alike, 0.01).curves([1.2])
+    middle, low, high = wp.hyperelastic.Candidate("one", alike, 0.01).curves([1.2])
     np.testing.assert_allclose(high - low, 2 * 1.645 * 0.01 * middle, rtol=1e-3)
     stiff = replace(SHEET, coefficients=np.array([282.0] * 4 + [0.4, 0.1]))
-    rules = Candidate("rules", replace(even, material=stiff), 0.01)
+    rules = wp.hyperelastic.Candidate("rules", replace(even, material=stiff), 0.01)
     with pytest.raises(wp.InputError, match="282 times as stiff .* in the place of a material"):
         rules.curves([1.2])
 
@@ -219,8 +203,7 @@ HGO = HyperelasticMaterial(hgo_dictionary(), np.array([0.3] * 4 + [0.0713, 0.078
 
 def of_febio(text, F):
     """Energy of "HGO unconstrained" and "fiber-exp-pow" in plane strain, from FEBio's manual."""
-    C, J = F.T @ F, np.linalg.det(F)
-    total = 0.0
+    C, J, total = F.T @ F, np.linalg.det(F), 0.0
     for solid in ElementTree.fromstring(text).iter("solid"):
         p = {child.tag: float(child.text) for child in solid if child.tag != "fiber"}
         if solid.get("type") == "HGO unconstrained":
@@ -229,20 +212,19 @@ def of_febio(text, F):
         else:
             theta = np.deg2rad(float(solid.find("fiber/theta").text))
             n = np.array([np.cos(theta), np.sin(theta)])
-            x = max(n @ C @ n - 1, 0.0)
-            scale = p["ksi"] / (p["alpha"] * p["beta"])
-            total += scale * np.expm1(p["alpha"] * x ** p["beta"])
+            x = max(n @ C @ n - 1, 0.0) ** p["beta"]
+            total += p["ksi"] / (p["alpha"] * p["beta"]) * np.expm1(p["alpha"] * x)
     return total
 
 
-def test_the_energy_is_the_learned_one():
+def test_febio_has_the_learned_energy_and_words_its_numbers(tmp_path):
     F = np.array([[0.8, 0.0], [0.3, 1.4]])
     op = HGO.on(square(1))
     (learned,) = op.nodal_energy(op.points.x @ (F - np.eye(2)).T)[op.interior]
     assert of_febio(febio_material(HGO), F) == pytest.approx(float(learned), rel=1e-10)
-
-
-def test_a_sheet_in_plane_stress_becomes_incompressible(tmp_path):
+    words = in_words(HGO)
+    assert words[0] == "matrix: shear modulus 0.1426, volumetric coefficient 0.078"
+    assert words[1].startswith("as the published energy: E = 0.3279, ν = 0.15")
     fibre = EnergyTerm("fibre_exponential", 0.5, 2.0)
     sheet = solid((EnergyTerm("plane_stress"), 3.5), (EnergyTerm("mooney"), 1.5), (fibre, 15.0))
     save_febio(sheet, tmp_path / "sheet.xml")
@@ -253,6 +235,3 @@ def test_a_sheet_in_plane_stress_becomes_incompressible(tmp_path):
         "incompressible matrix: shear modulus 10 (Mooney and Rivlin: C1 = 3.5, C2 = 1.5)",
         "fibres at 28.6°: k1 = 15, k2 = 2",
     ]
-    words = in_words(HGO)
-    assert words[0] == "matrix: shear modulus 0.1426, volumetric coefficient 0.078"
-    assert words[1].startswith("as the published energy: E = 0.3279, ν = 0.15")

@@ -12,13 +12,13 @@ from tqdm import tqdm
 
 from warp_peri.core.torch_bridge import on_fields
 from warp_peri.errors import InputError
-from warp_peri.points.arguments import checked_fields, plain, typed
+from warp_peri.points.arguments import plain, typed
 from warp_peri.points.families import families_of
 from warp_peri.points.points import PointsLike, Samples, nodes_of
 from warp_peri.protocols import OperatorBase
-from warp_peri.solvers.equilibria import Equilibria, NonlinearRecord, equilibria_of, probed
+from warp_peri.solvers.equilibria import Equilibria, equilibria_of, probed
 from warp_peri.solvers.linear import Inverse, Linear
-from warp_peri.solvers.solution import TOLERANCE, Solution, Solver
+from warp_peri.solvers.solution import Solution, Solver
 
 if TYPE_CHECKING:
     from warp_peri.neural.material import NeuralOperator
@@ -31,44 +31,17 @@ LOADS = 8
 """Loads that the solid at rest is set up for."""
 
 
-class EquilibriumSolver:
+class EquilibriumSolver(Equilibria):
     """Solver for equilibria of one operator, preconditioned by its stencil at rest."""
 
     def __init__(self, placed: Placed) -> None:
         points = placed.points
         if points.interior.all():
             raise InputError("points: expected a collar; without one u is known up to a motion")
-        self.placed, linear = placed, Linear(probed(placed), points)
-        self.inverse = linear.cheapest_inverse(LOADS, definite=False)
-        straight = lambda u: linear(u[None])[0]  # noqa: E731
-        least = ROUNDING * float(torch.finfo(placed.dtype).eps)
-        self.way = Equilibria(placed, straight, self.inverse, points.interior, rounding=least)
-
-    def solve(
-        self, b: ArrayLike, u: ArrayLike, *, tolerance: float = TOLERANCE
-    ) -> tuple[np.ndarray, NonlinearRecord]:
-        """Find the equilibrium with load b [stress/length] near u [length], both [N, 2].
-
-        u holds data on the collar and the start on the interior; `tolerance` is of ‖force − b‖ over
-        that of a zero interior. Returns u, or the last iterate, and a record that says whether it
-        converged. Raises InputError for arrays of other shapes.
-        """
-        load, field = checked_fields(self.placed.points, b, u)
-        return self.way.solve_from(load[self.way.inside], field, tolerance)
-
-    def solve_by_continuation(
-        self, b: ArrayLike, u: ArrayLike, *, tolerance: float = TOLERANCE
-    ) -> tuple[np.ndarray, NonlinearRecord]:
-        """Find the equilibrium on the branch from rest, whatever u is inside, or a linear one."""
-        load, given = checked_fields(self.placed.points, b, u)
-        inside, load = self.way.inside, load[self.way.inside]
-        try:
-            return self.way.solve(load, given, tolerance)
-        except InputError:
-            field = np.where(inside[:, None], 0.0, given)
-            field[inside] = self.inverse(load - self.way.straight(field), tolerance)
-            left = np.linalg.norm(load - self.placed(field)) / (np.linalg.norm(load) or 1.0)
-            return field, NonlinearRecord(1, "linear", float(left), converged=False)
+        linear, least = Linear(probed(placed), points), torch.finfo(placed.dtype).eps
+        inverse = linear.cheapest_inverse(LOADS, definite=False)
+        ways = placed, lambda u: linear(u[None])[0], inverse, points.interior
+        super().__init__(*ways, rounding=ROUNDING * float(least))
 
 
 CELLS = 16
@@ -181,7 +154,7 @@ class Placed(OperatorBase):
         The solution's details are a NonlinearRecord for each sample. Raises InputError for arrays
         that do not fit, and for a sample without an equilibrium.
         """
-        return equilibria_of(self, b, u, solver, EquilibriumSolver(self).way)
+        return equilibria_of(self, b, u, solver, EquilibriumSolver(self))
 
     @property
     def networks(self) -> tuple[torch.nn.Parameter, ...]:  # type: ignore[override]
@@ -349,13 +322,18 @@ def evaluate(
         rows["E_res_abs"].append(float(miss))
         rows["E_res"].append(float(miss / size) if size else np.nan)
         if search is not None:
+            found, converged = np.where(inside[:, None], 0.0, u), False
             if samples.b is None:
-                found, record = search.solve(b, affine(samples, u), tolerance=enough)
+                found, record = search.solve_from(b[inside], affine(samples, u), enough)
+                converged = record.converged
             else:
-                found, record = search.solve_by_continuation(b, u, tolerance=enough)
+                try:
+                    found, converged = search.solve(b[inside], u, enough)[0], True
+                except InputError:  # the linear answer
+                    found[inside] = search.inverse(b[inside] - search.straight(found), enough)
             gap = np.linalg.norm((found - u)[inside])
             rows["E_u"].append(float(gap / np.linalg.norm(u[inside])))
-            rows["converged"].append(float(record.converged))
+            rows["converged"].append(float(converged))
     kept = {key: values for key, values in rows.items() if values and np.isfinite(values).all()}
     if not kept:
         raise InputError("samples: expected at least one")

@@ -62,7 +62,7 @@ class Frames:
         for n, seen in enumerate(self.u.double().numpy()):
             found, record = self._found(n)
             if not record.converged:
-                found, record = self.search.solve(0 * seen, seen, tolerance=SOLVED)
+                found, record = self.search.solve_from(0 * self.seen[n], seen, SOLVED)
             self.state[n] = found if record.converged else seen
             field = torch.as_tensor(self.state[n], dtype=self.u.dtype)
             self.factors.append(splu(self.placed.interior_tangent(field.numpy())))
@@ -92,7 +92,7 @@ class Frames:
         self.state = state.numpy().copy()
 
     def _found(self, n: int) -> tuple[np.ndarray, NonlinearRecord]:
-        return self.search.solve(0 * self.start[n], self.start[n], tolerance=SOLVED)
+        return self.search.solve_from(0 * self.seen[n], self.start[n], SOLVED)
 
     def _error(self, n: int, u: np.ndarray) -> float:
         return float(np.linalg.norm(u[self.inside] - self.seen[n]) / self.sizes[n])

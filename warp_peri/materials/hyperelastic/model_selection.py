@@ -202,18 +202,13 @@ def uniaxial_stress(
         raise InputError(f"stretches: expected numbers > 0, got {along.min():g}")
     coefficients = torch.from_numpy(solid.coefficients)
 
-    def stress(across: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Stresses along the direction and across."""
-        a, b = along**2, across**2
-        E = (
-            np.stack([c * c * a + s * s * b - 1, s * s * a + c * c * b - 1, 2 * c * s * (a - b)])
-            / 2
-        )
-        q = torch.from_numpy(E).requires_grad_()
-        energy = (coefficients @ solid.dictionary.uniform(q)).sum()
-        x, y, shear = torch.autograd.grad(energy, q)[0].numpy()
-        turn = 2 * c * s * shear
-        return along * (c * c * x + s * s * y + turn), across * (s * s * x + c * c * y - turn)
+    def stress(across: np.ndarray, along: np.ndarray) -> list[np.ndarray]:
+        """Stresses along the direction and across: slopes of the energy by the two stretches."""
+        ends = [torch.tensor(one, requires_grad=True) for one in (along, across)]
+        a, b = (one**2 for one in ends)
+        q = [c * c * a + s * s * b - 1, s * s * a + c * c * b - 1, 2 * c * s * (a - b)]
+        energy = (coefficients @ solid.dictionary.uniform(torch.stack(q) / 2)).sum()
+        return [one.numpy() for one in torch.autograd.grad(energy, ends)]
 
     between = 0.3 / along, np.full_like(along, 1.3)
     found = find_root(lambda *both: stress(*both)[1], between, args=(along,))
