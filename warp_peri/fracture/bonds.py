@@ -126,35 +126,64 @@ def bond_matrix(
         theta = dilatations(body, bonds.share, neighbour, np.arange(len(neighbour)))
         total = total + theta.T @ (sp.diags_array(of_nodes) @ theta)
     if corrected:
-        total = total + corrections(body, neighbour, bonds)
+        total = total + SurfaceCorrection(body, neighbour >= 0, bonds, SPANNED).matrix()
     total = sp.csr_array(total)
     total.eliminate_zeros()
     return total
 
 
-def corrections(body: LatticeBody, neighbour: np.ndarray, bonds: SplitBonds) -> sp.csr_array:
-    """Correction (C26) of L near nodes that lack bonds; as bond_matrix."""
-    node, d = np.flatnonzero((neighbour < 0).any(axis=1)), body.dimension
-    each, there = np.broadcast_to(bonds.stiffness, neighbour.shape)[node], neighbour[node] >= 0
-    spans, *made = mean_gradients(body.xi, there, each, bonds.share, SPANNED)
-    node, (slopes, squares, lacked) = node[spans], (one[spans] for one in made)
-    width, size = len(node), d * d
-    row, bond = np.nonzero(slopes.reshape(d * width, -1))
-    value, own = slopes.reshape(d * width, -1)[row, bond], node[row // d]
-    columns = np.concatenate([neighbour[own, bond], own])
-    entries = np.concatenate([value, -value]), (np.tile(row, 2), columns)
-    by_node = sp.csr_array(sp.coo_array(entries, shape=(d * width, len(neighbour))))
-    gradient = sp.csr_array(sp.kron(by_node, sp.eye_array(d)))  # rows by node, j and i
-    blocks = sp.bsr_array((squares, np.arange(width), np.arange(width + 1)))
-    total = gradient.T @ (sp.csr_array(blocks) @ gradient)
-    if np.any(bonds.excess):
+class SurfaceCorrection:
+    """Correction (C26) of a body near nodes that lack bonds.
+
+    Args:
+        body: nodes and bonds.
+        there: unbroken bonds, shape [N, B] bool.
+        bonds: their coefficients.
+        least: eigenvalue of a node's shape tensor, over that of a whole ball, from which on its
+            bonds span space; other nodes are left as they are.
+    """
+
+    def __init__(
+        self, body: LatticeBody, there: np.ndarray, bonds: SplitBonds, least: float
+    ) -> None:
+        node, count = np.flatnonzero(~there.all(axis=1)), len(there)
+        each = np.broadcast_to(bonds.stiffness, there.shape)[node]
+        spans, *made = mean_gradients(body.xi, there[node], each, bonds.share, least)
+        self.node, slopes, self._squares, self._lacked = (one[spans] for one in (node, *made))
+        flat = slopes.reshape(-1, slopes.shape[2])
+        row, bond = np.nonzero(flat)
+        value, own = flat[row, bond], self.node[row // body.dimension]
+        columns = np.concatenate([body.neighbour[own, bond], own])
+        entries = np.concatenate([value, -value]), (np.tile(row, 2), columns)
+        self._slopes = sp.csr_array(sp.coo_array(entries, shape=(len(flat), count)))
+        self._excess = np.broadcast_to(bonds.excess, count)[self.node]
+        self._theta = sp.csr_array((len(self.node), body.x.size))
+        if self._excess.any():
+            table = np.where(there, body.neighbour, -1)
+            self._theta = dilatations(body, bonds.share, table, self.node)
+
+    def matrix(self) -> sp.csr_array:
+        """Matrix that L has more, [d N, d N]."""
+        width, size = self._lacked.shape
+        gradient = sp.csr_array(sp.kron(self._slopes, sp.eye_array(int(size**0.5))))  # by j and i
+        blocks = sp.bsr_array((self._squares, np.arange(width), np.arange(width + 1)))
         rows = np.repeat(np.arange(width), size), np.arange(size * width)
-        felt = sp.csr_array((lacked.ravel(), rows), shape=(width, size * width))
-        more = felt @ gradient
-        of_nodes = sp.diags_array(np.broadcast_to(bonds.excess, len(neighbour))[node])
-        crossed = more.T @ (of_nodes @ dilatations(body, bonds.share, neighbour, node))
-        total = total + crossed + crossed.T + more.T @ (of_nodes @ more)
-    return sp.csr_array(total)
+        more = sp.csr_array((self._lacked.ravel(), rows), shape=(width, size * width)) @ gradient
+        of_nodes = sp.diags_array(self._excess)
+        crossed = more.T @ (of_nodes @ self._theta)
+        total = gradient.T @ (sp.csr_array(blocks) @ gradient)
+        return sp.csr_array(total + crossed + crossed.T + more.T @ (of_nodes @ more))
+
+    def __call__(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Force density of all nodes, and energy density of `node`, at a displacement."""
+        gradient = (self._slopes @ u).reshape(self._lacked.shape)
+        theta, more = self._theta @ u.ravel(), (self._lacked * gradient).sum(axis=1)
+        stress = (self._squares @ gradient[..., None])[..., 0]
+        energy = (gradient * stress).sum(axis=1) / 2 + self._excess * more * (theta + more / 2)
+        stress += (self._excess * (theta + more))[:, None] * self._lacked
+        pull = self._slopes.T @ stress.reshape(-1, u.shape[1])
+        pull += (self._theta.T @ (self._excess * more)).reshape(u.shape)
+        return -pull, energy
 
 
 def mean_gradients(
@@ -302,8 +331,10 @@ class CutRows:
         count, vector = len(body.x), self._operator.vector
         self._fields = [zeros(count, dtype=one) for one in (vector, vector, wp.float64)]
         self._neighbour, self._links = neighbour, self._operator.links(neighbour)
-        none = sp.csr_array(2 * (body.x.size,))
-        self._more = corrections(body, neighbour, self._operator.bonded) if corrected else none
+        self._more = sp.csr_array(2 * (body.x.size,))
+        if corrected:
+            bonds = self._operator.bonded
+            self._more = SurfaceCorrection(body, neighbour >= 0, bonds, SPANNED).matrix()
 
     @property
     def diagonal(self) -> np.ndarray:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from warp_peri.errors import InputError, agreed
 from warp_peri.files.checkpoint import AllNodes, fingerprint
 from warp_peri.fracture.body import LatticeBody, cracked
-from warp_peri.fracture.bonds import CutOperator, mean_gradients, unit_toughness
+from warp_peri.fracture.bonds import CutOperator, SurfaceCorrection, unit_toughness
 from warp_peri.fracture.materials import BrittleMaterial
 from warp_peri.fracture.statics import by_component, check_no_fail
 from warp_peri.kernels.damage import halves
@@ -30,55 +30,6 @@ SPREAD = 0.25
 a straight edge has half."""
 SHORTER = 0.95
 """Of the step (C9), where bonds are corrected: breaking at random raises Λmax by up to 1.05."""
-
-
-class SurfaceCorrection:
-    """Surface correction (C26): energy at `nodes` that lack bonds, force there and `near` them."""
-
-    def __init__(self, operator: CutOperator, links: wp.array[Any]) -> None:
-        self._operator, self._links = operator, links
-        self.nodes = np.zeros(0, int)
-        self._kept: list[np.ndarray] = []
-        self.lose(np.flatnonzero(~operator.kept(links).all(axis=1)))
-
-    def lose(self, nodes: np.ndarray) -> None:
-        """Add nodes that lack bonds, or more of them."""
-        stiffness, share, _ = self._operator.bonded
-        body = self._operator.body
-        there = self._operator.kept(self._links, nodes[:, None], np.arange(len(share)))
-        made = (
-            np.where(there, body.neighbour[nodes], nodes[:, None]),
-            (there * share)[:, :, None] * body.xi,
-            *mean_gradients(body.xi, there, stiffness, share, SPREAD)[1:],
-        )
-        stay = ~np.isin(self.nodes, nodes)
-        every = np.append(self.nodes[stay], nodes)
-        order = np.argsort(every)
-        before = [one[stay] for one in self._kept] or [one[:0] for one in made]
-        self.nodes = every[order]
-        self._kept = [np.concatenate(pair)[order] for pair in zip(before, made)]
-        ends = np.append(self._kept[0].ravel(), self.nodes)
-        number = np.zeros(len(body.x), int)
-        number[ends] = 1
-        self.near = np.flatnonzero(number)
-        number[self.near] = np.arange(len(self.near))
-        self._place = number[ends]
-
-    def __call__(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Force density of the nodes `near` and energy density of `nodes`, at a displacement."""
-        far, felt, by_bond, squares, lacked = self._kept
-        excess, d = self._operator.bonded.excess, u.shape[1]
-        apart = u[far] - u[self.nodes, None]
-        gradient = (by_bond @ apart).reshape(len(far), -1)
-        theta = (felt * apart).reshape(len(far), -1).sum(axis=1)
-        stress, more = (squares @ gradient[..., None])[..., 0], (lacked * gradient).sum(axis=1)
-        energy = (gradient * stress).sum(axis=1) / 2 + excess * more * (theta + more / 2)
-        stress = (stress + excess * (theta + more)[:, None] * lacked).reshape(-1, d, d)
-        pulls = by_bond.swapaxes(1, 2) @ stress
-        pulls += (excess * more)[:, None, None] * felt
-        each = np.append(-pulls.reshape(-1, d), pulls.sum(axis=1), axis=0)
-        sums = [np.bincount(self._place, part, len(self.near)) for part in each.T]
-        return np.stack(sums, axis=1), energy
 
 
 @dataclass(eq=False)
@@ -186,7 +137,8 @@ class BreakingBody:
         count = len(self.body.x)
         state = BreakingState(
             *fields,
-            *self.links_of(neighbour),
+            self.operator.links(neighbour),
+            self.correction(neighbour >= 0),
             force=zeros(count, dtype=self.operator.vector),
             energy=zeros(count),
             work=zeros(count),
@@ -204,20 +156,18 @@ class BreakingBody:
         state.work = floats(kinetic + state.energy.numpy())
         return state
 
-    def links_of(self, neighbour: np.ndarray) -> tuple[Any, SurfaceCorrection | None]:
-        """Links and correction of a state with the bonds of a table of neighbours, [N, B]."""
-        links = self.operator.links(neighbour)
-        return links, SurfaceCorrection(self.operator, links) if self.corrected else None
+    def correction(self, there: np.ndarray) -> SurfaceCorrection | None:
+        """Surface correction with these bonds, [N, B] bool, where one is asked for."""
+        if not self.corrected:
+            return None
+        return SurfaceCorrection(self.body, there, self.operator.bonded, SPREAD)
 
-    def correct(self, state: BreakingState, lost: np.ndarray | None = None) -> None:
-        """Add the surface correction to force and energy, where nodes have `lost` bonds anew."""
-        if (correction := state.correction) is None:
-            return
-        if lost is not None:
-            correction.lose(lost)
-        more, stored = correction(state.u.numpy())
-        state.force.numpy()[correction.near] += more
-        state.energy.numpy()[correction.nodes] += stored
+    def correct(self, state: BreakingState) -> None:
+        """Add the surface correction to force and energy."""
+        if state.correction is not None:
+            more, stored = state.correction(state.u.numpy())
+            state.force.numpy()[:] += more
+            state.energy.numpy()[state.correction.node] += stored
 
     def damage(self, state: BreakingState) -> np.ndarray:
         """Damage φ, the share of bonds that a node has lost, shape [N]."""
@@ -259,7 +209,8 @@ def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
         full = state.energy.numpy()[lost]
         if body.corrected:  # to have the same bits wherever nothing breaks
             operator.sweep(*state.swept)
-            body.correct(state, lost)
+            state.correction = body.correction(operator.kept(state.links))
+            body.correct(state)
         else:
             operator.again(state.links, lost, state.force, state.energy)
         state.dissipated[lost] += full - state.energy.numpy()[lost]
@@ -373,7 +324,10 @@ class CrackRun(Recorder):
         for name in NODAL:
             getattr(state, name).numpy()[:] = arrays[name]
         left = np.where(arrays["left"], self.body.body.neighbour, -1)
-        state.links, state.correction = self.body.links_of(left)
+        state.links, state.correction = (
+            self.body.operator.links(left),
+            self.body.correction(left >= 0),
+        )
         state.dissipated[:], state.whole = arrays["dissipated"], arrays["whole"]
         state.time, state.steps = self._times(steps)[-1], steps
         return state
