@@ -12,8 +12,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from warp_peri.atoms.force_constants import TINY, ForceConstants, Supercell, forces_of, relaxing
-from warp_peri.core.elastic import PAIRS, by_spglib, kinds_of, stress_brackets, voigt
+from warp_peri.core.elastic import PAIRS, stress_brackets, voigt
 from warp_peri.errors import optional
+from warp_peri.fitting.regression import particular
 from warp_peri.points.unit_names import EV_IN_TPA
 
 ON_SITES = 1e-4
@@ -178,16 +179,9 @@ class Symmetric(Supercell):
         super().__init__(cell, many, displaced, **how)
         how_to = "symfc: pip install 'warp_peri[phonons]'"
         sets, utils = (optional(f"symfc.{name}", how_to) for name in ("basis_sets", "utils.utils"))
-        kinds, parts, count = kinds_of(cell)[0][self.site], many.get_scaled_positions(), len(many)
-        group = by_spglib("get_symmetry", (self.box, parts, kinds), ON_SITES)
-        turns = group["rotations"].reshape(-1, 9)
-        some = np.unique(turns, axis=0, return_index=True)[1]  # the rest are their products
-        some = np.union1d(some, np.flatnonzero((turns == np.eye(3).ravel()).all(axis=1)))
-        found = sets.FCBasisSetO2(
-            utils.SymfcAtoms(cell=self.box, scaled_positions=parts, numbers=kinds + 1),
-            spacegroup_operations={n: group[n][some] for n in ("rotations", "translations")},
-            symprec=ON_SITES,
-        ).run()
+        kinds, parts, count = self.pairs.kinds[self.site], many.get_scaled_positions(), len(many)
+        atoms = utils.SymfcAtoms(cell=self.box, scaled_positions=parts, numbers=kinds + 1)
+        found = sets.FCBasisSetO2(atoms, symprec=ON_SITES).run()
         self.translations = found.translation_permutations
         rows = 9 * count * np.array(self.displaced)[:, None] + np.arange(9 * count)
         basis = found.compression_matrix.tocsr()[rows.ravel()].toarray().T
@@ -222,9 +216,7 @@ class Symmetric(Supercell):
             return np.concatenate(flat, axis=-1)
 
         known = broken(atoms.values)
-        U, size, rows = np.linalg.svd((broken(self.values(self.basis)) - known).T)
-        rank = int((size > NONE).sum())
-        return rows[:rank].T @ (-(U[:, :rank].T @ known) / size[:rank]), rows[rank:].T
+        return particular((broken(self.values(self.basis)) - known).T, -known)
 
 
 def projected(

@@ -125,10 +125,10 @@ class ForceConstants:
         pairs: atoms i and j of the cell, shape [P, 2].
         vectors: from i to an image of j [Å], shape [P, 3].
         values: Φ [eV/Å²], ∂²E/∂u_i ∂u_j, shape [P, 3, 3]; shared among images equally near.
+        kinds: numbers that tell atoms apart, of one species too, shape [n].
         thickness: of a sheet in the plane of the first two axes [Å]; None for a solid.
         polar: dipoles of ions, which `values` then are without.
         stress: that the crystal is held under [TPa], shape [d, d]; None for one at rest.
-        kinds: numbers that tell atoms apart where `species` do not, shape [n].
         edge: share of Σ |Φ| r² at half the supercell's width, where none should be.
         change: relative change of Φ between the two steps of finite differences, if known.
         doubt: independent standard errors of `values`, shape [Q, P, 3, 3]; None where unknown.
@@ -143,10 +143,10 @@ class ForceConstants:
     pairs: np.ndarray
     vectors: np.ndarray
     values: np.ndarray
+    kinds: np.ndarray
     thickness: float | None = None
     polar: NonAnalyticCorrection | None = None
     stress: np.ndarray | None = None
-    kinds: np.ndarray | None = None
     edge: float = 0.0
     change: float | None = None
     doubt: np.ndarray | None = None
@@ -335,8 +335,8 @@ class ForceConstants:
 
     def group(self) -> np.ndarray:
         """Point group of the crystal by spglib, [G, d, d], in the axes of its coordinates."""
-        kinds = self.species if self.kinds is None else self.kinds
-        turns = group_of_structure(self.cell, self.positions @ np.linalg.inv(self.cell), kinds)
+        fractions = self.positions @ np.linalg.inv(self.cell)
+        turns = group_of_structure(self.cell, fractions, self.kinds)
         if self.dimension == 3:
             return turns
         flat = turns[np.abs(np.abs(turns[:, 2, 2]) - 1) < 1e-6][:, :2, :2]
@@ -394,8 +394,8 @@ class Supercell:
         share = 1 / tie.sum(axis=2)
         self.entries, self.share = (i, j), share[i, j][:, None, None]
         pairs, none = np.stack([i, self.site[j]], axis=1), np.zeros((len(i), 3, 3))
-        of = edges, x, np.array(cell.numbers), pairs, near[i, j, image], none
-        self.pairs = ForceConstants(*of, thickness, polar, stress, kinds_of(cell)[0])
+        of = edges, x, np.array(cell.numbers), pairs, near[i, j, image], none, kinds_of(cell)[0]
+        self.pairs = ForceConstants(*of, thickness, polar, stress)
         widths = 1 / np.linalg.norm(np.linalg.inv(box), axis=0)[: 3 if thickness is None else 2]
         self.at_edge = far[i, j, image] > EDGE * widths.min()
 
