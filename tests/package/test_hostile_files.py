@@ -109,23 +109,20 @@ def test_what_unpacks_to_more_than_is_read_is_refused(name, tmp_path, monkeypatc
     tracemalloc.stop()
 
 
-@pytest.mark.parametrize("number", [".nan", "-.INF", "1e999"])
-def test_yaml_with_numbers_that_are_none_reaches_no_parser(number, tmp_path):
-    path = tmp_path / "phonopy.yaml"
-    path.write_text(f"points:\n- symbol: Al\n  coordinates: [ {number}, 0.0, 0.0 ]\n")
-    with pytest.raises(InputError, match="expected finite numbers"):
-        wp.atoms.from_phonopy(path)
+YAML = "points:\n- symbol: Al\n  coordinates: [ {}, 0.0, 0.0 ]\n"
+CLAIMS = [
+    *(("phonopy.yaml", YAML.format(x), "finite numbers") for x in (".nan", "-.INF", "1e999")),
+    ("a.xyz", "1000000000000\n\nH 0 0 0\n", "cannot be read"),
+    ("a.xyz", "1\nProperties=species:S:1:pos:R:1000000000\nH 0 0 0\n", "cannot be read"),
+    ("a.dump", 10**6 * "\0", "cannot be read"),
+]
 
 
-@pytest.mark.parametrize(
-    "text", ["1000000000000\n\nH 0 0 0\n", "1\nProperties=species:S:1:pos:R:1000000000\nH 0 0 0\n"]
-)
-def test_atoms_that_a_file_only_claims_take_no_memory(text, tmp_path):
-    (tmp_path / "a.xyz").write_text(text)
-    (tmp_path / "a.dump").write_bytes(bytes(10**6))
-    for name in ("a.xyz", "a.dump"):
-        with pytest.raises(InputError, match="cannot be read"):
-            [*iter_dump(tmp_path / name)]
+@pytest.mark.parametrize(("name", "text", "words"), CLAIMS)
+def test_numbers_that_are_none_and_atoms_that_are_only_claimed(name, text, words, tmp_path):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match=words):
+        dict(PARSERS)[name](tmp_path / name)
 
 
 @pytest.mark.parametrize("place", ["/etc/passwd", "../secret.h5", "nowhere.h5", "secret.h5"])
