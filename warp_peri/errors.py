@@ -30,9 +30,13 @@ class InputError(ValueError):
     """
 
     def __init__(self, message: object) -> None:
-        line = " ".join(str(message)[: 4 * LONGEST].split())
-        shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
+        shown = printable(" ".join(str(message)[: 4 * LONGEST].split()))
         super().__init__(shown if len(shown) <= LONGEST else shown[:LONGEST] + " …")
+
+
+def printable(line: str) -> str:
+    """Escape the characters of a line that could control a terminal."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
 
 
 _EARS: ContextVar[tuple[tuple[list[str], ...], bool]] = ContextVar("warnings", default=((), True))

@@ -24,7 +24,7 @@ from typing import Any, NoReturn
 import h5py
 
 import warp_peri
-from warp_peri.errors import InputError, exit_status
+from warp_peri.errors import InputError, exit_status, printable
 from warp_peri.files.atomic import content, destination
 
 LEARNING = ("coarse-grain", "fit", "sweep", "fit-crystal", "fit-sheet")
@@ -48,7 +48,7 @@ def _run(words: Sequence[str]) -> int:
         run = f"run_{given.command.replace('-', '_')}"
         result, lines = getattr(import_module(f"{__package__}.{home}"), run)(given)
     try:
-        print(json.dumps(result) if given.json else "\n".join(map(_printable, lines)), flush=True)
+        print(json.dumps(result) if given.json else "\n".join(map(printable, lines)), flush=True)
     except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python tries at exit
         if not isinstance(error, BrokenPipeError):  # that is a reader, as `head`, who has enough
@@ -58,11 +58,6 @@ def _run(words: Sequence[str]) -> int:
 
 def _warn(message: Warning | str, *_: Any, **__: Any) -> None:
     print(f"warning: {message}", file=sys.stderr)
-
-
-def _printable(line: str) -> str:
-    """Escape the characters of a line that could control a terminal."""
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
 
 
 SETTINGS = """\

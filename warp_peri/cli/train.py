@@ -226,12 +226,8 @@ def _first(given: Namespace, metrics: Result, data: Dataset) -> list[str]:
     """Lines on what was learned, its error in one number, and the next command."""
     path, solved, samples = given.out / "model.json", metrics["E_u"], data[given.set]
     kind = f"{KINDS[given.law]}, horizon {given.horizon:g} {symbols(data.units)[0]}"
-    others = [
-        name
-        for name, points in data.sets.items()
-        if name != given.set and points.spacing == samples.spacing and solved.get(name) is not None
-    ]
-    name = next((name for name in (*HELD_OUT, *others) if name in others), given.set)
+    known = [name for name in HELD_OUT if solved.get(name) is not None]
+    name = next((name for name in known if data[name].spacing == samples.spacing), given.set)
     seen = "loads that the fit did not see" if name != given.set else "the loads of the fit"
     error = "not known" if solved.get(name) is None else f"{100 * solved[name]:.2g} %"
     of = "the linear part has " if given.law == "third-order" else ""
