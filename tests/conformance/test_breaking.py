@@ -13,7 +13,7 @@ import warp_peri as wp
 from examples.inclusion import Mixed
 from tests.support.bodies import random_breaking
 from tests.support.materials import OTHER
-from tests.support.problems import difference, noise
+from tests.support.problems import difference, noise, rotation
 from warp_peri import runtime
 from warp_peri.fracture import BondLaw, BrittleMaterial, Cracked, SofteningMaterial, box_nodes
 from warp_peri.fracture.statics import CutSolid
@@ -48,13 +48,7 @@ every_solid = pytest.mark.parametrize(
 def points_of(d, angle=0.0):
     x = box_nodes(SIDES[d], 1.0)
     inside = (np.abs(x) < np.abs(x).max(axis=0) - 0.4).all(axis=1)
-    return wp.Points(x @ turn(d, angle).T, inside, 1.0)
-
-
-def turn(d, angle):
-    R = np.eye(d)
-    R[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    return R
+    return wp.Points(x @ rotation(angle, d).T, inside, 1.0)
 
 
 def torn(solid, share, angle=0.0):
@@ -84,7 +78,7 @@ def test_forces_balance_and_are_the_derivative_of_the_energy(solid, share):
     slope = difference(lambda t: op.energy(u + t[0] * v), [0.0], 1e-3)[0]
     near((op(u) * v[points.interior]).sum(), slope, 1e-8)
     if share and not isinstance(solid, Mixed):  # whose moduli are functions of positions
-        other, R = torn(solid, share, angle=0.4)[0], turn(d, 0.4)
+        other, R = torn(solid, share, angle=0.4)[0], rotation(0.4, d)
         near(other(u @ R.T), op(u) @ R.T, 1e-11)
 
 

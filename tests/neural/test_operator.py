@@ -11,8 +11,7 @@ import pytest
 import torch
 
 import warp_peri as wp
-from tests.support.nonlinear import rotation
-from tests.support.problems import ell, lattice, loaded
+from tests.support.problems import ell, lattice, loaded, rotation
 from warp_peri import testing
 from warp_peri.core.record import content_hash
 from warp_peri.errors import InputError

@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 18_829,
-    "tokens": 235_529,
-    "lines of warp_peri": 30_068,
+    "code lines": 18_824,
+    "tokens": 235_482,
+    "lines of warp_peri": 30_063,
     "files of warp_peri": 114,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 42_256,
+    "lines of warp_peri, kernels, examples and tools": 42_251,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -35,9 +35,9 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "atoms": 2333,
-    "cli": 744,
+    "cli": 738,
     "core": 1519,
-    "face": 1143,
+    "face": 1144,
     "fe_coupling": 714,
     "files": 450,
     "fitting": 1213,

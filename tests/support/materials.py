@@ -39,7 +39,6 @@ class Law:
     axis: float = 0.0  # of the material on an unturned lattice [rad]
     energy: bool = True
     periodic: bool = True  # whether it takes a periodic lattice
-    single: Callable | None = None  # material, points and field to the force in float32
     stress_turns: bool = False  # that of uniform strain, with a finite rotation
     force_turns: bool = False  # that of any field
     horizon: float = 3.0
@@ -157,20 +156,9 @@ def of_network(material, H):
     return torch.einsum("b,bi,bj->ij", t / y.norm(dim=1) / 2, y, xi).numpy()
 
 
-def single_tensors(material, points, u):
-    return material.on(points, dtype=np.float32)(u)
-
-
-def single_network(material, points, u):
-    force = material.to(torch.float32).on(points)(torch.from_numpy(u.astype(np.float32)))
-    return force.detach().numpy()
-
-
 LPS = {"stress": lambda m, H: isotropic(m.lam, m.mu, H), "axis": AXIS}
 CUBIC = {"stress": of_third_order, "axis": AXIS, "stress_turns": True}
-CRYSTAL = {
-    "stress": lambda m, H: np.einsum("ijkl,kl->ij", m.tensor(), H), "single": single_tensors
-}  # fmt: skip
+CRYSTAL = {"stress": lambda m, H: np.einsum("ijkl,kl->ij", m.tensor(), H)}
 TURNS = {"stress_turns": True, "force_turns": True}
 LAWS = {
     "LPS": Law(linear("sign-changing"), **LPS),
@@ -179,9 +167,7 @@ LAWS = {
     "third order, energy": Law(third_order("energy"), **CUBIC),
     "crystal": Law(tensors, **CRYSTAL),
     "own": Law(springs, **CRYSTAL),
-    "neural operator": Law(
-        network, of_network, energy=False, periodic=False, single=single_network, **TURNS
-    ),
+    "neural operator": Law(network, of_network, energy=False, periodic=False, **TURNS),
     "density": Law(own_energy, of_saint_venant, horizon=1.0, collar=1.0, **TURNS),
     "hyperelastic": Law(hyperelastic, of_energies, periodic=False, spacing=SPACING, **TURNS),
 }
@@ -207,10 +193,7 @@ def solved_samples(op):
 
 
 def scattered():
-    grid = np.argwhere(np.ones((23, 23))) - 11
-    x = grid + np.random.default_rng(3).uniform(-0.45, 0.45, grid.shape)
-    points = wp.Points(x, np.abs(x).max(axis=1) <= 2.0, 0.0)
-    return kernel("1/r", 3.0).on(points, allow_uncertified=True)
+    return kernel("1/r", 3.0).on(clouds.cloud(5, 3.0, 0.45, seed=3), allow_uncertified=True)
 
 
 def torn():

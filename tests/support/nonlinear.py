@@ -40,7 +40,3 @@ def psi(H, model):
     q = q * np.exp(-2j * AXIS)
     cubic = model.t3 * t**3 + model.tq2 * t * np.abs(q) ** 2 + model.q3 * (q**3).real
     return harmonic(E) - harmonic(small) + cubic
-
-
-def rotation(angle):
-    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])

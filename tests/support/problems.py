@@ -27,6 +27,13 @@ def kernel(name, horizon, spacing=1.0, lam=LAM, mu=MU):
     return LPSMaterial(lam=lam, mu=mu, horizon=horizon, **KERNELS[name], **spacings)
 
 
+def rotation(angle, d=2):
+    """A turn about the third axis, shape [d, d]."""
+    R = np.eye(d)
+    R[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    return R
+
+
 def lattice(interior, horizon, spacing=1.0, angle=0.0, origin=0.0):
     """A lattice around interior nodes (a number or a mask), and the 2δ collar they need."""
     mask = np.ones((interior, interior), bool) if np.ndim(interior) == 0 else np.array(interior)
@@ -34,8 +41,7 @@ def lattice(interior, horizon, spacing=1.0, angle=0.0, origin=0.0):
     mask = np.pad(mask, pad)
     x, axis = spacing * (np.argwhere(np.ones_like(mask)) - pad), None
     if mask.ndim == 2:
-        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        x, axis = x @ turn.T, np.rad2deg(AXIS)
+        x, axis = x @ rotation(angle).T, np.rad2deg(AXIS)
     return Points(x + origin, mask.ravel(), spacing, axis=axis)
 
 
