@@ -53,7 +53,7 @@ and most that are factorised."""
 STIFFEST = 4 * DIRECT
 """Likewise most that are factorised where λ ≫ μ and loads are many: each takes long to iterate."""
 MANY, FEW_IN_SPACE = 10, 500
-"""Loads that are many; most unknown nodes in space whose factors, which fill up there, cost less than iteration."""
+"""Loads that are many; most unknown nodes in space whose factors, which fill up, cost little."""
 PAYS = {"sine": 3400, "fft": 7000}
 """A factorisation pays from 2 + n H/3400 loads on n nodes, H half of a stencil's bonds, where the
 sine transform does, from 2 + n H/7000 elsewhere."""
