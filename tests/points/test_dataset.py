@@ -10,6 +10,7 @@ import pytest
 from tests.support.problems import lattice, noise
 from warp_peri import Dataset, InputError, Points, Samples, evaluate, load, save
 from warp_peri.points.dataset import content_hash, load_dataset, save_dataset
+from warp_peri.points.unit_names import factors
 
 GRID = lattice(2, 1.0, spacing=2.5)
 N = len(GRID.x)
@@ -172,8 +173,13 @@ def test_files_carry_their_units_and_an_argument_converts(tmp_path):
             assert getattr(samples, field) == pytest.approx(getattr(LOADS, field) * factor)
         assert samples.spacing == pytest.approx(2.5 * length)
         assert samples.arrays["wave_vector"] == pytest.approx(1 / length)
-    with pytest.raises(InputError, match="length_unit: expected one of angstrom, nm, .* 'mile'"):
-        load(path, units=("mile", "TPa"))
+    assert factors("si", "metal") == pytest.approx((1e10, 1e-5))
+    for units, words in (
+        (("mile", "TPa"), "length_unit: expected one of angstrom, nm, .* 'mile'"),
+        ("cgs", "or ase, metal, si, reduced, got 'cgs'"),
+    ):
+        with pytest.raises(InputError, match=words):
+            load(path, units=units)
     save(path, replace(DATA, sets={"a": replace(LOADS, points=replace(GRID, units="reduced"))}))
     assert load(path).units == ("sigma", "epsilon/sigma^3")
     with pytest.raises(InputError, match="no factor leads from sigma and epsilon/sigma"):

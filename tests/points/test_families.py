@@ -12,7 +12,7 @@ from tests.support import reference
 from tests.support.clouds import cloud, cube, periodic_cloud, plain
 from tests.support.problems import ell, kernel, lattice, manufactured, noise, periodic
 from tests.support.solving import solve
-from warp_peri import LPS, Bernstein, InputError, LPSMaterial, Points, fit
+from warp_peri import LPS, Bernstein, InputError, Points, fit
 from warp_peri.certificates import check_solvability
 from warp_peri.points.families import (
     bond_classes,
@@ -128,13 +128,12 @@ def test_neighbours_are_all_that_are_near_and_bonds_know_their_way_back():
 
 def test_each_scattered_family_has_its_own_weights():
     points = cloud(6, 3.4)
-    for degree in (3, 5):
-        found = families_of(points, 3.4, degree=degree)
-        for i in found.whole[::5]:
-            bonds = slice(*found.row[i : i + 2])
-            xi = points.x[found.neighbour[bonds]] - points.x[i]
-            expected = quadrature_weights(xi, 3.4, degree=degree)
-            np.testing.assert_allclose(found.weight[bonds], expected, atol=1e-9)
+    found = families_of(points, 3.4, degree=3)  # those of degree 5 are in the reference below
+    for i in found.whole[::5]:
+        bonds = slice(*found.row[i : i + 2])
+        xi = points.x[found.neighbour[bonds]] - points.x[i]
+        expected = quadrature_weights(xi, 3.4, degree=3)
+        np.testing.assert_allclose(found.weight[bonds], expected, atol=1e-9)
 
 
 @pytest.mark.filterwarnings("ignore:spacing. the model is certified")
@@ -211,11 +210,9 @@ def test_the_strain_of_known_fields():
         assert largest_strain(some, field) == pytest.approx(strain)
 
 
-def test_a_solution_strained_beyond_the_training_data_warns(tmp_path):
+def test_a_solution_strained_beyond_the_training_data_warns():
     points = manufactured(kernel("1/r", 2.5), lattice(4, 2.5), 2)
     model = fit(points, LPS(2.5, Bernstein(0))).material
-    model.save(tmp_path / "m.json")
-    assert LPSMaterial.load(tmp_path / "m.json").trained_strain == model.trained_strain
     assert model.trained_strain == pytest.approx(largest_strain(points, points.u))
     solve(model, points, points.b, points.u)
     with pytest.warns(UserWarning, match="strain: the solution reaches .* %, the training data"):

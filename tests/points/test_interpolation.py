@@ -14,7 +14,7 @@ def cloud(half=9, shift=0.35, seed=0):
     return Points(lattice + shifts, np.abs(lattice).max(axis=1) <= half - 4, 0.0)
 
 
-def test_quadratic_fields_are_carried_as_they_are():
+def test_quadratic_fields_are_carried_as_they_are_by_quintic_splines():
     points, powers = cloud(), np.array([(0, 0), (1, 0), (1, 1), (0, 2)])
     fields = lambda x: np.stack([(x**p).prod(1)[:, None] * (1.0, -0.5) for p in powers])
     carried = onto_lattice(Samples(points, fields(points.x)), spacing=0.9)

@@ -312,7 +312,7 @@ def kinds_of(call: Callable[..., Any]) -> dict[str, tuple[tuple[Any, ...], Any, 
         if {*ARRAY} <= {*hints}:
             hints = np.ndarray, *(one for one in hints if one not in ARRAY)
         kinds = tuple(map(_kind, hints))
-        if hint != Units and all(kind in KINDS or _is_own(kind) for kind in kinds):
+        if Units not in hints and all(kind in KINDS or _is_own(kind) for kind in kinds):
             found[name] = kinds, parameter.default, next(filter(None, map(_bound, hints)), None)
     return found
 
