@@ -18,8 +18,8 @@ from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_law import product_basis, products
 from warp_peri.materials.transfer import TOLERANCE, wave_loss, wave_vectors
 from warp_peri.methods import Smoothing
-from warp_peri.points.dataset import largest_wave_number
 from warp_peri.points.families import bond_classes, carried_horizon, families_of
+from warp_peri.points.points import largest_wave_number
 from warp_peri.solvers.solution import Direct
 from warp_peri.transfers import on_lattice
 

@@ -19,11 +19,11 @@ import pytest
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
     "code lines": 18_824,
-    "tokens": 235_482,
-    "lines of warp_peri": 30_063,
+    "tokens": 235_483,
+    "lines of warp_peri": 30_062,
     "files of warp_peri": 114,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 42_251,
+    "lines of warp_peri, kernels, examples and tools": 42_250,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,

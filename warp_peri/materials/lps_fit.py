@@ -56,9 +56,9 @@ from warp_peri.materials.lps_stages import (
     two_stages,
 )
 from warp_peri.points.arguments import Positive, typed
-from warp_peri.points.dataset import Dataset, largest_wave_number
+from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import largest_strain
-from warp_peri.points.points import WAVE_VECTOR, Samples, check_lattice
+from warp_peri.points.points import WAVE_VECTOR, Samples, check_lattice, largest_wave_number
 from warp_peri.points.unit_names import symbols
 
 RELATIVE_ZETA = 0.0161

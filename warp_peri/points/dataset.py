@@ -12,7 +12,6 @@ from typing import Any
 
 import h5py
 import numpy as np
-from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError, Shown, warn
 from warp_peri.files.atomic import check_hdf5, check_regular, parsed, plain, whole_file
@@ -187,28 +186,6 @@ def design_loads(points: PointsLike, shortest_wave: Positive, *, number: Count =
         raise InputError("points: expected a periodic body, with its box, for designed loads")
     fields = [mixed_waves(points.x, points.box, shortest_wave, seed=s) for s in range(number)]
     return np.stack([f / np.linalg.norm(f, axis=1).max() for f in fields])
-
-
-def largest_wave_number(points: Samples) -> float | None:
-    """Largest |k| [1/Å] of the samples' loads; None on scattered points or without loads. Without
-    wave vectors the root mean square of |k| over the spectrum of b, by differences (theory, M1)."""
-    if WAVE_VECTOR in points.arrays:
-        k = checked(WAVE_VECTOR, points.arrays[WAVE_VECTOR])
-        return float(np.linalg.norm(k, axis=-1).max(initial=0.0)) or None
-    h = points.spacing
-    if h == 0 or points.b is None:
-        return None
-    r, near = cKDTree(points.x).query(points.x, k=min(5, len(points.x)))
-    whole = points.interior & (r <= 1.1 * h).all(axis=1) & (near.shape[1] == 5)
-    near = near[whole, 1:]
-    largest = 0.0
-    for b in points.b:
-        size = (b[whole] ** 2).sum()
-        if size > 0:
-            s = ((b[near] - b[whole, None]) ** 2).sum() / (2 * h**2 * size)
-            # of all directions on average s = |k|² − |k|⁴ h²/16
-            largest = max(largest, (1 - np.sqrt(max(1 - s * h**2 / 4, 0.0))) * 8 / h**2)
-    return float(np.sqrt(largest)) or None
 
 
 FORMAT, VERSION = "warp_peri.dataset", 1
