@@ -14,7 +14,7 @@ from warp_peri.kernels.micromodulus import rows as row_kernels
 from warp_peri.materials.crystal import StencilMaterial, crystal_from_lps
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.transfer import model_at
-from warp_peri.mpi.processes import Comm, Halo, Slabs, build, in_turn, inner, world
+from warp_peri.mpi.processes import Comm, Halo, Slabs, build, in_turn, inner
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
 from warp_peri.runtime import shared_by
@@ -24,8 +24,6 @@ from warp_peri.solvers.systems import Inner, SolveRecord, definite
 if TYPE_CHECKING:
     from warp_peri.mpi.subdomain import Subdomain
 
-MOST = 32
-"""Solids whose tensors and proofs are remembered."""
 WHOLE = 10_000
 """Most nodes of a level that every rank has all of."""
 Coarser = tuple[np.ndarray, np.ndarray]
@@ -157,23 +155,6 @@ class RowOperator:
         return self._grid.gather(found[None])[0], record
 
 
-_proven: dict[tuple[str, float], StencilMaterial] = {}
-"""By what a solid holds, not by the object: ranks must agree on what is known."""
-
-
-def _tensors_of(model: LPSMaterial, spacing: float) -> StencilMaterial:
-    """Stencil of a solid on a spacing, proven there by all ranks."""
-    comm, here, key = world(), model, (str(model.content()["sha256"]), spacing)
-    if key not in _proven:
-        if not model.is_certified_on(spacing):
-            here = in_turn(comm, lambda: model_at(model, spacing))
-        if len(_proven) == MOST:
-            del _proven[next(iter(_proven))]
-        with shared_by(comm):
-            _proven[key] = crystal_from_lps(here, spacing)
-    return _proven[key]
-
-
 def operator_on(material: Any, piece: Subdomain) -> Any:
     """Make the RowOperator of a linear solid on a lattice in slabs, of an LPS by `model_at`. Raises
     InputError for other materials, as RowOperator and as their `fitting`."""
@@ -184,6 +165,9 @@ def operator_on(material: Any, piece: Subdomain) -> Any:
         if not isinstance(material, LPSMaterial):
             h, x = piece.spacing, piece.spacing * np.argwhere(np.ones((3,) * piece.dimension))
             material.fitting(Points(x, x[:, 0] == h, h, units=piece.units, axis=piece.axis))
-    if isinstance(material, LPSMaterial):
-        material = _tensors_of(material, piece.spacing)
+    if isinstance(model := material, LPSMaterial):
+        if not model.is_certified_on(piece.spacing):
+            material = in_turn(piece.comm, lambda: model_at(model, piece.spacing))
+        with shared_by(piece.comm):
+            material = crystal_from_lps(material, piece.spacing)
     return RowOperator(material, piece)
