@@ -3,7 +3,7 @@ energies by what they see, bonds carry that to their ends."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar
 
@@ -16,6 +16,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 from warp_peri.core.pointwise import FEW, Swept
 from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.errors import InputError, warn
+from warp_peri.fitting.rows import norms
 from warp_peri.materials.hyperelastic.energies import Energy, Hyperelastic, Strain
 from warp_peri.materials.hyperelastic.lattice import (
     CORNERS,
@@ -306,17 +307,20 @@ class HyperelasticSheetOperator(Swept):
         found = eigsh(K, 1, L, which="SA", Minv=Minv, tol=1e-2, maxiter=2000, **ends)
         return float(self.lattice.softest * found[0])
 
-    def features(self, u: ArrayLike, *, by: str = "coefficient") -> np.ndarray:
-        """Derivative of the force by every energy's coefficient, or by the "angle" or "exponent" of
-        fibres, other columns zero, shape [..., I, 2, K]."""
-        one, numbers = np.ones(len(self.model.dictionary)), by != "coefficient"
-        energies = self.active if numbers else self._energies(one)
-        chosen = [(s, e) for s, each in energies for e in each if e.is_fibre or not numbers]
+    def features(self, u: ArrayLike, moving: Sequence[int] = ()) -> np.ndarray:
+        """Derivatives of the force by all coefficients, then by angles and exponents of the fibres
+        at M indices, shape [..., I, 2, K + 2 M]."""
+        K, fibres = len(self.model.dictionary), list(moving)
+        every = self._energies(np.ones(K))
+        chosen = [(s, e, "coefficient", e.number) for s, each in every for e in each]
+        for s, e in ((s, e) for s, each in self.active for e in each if e.number in fibres):
+            column = K + fibres.index(e.number)
+            chosen += [(s, e, "angle", column), (s, e, "exponent", column + len(fibres))]
 
         def sweep(u: np.ndarray) -> np.ndarray:
             Y, e = self.lattice.stretched(u)
-            forces = np.zeros((len(u), len(self.interior), 2, len(one)))
-            for sites, energy in chosen:
+            forces = np.zeros((len(u), len(self.interior), 2, K + 2 * len(fibres)))
+            for sites, energy, by, column in chosen:
                 q = sites.seen(e).requires_grad_()
                 value = torch.tensor(getattr(energy, by), dtype=q.dtype, requires_grad=True)
                 number: dict[str, Any] = {by: value}
@@ -324,7 +328,7 @@ class HyperelasticSheetOperator(Swept):
                 (slope,) = torch.autograd.grad(stored, value, create_graph=True)
                 tension = sites.pull(torch.autograd.grad(slope, q)[0])
                 pulled = self.lattice.at_ends(tension[:, None] * Y)[:, self.interior]
-                forces[..., energy.number] += pulled
+                forces[..., column] += pulled
             return forces
 
         return self._swept(sweep, u)
@@ -372,8 +376,7 @@ class HyperelasticSheetOperator(Swept):
         known = self.model.stretch
         if known is None or not len(u):
             return
-        largest = self.largest_stretch(u)
-        if largest - 1 > BEYOND * (known - 1):
+        if (largest := self.largest_stretch(u)) - 1 > BEYOND * (known - 1):
             warn(
                 f"stretch: the fields reach {largest:.4g}, the training data {known:.4g}: "
                 "nothing is known of the material beyond"
@@ -404,7 +407,7 @@ class HyperelasticSheetOperator(Swept):
         loads = np.zeros_like(samples.u) if samples.b is None else samples.b
         loads = loads[:, self.interior]
         if samples.b is not None:
-            residuals = _size(self.force(samples.u) - loads) / _size(loads)
+            residuals = norms(self.force(samples.u) - loads) / norms(loads)
             told = {"E_res": float(residuals.mean()), "residuals": residuals}
         for u, b in zip(samples.u, loads):
             if near is not None:
@@ -415,7 +418,7 @@ class HyperelasticSheetOperator(Swept):
         fields = np.where(there[:, None, None], [u for u, _ in found], np.nan)
         gaps, seen = fields - samples.u, seen_of(samples)[..., None]
         gaps, u = (each[:, self.interior] for each in (gaps * seen, samples.u * seen))
-        errors = _size(gaps) / _size(u)
+        errors = norms(gaps) / norms(u)
         self.warn_beyond(fields[there])
         return told | {
             "E_u": float(np.nanmean(errors)) if there.any() else float("nan"),
@@ -430,7 +433,3 @@ class HyperelasticSheetOperator(Swept):
         given = near[:, collar].reshape(len(near), -1)
         mixed = np.tensordot(np.linalg.lstsq(given.T, u[collar].ravel(), rcond=None)[0], near, 1)
         return np.asarray(mixed + self.lift(u - mixed))
-
-
-def _size(fields: np.ndarray) -> np.ndarray:
-    return np.asarray(np.linalg.norm(fields, axis=(1, 2)))

@@ -306,9 +306,7 @@ class Search:
             u, inverse = (fields[n], None) if self.by_load else self._rest(op, fields[n], n)
             if u is None:
                 continue
-            F = [op.features(u)]
-            for by in ("angle", "exponent") if self.moving else ():
-                F.append(op.features(u, by=by)[..., self.moving])
+            F = [op.features(u, self.moving)]
             if thickness is not None:
                 F.append(op.by_thickness(u, thickness.slopes(nodes)))
             J = np.concatenate(F, axis=-1).reshape(2 * len(self.inner), -1)
