@@ -64,6 +64,17 @@ def test_frames_and_structures_are_read_whatever_they_are_packed_in(tmp_path):
         dumps.read_structure(tmp_path / "bare.data")
 
 
+POINTS = lattice(2, 1.0, 3.0)
+OMEGA = smoothing_matrix(REFERENCE, POINTS.x, radius=5.0, box=BOX, spacing=3.0)
+
+
+def grained(dumps, force=None, **how):
+    """Samples of dumps of the periodic body."""
+    force = np.ones((len(dumps), 30, 2)) if force is None else force
+    atoms = ReferenceAtoms(REFERENCE, box=BOX)
+    return coarse_grain_dumps(dumps, OMEGA, POINTS, atoms, force=force, **GRAIN, **how)
+
+
 def test_averages_smoothing_and_samples_on_nodes(tmp_path):
     path = write(tmp_path / "a.dump", range(6))
     average = mean_displacement(path, REFERENCE, box=BOX, skip=2)
@@ -73,13 +84,10 @@ def test_averages_smoothing_and_samples_on_nodes(tmp_path):
         smoothed = 0.8 * smoothed + 0.2 * u
     found = mean_displacement(path, REFERENCE, box=BOX, iota=0.2)
     np.testing.assert_allclose(found, smoothed, atol=1e-9)
-    rest, points = write(tmp_path / "rest.dump", range(6, 9)), lattice(2, 1.0, 3.0)
-    omega = smoothing_matrix(REFERENCE, points.x, radius=5.0, box=BOX, spacing=3.0)
-    force, atoms = RANDOM.normal(size=(1, 30, 2)), ReferenceAtoms(REFERENCE, box=BOX)
-    how = {"force": force, "unloaded": [rest], **GRAIN}
-    samples = coarse_grain_dumps([path], omega, points, atoms, **how)
+    rest, force = write(tmp_path / "rest.dump", range(6, 9)), RANDOM.normal(size=(1, 30, 2))
+    samples = grained([path], force, unloaded=[rest])
     moved = U[:6].mean(axis=0) - U[6:].mean(axis=0)
-    u, b = coarse_grain(omega, displacement=moved[None], force=force, **GRAIN)
+    u, b = coarse_grain(OMEGA, displacement=moved[None], force=force, **GRAIN)
     np.testing.assert_allclose(samples.u, u, atol=1e-9)
     np.testing.assert_allclose(samples.b, b)
     assert list(samples.arrays["load_id"]) == ["a.dump"]
@@ -112,14 +120,6 @@ def test_broken_dumps_and_those_that_would_be_misread_are_refused(tmp_path):
 def test_options_without_sense_are_refused(tmp_path):
     path, other = write(tmp_path / "a.dump", range(2)), tmp_path / "other.dump"
     other.write_text(OTHER_IDS)
-    points = lattice(2, 1.0, 3.0)
-    omega = smoothing_matrix(REFERENCE, points.x, radius=4.0, box=BOX, spacing=3.0)
-
-    def grained(dumps, **how):
-        force = np.ones((len(dumps), 30, 2))
-        atoms = ReferenceAtoms(REFERENCE, box=BOX)
-        return coarse_grain_dumps(dumps, omega, points, atoms, force=force, **GRAIN, **how)
-
     wide = (BOX[0] * (1 + 2e-5), BOX[1])
     for call, words in (
         (lambda: mean_displacement(path, REFERENCE, box=BOX, skip=2), "more than 2 frames"),
@@ -199,11 +199,9 @@ def test_torn_sheets_and_loads_that_are_not_shared_by_mass_are_told(tmp_path):
     omega = smoothing_matrix(x, points.x, radius=8.0)
 
     def grained(name, moved, force, mass):
-        path = tmp_path / name
-        path.write_text(frame(x + moved, 0, "id type xu yu zu"))
-        coarse_grain_dumps(
-            [path], omega, points, ReferenceAtoms(x, mass), force=force[None], **GRAIN
-        )
+        (tmp_path / name).write_text(frame(x + moved, 0, "id type xu yu zu"))
+        atoms, how = ReferenceAtoms(x, mass), {"force": force[None], **GRAIN}
+        coarse_grain_dumps([tmp_path / name], omega, points, atoms, **how)
 
     mass, along = np.resize([10.0, 20.0], 64), np.ones((64, 1)) * [1.0, 0.5]
     torn = np.where(x[:, :1] > 9, 2.0, 0.0) * [1.0, 0.0]

@@ -43,7 +43,7 @@ BENDING = 0.01
 """Of stress over strain, that changes from STRAIN to LARGEST, from which a surface is rough; more
 than was seen of any potential that is smooth."""
 NONE = 1e-8
-"""Of singular values of the rules: an equation that holds by symmetry."""
+"""Of the largest singular value of rows: what they do not tell."""
 
 
 @dataclass(frozen=True)
