@@ -113,9 +113,7 @@ def force_of(operator: Any, u: torch.Tensor) -> torch.Tensor:
     def force(fields: torch.Tensor) -> torch.Tensor:
         if operator.is_linear:
             return linear(fields, operator.force, lambda w: operator.vjp(None, w))
-        back = lambda _, w: [operator.vjp(*_arrays([fields]), w)]  # noqa: E731
-        (found,) = once(lambda u: (operator.force(u),), back, fields)
-        return found  # type: ignore[no-any-return]
+        return force_with_parameters(operator, fields, {})
 
     return on_fields(operator, u, force)
 
@@ -137,12 +135,9 @@ def as_tensor(name: str, value: Any) -> torch.Tensor:
     if isinstance(value, torch.Tensor):
         return value
     array = as_array(name, value)
-    if array.dtype.kind not in "fiuc":
-        raise InputError(f"{name}: expected an array of numbers, got {type(value).__name__}")
-    if np.ma.is_masked(array):
-        return torch.from_numpy(np.ma.filled(array.astype(float), np.nan))
-    kind = complex if array.dtype.kind == "c" else float
-    return torch.from_numpy(np.require(array.data, kind, ["C", "W"]))
+    if array.dtype.kind not in "fiu":
+        raise InputError(f"{name}: expected an array of real numbers, got {type(value).__name__}")
+    return torch.from_numpy(np.ma.filled(array.astype(float, order="C"), np.nan))
 
 
 def real(name: str, value: Any) -> torch.Tensor:
@@ -180,7 +175,7 @@ def force_with_parameters(
     operator: Any, u: torch.Tensor, numbers: Mapping[str, Any]
 ) -> torch.Tensor:
     """Force of fields [S, N, d] with other numbers, by an operator's `at` and `by_numbers`."""
-    names, made = list(operator.learnable), list[Any]()
+    names, made = list(numbers), list[Any]()
 
     def there(u: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray]:
         made[:] = u, with_numbers(operator, dict(zip(names, values)))[0]
@@ -191,7 +186,7 @@ def force_with_parameters(
         slopes = by_numbers(at, [n for n, one in zip(names, asked[1:]) if one], u, w)
         return [at.vjp(u, w) if asked[0] else None, *map(slopes.get, names)]
 
-    (force,) = once(there, back, u, *(numbers[name] for name in names))
+    (force,) = once(there, back, u, *numbers.values())
     return force  # type: ignore[no-any-return]
 
 
