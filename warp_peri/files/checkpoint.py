@@ -11,10 +11,10 @@ import os
 import re
 import sys
 import sysconfig
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import h5py
 import numpy as np
@@ -23,9 +23,6 @@ from warp_peri import __version__
 from warp_peri.errors import ALONE, InputError, agreed
 from warp_peri.files.atomic import check_hdf5, meshio_of, parsed, whole_file, write_text, write_vtu
 
-T = TypeVar("T")
-Placed = tuple[np.ndarray, np.ndarray | None, int]
-"""Rows [n, ...], their places in the whole and how many it has; None where they are the whole."""
 PLAIN = (bool, int, float, complex, str, bytes, tuple, list, dict, np.ndarray, np.generic)
 """What a module may hold for a function to read; what lives, as os.environ, is none of it."""
 OF_A_FIT = ("sha256", "certificate", "proven", "provenance")
@@ -211,11 +208,11 @@ class RunFile:
         nodes, comm = self.nodes, self.nodes.comm
         number = None if nodes.number is None else nodes.number[nodes.own]
         text = np.frombuffer(json.dumps(values).encode(), np.uint8)
-        mine = text if comm.rank == 0 else text[:0]
-        placed: dict[str, Placed] = {k: (v, number, nodes.count) for k, v in nodal.items()}
-        placed["values"] = mine, np.arange(len(mine)), len(text)
+        whole = gathered(comm, {k: (v, number, nodes.count) for k, v in nodal.items()})
         head = {"format": self.kind, "mark": self._mark(nodal, text)}
-        write_arrays(self.path, comm, placed, head)
+        with agreed(comm):
+            if comm.rank == 0:
+                write_arrays(self.path, whole | {"values": text}, head)
 
     def _mark(self, nodal: Mapping[str, np.ndarray], text: np.ndarray) -> str:
         """Fingerprint of arrays on the own nodes, and of the first rank's values."""
@@ -258,12 +255,11 @@ class ArrayFile:
         """Write a checkpoint's arrays, or values that make them."""
         if self.path is not None:
             made = {name: np.asarray(one) for name, one in arrays.items()}
-            placed: dict[str, Placed] = {name: (one, None, 0) for name, one in made.items()}
-            write_arrays(self.path, ALONE, placed, {"key": self.key, "mark": fingerprint(made)})
+            write_arrays(self.path, made, {"key": self.key, "mark": fingerprint(made)})
 
-    def read(self, made: Callable[[dict[str, np.ndarray]], T]) -> T | None:
-        """Read the checkpoint and apply `made` to its arrays; None where there is no file yet;
-        InputError for a file of another run, and one that is not read."""
+    def read(self) -> dict[str, np.ndarray] | None:
+        """Arrays of the checkpoint; None where there is no file yet; InputError for a file of
+        another run, and one that is not read."""
         if self.path is None or not self.path.exists():
             return None
         arrays, head = read_arrays(self.path)
@@ -271,11 +267,14 @@ class ArrayFile:
             raise InputError(f"{self.path}: the checkpoint of {self.other}")
         if str(head.get("mark")) != fingerprint(arrays):
             raise InputError(f"{self.path}: not a readable checkpoint, not what was written")
-        return made(arrays)
+        return arrays
 
 
-def gathered(comm: Any, arrays: Mapping[str, Placed]) -> dict[str, np.ndarray]:
-    """Whole arrays by name on the first rank, from the rows of all; empty on others."""
+def gathered(
+    comm: Any, arrays: Mapping[str, tuple[np.ndarray, np.ndarray | None, int]]
+) -> dict[str, np.ndarray]:
+    """Whole arrays by name on the first rank, empty on others: from rows [n, ...], their places in
+    the whole and how many it has, the places None where they are the whole."""
     whole: dict[str, np.ndarray] = {}
     for name, (mine, own, count) in arrays.items():
         for values, place in comm.gather((mine, own)) or ():
@@ -288,23 +287,16 @@ def gathered(comm: Any, arrays: Mapping[str, Placed]) -> dict[str, np.ndarray]:
 
 
 def write_arrays(
-    path: str | os.PathLike[str],
-    comm: Any,
-    arrays: Mapping[str, Placed],
-    attributes: Mapping[str, Any] | None = None,
+    path: str | os.PathLike[str], arrays: Mapping[str, np.ndarray], attributes: Mapping[str, Any]
 ) -> None:
-    """Write an HDF5 file of arrays whole or not at all, from the first rank; all ranks come here
-    with the same attributes. InputError on all of them for a file that cannot be written."""
-    whole = gathered(comm, arrays)
-    with agreed(comm):
-        if comm.rank == 0:
-            try:
-                with whole_file(path) as part, h5py.File(part, "w", locking=False) as file:
-                    for name, values in whole.items():
-                        file[name] = values
-                    file.attrs.update(attributes or {})
-            except OSError as error:
-                raise InputError(f"{path}: cannot be written ({error})") from None
+    """Write an HDF5 file of arrays whole or not at all; InputError where it cannot be written."""
+    try:
+        with whole_file(path) as part, h5py.File(part, "w", locking=False) as file:
+            for name, values in arrays.items():
+                file[name] = values
+            file.attrs.update(attributes)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error})") from None
 
 
 def read_arrays(

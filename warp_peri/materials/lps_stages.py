@@ -295,7 +295,8 @@ def two_stages(learner: Any, kernel: Any, method: TwoStage) -> LPSFound:
 
     def signed(tick: Tick) -> LPSFound:
         with nullcontext() if kept.path is None else locked(kept.path):
-            kept.read(go_on)
+            if (before := kept.read()) is not None:
+                go_on(before)
             of_kernel = lambda: margins(*variables.bounded()[2:])  # noqa: E731
             as_printed(state, losses, loss, of_kernel, method, tick, keep)
             return variables.found(losses)

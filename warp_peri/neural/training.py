@@ -291,11 +291,9 @@ class _Run:
 
     def resume(self, file: ArrayFile) -> None:
         """Continue from a checkpoint, if there is one."""
-        state = file.read(
-            lambda held: torch.load(io.BytesIO(held["state"].tobytes()), weights_only=True)
-        )
-        if state is None:
+        if (held := file.read()) is None:
             return
+        state = torch.load(io.BytesIO(held["state"].tobytes()), weights_only=True)
         self.history = TrainingHistory(**state["history"])
         if self.history.epochs > self.training.epochs:
             raise InputError(
