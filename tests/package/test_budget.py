@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 18_800,
-    "tokens": 235_214,
-    "lines of warp_peri": 30_029,
+    "code lines": 18_796,
+    "tokens": 235_173,
+    "lines of warp_peri": 30_020,
     "files of warp_peri": 114,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 42_217,
+    "lines of warp_peri, kernels, examples and tools": 42_208,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -42,12 +42,12 @@ ROOMS = {
     "files": 443,
     "fitting": 1213,
     "fracture": 1418,
-    "materials": 4591,
+    "materials": 4593,
     "neural": 572,
     "points": 1604,
     "prediction": 583,
     "mpi": 451,
-    "solvers": 1482,
+    "solvers": 1476,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

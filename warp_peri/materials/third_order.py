@@ -39,7 +39,7 @@ from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.points import PointsLike, Samples, axis_of, lattice_steps, nodes_of
 from warp_peri.points.unit_names import check_same, shown_moduli
 from warp_peri.protocols import SAME_SPACING, stencil_of
-from warp_peri.solvers.equilibria import SOLVES, equilibria_of, figures_of
+from warp_peri.solvers.equilibria import SOLVES, equilibria_of
 from warp_peri.solvers.linear import Inverse
 from warp_peri.solvers.solution import Solution, Solver
 
@@ -346,8 +346,13 @@ class PlacedThirdOrder(Pointwise):
         return self.straight.linear.cheapest_inverse(SOLVES * loads)  # type: ignore[no-any-return]
 
     def figures(self, solution: Solution) -> dict[str, Any]:
-        """Number of linear solves, and whether answers are proven unique, for `evaluate`."""
-        return figures_of(solution.details)
+        """Most linear solves, largest gradient, and whether all answers are proven unique."""
+        records = solution.details
+        return {
+            "linear_solves": max(record.solves for record in records),
+            "largest_gradient": max(record.largest_gradient for record in records),
+            "unique": all(record.unique for record in records),
+        }
 
     def solve(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
         """Equilibrium with b [stress/length] on the interior, u given on the collar, [N, 2] or

@@ -509,15 +509,6 @@ def smallest_of(operator: Any, field: np.ndarray) -> float:
     return smallest_eigenvalue(LinearOperator(shape, product, matmat=product, dtype=float))
 
 
-def figures_of(records: tuple[NonlinearRecord, ...]) -> dict[str, Any]:
-    """Most linear solves, largest gradient, and whether all answers are unique, over records."""
-    return {
-        "linear_solves": max(record.solves for record in records),
-        "largest_gradient": max(record.largest_gradient for record in records),
-        "unique": all(record.unique for record in records),
-    }
-
-
 def warn_beyond(records: list[NonlinearRecord], proven: float) -> None:
     """Warn where answers go beyond the proven strain."""
     beyond = [n for n, record in enumerate(records) if not record.unique]

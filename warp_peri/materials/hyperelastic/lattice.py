@@ -177,11 +177,6 @@ class SheetLattice:
         """Inverse of the Laplacian between interior nodes."""
         return splu(self.laplacian[:, self.interior].tocsc()).solve
 
-    @cached_property
-    def softest(self) -> float:
-        """Smallest eigenvalue of the Laplacian between interior nodes [1 / length²]."""
-        return softest(len(self.interior), self.laplace, 1e-4)
-
     def lift(self, u: np.ndarray) -> np.ndarray:
         """Replace the interior of u [N, 2] by the harmonic extension of the collar."""
         lifted = np.where(self.points.interior[:, None], 0.0, u)

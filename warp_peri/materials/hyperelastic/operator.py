@@ -305,7 +305,7 @@ class HyperelasticSheetOperator(Swept):
         K, Minv = flat(lambda p: self.jvp(u, self.on_all(p))), flat(self.rough)
         L = sp.kron(self.lattice.laplacian[:, self.interior], sp.eye(2)).tocsr()
         found = eigsh(K, 1, L, which="SA", Minv=Minv, tol=1e-2, maxiter=2000, **ends)
-        return float(self.lattice.softest * found[0])
+        return float(softest(size // 2, self.rough, 1e-4) * found[0])
 
     def features(self, u: ArrayLike, moving: Sequence[int] = ()) -> np.ndarray:
         """Derivatives of the force by all coefficients, then by angles and exponents of the fibres
