@@ -231,16 +231,13 @@ def _first(given: Namespace, metrics: Result, data: Dataset) -> list[str]:
     seen = "loads that the fit did not see" if name != given.set else "the loads of the fit"
     error = "not known" if solved.get(name) is None else f"{100 * solved[name]:.2g} %"
     of = "the linear part has " if given.law == "third-order" else ""
-    last = ["evaluate", str(path), str(given.data)]
-    if name != given.set:
-        out = str(given.out / "solved.h5")
-        last = ["solve", str(path), str(given.data), "--set", name, "--out", out]
+    last = ["solve", path, given.data, "--set", name, "--out", given.out / "solved.h5"]
     return [
         f"{path}: {kind}, learned from {len(samples)} loads",
         f"moduli: {_sheet_of(data)}",
         f"error of displacement: {error} on set {name!r}, {seen}",
         f"proven: {of}{ONE}" if metrics["certified"] else "nothing is proven",
-        f"next: {shlex.join(['warp-peri', *last])}",
+        f"next: warp-peri {shlex.join(map(str, last))}",
     ]
 
 
