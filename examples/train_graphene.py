@@ -127,8 +127,7 @@ def made_data(given: argparse.Namespace) -> Path:
     if not DATA.exists():
         from tools.make_graphene import make_graphene
 
-        said = "making graphene data with LAMMPS (once; finished samples are kept)"
-        print(said, file=sys.stderr)
+        print("making graphene data by LAMMPS once; finished samples are kept", file=sys.stderr)
         make_graphene(DATA, jobs=given.jobs)
     return DATA
 

@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 18_796,
-    "tokens": 235_173,
-    "lines of warp_peri": 30_020,
+    "code lines": 18_793,
+    "tokens": 235_137,
+    "lines of warp_peri": 30_017,
     "files of warp_peri": 114,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 42_208,
+    "lines of warp_peri, kernels, examples and tools": 42_204,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -35,7 +35,7 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "atoms": 2333,
-    "cli": 738,
+    "cli": 735,
     "core": 1514,
     "face": 1144,
     "fe_coupling": 714,
