@@ -487,8 +487,8 @@ def equilibria_of(
     if proven is not None:
         warn_beyond(records, proven)
     sure = proven and all(record.unique for record in records)
-    counts, methods = [record.solves for record in records], {r.method for r in records}
-    method = methods.pop() if len(methods) == 1 else "fixed point, newton"
+    counts = [record.solves for record in records]
+    method = ", ".join(sorted({record.method for record in records}))
     told, load = f"no other solution has |H| ≤ {proven:.2%}" if sure else None, operator.rhs(load)
     return by_sample(operator, answers.reshape(field.shape), load, records, counts, method, told)
 

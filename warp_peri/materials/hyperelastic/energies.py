@@ -74,7 +74,8 @@ KINDS: dict[str, Density] = {
     "yeoh": lambda E, _, p: torch.relu(E.trace + 1 / E.area - 1) ** p,
 }
 """Strain energies Φ (H5), free of stress at rest and convex near it."""
-FIBRES = ("fibre_power", "fibre_exponential")
+LEAST = {"fibre_power": 2.0, "yeoh": 2.0, "fibre_exponential": 0.0}
+"""Smallest exponents of the kinds that have one."""
 
 
 def deviation(E: Strain, *_: Any) -> torch.Tensor:
@@ -119,15 +120,13 @@ class EnergyTerm:
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise InputError(f"kind: expected one of {', '.join(KINDS)}, got {self.kind!r}")
-        if self.kind in ("fibre_power", "yeoh") and self.exponent < 2:
-            raise InputError(f"{self.kind}: expected an exponent ≥ 2, got {self.exponent}")
-        if self.kind == "fibre_exponential" and self.exponent < 0:
-            raise InputError(f"fibre_exponential: expected k2 ≥ 0, got {self.exponent}")
+        if self.exponent < (least := LEAST.get(self.kind, -np.inf)):
+            raise InputError(f"{self.kind}: expected an exponent ≥ {least:g}, got {self.exponent}")
 
     @property
     def is_fibre(self) -> bool:
         """Whether the term is the energy of a family of fibres."""
-        return self.kind in FIBRES
+        return self.kind.startswith("fibre")
 
     @property
     def label(self) -> str:
@@ -135,7 +134,7 @@ class EnergyTerm:
         words = self.kind + (" of corners" if self.corner else "")
         if self.is_fibre:
             words += f" at {np.rad2deg(self.angle):.1f}°"
-        return words + (f", {self.exponent:g}" if self.is_fibre or self.kind == "yeoh" else "")
+        return words + (f", {self.exponent:g}" if self.kind in LEAST else "")
 
 
 @typed

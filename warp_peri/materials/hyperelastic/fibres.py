@@ -9,11 +9,11 @@ import numpy as np
 import torch
 
 from warp_peri.errors import InputError
-from warp_peri.materials.hyperelastic.energies import KINDS, EnergyTerm, Hyperelastic, Strain
+from warp_peri.materials.hyperelastic.energies import KINDS, LEAST, EnergyTerm, Hyperelastic, Strain
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.points.arguments import Count, checked, typed, typed_methods
 
-LEAST, LARGEST_EXPONENT = {"fibre_power": 2.0, "fibre_exponential": 0.0}, 60.0
+LARGEST_EXPONENT = 60.0
 LARGEST_DEGREE = 6
 
 
