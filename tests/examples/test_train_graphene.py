@@ -36,7 +36,7 @@ def job(graphene, tmp_path_factory):
 
 def test_it_leaves_its_results_and_says_how_good_they_are(job):
     out, printed, numbers = job
-    pictures = [f"{name}.png" for name in ("influence", "loss", "disks", "disk", "waves")]
+    pictures = [f"{name}.png" for name in ("influence", "loss", "disks", "waves")]
     assert all((out / name).stat().st_size > 500 for name in ("model.json", "report.md", *pictures))
     assert numbers["held"] == pytest.approx([numbers["lambda"], numbers["mu"]], rel=1e-9)
     assert numbers["augmented_lagrangian"]["loss_over_optimum"] <= 1.001

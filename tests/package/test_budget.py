@@ -23,7 +23,7 @@ BUDGET = {
     "lines of warp_peri": 30_016,
     "files of warp_peri": 114,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 42_203,
+    "lines of warp_peri, kernels, examples and tools": 42_198,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
