@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 18_791,
-    "tokens": 235_111,
-    "lines of warp_peri": 30_016,
+    "code lines": 18_788,
+    "tokens": 235_069,
+    "lines of warp_peri": 30_012,
     "files of warp_peri": 114,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 42_198,
+    "lines of warp_peri, kernels, examples and tools": 42_194,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -34,7 +34,7 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2333,
+    "atoms": 2330,
     "cli": 735,
     "core": 1514,
     "face": 1144,

@@ -149,11 +149,6 @@ class CrystalFit(Shown):
         S = compliance(1e3 * self.law.tensor())
         return angle, 1 / np.einsum("ijkl,ni,nj,nk,nl->n", S, e, e, e, e, optimize=True)
 
-    @property
-    def _tensors(self) -> dict[str, np.ndarray]:
-        found = {"law": self.law.tensor(), "atoms": self.tensor}
-        return found if self.strained is None else found | {"finite strains": self.strained}
-
     def rows(self) -> list[tuple[str, str]]:
         held, law, group, content = self.atoms.stress, self.law, self.law.symmetry, self.content()
         shown = [("symmetry", group if isinstance(group, str) else f"{len(group)} rotations")]
@@ -217,7 +212,9 @@ class CrystalFit(Shown):
 
     def content(self) -> dict[str, Any]:
         """The fit as plain values: Voigt matrices in GPa, lengths in Å, errors in %."""
-        C, proof, told = self._tensors, self.certificate, self.law.certificate
+        proof, told = self.certificate, self.law.certificate
+        C = {"law": self.law.tensor(), "atoms": self.tensor}
+        C |= {} if self.strained is None else {"finite strains": self.strained}
         bars = with_errors(self.tensor, self.errors) if len(self.errors) else {}
         errors = {}  # means over directions
         for n in TOLD:

@@ -228,7 +228,7 @@ def at_rest(
         cell.set_cell(short)  # a skewed cell's repeats would be many
     cell.calc = calculator
     cell, strain, noise = _settled(cell, flat, held)
-    kind, lengths = "a sheet" if flat else "a solid", cell.cell.lengths()[: 2 if flat else 3]
+    kind, lengths = "a sheet" if flat else "a solid", cell.cell.lengths()[: 3 - flat]
     shape = f"{' x '.join(f'{one:.5g}' for one in lengths)} Å, {len(cell)} atoms"
     said = {"structure": f"{cell.get_chemical_formula()}, {kind}", "cell": shape}
     if noise.rounding:
@@ -362,8 +362,7 @@ def usual_spacing(cell: ase.Atoms, flat: bool) -> float:
     """Default node spacing [Å]: the edge of a cube as large as the conventional cell. A hexagonal
     cell counts twice; of a sheet the longer edge of its smallest rectangle, or √(2 area)."""
     if not flat:
-        given = np.array(cell.cell), cell.get_scaled_positions(), cell.numbers
-        found = by_spglib("get_symmetry_dataset", given, ON_SITES)
+        found = by_spglib("get_symmetry_dataset", crystal_of(cell), ON_SITES)
         volume = abs(cell.get_volume()) * len(found.std_types) / len(cell)
         hexagonal = 143 <= found.number <= 194 and "R" not in found.international
         return float((volume * (2 if hexagonal else 1)) ** (1 / 3))
