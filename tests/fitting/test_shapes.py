@@ -8,7 +8,6 @@ import pytest
 from tests.support.problems import kernel, lattice, manufactured
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, off, solid
 from tests.support.solving import fit
-from tests.support.symbols import fluctuation, noisy, waves
 from warp_peri import InputError, evaluate
 from warp_peri.influence import InfluenceFunction
 from warp_peri.materials.influence import gaussian, named, table
@@ -54,18 +53,6 @@ def test_a_given_table_leaves_the_constants_to_learn_and_bounds_are_kept():
     bounded = InfluenceFunction(gaussian, {"width": 2.4}, {"width": (2.2, 3.0)})
     learned = fit(made(SHAPES["gaussian"]), HORIZON, bounded)
     assert learned.influence.parameters["width"] == pytest.approx(2.2, abs=1e-6)
-
-
-def test_the_output_error_fit_takes_shapes():
-    shape, size = SHAPES["gaussian"], 0.002
-    true = solid(shape, 1.0, horizon=2.5)
-    clean = waves(true, cells=4, highest=6)
-    noise, data = fluctuation(clean, 8, size, seed=1), noisy(clean, size, seed=2)
-    learned = fit(data, 2.5, off(shape), loss="output", noise=noise)
-    ratios = [one.influence(2.0) / one.influence(1.0) for one in (learned.material, true)]
-    assert learned.loss.name == "output"
-    assert ratios[0] == pytest.approx(ratios[1], abs=0.05)
-    assert learned.material.mu == pytest.approx(true.mu, rel=2e-3)
 
 
 def test_a_start_beside_zero_is_no_trap():

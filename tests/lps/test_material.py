@@ -13,7 +13,6 @@ from tests.support.shapes import HORIZON, LENGTHS, SHAPES, solid
 from warp_peri import InputError, LPSMaterial, certify
 from warp_peri.influence import InfluenceFunction
 from warp_peri.materials.influence import gaussian, table
-from warp_peri.materials.lps import moduli
 from warp_peri.materials.lps_force import bernstein_basis
 from warp_peri.materials.lps_law import ShapeKernel
 from warp_peri.materials.lps_operator import node_fields
@@ -150,18 +149,6 @@ def test_an_affine_field_has_the_stress_of_hooke(points):
     if points.spacing:
         np.testing.assert_allclose(fields.dilatation, np.trace(G), atol=1e-12)
         np.testing.assert_allclose(fields.energy, (stress * strain).sum() / 2, rtol=1e-12)
-
-
-def test_stress_has_the_moduli_of_the_symbol():
-    model, points = kernel("sign-changing", 3.0, lam=-0.2), lattice(3, 3.0)
-    classes = bond_classes(1.0, 3.0)
-    C11, C12, C44 = moduli(model, classes).values()
-    for gradient, expected in (
-        ([[1, 0], [0, 0]], [[C11, 0], [0, C12]]),
-        ([[0, 1], [0, 0]], [[0, C44], [C44, 0]]),
-    ):
-        fields = node_fields(model, points, points.x @ np.array(gradient, float).T)
-        np.testing.assert_allclose(fields.stress[0, 4], expected, atol=1e-11)
 
 
 def test_its_divergence_balances_the_force_to_second_order():
