@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 18_784,
-    "tokens": 235_036,
-    "lines of warp_peri": 30_009,
+    "code lines": 18_780,
+    "tokens": 234_927,
+    "lines of warp_peri": 30_004,
     "files of warp_peri": 114,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 42_191,
+    "lines of warp_peri, kernels, examples and tools": 42_186,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -35,7 +35,7 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "atoms": 2330,
-    "cli": 735,
+    "cli": 730,
     "core": 1514,
     "face": 1144,
     "fe_coupling": 710,
@@ -43,7 +43,7 @@ ROOMS = {
     "fitting": 1213,
     "fracture": 1418,
     "materials": 4591,
-    "neural": 572,
+    "neural": 573,
     "points": 1604,
     "prediction": 583,
     "mpi": 451,

@@ -62,8 +62,7 @@ def run_evaluate(given: Namespace) -> Said:
     for name in given.sets or data:
         try:
             found = warp_peri.evaluate(model, data[name], **options_of(given))
-            each = {f"{key}_samples": one for key, one in found.pop("samples", {}).items()}
-            tables[name] = finite(plain({"samples": len(data[name])} | found | each))
+            tables[name] = finite(plain({"samples": len(data[name])} | found))
         except InputError as error:
             if given.sets:
                 raise InputError(f"set '{name}': {error}") from None
@@ -112,33 +111,33 @@ def run_solve(given: Namespace) -> Said:
         save_dataset(given.out, Dataset(sets, data.thickness, data.density, provenance))
         keep(given, given.out.with_suffix(".solve.txt"))
     size = np.linalg.norm(u[:, points.interior], axis=-1).max(axis=1, initial=0).tolist()
-    result = {"file": str(given.out), "set": given.set}
-    key = "largest_displacement"
+    result, key = {"file": str(given.out), "set": given.set}, "largest_displacement"
     return result | {key: size}, lines_of(result | {f"{key} [{symbols(data.units)[0]}]": size})
 
 
 def run_predict(given: Namespace) -> Said:
     """Predict displacement under the loads of a set, each with its likely error."""
     model, _, problem = problem_of(given)
-    answers: Any = warp_peri.predict(model, problem, given.tolerance or None, **options_of(given))
+    tolerance = given.tolerance or None
+    answers: Any = warp_peri.predict(model, problem, tolerance, **options_of(given))
     points, samples = problem.points, []
     for answer, truth in zip(answers, points.u[:, points.interior]):
         told = chosen(answer, "error", "parts", "kept", "why", "uncovered")
         if size := float(np.linalg.norm(truth)):  # the set holds what was measured or computed
             told["true"] = float(np.linalg.norm(answer.u[points.interior] - truth)) / size
         samples.append(told)
-    result = {"set": given.set, "tolerance": given.tolerance or None, "samples": samples}
+    result = {"set": given.set, "tolerance": tolerance, "samples": samples}
     return result, lines_of(result)
 
 
 def run_export(given: Namespace) -> Said:
     """Write the solved fields of a set for ParaView."""
     model, _, problem = problem_of(given)
-    solved = warp_peri.solve(model, problem, **options_of(given))
+    u = warp_peri.solve(model, problem, **options_of(given)).u
     with locked(given.out):
-        paths = warp_peri.export.write_vtk(given.out, model, problem.points, solved.u)
+        paths = warp_peri.export.write_vtk(given.out, model, problem.points, u)
     keep(given, given.out / "export.txt")
-    result = {"files": [str(path) for path in paths]}
+    result = {"files": [*map(str, paths)]}
     return result, lines_of(result)
 
 

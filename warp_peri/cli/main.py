@@ -56,7 +56,7 @@ def _run(words: Sequence[str]) -> int:
     return 2 * (given.command == "evaluate" and all("error" in one for one in result.values()))
 
 
-def _warn(message: Warning | str, *_: Any, **__: Any) -> None:
+def _warn(message: object, *_: Any, **__: Any) -> None:
     print(f"warning: {message}", file=sys.stderr)
 
 
@@ -72,7 +72,7 @@ for _line in "\n".join(COMMANDS.values()).replace("\n    ", " ").splitlines():
     if "  " in _line.strip():
         LINES.setdefault(_line.split()[0], _line)
 
-PATHS = ("DUMP", "FILE", "FOLDER", "FRAMES", "MESH", "PATH", "STRUCTURE")
+PATHS = ("DUMP", "FILE", "FOLDER", "FRAMES", "STRUCTURE")
 WORDS = ("NAME", "STRAIN", "LENGTH", "STRESS")
 COUNTS = ("N", "M")
 """Names of values that are paths, as are those with an ending; text; whole numbers; else reals."""
@@ -112,7 +112,6 @@ def parser_of(name: str) -> Parser:
             group.add_argument(option, help=text.replace("%", "%%"), **how)
     needed = [one for one in parser._actions if one.required]
     words = [" ".join([*one.option_strings, str(one.metavar)]) for one in needed]
-    words.sort(key=lambda word: word.startswith("--"))
     parser.usage = " ".join([parser.prog, *words, "[options]"]).replace("%", "%%")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     return parser
@@ -136,10 +135,10 @@ def _taken(option: str, marks: list[str]) -> dict[str, Any]:
     if names:
         first = names[0].rstrip("+")
         how |= {"type": _kind(first), "metavar": tuple(names) if names[1:] else first}
-        if names[1:] or names[0] != first:
-            how["nargs"] = len(names) if names[1:] else "+"
-        if how.get("nargs") == "+" and option.startswith("--"):
-            how["action"] = "extend"
+        if names[1:]:
+            how["nargs"] = len(names)
+        elif names[0] != first:
+            how |= {"nargs": "+", "action": "extend"}
     elif "choices" not in how:
         how["action"] = "store_false" if option.startswith("--no-") else "store_true"
     if "default" in how:
@@ -151,7 +150,7 @@ def _taken(option: str, marks: list[str]) -> dict[str, Any]:
 def _kind(value: str) -> Any:
     if value in PATHS or "." in value:
         return Path
-    return str if value in WORDS or "=" in value else int if value in COUNTS else float
+    return str if value in WORDS else int if value in COUNTS else float
 
 
 def parse(words: Sequence[str]) -> Namespace:
@@ -176,7 +175,7 @@ def parse(words: Sequence[str]) -> Namespace:
     usual = {one.dest: one.default for one in parser._actions if one.dest != "help"}
     for action in parser._actions:
         action.default = SUPPRESS  # values of a list are not added to the usual ones
-    every = [one for word in line for one in (words_of(word) if word[:1] == "@" else [word])]
+    every = [one for word in line for one in (words_of(word[1:]) if word[:1] == "@" else [word])]
     values = usual | vars(parser.parse_args(every))
     return Namespace(
         **vars(given) | values,
@@ -188,21 +187,21 @@ def parse(words: Sequence[str]) -> Namespace:
     )
 
 
-def words_of(file: str) -> list[str]:
-    """Read the words of a settings file, `@FILE`, which are quoted as in a shell."""
-    text = content(file[1:])
+def words_of(path: str) -> list[str]:
+    """Read the words of a settings file, which are quoted as in a shell."""
+    text = content(path)
     try:
         words = shlex.split(text.decode(), comments=True)
     except ValueError as error:
-        raise InputError(f"{file[1:]}: expected words of a command ({error})") from None
+        raise InputError(f"{path}: expected words of a command ({error})") from None
     if typed := [word for word in words if word in TYPED]:
-        raise InputError(f"{file[1:]}: expected no {typed[0]}, which is typed")
+        raise InputError(f"{path}: expected no {typed[0]}, which is typed")
     return words
 
 
 def check_output(given: Namespace) -> None:
     """Refuse, before anything is done, to overwrite inputs or what is no file."""
-    if getattr(given, "out", None) is None:
+    if not hasattr(given, "out"):
         return
     for name, read in vars(given).items():
         for path in read if isinstance(read, list) else [read]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import io
-import itertools
 import shlex
 from argparse import Namespace
 from pathlib import Path
@@ -169,9 +168,9 @@ def run_fit(given: Namespace) -> Said:
             metrics["residual"] = {"why": found.sentence, **found.shares}
             if found.advice:
                 warn(found.advice)
-        metrics |= {"thickness": data.thickness, "density": data.density}
-        provenance = {"data_provenance": data.provenance}
-        run.save(given.out, metrics, data=given.data, provenance=provenance)
+        metrics |= chosen(data, "thickness", "density")
+        made = {"data_provenance": data.provenance}
+        run.save(given.out, metrics, data=given.data, provenance=made)
         keep(given, kept)
     tables = {name: {"samples": len(data[name])} | one for name, one in run.tables.items()}
     tables |= {name: {"error": why} for name, why in run.refused.items()}
@@ -196,8 +195,9 @@ def _law(given: Namespace, spacing: float) -> Any:
     if idle := [name for name in OF_LPS if getattr(given, name) != given.usual[name]]:
         raise InputError(f"{', '.join(idle)}: expected with --law lps, not {given.law}")
     law = warp_peri.Crystal(given.horizon)
-    smoothing = warp_peri.methods.Smoothing(2 * spacing)
-    return law if given.law == "tensors" else warp_peri.ThirdOrder(law, smoothing)
+    if given.law == "tensors":
+        return law
+    return warp_peri.ThirdOrder(law, warp_peri.methods.Smoothing(2 * spacing))
 
 
 def _metrics(run: Run) -> Result:
@@ -301,8 +301,7 @@ def run_fit_crystal(given: Namespace) -> Said:
             "displacement under waves: error of at most 2 % down to "
             + (f"{wave:.3g} Å" if np.isfinite(wave) else "no wavelength"),
             f"proven: {ONE}" if proof is not None and proof.holds else "nothing is proven",
-            f"next: {shlex.join(['warp-peri', 'info', str(path)])}, or wp.load and wp.solve in "
-            "Python",
+            f"next: warp-peri info {shlex.quote(str(path))}, or wp.load and wp.solve in Python",
             LINE,
             *repr(found).split("\n")[1:],
         ]
@@ -316,7 +315,6 @@ def run_fit_sheet(given: Namespace) -> Said:
     how = chosen(given, "pixel", "positions", "stress", "along")
     frames = frames_of_folder(given.folder, given.count, radius=given.smooth, **how)
     usual = frames.points.units == USUAL  # what frames without a unit are taken for
-    length = None if usual else frames.points.units[0]
     if given.stress and usual:
         raise InputError("stress: it needs a length; expected --pixel with a unit, as 0.012mm")
 
@@ -341,7 +339,7 @@ def run_fit_sheet(given: Namespace) -> Said:
             "frames": len(frames),
             "interior": int(frames.interior.sum()),
             "noise_in_spacings": float(np.median(estimate_noise(frames)) / frames.spacing),
-            "lengths": length or "as in the tables; no unit was said",
+            "lengths": "as in the tables; no unit was said" if usual else frames.points.units[0],
         }
         result = finite(told | result)
         write_json(given.out / "sheet.json", result)
@@ -391,8 +389,7 @@ def _written(given: Namespace, choice: Any) -> tuple[Result, str]:
 def _beside(fit: Any) -> list[str]:
     """Lines on a sheet's other values: deviations, which are the lattice's, a thickness."""
     own = fit.material.coefficients[: fit.material.dictionary.first_term]
-    numbers = ", ".join(f"{value:.4g}" for value in own)
-    lines = [f"deviations, which belong to the lattice: {numbers}"]
+    lines = [f"deviations, which belong to the lattice: {', '.join(f'{v:.4g}' for v in own)}"]
     if fit.thickness is not None:
         pairs = zip(fit.thickness.names, fit.thickness.numbers)
         shown = ", ".join(f"{name}: {value:.4g}" for name, value in pairs)
@@ -406,7 +403,7 @@ def _write_curves(folder: Path, stretches: np.ndarray, curves: dict[str, Any], u
     figure = Figure(figsize=(5, 3.6), layout="constrained")
     axes = figure.add_subplot()
     columns, names = [stretches], ["stretch"]
-    for (name, band), style in zip(curves.items(), itertools.cycle(("-", "--", ":"))):
+    for (name, band), style in zip(curves.items(), ("-", "--", ":")):
         middle, low, high = band  # which may coincide with another's
         (line,) = axes.plot(stretches, middle, linestyle=style, label=name)
         axes.fill_between(stretches, low, high, color=line.get_color(), alpha=0.2, linewidth=0)
@@ -418,10 +415,9 @@ def _write_curves(folder: Path, stretches: np.ndarray, curves: dict[str, Any], u
     axes.legend(frameon=False, title="tension along\n(90 % bands)")
     _save_figure(figure, folder / "curves.png")
     with whole_file(folder / "curves.csv") as path:
-        table = np.transpose(columns)
-        np.savetxt(path, table, "%.8g", ",", header=",".join(names), comments="")
+        np.savetxt(path, np.transpose(columns), "%.8g", ",", header=",".join(names), comments="")
 
 
 def _save_figure(figure: Any, path: Path) -> None:
-    with whole_file(path) as part, open(part, "wb") as file:
-        figure.savefig(file, format="png", dpi=110)
+    with whole_file(path) as part:
+        figure.savefig(part, dpi=110)

@@ -306,7 +306,7 @@ SMALL = {torch.float64: 1e-8, torch.float32: 1e-5}
 def evaluate(
     material: NeuralOperator, samples: Samples, *, solve: bool = True, progress: bool = False
 ) -> dict[str, Any]:
-    """Evaluate a neural material on samples: mean relative ℓ2 errors, and by sample ("samples").
+    """Evaluate a neural material on samples: mean relative ℓ2 errors, and by sample (E_u_samples).
 
     E_res_abs is ‖force − b‖ [stress/length]; E_u the error of the solved displacement from zero, or
     from the collar's affine motion without loads, found or not; "converged" the share of equilibria
@@ -337,4 +337,5 @@ def evaluate(
     kept = {key: values for key, values in rows.items() if values and np.isfinite(values).all()}
     if not kept:
         raise InputError("samples: expected at least one")
-    return {key: float(np.mean(values)) for key, values in kept.items()} | {"samples": kept}
+    means = {key: float(np.mean(values)) for key, values in kept.items()}
+    return means | {f"{key}_samples": values for key, values in kept.items()}
