@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 18_780,
-    "tokens": 234_927,
-    "lines of warp_peri": 30_004,
+    "code lines": 18_781,
+    "tokens": 234_892,
+    "lines of warp_peri": 30_006,
     "files of warp_peri": 114,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 42_186,
+    "lines of warp_peri, kernels, examples and tools": 42_188,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -42,7 +42,7 @@ ROOMS = {
     "files": 443,
     "fitting": 1213,
     "fracture": 1418,
-    "materials": 4591,
+    "materials": 4592,
     "neural": 573,
     "points": 1604,
     "prediction": 583,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -94,11 +95,13 @@ def _energy(term: EnergyTerm, x: float) -> float:
 
 def _energy_by_angle(solid: HyperelasticMaterial) -> dict[float, float]:
     """Energy of the fibres in every direction [rad] at the largest stretch of the data."""
-    values, energies = solid.coefficients[solid.dictionary.first_term :], dict[float, float]()
+    values, energies = (
+        solid.coefficients[solid.dictionary.first_term :],
+        defaultdict[float, float](float),
+    )
     for term, value in zip(solid.dictionary.terms, values):
         if term.is_fibre:
-            angle = float(np.mod(term.angle, np.pi))
-            energies[angle] = energies.get(angle, 0.0) + value * _energy(term, _strain(solid))
+            energies[float(np.mod(term.angle, np.pi))] += value * _energy(term, _strain(solid))
     return energies
 
 

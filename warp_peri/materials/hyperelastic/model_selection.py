@@ -270,11 +270,10 @@ def save_febio(solid: HyperelasticMaterial, path: str | os.PathLike[str]) -> Non
 @typed
 def material_terms(solid: HyperelasticMaterial) -> list[tuple[EnergyTerm, float]]:
     """Strain energies with their coefficients, those at nodes and corners added."""
-    sums: dict[EnergyTerm, float] = {}
+    sums = defaultdict[EnergyTerm, float](float)
     values = solid.coefficients[solid.dictionary.first_term :].tolist()
     for term, value in zip(solid.dictionary.terms, values):
-        own = replace(term, corner=False)
-        sums[own] = sums.get(own, 0.0) + value
+        sums[replace(term, corner=False)] += value
     return [(term, value) for term, value in sums.items() if value]
 
 

@@ -73,10 +73,10 @@ class HyperelasticMaterial(Record, format="warp_peri.hyperelastic"):
     @property
     def sparse(self) -> HyperelasticMaterial:
         """The material without the strain energies whose coefficient is zero."""
-        first = self.dictionary.first_term
-        kept = [n for n, c in enumerate(self.coefficients[first:]) if c != 0]
-        terms = tuple(self.dictionary.terms[n] for n in kept)
-        values = np.concatenate([self.coefficients[:first], self.coefficients[first:][kept]])
+        first, c = self.dictionary.first_term, self.coefficients
+        kept = np.flatnonzero(c[first:])
+        terms = [self.dictionary.terms[n] for n in kept]
+        values = np.append(c[:first], c[first + kept])
         return replace(self, dictionary=self.dictionary.with_terms(terms), coefficients=values)
 
     def on(
