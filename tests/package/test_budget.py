@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 18_781,
-    "tokens": 234_892,
-    "lines of warp_peri": 30_006,
+    "code lines": 18_778,
+    "tokens": 234_851,
+    "lines of warp_peri": 30_000,
     "files of warp_peri": 114,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 42_188,
+    "lines of warp_peri, kernels, examples and tools": 42_182,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -34,7 +34,7 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2330,
+    "atoms": 2327,
     "cli": 730,
     "core": 1514,
     "face": 1144,

@@ -60,7 +60,11 @@ def smoothing_matrix(
     if box is not None and not (np.shape(box) == (2,) and np.isfinite(box).all() and min(box) > 0):
         raise InputError(f"box: expected two periods > 0, got {box}")
     if spacing is not None:
-        _check_spacing(nodes, radius, spacing)
+        if not radius > (least := spacing / np.sqrt(2)):  # that no atom belongs to no node
+            raise InputError(f"radius: expected more than spacing/√2 = {least:.4g}, got {radius}")
+        place = (nodes - nodes[0]) / spacing
+        if np.abs(place - np.rint(place)).max() > 1e-6:
+            raise InputError(f"nodes: expected a square lattice of spacing {spacing}")
     elif box is not None and (np.ptp(nodes, axis=0) > np.multiply(box, FULL)).any():
         raise InputError(
             "nodes: some are periodic images of others: expected their spacing, or one period"
@@ -77,16 +81,6 @@ def smoothing_matrix(
     scale = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0)
     shared = sp.csr_array((scale, (np.arange(len(owner)), owner)), shape=(len(owner), len(atoms)))
     return sp.csr_array(tau @ shared)
-
-
-def _check_spacing(nodes: np.ndarray, radius: float, spacing: float) -> None:
-    """Raise InputError for nodes of another lattice, or so wide apart that atoms reach none."""
-    if not radius > spacing / np.sqrt(2):
-        least = spacing / np.sqrt(2)  # that no atom belongs to no node
-        raise InputError(f"radius: expected more than spacing/√2 = {least:.4g}, got {radius}")
-    offset = nodes - nodes[0]
-    if np.abs(offset - spacing * np.rint(offset / spacing)).max() > 1e-6 * spacing:
-        raise InputError(f"nodes: expected a square lattice of spacing {spacing}")
 
 
 def _reached(origin: np.ndarray, images: np.ndarray, radius: float, spacing: float) -> np.ndarray:

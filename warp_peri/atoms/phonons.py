@@ -206,7 +206,7 @@ def from_calculator(
 
 def _by_differences(cell: Any, many: Any, calculator: Any, **how: Any) -> ForceConstants:
     forces, first = forces_of(many, calculator), range(len(cell))
-    phi, change = finite_differences(forces, np.array(many.positions), first)
+    phi, change = finite_differences(forces, many.positions, first)
     return replace(from_supercell(cell, many, phi, first, **how), change=change)
 
 
