@@ -1,4 +1,4 @@
-"""Bonds that soften and fail: linear limit, energy's derivative, a peak, another horizon."""
+"""Bonds that soften and fail: linear limit, energy spent, a peak, gradients."""
 
 import warnings
 from dataclasses import replace

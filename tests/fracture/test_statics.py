@@ -14,9 +14,8 @@ from warp_peri.fracture.statics import CutSolid
 SPACINGS = np.array([1 / 8, 1 / 12, 1 / 16])
 
 
-@pytest.mark.parametrize("lam", [-0.28])
-def test_a_crack_converges(lam):
-    rows = [static_crack(round(1 / h), 3.0, lam) for h in SPACINGS]
+def test_a_crack_converges():
+    rows = [static_crack(round(1 / h), 3.0, -0.28) for h in SPACINGS]
     assert fitted_order(SPACINGS, [row["displacement"] for row in rows]) > 0.95
     assert fitted_order(SPACINGS, [abs(row["G"]) for row in rows]) > 1.4
     assert abs(rows[-1]["J"]) < 0.01
