@@ -96,10 +96,6 @@ class Alone:
 
     gather = allgather
 
-    def allreduce(self, value: Any) -> Any:
-        """Sum of a value over all processes."""
-        return value
-
 
 ALONE = Alone()
 

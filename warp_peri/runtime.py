@@ -249,8 +249,7 @@ class Shared:
 
 def recording() -> Any:
     """Warp's tape that records, or None."""
-    runtime: Any = wp._src.context.runtime  # Warp has no public name for it
-    return runtime.tape
+    return wp._src.context.runtime.tape  # type: ignore[attr-defined]  # it has no public name
 
 
 def zeros(*shape: int, dtype: Any = wp.float64, gradient: bool = False) -> wp.array[Any]:

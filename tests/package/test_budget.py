@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 18_778,
-    "tokens": 234_851,
-    "lines of warp_peri": 30_000,
+    "code lines": 18_773,
+    "tokens": 234_808,
+    "lines of warp_peri": 29_993,
     "files of warp_peri": 114,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 42_182,
+    "lines of warp_peri, kernels, examples and tools": 42_175,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -37,7 +37,7 @@ ROOMS = {
     "atoms": 2327,
     "cli": 730,
     "core": 1514,
-    "face": 1144,
+    "face": 1141,
     "fe_coupling": 710,
     "files": 443,
     "fitting": 1213,
@@ -47,7 +47,7 @@ ROOMS = {
     "points": 1604,
     "prediction": 583,
     "mpi": 451,
-    "solvers": 1476,
+    "solvers": 1474,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

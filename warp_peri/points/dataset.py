@@ -107,8 +107,10 @@ class Dataset(Shown):
     def rows(self) -> list[tuple[str, str]]:
         """Name and value of each line of the data set's summary table."""
         length = symbols(self.units)[0]
-        rows = [("thickness", f"{self.thickness:g} {length}")]
-        rows.append(("density", f"{self.density:g} kg/m³"))
+        rows = [
+            ("thickness", f"{self.thickness:g} {length}"),
+            ("density", f"{self.density:g} kg/m³"),
+        ]
         for name, samples in self.sets.items():
             (_, count), (_, nodes), *_ = samples.rows()
             rows.append((name, f"{count} samples on nodes: {nodes}"))
@@ -190,7 +192,6 @@ def design_loads(points: PointsLike, shortest_wave: Positive, *, number: Count =
 
 FORMAT, VERSION = "warp_peri.dataset", 1
 _NEEDED = ("x", "u", "interior")
-LAYOUT = ("v110", "v110")
 
 
 def _written(provenance: Any) -> str:
@@ -210,7 +211,7 @@ def save_dataset(path: str | os.PathLike[str], dataset: Dataset) -> None:
     attributes |= {"length_unit": length, "stress_unit": stress}
     attributes |= {"thickness": float(dataset.thickness), "density": float(dataset.density)}
     attributes |= {"provenance": _written(dataset.provenance), "sha256": content_hash(dataset)}
-    how: Any = {"libver": LAYOUT, "locking": False}
+    how: Any = {"libver": ("v110", "v110"), "locking": False}
     with whole_file(path) as temporary, h5py.File(temporary, "w", **how) as file:
         _write(file.attrs, attributes)
         for name, samples in dataset.sets.items():

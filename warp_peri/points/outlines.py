@@ -16,7 +16,6 @@ ROUND = 1e-6
 """How far from a circle, relatively, the ends of its edges may be."""
 GRADING = 0.2
 """Netgen's measure of how fast triangles may grow, 0 to 1."""
-WITHOUT = "netgen-mesher is not installed: pip install 'warp_peri[bodies]'"
 
 
 @typed
@@ -96,7 +95,8 @@ def mesh_outline(outer: Outline, holes: Sequence[Outline] = (), *, size: Positiv
     Raises InputError for sizes that are not positive, outlines that cannot be meshed, and without
     Netgen.
     """
-    netgen = optional("netgen.geom2d", WITHOUT)
+    without = "netgen-mesher is not installed: pip install 'warp_peri[bodies]'"
+    netgen = optional("netgen.geom2d", without)
     outlines = (outer, *holes)
     _check_apart(*outlines)
     geometry = netgen.SplineGeometry()

@@ -91,8 +91,7 @@ class Points(Shown):
         if self.box is not None:
             rows.append(("periods", " × ".join(f"{side:g}" for side in self.box) + f" {length}"))
         if self.axis is not None:
-            shown = f"{self.axis:g}°" if self.dimension == 2 else "a rotation"
-            rows.append(("axis", shown))
+            rows.append(("axis", f"{self.axis:g}°" if self.dimension == 2 else "a rotation"))
         return rows
 
     def __post_init__(self) -> None:

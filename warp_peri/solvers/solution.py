@@ -244,12 +244,10 @@ class Solution(Shown):
 
     def rows(self) -> list[tuple[str, str]]:
         """Name and value of each line of the solution's summary table."""
-        shape = list(self.u.shape)
-        lines = [("displacement", f"shape {shape}"), ("solved by", self.method)]
+        lines = [("displacement", f"shape {list(self.u.shape)}"), ("solved by", self.method)]
         if any(self.iterations):
             lines.append(("iterations", f"{max(self.iterations)} at most"))
-        lines.append(("residual", f"{self.residual:.1e}"))
-        lines.append(("proven", self.proven or "nothing"))
+        lines += [("residual", f"{self.residual:.1e}"), ("proven", self.proven or "nothing")]
         return lines + [("warning", text) for text in self.warnings]
 
 
