@@ -9,7 +9,7 @@ import pytest
 import warp_peri as wp
 from tests.crystal.crystals import lattice as plain_lattice
 from tests.crystal.crystals import learned
-from tests.crystal.test_operator import body
+from tests.crystal.test_crystal import body
 from tests.support.nonlinear import solid
 from tests.support.problems import kernel, lattice, manufactured, noise, smooth
 from warp_peri.cli.main import main
