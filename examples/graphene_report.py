@@ -278,6 +278,11 @@ def notes(numbers: dict[str, Any]) -> Iterator[str]:
             f"{adam['loss_over_optimum']:.6f} times the loss of the optimum, after "
             f"{adam['gradients']} gradients over all loads and {adam['rounds']} rounds."
         )
+    if alphas := numbers.get("alphas"):
+        yield (
+            f"Kernels of any α from {alphas[0]:g} to {alphas[-1]:g} come within 1 % of the least "
+            "loss: α and D say much the same."
+        )
     if degrees := numbers["degrees"]:
         left = ", ".join(f"{100 * error:.2f} % by degree {M}" for M, error in degrees.items())
         yield (

@@ -113,6 +113,7 @@ def test_the_exponent_is_free_where_coefficients_do_not_reach_every_length(latti
     given = LPSFound(LPSParameters(0.2, 0.7, 1.4, np.ones(degree + 1)))
     assert len(kernel.start(given)) == kernel.rank + free
     assert kernel.rank == min(degree + 1, 6) if len(lattices) == 1 else degree + 1
+    assert not BernsteinKernel(lattices, 1.0, degree, fixed=True).free_alpha
 
 
 def test_coefficients_that_no_bond_sees_are_smooth():

@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 18_773,
-    "tokens": 234_808,
-    "lines of warp_peri": 29_993,
+    "code lines": 18_779,
+    "tokens": 234_847,
+    "lines of warp_peri": 29_999,
     "files of warp_peri": 114,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 42_175,
+    "lines of warp_peri, kernels, examples and tools": 42_203,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -42,7 +42,7 @@ ROOMS = {
     "files": 443,
     "fitting": 1213,
     "fracture": 1418,
-    "materials": 4592,
+    "materials": 4598,
     "neural": 573,
     "points": 1604,
     "prediction": 583,

@@ -130,10 +130,12 @@ STEP = 1e-30
 
 
 class BernsteinKernel:
-    """Kernel r^(−α) Σ D_k B_k,M of any D in coordinates q: of the tables, then α where it is free.
-    The first lattice's bond classes set the scale."""
+    """Kernel r^(−α) Σ D_k B_k,M of any D in coordinates q: of the tables, then α where it is free
+    (not `fixed`). The first lattice's bond classes set the scale."""
 
-    def __init__(self, lattices: Sequence[BondClasses], alpha: float, degree: int) -> None:
+    def __init__(
+        self, lattices: Sequence[BondClasses], alpha: float, degree: int, *, fixed: bool = False
+    ) -> None:
         self.alpha = alpha
         scaled = [(classes.r / classes.horizon, classes) for classes in lattices]
         tables = np.concatenate(
@@ -145,7 +147,7 @@ class BernsteinKernel:
         lengths = np.concatenate([classes.r for classes in lattices])
         reached = np.abs(tables).max(axis=1) > RANK_TOLERANCE * scale
         short = rank < len(np.unique((lengths[reached] / lattices[0].horizon).round(9)))
-        self.free_alpha = short and lattices[0].steps.shape[1] == 2
+        self.free_alpha = short and lattices[0].steps.shape[1] == 2 and not fixed
         ends = np.cumsum([len(classes.r) for classes in lattices])
         self._basis = np.split(left[:, :rank], ends[:-1])  # tables of unit q
         self._q_of_D = size[:rank, None] * right[:rank] * scale
@@ -251,13 +253,15 @@ class LPSLaw:
         start: LPSFound,
         conditions: StabilityConditions,
         method: GaussNewton,
+        *,
+        fixed_alpha: bool = False,
     ) -> None:
         self.kernel: BernsteinKernel | ShapeKernel
         if start.shape is not None:
             self.kernel = ShapeKernel(lattices, start.shape)
         else:
-            solid = start.solid
-            self.kernel = BernsteinKernel(lattices, solid.alpha, len(solid.D) - 1)
+            solid, fixed = start.solid, fixed_alpha
+            self.kernel = BernsteinKernel(lattices, solid.alpha, len(solid.D) - 1, fixed=fixed)
         self.conditions, self.zeta = conditions, HEADROOM * conditions.level
         self.unit, self.size = start.solid.mu, start.solid.mu / lattices[0].horizon ** 2
         self.moduli, self.smoothness = method.held, method.smoothness
@@ -340,8 +344,10 @@ def optimum(
     start: LPSFound,
     conditions: StabilityConditions,
     method: GaussNewton = GaussNewton(),  # noqa: B008 (a frozen value)
+    *,
+    fixed_alpha: bool = False,
 ) -> LPSFound:
     """Minimise the losses from one start under conditions on the whole zones (theory, 26–28)."""
-    law = LPSLaw(lattices, start, conditions, method)
+    law = LPSLaw(lattices, start, conditions, method, fixed_alpha=fixed_alpha)
     theta = law.start(start)
     return law.found(fit(blocks, law, theta, law.zeta, size=1.0, rounds=method.rounds))
