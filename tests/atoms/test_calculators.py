@@ -143,6 +143,8 @@ def test_a_file_of_settings_runs_nothing_and_trust_is_typed(installed, monkeypat
         assert what in error
         assert len(error.splitlines()) == 1
         assert {*installed.iterdir()} == there
+    assert main([*line[:-1], "--calculator", "here:Mine(sigma=1.5)", "@own.txt"]) == 2
+    assert what in capsys.readouterr().err  # the file's, which comes last
     keep(name, "--trust")
     assert main(line) == 2
     assert "expected no --trust" in capsys.readouterr().err

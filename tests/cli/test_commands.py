@@ -71,7 +71,7 @@ def test_a_fit_leaves_a_model_and_its_settings(fitted, data, tmp_path, capsys):
     assert metrics["E_u"]["test"] < 0.01
     assert "whose loads are not known" in metrics["not_evaluated"]["noise"]
     settings = (fitted / "fit.txt").read_text().splitlines()
-    assert settings == [str(data), "--out", str(fitted), *FIT, "--noise", "noise"]
+    assert sorted(settings) == sorted([str(data), "--out", str(fitted), *FIT, "--noise", "noise"])
     words = ["fit", f"@{fitted}/fit.txt", "--out", tmp_path]
     again = answer(capsys, *words)
     assert again["mu"] == pytest.approx(metrics["mu"], rel=1e-12)
@@ -250,15 +250,21 @@ def test_settings_files_hold_words_of_a_command(fitted, data, tmp_path, capsys):
         ("--horizon far", "argument --horizon: invalid float value: 'far'"),
         ("--loss huber", "argument --loss: invalid choice: 'huber'"),
         ("--units nm", "argument --units: expected 2 arguments"),
+        ("--set\0", "got what is no text"),
     ):
         path.write_text(text, errors="surrogateescape")
         assert said in refused(capsys, *words)
         assert not (tmp_path / "out").exists()
     path.write_text(f"{fitted}/model.json '{data}'  # both\n--set train\n--no-transfer\n")
-    assert set(answer(capsys, "evaluate", f"@{path}", "--set", "test")) == {"train", "test"}
+    assert set(answer(capsys, "evaluate", f"@{path}", "--set", "test")) == {"test"}
     assert "no-such: no such file" in refused(capsys, "info", "@no-such")
     typed = parse(["sweep", "d.h5", "--out", "o", "--degrees", "1", "--degrees", "2", "3"]).degrees
     assert typed == [1, 2, 3]  # in place of what is usual
+    path.write_text("d.h5 --out o --degrees 1 2 --horizons 9 --jobs 2")
+    given = parse(["sweep", f"@{path}", "--degrees", "3"])
+    assert (given.degrees, given.horizons, given.jobs) == ([3], [9.0], 2)
+    path.write_text("\n".join(given.words))
+    assert parse(["sweep", f"@{path}"]).options == given.options
 
 
 CANNOT = {

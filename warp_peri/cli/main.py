@@ -16,8 +16,9 @@ import shlex
 import sys
 import warnings
 from argparse import SUPPRESS, ArgumentParser, Namespace, RawDescriptionHelpFormatter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
+from itertools import groupby
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -156,8 +157,9 @@ def _kind(value: str) -> Any:
 def parse(words: Sequence[str]) -> Namespace:
     """Parse the command and its options; `@FILE` stands for the words in a file.
 
-    Of the result, `usual` are the defaults, `options` what a settings file keeps, `words` those of
-    the line and of its `files`, and `typed` the words of the line alone.
+    What comes later wins, whole lists too. Of the result, `usual` are the defaults, `options` what
+    a settings file keeps, `words` a line that says the same, `files` those that were read, and
+    `filed` the names whose values are from one.
     """
     known = "\n".join(f"  {name:14}{text.splitlines()[0]}" for name, text in COMMANDS.items())
     top = Parser(
@@ -175,21 +177,47 @@ def parse(words: Sequence[str]) -> Namespace:
     usual = {one.dest: one.default for one in parser._actions if one.dest != "help"}
     for action in parser._actions:
         action.default = SUPPRESS  # values of a list are not added to the usual ones
-    every = [one for word in line for one in (words_of(word[1:]) if word[:1] == "@" else [word])]
-    values = usual | vars(parser.parse_args(every))
+    parts: list[tuple[bool, list[str]]] = []
+    for of_files, some in groupby(line, lambda word: word[:1] == "@"):
+        typed = [*some]
+        parts += [(True, words_of(one[1:])) for one in typed] if of_files else [(False, typed)]
+    parser.parse_args([word for _, words in parts for word in words])  # all there, and no more
+    for action in parser._actions:  # each part has some
+        action.required = False
+        if not action.option_strings:
+            action.nargs, action.default = "*" if action.nargs == "+" else "?", None
+    found, filed = dict[str, Any](), set[str]()
+    for of_file, part in parts:
+        own = {n: v for n, v in vars(parser.parse_args(part)).items() if v not in (None, [])}
+        found, filed = found | own, filed | own.keys() if of_file else filed - own.keys()
+    options = {n: v for n, v in (usual | found).items() if f"--{n}" not in TYPED}
     return Namespace(
-        **vars(given) | values,
+        **vars(given) | usual | found,
         usual=usual,
-        options={name: value for name, value in values.items() if f"--{name}" not in TYPED},
-        words=[word for word in every if word not in TYPED],
+        options=options,
+        words=words_for(parser, {name: found[name] for name in options.keys() & found.keys()}),
         files=[Path(word[1:]) for word in line if word[:1] == "@"],
-        typed=[word for word in line if word[:1] != "@"],
+        filed=filed,
     )
+
+
+def words_for(parser: Parser, values: Mapping[str, Any]) -> list[str]:
+    """Words of a line that has these values."""
+    words: list[str] = []
+    for action in parser._actions:
+        if action.dest in values:
+            value = values[action.dest]
+            words += action.option_strings[:1]
+            if action.nargs != 0:
+                words += [str(one) for one in (value if isinstance(value, list) else [value])]
+    return words
 
 
 def words_of(path: str) -> list[str]:
     """Read the words of a settings file, which are quoted as in a shell."""
     text = content(path)
+    if b"\0" in text:
+        raise InputError(f"{path}: expected words of a command, got what is no text")
     try:
         words = shlex.split(text.decode(), comments=True)
     except ValueError as error:

@@ -283,8 +283,7 @@ def run_fit_crystal(given: Namespace) -> Said:
             found: Any = warp_peri.atoms.crystal_from_force_constants(constants, **how)
         else:
             structure = dumps.read_structure(given.structure)
-            named = any(word.startswith("--calculator") for word in given.typed)
-            trusted = given.trust or named or not given.files
+            trusted = given.trust or "calculator" not in given.filed
             calculator = warp_peri.atoms.make_calculator(
                 given.calculator, list(structure.symbols), given.potential, trusted=trusted
             )
