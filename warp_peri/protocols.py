@@ -114,8 +114,8 @@ class OperatorBase(Remade):
     ``op(u)`` takes fields on all nodes, [N, d] or [S, N, d], of torch [..., N, d], and gives the
     force on the interior nodes, [..., I, d]. Tensors of another precision than float64, or on
     another device, are computed in float64 on the processor, and so is their gradient. torch's
-    first derivative is `vjp`; the second is right for a linear force, of others refused by an
-    InputError, as tangents of forward mode are.
+    first derivative is `vjp`, and `jvp` has the one along a field; the second is right for a linear
+    force, of others refused by an InputError.
     """
 
     is_linear = False

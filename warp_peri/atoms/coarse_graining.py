@@ -15,11 +15,11 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from warp_peri.atoms.dic import spacing_of, surrounded
+from warp_peri.atoms.dic import ON_LATTICE, spacing_of, surrounded
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import check_hdf5, check_regular
 from warp_peri.points.arguments import Count, Positive, checked, typed
-from warp_peri.points.points import Points, Samples, straight_steps
+from warp_peri.points.points import LARGEST_TABLE, Points, Samples
 from warp_peri.points.unit_names import EV_IN_TPA, Units, check_units
 
 NUMBERS = {"double", "single"} | {f"{u}int{n}" for u in ("", "u") for n in (8, 16, 32, 64)}
@@ -193,7 +193,9 @@ def read_mat(
         x = step * np.argwhere(np.ones((side, side), bool))
     u = _components_last(path, held, displacement, len(x))
     b = None if load is None else factor * _components_last(path, held, load, len(x))
-    nodes, _ = straight_steps(x, step)
+    nodes = np.rint(place := (x - x.min(axis=0)) / step).astype(int)
+    if np.abs(place - nodes).max() > ON_LATTICE or np.prod(place.max(axis=0) + 1) > LARGEST_TABLE:
+        raise InputError(f"{path}: expected positions on a square lattice along x and y")
     grid = np.zeros(nodes.max(axis=0) + 1, bool)
     grid[*nodes.T] = True
     interior = surrounded(grid, reach)[*nodes.T] if 4 * reach < min(grid.shape) else grid[:0]
@@ -202,7 +204,8 @@ def read_mat(
         raise InputError(
             f"{path}: expected all within {2 * reach} spacings around some, got {none}"
         )
-    return Samples(Points(x, interior, step, units=check_units(units)), u, b)
+    points = Points(x.min(axis=0) + step * nodes, interior, step, units=check_units(units))
+    return Samples(points, u, b)
 
 
 def _variables(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:

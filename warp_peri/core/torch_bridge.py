@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 import torch
 from scipy.sparse.linalg import LinearOperator, gmres, splu
+from torch.autograd import forward_ad
 
 from warp_peri.errors import InputError, quietly
 from warp_peri.points.arguments import as_array, check_mapping, check_shape, plain, typed
@@ -18,8 +19,7 @@ from warp_peri.protocols import SINGULAR, placed, uncompiled
 
 TWICE = (
     "second derivative: expected first derivatives alone of a force that is not linear, of its "
-    "numbers, or of an equilibrium, and no tangents of forward mode; operator.jvp(u, v) is the "
-    "derivative of a force along v"
+    "numbers, or of an equilibrium; operator.jvp(u, v) is the derivative of a force along v"
 )
 DIRECT = 4_000
 """Unknown nodes up to which a tangent is factorised for its adjoint, as `statics` does."""
@@ -32,11 +32,17 @@ def _refused(*_: Any) -> Any:
     raise InputError(TWICE)
 
 
+def _no_tangent(*_: Any) -> Any:
+    raise InputError(
+        "expected no tangents of forward mode; operator.jvp(u, v) is the derivative along v"
+    )
+
+
 class _Made(torch.autograd.Function):
     """Function `make` of tensors; `back` is its derivative transposed, given which are asked for,
     the tensors and the upstream gradient."""
 
-    jvp = staticmethod(_refused)  # type: ignore[assignment]
+    jvp = staticmethod(_no_tangent)  # type: ignore[assignment]
 
     @staticmethod
     def forward(ctx: Any, make: Any, back: Any, *of: torch.Tensor) -> Any:
@@ -244,7 +250,10 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
         learned = (held.pop(0) if one.requires_grad else None for one in operator.networks)
         return [*by, *(slopes.get(name) for name in named), *learned]
 
-    if operator.is_linear and not numbers:
+    asked = (
+        one.requires_grad or forward_ad.unpack_dual(one).tangent is not None for one in numbers
+    )
+    if operator.is_linear and not any(asked):
         pulled = lambda g: np.stack(_pulled(operator, g, g, solver)[1:])  # noqa: E731
         answer = linear(torch.stack(fields), lambda both: there(*both)[0], pulled)
     else:

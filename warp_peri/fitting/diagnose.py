@@ -191,7 +191,7 @@ def _families(
     d, h, u = samples.points.dimension, samples.spacing, samples.u
     model = getattr(operator.model, "linear", operator.model)
     stencil, group = stencil_of(model, h, "diagnose")
-    far = np.sqrt((stencil.steps**2).sum(axis=1).max())
+    far = max(np.sqrt((stencil.steps**2).sum(axis=1).max()), model.horizon / h)
     symmetry = getattr(model, "symmetry", "isotropic")
     turn = getattr(model, "orientation", np.eye(d))
     allowed = allowed_tensors(symmetry, point_group(symmetry, d), turn)

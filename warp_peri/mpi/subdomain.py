@@ -30,7 +30,7 @@ from warp_peri.mpi.processes import (
     total,
     world,
 )
-from warp_peri.points.arguments import as_array, checked_fields
+from warp_peri.points.arguments import as_array, checked, checked_fields, is_positive
 from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.points import LATTICE_TOLERANCE, Points
 from warp_peri.points.unit_names import USUAL, Units, check_same, check_units
@@ -237,14 +237,24 @@ def lattice(
         origin: position of the first node.
         units, axis: as of Points.
 
-    Raises InputError for more ranks than slabs, and for no interior node.
+    Raises InputError for values of another kind, more ranks than slabs, and no interior node.
     """
     comm = world()
+    with agreed(comm):
+        shape = tuple(checked("shape", shape, int, ("d",)).tolist())
+        if len(shape) not in (2, 3) or min(shape) < 1:
+            raise InputError(f"shape: expected two or three counts of nodes, got {list(shape)}")
+        if not is_positive(spacing):
+            raise InputError(f"spacing: expected a number > 0, got {spacing!r:.60}")
+        if np.shape(origin := checked("origin", origin)) not in ((), (len(shape),)):
+            raise InputError(f"origin: expected {len(shape)} coordinates, got {len(origin)}")
+        if not callable(interior):
+            raise InputError(f"interior: expected a function of positions, got {interior!r:.60}")
     same(comm, shape=shape, spacing=spacing, origin=origin, units=units, axis=axis)
     slabs = cut(comm, shape, _rows(shape))
     grid = np.indices(slabs.box(comm.rank), dtype=np.int32).reshape(len(shape), -1).T.copy()
     grid[:, 0] += slabs.own(comm.rank).start
-    x = np.asarray(origin) + spacing * grid
+    x = origin + spacing * grid
     number = np.asarray(np.ravel_multi_index(tuple(grid.T), shape))
     count = int(np.prod(shape))
     with agreed(comm):

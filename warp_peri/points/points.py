@@ -390,7 +390,7 @@ class Samples(Shown):
         return replace(self, u=self.u[rows], b=b, arrays=arrays)
 
     x, interior, spacing, box, outside, axis = (
-        property(attrgetter(f"points.{name}"))
+        property(attrgetter(f"points.{name}"), doc=f"`{name}` of the points.")
         for name in ("x", "interior", "spacing", "box", "outside", "axis")
     )
 

@@ -276,15 +276,26 @@ def definite(
 
 MOST, VECTORS = 40, 30
 """Most steps of Newton's method, and most vectors of a step."""
+APART = 1e-6
+"""Difference that the derivative is taken over, relative to the field."""
 
 
 def newton(residual: Field, start: np.ndarray, tolerance: float) -> np.ndarray:
     """Find a zero of a preconditioned residual, near the identity, as far as it comes."""
-    how: dict[str, Any] = {"method": "gmres", "inner_maxiter": VECTORS, "maxiter": MOST}
-    try:
-        found = newton_krylov(residual, start, f_tol=tolerance, tol_norm=HERE.norm, **how)
-    except NoConvergence as last:
-        (found,) = last.args
-    except ValueError:  # of a step to where there is no force
+    size, last = HERE.largest(residual(start)), [start]
+    if not tolerance < size < np.inf:
         return start
-    return np.asarray(found)
+    how: dict[str, Any] = {"method": "gmres", "inner_maxiter": VECTORS, "maxiter": MOST}
+    how |= {"f_tol": tolerance / size, "tol_norm": HERE.norm, "rdiff": APART}
+    try:  # in parts of the first residual, for SciPy's differences have an absolute step
+        newton_krylov(
+            lambda v: residual(size * v) / size,
+            start / size,
+            callback=lambda v, _: last.append(size * v.reshape(start.shape)),
+            **how,
+        )
+    except InputError:
+        raise
+    except (NoConvergence, ValueError):  # also of a step to where there is no force
+        pass
+    return last[-1]

@@ -40,7 +40,7 @@ MOST_SHOWN = 8
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class HyperelasticMaterial(Record, format="warp_peri.hyperelastic"):
+class HyperelasticMaterial(Record, format="warp_peri.hyperelastic", version=2):
     """A hyperelastic material: a dictionary of energies with its coefficients.
 
     Attributes:
