@@ -79,11 +79,6 @@ def test_averages_smoothing_and_samples_on_nodes(tmp_path):
     path = write(tmp_path / "a.dump", range(6))
     average = mean_displacement(path, REFERENCE, box=BOX, skip=2)
     np.testing.assert_allclose(average, U[2:6].mean(axis=0), atol=1e-9)
-    smoothed = np.zeros_like(REFERENCE)
-    for u in U[:6]:
-        smoothed = 0.8 * smoothed + 0.2 * u
-    found = mean_displacement(path, REFERENCE, box=BOX, iota=0.2)
-    np.testing.assert_allclose(found, smoothed, atol=1e-9)
     rest, force = write(tmp_path / "rest.dump", range(6, 9)), RANDOM.normal(size=(1, 30, 2))
     samples = grained([path], force, unloaded=[rest])
     moved = U[:6].mean(axis=0) - U[6:].mean(axis=0)
@@ -123,7 +118,6 @@ def test_options_without_sense_are_refused(tmp_path):
     wide = (BOX[0] * (1 + 2e-5), BOX[1])
     for call, words in (
         (lambda: mean_displacement(path, REFERENCE, box=BOX, skip=2), "more than 2 frames"),
-        (lambda: mean_displacement(path, REFERENCE, iota=0.0), "0 < ι ≤ 1"),
         (lambda: mean_displacement(path, REFERENCE, box=wide), "header's 12 x 9 Å, got 12.00024"),
         (lambda: mean_displacement(tmp_path / "none.dump", REFERENCE), "no such dump"),
         (lambda: grained([path, other]), "other.dump: expected the ids of the reference"),

@@ -154,9 +154,6 @@ def test_solvability_is_told_by_eigenvalues_and_singular_values():
     A = operator(fields.reshape(-1, *points.x.shape)).reshape(len(fields), -1).T
     assert figures.symmetric_min == pytest.approx(np.linalg.eigvalsh((A + A.T) / 2)[0])
     assert figures.singular_min == pytest.approx(np.linalg.svd(A)[1][-1])
-    assert figures.asymmetry == pytest.approx(np.linalg.norm(A - A.T) / np.linalg.norm(A + A.T))
-    assert 0.02 < figures.asymmetry < 0.5  # scattered points are not symmetric
-    assert check_solvability(model, lattice(8, 3.0)).asymmetry < 1e-12
 
 
 LATTICE, CLOUD, SHEET = lattice(3, 2.0), cloud(4, 3.0), periodic((9, 9))[0]

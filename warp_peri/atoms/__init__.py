@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from warp_peri.atoms.dic import estimate_noise as estimate_noise
     from warp_peri.atoms.dic import read_dic_frame as read_dic_frame
     from warp_peri.atoms.dumps import DumpFrame as DumpFrame
-    from warp_peri.atoms.dumps import FrameAverage as FrameAverage
     from warp_peri.atoms.dumps import ReferenceAtoms as ReferenceAtoms
     from warp_peri.atoms.dumps import check_box as check_box
     from warp_peri.atoms.dumps import coarse_grain_dumps as coarse_grain_dumps

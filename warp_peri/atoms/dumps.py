@@ -298,7 +298,6 @@ def mean_displacement(
     ids: ArrayLike | None = None,
     box: tuple[float, float] | None = None,
     skip: Natural = 0,
-    iota: float | None = None,
 ) -> np.ndarray:
     """Mean displacement from the reference [Å] over the frames of a dump, shape [A, 2].
 
@@ -308,14 +307,11 @@ def mean_displacement(
         ids: of the atoms of the reference, rising, shape [A]; None takes the dump's.
         box: periods of the atoms [Å], for dumps of wrapped positions; None for a free body.
         skip: frames at the begin that are left out.
-        iota: ι of u ← (1 − ι) u + ι u_frame from u = 0 (You et al. 2021, 2.10), or None: the mean.
 
     Raises InputError for other atoms, a box other than the header's, atoms beyond half the box
     without one, and too few frames.
     """
     reference = checked("reference", reference, shape=("A", 2))
-    if iota is not None and not 0 < iota <= 1:
-        raise InputError(f"iota: expected 0 < ι ≤ 1, got {iota}")
     total, frames = np.zeros_like(reference), 0
     for frame in iter_dump(path):
         x = frame.x
@@ -333,10 +329,10 @@ def mean_displacement(
             u -= box * np.rint(u / box)
         elif not frame.unwrapped and jumps(frame, reference):
             raise InputError(f"{path}: box: atoms moved beyond half the box; are they wrapped?")
-        total += u if iota is None else iota * (u - total)
+        total += u
     if frames <= skip:
         raise InputError(f"{path}: expected more than {skip} frames, got {frames}")
-    return total if iota is not None else total / (frames - skip)
+    return total / (frames - skip)
 
 
 @typed
@@ -365,15 +361,6 @@ class ReferenceAtoms:
     box: tuple[float, float] | None = None
 
 
-@typed
-@dataclass(frozen=True)
-class FrameAverage:
-    """How a dump's frames are averaged: skip and iota of mean_displacement."""
-
-    skip: Natural = 0
-    iota: float | None = None
-
-
 UNLIKE = 1.1
 """Times that loads per mass of two species may differ without a word."""
 SPECIES = 20
@@ -391,7 +378,7 @@ def coarse_grain_dumps(
     node_area: float,
     thickness: Positive,
     unloaded: Sequence[str | os.PathLike[str]] = (),
-    average: FrameAverage = FrameAverage(),
+    skip: Natural = 0,
     progress: bool = False,
 ) -> Samples:
     """Coarse-grain dumps, one for each load, to samples on the nodes `points`.
@@ -401,7 +388,7 @@ def coarse_grain_dumps(
         force: external forces on the atoms of each load [eV/Å], shape [S, A, 2].
         unloaded: dumps without load, one for each load or for all, whose displacement is
             subtracted: runs of one Langevin seed share most of their noise.
-        average: of the frames of each dump.
+        skip: frames at the begin of each dump that are left out.
 
     Warns of forces that are not shared among species as their masses are, and of torn sheets.
     Raises InputError as its parts do, and for forces or dumps that do not belong together.
@@ -412,7 +399,7 @@ def coarse_grain_dumps(
     force = checked("force", force, shape=(len(dumps), "A", 2))
     _warn_of_shares(force, np.broadcast_to(np.asarray(atoms.mass, float), force.shape[1]))
     ids = next(iter_dump(dumps[0])).ids if atoms.ids is None else atoms.ids
-    how: Any = {"ids": ids, "box": atoms.box, "skip": average.skip, "iota": average.iota}
+    how: Any = {"ids": ids, "box": atoms.box, "skip": skip}
     averages = []
     for path in tqdm([*unloaded, *dumps], desc="dumps", unit="dump", disable=not progress):
         averages.append(mean_displacement(path, atoms.reference, **how))

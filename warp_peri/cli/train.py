@@ -89,9 +89,8 @@ def run_coarse_grain(given: Namespace) -> Said:
         dumps.ReferenceAtoms(reference, mass, frame.ids, box),
         force=force,
         unloaded=given.unloaded or [],
-        average=dumps.FrameAverage(given.skip, given.iota),
         node_area=given.spacing**2,
-        **chosen(given, "thickness", "progress"),
+        **chosen(given, "thickness", "skip", "progress"),
     )
     with locked(given.out):
         before = _take_sheet(given)  # another job may have written it meanwhile

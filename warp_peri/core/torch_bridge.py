@@ -17,10 +17,6 @@ from warp_peri.errors import InputError, quietly
 from warp_peri.points.arguments import as_array, check_mapping, check_shape, plain, typed
 from warp_peri.protocols import SINGULAR, placed, uncompiled
 
-TWICE = (
-    "second derivative: expected first derivatives alone of a force that is not linear, of its "
-    "numbers, or of an equilibrium; operator.jvp(u, v) is the derivative of a force along v"
-)
 DIRECT = 4_000
 """Unknown nodes up to which a tangent is factorised for its adjoint, as `statics` does."""
 EXACT, ROUGH, KEPT, ROUNDS = 1e-11, 1e-10, 40, 10
@@ -29,7 +25,10 @@ keeps, and how often it begins anew."""
 
 
 def _refused(*_: Any) -> Any:
-    raise InputError(TWICE)
+    raise InputError(
+        "second derivative: expected first derivatives alone of a force that is not linear, of its "
+        "numbers, or of an equilibrium; operator.jvp(u, v) is the derivative of a force along v"
+    )
 
 
 def _no_tangent(*_: Any) -> Any:

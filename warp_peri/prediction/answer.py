@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import count
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +19,6 @@ from warp_peri.errors import InputError, Shown
 from warp_peri.materials.certificate import curvature_bound
 from warp_peri.points.arguments import Positive, checked_fields, typed, typed_methods
 from warp_peri.points.points import PointsLike, lattice_steps, nodes_of
-from warp_peri.points.unit_names import symbols
 from warp_peri.prediction.ensemble import (
     MOST,
     CalibrationFactors,
@@ -28,9 +27,6 @@ from warp_peri.prediction.ensemble import (
     norm,
 )
 from warp_peri.protocols import placed, stencil_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 SOLVED, SHARE = 0.03, 0.3
 """The first linear solve goes to this relative residual, or to this share of the tolerance; the
@@ -240,18 +236,6 @@ class Prediction(Shown):
             f"answer{alone}"
         )
         return ErrorBound(bound, relative, q, largest, moved, words)
-
-    def plot(self, *, ax: Axes | None = None) -> Axes:
-        """Plot the map of the likely error over the nodes."""
-        import matplotlib.pyplot as plt
-
-        points = self.operator.points
-        ax = plt.figure(layout="constrained").add_subplot() if ax is None else ax
-        x, inside = points.x, points.interior
-        shown = ax.scatter(x[inside, 0], x[inside, 1], c=self.map()[inside], s=12, linewidths=0)
-        ax.figure.colorbar(shown, ax=ax, label=f"likely error [{symbols(points.units)[0]}]")
-        ax.set(aspect="equal", xlabel="x", ylabel="y")
-        return ax
 
     def _plus(self, part: np.ndarray) -> np.ndarray:
         u = self.u.copy()
