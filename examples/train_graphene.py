@@ -63,7 +63,7 @@ def run(given: argparse.Namespace) -> None:
     noise, seconds = sets.pop("noise", None), {"data": time.perf_counter() - begin}
     conditions = wp.methods.StabilityConditions(given.conditions)
     kernel = None if given.degree is None else wp.Bernstein(given.degree)
-    law = wp.LPS(given.horizon, kernel, settings.named(given.method), conditions)
+    law = wp.LPS(given.horizon, kernel, settings.METHODS[given.method](), conditions)
     how: dict[str, Any] = {"noise": noise, "allow_uncertified": True, "progress": True}
     trained = train(law, sets["train"], sets, **how)
     for reason in trained.refused.values():

@@ -7,7 +7,6 @@ from warp_peri import lazy
 if TYPE_CHECKING:
     from warp_peri.materials.influence import InfluenceFunction as InfluenceFunction
     from warp_peri.materials.influence import conical as conical
-    from warp_peri.materials.influence import damped_wave as damped_wave
     from warp_peri.materials.influence import exponential as exponential
     from warp_peri.materials.influence import gaussian as gaussian
     from warp_peri.materials.influence import named as named

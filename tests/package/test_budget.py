@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 18_792,
-    "tokens": 234_999,
-    "lines of warp_peri": 30_000,
+    "code lines": 18_774,
+    "tokens": 234_977,
+    "lines of warp_peri": 29_980,
     "files of warp_peri": 114,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 42_204,
+    "lines of warp_peri, kernels, examples and tools": 42_184,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -34,20 +34,20 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2322,
-    "cli": 750,
+    "atoms": 2316,
+    "cli": 756,
     "core": 1519,
     "face": 1141,
     "fe_coupling": 710,
     "files": 443,
-    "fitting": 1213,
+    "fitting": 1209,
     "fracture": 1418,
-    "materials": 4580,
+    "materials": 4559,
     "neural": 573,
-    "points": 1604,
+    "points": 1615,
     "prediction": 574,
     "mpi": 461,
-    "solvers": 1484,
+    "solvers": 1480,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

@@ -88,25 +88,19 @@ def wide_enough(reference: Reference, calculator: Any, widths: Sequence[float]) 
     cell, d = reference.cell, reference.dimension
     heights = 1 / np.linalg.norm(np.linalg.inv(np.array(cell.cell)), axis=0)
     most = MOST_ATOMS if reference.noise.rounding else NOISY_ATOMS
-    repeats, rim, ended = (), np.nan, "supercell=… takes a wider one"
+    repeats, rim = (), np.nan
     for width in widths:
         count = np.where(np.arange(3) < d, np.ceil(width / heights), 1).astype(int)
         many = cell.repeat(wider := tuple(count.tolist()))
         if repeats and len(many) > most:
             break
-        try:
-            rim, none = _at_rim(many, calculator, (count * heights)[:d].min(), reference)
-        except (MemoryError, RuntimeError) as error:  # networks' libraries raise the latter
-            words = f"{type(error).__name__} {error}".lower()
-            if not (repeats and ("memory" in words or "alloc" in words)):
-                raise
-            ended = f"{len(many)} atoms need more memory than there is"
-            break
+        rim, none = _at_rim(many, calculator, (count * heights)[:d].min(), reference)
         repeats = wider
         if rim <= none:
             return repeats
     still = f"forces still are {rim:.1e} of the largest"
-    warn(f"supercell: at half the width of {_cells(repeats[:d])} {still}; {ended}")
+    which = f"at half the width of {_cells(repeats[:d])}"
+    warn(f"supercell: {which} {still}; supercell=… takes a wider one")
     return repeats
 
 

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 import warp_peri
-from warp_peri.errors import InputError
-from warp_peri.files.atomic import finite, locked, plain, write_text
+from warp_peri.errors import InputError, warn
+from warp_peri.files.atomic import content, finite, locked, plain, write_text
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.unit_names import Units, symbols
 from warp_peri.protocols import offered
@@ -153,9 +153,22 @@ def chosen(given: Any, *names: str) -> Result:
     return {name: getattr(given, name) for name in names}
 
 
+MADE = "# words of warp-peri"
+"""First line of the settings files that commands write."""
+
+
+def is_kept(path: Path) -> bool:
+    """Whether a file holds the words of a command."""
+    return path.is_file() and content(path).startswith(MADE.encode())
+
+
 def keep(given: Namespace, path: Path) -> None:
-    """Write the words of a command, a line each, which `@FILE` stands for."""
-    write_text(path, "\n".join([*map(shlex.quote, given.words), ""]))
+    """Write the words of a command, a line each, which `@FILE` stands for; a file that is read, or
+    that no command wrote, is left alone."""
+    if path.exists() and not is_kept(path):
+        warn(f"{path}: is no file of a command, and is left as it is")
+    elif path.resolve() not in map(Path.resolve, given.files):
+        write_text(path, "\n".join([MADE, *map(shlex.quote, given.words), ""]))
 
 
 def lines_of(result: Result, indent: str = "") -> list[str]:

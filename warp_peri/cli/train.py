@@ -16,7 +16,7 @@ import warp_peri
 from warp_peri.atoms import dumps
 from warp_peri.atoms.coarse_graining import smoothing_matrix
 from warp_peri.atoms.dic import estimate_noise, frames_of_folder
-from warp_peri.cli.commands import Result, Said, chosen, error_table, keep, lines_of
+from warp_peri.cli.commands import Result, Said, chosen, error_table, is_kept, keep, lines_of
 from warp_peri.cli.main import parse
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import (
@@ -98,7 +98,7 @@ def run_coarse_grain(given: Namespace) -> Said:
         provenance = before.provenance if before else {"source": "warp-peri coarse-grain"}
         save_dataset(given.out, Dataset(sets, given.thickness, given.density, provenance))
         keep(given, given.out.with_suffix(f".{given.set}.coarse-grain.txt"))
-    result = {"file": str(given.out), "set": given.set, **dict(samples.rows())}
+    result = {"file": str(given.out), "set": given.set, **samples.summary()}
     return result, lines_of(result)
 
 
@@ -146,8 +146,8 @@ def run_fit(given: Namespace) -> Said:
     """Fit a material to data; writes model.json, metrics.json and the settings to a folder."""
     model, kept = given.out / "model.json", given.out / "fit.txt"
     there = [one for one in (model, kept, given.out / "metrics.json") if one.exists()]
-    same = kept.exists() and parse(["fit", f"@{kept}"]).options == given.options
-    if there and not (same or given.overwrite):
+    same = is_kept(kept) and parse(["fit", f"@{kept}"]).options == given.options
+    if there and not (given.overwrite or same):
         raise InputError(
             f"{there[0]}: is there already, by other settings; name another folder, or --overwrite"
         )
@@ -189,7 +189,7 @@ def _law(given: Namespace, spacing: float) -> Any:
         kernel: Any = None if given.degree is None else settings.Bernstein(given.degree)
         if given.influence:
             kernel = warp_peri.influence.named(given.influence, given.horizon)
-        method = settings.named(given.method)
+        method = settings.METHODS[given.method]()
         return warp_peri.LPS(given.horizon, kernel, method, loss=given.loss)
     if idle := [name for name in OF_LPS if getattr(given, name) != given.usual[name]]:
         raise InputError(f"{', '.join(idle)}: expected with --law lps, not {given.law}")

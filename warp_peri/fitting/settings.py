@@ -168,12 +168,8 @@ class AugmentedLagrangian:
 Method: TypeAlias = TwoStage | GaussNewton | AugmentedLagrangian
 
 
-def named(name: str, **settings: Any) -> Method:
-    """Fit method from its command-line name; `seed` is of its initial D."""
-    made = {"optimum": GaussNewton, "two-stage": TwoStage, "constrained": AugmentedLagrangian}
-    if name not in made:
-        raise InputError(f"method: expected one of {', '.join(made)}, got {name!r}")
-    return GaussNewton() if name == "optimum" else made[name](**settings)
+METHODS = {"optimum": GaussNewton, "two-stage": TwoStage, "constrained": AugmentedLagrangian}
+"""Fit methods by their names in a shell."""
 
 
 @dataclass(frozen=True)

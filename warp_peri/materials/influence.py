@@ -216,12 +216,6 @@ def exponential(r: np.ndarray, length: Positive) -> np.ndarray:
 
 
 @typed
-def damped_wave(r: np.ndarray, length: Positive, period: Positive, phase: float) -> np.ndarray:
-    """Influence function exp(−r/length) cos(2π r/period + phase), lengths [Å]."""
-    return np.exp(-r / length) * np.cos(2 * np.pi * r / period + phase)
-
-
-@typed
 def conical(r: np.ndarray, reach: Positive) -> np.ndarray:
     """Conical influence function 1 − r/reach out to the reach [Å], 0 beyond."""
     return np.maximum(1 - r / reach, 0.0)
@@ -235,7 +229,7 @@ NAMED = {"gaussian": gaussian, "exponential": exponential, "conical": conical}
 def named(name: str, horizon: Positive) -> InfluenceFunction:
     """An influence function of NAMED, its length from the horizon [Å] on, within a factor of 20."""
     if name not in NAMED:
-        raise InputError(f"influence: expected {', '.join(NAMED)} or a .csv file, got {name!r}")
+        raise InputError(f"influence: expected {', '.join(NAMED)}, got {name!r}")
     function = NAMED[name]
     (length,) = list(inspect.signature(function).parameters)[1:]
     ends = (horizon / 20, 20 * horizon)

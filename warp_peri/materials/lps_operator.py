@@ -13,7 +13,6 @@ import numpy as np
 import scipy.sparse as sp
 import warp as wp
 from numpy.typing import ArrayLike
-from scipy.sparse.linalg import LinearOperator, gmres, spilu
 
 from warp_peri.core.proof import largest
 from warp_peri.errors import InputError, warn
@@ -49,8 +48,6 @@ if TYPE_CHECKING:
 
 SAME = 1e-6
 """Of the horizon, within which nodes are those that fields of moduli are for."""
-LARGEST_LU = 40_000
-"""Most unknown nodes off lattices that are factorised whole."""
 
 
 class LPSOperator(OperatorBase):
@@ -266,7 +263,7 @@ class LPSOperator(OperatorBase):
         load, given = checked_fields(self.points, b, u)
         fields = [one.reshape(-1, *self.shape) for one in (load, given)]
         method, few = self._method(solver, len(fields[0])), self._unknown <= DIRECT
-        if method not in ("lu", "gmres"):
+        if method != "lu":
             # closer than a factorisation is held to, where one would have been possible
             tolerance = getattr(solver, "tolerance", RESIDUAL / 10 if few else TOLERANCE)
             try:
@@ -275,8 +272,7 @@ class LPSOperator(OperatorBase):
                 if solver is not None or not few:
                     raise
                 method = "lu"  # the symbol does not prove every definite operator so
-        by = MatrixProblem.solve if method == "lu" else by_gmres
-        found = by(self._problem, *fields)
+        found = self._problem.solve(*fields)
         self._refuse_indefinite()
         return self._answer(load, found, method)
 
@@ -327,13 +323,11 @@ class LPSOperator(OperatorBase):
 
     def _method(self, solver: Solver, loads: int) -> str:
         """Name of the solve method, the cheapest by default; InputError where it cannot be used."""
-        if isinstance(solver, Direct):
-            return solver.method
-        if self.nodes.is_open_lattice:
-            asked = solver.preconditioner if isinstance(solver, CG) else None
+        asked = solver.preconditioner if isinstance(solver, CG) else None
+        if self.nodes.is_open_lattice and not isinstance(solver, Direct):
             return self.linear.method(asked, 0 if solver else loads)
-        if solver is None:
-            return "lu" if self._unknown <= LARGEST_LU else "gmres"
+        if not isinstance(solver, CG):
+            return "lu"
         raise InputError(
             "solver: CG(…) is for lattices without a box and without broken bonds; try Direct()"
         )
@@ -369,23 +363,6 @@ class LPSOperator(OperatorBase):
         if cut and self.allowed:
             return warn(message)
         raise InputError(message)
-
-
-def by_gmres(problem: MatrixProblem, b: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Solve by GMRES with an incomplete factorisation, where a whole one is too large."""
-    rough = spilu(problem.stiffness, drop_tol=1e-4, fill_factor=10)
-    preconditioner = LinearOperator(problem.stiffness.shape, rough.solve)
-    right, columns = problem.right(b, u), []
-    for column in right.T:
-        solved, failed = gmres(
-            problem.stiffness, column, M=preconditioner, rtol=RESIDUAL / 10, restart=50, maxiter=20
-        )
-        if failed:
-            raise InputError("GMRES did not converge on these nodes; try the method lu")
-        columns.append(solved)
-    solution = np.stack(columns, axis=1)
-    problem.check(solution, right)
-    return problem.filled(u, solution)
 
 
 @dataclass(frozen=True)

@@ -104,6 +104,12 @@ class Dataset(Shown):
         heavy = self.density if density is None else density
         return dataclasses.replace(self, sets=sets, thickness=wide, density=heavy)
 
+    def summary(self) -> dict[str, Any]:
+        """Units, sheet, origin and sets of the data as plain values."""
+        sheet = {name: getattr(self, name) for name in ("units", "thickness", "density")}
+        sets = {name: samples.summary() for name, samples in self.sets.items()}
+        return {"format": "data", **sheet, "provenance": self.provenance, "sets": sets}
+
     def rows(self) -> list[tuple[str, str]]:
         """Name and value of each line of the data set's summary table."""
         length = symbols(self.units)[0]

@@ -88,6 +88,12 @@ class Mesh(Shown):
             name = f"part '{name}'"
             check_numbers(name, checked(name, part, int, ("n",)), len(self.faces), named[1][0])
 
+    def summary(self) -> dict[str, Any]:
+        """Counts, box and parts of the mesh as plain values."""
+        box = np.transpose([self.x.min(axis=0), self.x.max(axis=0)])
+        counts = {"corners": len(self.x), KINDS[self.dimension][0]: len(self.cells)}
+        return {**counts, "box": box, "parts": {n: len(part) for n, part in self.parts.items()}}
+
     def rows(self) -> list[tuple[str, str]]:
         """Name and value of each line of the mesh's summary table."""
         box = ", ".join(f"{a:g} to {b:g}" for a, b in zip(self.x.min(axis=0), self.x.max(axis=0)))

@@ -394,6 +394,11 @@ class Samples(Shown):
         for name in ("x", "interior", "spacing", "box", "outside", "axis")
     )
 
+    def summary(self) -> dict[str, Any]:
+        """Counts, spacing and arrays of the samples as plain values."""
+        counts = {"samples": len(self), "nodes": len(self.x), "interior": int(self.interior.sum())}
+        return {**counts, "spacing": self.spacing, "arrays": [*self.arrays]}
+
     @property
     def loads(self) -> np.ndarray:
         """Loads b [TPa/Å]; InputError where they are not known."""

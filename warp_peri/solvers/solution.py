@@ -30,21 +30,11 @@ Preconditioner = Literal["multigrid", "sine", "strip"]
 class Direct:
     """Solver setting: a factorisation of the assembled operator.
 
-    Attributes:
-        iterative: GMRES with an incomplete factorisation, for many scattered points.
-
-    `solve` raises InputError for a singular operator, and where GMRES does not converge.
+    `solve` raises InputError for a singular operator.
 
     >>> wp.solve(model, wp.Dirichlet(points, None, 0.01 * x), solver=wp.Direct()).method
     'lu'
     """
-
-    iterative: bool = False
-
-    @property
-    def method(self) -> str:
-        """Name of the method in records."""
-        return "gmres" if self.iterative else "lu"
 
 
 @typed
