@@ -217,7 +217,7 @@ class EnsembleOperator:
     def doubts(
         self, u: np.ndarray, left: np.ndarray, told: float | None = None, slowed: float = 0.0
     ) -> dict[str, np.ndarray]:
-        """Error fields [I, d] [length] of u by origin (Q1–Q3); `slowed` as of `series`.
+        """Error fields of u [length], shape [I, d], by origin (Q1–Q3); `slowed` as of `series`.
 
         "left": its remaining correction; "waves": by the second member; "data": by the halves, both
         half way in logarithms to the recorded error `told` (Q6); "strain": by higher orders of the
