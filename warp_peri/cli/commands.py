@@ -126,7 +126,7 @@ def run_predict(given: Namespace) -> Said:
         if size := float(np.linalg.norm(truth)):  # the set holds what was measured or computed
             told["true"] = float(np.linalg.norm(answer.u[points.interior] - truth)) / size
         samples.append(told)
-    result = {"set": given.set, "tolerance": tolerance, "samples": samples}
+    result = plain({"set": given.set, "tolerance": tolerance, "samples": samples})
     return result, lines_of(result)
 
 
