@@ -480,7 +480,7 @@ def equilibria_of(
         except InputError as error:
             raise type(error)(f"sample {n}: {error}") from None
         record.largest_gradient = float(gradient(each))
-        record.unique = record.largest_gradient <= (proven or 0)
+        record.unique = proven is not None and record.largest_gradient <= proven
         if few and record.eigenvalue is None:
             record.eigenvalue = smallest_of(operator, each)
         records.append(record)
@@ -511,12 +511,12 @@ def smallest_of(operator: Any, field: np.ndarray) -> float:
 
 def warn_beyond(records: list[NonlinearRecord], proven: float) -> None:
     """Warn where answers go beyond the proven strain."""
-    beyond = [n for n, record in enumerate(records) if not record.unique]
+    beyond = sum(not record.unique for record in records)
     if not beyond:
         return
     largest = max(record.largest_gradient for record in records)
     known = f"|H| = {proven:.2%}" if proven > 0 else "no strain, for want of a certificate"
     warn(
-        f"strain: solutions are proven unique up to {known}; {len(beyond)} of {len(records)} "
+        f"strain: solutions are proven unique up to {known}; {beyond} of {len(records)} "
         f"samples go beyond it, to {largest:.2%}, where others may exist"
     )
