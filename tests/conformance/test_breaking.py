@@ -51,18 +51,19 @@ def points_of(d, angle=0.0):
     return wp.Points(x @ rotation(angle, d).T, inside, 1.0)
 
 
-def torn(solid, share, angle=0.0):
+def torn(solid, share, angle=0.0, *, corrected=False):
     """The solid on a body of which a share of the bonds is broken, and its points."""
     points = points_of(solid.dimension, angle)
     body = Cracked(points).body(solid, "solve")
     neighbour = random_breaking(body, np.random.default_rng(1), share)
-    return CutSolid(solid, body, ~points.interior, neighbour=neighbour), points
+    how = {"neighbour": neighbour, "corrected": corrected}
+    return CutSolid(solid, body, ~points.interior, **how), points
 
 
 @every_solid
-@pytest.mark.parametrize("share", [0.0, 0.2])
-def test_forces_balance_and_are_the_derivative_of_the_energy(solid, share):
-    op, points = torn(solid, share)
+@pytest.mark.parametrize(("share", "corrected"), [(0.0, False), (0.2, False), (0.2, True)])
+def test_forces_balance_and_are_the_derivative_of_the_energy(solid, share, corrected):
+    op, points = torn(solid, share, corrected=corrected)
     x, d = points.x, solid.dimension
     u, scale = noise(points), np.abs(op.matrix @ noise(points).ravel()).max()
     for rigid in (np.ones(d) + 0 * x, x @ (np.tri(d) - np.tri(d).T)):
@@ -78,7 +79,7 @@ def test_forces_balance_and_are_the_derivative_of_the_energy(solid, share):
     slope = difference(lambda t: op.energy(u + t[0] * v), [0.0], 1e-3)[0]
     near((op(u) * v[points.interior]).sum(), slope, 1e-8)
     if share and not isinstance(solid, Mixed):  # whose moduli are functions of positions
-        other, R = torn(solid, share, angle=0.4)[0], rotation(0.4, d)
+        other, R = torn(solid, share, 0.4, corrected=corrected)[0], rotation(0.4, d)
         near(other(u @ R.T), op(u) @ R.T, 1e-11)
 
 

@@ -12,7 +12,6 @@ from tests.support.materials import LAWS, operator, placed
 from tests.support.problems import kernel, lattice, noise
 from warp_peri.fracture import Cracked, rectangle_nodes
 from warp_peri.methods import Coupling, LPSParameters
-from warp_peri.points.arguments import checked_fields
 from warp_peri.points.mesh import make_mesh
 from warp_peri.points.outlines import Polygon, box, mesh_outline
 
@@ -97,15 +96,6 @@ def test_loads_of_a_period(name):
     if hasattr(material.on(points), "solve_periodic"):
         zero, shapes = np.zeros(points.x.shape), ("short", "flat", "deep")
         refuses(lambda b: wp.solve(material, wp.Periodic(points, b)), zero, "b", but=shapes)
-
-
-def test_what_is_not_read_may_be_anything():
-    points = lattice(3, 2.0)
-    inside = points.interior[:, None]
-    b = np.ma.masked_array(np.ones(points.x.shape), np.broadcast_to(~inside, points.x.shape))
-    load, u = checked_fields(points, b, np.where(inside, np.nan, 0 * points.x + 2))
-    assert (load[points.interior] == 1).all()
-    assert (u[~points.interior] == 2).all()
 
 
 CHANGES = {
@@ -247,25 +237,18 @@ WRONG_OF_BREAKING = {
 }
 
 
-def test_options_of_a_solve_a_motion_and_an_evaluation():
+def test_options_of_a_solve_and_a_motion():
     points, material = LAWS["LPS"].points(1), LAWS["LPS"].material()
     problem = wp.Dirichlet(points, None, 1e-4 * points.x)
-    samples = wp.Samples(points, 1e-4 * points.x[None], 0 * points.x[None])
     for option, values in WRONG_OPTIONS.items():
         for bad in values:
             given = {"density": 1.0, "step": 1e-9, "steps": 2} | {option: bad}
             calls = [lambda given=given: wp.simulate(material, problem, **given)]
             if option in ("parameters", *FLAGS):
                 calls.append(lambda one={option: bad}: wp.solve(material, problem, **one))
-            if option in FLAGS:
-                calls.append(lambda one={option: bad}: wp.evaluate(material, samples, **one))
-                calls.append(lambda one={option: bad}: material.on(points, **one))
             for call in calls:
                 with pytest.raises(wp.InputError, match=f"^{option}:"):
                     call()
-    for bad in (samples.u, None, [samples]):
-        with pytest.raises(wp.InputError, match="^samples: expected Samples"):
-            wp.evaluate(material, bad)
 
 
 def test_options_of_a_body_that_breaks():
@@ -275,9 +258,6 @@ def test_options_of_a_body_that_breaks():
         for bad in values:
             with pytest.raises(wp.InputError, match=f"^{option.rstrip('s')}"):
                 wp.simulate(solid(), Cracked(points, u=u), **how | {option: bad})
-    for bad in ("no", 1, None):
-        with pytest.raises(wp.InputError, match="^corrected: expected True or False"):
-            Cracked(points, u=u, corrected=bad)
     with pytest.raises(wp.InputError, match="expected options among .*, got allow_unstable"):
         wp.simulate(solid(), Cracked(points, u=u), **how, allow_unstable="no")
 

@@ -142,16 +142,6 @@ def test_what_is_not_proven_is_not_believed(name, tmp_path):
             refused(path, hashed(changed(content, at, other)), "is not proven")
 
 
-def test_a_crystal_that_is_not_stable_is_not_proven_by_the_certificate_of_another(tmp_path):
-    steps, path = [[0, 1], [1, 0], [1, 1], [1, -1]], tmp_path / "m.json"
-    good = (
-        wp.crystals.CrystalMaterial(1.0, steps, [np.eye(2)] * 4, symmetry="1").certified().content()
-    )
-    assert read(path, good).certificate.holds
-    tensors = (np.array([1, 1, -0.6, -0.6])[:, None, None] * np.eye(2)).tolist()
-    refused(path, hashed(good | {"tensors": tensors}), "certificate: .* is not proven")
-
-
 def test_a_model_is_certified_only_where_that_is_proven(tmp_path):
     path = tmp_path / "m.json"
     bad, good = ([1.0, -0.9, 0.3], [1.0])

@@ -7,8 +7,7 @@ import pytest
 import torch
 
 import warp_peri as wp
-from tests.gradients.cases import errors, solver_of
-from tests.solvers.test_adjoint import given, loss
+from tests.gradients.cases import errors, given, loss, solver_of
 from tests.support.materials import FLOWS, KINKED, OPERATORS, field, operator, seeded, third_order
 from tests.support.problems import lattice
 

@@ -47,6 +47,11 @@ def test_a_script_finds_its_number(name, number, value):
 
 
 COMMANDS = {
+    "branching": (
+        "--spacing 1e-3 --ratio 3 --time 4e-6 --out . --series",
+        lambda found: found["nodes"] == 4000 and Path("series/motion.pvd").exists()
+        and Path("damage.png").stat().st_size > 5000,
+    ),
     "plate_with_hole": (
         "--spacing 1 --horizon 3 --radius 8 --half 32 --size 0.6 --model model.json --out .",
         lambda found: found["u_error"] < 5e-4 and found["hoop_stress_error"] < 0.01,

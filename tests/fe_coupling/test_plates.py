@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from examples.exact import hoop_stress, plate_with_hole
-from tests.support.plates import plate
-from warp_peri import LPSMaterial, certify
+from tests.support.plates import MODEL, plate
 from warp_peri.errors import InputError
 from warp_peri.fe_coupling.body import Coupling, long_wave, solve_body
 from warp_peri.fe_coupling.schwarz import bulk_lattice
@@ -16,16 +15,9 @@ SPACING, RADIUS, HALF, TENSION = 1.0, 8.0, 32.0, 0.005
 
 
 @pytest.fixture(scope="module")
-def model():
-    """A kernel that changes sign, three spacings wide, certified on its lattice."""
-    material = LPSMaterial(lam=0.3, mu=0.8, alpha=1.0, D=[0.4, 0.6, -0.3, 0.6, -0.2], horizon=3.0)
-    assert certify(material, spacing=SPACING).holds
-    assert material.influence([1.0, 3.0]).prod() < 0
-    return dataclasses.replace(material, certified_on=(SPACING,))
-
-
-def exact(model):
-    moduli = long_wave(model, SPACING)
+def field():
+    """Displacement and stress of a plate with a hole, of the model's long waves."""
+    moduli = long_wave(MODEL, SPACING)
     return lambda x: plate_with_hole(x, RADIUS, TENSION, moduli)
 
 
@@ -33,12 +25,11 @@ def error(values, expected):
     return np.linalg.norm(values - expected) / np.linalg.norm(expected)
 
 
-def test_a_hole_has_the_exact_displacement_and_hoop_stress_and_a_bare_model_is_proven(model):
-    field = exact(model)
+def test_a_hole_has_the_exact_displacement_and_hoop_stress_and_a_bare_model_is_proven(field):
     mesh, held = plate(RADIUS, HALF, 16, 80), {"sides": lambda x: field(x)[0]}
-    solution = solve_body(model, mesh, displacement=held)
+    solution = solve_body(MODEL, mesh, displacement=held)
     assert solution.spacing == solution.tried[-1].spacing == 1.0
-    again = solve_body(dataclasses.replace(model, certified_on=()), mesh, displacement=held)
+    again = solve_body(dataclasses.replace(MODEL, certified_on=()), mesh, displacement=held)
     np.testing.assert_allclose(again.on_corners()[0], solution.on_corners()[0], atol=1e-8)
     assert error(solution.u_rim, field(solution.rim.x)[0]) < 5e-4
     assert error(solution.u_bulk, field(solution.points.x)[0]) < 5e-4
@@ -53,13 +44,13 @@ def test_a_hole_has_the_exact_displacement_and_hoop_stress_and_a_bare_model_is_p
 
 
 @pytest.mark.filterwarnings("ignore:mesh. no triangle")
-def test_stress_along_a_hole_converges_with_the_mesh(model):
+def test_stress_along_a_hole_converges_with_the_mesh(field):
     """Its largest error at nodes of curved elements, over the tension."""
-    field, counts, errors = exact(model), np.array([10, 14, 20]), []
+    counts, errors = np.array([10, 14, 20]), []
     coupling = Coupling(spacing=SPACING, overlap=9.0)
     for n in counts:
         mesh, held = plate(RADIUS, HALF, n, 4 * n), {"sides": lambda x: field(x)[0]}
-        solution = solve_body(model, mesh, displacement=held, coupling=coupling)
+        solution = solve_body(MODEL, mesh, displacement=held, coupling=coupling)
         edge = solution.rim.nodes_of("hole")
         right = field(solution.rim.x[edge] * (1 + 1e-12))[1]
         errors.append(np.abs(solution.rim_stress[edge] - right).max() / TENSION)
@@ -70,15 +61,13 @@ def test_stress_along_a_hole_converges_with_the_mesh(model):
 SMALL = plate(RADIUS, HALF, 8, 32)
 
 
-def test_bad_input_is_named(model):
+def test_bad_input_is_named():
     tiny, huge = (plate(RADIUS * size, HALF * size, 8, 32) for size in (1e-10, 1e10))
     on = {"coupling": Coupling(spacing=SPACING)}
     for change, message in (
         ({"displacement": {"top": (0, 0)}}, "part 'top': the outline has hole, sides"),
         ({"displacement": {"sides": (0, np.nan)}}, "hold the body against shifts and turns"),
         ({"displacement": {"sides": (0, 0, 0)}}, "part 'sides': expected vectors of shape"),
-        ({"displacement": {"sides": "left"}}, "part 'sides': expected float values"),
-        ({"traction": {"hole": (np.nan, 0)}}, "part 'hole': expected finite values"),
         ({"traction": {"hole": lambda x, n: n[:, :1]}}, "part 'hole': expected vectors of shape"),
         ({"b": (0.0, 0.0)}, "b: expected a function"),
         ({"b": lambda x: x[:, 0]}, r"b: expected vectors of shape \[\d+, 2\], got shape"),
@@ -90,30 +79,29 @@ def test_bad_input_is_named(model):
         if change.get("mesh") is tiny:
             del given["coupling"]
         with pytest.raises(InputError, match=message):
-            solve_body(model, **given)
+            solve_body(MODEL, **given)
 
 
-def test_elements_reach_as_deep_as_asked(model):
+def test_elements_reach_as_deep_as_asked(field):
     """Beyond a collar, and no less than that where less is asked for."""
-    field, mesh, found = exact(model), plate(RADIUS, HALF, 16, 80), []
+    mesh, found = plate(RADIUS, HALF, 16, 80), []
     for depth in (None, 1.2):
-        coupling = Coupling(spacing=SPACING, overlap=5.0, depth=depth and depth * 2 * model.horizon)
+        coupling = Coupling(spacing=SPACING, overlap=5.0, depth=depth and depth * 2 * MODEL.horizon)
         solution = solve_body(
-            model, mesh, displacement={"sides": lambda x: field(x)[0]}, coupling=coupling
+            MODEL, mesh, displacement={"sides": lambda x: field(x)[0]}, coupling=coupling
         )
         unknown = solution.points.x[solution.points.interior]
         found.append(mesh.distance(unknown, SPACING / 10).min())
         assert error(solution.u_bulk, field(solution.points.x)[0]) < 5e-4
-    assert 2 * model.horizon <= found[0] < 1.2 * 2 * model.horizon <= found[1]
+    assert 2 * MODEL.horizon <= found[0] < 1.2 * 2 * MODEL.horizon <= found[1]
 
 
 @pytest.mark.parametrize(
     ("half", "depth", "words"),
     [(14.0, None, "elements alone"), (HALF, 10 * HALF, "a smaller spacing, overlap or depth")],
 )
-def test_without_room_for_the_lattice_elements_are_alone(model, half, depth, words):
-    field = exact(model)
-    trained = dataclasses.replace(model, trained_strain=0.5 * TENSION)
+def test_without_room_for_the_lattice_elements_are_alone(field, half, depth, words):
+    trained = dataclasses.replace(MODEL, trained_strain=0.5 * TENSION)
     mesh, held = plate(RADIUS, half, 16, 80), {"sides": lambda x: field(x)[0]}
     coupling = Coupling(spacing=SPACING, depth=depth)
     with pytest.warns(UserWarning, match=words), pytest.warns(UserWarning, match="strain: the sol"):
@@ -126,17 +114,17 @@ def wave(length):
     return lambda x: np.stack([np.sin(2 * np.pi * x[:, 1] / length), 0 * x[:, 0]], axis=1)
 
 
-def test_the_body_asks_for_a_finer_lattice_and_so_do_short_waves(model):
-    wide, tried = bulk_lattice(model, plate(30.0, 120.0, 10, 48), None, Coupling())
+def test_the_body_asks_for_a_finer_lattice_and_so_do_short_waves():
+    wide, tried = bulk_lattice(MODEL, plate(30.0, 120.0, 10, 48), None, Coupling())
     assert tried[-1].spacing == 2.0
     assert tried[-1].verdict == "taken"
     assert wide.is_certified_on(2.0)
-    same, tried = bulk_lattice(model, plate(RADIUS, HALF, 10, 48), None, Coupling())
-    assert same is model
+    same, tried = bulk_lattice(MODEL, plate(RADIUS, HALF, 10, 48), None, Coupling())
+    assert same is MODEL
     assert [a.spacing for a in tried] == [2.0, 1.5, 1.0]
     assert "of the body is two horizons inside" in tried[0].verdict
     assert tried[-1].share >= 0.5
-    _, tried = bulk_lattice(model, plate(30.0, 120.0, 10, 48), wave(9.0), Coupling())
+    _, tried = bulk_lattice(MODEL, plate(30.0, 120.0, 10, 48), wave(9.0), Coupling())
     assert tried[-1].spacing == 1.5
     assert tried[0].verdict == "the waves of the load are not resolved"
     assert tried[0].wave_error > 0.005

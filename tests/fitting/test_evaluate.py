@@ -131,14 +131,9 @@ def test_choices_among_exact_loads_give_one_solid():
     assert found.deviation(lambda solid: [solid.lam, solid.mu]).max() < 1e-6
 
 
-def test_more_loads_than_four_and_levels_that_are_probabilities():
+def test_it_has_as_many_draws_as_asked_and_four_loads_at_least():
     samples, found = noisy(0), bootstrap(noisy(0), Springs(), draws=10)
     assert len(found.materials) == 10
     assert "not an error that all loads share" in found.knows
-    for call, words in (
-        (lambda: bootstrap(samples[:3], Springs()), "at least 4 loads, got 3"),
-        (lambda: bootstrap(samples, Springs(), draws=3), "draws: expected at least 10"),
-        (lambda: found.band(1.0, quantities, level=1.0), "level"),
-    ):
-        with pytest.raises(wp.InputError, match=words):
-            call()
+    with pytest.raises(wp.InputError, match="at least 4 loads, got 3"):
+        bootstrap(samples[:3], Springs())

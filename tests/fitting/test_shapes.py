@@ -61,14 +61,17 @@ def test_a_start_beside_zero_is_no_trap():
     assert learned.influence.parameters["a"] == pytest.approx(0.28, rel=RECOVERED)
 
 
-def test_a_start_that_leaves_its_domain_is_passed_over():
+def test_the_best_of_several_starts_is_taken_and_one_that_leaves_its_domain_passed_over():
     def logarithm(r, a):
         with np.errstate(invalid="ignore"):
             return np.log(a - r)
 
     points, bad = made(SHAPES["gaussian"]), InfluenceFunction(logarithm, {"a": 3.01})
-    learned = fit(points, HORIZON, [bad, off(SHAPES["gaussian"])])
-    assert list(learned.starts) == ["1 gaussian"]
+    kernels = [bad, SHAPES["exponential"], off(SHAPES["gaussian"]), named("conical", HORIZON)]
+    learned = fit(points, HORIZON, kernels)
+    assert learned.influence.name == "gaussian"
+    assert list(learned.starts) == ["1 exponential", "2 gaussian", "3 conical"]
+    assert learned.starts["2 gaussian"] < 1e-6 < learned.starts["3 conical"]
     with pytest.raises(InputError, match="'logarithm': K is not finite"):
         fit(points, HORIZON, bad)
 
@@ -83,15 +86,6 @@ def test_what_a_fit_of_shapes_refuses():
     ):
         with pytest.raises(InputError, match=words):
             fit(made(shape, 1), HORIZON, **options)
-
-
-def test_several_starts_and_the_best_of_them():
-    shape = SHAPES["gaussian"]
-    kernels = [SHAPES["exponential"], off(shape), named("conical", HORIZON)]
-    learned = fit(made(shape), HORIZON, kernels)
-    assert learned.influence.name == "gaussian"
-    assert list(learned.starts) == ["0 exponential", "1 gaussian", "2 conical"]
-    assert learned.starts["1 gaussian"] < 1e-6 < learned.starts["2 conical"]
 
 
 def test_a_width_is_found_from_far_off():

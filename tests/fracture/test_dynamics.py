@@ -1,11 +1,8 @@
 """Bodies that break in motion: energy, symmetry, flags, and going on with the same bits."""
 
-import json
-
 import numpy as np
 import pytest
 
-from examples.branching import main
 from tests.support.bodies import plate, pulled, solid
 from warp_peri import InputError
 from warp_peri.fracture.dynamics import BreakingBody, CrackRun, step
@@ -93,11 +90,3 @@ def test_a_checkpoint_says_what_differs_and_goes_on_under_the_same_history_of_lo
     changed = lambda t: slow(t) * later(t)  # later than the checkpoint
     resumed, options = march(changed, steps=6), {"every": 1}
     assert march(changed, steps=6).u.numpy().tobytes() == resumed.u.numpy().tobytes()
-
-
-def test_the_example_of_a_crack_that_branches_prints_and_draws(tmp_path, capsys):
-    command = ["--spacing", "1e-3", "--ratio", "3", "--time", "4e-6"]
-    assert main([*command, "--out", str(tmp_path), "--series"]) == 0
-    assert json.loads(capsys.readouterr().out)["nodes"] == 4000
-    assert (tmp_path / "damage.png").stat().st_size > 5000
-    assert (tmp_path / "series" / "motion.pvd").exists()

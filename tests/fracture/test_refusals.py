@@ -19,8 +19,9 @@ from warp_peri.points.families import bond_classes
 X = rectangle_nodes(12.0, 12.0, 1.0)
 EDGE, ENDS = np.abs(X).max(axis=1) > 5, np.abs(X[:, 1]) > 4
 POINTS, MODEL, BODY = Points(X, ~EDGE, 1.0), solid().model, plate(12, 12)
-PROBLEM, CRACK, LINE = Cracked(POINTS, u=X), [[(-3, 0), (3, 0)]], [(-7, 0.1), (7, 0.1)]
+PROBLEM, LINE = Cracked(POINTS, u=X), [(-7, 0.1), (7, 0.1)]
 CORRECTED = dataclasses.replace(PROBLEM, corrected=True)
+TORN = dataclasses.replace(PROBLEM, cracks=[[(-7, 0), (7, 0)]])
 WILD, SOFT = kernel("sign-changing", 3.0), BondLaw(2.0, 0.05, 0.02)
 SMALL = lattice(3, 2.0)
 HELD = np.repeat(ENDS[:, None], 2, axis=1)
@@ -46,9 +47,14 @@ def j_at(tip, far, material=MODEL, problem=PROBLEM):
     return lambda: j_integral(solve(material, problem), tip, (2, far))
 
 
-ONE = lambda x: np.ones(x.shape[:-1])
-MIXED, PRESSED = Mixed(3.0, lambda x: 2 * ONE(x), ONE), Cracked(POINTS, pressure=np.eye(2))
+def released(*cracks):
+    return lambda: fracture.energy_release(MODEL, PROBLEM, cracks, shift=0.1)
+
+
+EVEN = lambda x: np.ones(x.shape[:-1])
+MIXED, PRESSED = Mixed(3.0, lambda x: 2 * EVEN(x), EVEN), Cracked(POINTS, pressure=np.eye(2))
 COARSE = bond_classes(1.0, 4.0)
+ONE, TWO = ([[(-9, 0), (tip, 0)]] for tip in (0, 1))
 REFUSED = {
     "with an area": crossing((0, 0, 0), (1, 0, 0), (2, 0, 0)),
     "flat": crossing((0, 0, 0), (3, 0, 0), (3, 3, 0), (0, 3, 1)),
@@ -67,14 +73,14 @@ REFUSED = {
     "expected a BrittleMaterial with a tough": lambda: simulate(solid(), Injected(POINTS, [2.0])),
     "expected that of a Cracked, of one material": j_at((0, 0), 4, MIXED, Cracked(POINTS)),
     "tip: expected the end of a crack along an axis": j_at((0, 0), 4),
+    "tip: expected the end of a crack along an axis, got": j_at((0, 0), 4, problem=TORN),
+    "three lengths or more": released(ONE, TWO),
+    "the same number of polylines": released(ONE, TWO, [*ONE, *TWO], [*ONE, *TWO]),
     "radii: expected 0 ≤ smaller < larger by a spacing of 1 or more, up to 5.5": j_at((0, 0), 9),
     "grip: expected held components": lambda: BreakingBody(solid(), BODY, grip=X),
     "corrected: expected slow growth": moving(solid(), CORRECTED, loads=[1.0], line=LINE),
     "solution: expected that of a Cracked, got": lambda: fracture.crack_opening_volume(
         solve(kernel("positive", 2.0), Dirichlet(SMALL, None, SMALL.x))
-    ),
-    "problem: expected Cracked": lambda: fracture.energy_release(
-        MODEL, Dirichlet(POINTS, None, X), []
     ),
     "factors that rise": softly(loads=[0.2, 0.1]),
     "no bond of the body crosses it": softly(line=[(-7, 40), (7, 40)]),

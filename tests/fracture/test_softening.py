@@ -1,6 +1,5 @@
 """Bonds that soften and fail: linear limit, energy spent, a peak, gradients."""
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +7,7 @@ import pytest
 import torch
 from scipy.integrate import quad
 
-from tests.support.problems import difference
+from tests.gradients.cases import errors
 from warp_peri import Cracked, InputError, LPSMaterial, Points, simulate
 from warp_peri.fracture import BondLaw, SofteningMaterial, adjoint, lattice_body
 from warp_peri.fracture.adjoint import SoftBody
@@ -79,9 +78,7 @@ def test_a_gradient_through_an_unstable_body_is_warned_of():
     """Beyond the peak a slow tail has no single path: differences there have nothing in common."""
     soft, unit = torn_plate(4.0, 0.03, 0.2)
     how = {"loads": [0.8, 0.96, 1.04], "line": LINE, "stop": 0.3}
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        soft.pull(unit, **how)
+    soft.pull(unit, **how)  # a warning would be an error
     with pytest.warns(UserWarning, match=r"loads 0.96 and 1.04: the body stays unstable"):
         soft.pull(torch.tensor(unit, requires_grad=True), **how)
 
@@ -103,12 +100,8 @@ def test_a_pull_has_the_gradient_of_differences(monkeypatch):
         weights = torch.linspace(0.5, 1.0, len(run["force"]), dtype=torch.float64)
         return (weights * run["force"]).sum() + (seed * run.u).sum()
 
-    leaves = {key: one.clone().requires_grad_() for key, one in start.items()}
-    gradients = torch.autograd.grad(value(leaves), list(leaves.values()))
-    for (name, own), gradient in zip(start.items(), gradients):
-        along = lambda t, n=name, x=own: float(value(start | {n: (1 + t[0]) * x}))
-        slope = difference(along, [0.0], 1e-6, order=2)[0]
-        assert float((gradient * own).sum()) == pytest.approx(slope, rel=1e-6), name
+    found = errors(value, start, dict.fromkeys(start, 1e-4))
+    assert max(found.values()) < 1e-6, found
     leaf = start["stretch"].clone().requires_grad_()  # not felt by a body at rest
     how = {"loads": [1.0], "line": LINE, "parameters": {"stretch": leaf}}
     run = simulate(solid, replace(problem, u=0 * problem.u), **how)

@@ -85,8 +85,6 @@ def test_j_sees_the_crack_whose_tip_it_is_asked_about():
         solution = solve(solid(horizon=2.0).model, problem)
         found.append(j_integral(solution, (0.5, 0.0), (2, 5)))
     assert min(found) > 0.5 * max(found) > 0
-    with pytest.raises(InputError, match="tip: expected the end of a crack"):
-        j_integral(solution, (-8.0, 0.0), (2, 4))
 
 
 def test_a_straight_front_in_space_spends_more_than_a_straight_cut():
@@ -126,11 +124,3 @@ def test_a_tip_acts_further_than_it_is_cut():
     model = LPSMaterial(lam=1.0, mu=1.0, alpha=1.0, D=np.ones(1), horizon=2.0)
     smaller = tip_shift(model.in_units(("nm", "TPa")), 0.1)
     assert smaller == pytest.approx(0.1 * tip_shift(model, 1.0))
-    x = rectangle_nodes(8, 8, 1.0)
-    problem = Cracked(Points(x, (np.abs(x) < 1).all(axis=1), 1.0), u=x)
-    with pytest.raises(InputError, match="three lengths or more"):
-        energy_release(model, problem, [[[(-9, 0), (d, 0)]] for d in (-1, 1)], shift=0.1)
-    one = [[(-9, 0), (0, 0)]]
-    lengths = [one, [[(-9, 0), (1, 0)]], [*one, [(2, 0), (3, 0)]], [*one, [(2, 0), (4, 0)]]]
-    with pytest.raises(InputError, match="the same number of polylines"):
-        energy_release(model, problem, lengths, shift=0.1)

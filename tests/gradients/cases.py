@@ -4,10 +4,12 @@ import numpy as np
 import torch
 
 import warp_peri as wp
-from tests.solvers.test_adjoint import given, loss
 from tests.support.materials import FLOWS, KINKED, field, seeded
 from tests.support.problems import difference
+from warp_peri.certificates import critical_time_step
+from warp_peri.solvers.verlet import inertia
 
+DENSITY = 2000.0
 LOADS = {"hyperelastic": 0.1, "third order": 0.1, "neural": 0.1}
 """Of nonlinear solids, so that all samples have an equilibrium."""
 NOTHING = 1e-5
@@ -39,6 +41,31 @@ def learned(op, leaves):
     if "networks" in leaves:
         torch.nn.utils.vector_to_parameters(leaves["networks"].detach(), op.networks)
     return {name: leaves[name] for name in numbers_of(op) if name != "networks"}
+
+
+def given(op):
+    """Fields, records and sizes of a motion at half of the critical step."""
+    b, u, v = (torch.from_numpy(field(op, seed=n)) for n in range(3))
+    heavy = inertia(DENSITY, op.model.units)
+    if hasattr(op, "max_symbol_eigenvalue"):
+        step = np.sqrt(heavy / op.max_symbol_eigenvalue())
+    else:
+        step = critical_time_step(op.model, spacing=op.points.spacing, density=DENSITY) / 2
+    nodes = np.flatnonzero(op.points.interior)[::3]
+    options = {"density": DENSITY, "step": step, "steps": 14, "every": 4, "record": nodes}
+    return {"b": heavy / step**2 / 50 * b, "u": u, "v": v / step / 10}, options
+
+
+def loss(op, fields, options, parameters=None):
+    """A number of records and ends, in units of the displacement."""
+    extra = {} if parameters is None else {"parameters": parameters}
+    problem = wp.Dirichlet(op.points, fields["b"], fields["u"])
+    motion = wp.simulate(op, problem, v=fields["v"], **extra, **options)
+    total, seen = 0.0, np.random.default_rng(1)
+    for part in (motion["u"], motion.u, options["step"] * motion.v):
+        seed = torch.from_numpy(seen.normal(size=part.shape))
+        total = total + ((10 * part + seed) * part).sum()
+    return total
 
 
 def errors(value, leaves, step, networks=(), least=0.0):

@@ -9,14 +9,11 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import warp_peri as wp
+from tests.support.materials import saint_venant
 from tests.support.problems import loaded
 from warp_peri import InputError
 
 LAM, MU = 0.4, 0.9
-
-
-def saint_venant(E, lam, mu):
-    return lam / 2 * E.diagonal(dim1=-2, dim2=-1).sum(-1) ** 2 + mu * (E * E).sum((-1, -2))
 
 
 def blatz_ko(E, mu):
@@ -106,7 +103,6 @@ def test_what_cannot_be_used_is_refused_and_files_ask_for_the_energy(tmp_path):
         f"{one} NoneType": lambda: of(lambda E: None).on(points),
         f"{one} float": lambda: of(lambda E: 2.0).on(points),
         f"{one} .*2": lambda: of(lambda E: E).on(points),
-        "loss: expected one of forces": lambda: wp.Density(blatz_ko, 0.5, {"mu": 1.0}, "energy"),
         "expected all bonds of every interior": lambda: material.on(box(9, 2, 0.5, 1)),
     }.items():
         with pytest.raises(InputError, match=words):

@@ -11,6 +11,7 @@ import pytest
 import torch
 
 import warp_peri as wp
+from tests.gradients.cases import errors
 from tests.support.problems import ell, lattice, loaded, rotation
 from warp_peri import testing
 from warp_peri.core.record import content_hash
@@ -114,17 +115,15 @@ def test_gradients_to_the_networks_with_and_without_interpolation():
     placed, u = material.on(points), torch.tensor(random_field(points))[None]
     weight = torch.tensor(np.random.default_rng(2).normal(size=(1, 4, 2)))
     inner, outer = [*material.state.parameters()], [*material.influence.parameters()]
-    random = torch.Generator().manual_seed(3)
     for force, parts in ((placed, [*inner, *outer]), (partial(interpolated_force, placed), inner)):
-        found = torch.autograd.grad((force(u) * weight).sum(), parts)
-        for part, gradient in zip(parts, found):
-            way, values = torch.randn(part.shape, generator=random).double(), []
-            with torch.no_grad():
-                for sign in (1, -2, 1):
-                    part += sign * 1e-6 * way
-                    values.append(float((force(u) * weight).sum()))
-            slope, size = (values[0] - values[1]) / 2e-6, float(gradient.norm() * way.norm())
-            assert abs(float((gradient * way).sum()) - slope) < 1e-6 * size
+        for part in parts:
+
+            def value(of, part=part, force=force):
+                part.data = of["networks"].detach().view(part.shape)
+                return (force(u) * weight).sum()
+
+            start = {"networks": part.detach().ravel()}
+            assert errors(value, start, {"networks": 1e-4}, [part])["networks"] < 1e-6
 
 
 def test_interpolation_approaches_the_networks():
@@ -138,16 +137,6 @@ def test_interpolation_approaches_the_networks():
             near = [interpolated_force(placed, u, cells=n) for n in (4, 64)]
         coarse, fine = (float((one - exact).norm()) for one in near)
         assert fine < min(coarse / 16, 2e-3 * float(exact.norm()))
-
-
-def test_a_file_holds_everything(tmp_path):
-    material = small("proportional", strain=0.3, units=("mm", "MPa"))
-    material.scale, material.provenance = 2.5, {"seed": 7}
-    material.save(tmp_path / "m.json")
-    found = wp.load(tmp_path / "m.json")
-    assert found.content() == material.content()
-    for mine, theirs in zip(material.parameters(), found.parameters()):
-        assert torch.equal(theirs, mine)
 
 
 def test_files_that_are_not_believed(tmp_path, monkeypatch):
@@ -180,6 +169,7 @@ def test_files_that_are_not_believed(tmp_path, monkeypatch):
 
 
 def test_shipped_networks_are_read_and_written_alike(tmp_path):
+    """Of any scale and strain, in two systems of units."""
     for path in sorted(WEIGHTS.glob("*.json")):
         wp.load(path).half().save(tmp_path / "m.json")
         assert json.loads((tmp_path / "m.json").read_text()) == json.loads(path.read_text())
@@ -191,10 +181,8 @@ def test_numbers_points_and_fields_that_are_refused():
     everywhere = np.ones(len(points.x), bool)
     cube = Points(np.argwhere(np.ones((3, 3, 3))).astype(float), np.ones(27, bool), 1.0)
     for words, call in {
-        "horizon": lambda: NeuralOperator(0.0),
         "influence": lambda: NeuralOperator(HORIZON, (3,)),
         "state": lambda: NeuralOperator(HORIZON, state=(3, 0)),
-        "S ≥ 1": lambda: placed(u[None][:0]),
         "lattice": lambda: small().on(replace(points, spacing=0.0)),
         "expected a plane, got 3 dimensions": lambda: small().on(cube),
         "complete families": lambda: small().on(Points(points.x, everywhere, 1.0)),

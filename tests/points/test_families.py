@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.support import reference
 from tests.support.clouds import cloud, cube, periodic_cloud, plain
-from tests.support.problems import ell, kernel, lattice, manufactured, noise, periodic
+from tests.support.problems import ell, kernel, lattice, manufactured, periodic, rotation
 from tests.support.solving import solve
 from warp_peri import LPS, Bernstein, InputError, Points, fit
 from warp_peri.certificates import check_solvability
@@ -128,22 +128,12 @@ def test_neighbours_are_all_that_are_near_and_bonds_know_their_way_back():
 
 def test_each_scattered_family_has_its_own_weights():
     points = cloud(6, 3.4)
-    found = families_of(points, 3.4, degree=3)  # those of degree 5 are in the reference below
+    found = families_of(points, 3.4, degree=3)  # those of degree 5 are in the reference of forces
     for i in found.whole[::5]:
         bonds = slice(*found.row[i : i + 2])
         xi = points.x[found.neighbour[bonds]] - points.x[i]
         expected = quadrature_weights(xi, 3.4, degree=3)
         np.testing.assert_allclose(found.weight[bonds], expected, atol=1e-9)
-
-
-@pytest.mark.filterwarnings("ignore:spacing. the model is certified")
-@pytest.mark.parametrize("box", [None, (7.0, 7.0)])
-def test_the_operator_on_scattered_points_is_the_reference(box):
-    points = periodic_cloud(7) if box else cloud(4, 3.0)
-    model, u = replace(kernel("sign-changing", 3.0), lam=-0.2), noise(points)
-    wanted = reference.operator(points.x, points.interior, model, u, box and np.array(box))
-    force = model.on(points, allow_uncertified=True)(u)
-    np.testing.assert_allclose(force, wanted, rtol=0, atol=1e-10 * np.abs(wanted).max())
 
 
 @pytest.mark.filterwarnings("ignore:spacing. the model is certified")
@@ -193,7 +183,7 @@ def test_nodes_that_stand_twice_are_refused_where_points_are_made():
 
 def test_the_strain_of_known_fields():
     points = lattice(3, 2.0, spacing=2.5, angle=0.3)
-    turn = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
+    turn = rotation(0.3)
     u = points.x @ (turn @ np.diag([0.02, -0.05]) @ turn.T)
     shear = (points.x @ turn)[:, 1:] * 0.04 * turn[:, 0]  # of lines: half of it along diagonals
     far = points.x[:, 0] > points.x[points.interior, 0].max() + 1

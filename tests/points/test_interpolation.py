@@ -3,26 +3,22 @@
 import numpy as np
 import pytest
 
+from tests.support.clouds import cloud
 from warp_peri import InputError, Points, Samples
 from warp_peri.transfers import mean_spacing, onto_lattice
 
-
-def cloud(half=9, shift=0.35, seed=0):
-    """A lattice of spacing 1 whose nodes are shifted, and its interior."""
-    lattice = np.argwhere(np.ones(2 * [2 * half + 1])) - half
-    shifts = np.random.default_rng(seed).uniform(-shift, shift, lattice.shape)
-    return Points(lattice + shifts, np.abs(lattice).max(axis=1) <= half - 4, 0.0)
+CLOUD = cloud(11, 1.0, 0.35)
 
 
 def test_quadratic_fields_are_carried_as_they_are_by_quintic_splines():
-    points, powers = cloud(), np.array([(0, 0), (1, 0), (1, 1), (0, 2)])
+    points, powers = CLOUD, np.array([(0, 0), (1, 0), (1, 1), (0, 2)])
     fields = lambda x: np.stack([(x**p).prod(1)[:, None] * (1.0, -0.5) for p in powers])
     carried = onto_lattice(Samples(points, fields(points.x)), spacing=0.9)
     assert carried.u == pytest.approx(fields(carried.x), abs=1e-8)
 
 
 def test_fields_carried_to_a_lattice():
-    points = cloud()
+    points = CLOUD
     assert mean_spacing(points) == pytest.approx(1.0, rel=0.05)
     wave = lambda x: np.sin(x @ (0.5, 0.4))[None, :, None] * (1.0, 0.3)
     carried = onto_lattice(Samples(points, wave(points.x), 2 * wave(points.x)), spacing=1.0)
@@ -40,7 +36,7 @@ def test_fields_carried_to_a_lattice():
 
 
 def test_what_cannot_be_interpolated():
-    few, line = cloud().x[:30], np.stack([np.arange(99.0), np.zeros(99)], axis=1)
+    few, line = CLOUD.x[:30], np.stack([np.arange(99.0), np.zeros(99)], axis=1)
     for x, words in ((few, "at least 80 nodes to inter.*, got 30"), (line, "on a line or a conic")):
         points = Points(x, np.ones(len(x), bool), 0.0)
         with pytest.raises(InputError, match=words):

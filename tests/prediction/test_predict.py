@@ -211,7 +211,6 @@ def test_wrong_input_is_refused(family):
     one = wp.Samples(points, u[None], given.b[None])
     for words, call in (
         ("knows nothing of its error", lambda: wp.predict(family.rich, given)),
-        ("tolerance: expected a number > 0, got 0", lambda: wp.predict(family, given, 0)),
         ("fine: not among the options", lambda: wp.predict(family, given, fine=True)),
         ("predict: expected a problem", lambda: wp.predict(family, points)),
         ("at least four samples", lambda: wp.fit(one, Ensemble(wp.LPS(3.0)))),

@@ -8,56 +8,19 @@ import pytest
 import torch
 
 import warp_peri as wp
-from tests.support.materials import field, operator
-from tests.support.problems import difference
-from warp_peri.certificates import critical_time_step
+from tests.gradients.cases import errors, given, loss
+from tests.support.materials import operator
 from warp_peri.solvers import verlet
 from warp_peri.solvers.adjoint import BATCH
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
-DENSITY = 2000.0
-STEPS, EVERY = 14, 4
-
-
-def longest(op):
-    """The critical step [ps]."""
-    if hasattr(op, "max_symbol_eigenvalue"):
-        heavy = verlet.inertia(DENSITY, op.model.units)
-        return 2 * np.sqrt(heavy / op.max_symbol_eigenvalue())
-    return critical_time_step(op.model, spacing=op.points.spacing, density=DENSITY)
-
-
-def given(op, factor=0.5):
-    """Fields, records and sizes of a motion."""
-    b, u, v = (torch.from_numpy(field(op, seed=n)) for n in range(3))
-    nodes = np.flatnonzero(op.points.interior)[::3]
-    step = factor * longest(op)
-    options = {"density": DENSITY, "step": step, "steps": STEPS, "every": EVERY, "record": nodes}
-    heavy = verlet.inertia(DENSITY, op.model.units)
-    return {"b": heavy / step**2 / 50 * b, "u": u, "v": v / step / 10}, options
-
-
-def loss(op, fields, options, parameters=None):
-    """A number of records and ends, in units of the displacement."""
-    extra = {} if parameters is None else {"parameters": parameters}
-    motion = wp.simulate(op, wp.Dirichlet(op.points, fields["b"], fields["u"]), v=fields["v"],
-                     **extra, **options)  # fmt: skip
-    total, seen = 0.0, np.random.default_rng(1)
-    for part in (motion["u"], motion.u, options["step"] * motion.v):
-        seed = torch.from_numpy(seen.normal(size=part.shape))
-        total = total + ((10 * part + seed) * part).sum()
-    return total
 
 
 def test_a_nonlinear_force_is_felt_where_the_motion_went():
     op = operator("third order, energy")
     fields, options = given(op)
-    leaf = fields["u"].clone().requires_grad_()
-    (gradient,) = torch.autograd.grad(loss(op, fields | {"u": leaf}, options), leaf)
-    way = torch.from_numpy(np.random.default_rng(7).normal(size=leaf.shape))
-    moved = lambda t: float(loss(op, fields | {"u": fields["u"] + t[0] * way}, options))
-    slope = difference(moved, [0.0], 0.1 * float(fields["u"].abs().max()))[0]
-    assert abs(float((gradient * way).sum()) - slope) <= 1e-7 * float(gradient.norm() * way.norm())
+    value = lambda of: loss(op, fields | of, options)
+    assert errors(value, {"u": fields["u"]}, {"u": 10.0})["u"] <= 1e-7
 
 
 def test_the_motion_is_that_of_arrays_to_the_bit():

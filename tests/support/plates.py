@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from warp_peri import LPSMaterial
 from warp_peri.points.mesh import Mesh, make_mesh
+
+MODEL = LPSMaterial(0.3, 0.8, 1.0, [0.4, 0.6, -0.3, 0.6, -0.2], horizon=3.0, certified_on=(1.0,))
+"""Of a kernel that changes sign, three spacings wide, and proven there."""
 
 
 def plate(radius: float, half: float, rings: int, around: int) -> Mesh:

@@ -79,13 +79,9 @@ def test_what_does_not_fit_is_refused():
         "certificate": lambda: uncertified.on(POINTS),
         "form: expected one of filtered, energy, got 'both'": lambda: replace(law, form="both"),
         "tq2: expected a finite number": lambda: replace(law, tq2=np.nan),
-        "ridge: expected a number ≥ 0": lambda: Smoothing(10.0, -0.1),
-        "radius: expected a number > 0": lambda: Smoothing("wide"),
         r"\[S, 529, 2\], S ≥ 1": lambda: law.on(POINTS)(POINTS.x[None, :0]),
         "crystal is for lattices": lambda: law.on(cloud(2, REACH)),
         "and transfer=False": lambda: law.on(lattice(2, REACH, 0.75), transfer=False),
-        "smoothing": lambda: ThirdOrder(linear, None),
-        "linear: expected Crystal, got LPS": lambda: ThirdOrder(wp.LPS(REACH), smoothed),
         "moduli: expected some": lambda: wp.fit(
             one, ThirdOrder(Crystal(REACH, moduli=None), smoothed)
         ),
