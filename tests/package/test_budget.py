@@ -19,7 +19,7 @@ import pytest
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
     "code lines": 18_774,
-    "tokens": 234_980,
+    "tokens": 234_975,
     "lines of warp_peri": 29_980,
     "files of warp_peri": 112,
     "lines of kernels": 1_016,
