@@ -30,8 +30,7 @@ from examples.reproduce.slides import curl_and_pressure, lattice
 from tools.options import Options
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import finite, plain, write_json
-from warp_peri.fitting.regression import Regression, settle
-from warp_peri.fitting.rows import sample_weights
+from warp_peri.fitting.regression import Regression, sample_weights, settle
 from warp_peri.materials.lps import LPSParameters
 from warp_peri.materials.lps_law import LPSFound, LPSLaw, Products
 from warp_peri.methods import GaussNewton, StabilityConditions

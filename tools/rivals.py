@@ -14,7 +14,8 @@ import scipy.sparse as sp
 import torch
 
 from warp_peri.atoms.calculators import LammpsError, lammps_class, lammps_words
-from warp_peri.materials.lps_force import Bonds, bernstein_basis
+from warp_peri.materials.lps import bernstein_basis
+from warp_peri.materials.lps_force import Bonds
 from warp_peri.points.families import HORIZON_TOLERANCE
 
 

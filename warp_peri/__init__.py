@@ -53,6 +53,8 @@ if TYPE_CHECKING:
     from warp_peri.problems import Body as Body
     from warp_peri.problems import Dirichlet as Dirichlet
     from warp_peri.problems import Periodic as Periodic
+    from warp_peri.problems import simulate as simulate
+    from warp_peri.problems import solve as solve
     from warp_peri.solvers.motion import Motion as Motion
     from warp_peri.solvers.solution import CG as CG
     from warp_peri.solvers.solution import Direct as Direct
@@ -61,8 +63,6 @@ if TYPE_CHECKING:
     from warp_peri.verbs import fit as fit
     from warp_peri.verbs import load as load
     from warp_peri.verbs import save as save
-    from warp_peri.verbs import simulate as simulate
-    from warp_peri.verbs import solve as solve
 
 __version__ = "0.2.0"
 

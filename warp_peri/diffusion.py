@@ -17,8 +17,7 @@ from warp_peri.fracture.adjoint import bond_force
 from warp_peri.fracture.body import lattice_body
 from warp_peri.fracture.bonds import bond_matrix, bonds_of, dilatations
 from warp_peri.fracture.statics import INDEFINITE
-from warp_peri.materials.lps import ALPHA_BOUND, LPSMaterial
-from warp_peri.materials.lps_force import bernstein_basis
+from warp_peri.materials.lps import ALPHA_BOUND, LPSMaterial, bernstein_basis
 from warp_peri.points.arguments import checked, checked_fields, mean_inverse, plain
 from warp_peri.points.families import families_of
 from warp_peri.points.points import PointsLike, nodes_of

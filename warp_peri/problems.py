@@ -1,4 +1,4 @@
-"""Problems that a material is solved for: points, loads, boundary values."""
+"""Problems that a material is solved for: points, loads, boundary values; solve and simulate."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from warp_peri.errors import ALONE, agreed
 from warp_peri.fe_coupling.body import solve_body
 from warp_peri.fe_coupling.boundary_elements import Field, Traction
-from warp_peri.points.arguments import checked, typed
+from warp_peri.points.arguments import check_flag, check_mapping, checked, is_piece, typed
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points, PointsLike, nodes_of
-from warp_peri.protocols import is_tensor, offered, placed, taken
+from warp_peri.protocols import is_tensor, offered, placed, taken, uncompiled
 from warp_peri.solvers.adjoint import in_motion
 from warp_peri.solvers.motion import Motion, refuse_learning
-from warp_peri.solvers.solution import Coupling, Solution, refuse_solver
+from warp_peri.solvers.solution import Coupling, Solution, Solver, refuse_solver, told
 
 GIVEN = ("displacement", "traction", "b", "coupling")
 """What a Body says itself, and no option may."""
@@ -166,3 +167,74 @@ class Body:
             details=body,
             measured=max(exchange.rim_residual, exchange.bulk_residual),
         )
+
+
+PROBLEMS = "a problem: Dirichlet(points, b, u), Periodic(points, b), Body(mesh, …) or Cracked(…)"
+
+
+def solve(material: Any, problem: Any, *, solver: Solver = None, **options: Any) -> Solution:
+    """Solve for the equilibrium of a material.
+
+    Args:
+        material: what `fit` or `load` gave, or its operator, `material.on(points)`, where the same
+            points are solved on again.
+        problem: Dirichlet(points, b, u), Periodic(points, b), Body(mesh, …), Cracked(…).
+        solver: Direct(…), CG(…) or Newton(…), as the material has them; chosen by default.
+        options: transfer=False refuses points that the material itself holds no certificate for;
+            allow_uncertified=True takes its own numbers there, with a warning; parameters={name:
+            tensor} of the operator's `learnable`, which the answer is then differentiable in.
+
+    Returns the solution, with its residual, what is proven of it, and what was warned of. Of
+    tensors in a Dirichlet its u is differentiable, along the branch of equilibria that it lies on.
+    Raises InputError for what does not fit, naming what was expected, and for a gradient that is
+    asked for and not had.
+
+    >>> wp.solve(model, wp.Dirichlet(points, b[0], u[0])).residual < 1e-8
+    True
+    """
+    solved = offered(problem, "solved", "solve", PROBLEMS)
+    if _on_ranks(problem, options, "solve"):
+        return told(lambda: problem.points.solve(material, problem, solver, options))
+    return told(uncompiled(lambda: solved(material, solver, options)))
+
+
+def simulate(material: Any, problem: Any, **options: Any) -> Motion:
+    """Solve for the motion of a material: waves, growing cracks, loads that rise slowly, flow.
+
+    Args:
+        material: as for `solve`.
+        problem: what is given; its displacement is that of the start.
+        options: of the material's motion: `step` [ps] and `steps`, `density` [kg/m³], `every`
+            (steps between two records), `record` (nodes), `checkpoint`, `progress`; see the `moved`
+            of the problem.
+
+    Returns times, histories by name, the fields at the end. Waves, heat and coupled fields of torch
+    tensors are differentiable, in `parameters` too: see solvers.adjoint. Raises InputError for what
+    does not fit, and for a step that is not proven stable.
+
+    >>> start = wp.Dirichlet(points, b[0], u[0])
+    >>> wp.simulate(model, start, density=2e3, step=0.005, steps=4).u.shape
+    (441, 2)
+    """
+    moved = offered(
+        problem, "moved", "simulate", "a problem that moves, as Dirichlet(points, b, u)"
+    )
+    if _on_ranks(problem, options, "simulate"):
+        return problem.points.move(material, problem, options)  # type: ignore[no-any-return]
+    return uncompiled(moved)(material, options)  # type: ignore[no-any-return]
+
+
+def _on_ranks(problem: Any, options: dict[str, Any], verb: str) -> bool:
+    """Whether a problem's points are a rank's piece of a body. Raises InputError, on all ranks, for
+    options of another kind than their names say, and tensors whose gradient is not had."""
+    points = getattr(problem, "points", None)
+    pieces = is_piece(points)
+    with agreed(points.comm if pieces else ALONE):  # type: ignore[union-attr]
+        for name in {"transfer", "allow_uncertified"} & options.keys():
+            check_flag(name, options[name])
+        for name in {"parameters", "watch"} & options.keys():
+            if options[name] is not None:
+                check_mapping(name, options[name])
+        if pieces or not hasattr(problem, "learns"):
+            refuse_learning(problem, options, verb)
+    return pieces

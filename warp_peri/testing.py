@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from warp_peri.core.stencil import central_weights
+from warp_peri.core.elastic import central_weights
 from warp_peri.points.dataset import in_units
 from warp_peri.points.points import Points, Samples
 from warp_peri.points.unit_names import Units, factors

@@ -1,26 +1,26 @@
-"""The verbs of the library: fit, solve, simulate, load, save."""
+"""The verbs fit, load and save; solve and simulate stand with the problems that they take."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from inspect import signature
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import warp_peri.fitting as fitting
 from warp_peri.core.record import load as load_record
-from warp_peri.errors import ALONE, InputError, agreed
+from warp_peri.errors import InputError, quietly, warn
 from warp_peri.files.atomic import check_regular, write_json
-from warp_peri.fitting.settings import Fit
-from warp_peri.points.arguments import check_flag, check_mapping, is_piece, typed
+from warp_peri.fitting.settings import LOUD, Fit, left_by, listed
+from warp_peri.points.arguments import typed
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.mesh_files import load_mesh
 from warp_peri.points.points import Samples
 from warp_peri.points.unit_names import Units
-from warp_peri.protocols import offered, taken, uncompiled
-from warp_peri.solvers.motion import Motion, refuse_learning
-from warp_peri.solvers.solution import Solution, Solver, told
+from warp_peri.protocols import offered, taken
 
 if TYPE_CHECKING:
     from warp_peri.materials.crystal_fit import Crystal
@@ -58,87 +58,19 @@ def fit(samples: Any, law: Any = None, **options: Any) -> Any:
         (options,) = taken(options, "fit", learned)
     found = learned(samples, **options)
     if isinstance(found, Fit):
-        fitting.diagnose.warn_of_kind(found.material, samples, options.get("noise"))
+        warn_of_kind(found.material, listed(samples), listed(options.get("noise")))
     return found
 
 
-PROBLEMS = "a problem: Dirichlet(points, b, u), Periodic(points, b), Body(mesh, …) or Cracked(…)"
-
-
-def solve(material: Any, problem: Any, *, solver: Solver = None, **options: Any) -> Solution:
-    """Solve for the equilibrium of a material.
-
-    Args:
-        material: what `fit` or `load` gave, or its operator, `material.on(points)`, where the same
-            points are solved on again.
-        problem: Dirichlet(points, b, u), Periodic(points, b), Body(mesh, …), Cracked(…).
-        solver: Direct(…), CG(…) or Newton(…), as the material has them; chosen by default.
-        options: transfer=False refuses points that the material itself holds no certificate for;
-            allow_uncertified=True takes its own numbers there, with a warning; parameters={name:
-            tensor} of the operator's `learnable`, which the answer is then differentiable in.
-
-    Returns the solution, with its residual, what is proven of it, and what was warned of. Of
-    tensors in a Dirichlet its u is differentiable, along the branch of equilibria that it lies on.
-    Raises InputError for what does not fit, naming what was expected, and for a gradient that is
-    asked for and not had.
-
-    >>> wp.solve(model, wp.Dirichlet(points, b[0], u[0])).residual < 1e-8
-    True
-    """
-    solved = offered(problem, "solved", "solve", PROBLEMS)
-    _check(problem, options, "solve")
-    if _on_ranks(problem):
-        return told(lambda: problem.points.solve(material, problem, solver, options))
-    return told(uncompiled(lambda: solved(material, solver, options)))
-
-
-def simulate(material: Any, problem: Any, **options: Any) -> Motion:
-    """Solve for the motion of a material: waves, growing cracks, loads that rise slowly, flow.
-
-    Args:
-        material: as for `solve`.
-        problem: what is given; its displacement is that of the start.
-        options: of the material's motion: `step` [ps] and `steps`, `density` [kg/m³], `every`
-            (steps between two records), `record` (nodes), `checkpoint`, `progress`; see the `moved`
-            of the problem.
-
-    Returns times, histories by name, the fields at the end. Waves, heat and coupled fields of torch
-    tensors are differentiable, in `parameters` too: see solvers.adjoint. Raises InputError for what
-    does not fit, and for a step that is not proven stable.
-
-    >>> start = wp.Dirichlet(points, b[0], u[0])
-    >>> wp.simulate(model, start, density=2e3, step=0.005, steps=4).u.shape
-    (441, 2)
-    """
-    moved = offered(
-        problem, "moved", "simulate", "a problem that moves, as Dirichlet(points, b, u)"
-    )
-    _check(problem, options, "simulate")
-    if _on_ranks(problem):
-        return problem.points.move(material, problem, options)  # type: ignore[no-any-return]
-    return uncompiled(moved)(material, options)  # type: ignore[no-any-return]
-
-
-FLAGS = {"transfer", "allow_uncertified"}
-"""Options that are True or False."""
-
-
-def _check(problem: Any, options: dict[str, Any], verb: str) -> None:
-    """Raise InputError, on all ranks, for options of another kind than their names say, and for
-    tensors whose gradient the problem does not have."""
-    with agreed(problem.points.comm if _on_ranks(problem) else ALONE):
-        for name in FLAGS & options.keys():
-            check_flag(name, options[name])
-        for name in {"parameters", "watch"} & options.keys():
-            if options[name] is not None:
-                check_mapping(name, options[name])
-        if _on_ranks(problem) or not hasattr(problem, "learns"):
-            refuse_learning(problem, options, verb)
-
-
-def _on_ranks(problem: Any) -> bool:
-    """Whether a problem's points are a rank's piece of a body."""
-    return is_piece(getattr(problem, "points", None))
+def warn_of_kind(material: Any, sets: Sequence[Samples], noise: Sequence[Samples]) -> None:
+    """Warn where the residual on data sets is so large that they ask for another material."""
+    for each, quiet in zip_longest(sets, noise):
+        with suppress(InputError):  # in space, scattered, too few
+            with quietly():  # said by the fit
+                if left_by(material, each, "fit")[2] <= LOUD:
+                    continue
+                told = fitting.diagnose.diagnose(material, each, quiet).advice
+            warn(told)
 
 
 HDF5 = b"\x89HDF\r\n\x1a\n"

@@ -35,8 +35,8 @@ from tools.statics import ColouredHessian, find_bonds
 from tools.thermal import Bath, Plan, Task, ThermalRun
 from warp_peri import Bernstein, Dataset, Points, Samples
 from warp_peri.errors import exit_status
-from warp_peri.fitting.rows import sample_weights
-from warp_peri.materials.lps_force import bernstein_basis
+from warp_peri.fitting.regression import sample_weights
+from warp_peri.materials.lps import bernstein_basis
 from warp_peri.materials.lps_law import Products
 from warp_peri.materials.lps_stages import class_weights
 from warp_peri.methods import GaussNewton, SweepResult, TwoStage

@@ -10,16 +10,15 @@ import warp_peri as wp
 from tests.crystal.crystals import learned, random_law
 from tests.support.problems import difference, kernel
 from warp_peri.core import proof
-from warp_peri.core.elastic import lattice_group, plane_isotropic, voigt_to_tensor
-from warp_peri.core.proof import StencilCertificate, largest, long_wave_radius, parts, prove
-from warp_peri.core.stencil import (
-    Stencil,
+from warp_peri.core.elastic import (
     difference_tensors,
-    laplacian,
-    laplacian_stencil,
-    ratios,
-    squared,
+    lattice_group,
+    plane_isotropic,
+    voigt_to_tensor,
 )
+from warp_peri.core.proof import StencilCertificate, largest, long_wave_radius, parts, prove
+from warp_peri.core.stencil import Stencil, laplacian, laplacian_stencil, ratios
+from warp_peri.materials.certificate import squared
 
 NOTHING = {d: np.array([np.eye(d), -np.eye(d)], dtype=int) for d in (2, 3)}
 SQUARE = lattice_group(2)

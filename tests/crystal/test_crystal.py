@@ -8,8 +8,14 @@ import pytest
 import warp_peri
 from tests.crystal.crystals import COPPER, huang_defect, lattice, learned, plain_energy, random_law
 from warp_peri.core import elastic
-from warp_peri.core.elastic import checked_orientation, name_of, point_group, shared_with_nodes
-from warp_peri.core.stencil import invariant_basis, q1_tensors
+from warp_peri.core.elastic import (
+    checked_orientation,
+    name_of,
+    point_group,
+    q1_tensors,
+    shared_with_nodes,
+)
+from warp_peri.core.stencil import invariant_basis
 from warp_peri.errors import InputError
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import plane_strain, plane_stress

@@ -64,7 +64,7 @@ def test_adam_follows_the_gradient_of_warps_operator(monkeypatch):
         theta = law.start(start) * (1 + 0.01 * np.arange(len(law.start(start))))
         problem.look(law(theta))
         state, leaf = problem.state(theta), torch.from_numpy(theta).requires_grad_()
-        loss = in_torch(given.operator, law)(leaf)
+        loss = in_torch(given.products, given.weights, law)(leaf)
         assert loss.item() == pytest.approx(state.loss, rel=1e-10)
         (slope,) = torch.autograd.grad(loss, leaf)
         expected = 2 * state.residual @ state.J

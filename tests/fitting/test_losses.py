@@ -10,11 +10,11 @@ from tests.support.problems import KERNELS, difference, ell, kernel, lattice, ma
 from tests.support.solving import fit, solve
 from tests.support.symbols import fluctuation, noisy, waves
 from warp_peri import Bernstein, InputError, Samples
-from warp_peri.fitting import rows
-from warp_peri.fitting.rows import sample_weights, without_noise
+from warp_peri.fitting import regression
+from warp_peri.fitting.regression import sample_weights, without_noise
 from warp_peri.materials import lps_stages
-from warp_peri.materials.lps_law import Products, products
-from warp_peri.materials.lps_stages import CollarResponse, OperatorLoss, WaveResponse, class_weights
+from warp_peri.materials.lps_law import Products, products, squares
+from warp_peri.materials.lps_stages import CollarResponse, WaveResponse, class_weights
 from warp_peri.points.families import bond_classes
 
 NEAR_HORIZON = 2.5
@@ -59,14 +59,14 @@ def slopes(loss, parameters):
 def test_is_the_full_loss_with_its_gradients(sets, normalise, block, monkeypatch):
     sets = SETS[sets]
     if block:
-        monkeypatch.setattr(rows, "BLOCK", block)
+        monkeypatch.setattr(regression, "BLOCK", block)
     weights = sample_weights(sets, normalise=normalise)
-    full = [OperatorLoss(each, NEAR_HORIZON, weight) for each, weight in zip(sets, weights)]
+    full = [Products(each, NEAR_HORIZON) for each in sets], weights
     start = leaves(0.0, 1.0, alpha=1.0, D=np.random.default_rng(0).uniform(size=4))
-    size = slopes(lps_stages.total_loss(full, start), start).norm()
+    size = slopes(lps_stages.total_loss(*full, start), start).norm()
     for name, shape in KERNELS.items():
         given = leaves(**shape)
-        pair = by_rows(sets, weights, *given), lps_stages.total_loss(full, given)
+        pair = by_rows(sets, weights, *given), lps_stages.total_loss(*full, given)
         assert abs(pair[0].item() / pair[1].item() - 1) <= 1e-10, name
         gradient, expected = (slopes(loss, given) for loss in pair)
         assert (gradient - expected).norm() <= 1e-10 * size, name
@@ -114,7 +114,7 @@ def clean():
 
 
 def square(rows, model):
-    return lps_stages.squares([rows], [CLASSES], model)
+    return squares([rows], [CLASSES], model)
 
 
 def noise_rows(noise, weight):

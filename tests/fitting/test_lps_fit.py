@@ -13,9 +13,8 @@ from tests.support.solving import fit
 from tests.support.symbols import smallest_margins
 from warp_peri import LPS, Bernstein, InputError, Samples, certify, evaluate
 from warp_peri.core.elastic import plane_isotropic, voigt_to_tensor
-from warp_peri.materials.lps import LPSParameters, moduli, stiffnesses
+from warp_peri.materials.lps import LPSParameters, bernstein_basis, moduli, stiffnesses
 from warp_peri.materials.lps_fit import Learner
-from warp_peri.materials.lps_force import bernstein_basis
 from warp_peri.materials.lps_law import LPSFound
 from warp_peri.methods import GaussNewton, StabilityConditions, TwoStage
 from warp_peri.points.families import bond_classes

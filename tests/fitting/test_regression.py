@@ -7,8 +7,7 @@ from tests.support.problems import difference
 from warp_peri import InputError
 from warp_peri.fitting.regression import Settled, least_squares_above
 from warp_peri.fitting.settings import GaussNewton, StabilityConditions
-from warp_peri.materials.lps import LPSParameters
-from warp_peri.materials.lps_force import bernstein_basis
+from warp_peri.materials.lps import LPSParameters, bernstein_basis
 from warp_peri.materials.lps_law import BernsteinKernel, LPSFound, LPSLaw
 from warp_peri.points.families import bond_classes
 

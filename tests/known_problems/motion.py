@@ -23,9 +23,8 @@ from warp_peri.materials.lps import LPSMaterial
 from warp_peri.mpi import gather, partition
 from warp_peri.mpi.processes import own_mpiexec
 from warp_peri.points.points import Points
-from warp_peri.problems import Dirichlet
+from warp_peri.problems import Dirichlet, simulate
 from warp_peri.solvers.verlet import inertia
-from warp_peri.verbs import simulate
 
 DENSITY = 1000.0
 """kg/m³."""

@@ -23,9 +23,8 @@ from warp_peri.materials.third_order import Smoothing, ThirdOrderMaterial
 from warp_peri.points.mesh import make_mesh
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import LENGTHS, Units
-from warp_peri.problems import Body, Dirichlet
+from warp_peri.problems import Body, Dirichlet, solve
 from warp_peri.solvers.solution import CG, Coupling, Direct, Newton
-from warp_peri.verbs import solve
 
 FREE = np.nan
 LEVELS = 0.5, 0.7, 1.0, 1.4

@@ -126,7 +126,7 @@ def test_the_conditions_are_the_printed_ones_and_the_search_finds_the_softest(ki
     v, kappa = stiffnesses(model, CLASSES)
     k = np.random.default_rng(2).uniform(-np.pi, np.pi, (7, 2))
     bonds, (i, j) = product_basis(CLASSES), np.triu_indices(len(v))
-    for number, (own, level) in enumerate(conditions.forms(kappa, model.mu)):
+    for number, (own, level) in enumerate(conditions.forms(kappa, model.mu, conditions.level)):
         tensors = np.tensordot(np.concatenate([v, own * v[i] * v[j]]), bonds.basis, 1)
         margins = ratios(bonds.steps, tensors, k)[0] - level
         expected = printed(v, kappa, model.mu, k)[number]

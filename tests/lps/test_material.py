@@ -13,7 +13,7 @@ from tests.support.shapes import HORIZON, LENGTHS, SHAPES, solid
 from warp_peri import InputError, LPSMaterial, certify
 from warp_peri.influence import InfluenceFunction
 from warp_peri.materials.influence import gaussian, table
-from warp_peri.materials.lps_force import bernstein_basis
+from warp_peri.materials.lps import bernstein_basis
 from warp_peri.materials.lps_law import ShapeKernel
 from warp_peri.materials.lps_operator import node_fields
 from warp_peri.points.families import bond_classes

@@ -11,9 +11,8 @@ from tests.support.symbols import symbol
 from warp_peri import InputError
 from warp_peri.certificates import critical_time_step
 from warp_peri.materials.lps_operator import matrices
-from warp_peri.problems import Dirichlet
+from warp_peri.problems import Dirichlet, simulate
 from warp_peri.solvers.verlet import INERTIA, Inert, inertia, march, step
-from warp_peri.verbs import simulate
 
 DENSITY = 2147.0
 ZONE = np.stack(np.meshgrid(*2 * [np.linspace(-np.pi, np.pi, 201)]), -1).reshape(-1, 2)

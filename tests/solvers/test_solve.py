@@ -12,8 +12,8 @@ from tests.support.problems import ell, kernel, lattice, manufactured, noise, pe
 from tests.support.solving import solve
 from warp_peri import Dirichlet, InputError, LPSMaterial, Periodic, Points
 from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.problems import solve as at_rest
 from warp_peri.solvers.linear import DIRECT
-from warp_peri.verbs import solve as at_rest
 
 HORIZON = 3.0  # at which all of them are
 

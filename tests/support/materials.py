@@ -21,7 +21,7 @@ from warp_peri.fracture.statics import CutSolid
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
-from warp_peri.materials.lps_force import bernstein_basis
+from warp_peri.materials.lps import bernstein_basis
 from warp_peri.neural.material import NeuralOperator
 from warp_peri.points.families import bond_classes
 

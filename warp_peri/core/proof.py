@@ -17,9 +17,15 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.core.elastic import acoustic, canonical, smallest_eigenvalue
+from warp_peri.core.elastic import acoustic, canonical
 from warp_peri.core.record import Stress
-from warp_peri.core.stencil import Stencil, bend, laplacian_stencil, zone_sample
+from warp_peri.core.stencil import (
+    Stencil,
+    bend,
+    laplacian_stencil,
+    smallest_eigenvalue,
+    zone_sample,
+)
 from warp_peri.errors import InputError
 from warp_peri.runtime import in_blocks
 

@@ -73,6 +73,11 @@ class Stencil:
         xi = self.spacing * self.steps
         return np.asarray(np.einsum("nij,nk,nl->ijkl", self.tensors, xi, xi, optimize=True))
 
+    @cached_property
+    def elastic(self) -> np.ndarray:
+        """Elastic tensor of long waves along the nodes' axes [stress], shape [d, d, d, d] (T4)."""
+        return elastic_from_brackets(self.brackets)
+
     def asymmetry(self, group: np.ndarray) -> float:
         """Largest error of C(Rξ) = R C(ξ) Rᵗ over R [g, d, d], relative to the largest entry."""
         number = {tuple(s): i for i, s in enumerate(self.steps.tolist())}
@@ -104,20 +109,25 @@ def laplacian_stencil(spacing: float, dimension: int, components: int) -> Stenci
     return Stencil(spacing, steps, np.tile(np.eye(components), (dimension, 1, 1)) / spacing**2)
 
 
-def squared(spacing: float, steps: np.ndarray, field: np.ndarray) -> Stencil:
-    """Stencil f ∗ f of a field f(ξ) = −f(−ξ) on whole families [B, d]; symbol |Σ f(ξ) sin k·ξ|²."""
-    d, far = steps.shape[1], 2 * int(np.abs(steps).max())
-    box = np.zeros((2 * far + 1,) * d)
-    for step, f in zip(steps, field):
-        np.add.at(box, tuple((step + steps + far).T), field @ f)
-    at = np.indices(box.shape).reshape(d, -1).T - far
-    half = (np.arange(len(at)) > len(at) // 2) & (box.ravel() != 0)
-    return Stencil(spacing, at[half], box.ravel()[half, None, None] * np.eye(d))
-
-
 def bend(phase: np.ndarray, steps: np.ndarray) -> np.ndarray:
     """2 (1 − cos k·ξ) without cancellation at small k, shape [K, H]."""
     return np.asarray(4 * np.sin(phase @ steps.T / 2) ** 2)
+
+
+def smallest_eigenvalue(matrices: np.ndarray) -> np.ndarray:
+    """Smallest eigenvalue of symmetric matrices [..., c, c], shape [...]."""
+    if matrices.shape[-1] == 2:  # much faster than by LAPACK
+        a, b, c = matrices[..., 0, 0], matrices[..., 1, 1], matrices[..., 0, 1]
+        return np.asarray((a + b) / 2 - np.hypot((a - b) / 2, c))
+    return np.asarray(np.linalg.eigvalsh(matrices)[..., 0])
+
+
+def elastic_from_brackets(brackets: np.ndarray) -> np.ndarray:
+    """Elastic tensor [ik, jl] + [jk, il] − [jl, ik] of brackets (T4), symmetric after Huang."""
+    first, second, third = (
+        np.einsum(f"...{order}->...agbl", brackets) for order in ("abgl", "bgal", "blag")
+    )
+    return np.asarray(first + second - third)
 
 
 def half_ball(reach: float, dimension: int) -> np.ndarray:
@@ -157,52 +167,6 @@ def ratios(
     symbol = np.tensordot(bend(phase, steps) if wave is None else wave, tensors, 1)
     value, vector = np.linalg.eigh(symbol)
     return value[:, 0] / laplacian(phase), vector[:, :, 0]
-
-
-def q1_tensors(elastic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Steps and C(ξ) h² [H, d, d] [stress] of Q1 elements of side h, two Gauss points an axis."""
-    d = elastic.shape[0]
-    corner = np.array(list(itertools.product((0, 1), repeat=d)))
-    side = 2 * corner - 1
-    stiffness = np.zeros((len(corner), d, len(corner), d))
-    for point in itertools.product((-(3**-0.5), 3**-0.5), repeat=d):
-        factor = (1 + side * point) / 2
-        slope = np.stack(
-            [side[:, a] * np.prod(np.delete(factor, a, axis=1), axis=1) for a in range(d)], axis=1
-        )  # per side length, at one of 2^d points of weight 2^−d
-        stiffness += np.einsum("pj,qn,ijmn->piqm", slope, slope, elastic, optimize=True) / 2**d
-    found: dict[tuple[int, ...], np.ndarray] = {}
-    for a, b in itertools.product(range(len(corner)), repeat=2):
-        step = tuple((corner[b] - corner[a]).tolist())
-        if step > (0,) * d:
-            found[step] = found.get(step, np.zeros((d, d))) - stiffness[a, :, b, :]
-    steps = np.array(list(found))
-    tensors = np.array(list(found.values()))
-    return steps, (tensors + tensors.transpose(0, 2, 1)) / 2
-
-
-def central_weights(reach: int) -> np.ndarray:
-    """Weights w with u′ ≈ Σ w_m (u(m) − u(−m)), m = 1 … reach unit spacings, of order 2 reach."""
-    m = np.arange(1, reach + 1)
-    ways = np.cumprod((reach + 1 - m) / (reach + m))  # r!²/((r − m)! (r + m)!)
-    return np.asarray(-((-1.0) ** m) * ways / m)
-
-
-def difference_tensors(elastic: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
-    """Steps and C(ξ) h² of central differences of order 2 reach, as q1_tensors."""
-    d, m, first = elastic.shape[0], np.arange(1, reach + 1), central_weights(reach)
-    found = [
-        (step * np.eye(d, dtype=int)[a], 2 * weight / step * elastic[:, a, :, a])
-        for a in range(d)
-        for step, weight in zip(m, first)
-    ]
-    for a, b in itertools.combinations(range(d), 2):
-        mixed = elastic[:, a, :, b] + elastic[:, b, :, a]
-        for (i, one), (j, two), sign in itertools.product(zip(m, first), zip(m, first), (1, -1)):
-            step = i * np.eye(d, dtype=int)[a] + sign * j * np.eye(d, dtype=int)[b]
-            found.append((step, sign * one * two * mixed))
-    steps, tensors = (np.array(values) for values in zip(*found))
-    return steps, (tensors + tensors.transpose(0, 2, 1)) / 2
 
 
 @dataclass(frozen=True, eq=False)

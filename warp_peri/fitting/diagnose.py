@@ -8,22 +8,22 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.linalg import null_space
 
-from warp_peri.core.elastic import allowed_tensors, elastic_from_brackets, point_group
-from warp_peri.core.stencil import Basis, grid_of, invariant_basis
-from warp_peri.errors import InputError, Shown, quietly, warn
+from warp_peri.core.elastic import allowed_tensors, point_group
+from warp_peri.core.stencil import Basis, elastic_from_brackets, grid_of, invariant_basis
+from warp_peri.errors import InputError, Shown
 from warp_peri.fitting.evaluate import ROUNDING
 from warp_peri.fitting.long_waves import gradients
-from warp_peri.fitting.rows import check_noise, forces, listed
+from warp_peri.fitting.regression import forces
+from warp_peri.fitting.settings import LOUD, check_noise, left_by
 from warp_peri.points.arguments import typed
 from warp_peri.points.points import Samples, lattice_steps
-from warp_peri.protocols import LINEAR, offered, placed, stencil_of
+from warp_peri.protocols import stencil_of
 
 TINY = 1e-300
 LEAST_TOLD = 0.005
@@ -36,9 +36,9 @@ RIDGES = (0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 1e-4, 1e-5)
 RIDGES_OF_NODES = RIDGES[:4]
 """Of fits, over the root of their trace: second differences of smooth fields are nearly the same
 for all bonds. Of those of single nodes."""
-MOSTLY, STRONG, LOUD = 0.8, 0.05, 0.1
+MOSTLY, STRONG = 0.8, 0.05
 """Of the squared residual, what a number by itself takes; a strain at which stresses of third order
-may be as large as linear ones; a residual above which the solid does not describe the data."""
+may be as large as linear ones."""
 CAUSES = {
     "noise": ("noise in the displacement", "fields of noise in fit(…, noise=…), or longer means"),
     "species": (
@@ -131,48 +131,22 @@ def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> D
     >>> wp.diagnose(wp.fit(samples, wp.LPS(10.0, wp.Bernstein(0))).material, samples).causes[0]
     'dispersion'
     """
-    return _diagnosed(material, samples, noise, 0.0)
-
-
-def warn_of_kind(material: Any, samples: Any, noise: Any = None) -> None:
-    """Warn where the residual on data sets is so large that they ask for another material."""
-    for each, quiet in itertools.zip_longest(listed(samples, space=True), listed(noise, "noise")):
-        with suppress(InputError):  # in space, scattered, too few
-            with quietly():  # said by the fit
-                told = _diagnosed(material, each, quiet, LOUD).advice
-            if told:
-                warn(told)
-
-
-def _diagnosed(material: Any, samples: Samples, noise: Samples | None, least: float) -> Diagnosis:
-    """Diagnosis as by `diagnose`; without causes for a residual up to `least`."""
-    points, b = samples.points, samples.loads[:, samples.interior]
     if samples.spacing == 0 or len(samples) < LEAST_SAMPLES:
         got = f"{len(samples)} at a spacing of {samples.spacing:g}"
         raise InputError(f"samples: expected {LEAST_SAMPLES} at least on a lattice, got {got}")
-    if (d := points.dimension) != 2:
+    if (d := samples.points.dimension) != 2:
         raise InputError(f"samples: expected samples in the plane, got {d} dimensions")
-    if not (size := float((b**2).sum())) > 0:
-        raise InputError("samples: expected loads on their interior, got none")
-    law = getattr(material, "model", material)
-    known = offered(getattr(law, "linear", law), "stencil", "diagnose", LINEAR)
-    free = callable(known) or hasattr(law, "linear")
-    loose: dict[str, Any] = {"allow_uncertified": True} if free else {}
-    operator = placed(material, points, verb="diagnose", **loose)
-    left = b - operator(samples.u)
-    inner = operator(np.where(samples.interior[:, None], samples.u, 0.0))
+    operator, left, residual = left_by(material, samples, "diagnose")
     total, shares = float((left**2).sum()), {}
-    residual = float(np.sqrt(total / size))
-    if total <= ROUNDING**2 * max(size, float((inner**2).sum())):
+    inner = operator(np.where(samples.interior[:, None], samples.u, 0.0))
+    if residual <= ROUNDING or total <= ROUNDING**2 * float((inner**2).sum()):
         return Diagnosis(residual, {"rounding": 1.0, "unexplained": 0.0})
-    if residual <= least:
-        return Diagnosis(residual, {"unexplained": 1.0})
     if noise is not None:
         check_noise(noise, samples)
         made = len(samples) * float((operator(noise.u) ** 2).mean(axis=0).sum()) / total
         shares["noise"] = min(1.0, made)
     rest = 1 - sum(shares.values())  # what noise makes, the others would take again
-    axes, most = lattice_steps(points)[1], max(1, MOST // len(samples))
+    axes, most = lattice_steps(samples.points)[1], max(1, MOST // len(samples))
     drawn = np.random.default_rng(0).permutation(left.shape[1])[:most]
     species = (operator(samples.loads)[:, drawn] @ axes)[..., None]
     families = [("species", species), *_families(samples, operator, drawn, residual)]

@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError, quietly
 from warp_peri.files.atomic import write_json
-from warp_peri.fitting.rows import norms
+from warp_peri.fitting.regression import norms
 from warp_peri.points.arguments import Bound, Natural, Share, typed, typed_methods
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.points import Samples

@@ -18,12 +18,13 @@ from warp_peri.core.elastic import (
     LEAST,
     Symmetry,
     allowed_tensors,
+    central_weights,
     point_group,
     shared_with_nodes,
 )
-from warp_peri.core.stencil import central_weights, invariant_basis
+from warp_peri.core.stencil import invariant_basis
 from warp_peri.errors import InputError, warn
-from warp_peri.fitting.rows import over_loads, rows
+from warp_peri.fitting.regression import over_loads, rows
 from warp_peri.points.families import neighbour_table
 from warp_peri.points.points import Samples, lattice_steps
 

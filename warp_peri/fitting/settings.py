@@ -1,4 +1,4 @@
-"""Settings of a fit (kernel, method, conditions) and its result."""
+"""What a fit is given (sets, kernel, method, conditions), and its result."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ import numpy as np
 
 from warp_peri.errors import InputError, Shown
 from warp_peri.points.arguments import Count, Natural, NotNegative, Positive, typed
+from warp_peri.points.dataset import Dataset
+from warp_peri.points.points import Samples
 from warp_peri.points.unit_names import shown_moduli
+from warp_peri.protocols import LINEAR, offered, placed
 
 if TYPE_CHECKING:
     from warp_peri.materials.influence import InfluenceFunction
@@ -70,9 +73,8 @@ class StabilityConditions:
             raise InputError("zeta: expected a stiffness > 0, a small part of the shear modulus")
         return self.zeta
 
-    def forms(self, kappa: Any, mu: Any, zeta: float | None = None) -> list[tuple[Any, float]]:
+    def forms(self, kappa: Any, mu: Any, level: float) -> list[tuple[Any, float]]:
         """Coefficient κ of each stability condition's form Γ + κφφᵗ, and its level."""
-        level = zeta or self.level
         forms = [(kappa, level)]
         if self.kind == "paper":  # Σ w r² = 1
             forms += [(0 * kappa, level), (-2 / mu, 0.0)]
@@ -237,3 +239,55 @@ class Fit(Shown):
         for error in self.errors.values():
             rows.append(("residual", f"{100 * error:.3g} % of the training loads"))
         return rows + ([("loss", f"{self.loss}")] if self.loss.reason else [])
+
+
+def listed(
+    samples: Samples | Dataset | Sequence[Samples] | None, name: str = "samples"
+) -> list[Samples]:
+    """One set, several or none as a list; of a Dataset `train`, or its only set; InputError, which
+    begins with the name, for anything else."""
+    if samples is None:
+        return []
+    if isinstance(samples, Dataset):
+        samples = samples.obvious("train")
+    sets = [samples] if isinstance(samples, Samples) else samples
+    if not isinstance(sets, Sequence) or not all(isinstance(each, Samples) for each in sets):
+        raise InputError(
+            f"{name}: expected Samples (nodes with u and b), or a list of them, got "
+            f"{type(samples).__name__}"
+        )
+    return list(sets)
+
+
+def check_noise(noise: Samples, points: Samples) -> None:
+    """Raise InputError for noise on other nodes than its training set's."""
+    if len(noise) == 0:
+        raise InputError("noise: expected at least one field, got none")
+    mine, its = points.points, noise.points
+    if its.units != mine.units:
+        raise InputError(
+            f"units: expected the same for all sets, got {its.units} of noise and {mine.units}"
+        )
+    near = its.x.shape == mine.x.shape and np.allclose(its.x, mine.x, 0, 1e-6 * mine.spacing)
+    if not (near and np.array_equal(its.interior, mine.interior)):
+        raise InputError(
+            f"noise: expected the {len(mine.x)} nodes of the training set, got {len(its.x)} others"
+        )
+
+
+LOUD = 0.1
+"""A residual above which a solid does not describe the data."""
+
+
+def left_by(material: Any, samples: Samples, verb: str) -> tuple[Any, np.ndarray, float]:
+    """Operator of a solid, or of a material with a linear part, on a set; what it leaves of the
+    loads on the interior, [S, I, d]; and ‖L u − b‖ / ‖b‖. InputError without either."""
+    law, b = getattr(material, "model", material), samples.loads[:, samples.interior]
+    known = offered(getattr(law, "linear", law), "stencil", verb, LINEAR)
+    if not b.any():
+        raise InputError("samples: expected loads on their interior, got none")
+    free = callable(known) or hasattr(law, "linear")
+    loose: dict[str, Any] = {"allow_uncertified": True} if free else {}
+    operator = placed(material, samples.points, verb=verb, **loose)
+    left = b - operator(samples.u)
+    return operator, left, float(np.linalg.norm(left) / np.linalg.norm(b))

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from scipy.linalg import eigh, eigvalsh, null_space
 
 from warp_peri.core.proof import prove
-from warp_peri.core.stencil import Stencil, squared
+from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
 from warp_peri.materials.lps import LPSMaterial, statement_of
 from warp_peri.materials.lps_operator import matrices
@@ -72,13 +72,10 @@ class Certificate:
     @property
     def paper(self) -> bool | None:
         """Whether (i) Γ > 0 and (iii) Γ − 2ΦᵗΦ ≥ 0 of (4.6) of You et al. (2021) hold; or None."""
-        return None if self.gamma_min is None else self.gamma_min > 0 and bool(self.schwarz)
-
-    @property
-    def schwarz(self) -> bool | None:
-        """Whether Γ − 2ΦᵗΦ ≥ 0 to rounding; None without a training domain."""
         least, largest = self.gamma_minus_2phi_min, self.gamma_minus_2phi_max
-        return None if least is None else least >= -SCHWARZ_TOLERANCE * (largest or 0.0)
+        if self.gamma_min is None or least is None or largest is None:
+            return None
+        return self.gamma_min > 0 and least >= -SCHWARZ_TOLERANCE * largest  # to rounding
 
     def figures(self) -> dict[str, Any]:
         """The certificate's figures and statement as plain values, in its units."""
@@ -275,3 +272,14 @@ def proven_kappa(stencil: Stencil, group: np.ndarray, classes: BondClasses, p: n
     weight = squared(stencil.spacing, classes.steps, gradient)
     proven = prove(stencil, group, weight, tuple(1 / slack for slack in SLACKS)).proven
     return float(1 / np.sqrt(proven)) if proven > 0 else float(np.inf)
+
+
+def squared(spacing: float, steps: np.ndarray, field: np.ndarray) -> Stencil:
+    """Stencil f ∗ f of a field f(ξ) = −f(−ξ) on whole families [B, d]; symbol |Σ f(ξ) sin k·ξ|²."""
+    d, far = steps.shape[1], 2 * int(np.abs(steps).max())
+    box = np.zeros((2 * far + 1,) * d)
+    for step, f in zip(steps, field):
+        np.add.at(box, tuple((step + steps + far).T), field @ f)
+    at = np.indices(box.shape).reshape(d, -1).T - far
+    half = (np.arange(len(at)) > len(at) // 2) & (box.ravel() != 0)
+    return Stencil(spacing, at[half], box.ravel()[half, None, None] * np.eye(d))

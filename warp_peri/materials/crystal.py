@@ -22,7 +22,7 @@ from warp_peri.core.elastic import (
 )
 from warp_peri.core.proof import StencilCertificate, largest, prove
 from warp_peri.core.record import FieldUnits, Length, Record
-from warp_peri.core.stencil import Stencil
+from warp_peri.core.stencil import Stencil, elastic_from_brackets
 from warp_peri.errors import InputError, warn
 from warp_peri.points.arguments import checked_fields, plain, typed
 from warp_peri.points.points import Points, Samples, lattice_steps, nodes_of, unsaid
@@ -190,7 +190,7 @@ class StencilMaterial(Record):
         """Elastic tensor C_ijkl of long waves along the nodes' axes [stress], [d, d, d, d] (T4)."""
         held = getattr(self, "stress", None)  # adds to brackets (T19)
         brackets = self.stencil.brackets - (0 if held is None else elastic.stress_brackets(held))
-        C = elastic.elastic_from_brackets(brackets)
+        C = elastic_from_brackets(brackets)
         return np.asarray((C + C.transpose(2, 3, 0, 1)) / 2)
 
     def elastic_tensor(self, unit: str | None = None) -> np.ndarray:

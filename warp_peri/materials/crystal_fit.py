@@ -28,9 +28,17 @@ from warp_peri.core.stencil import invariant_basis
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting import regression
 from warp_peri.fitting.long_waves import judged, long_wave_moduli
-from warp_peri.fitting.regression import Form, LatticeRows, Numbers, Settled, particular
-from warp_peri.fitting.rows import compressed, listed, over_loads, rows
-from warp_peri.fitting.settings import LONG_WAVES, Fit
+from warp_peri.fitting.regression import (
+    Form,
+    LatticeRows,
+    Numbers,
+    Settled,
+    compressed,
+    over_loads,
+    particular,
+    rows,
+)
+from warp_peri.fitting.settings import LONG_WAVES, Fit, listed
 from warp_peri.materials.crystal import BROKEN, CrystalMaterial
 from warp_peri.materials.transfer import LARGEST_WAVE, WaveSymbol, carried_symbol, wave_rows
 from warp_peri.points.arguments import Positive, typed
@@ -224,7 +232,7 @@ class Crystal:
 
 def one_set(samples: Any) -> Samples:
     """The samples of a single set; of a Dataset `train`, or its only set."""
-    sets = listed(samples, space=True)
+    sets = listed(samples)
     if len(sets) != 1:
         raise InputError(f"samples: expected one set for a crystal model, got {len(sets)}")
     check_lattice(sets[0])

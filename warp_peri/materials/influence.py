@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
-from warp_peri.materials.lps import LPSMaterial
-from warp_peri.materials.lps_force import bernstein_basis
+from warp_peri.materials.lps import LPSMaterial, bernstein_basis
 from warp_peri.points.arguments import Positive, checked, typed
 from warp_peri.points.families import bond_classes
 from warp_peri.points.unit_names import USUAL, Units

@@ -9,14 +9,15 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import comb
 
 import warp_peri.materials as materials
-from warp_peri.core.elastic import elastic_from_brackets, lattice_group
+from warp_peri.core.elastic import lattice_group
 from warp_peri.core.proof import StencilCertificate, prove
 from warp_peri.core.record import FieldUnits, Length, Record, taken
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, error_rows, warn
-from warp_peri.materials.lps_force import LARGEST_DEGREE, bernstein_basis, weighted_volume
+from warp_peri.materials.lps_force import CANCELLED
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.arguments import Positive, checked, is_number, typed
 from warp_peri.points.families import DEGREE, SINGULARITY, BondClasses, bond_classes
@@ -26,6 +27,8 @@ from warp_peri.protocols import is_tensor
 
 ALPHA_BOUND = 3.0
 """The quadrature is consistent for α below this (You et al. 2021, remark 1)."""
+LARGEST_DEGREE = 1000
+"""Above 1029 the binomial coefficients are no floating-point numbers."""
 QUADRATURE = {"degree": DEGREE, "singularity": SINGULARITY}
 SPACING_TOLERANCE = 1e-6
 """A lattice within this of a certified one, relative to its spacing, is taken as that lattice."""
@@ -36,6 +39,15 @@ GAMMAS = ("gamma_min", "gamma_max", "gamma_minus_2phi_min", "gamma_minus_2phi_ma
 AVERAGED = 8
 """Positions along the radius of the ball that moduli as a function are averaged over."""
 Modulus = ArrayLike | Callable[[np.ndarray], ArrayLike]
+
+
+def bernstein_basis(r: ArrayLike, horizon: float, degree: int) -> np.ndarray:
+    """Bernstein polynomials B_k,M(r/δ) at lengths in [0, δ], to rounding, shape [..., M + 1]."""
+    if degree > LARGEST_DEGREE:
+        raise InputError(f"degree: expected at most {LARGEST_DEGREE}, got {degree}")
+    t = np.minimum(np.asarray(r, dtype=float) / horizon, 1.0)[..., None]
+    k = np.arange(degree + 1)
+    return np.asarray(comb(degree, k) * t**k * (1 - t) ** (degree - k))
 
 
 def check_influence(alpha: float, D: np.ndarray) -> None:
@@ -455,6 +467,17 @@ def statement_of(spacing: float, bound: float, units: Units, dimension: int) -> 
     )
 
 
+def weighted_volume(classes: BondClasses, kw: np.ndarray, name: str = "influence function") -> Any:
+    """Weighted volume m = Σ n r² K W on a lattice (theory, 5); InputError where it is zero."""
+    terms = classes.count * kw * classes.r**2
+    if not abs(terms.sum()) > CANCELLED * np.abs(terms).sum():
+        raise InputError(
+            f"{name}: its weighted volume m (theory, 5) is zero on the lattice of spacing "
+            f"{classes.spacing:g}: positive and negative parts cancel"
+        )
+    return terms.sum()
+
+
 def stiffnesses(model: LPSMaterial, classes: BondClasses) -> tuple[np.ndarray, float]:
     """Stiffnesses v [TPa/Å²] of the bond classes and κ = (λ−μ)/μ² [1/TPa] of a model on a lattice.
     Raises InputError for an influence function of zero weighted volume, and another dimension."""
@@ -495,5 +518,5 @@ def stencil_of(classes: BondClasses, v: np.ndarray, kappa: float) -> Stencil:
 
 def moduli(model: LPSMaterial, classes: BondClasses) -> dict[str, float]:
     """Long-wave moduli C11, C12, C44 [TPa] of a model's discrete operator (theory, 22)."""
-    C = elastic_from_brackets(stencil_of(classes, *stiffnesses(model, classes)).brackets)
+    C = stencil_of(classes, *stiffnesses(model, classes)).elastic
     return {"C11": C[0, 0, 0, 0], "C12": C[0, 0, 1, 1], "C44": C[0, 1, 0, 1]}

@@ -13,18 +13,22 @@ from importlib.metadata import version
 from typing import Any, Literal
 
 import numpy as np
-import torch
 from tqdm.auto import tqdm
 
 from warp_peri import __version__
-from warp_peri.core.elastic import plane_isotropic, voigt_to_tensor
-from warp_peri.core.stencil import difference_tensors
-from warp_peri.errors import InputError, quietly, warn
+from warp_peri.core.elastic import difference_tensors, plane_isotropic, voigt_to_tensor
+from warp_peri.core.stencil import Stencil
+from warp_peri.errors import InputError, warn
 from warp_peri.fitting.augmented_lagrangian import Tick, to_the_optimum
-from warp_peri.fitting.evaluate import evaluate
 from warp_peri.fitting.long_waves import lame_of_long_waves
-from warp_peri.fitting.regression import LatticeRows, Regression
-from warp_peri.fitting.rows import check_noise, compressed, listed, sample_weights, without_noise
+from warp_peri.fitting.regression import (
+    LatticeRows,
+    Regression,
+    compressed,
+    norms,
+    sample_weights,
+    without_noise,
+)
 from warp_peri.fitting.settings import (
     LONG_WAVES,
     AugmentedLagrangian,
@@ -37,29 +41,32 @@ from warp_peri.fitting.settings import (
     StabilityConditions,
     Stage,
     TwoStage,
+    check_noise,
+    listed,
 )
 from warp_peri.materials.certificate import certify
-from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import POOR
 from warp_peri.materials.influence import shapes_of
 from warp_peri.materials.lps import LPSMaterial, LPSParameters
 from warp_peri.materials.lps import moduli as moduli_of
-from warp_peri.materials.lps_law import HEADROOM, LPSFound, LPSLaw, Products, optimum, products
-from warp_peri.materials.lps_stages import (
-    SMALLEST_MODULUS,
-    OperatorLoss,
-    fit_output_error,
-    in_torch,
+from warp_peri.materials.lps_law import (
+    HEADROOM,
+    LPSFound,
+    LPSLaw,
+    Products,
+    optimum,
+    products,
     squares,
     stiffness_of,
-    total_loss,
-    two_stages,
 )
+from warp_peri.materials.lps_stages import SMALLEST_MODULUS, fit_output_error, in_torch, two_stages
 from warp_peri.points.arguments import Positive, typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import largest_strain
 from warp_peri.points.points import WAVE_VECTOR, Samples, check_lattice, largest_wave_number
 from warp_peri.points.unit_names import symbols
+from warp_peri.solvers.linear import Linear
+from warp_peri.solvers.solution import TOLERANCE
 
 RELATIVE_ZETA = 0.0161
 """ζ over the stiffness that the data show, where none was asked for: 0.0100 TPa on graphene."""
@@ -79,9 +86,9 @@ PLAIN_EXPONENTS = (1.0, 2.0, 2.9)
 AGREE, SPREADS = 0.02, 2.0
 """Of the largest modulus, how sure long waves must be of theirs; standard errors that free moduli
 are away where those are held."""
-MOST_NODES, MOST_LOADS, MOST_REACH = 2000, 16, 8
+MOST_NODES, MOST_LOADS, REACHES = 2000, 16, range(8, 1, -1)
 """Unknown nodes up to which a fit is compared with local elasticity, and on how many loads of a
-set; the reach of its differences."""
+set; reaches of its central differences, of which the widest that fit count."""
 ERROR_TOLERANCE, ROUNDING = 1e-6, 1e-8
 """By which the residual by rows may depart from the operator's: of it, and of the loads."""
 
@@ -139,7 +146,7 @@ class LPS:
         TwoStage and "output"; RuntimeError when the rows depart from Warp's operator or no start
         ends with the conditions and the moduli kept.
         """
-        sets, quiet = listed(samples, space=True), listed(noise, "noise", space=True)
+        sets, quiet = listed(samples), listed(noise, "noise")
         return Learner(self, sets, quiet, progress).fit()
 
     def checked(self, dimension: int) -> None:
@@ -166,8 +173,8 @@ class LPS:
 
 class Learner:
     """State of one LPS fit: its data, and its timed stages; `history`, `starts` and `degrees`
-    become those of the Fit. `lattices` are bond classes, `operator` the residual of each set by
-    Warp's operator, `blocks` rows of the loss. InputError for sets that cannot be learned from."""
+    become those of the Fit. `lattices` are bond classes, `weights` those of each set's samples in
+    the loss, `blocks` its rows. InputError for sets that cannot be learned from."""
 
     def __init__(
         self, law: LPS, sets: list[Samples], noise: list[Samples], progress: bool | None
@@ -176,14 +183,13 @@ class Learner:
         law.checked(max((each.points.dimension for each in sets), default=2))
         for each in sets:
             check_lattice(each)
-        weights = sample_weights(sets, normalise=law.normalise)
+        self.weights = weights = sample_weights(sets, normalise=law.normalise)
         if noise and len(noise) != len(sets):
             raise InputError(f"noise: expected {len(sets)} sets, got {len(noise)}")
         for pair in zip(noise, sets):
             check_noise(*pair)
         self.products = [Products(each, law.horizon) for each in sets]
         self.lattices = [one.classes for one in self.products]
-        self.operator = [OperatorLoss(each, law.horizon, w) for each, w in zip(sets, weights)]
         self.stiffness = stiffness_of(sets, law.horizon)
         zeta = law.conditions.zeta or RELATIVE_ZETA * self.stiffness
         self.conditions = dataclasses.replace(law.conditions, zeta=zeta)
@@ -339,10 +345,14 @@ class Learner:
                     bar.set_postfix_str(f"relative residual {100 * np.sqrt(loss):.2f} %")
 
             found = stage(tick)
-        errors = [one.errors(*found.solid.values()) for one in self.operator]
-        error, seconds = float(np.concatenate(errors).mean()), time.perf_counter() - begin
+        left, load = self.left(found), np.concatenate([norms(one.b) for one in self.products])
+        error, seconds = float((left / load)[load > 0].mean()), time.perf_counter() - begin
         self.history.append(Stage(name, found.solid, error, seconds, found.losses, steps))
         return found
+
+    def left(self, found: LPSFound) -> np.ndarray:
+        """Residual ‖L u − b‖ of every sample by Warp's operator."""
+        return np.concatenate([one.left(*found.solid.values()) for one in self.products])
 
     def hold(self, method: GaussNewton, start: LPSFound) -> GaussNewton:
         """Set the method to hold the long-wave moduli if asked and a free fit misses them."""
@@ -376,7 +386,8 @@ class Learner:
         rough = LPSFound(LPSParameters(0.0, self.unit, 1.0, D))
         law = LPSLaw(self.lattices, rough, self.conditions, asked)
         problem = Regression(self.rows("residual"), law, law.zeta, 1.0)
-        given = problem, law.start(rough), in_torch(self.operator, law), method
+        loss = in_torch(self.products, self.weights, law)
+        given = problem, law.start(rough), loss, method
         return self.run("1 Adam", lambda tick: law.found(*to_the_optimum(*given, tick)))
 
     def best(self, starts: Mapping[str, LPSFound], method: GaussNewton, tick: Tick) -> LPSFound:
@@ -409,18 +420,18 @@ class Learner:
             return False
         model, errors = self.model(found), np.zeros(2)
         C = voigt_to_tensor(plane_isotropic(model.lam, model.mu))
-        with quietly():
-            for each in self.sets:
-                some = each[:: -(-len(each) // MOST_LOADS)]
-                own = evaluate(model, some, allow_uncertified=True)["E_u"]
-                errors += len(each) * np.array([own, local_error(C, some)])
+        for each, made in zip(self.sets, self.products):
+            some = each[:: -(-len(each) // MOST_LOADS)]
+            own = displacement_error(model.stencil(h := each.spacing), some, made.least)
+            local = (Stencil(h, *difference_tensors(C / h**2, reach)) for reach in REACHES)
+            tried = (displacement_error(stencil, some) for stencil in local)
+            errors += len(each) * np.array([own, next(filter(np.isfinite, tried), np.inf)])
         return bool(errors[0] > errors[1])
 
     def check(self, final: LPSFound, loss: str) -> None:
         """Check rows against the operator (RuntimeError where residuals differ) and the loss
         (InputError where no less than without a model); warn of a modulus on its lower bound."""
-        with torch.no_grad():
-            size = float(total_loss(self.operator, final.solid.values()).sqrt())
+        size = math.sqrt(np.concatenate(self.weights) @ self.left(final) ** 2)
         of_rows = squares(self.rows("residual"), self.lattices, self.model(final))
         apart = abs(math.sqrt(of_rows) - size)
         if not apart <= ERROR_TOLERANCE * size + ROUNDING:
@@ -451,14 +462,16 @@ class Learner:
         proofs = [certify(bare, spacing=s.spacing, points=s if self.flat else None) for s in sets]
         printed = self.conditions.kind == "paper"
         good = (proof for proof in proofs if proof.holds and (not printed or proof.paper))
-        zeta = {"zeta": self.conditions.zeta, "stiffness of the data": self.stiffness}
-        provenance: dict[str, Any] = {"zeta": zeta}
+        provenance: dict[str, Any] = {
+            "zeta": {"zeta": self.conditions.zeta, "stiffness of the data": self.stiffness}
+        }
         if final.shape is not None:
             _, departure = final.shape.coefficients(self.lengths, self.law.horizon)
             provenance["influence"] = final.shape.record(departure)
         if self.degrees:
-            left_out = {f"{degree}": error for degree, error in self.degrees.items()}
-            provenance["degree"] = {"error on loads left out": left_out}
+            provenance["degree"] = {
+                "error on loads left out": {f"{M}": error for M, error in self.degrees.items()}
+            }
         model = dataclasses.replace(
             bare,
             trained_on=tuple(points.spacing for points in sets),
@@ -484,14 +497,18 @@ class Learner:
         )
 
 
-def local_error(C: np.ndarray, samples: Samples) -> float:
-    """Displacement error of local elasticity by the widest central differences that fit."""
-    h, no_axis = samples.spacing, dataclasses.replace(samples.points, axis=None)
-    for reach in range(MOST_REACH, 1, -1):
-        steps, tensors = difference_tensors(C, reach)
-        try:
-            law = CrystalMaterial(h, steps, tensors / h**2, samples.points.units)  # isotropic
-            return float(evaluate(law, dataclasses.replace(samples, points=no_axis))["E_u"])
-        except InputError:  # bonds reach beyond the collar
-            continue
-    return np.inf
+def displacement_error(stencil: Stencil, samples: Samples, least: int | None = None) -> float:
+    """Mean relative error of the displacement that a stencil answers the loads with (theory, 31),
+    infinite where bonds reach beyond the collar, or it has no stable answer."""
+    inside = samples.interior
+    try:
+        linear = Linear(stencil, samples.points, least=least)
+        linear.check_definite()
+        found, _ = linear.solve(samples.loads, samples.u, TOLERANCE)
+    except InputError:
+        return np.inf
+    size, wrong = (  # where a periodic body as a whole lies is nobody's answer
+        norms((field - inside.all() * field.mean(axis=1, keepdims=True))[:, inside])
+        for field in (samples.u, found - samples.u)
+    )
+    return float(np.mean(wrong / np.where(size > 0, size, np.inf)))

@@ -24,7 +24,7 @@ from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.influence import BLOCK, influence
 from warp_peri.kernels.lps import LANES, struct, sweeps
-from warp_peri.points.families import DEGREE, BondClasses, families_of
+from warp_peri.points.families import DEGREE, families_of
 from warp_peri.points.points import PointsLike, nodes_of
 from warp_peri.runtime import (
     DEVICE,
@@ -44,8 +44,6 @@ if TYPE_CHECKING:
 
     from warp_peri.materials.lps import LPSMaterial
 
-LARGEST_DEGREE = 1000
-"""Above 1029 the binomial coefficients are no floating-point numbers."""
 CANCELLED = 1e-10
 """A weighted volume below this fraction of the sum of its terms' sizes counts as zero."""
 SPARE, SHORT = 2, 4
@@ -54,26 +52,6 @@ BLOCKS = 8
 """Parts in which nodes are summed over, whatever the number of threads."""
 FASTER = 4
 """How much less a thread has to do with a node in rows than in its list of bonds."""
-
-
-def bernstein_basis(r: ArrayLike, horizon: float, degree: int) -> np.ndarray:
-    """Bernstein polynomials B_k,M(r/δ) at lengths in [0, δ], to rounding, shape [..., M + 1]."""
-    if degree > LARGEST_DEGREE:
-        raise InputError(f"degree: expected at most {LARGEST_DEGREE}, got {degree}")
-    t = np.minimum(np.asarray(r, dtype=float) / horizon, 1.0)[..., None]
-    k = np.arange(degree + 1)
-    return np.asarray(comb(degree, k) * t**k * (1 - t) ** (degree - k))
-
-
-def weighted_volume(classes: BondClasses, kw: np.ndarray, name: str = "influence function") -> Any:
-    """Weighted volume m = Σ n r² K W on a lattice (theory, 5); InputError where it is zero."""
-    terms = classes.count * kw * classes.r**2
-    if not abs(terms.sum()) > CANCELLED * np.abs(terms).sum():
-        raise InputError(
-            f"{name}: its weighted volume m (theory, 5) is zero on the lattice of spacing "
-            f"{classes.spacing:g}: positive and negative parts cancel"
-        )
-    return terms.sum()
 
 
 @dataclass(frozen=True)

@@ -12,18 +12,35 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from warp_peri.core.elastic import lattice_group
 from warp_peri.core.stencil import Basis, grid_of, half_ball
-from warp_peri.fitting.regression import MET, Form, LatticeRows, Numbers, Settled, fit
-from warp_peri.fitting.rows import forces, rows
+from warp_peri.errors import InputError
+from warp_peri.fitting.regression import (
+    MET,
+    Form,
+    LatticeRows,
+    Numbers,
+    Settled,
+    fit,
+    forces,
+    norms,
+    rows,
+)
 from warp_peri.fitting.settings import GaussNewton, StabilityConditions
 from warp_peri.materials.influence import InfluenceFunction
-from warp_peri.materials.lps import LPSMaterial, LPSParameters, stiffnesses
-from warp_peri.materials.lps_force import bernstein_basis, weighted_volume
+from warp_peri.materials.lps import (
+    LPSMaterial,
+    LPSParameters,
+    bernstein_basis,
+    stiffnesses,
+    weighted_volume,
+)
+from warp_peri.materials.lps_force import Bonds
 from warp_peri.points.families import DEGREE, BondClasses, bond_classes
 from warp_peri.points.points import Samples
 
@@ -62,6 +79,14 @@ def product_basis(classes: BondClasses) -> Basis:
     return Basis(steps[used], tensors[:, used])
 
 
+def squares(
+    blocks: Sequence[LatticeRows], lattices: Sequence[BondClasses], model: LPSMaterial
+) -> float:
+    """Sum of squares Σ ‖R p − y‖² of all lattices' rows at a model."""
+    left = [one.R @ products(model, classes) - one.y for one, classes in zip(blocks, lattices)]
+    return float(sum(np.sum(one**2) for one in left))
+
+
 class Products:
     """Linear operators of the products v and κ v v, applied to samples on a lattice."""
 
@@ -70,6 +95,8 @@ class Products:
     ) -> None:
         d, h = samples.points.dimension, samples.spacing
         self.samples, self.least = samples, 2 * int(horizon / h + 1e-6)
+        self.horizon, self.degree = horizon, quadrature_degree
+        self.b = samples.loads[:, samples.interior]
         self.classes = bond_classes(h, horizon, dimension=d, degree=quadrature_degree)
         self.bonds = product_basis(self.classes)
 
@@ -79,11 +106,44 @@ class Products:
         F = forces(u, nodes, self.bonds) / self.samples.spacing**2
         return np.asarray(np.einsum("sika,lk->sial", F, nodes.axes))
 
+    @cached_property
+    def warp(self) -> Bonds:
+        """Bonds of Warp's operator, which rows are held against."""
+        return Bonds(self.samples, self.horizon, quadrature_degree=self.degree)
+
+    def left(self, *numbers: Any) -> np.ndarray:
+        """Residual ‖L u − b‖ of each sample by Warp's operator at λ, μ, α and D, shape [S]."""
+        force = self.warp.law(*numbers).force(self.samples.u.reshape(len(self.b), -1))[0]
+        return norms(force - self.b.reshape(force.shape))
+
     def rows(self, weight: np.ndarray, samples: Samples | None = None) -> LatticeRows:
         """Rows of Σ_s weight_s ‖L u − b‖², weight [S], for its samples or others on the nodes."""
-        given: dict[str, Any] = {"weight": np.sqrt(weight), "least": self.least}
-        R, y = rows(self.samples if samples is None else samples, self.bonds, **given)
+        given = self.samples if samples is None else samples
+        R, y = rows(given, self.bonds, weight=np.sqrt(weight), least=self.least)
         return LatticeRows(R, y, self.bonds, lattice_group(self.bonds.dimension))
+
+
+PROBED_HORIZON = 2.0
+"""Horizon in spacings of the bond-based solid that a lattice's stiffness is measured with."""
+
+
+def stiffness_of(sets: Sequence[Samples], horizon: float) -> float:
+    """Stiffness that loads and displacements on lattices show together [TPa]: that of the
+    bond-based solid, K = 1/r, of equal work, ‖b‖² over b·A u, A of unit stiffness, where noise in u
+    averages out. Raises InputError where it is not above zero."""
+    loads = work = 0.0
+    for samples in sets:
+        near = min(PROBED_HORIZON * samples.spacing, horizon)
+        bonds = Bonds(samples.points, near, bond_based=True)
+        force = bonds.law(1.0, 1.0, 1.0, 1.0).force(samples.u.reshape(len(samples.u), -1))[0]
+        b = samples.loads[:, samples.interior].reshape(force.shape)
+        loads, work = loads + float((b**2).sum()), work + float((force * b).sum())
+    if not work > 0:
+        raise InputError(
+            "u, b: loads and displacements do work of opposite sign, or none, and no solid answers "
+            "loads so; expected b to be the load, which is minus the internal force"
+        )
+    return loads / work
 
 
 @dataclass(frozen=True)

@@ -19,11 +19,10 @@ from warp_peri.errors import InputError
 from warp_peri.files.atomic import locked
 from warp_peri.files.checkpoint import ArrayFile, fingerprint
 from warp_peri.fitting.augmented_lagrangian import Tick, adam, as_printed, printed_state
-from warp_peri.fitting.regression import LatticeRows
-from warp_peri.fitting.rows import compressed
+from warp_peri.fitting.regression import LatticeRows, compressed
 from warp_peri.fitting.settings import GaussNewton, TwoStage
-from warp_peri.materials.lps import LPSMaterial, LPSParameters
-from warp_peri.materials.lps_force import Bonds, bernstein_basis, lps_force
+from warp_peri.materials.lps import LPSMaterial, LPSParameters, bernstein_basis
+from warp_peri.materials.lps_force import Bonds, lps_force
 from warp_peri.materials.lps_law import (
     ALPHA_IN_SIGHT,
     LARGEST_ALPHA,
@@ -31,6 +30,7 @@ from warp_peri.materials.lps_law import (
     LPSLaw,
     Products,
     products,
+    squares,
 )
 from warp_peri.materials.lps_operator import assemble, matrices
 from warp_peri.points.arguments import checked
@@ -66,58 +66,17 @@ def volume(classes: BondClasses, kw: torch.Tensor) -> torch.Tensor:
     return torch.from_numpy(classes.count * classes.r**2) @ kw
 
 
-class OperatorLoss:
-    """Loss Σ_s weight_s ‖L u − b‖² over the interior of one set on a lattice, weight [S]."""
-
-    def __init__(self, points: Samples, horizon: float, weight: np.ndarray) -> None:
-        self.bonds = Bonds(points, horizon)
-        self.classes = self.bonds.families.classes
-        self.u = torch.tensor(points.u)  # a copy: the set may be read-only
-        self.b = torch.tensor(points.loads[:, points.interior])
-        self.weight = torch.from_numpy(weight)
-
-    def _squares(self, *parameters: Any) -> torch.Tensor:
-        residual = lps_force(self.bonds, self.u, *parameters) - self.b
-        return (residual**2).sum(dim=(1, 2))
-
-    def loss(self, *parameters: Any) -> torch.Tensor:
-        """The loss at (λ, μ, α, D), differentiable."""
-        return self.weight @ self._squares(*parameters)
-
-    def errors(self, *parameters: Any) -> np.ndarray:
-        """Relative residual ‖L u − b‖/‖b‖ of each sample that has a load."""
-        load = (self.b**2).sum(dim=(1, 2))
-        loaded = load > 0
-        with torch.no_grad():
-            return (self._squares(*parameters)[loaded] / load[loaded]).sqrt().numpy()
-
-
-PROBED_HORIZON = 2.0
-"""Horizon in spacings of the bond-based solid that a lattice's stiffness is measured with."""
-
-
-def stiffness_of(sets: Sequence[Samples], horizon: float) -> float:
-    """Stiffness that loads and displacements on lattices show together [TPa]: that of the
-    bond-based solid, K = 1/r, of equal work, ‖b‖² over b·A u, A of unit stiffness, where noise in u
-    averages out. Raises InputError where it is not above zero."""
-    loads = work = 0.0
-    for samples in sets:
-        near = min(PROBED_HORIZON * samples.spacing, horizon)
-        bonds = Bonds(samples.points, near, bond_based=True)
-        force = bonds.law(1.0, 1.0, 1.0, 1.0).force(samples.u.reshape(len(samples.u), -1))[0]
-        b = samples.loads[:, samples.interior].reshape(force.shape)
-        loads, work = loads + float((b**2).sum()), work + float((force * b).sum())
-    if not work > 0:
-        raise InputError(
-            "u, b: loads and displacements do work of opposite sign, or none, and no solid answers "
-            "loads so; expected b to be the load, which is minus the internal force"
-        )
-    return loads / work
-
-
-def total_loss(terms: Sequence[OperatorLoss], values: Sequence[torch.Tensor]) -> torch.Tensor:
-    """Loss over all training sets at λ, μ, α and D, by Warp's operator."""
-    return torch.stack([term.loss(*values) for term in terms]).sum()
+def total_loss(
+    sets: Sequence[Products], weights: Sequence[np.ndarray], values: Sequence[torch.Tensor]
+) -> torch.Tensor:
+    """Loss Σ_s weight_s ‖L u − b‖² over all training sets, weights [S], at λ, μ, α and D, by Warp's
+    operator; differentiable."""
+    terms = []
+    for made, weight in zip(sets, weights):
+        u = torch.tensor(made.samples.u)  # a copy: the set may be read-only
+        left = lps_force(made.warp, u, *values) - torch.from_numpy(made.b)
+        terms.append(torch.from_numpy(weight) @ left.square().sum(dim=(1, 2)))
+    return torch.stack(terms).sum()
 
 
 class Variables:
@@ -268,7 +227,7 @@ def two_stages(learner: Any, kernel: Any, method: TwoStage) -> LPSFound:
     variables = Variables(LPSParameters(lam * unit, mu * unit, alpha, D), unit, positive=True)
 
     def loss() -> torch.Tensor:
-        return total_loss(learner.operator, variables.bounded())
+        return total_loss(learner.products, learner.weights, variables.bounded())
 
     def positive(tick: Tick) -> LPSFound:
         leaves, epochs = variables.leaves, method.epochs
@@ -305,19 +264,21 @@ def two_stages(learner: Any, kernel: Any, method: TwoStage) -> LPSFound:
     return found
 
 
-def in_torch(terms: Sequence[OperatorLoss], law: LPSLaw) -> Callable[[torch.Tensor], torch.Tensor]:
+def in_torch(
+    sets: Sequence[Products], weights: Sequence[np.ndarray], law: LPSLaw
+) -> Callable[[torch.Tensor], torch.Tensor]:
     """Loss by Warp's operator over all training sets, as a function of a law's θ."""
     kernel: Any = law.kernel
     D_of_q = torch.from_numpy(kernel.D_of_q)
 
     def loss(theta: torch.Tensor) -> torch.Tensor:
-        q, first = theta[1:], terms[0].classes
+        q, first = theta[1:], sets[0].classes
         alpha = torch.tensor(kernel.alpha, dtype=torch.float64)
         if kernel.free_alpha:
             alpha = q[-1].clamp(*ALPHA_IN_SIGHT)
         D = D_of_q @ q[: kernel.rank]
         mu = law.size * volume(first, tables(first, alpha, D))
-        return total_loss(terms, (mu + theta[0] / law.unit * mu**2, mu, alpha, D))
+        return total_loss(sets, weights, (mu + theta[0] / law.unit * mu**2, mu, alpha, D))
 
     return loss
 
@@ -444,11 +405,3 @@ def fit_output_error(learner: Any, start: LPSFound, method: GaussNewton, tick: T
             f"missed by {best.departure:.1e}"
         )
     return dataclasses.replace(best, losses=losses)
-
-
-def squares(
-    blocks: Sequence[LatticeRows], lattices: Sequence[BondClasses], model: LPSMaterial
-) -> float:
-    """Sum of squares Σ ‖R p − y‖² of all lattices' rows at a model."""
-    left = [one.R @ products(model, classes) - one.y for one, classes in zip(blocks, lattices)]
-    return float(sum(np.sum(one**2) for one in left))

@@ -27,8 +27,7 @@ from warp_peri.core.record import Length, OnLinear, Stress
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.long_waves import long_wave_moduli, long_wave_rows, moduli_of
-from warp_peri.fitting.regression import Settled
-from warp_peri.fitting.rows import load_sizes, norms, rows, swept
+from warp_peri.fitting.regression import Settled, load_sizes, norms, rows, swept
 from warp_peri.fitting.settings import Fit
 from warp_peri.materials.certificate import prove_uniqueness
 from warp_peri.materials.crystal import CrystalMaterial

@@ -12,8 +12,7 @@ import numpy as np
 from warp_peri.core.elastic import directions, lattice_group, orbit_grid
 from warp_peri.core.stencil import Basis
 from warp_peri.errors import InputError, warn
-from warp_peri.fitting.regression import LatticeRows
-from warp_peri.fitting.rows import compressed
+from warp_peri.fitting.regression import LatticeRows, compressed
 from warp_peri.fitting.settings import GaussNewton, StabilityConditions
 from warp_peri.materials.certificate import certify, with_proof
 from warp_peri.materials.lps import LPSMaterial, LPSParameters

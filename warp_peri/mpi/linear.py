@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_peri.core.stencil import SCALARS, Grid, complete, q1_tensors, refuse_cut
+from warp_peri.core.elastic import q1_tensors
+from warp_peri.core.stencil import SCALARS, Grid, complete, refuse_cut
 from warp_peri.errors import InputError, agreed
 from warp_peri.kernels.micromodulus import rows as row_kernels
 from warp_peri.materials.crystal import StencilMaterial, crystal_from_lps

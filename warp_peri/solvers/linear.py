@@ -17,7 +17,7 @@ import scipy.fft
 import scipy.sparse as sp
 from scipy.ndimage import convolve1d, distance_transform_cdt
 
-from warp_peri.core.elastic import elastic_from_brackets, smallest_eigenvalue
+from warp_peri.core.elastic import q1_tensors
 from warp_peri.core.stencil import (
     FFT_BONDS,
     SCALARS,
@@ -28,7 +28,7 @@ from warp_peri.core.stencil import (
     convolved,
     grid_of,
     inverse,
-    q1_tensors,
+    smallest_eigenvalue,
     torus_shape,
     torus_symbol,
 )
@@ -139,7 +139,7 @@ class Linear:
     @cached_property
     def _stiff(self) -> bool:
         """Whether λ ≫ μ at long waves."""
-        C, d = elastic_from_brackets(self.stencil.brackets), self.grid.dimension
+        C, d = self.stencil.elastic, self.grid.dimension
         mu = shear(C)
         return bool(np.einsum("iijj", C) / d**2 - 2 * mu / d > STIFF * mu)
 
@@ -173,7 +173,7 @@ class Linear:
             args = self.grid, stencil.steps, stencil.tensors * h2
             if method in ("sine", "multigrid"):
                 make = sine if method == "sine" else multigrid
-                inner = make(*args, elastic_from_brackets(stencil.brackets))
+                inner = make(*args, stencil.elastic)
             else:
                 inner = torus_inverse(*args)
             edge = Edge(self.grid, stencil) if method == "strip" else None

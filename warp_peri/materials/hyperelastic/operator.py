@@ -16,7 +16,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 from warp_peri.core.pointwise import FEW, Swept
 from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.errors import InputError, warn
-from warp_peri.fitting.rows import norms
+from warp_peri.fitting.regression import norms
 from warp_peri.materials.hyperelastic.energies import Energy, Hyperelastic, Strain
 from warp_peri.materials.hyperelastic.lattice import (
     CORNERS,

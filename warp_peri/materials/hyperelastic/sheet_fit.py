@@ -13,7 +13,7 @@ from scipy.optimize import lsq_linear
 from tqdm import tqdm
 
 from warp_peri.errors import InputError, warn
-from warp_peri.fitting.rows import compressed
+from warp_peri.fitting.regression import compressed
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.fibres import (
     ThicknessField,
