@@ -225,8 +225,8 @@ def simulate(material: Any, problem: Any, **options: Any) -> Motion:
 
 
 def _on_ranks(problem: Any, options: dict[str, Any], verb: str) -> bool:
-    """Whether a problem's points are a rank's piece of a body. Raises InputError, on all ranks, for
-    options of another kind than their names say, and tensors whose gradient is not had."""
+    """Whether a problem's points are a piece of a body; InputError, on all ranks, for options
+    of another kind than their names say, and tensors whose gradient is not had."""
     points = getattr(problem, "points", None)
     pieces = is_piece(points)
     with agreed(points.comm if pieces else ALONE):  # type: ignore[union-attr]

@@ -199,9 +199,8 @@ def group_of_structure(
 def canonical(
     vectors: np.ndarray, group: np.ndarray, margin: float | np.ndarray = 0.0
 ) -> np.ndarray:
-    """Whether each vector [K, d] may lie in one cone whose images under the group fill space; False
-    when all of its cell, to `margin` times the 1-norm of the cone's face, has an image nearer to
-    one direction in general position (theory, T12)."""
+    """Whether each vector [K, d], or some of its cell of half side `margin`, lies in one cone whose
+    images under the group fill space: nearest to one direction in general position (T12)."""
     d = vectors.shape[1]
     direction = np.array([1.0, 0.6137, 0.2719])[:d]
     kept = np.ones(len(vectors), bool)

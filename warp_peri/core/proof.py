@@ -1,9 +1,9 @@
 """Proofs for stencils, in the plane and in space: D(k) ≥ c w(k) for all waves (T11–T13).
 
 The weight w is a stencil too: the Laplacian for static problems, |h_p|² of a gradient for solids of
-third order. D − c w is then one stencil, whose symbol is to be positive. On a cell of waves a
-symbol is affine but for a remainder of known size, and the smallest eigenvalue of an affine matrix
-function is concave: positive on the cell if it is at the corners, by more than the remainder.
+third order. D − c w is then one stencil. On a cell of waves its symbol is affine but for a known
+remainder, and the smallest eigenvalue of an affine matrix function is concave: positive on the cell
+if it is at the corners, by more than the remainder.
 """
 
 from __future__ import annotations
@@ -223,9 +223,8 @@ def _positive(
     most: int,
 ) -> tuple[bool, int, np.ndarray | None]:
     """Whether a matrix function is proven positive definite on [−edge, edge]^n, the number of cells
-    (halved on failure), and a middle where it is not. It may be rest · half² below its `affine`
-    part about the middle of a cell, and `slack` for rounding; `asked` tells which cells matter, and
-    after `most` of them it is given up."""
+    (at `most`), and a middle where it is not. It may be rest · half² below its `affine` part about
+    the middle of a cell, and `slack` for rounding; `asked` tells which cells matter."""
     corners, cells, half, seen = _corners(dimension), *_first_cells(edge, dimension), 0
 
     def states(half: float, some: np.ndarray) -> np.ndarray:

@@ -35,8 +35,7 @@ SCALARS = {np.dtype(np.float64): wp.float64, np.dtype(np.float32): wp.float32}
 FASTER = 4
 """How much less than a usual node a lane of a piece has to do, for the number of threads."""
 FFT_BONDS = {2: 75, 3: 120}
-"""Half families from which FFT takes less time than rows: the middle of where four measurements on
-an idle machine crossed."""
+"""Half families from which FFT takes less time than rows, the middle of four measurements."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,8 +299,7 @@ def grid_of(points: Points, steps: np.ndarray, *, why: str = "", least: int | No
 
     `why` is said of nodes whose bonds are cut; a period must be longer than `least` steps, by
     default twice the reach. Raises InputError for scattered points, another dimension, nodes off
-    the lattice or given twice, interior nodes without all their neighbours, and a box that bonds
-    reach around.
+    the lattice or given twice, interior nodes that lack neighbours, and too short a period.
     """
     d = steps.shape[1]
     if points.x.shape[1] != d:

@@ -81,8 +81,7 @@ def refuse_transform(tensor: torch.Tensor) -> None:
 
 def once(there: Any, back: Any, *of: torch.Tensor) -> Any:
     """Function `there` of arrays, differentiable once: `back` makes the derivatives of upstream
-    arrays, given which are asked for; None, or one number for all of an array, are zero there. A
-    derivative of these raises InputError, by `backward`, `grad`, `hessian` or `hvp`; torch's own
+    arrays, given which are asked for; None is zero. A second derivative raises InputError; torch's
     once_differentiable lets those pass that do not go through the upstream gradient."""
 
     def make(*of: torch.Tensor) -> tuple[torch.Tensor, ...]:

@@ -1,8 +1,8 @@
 """Adam under conditions, by an augmented Lagrangian: m − ϖ² = 0 with slacks ϖ (theory, 25, 28b).
 
 One Adam serves Algorithm 1 of You et al. (2021), on the printed variables, and the way to the
-optimum, in coordinates x in which the curvature of the Lagrangian, as Gauss and Newton take it, is
-one in each direction. In λ, μ, α and D it spans twenty orders, and no rate of steps suits them all.
+optimum, in coordinates in which the curvature of the Lagrangian, as Gauss and Newton take it, is
+one in each direction; in λ, μ, α and D, where it spans twenty orders, no rate of steps suits all.
 """
 
 from __future__ import annotations
@@ -90,10 +90,9 @@ def as_printed(
     tick: Tick,
     keep: Callable[[], None] = lambda: None,
 ) -> None:
-    """Run stage 2 of Algorithm 1: H_p = margin of condition p − ϖ_p², state and losses in place.
-    Where the printed algorithm is inconsistent, |H| is what is tested, against 1e-5, and the
-    multiplier term is φ_p H_p + (ψ/2) H_p², so that φ_p ← φ_p + ψ H_p is the ascent of the dual.
-    `tick` is called after every epoch, `keep` after every round."""
+    """Run stage 2 of Algorithm 1: H_p = margin of condition p − ϖ_p², state and losses in place;
+    `keep` is called after every round. Where the printed one is inconsistent, |H| is tested, and
+    the multiplier term is φ_p H_p + (ψ/2) H_p², so that φ_p ← φ_p + ψ H_p ascends the dual."""
     *variables, slack, multiplier, previous, penalty, done = state
 
     def objective() -> tuple[torch.Tensor, torch.Tensor]:
@@ -136,8 +135,7 @@ def to_the_optimum(
 
     Slacks at their best, ϖ² = max(m + φ/ψ, 0), are no variables: what is minimised beside the loss
     is (ψ/2) min(m + φ/ψ, 0)² (Rockafellar 1973). Curvatures, and waves below the floor, are those
-    of the problem's rows; each round has its own multipliers, coordinates and waves to keep.
-    Returns the result, and of ζ, how little a margin of it may miss.
+    of the problem's rows. Returns the result, and of ζ, how little a margin of it may miss.
     """
 
     def lagrangian(

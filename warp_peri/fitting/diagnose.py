@@ -37,8 +37,7 @@ RIDGES_OF_NODES = RIDGES[:4]
 """Of fits, over the root of their trace: second differences of smooth fields are nearly the same
 for all bonds. Of those of single nodes."""
 MOSTLY, STRONG = 0.8, 0.05
-"""Of the squared residual, what a number by itself takes; a strain at which stresses of third order
-may be as large as linear ones."""
+"""Of the squared residual, what a number takes by itself; a strain where third order matters."""
 CAUSES = {
     "noise": ("noise in the displacement", "fields of noise in fit(…, noise=…), or longer means"),
     "species": (
@@ -159,9 +158,8 @@ def _families(
     samples: Samples, operator: Any, drawn: np.ndarray, residual: float
 ) -> list[tuple[str, np.ndarray]]:
     """Forces of families at the drawn interior nodes, along the lattice's axes, [S, I, d, n]; of
-    heterogeneity what each node may weigh as it likes, [S, I, n]: strain, second differences. Bonds
-    of twice the horizon and products of three gradients are many: they get what single nodes leave,
-    where stresses of that order may be as large as the residual."""
+    heterogeneity what each node may weigh as it likes, [S, I, n]. Bonds of twice the horizon and
+    products of three gradients, which are many, get what single nodes leave."""
     d, h, u = samples.points.dimension, samples.spacing, samples.u
     model = getattr(operator.model, "linear", operator.model)
     stencil, group = stencil_of(model, h, "diagnose")

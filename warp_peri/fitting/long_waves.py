@@ -168,10 +168,9 @@ class LongWaves:
 def lame_of_long_waves(sets: Sequence[Samples]) -> LongWaves:
     """Fit λ and μ to the long waves of lattices in the plane, with other terms that predict.
 
-    Samples count by their loads, test fields by what all terms leave on them. Of all choices of
-    dispersion, third order and constants of fourth order the smallest is taken that predicts as
-    well as the best, to one standard error. An axis that is not stated is learned. Raises
-    InputError for samples that see no long waves, or do not tell λ and μ.
+    Of all choices of dispersion, third order and constants of fourth order the smallest is taken
+    that predicts as well as the best, to one standard error. An axis that is not stated is learned.
+    Raises InputError for samples that see no long waves, or do not tell λ and μ.
     """
     turns = 1 if all(each.points.axis is not None for each in sets) else 2
     tables, loads = zip(*(_long_wave_table(each, turns) for each in sets))
@@ -319,10 +318,9 @@ def judged(
     """The given symmetry, or for "auto" the largest group without loss; and its loss over the best.
 
     It is to cost nothing in L u = b, nor in the moduli of long waves. Each half of the samples is
-    judged by the fit of the other, and the best of all groups is what others are held against:
-    hundreds of numbers without symmetry fit few samples too well. The figure is the larger of both
-    losses over the best, None where the data do not determine the group. Warns where data
-    contradict the given symmetry.
+    judged by the fit of the other, for hundreds of numbers fit few samples too well. The figure is
+    the larger of both losses over the best group's, None where the data do not determine the group.
+    Warns where data contradict the given symmetry.
     """
     d, auto = len(turn), isinstance(told, str) and told == "auto"
     if len(samples) < 2 and not auto:

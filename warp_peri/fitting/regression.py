@@ -514,7 +514,7 @@ def compressed(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 KNOWN = 0.1
-"""Directions of which a larger part of the data's squares than 1 − KNOWN is noise are left out."""
+"""Directions of which more than 1 − KNOWN of the data's squares is noise are left out."""
 
 
 def without_noise(R: np.ndarray, y: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -522,9 +522,8 @@ def without_noise(R: np.ndarray, y: np.ndarray, noise: np.ndarray) -> tuple[np.n
     36–37).
 
     Loads carry no noise, so that the difference is a quadratic form of p that has the minimum of
-    ‖√(1−ν) Vᵗ R p − (1−ν)^(−½) Uᵗ y‖² and a constant. Directions of which less than KNOWN is not
-    noise count nothing; p are to be the numbers of the law. No squares are subtracted, so that
-    digits are kept.
+    ‖√(1−ν) Vᵗ R p − (1−ν)^(−½) Uᵗ y‖² and a constant: no squares are subtracted. Directions of
+    which less than KNOWN is not noise count nothing.
     """
     left, size, right = np.linalg.svd(R, full_matrices=False)
     kept = size > np.finfo(float).eps * R.shape[1] * size[0]

@@ -246,9 +246,8 @@ def curvature_bound(parts: Sequence[float], strain: float) -> float:
 
 
 def largest_parts(model: Any) -> list[float]:
-    """Bounds M_d ≥ max |Ψ_d| over |H| = 1 of the parts of Ψ of degree d = 3 to 6 [TPa] (N17). The
-    phase of q, which q3 sees, is put where it is worst. A polynomial of degree d on a sphere
-    sampled within η is nowhere larger than its largest sample over cos dη (M. Riesz)."""
+    """Bounds M_d ≥ max |Ψ_d| over |H| = 1 of the parts of Ψ of degree d = 3 to 6 [TPa] (N17): on a
+    sphere sampled within η none is larger than its largest sample over cos dη (M. Riesz)."""
     a, b = np.meshgrid(np.linspace(0, np.pi, DIRECTIONS + 1), np.linspace(0, np.pi / 2, DIRECTIONS))
     t, side = np.sqrt(2) * np.cos(a), np.sin(a) / np.sqrt(2)
     q, w = side * np.cos(b), side * np.sin(b)

@@ -1,7 +1,7 @@
 """Influence functions of any shape: a callable of r with parameters to learn (theory, 59–60).
 
     shape = InfluenceFunction(lambda r, width: np.exp(-((r / width) ** 2)), {"width": 8.0})
-    fit = warp_peri.fit(samples, horizon=20.0, kernel=shape)
+    fit = warp_peri.fit(samples, warp_peri.LPS(20.0, shape))
     fit.influence.parameters["width"]
 
 A model keeps the polynomial (60) of it, so that files, certificates and solves know one kind.

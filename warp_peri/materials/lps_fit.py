@@ -47,8 +47,7 @@ from warp_peri.fitting.settings import (
 from warp_peri.materials.certificate import certify
 from warp_peri.materials.crystal_fit import POOR
 from warp_peri.materials.influence import shapes_of
-from warp_peri.materials.lps import LPSMaterial, LPSParameters
-from warp_peri.materials.lps import moduli as moduli_of
+from warp_peri.materials.lps import LPSMaterial, LPSParameters, moduli
 from warp_peri.materials.lps_law import (
     HEADROOM,
     LPSFound,
@@ -84,8 +83,7 @@ ON_BOUND = 1e-3
 PLAIN_EXPONENTS = (1.0, 2.0, 2.9)
 """Kernels r^(−α) that an optimum is looked for from."""
 AGREE, SPREADS = 0.02, 2.0
-"""Of the largest modulus, how sure long waves must be of theirs; standard errors that free moduli
-are away where those are held."""
+"""Of the largest modulus, how sure long waves must be; standard errors beyond which they hold."""
 MOST_NODES, MOST_LOADS, REACHES = 2000, 16, range(8, 1, -1)
 """Unknown nodes up to which a fit is compared with local elasticity, and on how many loads of a
 set; reaches of its central differences, of which the widest that fit count."""
@@ -364,7 +362,7 @@ class Learner:
             held = dataclasses.replace(method, moduli=(waves.lam, waves.mu))
             alone = self.optimum(start, free)
             model = self.model(alone)
-            own = [moduli_of(model, classes) for classes in self.lattices]
+            own = [moduli(model, classes) for classes in self.lattices]
             off = np.abs([(of["C12"] - waves.lam, of["C44"] - waves.mu) for of in own])
             sure = waves.errors.max() <= AGREE * (waves.lam + 2 * waves.mu)
             sure &= waves.misfit <= min(POOR, alone.loss**0.5)  # else the fit tells more than they
@@ -490,7 +488,7 @@ class Learner:
             self.history,
             done,
             choice,
-            [moduli_of(model, classes) for classes in self.lattices],
+            [moduli(model, classes) for classes in self.lattices],
             self.starts,
             self.degrees,
             final.shape,

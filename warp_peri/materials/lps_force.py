@@ -2,8 +2,7 @@
 
 A lattice lies row by row in a box, many nodes at a time; other points as numbered, with lists of
 bonds. L is its own transpose once each bond reads the stiffness of the bond back. Sums over nodes
-run over fixed blocks, without atomics, so that threads change no bit. Nothing that a call writes is
-kept.
+run over fixed blocks, without atomics: threads change no bit. Nothing that a call writes is kept.
 """
 
 from __future__ import annotations

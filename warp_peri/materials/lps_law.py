@@ -2,10 +2,9 @@
 
 With the stiffness v = μ w of each bond class and κ = (λ−μ)/μ², L u is linear in the products v and
 κ v v (theory, 14–17, T17). θ = (κ, q) stands for a solid: q are numbers of the influence function,
-of which K W of each class is made, and the scale of K falls out. α is a number of q only where the
-coefficients do not already reach every bond length; elsewhere, and in space, it keeps its value.
-All is analytic in θ, so that a step of i·10⁻³⁰ has the derivatives in its imaginary part, to the
-last digit (W. Squire and G. Trapp 1998). θ and q may have axes in front.
+of which K W of each class is made; α is one only in the plane, where the coefficients do not reach
+every bond length already. All is analytic in θ: a step of i·10⁻³⁰ has the derivatives in its
+imaginary part (W. Squire and G. Trapp 1998). θ and q may have axes in front.
 """
 
 from __future__ import annotations
@@ -257,8 +256,7 @@ class BernsteinKernel:
 
 class ShapeKernel:
     """Kernel given by a function of the bond length: q = (size a of K, parameters), K W a (theory,
-    59). μ = Σ n r² v is no coordinate, so that a search may pass where the weighted volume is zero;
-    InputError where it is zero on a lattice at the start."""
+    59). InputError where its weighted volume is zero at the start; a search may pass through."""
 
     rank = 1
     """How many numbers of q K is linear in."""

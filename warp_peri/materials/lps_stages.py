@@ -69,8 +69,7 @@ def volume(classes: BondClasses, kw: torch.Tensor) -> torch.Tensor:
 def total_loss(
     sets: Sequence[Products], weights: Sequence[np.ndarray], values: Sequence[torch.Tensor]
 ) -> torch.Tensor:
-    """Loss Σ_s weight_s ‖L u − b‖² over all training sets, weights [S], at λ, μ, α and D, by Warp's
-    operator; differentiable."""
+    """Loss Σ_s weight_s ‖L u − b‖² over all training sets at λ, μ, α and D, by Warp's operator."""
     terms = []
     for made, weight in zip(sets, weights):
         u = torch.tensor(made.samples.u)  # a copy: the set may be read-only
@@ -82,8 +81,7 @@ def total_loss(
 class Variables:
     """λ, μ, α, D as torch leaves for Adam, λ and μ in a unit that suits its steps. The loss sees
     ReLU(μ), ReLU(λ + μ) − ReLU(μ), 3 − ReLU(3 − α) and, for a positive kernel, ReLU(D), as printed
-    (4.8). A ReLU has no gradient once its argument is negative, and λ + μ, which every run drives
-    to zero early in stage 1, stays there for good."""
+    (4.8); λ + μ, which every run drives to zero early, stays there, for no gradient is left."""
 
     def __init__(self, start: LPSParameters, unit: float, *, positive: bool = False) -> None:
         self.unit, self.positive = unit, positive
@@ -112,9 +110,8 @@ class DenseMargins:
     """Margins of the three conditions (4.6) on the interior of each training set.
 
     Λmin(Γ) − ζ, Λmin(ΦΓ⁻¹Φᵗ) − ζ with zeros left out, Λmin(Γ − 2ΦᵗΦ), with Φ the dilatation of
-    interior nodes, in the length l of which the horizon is PRINTED_HORIZON. Γ and Φ are linear in
-    the class weights, and a smallest eigenvalue changes as its quotient at its own vector does.
-    Where a domain is its own mirror image the matrices fall into blocks, a tenth of the work.
+    interior nodes, in the length l of which the horizon is PRINTED_HORIZON. Where a domain is its
+    own mirror image the matrices fall into blocks, a tenth of the work.
     """
 
     def __init__(self, sets: Sequence[Samples], horizon: float) -> None:
@@ -219,9 +216,8 @@ def _least(matrices: Sequence[np.ndarray]) -> tuple[int, float, np.ndarray]:
 
 
 def two_stages(learner: Any, kernel: Any, method: TwoStage) -> LPSFound:
-    """Run Algorithm 1 from random numbers: Adam with D ≥ 0, then D of any sign under the
-    conditions. The state is kept in a file after each outer iteration, for the same run to go on
-    from; InputError for another run's, or one that another job writes to."""
+    """Run Algorithm 1 from random numbers: Adam with D ≥ 0, then D of any sign under conditions,
+    kept in a file after each outer iteration; InputError for another run's, or another job's."""
     random, unit = np.random.default_rng(method.seed), learner.unit
     D, (lam, mu, alpha) = random.uniform(size=1 + kernel.degree), random.uniform(size=3)
     variables = Variables(LPSParameters(lam * unit, mu * unit, alpha, D), unit, positive=True)
@@ -290,10 +286,9 @@ GAIN = 1e-5
 
 
 class WaveResponse:
-    """Displacement amplitudes at the loads' own wave vectors, all nodes projected on them. A load B
-    cos k₁x cos k₂y along x is answered by (U cos cos, −V sin sin), D(k) (U, V)ᵗ = (B, 0)ᵗ, and
-    loads with sines in place of cosines by such waves with the same D(k). Other parts of the field
-    do not count. Raises InputError for a sample without load or displacement at its wave vector."""
+    """Displacement amplitudes at the loads' own wave vectors, all nodes projected on them: a load B
+    cos k₁x cos k₂y along x, or of sines, is answered by (U cos cos, −V sin sin), D(k) (U, V)ᵗ =
+    (B, 0)ᵗ. InputError for a sample without load or displacement at its wave vector."""
 
     def __init__(self, made: Products) -> None:
         points, self.classes, self.bonds = made.samples, made.classes, made.bonds
@@ -319,8 +314,8 @@ class WaveResponse:
 
 
 class CollarResponse:
-    """Displacement on the interior, solved with the loads and the displacement of the collar, whose
-    noise biases it. Raises InputError for a sample without displacement on its interior."""
+    """Displacement on the interior, solved with loads and the collar's displacement, whose noise
+    biases it. InputError for a sample without displacement on its interior."""
 
     def __init__(self, made: Products) -> None:
         self.points, self.products = made.samples, made
@@ -370,11 +365,9 @@ def _projection(x: np.ndarray, k: np.ndarray, b: np.ndarray) -> np.ndarray:
 def fit_output_error(learner: Any, start: LPSFound, method: GaussNewton, tick: Tick) -> LPSFound:
     """Minimise the misfit of displacement from an optimum of another loss (theory, 38).
 
-    Each step is a constrained optimum of the loss linearised about the last one: with û the model's
-    displacement at products c₀, û − L₀⁻¹ (L(c) û − b) is that at c to first order, and affine in c.
-    A step that does not lower the loss itself ends the search. Noise in u enters as it is, not
-    through a second derivative, and does not bias the fit. Raises RuntimeError when it ends with
-    the conditions or the moduli not kept.
+    Each step is a constrained optimum about the last one, û its displacement at products c₀: that
+    at c is û − L₀⁻¹ (L(c) û − b) to first order. Noise in u is not differentiated, and does not
+    bias the fit. RuntimeError when it ends with the conditions or the moduli not kept.
     """
     responses = [
         (WaveResponse if WAVE_VECTOR in made.samples.arrays else CollarResponse)(made)
