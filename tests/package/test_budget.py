@@ -19,9 +19,9 @@ import pytest
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
     "code lines": 18_774,
-    "tokens": 234_975,
+    "tokens": 234_966,
     "lines of warp_peri": 29_980,
-    "files of warp_peri": 112,
+    "files of warp_peri": 111,
     "lines of kernels": 1_016,
     "lines of warp_peri, kernels, examples and tools": 42_184,
     "lines of the longest file": 540,
