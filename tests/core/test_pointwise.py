@@ -22,6 +22,14 @@ def quartic(E, *, lam, mu, more):
     return lam / 2 * t**2 + mu * square + more * square * square
 
 
+def cubic(E, *, lam, mu, more):
+    t = E.diagonal(dim1=-2, dim2=-1).sum(-1)
+    square = (E * E).sum((-1, -2))
+    return (
+        lam / 2 * t**2 + mu * square + more * (t**3 + t * square + E[..., 0, 1] ** 2 * E[..., 0, 0])
+    )
+
+
 def one_sided(d, sides):
     """Steps and weights of gradients of one side each, at a spacing of .5."""
     steps = np.concatenate([np.zeros((1, d), int), np.eye(d, dtype=int), -np.eye(d, dtype=int)])
@@ -32,13 +40,13 @@ def one_sided(d, sides):
     return steps, weights
 
 
-def operator(d, sides=2, **options):
+def operator(d, sides=2, density=quartic, **options):
     """On a cube, with a shorter linear part where it is asked for."""
     n = 9 if d == 2 else 7
     x = np.argwhere(np.ones((n,) * d)) - n // 2
     points = Points(0.5 * x, np.abs(x).max(axis=1) <= n // 2 - 2, 0.5)
     numbers, (steps, weights) = {"lam": LAM, "mu": MU, "more": 2.0}, one_sided(d, sides)
-    return Pointwise(points, 0.5, quartic, steps, weights, numbers=numbers, **options)
+    return Pointwise(points, 0.5, density, steps, weights, numbers=numbers, **options)
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -62,6 +70,16 @@ def test_stress_of_a_uniform_gradient_is_that_of_the_density():
     P = op.stress(op.points.x @ H.T)
     np.testing.assert_allclose(P, np.broadcast_to((np.eye(3) + H) @ S, P.shape), rtol=1e-12)
     assert np.abs(op.force(op.points.x @ H.T)).max() < 1e-12
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_cubic_density_has_the_slopes_of_its_derivatives_at_rest(d):
+    linear = {"stencil": Stencil(0.5, half_ball(1.0, d), np.tile(np.eye(d), (d, 1, 1)))}
+    of, at_rest = (operator(d, density=cubic, cubic=rest, **linear) for rest in (False, True))
+    u, v = 0.05 * np.random.default_rng(2).normal(size=(2, *of.points.x.shape))
+    w = v[of.points.interior]
+    for one, other in zip(*([op(u), op.jvp(u, v), op.vjp(u, w)] for op in (of, at_rest))):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-14 * np.abs(one).max())
 
 
 def test_one_thread_is_given_back_by_the_last_of_four_and_after_an_error():

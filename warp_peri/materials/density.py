@@ -161,8 +161,8 @@ class DensityOperator(Pointwise):
             return material.scale * W  # type: ignore[no-any-return]
 
         super().__init__(nodes, material.horizon, energy, steps, weights, numbers=numbers)
-        none = torch.zeros(nodes.dimension, nodes.dimension, 1, dtype=torch.float64)
-        stress, stiff = self._stress(none).abs().max(), self.stiffness().abs().max()
+        none = np.zeros((nodes.dimension, nodes.dimension, 1))
+        stress, stiff = np.abs(self._slopes(none)[0]).max(), np.abs(self.stiffness).max()
         if not stress <= REST * stiff:
             raise InputError(
                 f"energy: expected no stress at rest, got {float(stress):.2e} of a stiffness of "

@@ -56,8 +56,6 @@ SIZE = 1e-6
 """Weight of the size of p beside relative errors."""
 SAME = 1e-5
 """Relative, that a proven strain may be above that of a proof anew."""
-MEASURES = torch.tensor([[1, 0, 0, 1], [0.5, 0, 0, -0.5], [0, 0.5, 0.5, 0]], dtype=torch.float64)
-"""Of E00, E01, E10 and E11 the trace t and the deviator a, b: no product rounds."""
 SETTLED = 1e-9
 """Relative, of moduli that are found."""
 
@@ -140,12 +138,11 @@ def energy_density(
     E: torch.Tensor, *, axis: float, lam: Any, mu: Any, t3: Any, tq2: Any, q3: Any
 ) -> Any:
     """Energy density (N3) [stress] of Green strains E [..., 2, 2], of a crystal at `axis` [rad]."""
-    t, a, b = (MEASURES @ E.flatten(-2).movedim(-1, 0).reshape(4, -1)).unbind()
-    c, s = np.cos(2 * axis), np.sin(2 * axis)
-    a, b = c * a + s * b, c * b - s * a
+    x, y, shear = E[..., 0, 0], E[..., 1, 1], (E[..., 0, 1] + E[..., 1, 0]) / 2
+    c, s, t, half = np.cos(2 * axis), np.sin(2 * axis), x + y, (x - y) / 2
+    a, b = c * half + s * shear, c * shear - s * half
     A, B = a * a, b * b
-    W = t * t * ((lam + mu) / 2 + t3 * t) + (A + B) * (2 * mu + tq2 * t) + q3 * a * (A - 3 * B)
-    return W.reshape(E.shape[:-2])
+    return t * t * ((lam + mu) / 2 + t3 * t) + (A + B) * (2 * mu + tq2 * t) + q3 * a * (A - 3 * B)
 
 
 def gradient_stencil(
@@ -308,7 +305,7 @@ class PlacedThirdOrder(Pointwise):
         density = partial(energy_density, lam=lam, mu=mu, axis=axis)
         numbers = {name: getattr(model, name) for name in CUBIC}
         parts: dict[str, Any] = {"back": back, "stencil": model.linear.stencil, "numbers": numbers}
-        super().__init__(nodes, model.horizon, density, steps, weights, **parts)
+        super().__init__(nodes, model.horizon, density, steps, weights, **parts, cubic=True)
 
     @cached_property
     def straight(self) -> Any:
@@ -452,7 +449,7 @@ class Learning:
         energy, none = partial(energy_density, axis=axis_of(samples)), np.zeros((2, 2, 2))
         numbers, columns = dict.fromkeys((*CUBIC, "lam", "mu"), 0.0), []
         operator = Pointwise(
-            samples, horizon, energy, steps, into, back=out, numbers=numbers,
+            samples, horizon, energy, steps, into, back=out, numbers=numbers, cubic=True,
             stencil=Stencil(samples.spacing, np.eye(2, dtype=int), none),
         )  # fmt: skip
         for name in numbers:
