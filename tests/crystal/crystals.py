@@ -1,17 +1,17 @@
 """Small laws and lattices that the tests of micromodulus tensors share."""
 
-import itertools
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from tests.support import problems
 from warp_peri.core import elastic
 from warp_peri.core.elastic import checked_orientation, point_group, shared_with_nodes
 from warp_peri.core.stencil import invariant_basis
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import fit_dispersion
-from warp_peri.points.points import Points
 
 CUBIC = {2: ("4mm", 2.5), 3: ("m-3m", 2.0)}
 COPPER = {"C11": 0.170, "C12": 0.122, "C44": 0.076}
@@ -54,15 +54,12 @@ def random_law(d, reach=2.0, symmetry="m-3m"):
     return CrystalMaterial(1.5, bonds.steps, np.tensordot(p, bonds.basis, 1), symmetry=name)
 
 
-def lattice(d, n, collar, spacing=1.5, ball=False, box=False):
-    """Nodes of a cube, or of a ball in it, with a collar; or a period of n nodes each way."""
-    line = np.arange(0 if box else -collar, n + (0 if box else collar)) * spacing
-    x = np.array(list(itertools.product(line, repeat=d)))
-    inside = ((x > -1e-9) & (x < (n - 0.5) * spacing)).all(axis=1)
+def lattice(d, n, collar, spacing=1.5, ball=False):
+    """Nodes of a square or cube, or of a ball in it, with a collar."""
+    inside = np.ones(d * (n,), bool)
     if ball:
-        middle = (n - 1) * spacing / 2
-        inside &= np.linalg.norm(x - middle, axis=1) <= n * spacing / 2
-    return Points(x, inside, spacing, box=(n * spacing,) * d if box else None)
+        inside = np.linalg.norm(np.indices(inside.shape) - (n - 1) / 2, axis=0) <= n / 2
+    return replace(problems.lattice(inside, collar * spacing / 2, spacing), axis=None)
 
 
 def plain_energy(law, points, u):

@@ -76,7 +76,7 @@ def test_plane_strain_is_what_the_law_in_space_does_with_fields_of_the_plane():
     assert flat.moduli() == pytest.approx(COPPER, rel=1e-8)  # C11, C12, C44 of a cube face
     assert len(flat.group) == 8
     assert flat.certificate.proven >= 0.9 * flat.certificate.sampled > 0
-    sheet, solid = (lattice(d, 8, 0, box=True) for d in (2, 3))
+    sheet, solid = (Points.sheet(d * (8,), law.spacing) for d in (2, 3))
     b = np.random.default_rng(5).normal(size=sheet.x.shape)
     b -= b.mean(axis=0)
     u = warp_peri.solve(flat, warp_peri.Periodic(sheet, b)).u
@@ -98,8 +98,11 @@ def test_plane_stress_has_the_moduli_of_a_thin_sheet():
 CASES = [(2, "ball"), (2, "period"), (3, "ball"), (3, "period")]
 
 
-def body(d, kind, n=None):
-    return lattice(d, n or {2: 12, 3: 6}[d], 2, ball=kind == "ball", box=kind == "period")
+def body(d, kind):
+    n = {2: 12, 3: 6}[d]
+    return (
+        Points.sheet(d * (n,), 1.5) if kind == "period" else lattice(d, n, 2, ball=kind == "ball")
+    )
 
 
 @pytest.mark.parametrize(("d", "kind"), CASES)

@@ -93,7 +93,6 @@ def test_moduli_that_nothing_has_or_tells_are_named():
 
 
 def test_a_crystal_from_phonons_alone_and_of_too_few_bonds():
-    pytest.importorskip("spglib")
     cell = ase.build.bulk("Cu", "fcc", a=3.59, cubic=True)
     atoms = from_calculator(cell, EMT(), (3, 3, 3))
     assert len(atoms.group()) == 48

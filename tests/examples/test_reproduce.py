@@ -103,7 +103,6 @@ def test_networks_have_the_printed_widths_and_rivals_find_their_own_numbers(grap
     few = {"train": Samples(train.points, train.u[::35], train.b[::35])}
     error = neural.errors_of(material, few, solve=False)["E_res"]["train"]
     assert 100 * error == pytest.approx(numbers("neural", "graphene", ["network"])[0], rel=0.3)
-    pytest.importorskip("skfem")
     points = square(3)
     window = neural.Window(Samples(points, np.zeros((1, len(points.x), 2))))
     make, starts = neural.RIVALS["HGO, two fibre directions"]

@@ -84,14 +84,6 @@ def test_the_loss_is_its_definition():
     assert found.item() == pytest.approx(residual / load, rel=1e-11)
 
 
-def test_a_sample_without_load_cannot_be_normalised():
-    (points,) = SETS["one lattice"]
-    b = points.b.copy()
-    b[1, points.interior] = 0
-    with pytest.raises(InputError, match="sample 1 has no load and cannot be normalised"):
-        sample_weights([replace(points, b=b)], normalise=True)
-
-
 HORIZON, SIZE = 3.0, 0.02
 CLASSES = bond_classes(1.0, HORIZON)
 MODEL = kernel("sign-changing", HORIZON, lam=-0.2, mu=0.7)
@@ -209,5 +201,7 @@ def test_what_noise_and_waves_cannot_be_used_is_refused(clean):
         with pytest.raises(InputError, match=words):
             fit(clean, HORIZON, Bernstein(2), noise=given)
     b[3] = 0
+    with pytest.raises(InputError, match="sample 3 has no load and cannot be normalised"):
+        sample_weights([replace(clean, b=b)], normalise=True)
     with pytest.raises(InputError, match="sample 3"):
         WaveResponse(Products(replace(clean, b=b), HORIZON))

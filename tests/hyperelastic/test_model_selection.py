@@ -11,7 +11,7 @@ import pytest
 import warp_peri as wp
 from tests.support.sheets import NEAREST, hgo_dictionary, square, waves
 from tools import make_frames
-from tools.hyperelastic_elements import Elements, quadrilaterals
+from tools.hyperelastic_elements import Elements, finite_elements, quadrilaterals
 from tools.hyperelastic_energies import Family, plane_stress_hgo
 from warp_peri.atoms.dic import DICFrame, dic_to_lattice
 from warp_peri.cli.main import main
@@ -145,7 +145,6 @@ def stretched(mesh, energy, fixed, given, x, levels):
 @pytest.mark.slow
 def test_the_command_finds_families_of_fibres(tmp_path):
     """Of elements: at 20° and 80° within 3°, k1/μ within 10 %; a file for FEBio, and curves."""
-    pytest.importorskip("skfem")
     true, out = [Family(np.deg2rad(a), k1, 0.8) for a, k1 in ((20, 1.5), (80, 1.0))], tmp_path / "o"
     mesh = Elements(quadrilaterals(14, 2.6))
     edge = mesh.x @ np.array([[0.30, 0.05], [0.0, 0.25]]) + waves(SimpleNamespace(x=mesh.x), 0.3, 1)
@@ -169,7 +168,7 @@ def test_the_command_finds_families_of_fibres(tmp_path):
 @pytest.mark.parametrize("error", [0.0, 0.02])
 def test_a_rubber_sheet_with_a_hole_pulls_as_it_should(tmp_path, error):
     """With a force a frame, or one: tension within its band and within 2 %."""
-    skfem = pytest.importorskip("skfem")
+    skfem = finite_elements()
     width, radius = np.array([5.0, 3.6]), 0.4
     outline = mesh_outline(box(*width), [Circle(radius, size=0.12)], size=0.4)
     x, cells = (np.ascontiguousarray(one.T) for one in (outline.x, outline.cells))

@@ -13,10 +13,12 @@ from tests.support import clouds, reference
 from tests.support.clouds import cloud, periodic_cloud
 from tests.support.problems import KERNELS, LAM, MU, ROUNDING, ell, kernel, lattice, noise, periodic
 from tests.support.symbols import symbol
+from tools.rivals import BULK, SHEAR, SIZE, PeriLps
 from warp_peri import InputError, Points
+from warp_peri.atoms.calculators import LammpsError, lammps_class
 from warp_peri.materials.lps import moduli
 from warp_peri.materials.lps_force import Bonds, lps_force
-from warp_peri.materials.lps_operator import matrices
+from warp_peri.materials.lps_operator import assemble, matrices
 from warp_peri.methods import LPSParameters
 from warp_peri.points.families import bond_classes
 
@@ -260,3 +262,25 @@ def test_other_weights_stay_those_of_a_solve_with_other_numbers():
         assert operator.proven is None
     with pytest.raises(InputError, match="parameters: expected values by name"):
         operator.solve(b, 0 * b, parameters=LPSParameters(**model.learnable))
+
+
+def test_every_force_is_that_of_lammps_with_its_volumes():
+    """Of pair_style peri/lps, whose influence is 1/r; they fall off over the last half spacing."""
+    try:
+        bare = lammps_class()(cmdargs=["-screen", "none", "-log", "none"])
+    except LammpsError as error:
+        pytest.skip(str(error))
+    if not bare.has_style("pair", "peri/lps"):
+        pytest.skip("this LAMMPS has no pair_style peri/lps")
+    lammps, points = PeriLps(11, 2.0), clouds.cube(3, 2.0)
+    classes = bond_classes(1.0, 2.0, dimension=3)
+    place = {tuple(p): i for i, p in enumerate(np.rint(lammps.x - 4).astype(int))}
+    there = [place[tuple(p)] for p in points.x.astype(int)]
+    u = SIZE * np.random.default_rng(0).normal(size=lammps.x.shape)
+    theirs = lammps.force(u)[there][points.interior]
+    lammps.close()
+    weight = np.minimum(1.0, 2.0 + 0.5 - classes.r)
+    kw, m = weight / classes.r, classes.count @ (weight * classes.r)
+    L = assemble(Bonds(points, 2.0), kw, m).operator(BULK - 2 * SHEAR / 3, SHEAR)
+    ours = -(L @ u[there].ravel()).reshape(-1, 3)
+    assert np.abs(theirs - ours).max() < 1e-5 * np.abs(ours).max()

@@ -116,22 +116,16 @@ def test_an_indefinite_operator_is_named_by_every_method():
             model.on(points).solve(*fields, solver)
 
 
-def test_a_tolerance_out_of_reach_is_an_error():
-    points = lattice(12, HORIZON)
-    given, how = (points, noise(points), noise(points)), CG("sine", tolerance=1e-17)
-    with pytest.raises(InputError, match="the solve stalled: residual"):
-        solve(kernel("1/r", HORIZON, lam=0.3), *given, solver=how)
-
-
-def test_methods_that_do_not_fit_are_refused():
-    model = kernel("1/r", HORIZON)
-    points = lattice(notched(), HORIZON)
-    zero = np.zeros((len(points.x), 2))
-    with pytest.raises(InputError, match="sine is for boxes"):
-        solve(model, points, zero, zero, solver=CG("sine"))
+def test_methods_that_do_not_fit_and_tolerances_out_of_reach_are_refused():
+    box, points = lattice(12, HORIZON), lattice(notched(), HORIZON)
     cut = replace(points, outside=np.zeros(len(points.x), bool))
-    with pytest.raises(InputError, match="is for lattices without a box"):
-        solve(model, cut, zero, zero, solver=CG("multigrid"))
+    for nodes, solver, words in (
+        (points, CG("sine"), "sine is for boxes"),
+        (cut, CG("multigrid"), "is for lattices without a box"),
+        (box, CG("sine", tolerance=1e-17), "the solve stalled: residual"),
+    ):
+        with pytest.raises(InputError, match=words):
+            solve(kernel("1/r", HORIZON), nodes, noise(nodes), noise(nodes), solver=solver)
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
