@@ -9,16 +9,14 @@ import torch
 
 import warp_peri as wp
 from examples.own_law import Springs
+from tests.crystal.crystals import learned
 from tests.support import clouds
 from tests.support.nonlinear import psi, solid
 from tests.support.problems import AXIS, difference, kernel, lattice, loaded, periodic
 from tests.support.sheets import NEAREST, SPACING, waves
-from warp_peri.core.elastic import point_group, shared_with_nodes
-from warp_peri.core.stencil import invariant_basis
 from warp_peri.crystals import crystal_from_lps
 from warp_peri.fracture import lattice_body
 from warp_peri.fracture.statics import CutSolid
-from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.materials.lps import bernstein_basis
@@ -52,7 +50,7 @@ class Law:
         return replace(points, axis=np.rad2deg(self.axis + angle))
 
     def sheet(self):
-        return replace(periodic((14, 16))[0], axis=np.rad2deg(self.axis))
+        return replace(periodic((14, 16), self.spacing)[0], axis=np.rad2deg(self.axis))
 
     def on(self, points):
         """The material for some points."""
@@ -91,17 +89,6 @@ def hyperelastic():
     dictionary = Hyperelastic(3.0, NEAREST, terms)
     c = 0.1 + np.random.default_rng(0).random(len(dictionary))
     return HyperelasticMaterial(dictionary, c, SPACING, provenance={"data": "made"})
-
-
-@cache
-def tensors():
-    """A crystal with four axes, its tensors no states of bonds."""
-    group = point_group("4mm", 2)
-    bonds = invariant_basis(3.0, shared_with_nodes(group, np.eye(2)))
-    p = np.random.default_rng(4).normal(size=len(bonds.basis))
-    stiff = 1 / (bonds.steps**2).sum(axis=1)[:, None, None] ** 2 * np.eye(2)
-    C = stiff + 0.02 * np.tensordot(p, bonds.basis, 1)
-    return replace(CrystalMaterial(1.0, bonds.steps, C, symmetry="4mm").certified(), provenance={})
 
 
 @cache
@@ -165,7 +152,7 @@ LAWS = {
     "LPS, bond-based": Law(linear("positive", lam=0.8), **LPS),
     "third order, filtered": Law(third_order("filtered"), energy=False, **CUBIC),
     "third order, energy": Law(third_order("energy"), **CUBIC),
-    "crystal": Law(tensors, **CRYSTAL),
+    "crystal": Law(lambda: learned(2), **CRYSTAL, horizon=5**0.5, spacing=1.5),
     "own": Law(springs, **CRYSTAL),
     "neural operator": Law(network, of_network, energy=False, periodic=False, **TURNS),
     "density": Law(own_energy, of_saint_venant, horizon=1.0, collar=1.0, **TURNS),
@@ -237,7 +224,7 @@ def in_space(of=lambda model: model):
 
 
 OPERATORS = {name: lambda name=name: placed(name)[0] for name in LAWS} | {
-    "crystal, periodic": lambda: tensors().on(LAWS["crystal"].sheet()),
+    "crystal, periodic": lambda: learned(2).on(LAWS["crystal"].sheet()),
     "neural operator, frozen": frozen,
     "scattered, own weights": scattered,
     "LPS, broken bonds": torn,
