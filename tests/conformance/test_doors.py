@@ -1,5 +1,8 @@
-"""Each argument of each verb, fed with values that are none of it: refused by its name."""
+"""Each argument of each verb, and of all that is public, fed with what is none: refused by name."""
 
+import inspect
+import os
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +15,7 @@ from tests.support.materials import LAWS, operator, placed
 from tests.support.problems import kernel, lattice, noise
 from warp_peri.fracture import Cracked, rectangle_nodes
 from warp_peri.methods import Coupling, LPSParameters
+from warp_peri.points.arguments import check_arguments, kinds_of
 from warp_peri.points.mesh import make_mesh
 from warp_peri.points.outlines import Polygon, box, mesh_outline
 
@@ -304,7 +308,7 @@ def parameters(**change):
 
 
 def test_arguments_of_bodies_solids_and_tables():
-    """What their kind, which test_arguments goes through, does not tell."""
+    """What their kind, which is looked at below, does not tell."""
     hidden = np.ma.masked_array([1.0, 99.0, 0.2], mask=[0, 1, 0])
     points, ones = wp.Points.disk(2.0, 1.0, 2.0), np.ones(16, bool)
     sixteen = wp.Points(np.argwhere(ones.reshape(4, 4)).astype(float), ones, 1.0)
@@ -381,3 +385,73 @@ def test_tensors_beside_a_pressure_and_numbers_of_no_dimension():
     problem = wp.Dirichlet(points, 0 * turned, turned)
     assert wp.solve(model, problem, parameters=mu).u.requires_grad
     assert wp.TorchModule(model, points)(turned).requires_grad
+
+
+# Kinds of all arguments that have a plain one
+
+MODULES = [getattr(wp, name) for name in dir(wp) if inspect.ismodule(getattr(wp, name))]
+PUBLIC = {
+    f"{value.__module__}.{value.__qualname__}": value
+    for module in (wp, *MODULES)
+    for value in (getattr(module, name) for name in getattr(module, "__all__", ()))
+    if callable(value)
+}
+
+
+def doors():
+    """What users call by name: functions, classes and their own public methods."""
+    for name, value in PUBLIC.items():
+        if not isinstance(value, type):
+            yield name, value
+        else:
+            for own, method in {**vars(value), "__init__": value.__init__}.items():
+                method = getattr(method, "__func__", method)
+                if inspect.isfunction(method) and (own == "__init__" or own[0] != "_"):
+                    yield f"{name}.{own}", method
+
+
+TYPED = {name: call.__wrapped__ for name, call in doors() if hasattr(call, "__wrapped__")}
+LEARNS = torch.ones((), requires_grad=True)
+WRONG = {
+    float: ("a", np.nan, 1e300, 1j, [1.0, 2.0], LEARNS),
+    int: ("a", np.nan, 1.5, True, [1, 2], LEARNS),
+    bool: ("no", 1, 0.0),
+    str: (5, ["a"]),
+    os.PathLike: (5, 1.5),
+    np.ndarray: ("a", [None], {}),
+    Mapping: ([], "a"),
+    dict: ([], "a"),
+}
+BEYOND = {"a number > 0": 0.0, "a number ≥ 0": -1.0, "a number between 0 and 1": 1.0,
+          "a whole number ≥ 1": 0, "a whole number ≥ 0": -1}  # fmt: skip
+UNTYPED = {"load_mpi_library", "fit", "solve", "simulate"}
+"""Without arguments, or whose options are checked where they are taken."""
+
+
+def test_arguments_of_another_kind_are_refused_by_name():
+    for call in filter(kinds_of, TYPED.values()):
+        for argument, (kinds, default, bound) in kinds_of(call).items():
+            wrong = WRONG.get(kinds[0], ("a", 5, LEARNS) if kinds[0] not in (tuple, list) else (5,))
+            beyond = () if bound is None else (BEYOND.get(bound.words, "none of them"),)
+            for value in (*wrong, *beyond):
+                if any(isinstance(value, kind) for kind in kinds[1:]) or value is default:
+                    continue
+                with pytest.raises(wp.InputError, match=f"^{argument}: expected"):
+                    check_arguments(call, {argument: value})
+            check_arguments(call, {argument: default})
+
+
+def test_every_function_that_users_call_is_typed_and_calls_go_through_the_door():
+    functions = {name for name, value in PUBLIC.items() if not isinstance(value, type)}
+    assert {name.split(".")[-1] for name in functions - {*TYPED}} <= UNTYPED
+    assert len(TYPED) > 230
+    for call in (
+        lambda: wp.LPS("a"),
+        lambda: wp.LPS(0.0),
+        lambda: wp.Points.sheet((4, 4), np.nan),
+        lambda: wp.Points.disk(20.0, 5.0, -1.0),
+        lambda: wp.load(5),
+        lambda: wp.certify(None, spacing="a"),
+    ):
+        with pytest.raises(wp.InputError, match="^(horizon|spacing|path): expected"):
+            call()
