@@ -1,6 +1,7 @@
 """The linear peridynamic solid by NumPy, one bond at a time, from the equations of docs/theory."""
 
-from math import comb
+from itertools import product
+from math import comb, gamma
 
 import numpy as np
 
@@ -11,24 +12,26 @@ def influence(r, horizon, alpha, D):
     return r**-alpha * sum(D[k] * comb(M, k) * t**k * (1 - t) ** (M - k) for k in range(M + 1))
 
 
-MONOMIALS = [(p - b, b) for p in range(2, 6) for b in range(p + 1)]
-"""Exponents (a, b) of the reproducing space of degree 5, (8)."""
+def moment(powers):
+    """∫ of a monomial over r³ over the unit ball, by Γ functions (Folland)."""
+    if any(n % 2 for n in powers):
+        return 0.0
+    halves = [(n + 1) / 2 for n in powers]
+    return 2 * np.prod([*map(gamma, halves)]) / gamma(sum(halves)) / (sum(powers) + len(powers) - 3)
 
 
-def ball_integral(a, b, horizon):
-    """∫ ξ₁ᵃ ξ₂ᵇ / r³ over the ball: the angle by the trapezoid rule, exact for so few waves."""
-    angle = 2 * np.pi * np.arange(32) / 32
-    around = 2 * np.pi * np.mean(np.cos(angle) ** a * np.sin(angle) ** b)
-    return around * horizon ** (a + b - 1) / (a + b - 1)
+def reproducing(e):
+    """Monomials over r³ of bonds of the unit ball, to degree 5 (8), and their integrals over it."""
+    d = e.shape[1]
+    powers = [p for p in product(range(6), repeat=d) if 4 - d <= sum(p) <= 5]
+    rows = np.array([(e**p).prod(axis=1) for p in powers]) / np.linalg.norm(e, axis=1) ** 3
+    return rows, np.array([moment(p) for p in powers])
 
 
 def quadrature(xi, horizon):
     """Weights of smallest norm among those exact on the reproducing space, (7)."""
-    r = np.hypot(*xi.T)
-    rows = np.array([xi[:, 0] ** a * xi[:, 1] ** b / r**3 for a, b in MONOMIALS])
-    exact = np.array([ball_integral(a, b, horizon) for a, b in MONOMIALS])
-    size = np.abs(rows).max(axis=1)
-    return np.linalg.pinv(rows / size[:, None], rcond=1e-10) @ (exact / size)
+    rows, exact = reproducing(xi / horizon)
+    return np.linalg.pinv(rows, rcond=1e-10) @ exact * horizon ** xi.shape[1]
 
 
 def family(x, i, horizon, box=None):
