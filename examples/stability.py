@@ -104,7 +104,8 @@ def unconditioned(train: wp.Samples, horizon: float, degree: int) -> wp.LPSMater
     law = LPSLaw([products.classes], start, none, GaussNewton(moduli=None))
     problem = Regression([block], law, law.zeta, 1.0)  # without a look for cuts
     theta, _ = settle(problem.state, law.start(start))
-    return law.found(problem.found(theta, [1.0], 0.0)).model(horizon)
+    solid = law.found(problem.found(theta, [1.0], 0.0)).solid
+    return wp.LPSMaterial(**vars(solid), horizon=horizon)
 
 
 def no_conditions(horizons: Grid = (15.0, 20.0, 22.5)) -> Case:

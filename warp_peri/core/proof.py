@@ -25,14 +25,15 @@ from warp_peri.core.stencil import (
     laplacian_stencil,
     smallest_eigenvalue,
     zone_sample,
+    zoomed,
 )
 from warp_peri.errors import InputError
 from warp_peri.runtime import in_blocks
 
 SAMPLE = {2: 240, 3: 24}
 """Intervals of the grid that the smallest ratio is sampled on, before zooming."""
-STARTS, ZOOMS = 8, 8
-"""Lowest waves that are zoomed into, and how often, by a factor of 3."""
+STARTS = 8
+"""Lowest waves that are zoomed into."""
 SHARES = (0.99, 0.92, 0.75, 0.5, 0.25, 0.05, 0.01)
 """Of the sampled minimum, tried one after another."""
 FIRST = 8
@@ -52,11 +53,7 @@ FOUND = 1e-9
 """Relative, by which a wave must be below the smallest ratio to count as a new one."""
 NO_WEIGHT = 1e-9
 """Of |k|²: a weight below it is none."""
-LEAST_WAVE = 1e-4
-"""|k| h: shorter ones are left to the proof of long waves."""
 
-Ratio = Callable[[np.ndarray], np.ndarray]
-"""Waves k h [K, d] to the smallest eigenvalue of D over the weight, [K]."""
 Affine = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Middles of cells [K, n] to a matrix there, [K, c, c], and its slopes, [n, K, c, c]."""
 
@@ -140,7 +137,7 @@ def prove(
     grid = zone_sample(group, d, SAMPLE[d])
     value = in_blocks(ratio, grid, AT_ONCE)
     lowest = grid[np.argsort(value)[:STARTS]]
-    sampled = min(float(value.min()), _zoomed(ratio, lowest, np.pi / SAMPLE[d]))
+    sampled = min(float(value.min()), float(zoomed(ratio, lowest, np.pi / SAMPLE[d])[0].min()))
     proven = long = 0.0
     cells, left = 0, list(shares)
     if sampled > 0:
@@ -153,7 +150,7 @@ def prove(
             if holds:
                 proven = c
             elif against is not None:
-                lower = _zoomed(ratio, against[None], np.pi / FIRST)
+                lower = float(zoomed(ratio, against[None], np.pi / FIRST)[0].min())
                 if lower < sampled * (1 - FOUND):  # a dip that the grid has missed
                     sampled = lower
                     continue
@@ -172,20 +169,6 @@ def _ratio(stencil: Stencil, weight: Stencil, phase: np.ndarray) -> np.ndarray:
     low = smallest_eigenvalue(stencil.symbol(phase))
     seen = w > NO_WEIGHT * (phase**2).sum(axis=1)
     return np.where(seen, low / np.where(seen, w, 1.0), np.where(low > 0, np.inf, -np.inf))
-
-
-def _zoomed(ratio: Ratio, k: np.ndarray, reach: float) -> float:
-    """Smallest ratio on grids about waves [n, d], each finer by a factor of 3 than the last."""
-    patch = np.array(list(itertools.product(np.linspace(-1, 1, 7), repeat=k.shape[1])))
-    smallest = np.inf
-    for _ in range(ZOOMS):
-        near = k[:, None] + reach * patch
-        short = (near**2).sum(axis=2) <= LEAST_WAVE**2
-        found = np.where(short, np.inf, ratio(near.reshape(-1, k.shape[1])).reshape(short.shape))
-        best = found.argmin(axis=1)
-        k, smallest = near[np.arange(len(k)), best], min(smallest, float(found.min()))
-        reach /= 3
-    return smallest
 
 
 def parts(tensors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

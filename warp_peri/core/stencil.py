@@ -8,9 +8,10 @@ a box of nodes with all that bonds reach, by rows or by FFT (T1, T15).
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import scipy.fft
@@ -27,6 +28,10 @@ DIRECTIONS = {2: 60, 3: 200}
 """Of long waves."""
 LONG = 1e-3
 """Their |k| h."""
+LEAST_WAVE = 1e-4
+"""|k| h, below which waves are not looked at: they answer as long ones do."""
+Ratio: TypeAlias = Callable[[np.ndarray], np.ndarray]
+"""Waves k h [K, d] to the smallest eigenvalue of D over the weight, [K]."""
 MOST_BONDS = 4000
 """Of a half family; a horizon beyond it is a slip of units."""
 SPARE = 60
@@ -119,6 +124,23 @@ def smallest_eigenvalue(matrices: np.ndarray) -> np.ndarray:
         a, b, c = matrices[..., 0, 0], matrices[..., 1, 1], matrices[..., 0, 1]
         return np.asarray((a + b) / 2 - np.hypot((a - b) / 2, c))
     return np.asarray(np.linalg.eigvalsh(matrices)[..., 0])
+
+
+def zoomed(
+    ratio: Ratio, k: np.ndarray, reach: float, *, side: int = 7, zooms: int = 8, finer: float = 3.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Smallest ratio on `side` waves an axis about each wave k h [n, d], on grids ever finer by a
+    factor, [n], and where it is, [n, d]; waves below LEAST_WAVE do not count."""
+    patch = np.array(list(itertools.product(np.linspace(-1, 1, side), repeat=k.shape[1])))
+    value = np.full(len(k), np.inf)
+    for _ in range(zooms):
+        near = k[:, None] + reach * patch
+        seen = (near**2).sum(axis=2) > LEAST_WAVE**2
+        found = np.full(seen.shape, np.inf)
+        found[seen] = ratio(near[seen])
+        best = np.arange(len(k)), found.argmin(axis=1)
+        k, value, reach = near[best], found[best], reach / finer
+    return value, k
 
 
 def elastic_from_brackets(brackets: np.ndarray) -> np.ndarray:

@@ -10,12 +10,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 import scipy.linalg
 from scipy.optimize import nnls
 
-from warp_peri.core.stencil import Basis, Grid, bend, grid_of, laplacian, ratios, zone_sample
+from warp_peri.core.stencil import (
+    Basis,
+    Grid,
+    bend,
+    grid_of,
+    laplacian,
+    ratios,
+    zone_sample,
+    zoomed,
+)
 from warp_peri.errors import InputError
 from warp_peri.points.points import Samples
 from warp_peri.points.unit_names import check_units
@@ -351,8 +362,7 @@ class Zone:
         d = bonds.dimension
         self.bonds, self.phase = bonds, zone_sample(group, d, INTERVALS[d])
         self.wave, self.step = bend(self.phase, bonds.steps), np.pi / INTERVALS[d]
-        line = np.linspace(-1, 1, PATCH[d])
-        self.patch = np.stack(np.meshgrid(*d * [line]), axis=-1).reshape(-1, d)
+        self.how: dict[str, Any] = {"side": PATCH[d], "zooms": ZOOMS, "finer": FINER}
 
     def softest(
         self, p: np.ndarray, below: float, near: float = np.inf
@@ -360,13 +370,12 @@ class Zone:
         """Smallest Λmin D/s over the zone, and k h [n, d] and eigenvectors of minima below a level;
         except for the lowest wave of the grid only those below `near` are refined."""
         tensors = np.tensordot(p[: len(self.bonds.basis)], self.bonds.basis, 1)
-        value, vector = ratios(self.bonds.steps, tensors, self.phase, self.wave)
-        starts = self._apart(value)
+        at, grid = partial(ratios, self.bonds.steps, tensors), self.phase
+        starts = self._apart(value := at(grid, self.wave)[0])
         starts = [n for n in starts if n == starts[0] or value[n] < near]
-        found = [self._zoomed(tensors, value[n], self.phase[n], vector[n]) for n in starts]
-        low = [one for one in found if one[0] < below]
-        phase, vectors = (np.array([one[n] for one in low]) for n in (1, 2))
-        return min(one[0] for one in found), phase, vectors
+        found, k = zoomed(lambda phase: at(phase)[0], grid[starts], self.step, **self.how)
+        phase = k[found < below]
+        return float(found.min()), phase, at(phase)[1]
 
     def _apart(self, value: np.ndarray) -> list[int]:
         """Lowest waves of the grid that are no neighbours of one another: narrow dips too."""
@@ -378,21 +387,6 @@ class Zone:
                 if len(found) == NEW_CUTS:
                     break
         return found
-
-    def _zoomed(
-        self, tensors: np.ndarray, value: float, k: np.ndarray, vector: np.ndarray
-    ) -> tuple[float, np.ndarray, np.ndarray]:
-        """A minimum refined by ever finer patches: Λmin D/s, its k h, the vector."""
-        reach = self.step
-        for _ in range(ZOOMS):
-            near = k + reach * self.patch
-            near = near[np.abs(near).max(axis=1) > 1e-3 * self.step]
-            values, vectors = ratios(self.bonds.steps, tensors, near)
-            n = int(np.argmin(values))
-            if values[n] < value:
-                value, k, vector = values[n], near[n], vectors[n]
-            reach /= FINER
-        return float(value), k, vector
 
 
 def cut_rows(bonds: Basis, phase: np.ndarray, vectors: np.ndarray) -> np.ndarray:

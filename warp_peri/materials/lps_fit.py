@@ -220,11 +220,10 @@ class Learner:
             found.append(dataclasses.replace(of[0][0], R=R, y=y))
         return found
 
-    def model(self, found: LPSFound, **more: Any) -> LPSMaterial:
+    def model(self, found: LPSFound) -> LPSMaterial:
         """Make the material from a fitted solid and its known facts."""
-        of = self.sets[0].points
-        known: dict[str, Any] = {"dimension": of.dimension, "units": of.units}
-        return found.model(self.law.horizon, **known, **more)
+        of, numbers, horizon = self.sets[0].points, vars(found.solid), self.law.horizon
+        return LPSMaterial(**numbers, horizon=horizon, dimension=of.dimension, units=of.units)
 
     def optimum(
         self, start: LPSFound, method: GaussNewton, blocks: list[LatticeRows] | None = None

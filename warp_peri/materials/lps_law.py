@@ -17,19 +17,9 @@ from typing import Any
 import numpy as np
 
 from warp_peri.core.elastic import lattice_group
-from warp_peri.core.stencil import Basis, grid_of, half_ball
+from warp_peri.core.stencil import Basis, half_ball
 from warp_peri.errors import InputError
-from warp_peri.fitting.regression import (
-    MET,
-    Form,
-    LatticeRows,
-    Numbers,
-    Settled,
-    fit,
-    forces,
-    norms,
-    rows,
-)
+from warp_peri.fitting.regression import MET, Form, LatticeRows, Numbers, Settled, fit, norms, rows
 from warp_peri.fitting.settings import GaussNewton, StabilityConditions
 from warp_peri.materials.influence import InfluenceFunction
 from warp_peri.materials.lps import (
@@ -99,12 +89,6 @@ class Products:
         self.classes = bond_classes(h, horizon, dimension=d, degree=quadrature_degree)
         self.bonds = product_basis(self.classes)
 
-    def __call__(self, u: np.ndarray) -> np.ndarray:
-        """Forces of u [S, N, d] at the interior nodes by each product, [S, I, P, d]."""
-        nodes = grid_of(self.samples.points, self.bonds.steps, least=self.least)
-        F = forces(u, nodes, self.bonds) / self.samples.spacing**2
-        return np.asarray(np.einsum("sika,lk->sial", F, nodes.axes))
-
     @cached_property
     def warp(self) -> Bonds:
         """Bonds of Warp's operator, which rows are held against."""
@@ -171,10 +155,6 @@ class LPSFound:
     def loss(self) -> float:
         """Final loss of the search relative to the loads."""
         return self.losses[-1]
-
-    def model(self, horizon: float, **more: Any) -> LPSMaterial:
-        """Make the material of these numbers and other known facts."""
-        return LPSMaterial(**vars(self.solid), horizon=horizon, **more)
 
 
 HEADROOM = 1.01

@@ -15,11 +15,12 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, eigh
 from scipy.spatial import KDTree
 
 from warp_peri.core.elastic import lattice_group
+from warp_peri.core.stencil import grid_of
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import locked
 from warp_peri.files.checkpoint import ArrayFile, fingerprint
 from warp_peri.fitting.augmented_lagrangian import Tick, adam, as_printed, printed_state
-from warp_peri.fitting.regression import LatticeRows, compressed
+from warp_peri.fitting.regression import LatticeRows, compressed, forces
 from warp_peri.fitting.settings import GaussNewton, TwoStage
 from warp_peri.materials.lps import LPSMaterial, LPSParameters, bernstein_basis
 from warp_peri.materials.lps_force import Bonds, lps_force
@@ -318,7 +319,7 @@ class CollarResponse:
     biases it. InputError for a sample without displacement on its interior."""
 
     def __init__(self, made: Products) -> None:
-        self.points, self.products = made.samples, made
+        self.points, self.bonds, self.least = made.samples, made.bonds, made.least
         inside = self.points.u[:, self.points.interior].reshape(len(self.points), -1)
         self.weight = _over("u", inside, "on the interior")
 
@@ -326,15 +327,16 @@ class CollarResponse:
         """Rows of the relative misfit of interior displacement, linearised about a model."""
         points, inside = self.points, self.points.interior
         L = matrices(model, points).operator(model.lam, model.mu)
-        problem, bonds = MatrixProblem(L, inside), self.products.bonds
-        width = len(bonds.basis)
+        problem, bonds, width = MatrixProblem(L, inside), self.bonds, len(self.bonds.basis)
+        nodes = grid_of(points.points, bonds.steps, least=self.least)
         R, y = np.zeros((0, width)), np.zeros(0)
         for start in range(0, len(points), SAMPLES_AT_ONCE):
             some = slice(start, start + SAMPLES_AT_ONCE)
             field = problem.solve(points.loads[some], points.u[some])
             wrong = (field - points.u[some])[:, inside].reshape(len(field), -1)
             load = points.loads[some][:, inside].reshape(wrong.shape)
-            acting = self.products(field).transpose(0, 1, 3, 2).reshape(*wrong.shape, -1)
+            acting = nodes.axes @ forces(field, nodes, bonds) / points.spacing**2
+            acting = acting.reshape(*wrong.shape, -1)
             sides = np.concatenate([acting, load[..., None]], axis=2).transpose(1, 0, 2)
             found = problem.factors.solve(sides.reshape(len(sides), -1)).reshape(sides.shape)
             found[..., -1] += wrong.T
