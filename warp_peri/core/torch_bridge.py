@@ -281,10 +281,10 @@ def _pulled(operator: Any, u: np.ndarray, g: np.ndarray, solver: Any) -> tuple[n
 
 
 def _transposed(operator: Any, fields: np.ndarray, g: np.ndarray) -> np.ndarray:
-    """L′⁻ᵗ g of each field on the interior, by a factorisation, or by GMRES where it is large."""
+    """L′⁻ᵗ g of each field on the interior, by factors, or by GMRES of many tangents."""
     right, factors, found = g.reshape(len(fields), -1), None, []
-    many = np.count_nonzero(operator.points.interior) > DIRECT and hasattr(operator, "inverse")
-    steps = many or not hasattr(operator, "interior_tangent")
+    many = not operator.is_linear and np.count_nonzero(operator.points.interior) > DIRECT
+    steps = (many and hasattr(operator, "inverse")) or not hasattr(operator, "interior_tangent")
     # each field takes some eight inverses, and so many loads may be worth factors
     inverse = operator.inverse(8 * len(fields)) if steps else None
     for field, one in zip(fields, right):

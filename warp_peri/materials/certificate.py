@@ -123,10 +123,7 @@ def certify(
     if not isinstance(model, LPSMaterial):
         raise InputError(f"points: of a Model alone, not of a {type(model).__name__}")
 
-    parts = matrices(model, points)
-    unknown = np.repeat(points.interior, 2)
-    gamma = parts.gamma[:, unknown].toarray()
-    phi = parts.phi[points.interior][:, unknown].toarray()
+    gamma, phi = matrices(model, points).within(points.interior)
     if points.interior.all():  # a period, which feels no translation
         free = null_space(np.tile(np.eye(2), len(points.x)))
         gamma, phi = free.T @ gamma @ free, phi @ free

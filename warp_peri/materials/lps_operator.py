@@ -293,9 +293,7 @@ class LPSOperator(OperatorBase):
         return self._iterated(load, fields, np.zeros(fields.shape), "fft", TOLERANCE)
 
     def inverse(self, loads: int) -> Inverse:
-        """Inverse of L on the interior [I, d], to a relative residual, set up for many loads."""
-        if not self.nodes.is_open_lattice:
-            return self._problem.inverse
+        """Inverse of L on a lattice's interior [I, d], to a relative residual, for many loads."""
         if self.model.nodes is not None:
             return lambda right, tolerance: self.linear.inverse(right, tolerance)[0]
         return self.linear.cheapest_inverse(loads)
@@ -380,6 +378,11 @@ class Matrices:
     gamma: sp.csr_array
     phi: sp.csr_array
     psi: sp.csr_array
+
+    def within(self, interior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Γ and Φ between interior nodes alone, dense, [d I, d I] and [I, d I]."""
+        unknown = np.repeat(interior, self.gamma.shape[1] // len(interior))
+        return self.gamma[:, unknown].toarray(), self.phi[interior][:, unknown].toarray()
 
     def operator(self, lam: Any, mu: Any) -> sp.csr_array:
         """Assemble L [TPa/Å²], shape [d I, d N]."""

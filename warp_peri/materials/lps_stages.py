@@ -165,13 +165,9 @@ def least_of_blocks(blocks: Blocks, weights: torch.Tensor) -> list[torch.Tensor]
 def class_matrices(points: Samples, horizon: float) -> tuple[np.ndarray, np.ndarray]:
     """Matrices Γ_c [C, 2 I, 2 I] and Φ_c [C, I, 2 I] of unit class weights on the interior."""
     bonds = Bonds(points, horizon)
-    unknown = np.repeat(points.interior, 2)
-    gammas, phis = [], []
-    for unit in np.eye(len(bonds.families.classes.r)):
-        parts = assemble(bonds, unit, 1.0)
-        gammas.append(parts.gamma[:, unknown].toarray())
-        phis.append(parts.phi[points.interior][:, unknown].toarray())
-    return np.array(gammas), np.array(phis)
+    units = np.eye(len(bonds.families.classes.r))
+    parts = [assemble(bonds, unit, 1.0).within(points.interior) for unit in units]
+    return tuple(map(np.array, zip(*parts)))  # type: ignore[return-value]
 
 
 def mirror_blocks(gammas: np.ndarray, phis: np.ndarray, x: np.ndarray) -> Blocks:

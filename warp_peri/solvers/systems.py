@@ -100,10 +100,6 @@ class MatrixProblem:
                 f"not well posed here ({error})"
             ) from None
 
-    def inverse(self, right: np.ndarray, tolerance: float) -> np.ndarray:
-        """Solution L_II⁻¹ b of a load on unknown nodes [I, d]; exact, whatever the tolerance."""
-        return np.asarray(self.factors.solve(right.ravel()).reshape(right.shape))
-
     def check(self, solution: np.ndarray, right: np.ndarray) -> None:
         """Raise InputError unless every column of the solution has a small residual."""
         wrong = np.linalg.norm(self.stiffness @ solution - right, axis=0)
