@@ -36,11 +36,11 @@ BUDGET = {
 ROOMS = {
     "atoms": 2316,
     "cli": 756,
-    "core": 1505,
+    "core": 1507,
     "face": 1147,
     "fe_coupling": 710,
     "files": 443,
-    "fitting": 1194,
+    "fitting": 1179,
     "fracture": 1418,
     "materials": 4571,
     "neural": 573,
