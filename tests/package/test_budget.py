@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 18_763,
-    "tokens": 234_834,
-    "lines of warp_peri": 29_964,
+    "code lines": 18_736,
+    "tokens": 234_532,
+    "lines of warp_peri": 29_936,
     "files of warp_peri": 111,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 42_168,
+    "lines of warp_peri, kernels, examples and tools": 42_141,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -42,12 +42,12 @@ ROOMS = {
     "files": 443,
     "fitting": 1179,
     "fracture": 1418,
-    "materials": 4571,
+    "materials": 4559,
     "neural": 573,
     "points": 1615,
     "prediction": 574,
     "mpi": 461,
-    "solvers": 1480,
+    "solvers": 1478,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)
