@@ -115,13 +115,8 @@ def test_what_does_not_fit_is_refused():
 
     coupled = ThermoelasticMaterial(SOLID, DiffusionMaterial(0.75), 1.0, 1.0)
     rest, three = np.zeros((len(x), 3)), replace(SOLID, horizon=3.0)
-
-    def soft(points):
-        return ThermoelasticMaterial(
-            kernel("sign-changing", 3.0), DiffusionMaterial(3.0), 1.0, 1.0
-        ).on(points)
-
-    soft(wide)  # torn, its bonds leave negative eigenvalues
+    soft = ThermoelasticMaterial(kernel("sign-changing", 3.0), DiffusionMaterial(3.0), 1.0, 1.0)
+    soft.on(wide)  # torn, its bonds leave negative eigenvalues
     for words, call in (
         ("one a node", lambda: law.on(points, kappa=np.ones(3))),
         ("one a position", lambda: law.on(points, kappa=lambda x: np.ones(3))),
@@ -134,7 +129,7 @@ def test_what_does_not_fit_is_refused():
         ("units: the model is in", lambda: ThermoelasticMaterial(SOLID, metres, 1.0, 1.0)),
         ("units: the model is in", lambda: metres.on(points)),
         ("eigenvalues below zero", lambda: ThermoelasticMaterial(three, bad, 1.0, 1.0).on(wide)),
-        ("negative eigenvalues", lambda: soft(torn)),
+        ("negative eigenvalues", lambda: soft.on(torn)),
         ("collar: expected shape", lambda: flow(0.0)),
         ("collar: expected shape", lambda: flow([])),
         ("b: expected shape", lambda: flow(b=lambda t: x[: int(10 * t)])),

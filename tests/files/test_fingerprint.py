@@ -75,14 +75,14 @@ def heir(count):
     return type("Heir", (type("Base", (), above | {"__module__": __name__}),), {})()
 
 
-def hardening(k):
+def hardening(k, horizon=2.5):
     """An energy; two of them agree at small strain."""
 
     def energy(E, mu):
         size = (E * E).sum((-1, -2))
         return mu * size + k * (size - 1e-4).clip(0) ** 2
 
-    return wp.DensityMaterial.of(energy, 2.5, {"mu": 1.0})
+    return wp.DensityMaterial.of(energy, horizon, {"mu": 1.0})
 
 
 def test_materials_settings_functions_and_objects_count_by_what_they_hold():
@@ -158,19 +158,13 @@ def test_a_motion_from_rest_is_of_one_material_and_one_crack(tmp_path):
     x = wp.fracture.rectangle_nodes(12.0, 12.0, 1.0)
     points = wp.Points(x, (np.abs(x) < 2).all(axis=1), 1.0)
 
-    def own(mu):
-        def energy(E, lam):
-            return lam / 2 * E.diagonal(dim1=-2, dim2=-1).sum(-1) ** 2 + mu * (E * E).sum((-1, -2))
-
-        return wp.DensityMaterial.of(energy, points.spacing, {"lam": 0.4})
-
     linear = wp.LPSMaterial(0.3, 0.4, 1.0, np.ones(1), horizon=2.0, certified_on=(1.0,))
     field = [linear.on(points, mu=0.4 + size * np.sin(x[:, 0]) ** 2) for size in (0.1, 0.2)]
     rest = wp.Dirichlet(points, None, 0 * x)
     cracks = [wp.Cracked(points, cracks=[[(-6.5, 0.0), (tip, 0.0)]]) for tip in (0.0, 3.0)]
     for name, pair in {
         "linear": [(linear, rest), (replace(linear, mu=0.41), rest)],
-        "own": [(own(0.7), rest), (own(0.71), rest)],  # the function is in no file
+        "own": [(hardening(k, 1.0), rest) for k in (0.7, 0.71)],  # the function is in no file
         "field": [(field[0], rest), (field[1], rest)],
         "crack": [(linear, cracks[0]), (linear, cracks[1])],
     }.items():
