@@ -51,20 +51,16 @@ Blocks = list[tuple[np.ndarray, np.ndarray]]
 
 def class_weights(classes: BondClasses, alpha: torch.Tensor, D: torch.Tensor) -> torch.Tensor:
     """Weights w = K(r) W / m [length⁻²] of each bond class, shape [C]; differentiable."""
-    kw = tables(classes, alpha, D)
-    return kw / volume(classes, kw)
+    kw, m = table(classes, alpha, D)
+    return kw / m
 
 
-def tables(classes: BondClasses, alpha: torch.Tensor, D: torch.Tensor) -> torch.Tensor:
-    """K W of each bond class, with (r/δ)^(−α) for r^(−α), shape [C]; differentiable."""
+def table(classes: BondClasses, alpha: torch.Tensor, D: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    """K W of each bond class, with (r/δ)^(−α) for r^(−α), and weighted volume; differentiable."""
     t = classes.r / classes.horizon
     basis = torch.from_numpy(bernstein_basis(t, 1.0, len(D) - 1))
-    return torch.from_numpy(classes.weight) * torch.from_numpy(t) ** -alpha * (basis @ D)
-
-
-def volume(classes: BondClasses, kw: torch.Tensor) -> torch.Tensor:
-    """Weighted volume Σ n r² K W."""
-    return torch.from_numpy(classes.count * classes.r**2) @ kw
+    kw = torch.from_numpy(classes.weight) * torch.from_numpy(t) ** -alpha * (basis @ D)
+    return kw, torch.from_numpy(classes.count * classes.r**2) @ kw
 
 
 def total_loss(
@@ -235,12 +231,6 @@ def two_stages(learner: Any, kernel: Any, method: TwoStage) -> LPSFound:
     key = fingerprint(law, learner.sets)
     kept = ArrayFile(method.checkpoint, key, "a run on other data or settings")
 
-    def go_on(before: dict[str, np.ndarray]) -> None:
-        losses[:] = before["losses"].tolist()
-        with torch.no_grad():
-            for number, tensor in enumerate(state):
-                tensor.copy_(torch.from_numpy(before[f"tensor{number}"]))
-
     def keep() -> None:
         tensors = {f"tensor{number}": one.detach().numpy() for number, one in enumerate(state)}
         kept.write(tensors | {"losses": losses})
@@ -248,13 +238,15 @@ def two_stages(learner: Any, kernel: Any, method: TwoStage) -> LPSFound:
     def signed(tick: Tick) -> LPSFound:
         with nullcontext() if kept.path is None else locked(kept.path):
             if (before := kept.read()) is not None:
-                go_on(before)
+                losses[:] = before["losses"].tolist()
+                with torch.no_grad():
+                    for number, tensor in enumerate(state):
+                        tensor.copy_(torch.from_numpy(before[f"tensor{number}"]))
             of_kernel = lambda: margins(*variables.bounded()[2:])  # noqa: E731
             as_printed(state, losses, loss, of_kernel, method, tick, keep)
             return variables.found(losses)
 
-    found: LPSFound = learner.run("2 sign-changing", signed)
-    return found
+    return learner.run("2 sign-changing", signed)  # type: ignore[no-any-return]
 
 
 def in_torch(
@@ -270,7 +262,7 @@ def in_torch(
         if kernel.free_alpha:
             alpha = q[-1].clamp(*ALPHA_IN_SIGHT)
         D = D_of_q @ q[: kernel.rank]
-        mu = law.size * volume(first, tables(first, alpha, D))
+        mu = law.size * table(first, alpha, D)[1]
         return total_loss(sets, weights, (mu + theta[0] / law.unit * mu**2, mu, alpha, D))
 
     return loss
