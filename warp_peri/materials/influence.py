@@ -258,13 +258,12 @@ def tabulated(r: np.ndarray, K: np.ndarray, knots: np.ndarray) -> np.ndarray:
     return np.asarray(np.interp(r, knots, K))
 
 
-def shapes_of(influence: Any) -> list[InfluenceFunction]:
-    """One influence function, several or None, as a list; InputError for anything else."""
-    shapes = list(influence) if isinstance(influence, (list, tuple)) else [influence]
-    shapes = [] if influence is None else shapes
-    if not all(isinstance(shape, InfluenceFunction) for shape in shapes):
+def shapes_of(kernel: Any) -> list[InfluenceFunction]:
+    """One influence function or several as a list; InputError for anything else."""
+    shapes = list(kernel) if isinstance(kernel, (list, tuple)) else [kernel]
+    if not shapes or not all(isinstance(shape, InfluenceFunction) for shape in shapes):
         raise InputError(
-            "influence: expected an InfluenceFunction or a list of them, got "
-            f"{influence!r:.60}; a function f(r, width) is InfluenceFunction(f, {{'width': 8.0}})"
+            "kernel: expected Bernstein(…), an InfluenceFunction or a list of them, got "
+            f"{kernel!r:.60}; a function f(r, width) is InfluenceFunction(f, {{'width': 8.0}})"
         )
     return shapes

@@ -16,7 +16,7 @@ import numpy as np
 from tqdm.auto import tqdm
 
 from warp_peri import __version__
-from warp_peri.core.elastic import difference_tensors, plane_isotropic, voigt_to_tensor
+from warp_peri.core.elastic import difference_tensors
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.augmented_lagrangian import Tick, to_the_optimum
@@ -161,10 +161,7 @@ class LPS:
             )
         if kernel is None or isinstance(kernel, Bernstein):
             return
-        if not shapes_of(kernel):
-            raise InputError(
-                f"kernel: expected Bernstein(…) or influence functions, got {kernel!r}"
-            )
+        shapes_of(kernel)
         if printed:
             raise InputError("kernel: functions are learned by GaussNewton or AugmentedLagrangian")
 
@@ -416,11 +413,10 @@ class Learner:
         if large or not (self.flat and isinstance(method.moduli, tuple)):
             return False
         model, errors = self.model(found), np.zeros(2)
-        C = voigt_to_tensor(plane_isotropic(model.lam, model.mu))
         for each, made in zip(self.sets, self.products):
-            some = each[:: -(-len(each) // MOST_LOADS)]
-            own = displacement_error(model.stencil(h := each.spacing), some, made.least)
-            local = (Stencil(h, *difference_tensors(C / h**2, reach)) for reach in REACHES)
+            some, stencil = each[:: -(-len(each) // MOST_LOADS)], model.stencil(h := each.spacing)
+            own, C = displacement_error(stencil, some, made.least), stencil.elastic / h**2
+            local = (Stencil(h, *difference_tensors(C, reach)) for reach in REACHES)
             tried = (displacement_error(stencil, some) for stencil in local)
             errors += len(each) * np.array([own, next(filter(np.isfinite, tried), np.inf)])
         return bool(errors[0] > errors[1])
