@@ -8,10 +8,12 @@ import pytest
 
 import warp_peri as wp
 from tests.support import reference
-from tests.support.problems import kernel, lattice, manufactured
+from tests.support.problems import kernel, lattice, manufactured, noise, periodic
 from tests.support.solving import solve
 from warp_peri import InputError, LPSMaterial, Points, Samples, evaluate
+from warp_peri.core.stencil import Stencil
 from warp_peri.fitting.evaluate import BootstrapResult
+from warp_peri.materials.lps_fit import displacement_error
 from warp_peri.methods import bootstrap
 
 HORIZON = 3.0
@@ -36,6 +38,19 @@ def test_numbers_are_their_definitions(points):
         assert table[f"{key}_samples"] == pytest.approx(values, rel=1e-9), key
         assert table[key] == pytest.approx(values.mean(), rel=1e-9), key
     assert table["E_res"] > 0.01
+
+
+def test_a_fit_judges_stencils_by_the_same_error_on_bodies_and_on_periods(points):
+    found = displacement_error(MODEL.stencil(1.0), points, least=6)
+    assert found == pytest.approx(evaluate(MODEL, points)["E_u"], rel=1e-6)
+    assert displacement_error(Stencil(1.0, 9 * np.eye(2, dtype=int), np.eye(2)), points) == np.inf
+    sheet = periodic((14, 14))[0]
+    b = noise(sheet, 3)
+    solved, true = (one.on(sheet).solve_periodic(b).u for one in (MODEL, OTHER))
+    wrong, size = (np.sqrt((f**2).sum(axis=(1, 2))) for f in (solved - true, true))
+    moved = Samples(sheet, true + 0.3, b)  # by a translation, which is nobody's answer
+    found = displacement_error(MODEL.stencil(1.0), moved, least=6)
+    assert found == pytest.approx((wrong / size).mean(), rel=1e-6)
 
 
 def test_sets_that_have_no_error_to_speak_of_are_refused(points):
