@@ -11,6 +11,11 @@ APART = 1e-8
 """Two roots of an isotropic plate coincide; its shear compliance is moved by this share."""
 
 
+def relative_error(value: np.ndarray, exact: np.ndarray) -> float:
+    """‖value − exact‖/‖exact‖."""
+    return float(np.linalg.norm(value - exact) / np.linalg.norm(exact))
+
+
 def plate_with_hole(
     x: np.ndarray, radius: float, tension: float, moduli: Any
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from examples.figures import panels, save_figure
 from examples.prose import table
@@ -17,7 +18,6 @@ from warp_peri.materials.third_order import CUBIC
 RECORD = Path(__file__).parent.parent / "docs" / "record" / "graphene.json"
 """Errors of each model on graphene [%], the papers' among them."""
 COLUMNS = [("E_res", "train"), ("E_res", "val"), ("E_u", "train"), ("E_u", "val"), ("E_u", "test")]
-"""Errors and roles of its columns."""
 PAPER_CONSTANTS = {"lambda": -0.4796, "mu": 0.7978, "E": 0.91, "nu": -0.4297}
 CERTIFICATE = ("symbol_min", "symbol_bound", "gamma_min", "inf_sup_min", "gamma_minus_2phi_min")
 """Figures of the certificate that are reported; the last three are those of (i) to (iii)."""
@@ -29,58 +29,55 @@ FILES = {
     "third-order model, 28 bonds, with energy": "third_order_energy",
     "third-order model, 28 bonds, deconvolved": "third_order_filtered",
 }
-"""The file of each model that is learned beside the solid."""
 LOCAL = ("local elasticity, exact constants", "local elasticity, constants as learned")
 DETAILS = (*CONDITIONS.values(), LOCAL[1])
-"""Rows of the long table alone."""
 BODIES = {
     "train": "training loads",
     "val": "loads of a periodic sheet that the fit never saw",
     "test": "free disks that the fit never saw",
 }
 ERRORS = {"E_res": "residual", "E_u": "displacement"}
-SAME_OPTIMUM = 1e-5
-"""Starts agree when what they reach differs by less, relative."""
 
 
-def draw(folder: Path, run: Run, sets: Mapping[str, Samples], models: Mapping[str, Any]) -> None:
-    """Every figure of the main job; `models`: rows by name, which may have local elasticity."""
-    material, spacing = run.fit.material, sets["train"].spacing
-    figure, ax = panels()
-    plots.influence_function(material, spacing=spacing, ax=ax)
-    least = material.influence(np.linspace(spacing, material.horizon, 1000)).min()
+def draw(
+    folder: Path, run: Run, sets: Mapping[str, Samples], models: Mapping[str, Any]
+) -> list[str]:
+    """Write every figure of the main job; returns their names. `models`: rows by name."""
+    material, train, figures = run.fit.material, sets["train"], {}
+    figures["influence"], ax = panels()
+    plots.influence_function(material, spacing=train.spacing, ax=ax)
+    least = material.influence(np.linspace(train.spacing, material.horizon, 1000)).min()
     does = "changes sign" if least < 0 else "is positive"
     ax.set_title(f"K {does}; only its values at bonds enter")
-    save_figure(figure, folder / "influence.png")
-    figure, ax = panels()
+    figures["loss"], ax = panels()
     plots.loss_by_stage(run.fit.history, ax=ax)
     ax.set_title("The training loss falls to the constrained optimum")
-    save_figure(figure, folder / "loss.png")
     if "test" in sets:
         disks, errors = sets["test"], run.tables["test"]["E_u_samples"]
         u = solve(material, Dirichlet(disks, disks.loads, disks.u), allow_uncertified=True).u
-        draw_disks(folder / "disks.png", disks, u, errors)
-    if "wave_number" in sets["train"].arrays:
-        named = {"residual": "E_res_samples", "displacement": "E_u_samples"}
-        errors = {f"{n}, model": run.tables["train"][key] for n, key in named.items()}
-        mean = 100 * np.mean(errors["displacement, model"])
+        figures["disks"] = disks_of(disks, u, errors)
+    if "wave_number" in train.arrays:
+        shown = {f"{n}, model": run.tables["train"][f"{e}_samples"] for e, n in ERRORS.items()}
+        mean = 100 * np.mean(shown["displacement, model"])
         said = f"On the training loads displacement errs by {mean:.1f} %"
         if LOCAL[0] in models:
             local = models[LOCAL[0]]["E_u_samples"]["train"]
-            errors["displacement, local elasticity"] = local
+            shown["displacement, local elasticity"] = local
             said += f", by local elasticity {100 * np.mean(local):.1f} %"
-        figure, ax = panels()
-        for (name, values), marker in zip(errors.items(), "os^"):
-            k = sets["train"].arrays["wave_number"]
-            ax.plot(k, 100 * np.asarray(values), marker, fillstyle="none", label=name)
+        figures["waves"], ax = panels()
+        for (name, values), marker in zip(shown.items(), "os^"):
+            k, each = train.arrays["wave_number"], 100 * np.asarray(values)
+            ax.plot(k, each, marker, fillstyle="none", label=name)
         ax.set(xlabel="wave number |k| of the load [1/Å]", ylabel="relative error [%]")
-        ax.set_ylim(bottom=0)
+        ax.set(ylim=(0, None))
         ax.legend(frameon=False)
         ax.set_title(said, fontsize="medium")
-        save_figure(figure, folder / "waves.png")
+    for name, figure in figures.items():
+        save_figure(figure, folder / f"{name}.png")
+    return [f"{name}.png" for name in figures]
 
 
-def draw_disks(path: Path, disks: Samples, solved: np.ndarray, errors: list[float]) -> None:
+def disks_of(disks: Samples, solved: np.ndarray, errors: list[float]) -> Figure:
     """u₁ of atoms and model on disks, and its error; a row for each disk."""
     figure, axes = panels(9.5, 2.7 * len(errors) + 0.4, count=3, rows=len(errors), squeeze=False)
     inside, mean = disks.interior, 100 * np.mean(errors)
@@ -96,19 +93,15 @@ def draw_disks(path: Path, disks: Samples, solved: np.ndarray, errors: list[floa
             how = {"c": values, "cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
             shown = ax.scatter(*disks.x[inside].T, s=12, marker="s", **how)
             figure.colorbar(shown, ax=ax, shrink=0.8)
-            ax.set_aspect("equal")
+            ax.set(aspect="equal", xlabel="x₁ [Å]")
             ax.set_title(title, fontsize="medium")
-            ax.set_xlabel("x₁ [Å]")
         row[0].set_ylabel(f"load {s + 1}\nx₂ [Å]")
     figure.suptitle(f"The model predicts free disks that no fit saw, with an error of {mean:.1f} %")
-    save_figure(figure, path)
+    return figure
 
 
 def metrics(run: Run, provenance: Mapping[str, Any]) -> dict[str, Any]:
-    """Contents of metrics.json, without the seconds; errors are fractions.
-
-    `provenance` is that of the data: their temperature, and the potential's own constants.
-    """
+    """Contents of metrics.json, without the seconds; errors are fractions."""
     fit, model, figures = run.fit, run.fit.material, run.fit.certificate.figures()
     kept = ("E", "nu", "mu", "alpha", "D", "horizon", "degree")
     errors = {error: run.mean(error) for error in ("E_res", "E_u", "E_res_abs", "E_u_samples")}
@@ -155,6 +148,7 @@ def write_report(
         constants=constants_table(numbers),
         others=others(models),
         notes="\n\n".join(notes(numbers)),
+        drawn=", ".join(f"`{name}`" for name in numbers["figures"]),
         verdict="holds" if numbers["certified"] else "DOES NOT HOLD",
         times=", ".join(f"{phase} {value:.1f}" for phase, value in numbers["seconds"].items()),
     )
@@ -191,15 +185,9 @@ def first_lines(numbers: dict[str, Any]) -> list[str]:
 
 
 def error_table(numbers: dict[str, Any], *, short: bool = False) -> str:
-    """Errors of each model and those printed in the papers [%].
-
-    `short` leaves displacement under loads that no fit saw, and a row for each kind of model.
-    """
-    columns = [(error, role) for error, role in COLUMNS if role in numbers["E_u"]]
-    if short:
-        columns = [
-            ("E_u", r) for e, r in columns if e == "E_u" and (r != "train" or r == best(numbers))
-        ]
+    """Errors of models, here and printed [%]; `short`: of displacement, a row for each kind."""
+    wanted = [("E_u", r) for r in ROLES if r != "train" or r == best(numbers)]
+    columns = [one for one in (wanted if short else COLUMNS) if one[1] in numbers["E_u"]]
     rows = [
         [name, *(number(100 * errors.get(e, {}).get(r, np.nan), 2) for e, r in columns)]
         for name, errors in numbers["models"].items()
@@ -222,9 +210,8 @@ def constants_table(numbers: dict[str, Any]) -> str:
     sources = {"learned": numbers, "potential": numbers["truth"] or {}}
     if numbers["temperature"] == 0:
         sources["You et al. 2021, learned"] = PAPER_CONSTANTS
-    keys = ("lambda", "mu", "E", "nu")
     rows = [
-        [name, *(number(source.get(key, np.nan), 4) for key in keys)]
+        [name, *(number(source.get(key, np.nan), 4) for key in PAPER_CONSTANTS)]
         for name, source in sources.items()
     ]
     return table(["", "λ", "μ", "E", "ν"], rows)
@@ -291,6 +278,6 @@ def notes(numbers: dict[str, Any]) -> Iterator[str]:
         )
     if starts := numbers["starts"]:
         reached = ", ".join(f"{100 * value:.4f} % from {name}" for name, value in starts.items())
-        agree = max(starts.values()) - min(starts.values()) <= SAME_OPTIMUM * min(starts.values())
+        agree = max(starts.values()) <= (1 + 1e-5) * min(starts.values())
         verdict = "one optimum" if agree else "DIFFERENT optima, the best is kept"
         yield f"‖L u − b‖/‖b‖ reached in stage 3: {reached} ({verdict})."

@@ -1,13 +1,16 @@
-"""Tables of scripts and of papers' records, and what a call says."""
+"""Tables of scripts, records of what a command found, and what a call says."""
 
 import json
 import warnings
 from collections.abc import Callable, Iterable, Sequence
+from datetime import date
 from pathlib import Path
+from subprocess import check_output
 from typing import Any
 
 from tools.options import Options
 from warp_peri.errors import InputError
+from warp_peri.files.atomic import finite, plain, write_json
 
 Table = tuple[Sequence[str], Iterable[Sequence[str]]]
 """Heads of columns, and rows of cells."""
@@ -33,6 +36,18 @@ def print_tables(doc: str | None, tables: Sequence[Callable[..., Table]], *given
     parser.add_argument("table", nargs="*", choices=[[], *names], help="which; default: all")
     for name in parser.parse_args().table or names:
         print(f"{names[name].__doc__}\n\n{table(*names[name](*given))}\n")
+
+
+def made_by(command: str) -> dict[str, Any]:
+    """Head of a record: the date, the commit and the command."""
+    root = Path(__file__).parent.parent
+    commit = check_output(["git", "rev-parse", "--short", "HEAD"], cwd=root, text=True).strip()
+    return {"date": f"{date.today()}", "commit": commit, "command": command}
+
+
+def write_record(path: Path, command: str, **content: Any) -> None:
+    """Write what a command found, below its head."""
+    write_json(path, finite(plain(made_by(command) | content)))
 
 
 def said_by(call: Callable[[], Any]) -> str:

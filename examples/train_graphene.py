@@ -11,6 +11,7 @@ import shlex
 import sys
 import time
 import warnings
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -39,11 +40,7 @@ ALPHAS = (-3.0, -1.5, 0.0, 1.0, 2.0, 2.9)
 OPTIONS: dict[str, tuple[Any, str]] = {
     "spacing": (5.0, "distance of the nodes [Å], 5 or 2.5"),
     "horizon": (20.0, "horizon δ [Å]"),
-    "degree": (
-        int,
-        "degree of the Bernstein polynomials; where none is given the smallest that foretells "
-        "loads left out of the fit within 2 % of the best",
-    ),
+    "degree": (int, "of the Bernstein polynomials; the smallest within 2 % of the best by default"),
     "method": (("constrained", "two-stage", "optimum"), "way of the fit"),
     "conditions": (("paper", "direct"), "of the fit: all of (4.6), or a positive symbol alone"),
     "temperature": (0.0, "of made data [K]; 300 K takes LAMMPS 15 to 30 minutes"),
@@ -64,8 +61,7 @@ def run(given: argparse.Namespace) -> None:
     conditions = wp.methods.StabilityConditions(given.conditions)
     kernel = None if given.degree is None else wp.Bernstein(given.degree)
     law = wp.LPS(given.horizon, kernel, settings.METHODS[given.method](), conditions)
-    how: dict[str, Any] = {"noise": noise, "allow_uncertified": True, "progress": True}
-    trained = train(law, sets["train"], sets, **how)
+    trained = train(law, sets["train"], sets, noise=noise, allow_uncertified=True, progress=True)
     for reason in trained.refused.values():
         raise InputError(reason)
     seconds |= trained.seconds
@@ -95,11 +91,11 @@ def run(given: argparse.Namespace) -> None:
             means = {role: float(np.mean(each)) for role, each in errors.items()}
             rows[name] = {"E_u": means, "E_u_samples": errors}
     drawing = time.perf_counter()
-    report.draw(given.out, trained, sets, rows)
+    numbers["figures"] = report.draw(given.out, trained, sets, rows)
     seconds["figures"] = time.perf_counter() - drawing
     numbers["seconds"] = seconds | {"all": time.perf_counter() - begin}
-    said = {"method": given.method, "conditions": given.conditions}
-    said |= {"data_provenance": data.provenance}
+    said = {name: getattr(given, name) for name in ("method", "conditions")}
+    said["data_provenance"] = data.provenance
     trained.save(given.out, numbers, data=path, provenance=said)
     report.write_report(given.out / "report.md", numbers, models, path, given.command)
     print(f"graphene at {numbers['temperature']:g} K: {report.shown(given.out)}/model.json")
@@ -109,10 +105,7 @@ def run(given: argparse.Namespace) -> None:
 
 
 def laws(given: argparse.Namespace, degree: int, radius: float) -> dict[str, Any]:
-    """What is learned beside the solid, by its name in the report.
-
-    The same solid under the other choice of conditions, and crystals on 20 and on 28 bonds.
-    """
+    """Beside the solid, by name: it under the other conditions, crystals on 20 and 28 bonds."""
     kind: Any = "direct" if given.conditions == "paper" else "paper"
     conditions = wp.methods.StabilityConditions(kind)
     solid = wp.LPS(given.horizon, wp.Bernstein(degree), conditions=conditions)
@@ -162,15 +155,10 @@ def sets_at(data: Dataset, spacing: float) -> dict[str, Samples]:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns 0, 1 after a failure, 2 for bad input, 130 on Ctrl-C."""
     given = Options(__doc__, options=OPTIONS).parse_args(arguments)
-    out = ROOT / "runs" / f"graphene_{given.temperature:g}K"
-    given.out = given.out or out
+    given.out = given.out or ROOT / "runs" / f"graphene_{given.temperature:g}K"
     words = sys.argv[1:] if arguments is None else arguments
     given.command = shlex.join(["python", "examples/train_graphene.py", *words])
-
-    def work() -> None:
-        with locked(given.out):
-            run(given)
-
+    work = locked(given.out)(partial(run, given))  # a context manager decorates a function as well
     return exit_status(work, "finished samples are kept and the next run goes on")
 
 

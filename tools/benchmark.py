@@ -25,10 +25,8 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Sequence
-from datetime import date
 from importlib.util import find_spec
 from pathlib import Path
-from subprocess import check_output
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -39,6 +37,8 @@ import torch
 
 import warp_peri as wp
 from examples.figures import panels, save_figure
+from examples.prose import made_by
+from examples.reproduce.neural import weights_of
 from tools import rivals
 from tools.elements import elastic_solver, local_solver
 from tools.options import Options
@@ -420,7 +420,6 @@ def candidates(data: wp.Dataset, seen: Samples, third: list[float]) -> dict[str,
     rich = wp.ThirdOrder(wp.Crystal(15.0), wp.methods.Smoothing(10.0))
     truth = data.provenance["truth"]
     C = plane_isotropic(truth["lambda"], truth["mu"])
-    network = wp.load(ROOT / "examples" / "neural_weights" / "graphene.json")
     found: dict[str, tuple[str, Any]] = {
         "LPS": ("", by_rest(learned(wp.LPS(20.0)))),
         "crystal": ("", by_rest(learned(wp.Crystal(12.5)))),
@@ -428,7 +427,7 @@ def candidates(data: wp.Dataset, seen: Samples, third: list[float]) -> dict[str,
         "prediction at 1 %": (
             "", by_predict(learned(wp.prediction.Ensemble(rich), validation=data["val"]))
         ),
-        "neural operator": ("", by_rest(network)),
+        "neural operator": ("", by_rest(weights_of("graphene"))),
     }  # fmt: skip
     for end, h in (("_ten", "10 Å"), ("", "5 Å"), ("_fine", "2.5 Å")):
         local = functools.partial(elastic_solver, order=1, C=C)
@@ -482,13 +481,11 @@ def front(*, quick: bool, threads: int) -> None:
     if quick:
         return
     rows.append(["atoms (LAMMPS)", *(float(f"{1e3 * s:.3g}") for s in atoms()), 0.0, 0.0])
-    commit = check_output(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, text=True).strip()
-    caption = (
+    table = made_by("python tools/benchmark.py front")
+    table["caption"] = (
         "Free disks of graphene, after fits to all 70 loads; waves of 16 to 24 Å, after fits to 34 "
         "of these loads, other waves."
     )
-    table: dict[str, Any] = {"caption": caption, "date": f"{date.today()}", "commit": commit}
-    table["command"] = "python tools/benchmark.py front"
     table["columns"] = ["model", "set-up [ms]", "one load [ms]", "disks [%]", "short waves [%]"]
     machine = f"{platform.machine()}, {os.cpu_count()} cores"
     write_json(FRONT, {"machine": machine, "tables": {"front": table | {"rows": rows}}})

@@ -7,10 +7,12 @@ The first prints tables as Markdown; docs/record/neural.json has what came out. 
 network of the printed widths from a fresh start, or from where a stopped training left off.
 """
 
+import lzma
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -21,6 +23,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
 import warp_peri as wp
+from examples.exact import relative_error
 from examples.prose import Table, print_tables, printed
 from tools import hyperelastic_energies as energies
 from tools.hyperelastic_elements import Elements, NotSolved, finite_elements
@@ -126,8 +129,11 @@ def leaflet(folder: Path, jobs: int) -> Sets:
 
 
 def weights_of(name: str) -> NeuralOperator:
-    """The shipped network of an experiment."""
-    material: NeuralOperator = wp.load(WEIGHTS / f"{name}.json")
+    """The shipped network of an experiment, whose file is compressed."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / f"{name}.json"
+        file.write_bytes(lzma.decompress((WEIGHTS / f"{name}.json.xz").read_bytes()))
+        material: NeuralOperator = wp.load(file)
     return material.float() if material.anisotropic else material.double()
 
 
@@ -402,14 +408,10 @@ def one_disk() -> Table:
         u, b, placed = disks.u[0], disks.loads[0], material.on(disks.points)
         inside = disks.interior
         found, _ = EquilibriumSolver(placed).solve(b[inside], u, 1e-6)
-        off = [gap(found[inside], u[inside]), gap(np.asarray(placed(u)), b[inside])]
+        pairs = (found[inside], u[inside]), (np.asarray(placed(u)), b[inside])
+        off = [relative_error(*pair) for pair in pairs]
         rows.append([name, *(f"{100 * error:.2f}" for error in off)])
     return ["disk", "u", "b"], rows
-
-
-def gap(found: np.ndarray, truth: np.ndarray) -> float:
-    """Relative ℓ2 error."""
-    return float(np.linalg.norm(found - truth) / np.linalg.norm(truth))
 
 
 def gradients() -> Table:

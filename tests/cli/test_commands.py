@@ -255,7 +255,7 @@ def test_settings_files_hold_words_of_a_command(fitted, data, tmp_path, capsys):
         path.write_text(text, errors="surrogateescape")
         assert said in refused(capsys, *words)
         assert not (tmp_path / "out").exists()
-    path.write_text(f"{fitted}/model.json '{data}'  # both\n--set train\n--no-transfer\n")
+    path.write_text(f"\ufeff{fitted}/model.json '{data}'  # both\n--set train\n--no-transfer\n")
     assert set(answer(capsys, "evaluate", f"@{path}", "--set", "test")) == {"test"}
     assert "no-such: no such file" in refused(capsys, "info", "@no-such")
     typed = parse(["sweep", "d.h5", "--out", "o", "--degrees", "1", "--degrees", "2", "3"]).degrees

@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 18_727,
-    "tokens": 234_471,
-    "lines of warp_peri": 29_923,
+    "code lines": 18_723,
+    "tokens": 234_447,
+    "lines of warp_peri": 29_920,
     "files of warp_peri": 111,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 42_128,
+    "lines of warp_peri, kernels, examples and tools": 42_094,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -35,7 +35,7 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "atoms": 2316,
-    "cli": 756,
+    "cli": 754,
     "core": 1507,
     "face": 1147,
     "fe_coupling": 710,
@@ -47,7 +47,7 @@ ROOMS = {
     "points": 1615,
     "prediction": 574,
     "mpi": 461,
-    "solvers": 1478,
+    "solvers": 1476,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

@@ -39,8 +39,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 def _run(words: Sequence[str]) -> int:
-    with warnings.catch_warnings():
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(action="always"):
         warnings.showwarning = _warn
         given = parse(words)
         given.progress = sys.stderr.isatty() and not given.json  # no bars in files and pipes
@@ -120,8 +119,7 @@ def parser_of(name: str) -> Parser:
 
 def _taken(option: str, marks: list[str]) -> dict[str, Any]:
     """Arguments of argparse for an option, from the marks between its name and its help."""
-    how: dict[str, Any] = {}
-    names = []
+    how, names = dict[str, Any](), list[str]()
     for mark in marks:
         if mark == "!":
             how["required"] = True
@@ -195,7 +193,7 @@ def parse(words: Sequence[str]) -> Namespace:
         **vars(given) | usual | found,
         usual=usual,
         options=options,
-        words=words_for(parser, {name: found[name] for name in options.keys() & found.keys()}),
+        words=words_for(parser, {n: v for n, v in found.items() if n in options}),
         files=[Path(word[1:]) for word in line if word[:1] == "@"],
         filed=filed,
     )
@@ -209,7 +207,7 @@ def words_for(parser: Parser, values: Mapping[str, Any]) -> list[str]:
             value = values[action.dest]
             words += action.option_strings[:1]
             if action.nargs != 0:
-                words += [str(one) for one in (value if isinstance(value, list) else [value])]
+                words += map(str, value if isinstance(value, list) else [value])
     return words
 
 
@@ -219,7 +217,7 @@ def words_of(path: str) -> list[str]:
     if b"\0" in text:
         raise InputError(f"{path}: expected words of a command, got what is no text")
     try:
-        words = shlex.split(text.decode(), comments=True)
+        words = shlex.split(text.decode("utf-8-sig"), comments=True)
     except ValueError as error:
         raise InputError(f"{path}: expected words of a command ({error})") from None
     if typed := [word for word in words if word in TYPED]:

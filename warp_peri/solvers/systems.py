@@ -4,6 +4,7 @@ the scalar products of `Inner` the answer has the same bits on any number of ran
 from __future__ import annotations
 
 import itertools
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -35,9 +36,10 @@ def factorised(matrix: sp.csc_array) -> Any:
 def symmetric_factors(matrix: sp.sparray | sp.spmatrix, pivot: float = 0.0) -> Any:
     """Sparse factors with pivots on the diagonal, down to a share `pivot` of the largest in their
     column; RuntimeError for a singular matrix."""
-    options = {"SymmetricMode": True}
-    how = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": pivot, "options": options}
-    return splu(sp.csc_matrix(matrix), **how)
+    return splu(
+        sp.csc_matrix(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=pivot,
+        options={"SymmetricMode": True},
+    )  # fmt: skip
 
 
 def is_definite(factors: Any) -> bool:
@@ -278,20 +280,17 @@ APART = 1e-6
 
 def newton(residual: Field, start: np.ndarray, tolerance: float) -> np.ndarray:
     """Find a zero of a preconditioned residual, near the identity, as far as it comes."""
-    size, last = HERE.largest(residual(start)), [start]
+    size, last = HERE.largest(residual(start)), deque([start], maxlen=1)
     if not tolerance < size < np.inf:
         return start
-    how: dict[str, Any] = {"method": "gmres", "inner_maxiter": VECTORS, "maxiter": MOST}
-    how |= {"f_tol": tolerance / size, "tol_norm": HERE.norm, "rdiff": APART}
     try:  # in parts of the first residual, for SciPy's differences have an absolute step
         newton_krylov(
-            lambda v: residual(size * v) / size,
-            start / size,
+            lambda v: residual(size * v) / size, start / size, rdiff=APART, method="gmres",
+            inner_maxiter=VECTORS, maxiter=MOST, f_tol=tolerance / size, tol_norm=HERE.norm,
             callback=lambda v, _: last.append(size * v.reshape(start.shape)),
-            **how,
-        )
+        )  # fmt: skip
     except InputError:
         raise
     except (NoConvergence, ValueError):  # also of a step to where there is no force
         pass
-    return last[-1]
+    return last.pop()
