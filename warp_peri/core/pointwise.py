@@ -14,6 +14,7 @@ import numpy as np
 import scipy.fft
 import torch
 from numpy.typing import ArrayLike
+from torch.autograd import grad
 
 from warp_peri.core.stencil import Stencil, grid_of, half_ball, torus_shape, torus_symbol
 from warp_peri.points.arguments import plain
@@ -87,7 +88,7 @@ class Pointwise(Swept):
         weights: w_q(ξ) [1/length] in the points' coordinates, [Q, B, d]; W is the mean over q.
         back: other weights for the force, which then has no energy.
         stencil: of a linear part, along the lattice's axes, which has the moduli of W at rest.
-        numbers: of the density, by name.
+        numbers: of the density, by name; they are `learnable`.
         cubic: whether W is a polynomial of third order, as its derivatives at rest tell: in place
             of torch's graph, which takes longer than all else on few nodes.
 
@@ -121,12 +122,10 @@ class Pointwise(Swept):
         asked = np.zeros(self._torus, bool)
         self._inside = place[self.points.interior[grid.near]]
         asked.flat[self._inside] = True
-
-        def reached(steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            felt = np.any([np.roll(asked, step, self._axes) for step in steps], axis=0).flat[place]
-            return grid.near[felt], place[felt]
-
-        (self._near, self._places), (self.full, self._full) = reached(far), reached(ball)
+        rolled = ([np.roll(asked, step, self._axes) for step in steps] for steps in (far, ball))
+        near, whole = (np.any(each, axis=0).flat[place] for each in rolled)
+        self._near, self._places = grid.near[near], place[near]
+        self.full, self._full = grid.near[whole], place[whole]
         back = weights if back is None else back
         there = np.ravel_multi_index(tuple(-steps.T), self._torus, "wrap")
         sides = (side.transpose(2, 0, 1) for side in (weights, back / len(back)))
@@ -140,7 +139,7 @@ class Pointwise(Swept):
 
     def take(self, numbers: Mapping[str, Any]) -> None:
         """Change the density's numbers, and with them its derivatives at rest."""
-        self.numbers, self._third, d = dict(numbers), None, self.points.dimension
+        self.learnable, self._third, d = dict(numbers), None, self.points.dimension
         units = symmetric(np.eye(d * d).reshape(d, d, d * d))
         self.stiffness = self._slopes(0 * units, units)[1].reshape(4 * (d,))
         self._at_rest = (self._straight is not None) * self.stiffness
@@ -176,7 +175,7 @@ class Pointwise(Swept):
     def _energies(self, E: np.ndarray | torch.Tensor, **other: Any) -> torch.Tensor:
         """Energy density W of strains [d, d, ...], with other numbers where some are given."""
         E = torch.as_tensor(E).movedim((0, 1), (-2, -1))
-        return self.density(E, **self.numbers | other)
+        return self.density(E, **self.learnable | other)
 
     @torch.enable_grad()
     def _slopes(self, E: np.ndarray, *along: np.ndarray) -> list[np.ndarray]:
@@ -186,9 +185,9 @@ class Pointwise(Swept):
             third = (contracted(self._third, A[:, :, None, None] * X) for A, X in pairs)
             return [contracted(self.stiffness, X) + T for T, X in zip(third, (E, *along))]
         at = torch.from_numpy(E).requires_grad_()
-        found = torch.autograd.grad(self._energies(at).sum(), at, create_graph=bool(along))
+        found = grad(self._energies(at).sum(), at, create_graph=bool(along))
         for X in along:
-            found += torch.autograd.grad(found[0], at, torch.from_numpy(X))
+            found += grad(found[0], at, torch.from_numpy(X))
         return [symmetric(each.detach().numpy()) for each in found]
 
     def _stress(self, H: np.ndarray) -> np.ndarray:
@@ -229,21 +228,16 @@ class Pointwise(Swept):
 
         return self._swept(sweep, u, self.on_all(w))
 
-    @property
-    def learnable(self) -> dict[str, Any]:
-        """Numbers of the energy density, by name."""
-        return self.numbers
-
     def by_numbers(self, name: str, u: ArrayLike, w: ArrayLike) -> np.ndarray:
         """Derivative of Σ w · force(u) by a number, for fields [K, N, d] and weights [K, I, d]."""
-        one = torch.tensor(self.numbers[name], dtype=torch.float64, requires_grad=True)
+        one = torch.tensor(self.learnable[name], dtype=torch.float64, requires_grad=True)
 
         def sweep(u: np.ndarray, w: np.ndarray) -> Any:
             (_, H), (_, X) = self._seen(u), self._seen(w, 1)
             E, along = map(torch.from_numpy, (strain(H), strain_rate(H, X)))
             W = self._energies(E.requires_grad_(), **{name: one}).sum()
-            slope = torch.autograd.grad(W, E, create_graph=True)
-            return torch.autograd.grad(slope, one, along, materialize_grads=True)[0].numpy()
+            slope = grad(W, E, create_graph=True)
+            return grad(slope, one, along, materialize_grads=True)[0].numpy()
 
         return self._swept(sweep, u, self.on_all(w), total=True)
 
@@ -254,8 +248,8 @@ class Pointwise(Swept):
             _, H = self._seen(u)
             return np.stack([H, self._stress(H)]).mean(axis=4).transpose(3, 0, 4, 1, 2)
 
-        both = np.moveaxis(self._swept(sweep, u), -4, 0)
-        return both[0], both[1]
+        H, P = np.moveaxis(self._swept(sweep, u), -4, 0)
+        return H, P
 
     def largest_gradient(self, u: ArrayLike) -> np.ndarray:
         """Largest |H| of each field over the nodes `full`, shape [...]."""

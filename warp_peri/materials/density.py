@@ -149,7 +149,6 @@ class DensityOperator(Pointwise):
             raise InputError(f"points: expected {material.dimension} coordinates")
         steps, weights = sided_gradients(nodes, material.horizon)
         self.model = self.material = material
-        numbers = material.parameters
 
         def energy(E: torch.Tensor, **numbers: Any) -> torch.Tensor:
             W = material.energy(E, **numbers)
@@ -160,7 +159,9 @@ class DensityOperator(Pointwise):
                 )
             return material.scale * W  # type: ignore[no-any-return]
 
-        super().__init__(nodes, material.horizon, energy, steps, weights, numbers=numbers)
+        super().__init__(
+            nodes, material.horizon, energy, steps, weights, numbers=material.parameters
+        )
         none = np.zeros((nodes.dimension, nodes.dimension, 1))
         stress, stiff = np.abs(self._slopes(none)[0]).max(), np.abs(self.stiffness).max()
         if not stress <= REST * stiff:
@@ -176,8 +177,7 @@ class DensityOperator(Pointwise):
 
     def straight(self, u: ArrayLike) -> np.ndarray:
         """Force of the tangent at rest, shape [..., I, d]."""
-        force = self.linear(np.reshape(u, (-1, *self.shape)))
-        return np.asarray(force.reshape(*np.shape(u)[:-2], *force.shape[1:]))
+        return self.jvp(np.zeros_like(u), u)
 
     def at(self, numbers: Mapping[str, Any]) -> DensityOperator:
         """The operator with other parameters."""
@@ -185,8 +185,7 @@ class DensityOperator(Pointwise):
 
     def max_symbol_eigenvalue(self) -> float:
         """Twice the largest eigenvalue at rest [stress / length²], for steps of small strain."""
-        d = self.points.dimension
-        return 2 * largest(self.linear.stencil, np.eye(d, dtype=int)[None])
+        return 2 * largest(self.linear.stencil, np.eye(self.points.dimension, dtype=int)[None])
 
     def inverse(self, loads: int) -> Inverse:
         """Inverse of the tangent at rest on interior loads: factorised, or by iteration."""

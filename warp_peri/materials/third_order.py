@@ -304,7 +304,7 @@ class PlacedThirdOrder(Pointwise):
         lam, mu = model.lame
         density = partial(energy_density, lam=lam, mu=mu, axis=axis)
         numbers = {name: getattr(model, name) for name in CUBIC}
-        parts: dict[str, Any] = {"back": back, "stencil": model.linear.stencil, "numbers": numbers}
+        parts: Any = {"back": back, "stencil": model.linear.stencil, "numbers": numbers}
         super().__init__(nodes, model.horizon, density, steps, weights, **parts, cubic=True)
 
     @cached_property

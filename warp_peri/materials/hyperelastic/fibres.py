@@ -95,10 +95,8 @@ def _energy(term: EnergyTerm, x: float) -> float:
 
 def _energy_by_angle(solid: HyperelasticMaterial) -> dict[float, float]:
     """Energy of the fibres in every direction [rad] at the largest stretch of the data."""
-    values, energies = (
-        solid.coefficients[solid.dictionary.first_term :],
-        defaultdict[float, float](float),
-    )
+    values = solid.coefficients[solid.dictionary.first_term :]
+    energies = defaultdict[float, float](float)
     for term, value in zip(solid.dictionary.terms, values):
         if term.is_fibre:
             energies[float(np.mod(term.angle, np.pi))] += value * _energy(term, _strain(solid))

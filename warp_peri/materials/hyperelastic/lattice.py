@@ -52,9 +52,9 @@ class Sites:
         """Inputs q of the energies from bonds e [pairs, S], shape [Q, n, S]."""
         return torch.from_numpy((self.S @ e).reshape(-1, self.pair.shape[1], e.shape[1]))
 
-    def pull(self, stress: torch.Tensor) -> np.ndarray:
+    def pull(self, stress: Any) -> np.ndarray:
         """Bond tensions over ξ + η, [pairs, S], from energy derivatives [Q, n, S]."""
-        return np.asarray(self.S.T @ stress.flatten(0, 1).numpy())
+        return np.asarray(self.S.T @ np.asarray(stress).reshape(self.S.shape[0], -1))
 
 
 class SheetLattice:
@@ -121,7 +121,7 @@ class SheetLattice:
     def stretched(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Deformed bonds ξ + η, [pairs, 2, S], and e = ξ·η + ½ η·η, [pairs, S]."""
         eta, xi = self.differences(u), self.xi[..., None]
-        return xi + eta, ((xi + eta / 2) * eta).sum(axis=1)
+        return xi + eta, np.einsum("pas,pas->ps", xi + eta / 2, eta)
 
     def at_ends(self, pull: np.ndarray) -> np.ndarray:
         """Sum bond forces [pairs, 2, S] at the nodes, [S, N, 2]."""
@@ -198,11 +198,12 @@ class SheetLattice:
     def factors(self, K: sp.csc_array, shifts: bool = False) -> tuple[Inner | None, bool]:
         """Inverse of a tangent where it is positive definite, and whether it is; with `shifts` else
         that of a tangent made so by a multiple of one."""
-        order = (2 * self.order[:, None] + [0, 1]).ravel()
-        lower = sp.tril(K[order][:, order]).tocoo()
-        row, col = lower.coords
+        order, K = (2 * self.order[:, None] + [0, 1]).ravel(), K.tocoo()
+        row, col = (np.argsort(order)[each] for each in K.coords)
+        lower = row >= col
+        row, col = row[lower], col[lower]
         band = np.zeros(((row - col).max() + 1, len(order)), order="F")
-        band[row - col, col] = lower.data
+        band[row - col, col] = K.data[lower]
         diagonal = band[0].copy()
         for shift in (0.0, *SHIFTS) if shifts else (0.0,):
             band[0] = diagonal + shift * np.abs(diagonal).max()

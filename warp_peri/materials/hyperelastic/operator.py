@@ -12,6 +12,7 @@ import scipy.sparse as sp
 import torch
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator, eigsh
+from torch.autograd import grad
 
 from warp_peri.core.pointwise import FEW, Swept
 from warp_peri.core.record import FieldUnits, Length, Record
@@ -123,10 +124,11 @@ class HyperelasticSheetOperator(Swept):
         thickness: of every node, > 0, shape [N]; an even sheet where none is given, (H18).
 
     Raises InputError for points that are no lattice, in other units, or whose collar is too narrow,
-    and a thickness that is not positive.
+    and a thickness that is not positive. Its `learnable` numbers are the coefficients [stress].
     """
 
     parts = 9  # bonds, of which a site sees three numbers
+    _last: Any
 
     def __init__(
         self,
@@ -148,6 +150,7 @@ class HyperelasticSheetOperator(Swept):
 
     def _take(self, model: HyperelasticMaterial, thickness: np.ndarray | None) -> None:
         self.model, self.thickness = model, thickness
+        self.learnable, self._last = {"coefficients": model.coefficients}, None
         self.active = self._energies(model.coefficients)
         self.size = max((sites.S.nnz for sites, _ in self.active), default=1)
 
@@ -183,12 +186,12 @@ class HyperelasticSheetOperator(Swept):
     def _slope(self, sites: Sites, each: Any, q: torch.Tensor, graph: bool = False) -> torch.Tensor:
         """∂U/∂q over h², shape [Q, n, S]; with a graph of q, which becomes a leaf."""
         stored = self._stored(sites, each, q.requires_grad_()).sum()
-        return torch.autograd.grad(stored, q, create_graph=graph)[0]
+        return grad(stored, q, create_graph=graph)[0]
 
     def _tension(self, e: np.ndarray, active: Active) -> np.ndarray:
         """Tension of bonds e [pairs, S] by the energies, over ξ + η."""
         slopes = (sites.pull(self._slope(sites, each, sites.seen(e))) for sites, each in active)
-        return sum(slopes, np.zeros_like(e))
+        return sum(slopes, 0 * e)
 
     def strain(self, u: ArrayLike) -> np.ndarray:
         """Nodal Green strain E11, E22, 2 E12, (H3), shape [..., N, 3]; zero near the edge."""
@@ -243,17 +246,31 @@ class HyperelasticSheetOperator(Swept):
         """Force on the interior nodes [stress / length], shape [..., I, 2]."""
         return self.everywhere(u)[..., self.interior, :]
 
+    def _curved(self, u: np.ndarray) -> Any:
+        """Deformed bonds and their tension at fields, and of each energy ∂²U/∂q² over h², [Q, Q, n,
+        S]; kept of the last fields, whose products follow one another."""
+        last = self._last
+        if last is None or not np.array_equal(last[0], u):
+            Y, e = self.lattice.stretched(u)
+            tension, curves = 0 * e, []
+            for sites, each in self.active:
+                stress = self._slope(sites, each, q := sites.seen(e), graph=True)
+                tension += sites.pull(stress.detach())
+                rows = (grad(s.sum(), q, retain_graph=True)[0] for s in stress)
+                curves.append(np.stack([row.numpy() for row in rows]))
+            last = self._last = u.copy(), Y, tension, curves
+        return last[1:]
+
     def _product(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
         """K v, the derivative of the force along v, (H10), on all nodes, shape [..., N, 2]."""
 
         def sweep(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-            (Y, e), away = self.lattice.stretched(u), self.lattice.differences(v)
-            along, tension, change = (Y * away).sum(axis=1), np.zeros_like(e), np.zeros_like(e)
-            for sites, each in self.active:
-                stress = self._slope(sites, each, q := sites.seen(e), graph=True)
-                tension += sites.pull(stress.detach())
-                change += sites.pull(torch.autograd.grad(stress, q, sites.seen(along))[0])
-            return self.lattice.at_ends(tension[:, None] * away + change[:, None] * Y)
+            (Y, tension, curves), away = self._curved(u), self.lattice.differences(v)
+            along, all_of = np.einsum("pas,pas->ps", Y, away), zip(self.active, curves)
+            pulls = (s.pull((H * s.seen(along).numpy()).sum(axis=1)) for (s, _), H in all_of)
+            return self.lattice.at_ends(
+                tension[:, None] * away + sum(pulls, 0 * tension)[:, None] * Y
+            )
 
         return self._swept(sweep, u, v)
 
@@ -265,24 +282,17 @@ class HyperelasticSheetOperator(Swept):
         """Transposed tangent, which is symmetric, times w, on all nodes [..., N, 2]."""
         return self._product(u, self.on_all(w))
 
-    def interior_tangent(self, u: np.ndarray) -> sp.csc_array:
+    def interior_tangent(self, u: np.ndarray) -> sp.csr_array:
         """Tangent between interior nodes at a field (H10), sparse [2 I, 2 I]."""
-        Y, e = self.lattice.stretched(plain("u", u)[None])
-        inner, tension = self.lattice.ends[self.interior], np.zeros_like(e)
-        away = (sp.diags_array(y) @ inner.T for y in Y[..., 0].T)
-        by_u = sp.hstack([*away], format="csr")  # ∂e/∂u = Y·(v_j − v_i)
-        total = []
         with torch.enable_grad(), one_thread(3 * len(self.points.x) < FEW):
-            for sites, each in self.active:
-                stress = self._slope(sites, each, q := sites.seen(e), graph=True)
-                tension += sites.pull(stress.detach())
-                H = [torch.autograd.grad(s.sum(), q, retain_graph=True)[0] for s in stress]
-                blocks = [[sp.diags_array(h) for h in row[..., 0].numpy()] for row in H]
-                B = sites.S @ by_u
-                total.append(B.T @ (sp.block_array(blocks) @ B))
+            Y, tension, curves = self._curved(plain("u", u)[None])
+        inner, both = self.lattice.ends[self.interior], zip(Y[..., 0].T, np.eye(2)[:, None])
+        by_u: Any = sum(sp.kron(sp.diags_array(y) @ inner.T, axis) for y, axis in both)
+        blocks = ([[sp.diags_array(h) for h in row] for row in H[..., 0]] for H in curves)
+        H = sp.block_diag([sp.block_array(each) for each in blocks], format="csr")
+        B = sp.vstack([sites.S for sites, _ in self.active], format="csr") @ by_u.tocsr()
         turned = inner @ sp.diags_array(tension[:, 0]) @ inner.T
-        order = np.arange(2 * len(self.interior)).reshape(2, -1).T.ravel()
-        return sp.csc_array(sum(total, sp.block_diag([turned, turned])))[order][:, order]
+        return B.T.tocsr() @ (H @ B) + sp.kron(turned, np.eye(2), format="csr")
 
     def factors(self, u: np.ndarray, shifts: bool = False) -> tuple[Inner | None, bool]:
         """Inverse of the tangent at a field; see SheetLattice.factors."""
@@ -325,10 +335,9 @@ class HyperelasticSheetOperator(Swept):
                 value = torch.tensor(getattr(energy, by), dtype=q.dtype, requires_grad=True)
                 number: dict[str, Any] = {by: value}
                 stored = self._stored(sites, [energy._replace(**number)], q).sum()
-                (slope,) = torch.autograd.grad(stored, value, create_graph=True)
-                tension = sites.pull(torch.autograd.grad(slope, q)[0])
-                pulled = self.lattice.at_ends(tension[:, None] * Y)[:, self.interior]
-                forces[..., column] += pulled
+                (slope,) = grad(stored, value, create_graph=True)
+                tension = sites.pull(grad(slope, q)[0])
+                forces[..., column] += self.lattice.at_ends(tension[:, None] * Y)[:, self.interior]
             return forces
 
         return self._swept(sweep, u)
@@ -337,11 +346,6 @@ class HyperelasticSheetOperator(Swept):
         """Derivative of the force by P thickness numbers, [..., I, 2, P]; slopes [N, P]."""
         sheets = (self.changed(self.model, each) for each in np.asarray(slopes).T)
         return np.stack([sheet.force(u) for sheet in sheets], axis=-1)
-
-    @property
-    def learnable(self) -> dict[str, np.ndarray]:
-        """Coefficients of the energies [stress] by name."""
-        return {"coefficients": self.model.coefficients}
 
     def at(self, numbers: Mapping[str, Any]) -> HyperelasticSheetOperator:
         """The operator with other coefficients, on the same lattice."""
