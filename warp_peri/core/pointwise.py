@@ -172,7 +172,7 @@ class Pointwise(Swept):
             total += (self._straight * field).sum(axis=1)
         return self._planes(total, places).transpose(1, 2, 0)
 
-    def _energies(self, E: np.ndarray | torch.Tensor, **other: Any) -> torch.Tensor:
+    def _energies(self, E: Any, **other: Any) -> torch.Tensor:
         """Energy density W of strains [d, d, ...], with other numbers where some are given."""
         E = torch.as_tensor(E).movedim((0, 1), (-2, -1))
         return self.density(E, **self.learnable | other)

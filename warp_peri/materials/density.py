@@ -177,7 +177,8 @@ class DensityOperator(Pointwise):
 
     def straight(self, u: ArrayLike) -> np.ndarray:
         """Force of the tangent at rest, shape [..., I, d]."""
-        return self.jvp(np.zeros_like(u), u)
+        force = self.linear(np.reshape(u, (-1, *self.shape)))
+        return force.reshape(*np.shape(u)[:-2], -1, self.shape[1])
 
     def at(self, numbers: Mapping[str, Any]) -> DensityOperator:
         """The operator with other parameters."""

@@ -314,7 +314,7 @@ class PlacedThirdOrder(Pointwise):
 
     def at(self, numbers: Mapping[str, Any]) -> PlacedThirdOrder:
         """The operator with other constants, of which nothing is proven."""
-        own: dict[str, Any] = {name: float(value) for name, value in numbers.items()}
+        own: Any = {name: float(value) for name, value in numbers.items()}
         return PlacedThirdOrder(replace(self.model, **own, proven={}), self.points)
 
     def energy(self, u: ArrayLike) -> np.ndarray | None:

@@ -128,7 +128,6 @@ class HyperelasticSheetOperator(Swept):
     """
 
     parts = 9  # bonds, of which a site sees three numbers
-    _last: Any
 
     def __init__(
         self,
@@ -190,8 +189,7 @@ class HyperelasticSheetOperator(Swept):
 
     def _tension(self, e: np.ndarray, active: Active) -> np.ndarray:
         """Tension of bonds e [pairs, S] by the energies, over ξ + η."""
-        slopes = (sites.pull(self._slope(sites, each, sites.seen(e))) for sites, each in active)
-        return sum(slopes, 0 * e)
+        return sum((s.pull(self._slope(s, each, s.seen(e))) for s, each in active), 0 * e)
 
     def strain(self, u: ArrayLike) -> np.ndarray:
         """Nodal Green strain E11, E22, 2 E12, (H3), shape [..., N, 3]; zero near the edge."""
@@ -256,9 +254,9 @@ class HyperelasticSheetOperator(Swept):
             for sites, each in self.active:
                 stress = self._slope(sites, each, q := sites.seen(e), graph=True)
                 tension += sites.pull(stress.detach())
-                rows = (grad(s.sum(), q, retain_graph=True)[0] for s in stress)
-                curves.append(np.stack([row.numpy() for row in rows]))
-            last = self._last = u.copy(), Y, tension, curves
+                rows = [grad(s.sum(), q, retain_graph=True)[0].numpy() for s in stress]
+                curves.append(np.stack(rows))
+            last = self._last = u.copy(), Y, tension, curves  # type: ignore[assignment]
         return last[1:]
 
     def _product(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
@@ -311,7 +309,7 @@ class HyperelasticSheetOperator(Swept):
             of_flat = lambda p: apply(p.reshape(-1, 2)).ravel()  # noqa: E731
             return LinearOperator((size, size), of_flat, dtype=float)
 
-        ends: dict[str, Any] = {"v0": lanczos_start(size), "return_eigenvectors": False}
+        ends: Any = {"v0": lanczos_start(size), "return_eigenvectors": False}
         K, Minv = flat(lambda p: self.jvp(u, self.on_all(p))), flat(self.rough)
         L = sp.kron(self.lattice.laplacian[:, self.interior], sp.eye(2)).tocsr()
         found = eigsh(K, 1, L, which="SA", Minv=Minv, tol=1e-2, maxiter=2000, **ends)
@@ -333,7 +331,7 @@ class HyperelasticSheetOperator(Swept):
             for sites, energy, by, column in chosen:
                 q = sites.seen(e).requires_grad_()
                 value = torch.tensor(getattr(energy, by), dtype=q.dtype, requires_grad=True)
-                number: dict[str, Any] = {by: value}
+                number: Any = {by: value}
                 stored = self._stored(sites, [energy._replace(**number)], q).sum()
                 (slope,) = grad(stored, value, create_graph=True)
                 tension = sites.pull(grad(slope, q)[0])
@@ -344,7 +342,7 @@ class HyperelasticSheetOperator(Swept):
 
     def by_thickness(self, u: ArrayLike, slopes: np.ndarray) -> np.ndarray:
         """Derivative of the force by P thickness numbers, [..., I, 2, P]; slopes [N, P]."""
-        sheets = (self.changed(self.model, each) for each in np.asarray(slopes).T)
+        sheets = (self.changed(self.model, each) for each in slopes.T)
         return np.stack([sheet.force(u) for sheet in sheets], axis=-1)
 
     def at(self, numbers: Mapping[str, Any]) -> HyperelasticSheetOperator:
@@ -354,7 +352,7 @@ class HyperelasticSheetOperator(Swept):
 
     def by_numbers(self, name: str, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Derivatives of Σ w · force(u) by the coefficients [K], for fields [S, N, 2]."""
-        return np.asarray(np.tensordot(w, self.features(u), np.ndim(w)))
+        return np.asarray(np.tensordot(w, self.features(u), w.ndim))
 
     def stress(self, u: ArrayLike) -> np.ndarray:
         """First Piola stress P = ½ Σ t (ξ + η)⊗ξ of a node's bonds, (H16), shape [..., I, 2, 2], of
