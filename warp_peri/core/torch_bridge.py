@@ -161,7 +161,6 @@ def with_numbers(operator: Any, numbers: Mapping[str, Any]) -> tuple[Any, dict[s
     tensors; InputError for other names, and as its `at`."""
     check_mapping("parameters", numbers)
     known = getattr(operator, "learnable", {}) if hasattr(operator, "at") else {}
-    names = ", ".join(f"{name} {list(np.shape(own))}" for name, own in known.items()) or "none"
     given = {name: real(name, value) for name, value in numbers.items()}
     values = {name: value.detach().numpy() for name, value in given.items()}
     for name, value in values.items():
@@ -169,6 +168,7 @@ def with_numbers(operator: Any, numbers: Mapping[str, Any]) -> tuple[Any, dict[s
         fits = value.shape == np.shape(own) or value.size == np.size(own) == 1  # a number, as [1]
         if name not in known or not fits or not np.isfinite(value).all():
             got = f"{name} {list(value.shape)}"
+            names = ", ".join(f"{n} {list(np.shape(own))}" for n, own in known.items()) or "none"
             raise InputError(f"parameters: expected finite numbers of shape {names}, got {got}")
     values = {name: value.reshape(np.shape(known[name])) for name, value in values.items()}
     same = all(np.array_equal(value, known[name]) for name, value in values.items())
