@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.nonlinear import psi, solid
 from tests.support.problems import ROUNDING, difference, lattice, noise, periodic, smooth
-from warp_peri.core import pointwise
+from warp_peri.core import torch_bridge
 from warp_peri.materials.third_order import PlacedThirdOrder
 from warp_peri.points.families import bond_classes
 from warp_peri.points.points import lattice_steps
@@ -68,7 +68,7 @@ def test_samples_that_follow_one_another_change_nothing(monkeypatch):
         return op(u), op.jvp(u, 2 * u), op.vjp(u, w), op.energy(u), slopes
 
     first = found()
-    monkeypatch.setattr(pointwise, "MOST", 1)
+    monkeypatch.setattr(torch_bridge, "MOST", 1)
     for one, other in zip(first, found()):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-13 * np.abs(one).max())
 

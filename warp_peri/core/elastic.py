@@ -1,4 +1,4 @@
-"""Crystals: point groups, symmetries shared with a lattice of nodes, and elastic tensors.
+"""Crystals: point groups, symmetries shared with a lattice of nodes; elastic tensors and strain.
 
 Every group contains the inversion, C(−ξ) = C(ξ) (theory, T5). Elastic tensors are [d, d, d, d];
 Voigt's order is 11, 22, 33, 23, 13, 12, in the plane 11, 22, 12, with engineering shear strains
@@ -411,3 +411,30 @@ def plane_stress(tensor: np.ndarray) -> np.ndarray:
     inner = np.linalg.solve(M[np.ix_(free, free)], M[np.ix_(free, kept)])
     schur = M[np.ix_(kept, kept)] - M[np.ix_(kept, free)] @ inner
     return voigt_to_tensor((schur + schur.T) / 2)
+
+
+def times(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """Matrix products A B, each [d, d, ...]."""
+    return np.asarray(np.einsum("ab...,bc...->ac...", A, B))
+
+
+def symmetric(A: np.ndarray) -> np.ndarray:
+    """Symmetric part (A + Aᵗ)/2 of matrices [d, d, ...]."""
+    return np.asarray(A + A.swapaxes(0, 1)) / 2
+
+
+def contracted(C: np.ndarray, X: np.ndarray) -> np.ndarray:
+    """Tensor C [d, d, ...] times X, summed over all its other axes; tensordot takes longer."""
+    of = C[0, 0]
+    found = C.reshape(-1, of.size) @ X.reshape(of.size, -1)
+    return np.reshape(found, C.shape[:2] + X.shape[of.ndim :])
+
+
+def strain_rate(H: np.ndarray, X: np.ndarray) -> np.ndarray:
+    """Derivative of the Green strain at H along X, each [d, d, ...]."""
+    return symmetric(X + times(H.swapaxes(0, 1), X))
+
+
+def strain(H: np.ndarray) -> np.ndarray:
+    """Green strain (H + Hᵗ + HᵗH)/2 of gradients [d, d, ...]."""
+    return strain_rate(H / 2, H)

@@ -16,65 +16,10 @@ import torch
 from numpy.typing import ArrayLike
 from torch.autograd import grad
 
+from warp_peri.core.elastic import contracted, strain, strain_rate, symmetric, times
 from warp_peri.core.stencil import Stencil, grid_of, half_ball, torus_shape, torus_symbol
-from warp_peri.points.arguments import plain
+from warp_peri.core.torch_bridge import Swept
 from warp_peri.points.points import PointsLike, nodes_of
-from warp_peri.protocols import OperatorBase
-from warp_peri.runtime import one_thread
-
-FEW = 100_000
-"""Numbers of an array below which threads cost more than they save."""
-MOST = 2**23
-"""Numbers of the gradients that are held at once; more samples follow one another."""
-
-
-def times(A: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Matrix products A B, each [d, d, ...]."""
-    return np.asarray(np.einsum("ab...,bc...->ac...", A, B))
-
-
-def symmetric(A: np.ndarray) -> np.ndarray:
-    """Symmetric part (A + Aᵗ)/2 of matrices [d, d, ...]."""
-    return np.asarray(A + A.swapaxes(0, 1)) / 2
-
-
-def contracted(C: np.ndarray, X: np.ndarray) -> np.ndarray:
-    """Tensor C [d, d, ...] times X, summed over all its other axes; tensordot takes longer."""
-    of = C[0, 0]
-    found = C.reshape(-1, of.size) @ X.reshape(of.size, -1)
-    return np.reshape(found, C.shape[:2] + X.shape[of.ndim :])
-
-
-def strain_rate(H: np.ndarray, X: np.ndarray) -> np.ndarray:
-    """Derivative of the Green strain at H along X, each [d, d, ...]."""
-    return symmetric(X + times(H.swapaxes(0, 1), X))
-
-
-def strain(H: np.ndarray) -> np.ndarray:
-    """Green strain (H + Hᵗ + HᵗH)/2 of gradients [d, d, ...]."""
-    return strain_rate(H / 2, H)
-
-
-class Swept(OperatorBase):
-    """An operator that works on a few samples at once: `size` numbers each, arrays of `parts`."""
-
-    size: int
-    parts = 1
-
-    def _swept(self, sweep: Any, *fields: ArrayLike, total: bool = False) -> np.ndarray:
-        """Results of a sweep over fields [S, N, d], a few at once, in their leading shape."""
-        given = [plain("u", field) for field in fields]
-        for each in given:
-            self.check(each)
-        flat = [each.reshape(-1, *self.shape) for each in given]
-        step, count = max(1, MOST // self.size), len(flat[0])
-        few = self.size * min(step, count) < FEW * self.parts
-        with torch.enable_grad(), one_thread(few), np.errstate(all="ignore"):  # of steps run away
-            found = [sweep(*(f[n : n + step] for f in flat)) for n in range(0, count, step)]
-        if total:
-            return np.asarray(np.sum(found, axis=0))
-        joined = np.concatenate(found)
-        return joined.reshape(given[0].shape[:-2] + joined.shape[1:])
 
 
 class Pointwise(Swept):

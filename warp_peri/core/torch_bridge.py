@@ -10,18 +10,24 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 import torch
+from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator, gmres, splu
 from torch.autograd import forward_ad
 
 from warp_peri.errors import InputError, quietly
 from warp_peri.points.arguments import as_array, check_mapping, check_shape, plain, typed
-from warp_peri.protocols import SINGULAR, placed, uncompiled
+from warp_peri.protocols import SINGULAR, OperatorBase, placed, uncompiled
+from warp_peri.runtime import one_thread
 
 DIRECT = 4_000
 """Unknown nodes up to which a tangent is factorised for its adjoint, as `statics` does."""
 EXACT, ROUGH, KEPT, ROUNDS = 1e-11, 1e-10, 40, 10
 """Relative residual of an adjoint in steps, and of the inverse before it; directions that GMRES
 keeps, and how often it begins anew."""
+FEW = 100_000
+"""Numbers of an array below which threads cost more than they save."""
+MOST = 2**23
+"""Numbers of the gradients that are held at once; more samples follow one another."""
 
 
 def _refused(*_: Any) -> Any:
@@ -364,3 +370,25 @@ class TorchModule(torch.nn.Module):
         if hasattr(operator.model, "with_parameters"):  # others are made anew, and so checked
             operator.model.with_parameters({n: one.detach().numpy() for n, one in numbers.items()})
         return force
+
+
+class Swept(OperatorBase):
+    """An operator that works on a few samples at once: `size` numbers each, arrays of `parts`."""
+
+    size: int
+    parts = 1
+
+    def _swept(self, sweep: Any, *fields: ArrayLike, total: bool = False) -> np.ndarray:
+        """Results of a sweep over fields [S, N, d], a few at once, in their leading shape."""
+        given = [plain("u", field) for field in fields]
+        for each in given:
+            self.check(each)
+        flat = [each.reshape(-1, *self.shape) for each in given]
+        step, count = max(1, MOST // self.size), len(flat[0])
+        few = self.size * min(step, count) < FEW * self.parts
+        with torch.enable_grad(), one_thread(few), np.errstate(all="ignore"):  # of steps run away
+            found = [sweep(*(f[n : n + step] for f in flat)) for n in range(0, count, step)]
+        if total:
+            return np.asarray(np.sum(found, axis=0))
+        joined = np.concatenate(found)
+        return joined.reshape(given[0].shape[:-2] + joined.shape[1:])

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator, eigsh
 from torch.autograd import grad
 
-from warp_peri.core.pointwise import FEW, Swept
 from warp_peri.core.record import FieldUnits, Length, Record
+from warp_peri.core.torch_bridge import FEW, Swept
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.regression import norms
 from warp_peri.materials.hyperelastic.energies import Energy, Hyperelastic, Strain
