@@ -132,6 +132,14 @@ def test_a_normalised_loss_does_not_see_the_size_of_a_sample():
     assert abs(absolute.mu - first.mu) > 1e-4
 
 
+def test_a_load_of_zero_counts_in_no_mean_and_draws_no_warning():
+    points, _ = data("positive", 3.0)
+    kept = (np.arange(10) > 0)[:, None, None]
+    found = fit(replace(points, u=kept * points.u, b=kept * points.b), 3.0, Bernstein(2))
+    told = evaluate(found.material, points[1:])["E_res"]
+    assert found.history[-1].E_res_train == pytest.approx(told)
+
+
 @pytest.mark.parametrize("size", [0.0, 1e7])
 def test_rows_are_held_to_the_operator_whatever_rounding_leaves_of_a_kernel(size):
     """Moderate values at the bond lengths, with coefficients of any size; a wrong row is found."""
@@ -184,10 +192,13 @@ def test_choices_settings_and_sets_that_cannot_be_learned_from_are_refused():
     for words, made in REFUSED.items():
         with pytest.raises(InputError, match=words):
             made() if callable(made) else fit(points, **WANTED | made)
+    narrow = lattice(9, 1.5)
+    two = noise(narrow, 2, seed=1), noise(narrow, 2, seed=2)
     for sets, words in (
         (points[:0], "no samples"),
         (replace(points, b=0 * points.b), "no loads"),
         ([], "at least one training set"),
+        (Samples(narrow, *two), "complete families out to twice the horizon: .* fits"),
     ):
         with pytest.raises(InputError, match=words):
             fit(sets, **WANTED)

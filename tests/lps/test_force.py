@@ -160,6 +160,8 @@ def test_nodes_in_no_order_or_far_apart_or_beside_a_crack_stay_in_their_lists():
     apart = Points(np.concatenate([points.x, points.x + 200.0]), np.tile(points.interior, 2), 1.0)
     for one in (mixed, apart, cut(points)):
         assert not Bonds(one, HORIZON).layout.in_rows
+    torn = kernel("positive", HORIZON).on(cut(points), allow_uncertified=True)
+    assert torn.energy(noise(points)) is None  # its force has none where λ is not μ
 
 
 def test_bond_based_forces_need_half_the_collar_and_no_dilatation():

@@ -100,6 +100,8 @@ def test_what_cannot_be_used_is_refused_and_files_ask_for_the_energy(tmp_path):
         "energy: expected a function of strains, got 5": lambda: of(5),
         "parameters: expected those of the energy": lambda: of(blatz_ko, parameters={"k": 1.0}),
         "energy: expected no stress at rest": lambda: pulled.on(points),
+        "got 1.00e.00 of a stiffness of 0.0": lambda: of(lambda E: E[..., 0, 0]).on(points),
+        "got 0.0.* of a stiffness of 0.0": lambda: of(lambda E: (E**4).sum((-1, -2))).on(points),
         f"{one} NoneType": lambda: of(lambda E: None).on(points),
         f"{one} float": lambda: of(lambda E: 2.0).on(points),
         f"{one} .*2": lambda: of(lambda E: E).on(points),

@@ -124,7 +124,7 @@ class Pointwise(Swept):
 
     @torch.enable_grad()
     def _slopes(self, E: np.ndarray, *along: np.ndarray) -> list[np.ndarray]:
-        """Derivative W′(E) at strains [d, d, ...], and its own along others."""
+        """Derivative W′(E) at strains [d, d, ...], and its own along others; zero of a linear W."""
         if self._third is not None:  # W″ is linear, and W′(E) = W″(E/2) E
             pairs = (E / 2, E), *((E, X) for X in along)
             third = (contracted(self._third, A[:, :, None, None] * X) for A, X in pairs)
@@ -132,7 +132,7 @@ class Pointwise(Swept):
         at = torch.from_numpy(E).requires_grad_()
         found = grad(self._energies(at).sum(), at, create_graph=bool(along))
         for X in along:
-            found += grad(found[0], at, torch.from_numpy(X))
+            found += grad(found[0] if found[0].requires_grad else 0 * at, at, torch.from_numpy(X))
         return [symmetric(each.detach().numpy()) for each in found]
 
     def _stress(self, H: np.ndarray) -> np.ndarray:

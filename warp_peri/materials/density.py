@@ -164,10 +164,10 @@ class DensityOperator(Pointwise):
         )
         none = np.zeros((nodes.dimension, nodes.dimension, 1))
         stress, stiff = np.abs(self._slopes(none)[0]).max(), np.abs(self.stiffness).max()
-        if not stress <= REST * stiff:
+        if not stress <= REST * stiff > 0:
             raise InputError(
                 f"energy: expected no stress at rest, got {float(stress):.2e} of a stiffness of "
-                f"{float(stiff):.2e}; subtract its linear part"
+                f"{float(stiff):.2e}, and that > 0; subtract its linear part"
             )
 
     @cached_property

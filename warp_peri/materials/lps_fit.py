@@ -26,6 +26,7 @@ from warp_peri.fitting.regression import (
     Regression,
     compressed,
     norms,
+    over_loads,
     sample_weights,
     without_noise,
 )
@@ -339,8 +340,8 @@ class Learner:
                     bar.set_postfix_str(f"relative residual {100 * np.sqrt(loss):.2f} %")
 
             found = stage(tick)
-        left, load = self.left(found), np.concatenate([norms(one.b) for one in self.products])
-        error, seconds = float((left / load)[load > 0].mean()), time.perf_counter() - begin
+        left, over = self.left(found), np.concatenate([over_loads(each) for each in self.sets])
+        error, seconds = float((left * over)[over > 0].mean()), time.perf_counter() - begin
         self.history.append(Stage(name, found.solid, error, seconds, found.losses, steps))
         return found
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -84,15 +83,10 @@ class Products:
     ) -> None:
         d, h = samples.points.dimension, samples.spacing
         self.samples, self.least = samples, 2 * int(horizon / h + 1e-6)
-        self.horizon, self.degree = horizon, quadrature_degree
+        self.warp = Bonds(samples, horizon, quadrature_degree=quadrature_degree)
         self.b = samples.loads[:, samples.interior]
         self.classes = bond_classes(h, horizon, dimension=d, degree=quadrature_degree)
         self.bonds = product_basis(self.classes)
-
-    @cached_property
-    def warp(self) -> Bonds:
-        """Bonds of Warp's operator, which rows are held against."""
-        return Bonds(self.samples, self.horizon, quadrature_degree=self.degree)
 
     def left(self, *numbers: Any) -> np.ndarray:
         """Residual ‖L u − b‖ of each sample by Warp's operator at λ, μ, α and D, shape [S]."""

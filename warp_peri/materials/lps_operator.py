@@ -224,8 +224,8 @@ class LPSOperator(OperatorBase):
         return self.model.statements.get(self.model.certified_spacing_near(spacing))
 
     def energy(self, u: np.ndarray) -> np.ndarray | None:
-        """Energy h^d (½ u_I·L u_I + u_I·L u_C) [stress · length^d], shape [...]; on lattices."""
-        return None if self.points.spacing == 0 else self.quadratic(u)
+        """Energy h^d (½ u_I·L u_I + u_I·L u_C) [stress · length^d], [...], where L is symmetric."""
+        return self.quadratic(u) if self.is_symmetric else None
 
     def stress(self, u: np.ndarray) -> np.ndarray | None:
         """Stress σ [TPa] at the interior nodes, [..., I, d, d]."""
