@@ -409,8 +409,7 @@ def one_disk() -> Table:
         inside = disks.interior
         found, _ = EquilibriumSolver(placed).solve(b[inside], u, 1e-6)
         pairs = (found[inside], u[inside]), (np.asarray(placed(u)), b[inside])
-        off = [relative_error(*pair) for pair in pairs]
-        rows.append([name, *(f"{100 * error:.2f}" for error in off)])
+        rows.append([name, *(f"{100 * relative_error(*pair):.2f}" for pair in pairs)])
     return ["disk", "u", "b"], rows
 
 

@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError, quietly
 from warp_peri.files.atomic import write_json
-from warp_peri.fitting.regression import norms
+from warp_peri.fitting.regression import norms, sizes
 from warp_peri.points.arguments import Bound, Natural, Share, typed, typed_methods
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.points import Samples
@@ -93,13 +93,10 @@ def _table(
 ) -> dict[str, Any]:
     """Table of errors of solutions; `home` is the spacing that a transferred model comes from."""
     inside = points.interior
-    u, off = points.u[:, inside], (solved - points.u)[:, inside]
-    if inside.all():  # no node is held: where a periodic body as a whole lies is nobody's answer
-        u, off = (field - field.mean(axis=1, keepdims=True) for field in (u, off))
-    size, wrong = norms(u), norms(off)
+    size, wrong = sizes(points.u, inside), sizes(solved - points.u, inside)
     if not (size > 0).all():
         raise InputError(f"u: sample {int(np.argmin(size))} is zero on the interior")
-    bent = norms(without_rigid_part(points.x[inside], u))
+    bent = norms(without_rigid_part(points.x[inside], points.u[:, inside]))
     bent = np.where(bent > ROUNDING * size, bent, 0.0)
     table: dict[str, Any] = {}
     for key, above, below in (

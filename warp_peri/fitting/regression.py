@@ -498,6 +498,13 @@ def norms(fields: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.norm(fields.reshape(len(fields), -1), axis=1))
 
 
+def sizes(fields: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """Norm of each of S fields on interior nodes; where all are, without the mean, for where a
+    periodic body as a whole lies is nobody's answer."""
+    held = fields[:, inside]
+    return norms(held - inside.all() * held.mean(axis=1, keepdims=True))
+
+
 def compressed(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compress rows R, y to as few with the same least squares."""
     if len(R) <= R.shape[1] + 1:

@@ -25,9 +25,9 @@ from warp_peri.fitting.regression import (
     LatticeRows,
     Regression,
     compressed,
-    norms,
     over_loads,
     sample_weights,
+    sizes,
     without_noise,
 )
 from warp_peri.fitting.settings import (
@@ -494,15 +494,11 @@ class Learner:
 def displacement_error(stencil: Stencil, samples: Samples, least: int | None = None) -> float:
     """Mean relative error of the displacement that a stencil answers the loads with (theory, 31),
     infinite where bonds reach beyond the collar, or it has no stable answer."""
-    inside = samples.interior
     try:
         linear = Linear(stencil, samples.points, least=least)
         linear.check_definite()
         found, _ = linear.solve(samples.loads, samples.u, TOLERANCE)
     except InputError:
         return np.inf
-    size, wrong = (  # where a periodic body as a whole lies is nobody's answer
-        norms((field - inside.all() * field.mean(axis=1, keepdims=True))[:, inside])
-        for field in (samples.u, found - samples.u)
-    )
+    size, wrong = (sizes(field, samples.interior) for field in (samples.u, found - samples.u))
     return float(np.mean(wrong / np.where(size > 0, size, np.inf)))

@@ -84,13 +84,14 @@ class Products:
         d, h = samples.points.dimension, samples.spacing
         self.samples, self.least = samples, 2 * int(horizon / h + 1e-6)
         self.warp = Bonds(samples, horizon, quadrature_degree=quadrature_degree)
+        self.u = samples.u.copy()  # torch takes no array that is read-only
         self.b = samples.loads[:, samples.interior]
         self.classes = bond_classes(h, horizon, dimension=d, degree=quadrature_degree)
         self.bonds = product_basis(self.classes)
 
     def left(self, *numbers: Any) -> np.ndarray:
         """Residual ‖L u − b‖ of each sample by Warp's operator at λ, μ, α and D, shape [S]."""
-        force = self.warp.law(*numbers).force(self.samples.u.reshape(len(self.b), -1))[0]
+        force = self.warp.law(*numbers).force(self.u.reshape(len(self.b), -1))[0]
         return norms(force - self.b.reshape(force.shape))
 
     def rows(self, weight: np.ndarray, samples: Samples | None = None) -> LatticeRows:

@@ -69,8 +69,7 @@ def total_loss(
     """Loss Σ_s weight_s ‖L u − b‖² over all training sets at λ, μ, α and D, by Warp's operator."""
     terms = []
     for made, weight in zip(sets, weights):
-        u = torch.tensor(made.samples.u)  # a copy: the set may be read-only
-        left = lps_force(made.warp, u, *values) - torch.from_numpy(made.b)
+        left = lps_force(made.warp, torch.from_numpy(made.u), *values) - torch.from_numpy(made.b)
         terms.append(torch.from_numpy(weight) @ left.square().sum(dim=(1, 2)))
     return torch.stack(terms).sum()
 
