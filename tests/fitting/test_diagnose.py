@@ -11,6 +11,7 @@ from tests.support.problems import kernel, lattice, manufactured, noise, smooth
 from tests.support.symbols import fluctuation
 from warp_peri import LPS, Bernstein, Crystal, InputError, Samples, diagnose, fit
 from warp_peri.core.elastic import voigt_to_tensor
+from warp_peri.core.stencil import invariant_basis
 from warp_peri.fitting.diagnose import _families
 from warp_peri.materials.crystal_fit import fit_dispersion
 from warp_peri.materials.lps_operator import LPSOperator
@@ -136,6 +137,9 @@ def test_a_crystal_is_told_what_symmetry_it_lacks():
     square, without = (Crystal(HORIZON, name).learn(samples).material for name in ("4mm", "2mm"))
     assert diagnose(square, samples).causes[0] == "anisotropy"
     assert diagnose(without, samples).residual < 0.05
+    placed, inside = square.on(samples.points), np.arange(samples.interior.sum())
+    bonds = dict(_families(samples, placed, inside, 1.0))["dispersion"]
+    assert bonds.shape[-1] == len(invariant_basis(HORIZON, square.group).basis)  # none is rounding
 
 
 def test_rounding_is_called_rounding(samples):

@@ -10,7 +10,6 @@ from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
-from scipy.linalg import null_space
 
 from warp_peri.core.elastic import allowed_tensors, point_group
 from warp_peri.core.stencil import Basis, elastic_from_brackets, grid_of, half_ball, invariant_basis
@@ -158,7 +157,8 @@ def _families(samples: Samples, operator: Any, drawn: np.ndarray, residual: floa
         """Forces of bonds whose long-wave moduli have the model's own symmetry."""
         C = elastic_from_brackets(bonds.moments()).reshape(-1, d * d, d * d)
         C = (C + C.swapaxes(1, 2)).reshape(len(C), -1)
-        return forces(u, grid, bonds) @ null_space((C - C @ allowed @ allowed.T).T, 1e-9)
+        size, mixes = np.linalg.svd((C - C @ allowed @ allowed.T).T)[1:]
+        return forces(u, grid, bonds) @ mixes[np.sum(size > 1e-9 * np.abs(C).max()) :].T
 
     def tensors(vectors: np.ndarray) -> Any:
         """Products of vectors [S, I, d, n] with each symmetric tensor."""
