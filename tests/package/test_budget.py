@@ -19,7 +19,7 @@ import pytest
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
     "code lines": 18_670,
-    "tokens": 234_192,
+    "tokens": 234_195,
     "lines of warp_peri": 29_859,
     "files of warp_peri": 111,
     "lines of kernels": 1_016,

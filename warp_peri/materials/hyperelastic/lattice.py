@@ -208,7 +208,7 @@ class SheetLattice:
         for shift in (0.0, *SHIFTS) if shifts else (0.0,):
             band[0] = diagonal + shift * np.abs(diagonal).max()
             try:
-                factors = cholesky_banded(band, lower=True)
+                factors = cholesky_banded(band, not shifts, lower=True)
             except (np.linalg.LinAlgError, ValueError):  # not definite, or no numbers
                 continue
             return partial(_solve, factors, order), shift == 0
