@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import replace
@@ -21,19 +20,20 @@ from warp_peri.files.atomic import locked
 from warp_peri.files.checkpoint import ArrayFile, fingerprint
 from warp_peri.fitting.augmented_lagrangian import Tick, adam, as_printed, printed_state
 from warp_peri.fitting.regression import LatticeRows, compressed, forces
-from warp_peri.fitting.settings import GaussNewton, TwoStage
 from warp_peri.materials.lps import LPSMaterial, LPSParameters, bernstein_basis
 from warp_peri.materials.lps_force import Bonds, lps_force
 from warp_peri.materials.lps_law import (
     ALPHA_IN_SIGHT,
     LARGEST_ALPHA,
+    GaussNewton,
     LPSFound,
     LPSLaw,
     Products,
+    TwoStage,
     products,
     squares,
 )
-from warp_peri.materials.lps_operator import assemble, matrices
+from warp_peri.materials.lps_operator import LPSOperator, assemble
 from warp_peri.points.arguments import checked
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.points import WAVE_VECTOR, Samples
@@ -45,6 +45,9 @@ DENSE_ZETA = 1e-4
 """ζ of the dense conditions: Λmin(Γ) [1/l²] and Λmin(ΦΓ⁻¹Φᵗ)."""
 PRINTED_HORIZON = 20.0
 """Horizon over the length l that the dense conditions count in: 1 Å as printed."""
+
+PARITIES = "", "", "++ +- -+ --", "+++ ++- --+ --- +-"
+"""Of fields under so many mirrors of a domain."""
 
 Blocks = list[tuple[np.ndarray, np.ndarray]]
 
@@ -166,29 +169,28 @@ def class_matrices(points: Samples, horizon: float) -> tuple[np.ndarray, np.ndar
 
 
 def mirror_blocks(gammas: np.ndarray, phis: np.ndarray, x: np.ndarray) -> Blocks:
-    """Γ_c and Φ_c in blocks of fields even or odd under both mirrors of the nodes, if there are."""
-    mirrors = []
-    for axis in (0, 1):
-        image = x.copy()
-        image[:, axis] = x[:, axis].min() + x[:, axis].max() - x[:, axis]
-        distance, node = KDTree(x).query(image)
+    """Γ_c and Φ_c in blocks of fields even or odd under both mirrors of the nodes, and under that
+    of x and y, if there are; of two blocks that the last one swaps, one."""
+    x, mirrors = x - (x.min(axis=0) + x.max(axis=0)) / 2, []
+    for turn in np.array([[[-1, 0], [0, 1]], [[1, 0], [0, -1]], [[0, 1], [1, 0]]]):
+        distance, node = KDTree(x).query(x @ turn)
         if distance.max() > 1e-6 * np.ptp(x):
-            return [(gammas, phis)]
-        mirrors.append(np.eye(len(x))[node])
-    # the component of u along an axis changes its sign in the mirror of that axis
-    turned = [np.kron(mirror, np.diag(sign)) for mirror, sign in zip(mirrors, ((-1, 1), (1, -1)))]
+            break
+        scalar = np.eye(len(x))[node]
+        mirrors.append((scalar, np.kron(scalar, turn)))
     blocks = []
-    for signs in itertools.product((1, -1), repeat=2):
-        scalar, vector = _kept(mirrors, signs), _kept(turned, signs)
+    for parity in PARITIES[len(mirrors)].split():
+        scalar, vector = (_kept(each, parity) for each in zip(*mirrors))
         blocks.append((vector.T @ gammas @ vector, scalar.T @ phis @ vector))
-    return blocks
+    return blocks or [(gammas, phis)]
 
 
-def _kept(mirrors: Sequence[np.ndarray], signs: Sequence[int]) -> np.ndarray:
-    """Orthonormal fields that each mirror multiplies by its sign, as columns."""
-    one = np.eye(len(mirrors[0]))
-    projection = (one + signs[0] * mirrors[0]) @ (one + signs[1] * mirrors[1]) / 4
-    values, fields = eigh(projection)
+def _kept(mirrors: Sequence[np.ndarray], parity: str) -> np.ndarray:
+    """Orthonormal fields that each mirror leaves (+) or turns around (−), as columns."""
+    kept = one = np.eye(len(mirrors[0]))
+    for sign, mirror in zip(parity, mirrors):
+        kept = kept @ (one + int(sign + "1") * mirror)
+    values, fields = eigh(kept)
     return np.array(fields[:, values > 0.5])
 
 
@@ -313,7 +315,7 @@ class CollarResponse:
     def about(self, model: LPSMaterial) -> LatticeRows:
         """Rows of the relative misfit of interior displacement, linearised about a model."""
         points, inside = self.points, self.points.interior
-        L = matrices(model, points).operator(model.lam, model.mu)
+        L = LPSOperator(model, points).matrix()
         problem, bonds, width = MatrixProblem(L, inside), self.bonds, len(self.bonds.basis)
         nodes = grid_of(points.points, bonds.steps, least=self.least)
         R, y = np.zeros((0, width)), np.zeros(0)
