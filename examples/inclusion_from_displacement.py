@@ -16,7 +16,7 @@ import torch
 from scipy.optimize import minimize
 
 import warp_peri as wp
-from warp_peri.points.unit_names import REDUCED
+from warp_peri.points.arguments import REDUCED
 
 HORIZON, RATIO, STIFFER = 3.0, 0.375, 4.0  # in spacings; λ/μ; μ inside over μ outside
 WEIGHT, SMOOTH = 0.001, 0.01  # of the total variation, and where its kink is rounded

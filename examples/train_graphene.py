@@ -28,8 +28,8 @@ from warp_peri import Dataset, InputError, Samples
 from warp_peri.core.elastic import plane_isotropic
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
-from warp_peri.fitting import settings
 from warp_peri.fitting.evaluate import train
+from warp_peri.materials import lps_law
 from warp_peri.materials.lps import LPSParameters
 from warp_peri.materials.lps_fit import Learner
 from warp_peri.materials.lps_law import LPSFound, optimum
@@ -60,7 +60,7 @@ def run(given: argparse.Namespace) -> None:
     noise, seconds = sets.pop("noise", None), {"data": time.perf_counter() - begin}
     conditions = wp.methods.StabilityConditions(given.conditions)
     kernel = None if given.degree is None else wp.Bernstein(given.degree)
-    law = wp.LPS(given.horizon, kernel, settings.METHODS[given.method](), conditions)
+    law = wp.LPS(given.horizon, kernel, lps_law.METHODS[given.method](), conditions)
     trained = train(law, sets["train"], sets, noise=noise, allow_uncertified=True, progress=True)
     for reason in trained.refused.values():
         raise InputError(reason)

@@ -9,7 +9,7 @@ import numpy as np
 from tools.graphene import THICKNESS, sheet
 from tools.lammps_session import LammpsSession
 from tools.statics import Statics
-from warp_peri.points.unit_names import EV_IN_TPA
+from warp_peri.points.arguments import EV_IN_TPA
 
 STRAIN = 1e-4
 CUBIC_STRAINS = (0.01, 0.03)

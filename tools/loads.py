@@ -11,8 +11,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from warp_peri.points.arguments import EV_IN_TPA
 from warp_peri.points.dataset import mixed_waves
-from warp_peri.points.unit_names import EV_IN_TPA
 
 Box = tuple[float, float] | None
 """Periods (Lx, Ly) of the atoms [Å]; None for a free body."""

@@ -27,7 +27,7 @@ from tools.options import Options
 from warp_peri import Dataset, InputError, Points, Samples, save
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
-from warp_peri.points.unit_names import REDUCED
+from warp_peri.points.arguments import REDUCED
 
 NODES = 21
 """Nodes a side of the square."""

@@ -25,7 +25,7 @@ from tools.options import Options
 from warp_peri import Points, Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
-from warp_peri.points.unit_names import REDUCED
+from warp_peri.points.arguments import REDUCED
 
 PROTOCOLS = ((1, 1), (1, 0.66), (1, 0.33), (0.66, 1), (0.33, 1), (0.05, 1), (1, 0.1))
 """Pull along x and y, as parts of the largest."""

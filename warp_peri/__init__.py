@@ -32,18 +32,18 @@ if TYPE_CHECKING:
     from warp_peri import runtime as runtime
     from warp_peri import transfers as transfers
     from warp_peri.atoms.crystal_fit import fit_crystal as fit_crystal
+    from warp_peri.core.proof import certify as certify
     from warp_peri.core.torch_bridge import TorchModule as TorchModule
     from warp_peri.errors import InputError as InputError
     from warp_peri.fitting.diagnose import diagnose as diagnose
     from warp_peri.fitting.evaluate import evaluate as evaluate
-    from warp_peri.fitting.settings import Bernstein as Bernstein
     from warp_peri.fracture.problems import Cracked as Cracked
-    from warp_peri.materials.certificate import certify as certify
     from warp_peri.materials.crystal_fit import Crystal as Crystal
     from warp_peri.materials.density import Density as Density
     from warp_peri.materials.density import DensityMaterial as DensityMaterial
     from warp_peri.materials.lps import LPSMaterial as LPSMaterial
     from warp_peri.materials.lps_fit import LPS as LPS
+    from warp_peri.materials.lps_law import Bernstein as Bernstein
     from warp_peri.materials.third_order import ThirdOrder as ThirdOrder
     from warp_peri.points.dataset import Dataset as Dataset
     from warp_peri.points.mesh import Mesh as Mesh

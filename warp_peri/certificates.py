@@ -4,18 +4,15 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.core.proof import StencilCertificate, largest
+from warp_peri.core.proof import Certificate, StencilCertificate, certify, largest
 from warp_peri.materials.certificate import (
-    Certificate,
     Solvability,
     Uniqueness,
-    certify,
     check_solvability,
     prove_uniqueness,
 )
 from warp_peri.materials.transfer import model_at
-from warp_peri.points.arguments import Positive, typed
-from warp_peri.protocols import offered
+from warp_peri.points.arguments import Positive, offered, typed
 from warp_peri.solvers.verlet import inertia, stiffest_of
 
 __all__ = [

@@ -18,10 +18,17 @@ from warp_peri.fracture.body import lattice_body
 from warp_peri.fracture.bonds import bond_matrix, bonds_of, dilatations
 from warp_peri.fracture.statics import INDEFINITE
 from warp_peri.materials.lps import ALPHA_BOUND, LPSMaterial, bernstein_basis
-from warp_peri.points.arguments import checked, checked_fields, mean_inverse, plain
+from warp_peri.points.arguments import (
+    USUAL,
+    Units,
+    check_same,
+    checked,
+    checked_fields,
+    mean_inverse,
+    plain,
+)
 from warp_peri.points.families import families_of
 from warp_peri.points.points import PointsLike, nodes_of
-from warp_peri.points.unit_names import USUAL, Units, check_same
 from warp_peri.protocols import OperatorBase
 from warp_peri.solvers.adjoint import stepped
 from warp_peri.solvers.solution import Direct, Solution, Solver, refuse_solver

@@ -12,9 +12,9 @@ from warp_peri.errors import InputError
 from warp_peri.files.atomic import meshio_of, write_vtu
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_operator import node_fields
-from warp_peri.points.arguments import checked, typed
+from warp_peri.points.arguments import checked, offered, typed
 from warp_peri.points.points import PointsLike, Samples
-from warp_peri.protocols import MATERIAL, offered
+from warp_peri.protocols import MATERIAL
 
 if TYPE_CHECKING:
     from warp_peri.fe_coupling.body import BodySolution

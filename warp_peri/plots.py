@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogFormatter, MaxNLocator
 
-from warp_peri.fitting.settings import Stage
+from warp_peri.fitting.result import Stage
 from warp_peri.materials.lps import LPSMaterial
+from warp_peri.points.arguments import symbols
 from warp_peri.points.families import bond_classes
-from warp_peri.points.unit_names import symbols
 
 
 def influence_function(model: LPSMaterial, *, spacing: float, ax: Axes) -> Axes:

@@ -13,10 +13,19 @@ from numpy.typing import ArrayLike
 from warp_peri.errors import ALONE, agreed
 from warp_peri.fe_coupling.body import solve_body
 from warp_peri.fe_coupling.boundary_elements import Field, Traction
-from warp_peri.points.arguments import check_flag, check_mapping, checked, is_piece, typed
+from warp_peri.points.arguments import (
+    check_flag,
+    check_mapping,
+    checked,
+    is_piece,
+    is_tensor,
+    offered,
+    taken,
+    typed,
+)
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points, PointsLike, nodes_of
-from warp_peri.protocols import is_tensor, offered, placed, taken, uncompiled
+from warp_peri.protocols import placed, uncompiled
 from warp_peri.solvers.adjoint import in_motion
 from warp_peri.solvers.motion import Motion, refuse_learning
 from warp_peri.solvers.solution import Coupling, Solution, Solver, refuse_solver, told

@@ -17,14 +17,12 @@ import numpy as np
 
 import warp_peri.core as core
 from warp_peri.errors import InputError, quietly
-from warp_peri.points.arguments import check_arguments, checked, plain
+from warp_peri.points.arguments import check_arguments, checked, is_tensor, offered, plain
 from warp_peri.points.points import Samples
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-SAME_SPACING = 1e-6
-"""Relative, of spacings that are taken as the same."""
 SINGULAR = "expected an equilibrium where the tangent has an inverse, got a singular one, or nearly"
 
 
@@ -86,11 +84,6 @@ def _kept(value: Any) -> Any:
 def _remade(kind: Callable[..., Any], given: tuple[Any, ...], options: dict[str, Any]) -> Any:
     with quietly():  # said of the first
         return kind(*given, **options)
-
-
-def is_tensor(value: Any) -> bool:
-    """Whether a value is a torch tensor; torch is not loaded for the question."""
-    return "torch" in sys.modules and isinstance(value, sys.modules["torch"].Tensor)
 
 
 def uncompiled(call: Callable[..., Any]) -> Callable[..., Any]:
@@ -254,40 +247,10 @@ class FittableModel(Protocol):
         """Function of samples and options that returns a Fit: material, certificate, history."""
 
 
-def offered(given: Any, name: str, verb: str, kinds: str) -> Any:
-    """Method `name` of a given object; InputError that says what `verb` is for otherwise."""
-    method = getattr(given, name, None)
-    if method is None or isinstance(given, type):
-        what = given.__name__ if isinstance(given, type) else type(given).__name__
-        raise InputError(f"{verb}: expected {kinds}, got {what}")
-    return method
-
-
 def refuse_uncut(material: Any, problem: str) -> None:
     """Raise InputError for a law that does not bear cut bonds, in its own words (`uncut`)."""
     if why := getattr(getattr(material, "model", material), "uncut", ""):
         raise InputError(f"solve: the bonds of a {problem} end at its edges, and {why}")
-
-
-LINEAR = "a linear solid, or a material with a linear part"
-
-
-def stencil_of(law: Any, spacing: float, verb: str) -> tuple[Any, np.ndarray]:
-    """Stencil of a linear solid on a lattice, and the symmetries of nodes that leave it unchanged;
-    InputError for another spacing than a one-lattice solid's, and laws without a stencil."""
-    found = offered(law, "stencil", verb, LINEAR)
-    stencil = found(spacing) if callable(found) else found
-    check_spacing(stencil.spacing, spacing, "got")
-    return stencil, law.group
-
-
-def check_spacing(own: float, spacing: float, said: str) -> None:
-    """Raise InputError for another spacing than a one-lattice solid's own."""
-    if not abs(spacing / own - 1) <= SAME_SPACING:
-        raise InputError(
-            f"spacing: the model is for {own:g}, {said} {spacing:g}; "
-            "transfer_to_lattice(law, spacing) fits another"
-        )
 
 
 MATERIAL = "a material, as fit(…).material or load(…)"
@@ -329,22 +292,3 @@ def placed(
         what = type(material).__name__
         raise InputError(f"{verb}: {', '.join(unknown)}: not among the options of a {what}")
     return on(points, **check_arguments(on, options))
-
-
-def taken(
-    options: dict[str, Any], verb: str, *takers: Callable[..., Any], given: tuple[str, ...] = ()
-) -> tuple[dict[str, Any], ...]:
-    """Sort options by taker, by keyword-only arguments that are not `given` elsewhere. InputError
-    for an option that none takes, a missing one, and one of another kind than annotated."""
-    kinds = [
-        {n: p for n, p in signature(taker).parameters.items() if p.kind is p.KEYWORD_ONLY}
-        for taker in takers
-    ]
-    known = {n: p for kind in kinds for n, p in kind.items() if n not in given}
-    names = ", ".join(known) or "none"
-    if unknown := sorted(options.keys() - known.keys()):
-        raise InputError(f"{verb}: expected options among {names}, got {', '.join(unknown)}")
-    if missing := [n for n, p in known.items() if p.default is p.empty and n not in options]:
-        raise InputError(f"{verb}: expected {', '.join(missing)} too, of the options {names}")
-    found = tuple({n: options[n] for n in kind if n in known and n in options} for kind in kinds)
-    return tuple(check_arguments(taker, its) for taker, its in zip(takers, found))

@@ -15,9 +15,9 @@ import numpy as np
 import torch
 
 from warp_peri.core.elastic import central_weights
+from warp_peri.points.arguments import Units, factors
 from warp_peri.points.dataset import in_units
 from warp_peri.points.points import Points, Samples
-from warp_peri.points.unit_names import Units, factors
 from warp_peri.verbs import load, save
 
 STEP = 1e-3

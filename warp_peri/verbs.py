@@ -14,13 +14,11 @@ import warp_peri.fitting as fitting
 from warp_peri.core.record import load as load_record
 from warp_peri.errors import InputError, quietly, warn
 from warp_peri.files.atomic import check_regular, write_json
-from warp_peri.fitting.settings import LOUD, Fit, left_by, listed
-from warp_peri.points.arguments import typed
+from warp_peri.fitting.result import LOUD, Fit
+from warp_peri.points.arguments import Units, offered, taken, typed
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.mesh_files import load_mesh
-from warp_peri.points.points import Samples
-from warp_peri.points.unit_names import Units
-from warp_peri.protocols import offered, taken
+from warp_peri.points.points import Samples, sets_of
 
 if TYPE_CHECKING:
     from warp_peri.materials.crystal_fit import Crystal
@@ -57,20 +55,14 @@ def fit(samples: Any, law: Any = None, **options: Any) -> Any:
     if not any(one.kind is one.VAR_KEYWORD for one in signature(learned).parameters.values()):
         (options,) = taken(options, "fit", learned)
     found = learned(samples, **options)
-    if isinstance(found, Fit):
-        warn_of_kind(found.material, listed(samples), listed(options.get("noise")))
+    if isinstance(found, Fit) and found.left > LOUD:
+        for each, noise in zip_longest(sets_of(samples), sets_of(options.get("noise"))):
+            with suppress(InputError):  # in space, scattered, too few
+                with quietly():  # said by the fit
+                    told = fitting.diagnose.diagnose(found.material, each, noise).advice
+                if told:
+                    warn(told)
     return found
-
-
-def warn_of_kind(material: Any, sets: Sequence[Samples], noise: Sequence[Samples]) -> None:
-    """Warn where the residual on data sets is so large that they ask for another material."""
-    for each, quiet in zip_longest(sets, noise):
-        with suppress(InputError):  # in space, scattered, too few
-            with quietly():  # said by the fit
-                if left_by(material, each, "fit")[2] <= LOUD:
-                    continue
-                told = fitting.diagnose.diagnose(material, each, quiet).advice
-            warn(told)
 
 
 HDF5 = b"\x89HDF\r\n\x1a\n"

@@ -29,7 +29,7 @@ from warp_peri.errors import exit_status
 from warp_peri.fracture import continuum_stretch
 from warp_peri.fracture.bonds import unit_toughness
 from warp_peri.materials.lps_force import Bonds
-from warp_peri.materials.lps_operator import Matrices, assemble, matrices
+from warp_peri.materials.lps_operator import LPSOperator, Matrices, assemble
 from warp_peri.points.families import HORIZON_TOLERANCE, ball_integral, bond_classes
 from warp_peri.solvers.systems import MatrixProblem
 from warp_peri.transfers import mean_spacing
@@ -153,7 +153,7 @@ def staggered(model: wp.LPSMaterial, nodes: Points) -> MatrixProblem:
     x, inside = nodes.x, nodes.interior
     body = np.ones(len(x), bool) if nodes.outside is None else ~nodes.outside
     few = thinned(x, np.flatnonzero(inside), APART * mean_spacing(nodes))
-    parts = matrices(model, nodes)
+    parts = LPSOperator(model, nodes).matrices
     of_body = sp.eye_array(len(x), format="csr")[body]
     slopes = [part @ of_body for part in derivatives(x[few], x[body])]
     D, G = tensors(slopes, derivatives(x[inside], x[few]))
@@ -401,7 +401,7 @@ def forms(model: wp.LPSMaterial, points: Points) -> dict[str, Callable[[], Matri
     inside = points.interior
 
     def solid(change: Callable[[Matrices], Matrices]) -> MatrixProblem:
-        parts = change(matrices(model, points))
+        parts = change(LPSOperator(model, points).matrices)
         return MatrixProblem(parts.operator(model.lam, model.mu), inside)
 
     def everywhere(parts: Matrices) -> Matrices:
@@ -449,7 +449,7 @@ def edge_error(number: int, ratio: float, seed: int, form: str) -> float:
     exact = np.where(outside[:, None], 0.0, bending(points, ratio))
     if form != "as written (9)":
         return off(staggered(model, body), body, exact)
-    L = matrices(model, body).operator(model.lam, model.mu)
+    L = LPSOperator(model, body).matrix()
     return off(MatrixProblem(L, body.interior), body, exact)
 
 
@@ -473,7 +473,7 @@ def inclusion_error(number: int, case: str, seed: int) -> float:
     x, nodes = points.x, np.flatnonzero(points.interior)
     r = np.linalg.norm(x, axis=1)
     core = r < RADIUS
-    parts = matrices(wp.LPSMaterial(1.0, 1.0, 1.0, np.ones(1), 3 * h), points)
+    parts = LPSOperator(wp.LPSMaterial(1.0, 1.0, 1.0, np.ones(1), 3 * h), points).matrices
     few = thinned(x, nodes, 1.3 * h)
     D: list[Any] = [0, 0]
     G: list[Any] = [0, 0]

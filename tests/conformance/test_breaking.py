@@ -17,7 +17,7 @@ from tests.support.problems import difference, noise, rotation
 from warp_peri import runtime
 from warp_peri.fracture import BondLaw, BrittleMaterial, Cracked, SofteningMaterial, box_nodes
 from warp_peri.fracture.statics import CutSolid
-from warp_peri.points.unit_names import factors
+from warp_peri.points.arguments import factors
 from warp_peri.testing import assert_near as near
 
 SIDES = {2: (9, 8), 3: (6, 5, 6)}

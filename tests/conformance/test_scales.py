@@ -15,7 +15,7 @@ from tests.support.sheets import waves
 from warp_peri.diffusion import DiffusionMaterial
 from warp_peri.fracture import Cracked
 from warp_peri.materials.crystal import crystal_from_lps
-from warp_peri.points.unit_names import USUAL, factors
+from warp_peri.points.arguments import USUAL, factors
 from warp_peri.testing import assert_near as near
 
 pytestmark = pytest.mark.filterwarnings(

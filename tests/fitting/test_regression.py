@@ -6,9 +6,14 @@ import pytest
 from tests.support.problems import difference
 from warp_peri import InputError
 from warp_peri.fitting.regression import Settled, least_squares_above
-from warp_peri.fitting.settings import GaussNewton, StabilityConditions
 from warp_peri.materials.lps import LPSParameters, bernstein_basis
-from warp_peri.materials.lps_law import BernsteinKernel, LPSFound, LPSLaw
+from warp_peri.materials.lps_law import (
+    BernsteinKernel,
+    GaussNewton,
+    LPSFound,
+    LPSLaw,
+    StabilityConditions,
+)
 from warp_peri.points.families import bond_classes
 
 

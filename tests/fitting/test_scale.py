@@ -9,8 +9,7 @@ from tests.support.problems import kernel, lattice, manufactured
 from tests.support.solving import fit, solve
 from tests.support.symbols import waves
 from warp_peri import Bernstein, InputError
-from warp_peri.materials.lps_fit import RELATIVE_ZETA
-from warp_peri.materials.lps_law import stiffness_of
+from warp_peri.materials.lps_fit import RELATIVE_ZETA, stiffness_of
 from warp_peri.methods import StabilityConditions, TwoStage
 from warp_peri.points.points import Samples
 

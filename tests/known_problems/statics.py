@@ -20,9 +20,9 @@ from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.third_order import Smoothing, ThirdOrderMaterial
+from warp_peri.points.arguments import LENGTHS, Units
 from warp_peri.points.mesh import make_mesh
 from warp_peri.points.points import Points
-from warp_peri.points.unit_names import LENGTHS, Units
 from warp_peri.problems import Body, Dirichlet, solve
 from warp_peri.solvers.solution import CG, Coupling, Direct, Newton
 

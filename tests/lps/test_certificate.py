@@ -11,10 +11,9 @@ from tests.support.problems import ell, kernel, lattice
 from tests.support.symbols import form, smallest, smallest_margins, symbol
 from warp_peri import InputError, LPSMaterial, certify
 from warp_peri.core.stencil import ratios
-from warp_peri.fitting.settings import StabilityConditions
 from warp_peri.materials.lps import stiffnesses
-from warp_peri.materials.lps_law import product_basis
-from warp_peri.materials.lps_operator import matrices
+from warp_peri.materials.lps_law import StabilityConditions, product_basis
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.families import bond_classes
 from warp_peri.solvers.systems import DENSE, smallest_eigenvalue
 
@@ -100,7 +99,7 @@ def test_smallest_eigenvalue_is_at_least_the_proven_share_of_the_laplacians(seed
     shapes = [domain, np.hypot(a - i, b - j) <= 3, (a < i) | (b < j), (a != i) | (b != j)]
     domain = shapes[seed % 4]
     points, node = lattice(domain, 3.0), np.argwhere(domain)
-    L = matrices(model, points).operator(model.lam, model.mu)
+    L = LPSOperator(model, points).matrix()
     L = L[:, np.repeat(points.interior, 2)].toarray()
     step = np.abs(node[:, None] - node[None]).sum(-1)
     laplacian = np.linalg.eigvalsh(4.0 * (step == 0) - (step == 1))[0]
@@ -123,7 +122,7 @@ def test_the_conditions_are_the_printed_ones_and_the_search_finds_the_softest(ki
     v, kappa = stiffnesses(model, CLASSES)
     k = np.random.default_rng(2).uniform(-np.pi, np.pi, (7, 2))
     bonds, (i, j) = product_basis(CLASSES), np.triu_indices(len(v))
-    for number, (own, level) in enumerate(conditions.forms(kappa, model.mu, conditions.level)):
+    for number, (own, level) in enumerate(conditions.forms(kappa, model.mu, conditions.zeta)):
         tensors = np.tensordot(np.concatenate([v, own * v[i] * v[j]]), bonds.basis, 1)
         margins = ratios(bonds.steps, tensors, k)[0] - level
         expected = printed(v, kappa, model.mu, k)[number]

@@ -18,7 +18,7 @@ from warp_peri import InputError, Points
 from warp_peri.atoms.calculators import LammpsError, lammps_class
 from warp_peri.materials.lps import moduli
 from warp_peri.materials.lps_force import Bonds, lps_force
-from warp_peri.materials.lps_operator import assemble, matrices
+from warp_peri.materials.lps_operator import LPSOperator, assemble
 from warp_peri.methods import LPSParameters
 from warp_peri.points.families import bond_classes
 
@@ -101,7 +101,7 @@ def test_is_the_reference(name, horizon, points):
     at = points.x, points.interior, model, u, points.box and np.array(points.box)
     expected = reference.operator(*at)
     assert error(model.on(points, allow_uncertified=True)(u), expected) < 10 * ROUNDING
-    parts = matrices(model, points)
+    parts = LPSOperator(model, points).matrices
     L = parts.operator(model.lam, model.mu)
     assert error((L @ u.ravel()).reshape(-1, 2), expected) < 10 * ROUNDING
     theta, needed = parts.phi @ u.ravel(), np.unique(parts.psi.indices)[::20]

@@ -10,7 +10,7 @@ from tests.support.clouds import cloud, plain
 from tests.support.problems import ell, fitted_order, kernel, lattice, noise
 from tests.support.solving import solve
 from warp_peri import InputError, LPSMaterial, certify
-from warp_peri.materials.lps_operator import matrices
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.families import families_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")
@@ -34,7 +34,7 @@ every_body = pytest.mark.parametrize(("points", "model"), BODIES.values(), ids=B
 
 @every_body
 def test_dilatation_of_an_affine_field_is_exact_and_matrices_are_the_operator(points, model):
-    d, parts = points.dimension, matrices(model, points)
+    d, parts = points.dimension, LPSOperator(model, points).matrices
     G = np.random.default_rng(6).normal(size=(d, d))
     u = points.x @ G.T + 0.4
     u[points.outside] = 1e3  # nobody looks

@@ -18,12 +18,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 18_670,
-    "tokens": 234_195,
-    "lines of warp_peri": 29_859,
-    "files of warp_peri": 111,
+    "code lines": 18_684,
+    "tokens": 234_577,
+    "lines of warp_peri": 29_978,
+    "files of warp_peri": 110,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 42_033,
+    "lines of warp_peri, kernels, examples and tools": 42_159,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -36,18 +36,18 @@ BUDGET = {
 ROOMS = {
     "atoms": 2316,
     "cli": 754,
-    "core": 1504,
-    "face": 1147,
+    "core": 1611,
+    "face": 1108,
     "fe_coupling": 710,
     "files": 443,
-    "fitting": 1137,
+    "fitting": 1061,
     "fracture": 1418,
-    "materials": 4542,
+    "materials": 4546,
     "neural": 573,
-    "points": 1615,
+    "points": 1651,
     "prediction": 574,
     "mpi": 461,
-    "solvers": 1476,
+    "solvers": 1458,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

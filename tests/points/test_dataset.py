@@ -9,8 +9,8 @@ import pytest
 
 from tests.support.problems import lattice, noise
 from warp_peri import Dataset, InputError, Points, Samples, evaluate, load, save
+from warp_peri.points.arguments import factors
 from warp_peri.points.dataset import content_hash, load_dataset, save_dataset
-from warp_peri.points.unit_names import factors
 
 GRID = lattice(2, 1.0, spacing=2.5)
 N = len(GRID.x)

@@ -13,9 +13,9 @@ from tests.crystal.test_crystal import body
 from tests.support.nonlinear import solid
 from tests.support.problems import kernel, lattice, manufactured, noise, smooth
 from warp_peri.cli.main import main
+from warp_peri.points.arguments import factors
 from warp_peri.points.families import largest_strain
 from warp_peri.points.points import _said
-from warp_peri.points.unit_names import factors
 from warp_peri.prediction import CalibrationFactors, Ensemble, EnsembleMaterial, EnsembleOperator
 from warp_peri.prediction.ensemble import BEYOND, ErrorSpectrum, pulled, spectrum_of
 

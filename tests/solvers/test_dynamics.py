@@ -10,7 +10,7 @@ from tests.support.problems import ell, fitted_order, kernel, lattice, noise, pe
 from tests.support.symbols import symbol
 from warp_peri import InputError
 from warp_peri.certificates import critical_time_step
-from warp_peri.materials.lps_operator import matrices
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.problems import Dirichlet, simulate
 from warp_peri.solvers.verlet import INERTIA, Inert, inertia, march, step
 
@@ -78,7 +78,7 @@ def test_a_wave_turns_with_its_frequency_to_second_order():
 def test_energy_is_that_of_the_definition():
     model, points = kernel("1/r", 2.0), lattice(4, 2.0)
     inside = points.interior
-    L = matrices(model, points).operator(model.lam, model.mu)
+    L = LPSOperator(model, points).matrix()
     A, C = L[:, np.repeat(inside, 2)], L[:, np.repeat(~inside, 2)]
     u, v, b = (noise(points, seed=seed) for seed in range(3))
     step = 0.002

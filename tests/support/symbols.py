@@ -42,7 +42,7 @@ def smallest_margins(classes, conditions, v, kappa):
     return np.array(
         [
             zone.softest(np.concatenate([v, own * v[i] * v[j]]), -np.inf)[0] - level
-            for own, level in conditions.forms(kappa, mu, conditions.level)
+            for own, level in conditions.forms(kappa, mu, conditions.zeta)
         ]
     )
 

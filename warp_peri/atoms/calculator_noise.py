@@ -15,7 +15,7 @@ from warp_peri.atoms.force_constants import TINY, ForceConstants, Supercell, for
 from warp_peri.core.elastic import PAIRS, stress_brackets, voigt
 from warp_peri.errors import optional
 from warp_peri.fitting.regression import particular
-from warp_peri.points.unit_names import EV_IN_TPA
+from warp_peri.points.arguments import EV_IN_TPA
 
 ON_SITES = 1e-4
 """Distance [Å] within which atoms are on their sites."""

@@ -18,9 +18,16 @@ from scipy.spatial import cKDTree
 from warp_peri.atoms.dic import ON_LATTICE, spacing_of, surrounded
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import check_hdf5, check_regular
-from warp_peri.points.arguments import Count, Positive, checked, typed
+from warp_peri.points.arguments import (
+    EV_IN_TPA,
+    Count,
+    Positive,
+    Units,
+    check_units,
+    checked,
+    typed,
+)
 from warp_peri.points.points import LARGEST_TABLE, Points, Samples
-from warp_peri.points.unit_names import EV_IN_TPA, Units, check_units
 
 NUMBERS = {"double", "single"} | {f"{u}int{n}" for u in ("", "u") for n in (8, 16, 32, 64)}
 """Classes of MATLAB's arrays of numbers."""

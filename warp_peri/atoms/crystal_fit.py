@@ -32,9 +32,15 @@ from warp_peri.errors import InputError, Shown, warn
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import fit_phonons
 from warp_peri.materials.transfer import WaveSymbol
-from warp_peri.points.arguments import Positive, typed, typed_methods
-from warp_peri.points.unit_names import USUAL, Units, check_units
-from warp_peri.protocols import offered
+from warp_peri.points.arguments import (
+    USUAL,
+    Positive,
+    Units,
+    check_units,
+    offered,
+    typed,
+    typed_methods,
+)
 
 PATHS = {2: ("10", "01", "11"), 3: ("100", "110", "111", "001")}
 """Directions that are drawn, along the axes of the nodes."""

@@ -16,9 +16,18 @@ from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import content, encoding_of
-from warp_peri.points.arguments import NotNegative, Positive, check_shape, checked, plain, typed
+from warp_peri.points.arguments import (
+    LENGTHS,
+    USUAL,
+    NotNegative,
+    Positive,
+    check_shape,
+    check_units,
+    checked,
+    plain,
+    typed,
+)
 from warp_peri.points.points import PULL, SEEN, Points, Samples
-from warp_peri.points.unit_names import LENGTHS, USUAL, check_units
 
 MOVES = ("§", "u*", "displacement*", "*displacement", "disp*", "d*",
          "disphorizontaldisplacement§", "dispverticaldisplacement§")  # fmt: skip

@@ -21,8 +21,7 @@ from warp_peri.core.elastic import (
     stress_brackets,
 )
 from warp_peri.errors import InputError, warn
-from warp_peri.points.arguments import checked, typed, typed_methods
-from warp_peri.points.unit_names import EV_IN_TPA
+from warp_peri.points.arguments import EV_IN_TPA, checked, typed, typed_methods
 
 STEP, WIDER = 2e-3, 5
 """Displacement of finite differences [Å], and the second one over it."""

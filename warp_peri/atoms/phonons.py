@@ -30,8 +30,7 @@ from warp_peri.atoms.force_constants import (
 from warp_peri.atoms.relaxed import VACUUM, Reference, check_sites, gap, thickness_of
 from warp_peri.errors import InputError, optional, warn
 from warp_peri.files.atomic import check_hdf5, check_yaml, content
-from warp_peri.points.arguments import Positive, checked, typed
-from warp_peri.protocols import offered
+from warp_peri.points.arguments import Positive, checked, offered, typed
 
 WIDTHS = (10.0, 14.0, 18.0, 22.0, 26.0, 32.0, 40.0)
 """Of supercells [Å], tried in turn."""

@@ -29,7 +29,7 @@ from warp_peri.core.elastic import (
     primitive_cell,
 )
 from warp_peri.errors import InputError, warn
-from warp_peri.points.unit_names import EV_IN_TPA
+from warp_peri.points.arguments import EV_IN_TPA
 
 VACUUM = 8.0
 """A gap between atoms [Å] that counts as vacuum."""

@@ -15,9 +15,8 @@ import numpy as np
 import warp_peri
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import content, finite, locked, plain, write_text
+from warp_peri.points.arguments import Units, offered, symbols
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
-from warp_peri.points.unit_names import Units, symbols
-from warp_peri.protocols import offered
 from warp_peri.verbs import load
 
 Result = dict[str, Any]

@@ -28,12 +28,11 @@ from warp_peri.files.atomic import (
     whole_file,
     write_json,
 )
-from warp_peri.fitting import settings
 from warp_peri.fitting.evaluate import Run, train
-from warp_peri.points.arguments import checked
+from warp_peri.materials import lps_law
+from warp_peri.points.arguments import LENGTHS, USUAL, checked, symbols
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.points import Points
-from warp_peri.points.unit_names import LENGTHS, USUAL, symbols
 
 HORIZON = 20.0
 """δ [Å] that is learned where nothing else was asked for."""
@@ -186,10 +185,10 @@ def _law(given: Namespace, spacing: float) -> Any:
     if given.law == "lps":
         if given.influence and given.degree is not None:
             raise InputError("degree, influence: expected one of the two")
-        kernel: Any = None if given.degree is None else settings.Bernstein(given.degree)
+        kernel: Any = None if given.degree is None else lps_law.Bernstein(given.degree)
         if given.influence:
             kernel = warp_peri.influence.named(given.influence, given.horizon)
-        method = settings.METHODS[given.method]()
+        method = lps_law.METHODS[given.method]()
         return warp_peri.LPS(given.horizon, kernel, method, loss=given.loss)
     if idle := [name for name in OF_LPS if getattr(given, name) != given.usual[name]]:
         raise InputError(f"{', '.join(idle)}: expected with --law lps, not {given.law}")
@@ -255,7 +254,7 @@ def run_sweep(given: Namespace) -> Said:
         given.out,
         test=data[given.test] if given.test else None,
         noise=data[given.noise] if given.noise else None,
-        law=warp_peri.LPS(HORIZON, None, settings.GaussNewton(moduli=None)),
+        law=warp_peri.LPS(HORIZON, None, lps_law.GaussNewton(moduli=None)),
         **chosen(given, "horizons", "degrees", "jobs", "progress"),
     )
     result: Result = {

@@ -16,6 +16,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from scipy.linalg import eigh, eigvalsh, null_space
 
 from warp_peri.core.elastic import acoustic, canonical
 from warp_peri.core.record import Stress
@@ -28,6 +29,8 @@ from warp_peri.core.stencil import (
     zoomed,
 )
 from warp_peri.errors import InputError
+from warp_peri.points.arguments import LINEAR, USUAL, Positive, Units, offered, symbols, typed
+from warp_peri.points.points import PointsLike
 from warp_peri.runtime import in_blocks
 
 SAMPLE = {2: 240, 3: 24}
@@ -53,6 +56,11 @@ FOUND = 1e-9
 """Relative, by which a wave must be below the smallest ratio to count as a new one."""
 NO_WEIGHT = 1e-9
 """Of |k|²: a weight below it is none."""
+SAME_SPACING = 1e-6
+"""Relative, of spacings that are taken as the same."""
+RANK_TOLERANCE = 1e-9
+"""Eigenvalues of ΦΓ⁻¹Φᵗ below this fraction of the largest count as zero."""
+SCHWARZ_TOLERANCE = 1e-10
 
 Affine = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Middles of cells [K, n] to a matrix there, [K, c, c], and its slopes, [n, K, c, c]."""
@@ -112,6 +120,145 @@ class StencilCertificate:
             raise InputError(
                 f"certificate: D(k) ≥ {self.proven:.6g} s(k) is not proven of these tensors"
             )
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Solvability figures of a linear solid on one lattice.
+
+    Attributes:
+        spacing: h [Å].
+        symbol_min: smallest Λmin D(k)/s(k) found over the zone [TPa].
+        symbol_bound: c with a proof that D(k) ≥ c s(k) for every k [TPa]; 0 when there is none.
+        gamma_min: Λmin(Γ) [Å⁻²] on the training domain; this and what follows None without one.
+        inf_sup_min: smallest nonzero eigenvalue of ΦΓ⁻¹Φᵗ (theorem 4.2 of You et al. 2021).
+        inf_sup_rank: number of its eigenvalues that are not zero.
+        gamma_minus_2phi_min, gamma_minus_2phi_max: Λmin and Λmax of Γ − 2ΦᵗΦ [Å⁻²].
+        units: names of the units of length and stress.
+    """
+
+    spacing: float
+    symbol_min: float
+    symbol_bound: float
+    gamma_min: float | None = None
+    inf_sup_min: float | None = None
+    inf_sup_rank: int | None = None
+    gamma_minus_2phi_min: float | None = None
+    gamma_minus_2phi_max: float | None = None
+    units: Units = USUAL
+    dimension: int = 2
+
+    @property
+    def holds(self) -> bool:
+        """Whether D(k) ≥ c s(k) with c > 0 is proven, as it may be where Γ(k) > 0 is not."""
+        return self.symbol_bound > 0
+
+    @property
+    def statement(self) -> str:
+        """What the certificate proves, in one sentence."""
+        return statement_of(self.spacing, self.symbol_bound, self.units, self.dimension)
+
+    @property
+    def paper(self) -> bool | None:
+        """Whether (i) Γ > 0 and (iii) Γ − 2ΦᵗΦ ≥ 0 of (4.6) of You et al. (2021) hold; or None."""
+        least, largest = self.gamma_minus_2phi_min, self.gamma_minus_2phi_max
+        if self.gamma_min is None or least is None or largest is None:
+            return None
+        return self.gamma_min > 0 and least >= -SCHWARZ_TOLERANCE * largest  # to rounding
+
+    def figures(self) -> dict[str, Any]:
+        """The certificate's figures and statement as plain values, in its units."""
+        figures = asdict(self) | {"statement": self.statement}
+        return {k: v for k, v in figures.items() if k not in ("units", "dimension")}
+
+
+def stencil_of(law: Any, spacing: float, verb: str) -> tuple[Any, np.ndarray]:
+    """Stencil of a linear solid on a lattice, and the symmetries of nodes that leave it unchanged;
+    InputError for another spacing than a one-lattice solid's, and laws without a stencil."""
+    found = offered(law, "stencil", verb, LINEAR)
+    stencil = found(spacing) if callable(found) else found
+    check_spacing(stencil.spacing, spacing, "got")
+    return stencil, law.group
+
+
+def check_spacing(own: float, spacing: float, said: str) -> None:
+    """Raise InputError for another spacing than a one-lattice solid's own."""
+    if not abs(spacing / own - 1) <= SAME_SPACING:
+        raise InputError(
+            f"spacing: the model is for {own:g}, {said} {spacing:g}; "
+            "transfer_to_lattice(law, spacing) fits another"
+        )
+
+
+@typed
+def certify(
+    material: Any, *, spacing: Positive | None = None, points: PointsLike | None = None
+) -> Certificate:
+    """Compute the certificate of a linear solid, or of a material's linear part, on a lattice.
+
+    Args:
+        material: a linear solid, a material with a linear part, or the operator of either.
+        spacing: h [Å]; by default that of a material for one lattice, or of an operator's points.
+        points: training domain for the dense conditions (4.6) of You et al. (2021): Γ on its
+            interior nodes, Φ with the dilatation of interior nodes only.
+
+    Raises InputError for a material without a linear part, when the horizon is below one spacing,
+    or the points have another spacing or do not carry the horizon.
+
+    >>> wp.certify(model, spacing=5.0).holds
+    True
+    """
+    law = getattr(material, "model", material)
+    model = getattr(law, "linear", law)
+    offered(model, "stencil", "certify", LINEAR)
+    if spacing is None:
+        given = getattr(model.stencil, "spacing", None)
+        spacing = (
+            given or offered(material, "points", "certify", "a spacing, or an operator").spacing
+        )
+    if points is not None and not np.isclose(points.spacing, spacing, rtol=1e-6, atol=0):
+        raise InputError(
+            f"spacing: expected that of the points, {points.spacing:g} "
+            f"{symbols(model.units)[0]}, got {spacing:g}"
+        )
+    spacing = getattr(model, "certified_spacing_near", float)(spacing)
+    proof = prove(*stencil_of(model, spacing, "certify"))
+    about: Any = {"units": model.units, "dimension": model.dimension}
+    found = spacing, proof.sampled, proof.proven
+    if points is None:
+        return Certificate(*found, **about)
+    gamma, phi = offered(model, "dense", "points", "none but for an LPSMaterial")(points)
+    if points.interior.all():  # a period, which feels no translation
+        free = null_space(np.tile(np.eye(2), len(points.x)))
+        gamma, phi = free.T @ gamma @ free, phi @ free
+    return Certificate(*found, *dense_figures(gamma, phi), **about)
+
+
+def dense_figures(gamma: np.ndarray, phi: np.ndarray) -> tuple[Any, ...]:
+    """Figures of Γ and Φ between interior nodes, from `gamma_min` on, by dense eigenvalues."""
+    gamma_min = float(eigvalsh(gamma, subset_by_index=[0, 0])[0])
+    schwarz = eigvalsh(gamma - 2 * phi.T @ phi)
+    inf_sup, rank = None, None
+    if gamma_min > 0:
+        # Eigenvalues of ΦΓ⁻¹Φᵗ are those of the pencil (ΦᵗΦ, Γ), zeros aside.
+        values = eigh(phi.T @ phi, gamma, eigvals_only=True)
+        values = values[values > RANK_TOLERANCE * values[-1]]
+        inf_sup, rank = float(values[0]), len(values)
+    return gamma_min, inf_sup, rank, float(schwarz[0]), float(schwarz[-1])
+
+
+def statement_of(spacing: float, bound: float, units: Units, dimension: int) -> str:
+    """Sentence on what a proven bound of D/s says of a lattice."""
+    length, stress = symbols(units)
+    shape, points = {2: ("square", 5), 3: ("cubic", 7)}[dimension]
+    if not bound > 0:
+        return f"Nothing is proven on the lattice of spacing {spacing:g} {length}."
+    return (
+        f"Every static problem on any finite set of nodes of the {shape} lattice of spacing "
+        f"{spacing:g} {length}, with displacement given out to twice the horizon around it, has "
+        f"exactly one solution, and the operator's smallest eigenvalue is at least {bound:.6g} "
+        f"{stress} times that of the {points}-point Laplacian on the same nodes."
+    )
 
 
 def prove(

@@ -39,8 +39,20 @@ import numpy as np
 from warp_peri.errors import InputError, Shown, warn
 from warp_peri.files import atomic
 from warp_peri.files.atomic import parsed, plain, write_json
-from warp_peri.points.arguments import ABOVE, LARGEST, checked, is_number, typed, typed_methods
-from warp_peri.points.unit_names import USUAL, Units, check_units, factors, shown_moduli, symbols
+from warp_peri.points.arguments import (
+    ABOVE,
+    LARGEST,
+    USUAL,
+    Units,
+    check_units,
+    checked,
+    factors,
+    is_number,
+    shown_moduli,
+    symbols,
+    typed,
+    typed_methods,
+)
 
 UNITS = ("length_unit", "stress_unit")
 HEAD = ("format", "version", *UNITS, "sha256")

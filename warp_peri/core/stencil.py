@@ -15,6 +15,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import scipy.fft
+import scipy.sparse as sp
 import warp as wp
 
 from warp_peri.core.elastic import directions, orbit_grid
@@ -387,6 +388,28 @@ def complete(body: np.ndarray, steps: np.ndarray, r: int) -> np.ndarray:
     for step in np.concatenate([steps, -steps]):
         whole &= body[tuple(slice(r + s, n - r + s) for s, n in zip(step, body.shape))]
     return whole
+
+
+def block(stencil: Stencil, mask: np.ndarray, *, around: bool = False) -> sp.csc_array:
+    """Matrix of the operator between the nodes of a mask, shape [d n, d n]; `around`: of a
+    period."""
+    d, here = stencil.dimension, np.argwhere(mask)
+    number = np.full(mask.shape, -1)
+    number[mask] = np.arange(len(here))
+    rows, columns = [np.arange(len(here))], [np.arange(len(here))]
+    values = [np.broadcast_to(2 * stencil.tensors.sum(axis=0), (len(here), d, d))]
+    both = np.concatenate([stencil.steps, -stencil.steps])
+    for step, C in zip(both, np.concatenate([stencil.tensors] * 2)):
+        there = (here + step) % mask.shape if around else here + step
+        inside = np.flatnonzero(((there >= 0) & (there < mask.shape)).all(axis=1))
+        other = number[tuple(there[inside].T)]
+        rows.append(inside[other >= 0])
+        columns.append(other[other >= 0])
+        values.append(np.broadcast_to(-C, (len(rows[-1]), d, d)))
+    row, column, value = map(np.concatenate, (rows, columns, values))
+    i, j = np.indices((d, d)).reshape(2, -1)
+    at = ((d * row[:, None] + i).ravel(), (d * column[:, None] + j).ravel())
+    return sp.csc_array((value.ravel(), at), shape=2 * (d * len(here),))
 
 
 def refuse_cut(lacking: int, count: int, why: str = "") -> None:

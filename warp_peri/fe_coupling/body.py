@@ -38,11 +38,10 @@ from warp_peri.fe_coupling.schwarz import (
 from warp_peri.materials.certificate import with_proof
 from warp_peri.materials.lps import LPSMaterial, moduli
 from warp_peri.materials.transfer import model_at
-from warp_peri.points.arguments import checked
+from warp_peri.points.arguments import checked, symbols
 from warp_peri.points.families import bond_classes, edge_strain, largest_strain
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
-from warp_peri.points.unit_names import symbols
 from warp_peri.solvers.solution import TOLERANCE, warn_beyond
 from warp_peri.solvers.solution import Coupling as Coupling
 

@@ -15,9 +15,9 @@ from warp_peri.fe_coupling.boundary_elements import BodyLoads, Field, Moduli, Ri
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.materials.transfer import LEAST, TOLERANCE, on_lattice
+from warp_peri.points.arguments import USUAL, Units, symbols
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
-from warp_peri.points.unit_names import USUAL, Units, symbols
 from warp_peri.solvers.solution import Coupling
 
 EXCHANGES = 40

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
 from warp_peri.fitting.regression import Linearised, Regression, Settled, felt, particular
-from warp_peri.fitting.settings import AugmentedLagrangian, TwoStage
+
+if TYPE_CHECKING:
+    from warp_peri.materials.lps_law import AugmentedLagrangian, TwoStage
 
 Objective = Callable[[], tuple[torch.Tensor, torch.Tensor]]
 """What is minimised, and the loss that is part of it."""

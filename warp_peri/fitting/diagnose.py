@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 
 from warp_peri.core.elastic import allowed_tensors, point_group
+from warp_peri.core.proof import stencil_of
 from warp_peri.core.stencil import Basis, elastic_from_brackets, grid_of, half_ball, invariant_basis
 from warp_peri.errors import InputError, Shown
 from warp_peri.fitting.evaluate import ROUNDING
 from warp_peri.fitting.long_waves import gradients
 from warp_peri.fitting.regression import forces
-from warp_peri.fitting.settings import LOUD, check_noise, left_by
+from warp_peri.fitting.result import LOUD, check_noise, left_by
 from warp_peri.points.arguments import typed
 from warp_peri.points.points import Samples
-from warp_peri.protocols import stencil_of
 
 TINY, LEAST_SAMPLES, PARTS, MOST = 1e-300, 8, 24, 60_000
 """Beside zero; samples at least; parts left out in turn; nodes of all samples, drawn of more."""

@@ -18,10 +18,10 @@ from tqdm import tqdm
 from warp_peri.errors import InputError, quietly
 from warp_peri.files.atomic import write_json
 from warp_peri.fitting.regression import norms, sizes
-from warp_peri.points.arguments import Bound, Natural, Share, typed, typed_methods
+from warp_peri.points.arguments import Bound, Natural, Share, offered, typed, typed_methods
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.points import Samples
-from warp_peri.protocols import offered, placed
+from warp_peri.protocols import placed
 
 ERRORS = ("E_res", "E_u", "E_res_abs")
 """Those of the means of `evaluate` that a model is kept with, where the metrics hold them."""

@@ -28,8 +28,8 @@ from warp_peri.core.stencil import (
     zoomed,
 )
 from warp_peri.errors import InputError
+from warp_peri.points.arguments import check_units
 from warp_peri.points.points import Samples
-from warp_peri.points.unit_names import check_units
 
 STEPS = 500
 SETTLED = 1e-12

@@ -21,8 +21,7 @@ from warp_peri.fracture.bonds import bonds_of, check_breakable, stretch_matrix, 
 from warp_peri.fracture.materials import BondLaw, pull_of, share_of, slope_of
 from warp_peri.fracture.statics import check_no_fail, check_pieces, strain_of
 from warp_peri.materials.lps import LPSMaterial, bernstein_basis
-from warp_peri.points.arguments import NotNegative, checked
-from warp_peri.protocols import is_tensor
+from warp_peri.points.arguments import NotNegative, checked, is_tensor
 from warp_peri.solvers.adjoint import in_motion as in_motion
 from warp_peri.solvers.motion import Motion
 from warp_peri.solvers.systems import definite_factors, symmetric_factors

@@ -12,9 +12,8 @@ from warp_peri.core.record import FieldUnits, OnLinear
 from warp_peri.errors import InputError
 from warp_peri.fracture.bonds import check_breakable, largest_stiffness, unit_toughness
 from warp_peri.materials.lps import LPSMaterial
-from warp_peri.points.arguments import NotNegative, Positive, checked, typed
+from warp_peri.points.arguments import REDUCED, NotNegative, Positive, checked, typed
 from warp_peri.points.families import bond_classes
-from warp_peri.points.unit_names import REDUCED
 from warp_peri.solvers.verlet import inertia
 
 

@@ -22,10 +22,19 @@ from warp_peri.fracture.body import (
 from warp_peri.fracture.dynamics import BreakingBody, CrackRun
 from warp_peri.fracture.statics import CutSolid, crack_load, grow
 from warp_peri.materials.lps import LPSMaterial
-from warp_peri.points.arguments import NotNegative, Positive, check_shape, checked, typed
+from warp_peri.points.arguments import (
+    NotNegative,
+    Positive,
+    check_same,
+    check_shape,
+    checked,
+    is_tensor,
+    offered,
+    taken,
+    typed,
+)
 from warp_peri.points.points import Points
-from warp_peri.points.unit_names import check_same
-from warp_peri.protocols import is_tensor, offered, refuse_uncut, taken
+from warp_peri.protocols import refuse_uncut
 from warp_peri.solvers.motion import Motion, Recorder, refuse_learning
 from warp_peri.solvers.solution import CG, Direct, Solution, refuse_solver
 

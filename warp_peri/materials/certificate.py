@@ -1,142 +1,30 @@
-"""Proofs of solvability on lattices (theory, 20–25) and of uniqueness at large strain (N13–N17)."""
+"""Solvability on points of any kind (theory, 20), and uniqueness at large strain (N13–N17)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.linalg import eigh, eigvalsh, null_space
 
-from warp_peri.core.proof import prove
+from warp_peri.core.proof import certify, prove, stencil_of
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
-from warp_peri.materials.lps import LPSMaterial, statement_of
-from warp_peri.materials.lps_operator import matrices
-from warp_peri.points.arguments import Positive, typed
+from warp_peri.materials.lps import LPSMaterial
+from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.points.arguments import USUAL, Positive, Units, offered, symbols, typed
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.points import PointsLike
-from warp_peri.points.unit_names import USUAL, Units, symbols
-from warp_peri.protocols import LINEAR, offered, stencil_of
 from warp_peri.solvers.systems import DENSE, smallest_eigenvalue
 
-RANK_TOLERANCE = 1e-9
-"""Eigenvalues of ΦΓ⁻¹Φᵗ below this fraction of the largest count as zero."""
-SCHWARZ_TOLERANCE = 1e-10
 DIRECTIONS = 400
 """Intervals on which homogeneous parts of Ψ are sampled along each of two angles."""
 SLACKS = (1.001, 1.002, 1.005, 1.01, 1.02, 1.05, 1.1, 1.25, 1.5, 2.0, 4.0)
 """Multiples of the sampled κ² that are tried, smallest first."""
 CONTRACTION = 0.999
 """What C κ_in κ_out must stay below."""
-
-
-@dataclass(frozen=True)
-class Certificate:
-    """Solvability figures of a linear solid on one lattice.
-
-    Attributes:
-        spacing: h [Å].
-        symbol_min: smallest Λmin D(k)/s(k) found over the zone [TPa].
-        symbol_bound: c with a proof that D(k) ≥ c s(k) for every k [TPa]; 0 when there is none.
-        gamma_min: Λmin(Γ) [Å⁻²] on the training domain; this and what follows None without one.
-        inf_sup_min: smallest nonzero eigenvalue of ΦΓ⁻¹Φᵗ (theorem 4.2 of You et al. 2021).
-        inf_sup_rank: number of its eigenvalues that are not zero.
-        gamma_minus_2phi_min, gamma_minus_2phi_max: Λmin and Λmax of Γ − 2ΦᵗΦ [Å⁻²].
-        units: names of the units of length and stress.
-    """
-
-    spacing: float
-    symbol_min: float
-    symbol_bound: float
-    gamma_min: float | None = None
-    inf_sup_min: float | None = None
-    inf_sup_rank: int | None = None
-    gamma_minus_2phi_min: float | None = None
-    gamma_minus_2phi_max: float | None = None
-    units: Units = USUAL
-    dimension: int = 2
-
-    @property
-    def holds(self) -> bool:
-        """Whether D(k) ≥ c s(k) with c > 0 is proven, as it may be where Γ(k) > 0 is not."""
-        return self.symbol_bound > 0
-
-    @property
-    def statement(self) -> str:
-        """What the certificate proves, in one sentence."""
-        return statement_of(self.spacing, self.symbol_bound, self.units, self.dimension)
-
-    @property
-    def paper(self) -> bool | None:
-        """Whether (i) Γ > 0 and (iii) Γ − 2ΦᵗΦ ≥ 0 of (4.6) of You et al. (2021) hold; or None."""
-        least, largest = self.gamma_minus_2phi_min, self.gamma_minus_2phi_max
-        if self.gamma_min is None or least is None or largest is None:
-            return None
-        return self.gamma_min > 0 and least >= -SCHWARZ_TOLERANCE * largest  # to rounding
-
-    def figures(self) -> dict[str, Any]:
-        """The certificate's figures and statement as plain values, in its units."""
-        figures = asdict(self) | {"statement": self.statement}
-        return {k: v for k, v in figures.items() if k not in ("units", "dimension")}
-
-
-@typed
-def certify(
-    material: Any, *, spacing: Positive | None = None, points: PointsLike | None = None
-) -> Certificate:
-    """Compute the certificate of a linear solid, or of a material's linear part, on a lattice.
-
-    Args:
-        material: a linear solid, a material with a linear part, or the operator of either.
-        spacing: h [Å]; by default that of a material for one lattice, or of an operator's points.
-        points: training domain for the dense conditions (4.6) of You et al. (2021): Γ on its
-            interior nodes, Φ with the dilatation of interior nodes only.
-
-    Raises InputError for a material without a linear part, when the horizon is below one spacing,
-    or the points have another spacing or do not carry the horizon.
-
-    >>> wp.certify(model, spacing=5.0).holds
-    True
-    """
-    law = getattr(material, "model", material)
-    model = getattr(law, "linear", law)
-    offered(model, "stencil", "certify", LINEAR)
-    if spacing is None:
-        given = getattr(model.stencil, "spacing", None)
-        spacing = (
-            given or offered(material, "points", "certify", "a spacing, or an operator").spacing
-        )
-    if points is not None and not np.isclose(points.spacing, spacing, rtol=1e-6, atol=0):
-        raise InputError(
-            f"spacing: expected that of the points, {points.spacing:g} "
-            f"{symbols(model.units)[0]}, got {spacing:g}"
-        )
-    spacing = getattr(model, "certified_spacing_near", float)(spacing)
-    proof = prove(*stencil_of(model, spacing, "certify"))
-    about: Any = {"units": model.units, "dimension": model.dimension}
-    found = spacing, proof.sampled, proof.proven
-    if points is None:
-        return Certificate(*found, **about)
-    if not isinstance(model, LPSMaterial):
-        raise InputError(f"points: of a Model alone, not of a {type(model).__name__}")
-
-    gamma, phi = matrices(model, points).within(points.interior)
-    if points.interior.all():  # a period, which feels no translation
-        free = null_space(np.tile(np.eye(2), len(points.x)))
-        gamma, phi = free.T @ gamma @ free, phi @ free
-    gamma_min = float(eigvalsh(gamma, subset_by_index=[0, 0])[0])
-    schwarz = eigvalsh(gamma - 2 * phi.T @ phi)
-    inf_sup, rank = None, None
-    if gamma_min > 0:
-        # Eigenvalues of ΦΓ⁻¹Φᵗ are those of the pencil (ΦᵗΦ, Γ), zeros aside.
-        values = eigh(phi.T @ phi, gamma, eigvals_only=True)
-        values = values[values > RANK_TOLERANCE * values[-1]]
-        inf_sup, rank = float(values[0]), len(values)
-    figures: Any = gamma_min, inf_sup, rank, float(schwarz[0]), float(schwarz[-1])
-    return Certificate(*found, *figures, **about)
 
 
 @dataclass(frozen=True)
@@ -158,7 +46,7 @@ class Solvability:
 def check_solvability(model: LPSMaterial, points: PointsLike) -> Solvability:
     """Compute the solvability figures of L on points of any kind; between scattered ones W_ij ≠
     W_ji and no certificate speaks. Raises InputError where they do not carry the horizon."""
-    L = matrices(model, points).operator(model.lam, model.mu)
+    L = LPSOperator(model, points).matrix()
     A = sp.csc_array(L[:, np.repeat(points.interior, points.x.shape[1])])
     few = A.shape[0] <= DENSE
     singular = float(np.linalg.svd(A.toarray(), compute_uv=False)[-1]) if few else None

@@ -20,14 +20,23 @@ from warp_peri.core.elastic import (
     point_group,
     shared_with_nodes,
 )
-from warp_peri.core.proof import StencilCertificate, largest, prove
+from warp_peri.core.proof import StencilCertificate, check_spacing, largest, prove
 from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.core.stencil import Stencil, elastic_from_brackets
 from warp_peri.errors import InputError, warn
-from warp_peri.points.arguments import checked_fields, plain, typed
+from warp_peri.points.arguments import (
+    USUAL,
+    Units,
+    check_same,
+    checked_fields,
+    factors,
+    plain,
+    shown_moduli,
+    symbols,
+    typed,
+)
 from warp_peri.points.points import Points, Samples, lattice_steps, nodes_of, unsaid
-from warp_peri.points.unit_names import USUAL, Units, check_same, factors, shown_moduli, symbols
-from warp_peri.protocols import OperatorBase, check_spacing
+from warp_peri.protocols import OperatorBase
 from warp_peri.solvers.linear import Inverse, Linear
 from warp_peri.solvers.solution import CG, Solution, Solver, by_sample, refuse_solver
 

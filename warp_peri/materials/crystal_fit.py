@@ -38,13 +38,13 @@ from warp_peri.fitting.regression import (
     particular,
     rows,
 )
-from warp_peri.fitting.settings import LONG_WAVES, Fit, listed
+from warp_peri.fitting.result import Fit
 from warp_peri.materials.crystal import BROKEN, CrystalMaterial
+from warp_peri.materials.lps_law import LONG_WAVES
 from warp_peri.materials.transfer import LARGEST_WAVE, WaveSymbol, carried_symbol, wave_rows
-from warp_peri.points.arguments import Positive, typed
+from warp_peri.points.arguments import USUAL, Positive, Units, factors, symbols, typed
 from warp_peri.points.dataset import Dataset
-from warp_peri.points.points import Samples, check_lattice, lattice_steps
-from warp_peri.points.unit_names import USUAL, Units, factors, symbols
+from warp_peri.points.points import Samples, check_lattice, lattice_steps, sets_of
 
 if TYPE_CHECKING:
     from warp_peri.atoms.force_constants import ForceConstants
@@ -213,7 +213,8 @@ class Crystal:
             "moduli_held": C is not None,
         }
         material = tensors.crystal(found, given.points.units, record)
-        return Fit(material, material.certificate, {}, dict(material.provenance["fit"]))
+        history = dict(material.provenance["fit"])
+        return Fit(material, material.certificate, {}, history, left=found.loss)
 
     def held_moduli(self, turn: np.ndarray) -> np.ndarray | None:
         """The given elastic tensor along the nodes' axes; None where none was given."""
@@ -232,7 +233,7 @@ class Crystal:
 
 def one_set(samples: Any) -> Samples:
     """The samples of a single set; of a Dataset `train`, or its only set."""
-    sets = listed(samples)
+    sets = sets_of(samples)
     if len(sets) != 1:
         raise InputError(f"samples: expected one set for a crystal model, got {len(sets)}")
     check_lattice(sets[0])

@@ -22,11 +22,10 @@ from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.core.stencil import half_ball
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import parsed
-from warp_peri.fitting.settings import Fit
+from warp_peri.fitting.result import Fit
 from warp_peri.materials.crystal_fit import one_set
-from warp_peri.points.arguments import Positive, typed
+from warp_peri.points.arguments import USUAL, Positive, Units, check_same, typed
 from warp_peri.points.points import PointsLike, lattice_steps, nodes_of
-from warp_peri.points.unit_names import USUAL, Units, check_same
 from warp_peri.solvers.equilibria import SOLVES, equilibria_of, probed
 from warp_peri.solvers.linear import Inverse, Linear
 from warp_peri.solvers.solution import Solution, Solver

@@ -22,9 +22,8 @@ from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
 from warp_peri.materials.lps import LPSMaterial, bernstein_basis
-from warp_peri.points.arguments import Positive, checked, typed
+from warp_peri.points.arguments import USUAL, Positive, Units, checked, typed
 from warp_peri.points.families import bond_classes
-from warp_peri.points.unit_names import USUAL, Units
 
 DEGREES = ((10, 0.0), (20, 0.0), (40, 0.0), (60, 0.0), (80, 1e-6))
 """Degrees M that are tried, one after the other, to write a function as a polynomial, with the

@@ -13,17 +13,26 @@ from scipy.special import comb
 
 import warp_peri.materials as materials
 from warp_peri.core.elastic import lattice_group
-from warp_peri.core.proof import StencilCertificate, prove
+from warp_peri.core.proof import StencilCertificate, prove, statement_of
 from warp_peri.core.record import FieldUnits, Length, Record, taken
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, error_rows, warn
-from warp_peri.materials.lps_force import CANCELLED
+from warp_peri.materials.lps_force import CANCELLED, bonds_of
 from warp_peri.materials.lps_operator import LPSOperator
-from warp_peri.points.arguments import Positive, checked, is_number, typed
+from warp_peri.points.arguments import (
+    USUAL,
+    Positive,
+    Units,
+    check_same,
+    checked,
+    is_number,
+    is_tensor,
+    shown_moduli,
+    symbols,
+    typed,
+)
 from warp_peri.points.families import DEGREE, SINGULARITY, BondClasses, bond_classes
 from warp_peri.points.points import Points, PointsLike, nodes_of
-from warp_peri.points.unit_names import USUAL, Units, check_same, shown_moduli, symbols
-from warp_peri.protocols import is_tensor
 
 ALPHA_BOUND = 3.0
 """The quadrature is consistent for α below this (You et al. 2021, remark 1)."""
@@ -355,6 +364,15 @@ class LPSMaterial(Record, format="warp_peri.model"):
         box = None if nodes.box is None else tuple(scale * side for side in nodes.box)
         return replace(nodes, x=scale * nodes.x, spacing=spacing, box=box)
 
+    def dense(self, points: PointsLike) -> tuple[np.ndarray, np.ndarray]:
+        """Γ [1/length²] and Φ [1/length] between a domain's I interior nodes, [d I, d I] and
+        [I, d I], from the forces and dilatations of unit displacements."""
+        bonds, inside = bonds_of(self, points), points.interior
+        units = np.repeat(inside, bonds.dimension)
+        law = bonds.law(1.0, 1.0, self.alpha, self.D)
+        force, _, theta = law.force(np.eye(len(units))[units])
+        return force.T, theta[:, bonds.layout.home[inside]].T
+
     @property
     def transferred_from(self) -> float | None:
         """Spacing [Å] of the lattice whose dispersion the model was fitted to; None at home."""
@@ -451,20 +469,6 @@ class LPSMaterial(Record, format="warp_peri.model"):
             *(("proven", told) for told in self.statements.values()),
             *error_rows(self.errors),
         ]
-
-
-def statement_of(spacing: float, bound: float, units: Units, dimension: int) -> str:
-    """Sentence on what a proven bound of D/s says of a lattice."""
-    length, stress = symbols(units)
-    shape, points = {2: ("square", 5), 3: ("cubic", 7)}[dimension]
-    if not bound > 0:
-        return f"Nothing is proven on the lattice of spacing {spacing:g} {length}."
-    return (
-        f"Every static problem on any finite set of nodes of the {shape} lattice of spacing "
-        f"{spacing:g} {length}, with displacement given out to twice the horizon around it, has "
-        f"exactly one solution, and the operator's smallest eigenvalue is at least {bound:.6g} "
-        f"{stress} times that of the {points}-point Laplacian on the same nodes."
-    )
 
 
 def weighted_volume(classes: BondClasses, kw: np.ndarray, name: str = "influence function") -> Any:

@@ -13,11 +13,13 @@ from importlib.metadata import version
 from typing import Any, Literal
 
 import numpy as np
+from scipy.sparse.linalg import splu
 from tqdm.auto import tqdm
 
 from warp_peri import __version__
 from warp_peri.core.elastic import difference_tensors
-from warp_peri.core.stencil import Stencil
+from warp_peri.core.proof import certify
+from warp_peri.core.stencil import Stencil, block, grid_of
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.augmented_lagrangian import Tick, to_the_optimum
 from warp_peri.fitting.long_waves import lame_of_long_waves
@@ -30,43 +32,39 @@ from warp_peri.fitting.regression import (
     sizes,
     without_noise,
 )
-from warp_peri.fitting.settings import (
-    LONG_WAVES,
-    AugmentedLagrangian,
-    Bernstein,
-    Fit,
-    GaussNewton,
-    Kernel,
-    LossSelection,
-    Method,
-    StabilityConditions,
-    Stage,
-    TwoStage,
-    check_noise,
-    listed,
-)
-from warp_peri.materials.certificate import certify
+from warp_peri.fitting.result import Fit, LossSelection, Stage, check_noise
 from warp_peri.materials.crystal_fit import POOR
 from warp_peri.materials.influence import shapes_of
 from warp_peri.materials.lps import LPSMaterial, LPSParameters, moduli
+from warp_peri.materials.lps_force import Bonds
 from warp_peri.materials.lps_law import (
     HEADROOM,
+    LONG_WAVES,
+    AugmentedLagrangian,
+    Bernstein,
+    GaussNewton,
+    Kernel,
     LPSFound,
     LPSLaw,
+    Method,
     Products,
+    StabilityConditions,
+    TwoStage,
     optimum,
     products,
     squares,
-    stiffness_of,
 )
 from warp_peri.materials.lps_stages import SMALLEST_MODULUS, fit_output_error, in_torch, two_stages
-from warp_peri.points.arguments import Positive, typed
+from warp_peri.points.arguments import Positive, symbols, typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import largest_strain
-from warp_peri.points.points import WAVE_VECTOR, Samples, check_lattice, largest_wave_number
-from warp_peri.points.unit_names import symbols
-from warp_peri.solvers.linear import Linear
-from warp_peri.solvers.solution import TOLERANCE
+from warp_peri.points.points import (
+    WAVE_VECTOR,
+    Samples,
+    check_lattice,
+    largest_wave_number,
+    sets_of,
+)
 
 RELATIVE_ZETA = 0.0161
 """ζ over the stiffness that the data show, where none was asked for: 0.0100 TPa on graphene."""
@@ -85,9 +83,9 @@ PLAIN_EXPONENTS = (1.0, 2.0, 2.9)
 """Kernels r^(−α) that an optimum is looked for from."""
 AGREE, SPREADS = 0.02, 2.0
 """Of the largest modulus, how sure long waves must be; standard errors beyond which they hold."""
-MOST_NODES, MOST_LOADS, REACHES = 2000, 16, range(8, 1, -1)
-"""Unknown nodes up to which a fit is compared with local elasticity, and on how many loads of a
-set; reaches of its central differences, of which the widest that fit count."""
+MOST_NODES, REACHES = 2000, range(8, 1, -1)
+"""Unknown nodes up to which a fit is compared with local elasticity, and reaches of its central
+differences, of which the widest that fit count."""
 ERROR_TOLERANCE, ROUNDING = 1e-6, 1e-8
 """By which the residual by rows may depart from the operator's: of it, and of the loads."""
 
@@ -145,7 +143,7 @@ class LPS:
         TwoStage and "output"; RuntimeError when the rows depart from Warp's operator or no start
         ends with the conditions and the moduli kept.
         """
-        sets, quiet = listed(samples), listed(noise, "noise")
+        sets, quiet = sets_of(samples), sets_of(noise, "noise")
         return Learner(self, sets, quiet, progress).fit()
 
     def checked(self, dimension: int) -> None:
@@ -187,8 +185,8 @@ class Learner:
         self.products = [Products(each, law.horizon) for each in sets]
         self.lattices = [one.classes for one in self.products]
         self.stiffness = stiffness_of(sets, law.horizon)
-        zeta = law.conditions.zeta or RELATIVE_ZETA * self.stiffness
-        self.conditions = dataclasses.replace(law.conditions, zeta=zeta)
+        self.zeta = law.conditions.zeta or RELATIVE_ZETA * self.stiffness
+        self.conditions = dataclasses.replace(law.conditions, zeta=self.zeta)
         self.flat = sets[0].points.dimension == 2
         self.disable = None if progress is None else not progress
         self.history: list[Stage] = []
@@ -410,15 +408,17 @@ class Learner:
 
     def worse(self, found: LPSFound, method: GaussNewton) -> bool:
         """Whether local elasticity of held moduli explains the displacement better."""
-        large = any(np.count_nonzero(each.interior) > MOST_NODES for each in self.sets)
-        if large or not (self.flat and isinstance(method.moduli, tuple)):
+        sizes = (each.box is None and np.count_nonzero(each.interior) for each in self.sets)
+        if not all(0 < size <= MOST_NODES for size in sizes) or not (
+            self.flat and isinstance(method.moduli, tuple)
+        ):
             return False
         model, errors = self.model(found), np.zeros(2)
         for each, made in zip(self.sets, self.products):
-            some, stencil = each[:: -(-len(each) // MOST_LOADS)], model.stencil(h := each.spacing)
-            own, C = displacement_error(stencil, some, made.least), stencil.elastic / h**2
+            stencil = model.stencil(h := each.spacing)
+            own, C = displacement_error(stencil, each, made.least), stencil.elastic / h**2
             local = (Stencil(h, *difference_tensors(C, reach)) for reach in REACHES)
-            tried = (displacement_error(stencil, some) for stencil in local)
+            tried = (displacement_error(stencil, each) for stencil in local)
             errors += len(each) * np.array([own, next(filter(np.isfinite, tried), np.inf)])
         return bool(errors[0] > errors[1])
 
@@ -439,7 +439,7 @@ class Learner:
                 "no less than no model: they do not belong together, or noise drowns them"
             )
         printed = isinstance(self.law.method, TwoStage)
-        bound = SMALLEST_MODULUS * self.unit if printed else HEADROOM * self.conditions.level
+        bound = SMALLEST_MODULUS * self.unit if printed else HEADROOM * self.zeta
         ended = {"μ": final.solid.mu, "λ + μ": final.solid.lam + final.solid.mu}
         low = [name for name, value in ended.items() if value <= bound * (1 + ON_BOUND)]
         if low:
@@ -456,16 +456,15 @@ class Learner:
         proofs = [certify(bare, spacing=s.spacing, points=s if self.flat else None) for s in sets]
         printed = self.conditions.kind == "paper"
         good = (proof for proof in proofs if proof.holds and (not printed or proof.paper))
-        provenance: dict[str, Any] = {
-            "zeta": {"zeta": self.conditions.zeta, "stiffness of the data": self.stiffness}
-        }
+        zeta = {"zeta": self.zeta, "stiffness of the data": self.stiffness}
+        provenance: dict[str, Any] = {"zeta": zeta}
         if final.shape is not None:
             _, departure = final.shape.coefficients(self.lengths, self.law.horizon)
             provenance["influence"] = final.shape.record(departure)
         if self.degrees:
-            provenance["degree"] = {
-                "error on loads left out": {f"{M}": error for M, error in self.degrees.items()}
-            }
+            errors = {f"{M}": error for M, error in self.degrees.items()}
+            provenance["degree"] = {"error on loads left out": errors}
+        left = [np.linalg.norm(one.left(*final.solid.values())) for one in self.products]
         model = dataclasses.replace(
             bare,
             trained_on=tuple(points.spacing for points in sets),
@@ -488,17 +487,53 @@ class Learner:
             self.starts,
             self.degrees,
             final.shape,
+            float(np.divide(left, [np.linalg.norm(one.b) for one in self.products]).max()),
         )
+
+
+PROBED_HORIZON = 2.0
+"""Horizon in spacings of the bond-based solid that a lattice's stiffness is measured with."""
+
+
+def stiffness_of(sets: Sequence[Samples], horizon: float) -> float:
+    """Stiffness that loads and displacements on lattices show together [TPa]: that of the
+    bond-based solid, K = 1/r, of equal work, ‖b‖² over b·A u, A of unit stiffness, where noise in u
+    averages out. Raises InputError where it is not above zero."""
+    loads = work = 0.0
+    for samples in sets:
+        near = min(PROBED_HORIZON * samples.spacing, horizon)
+        bonds = Bonds(samples.points, near, bond_based=True)
+        force = bonds.law(1.0, 1.0, 1.0, 1.0).force(samples.u.reshape(len(samples.u), -1))[0]
+        b = samples.loads[:, samples.interior].reshape(force.shape)
+        loads, work = loads + float((b**2).sum()), work + float((force * b).sum())
+    if not work > 0:
+        raise InputError(
+            "u, b: loads and displacements do work of opposite sign, or none, and no solid answers "
+            "loads so; expected b to be the load, which is minus the internal force"
+        )
+    return loads / work
 
 
 def displacement_error(stencil: Stencil, samples: Samples, least: int | None = None) -> float:
     """Mean relative error of the displacement that a stencil answers the loads with (theory, 31),
     infinite where bonds reach beyond the collar, or it has no stable answer."""
     try:
-        linear = Linear(stencil, samples.points, least=least)
-        linear.check_definite()
-        found, _ = linear.solve(samples.loads, samples.u, TOLERANCE)
+        grid = grid_of(samples.points, stencil.steps, least=least)
     except InputError:
         return np.inf
-    size, wrong = (sizes(field, samples.interior) for field in (samples.u, found - samples.u))
+    there, nodes = np.zeros(grid.shape, bool), grid.near[np.argsort(grid.place)]
+    there.flat[grid.place] = True
+    u, b = (one[:, nodes] @ grid.axes for one in (samples.u, samples.loads))
+    b = (b - grid.periodic * b.mean(axis=1, keepdims=True)).reshape(len(u), -1)
+    inside = samples.interior[nodes]
+    unknown = np.repeat(inside, stencil.dimension)
+    unknown[: stencil.dimension * grid.periodic] = False  # a node holds a period
+    L = block(stencil, there, around=grid.periodic)[unknown]
+    factors = splu(L[:, unknown], diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    if not (factors.U.diagonal() > 0).all():
+        return np.inf
+    found = u.reshape(b.shape).copy()
+    right = b[:, unknown].T - L[:, ~unknown] @ found[:, ~unknown].T
+    found[:, unknown] = factors.solve(right).T
+    size, wrong = (sizes(one, inside) for one in (u, found.reshape(u.shape) - u))
     return float(np.mean(wrong / np.where(size > 0, size, np.inf)))

@@ -1,4 +1,4 @@
-"""The LPS as a regression sees it: rows of products, and coordinates θ.
+"""The LPS as a regression sees it: settings, rows of products, and coordinates θ.
 
 With the stiffness v = μ w of each bond class and κ = (λ−μ)/μ², L u is linear in the products v and
 κ v v (theory, 14–17, T17). θ = (κ, q) stands for a solid: q are numbers of the influence function,
@@ -9,9 +9,10 @@ imaginary part (W. Squire and G. Trapp 1998). θ and q may have axes in front.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal, TypeAlias, cast
 
 import numpy as np
 
@@ -19,7 +20,6 @@ from warp_peri.core.elastic import lattice_group
 from warp_peri.core.stencil import Basis, half_ball
 from warp_peri.errors import InputError
 from warp_peri.fitting.regression import MET, Form, LatticeRows, Numbers, Settled, fit, norms, rows
-from warp_peri.fitting.settings import GaussNewton, StabilityConditions
 from warp_peri.materials.influence import InfluenceFunction
 from warp_peri.materials.lps import (
     LPSMaterial,
@@ -29,8 +29,155 @@ from warp_peri.materials.lps import (
     weighted_volume,
 )
 from warp_peri.materials.lps_force import Bonds
+from warp_peri.points.arguments import Count, Natural, NotNegative, Positive, typed
 from warp_peri.points.families import DEGREE, BondClasses, bond_classes
 from warp_peri.points.points import Samples
+
+HORIZONS = (10.0, 12.5, 15.0, 17.5, 20.0, 22.5, 25.0)
+"""Horizons δ that `sweep` tries [Å] (You et al. 2021, section 6.2)."""
+DEGREES = (0, 5, 10, 15, 20)
+"""Degrees M that `sweep` tries (You et al. 2021, section 6.2)."""
+ISOTROPIC, LONG_WAVES = "isotropic", "long waves"
+SMOOTHNESS = 1e-10
+"""Weight of the second differences of D beside the relative residual. It costs an ordinary fit
+nothing that can be seen, and keeps D from growing until its terms cancel to the last digit."""
+
+
+@typed
+@dataclass(frozen=True)
+class Bernstein:
+    """Influence function K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) of any sign (theory, 4).
+
+    Attributes:
+        degree: M ≥ 0.
+
+    Raises InputError for a degree that is none.
+
+    >>> wp.fit(samples, wp.LPS(12.5, wp.Bernstein(2))).material.D.shape
+    (3,)
+    """
+
+    degree: Natural = 10
+
+
+Kernel: TypeAlias = "Bernstein | InfluenceFunction | Sequence[InfluenceFunction]"
+
+
+@typed
+@dataclass(frozen=True)
+class StabilityConditions:
+    """Stability conditions that a fit must keep on every lattice.
+
+    Attributes:
+        kind: "direct", D(k) ≥ ζ s(k); "paper" asks for (i) and (iii) of (4.6) besides.
+        zeta: ζ [TPa]; None takes 0.0161 of the stiffness that the data of a fit show, which is
+            0.0100 TPa on graphene.
+
+    Raises InputError for another kind, or a ζ that is not above zero.
+    """
+
+    kind: Literal["direct", "paper"] = "direct"
+    zeta: Positive | None = None
+
+    def forms(self, kappa: Any, mu: Any, level: float) -> list[tuple[Any, float]]:
+        """Coefficient κ of each stability condition's form Γ + κφφᵗ, and its level."""
+        forms = [(kappa, level)]
+        if self.kind == "paper":  # Σ w r² = 1
+            forms += [(0 * kappa, level), (-2 / mu, 0.0)]
+        return forms
+
+
+@typed
+@dataclass(frozen=True)
+class GaussNewton:
+    """Fit method: the constrained optimum of the loss (theory, 26–28), from plain kernels r^(−α).
+
+    Attributes:
+        moduli: (λ, μ) [TPa] to hold at long waves on every lattice (8 Σ w ξ₁²ξ₂²/r² = 1 makes them
+            the moduli of the discrete operator); "isotropic" holds that condition and learns λ and
+            μ; None learns them freely. "long waves" holds those that the long waves of the samples
+            show (theory, 28a), where free ones are two standard errors away.
+        rounds: most rounds of cutting planes.
+        smoothness: weight η of the second differences of D beside the relative residual (28).
+
+    Raises InputError for moduli that no solid has.
+    """
+
+    moduli: tuple[float, float] | str | None = LONG_WAVES
+    rounds: Count = 40
+    smoothness: NotNegative = SMOOTHNESS
+
+    def __post_init__(self) -> None:
+        named = isinstance(self.moduli, str)
+        if self.moduli is None or (named and self.moduli in (ISOTROPIC, LONG_WAVES)):
+            return
+        try:
+            lam, mu = map(float, () if named else self.moduli)
+        except (TypeError, ValueError):
+            lam = mu = np.nan
+        if not (np.isfinite(lam + mu) and mu > 0 and lam + mu > 0):
+            raise InputError(
+                f"moduli: expected (λ, μ) with μ > 0, λ + μ > 0, {ISOTROPIC!r} or "
+                f"{LONG_WAVES!r}, got {self.moduli!r:.60}"
+            )
+        object.__setattr__(self, "moduli", (lam, mu))  # of a list or an array too
+
+    @property
+    def held(self) -> tuple[float, float] | str | None:
+        """Moduli that a search holds by itself; those of long waves are found before it."""
+        return None if self.moduli == LONG_WAVES else self.moduli
+
+
+@typed
+@dataclass(frozen=True)
+class TwoStage:
+    """Fit method: Algorithm 1 of You et al. (2021) as printed, Adam on positive kernels, then an
+    augmented Lagrangian that holds the eigenvalues (4.6) of the training domain.
+
+    Attributes:
+        seed: of the initial constants and D.
+        checkpoint: file that stage 2 keeps its state in and goes on from.
+        epochs: most epochs of stage 1; the paper's loss stagnates between 1000 and 2000.
+        inner_epochs: most epochs of each round of stage 2.
+        outer_iterations: most rounds of stage 2; the paper has a hundred.
+
+    Raises InputError for a number that is none.
+    """
+
+    seed: Natural = 0
+    checkpoint: str | os.PathLike[str] | None = None
+    epochs: Natural = 4000
+    inner_epochs: Natural = 500
+    outer_iterations: Natural = 20
+
+
+@typed
+@dataclass(frozen=True)
+class AugmentedLagrangian:
+    """Fit method: Adam and an augmented Lagrangian to the optimum, which GaussNewton then checks.
+
+    Unlike Algorithm 1 in coordinates that suit its steps (theory, 28b), so that it arrives.
+
+    Attributes:
+        seed: of the initial D.
+        steps: of Adam in a round.
+        rounds: most rounds.
+        optimum: settings of the check, which goes on from there and from plain kernels.
+
+    Raises InputError for a number that is none.
+    """
+
+    seed: Natural = 0
+    steps: Count = 100
+    rounds: Count = 60
+    optimum: GaussNewton = field(default_factory=GaussNewton)
+
+
+Method: TypeAlias = TwoStage | GaussNewton | AugmentedLagrangian
+
+
+METHODS = {"optimum": GaussNewton, "two-stage": TwoStage, "constrained": AugmentedLagrangian}
+"""Fit methods by their names in a shell."""
 
 
 def products(model: LPSMaterial, classes: BondClasses) -> np.ndarray:
@@ -99,29 +246,6 @@ class Products:
         given = self.samples if samples is None else samples
         R, y = rows(given, self.bonds, weight=np.sqrt(weight), least=self.least)
         return LatticeRows(R, y, self.bonds, lattice_group(self.bonds.dimension))
-
-
-PROBED_HORIZON = 2.0
-"""Horizon in spacings of the bond-based solid that a lattice's stiffness is measured with."""
-
-
-def stiffness_of(sets: Sequence[Samples], horizon: float) -> float:
-    """Stiffness that loads and displacements on lattices show together [TPa]: that of the
-    bond-based solid, K = 1/r, of equal work, ‖b‖² over b·A u, A of unit stiffness, where noise in u
-    averages out. Raises InputError where it is not above zero."""
-    loads = work = 0.0
-    for samples in sets:
-        near = min(PROBED_HORIZON * samples.spacing, horizon)
-        bonds = Bonds(samples.points, near, bond_based=True)
-        force = bonds.law(1.0, 1.0, 1.0, 1.0).force(samples.u.reshape(len(samples.u), -1))[0]
-        b = samples.loads[:, samples.interior].reshape(force.shape)
-        loads, work = loads + float((b**2).sum()), work + float((force * b).sum())
-    if not work > 0:
-        raise InputError(
-            "u, b: loads and displacements do work of opposite sign, or none, and no solid answers "
-            "loads so; expected b to be the load, which is minus the internal force"
-        )
-    return loads / work
 
 
 @dataclass(frozen=True)
@@ -295,7 +419,7 @@ class LPSLaw:
         else:
             solid, fixed = start.solid, fixed_alpha
             self.kernel = BernsteinKernel(lattices, solid.alpha, len(solid.D) - 1, fixed=fixed)
-        self.conditions, self.zeta = conditions, HEADROOM * conditions.level
+        self.conditions, self.zeta = conditions, HEADROOM * cast(float, conditions.zeta)
         self.unit, self.size = start.solid.mu, start.solid.mu / lattices[0].horizon ** 2
         self.moduli, self.smoothness = method.held, method.smoothness
         self._sigma = [(classes.count * classes.r**2)[:, None] for classes in lattices]
@@ -376,7 +500,7 @@ def optimum(
     lattices: Sequence[BondClasses],
     start: LPSFound,
     conditions: StabilityConditions,
-    method: GaussNewton = GaussNewton(),  # noqa: B008 (a frozen value)
+    method: GaussNewton = GaussNewton(),
     *,
     fixed_alpha: bool = False,
 ) -> LPSFound:

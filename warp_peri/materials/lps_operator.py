@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike
 from warp_peri.core.proof import largest
 from warp_peri.errors import InputError, warn
 from warp_peri.materials.lps_force import Bonds, Law, bonds_of, lps_force
-from warp_peri.points.arguments import checked, checked_fields, plain
+from warp_peri.points.arguments import checked, checked_fields, is_tensor, plain
 from warp_peri.points.families import DEGREE, families_of, largest_strain
 from warp_peri.points.points import PointsLike, nodes_of
-from warp_peri.protocols import OperatorBase, is_tensor
+from warp_peri.protocols import OperatorBase
 from warp_peri.runtime import recording
 from warp_peri.solvers.linear import DIRECT, Inverse, Linear
 from warp_peri.solvers.solution import (
@@ -172,8 +172,13 @@ class LPSOperator(OperatorBase):
 
     def matrix(self) -> sp.csr_array:
         """L as a sparse matrix of all nodes' displacements, shape [d I, d N]."""
-        lam, mu, *shape = self.learnable.values()
-        return assemble(self.bonds, *self.bonds.table(*shape), mu).operator(lam, mu)
+        return self.matrices.operator(self.model.lam, self.model.mu)
+
+    @property
+    def matrices(self) -> Matrices:
+        """Matrices Γ, Φ and Ψ on the nodes."""
+        _, mu, *shape = self.learnable.values()
+        return assemble(self.bonds, *self.bonds.table(*shape), mu)
 
     @property
     def is_symmetric(self) -> bool:  # type: ignore[override]
@@ -389,12 +394,6 @@ class Matrices:
         if np.ndim(lam - mu):
             return sp.csr_array(self.gamma - self.psi @ (sp.diags_array(lam - mu) @ self.phi))
         return sp.csr_array(mu * self.gamma - (lam - mu) * (self.psi @ self.phi))
-
-
-def matrices(model: LPSMaterial, points: PointsLike) -> Matrices:
-    """Matrices Γ, Φ and Ψ of a model on points; InputError where these do not carry the horizon."""
-    bonds = bonds_of(model, points)
-    return assemble(bonds, *bonds.table(model.alpha, model.D), model.mu)
 
 
 def assemble(bonds: Bonds, kw: np.ndarray, m: Any, mu: Any = 1.0) -> Matrices:

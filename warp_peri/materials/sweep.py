@@ -18,13 +18,12 @@ from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import locked
 from warp_peri.files.checkpoint import fingerprint
 from warp_peri.fitting.evaluate import ERRORS, evaluate
-from warp_peri.fitting.settings import DEGREES, HORIZONS, Bernstein, GaussNewton, TwoStage
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_fit import LPS
-from warp_peri.points.arguments import Bound, typed, typed_methods
+from warp_peri.materials.lps_law import DEGREES, HORIZONS, Bernstein, GaussNewton, TwoStage
+from warp_peri.points.arguments import Bound, symbols, typed, typed_methods
 from warp_peri.points.families import bond_classes
 from warp_peri.points.points import Samples
-from warp_peri.points.unit_names import symbols
 
 COST_TOLERANCE = 0.1
 """How much worse than the best AvgE the cheapest choice may be, relative."""

@@ -22,22 +22,20 @@ from scipy.special import j0
 
 from warp_peri.core.elastic import checked_orientation, plane_isotropic
 from warp_peri.core.pointwise import Pointwise
-from warp_peri.core.proof import largest
+from warp_peri.core.proof import SAME_SPACING, largest, stencil_of
 from warp_peri.core.record import Length, OnLinear, Stress
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.long_waves import long_wave_moduli, long_wave_rows, moduli_of
 from warp_peri.fitting.regression import Settled, load_sizes, norms, rows, swept
-from warp_peri.fitting.settings import Fit
+from warp_peri.fitting.result import Fit
 from warp_peri.materials.certificate import prove_uniqueness
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import Crystal, Tensors, one_set, transfer_to_lattice
-from warp_peri.points.arguments import NotNegative, is_number, typed
+from warp_peri.points.arguments import NotNegative, check_same, is_number, shown_moduli, typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.points import PointsLike, Samples, axis_of, lattice_steps, nodes_of
-from warp_peri.points.unit_names import check_same, shown_moduli
-from warp_peri.protocols import SAME_SPACING, stencil_of
 from warp_peri.solvers.equilibria import SOLVES, equilibria_of
 from warp_peri.solvers.linear import Inverse
 from warp_peri.solvers.solution import Solution, Solver
@@ -419,7 +417,7 @@ class ThirdOrder:
         ).certified()
         operator = PlacedThirdOrder(law, given.points)
         b = given.loads[:, given.interior]
-        wrong = float((norms(operator(given.u) - b) / learning.size).mean())
+        left = norms(operator(given.u) - b)
         largest = float(operator.largest_gradient(given.u).max())
         if largest > (proven := law.proven_strain(law.spacing)):
             warn(
@@ -428,7 +426,9 @@ class ThirdOrder:
                 "may prove more"
             )
         history = record | {"largest_gradient": largest, "seconds": time.perf_counter() - begin}
-        return Fit(law, linear.certificate, {"E_res": wrong}, history)
+        errors = {"E_res": float((left / learning.size).mean())}
+        whole = float(np.linalg.norm(left) / np.linalg.norm(b))
+        return Fit(law, linear.certificate, errors, history, left=whole)
 
 
 class Learning:

@@ -10,17 +10,22 @@ from typing import Any
 import numpy as np
 
 from warp_peri.core.elastic import directions, lattice_group, orbit_grid
+from warp_peri.core.proof import certify
 from warp_peri.core.stencil import Basis
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.regression import LatticeRows, compressed
-from warp_peri.fitting.settings import GaussNewton, StabilityConditions
-from warp_peri.materials.certificate import certify, with_proof
+from warp_peri.materials.certificate import with_proof
 from warp_peri.materials.lps import LPSMaterial, LPSParameters
-from warp_peri.materials.lps_law import LPSFound, optimum, product_basis
-from warp_peri.points.arguments import Positive, typed
+from warp_peri.materials.lps_law import (
+    GaussNewton,
+    LPSFound,
+    StabilityConditions,
+    optimum,
+    product_basis,
+)
+from warp_peri.points.arguments import Positive, check_same, search_length, symbols, typed
 from warp_peri.points.families import AT_EDGES, bond_classes, carried_horizon
 from warp_peri.points.points import PointsLike, nodes_of
-from warp_peri.points.unit_names import check_same, search_length, symbols
 
 WaveSymbol = Callable[[np.ndarray], np.ndarray]
 """k [K, d] along the nodes' axes to D(k) [K, d, d] [stress/length²]."""

@@ -16,8 +16,8 @@ from warp_peri.materials.crystal import StencilMaterial, crystal_from_lps
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.transfer import model_at
 from warp_peri.mpi.processes import Comm, Halo, Slabs, build, in_turn, inner
+from warp_peri.points.arguments import check_same
 from warp_peri.points.points import Points
-from warp_peri.points.unit_names import check_same
 from warp_peri.runtime import shared_by
 from warp_peri.solvers.linear import VCycle, coarser, largest, prolong, restrict
 from warp_peri.solvers.systems import Inner, SolveRecord, definite

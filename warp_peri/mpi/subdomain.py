@@ -30,11 +30,21 @@ from warp_peri.mpi.processes import (
     total,
     world,
 )
-from warp_peri.points.arguments import as_array, checked, checked_fields, is_positive
+from warp_peri.points.arguments import (
+    USUAL,
+    Units,
+    as_array,
+    check_same,
+    check_units,
+    checked,
+    checked_fields,
+    is_positive,
+    offered,
+    taken,
+)
 from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.points import LATTICE_TOLERANCE, Points
-from warp_peri.points.unit_names import USUAL, Units, check_same, check_units
-from warp_peri.protocols import MATERIAL, offered, taken
+from warp_peri.protocols import MATERIAL
 from warp_peri.runtime import ranks_started
 from warp_peri.solvers.motion import Motion, Recorder
 from warp_peri.solvers.solution import CG, TOLERANCE, Solution, Solver, by_sample, refuse_solver

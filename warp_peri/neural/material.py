@@ -20,9 +20,19 @@ from warp_peri.errors import InputError, Shown
 from warp_peri.files import atomic
 from warp_peri.neural.placed import Placed
 from warp_peri.neural.training import NeuralFit, TrainingSettings, train
-from warp_peri.points.arguments import Natural, Positive, is_positive, typed
+from warp_peri.points.arguments import (
+    USUAL,
+    Natural,
+    Positive,
+    Units,
+    check_same,
+    check_units,
+    factors,
+    is_positive,
+    symbols,
+    typed,
+)
 from warp_peri.points.points import PointsLike, Samples, nodes_of
-from warp_peri.points.unit_names import USUAL, Units, check_same, check_units, factors, symbols
 
 
 def network(*widths: int) -> torch.nn.Sequential:

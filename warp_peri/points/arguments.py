@@ -1,10 +1,12 @@
-"""Checks of the arguments of public functions and classes against their annotations."""
+"""Checks of the arguments of public functions and classes, and of units, which go by name."""
 
 from __future__ import annotations
 
 import inspect
+import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, wraps
 from types import FunctionType, NoneType, SimpleNamespace, UnionType
 from typing import (
@@ -12,6 +14,7 @@ from typing import (
     Any,
     Literal,
     NamedTuple,
+    TypeAlias,
     TypeVar,
     Union,
     get_args,
@@ -23,7 +26,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
-from warp_peri.points.unit_names import Units
 
 LARGEST = 1e100
 """Values above it are no data, and their squares soon no numbers."""
@@ -342,3 +344,141 @@ def _is_own(kind: Any) -> bool:
     """Whether a kind is a class of this package, not a protocol."""
     own = isinstance(kind, type) and kind.__module__.startswith("warp_peri.")
     return own and not getattr(kind, "_is_protocol", False)
+
+
+def is_tensor(value: Any) -> bool:
+    """Whether a value is a torch tensor; torch is not loaded for the question."""
+    return "torch" in sys.modules and isinstance(value, sys.modules["torch"].Tensor)
+
+
+LINEAR = "a linear solid, or a material with a linear part"
+"""What most proofs and fits are of, for errors."""
+
+
+def offered(given: Any, name: str, verb: str, kinds: str) -> Any:
+    """Method `name` of a given object; InputError that says what `verb` is for otherwise."""
+    method = getattr(given, name, None)
+    if method is None or isinstance(given, type):
+        what = given.__name__ if isinstance(given, type) else type(given).__name__
+        raise InputError(f"{verb}: expected {kinds}, got {what}")
+    return method
+
+
+def taken(
+    options: dict[str, Any], verb: str, *takers: Callable[..., Any], given: tuple[str, ...] = ()
+) -> tuple[dict[str, Any], ...]:
+    """Sort options by taker, by keyword-only arguments that are not `given` elsewhere. InputError
+    for an option that none takes, a missing one, and one of another kind than annotated."""
+    kinds = [
+        {n: p for n, p in inspect.signature(taker).parameters.items() if p.kind is p.KEYWORD_ONLY}
+        for taker in takers
+    ]
+    known = {n: p for kind in kinds for n, p in kind.items() if n not in given}
+    names = ", ".join(known) or "none"
+    if unknown := sorted(options.keys() - known.keys()):
+        raise InputError(f"{verb}: expected options among {names}, got {', '.join(unknown)}")
+    if missing := [n for n, p in known.items() if p.default is p.empty and n not in options]:
+        raise InputError(f"{verb}: expected {', '.join(missing)} too, of the options {names}")
+    found = tuple({n: options[n] for n in kind if n in known and n in options} for kind in kinds)
+    return tuple(check_arguments(taker, its) for taker, its in zip(takers, found))
+
+
+LENGTHS = {"angstrom": 1.0, "nm": 10.0, "um": 1e4, "mm": 1e7, "m": 1e10}
+"""Units of length [Å]."""
+STRESSES = {
+    "TPa": 1.0,
+    "GPa": 1e-3,
+    "MPa": 1e-6,
+    "bar": 1e-7,
+    "Pa": 1e-12,
+    "eV/angstrom^3": 0.1602176634,
+}
+"""Units of stress [TPa]."""
+EV_IN_TPA = STRESSES["eV/angstrom^3"]
+REDUCED = ("sigma", "epsilon/sigma^3")
+"""Of Lennard-Jones and other model potentials: no factor leads from them to metres and pascals."""
+SYMBOLS = {"angstrom": "Å", "um": "µm", "eV/angstrom^3": "eV/Å³"}
+"""How units are printed, where that is not by name."""
+SYMBOLS |= {"sigma": "σ", "epsilon/sigma^3": "ε/σ³"}
+ATOMIC = ("TPa", "eV/angstrom^3", "bar")
+"""Units of stress in which codes of atoms compute; their moduli are printed in GPa."""
+USUAL_HORIZON = 16.0
+"""A horizon [Å] that the numbers of searches suit."""
+SYSTEMS: dict[str, Units] = {
+    "ase": ("angstrom", "eV/angstrom^3"),
+    "metal": ("angstrom", "bar"),
+    "si": ("m", "Pa"),
+    "reduced": REDUCED,
+}
+"""Units of length and stress that go by one name: of ASE, of LAMMPS metal, of the SI, none."""
+Units: TypeAlias = tuple[str, str]
+"""Names of a unit of length and of one of stress."""
+USUAL: Units = ("angstrom", "TPa")
+"""What everything is in unless something else is said."""
+
+
+def check_units(units: Any) -> Units:
+    """Units as a pair of known names, from a pair or a key of SYSTEMS; else InputError."""
+    if isinstance(units, str) and units in SYSTEMS:
+        return SYSTEMS[units]
+    try:
+        length, stress = [units] if isinstance(units, str) else list(units)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"units: expected (length, stress), or {', '.join(SYSTEMS)}, got {units!r:.60}"
+        ) from None
+    if (length, stress) == REDUCED:
+        return REDUCED
+    for key, name, known in (("length_unit", length, LENGTHS), ("stress_unit", stress, STRESSES)):
+        if not (isinstance(name, str) and name in known):
+            raise InputError(
+                f"{key}: expected one of {', '.join(known)}, or {' and '.join(REDUCED)} together, "
+                f"got {name!r:.60}"
+            )
+    return length, stress
+
+
+def symbols(units: Units) -> tuple[str, str]:
+    """Printed symbols of length and stress: "Å", "TPa"."""
+    length, stress = units
+    return SYMBOLS.get(length, length), SYMBOLS.get(stress, stress)
+
+
+def shown_moduli(units: Units, values: Iterable[float]) -> str:
+    """Text of moduli: in GPa from atomic units, else in their own unit (GPa, MPa, Pa, reduced)."""
+    unit = units[1]
+    factor, shown = (STRESSES[unit] * 1e3, "GPa") if unit in ATOMIC else (1.0, symbols(units)[1])
+    return ", ".join(f"{factor * value:.4g}" for value in values) + f" {shown}"
+
+
+def factors(have: Units, want: Units) -> tuple[float, float]:
+    """Factors from the units `have` to the units `want` for lengths and stresses; InputError for
+    unknown units, and from reduced units to others."""
+    have, want = check_units(have), check_units(want)
+    if have == want:
+        return 1.0, 1.0
+    if REDUCED in (have, want):
+        raise InputError(
+            f"units: no factor leads from {' and '.join(have)} to {' and '.join(want)}; reduced "
+            "units need σ and ε: scale the numbers with them first"
+        )
+    return LENGTHS[have[0]] / LENGTHS[want[0]], STRESSES[have[1]] / STRESSES[want[1]]
+
+
+def check_same(model: Units, points: Units) -> None:
+    """Raise InputError where a model and points are in different units."""
+    if model != points:
+        theirs = f"{points[0]!r}, {points[1]!r}"
+        raise InputError(
+            f"units: the model is in {' and '.join(model)}, the points are in "
+            f"{' and '.join(points)}; model.in_units(({theirs})) converts"
+        )
+
+
+def search_length(units: Units, horizon: float) -> float:
+    """Unit of length that a search works in, in that of `units`, for a horizon in it. Starts,
+    steps, bounds and tolerances of a search are numbers. It works in Å whatever the data are in, so
+    that it finds the same in any units; of horizons of another size than usual in powers of 2⁶ of
+    it, to the bits of these."""
+    known = LENGTHS.get(units[0], 1.0)
+    return math.ldexp(1.0, 6 * round(math.log2(horizon * known / USUAL_HORIZON) / 6)) / known

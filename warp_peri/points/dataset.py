@@ -15,9 +15,20 @@ import numpy as np
 
 from warp_peri.errors import InputError, Shown, warn
 from warp_peri.files.atomic import check_hdf5, check_regular, parsed, plain, whole_file
-from warp_peri.points.arguments import Count, Natural, Positive, checked, is_name, typed
+from warp_peri.points.arguments import (
+    USUAL,
+    Count,
+    Natural,
+    Positive,
+    Units,
+    check_units,
+    checked,
+    factors,
+    is_name,
+    symbols,
+    typed,
+)
 from warp_peri.points.points import FIELDS, WAVE_VECTOR, Points, PointsLike, Samples
-from warp_peri.points.unit_names import USUAL, Units, check_units, factors, symbols
 
 
 @typed

@@ -19,9 +19,8 @@ from scipy.special import beta
 from warp_peri.errors import InputError
 from warp_peri.kernels import neighbours as kernels
 from warp_peri.kernels import quadrature
-from warp_peri.points.arguments import check_whole, listed
+from warp_peri.points.arguments import check_whole, listed, symbols
 from warp_peri.points.points import PointsLike, nearest, nodes_of
-from warp_peri.points.unit_names import symbols
 from warp_peri.runtime import floats, ints, launch_slices, zeros
 
 DEGREE = 5

@@ -15,18 +15,21 @@ from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError, Shown, warn
 from warp_peri.points.arguments import (
+    USUAL,
     NotNegative,
     Positive,
+    Units,
     as_array,
+    check_units,
     check_whole,
     checked,
     is_name,
     is_number,
     is_piece,
     listed,
+    symbols,
     typed,
 )
-from warp_peri.points.unit_names import USUAL, Units, check_units, symbols
 
 ROTATION, TWICE = 1e-6, 1e-9
 """That a rotation may be off; distance of nodes at one place, over the mean one of neighbours."""
@@ -490,3 +493,19 @@ def largest_wave_number(points: Samples) -> float | None:
             # of all directions on average s = |k|² − |k|⁴ h²/16
             largest = max(largest, (1 - np.sqrt(max(1 - s * h**2 / 4, 0.0))) * 8 / h**2)
     return float(np.sqrt(largest)) or None
+
+
+def sets_of(samples: Any, name: str = "samples") -> list[Samples]:
+    """One set, several or none as a list; of a Dataset `train`, or its only set; InputError, which
+    begins with the name, for anything else."""
+    if samples is None:
+        return []
+    if hasattr(samples, "obvious"):
+        samples = samples.obvious("train")
+    sets = [samples] if isinstance(samples, Samples) else samples
+    if not isinstance(sets, Sequence) or not all(isinstance(each, Samples) for each in sets):
+        raise InputError(
+            f"{name}: expected Samples (nodes with u and b), or a list of them, got "
+            f"{type(samples).__name__}"
+        )
+    return list(sets)

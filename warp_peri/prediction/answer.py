@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from warp_peri.core.proof import prove
+from warp_peri.core.proof import prove, stencil_of
 from warp_peri.errors import InputError, Shown
 from warp_peri.materials.certificate import curvature_bound
 from warp_peri.points.arguments import Positive, checked_fields, typed, typed_methods
@@ -26,7 +26,7 @@ from warp_peri.prediction.ensemble import (
     EnsembleOperator,
     norm,
 )
-from warp_peri.protocols import placed, stencil_of
+from warp_peri.protocols import placed
 
 SOLVED, SHARE = 0.03, 0.3
 """The first linear solve goes to this relative residual, or to this share of the tolerance; the

@@ -15,12 +15,12 @@ from scipy.ndimage import distance_transform_edt
 from warp_peri.core.record import FieldUnits, OnLinear
 from warp_peri.core.stencil import Grid, grid_of
 from warp_peri.errors import InputError
-from warp_peri.fitting.settings import Fit
-from warp_peri.points.arguments import NotNegative, typed
+from warp_peri.fitting.result import Fit
+from warp_peri.points.arguments import NotNegative, offered, typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import largest_strain
 from warp_peri.points.points import PointsLike, Samples, lattice_steps, nodes_of
-from warp_peri.protocols import offered, placed
+from warp_peri.protocols import placed
 
 SEEN = 0.5
 """Samples' worth of a wavelength from which its error counts as known."""

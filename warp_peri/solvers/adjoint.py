@@ -32,8 +32,7 @@ import torch
 
 from warp_peri.core.torch_bridge import as_tensor, by_numbers, once, real, with_numbers
 from warp_peri.errors import InputError
-from warp_peri.points.arguments import Natural, Positive, check_shape, checked
-from warp_peri.protocols import is_tensor, taken
+from warp_peri.points.arguments import Natural, Positive, check_shape, checked, is_tensor, taken
 from warp_peri.solvers import verlet
 from warp_peri.solvers.motion import Motion, Recorder
 from warp_peri.solvers.systems import MatrixProblem

@@ -14,7 +14,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import scipy.fft
-import scipy.sparse as sp
 from scipy.ndimage import convolve1d, distance_transform_cdt
 
 from warp_peri.core.elastic import q1_tensors
@@ -25,6 +24,7 @@ from warp_peri.core.stencil import (
     ByRows,
     Grid,
     Stencil,
+    block,
     convolved,
     grid_of,
     inverse,
@@ -308,27 +308,6 @@ def solved(factors: Any, mask: np.ndarray, r: np.ndarray) -> np.ndarray:
     z = np.zeros_like(r)
     z[:, mask] = factors.solve(np.ascontiguousarray(r[:, mask].T).ravel()).reshape(-1, len(r)).T
     return z
-
-
-def block(stencil: Stencil, mask: np.ndarray) -> sp.csc_array:
-    """Matrix of the operator between the nodes of a mask, shape [d n, d n]."""
-    d, here = stencil.dimension, np.argwhere(mask)
-    number = np.full(mask.shape, -1)
-    number[mask] = np.arange(len(here))
-    rows, columns = [np.arange(len(here))], [np.arange(len(here))]
-    values = [np.broadcast_to(2 * stencil.tensors.sum(axis=0), (len(here), d, d))]
-    both = np.concatenate([stencil.steps, -stencil.steps])
-    for step, C in zip(both, np.concatenate([stencil.tensors] * 2)):
-        there = here + step
-        inside = np.flatnonzero(((there >= 0) & (there < mask.shape)).all(axis=1))
-        other = number[tuple(there[inside].T)]
-        rows.append(inside[other >= 0])
-        columns.append(other[other >= 0])
-        values.append(np.broadcast_to(-C, (len(rows[-1]), d, d)))
-    row, column, value = map(np.concatenate, (rows, columns, values))
-    i, j = np.indices((d, d)).reshape(2, -1)
-    at = ((d * row[:, None] + i).ravel(), (d * column[:, None] + j).ravel())
-    return sp.csc_array((value.ravel(), at), shape=2 * (d * len(here),))
 
 
 SINE_SHIFT, SHIFT = 0.4, 1.0

@@ -12,8 +12,7 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError, Shown
 from warp_peri.files.checkpoint import RunFile, TimeSeriesWriter
-from warp_peri.points.arguments import Count, Natural, typed_methods
-from warp_peri.protocols import is_tensor
+from warp_peri.points.arguments import Count, Natural, is_tensor, typed_methods
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,9 +12,8 @@ import numpy as np
 
 import warp_peri
 from warp_peri.errors import InputError, Shown, heard, warn
-from warp_peri.points.arguments import Positive, Share, typed, typed_methods
+from warp_peri.points.arguments import Positive, Share, symbols, typed, typed_methods
 from warp_peri.points.points import Points, Samples
-from warp_peri.points.unit_names import symbols
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,14 +10,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from warp_peri.core.proof import stencil_of
 from warp_peri.errors import InputError, agreed, quietly, warn
 from warp_peri.files.checkpoint import AllNodes, fingerprint
-from warp_peri.points.arguments import Count, Positive, as_array, is_piece, typed
+from warp_peri.points.arguments import (
+    USUAL,
+    Count,
+    Positive,
+    Units,
+    as_array,
+    factors,
+    is_piece,
+    offered,
+    typed,
+)
 from warp_peri.points.arguments import checked as read
 from warp_peri.points.mesh import check_numbers
 from warp_peri.points.points import check_lattice
-from warp_peri.points.unit_names import USUAL, Units, factors
-from warp_peri.protocols import offered, stencil_of
 from warp_peri.runtime import shared_by
 from warp_peri.solvers.motion import Motion, Recorder
 

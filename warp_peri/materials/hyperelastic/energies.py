@@ -13,8 +13,7 @@ import torch
 from warp_peri.core.stencil import half_ball
 from warp_peri.errors import InputError
 from warp_peri.materials import hyperelastic
-from warp_peri.points.arguments import typed
-from warp_peri.protocols import taken
+from warp_peri.points.arguments import taken, typed
 
 if TYPE_CHECKING:
     from warp_peri.points.points import Samples

@@ -26,9 +26,16 @@ from warp_peri.materials.hyperelastic.lattice import (
     Sites,
     softest,
 )
-from warp_peri.points.arguments import checked, plain
+from warp_peri.points.arguments import (
+    USUAL,
+    Units,
+    check_same,
+    checked,
+    plain,
+    shown_moduli,
+    symbols,
+)
 from warp_peri.points.points import PointsLike, Samples, nodes_of, seen_of
-from warp_peri.points.unit_names import USUAL, Units, check_same, shown_moduli, symbols
 from warp_peri.runtime import one_thread
 from warp_peri.solvers.equilibria import Descent, Inner, equilibria_of
 from warp_peri.solvers.solution import TOLERANCE, Solution, Solver
