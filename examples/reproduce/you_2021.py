@@ -446,8 +446,8 @@ def swept_as_printed() -> SweepResult:
     """Algorithm 2 at 0 K by Algorithm 1 as printed: 35 fits with ReLU, dense conditions and the
     paper's hundred rounds, two hours of one core, kept in runs/."""
     law, own = wp.LPS(20.0, method=TwoStage(outer_iterations=100)), data()
-    folder, how = SWEEPS / "graphene_0K_as_printed", {"law": law, "jobs": 1, "progress": True}
-    return wp.methods.sweep(own["train"], own["val"], folder, test=own["test"], **how)
+    sets, folder = (own["train"], own["val"]), SWEEPS / "graphene_0K_as_printed"
+    return wp.methods.sweep(*sets, folder, test=own["test"], law=law, jobs=1, progress=True)
 
 
 def table_3_as_printed() -> Table:
