@@ -185,14 +185,13 @@ def errors_of(material: NeuralOperator, sets: Sets, *, solve: bool = True) -> di
 
 
 def dictionary(samples: Samples, reach: int) -> hyperelastic.HyperelasticMaterial:
-    """A sheet energy model, coefficients of any sign, at a horizon of so many spacings."""
-    corners = tuple(replace(term, corner=True) for term in MATRIX)
-    terms = (*SHEET, *hyperelastic.fibre_fan(8), *corners)
-    return wp.fit(samples, hyperelastic.Hyperelastic(float(reach), NEAREST, terms)).material
+    """A sheet energy model of the corners of cells, of any sign; a horizon in spacings."""
+    corners = tuple(replace(term, corner=True) for term in (*SHEET, *hyperelastic.fibre_fan(8)))
+    return wp.fit(samples, hyperelastic.Hyperelastic(float(reach), NEAREST, corners)).material
 
 
 def frames_dictionary(samples: Samples) -> hyperelastic.HyperelasticMaterial:
-    """The same from displacement alone, with fibres in eight directions."""
+    """A sheet energy model from displacement alone, with fibres in eight directions."""
     terms = (*MATRIX, *hyperelastic.fibre_fan(8, (2.0, 3.0, 4.0, 6.0)))
     rose = hyperelastic.Hyperelastic(3.0, NEAREST, terms)
     return wp.fit(samples, rose, most_steps=8).material
