@@ -89,6 +89,8 @@ NONE = {
     "lammps:pair_style lj/cut $(1+4); pair_coeff * * 0.4 2.3": "could run code",
     "lammps:hybrid lj/cut 5 python 5; pair_coeff * * 0.4 2.3": "could run code",
     "lammps:lj/cut 5; pair_coeff * * 0.4 2.3; fix 1 all python/invoke 1 end_of_step f": "fix",
+    "lammps:comb; fix 1 all qeq/comb 1 0.1 file ran; pair_coeff * * 1": "could run code or write",
+    "lammps:sw; pair_coeff * * '`touch ran`.gz' Cu": "could run code",
 }
 
 

@@ -23,8 +23,8 @@ from warp_peri.errors import InputError
 from warp_peri.points.arguments import typed
 from warp_peri.runtime import ranks_started
 
-COMMAND_SIGNS = "\"'$&#"
-"""What LAMMPS would interpret inside a path."""
+COMMAND_SIGNS = "\"'$&#`"
+"""What LAMMPS would interpret inside a path, or a shell that unpacks the file for it."""
 
 LINES = {
     *("pair_style", "pair_coeff", "pair_modify", "kspace_style", "kspace_modify", "special_bonds"),
@@ -33,8 +33,8 @@ LINES = {
 """Commands that a potential is made of; beside them a `fix` that equilibrates charges."""
 SAME_MASS = 0.02
 """Of a mass, within which it is an element's."""
-CODE = {"python", "mliappy", "unified", "quip"}
-"""Words behind which pair styles load a program, or start one."""
+CODE = {"python", "mliappy", "unified", "quip", "file"}
+"""Words behind which pair styles load a program, or start one, and a fix writes over a file."""
 
 
 class LammpsError(RuntimeError):
@@ -113,8 +113,8 @@ def _check_line(line: str) -> None:
         known = ", ".join(sorted(LINES))
         raise InputError(f"calculator: expected {known} or fix … qeq/…, got {line!r:.200}")
     coded = CODE & {word.strip("\"'") for word in words}
-    if coded or not line.isprintable() or set(line) & {"$", "&"}:
-        none = f"no {', '.join(sorted(CODE))}, $, & or line break, which could run code"
+    if coded or not line.isprintable() or set(line) & {*"$&`|<>"}:
+        none = f"no {', '.join(sorted(CODE))}, $&`|<>, line break, which could run code or write"
         raise InputError(f"calculator: expected {none}, in the LAMMPS line {line!r:.200}")
     if words[0] == "pair_style" and (words[1:] or [""])[0] not in _pair_styles():
         raise InputError(f"calculator: LAMMPS has no such pair style, got {line!r:.200}")
