@@ -140,6 +140,8 @@ def refusals(sheet, ball):
     full = lattice(SHAPE[2], H, lambda x: x[:, 0] >= 0)
     brittle = BrittleMaterial(solid(2), 2500.0, toughness=1.0)
     everywhere, flat = H * np.argwhere(np.ones(SHAPE[2])), wp.Dirichlet(sheet, *fields(sheet.x))
+    mixed = np.zeros(len(sheet.x), (bool, int)[world().rank])
+    hidden = np.ma.masked_array(0 * sheet.x, sheet.x > 0)
     return [told_by(wrong) for wrong in (
         lambda: solid(3).on(ball)(0 * ball.x),
         lambda: wp.solve(solid(2), wp.Dirichlet(full, *fields(full.x))),
@@ -150,6 +152,9 @@ def refusals(sheet, ball):
         lambda: partition(wp.Points(everywhere, inside(everywhere), 0.0)),
         lambda: wp.simulate(brittle, wp.Cracked(sheet, pressure=np.eye(2)), step=0.1, steps=1),
         lambda: lattice((8, 52), H, inside),
+        lambda: wp.simulate(brittle, wp.Cracked(sheet), step=0.1, steps=1, no_fail=mixed),
+        lambda: wp.simulate(brittle, wp.Cracked(sheet, hidden), step=0.1, steps=1),
+        lambda: lattice(SHAPE[2], H, lambda x: np.ma.masked_array(x[:, 0] > 0, True)),
     )]  # fmt: skip
 
 

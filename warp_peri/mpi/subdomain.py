@@ -157,8 +157,9 @@ class Subdomain:
         fields = [(of, name) for of in (how, begin) for name in FIELDS if of.get(name) is not None]
         with agreed(comm):
             for of, name in fields:
-                if len(np.asarray(of[name])) != len(self.x):
-                    raise InputError(f"{name}: expected {len(self.x)} nodes of this rank")
+                kind = bool if name in ("held", "no_fail") else float
+                shape = self.x.shape[: 2 - (name == "no_fail")]
+                of[name] = checked(name, of[name], kind, shape)
         for of, name in fields:
             of[name] = halo.around(of[name])
         with agreed(comm):
@@ -172,8 +173,9 @@ class Subdomain:
 
     def gather(self, values: np.ndarray) -> np.ndarray:
         """Gather values [n, ...] of all pieces on every rank, in the order of the whole body."""
-        whole = np.empty((self.count, *np.shape(values)[1:]), np.asarray(values).dtype)
-        for number, part in self.comm.allgather((self.number, np.asarray(values))):
+        values = np.asarray(values)
+        whole = np.empty((self.count, *values.shape[1:]), values.dtype)
+        for number, part in self.comm.allgather((self.number, values)):
             whole[number] = part
         return whole
 
@@ -268,9 +270,7 @@ def lattice(
     number = np.asarray(np.ravel_multi_index(tuple(grid.T), shape))
     count = int(np.prod(shape))
     with agreed(comm):
-        inside = np.asarray(interior(x))
-        if inside.shape != (len(x),) or inside.dtype != bool:
-            raise InputError(f"interior: expected bool of shape [{len(x)}], got {inside.shape}")
+        inside = checked("interior", interior(x), bool, (len(x),))
         check_units(units)
     if not any(comm.allgather(bool(inside.any()))):
         raise InputError("interior: expected at least one interior node, got none")
