@@ -193,10 +193,8 @@ class DiffusionOperator(FlowOperator):
         near, far = self._ends
         work = ((u[:, near] - u[:, far]) * w[:, self._owner[self._kept]]).sum(axis=0)
         numbers = _tensors(self.learnable)
-        one = numbers[name].requires_grad_()
-        return np.asarray(
-            torch.autograd.grad(self._strengths(**numbers), one, torch.from_numpy(work))[0]
-        )
+        strengths, work = self._strengths(**numbers), torch.from_numpy(work)
+        return np.asarray(torch.autograd.grad(strengths, numbers[name], work)[0])
 
     def energy(self, u: np.ndarray) -> np.ndarray | None:
         """Energy h^d (½ φ_I·L φ_I + φ_I·L φ_C), shape [...]; None on scattered points."""
@@ -208,7 +206,7 @@ class DiffusionOperator(FlowOperator):
 
 
 def _tensors(numbers: Mapping[str, Any]) -> dict[str, torch.Tensor]:
-    return {name: torch.tensor(value, dtype=torch.float64) for name, value in numbers.items()}
+    return {n: torch.tensor(v, dtype=torch.float64, requires_grad=True) for n, v in numbers.items()}
 
 
 def _conductivities(given: Any, count: int, place: str) -> np.ndarray:
@@ -390,11 +388,10 @@ class CoupledOperator(FlowOperator):
     def storage_slopes(self, names: list[str], rates: np.ndarray, w: np.ndarray) -> dict[str, Any]:
         """Derivatives of Σ w · storage() rates by parameters, of rates [K, N, 3], w [K, I, 3]."""
         numbers = _tensors(self.learnable)
-        asked = [numbers[name].requires_grad_() for name in names]
         phi = torch.from_numpy(self.on_all(w)[..., 2])
         rate = torch.from_numpy(np.ascontiguousarray(rates[..., :2]))
         parts = self.model.model, self.body, self.table, 0 * rate, numbers
         with torch.enable_grad():
             work = -(rate * bond_force(*parts, numbers["coupling"] * phi)).sum()
-            each = torch.autograd.grad(work, asked, allow_unused=True)
+            each = torch.autograd.grad(work, [numbers[n] for n in names], allow_unused=True)
         return {name: one.numpy() for name, one in zip(names, each) if one is not None}

@@ -34,6 +34,12 @@ def of_conductor(numbers):
     return law.on(lattice(3, 1.0))
 
 
+def of_coupled(numbers):
+    model, more = solid({n: numbers[n] for n in SOLID}), ("kappa", "alpha", "D")
+    law = of_conductor({name: numbers[f"conductor_{name}"] for name in more}).model
+    return wp.diffusion.ThermoelasticMaterial(model, law, numbers["coupling"]).on(lattice(2, 2.0))
+
+
 def of_third_order(numbers):
     return replace(third_order("energy")(), **numbers).on(lattice(2, 3.0))
 
@@ -45,6 +51,14 @@ KINDS = {
         {"λ = μ": SOLIDS["λ = μ"]},
     ),
     "conductor": (of_conductor, {"α = 0": {"alpha": 0.0, "D": D[:2], "kappa": 1.3}}),
+    "coupled": (
+        of_coupled,
+        {
+            "λ = μ": SOLIDS["λ = μ"]
+            | {"coupling": 0.4}
+            | {"conductor_alpha": 0.0, "conductor_D": D[:2], "conductor_kappa": 1.3}
+        },
+    ),
     "crystal, third order": (of_third_order, {"none": {"t3": 0.0, "tq2": 0.0, "q3": 0.0}}),
 }
 CELLS = [
@@ -112,6 +126,11 @@ def test_cracked_bodies_have_the_gradient_of_differences(case):
     for own in (numbers, general(numbers)):
         model = solid(own)
         check(lambda of, m=model: seeded(wp.solve(m, problem, parameters=of).u), numbers)
+    for own in (numbers, general(numbers)):
+        body = replace(problem, pressure=None).waves(solid(own))
+        fields, options = given(body)
+        how = options | {"steps": 4, "every": 2}
+        check(lambda of, op=body, f=fields, how=how: loss(op, f, how, of), numbers)
 
 
 def test_a_number_that_two_share_is_both():

@@ -191,9 +191,8 @@ class CutSolid(OperatorBase):
 
     def at(self, numbers: Mapping[str, Any]) -> CutSolid:
         """Body with other parameters; InputError where they leave it indefinite."""
-        model = self.model.with_parameters(numbers)
-        how: dict[str, Any] = {"neighbour": self.neighbour, "solver": self.solver}
-        return CutSolid(model, self.body, self.held, **how)
+        law, of = self.model.with_parameters(numbers), (self.body, self.held)
+        return CutSolid(law, *of, neighbour=self.neighbour, solver=self.solver, moves=self.moves)
 
     def force_with_parameters(self, u: Any, numbers: Any) -> Any:
         """Force of tensors [S, N, d] with other parameters, which has every derivative."""
