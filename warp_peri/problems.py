@@ -14,6 +14,7 @@ from warp_peri.errors import ALONE, agreed
 from warp_peri.fe_coupling.body import solve_body
 from warp_peri.fe_coupling.boundary_elements import Field, Traction
 from warp_peri.points.arguments import (
+    as_array,
     check_flag,
     check_mapping,
     checked,
@@ -66,7 +67,9 @@ class Dirichlet:
         """Solve for the material at rest."""
         extra = {"parameters": options.pop("parameters")} if "parameters" in options else {}
         operator = placed(material, nodes_of(self.points), **options)
-        load = np.zeros(np.shape(self.u)) if self.b is None else self.b
+        load = self.b
+        if load is None:
+            load = np.zeros(getattr(self.u, "shape", None) or as_array("u", self.u).shape)
         if extra or is_tensor(self.b) or is_tensor(self.u):
             rest = getattr(operator, "solve_torch", operator.solve)
             return rest(load, self.u, solver, **extra)  # type: ignore[no-any-return]

@@ -318,6 +318,7 @@ def test_arguments_of_bodies_solids_and_tables():
     none = (1j, np.ma.masked_array([0.5], [True]), np.nan, "0.5", None, True)
     for call, words in (
         (lambda: wp.influence.table([1, 2, 3], hidden), "K"),
+        (lambda: wp.solve(op, wp.Dirichlet(points, None, [[1.0], [1.0, 2.0]])), "u"),
         (lambda: wp.Points.block([], 1.0, 2.0), "lengths"),
         (lambda: wp.Points.sheet((4,), 1.0), "sides"),
         (lambda: wp.fracture.box_nodes((), 1.0), "sides"),
@@ -413,7 +414,7 @@ def doors():
 TYPED = {name: call.__wrapped__ for name, call in doors() if hasattr(call, "__wrapped__")}
 LEARNS = torch.ones((), requires_grad=True)
 WRONG = {
-    float: ("a", np.nan, 1e300, 1j, [1.0, 2.0], LEARNS),
+    float: ("a", np.nan, np.float32(np.inf), 1e300, 1j, [1.0, 2.0], LEARNS),
     int: ("a", np.nan, 1.5, True, [1, 2], LEARNS),
     bool: ("no", 1, 0.0),
     str: (5, ["a"]),

@@ -82,6 +82,9 @@ REFUSED = {
     "solution: expected that of a Cracked, got": lambda: fracture.crack_opening_volume(
         solve(kernel("positive", 2.0), Dirichlet(SMALL, None, SMALL.x))
     ),
+    "normal: expected float values": lambda: fracture.crack_opening_volume(
+        solve(MODEL, PROBLEM), ["0", "1"]
+    ),
     "factors that rise": softly(loads=[0.2, 0.1]),
     "no bond of the body crosses it": softly(line=[(-7, 40), (7, 40)]),
     "line: expected two ends, got 3": softly(line=[(-7, 0.1), (0, 0.1), (7, 2)]),

@@ -457,8 +457,8 @@ def _columns(
     if not hasattr(solution.operator, "body"):
         raise InputError("solution: expected that of a Cracked, got another's")
     body, neighbour, d = solution.operator.body, solution.operator.neighbour, solution.u.shape[1]
-    along = np.eye(d)[1] if normal is None else np.asarray(normal, dtype=float)
-    if along.shape != (d,) or sorted(np.abs(along)) != [0] * (d - 1) + [1]:
+    along = np.eye(d)[1] if normal is None else checked("normal", normal, float, (d,))
+    if sorted(np.abs(along)) != [0] * (d - 1) + [1]:
         raise InputError(f"normal: expected an axis, as {(0, 1, 0)[:d]}, got {list(along)}")
     across = np.abs(body.xi - body.spacing * along).max(axis=1)
     step = int(np.argmin(across))

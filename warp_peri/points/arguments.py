@@ -131,10 +131,10 @@ def is_piece(points: Any) -> bool:
 
 def is_number(value: Any) -> bool:
     """Whether a value is one real number; InputError for a tensor whose gradient would be lost."""
-    if getattr(value, "requires_grad", False):
-        raise InputError(f"number: {GRADIENT}")
-    strange = isinstance(value, (list, tuple)) or getattr(value, "is_meta", False)  # for NumPy
-    return not strange and np.ndim(value) == 0 and np.asarray(value).dtype.kind in "fiu"
+    if isinstance(value, (list, tuple)) or getattr(value, "is_meta", False):  # strange to NumPy
+        return False
+    found = as_array("number", value)
+    return found.ndim == 0 and found.dtype.kind in "fiu"
 
 
 def are_numbers(value: Any) -> bool:
@@ -273,7 +273,7 @@ def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> dict[
             check_flag(name, value)
             continue
         if first is int or first is float:
-            fine = is_number(value) and (abs(value) <= LARGEST or value == default)
+            fine = is_number(value) and (abs(float(value)) <= LARGEST or value == default)
             fine = fine and (first is float or (value % 1 == 0 and abs(value) <= MOST))
             words = "a whole number" if first is int else "a finite number"
         elif first is np.ndarray:
