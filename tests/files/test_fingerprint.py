@@ -100,6 +100,7 @@ def test_materials_settings_functions_and_objects_count_by_what_they_hold():
         (by(above(0.3)), by(above(0.4))),
         (Above(0.3), Above(0.4)),
         (heir(lambda self: np.min), heir(lambda self: np.max)),
+        *((type("Of", (), {"limit": of, "__module__": __name__})() for of in (x, 2 * x)),),
         (Above(0.3).__call__, Above(0.4).__call__),
         (partial(above, 0.3), partial(above, 0.4)),
         (lambda f: sum(x > 1 for x in f), lambda f: sum(x > 2 for x in f)),
@@ -136,16 +137,17 @@ def test_what_a_function_reads_inside_and_through_others_counts(monkeypatch):
         return POWERS(values) + SHIFTED(values)
 
     def of_module(values):
-        return cfg.SIZE * values
+        return cfg.SIZE * cfg.below.larger(values) * np.ones(3)
 
-    cfg = type(np)("cfg")
-    cfg.SIZE = 1.0
+    cfg, below = type(np)("cfg"), type(np)("cfg.below")
+    cfg.SIZE, cfg.below, below.larger = 1.0, below, above(0.3)
     for function, where, name, other in (
         (limited, LIMIT, "above", 0.4),
         (scaled, globals(), "SCALE", 100.0),
         (raised, globals(), "POWERS", np.poly1d([2.0])),
         (raised, globals(), "SHIFTED", partial(np.add, 2.0)),
         (of_module, vars(cfg), "SIZE", 3.0),
+        (of_module, vars(below), "larger", above(0.4)),
     ):
         before = fingerprint(function)
         assert fingerprint(function) == before

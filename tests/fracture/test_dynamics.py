@@ -81,12 +81,13 @@ def test_a_checkpoint_says_what_differs_and_goes_on_under_the_same_history_of_lo
     for how, words in (
         ({"step": dt / 2}, "load history, step"),
         ({"begin": {"u": shift}}, "start"),
+        ({"ramp": lambda t: slow(t) if t else 0.5}, "load history"),
         ({"load": None}, "load"),
         ({"law": law}, "solid"),
         ({"watch": np.mean}, "records"),
     ):
         with pytest.raises(InputError, match=f"what differs: {words}$"):
-            march(slow, **how)
+            march(**{"ramp": slow} | how)
     changed = lambda t: slow(t) * later(t)  # later than the checkpoint
     resumed, options = march(changed, steps=6), {"every": 1}
     assert march(changed, steps=6).u.numpy().tobytes() == resumed.u.numpy().tobytes()

@@ -132,34 +132,37 @@ def _spelled(part: Any, above: frozenset[int] = frozenset()) -> Iterator[bytes]:
 
 
 def _read_by(function: Any) -> dict[str, Any]:
-    """Values that a function encloses or reads of its module, by name."""
+    """Values that a function encloses, or reads of its module and of those it names, by name."""
     names, code = set[str](), [function.__code__]
     for one in code:  # those of what is defined inside, too
         names |= {*one.co_names}
         code += filter(inspect.iscode, one.co_consts)
-    known = getattr(function, "__globals__", {})
-    read: dict[str, Any] = {}
-    for name in names & known.keys():
-        one = known[name]
-        if inspect.ismodule(one):  # of which it may read plain values of these names
-            own = {key: getattr(one, key, None) for key in sorted(names)}
-            read[name] = {key: value for key, value in own.items() if isinstance(value, PLAIN)}
-        elif not (inspect.isroutine(one) or isinstance(one, type)) or (
-            one is not function and (one.__module__ == function.__module__ or _is_users(one))
-        ):
-            read[name] = one
-    return {**read, **inspect.getclosurevars(function).nonlocals}
+    read = {**inspect.getclosurevars(function).nonlocals}
+    spaces = [getattr(function, "__globals__", {})]
+    spaces += [vars(read.pop(name)) for name in [*read] if inspect.ismodule(read[name])]
+    for place, known in enumerate(spaces):
+        for name in sorted(names & known.keys()):
+            one = known[name]
+            if inspect.ismodule(one):
+                spaces += [vars(one)] * all(vars(one) is not other for other in spaces)
+            elif (
+                one is not function and (one.__module__ == function.__module__ or _is_users(one))
+                if inspect.isroutine(one) or isinstance(one, type)
+                else not place or isinstance(one, PLAIN)
+            ):
+                read[f"{place} {name}"] = one
+    return read
 
 
 def _methods(kind: type) -> dict[str, Any]:
-    """Methods of a user's own class, by name."""
+    """Methods and plain values of a user's own class, by name."""
     if not _is_users(kind):
         return {}
     found: dict[str, Any] = {above.__qualname__: _methods(above) for above in kind.__bases__}
     for name, one in vars(kind).items():
         for inner in ("__func__", "fget", "func"):  # of static and class methods, of properties
             one = getattr(one, inner, one)
-        if inspect.isfunction(one):
+        if inspect.isfunction(one) or (isinstance(one, PLAIN) and name[0] + name[-1] != "__"):
             found[name] = one
     return found
 
@@ -208,7 +211,7 @@ class RunFile:
         nodes, comm = self.nodes, self.nodes.comm
         number = None if nodes.number is None else nodes.number[nodes.own]
         text = np.frombuffer(json.dumps(values).encode(), np.uint8)
-        whole = gathered(comm, {k: (v, number, nodes.count) for k, v in nodal.items()})
+        whole = gathered(comm, nodal, number, nodes.count)
         head = {"format": self.kind, "mark": self._mark(nodal, text)}
         with agreed(comm):
             if comm.rank == 0:
@@ -271,12 +274,12 @@ class ArrayFile:
 
 
 def gathered(
-    comm: Any, arrays: Mapping[str, tuple[np.ndarray, np.ndarray | None, int]]
+    comm: Any, arrays: Mapping[str, np.ndarray], own: np.ndarray | None, count: int
 ) -> dict[str, np.ndarray]:
     """Whole arrays by name on the first rank, empty on others: from rows [n, ...], their places in
     the whole and how many it has, the places None where they are the whole."""
     whole: dict[str, np.ndarray] = {}
-    for name, (mine, own, count) in arrays.items():
+    for name, mine in arrays.items():
         for values, place in comm.gather((mine, own)) or ():
             if place is None:
                 whole[name] = values
@@ -342,8 +345,7 @@ class TimeSeriesWriter:
         nodes, name = self.nodes, f"record_{step:08d}.vtu"
         self.times[name] = time
         parts = {"positions": self.x, **fields}
-        placed = {key: (value, nodes.number, nodes.count) for key, value in parts.items()}
-        whole = gathered(nodes.comm, placed)
+        whole = gathered(nodes.comm, parts, nodes.number, nodes.count)
         with agreed(nodes.comm):
             if nodes.comm.rank == 0:
                 x = whole.pop("positions")

@@ -303,8 +303,8 @@ class CrackRun(Recorder):
         return arrays | {"dissipated": state.dissipated, "whole": state.whole, "left": left}
 
     def _times(self, steps: int) -> list[float]:
-        """Times after each of so many steps, as they add up."""
-        return np.cumsum(np.full(steps, self.dt)).tolist()  # type: ignore[no-any-return]
+        """Times of the start and after each of so many steps, as they add up."""
+        return np.cumsum([0.0] + steps * [self.dt]).tolist()  # type: ignore[no-any-return]
 
     def key(self, steps: int) -> dict[str, str]:
         body, nodes = self.body, self.nodes
@@ -313,7 +313,7 @@ class CrackRun(Recorder):
         self.shares += map(body.share, self._times(steps)[len(self.shares) :])
         return {name: nodes.mark(field) for name, field in fields.items()} | {
             "solid": fingerprint(body.solid, body.operator.limits, body.corrected),
-            "load history": fingerprint(self.shares[:steps]),
+            "load history": fingerprint(self.shares[: steps + 1]),
             "step": fingerprint(self.dt),
             "records": fingerprint(self.every, self.watch),
         }
