@@ -414,7 +414,7 @@ def doors():
 TYPED = {name: call.__wrapped__ for name, call in doors() if hasattr(call, "__wrapped__")}
 LEARNS = torch.ones((), requires_grad=True)
 WRONG = {
-    float: ("a", np.nan, np.float32(np.inf), 1e300, 1j, [1.0, 2.0], LEARNS),
+    float: ("a", np.nan, np.float32(-np.inf), 1e300, 1j, [1.0, 2.0], LEARNS),
     int: ("a", np.nan, 1.5, True, [1, 2], LEARNS),
     bool: ("no", 1, 0.0),
     str: (5, ["a"]),

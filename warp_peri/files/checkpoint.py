@@ -273,9 +273,7 @@ class ArrayFile:
         return arrays
 
 
-def gathered(
-    comm: Any, arrays: Mapping[str, np.ndarray], own: np.ndarray | None, count: int
-) -> dict[str, np.ndarray]:
+def gathered(comm: Any, arrays: Mapping[str, np.ndarray], own: Any, count: int) -> dict[str, Any]:
     """Whole arrays by name on the first rank, empty on others: from rows [n, ...], their places in
     the whole and how many it has, the places None where they are the whole."""
     whole: dict[str, np.ndarray] = {}
