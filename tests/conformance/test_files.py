@@ -145,8 +145,9 @@ def test_what_is_not_proven_is_not_believed(name, tmp_path):
 def test_a_model_is_certified_only_where_that_is_proven(tmp_path):
     path = tmp_path / "m.json"
     bad, good = ([1.0, -0.9, 0.3], [1.0])
-    content = wp.LPSMaterial(0.3, 0.8, 1.0, bad, 3.0, certified_on=(1.0,)).content()
-    refused(path, content, "certified_on: nothing is proven on 1")
+    for said in ({}, {"1": {"symbol_bound": 0.0}}):
+        false = wp.LPSMaterial(0.3, 0.8, 1.0, bad, 3.0, certified_on=(1.0,), certificate=said)
+        refused(path, false.content(), "certified_on: nothing is proven on 1")
     content = wp.LPSMaterial(0.3, 0.8, 1.0, good, 3.0, certified_on=(1.0,)).content()
     assert read(path, content).certified_on == (1.0,)
 

@@ -19,8 +19,8 @@ import pytest
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
     "code lines": 18_682,
-    "tokens": 234_567,
-    "lines of warp_peri": 29_977,
+    "tokens": 234_572,
+    "lines of warp_peri": 29_978,
     "files of warp_peri": 110,
     "lines of kernels": 1_016,
     "lines of warp_peri, kernels, examples and tools": 42_158,

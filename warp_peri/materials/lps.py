@@ -27,6 +27,7 @@ from warp_peri.points.arguments import (
     checked,
     is_number,
     is_tensor,
+    plain,
     shown_moduli,
     symbols,
     typed,
@@ -160,7 +161,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
             if self.certified_on:
                 raise InputError("certified_on: expected nothing, for moduli as fields")
         for name, one in (("lambda", self.lam), ("mu", self.mu)):
-            if (shape := np.shape(one)) not in ((), (N,) if N else ()):
+            if (shape := plain(name, one).shape) not in ((), (N,) if N else ()):
                 raise InputError(
                     f"{name}: expected a number, or one of each of {N} nodes, got shape "
                     f"{list(shape)}"
@@ -407,7 +408,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
                 numbers = bound, each.get("symbol_min", bound)
                 proven, least = (taken("certificate", float, number) for number in numbers)
                 StencilCertificate(proven, least, 0.0, 0, 0.0).check_of(stencil, self.group)
-            elif spacing in self.certified_on and not prove(stencil, self.group).holds:
+            if not bound and spacing in self.certified_on and not prove(stencil, self.group).holds:
                 raise InputError(f"certified_on: nothing is proven on {spacing:g}")
 
     def on(
