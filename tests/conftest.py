@@ -2,7 +2,7 @@
 
 import gc
 import os
-import sys
+import re
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
@@ -15,17 +15,11 @@ if "PYTEST_XDIST_WORKER" in os.environ:  # workers share the cores; torch and BL
 
 import joblib  # which loads BLAS
 
-from tools.make_graphene import make_graphene
-
-MAKERS = sorted(
-    Path(str(module.__file__)) for name, module in sys.modules.items() if name.startswith("tools.")
-)
-"""Files of tools/ that make the data set: those that its maker imports."""
-
+TOOLS = Path(__file__).parent.parent / "tools"
 LONGEST = (
-    "test_mpi", "test_table", "test_train_graphene", "test_predict", "test_pages",
-    "test_crystal_fit", "test_rows", "test_gradients",
-    "test_calculator_noise", "test_files", "test_scales", "test_commands", "test_special_values",
+    "test_train_graphene", "test_mpi", "test_scripts", "test_crystal_fit", "test_public",
+    "test_stability", "test_predict", "test_rows", "test_special_values", "test_commands",
+    "test_files", "test_calculator_noise", "test_pages",
 )  # fmt: skip
 """Files of ten seconds to a minute, begun first, so that no process waits for another."""
 
@@ -52,19 +46,28 @@ def work_stays_in_its_process():
         yield
 
 
+def makers(name):
+    """A file of tools/ and all that it imports of them: what the data set depends on."""
+    path = TOOLS / f"{name}.py"
+    others = re.findall(r"^from tools\.(\w+)", path.read_text("utf-8"), re.MULTILINE)
+    return {path}.union(*map(makers, others))
+
+
 @pytest.fixture(scope="session")
 def graphene(tmp_path_factory, pytestconfig) -> Path:
     """The full 0 K data set, made by the first process that asks for it.
 
     What LAMMPS found stays in pytest's cache until it or a tool is another one.
     """
+    from tools.make_graphene import make_graphene  # which loads much that a controller needs not
+
     folder = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         folder = folder.parent  # that of all workers
     path, kept = folder / "data" / "graphene_0K.h5", folder
     if hasattr(pytestconfig, "cache"):
         made_by = sha256(version("lammps").encode())
-        for file in MAKERS:
+        for file in sorted(makers("make_graphene")):
             made_by.update(file.read_bytes())
         kept = pytestconfig.cache.mkdir(f"graphene-{made_by.hexdigest()[:16]}")
     with FileLock(kept / "graphene.lock"):

@@ -152,7 +152,7 @@ def operator(*, quick: bool, threads: int) -> None:
     threads = min(threads, cores or 1)  # what a process is bound to, Numba insists on
     set_num_threads(threads)
     torch.set_num_threads(threads)
-    side, rounds = (40, 1) if quick else (200, 15)
+    side, rounds = (20, 1) if quick else (200, 15)
     for kind in ("lattice", "scattered"):
         points, sides = periodic(kind, side)
         bonds = Bonds(points, HORIZON)

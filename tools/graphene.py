@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 
 import ase
@@ -57,6 +58,7 @@ def sheet(
     return positions - positions.mean(axis=0), (float(box[0]), float(box[1]))
 
 
+@lru_cache(maxsize=4)
 def _crystal(bond: float, cells: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Positions from −L/2 to L/2 around the centre of a hexagon, and L [Å]."""
     side = np.array([math.sqrt(3) * bond, 3 * bond])

