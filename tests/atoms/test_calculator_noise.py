@@ -12,6 +12,7 @@ from ase.calculators.emt import EMT
 from ase.neighborlist import neighbor_list
 
 import warp_peri as wp
+from tests.support.told import refused
 from warp_peri.atoms import calculator_noise as noises
 from warp_peri.atoms import phonons
 from warp_peri.atoms.calculator_noise import Symmetric, bent_by_strain, joined, measured, projected
@@ -21,6 +22,7 @@ from warp_peri.atoms.phonons import at_zone_edge, check_phonons, finite_differen
 from warp_peri.atoms.relaxed import at_rest
 from warp_peri.core.elastic import allowed_tensors, point_group
 from warp_peri.crystals import NonAnalyticCorrection, from_calculator
+from warp_peri.testing import assert_near as near
 
 ALUMINIUM = {"C11": 53.3253, "C12": 32.8906, "C44": 36.2004}
 """Under EMT, by finite strains of 1e-4 [GPa]."""
@@ -101,13 +103,13 @@ def test_broken_force_constants_are_brought_to_the_rules_and_the_shift_is_their_
     assert np.abs(first - first.swapaxes(2, 3)).max() < 1e-7 * top
     assert np.abs(second - second.transpose(2, 3, 0, 1)).max() < 1e-6 * top
     broken = from_supercell(cell, many, phi + size * noise, (0, 1))
-    np.testing.assert_allclose(kept.doubt[0], kept.values - broken.values, atol=1e-12 * top)
+    near(kept.doubt[0], kept.values - broken.values, 1e-12 * top, 1)
     off = (kept.values - true.values)[kept.vectors.any(axis=1)]  # all sums are at the atoms
     assert np.linalg.norm(off) < 0.3 * size * np.sqrt(noise.size)
     kept = replace(kept, edge=0.0, cut=None)  # a supercell as narrow as this is warned of
     assert 0 < wp.atoms.crystal_from_force_constants(kept).unsure < 0.1
     wrong = replace(kept, doubt=40 * kept.doubt)
-    with pytest.raises(wp.InputError, match=r"rules that they break .* unsure by \d+%"):
+    with refused(r"rules that they break .* unsure by \d+%"):
         wp.atoms.crystal_from_force_constants(wrong)
 
 
@@ -115,13 +117,11 @@ def test_an_imaginary_phonon_is_refused_beyond_three_standard_errors():
     cell = ase.build.bulk("Cu", "sc", a=2.4)
     atoms = from_calculator(cell, EMT(), (4, 4, 4))
     sure = replace(atoms, doubt=1e-3 * atoms.values[None])
-    with pytest.raises(
-        wp.InputError, match=r"imaginary phonon, the worst of [\d.]+ ± [\d.e-]+i THz"
-    ):
+    with refused(r"imaginary phonon, the worst of [\d.]+ ± [\d.e-]+i THz"):
         check_phonons(sure)
     unsure = replace(atoms, doubt=0.5 * atoms.values[None])
     check_phonons(unsure)
-    with pytest.raises(wp.InputError, match=r"a stable crystal, got the stiffness -[\d.e+-]+ eV"):
+    with refused(r"a stable crystal, got the stiffness -[\d.e+-]+ eV"):
         unsure.effective(np.array([[0.0, 0.0, 1.0], [0.9, 0.9, 0.9]]))
 
 
@@ -135,7 +135,7 @@ def test_born_charges_sum_to_zero_and_their_self_term_is_symmetric():
     cell = np.array([[4.0, 0, 0], [-2.0, 12**0.5, 0], [0, 0, 5.0]])
     x = np.array([[0, 0, 0], [2.0, 1.1, 1.3], [0.3, 2.0, 3.1]])
     D = polar.matrix(np.array([[0.1, 0.2, 0.05]]), cell, x)[0].reshape(9, 9)
-    assert np.abs(D - D.conj().T).max() < 1e-12 * np.abs(D).max()
+    near(D.conj().T, D, 1e-12)
 
 
 def test_forces_that_are_rough_are_none_sooner():

@@ -1,15 +1,16 @@
 """The command: from dumps to a certified model, settings files, every law, exit codes."""
 
-import dataclasses
 import io
 import json
 import os
 import shlex
 import shutil
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 import warp_peri as wp
 from tests.atoms.test_dumps import frame
@@ -17,7 +18,7 @@ from tests.conformance.test_breaking import SOLIDS
 from tests.crystal import crystals
 from tests.support.materials import LAWS, solved_samples
 from tests.support.nonlinear import solid
-from tests.support.problems import kernel, loaded, smooth
+from tests.support.problems import kernel, loaded, normal, smooth
 from tests.support.solving import solve
 from tests.support.symbols import fluctuation, noisy, waves
 from warp_peri import Dataset, InputError, load
@@ -109,7 +110,7 @@ def test_certify_evaluate_solve_and_info(fitted, data, tmp_path, capsys):
     test = load_dataset(data)["test"]
     assert str(model) in (tmp_path / "solved.solve.txt").read_text().splitlines()
     u = solve(LPSMaterial.load(model), test, test.b, test.u)
-    np.testing.assert_allclose(load_dataset(out)["test"].u, u)
+    assert_allclose(load_dataset(out)["test"].u, u)
     assert answer(capsys, "info", model)["certified_on"] == [1.0]
     assert answer(capsys, "info", data)["sets"]["noise"]["samples"] == 8
     assert main(["info", str(model)]) == 0
@@ -168,7 +169,7 @@ def sheet(tmp_path):
     """Words of coarse-grain for one load on a small body that was moved by [0.3, -0.1]."""
     grid = np.arange(0.5, 40, 1.0)
     x = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
-    force = np.random.default_rng(0).normal(size=x.shape)
+    force = normal(x.shape)
     np.savez(tmp_path / "f.npz", force)
     np.savetxt(tmp_path / "f.csv", force, delimiter=",")
     rest, moved = tmp_path / "r.dump", tmp_path / "l.dump"
@@ -193,18 +194,18 @@ def test_dumps_become_sets_of_one_file(sheet, tmp_path, capsys):
     assert (data.density, data.thickness, sorted(data)) == (2300, 3.1, ["train", "val"])
     line = ["coarse-grain", f"@{tmp_path}/own.val.coarse-grain.txt"]
     assert answer(capsys, *line)["set"] == "val"
-    np.testing.assert_array_equal(load_dataset(out)["val"].b, data["val"].b)
+    assert_array_equal(load_dataset(out)["val"].b, data["val"].b)
     assert first["nodes"] == 441
     u = np.broadcast_to([0.3, -0.1], (1, 441, 2))
-    np.testing.assert_allclose(data["train"].u, u, atol=1e-9)
-    np.testing.assert_allclose(data["train"].b, data["val"].b)
-    np.testing.assert_allclose(data["train"].x.mean(axis=0), [20, 20])
+    assert_allclose(data["train"].u, u, atol=1e-9)
+    assert_allclose(data["train"].b, data["val"].b)
+    assert_allclose(data["train"].x.mean(axis=0), [20, 20])
     said = refused(capsys, *words, "--thickness", "1")
     assert "has 3.1 Å, got 1 Å; in Python wp.load(path).of_sheet(thickness=1)" in said
     out.unlink()  # a wrong sheet is corrected in its file as the command makes it anew
     answer(capsys, *words, "--density", 5060, "--thickness", 6.15)
     mended = data.of_sheet(thickness=6.15, density=5060.0)
-    np.testing.assert_allclose(mended["train"].b, load_dataset(out)["train"].b, rtol=1e-12)
+    assert_allclose(mended["train"].b, load_dataset(out)["train"].b, rtol=1e-12)
     assert main(["info", str(out)]) == 0
     assert "thickness  6.15 Å" in capsys.readouterr().out
 
@@ -214,7 +215,7 @@ def test_a_typed_box_is_rounded_and_a_radius_fits(sheet, tmp_path, capsys):
     answer(capsys, *words, "--box", "40", "40")
     b = load_dataset(tmp_path / "own.h5")["train"].b
     answer(capsys, *words, "--box", "40.02", "39.98")
-    np.testing.assert_array_equal(load_dataset(tmp_path / "own.h5")["train"].b, b)
+    assert_array_equal(load_dataset(tmp_path / "own.h5")["train"].b, b)
     for more, said in (
         (["--box", "40", "40.2"], "expected the header's 40 x 40 Å, got 40 x 40.2 Å"),
         (["--box", "40", "40", "--radius", "1e9"], "at most 20 Å, half the smallest period, got"),
@@ -294,7 +295,7 @@ def test_what_cannot_be_done_is_one_line_and_writes_nothing(data, tmp_path, caps
     names = {"data": "d.h5", "bare": "bare.json", "text": "thesis.txt", "mine": "mine.h5"}
     places = {key: tmp_path / name for key, name in names.items()}
     shutil.copy(data, places["data"])
-    bare = dataclasses.replace(kernel("sign-changing", 2.5), trained_on=(), certified_on=())
+    bare = replace(kernel("sign-changing", 2.5), trained_on=(), certified_on=())
     bare.save(places["bare"])
     for key in ("text", "mine"):
         places[key].write_text("--set train\n")

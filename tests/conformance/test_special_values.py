@@ -8,8 +8,9 @@ import torch
 
 import warp_peri as wp
 from tests.gradients.cases import errors, given, loss, solver_of
-from tests.support.materials import FLOWS, KINKED, OPERATORS, field, operator, seeded, third_order
+from tests.support.materials import FLOWS, KINKED, LAWS, OPERATORS, field, operator, seeded, tensor
 from tests.support.problems import lattice
+from tests.support.told import refused
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 DIFFERENCES = 1e-6
@@ -17,16 +18,11 @@ D = np.array([1.0, 0.5, 0.8])
 SOLID = {"lam": 0.3, "mu": 0.8, "alpha": 0.7, "D": D}
 SOLIDS = {
     "λ = μ": SOLID | {"lam": 0.8},
-    "λ = 0": SOLID | {"lam": 0.0},
-    "α = 0": SOLID | {"alpha": 0.0},
-    "α = 1": SOLID | {"alpha": 1.0},
-    "no D but one": SOLID | {"D": np.array([0.0, 1.0, 0.0])},
+    "λ = α = 0": SOLID | {"lam": 0.0, "alpha": 0.0},
+    "α = 1, no D but one": SOLID | {"alpha": 1.0, "D": np.array([0.0, 1.0, 0.0])},
     "all equal": {"lam": 1.0, "mu": 1.0, "alpha": 1.0, "D": np.ones(3)},
 }
-
-
-def solid(numbers, horizon=2.0):
-    return wp.LPSMaterial(**numbers, horizon=horizon, certified_on=(1.0,))
+solid = lambda numbers, horizon=2.0: wp.LPSMaterial(**numbers, horizon=horizon, certified_on=(1.0,))
 
 
 def of_conductor(numbers):
@@ -38,10 +34,6 @@ def of_coupled(numbers):
     model, more = solid({n: numbers[n] for n in SOLID}), ("kappa", "alpha", "D")
     law = of_conductor({name: numbers[f"conductor_{name}"] for name in more}).model
     return wp.diffusion.ThermoelasticMaterial(model, law, numbers["coupling"]).on(lattice(2, 2.0))
-
-
-def of_third_order(numbers):
-    return replace(third_order("energy")(), **numbers).on(lattice(2, 3.0))
 
 
 KINDS = {
@@ -59,7 +51,12 @@ KINDS = {
             | {"conductor_alpha": 0.0, "conductor_D": D[:2], "conductor_kappa": 1.3}
         },
     ),
-    "crystal, third order": (of_third_order, {"none": {"t3": 0.0, "tq2": 0.0, "q3": 0.0}}),
+    "crystal, third order": (
+        lambda numbers: replace(LAWS["third order, energy"].material(), **numbers).on(
+            lattice(2, 3.0)
+        ),
+        {"none": {"t3": 0.0, "tq2": 0.0, "q3": 0.0}},
+    ),
 }
 CELLS = [
     (verb, kind, case)
@@ -94,7 +91,7 @@ def general(numbers):
 
 def value_of(verb, kind, op):
     """A number of what a verb gives, of the operator's numbers."""
-    b, u = (torch.from_numpy(field(op, seed=n)) for n in (0, 1))
+    b, u = (tensor(op, seed=n) for n in (0, 1))
     problem, solver = wp.Dirichlet(op.points, 0.1 * b, u), solver_of(kind, op)
     if verb == "force":
         return lambda of: seeded(op.force_with_parameters(u[None], of))
@@ -117,7 +114,7 @@ def test_special_numbers_have_the_gradient_of_differences(verb, kind, case):
         assert op.learnable.keys() == numbers.keys()
 
 
-@pytest.mark.parametrize("case", ["λ = μ", "α = 0"])
+@pytest.mark.parametrize("case", ["λ = μ", "λ = α = 0"])
 def test_cracked_bodies_have_the_gradient_of_differences(case):
     points, numbers = lattice(4, 2.0), SOLIDS[case]
     b, u = (field(solid(numbers).on(points), seed=n) for n in (0, 1))
@@ -136,7 +133,7 @@ def test_cracked_bodies_have_the_gradient_of_differences(case):
 def test_a_number_that_two_share_is_both():
     """λ and μ as one tensor have the sum of both derivatives."""
     op = KINDS["LPS"][0](SOLIDS["λ = μ"])
-    u = torch.from_numpy(field(op))
+    u = tensor(op)
     mu, *pair = (torch.tensor(0.8, dtype=torch.float64, requires_grad=True) for _ in range(3))
     values = [
         seeded(wp.solve(op, wp.Dirichlet(op.points, None, u), parameters=of).u)
@@ -163,11 +160,11 @@ def test_bonds_of_half_the_collar_say_what_a_gradient_needs():
     """λ = μ on a collar of δ has derivatives to all but λ and μ."""
     points, numbers = lattice(3, 1.0), SOLIDS["λ = μ"]
     op = solid(numbers).on(points)
-    u = torch.from_numpy(field(op))
+    u = tensor(op)
     problem = wp.Dirichlet(points, 0 * u, u)
     value = lambda of: seeded(wp.solve(op, problem, parameters=of).u)
     check(value, {name: numbers[name] for name in ("alpha", "D")})
     for name in ("lam", "mu"):
         leaf = torch.tensor(0.8, dtype=torch.float64, requires_grad=True)
-        with pytest.raises(wp.InputError, match="expected equal values without a gradient"):
+        with refused("expected equal values without a gradient"):
             value({name: leaf}).backward()

@@ -9,6 +9,7 @@ import torch
 
 import warp_peri as wp
 from tests.support.materials import LAWS, OPERATORS, field, operator, placed
+from tests.support.told import warned
 from warp_peri.errors import heard, quietly, warn
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
@@ -31,7 +32,7 @@ def assert_as_alone(work):
     alone = [one for number in range(USERS) for one in [work(number)] * 2]
     for expected, found in zip(alone, of_four(work), strict=True):
         for one, other in zip(expected, found, strict=True):
-            np.testing.assert_array_equal(one, other)
+            assert np.array_equal(one, other)
 
 
 @pytest.mark.parametrize("name", [*OPERATORS, "LPS, fields"])
@@ -81,6 +82,6 @@ def test_warnings_belong_to_the_thread_that_has_them():
 
 def test_a_warning_names_the_line_that_called_the_library():
     points = wp.Points(np.indices((5, 5)).reshape(2, -1).T * 1.0, np.arange(25) == 12, 1.0)
-    with pytest.warns(UserWarning, match="allow_uncertified|certified") as told:
+    with warned("allow_uncertified|certified") as told:
         wp.LPSMaterial(0.4, 0.4, 1.0, [1.0], horizon=2.0).on(points, allow_uncertified=True)
     assert told[0].filename == __file__

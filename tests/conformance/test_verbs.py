@@ -10,6 +10,7 @@ import torch
 import warp_peri as wp
 from tests.support.materials import LAWS, placed, solved_samples
 from tests.support.plates import plate
+from tests.support.told import assert_refused
 from warp_peri.core import pointwise
 from warp_peri.materials import lps_force
 from warp_peri.materials.hyperelastic import operator as tissue
@@ -54,24 +55,22 @@ def test_what_a_verb_does_not_mean_is_refused_by_name():
     solid, _, many = of("hyperelastic", copies=4)
     name, body = "HyperelasticMaterial", wp.Body(plate(3.0, 12.0, 2, 8), {"sides": (0, 0)})
     lps = LAWS["LPS"].material()
-    for words, call in (
-        (f"certify: expected .*, got {name}", lambda: wp.certify(solid, spacing=0.1)),
-        (f"diagnose: expected .*, got {name}", lambda: wp.diagnose(solid, many)),
-        (f"prove_uniqueness: expected .*, got {name}",
-         lambda: wp.certificates.prove_uniqueness(solid, spacing=0.1)),
-        ("evaluate: expected a material.*, got Points", lambda: wp.evaluate(many.points, many)),
-        ("solve: expected a material.*, got Tensor",
-         lambda: wp.solve(torch.ones(3), wp.Dirichlet(many.points, many.b, many.u))),
-        (f"evaluate: transfer: not among .* {name}",
-         lambda: wp.evaluate(solid, many, transfer=False)),
-        (r"solver: expected none for a Body.*, got Direct\(",
-         lambda: wp.solve(lps, body, solver=wp.Direct())),
-        *((f"among allow_uncertified, got {option}",
-           lambda option=option: wp.solve(lps, body, **{option: False}))
-          for option in ("transfer", "coupling", "tolerance")),
-    ):  # fmt: skip
-        with pytest.raises(wp.InputError, match=words):
-            call()
+    assert_refused({
+        f"certify: expected .*, got {name}": lambda: wp.certify(solid, spacing=0.1),
+        f"diagnose: expected .*, got {name}": lambda: wp.diagnose(solid, many),
+        f"prove_uniqueness: expected .*, got {name}":
+            lambda: wp.certificates.prove_uniqueness(solid, spacing=0.1),
+        "evaluate: expected a material.*, got Points": lambda: wp.evaluate(many.points, many),
+        "solve: expected a material.*, got Tensor":
+            lambda: wp.solve(torch.ones(3), wp.Dirichlet(many.points, many.b, many.u)),
+        f"evaluate: transfer: not among .* {name}":
+            lambda: wp.evaluate(solid, many, transfer=False),
+        r"solver: expected none for a Body.*, got Direct\(":
+            lambda: wp.solve(lps, body, solver=wp.Direct()),
+        "among allow_uncertified, got transfer": lambda: wp.solve(lps, body, transfer=False),
+        "among allow_uncertified, got coupling": lambda: wp.solve(lps, body, coupling=False),
+        "among allow_uncertified, got tolerance": lambda: wp.solve(lps, body, tolerance=False),
+    })  # fmt: skip
 
 
 SEEN = {

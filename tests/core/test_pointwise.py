@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 import torch
 
-from warp_peri import testing
+from tests.support.problems import normal
 from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.stencil import Stencil, half_ball
 from warp_peri.points.points import Points
 from warp_peri.runtime import one_thread
+from warp_peri.testing import assert_near as near
+from warp_peri.testing import check_energy, check_product
 
 LAM, MU = 0.4, 0.9
 
@@ -55,20 +57,20 @@ def test_force_is_the_gradient_of_the_energy_and_products_are_those_of_the_tange
     steps = half_ball(1.0, d)
     stencil = Stencil(0.5, steps, np.stack([(1.0 + n) * np.eye(d) for n in range(len(steps))]))
     op = operator(d, stencil=stencil if linear else None)
-    u = 0.05 * np.random.default_rng(0).normal(size=op.points.x.shape)
-    testing.check_product(op, u)
+    u = 0.05 * normal(op.points.x.shape)
+    check_product(op, u)
     if not linear:  # whose energy is its stencil's
-        testing.check_energy(op, u)
+        check_energy(op, u)
 
 
 def test_stress_of_a_uniform_gradient_is_that_of_the_density():
     op = operator(3)
-    H = 0.1 * np.random.default_rng(1).normal(size=(3, 3))
+    H = 0.1 * normal((3, 3), 1)
     E = (H + H.T + H.T @ H) / 2
     square = (E * E).sum()
     S = LAM * np.trace(E) * np.eye(3) + (2 * MU + 8.0 * square) * E
     P = op.stress(op.points.x @ H.T)
-    np.testing.assert_allclose(P, np.broadcast_to((np.eye(3) + H) @ S, P.shape), rtol=1e-12)
+    assert P == pytest.approx(np.broadcast_to((np.eye(3) + H) @ S, P.shape), rel=1e-12, abs=0)
     assert np.abs(op.force(op.points.x @ H.T)).max() < 1e-12
 
 
@@ -76,10 +78,10 @@ def test_stress_of_a_uniform_gradient_is_that_of_the_density():
 def test_a_cubic_density_has_the_slopes_of_its_derivatives_at_rest(d):
     linear = {"stencil": Stencil(0.5, half_ball(1.0, d), np.tile(np.eye(d), (d, 1, 1)))}
     of, at_rest = (operator(d, density=cubic, cubic=rest, **linear) for rest in (False, True))
-    u, v = 0.05 * np.random.default_rng(2).normal(size=(2, *of.points.x.shape))
+    u, v = 0.05 * normal((2, *of.points.x.shape), 2)
     w = v[of.points.interior]
     for one, other in zip(*([op(u), op.jvp(u, v), op.vjp(u, w)] for op in (of, at_rest))):
-        np.testing.assert_allclose(one, other, rtol=0, atol=1e-14 * np.abs(one).max())
+        near(other, one, 1e-14)
 
 
 def test_one_thread_is_given_back_by_the_last_of_four_and_after_an_error():

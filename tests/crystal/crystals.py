@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tests.support import problems
+from tests.support.problems import normal
 from warp_peri.core import elastic
 from warp_peri.core.elastic import checked_orientation, point_group, shared_with_nodes
 from warp_peri.core.stencil import invariant_basis
@@ -50,7 +51,7 @@ def random_law(d, reach=2.0, symmetry="m-3m"):
     """Tensors of a symmetry, of any sign, that are no crystal's."""
     name = symmetry if d == 3 else "4mm"
     bonds = invariant_basis(reach, shared_with_nodes(point_group(name, d), np.eye(d)))
-    p = np.random.default_rng(0).normal(size=len(bonds.basis))
+    p = normal(len(bonds.basis))
     return CrystalMaterial(1.5, bonds.steps, np.tensordot(p, bonds.basis, 1), symmetry=name)
 
 

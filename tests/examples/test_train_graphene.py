@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from examples import train_graphene
 from examples.graphene_report import COLUMNS, RECORD
@@ -61,7 +62,7 @@ def test_models_have_the_errors_of_the_record_and_of_the_readme(job):
     for name, *cells in rows[: len(models)]:
         found = [100 * models[name].get(key, {}).get(role, np.nan) for key, role in COLUMNS]
         told = np.array(cells, float)  # null where there is none
-        np.testing.assert_allclose(found, told, atol=0.02, err_msg=name)
+        assert_allclose(found, told, atol=0.02, err_msg=name)
     for row, name in IN_README.items():
         cells = re.search(rf"\| {re.escape(row)} \|(.*)\|", README)[1].split("|")
         found = [100 * models[name]["E_u"][role] for role in ("val", "test")]

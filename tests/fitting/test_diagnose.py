@@ -7,9 +7,10 @@ import pytest
 
 from tests.crystal.crystals import dispersive
 from tests.support.clouds import cube, solid
-from tests.support.problems import kernel, lattice, manufactured, noise, smooth
+from tests.support.problems import kernel, lattice, manufactured, noise, normal, smooth
 from tests.support.symbols import fluctuation
-from warp_peri import LPS, Bernstein, Crystal, InputError, Samples, diagnose, fit
+from tests.support.told import refused, warned
+from warp_peri import LPS, Bernstein, Crystal, Samples, diagnose, fit
 from warp_peri.core.elastic import voigt_to_tensor
 from warp_peri.core.stencil import invariant_basis
 from warp_peri.fitting.diagnose import _families
@@ -88,24 +89,21 @@ def test_noise_is_named_where_its_fields_are_given(samples):
 
 
 def test_what_cannot_be_told_is_refused(samples):
-    with pytest.raises(InputError, match="expected 8 at least on a lattice, got 3"):
+    with refused("expected 8 at least on a lattice, got 3"):
         diagnose(MODEL, samples[:3])
     u = np.random.default_rng(0).normal(size=(8, len(cube(2, 2.0).x), 3))
-    with pytest.raises(InputError, match="samples in the plane, got 3 dimensions"):
+    with refused("samples in the plane, got 3 dimensions"):
         diagnose(solid(2.0), Samples(cube(2, 2.0), u, u))
 
 
-def test_forces_that_grow_with_the_cube_are_nonlinear(samples):
-    """They change sign with u, as a linear solid's do; at small strains none can be as large."""
+def test_forces_that_grow_with_the_cube_are_nonlinear_and_pairs_of_bonds_dispersion(samples):
+    """The first change sign with u, as a linear solid's do; at small strains none can be as large.
+    The dilatation joins nodes 2δ apart, which bonds of the family do not reach."""
     loaded = replace(samples, u=0.02 * samples.u, b=0.02 * samples.b)
     cubic = families(loaded)["nonlinearity"][1][..., 9]
     assert diagnose(MODEL, with_force(loaded, cubic)).shares["nonlinearity"] > 0.7
     weak = replace(samples, u=1e-3 * loaded.u, b=1e-3 * loaded.b)
     assert diagnose(MODEL, with_force(weak, cubic)).shares["nonlinearity"] < 0.05
-
-
-def test_pairs_of_bonds_are_dispersion(samples):
-    """The dilatation joins nodes 2δ apart; bonds of the family do not reach them."""
     near, far = families(samples)["dispersion"]
     far, near = far[..., -1], near.reshape(far[..., -1].size, -1)
     far = far - (near @ np.linalg.lstsq(near, far.ravel(), rcond=None)[0]).reshape(far.shape)
@@ -121,7 +119,7 @@ def test_one_solid_of_two_phases_is_warned_of():
     b = np.zeros((24, *points.x.shape))
     b[:, points.interior] = smooth(points.x, 24, 5, wave_number=0.5)[:, points.interior]
     samples = Samples(points, op.solve(b, 0 * b).u, b)
-    with pytest.warns(UserWarning, match=r"heterogeneity: .* Try fields λ\(x\), μ\(x\) of the LPS"):
+    with warned(r"heterogeneity: .* Try fields λ\(x\), μ\(x\) of the LPS"):
         found = fit(samples, LPS(HORIZON, Bernstein(2))).material
     assert diagnose(found, samples).shares["heterogeneity"] > 0.6
 
@@ -143,7 +141,7 @@ def test_a_crystal_is_told_what_symmetry_it_lacks():
 
 
 def test_rounding_is_called_rounding(samples):
-    rough = np.random.default_rng(0).normal(size=samples.b.shape)
+    rough = normal(samples.b.shape)
     for size in (0.0, 1e-14):
         told = diagnose(MODEL, replace(samples, b=samples.b * (1 + size * rough)))
         assert (told.causes, told.advice) == (["rounding"], "")

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 import warp as wp
+from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.support import clouds
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import ROUNDING, lattice
+from tests.support.told import warned
 from warp_peri.fracture.body import cracked, crossing_bonds, lattice_body
 from warp_peri.fracture.bonds import (
     CutOperator,
@@ -18,6 +20,7 @@ from warp_peri.fracture.bonds import (
 from warp_peri.fracture.materials import continuum_stretch
 from warp_peri.points.families import bond_classes
 from warp_peri.runtime import floats, zeros
+from warp_peri.testing import assert_near as near
 
 DILATATIONAL = 0.32260
 """4 ∫ c(z)² dz, c the share of a ball's Σ w r² beyond a plane at height z (theory, C6)."""
@@ -56,22 +59,22 @@ def test_any_order_and_hole_has_the_bits_of_each_node_alone(sides, lam):
     force, energy = fields(u)
     given, links = floats(u, operator.vector), operator.links(neighbour)
     lost = operator.sweep(given, links, force, energy, breaking=True)
-    np.testing.assert_array_equal(operator.kept(links), there & ~breaks)
-    np.testing.assert_array_equal(lost, np.flatnonzero(breaks.any(axis=1)))
+    assert_array_equal(operator.kept(links), there & ~breaks)
+    assert_array_equal(lost, np.flatnonzero(breaks.any(axis=1)))
     want, L = np.einsum("nb,bi->ni", pull, body.xi), bond_matrix(body, neighbour, bonds)
     for one in (want, -(L @ u.ravel()).reshape(u.shape)):
-        np.testing.assert_allclose(force.numpy(), one, atol=ROUNDING * np.abs(want).max())
+        near(force.numpy(), one, ROUNDING, np.abs(want).max())
     assert energy.numpy().sum() == pytest.approx(u.ravel() @ L @ u.ravel() / 2)
     assert abs(L - L.T).max() < ROUNDING * abs(L).max()
     operator.again(links, lost, force, energy)
     again = swept(operator, u, np.where(operator.kept(links), neighbour, -1))
-    np.testing.assert_array_equal(force.numpy(), again[0])
-    np.testing.assert_array_equal(energy.numpy(), again[1])
+    assert_array_equal(force.numpy(), again[0])
+    assert_array_equal(energy.numpy(), again[1])
     order = np.lexsort(x.T)
     tidy, number = lattice_body(x[order], 1.0, 3.0), np.argsort(order)
     moved = np.where(operator.kept(links), number[far], -1)[order]
     sorted_force, _ = swept(CutOperator(law.model, tidy), u[order], moved)
-    np.testing.assert_array_equal(sorted_force, again[0][order])
+    assert_array_equal(sorted_force, again[0][order])
 
 
 @pytest.mark.parametrize(("lam", "points"), [(-0.4, lattice(4, 3.0)), (1.0, clouds.cube(2, 2.0))])
@@ -81,9 +84,9 @@ def test_an_uncut_interior_is_the_linear_peridynamic_solid(lam, points):
     u = np.random.default_rng(0).standard_normal(points.x.shape)
     body = lattice_body(points.x, 1.0, horizon)
     force, _ = swept(CutOperator(model, body), u, body.neighbour)
-    with pytest.warns(UserWarning, match="certified"):
+    with warned("certified"):
         whole = model.on(points, allow_uncertified=True)
-    np.testing.assert_allclose(-force[points.interior], whole(u), atol=1e-11)
+    assert_allclose(-force[points.interior], whole(u), atol=1e-11)
 
 
 T = (np.arange(2000) + 0.5) / 2000
@@ -122,9 +125,6 @@ def test_no_body_is_stiffer_than_its_bound(lam, sides):
         assert 0 < np.linalg.eigvalsh(L.toarray())[-1] <= bound
 
 
-# What cracks cut
-
-
 def test_a_straight_crack_cuts_what_crosses_it():
     body = plate()
     node, bond = np.nonzero(body.neighbour >= 0)
@@ -132,7 +132,7 @@ def test_a_straight_crack_cuts_what_crosses_it():
     with np.errstate(all="ignore"):  # of bonds along it
         place = x + (u - x) * y / (y - v)
     across = (y * v < 0) & (-4 < place) & (place < 3)
-    np.testing.assert_array_equal(crossing_bonds(body, [(-4, 0), (3, 0)])[node, bond], across)
+    assert_array_equal(crossing_bonds(body, [(-4, 0), (3, 0)])[node, bond], across)
 
 
 def test_a_polygon_cuts_what_crosses_it():
@@ -168,7 +168,7 @@ def test_cuts_are_symmetric_and_corners_leak_nothing(angle):
 
 def test_a_crack_through_nodes_is_moved_with_a_word():
     body = plate()
-    with pytest.warns(UserWarning, match="5 nodes lie on it; it is moved"):
+    with warned("5 nodes lie on it; it is moved"):
         cut = crossing_bonds(body, [(-2, 0.5), (3, 0.5)])
     beside = crossing_bonds(body, [(-2, 0.499), (3, 0.499)])
     assert (cut == beside).all()

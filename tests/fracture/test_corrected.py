@@ -1,18 +1,20 @@
 """Bodies whose missing bonds take the mean gradient of those that are left (theory, C26, C27)."""
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.support.bodies import plate, random_breaking, solid
-from tests.support.problems import difference
+from tests.support.problems import difference, noise, normal
 from warp_peri import CG, Cracked, Points, simulate, solve
 from warp_peri.fracture import bonds, box_nodes, penny_corners, point_force, rectangle_nodes
 from warp_peri.fracture.bonds import bond_matrix, bonds_of, largest_stiffness
 from warp_peri.fracture.dynamics import SPREAD, BreakingBody
 from warp_peri.solvers.verlet import inertia
+from warp_peri.testing import assert_near as near
 
 
 def matrix(model, body, table, corrected=True):
@@ -64,7 +66,7 @@ def test_in_motion_force_and_energy_are_those_of_the_matrix(d, share, monkeypatc
     brittle = solid(0.4, horizon=2.0, dimension=d)
     table = random_breaking(body, np.random.default_rng(1), share)
     moving = BreakingBody(brittle, body, corrected=True)
-    u = np.random.default_rng(2).normal(size=body.x.shape)
+    u = noise(body, seed=2)
     state = moving.start()
     state.links, state.correction = moving.operator.links(table), moving.correction(table >= 0)
     state.u.numpy()[:] = u
@@ -73,7 +75,7 @@ def test_in_motion_force_and_energy_are_those_of_the_matrix(d, share, monkeypatc
     L = matrix(brittle.model, body, table)
     expected = -(L @ u.ravel()).reshape(u.shape)
     force, energy = state.force.numpy(), state.energy.numpy()
-    np.testing.assert_allclose(force, expected, atol=1e-12 * np.abs(expected).max())
+    near(force, expected, 1e-12)
     assert energy.sum() == pytest.approx(u.ravel() @ L @ u.ravel() / 2, rel=1e-12)
     stiffest = np.linalg.eigvalsh(L.toarray())[-1]
     assert stiffest < 1.05 * largest_stiffness(brittle.model, body.classes)
@@ -97,8 +99,8 @@ def test_a_corrected_plate_breaks_with_its_ledger_and_goes_on_with_the_same_bits
     how |= {"checkpoint": tmp_path / "run.h5", "checkpoint_every": 1}
     simulate(brittle, problem, **how, steps=360)
     again = simulate(brittle, problem, **how, steps=560)
-    np.testing.assert_array_equal(again.u, run.u)
-    np.testing.assert_array_equal(again.details.damage, run.details.damage)
+    assert_array_equal(again.u, run.u)
+    assert_array_equal(again.details.damage, run.details.damage)
 
 
 def test_waves_with_free_edges_have_the_derivatives_of_differences():
@@ -114,7 +116,7 @@ def test_waves_with_free_edges_have_the_derivatives_of_differences():
     how = {"density": 1000.0, "steps": 40, "every": 4, "step": step, "record": [30]}
 
     def ends(b):
-        run = simulate(model, dataclasses.replace(problem, b=b), **how)
+        run = simulate(model, replace(problem, b=b), **how)
         w = weights if isinstance(run.u, np.ndarray) else list(map(torch.from_numpy, weights))
         return (run.u * w[0]).sum() + step * (run.v * w[1]).sum() + (run["u"] * w[2][30]).sum()
 
@@ -129,8 +131,8 @@ def test_a_force_on_an_edge_does_its_work_in_any_affine_displacement(d):
     x, h = 0.5 * box_nodes((8,) * d, 1.0), 0.5
     place, force = np.array([0.3, 2.0, 0.1][:d]), np.array([1.0, -3.0, 2.0][:d])
     b = point_force(x, h, place, force)
-    np.testing.assert_allclose(h**d * b.sum(axis=0), force, atol=1e-12)
-    np.testing.assert_allclose(h**d * x.T @ b, np.outer(place, force), atol=1e-12)
+    assert_allclose(h**d * b.sum(axis=0), force, atol=1e-12)
+    assert_allclose(h**d * x.T @ b, np.outer(place, force), atol=1e-12)
     assert np.linalg.norm(x[np.abs(b).sum(axis=1) > 0] - place, axis=1).max() < 2 * h
 
 
@@ -138,10 +140,10 @@ def test_conjugate_gradients_find_what_factors_find():
     x = box_nodes((8, 8, 8), 1.0)
     points = Points(x, np.abs(x).max(axis=1) < 3, 1.0)
     model = solid(0.4, horizon=2.0, dimension=3).model
-    u, b = (np.random.default_rng(n).normal(size=x.shape) for n in (0, 1))
+    u, b = (normal(x.shape, n) for n in (0, 1))
     problem = Cracked(points, b, u, cracks=[penny_corners(2.0)], corrected=True)
     solvers = None, CG(tolerance=1e-10)
     by_factors, by_search = (solve(model, problem, solver=one) for one in solvers)
     assert (by_factors.method, by_search.method) == ("lu", "cg")
-    np.testing.assert_allclose(by_search.u, by_factors.u, atol=1e-7)
+    assert_allclose(by_search.u, by_factors.u, atol=1e-7)
     assert by_search.residual < 1e-10

@@ -4,8 +4,8 @@ import numpy as np
 import torch
 
 import warp_peri as wp
-from tests.support.materials import FLOWS, KINKED, field, seeded
-from tests.support.problems import difference
+from tests.support.materials import FLOWS, KINKED, seeded, tensor
+from tests.support.problems import difference, normal
 from warp_peri.certificates import critical_time_step
 from warp_peri.solvers.verlet import inertia
 
@@ -45,7 +45,7 @@ def learned(op, leaves):
 
 def given(op):
     """Fields, records and sizes of a motion at half of the critical step."""
-    b, u, v = (torch.from_numpy(field(op, seed=n)) for n in range(3))
+    b, u, v = (tensor(op, seed=n) for n in range(3))
     heavy = inertia(DENSITY, op.model.units)
     if hasattr(op, "max_symbol_eigenvalue"):
         step = np.sqrt(heavy / op.max_symbol_eigenvalue())
@@ -90,7 +90,7 @@ def errors(value, leaves, step, networks=(), least=0.0):
     for (name, leaf), gradient in zip(leaves.items(), gradients):
         way = torch.ones(leaf.shape, dtype=torch.float64)
         if leaf.numel() > 1:
-            way = torch.from_numpy(np.random.default_rng(7).normal(size=leaf.shape))
+            way = torch.from_numpy(normal(leaf.shape, 7))
         way = way + way.mT if name == "tensors" else way  # unsymmetric ones are refused
         way = 0.01 * max(float(leaf.abs().max()), least) * way
 
@@ -98,7 +98,7 @@ def errors(value, leaves, step, networks=(), least=0.0):
             with torch.no_grad():
                 return float(value(leaves | {name: leaf + t[0] * way}))
 
-        slope = difference(along, [0.0], step[name])[0]
+        slope = difference(along, [0.0], step[name], order=4)[0]
         size = float(gradient.norm() * way.norm()) / way.numel() ** 0.5
         size = max(size, NOTHING * abs(float(total.detach())))
         found[name] = abs(float((gradient * way).sum()) - slope) / size
@@ -108,12 +108,12 @@ def errors(value, leaves, step, networks=(), least=0.0):
 def table(name, op, value, leaves, own):
     """As errors, `own` the step of fields; networks have their own numbers again afterwards.
 
-    The steps of numbers are one, less of many; of a kernel of scattered points, whose coefficients
-    are large, the least.
+    The steps of numbers are a third, less of many; of a kernel of scattered points, whose
+    coefficients are large, the least.
     """
-    many = {"D": 0.01 if name.startswith("scattered") else 0.1, "tensors": 0.02, "networks": 1e-4}
+    many = {"D": 0.01 if name.startswith("scattered") else 0.1, "tensors": 0.005, "networks": 1e-4}
     step = dict.fromkeys(("b", "u", "v", "signal", "collar"), own) | many
-    step = {name: step.get(name, 1.0) for name in leaves}
+    step = {name: step.get(name, 0.3) for name in leaves}
     found = errors(value, leaves, step, op.networks if "networks" in leaves else ())
     learned(op, leaves)
     return found
@@ -121,7 +121,7 @@ def table(name, op, value, leaves, own):
 
 def force(name, op):
     """Of the force, to u and to numbers."""
-    leaves = {"u": torch.from_numpy(field(op, 2))} | numbers_of(op)
+    leaves = {"u": tensor(op, 2)} | numbers_of(op)
 
     def value(leaves):
         own = learned(op, leaves)
@@ -132,7 +132,7 @@ def force(name, op):
 
 def solve(name, op):
     """Of what rests, to b, u and numbers."""
-    b, u = (torch.from_numpy(field(op, 2, seed=n)) for n in (0, 1))
+    b, u = (tensor(op, 2, seed=n) for n in (0, 1))
     share = next((s for word, s in LOADS.items() if word in name), 1.0)
     solver, leaves = solver_of(name, op), {"b": share * b, "u": u} | numbers_of(op)
 
@@ -163,7 +163,7 @@ def simulate(name, op):
 
 
 def flow(name, op):
-    b, u, held = (torch.from_numpy(field(op, seed=n)) for n in range(3))
+    b, u, held = (tensor(op, seed=n) for n in range(3))
 
     def value(leaves):
         collar = lambda t: leaves["u"] + t * leaves["collar"]

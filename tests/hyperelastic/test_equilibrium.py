@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from tests.support.problems import lattice as nodes
+from tests.support.problems import normal
 from tests.support.sheets import sheet_on, square, waves
+from tests.support.told import warned
 from warp_peri import Samples, evaluate
 from warp_peri.hyperelastic import NoEquilibriumError
 from warp_peri.materials.hyperelastic import lattice
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
 from warp_peri.solvers.equilibria import Descent
+from warp_peri.testing import assert_near as near
 
 COEFFICIENTS = np.array([0.2] * 4 + [0.07, 0.08, 0.2])
 CORNERED = (EnergyTerm("neo_hookean", corner=True), EnergyTerm("volumetric", corner=True))
@@ -30,7 +33,7 @@ def test_a_known_equilibrium_is_found(manufactured, monkeypatch):
     for direct in (0, 10**6):
         monkeypatch.setattr(lattice, "DIRECT", direct)
         answer = sheet_on(op.points, c=COEFFICIENTS).solve(b, u)
-        assert np.abs(answer.u - u).max() < 1e-6 * np.abs(u).max()
+        near(answer.u, u, 1e-6)
         (record,) = answer.details
         assert (record.followed, record.unique) == (True, False)  # found, but nothing is proven
         assert record.residual < 1e-8
@@ -54,7 +57,7 @@ def test_continuation_leads_where_one_step_does(manufactured):
     far = np.where(op.points.interior[:, None], 9 * u, u)  # folded: nothing is found from there
     found, record = Descent(op).find(b[op.interior], u, 1e-8, far)
     assert (record.followed, record.method) == (True, "parts")
-    np.testing.assert_allclose(found, u, atol=1e-6 * np.abs(u).max())
+    near(found, u, 1e-6)
 
 
 def test_what_is_left_of_a_branch_or_not_stable_is_said_or_not_given(manufactured, monkeypatch):
@@ -66,7 +69,7 @@ def test_what_is_left_of_a_branch_or_not_stable_is_said_or_not_given(manufacture
     if record.converged:
         assert not record.followed
         assert soft.smallest_eigenvalue(found) > 0
-        with pytest.warns(UserWarning, match="perhaps one of many"):
+        with warned("perhaps one of many"):
             soft.solve(None, u)
     none = sheet_on(square(2), c=-COEFFICIENTS)
     for op, edge in ((none, waves(none.points)), *([] if record.converged else [(soft, u)])):
@@ -84,7 +87,7 @@ def test_a_collar_that_is_folded_far_out_does_not_stop_a_solve():
     even = op.solve(None, u).u
     corner = np.flatnonzero((x < 1.5 * h).all(axis=1))
     u[corner] += 1.5 * h * np.random.default_rng(2).normal(size=(len(corner), 2))
-    np.testing.assert_allclose(op.solve(None, u).u[op.interior], even[op.interior], atol=1e-10)
+    near(op.solve(None, u).u[op.interior], even[op.interior], 1e-10, 1)
 
 
 def test_a_corner_that_is_turned_over_is_no_equilibrium():
@@ -106,18 +109,18 @@ def test_stretches_beyond_the_training_data_warn(manufactured):
     known = replace(op.model, stretch=reached)
     assert evaluate(known, samples)["E_u"] < 1e-6
     said = f"stretch: the fields reach {reached:.4g}, the training data 1.02"
-    with pytest.warns(UserWarning, match=said):
+    with warned(said):
         evaluate(replace(op.model, stretch=1.02), samples)
 
 
 @pytest.mark.parametrize("sides", [(7, 40), (40, 7)])
 def test_factors_have_a_band_as_wide_as_the_shorter_side_and_are_of_what_is_definite(sides):
     op = sheet_on(replace(nodes(np.ones(sides, bool), 3.0), axis=None))
-    u, y = 0.01 * waves(op.points), np.random.default_rng(0).normal(size=2 * np.prod(sides))
+    u, y = 0.01 * waves(op.points), normal(2 * np.prod(sides))
     inverse, stable = op.factors(u)
     assert stable
     assert len(inverse.args[0]) <= 2 * (6 * 7 + 7)
-    np.testing.assert_allclose(op.interior_tangent(u) @ inverse(y), y, atol=1e-10)
+    near(op.interior_tangent(u) @ inverse(y), y, 1e-10, 1)
     other = op.at({"coefficients": -op.model.coefficients})
     assert other.factors(u) == op.factors(np.nan * u) == (None, False)
     shifted, stable = other.factors(u, shifts=True)

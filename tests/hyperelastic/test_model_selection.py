@@ -7,9 +7,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import warp_peri as wp
 from tests.support.sheets import NEAREST, hgo_dictionary, square, waves
+from tests.support.told import refused
 from tools import make_frames
 from tools.hyperelastic_elements import Elements, finite_elements, quadrilaterals
 from tools.hyperelastic_energies import Family, plane_stress_hgo
@@ -65,11 +67,11 @@ def test_uniaxial_tension_is_that_of_the_formula():
     stretches = np.array([1.3, 1.3, 3.0, 1.01, 0.8])
     for angle in (0.0, 0.7):
         found = uniaxial_stress(SHEET, stretches, angle)
-        np.testing.assert_allclose(found, tension(stretches), rtol=1e-8)
+        assert_allclose(found, tension(stretches), rtol=1e-8)
     slope, first = stretches - stretches**-2, stretches**2 + 2 / stretches - 3
     for p in (2.0, 3.0):  # powers of I1 − 3
         found = uniaxial_stress(solid((EnergyTerm("yeoh", exponent=p), 0.7)), stretches)
-        np.testing.assert_allclose(found, 2 * 0.7 * p * slope * first ** (p - 1), rtol=1e-8)
+        assert_allclose(found, 2 * 0.7 * p * slope * first ** (p - 1), rtol=1e-8)
 
 
 def test_the_command_passes_over_what_fails(tmp_path, monkeypatch):
@@ -114,7 +116,7 @@ def test_an_even_sheet_that_stiffens_is_not_called_uneven():
     best = wp.hyperelastic.select_model(frames)[0]
     assert best.name == "Yeoh"
     middle, low, high = best.curves(stretches) / uniaxial_stress(best.fit.material, [1.01])[0]
-    np.testing.assert_allclose(middle, true, rtol=0.04)
+    assert_allclose(middle, true, rtol=0.04)
     assert ((low < true) & (true < high)).all()
     assert (high - low > 2 * best.held_out * middle).all()
 
@@ -124,10 +126,10 @@ def test_a_band_is_no_narrower_than_the_misfit_and_deviations_have_none():
     even = wp.hyperelastic.SheetFit(SHEET, np.zeros(1), [], [])
     alike = replace(even, others=[even] * 3)
     middle, low, high = wp.hyperelastic.Candidate("one", alike, 0.01).curves([1.2])
-    np.testing.assert_allclose(high - low, 2 * 1.645 * 0.01 * middle, rtol=1e-3)
+    assert_allclose(high - low, 2 * 1.645 * 0.01 * middle, rtol=1e-3)
     stiff = replace(SHEET, coefficients=np.array([282.0] * 4 + [0.4, 0.1]))
     rules = wp.hyperelastic.Candidate("rules", replace(even, material=stiff), 0.01)
-    with pytest.raises(wp.InputError, match="282 times as stiff .* in the place of a material"):
+    with refused("282 times as stiff .* in the place of a material"):
         rules.curves([1.2])
 
 
@@ -188,7 +190,7 @@ def test_a_rubber_sheet_with_a_hole_pulls_as_it_should(tmp_path, error):
         command(tmp_path, out := tmp_path / f"out{number}", "--stress", *map(str, told))
         stretches, middle, low, high, *_ = curves_of(out)
         true = tension(stretches, make_frames.C1, make_frames.C2)
-        np.testing.assert_allclose(middle, true, rtol=0.02)
+        assert_allclose(middle, true, rtol=0.02)
         assert ((low < true) & (true < high)).all() or (number == 1 and error)  # without scatter
     cut = x[(np.abs(x[:, 0]) > 1.2) | (np.abs(x[:, 1]) < 1.7)]  # no line whole in the middle
     (folder := tmp_path / "cut").mkdir()

@@ -5,18 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.linalg
+from numpy.testing import assert_allclose
 
 from tests.support import clouds
 from tests.support.clouds import cloud, periodic_cloud, plain
-from tests.support.problems import ROUNDING, fitted_order, kernel, lattice, noise, periodic
+from tests.support.problems import ROUNDING, fitted_order, kernel, lattice, noise, normal, periodic
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, solid
-from warp_peri import InputError, LPSMaterial, certify
+from tests.support.told import assert_refused, refused, warned
+from warp_peri import LPSMaterial, certify
 from warp_peri.influence import InfluenceFunction
 from warp_peri.materials.influence import gaussian, table
 from warp_peri.materials.lps import bernstein_basis
 from warp_peri.materials.lps_law import ShapeKernel
 from warp_peri.materials.lps_operator import node_fields
 from warp_peri.points.families import bond_classes
+from warp_peri.testing import assert_near as near
 
 
 def test_continuum_constants_are_those_of_plane_stress_and_of_space():
@@ -28,9 +31,6 @@ def test_continuum_constants_are_those_of_plane_stress_and_of_space():
     assert deep.nu == pytest.approx(deep.E / (2 * deep.mu) - 1)
 
 
-# Spacings
-
-
 def test_a_spacing_is_the_certified_one_to_a_millionth():
     """Of a plain kernel at the bond lengths of the lattice that swings by a million beside them."""
     unseen = scipy.linalg.null_space(bernstein_basis(bond_classes(5.0, 12.5).r, 12.5, 10))
@@ -40,22 +40,19 @@ def test_a_spacing_is_the_certified_one_to_a_millionth():
     def off(factor):
         return replace(here, x=factor * here.x, spacing=factor * here.spacing)
 
-    near = 1 - 0.99e-6
-    assert certify(wild, spacing=near * 5) == certify(wild, spacing=5.0)
+    little = 1 - 0.99e-6
+    assert certify(wild, spacing=little * 5) == certify(wild, spacing=5.0)
     expected = wild.on(here)(u)
-    assert np.abs(wild.on(off(near))(u) - expected).max() < ROUNDING * np.abs(expected).max()
+    near(wild.on(off(little))(u), expected, ROUNDING)
     for factor in (0.5, 1 + 1.001e-6):
         for use in (
             lambda: wild.on(off(factor), transfer=False),  # noqa: B023
             lambda: replace(wild, certified_on=(1e-9,)).check_spacing(1e-9 * factor),  # noqa: B023
         ):
-            with pytest.raises(InputError, match="the model is certified on"):
+            with refused("the model is certified on"):
                 use()
-        with pytest.warns(UserWarning, match="the model is certified on 5 Å, not on"):
+        with warned("the model is certified on 5 Å, not on"):
             wild.check_spacing(5.0 * factor, allow_uncertified=True)
-
-
-# Influence functions
 
 
 @pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
@@ -63,7 +60,7 @@ def test_the_polynomial_is_the_function_at_every_bond_and_near_it_between(shape)
     model = solid(shape, 1.0, 0.8)
     for spacing in (1.0, 0.8):
         r = bond_classes(spacing, HORIZON).r
-        np.testing.assert_allclose(model.influence(r), shape(r), atol=1e-8 * np.abs(shape(r)).max())
+        near(model.influence(r), shape(r), 1e-8)
     model, r = solid(shape, 1.0), np.linspace(LENGTHS[0] / 2, HORIZON, 1001)
     departure = np.abs(model.influence(r) - shape(r)).max() / np.abs(shape(LENGTHS)).max()
     if shape is SHAPES["table"]:  # of a function with kinks it is said
@@ -76,22 +73,15 @@ def test_slopes_beside_zero_and_at_the_bounds_and_those_of_the_formula():
         wave = lambda r, phase: np.cos(r + phase)
         shape = InfluenceFunction(wave, {"phase": phase}, {"phase": (0.0, 1.0)})
         expected = -np.sin(LENGTHS + phase)[:, None]
-        np.testing.assert_allclose(shape.slopes(LENGTHS), expected, atol=1e-10)
+        assert_allclose(shape.slopes(LENGTHS), expected, atol=1e-10)
     expected = 2 * LENGTHS**2 / 1.9**3 * gaussian(LENGTHS, 1.9)
-    np.testing.assert_allclose(SHAPES["gaussian"].slopes(LENGTHS)[:, 0], expected, rtol=1e-11)
+    assert_allclose(SHAPES["gaussian"].slopes(LENGTHS)[:, 0], expected, rtol=1e-11)
 
 
-def made(function, **parameters):
-    return lambda: InfluenceFunction(function, parameters)(LENGTHS)
-
-
-def bounded(bounds):
-    return lambda: InfluenceFunction(gaussian, {"width": 2.0}, bounds)
-
-
-def numbers(**change):
-    given = {"lam": 0.3, "mu": 0.8, "alpha": 1.0, "D": [1.0], "horizon": 3.0}
-    return lambda: LPSMaterial(**given | change)
+KNOWN = {"lam": 0.3, "mu": 0.8, "alpha": 1.0, "D": [1.0], "horizon": 3.0}
+made = lambda function, **parameters: lambda: InfluenceFunction(function, parameters)(LENGTHS)
+bounded = lambda bounds: lambda: InfluenceFunction(gaussian, {"width": 2.0}, bounds)
+numbers = lambda **change: lambda: LPSMaterial(**KNOWN | change)
 
 
 def vanishing():
@@ -106,49 +96,44 @@ def jagged():
     return function.model(lam=0.0, mu=1.0, horizon=20.0, spacings=[5.0, 2.5, 2.0, 1.0])
 
 
-REFUSED = [
-    (numbers(lam=-0.8), "expected μ > 0 and λ . μ > 0, got -0.8, 0.8"),
-    (numbers(lam=-0.6, dimension=3), "μ > 0 and λ . 2μ/3 > 0"),
-    (numbers(dimension=4), "dimension: expected 2 or 3, got 4"),
-    (numbers(lam=[], mu=[]), r"lambda: expected a number, .* got shape \[0\]"),
-    (numbers(D=[]), "D: expected at least one coefficient, at most 1001, got 0"),
-    (numbers(D=[0.0, 0.0]), "D: expected a coefficient other than 0"),
-    (numbers(D=[[1.0, 2.0]]), "D: expected a list of numbers, got lists"),
-    (made(gaussian, width=np.nan), "width: expected finite values"),
-    (bounded({"width": 5}), r"bounds of width: expected \(lowest, highest\), got 5"),
-    (bounded({"reach": (0, 1)}), "no parameter 'reach'; there are: width"),
-    (bounded({"width": (3, 4)}), "are not within"),
-    (made(lambda r: r[0]), r"K of shape \[6\], the shape of r, got float64 of shape \[\]"),
-    (made(lambda r: np.where(r > 2, np.nan, 1.0)), "K is not finite at r = 2.23607"),
-    (lambda: InfluenceFunction(lambda r: 0 * r).coefficients(LENGTHS, 3.0), "K is zero at"),
-    (jagged, "no polynomial of degree 80 takes its values"),
-    (vanishing, "weighted volume"),
-    (lambda: table([0, 1], [1.0]), "of one shape"),
-    (lambda: table([1, 0], [1.0, 1.0]), "rising"),
-]
+REFUSED = {
+    "expected μ > 0 and λ . μ > 0, got -0.8, 0.8": numbers(lam=-0.8),
+    "μ > 0 and λ . 2μ/3 > 0": numbers(lam=-0.6, dimension=3),
+    "dimension: expected 2 or 3, got 4": numbers(dimension=4),
+    r"lambda: expected a number, .* got shape \[0\]": numbers(lam=[], mu=[]),
+    "D: expected at least one coefficient, at most 1001, got 0": numbers(D=[]),
+    "D: expected a coefficient other than 0": numbers(D=[0.0, 0.0]),
+    "D: expected a list of numbers, got lists": numbers(D=[[1.0, 2.0]]),
+    "width: expected finite values": made(gaussian, width=np.nan),
+    r"bounds of width: expected \(lowest, highest\), got 5": bounded({"width": 5}),
+    "no parameter 'reach'; there are: width": bounded({"reach": (0, 1)}),
+    "are not within": bounded({"width": (3, 4)}),
+    r"K of shape \[6\], the shape of r, got float64 of shape \[\]": made(lambda r: r[0]),
+    "K is not finite at r = 2.23607": made(lambda r: np.where(r > 2, np.nan, 1.0)),
+    "K is zero at": lambda: InfluenceFunction(lambda r: 0 * r).coefficients(LENGTHS, 3.0),
+    "no polynomial of degree 80 takes its values": jagged,
+    "weighted volume": vanishing,
+    "of one shape": lambda: table([0, 1], [1.0]),
+    "rising": lambda: table([1, 0], [1.0, 1.0]),
+}
 
 
 def test_what_makes_no_sense_is_refused_in_words():
-    for use, words in REFUSED:
-        with pytest.raises(InputError, match=words):
-            use()
-
-
-# Stress
+    assert_refused(REFUSED)
 
 
 @pytest.mark.parametrize("points", [cloud(5, HORIZON), clouds.cube(2, 2.0)])
 def test_an_affine_field_has_the_stress_of_hooke(points):
     d = points.dimension
-    G = np.random.default_rng(2).normal(size=(d, d))
+    G = normal((d, d), 2)
     model = plain(HORIZON) if d == 2 else clouds.solid(2.0)
     fields, strain = node_fields(model, points, points.x @ G.T), (G + G.T) / 2
     stress = model.lam * np.trace(G) * np.eye(d) + 2 * model.mu * strain
-    np.testing.assert_allclose(fields.stress - stress, 0, atol=1e-9)
-    np.testing.assert_allclose(fields.strain - strain, 0, atol=1e-9)
+    assert_allclose(fields.stress - stress, 0, atol=1e-9)
+    assert_allclose(fields.strain - strain, 0, atol=1e-9)
     if points.spacing:
-        np.testing.assert_allclose(fields.dilatation, np.trace(G), atol=1e-12)
-        np.testing.assert_allclose(fields.energy, (stress * strain).sum() / 2, rtol=1e-12)
+        assert_allclose(fields.dilatation, np.trace(G), atol=1e-12)
+        assert_allclose(fields.energy, (stress * strain).sum() / 2, rtol=1e-12)
 
 
 def test_its_divergence_balances_the_force_to_second_order():
@@ -173,8 +158,8 @@ def test_stress_is_that_of_nearest_images_and_of_complete_families():
     model, u = kernel("positive", HORIZON), noise(points)
     here, there = (node_fields(model, one, u) for one in (points, moved))
     for part, expected in vars(here).items():
-        np.testing.assert_allclose(vars(there)[part], expected, rtol=0, atol=1e-9, err_msg=part)
+        assert_allclose(vars(there)[part], expected, rtol=0, atol=1e-9, err_msg=part)
     points = lattice(4, HORIZON)
     body = replace(points, outside=~points.interior & (points.x[:, 0] > 5))
-    with pytest.raises(InputError, match="outside: expected none"):
+    with refused("outside: expected none"):
         node_fields(model, body, points.x)

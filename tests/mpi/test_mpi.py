@@ -13,6 +13,7 @@ import pytest
 
 import warp_peri as wp
 from tests.mpi.job import SWING, TOLERANCE, corrected, crack, swings, uneven, whole
+from warp_peri.testing import assert_near as near
 
 pytest.importorskip("mpi4py", reason="mpi4py is not installed: pip install 'warp_peri[mpi]'")
 MPIEXEC = Path(sys.executable).with_name("mpiexec")
@@ -71,7 +72,7 @@ def test_sums_do_not_depend_on_who_has_what(jobs):
              for column in values.T]  # fmt: skip
     first, *others = (job["sums"] for job in jobs.values())
     assert others == [first] * len(others)
-    np.testing.assert_allclose(first, exact, rtol=1e-15)
+    assert first == pytest.approx(exact, rel=1e-15, abs=0)
     assert (values.sum(axis=0) != values[::-1].sum(axis=0)).any()  # floats alone would
 
 
@@ -84,7 +85,7 @@ def test_a_body_at_rest_has_the_same_bits_and_those_of_one_process_nearly(d, job
     problem, law = whole(d), swings(d)
     alone = wp.solve(law, problem, solver=wp.CG(tolerance=TOLERANCE[d]) if d == 2 else None)
     answer = np.load(folder / f"{d}-D_2.npy")
-    assert np.abs(answer - alone.u).max() <= 10 * TOLERANCE[d] * np.abs(alone.u).max()
+    near(answer, alone.u, 10 * TOLERANCE[d])
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -98,12 +99,12 @@ def test_waves_go_on_with_another_number_of_ranks_with_the_same_bits(d, jobs, fo
         alone = wp.simulate(law, problem, **SWING, v=problem.u[:, ::-1], steps=steps)
         end = np.concatenate([alone.u, alone.v], axis=1)
         place = folder / ("." if count == 2 else str(count)) / f"waves_{d}_{count}.npy"
-        np.testing.assert_allclose(np.load(place), end, rtol=0, atol=1e-11 * np.abs(end).max())
+        near(np.load(place), end, 1e-11)
     for count in set(jobs) - {2}:
         assert jobs[count][f"{d}-D"]["waves"] == one
         for name in (f"waves_{d}.h5", f"waves_{d}/motion.pvd"):
             assert (folder / str(count) / name).read_bytes() == (folder / "1" / name).read_bytes()
-    np.testing.assert_allclose(one["energy"], alone.energy, rtol=1e-12)
+    assert one["energy"] == pytest.approx(alone.energy, rel=1e-12, abs=0)
 
 
 def test_what_does_not_fit_is_refused_on_all_ranks(jobs):

@@ -21,7 +21,6 @@ from warp_peri.errors import InputError, exit_status
 
 ROOT = Path(__file__).parent.parent.parent
 PACKAGE, API = ROOT / "warp_peri", ROOT / "docs" / "reference" / "api"
-PARSED = {path: ast.parse(path.read_bytes()) for path in sorted(PACKAGE.rglob("*.py"))}
 MODULES = {*dir(wp)} - {*wp.__all__}
 SAYS_NO_ERROR = {"InputError", "Motion"}  # the error itself, a result that only has fields
 
@@ -39,7 +38,7 @@ def run(*words, status=0):
 def test_names_are_those_that_type_checkers_see():
     seen = [
         (node.module, alias.name)
-        for node in ast.walk(PARSED[PACKAGE / "__init__.py"])
+        for node in ast.walk(ast.parse((PACKAGE / "__init__.py").read_bytes()))
         if isinstance(node, ast.ImportFrom) and str(node.module).startswith("warp_peri")
         for alias in node.names
     ]
@@ -66,14 +65,22 @@ def test_the_api_lists_every_public_name_and_each_has_a_docstring():
             assert getattr(module, name).__doc__, name
 
 
+@pytest.fixture(scope="module")
+def begun():
+    """Names of what the page says that examples begin with."""
+    page, known = (API / "index.md").read_text("utf-8"), {}
+    exec(re.search(r"```python\n(.*?)```", page, re.DOTALL)[1], known)
+    return known
+
+
 @pytest.mark.filterwarnings("ignore::UserWarning")
 @pytest.mark.parametrize("name", wp.__all__)
-def test_a_docstring_has_arguments_errors_and_an_example_that_runs(name, tmp_path, monkeypatch):
+def test_a_docstring_has_arguments_errors_and_an_example_that_runs(
+    name, begun, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
-    said, known = inspect.getdoc(getattr(wp, name)), {}
-    begin = re.search(r"```python\n(.*?)```", (API / "index.md").read_text("utf-8"), re.DOTALL)[1]
-    exec(begin, known)  # what the page says that examples begin with
-    example = doctest.DocTestParser().get_doctest(said, known, name, None, 0)
+    said = inspect.getdoc(getattr(wp, name))
+    example = doctest.DocTestParser().get_doctest(said, begun, name, None, 0)
     assert 1 <= len(example.examples) <= 3
     printed, runner = [], doctest.DocTestRunner(False, False, doctest.IGNORE_EXCEPTION_DETAIL)
     assert not runner.run(example, out=printed.append).failed, "".join(printed)
@@ -147,11 +154,11 @@ def imported(node):
 
 def test_imports_have_one_direction_among_folders_and_inside_each():
     links = {}
-    for path, tree in PARSED.items():
+    for path in PACKAGE.rglob("*.py"):
         room, *inner = path.relative_to(PACKAGE).with_suffix("").parts
         if path.stem in ("__init__", "__main__"):
             continue
-        for other, *names in imported(tree):
+        for other, *names in imported(ast.parse(path.read_bytes())):
             assert room != "kernels" or other == "kernels"
             if other != room:
                 links.setdefault(room, set()).add(other)

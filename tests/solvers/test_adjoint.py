@@ -10,6 +10,7 @@ import torch
 import warp_peri as wp
 from tests.gradients.cases import errors, given, loss
 from tests.support.materials import operator
+from tests.support.told import assert_refused, refused
 from warp_peri.solvers import verlet
 from warp_peri.solvers.adjoint import BATCH
 
@@ -20,7 +21,7 @@ def test_a_nonlinear_force_is_felt_where_the_motion_went():
     op = operator("third order, energy")
     fields, options = given(op)
     value = lambda of: loss(op, fields | of, options)
-    assert errors(value, {"u": fields["u"]}, {"u": 10.0})["u"] <= 1e-7
+    assert errors(value, {"u": fields["u"]}, {"u": 1.0})["u"] <= 1e-7
 
 
 def test_the_motion_is_that_of_arrays_to_the_bit():
@@ -84,7 +85,7 @@ def test_what_has_no_gradient_says_so():
         return wp.simulate(of, wp.Dirichlet(of.points, None, u), **options | extra)
 
     (first,) = torch.autograd.grad(moved().u.square().sum(), u, create_graph=True)
-    with pytest.raises(wp.InputError, match="second derivative"):
+    with refused("second derivative"):
         first.sum().backward()
     for extra, words in (
         ({"step": 1.0}, "step: expected at most"),
@@ -93,15 +94,16 @@ def test_what_has_no_gradient_says_so():
         ({"parameters": {"mu": 1e3 * op.model.mu}}, "step: expected at most"),
         ({"parameters": {"D": [0.0, 0.0, 0.0, -1.0, 1.0]}}, "is indefinite"),
     ):
-        with pytest.raises(wp.InputError, match=words):
+        with refused(words):
             moved(**extra)
     crystal = operator("crystal")
-    with pytest.raises(wp.InputError, match=r"numbers of shape tensors \[10, 2, 2\], got mu"):
+    with refused(r"numbers of shape tensors \[10, 2, 2\], got mu"):
         moved(crystal, torch.zeros(crystal.shape), parameters={"mu": 1.0}, record=None)
     cracked = wp.Cracked(op.points, u=torch.zeros(op.shape, requires_grad=True))
-    with pytest.raises(wp.InputError, match="pulls of bonds that soften.* got a Cracked"):
-        wp.simulate(op.model, cracked, events=2)
-    with pytest.raises(wp.InputError, match="record: expected none beside a checkpoint"):
-        wp.simulate(
+    assert_refused({
+        "pulls of bonds that soften.* got a Cracked":
+            lambda: wp.simulate(op.model, cracked, events=2),
+        "record: expected none beside a checkpoint": lambda: wp.simulate(
             op, wp.Dirichlet(op.points, None, u.detach().numpy()), checkpoint="r.h5", **options
-        )
+        ),
+    })  # fmt: skip

@@ -8,7 +8,7 @@ import pytest
 from tests.known_problems.statics import THIRD, UnitScale, material
 from tests.support.problems import ell, fitted_order, kernel, lattice, noise, periodic
 from tests.support.symbols import symbol
-from warp_peri import InputError
+from tests.support.told import assert_refused, refused
 from warp_peri.certificates import critical_time_step
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.problems import Dirichlet, simulate
@@ -54,7 +54,7 @@ def test_stable_just_below_and_unstable_just_above(name, spacing):
     for _ in range(steps):
         above = step(body, above, 1.01 * critical)
     assert np.abs(above.u).max() > 1e20 * np.abs(u).max()
-    with pytest.raises(InputError, match=f"step: expected at most {critical:.6g} ps"):
+    with refused(f"step: expected at most {critical:.6g} ps"):
         moved(model, points, u, rest, step=1.01 * critical, steps=steps)
 
 
@@ -75,7 +75,9 @@ def test_a_wave_turns_with_its_frequency_to_second_order():
     assert errors[-1] < 1e-2
 
 
-def test_energy_is_that_of_the_definition():
+def test_energy_is_that_of_the_definition_and_a_density_an_inertia_in_any_units():
+    assert inertia(1000.0, ("nm", "GPa")) == pytest.approx(1.0)  # GPa ps²/nm²
+    assert inertia(1000.0, ("m", "Pa")) == pytest.approx(1e27)  # Pa ps²/m²
     model, points = kernel("1/r", 2.0), lattice(4, 2.0)
     inside = points.interior
     L = LPSOperator(model, points).matrix()
@@ -88,12 +90,7 @@ def test_energy_is_that_of_the_definition():
     end = start + step * half
     energy = INERTIA * DENSITY / 2 * half @ half + start @ (A @ end) / 2 - load @ (start + end) / 2
     assert motion.energy[0] == pytest.approx(energy / inside.sum(), rel=1e-12)
-    np.testing.assert_allclose(motion.u[inside].ravel(), end, rtol=1e-12)
-
-
-def test_a_density_is_an_inertia_in_any_unit_of_length():
-    assert inertia(1000.0, ("nm", "GPa")) == pytest.approx(1.0)  # GPa ps²/nm²
-    assert inertia(1000.0, ("m", "Pa")) == pytest.approx(1e27)  # Pa ps²/m²
+    assert motion.u[inside].ravel() == pytest.approx(end, rel=1e-12, abs=0)
 
 
 def test_to_move_as_a_whole_changes_no_energy():
@@ -122,12 +119,14 @@ def test_waves_go_on_from_a_checkpoint_with_the_same_bits_and_go_to_paraview(tmp
     straight = march(operator, b, u, **options, steps=25)
     assert straight.drift < 1e-12
     collar = ~points.interior
-    np.testing.assert_array_equal(straight.u[collar], u[collar])
-    np.testing.assert_array_equal(straight.v[collar], 0)
+    assert np.array_equal(straight.u[collar], u[collar])
+    assert not straight.v[collar].any()
     for name in ("u", "v", "energy"):
         assert getattr(resumed, name).tobytes() == getattr(straight, name).tobytes()
     assert (tmp_path / "s" / "motion.pvd").read_text().count("timestep=") == len(straight.time)
-    with pytest.raises(InputError, match="at least the 25 taken before, got 20"):
-        march(operator, b, u, **options, **files, steps=20)
-    with pytest.raises(InputError, match="record: expected nodes 0 to .*, got -1, 3"):
-        march(operator, b, u, **options, steps=2, record=[3, -1])
+    assert_refused({
+        "at least the 25 taken before, got 20":
+            lambda: march(operator, b, u, **options, **files, steps=20),
+        "record: expected nodes 0 to .*, got -1, 3":
+            lambda: march(operator, b, u, **options, steps=2, record=[3, -1]),
+    })  # fmt: skip

@@ -8,12 +8,13 @@ import torch
 
 from tests.gradients.cases import errors
 from tests.support.clouds import cloud
-from tests.support.problems import kernel, lattice, manufactured, noise
+from tests.support.problems import kernel, lattice, manufactured, noise, normal
 from tests.support.solving import solve
+from tests.support.told import refused
 from tools.benchmark import MODEL_FILE as TABLE
 from tools.benchmark import lattice_of as problem
 from tools.benchmark import loads, mask_of
-from warp_peri import CG, Direct, Dirichlet, InputError, LPSMaterial
+from warp_peri import CG, Direct, Dirichlet, LPSMaterial
 from warp_peri import solve as at_rest
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.solvers.linear import prolong, restrict
@@ -41,7 +42,7 @@ def test_solves_recover_a_manufactured_solution_whatever_is_not_read(method):
     solver = Direct() if method == "lu" else CG(method, tolerance=1e-11)
     solution = at_rest(model, Dirichlet(points, load, collar), solver=solver)
     solved, records = solution.u, solution.details or ()
-    np.testing.assert_allclose(solved, points.u, rtol=0, atol=1e-11 if method == "lu" else 2e-8)
+    assert solved == pytest.approx(points.u, abs=1e-11 if method == "lu" else 2e-8)
     assert np.array_equal(solved[:, ~points.interior], points.u[:, ~points.interior])
     assert np.isnan(collar[:, points.interior]).all()  # what was given stays as it was
     left = (model.on(points)(solved) - points.b[:, points.interior]).reshape(2, -1)
@@ -60,7 +61,7 @@ def test_filters_are_symmetric_and_positive(kind):
     mask = np.ones((21, 26), bool) if kind == "sine" else notched(48)
     linear = linear_of(lattice(mask, HORIZON), kernel("sign-changing", HORIZON))
     (apply, _), grid = linear.filter(kind), linear.grid
-    r, q = np.random.default_rng(0).normal(size=(2, 2, *grid.shape)) * grid.mask()
+    r, q = normal((2, 2, *grid.shape)) * grid.mask()
     a, b, scale = (apply(r) * q).sum(), (apply(q) * r).sum(), (apply(r) * r).sum()
     assert abs(a - b) < 1e-4 * scale  # single precision inside
     assert scale > 0
@@ -109,10 +110,10 @@ def test_an_indefinite_operator_is_named_by_every_method():
     points = lattice(8, HORIZON)
     for method in ("lu", "sine", "multigrid", "strip"):
         solver = Direct() if method == "lu" else CG(method)
-        with pytest.raises(InputError, match="nodes is indefinite"):
+        with refused("nodes is indefinite"):
             solve(model, points, noise(points), noise(points), solver=solver)
         fields = (torch.from_numpy(noise(points)) for _ in range(2))
-        with pytest.raises(InputError, match="nodes is indefinite"):
+        with refused("nodes is indefinite"):
             model.on(points).solve(*fields, solver)
 
 
@@ -124,7 +125,7 @@ def test_methods_that_do_not_fit_and_tolerances_out_of_reach_are_refused():
         (cut, CG("multigrid"), "is for lattices without a box"),
         (box, CG("sine", tolerance=1e-17), "the solve stalled: residual"),
     ):
-        with pytest.raises(InputError, match=words):
+        with refused(words):
             solve(kernel("1/r", HORIZON), nodes, noise(nodes), noise(nodes), solver=solver)
 
 
@@ -137,4 +138,4 @@ def test_the_implicit_gradient_of_an_unsymmetric_operator_is_that_of_differences
     operator = model.on(points, allow_uncertified=True)
     start = {name: torch.tensor(own).double() for name, own in operator.learnable.items()}
     value = lambda of: (weight * operator.solve(b, u, Direct(), parameters=of).u).sum()
-    assert max(errors(value, start, dict.fromkeys(start, 1.0)).values()) < 1e-8
+    assert max(errors(value, start, dict.fromkeys(start, 0.3)).values()) < 1e-8

@@ -8,12 +8,13 @@ import pytest
 import warp_peri as wp
 from examples.reproduce.slides import curl_and_pressure
 from tests.support.clouds import cloud, cube, field, load, plain, solid
-from tests.support.problems import LAM, MU, fitted_order, kernel, lattice
+from tests.support.problems import LAM, MU, fitted_order, kernel, lattice, noise, normal
 from tests.support.solving import solve
 from warp_peri import CG, Direct
 from warp_peri.certificates import check_solvability, critical_time_step
 from warp_peri.crystals import crystal_from_lps
 from warp_peri.solvers.verlet import inertia
+from warp_peri.testing import assert_near as near
 
 pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")
 LENGTH = 2.0
@@ -79,9 +80,6 @@ def test_perturbed_points_lose_order_where_the_material_is_nearly_incompressible
     assert check_solvability(plain(3.0 * LENGTH / 8, 100 * MU), points).symmetric_min > 0
 
 
-# In space
-
-
 def error(number, lam, mu):
     """Root mean square error on number³ unknown nodes, relative to the field."""
     h = LENGTH / number
@@ -107,7 +105,7 @@ def test_it_moves_at_a_proven_step_not_much_shorter_than_the_longest():
     longest = 2 * np.sqrt(inertia(density, model.units) / stiffest)
     assert 0.6 * longest < step < longest
     points = cube(3, 2.0)
-    u = np.where(points.interior[:, None], np.random.default_rng(3).normal(size=points.x.shape), 0)
+    u = np.where(points.interior[:, None], noise(points, seed=3), 0)
     problem = wp.Dirichlet(points, None, 1e-3 * u)
     operator = model.on(points, allow_uncertified=True)
     motion = wp.simulate(operator, problem, density=density, step=0.9 * step, steps=200)
@@ -118,24 +116,24 @@ def test_it_moves_at_a_proven_step_not_much_shorter_than_the_longest():
 def test_iteration_finds_what_a_factorisation_does_in_space():
     points = cube(5, 2.0)
     operator = solid(2.0, lam=50.0).on(points, allow_uncertified=True)
-    b, u = np.random.default_rng(0).normal(size=(2, *points.x.shape))
+    b, u = normal((2, *points.x.shape))
     first = operator.solve(b, u, Direct()).u
     for method in ("sine", "multigrid", "strip"):
         found = operator.solve(b, u, CG(method, tolerance=1e-11))
-        np.testing.assert_allclose(found.u, first, atol=1e-8 * np.abs(first).max())
+        near(found.u, first, 1e-8)
 
 
 def test_large_cubes_and_periods_are_solved_in_space():
     large, model = cube(16, 2.0), solid(2.0)
     operator = model.on(large, allow_uncertified=True)
-    b = np.random.default_rng(0).normal(size=large.x.shape)
+    b = noise(large)
     solution = operator.solve(b, 0 * b)
     assert solution.method == "sine"
     inside = large.interior
     left = operator(solution.u) - b[inside]
     assert np.linalg.norm(left) <= 1.1e-8 * np.linalg.norm(b[inside])
     cell = model.on(wp.Points.sheet((6, 6, 6), 1.0), allow_uncertified=True)
-    u = np.random.default_rng(1).normal(size=(216, 3))
+    u = normal((216, 3), 1)
     u -= u.mean(axis=0)
     found = wp.solve(cell, wp.Periodic(cell.points, cell(u))).u
-    np.testing.assert_allclose(found, u, atol=1e-10)
+    near(found, u, 1e-10, 1)

@@ -12,7 +12,7 @@ from examples.own_law import Springs
 from tests.crystal.crystals import learned
 from tests.support import clouds
 from tests.support.nonlinear import psi, solid
-from tests.support.problems import AXIS, difference, kernel, lattice, loaded, periodic
+from tests.support.problems import AXIS, difference, kernel, lattice, loaded, normal, periodic
 from tests.support.sheets import NEAREST, SPACING, waves
 from warp_peri.crystals import crystal_from_lps
 from warp_peri.fracture import lattice_body
@@ -251,11 +251,16 @@ def operator(name):
 def field(op, *lead, seed=0):
     """Fields with gradients of some percent, rough and smooth."""
     size = 0.01 * getattr(op.points, "spacing", 0) or 0.01
-    u = size * np.random.default_rng(seed).normal(size=(*lead, *op.shape))
+    u = size * normal((*lead, *op.shape), seed)
     return u + 2 * size * np.sin(op.points.x[:, 0]).reshape(-1, *[1] * (len(op.shape) - 1))
+
+
+def tensor(op, *lead, seed=0):
+    """A field as a tensor."""
+    return torch.from_numpy(field(op, *lead, seed=seed))
 
 
 def seeded(values):
     """A number of a field, so that nothing cancels."""
-    seed = torch.from_numpy(np.random.default_rng(1).normal(size=values.shape))
+    seed = torch.from_numpy(normal(values.shape, 1))
     return ((0.3 * values + seed) * values).sum()

@@ -60,10 +60,14 @@ def periodic(shape, spacing=1.0):
     return points, points.box
 
 
+def normal(shape, seed=0):
+    """Normal random numbers."""
+    return np.random.default_rng(seed).normal(size=shape)
+
+
 def noise(points, samples=None, seed=0):
     """Random displacements, the harshest field there is; shape [N, d] without `samples`."""
-    shape = points.x.shape if samples is None else (samples, *points.x.shape)
-    return np.random.default_rng(seed).normal(size=shape)
+    return normal(points.x.shape if samples is None else (samples, *points.x.shape), seed)
 
 
 def smooth(x, samples, seed=0, wave_number=1.2):
@@ -88,7 +92,7 @@ def manufactured(model, points, samples, seed=0, wave_number=1.2, **options):
     return loaded(model.on(points, **options), smooth(points.x, samples, seed, wave_number))
 
 
-STENCILS = {2: (1 / 2,), 8: (4 / 5, -1 / 5, 4 / 105, -1 / 280)}
+STENCILS = {2: (1 / 2,), 4: (2 / 3, -1 / 12), 8: (4 / 5, -1 / 5, 4 / 105, -1 / 280)}
 
 
 def difference(function, point, step, order=8):

@@ -1,6 +1,6 @@
 """Influence functions given as callables, for the tests of them and of their fits."""
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 
@@ -38,7 +38,7 @@ SHAPES = {
 def solid(shape, *spacings, lam=0.1, mu=0.7, horizon=HORIZON):
     """The model of a shape, taken as certified."""
     model = shape.model(lam=lam, mu=mu, horizon=horizon, spacings=spacings)
-    return dataclasses.replace(model, certified_on=spacings)
+    return replace(model, certified_on=spacings)
 
 
 def off(shape):

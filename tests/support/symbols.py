@@ -1,6 +1,6 @@
 """The symbol of the LPS by its formula, (18): D = Γ + κ φφᵗ; samples of its waves, and noise."""
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 
@@ -75,4 +75,4 @@ def fluctuation(points, count, size, seed):
 
 def noisy(points, size, seed):
     """The samples with white noise added to u."""
-    return dataclasses.replace(points, u=points.u + fluctuation(points, len(points), size, seed).u)
+    return replace(points, u=points.u + fluctuation(points, len(points), size, seed).u)

@@ -11,6 +11,7 @@ from warp_peri.core import torch_bridge
 from warp_peri.materials.third_order import PlacedThirdOrder
 from warp_peri.points.families import bond_classes
 from warp_peri.points.points import lattice_steps
+from warp_peri.testing import assert_near as near
 
 HORIZON = 3.0
 
@@ -50,12 +51,12 @@ def test_force_is_that_of_sums_over_bonds(points):
     xi, ends = far_ends(classes.steps, points, op.full)
     H = np.einsum("ipk,pl,p->ikl", u[ends] - u[op.full][:, None], xi, p_in)
     found, P = op.gradients(u)
-    assert np.abs(found - H).max() <= ROUNDING * np.abs(H).max()
+    near(found, H, ROUNDING)
     stress = np.zeros((len(points.x), 2, 2))
     stress[op.full] = P
     ends = far_ends(classes.steps, points, points.interior)[1]
     force = op.straight(u) - np.einsum("ipkl,pl,p->ik", stress[ends], xi, p_out)
-    assert np.abs(op(u) - force).max() <= 4 * ROUNDING * np.abs(force).max()
+    near(op(u), force, 4 * ROUNDING)
 
 
 def test_samples_that_follow_one_another_change_nothing(monkeypatch):
@@ -70,7 +71,7 @@ def test_samples_that_follow_one_another_change_nothing(monkeypatch):
     first = found()
     monkeypatch.setattr(torch_bridge, "MOST", 1)
     for one, other in zip(first, found()):
-        np.testing.assert_allclose(one, other, rtol=0, atol=1e-13 * np.abs(one).max())
+        near(other, one, 1e-13)
 
 
 def test_clipping_projects_the_gradient():
@@ -85,8 +86,8 @@ def test_clipping_projects_the_gradient():
         assert np.abs(op.force(field, radius=0.05)).max() <= 1e-12
     assert np.array_equal(op.force(rough, radius=9.0), op(rough))
     H, P = op.gradients(u)
-    near = H * np.minimum(1, 0.05 / size)[:, None, None]
-    energy = lambda entries: psi(near + entries.reshape(2, 2), model)
+    within = H * np.minimum(1, 0.05 / size)[:, None, None]
+    energy = lambda entries: psi(within + entries.reshape(2, 2), model)
     gap = difference(energy, np.zeros(4), 1e-4).T.reshape(-1, 2, 2) - P
     moved = op.force(u, radius=0.05) - op(u)
     v = np.where(points.interior[:, None], noise(points, seed=3), 0.0)

@@ -1,0 +1,23 @@
+"""What is said to a user, in words: that something is refused, or a warning."""
+
+import pytest
+
+from warp_peri import InputError
+
+
+def refused(words):
+    """That what is asked inside is refused in these words, a pattern."""
+    return pytest.raises(InputError, match=words)
+
+
+def warned(words):
+    """That what is done inside warns in these words, a pattern."""
+    return pytest.warns(UserWarning, match=words)
+
+
+def assert_refused(table):
+    """Each call, or each of several, is refused in the words that it has here."""
+    for words, calls in table.items():
+        for call in calls if isinstance(calls, tuple) else (calls,):
+            with refused(words):
+                call()
