@@ -17,8 +17,8 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
     "code lines": 18_682,
-    "tokens": 234_572,
-    "lines of warp_peri": 29_978,
+    "tokens": 234_580,
+    "lines of warp_peri": 29_979,
     "files of warp_peri": 110,
     "lines of kernels": 1_016,
     "lines of warp_peri, kernels, examples and tools": 42_158,
@@ -34,13 +34,13 @@ BUDGET = {
 ROOMS = {
     "atoms": 2316,
     "cli": 754,
-    "core": 1611,
+    "core": 1609,
     "face": 1107,
     "fe_coupling": 710,
     "files": 443,
     "fitting": 1061,
     "fracture": 1417,
-    "materials": 4546,
+    "materials": 4548,
     "neural": 573,
     "points": 1651,
     "prediction": 574,

@@ -223,19 +223,14 @@ def certify(
         )
     spacing = getattr(model, "certified_spacing_near", float)(spacing)
     proof = prove(*stencil_of(model, spacing, "certify"))
-    about: Any = {"units": model.units, "dimension": model.dimension}
     found = spacing, proof.sampled, proof.proven
+    made = partial(Certificate, *found, units=model.units, dimension=model.dimension)
     if points is None:
-        return Certificate(*found, **about)
-    gamma, phi = offered(model, "dense", "points", "none but for an LPSMaterial")(points)
+        return made()
+    gamma, phi = offered(model, "interior_matrices", "points", "an LPSMaterial")(points)
     if points.interior.all():  # a period, which feels no translation
         free = null_space(np.tile(np.eye(2), len(points.x)))
         gamma, phi = free.T @ gamma @ free, phi @ free
-    return Certificate(*found, *dense_figures(gamma, phi), **about)
-
-
-def dense_figures(gamma: np.ndarray, phi: np.ndarray) -> tuple[Any, ...]:
-    """Figures of Γ and Φ between interior nodes, from `gamma_min` on, by dense eigenvalues."""
     gamma_min = float(eigvalsh(gamma, subset_by_index=[0, 0])[0])
     schwarz = eigvalsh(gamma - 2 * phi.T @ phi)
     inf_sup, rank = None, None
@@ -244,7 +239,7 @@ def dense_figures(gamma: np.ndarray, phi: np.ndarray) -> tuple[Any, ...]:
         values = eigh(phi.T @ phi, gamma, eigvals_only=True)
         values = values[values > RANK_TOLERANCE * values[-1]]
         inf_sup, rank = float(values[0]), len(values)
-    return gamma_min, inf_sup, rank, float(schwarz[0]), float(schwarz[-1])
+    return made(gamma_min, inf_sup, rank, float(schwarz[0]), float(schwarz[-1]))
 
 
 def statement_of(spacing: float, bound: float, units: Units, dimension: int) -> str:

@@ -8,6 +8,7 @@ from functools import partial
 from typing import Annotated, Any, Literal
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.special import comb
 
@@ -46,8 +47,9 @@ NOTHING = 1e-14
 """Relative, of tensors that are rounding."""
 GAMMAS = ("gamma_min", "gamma_max", "gamma_minus_2phi_min", "gamma_minus_2phi_max")
 """Figures of a certificate that are in 1/length²; files of before have the second too."""
-AVERAGED = 8
-"""Positions along the radius of the ball that moduli as a function are averaged over."""
+UNITS_AT_ONCE, AVERAGED = 64, 8
+"""Unit displacements that are held together; positions along the radius of the ball that moduli
+as a function are averaged over."""
 Modulus = ArrayLike | Callable[[np.ndarray], ArrayLike]
 
 
@@ -365,14 +367,17 @@ class LPSMaterial(Record, format="warp_peri.model"):
         box = None if nodes.box is None else tuple(scale * side for side in nodes.box)
         return replace(nodes, x=scale * nodes.x, spacing=spacing, box=box)
 
-    def dense(self, points: PointsLike) -> tuple[np.ndarray, np.ndarray]:
+    def interior_matrices(self, points: PointsLike) -> tuple[np.ndarray, np.ndarray]:
         """Γ [1/length²] and Φ [1/length] between a domain's I interior nodes, [d I, d I] and
         [I, d I], from the forces and dilatations of unit displacements."""
-        bonds, inside = bonds_of(self, points), points.interior
-        units = np.repeat(inside, bonds.dimension)
-        law = bonds.law(1.0, 1.0, self.alpha, self.D)
-        force, _, theta = law.force(np.eye(len(units))[units])
-        return force.T, theta[:, bonds.layout.home[inside]].T
+        bonds, inside, parts = bonds_of(self, points), points.interior, []
+        law, home = bonds.law(1.0, 1.0, self.alpha, self.D), bonds.layout.home[inside]
+        units = sp.eye_array(points.x.size, format="csr")[np.repeat(inside, bonds.dimension)]
+        for n in range(0, units.shape[0], UNITS_AT_ONCE):
+            force, _, theta = law.force(units[n : n + UNITS_AT_ONCE].toarray())
+            parts.append((force, theta[:, home]))
+        forces, thetas = map(np.concatenate, zip(*parts))
+        return forces.T, thetas.T
 
     @property
     def transferred_from(self) -> float | None:

@@ -13,6 +13,7 @@ from importlib.metadata import version
 from typing import Any, Literal
 
 import numpy as np
+from numpy.linalg import norm
 from scipy.sparse.linalg import splu
 from tqdm.auto import tqdm
 
@@ -253,9 +254,9 @@ class Learner:
             if choice.name == "output":
                 misfit = partial(fit_output_error, self, final, asked)
                 final = self.run("4 output error", misfit)
-        self.check(final, choice.name)
+        left = self.check(final, choice.name)
         done = dataclasses.replace(law, kernel=kernel, method=asked, conditions=self.conditions)
-        return self.certified(final, done, choice)
+        return dataclasses.replace(self.certified(final, done, choice), left=left)
 
     def plain(self, kernel: Kernel) -> dict[str, LPSFound]:
         """Starts of the search by name: plain kernels, or the functions given."""
@@ -338,14 +339,15 @@ class Learner:
                     bar.set_postfix_str(f"relative residual {100 * np.sqrt(loss):.2f} %")
 
             found = stage(tick)
-        left, over = self.left(found), np.concatenate([over_loads(each) for each in self.sets])
+        left = np.concatenate(self.left(found))
+        over = np.concatenate([over_loads(each) for each in self.sets])
         error, seconds = float((left * over)[over > 0].mean()), time.perf_counter() - begin
         self.history.append(Stage(name, found.solid, error, seconds, found.losses, steps))
         return found
 
-    def left(self, found: LPSFound) -> np.ndarray:
-        """Residual ‖L u − b‖ of every sample by Warp's operator."""
-        return np.concatenate([one.left(*found.solid.values()) for one in self.products])
+    def left(self, found: LPSFound) -> list[np.ndarray]:
+        """Residual ‖L u − b‖ of every sample of each set by Warp's operator."""
+        return [one.left(*found.solid.values()) for one in self.products]
 
     def hold(self, method: GaussNewton, start: LPSFound) -> GaussNewton:
         """Set the method to hold the long-wave moduli if asked and a free fit misses them."""
@@ -408,10 +410,8 @@ class Learner:
 
     def worse(self, found: LPSFound, method: GaussNewton) -> bool:
         """Whether local elasticity of held moduli explains the displacement better."""
-        sizes = (each.box is None and np.count_nonzero(each.interior) for each in self.sets)
-        if not all(0 < size <= MOST_NODES for size in sizes) or not (
-            self.flat and isinstance(method.moduli, tuple)
-        ):
+        large = any(np.count_nonzero(each.interior) > MOST_NODES for each in self.sets)
+        if large or not (self.flat and isinstance(method.moduli, tuple)):
             return False
         model, errors = self.model(found), np.zeros(2)
         for each, made in zip(self.sets, self.products):
@@ -422,10 +422,12 @@ class Learner:
             errors += len(each) * np.array([own, next(filter(np.isfinite, tried), np.inf)])
         return bool(errors[0] > errors[1])
 
-    def check(self, final: LPSFound, loss: str) -> None:
+    def check(self, final: LPSFound, loss: str) -> float:
         """Check rows against the operator (RuntimeError where residuals differ) and the loss
-        (InputError where no less than without a model); warn of a modulus on its lower bound."""
-        size = math.sqrt(np.concatenate(self.weights) @ self.left(final) ** 2)
+        (InputError where no less than without a model); warn of a modulus on its lower bound.
+        Returns the largest ‖L u − b‖/‖b‖ of a set."""
+        left = self.left(final)
+        size = math.sqrt(np.concatenate(self.weights) @ np.concatenate(left) ** 2)
         of_rows = squares(self.rows("residual"), self.lattices, self.model(final))
         apart = abs(math.sqrt(of_rows) - size)
         if not apart <= ERROR_TOLERANCE * size + ROUNDING:
@@ -449,6 +451,7 @@ class Learner:
                 f"where the data show a stiffness of {self.stiffness:.3g} {unit}: they do not "
                 "determine it, or ask for less"
             )
+        return max(float(norm(r) / norm(one.b)) for r, one in zip(left, self.products))
 
     def certified(self, final: LPSFound, done: LPS, choice: LossSelection) -> Fit:
         """The fit, its model with a certificate on every training lattice."""
@@ -464,7 +467,6 @@ class Learner:
         if self.degrees:
             errors = {f"{M}": error for M, error in self.degrees.items()}
             provenance["degree"] = {"error on loads left out": errors}
-        left = [np.linalg.norm(one.left(*final.solid.values())) for one in self.products]
         model = dataclasses.replace(
             bare,
             trained_on=tuple(points.spacing for points in sets),
@@ -487,7 +489,6 @@ class Learner:
             self.starts,
             self.degrees,
             final.shape,
-            float(np.divide(left, [np.linalg.norm(one.b) for one in self.products]).max()),
         )
 
 
