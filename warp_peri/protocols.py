@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from copy import deepcopy
 from functools import wraps
 from inspect import signature
@@ -77,7 +78,8 @@ class Remade:
 def _kept(value: Any) -> Any:
     """The points of samples; a copy of values that are often changed afterwards."""
     if isinstance(value, np.ndarray | list | dict):
-        return deepcopy(value)
+        with suppress(TypeError):  # of what has no copies, which checks refuse
+            return deepcopy(value)
     return value.points if isinstance(value, Samples) else value
 
 

@@ -94,7 +94,7 @@ def set_num_threads(count: int) -> None:
     """Run the sweeps of a point set on `count` Python threads (default: all processors). Results
     are bitwise the same for any number. Raises InputError for a count below 1."""
     global _count
-    whole = isinstance(count, (int, np.integer)) and not isinstance(count, bool)
+    whole = isinstance(count, (int, np.integer)) and not isinstance(count, (bool, np.timedelta64))
     if not (whole and 0 < count < LARGEST):
         raise InputError(f"count: expected a whole number ≥ 1, got {count!r:.60}")
     _count = int(count)

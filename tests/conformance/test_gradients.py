@@ -337,9 +337,10 @@ def test_what_would_lose_a_gradient_says_so():
             lambda: wp.simulate(op, wp.Dirichlet(SimpleNamespace(comm=ALONE), leaf, leaf)),
         ),
         "expected tensors without a gradient": lambda: wp.simulate(solid, cut, events=1),
-        "parameters: expected .* shape lam .*, got kappa":
+        "parameters: expected .* among lam .*, got kappa":
             lambda: wp.solve(solid, cut, parameters={"kappa": 1.0}),
         "u: expected float values, got masked": lambda: module(hidden),
+        "u: expected a dense": (lambda: op(u.to_sparse()), lambda: op(u.to("meta"))),
         "mu": lambda: broken(u),
         "expected one on the points of the problem": lambda: wp.TorchModule(op, heat.points),
         "Module: expected a material": lambda: wp.TorchModule("graphene", points),

@@ -3,7 +3,7 @@
 import json
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import h5py
@@ -14,7 +14,7 @@ from scipy.interpolate import PchipInterpolator
 import warp_peri as wp
 from tests.support.problems import kernel, lattice, manufactured
 from tests.support.told import refused
-from warp_peri.files.checkpoint import fingerprint
+from warp_peri.files.checkpoint import AllNodes, RunFile, fingerprint
 
 
 def differ(one, other):
@@ -69,6 +69,12 @@ class Above:
         return (field > self.limit).sum()
 
 
+class Filled:
+    @cached_property
+    def made(self):
+        return 1
+
+
 def heir(count):
     """An object whose class inherits its call, which reads a property."""
     above = {"__call__": lambda self, field: self.counted(field), "counted": property(count)}
@@ -90,6 +96,9 @@ def test_materials_settings_functions_and_objects_count_by_what_they_hold():
 
     def by(counted):
         return lambda field: counted(field) + 1
+
+    filled = Filled()
+    assert filled.made == 1
 
     for pair in (
         (solid, replace(solid, mu=solid.mu * (1 + 1e-15))),
@@ -116,6 +125,7 @@ def test_materials_settings_functions_and_objects_count_by_what_they_hold():
         (wp.LPS(2.5, wp.Bernstein(3)), wp.LPS(2.5, wp.Bernstein(3))),
         (above(0.3), above(0.3)),
         (hardening(1.0), hardening(1.0)),
+        (Filled(), filled),
     ):
         assert fingerprint(one) == fingerprint(again)
 
@@ -189,7 +199,8 @@ def test_a_checkpoint_has_the_last_step_and_what_was_written(tmp_path):
     for steps in (3, 25):  # whatever is recorded
         run(steps)
         with h5py.File(path) as file:
-            assert json.loads(file["values"][()].tobytes())["steps"] == steps
+            values, kind = json.loads(file["values"][()].tobytes()), file.attrs["format"]
+        assert values["steps"] == steps
     whole = path.read_bytes()
     for wrong, words in (
         ({"data": 1.5 * u}, "the contents are not what was written"),
@@ -201,6 +212,15 @@ def test_a_checkpoint_has_the_last_step_and_what_was_written(tmp_path):
         with h5py.File(path, "r+") as file:
             del file["u"]
             file.create_dataset("u", **wrong)
+        with refused(words):
+            run(26)
+    for nodal, changed, words in (  # whose hash fits
+        ({"u": u[:, :1], "v": u}, values, "not a readable checkpoint"),
+        ({"u": u, "v": u}, [], "expected values by name"),
+        ({"u": u, "v": u}, values | {"steps": "3"}, "steps: expected a whole number"),
+        ({"u": u, "v": u}, values | {"history": None}, "history: expected values by name"),
+    ):
+        RunFile(path, kind, AllNodes(len(u))).write(nodal, changed)
         with refused(words):
             run(26)
     for place in range(8, 400, 7):

@@ -16,12 +16,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 18_682,
-    "tokens": 234_580,
-    "lines of warp_peri": 29_979,
+    "code lines": 18_694,
+    "tokens": 234_717,
+    "lines of warp_peri": 30_000,
     "files of warp_peri": 110,
     "lines of kernels": 1_016,
-    "lines of warp_peri, kernels, examples and tools": 42_158,
+    "lines of warp_peri, kernels, examples and tools": 42_178,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -34,18 +34,18 @@ BUDGET = {
 ROOMS = {
     "atoms": 2316,
     "cli": 754,
-    "core": 1609,
-    "face": 1107,
+    "core": 1608,
+    "face": 1108,
     "fe_coupling": 710,
-    "files": 443,
+    "files": 447,
     "fitting": 1061,
     "fracture": 1417,
-    "materials": 4548,
+    "materials": 4549,
     "neural": 573,
-    "points": 1651,
+    "points": 1655,
     "prediction": 574,
     "mpi": 461,
-    "solvers": 1458,
+    "solvers": 1461,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

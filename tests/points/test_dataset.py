@@ -140,6 +140,7 @@ WRONG = [
     (CUBE, {"axis": np.ones((3, 3))}, "axis: expected a rotation"),
     (LOADS, {"u": LOADS.u[:, 1:]}, rf"u: expected shape \[S, {N}, 2\]"),
     (LOADS, {"arrays": {"u": np.ones(3)}}, "arrays: 'u' cannot be the name of an array"),
+    (LOADS, {"arrays": {"k": [None] * len(LOADS)}}, "k: expected numbers or text, got object"),
     (DATA, {"sets": {"a": LOADS, "b": NM}}, "same for all sets, got a in angstrom and TPa, b in"),
     (DATA, {"sets": {"a/b": LOADS}}, "sets: 'a/b' cannot be the name of a set"),
     (DATA, {"sets": {"a": GRID}}, "a: expected Samples, got Points"),

@@ -90,14 +90,14 @@ def test_what_has_no_gradient_says_so():
     for extra, words in (
         ({"step": 1.0}, "step: expected at most"),
         ({"checkpoint": "run.h5"}, "simulate: expected no checkpoint of tensors"),
-        ({"parameters": {"kappa": 1.0}}, r"of shape lam \[\], mu .* D \[5\], got kappa \[\]"),
+        ({"parameters": {"kappa": 1.0}}, r"among lam \[\], mu .* D \[5\], got kappa \[\]"),
         ({"parameters": {"mu": 1e3 * op.model.mu}}, "step: expected at most"),
         ({"parameters": {"D": [0.0, 0.0, 0.0, -1.0, 1.0]}}, "is indefinite"),
     ):
         with refused(words):
             moved(**extra)
     crystal = operator("crystal")
-    with refused(r"numbers of shape tensors \[10, 2, 2\], got mu"):
+    with refused(r"numbers among tensors \[10, 2, 2\], got mu"):
         moved(crystal, torch.zeros(crystal.shape), parameters={"mu": 1.0}, record=None)
     cracked = wp.Cracked(op.points, u=torch.zeros(op.shape, requires_grad=True))
     assert_refused({

@@ -133,9 +133,8 @@ def on_fields(
 ) -> torch.Tensor:
     """Apply `force` to u [..., N, d] as fields [S, N, d] in float64, back in u's precision;
     InputError for a u of another shape or type."""
-    refuse_transform(u)
     operator.check(u, u.is_floating_point())
-    found = force(u.to("cpu", torch.float64).reshape(-1, *operator.shape))
+    found = force(real("u", u).reshape(-1, *operator.shape))
     return found.reshape(*u.shape[: u.dim() - len(operator.shape)], *found.shape[1:]).to(u)
 
 
@@ -175,7 +174,7 @@ def with_numbers(operator: Any, numbers: Mapping[str, Any]) -> tuple[Any, dict[s
         if name not in known or not fits or not np.isfinite(value).all():
             got = f"{name} {list(value.shape)}"
             names = ", ".join(f"{n} {list(np.shape(own))}" for n, own in known.items()) or "none"
-            raise InputError(f"parameters: expected finite numbers of shape {names}, got {got}")
+            raise InputError(f"parameters: expected finite numbers among {names}, got {got}")
     values = {name: value.reshape(np.shape(known[name])) for name, value in values.items()}
     same = all(np.array_equal(value, known[name]) for name, value in values.items())
     return operator if same else operator.at(known | values), given

@@ -12,7 +12,7 @@ import re
 import sys
 import sysconfig
 from collections.abc import Iterator, Mapping
-from functools import cache, partial
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -127,7 +127,9 @@ def _spelled(part: Any, above: frozenset[int] = frozenset()) -> Iterator[bytes]:
         slots = (getattr(kind, "__slots__", ()) for kind in type(part).__mro__)
         names = [name for some in slots for name in ([some] if isinstance(some, str) else some)]
         own = {name: getattr(part, name, None) for name in names if name[:2] != "__"}
-        yield from _spelled(own | getattr(part, "__dict__", {}), inside)
+        own |= getattr(part, "__dict__", {})
+        made = [n for n in own if isinstance(getattr(type(part), n, None), cached_property)]
+        yield from _spelled({name: own[name] for name in own if name not in made}, inside)
         yield from _spelled(_methods(type(part)), inside)
 
 
@@ -223,21 +225,24 @@ class RunFile:
         values = self.nodes.comm.bcast(fingerprint(text))
         return str(own.mark(*(nodal[name] for name in sorted(nodal)), values))
 
-    def read(self, *names: str) -> tuple[dict[str, np.ndarray], dict[str, Any]] | None:
-        """Read arrays on all nodes here by name, and the values; None where there is no file yet.
-        InputError for a file of another kind, and one that is not read."""
+    def read(
+        self, like: Mapping[str, np.ndarray]
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]] | None:
+        """Read arrays on all nodes here, of the names, shapes and types of others, and the values;
+        None where there is no file yet. InputError for a file of another kind, and one that is not
+        read."""
         nodes, comm = self.nodes, self.nodes.comm
         if not comm.bcast(self.path.exists()):
             return None
-        rows = dict.fromkeys(names, nodes.number) | {"values": None}
+        rows = dict.fromkeys(like, nodes.number) | {"values": None}
         with agreed(comm):
             found, attributes = read_arrays(self.path, rows)
             try:
                 if attributes.get("format") != self.kind:
                     raise ValueError(f"expected one of {self.kind}")
-                for name in names:
-                    if nodes.number is None and len(found[name]) != nodes.count:
-                        raise ValueError(f"{name} is of another number of nodes")
+                for name, one in like.items():
+                    if (found[name].shape, found[name].dtype) != (one.shape, one.dtype):
+                        raise ValueError(f"{name} is of another number of nodes, or another kind")
                 text = found.pop("values")
                 values = parsed(text.tobytes())
             except ValueError as error:

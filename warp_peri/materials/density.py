@@ -166,7 +166,8 @@ class DensityOperator(Pointwise):
         if not stress <= REST * stiff > 0:
             raise InputError(
                 f"energy: expected no stress at rest, got {float(stress):.2e} of a stiffness of "
-                f"{float(stiff):.2e}, and that > 0; subtract its linear part"
+                f"{float(stiff):.2e}, and that > 0; subtract its linear part, "
+                "and take invariants for eigenvalues, which have no derivatives at rest"
             )
 
     @cached_property

@@ -12,7 +12,14 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError, Shown
 from warp_peri.files.checkpoint import RunFile, TimeSeriesWriter
-from warp_peri.points.arguments import Count, Natural, is_tensor, typed_methods
+from warp_peri.points.arguments import (
+    Count,
+    Natural,
+    check_mapping,
+    check_whole,
+    is_tensor,
+    typed_methods,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -177,12 +184,15 @@ class Recorder:
 
     def _resumed(self, file: RunFile, state: Any) -> Any:
         """State to go on from, the checkpoint's where there is one."""
-        if (kept := file.read(*self.nodal(state))) is None:
+        if (kept := file.read(self.nodal(state))) is None:
             return state
         arrays, content = kept
-        taken, known = content["steps"], content["key"]
+        check_mapping(str(file.path), content)
+        for name in ("key", "history", "files"):
+            check_mapping(f"{file.path}: {name}", content.get(name))
+        taken = check_whole(f"{file.path}: steps", content.get("steps"), 0)
         key = self.key(taken) | {"start": self.start}
-        if differ := [name for name, mark in key.items() if known.get(name) != mark]:
+        if differ := [name for name, mark in key.items() if content["key"].get(name) != mark]:
             raise InputError(
                 f"{file.path}: expected a checkpoint of this motion, got another's; what differs: "
                 f"{', '.join(differ)}"
