@@ -10,6 +10,7 @@ import pytest
 from ase.calculators.calculator import Calculator
 from ase.calculators.emt import EMT
 from ase.neighborlist import neighbor_list
+from numpy.random import default_rng
 
 import warp_peri as wp
 from tests.support.told import refused
@@ -33,7 +34,7 @@ class Noisy(Calculator):
 
     def __init__(self, inner, noise, seed=0):
         super().__init__()
-        self.inner, self.noise, self.rng = inner, noise, np.random.default_rng(seed)
+        self.inner, self.noise, self.rng = inner, noise, default_rng(seed)
         self.implemented_properties = list(inner.implemented_properties)
 
     def calculate(self, atoms=None, properties=(), changes=()):
@@ -94,7 +95,7 @@ def test_broken_force_constants_are_brought_to_the_rules_and_the_shift_is_their_
     cell = ase.build.bulk("Ni", "hcp", a=2.47, c=4.03)
     many = cell.repeat((3, 3, 2))
     phi = differences(cell, many)
-    noise = np.random.default_rng(1).standard_normal(phi.shape)
+    noise = default_rng(1).standard_normal(phi.shape)
     size = 1e-3 * np.abs(phi).max()
     kept, true = (projected(cell, many, one, (0, 1)) for one in (phi + size * noise, phi))
     zeroth, first, second = kept.moments()
@@ -201,7 +202,7 @@ def test_strains_tell_moduli_and_not_how_all_waves_change_with_the_displacement(
     phi = differences(cell, cell.repeat(3))
     atoms = replace(every.pairs, values=every.values(phi))
     cubes = allowed_tensors("m-3m", point_group("m-3m", 3), np.eye(3))
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     _, free = every.rules()
     each = free @ free.T * (0.05 * np.tensordot(every.basis, phi, 4))
     each = every.values(np.tensordot(each.T, every.basis, 1))

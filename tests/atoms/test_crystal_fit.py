@@ -1,7 +1,6 @@
 """Structures to laws, by calculators or phonopy: moduli, sheets and solids, what is refused."""
 
 import json
-from pathlib import Path
 
 import ase.build
 import ase.io
@@ -12,6 +11,7 @@ from ase.calculators.lj import LennardJones
 from numpy.testing import assert_allclose
 
 import warp_peri as wp
+from tests.support import ROOT
 from tests.support.told import assert_refused, refused, warned
 from warp_peri.atoms.calculators import lammps_calculator
 from warp_peri.atoms.relaxed import at_rest, usual_spacing
@@ -181,7 +181,7 @@ def test_a_strain_is_held_along_the_axes_that_it_was_said_in(flat):
     assert "axes" not in found.said
 
 
-EXAMPLES = Path(__file__).parent.parent.parent / "examples" / "phonopy"
+EXAMPLES = ROOT / "examples" / "phonopy"
 STRAINED = (392.963, 164.309, 164.298)
 """C11 and C12 by strains of a period of 3³ cells; C44 of a wider supercell's waves [GPa]."""
 COPPER = (172.588, 115.426, 89.904)

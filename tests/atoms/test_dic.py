@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.support.told import assert_refused, refused, warned
@@ -31,12 +32,12 @@ def test_points_on_a_lattice_stay_and_scattered_ones_are_fitted_locally(tmp_path
     samples = dic_to_lattice([frame_of(tmp_path / "a.csv", X, field(X))])
     assert (samples.spacing, samples.b, samples.interior.sum()) == (20.0, None, 3 * 4)
     assert_allclose(samples.u[0], field(samples.x), rtol=1e-7)
-    shaken = X + 4 * np.random.default_rng(0).uniform(-1, 1, X.shape)
+    shaken = X + 4 * default_rng(0).uniform(-1, 1, X.shape)
     shaken[0] = X[0]
     frame = frame_of(tmp_path / "a.csv", shaken, field(shaken))
     samples = dic_to_lattice([frame], spacing=20.0, radius=2.0)
     assert_allclose(samples.u[0], field(samples.x), atol=1e-6)  # quadratic: exact
-    noise = 0.3 * np.random.default_rng(1).standard_normal(BIG.shape)
+    noise = 0.3 * default_rng(1).standard_normal(BIG.shape)
     noisy = dic_to_lattice([frame_of(tmp_path / "a.csv", BIG, field(BIG) + noise)])
     assert estimate_noise(noisy)[0] == pytest.approx(0.3, rel=0.15)
 
@@ -50,7 +51,7 @@ def test_points_lost_in_single_frames_are_missing_there_alone(tmp_path, radius):
     """What all frames lost is a hole, and nodes near it are not of the interior."""
     from_hole = np.linalg.norm(BIG - BIG[12 * 25 + 4], axis=1)
     hole = from_hole < 6
-    rng = np.random.default_rng(5)
+    rng = default_rng(5)
     losses = [rng.uniform(size=len(BIG)) < 0.03 for _ in range(7)]
     frames = []
     for part, lost in enumerate(losses, 1):
@@ -147,7 +148,7 @@ def test_columns_that_contradict_each_other_are_refused(tmp_path):
 @pytest.mark.parametrize("column", ["MATCH", "converged", "none", "other", "u alone"])
 def test_lost_points_are_left_out_whatever_marks_them(tmp_path, column):
     """By a column, or by 0 or another number that fills in both components, or one of them."""
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     x, y, u, v = LINEAR
     u, v = (values + 1e-3 * rng.standard_normal(len(x)) for values in (u, v))
     lost = rng.uniform(size=len(x)) < 0.1
@@ -177,7 +178,7 @@ def test_a_point_at_rest_is_kept(tmp_path):
 @pytest.mark.parametrize(("strain", "noise"), [(0.2, 0.0), (0.003, 0.005)])
 def test_positions_of_the_current_frame_are_taken_back(tmp_path, strain, noise):
     """Of several frames by where their points are, of one by the lattice they were on."""
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     frames = []
     for part in (1.0, 0.6, 0.3):
         u = part * BIG @ np.diag([strain, -0.3 * strain]) + noise * rng.standard_normal(BIG.shape)
@@ -193,7 +194,7 @@ def test_positions_of_the_current_frame_are_taken_back(tmp_path, strain, noise):
 
 
 def test_positions_that_nothing_tells_are_asked_for(tmp_path):
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     sets = [BIG + rng.uniform(-0.8, 0.8, BIG.shape) for _ in range(2)]
     frames = [frame_of(tmp_path / "a.csv", x, x @ GRADIENT.T) for x in sets]
     with refused('positions="reference" or "current" says which'):

@@ -8,6 +8,7 @@ import ase.io
 import numpy as np
 import pytest
 import zstandard
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.support.problems import lattice
@@ -18,7 +19,7 @@ from warp_peri.atoms.coarse_graining import coarse_grain, smoothing_matrix
 from warp_peri.atoms.dumps import ReferenceAtoms, coarse_grain_dumps, iter_dump, mean_displacement
 
 BOX = (12.0, 9.0)
-RANDOM = np.random.default_rng(0)
+RANDOM = default_rng(0)
 REFERENCE = RANDOM.uniform(0, 1, size=(30, 2)) * BOX
 U = 0.2 * RANDOM.normal(size=(9, 30, 2))
 GRAIN = {"node_area": 9.0, "thickness": 3.35}
@@ -26,7 +27,7 @@ GRAIN = {"node_area": 9.0, "thickness": 3.35}
 
 def frame(x, step=0, columns="id type x y z", box=BOX):
     """A frame as LAMMPS writes it, its atoms in any order."""
-    order = np.random.default_rng(step).permutation(len(x))
+    order = default_rng(step).permutation(len(x))
     lines = ["ITEM: TIMESTEP", f"{step}", "ITEM: NUMBER OF ATOMS", f"{len(x)}"]
     lines += ["ITEM: BOX BOUNDS pp pp pp", f"0 {box[0]}", f"0 {box[1]}", "-5 5"]
     lines.append(f"ITEM: ATOMS {columns}")

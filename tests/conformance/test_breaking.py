@@ -8,9 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 
 import warp_peri as wp
 from examples.inclusion import Mixed
+from tests.support import in_plane_and_space
 from tests.support.bodies import random_breaking
 from tests.support.materials import OTHER
 from tests.support.problems import difference, noise, rotation
@@ -51,7 +53,7 @@ def torn(solid, share, angle=0.0, *, corrected=False):
     """The solid on a body of which a share of the bonds is broken, and its points."""
     points = points_of(solid.dimension, angle)
     body = Cracked(points).body(solid, "solve")
-    neighbour = random_breaking(body, np.random.default_rng(1), share)
+    neighbour = random_breaking(body, default_rng(1), share)
     how = {"neighbour": neighbour, "corrected": corrected}
     return CutSolid(solid, body, ~points.interior, **how), points
 
@@ -103,14 +105,14 @@ def test_a_solve_finds_the_truth_around_a_crack_in_any_units(solid, tmp_path):
     near(again.energy(), solution.energy() * stress * length**d, 1e-9)
 
 
-@pytest.mark.parametrize("d", [2, 3])
+@in_plane_and_space
 @pytest.mark.parametrize("name", [name for name in SOLIDS if "brittle" in name])
 def test_a_motion_in_other_units_and_on_two_threads_breaks_the_same_bonds(name, d, monkeypatch):
     monkeypatch.setattr(runtime, "SLICE", 16)
     solid, before = SOLIDS[name](d), runtime.get_num_threads()
     x, found = box_nodes(SIDES[d], 1.0), []
     length, _ = factors(solid.units, OTHER)
-    uneven = 0.01 * x * (1 + np.random.default_rng(2).random(x.shape))  # no bonds alike
+    uneven = 0.01 * x * (1 + default_rng(2).random(x.shape))  # no bonds alike
     other = solid.in_units(OTHER)
     try:
         for threads, one, scale in ((1, solid, 1.0), (2, solid, 1.0), (1, other, length)):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 import warp
+from numpy.linalg import norm
 from torch.autograd import forward_ad, functional, gradgradcheck
 
 import warp_peri as wp
@@ -28,7 +29,7 @@ def test_product_and_its_transpose_are_one_matrix(name):
     w = normal(rate.shape, 2)
     back = op.vjp(u, w)
     assert back.shape == v.shape
-    size = np.linalg.norm(rate) * np.linalg.norm(w)
+    size = norm(rate) * norm(w)
     assert abs((rate * w).sum() - (v * back).sum()) <= 1e-12 * size
     for one, many in ((op.vjp(u[0], w[0]), back[0]), (op.jvp(u[0], v[0]), rate[0])):
         assert np.allclose(one, many, rtol=1e-10, atol=1e-13 * np.abs(many).max())

@@ -8,6 +8,7 @@ import pytest
 
 import warp_peri as wp
 from tests.conformance.test_breaking import CRACK, SOLIDS, points_of
+from tests.support import in_plane_and_space
 from tests.support.materials import LAWS, SPREAD, placed, solved_samples, uneven
 from tests.support.plates import plate
 from tests.support.problems import kernel, lattice, loaded
@@ -147,7 +148,7 @@ def test_diffusion(scale):
     near(wp.solve(DiffusionMaterial(2.0 * length, 0.7 * stress), far).u, first.u, 1e-8)
 
 
-@pytest.mark.parametrize("d", [2, 3])
+@in_plane_and_space
 def test_a_crack_at_rest(d, scale):
     points = points_of(d)
     u = 0.01 * points.x * np.arange(1, d + 1)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.support import in_plane_and_space
 from tests.support.problems import normal
 from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.stencil import Stencil, half_ball
@@ -51,7 +52,7 @@ def operator(d, sides=2, density=quartic, **options):
     return Pointwise(points, 0.5, density, steps, weights, numbers=numbers, **options)
 
 
-@pytest.mark.parametrize("d", [2, 3])
+@in_plane_and_space
 @pytest.mark.parametrize("linear", [False, True])
 def test_force_is_the_gradient_of_the_energy_and_products_are_those_of_the_tangent(d, linear):
     steps = half_ball(1.0, d)
@@ -74,7 +75,7 @@ def test_stress_of_a_uniform_gradient_is_that_of_the_density():
     assert np.abs(op.force(op.points.x @ H.T)).max() < 1e-12
 
 
-@pytest.mark.parametrize("d", [2, 3])
+@in_plane_and_space
 def test_a_cubic_density_has_the_slopes_of_its_derivatives_at_rest(d):
     linear = {"stencil": Stencil(0.5, half_ball(1.0, d), np.tile(np.eye(d), (d, 1, 1)))}
     of, at_rest = (operator(d, density=cubic, cubic=rest, **linear) for rest in (False, True))

@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.linalg import eigvalsh
+from numpy.random import default_rng
 
 import warp_peri as wp
 from tests.crystal.crystals import learned, random_law
+from tests.support import in_plane_and_space
 from tests.support.problems import difference, kernel
 from tests.support.told import refused
 from warp_peri.core import proof
@@ -27,12 +29,12 @@ SQUARE = lattice_group(2)
 
 
 def waves(d, count=4000):
-    phase = np.random.default_rng(0).uniform(-np.pi, np.pi, (count, d))
+    phase = default_rng(0).uniform(-np.pi, np.pi, (count, d))
     phase[::2] *= 1e-2
     return phase
 
 
-@pytest.mark.parametrize("d", [2, 3])
+@in_plane_and_space
 def test_nearly_all_of_the_sampled_minimum_is_proven_with_the_wedge_and_without(d):
     law = learned(d)
     for group in (law.group, NOTHING[d]) if d == 2 else (law.group,):
@@ -68,7 +70,7 @@ def test_the_parts_of_the_proof_bound_what_they_claim(name, lam):
     weight = laplacian_stencil(1.0, 2, 2)
     stencil = kernel(name, 3.0, lam=lam).stencil(1.0).minus(weight, 0.1)
     rest, half = proof._most(stencil, sum(parts(stencil.tensors))), 0.05
-    random, worst = np.random.default_rng(4), 0.0
+    random, worst = default_rng(4), 0.0
     for k in (*random.uniform(-np.pi, np.pi, (20, 2)), np.array([1e-2, 1e-2])):
         value, slopes = (one[..., 0, :, :] for one in proof._symbol_slopes(stencil, k[None]))
         expected = difference(lambda k: stencil.symbol(k[None])[0], k, 0.01)

@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+from numpy.linalg import norm
 from scipy.spatial import cKDTree
 
 from tests.support import problems
@@ -59,7 +60,7 @@ def lattice(d, n, collar, spacing=1.5, ball=False):
     """Nodes of a square or cube, or of a ball in it, with a collar."""
     inside = np.ones(d * (n,), bool)
     if ball:
-        inside = np.linalg.norm(np.indices(inside.shape) - (n - 1) / 2, axis=0) <= n / 2
+        inside = norm(np.indices(inside.shape) - (n - 1) / 2, axis=0) <= n / 2
     return replace(problems.lattice(inside, collar * spacing / 2, spacing), axis=None)
 
 

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import warp_peri
 from tests.crystal.crystals import COPPER, huang_defect, lattice, learned, plain_energy, random_law
+from tests.support import in_plane_and_space
 from tests.support.problems import noise, normal
 from tests.support.told import assert_refused, warned
 from warp_peri.core import elastic
@@ -36,7 +37,7 @@ def test_a_family_has_its_numbers_and_a_group_is_known_by_its_rotations():
         assert_array_equal(name_of(turn @ group @ turn.T), turn @ group @ turn.T)
 
 
-@pytest.mark.parametrize("d", [2, 3])
+@in_plane_and_space
 def test_symbol_is_the_sum_over_all_bonds(d):
     law, k = random_law(d), normal((5, d), 1)
     xi = law.spacing * np.concatenate([law.steps, -law.steps])
@@ -47,7 +48,7 @@ def test_symbol_is_the_sum_over_all_bonds(d):
     assert_allclose(law.symbol(k @ g.T), turned, rtol=1e-12, atol=1e-11)
 
 
-@pytest.mark.parametrize("d", [2, 3])
+@in_plane_and_space
 def test_moduli_are_those_of_long_waves_in_the_crystals_own_axes(d):
     law, turned = learned(d), learned(d, orientation=20.0)
     assert huang_defect(law) < 1e-10
@@ -60,7 +61,7 @@ def test_moduli_are_those_of_long_waves_in_the_crystals_own_axes(d):
     assert turned.moduli("GPa") == pytest.approx(law.moduli("GPa"), rel=1e-8)
 
 
-@pytest.mark.parametrize("d", [2, 3])
+@in_plane_and_space
 def test_elements_have_the_moduli_of_their_solid(d):
     matrix = normal(2 * (3 * d - 3,), 4)
     C = elastic.voigt_to_tensor(matrix @ matrix.T + np.eye(len(matrix)))

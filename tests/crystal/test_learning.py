@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from ase.calculators.emt import EMT
 from ase.calculators.lj import LennardJones
+from numpy.linalg import norm
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 import warp_peri as wp
 from tests.crystal.crystals import cubic_tensor, dispersive, huang_defect, lattice, learned
-from tests.support import clouds
+from tests.support import clouds, in_plane_and_space
 from tests.support.problems import kernel, loaded, noise, normal
 from tests.support.problems import lattice as plane_lattice
 from tests.support.told import assert_refused, refused, warned
@@ -34,14 +36,14 @@ def fit(samples, horizon, **asked):
 
 def waves(law, points, count):
     """Random waves of many lengths and the forces that the law answers them with."""
-    rng, d = np.random.default_rng(0), law.dimension
+    rng, d = default_rng(0), law.dimension
     k, phase = rng.normal(size=(count, 6, d)), rng.uniform(0, 6, (count, 6, 1))
-    k *= rng.uniform(0.05, 2.0, (count, 6, 1)) / law.spacing / np.linalg.norm(k, axis=2)[..., None]
+    k *= rng.uniform(0.05, 2.0, (count, 6, 1)) / law.spacing / norm(k, axis=2)[..., None]
     u = np.einsum("swn,swi->sni", np.cos(k @ points.x.T + phase), rng.normal(size=(count, 6, d)))
     return loaded(law.on(points), u)
 
 
-@pytest.mark.parametrize("d", [2, 3])
+@in_plane_and_space
 def test_a_law_is_found_again_from_its_forces(d):
     law = learned(d)
     samples = waves(law, lattice(d, {2: 12, 3: 5}[d], 2), 8)
@@ -122,7 +124,7 @@ def test_a_piezoelectric_crystal_is_refused():
     cell = ase.Atoms("Zn4S4", 5.4 * np.concatenate([four, four + 0.25]), cell=[5.4] * 3, pbc=True)
     box, every = cell.repeat((2, 2, 2)), range(8)
     far = box.get_all_distances(mic=True, vector=True)[:8]
-    size = np.linalg.norm(far, axis=-1)
+    size = norm(far, axis=-1)
     bonded = (size > 0.1) & (size < np.min(size[size > 0.1]) * 1.5)
     e = far / np.maximum(size, 1e-9)[..., None]
     spring = -4.0 * bonded[..., None, None] * (0.2 * np.eye(3) + e[..., :, None] * e[..., None, :])
@@ -160,7 +162,7 @@ def test_a_law_on_other_nodes_answers_smooth_waves_alike_and_a_turned_one_is_tur
     finer = transfer_to_lattice(law, 1.2)
     assert finer.moduli() == pytest.approx(law.moduli(), rel=1e-8)
     k = normal((20, 2), 1)
-    k *= 0.6 / np.linalg.norm(k, axis=1)[:, None]
+    k *= 0.6 / norm(k, axis=1)[:, None]
     ratio = np.linalg.solve(finer.symbol(k), law.symbol(k)) - np.eye(2)
     assert np.abs(ratio).max() < 0.02
     # a quarter turn is exact, in space too; others are a fit with the turned moduli
@@ -196,7 +198,7 @@ def test_a_linear_peridynamic_solid_is_a_crystal_of_twice_the_range():
 def test_a_solid_in_space_is_found_again_with_its_proof_and_moduli_are_held():
     """From rough and smooth fields on a period, and the loads that it answers them with."""
     true = clouds.solid(2.0, 0.5, 0.8, D=[1.0, 0.6, 1.4])
-    points, random = wp.Points.sheet((10, 10, 10), 1.0), np.random.default_rng(0)
+    points, random = wp.Points.sheet((10, 10, 10), 1.0), default_rng(0)
     k = 2 * np.pi / 10 * random.integers(-2, 3, size=(4, 3))
     u = random.normal(size=(4, 1000, 3)) + 10 * np.sin(points.x @ k.T).T[:, :, None]
     samples = loaded(crystal_from_lps(true, 1.0).on(points), u)

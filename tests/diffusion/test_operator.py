@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 
 from examples import diffusion
 from examples.diffusion import coupled, jump, smooth
+from tests.support import in_plane_and_space
 from tests.support.clouds import cloud
 from tests.support.problems import fitted_order, kernel
 from tests.support.told import assert_refused, refused
@@ -37,7 +39,7 @@ def test_errors_fall_with_their_orders():
         assert fitted_order(1 / CELLS, errors) > 1.95
 
 
-@pytest.mark.parametrize("d", [2, 3])
+@in_plane_and_space
 def test_linear_fields_carry_no_flux_and_parabolas_that_of_their_laplacian(d):
     x = np.argwhere(np.ones(d * (9,))) - 4.0
     points, square = Points(x, np.abs(x).max(axis=1) < 2, 1.0), (x * x).sum(axis=1)
@@ -50,9 +52,9 @@ def test_linear_fields_carry_no_flux_and_parabolas_that_of_their_laplacian(d):
 
 def test_periodic_lattices_keep_their_content_and_a_wave_decays_as_it_should():
     points = Points.sheet((24, 24), 1.0)
-    kappa = np.random.default_rng(0).uniform(0.1, 3, len(points.x))
+    kappa = default_rng(0).uniform(0.1, 3, len(points.x))
     uneven = DiffusionOperator(DiffusionMaterial(3.0), points, kappa=kappa)
-    assert abs(uneven(np.random.default_rng(1).standard_normal(len(points.x))).sum()) < 1e-11
+    assert abs(uneven(default_rng(1).standard_normal(len(points.x))).sum()) < 1e-11
     assert abs(uneven.matrix - uneven.matrix.T).max() < 1e-13
     k = 2 * np.pi / 24
     phi = np.cos(k * points.x[:, 0])
@@ -78,7 +80,7 @@ def test_a_hole_is_insulated():
 def test_a_kernel_that_changes_sign_is_taken_where_diffusion_does_not_grow(lattice):
     points = square(4, 4.0)
     points = Points(4 * points.x, points.interior, 1.0) if lattice else cloud(8, 3.2)
-    phi = np.random.default_rng(0).standard_normal(len(points.x))
+    phi = default_rng(0).standard_normal(len(points.x))
     phi *= points.interior
     for last, grows in ((-1.0, True), (-0.05, False)):
         law = DiffusionMaterial(3.2, D=np.array([1.0, 1.0 if grows else 0.2, last]))
@@ -95,7 +97,7 @@ def test_a_kernel_that_changes_sign_is_taken_where_diffusion_does_not_grow(latti
 
 
 def test_steps_of_a_coupled_solid_come_to_its_steady_state():
-    points, random = square(4, 6.0), np.random.default_rng(0)
+    points, random = square(4, 6.0), default_rng(0)
     solid = ThermoelasticMaterial(SOLID, DiffusionMaterial(0.75), coupling=0.7, storage=0.3)
     problem = Dirichlet(points, *random.standard_normal((2, len(points.x), 3)))
     found = solve(solid, problem)
@@ -108,7 +110,7 @@ def test_what_does_not_fit_is_refused():
     metres, wide = DiffusionMaterial(1.0, units=("m", "Pa")), square(3, 6.0)
     wide = Points(3 * wide.x, wide.interior, 1.0)
     bad = DiffusionMaterial(3.0, D=np.array([1.0, 1.0, -1.0]))
-    torn = np.random.default_rng(0).uniform(size=len(wide.x)) < 0.4
+    torn = default_rng(0).uniform(size=len(wide.x)) < 0.4
     torn = Points(wide.x, wide.interior & ~torn, 1.0, outside=torn)
     operator, x = law.on(points), points.x[:, 0]
 
@@ -137,6 +139,6 @@ def test_what_does_not_fit_is_refused():
             lambda: flow(b=lambda t: x[: int(10 * t)]),
             lambda: solve(coupled, Dirichlet(points, rest[:, 0], rest)),
         ),
-        r"of shape alpha \[\], D \[1\], kappa \[\], got mu":
+        r"among alpha \[\], D \[1\], kappa \[\], got mu":
             lambda: solve(law, Dirichlet(points, None, x), parameters={"mu": 2.0}),
     })  # fmt: skip

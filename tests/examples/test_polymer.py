@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.linalg import norm
 from scipy.linalg import expm
 from scipy.optimize import check_grad
 
@@ -58,7 +59,7 @@ def test_a_process_finds_its_function_and_its_likelihood_has_the_right_slope(ker
     given = X[:20], y[:20], kernel, None
     value, slope = (lambda t, n=n: unlikelihood(t, *given)[n] for n in (0, 1))
     theta = np.array([0.1, 0.3, -0.2, -2.0])
-    assert check_grad(value, slope, theta, epsilon=1e-6) < 1e-4 * np.linalg.norm(slope(theta))
+    assert check_grad(value, slope, theta, epsilon=1e-6) < 1e-4 * norm(slope(theta))
 
 
 def test_a_plane_flow_is_of_second_order_and_a_wall_moves_it():
@@ -123,7 +124,7 @@ def test_histories_of_stress_teach_a_law(tmp_path):
     law = polymer.learn_rate(records, window=2, outside="allow")
     K = polymer.mixed(1, 40, 0.8, seed=9)
     found, exact = (homogeneous(one, K, 0.1) for one in (law, MAXWELL))
-    assert np.linalg.norm(found - exact) < 0.1 * np.linalg.norm(exact - exact[0])
+    assert norm(found - exact) < 0.1 * norm(exact - exact[0])
     assert len(polymer.start_pairs(records[0], 2)) == 40
 
 

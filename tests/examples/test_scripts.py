@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
+from tests.support import ROOT
 
-FOLDER = Path(__file__).parent.parent.parent / "examples"
+FOLDER = ROOT / "examples"
 LAWS = {"linear": 3.0, "third_order": 0.094, "crystal": 0.95, "neural": 15.0, "cracks": None,
         "diffusion": None}  # fmt: skip
 """Error on the unseen disks that is not to be passed [%], of laws learned from graphene."""

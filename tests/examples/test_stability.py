@@ -2,13 +2,12 @@
 
 import json
 import re
-from pathlib import Path
 
 import pytest
 
 from examples import stability
+from tests.support import ROOT
 
-ROOT = Path(__file__).parent.parent.parent
 RECORD = json.loads((ROOT / "docs/record/stability.json").read_text("utf-8"))["cases"]
 PAGE = (ROOT / "docs/explanation/where_it_fails.md").read_text("utf-8")
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")

@@ -5,7 +5,6 @@ import json
 import re
 import shutil
 from contextlib import redirect_stdout
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,9 +12,9 @@ from numpy.testing import assert_allclose
 
 from examples import train_graphene
 from examples.graphene_report import COLUMNS, RECORD
+from tests.support import ROOT
 from warp_peri import load
 
-ROOT = Path(__file__).parent.parent.parent
 README = (ROOT / "README.md").read_text("utf-8")
 IN_README = {
     "linear peridynamic solid (LPS)": "linear peridynamic solid (LPS)",

@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.linalg import norm
+from numpy.random import default_rng
 
 from tests.crystal.crystals import dispersive
 from tests.support.clouds import cube, solid
@@ -31,7 +33,7 @@ def with_force(samples, extra):
     """The samples with loads that a model of their own would need besides, a tenth as large."""
     b = samples.b.copy()
     inside = b[:, samples.interior]
-    b[:, samples.interior] += 0.1 * extra * np.linalg.norm(inside) / np.linalg.norm(extra)
+    b[:, samples.interior] += 0.1 * extra * norm(inside) / norm(extra)
     return replace(samples, b=b)
 
 
@@ -48,8 +50,7 @@ PLANTED = {
     "anisotropy": lambda samples: families(samples)["anisotropy"][0][..., 1],
     "nonlinearity": lambda samples: families(samples)["nonlinearity"][0][..., [3, 20]].sum(axis=-1),
     "heterogeneity": lambda samples: (
-        samples.b[:, samples.interior]
-        * np.random.default_rng(0).normal(size=(samples.interior.sum(), 1))
+        samples.b[:, samples.interior] * default_rng(0).normal(size=(samples.interior.sum(), 1))
     ),
 }
 
@@ -73,7 +74,7 @@ def test_forces_that_species_share_unlike_their_masses_are_named():
     b = np.zeros_like(u)
     b[:, inside] = operator(u)
     left = operator(b)
-    seen = Samples(points, u + 0.1 * b * np.linalg.norm(b[:, inside]) / np.linalg.norm(left), b)
+    seen = Samples(points, u + 0.1 * b * norm(b[:, inside]) / norm(left), b)
     diagnosis = diagnose(MODEL, seen)
     assert diagnosis.residual == pytest.approx(0.1, rel=0.01)
     assert diagnosis.causes[0] == "species"
@@ -91,7 +92,7 @@ def test_noise_is_named_where_its_fields_are_given(samples):
 def test_what_cannot_be_told_is_refused(samples):
     with refused("expected 8 at least on a lattice, got 3"):
         diagnose(MODEL, samples[:3])
-    u = np.random.default_rng(0).normal(size=(8, len(cube(2, 2.0).x), 3))
+    u = default_rng(0).normal(size=(8, len(cube(2, 2.0).x), 3))
     with refused("samples in the plane, got 3 dimensions"):
         diagnose(solid(2.0), Samples(cube(2, 2.0), u, u))
 
@@ -130,7 +131,7 @@ def test_a_crystal_is_told_what_symmetry_it_lacks():
     C = voigt_to_tensor(np.array([[0.7, 0.1, 0.0], [0.1, 1.1, 0.0], [0.0, 0.0, 0.4]]))
     sheet = fit_dispersion(dispersive(C), 1.0, HORIZON, symmetry="2mm", tensor=C)
     made = manufactured(sheet, replace(lattice(9, HORIZON), axis=0.0), COUNT, wave_number=0.25)
-    size = np.linalg.norm(made.b, axis=(1, 2), keepdims=True) / np.sqrt(made.b[0].size)
+    size = norm(made.b, axis=(1, 2), keepdims=True) / np.sqrt(made.b[0].size)
     samples = replace(made, b=made.b + 0.01 * size * noise(made, COUNT))
     square, without = (Crystal(HORIZON, name).learn(samples).material for name in ("4mm", "2mm"))
     assert diagnose(square, samples).causes[0] == "anisotropy"

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from numpy.random import default_rng
 
 from tests.support.problems import (
     KERNELS,
@@ -73,7 +74,7 @@ def test_is_the_full_loss_with_its_gradients(sets, normalise, block, monkeypatch
         monkeypatch.setattr(regression, "BLOCK", block)
     weights = sample_weights(sets, normalise=normalise)
     full = [Products(each, NEAR_HORIZON) for each in sets], weights
-    start = leaves(0.0, 1.0, alpha=1.0, D=np.random.default_rng(0).uniform(size=4))
+    start = leaves(0.0, 1.0, alpha=1.0, D=default_rng(0).uniform(size=4))
     size = slopes(lps_stages.total_loss(*full, start), start).norm()
     for name, shape in KERNELS.items():
         given = leaves(**shape)
@@ -147,7 +148,7 @@ def test_noise_adds_what_the_correction_takes_off(clean):
 
 def test_the_corrected_form_has_the_minimum_of_the_difference():
     """At the minimum noise is all that is left, so that the difference itself is below zero."""
-    random, width = np.random.default_rng(1), 20
+    random, width = default_rng(1), 20
     R, c = random.normal(size=(3 * width, width)), random.normal(size=width)
     y = R @ c - 0.1 * random.normal(size=3 * width)
     N = random.normal(size=(width + 1, width)) / 2

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.linalg
+from numpy.linalg import norm
 
 from tests.support.problems import LAM as TRUE_LAM
 from tests.support.problems import MU as TRUE_MU
@@ -57,7 +58,7 @@ def test_the_degree_is_the_smallest_that_foretells_loads_left_out():
     points = manufactured(true, lattice(6, 2.5), 20, wave_number=2.0)
     rough = noise(points, 20)
     inside = points.interior
-    part = 0.1 * np.linalg.norm(points.b[:, inside]) / np.linalg.norm(rough[:, inside])
+    part = 0.1 * norm(points.b[:, inside]) / norm(rough[:, inside])
     points = replace(points, b=points.b + part * rough)
     learned = fit(points, 2.5)
     assert learned.material.degree == learned.law.kernel.degree == min(learned.degrees, default=9)

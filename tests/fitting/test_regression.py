@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from tests.support.problems import difference
@@ -20,7 +21,7 @@ from warp_peri.testing import assert_near as near
 
 
 def test_the_optimum_is_one():
-    random = np.random.default_rng(0)
+    random = default_rng(0)
     A, y = random.normal(size=(30, 8)), random.normal(size=30)
     G = random.normal(size=(20, 8))
     h = G @ random.normal(size=8) - random.uniform(size=20)
@@ -78,7 +79,7 @@ def tables(classes, alpha, D):
 
 @pytest.mark.parametrize(("lattices", "degree"), CASES.values(), ids=CASES)
 def test_a_point_has_its_stiffnesses_and_slopes_and_leads_back_to_its_solid(lattices, degree):
-    D = np.random.default_rng(0).uniform(0.3, 1, degree + 1)
+    D = default_rng(0).uniform(0.3, 1, degree + 1)
     law, theta = law_of(lattices, D)
     found, mu = law.stiffnesses(theta)
     assert (mu, theta[0]) == pytest.approx((0.7, (0.2 - 0.7) / 0.7))

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.linalg import norm
 
 from tests.support.problems import kernel, lattice, manufactured
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, off, solid
@@ -33,7 +34,7 @@ def test_a_fit_gives_back_the_shape_that_made_the_data(name, tmp_path):
     model = learned.material
     value, expected = learned.influence.vector, shape.vector
     if name == "table":  # whose scale has no effect
-        value, expected = value / np.linalg.norm(value), expected / np.linalg.norm(expected)
+        value, expected = value / norm(value), expected / norm(expected)
         value = value * np.sign(value @ expected)
     assert value == pytest.approx(expected, rel=RECOVERED, abs=0)
     assert (model.lam, model.mu) == pytest.approx((0.1, 0.7), rel=RECOVERED)

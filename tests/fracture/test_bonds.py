@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.support import clouds
@@ -41,7 +42,7 @@ def swept(operator, u, neighbour):
 @pytest.mark.parametrize(("sides", "lam"), [((37, 29), 1.0), ((4, 50, 5), 2.0)])
 def test_any_order_and_hole_has_the_bits_of_each_node_alone(sides, lam):
     """Rows of 29 to 50 nodes that share pieces with the next; nodes in any order; sums by hand."""
-    random = np.random.default_rng(1)
+    random = default_rng(1)
     whole = plate(*sides)
     random.shuffle(x := whole.x[random.random(len(whole.x)) < 0.8])
     body, law = lattice_body(x, 1.0, 3.0), solid(lam, dimension=len(sides))
@@ -81,7 +82,7 @@ def test_any_order_and_hole_has_the_bits_of_each_node_alone(sides, lam):
 def test_an_uncut_interior_is_the_linear_peridynamic_solid(lam, points):
     horizon = 5.0 - points.dimension
     model = solid(lam, horizon=horizon, dimension=points.dimension).model
-    u = np.random.default_rng(0).standard_normal(points.x.shape)
+    u = default_rng(0).standard_normal(points.x.shape)
     body = lattice_body(points.x, 1.0, horizon)
     force, _ = swept(CutOperator(model, body), u, body.neighbour)
     with warned("certified"):
@@ -117,7 +118,7 @@ def test_the_lattices_toughness_has_the_limit_of_the_theory(dimension, lam, limi
 
 @pytest.mark.parametrize(("sides", "lam"), [((8, 8), 100.0), ((4, 4, 4), -0.6), ((8, 8), 0.3)])
 def test_no_body_is_stiffer_than_its_bound(lam, sides):
-    body, random = plate(*sides), np.random.default_rng(1)
+    body, random = plate(*sides), default_rng(1)
     model = solid(lam, dimension=len(sides)).model
     bound, bonds = largest_stiffness(model, body.classes), bonds_of(model, body.classes)
     for share in (0.0, 0.5):

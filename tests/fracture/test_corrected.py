@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
+from tests.support import in_plane_and_space
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import difference, noise, normal
 from warp_peri import CG, Cracked, Points, simulate, solve
@@ -49,7 +51,7 @@ def test_a_strip_is_as_stiff_as_it_is_wide(horizon, cut, off, lam):
 def test_no_breaking_makes_an_energy_negative(sides, lam, share):
     d = len(sides)
     body, model = plate(*sides, horizon=2.0), solid(lam, horizon=2.0, dimension=d).model
-    table = random_breaking(body, np.random.default_rng(1), share)
+    table = random_breaking(body, default_rng(1), share)
     L = matrix(model, body, table)
     assert abs(L - L.T).max() < 1e-13
     corrected, cut = (
@@ -64,7 +66,7 @@ def test_in_motion_force_and_energy_are_those_of_the_matrix(d, share, monkeypatc
     monkeypatch.setattr(bonds, "SPANNED", SPREAD)
     body = plate(*(8, 7, 6)[-d:], horizon=2.0)
     brittle = solid(0.4, horizon=2.0, dimension=d)
-    table = random_breaking(body, np.random.default_rng(1), share)
+    table = random_breaking(body, default_rng(1), share)
     moving = BreakingBody(brittle, body, corrected=True)
     u = noise(body, seed=2)
     state = moving.start()
@@ -105,7 +107,7 @@ def test_a_corrected_plate_breaks_with_its_ledger_and_goes_on_with_the_same_bits
 
 def test_waves_with_free_edges_have_the_derivatives_of_differences():
     """A cracked plate, held at one end, moved by a load."""
-    x, model, seen = rectangle_nodes(10, 8, 1.0), solid(0.4).model, np.random.default_rng(0)
+    x, model, seen = rectangle_nodes(10, 8, 1.0), solid(0.4).model, default_rng(0)
     points = Points(x, x[:, 0] > -4, 1.0)
     problem = Cracked(points, cracks=[[(0, 0), (5, 0)]], corrected=True)
     cut = problem.waves(model)
@@ -126,7 +128,7 @@ def test_waves_with_free_edges_have_the_derivatives_of_differences():
     assert (gradient.numpy() * way).sum() == pytest.approx(slope, rel=1e-8)
 
 
-@pytest.mark.parametrize("d", [2, 3])
+@in_plane_and_space
 def test_a_force_on_an_edge_does_its_work_in_any_affine_displacement(d):
     x, h = 0.5 * box_nodes((8,) * d, 1.0), 0.5
     place, force = np.array([0.3, 2.0, 0.1][:d]), np.array([1.0, -3.0, 2.0][:d])

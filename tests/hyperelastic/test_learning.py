@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.linalg import norm
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 import warp_peri as wp
@@ -49,7 +51,7 @@ def frames():
 
 def noisy(frames, size=0.002):
     """The same with noise in spacings."""
-    noise = np.random.default_rng(1).standard_normal(frames.u.shape)
+    noise = default_rng(1).standard_normal(frames.u.shape)
     return Samples(frames.points, frames.u + size * frames.spacing * noise)
 
 
@@ -92,7 +94,7 @@ def test_a_frame_left_out_by_one_step_is_as_by_a_fit_of_its_own(frames, monkeypa
     assert fit.residual < 2e-3
     fit = wp.fit(seen, sheet(), most_steps=20, tolerance=3e-3)
     gaps = (fit.fields - seen.u)[:, seen.interior]
-    sizes = (np.linalg.norm(one, axis=(1, 2)) for one in (gaps, seen.u[:, seen.interior]))
+    sizes = (norm(one, axis=(1, 2)) for one in (gaps, seen.u[:, seen.interior]))
     assert_allclose(np.divide(*sizes), fit.errors, rtol=1e-6)
     full = wp.fit(seen[[0, 2]], sheet(), most_steps=20, tolerance=1e-9)
     moved = (full.material.coefficients - fit.material.coefficients)[-2:]
@@ -181,7 +183,7 @@ def test_families_come_from_a_rose():
 
 
 def test_the_thickness_is_the_exponential_of_a_polynomial():
-    x = np.random.default_rng(0).uniform(-1, 3, (50, 2))
+    x = default_rng(0).uniform(-1, 3, (50, 2))
     even = ThicknessField.over(x, 2)
     assert even.names == ["x", "y", "x^2", "x y", "y^2"]
     assert_array_equal(even.at(x), 1.0)
@@ -210,7 +212,7 @@ def test_least_squares_finds_the_truth_and_says_what_forces_leave():
     assert (fit.material.coefficients >= 0).all()
     b = loads.b[:, loads.interior]
     both = fit.material.on(loads.points)(loads.u) - b, b
-    left, size = (np.linalg.norm(force, axis=(1, 2)) for force in both)
+    left, size = (norm(force, axis=(1, 2)) for force in both)
     assert fit.residual == pytest.approx(np.sqrt(np.mean((left / size) ** 2)))
     assert 0 < fit.residual < 0.2
 

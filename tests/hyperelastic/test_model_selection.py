@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 import warp_peri as wp
@@ -105,7 +106,7 @@ def test_an_even_sheet_that_stiffens_is_not_called_uneven():
     powers = [(EnergyTerm("yeoh", exponent=p), c) for p, c in ((2.0, 0.02), (3.0, 0.03))]
     sheet, stretches = solid((EnergyTerm("plane_stress"), 0.25), *powers), [1.1, 1.3, 1.5]
     true = uniaxial_stress(sheet, stretches) / uniaxial_stress(sheet, [1.01])[0]
-    points, rng = square(11), np.random.default_rng(3)
+    points, rng = square(11), default_rng(3)
     u = np.array(fields_of(sheet, points, np.array([[0.5, 0.05], [0.0, 0.2]])))
     u += 2e-4 * rng.standard_normal(u.shape)
     kept = rng.uniform(size=u.shape[:2]) >= 0.03
@@ -135,7 +136,7 @@ def test_a_band_is_no_narrower_than_the_misfit_and_deviations_have_none():
 
 def stretched(mesh, energy, fixed, given, x, levels):
     """Fields of elements at parts of what is given, with noise of 0.002 spacings, and forces."""
-    rng, u, fields, forces = np.random.default_rng(5), None, [], []
+    rng, u, fields, forces = default_rng(5), None, [], []
     for level in levels:
         nothing = np.zeros(2 * mesh.nodes)
         u = mesh.solve(energy, nothing, fixed, level * given, start=u, steps=2)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from numpy.random import default_rng
 
 from tests.support import reference
 from tests.support.problems import ell, kernel, lattice
@@ -89,7 +90,7 @@ def test_a_mode_that_changes_sign_across_a_symmetric_body_is_found():
 @pytest.mark.parametrize("seed", range(4))
 def test_smallest_eigenvalue_is_at_least_the_proven_share_of_the_laplacians(seed):
     """Of kernels that change sign, on squares, disks, an L and frames of random size."""
-    random, found = np.random.default_rng(seed), None
+    random, found = default_rng(seed), None
     while not (found and found.holds and model.influence(np.linspace(1, 3, 20)).min() < 0):  # noqa: F821
         mu, D = random.uniform(0.3, 1.0), random.normal(0.3, 0.6, size=5)
         model = LPSMaterial(random.uniform(-0.9 * mu, 3 * mu), mu, random.uniform(-1, 2.9), D, 3.0)
@@ -118,7 +119,7 @@ def printed(v, kappa, mu, k):
 def test_the_conditions_are_the_printed_ones_and_the_search_finds_the_softest(kind):
     model, conditions = kernel("sign-changing", 3.0, lam=0.7), StabilityConditions(kind, 0.02)
     v, kappa = stiffnesses(model, CLASSES)
-    k = np.random.default_rng(2).uniform(-np.pi, np.pi, (7, 2))
+    k = default_rng(2).uniform(-np.pi, np.pi, (7, 2))
     bonds, (i, j) = product_basis(CLASSES), np.triu_indices(len(v))
     for number, (own, level) in enumerate(conditions.forms(kappa, model.mu, conditions.zeta)):
         tensors = np.tensordot(np.concatenate([v, own * v[i] * v[j]]), bonds.basis, 1)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 import warp as wp
+from numpy.random import default_rng
 
 from tests.gradients.cases import errors
 from tests.support import clouds, reference
@@ -66,7 +67,7 @@ class Problem:
     or fields."""
 
     def __init__(self, name, points, samples=2, *, fields=False):
-        self.bonds, random = Bonds(points, HORIZON), np.random.default_rng(1)
+        self.bonds, random = Bonds(points, HORIZON), default_rng(1)
         self.seed = torch.from_numpy(noise(points, samples, seed=4)[:, points.interior])
         values = {"u": noise(points, samples), "lam": LAM, "mu": MU, **KERNELS[name]}
         if fields:
@@ -154,7 +155,7 @@ def test_rows_are_the_lists_of_neighbours(kind, monkeypatch):
 
 def test_nodes_in_no_order_or_far_apart_or_beside_a_crack_stay_in_their_lists():
     points = lattice(8, HORIZON)
-    order = np.random.default_rng(0).permutation(len(points.x))
+    order = default_rng(0).permutation(len(points.x))
     mixed = replace(points, x=points.x[order], interior=points.interior[order])
     apart = Points(np.concatenate([points.x, points.x + 200.0]), np.tile(points.interior, 2), 1.0)
     for one in (mixed, apart, cut(points)):

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from numpy.linalg import norm
 
 import warp_peri as wp
 from tests.support.clouds import cloud
@@ -38,7 +39,7 @@ def test_the_loss_is_the_mean_square_of_the_error_in_displacement():
     k, weight = wave_vectors(1.5)
     target = dispersion(HOME, 1.0, k)
     loss = wave_loss(target, k, 0.6, product_basis(classes), weight)
-    value = np.linalg.norm(loss.R @ products(model, classes) - loss.y) ** 2
+    value = norm(loss.R @ products(model, classes) - loss.y) ** 2
     wrong = np.linalg.solve(target, dispersion(model, 0.6, k)) - np.eye(2)
     assert value == pytest.approx(weight @ (wrong**2).sum(axis=(1, 2)) / 2, rel=1e-10)
 
@@ -56,7 +57,7 @@ def test_claims_hold_of_the_operator_on_points(finer, angle):
         wave = np.cos(points.x @ turn @ k)  # 1 at the node in the middle
         there = np.array([operator(wave[:, None] * e)[0] for e in np.eye(2)]).T
         wrong = np.linalg.solve(there, D) - np.eye(2)
-        assert np.linalg.norm(wrong, ord=2) <= claimed * (1 + 1e-9)
+        assert norm(wrong, ord=2) <= claimed * (1 + 1e-9)
         assert there == pytest.approx(turn @ dispersion(finer, 0.6, k[None])[0] @ turn.T, rel=1e-9)
 
 
@@ -165,7 +166,7 @@ def test_the_horizon_that_the_collar_carries():
 def test_nodes_around_a_free_edge_are_told_of_it(spacing):
     """At home and on a lattice that the model is carried to."""
     x = spacing * np.argwhere(np.ones((24, 24)))
-    x = x[np.linalg.norm(x - x.mean(axis=0), axis=1) > 4 * spacing]
+    x = x[norm(x - x.mean(axis=0), axis=1) > 4 * spacing]
     inside = (np.abs(x - x.mean(axis=0)) < 5.5 * spacing).all(axis=1)
     holed = Points(x=x, interior=inside, spacing=spacing)
     with refused(r"edges.* Body"):

@@ -13,13 +13,13 @@ import pytest
 
 import warp_peri as wp
 from tests.mpi.job import SWING, TOLERANCE, corrected, crack, swings, uneven, whole
+from tests.support import ROOT, in_plane_and_space
 from warp_peri.testing import assert_near as near
 
 pytest.importorskip("mpi4py", reason="mpi4py is not installed: pip install 'warp_peri[mpi]'")
 MPIEXEC = Path(sys.executable).with_name("mpiexec")
 if not MPIEXEC.exists():
     pytest.skip("no mpiexec beside Python: pip install 'warp_peri[mpi]'", allow_module_level=True)
-ROOT = Path(__file__).parent.parent.parent
 LIMIT = 300
 """Seconds that a job may take, on however busy a machine."""
 
@@ -76,7 +76,7 @@ def test_sums_do_not_depend_on_who_has_what(jobs):
     assert (values.sum(axis=0) != values[::-1].sum(axis=0)).any()  # floats alone would
 
 
-@pytest.mark.parametrize("d", [2, 3])
+@in_plane_and_space
 def test_a_body_at_rest_has_the_same_bits_and_those_of_one_process_nearly(d, jobs, folder):
     found = [job[f"{d}-D"] for job in jobs.values()]
     assert len({one["u"] for one in found}) == len({one["iterations"] for one in found}) == 1
@@ -88,7 +88,7 @@ def test_a_body_at_rest_has_the_same_bits_and_those_of_one_process_nearly(d, job
     near(answer, alone.u, 10 * TOLERANCE[d])
 
 
-@pytest.mark.parametrize("d", [2, 3])
+@in_plane_and_space
 def test_waves_go_on_with_another_number_of_ranks_with_the_same_bits(d, jobs, folder):
     one, two = (jobs[count][f"{d}-D"]["waves"] for count in (1, 2))
     assert two["energy"] == one["energy"][: len(two["energy"])]

@@ -5,7 +5,6 @@ import json
 import lzma
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ import torch
 
 import warp_peri as wp
 from tests.gradients.cases import errors
+from tests.support import ROOT
 from tests.support.problems import ell, lattice, loaded, noise, normal, rotation
 from tests.support.told import assert_refused, refused
 from warp_peri.core.record import content_hash
@@ -30,7 +30,7 @@ FORMS = {
     "anisotropic": {"anisotropic": True},
     "proportional": {"anisotropic": True, "proportional": True},
 }
-WEIGHTS = Path(__file__).parent.parent.parent / "examples" / "neural_weights"
+WEIGHTS = ROOT / "examples" / "neural_weights"
 
 
 def small(form="isotropic", **other):

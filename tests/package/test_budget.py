@@ -12,9 +12,9 @@ import re
 import tokenize
 from collections import Counter
 from functools import cache
-from pathlib import Path
 
-ROOT = Path(__file__).parent.parent.parent
+from tests.support import ROOT
+
 BUDGET = {
     "code lines": 18_694,
     "tokens": 234_717,

@@ -1,18 +1,17 @@
-"""Jobs beside one another: locks, kills, threads and forks; and the package as it is installed."""
+"""Jobs beside one another: locks, kills, threads and forks."""
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
 import threading
-import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.support import ROOT
 from tests.support.problems import kernel, lattice, manufactured, noise
 from tests.support.told import refused
 from warp_peri import LPS, Bernstein, fit, methods
@@ -20,7 +19,6 @@ from warp_peri.cluster import scheduler
 from warp_peri.files.atomic import locked, write_text
 from warp_peri.runtime import at_once, get_num_threads, set_num_threads
 
-ROOT = Path(__file__).parent.parent.parent
 HOLD = """
 import sys
 from warp_peri.cluster import scheduler
@@ -147,23 +145,3 @@ def test_every_job_is_done_once_and_a_failure_of_a_helper_is_told(operator):
 
     with pytest.raises(KeyError, match="of a helper"):
         at_once([fails_elsewhere] * 30)
-
-
-@pytest.mark.slow
-def test_the_wheel_holds_the_package_and_works_alone(tmp_path):
-    source, out, home = tmp_path / "source", tmp_path / "out", tmp_path / "home"
-    skipped = shutil.ignore_patterns("__pycache__", ".*", "data", "runs", "site", "*.egg-info")
-    shutil.copytree(ROOT, source, symlinks=True, ignore=skipped)
-    out.mkdir()
-    code = f"from setuptools import build_meta; build_meta.build_wheel({str(out)!r})"
-    subprocess.run([sys.executable, "-c", code], cwd=source, check=True, capture_output=True)
-    with zipfile.ZipFile(*out.iterdir()) as wheel:
-        wheel.extractall(home)
-    walked = [Path(f) / n for f, _, names in os.walk(ROOT / "warp_peri", followlinks=True)
-              for n in names if not n.endswith(".pyc")]  # fmt: skip
-    assert {path.relative_to(ROOT): path.read_bytes() for path in walked} == {
-        path.relative_to(home): path.read_bytes() for path in (home / "warp_peri").rglob("*.*")
-    }
-    script = shutil.copy(ROOT / "examples" / "learn_from_arrays.py", out)  # its picture: ../runs
-    alone = os.environ | {"PYTHONPATH": str(home)}
-    subprocess.run([sys.executable, script], cwd=out, env=alone, check=True)

@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 
 import warp_peri as wp
+from tests.support import ROOT
 from tests.support.problems import kernel, lattice, manufactured
 from warp_peri.cli.main import main
 
-ROOT = Path(__file__).parent.parent.parent
 spec = importlib.util.spec_from_file_location("check", ROOT / "docs" / "check.py")
 check = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(check)

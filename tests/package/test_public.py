@@ -12,14 +12,13 @@ import sys
 from functools import partial
 from graphlib import TopologicalSorter
 from importlib import import_module
-from pathlib import Path
 
 import pytest
 
 import warp_peri as wp
+from tests.support import ROOT
 from warp_peri.errors import InputError, exit_status
 
-ROOT = Path(__file__).parent.parent.parent
 PACKAGE, API = ROOT / "warp_peri", ROOT / "docs" / "reference" / "api"
 MODULES = {*dir(wp)} - {*wp.__all__}
 SAYS_NO_ERROR = {"InputError", "Motion"}  # the error itself, a result that only has fields

@@ -6,6 +6,7 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
+from numpy.linalg import norm
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.support.problems import lattice, noise
@@ -194,9 +195,9 @@ def test_bodies_have_a_collar_of_two_horizons():
     ball = Points.disk(3e6, 1e6, 2e6, dimension=3)
     assert block.interior.sum() == 7 * 5
     assert_allclose(block.x.max(axis=0), (8.0, 7.0))
-    far = np.linalg.norm(ball.x, axis=1)
+    far = norm(ball.x, axis=1)
     assert_array_equal(ball.interior, far <= 3e6)
-    assert len(ball.x) == (np.linalg.norm(np.indices((15, 15, 15)) - 7, axis=0) <= 7).sum()
+    assert len(ball.x) == (norm(np.indices((15, 15, 15)) - 7, axis=0) <= 7).sum()
 
 
 def test_samples_and_sets_are_taken_apart_as_sequences_and_mappings():

@@ -6,6 +6,8 @@ from itertools import product
 
 import numpy as np
 import pytest
+from numpy.linalg import norm
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
@@ -60,7 +62,7 @@ def test_classes_are_orbits_of_the_lattices_symmetry_in_a_closed_ball():
     for dimension, horizon, bonds, lengths in ((2, 3, 28, 6), (2, 5, 80, 14), (3, 3.0, 122, 9)):
         classes = bond_classes(2.0, 2.0 * horizon, dimension=dimension)
         assert (len(classes.steps), len(classes.r), classes.count.sum()) == (bonds, lengths, bonds)
-        orbit, r = np.sort(np.abs(classes.steps), axis=1), np.linalg.norm(classes.xi, axis=1)
+        orbit, r = np.sort(np.abs(classes.steps), axis=1), norm(classes.xi, axis=1)
         assert len(np.unique(orbit, axis=0)) == lengths
         assert len(np.unique(np.c_[orbit, classes.bond_class], axis=0)) == lengths
         assert_allclose(r, classes.r[classes.bond_class])
@@ -106,7 +108,7 @@ def test_a_turned_cube_has_the_families_of_the_straight_one():
     assert (families_of(Points.sheet((5, 6, 7), 1.0), 2.0).neighbour >= 0).all()
 
 
-RANDOM = np.random.default_rng(3)
+RANDOM = default_rng(3)
 CLOUDS = [
     (np.r_[0.01 * RANDOM.normal(size=(99, 2)), RANDOM.uniform(0, 6, (300, 2))], 1.5, None),
     (1e5 + RANDOM.uniform(0, 9, (300, 2)), 1.1, None),
@@ -120,7 +122,7 @@ def test_neighbours_are_all_that_are_near_and_bonds_know_their_way_back():
         row, neighbour, r, reverse = neighbours(x, horizon, box)
         bonds = x[None] - x[:, None]
         bonds -= 0 if box is None else np.round(bonds / box) * box
-        length = np.linalg.norm(bonds, axis=2)
+        length = norm(bonds, axis=2)
         start, end = np.nonzero((length <= horizon) & ~np.eye(len(x), dtype=bool))
         assert np.array_equal(np.repeat(np.arange(len(x)), np.diff(row)), start)
         assert np.array_equal(neighbour, end)
@@ -219,15 +221,15 @@ def test_a_direction_that_is_not_stated_is_x_and_said_once_for_the_same_position
 
 def lattice_family(horizon, d=2):
     steps = np.argwhere(np.ones(d * (13,))) - 6
-    r = np.linalg.norm(steps, axis=1)
+    r = norm(steps, axis=1)
     return steps[(r > 0) & (r <= horizon)].astype(float)
 
 
 def scattered_family(bonds, horizon, d=2):
-    random = np.random.default_rng(1)
+    random = default_rng(1)
     away = random.normal(size=(bonds, d))
     r = horizon * random.uniform(0.02, 1, (bonds, 1)) ** (1 / d)
-    return r * away / np.linalg.norm(away, axis=1, keepdims=True)
+    return r * away / norm(away, axis=1, keepdims=True)
 
 
 FAMILIES = [

@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import warp_peri as wp
+from tests.support import in_plane_and_space
 from tests.support.problems import kernel
 from tests.support.told import assert_refused, refused, warned
 from warp_peri.errors import InputError
@@ -100,7 +101,7 @@ def test_corners_at_one_place_are_one_and_a_word_says_so(sides, scale):
 
 
 @pytest.mark.filterwarnings("ignore:mesh. .* lie where others do")
-@pytest.mark.parametrize("d", [2, 3])
+@in_plane_and_space
 def test_cells_that_overlap_or_share_parts_of_facets_are_refused(d):
     for ratio, count, shift, words in (
         (0.5, 4, [2.0, 0.0, 0.0], "goes on beyond"),  # small beside large: hanging

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from numpy.linalg import norm
+from numpy.random import default_rng
 
 from tests.gradients.cases import errors
 from tests.support.clouds import cloud
@@ -48,8 +50,8 @@ def test_solves_recover_a_manufactured_solution_whatever_is_not_read(method):
     left = (model.on(points)(solved) - points.b[:, points.interior]).reshape(2, -1)
     assert len(records) == 2 * (method != "lu")
     assert all(record.residual <= 1e-11 and record.iterations > 1 for record in records)
-    size = np.linalg.norm(points.b[:, points.interior].reshape(2, -1), axis=1)
-    assert (np.linalg.norm(left, axis=1) < 1e-9 * size).all()  # by the sweeps, not the stencil
+    size = norm(points.b[:, points.interior].reshape(2, -1), axis=1)
+    assert (norm(left, axis=1) < 1e-9 * size).all()  # by the sweeps, not the stencil
 
 
 def linear_of(points, model):
@@ -70,7 +72,7 @@ def test_filters_are_symmetric_and_positive(kind):
 
 @pytest.mark.parametrize("shape", [(8, 9), (5, 4, 6)])
 def test_restriction_is_the_transpose_of_interpolation(shape):
-    random, d = np.random.default_rng(0), len(shape)
+    random, d = default_rng(0), len(shape)
     fine, coarse = (
         random.normal(size=(d, *shape)),
         random.normal(size=(d, *(n // 2 for n in shape))),
@@ -85,7 +87,7 @@ def test_iterations_do_not_grow_with_the_domain():
         iterations = []
         for n in (64, 128):
             points = lattice(mask(n), model.horizon, spacing=model.certified_on[0])
-            b = np.random.default_rng(0).normal(size=(points.interior.sum(), 2))
+            b = default_rng(0).normal(size=(points.interior.sum(), 2))
             record = linear_of(points, model).inverse(b, 1e-8, method)[1]
             iterations.append(record.iterations)
         assert iterations[1] <= 1.25 * iterations[0]
@@ -102,7 +104,7 @@ def test_near_incompressibility_takes_few_iterations():
     assert record.iterations <= 30
     u = np.zeros_like(points.x)
     u[points.interior] = inner
-    assert np.linalg.norm(linear(u[None])[0] - load) <= 1.1e-8 * np.linalg.norm(load)
+    assert norm(linear(u[None])[0] - load) <= 1.1e-8 * norm(load)
 
 
 def test_an_indefinite_operator_is_named_by_every_method():

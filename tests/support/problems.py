@@ -1,6 +1,7 @@
 """Problems defined once: lattices, kernels and fields."""
 
 import numpy as np
+from numpy.random import default_rng
 
 from warp_peri import LPSMaterial, Points, Samples
 
@@ -62,7 +63,7 @@ def periodic(shape, spacing=1.0):
 
 def normal(shape, seed=0):
     """Normal random numbers."""
-    return np.random.default_rng(seed).normal(size=shape)
+    return default_rng(seed).normal(size=shape)
 
 
 def noise(points, samples=None, seed=0):
@@ -72,7 +73,7 @@ def noise(points, samples=None, seed=0):
 
 def smooth(x, samples, seed=0, wave_number=1.2):
     """Random sums of plane waves of at most the given wave number; shape [S, N, 2]."""
-    random = np.random.default_rng(seed)
+    random = default_rng(seed)
     k = random.uniform(-1, 1, size=(samples, 4, 2)) * wave_number
     amplitude = random.normal(size=(samples, 4, 2))
     phase = random.uniform(0, 2 * np.pi, size=(samples, 4, 1))

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from scipy.sparse.linalg import splu
 
 from tests.support.nonlinear import FORMS, psi, solid
@@ -56,7 +57,7 @@ def test_bounds_of_the_energys_parts_and_its_curvature_hold_and_are_close():
 def test_kappa_is_a_bound_over_the_whole_zone(form):
     model, proof = certified(form)
     classes, stencil = bond_classes(1.0, HORIZON), model.linear.stencil
-    k = np.random.default_rng(1).uniform(-np.pi, np.pi, size=(4000, 2))
+    k = default_rng(1).uniform(-np.pi, np.pi, size=(4000, 2))
     k = np.concatenate([k, 1e-3 * k])
     smallest = np.linalg.eigvalsh(model.linear.symbol(k))[:, 0]
     pull = 2 * np.sin(k @ classes.xi.T)
@@ -71,7 +72,7 @@ def test_kappa_is_a_bound_over_the_whole_zone(form):
 @pytest.mark.parametrize("form", FORMS)
 def test_the_clipped_iteration_contracts_from_anywhere(form):
     """u ← u + L⁻¹ (b − L u) in the energy norm, by no more than C κ κ, to one answer."""
-    (model, proof), random = certified(form), np.random.default_rng(0)
+    (model, proof), random = certified(form), default_rng(0)
     rate = proof.curvature * proof.kappa_in * proof.kappa_out
     assert proof.strain > 0.003
     assert rate < 1
@@ -109,7 +110,7 @@ def test_a_planted_violation_takes_the_guarantee_away():
     longest = np.abs(model.linear.steps).max(axis=1) == 3
     turned = model.linear.tensors - 0.2 * longest[:, None, None] * np.eye(2)
     indefinite = replace(model, linear=replace(model.linear, tensors=turned, certificate=None))
-    waves = np.random.default_rng(2).uniform(-np.pi, np.pi, size=(4000, 2))
+    waves = default_rng(2).uniform(-np.pi, np.pi, size=(4000, 2))
     assert np.linalg.eigvalsh(indefinite.linear.symbol(waves)).min() < 0
     nothing = prove_uniqueness(indefinite, spacing=1.0)
     assert nothing.strain == 0
