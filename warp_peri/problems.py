@@ -70,10 +70,10 @@ class Dirichlet:
         load = self.b
         if load is None:
             load = np.zeros(getattr(self.u, "shape", None) or as_array("u", self.u).shape)
+        rest = operator.solve
         if extra or is_tensor(self.b) or is_tensor(self.u):
-            rest = getattr(operator, "solve_torch", operator.solve)
-            return rest(load, self.u, solver, **extra)  # type: ignore[no-any-return]
-        return operator.solve(load, self.u, solver)  # type: ignore[no-any-return]
+            rest = getattr(operator, "solve_torch", rest)
+        return rest(load, self.u, solver, **extra)  # type: ignore[no-any-return]
 
     def moved(self, material: Any, options: dict[str, Any]) -> Motion:
         """Solve for the material in motion, from the displacement u.

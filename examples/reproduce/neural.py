@@ -33,6 +33,7 @@ from tools.make_leaflet import make_leaflet
 from tools.options import Options
 from warp_peri import Dataset, InputError, Points, Samples, hyperelastic
 from warp_peri.errors import exit_status
+from warp_peri.materials.hyperelastic.energies import NEAREST, half_family
 from warp_peri.neural import EquilibriumSolver, NeuralOperator, TrainingSettings, evaluate, train
 
 WEIGHTS, DATA = ROOT / "examples" / "neural_weights", ROOT / "data"
@@ -42,9 +43,10 @@ SETS = ("train", "val", "test", "disks")
 LEVELS, LEARNED, CHOSEN, EVERY, REACH = 20, 100, 20, 10, 5
 """Frames of each of the leaflet's protocols; frames to learn from and to choose by; one in so many
 that materials other than networks are fitted on; spacings of its horizon."""
-NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
 MATRIX = (hyperelastic.EnergyTerm("neo_hookean"), hyperelastic.EnergyTerm("volumetric"))
 SHEET = (*MATRIX, hyperelastic.EnergyTerm("plane_stress"), hyperelastic.EnergyTerm("mooney"))
+BONDS = (MATRIX[0], hyperelastic.EnergyTerm("fibre_power", exponent=2.0))
+"""Energies of bonds: s − ½ ln(1 + 2 s) and ⟨s⟩²/2, times 2 and 4."""
 
 Sets = dict[str, Samples]
 
@@ -185,9 +187,16 @@ def errors_of(material: NeuralOperator, sets: Sets, *, solve: bool = True) -> di
 
 
 def dictionary(samples: Samples, reach: int) -> hyperelastic.HyperelasticMaterial:
-    """A sheet energy model of the corners of cells, of any sign; a horizon in spacings."""
-    corners = tuple(replace(term, corner=True) for term in (*SHEET, *hyperelastic.fibre_fan(8)))
-    return wp.fit(samples, hyperelastic.Hyperelastic(float(reach), NEAREST, corners)).material
+    """A sheet energy model of nodes, corners of cells and bonds, coefficients of any sign."""
+    nodes = (*SHEET, *hyperelastic.fibre_fan(8))
+    terms = [*nodes]
+    for n in (1, -1):  # both diagonals of a cell, and of two by two
+        terms += [replace(term, corner=True, step=(1, n)) for term in nodes]
+        terms += [replace(term, corner=True, step=(2, 2 * n)) for term in SHEET]
+    for step in map(tuple, half_family(reach).tolist()):
+        terms += [replace(term, step=step) for term in BONDS]
+    model = hyperelastic.Hyperelastic(float(reach), NEAREST, tuple(terms))
+    return wp.fit(samples, model).material
 
 
 def frames_dictionary(samples: Samples) -> hyperelastic.HyperelasticMaterial:

@@ -7,17 +7,15 @@ import pytest
 
 from tests.support.problems import lattice as nodes
 from tests.support.problems import normal
-from tests.support.sheets import sheet_on, square, waves
+from tests.support.sheets import dictionary_of, sheet_on, square, waves
 from tests.support.told import warned
 from warp_peri import Samples, evaluate
 from warp_peri.hyperelastic import NoEquilibriumError
 from warp_peri.materials.hyperelastic import lattice
-from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
 from warp_peri.solvers.equilibria import Descent
 from warp_peri.testing import assert_near as near
 
 COEFFICIENTS = np.array([0.2] * 4 + [0.07, 0.08, 0.2])
-CORNERED = (EnergyTerm("neo_hookean", corner=True), EnergyTerm("volumetric", corner=True))
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +80,7 @@ def test_what_is_left_of_a_branch_or_not_stable_is_said_or_not_given(manufacture
 
 def test_a_collar_that_is_folded_far_out_does_not_stop_a_solve():
     """Nothing that the interior cannot move belongs to the energy, or to the scale of forces."""
-    op = sheet_on(square(3), c=[0.1] * 4 + [0.07, 0.08, 0.2])
+    op = sheet_on(square(3), c=COEFFICIENTS)
     x, u, h = op.points.x, waves(op.points, 0.1), op.points.spacing
     even = op.solve(None, u).u
     corner = np.flatnonzero((x < 1.5 * h).all(axis=1))
@@ -91,7 +89,8 @@ def test_a_collar_that_is_folded_far_out_does_not_stop_a_solve():
 
 
 def test_a_corner_that_is_turned_over_is_no_equilibrium():
-    op = sheet_on(square(3), Hyperelastic(3.0, terms=CORNERED), [0.07, 0.08])
+    corners = ((kind, 0.0, 0.0, True) for kind in ("neo_hookean", "volumetric"))
+    op = sheet_on(square(3), dictionary_of(*corners, deviations=()), [0.07, 0.08])
     u, none = np.zeros_like(op.points.x), np.zeros((9, 2))
     assert op.folds(u) == 0
     u[op.interior[4]] = [-1.2 * op.points.spacing, 0.0]  # beyond its neighbour

@@ -5,7 +5,9 @@ from functools import partial
 
 import numpy as np
 import pytest
+import torch
 from numpy.linalg import norm
+from scipy.ndimage import binary_dilation
 
 import warp_peri as wp
 from tests.support.sheets import SPACING, everything, hgo_dictionary, sheet_on, square, waves
@@ -17,9 +19,6 @@ from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.points.points import Points
 from warp_peri.testing import assert_near as near
 from warp_peri.testing import check_energy, check_product
-
-EDGE = (slice(None, -1), slice(1, None))
-"""The lower and the upper of two nodes beside each other."""
 
 
 @pytest.fixture(scope="module", params=["even", "uneven"])
@@ -39,12 +38,9 @@ def test_force_tangent_and_single_forces_are_those_of_the_energy(problem):
     check_energy(op, u[0])
     check_product(op, u[0], step=3e-6, tolerance=1e-6)
     K, inside = op.interior_tangent(u[0]), np.where(op.points.interior[:, None], v[0], 0.0)
-    expected = op.jvp(u[0], inside).ravel()
-    found = K @ v[0, op.interior].ravel()
-    near(found, expected, 1e-11)
+    near(K @ v[0, op.interior].ravel(), op.jvp(u[0], inside).ravel(), 1e-11)
     assert abs(K - K.T).max() < 1e-11 * abs(K).max()
-    single, force = op.features(u) @ op.model.coefficients, op.force(u)
-    near(single, force, 1e-12)
+    near(op.features(u) @ op.model.coefficients, op.force(u), 1e-12)
 
 
 def test_the_force_of_a_fibre_by_its_numbers_and_of_a_sheet_by_its_thickness(problem):
@@ -62,8 +58,7 @@ def test_the_force_of_a_fibre_by_its_numbers_and_of_a_sheet_by_its_thickness(pro
                 terms[number] = replace(term, **{by: getattr(term, by) + shift})
                 moved = replace(op.model, dictionary=dictionary.with_terms(terms))
                 ends.append(op.changed(moved, op.thickness).force(u))
-            expected = (ends[0] - ends[1]) / 2e-5
-            near(slope, expected, 1e-6)
+            near(slope, (ends[0] - ends[1]) / 2e-5, 1e-6)
     slopes = 10 * v[0]
     thickness = np.ones(len(slopes)) if op.thickness is None else op.thickness
     ends = [op.changed(op.model, thickness + s * 1e-2 * slopes[:, 1]).force(u) for s in (1, -1)]
@@ -78,6 +73,8 @@ def test_a_uniform_strain_is_seen_along_fibres_too_and_has_no_force():
     assert np.abs(op.force(u)).max() < 1e-9 / SPACING
     E = [(C[0, 0] - 1) / 2, (C[1, 1] - 1) / 2, C[0, 1]]
     assert np.abs(op.strain(u)[op.interior] - E).max() <= 1e-12
+    stored = float(everything().uniform(torch.tensor(E)).sum())
+    assert op.nodal_energy(u)[op.interior] == pytest.approx(stored, rel=1e-12)
     assert op.largest_stretch(u) == pytest.approx(norm(F, 2))
     one = sheet_on(op.points, Hyperelastic(3.0, terms=(EnergyTerm("fibre_power", -0.2, 2.0),)))
     stretched = np.sum((F @ [np.cos(0.2), -np.sin(0.2)]) ** 2) - 1
@@ -98,23 +95,27 @@ def test_the_force_converges_with_the_fourth_power_of_the_spacing():
     assert np.polyfit(np.log(spacings[:3]), np.log(sizes), 1)[0] > 3.5
 
 
-def test_corners_of_cells_are_linear_triangles():
-    """Energies are means over the four ways to leave one node out of every cell."""
+def test_energies_of_bonds_and_corners_are_those_of_their_formulas():
+    """The corners of cells are linear triangles."""
     points = square(3)
-    u, total = waves(points, 0.3), 0.0
-    op = sheet_on(points, Hyperelastic(3.0, terms=(EnergyTerm("volumetric", corner=True),)))
-    around = np.zeros(2 * [int(np.sqrt(len(u)))], bool)
-    around[5:-5, 5:-5] = True  # cells with an interior node are counted
-    y = (points.x + u).reshape(*around.shape, 2) / SPACING
-    inside = points.interior.reshape(around.shape)
-    for apex in np.ndindex(2, 2):
-        cell = [np.diff(y, axis=a)[(slice(None),) * (1 - a) + (EDGE[apex[1 - a]],)] for a in (0, 1)]
-        D = (cell[0][..., 0] * cell[1][..., 1] - cell[0][..., 1] * cell[1][..., 0]) ** 2
-        i, j = (EDGE[n] for n in apex)
-        other = EDGE[1 - apex[0]], EDGE[1 - apex[1]]
-        seen = inside[i, j] | inside[other[0], j] | inside[i, other[1]]
-        total += SPACING**2 / 4 * (0.5 * (D - 1 - np.log(D)))[seen].sum()
-    assert op.energy(u) == pytest.approx(total, rel=1e-12)
+    u, inside = waves(points, 0.3), points.interior.reshape(15, 15)
+    y = (points.x + u).reshape(15, 15, 2) / SPACING
+    near_it = binary_dilation(inside, np.ones((3, 3)))
+    ahead = lambda field, *step: np.roll(field, np.negative(step), (0, 1))
+    mooney = lambda C, D, seen: (D + C / D - 3)[seen].sum()
+
+    def at(p, q):
+        a, b = (ahead(y, p, 0) - y) / p, (ahead(y, 0, q) - y) / q
+        seen = inside | ahead(inside, p, 0) | ahead(inside, 0, q)
+        return mooney((a**2 + b**2).sum(axis=-1), np.linalg.det(np.stack([a, b], -1)) ** 2, seen)
+
+    long = ((ahead(y, 1, -2) - y) ** 2).sum(axis=-1) / 5
+    bonds = mooney(long + 1, long, near_it | ahead(near_it, 1, -2))
+    two, cells = (at(1, -2) + at(-1, 2)) / 2, sum(at(p, q) for p in (1, -1) for q in (1, -1)) / 4
+    for corner, step, expected in (False, (1, -2), bonds), (True, (), cells), (True, (1, -2), two):
+        term = EnergyTerm("mooney", corner=corner, step=step)
+        found = sheet_on(points, Hyperelastic(3.0, terms=(term,))).energy(u)
+        assert found == pytest.approx(SPACING**2 * expected, rel=1e-12)
 
 
 def test_every_coefficient_has_a_label_and_terms_without_one_can_go():
@@ -133,7 +134,7 @@ LOADS = wp.Samples(POINTS, FRAMES.u, np.ones_like(FRAMES.u))
 AFFINE = np.stack([0.1 * POINTS.x, POINTS.x @ [[0.2, 0.1], [0.0, 0.3]]])
 ALL, FEW = np.ones(len(POINTS.x), bool), POINTS.interior.copy()
 FEW[np.flatnonzero(FEW)[3:]] = False
-TWO_MATRICES = tuple(map(EnergyTerm, ("neo_hookean", "plane_stress")))
+BOND = (EnergyTerm("neo_hookean"), EnergyTerm("fibre_exponential", step=(1, 0)))
 
 
 def solid(dictionary, count=None):
@@ -149,11 +150,12 @@ REFUSED = {
     "kind: expected one of": lambda: EnergyTerm("ogden"),
     "fibre_power: expected an exponent": lambda: EnergyTerm("fibre_power", 0.0, 1.0),
     "bonds of a half family": lambda: Hyperelastic(3.0, ((-1, 0),)),
+    "sides of a corner": lambda: EnergyTerm("mooney", corner=True, step=(1, 0)),
     "at least one energy": Hyperelastic,
     "coefficients: expected finite values, got nan": lambda: replace(
         solid(HGO), coefficients=np.full(7, np.nan)
     ),
-    "coefficients: expected 7 numbers": lambda: solid(HGO, 6),
+    r"coefficients: expected shape \[7\]": lambda: solid(HGO, 6),
     "twice the horizon": lambda: sheet_on(Points(POINTS.x, ALL, 0.1)),
     "spacing|scattered": lambda: sheet_on(Points(POINTS.x, ALL, 0.0)),
     "axis: directions of a hyperelastic": lambda: sheet_on(replace(POINTS, axis=10.0)),
@@ -163,9 +165,7 @@ REFUSED = {
     r"numbers: expected shape \[5\]": lambda: replace(
         ThicknessField.over(POINTS.x, 2), numbers=np.ones(4)
     ),
-    "expected neo_hookean and volumetric": lambda: febio_material(
-        solid(Hyperelastic(terms=TWO_MATRICES))
-    ),
+    "expected neo_hookean and volumetric": lambda: febio_material(solid(Hyperelastic(terms=BOND))),
     "stretches: expected such": lambda: wp.hyperelastic.uniaxial_stress(solid(HGO), [0.1]),
     "a load on it, got none in number 0; without": fit(wp.Samples(POINTS, FRAMES.u, 0 * FRAMES.u)),
     "expected one or more, .* got no sample": fit(LOADS[:0]),

@@ -13,11 +13,10 @@ from tests.crystal.crystals import learned
 from tests.support import clouds
 from tests.support.nonlinear import psi, solid
 from tests.support.problems import AXIS, difference, kernel, lattice, loaded, normal, periodic
-from tests.support.sheets import NEAREST, SPACING, waves
+from tests.support.sheets import SPACING, dictionary_of, waves
 from warp_peri.crystals import crystal_from_lps
 from warp_peri.fracture import lattice_body
 from warp_peri.fracture.statics import CutSolid
-from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.materials.lps import bernstein_basis
 from warp_peri.neural.material import NeuralOperator
@@ -85,8 +84,8 @@ def third_order(form):
 def hyperelastic():
     """Of energies with a second derivative everywhere, and directions of its own."""
     kinds = ("neo_hookean",), ("volumetric",), ("fibre_power", 1.2, 4.0), ("mooney",)
-    terms = (*(EnergyTerm(*kind) for kind in kinds), EnergyTerm("volumetric", corner=True))
-    dictionary = Hyperelastic(3.0, NEAREST, terms)
+    places = ("volumetric", 0.0, 0.0, True), ("volumetric", 0.0, 0.0, False, (1, 2))
+    dictionary = dictionary_of(*kinds, *places)
     c = 0.1 + np.random.default_rng(0).random(len(dictionary))
     return HyperelasticMaterial(dictionary, c, SPACING, provenance={"data": "made"})
 

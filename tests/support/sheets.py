@@ -2,12 +2,11 @@
 
 import numpy as np
 
-from warp_peri.materials.hyperelastic.energies import KINDS, EnergyTerm, Hyperelastic
+from warp_peri.materials.hyperelastic.energies import NEAREST, EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.points.points import Points
 
 SPACING = 0.1
-NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
 
 
 def square(interior, *, spacing=SPACING):
@@ -16,22 +15,23 @@ def square(interior, *, spacing=SPACING):
     return Points(spacing * steps, ((steps >= 6) & (steps < interior + 6)).all(axis=1), spacing)
 
 
+def dictionary_of(*kinds, deviations=NEAREST):
+    """A dictionary of terms that are told by their numbers in order."""
+    return Hyperelastic(3.0, deviations, tuple(EnergyTerm(*kind) for kind in kinds))
+
+
 def everything():
-    """Deviations and every strain energy once, but mooney and yeoh."""
-    angles = iter(np.linspace(0.2, 2.8, 4))
-    others = ("fibre", "mooney", "yeoh")
-    terms = [EnergyTerm(kind) for kind in KINDS if not kind.startswith(others)]
-    terms += [EnergyTerm("fibre_power", next(angles), p) for p in (2.5, 3.0)]
-    terms += [EnergyTerm("fibre_exponential", next(angles), k2) for k2 in (0.0, 1.5)]
-    terms += [EnergyTerm("volumetric", corner=True)]
-    terms += [EnergyTerm("fibre_power", 0.7, 2.5, corner=True)]
-    return Hyperelastic(3.0, (*NEAREST, (2, 0)), tuple(terms))
+    """Deviations and energies of nodes, bonds and corners, but mooney and yeoh."""
+    matrix = ("neo_hookean",), ("volumetric",), ("plane_stress",)
+    fibres = ("fibre_power", 0.2, 2.5), ("fibre_exponential", 1.9), ("fibre_exponential", 2.8, 1.5)
+    corners = ("fibre_power", 0.7, 2.5, True), ("volumetric", 0.0, 0.0, True, (2, -1))
+    bond, near = ("fibre_power", 0.0, 2.5, False, (2, -1)), (*NEAREST, (2, 0))
+    return dictionary_of(*matrix, *fibres, *corners, bond, deviations=near)
 
 
 def hgo_dictionary():
     """A matrix and one exponential fibre family, with deviations against hourglasses."""
-    kinds = ("neo_hookean",), ("volumetric",), ("fibre_exponential", 1.2, 1.5)
-    return Hyperelastic(3.0, NEAREST, tuple(EnergyTerm(*kind) for kind in kinds))
+    return dictionary_of(("neo_hookean",), ("volumetric",), ("fibre_exponential", 1.2, 1.5))
 
 
 def sheet_on(points, dictionary=None, c=None, thickness=None):

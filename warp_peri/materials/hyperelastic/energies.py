@@ -1,15 +1,16 @@
-"""Hyperelastic energies: a dictionary of bond and strain energies, linear in its coefficients."""
+"""Hyperelastic energies: a dictionary of densities of what they see, linear in its coefficients."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 import torch
 
+from warp_peri.core.record import FieldUnits
 from warp_peri.core.stencil import half_ball
 from warp_peri.errors import InputError
 from warp_peri.materials import hyperelastic
@@ -20,14 +21,16 @@ if TYPE_CHECKING:
 
 half_family = cache(partial(half_ball, dimension=2))
 """One bond of each pair ±ξ in lattice steps, by length, of a reach in spacings, shape [C, 2]."""
+NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
+"""Bonds of cells, whose deviations see the shortest waves."""
 
 
 class Strain:
     """Green strains q [3, ...] (E11, E22, 2 E12) and the invariants that energies are made of; of a
-    deviation 2 s of a bond and 2 m of its ends, [2, ...]."""
+    bond s alone, [1, ...]; of a deviation 2 s of a bond and 2 m of its ends, [2, ...]."""
 
     def __init__(self, q: torch.Tensor) -> None:
-        self.parts = q.unbind(0)
+        self.parts = (q[0], *q.new_zeros(2)) if len(q) == 1 else q.unbind(0)
 
     @cached_property
     def area(self) -> torch.Tensor:
@@ -84,17 +87,20 @@ def deviation(E: Strain, *_: Any) -> torch.Tensor:
 
 
 class Energy(NamedTuple):
-    """One energy of a dictionary: what it `sees` ("deviation" and step, "strain" or "corner"), and
-    its coefficient's `number`."""
+    """One energy of a dictionary: what it `sees`, in equal shares ("deviation", "bond" or "corner"
+    and step, or "strain"), and its coefficient's `number`."""
 
-    sees: tuple[Any, ...]
+    sees: Sequence[tuple[Any, ...]]
     label: str
     density: Density
     angle: Any = 0.0
     exponent: Any = 0.0
-    is_fibre: bool = False
     number: int = 0
     coefficient: Any = 1.0
+
+    def share(self, E: Strain) -> Any:
+        """Energy of one of its sites."""
+        return self.coefficient * self.density(E, self.angle, self.exponent) / len(self.sees)
 
 
 @typed
@@ -107,16 +113,23 @@ class EnergyTerm:
         angle: direction n of a fibre [rad], where the kind has one.
         exponent: p of a fibre's power or of Yeoh's, k₂ of a fibre's exponential.
         corner: acts on the strains of the four corners of lattice cells at a node, (H19).
+        step: of the bonds that the term acts on, their strain s along an angle of zero, (H2); with
+            `corner` the sides of two opposite corners, the only ones. In lattice steps.
 
-    Raises InputError for an unknown kind, or an exponent that the kind cannot take.
+    Raises InputError for an unknown kind, an exponent that the kind cannot take, or a corner
+    without two sides.
     """
 
     kind: str
     angle: float = 0.0
     exponent: float = 0.0
     corner: bool = False
+    step: Annotated[tuple[int, ...], FieldUnits(omit=True)] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "step", tuple(self.step))
+        if self.corner and not all(self.step):
+            raise InputError(f"step: expected sides of a corner, none of them 0, got {self.step}")
         if self.kind not in KINDS:
             raise InputError(f"kind: expected one of {', '.join(KINDS)}, got {self.kind!r}")
         if self.exponent < (least := LEAST.get(self.kind, -np.inf)):
@@ -125,12 +138,21 @@ class EnergyTerm:
     @property
     def is_fibre(self) -> bool:
         """Whether the term is the energy of a family of fibres."""
-        return self.kind.startswith("fibre")
+        return self.kind.startswith("fibre") and self.sees[0][0] != "bond"
+
+    @property
+    def sees(self) -> list[tuple[Any, ...]]:
+        """What the term acts on, as of an Energy."""
+        if self.corner:
+            sides = (self.step,) if self.step else NEAREST[2:]
+            return [("corner", sign * p, sign * q) for p, q in sides for sign in (1, -1)]
+        return [("bond", *self.step) if self.step else ("strain",)]
 
     @property
     def label(self) -> str:
         """The term's name in tables."""
         words = self.kind + (" of corners" if self.corner else "")
+        words += f" {self.step}" if self.step else ""
         if self.is_fibre:
             words += f" at {np.rad2deg(self.angle):.1f}°"
         return words + (f", {self.exponent:g}" if self.kind in LEAST else "")
@@ -148,7 +170,7 @@ class Hyperelastic:
         terms: strain energies.
 
     The coefficients are one vector: deviations, terms. With non-negative ones the material is
-    stable at rest, (H9). Raises InputError for a bond that is out of reach.
+    stable at rest, (H9). Raises InputError for a step that is out of reach.
     """
 
     reach: float = 3.0
@@ -159,9 +181,9 @@ class Hyperelastic:
         if not 2 <= self.reach <= 10:
             raise InputError(f"reach: expected 2 to 10 spacings, got {self.reach}")
         known = set(map(tuple, half_family(self.reach).tolist()))
-        for step in self.deviations:
-            if tuple(step) not in known or max(map(abs, step)) > 2:
-                raise InputError(f"deviations: expected bonds of a half family, got {step}")
+        for step in (*self.deviations, *(term.step for term in self.terms if term.step)):
+            if tuple(step) not in known:
+                raise InputError(f"steps: expected bonds of a half family, got {step}")
         if not len(self):
             raise InputError("dictionary: expected at least one energy, got none")
 
@@ -178,12 +200,10 @@ class Hyperelastic:
     def energies(self) -> list[Energy]:
         """The dictionary's energies, one for every coefficient."""
         own = [
-            Energy(("deviation", *s), f"deviation {tuple(s)}", deviation) for s in self.deviations
+            Energy([("deviation", *s)], f"deviation {tuple(s)}", deviation) for s in self.deviations
         ]
-        for t in self.terms:
-            sees = ("corner" if t.corner else "strain",)
-            own.append(Energy(sees, t.label, KINDS[t.kind], t.angle, t.exponent, t.is_fibre))
-        return own
+        terms = ((t, KINDS[t.kind]) for t in self.terms)
+        return own + [Energy(t.sees, t.label, kind, t.angle, t.exponent) for t, kind in terms]
 
     @property
     def stiffness(self) -> np.ndarray:
@@ -194,9 +214,14 @@ class Hyperelastic:
 
     def uniform(self, q: torch.Tensor) -> torch.Tensor:
         """Values of the energies, coefficients one, in uniform strains q [3, ...]; [K, ...]."""
-        seen = {"deviation": Strain(0 * q[:2])}
-        each = ((e, seen.get(e.sees[0], Strain(q))) for e in self.energies)
-        return torch.stack([e.density(E, e.angle, e.exponent) for e, E in each])
+        E = Strain(q)
+
+        def seen(kind: str, x: int = 0, y: int = 0) -> Strain:
+            if kind == "bond":
+                return Strain(E.along(np.arctan2(y, x))[None] / 2)
+            return Strain(0 * q[:2]) if kind == "deviation" else E
+
+        return torch.stack([sum(e.share(seen(*of)) for of in e.sees) for e in self.energies])
 
     def learn(self, samples: Samples, **options: Any) -> Any:
         """Fit the coefficients; see fit_sheet."""

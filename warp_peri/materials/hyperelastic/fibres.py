@@ -82,25 +82,10 @@ def fibre_fan(count: Count, powers: Sequence[float] = (2.0, 3.0, 4.0)) -> list[E
     return [EnergyTerm("fibre_power", np.pi * n / count, p) for n in range(count) for p in powers]
 
 
-def _strain(solid: HyperelasticMaterial) -> float:
-    """I4 − 1 at the largest stretch of the data."""
-    return max((solid.stretch or 1.2) ** 2 - 1, 0.05)
-
-
 def _energy(term: EnergyTerm, x: float) -> float:
     """Φ of a fibre with I4 − 1 = x > 0 and coefficient one."""
-    equal = Strain(torch.tensor([x / 2, x / 2, 0.0], dtype=torch.float64))
-    return float(KINDS[term.kind](equal, term.angle, term.exponent))
-
-
-def _energy_by_angle(solid: HyperelasticMaterial) -> dict[float, float]:
-    """Energy of the fibres in every direction [rad] at the largest stretch of the data."""
-    values = solid.coefficients[solid.dictionary.first_term :]
-    energies = defaultdict[float, float](float)
-    for term, value in zip(solid.dictionary.terms, values):
-        if term.is_fibre:
-            energies[float(np.mod(term.angle, np.pi))] += value * _energy(term, _strain(solid))
-    return energies
+    along = Strain(torch.tensor([x / 2], dtype=torch.float64))
+    return float(KINDS[term.kind](along, 0.0, term.exponent))
 
 
 @typed
@@ -113,7 +98,11 @@ def fibre_families(
     [rad] become one; other energies stay. Returns a dictionary whose angles and exponents are to be
     moved, and coefficients to start from.
     """
-    dictionary, strain, energy = solid.dictionary, _strain(solid), _energy_by_angle(solid)
+    dictionary, energy = solid.dictionary, defaultdict[float, float](float)
+    strain = max((solid.stretch or 1.2) ** 2 - 1, 0.05)  # I4 − 1 at the largest stretch of the data
+    for n in fibres_of(dictionary):
+        term = dictionary.terms[n - dictionary.first_term]
+        energy[float(np.mod(term.angle, np.pi))] += solid.coefficients[n] * _energy(term, strain)
     least = share * sum(energy.values())
     groups = grouped({angle: value for angle, value in energy.items() if value > least}, within)
     known = [term.exponent for term in dictionary.terms if term.kind == "fibre_exponential"]
@@ -128,7 +117,7 @@ def fibre_families(
 @typed
 def with_corners(dictionary: Hyperelastic) -> Hyperelastic:
     """The dictionary with energies of uniform strain acting on cell corners as well."""
-    corners = (replace(term, corner=True) for term in dictionary.terms)
+    corners = (replace(term, corner=True) for term in dictionary.terms if not term.step)
     return dictionary.with_terms([*dict.fromkeys((*dictionary.terms, *corners))])
 
 

@@ -26,8 +26,6 @@ SMALLEST_AREA = 0.02
 """Of the nodal strain, det C: below it a solve treats a field as folded."""
 SHORT_REACH = 2**0.5
 """Horizon of the short strain in spacings, (H4)."""
-CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
-"""Sides of the bonds along both axes that a corner of a cell has, (H19)."""
 AXIS_TOLERANCE = 1e-3
 """Degrees between the stated axis and that of the lattice."""
 SHIFTS = 1e-3 * 4.0 ** np.arange(12)
@@ -41,7 +39,7 @@ class Sites:
     Attributes:
         S: of q = S e [1/length²], rows of one number after the other, shape [Q n, pairs].
         pair: the site, and the node that shares its energy or the site again, shape [2, n].
-        corner: whether it is one of the four corners at a node, which share an energy.
+        corner: whether it is a corner at a node.
     """
 
     S: sp.csr_array
@@ -144,16 +142,16 @@ class SheetLattice:
             moves = inside | inside[near].any(axis=1)
             own = other = np.flatnonzero((near >= 0).all(axis=1) & moves)
             x, y = one[number[own, along]], one[number[own, across]]
-            rows = [x, y, p * q * (x + y - one[number[near[own, 0], third]])]
+            rows = [x / p**2, y / q**2, (x + y - one[number[near[own, 0], third]]) / (p * q)]
         else:
-            step = np.array(of)
+            (x, y), length = of, np.dot(of, of)
             strains, whole, moves = self._strains(SHORT_REACH, 2)
-            (x, y), length = step, step @ step
-            mean = (x * x * strains[0] + y * y * strains[1] + x * y * strains[2]) / length
             known = whole[self.pairs].all(axis=0) & moves[self.pairs].any(axis=0)
-            chosen = np.flatnonzero(known & (self.steps[self.kind] == step).all(axis=1))
+            chosen = np.flatnonzero(known & (self.steps[self.kind] == of).all(axis=1))
             own, other = self.pairs[:, chosen]
-            rows = [2 * one[chosen] / length, mean[own] + mean[other]]
+            mean = (x * x * strains[0] + y * y * strains[1] + x * y * strains[2]) / length
+            s = one[chosen] / length
+            rows = [s] if kind == "bond" else [2 * s, mean[own] + mean[other]]
         S = sp.csr_array(sp.vstack(rows) / self.spacing**2)
         return Sites(S, np.stack([own, other]), kind == "corner")
 
@@ -198,12 +196,11 @@ class SheetLattice:
     def factors(self, K: sp.csc_array, shifts: bool = False) -> tuple[Inner | None, bool]:
         """Inverse of a tangent where it is positive definite, and whether it is; with `shifts` else
         that of a tangent made so by a multiple of one."""
-        order, K = (2 * self.order[:, None] + [0, 1]).ravel(), K.tocoo()
-        row, col = (np.argsort(order)[each] for each in K.coords)
-        lower = row >= col
-        row, col = row[lower], col[lower]
+        order = (2 * self.order[:, None] + [0, 1]).ravel()
+        lower = sp.tril(K[order][:, order], format="coo")
+        row, col = lower.coords
         band = np.zeros(((row - col).max() + 1, len(order)), order="F")
-        band[row - col, col] = K.data[lower]
+        band[row - col, col] = lower.data
         diagonal = band[0].copy()
         for shift in (0.0, *SHIFTS) if shifts else (0.0,):
             band[0] = diagonal + shift * np.abs(diagonal).max()

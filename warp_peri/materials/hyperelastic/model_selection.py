@@ -17,13 +17,8 @@ from scipy.special import ndtri, stdtrit
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_text
-from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
-from warp_peri.materials.hyperelastic.fibres import (
-    ThicknessField,
-    fibre_families,
-    fibre_fan,
-    fibres_of,
-)
+from warp_peri.materials.hyperelastic.energies import NEAREST, EnergyTerm, Hyperelastic
+from warp_peri.materials.hyperelastic.fibres import fibre_families, fibre_fan, fibres_of
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.materials.hyperelastic.sheet_fit import (
     INTERPOLATES,
@@ -41,7 +36,6 @@ BULK = 2000.0
 
 
 REACH = 3.0
-NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
 STEPS, TOLERANCE = 10, 1e-3
 """Of a fit."""
 UNEVEN = 2
@@ -78,17 +72,16 @@ class Candidate:
         band is of each learned frame left out, by Student's distribution, of the misfit of frames
         that were never seen, and of the scatter of the scale: no error that all frames share.
         Raises InputError where deviations, which are no material, explain the frames."""
-        n = len(others := [other.material for other in self.fit.others])
         if (times := self.fit.stiffest_deviation) > INTERPOLATES:
             raise InputError(
                 f"frames: deviations came out {times:.0f} times as stiff as the sheet at rest and "
                 "explain the frames in the place of a material, which has no curves then"
             )
-        middle = uniaxial_stress(self.fit.material, stretches, angle)
-        if n < 2:
+        fits = self.fit, *self.fit.others
+        middle, *values = (uniaxial_stress(one.material, stretches, angle) for one in fits)
+        if (n := len(values)) < 2:
             return middle, np.full_like(middle, np.nan), np.full_like(middle, np.nan)
-        values = np.array([uniaxial_stress(other, stretches, angle) for other in others])
-        deviation = stdtrit(n - 1, (1 + level) / 2) * np.sqrt(n - 1) * values.std(axis=0)
+        deviation = stdtrit(n - 1, (1 + level) / 2) * np.sqrt(n - 1) * np.std(values, axis=0)
         misfit = np.hypot(self.held_out, self.fit.scatter)
         half = np.hypot(deviation, ndtri((1 + level) / 2) * misfit * middle)
         return middle, middle - half, middle + half
@@ -138,7 +131,7 @@ def select_model(
             even[kind] = fit if fit and fit.material.dictionary == dictionary else None
     least = min(candidate.held_out for candidate in tried)
     alike = least * (1 + 2 / np.sqrt(2 * np.count_nonzero(seen_of(test)[:, test.interior])))
-    tried.sort(key=lambda c: (c.held_out > alike, c.held_out if c.held_out > alike else c.numbers))
+    tried.sort(key=lambda candidate: (max(candidate.held_out, alike), candidate.numbers))
     if tried[0].fit is None:
         raise InputError("frames: no material fits them; " + "; ".join(c.why for c in tried))
     return tried
@@ -153,8 +146,7 @@ def _tried(
     how: dict[str, Any],
 ) -> Candidate:
     """A candidate, fitted or failed."""
-    uneven = ThicknessField.over(train.x, how["thickness"]).names if how["thickness"] else []
-    numbers = len(dictionary) + len(uneven)
+    numbers = len(dictionary) + how["thickness"] * (how["thickness"] + 3) // 2  # of a polynomial
     try:
         check_enough(int(np.count_nonzero(train.interior)), "interior nodes", numbers)
         fit = _learned(train, dictionary, start, how)
@@ -228,7 +220,7 @@ def febio_material(solid: HyperelasticMaterial) -> str:
     solid with energies beside these and fibre exponentials.
     """
     active, fibre = material_terms(solid), "fiber-exp-pow"
-    matrix = {term.kind: value for term, value in active if term.kind != "fibre_exponential"}
+    matrix = {t.label: value for t, value in active if t.kind != "fibre_exponential" or t.step}
     c = defaultdict(float, matrix)
     root = ElementTree.Element("material", id="1", name="sheet", type="solid mixture")
     if matrix and set(matrix) <= INCOMPRESSIBLE:
@@ -238,13 +230,13 @@ def febio_material(solid: HyperelasticMaterial) -> str:
         ground = {"c1": c["plane_stress"], "c2": c["mooney"]}
         _numbers(ElementTree.SubElement(root, "solid", type="Mooney-Rivlin"), **ground)
     elif matrix and set(matrix) <= COMPRESSIBLE:
-        ground = {"k1": 0.0, "k2": 1.0, "gamma": 0.0, "kappa": 0.0}
-        ground |= {"c": 2 * c["neo_hookean"], "k": 2 * c["volumetric"]}
-        _numbers(ElementTree.SubElement(root, "solid", type="HGO unconstrained"), **ground)
+        ground = {"c": 2 * c["neo_hookean"], "k": 2 * c["volumetric"]}
+        none = {"k1": 0.0, "k2": 1.0, "gamma": 0.0, "kappa": 0.0}
+        _numbers(ElementTree.SubElement(root, "solid", type="HGO unconstrained"), **none, **ground)
     else:
         raise InputError(
             "solid: expected neo_hookean and volumetric, or plane_stress and mooney, and fibre "
-            f"exponentials; got {', '.join(sorted({term.kind for term, _ in active}))}"
+            f"exponentials; got {', '.join(sorted({term.label for term, _ in active}))}"
         )
     for term, value in active:
         if term.kind == "fibre_exponential":
@@ -269,11 +261,11 @@ def save_febio(solid: HyperelasticMaterial, path: str | os.PathLike[str]) -> Non
 
 @typed
 def material_terms(solid: HyperelasticMaterial) -> list[tuple[EnergyTerm, float]]:
-    """Strain energies with their coefficients, those at nodes and corners added."""
+    """Strain energies with their coefficients, those at nodes and corners added, bonds apart."""
     sums = defaultdict[EnergyTerm, float](float)
     values = solid.coefficients[solid.dictionary.first_term :].tolist()
     for term, value in zip(solid.dictionary.terms, values):
-        sums[replace(term, corner=False)] += value
+        sums[replace(term, corner=False, step=() if term.corner else term.step)] += value
     return [(term, value) for term, value in sums.items() if value]
 
 
@@ -281,7 +273,7 @@ def material_terms(solid: HyperelasticMaterial) -> list[tuple[EnergyTerm, float]
 def in_words(solid: HyperelasticMaterial) -> list[str]:
     """Describe the coefficients in words, one line for each."""
     active, matrix, fibres = material_terms(solid), list[str](), list[str]()
-    values = defaultdict(float, {term.kind: value for term, value in active})
+    values = defaultdict(float, {term.label: value for term, value in active})
     told = {"fibre_power": "{:.4g}, power {:.3g}", "fibre_exponential": "k1 = {:.4g}, k2 = {:.3g}"}
     for term, value in active:
         if value > 0 and term.is_fibre:

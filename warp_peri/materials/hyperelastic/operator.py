@@ -3,6 +3,7 @@ energies by what they see, bonds carry that to their ends."""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar
@@ -19,13 +20,7 @@ from warp_peri.core.torch_bridge import FEW, Swept
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.regression import norms
 from warp_peri.materials.hyperelastic.energies import Energy, Hyperelastic, Strain
-from warp_peri.materials.hyperelastic.lattice import (
-    CORNERS,
-    SMALLEST_AREA,
-    SheetLattice,
-    Sites,
-    softest,
-)
+from warp_peri.materials.hyperelastic.lattice import SMALLEST_AREA, SheetLattice, Sites, softest
 from warp_peri.points.arguments import (
     USUAL,
     Units,
@@ -72,19 +67,14 @@ class HyperelasticMaterial(Record, format="warp_peri.hyperelastic", version=2):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.coefficients.shape != (len(self.dictionary),):
-            raise InputError(
-                f"coefficients: expected {len(self.dictionary)} numbers, "
-                f"got shape {list(self.coefficients.shape)}"
-            )
+        checked("coefficients", self.coefficients, shape=(len(self.dictionary),))
 
     @property
     def sparse(self) -> HyperelasticMaterial:
         """The material without the strain energies whose coefficient is zero."""
         first, c = self.dictionary.first_term, self.coefficients
-        kept = np.flatnonzero(c[first:])
-        terms = [self.dictionary.terms[n] for n in kept]
-        values = np.append(c[:first], c[first + kept])
+        terms = [term for term, value in zip(self.dictionary.terms, c[first:]) if value]
+        values = np.append(c[:first], c[first:][c[first:] != 0])
         return replace(self, dictionary=self.dictionary.with_terms(terms), coefficients=values)
 
     def on(
@@ -172,22 +162,20 @@ class HyperelasticSheetOperator(Swept):
 
     def _energies(self, c: np.ndarray) -> Active:
         """The energies whose coefficient is not zero."""
-        found = dict[Any, list[Energy]]()
+        found = defaultdict[Any, list[Energy]](list)
         for number, energy in enumerate(self.model.dictionary.energies):
             one = energy._replace(number=number, coefficient=float(c[number]))
-            for of in CORNERS if energy.sees == ("corner",) else ((),):
-                if c[number]:
-                    found.setdefault((*energy.sees, *of), []).append(one)
+            for sees in energy.sees if c[number] else ():
+                found[sees].append(one)
         return [(self.lattice.sites(*sees), each) for sees, each in found.items()]
 
     def _stored(self, sites: Sites, each: Any, q: torch.Tensor) -> torch.Tensor:
         """Energy of every site over h², shape [n, S]."""
         E = Strain(q)
-        total: Any = sum(e.coefficient * e.density(E, e.angle, e.exponent) for e in each)
-        share: Any = 1 / len(CORNERS) if sites.corner else 1.0
+        total: Any = sum(e.share(E) for e in each)
         if self.thickness is not None:
-            share = torch.from_numpy(share * self.thickness[sites.pair].mean(axis=0)[:, None])
-        return torch.as_tensor(share * total)
+            total = torch.from_numpy(self.thickness[sites.pair].mean(axis=0)[:, None]) * total
+        return torch.as_tensor(total)
 
     def _slope(self, sites: Sites, each: Any, q: torch.Tensor, graph: bool = False) -> torch.Tensor:
         """∂U/∂q over h², shape [Q, n, S]; with a graph of q, which becomes a leaf."""
@@ -383,9 +371,7 @@ class HyperelasticSheetOperator(Swept):
     def warn_beyond(self, u: np.ndarray) -> None:
         """Warn when fields are stretched beyond the data that the solid was learned from."""
         known = self.model.stretch
-        if known is None or not len(u):
-            return
-        if (largest := self.largest_stretch(u)) - 1 > BEYOND * (known - 1):
+        if known and len(u) and (largest := self.largest_stretch(u)) - 1 > BEYOND * (known - 1):
             warn(
                 f"stretch: the fields reach {largest:.4g}, the training data {known:.4g}: "
                 "nothing is known of the material beyond"
@@ -413,8 +399,7 @@ class HyperelasticSheetOperator(Swept):
         every sample, NaN where not solved. Warns of stretches beyond the training data.
         """
         told, found, start, inverse = dict[str, Any](), [], None, None
-        loads = np.zeros_like(samples.u) if samples.b is None else samples.b
-        loads = loads[:, self.interior]
+        loads = (np.zeros_like(samples.u) if samples.b is None else samples.b)[:, self.interior]
         if samples.b is not None:
             residuals = norms(self.force(samples.u) - loads) / norms(loads)
             told = {"E_res": float(residuals.mean()), "residuals": residuals}

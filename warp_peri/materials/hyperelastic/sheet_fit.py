@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.regression import compressed
-from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
+from warp_peri.materials.hyperelastic.energies import NEAREST, EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.fibres import (
     ThicknessField,
     fibre_families,
@@ -56,8 +56,7 @@ class Sections:
                 "them, and no other mean is the force over width and thickness"
             )
         near, width = np.flatnonzero(binary_dilation(lines, iterations=R)), number.shape[1]
-        sides = np.meshgrid(near, np.arange(-R, width + R), indexing="ij")
-        steps = np.stack(sides, axis=-1).reshape(-1, 2)
+        steps = np.array([(a, b) for a in near for b in range(-R, width + R)])
         own = lines[steps[:, 0]] & (steps[:, 1] >= 0) & (steps[:, 1] < width)
         x = origin + frames.spacing * steps[:, turn]
         points = Points(x, own, frames.spacing, units=frames.points.units)
@@ -74,7 +73,7 @@ class Sections:
         c[: solid.dictionary.first_term] = 0.0
         if thickness is not None:
             of_nodes = thickness.at(self.op.points.x)
-            of_nodes = of_nodes / of_nodes[self.op.interior].mean()
+            of_nodes /= of_nodes[self.op.interior].mean()
         op = self.op.changed(replace(solid, coefficients=c), of_nodes)
         P = op.stress(self.fields[n])[:, self.axis, self.axis].reshape(self.shape)
         return np.asarray((P[:, :-1] + P[:, 1:]).mean(axis=1) / 2)
@@ -234,17 +233,16 @@ class Search:
             start = start.material.coefficients
         if start is not None and np.shape(start) != (K,):
             raise InputError(f"start: expected {K} coefficients, got {start!r:.60}")
-        if start is None and self.by_load:
-            c = np.where(np.isfinite(low), low, 0.0)
-        elif start is not None:
-            c = np.maximum(start, low)
+        if start is not None or self.by_load:
+            c = np.maximum(0.0 if start is None else start, low)
             c = c if self.by_load else self.scaled(c)
         else:
             x = np.append(self.scaled(self.measure), self.rest)
-            none = (0, 0), (0, len(self.rest))  # fibres and thickness stay
-            forces = enumerate(self.op.features(u).reshape(-1, K) for u in fields)
-            columns = ((n, np.pad(F, none)) for n, F in forces)
-            place = Place(x, fields, {}, {n: self._rows(n, F, F @ x) for n, F in columns})
+            none, rows = ((0, 0), (0, len(self.rest))), dict[int, np.ndarray]()
+            for n, u in enumerate(fields):
+                F = np.pad(self.op.features(u).reshape(-1, K), none)  # fibres and thickness stay
+                rows[n] = self._rows(n, F, F @ x)
+            place = Place(x, fields, {}, rows)
             c = (x + self.step(place, DAMPING[0]))[:K]
         place = self.settled(np.append(c, self.rest), fields, range(len(fields)))
         if not place.equations:
@@ -279,9 +277,9 @@ class Search:
             held = np.append(self.measure / self.measure.max(), 0 * self.rest)
             A.append(SCALE_WEIGHT * np.abs(J).max() * held[None] / length)
             right.append(A[-1] @ (length * x))
-        bounds, most = (low, np.maximum(high, low + 1e-9)), 10 * len(x)
+        bounds = low, np.maximum(high, low + 1e-9)
         within = [bound * length for bound in bounds]
-        how: Any = {"method": "bvls", "max_iter": most}
+        how: Any = {"method": "bvls", "max_iter": 10 * len(x)}
         x_scaled = lsq_linear(np.concatenate(A), np.concatenate(right), within, **how).x
         found = np.clip(x_scaled / length, *bounds)
         if not self.by_load:
@@ -359,7 +357,7 @@ class Search:
             stretch=self.op.largest_stretch(self.data),
             provenance={} if self.by_load or len(self.pull) else NO_FORCE,
         )
-        left = [*(n for n in range(len(errors)) if n not in place.equations), *left]
+        left = [*np.flatnonzero(np.isinf(errors)).tolist(), *left]
         rms = float(np.sqrt(np.delete(errors**2, left).mean()))
         return SheetFit(solid, errors, [rms], left, thickness, scale=scale, scatter=scatter)
 
@@ -437,13 +435,13 @@ def fit_sheet(
     least = 0.0 if positive else -np.inf
     search = Search(samples, dictionary, stiffness, moving, uneven, least=least)
     if not by_load:
-        check_identifiable(samples, len(dictionary))
+        check_identifiable(samples, search.op)
     place = search.begun(start)
     if by_load and not (moving or thickness):  # linear
         place, most_steps = search.moved(place, search.step(place, RIDGE)), 0
     place, history = search.descended(place, most_steps, tolerance, progress)
-    fit, each = search.fit(place), [*place.equations] if not by_load else []
-    others = [search.fit(place, [n]) for n in each] if len(each) > 1 else []
+    fit, each = search.fit(place), [] if by_load or len(place.equations) == 1 else place.equations
+    others = [search.fit(place, [n]) for n in each]
     solved = None if by_load else place.fields
     fit = replace(fit, history=history, others=others, fields=solved, guaranteed=positive)
     if not by_load and (stiffest := fit.stiffest_deviation) > INTERPOLATES:
@@ -463,10 +461,10 @@ def check_enough(count: int, what: str, numbers: int) -> None:
         )
 
 
-def check_identifiable(frames: Samples, numbers: int) -> None:
+def check_identifiable(frames: Samples, op: HyperelasticSheetOperator) -> None:
     """Raise InputError where any homogeneous body could have moved so, the strain is small, or too
     little is measured for so many unknowns."""
-    design = np.concatenate([np.ones((len(frames.x), 1)), frames.x], axis=1)
+    design = np.column_stack([np.ones(len(frames.x)), frames.x])
     u = np.moveaxis(frames.u, 0, 1).reshape(len(frames.x), -1)
     rest = u - design @ np.linalg.lstsq(design, u, rcond=None)[0]
     rest, size = (np.linalg.norm(v.reshape(len(v), -1, 2), axis=(0, 2)) for v in (rest, u))
@@ -475,7 +473,6 @@ def check_identifiable(frames: Samples, numbers: int) -> None:
             "frames: expected displacement that is not affine; a homogeneous body of any material "
             "follows affine edges, so that such frames say nothing about it"
         )
-    op = sheet_on(Hyperelastic(terms=(EnergyTerm("plane_stress"),)), frames)
     strains = np.abs(op.strain(frames.u)[:, op.interior]).max(axis=-1)
     typical = float(np.median(strains, axis=1).max())
     if typical < SMALL:
@@ -485,7 +482,7 @@ def check_identifiable(frames: Samples, numbers: int) -> None:
             "that of the area (bulk)"
         )
     measured = 2 * int(np.count_nonzero(seen_of(frames)[:, frames.interior]))
-    check_enough(measured, "measured components inside", numbers)
+    check_enough(measured, "measured components inside", len(op.model.coefficients))
 
 
 ENOUGH = 40
@@ -497,7 +494,7 @@ def fit_fibre_families(
     samples: Samples,
     *,
     matrix: Sequence[str] = ("neo_hookean", "volumetric"),
-    deviations: tuple[tuple[int, int], ...] = ((0, 1), (1, 0), (1, 1), (1, -1)),
+    deviations: tuple[tuple[int, int], ...] = NEAREST,
     stiffness: NotNegative = 0.0,
     directions: Count = 16,
     most_steps: Count = 12,
