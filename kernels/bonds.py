@@ -4,9 +4,9 @@ helpers stay in a kernel between sweeps."""
 import warp as wp
 
 
-def unpacked(struct):
-    """C++ that names what a kernel's struct `of` holds."""
-    return "".join(f"auto& {name} = of.{name};" for name in struct.vars)
+def unpacked(struct, of="of"):
+    """C++ that names what a kernel's struct holds."""
+    return "".join(f"auto& {name} = {of}.{name};" for name in struct.vars)
 
 
 LINE = 16

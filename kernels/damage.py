@@ -164,13 +164,6 @@ def halves(dimension: int):
     """The kernels in one dimension."""
     vec = wp.types.vector(dimension, wp.float64)
 
-    @wp.func
-    def free_of(held: vec):
-        free = vec()
-        for a in range(dimension):
-            free[a] = wp.float64(1.0) - held[a]
-        return free
-
     @wp.kernel(enable_backward=False)
     def kick_and_drift(
         first: wp.int32,
@@ -192,7 +185,7 @@ def halves(dimension: int):
         hold the others.
         """
         i = first + wp.tid()
-        free = free_of(held[i])
+        free = vec(wp.float64(1.0)) - held[i]
         kick = step / (wp.float64(2.0) * inertia) * (force[i] + share * load[i])
         w = wp.cw_mul(free, v[i] + kick) + speed * wp.cw_mul(held[i], grip[i])
         du = step * w
@@ -215,7 +208,7 @@ def halves(dimension: int):
     ):
         """v += Δt/(2ρ) (f + share b), the force at the new place, of bonds that break now too."""
         i = first + wp.tid()
-        free = free_of(held[i])
+        free = vec(wp.float64(1.0)) - held[i]
         w = v[i]
         hands = wp.float64(0.5) * step * wp.dot(wp.cw_mul(held[i], force[i]), w)
         work[i] = work[i] - hands

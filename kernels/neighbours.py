@@ -2,15 +2,11 @@
 
 import warp as wp
 
+ints = wp.array(dtype=wp.int32)
+
 
 @wp.kernel(enable_backward=False)
-def any_neighbour(
-    first: wp.int32,
-    row: wp.array(dtype=wp.int32),
-    neighbour: wp.array(dtype=wp.int32),
-    flag: wp.array(dtype=wp.int32),
-    touched: wp.array(dtype=wp.int32),
-):
+def any_neighbour(first: wp.int32, row: ints, neighbour: ints, flag: ints, touched: ints):
     """Nodes with an unbroken bond to a flagged node."""
     i = first + wp.tid()
     for e in range(row[i], row[i + 1]):
@@ -21,11 +17,7 @@ def any_neighbour(
 
 @wp.kernel(enable_backward=False)
 def lattice_neighbours(
-    first: wp.int32,
-    place: wp.array(dtype=wp.int32),
-    offset: wp.array(dtype=wp.int32),
-    number: wp.array(dtype=wp.int32),
-    neighbour: wp.array2d(dtype=wp.int32),
+    first: wp.int32, place: ints, offset: ints, number: ints, neighbour: wp.array2d(dtype=wp.int32)
 ):
     """The node at each step of the pattern from each node, −1 where there is none.
 

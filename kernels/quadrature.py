@@ -9,18 +9,17 @@ from functools import cache
 import warp as wp
 
 BODY = """
-    const double h = horizon;
     const int count = exact.shape[0];  // unknown to the compiler, which would unroll
     const int begin = row.data[i], end = row.data[i + 1];
     static const int power[COUNT][DIM] = POWERS;
-    double G[COUNT][COUNT] = {}, q[COUNT], c[COUNT], left[COUNT], pull[COUNT];
+    double G[COUNT][COUNT] = {}, q[COUNT], left[COUNT], pull[COUNT];
     auto features = [&](int e) {
         double p[DIM][DEGREE + 1], square = 0.0;
         for (int d = 0; d < DIM; ++d) {
             double a = x.data[neighbour.data[e]].c[d] - x.data[i].c[d];
             if (box.c[0] > 0.0)
                 a -= rint(a / box.c[d]) * box.c[d];
-            a /= h;
+            a /= horizon;
             p[d][1] = a;
             square += a * a;
         }
@@ -37,13 +36,12 @@ BODY = """
                 q[k] *= p[d][power[k][d]];
         }
     };
-    double volume = h, largest = 0.0;
+    double volume = horizon, largest = 0.0;
     for (int d = 1; d < DIM; ++d)
-        volume *= h;
+        volume *= horizon;
     for (int k = 0; k < count; ++k) {
-        c[k] = exact.data[k];
-        left[k] = c[k];
-        largest = wp::max(largest, fabs(c[k]));
+        left[k] = exact.data[k];
+        largest = wp::max(largest, fabs(left[k]));
     }
     for (int e = begin; e < end; ++e) {
         weight.data[e] = 0.0;
@@ -83,7 +81,7 @@ BODY = """
             pull[m] /= G[m][m];
         }
         for (int m = 0; m < count; ++m)
-            left[m] = c[m];
+            left[m] = exact.data[m];
         for (int e = begin; e < end; ++e) {
             features(e);
             double w = weight.data[e] / volume;
@@ -92,7 +90,7 @@ BODY = """
             for (int m = 0; m < count; ++m)
                 left[m] -= w * q[m];
             for (int d = 0; d < DIM; ++d)
-                w *= h;
+                w *= horizon;
             weight.data[e] = w;
         }
     }

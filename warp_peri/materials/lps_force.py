@@ -22,7 +22,7 @@ from warp_peri.core.stencil import row_pieces
 from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.influence import BLOCK, influence
-from warp_peri.kernels.lps import LANES, struct, sweeps
+from warp_peri.kernels.lps import LANES, Balls, Sums, by_influence, stiffnesses, struct, sweeps
 from warp_peri.points.families import DEGREE, families_of
 from warp_peri.points.points import PointsLike, nodes_of
 from warp_peri.runtime import (
@@ -30,12 +30,12 @@ from warp_peri.runtime import (
     SLICE,
     Shared,
     at_once,
+    empty,
     filled,
     floats,
     get_num_threads,
     ints,
     launch_slices,
-    zeros,
 )
 
 if TYPE_CHECKING:
@@ -58,10 +58,11 @@ class Layout:
     """Places and bonds in the order of kernels/lps.py.
 
     Attributes:
+        balls: bonds of each place, of rows of all places together.
+        end: places from one to the end of each bond, 0 of a broken one, [E], of rows [B].
+        bond: vectors ξ [Å] and 1/r², shape [E] or [B] of d + 1.
         in_rows: whether all places share one family, and are laid out in planes.
-        row, end: first bond of each place, and places from one to the end of each bond.
-        bond: vectors ξ [Å] and 1/r², shape [E, d + 1], of rows [B, d + 1].
-        kind: class of each bond, [E] or [B].
+        back: number of the bond back, or of itself where broken, [E]; of rows nothing.
         node: number of the node at each place, periodic images included, N where none, [P].
         home: place of every node, shape [N].
         pieces: by name, shape [·] of vectors: to be "laid" out, where dilatations are "needed", and
@@ -69,11 +70,11 @@ class Layout:
             "whole", needed without images; none for None.
     """
 
+    balls: Any
+    end: wp.array[Any]
+    bond: wp.array[Any]
     in_rows: bool
-    row: np.ndarray
-    end: np.ndarray
-    bond: np.ndarray
-    kind: np.ndarray
+    back: np.ndarray
     node: np.ndarray
     home: np.ndarray
     pieces: dict[str | None, wp.array[Any]]
@@ -136,8 +137,20 @@ class Bonds:
         places = {"needed": needed, "whole": needed, "forces": families.rows, "nodes": nodes}
         of: dict[str | None, Any] = dict.fromkeys((None, "laid", "back"), nodes[:0])
         pieces = {n: _pieces(np.sort(at), np.arange(len(at)), 1) for n, at in (of | places).items()}
-        to = np.where(end < 0, 0, end - owner)
-        return Layout(False, families.row, to, _bond(xi), kind, nodes, nodes, pieces)
+        back = families.reverse
+        if families.lattice is not None:
+            back = families.row[end] + np.tile(back, self.nodes)
+        to, back = np.where(end < 0, 0, end - owner), np.where(end < 0, np.arange(len(end)), back)
+        return self._laid(families.row, to, xi, kind, False, back, nodes, nodes, pieces)
+
+    def _laid(
+        self, row: np.ndarray, end: np.ndarray, xi: np.ndarray, kind: np.ndarray, *others: Any
+    ) -> Layout:
+        """Layout of bonds of these classes, with its other members."""
+        weight, r2 = self.families.weight[kind], (xi**2).sum(axis=1)
+        of_bond = map(floats, (np.where(end == 0, 0.0, weight), weight * r2))
+        balls = filled(Balls, ints(row), floats(self.lengths[2][kind], wp.int64), *of_bond)
+        return Layout(balls, ints(end), _vectors(np.column_stack([xi, 1 / r2])), *others)
 
     def _rows(self) -> Layout | None:
         """Layout of a lattice in a box; None with broken bonds, or for a mostly empty box."""
@@ -182,61 +195,56 @@ class Bonds:
         if SHORT * len(pieces["nodes"]) > self.nodes:
             return None
         pairs = np.minimum(np.arange(len(steps)), families.reverse).argsort(kind="stable")
-        bonds = _bond(families.pattern[pairs]), families.lattice.bond_class[pairs]
-        ends = np.array([0, len(steps)]), steps[pairs] @ stride
-        return Layout(True, *ends, *bonds, node, home, pieces)
+        of_bond = steps[pairs] @ stride, families.pattern[pairs], families.lattice.bond_class[pairs]
+        row = np.array([0, len(steps)])
+        return self._laid(row, *of_bond, True, pairs[:0], node, home, pieces)
 
     @cached_property
-    def _tables(self) -> list[wp.array[Any]]:
-        """Length, its logarithm and weight of the bonds of each class, [C]."""
-        r = self.families.r
-        return [floats(one) for one in (r, np.log(r), self.families.weight)]
+    def lengths(self) -> tuple[np.ndarray, ...]:
+        """Lengths r that K has a value of, their logarithms, and which of them each class has, [C]:
+        of scattered points a bond has that of the bond back."""
+        families, of = self.families, np.arange(len(self.families.r))
+        back = of if families.lattice is not None else families.reverse
+        first = of <= back
+        r = families.r[first]
+        return r, np.log(r), (np.cumsum(first) - 1)[np.minimum(of, back)]
 
     def influence(self, alpha: ArrayLike, D: ArrayLike, by: Any = None) -> Any:
-        """Influence K W of each bond class, [C]; with derivatives `by` to it, those to α and D."""
-        terms, taped = np.size(D), by is not None
-        count = -(-len(self.families.r) // BLOCK)
+        """Influence K of each length; with derivatives `by` to it, those to α and D."""
+        terms, taped, (r, log_r, _) = np.size(D), by is not None, self.lengths
+        count = -(-len(r) // BLOCK)
         pieces = max(1, min(BLOCKS, count * BLOCK // SLICE)) if taped else 1  # on any threads
-        numbers = (np.ravel(alpha), wp.float64), ([np.ravel(D)], wp.types.vector(terms, wp.float64))
+        vector = wp.types.vector(terms, wp.float64)
+        numbers = (np.ravel(alpha), wp.float64), ([np.ravel(D)], vector)
         given: list[list[Any]] = [
             [wp.array(one, dtype=of, device=DEVICE, requires_grad=taped) for one, of in numbers]
             for _ in range(pieces)
         ]
-        binomials = floats(comb(terms - 1, np.arange(terms)))
-        inputs: Any = [wp.float64(self.horizon), binomials, *self._tables]
-        kernel, kw = influence(terms), zeros(len(self.families.r), gradient=taped)
+        binomials = floats(comb(terms - 1, np.arange(terms))[None], vector)
+        inputs: Any = [wp.float64(self.horizon), binomials, floats(r), floats(log_r)]
+        kernel, K = influence(terms), empty(len(r), dtype=wp.float64)
         if not taped:
-            launch_slices(kernel, count, [*inputs, *given[0]], (kw,), weight=BLOCK)
-            return kw.numpy()
+            launch_slices(kernel, count, [*inputs, *given[0]], (K,), weight=BLOCK)
+            return K.numpy()
         kernel.module.load(DEVICE)
-        kw.grad = floats(by)
+        K.grad = floats(by)
 
         def back(n: int) -> None:
             first, last = (count * end // pieces for end in (n, n + 1))
             tape: Any = wp.Tape()
-            tape.record_launch(kernel, last - first, 0, [first, *inputs, *given[n]], [kw], DEVICE)
+            tape.record_launch(kernel, last - first, 0, [first, *inputs, *given[n]], [K], DEVICE)
             tape.backward()
 
         at_once([partial(back, n) for n in range(pieces)])
         return [sum(one.grad.numpy().ravel() for one in each) for each in zip(*given)]
 
-    def volumes(self, terms: np.ndarray) -> Any:
-        """Sum over each whole ball of a value given by bond class, [N]; on a lattice one number."""
-        if self.families.lattice is not None:
-            return (self.families.lattice.count * terms).sum()
-        return np.add.reduceat(terms, self.families.row[:-1])
-
-    def table(self, alpha: ArrayLike, D: ArrayLike) -> tuple[np.ndarray, Any]:
-        """K W of each class, and weighted volumes (1 at nodes that need none)."""
-        kw = self.influence(alpha, D)
-        m = self.volumes(kw * self.families.r**2)
-        return kw, np.where(m == 0, 1, m)
-
     @cached_property
     def left(self) -> np.ndarray:
         """Indices of the unbroken bonds of nodes with broken ones."""
+        if not len(cut := self.families.cut):
+            return cut
         owner, end, _, _ = self.listing
-        return np.flatnonzero((end >= 0) & np.isin(owner, self.families.cut))
+        return np.flatnonzero((end >= 0) & np.isin(owner, cut))
 
     def inverted(self, kw: np.ndarray) -> tuple[np.ndarray, ...]:
         """K W and S⁻¹ ξ, (40–41), of the bonds `left`, and the indices of their owners in `cut`."""
@@ -258,16 +266,18 @@ class Bonds:
         """The Law on these bonds of given λ, μ, α and D; the last one is cached."""
         arrays = [np.array(value, dtype=float).ravel() for value in values]  # nobody changes copies
         key, last = [array.tobytes() for array in arrays], self.kept
-        if last is None or last[0] != key:
-            same = last is not None and last[0][2:] == key[2:]
-            last = self.kept = key, Law(self, arrays, last[1] if last and same else None)
+        if not last or last[0] != key:
+            known = last[1] if last and last[0][2:] == key[2:] else None
+            last = self.kept = key, Law(self, arrays, known)
         return last[1]
 
-    def check_volumes(self, kw: np.ndarray) -> None:
-        """Raise InputError for K W whose weighted volume vanishes."""
-        families, terms = self.families, kw * self.families.r**2
-        needed = np.append(families.whole, families.cut) if families.lattice is None else ...
-        m, size = (np.atleast_1d(self.volumes(x))[needed] for x in (terms, np.abs(terms)))
+    def check_volumes(self, K: np.ndarray) -> None:
+        """Raise InputError for K of each length whose weighted volume vanishes."""
+        families, balls = self.families, self.layout.balls
+        terms = balls.square.numpy() * K[balls.length.numpy()]
+        needed = ... if self.layout.in_rows else np.append(families.whole, families.cut)
+        start = balls.row.numpy()[:-1]
+        m, size = (np.add.reduceat(x, start)[needed] for x in (terms, np.abs(terms)))
         if bad := np.count_nonzero(~(np.abs(m) > CANCELLED * size)):
             where = f"{bad} nodes" if families.lattice is None else "every node"
             raise InputError(
@@ -278,10 +288,6 @@ class Bonds:
 
 def _vectors(values: np.ndarray) -> wp.array[Any]:
     return floats(np.ascontiguousarray(values), wp.types.vector(values.shape[1], wp.float64))
-
-
-def _bond(xi: np.ndarray) -> np.ndarray:
-    return np.hstack([xi, 1 / (xi**2).sum(axis=1, keepdims=True)])
 
 
 def _pieces(places: np.ndarray, numbers: np.ndarray, lanes: int) -> wp.array[Any]:
@@ -314,7 +320,8 @@ class Law:
         known: a Law of the same α and D.
 
     Attributes:
-        kw, m: K W of each class [C] and weighted volume of each node [N], of a lattice one number.
+        K: influence of each length.
+        m: weighted volume of each node, [N], of a lattice in rows one number, [1].
         own: K W/m of each bond of the layout, 0 of broken ones.
 
     Raises InputError for moduli of another shape, and λ ≠ μ on bonds that are bond-based.
@@ -333,15 +340,19 @@ class Law:
             refuse_bond_based()
         self.bulk, self.fields, layout = lam - mu, max(lam.size, mu.size) > 1, bonds.layout
         if known is None:
-            self.kw, self.m = bonds.table(alpha, D)
-            count = np.diff(layout.row)
-            self.own = self.kw[layout.kind] / np.repeat(np.broadcast_to(self.m, len(count)), count)
-            if not layout.in_rows:
-                self.own[bonds.listing[1] < 0] = 0
+            self.K = bonds.influence(alpha, D)
+            self.own, self.m = np.empty(len(layout.end)), np.empty(len(layout.balls.row) - 1)
+            found = map(floats, (self.K, self.own, self.m))
+            launch_slices(stiffnesses, len(self.m), [layout.balls, *found], ())
         else:
-            self.kw, self.m, self.own = known.kw, known.m, known.own
-        of = {"lattice": layout.in_rows, "fields": self.fields}
-        self.kernels: Any = sweeps(bonds.dimension, **of)
+            self.K, self.m, self.own = known.K, known.m, known.own
+        self.kernels: Any = sweeps(bonds.dimension, lattice=layout.in_rows, fields=self.fields)
+
+    @cached_property
+    def kw(self) -> np.ndarray:
+        """K W of each bond class, [C]."""
+        bonds = self.bonds
+        return np.asarray(bonds.families.weight * self.K[bonds.lengths[2]])
 
     @cached_property
     def forward(self) -> Any:
@@ -350,27 +361,20 @@ class Law:
         if self.fields:  # one value a place
             every = (np.append(np.broadcast_to(one, bonds.nodes), 0.0) for one in moduli)
             moduli = tuple(one[layout.node] for one in every)
-        d, lost = bonds.dimension, not layout.in_rows and len(bonds.left)
-        bent = bonds.bent(self.kw, self.own) if lost else layout.bond[:0, :-1]
-        return filled(
-            struct(d), ints(layout.row), ints(layout.end), _vectors(layout.bond),
-            *map(floats, (self.own, *moduli)), _vectors(bent),
-        )  # fmt: skip
+        d = bonds.dimension
+        bent = bonds.bent(self.kw, self.own) if len(bonds.left) else np.empty((0, d))
+        known = layout.balls.row, layout.end, layout.bond, *map(floats, (self.own, *moduli))
+        return filled(struct(d), *known, _vectors(bent))
 
     @cached_property
     def back(self) -> Any:
         """Arrays that a sweep for Lᵗ reads; in rows the same as `forward`."""
-        bonds, of, families = self.bonds, self.forward, self.bonds.families
-        if bonds.layout.in_rows:
+        of, layout, Form = self.forward, self.bonds.layout, struct(self.bonds.dimension)
+        if layout.in_rows:
             return of
-        end, reverse = bonds.listing[1], families.reverse
-        if families.lattice is not None:
-            reverse = families.row[end] + np.tile(reverse, bonds.nodes)
-        reverse = np.where(end < 0, np.arange(len(end)), reverse)  # where all is 0
-        Form, bent = struct(bonds.dimension), -of.bent.numpy()
-        bent = bent[reverse] if len(bent) else bent
+        bent = -of.bent.numpy()[layout.back[: len(of.bent)]]
         known = [getattr(of, name) for name in Form.vars][:7]
-        return filled(Form, *known, floats(self.own[reverse]), _vectors(bent))
+        return filled(Form, *known, floats(self.own[layout.back]), _vectors(bent))
 
     def _sweep(self, of: Any, pieces: Sequence[str | None], *fields: np.ndarray) -> None:
         """Lay out values, find dilatations, then forces, on the named pieces (None: skip); fields
@@ -428,7 +432,11 @@ class Law:
         lanes, blocks = self.kernels.lanes, BLOCKS if layout.in_rows else 1
         by_own = np.zeros((blocks, lanes * len(layout.end)))
         shear, bulk = np.zeros((2, len(layout.node)))
-        self._slopes(*felt, *pull, by_own, shear, bulk)
+        whole, sums = layout.pieces["whole"], map(floats, (*felt, *pull, by_own, shear, bulk))
+        ends = ints(np.arange(BLOCKS + 1) * len(whole) // BLOCKS)
+        inputs = ends, whole, self.back, filled(Sums, *sums)
+        weight = max(len(whole) * len(g) // BLOCKS, 1)
+        launch_slices(self.kernels.slopes, BLOCKS, inputs, (), weight=weight)
         moduli = [
             part[layout.home] if one.size > 1 else part.sum()
             for part, one in ((bulk, lam), (shear - bulk, mu))
@@ -436,28 +444,15 @@ class Law:
         if not any(asked[3:]):
             return [by_u, *moduli, None, None]
         by_own = by_own.reshape(blocks, -1, lanes).sum(axis=(0, 2))
-        by_kw = self._by_class(by_own, felt[0], pull[1])
-        return [by_u, *moduli, *bonds.influence(alpha, D, by_kw)]
+        by_K = self._by_length(by_own, felt[0], pull[1])
+        return [by_u, *moduli, *bonds.influence(alpha, D, by_K)]
 
-    def _slopes(self, *fields: np.ndarray) -> None:
-        """Sum derivatives to `own`, μ and λ − μ from planes and dilatations of both directions."""
-        whole = self.bonds.layout.pieces["whole"]
-        ends = ints(np.arange(BLOCKS + 1) * len(whole) // BLOCKS)
-        *given, by_own, by_mu, by_bulk = map(floats, fields)
-        launch_slices(
-            self.kernels.slopes, BLOCKS, (ends, whole, self.back, *given),
-            (by_own, by_mu, by_bulk), weight=max(len(whole) * len(fields[0]) // BLOCKS, 1),
-        )  # fmt: skip
-
-    def _by_class(self, by: np.ndarray, u: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """Derivatives by K W of each class, [C], from those to `own` of each bond, [E], as if every
+    def _by_length(self, by: np.ndarray, u: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """Derivatives by K of each length from those to `own` of each bond, [E], as if every
         dilatation were d own ξ·(u(ξ) − u). At nodes with broken bonds (40–41) a bond f adds p_f ·
         S⁻¹ ξ_f − (S⁻¹ ξ_f) · (Σ_e K W p_e ⊗ S⁻¹ ξ_e) ξ_f, p the derivative to K W S⁻¹ ξ."""
-        bonds, layout, d = self.bonds, self.bonds.layout, self.bonds.dimension
-        lost: Any = 0.0
-        if not layout.in_rows:
-            by[bonds.listing[1] < 0] = 0
-        if len(bonds.families.cut):
+        bonds, d, lost = self.bonds, self.bonds.dimension, 0.0
+        if len(bonds.left):
             owner, end, xi, kind = (one[bonds.left] for one in bonds.listing)
             weight, turned, place = bonds.inverted(self.kw)
             u = u.reshape(len(tau), -1, d)
@@ -466,13 +461,12 @@ class Law:
             by[bonds.left] -= d * (xi * p).sum(axis=1)
             both = np.zeros((len(bonds.families.cut), d, d))
             np.add.at(both, place, weight[:, None, None] * p[:, :, None] * turned[:, None])
-            slope = (p * turned).sum(axis=1) - np.einsum("ea,eab,eb->e", turned, both[place], xi)
-            lost = np.bincount(kind, slope, len(self.kw))
-        count = np.diff(layout.row)
-        pulled = np.add.reduceat(by * self.own, layout.row[:-1])
-        by -= np.repeat(pulled, count) / layout.bond[:, d]
-        by /= np.repeat(np.broadcast_to(self.m, len(count)), count)
-        return np.asarray(lost + (by if len(by) == len(self.kw) else np.bincount(layout.kind, by)))
+            lost = (p * turned).sum(axis=1) - np.einsum("ea,eab,eb->e", turned, both[place], xi)
+            lost *= bonds.families.weight[kind]
+        of = bonds.layout.balls
+        launch_slices(by_influence, len(self.m), [of, *map(floats, (self.own, self.m, by))], ())
+        by[bonds.left] += lost
+        return np.bincount(of.length.numpy(), by)
 
 
 def refuse_bond_based() -> None:

@@ -177,8 +177,8 @@ class LPSOperator(OperatorBase):
     @property
     def matrices(self) -> Matrices:
         """Matrices Γ, Φ and Ψ on the nodes."""
-        _, mu, *shape = self.learnable.values()
-        return assemble(self.bonds, *self.bonds.table(*shape), mu)
+        law = self._law
+        return assemble(self.bonds, law.kw, law.m, self.model.mu)
 
     @property
     def is_symmetric(self) -> bool:  # type: ignore[override]
@@ -459,12 +459,12 @@ def node_fields(model: LPSMaterial, points: PointsLike, u: ArrayLike) -> NodeFie
     if (given := nodes_of(points)).outside is not None:
         raise InputError("outside: expected none, for stress needs complete families")
     bonds = bonds_of(model, points)
-    kw, m = bonds.table(model.alpha, model.D)
+    law = bonds.law(*model.learnable.values())
     nodes, d, inside = bonds.nodes, bonds.dimension, np.flatnonzero(given.interior)
     u = checked("u", u, float, (..., nodes, d)).reshape(-1, nodes, d)
     mine = given.interior[bonds.listing[0]]
     owner, far, xi, kind = (one[mine] for one in bonds.listing)
-    lam, mu, m = (np.broadcast_to(one, nodes)[inside] for one in (model.lam, model.mu, m))
+    lam, mu, m = (np.broadcast_to(one, nodes)[inside] for one in (model.lam, model.mu, law.m))
     place = np.searchsorted(inside, owner)
     entries = np.ones(len(place)), (place, np.arange(len(place)))
     sums = sp.csr_array(entries, shape=(len(inside), len(place)))
@@ -474,7 +474,7 @@ def node_fields(model: LPSMaterial, points: PointsLike, u: ArrayLike) -> NodeFie
         flat = sums @ values.reshape(len(place), -1)
         return np.asarray(flat.reshape(len(inside), *values.shape[1:]))
 
-    K, outer, c2 = kw[kind], xi[:, :, None] * xi[:, None, :], d * (d + 2)
+    K, outer, c2 = law.kw[kind], xi[:, :, None] * xi[:, None, :], d * (d + 2)
     sheared = K / (xi**2).sum(axis=1)
     shape, inverse = total(K[:, None, None] * outer), np.linalg.inv(total(outer))
     parts = []
