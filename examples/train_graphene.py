@@ -93,6 +93,7 @@ def run(given: argparse.Namespace) -> None:
     drawing = time.perf_counter()
     numbers["figures"] = report.draw(given.out, trained, sets, rows)
     seconds["figures"] = time.perf_counter() - drawing
+    numbers |= {"thickness": data.thickness, "density": data.density}
     numbers["seconds"] = seconds | {"all": time.perf_counter() - begin}
     said = {name: getattr(given, name) for name in ("method", "conditions")}
     said["data_provenance"] = data.provenance

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
 from warp_peri.materials.transfer import on_lattice
-from warp_peri.points.arguments import Positive, typed
+from warp_peri.points.arguments import Positive, check_nodes, typed
 from warp_peri.points.points import Points, PointsLike, Samples
 
 __all__ = ["on_lattice", "onto_lattice"]
@@ -41,13 +41,16 @@ def onto_lattice(samples: Samples, *, spacing: Positive) -> Samples:
     than these, and nodes on a line or a conic.
     """
     x, dense = samples.x, mean_spacing(samples)
-    if samples.points.dimension != 2:
-        raise InputError("samples: expected nodes in a plane, got some in space")
+    if samples.points.dimension != 2 or not len(samples):
+        raise InputError("samples: expected one or more, of nodes in a plane")
+    if samples.box is not None or samples.outside is not None:
+        raise InputError("points: expected no period and no nodes outside, which would be lost")
     if len(x) < NEIGHBOURS:
         raise InputError(
             f"points: expected at least {NEIGHBOURS} nodes to interpolate from, got {len(x)}"
         )
     low, high = np.ceil(x.min(0) / spacing - 1e-6), np.floor(x.max(0) / spacing + 1e-6)
+    check_nodes("spacing", high - low + 1)
     lines = [np.arange(a, b + 1) for a, b in zip(low, high)]
     y = spacing * np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
     r, near = cKDTree(x).query(y)

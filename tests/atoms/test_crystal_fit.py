@@ -231,6 +231,11 @@ def test_what_is_no_file_of_phonopy_and_charges_of_a_sheet_are_refused(tmp_path)
         (tmp_path / "phonopy.yaml").write_text(text)
         with refused(words):
             wp.atoms.from_phonopy(tmp_path)
+    (tmp_path / "phonopy.yaml").write_text(given)
+    forces = (EXAMPLES / "copper" / "FORCE_SETS").read_text().splitlines()
+    (tmp_path / "FORCE_SETS").write_text("\n".join([*forces[:-1], "nan 0 0"]))
+    with refused("force constants: expected finite"):
+        wp.atoms.from_phonopy(tmp_path)
     assert_refused({
         "supercell: expected int values":
             lambda: wp.fit_crystal(ase.build.bulk("Cu"), EMT(), supercell=(1.5, 2, 2)),

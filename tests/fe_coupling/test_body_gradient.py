@@ -73,7 +73,11 @@ def test_what_does_not_fit_is_refused():
     solution = solved(plate(4.0, 10.0, 5, 24))
     with refused("by_u: expected shape"):
         body_gradient(solution, np.full((3, 2), 7.0), np.zeros((2, 2)))
-    gradient = body_gradient(solution, np.full((1, 2), 7.0), np.ones((1, 2)))
+    at = np.full((1, 2), 7.0), np.ones((1, 2))
+    for tolerance in (np.nan, True, 1.0):
+        with refused("tolerance: expected a number between"):
+            body_gradient(solution, *at, tolerance=tolerance)
+    gradient = body_gradient(solution, *at)
     assert_refused({
         "expected parts that are held": lambda: gradient.along(displacement={"hole": (1.0, 0.0)}),
         "1 positions are outside the mesh": lambda: solution.probe(np.zeros((1, 2))),

@@ -97,7 +97,7 @@ def test_what_cannot_be_used_is_refused_and_files_ask_for_the_energy(tmp_path):
     assert_refused({
         "energy: the file has the parameters of 'blatz_ko'": lambda: wp.load(path),
         "'blatz_ko', got 'saint_venant'": lambda: wp.DensityMaterial.read(path, saint_venant),
-        "energy: expected a function of strains, got 5": lambda: of(5),
+        "energy: expected a function, got int": lambda: of(5),
         "parameters: expected those of the energy": lambda: of(blatz_ko, parameters={"k": 1.0}),
         "energy: expected no stress at rest": lambda: pulled.on(points),
         "got 1.00e.00 of a stiffness of 0.0": lambda: of(lambda E: E[..., 0, 0]).on(points),

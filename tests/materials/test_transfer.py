@@ -212,6 +212,13 @@ def test_fields_carried_to_a_lattice():
     near = np.abs(carried.x[:, 0]) > 0.8
     assert np.array_equal(carried.arrays["seen"][0, near], carried.x[near, 0] < 0)
     assert carried.arrays["load_id"].tolist() == ["a"]
+    whole = Samples(points, wave(points.x))
+    cut = replace(points, outside=points.x[:, 0] > points.x[points.interior, 0].max() + 1)
+    assert_refused({
+        "points: expected no period": lambda: onto_lattice(replace(whole, points=cut), spacing=1.0),
+        "samples: expected one or more": lambda: onto_lattice(whole[[]], spacing=1.0),
+        "spacing: expected at most": lambda: onto_lattice(whole, spacing=1e-6),
+    })  # fmt: skip
 
 
 def test_what_cannot_be_interpolated():

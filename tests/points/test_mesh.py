@@ -80,7 +80,14 @@ def test_an_outline_has_its_parts_curves_holes_and_distances():
         "names: expected one for each of 6 sides": lambda: Polygon(corners, ("a", "b")),
         "corners: expected three at least, got 2": lambda: Polygon(corners[:2]),
         "corners around an area, got 0": lambda: Polygon(((0, 0), (1, 0), (2, 0))),
-        "corners: expected": lambda: Polygon(([0], [1, 2])),
+        "corners: expected sides apart, 0 and 2 meet": (
+            lambda: Polygon(((0, 0), (9, 0), (9, 0), (0, 9))),
+            lambda: Polygon(((0, 0), (9, 9), (9, 0), (0, 12))),
+            lambda: Polygon(((0, 0), (9, 0), (15, 0), (9, 0), (0, 9))),
+        ),
+        "size: expected at most": lambda: mesh_outline(box(200, 200), size=1e-3),
+        "holes: expected each a Circle": lambda: mesh_outline(box(9, 9), [1], size=1),
+        "corners: expected an array": lambda: Polygon(([0], [1, 2])),
         "radius: expected a number > 0": lambda: Circle(np.nan),
     })  # fmt: skip
 
@@ -134,6 +141,7 @@ WRONG = [
     (CUBE, [[0, 2, 4, 6]], {}, "tetrahedra: number 0 has no volume"),
     (SQUARE, [[0, 1, 2], [0, 1, 3], [0, 1, 2]], {}, "some edge has more"),
     (NINE, TRIANGLES, {"a": [[1, 4]]}, "part 'a': expected edges of the outline, 1 of 1"),
+    (SQUARE, HALVES, {"a": [[0, 1, 2]]}, r"part 'a': expected shape \[n, 2\]"),
     (CUBE, EIGHT[0][SIXTHS], {"a": [EIGHT[0][[0, 1, 6]]]}, "faces of the surface, 1 of 1"),
 ]
 
@@ -142,6 +150,9 @@ def test_what_is_no_mesh_of_a_body_is_refused():
     for x, cells, parts, words in WRONG:
         with refused(words):
             make_mesh(x, np.array(cells), parts)
+    for middle in ({(0, 1): -1.0}, {(0, 9): (0.5, 0.0)}):
+        with refused("middle: expected"):
+            make_mesh(SQUARE, HALVES, {}, middle)
 
 
 def test_a_file_of_second_order_keeps_the_curve(tmp_path):

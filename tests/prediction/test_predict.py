@@ -211,12 +211,15 @@ def test_a_family_is_one_file_in_any_units_and_has_a_command(family, tmp_path, c
 
 def test_wrong_input_is_refused(family):
     points, u, given = problem(family, 0.01)
-    one = wp.Samples(points, u[None], given.b[None])
+    one, sheet = wp.Samples(points, u[None], given.b[None]), wp.Points.sheet((20, 20), 5.0)
     assert_refused({
         "knows nothing of its error": lambda: wp.predict(family.rich, given),
         "fine: not among the options": lambda: wp.predict(family, given, fine=True),
         "predict: expected a problem": lambda: wp.predict(family, points),
         "at least four samples": lambda: wp.fit(one, Ensemble(wp.LPS(3.0))),
+        r"at: expected shape \[m, 2\]": lambda: wp.prediction.strain(points, [1.0, 2.0]),
+        "quantity: expected": lambda: wp.predict(family, given).of(lambda u: None),
+        "number: expected at most": lambda: wp.prediction.design_loads(sheet, 20.0, number=10**12),
     })  # fmt: skip
 
 

@@ -199,8 +199,7 @@ def _ordered(
     unless their positions already are `free`."""
     if not free and {*IMAGES} <= {*values}:
         free, x = True, x + np.stack([values[name] for name in IMAGES], axis=1) @ cell
-    if not np.isfinite(x).all():
-        raise ValueError("positions that are not finite")
+    x = checked("positions", x)
     order, whole = np.argsort(values["id"]), {}
     for name in {"id", "type"} & {*values}:
         one = np.asarray(values[name])[order]

@@ -246,6 +246,7 @@ def from_phonopy(
         raise InputError(f"{path}: phonopy does not read it ({error})") from None
     if force_constants is None:
         raise InputError(f"{path}: expected FORCE_CONSTANTS or FORCE_SETS beside it, found neither")
+    checked("force constants", force_constants)
     small, large, x = found.primitive, found.supercell, units.distance_to_A
     cell, supercell = (
         ase.Atoms(part.numbers, positions=x * part.positions, cell=x * part.cell, pbc=True)

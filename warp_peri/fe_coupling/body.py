@@ -38,7 +38,7 @@ from warp_peri.fe_coupling.schwarz import (
 from warp_peri.materials.certificate import with_proof
 from warp_peri.materials.lps import LPSMaterial, moduli
 from warp_peri.materials.transfer import model_at
-from warp_peri.points.arguments import checked, symbols
+from warp_peri.points.arguments import Share, checked, symbols, typed
 from warp_peri.points.families import bond_classes, edge_strain, largest_strain
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
@@ -293,8 +293,9 @@ class BodyGradient:
         return total + float(np.vdot(self.given, given))
 
 
+@typed
 def body_gradient(
-    solution: BodySolution, x: ArrayLike, by_u: ArrayLike, *, tolerance: float = TOLERANCE
+    solution: BodySolution, x: ArrayLike, by_u: ArrayLike, *, tolerance: Share = TOLERANCE
 ) -> BodyGradient:
     """Derivatives of J by loads, held displacement, λ and μ, by one adjoint solve.
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError, warn
-from warp_peri.points.arguments import Positive, checked, typed, typed_methods
+from warp_peri.points.arguments import Positive, check_nodes, checked, typed, typed_methods
 from warp_peri.points.families import HORIZON_TOLERANCE, BondClasses, bond_classes, neighbour_table
 from warp_peri.points.points import check_dimensions, straight_steps
 
@@ -102,6 +102,7 @@ def box_nodes(sides: Sequence[float], spacing: Positive) -> np.ndarray:
     if (count < 1).any() or np.abs(count * spacing - sides).max() > 1e-6 * spacing:
         given = ", ".join(f"{side:g}" for side in sides)
         raise InputError(f"sides: expected multiples of {spacing:g}, got {given}")
+    check_nodes("sides", count)
     axes = [(np.arange(n) - (n - 1) / 2) * spacing for n in count]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(count))
 

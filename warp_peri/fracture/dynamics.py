@@ -106,8 +106,6 @@ class BreakingBody:
         self.operator = CutOperator(solid.model, body, limits=limits, no_fail=self.no_fail)
         if grip is not None and held is None:
             raise InputError("grip: expected held components too, whose velocity it is")
-        if not (ramp is None or callable(ramp)):
-            raise InputError(f"ramp: expected a function of time, got {ramp!r:.50}")
         held = None if held is None else by_component(held, body.x.shape).astype(float)
         given = {"load": load, "held": held, "grip": grip}
         self.load, self.held, self.grip = (self._nodal(*one) for one in given.items())

@@ -24,7 +24,7 @@ from warp_peri.errors import InputError
 from warp_peri.files.atomic import parsed
 from warp_peri.fitting.result import Fit
 from warp_peri.materials.crystal_fit import one_set
-from warp_peri.points.arguments import USUAL, Positive, Units, check_same, typed
+from warp_peri.points.arguments import USUAL, Positive, Units, check_same, checked, typed
 from warp_peri.points.points import PointsLike, lattice_steps, nodes_of
 from warp_peri.solvers.equilibria import SOLVES, equilibria_of, probed
 from warp_peri.solvers.linear import Inverse, Linear
@@ -90,9 +90,7 @@ class DensityMaterial(Record, format="warp_peri.density"):
         cls, energy: Energy, horizon: float, parameters: Mapping[str, float], **more: Any
     ) -> Self:
         """Make a material from an energy function, in the plane unless `dimension` is 3."""
-        named = {name: float(value) for name, value in parameters.items()}
-        if not callable(energy):
-            raise InputError(f"energy: expected a function of strains, got {energy!r:.60}")
+        named = {name: float(checked(name, value, float, ())) for name, value in parameters.items()}
         try:
             with suppress(ValueError):  # of what does not tell its arguments
                 signature(energy).bind(None, **named)

@@ -59,8 +59,6 @@ class InfluenceFunction:
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not callable(self.function):
-            raise InputError(f"influence: expected a function of r, got {self.function!r:.60}")
         values = {}
         for name, value in self.parameters.items():
             array = checked(name, value)

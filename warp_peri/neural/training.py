@@ -7,7 +7,7 @@ import math
 import os
 import time
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import torch
@@ -17,7 +17,7 @@ from tqdm import tqdm
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import ArrayFile, fingerprint
 from warp_peri.neural.placed import CELLS, SOLVED, EquilibriumSolver, affine, interpolated_force
-from warp_peri.points.arguments import Count, Natural, Positive, typed
+from warp_peri.points.arguments import Bound, Count, Natural, Positive, typed
 from warp_peri.points.points import Samples
 from warp_peri.solvers.equilibria import NonlinearRecord
 
@@ -124,7 +124,7 @@ class TrainingSettings:
     epochs: Count = 150
     rate: Positive = 1e-3
     batch: Count = 7
-    cells: Natural = CELLS
+    cells: Annotated[int, Bound("0 to 4096 cells", range(4097).__contains__)] = CELLS
     seed: Natural = 0
 
 

@@ -31,6 +31,8 @@ LARGEST = 1e100
 """Values above it are no data, and their squares soon no numbers."""
 MOST = 2**53
 """Counts above it are none, nor whole numbers told apart in float64."""
+MOST_NODES = 2**27
+"""Nodes whose positions alone are gigabytes."""
 GRADIENT = "expected values without a gradient, which is not had here, got tensors with one"
 
 
@@ -160,6 +162,12 @@ def check_whole(name: str, value: Any, least: int) -> int:
     return int(value)
 
 
+def check_nodes(name: str, sides: Any) -> None:
+    """Raise InputError for a lattice of more nodes than fit into memory, along its sides."""
+    if not (count := math.prod(map(float, sides))) <= MOST_NODES:
+        raise InputError(f"{name}: expected at most {MOST_NODES} nodes, got {count:.3g}")
+
+
 def check_flag(name: str, value: Any) -> None:
     """Raise InputError for what is neither True nor False: a text "no" would count as true."""
     if not isinstance(value, (bool, np.bool_)):
@@ -196,7 +204,8 @@ Call = TypeVar("Call", bound=Callable[..., Any])
 Kind = TypeVar("Kind", bound=type)
 ARRAY = get_args(ArrayLike)
 KINDS = (bool, int, float, str, os.PathLike, Mapping, dict, Sequence, tuple, list, NoneType,
-         np.ndarray)  # fmt: skip
+         np.ndarray, Callable)  # fmt: skip
+NAMES = {str: "a text", Callable: "a function"}
 _signature = cache(inspect.signature)
 """Of a function, worked out at its first call: most are never called."""
 
@@ -286,10 +295,10 @@ def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> dict[
             words = "a sequence"
         else:
             fine = isinstance(value, first) or is_piece(value)
-            words = "a text" if first is str else " or ".join(kind.__name__ for kind in kinds)
+            words = " or ".join(NAMES.get(kind, kind.__name__) for kind in kinds)
             words = "a path" if os.PathLike in more else words.replace("NoneType", "None")
         if not fine or (bound and value != default and not bound.holds(value)):
-            expected, short = bound.words if bound else words, first in KINDS and first is not str
+            expected, short = bound.words if bound else words, first in KINDS and first not in NAMES
             got = f"{value!r:.60}" if short or bound else type(value).__name__
             got = str(getattr(value, "dtype", got)) if first is np.ndarray else got
             raise InputError(f"{name}: expected {expected}, got {got}")
@@ -332,8 +341,11 @@ def _bound(hint: Any) -> Bound | None:
     if get_origin(hint) is Literal:
         values = get_args(hint)
         return Bound(f"one of {', '.join(map(str, values))}", values.__contains__)
-    if get_args(hint) == (str, float):
+    if (of := get_args(hint)) == (str, float):
         return Bound("numbers by name", lambda value: all(map(is_number, value.values())))
+    if of and _kind(hint) in (Sequence, tuple) and all(map(_is_own, get_args(of[0]) or of[:1])):
+        words = " or ".join(kind.__name__ for kind in get_args(of[0]) or of[:1])
+        return Bound(f"each a {words}", lambda value: all(isinstance(one, of[0]) for one in value))
     said = getattr(hint, "__metadata__", (None,))[0]
     if getattr(said, "positive", False):  # of a field of a Record
         return ABOVE

@@ -21,6 +21,7 @@ from warp_peri.points.arguments import (
     Natural,
     Positive,
     Units,
+    check_nodes,
     check_units,
     checked,
     factors,
@@ -203,6 +204,7 @@ def design_loads(points: PointsLike, shortest_wave: Positive, *, number: Count =
     """
     if points.box is None:
         raise InputError("points: expected a periodic body, with its box, for designed loads")
+    check_nodes("number", (number, len(points.x)))
     fields = [mixed_waves(points.x, points.box, shortest_wave, seed=s) for s in range(number)]
     return np.stack([f / np.linalg.norm(f, axis=1).max() for f in fields])
 

@@ -129,11 +129,12 @@ class Mesh(Shown):
         if d == 2:
             bulge = self.middle - corners.mean(axis=1)
             at = at + 4 * weight.prod(axis=1)[:, None] * bulge[:, None]
+        x = checked("x", x, float, ("n", d))
         return np.asarray(cKDTree(at.reshape(-1, d)).query(x)[0])
 
     def holding(self, x: np.ndarray) -> np.ndarray:
         """Number of the straight-sided cell that holds each point, −1 where none does."""
-        return cells_holding(self.x[self.cells], x)
+        return cells_holding(self.x[self.cells], checked("x", x, float, ("n", self.dimension)))
 
 
 @typed
@@ -180,9 +181,15 @@ def make_mesh(
     if d == 2:
         t = np.where((size < 0)[:, None], t[:, ::-1], t)
     faces = _outline(x, t)
-    kept = {n: checked(f"part '{n}'", part, int) for n, part in parts.items() if np.size(part)}
+    kept = {
+        n: checked(f"part '{n}'", part, int, ("n", d)) for n, part in parts.items() if np.size(part)
+    }
     kept = {n: new[np.clip(part, -1, len(new) - 1)] for n, part in kept.items()}
-    bent = {tuple(np.sort(new[[*pair]]).tolist()): point for pair, point in middle.items()}
+    check_numbers("middle", np.ravel([*middle]), len(new) - 1)
+    bent = {
+        tuple(np.sort(new[[*pair]]).tolist()): checked("middle", point, float, (d,))
+        for pair, point in middle.items()
+    }
     ends = faces if d == 2 else np.array([*bent], dtype=int).reshape(-1, 2)
     halves = x[ends].mean(axis=1)
     for n, (a, b) in enumerate(np.sort(ends, axis=1).tolist()):

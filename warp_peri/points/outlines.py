@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from warp_peri.errors import InputError, optional
-from warp_peri.points.arguments import Positive, checked, typed
+from warp_peri.points.arguments import Positive, check_nodes, checked, typed
 from warp_peri.points.mesh import Mesh, make_mesh
 
 ROUND = 1e-6
@@ -64,12 +64,29 @@ class Polygon:
             raise InputError(f"names: expected one for each of {count} sides, got {self.names}")
         if not abs(self.area) > ROUND * np.ptp(self.corners, axis=0).max() ** 2:
             raise InputError(f"corners: expected corners around an area, got {self.area:g}")
+        if (meet := _meeting(np.asarray(self.corners, float))).size:
+            raise InputError(
+                f"corners: expected sides apart, {meet[0]} and {meet[1]} meet"
+            )
 
     @property
     def area(self) -> float:
         """Signed area, above zero where corners turn counter-clockwise."""
         here, there = np.asarray(self.corners), np.roll(self.corners, -1, axis=0)
         return float((here[:, 0] * there[:, 1] - here[:, 1] * there[:, 0]).sum() / 2)
+
+
+def _meeting(x: np.ndarray) -> np.ndarray:
+    """The first two sides of a polygon, not one after the other, that meet, or nothing."""
+    ends = np.stack([x, np.roll(x, -1, axis=0)])
+    along = ends[1] - ends[0]
+    away = ends[:, None] - ends[0, :, None]  # of each end from each side's start
+    turn = along[:, 0, None] * away[..., 1] - along[:, 1, None] * away[..., 0]
+    beside = turn.prod(axis=0) > 0
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    beside |= (low[:, None] > high).any(axis=2)
+    near = np.abs(np.subtract.outer(*2 * [np.arange(len(x))])) % (len(x) - 1) <= 1
+    return np.concatenate([[], *np.argwhere(~(beside | beside.T | near))[:1]]).astype(int)
 
 
 Outline = Circle | Polygon
@@ -99,6 +116,7 @@ def mesh_outline(outer: Outline, holes: Sequence[Outline] = (), *, size: Positiv
     netgen = optional("netgen.geom2d", without)
     outlines = (outer, *holes)
     _check_apart(*outlines)
+    check_nodes("size", np.ptp(_rim(outer), axis=0) / size)
     geometry = netgen.SplineGeometry()
     for outline in outlines:
         _add(geometry, outline, size, inside=outline is outer)
@@ -124,17 +142,19 @@ def mesh_outline(outer: Outline, holes: Sequence[Outline] = (), *, size: Positiv
     return make_mesh(x, cells, parts, middle)
 
 
+def _rim(outline: Outline) -> np.ndarray:
+    """Closed polyline along an outline, [n, 2]."""
+    if isinstance(outline, Polygon):
+        return np.array([*outline.corners, outline.corners[0]])
+    turn = np.linspace(0, 2 * np.pi, 200)
+    return outline.radius * np.stack([np.cos(turn), np.sin(turn)], axis=1) + outline.centre
+
+
 def _check_apart(outer: Outline, *holes: Outline) -> None:
     """Raise InputError for holes that meet the outer outline or another: Netgen would not end."""
     from matplotlib.path import Path as Curve
 
-    turn = np.linspace(0, 2 * np.pi, 200)
-    body, *rims = (
-        one.radius * np.stack([np.cos(turn), np.sin(turn)], axis=1) + one.centre
-        if isinstance(one, Circle)
-        else np.array([*one.corners, one.corners[0]])
-        for one in (outer, *holes)
-    )
+    body, *rims = map(_rim, (outer, *holes))
     for n, rim in enumerate(rims):
         inside = Curve(body).contains_points(rim).all()
         crosses = Curve(body).intersects_path(Curve(rim), filled=False)

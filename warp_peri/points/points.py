@@ -20,6 +20,7 @@ from warp_peri.points.arguments import (
     Positive,
     Units,
     as_array,
+    check_nodes,
     check_units,
     check_whole,
     checked,
@@ -150,6 +151,7 @@ class Points(Shown):
         check_dimensions("sides", len(sides))
         for side in sides:
             check_whole("sides", side, 1)
+        check_nodes("sides", sides)
         grid = np.indices(tuple(map(int, sides))).reshape(len(sides), -1).T
         box = tuple(n * spacing for n in sides)
         return cls(
@@ -220,6 +222,7 @@ class Points(Shown):
     ) -> Points:
         """Lattice nodes up to two horizons beyond a body, interior where within it."""
         count = np.floor((half + 2 * horizon) / spacing * (1 + LATTICE_TOLERANCE)).astype(int)
+        check_nodes("spacing", 2 * count + 1)
         x = spacing * (np.indices(tuple(2 * count + 1)).reshape(len(half), -1).T - count)
         x = x[beyond(x) <= 2 * horizon + LATTICE_TOLERANCE * spacing]
         return cls(x, beyond(x) <= LATTICE_TOLERANCE * spacing, spacing, **more)

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from warp_peri.core.proof import prove, stencil_of
 from warp_peri.errors import InputError, Shown
 from warp_peri.materials.certificate import curvature_bound
-from warp_peri.points.arguments import Positive, checked_fields, typed, typed_methods
+from warp_peri.points.arguments import Positive, checked, checked_fields, typed, typed_methods
 from warp_peri.points.points import PointsLike, lattice_steps, nodes_of
 from warp_peri.prediction.ensemble import (
     MOST,
@@ -175,9 +175,9 @@ class Prediction(Shown):
     def of(self, quantity: Callable[[np.ndarray], Any]) -> QuantityEstimate:
         """Estimate a quantity, a function of nodal displacements [N, d], with its error (Q4).
         warp_peri.prediction has strain and stress."""
-        at = np.asarray(quantity(self.u), float)
+        at = checked("quantity", quantity(self.u))
         ends = {name: quantity(self._plus(part)) for name, part in self.fields.items()}
-        changes = {name: np.asarray(end, float) - at for name, end in ends.items()}
+        changes = {name: checked("quantity", end) - at for name, end in ends.items()}
         return QuantityEstimate(at, changes["left"], self._bar(changes))
 
     def map(self) -> np.ndarray:
@@ -273,7 +273,7 @@ def strain(points: PointsLike, at: ArrayLike) -> Measure:
     if not nodes.spacing > 0:
         raise InputError("strain: expected a lattice, got scattered points")
     tree, steps = cKDTree(nodes.x), nodes.spacing * np.eye(nodes.x.shape[1])
-    middle = nodes.x[tree.query(np.atleast_2d(np.asarray(at, float)))[1]][:, None]
+    middle = nodes.x[tree.query(checked("at", at, float, ("m", nodes.dimension)))[1]][:, None]
     off, (after, before) = tree.query(np.stack([middle + steps, middle - steps]))
     if off.max() > 1e-3 * nodes.spacing:
         raise InputError("strain: expected positions whose nodes have neighbours along the axes")
@@ -289,7 +289,7 @@ def strain(points: PointsLike, at: ArrayLike) -> Measure:
 def stress(placed: EnsembleOperator, at: ArrayLike) -> Measure:
     """Make a measure of the rich member's stress at the interior nodes nearest to `at`."""
     inside = placed.points.x[placed.points.interior]
-    nodes = cKDTree(inside).query(np.atleast_2d(np.asarray(at, float)))[1]
+    nodes = cKDTree(inside).query(checked("at", at, float, ("m", inside.shape[1])))[1]
     return lambda u: np.asarray(placed.rich.stress(u))[nodes]
 
 

@@ -375,9 +375,10 @@ class Ensemble:
         if not isinstance(samples, Samples) or len(samples) < 4:
             raise InputError("samples: expected one set of at least four samples for an ensemble")
         learn = offered(self.rich, "learn", "fit", "a model as the rich member")
-        second = self.second or poorer(self.rich)
+        second = poorer(self.rich) if self.second is None else self.second
         fit = learn(samples, progress=progress)
-        other = second.learn(samples, progress=progress).material
+        learn_other = offered(second, "learn", "fit", "a model as the second member")
+        other = learn_other(samples, progress=progress).material
         odd, even = (learn(samples[n::2], progress=progress).material for n in (0, 1))
         kelvin = samples.arrays.get("temperature")
         family = EnsembleMaterial(

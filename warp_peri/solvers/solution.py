@@ -12,7 +12,7 @@ import numpy as np
 
 import warp_peri
 from warp_peri.errors import InputError, Shown, heard, warn
-from warp_peri.points.arguments import Positive, Share, symbols, typed, typed_methods
+from warp_peri.points.arguments import Positive, Share, checked, symbols, typed, typed_methods
 from warp_peri.points.points import Points, Samples
 
 if TYPE_CHECKING:
@@ -170,7 +170,7 @@ class Solution(Shown):
 
     def energy(self) -> np.ndarray:
         """Elastic energy, as the operator's `energy`."""
-        energy = self.operator.energy(self._values)
+        energy = None if self.points is None else self.operator.energy(self._values)
         if energy is None:
             raise InputError("energy: this model has none")
         return np.asarray(energy)
@@ -179,7 +179,8 @@ class Solution(Shown):
         """Displacement at positions of a meshed body, both [m, d]; InputError for lattices."""
         if not hasattr(self.details, "displacement"):
             raise InputError("at: only of bodies on meshes; u holds the values at the nodes")
-        return np.asarray(self.details.displacement(np.asarray(x, dtype=float)))
+        at = checked("x", x, float, ("m", self.u.shape[-1]))
+        return np.asarray(self.details.displacement(at))
 
     def to_samples(self) -> Samples:
         """Samples of displacement and load; InputError for a body on a mesh, or no displacement."""

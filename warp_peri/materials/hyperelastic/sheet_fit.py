@@ -27,7 +27,15 @@ from warp_peri.materials.hyperelastic.operator import (
     HyperelasticMaterial,
     HyperelasticSheetOperator,
 )
-from warp_peri.points.arguments import Count, Natural, NotNegative, Share, typed, typed_methods
+from warp_peri.points.arguments import (
+    Count,
+    Natural,
+    NotNegative,
+    Share,
+    checked,
+    typed,
+    typed_methods,
+)
 from warp_peri.points.points import PULL, Points, PointsLike, Samples, nodes_of, seen_of
 from warp_peri.solvers.equilibria import Descent, NoEquilibriumError
 
@@ -200,8 +208,9 @@ class Search:
                 "without loads at all, leave b out"
             )
         self.weight = seen / size[:, None]
-        pull = np.asarray(samples.arrays.get(PULL, np.full((len(samples), 2), np.nan)), float)
-        self.pulled = np.argwhere(np.isfinite(pull) & (not self.by_load))
+        pull: Any = samples.arrays.get(PULL, np.full((len(samples), 2), np.nan))
+        pull = checked(PULL, pull, float, (len(samples), 2), np.equal(pull, pull))
+        self.pulled = np.argwhere(~np.isnan(pull) & (not self.by_load))
         self.pull = pull[tuple(self.pulled.T)]
         self.sections = {axis: Sections(samples, dictionary, axis) for axis in {*self.pulled[:, 1]}}
         self.measure, K = dictionary.stiffness, len(dictionary)
