@@ -16,12 +16,12 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_680,
-    "tokens": 234_706,
-    "lines of warp_peri": 29_979,
+    "code lines": 18_714,
+    "tokens": 235_331,
+    "lines of warp_peri": 30_033,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_162,
+    "lines of warp_peri, kernels, examples and tools": 42_217,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -35,17 +35,17 @@ ROOMS = {
     "atoms": 2316,
     "cli": 754,
     "core": 1608,
-    "face": 1108,
-    "fe_coupling": 710,
+    "face": 1111,
+    "fe_coupling": 711,
     "files": 447,
     "fitting": 1061,
-    "fracture": 1417,
-    "materials": 4535,
+    "fracture": 1416,
+    "materials": 4532,
     "neural": 573,
-    "points": 1655,
-    "prediction": 574,
+    "points": 1687,
+    "prediction": 575,
     "mpi": 461,
-    "solvers": 1461,
+    "solvers": 1462,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)
