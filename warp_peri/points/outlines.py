@@ -65,9 +65,7 @@ class Polygon:
         if not abs(self.area) > ROUND * np.ptp(self.corners, axis=0).max() ** 2:
             raise InputError(f"corners: expected corners around an area, got {self.area:g}")
         if (meet := _meeting(np.asarray(self.corners, float))).size:
-            raise InputError(
-                f"corners: expected sides apart, {meet[0]} and {meet[1]} meet"
-            )
+            raise InputError(f"corners: expected sides apart, {meet[0]} and {meet[1]} meet")
 
     @property
     def area(self) -> float:
