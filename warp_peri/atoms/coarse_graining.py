@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -16,7 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from warp_peri.atoms.dic import ON_LATTICE, spacing_of, surrounded
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, StrPath
 from warp_peri.files.atomic import check_hdf5, check_regular
 from warp_peri.points.arguments import (
     EV_IN_TPA,
@@ -164,7 +163,7 @@ def _positions(name: str, value: ArrayLike) -> np.ndarray:
 
 @typed
 def read_mat(
-    path: str | os.PathLike[str],
+    path: StrPath,
     *,
     displacement: str = "disps",
     load: str | None = "forces",

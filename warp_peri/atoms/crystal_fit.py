@@ -28,7 +28,7 @@ from warp_peri.core.elastic import (
     stress_brackets,
     voigt,
 )
-from warp_peri.errors import InputError, Shown, warn
+from warp_peri.errors import InputError, Rows, Shown, warn
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import fit_phonons
 from warp_peri.materials.transfer import WaveSymbol
@@ -155,7 +155,7 @@ class CrystalFit(Shown):
         S = compliance(1e3 * self.law.tensor())
         return angle, 1 / np.einsum("ijkl,ni,nj,nk,nl->n", S, e, e, e, e, optimize=True)
 
-    def rows(self) -> list[tuple[str, str]]:
+    def rows(self) -> Rows:
         held, law, group, content = self.atoms.stress, self.law, self.law.symmetry, self.content()
         shown = [("symmetry", group if isinstance(group, str) else f"{len(group)} rotations")]
         for key, moduli in content["moduli_GPa"].items():

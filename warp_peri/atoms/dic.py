@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Sequence
 from contextlib import suppress
@@ -14,7 +13,7 @@ import numpy as np
 from scipy.ndimage import binary_erosion
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import InputError, warn
+from warp_peri.errors import InputError, StrPath, warn
 from warp_peri.files.atomic import content, encoding_of
 from warp_peri.points.arguments import (
     LENGTHS,
@@ -225,7 +224,7 @@ class DICFrame:
 
 
 @typed
-def read_dic_frame(path: str | os.PathLike[str], *, pixel: float | str = 1.0) -> DICFrame:
+def read_dic_frame(path: StrPath, *, pixel: float | str = 1.0) -> DICFrame:
     """Read one frame of image correlation from a table with a header.
 
     `pixel` is the length of a pixel, or of the table's unit where it names none. With a unit, as

@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from tqdm import tqdm
 
 from warp_peri.atoms.coarse_graining import coarse_grain
-from warp_peri.errors import InputError, warn
+from warp_peri.errors import InputError, StrPath, warn
 from warp_peri.files.atomic import (
     MARKS,
     check_regular,
@@ -82,7 +82,7 @@ class DumpFrame:
 
 
 @typed
-def iter_dump(path: str | os.PathLike[str]) -> Iterator[DumpFrame]:
+def iter_dump(path: StrPath) -> Iterator[DumpFrame]:
     """Iterate over the frames of a trajectory, one in memory at a time.
 
     Reads LAMMPS dumps (`dump custom`) as text or packed by gzip, bzip2, xz or zstd, with the
@@ -125,7 +125,7 @@ def jumps(frame: DumpFrame, x: np.ndarray) -> bool:
     return bool((np.abs(parts) >= 0.5).any())
 
 
-def _frames_of(path: str | os.PathLike[str]) -> Iterator[DumpFrame]:
+def _frames_of(path: StrPath) -> Iterator[DumpFrame]:
     check_regular(path)
     with open(path, "rb") as file:
         head = file.read(64)
@@ -212,7 +212,7 @@ def _ordered(
     return DumpFrame(ids, x[:, :2], whole.get("type"), tuple(columns), x[:, 2], cell, free)
 
 
-def _by_ase(path: str | os.PathLike[str]) -> Iterator[DumpFrame]:
+def _by_ase(path: StrPath) -> Iterator[DumpFrame]:
     """Iterate over frames read by ASE, types by atomic number, ids a column or the file's order."""
     form = "traj" if str(path).endswith(".traj") else "extxyz"  # never by what it looks like
     if form == "extxyz":
@@ -274,7 +274,7 @@ TORN, NEAR = 1.5, 1.3
 
 
 @typed
-def read_masses(path: str | os.PathLike[str], masses: Sequence[float]) -> np.ndarray:
+def read_masses(path: StrPath, masses: Sequence[float]) -> np.ndarray:
     """Mass of every atom of a dump's first frame, [A] by id, from the masses of types 1, 2, …"""
     frame = next(iter_dump(path))
     if frame.types is None:
@@ -291,7 +291,7 @@ def read_masses(path: str | os.PathLike[str], masses: Sequence[float]) -> np.nda
 
 @typed
 def mean_displacement(
-    path: str | os.PathLike[str],
+    path: StrPath,
     reference: ArrayLike,
     *,
     ids: ArrayLike | None = None,
@@ -336,10 +336,7 @@ def mean_displacement(
 
 @typed
 def check_box(
-    path: str | os.PathLike[str],
-    box: tuple[float, float],
-    header: tuple[float, float] | None,
-    tolerance: float,
+    path: StrPath, box: tuple[float, float], header: tuple[float, float] | None, tolerance: float
 ) -> None:
     """Raise InputError unless periods agree with a dump's header within the relative tolerance."""
     if header is None:
@@ -368,7 +365,7 @@ SPECIES = 20
 
 @typed
 def coarse_grain_dumps(
-    dumps: Sequence[str | os.PathLike[str]],
+    dumps: Sequence[StrPath],
     omega: sp.csr_array,
     points: PointsLike,
     atoms: ReferenceAtoms,
@@ -376,7 +373,7 @@ def coarse_grain_dumps(
     force: ArrayLike,
     node_area: float,
     thickness: Positive,
-    unloaded: Sequence[str | os.PathLike[str]] = (),
+    unloaded: Sequence[StrPath] = (),
     skip: Natural = 0,
     progress: bool = False,
 ) -> Samples:

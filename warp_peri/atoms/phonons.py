@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import itertools
-import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -28,7 +27,7 @@ from warp_peri.atoms.force_constants import (
     from_supercell,
 )
 from warp_peri.atoms.relaxed import VACUUM, Reference, check_sites, gap, thickness_of
-from warp_peri.errors import InputError, optional, warn
+from warp_peri.errors import InputError, StrPath, optional, warn
 from warp_peri.files.atomic import check_hdf5, check_yaml, content
 from warp_peri.points.arguments import Positive, checked, offered, typed
 
@@ -210,9 +209,7 @@ YAML = ("phonopy.yaml", "phonopy_params.yaml", "phonopy_disp.yaml")
 
 
 @typed
-def from_phonopy(
-    path: str | os.PathLike[str], *, thickness: Positive | None = None
-) -> ForceConstants:
+def from_phonopy(path: StrPath, *, thickness: Positive | None = None) -> ForceConstants:
     """Read the force constants that phonopy computed.
 
     They are symmetrised (space group, exchange of atoms, translations, rotations); how far they

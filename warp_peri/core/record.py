@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import cache
@@ -36,7 +35,7 @@ from typing import (
 
 import numpy as np
 
-from warp_peri.errors import InputError, Shown, warn
+from warp_peri.errors import InputError, Rows, Shown, StrPath, warn
 from warp_peri.files import atomic
 from warp_peri.files.atomic import parsed, plain, write_json
 from warp_peri.points.arguments import (
@@ -226,7 +225,7 @@ class Record(Shown):
 
     @classmethod
     @typed
-    def load(cls, path: str | os.PathLike[str]) -> Self:
+    def load(cls, path: StrPath) -> Self:
         """Read a material's file; InputError for one of another kind, and as `from_dict`."""
         found = load(path)
         if not isinstance(found, cls):
@@ -235,7 +234,7 @@ class Record(Shown):
         return found
 
     @typed
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: StrPath) -> None:
         """Write a JSON file, whole or not at all; InputError for values that JSON lacks."""
         try:
             write_json(path, self.content())
@@ -275,7 +274,7 @@ class Record(Shown):
         size, stress = by[0] ** abs(says.length), by[1] ** says.stress
         return value * (stress * size if says.length >= 0 else stress / size)
 
-    def rows(self) -> list[tuple[str, str]]:
+    def rows(self) -> Rows:
         """Name and value of each line of the material's summary table."""
         found = []
         for each in fields_of(self):
@@ -460,7 +459,7 @@ def read_content(content: Any, path: Path | None = None) -> Any:
     return FORMATS[name].from_dict(content, where)._read_from(path)
 
 
-def load(path: str | os.PathLike[str]) -> Any:
+def load(path: StrPath) -> Any:
     """Read the file of a material; InputError naming the file and the fault."""
     raw = atomic.content(path)
     try:

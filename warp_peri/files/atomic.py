@@ -22,7 +22,7 @@ from xml.parsers import expat
 import h5py
 import numpy as np
 
-from warp_peri.errors import InputError, optional
+from warp_peri.errors import InputError, StrPath, optional
 
 MOST = 2**33
 """Bytes of one archive that are read at most."""
@@ -35,7 +35,7 @@ BROKEN = zipfile.BadZipFile, EOFError, RuntimeError, KeyError, NotImplementedErr
 """What reading an archive of arrays runs into."""
 
 
-def read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
+def read_arrays(path: StrPath) -> dict[str, np.ndarray]:
     """Read the arrays of an np.savez file by name. OSError when it cannot be read, ValueError for
     all else: compressed, truncated, other sizes than its headers claim, objects."""
     check_regular(path)
@@ -51,7 +51,7 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
         raise ValueError(str(error)) from None
 
 
-def destination(path: str | os.PathLike[str]) -> Path:
+def destination(path: StrPath) -> Path:
     """Path where a file of this name is written, links followed; InputError for what is there and
     is no regular file: a folder, a device, a pipe."""
     followed = Path(os.path.realpath(path))
@@ -77,7 +77,7 @@ def _no_place(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
+def whole_file(path: StrPath) -> Iterator[Path]:
     """Yield a temporary path beside `path`; rename it to `path` on success, remove it on error. A
     reader sees the old file, the new file or none, never half of one. The folder is created if it
     is missing. A link stays, and what it points at is replaced. Of a process that is killed the
@@ -111,7 +111,7 @@ def _is_busy(handle: int) -> bool:
 
 
 @contextmanager
-def locked(path: str | os.PathLike[str]) -> Iterator[None]:
+def locked(path: StrPath) -> Iterator[None]:
     """Hold a file or folder that is being written against every other job. The lock is the
     operating system's, on a hidden file beside `path`: it ends with the process, however that ends.
     Raises InputError when another job holds it, or where no file can be; and where the hidden file
@@ -134,7 +134,7 @@ def locked(path: str | os.PathLike[str]) -> Iterator[None]:
         os.close(handle)
 
 
-def write_text(path: str | os.PathLike[str], text: str) -> None:
+def write_text(path: StrPath, text: str) -> None:
     """Write a UTF-8 text file whole or not at all."""
     with whole_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -175,7 +175,7 @@ def parsed(text: str | bytes) -> Any:
     return json.loads(raw.decode("utf-8"))
 
 
-def write_json(path: str | os.PathLike[str], content: dict[str, Any]) -> None:
+def write_json(path: StrPath, content: dict[str, Any]) -> None:
     """Write JSON whole or not at all; NaN and infinity are refused (ValueError)."""
     write_text(path, json.dumps(plain(content), indent=2, allow_nan=False) + "\n")
 
@@ -195,7 +195,7 @@ def encoding_of(head: bytes) -> str:
     return "utf-16" if head.startswith(MARKS[:2]) else "utf-8-sig"
 
 
-def unpacked(path: str | os.PathLike[str], head: bytes) -> Any:
+def unpacked(path: StrPath, head: bytes) -> Any:
     """Open a file's bytes, unpacking by how it begins."""
     for mark, opened in PACKED.items():
         if head.startswith(mark):
@@ -206,7 +206,7 @@ def unpacked(path: str | os.PathLike[str], head: bytes) -> Any:
     return open(path, "rb")
 
 
-def content(path: str | os.PathLike[str]) -> bytes:
+def content(path: StrPath) -> bytes:
     """Bytes of a whole file, unpacked; InputError for more than LARGEST, or none."""
     check_regular(path)
     try:
@@ -223,7 +223,7 @@ def content(path: str | os.PathLike[str]) -> bytes:
     return found
 
 
-def check_yaml(path: str | os.PathLike[str], text: bytes) -> None:
+def check_yaml(path: StrPath, text: bytes) -> None:
     """Raise InputError for YAML with tags, by which a loader runs code, or with anchors."""
     yaml = optional("yaml", "PyYAML: pip install 'warp_peri[phonons]'")
     deep = 0
@@ -249,13 +249,13 @@ def _is_endless(text: str) -> bool:
         return False
 
 
-def check_regular(path: str | os.PathLike[str]) -> None:
+def check_regular(path: StrPath) -> None:
     """Raise InputError for a path that is there and no file, as a pipe, which may never end."""
     if os.path.exists(path) and not os.path.isfile(path):
         raise InputError(f"{path}: expected a file, got another thing of that name")
 
 
-def check_xml(path: str | os.PathLike[str], text: bytes) -> None:
+def check_xml(path: StrPath, text: bytes) -> None:
     """Raise InputError for XML with a document type, whose entities grow or name other files."""
 
     def refused(*_: Any) -> None:
@@ -309,7 +309,7 @@ def in_space(values: np.ndarray) -> np.ndarray:
 
 
 def write_vtu(
-    path: str | os.PathLike[str],
+    path: StrPath,
     x: np.ndarray,
     cells: tuple[str, np.ndarray],
     fields: Mapping[str, np.ndarray],

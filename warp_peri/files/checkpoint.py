@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 
 from warp_peri import __version__
-from warp_peri.errors import ALONE, InputError, agreed
+from warp_peri.errors import ALONE, InputError, StrPath, agreed
 from warp_peri.files.atomic import check_hdf5, meshio_of, parsed, whole_file, write_text, write_vtu
 
 PLAIN = (bool, int, float, complex, str, bytes, tuple, list, dict, np.ndarray, np.generic)
@@ -205,7 +205,7 @@ class RunFile:
     """File of a run, there or not: arrays on the nodes of a body, and plain values, with a hash.
     `kind` is checked on reading; `nodes` are this process's, as AllNodes."""
 
-    def __init__(self, path: str | os.PathLike[str], kind: str, nodes: Any) -> None:
+    def __init__(self, path: StrPath, kind: str, nodes: Any) -> None:
         self.path, self.kind, self.nodes = Path(path), kind, nodes
 
     def write(self, nodal: Mapping[str, np.ndarray], values: Mapping[str, Any]) -> None:
@@ -256,7 +256,7 @@ class ArrayFile:
     """Checkpoint of one process: arrays by name, written whole or not at all, or nowhere. `key` is
     what the run depends on, `other` names another key's checkpoint in errors."""
 
-    def __init__(self, path: str | os.PathLike[str] | None, key: str, other: str) -> None:
+    def __init__(self, path: StrPath | None, key: str, other: str) -> None:
         self.path, self.key, self.other = None if path is None else Path(path), key, other
 
     def write(self, arrays: Mapping[str, Any]) -> None:
@@ -293,7 +293,7 @@ def gathered(comm: Any, arrays: Mapping[str, np.ndarray], own: Any, count: int) 
 
 
 def write_arrays(
-    path: str | os.PathLike[str], arrays: Mapping[str, np.ndarray], attributes: Mapping[str, Any]
+    path: StrPath, arrays: Mapping[str, np.ndarray], attributes: Mapping[str, Any]
 ) -> None:
     """Write an HDF5 file of arrays whole or not at all; InputError where it cannot be written."""
     try:
@@ -306,7 +306,7 @@ def write_arrays(
 
 
 def read_arrays(
-    path: str | os.PathLike[str], place: Mapping[str, np.ndarray | None] | None = None
+    path: StrPath, place: Mapping[str, np.ndarray | None] | None = None
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Read rows at places of arrays by name (None, or no name: all), and the attributes; InputError
     for a file that is none or lacks an array."""
@@ -335,9 +335,7 @@ class TimeSeriesWriter:
         x: their positions, shape [n, d], where the nodes have none themselves.
     """
 
-    def __init__(
-        self, folder: str | os.PathLike[str], nodes: Any, x: np.ndarray | None = None
-    ) -> None:
+    def __init__(self, folder: StrPath, nodes: Any, x: np.ndarray | None = None) -> None:
         meshio_of()
         self.folder, self.nodes = Path(folder), nodes
         self.x = nodes.x if x is None else x

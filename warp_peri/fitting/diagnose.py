@@ -14,7 +14,7 @@ import numpy as np
 from warp_peri.core.elastic import allowed_tensors, point_group
 from warp_peri.core.proof import stencil_of
 from warp_peri.core.stencil import Basis, elastic_from_brackets, grid_of, half_ball, invariant_basis
-from warp_peri.errors import InputError, Shown
+from warp_peri.errors import InputError, Rows, Shown
 from warp_peri.fitting.evaluate import ROUNDING
 from warp_peri.fitting.long_waves import gradients
 from warp_peri.fitting.regression import forces
@@ -86,7 +86,7 @@ class Diagnosis(Shown):
             f"The largest part is {CAUSES[self.causes[0]]}"
         )
 
-    def rows(self) -> list[tuple[str, str]]:
+    def rows(self) -> Rows:
         """Table of the residual, its causes, and what to try."""
         shares = [(name, f"{100 * self.shares[name]:.0f} % of its square") for name in self.causes]
         rows = [("left", f"{100 * self.residual:.3g} % of the loads"), *shares]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_peri.errors import InputError, Shown
+from warp_peri.errors import InputError, Rows, Shown
 from warp_peri.points.arguments import LINEAR, offered, shown_moduli
 from warp_peri.points.points import Samples
 from warp_peri.protocols import placed
@@ -71,9 +71,9 @@ class Fit(Shown):
     influence: InfluenceFunction | None = None
     left: float = 0.0
 
-    def rows(self) -> list[tuple[str, str]]:
+    def rows(self) -> Rows:
         """Name and value of each line of the fit's summary table."""
-        rows: list[tuple[str, str]] = self.material.rows()
+        rows: Rows = self.material.rows()
         for constants in self.moduli[:1]:
             held = "" if self.law.method.moduli is None else ", held"
             told = shown_moduli(self.material.units, constants.values())

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import hyp1f1
 
 from warp_peri.core.record import FieldUnits, OnLinear
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, Rows
 from warp_peri.fracture.bonds import check_breakable, largest_stiffness, unit_toughness
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.points.arguments import REDUCED, NotNegative, Positive, checked, typed
@@ -53,7 +53,7 @@ class BrittleMaterial(OnLinear, format="warp_peri.brittle_solid", version=4):
         """Density ρ in stress · time² / length², of kg/m³ and ps where units are named."""
         return self.density if self.units == REDUCED else inertia(self.density, self.units)
 
-    def rows(self) -> list[tuple[str, str]]:
+    def rows(self) -> Rows:
         """Name and value of what its printed form shows, the density with its unit."""
         unit = "" if self.units == REDUCED else " kg/m³"
         return [(n, text + unit if n == "density" else text) for n, text in super().rows()]

@@ -23,7 +23,7 @@ from warp_peri.core.elastic import (
 from warp_peri.core.proof import StencilCertificate, check_spacing, largest, prove
 from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.core.stencil import Stencil, elastic_from_brackets
-from warp_peri.errors import InputError, warn
+from warp_peri.errors import InputError, Rows, warn
 from warp_peri.points.arguments import (
     USUAL,
     Units,
@@ -331,7 +331,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         own = elastic.turned(self.tensor(), np.asarray(self.orientation).T)
         return elastic.named_moduli(own * self._stress(unit))
 
-    def rows(self) -> list[tuple[str, str]]:
+    def rows(self) -> Rows:
         """Name and value of each line of the crystal's summary table."""
         length, constants = symbols(self.units)[0], self.moduli()
         symmetry = self.symmetry if isinstance(self.symmetry, str) else "rotations"

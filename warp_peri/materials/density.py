@@ -20,7 +20,7 @@ from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.proof import largest
 from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.core.stencil import half_ball
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, Rows
 from warp_peri.files.atomic import parsed
 from warp_peri.fitting.result import Fit
 from warp_peri.materials.crystal_fit import one_set
@@ -116,7 +116,7 @@ class DensityMaterial(Record, format="warp_peri.density"):
             raise InputError(f"energy: the file has the parameters of {made.name!r}, got {name!r}")
         return replace(made, energy=energy)
 
-    def rows(self) -> list[tuple[str, str]]:
+    def rows(self) -> Rows:
         """The summary table of a Record, and the parameters, whose units only the energy knows."""
         return super().rows() + [(name, f"{value:.4g}") for name, value in self.parameters.items()]
 

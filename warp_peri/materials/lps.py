@@ -17,7 +17,7 @@ from warp_peri.core.elastic import lattice_group
 from warp_peri.core.proof import StencilCertificate, prove, statement_of
 from warp_peri.core.record import FieldUnits, Length, Record, taken
 from warp_peri.core.stencil import Stencil
-from warp_peri.errors import InputError, error_rows, warn
+from warp_peri.errors import InputError, Rows, error_rows, warn
 from warp_peri.materials.lps_force import CANCELLED, bonds_of
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.arguments import (
@@ -455,7 +455,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         found |= {name: getattr(self, name) for name in names}
         return found | {name: list(getattr(self, name)) for name in lists}
 
-    def rows(self) -> list[tuple[str, str]]:
+    def rows(self) -> Rows:
         """Name and value of each line of the model's summary table."""
         length, shown = symbols(self.units)[0], partial(shown_moduli, self.units)
         if self.nodes is None:

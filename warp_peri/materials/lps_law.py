@@ -9,7 +9,6 @@ imaginary part (W. Squire and G. Trapp 1998). θ and q may have axes in front.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias, cast
@@ -18,7 +17,7 @@ import numpy as np
 
 from warp_peri.core.elastic import lattice_group
 from warp_peri.core.stencil import Basis, half_ball
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, StrPath
 from warp_peri.fitting.regression import MET, Form, LatticeRows, Numbers, Settled, fit, norms, rows
 from warp_peri.materials.influence import InfluenceFunction
 from warp_peri.materials.lps import (
@@ -145,7 +144,7 @@ class TwoStage:
     """
 
     seed: Natural = 0
-    checkpoint: str | os.PathLike[str] | None = None
+    checkpoint: StrPath | None = None
     epochs: Natural = 4000
     inner_epochs: Natural = 500
     outer_iterations: Natural = 20

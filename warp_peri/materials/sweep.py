@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ import joblib
 import numpy as np
 from tqdm import tqdm
 
-from warp_peri.errors import InputError, warn
+from warp_peri.errors import InputError, StrPath, warn
 from warp_peri.files.atomic import locked
 from warp_peri.files.checkpoint import fingerprint
 from warp_peri.fitting.evaluate import ERRORS, evaluate
@@ -91,7 +90,7 @@ Jobs = Annotated[int, Bound("a number of processes, or −1 for one per core", l
 def sweep(
     train: Samples,
     val: Samples,
-    folder: str | os.PathLike[str],
+    folder: StrPath,
     *,
     test: Samples | None = None,
     noise: Samples | None = None,

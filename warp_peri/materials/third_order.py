@@ -25,7 +25,7 @@ from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.proof import SAME_SPACING, largest, stencil_of
 from warp_peri.core.record import Length, OnLinear, Stress
 from warp_peri.core.stencil import Stencil
-from warp_peri.errors import InputError, warn
+from warp_peri.errors import InputError, Rows, warn
 from warp_peri.fitting.long_waves import long_wave_moduli, long_wave_rows, moduli_of
 from warp_peri.fitting.regression import Settled, load_sizes, norms, rows, swept
 from warp_peri.fitting.result import Fit
@@ -275,7 +275,7 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
         """Proof in other units: the proven strain alone, which has no unit."""
         return {"proven": {k: v for k, v in self.proven.items() if k == "strain"}}
 
-    def rows(self) -> list[tuple[str, str]]:
+    def rows(self) -> Rows:
         """Name and value of each line of the material's table, those of the crystal last."""
         shown = shown_moduli(self.units, (getattr(self, name) for name in CUBIC))
         rows = [("form", self.form), (", ".join(CUBIC), shown)]

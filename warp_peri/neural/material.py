@@ -5,7 +5,6 @@ from __future__ import annotations
 import binascii
 import copy
 import itertools
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ import torch
 
 from warp_peri.core import record
 from warp_peri.core.record import Length
-from warp_peri.errors import InputError, Shown
+from warp_peri.errors import InputError, Rows, Shown, StrPath
 from warp_peri.files import atomic
 from warp_peri.neural.placed import Placed
 from warp_peri.neural.training import NeuralFit, TrainingSettings, train
@@ -128,7 +127,7 @@ class NeuralOperator(Shown, torch.nn.Module):
         check_same(self.units, nodes_of(points).units)
         return Placed(self, points)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: StrPath) -> None:
         """Write one .json file with the weights in it, in their precision, whole or not at all.
 
         Raises InputError for another ending, and for weights that are not finite or too many for a
@@ -151,7 +150,7 @@ class NeuralOperator(Shown, torch.nn.Module):
         *,
         validation: Samples,
         training: TrainingSettings | None = None,
-        checkpoint: str | os.PathLike[str] | None = None,
+        checkpoint: StrPath | None = None,
         progress: bool = True,
     ) -> NeuralFit:
         """Train a copy of these networks; arguments and errors as of training.train."""
@@ -176,7 +175,7 @@ class NeuralOperator(Shown, torch.nn.Module):
         """Number of weights that are learned."""
         return sum(part.numel() for part in self.parameters())
 
-    def rows(self) -> list[tuple[str, str]]:
+    def rows(self) -> Rows:
         """Name and value of what its printed form shows."""
         length, stress = symbols(self.units)
         first = "ω(ξ)" if self.anisotropic else "ω(|ξ|)"

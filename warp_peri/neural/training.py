@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import os
 import time
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,7 +13,7 @@ import torch
 from scipy.sparse.linalg import SuperLU, splu
 from tqdm import tqdm
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, StrPath
 from warp_peri.files.checkpoint import ArrayFile, fingerprint
 from warp_peri.neural.placed import CELLS, SOLVED, EquilibriumSolver, affine, interpolated_force
 from warp_peri.points.arguments import Bound, Count, Natural, Positive, typed
@@ -184,7 +183,7 @@ def train(
     val: Samples,
     training: TrainingSettings,
     *,
-    checkpoint: str | os.PathLike[str] | None = None,
+    checkpoint: StrPath | None = None,
     progress: bool = True,
 ) -> TrainingHistory:
     """Train the material's weights in place; keeps those of least train + val error.

@@ -13,7 +13,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from warp_peri.errors import InputError, Shown, warn
+from warp_peri.errors import InputError, Rows, Shown, StrPath, warn
 from warp_peri.files.atomic import check_hdf5, check_regular, parsed, plain, whole_file
 from warp_peri.points.arguments import (
     USUAL,
@@ -122,7 +122,7 @@ class Dataset(Shown):
         sets = {name: samples.summary() for name, samples in self.sets.items()}
         return {"format": "data", **sheet, "provenance": self.provenance, "sets": sets}
 
-    def rows(self) -> list[tuple[str, str]]:
+    def rows(self) -> Rows:
         """Name and value of each line of the data set's summary table."""
         length = symbols(self.units)[0]
         rows = [
@@ -221,7 +221,7 @@ def _written(provenance: Any) -> str:
         raise InputError(f"provenance: expected plain JSON values ({error})") from None
 
 
-def save_dataset(path: str | os.PathLike[str], dataset: Dataset) -> None:
+def save_dataset(path: StrPath, dataset: Dataset) -> None:
     """Write `dataset` to an HDF5 file, whole or not at all, with its units and a content hash. The
     layout's structure is checksummed (HDF5 1.10) and strings have fixed length, since the HDF5
     library can hang on a damaged heap of strings."""
@@ -285,7 +285,7 @@ def content_hash(dataset: Dataset) -> str:
     return digest.hexdigest()
 
 
-def load_dataset(path: str | os.PathLike[str], *, units: Units | None = None) -> Dataset:
+def load_dataset(path: StrPath, *, units: Units | None = None) -> Dataset:
     """Read a data set from an HDF5 file.
 
     A file that names no units is taken to be in Å and TPa, with a warning. With `units`, as

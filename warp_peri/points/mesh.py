@@ -13,7 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import InputError, Shown, warn
+from warp_peri.errors import InputError, Rows, Shown, warn
 from warp_peri.points.arguments import as_array, checked, typed
 
 REST = "rest"
@@ -94,7 +94,7 @@ class Mesh(Shown):
         counts = {"corners": len(self.x), KINDS[self.dimension][0]: len(self.cells)}
         return {**counts, "box": box, "parts": {n: len(part) for n, part in self.parts.items()}}
 
-    def rows(self) -> list[tuple[str, str]]:
+    def rows(self) -> Rows:
         """Name and value of each line of the mesh's summary table."""
         box = ", ".join(f"{a:g} to {b:g}" for a, b in zip(self.x.min(axis=0), self.x.max(axis=0)))
         parts = ", ".join(f"{name} ({len(faces)})" for name, faces in self.parts.items())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +13,7 @@ from xml.etree import ElementTree
 import h5py
 import numpy as np
 
-from warp_peri.errors import InputError, warn
+from warp_peri.errors import InputError, StrPath, warn
 from warp_peri.files.atomic import check_hdf5, check_xml, content, meshio_of
 from warp_peri.points.mesh import REST, Mesh, facets_of, make_mesh
 
@@ -27,7 +26,7 @@ GROUPS = (":physical", ":ref", "cell_tags")
 """How data of cells end that are numbers of groups, in files that meshio made of others too."""
 
 
-def load_mesh(path: str | os.PathLike[str]) -> Mesh:
+def load_mesh(path: StrPath) -> Mesh:
     """Read a mesh of Gmsh (.msh), VTK (.vtk, .vtu), XDMF or Abaqus (.inp, one flat part), in Å.
 
     Tetrahedra, of second order too, of which the corners count; or triangles and quadrilaterals

@@ -13,7 +13,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import InputError, Shown, warn
+from warp_peri.errors import InputError, Rows, Shown, warn
 from warp_peri.points.arguments import (
     USUAL,
     NotNegative,
@@ -86,7 +86,7 @@ class Points(Shown):
     units: Units = USUAL
     axis: Any = None
 
-    def rows(self) -> list[tuple[str, str]]:
+    def rows(self) -> Rows:
         """Name and value of each line of the points' summary table."""
         length = symbols(self.units)[0]
         kind = f"a lattice of {self.spacing:g} {length}" if self.spacing else "scattered"
@@ -416,7 +416,7 @@ class Samples(Shown):
             raise InputError("b: expected loads, got samples whose loads are not known (b=None)")
         return self.b
 
-    def rows(self) -> list[tuple[str, str]]:
+    def rows(self) -> Rows:
         """Name and value of each line of the samples' summary table."""
         length, stress = symbols(self.points.units)
         rows = [("samples", str(len(self))), *self.points.rows()]

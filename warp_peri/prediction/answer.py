@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from warp_peri.core.proof import prove, stencil_of
-from warp_peri.errors import InputError, Shown
+from warp_peri.errors import InputError, Rows, Shown
 from warp_peri.materials.certificate import curvature_bound
 from warp_peri.points.arguments import Positive, checked, checked_fields, typed, typed_methods
 from warp_peri.points.points import PointsLike, lattice_steps, nodes_of
@@ -64,7 +64,7 @@ class ErrorBound(Shown):
     displacement: float
     statement: str
 
-    def rows(self) -> list[tuple[str, str]]:
+    def rows(self) -> Rows:
         names = ("relative", "displacement", "contraction", "largest_gradient")
         return [("proven", self.statement), *((n, f"{getattr(self, n):.3g}") for n in names)]
 
@@ -242,7 +242,7 @@ class Prediction(Shown):
         u[self.operator.points.interior] += part
         return u
 
-    def rows(self) -> list[tuple[str, str]]:
+    def rows(self) -> Rows:
         parts = ", ".join(f"{name} {said(value)}" for name, value in self.parts.items() if value)
         rows = [("likely error", said(self.error)), ("of it", parts or "nothing")]
         if self.operator.points.axis is not None:
@@ -408,7 +408,7 @@ def _uncovered(placed: EnsembleOperator, points: Any) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _beyond(placed: EnsembleOperator, u: np.ndarray, unseen: float) -> list[tuple[str, str]]:
+def _beyond(placed: EnsembleOperator, u: np.ndarray, unseen: float) -> Rows:
     """Parts of the error that are unknown, each with the limit of the data that is exceeded."""
     found = []
     if unseen > SHORTER:

@@ -14,7 +14,7 @@ from scipy.ndimage import distance_transform_edt
 
 from warp_peri.core.record import FieldUnits, OnLinear
 from warp_peri.core.stencil import Grid, grid_of
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, Rows
 from warp_peri.fitting.result import Fit
 from warp_peri.points.arguments import NotNegative, offered, typed
 from warp_peri.points.dataset import Dataset
@@ -346,7 +346,7 @@ class EnsembleMaterial(OnLinear, format="warp_peri.family", version=2):
         """Operators of all members on points; options of `on`."""
         return EnsembleOperator(self, points, **options)
 
-    def rows(self) -> list[tuple[str, str]]:
+    def rows(self) -> Rows:
         names = [type(one).__name__ for one in (self.rich, self.second)]
         rows = [("rich, second", ", ".join(names)), ("strain seen", f"{self.strain:.2%}")]
         rows.append(("factors", f"{self.factors.left:.2f} left, {self.factors.floor:.2f} floor"))

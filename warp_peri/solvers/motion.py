@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tqdm import tqdm
 
-from warp_peri.errors import InputError, Shown
+from warp_peri.errors import InputError, Rows, Shown, StrPath
 from warp_peri.files.checkpoint import RunFile, TimeSeriesWriter
 from warp_peri.points.arguments import (
     Count,
@@ -88,7 +87,7 @@ class Motion(Shown):
         ax.set(xlabel="time", ylabel=name)
         return ax
 
-    def rows(self) -> list[tuple[str, str]]:
+    def rows(self) -> Rows:
         """Name and value of each line of the motion's summary table."""
         span = f"{self.time[0]:.4g} to {self.time[-1]:.4g}" if len(self.time) else "no time"
         names = ", ".join(self.history) or "none"
@@ -131,9 +130,9 @@ class Recorder:
         x: np.ndarray,
         *,
         every: Count = 1,
-        checkpoint: str | os.PathLike[str] | None = None,
+        checkpoint: StrPath | None = None,
         checkpoint_every: Count = 10,
-        series: str | os.PathLike[str] | None = None,
+        series: StrPath | None = None,
     ) -> None:
         self.every, self.often, self.nodes, self.start = every, checkpoint_every, nodes, ""
         self.history: dict[str, list[Any]] = {}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import operator
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 
 import warp_peri
-from warp_peri.errors import InputError, Shown, heard, warn
+from warp_peri.errors import InputError, Rows, Shown, StrPath, heard, warn
 from warp_peri.points.arguments import Positive, Share, checked, symbols, typed, typed_methods
 from warp_peri.points.points import Points, Samples
 
@@ -190,7 +189,7 @@ class Solution(Shown):
         load = self.operator.on_all(np.asarray(self.load))
         return Samples(self.points, u.reshape(shape), load.reshape(shape))
 
-    def to_vtk(self, path: str | os.PathLike[str]) -> None:
+    def to_vtk(self, path: StrPath) -> None:
         """Write the fields for ParaView: a folder with a file a sample; of a body one .vtu file.
         InputError as export.write_vtk, export.write_body and `to_samples`."""
         if self.points is None:
@@ -232,7 +231,7 @@ class Solution(Shown):
         """Displacement as a NumPy array."""
         return np.asarray(self.u.detach().cpu() if hasattr(self.u, "detach") else self.u)
 
-    def rows(self) -> list[tuple[str, str]]:
+    def rows(self) -> Rows:
         """Name and value of each line of the solution's summary table."""
         lines = [("displacement", f"shape {list(self.u.shape)}"), ("solved by", self.method)]
         if any(self.iterations):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -15,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize.elementwise import find_root
 from scipy.special import ndtri, stdtrit
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, StrPath
 from warp_peri.files.atomic import write_text
 from warp_peri.materials.hyperelastic.energies import NEAREST, EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.fibres import fibre_families, fibre_fan, fibres_of
@@ -254,7 +253,7 @@ def _numbers(parent: ElementTree.Element, **numbers: float) -> None:
 
 
 @typed
-def save_febio(solid: HyperelasticMaterial, path: str | os.PathLike[str]) -> None:
+def save_febio(solid: HyperelasticMaterial, path: StrPath) -> None:
     """Write the material's FEBio element to a file, whole or not at all."""
     write_text(path, febio_material(solid) + "\n")
 

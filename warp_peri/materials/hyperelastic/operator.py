@@ -17,7 +17,7 @@ from torch.autograd import grad
 
 from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.core.torch_bridge import FEW, Swept
-from warp_peri.errors import InputError, warn
+from warp_peri.errors import InputError, Rows, warn
 from warp_peri.fitting.regression import norms
 from warp_peri.materials.hyperelastic.energies import Energy, Hyperelastic, Strain
 from warp_peri.materials.hyperelastic.lattice import SMALLEST_AREA, SheetLattice, Sites, softest
@@ -87,7 +87,7 @@ class HyperelasticMaterial(Record, format="warp_peri.hyperelastic", version=2):
         """Provenance naming the units that its records stay in."""
         return {"provenance": {**self.provenance, "units_before": list(self.units)}}
 
-    def rows(self) -> list[tuple[str, str]]:
+    def rows(self) -> Rows:
         """Name and value of each line of the material's table, the largest energies first."""
         stretch = "not known" if self.stretch is None else f"up to {self.stretch:.3g}"
         rows = [("learned on", f"{self.spacing:g} {symbols(self.units)[0]}")]
