@@ -8,7 +8,6 @@ from functools import partial
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.special import comb
 
@@ -19,7 +18,7 @@ from warp_peri.core.record import FieldUnits, Length, Record, taken
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, Rows, error_rows, warn
 from warp_peri.materials.lps_force import CANCELLED, bonds_of
-from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.materials.lps_operator import LPSOperator, assemble
 from warp_peri.points.arguments import (
     USUAL,
     Positive,
@@ -40,16 +39,14 @@ ALPHA_BOUND = 3.0
 """The quadrature is consistent for α below this (You et al. 2021, remark 1)."""
 LARGEST_DEGREE = 1000
 """Above 1029 the binomial coefficients are no floating-point numbers."""
-QUADRATURE = {"degree": DEGREE, "singularity": SINGULARITY}
 SPACING_TOLERANCE = 1e-6
 """A lattice within this of a certified one, relative to its spacing, is taken as that lattice."""
 NOTHING = 1e-14
 """Relative, of tensors that are rounding."""
 GAMMAS = ("gamma_min", "gamma_max", "gamma_minus_2phi_min", "gamma_minus_2phi_max")
 """Figures of a certificate that are in 1/length²; files of before have the second too."""
-UNITS_AT_ONCE, AVERAGED = 64, 8
-"""Unit displacements that are held together; positions along the radius of the ball that moduli
-as a function are averaged over."""
+AVERAGED = 8
+"""Positions along the radius of the ball that moduli as a function are averaged over."""
 Modulus = ArrayLike | Callable[[np.ndarray], ArrayLike]
 
 
@@ -369,15 +366,10 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
     def interior_matrices(self, points: PointsLike) -> tuple[np.ndarray, np.ndarray]:
         """Γ [1/length²] and Φ [1/length] between a domain's I interior nodes, [d I, d I] and
-        [I, d I], from the forces and dilatations of unit displacements."""
-        bonds, inside, parts = bonds_of(self, points), points.interior, []
-        law, home = bonds.law(1.0, 1.0, self.alpha, self.D), bonds.layout.home[inside]
-        units = sp.eye_array(points.x.size, format="csr")[np.repeat(inside, bonds.dimension)]
-        for n in range(0, units.shape[0], UNITS_AT_ONCE):
-            force, _, theta = law.force(units[n : n + UNITS_AT_ONCE].toarray())
-            parts.append((force, theta[:, home]))
-        forces, thetas = map(np.concatenate, zip(*parts))
-        return forces.T, thetas.T
+        [I, d I]."""
+        bonds = bonds_of(self, points)
+        law = bonds.law(1.0, 1.0, self.alpha, self.D)
+        return assemble(bonds, law.kw, law.m).within(points.interior)
 
     @property
     def transferred_from(self) -> float | None:
@@ -402,7 +394,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
     def derived(self) -> dict[str, Any]:
         """Degree and quadrature, which the material's file states."""
-        return {"degree": self.degree, "quadrature": QUADRATURE}
+        return {"degree": self.degree, "quadrature": {"degree": DEGREE, "singularity": SINGULARITY}}
 
     def verify_certificates(self) -> None:
         """Raise InputError unless all spacings in `certified_on` are proven again."""

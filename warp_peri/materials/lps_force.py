@@ -271,10 +271,10 @@ class Bonds:
             last = self.kept = key, Law(self, arrays, known)
         return last[1]
 
-    def check_volumes(self, K: np.ndarray) -> None:
-        """Raise InputError for K of each length whose weighted volume vanishes."""
+    def check_volumes(self, alpha: float, D: np.ndarray) -> None:
+        """Raise InputError for an influence function whose weighted volume vanishes."""
         families, balls = self.families, self.layout.balls
-        terms = balls.square.numpy() * K[balls.length.numpy()]
+        terms = balls.square.numpy() * self.influence(alpha, D)[balls.length.numpy()]
         needed = ... if self.layout.in_rows else np.append(families.whole, families.cut)
         start = balls.row.numpy()[:-1]
         m, size = (np.add.reduceat(x, start)[needed] for x in (terms, np.abs(terms)))
@@ -306,7 +306,7 @@ def bonds_of(model: LPSMaterial, points: PointsLike, degree: int = DEGREE) -> Bo
         if not model.bond_based:
             raise
         bonds = make(bond_based=True)
-    bonds.check_volumes(bonds.influence(model.alpha, model.D))
+    bonds.check_volumes(model.alpha, model.D)
     return bonds
 
 

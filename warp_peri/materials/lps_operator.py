@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import compress
 from typing import TYPE_CHECKING, Any
 
@@ -465,15 +465,7 @@ def node_fields(model: LPSMaterial, points: PointsLike, u: ArrayLike) -> NodeFie
     mine = given.interior[bonds.listing[0]]
     owner, far, xi, kind = (one[mine] for one in bonds.listing)
     lam, mu, m = (np.broadcast_to(one, nodes)[inside] for one in (model.lam, model.mu, law.m))
-    place = np.searchsorted(inside, owner)
-    entries = np.ones(len(place)), (place, np.arange(len(place)))
-    sums = sp.csr_array(entries, shape=(len(inside), len(place)))
-
-    def total(values: np.ndarray) -> np.ndarray:
-        """Sum of bond values over each family: [E, …] → [I, …]."""
-        flat = sums @ values.reshape(len(place), -1)
-        return np.asarray(flat.reshape(len(inside), *values.shape[1:]))
-
+    total = partial(np.add.reduceat, indices=np.flatnonzero(np.diff(owner, prepend=-1)))  # [I, …]
     K, outer, c2 = law.kw[kind], xi[:, :, None] * xi[:, None, :], d * (d + 2)
     sheared = K / (xi**2).sum(axis=1)
     shape, inverse = total(K[:, None, None] * outer), np.linalg.inv(total(outer))
