@@ -203,10 +203,13 @@ def test_on_a_tape_of_the_user():
         assert error(array.grad.numpy(), by.numpy()) <= 1e-14
     operator.launch(field, out)  # no tape: the force alone, of the model's own numbers
     assert np.array_equal(out.numpy(), operator(u))
+    soft = wp.array([-1.0], dtype=wp.float64)
     shorter = LPSParameters(*numbers[:-1], numbers[-1][:-1])
     for given, words in (
         ((field, out, {}), "parameters: expected LPSParameters.*, got dict"),
-        ((field, out, shorter), "D: expected 5 numbers, as the model has, got 4"),
+        ((field, out, model), "parameters: expected LPSParameters.*, got LPSMaterial"),
+        ((field, out, LPSParameters(numbers[0], soft, *numbers[2:])), "mu: expected"),
+        ((field, out, shorter), r"D: expected shape \[5\], got \[4\]"),
         ((field, out[:, :-1]), r"out: expected a contiguous .* \[2, 25\]"),
         ((field.numpy(), out), "u: expected a contiguous array of Warp of shape"),
     ):

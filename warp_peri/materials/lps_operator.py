@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from warp_peri.core.proof import largest
 from warp_peri.errors import InputError, warn
 from warp_peri.materials.lps_force import Bonds, Law, bonds_of, lps_force
-from warp_peri.points.arguments import checked, checked_fields, is_tensor, plain
+from warp_peri.points.arguments import check_shape, checked, checked_fields, is_tensor, plain
 from warp_peri.points.families import DEGREE, families_of, largest_strain
 from warp_peri.points.points import PointsLike, nodes_of
 from warp_peri.protocols import OperatorBase
@@ -140,13 +140,15 @@ class LPSOperator(OperatorBase):
                     f"{name}: expected a contiguous array of Warp of shape [{len(u)}, {nodes}], "
                     f"of {d} float64 each, got {type(array).__name__} of {list(np.shape(array))}"
                 )
-        if parameters is not None and not hasattr(parameters, "lam"):
+        numbers = () if parameters is None else getattr(parameters, "values", tuple)()
+        if parameters is not None and not (numbers and all(hasattr(n, "numpy") for n in numbers)):
             what = type(parameters).__name__
-            raise InputError(f"parameters: expected LPSParameters(lam, mu, alpha, D), got {what}")
-        numbers, own = parameters.values() if parameters else (), self.learnable.values()
-        if numbers and (got := len(numbers[-1])) != (size := len(self.model.D)):
-            raise InputError(f"D: expected {size} numbers, as the model has, got {got}")
-        law = self.bonds.law(*(one.numpy() for one in numbers) if numbers else own)
+            raise InputError(f"parameters: expected LPSParameters of arrays of Warp, got {what}")
+        given = dict[str, Any]()
+        for (name, own), one in zip(self.learnable.items(), numbers):
+            check_shape(name, one, np.atleast_1d(own).shape)
+            given[name] = one.numpy().reshape(np.shape(own))
+        law = self.bonds.law(*self.model.with_parameters(given).learnable.values())
         Lu, *felt = law.force(u.numpy().reshape(len(u), -1))
         out.numpy()[:] = Lu.reshape(out.numpy().shape)
         arrays = [u, *numbers]
