@@ -16,12 +16,12 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_690,
-    "tokens": 234_620,
-    "lines of warp_peri": 29_993,
+    "code lines": 18_692,
+    "tokens": 234_660,
+    "lines of warp_peri": 29_995,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_177,
+    "lines of warp_peri, kernels, examples and tools": 42_179,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -40,7 +40,7 @@ ROOMS = {
     "files": 445,
     "fitting": 1061,
     "fracture": 1416,
-    "materials": 4521,
+    "materials": 4523,
     "neural": 573,
     "points": 1685,
     "prediction": 575,
