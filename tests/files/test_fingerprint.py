@@ -2,7 +2,7 @@
 
 import json
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 
@@ -50,7 +50,7 @@ def test_where_a_value_stands_and_of_what_kind_it_is_counts():
         [(2100, 20.0, Path("a")), (2100.0, 20, "a")],
         [{"most", "largest"}, {"largest", "most"}],
         [torch.ones(4, dtype=torch.float64), torch.ones(4, dtype=float, requires_grad=True), ones],
-        [ones[::2], ones[:2]],
+        [ones[::2], ones[:2], ones[:2].astype(">f8")],
     ):
         assert len({*map(fingerprint, same)}) == 1
 
@@ -79,6 +79,11 @@ def heir(count):
     """An object whose class inherits its call, which reads a property."""
     above = {"__call__": lambda self, field: self.counted(field), "counted": property(count)}
     return type("Heir", (type("Base", (), above | {"__module__": __name__}),), {})()
+
+
+def of_class(law):
+    """An object of a data class that holds a law, which no field does."""
+    return dataclass(type("Of", (), {"law": law, "__module__": __name__}))()
 
 
 def hardening(k, horizon=2.5):
@@ -118,6 +123,8 @@ def test_materials_settings_functions_and_objects_count_by_what_they_hold():
         (torch.nn.Linear(2, 2), torch.nn.Linear(2, 2)),
         ({1: 0}, {"1": 0}),
         ({1: x, "1": x}, {1: x, "1": 2 * x}),
+        (of_class(Above(1)), of_class(Above(2))),
+        (x.dot, (2 * x).dot),
     ):
         differ(*pair)
     for one, again in (
@@ -126,6 +133,7 @@ def test_materials_settings_functions_and_objects_count_by_what_they_hold():
         (above(0.3), above(0.3)),
         (hardening(1.0), hardening(1.0)),
         (Filled(), filled),
+        (of_class(np), of_class(np)),
     ):
         assert fingerprint(one) == fingerprint(again)
 
@@ -158,6 +166,7 @@ def test_what_a_function_reads_inside_and_through_others_counts(monkeypatch):
         (raised, globals(), "SHIFTED", partial(np.add, 2.0)),
         (of_module, vars(cfg), "SIZE", 3.0),
         (of_module, vars(below), "larger", above(0.4)),
+        (limited, vars(limited), "level", 1),
     ):
         before = fingerprint(function)
         assert fingerprint(function) == before

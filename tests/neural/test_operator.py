@@ -311,14 +311,16 @@ def test_checkpoints_of_other_trainings(tmp_path):
     given = {"samples": loads(0), "val": loads(1), "training": settings}
     resumed = partial(train, checkpoint=path, progress=False)
     resumed(student(), **given)
-    moved, scaled = loads(0), student()
+    resumed(student(), **given | {"val": replace(loads(1), arrays={"unread": loads(1).u})})
+    moved, scaled, frozen = loads(0), student(), student()
+    frozen.influence.requires_grad_(False)
     moved = replace(moved, points=replace(moved.points, x=moved.x + 1.0))
     scaled.scale *= 2
     for change in (
         {"training": TrainingSettings(epochs=2, batch=3)},
         {"samples": moved},
         {"val": loads(2)},
-        *({"material": other} for other in (student().float(), scaled, student(seed=7))),
+        *({"material": other} for other in (student().float(), scaled, frozen, student(seed=7))),
     ):
         with refused("the checkpoint of another training"):
             resumed(**{"material": student(), **given} | change)

@@ -4,6 +4,7 @@ On ranks the first writes them, in the order of the whole body: the same from an
 from __future__ import annotations
 
 import dataclasses
+import dis
 import hashlib
 import inspect
 import json
@@ -11,10 +12,14 @@ import os
 import re
 import sys
 import sysconfig
+from collections import deque
 from collections.abc import Iterator, Mapping
-from functools import cache, cached_property, partial
+from contextlib import suppress
+from functools import cache, cached_property
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from types import CellType, FunctionType
+from typing import Any, TypeAlias, cast
 
 import h5py
 import numpy as np
@@ -23,8 +28,11 @@ from warp_peri import __version__
 from warp_peri.errors import ALONE, InputError, StrPath, agreed
 from warp_peri.files.atomic import check_hdf5, meshio_of, parsed, whole_file, write_text, write_vtu
 
-PLAIN = (bool, int, float, complex, str, bytes, tuple, list, dict, np.ndarray, np.generic)
-"""What a module may hold for a function to read; what lives, as os.environ, is none of it."""
+HELD = ("__self__", "__func__", "fget", "code")
+"""What methods, properties and what torch compiled hold that is no attribute."""
+_OWN = (f"{sysconfig.get_path('stdlib')}/", f"{Path(__file__).parents[1]}/")
+HOMES = ("/site-packages/", "/dist-packages/", *_OWN)
+"""Parts of paths of installed packages, of Python's own modules and of this library's."""
 OF_A_FIT = ("sha256", "certificate", "proven", "provenance")
 """Of a material's file, which a second fit of the same numbers has otherwise."""
 
@@ -66,121 +74,124 @@ def fingerprint(*parts: Any) -> str:
     that it reads; other objects with their attributes; numbers alike whatever type they are of. The
     version of the library counts, too.
     """
-    digest = hashlib.sha256(__version__.encode())
-    for text in _spelled(parts):
-        digest.update(f"{len(text)}:".encode() + text)
-    return digest.hexdigest()
+    return _digest((__version__, *parts), {}).hex()
 
 
-def _spelled(part: Any, above: frozenset[int] = frozenset()) -> Iterator[bytes]:
-    """Bytes that tell a value from others; `above` are those that it is a part of."""
-    if hasattr(part, "detach"):  # of torch
-        part = part.detach().cpu()
-    if hasattr(part, "numpy") and not isinstance(part, type):  # and of Warp
-        part = part.numpy()
-    inside = above | {id(part)}
+Known: TypeAlias = dict[int, tuple[Any, bytes]]
+"""Values by id, kept lest another gets it, and their hashes."""
+
+
+def _digest(part: Any, known: Known) -> bytes:
+    """Hash of a value; `known` are those met before by id, kept lest another gets it: what several
+    hold is looked at once, and what holds itself ends there."""
+    if id(part) not in known:
+        known[id(part)] = part, b"above"
+        digest = hashlib.sha256()
+        for text in _spelled(part, known):
+            digest.update(f"{len(text)}:".encode() + text)
+        known[id(part)] = part, digest.digest()
+    return known[id(part)][1]
+
+
+def _spelled(part: Any, known: Known) -> Iterator[bytes]:
+    """Bytes that tell a value from others, at last the hashes of what it holds."""
+    kind, held = cast(Any, type(part)), list[Any]()
+    users = _is_users(kind.__module__)
+    if callable(getattr(kind, "numpy", None)):  # of torch, and of Warp
+        part = part.numpy(force=True) if hasattr(kind, "detach") else part.numpy()
     if isinstance(part, (int, np.integer, np.bool_)):
         yield repr(int(part)).encode()
-    elif isinstance(part, (float, np.floating)):
-        number = float(part)
-        yield repr(int(number) if number.is_integer() else number).encode()
-    elif isinstance(part, complex):
-        yield repr(complex(part)).encode()
+    elif isinstance(part, (float, complex, np.inexact)):
+        number, real = complex(part), complex(part).real
+        whole = int(real) if real.is_integer() else real
+        yield repr(number if number.imag else whole).encode()
     elif isinstance(part, np.ndarray) and part.dtype != object:
-        yield from (part.dtype.str.encode(), repr(part.shape).encode(), part.tobytes())
-    elif id(part) in above:
-        yield b"above"
+        part = part.astype(part.dtype.newbyteorder("="), copy=False)
+        yield from (f"{part.dtype}{part.shape}".encode(), part.tobytes())
     elif isinstance(part, Mapping):
-        named = sorted(((repr(key), key) for key in part), key=lambda pair: pair[0])
-        yield from _spelled([(name, part[key]) for name, key in named], inside)
-    elif isinstance(part, (set, frozenset)):
+        held = sorted(_digest((key, part[key]), known) for key in part)
+    elif isinstance(part, (set, frozenset)):  # each as if it were met first
         yield b"set"
-        yield from _spelled(sorted(map(fingerprint, part)), inside)
-    elif isinstance(part, (list, tuple, np.ndarray)):
+        held = sorted(_digest(one, {**known}) for one in part)
+    elif isinstance(part, (list, tuple, deque, np.ndarray)):
         yield f"{len(part)} of".encode()
-        for one in part:
-            yield from _spelled(one, inside)
+        held = [*part]
     elif inspect.iscode(part):
-        yield part.co_code
-        yield from _spelled([part.co_consts, part.co_names], inside)
-    elif inspect.isroutine(part) and hasattr(part, "__code__"):
-        given = getattr(part, "__defaults__", None), getattr(part, "__kwdefaults__", None)
-        bound = getattr(part, "__self__", None)
-        yield from _spelled([part.__code__, given, _read_by(part), bound], inside)
-    elif isinstance(part, partial):
-        yield from _spelled([part.func, part.args, part.keywords], inside)
+        held = [part.co_code, part.co_consts, part.co_names]
+    elif inspect.isfunction(part):
+        held = [part.__code__, part.__defaults__, part.__kwdefaults__, vars(part), _read_by(part)]
     elif isinstance(part, (str, bytes, os.PathLike)):
         yield repr(os.fspath(part)).encode()
-    elif isinstance(part, type):
-        yield f"{part.__module__}.{part.__qualname__}".encode()
-        yield from _spelled(_methods(part), inside)
-    elif hasattr(part, "content"):
-        yield from _spelled(_lasting(part.content()), inside)
-        yield from _spelled(getattr(part, "state_dict", dict)(), inside)  # of networks
-        yield from _spelled(getattr(part, "unfiled", {}), inside)
+    elif isinstance(part, memoryview):
+        yield part.tobytes()
+    elif inspect.ismodule(part) or isinstance(part, type):
+        home = getattr(part, "__module__", part.__name__)
+        yield f"{home} {part.__name__}".encode()
+        if _is_users(home):
+            own = {n: v for n, v in vars(part).items() if n[:2] != "__" or inspect.isroutine(v)}
+            held = [own, getattr(part, "__bases__", ())]
+    elif hasattr(kind, "content"):
+        held = [_lasting(part.content()), getattr(part, "unfiled", {})]
     elif dataclasses.is_dataclass(part):
-        yield type(part).__name__.encode()
-        fields = (field.name for field in dataclasses.fields(part))
-        yield from _spelled([(name, getattr(part, name)) for name in fields], inside)
+        yield kind.__name__.encode()
+        held = [(one.name, getattr(part, one.name, None)) for one in dataclasses.fields(part)]
     else:
-        yield re.sub(r" at 0x[0-9a-f]+", "", repr(part)).encode()
-        slots = (getattr(kind, "__slots__", ()) for kind in type(part).__mro__)
-        names = [name for some in slots for name in ([some] if isinstance(some, str) else some)]
-        own = {name: getattr(part, name, None) for name in names if name[:2] != "__"}
-        own |= getattr(part, "__dict__", {})
-        made = [n for n in own if isinstance(getattr(type(part), n, None), cached_property)]
-        yield from _spelled({name: own[name] for name in own if name not in made}, inside)
-        yield from _spelled(_methods(type(part)), inside)
+        yield kind.__name__.encode()
+        held = [_attributes(part), [getattr(part, n, None) for n in HELD if hasattr(kind, n)]]
+        try:  # what C keeps
+            held += [part.__reduce_ex__(4)][bool(held[0] or users) :]
+        except Exception:  # of what is not copied: a lock, a generator, a file
+            yield re.sub(r" at 0x[0-9a-fA-F]+", "", repr(part)).encode()
+    if hasattr(kind, "state_dict"):  # of networks
+        held += [part.state_dict()]
+    if users:  # it may be a subclass of any of these
+        held += [kind] if hasattr(kind, "content") else [kind, _attributes(part)]
+    for one in held:
+        yield _digest(one, known)
 
 
-def _read_by(function: Any) -> dict[str, Any]:
-    """Values that a function encloses, or reads of its module and of those it names, by name."""
-    names, code = set[str](), [function.__code__]
-    for one in code:  # those of what is defined inside, too
-        names |= {*one.co_names}
-        code += filter(inspect.iscode, one.co_consts)
-    read = {**inspect.getclosurevars(function).nonlocals}
-    spaces = [getattr(function, "__globals__", {})]
-    spaces += [vars(read.pop(name)) for name in [*read] if inspect.ismodule(read[name])]
-    for place, known in enumerate(spaces):
-        for name in sorted(names & known.keys()):
-            one = known[name]
+def _attributes(part: Any) -> dict[str, Any]:
+    """Attributes of an object, in slots too, but for those that are worked out and kept."""
+    state: Any = object.__getstate__(part)
+    own, slots = state if isinstance(state, tuple) else (state, None)
+    found, kind = {**(own or {}), **(slots or {})}, type(part)
+    return {n: found[n] for n in found if not isinstance(getattr(kind, n, 0), cached_property)}
+
+
+def _read_by(function: FunctionType) -> dict[str, Any]:
+    """Values that a function encloses and, of the user's, reads of its module, and of those of the
+    user's that it names or imports, by name."""
+    cells = zip(function.__code__.co_freevars, function.__closure__ or ())
+    held = {name: cell.cell_contents for name, cell in cells if cell != CellType()}
+    names, said, code = set[str](), set[str](), [function.__code__]
+    spaces, read = [(held, {*held})], dict[str, Any]()
+    if _is_users(str(function.__globals__.get("__name__"))):
+        spaces += [(function.__globals__, names), (imported := {}, names)]
+        for inner in code:  # those of what is defined inside, too
+            names |= {*inner.co_names}
+            said |= {one for one in inner.co_consts if isinstance(one, str)}  # for getattr
+            code += filter(inspect.iscode, inner.co_consts)
+            for step in dis.get_instructions(inner):
+                if step.opname == "IMPORT_NAME":
+                    with suppress(Exception):
+                        imported[step.argval] = import_module(step.argval)
+    for place, (space, wanted) in enumerate(spaces):
+        for name in sorted(wanted & space.keys()):
+            one = space[name]
             if inspect.ismodule(one):
-                spaces += [vars(one)] * all(vars(one) is not other for other in spaces)
-            elif (
-                one is not function and (one.__module__ == function.__module__ or _is_users(one))
-                if inspect.isroutine(one) or isinstance(one, type)
-                else not place or isinstance(one, PLAIN)
-            ):
-                read[f"{place} {name}"] = one
+                if _is_users(one.__name__) and all(vars(one) is not other for other, _ in spaces):
+                    spaces += [(vars(one), names | said)]
+                one = one.__name__
+            read[f"{place} {name}"] = one
     return read
 
 
-def _methods(kind: type) -> dict[str, Any]:
-    """Methods and plain values of a user's own class, by name."""
-    if not _is_users(kind):
-        return {}
-    found: dict[str, Any] = {above.__qualname__: _methods(above) for above in kind.__bases__}
-    for name, one in vars(kind).items():
-        for inner in ("__func__", "fget", "func"):  # of static and class methods, of properties
-            one = getattr(one, inner, one)
-        if inspect.isfunction(one) or (isinstance(one, PLAIN) and name[0] + name[-1] != "__"):
-            found[name] = one
-    return found
-
-
 @cache
-def _installed() -> list[Path]:
-    """Folders of Python's own modules, of installed packages, and of this one."""
-    paths = sysconfig.get_paths()
-    names = ("stdlib", "purelib", "platlib")
-    return [*(Path(paths[name]) for name in names), Path(__file__).parents[1]]
-
-
-def _is_users(one: Any) -> bool:
-    """Whether code is of no installed package: a script's, a notebook's, of a module beside it."""
-    file = Path(getattr(sys.modules.get(one.__module__ or ""), "__file__", None) or "")
-    return not any(map(file.is_relative_to, _installed()))
+def _is_users(module: Any) -> bool:
+    """Whether a module is of no installed package: a script, a notebook, a file beside it."""
+    file = getattr(sys.modules.get(module), "__file__", None)
+    known = any(home in file for home in HOMES) if file else module in sys.stdlib_module_names
+    return isinstance(module, str) and (module == "__main__" or not known)
 
 
 def _lasting(content: Any) -> Any:
@@ -319,10 +330,14 @@ def read_arrays(
                 if one.dtype.kind not in "biufc":  # bytes of anything else would be pointers
                     raise ValueError(f"{name} holds no numbers")
                 whole = np.memmap(path, one.dtype, "r", offset, one.shape) if one.size else one
-                found[name] = np.array(whole[()] if rows is None else whole[rows])
+                found[name] = np.array(whole[() if rows is None else rows])
             return found, dict(file.attrs)
     except (OSError, RuntimeError, LookupError, AttributeError, TypeError, ValueError) as error:
         raise InputError(f"{path}: not a readable checkpoint ({error})") from None
+
+
+PVD = '<VTKFile type="Collection"><Collection>'
+"""How `motion.pvd` begins."""
 
 
 class TimeSeriesWriter:
@@ -340,17 +355,28 @@ class TimeSeriesWriter:
         self.folder, self.nodes = Path(folder), nodes
         self.x = nodes.x if x is None else x
         self.times: dict[str, float] = {}
+        pvd = self.folder / "motion.pvd"
+        with agreed(nodes.comm):
+            text = pvd.read_text(errors="replace") if pvd.is_file() else PVD
+            there = self.folder.glob("record_*.vtu")
+            if not text.startswith(PVD) or any(one.name not in text for one in there):
+                raise InputError(f"{pvd}: is there, or records beside it, of another program")
 
     def write(self, step: int, time: float, fields: Mapping[str, np.ndarray]) -> None:
-        """Write one record of the motion; vectors in the plane get a third component."""
-        nodes, name = self.nodes, f"record_{step:08d}.vtu"
-        self.times[name] = time
+        """Write one record of the motion; vectors in the plane get a third component. Records of an
+        earlier motion in the folder go."""
+        nodes, times, name = self.nodes, self.times, f"record_{step:08d}.vtu"
+        times[name] = time
         parts = {"positions": self.x, **fields}
         whole = gathered(nodes.comm, parts, nodes.number, nodes.count)
+        there = {name, *(one.name for one in self.folder.glob("record_*.vtu"))}
+        lines = [f'<DataSet timestep="{t!r}" file="{n}"/>' for n, t in times.items() if n in there]
+        text = "\n".join([PVD, *lines])
         with agreed(nodes.comm):
             if nodes.comm.rank == 0:
+                for old in there - times.keys():
+                    (self.folder / old).unlink()
+                # first, so that a run that is killed leaves no record that it does not name
+                write_text(self.folder / "motion.pvd", text + "\n</Collection></VTKFile>\n")
                 x = whole.pop("positions")
                 write_vtu(self.folder / name, x, ("vertex", np.arange(len(x))[:, None]), whole)
-                lines = [f'<DataSet timestep="{t!r}" file="{n}"/>' for n, t in self.times.items()]
-                text = "\n".join(['<VTKFile type="Collection"><Collection>', *lines])
-                write_text(self.folder / "motion.pvd", text + "\n</Collection></VTKFile>\n")

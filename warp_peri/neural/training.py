@@ -240,8 +240,9 @@ class _Run:
         self.adam = torch.optim.Adam(material.parameters(), lr=training.rate)
         self.random = torch.Generator().manual_seed(training.seed)
         self.history, self.least = TrainingHistory(), math.inf
-        same = replace(training, epochs=1)
-        self.key = fingerprint(same, material, learned.samples, unseen.samples)
+        read = [replace(one.samples, arrays={}) for one in (learned, unseen)]
+        free = [one.requires_grad for one in material.parameters()]
+        self.key = fingerprint(replace(training, epochs=1), material, free, read)
         self.kept: dict[str, torch.Tensor] = {}
         if isinstance(learned, _Loads):  # it starts where forces are as large as loads
             with torch.no_grad():
