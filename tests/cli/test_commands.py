@@ -158,7 +158,11 @@ def test_where_output_goes_is_minded(fitted, data, capsys, monkeypatch):
 
 def test_sweep_chooses_and_keeps_its_settings(data, tmp_path, capsys):
     words = ["sweep", data, "--out", tmp_path, "--val", "test", "--noise", "noise", "--jobs", "1"]
-    printed = answer(capsys, *words, "--horizons", "2.5", "--degrees", "1")
+    words += ["--horizons", "2.5", "--degrees", "1"]
+    (mine := tmp_path / "sweep.json").write_text("mine")
+    assert "sweep.json: is there already, by no sweep" in refused(capsys, *words)
+    mine.unlink()
+    printed = answer(capsys, *words)
     assert printed["fits"] == 1
     assert json.loads((tmp_path / "sweep.json").read_text()) == printed
     assert "--degrees\n1\n" in (tmp_path / "sweep.txt").read_text()

@@ -51,9 +51,14 @@ def test_a_sweep_finds_the_horizon_of_the_data_and_resumes(sets, tmp_path):
     files = {file: file.stat().st_mtime_ns for file in tmp_path.iterdir()}
     broken = next(file for file in files if file.name.startswith("d2_M3"))
     broken.write_text("{")
+    mine = broken.with_suffix(".h5")
+    mine.write_text("mine")
+    with refused("expected loads inside"):
+        sweep(train, replace(val, b=0 * val.b), tmp_path, **options)
     again = sweep(train, val, tmp_path, test=val, **options)
     assert [t.E_res_train for t in again.trials] == [t.E_res_train for t in first.trials]
     assert [file for file in files if file.stat().st_mtime_ns != files[file]] == [broken]
+    assert mine.read_text() == "mine"
 
 
 def test_a_trial_is_not_believed_as_it_stands(sets, tmp_path):

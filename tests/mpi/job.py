@@ -155,6 +155,7 @@ def refusals(sheet, ball):
         lambda: wp.simulate(brittle, wp.Cracked(sheet), step=0.1, steps=1, no_fail=mixed),
         lambda: wp.simulate(brittle, wp.Cracked(sheet, hidden), step=0.1, steps=1),
         lambda: lattice(SHAPE[2], H, lambda x: np.ma.masked_array(x[:, 0] > 0, True)),
+        lambda: sheet.gather(sheet.x[1:]),
     )]  # fmt: skip
 
 
@@ -168,6 +169,7 @@ def at_the_door(sheet):
         "problem": lambda: wp.simulate(solid(2), other, **how),
         "step": lambda: wp.simulate(solid(2), problem, **how | {"step": 1e-3 / (1 + one)}),
         "shape": lambda: lattice((52 + one, 52), H, inside),
+        "values": lambda: sheet.gather(u[:, one:]),
     }.items()}  # fmt: skip
 
 

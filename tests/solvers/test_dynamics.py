@@ -124,7 +124,9 @@ def test_waves_go_on_from_a_checkpoint_with_the_same_bits_and_go_to_paraview(tmp
     for name in ("u", "v", "energy"):
         assert getattr(resumed, name).tobytes() == getattr(straight, name).tobytes()
     assert (tmp_path / "s" / "motion.pvd").read_text().count("timestep=") == len(straight.time)
+    (tmp_path / "motion.pvd").write_text("mine")
     assert_refused({
+        "of another program": lambda: march(operator, b, u, **options, steps=4, series=tmp_path),
         "at least the 25 taken before, got 20":
             lambda: march(operator, b, u, **options, **files, steps=20),
         "record: expected nodes 0 to .*, got -1, 3":

@@ -180,6 +180,15 @@ def run_fit(given: Namespace) -> Said:
     return {**metrics, "model": str(model)}, [*lines, *error_table(tables, data.units)]
 
 
+def _check_folder(given: Namespace, *names: str) -> None:
+    """Refuse to replace files of these names where no such command was run."""
+    for path in map(given.out.joinpath, names):
+        if path.exists() and not is_kept(given.out / f"{given.command}.txt"):
+            raise InputError(
+                f"{path}: is there already, by no {given.command}; name another folder"
+            )
+
+
 def _law(given: Namespace, spacing: float) -> Any:
     """Material to learn, by the options; InputError for options of an LPS with another material."""
     if given.law == "lps":
@@ -247,6 +256,7 @@ def _sheet_of(data: Dataset) -> str:
 
 def run_sweep(given: Namespace) -> Said:
     """Run Algorithm 2 on a data file; writes sweep.json and the models to a folder."""
+    _check_folder(given, "sweep.json")
     data = _dataset(given)
     sweep = warp_peri.methods.sweep(
         data[given.set],
@@ -273,6 +283,7 @@ def run_sweep(given: Namespace) -> Said:
 def run_fit_crystal(given: Namespace) -> Said:
     """Fit a crystal; writes model.json, crystal.json and law.png to a folder."""
     path = given.out / "model.json"
+    _check_folder(given, "model.json", "crystal.json", "law.png")
     units = given.units[0] if len(given.units) == 1 else tuple(given.units)
     how = chosen(given, "spacing", "horizon", "symmetry") | {"units": units}
     with locked(given.out):  # a place that takes no files is told before the calculator works
@@ -309,6 +320,7 @@ def run_fit_crystal(given: Namespace) -> Said:
 
 def run_fit_sheet(given: Namespace) -> Said:
     """Fit a sheet; writes material.json, sheet.json, curves and every candidate to a folder."""
+    _check_folder(given, "material.json", "sheet.json", "curves.png", "material.feb")
     how = chosen(given, "pixel", "positions", "stress", "along")
     frames = frames_of_folder(given.folder, given.count, radius=given.smooth, **how)
     usual = frames.points.units == USUAL  # what frames without a unit are taken for

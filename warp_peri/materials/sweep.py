@@ -125,11 +125,14 @@ def sweep(
     if not (len(horizons) and len(degrees)):
         raise InputError("sweep: expected at least one horizon and one degree")
     sets = {"train": train, "val": val} | ({} if test is None else {"test": test})
+    for one in (train, val):
+        if not one.loads[:, one.interior].any():
+            raise InputError("train, val: expected loads inside, by which errors are divided")
     files = {}
     for horizon, degree in itertools.product(horizons, degrees):
-        one = dataclasses.replace(law, horizon=horizon, kernel=Bernstein(degree))
-        key = fingerprint(one, sets, noise)
-        files[Path(folder) / f"d{horizon:g}_M{degree}_{key[:12]}.model.json"] = one, key
+        trial = dataclasses.replace(law, horizon=horizon, kernel=Bernstein(degree))
+        key = fingerprint(trial, sets, noise)
+        files[Path(folder) / f"d{horizon:g}_M{degree}_{key[:12]}.model.json"] = trial, key
     with locked(folder):
         found = {file: _read(file, train.spacing, key) for file, (_, key) in files.items()}
         todo = [file for file in files if found[file] is None]
@@ -183,7 +186,8 @@ def _fit(law: LPS, key: str, sets: dict[str, Samples], noise: Samples | None, fi
     model = dataclasses.replace(model, errors=errors)
     provenance = model.provenance | {"sweep": _mark(model, key)}
     dataclasses.replace(model, provenance=provenance).save(file)
-    state.unlink(missing_ok=True)
+    if isinstance(law.method, TwoStage):
+        state.unlink(missing_ok=True)
     return ""
 
 

@@ -103,8 +103,8 @@ class Subdomain:
     def mark(self, *parts: Any) -> str:
         """Fingerprint of arrays [n, ...] on these nodes, and of other values as printed."""
         arrays = [part for part in parts if isinstance(part, np.ndarray)]
-        others = [part for part in parts if not isinstance(part, np.ndarray)]
-        return nodal_fingerprint(self.comm, self.number, *arrays) + "".join(map(repr, others))
+        others = "".join(repr(part) for part in parts if not isinstance(part, np.ndarray))
+        return nodal_fingerprint(self.comm, self.number, *arrays) + others
 
     def solve(
         self, material: Any, problem: Any, solver: Solver, options: dict[str, Any]
@@ -172,8 +172,13 @@ class Subdomain:
         return inner(self.comm, lambda a, b: (a * b).sum(axis=1))
 
     def gather(self, values: np.ndarray) -> np.ndarray:
-        """Gather values [n, ...] of all pieces on every rank, in the order of the whole body."""
-        values = np.asarray(values)
+        """Gather values [n, ...] of all pieces on every rank, in the order of the whole body;
+        InputError on all for a field that is none, or of another kind on some."""
+        with agreed(self.comm):
+            values = np.asarray(as_array("values", values))
+            if values.shape[:1] != self.number.shape:
+                raise InputError(f"values: expected {len(self.x)} rows, got shape {values.shape}")
+        same(self.comm, values=(values.shape[1:], values.dtype))
         whole = np.empty((self.count, *values.shape[1:]), values.dtype)
         for number, part in self.comm.allgather((self.number, values)):
             whole[number] = part

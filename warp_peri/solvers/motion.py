@@ -172,8 +172,8 @@ class Recorder:
                     history = {name: np.array(rows).tolist() for name, rows in self.history.items()}
                     times = {} if self.series is None else self.series.times
                     key = self.key(state.steps) | {"start": self.start}
-                    content = {"steps": state.steps, "key": key}
-                    self.file.write(arrays, content | {"history": history, "files": times})
+                    content = {"steps": state.steps, "key": key, "history": history}
+                    self.file.write(arrays, content | {"files": times})
         return state
 
     def recorded(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -212,7 +212,7 @@ def refuse_learning(problem: Any, options: dict[str, Any], verb: str) -> None:
 
 
 LEARNS = {
-    "solve": "a Dirichlet, a Periodic and a Cracked",
+    "solve": "a Dirichlet, a Periodic and a Cracked of one process",
     "simulate": "waves, what flows, and pulls of bonds that soften, of one process",
 }
 
