@@ -16,12 +16,12 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_692,
-    "tokens": 234_660,
-    "lines of warp_peri": 29_995,
+    "code lines": 18_720,
+    "tokens": 234_990,
+    "lines of warp_peri": 30_043,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_179,
+    "lines of warp_peri, kernels, examples and tools": 42_227,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -33,18 +33,18 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "atoms": 2307,
-    "cli": 754,
+    "cli": 763,
     "core": 1608,
     "face": 1111,
     "fe_coupling": 711,
-    "files": 445,
+    "files": 455,
     "fitting": 1061,
     "fracture": 1416,
-    "materials": 4523,
-    "neural": 573,
+    "materials": 4527,
+    "neural": 574,
     "points": 1685,
     "prediction": 575,
-    "mpi": 461,
+    "mpi": 465,
     "solvers": 1462,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
