@@ -209,13 +209,13 @@ class Bonds:
         r = families.r[first]
         return r, np.log(r), (np.cumsum(first) - 1)[np.minimum(of, back)]
 
-    def influence(self, alpha: ArrayLike, D: ArrayLike, by: Any = None) -> Any:
+    def influence(self, alpha: ArrayLike, D: np.ndarray, by: Any = None) -> Any:
         """Influence K of each length; with derivatives `by` to it, those to α and D."""
         terms, taped, (r, log_r, _) = np.size(D), by is not None, self.lengths
         count = -(-len(r) // BLOCK)
         pieces = max(1, min(BLOCKS, count * BLOCK // SLICE)) if taped else 1  # on any threads
         vector = wp.types.vector(terms, wp.float64)
-        numbers = (np.ravel(alpha), wp.float64), ([np.ravel(D)], vector)
+        numbers = (np.ravel(alpha), wp.float64), ([D], vector)
         given: list[list[Any]] = [
             [wp.array(one, dtype=of, device=DEVICE, requires_grad=taped) for one, of in numbers]
             for _ in range(pieces)
@@ -435,16 +435,16 @@ class Law:
         whole, sums = layout.pieces["whole"], map(floats, (*felt, *pull, by_own, shear, bulk))
         ends = ints(np.arange(BLOCKS + 1) * len(whole) // BLOCKS)
         inputs = ends, whole, self.back, filled(Sums, *sums)
-        weight = max(len(whole) * len(g) // BLOCKS, 1)
-        launch_slices(self.kernels.slopes, BLOCKS, inputs, (), weight=weight)
+        launch_slices(self.kernels.slopes, BLOCKS, inputs, (), weight=len(whole) * len(g) // BLOCKS)
         moduli = [
             part[layout.home] if one.size > 1 else part.sum()
             for part, one in ((bulk, lam), (shear - bulk, mu))
         ]
         if not any(asked[3:]):
             return [by_u, *moduli, None, None]
-        by_own = by_own.reshape(blocks, -1, lanes).sum(axis=(0, 2))
-        by_K = self._by_length(by_own, felt[0], pull[1])
+        if layout.in_rows:
+            by_own = by_own.reshape(blocks, -1, lanes).sum(axis=(0, 2))
+        by_K = self._by_length(by_own.ravel(), felt[0], pull[1])
         return [by_u, *moduli, *bonds.influence(alpha, D, by_K)]
 
     def _by_length(self, by: np.ndarray, u: np.ndarray, tau: np.ndarray) -> np.ndarray:
