@@ -140,7 +140,7 @@ class LPSOperator(OperatorBase):
                     f"{name}: expected a contiguous array of Warp of shape [{len(u)}, {nodes}], "
                     f"of {d} float64 each, got {type(array).__name__} of {list(np.shape(array))}"
                 )
-        numbers = () if parameters is None else getattr(parameters, "values", tuple)()
+        numbers: Any = () if parameters is None else getattr(parameters, "values", tuple)()
         if parameters is not None and not (numbers and all(hasattr(n, "numpy") for n in numbers)):
             what = type(parameters).__name__
             raise InputError(f"parameters: expected LPSParameters of arrays of Warp, got {what}")
