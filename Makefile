@@ -1,6 +1,6 @@
 # make graphene: everything from a fresh clone to the report of the main job, and nothing more.
 # make test:     what the tests need beside it, then the suite, a file of tests to a core at a time.
-# make slow:     what the suite leaves out for its time: kills, long pages and fits.
+# make slow:     what the suite leaves out for its time: long pages and fits.
 # make verify:   known problems against their references; 1 where a row surprises.
 # make docs:     the pages in docs/ as a site, in site/, and how they read in numbers.
 PYTHON ?= python3

@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 
 from tests.support import ROOT
-from tests.support.problems import kernel, lattice, manufactured, noise
+from tests.support.problems import kernel, lattice, noise
 from tests.support.told import refused
-from warp_peri import LPS, Bernstein, fit, methods
 from warp_peri.cluster import scheduler
 from warp_peri.files.atomic import locked, write_text
 from warp_peri.runtime import at_once, get_num_threads, set_num_threads
@@ -63,42 +62,6 @@ def test_no_scheduler_is_one_clear_error(monkeypatch):
     words = r"no workers at tcp://127.0.0.1:9|pip install 'warp_peri\[cluster\]'"
     with scheduler(None), refused(words):  # none: work stays here
         scheduler("tcp://127.0.0.1:9").__enter__()
-
-
-def work(folder):
-    """Six fits and the choice, and Algorithm 1 with a checkpoint."""
-    known, cases = kernel("positive", 2.5, lam=-0.2), {"horizons": (2.0, 2.5), "jobs": 1}
-    samples = [manufactured(known, lattice(5, 3.0), 5, seed=n) for n in (0, 1)]
-    folder = Path(folder)
-    methods.sweep(*samples, folder / "fits", degrees=(0, 1, 2), **cases)
-    lengths = {"epochs": 100, "inner_epochs": 50, "outer_iterations": 12}
-    stages = methods.TwoStage(seed=3, checkpoint=folder / "state.h5", **lengths)
-    fit(samples[0], LPS(2.5, Bernstein(4), method=stages)).material.save(folder / "model.json")
-
-
-WORK = "import sys; from tests.package.test_jobs import work; work(sys.argv[1])"
-
-
-@pytest.mark.slow
-def test_a_job_that_is_killed_again_and_again_ends_with_the_same_bits(tmp_path):
-    """Each time once it has begun to write its n-th file."""
-    whole, broken = tmp_path / "whole", tmp_path / "broken"
-    for folder in (whole, broken):
-        folder.mkdir()
-    for count in range(1, 12, 2):
-        job, seen = started(WORK, broken), set()
-        while job.poll() is None and len(seen) < count:
-            seen |= {path.name for path in broken.rglob(".*.part-*")}
-        job.send_signal(signal.SIGKILL)
-        job.communicate()
-    files = []
-    for folder in (whole, broken):
-        job = started(WORK, folder)
-        job.communicate()
-        assert job.returncode == 0
-        here = (path for path in folder.rglob("[!.]*") if path.is_file())
-        files.append({path.relative_to(folder): path.read_bytes() for path in here})
-    assert files[0] == files[1]
 
 
 @pytest.fixture
