@@ -11,7 +11,7 @@ from ase.calculators.lj import LennardJones
 from numpy.testing import assert_allclose
 
 import warp_peri as wp
-from tests.support import ROOT
+from tests.support import ROOT, shared
 from tests.support.told import assert_refused, refused, warned
 from warp_peri.atoms.calculators import lammps_calculator
 from warp_peri.atoms.relaxed import at_rest, usual_spacing
@@ -194,7 +194,7 @@ def moduli(atoms):
     return C[0, 0], C[0, 1], C[3, 3]
 
 
-@pytest.fixture(scope="module")
+@shared
 def copper():
     """From the forces of its calculator."""
     return wp.atoms.from_phonopy(EXAMPLES / "copper")

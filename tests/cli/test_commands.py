@@ -16,6 +16,7 @@ import warp_peri as wp
 from tests.atoms.test_dumps import frame
 from tests.conformance.test_breaking import SOLIDS
 from tests.crystal import crystals
+from tests.support import shared
 from tests.support.materials import LAWS, solved_samples
 from tests.support.nonlinear import solid
 from tests.support.problems import kernel, loaded, normal, smooth
@@ -31,7 +32,7 @@ from warp_peri.points.dataset import load_dataset, save_dataset
 FIT = ("--horizon", "2.5", "--degree", "3")
 
 
-@pytest.fixture(scope="module")
+@shared
 def data(tmp_path_factory):
     """Waves of a known model, noisy, and the noise alone."""
     model = kernel("positive", 2.5, lam=-0.1, mu=0.7)
@@ -42,7 +43,7 @@ def data(tmp_path_factory):
     return path
 
 
-@pytest.fixture(scope="module")
+@shared
 def fitted(data, tmp_path_factory):
     out = tmp_path_factory.mktemp("fitted")
     assert main(["fit", str(data), "--out", str(out), *FIT, "--noise", "noise", "--json"]) == 0

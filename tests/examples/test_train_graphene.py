@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from examples import train_graphene
 from examples.graphene_report import COLUMNS, RECORD
-from tests.support import ROOT
+from tests.support import ROOT, shared
 from warp_peri import load
 
 README = (ROOT / "README.md").read_text("utf-8")
@@ -25,7 +25,7 @@ IN_README = {
 }
 
 
-@pytest.fixture(scope="module")
+@shared
 def job(graphene, tmp_path_factory):
     """Folder, what is printed, and numbers of the main job."""
     out = tmp_path_factory.mktemp("runs") / "graphene_0K"

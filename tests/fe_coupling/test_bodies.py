@@ -8,6 +8,7 @@ from netgen import csg
 
 from examples.exact import hoop_stress, plate_with_hole, relative_error
 from tests.crystal.crystals import learned
+from tests.support import shared
 from tests.support.plates import MODEL, plate
 from tests.support.problems import normal
 from tests.support.told import refused, warned
@@ -20,7 +21,7 @@ from warp_peri.testing import assert_near as near
 SPACING, RADIUS, HALF, TENSION = 1.0, 8.0, 32.0, 0.005
 
 
-@pytest.fixture(scope="module")
+@shared
 def field():
     """Displacement and stress of a plate with a hole, of the model's long waves."""
     moduli = long_wave(MODEL, SPACING)

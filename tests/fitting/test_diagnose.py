@@ -8,6 +8,7 @@ from numpy.linalg import norm
 from numpy.random import default_rng
 
 from tests.crystal.crystals import dispersive
+from tests.support import shared
 from tests.support.clouds import cube, solid
 from tests.support.problems import kernel, lattice, manufactured, noise, normal, smooth
 from tests.support.symbols import fluctuation
@@ -24,7 +25,7 @@ MODEL = kernel("positive", HORIZON, lam=0.1, mu=0.7)
 COUNT = 24
 
 
-@pytest.fixture(scope="module")
+@shared
 def samples():
     return manufactured(MODEL, lattice(9, HORIZON), COUNT, wave_number=0.6)
 

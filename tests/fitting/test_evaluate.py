@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
-from tests.support import reference
+from tests.support import reference, shared
 from tests.support.problems import kernel, lattice, manufactured, noise, periodic
 from tests.support.solving import solve
 from tests.support.told import refused
@@ -22,7 +22,7 @@ MODEL = kernel("sign-changing", HORIZON)
 OTHER = kernel("positive", HORIZON)
 
 
-@pytest.fixture(scope="module")
+@shared
 def points():
     """Three samples in equilibrium with another model."""
     return manufactured(OTHER, lattice(3, HORIZON), 3)

@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from numpy.linalg import eigvalsh
 from numpy.random import default_rng
 
+from tests.support import shared
 from tests.support.problems import (
     KERNELS,
     difference,
@@ -112,7 +114,7 @@ NEAR = HERE * (1 + 0.03 * normal(len(HERE), 1))
 NEAR[2] = MODEL.alpha
 
 
-@pytest.fixture(scope="module")
+@shared
 def clean():
     return waves(MODEL)
 
@@ -141,7 +143,7 @@ def test_noise_adds_what_the_correction_takes_off(clean):
     loss = Products(noisy(clean, 0.001, seed=1), HORIZON).rows(weight)
     N = noise_rows(fluctuation(clean, 50, 0.0003, seed=2), weight)
     less = form(loss.R, loss.y) - form(N, np.zeros(len(N)))
-    assert np.linalg.eigvalsh(less).min() > 0
+    assert eigvalsh(less).min() > 0
     corrected = form(*without_noise(loss.R, loss.y, N))
     near(corrected, less, 1e-12)
 
@@ -154,7 +156,7 @@ def test_the_corrected_form_has_the_minimum_of_the_difference():
     N = random.normal(size=(width + 1, width)) / 2
     less = form(R, y) - form(N, np.zeros(width + 1))
     inside, load = less[:-1, :-1], less[:-1, -1]
-    assert np.linalg.eigvalsh(inside).min() > 0 > np.linalg.eigvalsh(less).min()
+    assert eigvalsh(inside).min() > 0 > eigvalsh(less).min()
     lowest = np.linalg.lstsq(*without_noise(R, y, N), rcond=None)[0]
     near(inside @ lowest, -load, 1e-9)
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support import shared
 from tests.support.problems import kernel, lattice, manufactured
 from tests.support.solving import fit, solve
 from tests.support.symbols import waves
@@ -18,7 +19,7 @@ HORIZON = 2.5
 TRUE = kernel("positive", HORIZON, lam=0.1, mu=0.7)
 
 
-@pytest.fixture(scope="module")
+@shared
 def data():
     return manufactured(TRUE, lattice(6, HORIZON), 5)
 
@@ -34,7 +35,7 @@ def learned(samples, length=1.0, **options):
     return fit(samples, HORIZON * length, Bernstein(3), progress=False, **options)
 
 
-@pytest.fixture(scope="module")
+@shared
 def plain(data):
     return learned(data)
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support import shared
 from tests.support.problems import lattice as nodes
 from tests.support.problems import normal
 from tests.support.sheets import dictionary_of, sheet_on, square, waves
@@ -18,7 +19,7 @@ from warp_peri.testing import assert_near as near
 COEFFICIENTS = np.array([0.2] * 4 + [0.07, 0.08, 0.2])
 
 
-@pytest.fixture(scope="module")
+@shared
 def manufactured():
     """A field and the load that it is in equilibrium with."""
     op = sheet_on(square(6), c=COEFFICIENTS)

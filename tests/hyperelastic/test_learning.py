@@ -9,6 +9,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 import warp_peri as wp
+from tests.support import shared
 from tests.support.sheets import NEAREST, dictionary_of, hgo_dictionary, sheet_on, square, waves
 from tests.support.told import refused
 from warp_peri.materials.hyperelastic import fibres
@@ -43,7 +44,7 @@ def made(numbers, amplitude):
     return Samples(points, op.solve(None, edges).u), thickness
 
 
-@pytest.fixture(scope="module")
+@shared
 def frames():
     return made(np.zeros(5), 0.25)[0]
 

@@ -9,6 +9,7 @@ import torch
 from numpy.linalg import norm
 
 import warp_peri as wp
+from tests.support import shared
 from tests.support.clouds import cloud
 from tests.support.problems import kernel, lattice, manufactured, noise
 from tests.support.solving import solve
@@ -29,7 +30,7 @@ HOME = replace(kernel("1/r", 3.0), largest_wave_number=2.0)
 dispersion = lambda model, spacing, k: model.stencil(spacing).symbol(spacing * k)
 
 
-@pytest.fixture(scope="module")
+@shared
 def finer():
     return on_lattice(HOME, spacing=0.6)
 

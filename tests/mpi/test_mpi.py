@@ -13,7 +13,7 @@ import pytest
 
 import warp_peri as wp
 from tests.mpi.job import SWING, TOLERANCE, corrected, crack, swings, uneven, whole
-from tests.support import ROOT, in_plane_and_space
+from tests.support import ROOT, in_plane_and_space, shared
 from warp_peri.testing import assert_near as near
 
 pytest.importorskip("mpi4py", reason="mpi4py is not installed: pip install 'warp_peri[mpi]'")
@@ -50,12 +50,12 @@ def later(request):
     return request.param
 
 
-@pytest.fixture(scope="module")
+@shared
 def folder(tmp_path_factory, later):
     return tmp_path_factory.mktemp("ranks")
 
 
-@pytest.fixture(scope="module")
+@shared
 def jobs(folder, later):
     """What each number found. Two stopped early; then the first of them failed."""
     two = finished(start(2, folder, 40, "rest", "fail"), 2)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import warp_peri as wp
-from tests.support import ROOT
+from tests.support import ROOT, shared
 from tests.support.problems import kernel, lattice, manufactured
 from warp_peri.cli.main import main
 
@@ -78,7 +78,7 @@ def test_pages_import_what_the_api_lists_and_name_what_is_there():
                 owner = getattr(owner, part, None)
 
 
-@pytest.fixture(scope="module")
+@shared
 def home(tmp_path_factory):
     """A folder with small data in the place of graphene's, a model, and files of crystals."""
     import ase.build

@@ -16,7 +16,7 @@ from importlib import import_module
 import pytest
 
 import warp_peri as wp
-from tests.support import ROOT
+from tests.support import ROOT, shared
 from warp_peri.errors import InputError, exit_status
 
 PACKAGE, API = ROOT / "warp_peri", ROOT / "docs" / "reference" / "api"
@@ -64,7 +64,7 @@ def test_the_api_lists_every_public_name_and_each_has_a_docstring():
             assert getattr(module, name).__doc__, name
 
 
-@pytest.fixture(scope="module")
+@shared
 def begun():
     """Names of what the page says that examples begin with."""
     page, known = (API / "index.md").read_text("utf-8"), {}

@@ -8,3 +8,5 @@ ROOT = Path(__file__).parent.parent.parent
 """Folder of the project."""
 in_plane_and_space = pytest.mark.parametrize("d", [2, 3])
 """Runs a test in both dimensions."""
+shared = pytest.fixture(scope="module")
+"""Makes a fixture once for all tests of a file."""

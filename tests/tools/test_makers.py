@@ -19,7 +19,7 @@ from tools.loads import TEST, TRAINING, VALIDATION, PatchLoad, RimLoad, WaveLoad
 from tools.make_hgo import Material, make_hgo, sample
 from tools.samples import Piece
 from tools.statics import TOLERANCE, ColouredHessian, ConvergenceError, Statics
-from tools.thermal import Bath, Task, run_file, settled
+from tools.thermal import Bath, Task, run_file
 from warp_peri.atoms.calculators import potential_file
 from warp_peri.core.elastic import plane_isotropic, voigt_to_tensor
 from warp_peri.points.dataset import load_dataset
@@ -97,10 +97,6 @@ def test_runs_of_one_seed_share_their_noise_and_have_their_temperature(tmp_path)
     tasks = [Task(body, load, 1.0, seed) for load in (wave, None) for seed in (1, 2)]
     baths = bath, replace(bath, temperature=200.0)
     assert len({run_file(tmp_path, task, one).name for task in tasks for one in baths}) == 8
-    free = replace(body, cells=None, radius=30.0)
-    y = free.positions()
-    turn = np.stack([-y[:, 1], y[:, 0]], axis=1)
-    assert settled(free, y, 0.01 * (y + turn) + 0.3) == pytest.approx(0.01 * y, abs=1e-3)
 
 
 def test_elements_have_the_slopes_of_their_forces_and_data_resume(tmp_path):

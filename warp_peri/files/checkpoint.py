@@ -357,14 +357,14 @@ class TimeSeriesWriter:
         self.times: dict[str, float] = {}
         pvd = self.folder / "motion.pvd"
         with agreed(nodes.comm):
-            text = pvd.read_text(errors="replace") if pvd.is_file() else PVD
-            there = self.folder.glob("record_*.vtu")
-            if not text.startswith(PVD) or any(one.name not in text for one in there):
+            there = any(self.folder.glob("record_*.vtu"))
+            text = pvd.read_text(errors="replace") if pvd.is_file() else PVD * (not there)
+            if not text.startswith(PVD):
                 raise InputError(f"{pvd}: is there, or records beside it, of another program")
 
     def write(self, step: int, time: float, fields: Mapping[str, np.ndarray]) -> None:
-        """Write one record of the motion; vectors in the plane get a third component. Records of an
-        earlier motion in the folder go."""
+        """Write one record of the motion; vectors in the plane get a third component. Those of an
+        earlier motion stay in the folder, and are named no more."""
         nodes, times, name = self.nodes, self.times, f"record_{step:08d}.vtu"
         times[name] = time
         parts = {"positions": self.x, **fields}
@@ -374,9 +374,6 @@ class TimeSeriesWriter:
         text = "\n".join([PVD, *lines])
         with agreed(nodes.comm):
             if nodes.comm.rank == 0:
-                for old in there - times.keys():
-                    (self.folder / old).unlink()
-                # first, so that a run that is killed leaves no record that it does not name
-                write_text(self.folder / "motion.pvd", text + "\n</Collection></VTKFile>\n")
                 x = whole.pop("positions")
                 write_vtu(self.folder / name, x, ("vertex", np.arange(len(x))[:, None]), whole)
+                write_text(self.folder / "motion.pvd", text + "\n</Collection></VTKFile>\n")
