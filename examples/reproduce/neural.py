@@ -201,7 +201,7 @@ def dictionary(samples: Samples, reach: int) -> hyperelastic.HyperelasticMateria
 
 def frames_dictionary(samples: Samples) -> hyperelastic.HyperelasticMaterial:
     """A sheet energy model from displacement alone, with fibres in eight directions."""
-    terms = (*MATRIX, *hyperelastic.fibre_fan(8, (2.0, 3.0, 4.0, 6.0)))
+    terms = (*SHEET, *hyperelastic.fibre_fan(8, (2.0, 3.0, 4.0, 6.0)))
     rose = hyperelastic.Hyperelastic(3.0, NEAREST, terms)
     return wp.fit(samples, rose, most_steps=8).material
 
