@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar
 
@@ -20,6 +20,7 @@ from warp_peri.fracture.statics import INDEFINITE
 from warp_peri.materials.lps import ALPHA_BOUND, LPSMaterial, bernstein_basis
 from warp_peri.points.arguments import (
     USUAL,
+    Numbers,
     Units,
     check_same,
     checked,
@@ -182,7 +183,7 @@ class DiffusionOperator(FlowOperator):
         own = {"alpha": self.model.alpha, "D": self.model.D}
         return own if callable(self.given) else own | {"kappa": self.given}
 
-    def at(self, numbers: Mapping[str, Any]) -> DiffusionOperator:
+    def at(self, numbers: Numbers) -> DiffusionOperator:
         """Operator with other parameters; InputError for κ not > 0."""
         law = replace(self.model, alpha=float(numbers["alpha"]), D=numbers["D"])
         return DiffusionOperator(law, self.points, kappa=numbers.get("kappa", self.given))
@@ -205,7 +206,7 @@ class DiffusionOperator(FlowOperator):
         return sp.eye_array(len(self.points.x), format="csr")[self.rows]
 
 
-def _tensors(numbers: Mapping[str, Any]) -> dict[str, torch.Tensor]:
+def _tensors(numbers: Numbers) -> dict[str, torch.Tensor]:
     return {n: torch.tensor(v, dtype=torch.float64, requires_grad=True) for n, v in numbers.items()}
 
 
@@ -290,7 +291,7 @@ class ThermoelasticMaterial(Record, format="warp_peri.coupled_solid"):
         """Names of the units of length and stress."""
         return self.model.units
 
-    def with_parameters(self, numbers: Mapping[str, Any]) -> ThermoelasticMaterial:
+    def with_parameters(self, numbers: Numbers) -> ThermoelasticMaterial:
         """Material with other parameters of the solid, and another coupling."""
         own = {name: numbers[name] for name in self.model.learnable}
         return replace(
@@ -364,10 +365,10 @@ class CoupledOperator(FlowOperator):
         conductor = {OF_CONDUCTOR + n: value for n, value in self.diffusion.learnable.items()}
         return self.model.model.learnable | {"coupling": self.model.coupling} | conductor
 
-    def _of_conductor(self, numbers: Mapping[str, Any]) -> dict[str, Any]:
+    def _of_conductor(self, numbers: Numbers) -> dict[str, Any]:
         return {name: numbers[OF_CONDUCTOR + name] for name in self.diffusion.learnable}
 
-    def at(self, numbers: Mapping[str, Any]) -> CoupledOperator:
+    def at(self, numbers: Numbers) -> CoupledOperator:
         """Operator with other parameters; InputError as the class, and for κ not > 0."""
         diffusion = self.diffusion.at(self._of_conductor(numbers))
         material = replace(self.model.with_parameters(numbers), conductor=diffusion.model)

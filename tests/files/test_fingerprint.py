@@ -185,6 +185,7 @@ def test_a_motion_from_rest_is_of_one_material_and_one_crack(tmp_path):
     cracks = [wp.Cracked(points, cracks=[[(-6.5, 0.0), (tip, 0.0)]]) for tip in (0.0, 3.0)]
     for name, pair in {
         "linear": [(linear, rest), (replace(linear, mu=0.41), rest)],
+        "load": [(linear, wp.Dirichlet(points, f * x, 0 * x)) for f in (1e-26, 2e-26)],
         "own": [(hardening(k, 1.0), rest) for k in (0.7, 0.71)],  # the function is in no file
         "field": [(field[0], rest), (field[1], rest)],
         "crack": [(linear, cracks[0]), (linear, cracks[1])],

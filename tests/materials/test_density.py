@@ -98,6 +98,8 @@ def test_what_cannot_be_used_is_refused_and_files_ask_for_the_energy(tmp_path):
         "energy: the file has the parameters of 'blatz_ko'": lambda: wp.load(path),
         "'blatz_ko', got 'saint_venant'": lambda: wp.DensityMaterial.read(path, saint_venant),
         "energy: expected a function, got int": lambda: of(5),
+        "mu: expected finite": lambda: of(blatz_ko, parameters={"mu": 1e200}),
+        "no such file": lambda: wp.DensityMaterial.read(path.parent / "none.json", blatz_ko),
         "parameters: expected those of the energy": lambda: of(blatz_ko, parameters={"k": 1.0}),
         "energy: expected no stress at rest": lambda: pulled.on(points),
         "got 1.00e.00 of a stiffness of 0.0": lambda: of(lambda E: E[..., 0, 0]).on(points),

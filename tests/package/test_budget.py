@@ -16,12 +16,12 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_718,
-    "tokens": 234_962,
-    "lines of warp_peri": 30_040,
+    "code lines": 18_728,
+    "tokens": 234_976,
+    "lines of warp_peri": 30_077,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_224,
+    "lines of warp_peri, kernels, examples and tools": 42_261,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -39,13 +39,13 @@ ROOMS = {
     "fe_coupling": 711,
     "files": 453,
     "fitting": 1061,
-    "fracture": 1416,
+    "fracture": 1419,
     "materials": 4527,
     "neural": 574,
-    "points": 1685,
+    "points": 1687,
     "prediction": 575,
-    "mpi": 465,
-    "solvers": 1462,
+    "mpi": 468,
+    "solvers": 1464,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

@@ -7,7 +7,7 @@ Fields are planes on a torus around the nodes that are felt, components first.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from torch.autograd import grad
 from warp_peri.core.elastic import contracted, strain, strain_rate, symmetric, times
 from warp_peri.core.stencil import Stencil, grid_of, half_ball, torus_shape, torus_symbol
 from warp_peri.core.torch_bridge import Swept
+from warp_peri.points.arguments import Numbers
 from warp_peri.points.points import PointsLike, nodes_of
 
 
@@ -51,7 +52,7 @@ class Pointwise(Swept):
         *,
         back: np.ndarray | None = None,
         stencil: Stencil | None = None,
-        numbers: Mapping[str, Any] | None = None,
+        numbers: Numbers | None = None,
         cubic: bool = False,
     ) -> None:
         self.points, self.density, self.has_energy = nodes_of(points), density, back is None
@@ -82,7 +83,7 @@ class Pointwise(Swept):
             self._straight = torus_symbol(self._torus, stencil.steps, tensors)[:, :, None]
         self.take(numbers or {})
 
-    def take(self, numbers: Mapping[str, Any]) -> None:
+    def take(self, numbers: Numbers) -> None:
         """Change the density's numbers, and with them its derivatives at rest."""
         self.learnable, self._third, d = dict(numbers), None, self.points.dimension
         units = symmetric(np.eye(d * d).reshape(d, d, d * d))

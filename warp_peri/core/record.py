@@ -459,13 +459,18 @@ def read_content(content: Any, path: Path | None = None) -> Any:
     return FORMATS[name].from_dict(content, where)._read_from(path)
 
 
-def load(path: StrPath) -> Any:
-    """Read the file of a material; InputError naming the file and the fault."""
+def read_json(path: StrPath) -> Any:
+    """Read a file of JSON; InputError naming the file and the fault."""
     raw = atomic.content(path)
     try:
-        held = parsed(raw)
+        return parsed(raw)
     except ValueError as error:
         raise InputError(f"{path}: not a readable JSON file ({error})") from None
+
+
+def load(path: StrPath) -> Any:
+    """Read the file of a material; InputError naming the file and the fault."""
+    held = read_json(path)
     try:
         return read_content(held, Path(path))
     except InputError as error:

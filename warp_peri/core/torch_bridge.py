@@ -3,7 +3,7 @@ refused a second time on every path, where torch would leave out terms."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -15,7 +15,7 @@ from scipy.sparse.linalg import LinearOperator, gmres, splu
 from torch.autograd import forward_ad
 
 from warp_peri.errors import InputError, quietly
-from warp_peri.points.arguments import as_array, check_mapping, check_shape, plain, typed
+from warp_peri.points.arguments import Numbers, as_array, check_mapping, check_shape, plain, typed
 from warp_peri.protocols import SINGULAR, OperatorBase, placed, uncompiled
 from warp_peri.runtime import one_thread
 
@@ -161,7 +161,7 @@ def real(name: str, value: Any) -> torch.Tensor:
     return tensor.to("cpu", torch.float64)
 
 
-def with_numbers(operator: Any, numbers: Mapping[str, Any]) -> tuple[Any, dict[str, torch.Tensor]]:
+def with_numbers(operator: Any, numbers: Numbers) -> tuple[Any, dict[str, torch.Tensor]]:
     """The operator with some `learnable` numbers changed (itself if equal), and these as float64
     tensors; InputError for other names, and as its `at`."""
     check_mapping("parameters", numbers)
@@ -180,9 +180,7 @@ def with_numbers(operator: Any, numbers: Mapping[str, Any]) -> tuple[Any, dict[s
     return operator if same else operator.at(known | values), given
 
 
-def force_with_parameters(
-    operator: Any, u: torch.Tensor, numbers: Mapping[str, Any]
-) -> torch.Tensor:
+def force_with_parameters(operator: Any, u: torch.Tensor, numbers: Numbers) -> torch.Tensor:
     """Force of fields [S, N, d] with other numbers, by an operator's `at` and `by_numbers`."""
     names, made = list(numbers), list[Any]()
 

@@ -21,7 +21,7 @@ from warp_peri.fracture.bonds import bonds_of, check_breakable, stretch_matrix, 
 from warp_peri.fracture.materials import BondLaw, pull_of, share_of, slope_of
 from warp_peri.fracture.statics import check_no_fail, check_pieces, strain_of
 from warp_peri.materials.lps import LPSMaterial, bernstein_basis
-from warp_peri.points.arguments import NotNegative, checked, is_tensor
+from warp_peri.points.arguments import NotNegative, Numbers, checked, is_tensor
 from warp_peri.solvers.adjoint import in_motion as in_motion
 from warp_peri.solvers.motion import Motion
 from warp_peri.solvers.systems import definite_factors, symmetric_factors
@@ -37,7 +37,7 @@ def bond_force(
     body: LatticeBody,
     neighbour: np.ndarray,
     u: torch.Tensor,
-    numbers: Mapping[str, Any],
+    numbers: Numbers,
     pressure: Any = 0.0,
 ) -> torch.Tensor:
     """Force L u of (C4) on all nodes, [S, N, d], with other parameters; has every derivative.
@@ -236,7 +236,7 @@ class SoftBody:
         """Learnable parameters of the law by name."""
         return vars(self.law)
 
-    def at(self, numbers: Mapping[str, Any]) -> SoftBody:
+    def at(self, numbers: Numbers) -> SoftBody:
         """Body with other parameters of its law."""
         soft = copy(self)
         soft.law = BondLaw(**{name: float(value) for name, value in numbers.items()})

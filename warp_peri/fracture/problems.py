@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+import warp_peri.core as core
 import warp_peri.fracture as fracture
 from warp_peri.errors import ALONE, InputError, agreed
 from warp_peri.fracture.body import (
@@ -121,7 +122,10 @@ class Cracked:
             u = checked("u", u, float, body.x.shape, self.held)
         if self.pressure is not None:
             pressure = checked("pressure", self.pressure, float, (body.dimension,) * 2)
-            extra = crack_load(cut, pressure, numbers or {} if learns else None)
+            if learns:
+                numbers = numbers or {}
+                core.torch_bridge.with_numbers(cut, numbers)
+            extra = crack_load(cut, pressure, numbers)
             if learns:
                 b, extra = map(fracture.adjoint.real, ("b", "pressure"), (b, extra))
                 check_shape("b", b, body.x.shape)

@@ -6,7 +6,7 @@ linear, and the largest loads give what the crack spends (theory, C7).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -29,7 +29,7 @@ from warp_peri.fracture.bonds import (
     unit_toughness,
 )
 from warp_peri.materials.lps import LPSMaterial
-from warp_peri.points.arguments import Count, Positive, checked, typed
+from warp_peri.points.arguments import Count, Numbers, Positive, checked, typed
 from warp_peri.points.families import BondClasses
 from warp_peri.points.points import Points
 from warp_peri.protocols import OperatorBase
@@ -189,7 +189,7 @@ class CutSolid(OperatorBase):
         """Learnable parameters λ, μ, α and D by name; none of several materials, or corrected."""
         return self.model.learnable if self.one and not self.corrected else {}
 
-    def at(self, numbers: Mapping[str, Any]) -> CutSolid:
+    def at(self, numbers: Numbers) -> CutSolid:
         """Body with other parameters; InputError where they leave it indefinite."""
         law, of = self.model.with_parameters(numbers), (self.body, self.held)
         return CutSolid(law, *of, neighbour=self.neighbour, solver=self.solver, moves=self.moves)

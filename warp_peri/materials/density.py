@@ -18,13 +18,12 @@ from scipy.optimize import least_squares
 
 from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.proof import largest
-from warp_peri.core.record import FieldUnits, Length, Record
+from warp_peri.core.record import FieldUnits, Length, Record, read_json
 from warp_peri.core.stencil import half_ball
 from warp_peri.errors import InputError, Rows
-from warp_peri.files.atomic import parsed
 from warp_peri.fitting.result import Fit
 from warp_peri.materials.crystal_fit import one_set
-from warp_peri.points.arguments import USUAL, Positive, Units, check_same, checked, typed
+from warp_peri.points.arguments import USUAL, Numbers, Positive, Units, check_same, checked, typed
 from warp_peri.points.points import PointsLike, lattice_steps, nodes_of
 from warp_peri.solvers.equilibria import SOLVES, equilibria_of, probed
 from warp_peri.solvers.linear import Inverse, Linear
@@ -85,19 +84,23 @@ class DensityMaterial(Record, format="warp_peri.density"):
     energy: Annotated[Any, FieldUnits(kept=False)] = None
     scale: Annotated[float, FieldUnits(stress=1, positive=True, omit=True)] = 1.0
 
+    def __post_init__(self) -> None:
+        numbers = {n: float(checked(n, one, float, ())) for n, one in self.parameters.items()}
+        object.__setattr__(self, "parameters", numbers)
+        super().__post_init__()
+
     @classmethod
     def of(
         cls, energy: Energy, horizon: float, parameters: Mapping[str, float], **more: Any
     ) -> Self:
         """Make a material from an energy function, in the plane unless `dimension` is 3."""
-        named = {name: float(checked(name, value, float, ())) for name, value in parameters.items()}
         try:
             with suppress(ValueError):  # of what does not tell its arguments
-                signature(energy).bind(None, **named)
+                signature(energy).bind(None, **parameters)
         except TypeError as error:
             raise InputError(f"parameters: expected those of the energy ({error})") from None
         name = getattr(energy, "__name__", type(energy).__name__)
-        return cls(horizon, named, more.pop("dimension", 2), name, energy=energy, **more)
+        return cls(horizon, {**parameters}, more.pop("dimension", 2), name, energy=energy, **more)
 
     certificate = None
     """Nothing is proven of it."""
@@ -111,7 +114,7 @@ class DensityMaterial(Record, format="warp_peri.density"):
     @classmethod
     def read(cls, path: Any, energy: Energy) -> Self:
         """Read a material's file with its energy; InputError for another name, and as from_dict."""
-        made = cls.from_dict(parsed(Path(path).read_text(encoding="utf-8")))
+        made = cls.from_dict(read_json(path))
         if (name := getattr(energy, "__name__", "")) != made.name:
             raise InputError(f"energy: the file has the parameters of {made.name!r}, got {name!r}")
         return replace(made, energy=energy)
@@ -124,10 +127,9 @@ class DensityMaterial(Record, format="warp_peri.density"):
         """Build the operator on a lattice whose interior has a collar of twice the horizon."""
         return DensityOperator(self, points)
 
-    def at(self, numbers: Mapping[str, Any]) -> Self:
+    def at(self, numbers: Numbers) -> Self:
         """The material with the same energy and other parameters."""
-        own = {name: float(value) for name, value in numbers.items()}
-        return replace(self, parameters=self.parameters | own)
+        return replace(self, parameters=self.parameters | {**numbers})
 
     def proven_strain(self, spacing: float) -> float:
         """Strain up to which solutions are proven unique: 0, for nothing is proven."""
@@ -178,7 +180,7 @@ class DensityOperator(Pointwise):
         force = self.linear(np.reshape(u, (-1, *self.shape)))
         return force.reshape(*np.shape(u)[:-2], -1, self.shape[1])
 
-    def at(self, numbers: Mapping[str, Any]) -> DensityOperator:
+    def at(self, numbers: Numbers) -> DensityOperator:
         """The operator with other parameters."""
         return DensityOperator(self.material.at(numbers), self.points)
 

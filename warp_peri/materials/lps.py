@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Annotated, Any, Literal
@@ -21,6 +21,7 @@ from warp_peri.materials.lps_force import CANCELLED, bonds_of
 from warp_peri.materials.lps_operator import LPSOperator, assemble
 from warp_peri.points.arguments import (
     USUAL,
+    Numbers,
     Positive,
     Units,
     check_same,
@@ -222,9 +223,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
             return self
         return replace(self, lam=float(np.mean(self.lam)), mu=float(np.mean(self.mu)), nodes=None)
 
-    def with_parameters(
-        self, numbers: Mapping[str, Any], nodes: np.ndarray | None = None
-    ) -> LPSMaterial:
+    def with_parameters(self, numbers: Numbers, nodes: np.ndarray | None = None) -> LPSMaterial:
         """The unproven material with other `learnable` numbers, fields for some nodes [N, d]."""
         made = self.learnable | dict(numbers)
         fields = np.ndim(made["lam"]) or np.ndim(made["mu"])

@@ -193,7 +193,7 @@ def _fit(law: LPS, key: str, sets: dict[str, Samples], noise: Samples | None, fi
 
 def _mark(model: LPSMaterial, key: str) -> str:
     """Key that identifies a finished fit's file."""
-    return fingerprint(key, model.horizon, model.errors, model.learnable)
+    return fingerprint(key, model, model.errors)
 
 
 def _read(file: Path, spacing: float, key: str) -> Trial | None:

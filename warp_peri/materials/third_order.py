@@ -9,7 +9,7 @@ to |H| ≤ ε, u ← u + L⁻¹ (b − L u) contracts in the energy norm of the 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
 from typing import Any, Literal
@@ -32,7 +32,14 @@ from warp_peri.fitting.result import Fit
 from warp_peri.materials.certificate import prove_uniqueness
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import Crystal, Tensors, one_set, transfer_to_lattice
-from warp_peri.points.arguments import NotNegative, check_same, is_number, shown_moduli, typed
+from warp_peri.points.arguments import (
+    NotNegative,
+    Numbers,
+    check_same,
+    is_number,
+    shown_moduli,
+    typed,
+)
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.points import PointsLike, Samples, axis_of, lattice_steps, nodes_of
@@ -310,7 +317,7 @@ class PlacedThirdOrder(Pointwise):
         """Operator of the linear part alone, on the same nodes."""
         return self.model.linear.on(self.points)
 
-    def at(self, numbers: Mapping[str, Any]) -> PlacedThirdOrder:
+    def at(self, numbers: Numbers) -> PlacedThirdOrder:
         """The operator with other constants, of which nothing is proven."""
         own: Any = {name: float(value) for name, value in numbers.items()}
         return PlacedThirdOrder(replace(self.model, **own, proven={}), self.points)

@@ -34,10 +34,12 @@ from warp_peri.points.arguments import (
     USUAL,
     Units,
     as_array,
+    check_nodes,
     check_same,
     check_units,
     checked,
     checked_fields,
+    is_number,
     is_positive,
     offered,
     taken,
@@ -265,6 +267,9 @@ def lattice(
             raise InputError(f"spacing: expected a number > 0, got {spacing!r:.60}")
         if np.shape(origin := checked("origin", origin)) not in ((), (len(shape),)):
             raise InputError(f"origin: expected {len(shape)} coordinates, got {len(origin)}")
+        check_nodes("shape", shape)
+        if not (axis is None or is_number(axis)):
+            raise InputError(f"axis: expected an angle [degrees], got {axis!r:.60}")
         if not callable(interior):
             raise InputError(f"interior: expected a function of positions, got {interior!r:.60}")
     same(comm, shape=shape, spacing=spacing, origin=origin, units=units, axis=axis)

@@ -202,6 +202,8 @@ def mean_inverse(values: Callable[[float], np.ndarray]) -> np.ndarray:
 
 Call = TypeVar("Call", bound=Callable[..., Any])
 Kind = TypeVar("Kind", bound=type)
+Numbers: TypeAlias = Mapping[str, Any]
+"""Learnable numbers by name."""
 ARRAY = get_args(ArrayLike)
 KINDS = (bool, int, float, str, os.PathLike, Mapping, dict, Sequence, tuple, list, NoneType,
          np.ndarray, Callable)  # fmt: skip
@@ -294,8 +296,8 @@ def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> dict[
             fine = fine and getattr(value, "ndim", 1) > 0
             words = "a sequence"
         else:
-            fine = isinstance(value, first) or is_piece(value)
             words = " or ".join(NAMES.get(kind, kind.__name__) for kind in kinds)
+            fine = isinstance(value, first) or ("Points" in words and is_piece(value))
             words = "a path" if os.PathLike in more else words.replace("NoneType", "None")
         if not fine or (bound and value != default and not bound.holds(value)):
             expected, short = bound.words if bound else words, first in KINDS and first not in NAMES
@@ -343,8 +345,9 @@ def _bound(hint: Any) -> Bound | None:
         return Bound(f"one of {', '.join(map(str, values))}", values.__contains__)
     if (of := get_args(hint)) == (str, float):
         return Bound("numbers by name", lambda value: all(map(is_number, value.values())))
-    if of and _kind(hint) in (Sequence, tuple) and all(map(_is_own, get_args(of[0]) or of[:1])):
-        words = " or ".join(kind.__name__ for kind in get_args(of[0]) or of[:1])
+    kinds = get_args(of[0]) or of[:1] if of and _kind(hint) in (Sequence, tuple) else ()
+    if kinds and all(map(_is_own, kinds)):
+        words = " or ".join(kind.__name__ for kind in kinds)
         return Bound(f"each a {words}", lambda value: all(isinstance(one, of[0]) for one in value))
     said = getattr(hint, "__metadata__", (None,))[0]
     if getattr(said, "positive", False):  # of a field of a Record

@@ -22,7 +22,7 @@ with u_n given elsewhere. Backwards A_IIᵗ w_n = p_I, p ← Bᵗ w_n and the re
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -32,7 +32,15 @@ import torch
 
 from warp_peri.core.torch_bridge import as_tensor, by_numbers, once, real, with_numbers
 from warp_peri.errors import InputError
-from warp_peri.points.arguments import Natural, Positive, check_shape, checked, is_tensor, taken
+from warp_peri.points.arguments import (
+    Natural,
+    Positive,
+    check_nodes,
+    check_shape,
+    checked,
+    is_tensor,
+    taken,
+)
 from warp_peri.solvers import verlet
 from warp_peri.solvers.motion import Motion, Recorder
 from warp_peri.solvers.systems import MatrixProblem
@@ -160,7 +168,7 @@ def stepped(
     *,
     step: Positive,
     steps: Natural,
-    collar: Callable[[float], Any] | None = None,
+    collar: Any = None,
     parameters: Mapping[str, Any] | None = None,
 ) -> Motion:
     """Solve linear flow by implicit steps of any length; differentiable once in tensors.
@@ -181,6 +189,7 @@ def stepped(
     solve that loses its digits, and a second derivative.
     """
     operator, numbers = with_numbers(operator, parameters or {})
+    check_nodes("steps", (steps, len(operator.points.x)))
     times, tensors = step * np.arange(steps + 1), [u, *(parameters or {}).values()]
     start = real("u", u)
     fields = [start]

@@ -111,8 +111,9 @@ class Recorder:
 
     kind = ""
     """Of checkpoints."""
-    phase, ends = 0, True
-    """Steps before the first record, and whether the last step is recorded whatever its number."""
+    phase, ends, bent = 0, True, 0.0
+    """Steps before the first record, whether the last step is recorded whatever its number, and the
+    largest strain of the records."""
     advance: Callable[[Any], Any]
     """The next state."""
     record: Callable[[Any], tuple[float, dict[str, Any], dict[str, Any]]]
@@ -173,7 +174,7 @@ class Recorder:
                     times = {} if self.series is None else self.series.times
                     key = self.key(state.steps) | {"start": self.start}
                     content = {"steps": state.steps, "key": key, "history": history}
-                    self.file.write(arrays, content | {"files": times})
+                    self.file.write(arrays, content | {"files": times, "bent": self.bent})
         return state
 
     def recorded(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -196,7 +197,7 @@ class Recorder:
                 f"{file.path}: expected a checkpoint of this motion, got another's; what differs: "
                 f"{', '.join(differ)}"
             )
-        self.history = content["history"]
+        self.history, self.bent = content["history"], content.get("bent", 0.0)
         if self.series is not None:
             self.series.times = content["files"]
         return self.restored(state, arrays, taken)

@@ -257,7 +257,7 @@ class WaveRun(Recorder):
         self, nodes: Any, body: Inert, dt: float, seen: np.ndarray | None = None, **files: Any
     ) -> None:
         super().__init__(nodes, body.operator.points.x, **files)
-        self.body, self.dt, self.seen, self.bent = body, dt, seen, 0.0
+        self.body, self.dt, self.seen = body, dt, seen
 
     def advance(self, state: State) -> State:
         self.before = state
@@ -283,10 +283,11 @@ class WaveRun(Recorder):
     def key(self, steps: int) -> dict[str, str]:
         body, of, points = self.body, self.body.operator, self.body.operator.points
         (d, d), h = 2 * points.x.shape[1:], points.spacing
-        felt = of(SMALL * h * np.sin(points.x @ PROBE[:d, :d] / h)) - body.load  # cracks, moduli
+        felt = of(SMALL * h * np.sin(points.x @ PROBE[:d, :d] / h))  # cracks, moduli
         known = fingerprint(of.model, points.units, points.axis, body.inertia)
         return {
-            "law, load": self.nodes.mark(body.on_all(felt), points.x, body.interior) + known,
+            "law": self.nodes.mark(body.on_all(felt), points.x, body.interior) + known,
+            "load": self.nodes.mark(body.on_all(body.load)),
             "signal": fingerprint(body.signal),
             "step": fingerprint(self.dt, self.every),
         }

@@ -4,7 +4,7 @@ energies by what they see, bonds carry that to their ends."""
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar
 
@@ -23,6 +23,7 @@ from warp_peri.materials.hyperelastic.energies import Energy, Hyperelastic, Stra
 from warp_peri.materials.hyperelastic.lattice import SMALLEST_AREA, SheetLattice, Sites, softest
 from warp_peri.points.arguments import (
     USUAL,
+    Numbers,
     Units,
     check_same,
     checked,
@@ -340,7 +341,7 @@ class HyperelasticSheetOperator(Swept):
         sheets = (self.changed(self.model, each) for each in slopes.T)
         return np.stack([sheet.force(u) for sheet in sheets], axis=-1)
 
-    def at(self, numbers: Mapping[str, Any]) -> HyperelasticSheetOperator:
+    def at(self, numbers: Numbers) -> HyperelasticSheetOperator:
         """The operator with other coefficients, on the same lattice."""
         model = replace(self.model, coefficients=numbers["coefficients"], provenance={})
         return self.changed(model, self.thickness)
