@@ -325,7 +325,6 @@ def test_arguments_of_bodies_solids_and_tables():
         (lambda: wp.fracture.box_nodes((), 1.0), "sides"),
         (lambda: wp.fracture.box_nodes((1.0, 1.0), 1e-6), "sides"),
         (lambda: wp.Points.sheet((10**6, 10**6), 1.0), "sides"),
-        (lambda: wp.Points.disk(30.0, 1e-5, 1.0), "spacing"),
         (lambda: wp.hyperelastic.Hyperelastic(terms=["neo_hookean"]), "terms"),
         (lambda: box(0.0, 20.0), "width"),
         (lambda: mesh_outline(Polygon(((0, 0), (1, 0), (2, 0))), size=1.0), "corners"),

@@ -5,7 +5,6 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent.parent
-"""Folder of the project."""
 in_plane_and_space = pytest.mark.parametrize("d", [2, 3])
 """Runs a test in both dimensions."""
 shared = pytest.fixture(scope="module")

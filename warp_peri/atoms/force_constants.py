@@ -463,6 +463,6 @@ def forces_of(many: Any, calculator: Any) -> Callable[[np.ndarray], np.ndarray]:
 
     def forces(x: np.ndarray) -> np.ndarray:
         many.positions[:] = x
-        return np.array(many.get_forces(apply_constraint=False))
+        return checked("forces", many.get_forces(apply_constraint=False)).copy()
 
     return forces

@@ -29,7 +29,7 @@ from warp_peri.core.elastic import (
     primitive_cell,
 )
 from warp_peri.errors import InputError, warn
-from warp_peri.points.arguments import EV_IN_TPA
+from warp_peri.points.arguments import EV_IN_TPA, checked
 
 VACUUM = 8.0
 """A gap between atoms [Å] that counts as vacuum."""
@@ -276,7 +276,7 @@ def _settled(cell: ase.Atoms, flat: bool, held: set[str]) -> tuple[ase.Atoms, np
 def _check_forces(cell: ase.Atoms) -> None:
     """Raise InputError for a calculator that gives no forces; LAMMPS has words of its own."""
     try:
-        cell.get_forces()
+        checked("forces", cell.get_forces(), float, (len(cell), 3))
     except LammpsError:
         raise
     except Exception as error:  # calculators raise whatever they run into
