@@ -53,8 +53,8 @@ from warp_peri.fracture import box_nodes, lattice_body
 from warp_peri.fracture.bonds import CutOperator
 from warp_peri.fracture.dynamics import BreakingBody, step
 from warp_peri.fracture.materials import BrittleMaterial
-from warp_peri.materials.lps_force import Bonds, lps_force
-from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.materials.lps_force import Bonds
+from warp_peri.materials.lps_operator import LPSOperator, lps_force
 from warp_peri.runtime import floats, set_num_threads, zeros
 
 HORIZON = 4.0

@@ -28,8 +28,8 @@ from warp_peri import InputError, Points
 from warp_peri.errors import exit_status
 from warp_peri.fracture import continuum_stretch
 from warp_peri.fracture.bonds import unit_toughness
-from warp_peri.materials.lps_force import Bonds
-from warp_peri.materials.lps_operator import LPSOperator, Matrices, assemble
+from warp_peri.materials.lps_force import Bonds, Matrices, assemble
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.families import HORIZON_TOLERANCE, ball_integral, bond_classes
 from warp_peri.solvers.systems import MatrixProblem
 from warp_peri.transfers import mean_spacing

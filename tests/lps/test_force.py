@@ -19,8 +19,8 @@ from tools.rivals import BULK, SHEAR, SIZE, PeriLps
 from warp_peri import Points
 from warp_peri.atoms.calculators import LammpsError, lammps_class
 from warp_peri.materials.lps import moduli
-from warp_peri.materials.lps_force import Bonds, lps_force
-from warp_peri.materials.lps_operator import LPSOperator, assemble
+from warp_peri.materials.lps_force import Bonds, assemble
+from warp_peri.materials.lps_operator import LPSOperator, lps_force
 from warp_peri.methods import LPSParameters
 from warp_peri.points.families import bond_classes
 from warp_peri.testing import assert_near as near

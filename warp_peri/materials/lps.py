@@ -17,8 +17,8 @@ from warp_peri.core.proof import StencilCertificate, prove, statement_of
 from warp_peri.core.record import FieldUnits, Length, Record, taken
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, Rows, error_rows, warn
-from warp_peri.materials.lps_force import CANCELLED, bonds_of
-from warp_peri.materials.lps_operator import LPSOperator, assemble
+from warp_peri.materials.lps_force import CANCELLED, assemble, bonds_of
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.arguments import (
     USUAL,
     Numbers,

@@ -1,4 +1,4 @@
-"""The LPS on points of any kind: its bonds, its force, and all derivatives of it.
+"""The LPS on points of any kind: its bonds, its force, all derivatives of it, and its matrices.
 
 A lattice lies row by row in a box, many nodes at a time; other points as numbered, with lists of
 bonds. L is its own transpose once each bond reads the stiffness of the bond back. Sums over nodes
@@ -13,11 +13,11 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy.sparse as sp
 import warp as wp
 from numpy.typing import ArrayLike
 from scipy.special import comb
 
-import warp_peri.core as core
 from warp_peri.core.stencil import row_pieces
 from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import stay
@@ -39,8 +39,6 @@ from warp_peri.runtime import (
 )
 
 if TYPE_CHECKING:
-    from torch import Tensor
-
     from warp_peri.materials.lps import LPSMaterial
 
 CANCELLED = 1e-10
@@ -477,23 +475,57 @@ def refuse_bond_based() -> None:
     )
 
 
-def lps_force(bonds: Bonds, u: Tensor, *values: Any) -> Tensor:
-    """L u [TPa/Å] on the interior nodes, shape [..., I, d], differentiable once in all arguments: u
-    [Å] [N, d] or [S, N, d], λ and μ (numbers or [N]), α and D. Bond-based bonds ask for λ = μ
-    without a gradient; InputError otherwise, and for moduli of another shape."""
-    bridge, felt = core.torch_bridge, list[Any]()
+@dataclass(frozen=True)
+class Matrices:
+    """Sparse matrices of an LPS on N nodes, I interior; component a of node i is d i + a.
 
-    def there(u: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray]:
-        law = bonds.law(*values)
-        Lu, *kept = law.force(np.ascontiguousarray(u))
-        felt[:] = law, kept
-        return (Lu,)
+    Attributes:
+        gamma: Γ, forces on the interior nodes from displacements [Å⁻²], shape [d I, d N]; of a
+            field μ μ Γ, the mean of both ends in each bond.
+        phi: Φ, dilatations at all nodes from displacements [Å⁻¹], shape [N, d N]; zero rows where
+            no force needs them.
+        psi: Ψ, Σ_j (d/m) K ξ (θ_i + θ_j) W on the interior nodes [Å⁻¹], shape [d I, N].
+    """
 
-    def back(asked: tuple[bool, ...], g: np.ndarray) -> list[Any]:
-        law, kept = felt
-        return law.gradient(kept, g, asked)  # type: ignore[no-any-return]
+    gamma: sp.csr_array
+    phi: sp.csr_array
+    psi: sp.csr_array
 
-    flat = u.double().reshape(-1, bonds.nodes * bonds.dimension)
-    numbers = [bridge.real(name, value) for name, value in zip(("lam", "mu", "alpha", "D"), values)]
-    (Lu,) = bridge.once(there, back, flat, *numbers)
-    return Lu.reshape(*u.shape[:-2], -1, bonds.dimension)  # type: ignore[no-any-return]
+    def within(self, interior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Γ and Φ between interior nodes alone, dense, [d I, d I] and [I, d I]."""
+        unknown = np.repeat(interior, self.gamma.shape[1] // len(interior))
+        return self.gamma[:, unknown].toarray(), self.phi[interior][:, unknown].toarray()
+
+    def operator(self, lam: Any, mu: Any) -> sp.csr_array:
+        """Assemble L [TPa/Å²], shape [d I, d N]."""
+        if np.ndim(lam - mu):
+            return sp.csr_array(self.gamma - self.psi @ (sp.diags_array(lam - mu) @ self.phi))
+        return sp.csr_array(mu * self.gamma - (lam - mu) * (self.psi @ self.phi))
+
+
+def assemble(bonds: Bonds, kw: np.ndarray, m: Any, mu: Any = 1.0) -> Matrices:
+    """Assemble Γ, Φ and Ψ from K W by class, weighted volumes (of nodes or one), and a field μ."""
+    families, nodes, d = bonds.families, bonds.nodes, bonds.dimension
+    owner, end, xi, kind = bonds.listing
+    own = kw[kind] / np.broadcast_to(m, nodes)[owner]
+    needed = np.isin(owner, np.concatenate([families.whole, families.cut]))
+    some = np.flatnonzero((end >= 0) & needed)
+    push, bent = d * own[some, None] * xi[some], bonds.bent(kw, own)[some]
+    owner, end, xi, one = owner[some], end[some], xi[some], np.ones((len(some), 1))
+    shear = 2 * (d + 2) / (xi**2).sum(axis=1)
+    shear = shear * (mu[owner] + mu[end]) / 2 if np.ndim(mu) else shear
+
+    def at(where: np.ndarray, values: np.ndarray) -> sp.csr_array:
+        """Map fields of c components to values · field at a node of each bond, [E, c N]."""
+        c = values.shape[1]
+        columns, starts = c * where[:, None] + np.arange(c), c * np.arange(len(some) + 1)
+        entries = values.ravel(), columns.ravel(), starts
+        return sp.csr_array(entries, shape=(len(some), c * nodes))
+
+    interior = (d * families.rows[:, None] + np.arange(d)).ravel()
+    force, along = sp.csr_array(at(owner, push).T)[interior], at(end, xi) - at(owner, xi)
+    return Matrices(
+        sp.csr_array(force @ (sp.diags_array(-shear) @ along)),
+        sp.csr_array(at(owner, one).T @ (at(end, bent) - at(owner, bent))),
+        sp.csr_array(force @ (at(owner, one) + at(end, one))),
+    )

@@ -21,7 +21,7 @@ from warp_peri.files.checkpoint import ArrayFile, fingerprint
 from warp_peri.fitting.augmented_lagrangian import Tick, adam, as_printed, printed_state
 from warp_peri.fitting.regression import LatticeRows, compressed, forces
 from warp_peri.materials.lps import LPSMaterial, LPSParameters, bernstein_basis
-from warp_peri.materials.lps_force import Bonds, lps_force
+from warp_peri.materials.lps_force import Bonds, assemble
 from warp_peri.materials.lps_law import (
     ALPHA_IN_SIGHT,
     LARGEST_ALPHA,
@@ -33,7 +33,7 @@ from warp_peri.materials.lps_law import (
     products,
     squares,
 )
-from warp_peri.materials.lps_operator import LPSOperator, assemble
+from warp_peri.materials.lps_operator import LPSOperator, lps_force
 from warp_peri.points.arguments import checked
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.points import WAVE_VECTOR, Samples
