@@ -16,12 +16,12 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_728,
-    "tokens": 234_996,
-    "lines of warp_peri": 30_076,
+    "code lines": 18_727,
+    "tokens": 234_983,
+    "lines of warp_peri": 30_066,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_260,
+    "lines of warp_peri, kernels, examples and tools": 42_250,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -37,14 +37,14 @@ ROOMS = {
     "core": 1608,
     "face": 1111,
     "fe_coupling": 711,
-    "files": 453,
+    "files": 472,
     "fitting": 1061,
     "fracture": 1419,
     "materials": 4527,
     "neural": 574,
     "points": 1687,
     "prediction": 575,
-    "mpi": 468,
+    "mpi": 448,
     "solvers": 1464,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""

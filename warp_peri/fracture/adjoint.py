@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import copy
 from typing import Any
 
@@ -64,7 +64,7 @@ def bond_force(
     return linear(pull, lambda y: (stretch.T @ y.T).T, lambda x: (stretch @ x.T).T).view_as(u)
 
 
-def crack_load(cut: Any, stress: np.ndarray, parameters: Mapping[str, Any]) -> torch.Tensor:
+def crack_load(cut: Any, stress: np.ndarray, parameters: Numbers) -> torch.Tensor:
     """Crack load as statics.crack_load, differentiable in the given parameters, [N, d]."""
     numbers = {name: real(name, value) for name, value in (cut.learnable | {**parameters}).items()}
     even, sigma = torch.eye(cut.body.dimension).double(), torch.from_numpy(stress)
@@ -170,7 +170,7 @@ class SoftBody:
         line: ArrayLike,
         stop: NotNegative = 0.7,
         progress: bool = False,
-        parameters: Mapping[str, Any] | None = None,
+        parameters: Numbers | None = None,
     ) -> Motion:
         """Raise the load step by step; at each, let bonds fail until none does; see the class."""
         loads = checked("loads", loads, float, ("n",))
@@ -242,7 +242,7 @@ class SoftBody:
         soft.law = BondLaw(**{name: float(value) for name, value in numbers.items()})
         return soft
 
-    def _learned(self, u: Any, parameters: Mapping[str, Any] | None) -> tuple[Any, ...]:
+    def _learned(self, u: Any, parameters: Numbers | None) -> tuple[Any, ...]:
         """Body with these parameters, whether derivatives are asked for, u and the parameters."""
         asked = parameters is not None or is_tensor(u)
         soft, numbers = with_numbers(self, parameters or {})

@@ -4,7 +4,6 @@ halos."""
 from __future__ import annotations
 
 import functools
-import hashlib
 import math
 import os
 import sys
@@ -143,29 +142,6 @@ def total(comm: Comm, values: np.ndarray) -> np.ndarray:
     comm.Allreduce(MPI.IN_PLACE, sums, op=MPI.SUM)
     exact: Any = sum(limb.astype(object) << LIMB * n for n, limb in enumerate(sums[::-1]))
     return np.asarray(np.ldexp(np.asarray(exact / (1 << LIMB * LIMBS), dtype=float), exponent))
-
-
-def nodal_fingerprint(comm: Comm, number: np.ndarray, *arrays: np.ndarray) -> str:
-    """Fingerprint of arrays [n, ...] on nodes of these global numbers, whoever owns them."""
-    marks = np.zeros((len(arrays), 2), np.uint64)
-    with np.errstate(over="ignore"):
-        for mark, array in zip(marks, arrays):
-            flat = np.ascontiguousarray(array, dtype=float).reshape(len(number), -1)
-            mixed = _mixed(number.astype(np.uint64))
-            for column in flat.view(np.uint64).T:
-                mixed = _mixed(mixed ^ column)
-            mark[:] = mixed.sum(), _mixed(mixed).sum()
-        sums = np.sum(comm.allgather(marks), axis=0)
-    return hashlib.sha256(sums.tobytes()).hexdigest()
-
-
-def _mixed(x: np.ndarray) -> np.ndarray:
-    """Hash numbers by Splitmix64, a bijection that spreads every bit."""
-    x = x + np.uint64(0x9E3779B97F4A7C15)
-    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    mixed: np.ndarray = x ^ (x >> np.uint64(31))
-    return mixed
 
 
 def inner(comm: Comm, along: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Inner:

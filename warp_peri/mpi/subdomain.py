@@ -13,23 +13,13 @@ from typing import Any
 import numpy as np
 
 from warp_peri.errors import InputError, agreed
-from warp_peri.files.checkpoint import same
+from warp_peri.files.checkpoint import nodal_fingerprint, same
 from warp_peri.fracture.body import lattice_body
 from warp_peri.fracture.problems import Cracked, in_steps
 from warp_peri.kernels import neighbours
 from warp_peri.kernels.damage import halves, sweep
 from warp_peri.mpi.linear import operator_on
-from warp_peri.mpi.processes import (
-    Comm,
-    Slabs,
-    build,
-    cut,
-    exchange,
-    inner,
-    nodal_fingerprint,
-    total,
-    world,
-)
+from warp_peri.mpi.processes import Comm, Slabs, build, cut, exchange, inner, total, world
 from warp_peri.points.arguments import (
     USUAL,
     Units,
@@ -104,9 +94,7 @@ class Subdomain:
 
     def mark(self, *parts: Any) -> str:
         """Fingerprint of arrays [n, ...] on these nodes, and of other values as printed."""
-        arrays = [part for part in parts if isinstance(part, np.ndarray)]
-        others = "".join(repr(part) for part in parts if not isinstance(part, np.ndarray))
-        return nodal_fingerprint(self.comm, self.number, *arrays) + others
+        return nodal_fingerprint(self.comm, self.number, slice(None), *parts)
 
     def solve(
         self, material: Any, problem: Any, solver: Solver, options: dict[str, Any]
@@ -222,8 +210,7 @@ class NodeHalo:
 
     def mark(self, *parts: Any) -> str:
         """Fingerprint, as Subdomain.mark, of arrays [m or more, ...] on the nodes here."""
-        own = [part[self.own] if isinstance(part, np.ndarray) else part for part in parts]
-        return self.piece.mark(*own)
+        return nodal_fingerprint(self.comm, self.piece.number, self.own, *parts)
 
     def exchange(self, field: np.ndarray) -> None:
         """Fill others' nodes in a field [m or more, ...] from their owners."""

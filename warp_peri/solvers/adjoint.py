@@ -22,7 +22,7 @@ with u_n given elsewhere. Backwards A_IIᵗ w_n = p_I, p ← Bᵗ w_n and the re
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -34,6 +34,7 @@ from warp_peri.core.torch_bridge import as_tensor, by_numbers, once, real, with_
 from warp_peri.errors import InputError
 from warp_peri.points.arguments import (
     Natural,
+    Numbers,
     Positive,
     check_nodes,
     check_shape,
@@ -56,7 +57,7 @@ def moved(
     *,
     v: Any = None,
     signal: Any = None,
-    parameters: Mapping[str, Any] | None = None,
+    parameters: Numbers | None = None,
     record: Any = None,
     **sizes: Any,
 ) -> Motion:
@@ -169,7 +170,7 @@ def stepped(
     step: Positive,
     steps: Natural,
     collar: Any = None,
-    parameters: Mapping[str, Any] | None = None,
+    parameters: Numbers | None = None,
 ) -> Motion:
     """Solve linear flow by implicit steps of any length; differentiable once in tensors.
 
