@@ -17,11 +17,11 @@ from tests.support import ROOT
 
 BUDGET = {
     "code lines": 18_727,
-    "tokens": 234_983,
-    "lines of warp_peri": 30_066,
+    "tokens": 234_998,
+    "lines of warp_peri": 30_068,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_250,
+    "lines of warp_peri, kernels, examples and tools": 42_252,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -39,12 +39,12 @@ ROOMS = {
     "fe_coupling": 711,
     "files": 472,
     "fitting": 1061,
-    "fracture": 1419,
+    "fracture": 1418,
     "materials": 4527,
     "neural": 574,
-    "points": 1687,
+    "points": 1689,
     "prediction": 575,
-    "mpi": 448,
+    "mpi": 447,
     "solvers": 1464,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""

@@ -73,9 +73,9 @@ def nodal_fingerprint(comm: Any, number: np.ndarray, own: Any, *parts: Any) -> s
     others = [part for part in parts if not isinstance(part, np.ndarray)]
     marks = np.zeros((len(arrays), 2), np.uint64)
     with np.errstate(over="ignore"):
+        start = _mixed(number.astype(np.uint64))
         for mark, array in zip(marks, arrays):
-            flat = np.ascontiguousarray(array, dtype=float).reshape(len(number), -1)
-            mixed = _mixed(number.astype(np.uint64))
+            flat, mixed = np.ascontiguousarray(array, dtype=float).reshape(len(number), -1), start
             for column in flat.view(np.uint64).T:
                 mixed = _mixed(mixed ^ column)
             mark[:] = mixed.sum(), _mixed(mixed).sum()

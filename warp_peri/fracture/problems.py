@@ -123,8 +123,7 @@ class Cracked:
         if self.pressure is not None:
             pressure = checked("pressure", self.pressure, float, (body.dimension,) * 2)
             if learns:
-                numbers = numbers or {}
-                core.torch_bridge.with_numbers(cut, numbers)
+                cut, numbers = core.torch_bridge.with_numbers(cut, numbers or {})
             extra = crack_load(cut, pressure, numbers)
             if learns:
                 b, extra = map(fracture.adjoint.real, ("b", "pressure"), (b, extra))

@@ -29,13 +29,12 @@ from warp_peri.points.arguments import (
     check_units,
     checked,
     checked_fields,
-    is_number,
     is_positive,
     offered,
     taken,
 )
 from warp_peri.points.families import HORIZON_TOLERANCE
-from warp_peri.points.points import LATTICE_TOLERANCE, Points
+from warp_peri.points.points import LATTICE_TOLERANCE, Points, checked_axis
 from warp_peri.protocols import MATERIAL
 from warp_peri.runtime import ranks_started
 from warp_peri.solvers.motion import Motion, Recorder
@@ -255,8 +254,7 @@ def lattice(
         if np.shape(origin := checked("origin", origin)) not in ((), (len(shape),)):
             raise InputError(f"origin: expected {len(shape)} coordinates, got {len(origin)}")
         check_nodes("shape", shape)
-        if not (axis is None or is_number(axis)):
-            raise InputError(f"axis: expected an angle [degrees], got {axis!r:.60}")
+        axis = checked_axis(axis, len(shape))
         if not callable(interior):
             raise InputError(f"interior: expected a function of positions, got {interior!r:.60}")
     same(comm, shape=shape, spacing=spacing, origin=origin, units=units, axis=axis)

@@ -297,7 +297,8 @@ def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> dict[
             words = "a sequence"
         else:
             words = " or ".join(NAMES.get(kind, kind.__name__) for kind in kinds)
-            fine = isinstance(value, first) or ("Points" in words and is_piece(value))
+            on_points = "Points" in [kind.__name__ for kind in kinds]
+            fine = isinstance(value, first) or (on_points and is_piece(value))
             words = "a path" if os.PathLike in more else words.replace("NoneType", "None")
         if not fine or (bound and value != default and not bound.holds(value)):
             expected, short = bound.words if bound else words, first in KINDS and first not in NAMES

@@ -115,15 +115,7 @@ class Points(Shown):
             if not (box > 0).all():
                 raise InputError(f"box: expected periods > 0, got {self.box!r:.60}")
             object.__setattr__(self, "box", tuple(box.tolist()))
-        if isinstance(self.axis, (list, tuple, np.ndarray)) and self.dimension == 3:
-            turn = checked("axis", self.axis, shape=(3, 3))
-            if np.abs(turn @ turn.T - np.eye(3)).max() > ROTATION:
-                raise InputError(f"axis: expected a rotation [3, 3], got {self.axis!r:.60}")
-            object.__setattr__(self, "axis", tuple(map(tuple, turn.tolist())))
-        elif self.axis is not None:
-            if not (is_number(self.axis) and np.isfinite(self.axis)):
-                raise InputError(f"axis: expected an angle [degrees], got {self.axis!r:.60}")
-            object.__setattr__(self, "axis", float(self.axis))
+        object.__setattr__(self, "axis", checked_axis(self.axis, self.dimension))
         if self.outside is not None:
             outside = checked("outside", self.outside, bool, (n,))
             if (outside & self.interior).any():
@@ -250,6 +242,18 @@ class Points(Shown):
     def is_open_lattice(self) -> bool:
         """Whether the points are a lattice without periods and broken bonds."""
         return self.spacing > 0 and self.box is None and self.outside is None
+
+
+def checked_axis(axis: Any, dimension: int) -> Any:
+    """Check an axis as of Points: an angle, a rotation as tuples, or None; else InputError."""
+    if isinstance(axis, (list, tuple, np.ndarray)) and dimension == 3:
+        turn = checked("axis", axis, shape=(3, 3))
+        if np.abs(turn @ turn.T - np.eye(3)).max() > ROTATION:
+            raise InputError(f"axis: expected a rotation [3, 3], got {axis!r:.60}")
+        return tuple(map(tuple, turn.tolist()))
+    if axis is None or (is_number(axis) and np.isfinite(axis)):
+        return axis if axis is None else float(axis)
+    raise InputError(f"axis: expected an angle [degrees], got {axis!r:.60}")
 
 
 def refuse_twice(x: np.ndarray) -> None:
