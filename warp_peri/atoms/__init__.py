@@ -28,5 +28,5 @@ if TYPE_CHECKING:
     from warp_peri.atoms.dumps import read_masses as read_masses
     from warp_peri.atoms.phonons import from_phonopy as from_phonopy
 
-if not TYPE_CHECKING:  # a type checker would take any misspelt name for one of these
+else:  # a type checker would take any misspelt name for one of these
     __getattr__, __dir__, __all__ = lazy(__name__)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from warp_peri.atoms.force_constants import TINY, ForceConstants, Supercell, forces_of, relaxing
 from warp_peri.core.elastic import PAIRS, stress_brackets, voigt
 from warp_peri.errors import optional
-from warp_peri.fitting.regression import particular
+from warp_peri.fitting.regression import norms, particular, relative
 from warp_peri.points.arguments import EV_IN_TPA
 
 ON_SITES = 1e-4
@@ -154,7 +154,7 @@ def bent_by_strain(cell: ase.Atoms, calculator: Any, flat: bool, noise: float) -
     rng, slopes = np.random.default_rng(0), []
     G = rng.standard_normal((2, 3, 3)) * (np.outer([1, 1, 0], [1, 1, 0]) if flat else 1)
     own = unit_strains(2 if flat else 3)  # of moduli, as far along an axis
-    ways = np.concatenate([(G + G.swapaxes(1, 2)) / 2, own])
+    ways = np.concatenate([(G + G.mT) / 2, own])
     ways /= np.linalg.norm(ways, axis=(1, 2))[:, None, None]
     for size in (STRAIN, LARGEST):
         turns = np.eye(3) + np.concatenate([size * ways, -size * ways])
@@ -202,14 +202,14 @@ class Symmetric(Supercell):
         of the crystal's stress (Huang's relations).
         """
         atoms, held = self.pairs, np.zeros((3, 3))
-        furthest = float(np.linalg.norm(atoms.vectors, axis=1).max())
+        furthest = float(norms(atoms.vectors).max())
         if atoms.stress is not None:
             held[: atoms.dimension, : atoms.dimension] = atoms.stress / EV_IN_TPA
 
         def broken(values: np.ndarray) -> np.ndarray:
             zeroth, first, second = atoms.moments(values)
             second = second + 2 * atoms.volume * stress_brackets(held)
-            turned = (first - first.swapaxes(-1, -2)) / furthest
+            turned = (first - first.mT) / furthest
             huang = (second - np.moveaxis(second, (-4, -3), (-2, -1))) / furthest**2
             parts = zeroth.sum(axis=-2), turned, huang
             flat = [part.reshape(*part.shape[: values.ndim - 3], -1) for part in parts]
@@ -350,7 +350,7 @@ def _under_strain(
     tall = EV_IN_TPA * (cell.cell[2, 2] / atoms.thickness if flat else 1.0)
     back, place = np.linalg.inv(G), tuple(np.transpose(PAIRS[d]))
     pulled = np.linalg.det(G)[..., None, None] * back @ np.reshape(stresses, G.shape) * tall
-    S = (pulled @ back.swapaxes(-1, -2))[..., *place].transpose(2, 0, 1, 3)
+    S = (pulled @ back.mT)[..., *place].transpose(2, 0, 1, 3)
     mean = np.reshape(pushes, (*G.shape[:3], -1, n, 3)).mean(axis=3)
     return S, mean.transpose(2, 0, 1, 3, 4)
 
@@ -411,7 +411,7 @@ def joined(
     if atoms.spread is not None:  # moduli would else tell how all of Φ changes with displacements
         atoms = replace(atoms, doubt=atoms.spread, spread=None)
         J, wider = compared()
-    doubt, J = (max(1.0, wider**0.5) * np.asarray(one) for one in (atoms.doubt, J))
+    doubt, J = (max(1.0, wider**0.5) * one for one in (atoms.doubt, J))
     gain = J.T @ np.linalg.pinv(J @ J.T + own @ own.T)
     values, step = atoms.values, np.zeros(len(doubt))
     for _ in range(3):  # moduli bend a little in Φ where atoms of a cell relax
@@ -421,5 +421,5 @@ def joined(
     parts, vectors = np.linalg.eigh(np.eye(len(doubt)) - gain @ J)
     left = (vectors * np.sqrt(np.clip(parts, 0, None))).T, (np.linalg.pinv(J) @ both).T
     after = np.tensordot(np.concatenate(left), doubt, 1)
-    moved = float(np.linalg.norm(values - atoms.values) / np.linalg.norm(atoms.values))
+    moved = relative(values - atoms.values, atoms.values)
     return replace(atoms, values=values, doubt=after), chi, moved

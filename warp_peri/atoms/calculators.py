@@ -124,7 +124,7 @@ def _types(lines: Sequence[str], kinds: Sequence[str]) -> dict[str, int]:
     """LAMMPS type of each element, by its place behind the file of a pair_coeff or by its mass."""
     named: dict[int, str] = {}
     for words in map(str.split, lines):
-        found: list[tuple[int, str]] = []
+        found = []
         if words[0] == "mass" and len(words) > 2 and words[1].isdecimal():
             mass = float(words[2])
             off, kind = min((abs(atomic_masses[atomic_numbers[k]] - mass), k) for k in kinds)
@@ -250,7 +250,7 @@ def _parsed(call: str) -> tuple[list[str], list[Any], dict[str, Any]]:
 
 def _found(module: str, path: Sequence[str]) -> Any:
     """Find the named class or function; InputError for anything that makes no calculator."""
-    made: Any = importlib.import_module(module)
+    made = importlib.import_module(module)
     for part in path:
         made = getattr(made, part)
         if inspect.ismodule(made):

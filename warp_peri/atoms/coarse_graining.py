@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import h5py
 import numpy as np
@@ -81,7 +81,7 @@ def smoothing_matrix(
     tau = every = _tau(nodes, images, radius, shape)
     if spacing is not None:
         every = _tau(_reached(nodes[0], images, radius, spacing), images, radius, shape)
-    total = np.asarray(every.sum(axis=0))
+    total = every.sum(axis=0)
     if spacing is None and box is not None:
         total = np.bincount(owner, total, len(atoms))[owner]
     scale = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0)
@@ -93,9 +93,7 @@ def _reached(origin: np.ndarray, images: np.ndarray, radius: float, spacing: flo
     """Nodes of the lattice through `origin` that any image can reach, shape [L, 2]."""
     low = np.floor((images.min(0) - radius - origin) / spacing).astype(int)
     high = np.ceil((images.max(0) + radius - origin) / spacing).astype(int)
-    p, q = np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high)), indexing="ij")
-    lattice: np.ndarray = origin + spacing * np.stack([p.ravel(), q.ravel()], axis=1)
-    return lattice
+    return np.asarray(origin + spacing * (low + np.argwhere(np.ones(high - low + 1, bool))))
 
 
 @typed
@@ -122,7 +120,7 @@ def coarse_grain(
     if not np.all(mass > 0):
         raise InputError(f"mass: expected values > 0, got {mass}")
     weighted = omega @ sp.diags_array(np.broadcast_to(mass, (atoms,)))
-    density = np.asarray(weighted.sum(axis=1))
+    density = weighted.sum(axis=1)
     if len(bad := np.flatnonzero(~(density > 0))):
         words = f"{len(bad)} nodes have no atom within the radius, the first is {bad[0]}"
         raise InputError(f"{words}: expected nodes inside the body, or its periods (box)")
@@ -140,8 +138,8 @@ def _images(
     low, high = nodes.min(0) - radius, nodes.max(0) + radius
     first = np.floor((low - atoms.max(0)) / box).astype(int)
     last = np.ceil((high - atoms.min(0)) / box).astype(int)
-    shifts = [(a, b) for a in range(first[0], last[0] + 1) for b in range(first[1], last[1] + 1)]
-    images = np.concatenate([atoms + np.multiply(shift, box) for shift in shifts])
+    shifts = first + np.argwhere(np.ones(last - first + 1))
+    images = np.concatenate([atoms + shift * box for shift in shifts])
     owner = np.tile(np.arange(len(atoms)), len(shifts))
     near = ((images >= low) & (images <= high)).all(axis=1)
     return images[near], owner[near]
@@ -216,7 +214,7 @@ def read_mat(
 
 def _variables(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     """Numeric arrays of a .mat file by name; HDF5 (version 7.3) has their axes reversed."""
-    held: dict[str, Any] = {}
+    held = {}
     check_regular(path)
     try:
         if h5py.is_hdf5(path):
@@ -248,4 +246,4 @@ def _components_last(path: Path, held: dict[str, np.ndarray], name: str, nodes: 
     if not len(field) or field[0].size != 2 * nodes:
         words = f"expected two components of {nodes} nodes, got {field.shape}"
         raise InputError(f"{path}: {name}: {words}")
-    return field.reshape(-1, nodes, 2) if last else field.reshape(-1, 2, nodes).swapaxes(1, 2)
+    return field.reshape(-1, nodes, 2) if last else field.reshape(-1, 2, nodes).mT

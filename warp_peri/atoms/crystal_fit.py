@@ -29,6 +29,7 @@ from warp_peri.core.elastic import (
     voigt,
 )
 from warp_peri.errors import InputError, Rows, Shown, warn
+from warp_peri.fitting.regression import relative
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import fit_phonons
 from warp_peri.materials.transfer import WaveSymbol
@@ -124,7 +125,7 @@ class CrystalFit(Shown):
     @property
     def wave_lengths(self) -> np.ndarray:
         """Wavelengths that are compared [spacings], falling to two, shape [80]."""
-        return np.asarray(2 * np.pi / np.linspace(0.05, np.pi, SIZES))
+        return 2 * np.pi / np.linspace(0.05, np.pi, SIZES)
 
     @cached_property
     def wave_errors(self) -> dict[str, np.ndarray]:
@@ -389,7 +390,7 @@ def _learned(
     said = said | ({} if atoms.thickness is None else {"thickness": f"{atoms.thickness:.4g} Å"})
     said["at the supercell's edge"] = f"{atoms.edge:.1%} of Σ |Φ| r²"
     if atoms.doubt is not None:
-        share = np.linalg.norm(atoms.doubt) / np.linalg.norm(atoms.values)
+        share = relative(atoms.doubt, atoms.values)
         said["force constants' error"] = f"{share:.1e} of Φ"
         soft, error, most = at_zone_edge(atoms)
         edge = f"{soft:.3f} ± {error:.2g} THz and more; standard errors up to {most:.2g} THz"

@@ -440,7 +440,7 @@ def surface(
     weight = np.exp(-(local**2).sum(axis=0) / radius**2)
     design = np.stack([np.ones_like(p), p, q, p * p, p * q, q * q], axis=1) * weight[:, None]
     u, _, rank, _ = np.linalg.lstsq(design, frame.u[members] * weight[:, None], rcond=1e-7)
-    return np.asarray(u[0]) if rank == 6 else None
+    return u[0] if rank == 6 else None
 
 
 @typed

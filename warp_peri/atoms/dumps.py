@@ -31,7 +31,7 @@ from warp_peri.files.atomic import (
     unpacked,
 )
 from warp_peri.points.arguments import MOST, Natural, Positive, checked, typed
-from warp_peri.points.points import PointsLike, Samples, nodes_of
+from warp_peri.points.points import PointsLike, Samples, nearest, nodes_of
 
 EXPECTED = "a LAMMPS dump (text, packed or not), .extxyz, .xyz or .traj"
 BEGIN = ("ITEM: TIMESTEP", "ITEM: UNITS", "ITEM: TIME")
@@ -202,7 +202,7 @@ def _ordered(
     x = checked("positions", x)
     order, whole = np.argsort(values["id"]), {}
     for name in {"id", "type"} & {*values}:
-        one = np.asarray(values[name])[order]
+        one = values[name][order]
         if not ((one >= 1) & (one < MOST) & (one % 1 == 0)).all():
             raise ValueError(f"{name}: expected whole numbers from 1")
         whole[name] = one.astype(np.int64)
@@ -323,12 +323,9 @@ def mean_displacement(
         frames += 1
         if frames <= skip:
             continue
-        u = x - reference
-        if box is not None:
-            u -= box * np.rint(u / box)
-        elif not frame.unwrapped and jumps(frame, reference):
+        if box is None and not frame.unwrapped and jumps(frame, reference):
             raise InputError(f"{path}: box: atoms moved beyond half the box; are they wrapped?")
-        total += u
+        total += nearest(x - reference, box)
     if frames <= skip:
         raise InputError(f"{path}: expected more than {skip} frames, got {frames}")
     return total / (frames - skip)
@@ -428,9 +425,7 @@ def _warn_of_torn(
 ) -> None:
     """Warn of neighbouring atoms that are further apart than nodes can follow."""
     near = cKDTree(x if box is None else x % box, boxsize=box).query(x, k=min(7, len(x)))[1][:, 1:]
-    apart = x[near] - x[:, None]
-    if box is not None:
-        apart = apart - np.rint(apart / box) * np.asarray(box)
+    apart = nearest(x[near] - x[:, None], box)
     length = np.linalg.norm(apart, axis=-1)
     longer = np.linalg.norm(apart + moved[near] - moved[:, None], axis=-1) > TORN * length
     usual = np.median(length[:, :3].max(axis=1, initial=0.0))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,6 +20,7 @@ from warp_peri.core.elastic import (
     stress_brackets,
 )
 from warp_peri.errors import InputError, warn
+from warp_peri.fitting.regression import norms, relative
 from warp_peri.points.arguments import EV_IN_TPA, checked, typed, typed_methods
 
 STEP, WIDER = 2e-3, 5
@@ -80,16 +80,16 @@ class NonAnalyticCorrection:
     ) -> np.ndarray:
         """Dipole–dipole matrix [eV/Å²], [K, n, 3, n, 3]; without macroscopic `field` smooth."""
         least = np.linalg.eigvalsh(self.dielectric)[0]
-        furthest = 2 * self.decay * np.sqrt(NEGLECTED / least) + np.linalg.norm(k, axis=1).max()
-        most = np.ceil(furthest * np.linalg.norm(cell, axis=1) / (2 * np.pi)).astype(int)
-        counts = np.array(list(itertools.product(*(range(-n, n + 1) for n in most))))
+        furthest = 2 * self.decay * np.sqrt(NEGLECTED / least) + norms(k).max()
+        most = np.ceil(furthest * norms(cell) / (2 * np.pi)).astype(int)
+        counts = np.argwhere(np.ones(2 * most + 1)) - most
         G = 2 * np.pi * counts @ np.linalg.inv(cell).T
         zero = self._sums(np.zeros(3), G, cell, positions).sum(axis=2)
         around = G if field else G[counts.any(axis=1)]
         D = np.stack([self._sums(one, around, cell, positions) for one in k])
         atoms = np.arange(len(positions))
         # translations cost nothing; a site of low symmetry leaves a part that is not symmetric
-        D[:, atoms, :, atoms, :] -= ((zero + zero.conj().swapaxes(1, 2)) / 2)[:, None]
+        D[:, atoms, :, atoms, :] -= ((zero + zero.conj().mT) / 2)[:, None]
         return D
 
     def at_long_waves(self, e: np.ndarray, cell: np.ndarray) -> np.ndarray:
@@ -181,7 +181,7 @@ class ForceConstants:
         if m > d:
             D[:, :, 2, :, 2] += HELD * np.abs(self.values).max()
         flat = D.reshape(len(k), n * m, n * m)
-        hermitian: np.ndarray = (flat + flat.conj().swapaxes(1, 2)) / 2
+        hermitian: np.ndarray = (flat + flat.conj().mT) / 2
         return hermitian
 
     def stiffness_error(self, k: np.ndarray, waves: np.ndarray) -> Any:
@@ -209,7 +209,7 @@ class ForceConstants:
         mean = moved.reshape(len(k), n, m, d)[:, :, :d].mean(axis=1)
         flexible = mean.real * (self.volume / n)
         stiff = np.linalg.inv(flexible) * EV_IN_TPA
-        return np.asarray((stiff + stiff.swapaxes(1, 2)) / 2)
+        return (stiff + stiff.mT) / 2
 
     def _by_atoms(self, weight: np.ndarray, phi: np.ndarray) -> np.ndarray:
         """Sum weight [K, P] · phi [P, ...] over the pairs of each two atoms, [n, n, K, ...]."""
@@ -261,9 +261,9 @@ class ForceConstants:
             if self.polar is not None and field:
                 stiff = stiff + self.polar.at_long_waves(e, self.cell)
             flat = stiff[:, :, :m, :, :m].reshape(len(e), n * m, n * m)
-            A = A - push.swapaxes(1, 2) @ relaxing(flat, m) @ push
+            A = A - push.mT @ relaxing(flat, m) @ push
         A = A / self.volume * EV_IN_TPA
-        return np.asarray((A + A.swapaxes(1, 2)) / 2)
+        return np.asarray((A + A.mT) / 2)
 
     def nearest_elastic(
         self, allowed: np.ndarray, values: np.ndarray | None = None, *, field: bool = True
@@ -276,8 +276,7 @@ class ForceConstants:
         from_each = np.einsum("mijkl,nj,nl->nikm", allowed, e, e, optimize=True)
         rows = from_each.reshape(-1, len(allowed))
         c = np.linalg.lstsq(rows, wanted.ravel())[0]
-        off = float(np.linalg.norm(rows @ c - wanted.ravel()) / np.linalg.norm(wanted))
-        return np.tensordot(c, allowed, 1), off
+        return np.tensordot(c, allowed, 1), relative(rows @ c - wanted.ravel(), wanted)
 
     def elastic(self, allowed: np.ndarray) -> np.ndarray:
         """Elastic tensor [TPa] of long waves, [d, d, d, d], in the span of tensors [m, d, d, d, d].
@@ -288,7 +287,7 @@ class ForceConstants:
         doubts, e = self.doubts(), directions(60, self.dimension)
         C, off = self.nearest_elastic(allowed)
         waves, moments = self.effective(LONG * e) / LONG**2, self.acoustic(e)
-        off += float(np.linalg.norm(waves - moments) / np.linalg.norm(waves))
+        off += relative(waves - moments, waves)
         if off > NOT_ELASTIC:
             without = self.nearest_elastic(allowed, field=False)[1]
             if self.polar is not None and without <= NOT_ELASTIC:
@@ -347,7 +346,7 @@ def relaxing(stiff: np.ndarray, moving: int) -> np.ndarray:
     n = stiff.shape[-1] // moving
     whole = np.kron(np.ones((n, n)) / n, np.eye(moving))
     size = np.abs(stiff).max() or 1.0
-    return np.asarray(np.linalg.inv(stiff + size * whole) - whole / size)
+    return np.linalg.inv(stiff + size * whole) - whole / size
 
 
 class Supercell:
@@ -382,10 +381,10 @@ class Supercell:
             if thickness is not None:
                 raise InputError("BORN: expected a solid; the field of a sheet's ions is another")
             most = float(np.linalg.eigvalsh(polar.dielectric)[-1]) ** 0.5
-            shortest = float(np.linalg.norm(box, axis=1).min())
+            shortest = float(norms(box).min())
             polar = replace(polar, decay=polar.decay or 2 * DECAYED * most / shortest)
         fraction = self.apart @ np.linalg.inv(box)
-        shifts = np.array(list(itertools.product((-1, 0, 1), repeat=3)))
+        shifts = np.argwhere(np.ones((3, 3, 3))) - 1
         near = ((fraction - np.rint(fraction))[:, :, None] + shifts) @ box
         far = np.linalg.norm(near, axis=3)
         tie = far <= far.min(axis=2, keepdims=True) + NEAREST * np.linalg.norm(edges[0])
@@ -435,8 +434,7 @@ class Supercell:
 
     def edge(self, values: np.ndarray) -> float:
         """Share of Σ |Φ| r² at half the supercell's width, of a sheet in its plane."""
-        size = np.linalg.norm(self.pairs.vectors, axis=1)
-        moment = np.abs(values).max(axis=(1, 2)) * size**2
+        moment = np.abs(values).max(axis=(1, 2)) * norms(self.pairs.vectors) ** 2
         return float(moment[self.at_edge].sum() / max(moment.sum(), TINY))
 
 

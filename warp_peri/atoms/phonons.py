@@ -152,7 +152,7 @@ def _phonons(atoms: ForceConstants, parts: np.ndarray) -> tuple[np.ndarray, ...]
     k = 2 * np.pi * parts @ np.linalg.inv(atoms.cell[:d, :d]).T
     weight = 1 / np.sqrt(np.repeat(atomic_masses[atoms.species], 3))
     size, modes = np.linalg.eigh(atoms.dynamical(k, moving=3) * weight * weight[:, None])
-    return k, size, (modes.swapaxes(1, 2) * weight).reshape(*size.shape, -1, 3)
+    return k, size, (modes.mT * weight).reshape(*size.shape, -1, 3)
 
 
 def at_zone_edge(atoms: ForceConstants) -> tuple[float, float, float]:
@@ -277,7 +277,7 @@ def _opened(file: Path, beside: dict[str, Path]) -> tuple[Any, Any]:
             content(path)
     text = content(file)
     check_yaml(file, text)
-    told: Any = optional("phonopy.interface.phonopy_yaml", WITHOUT).PhonopyYaml()
+    told = optional("phonopy.interface.phonopy_yaml", WITHOUT).PhonopyYaml()
     told.read(io.StringIO(text.decode()))
     if getattr(told, "site_mixture_scheme", None) is not None:
         raise InputError("site_mixture_scheme: sites of several elements are not read")

@@ -113,7 +113,7 @@ def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
     empty = [a for a in range(3) if not periodic[a] or gap(atoms, a)[0] >= VACUUM]
     if len(empty) > 1:
         raise InputError(f"structure: expected a sheet or a solid, got {len(empty)} free edges")
-    ready: ase.Atoms = atoms.copy()
+    ready = atoms.copy()
     ready.set_constraint()
     ready.calc = None
     if not empty:
@@ -170,13 +170,13 @@ def exact_cell(atoms: ase.Atoms) -> ase.Atoms:
     """Cell symmetrised within 1e-4 Å, also to the rotations that a lattice of nodes shares."""
     found = by_spglib("get_symmetry", crystal_of(atoms), ON_SITES)
     W, edges = found["rotations"].astype(float), np.array(atoms.cell).T
-    metric = (W.transpose(0, 2, 1) @ (edges.T @ edges) @ W).mean(axis=0)
+    metric = (W.mT @ (edges.T @ edges) @ W).mean(axis=0)
     back = np.linalg.inv(edges)
     edges = np.real(sqrtm(back.T @ metric @ back)) @ edges
     turns = edges @ W @ np.linalg.inv(edges)
     whole = np.rint(turns)
     near = np.abs(turns - whole).max(axis=(1, 2)) < ALMOST
-    turn, _ = polar((turns[near] @ whole[near].transpose(0, 2, 1)).mean(axis=0))
+    turn, _ = polar((turns[near] @ whole[near].mT).mean(axis=0))
     exact: ase.Atoms = atoms.copy()
     exact.set_cell(edges.T @ turn, scale_atoms=True)
     return exact

@@ -240,7 +240,7 @@ def long_wave(model: Any, spacing: float) -> Moduli:
 
 def _axis_of(crystal: Any) -> Any:
     """Orientation of a crystal on its own nodes, as points state it."""
-    turn = np.asarray(crystal.orientation)
+    turn = crystal.orientation
     return float(np.degrees(np.arctan2(turn[1, 0], turn[0, 0]))) if len(turn) == 2 else turn
 
 

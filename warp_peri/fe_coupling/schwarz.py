@@ -46,8 +46,7 @@ def bulk_points(
     low, high = mesh.x.min(axis=0), mesh.x.max(axis=0)
     first = np.floor(low / spacing).astype(int) - 1
     shape = np.ceil(high / spacing).astype(int) + 2 - first
-    axes = [spacing * (start + np.arange(n)) for start, n in zip(first, shape)]
-    x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(low))
+    x = spacing * (first + np.argwhere(np.ones(shape, bool)))
     held = mesh.holding(x)
     inside = np.flatnonzero(held >= 0)
     away = np.zeros(len(x))
@@ -82,7 +81,7 @@ class Bulk(LinearOperator):  # type: ignore[misc]
 
     def __init__(self, model: Any, points: Points) -> None:
         is_lps = isinstance(model, LPSMaterial)
-        placed: Any = LPSOperator(model, points) if is_lps else model.on(points)
+        placed = LPSOperator(model, points) if is_lps else model.on(points)
         self.points, self.linear, self.stress = points, placed.linear, placed.stress
         self.inside, self.collar = np.flatnonzero(points.interior), np.flatnonzero(~points.interior)
         self._inverse = self.linear.cheapest_inverse(EXCHANGES)
@@ -309,7 +308,7 @@ def in_elements(
     felt, pulled, *more = (aslinearoperator(part) for part in chain)
     for part in (pulled, *more):
         felt = felt @ part
-    return np.asarray(guess), aslinearoperator(sp.eye_array(x.size)) + felt
+    return guess, aslinearoperator(sp.eye_array(x.size)) + felt
 
 
 class Schwarz:
@@ -419,7 +418,7 @@ class Schwarz:
                 bulk.accuracy = min(1.0, goal / (residual * size)) if residual else 1.0
 
             matrix = LinearOperator(2 * (len(off),), left, dtype=float)
-            how: dict[str, Any] = {"restart": MOST_EXCHANGES, "maxiter": 1, "callback": loosen}
+            how = {"restart": MOST_EXCHANGES, "maxiter": 1, "callback": loosen}
             y, _ = gmres(matrix, off, rtol=0.0, atol=goal, callback_type="pr_norm", **how)
             side = side + correct @ y
         return u, record

@@ -17,7 +17,7 @@ from warp_peri.core.stencil import Basis, elastic_from_brackets, grid_of, half_b
 from warp_peri.errors import InputError, Rows, Shown
 from warp_peri.fitting.evaluate import ROUNDING
 from warp_peri.fitting.long_waves import gradients
-from warp_peri.fitting.regression import forces
+from warp_peri.fitting.regression import forces, norms
 from warp_peri.fitting.result import LOUD, check_noise, left_by
 from warp_peri.points.arguments import typed
 from warp_peri.points.points import Samples
@@ -144,7 +144,7 @@ def _families(samples: Samples, operator: Any, drawn: np.ndarray, residual: floa
     d, h, u = samples.points.dimension, samples.spacing, samples.u
     model = getattr(operator.model, "linear", operator.model)
     stencil, group = stencil_of(model, h, "diagnose")
-    far = max(np.sqrt((stencil.steps**2).sum(axis=1).max()), model.horizon / h)
+    far = max(norms(stencil.steps).max(), model.horizon / h)
     symmetry = getattr(model, "symmetry", "isotropic")
     turn = getattr(model, "orientation", np.eye(d))
     allowed = allowed_tensors(symmetry, point_group(symmetry, d), turn)
@@ -156,7 +156,7 @@ def _families(samples: Samples, operator: Any, drawn: np.ndarray, residual: floa
     def own(bonds: Basis) -> Any:
         """Forces of bonds whose long-wave moduli have the model's own symmetry."""
         C = elastic_from_brackets(bonds.moments()).reshape(-1, d * d, d * d)
-        C = (C + C.swapaxes(1, 2)).reshape(len(C), -1)
+        C = (C + C.mT).reshape(len(C), -1)
         size, mixes = np.linalg.svd((C - C @ allowed @ allowed.T).T)[1:]
         return forces(u, grid, bonds) @ mixes[np.sum(size > 1e-9 * np.abs(C).max()) :].T
 
@@ -169,7 +169,7 @@ def _families(samples: Samples, operator: Any, drawn: np.ndarray, residual: floa
     bends = -np.linalg.pinv(np.einsum("bj,bk->bjk", near, near).reshape(-1, d * d))
     bent = np.einsum("jkb,sxib->sxkij", bends.reshape(d, d, -1), second)  # second derivatives
     H = gradients(samples, np.flatnonzero(samples.interior)[drawn], 1)
-    strain = ((H + H.swapaxes(-1, -2)) / 2)[(..., *np.triu_indices(d))]
+    strain = ((H + H.mT) / 2)[(..., *np.triu_indices(d))]
     # imaginary parts of products are derivatives: of stresses that are products of gradients
     stepped = (H[:, :, None] + 1e-30j * bent).reshape(*H.shape[:2], d, -1)
     pairs, triples = (np.array([*combinations_with_replacement(range(d * d), n)]) for n in (2, 3))
@@ -189,7 +189,7 @@ def _left_out(rows: np.ndarray, left: np.ndarray) -> np.ndarray:
     y = left.reshape((*left.shape[:2], 1, -1) if rows.ndim == 3 else (len(left), 1, -1, 1))
     rows = rows.reshape(*y.shape[:3], -1)
     rows = rows / np.maximum(np.sqrt((rows**2).sum(axis=(0, 1, 2))), TINY)
-    gram, side = rows.swapaxes(-1, -2) @ rows, rows.swapaxes(-1, -2) @ y
+    gram, side = rows.mT @ rows, rows.mT @ y
     ridges = np.reshape(RIDGES[: OF_NODES if y.shape[2] == 1 else None], (-1, 1, 1, 1))
     order, found = np.random.default_rng(0).permutation(len(y)), np.stack([y] * len(ridges))
     for part in (order[k::PARTS] for k in range(min(PARTS, len(y)))):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import time
 from collections.abc import Callable, Mapping
@@ -194,7 +193,7 @@ REDRAWN = 0.2
 
 
 @typed_methods
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class BootstrapResult:
     """Materials learned from random choices of the loads (bootstrap).
 
@@ -253,9 +252,9 @@ def bootstrap(
         raise InputError(f"samples: expected at least {LEAST_LOADS} loads, got {count}")
     offered(law, "learn", "bootstrap", "a model: LPS(…), Crystal(…)")
     if getattr(law, "symmetry", None) == "auto":
-        law = dataclasses.replace(law, symmetry=law.learn(one, **options).material.symmetry)
+        law = replace(law, symmetry=law.learn(one, **options).material.symmetry)
     if getattr(law, "kernel", law) is None:
-        law = dataclasses.replace(law, kernel=law.learn(one, **options).law.kernel)
+        law = replace(law, kernel=law.learn(one, **options).law.kernel)
     materials: list[Any] = []
     with tqdm(total=draws, desc="fits", unit="fit", disable=not progress) as bar:
         while len(materials) < draws:

@@ -24,7 +24,7 @@ from warp_peri.core.elastic import (
 )
 from warp_peri.core.stencil import invariant_basis
 from warp_peri.errors import InputError, warn
-from warp_peri.fitting.regression import over_loads, rows
+from warp_peri.fitting.regression import over_loads, relative, rows
 from warp_peri.points.families import neighbour_table
 from warp_peri.points.points import Samples, lattice_steps
 
@@ -77,7 +77,7 @@ def moduli_of(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
             "give them, or more loads of long waves"
         )
     c = np.linalg.lstsq(R, y, rcond=None)[0]
-    return c / size, float(np.linalg.norm(R @ c - y) / np.linalg.norm(y))
+    return c / size, relative(R @ c - y, y)
 
 
 def lines_of_waves(samples: Samples, modes: int) -> tuple[list[np.ndarray], np.ndarray]:
@@ -86,8 +86,7 @@ def lines_of_waves(samples: Samples, modes: int) -> tuple[list[np.ndarray], np.n
     points, grid = samples.points, lattice_steps(samples.points)[0]
     h, d = points.spacing, grid.shape[1]
     if points.box is not None:
-        periods = np.asarray(points.box)
-        return [_waves(grid[:, a] * h, periods[a]) for a in range(d)], np.arange(len(grid))
+        return [_waves(grid[:, a] * h, points.box[a]) for a in range(d)], np.arange(len(grid))
     kept = _largest_box(grid, samples.interior)
     low, high = grid[kept].min(axis=0) - 1, grid[kept].max(axis=0) + 1
     if (high - low).min() < 8:
@@ -376,4 +375,4 @@ def _crossed(equations: Sequence[tuple[np.ndarray, ...]], mix: np.ndarray) -> fl
         return np.inf
     fits = [np.linalg.lstsq(R, y)[0] for R, y in parts]
     left = np.concatenate([R @ p - y for (R, y), p in zip(parts, fits[::-1])])
-    return float(np.linalg.norm(left) / np.linalg.norm(np.concatenate([y for _, y in parts])))
+    return relative(left, np.concatenate([y for _, y in parts]))

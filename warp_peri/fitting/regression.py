@@ -94,10 +94,8 @@ def settle(
         for _ in range(BENDS):
             if merit(now) >= merit(there) or there.loss > merit(now):  # not for the conditions
                 break
-            bent = replace(
-                now, equal=there.equal - now.A @ move, margins=there.margins - now.M @ move
-            )
-            bend = _step(bent, damping)
+            equal, margins = there.equal - now.A @ move, there.margins - now.M @ move
+            bend = _step(replace(now, equal=equal, margins=margins), damping)
             again = state(theta + bend)
             if not again.violated < there.violated / 2:
                 break
@@ -120,9 +118,8 @@ def _step(now: Linearised, damping: float) -> np.ndarray:
     """min ‖r + J d‖² + damping ‖d / size‖² with e + A d = 0 and m + M d ≥ 0, or near to them."""
     size = 1 / felt(np.linalg.norm(now.J, axis=0))
     J, A, M = now.J * size, now.A * size, now.M * size
-    right = -now.residual
     J = np.vstack([J, np.sqrt(damping) * np.eye(J.shape[1])])
-    right = np.append(right, np.zeros(J.shape[1]))
+    right = np.append(-now.residual, np.zeros(J.shape[1]))
     start, free = particular(A, -now.equal)
     free_M, least = M @ free, -now.margins - M @ start
     turns = np.linalg.norm(free_M, axis=1) > SAID * np.linalg.norm(M, axis=1)
@@ -148,8 +145,7 @@ def particular(A: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return np.zeros(A.shape[1]), np.eye(A.shape[1])
     U, size, V = np.linalg.svd(A)
     rank = int((size > DEPENDENT * max(size.max(initial=0.0), 1e-300)).sum())
-    x: np.ndarray = V[:rank].T @ ((U[:, :rank].T @ a) / size[:rank])
-    return x, V[rank:].T
+    return V[:rank].T @ ((U[:, :rank].T @ a) / size[:rank]), V[rank:].T
 
 
 def least_squares_above(A: np.ndarray, y: np.ndarray, G: np.ndarray, h: np.ndarray) -> np.ndarray:
@@ -161,14 +157,13 @@ def least_squares_above(A: np.ndarray, y: np.ndarray, G: np.ndarray, h: np.ndarr
     b = Q.T @ y
     if len(h):
         rows = scipy.linalg.solve_triangular(R, G.T, trans="T").T
-        size = np.linalg.norm(rows, axis=1)
+        size = norms(rows)
         size[size == 0] = 1.0
         rows, gap = rows / size[:, None], (h - rows @ b) / size
         unit = np.abs(gap).max()
         if gap.max() > 0:
             dual = np.concatenate([rows.T, gap[None] / unit])
-            wanted = np.zeros(len(dual))
-            wanted[-1] = 1.0
+            wanted = np.eye(len(dual))[-1]
             left = dual @ nnls(dual, wanted, maxiter=100 * len(h))[0] - wanted
             if not np.abs(left[-1]) > 1e-14:
                 raise InputError("G: no x has G x ≥ h")
@@ -472,8 +467,8 @@ def forces(u: np.ndarray, nodes: Grid, bonds: Basis) -> np.ndarray:
     planes, d = nodes.scatter(u).swapaxes(0, 1), nodes.dimension
     stride = np.cumprod((1, *nodes.wide[:0:-1]))[::-1]
     place = np.array(np.unravel_index(nodes.interior, nodes.shape)) + nodes.reach * nodes.periodic
-    planes, at = planes.reshape(d, len(u), -1).transpose(2, 0, 1), stride @ place
-    planes = np.ascontiguousarray(planes)
+    planes = np.ascontiguousarray(planes.reshape(d, len(u), -1).transpose(2, 0, 1))
+    at = stride @ place
     F, inner = np.zeros((len(bonds.basis), len(at), d, len(u))), 2 * planes[at]
     for step, tensors in zip(stride @ bonds.steps.T, bonds.basis.swapaxes(0, 1)):
         pulled = inner - planes[at + step] - planes[at - step]
@@ -496,6 +491,11 @@ def load_sizes(samples: Samples) -> np.ndarray:
 def norms(fields: np.ndarray) -> np.ndarray:
     """Norm of each of S fields, shape [S, ...] to [S]."""
     return np.asarray(np.linalg.norm(fields.reshape(len(fields), -1), axis=1))
+
+
+def relative(off: np.ndarray, whole: np.ndarray) -> float:
+    """Norm of all numbers of one array over that of another."""
+    return float(np.linalg.norm(off) / np.linalg.norm(whole))
 
 
 def sizes(fields: np.ndarray, inside: np.ndarray) -> np.ndarray:
@@ -531,10 +531,9 @@ def without_noise(R: np.ndarray, y: np.ndarray, noise: np.ndarray) -> tuple[np.n
     left, size, right = left[:, kept], size[kept], right[kept]
     root, axes = np.linalg.svd((noise @ right.T) / size)[1:]
     share = np.pad(root**2, (0, len(axes) - len(root)))
-    along = axes @ (left.T @ y)
     known = 1 - share > KNOWN
     gain = np.sqrt(1 - share[known])
     form = gain[:, None] * (axes[known] * size) @ right
-    along = along[known] / gain
+    along = (axes @ (left.T @ y))[known] / gain
     rest = np.sqrt(max(0.0, float(y @ y - along @ along)))  # a constant: no weight in the minimum
     return np.vstack([form, np.zeros(R.shape[1])]), np.append(along, rest)

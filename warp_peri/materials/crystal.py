@@ -24,6 +24,7 @@ from warp_peri.core.proof import StencilCertificate, check_spacing, largest, pro
 from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.core.stencil import Stencil, elastic_from_brackets
 from warp_peri.errors import InputError, Rows, warn
+from warp_peri.fitting.regression import norms
 from warp_peri.points.arguments import (
     USUAL,
     Units,
@@ -111,7 +112,7 @@ class TensorOperator(OperatorBase):
             np.einsum("sni,snj->ij", weights, both - fields[:, ahead] - fields[:, behind])
             for ahead, behind in zip(ends[:H], ends[H:])
         ])  # fmt: skip
-        return np.asarray((found + found.transpose(0, 2, 1)) / 2)
+        return np.asarray((found + found.mT) / 2)
 
     @cached_property
     def ends(self) -> np.ndarray:
@@ -193,7 +194,7 @@ class StencilMaterial(Record):
         """Symbol D(k) = 2 Σ_half C(ξ)(1 − cos k·ξ) (T2) at wave vectors k [..., d]; [..., d, d]."""
         k = np.asarray(k, dtype=float)
         D = self.stencil.symbol(k.reshape(-1, self.dimension) * self.stencil.spacing)
-        return np.asarray(D.reshape(*k.shape, self.dimension))
+        return D.reshape(*k.shape, self.dimension)
 
     def tensor(self) -> np.ndarray:
         """Elastic tensor C_ijkl of long waves along the nodes' axes [stress], [d, d, d, d] (T4)."""
@@ -291,7 +292,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         both = {tuple(step) for step in np.concatenate([whole, -whole]).tolist()}
         if (whole != steps).any() or len(both) != 2 * len(whole) or not whole.any(axis=1).all():
             raise InputError("steps: expected whole numbers, one of ξ and −ξ, each once and not 0")
-        both_ways = (tensors + tensors.transpose(0, 2, 1)) / 2
+        both_ways = (tensors + tensors.mT) / 2
         if np.abs(tensors - both_ways).max() > BROKEN * np.abs(tensors).max():
             raise InputError("tensors: expected symmetric matrices")
         set_ = object.__setattr__
@@ -313,7 +314,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
     @property
     def horizon(self) -> float:
         """Length of the longest bond."""
-        return self.spacing * float(np.sqrt((self.steps**2).sum(axis=1).max()))
+        return self.spacing * float(norms(self.steps).max())
 
     @property
     def group(self) -> np.ndarray:
@@ -328,7 +329,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
     def moduli(self, unit: str | None = None) -> dict[str, float]:
         """Nonzero elastic constants by name in the crystal's own axes, as C11, C12, C44 of a cubic
         one; in the plane C44 is the shear modulus."""
-        own = elastic.turned(self.tensor(), np.asarray(self.orientation).T)
+        own = elastic.turned(self.tensor(), self.orientation.T)
         return elastic.named_moduli(own * self._stress(unit))
 
     def rows(self) -> Rows:
@@ -365,7 +366,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         if isotropic or nodes.dimension != self.dimension:
             return nodes
         d, axes, stated = self.dimension, lattice_steps(nodes)[1], nodes.axis is not None
-        same = np.asarray(self.orientation) @ point_group(self.symmetry, d)
+        same = self.orientation @ point_group(self.symmetry, d)
         there = axes.T @ checked_orientation(nodes.axis, d)
         off = np.abs(same - there).max(axis=(1, 2)).min() > SAME_AXIS
         if off and stated:

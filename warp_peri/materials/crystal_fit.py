@@ -34,6 +34,7 @@ from warp_peri.fitting.regression import (
     Numbers,
     Settled,
     compressed,
+    norms,
     over_loads,
     particular,
     rows,
@@ -105,7 +106,7 @@ class Tensors:
             raise InputError(
                 f"moduli: expected a stable crystal, got a sound wave of stiffness {soft:.3g}"
             )
-        said = np.linalg.norm(A, axis=1) > NOTHING
+        said = norms(A) > NOTHING
         A, a = np.pad(A[said], [(0, 0), (0, R.shape[1] - count)]), a[said]
         start, free = particular(A, a)
         if np.abs(A @ start - a).max(initial=0.0) > TOLD * np.abs(a).max(initial=1e-300):
@@ -304,7 +305,7 @@ def fit_phonons(
     """
     d, turn = atoms.dimension, checked_orientation(orientation, atoms.dimension)
     length, stress = factors(units, USUAL)
-    name: Symmetry = name_of(atoms.group()) if str(symmetry) == "auto" else symmetry
+    name = name_of(atoms.group()) if str(symmetry) == "auto" else symmetry
     cell = (atoms.volume / (atoms.thickness or 1.0)) ** (1 / d)
     if not 1 / FAR < spacing * length / cell < FAR:
         raise InputError(

@@ -21,6 +21,7 @@ from warp_peri.core.proof import largest
 from warp_peri.core.record import FieldUnits, Length, Record, read_json
 from warp_peri.core.stencil import half_ball
 from warp_peri.errors import InputError, Rows
+from warp_peri.fitting.regression import norms
 from warp_peri.fitting.result import Fit
 from warp_peri.materials.crystal_fit import one_set
 from warp_peri.points.arguments import USUAL, Numbers, Positive, Units, check_same, checked, typed
@@ -234,7 +235,7 @@ class Density:
         operator, names = material.on(points), list(material.parameters)
         by_force = self.loss == "forces"
         right = (given.loads if by_force else given.u)[:, inside]
-        size = np.linalg.norm(right.reshape(len(right), -1), axis=1)[:, None, None]
+        size = norms(right)[:, None, None]
         if not (size > 0).all():
             raise InputError(f"samples: expected some that are not zero, got {int(size.argmin())}")
         scale = np.array([abs(value) or 1.0 for value in material.parameters.values()])

@@ -10,11 +10,10 @@ A model keeps the polynomial (60) of it, so that files, certificates and solves 
 from __future__ import annotations
 
 import copy
-import dataclasses
 import functools
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -109,7 +108,7 @@ class InfluenceFunction:
             part = vector[first : first + np.size(value)]
             values[name] = part if np.ndim(value) else part[0]
             first += np.size(value)
-        return dataclasses.replace(self, parameters=values)
+        return replace(self, parameters=values)
 
     def __call__(self, r: ArrayLike) -> np.ndarray:
         """Values of K at the distances r [Å], of the shape of r."""

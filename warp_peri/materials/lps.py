@@ -442,7 +442,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         """Constants, lattices and errors of the model as plain values."""
         names = ("mu", "E", "nu", "alpha", "degree", "horizon", "errors", "versions")
         lists = ("units", "trained_on", "certified_on")
-        found: dict[str, Any] = {"format": "model", "lambda": self.lam}
+        found = {"format": "model", "lambda": self.lam}
         found |= {name: getattr(self, name) for name in names}
         return found | {name: list(getattr(self, name)) for name in lists}
 
@@ -513,7 +513,7 @@ def stencil_of(classes: BondClasses, v: np.ndarray, kappa: float) -> Stencil:
     tensors = C.reshape(-1, d, d)
     half = np.arange(len(steps)) > len(steps) // 2
     kept = half & (np.abs(tensors).max(axis=(1, 2)) > NOTHING * np.abs(tensors[half]).max())
-    both = (tensors + tensors.transpose(0, 2, 1)) / 2
+    both = (tensors + tensors.mT) / 2
     return Stencil(classes.spacing, steps[kept], both[kept])
 
 

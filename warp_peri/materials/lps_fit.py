@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
 from typing import Any, Literal
@@ -187,7 +186,7 @@ class Learner:
         self.lattices = [one.classes for one in self.products]
         self.stiffness = stiffness_of(sets, law.horizon)
         self.zeta = law.conditions.zeta or RELATIVE_ZETA * self.stiffness
-        self.conditions = dataclasses.replace(law.conditions, zeta=self.zeta)
+        self.conditions = replace(law.conditions, zeta=self.zeta)
         self.flat = sets[0].points.dimension == 2
         self.disable = None if progress is None else not progress
         self.history: list[Stage] = []
@@ -214,7 +213,7 @@ class Learner:
             if loss != "residual" and self.noise:
                 weight = sum(weight for _, weight in of)
                 R, y = without_noise(R, y, np.sqrt(weight) * self._noise[number])
-            found.append(dataclasses.replace(of[0][0], R=R, y=y))
+            found.append(replace(of[0][0], R=R, y=y))
         return found
 
     def model(self, found: LPSFound) -> LPSMaterial:
@@ -255,8 +254,8 @@ class Learner:
                 misfit = partial(fit_output_error, self, final, asked)
                 final = self.run("4 output error", misfit)
         left = self.check(final, choice.name)
-        done = dataclasses.replace(law, kernel=kernel, method=asked, conditions=self.conditions)
-        return dataclasses.replace(self.certified(final, done, choice), left=left)
+        done = replace(law, kernel=kernel, method=asked, conditions=self.conditions)
+        return replace(self.certified(final, done, choice), left=left)
 
     def plain(self, kernel: Kernel) -> dict[str, LPSFound]:
         """Starts of the search by name: plain kernels, or the functions given."""
@@ -351,12 +350,12 @@ class Learner:
 
     def hold(self, method: GaussNewton, start: LPSFound) -> GaussNewton:
         """Set the method to hold the long-wave moduli if asked and a free fit misses them."""
-        free = dataclasses.replace(method, moduli=method.held)
+        free = replace(method, moduli=method.held)
         if method.moduli != LONG_WAVES or self.noise or not self.flat:
             return free
         try:
             waves = lame_of_long_waves(self.sets)
-            held = dataclasses.replace(method, moduli=(waves.lam, waves.mu))
+            held = replace(method, moduli=(waves.lam, waves.mu))
             alone = self.optimum(start, free)
             model = self.model(alone)
             own = [moduli(model, classes) for classes in self.lattices]
@@ -467,7 +466,7 @@ class Learner:
         if self.degrees:
             errors = {f"{M}": error for M, error in self.degrees.items()}
             provenance["degree"] = {"error on loads left out": errors}
-        model = dataclasses.replace(
+        model = replace(
             bare,
             trained_on=tuple(points.spacing for points in sets),
             certified_on=tuple(proof.spacing for proof in good),

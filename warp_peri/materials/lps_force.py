@@ -24,7 +24,7 @@ from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.influence import BLOCK, influence
 from warp_peri.kernels.lps import LANES, Balls, Sums, by_influence, stiffnesses, struct, sweeps
 from warp_peri.points.families import DEGREE, families_of
-from warp_peri.points.points import PointsLike, nodes_of
+from warp_peri.points.points import PointsLike, nearest, nodes_of
 from warp_peri.runtime import (
     DEVICE,
     SLICE,
@@ -119,9 +119,7 @@ class Bonds:
             kind = np.tile(families.lattice.bond_class, self.nodes)
             return owner, end, np.tile(families.pattern, (self.nodes, 1)), kind
         xi = points.x[np.where(end < 0, -1 - end, end)] - points.x[owner]
-        if points.box is not None:  # the nearest images
-            xi -= points.box * np.rint(xi / points.box)
-        return owner, end, xi, np.arange(len(end))
+        return owner, end, nearest(xi, points.box), np.arange(len(end))
 
     @cached_property
     def layout(self) -> Layout:
@@ -133,7 +131,7 @@ class Bonds:
         families, (owner, end, xi, kind) = self.families, self.listing
         nodes, needed = np.arange(self.nodes), np.append(families.whole, families.cut)
         places = {"needed": needed, "whole": needed, "forces": families.rows, "nodes": nodes}
-        of: dict[str | None, Any] = dict.fromkeys((None, "laid", "back"), nodes[:0])
+        of = dict.fromkeys((None, "laid", "back"), nodes[:0])
         pieces = {n: _pieces(np.sort(at), np.arange(len(at)), 1) for n, at in (of | places).items()}
         back = families.reverse
         if families.lattice is not None:
@@ -180,7 +178,7 @@ class Bonds:
         row, needed = np.full(self.nodes + 1, -1), np.zeros(self.nodes + 1, bool)
         row[families.rows], needed[families.whole] = np.arange(len(families.rows)), True
         laid, back = np.flatnonzero(node < self.nodes), np.flatnonzero(row[node] >= 0)
-        of: dict[str | None, Any] = {
+        of = {
             None: (laid[:0],),
             "laid": (laid, node[laid]),
             "needed": (np.flatnonzero(needed[node] & seen),),
@@ -219,7 +217,7 @@ class Bonds:
             for _ in range(pieces)
         ]
         binomials = floats(comb(terms - 1, np.arange(terms))[None], vector)
-        inputs: Any = [wp.float64(self.horizon), binomials, floats(r), floats(log_r)]
+        inputs = [wp.float64(self.horizon), binomials, floats(r), floats(log_r)]
         kernel, K = influence(terms), empty(len(r), dtype=wp.float64)
         if not taped:
             launch_slices(kernel, count, [*inputs, *given[0]], (K,), weight=BLOCK)
@@ -229,7 +227,7 @@ class Bonds:
 
         def back(n: int) -> None:
             first, last = (count * end // pieces for end in (n, n + 1))
-            tape: Any = wp.Tape()
+            tape = wp.Tape()
             tape.record_launch(kernel, last - first, 0, [first, *inputs, *given[n]], [K], DEVICE)
             tape.backward()
 
@@ -385,7 +383,7 @@ class Law:
         except IndexError:
             known, last = [floats(one).__ctype__() for one in fields], of
             ends = [type(one).from_buffer_copy(one) for one in known]
-            nodes: list[Any] = [bonds.layout.pieces[name] for name in pieces]
+            nodes = [bonds.layout.pieces[name] for name in pieces]
             work = sum(map(len, nodes)) * samples * max(1, self.kernels.lanes // FASTER)
             shared = Shared(self.kernels.swept, (*nodes, of, None), 3 * (None,), 3, work, stay)
             for place, end in enumerate(ends, 4):

@@ -207,7 +207,7 @@ def product_basis(classes: BondClasses) -> Basis:
     at = place[tuple((x[first] + x[second] + far).T)]
     first, second, at = first[at >= 0], second[at >= 0], at[at >= 0]
     across = d**2 * h**4 * x[first][:, :, None] * x[second][:, None]
-    across = (across + across.transpose(0, 2, 1)) / 2
+    across = (across + across.mT) / 2
     np.add.at(tensors, (column[of[first], of[second]], at), across)
     used = tensors.any(axis=(0, 2, 3))
     return Basis(steps[used], tensors[:, used])
@@ -324,7 +324,7 @@ class BernsteinKernel:
 
     def tables(self, q: np.ndarray) -> list[np.ndarray]:
         """K W of the kernel on each lattice, shape [..., C]."""
-        alpha: Any = q[..., -1:] if self.free_alpha else self.alpha
+        alpha = q[..., -1:] if self.free_alpha else self.alpha
         # Constraints bound α; on its way a search may look where r^(−α) overflows.
         alpha = alpha - alpha.real + np.clip(alpha.real, *ALPHA_IN_SIGHT)
         return [

@@ -217,7 +217,7 @@ class LPSOperator(OperatorBase):
                 u = np.zeros((len(planes), *self.shape))
                 flat = planes[(slice(None), slice(None), *grid.core)] if grid.periodic else planes
                 flat = flat.reshape(*planes.shape[:2], -1)[:, :, grid.place]
-                u[:, grid.near] = flat.transpose(0, 2, 1) @ grid.axes.T
+                u[:, grid.near] = flat.mT @ grid.axes.T
                 return np.stack([grid.scatter_interior(one) for one in self.force(u)])
 
             linear.pull = pull
@@ -447,5 +447,5 @@ def node_fields(model: LPSMaterial, points: PointsLike, u: ArrayLike) -> NodeFie
         stress += (c2 * mu / m)[:, None, None] * total((sheared * along)[:, None, None] * outer)
         gradient = total(eta[:, :, None] * xi[:, None, :]) @ inverse
         energy = ((lam - mu) * theta**2 + c2 * mu / m * total(sheared * along**2)) / 2
-        parts.append((stress, (gradient + gradient.transpose(0, 2, 1)) / 2, theta, energy))
+        parts.append((stress, (gradient + gradient.mT) / 2, theta, energy))
     return NodeFields(*(np.stack(part) for part in zip(*parts)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import replace
@@ -19,7 +18,7 @@ from warp_peri.errors import InputError
 from warp_peri.files.atomic import locked
 from warp_peri.files.checkpoint import ArrayFile, fingerprint
 from warp_peri.fitting.augmented_lagrangian import Tick, adam, as_printed, printed_state
-from warp_peri.fitting.regression import LatticeRows, compressed, forces
+from warp_peri.fitting.regression import LatticeRows, compressed, forces, norms
 from warp_peri.materials.lps import LPSMaterial, LPSParameters, bernstein_basis
 from warp_peri.materials.lps_force import Bonds, assemble
 from warp_peri.materials.lps_law import (
@@ -85,9 +84,8 @@ class Variables:
     def __init__(self, start: LPSParameters, unit: float, *, positive: bool = False) -> None:
         self.unit, self.positive = unit, positive
         values = start.lam / unit, start.mu / unit, start.alpha, start.D
-        self.leaves = [torch.tensor(value, dtype=torch.float64) for value in values]
-        for leaf in self.leaves:
-            leaf.requires_grad_()
+        how: Any = {"dtype": torch.float64, "requires_grad": True}
+        self.leaves = [torch.tensor(value, **how) for value in values]
 
     def bounded(self) -> list[torch.Tensor]:
         """Parameters λ, μ, α and D within their bounds, as the loss sees them."""
@@ -336,7 +334,7 @@ class CollarResponse:
 
 def _over(name: str, fields: np.ndarray, where: str) -> np.ndarray:
     """Weights 1/‖·‖ of each of S fields, over √S, shape [S]; InputError for one that is zero."""
-    size = np.linalg.norm(fields, axis=1)
+    size = norms(fields)
     if not (size > 0).all():
         raise InputError(f"{name}: sample {int(np.argmin(size))} is zero {where}")
     return np.asarray(1 / (size * np.sqrt(len(size))))
@@ -350,7 +348,7 @@ def _projection(x: np.ndarray, k: np.ndarray, b: np.ndarray) -> np.ndarray:
     onto = np.linalg.pinv(waves)  # waves that vanish, where k has a zero, get amplitude zero
     B = onto @ b
     best = max(parities, key=lambda p: float(np.hypot(B[p[0], 0], B[p[1], 1])))
-    return np.asarray(onto[list(best)])
+    return onto[list(best)]
 
 
 def fit_output_error(learner: Any, start: LPSFound, method: GaussNewton, tick: Tick) -> LPSFound:
@@ -388,4 +386,4 @@ def fit_output_error(learner: Any, start: LPSFound, method: GaussNewton, tick: T
             f"stage 4: ended with a margin of {best.margin:.1e}, and moduli to be held "
             f"missed by {best.departure:.1e}"
         )
-    return dataclasses.replace(best, losses=losses)
+    return replace(best, losses=losses)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, cast
 
 import joblib
 import numpy as np
@@ -130,7 +129,7 @@ def sweep(
             raise InputError("train, val: expected loads inside, by which errors are divided")
     files = {}
     for horizon, degree in itertools.product(horizons, degrees):
-        trial = dataclasses.replace(law, horizon=horizon, kernel=Bernstein(degree))
+        trial = replace(law, horizon=horizon, kernel=Bernstein(degree))
         key = fingerprint(trial, sets, noise)
         files[Path(folder) / f"d{horizon:g}_M{degree}_{key[:12]}.model.json"] = trial, key
     with locked(folder):
@@ -138,7 +137,7 @@ def sweep(
         todo = [file for file in files if found[file] is None]
         work = (joblib.delayed(_fit)(*files[file], sets, noise, file) for file in todo)
         failures = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(work)
-        about: Any = {"total": len(files), "initial": len(files) - len(todo), "unit": "fit"}
+        about = {"total": len(files), "initial": len(files) - len(todo), "unit": "fit"}
         for failure in sorted(filter(None, tqdm(failures, **about, disable=not progress))):
             warn(f"sweep: {failure}; the other fits go on")
         found |= {file: _read(file, train.spacing, files[file][1]) for file in todo}
@@ -175,7 +174,7 @@ def _fit(law: LPS, key: str, sets: dict[str, Samples], noise: Samples | None, fi
     returns the failure where no optimum is found."""
     state, train, kernel = file.with_suffix(".h5"), sets["train"], cast(Bernstein, law.kernel)
     if isinstance(law.method, TwoStage):
-        law = dataclasses.replace(law, method=dataclasses.replace(law.method, checkpoint=state))
+        law = replace(law, method=replace(law.method, checkpoint=state))
     try:
         model = law.learn(train, noise=noise, progress=False).material
     except RuntimeError as error:
@@ -183,9 +182,9 @@ def _fit(law: LPS, key: str, sets: dict[str, Samples], noise: Samples | None, fi
         return f"δ = {law.horizon:g} {unit}, M = {kernel.degree}: {error}"
     tables = {name: evaluate(model, one, allow_uncertified=True) for name, one in sets.items()}
     errors = {kind: {name: table[kind] for name, table in tables.items()} for kind in ERRORS}
-    model = dataclasses.replace(model, errors=errors)
+    model = replace(model, errors=errors)
     provenance = model.provenance | {"sweep": _mark(model, key)}
-    dataclasses.replace(model, provenance=provenance).save(file)
+    replace(model, provenance=provenance).save(file)
     if isinstance(law.method, TwoStage):
         state.unlink(missing_ok=True)
     return ""

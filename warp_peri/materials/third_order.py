@@ -27,7 +27,7 @@ from warp_peri.core.record import Length, OnLinear, Stress
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, Rows, warn
 from warp_peri.fitting.long_waves import long_wave_moduli, long_wave_rows, moduli_of
-from warp_peri.fitting.regression import Settled, load_sizes, norms, rows, swept
+from warp_peri.fitting.regression import Settled, load_sizes, norms, relative, rows, swept
 from warp_peri.fitting.result import Fit
 from warp_peri.materials.certificate import prove_uniqueness
 from warp_peri.materials.crystal import CrystalMaterial
@@ -94,7 +94,7 @@ class Smoothing:
     def root(self, k: np.ndarray) -> np.ndarray:
         """√((1 + ρ) ω̂²/(ω̂² + ρ)), the root of inverse times transform (N23)."""
         square = self.transform(k) ** 2
-        return np.asarray(np.sqrt((1 + self.ridge) * square / (square + self.ridge)))
+        return np.sqrt((1 + self.ridge) * square / (square + self.ridge))
 
     def weights(
         self, classes: BondClasses, form: str = "filtered"
@@ -434,8 +434,7 @@ class ThirdOrder:
             )
         history = record | {"largest_gradient": largest, "seconds": time.perf_counter() - begin}
         errors = {"E_res": float((left / learning.size).mean())}
-        whole = float(np.linalg.norm(left) / np.linalg.norm(b))
-        return Fit(law, linear.certificate, errors, history, left=whole)
+        return Fit(law, linear.certificate, errors, history, left=relative(left, b))
 
 
 class Learning:
@@ -498,5 +497,4 @@ class Learning:
         guess = long_wave_moduli(samples, allowed)[0]
         start = np.linalg.lstsq(allowed.reshape(len(allowed), -1).T, guess.ravel())[0]
         c = root(change, start, tol=SETTLED).x
-        misfit = np.linalg.norm(left(c)) / np.linalg.norm(right)
-        return np.tensordot(c, allowed, 1), float(misfit)
+        return np.tensordot(c, allowed, 1), relative(left(c), right)

@@ -13,7 +13,7 @@ from warp_peri.core.elastic import directions, lattice_group, orbit_grid
 from warp_peri.core.proof import certify
 from warp_peri.core.stencil import Basis
 from warp_peri.errors import InputError, warn
-from warp_peri.fitting.regression import LatticeRows, compressed
+from warp_peri.fitting.regression import LatticeRows, compressed, norms
 from warp_peri.materials.certificate import with_proof
 from warp_peri.materials.lps import LPSMaterial, LPSParameters
 from warp_peri.materials.lps_law import (
@@ -52,7 +52,7 @@ def wave_rows(
     blocks = (
         (size[:, None] * directions(WAVES, d), 1.0),
         (LONGEST * directions(LONG_WAVES, d), np.sqrt(LONG_WEIGHT)),
-        (grid[np.linalg.norm(grid, axis=1) > largest_wave], ZONE_WEIGHT),
+        (grid[norms(grid) > largest_wave], ZONE_WEIGHT),
     )
     phase = np.concatenate([waves for waves, _ in blocks])
     each = [np.full(len(waves), weight / max(len(waves), 1) ** 0.5) for waves, weight in blocks]
@@ -149,7 +149,7 @@ def _transferred(model: LPSMaterial, spacing: float, largest_horizon: float | No
     home = min(model.certified_on, key=lambda h: abs(np.log(h / spacing)))
     largest = model.largest_wave_number or SHARE * np.pi / min(model.certified_on)
     band = min(largest, SHARE * np.pi / home, SHARE * np.pi / spacing)
-    found: dict[float, LPSMaterial] = {}
+    found = {}
     for last in _horizons(spacing, largest_horizon, unit):
         if (one := _fitted(model, home, spacing, last, band)) is not None:
             found[float(_errors(one, spacing, model, home, band / 2).max())] = one

@@ -36,7 +36,7 @@ from warp_peri.points.points import PointsLike, Samples, nodes_of
 
 def network(*widths: int) -> torch.nn.Sequential:
     """Make a network of linear layers with rectifiers between them."""
-    layers: list[torch.nn.Module] = []
+    layers = []
     for width, following in itertools.pairwise(widths):
         layers += [torch.nn.Linear(width, following), torch.nn.ReLU()]
     return torch.nn.Sequential(*layers[:-1])

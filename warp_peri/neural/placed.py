@@ -235,7 +235,7 @@ class Placed(OperatorBase):
 
     def _pull(self, tension: torch.Tensor, M: torch.Tensor) -> torch.Tensor:
         """Sum the force states of both ends along the interior nodes' bonds, [S, I, B, 2]."""
-        both: torch.Tensor = tension[:, self.forward] + tension[:, self.back]
+        both = tension[:, self.forward] + tension[:, self.back]
         return both[..., None] * M
 
     def force_of(self, tension: torch.Tensor, M: torch.Tensor) -> torch.Tensor:

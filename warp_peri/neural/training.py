@@ -15,6 +15,7 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError, StrPath
 from warp_peri.files.checkpoint import ArrayFile, fingerprint
+from warp_peri.fitting.regression import norms
 from warp_peri.neural.placed import CELLS, SOLVED, EquilibriumSolver, affine, interpolated_force
 from warp_peri.points.arguments import Bound, Count, Natural, Positive, typed
 from warp_peri.points.points import Samples
@@ -43,7 +44,7 @@ class Frames:
         self.inside, self.search = samples.interior, EquilibriumSolver(self.placed)
         self.start = np.stack([affine(samples, u) for u in samples.u])
         self.seen = samples.u[:, self.inside]
-        self.sizes = np.linalg.norm(self.seen.reshape(len(self.seen), -1), axis=1)
+        self.sizes = norms(self.seen)
         if not (self.sizes > 0).all():
             raise InputError("u: expected every frame displaced inside; (NO8) divides by it")
         self.state = samples.u.copy()
@@ -280,7 +281,7 @@ class _Run:
 
     def save(self, file: ArrayFile) -> None:
         """Write a checkpoint."""
-        state: dict[str, Any] = {"scale": self.material.scale, "adam": self.adam.state_dict()}
+        state = {"scale": self.material.scale, "adam": self.adam.state_dict()}
         state |= {"material": self.material.state_dict()}
         state |= {"random": self.random.get_state(), "history": asdict(self.history)}
         state |= {"least": self.least, "kept": self.kept}

@@ -197,7 +197,7 @@ class Prediction(Shown):
     def guarantee(self) -> ErrorBound | None:
         """Proven bound of the distance from the rich member's solution, or None (Q9)."""
         placed, u = self.operator, self.u
-        operator: Any = placed.rich
+        operator = placed.rich
         points, inside = placed.points, placed.points.interior
         if not points.is_open_lattice:
             return None
@@ -280,7 +280,7 @@ def strain(points: PointsLike, at: ArrayLike) -> Measure:
 
     def of(u: np.ndarray) -> np.ndarray:
         slope = (u[after] - u[before]) / (2 * nodes.spacing)
-        return np.asarray((slope + slope.swapaxes(-1, -2)) / 2)
+        return np.asarray((slope + slope.mT) / 2)
 
     return of
 
@@ -290,7 +290,7 @@ def stress(placed: EnsembleOperator, at: ArrayLike) -> Measure:
     """Make a measure of the rich member's stress at the interior nodes nearest to `at`."""
     inside = placed.points.x[placed.points.interior]
     nodes = cKDTree(inside).query(checked("at", at, float, ("m", inside.shape[1])))[1]
-    return lambda u: np.asarray(placed.rich.stress(u))[nodes]
+    return lambda u: placed.rich.stress(u)[nodes]
 
 
 @typed

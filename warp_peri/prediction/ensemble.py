@@ -240,17 +240,17 @@ class EnsembleOperator:
 
 def quadratic_stresses(H: np.ndarray) -> np.ndarray:
     """Isotropic stresses, 7 in all, that are quadratic in H = ∇u [..., d, d], [7, ..., d, d]."""
-    E, one = (H + H.swapaxes(-1, -2)) / 2, np.eye(H.shape[-1])
+    E, one = (H + H.mT) / 2, np.eye(H.shape[-1])
     W, trace = H - E, np.trace(E, axis1=-2, axis2=-1)[..., None, None]
     squares = ((F * F).sum(axis=(-1, -2))[..., None, None] * one for F in (E, W))
-    mixed = (H @ H.swapaxes(-1, -2), E @ W - W @ E)
+    mixed = (H @ H.mT, E @ W - W @ E)
     return np.stack([trace**2 * one, *squares, trace * E, E @ E, *mixed])
 
 
 def second_order(grid: Grid, spacing: float, u: np.ndarray) -> np.ndarray:
     """Forces of the quadratic stresses of u [S, N, d], by lattice differences, [7, S, I, d]."""
     axes = tuple(range(2, 2 + grid.dimension))
-    crop: tuple[Any, ...] = (..., *grid.core) if grid.periodic else (...,)
+    crop = (..., *grid.core) if grid.periodic else (...,)
 
     def slopes(planes: np.ndarray) -> np.ndarray:
         return np.stack(np.gradient(planes, spacing, axis=axes), axis=-1)
@@ -397,7 +397,7 @@ def poorer(law: Any) -> Any:
     inner = getattr(law, "linear", law)
     if not hasattr(inner, "horizon"):
         raise InputError("second: expected a model, as none with a shorter horizon is known")
-    changes: dict[str, Any] = {"horizon": SHRUNK * inner.horizon}
+    changes = {"horizon": SHRUNK * inner.horizon}
     degree = getattr(getattr(inner, "kernel", None), "degree", None)
     if degree is not None:
         changes["kernel"] = replace(inner.kernel, degree=max(1, round(POORER * degree)))

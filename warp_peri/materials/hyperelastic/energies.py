@@ -58,7 +58,7 @@ class Strain:
 def _exponential(x: torch.Tensor, k2: Any) -> torch.Tensor:
     """(exp(k2 x²) − 1) / (2 k2), or its limit."""
     y = x * x
-    large: torch.Tensor = torch.expm1(k2 * y) / (2 * k2 or 1)
+    large = torch.expm1(k2 * y) / (2 * k2 or 1)
     return large if k2 > LEAST_EXPONENT else y / 2 + k2 * y * y / 4
 
 

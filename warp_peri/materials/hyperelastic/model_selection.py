@@ -118,7 +118,7 @@ def select_model(
     kinds["Yeoh"] = (matrix, *(EnergyTerm("yeoh", exponent=p) for p in (2.0, 3.0)))
     if fibres:
         kinds["families of fibres"] = (matrix, *fibre_fan(max(fibres, DIRECTIONS), (2.0, 4.0)))
-    tried: list[Candidate] = []
+    tried = []
     for degree in (0, UNEVEN) if uneven else (0,):
         for kind, terms in kinds.items():
             name = f"{kind}, heterogeneous" if degree else kind

@@ -173,7 +173,7 @@ class HyperelasticSheetOperator(Swept):
     def _stored(self, sites: Sites, each: Any, q: torch.Tensor) -> torch.Tensor:
         """Energy of every site over h², shape [n, S]."""
         E = Strain(q)
-        total: Any = sum(e.share(E) for e in each)
+        total = sum(e.share(E) for e in each)
         if self.thickness is not None:
             total = torch.from_numpy(self.thickness[sites.pair].mean(axis=0)[:, None]) * total
         return torch.as_tensor(total)
@@ -281,7 +281,7 @@ class HyperelasticSheetOperator(Swept):
         with torch.enable_grad(), one_thread(3 * len(self.points.x) < FEW):
             Y, tension, curves = self._curved(plain("u", u)[None])
         inner, both = self.lattice.ends[self.interior], zip(Y[..., 0].T, np.eye(2)[:, None])
-        by_u: Any = sum(sp.kron(sp.diags_array(y) @ inner.T, axis) for y, axis in both)
+        by_u = sum(sp.kron(sp.diags_array(y) @ inner.T, axis) for y, axis in both)
         blocks = ([[sp.diags_array(h) for h in row] for row in H[..., 0]] for H in curves)
         H = sp.block_diag([sp.block_array(each) for each in blocks], format="csr")
         B = sp.vstack([sites.S for sites, _ in self.active], format="csr") @ by_u.tocsr()
@@ -305,7 +305,7 @@ class HyperelasticSheetOperator(Swept):
             of_flat = lambda p: apply(p.reshape(-1, 2)).ravel()  # noqa: E731
             return LinearOperator((size, size), of_flat, dtype=float)
 
-        ends: Any = {"v0": lanczos_start(size), "return_eigenvectors": False}
+        ends = {"v0": lanczos_start(size), "return_eigenvectors": False}
         K, Minv = flat(lambda p: self.jvp(u, self.on_all(p))), flat(self.rough)
         L = sp.kron(self.lattice.laplacian[:, self.interior], sp.eye(2)).tocsr()
         found = eigsh(K, 1, L, which="SA", Minv=Minv, tol=1e-2, maxiter=2000, **ends)
@@ -348,7 +348,7 @@ class HyperelasticSheetOperator(Swept):
 
     def by_numbers(self, name: str, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Derivatives of Σ w · force(u) by the coefficients [K], for fields [S, N, 2]."""
-        return np.asarray(np.tensordot(w, self.features(u), w.ndim))
+        return np.tensordot(w, self.features(u), w.ndim)
 
     def stress(self, u: ArrayLike) -> np.ndarray:
         """First Piola stress P = ½ Σ t (ξ + η)⊗ξ of a node's bonds, (H16), shape [..., I, 2, 2], of

@@ -13,7 +13,7 @@ from scipy.optimize import lsq_linear
 from tqdm import tqdm
 
 from warp_peri.errors import InputError, warn
-from warp_peri.fitting.regression import compressed
+from warp_peri.fitting.regression import compressed, relative
 from warp_peri.materials.hyperelastic.energies import NEAREST, EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.fibres import (
     ThicknessField,
@@ -208,7 +208,7 @@ class Search:
                 "without loads at all, leave b out"
             )
         self.weight = seen / size[:, None]
-        pull: Any = samples.arrays.get(PULL, np.full((len(samples), 2), np.nan))
+        pull = samples.arrays.get(PULL, np.full((len(samples), 2), np.nan))
         pull = checked(PULL, pull, float, (len(samples), 2), np.equal(pull, pull))
         self.pulled = np.argwhere(~np.isnan(pull) & (not self.by_load))
         self.pull = pull[tuple(self.pulled.T)]
@@ -230,7 +230,7 @@ class Search:
         size = float(self.measure @ c)
         if not size > 0:
             raise InputError("coefficients: expected an initial stiffness > 0")
-        return np.asarray(c / size)
+        return c / size
 
     def begun(self, start: Any) -> Place:
         """State to begin with, its coefficients kept to their bounds: of a fit, of coefficients, or
@@ -288,7 +288,7 @@ class Search:
             right.append(A[-1] @ (length * x))
         bounds = low, np.maximum(high, low + 1e-9)
         within = [bound * length for bound in bounds]
-        how: Any = {"method": "bvls", "max_iter": 10 * len(x)}
+        how = {"method": "bvls", "max_iter": 10 * len(x)}
         x_scaled = lsq_linear(np.concatenate(A), np.concatenate(right), within, **how).x
         found = np.clip(x_scaled / length, *bounds)
         if not self.by_load:
@@ -384,7 +384,7 @@ class Search:
             raise InputError(f"{PULL}: expected a pull with the sign of the sheet's stress")
         scale = float(F @ T) / float(T @ T)
         gaps = np.hypot(scale * np.array([line.std() for line in lines]), scale * T - F)
-        return scale, float(np.linalg.norm(gaps) / np.linalg.norm(F))
+        return scale, relative(gaps, F)
 
 
 INTERPOLATES = 50.0
