@@ -17,11 +17,11 @@ from tests.support import ROOT
 
 BUDGET = {
     "code lines": 18_707,
-    "tokens": 234_133,
-    "lines of warp_peri": 30_052,
+    "tokens": 234_147,
+    "lines of warp_peri": 30_051,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_236,
+    "lines of warp_peri, kernels, examples and tools": 42_235,
     "lines of the longest file": 539,
     "lines of the longest function": 60,
     "parameters of one function": 10,

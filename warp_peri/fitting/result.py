@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_peri.errors import InputError, Rows, Shown
-from warp_peri.fitting.regression import relative
 from warp_peri.points.arguments import LINEAR, offered, shown_moduli
 from warp_peri.points.points import Samples
 from warp_peri.protocols import placed
@@ -118,4 +117,4 @@ def left_by(material: Any, samples: Samples, verb: str) -> tuple[Any, np.ndarray
     loose: dict[str, Any] = {"allow_uncertified": True} if free else {}
     operator = placed(material, samples.points, verb=verb, **loose)
     left = b - operator(samples.u)
-    return operator, left, relative(left, b)
+    return operator, left, float(np.linalg.norm(left) / np.linalg.norm(b))
