@@ -17,7 +17,7 @@ from tests.support import ROOT
 
 BUDGET = {
     "code lines": 18_707,
-    "tokens": 234_147,
+    "tokens": 233_927,
     "lines of warp_peri": 30_051,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
@@ -32,7 +32,7 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2298,
+    "atoms": 2296,
     "cli": 763,
     "core": 1608,
     "face": 1111,
@@ -40,7 +40,7 @@ ROOMS = {
     "files": 472,
     "fitting": 1056,
     "fracture": 1418,
-    "materials": 4522,
+    "materials": 4524,
     "neural": 574,
     "points": 1689,
     "prediction": 575,

@@ -119,7 +119,7 @@ def measured(cell: ase.Atoms, calculator: Any, flat: bool) -> Noise:
     def scatter(values: np.ndarray) -> float:
         return float(np.sqrt(values.var(axis=1, ddof=1).mean()))
 
-    known = bool(np.isfinite(stress).all())
+    known = np.isfinite(stress).all()
     tight = scatter(stress) * np.sqrt(len(many) / len(cell)) * EV_IN_TPA if known else 0.0
     odd = np.subtract(*force.mean(axis=1)) / 2
     stiffness = float(np.sqrt(np.mean(odd**2) / np.mean(u**2)))
@@ -202,7 +202,7 @@ class Symmetric(Supercell):
         of the crystal's stress (Huang's relations).
         """
         atoms, held = self.pairs, np.zeros((3, 3))
-        furthest = float(norms(atoms.vectors).max())
+        furthest = norms(atoms.vectors).max()
         if atoms.stress is not None:
             held[: atoms.dimension, : atoms.dimension] = atoms.stress / EV_IN_TPA
 
@@ -262,11 +262,11 @@ def rattled(
     kept = sizes > NONE * sizes[0]
     way = V[kept].T / sizes[kept]
     z = way @ (U.T[kept] @ y)
-    error = float(np.linalg.norm(y - X @ z) / np.sqrt(max(len(y) - kept.sum(), 1)))
+    error = np.linalg.norm(y - X @ z) / np.sqrt(max(len(y) - kept.sum(), 1))
     half = short @ z
-    slope = float(half @ less / (half @ half)) - 1
+    slope = half @ less / (half @ half) - 1
     scatter, each = way * error, way[:, :0]
-    bent = slope * z if abs(slope) > TIMES * error / float(np.linalg.norm(half)) else 0 * z
+    bent = slope * z if abs(slope) > TIMES * error / np.linalg.norm(half) else 0 * z
     if noise.rough:  # each number has a slope of its own
         bent = np.linalg.lstsq(short, less, NONE)[0] - z
         both = np.hstack([scatter, free.T * (free @ bent)])

@@ -22,7 +22,6 @@ from warp_peri.core.elastic import (
     brackets_from_elastic,
     compliance,
     directions,
-    name_of,
     named_moduli,
     point_group,
     stress_brackets,
@@ -31,7 +30,7 @@ from warp_peri.core.elastic import (
 from warp_peri.errors import InputError, Rows, Shown, warn
 from warp_peri.fitting.regression import relative
 from warp_peri.materials.crystal import CrystalMaterial
-from warp_peri.materials.crystal_fit import fit_phonons
+from warp_peri.materials.crystal_fit import fit_phonons, symmetry_of
 from warp_peri.materials.transfer import WaveSymbol
 from warp_peri.points.arguments import (
     USUAL,
@@ -144,9 +143,9 @@ class CrystalFit(Shown):
         """Shortest wavelength [Å] with errors within 2 %, or infinite, by material and rival."""
         found = {}
         for name, off in self.wave_errors.items():
-            good = int(np.argmax(np.append(off.max(axis=1), np.inf) > WITHIN))
+            good = np.argmax(np.append(off.max(axis=1), np.inf) > WITHIN)
             length = self.wave_lengths[good - 1] * self.law.spacing
-            found[name] = float(length) if good else float("inf")
+            found[name] = float(length) if good else np.inf
         return found
 
     def directional(self) -> tuple[np.ndarray, np.ndarray]:
@@ -262,10 +261,6 @@ def _allowed(atoms: ForceConstants, symmetry: Symmetry) -> np.ndarray:
     return allowed_tensors(symmetry, point_group(symmetry, d), np.eye(d))
 
 
-def _group(atoms: ForceConstants, symmetry: Symmetry) -> Symmetry:
-    return name_of(atoms.group()) if isinstance(symmetry, str) and symmetry == "auto" else symmetry
-
-
 @typed
 def fit_crystal(
     atoms: ase.Atoms,
@@ -311,12 +306,12 @@ def fit_crystal(
         raise InputError("calculator: expected an ASE calculator, or atoms that have one")
     reference = at_rest(atoms, calculator, thickness=thickness, hold=hold)
     constants, said = force_constants(reference, calculator, supercell)
-    group = _group(constants, symmetry)
+    group = symmetry_of(constants, symmetry)
     constants, strained, taken = with_strains(constants, reference, calculator, group)
     said = reference.said | said | taken
     if strained is not None:
         waves = constants.elastic(_allowed(constants, group))
-        off = float(np.abs(waves - strained).max() / np.abs(strained).max())
+        off = np.abs(waves - strained).max() / np.abs(strained).max()
         if off > AGREE:
             told = (
                 f"those of long waves are {off:.1%} off those of finite strains: forces reach "
@@ -364,7 +359,7 @@ def crystal_from_force_constants(
     """Fit a material to known force constants, as of `from_phonopy`; arguments as of `fit_crystal`.
     Raises InputError for a crystal with imaginary phonons."""
     check_phonons(atoms)
-    group = _group(atoms, symmetry)
+    group = symmetry_of(atoms, symmetry)
     if atoms.doubt is not None:
         allowed = _allowed(atoms, group)
         errors = replace(atoms, cut=None).elastic_doubt(allowed, bent=True)

@@ -430,7 +430,7 @@ def _warn_of_torn(
     longer = np.linalg.norm(apart + moved[near] - moved[:, None], axis=-1) > TORN * length
     usual = np.median(length[:, :3].max(axis=1, initial=0.0))
     bonds = (length > usual / NEAR) & (length < NEAR * usual)  # no atoms above each other
-    if count := int((longer & bonds).any(axis=1).sum()):
+    if count := (longer & bonds).any(axis=1).sum():
         warn(
             f"{path.name}: {count} of {len(x)} atoms are {TORN - 1:.0%} or more further from a "
             "neighbour than without load: the sheet is torn, and no smooth field describes it"

@@ -380,9 +380,9 @@ class Supercell:
         if polar is not None:
             if thickness is not None:
                 raise InputError("BORN: expected a solid; the field of a sheet's ions is another")
-            most = float(np.linalg.eigvalsh(polar.dielectric)[-1]) ** 0.5
-            shortest = float(norms(box).min())
-            polar = replace(polar, decay=polar.decay or 2 * DECAYED * most / shortest)
+            most = np.linalg.eigvalsh(polar.dielectric)[-1] ** 0.5
+            decay = polar.decay or float(2 * DECAYED * most / norms(box).min())
+            polar = replace(polar, decay=decay)
         fraction = self.apart @ np.linalg.inv(box)
         shifts = np.argwhere(np.ones((3, 3, 3))) - 1
         near = ((fraction - np.rint(fraction))[:, :, None] + shifts) @ box

@@ -116,8 +116,8 @@ def _at_rim(
         change = np.abs(forces(moved) - still).max(axis=1)
         if not change.max() > 0:
             raise InputError(LOOSE)
-        rim = max(rim, float(change[far > EDGE * width].max(initial=0.0) / change.max()))
-        none = max(none, TIMES**2 * noise.force / float(change.max()))
+        rim = max(rim, change[far > EDGE * width].max(initial=0.0) / change.max())
+        none = max(none, TIMES**2 * noise.force / change.max())
     return rim, none
 
 
@@ -129,7 +129,7 @@ def check_phonons(atoms: ForceConstants) -> None:
     parts = np.where(parts > 0.5, parts - 1, parts)
     parts = parts[parts @ [1.0, 1e-3, 1e-6][:d] >= 0]
     k, size, waves = _phonons(atoms, parts)
-    worst = int(size[:, 0].argmin())
+    worst = size[:, 0].argmin()
     least, top = size[worst, 0], size[:, -2 if d == 2 else -1].max()  # a sheet's last is held
     error = float(atoms.stiffness_error(k[worst], waves[worst, 0]))
     if least >= -max(SOFT * top, TIMES * error):

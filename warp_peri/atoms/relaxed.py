@@ -295,7 +295,7 @@ def _check_stress(cell: ase.Atoms, flat: bool) -> None:
     except Exception:  # without energies nothing is compared, without stress nothing is there
         return
     wanted = gain / STRAINED / middle.get_volume()
-    told = float((stress * (way / (1 + STRAINED * np.diag(way)))).sum())
+    told = (stress * (way / (1 + STRAINED * np.diag(way)))).sum()
     if abs(told - wanted) > LIKE * abs(wanted) or not np.isfinite(told):
         raise InputError(
             f"calculator: expected stress in eV/Å³, tension positive, got {told:.3g} at "
@@ -318,7 +318,7 @@ def _relax(cell: ase.Atoms, flat: bool, held: set[str], noise: Noise) -> None:
         words = f"calculator: it gives no stress ({error}); relax elsewhere and hold all"
         raise InputError(words) from None
     cell.set_constraint()
-    force = float(np.abs(cell.get_forces()).max())
+    force = np.abs(cell.get_forces()).max()
     if not done and force > max(RESIDUAL_FORCE, TIMES * quiet):
         raise InputError(
             f"structure: {steps} steps of relaxation leave a force of {force:.2g} eV/Å"
@@ -350,9 +350,9 @@ def thickness_of(cell: ase.Atoms) -> tuple[float, str]:
     """Thickness [Å] of a sheet from outermost nuclei and their van der Waals radii, and a note."""
     z = np.array(cell.positions)[:, 2]
     radii = [vdw_radii[cell.numbers[n]] for n in (z.argmin(), z.argmax())]
-    known = [USUAL_RADIUS if np.isnan(r) else float(r) for r in radii]
+    known = np.nan_to_num(radii, nan=USUAL_RADIUS)
     guess = " (2 Å where none is known)" if np.isnan(radii).any() else ""
-    return float(np.ptp(z) + sum(known)), (
+    return float(np.ptp(z) + known.sum()), (
         f"{np.ptp(z):.4g} Å between outermost nuclei and van der Waals radii of "
         f"{known[0]:.3g} and {known[1]:.3g} Å{guess}"
     )

@@ -281,16 +281,16 @@ class BodyGradient:
         InputError for a part that the mesh has not, and displacement where none was held."""
         rim, points, problem = self.solution.rim, self.solution.points, self.solution.problem
         change = loads_on(rim.mesh, displacement or {}, traction, b)
-        total = float(np.vdot(self.f, change.on(rim)))
+        total = np.vdot(self.f, change.on(rim))
         if points is not None:
             density = change.density(points.x[points.interior], points.spacing)
-            total += float(np.vdot(self.b, density))
+            total += np.vdot(self.b, density)
         given, fixed = change.given(rim)
         held = ~(problem.rim if isinstance(problem, Schwarz) else problem).free.reshape(-1, 2)
         held[rim.inner] = False
         if (fixed & ~held).any():
             raise InputError("displacement: expected parts that are held, and the same components")
-        return total + float(np.vdot(self.given, given))
+        return float(total + np.vdot(self.given, given))
 
 
 @typed
@@ -322,8 +322,8 @@ def body_gradient(
 def _work(solution: BodySolution, model: LPSMaterial, f: np.ndarray, b: np.ndarray) -> float:
     """Virtual work w · K u + v · L u with the λ and μ of a model."""
     K = solution.rim.stiffness(long_wave(model, solution.spacing))
-    total = float(np.vdot(f, K @ solution.u_rim.ravel()))
+    total = np.vdot(f, K @ solution.u_rim.ravel())
     if solution.points is not None:
         force = model.on(solution.points, allow_uncertified=True)(solution.u_bulk)
-        total += float(np.vdot(b, force))
-    return total
+        total += np.vdot(b, force)
+    return float(total)

@@ -15,7 +15,7 @@ from warp_peri.fe_coupling.boundary_elements import BodyLoads, Field, Moduli, Ri
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.materials.transfer import LEAST, TOLERANCE, on_lattice
-from warp_peri.points.arguments import USUAL, Units, symbols
+from warp_peri.points.arguments import Units, symbols
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.solvers.solution import Coupling
@@ -35,7 +35,7 @@ LOOSEST = 1e-3
 
 
 def bulk_points(
-    mesh: Mesh, spacing: float, reach: float, depth: float, *, units: Units = USUAL
+    mesh: Mesh, spacing: float, reach: float, depth: float, *, units: Units
 ) -> tuple[Points, np.ndarray] | None:
     """Lattice nodes of a body, multiples of the spacing [Å], and the cell that holds each, [N].
 
@@ -59,7 +59,7 @@ def bulk_points(
     return Points(x[needed], unknown[needed], spacing, units=units), held[needed]
 
 
-def check_extent(mesh: Mesh, spacing: float, units: Units = USUAL) -> None:
+def check_extent(mesh: Mesh, spacing: float, units: Units) -> None:
     """Raise InputError for a body of more nodes than LARGEST, or of less than one spacing."""
     sides = np.ptp(mesh.x, axis=0)
     if (sides / spacing + 3).prod() > LARGEST or sides.max() < spacing:
@@ -136,7 +136,7 @@ def cubic(points: Points, x: np.ndarray) -> sp.csr_array:
         )
     value = np.prod([weight[:, a, around[:, a]] for a in range(d)], axis=0)
     row = np.repeat(np.arange(len(x)), len(around))
-    shape = (len(x), int(points.interior.sum()))
+    shape = (len(x), points.interior.sum())
     entries = (value.ravel(), (row, node.ravel()))
     return sp.csr_array(sp.coo_array(entries, shape=shape))
 
@@ -248,9 +248,9 @@ def _depth_and_wave_number(mesh: Mesh, b: Field | None) -> tuple[np.ndarray, flo
     x = x[mesh.holding(x) >= 0]
     size, slope = 0.0, 0.0
     if b is not None:
-        size = float(np.square(b(x)).sum())
+        size = np.square(b(x)).sum()
         ways = step / 2 * np.eye(2)
-        slope = sum(float(np.square((b(x + d) - b(x - d)) / step).sum()) for d in ways)
+        slope = sum(np.square((b(x + d) - b(x - d)) / step).sum() for d in ways)
     return mesh.distance(x, step / 10), float(np.sqrt(slope / size)) if size else 0.0
 
 

@@ -116,7 +116,7 @@ def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> D
     operator, left, residual = left_by(material, samples, "diagnose")
     total, shares = float((left**2).sum()), dict[str, float]()
     inner = operator(np.where(samples.interior[:, None], samples.u, 0.0))
-    if residual <= ROUNDING or total <= ROUNDING**2 * float((inner**2).sum()):
+    if residual <= ROUNDING or total <= ROUNDING**2 * (inner**2).sum():
         return Diagnosis(residual, {"rounding": 1.0, "unexplained": 0.0})
     if noise is not None:
         check_noise(noise, samples)
@@ -197,4 +197,4 @@ def _left_out(rows: np.ndarray, left: np.ndarray) -> np.ndarray:
         unit = np.trace(A, axis1=-2, axis2=-1)[..., None, None]
         c = np.linalg.solve(A + (ridges**2 * unit + TINY) * np.eye(len(A[0])), b)
         found[:, part] -= rows[part] @ c[:, None]
-    return np.asarray(min(found, key=lambda rest: float((rest**2).sum())).reshape(left.shape))
+    return np.asarray(min(found, key=lambda rest: (rest**2).sum()).reshape(left.shape))

@@ -94,7 +94,7 @@ def _table(
     inside = points.interior
     size, wrong = sizes(points.u, inside), sizes(solved - points.u, inside)
     if not (size > 0).all():
-        raise InputError(f"u: sample {int(np.argmin(size))} is zero on the interior")
+        raise InputError(f"u: sample {size.argmin()} is zero on the interior")
     bent = norms(without_rigid_part(points.x[inside], points.u[:, inside]))
     bent = np.where(bent > ROUNDING * size, bent, 0.0)
     table: dict[str, Any] = {}

@@ -95,7 +95,7 @@ def lines_of_waves(samples: Samples, modes: int) -> tuple[list[np.ndarray], np.n
             f"{(high - low).min() - 1}; give them"
         )
     t = (grid[kept] - low) / (high - low)
-    modes = min(modes, int((high - low).min()) // LEAST_HALF_WAVE)
+    modes = min(modes, (high - low).min() // LEAST_HALF_WAVE)
     return [_bumps(t[:, a], h * (high - low)[a], modes) for a in range(d)], kept
 
 
@@ -199,7 +199,7 @@ def lame_of_long_waves(sets: Sequence[Samples]) -> LongWaves:
 
     taken = min(
         (names for names in tried if lost(names) <= 1),
-        key=lambda names: (len(names), float(tried[names][0].sum())),
+        key=lambda names: (len(names), tried[names][0].sum()),
     )
     found, misfit = moduli_of(_mixed(R, columns[taken]), y)
     unit, drawn = size[columns[taken][0]], tried[taken][1]
@@ -321,7 +321,7 @@ def judged(
     the larger of both losses over the best group's, None where the data do not determine the group.
     Warns where data contradict the given symmetry.
     """
-    d, auto = len(turn), isinstance(told, str) and told == "auto"
+    d, auto = len(turn), str(told) == "auto"
     if len(samples) < 2 and not auto:
         return told, None
     none = point_group(LEAST[d], d)
@@ -357,7 +357,7 @@ def judged(
         told = next(costs_nothing, LEAST[d])
         own = found[told]
     elif np.isfinite(own).all() and (own > MUCH * best + MUCH_OF_ALL).any():
-        worst = int(np.argmax(own - best))
+        worst = np.argmax(own - best)
         what = ("L u = b", "the moduli of long waves")[worst]
         warn(
             f"symmetry: the data contradict what is told: in {what} it leaves {own[worst]:.1%} of "

@@ -88,7 +88,7 @@ def settle(
         move = _step(now, damping)
         ahead = now.residual + now.J @ move
         if now.violated > 0:  # what a step costs that meets the conditions (Han, 1977)
-            costs = (float(ahead @ ahead) - now.loss) / now.violated
+            costs = (ahead @ ahead - now.loss) / now.violated
             penalty = max(penalty, 2 * costs, now.loss)
         there = state(theta + move)
         for _ in range(BENDS):
@@ -136,7 +136,7 @@ def _step(now: Linearised, damping: float) -> np.ndarray:
 
 def felt(sizes: np.ndarray) -> np.ndarray:
     """Sizes of columns or curvatures, the small ones raised to FELT of the largest."""
-    return np.asarray(np.maximum(sizes, FELT * float(sizes.max(initial=1e-300))))
+    return np.asarray(np.maximum(sizes, FELT * sizes.max(initial=1e-300)))
 
 
 def particular(A: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -144,7 +144,7 @@ def particular(A: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if not len(A):
         return np.zeros(A.shape[1]), np.eye(A.shape[1])
     U, size, V = np.linalg.svd(A)
-    rank = int((size > DEPENDENT * max(size.max(initial=0.0), 1e-300)).sum())
+    rank = (size > DEPENDENT * max(size.max(initial=0.0), 1e-300)).sum()
     return V[:rank].T @ ((U[:, :rank].T @ a) / size[:rank]), V[rank:].T
 
 
@@ -299,10 +299,10 @@ class Regression:
         blocks: Sequence[LatticeRows],
         law: Callable[[np.ndarray], Numbers],
         floor: float,
-        size: float | None = None,
+        size: float | None,
     ) -> None:
         self.blocks, self.law, self.floor = blocks, law, floor
-        whole = np.sqrt(sum(float(block.y @ block.y) for block in blocks))
+        whole = np.sqrt(sum(block.y @ block.y for block in blocks))
         self.size = float(size or whole or 1.0)
         self.zones = [Zone(block.bonds, block.group) for block in blocks]
         self.cuts: list[tuple[int, np.ndarray]] = []
@@ -407,9 +407,9 @@ def sample_weights(sets: Sequence[Samples], *, normalise: bool) -> list[np.ndarr
         if not load.any():
             raise InputError("the training set has no loads on its interior")
         if normalise and not load.all():
-            raise InputError(f"sample {int(np.argmin(load))} has no load and cannot be normalised")
+            raise InputError(f"sample {load.argmin()} has no load and cannot be normalised")
         factors.append(1 / load if normalise else np.ones(len(points)))
-        total += float(((factors[-1] * load) ** 2).sum())
+        total += ((factors[-1] * load) ** 2).sum()
     return [factor**2 / total for factor in factors]
 
 
@@ -535,5 +535,5 @@ def without_noise(R: np.ndarray, y: np.ndarray, noise: np.ndarray) -> tuple[np.n
     gain = np.sqrt(1 - share[known])
     form = gain[:, None] * (axes[known] * size) @ right
     along = (axes @ (left.T @ y))[known] / gain
-    rest = np.sqrt(max(0.0, float(y @ y - along @ along)))  # a constant: no weight in the minimum
+    rest = np.sqrt(max(0.0, y @ y - along @ along))  # a constant: no weight in the minimum
     return np.vstack([form, np.zeros(R.shape[1])]), np.append(along, rest)

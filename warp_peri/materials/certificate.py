@@ -160,7 +160,7 @@ def proven_kappa(stencil: Stencil, group: np.ndarray, classes: BondClasses, p: n
 
 def squared(spacing: float, steps: np.ndarray, field: np.ndarray) -> Stencil:
     """Stencil f ∗ f of a field f(ξ) = −f(−ξ) on whole families [B, d]; symbol |Σ f(ξ) sin k·ξ|²."""
-    d, far = steps.shape[1], 2 * int(np.abs(steps).max())
+    d, far = steps.shape[1], 2 * np.abs(steps).max()
     box = np.zeros((2 * far + 1,) * d)
     for step, f in zip(steps, field):
         np.add.at(box, tuple((step + steps + far).T), field @ f)

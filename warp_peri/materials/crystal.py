@@ -118,7 +118,7 @@ class TensorOperator(OperatorBase):
     def ends(self) -> np.ndarray:
         """Numbers of the interior nodes and of the far ends of ±steps, [1 + 2 H, I]."""
         nodes, steps = self.nodes, self.steps
-        number = np.full(int(np.prod(nodes.shape)), -1)
+        number = np.full(np.prod(nodes.shape), -1)
         number[nodes.place] = nodes.near
         at = np.stack(np.unravel_index(nodes.interior, nodes.shape))
         far = np.concatenate([0 * steps[:1], steps, -steps]).T[:, :, None] + at[:, None]
@@ -362,7 +362,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
     def fitting(self, points: Points | Samples) -> Points:
         """The nodes, checked for the crystal's axis too; an assumed axis is warned of once."""
         nodes = super().fitting(points)
-        isotropic = isinstance(self.symmetry, str) and self.symmetry == "isotropic"
+        isotropic = str(self.symmetry) == "isotropic"
         if isotropic or nodes.dimension != self.dimension:
             return nodes
         d, axes, stated = self.dimension, lattice_steps(nodes)[1], nodes.axis is not None

@@ -122,7 +122,7 @@ class Tensors:
                 f"{len(self.bonds.steps) * 2} bonds apart; give more loads, shorter waves, a "
                 "smaller horizon or a larger symmetry"
             )
-        one, none, floor = np.eye(R.shape[1]), np.zeros((0, R.shape[1])), FLOOR * float(soft)
+        one, none, floor = np.eye(R.shape[1]), np.zeros((0, R.shape[1])), FLOOR * soft
 
         def law(theta: np.ndarray) -> Numbers:
             form = Form(0, theta[:count], one[:count], floor)
@@ -281,6 +281,11 @@ def fit_dispersion(
     return tensors.crystal(tensors.fitted(R, y, tensor, stress), units, told, stress)
 
 
+def symmetry_of(atoms: ForceConstants, symmetry: Symmetry) -> Symmetry:
+    """The symmetry asked for; of "auto" that which spglib finds."""
+    return name_of(atoms.group()) if str(symmetry) == "auto" else symmetry
+
+
 @typed
 def fit_phonons(
     atoms: ForceConstants,
@@ -305,7 +310,7 @@ def fit_phonons(
     """
     d, turn = atoms.dimension, checked_orientation(orientation, atoms.dimension)
     length, stress = factors(units, USUAL)
-    name = name_of(atoms.group()) if str(symmetry) == "auto" else symmetry
+    name = symmetry_of(atoms, symmetry)
     cell = (atoms.volume / (atoms.thickness or 1.0)) ** (1 / d)
     if not 1 / FAR < spacing * length / cell < FAR:
         raise InputError(
@@ -334,7 +339,7 @@ def fit_phonons(
         units=units,
         record={"from": "phonons"},
     )
-    off = float(np.abs(law.tensor() - true).max() / np.abs(true).max())
+    off = np.abs(law.tensor() - true).max() / np.abs(true).max()
     if off > OFF:
         warn(
             f"moduli: with {law.bonds} bonds they are up to {off:.0%} of the largest away from "

@@ -166,8 +166,8 @@ class DensityOperator(Pointwise):
         stress, stiff = np.abs(self._slopes(none)[0]).max(), np.abs(self.stiffness).max()
         if not stress <= REST * stiff > 0:
             raise InputError(
-                f"energy: expected no stress at rest, got {float(stress):.2e} of a stiffness of "
-                f"{float(stiff):.2e}, and that > 0; subtract its linear part, "
+                f"energy: expected no stress at rest, got {stress:.2e} of a stiffness of "
+                f"{stiff:.2e}, and that > 0; subtract its linear part, "
                 "and take invariants for eigenvalues, which have no derivatives at rest"
             )
 
@@ -237,7 +237,7 @@ class Density:
         right = (given.loads if by_force else given.u)[:, inside]
         size = norms(right)[:, None, None]
         if not (size > 0).all():
-            raise InputError(f"samples: expected some that are not zero, got {int(size.argmin())}")
+            raise InputError(f"samples: expected some that are not zero, got {size.argmin()}")
         scale = np.array([abs(value) or 1.0 for value in material.parameters.values()])
 
         def left(x: np.ndarray) -> np.ndarray:

@@ -498,7 +498,7 @@ def stiffnesses(model: LPSMaterial, classes: BondClasses) -> tuple[np.ndarray, f
 def stencil_of(classes: BondClasses, v: np.ndarray, kappa: float) -> Stencil:
     """Make a stencil of class stiffnesses; products of dilatations make bonds of range 2δ."""
     d = classes.steps.shape[1]
-    reach = int(np.abs(classes.steps).max())
+    reach = np.abs(classes.steps).max()
     near, of, xi = tuple((classes.steps + reach).T), classes.bond_class, classes.xi
     C = np.zeros((d * (2 * reach + 1,)) + (d, d))
     each = 2 * d * (d + 2) * v[of] / (xi**2).sum(axis=1)

@@ -12,7 +12,6 @@ from importlib.metadata import version
 from typing import Any, Literal
 
 import numpy as np
-from numpy.linalg import norm
 from scipy.sparse.linalg import splu
 from tqdm.auto import tqdm
 
@@ -28,6 +27,7 @@ from warp_peri.fitting.regression import (
     Regression,
     compressed,
     over_loads,
+    relative,
     sample_weights,
     sizes,
     without_noise,
@@ -292,7 +292,7 @@ class Learner:
         weights = (sum(weight for _, weight in parts) for parts in self.folds)
         c = [products(found, classes) for classes in self.lattices]
         made = sum(w * np.sum((N @ p) ** 2) for w, N, p in zip(weights, self._noise, c))
-        share = float(made) / squares(self.blocks, self.lattices, found)
+        share = made / squares(self.blocks, self.lattices, found)
         why = f"noise is {100 * share:.3g} % of the squared residual at its optimum"
         if share < SMALL_SHARE:
             return LossSelection("residual", why)
@@ -450,7 +450,7 @@ class Learner:
                 f"where the data show a stiffness of {self.stiffness:.3g} {unit}: they do not "
                 "determine it, or ask for less"
             )
-        return max(float(norm(r) / norm(one.b)) for r, one in zip(left, self.products))
+        return max(relative(r, one.b) for r, one in zip(left, self.products))
 
     def certified(self, final: LPSFound, done: LPS, choice: LossSelection) -> Fit:
         """The fit, its model with a certificate on every training lattice."""
@@ -505,13 +505,13 @@ def stiffness_of(sets: Sequence[Samples], horizon: float) -> float:
         bonds = Bonds(samples.points, near, bond_based=True)
         force = bonds.law(1.0, 1.0, 1.0, 1.0).force(samples.u.reshape(len(samples.u), -1))[0]
         b = samples.loads[:, samples.interior].reshape(force.shape)
-        loads, work = loads + float((b**2).sum()), work + float((force * b).sum())
+        loads, work = loads + (b**2).sum(), work + (force * b).sum()
     if not work > 0:
         raise InputError(
             "u, b: loads and displacements do work of opposite sign, or none, and no solid answers "
             "loads so; expected b to be the load, which is minus the internal force"
         )
-    return loads / work
+    return float(loads / work)
 
 
 def displacement_error(stencil: Stencil, samples: Samples, least: int | None = None) -> float:

@@ -156,7 +156,7 @@ class Bonds:
         grid, steps = self.points.lattice[0], families.lattice.steps
         order = np.argsort(np.abs(grid[1:2] - grid[:1]).sum(axis=0), kind="stable")
         grid, steps = grid[:, order], steps[:, order]  # numbered last along the last axis
-        grid, reach = grid - grid.min(axis=0), int(np.abs(steps).max())
+        grid, reach = grid - grid.min(axis=0), np.abs(steps).max()
         size, ring = grid.max(axis=0) + 1, reach
         if box is not None:
             size, ring = np.rint(np.divide(box, self.points.spacing))[order].astype(int), 2 * reach
@@ -169,7 +169,7 @@ class Bonds:
         if box is not None:
             node = np.pad(node[inside], ring, mode="wrap")
         stride = np.append(np.cumprod(node.shape[:0:-1])[::-1], 1)
-        room = reach * int(stride.sum()) + LANES  # for bonds off the box, lanes beyond a piece
+        room = reach * stride.sum() + LANES  # for bonds off the box, lanes beyond a piece
         home = room + (grid + ring) @ stride
         seen = np.zeros(node.shape, bool)  # near enough to have its family, of images too
         seen[self.dimension * (slice(reach, -reach),)] = True

@@ -191,7 +191,7 @@ def product_basis(classes: BondClasses) -> Basis:
     d, count, x = classes.steps.shape[1], len(classes.r), classes.steps
     h, of = classes.spacing, classes.bond_class
     steps = half_ball(2 * classes.horizon / h, d)
-    far = 2 * int(np.abs(x).max())
+    far = 2 * np.abs(x).max()
     place = np.full((2 * far + 1,) * d, -1)
     steps = steps[np.abs(steps).max(axis=1) <= far]
     place[tuple((steps + far).T)] = np.arange(len(steps))

@@ -245,7 +245,7 @@ class LPSOperator(OperatorBase):
         their means', times how much stiffer a node is (InputError for a K that changes sign)."""
         model, mean = self.model, self.model.mean
         stencil = mean.stencil(self.nodes.spacing, degree=self.quadrature_degree)
-        bound = float(largest(stencil, mean.group))
+        bound = largest(stencil, mean.group)
         if model.nodes is None:
             return bound
         if (self._law.kw < 0).any():

@@ -203,7 +203,7 @@ def _least(matrices: Sequence[np.ndarray]) -> tuple[int, float, np.ndarray]:
                 continue
         values, vectors = eigh(matrix, subset_by_index=[0, 0])
         if values[0] < least:
-            which, least, vector = number, float(values[0]), vectors[:, 0]
+            which, least, vector = number, values[0], vectors[:, 0]
     return which, least, vector
 
 
@@ -336,7 +336,7 @@ def _over(name: str, fields: np.ndarray, where: str) -> np.ndarray:
     """Weights 1/‖·‖ of each of S fields, over √S, shape [S]; InputError for one that is zero."""
     size = norms(fields)
     if not (size > 0).all():
-        raise InputError(f"{name}: sample {int(np.argmin(size))} is zero {where}")
+        raise InputError(f"{name}: sample {size.argmin()} is zero {where}")
     return np.asarray(1 / (size * np.sqrt(len(size))))
 
 
@@ -347,7 +347,7 @@ def _projection(x: np.ndarray, k: np.ndarray, b: np.ndarray) -> np.ndarray:
     parities = ((0, 1), (1, 0), (2, 3), (3, 2))  # wave of the first and of the second component
     onto = np.linalg.pinv(waves)  # waves that vanish, where k has a zero, get amplitude zero
     B = onto @ b
-    best = max(parities, key=lambda p: float(np.hypot(B[p[0], 0], B[p[1], 1])))
+    best = max(parities, key=lambda p: np.hypot(B[p[0], 0], B[p[1], 1]))
     return onto[list(best)]
 
 

@@ -192,7 +192,7 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
         if self.linear.dimension != 2:
             raise InputError("linear: third-order constants are for sheets, got a model in space")
         lam, mu = self.lame
-        miss = float(np.abs(self.linear.elastic_tensor() - plane_isotropic(lam, mu)).max())
+        miss = np.abs(self.linear.elastic_tensor() - plane_isotropic(lam, mu)).max()
         if miss > ISOTROPIC * abs(mu):
             raise InputError(
                 f"linear: third-order constants are for isotropic long waves, got C11, C22, C16 or "
@@ -407,7 +407,7 @@ class ThirdOrder:
         turn = np.eye(2)
         if asked.orientation is not None:
             turn = lattice_steps(given)[1].T @ checked_orientation(asked.orientation, 2)
-        auto = isinstance(asked.symmetry, str) and asked.symmetry == "auto"
+        auto = str(asked.symmetry) == "auto"
         tensors = Tensors(h, horizon, "isotropic" if auto else asked.symmetry, turn)
         weights = smoothing.weights(bond_classes(h, horizon), self.form)
         moduli, misfit = asked.held_moduli(turn), None
@@ -450,7 +450,7 @@ class Learning:
     ) -> None:
         self.samples, self.tensors, self.size = samples, tensors, load_sizes(samples)
         if not (self.size > 0).all():
-            raise InputError(f"b: expected loads, got none on sample {int(np.argmin(self.size))}")
+            raise InputError(f"b: expected loads, got none on sample {self.size.argmin()}")
         (steps, into), (_, out) = (gradient_stencil(samples, horizon, p) for p in weights)
         energy, none = partial(energy_density, axis=axis_of(samples)), np.zeros((2, 2, 2))
         numbers, columns = dict.fromkeys((*CUBIC, "lam", "mu"), 0.0), []

@@ -152,7 +152,7 @@ def _transferred(model: LPSMaterial, spacing: float, largest_horizon: float | No
     found = {}
     for last in _horizons(spacing, largest_horizon, unit):
         if (one := _fitted(model, home, spacing, last, band)) is not None:
-            found[float(_errors(one, spacing, model, home, band / 2).max())] = one
+            found[_errors(one, spacing, model, home, band / 2).max()] = one
         if min(found, default=np.inf) <= TOLERANCE:
             break
     if not found:

@@ -41,7 +41,7 @@ class EquilibriumSolver(Equilibria):
         linear, least = Linear(probed(placed), points), torch.finfo(placed.dtype).eps
         inverse = linear.cheapest_inverse(LOADS, definite=False)
         ways = placed, lambda u: linear(u[None])[0], inverse, points.interior
-        super().__init__(*ways, rounding=ROUNDING * float(least))
+        super().__init__(*ways, rounding=ROUNDING * least)
 
 
 CELLS = 16

@@ -95,13 +95,13 @@ def spectrum_of(points: PointsLike, wavelength: np.ndarray) -> Callable[[np.ndar
     by_knot = sp.csr_array((values, at), (count, low.size))
 
     def shares(u: np.ndarray) -> np.ndarray:
-        u = u / max(float(np.abs(u).max()), 1e-300)
+        u = u / max(np.abs(u).max(), 1e-300)
         left = (u - affine @ (affine.T @ u)) * window
-        field = np.zeros((u.shape[1], int(np.prod(shape))), np.float32)
+        field = np.zeros((u.shape[1], np.prod(shape)), np.float32)
         field[:, place] = left.T
         wave = scipy.fft.rfftn(field.reshape(-1, *shape), wide, axes=range(1, 1 + len(shape)))
         found = by_knot @ (wave.real**2 + wave.imag**2).sum(axis=0).ravel()
-        size = float(((u * window) ** 2).sum())
+        size = ((u * window) ** 2).sum()
         return np.asarray(found / size if size > 0 else found)
 
     return shares
@@ -112,7 +112,7 @@ def recorded(wavelength: np.ndarray, rows: np.ndarray, errors: np.ndarray) -> Er
     there = rows.sum(axis=0)
     error = np.sqrt((rows * errors[:, None] ** 2).sum(axis=0) / np.maximum(there, 1e-300))
     enough = there >= min(SEEN, there.max())
-    first = int(np.argmax(enough))
+    first = np.argmax(enough)
     error[:first] = error[first:][enough[first:]].max()
     return ErrorSpectrum(wavelength, error, float(wavelength[first]))
 
@@ -423,7 +423,7 @@ def calibrated(
     def quantile(above: np.ndarray, below: np.ndarray, share: float = COVERED) -> float:
         return float(np.quantile(above / np.maximum(below, ROUNDING), share))
 
-    bends = nonlinear and bool(np.any(rows["gradient"] > 0))
+    bends = nonlinear and np.any(rows["gradient"] > 0)
     screen = quantile(rows["gone"], rows["gradient"]) if bends else 0.0
     floor = np.hypot(members, (screen if nonlinear else 1.0) * rows["series"])
     least, known = 1.0, quantile(rows["true"], floor)

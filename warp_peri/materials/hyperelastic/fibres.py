@@ -126,7 +126,7 @@ def grouped(energy: dict[float, float], within: float) -> list[tuple[float, floa
     if not energy:
         return []
     angles = np.array(sorted(energy))
-    first = int(np.diff(angles, append=angles[0] + np.pi).argmax()) + 1  # behind the widest gap
+    first = np.diff(angles, append=angles[0] + np.pi).argmax() + 1  # behind the widest gap
     values = np.roll([energy[angle] for angle in angles], -first)
     angles = np.append(angles[first:], angles[:first] + np.pi)
     parts = np.split(np.arange(len(angles)), np.flatnonzero(np.diff(angles) > within) + 1)

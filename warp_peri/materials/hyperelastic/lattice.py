@@ -83,7 +83,7 @@ class SheetLattice:
             raise InputError("points: expected neither a box nor nodes outside of the body")
         grid, axes = straight_steps(points.x, points.spacing)
         if points.axis is not None:
-            own = float(np.rad2deg(np.arctan2(axes[1, 0], axes[0, 0])))
+            own = np.rad2deg(np.arctan2(axes[1, 0], axes[0, 0]))
             quarters = round((points.axis - own) / 90)
             if abs(points.axis - own - 90 * quarters) > AXIS_TOLERANCE:
                 raise InputError(
@@ -190,7 +190,7 @@ class SheetLattice:
     def order(self) -> np.ndarray:
         """Numbering of the interior nodes by lines along the shorter side, for a narrow band."""
         inner = self.grid[self.interior]
-        shorter = int(np.argmin(np.ptp(inner, axis=0)))
+        shorter = np.argmin(np.ptp(inner, axis=0))
         return np.lexsort((inner[:, shorter], inner[:, 1 - shorter]))
 
     def factors(self, K: sp.csc_array, shifts: bool = False) -> tuple[Inner | None, bool]:

@@ -483,7 +483,7 @@ def check_identifiable(frames: Samples, op: HyperelasticSheetOperator) -> None:
             "follows affine edges, so that such frames say nothing about it"
         )
     strains = np.abs(op.strain(frames.u)[:, op.interior]).max(axis=-1)
-    typical = float(np.median(strains, axis=1).max())
+    typical = np.median(strains, axis=1).max()
     if typical < SMALL:
         raise InputError(
             f"frames: expected strains of {100 * SMALL:g} % or more in one, got "
