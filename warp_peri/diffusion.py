@@ -188,7 +188,7 @@ class DiffusionOperator(FlowOperator):
         law = replace(self.model, alpha=float(numbers["alpha"]), D=numbers["D"])
         return DiffusionOperator(law, self.points, kappa=numbers.get("kappa", self.given))
 
-    @torch.enable_grad()
+    @torch.inference_mode(False)
     def by_numbers(self, name: str, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Derivative of Σ w · L φ by one parameter, of fields [K, N] and weights [K, I]."""
         near, far = self._ends
@@ -392,7 +392,7 @@ class CoupledOperator(FlowOperator):
         phi = torch.from_numpy(self.on_all(w)[..., 2])
         rate = torch.from_numpy(np.ascontiguousarray(rates[..., :2]))
         parts = self.model.model, self.body, self.table, 0 * rate, numbers
-        with torch.enable_grad():
+        with torch.inference_mode(False):
             work = -(rate * bond_force(*parts, numbers["coupling"] * phi)).sum()
             each = torch.autograd.grad(work, [numbers[n] for n in names], allow_unused=True)
         return {name: one.numpy() for name, one in zip(names, each) if one is not None}

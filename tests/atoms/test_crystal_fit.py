@@ -116,6 +116,7 @@ class Opposite(EMT):
 
 
 Plane = type("Plane", (EMT,), {"get_forces": lambda self, atoms: np.zeros((len(atoms), 2))})
+Three = type("Three", (EMT,), {"get_stress": lambda self, atoms: np.zeros(3)})
 IN = {"cell": [4, 4, 4], "pbc": True}
 REFUSED = [
     (ase.build.molecule("H2O"), LennardJones, "free cluster"),
@@ -125,6 +126,7 @@ REFUSED = [
     (ase.Atoms("Al", cell=[[4, 0, 0], [8, 0, 0], [0, 0, 4]], pbc=True), EMT, "some in a plane"),
     (ase.build.bulk("Fe", "fcc", a=5.0), EMT, r"no forces for Fe .*No EMT-potential"),
     (ase.build.bulk("Cu"), Plane, r"forces: expected shape \[1, 3\], got \[1, 2\]"),
+    (ase.build.bulk("Cu"), Three, "stress of 6 components"),
     (ase.build.bulk("Cu"), Opposite, r"stress in eV/Å³.* where the energy says 0\.06"),
 ]
 

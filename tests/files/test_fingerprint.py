@@ -41,6 +41,7 @@ def test_where_a_value_stands_and_of_what_kind_it_is_counts():
     ones = np.ones(4)
     parts = [
         (ones, 2), (ones.reshape(2, 2), 2), (ones.astype(int), 2), ([1, 2], 3), ([1], 2, 3),
+        (torch.ones(4, dtype=torch.bfloat16),), (torch.eye(4).to_sparse(),),
         (np.complex128(1 + 2j),), (1 + 3j,), (10**400,),
         ({"a": 1},), ({"a": 2},), ("1",), (1,), (None,), (0,), ([],), ("0",), (set(),),
     ]  # fmt: skip

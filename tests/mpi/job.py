@@ -13,12 +13,12 @@ import time
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 
 import warp_peri as wp
 from warp_peri.core import proof
+from warp_peri.diffusion import DiffusionMaterial
 from warp_peri.fracture import BrittleMaterial, Cracked, rectangle_nodes
 from warp_peri.mpi import gather, lattice, linear, partition, together
 from warp_peri.mpi.processes import total, world
@@ -147,7 +147,7 @@ def refusals(sheet, ball):
         lambda: wp.solve(solid(2), wp.Dirichlet(full, *fields(full.x))),
         lambda: wp.simulate(solid(2), flat, **SWING | {"step": 1.0}, steps=1),
         lambda: lattice(SHAPE[2], H, lambda x: x[:, 0] < 0),
-        lambda: wp.solve(SimpleNamespace(on=print), flat),
+        lambda: wp.simulate(DiffusionMaterial(1.0), flat),  # before its options
         lambda: wp.solve(solid(2), flat, parameters={"mu": 0.4}),
         lambda: partition(wp.Points(everywhere, inside(everywhere), 0.0)),
         lambda: wp.simulate(brittle, wp.Cracked(sheet, pressure=np.eye(2)), step=0.1, steps=1),
@@ -156,6 +156,8 @@ def refusals(sheet, ball):
         lambda: wp.simulate(brittle, wp.Cracked(sheet, hidden), step=0.1, steps=1),
         lambda: lattice(SHAPE[2], H, lambda x: np.ma.masked_array(x[:, 0] > 0, True)),
         lambda: sheet.gather(sheet.x[1:]),
+        lambda: wp.Samples(sheet, sheet.x[None]),
+        lambda: wp.crystals.crystal_from_lps(solid(2), H).on(sheet),
     )]  # fmt: skip
 
 

@@ -114,7 +114,7 @@ def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
         "points: expected all bonds of every interior node, got 768 of 2704",
         "step: expected at most 0.0025",
         "interior: expected at least one interior node, got none",
-        "material: expected a linear solid or a crystal on ranks, got SimpleName",
+        "material: expected a linear solid or a crystal on ranks, got DiffusionMat",
         "solve: expected tensors without a gradient, which only a Dirichlet, a Periodic and a "
         "Cracked of one process have",
         "points: expected a lattice",
@@ -124,6 +124,8 @@ def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
         "load: expected values everywhere, got",
         "interior: expected values everywhere, got",
         "values: expected ",
+        "points: expected Points, got a rank's piece",
+        "points: expected Points, got a piece",
     ), strict=True):  # fmt: skip
         assert said.startswith(words)
     door = jobs[2]["door"]  # before anything is sent

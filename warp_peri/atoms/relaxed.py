@@ -292,6 +292,8 @@ def _check_stress(cell: ase.Atoms, flat: bool) -> None:
     try:
         gain = more.get_potential_energy() - less.get_potential_energy()
         stress = middle.get_stress(voigt=False)
+    except AssertionError:
+        raise InputError("calculator: expected stress of 6 components, or [3, 3]") from None
     except Exception:  # without energies nothing is compared, without stress nothing is there
         return
     wanted = gain / STRAINED / middle.get_volume()

@@ -123,7 +123,7 @@ class Pointwise(Swept):
         E = torch.as_tensor(E).movedim((0, 1), (-2, -1))
         return self.density(E, **self.learnable | other)
 
-    @torch.enable_grad()
+    @torch.inference_mode(False)
     def _slopes(self, E: np.ndarray, *along: np.ndarray) -> list[np.ndarray]:
         """Derivative W′(E) at strains [d, d, ...], and its own along others; zero of a linear W."""
         if self._third is not None:  # W″ is linear, and W′(E) = W″(E/2) E

@@ -203,7 +203,7 @@ def by_numbers(operator: Any, names: list[str], u: np.ndarray, w: np.ndarray) ->
         return {}
     if hasattr(operator, "by_numbers"):
         return {name: operator.by_numbers(name, u, w) for name in names}
-    with torch.enable_grad():
+    with torch.inference_mode(False):  # gradients, whatever the user does with his
         numbers = {
             name: torch.tensor(value, dtype=torch.float64, requires_grad=name in names)
             for name, value in operator.learnable.items()
@@ -245,7 +245,7 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
         slopes = by_numbers(operator, [n for n, one in zip(named, asked[2:]) if one], u, w)
         held = [one for one in operator.networks if one.requires_grad]
         if held:
-            with torch.enable_grad():
+            with torch.inference_mode(False):
                 force = operator(torch.from_numpy(u))
             held = [*torch.autograd.grad(force, held, torch.from_numpy(w), allow_unused=True)]
         learned = (held.pop(0) if one.requires_grad else None for one in operator.networks)
@@ -383,7 +383,7 @@ class Swept(OperatorBase):
         flat = [each.reshape(-1, *self.shape) for each in given]
         step, count = max(1, MOST // self.size), len(flat[0])
         few = self.size * min(step, count) < FEW * self.parts
-        with torch.enable_grad(), one_thread(few), np.errstate(all="ignore"):  # of steps run away
+        with torch.inference_mode(False), one_thread(few), np.errstate(all="ignore"):  # run away
             found = [sweep(*(f[n : n + step] for f in flat)) for n in range(0, count, step)]
         if total:
             return np.asarray(np.sum(found, axis=0))

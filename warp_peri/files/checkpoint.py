@@ -124,7 +124,10 @@ def _spelled(part: Any, known: Known) -> Iterator[bytes]:
     kind, held = cast(Any, type(part)), list[Any]()
     users = _is_users(kind.__module__)
     if callable(getattr(kind, "numpy", None)):  # of torch, and of Warp
-        part = part.numpy(force=True) if hasattr(kind, "detach") else part.numpy()
+        try:
+            part = part.numpy(force=True) if hasattr(kind, "detach") else part.numpy()
+        except (TypeError, NotImplementedError):  # bfloat16, sparse ones, those without values
+            part = str(part.dtype), part.is_meta or part.to_dense().tolist()
     if isinstance(part, (int, np.integer, np.bool_)):
         yield repr(int(part)).encode()
     elif isinstance(part, (float, complex, np.inexact)):

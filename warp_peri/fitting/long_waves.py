@@ -284,7 +284,7 @@ def gradients(samples: Samples, kept: np.ndarray, reach: int = REACH) -> np.ndar
     )
 
 
-@torch.enable_grad()
+@torch.inference_mode(False)
 def _stresses(H: np.ndarray, turn: complex, count: int) -> list[np.ndarray]:
     """First Piola-Kirchhoff stress of each unit constant at H, those of λ and μ without H itself.
     The energies are powers of θ = tr E, q = dev E : dev E and z, half the deviator as a complex

@@ -109,11 +109,13 @@ class CutSolid(OperatorBase):
         self._searches = isinstance(solver, CG) or near is not None
         if moves or self._searches:
             plain = moves or not getattr(solver, "preconditioner", None)
-            if not (squares and plain and (not moves or (held == held[:, :1]).all())):
+            part = moves and (held != held[:, :1]).any()
+            if part or not (squares and plain):
                 what = "simulate: expected" if moves else "solver: expected CG() for"
+                got = "nodes held in part" if part else solver if squares else "another material"
                 raise InputError(
                     f"{what} one material with a positive influence function, in motion with nodes "
-                    f"held in all components or in none; got {solver}"
+                    f"held in all components or in none; got {got}"
                 )
             if not body.endless:
                 self._rows = CutRows(self.model, body, self.neighbour, corrected)

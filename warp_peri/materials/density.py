@@ -25,7 +25,7 @@ from warp_peri.fitting.regression import norms
 from warp_peri.fitting.result import Fit
 from warp_peri.materials.crystal_fit import one_set
 from warp_peri.points.arguments import USUAL, Numbers, Positive, Units, check_same, checked, typed
-from warp_peri.points.points import PointsLike, lattice_steps, nodes_of
+from warp_peri.points.points import PointsLike, check_dimensions, lattice_steps, nodes_of
 from warp_peri.solvers.equilibria import SOLVES, equilibria_of, probed
 from warp_peri.solvers.linear import Inverse, Linear
 from warp_peri.solvers.solution import Solution, Solver
@@ -89,17 +89,18 @@ class DensityMaterial(Record, format="warp_peri.density"):
         numbers = {n: float(checked(n, one, float, ())) for n, one in self.parameters.items()}
         object.__setattr__(self, "parameters", numbers)
         super().__post_init__()
+        check_dimensions("dimension", self.dimension)
+        try:
+            with suppress(ValueError):  # of none, and of what does not tell its arguments
+                signature(self.energy or dict).bind(None, **numbers)
+        except TypeError as error:
+            raise InputError(f"parameters: expected those of the energy ({error})") from None
 
     @classmethod
     def of(
         cls, energy: Energy, horizon: float, parameters: Mapping[str, float], **more: Any
     ) -> Self:
         """Make a material from an energy function, in the plane unless `dimension` is 3."""
-        try:
-            with suppress(ValueError):  # of what does not tell its arguments
-                signature(energy).bind(None, **parameters)
-        except TypeError as error:
-            raise InputError(f"parameters: expected those of the energy ({error})") from None
         name = getattr(energy, "__name__", type(energy).__name__)
         return cls(horizon, {**parameters}, more.pop("dimension", 2), name, energy=energy, **more)
 

@@ -24,6 +24,7 @@ from warp_peri.points.arguments import (
     Numbers,
     Positive,
     Units,
+    as_array,
     check_same,
     checked,
     is_number,
@@ -34,7 +35,7 @@ from warp_peri.points.arguments import (
     typed,
 )
 from warp_peri.points.families import DEGREE, SINGULARITY, BondClasses, bond_classes
-from warp_peri.points.points import Points, PointsLike, nodes_of
+from warp_peri.points.points import Points, PointsLike, check_dimensions, nodes_of
 
 ALPHA_BOUND = 3.0
 """The quadrature is consistent for α below this (You et al. 2021, remark 1)."""
@@ -147,8 +148,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.dimension not in (2, 3):
-            raise InputError(f"dimension: expected 2 or 3, got {self.dimension!r:.50}")
+        check_dimensions("dimension", self.dimension)
         check_influence(self.alpha, self.D)
         if not np.any(self.D):
             raise InputError("D: expected a coefficient other than 0")
@@ -226,7 +226,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
     def with_parameters(self, numbers: Numbers, nodes: np.ndarray | None = None) -> LPSMaterial:
         """The unproven material with other `learnable` numbers, fields for some nodes [N, d]."""
         made = self.learnable | dict(numbers)
-        fields = np.ndim(made["lam"]) or np.ndim(made["mu"])
+        fields = any(as_array(name, made[name]).ndim for name in ("lam", "mu"))
         of = (self.nodes if nodes is None else nodes) if fields else None
         return replace(self, **made, nodes=of, certified_on=(), certificate={})
 

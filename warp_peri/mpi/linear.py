@@ -16,7 +16,7 @@ from warp_peri.materials.crystal import StencilMaterial, crystal_from_lps
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.transfer import model_at
 from warp_peri.mpi.processes import Comm, Halo, Slabs, build, in_turn, inner
-from warp_peri.points.arguments import check_same
+from warp_peri.points.arguments import check_same, offered
 from warp_peri.points.points import Points
 from warp_peri.runtime import shared_by
 from warp_peri.solvers.linear import VCycle, coarser, largest, prolong, restrict
@@ -160,9 +160,7 @@ def operator_on(material: Any, piece: Subdomain) -> Any:
     """Make the RowOperator of a linear solid on a lattice in slabs, of an LPS by `model_at`. Raises
     InputError for other materials, as RowOperator and as their `fitting`."""
     with agreed(piece.comm):
-        if not hasattr(material, "stencil"):
-            what = type(material).__name__
-            raise InputError(f"material: expected a linear solid or a crystal on ranks, got {what}")
+        offered(material, "stencil", "material", "a linear solid or a crystal on ranks")
         if not isinstance(material, LPSMaterial):
             h, x = piece.spacing, piece.spacing * np.argwhere(np.ones((3,) * piece.dimension))
             material.fitting(Points(x, x[:, 0] == h, h, units=piece.units, axis=piece.axis))

@@ -35,7 +35,6 @@ from warp_peri.points.arguments import (
 )
 from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.points import LATTICE_TOLERANCE, Points, checked_axis
-from warp_peri.protocols import MATERIAL
 from warp_peri.runtime import ranks_started
 from warp_peri.solvers.motion import Motion, Recorder
 from warp_peri.solvers.solution import CG, TOLERANCE, Solution, Solver, by_sample, refuse_solver
@@ -47,7 +46,7 @@ SLAB, FEW = 8, 50_000
 be halved."""
 FIELDS = ("load", "held", "grip", "no_fail", "u", "v")
 """Of a body that breaks, on nodes."""
-_OF_A_WHOLE = ("box", "outside", "is_open_lattice")
+_OF_A_WHOLE = ("box", "outside", "is_open_lattice", "lattice", "rows")
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,16 +100,15 @@ class Subdomain:
         """Solve a Dirichlet problem at rest; u and load are those of this rank's nodes. Raises
         InputError for other problems and materials, and as RowOperator."""
         alike(material, problem, options | {"solver": solver})
+        operator = operator_on(material, self)
         with agreed(self.comm):
             taken(options, "solve")
             if not hasattr(problem, "u") or hasattr(problem, "cracks"):
                 raise InputError("solve: expected a Dirichlet(points, b, u) on ranks")
-            offered(material, "on", "solve", MATERIAL)
             b, u = checked_fields(self, problem.b, problem.u)
             refuse_solver(solver, (CG,), "a linear body on ranks")
             if (kind := getattr(solver, "preconditioner", None)) not in (None, "multigrid"):
                 raise InputError(f"preconditioner: expected multigrid on ranks, got {kind!r}")
-        operator = operator_on(material, self)
         tolerance = TOLERANCE if solver is None else solver.tolerance  # type: ignore[union-attr]
         answer, right, records = np.where(self.interior[:, None], 0.0, u), operator.rhs(b), []
         fields = answer.reshape(-1, *self.x.shape)
@@ -126,10 +124,10 @@ class Subdomain:
         comm = self.comm
         alike(material, problem, options)
         if hasattr(problem, "b") and not isinstance(problem, Cracked):
+            operator = operator_on(material, self)
             with agreed(comm):
-                offered(material, "on", "simulate", MATERIAL)
                 how, files = taken(options, "simulate", march, Recorder.__init__)
-            return march(operator_on(material, self), problem.b, problem.u, **how | files)
+            return march(operator, problem.b, problem.u, **how | files)
         with agreed(comm):
             if not isinstance(problem, Cracked) or "step" not in options:
                 raise InputError("simulate: expected a Dirichlet or Cracked with steps on ranks")

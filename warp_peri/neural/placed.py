@@ -190,6 +190,7 @@ class Placed(OperatorBase):
         unknown = np.repeat(self.points.interior, 2)
         return sp.csc_array(self.tangent(self._taken(u)[0])[:, unknown])
 
+    @torch.inference_mode(False)
     def tangent(self, u: torch.Tensor) -> sp.csr_array:
         """Tangent ∂force/∂u at one field [N, 2], interior by all nodes, sparse [2 I, 2 N] (NO9)."""
         x = u.double().numpy()
@@ -197,9 +198,8 @@ class Placed(OperatorBase):
             omega, share, r = self.shares(u.dtype)
             omega, theta, e, r = self.inputs(omega, *self.stretch(u[None], share)[1::-1], r)
         by = theta.clone().requires_grad_(), e.clone().requires_grad_()
-        with torch.enable_grad():
-            state = self.material.force_state(omega, *by, r)
-            slopes = torch.autograd.grad(state.sum(), by)
+        state = self.material.force_state(omega, *by, r)
+        slopes = torch.autograd.grad(state.sum(), by)
         t, to_theta, to_e = (one.detach().double().numpy() for one in (state, *slopes))
         Y = self.xi + x[self.ends] - x[self.whole][:, None]
         length = np.linalg.norm(Y, axis=-1)[..., None]

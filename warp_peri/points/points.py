@@ -327,9 +327,9 @@ def _axes(x: np.ndarray, h: float, unit: str) -> np.ndarray:
 
 
 def check_dimensions(name: str, count: int) -> None:
-    """Raise InputError for another number of sides than 2 or 3."""
+    """Raise InputError for another dimension, or number of sides, than 2 or 3."""
     if count not in (2, 3):
-        raise InputError(f"{name}: expected 2 or 3, got {count} of them")
+        raise InputError(f"{name}: expected 2 or 3, got {count}")
 
 
 def nearest(xi: np.ndarray, box: tuple[float, ...] | None) -> np.ndarray:
@@ -371,6 +371,8 @@ class Samples(Shown):
     arrays: dict[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if is_piece(self.points):
+            raise InputError("points: expected Points, got a rank's piece of some")
         for name in ("u", "b") if self.b is not None else ("u",):
             count: int | str = "S" if name == "u" else len(self.u)
             field = checked(name, getattr(self, name), shape=(count, *self.x.shape))

@@ -177,7 +177,9 @@ class Prediction(Shown):
         warp_peri.prediction has strain and stress."""
         at = checked("quantity", quantity(self.u))
         ends = {name: quantity(self._plus(part)) for name, part in self.fields.items()}
-        changes = {name: checked("quantity", end) - at for name, end in ends.items()}
+        changes = {
+            name: checked("quantity", end, shape=at.shape) - at for name, end in ends.items()
+        }
         return QuantityEstimate(at, changes["left"], self._bar(changes))
 
     def map(self) -> np.ndarray:

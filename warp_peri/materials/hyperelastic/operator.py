@@ -278,8 +278,10 @@ class HyperelasticSheetOperator(Swept):
 
     def interior_tangent(self, u: np.ndarray) -> sp.csr_array:
         """Tangent between interior nodes at a field (H10), sparse [2 I, 2 I]."""
-        with torch.enable_grad(), one_thread(3 * len(self.points.x) < FEW):
+        with torch.inference_mode(False), one_thread(3 * len(self.points.x) < FEW):
             Y, tension, curves = self._curved(plain("u", u)[None])
+        if not curves:
+            raise InputError("coefficients: expected one other than 0")
         inner, both = self.lattice.ends[self.interior], zip(Y[..., 0].T, np.eye(2)[:, None])
         by_u = sum(sp.kron(sp.diags_array(y) @ inner.T, axis) for y, axis in both)
         blocks = ([[sp.diags_array(h) for h in row] for row in H[..., 0]] for H in curves)
