@@ -16,12 +16,12 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_707,
-    "tokens": 233_927,
-    "lines of warp_peri": 30_051,
+    "code lines": 18_717,
+    "tokens": 233_996,
+    "lines of warp_peri": 30_061,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_235,
+    "lines of warp_peri, kernels, examples and tools": 42_245,
     "lines of the longest file": 539,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -32,19 +32,19 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2296,
+    "atoms": 2298,
     "cli": 763,
     "core": 1608,
     "face": 1111,
     "fe_coupling": 710,
-    "files": 472,
+    "files": 475,
     "fitting": 1056,
-    "fracture": 1418,
-    "materials": 4524,
+    "fracture": 1420,
+    "materials": 4526,
     "neural": 574,
-    "points": 1689,
-    "prediction": 575,
-    "mpi": 447,
+    "points": 1691,
+    "prediction": 577,
+    "mpi": 444,
     "solvers": 1464,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
