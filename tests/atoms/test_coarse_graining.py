@@ -9,7 +9,7 @@ from scipy.io import savemat
 from tests.support import reference
 from tests.support.problems import ROUNDING
 from tests.support.sheets import square
-from tests.support.told import refused
+from tests.support.told import each_refused, refused
 from warp_peri.atoms import coarse_grain, read_mat, smoothing_matrix
 
 RANDOM = np.random.default_rng(3)
@@ -23,29 +23,25 @@ def nodes(low, high):
 
 
 @pytest.mark.parametrize(
-    ("shape", "box", "spacing"), [("cone", None, None), ("cone", BOX, H), ("paraboloid", BOX, None)]
+    ("shape", "box", "spacing"),
+    [("cone", None, None), ("cone", None, H), ("cone", BOX, H), ("paraboloid", BOX, None)],
 )
 def test_is_the_brute_force_sum(shape, box, spacing):
-    """Of nodes beyond the box on both sides, where their spacing is known."""
-    where = (nodes(0, 4) if shape == "paraboloid" else nodes(-2, 6)) + 0.1
-    weights = smoothing_matrix(ATOMS, where, radius=4.0, shape=shape, box=box, spacing=spacing)
-    expected = reference.smoothing(ATOMS, where, 4.0, shape, box, spacing)
+    """Of nodes beyond the box on both sides, where their spacing is known; of images by twos."""
+    where, radius = (nodes(0, 4), 8.0) if shape == "paraboloid" else (nodes(-2, 6), 4.0)
+    how = {"radius": radius, "shape": shape, "box": box, "spacing": spacing}
+    weights = smoothing_matrix(ATOMS, where + 0.1, **how)
+    expected = reference.smoothing(ATOMS, where + 0.1, *how.values())
     assert_allclose(weights.toarray(), expected, rtol=0, atol=ROUNDING)
 
 
 def test_every_atom_is_shared_out_completely_among_the_nodes_of_a_period():
     """Nodes beyond the box are images of others, and carry the same; far atoms are left out."""
-    omega = smoothing_matrix(ATOMS, nodes(-3, 9), radius=4.0, spacing=H)
-    assert_allclose(omega.sum(axis=0), 1, rtol=ROUNDING)
-    periodic = smoothing_matrix(ATOMS, nodes(0, 4), radius=8.0, box=BOX)
-    assert_allclose(periodic.sum(axis=0), 1, rtol=ROUNDING)
     box = (4 * H, 4 * H)
     wide = smoothing_matrix(ATOMS % box, nodes(-3, 7), radius=4.0, box=box, spacing=H)
     grid = wide.toarray().reshape(10, 10, -1)
     assert_allclose(grid[3:7, 3:7].sum(axis=(0, 1)), 1, rtol=ROUNDING)
     assert_allclose(grid[4:, 4:], grid[:6, :6], atol=ROUNDING)
-    one = smoothing_matrix([[0.0, 0.0], [4.0, 0.0]], [[0.0, 0.0], [1.0, 0.0]], radius=4.0)
-    assert_allclose(one.toarray(), [[4 / 7, 0], [3 / 7, 1]], atol=ROUNDING)
     for atoms, period in ((ATOMS, None), ([[50.0, 50.0]], (100.0, 100.0))):
         far = smoothing_matrix(atoms, nodes(0, 2) - 90.0, radius=4.0, box=period, spacing=H)
         assert (far.shape, abs(far).sum()) == ((4, len(atoms)), 0)
@@ -73,31 +69,28 @@ HIDDEN = np.ma.masked_array(
     np.ones((1, 40, 2)), mask=np.arange(40)[None, :, None].repeat(2, 2) == 7
 )
 """Atom 7 is no data."""
-OF_MATRIX = [
-    ({"radius": 1.7}, "radius: expected more than spacing/√2 = 1.768"),
-    ({"spacing": 2.4}, "nodes: expected a square lattice of spacing 2.4"),
-    ({"nodes": np.empty((0, 2))}, r"nodes: expected shape \[N, 2\] with N > 0"),
-    ({"box": (10.0, -10.0)}, "box: expected two periods > 0"),
-    ({"nodes": nodes(-3, 7), "box": BOX, "spacing": None}, "some are periodic images of others"),
-]
-OF_FIELDS = [
-    ({"displacement": np.ones((40, 2))}, r"displacement: expected shape \[S, 40, 2\]"),
-    ({"force": np.ones((2, 40, 2))}, r"force: expected shape \[1, 40, 2\], got \[2, 40, 2\]"),
-    ({"force": HIDDEN}, r"force: .* got 2 of 80 masked, the first at index \[0, 7, 0\]"),
-    ({"mass": -np.ones(40)}, "mass: expected values > 0"),
-]
+OF_MATRIX = {
+    "radius: expected more than spacing/√2 = 1.768": {"radius": 1.7},
+    "nodes: expected a square lattice of spacing 2.4": {"spacing": 2.4},
+    r"nodes: expected shape \[N, 2\] with N > 0": {"nodes": np.empty((0, 2))},
+    "box: expected two periods > 0": {"box": (10.0, -10.0)},
+    "some are periodic images of others": {"nodes": nodes(-3, 7), "box": BOX, "spacing": None},
+}
+OF_FIELDS = {
+    r"displacement: expected shape \[S, 40, 2\]": {"displacement": np.ones((40, 2))},
+    r"force: expected shape \[1, 40, 2\], got \[2, 40, 2\]": {"force": np.ones((2, 40, 2))},
+    r"force: .* got 2 of 80 masked, the first at index \[0, 7, 0\]": {"force": HIDDEN},
+    "mass: expected values > 0": {"mass": -np.ones(40)},
+}
 
 
 def test_what_cannot_be_smoothed_is_refused():
-    for change, words in OF_MATRIX:
-        given = {"atoms": ATOMS, "nodes": nodes(0, 4), "radius": 4.0, "spacing": H} | change
-        with refused(words):
-            smoothing_matrix(given.pop("atoms"), given.pop("nodes"), **given)
-    fields = {"displacement": np.ones((1, 40, 2)), "force": np.ones((1, 40, 2))}
+    given = {"atoms": ATOMS, "nodes": nodes(0, 4), "radius": 4.0, "spacing": H}
+    each_refused(lambda change: smoothing_matrix(**given | change), OF_MATRIX)
+    omega = smoothing_matrix(ATOMS, nodes(0, 4), radius=5.0)
+    fields = dict.fromkeys(("displacement", "force"), np.ones((1, 40, 2)))
     fields |= {"node_area": 6.25, "thickness": 3.35}
-    for change, words in OF_FIELDS:
-        with refused(words):
-            coarse_grain(smoothing_matrix(ATOMS, nodes(0, 4), radius=5.0), **fields | change)
+    each_refused(lambda change: coarse_grain(omega, **fields | change), OF_FIELDS)
     with refused(r"1 nodes have no atom .* the first is 16"):
         coarse_grain(smoothing_matrix(ATOMS, [*nodes(0, 4), [99.0, 99]], radius=5.0), **fields)
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tests.support.told import assert_refused, refused, warned
+from tests.support.told import assert_refused, each_refused, refused, warned
 from warp_peri.atoms.dic import dic_to_lattice, estimate_noise, frames_of_folder, read_dic_frame
 from warp_peri.points.points import SEEN
 
@@ -116,22 +116,23 @@ def test_columns_and_their_units_are_what_a_header_says_behind_a_comment_too(tmp
         assert_allclose(gradient(samples), GRADIENT, atol=1e-6, err_msg=header)
 
 
-REFUSED = [
-    ("time,load", "xy", {}, "expected columns x, y, u and v"),
-    ("x,y,u,ux,v", "xyuuv", {}, "one column of a kind, got 'u' and 'ux'"),
-    ("x [mm],y [mm],u [furlong],v", "xyuv", {}, "expected units of angstrom, .* got 'furlong'"),
-    ("x,y,u [mm],v [mm]", "xyuv", {}, "the size of a pixel with one, got x in no unit"),
-    ("x,y,u,v", "xyuvv", {}, "expected 4 fields, as in its header, got"),
-    ("x,y,u,v", "xyu.", {}, "expected a number, got 'one'"),
-    ("x,y,u,v", "xyuv", {"pixel": "0.5 inch"}, "pixel: expected a length > 0, with a unit of ang"),
-]
+REFUSED = {
+    "one column of a kind, got 'u' and 'ux'": ("x,y,u,ux,v", "xyuuv"),
+    "expected units of angstrom, .* got 'furlong'": ("x [mm],y [mm],u [furlong],v", "xyuv"),
+    "the size of a pixel with one, got x in no unit": ("x,y,u [mm],v [mm]", "xyuv"),
+    "expected 4 fields, as in its header, got": ("x,y,u,v", "xyuvv"),
+    "expected a number, got 'one'": ("x,y,u,v", "xyu."),
+    "pixel: expected a length > 0, with a unit of ang": ("x,y,u,v", "xyuv", "0.5 inch"),
+}
 
 
 def test_columns_that_contradict_each_other_are_refused(tmp_path):
     columns = dict(zip("xyuv", LINEAR)) | {".": ["one"] * len(BIG)}
-    for header, names, how, words in REFUSED:
-        with refused(words):
-            told(tmp_path / "a.csv", header, [columns[name] for name in names], **how)
+
+    def read(header, names, pixel=1.0):
+        told(tmp_path / "a.csv", header, [columns[name] for name in names], pixel=pixel)
+
+    each_refused(read, REFUSED)
     assert_refused({
         "one displacement for each point":
             lambda: frame_of(tmp_path / "a.csv", np.ones((9, 2)), np.arange(18.0).reshape(9, 2)),
@@ -228,13 +229,14 @@ def test_a_folder_tells_what_it_passes_over_and_what_does_not_fit(tmp_path):
     unequal, none = folder_of(tmp_path / "unequal", counts), folder_of(tmp_path / "none", {})
     for name in ("Ncorr.mat", "frame.npy"):
         (none / name).write_bytes(b"none")
-    for folder, wrong, words in (
-        (whole, {}, "4 frames, got 3; .*force.csv: expected columns"),
-        (none, {}, r"4 frames, got 0; of .mat, .npy files none; write x"),
-        (unequal, {}, "frame3.csv has 100 nodes of 240, frame0.csv has 240"),
-        (unequal, {"pixel": "2 inch"}, "pixel: expected a length"),
-        (unequal, {"count": 3}, "count: expected at least 4 frames, got 3"),
-        (unequal, {"radius": -1.0}, "radius: expected a number ≥ 0"),
-    ):
-        with refused(words):
-            frames_of_folder(folder, **{"count": 7, "radius": 0.0} | wrong)
+
+    def read(folder, count=7, radius=0.0):
+        frames_of_folder(folder, count, radius=radius)
+
+    each_refused(read, {
+        "4 frames, got 3; .*force.csv: expected columns": whole,
+        r"4 frames, got 0; of .mat, .npy files none; write x": none,
+        "frame3.csv has 100 nodes of 240, frame0.csv has 240": unequal,
+        "count: expected at least 4 frames, got 3": (unequal, 3),
+        "radius: expected a number ≥ 0": (unequal, 7, -1.0),
+    })  # fmt: skip

@@ -103,7 +103,6 @@ REFUSED = {
     "frame 2.*expected the ids of frame 1": PLAIN + OTHER_IDS,
     "xu, yu, zu in a tilted box, got x; or x with": PLAIN.replace(BOUNDS, TILTED),
     "units metal or real, got si": "ITEM: UNITS\nsi\n" + PLAIN,
-    "beyond half the box; are they wrapped": frame((REFERENCE + U[0]) % BOX),
 }
 
 

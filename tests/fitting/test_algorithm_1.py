@@ -71,10 +71,8 @@ def test_adam_follows_the_gradient_of_warps_operator(monkeypatch):
         (slope,) = torch.autograd.grad(loss, leaf)
         expected = 2 * state.residual @ state.J
         near(slope.numpy(), expected, 1e-9)
-        slopes = [
-            torch.autograd.grad(m, leaf, retain_graph=True)[0].numpy()
-            for m in margins_of(problem, leaf)
-        ]
+        margins = margins_of(problem, leaf)
+        slopes = [torch.autograd.grad(m, leaf, retain_graph=True)[0].numpy() for m in margins]
         assert np.array_equal(slopes, state.M)
 
 

@@ -10,8 +10,8 @@ from numpy.random import default_rng
 from tests.crystal.crystals import dispersive
 from tests.support import shared
 from tests.support.clouds import cube, solid
-from tests.support.problems import kernel, lattice, manufactured, noise, normal, smooth
-from tests.support.symbols import fluctuation
+from tests.support.problems import kernel, lattice, loaded, manufactured, noise, normal, smooth
+from tests.support.symbols import fluctuation, noisy
 from tests.support.told import refused, warned
 from warp_peri import LPS, Bernstein, Crystal, Samples, diagnose, fit
 from warp_peri.core.elastic import voigt_to_tensor
@@ -70,12 +70,10 @@ def test_the_planted_cause_is_named(samples, cause):
 def test_forces_that_species_share_unlike_their_masses_are_named():
     """Two atoms a cell, one of them loaded: their mean moves by κ b beyond what it answers to b."""
     points = lattice(11, HORIZON)
-    operator, inside = MODEL.on(points), points.interior
+    operator = MODEL.on(points)
     u = noise(points, COUNT) + manufactured(MODEL, points, COUNT).u
-    b = np.zeros_like(u)
-    b[:, inside] = operator(u)
-    left = operator(b)
-    seen = Samples(points, u + 0.1 * b * norm(b[:, inside]) / norm(left), b)
+    b = loaded(operator, u).b
+    seen = Samples(points, u + 0.1 * b * norm(b) / norm(operator(b)), b)
     diagnosis = diagnose(MODEL, seen)
     assert diagnosis.residual == pytest.approx(0.1, rel=0.01)
     assert diagnosis.causes[0] == "species"
@@ -85,8 +83,8 @@ def test_forces_that_species_share_unlike_their_masses_are_named():
 
 
 def test_noise_is_named_where_its_fields_are_given(samples):
-    noisy = replace(samples, u=samples.u + fluctuation(samples, COUNT, 0.01, seed=1).u)
-    diagnosis = diagnose(MODEL, noisy, fluctuation(samples, 12, 0.01, seed=2))
+    noise = fluctuation(samples, 12, 0.01, seed=2)
+    diagnosis = diagnose(MODEL, noisy(samples, 0.01, seed=1), noise)
     assert diagnosis.shares["noise"] == pytest.approx(1.0, abs=0.2)
 
 

@@ -6,16 +6,11 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from tests.support.problems import difference
-from tests.support.told import refused
+from tests.support.told import each_refused
 from warp_peri.fitting.regression import Settled, least_squares_above
 from warp_peri.materials.lps import LPSParameters, bernstein_basis
-from warp_peri.materials.lps_law import (
-    BernsteinKernel,
-    GaussNewton,
-    LPSFound,
-    LPSLaw,
-    StabilityConditions,
-)
+from warp_peri.materials.lps_law import BernsteinKernel, LPSFound, LPSLaw
+from warp_peri.methods import GaussNewton, StabilityConditions
 from warp_peri.points.families import bond_classes
 from warp_peri.testing import assert_near as near
 
@@ -43,9 +38,9 @@ def test_bounds_that_do_not_matter_leave_least_squares_and_impossible_ones_are_r
         found = least_squares_above(A, y, np.eye(3), np.full(3, bound))
         assert_allclose(found, expected)
     G = np.array([[1.0, 0.0], [-1.0, 0.0]])
-    for last, h, words in ((1.0, np.ones(2), "no x"), (0.0, -np.ones(2), "full column rank")):
-        with refused(words):
-            least_squares_above(np.diag([1.0, last]), np.zeros(2), G, h)
+    each_refused(lambda last, h: least_squares_above(np.diag([1.0, last]), np.zeros(2), G, h), {
+        "no x": (1.0, np.ones(2)), "full column rank": (0.0, -np.ones(2)),
+    })  # fmt: skip
 
 
 ONE = [bond_classes(1.0, 3.0)]  # 6 bond lengths

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from tests.support import shared
-from tests.support.problems import kernel, lattice, manufactured
+from tests.support.problems import kernel, lattice, manufactured, normal
 from tests.support.solving import fit, solve
 from tests.support.symbols import waves
-from tests.support.told import refused, warned
+from tests.support.told import each_refused, refused, warned
 from warp_peri import Bernstein
 from warp_peri.materials.lps_fit import RELATIVE_ZETA, stiffness_of
 from warp_peri.methods import StabilityConditions, TwoStage
@@ -80,9 +80,8 @@ def test_steps_that_end_on_their_way_are_those_of_any_size():
 
 
 def test_noise_does_not_soften_the_stiffness(data):
-    random = np.random.default_rng(0)
-    many = Samples(data.points, np.tile(data.u, (60, 1, 1)), np.tile(data.b, (60, 1, 1)))
-    noisy = replace(many, u=many.u + 0.3 * random.normal(size=many.u.shape))
+    many = Samples(data.points, *(np.tile(one, (60, 1, 1)) for one in (data.u, data.b)))
+    noisy = replace(many, u=many.u + 0.3 * normal(many.u.shape))
     assert stiffness_of([noisy], HORIZON) == pytest.approx(stiffness_of([data], HORIZON), rel=0.05)
 
 
@@ -94,13 +93,11 @@ def test_wave_vectors_are_taken_at_any_length():
 
 def test_data_that_no_solid_answers_are_refused_and_a_modulus_on_its_bound_is_told(data):
     """A ζ far above the material makes every kernel too stiff by far."""
-    for given, zeta, words in (
-        (at_scale(data, stress=-1.0), None, "work of opposite sign"),
-        (replace(data, u=np.zeros_like(data.u)), None, "work of opposite sign, or none"),
-        (data, 50.0, r"the best model leaves [0-9.]+ % of the loads, no less"),
-    ):
-        with refused(words):
-            learned(given, conditions=StabilityConditions(zeta=zeta))
+    each_refused(lambda of, zeta: learned(of, conditions=StabilityConditions(zeta=zeta)), {
+        "work of opposite sign": (at_scale(data, stress=-1.0), None),
+        "work of opposite sign, or none": (replace(data, u=np.zeros_like(data.u)), None),
+        r"the best model leaves [0-9.]+ % of the loads, no less": (data, 50.0),
+    })  # fmt: skip
     said = r"^μ and λ \+ μ ended on the lower bound, 0\.758 TPa, where the data show .* 0\.553 TPa"
     with warned(said):
         learned(data, conditions=StabilityConditions(zeta=0.75))

@@ -9,7 +9,7 @@ from numpy.linalg import norm
 from tests.support.problems import kernel, lattice, manufactured
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, off, solid
 from tests.support.solving import fit
-from tests.support.told import refused
+from tests.support.told import each_refused, refused
 from warp_peri import evaluate
 from warp_peri.influence import InfluenceFunction
 from warp_peri.materials.influence import gaussian, named, table
@@ -79,12 +79,10 @@ def test_what_a_fit_of_shapes_refuses():
     flat, shape = table([0.5, 3.0], [1.0, 0.1]), SHAPES["gaussian"]
     with pytest.raises(RuntimeError, match="moduli to be held missed by"):
         fit(made(flat), HORIZON, flat, method=GaussNewton(moduli=(-0.2, 0.7)))
-    for options, words in (
-        ({"kernel": shape, "method": TwoStage()}, "learned by GaussNewton or Aug"),
-        ({"kernel": gaussian}, r"f\(r, width\) is InfluenceFunction\(f, "),
-    ):
-        with refused(words):
-            fit(made(shape, 1), HORIZON, **options)
+    each_refused(lambda options: fit(made(shape, 1), HORIZON, **options), {
+        "learned by GaussNewton or Aug": {"kernel": shape, "method": TwoStage()},
+        r"f\(r, width\) is InfluenceFunction\(f, ": {"kernel": gaussian},
+    })  # fmt: skip
 
 
 def test_a_width_is_found_from_far_off():

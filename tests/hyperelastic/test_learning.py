@@ -124,15 +124,14 @@ def test_thickness_and_material_are_found_together():
 def test_sections_go_from_edge_to_edge():
     """Of an affine field they carry its stress, edges included; a hole takes lines away."""
     x, C, shape = 0.1 * np.argwhere(np.ones((19, 14))), 0.4, np.array([[1.2, 0.1], [-0.05, 1.1]])
-    solid = HyperelasticMaterial(
-        Hyperelastic(terms=(EnergyTerm("plane_stress"),)), np.array([C]), 0.1
-    )
+    dictionary = Hyperelastic(terms=(EnergyTerm("plane_stress"),))
+    solid = HyperelasticMaterial(dictionary, np.array([C]), 0.1)
     P = 2 * C * (shape - np.linalg.inv(shape).T / np.linalg.det(shape) ** 2)
 
     def sections(axis, kept):
         points = Points(x[kept], np.arange(kept.sum()) == 0, 0.1)
         field = Samples(points, (x[kept] @ (shape - np.eye(2)).T)[None])
-        return Sections(field, solid.dictionary, axis)
+        return Sections(field, dictionary, axis)
 
     for axis, across in enumerate((19, 14)):
         whole, pull = sections(axis, np.ones(len(x), bool)), P[axis, axis]
@@ -165,9 +164,8 @@ def test_forces_set_the_scale_and_their_scatter_is_told(frames):
 
 
 def test_families_come_from_a_rose():
-    dictionary = Hyperelastic(
-        3.0, NEAREST, (EnergyTerm("neo_hookean"), *fibres.fibre_fan(8, (2.0, 4.0)))
-    )
+    terms = EnergyTerm("neo_hookean"), *fibres.fibre_fan(8, (2.0, 4.0))
+    dictionary = Hyperelastic(3.0, NEAREST, terms)
     c = np.zeros(len(dictionary))
     c[[4, 11, 13, 17]] = 0.07, 0.2, 0.1, 0.3
     solid = HyperelasticMaterial(dictionary, c, 0.1, stretch=1.3)

@@ -1,7 +1,6 @@
 """The force and its derivatives: against slow sums and differences, on points of any kind."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -10,11 +9,11 @@ import warp as wp
 from numpy.random import default_rng
 
 from tests.gradients.cases import errors
-from tests.support import clouds, reference
+from tests.support import clouds, problems, reference
 from tests.support.clouds import cloud, periodic_cloud
 from tests.support.problems import KERNELS, LAM, MU, ROUNDING, ell, kernel, lattice, noise, periodic
 from tests.support.symbols import symbol
-from tests.support.told import refused
+from tests.support.told import each_refused, refused
 from tools.rivals import BULK, SHEAR, SIZE, PeriLps
 from warp_peri import Points
 from warp_peri.atoms.calculators import LammpsError, lammps_class
@@ -32,10 +31,9 @@ STEPS = {"u": 10.0, "lam": 10.0, "mu": 10.0, "alpha": 0.1, "D": 0.02}
 error = lambda value, expected: np.abs(value - expected).max() / np.abs(expected).max()
 
 
-def cut(points):
+def halved(points):
     """The interior without the half that is cut away."""
-    outside = points.x[:, 0] > points.x[points.interior, 0].mean()
-    return replace(points, interior=points.interior & ~outside, outside=outside)
+    return problems.cut(points, points.x[:, 0] > points.x[points.interior, 0].mean())
 
 
 def across(points):
@@ -48,8 +46,8 @@ KINDS = {
     "lattice": lambda: lattice(2, HORIZON),
     "periodic lattice": lambda: periodic((7, 8))[0],
     "periodic cloud": lambda: periodic_cloud(7),
-    "cut lattice": lambda: cut(lattice(2, HORIZON)),
-    "cut cloud": lambda: cut(cloud(2, HORIZON)),
+    "cut lattice": lambda: halved(lattice(2, HORIZON)),
+    "cut cloud": lambda: halved(cloud(2, HORIZON)),
 }
 SETS = {
     "L with a hole": lambda: lattice(np.kron(ell(), np.ones((4, 4))) > 0, HORIZON),
@@ -124,21 +122,13 @@ def test_derivatives_are_those_of_differences_and_fields_those_of_numbers(kind):
         assert error(by, number[part]) < 1e-12, part
 
 
-def test_an_operator_with_fields_is_symmetric_on_a_period_and_its_matrix_anywhere():
+def test_an_operator_with_fields_is_symmetric_on_a_period_and_its_matrix_in_space():
     law = Problem("positive", KINDS["periodic lattice"](), fields=True)
     law = law.bonds.law(*(leaf.numpy() for leaf in [*law.leaves.values()][1:]))
     u = noise(law.bonds.points, 2).reshape(2, -1)
     assert error(law.transposed(u)[0], law.force(u)[0]) < 1e-14
-    flat, deep = (
-        kernel("sign-changing", HORIZON),
-        partial(clouds.solid, alpha=1.2, D=[1, -0.3, 0.6]),
-    )
-    for points, model in (
-        (KINDS["periodic cloud"](), flat),
-        (KINDS["cut cloud"](), flat),
-        (clouds.cube(2, 2.0), deep(2.0)),
-        (clouds.periodic_cloud(6, 0.2, dimension=3), deep(2.9)),
-    ):
+    for points, reach in ((clouds.cube(2, 2.0), 2.0), (periodic_cloud(6, 0.2, dimension=3), 2.9)):
+        model = clouds.solid(reach, alpha=1.2, D=[1, -0.3, 0.6])
         u, operator = noise(points), model.on(points, allow_uncertified=True)
         assert error(operator(u).ravel(), operator.matrix() @ u.ravel()) < 10 * ROUNDING
 
@@ -158,9 +148,9 @@ def test_nodes_in_no_order_or_far_apart_or_beside_a_crack_stay_in_their_lists():
     order = default_rng(0).permutation(len(points.x))
     mixed = replace(points, x=points.x[order], interior=points.interior[order])
     apart = Points(np.concatenate([points.x, points.x + 200.0]), np.tile(points.interior, 2), 1.0)
-    for one in (mixed, apart, cut(points)):
+    for one in (mixed, apart, halved(points)):
         assert not Bonds(one, HORIZON).layout.in_rows
-    torn = kernel("positive", HORIZON).on(cut(points), allow_uncertified=True)
+    torn = kernel("positive", HORIZON).on(halved(points), allow_uncertified=True)
     assert torn.energy(noise(points)) is None  # its force has none where λ is not μ
 
 
@@ -173,8 +163,6 @@ def test_bond_based_forces_need_half_the_collar_and_no_dilatation():
     with refused("lambda, mu: expected equal values without a gr"):
         lps_force(both[0], u, 0.1, 0.7, 1.3, D)
     small = lattice(3, HORIZON / 2)
-    with refused("out to twice the horizon"):
-        Bonds(small, HORIZON)
     operator = kernel("sign-changing", HORIZON, lam=0.8).on(small, allow_uncertified=True)
     assert (
         error(operator.matrix() @ noise(small).ravel(), operator(noise(small)).ravel()) < ROUNDING
@@ -186,10 +174,8 @@ def test_on_a_tape_of_the_user():
     points, model = lattice(5, HORIZON), kernel("sign-changing", HORIZON)
     operator, u = model.on(points), noise(points, 2)
     field = wp.array(u, dtype=wp.vec2d, requires_grad=True)
-    numbers = [
-        wp.array(np.atleast_1d(value), dtype=wp.float64, requires_grad=True)
-        for value in model.learnable.values()
-    ]
+    values = map(np.atleast_1d, model.learnable.values())
+    numbers = [wp.array(one, dtype=wp.float64, requires_grad=True) for one in values]
     seed = noise(points, 2, seed=1)[:, points.interior]
     out = wp.zeros((2, len(seed[0])), dtype=wp.vec2d, requires_grad=True)
     with wp.Tape() as tape:
@@ -205,16 +191,14 @@ def test_on_a_tape_of_the_user():
     assert np.array_equal(out.numpy(), operator(u))
     soft = wp.array([-1.0], dtype=wp.float64)
     shorter = LPSParameters(*numbers[:-1], numbers[-1][:-1])
-    for given, words in (
-        ((field, out, {}), "parameters: expected LPSParameters.*, got dict"),
-        ((field, out, model), "parameters: expected LPSParameters.*, got LPSMaterial"),
-        ((field, out, LPSParameters(numbers[0], soft, *numbers[2:])), "mu: expected"),
-        ((field, out, shorter), r"D: expected shape \[5\], got \[4\]"),
-        ((field, out[:, :-1]), r"out: expected a contiguous .* \[2, 25\]"),
-        ((field.numpy(), out), "u: expected a contiguous array of Warp of shape"),
-    ):
-        with refused(words):
-            operator.launch(*given)
+    each_refused(operator.launch, {
+        "parameters: expected LPSParameters.*, got dict": (field, out, {}),
+        "parameters: expected LPSParameters.*, got LPSMaterial": (field, out, model),
+        "mu: expected": (field, out, LPSParameters(numbers[0], soft, *numbers[2:])),
+        r"D: expected shape \[5\], got \[4\]": (field, out, shorter),
+        r"out: expected a contiguous .* \[2, 25\]": (field, out[:, :-1]),
+        "u: expected a contiguous array of Warp of shape": (field.numpy(), out),
+    })  # fmt: skip
 
 
 def test_no_table_is_stale_and_a_bond_may_have_no_influence():

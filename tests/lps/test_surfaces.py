@@ -1,13 +1,11 @@
 """Cut bodies: corrected dilatation, affine fields, and the traction-free problem of the paper."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from tests.support import clouds
 from tests.support.clouds import cloud, plain
-from tests.support.problems import ell, fitted_order, kernel, lattice, noise, normal
+from tests.support.problems import cut, ell, fitted_order, kernel, lattice, noise, normal
 from tests.support.solving import solve
 from tests.support.told import refused, warned
 from warp_peri import LPSMaterial, certify
@@ -22,7 +20,7 @@ def body(points):
     """Without what is outside of a corner and a curved edge, in space of a face."""
     a, b, *deep = (points.x - points.x[points.interior].mean(axis=0)).T
     outside = a > 0.5 if deep else ((a > 1) & (b > 0.4)) | (np.hypot(a + 5, b) < 4.3)
-    return replace(points, interior=points.interior & ~outside, outside=outside)
+    return cut(points, outside)
 
 
 BODIES = {
@@ -52,7 +50,7 @@ def traction_free(lam, mu, n):
     """Largest error on a unit square whose right edge is free, under no load."""
     points = lattice(n, HORIZON / n, 1 / n, origin=(0.5 / n, 0.5 / n))
     outside, (a, b) = points.x[:, 0] > 1, points.x.T
-    points = replace(points, interior=points.interior & ~outside, outside=outside)
+    points = cut(points, outside)
     stretch = 3 * lam / (lam + 2 * mu)  # no stress across the edge; 1 where λ = μ, as printed
     exact = np.stack([stretch * a + b, -a - 3 * b], axis=1)
     given = np.where(outside[:, None], 0.0, exact)
@@ -70,7 +68,7 @@ def test_a_free_edge_is_right_to_the_first_order():
 def test_a_cut_operator_that_is_not_definite_is_refused_or_named():
     points = lattice(8, HORIZON)
     outside = points.x[:, 0] > 5.5
-    points = replace(points, interior=points.interior & ~outside, outside=outside)
+    points = cut(points, outside)
     fields = 0 * points.x, np.where(outside[:, None], 0, points.x @ [[0.3, 0.2], [-0.7, 0.9]])
     solve(kernel("1/r", HORIZON), points, *fields)
     D = [-0.5, -0.8, 0.9, 0.1, 0.5]

@@ -15,9 +15,9 @@ def cloud(number, horizon, perturbation=0.3, seed=0, length=None):
     return shaken(grid, perturbation * h, seed)
 
 
-def periodic_cloud(number, perturbation=0.3, seed=0, dimension=2):
+def periodic_cloud(number, perturbation=0.3, dimension=2):
     """Perturbed nodes in a periodic box, `number` along each axis, all interior."""
-    return shaken(periodic(dimension * (number,))[0], perturbation, seed)
+    return shaken(periodic(dimension * (number,))[0], perturbation, 0)
 
 
 def shaken(points, size, seed):

@@ -10,7 +10,7 @@ import torch
 import warp_peri as wp
 from examples.own_law import Springs
 from tests.crystal.crystals import learned
-from tests.support import clouds
+from tests.support import clouds, problems
 from tests.support.nonlinear import psi, solid
 from tests.support.problems import AXIS, difference, kernel, lattice, loaded, normal, periodic
 from tests.support.sheets import SPACING, dictionary_of, waves
@@ -187,7 +187,7 @@ def torn():
     points = lattice(5, 3.0)
     outside = points.x[:, 0] > 2.5
     model = kernel("sign-changing", 3.0)
-    return model.on(replace(points, outside=outside, interior=points.interior & ~outside))
+    return model.on(problems.cut(points, outside))
 
 
 def conductor():

@@ -1,5 +1,7 @@
 """Problems defined once: lattices, kernels and fields."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.random import default_rng
 
@@ -44,6 +46,11 @@ def lattice(interior, horizon, spacing=1.0, angle=0.0, origin=0.0):
     if mask.ndim == 2:
         x, axis = x @ rotation(angle).T, np.rad2deg(AXIS)
     return Points(x + origin, mask.ravel(), spacing, axis=axis)
+
+
+def cut(points, outside):
+    """Points with an interior less what is outside of the body."""
+    return replace(points, interior=points.interior & ~outside, outside=outside)
 
 
 def ell():

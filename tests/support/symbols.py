@@ -30,9 +30,9 @@ def symbol(model, k, spacing=1.0):
     return form(classes, k, *stiffnesses(model, classes))
 
 
-def smallest(D, k, spacing=1.0):
+def smallest(D, k):
     """Λmin / s, shape [K]."""
-    return np.linalg.eigvalsh(D)[:, 0] * spacing**2 / laplacian(spacing * k)
+    return np.linalg.eigvalsh(D)[:, 0] / laplacian(k)
 
 
 def smallest_margins(classes, conditions, v, kappa):

@@ -15,6 +15,13 @@ def warned(words):
     return pytest.warns(UserWarning, match=words)
 
 
+def each_refused(call, table):
+    """What is given, several in a tuple, is refused in the words that it has here."""
+    for words, given in table.items():
+        with refused(words):
+            call(*given) if isinstance(given, tuple) else call(given)
+
+
 def assert_refused(table):
     """Each call, or each of several, is refused in the words that it has here."""
     for words, calls in table.items():
