@@ -69,6 +69,10 @@ class FlowOperator(OperatorBase):
         components = int(np.prod(self.shape[1:]))
         return self.matrix.tocsc()[:, np.repeat(self.points.interior, components)]
 
+    def transposed(self, g: np.ndarray) -> np.ndarray:
+        """L⁻ᵗ g of loads on the interior, flat [S, …]."""
+        return MatrixProblem(self.matrix, self.points.interior).factors.solve(g.T, "T").T
+
     def solve(self, b: ArrayLike | None, u: ArrayLike, solver: Solver = None) -> Solution:
         """Solve L u = b (or 0) for the steady state, given on other nodes, [N, …] or [S, N, …].
 

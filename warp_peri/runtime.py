@@ -154,13 +154,17 @@ def shared_by(comm: Any) -> Iterator[None]:
         _sharing.pop()
 
 
+def sharing() -> Any:
+    """Communicator of the ranks that share work here; None of one process alone."""
+    return _sharing[-1] if _sharing else None
+
+
 def in_blocks(work: Callable[[np.ndarray], np.ndarray], rows: np.ndarray, most: int) -> np.ndarray:
     """Apply `work` to rows in blocks of at most `most`, joined; blocks do not depend on the number
     of ranks, and so the result has the same bits on any."""
     blocks = np.array_split(rows, -(-len(rows) // most) or 1)
-    if not _sharing:
+    if not (comm := sharing()):
         return np.concatenate([work(block) for block in blocks])
-    comm = _sharing[-1]
     done = comm.allgather([work(block) for block in blocks[comm.rank :: comm.size]])
     return np.concatenate([done[n % comm.size][n // comm.size] for n in range(len(blocks))])
 

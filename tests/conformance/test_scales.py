@@ -5,11 +5,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+import torch
 
 import warp_peri as wp
 from tests.conformance.test_breaking import CRACK, SOLIDS, points_of
 from tests.support import in_plane_and_space
-from tests.support.materials import LAWS, SPREAD, placed, solved_samples, uneven
+from tests.support.materials import LAWS, SPREAD, field, operator, placed, solved_samples, uneven
 from tests.support.plates import plate
 from tests.support.problems import kernel, lattice, loaded
 from tests.support.sheets import waves
@@ -146,6 +147,25 @@ def test_diffusion(scale):
     first = wp.solve(DiffusionMaterial(2.0, 0.7), wp.Dirichlet(points, source, phi))
     far = wp.Dirichlet(larger(points, length), source * stress / length**2, phi)
     near(wp.solve(DiffusionMaterial(2.0 * length, 0.7 * stress), far).u, first.u, 1e-8)
+
+
+def test_a_coupled_solid_and_its_gradient(scale):
+    op = operator("coupled")
+    other, length, stress = resized(op.model, scale)
+
+    def found(model, points, by, load):
+        b = torch.tensor(load * field(op) * [0, 0, 1], requires_grad=True)
+        problem = wp.Dirichlet(points, b, np.zeros(op.shape))
+        rest, moved = wp.solve(model, problem), wp.simulate(model, problem, step=0.1, steps=2)
+        for u in (rest.u / torch.tensor(by), moved.u / torch.tensor(by)):
+            yield u.detach().numpy()
+            yield torch.autograd.grad(u.sum(), b)[0].numpy() * load
+
+    by, points = np.array([length, length, 1.0]), op.points
+    twins = found(other, larger(points, length), by, stress / by)
+    for here, there in zip(found(op, points, np.ones(3), np.ones(3)), twins, strict=True):
+        near(there[:, 0], here[:, 0], 1e-8)
+        near(there, here, 1e-8)
 
 
 @in_plane_and_space

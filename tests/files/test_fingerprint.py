@@ -112,6 +112,8 @@ def test_materials_settings_functions_and_objects_count_by_what_they_hold():
         (hardening(1.0), hardening(2.0)),
         (above(0.3), above(0.4)),
         (lambda field: field.max(), lambda field: field.min()),
+        (lambda *, low, high: high - low, lambda *, high, low: low - high),
+        *((np.ma.array(x, mask=x > of) for of in (0, 1)),),
         (by(above(0.3)), by(above(0.4))),
         (Above(0.3), Above(0.4)),
         (heir(lambda self: np.min), heir(lambda self: np.max)),

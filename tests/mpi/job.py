@@ -161,12 +161,24 @@ def refusals(sheet, ball):
     )]  # fmt: skip
 
 
+def proved(law):
+    with together():
+        return wp.certify(law, spacing=H)
+
+
 def at_the_door(sheet):
     """What is said where rank 1 was given something else than the others, by what it was."""
     one, (b, u) = int(world().rank == 1), fields(sheet.x)
     problem, law = wp.Dirichlet(sheet, b, u), replace(solid(2), mu=0.4 + 1e-9 * one)
     other, how = wp.Dirichlet(sheet, None if one else b, u), SWING | {"steps": 4}
+    far = lattice(SHAPE[2], H, inside, origin=(0.0, 9.0)), sheet
+    brittle, still = BrittleMaterial(solid(2), 2500.0, toughness=1.0), {"step": 1e-3, "steps": 1}
     return {name: told_by(case) for name, case in {
+        "points": lambda: wp.solve(solid(2), wp.Dirichlet(far[one], b, u)),
+        "proof": lambda: proved(law),
+        "ramp": lambda: wp.simulate(
+            brittle, wp.Cracked(sheet), ramp=lambda time: 1.0 + world().rank, **still
+        ),
         "material": lambda: wp.solve(law, problem),
         "problem": lambda: wp.simulate(solid(2), other, **how),
         "step": lambda: wp.simulate(solid(2), problem, **how | {"step": 1e-3 / (1 + one)}),

@@ -129,7 +129,7 @@ def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
     ), strict=True):  # fmt: skip
         assert said.startswith(words)
     door = jobs[2]["door"]  # before anything is sent
-    assert len(door) == 5
+    assert len(door) == 8
     for name, told in door.items():
         assert told == f"{name}: expected the same on all ranks, rank 1 has another"
 

@@ -10,6 +10,7 @@ from tests.support.problems import ell, fitted_order, kernel, lattice, noise, pe
 from tests.support.symbols import symbol
 from tests.support.told import assert_refused, refused
 from warp_peri.certificates import critical_time_step
+from warp_peri.files.atomic import locked
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.problems import Dirichlet, simulate
 from warp_peri.solvers.verlet import INERTIA, Inert, inertia, march, step
@@ -125,6 +126,8 @@ def test_waves_go_on_from_a_checkpoint_with_the_same_bits_and_go_to_paraview(tmp
         assert getattr(resumed, name).tobytes() == getattr(straight, name).tobytes()
     assert (tmp_path / "s" / "motion.pvd").read_text().count("timestep=") == len(straight.time)
     (tmp_path / "motion.pvd").write_text("mine")
+    with locked(files["checkpoint"]), refused("run.h5: another job is writing here"):
+        march(operator, b, u, **options, **files, steps=30)
     assert_refused({
         "of another program": lambda: march(operator, b, u, **options, steps=4, series=tmp_path),
         "at least the 25 taken before, got 20":

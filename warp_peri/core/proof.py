@@ -29,9 +29,10 @@ from warp_peri.core.stencil import (
     zoomed,
 )
 from warp_peri.errors import InputError
+from warp_peri.files.checkpoint import same
 from warp_peri.points.arguments import LINEAR, USUAL, Positive, Units, offered, symbols, typed
 from warp_peri.points.points import PointsLike
-from warp_peri.runtime import in_blocks
+from warp_peri.runtime import in_blocks, sharing
 
 SAMPLE = {2: 240, 3: 24}
 """Intervals of the grid that the smallest ratio is sampled on, before zooming."""
@@ -272,6 +273,8 @@ def prove(
         shares: of the sampled minimum, the largest first.
     """
     start = time.perf_counter()
+    if comm := sharing():
+        same(comm, proof=(stencil, group, weight, shares))
     if weight is None:
         weight = laplacian_stencil(stencil.spacing, stencil.dimension, stencil.tensors.shape[1])
     stiff, weight = _lattice_units(stencil), _lattice_units(weight)

@@ -286,6 +286,8 @@ def _pulled(operator: Any, u: np.ndarray, g: np.ndarray, solver: Any) -> tuple[n
 def _transposed(operator: Any, fields: np.ndarray, g: np.ndarray) -> np.ndarray:
     """L′⁻ᵗ g of each field on the interior, by factors, or by GMRES of many tangents."""
     right, factors, found = g.reshape(len(fields), -1), None, []
+    if hasattr(operator, "transposed"):
+        return operator.transposed(right)  # type: ignore[no-any-return]
     many = not operator.is_linear and np.count_nonzero(operator.points.interior) > DIRECT
     steps = (many and hasattr(operator, "inverse")) or not hasattr(operator, "interior_tangent")
     # each field takes some eight inverses, and so many loads may be worth factors

@@ -14,7 +14,7 @@ import sys
 import sysconfig
 from collections import deque
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, cached_property
 from importlib import import_module
 from pathlib import Path
@@ -26,7 +26,15 @@ import numpy as np
 
 from warp_peri import __version__
 from warp_peri.errors import ALONE, InputError, StrPath, agreed
-from warp_peri.files.atomic import check_hdf5, meshio_of, parsed, whole_file, write_text, write_vtu
+from warp_peri.files.atomic import (
+    check_hdf5,
+    locked,
+    meshio_of,
+    parsed,
+    whole_file,
+    write_text,
+    write_vtu,
+)
 
 HELD = ("__self__", "__func__", "fget", "code")
 """What methods, properties and what torch compiled hold that is no attribute."""
@@ -137,6 +145,7 @@ def _spelled(part: Any, known: Known) -> Iterator[bytes]:
     elif isinstance(part, np.ndarray) and part.dtype != object:
         part = part.astype(part.dtype.newbyteorder("="), copy=False)
         yield from (f"{part.dtype}{part.shape}".encode(), part.tobytes())
+        held = [getattr(part, "mask", None)]
     elif isinstance(part, Mapping):
         held = sorted(_digest((key, part[key]), known) for key in part)
     elif isinstance(part, (set, frozenset)):  # each as if it were met first
@@ -146,7 +155,7 @@ def _spelled(part: Any, known: Known) -> Iterator[bytes]:
         yield f"{len(part)} of".encode()
         held = [*part]
     elif inspect.iscode(part):
-        held = [part.co_code, part.co_consts, part.co_names]
+        held = [part.co_code, part.co_consts, part.co_names, part.co_varnames]
     elif inspect.isfunction(part):
         held = [part.__code__, part.__defaults__, part.__kwdefaults__, vars(part), _read_by(part)]
     elif isinstance(part, (str, bytes, os.PathLike)):
@@ -192,13 +201,13 @@ def _read_by(function: FunctionType) -> dict[str, Any]:
     user's that it names or imports, by name."""
     cells = zip(function.__code__.co_freevars, function.__closure__ or ())
     held = {name: cell.cell_contents for name, cell in cells if cell != CellType()}
-    names, said, code = set[str](), set[str](), [function.__code__]
+    names, code = set[str](), [function.__code__]
     spaces, read = [(held, {*held})], dict[str, Any]()
     if _is_users(str(function.__globals__.get("__name__"))):
         spaces += [(function.__globals__, names), (imported := {}, names)]
         for inner in code:  # those of what is defined inside, too
             names |= {*inner.co_names}
-            said |= {one for one in inner.co_consts if isinstance(one, str)}  # for getattr
+            names |= {one for one in inner.co_consts if isinstance(one, str)}  # for getattr
             code += filter(inspect.iscode, inner.co_consts)
             for step in dis.get_instructions(inner):
                 if step.opname == "IMPORT_NAME":
@@ -209,7 +218,7 @@ def _read_by(function: FunctionType) -> dict[str, Any]:
             one = space[name]
             if inspect.ismodule(one):
                 if _is_users(one.__name__) and all(vars(one) is not other for other, _ in spaces):
-                    spaces += [(vars(one), names | said)]
+                    spaces += [(vars(one), names)]
                 one = one.__name__
             read[f"{place} {name}"] = one
     return read
@@ -247,6 +256,15 @@ class RunFile:
 
     def __init__(self, path: StrPath, kind: str, nodes: Any) -> None:
         self.path, self.kind, self.nodes = Path(path), kind, nodes
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Hold the file against other jobs; InputError, on all ranks, where another holds it."""
+        with ExitStack() as lock:
+            with agreed(self.nodes.comm):
+                if self.nodes.comm.rank == 0:
+                    lock.enter_context(locked(self.path))
+            yield
 
     def write(self, nodal: Mapping[str, np.ndarray], values: Mapping[str, Any]) -> None:
         """Write arrays [n, ...] on the own nodes, and JSON values; all ranks come here."""

@@ -300,7 +300,7 @@ class CrackRun(Recorder):
         left = self.body.operator.kept(state.links).astype(np.uint8)
         return arrays | {"dissipated": state.dissipated, "whole": state.whole, "left": left}
 
-    def _times(self, steps: int) -> list[float]:
+    def times(self, steps: int) -> list[float]:
         """Times of the start and after each of so many steps, as they add up."""
         return np.cumsum([0.0] + steps * [self.dt]).tolist()  # type: ignore[no-any-return]
 
@@ -308,7 +308,7 @@ class CrackRun(Recorder):
         body, nodes = self.body, self.nodes
         fields = {name: getattr(body, name).numpy() for name in ("load", "held", "grip")}
         fields |= {"nodes": body.body.x, "no_fail": body.no_fail}
-        self.shares += map(body.share, self._times(steps)[len(self.shares) :])
+        self.shares += map(body.share, self.times(steps)[len(self.shares) :])
         return {name: nodes.mark(field) for name, field in fields.items()} | {
             "solid": fingerprint(body.solid, body.operator.limits, body.corrected),
             "load history": fingerprint(self.shares[: steps + 1]),
@@ -327,5 +327,5 @@ class CrackRun(Recorder):
             self.body.correction(left >= 0),
         )
         state.dissipated[:], state.whole = arrays["dissipated"], arrays["whole"]
-        state.time, state.steps = self._times(steps)[-1], steps
+        state.time, state.steps = self.times(steps)[-1], steps
         return state

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 import warp_peri.core as core
 import warp_peri.fracture as fracture
 from warp_peri.errors import ALONE, InputError, agreed
+from warp_peri.files.checkpoint import same
 from warp_peri.fracture.body import (
     LatticeBody,
     box_nodes,
@@ -201,6 +202,8 @@ def in_steps(material: Any, body: LatticeBody, options: Any, nodes: Any = None) 
         moving = BreakingBody(material, body, **how)
         state = moving.start(**begin)
     marching = CrackRun(moving, nodes=nodes, **records)
+    if nodes is not None:
+        same(nodes.comm, ramp=[*map(moving.share, marching.times(run["steps"]))])
     return marching.motion(marching.march(state, **run))
 
 

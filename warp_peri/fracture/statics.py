@@ -123,7 +123,7 @@ class CutSolid(OperatorBase):
         rows = sp.csr_array(self.matrix[~held.ravel()])
         self._problem = MatrixProblem(rows, ~held, factorise=symmetric_factors)
         self.factors = self._problem.factors
-        if not (squares or is_definite(self.factors)):
+        if not (squares or is_definite(self.factors.factors)):
             raise InputError(INDEFINITE)
 
     @cached_property

@@ -6,6 +6,7 @@ displacement comes from their owners after each drift: bonds break here as they 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
@@ -46,6 +47,8 @@ SLAB, FEW = 8, 50_000
 be halved."""
 FIELDS = ("load", "held", "grip", "no_fail", "u", "v")
 """Of a body that breaks, on nodes."""
+MADE = itertools.count()
+"""Numbers of bodies that all ranks make together."""
 _OF_A_WHOLE = ("box", "outside", "is_open_lattice", "lattice", "rows")
 
 
@@ -63,6 +66,7 @@ class Subdomain:
         grid: lattice steps from the corner of the whole body, shape [n, d].
         slabs: of the box around the whole body.
         units, axis: as of Points.
+        which: number of the body among those that the ranks have made together.
     """
 
     comm: Comm
@@ -75,6 +79,7 @@ class Subdomain:
     slabs: Slabs
     units: Units = USUAL
     axis: Any = None
+    which: int = 0
 
     @property
     def own(self) -> slice:
@@ -267,7 +272,8 @@ def lattice(
         check_units(units)
     if not any(comm.allgather(bool(inside.any()))):
         raise InputError("interior: expected at least one interior node, got none")
-    return Subdomain(comm, x, inside, float(spacing), number, count, grid, slabs, units, axis)
+    made = next(MADE)
+    return Subdomain(comm, x, inside, float(spacing), number, count, grid, slabs, units, axis, made)
 
 
 def partition(points: Points) -> Any:
@@ -293,7 +299,8 @@ def partition(points: Points) -> Any:
     if min(comm.allgather(len(own))) == 0:
         raise InputError(f"points: {len(grid)} nodes are too few for {comm.size} ranks")
     parts = points.x[own], points.interior[own], points.spacing
-    return Subdomain(comm, *parts, own, len(grid), grid[own], slabs, points.units, points.axis)
+    of, made = (points.units, points.axis), next(MADE)
+    return Subdomain(comm, *parts, own, len(grid), grid[own], slabs, *of, made)
 
 
 def gather(points: Any, values: np.ndarray) -> np.ndarray:
@@ -322,4 +329,5 @@ def alike(material: Any, problem: Any, options: Mapping[str, Any]) -> None:
         there = [n for n, one in given.items() if one is not None and n != "record"]
         stacked = [as_array(n, given[n]).shape[:-2] for n in ("b", "u") if n in there]
     kind = type(problem).__name__
-    same(comm, material=material, problem=(kind, stacked, there), **asked)
+    asked |= {"points": problem.points.which, "material": material}
+    same(comm, problem=(kind, stacked, there), **asked)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -143,7 +144,13 @@ class Recorder:
 
     def march(self, state: Any, *, steps: Natural, progress: bool = False) -> Any:
         """March to `steps` steps in all, from the checkpoint if there is one, else from `state`;
-        InputError for another motion's checkpoint, or fewer steps than are done."""
+        InputError for another motion's checkpoint, or another job's, or fewer steps than are
+        done."""
+        with nullcontext() if self.file is None else self.file.held():
+            return self._marched(state, steps, progress)
+
+    def _marched(self, state: Any, steps: int, progress: bool) -> Any:
+        """State after so many steps."""
         own = self.nodes.own
         if self.file is not None:
             if not self.start or state.steps == 0:

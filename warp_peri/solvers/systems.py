@@ -23,6 +23,7 @@ SYMMETRIC, PIVOT = 1e-12, 0.01
 """Rounding that symmetry may have; smallest pivot on the diagonal that is kept there."""
 DENSE = 1500
 """Numbers of unknowns up to which eigenvalues are computed densely."""
+SMALLEST = np.finfo(float).tiny
 
 
 def factorised(matrix: sp.csc_array) -> Any:
@@ -58,6 +59,31 @@ def definite_factors(matrix: sp.sparray | sp.spmatrix) -> Any:
     return factors if is_definite(factors) else None
 
 
+class Balanced:
+    """Factors of R K C, which solve with K. R and C are diagonals of powers of two, `rows` and
+    `columns`: of components in units of their own they make the diagonals as large as the first
+    component's, and what couples it to another as large both ways, for pivots and residuals are
+    compared across them. RuntimeError for a matrix that is singular."""
+
+    def __init__(
+        self, matrix: sp.csc_array, components: int, factorise: Callable[[sp.csc_array], Any] = splu
+    ) -> None:
+        parts, whole = [slice(n, None, components) for n in range(components)], abs(matrix)
+        sizes = np.maximum([[whole[i, j].max() for j in parts] for i in parts], SMALLEST)
+        both = np.minimum(sizes[0], sizes[:, 0]) > SMALLEST
+        apart = np.where(both, sizes[:, 0] / sizes[0], 1.0)
+        own = sizes[0, 0] / sizes.diagonal()
+        sides = np.exp2(np.rint(np.log2([own / apart, own * apart]) / 2))
+        self.rows, self.columns = np.tile(sides, matrix.shape[0] // components)
+        scaled = sp.diags_array(self.rows) @ matrix @ sp.diags_array(self.columns)
+        self.factors = factorise(scaled.tocsc())
+
+    def solve(self, right: np.ndarray, way: str = "N") -> np.ndarray:
+        """Solve K x = right, [n] or [n, S], or Kᵗ x = right the `way` "T"."""
+        into, out = (self.rows, self.columns)[:: 1 if way == "N" else -1]
+        return np.asarray((self.factors.solve((right.T * into).T, way).T * out).T)
+
+
 class MatrixProblem:
     """Assembled problem L u = b on the unknown nodes, u given on the collar (theory, 29).
 
@@ -83,8 +109,7 @@ class MatrixProblem:
         self.nodes = np.count_nonzero(interior.reshape(len(interior), -1).any(axis=1))
         self.stiffness = sp.csc_array(L[:, self.unknown])
         self.collar = sp.csr_array(L[:, ~self.unknown])
-        # A tiny pivot solves its own row exactly: what rounding of L alone would leave counts too.
-        self.rounding = np.finfo(float).eps * np.max(abs(L).sum(axis=1), initial=0.0)
+        self.components, self.sizes = L.shape[1] // interior.size, abs(L)
 
     def right(self, b: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Right-hand side b − L u of the collar [TPa/Å], for fields [S, N, d]: [d I, S]."""
@@ -92,10 +117,10 @@ class MatrixProblem:
         return np.asarray(load[:, self.unknown].T - self.collar @ held[:, ~self.unknown].T)
 
     @cached_property
-    def factors(self) -> Any:
+    def factors(self) -> Balanced:
         """Factors of L_II; InputError where it is singular."""
         try:
-            return self.factorise(self.stiffness)
+            return Balanced(self.stiffness, self.components, self.factorise)
         except RuntimeError as error:
             raise InputError(
                 f"the operator on these {self.nodes} nodes is singular: the model is "
@@ -104,10 +129,13 @@ class MatrixProblem:
 
     def check(self, solution: np.ndarray, right: np.ndarray) -> None:
         """Raise InputError unless every column of the solution has a small residual."""
-        wrong = np.linalg.norm(self.stiffness @ solution - right, axis=0)
-        size = np.linalg.norm(right, axis=0)
+        by, parts = self.factors, (self.stiffness @ solution - right, right)
+        wrong, size = (np.linalg.norm(part.T * by.rows, axis=1) for part in parts)
         self.left = float(np.max(wrong / np.where(size > 0, size, np.inf), initial=0.0))
-        wrong = np.maximum(wrong, self.rounding * np.linalg.norm(solution, axis=0))
+        # A tiny pivot solves its own row exactly: what rounding of L alone would leave counts too.
+        sums = by.rows * (self.sizes @ np.resize(by.columns, len(self.unknown)))
+        answer = np.finfo(float).eps * np.linalg.norm(solution.T / by.columns, axis=1)
+        wrong = np.maximum(wrong, sums.max(initial=0.0) * answer)
         if not (wrong <= RESIDUAL * size).all():
             raise InputError(
                 "the operator on these nodes is singular to working precision: "
