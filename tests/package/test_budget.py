@@ -16,12 +16,12 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_717,
-    "tokens": 233_996,
-    "lines of warp_peri": 30_061,
+    "code lines": 18_761,
+    "tokens": 234_663,
+    "lines of warp_peri": 30_138,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_245,
+    "lines of warp_peri, kernels, examples and tools": 42_322,
     "lines of the longest file": 539,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -34,18 +34,18 @@ BUDGET = {
 ROOMS = {
     "atoms": 2298,
     "cli": 763,
-    "core": 1608,
-    "face": 1111,
+    "core": 1612,
+    "face": 1114,
     "fe_coupling": 710,
-    "files": 475,
+    "files": 483,
     "fitting": 1056,
-    "fracture": 1420,
+    "fracture": 1422,
     "materials": 4526,
     "neural": 574,
     "points": 1691,
     "prediction": 577,
-    "mpi": 444,
-    "solvers": 1464,
+    "mpi": 449,
+    "solvers": 1486,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)
