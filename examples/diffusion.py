@@ -31,7 +31,10 @@ def square(cells: int, reach: float, shift: float = 0.0, seed: int = 0) -> Point
 def error(points: Points, ratio: float, cells: int, kappa: Any, exact: np.ndarray, g: Any) -> float:
     """Relative l2 error of a steady solution with the source g [N]."""
     problem = wp.Dirichlet(points, np.broadcast_to(g, exact.shape), exact)
-    off = wp.solve(DiffusionMaterial(ratio / cells, units=REDUCED), problem, kappa=kappa).u - exact
+    off = (
+        wp.solve(DiffusionMaterial(ratio / cells, 1.0, units=REDUCED), problem, kappa=kappa).u
+        - exact
+    )
     return float(np.linalg.norm(off) / np.linalg.norm(exact[points.interior]))  # 0 on the collar
 
 
@@ -73,7 +76,7 @@ def coupled(cells: int) -> tuple[float, float]:
     rise = np.column_stack([np.full_like(x, 0.6), 0 * x])  # gradient of div u = 0.6 x
     load = -MU * laplacian - (LAM + MU) * rise - COUPLING * gradient
     model = wp.LPSMaterial(LAM, MU, 1.0, np.ones(1), horizon=RATIO * h, units=REDUCED)
-    heat = DiffusionMaterial(RATIO * h, units=REDUCED)
+    heat = DiffusionMaterial(RATIO * h, 1.0, units=REDUCED)
     solid = ThermoelasticMaterial(model, heat, COUPLING, STORAGE)
 
     def loads(time: float) -> np.ndarray:

@@ -239,7 +239,7 @@ class DiffusionMaterial(Record, format="warp_peri.conductor"):
     """
 
     horizon: Length
-    conductivity: Annotated[float, FieldUnits(length=2, stress=1, positive=True)] = 1.0
+    conductivity: Annotated[float, FieldUnits(length=2, stress=1, positive=True)]
     alpha: float = 1.0
     D: np.ndarray = field(default_factory=lambda: np.ones(1))
     units: Units = USUAL

@@ -18,7 +18,7 @@ def kappa(place):
     return np.where(np.hypot(place[..., 0], place[..., 1]) < 0.5, 10.0, 1.0)
 
 
-material = wp.diffusion.DiffusionMaterial(horizon=3 * h, units=units)
+material = wp.diffusion.DiffusionMaterial(horizon=3 * h, conductivity=1.0, units=units)
 solution = wp.solve(material, wp.Dirichlet(points, np.zeros_like(phi), phi), kappa=kappa)
 
 print(material, solution, sep="\n")

@@ -53,7 +53,7 @@ def test_linear_fields_carry_no_flux_and_parabolas_that_of_their_laplacian(d):
 def test_periodic_lattices_keep_their_content_and_a_wave_decays_as_it_should():
     points = Points.sheet((24, 24), 1.0)
     kappa = default_rng(0).uniform(0.1, 3, len(points.x))
-    uneven = DiffusionOperator(DiffusionMaterial(3.0), points, kappa=kappa)
+    uneven = DiffusionOperator(DiffusionMaterial(3.0, 1.0), points, kappa=kappa)
     assert abs(uneven(default_rng(1).standard_normal(len(points.x))).sum()) < 1e-11
     assert abs(uneven.matrix - uneven.matrix.T).max() < 1e-13
     k = 2 * np.pi / 24
@@ -70,7 +70,7 @@ def test_a_hole_is_insulated():
     points = square(8, 4.0)
     hole = np.hypot(*points.x.T) < 0.3
     points = Points(points.x, points.interior & ~hole, points.spacing, outside=hole)
-    phi = steady(DiffusionOperator(DiffusionMaterial(3 / 8), points), points.x[:, 0].copy())
+    phi = steady(DiffusionOperator(DiffusionMaterial(3 / 8, 1.0), points), points.x[:, 0].copy())
     assert np.abs(phi[points.interior]).max() < 1
     right = (points.x[:, 0] > 0.3) & (points.x[:, 0] < 0.5) & (np.abs(points.x[:, 1]) < 0.2)
     assert (phi[right] > points.x[right, 0]).all()  # it piles up before the hole
@@ -83,7 +83,7 @@ def test_a_kernel_that_changes_sign_is_taken_where_diffusion_does_not_grow(latti
     phi = default_rng(0).standard_normal(len(points.x))
     phi *= points.interior
     for last, grows in ((-1.0, True), (-0.05, False)):
-        law = DiffusionMaterial(3.2, D=np.array([1.0, 1.0 if grows else 0.2, last]))
+        law = DiffusionMaterial(3.2, 1.0, D=np.array([1.0, 1.0 if grows else 0.2, last]))
         operator, problem = law.on(points), Dirichlet(points, None, phi)
         inner = operator.matrix[:, operator.rows].toarray()
         assert (np.linalg.eigvalsh((inner + inner.T) / 2) < 0).any() == grows
@@ -98,7 +98,7 @@ def test_a_kernel_that_changes_sign_is_taken_where_diffusion_does_not_grow(latti
 
 def test_steps_of_a_coupled_solid_come_to_its_steady_state():
     points, random = square(4, 6.0), default_rng(0)
-    solid = ThermoelasticMaterial(SOLID, DiffusionMaterial(0.75), coupling=0.7, storage=0.3)
+    solid = ThermoelasticMaterial(SOLID, DiffusionMaterial(0.75, 1.0), coupling=0.7, storage=0.3)
     problem = Dirichlet(points, *random.standard_normal((2, len(points.x), 3)))
     found = solve(solid, problem)
     near(found.operator(found.u), found.load, 1e-9, 1)
@@ -106,10 +106,10 @@ def test_steps_of_a_coupled_solid_come_to_its_steady_state():
 
 
 def test_what_does_not_fit_is_refused():
-    points, law = square(3, 6.0), DiffusionMaterial(1.0)
-    metres, wide = DiffusionMaterial(1.0, units=("m", "Pa")), square(3, 6.0)
+    points, law = square(3, 6.0), DiffusionMaterial(1.0, 1.0)
+    metres, wide = DiffusionMaterial(1.0, 1.0, units=("m", "Pa")), square(3, 6.0)
     wide = Points(3 * wide.x, wide.interior, 1.0)
-    bad = DiffusionMaterial(3.0, D=np.array([1.0, 1.0, -1.0]))
+    bad = DiffusionMaterial(3.0, 1.0, D=np.array([1.0, 1.0, -1.0]))
     torn = default_rng(0).uniform(size=len(wide.x)) < 0.4
     torn = Points(wide.x, wide.interior & ~torn, 1.0, outside=torn)
     operator, x = law.on(points), points.x[:, 0]
@@ -117,9 +117,11 @@ def test_what_does_not_fit_is_refused():
     def flow(collar=None, b=None):
         return simulate(operator, Dirichlet(points, b, x), step=0.1, steps=2, collar=collar)
 
-    coupled = ThermoelasticMaterial(SOLID, DiffusionMaterial(0.75), 1.0, 1.0)
+    coupled = ThermoelasticMaterial(SOLID, DiffusionMaterial(0.75, 1.0), 1.0, 1.0)
     rest, three = np.zeros((len(x), 3)), replace(SOLID, horizon=3.0)
-    soft = ThermoelasticMaterial(kernel("sign-changing", 3.0), DiffusionMaterial(3.0), 1.0, 1.0)
+    soft = ThermoelasticMaterial(
+        kernel("sign-changing", 3.0), DiffusionMaterial(3.0, 1.0), 1.0, 1.0
+    )
     soft.on(wide)  # torn, its bonds leave negative eigenvalues
     assert_refused({
         "one a node": lambda: law.on(points, kappa=np.ones(3)),
@@ -127,7 +129,7 @@ def test_what_does_not_fit_is_refused():
         "finite values > 0, got -1": lambda: law.on(points, kappa=-1.0),
         "finite values > 0, got -": lambda: law.on(points, kappa=lambda x: x[..., 0]),
         "conductivity: expected a number > 0": lambda: DiffusionMaterial(0.8, conductivity=-1.0),
-        "alpha: expected less than 3": lambda: DiffusionMaterial(0.8, alpha=3.0),
+        "alpha: expected less than 3": lambda: DiffusionMaterial(0.8, 1.0, alpha=3.0),
         "coupling": lambda: ThermoelasticMaterial(SOLID, law, np.nan, 1.0),
         "storage": lambda: ThermoelasticMaterial(SOLID, law, 1.0, -1.0),
         "units: the model is in":

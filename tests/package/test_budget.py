@@ -17,11 +17,11 @@ from tests.support import ROOT
 
 BUDGET = {
     "code lines": 18_761,
-    "tokens": 234_663,
+    "tokens": 234_661,
     "lines of warp_peri": 30_138,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_322,
+    "lines of warp_peri, kernels, examples and tools": 42_325,
     "lines of the longest file": 539,
     "lines of the longest function": 60,
     "parameters of one function": 10,

@@ -198,7 +198,7 @@ def conductor():
 
 def coupled():
     model = wp.LPSMaterial(1.0, 0.8, 1.0, [1.0, 0.6], horizon=3.0)
-    conductor = wp.diffusion.DiffusionMaterial(3.0, D=np.array([1.0, 0.4]))
+    conductor = wp.diffusion.DiffusionMaterial(3.0, 1.0, D=np.array([1.0, 0.4]))
     law = wp.diffusion.ThermoelasticMaterial(model, conductor, 0.4, 1.0)
     return law.on(lattice(4, 3.0))
 
