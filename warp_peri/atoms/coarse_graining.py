@@ -26,7 +26,7 @@ from warp_peri.points.arguments import (
     checked,
     typed,
 )
-from warp_peri.points.points import LARGEST_TABLE, Points, Samples
+from warp_peri.points.points import LARGEST_TABLE, Points, Samples, grid_places
 
 NUMBERS = {"double", "single"} | {f"{u}int{n}" for u in ("", "u") for n in (8, 16, 32, 64)}
 """Classes of MATLAB's arrays of numbers."""
@@ -93,7 +93,7 @@ def _reached(origin: np.ndarray, images: np.ndarray, radius: float, spacing: flo
     """Nodes of the lattice through `origin` that any image can reach, shape [L, 2]."""
     low = np.floor((images.min(0) - radius - origin) / spacing).astype(int)
     high = np.ceil((images.max(0) + radius - origin) / spacing).astype(int)
-    return np.asarray(origin + spacing * (low + np.argwhere(np.ones(high - low + 1, bool))))
+    return np.asarray(origin + spacing * (low + grid_places(high - low + 1)))
 
 
 @typed
@@ -138,7 +138,7 @@ def _images(
     low, high = nodes.min(0) - radius, nodes.max(0) + radius
     first = np.floor((low - atoms.max(0)) / box).astype(int)
     last = np.ceil((high - atoms.min(0)) / box).astype(int)
-    shifts = first + np.argwhere(np.ones(last - first + 1))
+    shifts = first + grid_places(last - first + 1)
     images = np.concatenate([atoms + shift * box for shift in shifts])
     owner = np.tile(np.arange(len(atoms)), len(shifts))
     near = ((images >= low) & (images <= high)).all(axis=1)
@@ -194,7 +194,7 @@ def read_mat(
         step = spacing_of(x)
     else:
         step, side = float(positions), round((held[displacement][0].size / 2) ** 0.5)
-        x = step * np.argwhere(np.ones((side, side), bool))
+        x = step * grid_places((side, side))
     u = _components_last(path, held, displacement, len(x))
     b = None if load is None else factor * _components_last(path, held, load, len(x))
     nodes = np.rint(place := (x - x.min(axis=0)) / step).astype(int)

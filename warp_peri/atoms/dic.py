@@ -26,7 +26,7 @@ from warp_peri.points.arguments import (
     plain,
     typed,
 )
-from warp_peri.points.points import PULL, SEEN, Points, Samples
+from warp_peri.points.points import PULL, SEEN, Points, Samples, grid_places
 
 MOVES = ("§", "u*", "displacement*", "*displacement", "disp*", "d*",
          "disphorizontaldisplacement§", "dispverticaldisplacement§")  # fmt: skip
@@ -288,13 +288,13 @@ def dic_to_lattice(
         raise InputError(f"frames: expected one unit of length, got {', '.join(said.values())}")
     (length,) = lengths
     named = check_units(USUAL if length is None else (length, "MPa"))
-    step = spacing_of(frames[0].x) if spacing is None else float(spacing)
+    step = float(spacing or spacing_of(frames[0].x))
     every = np.concatenate([frame.x for frame in frames])
     counts = np.floor(np.ptp(every, axis=0) / step + 1 + ON_LATTICE).astype(int)
     if counts.min() < (least := 4 * REACH + 1) or counts.prod() > 10**7:
         got = f"{counts[0]} × {counts[1]}"
         raise InputError(f"frames: expected at least {least} nodes a side, got {got}")
-    x = every.min(axis=0) + step * np.argwhere(np.ones(counts, bool))
+    x = every.min(axis=0) + step * grid_places(counts)
     each = [on_nodes(frame, x, step, radius) for frame in frames]
     fields, seen = np.stack([u for u, _ in each]), np.stack([there for _, there in each])
     there = np.isfinite(fields).all(axis=(0, 2)) & (seen.mean(axis=0) >= OFTEN)

@@ -17,6 +17,7 @@ import numpy as np
 
 from warp_peri.errors import InputError, optional
 from warp_peri.points.arguments import checked, typed
+from warp_peri.points.points import grid_places, unit_vectors
 
 Symmetry: TypeAlias = str | np.ndarray
 """Name of a point group, or rotations of one, shape [G, d, d]."""
@@ -93,7 +94,7 @@ def point_group(symmetry: Symmetry, dimension: int) -> np.ndarray:
         named = [GENERATORS[word][:dimension, :dimension] for word in words.split()]
         return _closed(named, dimension)
     given = checked("symmetry", symmetry, float, ("G", dimension, dimension))
-    off = np.abs(given @ given.transpose(0, 2, 1) - np.eye(dimension)).max()
+    off = np.abs(given @ given.mT - np.eye(dimension)).max()
     if off > TOLERANCE:
         raise InputError(f"symmetry: expected rotations, got matrices off by {off:.1e}")
     return _closed(list(given), dimension)
@@ -217,10 +218,9 @@ def orbit_grid(intervals: int, group: np.ndarray, dimension: int) -> np.ndarray:
 @lru_cache(maxsize=8)
 def _orbits(intervals: int, bytes_of_group: bytes, dimension: int) -> np.ndarray:
     group = np.frombuffer(bytes_of_group, np.int64).reshape(-1, dimension, dimension)
-    line = np.arange(-intervals, intervals + 1)
-    grid = np.array(list(itertools.product(line, repeat=dimension)))
+    grid = grid_places(dimension * (2 * intervals + 1,)) - intervals
     grid = grid[canonical(grid.astype(float), group) & grid.any(axis=1)]
-    wave: np.ndarray = grid * (np.pi / intervals)
+    wave = grid * (np.pi / intervals)
     wave.flags.writeable = False
     return wave
 
@@ -229,8 +229,7 @@ def directions(count: int, dimension: int) -> np.ndarray:
     """Unit vectors spread evenly over half the circle, or over the sphere, shape [count, d]."""
     number = np.arange(count) + 0.5
     if dimension == 2:
-        angle = np.pi * number / count
-        return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        return unit_vectors(np.pi * number / count)
     z = 1 - 2 * number / count
     angle = np.pi * (1 + np.sqrt(5)) * number
     r = np.sqrt(1 - z * z)
@@ -239,9 +238,7 @@ def directions(count: int, dimension: int) -> np.ndarray:
 
 def brackets_from_elastic(tensor: np.ndarray) -> np.ndarray:
     """Brackets [ij, kl] = (C_ikjl + C_iljk)/2 of an elastic tensor: the inverse of (T4)."""
-    plain = np.einsum("...agbl->...abgl", tensor)
-    brackets: np.ndarray = (plain + plain.swapaxes(-1, -2)) / 2
-    return brackets
+    return symmetric_part(np.einsum("...agbl->...abgl", tensor))
 
 
 def stress_brackets(stress: np.ndarray) -> np.ndarray:
@@ -258,19 +255,19 @@ def huang_rows(brackets: np.ndarray) -> np.ndarray:
     """Huang's relations [ij, kl] − [kl, ij] = 0 of P bracket tensors, shape [E, P]."""
     pairs = _independent(brackets)
     first, second = np.triu_indices(pairs.shape[-1], 1)
-    return np.asarray((pairs - pairs.swapaxes(1, 2))[:, first, second].T)
+    return np.asarray((pairs - pairs.mT)[:, first, second].T)
 
 
 def _independent(brackets: np.ndarray) -> np.ndarray:
     """Entries [ij, kl] for i ≤ j and k ≤ l, shape [P, pairs, pairs]."""
     i, j = np.triu_indices(brackets.shape[-1])
-    return np.asarray(brackets[:, i[:, None], j[:, None], i, j])
+    return brackets[:, i[:, None], j[:, None], i, j]
 
 
 def voigt(tensor: np.ndarray) -> np.ndarray:
     """Voigt matrix of elastic tensors [..., d, d, d, d], 3 × 3 in the plane, 6 × 6 in space."""
     i, j = np.transpose(PAIRS[tensor.shape[-1]])
-    return np.asarray(tensor[..., i[:, None], j[:, None], i, j])
+    return tensor[..., i[:, None], j[:, None], i, j]
 
 
 def plane_isotropic(lam: float, mu: float) -> np.ndarray:
@@ -291,7 +288,7 @@ def voigt_to_tensor(moduli: np.ndarray) -> np.ndarray:
     d = 2 if len(matrix) == 3 else 3
     (i, j), place = np.transpose(PAIRS[d]), np.zeros((d, d), int)
     place[i, j] = place[j, i] = np.arange(len(matrix))
-    return np.asarray(matrix[place[:, :, None, None], place])
+    return matrix[place[:, :, None, None], place]
 
 
 def turned(tensor: np.ndarray, rotation: np.ndarray) -> np.ndarray:
@@ -329,8 +326,8 @@ def acoustic(brackets: np.ndarray, e: np.ndarray) -> np.ndarray:
 
 def q1_tensors(elastic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Steps and C(ξ) h² [H, d, d] [stress] of Q1 elements of side h, two Gauss points an axis."""
-    d = elastic.shape[0]
-    corner = np.array(list(itertools.product((0, 1), repeat=d)))
+    d = len(elastic)
+    corner = grid_places((2,) * d)
     side = 2 * corner - 1
     stiffness = np.zeros((len(corner), d, len(corner), d))
     for point in itertools.product((-(3**-0.5), 3**-0.5), repeat=d):
@@ -344,39 +341,36 @@ def q1_tensors(elastic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         step = tuple((corner[b] - corner[a]).tolist())
         if step > (0,) * d:
             found[step] = found.get(step, np.zeros((d, d))) - stiffness[a, :, b, :]
-    steps = np.array(list(found))
-    tensors = np.array(list(found.values()))
-    return steps, (tensors + tensors.transpose(0, 2, 1)) / 2
+    return np.array(list(found)), symmetric_part(np.array(list(found.values())))
 
 
 def central_weights(reach: int) -> np.ndarray:
     """Weights w with u′ ≈ Σ w_m (u(m) − u(−m)), m = 1 … reach unit spacings, of order 2 reach."""
     m = np.arange(1, reach + 1)
     ways = np.cumprod((reach + 1 - m) / (reach + m))  # r!²/((r − m)! (r + m)!)
-    return np.asarray(-((-1.0) ** m) * ways / m)
+    return -((-1.0) ** m) * ways / m
 
 
 def difference_tensors(elastic: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
     """Steps and C(ξ) h² of central differences of order 2 reach, as q1_tensors."""
-    d, m, first = elastic.shape[0], np.arange(1, reach + 1), central_weights(reach)
+    d, ways = len(elastic), [*enumerate(central_weights(reach), 1)]
+    unit = np.eye(d, dtype=int)
     found = [
-        (step * np.eye(d, dtype=int)[a], 2 * weight / step * elastic[:, a, :, a])
+        (step * unit[a], 2 * weight / step * elastic[:, a, :, a])
         for a in range(d)
-        for step, weight in zip(m, first)
+        for step, weight in ways
     ]
     for a, b in itertools.combinations(range(d), 2):
         mixed = elastic[:, a, :, b] + elastic[:, b, :, a]
-        for (i, one), (j, two), sign in itertools.product(zip(m, first), zip(m, first), (1, -1)):
-            step = i * np.eye(d, dtype=int)[a] + sign * j * np.eye(d, dtype=int)[b]
-            found.append((step, sign * one * two * mixed))
-    steps, tensors = (np.array(values) for values in zip(*found))
-    return steps, (tensors + tensors.transpose(0, 2, 1)) / 2
+        for (i, one), (j, two), sign in itertools.product(ways, ways, (1, -1)):
+            found.append((i * unit[a] + sign * j * unit[b], sign * one * two * mixed))
+    steps, tensors = map(np.array, zip(*found))
+    return steps, symmetric_part(tensors)
 
 
 def compliance(tensor: np.ndarray) -> np.ndarray:
     """Compliance S_ijkl with ε = S σ; InputError for a singular elastic tensor."""
-    d = tensor.shape[0]
-    matrix = voigt(tensor)
+    d, matrix = len(tensor), voigt(tensor)
     if not np.linalg.eigvalsh(matrix).min() > 0:
         raise InputError("moduli: expected a stable crystal, got an elastic tensor that is none")
     engineering = np.where(np.arange(len(matrix)) < d, 1.0, 0.5)
@@ -385,7 +379,7 @@ def compliance(tensor: np.ndarray) -> np.ndarray:
 
 def named_symmetry(tensor: np.ndarray) -> str:
     """Symmetry of an elastic tensor in the axes it is given in: a key of NAMES, or "lower"."""
-    d, tiny = tensor.shape[0], SAME * np.abs(voigt(tensor)).max()
+    d, tiny = len(tensor), SAME * np.abs(voigt(tensor)).max()
     for name, symmetry in NAMES[d].items():
         allowed = allowed_tensors(symmetry, point_group(symmetry, d), np.eye(d)).reshape(-1, d**4)
         held = np.linalg.lstsq(allowed.T, tensor.ravel(), rcond=None)[0] @ allowed
@@ -410,7 +404,12 @@ def plane_stress(tensor: np.ndarray) -> np.ndarray:
     kept, free = [0, 1, 5], [2, 3, 4]
     inner = np.linalg.solve(M[np.ix_(free, free)], M[np.ix_(free, kept)])
     schur = M[np.ix_(kept, kept)] - M[np.ix_(kept, free)] @ inner
-    return voigt_to_tensor((schur + schur.T) / 2)
+    return voigt_to_tensor(symmetric_part(schur))
+
+
+def symmetric_part(A: np.ndarray) -> np.ndarray:
+    """Symmetric part (A + Aᵗ)/2 of matrices [..., d, d]."""
+    return np.asarray(A + A.mT) / 2
 
 
 def times(A: np.ndarray, B: np.ndarray) -> np.ndarray:
@@ -421,6 +420,11 @@ def times(A: np.ndarray, B: np.ndarray) -> np.ndarray:
 def symmetric(A: np.ndarray) -> np.ndarray:
     """Symmetric part (A + Aᵗ)/2 of matrices [d, d, ...]."""
     return np.asarray(A + A.swapaxes(0, 1)) / 2
+
+
+def in_shape_of(u: Any, values: Any) -> np.ndarray:
+    """Values of fields, [S, n, ...], in the leading shape of the fields u, [..., N, d]."""
+    return np.reshape(values, (*np.shape(u)[:-2], *np.shape(values)[1:]))
 
 
 def contracted(C: np.ndarray, X: np.ndarray) -> np.ndarray:

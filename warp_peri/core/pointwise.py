@@ -74,8 +74,8 @@ class Pointwise(Swept):
         self.full, self._full = grid.near[whole], place[whole]
         back = weights if back is None else back
         there = np.ravel_multi_index(tuple(-steps.T), self._torus, "wrap")
-        sides = (side.transpose(2, 0, 1) for side in (weights, back / len(back)))
-        self._symbols = [self._waves(side, there)[:, None] for side in sides]
+        sides = weights, back / len(back)
+        self._symbols = [self._waves(side.transpose(2, 0, 1), there)[:, None] for side in sides]
         self._mirrored = [symbol.conj() for symbol in self._symbols]
         self.size, self._straight = asked.size * d * d * len(weights), None
         if stencil is not None:
@@ -96,7 +96,7 @@ class Pointwise(Swept):
 
     def _waves(self, values: np.ndarray, places: np.ndarray) -> np.ndarray:
         """Fourier transform of values at places [..., n], zero elsewhere, [..., *half a torus]."""
-        planes = np.zeros((*values.shape[:-1], int(np.prod(self._torus))))
+        planes = np.zeros((*values.shape[:-1], np.prod(self._torus)))
         planes[..., places] = values
         planes = planes.reshape(*values.shape[:-1], *self._torus)
         return np.asarray(scipy.fft.rfftn(planes, axes=self._axes, overwrite_x=True))

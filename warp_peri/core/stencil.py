@@ -18,11 +18,11 @@ import scipy.fft
 import scipy.sparse as sp
 import warp as wp
 
-from warp_peri.core.elastic import directions, orbit_grid
+from warp_peri.core.elastic import directions, orbit_grid, symmetric_part
 from warp_peri.errors import InputError
 from warp_peri.kernels.micromodulus import rows
 from warp_peri.points.families import HORIZON_TOLERANCE
-from warp_peri.points.points import LATTICE_TOLERANCE, Points, lattice_steps
+from warp_peri.points.points import LATTICE_TOLERANCE, Points, grid_places
 from warp_peri.runtime import DEVICE, floats, get_num_threads, ints, launch_slices
 
 DIRECTIONS = {2: 60, 3: 200}
@@ -70,7 +70,7 @@ class Stencil:
 
     def symbol(self, phase: np.ndarray) -> np.ndarray:
         """Symbol D(k) = 2 Σ C(ξ) (1 − cos k·ξ) at k h = `phase`, [K, d] to [K, c, c]."""
-        return np.asarray(np.tensordot(bend(phase, self.steps), self.tensors, 1))
+        return np.tensordot(bend(phase, self.steps), self.tensors, 1)
 
     @cached_property
     def brackets(self) -> np.ndarray:
@@ -85,9 +85,7 @@ class Stencil:
 
     def asymmetry(self, group: np.ndarray) -> float:
         """Largest error of C(Rξ) = R C(ξ) Rᵗ over R [g, d, d], relative to the largest entry."""
-        number = {tuple(s): i for i, s in enumerate(self.steps.tolist())}
-        number |= {tuple(-s for s in key): i for key, i in list(number.items())}
-        worst = 0.0
+        number, worst = numbers_of(self.steps), 0.0
         for g in group:
             images = [number.get(tuple(s), -1) for s in (self.steps @ g.T).tolist()]
             if -1 in images:
@@ -108,6 +106,11 @@ class Stencil:
         return Stencil(self.spacing, kept, joined)
 
 
+def numbers_of(steps: np.ndarray) -> dict[tuple[int, ...], int]:
+    """Number of the bond of each step ξ/h of a half family, and of −ξ/h."""
+    return {tuple(xi): n for half in (steps, -steps) for n, xi in enumerate(half.tolist())}
+
+
 def laplacian_stencil(spacing: float, dimension: int, components: int) -> Stencil:
     """Stencil of the 2 d + 1-point Laplacian times the identity [1/length²]; its symbol is s(k)."""
     steps = np.eye(dimension, dtype=np.int64)
@@ -124,7 +127,7 @@ def smallest_eigenvalue(matrices: np.ndarray) -> np.ndarray:
     if matrices.shape[-1] == 2:  # much faster than by LAPACK
         a, b, c = matrices[..., 0, 0], matrices[..., 1, 1], matrices[..., 0, 1]
         return np.asarray((a + b) / 2 - np.hypot((a - b) / 2, c))
-    return np.asarray(np.linalg.eigvalsh(matrices)[..., 0])
+    return np.linalg.eigvalsh(matrices)[..., 0]
 
 
 def zoomed(
@@ -159,8 +162,7 @@ def half_ball(reach: float, dimension: int) -> np.ndarray:
     side = int(np.sqrt(most))
     if (2 * side + 1) ** dimension > 4 * MOST_BONDS:
         raise InputError(f"horizon: expected a few spacings, got {reach:g} of them")
-    line = range(-side, side + 1)
-    grid = np.array(list(itertools.product(line, repeat=dimension)), dtype=np.int64)
+    grid = grid_places(dimension * (2 * side + 1,)) - side
     square = (grid**2).sum(axis=1)
     first = grid @ (2 * side + 1) ** np.arange(dimension)[::-1] > 0  # of ξ and −ξ just one
     half: np.ndarray = grid[(square <= most) & first]
@@ -177,7 +179,8 @@ def laplacian(phase: np.ndarray) -> np.ndarray:
 def zone_sample(group: np.ndarray, dimension: int, intervals: int) -> np.ndarray:
     """Phases k h of one wave per orbit of a grid on the zone, and of very long waves, [K, d]."""
     grid = orbit_grid(intervals, group, dimension)
-    axes = np.array([v for v in np.ndindex((3,) * dimension) if v != (1,) * dimension]) - 1.0
+    axes = grid_places((3,) * dimension) - 1.0
+    axes = axes[axes.any(axis=1)]
     axes /= np.linalg.norm(axes, axis=1)[:, None]
     return np.concatenate([grid, LONG * axes, LONG * directions(DIRECTIONS[dimension], dimension)])
 
@@ -210,7 +213,7 @@ class Basis:
 
     def symbol(self, phase: np.ndarray) -> np.ndarray:
         """Symbols 2 Σ (1 − cos k·ξ) basis at k h = `phase`, [K, d] to [K, P, d, d]."""
-        return np.asarray(np.tensordot(bend(phase, self.steps), self.basis, (1, 1)))
+        return np.tensordot(bend(phase, self.steps), self.basis, (1, 1))
 
     def moments(self) -> np.ndarray:
         """Brackets [ij, kl] of each basis tensor in units of h² (T3), shape [P, d, d, d, d]."""
@@ -222,9 +225,8 @@ def invariant_basis(reach: float, group: np.ndarray) -> Basis:
     """Basis of half-ball tensors with C(Rξ) = R C(ξ) Rᵗ for integer R with −1, [g, d, d]."""
     d = group.shape[1]
     steps = half_ball(reach, d)
-    number = {tuple(step): i for i, step in enumerate(steps)}
-    number |= {tuple(-step): i for i, step in enumerate(steps)}
-    (i, j), n = np.triu_indices(d), np.arange(d * (d + 1) // 2)
+    number, (i, j) = numbers_of(steps), np.triu_indices(d)
+    n = np.arange(d * (d + 1) // 2)
     plain = np.zeros((len(n), d, d))  # an orthonormal basis of symmetric matrices
     plain[n, i, j] = plain[n, j, i] = np.where(i == j, 1.0, np.sqrt(0.5))
     seen, basis = np.zeros(len(steps), bool), []
@@ -238,8 +240,8 @@ def invariant_basis(reach: float, group: np.ndarray) -> Basis:
         vectors, size, _ = np.linalg.svd(mean @ plain.reshape(-1, d * d).T)
         for tensor in vectors[:, : len(size)].T[size > 0.5]:
             on_bonds = np.zeros((len(steps), d, d))
-            on_bonds[image] = group @ tensor.reshape(d, d) @ group.transpose(0, 2, 1)
-            basis.append((on_bonds + on_bonds.transpose(0, 2, 1)) / 2)
+            on_bonds[image] = group @ tensor.reshape(d, d) @ group.mT
+            basis.append(symmetric_part(on_bonds))
     return Basis(steps, np.array(basis))
 
 
@@ -287,7 +289,7 @@ class Grid:
 
     def mask(self) -> np.ndarray:
         """Which places of the box are unknown, in its shape."""
-        asked = np.zeros(int(np.prod(self.shape)), bool)
+        asked = np.zeros(np.prod(self.shape), bool)
         asked[self.interior] = True
         return asked.reshape(self.shape)
 
@@ -298,8 +300,8 @@ class Grid:
 
     def scatter(self, u: np.ndarray, dtype: type = np.float64) -> np.ndarray:
         """Vectors of all nodes [S, N, d] along the lattice's axes, in planes [S, d, *wide]."""
-        field: np.ndarray = np.zeros((len(u), self.dimension, int(np.prod(self.shape))), dtype)
-        field[:, :, self.place] = (u[:, self.near] @ self.axes).transpose(0, 2, 1)
+        field: np.ndarray = np.zeros((len(u), self.dimension, np.prod(self.shape)), dtype)
+        field[:, :, self.place] = (u[:, self.near] @ self.axes).mT
         field = field.reshape(len(u), self.dimension, *self.shape)
         if self.periodic:
             field = np.pad(field, [(0, 0)] * 2 + [(self.reach,) * 2] * self.dimension, mode="wrap")
@@ -307,14 +309,14 @@ class Grid:
 
     def scatter_interior(self, inner: np.ndarray) -> np.ndarray:
         """Vectors of the interior nodes [I, d] laid out in planes [d, *shape], zero elsewhere."""
-        field: np.ndarray = np.zeros((self.dimension, int(np.prod(self.shape))))
+        field = np.zeros((self.dimension, np.prod(self.shape)))
         field[:, self.interior] = (inner @ self.axes).T
         return field.reshape(self.dimension, *self.shape)
 
     def gather(self, planes: np.ndarray) -> np.ndarray:
         """Values of planes [S, d, *shape] at interior nodes, along the points' axes, [S, I, d]."""
         flat = planes.reshape(*planes.shape[:2], -1)[:, :, self.interior]
-        return np.ascontiguousarray(flat.transpose(0, 2, 1) @ self.axes.T.astype(planes.dtype))
+        return np.ascontiguousarray(flat.mT @ self.axes.T.astype(planes.dtype))
 
 
 def grid_of(points: Points, steps: np.ndarray, *, why: str = "", least: int | None = None) -> Grid:
@@ -325,9 +327,9 @@ def grid_of(points: Points, steps: np.ndarray, *, why: str = "", least: int | No
     the lattice or given twice, interior nodes that lack neighbours, and too short a period.
     """
     d = steps.shape[1]
-    if points.x.shape[1] != d:
-        raise InputError(f"points: expected {d} coordinates, got {points.x.shape[1]}")
-    grid, axes = lattice_steps(points)
+    if points.dimension != d:
+        raise InputError(f"points: expected {d} coordinates, got {points.dimension}")
+    grid, axes = points.lattice
     reach = int(np.abs(steps).max())
     if points.box is not None:
         shape = _period(points, axes, 2 * reach if least is None else least)
@@ -365,8 +367,7 @@ def _period(points: Points, axes: np.ndarray, least: int) -> tuple[int, ...]:
 
 def _check(points: Points, nodes: Grid, steps: np.ndarray, why: str) -> None:
     """Refuse nodes given twice, and interior nodes whose bonds lead nowhere."""
-    there = np.zeros(int(np.prod(nodes.shape)), np.int32)
-    np.add.at(there, nodes.place, 1)
+    there = np.bincount(nodes.place, minlength=np.prod(nodes.shape))
     if there.max() > 1:
         raise InputError("points: expected every node once, got two at one place")
     body = there.astype(bool)
@@ -515,11 +516,7 @@ def torus_symbol(torus: tuple[int, ...], steps: np.ndarray, tensors: np.ndarray)
 
 def convolved(symbol: np.ndarray, field: np.ndarray, torus: tuple[int, ...]) -> np.ndarray:
     """Convolve a symbol with one field [d, …] in a corner of the torus, on all of it."""
-    how: dict[str, Any] = {
-        "s": torus,
-        "axes": range(1, len(torus) + 1),
-        "workers": get_num_threads(),
-    }
+    how = {"s": torus, "axes": range(1, len(torus) + 1), "workers": get_num_threads()}
     mixed = np.einsum("ij...,j...->i...", symbol, scipy.fft.rfftn(field, **how))
     return np.asarray(scipy.fft.irfftn(mixed, overwrite_x=True, **how))
 

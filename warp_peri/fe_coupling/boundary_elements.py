@@ -141,7 +141,7 @@ class Rim:
         values = [self.element.gbasis(mapping, at, k, tind=cells)[0] for k in count]
         columns = self.basis.element_dofs[:, cells].ravel()
         entries = np.reshape(values, -1), (np.tile(np.arange(len(x)), len(count)), columns)
-        return sp.csr_array(sp.coo_array(entries, shape=(len(x), len(self.x))))
+        return sp.csr_array(entries, shape=(len(x), len(self.x)))
 
     def _places(self, x: np.ndarray, cells: np.ndarray) -> np.ndarray:
         """Positions in coordinates of their cells, or a little outside, [d, m, 1], by Newton."""

@@ -17,7 +17,7 @@ from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.materials.transfer import LEAST, TOLERANCE, on_lattice
 from warp_peri.points.arguments import Units, symbols
 from warp_peri.points.mesh import Mesh
-from warp_peri.points.points import Points
+from warp_peri.points.points import Points, grid_places
 from warp_peri.solvers.solution import Coupling
 
 EXCHANGES = 40
@@ -46,7 +46,7 @@ def bulk_points(
     low, high = mesh.x.min(axis=0), mesh.x.max(axis=0)
     first = np.floor(low / spacing).astype(int) - 1
     shape = np.ceil(high / spacing).astype(int) + 2 - first
-    x = spacing * (first + np.argwhere(np.ones(shape, bool)))
+    x = spacing * (first + grid_places(shape))
     held = mesh.holding(x)
     inside = np.flatnonzero(held >= 0)
     away = np.zeros(len(x))
@@ -128,7 +128,7 @@ def cubic(points: Points, x: np.ndarray) -> sp.csr_array:
     weight = np.stack(
         [np.prod((s[..., None] - j) / (k - j), axis=-1) for k, j in zip(steps, others)], axis=-1
     )
-    around = np.indices((4,) * d).reshape(d, -1).T
+    around = grid_places((4,) * d)
     at = np.moveaxis(base[:, None] + around + 4, -1, 0)
     if (node := np.pad(number, (4, 7), constant_values=-1)[tuple(at)]).min(initial=0) < 0:
         raise InputError(
@@ -136,9 +136,8 @@ def cubic(points: Points, x: np.ndarray) -> sp.csr_array:
         )
     value = np.prod([weight[:, a, around[:, a]] for a in range(d)], axis=0)
     row = np.repeat(np.arange(len(x)), len(around))
-    shape = (len(x), points.interior.sum())
     entries = (value.ravel(), (row, node.ravel()))
-    return sp.csr_array(sp.coo_array(entries, shape=shape))
+    return sp.csr_array(entries, shape=(len(x), points.interior.sum()))
 
 
 RATIOS = (2.0, 1.5, 1.0, 0.75, 0.5)
@@ -147,8 +146,6 @@ WAVE_SHARE = 0.5
 """Of the body's area that lies two horizons inside, at least."""
 SAMPLES = 20_000
 """About how many points of the box around a body its depth and its load are looked at."""
-
-
 OVERLAP, CRYSTAL_OVERLAP = 2.0, 4.0
 """Overlap of rim and bulk where none is given: in horizons, of a crystal in spacings."""
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.core.elastic import allowed_tensors, point_group
+from warp_peri.core.elastic import allowed_tensors, point_group, symmetric_part
 from warp_peri.core.proof import stencil_of
 from warp_peri.core.stencil import Basis, elastic_from_brackets, grid_of, half_ball, invariant_basis
 from warp_peri.errors import InputError, Rows, Shown
@@ -169,7 +169,7 @@ def _families(samples: Samples, operator: Any, drawn: np.ndarray, residual: floa
     bends = -np.linalg.pinv(np.einsum("bj,bk->bjk", near, near).reshape(-1, d * d))
     bent = np.einsum("jkb,sxib->sxkij", bends.reshape(d, d, -1), second)  # second derivatives
     H = gradients(samples, np.flatnonzero(samples.interior)[drawn], 1)
-    strain = ((H + H.mT) / 2)[(..., *np.triu_indices(d))]
+    strain = symmetric_part(H)[(..., *np.triu_indices(d))]
     # imaginary parts of products are derivatives: of stresses that are products of gradients
     stepped = (H[:, :, None] + 1e-30j * bent).reshape(*H.shape[:2], d, -1)
     pairs, triples = (np.array([*combinations_with_replacement(range(d * d), n)]) for n in (2, 3))

@@ -210,7 +210,7 @@ class BootstrapResult:
     def deviation(self, quantity: Callable[[Any], np.ndarray | float]) -> np.ndarray:
         """Standard deviation of a quantity of the material, in its shape: half of what lies between
         16 and 84 % of the draws, so that one poorly determined law does not widen it."""
-        values = np.array([np.asarray(quantity(material)) for material in self.materials])
+        values = np.array([quantity(material) for material in self.materials])
         low, high = np.quantile(values, ONE_DEVIATION, axis=0)
         return np.asarray(np.sqrt(self.loads / (self.loads - 1)) * (high - low) / 2)
 

@@ -16,7 +16,7 @@ from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.arguments import USUAL, Positive, Units, offered, symbols, typed
 from warp_peri.points.families import BondClasses, bond_classes
-from warp_peri.points.points import PointsLike
+from warp_peri.points.points import PointsLike, grid_places
 from warp_peri.solvers.systems import DENSE, smallest_eigenvalue
 
 DIRECTIONS = 400
@@ -151,8 +151,7 @@ def largest_parts(model: Any) -> list[float]:
 
 def proven_kappa(stencil: Stencil, group: np.ndarray, classes: BondClasses, p: np.ndarray) -> float:
     """Proven upper bound of κ_p [stress^(−1/2)] of weights p by class [1/length²], or inf (N14)."""
-    d = stencil.dimension
-    gradient = d * p[classes.bond_class, None] * classes.xi
+    gradient = stencil.dimension * p[classes.bond_class, None] * classes.xi
     weight = squared(stencil.spacing, classes.steps, gradient)
     proven = prove(stencil, group, weight, tuple(1 / slack for slack in SLACKS)).proven
     return float(1 / np.sqrt(proven)) if proven > 0 else float(np.inf)
@@ -164,6 +163,6 @@ def squared(spacing: float, steps: np.ndarray, field: np.ndarray) -> Stencil:
     box = np.zeros((2 * far + 1,) * d)
     for step, f in zip(steps, field):
         np.add.at(box, tuple((step + steps + far).T), field @ f)
-    at = np.indices(box.shape).reshape(d, -1).T - far
+    at = grid_places(box.shape) - far
     half = (np.arange(len(at)) > len(at) // 2) & (box.ravel() != 0)
     return Stencil(spacing, at[half], box.ravel()[half, None, None] * np.eye(d))

@@ -36,7 +36,7 @@ from warp_peri.points.arguments import (
     symbols,
     typed,
 )
-from warp_peri.points.points import Points, Samples, lattice_steps, nodes_of, unsaid
+from warp_peri.points.points import Points, Samples, nodes_of, unsaid
 from warp_peri.protocols import OperatorBase
 from warp_peri.solvers.linear import Inverse, Linear
 from warp_peri.solvers.solution import CG, Solution, Solver, by_sample, refuse_solver
@@ -56,9 +56,7 @@ class TensorOperator(OperatorBase):
     def force(self, u: ArrayLike) -> np.ndarray:
         """L u [stress/length] at the interior nodes, [..., I, d], for u [..., N, d]; InputError for
         other shapes or values that are not finite."""
-        fields, lead = self.fields(u), np.shape(u)[:-2]
-        force = self.linear(fields)
-        return force.reshape(*lead, *force.shape[1:])
+        return elastic.in_shape_of(u, self.linear(self.fields(u)))
 
     def solve(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
         """Equilibrium with b on the interior, u given on the collar, [..., N, d], by
@@ -105,14 +103,14 @@ class TensorOperator(OperatorBase):
 
     def by_numbers(self, name: str, u: ArrayLike, w: ArrayLike) -> np.ndarray:
         """Derivatives of Σ w · L u with respect to the tensors, for u [K, N, d] and w [K, I, d]."""
-        A, H, ends = self.nodes.axes, len(self.steps), self.ends[1:]
+        A = self.nodes.axes
         fields, weights = self.fields(u) @ A, plain("w", w) @ A
         both = 2 * fields[:, self.ends[0]]
         found = np.array([
             np.einsum("sni,snj->ij", weights, both - fields[:, ahead] - fields[:, behind])
-            for ahead, behind in zip(ends[:H], ends[H:])
+            for ahead, behind in zip(*np.split(self.ends[1:], 2))
         ])  # fmt: skip
-        return np.asarray((found + found.mT) / 2)
+        return elastic.symmetric_part(found)
 
     @cached_property
     def ends(self) -> np.ndarray:
@@ -135,14 +133,12 @@ class TensorOperator(OperatorBase):
 
     def gradient(self, u: ArrayLike) -> np.ndarray:
         """Displacement gradient ∂u_a/∂x_b at interior nodes by least squares, [..., I, d, d]."""
-        A, xi, H = self.nodes.axes, self.spacing * self.steps, len(self.steps)
+        A, xi, ends = self.nodes.axes, self.spacing * self.steps, np.split(self.ends[1:], 2)
         fields = self.fields(u) @ A
         found = np.zeros((len(fields), self.ends.shape[1], *A.shape))
-        for weight, ahead, behind in zip(
-            xi @ np.linalg.inv(2 * xi.T @ xi), self.ends[1 : H + 1], self.ends[H + 1 :]
-        ):
+        for weight, ahead, behind in zip(xi @ np.linalg.inv(2 * xi.T @ xi), *ends):
             found += (fields[:, ahead] - fields[:, behind])[..., None] * weight
-        return np.asarray((A @ found @ A.T).reshape(*np.shape(u)[:-2], *found.shape[1:]))
+        return elastic.in_shape_of(u, A @ found @ A.T)
 
     def stress(self, u: ArrayLike) -> np.ndarray:
         """Stress C : ε of `gradient` at the interior nodes [stress], [..., I, d, d]: exact on
@@ -292,7 +288,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         both = {tuple(step) for step in np.concatenate([whole, -whole]).tolist()}
         if (whole != steps).any() or len(both) != 2 * len(whole) or not whole.any(axis=1).all():
             raise InputError("steps: expected whole numbers, one of ξ and −ξ, each once and not 0")
-        both_ways = (tensors + tensors.mT) / 2
+        both_ways = elastic.symmetric_part(tensors)
         if np.abs(tensors - both_ways).max() > BROKEN * np.abs(tensors).max():
             raise InputError("tensors: expected symmetric matrices")
         set_ = object.__setattr__
@@ -302,7 +298,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         if stress is not None and not (stress.shape == (d, d) and np.array_equal(stress, stress.T)):
             raise InputError(f"stress: expected a symmetric matrix [{d}, {d}]")
         if isinstance(self.symmetry, str) and not self.symmetry:
-            set_(self, "symmetry", {2: "1", 3: "-1"}[d])
+            set_(self, "symmetry", elastic.LEAST[d])
         if (broken := self.stencil.asymmetry(self.group)) > BROKEN:
             raise InputError(f"symmetry: the tensors break it by {broken:.1e} of the largest")
 
@@ -365,7 +361,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         isotropic = str(self.symmetry) == "isotropic"
         if isotropic or nodes.dimension != self.dimension:
             return nodes
-        d, axes, stated = self.dimension, lattice_steps(nodes)[1], nodes.axis is not None
+        d, axes, stated = self.dimension, nodes.lattice.axes, nodes.axis is not None
         same = self.orientation @ point_group(self.symmetry, d)
         there = axes.T @ checked_orientation(nodes.axis, d)
         off = np.abs(same - there).max(axis=(1, 2)).min() > SAME_AXIS

@@ -379,7 +379,7 @@ def transfer_to_lattice(
     return fit_dispersion(
         carried_symbol(law.symbol, law.spacing, turn),
         spacing,
-        law.horizon / law.spacing * spacing if horizon is None else horizon,
+        horizon or law.horizon / law.spacing * spacing,
         symmetry=law.symmetry,
         orientation=orientation,
         tensor=turned(law.tensor(), turn),
@@ -436,10 +436,10 @@ def plane_stress(law: CrystalMaterial, normal: int = 2) -> CrystalMaterial:
     kept = _kept(law, normal)
     order = [*kept, normal]
     C = elastic.plane_stress(law.tensor()[np.ix_(order, order, order, order)])
-    brackets = elastic.brackets_from_elastic(C)
+    brackets = brackets_from_elastic(C)
     flat = plane_strain(law, normal)
     return fit_dispersion(
-        lambda k: elastic.acoustic(brackets, k),
+        lambda k: acoustic(brackets, k),
         law.spacing,
         flat.horizon,
         symmetry=flat.symmetry,

@@ -16,6 +16,7 @@ import torch
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
+from warp_peri.core.elastic import in_shape_of
 from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.proof import largest
 from warp_peri.core.record import FieldUnits, Length, Record, read_json
@@ -25,7 +26,7 @@ from warp_peri.fitting.regression import norms
 from warp_peri.fitting.result import Fit
 from warp_peri.materials.crystal_fit import one_set
 from warp_peri.points.arguments import USUAL, Numbers, Positive, Units, check_same, checked, typed
-from warp_peri.points.points import PointsLike, check_dimensions, lattice_steps, nodes_of
+from warp_peri.points.points import PointsLike, check_dimensions, nodes_of
 from warp_peri.solvers.equilibria import SOLVES, equilibria_of, probed
 from warp_peri.solvers.linear import Inverse, Linear
 from warp_peri.solvers.solution import Solution, Solver
@@ -41,7 +42,7 @@ DIFFERENCE = 1e-4
 def sided_gradients(points: Any, horizon: float) -> tuple[np.ndarray, np.ndarray]:
     """Steps [B, d] and weights [2^d, B, d] of least-squares gradients over one corner of the family
     each; all vanish together for rigid fields alone."""
-    d, (_, axes) = points.dimension, lattice_steps(points)
+    d, (_, axes) = points.dimension, points.lattice
     half = half_ball(horizon / points.spacing, d)
     steps = np.concatenate([0 * half[:1], half, -half])
     xi, weights = points.spacing * steps, []
@@ -179,8 +180,7 @@ class DensityOperator(Pointwise):
 
     def straight(self, u: ArrayLike) -> np.ndarray:
         """Force of the tangent at rest, shape [..., I, d]."""
-        force = self.linear(np.reshape(u, (-1, *self.shape)))
-        return force.reshape(*np.shape(u)[:-2], -1, self.shape[1])
+        return in_shape_of(u, self.linear(np.reshape(u, (-1, *self.shape))))
 
     def at(self, numbers: Numbers) -> DensityOperator:
         """The operator with other parameters."""

@@ -342,7 +342,7 @@ class Law:
             launch_slices(stiffnesses, len(self.m), [layout.balls, *found], ())
         else:
             self.K, self.m, self.own = known.K, known.m, known.own
-        self.kernels: Any = sweeps(bonds.dimension, lattice=layout.in_rows, fields=self.fields)
+        self.kernels = sweeps(bonds.dimension, lattice=layout.in_rows, fields=self.fields)
 
     @cached_property
     def kw(self) -> np.ndarray:

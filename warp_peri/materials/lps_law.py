@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeAlias, cast
 
 import numpy as np
 
-from warp_peri.core.elastic import lattice_group
+from warp_peri.core.elastic import lattice_group, symmetric_part
 from warp_peri.core.stencil import Basis, half_ball
 from warp_peri.errors import InputError, StrPath
 from warp_peri.fitting.regression import MET, Form, LatticeRows, Numbers, Settled, fit, norms, rows
@@ -173,8 +173,6 @@ class AugmentedLagrangian:
 
 
 Method: TypeAlias = TwoStage | GaussNewton | AugmentedLagrangian
-
-
 METHODS = {"optimum": GaussNewton, "two-stage": TwoStage, "constrained": AugmentedLagrangian}
 """Fit methods by their names in a shell."""
 
@@ -207,8 +205,7 @@ def product_basis(classes: BondClasses) -> Basis:
     at = place[tuple((x[first] + x[second] + far).T)]
     first, second, at = first[at >= 0], second[at >= 0], at[at >= 0]
     across = d**2 * h**4 * x[first][:, :, None] * x[second][:, None]
-    across = (across + across.mT) / 2
-    np.add.at(tensors, (column[of[first], of[second]], at), across)
+    np.add.at(tensors, (column[of[first], of[second]], at), symmetric_part(across))
     used = tensors.any(axis=(0, 2, 3))
     return Basis(steps[used], tensors[:, used])
 

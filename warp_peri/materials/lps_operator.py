@@ -15,6 +15,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 import warp_peri.core as core
+from warp_peri.core.elastic import symmetric_part
 from warp_peri.core.proof import largest
 from warp_peri.errors import InputError, warn
 from warp_peri.materials.lps_force import Bonds, Law, Matrices, assemble, bonds_of
@@ -447,5 +448,5 @@ def node_fields(model: LPSMaterial, points: PointsLike, u: ArrayLike) -> NodeFie
         stress += (c2 * mu / m)[:, None, None] * total((sheared * along)[:, None, None] * outer)
         gradient = total(eta[:, :, None] * xi[:, None, :]) @ inverse
         energy = ((lam - mu) * theta**2 + c2 * mu / m * total(sheared * along**2)) / 2
-        parts.append((stress, (gradient + gradient.mT) / 2, theta, energy))
+        parts.append((stress, symmetric_part(gradient), theta, energy))
     return NodeFields(*(np.stack(part) for part in zip(*parts)))

@@ -154,7 +154,7 @@ def gradient_stencil(
     points: PointsLike, reach: float, p: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Steps [B, 2] and weights 2 p ξ [1, B, 2] of the gradient H (N1), in the points' axes."""
-    classes, (_, axes) = bond_classes(points.spacing, reach), lattice_steps(nodes_of(points))
+    classes, (_, axes) = bond_classes(points.spacing, reach), lattice_steps(points)
     return classes.steps, 2 * p[classes.bond_class, None] * (classes.xi @ axes.T)[None]
 
 

@@ -25,7 +25,7 @@ from warp_peri.materials.lps_law import (
 )
 from warp_peri.points.arguments import Positive, check_same, search_length, symbols, typed
 from warp_peri.points.families import AT_EDGES, bond_classes, carried_horizon
-from warp_peri.points.points import PointsLike, nodes_of
+from warp_peri.points.points import PointsLike, nodes_of, unit_vectors
 
 WaveSymbol = Callable[[np.ndarray], np.ndarray]
 """k [K, d] along the nodes' axes to D(k) [K, d, d] [stress/length²]."""
@@ -182,7 +182,7 @@ def wave_vectors(largest: float) -> tuple[np.ndarray, np.ndarray]:
     number = np.arange(FITTED) + 0.5
     size = np.append(largest * number / FITTED, np.full(LONG, LONG_SHARE * largest))
     angle = np.append(GOLDEN_ANGLE * number, np.linspace(0, np.pi / 4, LONG))
-    k = size[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    k = size[:, None] * unit_vectors(angle)
     return k, np.repeat([1 / FITTED, LONG_WEIGHT / LONG], [FITTED, LONG])
 
 
@@ -223,7 +223,7 @@ def _errors(
     directions from an axis to a diagonal, by symmetry all."""
     angle = np.linspace(0, np.pi / 4, DIRECTIONS)
     size = largest * (np.arange(RADII) + 1) / RADII
-    k = (size[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)).reshape(-1, 2)
+    k = (size[:, None, None] * unit_vectors(angle)).reshape(-1, 2)
     D, target = there.stencil(spacing).symbol(spacing * k), model.stencil(home).symbol(home * k)
     return np.asarray(wave_errors(D, target).reshape(RADII, DIRECTIONS).max(axis=1))
 

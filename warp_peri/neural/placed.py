@@ -10,8 +10,10 @@ import torch
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
+from warp_peri.core.elastic import checked_orientation, in_shape_of
 from warp_peri.core.torch_bridge import on_fields
 from warp_peri.errors import InputError
+from warp_peri.fitting.regression import relative
 from warp_peri.points.arguments import plain, typed
 from warp_peri.points.families import families_of
 from warp_peri.points.points import PointsLike, Samples, nodes_of
@@ -171,7 +173,7 @@ class Placed(OperatorBase):
         """Forces on the interior, shape [..., I, 2], (NO6)."""
         with torch.no_grad():
             force = self.force_of(*self.tension(self._taken(u)))
-        return np.reshape(force.double().numpy(), (*np.shape(u)[:-2], -1, 2))
+        return in_shape_of(u, force.double().numpy())
 
     def jvp(self, u: Any, v: Any) -> np.ndarray:
         """Derivative of the force at u along v, both [N, 2] or [S, N, 2]."""
@@ -224,7 +226,7 @@ class Placed(OperatorBase):
             xi = torch.as_tensor(self.xi, dtype=pull.dtype)
             stress = torch.einsum("sibx,by->sixy", pull, xi)
         size = self.points.spacing**2 / 2
-        return np.reshape(size * stress.double().numpy(), (*np.shape(u)[:-2], -1, 2, 2))
+        return in_shape_of(u, size * stress.double().numpy())
 
     def tension(self, u: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Force states [stress/length³] of interior nodes' bonds [S, A], and directions Y/|Y|."""
@@ -246,8 +248,7 @@ class Placed(OperatorBase):
     def shares(self, dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Influence ω of a family's bonds, dilatation weight ω |ξ| / Σ ω |ξ|², length, each [B]."""
         material = self.material
-        turn = np.radians(self.points.axis or 0.0)  # directions are those of the material
-        turned = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+        turned = checked_orientation(self.points.axis, 2)  # directions are those of the material
         xi = torch.as_tensor(self.xi @ turned, dtype=dtype)
         r = torch.as_tensor(self.r, dtype=dtype)
         if material.anisotropic:
@@ -331,8 +332,7 @@ def evaluate(
                     found, converged = search.solve(b[inside], u, enough)[0], True
                 except InputError:  # the linear answer
                     found[inside] = search.inverse(b[inside] - search.straight(found), enough)
-            gap = np.linalg.norm((found - u)[inside])
-            rows["E_u"].append(float(gap / np.linalg.norm(u[inside])))
+            rows["E_u"].append(relative((found - u)[inside], u[inside]))
             rows["converged"].append(float(converged))
     kept = {key: values for key, values in rows.items() if values and np.isfinite(values).all()}
     if not kept:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import io
 import math
 import time
@@ -57,7 +58,7 @@ class Frames:
 
     def renew(self) -> None:
         """Search every equilibrium, at last from the frame itself, and factorise its tangent."""
-        self.numbers = {key: part.clone() for key, part in self.material.state_dict().items()}
+        self.numbers = copy.deepcopy(self.material.state_dict())
         self.factors = []
         for n, seen in enumerate(self.u.double().numpy()):
             found, record = self._found(n)
@@ -276,7 +277,7 @@ class _Run:
         self.history.curve.append((self.history.epochs, error, other))
         if error + other < self.least:
             self.least, self.history.best = error + other, self.history.epochs
-            self.kept = {key: part.clone() for key, part in self.material.state_dict().items()}
+            self.kept = copy.deepcopy(self.material.state_dict())
         return other
 
     def save(self, file: ArrayFile) -> None:

@@ -29,7 +29,7 @@ from warp_peri.points.arguments import (
     symbols,
     typed,
 )
-from warp_peri.points.points import FIELDS, WAVE_VECTOR, Points, PointsLike, Samples
+from warp_peri.points.points import FIELDS, WAVE_VECTOR, Points, PointsLike, Samples, unit_vectors
 
 
 @typed
@@ -107,14 +107,13 @@ class Dataset(Shown):
     ) -> Dataset:
         """The data set for another thickness or density of the sheet: forces and displacements are
         the same, loads per volume, and so fitted moduli, go as one over the thickness."""
-        wide = self.thickness if thickness is None else thickness
+        wide = thickness or self.thickness
         share = self.thickness / wide
         sets = {
             name: one if one.b is None else dataclasses.replace(one, b=one.b * share)
             for name, one in self.sets.items()
         }
-        heavy = self.density if density is None else density
-        return dataclasses.replace(self, sets=sets, thickness=wide, density=heavy)
+        return dataclasses.replace(self, sets=sets, thickness=wide, density=density or self.density)
 
     def summary(self) -> dict[str, Any]:
         """Units, sheet, origin and sets of the data as plain values."""
@@ -181,8 +180,7 @@ def mixed_waves(
         if (n[0] == 0 and n[1] <= 0) or size > 2 * np.pi / shortest:  # −k is the same wave
             continue
         angle, phase = random.uniform(0, 2 * np.pi, 2)
-        along = np.array([np.cos(angle), np.sin(angle)])
-        field += size * np.cos(x @ k + phase)[:, None] * along
+        field += size * np.cos(x @ k + phase)[:, None] * unit_vectors(angle)
     return np.asarray(field - field.mean(axis=0))
 
 
@@ -230,7 +228,7 @@ def save_dataset(path: StrPath, dataset: Dataset) -> None:
     attributes |= {"length_unit": length, "stress_unit": stress}
     attributes |= {"thickness": float(dataset.thickness), "density": float(dataset.density)}
     attributes |= {"provenance": _written(dataset.provenance), "sha256": content_hash(dataset)}
-    how: Any = {"libver": ("v110", "v110"), "locking": False}
+    how = {"libver": ("v110", "v110"), "locking": False}
     with whole_file(path) as temporary, h5py.File(temporary, "w", **how) as file:
         _write(file.attrs, attributes)
         for name, samples in dataset.sets.items():

@@ -20,7 +20,7 @@ from warp_peri.errors import InputError
 from warp_peri.kernels import neighbours as kernels
 from warp_peri.kernels import quadrature
 from warp_peri.points.arguments import check_whole, listed, symbols
-from warp_peri.points.points import PointsLike, nearest, nodes_of
+from warp_peri.points.points import PointsLike, grid_places, nearest, nodes_of
 from warp_peri.runtime import floats, ints, launch_slices, zeros
 
 DEGREE = 5
@@ -136,7 +136,7 @@ def bond_classes(
         raise InputError(f"horizon: expected at most {most} spacings of {spacing:g}, got {horizon}")
     longest = math.floor((horizon / spacing * (1 + 2 * HORIZON_TOLERANCE)) ** 2)
     reach = math.isqrt(longest)
-    steps = np.indices(dimension * (2 * reach + 1,)).reshape(dimension, -1).T - reach
+    steps = grid_places(dimension * (2 * reach + 1,)) - reach
     square = (steps**2).sum(axis=1)
     steps = steps[(square > 0) & (square <= longest)]
     orbit = np.sort(np.abs(steps), axis=1)[:, ::-1]
@@ -289,8 +289,7 @@ def neighbour_table(
     table = zeros(len(grid), len(steps), dtype=wp.int32)
     lattice = (ints((grid + wrapped) @ stride), ints(steps @ stride), ints(number.ravel()))
     launch_slices(kernels.lattice_neighbours, len(grid), lattice, (table,))
-    found: np.ndarray = table.numpy()
-    return found
+    return np.asarray(table.numpy())
 
 
 def neighbours(
@@ -342,9 +341,9 @@ def largest_strain(points: PointsLike, u: ArrayLike) -> float:
     """Largest bond strain |ξ·(u_j − u_i)|/r² of nearest neighbours in the body, on a lattice also
     across diagonals, which shear along the axes stretches; u [Å] is [N, d] or [S, N, d]."""
     body = np.ones(len(points.x), bool) if points.outside is None else ~points.outside
-    x, d = points.x[body], points.x.shape[1]
+    x, d = points.x[body], nodes_of(points).dimension
     if points.spacing > 0 and len(points.x) > 1:
-        steps = np.array(list(itertools.product((-1, 0, 1), repeat=d)))
+        steps = grid_places((3,) * d) - 1
         steps = steps[np.isin((steps**2).sum(axis=1), (1, 2))]
         table = neighbour_table(nodes_of(points).lattice.steps[body], steps[len(steps) // 2 :])
         near = np.where(table < 0, np.arange(len(x))[:, None], table)  # each bond once

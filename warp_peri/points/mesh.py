@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError, Rows, Shown, warn
 from warp_peri.points.arguments import as_array, checked, typed
+from warp_peri.points.points import grid_places
 
 REST = "rest"
 """Name of the edges of an outline, or the faces of a surface, that have no other."""
@@ -122,15 +123,14 @@ class Mesh(Shown):
         d, corners = self.dimension, self.x[self.faces]
         longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
         count = min(int(np.ceil(longest / step)) + 1, MOST_PARTS[d])
-        place = np.indices((count + 1,) * (d - 1)).reshape(d - 1, -1).T
+        place = grid_places((count + 1,) * (d - 1))
         place = place[place.sum(axis=1) <= count]
         weight = np.column_stack([count - place.sum(axis=1), place]) / count
         at = weight @ corners
         if d == 2:
             bulge = self.middle - corners.mean(axis=1)
             at = at + 4 * weight.prod(axis=1)[:, None] * bulge[:, None]
-        x = checked("x", x, float, ("n", d))
-        return np.asarray(cKDTree(at.reshape(-1, d)).query(x)[0])
+        return np.asarray(cKDTree(at.reshape(-1, d)).query(checked("x", x, float, ("n", d)))[0])
 
     def holding(self, x: np.ndarray) -> np.ndarray:
         """Number of the straight-sided cell that holds each point, −1 where none does."""

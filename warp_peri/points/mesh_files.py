@@ -117,7 +117,7 @@ def _halves(x: np.ndarray, quads: np.ndarray) -> np.ndarray:
     second = (least[:, 0] <= 0) & (least[:, 1] > 0)
     halves = np.where(second[:, None, None], cuts[:, 1], cuts[:, 0])
     every = np.swapaxes(halves, 0, 1).reshape(-1, 3)
-    return np.asarray(every[(np.diff(np.sort(every, axis=1), axis=1) > 0).all(axis=1)])
+    return every[(np.diff(np.sort(every, axis=1), axis=1) > 0).all(axis=1)]
 
 
 def _groups(read: Any, body: np.ndarray) -> dict[str, np.ndarray]:

@@ -11,6 +11,7 @@ import numpy as np
 from warp_peri.errors import InputError, optional
 from warp_peri.points.arguments import Positive, check_nodes, checked, typed
 from warp_peri.points.mesh import Mesh, make_mesh
+from warp_peri.points.points import unit_vectors
 
 ROUND = 1e-6
 """How far from a circle, relatively, the ends of its edges may be."""
@@ -129,7 +130,7 @@ def mesh_outline(outer: Outline, holes: Sequence[Outline] = (), *, size: Positiv
     parts: dict[str, list[list[int]]] = {}
     for side in made.Elements1D():
         parts.setdefault(made.GetBCName(side.index - 1), []).append([p.nr - 1 for p in side.points])
-    middle: dict[tuple[int, int], np.ndarray] = {}
+    middle = {}
     for one in (one for one in outlines if isinstance(one, Circle)):
         away = x - one.centre
         on = np.abs(np.linalg.norm(away, axis=1) - one.radius) < ROUND * one.radius
@@ -145,7 +146,7 @@ def _rim(outline: Outline) -> np.ndarray:
     if isinstance(outline, Polygon):
         return np.array([*outline.corners, outline.corners[0]])
     turn = np.linspace(0, 2 * np.pi, 200)
-    return outline.radius * np.stack([np.cos(turn), np.sin(turn)], axis=1) + outline.centre
+    return outline.radius * unit_vectors(turn) + outline.centre
 
 
 def _check_apart(outer: Outline, *holes: Outline) -> None:

@@ -144,7 +144,7 @@ class Points(Shown):
         for side in sides:
             check_whole("sides", side, 1)
         check_nodes("sides", sides)
-        grid = np.indices(tuple(map(int, sides))).reshape(len(sides), -1).T
+        grid = grid_places(sides)
         box = tuple(n * spacing for n in sides)
         return cls(
             spacing * grid, np.ones(len(grid), bool), spacing, box=box, units=units, axis=axis
@@ -174,7 +174,6 @@ class Points(Shown):
         """
         half = checked("lengths", lengths, float, ("d",)) / 2
         check_dimensions("lengths", len(half))
-
         away = lambda x: (np.abs(x) - half).max(axis=1)  # noqa: E731
         return cls._around(away, half, spacing, horizon, units=units, axis=axis)
 
@@ -203,7 +202,6 @@ class Points(Shown):
         >>> int(wp.Points.disk(20.0, spacing=5.0, horizon=12.5).interior.sum())
         49
         """
-
         away = lambda x: np.linalg.norm(x, axis=1) - radius  # noqa: E731
         half = np.full(dimension, radius)
         return cls._around(away, half, spacing, horizon, units=units, axis=axis)
@@ -215,7 +213,7 @@ class Points(Shown):
         """Lattice nodes up to two horizons beyond a body, interior where within it."""
         count = np.floor((half + 2 * horizon) / spacing * (1 + LATTICE_TOLERANCE)).astype(int)
         check_nodes("spacing", 2 * count + 1)
-        x = spacing * (np.indices(tuple(2 * count + 1)).reshape(len(half), -1).T - count)
+        x = spacing * (grid_places(2 * count + 1) - count)
         x = x[beyond(x) <= 2 * horizon + LATTICE_TOLERANCE * spacing]
         return cls(x, beyond(x) <= LATTICE_TOLERANCE * spacing, spacing, **more)
 
@@ -263,8 +261,7 @@ def refuse_twice(x: np.ndarray) -> None:
     along = x @ np.array([1.0, 0.6180339887, 0.4142135624])[:d]
     order = np.argsort(along, kind="stable")
     close = np.flatnonzero(np.diff(along[order]) <= 2 * near)
-    first, second = order[close], order[close + 1]
-    pairs = np.sort(np.stack([first, second], axis=1), axis=1)
+    pairs = np.sort(np.stack([order[close], order[close + 1]], axis=1), axis=1)
     pairs = pairs[np.abs(x[pairs[:, 0]] - x[pairs[:, 1]]).max(axis=1, initial=0.0) <= near]
     if len(pairs):
         pairs = pairs[np.lexsort(pairs.T[::-1])]
@@ -279,6 +276,11 @@ def check_lattice(points: Any) -> None:
             "points: expected a lattice, got scattered points; "
             "transfers.onto_lattice(samples, spacing=…) carries samples to one"
         )
+
+
+def grid_places(shape: Sequence[int] | np.ndarray) -> np.ndarray:
+    """All places of a grid, the last index first to change, shape [n, d]."""
+    return np.argwhere(np.ones(shape, bool))
 
 
 def straight_steps(x: np.ndarray, h: float, unit: str = "") -> Lattice:
@@ -310,20 +312,25 @@ def straight_steps(x: np.ndarray, h: float, unit: str = "") -> Lattice:
 
 def _axes(x: np.ndarray, h: float, unit: str) -> np.ndarray:
     """Lattice axes of nearest-neighbour directions, close to the coordinates, that fit best."""
-    some = x[:: max(1, len(x) // 2000)]
+    some, d = x[:: max(1, len(x) // 2000)], x.shape[1]
     pairs = cKDTree(x).query_ball_point(some, h * (1 + LATTICE_TOLERANCE))
     step = np.concatenate([x[near] - at for near, at in zip(pairs, some)]) / h
     step = step[np.linalg.norm(step, axis=1) > 0.5]
     if not len(step):
-        raise InputError(SPARSE.format(SHAPES[x.shape[1]], h, unit))
-    d, across = x.shape[1], step[np.abs(step @ step[0]) < 0.1][:1]
+        raise InputError(SPARSE.format(SHAPES[d], h, unit))
+    across = step[np.abs(step @ step[0]) < 0.1][:1]
     columns = np.linalg.qr(np.concatenate([step[:1], across, np.eye(d)]).T)[0]
     orders, signs = itertools.permutations(range(d)), itertools.product((1, -1), repeat=d)
     turns = [columns[:, order] * sign for order, sign in itertools.product(orders, signs)]
-    axes: np.ndarray = max(turns, key=np.trace)
+    axes = max(turns, key=np.trace)
     grid = np.rint((x - x[0]) @ axes / h)
     U, _, V = np.linalg.svd((x - x.mean(axis=0)).T @ (grid - grid.mean(axis=0)))
     return np.asarray(U @ V)
+
+
+def unit_vectors(angle: Any) -> np.ndarray:
+    """Unit vectors of the plane at angles [rad] from the first axis, shape [..., 2]."""
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
 def check_dimensions(name: str, count: int) -> None:

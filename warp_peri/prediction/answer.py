@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from warp_peri.core.elastic import symmetric_part
 from warp_peri.core.proof import prove, stencil_of
 from warp_peri.errors import InputError, Rows, Shown
 from warp_peri.materials.certificate import curvature_bound
 from warp_peri.points.arguments import Positive, checked, checked_fields, typed, typed_methods
-from warp_peri.points.points import PointsLike, lattice_steps, nodes_of
+from warp_peri.points.points import PointsLike, nodes_of
 from warp_peri.prediction.ensemble import (
     MOST,
     CalibrationFactors,
@@ -207,7 +208,7 @@ class Prediction(Shown):
         proof = prove(*stencil_of(law, points.spacing, "predict"))
         if not proof.holds:
             return None
-        grid = lattice_steps(points)[0][inside]
+        grid = points.lattice.steps[inside]
         sides = grid.max(axis=0) - grid.min(axis=0) + 1  # of the box, whose Laplacian is softer
         laplacian = float(sum(4 * np.sin(np.pi / 2 / (n + 1)) ** 2 for n in sides))
         smallest = proof.proven * laplacian / points.spacing**2
@@ -274,7 +275,7 @@ def strain(points: PointsLike, at: ArrayLike) -> Measure:
     nodes = nodes_of(points)
     if not nodes.spacing > 0:
         raise InputError("strain: expected a lattice, got scattered points")
-    tree, steps = cKDTree(nodes.x), nodes.spacing * np.eye(nodes.x.shape[1])
+    tree, steps = cKDTree(nodes.x), nodes.spacing * np.eye(nodes.dimension)
     middle = nodes.x[tree.query(checked("at", at, float, ("m", nodes.dimension)))[1]][:, None]
     off, (after, before) = tree.query(np.stack([middle + steps, middle - steps]))
     if off.max() > 1e-3 * nodes.spacing:
@@ -282,7 +283,7 @@ def strain(points: PointsLike, at: ArrayLike) -> Measure:
 
     def of(u: np.ndarray) -> np.ndarray:
         slope = (u[after] - u[before]) / (2 * nodes.spacing)
-        return np.asarray((slope + slope.mT) / 2)
+        return symmetric_part(slope)
 
     return of
 

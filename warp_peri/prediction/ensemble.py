@@ -12,6 +12,7 @@ import scipy.fft
 import scipy.sparse as sp
 from scipy.ndimage import distance_transform_edt
 
+from warp_peri.core.elastic import symmetric_part
 from warp_peri.core.record import FieldUnits, OnLinear
 from warp_peri.core.stencil import Grid, grid_of
 from warp_peri.errors import InputError, Rows
@@ -240,7 +241,7 @@ class EnsembleOperator:
 
 def quadratic_stresses(H: np.ndarray) -> np.ndarray:
     """Isotropic stresses, 7 in all, that are quadratic in H = ∇u [..., d, d], [7, ..., d, d]."""
-    E, one = (H + H.mT) / 2, np.eye(H.shape[-1])
+    E, one = symmetric_part(H), np.eye(H.shape[-1])
     W, trace = H - E, np.trace(E, axis1=-2, axis2=-1)[..., None, None]
     squares = ((F * F).sum(axis=(-1, -2))[..., None, None] * one for F in (E, W))
     mixed = (H @ H.mT, E @ W - W @ E)

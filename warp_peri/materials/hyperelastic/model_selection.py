@@ -32,8 +32,6 @@ COMPRESSIBLE = {"neo_hookean", "volumetric"}
 INCOMPRESSIBLE = {"plane_stress", "mooney"}
 BULK = 2000.0
 """Of an incompressible mixture, times C1 + C2: a thousand times the shear modulus."""
-
-
 REACH = 3.0
 STEPS, TOLERANCE = 10, 1e-3
 """Of a fit."""
