@@ -23,7 +23,7 @@ from tests.support.problems import kernel, loaded, normal, smooth
 from tests.support.solving import solve
 from tests.support.symbols import fluctuation, noisy, waves
 from warp_peri import Dataset, InputError, load
-from warp_peri.cli.main import COMMANDS, main, parse, parser_of
+from warp_peri.cli.main import COMMANDS, MADE, WRITTEN, main, parse, parser_of
 from warp_peri.cli.train import atom_forces
 from warp_peri.crystals import fit_dispersion
 from warp_peri.materials.lps import LPSMaterial
@@ -93,7 +93,7 @@ def test_a_fit_leaves_a_model_and_its_settings(fitted, data, tmp_path, capsys):
     assert main(shlex.split(typed)) == 0
     words += ["--degree", "2"]  # what is behind the file wins
     before = (tmp_path / "model.json").read_bytes()
-    assert "model.json: is there already, by other settings" in refused(capsys, *words)
+    assert "model.json: is there already, not by these settings" in refused(capsys, *words)
     assert (tmp_path / "model.json").read_bytes() == before
     assert answer(capsys, *words, "--overwrite")["mu"] != again["mu"]
     assert LPSMaterial.load(tmp_path / "model.json").degree == 2
@@ -111,7 +111,12 @@ def test_certify_evaluate_solve_and_info(fitted, data, tmp_path, capsys):
     test = load_dataset(data)["test"]
     assert str(model) in (tmp_path / "solved.solve.txt").read_text().splitlines()
     u = solve(LPSMaterial.load(model), test, test.b, test.u)
+    answer(capsys, "solve", model, data, "--out", out)
     assert_allclose(load_dataset(out)["test"].u, u)
+    words = ["solve", model, data, "--out", out]
+    assert "not by these settings" in refused(capsys, *words, "--set", "train")
+    shutil.copy(data, out)
+    assert "is no file of solve" in refused(capsys, *words)
     assert answer(capsys, "info", model)["certified_on"] == [1.0]
     assert answer(capsys, "info", data)["sets"]["noise"]["samples"] == 8
     assert main(["info", str(model)]) == 0
@@ -161,7 +166,7 @@ def test_sweep_chooses_and_keeps_its_settings(data, tmp_path, capsys):
     words = ["sweep", data, "--out", tmp_path, "--val", "test", "--noise", "noise", "--jobs", "1"]
     words += ["--horizons", "2.5", "--degrees", "1"]
     (mine := tmp_path / "sweep.json").write_text("mine")
-    assert "sweep.json: is there already, by no sweep" in refused(capsys, *words)
+    assert "sweep.json: is there already, not by these settings" in refused(capsys, *words)
     mine.unlink()
     printed = answer(capsys, *words)
     assert printed["fits"] == 1
@@ -251,7 +256,7 @@ def test_settings_files_hold_words_of_a_command(fitted, data, tmp_path, capsys):
         ("--set 'x", f"{path}: expected words of a command (No closing quotation)"),
         ("--set \udcff", f"{path}: expected words of a command ("),
         ("--overwrite", f"{path}: expected no --overwrite, which is typed"),
-        ("--horizons 3", "unrecognized arguments: --horizons 3"),
+        ("--horizons 3", "unrecognized arguments: --horizons"),
         ("--over", "unrecognized arguments: --over"),  # nor short for it
         ("--horizon far", "argument --horizon: invalid float value: 'far'"),
         ("--loss huber", "argument --loss: invalid choice: 'huber'"),
@@ -259,7 +264,9 @@ def test_settings_files_hold_words_of_a_command(fitted, data, tmp_path, capsys):
         ("--set\0", "got what is no text"),
     ):
         path.write_text(text, errors="surrogateescape")
-        assert said in refused(capsys, *words)
+        error = refused(capsys, *words)
+        assert said in error
+        assert error.startswith(f"error: {path}: ")
         assert not (tmp_path / "out").exists()
     path.write_text(f"\ufeff{fitted}/model.json '{data}'  # both\n--set train\n--no-transfer\n")
     assert set(answer(capsys, "evaluate", f"@{path}", "--set", "test")) == {"test"}
@@ -287,7 +294,8 @@ CANNOT = {
     "solve {bare} --out {new}": "required: DATA.h5",
     "solve {bare} {data} --out {data}": "is read (data)",
     "solve {bare} {data} --out {text}": "expected a .h5 file",
-    "solve {bare} {data} --out {mine}": "is there already, and no data file",
+    "solve {bare} {data} --out {mine}": "is there already, not by these settings",
+    "solve {bare} {data} --out {other}": "is there already, not by these settings",
     "solve {bare} {data} @{mine} --out {mine}": "is read (files)",
     "export {bare} {data} --out {bare}": "is read (model)",
     "fit {data} --out {bare}": "expected a folder",
@@ -298,8 +306,9 @@ CANNOT = {
 
 def test_what_cannot_be_done_is_one_line_and_writes_nothing(data, tmp_path, capsys):
     names = {"data": "d.h5", "bare": "bare.json", "text": "thesis.txt", "mine": "mine.h5"}
-    places = {key: tmp_path / name for key, name in names.items()}
-    shutil.copy(data, places["data"])
+    places = {key: tmp_path / name for key, name in (names | {"other": "more.h5"}).items()}
+    for key in ("data", "other"):
+        shutil.copy(data, places[key])
     bare = replace(kernel("sign-changing", 2.5), trained_on=(), certified_on=())
     bare.save(places["bare"])
     for key in ("text", "mine"):
@@ -314,6 +323,23 @@ def test_what_cannot_be_done_is_one_line_and_writes_nothing(data, tmp_path, caps
     assert main(line.split()) == 0
     assert "warning: spacing" in capsys.readouterr().err
     assert any(places["new"].glob("*.vtu"))
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_a_folder_is_written_again_by_the_same_settings_alone(name, tmp_path, capsys):
+    """Which is seen before inputs, here none, are."""
+    inputs, kept = ["no.h5"] * (1 + (name == "export")), tmp_path / f"{name}.txt"
+    words, there = [*inputs, "--out", str(tmp_path)], "is there already, not by these settings"
+    for one in WRITTEN[name].replace("*", "Yeoh").split():
+        (mine := tmp_path / one).write_text("mine")
+        assert f"{mine}: {there}" in refused(capsys, name, *words)
+        assert there not in refused(capsys, name, *words, "--overwrite")
+        for before, fine in ((words, True), (["other.h5", *words[1:]], False), (["--no"], False)):
+            kept.write_text("\n".join([MADE, *before]))
+            assert (there not in refused(capsys, name, *words)) == fine
+        kept.unlink()
+        assert mine.read_text() == "mine"
+        mine.unlink()
 
 
 def test_a_shape_is_fitted_by_name(data, tmp_path, capsys):

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 import warp_peri
+from warp_peri.cli.main import MADE, has_settings, is_kept
 from warp_peri.errors import InputError, warn
-from warp_peri.files.atomic import content, finite, locked, plain, write_text
+from warp_peri.files.atomic import finite, locked, plain, write_text
 from warp_peri.points.arguments import Units, offered, symbols
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.verbs import load
@@ -103,8 +104,11 @@ def run_solve(given: Namespace) -> Said:
     """Solve for the displacement under the loads of a set; writes a data file."""
     model, data, problem = problem_of(given)
     points = problem.points
-    u = warp_peri.solve(model, problem, **options_of(given)).u
     provenance = {"source": "warp-peri solve", "model": given.model.name, "data": given.data.name}
+    before = load_dataset(given.out) if given.out.exists() and not given.overwrite else None
+    if before and before.provenance != provenance:  # though settings like these stand beside it
+        raise InputError(f"out: {given.out} is no file of solve; name another, or --overwrite")
+    u = warp_peri.solve(model, problem, **options_of(given)).u
     sets = {given.set: dataclasses.replace(points, u=u)}
     with locked(given.out):
         save_dataset(given.out, Dataset(sets, data.thickness, data.density, provenance))
@@ -152,21 +156,12 @@ def chosen(given: Any, *names: str) -> Result:
     return {name: getattr(given, name) for name in names}
 
 
-MADE = "# words of warp-peri"
-"""First line of the settings files that commands write."""
-
-
-def is_kept(path: Path) -> bool:
-    """Whether a file holds the words of a command."""
-    return path.is_file() and content(path).startswith(MADE.encode())
-
-
 def keep(given: Namespace, path: Path) -> None:
-    """Write the words of a command, a line each, which `@FILE` stands for; a file that is read, or
-    that no command wrote, is left alone."""
+    """Write the words of a command, a line each, which `@FILE` stands for; a file that says the
+    same, or that no command wrote, is left alone."""
     if path.exists() and not is_kept(path):
         warn(f"{path}: is no file of a command, and is left as it is")
-    elif path.resolve() not in map(Path.resolve, given.files):
+    elif not has_settings(given, path):
         write_text(path, "\n".join([MADE, *map(shlex.quote, given.words), ""]))
 
 

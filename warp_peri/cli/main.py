@@ -17,12 +17,11 @@ import sys
 import warnings
 from argparse import SUPPRESS, ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from importlib import import_module
 from itertools import groupby
 from pathlib import Path
 from typing import Any, NoReturn
-
-import h5py
 
 import warp_peri
 from warp_peri.errors import InputError, exit_status, printable
@@ -78,6 +77,16 @@ COUNTS = ("N", "M")
 """Names of values that are paths, as are those with an ending; text; whole numbers; else reals."""
 TYPED = ("--json", "--trust", "--overwrite")
 """Options that no settings file has."""
+MADE = "# words of warp-peri"
+"""First line of the settings files that commands write."""
+WRITTEN = {
+    "fit": "model.json metrics.json",
+    "fit-crystal": "model.json crystal.json law.png",
+    "fit-sheet": "*.json curves.* material.feb",
+    "sweep": "sweep.json",
+    "export": "sample_*.vtu",
+}
+"""Names of what commands write to a folder; fits of a sweep know by themselves whose they are."""
 
 
 class Parser(ArgumentParser):
@@ -171,23 +180,25 @@ def parse(words: Sequence[str]) -> Namespace:
     top.add_argument("command", metavar="COMMAND", choices=COMMANDS, help="one of these")
     top.add_argument("--version", action="version", version=f"warp_peri {warp_peri.__version__}")
     given, line = top.parse_args(words[:1]), words[1:]
-    parser = parser_of(given.command)
+    parser, some_of = parser_of(given.command), parser_of(given.command)
     usual = {one.dest: one.default for one in parser._actions if one.dest != "help"}
-    for action in parser._actions:
+    for action in some_of._actions:  # each part has some
         action.default = SUPPRESS  # values of a list are not added to the usual ones
-    parts: list[tuple[bool, list[str]]] = []
-    for of_files, some in groupby(line, lambda word: word[:1] == "@"):
-        typed = [*some]
-        parts += [(True, words_of(one[1:])) for one in typed] if of_files else [(False, typed)]
-    parser.parse_args([word for _, words in parts for word in words])  # all there, and no more
-    for action in parser._actions:  # each part has some
         action.required = False
         if not action.option_strings:
             action.nargs, action.default = "*" if action.nargs == "+" else "?", None
+    parts: list[tuple[str, list[str]]] = []
+    for of_files, some in groupby(line, lambda word: word[:1] == "@"):
+        typed = [*some]
+        parts += [(one[1:], words_of(one[1:])) for one in typed] if of_files else [("", typed)]
     found, filed = dict[str, Any](), set[str]()
-    for of_file, part in parts:
-        own = {n: v for n, v in vars(parser.parse_args(part)).items() if v not in (None, [])}
-        found, filed = found | own, filed | own.keys() if of_file else filed - own.keys()
+    for file, part in parts:
+        try:
+            own = {n: v for n, v in vars(some_of.parse_args(part)).items() if v not in (None, [])}
+        except InputError as error:
+            raise InputError(f"{file}: {error}" if file else str(error)) from None
+        found, filed = found | own, filed | own.keys() if file else filed - own.keys()
+    parser.parse_args([word for _, words in parts for word in words])  # all there, and no more
     options = {n: v for n, v in (usual | found).items() if f"--{n}" not in TYPED}
     return Namespace(
         **vars(given) | usual | found,
@@ -226,20 +237,40 @@ def words_of(path: str) -> list[str]:
 
 
 def check_output(given: Namespace) -> None:
-    """Refuse, before anything is done, to overwrite inputs or what is no file."""
+    """Refuse, before anything is done, to overwrite inputs, what is no file, and, but for
+    --overwrite, what the command with the same options did not write."""
     if not hasattr(given, "out"):
         return
     for name, read in vars(given).items():
         for path in read if isinstance(read, list) else [read]:
             if name != "out" and isinstance(path, Path) and path.resolve() == given.out.resolve():
                 raise InputError(f"out: {given.out} is read ({name}); name another file")
-    folder = given.command not in ("coarse-grain", "solve")
+    folder = given.command in WRITTEN
     if given.out.exists() and given.out.is_dir() != folder:
-        wanted, there = ("folder", "file") if folder else ("file", "folder")
-        raise InputError(f"out: expected a {wanted}, {given.out} is a {there}")
+        wanted, got = ("folder", "file") if folder else ("file", "folder")
+        raise InputError(f"out: expected a {wanted}, {given.out} is a {got}")
     if not folder:
         destination(given.out)
         if given.out.suffix not in (".h5", ".hdf5"):
             raise InputError(f"out: expected a .h5 file, got {given.out.name}")
-        if given.out.exists() and not h5py.is_hdf5(given.out):
-            raise InputError(f"out: {given.out} is there already, and no data file")
+    kept, there = given.out.with_suffix(".solve.txt"), [given.out] * given.out.exists()
+    if folder:
+        kept, names = given.out / f"{given.command}.txt", WRITTEN[given.command].split()
+        there = [path for name in names for path in sorted(given.out.glob(name))]
+    fine = getattr(given, "overwrite", True) or has_settings(given, kept)
+    if there and not fine:  # coarse-grain, which adds to a data set, is
+        raise InputError(
+            f"{there[0]}: is there already, not by these settings; name another, or --overwrite"
+        )
+
+
+def is_kept(path: Path) -> bool:
+    """Whether a file holds the words of a command."""
+    return path.is_file() and content(path).startswith(MADE.encode())
+
+
+def has_settings(given: Namespace, path: Path) -> bool:
+    """Whether a file holds the words of a command with these options."""
+    with suppress(InputError):  # of another version
+        return is_kept(path) and parse([given.command, f"@{path}"]).options == given.options
+    return False

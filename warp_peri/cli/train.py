@@ -16,8 +16,7 @@ import warp_peri
 from warp_peri.atoms import dumps
 from warp_peri.atoms.coarse_graining import smoothing_matrix
 from warp_peri.atoms.dic import estimate_noise, frames_of_folder
-from warp_peri.cli.commands import Result, Said, chosen, error_table, is_kept, keep, lines_of
-from warp_peri.cli.main import parse
+from warp_peri.cli.commands import Result, Said, chosen, error_table, keep, lines_of
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import (
     content,
@@ -143,13 +142,6 @@ def _dataset(given: Namespace) -> Dataset:
 
 def run_fit(given: Namespace) -> Said:
     """Fit a material to data; writes model.json, metrics.json and the settings to a folder."""
-    model, kept = given.out / "model.json", given.out / "fit.txt"
-    there = [one for one in (model, kept, given.out / "metrics.json") if one.exists()]
-    same = is_kept(kept) and parse(["fit", f"@{kept}"]).options == given.options
-    if there and not (given.overwrite or same):
-        raise InputError(
-            f"{there[0]}: is there already, by other settings; name another folder, or --overwrite"
-        )
     data = _dataset(given)
     samples, noise = data[given.set], data[given.noise] if given.noise else None
     if given.horizon is None:
@@ -169,7 +161,7 @@ def run_fit(given: Namespace) -> Said:
         metrics |= chosen(data, "thickness", "density")
         made = {"data_provenance": data.provenance}
         run.save(given.out, metrics, data=given.data, provenance=made)
-        keep(given, kept)
+        keep(given, given.out / "fit.txt")
     tables = {name: {"samples": len(data[name])} | one for name, one in run.tables.items()}
     tables |= {name: {"error": why} for name, why in run.refused.items()}
     lines = [*_first(given, metrics, data), LINE, *repr(run.fit.material).split("\n")[1:]]
@@ -177,16 +169,8 @@ def run_fit(given: Namespace) -> Said:
         why, *shares = metrics["residual"].items()
         named = ", ".join(f"{name} {100 * share:.1f}" for name, share in shares)
         lines += [f"why: {why[1]}", f"shares of the squared residual [%]: {named}"]
-    return {**metrics, "model": str(model)}, [*lines, *error_table(tables, data.units)]
-
-
-def _check_folder(given: Namespace, *names: str) -> None:
-    """Refuse to replace files of these names where no such command was run."""
-    for path in map(given.out.joinpath, names):
-        if path.exists() and not is_kept(given.out / f"{given.command}.txt"):
-            raise InputError(
-                f"{path}: is there already, by no {given.command}; name another folder"
-            )
+    model = str(given.out / "model.json")
+    return {**metrics, "model": model}, [*lines, *error_table(tables, data.units)]
 
 
 def _law(given: Namespace, spacing: float) -> Any:
@@ -256,7 +240,6 @@ def _sheet_of(data: Dataset) -> str:
 
 def run_sweep(given: Namespace) -> Said:
     """Run Algorithm 2 on a data file; writes sweep.json and the models to a folder."""
-    _check_folder(given, "sweep.json")
     data = _dataset(given)
     sweep = warp_peri.methods.sweep(
         data[given.set],
@@ -283,7 +266,6 @@ def run_sweep(given: Namespace) -> Said:
 def run_fit_crystal(given: Namespace) -> Said:
     """Fit a crystal; writes model.json, crystal.json and law.png to a folder."""
     path = given.out / "model.json"
-    _check_folder(given, "model.json", "crystal.json", "law.png")
     units = given.units[0] if len(given.units) == 1 else tuple(given.units)
     how = chosen(given, "spacing", "horizon", "symmetry") | {"units": units}
     with locked(given.out):  # a place that takes no files is told before the calculator works
@@ -320,7 +302,6 @@ def run_fit_crystal(given: Namespace) -> Said:
 
 def run_fit_sheet(given: Namespace) -> Said:
     """Fit a sheet; writes material.json, sheet.json, curves and every candidate to a folder."""
-    _check_folder(given, "material.json", "sheet.json", "curves.png", "material.feb")
     how = chosen(given, "pixel", "positions", "stress", "along")
     frames = frames_of_folder(given.folder, given.count, radius=given.smooth, **how)
     usual = frames.points.units == USUAL  # what frames without a unit are taken for
@@ -332,6 +313,7 @@ def run_fit_sheet(given: Namespace) -> Said:
         if candidate.fit is None:
             warn(f"passed over: {candidate.why}")
             return
+        keep(given, given.out / "fit-sheet.txt")  # whose candidates these are, if it ends here
         name = candidate.name.replace(", ", "_").replace(" ", "_")
         warp_peri.save(given.out / f"{name}.json", candidate.fit.material)
         if not given.json:
@@ -352,7 +334,6 @@ def run_fit_sheet(given: Namespace) -> Said:
         }
         result = finite(told | result)
         write_json(given.out / "sheet.json", result)
-        keep(given, given.out / "fit-sheet.txt")
     path, stress = given.out / "material.json", "; stresses in MPa need a force: --stress"
     first = [
         f"{path}: material of a sheet, {choice[0].name}",
