@@ -179,6 +179,7 @@ REFUSED = {
     "needs fields of noise": {"loss": "corrected"},
     "two-stage": {"loss": "output", "method": TwoStage()},
     "moduli: expected .* with μ > 0": lambda: GaussNewton((0.3, -0.8)),
+    r"up to 1e\+100, .* got \(1e\+300, 1e\+300\)": lambda: GaussNewton((1e300, 1e300)),
     r"moduli: expected \(λ, μ\)": lambda: GaussNewton((0.7,)),
     "moduli: expected .* got 'held'": lambda: GaussNewton("held"),
 }

@@ -22,7 +22,7 @@ EDGE, ENDS = np.abs(X).max(axis=1) > 5, np.abs(X[:, 1]) > 4
 POINTS, MODEL, BODY = Points(X, ~EDGE, 1.0), solid().model, plate(12, 12)
 PROBLEM, LINE = Cracked(POINTS, u=X), [(-7, 0.1), (7, 0.1)]
 CORRECTED = replace(PROBLEM, corrected=True)
-TORN = replace(PROBLEM, cracks=[[(-7, 0), (7, 0)]])
+TORN, OPEN = (replace(PROBLEM, cracks=[[(-7, 0), (end, 0)]]) for end in (7, 0))
 WILD, SOFT = kernel("sign-changing", 3.0), BondLaw(2.0, 0.05, 0.02)
 SMALL = lattice(3, 2.0)
 HELD = np.repeat(ENDS[:, None], 2, axis=1)
@@ -61,6 +61,8 @@ REFUSED = {
     "expected that of a Cracked, of one material": j_at((0, 0), 4, MIXED, Cracked(POINTS)),
     "tip: expected the end of a crack along an axis": j_at((0, 0), 4),
     "tip: expected the end of a crack along an axis, got": j_at((0, 0), 4, problem=TORN),
+    r"tip: .*, got \[0.0, -1.0\]": j_at((0, -1), 4, problem=OPEN),
+    r"tip: .*, got \[-2.0, 0.0\]": j_at((-2, 0), 3, problem=OPEN),
     "three lengths or more": released(ONE, TWO),
     "the same number of polylines": released(ONE, TWO, [*ONE, *TWO], [*ONE, *TWO]),
     "radii: expected 0 ≤ smaller < larger by a spacing of 1 or more, up to 5.5": j_at((0, 0), 9),

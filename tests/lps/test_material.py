@@ -82,6 +82,7 @@ KNOWN = {"lam": 0.3, "mu": 0.8, "alpha": 1.0, "D": [1.0], "horizon": 3.0}
 made = lambda function, **parameters: lambda: InfluenceFunction(function, parameters)(LENGTHS)
 bounded = lambda bounds: lambda: InfluenceFunction(gaussian, {"width": 2.0}, bounds)
 numbers = lambda **change: lambda: LPSMaterial(**KNOWN | change)
+tabled = lambda *r: lambda: table(r, [1.0, 0.5]).coefficients(LENGTHS, HORIZON)
 
 
 def vanishing():
@@ -113,6 +114,8 @@ REFUSED = {
     "weighted volume": vanishing,
     "of one shape": lambda: table([0, 1], [1.0]),
     "rising": lambda: table([1, 0], [1.0, 1.0]),
+    "table: expected K at all bonds, 1 to 3, got it at": (tabled(0.1, 1), tabled(1.1, 3)),
+    "certified_on: expected a list, got array": numbers(certified_on=np.array(1.0)),
 }
 
 

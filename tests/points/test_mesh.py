@@ -69,7 +69,8 @@ def test_an_outline_has_its_parts_curves_holes_and_distances():
     assert_allclose(mesh.distance(inside, 0.01), [1, 1], atol=1e-3)
     assert (mesh.holding(np.array([[3.0, 1], [21, 0]])) == -1).all()
     corners = ((0, 0), (10, 0), (10, 4), (4, 4), (4, 10), (0, 10))
-    assert size(mesh_outline(Polygon(corners[::-1]), size=2)) == pytest.approx(64)
+    for given in (corners[::-1], np.array(corners[::-1]).view(np.matrix)):
+        assert size(mesh_outline(Polygon(given), size=2)) == pytest.approx(64)
     hole = Polygon(((0, 0), (3, 0), (0, 3)), ("cut",))
     assert set(mesh_outline(Circle(10, name="edge"), [hole], size=1).parts) == {"edge", "cut"}
     assert_refused({

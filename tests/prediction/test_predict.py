@@ -128,6 +128,7 @@ def test_quantities_come_with_a_signed_correction(family):
     points, u, given = problem(family, 0.01)
     rough = wp.predict(family, given, 0.5)
     at = [(4.0, 4.0), (2.0, 5.0)]
+    assert wp.prediction.strain(points, np.zeros((0, 2)))(u).shape == (0, 2, 2)
     for quantity in (
         wp.prediction.strain(points, at),
         wp.prediction.stress(rough.operator, at),

@@ -374,7 +374,7 @@ def j_integral(solution: Solution, tip: Sequence[float], radii: tuple[float, flo
     a box of nodes, of one material, with the crack midway between two rows or layers.
 
     Raises InputError for a body that is no box, several materials, squares that do not differ by a
-    spacing or do not fit into the body, and a tip that no crack is near.
+    spacing or do not fit into the body, and a tip within a spacing of which no crack ends.
     """
     if not getattr(solution.operator, "one", False):
         raise InputError("solution: expected that of a Cracked, of one material, isotropic")
@@ -418,18 +418,19 @@ def j_integral(solution: Solution, tip: Sequence[float], radii: tuple[float, flo
 
 def _crack_axes(solution: Solution, tip: np.ndarray, reach: float) -> tuple[list[int], float]:
     """Axes along the crack that ends in a tip, across it and along its front, and its sense."""
-    body, d = solution.operator.body, len(tip)
+    body, d, h = solution.operator.body, len(tip), solution.operator.body.spacing
     cut = []
-    for normal in np.eye(d):
-        away = body.x[_columns(solution, normal)[0]] - tip
-        cut.append(away[(np.abs(away) <= reach).all(axis=1)])
+    for normal in np.eye(d):  # middles of broken bonds in the plane of the tip
+        away = body.x[_columns(solution, normal)[0]] + normal * h / 2 - tip
+        cut.append(away[(np.abs(away) <= np.where(normal, 0.49 * h, reach)).all(axis=1)])
     across = int(np.argmax([len(away) for away in cut]))
     behind = np.where(np.arange(d) == across, 0.0, cut[across].sum(axis=0))
     along = int(np.abs(behind).argmax())
-    if not behind[along]:
+    sign = -float(np.sign(behind[along]))
+    if not sign or abs((sign * cut[across][:, along]).max() + h / 2) > h:  # behind where it ends
         raise InputError(f"tip: expected the end of a crack along an axis, got {tip.tolist()}")
     rest = [axis for axis in range(d) if axis not in (along, across)]
-    return [along, across, *rest], -float(np.sign(behind[along]))
+    return [along, across, *rest], sign
 
 
 def _gradient(u: np.ndarray, x: np.ndarray, h: float, axes: list[int], sign: float) -> np.ndarray:

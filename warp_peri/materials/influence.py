@@ -34,6 +34,8 @@ BOND_WEIGHT = 1e5
 """Weight of an error at a bond length, where one between bond lengths has 1."""
 BETWEEN = 1000
 """Distances between the bond lengths that a polynomial is fitted at."""
+ROUNDING = 1e-9
+"""Of bond lengths."""
 STEP, SEEN = 1e-4, 1e-7
 """A derivative is taken with a step of this times the parameter, or with a larger one, up to this
 itself, where K changes by less than SEEN of its size; of fourth order, hence exact to 1e-12."""
@@ -150,9 +152,16 @@ class InfluenceFunction:
 
         Least squares over distances down to half the shortest bond, the bond lengths themselves
         held, with the first degree of DEGREES that is exact, or the last (theory, 60). Raises
-        InputError for a function whose values at the bond lengths no D reaches.
+        InputError for a function whose values at the bond lengths no D reaches, and a table that
+        does not reach them.
         """
         r = np.unique(np.asarray(lengths, dtype=float))
+        knots = getattr(self.function, "keywords", {}).get("knots", r)  # of a table
+        if r[0] < (1 - ROUNDING) * knots[0] or r[-1] > (1 + ROUNDING) * knots[-1]:
+            raise InputError(
+                f"table: expected K at all bonds, {r[0]:g} to {r[-1]:g}, got it at {knots[0]:g} to "
+                f"{knots[-1]:g}"
+            )
         nodes = np.cos(np.pi * (np.arange(BETWEEN) + 0.5) / BETWEEN)
         shortest = r[0] / 2
         s = shortest + (horizon - shortest) * (nodes + 1) / 2
@@ -234,7 +243,7 @@ def named(name: str, horizon: Positive) -> InfluenceFunction:
 @typed
 def table(r: ArrayLike, K: ArrayLike, *, learned: bool = False) -> InfluenceFunction:
     """Piecewise linear influence function through values K [T] at rising distances r [Å], constant
-    beyond the ends; `learned` takes the values as parameters to learn."""
+    beyond the ends, where no bond may be; `learned` takes the values as parameters to learn."""
     knots, given = checked("r", r), checked("K", K)
     if knots.ndim != 1 or len(knots) < 2 or knots.shape != given.shape:
         raise InputError(

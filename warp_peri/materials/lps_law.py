@@ -28,7 +28,7 @@ from warp_peri.materials.lps import (
     weighted_volume,
 )
 from warp_peri.materials.lps_force import Bonds
-from warp_peri.points.arguments import Count, Natural, NotNegative, Positive, typed
+from warp_peri.points.arguments import LARGEST, Count, Natural, NotNegative, Positive, typed
 from warp_peri.points.families import DEGREE, BondClasses, bond_classes
 from warp_peri.points.points import Samples
 
@@ -114,10 +114,10 @@ class GaussNewton:
             lam, mu = map(float, () if named else self.moduli)
         except (TypeError, ValueError):
             lam = mu = np.nan
-        if not (np.isfinite(lam + mu) and mu > 0 and lam + mu > 0):
+        if not (0 < mu <= LARGEST and 0 < lam + mu <= LARGEST):
             raise InputError(
-                f"moduli: expected (λ, μ) with μ > 0, λ + μ > 0, {ISOTROPIC!r} or "
-                f"{LONG_WAVES!r}, got {self.moduli!r:.60}"
+                f"moduli: expected (λ, μ) with μ > 0, λ + μ > 0, up to {LARGEST:g}, {ISOTROPIC!r} "
+                f"or {LONG_WAVES!r}, got {self.moduli!r:.60}"
             )
         object.__setattr__(self, "moduli", (lam, mu))  # of a list or an array too
 

@@ -272,6 +272,8 @@ def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> dict[
         value = given.get(name, default)
         if value is default or (value is None and NoneType in kinds):
             continue
+        if isinstance(value, np.matrix):  # whose rows are matrices
+            value = found[name] = np.asarray(value)
         first, *more = [kind for kind in kinds if kind is not NoneType]
         if os.PathLike in kinds and isinstance(value, str) and (not value or "\0" in value):
             raise InputError(f"{name}: expected a path, got {value!r:.60}")
