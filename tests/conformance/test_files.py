@@ -145,11 +145,28 @@ def test_what_is_not_proven_is_not_believed(name, tmp_path):
 def test_a_model_is_certified_only_where_that_is_proven(tmp_path):
     path = tmp_path / "m.json"
     bad, good = ([1.0, -0.9, 0.3], [1.0])
-    for said in ({}, {"1": {"symbol_bound": 0.0}}):
-        false = wp.LPSMaterial(0.3, 0.8, 1.0, bad, 3.0, certified_on=(1.0,), certificate=said)
+    for on, said in (((1.0,), {}), ((1.0,), {"1": {"symbol_bound": 0.0}}), ((1.5, 1.0), {})):
+        false = wp.LPSMaterial(0.3, 0.8, 1.0, bad, 3.0, certified_on=on, certificate=said)
         refused(path, false.content(), "certified_on: nothing is proven on 1")
     content = wp.LPSMaterial(0.3, 0.8, 1.0, good, 3.0, certified_on=(1.0,)).content()
     assert read(path, content).certified_on == (1.0,)
+
+
+def test_figures_of_a_proof_are_of_its_lattice_and_words_follow_from_them(tmp_path):
+    files = [json.loads((FOLDER / f"{name}.json").read_text()) for name in ("lps", "crystal")]
+    said, path = files[0]["certificate"]["1"], tmp_path / "m.json"
+    model = read(path, hashed(changed(files[0], ("certificate", "1", "statement"), "All.")))
+    assert model.certificate == {"1": said}
+    assert "spacing 0.1 nm" in model.in_units(OTHER).certificate["0.1"]["statement"]
+    for n, at, value, words in (
+        (0, ("1", "spacing"), 7.5, "expected spacings, got '1'"),
+        (0, ("2.5",), said, "expected spacings, got '2.5'"),
+        (0, ("1", "strength"), 5.0, "unknown keys: strength"),
+        (0, ("1", "gamma_min"), "large", "gamma_min: expected a finite number"),
+        (1, ("cells",), -1, "is not proven"),
+        (1, ("seconds",), -1.0, "is not proven"),
+    ):
+        refused(path, hashed(changed(files[n], ("certificate", *at), value)), words)
 
 
 def test_what_is_no_value_or_not_known_is_one_error(material):

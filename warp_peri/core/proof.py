@@ -112,6 +112,7 @@ class StencilCertificate:
         long, _ = _long_waves(stiff, group)
         most = max(self.sampled, 0.0)  # of an indefinite law nothing is said to be proven
         believed = 0 <= self.long_waves <= long * (1 + FOUND) and 0 <= c <= most
+        believed &= self.cells >= 0 and self.seconds >= 0
         if believed and c > 0:  # a part of what was sampled that `prove` tries, which holds again
             tried = np.isclose(c / self.sampled, (1.0, *SHARES), rtol=1e-9).any()
             weight = laplacian_stencil(1.0, stencil.dimension, stencil.tensors.shape[1])

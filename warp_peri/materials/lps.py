@@ -47,6 +47,8 @@ NOTHING = 1e-14
 """Relative, of tensors that are rounding."""
 GAMMAS = ("gamma_min", "gamma_max", "gamma_minus_2phi_min", "gamma_minus_2phi_max")
 """Figures of a certificate that are in 1/length²; files of before have the second too."""
+INF_SUP = ("inf_sup_min", "inf_sup_rank")
+"""Those of no unit."""
 AVERAGED = 8
 """Positions along the radius of the ball that moduli as a function are averaged over."""
 Modulus = ArrayLike | Callable[[np.ndarray], ArrayLike]
@@ -153,6 +155,9 @@ class LPSMaterial(Record, format="warp_peri.model"):
         if not np.any(self.D):
             raise InputError("D: expected a coefficient other than 0")
         self._check_moduli()
+        told = self.statements  # in its units, whatever a file says
+        own = {f"{h:g}": each | {"statement": told.get(h)} for h, each in self.figures.items()}
+        object.__setattr__(self, "certificate", own)
 
     def _check_moduli(self) -> None:
         d, N = self.dimension, 0
@@ -294,21 +299,26 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
     @property
     def figures(self) -> dict[float, dict[str, Any]]:
-        """Certificate figures by spacing; InputError where a name is no spacing."""
+        """Certificate figures by spacing; InputError where a name is not the figures' spacing."""
         exact, found = {f"{h:g}": h for h in self.certified_on}, {}
         for name, each in self.certificate.items():
             try:
-                found[exact.get(name) or float(each.get("spacing", name))] = each
-            except (AttributeError, TypeError, ValueError):
-                raise InputError(f"certificate: expected spacings, got {name!r:.50}") from None
+                found[h := float(each.get("spacing", exact.get(name, name)))] = each
+                fits = f"{h:g}" == name
+            except (AttributeError, TypeError, ValueError, OverflowError):
+                fits = False
+            if not fits:
+                raise InputError(f"certificate: expected spacings, got {name!r:.50}")
         return found
 
     @property
     def statements(self) -> dict[float, str]:
         """Sentences on what is proven, by the spacing of the lattice."""
-        bounds = {h: each.get("symbol_bound") for h, each in self.figures.items()}
-        about = self.units, self.dimension
-        return {h: statement_of(h, c, *about) for h, c in bounds.items() if c is not None}
+        return {
+            h: statement_of(h, each["symbol_bound"], self.units, self.dimension)
+            for h, each in self.figures.items()
+            if is_number(each.get("symbol_bound"))
+        }
 
     def certified_spacing_near(self, spacing: float) -> float:
         """The certified spacing [Å] within SPACING_TOLERANCE of a lattice's, or that spacing
@@ -396,10 +406,15 @@ class LPSMaterial(Record, format="warp_peri.model"):
         return {"degree": self.degree, "quadrature": {"degree": DEGREE, "singularity": SINGULARITY}}
 
     def verify_certificates(self) -> None:
-        """Raise InputError unless all spacings in `certified_on` are proven again."""
+        """Raise InputError unless all spacings in `certified_on` are proven again, and all bounds;
+        what is of training nodes, which no file has, is a record."""
         figures = self.figures
         for spacing in dict.fromkeys((*self.certified_on, *figures)):
             each, stencil = figures.get(spacing, {}), self.stencil(spacing)
+            for name in each.keys() - {"spacing", "symbol_min", "symbol_bound", "statement"}:
+                if name not in (*GAMMAS, *INF_SUP):
+                    raise InputError(f"certificate: unknown keys: {name}")
+                taken(f"certificate: {name}", float | None, each[name])
             if (bound := each.get("symbol_bound")) is not None:
                 numbers = bound, each.get("symbol_min", bound)
                 proven, least = (taken("certificate", float, number) for number in numbers)
