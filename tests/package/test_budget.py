@@ -16,12 +16,12 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_741,
-    "tokens": 233_840,
-    "lines of warp_peri": 30_135,
+    "code lines": 18_778,
+    "tokens": 234_146,
+    "lines of warp_peri": 30_170,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_322,
+    "lines of warp_peri, kernels, examples and tools": 42_357,
     "lines of the longest file": 539,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -33,16 +33,16 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "atoms": 2298,
-    "cli": 763,
-    "core": 1603,
+    "cli": 776,
+    "core": 1604,
     "face": 1114,
     "fe_coupling": 709,
     "files": 483,
     "fitting": 1056,
-    "fracture": 1422,
-    "materials": 4519,
+    "fracture": 1423,
+    "materials": 4539,
     "neural": 572,
-    "points": 1690,
+    "points": 1692,
     "prediction": 577,
     "mpi": 449,
     "solvers": 1486,
