@@ -37,6 +37,9 @@ def test_is_the_brute_force_sum(shape, box, spacing):
 
 def test_every_atom_is_shared_out_completely_among_the_nodes_of_a_period():
     """Nodes beyond the box are images of others, and carry the same; far atoms are left out."""
+    periodic = smoothing_matrix(ATOMS, nodes(0, 4), radius=8.0, box=BOX).toarray()
+    away = smoothing_matrix(ATOMS - 1e7 * np.array(BOX), nodes(0, 4), radius=8.0, box=BOX)
+    assert_allclose(away.toarray(), periodic, atol=1e-6)
     box = (4 * H, 4 * H)
     wide = smoothing_matrix(ATOMS % box, nodes(-3, 7), radius=4.0, box=box, spacing=H)
     grid = wide.toarray().reshape(10, 10, -1)
@@ -74,6 +77,10 @@ OF_MATRIX = {
     "nodes: expected a square lattice of spacing 2.4": {"spacing": 2.4},
     r"nodes: expected shape \[N, 2\] with N > 0": {"nodes": np.empty((0, 2))},
     "box: expected two periods > 0": {"box": (10.0, -10.0)},
+    "box: expected an array": {"box": [[1, 2], [3]]},
+    r"within 1e\+09 periods of one another": {"box": BOX, "atoms": [[1e12, 0.0]]},
+    "radius: expected at most .* nodes": {"box": BOX, "radius": 1e9},
+    "spacing: expected at most .* nodes": {"nodes": [[0, 0]], "spacing": 1e-6},
     "some are periodic images of others": {"nodes": nodes(-3, 7), "box": BOX, "spacing": None},
 }
 OF_FIELDS = {

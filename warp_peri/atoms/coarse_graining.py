@@ -22,6 +22,7 @@ from warp_peri.points.arguments import (
     Count,
     Positive,
     Units,
+    check_nodes,
     check_units,
     checked,
     typed,
@@ -34,6 +35,8 @@ LARGEST_ARRAY = 2**31
 """Bytes."""
 FULL = 1 - 1e-6
 """Of a period, beyond which nodes are images of others."""
+FAR = 1e9
+"""Periods between atoms and nodes, over which positions keep six digits."""
 
 
 @typed
@@ -60,10 +63,11 @@ def smoothing_matrix(
             over the given nodes. Nodes beyond a box, images of others, need it.
 
     Returns sparse ω, shape [N, A], dimensionless. Raises InputError for nodes off the lattice,
-    beyond a box without a spacing, or so wide apart that atoms reach none.
+    beyond a box without a spacing, or so wide apart that atoms reach none; for atoms more periods
+    away than positions have digits for, and more images than fit into memory.
     """
     atoms, nodes = _positions("atoms", atoms), _positions("nodes", nodes)
-    if box is not None and not (np.shape(box) == (2,) and np.isfinite(box).all() and min(box) > 0):
+    if box is not None and not min(checked("box", box, shape=(2,))) > 0:
         raise InputError(f"box: expected two periods > 0, got {box}")
     if spacing is not None:
         if not radius > (least := spacing / np.sqrt(2)):  # that no atom belongs to no node
@@ -91,9 +95,10 @@ def smoothing_matrix(
 
 def _reached(origin: np.ndarray, images: np.ndarray, radius: float, spacing: float) -> np.ndarray:
     """Nodes of the lattice through `origin` that any image can reach, shape [L, 2]."""
-    low = np.floor((images.min(0) - radius - origin) / spacing).astype(int)
-    high = np.ceil((images.max(0) + radius - origin) / spacing).astype(int)
-    return np.asarray(origin + spacing * (low + grid_places(high - low + 1)))
+    low = np.floor((images.min(0) - radius - origin) / spacing)
+    sides = np.ceil((images.max(0) + radius - origin) / spacing) - low + 1
+    check_nodes("spacing", sides)
+    return np.asarray(origin + spacing * (low + grid_places(sides.astype(int))))
 
 
 @typed
@@ -122,8 +127,10 @@ def coarse_grain(
     weighted = omega @ sp.diags_array(np.broadcast_to(mass, (atoms,)))
     density = weighted.sum(axis=1)
     if len(bad := np.flatnonzero(~(density > 0))):
-        words = f"{len(bad)} nodes have no atom within the radius, the first is {bad[0]}"
-        raise InputError(f"{words}: expected nodes inside the body, or its periods (box)")
+        raise InputError(
+            f"{len(bad)} nodes have no atom within the radius, the first is {bad[0]}: expected "
+            "nodes inside the body, or its periods (box)"
+        )
     u = np.array([weighted @ one for one in moved]) / density[:, None]
     b = np.array([omega @ one for one in pushed])
     return u, b * (EV_IN_TPA / (node_area * thickness))
@@ -133,14 +140,16 @@ def _images(
     atoms: np.ndarray, nodes: np.ndarray, radius: float, box: tuple[float, float] | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions [Å] of the atoms and periodic images within reach of a node, and their atoms."""
-    if box is None:
-        return atoms, np.arange(len(atoms))
     low, high = nodes.min(0) - radius, nodes.max(0) + radius
-    first = np.floor((low - atoms.max(0)) / box).astype(int)
-    last = np.ceil((high - atoms.min(0)) / box).astype(int)
-    shifts = first + grid_places(last - first + 1)
-    images = np.concatenate([atoms + shift * box for shift in shifts])
-    owner = np.tile(np.arange(len(atoms)), len(shifts))
+    images, owner = atoms, np.arange(len(atoms))
+    if box is not None:
+        counts, first = np.ceil((high - low) / box), np.ceil((low - atoms) / box)
+        if np.abs(first).max() > FAR:
+            raise InputError(f"atoms, nodes: expected both within {FAR:g} periods of one another")
+        check_nodes("radius", (len(atoms), *counts))
+        shifts = grid_places(counts.astype(int))
+        images = np.concatenate([atoms + (first + shift) * box for shift in shifts])
+        owner = np.tile(owner, len(shifts))
     near = ((images >= low) & (images <= high)).all(axis=1)
     return images[near], owner[near]
 
@@ -204,9 +213,9 @@ def read_mat(
     grid[*nodes.T] = True
     interior = surrounded(grid, reach)[*nodes.T] if 4 * reach < min(grid.shape) else grid[:0]
     if not interior.any():
-        none = f"none of {' × '.join(map(str, grid.shape))}"
         raise InputError(
-            f"{path}: expected all within {2 * reach} spacings around some, got {none}"
+            f"{path}: expected all within {2 * reach} spacings around some, got none of "
+            f"{' × '.join(map(str, grid.shape))}"
         )
     points = Points(x.min(axis=0) + step * nodes, interior, step, units=check_units(units))
     return Samples(points, u, b)
@@ -244,6 +253,7 @@ def _components_last(path: Path, held: dict[str, np.ndarray], name: str, nodes: 
     if last and field.ndim == 2:
         field = field[None]  # one sample
     if not len(field) or field[0].size != 2 * nodes:
-        words = f"expected two components of {nodes} nodes, got {field.shape}"
-        raise InputError(f"{path}: {name}: {words}")
+        raise InputError(
+            f"{path}: {name}: expected two components of {nodes} nodes, got {field.shape}"
+        )
     return field.reshape(-1, nodes, 2) if last else field.reshape(-1, 2, nodes).mT

@@ -171,8 +171,9 @@ def _of_items(items: dict[str, list[str]], columns: list[str], rows: list[str]) 
     heights = (used.replace("x", "z"), "z", "zu", "zs", "zsu")  # a sheet's: nobody looks at it
     wanted = ["id", used, used.replace("x", "y"), next((h for h in heights if h in columns), "z")]
     if len({*columns}) < len(columns) or not {*wanted} <= {*columns}:
-        shown = " ".join(columns)
-        raise ValueError(f"expected the columns id, x, y and z of one kind, each once, got {shown}")
+        raise ValueError(
+            f"expected the columns id, x, y and z of one kind, each once, got {' '.join(columns)}"
+        )
     wanted += [name for name in ("type", *IMAGES) if name in columns]
     table = np.loadtxt(rows, usecols=[columns.index(name) for name in wanted], ndmin=2)
     values = dict(zip(wanted, table.T))
@@ -278,11 +279,11 @@ def read_masses(path: StrPath, masses: Sequence[float]) -> np.ndarray:
     """Mass of every atom of a dump's first frame, [A] by id, from the masses of types 1, 2, …"""
     frame = next(iter_dump(path))
     if frame.types is None:
-        columns = " ".join(frame.columns)
-        raise InputError(f"{path}: expected the columns id and type, got {columns}")
+        raise InputError(f"{path}: expected the columns id and type, got {' '.join(frame.columns)}")
     if (most := frame.types.max()) > len(masses):
-        words = f"masses: expected one for each of the types 1 to {most} of {path}"
-        raise InputError(f"{words}, got {len(masses)}")
+        raise InputError(
+            f"masses: expected one for each of the types 1 to {most} of {path}, got {len(masses)}"
+        )
     each = checked("masses", masses)
     if not (each > 0).all():
         raise InputError(f"masses: expected numbers > 0, got {each.min():g}")
@@ -338,7 +339,7 @@ def check_box(
     """Raise InputError unless periods agree with a dump's header within the relative tolerance."""
     if header is None:
         raise InputError(f"{path}: box: expected an orthogonal box in the dump, got a tilted one")
-    if np.shape(box) != (2,) or not np.allclose(box, header, rtol=tolerance, atol=0):
+    if not np.allclose(checked("box", box, shape=(2,)), header, rtol=tolerance, atol=0):
         wanted, got = (" x ".join(f"{L:.9g}" for L in np.ravel(one)) for one in (header, box))
         raise InputError(f"{path}: box: expected the header's {wanted} Å, got {got} Å")
 
@@ -387,8 +388,10 @@ def coarse_grain_dumps(
     Raises InputError as its parts do, and for forces or dumps that do not belong together.
     """
     if not len(dumps) or len(unloaded) not in (0, 1, len(dumps)):
-        counts = f"{len(dumps)} and {len(unloaded)}"
-        raise InputError(f"dumps, unloaded: expected 1 or more, and 0, 1 or as many, got {counts}")
+        raise InputError(
+            "dumps, unloaded: expected 1 or more, and 0, 1 or as many, got "
+            f"{len(dumps)} and {len(unloaded)}"
+        )
     force = checked("force", force, shape=(len(dumps), "A", 2))
     _warn_of_shares(force, np.broadcast_to(np.asarray(atoms.mass, float), force.shape[1]))
     ids = next(iter_dump(dumps[0])).ids if atoms.ids is None else atoms.ids
