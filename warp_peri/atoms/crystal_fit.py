@@ -51,7 +51,7 @@ REACH = {2: 3.0, 3: 6**0.5}
 WITHIN = 0.02
 """Relative error of the answer to a plane wave that a law is said to hold with."""
 RULES = 0.1
-"""Of the largest modulus, that broken rules of force constants may change moduli by."""
+"""Of force constants, and of the largest modulus, that broken rules may change."""
 APART = 9.0
 """χ² of each modulus by two ways, beyond which their errors do not explain their difference."""
 AGREE, TOO_FAR = 0.02, 0.2
@@ -364,10 +364,11 @@ def crystal_from_force_constants(
         allowed = _allowed(atoms, group)
         errors = replace(atoms, cut=None).elastic_doubt(allowed, bent=True)
         share = np.abs(errors).max(initial=0.0) / np.abs(atoms.elastic(allowed)).max()
+        share = max(share, relative(atoms.doubt, atoms.values))
         if share > RULES:
             raise InputError(
-                f"force constants: rules that they break (space group, rotations, …) leave moduli "
-                f"unsure by {share:.0%}; expected less than {RULES:.0%}"
+                f"force constants: rules that they break (space group, rotations, …) leave them or "
+                f"moduli unsure by {share:.0%}; expected less than {RULES:.0%}"
             )
     return _learned(atoms, spacing, horizon, group, check_units(units), {}, None)
 
