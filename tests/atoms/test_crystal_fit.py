@@ -1,6 +1,7 @@
 """Structures to laws, by calculators or phonopy: moduli, sheets and solids, what is refused."""
 
 import json
+from dataclasses import replace
 
 import ase.build
 import ase.io
@@ -15,6 +16,7 @@ from tests.crystal.crystals import CUBES
 from tests.support import ROOT, shared
 from tests.support.told import assert_refused, each_refused, refused, warned
 from warp_peri.atoms.calculators import lammps_calculator
+from warp_peri.atoms.force_constants import NonAnalyticCorrection, Supercell
 from warp_peri.atoms.relaxed import at_rest, usual_spacing
 from warp_peri.cli.main import main
 from warp_peri.core.elastic import group_of_structure, voigt
@@ -200,6 +202,9 @@ def test_force_sets_are_those_of_the_calculator_and_what_a_supercell_cuts_off_is
     assert moduli(copper) == pytest.approx(COPPER, rel=1e-2)  # its supercell is a little narrow
     with refused("nodes about as far apart as a cell of the atoms"):
         wp.atoms.crystal_from_force_constants(copper, spacing=3.59e-10)
+    with refused(r"leave them or moduli unsure by \d+%"):  # half of x, none of z: mean moduli stay
+        wrong = copper.values[None] @ np.diag([0.5, 0, -0.5])
+        wp.atoms.crystal_from_force_constants(replace(copper, doubt=wrong))
     found = wp.atoms.crystal_from_force_constants(copper)
     bars = found.content()["standard_errors_GPa"]
     for name, true in zip(("C11", "C12", "C44"), COPPER):
@@ -219,7 +224,7 @@ def test_what_is_no_file_of_phonopy_and_charges_of_a_sheet_are_refused(tmp_path)
     given = (EXAMPLES / "copper" / "phonopy_disp.yaml").read_text()
     assert "- [   3,   0,   0 ]" in given
     for text, words in (
-        ("nothing: here\n", "phonopy does not read it"),
+        ("nothing: here\n", "phonopy does not read phonopy.yaml"),
         (given.replace("3,", "1.5,", 1), "supercell_matrix: expected whole numbers, got 1.5"),
     ):
         (tmp_path / "phonopy.yaml").write_text(text)
@@ -227,12 +232,31 @@ def test_what_is_no_file_of_phonopy_and_charges_of_a_sheet_are_refused(tmp_path)
             wp.atoms.from_phonopy(tmp_path)
     (tmp_path / "phonopy.yaml").write_text(given)
     forces = (EXAMPLES / "copper" / "FORCE_SETS").read_text().splitlines()
-    (tmp_path / "FORCE_SETS").write_text("\n".join([*forces[:-1], "nan 0 0"]))
-    with refused("force constants: expected finite"):
+    one, rows = " 1 0 0 0 1 0 0 0 1\n", "\n".join(forces)
+    for name, text, words in (
+        ("FORCE_SETS", "", r"FORCE_SETS: expected 108, .* got 0 sets behind \[0\]"),
+        ("FORCE_SETS", "\n".join(forces[:-1]), r"got 0 sets behind \[108\.0, 1\.0\]"),
+        ("FORCE_SETS", "\n".join([*forces[:-1], "nan 0 0"]), "force constants: expected finite"),
+        ("FORCE_CONSTANTS", "1 1000000000\n1 1\n1 0 0", "FORCE_CONSTANTS: expected 1 or 108"),
+        ("BORN", f"14.4\n{one}{one}", "born: expected charges .* whose sum is 0 within 0.1 e"),
+        ("BORN", f"14.4\n{one}{one}\n{one}", "Too many atoms in the BORN file"),
+        ("BORN", f"27\n{one}{one}", r"BORN: expected the factor 14\.3997 or none, got 27"),
+        ("BORN", f"# e\n 1e12{one[2:]}{9 * ' 0'}", "dielectric: expected at most .* waves"),
+    ):
+        (tmp_path / "FORCE_SETS").write_text(rows)
+        (tmp_path / name).write_text(text)
+        with refused(words):
+            wp.atoms.from_phonopy(tmp_path)
+        (tmp_path / name).unlink()
+    (tmp_path / "FORCE_SETS").write_text(rows.replace("\n\n1", "\n\n0"))
+    with warned("do not match"), refused("one of an atom from 1 to 108, got .* of 0"):
         wp.atoms.from_phonopy(tmp_path)
+    cell, two = ase.build.bulk("Cu"), np.zeros((2, 3, 3))
     assert_refused({
         "supercell: expected int values":
-            lambda: wp.fit_crystal(ase.build.bulk("Cu"), EMT(), supercell=(1.5, 2, 2)),
+            lambda: wp.fit_crystal(cell, EMT(), supercell=(1.5, 2, 2)),
+        "born: expected 1 charges, got 2":
+            lambda: Supercell(cell, cell, [0], polar=NonAnalyticCorrection(two, np.eye(3))),
         "BORN: expected a solid":
             lambda: wp.atoms.from_phonopy(EXAMPLES / "magnesia", thickness=4.0),
     })  # fmt: skip

@@ -41,8 +41,13 @@ SMALL = 2e-3
 """|k| [1/Å] of the differences that second moments of ions' fields are taken by."""
 COULOMB = 14.399645
 """e²/(4π ε₀) [eV Å]."""
+UNBALANCED = 0.1
+"""Of the largest charge, or of 1 e: calculated ones miss zero by 0.01–0.1 e, which all atoms then
+share; one that is missing, or another crystal's, by a whole one."""
 DECAYED, NEGLECTED = 3.5, 36.0
 """x with erfc(x) ≈ 0 at half a supercell, and exponents of Gaussians that are left out."""
+MOST_WAVES = 1e7
+"""Waves times atoms of sums over dipoles: a gigabyte."""
 TINY = float(np.finfo(float).tiny)
 """Divides what is zero."""
 SOFT = 1e-14
@@ -62,6 +67,8 @@ class NonAnalyticCorrection:
 
     Of the effective charges `born` of a cell's atoms [e], [n, 3, 3], less their mean, and the
     clamped-ion `dielectric` tensor [3, 3]; `decay` is Λ [1/Å] of the Gaussians, 0 by default.
+    Raises InputError for charges whose sum is a tenth of the largest, or of 1 e, and for a tensor
+    that is not positive.
     """
 
     born: np.ndarray
@@ -70,6 +77,12 @@ class NonAnalyticCorrection:
 
     def __post_init__(self) -> None:
         born = checked("born", self.born, shape=("n", 3, 3))
+        most = UNBALANCED * np.abs(born).max(initial=1.0)
+        if (np.abs(total := born.sum(axis=0)) > most).any():
+            raise InputError(
+                f"born: expected charges of a cell whose sum is 0 within {most:.2g} e, got "
+                f"{np.round(total, 4).tolist()}"
+            )
         object.__setattr__(self, "born", born - born.mean(axis=0))
         object.__setattr__(self, "dielectric", checked("dielectric", self.dielectric, shape=(3, 3)))
         if not (np.linalg.eigvalsh(self.dielectric) > 0).all():
@@ -81,8 +94,14 @@ class NonAnalyticCorrection:
         """Dipole–dipole matrix [eV/Å²], [K, n, 3, n, 3]; without macroscopic `field` smooth."""
         least = np.linalg.eigvalsh(self.dielectric)[0]
         furthest = 2 * self.decay * np.sqrt(NEGLECTED / least) + norms(k).max()
-        most = np.ceil(furthest * norms(cell) / (2 * np.pi)).astype(int)
-        counts = np.argwhere(np.ones(2 * most + 1)) - most
+        most = np.ceil(furthest * norms(cell) / (2 * np.pi))
+        waves = np.prod(2.0 * most + 1) * len(positions)
+        if not waves <= MOST_WAVES:
+            raise InputError(
+                f"dielectric: expected at most {MOST_WAVES:g} waves times atoms, got {waves:.2g} "
+                f"of {self.dielectric.tolist()} and the decay {self.decay:g}/Å"
+            )
+        counts = np.argwhere(np.ones(2 * most.astype(int) + 1)) - most
         G = 2 * np.pi * counts @ np.linalg.inv(cell).T
         zero = self._sums(np.zeros(3), G, cell, positions).sum(axis=2)
         around = G if field else G[counts.any(axis=1)]
@@ -203,8 +222,10 @@ class ForceConstants:
         D = self.dynamical(k)
         least = np.linalg.eigvalsh(D)[:, 0]
         if least.min() <= SOFT * np.abs(self.values).max():
-            at = f"{least.min():.2e} eV/Å² at k = {np.round(k[least.argmin()], 4).tolist()} 1/Å"
-            raise InputError(f"force constants: expected a stable crystal, got the stiffness {at}")
+            raise InputError(
+                f"force constants: expected a stable crystal, got the stiffness {least.min():.2e} "
+                f"eV/Å² at k = {np.round(k[least.argmin()], 4).tolist()} 1/Å"
+            )
         moved = np.linalg.solve(D, np.tile(np.eye(m, d, dtype=complex), (n, 1)))
         mean = moved.reshape(len(k), n, m, d)[:, :, :d].mean(axis=1)
         flexible = mean.real * (self.volume / n)
@@ -296,8 +317,10 @@ class ForceConstants:
                 "a piezoelectric crystal's non-analytic term, a stress that it is held under, or "
                 "another symmetry may be why"
             )
-            words = f"{off:.1%} off those of every elastic solid of this symmetry"
-            raise InputError(f"force constants: long waves are {words}; {why}")
+            raise InputError(
+                f"force constants: long waves are {off:.1%} off those of every elastic solid of "
+                f"this symmetry; {why}"
+            )
         for doubt in doubts:
             warn(f"force constants: {doubt}")
         return C
@@ -378,6 +401,8 @@ class Supercell:
             raise InputError("supercell: expected atoms on the sites of the structure")
         self.site = off.argmin(axis=0)
         if polar is not None:
+            if len(polar.born) != len(x):
+                raise InputError(f"born: expected {len(x)} charges, got {len(polar.born)}")
             if thickness is not None:
                 raise InputError("BORN: expected a solid; the field of a sheet's ions is another")
             most = np.linalg.eigvalsh(polar.dielectric)[-1] ** 0.5

@@ -96,9 +96,10 @@ def wide_enough(reference: Reference, calculator: Any, widths: Sequence[float]) 
         repeats = wider
         if rim <= none:
             return repeats
-    still = f"forces still are {rim:.1e} of the largest"
-    which = f"at half the width of {_cells(repeats[:d])}"
-    warn(f"supercell: {which} {still}; supercell=… takes a wider one")
+    warn(
+        f"supercell: at half the width of {_cells(repeats[:d])} forces still are {rim:.1e} of the "
+        "largest; supercell=… takes a wider one"
+    )
     return repeats
 
 
@@ -203,6 +204,8 @@ def _by_differences(cell: Any, many: Any, calculator: Any, **how: Any) -> ForceC
 
 
 WITHOUT = "phonopy: pip install 'warp_peri[phonons]'"
+FACTOR = 0.01
+"""Relative, within which a factor of charges is that of the code's units."""
 MOST = 20_000
 """Atoms of a supercell."""
 YAML = ("phonopy.yaml", "phonopy_params.yaml", "phonopy_disp.yaml")
@@ -222,28 +225,32 @@ def from_phonopy(path: StrPath, *, thickness: Positive | None = None) -> ForceCo
     phonopy or forces, for files it cannot read, for charges of a sheet.
     """
     path = Path(path)
-    there = [one for one in (path, *(path / name for name in YAML)) if one.is_file()]
-    if not there:
+    file = next(filter(Path.is_file, (path, *(path / name for name in YAML))), None)
+    if file is None:
         raise InputError(
             f"{path}: expected a file of phonopy or a folder with {' or '.join(YAML)}; "
             "`phonopy-init --dim …` (once `phonopy -d`) writes the last beside a code's unit cell"
         )
-    file = there[0]
     names = ("FORCE_CONSTANTS", "force_constants.hdf5", "FORCE_SETS", "BORN")
     beside = {name: file.parent / name for name in names if (file.parent / name).is_file()}
     try:
-        found, told = _opened(file, beside)
+        found, told = _opened(file)
         force_constants = _force_constants(found, told, beside)
         ions, reader = told.nac_params, optional("phonopy.file_IO", WITHOUT)
-        if "BORN" in beside:
-            ions = reader.parse_BORN(found.primitive, filename=beside["BORN"])
-        codes = optional("phonopy.interface.calculator", WITHOUT)
-        units = codes.get_calculator_physical_units(found.calculator)
+        if "BORN" in beside:  # all its rows, which an empty one would end
+            rows = "\n".join(filter(str.strip, content(beside["BORN"]).decode().split("\n")))
+            ions = reader.parse_BORN_from_strings(rows, found.primitive)
+        by_code = optional("phonopy.interface.calculator", WITHOUT).get_calculator_physical_units
+        units = by_code(found.calculator)
+        usual = units.nac_factor
+        if abs((ions or {}).get("factor", usual) / usual - 1) > FACTOR:
+            raise InputError(f"BORN: expected the factor {usual:.6g} or none, got {ions['factor']}")
     except Exception as error:  # phonopy raises whatever its parsing runs into
-        raise InputError(f"{path}: phonopy does not read it ({error})") from None
+        raise InputError(
+            f"{path}: phonopy does not read {', '.join([file.name, *beside])} ({error})"
+        ) from None
     if force_constants is None:
         raise InputError(f"{path}: expected FORCE_CONSTANTS or FORCE_SETS beside it, found neither")
-    checked("force constants", force_constants)
     small, large, x = found.primitive, found.supercell, units.distance_to_A
     cell, supercell = (
         ase.Atoms(part.numbers, positions=x * part.positions, cell=x * part.cell, pbc=True)
@@ -253,13 +260,13 @@ def from_phonopy(path: StrPath, *, thickness: Positive | None = None) -> ForceCo
     if small.magnetic_moments is not None:  # sites that they tell apart are no images
         cell.set_initial_magnetic_moments(small.magnetic_moments)
     displaced = np.asarray(small.p2s_map).tolist()
-    phi = units.force_to_eVperA / x * np.asarray(force_constants)
-    phi = phi if len(phi) == len(displaced) else phi[displaced]
+    phi = units.force_to_eVperA / x * checked("force constants", force_constants)
+    phi = phi[displaced] if len(phi) == len(supercell) else phi
     if gap(cell, 2)[0] >= VACUUM and thickness is None:
         thickness = thickness_of(cell)[0]
     polar = None
     if ions is not None:
-        polar = NonAnalyticCorrection(np.asarray(ions["born"]), np.asarray(ions["dielectric"]))
+        polar = NonAnalyticCorrection(ions["born"], ions["dielectric"])
     elif thickness is None and len(set(cell.numbers)) > 1:
         warn(f"{file.parent}: no BORN is there; the field of ions with charges misses in its waves")
     if thickness is not None and polar is None and np.abs(cell.cell[:2, 2]).max() > 1e-6:
@@ -267,14 +274,8 @@ def from_phonopy(path: StrPath, *, thickness: Positive | None = None) -> ForceCo
     return projected(cell, supercell, phi, displaced, thickness=thickness, polar=polar)
 
 
-def _opened(file: Path, beside: dict[str, Path]) -> tuple[Any, Any]:
-    """Open a phonopy file: phonopy's crystal, and the file's content; reads no other folder."""
-    for name, path in beside.items():
-        if name.endswith(".hdf5"):
-            with h5py.File(path) as held:
-                check_hdf5(held, path.stat().st_size)
-        else:
-            content(path)
+def _opened(file: Path) -> tuple[Any, Any]:
+    """Open a phonopy file: phonopy's crystal, and the file's content."""
     text = content(file)
     check_yaml(file, text)
     told = optional("phonopy.interface.phonopy_yaml", WITHOUT).PhonopyYaml()
@@ -285,7 +286,7 @@ def _opened(file: Path, beside: dict[str, Path]) -> tuple[Any, Any]:
     if block and (part := re.search(rb"\d*\.\d*[1-9]", block[0])):
         raise InputError(f"supercell_matrix: expected whole numbers, got {part[0].decode()}")
     matrix, primitive = told.supercell_matrix, told.primitive_matrix
-    matrix = np.eye(3, dtype=int) if matrix is None else np.asarray(matrix)
+    matrix = np.eye(3, dtype=int) if matrix is None else matrix
     cells = abs(np.linalg.det(matrix))
     if cells * len(told.unitcell) > MOST:
         raise InputError(f"supercell_matrix: expected at most {MOST} atoms, got {cells:.0f} cells")
@@ -297,24 +298,46 @@ def _opened(file: Path, beside: dict[str, Path]) -> tuple[Any, Any]:
 def _force_constants(found: Any, told: Any, beside: dict[str, Path]) -> Any:
     """Force constants of phonopy's file, else of those beside it, else of its forces; or None."""
     reader, rows = optional("phonopy.file_IO", WITHOUT), found.primitive.p2s_map
+    n, count, data = len(rows), len(found.supercell), told.dataset or {}
     if told.force_constants is not None:
         return told.force_constants
-    if "FORCE_CONSTANTS" in beside:
-        return reader.parse_FORCE_CONSTANTS(filename=beside["FORCE_CONSTANTS"], p2s_map=rows)
-    if (name := "force_constants.hdf5") in beside:
-        helper = optional("phonopy.cui.load_helper", WITHOUT)
-        return helper.read_force_constants_from_hdf5(beside[name], rows, found.calculator)
-    data, count = told.dataset or {}, len(found.supercell)
+    if path := beside.get("FORCE_CONSTANTS"):
+        got = _counts(path, 11)
+        if got not in ([count, count**2], [count, count, count**2], [n, count, n * count]):
+            raise InputError(
+                f"FORCE_CONSTANTS: expected {n} or {count}, {count}, and a tensor for each pair of "
+                f"atoms, got {got}"
+            )
+        return reader.parse_FORCE_CONSTANTS(filename=path, p2s_map=rows)
+    if path := beside.get("force_constants.hdf5"):
+        with h5py.File(path) as held:
+            check_hdf5(held, path.stat().st_size)
+        by = optional("phonopy.cui.load_helper", WITHOUT).read_force_constants_from_hdf5
+        return by(path, rows, found.calculator)
     if "forces" not in data | data.get("first_atoms", [{}])[0]:
-        if "FORCE_SETS" not in beside:
+        if not (path := beside.get("FORCE_SETS")):
             return None
-        data = reader.parse_FORCE_SETS(natom=count, filename=beside["FORCE_SETS"])
-        if data.get("natom", count) != count:
-            raise InputError(f"FORCE_SETS: expected forces on {count} atoms, got {data['natom']}")
-    moved = [one["displacement"] for one in data.get("first_atoms", [])]
-    if not all(np.linalg.norm(one) > 0 for one in moved):
-        raise InputError("displacement: expected one of every first atom, got 0 0 0")
+        got = _counts(path, 4 + 3 * count)
+        if not got[-1] or (got != [count, got[-1], got[-1]] and len(_counts(path, 6 * count)) > 1):
+            raise InputError(
+                f"FORCE_SETS: expected {count}, a count and as many sets of {4 + 3 * count} "
+                f"numbers, or sets of {6 * count}, got {got[-1]} sets behind {got[:2]}"
+            )
+        by = optional("phonopy.cui.load_helper", WITHOUT).select_and_load_dataset
+        data = by(found, data or None, None, path)  # warns of other displacements
+    for one in data.get("first_atoms", []):
+        if one["number"] not in range(count) or not np.linalg.norm(one["displacement"]) > 0:
+            raise InputError(
+                f"displacement: expected one of an atom from 1 to {count}, got "
+                f"{one['displacement']} of {one['number'] + 1}"
+            )
     found.dataset = data
     by = "symfc" if "displacements" in data else None
     found.produce_force_constants(calculate_full_force_constants=False, fc_calculator=by)
     return found.force_constants
+
+
+def _counts(path: Path, width: int) -> list[float]:
+    """Numbers of a text file before its rows of that width, and how many rows there are."""
+    words = content(path).split()
+    return [*map(float, words[: len(words) % width]), len(words) // width]

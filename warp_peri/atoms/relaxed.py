@@ -86,8 +86,10 @@ def check_sites(atoms: ase.Atoms) -> None:
     """Raise InputError for coinciding atoms, and for shared sites, of which ASE keeps one atom."""
     for site in (atoms.info.get("occupancy") or {}).values():
         if len(site) > 1 or min(site.values()) < FULL:
-            shared = ", ".join(f"{kind} {part:g}" for kind, part in site.items())
-            raise InputError(f"structure: expected sites of one element, got one of {shared}")
+            raise InputError(
+                "structure: expected sites of one element, got one of "
+                f"{', '.join(f'{kind} {part:g}' for kind, part in site.items())}"
+            )
     edges, x = np.array(atoms.cell), np.array(atoms.positions)
     if not len(atoms) or not (np.isfinite(edges).all() and np.isfinite(x).all()):
         raise InputError("structure: expected one atom or more, at finite places in a finite cell")
@@ -317,8 +319,9 @@ def _relax(cell: ase.Atoms, flat: bool, held: set[str], noise: Noise) -> None:
         moving: Any = FrechetCellFilter(cell, mask=free) if any(free) else cell
         done = BFGS(moving, logfile=None).run(fmax=quiet, steps=steps)
     except NotImplementedError as error:
-        words = f"calculator: it gives no stress ({error}); relax elsewhere and hold all"
-        raise InputError(words) from None
+        raise InputError(
+            f"calculator: it gives no stress ({error}); relax elsewhere and hold all"
+        ) from None
     cell.set_constraint()
     force = np.abs(cell.get_forces()).max()
     if not done and force > max(RESIDUAL_FORCE, TIMES * quiet):
