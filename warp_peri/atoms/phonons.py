@@ -323,8 +323,7 @@ def _force_constants(found: Any, told: Any, beside: dict[str, Path]) -> Any:
                 f"FORCE_SETS: expected {count}, a count and as many sets of {4 + 3 * count} "
                 f"numbers, or sets of {6 * count}, got {got[-1]} sets behind {got[:2]}"
             )
-        by = optional("phonopy.cui.load_helper", WITHOUT).select_and_load_dataset
-        data = by(found, data or None, None, path)  # warns of other displacements
+        data = reader.parse_FORCE_SETS(natom=count, filename=path)
     for one in data.get("first_atoms", []):
         if one["number"] not in range(count) or not np.linalg.norm(one["displacement"]) > 0:
             raise InputError(
