@@ -16,12 +16,12 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_831,
-    "tokens": 234_375,
-    "lines of warp_peri": 30_235,
+    "code lines": 18_830,
+    "tokens": 234_365,
+    "lines of warp_peri": 30_234,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_422,
+    "lines of warp_peri, kernels, examples and tools": 42_421,
     "lines of the longest file": 539,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -32,7 +32,7 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2351,
+    "atoms": 2350,
     "cli": 776,
     "core": 1604,
     "face": 1114,
