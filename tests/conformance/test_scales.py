@@ -140,6 +140,26 @@ def test_another_lattice(scale):
     assert found.proven
 
 
+def test_a_length_that_is_learned(scale):
+    op = placed("LPS")[0]
+    samples, (_, length, stress) = solved_samples(op), resized(op.model, scale)
+    there = larger(samples.points, length), length * samples.u, samples.b * stress / length
+
+    def learned(samples, horizon):
+        kernel = wp.influence.named("exponential", horizon)
+        found = wp.fit(samples, wp.LPS(horizon, kernel)).material
+        return found, *found.provenance["influence"]["parameters"].values()
+
+    one, mine = learned(samples, op.model.horizon)
+    other, its = learned(wp.Samples(*there), length * op.model.horizon)
+    assert mine != op.model.horizon
+    near(
+        [other.lam, other.mu, its * stress / length],
+        stress * np.array([one.lam, one.mu, mine]),
+        1e-5,
+    )
+
+
 def test_diffusion(scale):
     length, stress = factors(*zip(*scale))
     points = lattice(6, 2.0)

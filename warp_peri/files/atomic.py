@@ -272,14 +272,16 @@ def check_xml(path: StrPath, text: bytes) -> None:
 def check_hdf5(file: h5py.File, size: int) -> None:
     """Raise InputError for links, arrays kept elsewhere, and more bytes than `size` stands for."""
     allowed, total, groups = max(SMALL, MOST_PER_BYTE * size), 0, [("", file["/"])]
+    seen = {file["/"]}
     for place, group in groups:
         for name in group:
             where = f"{place}/{name}".lstrip("/")
             if not isinstance(group.get(name, getlink=True), h5py.HardLink):
                 raise InputError(f"{where}: expected an array in the file itself, got a link")
             item = group[name]
-            if isinstance(item, h5py.Group) and all(item != other for _, other in groups):
+            if isinstance(item, h5py.Group) and item not in seen:
                 groups.append((where, item))
+                seen.add(item)
             if not isinstance(item, h5py.Dataset):
                 continue
             if item.is_virtual or item.external:

@@ -402,23 +402,30 @@ class TimeSeriesWriter:
         self.folder, self.nodes = Path(folder), nodes
         self.x = nodes.x if x is None else x
         self.times: dict[str, float] = {}
+        self.claim()
+
+    def claim(self, motion: str = "") -> None:
+        """Take the folder for a motion of this mark; InputError where records of another are."""
+        self.head = PVD + f"<!-- {motion} -->" * bool(motion)
         pvd = self.folder / "motion.pvd"
-        with agreed(nodes.comm):
+        with agreed(self.nodes.comm):
             there = any(self.folder.glob("record_*.vtu"))
-            text = pvd.read_text(errors="replace") if pvd.is_file() else PVD * (not there)
-            if not text.startswith(PVD):
-                raise InputError(f"{pvd}: is there, or records beside it, of another program")
+            text = pvd.read_text(errors="replace") if pvd.is_file() else self.head * (not there)
+            if not text.startswith(self.head):
+                raise InputError(
+                    f"{pvd}: is there, or records beside it, of another motion or program; name "
+                    "another folder"
+                )
 
     def write(self, step: int, time: float, fields: Mapping[str, np.ndarray]) -> None:
-        """Write one record of the motion; vectors in the plane get a third component. Those of an
-        earlier motion stay in the folder, and are named no more."""
+        """Write one record of the motion; vectors in the plane get a third component."""
         nodes, times, name = self.nodes, self.times, f"record_{step:08d}.vtu"
         times[name] = time
         parts = {"positions": self.x, **fields}
         whole = gathered(nodes.comm, parts, nodes.number, nodes.count)
         there = {name, *(one.name for one in self.folder.glob("record_*.vtu"))}
         lines = [f'<DataSet timestep="{t!r}" file="{n}"/>' for n, t in times.items() if n in there]
-        text = "\n".join([PVD, *lines])
+        text = "\n".join([self.head, *lines])
         with agreed(nodes.comm):
             if nodes.comm.rank == 0:
                 x = whole.pop("positions")

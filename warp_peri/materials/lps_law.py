@@ -350,35 +350,38 @@ class BernsteinKernel:
 
 
 class ShapeKernel:
-    """Kernel given by a function of the bond length: q = (size a of K, parameters), K W a (theory,
-    59). InputError where its weighted volume is zero at the start; a search may pass through."""
+    """Kernel given by a function of the bond length, K W a (theory, 59): q = (a, parameters), over
+    their sizes at the start, whatever their units. InputError where its weighted volume is zero at
+    the start; a search may pass through."""
 
     rank = 1
     """How many numbers of q K is linear in."""
 
     def __init__(self, lattices: Sequence[BondClasses], shape: InfluenceFunction) -> None:
         self.lattices, self.shape = lattices, shape
-        self._ends, self._first = shape.ends, shape.vector
-        self._size = np.maximum(1.0, np.abs(self._first))
+        sizes = np.abs(shape.vector)
+        self._size = np.where(sizes > 0, sizes, sizes.max(initial=0.0) or 1.0)
+        self._ends, self._first = np.array(shape.ends) / self._size, shape.vector / self._size
         width = self._ends[1] - self._ends[0]
-        self._room = np.where(np.isfinite(width), width, self._size)
+        self._room = np.where(np.isfinite(width), width, 1.0)
         for classes in lattices:
             name = f"influence '{shape.name}' with {dict(shape.parameters)}"
             weighted_volume(classes, classes.weight * shape(classes.r), name)
+        self._scale = max(np.abs(each.weight * shape(each.r)).max() for each in lattices)
 
     def start(self, found: LPSFound) -> np.ndarray:
         """Coordinates q of the shape at the scale of a solid."""
         return np.append(1.0, self._first)
 
     def _at(self, q: np.ndarray) -> InfluenceFunction:
-        return self.shape.at(np.clip(q[1:].real, *self._ends))
+        return self.shape.at(self._size * np.clip(q[1:].real, *self._ends))
 
     def tables(self, q: np.ndarray) -> list[np.ndarray]:
         """K W on each lattice, [..., C], for q that differ in their imaginary parts alone."""
         shape, found, ahead = self._at(q.reshape(-1, q.shape[-1])[0]), [], (q - q.real)[..., 1:]
         for classes in self.lattices:
-            K = shape(classes.r) + ahead @ shape.slopes(classes.r).T
-            found.append(q[..., :1] * classes.weight * K)
+            K = shape(classes.r) + (self._size * ahead) @ shape.slopes(classes.r).T
+            found.append(q[..., :1] * (classes.weight / self._scale) * K)
         return found
 
     def limits(self, q: np.ndarray) -> np.ndarray:
@@ -389,7 +392,7 @@ class ShapeKernel:
 
     def rough(self, q: np.ndarray, mu: np.ndarray) -> np.ndarray:
         """Distances of the parameters from their start, to hold those that hardly matter."""
-        return np.asarray((q[..., 1:] - self._first) / self._size)
+        return np.asarray(q[..., 1:] - self._first)
 
     def coefficients(self, q: np.ndarray, mu: float) -> tuple[np.ndarray, float, InfluenceFunction]:
         """D and α of the polynomial that stands for the shape, and the shape."""

@@ -11,7 +11,7 @@ import numpy as np
 from tqdm import tqdm
 
 from warp_peri.errors import InputError, Rows, Shown, StrPath
-from warp_peri.files.checkpoint import RunFile, TimeSeriesWriter
+from warp_peri.files.checkpoint import RunFile, TimeSeriesWriter, fingerprint
 from warp_peri.points.arguments import (
     Count,
     Natural,
@@ -152,9 +152,11 @@ class Recorder:
     def _marched(self, state: Any, steps: int, progress: bool) -> Any:
         """State after so many steps."""
         own = self.nodes.own
+        if (self.file or self.series) and (not self.start or state.steps == 0):
+            self.start = self.nodes.mark(*self.nodal(state).values(), state.steps)
+        if self.series is not None:
+            self.series.claim(fingerprint(self.key(0), self.start))
         if self.file is not None:
-            if not self.start or state.steps == 0:
-                self.start = self.nodes.mark(*self.nodal(state).values(), state.steps)
             state = self._resumed(self.file, state)
         if state.steps > steps:
             raise InputError(
