@@ -16,12 +16,12 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_830,
-    "tokens": 234_365,
-    "lines of warp_peri": 30_234,
+    "code lines": 18_843,
+    "tokens": 234_537,
+    "lines of warp_peri": 30_250,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_421,
+    "lines of warp_peri, kernels, examples and tools": 42_437,
     "lines of the longest file": 539,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -37,15 +37,15 @@ ROOMS = {
     "core": 1604,
     "face": 1114,
     "fe_coupling": 709,
-    "files": 483,
+    "files": 491,
     "fitting": 1056,
     "fracture": 1423,
-    "materials": 4539,
+    "materials": 4542,
     "neural": 572,
     "points": 1692,
     "prediction": 577,
     "mpi": 449,
-    "solvers": 1486,
+    "solvers": 1488,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

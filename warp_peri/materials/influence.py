@@ -38,8 +38,7 @@ ROUNDING = 1e-9
 """Of bond lengths."""
 STEP, SEEN = 1e-4, 1e-7
 """A derivative is taken with a step of this times the parameter, or with a larger one, up to this
-times the largest, where K changes by less than SEEN of its size; of fourth order, hence exact to
-1e-12."""
+itself, where K changes by less than SEEN of its size; of fourth order, hence exact to 1e-12."""
 
 
 @typed
@@ -132,16 +131,15 @@ class InfluenceFunction:
     def slopes(self, r: np.ndarray) -> np.ndarray:
         """Derivatives of K by the parameters, [R, P], by differences within the bounds."""
         p, columns = self.vector, []
-        largest = np.abs(p).max(initial=0.0) or 1.0
         for one, value, low, high in zip(np.eye(len(p)), p, *self.ends):
             widest = (high - low) / 8
-            step = min(STEP * (abs(value) or largest), widest)
+            step = min(STEP * (abs(value) or 1.0), widest)
             while True:
                 ends = np.ceil((low - value) / step) + 2, np.floor((high - value) / step) - 2
                 m = np.arange(-2, 3) + np.clip(0, *ends)
                 K = np.array([self.at(p + n * step * one)(r) for n in m])
                 seen = np.ptp(K, axis=0).max() >= SEEN * np.abs(K).max()
-                if seen or 10 * step > min(STEP * largest, widest):
+                if seen or 10 * step > min(STEP, widest):
                     break
                 step *= 10
             weights = np.linalg.solve(np.vander(m, increasing=True).T, np.eye(5)[1])

@@ -351,16 +351,18 @@ class BernsteinKernel:
 
 class ShapeKernel:
     """Kernel given by a function of the bond length, K W a (theory, 59): q = (a, parameters), over
-    their sizes at the start, whatever their units. InputError where its weighted volume is zero at
-    the start; a search may pass through."""
+    the sizes at which K feels them at the start, in any units. InputError where its weighted volume
+    is zero at the start; a search may pass through."""
 
     rank = 1
     """How many numbers of q K is linear in."""
 
     def __init__(self, lattices: Sequence[BondClasses], shape: InfluenceFunction) -> None:
         self.lattices, self.shape = lattices, shape
-        sizes = np.abs(shape.vector)
-        self._size = np.where(sizes > 0, sizes, sizes.max(initial=0.0) or 1.0)
+        r = np.concatenate([each.r for each in lattices])
+        felt, size = np.abs(shape.slopes(r)).max(axis=0), np.abs(shape.vector)
+        size[size == 0] = 1.0  # of one that is not felt
+        self._size = np.divide(np.abs(shape(r)).max(), felt, out=size, where=felt > 0)
         self._ends, self._first = np.array(shape.ends) / self._size, shape.vector / self._size
         width = self._ends[1] - self._ends[0]
         self._room = np.where(np.isfinite(width), width, 1.0)
