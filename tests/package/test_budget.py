@@ -16,8 +16,8 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_843,
-    "tokens": 234_537,
+    "code lines": 18_844,
+    "tokens": 234_572,
     "lines of warp_peri": 30_250,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
@@ -40,7 +40,7 @@ ROOMS = {
     "files": 491,
     "fitting": 1056,
     "fracture": 1423,
-    "materials": 4542,
+    "materials": 4543,
     "neural": 572,
     "points": 1692,
     "prediction": 577,
