@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import binascii
+import base64
 import copy
 import itertools
 from collections.abc import Sequence
@@ -70,7 +70,8 @@ class NeuralOperator(Shown, torch.nn.Module):
         provenance: how the weights were learned.
 
     Weights are float32 until `.double()` is called, and forces are computed in their precision.
-    Raises InputError for an invalid horizon, strain or widths.
+    Raises InputError for an invalid horizon, strain or widths; training and saving do for networks
+    that were replaced by others, which a file cannot tell.
     """
 
     dimension = 2
@@ -105,6 +106,11 @@ class NeuralOperator(Shown, torch.nn.Module):
         self.widths = {"influence": tuple(map(int, influence)), "state": tuple(map(int, state))}
         if proportional:  # near springs, so that the first equilibria exist
             torch.nn.init.ones_(next(reversed(list(self.state.parameters()))))
+        self._described = self._kinds_and_shapes()
+
+    def _kinds_and_shapes(self) -> Any:
+        """Kinds of its modules, and shapes of their weights by name."""
+        return [*map(type, self.modules())], {k: w.shape for k, w in self.state_dict().items()}
 
     def omega(self, xi: torch.Tensor) -> torch.Tensor:
         """Influence function ω of bonds ξ [length], [n, 2], shape [n]: (NO1) or (NO2)."""
@@ -135,12 +141,12 @@ class NeuralOperator(Shown, torch.nn.Module):
         """
         if Path(path).suffix != ".json":
             raise InputError(f"{path}: expected a name that ends in .json")
-        weights = {key: part.detach().numpy() for key, part in self.state_dict().items()}
+        weights = {key: part.numpy() for key, part in self.state_dict().items()}
         _check_finite(weights)
         if (size := sum(part.nbytes for part in weights.values())) > FITS:
             raise InputError(f"{path}: expected at most {FITS} bytes of weights, got {size}")
         kind = next(iter(weights.values())).dtype.name
-        coded = {key: binascii.b2a_base64(w, newline=False).decode() for key, w in weights.items()}
+        coded = {key: base64.b64encode(w).decode() for key, w in weights.items()}
         NeuralFile(**self.content(), precision=kind, weights=coded).save(path)
 
     @typed
@@ -168,7 +174,10 @@ class NeuralOperator(Shown, torch.nn.Module):
         return other
 
     def content(self) -> dict[str, Any]:
-        """Content of the material's file without the weights."""
+        """Content of the material's file without the weights; InputError for networks of other
+        kinds or shapes than it describes."""
+        if self._kinds_and_shapes() != self._described:
+            raise InputError("networks: expected linear layers of their widths with ReLU between")
         return self.widths | {name: getattr(self, name) for name in SAID}
 
     def numbers(self) -> int:
@@ -216,14 +225,13 @@ class NeuralFile(record.Record, format="warp_peri.neural", version=2):
         names = ("influence", "state", *SAID[:5])
         material = NeuralOperator(**{name: getattr(self, name) for name in names}).double()
         material.scale, material.provenance = self.scale, self.provenance
-        wanted = {key: tuple(part.shape) for key, part in material.state_dict().items()}
         if self.precision not in PRECISIONS:
             raise InputError(f"precision: expected one of {PRECISIONS}, got {self.precision!r}")
-        dtype, read = np.dtype(self.precision).newbyteorder("<"), binascii.a2b_base64
+        dtype, read = np.dtype(self.precision).newbyteorder("<"), base64.b64decode
         try:
             weights = {
-                key: np.frombuffer(read(self.weights[key]), dtype).reshape(shape)
-                for key, shape in wanted.items()
+                key: np.frombuffer(read(self.weights[key]), dtype).reshape(part.shape)
+                for key, part in material.state_dict().items()
             }
         except (KeyError, TypeError, ValueError, OSError, AttributeError) as error:
             raise InputError(f"not a readable neural operator ({error!r:.400})") from None

@@ -6,6 +6,7 @@ import copy
 import io
 import math
 import time
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,6 +16,7 @@ from scipy.sparse.linalg import SuperLU, splu
 from tqdm import tqdm
 
 from warp_peri.errors import InputError, StrPath
+from warp_peri.files.atomic import locked
 from warp_peri.files.checkpoint import ArrayFile, fingerprint
 from warp_peri.fitting.regression import norms
 from warp_peri.neural.placed import CELLS, SOLVED, EquilibriumSolver, affine, interpolated_force
@@ -192,8 +194,9 @@ def train(
 
     Every interior node counts. With more epochs than a `checkpoint` has, a file written every ten
     seconds, the work goes on from there; `progress` is a bar on stderr. Raises InputError for no
-    samples, one of zero load or a frame at rest, loads in one set alone, a checkpoint of other
-    settings or samples, and a training that diverges.
+    samples, one of zero load or a frame at rest, loads in one set alone, networks of other modules
+    (see NeuralOperator), a checkpoint of other settings or samples or of a job that still runs,
+    and a training that diverges.
     """
     if not (len(samples) and len(val)):
         raise InputError("samples: expected at least one, got none")
@@ -203,22 +206,24 @@ def train(
     kind = Frames if samples.b is None else _Loads
     run = _Run(material, kind(material, samples), kind(material, val), training)
     file = ArrayFile(checkpoint, run.key, "another training: other settings, samples or start")
-    run.resume(file)
-    history, now = run.history, time.perf_counter()
-    began, saved = now - history.seconds, now
-    bar = tqdm(total=training.epochs, initial=history.epochs, unit="epoch", disable=not progress)
-    while history.epochs < training.epochs:
-        error = run.epoch()
-        history.seconds = time.perf_counter() - began
-        bar.update()
-        last = history.epochs == training.epochs
-        if last or history.epochs % LOOKED == 0:
-            other = run.look(error)
-            bar.set_postfix(train=f"{100 * error:.2f} %", val=f"{100 * other:.2f} %")
-        if last or time.perf_counter() - saved > SAVED:
-            run.save(file)
-            saved = time.perf_counter()
-    bar.close()
+    with nullcontext() if checkpoint is None else locked(checkpoint):
+        run.resume(file)
+        history, now = run.history, time.perf_counter()
+        began, saved = now - history.seconds, now
+        epochs = training.epochs
+        bar = tqdm(total=epochs, initial=history.epochs, unit="epoch", disable=not progress)
+        while history.epochs < epochs:
+            error = run.epoch()
+            history.seconds = time.perf_counter() - began
+            bar.update()
+            last = history.epochs == epochs
+            if last or history.epochs % LOOKED == 0:
+                other = run.look(error)
+                bar.set_postfix(train=f"{100 * error:.2f} %", val=f"{100 * other:.2f} %")
+            if last or time.perf_counter() - saved > SAVED:
+                run.save(file)
+                saved = time.perf_counter()
+        bar.close()
     if not run.kept:
         raise InputError(
             f"training: no look found a finite error; a rate below {training.rate:g} may have one"
