@@ -31,7 +31,8 @@ RIDGES, OF_NODES = (0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 1e-4, 1e-5), 4
 for all bonds. How many of them single nodes are fitted with."""
 SYMMETRIC = np.array([[[1, 0], [0, 0]], [[0, 1], [1, 0]], [[0, 0], [0, 1]]])
 CAUSES = {
-    "noise": "noise in the displacement. Try fields of noise in fit(…, noise=…), or longer means",
+    "noise": "noise in the displacement. Try longer means; a fit without noise=…, by "
+    "loss='residual' or by TwoStage is biased by it",
     "species": "a displacement that follows the load: species of a cell are forced unlike their "
     "masses. Try forces in proportion to the masses of a cell's species, or equal masses",
     "dispersion": "short waves: another kernel, or a crystal's six axes, would take it. Try a "

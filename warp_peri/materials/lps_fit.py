@@ -136,7 +136,8 @@ class LPS:
 
         Args:
             samples: of a Dataset `train`, or its only set. Interior nodes need the 2δ collar.
-            noise: fields of noise alone on the nodes of each, their loads of no account.
+            noise: fields of noise alone on the nodes of each, their loads of no account;
+                TwoStage and "residual" take nothing off.
             progress: show a bar for each stage; None shows it on a terminal and in a notebook.
 
         Raises InputError for input that cannot be used, and in space for "paper" conditions,
@@ -285,6 +286,8 @@ class Learner:
             raise InputError("loss: 'corrected' needs fields of noise")
         if asked != "auto":
             return LossSelection(asked, "asked for")
+        if printed and self.noise:
+            warn("noise: the two-stage method takes nothing off for it, and its fit is biased")
         if printed or not self.noise:
             no_other = "Algorithm 1 has no other", "no fields of noise were given"
             return LossSelection("residual", no_other[not printed])

@@ -131,7 +131,8 @@ class GaussNewton:
 @dataclass(frozen=True)
 class TwoStage:
     """Fit method: Algorithm 1 of You et al. (2021) as printed, Adam on positive kernels, then an
-    augmented Lagrangian that holds the eigenvalues (4.6) of the training domain.
+    augmented Lagrangian that holds the eigenvalues (4.6) of the training domain. Noise biases it:
+    fields of noise in `fit` say how large their part is, and change nothing.
 
     Attributes:
         seed: of the initial constants and D.
