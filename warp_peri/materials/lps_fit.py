@@ -136,13 +136,11 @@ class LPS:
 
         Args:
             samples: of a Dataset `train`, or its only set. Interior nodes need the 2δ collar.
-            noise: fields of noise alone on the nodes of each, their loads of no account;
-                TwoStage and "residual" take nothing off.
+            noise: fields of noise alone on the nodes of each; TwoStage and "residual" use none.
             progress: show a bar for each stage; None shows it on a terminal and in a notebook.
 
-        Raises InputError for input that cannot be used, and in space for "paper" conditions,
-        TwoStage and "output"; RuntimeError when the rows depart from Warp's operator or no start
-        ends with the conditions and the moduli kept.
+        Raises InputError for input that cannot be used, and in space "paper", TwoStage, "output";
+        RuntimeError when rows depart from Warp's operator or no start keeps conditions and moduli.
         """
         sets, quiet = sets_of(samples), sets_of(noise, "noise")
         return Learner(self, sets, quiet, progress).fit()
@@ -279,8 +277,7 @@ class Learner:
         return np.concatenate([classes.r for classes in self.lattices])
 
     def choose_loss(self, start: LPSFound) -> LossSelection:
-        """Select the loss that was asked for, or for "auto" the one that the noise calls for;
-        InputError for one that these data cannot have."""
+        """Select the loss, as asked, or for "auto" by noise; InputError for one without data."""
         asked, printed = self.law.loss, isinstance(self.law.method, TwoStage)
         if asked == "corrected" and not self.noise:
             raise InputError("loss: 'corrected' needs fields of noise")
