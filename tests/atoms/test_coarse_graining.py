@@ -88,6 +88,7 @@ OF_FIELDS = {
     r"force: expected shape \[1, 40, 2\], got \[2, 40, 2\]": {"force": np.ones((2, 40, 2))},
     r"force: .* got 2 of 80 masked, the first at index \[0, 7, 0\]": {"force": HIDDEN},
     "mass: expected values > 0": {"mass": -np.ones(40)},
+    "omega: expected a sparse matrix, got ndarray": {"omega": np.ones((16, 40))},
 }
 
 
@@ -97,7 +98,7 @@ def test_what_cannot_be_smoothed_is_refused():
     omega = smoothing_matrix(ATOMS, nodes(0, 4), radius=5.0)
     fields = dict.fromkeys(("displacement", "force"), np.ones((1, 40, 2)))
     fields |= {"node_area": 6.25, "thickness": 3.35}
-    each_refused(lambda change: coarse_grain(omega, **fields | change), OF_FIELDS)
+    each_refused(lambda change: coarse_grain(**{"omega": omega} | fields | change), OF_FIELDS)
     with refused(r"1 nodes have no atom .* the first is 16"):
         coarse_grain(smoothing_matrix(ATOMS, [*nodes(0, 4), [99.0, 99]], radius=5.0), **fields)
 

@@ -150,6 +150,9 @@ REFUSED = {
     "kind: expected one of": lambda: EnergyTerm("ogden"),
     "fibre_power: expected an exponent": lambda: EnergyTerm("fibre_power", 0.0, 1.0),
     "bonds of a half family": lambda: Hyperelastic(3.0, ((-1, 0),)),
+    "steps: expected int values": lambda: Hyperelastic(3.0, (1.0, 2.0)),
+    "steps: expected an array": lambda: Hyperelastic(terms=(replace(BOND[1], step=[[1], [1, 2]]),)),
+    "stretch: expected a number > 0": lambda: replace(solid(HGO), stretch=0),
     "sides of a corner": lambda: EnergyTerm("mooney", corner=True, step=(1, 0)),
     "at least one energy": Hyperelastic,
     "coefficients: expected finite values, got nan": lambda: replace(
@@ -180,7 +183,10 @@ REFUSED = {
     "70 measured components inside for 7 numbers, got 18": fit(
         wp.Samples(replace(POINTS, interior=FEW), FRAMES.u)
     ),
-    "start: expected 7 coefficients": fit(start=np.ones(2)),
+    "start: expected shape": fit(start=np.ones(2)),
+    "start: expected .* 7 of 7 masked": fit(LOADS, start=np.ma.masked_all(7)),
+    "loads that the energies explain, 100 %": fit(wp.Samples(POINTS, 0 * FRAMES.u, LOADS.b)),
+    "0 or at least 8": partial(wp.hyperelastic.select_model, FRAMES[[0, 1, 2, 2]], fibres=3),
     "frames: expected at least 4, got 3": partial(wp.hyperelastic.select_model, FRAMES),
 }
 

@@ -79,6 +79,7 @@ def test_an_outline_has_its_parts_curves_holes_and_distances():
         "that meet nothing": lambda: mesh_outline(box(9, 9), [Circle(2), Circle(1)], size=1),
         r"centre: expected shape \[2\], got \[3\]": lambda: Circle(1.0, (0.0, 0.0, 0.0)),
         "names: expected one for each of 6 sides": lambda: Polygon(corners, ("a", "b")),
+        "6 sides, texts, got": lambda: Polygon(corners, (None,) * 6),
         "corners: expected three at least, got 2": lambda: Polygon(corners[:2]),
         "corners around an area, got 0": lambda: Polygon(((0, 0), (1, 0), (2, 0))),
         "corners: expected sides apart, 0 and 2 meet": (

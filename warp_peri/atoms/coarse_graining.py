@@ -116,8 +116,11 @@ def coarse_grain(
     Equations 2.2 and 2.3 of You et al. 2021 with smoothing functions `omega` [N, A], of the atoms'
     displacement [Å] and external force [eV/Å], both [S, A, 2], and mass in any unit, [A] or one
     number; `node_area` is what a node stands for [Å²], h² on a lattice; `thickness` of the sheet
-    [Å]. Raises InputError where a node has no atom within the radius.
+    [Å]. Raises InputError for another omega, and where a node has no atom within the radius.
     """
+    if not sp.issparse(omega) or omega.ndim != 2:
+        raise InputError(f"omega: expected a sparse matrix, got {type(omega).__name__}")
+    omega = sp.csr_array(omega)  # matrices multiply otherwise
     atoms = omega.shape[1]
     moved = checked("displacement", displacement, shape=("S", atoms, 2))
     pushed = checked("force", force, shape=(len(moved), atoms, 2))

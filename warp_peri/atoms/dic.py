@@ -83,7 +83,8 @@ def read_table(
     table = np.array([[_number(row[n]) for n in asked] for row in rows], float)
     table, errors, flags = np.split(table.reshape(-1, len(asked)), [4, 4 + len(below)], axis=1)
     good = np.isfinite(table).all(axis=1) & (errors >= 0).all(axis=1)
-    table = table[good & (np.nan_to_num(flags) != 0).all(axis=1)]
+    good &= (np.nan_to_num(flags) != 0).all(axis=1)
+    table = checked("x, y, u, v", table[good])
     table = table[np.sort(np.unique(table, axis=0, return_index=True)[1])]
     table = table[~filled_in(table[:, :2], table[:, 2:])] if len(table) else table
     if not len(table):
@@ -177,7 +178,7 @@ def filled_in(x: np.ndarray, u: np.ndarray) -> np.ndarray:
         return np.zeros(len(x), bool)
     distance, near = cKDTree(x[~some]).query(x[some], NEAR)
     place, moved = x[~some][near] - x[some, None], u[~some][near]
-    place = place / np.abs(place).max(axis=(1, 2), keepdims=True)
+    place = place / np.abs(place).max(axis=(1, 2), keepdims=True, initial=1e-300)
     design = np.concatenate([np.ones_like(place[..., :1]), place], axis=2)
     plane = np.linalg.pinv(design) @ moved
     left = np.linalg.norm(moved - design @ plane, axis=2).max(axis=1)

@@ -317,8 +317,8 @@ def run_fit_sheet(given: Namespace) -> Said:
         name = candidate.name.replace(", ", "_").replace(" ", "_")
         warp_peri.save(given.out / f"{name}.json", candidate.fit.material)
         if not given.json:
-            error = f"{100 * candidate.held_out:.3f} %"
-            print(f"{candidate.name}: error of displacement {error}", flush=True)
+            error = f"error of displacement {100 * candidate.held_out:.3f} %"
+            print(candidate.why or f"{candidate.name}: {error}", flush=True)
 
     with locked(given.out):
         choice = warp_peri.hyperelastic.select_model(
@@ -370,7 +370,7 @@ def _written(given: Namespace, choice: Any) -> tuple[Result, str]:
         "material": best.name,
         "words": words,
         "held_out_E_u": {one.name: one.held_out for one in choice if np.isfinite(one.held_out)},
-        "passed_over": [one.why for one in choice if one.fit is None],
+        "passed_over": [one.why for one in choice if one.why],
         "largest_stretch": float(material.stretch or np.nan),
     }
     return result, shown

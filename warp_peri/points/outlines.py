@@ -61,8 +61,10 @@ class Polygon:
         count = len(checked("corners", self.corners, float, ("n", 2)))
         if count < 3:
             raise InputError(f"corners: expected three at least, got {count}")
-        if len(self.names) not in (1, count):
-            raise InputError(f"names: expected one for each of {count} sides, got {self.names}")
+        texts = all(isinstance(name, str) for name in self.names)
+        if len(self.names) not in (1, count) or not texts:
+            said = f"one for each of {count} sides, texts"
+            raise InputError(f"names: expected {said}, got {self.names}")
         if not abs(self.area) > ROUND * np.ptp(self.corners, axis=0).max() ** 2:
             raise InputError(f"corners: expected corners around an area, got {self.area:g}")
         if (meet := _meeting(np.asarray(self.corners, float))).size:

@@ -14,7 +14,7 @@ from warp_peri.core.record import FieldUnits
 from warp_peri.core.stencil import half_ball
 from warp_peri.errors import InputError
 from warp_peri.materials import hyperelastic
-from warp_peri.points.arguments import taken, typed
+from warp_peri.points.arguments import checked, taken, typed
 
 if TYPE_CHECKING:
     from warp_peri.points.points import Samples
@@ -182,7 +182,7 @@ class Hyperelastic:
             raise InputError(f"reach: expected 2 to 10 spacings, got {self.reach}")
         known = set(map(tuple, half_family(self.reach).tolist()))
         for step in (*self.deviations, *(term.step for term in self.terms if term.step)):
-            if tuple(step) not in known:
+            if tuple(checked("steps", step, int, (2,))) not in known:
                 raise InputError(f"steps: expected bonds of a half family, got {step}")
         if not len(self):
             raise InputError("dictionary: expected at least one energy, got none")

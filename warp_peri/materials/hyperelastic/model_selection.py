@@ -109,13 +109,15 @@ def select_model(
     """
     if len(frames) < LEAST_FRAMES:
         raise InputError(f"frames: expected at least {LEAST_FRAMES}, got {len(frames)}")
+    if 0 < fibres < DIRECTIONS:
+        raise InputError(f"fibres: expected 0 or at least {DIRECTIONS} directions, got {fibres}")
     pick = np.arange(len(frames))[::-1] % 2 == 0
     train, test = frames[pick], frames[~pick]
     matrix, even = EnergyTerm("plane_stress"), dict[str, Any]()
     kinds = {"neo-Hookean": (matrix,), "Mooney-Rivlin": (matrix, EnergyTerm("mooney"))}
     kinds["Yeoh"] = (matrix, *(EnergyTerm("yeoh", exponent=p) for p in (2.0, 3.0)))
     if fibres:
-        kinds["families of fibres"] = (matrix, *fibre_fan(max(fibres, DIRECTIONS), (2.0, 4.0)))
+        kinds["families of fibres"] = (matrix, *fibre_fan(fibres, (2.0, 4.0)))
     tried = []
     for degree in (0, UNEVEN) if uneven else (0,):
         for kind, terms in kinds.items():
@@ -129,7 +131,7 @@ def select_model(
     least = min(candidate.held_out for candidate in tried)
     alike = least * (1 + 2 / np.sqrt(2 * np.count_nonzero(seen_of(test)[:, test.interior])))
     tried.sort(key=lambda candidate: (max(candidate.held_out, alike), candidate.numbers))
-    if tried[0].fit is None:
+    if least == np.inf:
         raise InputError("frames: no material fits them; " + "; ".join(c.why for c in tried))
     return tried
 

@@ -19,6 +19,7 @@ from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.core.torch_bridge import FEW, Swept
 from warp_peri.errors import InputError, Rows, warn
 from warp_peri.fitting.regression import norms
+from warp_peri.fitting.result import LOUD
 from warp_peri.materials.hyperelastic.energies import Energy, Hyperelastic, Strain
 from warp_peri.materials.hyperelastic.lattice import SMALLEST_AREA, SheetLattice, Sites, softest
 from warp_peri.points.arguments import (
@@ -39,6 +40,8 @@ from warp_peri.solvers.systems import lanczos_start, smallest_eigenvalue
 
 BEYOND = 1.1
 """Stretches less one above this many times those of the training data are worth a warning."""
+EXPLAINED = 1e-8
+"""Part of the loads that a fit has to explain: less is rounding."""
 MOST_SHOWN = 8
 """Energies that a solid shows of itself."""
 
@@ -61,7 +64,7 @@ class HyperelasticMaterial(Record, format="warp_peri.hyperelastic", version=2):
     dictionary: Annotated[Hyperelastic, FieldUnits(flat=True)]
     coefficients: Annotated[np.ndarray, FieldUnits(stress=1)]
     spacing: Length
-    stretch: float | None = None
+    stretch: Annotated[float | None, FieldUnits(positive=True)] = None
     provenance: dict[str, Any] = field(default_factory=dict)
     units: Units = USUAL
     dimension: ClassVar[int] = 2
@@ -106,6 +109,18 @@ class HyperelasticMaterial(Record, format="warp_peri.hyperelastic", version=2):
     def horizon(self) -> float:
         """Horizon δ on the lattice of the training data [length]."""
         return self.dictionary.reach * self.spacing
+
+
+def check_explained(residual: float) -> None:
+    """Warn of a fit that leaves much of the loads; InputError where it leaves them all, or more."""
+    said = f"{100 * residual:.3g} % of the loads are left"
+    if residual > 1 - EXPLAINED:
+        raise InputError(
+            f"samples: expected loads that the energies explain, {said}; are the signs of u and b "
+            "right, and stiffness and start not too large?"
+        )
+    if residual > LOUD:
+        warn(f"residual: {said}, above {100 * LOUD:g} %: do other energies describe the sheet?")
 
 
 Active = list[tuple[Sites, list[Energy]]]

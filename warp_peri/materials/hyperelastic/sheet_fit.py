@@ -12,7 +12,7 @@ from scipy.ndimage import binary_dilation, binary_erosion
 from scipy.optimize import lsq_linear
 from tqdm import tqdm
 
-from warp_peri.errors import InputError, warn
+from warp_peri.errors import InputError, quietly, warn
 from warp_peri.fitting.regression import compressed, relative
 from warp_peri.materials.hyperelastic.energies import NEAREST, EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.fibres import (
@@ -26,6 +26,7 @@ from warp_peri.materials.hyperelastic.fibres import (
 from warp_peri.materials.hyperelastic.operator import (
     HyperelasticMaterial,
     HyperelasticSheetOperator,
+    check_explained,
 )
 from warp_peri.points.arguments import (
     Count,
@@ -240,10 +241,10 @@ class Search:
         if isinstance(start, SheetFit):
             fields = fields if start.fields is None else start.fields
             start = start.material.coefficients
-        if start is not None and np.shape(start) != (K,):
-            raise InputError(f"start: expected {K} coefficients, got {start!r:.60}")
         if start is not None or self.by_load:
-            c = np.maximum(0.0 if start is None else start, low)
+            start = 0.0 if start is None else checked("start", start, shape=(K,))
+            linear = self.by_load and not len(self.rest)  # a start would only pull at it
+            c = np.maximum(0.0 if linear else start, low)
             c = c if self.by_load else self.scaled(c)
         else:
             x = np.append(self.scaled(self.measure), self.rest)
@@ -424,17 +425,15 @@ def fit_sheet(
             by default; without in units of the initial stiffness, 0.05 by default.
         moving: whether angles and exponents of fibres are unknowns too.
         start: coefficients to begin with, shape [K], or a fit of the same frames and energies; by
-            default the least ones, without loads those of least equation error.
-        thickness: degree of the polynomial that is the logarithm of the sheet's thickness, (H18); 0
-            for an even sheet.
-        most_steps, tolerance: of Gauss and Newton, and the fraction of the loss that a step must
-            take away to go on.
+            default the least, without loads those of least equation error; linear fits need none.
+        thickness: degree of the polynomial that is its logarithm, (H18); 0 for an even sheet.
+        most_steps, tolerance: of Gauss and Newton; the part of the loss that a step must take away.
         progress: show a bar on stderr; a text is its name.
 
-    Warns where deviations come out so stiff that they, and not a material, explain the frames.
-    Raises InputError for no samples, one without a load or at rest, and numbers out of range;
-    without loads for affine frames, strains below 2 %, and fewer than ten measured components
-    inside, of all frames, for each energy; NoEquilibriumError where no frame has one at the start.
+    Warns where deviations, and not a material, explain the frames, and where much of the loads is
+    left. Raises InputError for no samples, one without a load or at rest, loads that are left
+    whole, numbers out of range; without loads for affine frames, strains below 2 %, fewer than ten
+    measured components inside for each energy; NoEquilibriumError where no frame has one at first.
     """
     by_load = samples.b is not None
     positive |= not by_load
@@ -453,6 +452,8 @@ def fit_sheet(
     others = [search.fit(place, [n]) for n in each]
     solved = None if by_load else place.fields
     fit = replace(fit, history=history, others=others, fields=solved, guaranteed=positive)
+    if by_load:
+        check_explained(fit.residual)
     if not by_load and (stiffest := fit.stiffest_deviation) > INTERPOLATES:
         warn(
             f"deviations came out {stiffest:.0f} times as stiff as the sheet at rest: they "
@@ -523,11 +524,12 @@ def fit_fibre_families(
     few = Samples(samples.points, samples.u[:ENOUGH], samples.loads[:ENOUGH])
     terms = (*map(EnergyTerm, matrix), *fibre_fan(directions))
     how: Any = {"stiffness": stiffness, "positive": True}
-    solid = fit_sheet(few, Hyperelastic(3.0, deviations, terms), **how).material
-    for within, share in ((1.6 * np.pi / directions, 0.02), (0.1, 0.01)):
-        dictionary, c = fibre_families(solid, within=within, share=share)
-        moving: Any = {"moving": True, "start": c, "most_steps": most_steps, "tolerance": TOLERANCE}
-        solid = fit_sheet(few, dictionary, **moving, **how).material
+    search: Any = {"moving": True, "most_steps": most_steps, "tolerance": TOLERANCE, **how}
+    with quietly():  # the last fit says what is left
+        solid = fit_sheet(few, Hyperelastic(3.0, deviations, terms), **how).material
+        for within, share in ((1.6 * np.pi / directions, 0.02), (0.1, 0.01)):
+            dictionary, c = fibre_families(solid, within=within, share=share)
+            solid = fit_sheet(few, dictionary, start=c, **search).material
     return fit_sheet(samples, solid.dictionary, **how).material.sparse
 
 
