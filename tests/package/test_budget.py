@@ -16,12 +16,12 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_853,
-    "tokens": 234_638,
-    "lines of warp_peri": 30_265,
+    "code lines": 18_874,
+    "tokens": 234_788,
+    "lines of warp_peri": 30_290,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_452,
+    "lines of warp_peri, kernels, examples and tools": 42_477,
     "lines of the longest file": 539,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -32,7 +32,7 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2350,
+    "atoms": 2354,
     "cli": 776,
     "core": 1604,
     "face": 1114,
@@ -40,9 +40,9 @@ ROOMS = {
     "files": 491,
     "fitting": 1057,
     "fracture": 1423,
-    "materials": 4545,
+    "materials": 4560,
     "neural": 578,
-    "points": 1692,
+    "points": 1694,
     "prediction": 577,
     "mpi": 449,
     "solvers": 1488,
