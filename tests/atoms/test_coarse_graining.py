@@ -2,11 +2,10 @@
 
 import h5py
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.io import savemat
 
-from tests.support import reference
+from tests.support import parametrize, reference
 from tests.support.problems import ROUNDING
 from tests.support.sheets import square
 from tests.support.told import each_refused, refused
@@ -22,7 +21,7 @@ def nodes(low, high):
     return H * np.stack(np.meshgrid(*2 * [np.arange(low, high)], indexing="ij"), -1).reshape(-1, 2)
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("shape", "box", "spacing"),
     [("cone", None, None), ("cone", None, H), ("cone", BOX, H), ("paraboloid", BOX, None)],
 )
@@ -50,55 +49,48 @@ def test_every_atom_is_shared_out_completely_among_the_nodes_of_a_period():
         assert (far.shape, abs(far).sum()) == ((4, len(atoms)), 0)
 
 
+OMEGA = smoothing_matrix(ATOMS, nodes(0, 4), radius=5.0)
+
+
 def test_fields_are_the_printed_sums():
     displacement, force = RANDOM.normal(size=(2, 3, 40, 2))
     mass = RANDOM.uniform(1, 3, 40)
-    omega = smoothing_matrix(ATOMS, nodes(0, 4), radius=5.0)
-    u, b = coarse_grain(
-        omega, displacement=displacement, force=force, mass=mass, node_area=6.0, thickness=2.0
-    )
-    dense = omega.toarray()
+    how = {"mass": mass, "node_area": 6.0, "thickness": 2.0}
+    u, b = coarse_grain(OMEGA, displacement=displacement, force=force, **how)
+    dense = OMEGA.toarray()
     expected = np.einsum("ia,a,sad->sid", dense, mass, displacement) / (dense @ mass)[:, None]
     assert_allclose(u, expected, rtol=0, atol=ROUNDING)
     expected = np.einsum("ia,sad->sid", dense, force) * 0.1602176634 / (6.0 * 2.0)
     assert_allclose(b, expected, rtol=0, atol=ROUNDING)
     rigid = np.broadcast_to([0.3, -0.2], (1, 40, 2))  # stays as it is, whatever the masses
-    how = {"force": 0 * rigid, "mass": mass, "node_area": 1.0, "thickness": 1.0}
-    u, _ = coarse_grain(omega, displacement=rigid, **how)
+    u, _ = coarse_grain(OMEGA, displacement=rigid, force=0 * rigid, **how)
     assert_allclose(u, rigid[:, :16], rtol=ROUNDING)
-
-
-HIDDEN = np.ma.masked_array(
-    np.ones((1, 40, 2)), mask=np.arange(40)[None, :, None].repeat(2, 2) == 7
-)
-"""Atom 7 is no data."""
-OF_MATRIX = {
-    "radius: expected more than spacing/√2 = 1.768": {"radius": 1.7},
-    "nodes: expected a square lattice of spacing 2.4": {"spacing": 2.4},
-    r"nodes: expected shape \[N, 2\] with N > 0": {"nodes": np.empty((0, 2))},
-    "box: expected two periods > 0": {"box": (10.0, -10.0)},
-    "box: expected an array": {"box": [[1, 2], [3]]},
-    r"within 1e\+09 periods of one another": {"box": BOX, "atoms": [[1e12, 0.0]]},
-    "radius: expected at most .* nodes": {"box": BOX, "radius": 1e9},
-    "spacing: expected at most .* nodes": {"nodes": [[0, 0]], "spacing": 1e-6},
-    "some are periodic images of others": {"nodes": nodes(-3, 7), "box": BOX, "spacing": None},
-}
-OF_FIELDS = {
-    r"displacement: expected shape \[S, 40, 2\]": {"displacement": np.ones((40, 2))},
-    r"force: expected shape \[1, 40, 2\], got \[2, 40, 2\]": {"force": np.ones((2, 40, 2))},
-    r"force: .* got 2 of 80 masked, the first at index \[0, 7, 0\]": {"force": HIDDEN},
-    "mass: expected values > 0": {"mass": -np.ones(40)},
-    "omega: expected a sparse matrix, got ndarray": {"omega": np.ones((16, 40))},
-}
 
 
 def test_what_cannot_be_smoothed_is_refused():
     given = {"atoms": ATOMS, "nodes": nodes(0, 4), "radius": 4.0, "spacing": H}
-    each_refused(lambda change: smoothing_matrix(**given | change), OF_MATRIX)
-    omega = smoothing_matrix(ATOMS, nodes(0, 4), radius=5.0)
+    each_refused(lambda change: smoothing_matrix(**given | change), {
+        "radius: expected more than spacing/√2 = 1.768": {"radius": 1.7},
+        "nodes: expected a square lattice of spacing 2.4": {"spacing": 2.4},
+        r"nodes: expected shape \[N, 2\] with N > 0": {"nodes": np.empty((0, 2))},
+        "box: expected two periods > 0": {"box": (10.0, -10.0)},
+        "box: expected an array": {"box": [[1, 2], [3]]},
+        r"within 1e\+09 periods of one another": {"box": BOX, "atoms": [[1e12, 0.0]]},
+        "radius: expected at most .* nodes": {"box": BOX, "radius": 1e9},
+        "spacing: expected at most .* nodes": {"nodes": [[0, 0]], "spacing": 1e-6},
+        "some are periodic images of others": {"nodes": nodes(-3, 7), "box": BOX, "spacing": None},
+    })  # fmt: skip
     fields = dict.fromkeys(("displacement", "force"), np.ones((1, 40, 2)))
     fields |= {"node_area": 6.25, "thickness": 3.35}
-    each_refused(lambda change: coarse_grain(**{"omega": omega} | fields | change), OF_FIELDS)
+    hidden = np.ma.ones((1, 40, 2))
+    hidden[:, 7] = np.ma.masked
+    each_refused(lambda change: coarse_grain(**{"omega": OMEGA} | fields | change), {
+        r"displacement: expected shape \[S, 40, 2\]": {"displacement": np.ones((40, 2))},
+        r"force: expected shape \[1, 40, 2\], got \[2, 40, 2\]": {"force": np.ones((2, 40, 2))},
+        r"force: .* got 2 of 80 masked, the first at index \[0, 7, 0\]": {"force": hidden},
+        "mass: expected values > 0": {"mass": -np.ones(40)},
+        "omega: expected a sparse matrix, got ndarray": {"omega": np.ones((16, 40))},
+    })  # fmt: skip
     with refused(r"1 nodes have no atom .* the first is 16"):
         coarse_grain(smoothing_matrix(ATOMS, [*nodes(0, 4), [99.0, 99]], radius=5.0), **fields)
 
@@ -117,7 +109,7 @@ def in_hdf5(path, variables):
         file.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
 
 
-@pytest.mark.parametrize("write", [savemat, in_hdf5])
+@parametrize("write", [savemat, in_hdf5])
 def test_mat_files_have_nodes_in_any_order_and_components_first_or_last(tmp_path, write):
     path, order = tmp_path / "a.mat", RANDOM.permutation(len(NODES.x))
     u = LOADED["disps"]

@@ -5,6 +5,7 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
+from tests.support import parametrize
 from tests.support.told import assert_refused, each_refused, refused, warned
 from warp_peri.atoms.dic import dic_to_lattice, estimate_noise, frames_of_folder, read_dic_frame
 from warp_peri.points.points import SEEN
@@ -24,21 +25,23 @@ def write(path, columns, header="x,y,u,v", encoding="utf-8"):
     return path
 
 
-def frame_of(path, x, u):
-    return read_dic_frame(write(path, (x, u)))
+@pytest.fixture
+def frame_of(tmp_path):
+    """Makes a frame of a table with x and u."""
+    return lambda x, u: read_dic_frame(write(tmp_path / "a.csv", (x, u)))
 
 
-def test_points_on_a_lattice_stay_and_scattered_ones_are_fitted_locally(tmp_path):
-    samples = dic_to_lattice([frame_of(tmp_path / "a.csv", X, field(X))])
+def test_points_on_a_lattice_stay_and_scattered_ones_are_fitted_locally(frame_of):
+    samples = dic_to_lattice([frame_of(X, field(X))])
     assert (samples.spacing, samples.b, samples.interior.sum()) == (20.0, None, 3 * 4)
     assert_allclose(samples.u[0], field(samples.x), rtol=1e-7)
     shaken = X + 4 * default_rng(0).uniform(-1, 1, X.shape)
     shaken[0] = X[0]
-    frame = frame_of(tmp_path / "a.csv", shaken, field(shaken))
+    frame = frame_of(shaken, field(shaken))
     samples = dic_to_lattice([frame], spacing=20.0, radius=2.0)
     assert_allclose(samples.u[0], field(samples.x), atol=1e-6)  # quadratic: exact
     noise = 0.3 * default_rng(1).standard_normal(BIG.shape)
-    noisy = dic_to_lattice([frame_of(tmp_path / "a.csv", BIG, field(BIG) + noise)])
+    noisy = dic_to_lattice([frame_of(BIG, field(BIG) + noise)])
     assert estimate_noise(noisy)[0] == pytest.approx(0.3, rel=0.15)
 
 
@@ -46,8 +49,8 @@ BIG = np.argwhere(np.ones((30, 25), bool)) * 2.5 + 0.125
 GRADIENT = np.array([[0.013, -0.002], [0.004, -0.007]])
 
 
-@pytest.mark.parametrize("radius", [0.0, 1.5])
-def test_points_lost_in_single_frames_are_missing_there_alone(tmp_path, radius):
+@parametrize("radius", [0.0, 1.5])
+def test_points_lost_in_single_frames_are_missing_there_alone(frame_of, radius):
     """What all frames lost is a hole, and nodes near it are not of the interior."""
     from_hole = np.linalg.norm(BIG - BIG[12 * 25 + 4], axis=1)
     hole = from_hole < 6
@@ -56,7 +59,7 @@ def test_points_lost_in_single_frames_are_missing_there_alone(tmp_path, radius):
     frames = []
     for part, lost in enumerate(losses, 1):
         u = part * BIG @ GRADIENT.T + 1e-3 * part * (BIG - 20) ** 2
-        frames.append(frame_of(tmp_path / "a.csv", BIG[~lost & ~hole], u[~lost & ~hole]))
+        frames.append(frame_of(BIG[~lost & ~hole], u[~lost & ~hole]))
     samples = dic_to_lattice(frames, spacing=2.5, radius=radius)
     assert_array_equal(samples.x, BIG[~hole])
     unseen = ~samples.arrays[SEEN] if radius == 0 else np.array(losses)[:, ~hole]
@@ -82,32 +85,30 @@ def told(path, header, columns, *, encoding="utf-8", **options):
 LINEAR = *BIG.T, *(BIG @ GRADIENT.T).T
 
 
-TABLES = [  # header, what its columns hold (strains ., pixels 1234 of x, y, u, v), sizes, unit
-    ("id,x,y,u,v,sigma,eyy", ".xyuv..", 4 * [1], "angstrom", {}),
-    ("#X,Y,Z,U,V,W,x,y,u,v", "xy.uv.1234", 4 * [1], "angstrom", {}),
-    ("#  ID,x_undef [mm],y_undef [mm],z_undef [mm],u [mm],v [mm],w [mm],ex [%]", ".xy.uv..",
-     4 * [1], "mm", {}),
-    ("ID,COORDINATE_X,COORDINATE_Y,DISPLACEMENT_X,DISPLACEMENT_Y,MODEL_COORDINATES_X,"
-     "MODEL_COORDINATES_Y,MODEL_DISPLACEMENT_X,MODEL_DISPLACEMENT_Y,SIGMA", ".1234xyuv.",
-     4 * [1], "angstrom", {}),
-    ("coor.X [mm],coor.Y [mm],disp.Horizontal Displacement U [mm],"
-     "disp.Vertical Displacement V [mm]", "xyuv", 4 * [1], "mm", {}),
-    ("#v,y,u,x,x_def", "vyux.", 4 * [1], "angstrom", {}),
-    ("x [mm],y [mm],u [um],v [um]", "xyuv", (1, 1, 1e-3, 1e-3), "mm", {}),
-    ("x_mm,y_mm,u_um,v_um", "xyuv", (1, 1, 1e-3, 1e-3), "mm", {}),
-    ("x,y,u,v\ninch,inch,um,um", "xyuv", (25.4, 25.4, 1e-3, 1e-3), "mm", {}),
-    ("x,y,u,v", "xyuv", 4 * [3], "um", {"pixel": "3um"}),
-    ("x [px],y [px],u [mm],v [mm]", "xyuv", (0.5, 0.5, 1, 1), "mm", {"pixel": "0.5mm"}),
-    ("x [\N{MICRO SIGN}m],y,u,v", "xyuv", 4 * [1], "um", {"encoding": "utf-16"}),
-]  # fmt: skip
-
-
 def test_columns_and_their_units_are_what_a_header_says_behind_a_comment_too(tmp_path):
     """x in mm beside u in µm: a strain of one hundredth is not ten."""
     meant = dict(zip("xyuv", LINEAR))
     meant |= {str(n + 1): 1.1 * meant[name] + 3 for n, name in enumerate("xyuv")}
     meant["."] = np.arange(len(BIG)) % 7 + 1.0
-    for header, holds, sizes, unit, how in TABLES:
+    # header, what its columns hold (strains ., pixels 1234 of x, y, u, v), sizes, unit
+    for header, holds, sizes, unit, how in (
+        ("id,x,y,u,v,sigma,eyy", ".xyuv..", 4 * [1], "angstrom", {}),
+        ("#X,Y,Z,U,V,W,x,y,u,v", "xy.uv.1234", 4 * [1], "angstrom", {}),
+        ("#  ID,x_undef [mm],y_undef [mm],z_undef [mm],u [mm],v [mm],w [mm],ex [%]", ".xy.uv..",
+         4 * [1], "mm", {}),
+        ("ID,COORDINATE_X,COORDINATE_Y,DISPLACEMENT_X,DISPLACEMENT_Y,MODEL_COORDINATES_X,"
+         "MODEL_COORDINATES_Y,MODEL_DISPLACEMENT_X,MODEL_DISPLACEMENT_Y,SIGMA", ".1234xyuv.",
+         4 * [1], "angstrom", {}),
+        ("coor.X [mm],coor.Y [mm],disp.Horizontal Displacement U [mm],"
+         "disp.Vertical Displacement V [mm]", "xyuv", 4 * [1], "mm", {}),
+        ("#v,y,u,x,x_def", "vyux.", 4 * [1], "angstrom", {}),
+        ("x [mm],y [mm],u [um],v [um]", "xyuv", (1, 1, 1e-3, 1e-3), "mm", {}),
+        ("x_mm,y_mm,u_um,v_um", "xyuv", (1, 1, 1e-3, 1e-3), "mm", {}),
+        ("x,y,u,v\ninch,inch,um,um", "xyuv", (25.4, 25.4, 1e-3, 1e-3), "mm", {}),
+        ("x,y,u,v", "xyuv", 4 * [3], "um", {"pixel": "3um"}),
+        ("x [px],y [px],u [mm],v [mm]", "xyuv", (0.5, 0.5, 1, 1), "mm", {"pixel": "0.5mm"}),
+        ("x [\N{MICRO SIGN}m],y,u,v", "xyuv", 4 * [1], "um", {"encoding": "utf-16"}),
+    ):  # fmt: skip
         size = dict(zip("xyuv", sizes))
         columns = [np.round(meant[one] / size.get(one, 1), 9) for one in holds]
         samples = told(tmp_path / "a.csv", header, columns, **how)
@@ -116,31 +117,28 @@ def test_columns_and_their_units_are_what_a_header_says_behind_a_comment_too(tmp
         assert_allclose(gradient(samples), GRADIENT, atol=1e-6, err_msg=header)
 
 
-REFUSED = {
-    "one column of a kind, got 'u' and 'ux'": ("x,y,u,ux,v", "xyuuv"),
-    "expected units of angstrom, .* got 'furlong'": ("x [mm],y [mm],u [furlong],v", "xyuv"),
-    "the size of a pixel with one, got x in no unit": ("x,y,u [mm],v [mm]", "xyuv"),
-    "expected 4 fields, as in its header, got": ("x,y,u,v", "xyuvv"),
-    "expected a number, got 'one'": ("x,y,u,v", "xyu."),
-    "a.csv: x, y, u, v: expected finite values, got 1e.300": ("x,y,u,v", "xyu!"),
-    "a.csv: .* expected each point once": ("x,y,u,v", "__uv"),
-    "pixel: expected a length > 0, with a unit of ang": ("x,y,u,v", "xyuv", "0.5 inch"),
-}
-
-
-def test_columns_that_contradict_each_other_are_refused(tmp_path):
+def test_columns_that_contradict_each_other_are_refused(tmp_path, frame_of):
     columns = dict(zip("xyuv!_.", (*LINEAR, [1e300] * (n := len(BIG)), [0] * n, ["one"] * n)))
 
     def read(header, names, pixel=1.0):
         told(tmp_path / "a.csv", header, [columns[name] for name in names], pixel=pixel)
 
-    each_refused(read, REFUSED)
+    each_refused(read, {
+        "one column of a kind, got 'u' and 'ux'": ("x,y,u,ux,v", "xyuuv"),
+        "expected units of angstrom, .* got 'furlong'": ("x [mm],y [mm],u [furlong],v", "xyuv"),
+        "the size of a pixel with one, got x in no unit": ("x,y,u [mm],v [mm]", "xyuv"),
+        "expected 4 fields, as in its header, got": ("x,y,u,v", "xyuvv"),
+        "expected a number, got 'one'": ("x,y,u,v", "xyu."),
+        "a.csv: x, y, u, v: expected finite values, got 1e.300": ("x,y,u,v", "xyu!"),
+        "a.csv: .* expected each point once": ("x,y,u,v", "__uv"),
+        "pixel: expected a length > 0, with a unit of ang": ("x,y,u,v", "xyuv", "0.5 inch"),
+    })  # fmt: skip
     assert_refused({
         "one displacement for each point":
-            lambda: frame_of(tmp_path / "a.csv", np.ones((9, 2)), np.arange(18.0).reshape(9, 2)),
+            lambda: frame_of(np.ones((9, 2)), np.arange(18.0).reshape(9, 2)),
         r"missing.csv: no such file": lambda: read_dic_frame(tmp_path / "missing.csv"),
         "nodes a side":
-            lambda: dic_to_lattice([frame_of(tmp_path / "a.csv", X[:40], field(X[:40]))]),
+            lambda: dic_to_lattice([frame_of(X[:40], field(X[:40]))]),
     })  # fmt: skip
     path = write(tmp_path / "b.csv", (X, field(X)))
     frames = [read_dic_frame(path, pixel=pixel) for pixel in ("mm", 1.0)]
@@ -148,7 +146,7 @@ def test_columns_that_contradict_each_other_are_refused(tmp_path):
         dic_to_lattice(frames)
 
 
-@pytest.mark.parametrize("column", ["MATCH", "converged", "none", "other", "u alone"])
+@parametrize("column", ["MATCH", "converged", "none", "other", "u alone"])
 def test_lost_points_are_left_out_whatever_marks_them(tmp_path, column):
     """By a column, or by 0 or another number that fills in both components, or one of them."""
     rng = default_rng(3)
@@ -169,23 +167,23 @@ def test_lost_points_are_left_out_whatever_marks_them(tmp_path, column):
     assert_array_equal(found.x, BIG[~lost])
 
 
-def test_a_point_at_rest_is_kept(tmp_path):
+def test_a_point_at_rest_is_kept(frame_of):
     """u is 0, 0 at the middle of what is stretched, on a held edge, and before the test."""
     centred = BIG - BIG[12 * 25 + 12]
     held = np.maximum(0, BIG[:, 0] - 10)  # beside what moves, a part that does not
     apart = np.stack([0.1 * BIG[:, 0], 1e-3 * held**2], axis=1)
     for field in (centred @ GRADIENT.T, centred**2 * 1e-3, 0 * centred, apart, apart.round(3)):
-        assert len(frame_of(tmp_path / "a.csv", BIG, field).x) == len(BIG)
+        assert len(frame_of(BIG, field).x) == len(BIG)
 
 
-@pytest.mark.parametrize(("strain", "noise"), [(0.2, 0.0), (0.003, 0.005)])
-def test_positions_of_the_current_frame_are_taken_back(tmp_path, strain, noise):
+@parametrize(("strain", "noise"), [(0.2, 0.0), (0.003, 0.005)])
+def test_positions_of_the_current_frame_are_taken_back(tmp_path, frame_of, strain, noise):
     """Of several frames by where their points are, of one by the lattice they were on."""
     rng = default_rng(1)
     frames = []
     for part in (1.0, 0.6, 0.3):
         u = part * BIG @ np.diag([strain, -0.3 * strain]) + noise * rng.standard_normal(BIG.shape)
-        frames.append(frame_of(tmp_path / "a.csv", BIG + u, u))
+        frames.append(frame_of(BIG + u, u))
     for some in (frames, frames[:1]):
         with warned("positions are those of the current frame"):
             found = gradient(dic_to_lattice(some, spacing=2.5))
@@ -196,10 +194,10 @@ def test_positions_of_the_current_frame_are_taken_back(tmp_path, strain, noise):
     assert_allclose(read_dic_frame(path).x, BIG, atol=1e-6)
 
 
-def test_positions_that_nothing_tells_are_asked_for(tmp_path):
+def test_positions_that_nothing_tells_are_asked_for(frame_of):
     rng = default_rng(0)
     sets = [BIG + rng.uniform(-0.8, 0.8, BIG.shape) for _ in range(2)]
-    frames = [frame_of(tmp_path / "a.csv", x, x @ GRADIENT.T) for x in sets]
+    frames = [frame_of(x, x @ GRADIENT.T) for x in sets]
     with refused('positions="reference" or "current" says which'):
         dic_to_lattice(frames, spacing=2.5, radius=2.5)
     found = gradient(dic_to_lattice(frames, spacing=2.5, radius=2.5, positions="current"))

@@ -3,11 +3,11 @@
 import gzip
 
 import ase
-import ase.build
 import ase.io
 import numpy as np
 import pytest
 import zstandard
+from ase.build import bulk
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -40,13 +40,7 @@ def write(path, steps):
     return path
 
 
-AS = {
-    "text": bytes,
-    "gz": gzip.compress,
-    "UTF-16": lambda raw: raw.decode().encode("utf-16"),
-    "zst": zstandard.compress,
-}
-SALT = ase.build.bulk("NaCl", "rocksalt", a=5.6, cubic=True)
+SALT = bulk("NaCl", "rocksalt", a=5.6, cubic=True)
 
 
 def test_frames_and_structures_are_read_whatever_they_are_packed_in(tmp_path):
@@ -55,7 +49,10 @@ def test_frames_and_structures_are_read_whatever_they_are_packed_in(tmp_path):
     text = f"ITEM: UNITS\nmetal\n{time}{frame(x[0])}{time}{frame(x[1], 1)}"
     ase.io.write(tmp_path / "a.data", SALT, format="lammps-data", masses=True)
     ase.io.write(tmp_path / "a.cif", SALT)
-    for way, packed in AS.items():
+    for way, packed in {
+        "text": bytes, "gz": gzip.compress, "zst": zstandard.compress,
+        "UTF-16": lambda raw: raw.decode().encode("utf-16"),
+    }.items():  # fmt: skip
         (tmp_path / "a").write_bytes(packed(text.encode()))
         assert_allclose([one.x for one in iter_dump(tmp_path / "a")], x, atol=1e-9)
         for name in ("a.data", "a.cif") if way != "zst" else ():
@@ -94,21 +91,20 @@ def test_averages_smoothing_and_samples_on_nodes(tmp_path):
 BOUNDS = f"ITEM: BOX BOUNDS pp pp pp\n0 {BOX[0]}\n0 {BOX[1]}\n-5 5\n"
 TILTED = f"ITEM: BOX BOUNDS xy xz yz pp pp pp\n0 {BOX[0] + 2} 2\n0 {BOX[1]} 0\n-5 5 0\n"
 PLAIN, OTHER_IDS = frame(REFERENCE), frame(REFERENCE, 1).replace("\n30 1 ", "\n31 1 ")
-REFUSED = {
-    "frame 2": PLAIN + frame(REFERENCE, 1)[:-200],
-    "30 atoms announced, 29 there": PLAIN.rstrip().rsplit("\n", 1)[0] + "\n\n",
-    "expected 30 atoms, got 29": frame(REFERENCE[:-1]),
-    "expected the columns id, x, .* got mol": frame(REFERENCE, 0, "mol type x y z"),
-    "frame 1.*id 7 comes twice": PLAIN.replace("\n30 1 ", "\n7 1 "),
-    "frame 2.*expected the ids of frame 1": PLAIN + OTHER_IDS,
-    "xu, yu, zu in a tilted box, got x; or x with": PLAIN.replace(BOUNDS, TILTED),
-    "units metal or real, got si": "ITEM: UNITS\nsi\n" + PLAIN,
-}
 
 
 def test_broken_dumps_and_those_that_would_be_misread_are_refused(tmp_path):
     path = tmp_path / "broken.dump"
-    for words, text in REFUSED.items():
+    for words, text in {
+        "frame 2": PLAIN + frame(REFERENCE, 1)[:-200],
+        "30 atoms announced, 29 there": PLAIN.rstrip().rsplit("\n", 1)[0] + "\n\n",
+        "expected 30 atoms, got 29": frame(REFERENCE[:-1]),
+        "expected the columns id, x, .* got mol": frame(REFERENCE, 0, "mol type x y z"),
+        "frame 1.*id 7 comes twice": PLAIN.replace("\n30 1 ", "\n7 1 "),
+        "frame 2.*expected the ids of frame 1": PLAIN + OTHER_IDS,
+        "xu, yu, zu in a tilted box, got x; or x with": PLAIN.replace(BOUNDS, TILTED),
+        "units metal or real, got si": "ITEM: UNITS\nsi\n" + PLAIN,
+    }.items():  # fmt: skip
         path.write_text(text)
         with refused(words):
             mean_displacement(path, REFERENCE)

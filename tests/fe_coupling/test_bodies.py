@@ -8,10 +8,10 @@ from netgen import csg
 
 from examples.exact import hoop_stress, plate_with_hole, relative_error
 from tests.crystal.crystals import learned
-from tests.support import shared
+from tests.support import parametrize, shared
 from tests.support.plates import MODEL, plate
 from tests.support.problems import normal
-from tests.support.told import refused, warned
+from tests.support.told import each_refused, refused, warned
 from warp_peri.fe_coupling.body import Coupling, long_wave, solve_body
 from warp_peri.fe_coupling.schwarz import bulk_lattice
 from warp_peri.points.mesh import REST, make_mesh
@@ -61,45 +61,37 @@ def test_stress_along_a_hole_converges_with_the_mesh(field):
     assert errors[-1] < 0.01
 
 
-SMALL = plate(RADIUS, HALF, 8, 32)
-
-
 def test_bad_input_is_named():
-    tiny, huge = (plate(RADIUS * size, HALF * size, 8, 32) for size in (1e-10, 1e10))
+    tiny, small, huge = (plate(RADIUS * size, HALF * size, 8, 32) for size in (1e-10, 1, 1e10))
     on = {"coupling": Coupling(spacing=SPACING)}
-    for change, message in (
-        ({"displacement": {"top": (0, 0)}}, "part 'top': the outline has hole, sides"),
-        ({"displacement": {"sides": (0, np.nan)}}, "hold the body against shifts and turns"),
-        ({"displacement": {"sides": (0, 0, 0)}}, "part 'sides': expected vectors of shape"),
-        ({"traction": {"hole": lambda x, n: n[:, :1]}}, "part 'hole': expected vectors of shape"),
-        ({"b": (0.0, 0.0)}, "b: expected a function"),
-        ({"b": lambda x: x[:, 0]}, r"b: expected vectors of shape \[\d+, 2\], got shape"),
-        ({"mesh": tiny}, "expected positions of a body that a"),
-        ({"mesh": huge} | on, "expected positions of a"),
-        ({"mesh": plate(2.0, HALF, 12, 32)} | on, "a hole of 4 Å is smaller than the over"),
-    ):
-        given = {"mesh": SMALL, "displacement": {"sides": (0.0, 0.0)}} | on | change
-        if change.get("mesh") is tiny:
-            del given["coupling"]
-        with refused(message):
-            solve_body(MODEL, **given)
+    given = {"mesh": small, "displacement": {"sides": (0.0, 0.0)}}
+    with refused("expected positions of a body that a"):
+        solve_body(MODEL, **given | {"mesh": tiny})
+    each_refused(lambda change: solve_body(MODEL, **given | on | change), {
+        "part 'top': the outline has hole, sides": {"displacement": {"top": (0, 0)}},
+        "hold the body against shifts and turns": {"displacement": {"sides": (0, np.nan)}},
+        "part 'sides': expected vectors of shape": {"displacement": {"sides": (0, 0, 0)}},
+        "part 'hole': expected vectors of shape": {"traction": {"hole": lambda x, n: n[:, :1]}},
+        "b: expected a function": {"b": (0.0, 0.0)},
+        r"b: expected vectors of shape \[\d+, 2\], got shape": {"b": lambda x: x[:, 0]},
+        "expected positions of a": {"mesh": huge},
+        "a hole of 4 Å is smaller than the over": {"mesh": plate(2.0, HALF, 12, 32)},
+    })  # fmt: skip
 
 
 def test_elements_reach_as_deep_as_asked(field):
     """Beyond a collar, and no less than that where less is asked for."""
-    mesh, found = plate(RADIUS, HALF, 16, 80), []
+    mesh, held, found = plate(RADIUS, HALF, 16, 80), {"sides": lambda x: field(x)[0]}, []
     for depth in (None, 1.2):
         coupling = Coupling(spacing=SPACING, overlap=5.0, depth=depth and depth * 2 * MODEL.horizon)
-        solution = solve_body(
-            MODEL, mesh, displacement={"sides": lambda x: field(x)[0]}, coupling=coupling
-        )
+        solution = solve_body(MODEL, mesh, displacement=held, coupling=coupling)
         unknown = solution.points.x[solution.points.interior]
         found.append(mesh.distance(unknown, SPACING / 10).min())
         assert relative_error(solution.u_bulk, field(solution.points.x)[0]) < 5e-4
     assert 2 * MODEL.horizon <= found[0] < 1.2 * 2 * MODEL.horizon <= found[1]
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("half", "depth", "words"),
     [(14.0, None, "elements alone"), (HALF, 10 * HALF, "a smaller spacing, overlap or depth")],
 )
@@ -158,7 +150,7 @@ def body(request):
     return law, make(), held, degree
 
 
-@pytest.mark.parametrize("crystal", [True, False])
+@parametrize("crystal", [True, False])
 def test_an_affine_field_is_exact_and_its_stress_too(body, crystal):
     law, mesh, held, degree = body
     if not crystal:
@@ -166,13 +158,10 @@ def test_an_affine_field_is_exact_and_its_stress_too(body, crystal):
     A = 1e-3 * normal((law.dimension,) * 2)
     spacing = law.spacing if crystal else 1.0
     stress = long_wave(law, spacing).stress(A)
-    found = solve_body(
-        law,
-        mesh,
-        displacement={name: lambda x: x @ A.T for name in held},
-        traction={name: lambda x, n: n @ stress for name in mesh.parts if name not in held},
-        coupling=Coupling(spacing=spacing, degree=degree, tolerance=1e-11),
-    )
+    how = {"displacement": {name: lambda x: x @ A.T for name in held}}
+    how["traction"] = {p: lambda x, n: n @ stress for p in mesh.parts if p not in held}
+    coupling = Coupling(spacing=spacing, degree=degree, tolerance=1e-11)
+    found = solve_body(law, mesh, **how, coupling=coupling)
     assert found.points.interior.sum() > 300
     corners, everywhere = found.on_corners()
     for x, u in ((found.rim.x, found.u_rim), (found.points.x, found.u_bulk), (mesh.x, corners)):
@@ -185,12 +174,8 @@ def test_a_turned_body_with_free_faces_feels_nothing(body):
     law, mesh, held, degree = body
     W = np.zeros((law.dimension,) * 2)
     W[0, 1], W[1, 0] = 1e-3, -1e-3
-    found = solve_body(
-        law,
-        mesh,
-        displacement={held[0]: lambda x: x @ W.T},
-        coupling=Coupling(degree=degree, tolerance=1e-11),
-    )
+    coupling = Coupling(degree=degree, tolerance=1e-11)
+    found = solve_body(law, mesh, displacement={held[0]: lambda x: x @ W.T}, coupling=coupling)
     feels = 1e-3 * law._surface_traction()  # of cut bonds
     assert feels > 0.01 * 1e-3 * np.abs(law.tensor()).max()
     assert np.abs(found.rim_stress).max() < 1e-8 * feels
@@ -201,11 +186,13 @@ def test_bodies_of_crystals_that_do_not_fit_are_named():
     law, flat = learned(2), holed()
     pressed = replace(law, stress=0.01 * np.eye(2))
     tetrahedron = make_mesh(np.eye(4)[[3, 0, 1, 2], :3], [[0, 1, 2, 3]])
-    for model, mesh, spacing, message in (
-        (law, flat, 1.0, "coupling: expected spacing 1.5 or None, got 1"),
-        (law, tetrahedron, None, "mesh: expected triangles, for a model of 2 dimensions"),
-        (pressed, flat, None, "model: expected a crystal at rest"),
-    ):
-        held = {next(iter(mesh.parts)): (0.0,) * mesh.dimension}
-        with refused(message):
-            solve_body(model, mesh, displacement=held, coupling=Coupling(spacing=spacing))
+
+    def held(model, mesh, spacing=None):
+        at_rest = {next(iter(mesh.parts)): (0.0,) * mesh.dimension}
+        solve_body(model, mesh, displacement=at_rest, coupling=Coupling(spacing=spacing))
+
+    each_refused(held, {
+        "coupling: expected spacing 1.5 or None, got 1": (law, flat, 1.0),
+        "mesh: expected triangles, for a model of 2 dimensions": (law, tetrahedron),
+        "model: expected a crystal at rest": (pressed, flat),
+    })  # fmt: skip

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support import parametrize
 from tests.support.plates import MODEL, plate
 from tests.support.problems import difference
 from tests.support.told import assert_refused, refused
@@ -12,7 +13,6 @@ from warp_peri.fe_coupling.body import Coupling, body_gradient, solve_body
 from warp_peri.fe_coupling.boundary_elements import BodyLoads
 from warp_peri.solvers import linear
 
-EACH = ("lam",), ("mu",), ("hold",), ("pull",), ("push",)
 MESH = plate(8.0, 32.0, 8, 40)
 stretch = lambda x: np.stack([0.01 * x[:, 0], 0.003 * np.sin(x[:, 0] / 9)], axis=1)
 wave = lambda x: np.stack([np.cos(x[:, 1] / 8), 0 * x[:, 0]], axis=1)
@@ -30,16 +30,12 @@ def solved(mesh=MESH, *, lam=0.0, mu=0.0, hold=0.0, pull=0.0, push=0.0):
     )
 
 
-@pytest.mark.parametrize(
-    ("mesh", "direct", "groups"),
-    [
-        pytest.param(MESH, 10, [("lam", "hold", "push")], id="iterated"),
-        pytest.param(plate(4.0, 10.0, 5, 24), 4000, EACH, id="alone"),
-    ],
-)
+@parametrize("alone", [False, True])
 @pytest.mark.filterwarnings("ignore:mesh. no triangle")
-def test_the_gradient_is_the_difference(monkeypatch, mesh, direct, groups):
-    monkeypatch.setattr(linear, "DIRECT", direct)
+def test_the_gradient_is_the_difference(monkeypatch, alone):
+    """Of elements alone, by each number, and of an iteration."""
+    mesh = plate(4.0, 10.0, 5, 24) if alone else MESH
+    monkeypatch.setattr(linear, "DIRECT", 4000 if alone else 10)
     rng = np.random.default_rng(1)
     half = mesh.x.max() * 0.9
     x = rng.uniform(-half, half, (60, 2))
@@ -61,7 +57,7 @@ def test_the_gradient_is_the_difference(monkeypatch, mesh, direct, groups):
         "pull": gradient.along(traction={"hole": lambda x, n: n}),
         "push": gradient.along(b=wave),
     }
-    for names in groups:
+    for names in zip(steps) if alone else [("lam", "hold", "push")]:
         expected = sum(slopes[name] * steps[name] for name in names)
         along = lambda t, names=names: measure(**{name: t[0] * steps[name] for name in names})
         slope = difference(along, [0.0], 1.0, order=2)[0]
@@ -98,7 +94,7 @@ def test_quadratic_densities_are_felt_as_they_are():
     assert not BodyLoads({}, {}, None).density(NODES, H).any()
 
 
-@pytest.mark.parametrize("middle", [(0.9, -0.4), (1.25, 1.25)])
+@parametrize("middle", [(0.9, -0.4), (1.25, 1.25)])
 def test_no_force_is_lost_between_nodes(middle):
     """A bump of a triangle's size, wherever it lies; nodes alone would read .6 to 1.7 of it."""
 

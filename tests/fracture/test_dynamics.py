@@ -78,14 +78,11 @@ def test_a_checkpoint_says_what_differs_and_goes_on_under_the_same_history_of_lo
     slow, later = lambda t: min(1.0, t / (6 * dt)), lambda t: 1.0 if t < 3.5 * dt else 0.5
     march(slow, steps=3)
     shift, law = np.full((len(body.body.x), 2), 1e-4), solid(1.0, critical_stretch=0.011)
-    for how, words in (
-        ({"step": dt / 2}, "load history, step"),
-        ({"begin": {"u": shift}}, "start"),
-        ({"ramp": lambda t: slow(t) if t else 0.5}, "load history"),
-        ({"load": None}, "load"),
-        ({"law": law}, "solid"),
-        ({"watch": np.mean}, "records"),
-    ):
+    for words, how in {
+        "load history, step": {"step": dt / 2}, "start": {"begin": {"u": shift}},
+        "load history": {"ramp": lambda t: slow(t) if t else 0.5}, "load": {"load": None},
+        "solid": {"law": law}, "records": {"watch": np.mean},
+    }.items():  # fmt: skip
         with refused(f"what differs: {words}$"):
             march(**{"ramp": slow} | how)
     changed = lambda t: slow(t) * later(t)  # later than the checkpoint

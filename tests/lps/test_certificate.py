@@ -8,7 +8,7 @@ import scipy.sparse as sp
 from numpy.linalg import eigvalsh
 from numpy.random import default_rng
 
-from tests.support import reference
+from tests.support import parametrize, reference
 from tests.support.problems import ell, kernel, lattice
 from tests.support.symbols import form, smallest, smallest_margins, symbol
 from tests.support.told import refused
@@ -19,15 +19,14 @@ from warp_peri.materials.lps_law import StabilityConditions, product_basis
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.families import bond_classes
 from warp_peri.solvers.systems import DENSE, smallest_eigenvalue
+from warp_peri.testing import assert_near as near
 
 ZONE = np.stack(np.meshgrid(*2 * [np.linspace(-np.pi, np.pi, 161)]), -1).reshape(-1, 2)
 ZONE = ZONE[np.hypot(*ZONE.T) > 1e-9]
 CLASSES = bond_classes(1.0, 3.0)
 
 
-@pytest.mark.parametrize(
-    ("name", "horizon"), [("1/r", 2.5), ("steep", 3.0), ("sign-changing", 2.5)]
-)
+@parametrize(("name", "horizon"), [("1/r", 2.5), ("steep", 3.0), ("sign-changing", 2.5)])
 def test_minimum_and_bound_against_a_fine_grid(name, horizon):
     model = kernel(name, horizon, lam=-0.2)
     found, expected = certify(model, spacing=1.0), smallest(symbol(model, ZONE), ZONE).min()
@@ -65,17 +64,15 @@ def test_dense_figures_are_those_of_the_definition():
     for number, (i, a) in enumerate((i, a) for i in inside for a in (0, 1)):
         pulls[number, i, a] = 1.0
     gamma = replace(model, lam=1.0, mu=1.0).on(points)(pulls).reshape(len(pulls), -1).T  # L = Γ
-    phi = np.array(
-        [[reference.dilatation(points.x, i, model, pull) for pull in pulls] for i in inside]
-    )
+    phi = np.array([[reference.dilatation(points.x, i, model, u) for u in pulls] for i in inside])
     figures = certify(model, spacing=1.0, points=points)
     schwarz = eigvalsh(gamma - 2 * phi.T @ phi)
-    assert figures.gamma_min == pytest.approx(eigvalsh(gamma)[0], rel=1e-9)
-    assert figures.gamma_minus_2phi_min == pytest.approx(schwarz[0], rel=1e-9)
-    assert figures.gamma_minus_2phi_max == pytest.approx(schwarz[-1], rel=1e-9)
+    near(figures.gamma_min, eigvalsh(gamma)[0], 1e-9)
+    near(figures.gamma_minus_2phi_min, schwarz[0], 1e-9)
+    near(figures.gamma_minus_2phi_max, schwarz[-1], 1e-9)
     values = eigvalsh(phi @ np.linalg.solve(gamma, phi.T))
     values = values[values > 1e-9 * values[-1]]
-    assert figures.inf_sup_min == pytest.approx(values[0], rel=1e-6)
+    near(figures.inf_sup_min, values[0], 1e-6)
     assert figures.inf_sup_rank == len(values)
     with refused("spacing: expected that of the points, 1 Å, got 0.9"):
         certify(model, spacing=0.9, points=points)
@@ -85,10 +82,10 @@ def test_a_mode_that_changes_sign_across_a_symmetric_body_is_found():
     """Two halves and a bond between them: the lowest mode is antisymmetric."""
     chain = sp.diags_array(np.append(0.5, np.linspace(1.0, 2.0, DENSE - 1)))
     body = sp.block_array([[chain, sp.eye_array(DENSE)], [sp.eye_array(DENSE), chain]])
-    assert smallest_eigenvalue(sp.csc_array(body)) == pytest.approx(-0.5, rel=1e-5)
+    near(smallest_eigenvalue(sp.csc_array(body)), -0.5, 1e-5)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@parametrize("seed", range(4))
 def test_smallest_eigenvalue_is_at_least_the_proven_share_of_the_laplacians(seed):
     """Of kernels that change sign, on squares, disks, an L and frames of random size."""
     random, found = default_rng(seed), None
@@ -116,7 +113,7 @@ def printed(v, kappa, mu, k):
     return np.array(found) - np.array([[0.02], [0.02], [0.0]])
 
 
-@pytest.mark.parametrize("kind", ["direct", "paper"])
+@parametrize("kind", ["direct", "paper"])
 def test_the_conditions_are_the_printed_ones_and_the_search_finds_the_softest(kind):
     model, conditions = kernel("sign-changing", 3.0, lam=0.7), StabilityConditions(kind, 0.02)
     v, kappa = stiffnesses(model, CLASSES)

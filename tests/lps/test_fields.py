@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-import warp_peri as wp
 from tests.gradients.cases import errors
 from tests.lps.test_force import HORIZON, error
 from tests.support.problems import LAM, MU, kernel, lattice, noise, normal, periodic
 from tests.support.told import assert_refused, refused, warned
+from warp_peri import CG, Cracked, Direct, Dirichlet, Periodic, certify, simulate, solve
 from warp_peri.core.proof import largest
 from warp_peri.materials.lps_force import Bonds
 
@@ -22,9 +22,9 @@ def laid(side=12, angle=0.0):
 
 def test_iteration_and_factors_have_one_answer():
     model, points, lam, mu = laid(angle=0.3)
-    problem = wp.Dirichlet(points, noise(points, seed=1), noise(points, seed=2))
-    by_cg = wp.solve(model, problem, solver=wp.CG(tolerance=1e-11), lam=lam, mu=mu)
-    by_lu = wp.solve(model, problem, solver=wp.Direct(), lam=lam, mu=mu)
+    problem = Dirichlet(points, noise(points, seed=1), noise(points, seed=2))
+    by_cg = solve(model, problem, solver=CG(tolerance=1e-11), lam=lam, mu=mu)
+    by_lu = solve(model, problem, solver=Direct(), lam=lam, mu=mu)
     assert error(by_cg.u, by_lu.u) < 1e-8
     assert error(by_lu.operator(by_lu.u), problem.b[points.interior]) < 1e-9
 
@@ -32,7 +32,7 @@ def test_iteration_and_factors_have_one_answer():
 def test_a_kernel_that_changes_sign_is_not_proven_with_fields():
     (_, points, lam, mu), solid = laid(), kernel("sign-changing", HORIZON)
     with warned("are not proven to have one stable answer"):
-        answer = wp.solve(solid, wp.Dirichlet(points, None, noise(points)), lam=lam, mu=mu)
+        answer = solve(solid, Dirichlet(points, None, noise(points)), lam=lam, mu=mu)
     assert answer.proven is None
     with refused("K W ≥ 0"):
         answer.operator.max_symbol_eigenvalue()
@@ -42,7 +42,7 @@ def test_gradients_of_a_solve_to_its_fields():
     model, points, lam, mu = laid(8)
     op, u = model.on(points, lam=lam, mu=mu), noise(points, seed=2)
     weight = torch.from_numpy(normal(u.shape, 5))
-    solved = lambda of: op.solve(0 * u, u, wp.CG(tolerance=1e-12), parameters=of).u
+    solved = lambda of: op.solve(0 * u, u, CG(tolerance=1e-12), parameters=of).u
     fields = {"lam": torch.tensor(lam), "mu": torch.tensor(mu)}
     found = errors(lambda of: (weight * solved(of)).sum(), fields, dict.fromkeys(fields, 0.1))
     assert max(found.values()) <= 1e-7
@@ -68,22 +68,22 @@ def test_a_wave_through_a_stiff_part_keeps_its_energy():
     op = model.on(points, lam=lam, mu=mu)
     u = np.exp(-((points.x - 5.5) ** 2).sum(axis=1) / 4)[:, None] * [0.0, 1e-3]
     longest = 2 * np.sqrt(1e-8 * 2000 / op.max_symbol_eigenvalue())
-    problem = wp.Dirichlet(points, 0 * u, u)
-    moved = wp.simulate(op, problem, density=2000.0, steps=100, step=longest / 2)
+    problem = Dirichlet(points, 0 * u, u)
+    moved = simulate(op, problem, density=2000.0, steps=100, step=longest / 2)
     assert abs(moved.drift) < 1e-3
 
 
 def test_what_fields_refuse():
     model, points, _, mu = laid()
     near = lattice(5, HORIZON)
-    solid, cracked = model.spread(points, None, mu), wp.Cracked(points, u=noise(points))
+    solid, cracked = model.spread(points, None, mu), Cracked(points, u=noise(points))
     assert_refused({
         "mu: expected a number, or one of each of": lambda: model.on(points, mu=mu[:-1]),
         "expected μ > 0": lambda: model.on(points, mu=-mu),
         f"points: expected the {len(mu)} nodes of the fields": lambda: solid.on(near),
         "mu: expected one number": lambda: Bonds(points, HORIZON).law(LAM, mu[:3], 1.0, [1.0]),
         "expected numbers, got fields":
-            (lambda: wp.certify(solid, spacing=1.0), lambda: wp.solve(solid, cracked)),
+            (lambda: certify(solid, spacing=1.0), lambda: solve(solid, cracked)),
     })  # fmt: skip
 
 
@@ -91,6 +91,6 @@ def test_a_period_with_fields_is_solved():
     model, whole = kernel("positive", HORIZON), periodic((12, 14))[0]
     mu = MU * (1.5 + np.sin(2 * np.pi * whole.x[:, 0] / 12))
     solid, b = model.spread(whole, 0.4 * mu, mu), noise(whole)
-    answer = wp.solve(solid, wp.Periodic(whole, b))
+    answer = solve(solid, Periodic(whole, b))
     assert error(answer.operator(answer.u), b - b.mean(axis=0)) < 1e-7
     assert "λ, least and largest" in repr(solid)

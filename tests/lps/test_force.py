@@ -9,7 +9,7 @@ import warp as wp
 from numpy.random import default_rng
 
 from tests.gradients.cases import errors
-from tests.support import clouds, problems, reference
+from tests.support import clouds, parametrize, problems, reference
 from tests.support.clouds import cloud, periodic_cloud
 from tests.support.problems import KERNELS, LAM, MU, ROUNDING, ell, kernel, lattice, noise, periodic
 from tests.support.symbols import symbol
@@ -38,8 +38,7 @@ def halved(points):
 
 def across(points):
     """Numbered along the other axis."""
-    order = np.lexsort(points.x.T)
-    return replace(points, x=points.x[order], interior=points.interior[order])
+    return problems.renumbered(points, np.lexsort(points.x.T))
 
 
 KINDS = {
@@ -53,9 +52,7 @@ SETS = {
     "L with a hole": lambda: lattice(np.kron(ell(), np.ones((4, 4))) > 0, HORIZON),
     "rotated": lambda: lattice(9, HORIZON, angle=0.7),
     "periodic, the other axis": lambda: across(periodic((9, 7))[0]),
-    "periodic, partly interior": lambda: replace(
-        periodic((20, 30))[0], interior=np.arange(600) % 30 < 9
-    ),
+    "periodic, partly interior": problems.partly_periodic,
 }
 """Lattices that are laid out in rows."""
 
@@ -85,7 +82,7 @@ class Problem:
         return {p: by.numpy() for p, by in zip(given, gradients)} | {"force": force.numpy()}
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("name", "horizon", "points"),
     [
         ("sign-changing", 3.0, lattice(ell(), 3.0, angle=0.7, origin=(5.0, -2.0))),
@@ -109,7 +106,7 @@ def test_is_the_reference(name, horizon, points):
     assert error(scaled.on(points, allow_uncertified=True)(u), expected) < 10 * ROUNDING
 
 
-@pytest.mark.parametrize("kind", ["lattice", "periodic cloud", "cut lattice", "cut cloud"])
+@parametrize("kind", ["lattice", "periodic cloud", "cut lattice", "cut cloud"])
 def test_derivatives_are_those_of_differences_and_fields_those_of_numbers(kind):
     problem = Problem("sign-changing", KINDS[kind](), 1, fields=True)
     found = errors(problem.scalar, problem.leaves, STEPS)
@@ -133,7 +130,7 @@ def test_an_operator_with_fields_is_symmetric_on_a_period_and_its_matrix_in_spac
         assert error(operator(u).ravel(), operator.matrix() @ u.ravel()) < 10 * ROUNDING
 
 
-@pytest.mark.parametrize("kind", SETS)
+@parametrize("kind", SETS)
 def test_rows_are_the_lists_of_neighbours(kind, monkeypatch):
     rows = Problem("sign-changing", SETS[kind](), 3)
     assert rows.bonds.layout.in_rows
@@ -145,8 +142,7 @@ def test_rows_are_the_lists_of_neighbours(kind, monkeypatch):
 
 def test_nodes_in_no_order_or_far_apart_or_beside_a_crack_stay_in_their_lists():
     points = lattice(8, HORIZON)
-    order = default_rng(0).permutation(len(points.x))
-    mixed = replace(points, x=points.x[order], interior=points.interior[order])
+    mixed = problems.renumbered(points, default_rng(0).permutation(len(points.x)))
     apart = Points(np.concatenate([points.x, points.x + 200.0]), np.tile(points.interior, 2), 1.0)
     for one in (mixed, apart, halved(points)):
         assert not Bonds(one, HORIZON).layout.in_rows
@@ -164,9 +160,8 @@ def test_bond_based_forces_need_half_the_collar_and_no_dilatation():
         lps_force(both[0], u, 0.1, 0.7, 1.3, D)
     small = lattice(3, HORIZON / 2)
     operator = kernel("sign-changing", HORIZON, lam=0.8).on(small, allow_uncertified=True)
-    assert (
-        error(operator.matrix() @ noise(small).ravel(), operator(noise(small)).ravel()) < ROUNDING
-    )
+    u = noise(small)
+    assert error(operator.matrix() @ u.ravel(), operator(u).ravel()) < ROUNDING
 
 
 def test_on_a_tape_of_the_user():
@@ -212,7 +207,7 @@ def test_no_table_is_stale_and_a_bond_may_have_no_influence():
         assert error(operator(u).ravel(), operator.matrix() @ u.ravel()) < ROUNDING
 
 
-@pytest.mark.parametrize("name", ["1/r", "sign-changing"])
+@parametrize("name", ["1/r", "sign-changing"])
 def test_plane_waves_have_the_symbol_of_the_stencil_and_long_ones_feel_the_moduli(name):
     spacing, small = 2.5, 1e-4
     model = kernel(name, 2.5 * spacing, spacing, lam=-0.2)

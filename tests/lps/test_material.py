@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg
 from numpy.testing import assert_allclose
 
-from tests.support import clouds
+from tests.support import clouds, parametrize
 from tests.support.clouds import cloud, periodic_cloud, plain
 from tests.support.problems import ROUNDING, fitted_order, kernel, lattice, noise, normal, periodic
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, solid
@@ -45,17 +45,15 @@ def test_a_spacing_is_the_certified_one_to_a_millionth():
     expected = wild.on(here)(u)
     near(wild.on(off(little))(u), expected, ROUNDING)
     for factor in (0.5, 1 + 1.001e-6):
-        for use in (
-            lambda: wild.on(off(factor), transfer=False),  # noqa: B023
-            lambda: replace(wild, certified_on=(1e-9,)).check_spacing(1e-9 * factor),  # noqa: B023
-        ):
-            with refused("the model is certified on"):
-                use()
+        with refused("the model is certified on"):
+            wild.on(off(factor), transfer=False)
+        with refused("the model is certified on"):
+            replace(wild, certified_on=(1e-9,)).check_spacing(1e-9 * factor)
         with warned("the model is certified on 5 Å, not on"):
             wild.check_spacing(5.0 * factor, allow_uncertified=True)
 
 
-@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
+@parametrize("shape", SHAPES.values(), ids=SHAPES)
 def test_the_polynomial_is_the_function_at_every_bond_and_near_it_between(shape):
     model = solid(shape, 1.0, 0.8)
     for spacing in (1.0, 0.8):
@@ -97,33 +95,33 @@ def jagged():
     return function.model(lam=0.0, mu=1.0, horizon=20.0, spacings=[5.0, 2.5, 2.0, 1.0])
 
 
-REFUSED = {
-    "expected μ > 0 and λ . μ > 0, got -0.8, 0.8": numbers(lam=-0.8),
-    "μ > 0 and λ . 2μ/3 > 0": numbers(lam=-0.6, dimension=3),
-    "dimension: expected 2 or 3, got 4": numbers(dimension=4),
-    "D: expected at least one coefficient, at most 1001, got 0": numbers(D=[]),
-    "D: expected a coefficient other than 0": numbers(D=[0.0, 0.0]),
-    "D: expected a list of numbers, got lists": numbers(D=[[1.0, 2.0]]),
-    "width: expected finite values": made(gaussian, width=np.nan),
-    r"bounds of width: expected \(lowest, highest\), got 5": bounded({"width": 5}),
-    "no parameter 'reach'; there are: width": bounded({"reach": (0, 1)}),
-    "are not within": bounded({"width": (3, 4)}),
-    r"K of shape \[6\], the shape of r, got float64 of shape \[\]": made(lambda r: r[0]),
-    "K is zero at": lambda: InfluenceFunction(lambda r: 0 * r).coefficients(LENGTHS, 3.0),
-    "no polynomial of degree 80 takes its values": jagged,
-    "weighted volume": vanishing,
-    "of one shape": lambda: table([0, 1], [1.0]),
-    "rising": lambda: table([1, 0], [1.0, 1.0]),
-    "table: expected K at all bonds, 1 to 3, got it at": (tabled(0.1, 1), tabled(1.1, 3)),
-    "certified_on: expected a list, got array": numbers(certified_on=np.array(1.0)),
-}
-
-
 def test_what_makes_no_sense_is_refused_in_words():
-    assert_refused(REFUSED)
+    assert_refused({
+        "expected μ > 0 and λ . μ > 0, got -0.8, 0.8": numbers(lam=-0.8),
+        "μ > 0 and λ . 2μ/3 > 0": numbers(lam=-0.6, dimension=3),
+        "dimension: expected 2 or 3, got 4": numbers(dimension=4),
+        "D: expected at least one coefficient, at most 1001, got 0": numbers(D=[]),
+        "D: expected a coefficient other than 0": numbers(D=[0.0, 0.0]),
+        "D: expected a list of numbers, got lists": numbers(D=[[1.0, 2.0]]),
+        "width: expected finite values": made(gaussian, width=np.nan),
+        r"bounds of width: expected \(lowest, highest\), got 5": bounded({"width": 5}),
+        "no parameter 'reach'; there are: width": bounded({"reach": (0, 1)}),
+        "are not within": bounded({"width": (3, 4)}),
+        r"K of shape \[6\], the shape of r, got float64 of shape \[\]":
+            made(lambda r: r[0]),
+        "K is zero at":
+            lambda: InfluenceFunction(lambda r: 0 * r).coefficients(LENGTHS, 3.0),
+        "no polynomial of degree 80 takes its values": jagged,
+        "weighted volume": vanishing,
+        "of one shape": lambda: table([0, 1], [1.0]),
+        "rising": lambda: table([1, 0], [1.0, 1.0]),
+        "table: expected K at all bonds, 1 to 3, got it at":
+            (tabled(0.1, 1), tabled(1.1, 3)),
+        "certified_on: expected a list, got array": numbers(certified_on=np.array(1.0)),
+    })  # fmt: skip
 
 
-@pytest.mark.parametrize("points", [cloud(5, HORIZON), clouds.cube(2, 2.0)])
+@parametrize("points", [cloud(5, HORIZON), clouds.cube(2, 2.0)])
 def test_an_affine_field_has_the_stress_of_hooke(points):
     d = points.dimension
     G = normal((d, d), 2)

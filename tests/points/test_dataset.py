@@ -10,7 +10,7 @@ from numpy.linalg import norm
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.support.problems import lattice, noise
-from tests.support.told import assert_refused, refused, warned
+from tests.support.told import assert_refused, each_refused, refused, warned
 from warp_peri import Dataset, Points, Samples, evaluate, load, save
 from warp_peri.points.arguments import factors
 from warp_peri.points.dataset import content_hash, load_dataset, save_dataset
@@ -44,11 +44,11 @@ def test_a_file_keeps_every_bit_and_says_what_it_is(path):
     assert (back.thickness, back.density, back.provenance) == (3.35, 2267.0, DATA.provenance)
     for name in back:
         assert not back[name].points.first_difference(DATA[name].points)
-        assert np.array_equal(back[name].u, DATA[name].u)
+        assert_array_equal(back[name].u, DATA[name].u)
         assert (back[name].b is None) == (DATA[name].b is None)
-    assert np.array_equal(back["train"].b, LOADS.b)
+    assert_array_equal(back["train"].b, LOADS.b)
     assert back["train"].arrays["load_id"].tolist() == ["a", "β", "c d"]
-    assert np.array_equal(back["train"].arrays["snr"], ARRAYS["snr"], equal_nan=True)
+    assert_array_equal(back["train"].arrays["snr"], ARRAYS["snr"])
     with refused("b: expected loads, got samples whose loads are not"):
         _ = back["cut"].loads
 
@@ -76,34 +76,31 @@ def first(field, value):
     return put(field, wrong)
 
 
-IN_FILE = "train/u: expected an array in the file itself"
-BAD_FILES = [
-    (attribute("format", "other"), "format: expected 'warp_peri.dataset', got 'other'"),
-    (attribute("length_unit", "nm"), "sha256: the contents are not what was written"),
-    (first("u", 1.0), "sha256: the contents are not what was written"),
-    (lambda file: file.attrs.pop("thickness"), "'thickness' is missing"),
-    (attribute("thickness", np.nan), "thickness: expected a number > 0, got nan"),
-    (attribute("provenance", "{"), "provenance: expected JSON"),
-    (attribute("colour", "red"), "attributes: expected none but .*, got 'colour'"),
-    (attribute("box_nodes", 5.0, "train"), "set 'train': attributes: .* got 'box_nodes'"),
-    (attribute("spacing", -5.0, "train"), "set 'train': spacing: .* got -5.0"),
-    (put("x"), "set 'train': arrays missing: x"),
-    (put("x", np.ones((N, 4))), rf"set 'train': x: .*\[N, 3\].* got \[{N}, 4\]"),
-    (first("x", np.nan), r"set 'train': x: expected finite .* nan at index \[1, 1\]"),
-    (put("u", np.ones((3, N - 1, 2))), rf"u: .* got \[3, {N - 1}, 2\]"),
-    (put("snr", np.ones(2)), "snr: expected one entry for each of 3 samples"),
-    (lambda file: [file.pop(name) for name in DATA], "at least one point set"),
-    (lambda file: file.create_dataset("more", data=[1.0]), "set 'more': arrays missing: x, u"),
-    (lambda file: file.create_group("train/more"), "set 'train': more: expected an array"),
-    (put("u", h5py.ExternalLink("secret.h5", "/train/u")), IN_FILE + ", got a link"),
-    (put("u", shape=(9, 2), dtype="f8", external=[("raw", 0, 144)]), IN_FILE),
-    (put("u", shape=(4, 10**9, 2), dtype="f8", chunks=(1, 1000, 2)), "arrays of at most .* bytes"),
-]
-
-
 def test_a_wrong_file_is_refused_by_name_before_memory_is_taken(path):
     save_dataset(path.with_name("secret.h5"), DATA)
-    for change, words in BAD_FILES:
+    in_file = "train/u: expected an array in the file itself"
+    for change, words in (
+        (attribute("format", "other"), "format: expected 'warp_peri.dataset', got 'other'"),
+        (attribute("length_unit", "nm"), "sha256: the contents are not what was written"),
+        (first("u", 1.0), "sha256: the contents are not what was written"),
+        (lambda file: file.attrs.pop("thickness"), "'thickness' is missing"),
+        (attribute("thickness", np.nan), "thickness: expected a number > 0, got nan"),
+        (attribute("provenance", "{"), "provenance: expected JSON"),
+        (attribute("colour", "red"), "attributes: expected none but .*, got 'colour'"),
+        (attribute("box_nodes", 5.0, "train"), "set 'train': attributes: .* got 'box_nodes'"),
+        (attribute("spacing", -5.0, "train"), "set 'train': spacing: .* got -5.0"),
+        (put("x"), "set 'train': arrays missing: x"),
+        (put("x", np.ones((N, 4))), rf"set 'train': x: .*\[N, 3\].* got \[{N}, 4\]"),
+        (first("x", np.nan), r"set 'train': x: expected finite .* nan at index \[1, 1\]"),
+        (put("u", np.ones((3, N - 1, 2))), rf"u: .* got \[3, {N - 1}, 2\]"),
+        (put("snr", np.ones(2)), "snr: expected one entry for each of 3 samples"),
+        (lambda file: [file.pop(name) for name in DATA], "at least one point set"),
+        (lambda file: file.create_dataset("more", data=[1.0]), "set 'more': arrays missing: x, u"),
+        (lambda file: file.create_group("train/more"), "set 'train': more: expected an array"),
+        (put("u", h5py.ExternalLink("secret.h5", "/train/u")), in_file + ", got a link"),
+        (put("u", shape=(9, 2), dtype="f8", external=[("raw", 0, 144)]), in_file),
+        (put("u", shape=(4, 10**9, 2), dtype="f8", chunks=(1, 1000, 2)), "of at most .* bytes"),
+    ):
         save_dataset(path, DATA)
         with h5py.File(path, "a") as file:
             change(file)
@@ -129,29 +126,25 @@ def test_what_is_no_data_set_is_refused_and_one_without_hash_or_units_is_taken(p
     with warned("names no units: taken as Å and TPa"):
         back = load_dataset(path)
     assert back.units == ("angstrom", "TPa")
-    assert np.array_equal(back["train"].u, LOADS.u)
-
-
-NM = replace(LOADS, points=replace(GRID, units=("nm", "GPa")))
-WRONG = [
-    (GRID, {"x": np.ones((0, 2))}, r"x: .*N > 0, got \[0, 2\]"),
-    (GRID, {"interior": np.zeros(N, bool)}, "interior: expected at least one"),
-    (GRID, {"outside": np.ones(N, bool)}, "true for no interior node"),
-    (GRID, {"axis": np.nan}, r"axis: expected an angle \[degrees\], got nan"),
-    (CUBE, {"axis": np.ones((3, 3))}, "axis: expected a rotation"),
-    (LOADS, {"u": LOADS.u[:, 1:]}, rf"u: expected shape \[S, {N}, 2\]"),
-    (LOADS, {"arrays": {"u": np.ones(3)}}, "arrays: 'u' cannot be the name of an array"),
-    (LOADS, {"arrays": {"k": [None] * len(LOADS)}}, "k: expected numbers or text, got object"),
-    (DATA, {"sets": {"a": LOADS, "b": NM}}, "same for all sets, got a in angstrom and TPa, b in"),
-    (DATA, {"sets": {"a/b": LOADS}}, "sets: 'a/b' cannot be the name of a set"),
-    (DATA, {"sets": {"a": GRID}}, "a: expected Samples, got Points"),
-]
+    assert_array_equal(back["train"].u, LOADS.u)
 
 
 def test_what_is_wrong_in_memory_is_refused_by_name():
-    for good, change, words in WRONG:
-        with refused(words):
-            replace(good, **change)
+    nm = replace(LOADS, points=replace(GRID, units=("nm", "GPa")))
+    each_refused(lambda good, change: replace(good, **change), {
+        r"x: .*N > 0, got \[0, 2\]": (GRID, {"x": np.ones((0, 2))}),
+        "interior: expected at least one": (GRID, {"interior": np.zeros(N, bool)}),
+        "true for no interior node": (GRID, {"outside": np.ones(N, bool)}),
+        r"axis: expected an angle \[degrees\], got nan": (GRID, {"axis": np.nan}),
+        "axis: expected a rotation": (CUBE, {"axis": np.ones((3, 3))}),
+        "arrays: 'u' cannot be the name of an array": (LOADS, {"arrays": {"u": np.ones(3)}}),
+        "k: expected numbers or text, got object":
+            (LOADS, {"arrays": {"k": [None] * len(LOADS)}}),
+        "same for all sets, got a in angstrom and TPa, b in":
+            (DATA, {"sets": {"a": LOADS, "b": nm}}),
+        "sets: 'a/b' cannot be the name of a set": (DATA, {"sets": {"a/b": LOADS}}),
+        "a: expected Samples, got Points": (DATA, {"sets": {"a": GRID}}),
+    })  # fmt: skip
 
 
 def test_the_one_set_or_that_of_the_usual_name_is_meant_where_none_is_named():
@@ -168,7 +161,7 @@ def test_files_carry_their_units_and_an_argument_converts(tmp_path):
     for units, length, stress in ((("nm", "GPa"), 10.0, 1e-3), ("ase", 1.0, 0.1602176634)):
         points = replace(GRID, units=units)
         save(path, Dataset({"a": replace(LOADS, points=points, arrays=waves)}, 3.35, 2267.0))
-        assert np.array_equal(load(path)["a"].x, LOADS.x)
+        assert_array_equal(load(path)["a"].x, LOADS.x)
         found = load(path, units=usual)
         samples = found["a"]
         assert (found.units, found.density) == (usual, 2267.0)
@@ -178,12 +171,10 @@ def test_files_carry_their_units_and_an_argument_converts(tmp_path):
         assert samples.spacing == pytest.approx(2.5 * length)
         assert samples.arrays["wave_vector"] == pytest.approx(1 / length)
     assert factors("si", "metal") == pytest.approx((1e10, 1e-5))
-    for units, words in (
-        (("mile", "TPa"), "length_unit: expected one of angstrom, nm, .* 'mile'"),
-        ("cgs", "or ase, metal, si, reduced, got 'cgs'"),
-    ):
-        with refused(words):
-            load(path, units=units)
+    assert_refused({
+        "length_unit: .* one of angstrom, nm, .* 'mile'": lambda: load(path, units=("mile", "TPa")),
+        "or ase, metal, si, reduced, got 'cgs'": lambda: load(path, units="cgs"),
+    })  # fmt: skip
     save(path, replace(DATA, sets={"a": replace(LOADS, points=replace(GRID, units="reduced"))}))
     assert load(path).units == ("sigma", "epsilon/sigma^3")
     with refused("no factor leads from sigma and epsilon/sigma"):

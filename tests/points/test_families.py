@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from numpy.linalg import eigvalsh, norm
 from numpy.random import default_rng
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from tests.support import reference
+from tests.support import parametrize, problems, reference
 from tests.support.clouds import cloud, cube, periodic_cloud, plain
-from tests.support.problems import ell, kernel, lattice, manufactured, periodic, rotation
+from tests.support.problems import ell, kernel, lattice, manufactured, normal, periodic, rotation
 from tests.support.solving import solve
-from tests.support.told import refused, warned
+from tests.support.told import each_refused, refused, warned
 from warp_peri import LPS, Bernstein, Points, fit
 from warp_peri.certificates import check_solvability
 from warp_peri.points.families import (
@@ -28,18 +28,14 @@ from warp_peri.points.families import (
 from warp_peri.points.points import axis_of, lattice_steps
 from warp_peri.testing import assert_near as near
 
-DISK = np.hypot(*np.mgrid[-4:5, -4:5]) <= 4
 
-
-@pytest.mark.parametrize(
-    ("horizon", "angle", "box"), [(2.0, 0.0, None), (3.0, 0.4, None), (3.0, 0.0, (9, 7))]
-)
+@parametrize(("horizon", "angle", "box"), [(2.0, 0.0, None), (3.0, 0.4, None), (3.0, 0.0, (9, 7))])
 def test_families_are_those_of_brute_force(horizon, angle, box):
     if box:
         points, box = periodic(box, spacing=1.7)
     else:
         points = lattice(ell(), 1.7 * horizon, spacing=1.7, angle=angle, origin=(3.0, -80.0))
-        points = replace(points, x=points.x[::-1], interior=points.interior[::-1])
+        points = problems.renumbered(points, np.s_[::-1])
     families = families_of(points, 1.7 * horizon)
     needed = {*np.flatnonzero(points.interior)}
     for i in range(len(points.x)):
@@ -47,14 +43,14 @@ def test_families_are_those_of_brute_force(horizon, angle, box):
         family = families.neighbour[families.row[i] : families.row[i + 1]]
         there = family >= 0
         order = np.argsort(family[there])
-        assert np.array_equal(family[there][order], np.sort(ends))
+        assert_array_equal(family[there][order], np.sort(ends))
         there_xi = families.pattern[there][order]
         assert_allclose(there_xi, xi[np.argsort(ends)], atol=1e-9)
         back = families.neighbour[families.row[family[there]] + families.reverse[there]]
         assert (back == i).all()
         needed |= {*ends} if points.interior[i] else set()
-    assert np.array_equal(families.whole, sorted(needed))
-    assert np.array_equal(families.rows, np.flatnonzero(points.interior))
+    assert_array_equal(families.whole, sorted(needed))
+    assert_array_equal(families.rows, np.flatnonzero(points.interior))
 
 
 def test_classes_are_orbits_of_the_lattices_symmetry_in_a_closed_ball():
@@ -77,7 +73,7 @@ def test_classes_are_orbits_of_the_lattices_symmetry_in_a_closed_ball():
 def test_the_error_names_a_horizon_that_fits_or_counts_the_nodes_without_a_collar():
     """One without a missing node within twice of it, whatever its bonds."""
     h = 2.5
-    for interior, collar in ((3, 4.9), (DISK, 9.9), (ell(), 7.0)):
+    for interior, collar in ((3, 4.9), (np.hypot(*np.mgrid[-4:5, -4:5]) <= 4, 9.9), (ell(), 7.0)):
         points = lattice(interior, collar * 1.25, spacing=h)
         with refused("out to twice the horizon") as caught:
             families_of(points, 8 * h)
@@ -88,7 +84,7 @@ def test_the_error_names_a_horizon_that_fits_or_counts_the_nodes_without_a_colla
     points = lattice(5, 2.0)
     corner, side = (np.abs(points.x - at).sum(1) > 0.5 for at in ((-4, -4), (-4, 0)))
     families_of(Points(points.x[corner], points.interior[corner], 1.0), 2.0)  # no family's member
-    with refused(r"1 of 25 .* 2 Å; no horizon .* Free edges and holes"):
+    with refused(r"1 of 25 .* 2 Å; no horizon of two spacings or more fits.* Free edges and holes"):
         families_of(Points(points.x[side], points.interior[side], 1.0), 2.0)
 
 
@@ -108,27 +104,24 @@ def test_a_turned_cube_has_the_families_of_the_straight_one():
     assert (families_of(Points.sheet((5, 6, 7), 1.0), 2.0).neighbour >= 0).all()
 
 
-RANDOM = default_rng(3)
-CLOUDS = [
-    (np.r_[0.01 * RANDOM.normal(size=(99, 2)), RANDOM.uniform(0, 6, (300, 2))], 1.5, None),
-    (1e5 + RANDOM.uniform(0, 9, (300, 2)), 1.1, None),
-    (RANDOM.uniform(-20, 20, (300, 2)), 1.3, (9.0, 9.0)),
-    (RANDOM.uniform(0, 9, (300, 3)), 2.8, (9.0, 9.0, 7.0)),
-]
-
-
 def test_neighbours_are_all_that_are_near_and_bonds_know_their_way_back():
-    for x, horizon, box in CLOUDS:
+    uniform = default_rng(3).uniform
+    for x, horizon, box in (
+        (np.r_[0.01 * normal((99, 2)), uniform(0, 6, (300, 2))], 1.5, None),
+        (1e5 + uniform(0, 9, (300, 2)), 1.1, None),
+        (uniform(-20, 20, (300, 2)), 1.3, (9.0, 9.0)),
+        (uniform(0, 9, (300, 3)), 2.8, (9.0, 9.0, 7.0)),
+    ):
         row, neighbour, r, reverse = neighbours(x, horizon, box)
         bonds = x[None] - x[:, None]
         bonds -= 0 if box is None else np.round(bonds / box) * box
         length = norm(bonds, axis=2)
         start, end = np.nonzero((length <= horizon) & ~np.eye(len(x), dtype=bool))
-        assert np.array_equal(np.repeat(np.arange(len(x)), np.diff(row)), start)
-        assert np.array_equal(neighbour, end)
+        assert_array_equal(np.repeat(np.arange(len(x)), np.diff(row)), start)
+        assert_array_equal(neighbour, end)
         assert_allclose(r, length[start, end], rtol=1e-9)
-        assert np.array_equal(neighbour[reverse], start)
-        assert np.array_equal(start[reverse], neighbour)
+        assert_array_equal(neighbour[reverse], start)
+        assert_array_equal(start[reverse], neighbour)
 
 
 def test_each_scattered_family_has_its_own_weights():
@@ -151,30 +144,24 @@ def test_solvability_is_told_by_eigenvalues_and_singular_values():
     assert figures.singular_min == pytest.approx(np.linalg.svd(A)[1][-1])
 
 
-LATTICE, CLOUD, SHEET = lattice(3, 2.0), cloud(4, 3.0), periodic((9, 9))[0]
-OFF = LATTICE.x + np.where(np.arange(len(LATTICE.x)) == 7, 1e-3, 0)[:, None]
-ROUNDED = lattice(4, 2.5, spacing=1.2345678)
-FAR = np.array([[400.0, 0.0]])
-REFUSED = [
-    (replace(LATTICE, x=OFF), 2.0, "spacing 1.0 Å; off it: 7, by up to 0.001"),
-    (replace(ROUNDED, x=ROUNDED.x.round(2)), 2.5, r"by up to 0\.0.* where 1e-06 Å \(1e-06 sp"),
-    (replace(LATTICE, spacing=0.9), 2.0, "no two points are that close"),
-    (replace(LATTICE, x=np.r_[LATTICE.x[:-1], 1e5 * FAR]), 2.0, "nodes spread over .* places"),
-    (lattice(3, 1.0), 3.0, "9 of 9 .* no horizon of two spacings or more fits"),
-    (LATTICE, 0.99, "horizon: expected at least one spacing"),
-    (replace(SHEET, box=(9.5, 9.0)), 2.0, "box: expected two whole multiples"),
-    (replace(lattice(9, 2.0, angle=0.3), box=(9.0, 9.0)), 2.0, "box: expected a lattice along the"),
-    (Points(np.r_[CLOUD.x, FAR], [*CLOUD.interior, False], 0.0), 3.0, f"isolated.*{len(CLOUD.x)}"),
-    (CLOUD, 1.6, r"no weights are exact for the families of \d+ nodes: \d+, "),
-    (CLOUD, 6.0, r"16 of 16 have not at horizon 6 Å \(nodes \d+, "),
-    (replace(periodic_cloud(7), box=(5.9, 20.0)), 3.0, "box: expected two periods above 6"),
-]
-
-
 def test_points_and_horizons_that_fit_no_families_are_refused():
-    for points, horizon, words in REFUSED:
-        with refused(words):
-            families_of(points, horizon)
+    grid, some, sheet = lattice(3, 2.0), cloud(4, 3.0), periodic((9, 9))[0]
+    off = grid.x + np.where(np.arange(len(grid.x)) == 7, 1e-3, 0)[:, None]
+    rounded, far = lattice(4, 2.5, spacing=1.2345678), np.array([[400.0, 0.0]])
+    each_refused(families_of, {
+        "spacing 1.0 Å; off it: 7, by up to 0.001": (replace(grid, x=off), 2.0),
+        r"by up to 0\.0.* where 1e-06 Å \(1e-06 sp": (replace(rounded, x=rounded.x.round(2)), 2.5),
+        "no two points are that close": (replace(grid, spacing=0.9), 2.0),
+        "spread over .* places": (replace(grid, x=np.r_[grid.x[:-1], 1e5 * far]), 2.0),
+        "horizon: expected at least one spacing": (grid, 0.99),
+        "box: expected two whole multiples": (replace(sheet, box=(9.5, 9.0)), 2.0),
+        "a lattice along the": (replace(lattice(9, 2.0, angle=0.3), box=(9.0, 9.0)), 2.0),
+        f"isolated.*{len(some.x)}":
+            (Points(np.r_[some.x, far], [*some.interior, False], 0.0), 3.0),
+        r"no weights are exact for the families of \d+ nodes: \d+, ": (some, 1.6),
+        r"16 of 16 have not at horizon 6 Å \(nodes \d+, ": (some, 6.0),
+        "box: expected two periods above 6": (replace(periodic_cloud(7), box=(5.9, 20.0)), 3.0),
+    })  # fmt: skip
 
 
 def test_nodes_that_stand_twice_are_refused_where_points_are_made():
@@ -232,15 +219,12 @@ def scattered_family(bonds, horizon, d=2):
     return r * away / norm(away, axis=1, keepdims=True)
 
 
-FAMILIES = [
-    *((lattice_family(h, d), h) for h, d in ((2.0, 2), (5.0, 2), (3.0, 3))),
-    *((scattered_family(bonds, 1.7, d), 1.7) for bonds, d in ((60, 2), (200, 3))),
-]
-
-
 def test_weights_are_exact_and_of_smallest_norm_and_poor_families_are_refused():
     """Or those on a line."""
-    for xi, horizon in FAMILIES:
+    for xi, horizon in (
+        *((lattice_family(h, d), h) for h, d in ((2.0, 2), (5.0, 2), (3.0, 3))),
+        *((scattered_family(bonds, 1.7, d), 1.7) for bonds, d in ((60, 2), (200, 3))),
+    ):
         W, least = quadrature_weights(xi, horizon), reference.quadrature(xi, horizon)
         rows, exact = reference.reproducing(xi / horizon)
         near(rows @ W / horizon ** xi.shape[1], exact, 1e-10 * np.pi, 1)

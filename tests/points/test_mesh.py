@@ -9,9 +9,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import warp_peri as wp
-from tests.support import in_plane_and_space
+from tests.support import in_plane_and_space, parametrize
 from tests.support.problems import kernel
-from tests.support.told import assert_refused, refused, warned
+from tests.support.told import assert_refused, each_refused, refused, warned
 from warp_peri.errors import InputError
 from warp_peri.points.mesh import REST, make_mesh, pieces
 from warp_peri.points.mesh_files import load_mesh
@@ -92,15 +92,13 @@ def test_an_outline_has_its_parts_curves_holes_and_distances():
     })  # fmt: skip
 
 
-@pytest.mark.parametrize(("sides", "scale"), [((4, 3), 1e-6), ((3, 2, 2), 1e6)])
+@parametrize(("sides", "scale"), [((4, 3), 1e-6), ((3, 2, 2), 1e6)])
 def test_corners_at_one_place_are_one_and_a_word_says_so(sides, scale):
-    x, blocks = grid(*sides, size=scale)
+    d, (x, blocks) = len(sides), grid(*sides, size=scale)
     whole = body(x, blocks)
     turn = np.linalg.det(whole.x[whole.faces])  # of the outline, whose body is on its left
-    assert turn.sum() == pytest.approx(
-        np.prod(sides) * scale ** len(sides) * (2, 6)[x.shape[1] - 2]
-    )
-    apart = x[blocks].reshape(-1, len(sides))
+    assert turn.sum() == pytest.approx(d * (d - 1) * np.prod(sides) * scale**d)
+    apart = x[blocks].reshape(-1, d)
     with warned(f"{len(apart) - len(x)} of {len(apart)} corners lie"):
         welded = body(apart, np.arange(len(apart)).reshape(blocks.shape))
     assert (len(welded.x), len(welded.faces)) == (len(x), len(whole.faces))
@@ -113,7 +111,7 @@ def test_cells_that_overlap_or_share_parts_of_facets_are_refused(d):
     for ratio, count, shift, words in (
         (0.5, 4, [2.0, 0.0, 0.0], "goes on beyond"),  # small beside large: hanging
         (0.3, 2, [0.53, 0.13, 0.13], "goes on beyond"),  # one within the other
-        (1.0, 2, [0.0, 0.0, 0.0], "expected one or two at each|lie on one side"),  # twice
+        (1.0, 2, [0.0, 0.0, 0.0], "one or two at each .*, some (edge|face) has more"),  # twice
     ):
         x, small = grid(*d * [count], size=ratio * 1e-6)
         with refused(words):
@@ -134,25 +132,21 @@ def test_a_crack_with_a_width_is_an_outline_and_one_without_is_closed():
 NINE, FOUR = grid(2, 2)
 TRIANGLES = np.concatenate([FOUR[:, part] for part in HALVES])
 CUBE, EIGHT = grid(1, 1, 1)
-SQUARE = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
-WRONG = [
-    (SQUARE, [[0, 1, 2], [0, 2, 1]], {}, "0 and 1 lie on one side of their"),
-    (SQUARE, [[0, 1, 1]], {}, "number 0 has no area"),
-    (CUBE, [[0, 2, 4, 6]], {}, "tetrahedra: number 0 has no volume"),
-    (SQUARE, [[0, 1, 2], [0, 1, 3], [0, 1, 2]], {}, "some edge has more"),
-    (NINE, TRIANGLES, {"a": [[1, 4]]}, "part 'a': expected edges of the outline, 1 of 1"),
-    (SQUARE, HALVES, {"a": [[0, 1, 2]]}, r"part 'a': expected shape \[n, 2\]"),
-    (CUBE, EIGHT[0][SIXTHS], {"a": [EIGHT[0][[0, 1, 6]]]}, "faces of the surface, 1 of 1"),
-]
 
 
 def test_what_is_no_mesh_of_a_body_is_refused():
-    for x, cells, parts, words in WRONG:
-        with refused(words):
-            make_mesh(x, np.array(cells), parts)
-    for middle in ({(0, 1): -1.0}, {(0, 9): (0.5, 0.0)}):
-        with refused("middle: expected"):
-            make_mesh(SQUARE, HALVES, {}, middle)
+    square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+    each_refused(make_mesh, {
+        "0 and 1 lie on one side of their": (square, [[0, 1, 2], [0, 2, 1]]),
+        "number 0 has no area": (square, [[0, 1, 1]]),
+        "tetrahedra: number 0 has no volume": (CUBE, [[0, 2, 4, 6]]),
+        "part 'a': expected edges of the outline, 1 of 1": (NINE, TRIANGLES, {"a": [[1, 4]]}),
+        r"part 'a': expected shape \[n, 2\]": (square, HALVES, {"a": [[0, 1, 2]]}),
+        "faces of the surface, 1 of 1":
+            (CUBE, EIGHT[0][SIXTHS], {"a": [EIGHT[0][[0, 1, 6]]]}),
+        "middle: expected": (square, HALVES, {}, {(0, 1): -1.0}),
+        "middle: expected .*": (square, HALVES, {}, {(0, 9): (0.5, 0.0)}),
+    })  # fmt: skip
 
 
 def test_a_file_of_second_order_keeps_the_curve(tmp_path):
@@ -174,21 +168,20 @@ def test_a_file_of_second_order_keeps_the_curve(tmp_path):
         assert_allclose(one.middle[one.parts[part][0]], [1, -0.3])
 
 
-KITE = np.array([[0.0, 0, 0], [10, 4, 0], [20, 0, 0], [10, 20, 0]])
-HOUSE = np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0], [20, 5, 0]])
-
-
 def test_quadrilaterals_are_cut_where_they_are_turned_in(tmp_path):
+    kite = np.array([[0.0, 0, 0], [10, 4, 0], [20, 0, 0], [10, 20, 0]])
+    corners = np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0], [20, 5, 0]])
+
     def read(x, *quads):
         meshio.Mesh(x, [("quad", quads)]).write(tmp_path / "a.vtu")
         return load_mesh(tmp_path / "a.vtu")
 
     for turn, sense in ((0, 1), (1, -1)):
         quad, triangle = (np.roll(ends, turn)[::sense] for ends in ([0, 1, 2, 3], [1, 4, 2, 2]))
-        assert size(read(KITE, quad)) == pytest.approx(160)
+        assert size(read(kite, quad)) == pytest.approx(160)
         with refused("lie on one side of their edge|goes on beyond"):
-            read(HOUSE, quad[[0, 2, 1, 3]])
-        house = read(HOUSE, [0, 1, 2, 3], triangle)
+            read(corners, quad[[0, 2, 1, 3]])
+        house = read(corners, [0, 1, 2, 3], triangle)
         assert (size(house), len(house.cells)) == (pytest.approx(150), 3)
 
 
@@ -318,29 +311,24 @@ def test_one_part_that_is_placed_where_it_is(tmp_path):
     assert_allclose(mesh.x[mesh.faces[mesh.parts["left"]]].mean(axis=1), [[0, 1]])
 
 
-REFUSED = [
-    (PART + INSTANCE.format("I", "") + INSTANCE.format("J", ""), r"\*INSTANCE: expected one"),
-    (PART + INSTANCE.format("I", "10., 0., 0.\n"), r"\*INSTANCE: expected one that is not moved"),
-    (PLATE.replace("*NODE", "*NODE, SYSTEM=C"), r"\*NODE, SYSTEM is not read"),
-    (PLATE.replace("*NODE", "*SYSTEM\n0,0,0,0,1,0\n*NODE"), r"\*SYSTEM is not read"),
-    *((PLATE + f"*{word}, ANY=1\n1, 31, 10\n", rf"\*{word} is not read")
-      for word in ("NGEN", "INCLUDE", "TIE")),
-    (PLATE + "*NSET, NSET=a, ELSET=plate\n", r"\*NSET, ELSET is not read"),
-    (PLATE + "*NSET, NSET=a\n77\n", r"\*NSET, a: 77 is not there"),
-    (PLATE + CELLS, r"\*ELEMENT: expected each number once"),
-    (PLATE.replace("CPS4R", "C3D8"), "TYPE=C3D8 is not read; tetrahedra"),
-    (PLATE.replace("CPS4R", "CPS6"), "TYPE=CPS6: expected 6 nodes of each"),
-    (PLATE.replace("51, 41", "52, 41"), r"\*ELEMENT: expected nodes that are there, got 52"),
-    (NODES, "got nothing"),
-    (PLATE + "*NSET\n1\n", "not a mesh of abaqus"),
-    (PLATE + "*NSET, NSET=a, GENERATE\n1, 99999999999, 0\n", "not a mesh of abaqus"),
-]  # fmt: skip
-
-
 def test_what_is_not_read_is_refused_by_name(tmp_path):
-    for text, said in REFUSED:
-        with refused(said):
-            abaqus(tmp_path, text)
+    each_refused(lambda text: abaqus(tmp_path, text), {
+        r"\*INSTANCE: expected one": PART + INSTANCE.format("I", "") + INSTANCE.format("J", ""),
+        r"\*INSTANCE: .* one that is not moved": PART + INSTANCE.format("I", "10., 0., 0.\n"),
+        r"\*NODE, SYSTEM is not read": PLATE.replace("*NODE", "*NODE, SYSTEM=C"),
+        r"\*SYSTEM is not read": PLATE.replace("*NODE", "*SYSTEM\n0,0,0,0,1,0\n*NODE"),
+        **{rf"\*{word} is not read": PLATE + f"*{word}, ANY=1\n1, 31, 10\n"
+           for word in ("NGEN", "INCLUDE", "TIE")},
+        r"\*NSET, ELSET is not read": PLATE + "*NSET, NSET=a, ELSET=plate\n",
+        r"\*NSET, a: 77 is not there": PLATE + "*NSET, NSET=a\n77\n",
+        r"\*ELEMENT: expected each number once": PLATE + CELLS,
+        "TYPE=C3D8 is not read; tetrahedra": PLATE.replace("CPS4R", "C3D8"),
+        "TYPE=CPS6: expected 6 nodes of each": PLATE.replace("CPS4R", "CPS6"),
+        r"\*ELEMENT: expected nodes that are there, got 52": PLATE.replace("51, 41", "52, 41"),
+        "got nothing": NODES,
+        "not a mesh of abaqus": PLATE + "*NSET\n1\n",
+        "a mesh of abaqus": PLATE + "*NSET, NSET=a, GENERATE\n1, 99999999999, 0\n",
+    })  # fmt: skip
     with refused("no such mesh file"):
         load_mesh(tmp_path / "none.msh")
     for name, said in (("a.mesh", "convert it with meshio, then"), ("a.msh", "not a mesh of gmsh"),
@@ -364,7 +352,7 @@ def test_cut_files_are_read_or_refused_and_none_waits_for_ever(tmp_path):
                 wp.load(cut)
 
 
-@pytest.mark.parametrize("gap", [30.0, 0.0])
+@parametrize("gap", [30.0, 0.0])
 def test_every_piece_of_a_body_is_held(gap):  # apart, or touching at a corner
     one, two = grid(6, 6, size=5.0), grid(6, 6, size=5.0, origin=30.0 + gap)
     x, blocks = joined(one, two)

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-import warp_peri as wp
 from tests.gradients.cases import errors, given, loss
 from tests.support.materials import operator
-from tests.support.told import assert_refused, refused
+from tests.support.told import assert_refused, each_refused, refused
+from warp_peri import Cracked, Dirichlet, TorchModule, simulate
 from warp_peri.solvers import verlet
 from warp_peri.solvers.adjoint import BATCH
 
@@ -30,11 +30,11 @@ def test_the_motion_is_that_of_arrays_to_the_bit():
     arrays = {name: value.numpy() for name, value in fields.items()}
 
     def moved(of, **extra):
-        problem = wp.Dirichlet(op.points, of["b"], of["u"])
-        return wp.simulate(op, problem, v=of["v"], **options | extra)
+        problem = Dirichlet(op.points, of["b"], of["u"])
+        return simulate(op, problem, v=of["v"], **options | extra)
 
     plain = moved(arrays)
-    told = moved(fields, parameters=dict(wp.TorchModule(op, op.points).named_parameters()))
+    told = moved(fields, parameters=dict(TorchModule(op, op.points).named_parameters()))
     for name in ("u", "v", "energy"):
         own, known = (torch.as_tensor(getattr(one, name)) for one in (told, plain))
         assert torch.equal(own, known)
@@ -62,9 +62,9 @@ def test_few_states_are_kept(monkeypatch):
     monkeypatch.setattr(verlet, "State", Counted)
     fields, options = given(op)
     mu = torch.tensor(op.model.mu, requires_grad=True)
-    problem = wp.Dirichlet(op.points, None, fields["u"].requires_grad_())
+    problem = Dirichlet(op.points, None, fields["u"].requires_grad_())
     sizes = options | {"steps": steps, "every": 100}
-    motion = wp.simulate(op, problem, parameters={"mu": mu}, **sizes)
+    motion = simulate(op, problem, parameters={"mu": mu}, **sizes)
     assert most[0] <= np.sqrt(steps) + 3
     motion["u"].square().sum().backward()
     assert most[0] <= 2 * np.sqrt(steps) + BATCH + 3
@@ -72,7 +72,7 @@ def test_few_states_are_kept(monkeypatch):
     kept = len(alive)  # the field that the operator swept last
     assert kept <= 1
     most[0] = 0
-    wp.simulate(op, problem, **options | {"steps": 100})["u"].square().sum().backward()
+    simulate(op, problem, **options | {"steps": 100})["u"].square().sum().backward()
     assert most[0] <= 4 + kept
 
 
@@ -82,28 +82,26 @@ def test_what_has_no_gradient_says_so():
     u = fields["u"].requires_grad_()
 
     def moved(of=op, u=u, **extra):
-        return wp.simulate(of, wp.Dirichlet(of.points, None, u), **options | extra)
+        return simulate(of, Dirichlet(of.points, None, u), **options | extra)
 
     (first,) = torch.autograd.grad(moved().u.square().sum(), u, create_graph=True)
     with refused("second derivative"):
         first.sum().backward()
-    for extra, words in (
-        ({"step": 1.0}, "step: expected at most"),
-        ({"checkpoint": "run.h5"}, "simulate: expected no checkpoint of tensors"),
-        ({"parameters": {"kappa": 1.0}}, r"among lam \[\], mu .* D \[5\], got kappa \[\]"),
-        ({"parameters": {"mu": 1e3 * op.model.mu}}, "step: expected at most"),
-        ({"parameters": {"D": [0.0, 0.0, 0.0, -1.0, 1.0]}}, "is indefinite"),
-    ):
-        with refused(words):
-            moved(**extra)
+    each_refused(lambda extra: moved(**extra), {
+        "step: expected at most": {"step": 1.0},
+        "simulate: expected no checkpoint of tensors": {"checkpoint": "run.h5"},
+        r"among lam \[\], mu .* D \[5\], got kappa \[\]": {"parameters": {"kappa": 1.0}},
+        "expected at most": {"parameters": {"mu": 1e3 * op.model.mu}},
+        "is indefinite": {"parameters": {"D": [0.0, 0.0, 0.0, -1.0, 1.0]}},
+    })  # fmt: skip
     crystal = operator("crystal")
     with refused(r"numbers among tensors \[10, 2, 2\], got mu"):
         moved(crystal, torch.zeros(crystal.shape), parameters={"mu": 1.0}, record=None)
-    cracked = wp.Cracked(op.points, u=torch.zeros(op.shape, requires_grad=True))
+    cracked = Cracked(op.points, u=torch.zeros(op.shape, requires_grad=True))
     assert_refused({
         "pulls of bonds that soften.* got a Cracked":
-            lambda: wp.simulate(op.model, cracked, events=2),
-        "record: expected none beside a checkpoint": lambda: wp.simulate(
-            op, wp.Dirichlet(op.points, None, u.detach().numpy()), checkpoint="r.h5", **options
+            lambda: simulate(op.model, cracked, events=2),
+        "record: expected none beside a checkpoint": lambda: simulate(
+            op, Dirichlet(op.points, None, u.detach().numpy()), checkpoint="r.h5", **options
         ),
     })  # fmt: skip

@@ -9,10 +9,11 @@ from numpy.linalg import norm
 from numpy.random import default_rng
 
 from tests.gradients.cases import errors
+from tests.support import parametrize
 from tests.support.clouds import cloud
 from tests.support.problems import kernel, lattice, manufactured, noise, normal
 from tests.support.solving import solve
-from tests.support.told import refused
+from tests.support.told import each_refused, refused
 from tools.benchmark import MODEL_FILE as TABLE
 from tools.benchmark import lattice_of as problem
 from tools.benchmark import loads, mask_of
@@ -32,7 +33,7 @@ def notched(n=40):
     return mask
 
 
-@pytest.mark.parametrize("method", ["lu", "sine", "multigrid", "strip"])
+@parametrize("method", ["lu", "sine", "multigrid", "strip"])
 def test_solves_recover_a_manufactured_solution_whatever_is_not_read(method):
     model = kernel("sign-changing", HORIZON, lam=-0.2)
     mask = np.ones((23, 31), bool) if method == "sine" else notched()
@@ -58,7 +59,7 @@ def linear_of(points, model):
     return LPSOperator(model, points).linear
 
 
-@pytest.mark.parametrize("kind", ["sine", "multigrid", "fft"])
+@parametrize("kind", ["sine", "multigrid", "fft"])
 def test_filters_are_symmetric_and_positive(kind):
     mask = np.ones((21, 26), bool) if kind == "sine" else notched(48)
     linear = linear_of(lattice(mask, HORIZON), kernel("sign-changing", HORIZON))
@@ -70,13 +71,10 @@ def test_filters_are_symmetric_and_positive(kind):
     assert apply(r).dtype == np.float64
 
 
-@pytest.mark.parametrize("shape", [(8, 9), (5, 4, 6)])
+@parametrize("shape", [(8, 9), (5, 4, 6)])
 def test_restriction_is_the_transpose_of_interpolation(shape):
-    random, d = default_rng(0), len(shape)
-    fine, coarse = (
-        random.normal(size=(d, *shape)),
-        random.normal(size=(d, *(n // 2 for n in shape))),
-    )
+    fine = normal((len(shape), *shape))
+    coarse = normal((len(shape), *(n // 2 for n in shape)), 1)
     a, b = (restrict(fine) * coarse).sum(), (fine * prolong(coarse, shape)).sum()
     assert abs(a - b) < 1e-12
 
@@ -122,13 +120,12 @@ def test_an_indefinite_operator_is_named_by_every_method():
 def test_methods_that_do_not_fit_and_tolerances_out_of_reach_are_refused():
     box, points = lattice(12, HORIZON), lattice(notched(), HORIZON)
     cut = replace(points, outside=np.zeros(len(points.x), bool))
-    for nodes, solver, words in (
-        (points, CG("sine"), "sine is for boxes"),
-        (cut, CG("multigrid"), "is for lattices without a box"),
-        (box, CG("sine", tolerance=1e-17), "the solve stalled: residual"),
-    ):
-        with refused(words):
-            solve(kernel("1/r", HORIZON), nodes, noise(nodes), noise(nodes), solver=solver)
+    model = kernel("1/r", HORIZON)
+    each_refused(lambda at, solver: solve(model, at, noise(at), noise(at), solver=solver), {
+        "sine is for boxes": (points, CG("sine")),
+        "is for lattices without a box": (cut, CG("multigrid")),
+        "the solve stalled: residual": (box, CG("sine", tolerance=1e-17)),
+    })  # fmt: skip
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")

@@ -68,6 +68,16 @@ def periodic(shape, spacing=1.0):
     return points, points.box
 
 
+def partly_periodic():
+    """Periodic, with an interior of nine columns."""
+    return replace(periodic((20, 30))[0], interior=np.arange(600) % 30 < 9)
+
+
+def renumbered(points, order):
+    """Points in another order."""
+    return replace(points, x=points.x[order], interior=points.interior[order])
+
+
 def normal(shape, seed=0):
     """Normal random numbers."""
     return default_rng(seed).normal(size=shape)

@@ -1,12 +1,11 @@
 """The force of a third-order crystal, against plain sums over bonds, and its projection."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
+from tests.support import problems
 from tests.support.nonlinear import psi, solid
-from tests.support.problems import ROUNDING, difference, lattice, noise, periodic, smooth
+from tests.support.problems import ROUNDING, difference, lattice, noise, smooth
 from warp_peri.core import torch_bridge
 from warp_peri.materials.third_order import PlacedThirdOrder
 from warp_peri.points.families import bond_classes
@@ -21,13 +20,7 @@ def apart():
     blocks = np.zeros((60, 60), bool)
     blocks[:2, :2] = blocks[-2:, -2:] = True
     points = lattice(blocks, HORIZON)
-    order = np.random.default_rng(5).permutation(len(points.x))
-    return replace(points, x=points.x[order], interior=points.interior[order])
-
-
-def partly_periodic():
-    """Periodic, with an interior of nine columns."""
-    return replace(periodic((20, 30))[0], interior=np.arange(600) % 30 < 9)
+    return problems.renumbered(points, np.random.default_rng(5).permutation(len(points.x)))
 
 
 def far_ends(steps, points, at):
@@ -42,7 +35,7 @@ def far_ends(steps, points, at):
     return xi, np.array(ends)
 
 
-@pytest.mark.parametrize("points", [apart, partly_periodic])
+@pytest.mark.parametrize("points", [apart, problems.partly_periodic])
 def test_force_is_that_of_sums_over_bonds(points):
     points, model = points(), solid("filtered")
     op, u = PlacedThirdOrder(model, points), 0.05 * noise(points)
@@ -92,5 +85,5 @@ def test_clipping_projects_the_gradient():
     moved = op.force(u, radius=0.05) - op(u)
     v = np.where(points.interior[:, None], noise(points, seed=3), 0.0)
     work = (gap * op.gradients(v)[0]).sum()  # the weights of both sides are the same
-    assert (moved * v[points.interior]).sum() == pytest.approx(work, rel=1e-5)
+    near((moved * v[points.interior]).sum(), work, 1e-5)
     assert np.abs(moved).max() > 1e-4 * np.abs(op(u)).max()

@@ -3,11 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from numpy.linalg import eigvalsh
 from numpy.random import default_rng
 from scipy.sparse.linalg import splu
 
+from tests.support import parametrize
 from tests.support.nonlinear import FORMS, psi, solid
 from tests.support.problems import ell, lattice, loaded, noise, normal, smooth
 from tests.support.told import refused, warned
@@ -54,7 +54,7 @@ def test_bounds_of_the_energys_parts_and_its_curvature_hold_and_are_close():
         assert 0.7 * bound <= np.abs(eigvalsh(second)).max() <= bound
 
 
-@pytest.mark.parametrize("form", FORMS)
+@parametrize("form", FORMS)
 def test_kappa_is_a_bound_over_the_whole_zone(form):
     model, proof = certified(form)
     classes, stencil = bond_classes(1.0, HORIZON), model.linear.stencil
@@ -70,7 +70,7 @@ def test_kappa_is_a_bound_over_the_whole_zone(form):
     assert proven_kappa(negative, model.linear.group, classes, p) == np.inf
 
 
-@pytest.mark.parametrize("form", FORMS)
+@parametrize("form", FORMS)
 def test_the_clipped_iteration_contracts_from_anywhere(form):
     """u ← u + L⁻¹ (b − L u) in the energy norm, by no more than C κ κ, to one answer."""
     (model, proof), random = certified(form), default_rng(0)
@@ -105,9 +105,8 @@ def test_the_clipped_iteration_contracts_from_anywhere(form):
 
 def test_a_planted_violation_takes_the_guarantee_away():
     model, proof = certified("energy")
-    assert (
-        prove_uniqueness(replace(model, tq2=10 * model.tq2), spacing=1.0).strain < proof.strain / 5
-    )
+    stronger = replace(model, tq2=10 * model.tq2)
+    assert prove_uniqueness(stronger, spacing=1.0).strain < proof.strain / 5
     longest = np.abs(model.linear.steps).max(axis=1) == 3
     turned = model.linear.tensors - 0.2 * longest[:, None, None] * np.eye(2)
     indefinite = replace(model, linear=replace(model.linear, tensors=turned, certificate=None))
@@ -126,7 +125,7 @@ def problem(model, size, interior=7):
     return points, made.u[0], made.b[0]
 
 
-@pytest.mark.parametrize("form", FORMS)
+@parametrize("form", FORMS)
 def test_a_known_answer_is_found_within_the_proven_strain(form, monkeypatch):
     model = solid(form)
     points, u, b = problem(model, 0.004)
