@@ -6,14 +6,15 @@ from __future__ import annotations
 import dataclasses
 import shlex
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import warp_peri
-from warp_peri.cli.main import MADE, has_settings, is_kept
+from warp_peri.cli.main import MADE, check_output, has_settings, is_kept
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import finite, locked, plain, write_text
 from warp_peri.points.arguments import Units, offered, symbols
@@ -100,6 +101,14 @@ def options_of(given: Namespace) -> Result:
     return {name: value for name, value in asked.items() if value != (name == "transfer")}
 
 
+@contextmanager
+def writing(given: Namespace) -> Iterator[None]:
+    """Hold what a command writes against other jobs, which may have written it meanwhile."""
+    with locked(given.out):
+        check_output(given)
+        yield
+
+
 def run_solve(given: Namespace) -> Said:
     """Solve for the displacement under the loads of a set; writes a data file."""
     model, data, problem = problem_of(given)
@@ -110,7 +119,7 @@ def run_solve(given: Namespace) -> Said:
         raise InputError(f"out: {given.out} is no file of solve; name another, or --overwrite")
     u = warp_peri.solve(model, problem, **options_of(given)).u
     sets = {given.set: dataclasses.replace(points, u=u)}
-    with locked(given.out):
+    with writing(given):
         save_dataset(given.out, Dataset(sets, data.thickness, data.density, provenance))
         keep(given, given.out.with_suffix(".solve.txt"))
     size = np.linalg.norm(u[:, points.interior], axis=-1).max(axis=1, initial=0).tolist()
@@ -137,9 +146,9 @@ def run_export(given: Namespace) -> Said:
     """Write the solved fields of a set for ParaView."""
     model, _, problem = problem_of(given)
     u = warp_peri.solve(model, problem, **options_of(given)).u
-    with locked(given.out):
+    with writing(given):
         paths = warp_peri.export.write_vtk(given.out, model, problem.points, u)
-    keep(given, given.out / "export.txt")
+        keep(given, given.out / "export.txt")
     result = {"files": [*map(str, paths)]}
     return result, lines_of(result)
 

@@ -16,17 +16,9 @@ import warp_peri
 from warp_peri.atoms import dumps
 from warp_peri.atoms.coarse_graining import smoothing_matrix
 from warp_peri.atoms.dic import estimate_noise, frames_of_folder
-from warp_peri.cli.commands import Result, Said, chosen, error_table, keep, lines_of
+from warp_peri.cli.commands import Result, Said, chosen, error_table, keep, lines_of, writing
 from warp_peri.errors import InputError, warn
-from warp_peri.files.atomic import (
-    content,
-    finite,
-    locked,
-    plain,
-    read_arrays,
-    whole_file,
-    write_json,
-)
+from warp_peri.files.atomic import content, finite, plain, read_arrays, whole_file, write_json
 from warp_peri.fitting.evaluate import Run, train
 from warp_peri.materials import lps_law
 from warp_peri.points.arguments import LENGTHS, USUAL, checked, symbols
@@ -90,7 +82,7 @@ def run_coarse_grain(given: Namespace) -> Said:
         node_area=given.spacing**2,
         **chosen(given, "thickness", "skip", "progress"),
     )
-    with locked(given.out):
+    with writing(given):
         before = _take_sheet(given)  # another job may have written it meanwhile
         sets = {**(before.sets if before else {}), given.set: samples}
         provenance = before.provenance if before else {"source": "warp-peri coarse-grain"}
@@ -149,7 +141,7 @@ def run_fit(given: Namespace) -> Said:
             raise InputError(f"horizon: expected one in {data.units[0]}, the data's unit; got none")
         given.horizon = HORIZON / LENGTHS[data.units[0]]
     law = _law(given, samples.spacing)
-    with locked(given.out):
+    with writing(given):
         options: Result = {"noise": noise} if noise else {}
         run = train(law, samples, data.sets, progress=given.progress, **options)
         metrics = _metrics(run)
@@ -257,7 +249,7 @@ def run_sweep(given: Namespace) -> Said:
         "cheapest": dataclasses.asdict(sweep.cheapest),
         "moduli": _sheet_of(data),
     }
-    with locked(given.out):
+    with writing(given):
         write_json(given.out / "sweep.json", result)
         keep(given, given.out / "sweep.txt")
     return result, lines_of(result)
@@ -268,7 +260,7 @@ def run_fit_crystal(given: Namespace) -> Said:
     path = given.out / "model.json"
     units = given.units[0] if len(given.units) == 1 else tuple(given.units)
     how = chosen(given, "spacing", "horizon", "symmetry") | {"units": units}
-    with locked(given.out):  # a place that takes no files is told before the calculator works
+    with writing(given):  # a place that takes no files is told before the calculator works
         if given.calculator is None:
             constants = warp_peri.atoms.from_phonopy(given.structure, thickness=given.thickness)
             found: Any = warp_peri.atoms.crystal_from_force_constants(constants, **how)
@@ -320,7 +312,7 @@ def run_fit_sheet(given: Namespace) -> Said:
             error = f"error of displacement {100 * candidate.held_out:.3f} %"
             print(candidate.why or f"{candidate.name}: {error}", flush=True)
 
-    with locked(given.out):
+    with writing(given):
         choice = warp_peri.hyperelastic.select_model(
             frames, uneven=not given.even, done=done, **chosen(given, "fibres", "progress")
         )

@@ -13,7 +13,7 @@ import re
 import sys
 import sysconfig
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, cached_property
 from importlib import import_module
@@ -402,30 +402,36 @@ class TimeSeriesWriter:
         self.folder, self.nodes = Path(folder), nodes
         self.x = nodes.x if x is None else x
         self.times: dict[str, float] = {}
-        self.claim()
+        self.mark: Callable[[int], str] | None = None
+        self.claimed = False
 
-    def claim(self, motion: str = "") -> None:
-        """Take the folder for a motion of this mark; InputError where records of another are."""
-        self.head = PVD + f"<!-- {motion} -->" * bool(motion)
-        pvd = self.folder / "motion.pvd"
-        with agreed(self.nodes.comm):
-            there = any(self.folder.glob("record_*.vtu"))
-            text = pvd.read_text(errors="replace") if pvd.is_file() else self.head * (not there)
-            if not text.startswith(self.head):
-                raise InputError(
-                    f"{pvd}: is there, or records beside it, of another motion or program; name "
-                    "another folder"
-                )
+    def claim(self, mark: Callable[[int], str] | None = None) -> None:
+        """Take the folder for a motion, of which `mark` tells what so many steps depend on;
+        InputError where records of another are."""
+        self.mark, self.claimed, pvd = mark, True, self.folder / "motion.pvd"
+        there = any(self.folder.glob("record_*.vtu"))
+        text = pvd.read_text(errors="replace") if pvd.is_file() else "another's" * there
+        text = self.nodes.comm.bcast(text)
+        known = re.match(re.escape(PVD) + r"(<!-- (\d+) (\w+) -->)?\n", text)
+        steps, said = known.group(2, 3) if known else (None, "")
+        if text and said != (mark(int(steps)) if steps and mark else None):
+            raise InputError(
+                f"{pvd}: is there, or records beside it, of another motion or program; name "
+                "another folder"
+            )
 
     def write(self, step: int, time: float, fields: Mapping[str, np.ndarray]) -> None:
         """Write one record of the motion; vectors in the plane get a third component."""
+        if not self.claimed:
+            self.claim()
         nodes, times, name = self.nodes, self.times, f"record_{step:08d}.vtu"
         times[name] = time
         parts = {"positions": self.x, **fields}
         whole = gathered(nodes.comm, parts, nodes.number, nodes.count)
         there = {name, *(one.name for one in self.folder.glob("record_*.vtu"))}
         lines = [f'<DataSet timestep="{t!r}" file="{n}"/>' for n, t in times.items() if n in there]
-        text = "\n".join([self.head, *lines])
+        head = PVD if self.mark is None else f"{PVD}<!-- {step} {self.mark(step)} -->"
+        text = "\n".join([head, *lines])
         with agreed(nodes.comm):
             if nodes.comm.rank == 0:
                 x = whole.pop("positions")

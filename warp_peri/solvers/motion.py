@@ -155,7 +155,7 @@ class Recorder:
         if (self.file or self.series) and (not self.start or state.steps == 0):
             self.start = self.nodes.mark(*self.nodal(state).values(), state.steps)
         if self.series is not None:
-            self.series.claim(fingerprint(self.key(0), self.start))
+            self.series.claim(lambda taken: fingerprint(self.key(taken), self.start))
         if self.file is not None:
             state = self._resumed(self.file, state)
         if state.steps > steps:
