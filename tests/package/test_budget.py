@@ -16,12 +16,12 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_874,
-    "tokens": 234_788,
-    "lines of warp_peri": 30_290,
+    "code lines": 18_884,
+    "tokens": 234_908,
+    "lines of warp_peri": 30_297,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_477,
+    "lines of warp_peri, kernels, examples and tools": 42_484,
     "lines of the longest file": 539,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -33,11 +33,11 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "atoms": 2354,
-    "cli": 776,
+    "cli": 781,
     "core": 1604,
     "face": 1114,
     "fe_coupling": 709,
-    "files": 491,
+    "files": 496,
     "fitting": 1057,
     "fracture": 1423,
     "materials": 4560,
