@@ -412,7 +412,7 @@ class TimeSeriesWriter:
         there = any(self.folder.glob("record_*.vtu"))
         text = pvd.read_text(errors="replace") if pvd.is_file() else "another's" * there
         text = self.nodes.comm.bcast(text)
-        known = re.match(re.escape(PVD) + r"(<!-- (\d+) (\w+) -->)?\n", text)
+        known = re.match(re.escape(PVD) + r"(<!-- (\d{1,8}) (\w+) -->)?\n", text)
         steps, said = known.group(2, 3) if known else (None, "")
         if text and said != (mark(int(steps)) if steps and mark else None):
             raise InputError(
