@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_peri.core.elastic import symmetric_part
 from warp_peri.errors import InputError, StrPath
 from warp_peri.files.atomic import meshio_of, write_vtu
 from warp_peri.materials.lps import LPSMaterial
@@ -126,7 +127,7 @@ def _of_law(model: Any, points: Samples, u: np.ndarray) -> dict[str, np.ndarray]
         found["stress"] = _tensor(np.asarray(stress))
     if hasattr(operator, "gradient"):
         H = operator.gradient(u)
-        found["strain"] = _tensor((H + H.swapaxes(-1, -2)) / 2)
+        found["strain"] = _tensor(symmetric_part(H))
         found["dilatation"] = np.trace(H, axis1=-2, axis2=-1)
     return found
 

@@ -16,12 +16,12 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_884,
-    "tokens": 234_908,
-    "lines of warp_peri": 30_297,
+    "code lines": 18_885,
+    "tokens": 234_783,
+    "lines of warp_peri": 30_305,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_484,
+    "lines of warp_peri, kernels, examples and tools": 42_492,
     "lines of the longest file": 539,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -44,8 +44,8 @@ ROOMS = {
     "neural": 578,
     "points": 1694,
     "prediction": 577,
-    "mpi": 449,
-    "solvers": 1488,
+    "mpi": 446,
+    "solvers": 1492,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from warp_peri.atoms.force_constants import TINY, ForceConstants, Supercell, forces_of, relaxing
-from warp_peri.core.elastic import PAIRS, stress_brackets, voigt
+from warp_peri.core.elastic import PAIRS, stress_brackets, symmetric_part, voigt
 from warp_peri.errors import optional
 from warp_peri.fitting.regression import norms, particular, relative
 from warp_peri.points.arguments import EV_IN_TPA
@@ -154,7 +154,7 @@ def bent_by_strain(cell: ase.Atoms, calculator: Any, flat: bool, noise: float) -
     rng, slopes = np.random.default_rng(0), []
     G = rng.standard_normal((2, 3, 3)) * (np.outer([1, 1, 0], [1, 1, 0]) if flat else 1)
     own = unit_strains(2 if flat else 3)  # of moduli, as far along an axis
-    ways = np.concatenate([(G + G.mT) / 2, own])
+    ways = np.concatenate([symmetric_part(G), own])
     ways /= np.linalg.norm(ways, axis=(1, 2))[:, None, None]
     for size in (STRAIN, LARGEST):
         turns = np.eye(3) + np.concatenate([size * ways, -size * ways])

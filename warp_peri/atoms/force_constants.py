@@ -18,10 +18,12 @@ from warp_peri.core.elastic import (
     kinds_of,
     point_group,
     stress_brackets,
+    symmetric_part,
 )
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.regression import norms, relative
 from warp_peri.points.arguments import EV_IN_TPA, checked, typed, typed_methods
+from warp_peri.points.points import grid_places
 
 STEP, WIDER = 2e-3, 5
 """Displacement of finite differences [Å], and the second one over it."""
@@ -101,7 +103,7 @@ class NonAnalyticCorrection:
                 f"dielectric: expected at most {MOST_WAVES:g} waves times atoms, got {waves:.2g} "
                 f"of {self.dielectric.tolist()} and the decay {self.decay:g}/Å"
             )
-        counts = np.argwhere(np.ones(2 * most.astype(int) + 1)) - most
+        counts = grid_places(2 * most.astype(int) + 1) - most
         G = 2 * np.pi * counts @ np.linalg.inv(cell).T
         zero = self._sums(np.zeros(3), G, cell, positions).sum(axis=2)
         around = G if field else G[counts.any(axis=1)]
@@ -230,7 +232,7 @@ class ForceConstants:
         mean = moved.reshape(len(k), n, m, d)[:, :, :d].mean(axis=1)
         flexible = mean.real * (self.volume / n)
         stiff = np.linalg.inv(flexible) * EV_IN_TPA
-        return (stiff + stiff.mT) / 2
+        return symmetric_part(stiff)
 
     def _by_atoms(self, weight: np.ndarray, phi: np.ndarray) -> np.ndarray:
         """Sum weight [K, P] · phi [P, ...] over the pairs of each two atoms, [n, n, K, ...]."""
@@ -284,7 +286,7 @@ class ForceConstants:
             flat = stiff[:, :, :m, :, :m].reshape(len(e), n * m, n * m)
             A = A - push.mT @ relaxing(flat, m) @ push
         A = A / self.volume * EV_IN_TPA
-        return np.asarray((A + A.mT) / 2)
+        return symmetric_part(A)
 
     def nearest_elastic(
         self, allowed: np.ndarray, values: np.ndarray | None = None, *, field: bool = True
@@ -409,7 +411,7 @@ class Supercell:
             decay = polar.decay or float(2 * DECAYED * most / norms(box).min())
             polar = replace(polar, decay=decay)
         fraction = self.apart @ np.linalg.inv(box)
-        shifts = np.argwhere(np.ones((3, 3, 3))) - 1
+        shifts = grid_places((3, 3, 3)) - 1
         near = ((fraction - np.rint(fraction))[:, :, None] + shifts) @ box
         far = np.linalg.norm(near, axis=3)
         tie = far <= far.min(axis=2, keepdims=True) + NEAREST * np.linalg.norm(edges[0])

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 import warp_peri.core as core
 import warp_peri.fracture as fracture
+from warp_peri.core.elastic import symmetric_part
 from warp_peri.errors import ALONE, InputError, agreed
 from warp_peri.files.checkpoint import same
 from warp_peri.fracture.body import (
@@ -396,7 +397,7 @@ def j_integral(solution: Solution, tip: Sequence[float], radii: tuple[float, flo
     order = np.lexsort(place.T[::-1])
     x, u = (field[order].reshape(*sides, d) for field in (body.x - end, solution.u))
     gradient = _gradient(u, x, h, axes, sign)
-    strain = (gradient + gradient.swapaxes(-1, -2)) / 2
+    strain = symmetric_part(gradient)
     trace = np.trace(strain, axis1=-2, axis2=-1)[..., None, None]
     stress = 2 * model.mu * strain + model.lam * trace * np.eye(d)
 

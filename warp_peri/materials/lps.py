@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.special import comb
 
 import warp_peri.materials as materials
-from warp_peri.core.elastic import lattice_group
+from warp_peri.core.elastic import lattice_group, symmetric_part
 from warp_peri.core.proof import StencilCertificate, prove, statement_of
 from warp_peri.core.record import FieldUnits, Length, Record, taken
 from warp_peri.core.stencil import Stencil
@@ -35,7 +35,7 @@ from warp_peri.points.arguments import (
     typed,
 )
 from warp_peri.points.families import DEGREE, SINGULARITY, BondClasses, bond_classes
-from warp_peri.points.points import Points, PointsLike, check_dimensions, nodes_of
+from warp_peri.points.points import Points, PointsLike, check_dimensions, grid_places, nodes_of
 
 ALPHA_BOUND = 3.0
 """The quadrature is consistent for α below this (You et al. 2021, remark 1)."""
@@ -250,7 +250,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         given = {"lam": self.lam if lam is None else lam, "mu": self.mu if mu is None else mu}
         if not any(map(callable, given.values())):
             return self.with_parameters(given, x)
-        steps = (np.indices((2 * AVERAGED + 1,) * d).reshape(d, -1).T - AVERAGED) / AVERAGED
+        steps = (grid_places((2 * AVERAGED + 1,) * d) - AVERAGED) / AVERAGED
         steps = steps[(steps**2).sum(axis=1) <= 1] * self.horizon / 2
         soft = np.zeros((2, len(x)))
         for step in steps:
@@ -524,11 +524,11 @@ def stencil_of(classes: BondClasses, v: np.ndarray, kappa: float) -> Stencil:
         C = np.pad(C, d * [(reach, reach)] + 2 * [(0, 0)])
         for step, other in zip(classes.steps + reach, d * kappa * v[of, None] * xi):
             C[tuple(slice(n, n + len(phi)) for n in step)] += other[:, None] * phi[..., None, :]
-    steps = np.indices(C.shape[:d]).reshape(d, -1).T - C.shape[0] // 2
+    steps = grid_places(C.shape[:d]) - C.shape[0] // 2
     tensors = C.reshape(-1, d, d)
     half = np.arange(len(steps)) > len(steps) // 2
     kept = half & (np.abs(tensors).max(axis=(1, 2)) > NOTHING * np.abs(tensors[half]).max())
-    both = (tensors + tensors.mT) / 2
+    both = symmetric_part(tensors)
     return Stencil(classes.spacing, steps[kept], both[kept])
 
 

@@ -17,7 +17,7 @@ from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.transfer import model_at
 from warp_peri.mpi.processes import Comm, Halo, Slabs, build, in_turn, inner
 from warp_peri.points.arguments import check_same, offered
-from warp_peri.points.points import Points
+from warp_peri.points.points import Points, grid_places
 from warp_peri.runtime import shared_by
 from warp_peri.solvers.linear import VCycle, coarser, largest, prolong, restrict
 from warp_peri.solvers.systems import Inner, SolveRecord, definite
@@ -162,7 +162,7 @@ def operator_on(material: Any, piece: Subdomain) -> Any:
     with agreed(piece.comm):
         offered(material, "stencil", "material", "a linear solid or a crystal on ranks")
         if not isinstance(material, LPSMaterial):
-            h, x = piece.spacing, piece.spacing * np.argwhere(np.ones((3,) * piece.dimension))
+            h, x = piece.spacing, piece.spacing * grid_places((3,) * piece.dimension)
             material.fitting(Points(x, x[:, 0] == h, h, units=piece.units, axis=piece.axis))
     if isinstance(model := material, LPSMaterial):
         if not model.is_certified_on(piece.spacing):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -47,8 +47,6 @@ SLAB, FEW = 8, 50_000
 be halved."""
 FIELDS = ("load", "held", "grip", "no_fail", "u", "v")
 """Of a body that breaks, on nodes."""
-MADE = itertools.count()
-"""Numbers of bodies that all ranks make together."""
 _OF_A_WHOLE = ("box", "outside", "is_open_lattice", "lattice", "rows")
 
 
@@ -79,7 +77,7 @@ class Subdomain:
     slabs: Slabs
     units: Units = USUAL
     axis: Any = None
-    which: int = 0
+    which: int = field(default_factory=itertools.count().__next__)
 
     @property
     def own(self) -> slice:
@@ -117,8 +115,8 @@ class Subdomain:
         tolerance = TOLERANCE if solver is None else solver.tolerance  # type: ignore[union-attr]
         answer, right, records = np.where(self.interior[:, None], 0.0, u), operator.rhs(b), []
         fields = answer.reshape(-1, *self.x.shape)
-        for field, load in zip(fields, right.reshape(len(fields), -1, self.dimension)):
-            field[self.interior], record = operator.inverted(load - operator(field), tolerance)
+        for one, load in zip(fields, right.reshape(len(fields), -1, self.dimension)):
+            one[self.interior], record = operator.inverted(load - operator(one), tolerance)
             records.append(record)
         counts, how = [record.iterations for record in records], (operator.method, operator.proven)
         return by_sample(operator, answer, right, records, counts, *how)
@@ -272,8 +270,7 @@ def lattice(
         check_units(units)
     if not any(comm.allgather(bool(inside.any()))):
         raise InputError("interior: expected at least one interior node, got none")
-    made = next(MADE)
-    return Subdomain(comm, x, inside, float(spacing), number, count, grid, slabs, units, axis, made)
+    return Subdomain(comm, x, inside, float(spacing), number, count, grid, slabs, units, axis)
 
 
 def partition(points: Points) -> Any:
@@ -299,8 +296,7 @@ def partition(points: Points) -> Any:
     if min(comm.allgather(len(own))) == 0:
         raise InputError(f"points: {len(grid)} nodes are too few for {comm.size} ranks")
     parts = points.x[own], points.interior[own], points.spacing
-    of, made = (points.units, points.axis), next(MADE)
-    return Subdomain(comm, *parts, own, len(grid), grid[own], slabs, *of, made)
+    return Subdomain(comm, *parts, own, len(grid), grid[own], slabs, points.units, points.axis)
 
 
 def gather(points: Any, values: np.ndarray) -> np.ndarray:

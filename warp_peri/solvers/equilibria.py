@@ -19,10 +19,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator
 
+from warp_peri.core.elastic import symmetric_part
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, warn
 from warp_peri.points.arguments import checked_fields
-from warp_peri.points.points import Points, lattice_steps
+from warp_peri.points.points import Points, grid_places, lattice_steps
 from warp_peri.solvers.linear import DIRECT, Inverse
 from warp_peri.solvers.solution import Newton, Solution, Solver, by_sample, refuse_solver
 from warp_peri.solvers.systems import HERE, definite, newton, norm, smallest_eigenvalue
@@ -37,7 +38,7 @@ def probed(operator: Any) -> Stencil:
     nodes, d = operator.points, operator.points.x.shape[1]
     h, axes = nodes.spacing, lattice_steps(nodes)[1]
     reach = 2 * int(operator.material.horizon / h + 1e-6)
-    grid = np.indices((4 * reach + 1,) * d).reshape(d, -1).T - 2 * reach
+    grid = grid_places((4 * reach + 1,) * d) - 2 * reach
     interior = np.abs(grid).max(axis=1) <= reach
     around = Points(h * grid @ axes.T, interior, h, units=nodes.units, axis=nodes.axis)
     placed = operator.material.on(around)
@@ -49,7 +50,7 @@ def probed(operator: Any) -> Stencil:
         columns.append(-placed.jvp(none, v) @ axes)
     C, at = np.stack(columns, axis=2), grid[interior]
     C = (C + C[::-1]) / 2  # ξ and −ξ
-    C = (C + C.swapaxes(1, 2)) / 2
+    C = symmetric_part(C)
     first = at @ (2 * reach + 1) ** np.arange(d)[::-1] > 0
     kept = first & (np.abs(C).max(axis=(1, 2)) > NOTHING * np.abs(C).max())
     return Stencil(h, at[kept], C[kept])

@@ -33,7 +33,7 @@ from warp_peri.core.stencil import (
     torus_symbol,
 )
 from warp_peri.errors import InputError
-from warp_peri.points.points import Points
+from warp_peri.points.points import Points, grid_places
 from warp_peri.runtime import get_num_threads
 from warp_peri.solvers.systems import (
     SolveRecord,
@@ -440,7 +440,7 @@ def largest(steps: np.ndarray, tensors: np.ndarray) -> float:
     """Largest eigenvalue of a stencil over its diagonal on a lattice, hence on any mask."""
     d = tensors.shape[-1]
     scale = 1 / np.sqrt(2 * np.diag(tensors.sum(axis=0)))
-    phase = 2 * np.pi / AXIS_WAVES * np.indices((AXIS_WAVES,) * d).reshape(d, -1).T
+    phase = 2 * np.pi / AXIS_WAVES * grid_places((AXIS_WAVES,) * d)
     symbol = Stencil(1.0, steps, scale[:, None] * tensors * scale).symbol(phase)
     return -float(smallest_eigenvalue(-symbol).min())
 

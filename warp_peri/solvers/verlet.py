@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -280,13 +281,19 @@ class WaveRun(Recorder):
     def restored(self, state: State, arrays: dict[str, np.ndarray], steps: int) -> State:
         return self.body.state(arrays["u"], arrays["v"][self.body.interior], steps)
 
-    def key(self, steps: int) -> dict[str, str]:
+    @cached_property
+    def law(self) -> str:
+        """Mark of the solid on its nodes, which costs a force."""
         body, of, points = self.body, self.body.operator, self.body.operator.points
         (d, d), h = 2 * points.x.shape[1:], points.spacing
         felt = of(SMALL * h * np.sin(points.x @ PROBE[:d, :d] / h))  # cracks, moduli
         known = fingerprint(of.model, points.units, points.axis, body.inertia)
+        return str(self.nodes.mark(body.on_all(felt), points.x, body.interior)) + known
+
+    def key(self, steps: int) -> dict[str, str]:
+        body = self.body
         return {
-            "law": self.nodes.mark(body.on_all(felt), points.x, body.interior) + known,
+            "law": self.law,
             "load": self.nodes.mark(body.on_all(body.load)),
             "signal": fingerprint(None if body.signal is None else body.signal[: steps + 1]),
             "step": fingerprint(self.dt, self.every),
