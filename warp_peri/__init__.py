@@ -80,8 +80,7 @@ def lazy(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], l
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         if home[name] == package:
             return import_module(f"{package}.{name}")
-        value = getattr(import_module(home[name]), name)
-        return vars(modules[package]).setdefault(name, value)
+        return vars(modules[package]).setdefault(name, getattr(import_module(home[name]), name))
 
     names = sorted(name for name, module in home.items() if module != package)
     return get, lambda: sorted(home), names

@@ -52,6 +52,5 @@ def critical_time_step(
     else:
         offered(model, "is_certified_on", "critical_time_step", "a linear solid or a crystal")
         model = model_at(model, spacing, allow_uncertified=allow_uncertified)
-        near = model.stencil(model.certified_spacing_near(spacing))
-        stiffest = largest(near, model.group)
+        stiffest = largest(model.stencil(model.certified_spacing_near(spacing)), model.group)
     return float(2 * np.sqrt(inertia(density, model.units) / stiffest))

@@ -27,8 +27,7 @@ def scheduler(address: str | None) -> Iterator[None]:
     if address is None:
         yield
         return
-    without = "scheduler: needs Dask: pip install 'warp_peri[cluster]'"
-    distributed = optional("distributed", without)
+    distributed = optional("distributed", "scheduler: needs Dask: pip install 'warp_peri[cluster]'")
     try:
         client = distributed.Client(address, timeout=WAIT)
         client.wait_for_workers(1, timeout=WAIT)

@@ -80,7 +80,7 @@ def write_body(path: StrPath, body: BodySolution) -> dict[str, float]:
     elements = np.zeros(len(mesh.x))
     elements[body.rim.corners] = 1
     data = {"displacement": u, "stress": _tensor(stress), "elements": elements}
-    kind = "triangle" if mesh.x.shape[1] == 2 else "tetra"
+    kind = "triangle" if mesh.dimension == 2 else "tetra"
     write_vtu(path, mesh.x, (kind, mesh.cells), data, extra="bodies")
     return {
         "largest_displacement": float(np.linalg.norm(u, axis=1).max()),
@@ -134,8 +134,7 @@ def _of_law(model: Any, points: Samples, u: np.ndarray) -> dict[str, np.ndarray]
 
 def _tensor(field: np.ndarray) -> np.ndarray:
     """Six components of ParaView's symmetric tensors: XX, YY, ZZ, XY, YZ, XZ."""
-    beyond = 3 - field.shape[-1]
-    full = np.pad(field, [(0, 0)] * (field.ndim - 2) + [(0, beyond)] * 2)
+    full = np.pad(field, [(0, 0)] * (field.ndim - 2) + [(0, 3 - field.shape[-1])] * 2)
     places = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
     return np.stack([full[..., a, c] for a, c in places], axis=-1)
 
@@ -156,8 +155,8 @@ def _cells(points: PointsLike) -> tuple[str, np.ndarray]:
     if np.abs(place - steps).max() > 1e-3:  # a turned lattice
         return vertices
     kind, around = AROUND[points.x.shape[1]]
-    number = -np.ones(steps.max(axis=0) + 2, dtype=int)
-    number[tuple(steps.T)] = np.arange(len(steps))
-    cells = np.stack([number[tuple((steps + corner).T)] for corner in around], axis=1)
+    number = -np.ones(steps.max(axis=0) + 2, int)
+    number[*steps.T] = np.arange(len(steps))
+    cells = np.stack([number[*(steps + corner).T] for corner in around], axis=1)
     cells = cells[(cells >= 0).all(axis=1)]
     return (kind, cells) if len(cells) else vertices

@@ -27,8 +27,7 @@ def influence_function(model: LPSMaterial, *, spacing: float, ax: Axes) -> Axes:
     volume = classes.count @ (model.influence(classes.r) * classes.weight * classes.r**2)
     values = model.influence(classes.r) / volume
     ax.axhline(0, color="0.7", linewidth=0.8)
-    curve = model.influence(r) / volume
-    ax.plot(r, curve, color="C0", linewidth=1, alpha=0.6, label="K(r)")
+    ax.plot(r, model.influence(r) / volume, color="C0", linewidth=1, alpha=0.6, label="K(r)")
     unit = symbols(model.units)[0]
     label = f"at the bonds of the {spacing:g} {unit} lattice"
     ax.plot(classes.r, values, "o", color="C0", label=label)

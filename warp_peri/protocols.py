@@ -200,8 +200,9 @@ class OperatorBase(Remade):
         """Check w as fields on the interior nodes, [..., I, d]; InputError for another shape."""
         values, one = plain("w", w), (int(self.points.interior.sum()), *self.shape[1:])
         if values.shape[-len(one) :] != one:
-            shown = ", ".join(map(str, one))
-            raise InputError(f"w: expected shape [..., {shown}], got {list(values.shape)}")
+            raise InputError(
+                f"w: expected shape [..., {', '.join(map(str, one))}], got {list(values.shape)}"
+            )
         return values
 
     def on_all(self, w: Any) -> np.ndarray:

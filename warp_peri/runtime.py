@@ -171,7 +171,7 @@ def in_blocks(work: Callable[[np.ndarray], np.ndarray], rows: np.ndarray, most: 
 
 def launch(kernel: Any, dim: Any, inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
     """Launch a kernel once; on no tape, which is the process's."""
-    fields: dict[str, Any] = {"inputs": list(inputs), "outputs": list(outputs)}
+    fields: Any = {"inputs": list(inputs), "outputs": list(outputs)}
     wp.launch(kernel, dim=dim, **fields, device=DEVICE, record_tape=False)
 
 
@@ -203,7 +203,7 @@ def recorded(kernel: Any, dim: int, inputs: Sequence[Any], outputs: Sequence[Any
     """Pack a launch on the processor once, which takes longer than a small sweep; inputs and
     outputs that are given later are None here."""
     kernel.module.load(DEVICE)
-    all_of: dict[str, Any] = {"inputs": list(inputs), "outputs": list(outputs), "device": DEVICE}
+    all_of: Any = {"inputs": list(inputs), "outputs": list(outputs), "device": DEVICE}
     return wp.launch(kernel, dim=dim, **all_of, record_cmd=True, record_tape=False)
 
 

@@ -16,13 +16,13 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_885,
-    "tokens": 234_783,
-    "lines of warp_peri": 30_305,
+    "code lines": 18_781,
+    "tokens": 233_442,
+    "lines of warp_peri": 30_189,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_492,
-    "lines of the longest file": 539,
+    "lines of warp_peri, kernels, examples and tools": 42_376,
+    "lines of the longest file": 536,
     "lines of the longest function": 60,
     "parameters of one function": 10,
     "characters of the longest string": 1_690,
@@ -32,20 +32,20 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2354,
+    "atoms": 2340,
     "cli": 781,
-    "core": 1604,
-    "face": 1114,
-    "fe_coupling": 709,
-    "files": 496,
-    "fitting": 1057,
-    "fracture": 1423,
-    "materials": 4560,
-    "neural": 578,
-    "points": 1694,
-    "prediction": 577,
-    "mpi": 446,
-    "solvers": 1492,
+    "core": 1596,
+    "face": 1109,
+    "fe_coupling": 699,
+    "files": 495,
+    "fitting": 1053,
+    "fracture": 1410,
+    "materials": 4541,
+    "neural": 575,
+    "points": 1691,
+    "prediction": 575,
+    "mpi": 445,
+    "solvers": 1471,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

@@ -122,8 +122,7 @@ def measured(cell: ase.Atoms, calculator: Any, flat: bool) -> Noise:
     known = np.isfinite(stress).all()
     tight = scatter(stress) * np.sqrt(len(many) / len(cell)) * EV_IN_TPA if known else 0.0
     odd = np.subtract(*force.mean(axis=1)) / 2
-    stiffness = float(np.sqrt(np.mean(odd**2) / np.mean(u**2)))
-    found = Noise(scatter(force), float(tight), stiffness)
+    found = Noise(scatter(force), float(tight), float(np.sqrt(np.mean(odd**2) / np.mean(u**2))))
     if found.rounding:
         return found
     at, x = forces_of(many, calculator), np.array(many.positions)
@@ -209,9 +208,8 @@ class Symmetric(Supercell):
         def broken(values: np.ndarray) -> np.ndarray:
             zeroth, first, second = atoms.moments(values)
             second = second + 2 * atoms.volume * stress_brackets(held)
-            turned = (first - first.mT) / furthest
             huang = (second - np.moveaxis(second, (-4, -3), (-2, -1))) / furthest**2
-            parts = zeroth.sum(axis=-2), turned, huang
+            parts = zeroth.sum(axis=-2), (first - first.mT) / furthest, huang
             flat = [part.reshape(*part.shape[: values.ndim - 3], -1) for part in parts]
             return np.concatenate(flat, axis=-1)
 
@@ -344,15 +342,13 @@ def _under_strain(
     """S [TPa] and forces [eV/Å] under strains of sizes e, [2, E, kinds, 3 or 6 | n, 3]."""
     d, n, flat = atoms.dimension, len(cell), atoms.thickness is not None
     G = np.eye(3) + np.einsum("e,s,kij->eksij", e, [1, -1], unit_strains(d))
-    many = cell.repeat((2, 2, 1 if flat else 2))
-    each = strained(calculator, many, G.reshape(-1, 3, 3))
+    each = strained(calculator, cell.repeat((2, 2, 1 if flat else 2)), G.reshape(-1, 3, 3))
     stresses, pushes = zip(*((one.get_stress(voigt=False), one.get_forces()) for one in each))
     tall = EV_IN_TPA * (cell.cell[2, 2] / atoms.thickness if flat else 1.0)
-    back, place = np.linalg.inv(G), tuple(np.transpose(PAIRS[d]))
+    back = np.linalg.inv(G)
     pulled = np.linalg.det(G)[..., None, None] * back @ np.reshape(stresses, G.shape) * tall
-    S = (pulled @ back.mT)[..., *place].transpose(2, 0, 1, 3)
-    mean = np.reshape(pushes, (*G.shape[:3], -1, n, 3)).mean(axis=3)
-    return S, mean.transpose(2, 0, 1, 3, 4)
+    S = (pulled @ back.mT)[..., *tuple(np.transpose(PAIRS[d]))].transpose(2, 0, 1, 3)
+    return S, np.reshape(pushes, (*G.shape[:3], -1, n, 3)).mean(axis=3).transpose(2, 0, 1, 3, 4)
 
 
 def _slope(y: np.ndarray, e: np.ndarray, secant: bool) -> tuple[np.ndarray, float, float]:

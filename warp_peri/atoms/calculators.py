@@ -110,8 +110,9 @@ def _check_line(line: str) -> None:
     words = line.split()
     charges = words[0] == "fix" and words[3:4] and words[3].startswith(("qeq/", "acks2/"))
     if not (words[0] in LINES or charges):
-        known = ", ".join(sorted(LINES))
-        raise InputError(f"calculator: expected {known} or fix … qeq/…, got {line!r:.200}")
+        raise InputError(
+            f"calculator: expected {', '.join(sorted(LINES))} or fix … qeq/…, got {line!r:.200}"
+        )
     coded = CODE & {word.strip("\"'") for word in words}
     if coded or not line.isprintable() or set(line) & {*"$&`|<>"}:
         none = f"no {', '.join(sorted(CODE))}, $&`|<>, line break, which could run code or write"

@@ -83,22 +83,18 @@ def smoothing_matrix(
     if len(images) == 0:
         return sp.csr_array((len(nodes), len(atoms)))
     tau = every = _tau(nodes, images, radius, shape)
-    if spacing is not None:
-        every = _tau(_reached(nodes[0], images, radius, spacing), images, radius, shape)
+    if spacing is not None:  # nodes of the whole lattice that any image can reach
+        low = np.floor((images.min(0) - radius - nodes[0]) / spacing)
+        sides = np.ceil((images.max(0) + radius - nodes[0]) / spacing) - low + 1
+        check_nodes("spacing", sides)
+        reached = nodes[0] + spacing * (low + grid_places(sides.astype(int)))
+        every = _tau(reached, images, radius, shape)
     total = every.sum(axis=0)
     if spacing is None and box is not None:
         total = np.bincount(owner, total, len(atoms))[owner]
     scale = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0)
     shared = sp.csr_array((scale, (np.arange(len(owner)), owner)), shape=(len(owner), len(atoms)))
     return sp.csr_array(tau @ shared)
-
-
-def _reached(origin: np.ndarray, images: np.ndarray, radius: float, spacing: float) -> np.ndarray:
-    """Nodes of the lattice through `origin` that any image can reach, shape [L, 2]."""
-    low = np.floor((images.min(0) - radius - origin) / spacing)
-    sides = np.ceil((images.max(0) + radius - origin) / spacing) - low + 1
-    check_nodes("spacing", sides)
-    return np.asarray(origin + spacing * (low + grid_places(sides.astype(int))))
 
 
 @typed
@@ -135,8 +131,7 @@ def coarse_grain(
             "nodes inside the body, or its periods (box)"
         )
     u = np.array([weighted @ one for one in moved]) / density[:, None]
-    b = np.array([omega @ one for one in pushed])
-    return u, b * (EV_IN_TPA / (node_area * thickness))
+    return u, np.array([omega @ one for one in pushed]) * (EV_IN_TPA / (node_area * thickness))
 
 
 def _images(
@@ -244,8 +239,10 @@ def _variables(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
         raise InputError(f"{path}: cannot be read as a .mat file ({error})") from None
     for name in names:
         if name not in held or held[name].dtype.kind not in "fiu" or held[name].ndim < 2:
-            said = ", ".join(there) or "nothing"
-            raise InputError(f"{path}: expected {name}, an array of numbers, among {said}")
+            raise InputError(
+                f"{path}: expected {name}, an array of numbers, among "
+                f"{', '.join(there) or 'nothing'}"
+            )
     return held
 
 

@@ -99,8 +99,7 @@ class CrystalFit(Shown):
         """Independent standard errors of `tensor` [TPa], [Q, d, d, d, d], none where unknown. Of an
         exact potential the difference between finite strains and long waves."""
         if self.atoms.doubt is not None:
-            allowed = _allowed(self.atoms, self.material.symmetry)
-            return self.atoms.elastic_doubt(allowed, bent=True)
+            return self.atoms.elastic_doubt(_allowed(self.atoms, self.material.symmetry), bent=True)
         found = [] if self.strained is None else [self.strained - self.tensor]
         return np.reshape(found, (-1, *self.tensor.shape))
 
@@ -144,8 +143,7 @@ class CrystalFit(Shown):
         found = {}
         for name, off in self.wave_errors.items():
             good = np.argmax(np.append(off.max(axis=1), np.inf) > WITHIN)
-            length = self.wave_lengths[good - 1] * self.law.spacing
-            found[name] = float(length) if good else np.inf
+            found[name] = float(self.wave_lengths[good - 1] * self.law.spacing) if good else np.inf
         return found
 
     def directional(self) -> tuple[np.ndarray, np.ndarray]:
@@ -386,8 +384,7 @@ def _learned(
     said = said | ({} if atoms.thickness is None else {"thickness": f"{atoms.thickness:.4g} Å"})
     said["at the supercell's edge"] = f"{atoms.edge:.1%} of Σ |Φ| r²"
     if atoms.doubt is not None:
-        share = relative(atoms.doubt, atoms.values)
-        said["force constants' error"] = f"{share:.1e} of Φ"
+        said["force constants' error"] = f"{relative(atoms.doubt, atoms.values):.1e} of Φ"
         soft, error, most = at_zone_edge(atoms)
         edge = f"{soft:.3f} ± {error:.2g} THz and more; standard errors up to {most:.2g} THz"
         said["phonons at the zone's edge"] = edge

@@ -452,6 +452,5 @@ def estimate_noise(samples: Samples) -> np.ndarray:
     grid = np.full((len(samples), *(steps.max(axis=0) + 1), 2), np.nan)
     grid[:, steps[:, 0], steps[:, 1]] = samples.u
     fourth = [np.diff(grid, 4, axis=axis).reshape(len(samples), -1) for axis in (1, 2)]
-    both = np.abs(np.concatenate(fourth, axis=1))
-    deviation = np.nanmedian(both, axis=1) / 0.6745
+    deviation = np.nanmedian(np.abs(np.concatenate(fourth, axis=1)), axis=1) / 0.6745
     return np.asarray(deviation / 70**0.5)  # that of noise of one

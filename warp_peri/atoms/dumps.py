@@ -121,8 +121,7 @@ def iter_dump(path: StrPath) -> Iterator[DumpFrame]:
 def jumps(frame: DumpFrame, x: np.ndarray) -> bool:
     """Whether any atom is half an edge of the box or more from positions x, shape [A, 2]."""
     edges = frame.cell[np.abs(frame.cell[:, :2]).max(axis=1) > ROUND * np.abs(frame.cell).max()]
-    parts = (frame.x - x) @ np.linalg.pinv(edges[:, :2])
-    return bool((np.abs(parts) >= 0.5).any())
+    return bool((np.abs((frame.x - x) @ np.linalg.pinv(edges[:, :2])) >= 0.5).any())
 
 
 def _frames_of(path: StrPath) -> Iterator[DumpFrame]:

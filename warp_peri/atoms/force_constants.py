@@ -181,9 +181,8 @@ class ForceConstants:
     @property
     def volume(self) -> float:
         """Volume of a cell [Å³]; of a sheet its area times the thickness."""
-        if self.thickness is None:
-            return float(abs(np.linalg.det(self.cell)))
-        return float(abs(np.linalg.det(self.cell[:2, :2]))) * self.thickness
+        d = self.dimension
+        return float(abs(np.linalg.det(self.cell[:d, :d]))) * (self.thickness or 1.0)
 
     @property
     def moving(self) -> int:
@@ -229,10 +228,8 @@ class ForceConstants:
                 f"eV/Å² at k = {np.round(k[least.argmin()], 4).tolist()} 1/Å"
             )
         moved = np.linalg.solve(D, np.tile(np.eye(m, d, dtype=complex), (n, 1)))
-        mean = moved.reshape(len(k), n, m, d)[:, :, :d].mean(axis=1)
-        flexible = mean.real * (self.volume / n)
-        stiff = np.linalg.inv(flexible) * EV_IN_TPA
-        return symmetric_part(stiff)
+        flexible = moved.reshape(len(k), n, m, d)[:, :, :d].mean(axis=1).real * (self.volume / n)
+        return symmetric_part(np.linalg.inv(flexible) * EV_IN_TPA)
 
     def _by_atoms(self, weight: np.ndarray, phi: np.ndarray) -> np.ndarray:
         """Sum weight [K, P] · phi [P, ...] over the pairs of each two atoms, [n, n, K, ...]."""
@@ -254,8 +251,7 @@ class ForceConstants:
         if self.polar is not None:
             ions = self._of_ions
             zeroth, first, second = zeroth + ions[0], first + ions[1], second + ions[2]
-        turned = np.moveaxis(zeroth, (-4, -3), (-2, -1))
-        return (zeroth + turned) / 2, first, second
+        return (zeroth + np.moveaxis(zeroth, (-4, -3), (-2, -1))) / 2, first, second
 
     @cached_property
     def _of_ions(self) -> tuple[np.ndarray, ...]:
@@ -285,8 +281,7 @@ class ForceConstants:
                 stiff = stiff + self.polar.at_long_waves(e, self.cell)
             flat = stiff[:, :, :m, :, :m].reshape(len(e), n * m, n * m)
             A = A - push.mT @ relaxing(flat, m) @ push
-        A = A / self.volume * EV_IN_TPA
-        return symmetric_part(A)
+        return symmetric_part(A / self.volume * EV_IN_TPA)
 
     def nearest_elastic(
         self, allowed: np.ndarray, values: np.ndarray | None = None, *, field: bool = True
@@ -309,8 +304,8 @@ class ForceConstants:
         """
         doubts, e = self.doubts(), directions(60, self.dimension)
         C, off = self.nearest_elastic(allowed)
-        waves, moments = self.effective(LONG * e) / LONG**2, self.acoustic(e)
-        off += relative(waves - moments, waves)
+        waves = self.effective(LONG * e) / LONG**2
+        off += relative(waves - self.acoustic(e), waves)
         if off > NOT_ELASTIC:
             without = self.nearest_elastic(allowed, field=False)[1]
             if self.polar is not None and without <= NOT_ELASTIC:
@@ -358,12 +353,10 @@ class ForceConstants:
 
     def group(self) -> np.ndarray:
         """Point group of the crystal by spglib, [G, d, d], in the axes of its coordinates."""
-        fractions = self.positions @ np.linalg.inv(self.cell)
-        turns = group_of_structure(self.cell, fractions, self.kinds)
+        turns = group_of_structure(self.cell, self.positions @ np.linalg.inv(self.cell), self.kinds)
         if self.dimension == 3:
             return turns
-        flat = turns[np.abs(np.abs(turns[:, 2, 2]) - 1) < 1e-6][:, :2, :2]
-        return point_group(flat, 2)
+        return point_group(turns[np.abs(np.abs(turns[:, 2, 2]) - 1) < 1e-6][:, :2, :2], 2)
 
 
 def relaxing(stiff: np.ndarray, moving: int) -> np.ndarray:

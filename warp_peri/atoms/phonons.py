@@ -30,6 +30,7 @@ from warp_peri.atoms.relaxed import VACUUM, Reference, check_sites, gap, thickne
 from warp_peri.errors import InputError, StrPath, optional, warn
 from warp_peri.files.atomic import check_hdf5, check_yaml, content
 from warp_peri.points.arguments import Positive, checked, offered, typed
+from warp_peri.points.points import grid_points
 
 WIDTHS = (10.0, 14.0, 18.0, 22.0, 26.0, 32.0, 40.0)
 """Of supercells [Å], tried in turn."""
@@ -126,7 +127,7 @@ def check_phonons(atoms: ForceConstants) -> None:
     """Raise InputError for imaginary phonons on a grid of waves, and for loose parts. A sheet's
     mean height is held, so that its bending is not looked at."""
     d = atoms.dimension
-    parts = np.array(list(itertools.product(np.arange(GRID[d]) / GRID[d], repeat=d)))
+    parts = grid_points(np.arange(GRID[d]) / GRID[d], d)
     parts = np.where(parts > 0.5, parts - 1, parts)
     parts = parts[parts @ [1.0, 1e-3, 1e-6][:d] >= 0]
     k, size, waves = _phonons(atoms, parts)
@@ -134,8 +135,7 @@ def check_phonons(atoms: ForceConstants) -> None:
     least, top = size[worst, 0], size[:, -2 if d == 2 else -1].max()  # a sheet's last is held
     error = float(atoms.stiffness_error(k[worst], waves[worst, 0]))
     if least >= -max(SOFT * top, TIMES * error):
-        stiffest = np.linalg.eigvalsh(atoms.dynamical(k))[:, 0].max()
-        if stiffest <= SOFT * np.abs(atoms.values).max():
+        if np.linalg.eigvalsh(atoms.dynamical(k))[:, 0].max() <= SOFT * np.abs(atoms.values).max():
             raise InputError(LOOSE)
         return
     imaginary = THZ * np.sqrt(-least)
@@ -158,7 +158,7 @@ def _phonons(atoms: ForceConstants, parts: np.ndarray) -> tuple[np.ndarray, ...]
 
 def at_zone_edge(atoms: ForceConstants) -> tuple[float, float, float]:
     """Softest phonon [THz] at halves of the reciprocal edges, its error, and the largest error."""
-    parts = np.array(list(itertools.product((0, 0.5), repeat=atoms.dimension)))[1:]
+    parts = grid_points((0, 0.5), atoms.dimension)[1:]
     k, size, waves = _phonons(atoms, parts)
     off = np.array([atoms.stiffness_error(*pair) for pair in zip(k, waves)])
     low, middle, high = (THZ * np.sqrt(np.clip(size + way * off, 0, None)) for way in (-1, 0, 1))
@@ -198,8 +198,8 @@ def from_calculator(
 
 
 def _by_differences(cell: Any, many: Any, calculator: Any, **how: Any) -> ForceConstants:
-    forces, first = forces_of(many, calculator), range(len(cell))
-    phi, change = finite_differences(forces, many.positions, first)
+    first = range(len(cell))
+    phi, change = finite_differences(forces_of(many, calculator), many.positions, first)
     return replace(from_supercell(cell, many, phi, first, **how), change=change)
 
 
@@ -251,10 +251,10 @@ def from_phonopy(path: StrPath, *, thickness: Positive | None = None) -> ForceCo
         ) from None
     if force_constants is None:
         raise InputError(f"{path}: expected FORCE_CONSTANTS or FORCE_SETS beside it, found neither")
-    small, large, x = found.primitive, found.supercell, units.distance_to_A
+    small, x = found.primitive, units.distance_to_A
     cell, supercell = (
         ase.Atoms(part.numbers, positions=x * part.positions, cell=x * part.cell, pbc=True)
-        for part in (small, large)
+        for part in (small, found.supercell)
     )
     check_sites(cell)
     if small.magnetic_moments is not None:  # sites that they tell apart are no images

@@ -282,8 +282,10 @@ def _check_forces(cell: ase.Atoms) -> None:
     except LammpsError:
         raise
     except Exception as error:  # calculators raise whatever they run into
-        kinds, kind = ", ".join(sorted(set(cell.get_chemical_symbols()))), type(error).__name__
-        raise InputError(f"calculator: it gives no forces for {kinds} ({kind}: {error})") from None
+        kinds = ", ".join(sorted(set(cell.get_chemical_symbols())))
+        raise InputError(
+            f"calculator: it gives no forces for {kinds} ({type(error).__name__}: {error})"
+        ) from None
 
 
 def _check_stress(cell: ase.Atoms, flat: bool) -> None:

@@ -138,8 +138,7 @@ def shared_with_nodes(group: np.ndarray, orientation: np.ndarray) -> np.ndarray:
 
 def lattice_group(dimension: int) -> np.ndarray:
     """All symmetries of a square or cubic lattice, integer matrices, shape [g, d, d]."""
-    group = point_group(LATTICE_GROUP[dimension], dimension)
-    return shared_with_nodes(group, np.eye(dimension))
+    return shared_with_nodes(point_group(LATTICE_GROUP[dimension], dimension), np.eye(dimension))
 
 
 def checked_orientation(orientation: Any, dimension: int) -> np.ndarray:
@@ -192,7 +191,7 @@ def group_of_structure(
 ) -> np.ndarray:
     """Point group of an atomic structure in the axes of its cell, [G, d, d]; as by_spglib."""
     # of the primitive cell: a larger one hides turns that are no whole numbers of its edges
-    small = primitive_cell((np.asarray(cell, dtype=float), fractions, species), precision)
+    small = primitive_cell((np.asarray(cell, float), fractions, species), precision)
     found, edges = by_spglib("get_symmetry", small, precision), np.array(small[0]).T
     return point_group(edges @ found["rotations"].astype(float) @ np.linalg.inv(edges), 3)
 
@@ -202,8 +201,7 @@ def canonical(
 ) -> np.ndarray:
     """Whether each vector [K, d], or some of its cell of half side `margin`, lies in one cone whose
     images under the group fill space: nearest to one direction in general position (T12)."""
-    d = vectors.shape[1]
-    direction = np.array([1.0, 0.6137, 0.2719])[:d]
+    direction = np.array([1.0, 0.6137, 0.2719])[: vectors.shape[1]]
     kept = np.ones(len(vectors), bool)
     for face in np.unique(np.round(direction - direction @ group, 12), axis=0):
         kept &= vectors @ face + margin * np.abs(face).sum() >= -1e-12
@@ -382,7 +380,7 @@ def named_symmetry(tensor: np.ndarray) -> str:
     d, tiny = len(tensor), SAME * np.abs(voigt(tensor)).max()
     for name, symmetry in NAMES[d].items():
         allowed = allowed_tensors(symmetry, point_group(symmetry, d), np.eye(d)).reshape(-1, d**4)
-        held = np.linalg.lstsq(allowed.T, tensor.ravel(), rcond=None)[0] @ allowed
+        held = np.linalg.lstsq(allowed.T, tensor.ravel())[0] @ allowed
         if np.abs(tensor.ravel() - held).max() <= tiny:
             return name
     return "lower"
@@ -403,8 +401,7 @@ def plane_stress(tensor: np.ndarray) -> np.ndarray:
     M = voigt(tensor)
     kept, free = [0, 1, 5], [2, 3, 4]
     inner = np.linalg.solve(M[np.ix_(free, free)], M[np.ix_(free, kept)])
-    schur = M[np.ix_(kept, kept)] - M[np.ix_(kept, free)] @ inner
-    return voigt_to_tensor(symmetric_part(schur))
+    return voigt_to_tensor(symmetric_part(M[np.ix_(kept, kept)] - M[np.ix_(kept, free)] @ inner))
 
 
 def symmetric_part(A: np.ndarray) -> np.ndarray:

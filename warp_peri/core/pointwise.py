@@ -61,8 +61,7 @@ class Pointwise(Swept):
         ball = np.concatenate([ball, -ball, 0 * ball[:1]])
         far = (ball[:, None] + np.concatenate([steps, -steps])).reshape(-1, d)
         far = np.unique(far, axis=0)  # in order: ξ before 0 before −ξ
-        half, least = far[len(far) // 2 + 1 :], 2 * int(np.abs(ball).max())
-        grid = grid_of(self.points, half, least=least)
+        grid = grid_of(self.points, far[len(far) // 2 + 1 :], least=2 * int(np.abs(ball).max()))
         self._torus, self._axes = torus_shape(grid), tuple(range(-d, 0))
         place = np.ravel_multi_index(np.unravel_index(grid.place, grid.shape), self._torus)
         asked = np.zeros(self._torus, bool)
@@ -90,8 +89,8 @@ class Pointwise(Swept):
         self.stiffness = self._slopes(0 * units, units)[1].reshape(4 * (d,))
         self._at_rest = (self._straight is not None) * self.stiffness
         if self._cubic:
-            each, along = np.repeat(units, d * d, axis=2), np.tile(units, d * d)
-            change = self._slopes(each, along)[1].reshape(6 * (d,))
+            along = np.tile(units, d * d)
+            change = self._slopes(np.repeat(units, d * d, axis=2), along)[1].reshape(6 * (d,))
             self._third = change - self.stiffness[:, :, None, None]
 
     def _waves(self, values: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -120,8 +119,7 @@ class Pointwise(Swept):
 
     def _energies(self, E: Any, **other: Any) -> torch.Tensor:
         """Energy density W of strains [d, d, ...], with other numbers where some are given."""
-        E = torch.as_tensor(E).movedim((0, 1), (-2, -1))
-        return self.density(E, **self.learnable | other)
+        return self.density(torch.as_tensor(E).movedim((0, 1), (-2, -1)), **self.learnable | other)
 
     @torch.inference_mode(False)
     def _slopes(self, E: np.ndarray, *along: np.ndarray) -> list[np.ndarray]:

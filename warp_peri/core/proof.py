@@ -8,7 +8,6 @@ if it is at the corners, by more than the remainder.
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -31,7 +30,7 @@ from warp_peri.core.stencil import (
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import same
 from warp_peri.points.arguments import LINEAR, USUAL, Positive, Units, offered, symbols, typed
-from warp_peri.points.points import PointsLike
+from warp_peri.points.points import PointsLike, grid_points
 from warp_peri.runtime import in_blocks, sharing
 
 SAMPLE = {2: 240, 3: 24}
@@ -328,7 +327,7 @@ def parts(tensors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _corners(d: int) -> np.ndarray:
-    return np.array(list(itertools.product((-1.0, 1.0), repeat=d)))
+    return grid_points((-1.0, 1.0), d)
 
 
 def _most(stencil: Stencil, tensors: np.ndarray) -> float:
@@ -359,7 +358,7 @@ def _positive(
     def states(half: float, some: np.ndarray) -> np.ndarray:
         """State of cells: 0 proven positive, 1 a corner failed, 2 negative at the middle."""
         value, slopes = affine(some)
-        state = np.where(smallest_eigenvalue(value) < 0, 2, 0)
+        state = 2 * (smallest_eigenvalue(value) < 0)
         for corner in corners:
             low = smallest_eigenvalue(value + half * np.tensordot(corner, slopes, 1))
             state = np.maximum(state, low <= rest * half**2 + slack)
@@ -384,7 +383,7 @@ def _first_cells(edge: float, dimension: int) -> tuple[np.ndarray, float]:
     """Middles of the FIRST cells per axis of [−edge, edge]^d, and half a side."""
     half = edge / FIRST
     line = -edge + half * (2 * np.arange(FIRST) + 1)
-    return np.array(list(itertools.product(line, repeat=dimension))), half
+    return grid_points(line, dimension), half
 
 
 def _symbol_slopes(stencil: Stencil, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -425,8 +424,7 @@ def _long_waves(stencil: Stencil, group: np.ndarray) -> tuple[float, int]:
     faces e_a = 1 of a cube Q(e) − q |e|² is affine plus at least −Σ C⁻ (t·ξ)² − q |t|²."""
     d, brackets = stencil.dimension, stencil.brackets
     one, both = np.eye(brackets.shape[0]), brackets + brackets.swapaxes(2, 3)
-    line = np.linspace(-1, 1, {2: 2001, 3: 121}[d])
-    grid = np.array(list(itertools.product(line, repeat=d - 1)))
+    grid = grid_points(np.linspace(-1, 1, {2: 2001, 3: 121}[d]), d - 1)
     e = np.concatenate([np.insert(grid, a, 1.0, axis=1) for a in range(d)])
     e = e[canonical(e, group, 0.0)]
     q = LONG_SHARE * float((smallest_eigenvalue(acoustic(brackets, e)) / (e**2).sum(axis=1)).min())

@@ -149,7 +149,7 @@ class Record(Shown):
         def dimension(self) -> int: ...
 
     def __init_subclass__(cls, format: str = "", version: int = 1) -> None:
-        if "__repr__" not in vars(cls):  # a dataclass would write one with all of its arrays
+        if "__repr__" not in vars(cls):  # else a dataclass would write one with all of its arrays
             cls.__repr__ = Record.__repr__  # type: ignore[method-assign]
         typed_methods(cls)
         if format:  # not of what several formats share, or one with tables that no file has
@@ -453,8 +453,9 @@ def read_content(content: Any, path: Path | None = None) -> Any:
     if isinstance(name, str) and name in HOMES:
         import_module(f"warp_peri.{HOMES[name]}")
     if not isinstance(name, str) or name not in FORMATS:
-        known = ", ".join(sorted({*HOMES, *FORMATS}))
-        raise InputError(f"format: expected one of {known}, got {name!r:.50}")
+        raise InputError(
+            f"format: expected one of {', '.join(sorted({*HOMES, *FORMATS}))}, got {name!r:.50}"
+        )
     where = f"{path}: " if path else ""
     return FORMATS[name].from_dict(content, where)._read_from(path)
 

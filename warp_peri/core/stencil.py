@@ -7,7 +7,6 @@ a box of nodes with all that bonds reach, by rows or by FFT (T1, T15).
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,7 +21,7 @@ from warp_peri.core.elastic import directions, orbit_grid, symmetric_part
 from warp_peri.errors import InputError
 from warp_peri.kernels.micromodulus import rows
 from warp_peri.points.families import HORIZON_TOLERANCE
-from warp_peri.points.points import LATTICE_TOLERANCE, Points, grid_places
+from warp_peri.points.points import LATTICE_TOLERANCE, Points, grid_places, grid_points
 from warp_peri.runtime import DEVICE, floats, get_num_threads, ints, launch_slices
 
 DIRECTIONS = {2: 60, 3: 200}
@@ -135,7 +134,7 @@ def zoomed(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Smallest ratio on `side` waves an axis about each wave k h [n, d], on grids ever finer by a
     factor, [n], and where it is, [n, d]; waves below LEAST_WAVE do not count."""
-    patch = np.array(list(itertools.product(np.linspace(-1, 1, side), repeat=k.shape[1])))
+    patch = grid_points(np.linspace(-1, 1, side), k.shape[1])
     value = np.full(len(k), np.inf)
     for _ in range(zooms):
         near = k[:, None] + reach * patch
@@ -163,9 +162,8 @@ def half_ball(reach: float, dimension: int) -> np.ndarray:
     if (2 * side + 1) ** dimension > 4 * MOST_BONDS:
         raise InputError(f"horizon: expected a few spacings, got {reach:g} of them")
     grid = grid_places(dimension * (2 * side + 1,)) - side
-    square = (grid**2).sum(axis=1)
     first = grid @ (2 * side + 1) ** np.arange(dimension)[::-1] > 0  # of ξ and −ξ just one
-    half: np.ndarray = grid[(square <= most) & first]
+    half: np.ndarray = grid[((grid**2).sum(axis=1) <= most) & first]
     if not len(half):
         raise InputError(f"horizon: expected at least one spacing, got {reach:g} of them")
     return half[np.argsort((half**2).sum(axis=1), kind="stable")]
@@ -403,7 +401,7 @@ def block(stencil: Stencil, mask: np.ndarray, *, around: bool = False) -> sp.csc
     for step, C in zip(both, np.concatenate([stencil.tensors] * 2)):
         there = (here + step) % mask.shape if around else here + step
         inside = np.flatnonzero(((there >= 0) & (there < mask.shape)).all(axis=1))
-        other = number[tuple(there[inside].T)]
+        other = number[*there[inside].T]
         rows.append(inside[other >= 0])
         columns.append(other[other >= 0])
         values.append(np.broadcast_to(-C, (len(rows[-1]), d, d)))
@@ -413,7 +411,7 @@ def block(stencil: Stencil, mask: np.ndarray, *, around: bool = False) -> sp.csc
     return sp.csc_array((value.ravel(), at), shape=2 * (d * len(here),))
 
 
-def refuse_cut(lacking: int, count: int, why: str = "") -> None:
+def refuse_cut(lacking: int, count: int, why: str) -> None:
     """Raise InputError where some of `count` interior nodes lack neighbours."""
     if lacking:
         raise InputError(
@@ -433,7 +431,7 @@ class ByRows:
         self.kernels = rows(self.scalar, nodes.dimension)
         strides = np.array([int(np.prod(nodes.wide[a + 1 :])) for a in range(nodes.dimension)])
         self.offset = ints(steps @ strides)
-        upper = tensors[(slice(None), *np.triu_indices(nodes.dimension))]  # of symmetric matrices
+        upper = tensors[:, *np.triu_indices(nodes.dimension)]  # of symmetric matrices
         self.tensors = floats(np.ascontiguousarray(upper, self.dtype), self.scalar)
         mask = np.zeros(nodes.wide, bool)
         mask[nodes.core] = nodes.unknown
@@ -487,10 +485,10 @@ class ByFFT:
         """L u at the unknown nodes of planes [S, d, *wide]; planes [S, d, *shape], else zero."""
         nodes = self.nodes
         if nodes.periodic:
-            planes = planes[(slice(None), slice(None), *nodes.core)]
+            planes = planes[:, :, *nodes.core]
         out = np.stack([convolved(self.symbol, one, self.torus) for one in planes])
         inside = tuple(slice(0, n) for n in nodes.shape)
-        return np.asarray(out[(slice(None), slice(None), *inside)] * self.mask)
+        return np.asarray(out[:, :, *inside] * self.mask)
 
 
 def torus_shape(nodes: Grid) -> tuple[int, ...]:

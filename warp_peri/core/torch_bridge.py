@@ -96,10 +96,9 @@ def once(there: Any, back: Any, *of: torch.Tensor) -> Any:
 
     def pulled(asked: Any, *given: torch.Tensor) -> list[torch.Tensor | None]:
         upstream = (np.array(one.detach().numpy(), order="C") for one in given[len(of) :])
-        by = back(asked, *upstream)
         slopes = [
             _like(one, number) if wanted and one is not None else None
-            for one, number, wanted in zip(by, given, asked)
+            for one, number, wanted in zip(back(asked, *upstream), given, asked)
         ]
         felt = [one for one in given if torch.is_grad_enabled() and one.requires_grad]
         return [
@@ -279,8 +278,7 @@ def _pulled(operator: Any, u: np.ndarray, g: np.ndarray, solver: Any) -> tuple[n
         else:
             inner = np.compress(inside, g, axis)
             w = _transposed(operator, u.reshape(-1, *one), inner).reshape(inner.shape)
-    pushed = (g - operator.vjp(u, w)) * operator.held
-    return w, operator.on_all(w), pushed
+    return w, operator.on_all(w), (g - operator.vjp(u, w)) * operator.held
 
 
 def _transposed(operator: Any, fields: np.ndarray, g: np.ndarray) -> np.ndarray:

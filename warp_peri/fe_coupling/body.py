@@ -171,8 +171,7 @@ def solve_body(
         if not isinstance(model, LPSMaterial):  # the mesh lies as the nodes of the law do
             points = replace(points, axis=_axis_of(model))
         bulk = Bulk(model, points)
-        whole = in_elements(stiff, loads, rim, depth < collar)
-        two = Schwarz(rim, problem, bulk, cell, whole)
+        two = Schwarz(rim, problem, bulk, cell, in_elements(stiff, loads, rim, depth < collar))
         b_bulk = loads.density(points.x[bulk.inside], spacing)
         u_rim, u_bulk, record = two.solve(f, given, b_bulk, coupling.tolerance)
         fields = u_rim, points, u_bulk, overlap, record, two
@@ -283,8 +282,7 @@ class BodyGradient:
         change = loads_on(rim.mesh, displacement or {}, traction, b)
         total = np.vdot(self.f, change.on(rim))
         if points is not None:
-            density = change.density(points.x[points.interior], points.spacing)
-            total += np.vdot(self.b, density)
+            total += np.vdot(self.b, change.density(points.x[points.interior], points.spacing))
         given, fixed = change.given(rim)
         held = ~(problem.rim if isinstance(problem, Schwarz) else problem).free.reshape(-1, 2)
         held[rim.inner] = False
@@ -314,8 +312,7 @@ def body_gradient(
         (f, given), b = (problem.T @ by_rim.ravel()).reshape(2, -1, 2), by_bulk
     # −(w · ∂K u + v · ∂L u) by λ and μ, of which K and L are homogeneous of degree one (B14)
     here = _work(solution, model, f, b)
-    further = _work(solution, replace(model, lam=model.lam + model.mu), f, b)
-    by_lam = (further - here) / model.mu
+    by_lam = (_work(solution, replace(model, lam=model.lam + model.mu), f, b) - here) / model.mu
     return BodyGradient(-by_lam, -(here - model.lam * by_lam) / model.mu, f, b, given, solution)
 
 
@@ -324,6 +321,5 @@ def _work(solution: BodySolution, model: LPSMaterial, f: np.ndarray, b: np.ndarr
     K = solution.rim.stiffness(long_wave(model, solution.spacing))
     total = np.vdot(f, K @ solution.u_rim.ravel())
     if solution.points is not None:
-        force = model.on(solution.points, allow_uncertified=True)(solution.u_bulk)
-        total += np.vdot(b, force)
+        total += np.vdot(b, model.on(solution.points, allow_uncertified=True)(solution.u_bulk))
     return float(total)

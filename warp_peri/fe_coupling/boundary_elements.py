@@ -92,7 +92,7 @@ class Rim:
         self.inner = self._nodes(np.setdiff1d(straight.boundary_facets(), self.facets))
 
     def _nodes(self, facets: np.ndarray) -> np.ndarray:
-        return np.asarray(self.basis.get_dofs(facets).flatten(), dtype=int)
+        return np.asarray(self.basis.get_dofs(facets).flatten(), int)
 
     @property
     def corner_nodes(self) -> np.ndarray:
@@ -106,8 +106,8 @@ class Rim:
     @cached_property
     def _squares(self) -> dict[tuple[int, int], sp.csr_array]:
         """Integrals ∫ ∂_a φ_i ∂_c φ_j, [n, n] by a and c."""
-        pairs, each = itertools.combinations_with_replacement(range(self.d), 2), {}
-        for a, c in pairs:
+        each = {}
+        for a, c in itertools.combinations_with_replacement(range(self.d), 2):
             form = self._fem.BilinearForm(lambda u, v, w, a=a, c=c: v.grad[a] * u.grad[c])
             each[a, c] = sp.csr_array(form.assemble(self.basis))
         return {(c, a): square.T for (a, c), square in each.items()} | each
@@ -252,18 +252,17 @@ class BodyLoads:
         cells = np.rint((x - x.min(axis=0)) / spacing).astype(int) + 2
         d = x.shape[1]
         near = np.zeros(cells.max(axis=0) + 3, bool)
-        near[tuple(cells.T)] = True
+        near[*cells.T] = True
         near = binary_dilation(near, np.ones((5,) * d))
         places = np.argwhere(np.kron(near, np.ones((FINE,) * d, bool)))
-        at = x.min(axis=0) + spacing * ((places + 0.5) / FINE - 2.5)
         fine = np.zeros((*(FINE * np.array(near.shape)), d))
-        fine[tuple(places.T)] = self.b(at)
+        fine[*places.T] = self.b(x.min(axis=0) + spacing * ((places + 0.5) / FINE - 2.5))
         s = np.abs((np.arange(5 * FINE) + 0.5) / FINE - 2.5)
         inner, outer = 1 + s**2 * (1.5 * s - 2.5), 2 - s * (4 - s * (2.5 - 0.5 * s))
         weight = np.where(s < 1, inner, np.where(s < 2, outer, 0.0)) / FINE
         for axis in range(d):  # of every node the mean of five spacings, the last read as number 5
             fine = upfirdn([0.0, *weight], fine, down=FINE, axis=axis)
-        return np.asarray(fine[tuple((cells + 3).T)])
+        return np.asarray(fine[*(cells + 3).T])
 
     def given(self, rim: Rim) -> tuple[np.ndarray, np.ndarray]:
         """Held displacements of the nodes of elements, and their mask, shape [n, d] each."""
@@ -311,7 +310,8 @@ def loads_on(
                 f"{name}: expected values by part, as {{'left': (0, 0)}}, got {given!r:.40}"
             )
         for part in given:
-            check_part(part, mesh)
+            if part not in mesh.parts:
+                raise InputError(f"part '{part}': the outline has {', '.join(sorted(mesh.parts))}")
     held, pulls = (
         {part: _field(f"part '{part}'", value, free=free) for part, value in given.items()}
         for given, free in zip(every.values(), (True, False))
@@ -319,12 +319,6 @@ def loads_on(
     if b is not None and not callable(b):
         raise InputError(f"b: expected a function of positions [n, 2], got {b!r:.60}")
     return BodyLoads(held, pulls, None if b is None else _field("b", b))
-
-
-def check_part(name: str, mesh: Mesh) -> None:
-    """Raise InputError unless the outline has a part of this name."""
-    if name not in mesh.parts:
-        raise InputError(f"part '{name}': the outline has {', '.join(sorted(mesh.parts))}")
 
 
 def _field(name: str, value: Field | Traction | ArrayLike, *, free: bool = False) -> Any:

@@ -80,8 +80,7 @@ class Bulk(LinearOperator):  # type: ignore[misc]
     accuracy = 0.0
 
     def __init__(self, model: Any, points: Points) -> None:
-        is_lps = isinstance(model, LPSMaterial)
-        placed = LPSOperator(model, points) if is_lps else model.on(points)
+        placed = LPSOperator(model, points) if isinstance(model, LPSMaterial) else model.on(points)
         self.points, self.linear, self.stress = points, placed.linear, placed.stress
         self.inside, self.collar = np.flatnonzero(points.interior), np.flatnonzero(~points.interior)
         self._inverse = self.linear.cheapest_inverse(EXCHANGES)
@@ -100,8 +99,7 @@ class Bulk(LinearOperator):  # type: ignore[misc]
         return float(left / (right or 1.0))
 
     def _matvec(self, q: np.ndarray) -> np.ndarray:
-        u = q.reshape(-1, self.points.dimension)
-        b, collar = np.split(u, [len(self.inside)])
+        b, collar = np.split(q.reshape(-1, self.points.dimension), [len(self.inside)])
         return self._solved(b - self.linear(self.joined(0 * b, collar)[None])[0])
 
     def _rmatvec(self, by: np.ndarray) -> np.ndarray:
@@ -120,7 +118,7 @@ def cubic(points: Points, x: np.ndarray) -> sp.csr_array:
     grid = np.rint(points.x / h).astype(int)
     corner = grid.min(axis=0)
     number = np.full(np.ptp(grid, axis=0) + 1, -1)
-    number[tuple((grid[points.interior] - corner).T)] = np.arange(points.interior.sum())
+    number[*(grid[points.interior] - corner).T] = np.arange(points.interior.sum())
     place = x / h - corner
     base = np.clip(np.floor(place).astype(int) - 1, -4, number.shape)  # beyond there is nothing
     steps, s = np.arange(4), place - base  # in [1, 2)
@@ -135,8 +133,7 @@ def cubic(points: Points, x: np.ndarray) -> sp.csr_array:
             "overlap: the rim leaves the unknown nodes; give three spacings, or a wider body"
         )
     value = np.prod([weight[:, a, around[:, a]] for a in range(d)], axis=0)
-    row = np.repeat(np.arange(len(x)), len(around))
-    entries = (value.ravel(), (row, node.ravel()))
+    entries = (value.ravel(), (np.repeat(np.arange(len(x)), len(around)), node.ravel()))
     return sp.csr_array(entries, shape=(len(x), points.interior.sum()))
 
 

@@ -426,8 +426,7 @@ class TimeSeriesWriter:
             self.claim()
         nodes, times, name = self.nodes, self.times, f"record_{step:08d}.vtu"
         times[name] = time
-        parts = {"positions": self.x, **fields}
-        whole = gathered(nodes.comm, parts, nodes.number, nodes.count)
+        whole = gathered(nodes.comm, {"positions": self.x, **fields}, nodes.number, nodes.count)
         there = {name, *(one.name for one in self.folder.glob("record_*.vtu"))}
         lines = [f'<DataSet timestep="{t!r}" file="{n}"/>' for n, t in times.items() if n in there]
         head = PVD if self.mark is None else f"{PVD}<!-- {step} {self.mark(step)} -->"

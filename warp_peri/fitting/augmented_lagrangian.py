@@ -48,7 +48,7 @@ def adam(
 ) -> tuple[list[float], list[float]]:
     """Minimise by Adam; returns the objective and the loss by epoch. `framed`, the rate follows the
     first gradient and falls as a cosine; else it is constant, and stagnation ends the run."""
-    how: dict[str, Any] = {"lr": LEARNING_RATE}
+    how: Any = {"lr": LEARNING_RATE}
     if framed:
         first, loss = objective()
         tick(loss.item())
@@ -122,8 +122,8 @@ def as_printed(
 def printed_state(conditions: int) -> list[torch.Tensor]:
     """Start of the printed algorithm: slacks of one, multipliers, last violations, ψ, rounds."""
     zero = torch.zeros(conditions, dtype=torch.float64)
-    slack, none = torch.ones_like(zero).requires_grad_(), torch.zeros((), dtype=torch.float64)
-    return [slack, zero, zero + torch.inf, none + 1, none]
+    none = torch.zeros((), dtype=torch.float64)
+    return [torch.ones_like(zero).requires_grad_(), zero, zero + torch.inf, none + 1, none]
 
 
 def to_the_optimum(

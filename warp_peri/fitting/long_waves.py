@@ -60,8 +60,7 @@ def long_wave_rows(samples: Samples, allowed: np.ndarray, modes: int) -> tuple[n
     lines, kept = lines_of_waves(samples, modes)
     one = np.eye(len(axes), dtype=int)
     slopes = np.array([[derived(lines, j + k) for k in one] for j in one])
-    u = (samples.u @ axes)[:, kept]
-    moments = np.einsum("jlvn,sni->svijl", slopes, u, optimize=True)
+    moments = np.einsum("jlvn,sni->svijl", slopes, (samples.u @ axes)[:, kept], optimize=True)
     values = derived(lines, 0 * one[0])
     return values, kept, -np.einsum("svijl,aijkl->svka", moments, allowed, optimize=True)
 
@@ -76,7 +75,7 @@ def moduli_of(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
             f"moduli: the long waves of these loads do not tell {R.shape[1]} constants apart; "
             "give them, or more loads of long waves"
         )
-    c = np.linalg.lstsq(R, y, rcond=None)[0]
+    c = np.linalg.lstsq(R, y)[0]
     return c / size, relative(R @ c - y, y)
 
 
@@ -261,10 +260,9 @@ def _long_wave_table(samples: Samples, count: int) -> tuple[np.ndarray, np.ndarr
     slope = np.stack([derived(lines, one) for one in np.eye(2, dtype=int)], axis=-1)
     P = _stresses(gradients(samples, kept), turn, count)
     felt = [np.einsum("snkl,vnl->svk", one, slope, optimize=True) for one in P]
-    bent = elastic((2, 0), (0, 2))
     geometric = [one + more for one, more in zip(linear, felt)]
-    table = np.stack([*linear, *geometric, *bent, *six, *felt[2:]], axis=-1)
-    values = derived(lines, np.zeros(2, dtype=int))
+    table = np.stack([*linear, *geometric, *elastic((2, 0), (0, 2)), *six, *felt[2:]], axis=-1)
+    values = derived(lines, np.zeros(2, int))
     weight = over_loads(samples)[:, None, None]
     return table * weight[..., None], weight * np.einsum("vn,snk->svk", values, b, optimize=True)
 

@@ -94,8 +94,8 @@ def settle(
         for _ in range(BENDS):
             if merit(now) >= merit(there) or there.loss > merit(now):  # not for the conditions
                 break
-            equal, margins = there.equal - now.A @ move, there.margins - now.M @ move
-            bend = _step(replace(now, equal=equal, margins=margins), damping)
+            margins = there.margins - now.M @ move
+            bend = _step(replace(now, equal=there.equal - now.A @ move, margins=margins), damping)
             again = state(theta + bend)
             if not again.violated < there.violated / 2:
                 break
@@ -302,8 +302,7 @@ class Regression:
         size: float | None,
     ) -> None:
         self.blocks, self.law, self.floor = blocks, law, floor
-        whole = np.sqrt(sum(block.y @ block.y for block in blocks))
-        self.size = float(size or whole or 1.0)
+        self.size = float(size or np.sqrt(sum(block.y @ block.y for block in blocks)) or 1.0)
         self.zones = [Zone(block.bonds, block.group) for block in blocks]
         self.cuts: list[tuple[int, np.ndarray]] = []
 
@@ -335,11 +334,15 @@ class Regression:
         smallest = np.inf
         for number, form in enumerate(at.forms):
             zone = self.zones[form.block]
-            below, near = form.level - MET * self.floor, form.level + self.floor
-            least, phase, vectors = zone.softest(form.p, below, near)
+            near = form.level + self.floor
+            least, phase, vectors = zone.softest(form.p, form.level - MET * self.floor, near)
             smallest = min(smallest, (least - form.level) / self.floor)
             if len(phase):
-                self.cuts.append((number, cut_rows(zone.bonds, phase, vectors)))
+                # rows G with G p = vᵗ D(k; p) v / s(k), shape [n, P]
+                basis, wave = zone.bonds.basis, bend(phase, zone.bonds.steps)
+                work = np.einsum("axij,ki,kj->kax", basis, vectors, vectors, optimize=True)
+                G = np.einsum("kax,kx->ka", work, wave) / laplacian(phase)[:, None]
+                self.cuts.append((number, G))
         return smallest
 
     def found(self, theta: np.ndarray, losses: list[float], margin: float) -> Settled:
@@ -382,13 +385,6 @@ class Zone:
                 if len(found) == NEW_CUTS:
                     break
         return found
-
-
-def cut_rows(bonds: Basis, phase: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Rows G with G p = vᵗ D(k; p) v / s(k), shape [n, P]."""
-    work = np.einsum("axij,ki,kj->kax", bonds.basis, vectors, vectors, optimize=True)
-    rows = np.einsum("kax,kx->ka", work, bend(phase, bonds.steps))
-    return np.asarray(rows / laplacian(phase)[:, None])
 
 
 def sample_weights(sets: Sequence[Samples], *, normalise: bool) -> list[np.ndarray]:

@@ -114,7 +114,7 @@ def left_by(material: Any, samples: Samples, verb: str) -> tuple[Any, np.ndarray
     if not b.any():
         raise InputError("samples: expected loads on their interior, got none")
     free = callable(known) or hasattr(law, "linear")
-    loose: dict[str, Any] = {"allow_uncertified": True} if free else {}
+    loose: Any = {"allow_uncertified": True} if free else {}
     operator = placed(material, samples.points, verb=verb, **loose)
     left = b - operator(samples.u)
     return operator, left, float(np.linalg.norm(left) / np.linalg.norm(b))

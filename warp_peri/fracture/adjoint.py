@@ -67,8 +67,8 @@ def bond_force(
 def crack_load(cut: Any, stress: np.ndarray, parameters: Numbers) -> torch.Tensor:
     """Crack load as statics.crack_load, differentiable in the given parameters, [N, d]."""
     numbers = {name: real(name, value) for name, value in (cut.learnable | {**parameters}).items()}
-    even, sigma = torch.eye(cut.body.dimension).double(), torch.from_numpy(stress)
-    strain = strain_of(sigma, numbers["lam"], numbers["mu"], even)
+    sigma = torch.from_numpy(stress)
+    strain = strain_of(sigma, numbers["lam"], numbers["mu"], torch.eye(cut.body.dimension).double())
     u = (torch.from_numpy(cut.body.x) @ strain)[None]
     whole, broken = (
         bond_force(cut.model, cut.body, table, u, numbers)[0]
@@ -260,8 +260,7 @@ class SoftBody:
         """Hill's test: whether the tangent is positive definite with failing bonds failing on."""
         law, fails = self.law, ((s == worst) & (worst > self.law.stretch)).numpy()
         own = share.numpy() * slope_of(s.numpy(), law.softness)
-        fall = -float(law.pull(np.array(law.stretch))) / law.tail
-        slope = np.where(fails & (own > 0), fall, own)
+        slope = np.where(fails & (own > 0), -float(law.pull(np.array(law.stretch))) / law.tail, own)
         return definite_factors(self.tangent(slope)) is not None
 
     def _at_rest(
@@ -281,5 +280,4 @@ class SoftBody:
         field = torch.where(torch.from_numpy(self.free), torch.from_numpy(u), given)
         full = torch.from_numpy(self.stiffness * self.square)
         pull = full * share * pull_of(self._stretch(field), softness, torch)
-        force = linear(pull, self.rows.T.dot, self.rows.dot)
-        return field - linear(force, np.zeros_like, inverse)
+        return field - linear(linear(pull, self.rows.T.dot, self.rows.dot), np.zeros_like, inverse)

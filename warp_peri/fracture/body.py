@@ -65,7 +65,7 @@ class LatticeBody:
     def opposite(self) -> np.ndarray:
         """Number of the bond with the opposite vector, shape [B]."""
         order = np.lexsort(self.classes.steps.T)
-        return np.asarray(order[::-1][np.argsort(order)])
+        return order[::-1][np.argsort(order)]
 
 
 @typed
@@ -187,8 +187,7 @@ def _segments(body: LatticeBody, corners: np.ndarray) -> Iterator[Face]:
             open_ended and number == last and _goes_on(body, ends[1], along),
         )
         slack = np.where(tips, 1e-9, -1e-9) * body.spacing
-        normal = np.array([-along[1], along[0]])
-        yield np.stack(ends), normal, np.stack([along, -along]), slack
+        yield np.stack(ends), np.array([-along[1], along[0]]), np.stack([along, -along]), slack
 
 
 def _polygon(corners: np.ndarray, name: str) -> Iterator[Face]:

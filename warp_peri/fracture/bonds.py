@@ -46,9 +46,9 @@ class SplitBonds(NamedTuple):
 
 def bonds_of(model: LPSMaterial, classes: BondClasses, moduli: Any = None) -> SplitBonds:
     """Energy coefficients of a ball's bonds, or with moduli (μ [N, B], λ − μ [N]) of a body's."""
-    d, w, r = model.dimension, bond_weights(model, classes), classes.r[classes.bond_class]
+    d, w = model.dimension, bond_weights(model, classes)
     mu, excess = (model.mu, model.lam - model.mu) if moduli is None else moduli
-    return SplitBonds(d * (d + 2) * mu * w / r**2, d * w, excess)
+    return SplitBonds(d * (d + 2) * mu * w / classes.r[classes.bond_class] ** 2, d * w, excess)
 
 
 def bond_weights(model: LPSMaterial, classes: BondClasses) -> np.ndarray:
@@ -213,9 +213,8 @@ def dilatations(
 ) -> sp.csr_array:
     """Matrix of the plain dilatation θ of (C1) of some nodes [1/length], shape [n, d N]."""
     at, bond = np.nonzero(neighbour[nodes] >= 0)
-    stretch = stretch_rows(body, nodes[at], bond, neighbour[nodes[at], bond])
     gather = sp.csr_array((share[bond], (at, np.arange(len(at)))), shape=(len(nodes), len(at)))
-    return sp.csr_array(gather @ stretch)
+    return sp.csr_array(gather @ stretch_rows(body, nodes[at], bond, neighbour[nodes[at], bond]))
 
 
 class CutOperator:

@@ -175,8 +175,8 @@ class BreakingBody:
     def ledger(self, state: BreakingState, nodes: Any) -> list[float]:
         """Time, work, kinetic, elastic and dissipated energy [stress · volume] over all processes.
         In a sheet they are per thickness; work = kinetic + elastic + dissipated."""
-        body, density = self.body, self.solid.inertia
-        kinetic = density / 2 * np.square(state.v.numpy()).sum(axis=1)
+        body = self.body
+        kinetic = self.solid.inertia / 2 * np.square(state.v.numpy()).sum(axis=1)
         fields = (state.work.numpy(), kinetic, state.energy.numpy(), state.dissipated)
         sums = nodes.sum(np.stack([field[nodes.own] for field in fields], axis=1))
         return [state.time, *(body.spacing**body.dimension * sums).tolist()]
@@ -255,8 +255,8 @@ class CrackRun(Recorder):
         **files: Any,
     ) -> None:
         nodes = AllNodes(len(body.body.x)) if nodes is None else nodes
-        x, body.exchange = body.body.x[nodes.own], getattr(nodes, "exchange", None)
-        super().__init__(nodes, x, **{"every": 20} | files)
+        body.exchange = getattr(nodes, "exchange", None)
+        super().__init__(nodes, body.body.x[nodes.own], **{"every": 20} | files)
         with agreed(nodes.comm):
             if not step <= body.longest_step:
                 raise InputError(
@@ -265,9 +265,8 @@ class CrackRun(Recorder):
                 )
             self.watch: dict[str, Any] = dict(watch or {})
             if not all(map(callable, self.watch.values())) or {*LEDGER} & {*self.watch}:
-                names = ", ".join(LEDGER)
                 raise InputError(
-                    f"watch: expected functions, none named {names}, got {watch!r:.40}"
+                    f"watch: expected functions, none named {', '.join(LEDGER)}, got {watch!r:.40}"
                 )
         self.body, self.dt, self.shares = body, float(step), list[float]()
         self.history = {name: [] for name in LEDGER}
@@ -276,8 +275,7 @@ class CrackRun(Recorder):
         """Records so far as a Motion, with the end at the nodes of this process."""
         own, (time, history) = self.nodes.own, self.recorded()
         u, v = (field.numpy()[own].copy() for field in (state.u, state.v))
-        broken = Broken(self.body.damage(state)[own], self.body, state)
-        return Motion(time, u, v, history, broken)
+        return Motion(time, u, v, history, Broken(self.body.damage(state)[own], self.body, state))
 
     def advance(self, state: BreakingState) -> BreakingState:
         return step(self.body, state, self.dt)

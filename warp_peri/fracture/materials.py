@@ -17,7 +17,7 @@ from warp_peri.points.families import bond_classes
 from warp_peri.solvers.verlet import inertia
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class BrittleMaterial(OnLinear, format="warp_peri.brittle_solid", version=4):
     """Solid whose bonds break in tension, at a toughness or a stretch.
 
@@ -129,7 +129,7 @@ def pull_of(s: Any, softness: Any, of: Any) -> Any:
 def slope_of(s: np.ndarray, softness: float) -> np.ndarray:
     """Slope of BondLaw.pull over the stretch."""
     s = np.maximum(s, 0)
-    return np.asarray(np.exp(-softness * s) * (1 - softness * s))
+    return np.exp(-softness * s) * (1 - softness * s)
 
 
 def share_of(worst: Any, softness: Any, stretch: Any, tail: Any, of: Any) -> Any:
@@ -139,11 +139,10 @@ def share_of(worst: Any, softness: Any, stretch: Any, tail: Any, of: Any) -> Any
         return of.where(beyond, 0.0, of.ones_like(worst))
     fall = of.clip(1 - (worst - stretch) / tail, 0, None)
     whole = pull_of(of.where(beyond, worst, 1.0), softness, of)
-    ends = pull_of(stretch, softness, of) * fall / whole
-    return of.where(beyond, of.clip(ends, None, 1), 1.0)
+    return of.where(beyond, of.clip(pull_of(stretch, softness, of) * fall / whole, None, 1), 1.0)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class SofteningMaterial(OnLinear, format="warp_peri.soft_solid"):
     """Solid whose bonds soften and fail by one law (C16), positive; InputError unless λ = μ."""
 
@@ -162,5 +161,5 @@ class SofteningMaterial(OnLinear, format="warp_peri.soft_solid"):
 
     def toughness(self, spacing: float) -> float:
         """Toughness G_c [stress length] of a straight cut on a lattice with this spacing (C18)."""
-        classes = bond_classes(spacing, self.model.horizon, dimension=self.model.dimension)
+        classes = bond_classes(spacing, self.model.horizon, dimension=self.dimension)
         return 2 * unit_toughness(self.model, classes) * self.law.spent()

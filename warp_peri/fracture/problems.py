@@ -154,8 +154,7 @@ class Cracked:
             raise InputError("pressure: a Cracked under pressure is solved at rest; see Injected")
         if "density" in options and not hasattr(material, "density"):
             u = np.zeros_like(self.points.x) if self.u is None else self.u
-            cut = self.waves(material)
-            return fracture.adjoint.in_motion(cut, self.b, u, options)
+            return fracture.adjoint.in_motion(self.waves(material), self.b, u, options)
         body = self.body(material, "simulate")
         if self.corrected and not {"events", "step"} & options.keys():
             raise InputError("corrected: expected slow growth, events=…, or steps")
@@ -308,7 +307,7 @@ def energy_release(
         cell = problem.points.spacing**problem.points.dimension
         work = cell * float(np.vdot(solution.load, solution.u[solution.operator.inside]))
         energies.append(solution.operator.energy(solution.u) - work)
-        sizes = (size_and_normal(np.asarray(line, dtype=float))[0] for line in polylines)
+        sizes = (size_and_normal(np.asarray(line, float))[0] for line in polylines)
         lengths.append(sum(sizes))
     if len(set(lengths)) < (3 if shift else 2):
         least = "three" if shift else "two"
@@ -322,9 +321,7 @@ def energy_release(
 
 def _moving(cracks: Sequence[Sequence[ArrayLike]]) -> int:
     """Number of polyline ends that differ between the first and the last of these sets."""
-    first, last = (
-        [np.asarray(line, dtype=float) for line in one] for one in (cracks[0], cracks[-1])
-    )
+    first, last = ([np.asarray(line, float) for line in one] for one in (cracks[0], cracks[-1]))
     if len(first) != len(last) or any(line.shape[1:] != (2,) for line in first + last):
         raise InputError("shift: expected the same number of polylines in a sheet at all lengths")
     ends = [(a[end], b[end]) for a, b in zip(first, last) for end in (0, -1)]
@@ -430,16 +427,14 @@ def _crack_axes(solution: Solution, tip: np.ndarray, reach: float) -> tuple[list
     sign = -float(np.sign(behind[along]))
     if not sign or abs((sign * cut[across][:, along]).max() + h / 2) > h:  # behind where it ends
         raise InputError(f"tip: expected the end of a crack along an axis, got {tip.tolist()}")
-    rest = [axis for axis in range(d) if axis not in (along, across)]
-    return [along, across, *rest], sign
+    return [along, across, *[axis for axis in range(d) if axis not in (along, across)]], sign
 
 
 def _gradient(u: np.ndarray, x: np.ndarray, h: float, axes: list[int], sign: float) -> np.ndarray:
     """Gradients ∂u_i/∂x_j by differences in a box about a tip, [n₁, n₂, …, d, d]."""
     slopes = [np.gradient(u, h, axis=axis, edge_order=2) for axis in range(u.shape[-1])]
     along, across = axes[:2]
-    row = round(float((x[..., across] < 0).mean()) * x.shape[across])
-    halves = np.split(u, [row], axis=across)
+    halves = np.split(u, [round(float((x[..., across] < 0).mean()) * x.shape[across])], axis=across)
     apart = [np.gradient(half, h, axis=across, edge_order=2) for half in halves]
     behind = sign * x[..., along, None] < 0
     slopes[across] = np.where(behind, np.concatenate(apart, axis=across), slopes[across])

@@ -259,7 +259,7 @@ def crack_load(cut: CutSolid, stress: np.ndarray, numbers: Any = None) -> Any:
         return fracture.adjoint.crack_load(cut, stress, numbers)
     u = body.x @ strain_of(stress, model.lam, model.mu, np.eye(body.dimension))
     whole = CutRows(model, body, body.neighbour, cut.corrected)
-    return np.asarray((whole(u[None]) - cut.times(u[None]))[0])
+    return (whole(u[None]) - cut.times(u[None]))[0]
 
 
 def strain_of(stress: Any, lam: Any, mu: Any, even: Any) -> Any:
@@ -339,17 +339,16 @@ def apparent_toughness(
     Divide a stretch by its root to calibrate it (C7). The model must be positive on the lattice. In
     space strain is plane and the front straight; for a bent front this is an upper end.
     """
-    h, reach, d = spacing, int(np.ceil(model.horizon / spacing)), model.dimension
-    side = 2 * (cells + 2 * reach) * h
+    h, d = spacing, model.dimension
+    side = 2 * (cells + 2 * int(np.ceil(model.horizon / spacing))) * h
     half = round(0.4 * cells) * h
     x = box_nodes((side, side, h)[:d], h)
     held = (np.abs(x) > cells * h).any(axis=1)
     u = np.zeros_like(x)
     u[:, :2] = _westergaard(x, half, model.lam, model.mu)
-    crack = through(-half, half, side, d)
     body = lattice_body(x, h, model.horizon, endless=d == 3)
     events = length * cut_by_spacing(body.classes) + 1  # an event is 4 directed bonds
-    growth = grow(model, body, held, u, events=events, cracks=[crack])
+    growth = grow(model, body, held, u, events=events, cracks=[through(-half, half, side, d)])
     return spent(growth, body.classes, tips=2) / unit_toughness(model, body.classes)
 
 

@@ -47,7 +47,7 @@ def check_solvability(model: LPSMaterial, points: PointsLike) -> Solvability:
     """Compute the solvability figures of L on points of any kind; between scattered ones W_ij ≠
     W_ji and no certificate speaks. Raises InputError where they do not carry the horizon."""
     L = LPSOperator(model, points).matrix()
-    A = sp.csc_array(L[:, np.repeat(points.interior, points.x.shape[1])])
+    A = sp.csc_array(L[:, np.repeat(points.interior, model.dimension)])
     few = A.shape[0] <= DENSE
     singular = float(np.linalg.svd(A.toarray(), compute_uv=False)[-1]) if few else None
     return Solvability(smallest_eigenvalue((A + A.T) / 2), singular)
@@ -59,8 +59,10 @@ def with_proof(model: LPSMaterial, spacing: float | None = None) -> LPSMaterial:
     home = spacing or max(model.trained_on, default=model.horizon / 3)
     proof = certify(model, spacing=home)
     if not proof.holds:
-        unit = symbols(model.units)[0]
-        raise InputError(f"model: nothing is proven of it on {home:g} {unit}; {proof.statement}")
+        raise InputError(
+            f"model: nothing is proven of it on {home:g} {symbols(model.units)[0]}; "
+            f"{proof.statement}"
+        )
     figures = {f"{proof.spacing:g}": proof.figures()}
     return replace(model, certified_on=(proof.spacing,), certificate=figures)
 

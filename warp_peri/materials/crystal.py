@@ -62,7 +62,7 @@ class TensorOperator(OperatorBase):
         """Equilibrium with b on the interior, u given on the collar, [..., N, d], by
         CG(preconditioner, tolerance); InputError as Linear.solve."""
         refuse_solver(solver, (CG,), "a crystal model")
-        asked = solver if isinstance(solver, CG) else CG()
+        asked: Any = solver or CG()
         b, u = checked_fields(self.points, b, u)
         loads, fields = (field.reshape(-1, *self.points.x.shape) for field in (b, u))
         proof, proven = self.model.certificate, None
@@ -85,9 +85,9 @@ class TensorOperator(OperatorBase):
 
     def vjp(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
         """Transposed product Lᵗ w on all nodes, [..., N, d], for w on the interior, whatever u."""
-        w, shape = self.of_interior(w), self.points.x.shape
+        w = self.of_interior(w)
         pushed = [self.linear.push(one) for one in w.reshape(-1, *w.shape[-2:])]
-        return np.reshape(pushed, (*w.shape[:-2], *shape))
+        return np.reshape(pushed, (*w.shape[:-2], *self.points.x.shape))
 
     @property
     def learnable(self) -> dict[str, np.ndarray]:
@@ -96,7 +96,7 @@ class TensorOperator(OperatorBase):
 
     def at(self, numbers: Mapping[str, ArrayLike]) -> TensorOperator:
         """The operator with other symmetric tensors; nothing is proven of it yet."""
-        law, C = self.model, np.asarray(numbers["tensors"], dtype=float)
+        law, C = self.model, np.asarray(numbers["tensors"], float)
         held = law.stress if isinstance(law, CrystalMaterial) else None
         law = CrystalMaterial(self.spacing, self.steps, C, law.units, stress=held)
         return TensorOperator(law, self.points, dtype=self.dtype)
@@ -188,7 +188,7 @@ class StencilMaterial(Record):
 
     def symbol(self, k: np.ndarray) -> np.ndarray:
         """Symbol D(k) = 2 Σ_half C(ξ)(1 − cos k·ξ) (T2) at wave vectors k [..., d]; [..., d, d]."""
-        k = np.asarray(k, dtype=float)
+        k = np.asarray(k, float)
         D = self.stencil.symbol(k.reshape(-1, self.dimension) * self.stencil.spacing)
         return D.reshape(*k.shape, self.dimension)
 
@@ -209,8 +209,7 @@ class StencilMaterial(Record):
 
     def certified(self) -> Self:
         """The material with its certificate; `certificate.holds` says whether a proof was found."""
-        proof = prove(self.stencil, self.group)
-        return replace(self, certificate=proof)  # type: ignore[type-var]
+        return replace(self, certificate=prove(self.stencil, self.group))  # type: ignore[type-var]
 
     def max_symbol_eigenvalue(self) -> float:
         """Upper bound of Λmax D(k) over all waves [stress / length²], for time steps (T21)."""
@@ -219,8 +218,10 @@ class StencilMaterial(Record):
     @property
     def uncut(self) -> str:
         """Reason why no bonds of this material may be cut."""
-        what = type(self).__name__
-        return f"a {what} is a stencil of whole families; give a collar {self.horizon:g} wide"
+        return (
+            f"a {type(self).__name__} is a stencil of whole families; give a collar "
+            f"{self.horizon:g} wide"
+        )
 
     def fitting(self, points: Points | Samples) -> Points:
         """The nodes, checked for the material's spacing, units and axis; InputError for others."""
@@ -243,7 +244,7 @@ class StencilMaterial(Record):
         return TensorOperator(self, self.fitting(points), dtype=dtype)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
     """A crystal on one square or cubic lattice of nodes: a micromodulus tensor for every bond.
 

@@ -412,17 +412,15 @@ def plane_strain(law: CrystalMaterial, normal: int = 2) -> CrystalMaterial:
             f"of the plane push (by {pushed / np.abs(tensors).max():.1e} of the tensors)"
         )
     turns = law.orientation @ point_group(law.symmetry, 3) @ law.orientation.T
-    turns = turns[np.abs(np.abs(turns[:, normal, normal]) - 1) < BROKEN][:, kept][:, :, kept]
-    flat = replace(
+    return replace(
         law,
         steps=np.array(list(sums)),
         tensors=tensors[:, kept][:, :, kept],
-        symmetry=turns,
+        symmetry=turns[np.abs(np.abs(turns[:, normal, normal]) - 1) < BROKEN][:, kept][:, :, kept],
         orientation=None,
         stress=None if law.stress is None else law.stress[np.ix_(kept, kept)],
         certificate=None,
-    )
-    return flat.certified()
+    ).certified()
 
 
 @typed
@@ -433,8 +431,7 @@ def plane_stress(law: CrystalMaterial, normal: int = 2) -> CrystalMaterial:
     what a sheet's faces do there is no property of the crystal. Bonds and errors as in
     `plane_strain`.
     """
-    kept = _kept(law, normal)
-    order = [*kept, normal]
+    order = [*_kept(law, normal), normal]
     C = elastic.plane_stress(law.tensor()[np.ix_(order, order, order, order)])
     brackets = brackets_from_elastic(C)
     flat = plane_strain(law, normal)

@@ -54,7 +54,7 @@ def sided_gradients(points: Any, horizon: float) -> tuple[np.ndarray, np.ndarray
     return steps, np.array(weights)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class DensityMaterial(Record, format="warp_peri.density"):
     """A material whose energy density is a given function of the Green strain.
 

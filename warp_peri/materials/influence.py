@@ -69,8 +69,10 @@ class InfluenceFunction:
         object.__setattr__(self, "parameters", values)
         for name, ends in self.bounds.items():
             if name not in self.parameters:
-                known = ", ".join(self.parameters) or "none"
-                raise InputError(f"bounds: no parameter {name!r}; there are: {known}")
+                raise InputError(
+                    f"bounds: no parameter {name!r}; there are: "
+                    f"{', '.join(self.parameters) or 'none'}"
+                )
             try:
                 low, high = map(float, ends)
             except (TypeError, ValueError):
@@ -114,7 +116,7 @@ class InfluenceFunction:
 
     def __call__(self, r: ArrayLike) -> np.ndarray:
         """Values of K at the distances r [Å], of the shape of r."""
-        distance = np.asarray(r, dtype=float)
+        distance = np.asarray(r, float)
         K = np.array(self.function(distance.copy(), **copy.deepcopy(self.parameters)))
         if K.dtype.kind not in "iufb" or K.shape != distance.shape:
             raise InputError(
@@ -155,7 +157,7 @@ class InfluenceFunction:
         InputError for a function whose values at the bond lengths no D reaches, and a table that
         does not reach them.
         """
-        r = np.unique(np.asarray(lengths, dtype=float))
+        r = np.unique(np.asarray(lengths, float))
         knots = getattr(self.function, "keywords", {}).get("knots", r)  # of a table
         if r[0] < (1 - ROUNDING) * knots[0] or r[-1] > (1 + ROUNDING) * knots[-1]:
             raise InputError(

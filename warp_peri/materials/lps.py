@@ -58,7 +58,7 @@ def bernstein_basis(r: ArrayLike, horizon: float, degree: int) -> np.ndarray:
     """Bernstein polynomials B_k,M(r/δ) at lengths in [0, δ], to rounding, shape [..., M + 1]."""
     if degree > LARGEST_DEGREE:
         raise InputError(f"degree: expected at most {LARGEST_DEGREE}, got {degree}")
-    t = np.minimum(np.asarray(r, dtype=float) / horizon, 1.0)[..., None]
+    t = np.minimum(np.asarray(r, float) / horizon, 1.0)[..., None]
     k = np.arange(degree + 1)
     return np.asarray(comb(degree, k) * t**k * (1 - t) ** (degree - k))
 
@@ -102,7 +102,7 @@ class LPSParameters:
         return self.lam, self.mu, self.alpha, self.D
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class LPSMaterial(Record, format="warp_peri.model"):
     """A linear peridynamic solid with K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) (theory, 4–9, V1–V3).
 
@@ -154,12 +154,6 @@ class LPSMaterial(Record, format="warp_peri.model"):
         check_influence(self.alpha, self.D)
         if not np.any(self.D):
             raise InputError("D: expected a coefficient other than 0")
-        self._check_moduli()
-        told = self.statements  # in its units, whatever a file says
-        own = {f"{h:g}": each | {"statement": told.get(h)} for h, each in self.figures.items()}
-        object.__setattr__(self, "certificate", own)
-
-    def _check_moduli(self) -> None:
         d, N = self.dimension, 0
         if self.nodes is not None:
             N = len(checked("nodes", self.nodes, float, ("N", d)))
@@ -175,6 +169,9 @@ class LPSMaterial(Record, format="warp_peri.model"):
             bulk = "λ + μ" if d == 2 else "λ + 2μ/3"
             got = "others at some nodes" if N else f"{self.lam}, {self.mu}"
             raise InputError(f"lambda, mu: expected μ > 0 and {bulk} > 0, got {got}")
+        told = self.statements  # in its units, whatever a file says
+        own = {f"{h:g}": each | {"statement": told.get(h)} for h, each in self.figures.items()}
+        object.__setattr__(self, "certificate", own)
 
     @classmethod
     def isotropic(
@@ -294,7 +291,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
     def influence(self, r: ArrayLike) -> np.ndarray:
         """Influence function K at the distances r [Å] in (0, δ]."""
-        r = np.asarray(r, dtype=float)
+        r = np.asarray(r, float)
         return np.asarray(r**-self.alpha * (bernstein_basis(r, self.horizon, self.degree) @ self.D))
 
     @property
@@ -506,8 +503,7 @@ def stiffnesses(model: LPSMaterial, classes: BondClasses) -> tuple[np.ndarray, f
         )
     r = classes.r * (model.certified_spacing_near(classes.spacing) / classes.spacing)
     kw = model.influence(r) * classes.weight
-    m = weighted_volume(classes, kw)
-    return model.mu * kw / m, (model.lam - model.mu) / model.mu**2
+    return model.mu * kw / weighted_volume(classes, kw), (model.lam - model.mu) / model.mu**2
 
 
 def stencil_of(classes: BondClasses, v: np.ndarray, kappa: float) -> Stencil:
@@ -528,8 +524,7 @@ def stencil_of(classes: BondClasses, v: np.ndarray, kappa: float) -> Stencil:
     tensors = C.reshape(-1, d, d)
     half = np.arange(len(steps)) > len(steps) // 2
     kept = half & (np.abs(tensors).max(axis=(1, 2)) > NOTHING * np.abs(tensors[half]).max())
-    both = symmetric_part(tensors)
-    return Stencil(classes.spacing, steps[kept], both[kept])
+    return Stencil(classes.spacing, steps[kept], symmetric_part(tensors)[kept])
 
 
 def moduli(model: LPSMaterial, classes: BondClasses) -> dict[str, float]:

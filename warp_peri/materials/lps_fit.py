@@ -142,8 +142,7 @@ class LPS:
         Raises InputError for input that cannot be used, and in space "paper", TwoStage, "output";
         RuntimeError when rows depart from Warp's operator or no start keeps conditions and moduli.
         """
-        sets, quiet = sets_of(samples), sets_of(noise, "noise")
-        return Learner(self, sets, quiet, progress).fit()
+        return Learner(self, sets_of(samples), sets_of(noise, "noise"), progress).fit()
 
     def checked(self, dimension: int) -> None:
         """Raise InputError for settings that contradict one another or the dimension."""
@@ -250,8 +249,7 @@ class Learner:
                 why = "the residual's optimum is worse than local elasticity"
                 choice = LossSelection("output", why)
             if choice.name == "output":
-                misfit = partial(fit_output_error, self, final, asked)
-                final = self.run("4 output error", misfit)
+                final = self.run("4 output error", partial(fit_output_error, self, final, asked))
         left = self.check(final, choice.name)
         done = replace(law, kernel=kernel, method=asked, conditions=self.conditions)
         return replace(self.certified(final, done, choice), left=left)
@@ -267,8 +265,7 @@ class Learner:
         found = {}
         for number, shape in enumerate(shapes_of(kernel)):
             D, _ = shape.coefficients(self.lengths, self.law.horizon)
-            solid = LPSParameters(0.0, self.unit, 0.0, D)
-            found[f"{number} {shape.name}"] = LPSFound(solid, shape)
+            found[f"{number} {shape.name}"] = LPSFound(LPSParameters(0.0, self.unit, 0.0, D), shape)
         return found
 
     @property
@@ -301,8 +298,7 @@ class Learner:
 
     def largest_degree(self) -> int:
         """Largest useful degree: that of as many coefficients as there are bond lengths."""
-        lengths = np.unique((self.lengths / self.law.horizon).round(9))
-        return min(LARGEST_DEGREE, len(lengths) - 1)
+        return min(LARGEST_DEGREE, len(np.unique((self.lengths / self.law.horizon).round(9))) - 1)
 
     def choose_degree(self, loss: str, method: GaussNewton) -> Bernstein:
         """Select the smallest degree whose error on loads left out is within 2 % of the best, going
@@ -380,8 +376,7 @@ class Learner:
         rough = LPSFound(LPSParameters(0.0, self.unit, 1.0, D))
         law = LPSLaw(self.lattices, rough, self.conditions, asked)
         problem = Regression(self.rows("residual"), law, law.zeta, 1.0)
-        loss = in_torch(self.products, self.weights, law)
-        given = problem, law.start(rough), loss, method
+        given = problem, law.start(rough), in_torch(self.products, self.weights, law), method
         return self.run("1 Adam", lambda tick: law.found(*to_the_optimum(*given, tick)))
 
     def best(self, starts: Mapping[str, LPSFound], method: GaussNewton, tick: Tick) -> LPSFound:
@@ -459,7 +454,7 @@ class Learner:
         printed = self.conditions.kind == "paper"
         good = (proof for proof in proofs if proof.holds and (not printed or proof.paper))
         zeta = {"zeta": self.zeta, "stiffness of the data": self.stiffness}
-        provenance: dict[str, Any] = {"zeta": zeta}
+        provenance: Any = {"zeta": zeta}
         if final.shape is not None:
             _, departure = final.shape.coefficients(self.lengths, self.law.horizon)
             provenance["influence"] = final.shape.record(departure)
@@ -533,7 +528,6 @@ def displacement_error(stencil: Stencil, samples: Samples, least: int | None = N
     if not (factors.U.diagonal() > 0).all():
         return np.inf
     found = u.reshape(b.shape).copy()
-    right = b[:, unknown].T - L[:, ~unknown] @ found[:, ~unknown].T
-    found[:, unknown] = factors.solve(right).T
+    found[:, unknown] = factors.solve(b[:, unknown].T - L[:, ~unknown] @ found[:, ~unknown].T).T
     size, wrong = (sizes(one, inside) for one in (u, found.reshape(u.shape) - u))
     return float(np.mean(wrong / np.where(size > 0, size, np.inf)))

@@ -165,7 +165,7 @@ class Bonds:
             return None
         inside = self.dimension * (slice(ring, -ring),)
         node = np.full(size + 2 * ring, self.nodes)
-        node[inside][tuple(grid.T)] = np.arange(self.nodes)
+        node[inside][*grid.T] = np.arange(self.nodes)
         if box is not None:
             node = np.pad(node[inside], ring, mode="wrap")
         stride = np.append(np.cumprod(node.shape[:0:-1])[::-1], 1)
@@ -192,8 +192,7 @@ class Bonds:
             return None
         pairs = np.minimum(np.arange(len(steps)), families.reverse).argsort(kind="stable")
         of_bond = steps[pairs] @ stride, families.pattern[pairs], families.lattice.bond_class[pairs]
-        row = np.array([0, len(steps)])
-        return self._laid(row, *of_bond, True, pairs[:0], node, home, pieces)
+        return self._laid(np.array([0, len(steps)]), *of_bond, True, pairs[:0], node, home, pieces)
 
     @cached_property
     def lengths(self) -> tuple[np.ndarray, ...]:
@@ -260,7 +259,7 @@ class Bonds:
 
     def law(self, *values: Any) -> Law:
         """The Law on these bonds of given λ, μ, α and D; the last one is cached."""
-        arrays = [np.array(value, dtype=float).ravel() for value in values]  # nobody changes copies
+        arrays = [np.array(value, float).ravel() for value in values]  # nobody changes copies
         key, last = [array.tobytes() for array in arrays], self.kept
         if not last or last[0] != key:
             known = last[1] if last and last[0][2:] == key[2:] else None
@@ -289,8 +288,7 @@ def _vectors(values: np.ndarray) -> wp.array[Any]:
 def _pieces(places: np.ndarray, numbers: np.ndarray, lanes: int) -> wp.array[Any]:
     """Pieces of at most `lanes` lanes, in the order of their places, [P] of vectors."""
     order = np.argsort(places, kind="stable")
-    pieces = row_pieces(places[order], lanes, numbers[order])
-    return wp.array(pieces, dtype=wp.vec3i, device=DEVICE)
+    return wp.array(row_pieces(places[order], lanes, numbers[order]), dtype=wp.vec3i, device=DEVICE)
 
 
 def bonds_of(model: LPSMaterial, points: PointsLike, degree: int = DEGREE) -> Bonds:
@@ -516,8 +514,8 @@ def assemble(bonds: Bonds, kw: np.ndarray, m: Any, mu: Any = 1.0) -> Matrices:
     def at(where: np.ndarray, values: np.ndarray) -> sp.csr_array:
         """Map fields of c components to values · field at a node of each bond, [E, c N]."""
         c = values.shape[1]
-        columns, starts = c * where[:, None] + np.arange(c), c * np.arange(len(some) + 1)
-        entries = values.ravel(), columns.ravel(), starts
+        columns = c * where[:, None] + np.arange(c)
+        entries = values.ravel(), columns.ravel(), c * np.arange(len(some) + 1)
         return sp.csr_array(entries, shape=(len(some), c * nodes))
 
     interior = (d * families.rows[:, None] + np.arange(d)).ravel()

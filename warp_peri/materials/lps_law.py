@@ -193,17 +193,17 @@ def product_basis(classes: BondClasses) -> Basis:
     far = 2 * np.abs(x).max()
     place = np.full((2 * far + 1,) * d, -1)
     steps = steps[np.abs(steps).max(axis=1) <= far]
-    place[tuple((steps + far).T)] = np.arange(len(steps))
+    place[*(steps + far).T] = np.arange(len(steps))
     i, j = np.triu_indices(count)
     column = np.zeros((count, count), int)
     column[i, j] = column[j, i] = count + np.arange(len(i))
     tensors = np.zeros((count + len(i), len(steps), d, d))
-    alone = place[tuple((x + far).T)]
+    alone = place[*(x + far).T]
     own = alone >= 0
     along = x[:, :, None] * x[:, None] / (x**2).sum(axis=1)[:, None, None]
     tensors[of[own], alone[own]] = 2 * d * (d + 2) * h**2 * along[own]
     first, second = np.indices((len(x), len(x))).reshape(2, -1)
-    at = place[tuple((x[first] + x[second] + far).T)]
+    at = place[*(x[first] + x[second] + far).T]
     first, second, at = first[at >= 0], second[at >= 0], at[at >= 0]
     across = d**2 * h**4 * x[first][:, :, None] * x[second][:, None]
     np.add.at(tensors, (column[of[first], of[second]], at), symmetric_part(across))
@@ -310,7 +310,7 @@ class BernsteinKernel:
         self._second = np.diff(np.eye(degree + 1), n=2, axis=0)
         free = right[rank:].T  # coefficients that no bond sees: take those that smooth
         if free.size and len(self._second):
-            smooth = np.linalg.lstsq(self._second @ free, self._second @ self.D_of_q, rcond=None)
+            smooth = np.linalg.lstsq(self._second @ free, self._second @ self.D_of_q)
             self.D_of_q = self.D_of_q - free @ smooth[0]
         self._log_r = [np.log(t) for t, _ in scaled]
         first = lattices[0]
@@ -381,11 +381,13 @@ class ShapeKernel:
 
     def tables(self, q: np.ndarray) -> list[np.ndarray]:
         """K W on each lattice, [..., C], for q that differ in their imaginary parts alone."""
-        shape, found, ahead = self._at(q.reshape(-1, q.shape[-1])[0]), [], (q - q.real)[..., 1:]
-        for classes in self.lattices:
-            K = shape(classes.r) + (self._size * ahead) @ shape.slopes(classes.r).T
-            found.append(q[..., :1] * (classes.weight / self._scale) * K)
-        return found
+        shape, ahead = self._at(q.reshape(-1, q.shape[-1])[0]), (q - q.real)[..., 1:]
+        return [
+            q[..., :1]
+            * (classes.weight / self._scale)
+            * (shape(classes.r) + (self._size * ahead) @ shape.slopes(classes.r).T)
+            for classes in self.lattices
+        ]
 
     def limits(self, q: np.ndarray) -> np.ndarray:
         """Distances of the parameters from their bounds, as shares of the range."""
@@ -483,11 +485,10 @@ class LPSLaw:
     def found(self, of: Settled, met: float = MET) -> LPSFound:
         """Turn a search's result into an LPSFound; a margin may miss by `met` of ζ."""
         mu = float(self.stiffnesses(of.theta)[1][0])
-        lam = mu + of.theta[0] / self.unit * mu**2
         D, alpha, shape = self.kernel.coefficients(of.theta[1:], mu / self.size)
         departure = float(np.abs(self.values(of.theta)[0]).max(initial=0.0))
         return LPSFound(
-            LPSParameters(lam, mu, alpha, D),
+            LPSParameters(mu + of.theta[0] / self.unit * mu**2, mu, alpha, D),
             shape,
             of.losses,
             margin=self.zeta * of.margin,
@@ -508,5 +509,4 @@ def optimum(
 ) -> LPSFound:
     """Minimise the losses from one start under conditions on the whole zones (theory, 26–28)."""
     law = LPSLaw(lattices, start, conditions, method, fixed_alpha=fixed_alpha)
-    theta = law.start(start)
-    return law.found(fit(blocks, law, theta, law.zeta, size=1.0, rounds=method.rounds))
+    return law.found(fit(blocks, law, law.start(start), law.zeta, size=1.0, rounds=method.rounds))

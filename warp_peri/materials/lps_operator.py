@@ -144,8 +144,10 @@ class LPSOperator(OperatorBase):
                 )
         numbers: Any = () if parameters is None else getattr(parameters, "values", tuple)()
         if parameters is not None and not (numbers and all(hasattr(n, "numpy") for n in numbers)):
-            what = type(parameters).__name__
-            raise InputError(f"parameters: expected LPSParameters of arrays of Warp, got {what}")
+            raise InputError(
+                "parameters: expected LPSParameters of arrays of Warp, got "
+                f"{type(parameters).__name__}"
+            )
         given = dict[str, Any]()
         for (name, own), one in zip(self.learnable.items(), numbers):
             check_shape(name, one, np.atleast_1d(own).shape)
@@ -216,7 +218,7 @@ class LPSOperator(OperatorBase):
 
             def pull(planes: np.ndarray) -> np.ndarray:
                 u = np.zeros((len(planes), *self.shape))
-                flat = planes[(slice(None), slice(None), *grid.core)] if grid.periodic else planes
+                flat = planes[:, :, *grid.core] if grid.periodic else planes
                 flat = flat.reshape(*planes.shape[:2], -1)[:, :, grid.place]
                 u[:, grid.near] = flat.mT @ grid.axes.T
                 return np.stack([grid.scatter_interior(one) for one in self.force(u)])
@@ -245,8 +247,7 @@ class LPSOperator(OperatorBase):
         """Upper bound of L's eigenvalues [stress/length²] on a lattice, for time steps; of fields
         their means', times how much stiffer a node is (InputError for a K that changes sign)."""
         model, mean = self.model, self.model.mean
-        stencil = mean.stencil(self.nodes.spacing, degree=self.quadrature_degree)
-        bound = largest(stencil, mean.group)
+        bound = largest(mean.stencil(self.nodes.spacing, degree=self.quadrature_degree), mean.group)
         if model.nodes is None:
             return bound
         if (self._law.kw < 0).any():

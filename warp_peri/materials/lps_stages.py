@@ -218,11 +218,10 @@ def two_stages(learner: Any, kernel: Any, method: TwoStage) -> LPSFound:
         return total_loss(learner.products, learner.weights, variables.bounded())
 
     def positive(tick: Tick) -> LPSFound:
-        leaves, epochs = variables.leaves, method.epochs
-        return variables.found(adam(leaves, lambda: 2 * (loss(),), epochs, tick)[1])
+        epochs = method.epochs
+        return variables.found(adam(variables.leaves, lambda: 2 * (loss(),), epochs, tick)[1])
 
-    first = learner.run("1 positive", positive)
-    variables = Variables(first.solid, unit)
+    variables = Variables(learner.run("1 positive", positive).solid, unit)
     margins = DenseMargins(learner.sets, learner.law.horizon)
     state = [*variables.leaves, *printed_state(len(margins.levels))]
     losses: list[float] = []

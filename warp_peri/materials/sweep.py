@@ -148,10 +148,9 @@ def sweep(
 
 def choose(trials: list[Trial]) -> SweepResult:
     """Choose among finished trials by Algorithm 2, as printed and by cost."""
-    degrees = sorted({trial.degree for trial in trials})
     by_degree = [
         min((t for t in trials if t.degree == degree), key=lambda t: t.E_res_train)
-        for degree in degrees
+        for degree in sorted({trial.degree for trial in trials})
     ]
     base = by_degree[0]
     average = [_average(trial, base) for trial in by_degree]
@@ -178,13 +177,11 @@ def _fit(law: LPS, key: str, sets: dict[str, Samples], noise: Samples | None, fi
     try:
         model = law.learn(train, noise=noise, progress=False).material
     except RuntimeError as error:
-        unit = symbols(train.points.units)[0]
-        return f"δ = {law.horizon:g} {unit}, M = {kernel.degree}: {error}"
+        return f"δ = {law.horizon:g} {symbols(train.points.units)[0]}, M = {kernel.degree}: {error}"
     tables = {name: evaluate(model, one, allow_uncertified=True) for name, one in sets.items()}
     errors = {kind: {name: table[kind] for name, table in tables.items()} for kind in ERRORS}
     model = replace(model, errors=errors)
-    provenance = model.provenance | {"sweep": _mark(model, key)}
-    replace(model, provenance=provenance).save(file)
+    replace(model, provenance=model.provenance | {"sweep": _mark(model, key)}).save(file)
     if isinstance(law.method, TwoStage):
         state.unlink(missing_ok=True)
     return ""

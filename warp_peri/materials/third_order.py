@@ -135,7 +135,7 @@ def fitted_weights(
         SIZE * 2 * len(k) * np.diag(sigma),
     ]
     right = [(k * (weight * factor(number))[:, None]).ravel(), [HELD], np.zeros(len(sigma))]
-    p = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0]
+    p = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right))[0]
     return np.asarray(p / (sigma @ p))
 
 
@@ -158,7 +158,7 @@ def gradient_stencil(
     return classes.steps, 2 * p[classes.bond_class, None] * (classes.xi @ axes.T)[None]
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
     """A crystal with a third-order energy Ψ of the displacement gradient (N1–N6, N22).
 
@@ -293,8 +293,7 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
 
 @lru_cache(maxsize=64)
 def _transferred(law: ThirdOrderMaterial, spacing: float) -> ThirdOrderMaterial:
-    linear = transfer_to_lattice(law.linear, spacing)
-    return replace(law, linear=linear, proven={}).certified()
+    return replace(law, linear=transfer_to_lattice(law.linear, spacing), proven={}).certified()
 
 
 class PlacedThirdOrder(Pointwise):
@@ -471,8 +470,7 @@ class Learning:
     def at(self, tensor: np.ndarray) -> tuple[Settled, np.ndarray]:
         """Fit the numbers with some moduli held; also those of all columns."""
         lame = np.array([tensor[0, 0, 1, 1], tensor[0, 1, 0, 1]])  # Ψ has those of the tensors
-        y = self.y - self.R[:, -2:] @ lame
-        found = self.tensors.fitted(self.R[:, :-2], y, tensor)
+        found = self.tensors.fitted(self.R[:, :-2], self.y - self.R[:, -2:] @ lame, tensor)
         return found, np.concatenate([found.p[0], lame])
 
     def found_moduli(self) -> tuple[np.ndarray, float]:

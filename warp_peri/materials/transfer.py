@@ -46,8 +46,8 @@ def wave_rows(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows R and y that fit p = C h² [stress] to D₀(k): waves up to `largest_wave` = |k| h, very
     long ones, and lightly the rest of the zone."""
-    d, number = bonds.dimension, np.arange(WAVES)
-    size = largest_wave * (0.02 + 0.98 * ((number * 0.6180339887) % 1))
+    d = bonds.dimension
+    size = largest_wave * (0.02 + 0.98 * ((np.arange(WAVES) * 0.6180339887) % 1))
     grid = orbit_grid(ZONE_INTERVALS[d], group, d)
     blocks = (
         (size[:, None] * directions(WAVES, d), 1.0),
@@ -208,8 +208,8 @@ def _fitted(
     target = model.stencil(home).symbol(home * k) * length**2 / unit
     loss = wave_loss(target, k * length, classes.spacing, product_basis(classes), weight)
     start = LPSFound(LPSParameters(model.lam / unit, 1.0, 1.0, np.ones(len(classes.r) + 1)))
-    asked, method = StabilityConditions(zeta=zeta / unit), GaussNewton(smoothness=SMOOTHNESS)
-    best = optimum([loss], [classes], start, asked, method)
+    method = GaussNewton(smoothness=SMOOTHNESS)
+    best = optimum([loss], [classes], start, StabilityConditions(zeta=zeta / unit), method)
     if not best.converged:
         return None
     lam, mu, alpha, D = best.solid.values()

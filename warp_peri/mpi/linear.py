@@ -52,9 +52,9 @@ class Level(VCycle):
 
     @cached_property
     def coarser(self) -> Level | _Gathered:
-        few, mask = self._fewer, coarser(self.mask)
+        few = self._fewer
         whole = np.prod(few.shape) <= WHOLE or few.rows % 2
-        return (_Gathered if whole else Level)(self.comm, few, mask, *self._below)
+        return (_Gathered if whole else Level)(self.comm, few, coarser(self.mask), *self._below)
 
     def around(self, field: np.ndarray) -> np.ndarray:
         return self._far(field)
@@ -138,7 +138,7 @@ class RowOperator:
 
     def rhs(self, b: np.ndarray) -> np.ndarray:
         """Right-hand side b on this rank's interior."""
-        return np.asarray(b, dtype=float)[..., self.points.interior, :]
+        return np.asarray(b, float)[..., self.points.interior, :]
 
     def inner(self) -> Inner:
         """Scalar products and largest values of planes over all ranks, summed by rows."""

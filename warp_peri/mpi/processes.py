@@ -126,7 +126,7 @@ def total(comm: Comm, values: np.ndarray) -> np.ndarray:
     Each value is rounded to multiples of one power of two far below the largest of all ranks."""
     from mpi4py import MPI
 
-    values = np.asarray(values, dtype=float)
+    values = np.asarray(values, float)
     largest = float(np.abs(values).max(initial=0.0))
     highest = comm.allreduce(largest if math.isfinite(largest) else math.inf, op=MPI.MAX)
     if highest == 0 or not math.isfinite(highest):
@@ -141,7 +141,7 @@ def total(comm: Comm, values: np.ndarray) -> np.ndarray:
     sums = np.array(parts)
     comm.Allreduce(MPI.IN_PLACE, sums, op=MPI.SUM)
     exact: Any = sum(limb.astype(object) << LIMB * n for n, limb in enumerate(sums[::-1]))
-    return np.asarray(np.ldexp(np.asarray(exact / (1 << LIMB * LIMBS), dtype=float), exponent))
+    return np.asarray(np.ldexp(np.asarray(exact / (1 << LIMB * LIMBS), float), exponent))
 
 
 def inner(comm: Comm, along: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Inner:
@@ -195,9 +195,9 @@ def cut(comm: Comm, shape: tuple[int, ...], rows: int) -> Slabs:
     InputError for more ranks than slabs."""
     count, ranks = -(-shape[0] // rows), comm.size
     if ranks > count:
-        nodes = " × ".join(map(str, shape))
         raise InputError(
-            f"ranks: expected at most {count} for {nodes} nodes, slabs of {rows} rows, got {ranks}"
+            f"ranks: expected at most {count} for {' × '.join(map(str, shape))} nodes, slabs of "
+            f"{rows} rows, got {ranks}"
         )
     starts = np.minimum(rows * (count * np.arange(ranks + 1) // ranks), shape[0])
     return Slabs(tuple(int(n) for n in shape), rows, starts)

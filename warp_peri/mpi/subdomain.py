@@ -148,8 +148,7 @@ class Subdomain:
         with agreed(comm):
             for of, name in fields:
                 kind = bool if name in ("held", "no_fail") else float
-                shape = self.x.shape[: 2 - (name == "no_fail")]
-                of[name] = checked(name, of[name], kind, shape)
+                of[name] = checked(name, of[name], kind, self.x.shape[: 2 - (name == "no_fail")])
         for of, name in fields:
             of[name] = halo.around(of[name])
         with agreed(comm):

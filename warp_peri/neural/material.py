@@ -124,8 +124,7 @@ class NeuralOperator(Shown, torch.nn.Module):
         """Force state t [stress/length³] of bonds (NO4), all of shape [n]."""
         extension = e / (self.strain * r)
         inputs = torch.stack([omega, theta / self.strain, extension, r / self.horizon], dim=1)
-        parts = [self.state(part)[:, 0] for part in inputs.split(CHUNK)]
-        value = self.scale * torch.cat(parts)
+        value = self.scale * torch.cat([self.state(part)[:, 0] for part in inputs.split(CHUNK)])
         return value * extension if self.proportional else value
 
     def on(self, points: PointsLike) -> Placed:
@@ -161,7 +160,7 @@ class NeuralOperator(Shown, torch.nn.Module):
     ) -> NeuralFit:
         """Train a copy of these networks; arguments and errors as of training.train."""
         material = copy.deepcopy(self)
-        how: dict[str, Any] = {"checkpoint": checkpoint, "progress": progress}
+        how: Any = {"checkpoint": checkpoint, "progress": progress}
         history = train(material, samples, validation, training or TrainingSettings(), **how)
         return NeuralFit(material, history)
 
@@ -205,7 +204,7 @@ FITS = atomic.LARGEST * 3 // 4 - 2**16
 """Bytes of weights whose file is read again."""
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class NeuralFile(record.Record, format="warp_peri.neural", version=2):
     """Content of a neural material's file; its weights by name, in base 64."""
 

@@ -40,10 +40,10 @@ class EquilibriumSolver(Equilibria):
         points = placed.points
         if points.interior.all():
             raise InputError("points: expected a collar; without one u is known up to a motion")
-        linear, least = Linear(probed(placed), points), torch.finfo(placed.dtype).eps
+        linear = Linear(probed(placed), points)
         inverse = linear.cheapest_inverse(LOADS, definite=False)
         ways = placed, lambda u: linear(u[None])[0], inverse, points.interior
-        super().__init__(*ways, rounding=ROUNDING * least)
+        super().__init__(*ways, rounding=ROUNDING * torch.finfo(placed.dtype).eps)
 
 
 CELLS = 16
@@ -73,10 +73,9 @@ def interpolated_force(
     least, rise = _range(most, cells, offset[1])
     n = torch.arange(size)
     k, row, column = torch.cartesian_prod(torch.arange(len(first)), n, n).T
-    state = material.force_state(
+    table = material.force_state(
         omega[first][k], low + column * step, least[k] + row * rise[k], r[first][k]
-    )
-    table = state.reshape(1, 1, len(first), size, size)
+    ).reshape(1, 1, len(first), size, size)
     x, y = (theta - low) / step, (e - least[kind]) / rise[kind]
     last = torch.tensor([size - 1, size - 1, max(len(first) - 1, 1)])
     at = 2 * torch.stack([x, y, kind.expand_as(e)], dim=-1) / last - 1
@@ -139,8 +138,7 @@ class Placed(OperatorBase):
         length = torch.linalg.vector_norm(Y, dim=-1)
         e = ((2 * xi + eta) * eta).sum(dim=-1) / (length + r)  # without the cancellation
         length = length[:, self.own]
-        M = Y[:, self.own] / torch.where(length > 0, length, 1.0)[..., None]
-        return e, e @ share, M
+        return e, e @ share, Y[:, self.own] / torch.where(length > 0, length, 1.0)[..., None]
 
     def inverse(self, loads: int) -> Inverse:
         """Inverse of the force's linear part at rest, for `loads` loads on the interior."""
@@ -183,14 +181,12 @@ class Placed(OperatorBase):
 
     def vjp(self, u: Any, w: Any) -> np.ndarray:
         """Transposed derivative of the force at u times w [..., I, 2], on all nodes [..., N, 2]."""
-        seeds = self.of_interior(w).reshape(-1, 2 * len(self.own))
-        pairs = zip(self._taken(u), seeds, strict=True)
+        pairs = zip(self._taken(u), self.of_interior(w).reshape(-1, 2 * len(self.own)), strict=True)
         return np.reshape([self.tangent(field).T @ one for field, one in pairs], np.shape(u))
 
     def interior_tangent(self, u: np.ndarray) -> sp.csc_array:
         """Derivative of the force at a field, between interior nodes, sparse [2 I, 2 I]."""
-        unknown = np.repeat(self.points.interior, 2)
-        return sp.csc_array(self.tangent(self._taken(u)[0])[:, unknown])
+        return sp.csc_array(self.tangent(self._taken(u)[0])[:, np.repeat(self.points.interior, 2)])
 
     @torch.inference_mode(False)
     def tangent(self, u: torch.Tensor) -> sp.csr_array:
@@ -223,8 +219,7 @@ class Placed(OperatorBase):
         """First Piola–Kirchhoff stress at interior nodes, [..., I, 2, 2], ½ Σ t M ⊗ ξ (NO13)."""
         with torch.no_grad():
             pull = self._pull(*self.tension(self._taken(u)))
-            xi = torch.as_tensor(self.xi, dtype=pull.dtype)
-            stress = torch.einsum("sibx,by->sixy", pull, xi)
+            stress = torch.einsum("sibx,by->sixy", pull, torch.as_tensor(self.xi, dtype=pull.dtype))
         size = self.points.spacing**2 / 2
         return in_shape_of(u, size * stress.double().numpy())
 
@@ -232,8 +227,7 @@ class Placed(OperatorBase):
         """Force states [stress/length³] of interior nodes' bonds [S, A], and directions Y/|Y|."""
         omega, share, r = self.shares(u.dtype)
         e, theta, M = self.stretch(u, share)
-        state = self.material.force_state(*self.inputs(omega, theta, e, r))
-        return state.reshape(len(u), -1), M
+        return self.material.force_state(*self.inputs(omega, theta, e, r)).reshape(len(u), -1), M
 
     def _pull(self, tension: torch.Tensor, M: torch.Tensor) -> torch.Tensor:
         """Sum the force states of both ends along the interior nodes' bonds, [S, I, B, 2]."""
@@ -295,7 +289,7 @@ def affine(samples: Samples, u: np.ndarray) -> np.ndarray:
     """Replace the interior of a field by the affine motion that fits its collar best, [N, 2]."""
     places = np.column_stack([samples.x, np.ones(len(u))])
     collar = ~samples.interior
-    motion, *_ = np.linalg.lstsq(places[collar], u[collar], rcond=None)
+    motion, *_ = np.linalg.lstsq(places[collar], u[collar])
     return np.where(collar[:, None], u, places @ motion)
 
 

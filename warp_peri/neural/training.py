@@ -287,10 +287,15 @@ class _Run:
 
     def save(self, file: ArrayFile) -> None:
         """Write a checkpoint."""
-        state = {"scale": self.material.scale, "adam": self.adam.state_dict()}
-        state |= {"material": self.material.state_dict()}
-        state |= {"random": self.random.get_state(), "history": asdict(self.history)}
-        state |= {"least": self.least, "kept": self.kept}
+        state = {
+            "scale": self.material.scale,
+            "adam": self.adam.state_dict(),
+            "material": self.material.state_dict(),
+            "random": self.random.get_state(),
+            "history": asdict(self.history),
+            "least": self.least,
+            "kept": self.kept,
+        }
         if isinstance(self.learned, Frames):
             state["frames"] = torch.as_tensor(self.learned.state), self.learned.numbers
         torch.save(state, stream := io.BytesIO())
@@ -317,6 +322,5 @@ class _Run:
 
 def _share(epoch: int, epochs: int) -> float:
     """Share of the learning rate in an epoch: a rise, a plateau, and half a cosine down to zero."""
-    left = (epochs - epoch) / (DECAY * epochs)
-    fall = 0.5 - 0.5 * math.cos(math.pi * min(1.0, left))
+    fall = 0.5 - 0.5 * math.cos(math.pi * min(1.0, (epochs - epoch) / (DECAY * epochs)))
     return min(1.0, (epoch + 1) / WARM) * fall

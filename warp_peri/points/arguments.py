@@ -53,7 +53,7 @@ def plain(name: str, value: Any) -> np.ndarray:
     if found.dtype.kind not in "fiu" or np.ma.is_masked(found):
         got = "masked entries" if np.ma.is_masked(found) else found.dtype
         raise InputError(f"{name}: expected float values, got {got}")
-    return np.asarray(found.data, dtype=float)
+    return np.asarray(found.data, float)
 
 
 def checked(

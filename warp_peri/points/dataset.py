@@ -93,10 +93,9 @@ class Dataset(Shown):
             return self.sets[str(name)]
         if len(self.sets) == 1:
             return next(iter(self.sets.values()))
-        first = next(iter(self.sets))
         raise InputError(
             f"expected one set of samples, got a data set with {', '.join(self.sets)}; name one, "
-            f"as data[{first!r}]"
+            f"as data[{next(iter(self.sets))!r}]"
         )
 
     def __iter__(self) -> Iterator[str]:
@@ -123,9 +122,8 @@ class Dataset(Shown):
 
     def rows(self) -> Rows:
         """Name and value of each line of the data set's summary table."""
-        length = symbols(self.units)[0]
         rows = [
-            ("thickness", f"{self.thickness:g} {length}"),
+            ("thickness", f"{self.thickness:g} {symbols(self.units)[0]}"),
             ("density", f"{self.density:g} kg/m³"),
         ]
         for name, samples in self.sets.items():
@@ -141,7 +139,7 @@ def in_units(samples: Samples, want: Units) -> Samples:
         return samples
     length, stress = factors(points.units, want)
     box = None if points.box is None else tuple(side * length for side in points.box)
-    sizes: dict[str, Any] = {"x": points.x * length, "spacing": points.spacing * length}
+    sizes: Any = {"x": points.x * length, "spacing": points.spacing * length}
     points = dataclasses.replace(points, **sizes, box=box, units=want)
     arrays = dict(samples.arrays)
     if WAVE_VECTOR in arrays:
@@ -224,17 +222,22 @@ def save_dataset(path: StrPath, dataset: Dataset) -> None:
     layout's structure is checksummed (HDF5 1.10) and strings have fixed length, since the HDF5
     library can hang on a damaged heap of strings."""
     length, stress = dataset.units
-    attributes = {"format": FORMAT, "version": VERSION}
-    attributes |= {"length_unit": length, "stress_unit": stress}
-    attributes |= {"thickness": float(dataset.thickness), "density": float(dataset.density)}
-    attributes |= {"provenance": _written(dataset.provenance), "sha256": content_hash(dataset)}
+    attributes = {
+        "format": FORMAT,
+        "version": VERSION,
+        "length_unit": length,
+        "stress_unit": stress,
+        "thickness": float(dataset.thickness),
+        "density": float(dataset.density),
+        "provenance": _written(dataset.provenance),
+        "sha256": content_hash(dataset),
+    }
     how = {"libver": ("v110", "v110"), "locking": False}
     with whole_file(path) as temporary, h5py.File(temporary, "w", **how) as file:
         _write(file.attrs, attributes)
         for name, samples in dataset.sets.items():
             group = file.create_group(name)
-            said = {key: getattr(samples, key) for key in ("spacing", "box", "axis")}
-            _write(group.attrs, said)
+            _write(group.attrs, {key: getattr(samples, key) for key in ("spacing", "box", "axis")})
             _write(group, _arrays(samples))
 
 
@@ -321,7 +324,8 @@ def _read(file: h5py.File) -> Dataset:
     named = head.get("length_unit"), head.get("stress_unit")
     if named == (None, None):
         warn("the file names no units: taken as Å and TPa")
-    units = check_units(USUAL if named == (None, None) else named)
+        named = USUAL
+    units = check_units(named)
     try:
         provenance = parsed(head.get("provenance", "{}"))
     except ValueError as error:

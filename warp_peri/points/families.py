@@ -181,11 +181,8 @@ def families_of(
             raise InputError(f"points: {row[-1]} bonds are more than can be numbered (2³¹)")
         row = row.astype(np.int32)
     else:  # bonds, and weights of their own for each family
-        reach = horizon * (1 + HORIZON_TOLERANCE)
-        row, neighbour, r, reverse = neighbours(x, reach, points.box)
-        lacking = np.zeros(len(x), bool)
-        if points.box is None:
-            lacking = cut_balls(x, horizon, len(neighbour))
+        row, neighbour, r, reverse = neighbours(x, horizon * (1 + HORIZON_TOLERANCE), points.box)
+        lacking = np.zeros(len(x), bool) if points.box else cut_balls(x, horizon, len(neighbour))
     ends, has_broken = neighbour, np.zeros(len(x), bool)
     if outside is not None:
         has_broken = _any_neighbour(row, neighbour, outside) & ~outside
@@ -194,16 +191,14 @@ def families_of(
     needed = interior if bond_based else interior | _any_neighbour(row, neighbour, interior)
     if (lacking & needed).any():
         short = lacking if bond_based else lacking | _any_neighbour(row, neighbour, lacking)
-        on_lattice = classes is not None and not bond_based
-        raise InputError(_lacking_collar(points, horizon, short, bond_based, on_lattice))
+        raise InputError(_lacking_collar(points, horizon, short, bond_based))
     whole, cut = np.flatnonzero(needed & ~has_broken), np.flatnonzero(needed & has_broken)
     nodes = np.flatnonzero(interior), whole, cut
     if classes is None:
-        some = np.flatnonzero(needed)
-        weight = weights(x, some, row, ends, points.box, horizon, degree)
+        weight = weights(x, np.flatnonzero(needed), row, ends, points.box, horizon, degree)
         return Families(row, neighbour, reverse, r, weight, *nodes)
     order = np.lexsort(classes.steps.T)
-    reverse = np.empty(len(order), dtype=np.int32)
+    reverse = np.empty(len(order), np.int32)
     reverse[order] = order[::-1]
     tables = classes.r, classes.weight, *nodes, classes.xi @ axes.T, classes
     return Families(row, neighbour, reverse, *tables)
@@ -234,12 +229,10 @@ def _any_neighbour(row: np.ndarray, neighbour: np.ndarray, flag: np.ndarray) -> 
     return np.asarray(reached.numpy() > 0)
 
 
-def _lacking_collar(
-    points: PointsLike, horizon: float, short: np.ndarray, bond_based: bool, on_lattice: bool
-) -> str:
+def _lacking_collar(points: PointsLike, horizon: float, short: np.ndarray, bond_based: bool) -> str:
     """What is said of interior nodes that are short of a collar, with a horizon that fits."""
     length, fits = symbols(nodes_of(points).units)[0], ""
-    if on_lattice:
+    if points.spacing > 0 and not bond_based:
         steps = math.floor(100 * carried_horizon(points) / points.spacing) / 100
         fits = f"; {steps * points.spacing:g} {length} fits"
         if steps < 2:
@@ -261,8 +254,8 @@ def carried_horizon(points: PointsLike) -> float:
         return float(min(points.box)) / 4
     grid, _ = nodes_of(points).lattice
     there = np.zeros(grid.max(axis=0) + 3, bool)
-    there[tuple((grid + 1).T)] = True
-    clear = distance_transform_edt(there)[tuple((grid[points.interior] + 1).T)]
+    there[*(grid + 1).T] = True
+    clear = distance_transform_edt(there)[*(grid[points.interior] + 1).T]
     return float(clear.min()) * h / 2 * (1 - 2 * HORIZON_TOLERANCE)
 
 
@@ -280,8 +273,8 @@ def neighbour_table(
     else:
         grid, wrapped = grid % size, reach
     number = np.full(size, -1, dtype=np.int32)
-    number[tuple(grid.T)] = nodes = np.arange(len(grid))
-    twice = np.flatnonzero(number[tuple(grid.T)] != nodes)
+    number[*grid.T] = nodes = np.arange(len(grid))
+    twice = np.flatnonzero(number[*grid.T] != nodes)
     if len(twice):
         raise InputError(f"points: {len(twice)} duplicates: {listed(twice)}")
     number = np.pad(number, wrapped, mode="wrap")
@@ -315,8 +308,10 @@ def neighbours(
     reverse = np.roll(place, len(pairs))[order]
     count = np.bincount(start, minlength=len(x))
     if not count.all():
-        alone = listed(np.flatnonzero(count == 0))
-        raise InputError(f"points: isolated, with no other within the horizon: {alone}")
+        raise InputError(
+            "points: isolated, with no other within the horizon: "
+            f"{listed(np.flatnonzero(count == 0))}"
+        )
     row = np.concatenate([[0], np.cumsum(count)]).astype(np.int32)
     start, end = start[order], end[order].astype(np.int32)
     return row, end, np.linalg.norm(nearest(x[end] - x[start], box), axis=1), reverse
@@ -362,8 +357,7 @@ def edge_strain(x: np.ndarray, triangles: np.ndarray, u: np.ndarray) -> float:
     """Largest strain of edges of triangles [T, 3] of corners x [P, 2], as largest_strain."""
     after = np.roll(triangles, -1, axis=1)
     xi, relative = x[after] - x[triangles], u[after] - u[triangles]
-    along = (xi * relative).sum(axis=-1) / (xi**2).sum(axis=-1)
-    return float(np.abs(along).max(initial=0.0))
+    return float(np.abs((xi * relative).sum(axis=-1) / (xi**2).sum(axis=-1)).max(initial=0.0))
 
 
 def quadrature_weights(xi: ArrayLike, horizon: float, *, degree: int = DEGREE) -> np.ndarray:
@@ -380,7 +374,7 @@ def quadrature_weights(xi: ArrayLike, horizon: float, *, degree: int = DEGREE) -
 
     Raises InputError when no weights meet the conditions (the family is too poor).
     """
-    xi = np.asarray(xi, dtype=float)
+    xi = np.asarray(xi, float)
     weights, residual = family_weights(xi, horizon, degree=degree)
     if residual > RESIDUAL:
         raise InputError(

@@ -190,7 +190,7 @@ def make_mesh(
         tuple(np.sort(new[[*pair]]).tolist()): checked("middle", point, float, (d,))
         for pair, point in middle.items()
     }
-    ends = faces if d == 2 else np.array([*bent], dtype=int).reshape(-1, 2)
+    ends = faces if d == 2 else np.array([*bent], int).reshape(-1, 2)
     halves = x[ends].mean(axis=1)
     for n, (a, b) in enumerate(np.sort(ends, axis=1).tolist()):
         halves[n] = bent.get((a, b), halves[n])

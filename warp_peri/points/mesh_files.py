@@ -77,7 +77,7 @@ def _check_arrays(path: Path) -> None:
 
 def _body_of(read: Any) -> Mesh:
     """Body of a meshio mesh; InputError for one with cells of other kinds."""
-    points = np.asarray(read.points, dtype=float)
+    points = np.asarray(read.points, float)
     kinds = {block.type for block in read.cells if block.dim > 1}
     d = max([block.dim for block in read.cells], default=0)
     for block in read.cells:

@@ -84,8 +84,7 @@ def _meeting(x: np.ndarray) -> np.ndarray:
     away = ends[:, None] - ends[0, :, None]  # of each end from each side's start
     turn = along[:, 0, None] * away[..., 1] - along[:, 1, None] * away[..., 0]
     beside = turn.prod(axis=0) > 0
-    low, high = ends.min(axis=0), ends.max(axis=0)
-    beside |= (low[:, None] > high).any(axis=2)
+    beside |= (ends.min(axis=0)[:, None] > ends.max(axis=0)).any(axis=2)
     near = np.abs(np.subtract.outer(*2 * [np.arange(len(x))])) % (len(x) - 1) <= 1
     return np.concatenate([[], *np.argwhere(~(beside | beside.T | near))[:1]]).astype(int)
 
@@ -147,8 +146,7 @@ def _rim(outline: Outline) -> np.ndarray:
     """Closed polyline along an outline, [n, 2]."""
     if isinstance(outline, Polygon):
         return np.array([*outline.corners, outline.corners[0]])
-    turn = np.linspace(0, 2 * np.pi, 200)
-    return outline.radius * unit_vectors(turn) + outline.centre
+    return outline.radius * unit_vectors(np.linspace(0, 2 * np.pi, 200)) + outline.centre
 
 
 def _check_apart(outer: Outline, *holes: Outline) -> None:

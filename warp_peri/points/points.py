@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
@@ -283,6 +283,11 @@ def grid_places(shape: Sequence[int] | np.ndarray) -> np.ndarray:
     return np.argwhere(np.ones(shape, bool))
 
 
+def grid_points(line: Iterable[float], dimension: int) -> np.ndarray:
+    """All points whose coordinates are among those of a line, the last changing fastest."""
+    return np.array(list(itertools.product(line, repeat=dimension)))
+
+
 def straight_steps(x: np.ndarray, h: float, unit: str = "") -> Lattice:
     """Lattice steps and axes of nodes of spacing h, the axes those of x where along them;
     InputError naming points off the lattice, and for nodes too far apart to be one body."""
@@ -322,8 +327,7 @@ def _axes(x: np.ndarray, h: float, unit: str) -> np.ndarray:
     columns = np.linalg.qr(np.concatenate([step[:1], across, np.eye(d)]).T)[0]
     orders, signs = itertools.permutations(range(d)), itertools.product((1, -1), repeat=d)
     turns = [columns[:, order] * sign for order, sign in itertools.product(orders, signs)]
-    axes = max(turns, key=np.trace)
-    grid = np.rint((x - x[0]) @ axes / h)
+    grid = np.rint((x - x[0]) @ max(turns, key=np.trace) / h)
     U, _, V = np.linalg.svd((x - x.mean(axis=0)).T @ (grid - grid.mean(axis=0)))
     return np.asarray(U @ V)
 

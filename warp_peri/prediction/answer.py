@@ -25,6 +25,7 @@ from warp_peri.prediction.ensemble import (
     CalibrationFactors,
     EnsembleMaterial,
     EnsembleOperator,
+    Measure,
     norm,
 )
 from warp_peri.protocols import placed
@@ -192,8 +193,7 @@ class Prediction(Shown):
 
     def _bar(self, sizes: dict[str, np.ndarray]) -> np.ndarray:
         """Likely error of numbers that error fields change by `sizes`; NaN where it is unknown."""
-        likely = combined(sizes, self.operator.family.factors)
-        bar = np.linalg.norm([*likely.values()], axis=0)
+        bar = np.linalg.norm([*combined(sizes, self.operator.family.factors).values()], axis=0)
         return np.where(np.isnan(self.error), np.nan, bar)
 
     @cached_property
@@ -264,10 +264,6 @@ def combined(sizes: dict[str, Any], factors: CalibrationFactors) -> dict[str, An
     return found
 
 
-Measure = Callable[[np.ndarray], np.ndarray]
-"""Of a displacement on all nodes, [N, d] → numbers."""
-
-
 @typed
 def strain(points: PointsLike, at: ArrayLike) -> Measure:
     """Make a measure of the strain ε at the nodes nearest to positions [m, d], shape [m, d, d]. By
@@ -282,8 +278,7 @@ def strain(points: PointsLike, at: ArrayLike) -> Measure:
         raise InputError("strain: expected positions whose nodes have neighbours along the axes")
 
     def of(u: np.ndarray) -> np.ndarray:
-        slope = (u[after] - u[before]) / (2 * nodes.spacing)
-        return symmetric_part(slope)
+        return symmetric_part((u[after] - u[before]) / (2 * nodes.spacing))
 
     return of
 
@@ -323,8 +318,9 @@ def predict(
         plain = CalibrationFactors(1.0, 1.0, 0.0)
         material = EnsembleMaterial(material, material, (material, material), factors=plain)
     if not all(hasattr(problem, name) for name in ("points", "b", "u")):
-        what = type(problem).__name__
-        raise InputError(f"predict: expected a problem, Dirichlet(points, b, u), got {what}")
+        raise InputError(
+            f"predict: expected a problem, Dirichlet(points, b, u), got {type(problem).__name__}"
+        )
     points = problem.points
     asked = {"verb": "predict", "by": "ensemble_on", "has": "doubts", "kinds": FAMILY}
     members = placed(material, nodes_of(points), **asked, **options)

@@ -47,6 +47,8 @@ varies little, is set higher."""
 SHRUNK, POORER = 0.8, 2 / 3
 """Horizon and degree of the second member over those of the rich one."""
 ROUNDING = 1e-12
+Measure = Callable[[np.ndarray], np.ndarray]
+"""Of a displacement on all nodes, [N, d] → numbers."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,7 @@ class ErrorSpectrum:
         return float(shares[self.wavelength < self.shortest * (1 - 1e-9)].sum())
 
 
-def spectrum_of(points: PointsLike, wavelength: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+def spectrum_of(points: PointsLike, wavelength: np.ndarray) -> Measure:
     """Function from lattice fields [N, d], less affine parts, to the shares of their squares by
     wavelength [length], growing, [K]."""
     steps, count = lattice_steps(points)[0], len(wavelength)
@@ -164,7 +166,7 @@ class EnsembleOperator:
         return float(np.sqrt(np.vdot(H, H) / (H.size / H.shape[-1] ** 2)))
 
     @cached_property
-    def shares(self) -> Callable[[np.ndarray], np.ndarray]:
+    def shares(self) -> Measure:
         """Shares of fields on these points by the recorded wavelengths."""
         record = self.family.record
         knots = self.points.spacing * KNOTS if record is None else record.wavelength
@@ -290,7 +292,7 @@ class CalibrationFactors:
     screen: NotNegative = 1.42
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class EnsembleMaterial(OnLinear, format="warp_peri.family", version=2):
     """Material with alternatives that show its errors, learned by `fit(samples, Ensemble(…))`.
 
@@ -389,8 +391,7 @@ class Ensemble:
             strain=largest_strain(samples.points, samples.u),
             temperature=None if kelvin is None else float(np.mean(kelvin)),
         )
-        material = calibrated(family, samples, validation)
-        return Fit(material, fit.certificate, {}, fit.history)
+        return Fit(calibrated(family, samples, validation), fit.certificate, {}, fit.history)
 
 
 def poorer(law: Any) -> Any:

@@ -35,8 +35,8 @@ NOTHING = 1e-12
 def probed(operator: Any) -> Stencil:
     """Stencil at rest of a placed material, along the axes of its nodes, by probing its force,
     which reaches two horizons and is odd in u at rest."""
-    nodes, d = operator.points, operator.points.x.shape[1]
-    h, axes = nodes.spacing, lattice_steps(nodes)[1]
+    nodes = operator.points
+    h, axes, d = nodes.spacing, lattice_steps(nodes)[1], nodes.dimension
     reach = 2 * int(operator.material.horizon / h + 1e-6)
     grid = grid_places((4 * reach + 1,) * d) - 2 * reach
     interior = np.abs(grid).max(axis=1) <= reach
@@ -49,8 +49,7 @@ def probed(operator: Any) -> Stencil:
         v[middle] = axes[:, axis]
         columns.append(-placed.jvp(none, v) @ axes)
     C, at = np.stack(columns, axis=2), grid[interior]
-    C = (C + C[::-1]) / 2  # ξ and −ξ
-    C = symmetric_part(C)
+    C = symmetric_part((C + C[::-1]) / 2)  # ξ and −ξ
     first = at @ (2 * reach + 1) ** np.arange(d)[::-1] > 0
     kept = first & (np.abs(C).max(axis=(1, 2)) > NOTHING * np.abs(C).max())
     return Stencil(h, at[kept], C[kept])
@@ -194,7 +193,7 @@ class Equilibria:
         def left(inner: np.ndarray, force: Force = self.force) -> np.ndarray:
             field[self.inside] = inner
             with np.errstate(all="ignore"):  # of a step that ran away
-                return np.asarray((load - force(field)) / scale)
+                return (load - force(field)) / scale
 
         def correction(to: float, residual: np.ndarray) -> np.ndarray:
             record.solves += 1
@@ -211,8 +210,7 @@ class Equilibria:
         if not size <= tolerance:
             record.method = "newton"
             exact = partial(correction, LINEAR_SHARE * tolerance)
-            goal = NEWTON_SHARE * tolerance * HERE.norm(v)
-            v = newton(lambda w: exact(left(w)), v, goal)
+            v = newton(lambda w: exact(left(w)), v, NEWTON_SHARE * tolerance * HERE.norm(v))
             size = HERE.norm(left(v))
         record.residual, record.converged = float(size), bool(size <= tolerance)
         return v
@@ -239,10 +237,7 @@ def follow(
 
 
 def anderson(
-    left: Callable[[np.ndarray], np.ndarray],
-    correction: Callable[[np.ndarray], np.ndarray],
-    start: np.ndarray,
-    tolerance: float,
+    left: Force, correction: Force, start: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, float]:
     """Iterate u ← u + correction(left(u)), `left` the relative residual, mixing the last steps (D.
     G. Anderson, 1965). Returns the field of the smallest residual, and its norm."""
@@ -266,12 +261,11 @@ def anderson(
             by_step = np.stack([earlier - steps[-1] for earlier in steps[:-1]], axis=-1)
             by_field = np.stack([earlier - fields[-1] for earlier in fields[:-1]], axis=-1)
             flat = by_step.reshape(-1, by_step.shape[-1])
-            share = np.linalg.lstsq(flat, -steps[-1].ravel(), rcond=1e-12)[0]
-            u = u + (by_step + by_field) @ share
+            u = u + (by_step + by_field) @ np.linalg.lstsq(flat, -steps[-1].ravel(), rcond=1e-12)[0]
     return best
 
 
-Inner = Callable[[np.ndarray], np.ndarray]
+Inner = Force
 """What a matrix, or its inverse, makes of the interior [I, d]."""
 
 
@@ -368,13 +362,11 @@ class Descent:
     def _left(self, load: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, float]:
         """Residual of force and load, and the largest of both."""
         f = self.op.everywhere(u)
-        scale = max(np.abs(load).max(), np.abs(f).max(), 1e-300)
-        return load - f[self.op.points.interior], scale
+        return load - f[self.op.points.interior], max(np.abs(load).max(), np.abs(f).max(), 1e-300)
 
     def _potential(self, load: np.ndarray, u: np.ndarray) -> float:
         """Potential energy of all forces, over the area of a node."""
-        work = (load * u[self.op.points.interior]).sum()
-        return float(self.op.nodal_energy(u).sum() - work)
+        return float(self.op.nodal_energy(u).sum() - (load * u[self.op.points.interior]).sum())
 
     def _down(
         self,
@@ -465,7 +457,7 @@ def equilibria_of(
     arrays that do not fit, another solver, and a sample for which no equilibrium was found.
     """
     refuse_solver(solver, (Newton,), "a nonlinear solid")
-    asked = solver if isinstance(solver, Newton) else Newton()
+    asked: Any = solver or Newton()
     load, field = checked_fields(operator.points, b, u)
     inside, answers = operator.points.interior, field.reshape(-1, *operator.shape)
     clipped = partial(partial, operator.force, radius=proven) if proven else None
@@ -502,8 +494,7 @@ def smallest_of(operator: Any, field: np.ndarray) -> float:
     def product(x: np.ndarray) -> np.ndarray:
         w = x.T.reshape(-1, *free)
         u = np.broadcast_to(field, (len(w), *operator.shape))
-        across = operator.vjp(u, w)[:, inside]
-        both = operator.jvp(u, operator.on_all(w)) + across
+        both = operator.jvp(u, operator.on_all(w)) + operator.vjp(u, w)[:, inside]
         return np.asarray(both.reshape(x.T.shape).T / 2)
 
     shape = 2 * (free[0] * free[1],)

@@ -112,7 +112,7 @@ class Linear:
         """Transposed product Lᵗ of a field on the interior [I, d], on all nodes, [N, d]."""
         grid, by = self.grid, self._torus
         field = convolved(by.symbol, grid.scatter_interior(inner), by.torus)
-        field = field[(slice(None), *(slice(0, n) for n in grid.shape))]
+        field = field[:, *(slice(0, n) for n in grid.shape)]
         out = np.zeros(self.points.x.shape)
         out[grid.near] = field.reshape(len(field), -1)[:, grid.place].T @ grid.axes.T
         return out
@@ -190,8 +190,7 @@ class Linear:
         """Product of L with planes [d, *shape], at the unknowns, zero elsewhere."""
         grid = self.grid
         if grid.periodic:
-            around = [(0, 0), *[(grid.reach,) * 2] * grid.dimension]
-            field = np.pad(field, around, mode="wrap")
+            field = np.pad(field, [(0, 0), *[(grid.reach,) * 2] * grid.dimension], mode="wrap")
         return np.asarray(self.pull(field[None])[0])
 
     def _inverted(
@@ -263,7 +262,7 @@ class Linear:
         for one, field in zip(b, answer):
             right = self.grid.scatter(np.where(asked, one, 0.0)[None])
             if self.grid.periodic:
-                right = right[(slice(None), slice(None), *self.grid.core)]
+                right = right[:, :, *self.grid.core]
                 over: Any = {"axis": tuple(range(2, right.ndim)), "keepdims": True}
                 largest = np.abs(right).max(**over)
                 right = right - right.mean(**over)
@@ -284,8 +283,7 @@ def smallest_ratio(symbol: np.ndarray, torus: tuple[int, ...]) -> float:
     D, smallest = symbol.reshape(*symbol.shape[:2], -1).T, np.inf
     for first in range(1, len(s), WAVES):  # k = 0 is the first
         part = slice(first, first + WAVES)
-        low = smallest_eigenvalue(D[part])
-        smallest = min(smallest, float((low / s[part]).min()))
+        smallest = min(smallest, float((smallest_eigenvalue(D[part]) / s[part]).min()))
     return smallest
 
 
@@ -323,8 +321,7 @@ AXIS_WAVES = 16
 def shear(elastic: np.ndarray) -> float:
     """Mean shear modulus: of C_ijij − C_iijj/d, over the number of shears."""
     d = elastic.shape[0]
-    full, trace = np.einsum("ijij", elastic), np.einsum("iijj", elastic)
-    return float((full - trace / d) / (d * (d + 1) - 2))
+    return float((np.einsum("ijij", elastic) - np.einsum("iijj", elastic) / d) / (d * (d + 1) - 2))
 
 
 def torus_inverse(
@@ -333,31 +330,24 @@ def torus_inverse(
     """Filter (D(k) + shift I)⁻¹ on the torus around the nodes, cut off at them."""
     torus = torus_shape(nodes)
     kind = np.float64 if nodes.periodic else np.float32  # on a period it is the whole inverse
-    table = shifted_inverse(torus, steps, tensors, shift).astype(kind)
+    symbol = torus_symbol(torus, steps, tensors)
+    symbol[range(len(torus)), range(len(torus))] += shift
+    table = inverse(symbol).astype(kind)
     mask = nodes.mask()
     inside = tuple(slice(0, n) for n in nodes.shape)
 
     def apply(r: np.ndarray) -> np.ndarray:
         z = convolved(table, r.astype(kind), torus)
-        return np.asarray(z[(slice(None), *inside)] * mask, dtype=np.float64)
+        return np.asarray(z[:, *inside] * mask, np.float64)
 
     return apply
-
-
-def shifted_inverse(
-    torus: tuple[int, ...], steps: np.ndarray, tensors: np.ndarray, shift: np.ndarray | float
-) -> np.ndarray:
-    """Inverse (D(k) + shift I)⁻¹ at the waves of a torus, as torus_symbol has D."""
-    symbol = torus_symbol(torus, steps, tensors)
-    symbol[range(len(torus)), range(len(torus))] += shift
-    return inverse(symbol)
 
 
 def seen_by_coarser(torus: tuple[int, ...]) -> np.ndarray:
     """Factor p = Π (1 + cos k_a h)/2 of prolongation at the waves of a torus."""
     seen = [(1 + np.cos(2 * np.pi * np.arange(n) / n)) / 2 for n in torus]
     seen[-1] = seen[-1][: torus[-1] // 2 + 1]
-    return np.asarray(reduce(np.multiply.outer, seen))
+    return reduce(np.multiply.outer, seen)
 
 
 def sine(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarray) -> Filter:
@@ -366,11 +356,10 @@ def sine(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarra
     d, core = nodes.dimension, nodes.core
     shift = SINE_SHIFT * shear(elastic)
     short = torus_inverse(nodes, steps, tensors, shift)
-    sizes = [len(range(*part.indices(n))) for part, n in zip(core, nodes.wide)]
+    sizes = nodes.unknown.shape
     angles = [np.pi * np.arange(1, n + 1) / (n + 1) for n in sizes]
     D = np.zeros((d, *sizes))
-    diagonal = tensors[:, np.arange(d), np.arange(d)]
-    for step, c in zip(steps, diagonal):
+    for step, c in zip(steps, tensors[:, np.arange(d), np.arange(d)]):
         # the mean over signs of the waves: a product of cosines
         wave = reduce(np.multiply.outer, [np.cos(angle * s) for angle, s in zip(angles, step)])
         D += 2 * c.reshape(d, *([1] * d)) * (1 - wave)
@@ -379,11 +368,9 @@ def sine(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarra
 
     def apply(r: np.ndarray) -> np.ndarray:
         z = short(r)
-        inner = r[(slice(None), *core)].astype(np.float32)
+        inner = r[:, *core].astype(np.float32)
         wave = scipy.fft.dstn(inner, type=1, axes=axes, workers=get_num_threads()) * gain
-        z[(slice(None), *core)] += scipy.fft.idstn(
-            wave, type=1, axes=axes, workers=get_num_threads()
-        )
+        z[:, *core] += scipy.fft.idstn(wave, type=1, axes=axes, workers=get_num_threads())
         return z
 
     return apply
@@ -399,14 +386,12 @@ def multigrid(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.n
     coarse = coarser(mask)
     if not coarse.any():
         return short
-    d = nodes.dimension
-    cycle = VCycle(*q1_tensors(elastic * 2.0 ** (d - 2)), coarse)
+    cycle = VCycle(*q1_tensors(elastic * 2.0 ** (nodes.dimension - 2)), coarse)
     core = (slice(None), *nodes.core)
 
     def apply(r: np.ndarray) -> np.ndarray:
         z = short(r)
-        long = cycle(restrict(r[core]) * coarse)
-        z[core] += prolong(long, mask.shape) * mask
+        z[core] += prolong(cycle(restrict(r[core]) * coarse), mask.shape) * mask
         return z
 
     return apply
@@ -426,21 +411,20 @@ def _spread(field: np.ndarray) -> np.ndarray:
 
 def restrict(field: np.ndarray) -> np.ndarray:
     """Restriction Pᵗ: sums of planes [d, …] with weights 1 and 1/2 along each axis."""
-    return _spread(field)[(slice(None), *[slice(1, None, 2)] * (field.ndim - 1))]
+    return _spread(field)[:, *[slice(1, None, 2)] * (field.ndim - 1)]
 
 
 def prolong(field: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """Prolongation P: linear interpolation of coarser planes to a box of the given shape."""
     fine = np.zeros((len(field), *shape), field.dtype)
-    fine[(slice(None), *[slice(1, None, 2)] * len(shape))] = field
+    fine[:, *[slice(1, None, 2)] * len(shape)] = field
     return _spread(fine)
 
 
 def largest(steps: np.ndarray, tensors: np.ndarray) -> float:
     """Largest eigenvalue of a stencil over its diagonal on a lattice, hence on any mask."""
-    d = tensors.shape[-1]
     scale = 1 / np.sqrt(2 * np.diag(tensors.sum(axis=0)))
-    phase = 2 * np.pi / AXIS_WAVES * grid_places((AXIS_WAVES,) * d)
+    phase = 2 * np.pi / AXIS_WAVES * grid_places((AXIS_WAVES,) * tensors.shape[-1])
     symbol = Stencil(1.0, steps, scale[:, None] * tensors * scale).symbol(phase)
     return -float(smallest_eigenvalue(-symbol).min())
 
@@ -486,7 +470,7 @@ class VCycle:
     def product(self, field: np.ndarray) -> np.ndarray:
         """Apply the level's operator to planes [d, …]."""
         inner = (0, slice(None)) + (slice(self.reach, -self.reach),) * self.mask.ndim
-        return np.asarray(self.rows(self.around(field)[None])[inner])
+        return self.rows(self.around(field)[None])[inner]
 
     def _smoothed(self, r: np.ndarray, z: np.ndarray | None) -> np.ndarray:
         """Two Chebyshev iterations of the operator over its diagonal, from z or from zero."""

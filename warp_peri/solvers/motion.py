@@ -51,8 +51,9 @@ class Motion(Shown):
     def __getitem__(self, name: str) -> np.ndarray:
         """A history by its name; InputError lists those there are."""
         if name not in self.history:
-            known = ", ".join(self.history) or "none"
-            raise InputError(f"motion: expected one of {known}, got {name!r}")
+            raise InputError(
+                f"motion: expected one of {', '.join(self.history) or 'none'}, got {name!r}"
+            )
         return self.history[name]
 
     @property

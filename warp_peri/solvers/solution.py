@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
@@ -143,7 +143,7 @@ class Solution(Shown):
     proven: str | None = None
     warnings: tuple[str, ...] = ()
     details: Any = None
-    measured: float | None = field(default=None, repr=False)
+    measured: float | None = None
 
     @property
     def residual(self) -> float:
@@ -185,9 +185,9 @@ class Solution(Shown):
         """Samples of displacement and load; InputError for a body on a mesh, or no displacement."""
         if self.points is None or self._values.shape[-2:] != self.points.x.shape:
             raise InputError("to_samples: expected displacements on nodes, got another solution")
-        u, shape = self._values, (-1, *self.points.x.shape)
+        shape = (-1, *self.points.x.shape)
         load = self.operator.on_all(np.asarray(self.load))
-        return Samples(self.points, u.reshape(shape), load.reshape(shape))
+        return Samples(self.points, self._values.reshape(shape), load.reshape(shape))
 
     def to_vtk(self, path: StrPath) -> None:
         """Write the fields for ParaView: a folder with a file a sample; of a body one .vtu file.
@@ -214,8 +214,8 @@ class Solution(Shown):
             except (IndexError, TypeError):
                 raise InputError(f"sample: expected one of {several}, got {sample!r:.60}") from None
         if x.shape[1] == 3:
-            near = np.abs(x[:, 2] - np.median(x[:, 2])).min() + 1e-9 * np.ptp(x)
-            kept = np.abs(x[:, 2] - np.median(x[:, 2])) <= near
+            away = np.abs(x[:, 2] - np.median(x[:, 2]))
+            kept = away <= away.min() + 1e-9 * np.ptp(x)
             x, u = x[kept], u[kept]
         ax = plt.figure(layout="constrained").add_subplot() if ax is None else ax
         size = u if u.ndim == 1 else np.linalg.norm(u, axis=1)
@@ -258,7 +258,7 @@ def by_sample(
 
 
 def _sizes(values: np.ndarray, count: int) -> np.ndarray:
-    flat = np.reshape(values, (count, -1)) if np.ndim(values) == 3 else np.reshape(values, (1, -1))
+    flat = np.reshape(values, (count if np.ndim(values) == 3 else 1, -1))
     return np.asarray(np.linalg.norm(flat, axis=1))
 
 

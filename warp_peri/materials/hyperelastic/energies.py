@@ -202,8 +202,9 @@ class Hyperelastic:
         own = [
             Energy([("deviation", *s)], f"deviation {tuple(s)}", deviation) for s in self.deviations
         ]
-        terms = ((t, KINDS[t.kind]) for t in self.terms)
-        return own + [Energy(t.sees, t.label, kind, t.angle, t.exponent) for t, kind in terms]
+        return own + [
+            Energy(t.sees, t.label, KINDS[t.kind], t.angle, t.exponent) for t in self.terms
+        ]
 
     @property
     def stiffness(self) -> np.ndarray:

@@ -106,8 +106,8 @@ class SheetLattice:
         self.pairs = np.stack([i, ahead[i, self.kind]])
         number = np.cumsum(ahead >= 0).reshape(ahead.shape) - 1
         self.number = np.concatenate([number, number[behind, np.arange(len(half))]], axis=1)
-        signs, numbers = np.repeat([-1.0, 1.0], len(i)), np.tile(np.arange(len(i)), 2)
-        self.ends = sp.csr_array((signs, (self.pairs.ravel(), numbers)))
+        numbers = np.tile(np.arange(len(i)), 2)
+        self.ends = sp.csr_array((np.repeat([-1.0, 1.0], len(i)), (self.pairs.ravel(), numbers)))
         self.xi = points.spacing * half[self.kind] @ axes.T
         self.sites = cache(self._sites)
 
@@ -215,8 +215,7 @@ class SheetLattice:
 def _solve(factors: np.ndarray, order: np.ndarray, y: np.ndarray) -> np.ndarray:
     """K⁻¹ y from banded factors, its unknowns in an order; y as fields [I, 2] or [2 I, ...]."""
     x = np.empty((len(order), y.size // len(order)))
-    flat = y.reshape(x.shape)[order]
-    x[order] = cho_solve_banded((factors, True), flat, check_finite=False)
+    x[order] = cho_solve_banded((factors, True), y.reshape(x.shape)[order], check_finite=False)
     return x.reshape(y.shape)
 
 

@@ -46,7 +46,7 @@ MOST_SHOWN = 8
 """Energies that a solid shows of itself."""
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class HyperelasticMaterial(Record, format="warp_peri.hyperelastic", version=2):
     """A hyperelastic material: a dictionary of energies with its coefficients.
 
@@ -195,8 +195,7 @@ class HyperelasticSheetOperator(Swept):
 
     def _slope(self, sites: Sites, each: Any, q: torch.Tensor, graph: bool = False) -> torch.Tensor:
         """∂U/∂q over h², shape [Q, n, S]; with a graph of q, which becomes a leaf."""
-        stored = self._stored(sites, each, q.requires_grad_()).sum()
-        return grad(stored, q, create_graph=graph)[0]
+        return grad(self._stored(sites, each, q.requires_grad_()).sum(), q, create_graph=graph)[0]
 
     def _tension(self, e: np.ndarray, active: Active) -> np.ndarray:
         """Tension of bonds e [pairs, S] by the energies, over ξ + η."""
@@ -423,7 +422,11 @@ class HyperelasticSheetOperator(Swept):
             told = {"E_res": float(residuals.mean()), "residuals": residuals}
         for u, b in zip(samples.u, loads):
             if near is not None:
-                start = self._combined(near, u)
+                # the fields that fit u on the collar best, and the lift of what they miss
+                given, collar = near[:, ~self.points.interior], u[~self.points.interior].ravel()
+                share = np.linalg.lstsq(given.reshape(len(near), -1).T, collar)[0]
+                start = np.tensordot(share, near, 1)
+                start = start + self.lift(u - start)
                 inverse = None if self.rough else self.factors(start)[0]
             found.append(Descent(self).find(b, u, TOLERANCE, start, inverse))
         there = np.array([record.converged for _, record in found])
@@ -438,10 +441,3 @@ class HyperelasticSheetOperator(Swept):
             "left_branch": sum(not one.followed for _, one in found if one.converged),
             "displacements": errors,
         }
-
-    def _combined(self, near: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Fields that fit u on the collar best, and the harmonic extension of what they miss."""
-        collar = ~self.points.interior
-        given = near[:, collar].reshape(len(near), -1)
-        mixed = np.tensordot(np.linalg.lstsq(given.T, u[collar].ravel(), rcond=None)[0], near, 1)
-        return np.asarray(mixed + self.lift(u - mixed))

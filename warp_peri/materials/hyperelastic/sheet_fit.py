@@ -212,7 +212,7 @@ class Search:
         pull = samples.arrays.get(PULL, np.full((len(samples), 2), np.nan))
         pull = checked(PULL, pull, float, (len(samples), 2), np.equal(pull, pull))
         self.pulled = np.argwhere(~np.isnan(pull) & (not self.by_load))
-        self.pull = pull[tuple(self.pulled.T)]
+        self.pull = pull[*self.pulled.T]
         self.sections = {axis: Sections(samples, dictionary, axis) for axis in {*self.pulled[:, 1]}}
         self.measure, K = dictionary.stiffness, len(dictionary)
         self.moving = fibres_of(dictionary) if moving else []
@@ -476,15 +476,14 @@ def check_identifiable(frames: Samples, op: HyperelasticSheetOperator) -> None:
     little is measured for so many unknowns."""
     design = np.column_stack([np.ones(len(frames.x)), frames.x])
     u = np.moveaxis(frames.u, 0, 1).reshape(len(frames.x), -1)
-    rest = u - design @ np.linalg.lstsq(design, u, rcond=None)[0]
+    rest = u - design @ np.linalg.lstsq(design, u)[0]
     rest, size = (np.linalg.norm(v.reshape(len(v), -1, 2), axis=(0, 2)) for v in (rest, u))
     if not (rest > AFFINE * size).any():
         raise InputError(
             "frames: expected displacement that is not affine; a homogeneous body of any material "
             "follows affine edges, so that such frames say nothing about it"
         )
-    strains = np.abs(op.strain(frames.u)[:, op.interior]).max(axis=-1)
-    typical = np.median(strains, axis=1).max()
+    typical = np.median(np.abs(op.strain(frames.u)[:, op.interior]).max(axis=-1), axis=1).max()
     if typical < SMALL:
         raise InputError(
             f"frames: expected strains of {100 * SMALL:g} % or more in one, got "
