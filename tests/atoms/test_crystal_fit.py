@@ -1,11 +1,9 @@
 """Structures to laws, by calculators or phonopy: moduli, sheets and solids, what is refused."""
 
-import json
 from dataclasses import replace
 
 import ase.io
 import numpy as np
-import pytest
 from ase import Atoms
 from ase.build import bulk, graphene, molecule, mx2
 from ase.calculators.emt import EMT
@@ -14,7 +12,7 @@ from numpy.testing import assert_allclose
 
 import warp_peri as wp
 from tests.crystal.crystals import CUBES
-from tests.support import ROOT, parametrize, shared
+from tests.support import ROOT, approx, of_json, parametrize, shared
 from tests.support.told import assert_refused, each_refused, refused, warned
 from warp_peri.atoms import crystal_from_force_constants, from_phonopy
 from warp_peri.atoms.calculators import lammps_calculator
@@ -33,7 +31,7 @@ def test_the_command_leaves_a_law_a_picture_and_its_figures(tmp_path):
     ase.io.write(tmp_path / "sheet.cif", graphene(a=2.529676 * 1.05, vacuum=10))
     line = f"fit-crystal {tmp_path}/sheet.cif --calculator lammps:tersoff --potential {TERSOFF}"
     assert main(f"{line} --hold xx --out {tmp_path}".split()) == 0
-    figures = json.loads((tmp_path / "crystal.json").read_text())
+    figures = of_json(tmp_path / "crystal.json")
     C = {name: np.array(v) for name, v in figures["elastic_tensor_GPa"].items()}
     near(C["finite strains"], C["law"], 0.005)
     assert C["law"][0, 0] < 0.75 * C["law"][1, 1]  # softer along the stretch
@@ -41,7 +39,7 @@ def test_the_command_leaves_a_law_a_picture_and_its_figures(tmp_path):
     assert law.units == ("angstrom", "GPa")
     assert law.stress[0, 0] > 40
     assert law.certificate.proven > 1
-    assert figures["proven_GPa"] == pytest.approx(law.certificate.proven)
+    assert figures["proven_GPa"] == approx(law.certificate.proven)
     assert figures["statement"] == law.certificate.statement  # in the units of the file
     assert figures["holds_to"]["law"] < figures["holds_to"]["local"]
     assert law.symmetry == "2mm"
@@ -85,7 +83,7 @@ def test_what_tells_atoms_of_one_element_apart_is_kept_in_the_smallest_cell():
     assert_allclose(C, wanted, atol=1e-4 * C[0, 0])
     assert np.abs(C[2, 2] - C[0, 0]) > 0.01 * C[0, 0]  # it is no nickel
     assert_allclose(law, true, atol=0.005 * C[0, 0])
-    assert alloy.material.moduli("GPa")["C11"] == pytest.approx(law[0, 0])
+    assert alloy.material.moduli("GPa")["C11"] == approx(law[0, 0])
     assert alloy.material.units == ("m", "Pa")
 
 
@@ -149,7 +147,7 @@ def test_a_sheet_across_a_face_is_put_together_turned_and_made_small():
     assert found.said["axes"] == "turned: x along an edge of the cell, z across"
     with refused("hold: expected a sheet across z"):
         at_rest(sheet, made, hold=["xx"])
-    assert found.thickness == pytest.approx(3.118 + 3.6, abs=0.01)
+    assert found.thickness == approx(3.118 + 3.6, abs=0.01)
     edge = found.cell.cell.lengths()[0]
     near(usual_spacing(found.cell, True), np.sqrt(3) * edge, 1e-6)
 
@@ -199,7 +197,7 @@ def copper():
 def test_force_sets_are_those_of_the_calculator_and_what_a_supercell_cuts_off_is_an_error(copper):
     """Of copper's forces 3 % of the moment are at half the width; moduli by strains are within."""
     assert len(copper.positions) == 1
-    assert moduli(copper) == pytest.approx(COPPER, rel=1e-2)  # its supercell is a little narrow
+    assert moduli(copper) == approx(COPPER, rel=1e-2)  # its supercell is a little narrow
     with refused("nodes about as far apart as a cell of the atoms"):
         crystal_from_force_constants(copper, spacing=3.59e-10)
     with refused(r"they break .* moduli unsure by \d+%"):  # half of x, none of z: mean moduli stay
@@ -215,7 +213,7 @@ def test_born_charges_make_the_field_of_ions_part_of_every_wave():
     """Magnesium oxide of rigid ions: moduli of finite strains, which a Coulomb cut-off has not."""
     found = from_phonopy(EXAMPLES / "magnesia")
     assert found.polar is not None
-    assert moduli(found) == pytest.approx(STRAINED, rel=5e-3)
+    assert moduli(found) == approx(STRAINED, rel=5e-3)
 
 
 def test_what_is_no_file_of_phonopy_and_charges_of_a_sheet_are_refused(tmp_path):
@@ -257,7 +255,7 @@ def test_what_is_no_file_of_phonopy_and_charges_of_a_sheet_are_refused(tmp_path)
 def test_forces_that_have_not_decayed_at_half_the_width_are_told_by_number(copper):
     """Of eight atoms of copper every other one is as near as its images: nothing can decay."""
     narrow = from_calculator(bulk("Cu", a=3.59), EMT(), (2, 2, 2))
-    assert (copper.edge, narrow.edge) == (pytest.approx(0.026, abs=0.002), pytest.approx(1))
+    assert (copper.edge, narrow.edge) == (approx(0.026, abs=0.002), approx(1))
     with warned(r"100% of what moduli are made of, .* is at half the"):
         found = crystal_from_force_constants(narrow, symmetry="m-3m")
     assert found.said["at the supercell's edge"] == "100.0% of Σ |Φ| r²"

@@ -2,15 +2,16 @@
 
 import numpy as np
 import pytest
+from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tests.support import parametrize
+from tests.support import approx, parametrize
 from tests.support.told import assert_refused, each_refused, refused, warned
 from warp_peri.atoms.dic import dic_to_lattice, estimate_noise, frames_of_folder, read_dic_frame
-from warp_peri.points.points import SEEN
+from warp_peri.points.points import SEEN, grid_places
 
-X = np.argwhere(np.ones((15, 16), bool)) * 20.0 + [100.0, 60.0]
+X = grid_places((15, 16)) * 20.0 + [100.0, 60.0]
 
 
 def field(x):
@@ -42,17 +43,17 @@ def test_points_on_a_lattice_stay_and_scattered_ones_are_fitted_locally(frame_of
     assert_allclose(samples.u[0], field(samples.x), atol=1e-6)  # quadratic: exact
     noise = 0.3 * default_rng(1).standard_normal(BIG.shape)
     noisy = dic_to_lattice([frame_of(BIG, field(BIG) + noise)])
-    assert estimate_noise(noisy)[0] == pytest.approx(0.3, rel=0.15)
+    assert estimate_noise(noisy)[0] == approx(0.3, rel=0.15)
 
 
-BIG = np.argwhere(np.ones((30, 25), bool)) * 2.5 + 0.125
+BIG = grid_places((30, 25)) * 2.5 + 0.125
 GRADIENT = np.array([[0.013, -0.002], [0.004, -0.007]])
 
 
 @parametrize("radius", [0.0, 1.5])
 def test_points_lost_in_single_frames_are_missing_there_alone(frame_of, radius):
     """What all frames lost is a hole, and nodes near it are not of the interior."""
-    from_hole = np.linalg.norm(BIG - BIG[12 * 25 + 4], axis=1)
+    from_hole = norm(BIG - BIG[12 * 25 + 4], axis=1)
     hole = from_hole < 6
     rng = default_rng(5)
     losses = [rng.uniform(size=len(BIG)) < 0.03 for _ in range(7)]
@@ -113,7 +114,7 @@ def test_columns_and_their_units_are_what_a_header_says_behind_a_comment_too(tmp
         columns = [np.round(meant[one] / size.get(one, 1), 9) for one in holds]
         samples = told(tmp_path / "a.csv", header, columns, **how)
         assert samples.points.units[0] == unit
-        assert samples.spacing == pytest.approx(2.5)
+        assert samples.spacing == approx(2.5)
         assert_allclose(gradient(samples), GRADIENT, atol=1e-6, err_msg=header)
 
 

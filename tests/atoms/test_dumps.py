@@ -5,18 +5,19 @@ import gzip
 import ase
 import ase.io
 import numpy as np
-import pytest
 import zstandard
 from ase.build import bulk
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
+from tests.support import parametrize
 from tests.support.problems import lattice
 from tests.support.told import assert_refused, refused, warned
 from warp_peri import Points
 from warp_peri.atoms import dumps
 from warp_peri.atoms.coarse_graining import coarse_grain, smoothing_matrix
 from warp_peri.atoms.dumps import ReferenceAtoms, coarse_grain_dumps, iter_dump, mean_displacement
+from warp_peri.points.points import grid_places
 
 BOX = (12.0, 9.0)
 RANDOM = default_rng(0)
@@ -154,7 +155,7 @@ EDGES = (PARTS + np.column_stack([MOVED, np.zeros(20)]) @ np.linalg.inv(CELL)) /
 """Of the box, by which atoms left it when they moved."""
 
 
-@pytest.mark.parametrize("name", ["a.extxyz", "a.traj"])
+@parametrize("name", ["a.extxyz", "a.traj"])
 def test_trajectories_of_ase_and_wrapped_atoms_of_a_tilted_box(tmp_path, name):
     """Refused where nothing says where they were; by their images as they moved."""
     path, across = tmp_path / name, MOVED - (EDGES @ CELL)[:, :2]
@@ -184,7 +185,7 @@ def test_trajectories_of_ase_and_wrapped_atoms_of_a_tilted_box(tmp_path, name):
 
 
 def test_torn_sheets_and_loads_that_are_not_shared_by_mass_are_told(tmp_path):
-    x = np.argwhere(np.ones((8, 8))).astype(float) * 2.5
+    x = grid_places((8, 8)).astype(float) * 2.5
     points = Points(np.array([[8.0, 8.0]]), np.array([True]), 0.0)
     omega = smoothing_matrix(x, points.x, radius=8.0)
 

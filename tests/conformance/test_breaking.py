@@ -7,15 +7,14 @@ the table of laws asks what these cannot offer, a stress at nodes and a collar.
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from numpy.random import default_rng
 
 import warp_peri as wp
 from examples.inclusion import Mixed
-from tests.support import in_plane_and_space
+from tests.support import in_plane_and_space, parametrize
 from tests.support.bodies import random_breaking
 from tests.support.materials import OTHER
-from tests.support.problems import difference, noise, rotation
+from tests.support.problems import assert_balanced, difference, everywhere, noise, rotation
 from tests.support.told import refused
 from warp_peri import runtime
 from warp_peri.fracture import BondLaw, BrittleMaterial, Cracked, SofteningMaterial, box_nodes
@@ -37,7 +36,7 @@ SOLIDS = {
         2.0, lambda x: 2.5 + 0.1 * x[..., 0], lambda x: 1 + 0.1 * x[..., 1], dimension=d
     ),
 }
-every_solid = pytest.mark.parametrize(
+every_solid = parametrize(
     "solid", [make(d) for make in SOLIDS.values() for d in (2, 3)],
     ids=[f"{name}-{d}" for name in SOLIDS for d in (2, 3)],
 )  # fmt: skip
@@ -59,7 +58,7 @@ def torn(solid, share, angle=0.0, *, corrected=False):
 
 
 @every_solid
-@pytest.mark.parametrize(("share", "corrected"), [(0.0, False), (0.2, False), (0.2, True)])
+@parametrize(("share", "corrected"), [(0.0, False), (0.2, False), (0.2, True)])
 def test_forces_balance_and_are_the_derivative_of_the_energy(solid, share, corrected):
     op, points = torn(solid, share, corrected=corrected)
     x, d = points.x, solid.dimension
@@ -68,7 +67,7 @@ def test_forces_balance_and_are_the_derivative_of_the_energy(solid, share, corre
         near(op(rigid), 0 * op(rigid), 1e-12, scale * np.abs(rigid).max())
         assert abs(op.energy(rigid)) < 1e-11 * scale
     f = (op.matrix @ u.ravel()).reshape(u.shape)
-    near(f.sum(axis=0), np.zeros(d), 1e-12, np.abs(f).sum())
+    assert_balanced(f)
     moment = x.T @ f
     near(moment, moment.T, 1e-12, np.abs(x).max() * np.abs(f).sum())
     assert op.energy(u) > 0
@@ -106,23 +105,21 @@ def test_a_solve_finds_the_truth_around_a_crack_in_any_units(solid, tmp_path):
 
 
 @in_plane_and_space
-@pytest.mark.parametrize("name", [name for name in SOLIDS if "brittle" in name])
-def test_a_motion_in_other_units_and_on_two_threads_breaks_the_same_bonds(name, d, monkeypatch):
+@parametrize("name", [name for name in SOLIDS if "brittle" in name])
+def test_a_motion_in_other_units_and_on_two_threads_breaks_the_same_bonds(
+    name, d, monkeypatch, threads
+):
     monkeypatch.setattr(runtime, "SLICE", 16)
-    solid, before = SOLIDS[name](d), runtime.get_num_threads()
-    x, found = box_nodes(SIDES[d], 1.0), []
+    solid, x, found = SOLIDS[name](d), box_nodes(SIDES[d], 1.0), []
     length, _ = factors(solid.units, OTHER)
     uneven = 0.01 * x * (1 + default_rng(2).random(x.shape))  # no bonds alike
     other = solid.in_units(OTHER)
-    try:
-        for threads, one, scale in ((1, solid, 1.0), (2, solid, 1.0), (1, other, length)):
-            runtime.set_num_threads(threads)
-            points = wp.Points(scale * x, np.ones(len(x), bool), scale, units=one.units)
-            step = 0.3 * one.longest_step(scale)
-            run = wp.simulate(one, Cracked(points), step=step, steps=15, v=scale * uneven / step)
-            found.append((run.details.damage, run.u / scale, run.time))
-    finally:
-        runtime.set_num_threads(before)
+    for count, one, scale in ((1, solid, 1.0), (2, solid, 1.0), (1, other, length)):
+        threads(count)
+        points = everywhere(scale * x, scale, units=one.units)
+        step = 0.3 * one.longest_step(scale)
+        run = wp.simulate(one, Cracked(points), step=step, steps=15, v=scale * uneven / step)
+        found.append((run.details.damage, run.u / scale, run.time))
     assert 0 < found[0][0].mean() < 0.9
     assert all(np.array_equal(a, b) for a, b in zip(found[0], found[1]))
     assert np.array_equal(found[0][0], found[2][0])

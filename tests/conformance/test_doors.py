@@ -8,28 +8,29 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from numpy.linalg import norm
 from numpy.testing import assert_allclose
 
 import warp_peri as wp
+from tests.support import filterwarnings, masked, parametrize
 from tests.support.bodies import solid
 from tests.support.materials import LAWS, operator, placed
-from tests.support.problems import kernel, lattice, noise
+from tests.support.problems import everywhere, kernel, lattice, noise
 from tests.support.told import assert_refused, refused, warned
-from warp_peri.fracture import Cracked, rectangle_nodes
+from warp_peri.fracture import Cracked, box_nodes, rectangle_nodes
 from warp_peri.methods import Coupling, LPSParameters
 from warp_peri.points.arguments import check_arguments, kinds_of
 from warp_peri.points.mesh import make_mesh
-from warp_peri.points.outlines import Polygon, box, mesh_outline
+from warp_peri.points.outlines import box, mesh_outline
 
-pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning", "ignore:crack")
+pytestmark = filterwarnings("ignore:strain:UserWarning", "ignore:crack")
 
 
 def kinds(good, place=None):
     """Wrong kinds of an array, by name; of one entry, in the middle by default."""
     good = np.asarray(good, float)
     place = good.size // 2 if place is None else place
-    hidden = np.ma.masked_array(good, np.arange(good.size).reshape(good.shape) == place)
-    wrong = {"masked": hidden, "complex": good + 0j, "text": good.astype(str)}
+    wrong = {"masked": masked(good, place), "complex": good + 0j, "text": good.astype(str)}
     for name, value in (("nan", np.nan), ("infinite", np.inf), ("1e300", 1e300)):
         wrong[name] = good.copy()
         wrong[name].flat[place] = value
@@ -60,7 +61,7 @@ def moves(name):
     return name not in ("third order, filtered", "neural operator", "hyperelastic")
 
 
-@pytest.mark.parametrize("name", LAWS)
+@parametrize("name", LAWS)
 def test_fields_of_a_solve_a_motion_and_an_operator(name):
     op, points = placed(name, 1)
     zero, x = np.zeros(points.x.shape), points.x
@@ -96,7 +97,7 @@ def test_fields_of_a_solve_a_motion_and_an_operator(name):
             op.vjp(zero, bad)
 
 
-@pytest.mark.parametrize("name", [name for name, law in LAWS.items() if law.periodic])
+@parametrize("name", [name for name, law in LAWS.items() if law.periodic])
 def test_loads_of_a_period(name):
     points, material = LAWS[name].sheet(), LAWS[name].material()
     if hasattr(material.on(points), "solve_periodic"):
@@ -113,7 +114,7 @@ CHANGES = {
 }
 
 
-@pytest.mark.parametrize("name", [*LAWS, "conductor", "coupled"])
+@parametrize("name", [*LAWS, "conductor", "coupled"])
 def test_an_operator_is_for_its_own_points(name):
     op = operator(name)
     for what, change in CHANGES.items():
@@ -125,7 +126,7 @@ def test_an_operator_is_for_its_own_points(name):
 def test_a_node_outside_pulls_nothing_of_a_coupled_solid():
     points, coupled = replace(lattice(5, 3.0), axis=None), operator("coupled").model
     outside = np.zeros(len(points.x), bool)
-    outside[np.argmin(np.linalg.norm(points.x - [-1, 2], axis=1))] = True
+    outside[np.argmin(norm(points.x - [-1, 2], axis=1))] = True
     op = coupled.on(replace(points, outside=outside))
     u = np.column_stack([noise(points), noise(points)[:, 0]])
     assert np.array_equal(op(u + 100.0 * outside[:, None]), op(u))
@@ -139,7 +140,7 @@ def cracked(inner):
     return points, 1e-4 * x, [[[-6.5, 0.0], [0.0, 0.0]]]
 
 
-@pytest.mark.parametrize("name", ["third order, energy", "crystal"])
+@parametrize("name", ["third order, energy", "crystal"])
 def test_no_crack_is_solved_by_a_part_of_a_material(name):
     points, u, cracks = cracked(4.0)
     with refused(r"Cracked"):
@@ -155,7 +156,7 @@ MOTIONS = {
 }
 
 
-@pytest.mark.parametrize("kind", MOTIONS)
+@parametrize("kind", MOTIONS)
 def test_a_body_with_cracks(kind):
     material, inner, options = MOTIONS[kind]
     points, u, cracks = cracked(inner)
@@ -205,7 +206,7 @@ def test_whole_numbers_of_any_type_are_counts():
     assert all(np.array_equal(one, first) for one in others)
 
 
-@pytest.mark.parametrize("name", ["LPS", "crystal"])
+@parametrize("name", ["LPS", "crystal"])
 def test_parameters_are_real_numbers_of_the_shape_that_they_have(name):
     op, points = placed(name, 1)
     problem = wp.Dirichlet(points, None, 1e-4 * points.x)
@@ -275,9 +276,9 @@ def plate(displacement=(0, 0), traction=(5e-3, 0), **given):
     return wp.Body(PLATE, *parts, coupling=Coupling(spacing=1.0), **given)
 
 
-@pytest.mark.filterwarnings("ignore:mesh")
+@filterwarnings("ignore:mesh")
 def test_vectors_of_a_body():
-    hidden = np.ma.masked_array([1.0, 0.0], [True, False])
+    hidden = masked([1.0, 0.0])
     functions = lambda x: 1j * x, lambda x, n: 1j * n
     bad = [(value, value) for value in ((1j, 0), ("0", "0"), hidden, [[1.0], [2.0, 3.0]])]
     for held, pulled in (*bad, ((np.inf, 0), (np.inf, 0)), functions):
@@ -310,52 +311,43 @@ def parameters(**change):
 
 def test_arguments_of_bodies_solids_and_tables():
     """What their kind, which is looked at below, does not tell."""
-    hidden = np.ma.masked_array([1.0, 99.0, 0.2], mask=[0, 1, 0])
+    hidden = masked([1.0, 99.0, 0.2], 1)
     points, ones = wp.Points.disk(2.0, 1.0, 2.0), np.ones(16, bool)
     sixteen = wp.Points(np.argwhere(ones.reshape(4, 4)).astype(float), ones, 1.0)
     sets = {"train": wp.Samples(sixteen, np.zeros((1, 16, 2)))}
     data = lambda rate: wp.Dataset(sets, 1.0, 1.0, provenance={"rate": rate})
     op = wp.LPSMaterial(1.0, 1.0, 1.0, [1.0], 2.0, certified_on=(1.0,)).on(points)
-    none = (1j, np.ma.masked_array([0.5], [True]), np.nan, "0.5", None, True)
-    for call, words in (
-        (lambda: wp.influence.table([1, 2, 3], hidden), "K"),
-        (lambda: wp.solve(op, wp.Dirichlet(points, None, [[1.0], [1.0, 2.0]])), "u"),
-        (lambda: wp.Points.block([], 1.0, 2.0), "lengths"),
-        (lambda: wp.Points.sheet((4,), 1.0), "sides"),
-        (lambda: wp.fracture.box_nodes((), 1.0), "sides"),
-        (lambda: wp.fracture.box_nodes((1.0, 1.0), 1e-6), "sides"),
-        (lambda: wp.Points.sheet((10**6, 10**6), 1.0), "sides"),
-        (lambda: wp.hyperelastic.Hyperelastic(terms=["neo_hookean"]), "terms"),
-        (lambda: box(0.0, 20.0), "width"),
-        (lambda: mesh_outline(Polygon(((0, 0), (1, 0), (2, 0))), size=1.0), "corners"),
-        (lambda: wp.load("a\0b"), "path"),
-        (lambda: wp.runtime.set_num_threads(10**400), "count"),
-        (lambda: wp.fracture.point_force(np.eye(2), 1.0, (0, 0), hidden[:2]), "force"),
-        (lambda: wp.fracture.box_nodes((1.0, "a"), 1.0), "sides"),
-        (lambda: op.vjp(np.zeros(points.x.shape), np.zeros(points.x.shape)), "w"),
-        (lambda: wp.Samples(sixteen, torch.zeros(1, 16, 2, device="meta")), "u"),
-        (lambda: data(np.nan), "provenance"),
-        (lambda: data(object()), "provenance"),
-        *(
-            (lambda one={name: value}: parameters(**one), name)
-            for name in ("lam", "mu", "alpha", "D")
-            for value in none
+    assert_refused({
+        "^K: expected": lambda: wp.influence.table([1, 2, 3], hidden),
+        "^u: expected": (
+            lambda: wp.solve(op, wp.Dirichlet(points, None, [[1.0], [1.0, 2.0]])),
+            lambda: wp.Samples(sixteen, torch.zeros(1, 16, 2, device="meta")),
         ),
-        (lambda: parameters(alpha=3.0), "alpha"),
-        (lambda: parameters(D=[]), "D"),
-        *(
-            (lambda name=name: parameters(**{name: torch.full((225,), 0.5)}), name)
-            for name in ("lam", "mu", "alpha")
+        "^lengths: expected": lambda: wp.Points.block([], 1.0, 2.0),
+        "^sides: expected": (
+            lambda: wp.Points.sheet((4,), 1.0), lambda: wp.Points.sheet((10**6, 10**6), 1.0),
+            lambda: box_nodes((), 1.0), lambda: box_nodes((1.0, 1.0), 1e-6),
+            lambda: box_nodes((1.0, "a"), 1.0),
         ),
-    ):
-        with refused(f"^{words}: expected"):
-            call()
+        "^terms: expected": lambda: wp.hyperelastic.Hyperelastic(terms=["neo_hookean"]),
+        "^width: expected": lambda: box(0.0, 20.0),
+        "^path: expected": lambda: wp.load("a\0b"),
+        "^count: expected": lambda: wp.runtime.set_num_threads(10**400),
+        "^force: expected": lambda: wp.fracture.point_force(np.eye(2), 1.0, (0, 0), hidden[:2]),
+        "^w: expected": lambda: op.vjp(np.zeros(points.x.shape), np.zeros(points.x.shape)),
+        "^provenance: expected": (lambda: data(np.nan), lambda: data(object())),
+    })  # fmt: skip
+    many, none = torch.full((225,), 0.5), (1j, masked([0.5]), np.nan, "0.5", None, True)
+    for name, more in {"lam": many, "mu": many, "alpha": many, "D": []}.items():
+        for value in (*none, more, *[3.0] * (name == "alpha")):
+            with refused(f"^{name}: expected"):
+                parameters(**{name: value})
     assert wp.Points.sheet((4, 4), 1.0, units="reduced").units[0] == "sigma"
 
 
 def watched(name, watch):
     x = rectangle_nodes(8.0, 8.0, 1.0)
-    body = Cracked(wp.Points(x, np.ones(len(x), bool), 1.0))
+    body = Cracked(everywhere(x))
     return wp.simulate(solid(), body, step=1e-6, steps=2, every=1, watch={name: watch})
 
 

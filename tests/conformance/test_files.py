@@ -11,8 +11,10 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 
 import warp_peri as wp
+from tests.support import approx, of_json, parametrize
 from tests.support.materials import OTHER
 from warp_peri.core.record import HOMES, content_hash
 
@@ -35,7 +37,7 @@ def written(name):
         for path in FOLDER.glob(f"{name}.*"):
             shutil.copy(path, folder)
         path = Path(folder, f"{name}.json")
-        found = read(path, hashed(bare(json.loads(path.read_text()))))
+        found = read(path, hashed(bare(of_json(path))))
         wp.save(Path(folder, "m.json"), found)
         return found, {one.name: one.read_bytes() for one in Path(folder).glob("m.*")}
 
@@ -50,7 +52,7 @@ def material(request, tmp_path):
 
 
 def test_every_format_is_among_them():
-    formats = {json.loads((FOLDER / f"{name}.json").read_text())["format"] for name in FILES}
+    formats = {of_json(FOLDER / f"{name}.json")["format"] for name in FILES}
     assert formats == {*HOMES} - {"warp_peri.density"}  # whose function is in no file
 
 
@@ -106,24 +108,24 @@ def refused(path, content, words=None):
 
 def test_what_is_written_ends_with_its_hash_and_no_number_changes_unseen(material):
     found, path = material
-    content = json.loads(path.read_text())
+    content = of_json(path)
     assert [*content][-1] == "sha256"
     values = dict(places(content))
     numbers = [at for at, value in values.items() if type(value) in (int, float)]
-    for n in np.random.default_rng(0).permutation(len(numbers))[:25]:
+    for n in default_rng(0).permutation(len(numbers))[:25]:
         value = values[numbers[n]]
         refused(path, changed(content, numbers[n], value * 1.1 + (value == 0)))
     del content["sha256"]  # an old file is read without
     again = read(path, content)
     assert type(again) is type(found)
     wp.save(path, again)
-    assert json.loads(path.read_text())["sha256"]
+    assert of_json(path)["sha256"]
 
 
-@pytest.mark.parametrize("name", FILES)
+@parametrize("name", FILES)
 def test_what_is_not_proven_is_not_believed(name, tmp_path):
     """Higher bounds, and bounds of another solid, under hashes that are right."""
-    content, path = json.loads((FOLDER / f"{name}.json").read_text()), tmp_path / "m.json"
+    content, path = of_json(FOLDER / f"{name}.json"), tmp_path / "m.json"
     others = "second", "halves"  # of a family: like the first
     values = {at: value for at, value in places(content) if at[0] not in others}
     owners = set()
@@ -153,7 +155,7 @@ def test_a_model_is_certified_only_where_that_is_proven(tmp_path):
 
 
 def test_figures_of_a_proof_are_of_its_lattice_and_words_follow_from_them(tmp_path):
-    files = [json.loads((FOLDER / f"{name}.json").read_text()) for name in ("lps", "crystal")]
+    files = [of_json(FOLDER / f"{name}.json") for name in ("lps", "crystal")]
     said, path = files[0]["certificate"]["1"], tmp_path / "m.json"
     model = read(path, hashed(changed(files[0], ("certificate", "1", "statement"), "All.")))
     assert model.certificate == {"1": said}
@@ -171,7 +173,7 @@ def test_figures_of_a_proof_are_of_its_lattice_and_words_follow_from_them(tmp_pa
 
 def test_what_is_no_value_or_not_known_is_one_error(material):
     _, path = material
-    content = json.loads(path.read_text())
+    content = of_json(path)
     for n, key in enumerate(content):
         for value in HOSTILE[n % 3 :: 3]:  # each of them for some key of every material
             with contextlib.suppress(wp.InputError):  # another error ends the test
@@ -197,12 +199,12 @@ def test_other_units_there_and_back_are_the_same(material):
     there, back, theirs = found.in_units(OTHER), path.with_name("back.json"), path.with_name("m2")
     assert there.units == OTHER
     wp.save(back, there.in_units(found.units))
-    one, two = (dict(places(json.loads(each.read_text()))) for each in (path, back))
+    one, two = (dict(places(of_json(each))) for each in (path, back))
     own = {*RECORDS, "sha256", "weights", "hash"}
     assert {at for at in {*one} ^ {*two} if not own & {*at}} == set()
     for at, value in one.items():
         if isinstance(value, float) and not own & {*at}:
-            assert two[at] == pytest.approx(value, rel=1e-12, abs=0), at
+            assert two[at] == approx(value, rel=1e-12, abs=0), at
     theirs.mkdir()
     wp.save(theirs / "m.json", there)
     wp.save(back := theirs / "back" / "m.json", wp.load(path, units=OTHER))

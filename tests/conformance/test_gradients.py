@@ -9,19 +9,21 @@ import pytest
 import torch
 import warp
 from numpy.linalg import norm
-from torch.autograd import forward_ad, functional, gradgradcheck
+from torch.autograd import forward_ad, functional, grad, gradgradcheck
 
 import warp_peri as wp
+from tests.support import filterwarnings, masked, parametrize
 from tests.support.materials import LAWS, LINEAR, OPERATORS, field, operator, seeded, tensor
 from tests.support.problems import kernel, lattice, normal
 from tests.support.told import assert_refused, refused
 from warp_peri.errors import ALONE
+from warp_peri.testing import assert_near as near
 
-pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
+pytestmark = filterwarnings("ignore::UserWarning")
 OTHERS = [name for name in OPERATORS if name not in LINEAR]
 
 
-@pytest.mark.parametrize("name", OPERATORS)
+@parametrize("name", OPERATORS)
 def test_product_and_its_transpose_are_one_matrix(name):
     op = operator(name)
     u, v = field(op, 2), field(op, 2, seed=5)
@@ -32,10 +34,10 @@ def test_product_and_its_transpose_are_one_matrix(name):
     size = norm(rate) * norm(w)
     assert abs((rate * w).sum() - (v * back).sum()) <= 1e-12 * size
     for one, many in ((op.vjp(u[0], w[0]), back[0]), (op.jvp(u[0], v[0]), rate[0])):
-        assert np.allclose(one, many, rtol=1e-10, atol=1e-13 * np.abs(many).max())
+        near(one, many, 1e-13)
 
 
-@pytest.mark.parametrize("name", LINEAR)
+@parametrize("name", LINEAR)
 def test_second_derivatives_of_a_linear_force(name):
     op = operator(name)
     u, v = (tensor(op, seed=n) for n in (0, 1))
@@ -47,15 +49,15 @@ def test_second_derivatives_of_a_linear_force(name):
     expected = op.vjp(u.numpy(), op(v.numpy()))
     for second in (functional.hvp, functional.vhp):
         found = second(energy, u, v)[1]
-        assert np.allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+        near(found, expected, 1e-12)
 
 
 def test_a_gradient_beside_a_tape_of_the_user():
     op = operator("LPS, broken bonds")
     u = tensor(op).requires_grad_()
-    expected = torch.autograd.grad(op(u).sum(), u)[0]
+    expected = grad(op(u).sum(), u)[0]
     with warp.Tape():
-        assert torch.equal(torch.autograd.grad(op(u).sum(), u)[0], expected)
+        assert torch.equal(grad(op(u).sum(), u)[0], expected)
 
 
 def test_networks_that_learn_have_second_derivatives():
@@ -64,14 +66,14 @@ def test_networks_that_learn_have_second_derivatives():
     v = torch.from_numpy(normal(u.shape))
 
     def slope(u, **how):
-        return torch.autograd.grad(op(u).square().sum(), u, **how)[0]
+        return grad(op(u).square().sum(), u, **how)[0]
 
-    (second,) = torch.autograd.grad((slope(u, create_graph=True) * v).sum(), u)
+    (second,) = grad((slope(u, create_graph=True) * v).sum(), u)
     there, back = (slope((u + s * v).detach().requires_grad_()) for s in (1e-6, -1e-6))
-    assert torch.allclose(second, (there - back) / 2e-6, rtol=1e-6, atol=1e-6 * second.abs().max())
+    near(second, (there - back) / 2e-6, 1e-6)
 
 
-@pytest.mark.parametrize("name", [name for name in OTHERS if name != "neural operator"])
+@parametrize("name", [name for name in OTHERS if name != "neural operator"])
 def test_second_derivatives_of_others_are_refused(name):
     op = operator(name)
     u = tensor(op).requires_grad_()
@@ -80,11 +82,11 @@ def test_second_derivatives_of_others_are_refused(name):
     def penalised(u):
         return op(u).square().sum() + u.pow(4).sum()
 
-    (first,) = torch.autograd.grad(penalised(u), u, create_graph=True)
-    (plain,) = torch.autograd.grad(penalised(u), u)
+    (first,) = grad(penalised(u), u, create_graph=True)
+    (plain,) = grad(penalised(u), u)
     assert torch.equal(first, plain)
     for second in (
-        lambda: torch.autograd.grad(first.square().sum(), u, retain_graph=True),
+        lambda: grad(first.square().sum(), u, retain_graph=True),
         lambda: first.square().sum().backward(),
         lambda: functional.hvp(penalised, u.detach(), v),
         lambda: functional.vhp(penalised, u.detach(), v),
@@ -95,31 +97,32 @@ def test_second_derivatives_of_others_are_refused(name):
         return
     held = (0.01 * u).detach().requires_grad_()
     answer = wp.solve(op, wp.Dirichlet(op.points, 0 * held.detach(), held)).u
-    (first,) = torch.autograd.grad(answer.square().sum(), held, create_graph=True)
+    (first,) = grad(answer.square().sum(), held, create_graph=True)
     with refused("second derivative"):
         first.sum().backward()
 
 
-@pytest.mark.parametrize("name", OPERATORS)
+@parametrize("name", OPERATORS)
 def test_batches_and_precisions(name):
     op = operator(name)
     u = tensor(op, 2, 3).requires_grad_()
     force = op(u)
     assert force.shape[:2] == (2, 3)
-    (by_u,) = torch.autograd.grad(force.square().sum(), u)
-    size, one = force.detach().abs().max(), u[1, 2].detach().requires_grad_()
+    (by_u,) = grad(force.square().sum(), u)
+    whole, one = force.detach(), u[1, 2].detach().requires_grad_()
+    size = whole.abs().max()
     alone = op(one)
-    assert torch.allclose(alone, force[1, 2], rtol=0, atol=1e-13 * size)
-    (by_one,) = torch.autograd.grad(alone.square().sum(), one)
-    assert torch.allclose(by_one, by_u[1, 2], rtol=0, atol=1e-12 * by_u.abs().max())
-    assert np.allclose(op(u[0].detach().numpy()), force[0].detach(), rtol=0, atol=1e-13 * size)
+    near(alone.detach(), whole[1, 2], 1e-13, size)
+    (by_one,) = grad(alone.square().sum(), one)
+    near(by_one, by_u[1, 2], 1e-12, by_u.abs().max())
+    near(op(u[0].detach().numpy()), whole[0], 1e-13, size)
     single = u.detach().float().requires_grad_()
     lower = op(single)
     assert lower.dtype == torch.float32
     assert torch.equal(lower, op(single.double()).float())
-    (by_single,) = torch.autograd.grad(lower.square().sum(), single)
+    (by_single,) = grad(lower.square().sum(), single)
     assert by_single.dtype == torch.float32
-    assert torch.allclose(by_single.double(), by_u, rtol=0, atol=1e-3 * by_u.abs().max())
+    near(by_single, by_u, 1e-3)
     strided = u.detach().movedim(0, -1).contiguous().movedim(-1, 0)
     assert torch.equal(op(strided), force)
     short = u[..., :-1, :] if len(op.shape) == 2 else u[..., :-1]
@@ -149,16 +152,16 @@ def test_workers_of_a_loader_have_the_forces_of_this_process():
         assert not learns
 
 
-@pytest.mark.parametrize("name", ["crystal", "third order, energy"])
+@parametrize("name", ["crystal", "third order, energy"])
 def test_torch_compile_leaves_a_force_as_it_is(name):
     op = operator(name)
     value, u = lambda u: op(2 * u).square().sum(), tensor(op).requires_grad_()
     torch.compiler.reset()
     whole = torch.compile(value, backend="eager")(u)
-    assert torch.equal(*(torch.autograd.grad(one, u)[0] for one in (whole, value(u))))
+    assert torch.equal(*(grad(one, u)[0] for one in (whole, value(u))))
 
 
-@pytest.mark.parametrize("name", OPERATORS)
+@parametrize("name", OPERATORS)
 def test_copies_are_made_anew(name):
     op = operator(name)
     u = field(op)
@@ -206,16 +209,16 @@ MODULES = {
 }
 
 
-@pytest.mark.parametrize("name", [*MODULES, "neural operator"])
+@parametrize("name", [*MODULES, "neural operator"])
 def test_a_module_learns_the_numbers_of_its_material_and_is_saved_and_copied(name, tmp_path):
     op = copy.deepcopy(operator(name))
     module, u = wp.TorchModule(op, op.points), tensor(op).requires_grad_()
     if name in MODULES:
         assert {key for key, _ in module.named_parameters()} == MODULES[name]
     force = op(u)
-    assert torch.allclose(module(u), force, rtol=0, atol=1e-12 * force.detach().abs().max())
-    by_u, *_ = torch.autograd.grad(seeded(module(u)), [u, *module.parameters()])
-    assert torch.allclose(by_u, torch.autograd.grad(seeded(force), u)[0], rtol=1e-10)
+    near(module(u).detach(), force.detach(), 1e-12)
+    by_u, *_ = grad(seeded(module(u)), [u, *module.parameters()])
+    near(by_u, grad(seeded(force), u)[0], 1e-10)
     with torch.no_grad():
         for number in module.parameters():
             number.mul_(1.01)
@@ -228,7 +231,7 @@ def test_a_module_learns_the_numbers_of_its_material_and_is_saved_and_copied(nam
     assert torch.equal(torch.as_tensor(module(u.numpy())), module(u))
 
 
-@pytest.mark.parametrize("name", ["LPS", "crystal", "conductor"])
+@parametrize("name", ["LPS", "crystal", "conductor"])
 def test_what_a_solve_takes_and_tells(name):
     op = operator(name)
     b, u = (tensor(op, 2, seed=n) for n in (0, 1))
@@ -240,16 +243,16 @@ def test_what_a_solve_takes_and_tells(name):
         with refused("[bu]: expected"):
             solution(*wrong)
     plain, whole = solution(b.numpy(), 0 * u.numpy()), solution(b, torch.zeros(u.shape).long())
-    assert np.allclose(whole.u, plain.u, rtol=0, atol=1e-9 * np.abs(plain.u).max())
+    near(whole.u, plain.u, 1e-9)
     told = solution(b.requires_grad_(), 0 * u)
-    assert np.allclose(told.energy(), plain.energy(), rtol=1e-7)
+    near(told.energy(), plain.energy(), 1e-7)
     assert "residual" in repr(told)
     if name != "conductor":
-        assert np.allclose(told.stress(), plain.stress(), rtol=0, atol=1e-8)
+        near(told.stress(), plain.stress(), 1e-8, 1)
         assert told.plot().get_title()
 
 
-@pytest.mark.parametrize("solver", [wp.Direct(), wp.CG("sine"), None])
+@parametrize("solver", [wp.Direct(), wp.CG("sine"), None])
 def test_a_second_derivative_to_numbers_is_refused(solver):
     """Where torch would drop terms; of the force without a solver."""
     op, name = operator("LPS"), ["lam", "mu", "alpha", "D"]
@@ -267,10 +270,10 @@ def test_a_second_derivative_to_numbers_is_refused(solver):
     with refused("second derivative"):
         functional.hessian(energy, tuple(values))
     leaves = [value.requires_grad_() for value in values]
-    first = torch.autograd.grad(energy(*leaves), leaves, create_graph=True)
+    first = grad(energy(*leaves), leaves, create_graph=True)
     for one in first:
         with refused("second derivative"):
-            torch.autograd.grad(one.sum(), leaves, retain_graph=True, allow_unused=True)
+            grad(one.sum(), leaves, retain_graph=True, allow_unused=True)
 
 
 def along(call, x):
@@ -291,17 +294,17 @@ def test_what_would_lose_a_gradient_says_so():
         broken.mu.fill_(-1.0)
     cut, solid = wp.Cracked(points, u=leaf, cracks=cracks), kernel("1/r", 3.0)
     waves, steps = {"density": 2000.0, "step": 1e-6, "steps": 2}, {"step": 1.0, "steps": 2}
-    hidden = np.ma.masked_array(u.numpy(), np.arange(u.numel()).reshape(u.shape) == 0)
-    grad, plain = (lambda f, x: torch.func.grad(lambda x: f(x).sum())(x)), r"torch\.func: expected"
+    hidden = masked(u.numpy())
+    slope, plain = (lambda f, x: torch.func.grad(lambda x: f(x).sum())(x)), r"torch\.func: expected"
     assert_refused({
         plain: (
-            lambda: grad(module, u), lambda: grad(network, tensor(network)),
-            lambda: grad(lambda u: wp.simulate(op, on(u), **waves).u, u),
-            lambda: grad(lambda mu: wp.solve(op, on(u), parameters={"mu": mu}).u, number),
-            lambda: grad(
+            lambda: slope(module, u), lambda: slope(network, tensor(network)),
+            lambda: slope(lambda u: wp.simulate(op, on(u), **waves).u, u),
+            lambda: slope(lambda mu: wp.solve(op, on(u), parameters={"mu": mu}).u, number),
+            lambda: slope(
                 lambda mu: wp.simulate(op, on(u), parameters={"mu": mu}, **waves).u, number
             ),
-            lambda: grad(
+            lambda: slope(
                 lambda phi: wp.simulate(heat, wp.Dirichlet(heat.points, None, phi), **steps).u,
                 phi,
             ),
@@ -343,7 +346,7 @@ def test_lists_and_numbers_keep_all_their_digits():
 
     exact = solved(u, torch.tensor(mu, dtype=torch.float64))
     assert torch.equal(solved(u.tolist(), mu), exact)
-    hidden = np.ma.masked_array(u.numpy(), np.arange(u.numel()).reshape(u.shape) == 0)
+    hidden = masked(u.numpy())
     for wrong, said in ((None, "numbers, got NoneType"), ("u", "got str"), (hidden, "finite")):
         with refused(f"u: expected .*{said}"):
             solved(wrong, mu)

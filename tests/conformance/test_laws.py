@@ -9,9 +9,9 @@ import pytest
 import torch
 
 import warp_peri as wp
-from tests.support import materials
+from tests.support import approx, filterwarnings, materials, parametrize
 from tests.support.materials import KINKED, LAWS, OTHER, SPREAD, H, placed, solved_samples, uneven
-from tests.support.problems import lattice, noise, rotation
+from tests.support.problems import assert_balanced, lattice, noise, on_interior, rotation
 from tests.support.sheets import SPACING
 from tests.support.told import refused
 from warp_peri import runtime, testing
@@ -19,7 +19,7 @@ from warp_peri.neural.material import NeuralOperator
 from warp_peri.points.dataset import in_units
 from warp_peri.testing import assert_near as near
 
-pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning")
+pytestmark = filterwarnings("ignore:strain:UserWarning")
 TURN = 0.4
 
 
@@ -32,7 +32,7 @@ def test_an_operator_offers_the_contract_and_a_field_is_one_of_several(name):
     op, points = placed(name)
     assert op.model.units == points.units
     assert op.model.dimension == points.x.shape[1]
-    assert op.model.horizon == pytest.approx(LAWS[name].horizon * points.spacing)
+    assert op.model.horizon == approx(LAWS[name].horizon * points.spacing)
     assert op.points is points
     b, u = noise(points, 2), uneven(points, 2)
     assert np.array_equal(op.rhs(b), b[:, points.interior])
@@ -64,7 +64,7 @@ def test_momentum_and_its_moment_balance(name):
     u[len(u) // 2] = (0.02 * points.spacing, -0.03 * points.spacing)
     f = op(u)
     assert np.abs(f).max() > 0
-    near(f.sum(axis=0), np.zeros(2), 1e-12, np.abs(f).sum())
+    assert_balanced(f)
     x = (points.x + law.force_turns * u)[points.interior]
     x = x - x.mean(axis=0)
     moments = x[:, 0] * f[:, 1] - x[:, 1] * f[:, 0]
@@ -79,8 +79,7 @@ def test_momentum_on_a_periodic_lattice(name):
             law.material().on(wp.Points.sheet((14, 16), SPACING))
         return
     points = law.sheet()
-    f = law.material().on(points)(1e-2 * noise(points))
-    near(f.sum(axis=0), np.zeros(2), 1e-12, np.abs(f).sum())
+    assert_balanced(law.material().on(points)(1e-2 * noise(points)))
 
 
 def test_a_finite_rotation_turns_stress_and_force(name):
@@ -114,7 +113,7 @@ def test_directions_of_a_network_turn_with_the_axis():
     assert np.abs(other - force).max() > 1e-6 * np.abs(force).max()
 
 
-@pytest.mark.parametrize("name", SPREAD)
+@parametrize("name", SPREAD)
 def test_force_energy_product_units_and_file_pass_the_checks_of_any_material(name):
     op, points = placed(name)
     u, kinks = uneven(points), {"step": 1e-6, "tolerance": 1e-6} if name in KINKED else {}
@@ -160,30 +159,27 @@ def test_checks_of_a_material_see_what_is_wrong():
         testing.check_units(loose, points, u)
 
 
-@pytest.mark.parametrize("name", SPREAD)
-def test_threads_change_no_bit(name, monkeypatch):
+@parametrize("name", SPREAD)
+def test_threads_change_no_bit(name, monkeypatch, threads):
     monkeypatch.setattr(runtime, "SLICE", 16)  # so that a small lattice is shared out
     law = SPREAD[name]
     points = law.points(8)
     u, v = uneven(points, 2), noise(points, 2)
-    before, found = runtime.get_num_threads(), []
-    try:
-        for count in (1, 2):
-            runtime.set_num_threads(count)
-            fresh = law.on(points).on(points)
-            found.append([fresh(u), fresh.jvp(u, v), fresh.stress(u), fresh.energy(u)])
-            if known := getattr(fresh, "learnable", {}):
-                numbers = {n: torch.tensor(one).double() for n, one in known.items()}
-                leaves = [one.requires_grad_() for one in numbers.values()]
-                force = fresh.force_with_parameters(torch.from_numpy(u), numbers)
-                found[-1] += torch.autograd.grad((force**2).sum(), leaves)
-    finally:
-        runtime.set_num_threads(before)
+    found = []
+    for count in (1, 2):
+        threads(count)
+        fresh = law.on(points).on(points)
+        found.append([fresh(u), fresh.jvp(u, v), fresh.stress(u), fresh.energy(u)])
+        if known := getattr(fresh, "learnable", {}):
+            numbers = {n: torch.tensor(one).double() for n, one in known.items()}
+            leaves = [one.requires_grad_() for one in numbers.values()]
+            force = fresh.force_with_parameters(torch.from_numpy(u), numbers)
+            found[-1] += torch.autograd.grad((force**2).sum(), leaves)
     for one, two in zip(*found):
         assert np.array_equal(one, two)
 
 
-@pytest.mark.parametrize("name", ["crystal", "own", "neural operator"])
+@parametrize("name", ["crystal", "own", "neural operator"])
 def test_single_precision(name):
     (op, points), material = placed(name), LAWS[name].material()
     u = uneven(points)
@@ -199,7 +195,7 @@ def test_single_precision(name):
 def test_a_solve_finds_the_truth_and_an_evaluation_no_error(name):
     op, points = placed(name)
     samples = solved_samples(op)
-    held = np.where(points.interior[:, None], np.nan, samples.u)
+    held = on_interior(points, np.nan, samples.u)
     solution = wp.solve(op, wp.Dirichlet(points, samples.b, held))
     near(solution.u, samples.u, 1e-8)
     assert solution.residual < 1e-8

@@ -9,10 +9,10 @@ import torch
 
 import warp_peri as wp
 from tests.conformance.test_breaking import CRACK, SOLIDS, points_of
-from tests.support import in_plane_and_space
+from tests.support import filterwarnings, in_plane_and_space, parametrize
 from tests.support.materials import LAWS, SPREAD, field, operator, placed, solved_samples, uneven
 from tests.support.plates import plate
-from tests.support.problems import kernel, lattice, loaded
+from tests.support.problems import kernel, lattice, loaded, on_interior
 from tests.support.sheets import waves
 from warp_peri.diffusion import DiffusionMaterial
 from warp_peri.fracture import Cracked
@@ -20,9 +20,7 @@ from warp_peri.materials.crystal import crystal_from_lps
 from warp_peri.points.arguments import USUAL, factors
 from warp_peri.testing import assert_near as near
 
-pytestmark = pytest.mark.filterwarnings(
-    "ignore:strain:UserWarning", "ignore:transferred:UserWarning"
-)
+pytestmark = filterwarnings("ignore:strain:UserWarning", "ignore:transferred:UserWarning")
 SCALES = {
     "small and stiff": (("nm", "mm"), ("TPa", "MPa")),
     "large and soft": (("mm", "nm"), ("MPa", "TPa")),
@@ -59,7 +57,7 @@ def larger(points, length):
     return dataclasses.replace(points, x=length * points.x, spacing=length * points.spacing)
 
 
-@pytest.mark.parametrize("name", SPREAD)
+@parametrize("name", SPREAD)
 def test_a_force_a_solve_and_a_motion(name, scale):
     law, (op, points) = SPREAD[name], placed(name, 3)
     u = uneven(points)
@@ -90,12 +88,10 @@ def test_a_force_a_solve_and_a_motion(name, scale):
     near(np.asarray(again.v), np.asarray(moved.v) * length / slower, 1e-6)
 
 
-@pytest.mark.parametrize(
-    "name", ["third order, energy", "density", "hyperelastic", "neural operator"]
-)
+@parametrize("name", ["third order, energy", "density", "hyperelastic", "neural operator"])
 def test_very_small_loads_are_answered_in_proportion_and_unanswerable_ones_refused(name):
     op, points = placed(name)
-    b, u = waves(points, 1e-3), np.where(points.interior[:, None], 0, waves(points, 1.0, 1))
+    b, u = waves(points, 1e-3), on_interior(points, 0, waves(points, 1.0, 1))
     first, *found = (
         wp.solve(op, wp.Dirichlet(points, size * b, size * u)).u / size
         for size in (1e-8, 1e-9, 1e-200)
@@ -110,7 +106,7 @@ def test_very_small_loads_are_answered_in_proportion_and_unanswerable_ones_refus
 SOLID = kernel("1/r", 2.0, lam=0.9)
 
 
-@pytest.mark.parametrize("make", [lambda: SOLID, lambda: crystal_from_lps(SOLID, 1.0).certified()])
+@parametrize("make", [lambda: SOLID, lambda: crystal_from_lps(SOLID, 1.0).certified()])
 def test_a_body_with_free_edges(make, scale):
     material = make()
     other, length, stress = resized(material, scale)

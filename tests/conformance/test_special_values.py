@@ -3,16 +3,18 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 import torch
+from numpy.random import default_rng
+from torch.autograd import grad
 
 import warp_peri as wp
 from tests.gradients.cases import errors, given, loss, solver_of
+from tests.support import filterwarnings, parametrize
 from tests.support.materials import FLOWS, KINKED, LAWS, OPERATORS, field, operator, seeded, tensor
 from tests.support.problems import lattice
 from tests.support.told import refused
 
-pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
+pytestmark = filterwarnings("ignore::UserWarning")
 DIFFERENCES = 1e-6
 D = np.array([1.0, 0.5, 0.8])
 SOLID = {"lam": 0.3, "mu": 0.8, "alpha": 0.7, "D": D}
@@ -69,7 +71,7 @@ CELLS = [
 
 def gradient(value, start, *names):
     leaves = {name: start[name].clone().requires_grad_() for name in names}
-    return torch.autograd.grad(value(start | leaves), [*leaves.values()])
+    return grad(value(start | leaves), [*leaves.values()])
 
 
 def check(value, numbers):
@@ -84,7 +86,7 @@ def check(value, numbers):
 
 def general(numbers):
     """Numbers near, none of which is special."""
-    shift = np.random.default_rng(5).uniform(0.01, 0.02, 20)
+    shift = default_rng(5).uniform(0.01, 0.02, 20)
     return {n: v + shift[k] * (1 + np.arange(np.size(v))).reshape(np.shape(v))
             for k, (n, v) in enumerate(numbers.items())}  # fmt: skip
 
@@ -104,7 +106,7 @@ def value_of(verb, kind, op):
     return lambda of: loss(op, fields, options | {"steps": 4, "every": 2}, of)
 
 
-@pytest.mark.parametrize(("verb", "kind", "case"), CELLS)
+@parametrize(("verb", "kind", "case"), CELLS)
 def test_special_numbers_have_the_gradient_of_differences(verb, kind, case):
     """Whether they are the material's own or are given as parameters."""
     make, numbers = KINDS[kind][0], KINDS[kind][1][case]
@@ -114,7 +116,7 @@ def test_special_numbers_have_the_gradient_of_differences(verb, kind, case):
         assert op.learnable.keys() == numbers.keys()
 
 
-@pytest.mark.parametrize("case", ["λ = μ", "λ = α = 0"])
+@parametrize("case", ["λ = μ", "λ = α = 0"])
 def test_cracked_bodies_have_the_gradient_of_differences(case):
     points, numbers = lattice(4, 2.0), SOLIDS[case]
     b, u = (field(solid(numbers).on(points), seed=n) for n in (0, 1))
@@ -139,13 +141,11 @@ def test_a_number_that_two_share_is_both():
         seeded(wp.solve(op, wp.Dirichlet(op.points, None, u), parameters=of).u)
         for of in ({"lam": mu, "mu": mu}, dict(zip(("lam", "mu"), pair)))
     ]
-    (both,) = torch.autograd.grad(values[0], mu)
-    torch.testing.assert_close(both, sum(torch.autograd.grad(values[1], pair)))
+    (both,) = grad(values[0], mu)
+    torch.testing.assert_close(both, sum(grad(values[1], pair)))
 
 
-@pytest.mark.parametrize(
-    "name", [name for name in OPERATORS if name not in KINKED and "scattered" not in name]
-)
+@parametrize("name", [name for name in OPERATORS if name not in KINKED and "scattered" not in name])
 def test_fields_of_zero_and_of_equal_eigenvalues_have_the_gradient_of_differences(name):
     op = operator(name)
     x = torch.from_numpy(op.points.x)

@@ -4,15 +4,15 @@ from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier
 
 import numpy as np
-import pytest
 import torch
 
 import warp_peri as wp
+from tests.support import filterwarnings, parametrize
 from tests.support.materials import LAWS, OPERATORS, field, operator, placed
 from tests.support.told import warned
 from warp_peri.errors import heard, quietly, warn
 
-pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
+pytestmark = filterwarnings("ignore::UserWarning")
 USERS = 4
 
 
@@ -35,7 +35,7 @@ def assert_as_alone(work):
             assert np.array_equal(one, other)
 
 
-@pytest.mark.parametrize("name", [*OPERATORS, "LPS, fields"])
+@parametrize("name", [*OPERATORS, "LPS, fields"])
 def test_a_force_and_its_derivatives(name):
     op = operator(name) if name in OPERATORS else placed(name)[0]
     learnable = getattr(op, "learnable", {})
@@ -54,7 +54,7 @@ def test_a_force_and_its_derivatives(name):
     assert_as_alone(work)
 
 
-@pytest.mark.parametrize("name", LAWS)
+@parametrize("name", LAWS)
 def test_a_solve_and_its_gradient(name):
     op, points = placed(name, 1)
 

@@ -4,10 +4,10 @@ from dataclasses import replace
 from unittest.mock import Mock
 
 import numpy as np
-import pytest
 import torch
 
 import warp_peri as wp
+from tests.support import filterwarnings, parametrize
 from tests.support.materials import LAWS, placed, solved_samples
 from tests.support.plates import plate
 from tests.support.told import assert_refused
@@ -15,7 +15,7 @@ from warp_peri.core import pointwise
 from warp_peri.materials import lps_force
 from warp_peri.materials.hyperelastic import operator as tissue
 
-pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning")
+pytestmark = filterwarnings("ignore:strain:UserWarning")
 
 
 def of(name, side=2, copies=1):
@@ -25,7 +25,7 @@ def of(name, side=2, copies=1):
                                               b=np.tile(one.b, (copies, 1, 1)))  # fmt: skip
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("name", "place"),
     [
         ("LPS", (lps_force, "families_of")),

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support import in_plane_and_space
+from tests.support import approx, in_plane_and_space, parametrize
 from tests.support.problems import normal
 from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.stencil import Stencil, half_ball
-from warp_peri.points.points import Points
+from warp_peri.points.points import Points, grid_places
 from warp_peri.runtime import one_thread
 from warp_peri.testing import assert_near as near
 from warp_peri.testing import check_energy, check_product
@@ -46,14 +46,14 @@ def one_sided(d, sides):
 def operator(d, sides=2, density=quartic, **options):
     """On a cube, with a shorter linear part where it is asked for."""
     n = 9 if d == 2 else 7
-    x = np.argwhere(np.ones((n,) * d)) - n // 2
+    x = grid_places((n,) * d) - n // 2
     points = Points(0.5 * x, np.abs(x).max(axis=1) <= n // 2 - 2, 0.5)
     numbers, (steps, weights) = {"lam": LAM, "mu": MU, "more": 2.0}, one_sided(d, sides)
     return Pointwise(points, 0.5, density, steps, weights, numbers=numbers, **options)
 
 
 @in_plane_and_space
-@pytest.mark.parametrize("linear", [False, True])
+@parametrize("linear", [False, True])
 def test_force_is_the_gradient_of_the_energy_and_products_are_those_of_the_tangent(d, linear):
     steps = half_ball(1.0, d)
     stencil = Stencil(0.5, steps, np.stack([(1.0 + n) * np.eye(d) for n in range(len(steps))]))
@@ -71,7 +71,7 @@ def test_stress_of_a_uniform_gradient_is_that_of_the_density():
     square = (E * E).sum()
     S = LAM * np.trace(E) * np.eye(3) + (2 * MU + 8.0 * square) * E
     P = op.stress(op.points.x @ H.T)
-    assert P == pytest.approx(np.broadcast_to((np.eye(3) + H) @ S, P.shape), rel=1e-12, abs=0)
+    assert P == approx(np.broadcast_to((np.eye(3) + H) @ S, P.shape), rel=1e-12, abs=0)
     assert np.abs(op.force(op.points.x @ H.T)).max() < 1e-12
 
 
@@ -85,28 +85,25 @@ def test_a_cubic_density_has_the_slopes_of_its_derivatives_at_rest(d):
         near(other, one, 1e-14)
 
 
-def test_one_thread_is_given_back_by_the_last_of_four_and_after_an_error():
-    before, meet = torch.get_num_threads(), Barrier(4)
+def test_one_thread_is_given_back_by_the_last_of_four_and_after_an_error(threads):
+    meet, count = Barrier(4), torch.get_num_threads
     torch.set_num_threads(3)
-    try:
 
-        def task(number):
-            meet.wait()
-            for _ in range(50):
-                with one_thread():
-                    inside = torch.get_num_threads()
-            meet.wait()
-            return inside, torch.get_num_threads()
+    def task(number):
+        meet.wait()
+        for _ in range(50):
+            with one_thread():
+                inside = count()
+        meet.wait()
+        return inside, count()
 
-        with ThreadPoolExecutor(4) as pool:
-            assert set(pool.map(task, range(4))) == {(1, 3)}
-        with one_thread(), one_thread():
-            assert torch.get_num_threads() == 1
-        assert torch.get_num_threads() == 3
-        with pytest.raises(ZeroDivisionError), one_thread():
-            1 / 0  # noqa: B018
-        assert torch.get_num_threads() == 3
-        with one_thread(False):
-            assert torch.get_num_threads() == 3
-    finally:
-        torch.set_num_threads(before)
+    with ThreadPoolExecutor(4) as pool:
+        assert set(pool.map(task, range(4))) == {(1, 3)}
+    with one_thread(), one_thread():
+        assert count() == 1
+    assert count() == 3
+    with pytest.raises(ZeroDivisionError), one_thread():
+        1 / 0  # noqa: B018
+    assert count() == 3
+    with one_thread(False):
+        assert count() == 3

@@ -4,14 +4,13 @@ import itertools
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from numpy.linalg import eigvalsh
 from numpy.random import default_rng
 
 import warp_peri as wp
 from tests.crystal.crystals import learned, random_law
-from tests.support import in_plane_and_space
-from tests.support.problems import difference, kernel
+from tests.support import approx, in_plane_and_space, parametrize
+from tests.support.problems import difference, fitted_order, kernel
 from tests.support.told import refused
 from warp_peri.core import proof
 from warp_peri.core.elastic import (
@@ -39,8 +38,8 @@ def test_nearly_all_of_the_sampled_minimum_is_proven_with_the_wedge_and_without(
     law = learned(d)
     for group in (law.group, NOTHING[d]) if d == 2 else (law.group,):
         found = prove(law.stencil, group)
-        assert found.proven == pytest.approx(0.99 * found.sampled)
-        assert found.sampled == pytest.approx(0.024, rel=0.01)  # (C11 − C12)/2, the softest shear
+        assert found.proven == approx(0.99 * found.sampled)
+        assert found.sampled == approx(0.024, rel=0.01)  # (C11 − C12)/2, the softest shear
     D = law.stencil.symbol(waves(d)) * law.spacing**2
     assert (eigvalsh(D)[:, 0] > found.proven * laplacian(waves(d))).all()
 
@@ -63,8 +62,8 @@ def test_a_dip_between_the_points_of_the_sample_is_not_overlooked(monkeypatch):
     assert not found.holds
 
 
-@pytest.mark.parametrize("lam", [-0.2, 0.8], ids=["both parts", "deviatoric alone"])
-@pytest.mark.parametrize("name", ["1/r", "sign-changing"])
+@parametrize("lam", [-0.2, 0.8], ids=["both parts", "deviatoric alone"])
+@parametrize("name", ["1/r", "sign-changing"])
 def test_the_parts_of_the_proof_bound_what_they_claim(name, lam):
     """Slopes are right, no symbol is below its affine part by more than the rest, and some are."""
     weight = laplacian_stencil(1.0, 2, 2)
@@ -74,7 +73,7 @@ def test_the_parts_of_the_proof_bound_what_they_claim(name, lam):
     for k in (*random.uniform(-np.pi, np.pi, (20, 2)), np.array([1e-2, 1e-2])):
         value, slopes = (one[..., 0, :, :] for one in proof._symbol_slopes(stencil, k[None]))
         expected = difference(lambda k: stencil.symbol(k[None])[0], k, 0.01)
-        assert slopes == pytest.approx(expected, abs=1e-9)
+        assert slopes == approx(expected, abs=1e-9)
         t = half * random.uniform(-1, 1, (200, 2))
         affine = value + np.tensordot(t, slopes, 1)
         gap = eigvalsh(stencil.symbol(k + t) - affine)[:, 0].min()
@@ -83,7 +82,7 @@ def test_the_parts_of_the_proof_bound_what_they_claim(name, lam):
     assert worst > 1e-3
 
 
-@pytest.mark.parametrize(("height", "positive"), [(1.0, False), (3.0, True)])
+@parametrize(("height", "positive"), [(1.0, False), (3.0, True)])
 def test_a_function_that_bends_down_within_a_cell_is_seen_to(height, positive, monkeypatch):
     """height − 2 x² on |x| ≤ 1, whose affine part at the middle is positive everywhere."""
     monkeypatch.setattr(proof, "FIRST", 1)
@@ -102,7 +101,7 @@ SOFT = Stencil(1.0, STEPS, np.array([1.0, 1.0, -3.9, -3.9])[:, None, None] * np.
 """Positive at long waves alone, not far beyond the ball."""
 
 
-@pytest.mark.parametrize("name", ["steep", "positive", "soft"])
+@parametrize("name", ["steep", "positive", "soft"])
 def test_the_ball_around_zero_is_sound(name):
     weight = laplacian_stencil(1.0, 2, 2)
     stencil = SOFT if name == "soft" else kernel(name, 3.0).stencil(1.0)
@@ -133,12 +132,12 @@ def test_a_weight_is_what_it_says():
     field = steps / (steps**2).sum(axis=1)[:, None] / 3.0
     weight, phase = squared(1.0, steps, field), waves(2)
     expected = ((np.sin(phase @ steps.T) @ field) ** 2).sum(axis=1)
-    assert weight.symbol(phase)[:, 0, 0] == pytest.approx(expected, rel=1e-9, abs=1e-15)
+    assert weight.symbol(phase)[:, 0, 0] == approx(expected, rel=1e-9, abs=1e-15)
     stencil = kernel("1/r", 2.0).stencil(1.0)
     found = prove(stencil, SQUARE, weight)
     left = stencil.minus(weight, found.proven).symbol(phase)
     assert eigvalsh(left)[:, 0].min() > 0
-    assert found.proven == pytest.approx(0.99 * found.sampled)
+    assert found.proven == approx(0.99 * found.sampled)
 
 
 def top(stencil):
@@ -173,7 +172,7 @@ def test_files_claim_what_is_proven_and_nothing_else(tmp_path):
             wp.load(tmp_path / "law.json")
 
 
-@pytest.mark.parametrize("reach", [1, 2, 4])
+@parametrize("reach", [1, 2, 4])
 def test_differences_of_elasticity_have_their_order(reach):
     """Their symbol is that of the local solid, to (k h) to the power of twice their reach."""
     C, k = voigt_to_tensor(plane_isotropic(0.3, 0.7)), np.array([0.3, 0.5])
@@ -181,5 +180,5 @@ def test_differences_of_elasticity_have_their_order(reach):
     stencil = Stencil(1.0, *difference_tensors(C, reach))
     local = np.einsum("ijkl,j,l->ik", C, k, k)
     wrong = [np.abs(stencil.symbol(t * k[None])[0] / t**2 - local).max() for t in halvings]
-    rate = np.polyfit(np.log(halvings), np.log(wrong), 1)[0]
-    assert rate == pytest.approx(2 * reach, abs=0.1)
+    rate = fitted_order(halvings, wrong)
+    assert rate == approx(2 * reach, abs=0.1)

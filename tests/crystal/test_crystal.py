@@ -3,11 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.crystal.crystals import COPPER, huang_defect, lattice, learned, plain_energy, random_law
-from tests.support import in_plane_and_space, parametrize
+from tests.support import approx, in_plane_and_space, parametrize
 from tests.support.problems import noise, normal
 from tests.support.told import assert_refused, warned
 from warp_peri import Periodic, Points, solve
@@ -45,13 +44,13 @@ def test_symbol_is_the_sum_over_all_bonds(d):
 def test_moduli_are_those_of_long_waves_in_the_crystals_own_axes(d):
     law, turned = learned(d), learned(d, orientation=20.0)
     assert huang_defect(law) < 1e-10
-    assert law.moduli() == pytest.approx(COPPER, rel=1e-8)
-    assert law.in_units(("nm", "GPa")).moduli() == pytest.approx(law.moduli("GPa"), rel=1e-8)
+    assert law.moduli() == approx(COPPER, rel=1e-8)
+    assert law.in_units(("nm", "GPa")).moduli() == approx(law.moduli("GPa"), rel=1e-8)
     k = 1e-4 * normal((4, d), 2)
     local = np.einsum("ijkl,nj,nl->nik", law.tensor(), k, k)
     assert_allclose(law.symbol(k), local, rtol=1e-5, atol=1e-14)
     near(law._surface_traction(), abs(0.122 - 0.076) / 2, 1e-8)
-    assert turned.moduli("GPa") == pytest.approx(law.moduli("GPa"), rel=1e-8)
+    assert turned.moduli("GPa") == approx(law.moduli("GPa"), rel=1e-8)
 
 
 @in_plane_and_space
@@ -67,7 +66,7 @@ def test_elements_have_the_moduli_of_their_solid(d):
 def test_plane_strain_does_as_the_law_in_space_and_plane_stress_has_a_thin_sheets_moduli():
     law, across, kept = learned(3), 0, [1, 2]
     flat = plane_strain(law, across)
-    assert flat.moduli() == pytest.approx(COPPER, rel=1e-8)  # C11, C12, C44 of a cube face
+    assert flat.moduli() == approx(COPPER, rel=1e-8)  # C11, C12, C44 of a cube face
     assert len(flat.group) == 8
     assert flat.certificate.proven >= 0.9 * flat.certificate.sampled > 0
     sheet, solid = (Points.sheet(d * (8,), law.spacing) for d in (2, 3))
@@ -83,7 +82,7 @@ def test_plane_strain_does_as_the_law_in_space_and_plane_stress_has_a_thin_sheet
     sheet = plane_stress(learned(3), 1).moduli()
     near(sheet["C12"], C12 - C12**2 / C11, 1e-8)
     near(sheet["C44"], C44, 1e-8)
-    assert elastic.compliance(learned(3).tensor())[0, 1, 0, 1] == pytest.approx(1 / C44 / 4)
+    assert elastic.compliance(learned(3).tensor())[0, 1, 0, 1] == approx(1 / C44 / 4)
 
 
 def body(d, kind):

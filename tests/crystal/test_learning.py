@@ -5,7 +5,6 @@ from dataclasses import replace
 import ase
 import ase.build
 import numpy as np
-import pytest
 from ase.calculators.emt import EMT
 from ase.calculators.lj import LennardJones
 from numpy.linalg import eigvalsh, norm
@@ -14,7 +13,7 @@ from numpy.testing import assert_allclose
 
 import warp_peri as wp
 from tests.crystal.crystals import CUBES, cubic_tensor, dispersive, huang_defect, lattice, learned
-from tests.support import clouds, in_plane_and_space
+from tests.support import approx, clouds, filterwarnings, in_plane_and_space
 from tests.support.problems import kernel, loaded, noise, normal
 from tests.support.problems import lattice as plane_lattice
 from tests.support.told import assert_refused, refused, warned
@@ -57,7 +56,7 @@ def test_a_law_is_found_again_from_its_forces(d):
         assert_allclose(held.elastic_tensor(), given, atol=1e-12)
 
 
-@pytest.mark.filterwarnings("ignore:axis. lattice or crystal are turned")  # said once a process
+@filterwarnings("ignore:axis. lattice or crystal are turned")  # said once a process
 def test_the_symmetry_is_found_and_one_that_is_wrong_costs():
     law, turned, points = learned(2), learned(2, orientation=20.0), lattice(2, 14, 2)
     found = fit(waves(law, points, 10), law.horizon, moduli=None)
@@ -149,7 +148,7 @@ def test_a_crystal_held_under_stress_keeps_its_moduli_apart():
     assert_allclose(law.symbol(k), symbol(k), rtol=1e-5, atol=1e-14)
     again = law.in_units(("nm", "GPa"))
     assert_allclose(again.stress, 1e3 * stress)
-    assert again.elastic_tensor()[0, 0] == pytest.approx(170.0)
+    assert again.elastic_tensor()[0, 0] == approx(170.0)
     turned = transfer_to_lattice(law, 1.5, rotation=90.0)
     assert_allclose(turned.stress, [[-0.01, -0.004], [-0.004, 0.02]], atol=1e-12)
 
@@ -157,7 +156,7 @@ def test_a_crystal_held_under_stress_keeps_its_moduli_apart():
 def test_a_law_on_other_nodes_answers_smooth_waves_alike_and_a_turned_one_is_turned():
     law = learned(2)
     finer = transfer_to_lattice(law, 1.2)
-    assert finer.moduli() == pytest.approx(law.moduli(), rel=1e-8)
+    assert finer.moduli() == approx(law.moduli(), rel=1e-8)
     k = normal((20, 2), 1)
     k *= 0.6 / norm(k, axis=1)[:, None]
     ratio = np.linalg.solve(finer.symbol(k), law.symbol(k)) - np.eye(2)
@@ -177,7 +176,7 @@ def test_a_law_on_other_nodes_answers_smooth_waves_alike_and_a_turned_one_is_tur
     assert turned.certificate.holds
 
 
-@pytest.mark.filterwarnings("ignore:spacing. the model is certified")
+@filterwarnings("ignore:spacing. the model is certified")
 def test_a_linear_peridynamic_solid_is_a_crystal_of_twice_the_range():
     for model, points in (
         (kernel("sign-changing", 2.0), replace(plane_lattice(5, 2.0), axis=0.0)),
@@ -189,7 +188,7 @@ def test_a_linear_peridynamic_solid_is_a_crystal_of_twice_the_range():
         assert law.horizon <= 2 * model.horizon
     assert law.certificate.proven > 0.9 * law.certificate.sampled > 0
     expected = moduli(model, bond_classes(1.0, 2.0, dimension=3))
-    assert {name: law.moduli()[name] for name in expected} == pytest.approx(expected)
+    assert {name: law.moduli()[name] for name in expected} == approx(expected)
 
 
 def test_a_solid_in_space_is_found_again_with_its_proof_and_moduli_are_held():
@@ -204,9 +203,9 @@ def test_a_solid_in_space_is_found_again_with_its_proof_and_moduli_are_held():
     found, influence = (one.influence(np.linspace(0.5, 2.0, 9)) for one in (fit.material, true))
     assert_allclose(found / found[0], influence / influence[0], rtol=1e-6)
     proven = crystal_from_lps(true, 1.0).certificate.proven
-    assert fit.certificate.symbol_bound == pytest.approx(proven)
+    assert fit.certificate.symbol_bound == approx(proven)
     for held in ("isotropic", (0.5, 0.8)):
         fit = wp.fit(samples, wp.LPS(2.0, wp.Bernstein(2), method=GaussNewton(moduli=held)))
         C = crystal_from_lps(fit.material, 1.0).moduli()
-        assert C["C11"] - C["C12"] == pytest.approx(2 * C["C44"])
-        assert held == "isotropic" or (C["C12"], C["C44"]) == pytest.approx(held)
+        assert C["C11"] - C["C12"] == approx(2 * C["C44"])
+        assert held == "isotropic" or (C["C12"], C["C44"]) == approx(held)

@@ -3,17 +3,18 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from numpy.linalg import eigvalsh, norm
 from numpy.random import default_rng
 
 from examples import diffusion
 from examples.diffusion import coupled, jump, smooth
-from tests.support import in_plane_and_space
+from tests.support import approx, in_plane_and_space, parametrize
 from tests.support.clouds import cloud
 from tests.support.problems import fitted_order, kernel
 from tests.support.told import assert_refused, refused
 from warp_peri import Dirichlet, LPSMaterial, Points, simulate, solve
 from warp_peri.diffusion import DiffusionMaterial, DiffusionOperator, ThermoelasticMaterial
+from warp_peri.points.points import grid_places
 from warp_peri.testing import assert_near as near
 
 CELLS = np.array([6, 9, 13])
@@ -41,11 +42,11 @@ def test_errors_fall_with_their_orders():
 
 @in_plane_and_space
 def test_linear_fields_carry_no_flux_and_parabolas_that_of_their_laplacian(d):
-    x = np.argwhere(np.ones(d * (9,))) - 4.0
+    x = grid_places(d * (9,)) - 4.0
     points, square = Points(x, np.abs(x).max(axis=1) < 2, 1.0), (x * x).sum(axis=1)
     operator = DiffusionOperator(DiffusionMaterial(3.0, 0.7), points)
     assert np.abs(operator(x @ np.arange(1, d + 1))).max() < 1e-11
-    assert operator(square) == pytest.approx(-2 * d * 0.7)
+    assert operator(square) == approx(-2 * d * 0.7)
     load = np.full(len(x), -2 * d * 0.7)
     near(steady(operator, square, load), square, 1e-10)
 
@@ -61,7 +62,7 @@ def test_periodic_lattices_keep_their_content_and_a_wave_decays_as_it_should():
     operator = DiffusionOperator(DiffusionMaterial(3.0, conductivity=2.0), points)
     history = simulate(operator, Dirichlet(points, None, phi), step=0.5, steps=20)["u"]
     rate = (operator(phi) / phi)[0]
-    assert rate == pytest.approx(2 * k**2, rel=0.03)
+    assert rate == approx(2 * k**2, rel=0.03)
     decay = ((1 - rate / 4) / (1 + rate / 4)) ** 20
     near(history[-1], decay * phi, 1e-12, 1)
 
@@ -76,7 +77,7 @@ def test_a_hole_is_insulated():
     assert (phi[right] > points.x[right, 0]).all()  # it piles up before the hole
 
 
-@pytest.mark.parametrize("lattice", [True, False])
+@parametrize("lattice", [True, False])
 def test_a_kernel_that_changes_sign_is_taken_where_diffusion_does_not_grow(lattice):
     points = square(4, 4.0)
     points = Points(4 * points.x, points.interior, 1.0) if lattice else cloud(8, 3.2)
@@ -86,10 +87,10 @@ def test_a_kernel_that_changes_sign_is_taken_where_diffusion_does_not_grow(latti
         law = DiffusionMaterial(3.2, 1.0, D=np.array([1.0, 1.0 if grows else 0.2, last]))
         operator, problem = law.on(points), Dirichlet(points, None, phi)
         inner = operator.matrix[:, operator.rows].toarray()
-        assert (np.linalg.eigvalsh((inner + inner.T) / 2) < 0).any() == grows
+        assert (eigvalsh((inner + inner.T) / 2) < 0).any() == grows
         if not grows:
             history = simulate(operator, problem, step=5.0, steps=40)["u"]
-            assert (np.diff(np.linalg.norm(history, axis=1)) <= 1e-12).all()
+            assert (np.diff(norm(history, axis=1)) <= 1e-12).all()
             continue
         for call in (solve, lambda *of: simulate(*of, step=0.1, steps=3)):
             with refused("L \\+ Lᵗ has eigenvalues below zero"):

@@ -1,8 +1,8 @@
 """Polymer flow: dumbbells, laws, plates and a channel against what is exact."""
 
 import numpy as np
-import pytest
 from numpy.linalg import norm
+from numpy.random import default_rng
 from scipy.linalg import expm
 from scipy.optimize import check_grad
 
@@ -13,9 +13,9 @@ from examples.polymer.closure import exact_pairs, reached
 from examples.polymer.dumbbells import propagator
 from examples.polymer.gaussian_process import fit_process, unlikelihood
 from examples.polymer.particles import ChannelFlow, Particles
+from tests.support import approx, parametrize
 from tests.support.problems import fitted_order
 from tests.support.told import refused
-from warp_peri.runtime import get_num_threads, set_num_threads
 from warp_peri.testing import assert_near as near
 
 MAXWELL = polymer.UpperConvectedMaxwell()
@@ -29,10 +29,10 @@ def test_a_step_of_dumbbells_is_exact_in_its_moments():
     lower = np.array([[L[0, 0], 0], [L[0, 1], L[0, 2]]])
     assert np.abs(P[0, :4].reshape(2, 2) - E[2:, 2:].T).max() < 1e-14
     assert np.abs(lower @ lower.T - E[2:, 2:].T @ E[:2, 2:]).max() < 1e-11
-    assert P[0, 4] ** 2 + L[0, 3] ** 2 == pytest.approx(1, abs=1e-14)
+    assert P[0, 4] ** 2 + L[0, 3] ** 2 == approx(1, abs=1e-14)
 
 
-def test_ensembles_follow_the_exact_law_and_any_threads_give_the_same_bits():
+def test_ensembles_follow_the_exact_law_and_any_threads_give_the_same_bits(threads):
     count, K = 40_000, polymer.mixed(8, 12, 1.0, hold=3, seed=2)
     record = simulate(Dumbbells(8, count, seed=1), K, 0.25)
     exact = homogeneous(MAXWELL, K, 0.25, parts=200)
@@ -41,16 +41,14 @@ def test_ensembles_follow_the_exact_law_and_any_threads_give_the_same_bits():
     error = (record.C - exact) / deviation
     assert np.abs(error).max() < 4.5  # of 416 normal numbers
     assert 0.8 < np.sqrt(np.mean(error**2)) < 1.2
-    before = get_num_threads()
-    set_num_threads(3)
+    threads(3)
     again = simulate(Dumbbells(8, count, seed=1), K[:2], 0.25)
-    set_num_threads(before)
     assert np.array_equal(again.C, record.C[:3])
 
 
-@pytest.mark.parametrize("kernel", ["product", "additive"])
+@parametrize("kernel", ["product", "additive"])
 def test_a_process_finds_its_function_and_its_likelihood_has_the_right_slope(kernel):
-    random = np.random.default_rng(0)
+    random = default_rng(0)
     X = random.normal(size=(60, 2))
     y = np.sin(X[:, 0]) + X[:, 1] ** 2 / 4 + 1e-3 * random.normal(size=60)
     process = fit_process(X, y, kernel=kernel)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
-from tests.support import ROOT
+from tests.support import ROOT, approx, filterwarnings, of_json, parametrize
 
 FOLDER = ROOT / "examples"
 LAWS = {"linear": 3.0, "third_order": 0.094, "crystal": 0.95, "neural": 15.0, "cracks": None,
@@ -19,7 +19,7 @@ LAWS = {"linear": 3.0, "third_order": 0.094, "crystal": 0.95, "neural": 15.0, "c
 """Error on the unseen disks that is not to be passed [%], of laws learned from graphene."""
 
 
-@pytest.mark.parametrize("name", LAWS)
+@parametrize("name", LAWS)
 def test_a_law_in_a_few_lines(name, graphene, tmp_path, monkeypatch):
     (tmp_path / "data").symlink_to(graphene.parent)
     monkeypatch.chdir(tmp_path)
@@ -35,12 +35,12 @@ def test_a_law_in_a_few_lines(name, graphene, tmp_path, monkeypatch):
         assert 100 * names["error"] < LAWS[name]
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("name", "number", "value"),
     [
-        ("learn_from_arrays", "mu", pytest.approx(0.7, rel=1e-3)),
-        ("solve_disk", "relative error of u", pytest.approx(0, abs=5e-3)),
-        ("own_influence", "radius", pytest.approx(9.0, rel=1e-5)),
+        ("learn_from_arrays", "mu", approx(0.7, rel=1e-3)),
+        ("solve_disk", "relative error of u", approx(0, abs=5e-3)),
+        ("own_influence", "radius", approx(9.0, rel=1e-5)),
     ],
 )
 def test_a_script_finds_its_number(name, number, value):
@@ -69,8 +69,8 @@ COMMANDS = {
 """Options of a small size, and what holds of the numbers printed."""
 
 
-@pytest.mark.filterwarnings("ignore:loads")
-@pytest.mark.parametrize(
+@filterwarnings("ignore:loads")
+@parametrize(
     "name",
     [pytest.param(n, marks=[pytest.mark.slow] * (n == "toughness_from_crack")) for n in COMMANDS],
 )
@@ -92,7 +92,7 @@ def test_a_law_of_ones_own_goes_through_every_verb(tmp_path, monkeypatch, capsys
     law = wp.load("springs.json")
     assert type(law).__name__ == Springs.__name__
     assert wp.certify(law).symbol_bound == law.certificate.proven == proven > 0.19
-    assert law.elastic_tensor()[0, 1] == pytest.approx(0.5, rel=0.02)  # λ = μ, as of all springs
+    assert law.elastic_tensor()[0, 1] == approx(0.5, rel=0.02)  # λ = μ, as of all springs
     assert error < 5e-3  # three numbers for the four lengths of its bonds
     assert 0.9 * still < swung < still
 
@@ -102,19 +102,19 @@ def test_a_ball_swells_and_a_penny_runs_as_the_textbook_says():
     from examples.solid_in_space import swollen
 
     *_, error, proven = swollen(0.1)
-    assert (error < 4e-3, proven) == (True, pytest.approx(0.355, rel=1e-2))
+    assert (error < 4e-3, proven) == (True, approx(0.355, rel=1e-2))
     _, motion, stress = torn(side=14, radius=3.0, steps=200)
-    assert stress.max() == pytest.approx(1.0, abs=0.15)  # of Griffith
+    assert stress.max() == approx(1.0, abs=0.15)  # of Griffith
     assert stress[-1] < 0.2  # it has come apart
     assert motion.missing < 0.02
 
 
-@pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("name", ["gradients", "own_fields", "crystal"])
+@filterwarnings("ignore")
+@parametrize("name", ["gradients", "own_fields", "crystal"])
 def test_a_notebook_prints_what_it_shows(name, capsys, monkeypatch, tmp_path):
     """But for digits, of which the last are the machine's."""
     monkeypatch.chdir(tmp_path)
-    book = json.loads((FOLDER / "notebooks" / f"{name}.ipynb").read_text("utf-8"))
+    book = of_json(FOLDER / "notebooks" / f"{name}.ipynb")
     known, digits = {}, re.compile(r"-?\d[\d.e+-]*")
     for cell in book["cells"]:
         if cell["cell_type"] == "code":

@@ -1,14 +1,11 @@
 """Fifteen failures: each occurs, says what its page prints, and is smaller with the remedy."""
 
-import json
 import re
 
-import pytest
-
 from examples import stability
-from tests.support import ROOT
+from tests.support import ROOT, approx, filterwarnings, of_json, parametrize
 
-RECORD = json.loads((ROOT / "docs/record/stability.json").read_text("utf-8"))["cases"]
+RECORD = of_json(ROOT / "docs/record/stability.json")["cases"]
 PAGE = (ROOT / "docs/explanation/where_it_fails.md").read_text("utf-8")
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 WORST = {"no_conditions": 22.5, "noisy_data": 4.0, "small_holes": 50.0, "critical_stretch": 3.0}
@@ -24,8 +21,8 @@ def readable(number):
     return digits.replace("-", "−") + raised
 
 
-@pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("case", stability.CASES, ids=lambda case: case.__name__)
+@filterwarnings("ignore")
+@parametrize("case", stability.CASES, ids=lambda case: case.__name__)
 def test_a_failure_is_provoked_named_and_helped(case, graphene, monkeypatch):
     monkeypatch.setattr(stability, "DATA", graphene)
     name = case.__name__
@@ -33,8 +30,8 @@ def test_a_failure_is_provoked_named_and_helped(case, graphene, monkeypatch):
     failed, helped = found.remedy
     assert failed < 0 < helped or 0 <= helped < failed / 2
     assert found.said == kept["said"]
-    assert failed == pytest.approx(kept["remedy"][0], rel=0.1)
-    assert helped == pytest.approx(kept["remedy"][1], rel=0.3, abs=1e-6)
+    assert failed == approx(kept["remedy"][0], rel=0.1)
+    assert helped == approx(kept["remedy"][1], rel=0.3, abs=1e-6)
     text = SECTIONS[name.replace("_", "-")]
     assert f"```text\n{kept['said']}\n```" in text
     assert all(f"**{readable(f'{number:.2g}')}" in text for number in kept["remedy"])

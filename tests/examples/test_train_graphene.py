@@ -1,18 +1,16 @@
 """The main job and the README's lines, run as a user runs them, on data made by LAMMPS."""
 
 import io
-import json
 import re
 import shutil
 from contextlib import redirect_stdout
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose
 
 from examples import train_graphene
 from examples.graphene_report import COLUMNS, RECORD
-from tests.support import ROOT, shared
+from tests.support import ROOT, approx, of_json, shared
 from warp_peri import load
 
 README = (ROOT / "README.md").read_text("utf-8")
@@ -31,14 +29,14 @@ def job(graphene, tmp_path_factory):
     out = tmp_path_factory.mktemp("runs") / "graphene_0K"
     with redirect_stdout(io.StringIO()) as printed:
         assert train_graphene.main(["--data", str(graphene), "--out", str(out)]) == 0
-    return out, printed.getvalue(), json.loads((out / "metrics.json").read_text())
+    return out, printed.getvalue(), of_json(out / "metrics.json")
 
 
 def test_it_leaves_its_results_and_says_how_good_they_are(job):
     out, printed, numbers = job
     pictures = [f"{name}.png" for name in ("influence", "loss", "disks", "waves")]
     assert all((out / name).stat().st_size > 500 for name in ("model.json", "report.md", *pictures))
-    assert numbers["held"] == pytest.approx([numbers["lambda"], numbers["mu"]], rel=1e-9)
+    assert numbers["held"] == approx([numbers["lambda"], numbers["mu"]], rel=1e-9)
     assert numbers["augmented_lagrangian"]["loss_over_optimum"] <= 1.001
     assert numbers["degree"] == max(map(int, numbers["degrees"])) == 8  # of nine bond lengths
     assert numbers["degrees"]["7"] > 1.1 * numbers["degrees"]["8"]
@@ -47,8 +45,8 @@ def test_it_leaves_its_results_and_says_how_good_they_are(job):
     above, below = (out / "report.md").read_text().split("\n----\n")
     assert all(error in text for text in (printed, above))
     assert numbers["statement"] in below
-    assert numbers["mu"] == pytest.approx(numbers["truth"]["mu"], rel=0.01)
-    assert numbers["E"] == pytest.approx(numbers["truth"]["E"], rel=0.025)
+    assert numbers["mu"] == approx(numbers["truth"]["mu"], rel=0.01)
+    assert numbers["E"] == approx(numbers["truth"]["E"], rel=0.025)
     assert numbers["certificate"]["symbol_bound"] >= 0.36
     _, _, *conditions = numbers["certificate"].values()
     assert min(conditions) > 0  # (i) to (iii) of (4.6), by dense eigenvalues
@@ -57,7 +55,7 @@ def test_it_leaves_its_results_and_says_how_good_they_are(job):
 
 
 def test_models_have_the_errors_of_the_record_and_of_the_readme(job):
-    models, rows = job[-1]["models"], json.loads(RECORD.read_text("utf-8"))["rows"]
+    models, rows = job[-1]["models"], of_json(RECORD)["rows"]
     for name, *cells in rows[: len(models)]:
         found = [100 * models[name].get(key, {}).get(role, np.nan) for key, role in COLUMNS]
         told = np.array(cells, float)  # null where there is none
@@ -65,7 +63,7 @@ def test_models_have_the_errors_of_the_record_and_of_the_readme(job):
     for row, name in IN_README.items():
         cells = re.search(rf"\| {re.escape(row)} \|(.*)\|", README)[1].split("|")
         found = [100 * models[name]["E_u"][role] for role in ("val", "test")]
-        assert [float(cell.strip(" *%")) for cell in cells] == pytest.approx(found, abs=0.02)
+        assert [float(cell.strip(" *%")) for cell in cells] == approx(found, abs=0.02)
 
 
 def test_the_lines_of_the_readme_run(graphene, tmp_path, monkeypatch, capsys):

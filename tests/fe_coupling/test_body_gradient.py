@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from numpy.random import default_rng
 
-from tests.support import parametrize
+from tests.support import approx, filterwarnings, parametrize
 from tests.support.plates import MODEL, plate
 from tests.support.problems import difference
 from tests.support.told import assert_refused, refused
@@ -31,12 +31,12 @@ def solved(mesh=MESH, *, lam=0.0, mu=0.0, hold=0.0, pull=0.0, push=0.0):
 
 
 @parametrize("alone", [False, True])
-@pytest.mark.filterwarnings("ignore:mesh. no triangle")
+@filterwarnings("ignore:mesh. no triangle")
 def test_the_gradient_is_the_difference(monkeypatch, alone):
     """Of elements alone, by each number, and of an iteration."""
     mesh = plate(4.0, 10.0, 5, 24) if alone else MESH
     monkeypatch.setattr(linear, "DIRECT", 4000 if alone else 10)
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     half = mesh.x.max() * 0.9
     x = rng.uniform(-half, half, (60, 2))
     x = x[np.hypot(*x.T) > 9 / 32 * mesh.x.max() * 1.5]
@@ -61,10 +61,10 @@ def test_the_gradient_is_the_difference(monkeypatch, alone):
         expected = sum(slopes[name] * steps[name] for name in names)
         along = lambda t, names=names: measure(**{name: t[0] * steps[name] for name in names})
         slope = difference(along, [0.0], 1.0, order=2)[0]
-        assert expected == pytest.approx(slope, rel=1e-6), names
+        assert expected == approx(slope, rel=1e-6), names
 
 
-@pytest.mark.filterwarnings("ignore:mesh. no triangle")
+@filterwarnings("ignore:mesh. no triangle")
 def test_what_does_not_fit_is_refused():
     solution = solved(plate(4.0, 10.0, 5, 24))
     with refused("by_u: expected shape"):
@@ -90,7 +90,7 @@ def test_quadratic_densities_are_felt_as_they_are():
     def b(x):
         return np.stack([1 + x[:, 0] - 0.2 * x[:, 0] * x[:, 1], x[:, 1] ** 2], axis=-1)
 
-    assert felt(b) == pytest.approx(b(NODES), abs=1e-9)
+    assert felt(b) == approx(b(NODES), abs=1e-9)
     assert not BodyLoads({}, {}, None).density(NODES, H).any()
 
 
@@ -103,4 +103,4 @@ def test_no_force_is_lost_between_nodes(middle):
         return np.stack([bump, 0 * bump], axis=-1)
 
     force = 3 * np.pi  # of a cone of height 1 and radius 3
-    assert felt(b)[:, 0].sum() * H**2 == pytest.approx(force, rel=0.02)
+    assert felt(b)[:, 0].sum() * H**2 == approx(force, rel=0.02)

@@ -7,6 +7,7 @@ import stat
 import numpy as np
 import pytest
 
+from tests.support import of_json
 from tests.support.told import refused, warned
 from warp_peri import load
 from warp_peri.diffusion import DiffusionMaterial
@@ -46,7 +47,7 @@ def test_a_failed_write_leaves_what_was_there(tmp_path):
 def test_json_takes_numpy_and_refuses_what_is_no_number(tmp_path):
     path = tmp_path / "a.json"
     write_json(path, {"a": np.arange(3), "b": (np.float64(0.1), {"c": np.bool_(True)})})
-    assert json.loads(path.read_text()) == {"a": [0, 1, 2], "b": [0.1, {"c": True}]}
+    assert of_json(path) == {"a": [0, 1, 2], "b": [0.1, {"c": True}]}
     with pytest.raises(ValueError, match="JSON compliant"):
         write_json(path, {"a": np.array([np.inf])})
     assert list(tmp_path.iterdir()) == [path]
@@ -73,7 +74,7 @@ def test_a_link_stays_and_what_is_no_regular_file_is_left_alone(tmp_path):
 def test_files_without_units_say_that_they_are_taken_for_granted(tmp_path):
     path = tmp_path / "kept.json"
     DiffusionMaterial(3.0, 2.0, 1.3, [1.0, 0.4], ("mm", "GPa")).save(path)
-    content = json.loads(path.read_text())
+    content = of_json(path)
     bare = {key: value for key, value in content.items() if not key.endswith(("_unit", "sha256"))}
     path.write_text(json.dumps(bare))
     with warned(r"kept.json: it names no units: taken as Å and TPa"):

@@ -12,7 +12,7 @@ import torch
 from scipy.interpolate import PchipInterpolator
 
 import warp_peri as wp
-from tests.support.problems import kernel, lattice, manufactured
+from tests.support.problems import kernel, lattice, manufactured, on_interior
 from tests.support.told import refused
 from warp_peri.files.checkpoint import AllNodes, RunFile, fingerprint
 
@@ -203,7 +203,7 @@ def test_a_motion_from_rest_is_of_one_material_and_one_crack(tmp_path):
 
 def test_a_checkpoint_has_the_last_step_and_what_was_written(tmp_path):
     path, points = tmp_path / "run.h5", lattice(6, 2.5)
-    u = np.where(points.interior[:, None], 0.01 * points.x, 0.0)
+    u = on_interior(points, 0.01 * points.x)
 
     def run(steps):
         how = {"density": 2000.0, "step": 0.003, "steps": steps, "checkpoint": path}

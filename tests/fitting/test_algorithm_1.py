@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.support import approx, parametrize
 from tests.support.problems import difference, ell, kernel, lattice, manufactured
 from tests.support.solving import fit
 from tests.support.symbols import smallest_margins
@@ -67,7 +68,7 @@ def test_adam_follows_the_gradient_of_warps_operator(monkeypatch):
         problem.look(law(theta))
         state, leaf = problem.state(theta), torch.from_numpy(theta).requires_grad_()
         loss = in_torch(given.products, given.weights, law)(leaf)
-        assert loss.item() == pytest.approx(state.loss, rel=1e-10)
+        assert loss.item() == approx(state.loss, rel=1e-10)
         (slope,) = torch.autograd.grad(loss, leaf)
         expected = 2 * state.residual @ state.J
         near(slope.numpy(), expected, 1e-9)
@@ -76,7 +77,7 @@ def test_adam_follows_the_gradient_of_warps_operator(monkeypatch):
         assert np.array_equal(slopes, state.M)
 
 
-@pytest.mark.parametrize(("interior", "blocks"), [(ell(), 1), (np.ones((6, 5), bool), 4), (6, 5)])
+@parametrize(("interior", "blocks"), [(ell(), 1), (np.ones((6, 5), bool), 4), (6, 5)])
 def test_dense_margins_are_those_of_the_certificate_with_their_slopes(interior, blocks):
     model, points = kernel("sign-changing", HORIZON), lattice(interior, HORIZON)
     margins = DenseMargins([points], HORIZON)
@@ -90,8 +91,8 @@ def test_dense_margins_are_those_of_the_certificate_with_their_slopes(interior, 
     unit = (HORIZON / PRINTED_HORIZON) ** 2
     assert certificate.inf_sup_rank == points.interior.sum()
     expected = [unit * certificate.gamma_min, certificate.inf_sup_min]
-    assert found[:2] + DENSE_ZETA == pytest.approx(expected, rel=1e-6, abs=0)
-    assert found[2] == pytest.approx(unit * certificate.gamma_minus_2phi_min, rel=1e-9)
+    assert found[:2] + DENSE_ZETA == approx(expected, rel=1e-6, abs=0)
+    assert found[2] == approx(unit * certificate.gamma_minus_2phi_min, rel=1e-9)
     slope = difference(lambda x: values(torch.from_numpy(x)).numpy(), given.numpy(), 1e-5).T
     found = torch.autograd.functional.jacobian(values, given).numpy()
     near(found, slope, 1e-7)

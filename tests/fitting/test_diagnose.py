@@ -3,12 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from numpy.linalg import norm
 from numpy.random import default_rng
 
 from tests.crystal.crystals import dispersive
-from tests.support import shared
+from tests.support import approx, filterwarnings, parametrize, shared
 from tests.support.clouds import cube, solid
 from tests.support.problems import kernel, lattice, loaded, manufactured, noise, normal, smooth
 from tests.support.symbols import fluctuation, noisy
@@ -56,13 +55,13 @@ PLANTED = {
 }
 
 
-@pytest.mark.parametrize("cause", PLANTED)
+@parametrize("cause", PLANTED)
 def test_the_planted_cause_is_named(samples, cause):
     diagnosis = diagnose(MODEL, with_force(samples, PLANTED[cause](samples)))
-    assert diagnosis.residual == pytest.approx(0.1, rel=0.15)
+    assert diagnosis.residual == approx(0.1, rel=0.15)
     assert max(diagnosis.shares, key=diagnosis.shares.get) == cause
     assert diagnosis.shares[cause] > 0.5
-    assert sum(diagnosis.shares.values()) == pytest.approx(1.0)
+    assert sum(diagnosis.shares.values()) == approx(1.0)
     assert diagnosis.sentence.startswith("The model leaves ")
     assert cause in diagnosis.sentence or "short waves" in diagnosis.sentence
 
@@ -75,7 +74,7 @@ def test_forces_that_species_share_unlike_their_masses_are_named():
     b = loaded(operator, u).b
     seen = Samples(points, u + 0.1 * b * norm(b) / norm(operator(b)), b)
     diagnosis = diagnose(MODEL, seen)
-    assert diagnosis.residual == pytest.approx(0.1, rel=0.01)
+    assert diagnosis.residual == approx(0.1, rel=0.01)
     assert diagnosis.causes[0] == "species"
     assert diagnosis.shares["species"] > 0.5
     louder = replace(seen, u=u + 2 * (seen.u - u))
@@ -85,7 +84,7 @@ def test_forces_that_species_share_unlike_their_masses_are_named():
 def test_noise_is_named_where_its_fields_are_given(samples):
     noise = fluctuation(samples, 12, 0.01, seed=2)
     diagnosis = diagnose(MODEL, noisy(samples, 0.01, seed=1), noise)
-    assert diagnosis.shares["noise"] == pytest.approx(1.0, abs=0.2)
+    assert diagnosis.shares["noise"] == approx(1.0, abs=0.2)
 
 
 def test_what_cannot_be_told_is_refused(samples):
@@ -124,7 +123,7 @@ def test_one_solid_of_two_phases_is_warned_of():
     assert diagnose(found, samples).shares["heterogeneity"] > 0.6
 
 
-@pytest.mark.filterwarnings("ignore")
+@filterwarnings("ignore")
 def test_a_crystal_is_told_what_symmetry_it_lacks():
     """Square tensors on an orthotropic sheet, with the ripple that smoothing leaves."""
     C = voigt_to_tensor(np.array([[0.7, 0.1, 0.0], [0.1, 1.1, 0.0], [0.0, 0.0, 0.4]]))

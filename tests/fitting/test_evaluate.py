@@ -4,11 +4,11 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 from numpy.linalg import norm
+from numpy.random import default_rng
 
 import warp_peri as wp
-from tests.support import reference, shared
+from tests.support import approx, parametrize, reference, shared
 from tests.support.problems import kernel, lattice, manufactured, noise, periodic
 from tests.support.solving import solve
 from tests.support.told import refused
@@ -37,14 +37,14 @@ def test_numbers_are_their_definitions(points):
     residual, load, wrong, size = (norm(f, axis=(1, 2)) for f in (force - b, b, off, u))
     expected = {"E_res": residual / load, "E_res_abs": residual, "E_u": wrong / size}
     for key, values in expected.items():
-        assert table[f"{key}_samples"] == pytest.approx(values, rel=1e-9), key
-        assert table[key] == pytest.approx(values.mean(), rel=1e-9), key
+        assert table[f"{key}_samples"] == approx(values, rel=1e-9), key
+        assert table[key] == approx(values.mean(), rel=1e-9), key
     assert table["E_res"] > 0.01
 
 
 def test_a_fit_judges_stencils_by_the_same_error_on_bodies_and_on_periods(points):
     found = displacement_error(MODEL.stencil(1.0), points, least=6)
-    assert found == pytest.approx(evaluate(MODEL, points)["E_u"], rel=1e-6)
+    assert found == approx(evaluate(MODEL, points)["E_u"], rel=1e-6)
     assert displacement_error(Stencil(1.0, 9 * np.eye(2, dtype=int), np.eye(2)), points) == np.inf
     sheet = periodic((14, 14))[0]
     b = noise(sheet, 3)
@@ -53,7 +53,7 @@ def test_a_fit_judges_stencils_by_the_same_error_on_bodies_and_on_periods(points
     wrong, size = (norm(f, axis=(1, 2)) for f in (solved - true, true))
     moved = Samples(sheet, true + 0.3, b)  # by a translation, which is nobody's answer
     found = displacement_error(MODEL.stencil(1.0), moved, least=6)
-    assert found == pytest.approx((wrong / size).mean(), rel=1e-6)
+    assert found == approx((wrong / size).mean(), rel=1e-6)
     own = evaluate(OTHER, moved)
     assert max(own["E_u"], own["E_shape"]) < 1e-9
 
@@ -67,16 +67,16 @@ def test_sets_that_have_no_error_to_speak_of_are_refused(points):
         evaluate(MODEL, replace(points, u=zero))
 
 
-@pytest.mark.parametrize("level", [0.0, 1e-16])
+@parametrize("level", [0.0, 1e-16])
 def test_without_load_there_is_no_residual_to_be_relative_to(points, level):
     """Displacement is solved for as ever: only the sample's E_res is left out."""
     b = points.b.copy()
     b[1, points.interior] = level
     some, every = evaluate(MODEL, replace(points, b=b)), evaluate(MODEL, points)
     first, _, last = every["E_res_samples"]
-    assert some["E_res_samples"] == [pytest.approx(first), None, pytest.approx(last)]
-    assert some["E_res"] == pytest.approx((first + last) / 2)
-    assert some["E_u_samples"][0] == pytest.approx(every["E_u_samples"][0])
+    assert some["E_res_samples"] == [approx(first), None, approx(last)]
+    assert some["E_res"] == approx((first + last) / 2)
+    assert some["E_u_samples"][0] == approx(every["E_u_samples"][0])
     none = evaluate(MODEL, replace(points, b=np.full_like(b, level)))
     assert none["E_res"] is None
     assert min(none["E_res_abs"], none["E_u"]) > 0
@@ -87,7 +87,7 @@ def test_the_error_of_shape_does_not_see_rigid_motion(points):
     turn = 0.5 * np.stack([-points.x[:, 1], points.x[:, 0]], axis=1)
     moved = evaluate(MODEL, replace(points, u=points.u + 100.0 + turn))
     assert moved["E_u"] < 0.1 * plain["E_u"]
-    assert moved["E_shape"] == pytest.approx(plain["E_shape"], rel=1e-6)
+    assert moved["E_shape"] == approx(plain["E_shape"], rel=1e-6)
     assert plain["E_shape"] > plain["E_u"]
 
 
@@ -104,7 +104,7 @@ class Springs:
 
 def noisy(seed):
     """Loads of springs of stiffness 1; each load's own noise on its forces, of any size."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     u = rng.normal(size=(LOADS, *POINTS.x.shape))
     size = NOISE * rng.uniform(0.5, 1.5, (LOADS, 1, 1))
     return wp.Samples(POINTS, u, u + size * rng.normal(size=u.shape))
@@ -119,8 +119,8 @@ def test_a_band_leaves_half_of_the_rest_on_each_side():
     """Of draws 0, 1 and 2, by a table of Student's distribution: 2.132 for 4 at 95 %."""
     found = BootstrapResult([0.0, 1.0, 2.0], loads=5, knows="")
     low, high = found.band(1.0, float)
-    assert (high - low) / 2 == pytest.approx(2.132 * 0.6826 * np.sqrt(5 / 4), rel=1e-4)
-    assert (high + low) / 2 == pytest.approx(1)
+    assert (high - low) / 2 == approx(2.132 * 0.6826 * np.sqrt(5 / 4), rel=1e-4)
+    assert (high + low) / 2 == approx(1)
 
 
 def test_bands_of_90_percent_hold_the_truth_of_so_many_sets():

@@ -3,12 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 import torch
 from numpy.linalg import eigvalsh
 from numpy.random import default_rng
 
-from tests.support import problems, shared
+from tests.support import approx, parametrize, problems, shared
 from tests.support.problems import difference, ell, kernel, lattice, manufactured, noise, normal
 from tests.support.solving import fit, solve
 from tests.support.symbols import fluctuation, noisy, waves
@@ -53,7 +52,7 @@ def numbers(alpha, D):
     return [torch.tensor(one, dtype=torch.float64) for one in (-0.2, 0.7, alpha, D)]
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("sets", "normalise", "block"), [("one lattice", False, 1), ("two lattices", True, None)]
 )
 def test_is_the_full_loss(sets, normalise, block, monkeypatch):
@@ -65,7 +64,7 @@ def test_is_the_full_loss(sets, normalise, block, monkeypatch):
     for name, shape in problems.KERNELS.items():
         given = numbers(**shape)
         expected = lps_stages.total_loss(*full, given).item()
-        assert by_rows(sets, weights, *given).item() == pytest.approx(expected, rel=1e-10), name
+        assert by_rows(sets, weights, *given).item() == approx(expected, rel=1e-10), name
 
 
 def test_the_loss_is_its_definition():
@@ -76,7 +75,7 @@ def test_the_loss_is_its_definition():
             shares.append(np.sum((force - b) ** 2) / np.sum(b**2))
     weights = sample_weights(sets, normalise=True)
     found = by_rows(sets, weights, *numbers(**problems.KERNELS["positive"]))
-    assert found.item() == pytest.approx(np.mean(shares), rel=1e-11)
+    assert found.item() == approx(np.mean(shares), rel=1e-11)
 
 
 HORIZON, SIZE = 3.0, 0.02
@@ -120,7 +119,7 @@ def test_noise_adds_what_the_correction_takes_off(clean):
     noise = fluctuation(clean, 200, SIZE, seed=5)
     N = noise_rows(noise, weight)
     expected = weight.sum() * (MODEL.on(clean, allow_uncertified=True)(noise.u) ** 2).sum() / 200
-    assert np.sum((N @ products(MODEL, CLASSES)) ** 2) == pytest.approx(expected, rel=1e-10)
+    assert np.sum((N @ products(MODEL, CLASSES)) ** 2) == approx(expected, rel=1e-10)
     loss = Products(noisy(clean, 0.001, seed=1), HORIZON).rows(weight)
     N = noise_rows(fluctuation(clean, 50, 0.0003, seed=2), weight)
     less = form(loss.R, loss.y) - form(N, np.zeros(len(N)))
@@ -155,14 +154,14 @@ def assert_tangent(response):
     grid = response.about(moved(NEAR))
     by_step = difference(lambda x: square(grid, moved(x)), NEAR, 1e-5, order=2)
     exact = difference(lambda x: square(response.about(moved(x)), moved(x)), NEAR, 1e-5, order=2)
-    assert by_step == pytest.approx(exact, rel=1e-5, abs=1e-8)
+    assert by_step == approx(exact, rel=1e-5, abs=1e-8)
 
 
 def test_the_collar_response_is_the_solve_and_its_tangent():
     points = manufactured(MODEL, lattice(4, HORIZON), 5)
     response = CollarResponse(Products(points, HORIZON))
     expected = misfit(moved(NEAR), points)
-    assert square(response.about(moved(NEAR)), moved(NEAR)) == pytest.approx(expected, rel=1e-9)
+    assert square(response.about(moved(NEAR)), moved(NEAR)) == approx(expected, rel=1e-9)
     assert_tangent(response)
 
 

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 import scipy.linalg
 from numpy.linalg import norm
+from numpy.random import default_rng
 
+from tests.support import approx, filterwarnings, parametrize
 from tests.support.problems import LAM as TRUE_LAM
 from tests.support.problems import MU as TRUE_MU
 from tests.support.problems import kernel, lattice, manufactured, noise
@@ -42,7 +44,7 @@ def test_the_optimum_is_the_model_that_made_the_data():
     points, true = data("sign-changing", 3.0)
     learned = fit(points, 3.0, Bernstein(5))
     model = learned.material
-    assert (model.lam, model.mu) == pytest.approx((LAM, MU), abs=1e-6)
+    assert (model.lam, model.mu) == approx((LAM, MU), abs=1e-6)
     for found, expected in zip(shares(model), shares(true)):
         near(found, expected, 1e-6)
     assert len(learned.starts) == 3
@@ -51,7 +53,7 @@ def test_the_optimum_is_the_model_that_made_the_data():
     assert evaluate(model, points)["E_u"] < 1e-4
 
 
-@pytest.mark.filterwarnings("ignore:λ . μ ended on the lower bound")  # a single noisy load
+@filterwarnings("ignore:λ . μ ended on the lower bound")  # a single noisy load
 def test_the_degree_is_the_smallest_that_foretells_loads_left_out():
     """Data of degree 1, noisy so that more coefficients than that tell the noise alone."""
     true = replace(kernel("positive", 2.5, lam=LAM, mu=MU), D=np.array([1.0, 0.2]))
@@ -65,7 +67,7 @@ def test_the_degree_is_the_smallest_that_foretells_loads_left_out():
     assert list(learned.degrees) == [3, 2, 1, 0][: len(learned.degrees)]
     assert learned.degrees[learned.material.degree] <= 1.02 * min(learned.degrees.values())
     asked = fit(points, 2.5, Bernstein(learned.material.degree))
-    assert asked.history[-1].loss[-1] == pytest.approx(learned.history[-1].loss[-1], rel=1e-6)
+    assert asked.history[-1].loss[-1] == approx(learned.history[-1].loss[-1], rel=1e-6)
     assert learned.material.provenance["degree"]
     alone = fit(points[:1], 2.5)
     assert (alone.material.degree, alone.degrees) == (3, {})
@@ -75,7 +77,7 @@ def test_a_violating_model_ends_feasible_with_the_condition_active():
     points, _ = data("sign-changing", 2.5)
     learned = fit(points, 2.5, Bernstein(4), conditions=StabilityConditions(zeta=ZETA))
     assert ZETA <= learned.certificate.symbol_min <= 1.02 * ZETA
-    assert learned.errors["E_res"] == pytest.approx(evaluate(learned.material, points)["E_res"])
+    assert learned.errors["E_res"] == approx(evaluate(learned.material, points)["E_res"])
     losses = np.array(list(learned.starts.values()))
     assert np.ptp(losses) < 1e-6 * losses.max()
     assert losses.min() > 1e-3
@@ -89,7 +91,7 @@ def test_the_printed_conditions_hold_densely_and_are_active_or_an_error_says_tha
     margins = smallest_margins(bond_classes(1.0, horizon), asked, *shares(learned.material))
     assert (margins >= -1e-8).all()
     # the model that made the data keeps (i) and breaks (iii)
-    assert margins[2] == pytest.approx(0, abs=1e-6)
+    assert margins[2] == approx(0, abs=1e-6)
     assert min(learned.starts.values()) > 1e-3
     assert learned.material.certified_on == (1.0,)
     with pytest.raises(RuntimeError, match="no start ended with the conditions kept"):
@@ -100,7 +102,7 @@ def test_two_lattices_are_learned_together():
     sets, models = zip(*(data("positive", 2.0, spacing) for spacing in (1.0, 0.9)))
     learned = fit(sets, 2.0, Bernstein(3))
     assert learned.material.trained_on == learned.material.certified_on == (1.0, 0.9)
-    assert (learned.material.lam, learned.material.mu) == pytest.approx((LAM, MU), abs=1e-5)
+    assert (learned.material.lam, learned.material.mu) == approx((LAM, MU), abs=1e-5)
     for model, points in zip(models, sets):
         found, true = (shares(one, points.spacing)[0] for one in (learned.material, model))
         near(found, true, 1e-4, 1)
@@ -111,10 +113,10 @@ def test_held_moduli_are_held():
     points, _ = data("positive", 3.0)
     asked = [GaussNewton(moduli=moduli) for moduli in ([0.1, 0.65], "isotropic")]
     held, loose = (fit(points, 3.0, Bernstein(5), method=one).material for one in asked)
-    assert (held.lam, held.mu) == pytest.approx((0.1, 0.65), abs=1e-9)
+    assert (held.lam, held.mu) == approx((0.1, 0.65), abs=1e-9)
     expected = {"C11": 0.1 + 2 * 0.65, "C12": 0.1, "C44": 0.65}
-    assert moduli(held, bond_classes(1.0, 3.0)) == pytest.approx(expected, abs=1e-8)
-    assert moduli(loose, bond_classes(1.0, 3.0))["C44"] == pytest.approx(loose.mu, abs=1e-8)
+    assert moduli(held, bond_classes(1.0, 3.0)) == approx(expected, abs=1e-8)
+    assert moduli(loose, bond_classes(1.0, 3.0))["C44"] == approx(loose.mu, abs=1e-8)
 
 
 def test_a_normalised_loss_does_not_see_the_size_of_a_sample():
@@ -125,7 +127,7 @@ def test_a_normalised_loss_does_not_see_the_size_of_a_sample():
     first, second = (
         fit(samples, 3.0, Bernstein(5), normalise=True).material for samples in (points, scaled)
     )
-    assert (second.lam, second.mu) == pytest.approx((first.lam, first.mu), abs=1e-6)
+    assert (second.lam, second.mu) == approx((first.lam, first.mu), abs=1e-6)
     absolute = fit(scaled, 3.0, Bernstein(5)).material
     assert abs(absolute.mu - first.mu) > 1e-4
 
@@ -135,10 +137,10 @@ def test_a_load_of_zero_counts_in_no_mean_and_draws_no_warning():
     kept = (np.arange(10) > 0)[:, None, None]
     found = fit(replace(points, u=kept * points.u, b=kept * points.b), 3.0, Bernstein(2))
     told = evaluate(found.material, points[1:])["E_res"]
-    assert found.history[-1].E_res_train == pytest.approx(told)
+    assert found.history[-1].E_res_train == approx(told)
 
 
-@pytest.mark.parametrize("size", [0.0, 1e7])
+@parametrize("size", [0.0, 1e7])
 def test_rows_are_held_to_the_operator_whatever_rounding_leaves_of_a_kernel(size):
     """Moderate values at the bond lengths, with coefficients of any size; a wrong row is found."""
     horizon, degree = 3.0, 12
@@ -155,7 +157,7 @@ def test_rows_are_held_to_the_operator_whatever_rounding_leaves_of_a_kernel(size
 
 
 def test_fields_of_local_elasticity_are_fitted_by_displacement():
-    random, C = np.random.default_rng(0), voigt_to_tensor(plane_isotropic(TRUE_LAM, TRUE_MU))
+    random, C = default_rng(0), voigt_to_tensor(plane_isotropic(TRUE_LAM, TRUE_MU))
     points, count = replace(lattice(10, 2.5), axis=17.0), (10, 4)
     angle, e = random.uniform(0, 2 * np.pi, count), random.normal(size=(*count, 2))
     k = 2 * np.pi / random.uniform(3, 20, count) * np.array([np.cos(angle), np.sin(angle)])
@@ -166,7 +168,7 @@ def test_fields_of_local_elasticity_are_fitted_by_displacement():
     first, found = (fit(samples, 2.5, Bernstein(4), loss=loss) for loss in ("residual", "auto"))
     assert (found.loss.name, len(found.history)) == ("output", len(first.history) + 1)
     assert "worse than local elasticity" in found.loss.reason
-    assert found.law.method.moduli == pytest.approx((TRUE_LAM, TRUE_MU), rel=2e-3)
+    assert found.law.method.moduli == approx((TRUE_LAM, TRUE_MU), rel=2e-3)
     errors = [evaluate(one.material, samples)["E_u"] for one in (found, first)]
     assert errors[0] < 0.995 * errors[1]
     own = manufactured(kernel("1/r", 2.5), lattice(8, 2.5), 10)  # fields of the solid itself

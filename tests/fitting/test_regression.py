@@ -1,10 +1,10 @@
 """Least squares under inequalities, and the coordinates of the linear solid's optimum."""
 
 import numpy as np
-import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
+from tests.support import approx, parametrize
 from tests.support.problems import difference
 from tests.support.told import each_refused
 from warp_peri.fitting.regression import Settled, least_squares_above
@@ -72,14 +72,14 @@ def tables(classes, alpha, D):
     return kw / (classes.count @ (kw * classes.r**2))
 
 
-@pytest.mark.parametrize(("lattices", "degree"), CASES.values(), ids=CASES)
+@parametrize(("lattices", "degree"), CASES.values(), ids=CASES)
 def test_a_point_has_its_stiffnesses_and_slopes_and_leads_back_to_its_solid(lattices, degree):
     D = default_rng(0).uniform(0.3, 1, degree + 1)
     law, theta = law_of(lattices, D)
     found, mu = law.stiffnesses(theta)
-    assert (mu, theta[0]) == pytest.approx((0.7, (0.2 - 0.7) / 0.7))
+    assert (mu, theta[0]) == approx((0.7, (0.2 - 0.7) / 0.7))
     solid = back(law, theta)
-    assert (solid.lam, solid.mu, solid.alpha) == pytest.approx((0.2, 0.7, 1.4))
+    assert (solid.lam, solid.mu, solid.alpha) == approx((0.2, 0.7, 1.4))
     for classes, v in zip(lattices, found):
         expected = tables(classes, 1.4, D)
         assert_allclose(v, 0.7 * expected, atol=1e-9)
@@ -89,7 +89,7 @@ def test_a_point_has_its_stiffnesses_and_slopes_and_leads_back_to_its_solid(latt
         first.count @ (K * first.weight * first.r ** (2 - 1.4))
         for K in (bernstein_basis(first.r, 3.0, degree) @ solid.D, 1.0)
     ]
-    assert volumes[0] == pytest.approx(volumes[1])
+    assert volumes[0] == approx(volumes[1])
     if law.kernel.free_alpha:
         theta[-1] += 0.2  # away from where the tables were made
 
@@ -102,7 +102,7 @@ def test_a_point_has_its_stiffnesses_and_slopes_and_leads_back_to_its_solid(latt
     near(derivatives, expected, 1e-7)
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("lattices", "degree", "free"),
     [(ONE, 4, True), (ONE, 5, False), (ONE, 8, False), (TWO, 4, True)],
 )

@@ -3,9 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
-from tests.support import shared
+from tests.support import approx, parametrize, shared
 from tests.support.problems import kernel, lattice, manufactured, normal
 from tests.support.solving import fit, solve
 from tests.support.symbols import waves
@@ -40,7 +39,7 @@ def plain(data):
     return learned(data)
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("length", "stress", "units"),
     [(1.0, 1e11, None), (1e-10, 1.0, None), (0.1, 1000.0, ("nm", "GPa"))],
 )
@@ -50,18 +49,18 @@ def test_stiffness_and_lengths_of_any_size_and_unit(data, plain, length, stress,
     found, expected = (
         [(s.parameters.lam, s.parameters.mu) for s in one.history] for one in (result, plain)
     )
-    assert np.array(found) / stress == pytest.approx(np.array(expected), rel=1e-5)
-    assert result.material.mu / stress == pytest.approx(0.7, rel=1e-4)
+    assert np.array(found) / stress == approx(np.array(expected), rel=1e-5)
+    assert result.material.mu / stress == approx(0.7, rel=1e-4)
     assert (result.material.horizon, result.material.certified_on) == (HORIZON * length, (length,))
     solved = solve(result.material, there, there.b, there.u)
-    assert solved == pytest.approx(there.u, rel=0, abs=1e-4 * np.abs(there.u).max())
+    assert solved == approx(there.u, rel=0, abs=1e-4 * np.abs(there.u).max())
     bound = result.certificate.symbol_bound
-    assert bound / stress == pytest.approx(plain.certificate.symbol_bound, rel=1e-4)
+    assert bound / stress == approx(plain.certificate.symbol_bound, rel=1e-4)
     stiffness = stress * stiffness_of([data], HORIZON)
     zeta = result.law.conditions.zeta
-    assert zeta == pytest.approx(RELATIVE_ZETA * stiffness)
+    assert zeta == approx(RELATIVE_ZETA * stiffness)
     kept = result.material.provenance["zeta"]
-    assert kept == pytest.approx({"zeta": zeta, "stiffness of the data": stiffness})
+    assert kept == approx({"zeta": zeta, "stiffness of the data": stiffness})
     if units:
         shown = repr(result)
         assert (" GPa" in shown, "TPa" in shown, "Å" in shown) == (True, False, False)
@@ -76,20 +75,20 @@ def test_steps_that_end_on_their_way_are_those_of_any_size():
     with warned("two-stage method takes nothing off"):
         first = learned(small, method=how, noise=small).material
     found = learned(at_scale(small, length, stress), length, method=how).material
-    assert (found.lam / stress, found.mu / stress) == pytest.approx((first.lam, first.mu), rel=1e-9)
-    assert found.D == pytest.approx(first.D, rel=1e-9)
+    assert (found.lam / stress, found.mu / stress) == approx((first.lam, first.mu), rel=1e-9)
+    assert found.D == approx(first.D, rel=1e-9)
 
 
 def test_noise_does_not_soften_the_stiffness(data):
     many = Samples(data.points, *(np.tile(one, (60, 1, 1)) for one in (data.u, data.b)))
     noisy = replace(many, u=many.u + 0.3 * normal(many.u.shape))
-    assert stiffness_of([noisy], HORIZON) == pytest.approx(stiffness_of([data], HORIZON), rel=0.05)
+    assert stiffness_of([noisy], HORIZON) == approx(stiffness_of([data], HORIZON), rel=0.05)
 
 
 def test_wave_vectors_are_taken_at_any_length():
     small = at_scale(waves(TRUE, cells=4, highest=4), 1e-10)
     small.arrays["wave_vector"] = small.arrays["wave_vector"] * 1e10
-    assert learned(small, 1e-10, loss="output").material.mu == pytest.approx(0.7, rel=1e-4)
+    assert learned(small, 1e-10, loss="output").material.mu == approx(0.7, rel=1e-4)
 
 
 def test_data_that_no_solid_answers_are_refused_and_a_modulus_on_its_bound_is_told(data):

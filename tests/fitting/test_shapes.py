@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.linalg import norm
 
+from tests.support import approx, parametrize
 from tests.support.problems import kernel, lattice, manufactured
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, off, solid
 from tests.support.solving import fit
@@ -26,7 +27,7 @@ def made(shape, count=2):
     return manufactured(solid(shape, 1.0), lattice(4, HORIZON), count)
 
 
-@pytest.mark.parametrize("name", ["gaussian", "sign-changing", "table"])
+@parametrize("name", ["gaussian", "sign-changing", "table"])
 def test_a_fit_gives_back_the_shape_that_made_the_data(name, tmp_path):
     shape = SHAPES[name]
     points = made(shape, 3)
@@ -36,8 +37,8 @@ def test_a_fit_gives_back_the_shape_that_made_the_data(name, tmp_path):
     if name == "table":  # whose scale has no effect
         value, expected = value / norm(value), expected / norm(expected)
         value = value * np.sign(value @ expected)
-    assert value == pytest.approx(expected, rel=RECOVERED, abs=0)
-    assert (model.lam, model.mu) == pytest.approx((0.1, 0.7), rel=RECOVERED)
+    assert value == approx(expected, rel=RECOVERED, abs=0)
+    assert (model.lam, model.mu) == approx((0.1, 0.7), rel=RECOVERED)
     assert model.certified_on == (1.0,)
     assert learned.certificate.symbol_bound >= 0.01
     assert evaluate(model, points)["E_u"] < 1e-6
@@ -51,13 +52,13 @@ def test_a_given_table_leaves_the_constants_to_learn_bounds_are_kept_and_zero_is
     shape = table([0.5, 1.5, 3.0], [1.0, 0.6, 0.1])
     learned = fit(made(shape), HORIZON, shape)
     assert learned.influence.parameters == {}
-    assert (learned.material.lam, learned.material.mu) == pytest.approx((0.1, 0.7), rel=RECOVERED)
+    assert (learned.material.lam, learned.material.mu) == approx((0.1, 0.7), rel=RECOVERED)
     bounded = InfluenceFunction(gaussian, {"width": 2.4}, {"width": (2.2, 3.0)})
     learned = fit(made(SHAPES["gaussian"]), HORIZON, bounded)
-    assert learned.influence.parameters["width"] == pytest.approx(2.2, abs=1e-6)
+    assert learned.influence.parameters["width"] == approx(2.2, abs=1e-6)
     true = InfluenceFunction(lambda r, a: np.exp(-a * r**2), {"a": 0.28})
     learned = fit(made(true), HORIZON, true.at(np.array([1e-300])))
-    assert learned.influence.parameters["a"] == pytest.approx(0.28, rel=RECOVERED)
+    assert learned.influence.parameters["a"] == approx(0.28, rel=RECOVERED)
 
 
 def test_the_best_of_several_starts_is_taken_and_one_that_leaves_its_domain_passed_over():
@@ -90,5 +91,5 @@ def test_a_width_is_found_from_far_off():
     points = manufactured(kernel("1/r", 12.5, spacing=5.0), lattice(8, 25.0, 5.0), 8, 0, 0.2)
     shapes = [replace(named("gaussian", 20.0), parameters={"width": w}) for w in (8.0, 20.0)]
     near, far = (fit(points, 20.0, shape, loss="residual") for shape in shapes)
-    assert far.influence.parameters["width"] == pytest.approx(near.influence.parameters["width"])
-    assert far.history[-1].loss[-1] == pytest.approx(near.history[-1].loss[-1], rel=1e-6)
+    assert far.influence.parameters["width"] == approx(near.influence.parameters["width"])
+    assert far.history[-1].loss[-1] == approx(near.history[-1].loss[-1], rel=1e-6)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 
+from tests.support import approx, of_json
 from tests.support.problems import kernel, lattice, manufactured
 from tests.support.told import refused, warned
 from warp_peri import LPS, LPSMaterial
@@ -26,7 +27,7 @@ def test_horizons_are_chosen_by_training_residual_and_degrees_by_the_average():
         trial(10, 9, 0.1, 0.3, 0.3, 0.3),
     ])  # fmt: skip
     assert [t.horizon for t in chosen.by_degree] == [10, 10, 10]
-    assert chosen.average == pytest.approx([1.0, (0.25 + 3 * 0.5) / 4, (0.25 + 3 * 0.75) / 4])
+    assert chosen.average == approx([1.0, (0.25 + 3 * 0.5) / 4, (0.25 + 3 * 0.75) / 4])
     assert (chosen.printed.horizon, chosen.printed.degree) == (10, 5)
     equal = [trial(10, M, *4 * [error]) for M, error in ((0, 1.0), (5, 0.20001), (9, 0.2))]
     assert choose(equal).printed.degree == 5
@@ -47,7 +48,7 @@ def test_a_sweep_finds_the_horizon_of_the_data_and_resumes(sets, tmp_path):
     first = sweep(train, val, tmp_path, test=val, **options)
     assert len(first.trials) == 4
     assert (first.printed.horizon, first.printed.degree) == (2.5, 3)
-    assert first.printed.E_u_test == pytest.approx(first.printed.E_u_val)
+    assert first.printed.E_u_test == approx(first.printed.E_u_val)
     files = {file: file.stat().st_mtime_ns for file in tmp_path.iterdir()}
     broken = next(file for file in files if file.name.startswith("d2_M3"))
     broken.write_text("{")
@@ -66,7 +67,7 @@ def test_a_trial_is_not_believed_as_it_stands(sets, tmp_path):
     options = {"horizons": (2.0, 2.0 + 1e-7), "degrees": (0,), "jobs": 1}
     first = sweep(*sets, tmp_path, **options).trials
     one, other = sorted(tmp_path.glob("*.model.json"))
-    better, bound, another = (json.loads(path.read_text()) for path in (one, one, other))
+    better, bound, another = (of_json(path) for path in (one, one, other))
     better["errors"]["E_res"]["train"] = 0.0
     bound["certificate"]["1"]["symbol_bound"] *= 10
     del better["sha256"], bound["sha256"]

@@ -1,14 +1,14 @@
 """Forces over unbroken bonds, against the matrix, the continuum and bounds; what cracks cut."""
 
 import numpy as np
-import pytest
 import warp as wp
+from numpy.linalg import eigvalsh
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tests.support import clouds, parametrize
+from tests.support import approx, clouds, parametrize
 from tests.support.bodies import plate, random_breaking, solid
-from tests.support.problems import ROUNDING, lattice
+from tests.support.problems import ROUNDING, lattice, rotation
 from tests.support.told import warned
 from warp_peri.fracture.body import cracked, crossing_bonds, lattice_body
 from warp_peri.fracture.bonds import (
@@ -65,7 +65,7 @@ def test_any_order_and_hole_has_the_bits_of_each_node_alone(sides, lam):
     want, L = np.einsum("nb,bi->ni", pull, body.xi), bond_matrix(body, neighbour, bonds)
     for one in (want, -(L @ u.ravel()).reshape(u.shape)):
         near(force.numpy(), one, ROUNDING, np.abs(want).max())
-    assert energy.numpy().sum() == pytest.approx(u.ravel() @ L @ u.ravel() / 2)
+    assert energy.numpy().sum() == approx(u.ravel() @ L @ u.ravel() / 2)
     assert abs(L - L.T).max() < ROUNDING * abs(L).max()
     operator.again(links, lost, force, energy)
     again = swept(operator, u, np.where(operator.kept(links), neighbour, -1))
@@ -104,7 +104,7 @@ CROSSING = 9 * (((1 - T**4) / 2 - 2 / 3 * T * (1 - T**3)) ** 2).mean()
     ],
 )
 def test_the_lattices_toughness_has_the_limit_of_the_theory(dimension, lam, limit, ratios, share):
-    assert pytest.approx(26 / 45, abs=1e-6) == CROSSING
+    assert approx(26 / 45, abs=1e-6) == CROSSING
     errors = []
     for ratio in ratios:
         model = solid(lam, horizon=ratio, dimension=dimension).model
@@ -113,7 +113,7 @@ def test_the_lattices_toughness_has_the_limit_of_the_theory(dimension, lam, limi
     assert errors[2] < 0.05
     assert errors[2] < share * errors[0]
     if lam == 1:  # no dilatation: the formula of the continuum
-        assert continuum_stretch(model, 16 * limit) == pytest.approx(1.0)
+        assert continuum_stretch(model, 16 * limit) == approx(1.0)
 
 
 @parametrize(("sides", "lam"), [((8, 8), 100.0), ((4, 4, 4), -0.6), ((8, 8), 0.3)])
@@ -123,7 +123,7 @@ def test_no_body_is_stiffer_than_its_bound(lam, sides):
     bound, bonds = largest_stiffness(model, body.classes), bonds_of(model, body.classes)
     for share in (0.0, 0.5):
         L = bond_matrix(body, random_breaking(body, random, share), bonds)
-        assert 0 < np.linalg.eigvalsh(L.toarray())[-1] <= bound
+        assert 0 < eigvalsh(L.toarray())[-1] <= bound
 
 
 def test_a_straight_crack_cuts_what_crosses_it_and_one_through_nodes_is_moved_with_a_word():
@@ -142,9 +142,8 @@ def test_a_straight_crack_cuts_what_crosses_it_and_one_through_nodes_is_moved_wi
 def test_a_polygon_cuts_what_crosses_it():
     """A triangle, through each bond by the signs of its volumes with the triangle's edges."""
     body = plate(5, 4, 6, horizon=2.0)
-    c, s = np.cos(0.4), np.sin(0.4)
-    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    a, b, c = corners = np.array([(-1.6, 0, -2.3), (1.7, 0, -2.1), (0.2, 0, 2.2)]) @ turn.T
+    corners = np.array([(-1.6, 0, -2.3), (1.7, 0, -2.1), (0.2, 0, 2.2)]) @ rotation(0.4, 3).T
+    a, b, c = corners
 
     def side(p, q, r, s):
         return np.sign(np.linalg.det(np.stack([q - p, r - p, s - p])))
@@ -160,7 +159,7 @@ def test_a_polygon_cuts_what_crosses_it():
 @parametrize("angle", [0.3, 2.6])
 def test_cuts_are_symmetric_and_corners_leak_nothing(angle):
     body = plate()
-    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    turn = rotation(angle).T
     square = 2.37 * np.array([(1, 1), (-1, 1), (-1, -1), (1, -1), (1, 1)]) @ turn
     neighbour = cracked(body, [square])
     node, bond = np.nonzero((neighbour < 0) & (body.neighbour >= 0))

@@ -3,15 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 import torch
-from numpy.linalg import eigvalsh
+from numpy.linalg import eigvalsh, norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tests.support import in_plane_and_space, parametrize
+from tests.support import approx, in_plane_and_space, parametrize
 from tests.support.bodies import plate, random_breaking, solid
-from tests.support.problems import difference, noise, normal
+from tests.support.problems import difference, everywhere, noise, normal
 from warp_peri import CG, Cracked, Points, simulate, solve
 from warp_peri.fracture import bonds, box_nodes, penny_corners, point_force, rectangle_nodes
 from warp_peri.fracture.bonds import bond_matrix, bonds_of, largest_stiffness
@@ -29,7 +28,7 @@ def stiff(model, corrected, width=13, height=40):
     x = rectangle_nodes(width, height, 1.0)
     grips, held = np.abs(x[:, 1]) > height / 2 - model.horizon, np.zeros(x.shape, bool)
     held[grips, 1] = held[np.argmin(np.abs(x).sum(axis=1)), 0] = True
-    points = Points(x, np.ones(len(x), bool), 1.0)
+    points = everywhere(x)
     problem = Cracked(points, u=x * (0, 1), free=~held, corrected=corrected)
     u = (solution := solve(model, problem)).u
     pull = solution.operator.times(u[None])[0, grips & (x[:, 1] > 0), 1].sum()
@@ -41,7 +40,7 @@ def stiff(model, corrected, width=13, height=40):
 def test_a_strip_is_as_stiff_as_it_is_wide(horizon, cut, off, lam):
     model = solid(lam, horizon=horizon).model
     assert stiff(model, False) < 13 - cut
-    assert stiff(model, True) == pytest.approx(13, abs=off)
+    assert stiff(model, True) == approx(13, abs=off)
 
 
 @parametrize(
@@ -122,7 +121,7 @@ def test_waves_with_free_edges_have_the_derivatives_of_differences():
     leaf = torch.tensor(load, requires_grad=True)
     (gradient,) = torch.autograd.grad(ends(leaf), leaf)
     slope = difference(lambda t: ends(load + t[0] * way), [0.0], 1.0)[0]
-    assert (gradient.numpy() * way).sum() == pytest.approx(slope, rel=1e-8)
+    assert (gradient.numpy() * way).sum() == approx(slope, rel=1e-8)
 
 
 @in_plane_and_space
@@ -132,7 +131,7 @@ def test_a_force_on_an_edge_does_its_work_in_any_affine_displacement(d):
     b = point_force(x, h, place, force)
     assert_allclose(h**d * b.sum(axis=0), force, atol=1e-12)
     assert_allclose(h**d * x.T @ b, np.outer(place, force), atol=1e-12)
-    assert np.linalg.norm(x[np.abs(b).sum(axis=1) > 0] - place, axis=1).max() < 2 * h
+    assert norm(x[np.abs(b).sum(axis=1) > 0] - place, axis=1).max() < 2 * h
 
 
 def test_conjugate_gradients_find_what_factors_find():

@@ -1,8 +1,8 @@
 """Bodies that break in motion: energy, symmetry, flags, and going on with the same bits."""
 
 import numpy as np
-import pytest
 
+from tests.support import approx, parametrize
 from tests.support.bodies import plate, pulled, solid
 from tests.support.told import refused
 from warp_peri.fracture.dynamics import BreakingBody, CrackRun, step
@@ -24,7 +24,7 @@ def marched(kind, share, **options):
     return body, run, run.march(body.start(cracks=cracks), steps=round(40 / dt))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@parametrize("kind", KINDS)
 def test_the_ledger_closes_and_better_with_shorter_steps(kind):
     body, run, state = marched(kind, 0.4)
     assert 0.05 < body.damage(state).max()
@@ -59,7 +59,7 @@ def test_held_nodes_move_as_told_and_their_work_counts():
     run = CrackRun(body, step=0.3 * body.longest_step, every=1)
     state = run.march(body.start(), steps=200)
     assert run.motion(state).missing < 2e-3
-    assert state.v.numpy()[held] == pytest.approx(grip[held], rel=1e-7, abs=0)
+    assert state.v.numpy()[held] == approx(grip[held], rel=1e-7, abs=0)
     assert run.history["dissipated"][-1] == 0
 
 

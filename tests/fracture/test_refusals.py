@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from examples.inclusion import Mixed
+from tests.support import filterwarnings
 from tests.support.bodies import plate, solid
 from tests.support.problems import kernel, lattice
 from tests.support.told import assert_refused
@@ -44,7 +44,7 @@ COARSE = bond_classes(1.0, 4.0)
 ONE, TWO = ([[(-9, 0), (tip, 0)]] for tip in (0, 1))
 
 
-@pytest.mark.filterwarnings("ignore:crack")
+@filterwarnings("ignore:crack")
 def test_what_cracks_do_not_take_is_refused_by_name():
     assert_refused({
         "with an area": crossing((0, 0, 0), (1, 0, 0), (2, 0, 0)),

@@ -3,14 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 import torch
 from scipy.integrate import quad
 
 from tests.gradients.cases import errors
-from tests.support.problems import normal
+from tests.support import approx, parametrize
+from tests.support.problems import everywhere, normal
 from tests.support.told import refused, warned
-from warp_peri import Cracked, LPSMaterial, Points, simulate
+from warp_peri import Cracked, LPSMaterial, simulate
 from warp_peri.fracture import BondLaw, SofteningMaterial, adjoint, lattice_body
 from warp_peri.fracture.adjoint import SoftBody
 from warp_peri.fracture.statics import CutSolid
@@ -24,7 +24,7 @@ def torn_problem():
     x = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
     free = np.column_stack([x[:, 0] != 0, np.abs(x[:, 1]) < 36])
     start, given = x * (-1 / 120, 1 / 40), np.sign(x) * (0.0, 1.0)
-    points = Points(x, np.ones(len(x), bool), 5.0)
+    points = everywhere(x, 5.0)
     problem = Cracked(points, u=np.where(free, start, given), cracks=CRACK, free=free)
     return problem, np.abs(x[:, 1]) > 19.9
 
@@ -42,13 +42,13 @@ def torn_plate(*law):
 def test_without_softness_it_is_the_linear_body():
     soft, unit = torn_plate(0.0)
     run = soft.pull(unit, loads=[0.1, 0.2], line=LINE)
-    assert run["force"][1] == pytest.approx(2 * run["force"][0])
+    assert run["force"][1] == approx(2 * run["force"][0])
     linear = CutSolid(MODEL, soft.body, soft.held, cracks=CRACK)
     at_rest = soft.rest(unit.ravel(), np.ones(len(soft.stiffness))).reshape(-1, 2)
-    assert at_rest == pytest.approx(linear.solve(None, unit).u, abs=1e-7)
+    assert at_rest == approx(linear.solve(None, unit).u, abs=1e-7)
 
 
-@pytest.mark.parametrize(
+@parametrize(
     "law", [(0.0, 0.06), (5.0, 0.06), (5.0, 0.05, 0.03), (1e-300, 1e-6), (0.02, 2.0), (1e4, 2.0)]
 )
 def test_the_energy_spent_is_the_work_of_pulling_a_bond_apart_however_soft(law):
@@ -61,7 +61,7 @@ def test_the_energy_spent_is_the_work_of_pulling_a_bond_apart_however_soft(law):
     first, *ends = min(law.stretch, 60 / (law.softness or 1)), law.stretch, law.stretch + law.tail
     exact = {"epsabs": 0, "epsrel": 1e-12}
     work = quad(pull, 0, first, **exact)[0] + quad(pull, *ends, **exact)[0]
-    assert law.spent() == pytest.approx(work, rel=1e-11)
+    assert law.spent() == approx(work, rel=1e-11)
     assert pull(ends[1] * (1 + 1e-9)) == 0
     assert law.share(ends[0] * np.array([0.0, 0.4])).min() == 1
 

@@ -1,7 +1,7 @@
 """Cut bodies at rest: rates of a crack's opening, G and J, growth; inclusions, pressure."""
 
 import numpy as np
-import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from examples import inclusion as inclusions
@@ -9,9 +9,9 @@ from examples import pressurised_crack
 from examples.exact import westergaard
 from examples.inclusion import Mixed
 from examples.static_crack import edge_crack, static_crack
-from tests.support import parametrize
+from tests.support import approx, parametrize
 from tests.support.bodies import plate, random_breaking, solid
-from tests.support.problems import fitted_order, kernel
+from tests.support.problems import everywhere, fitted_order, kernel
 from tests.support.told import assert_refused, refused
 from warp_peri import Cracked, LPSMaterial, Points, Solution, fracture, simulate, solve
 from warp_peri.fracture import (
@@ -41,7 +41,7 @@ def test_a_sign_changing_model_cracks_only_where_it_stays_definite():
     held = (np.abs(body.x) > 5).any(axis=1)
     CutSolid(model, body, held)
     CutSolid(model, body, held, cracks=[[(-4, 0), (4, 0)]])
-    at_random = random_breaking(body, np.random.default_rng(0), 0.2)
+    at_random = random_breaking(body, default_rng(0), 0.2)
     assert_refused({
         "negative eigenvalues": lambda: CutSolid(model, body, held, neighbour=at_random),
         "changes sign":
@@ -84,7 +84,7 @@ def test_j_in_space_is_that_of_a_straight_front_along_any_axis(axes, torn):
     body, nobody = fracture.lattice_body(turned, h, 2 * h), np.zeros(len(x), bool)
     cut = CutSolid(model, body, nobody, cracks=[corners], moves=True)
     J = j_integral(Solution(moved, None, cut, 0.0, "exact"), tip, (0.25, 0.5))
-    assert J == pytest.approx(expected, rel=0.02)
+    assert J == approx(expected, rel=0.02)
 
 
 def test_j_sees_the_crack_whose_tip_it_is_asked_about():
@@ -123,12 +123,12 @@ def test_a_dead_load_releases_what_its_work_leaves_over():
     bodies = [CutSolid(model, body, held, cracks=lines) for lines in cracks]
     fields = [one.solve(b, nothing).u for one in bodies]
     elastic = [one.energy(u) for one, u in zip(bodies, fields)]
-    points = Points(x, np.ones(len(x), bool), 1.0)
+    points = everywhere(x)
     G = energy_release(model, Cracked(points, b, nothing, free=~held), cracks)
-    assert G == pytest.approx((elastic[2] - elastic[0]) / 4, rel=1e-9)  # Clapeyron: it rises
+    assert G == approx((elastic[2] - elastic[0]) / 4, rel=1e-9)  # Clapeyron: it rises
     held_too = Cracked(points, None, fields[1], free=~(held | ends))
     fixed = energy_release(model, held_too, cracks)
-    assert G == pytest.approx(fixed, rel=0.02)  # the loads do not matter to an instant of growth
+    assert G == approx(fixed, rel=0.02)  # the loads do not matter to an instant of growth
 
 
 def test_a_tip_acts_further_than_it_is_cut():
@@ -138,7 +138,7 @@ def test_a_tip_acts_further_than_it_is_cut():
     assert abs(shifted - 1) < 0.6 * (plain - 1)  # softer edges are left
     model = LPSMaterial(lam=1.0, mu=1.0, alpha=1.0, D=np.ones(1), horizon=2.0)
     smaller = tip_shift(model.in_units(("nm", "TPa")), 0.1)
-    assert smaller == pytest.approx(0.1 * tip_shift(model, 1.0))
+    assert smaller == approx(0.1 * tip_shift(model, 1.0))
 
 
 def test_inclusions_converge():
@@ -166,7 +166,7 @@ def test_a_fluid_drives_a_penny():
     brittle = solid(horizon=2.0, dimension=3, toughness=0.01)
     run = simulate(brittle, Injected(points, [2.0], leak=0.1))
     assert_allclose(run["pumped"], run["volume"] + 0.2 * 12)  # nodes within 2
-    assert crack_opening_volume(run.details) * run["pressure"][0] == pytest.approx(run["volume"][0])
+    assert crack_opening_volume(run.details) * run["pressure"][0] == approx(run["volume"][0])
 
 
 def test_a_pressurised_crack_opens_as_sneddons():

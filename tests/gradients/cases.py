@@ -2,6 +2,7 @@
 
 import numpy as np
 import torch
+from numpy.random import default_rng
 
 import warp_peri as wp
 from tests.support.materials import FLOWS, KINKED, seeded, tensor
@@ -61,7 +62,7 @@ def loss(op, fields, options, parameters=None):
     extra = {} if parameters is None else {"parameters": parameters}
     problem = wp.Dirichlet(op.points, fields["b"], fields["u"])
     motion = wp.simulate(op, problem, v=fields["v"], **extra, **options)
-    total, seen = 0.0, np.random.default_rng(1)
+    total, seen = 0.0, default_rng(1)
     for part in (motion["u"], motion.u, options["step"] * motion.v):
         seed = torch.from_numpy(seen.normal(size=part.shape))
         total = total + ((10 * part + seed) * part).sum()

@@ -7,10 +7,11 @@ import pytest
 
 import warp_peri as wp
 from tests.gradients import cases
+from tests.support import filterwarnings, parametrize
 from tests.support.materials import FLOWS, LINEAR, OPERATORS, operator, tensor
 from tests.support.told import refused
 
-pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
+pytestmark = filterwarnings("ignore::UserWarning")
 NO_STEP = "expected a linear solid or a crystal"
 REFUSED = {
     "third order, filtered": "form='energy', got 'filtered', whose force is no gradient",
@@ -37,7 +38,7 @@ QUICK = {
 """Cells of the table that do not take seconds; `pytest tests/gradients -m ""` runs all."""
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("verb", "name"),
     [
         pytest.param(verb, name, marks=[pytest.mark.slow] * (name not in QUICK[verb]))

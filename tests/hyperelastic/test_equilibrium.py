@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.linalg import eigvalsh
+from numpy.random import default_rng
 
-from tests.support import shared
+from tests.support import approx, parametrize, shared
 from tests.support.problems import lattice as nodes
-from tests.support.problems import normal
+from tests.support.problems import normal, on_interior
 from tests.support.sheets import dictionary_of, sheet_on, square, waves
 from tests.support.told import warned
 from warp_peri import Samples, evaluate
@@ -43,17 +45,17 @@ def test_the_smallest_eigenvalue_is_below_zero_where_the_tangent_is():
     """The eigenvalue nearest to zero is positive here: it is not the one to tell."""
     op = sheet_on(square(5), c=[0.05] * 4 + [1.0, 1.0, 0.0])
     u = op.points.x * [-0.2, 0.0]
-    values = np.linalg.eigvalsh(op.interior_tangent(u).toarray())
+    values = eigvalsh(op.interior_tangent(u).toarray())
     assert values[0] < -100
     assert values[np.abs(values).argmin()] > 0
-    assert op.smallest_eigenvalue(u) == pytest.approx(values[0], rel=1e-6)
-    dense = np.linalg.eigvalsh(op.interior_tangent(0 * u).toarray())[0]
-    assert op.smallest_eigenvalue(0 * u) == pytest.approx(dense, rel=1e-2)
+    assert op.smallest_eigenvalue(u) == approx(values[0], rel=1e-6)
+    dense = eigvalsh(op.interior_tangent(0 * u).toarray())[0]
+    assert op.smallest_eigenvalue(0 * u) == approx(dense, rel=1e-2)
 
 
 def test_continuation_leads_where_one_step_does(manufactured):
     op, u, b = manufactured
-    far = np.where(op.points.interior[:, None], 9 * u, u)  # folded: nothing is found from there
+    far = on_interior(op.points, 9 * u, u)  # folded: nothing is found from there
     found, record = Descent(op).find(b[op.interior], u, 1e-8, far)
     assert (record.followed, record.method) == (True, "parts")
     near(found, u, 1e-6)
@@ -85,7 +87,7 @@ def test_a_collar_that_is_folded_far_out_does_not_stop_a_solve():
     x, u, h = op.points.x, waves(op.points, 0.1), op.points.spacing
     even = op.solve(None, u).u
     corner = np.flatnonzero((x < 1.5 * h).all(axis=1))
-    u[corner] += 1.5 * h * np.random.default_rng(2).normal(size=(len(corner), 2))
+    u[corner] += 1.5 * h * default_rng(2).normal(size=(len(corner), 2))
     near(op.solve(None, u).u[op.interior], even[op.interior], 1e-10, 1)
 
 
@@ -113,7 +115,7 @@ def test_stretches_beyond_the_training_data_warn(manufactured):
         evaluate(replace(op.model, stretch=1.02), samples)
 
 
-@pytest.mark.parametrize("sides", [(7, 40), (40, 7)])
+@parametrize("sides", [(7, 40), (40, 7)])
 def test_factors_have_a_band_as_wide_as_the_shorter_side_and_are_of_what_is_definite(sides):
     op = sheet_on(replace(nodes(np.ones(sides, bool), 3.0), axis=None))
     u, y = 0.01 * waves(op.points), normal(2 * np.prod(sides))

@@ -3,13 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 import warp_peri as wp
-from tests.support import shared
+from tests.support import approx, shared
 from tests.support.sheets import NEAREST, dictionary_of, hgo_dictionary, sheet_on, square, waves
 from tests.support.told import refused, warned
 from warp_peri.materials.hyperelastic import fibres
@@ -18,7 +17,7 @@ from warp_peri.materials.hyperelastic.fibres import ThicknessField
 from warp_peri.materials.hyperelastic.lattice import SheetLattice
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.materials.hyperelastic.sheet_fit import Search, Sections, fit_fibre_families
-from warp_peri.points.points import PULL, Points, Samples
+from warp_peri.points.points import PULL, Points, Samples, grid_places
 from warp_peri.testing import assert_near as near
 
 TRUE_ANGLE, TRUE_EXPONENT = 1.1, 2.0
@@ -62,8 +61,8 @@ def test_ratios_directions_and_exponents_are_found_and_the_scale_is_one(frames):
     start = sheet(TRUE_ANGLE + 0.3, 1.0)
     fit = wp.fit(frames, start, stiffness=0.0, moving=True, most_steps=30, tolerance=1e-6)
     fibre = fit.material.dictionary.terms[1]
-    assert fibre.angle == pytest.approx(TRUE_ANGLE, abs=1e-3)
-    assert fibre.exponent == pytest.approx(TRUE_EXPONENT, abs=2e-2)
+    assert fibre.angle == approx(TRUE_ANGLE, abs=1e-3)
+    assert fibre.exponent == approx(TRUE_EXPONENT, abs=2e-2)
 
 
 def test_sensitivities_are_slopes_of_the_solved_displacement(frames):
@@ -80,7 +79,7 @@ def test_sensitivities_are_slopes_of_the_solved_displacement(frames):
     for n, (slope, number) in enumerate(zip(gradient, numbers)):
         step = 1e-4 * max(abs(number), 0.1) * np.eye(len(numbers))[n]
         expected = (loss(step) - loss(-step)) / (2 * step.max())
-        assert slope == pytest.approx(expected, rel=1e-3, abs=1e-6 * np.abs(gradient).max())
+        assert slope == approx(expected, rel=1e-3, abs=1e-6 * np.abs(gradient).max())
 
 
 def test_a_frame_left_out_by_one_step_is_as_by_a_fit_of_its_own(frames, monkeypatch):
@@ -123,7 +122,7 @@ def test_thickness_and_material_are_found_together():
 
 def test_sections_go_from_edge_to_edge():
     """Of an affine field they carry its stress, edges included; a hole takes lines away."""
-    x, C, shape = 0.1 * np.argwhere(np.ones((19, 14))), 0.4, np.array([[1.2, 0.1], [-0.05, 1.1]])
+    x, C, shape = 0.1 * grid_places((19, 14)), 0.4, np.array([[1.2, 0.1], [-0.05, 1.1]])
     dictionary = Hyperelastic(terms=(EnergyTerm("plane_stress"),))
     solid = HyperelasticMaterial(dictionary, np.array([C]), 0.1)
     P = 2 * C * (shape - np.linalg.inv(shape).T / np.linalg.det(shape) ** 2)
@@ -138,7 +137,7 @@ def test_sections_go_from_edge_to_edge():
         assert_allclose(whole.stress(0, solid, None), (across - 12) * [pull], rtol=1e-9)
         thick = replace(ThicknessField.over(x, 1), numbers=np.array([0.3, -0.2]))
         uneven = whole.stress(0, solid, thick)
-        assert uneven.mean() == pytest.approx(pull, rel=0.01)
+        assert uneven.mean() == approx(pull, rel=0.01)
         assert np.ptp(uneven) > 0.02 * pull
         with refused(f"across {'xy'[axis]} from edge to edge"):
             sections(axis, (np.abs(x - x.mean(axis=0)) > 0.06).any(axis=1))
@@ -173,7 +172,7 @@ def test_families_come_from_a_rose():
         found, start = fibres.fibre_families(solid, within=within)
         assert [round(np.rad2deg(t.angle), 1) for t in found.terms[1:]] == angles
         assert start[4] == 0.07
-    assert fibres.grouped({0.05: 1.0, 3.1: 1.0}, 0.2)[0][0] == pytest.approx(0.0042, abs=1e-3)
+    assert fibres.grouped({0.05: 1.0, 3.1: 1.0}, 0.2)[0][0] == approx(0.0042, abs=1e-3)
     cornered = fibres.with_corners(hgo_dictionary())
     assert_array_equal(cornered.stiffness[7:], cornered.stiffness[4:7])
     assert fibres.with_corners(cornered) == cornered
@@ -213,13 +212,13 @@ def test_least_squares_finds_the_truth_and_says_what_forces_leave():
     b = loads.b[:, loads.interior]
     both = fit.material.on(loads.points)(loads.u) - b, b
     left, size = (norm(force, axis=(1, 2)) for force in both)
-    assert fit.residual == pytest.approx(np.sqrt(np.mean((left / size) ** 2)))
+    assert fit.residual == approx(np.sqrt(np.mean((left / size) ** 2)))
     assert 0 < fit.residual < 0.2
 
 
 def test_a_material_is_read_out_of_loaded_fields():
     solid = fit_fibre_families(loaded(4, 0.4, 6), directions=8)
     (fibre,) = [term for term in solid.dictionary.terms if term.is_fibre]
-    assert fibre.angle == pytest.approx(1.2, abs=1e-3)
-    assert fibre.exponent == pytest.approx(1.5, abs=1e-2)
+    assert fibre.angle == approx(1.2, abs=1e-3)
+    assert fibre.exponent == approx(1.5, abs=1e-2)
     assert_allclose(solid.coefficients, LOADED, rtol=1e-2)

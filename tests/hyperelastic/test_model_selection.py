@@ -1,6 +1,5 @@
 """A sheet's material chosen by frames left out; what fails is passed over; tension with a band."""
 
-import json
 from dataclasses import replace
 from types import SimpleNamespace
 from xml.etree import ElementTree
@@ -11,6 +10,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 import warp_peri as wp
+from tests.support import approx, of_json, parametrize
 from tests.support.sheets import NEAREST, hgo_dictionary, square, waves
 from tests.support.told import refused
 from tools import make_frames
@@ -22,6 +22,7 @@ from warp_peri.hyperelastic import EnergyTerm, Hyperelastic, HyperelasticMateria
 from warp_peri.materials.hyperelastic import model_selection
 from warp_peri.materials.hyperelastic.model_selection import febio_material, in_words, save_febio
 from warp_peri.points.outlines import Circle, box, mesh_outline
+from warp_peri.points.points import grid_places
 
 C1, C2 = 0.35, 0.15
 
@@ -56,7 +57,7 @@ def table(folder, x, fields):
 def command(folder, out, *options):
     """What `fit-sheet` says in its file, or its status where that is not 0."""
     status = main(["fit-sheet", str(folder), "--even", "--out", str(out), *options])
-    return status or json.loads((out / "sheet.json").read_text())
+    return status or of_json(out / "sheet.json")
 
 
 def curves_of(out):
@@ -94,7 +95,7 @@ def test_the_command_passes_over_what_fails(tmp_path, monkeypatch):
     assert (out / "Mooney-Rivlin.json").exists()
     assert "Mooney-Rivlin" in (out / "material.feb").read_text()
     far, near = uniaxial_stress(wp.load(out / "material.json"), [1.4, 1.05])
-    assert far / near == pytest.approx(tension(1.4) / tension(1.05), rel=0.01)
+    assert far / near == approx(tension(1.4) / tension(1.05), rel=0.01)
     _, middle, low, high, *_ = curves_of(out)
     assert ((low <= middle) & (middle <= high)).all()
 
@@ -150,7 +151,7 @@ def test_the_command_finds_families_of_fibres(tmp_path):
     true, out = [Family(np.deg2rad(a), k1, 0.8) for a, k1 in ((20, 1.5), (80, 1.0))], tmp_path / "o"
     mesh = Elements(quadrilaterals(14, 2.6))
     edge = mesh.x @ np.array([[0.30, 0.05], [0.0, 0.25]]) + waves(SimpleNamespace(x=mesh.x), 0.3, 1)
-    x, given = 0.1 * np.argwhere(np.ones((27, 27))), edge.ravel()[mesh.edge]
+    x, given = 0.1 * grid_places((27, 27)), edge.ravel()[mesh.edge]
     how = plane_stress_hgo(1.0, true), mesh.edge, given, x, np.linspace(0.4, 1, 4)
     table(tmp_path, x, stretched(mesh, *how)[0])
     found = command(tmp_path, out, "--fibres", "8")
@@ -160,14 +161,14 @@ def test_the_command_finds_families_of_fibres(tmp_path):
     fibres = sorted((np.rad2deg(t.angle), c / mu) for t, c in terms.items() if t.is_fibre)
     assert len(fibres) == 2
     for (angle, ratio), family in zip(fibres, true):
-        assert angle == pytest.approx(np.rad2deg(family.angle), abs=3)
-        assert ratio == pytest.approx(family.k1, rel=0.1)
+        assert angle == approx(np.rad2deg(family.angle), abs=3)
+        assert ratio == approx(family.k1, rel=0.1)
     assert (out / "material.feb").read_text().count("fiber-exp-pow-uncoupled") == 2
     assert curves_of(out).shape[1] > 10
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("error", [0.0, 0.02])
+@parametrize("error", [0.0, 0.02])
 def test_a_rubber_sheet_with_a_hole_pulls_as_it_should(tmp_path, error):
     """With a force a frame, or one: tension within its band and within 2 %."""
     skfem = finite_elements()
@@ -178,7 +179,7 @@ def test_a_rubber_sheet_with_a_hole_pulls_as_it_should(tmp_path, error):
     ends = np.flatnonzero(np.abs(mesh.x[:, 0]) > width[0] / 2 - 1e-9)
     fixed = np.sort(np.concatenate([2 * ends, 2 * ends + 1]))
     pull = np.where(np.arange(2 * mesh.nodes) % 2, 0.0, mesh.x.repeat(2, axis=0)[:, 0])[fixed]
-    x = 0.1 * np.argwhere(np.ones((51, 37))) - width / 2
+    x = 0.1 * grid_places((51, 37)) - width / 2
     x = x[np.hypot(*x.T) > radius + 0.03]
     how = make_frames.mooney_rivlin, fixed, pull, (1 - 1e-9) * x, np.linspace(0.1, 0.4, 4)
     fields, forces = stretched(mesh, *how)
@@ -222,7 +223,7 @@ def test_febio_has_the_learned_energy_and_words_its_numbers(tmp_path):
     F = np.array([[0.8, 0.0], [0.3, 1.4]])
     op = HGO.on(square(1))
     (learned,) = op.nodal_energy(op.points.x @ (F - np.eye(2)).T)[op.interior]
-    assert of_febio(febio_material(HGO), F) == pytest.approx(float(learned), rel=1e-10)
+    assert of_febio(febio_material(HGO), F) == approx(float(learned), rel=1e-10)
     words = in_words(HGO)
     assert words[0] == "matrix: shear modulus 0.1426, volumetric coefficient 0.078"
     assert words[1].startswith("as the published energy: E = 0.3279, ν = 0.15")

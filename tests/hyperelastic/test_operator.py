@@ -7,16 +7,19 @@ import numpy as np
 import pytest
 import torch
 from numpy.linalg import norm
+from numpy.random import default_rng
 from scipy.ndimage import binary_dilation
 
 import warp_peri as wp
+from tests.support import approx
+from tests.support.problems import fitted_order, on_interior
 from tests.support.sheets import SPACING, everything, hgo_dictionary, sheet_on, square, waves
 from tests.support.told import assert_refused
 from warp_peri.hyperelastic import ThicknessField
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.model_selection import febio_material
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
-from warp_peri.points.points import Points
+from warp_peri.points.points import Points, grid_places
 from warp_peri.testing import assert_near as near
 from warp_peri.testing import check_energy, check_product
 
@@ -24,7 +27,7 @@ from warp_peri.testing import check_energy, check_product
 @pytest.fixture(scope="module", params=["even", "uneven"])
 def problem(request):
     """A sheet of every energy, and rough fields."""
-    points, random = square(2), np.random.default_rng(3)
+    points, random = square(2), default_rng(3)
     thickness = np.exp(0.5 * random.normal(size=len(points.x)))
     u = np.stack([waves(points, 0.3, seed) for seed in (0, 1)])
     u += 0.02 * SPACING * random.normal(size=u.shape)
@@ -37,7 +40,7 @@ def test_force_tangent_and_single_forces_are_those_of_the_energy(problem):
     op, u, v = problem
     check_energy(op, u[0])
     check_product(op, u[0], step=3e-6, tolerance=1e-6)
-    K, inside = op.interior_tangent(u[0]), np.where(op.points.interior[:, None], v[0], 0.0)
+    K, inside = op.interior_tangent(u[0]), on_interior(op.points, v[0])
     near(K @ v[0, op.interior].ravel(), op.jvp(u[0], inside).ravel(), 1e-11)
     assert abs(K - K.T).max() < 1e-11 * abs(K).max()
     near(op.features(u) @ op.model.coefficients, op.force(u), 1e-12)
@@ -74,17 +77,17 @@ def test_a_uniform_strain_is_seen_along_fibres_too_and_has_no_force():
     E = [(C[0, 0] - 1) / 2, (C[1, 1] - 1) / 2, C[0, 1]]
     assert np.abs(op.strain(u)[op.interior] - E).max() <= 1e-12
     stored = float(everything().uniform(torch.tensor(E)).sum())
-    assert op.nodal_energy(u)[op.interior] == pytest.approx(stored, rel=1e-12)
-    assert op.largest_stretch(u) == pytest.approx(norm(F, 2))
+    assert op.nodal_energy(u)[op.interior] == approx(stored, rel=1e-12)
+    assert op.largest_stretch(u) == approx(norm(F, 2))
     one = sheet_on(op.points, Hyperelastic(3.0, terms=(EnergyTerm("fibre_power", -0.2, 2.0),)))
     stretched = np.sum((F @ [np.cos(0.2), -np.sin(0.2)]) ** 2) - 1
-    assert one.nodal_energy(u)[op.interior] == pytest.approx(stretched**2 / 2, rel=1e-12, abs=0)
+    assert one.nodal_energy(u)[op.interior] == approx(stretched**2 / 2, rel=1e-12, abs=0)
 
 
 def test_the_force_converges_with_the_fourth_power_of_the_spacing():
     """To −div P of a smooth field under tension along the fibres."""
     c, spacings = [0.1] * 4 + [0.07, 0.08, 0.2], (0.1, 0.05, 0.025, 0.005)
-    steps, forces = np.argwhere(np.ones((13, 13))) - 6, []
+    steps, forces = grid_places((13, 13)) - 6, []
     for h in spacings:
         points = Points(h * steps, (steps == 0).all(axis=1), h)
         x = points.x
@@ -92,7 +95,7 @@ def test_the_force_converges_with_the_fourth_power_of_the_spacing():
         u += 0.05 * np.sin(2 * x[:, ::-1] + 0.4) + 0.03 * np.cos(1.5 * x + 0.2)
         forces.append(sheet_on(points, c=c).force(u)[0])
     sizes = norm(np.array(forces[:3]) - forces[3], axis=1)
-    assert np.polyfit(np.log(spacings[:3]), np.log(sizes), 1)[0] > 3.5
+    assert fitted_order(spacings[:3], sizes) > 3.5
 
 
 def test_energies_of_bonds_and_corners_are_those_of_their_formulas():
@@ -115,7 +118,7 @@ def test_energies_of_bonds_and_corners_are_those_of_their_formulas():
     for corner, step, expected in (False, (1, -2), bonds), (True, (), cells), (True, (1, -2), two):
         term = EnergyTerm("mooney", corner=corner, step=step)
         found = sheet_on(points, Hyperelastic(3.0, terms=(term,))).energy(u)
-        assert found == pytest.approx(SPACING**2 * expected, rel=1e-12)
+        assert found == approx(SPACING**2 * expected, rel=1e-12)
 
 
 def test_every_coefficient_has_a_label_and_terms_without_one_can_go():

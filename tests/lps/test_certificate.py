@@ -3,12 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 import scipy.sparse as sp
 from numpy.linalg import eigvalsh
 from numpy.random import default_rng
 
-from tests.support import parametrize, reference
+from tests.support import approx, parametrize, reference
 from tests.support.problems import ell, kernel, lattice
 from tests.support.symbols import form, smallest, smallest_margins, symbol
 from tests.support.told import refused
@@ -31,7 +30,7 @@ def test_minimum_and_bound_against_a_fine_grid(name, horizon):
     model = kernel(name, horizon, lam=-0.2)
     found, expected = certify(model, spacing=1.0), smallest(symbol(model, ZONE), ZONE).min()
     assert found.symbol_min <= expected + 1e-12
-    assert found.symbol_min == pytest.approx(expected, abs=1e-3)
+    assert found.symbol_min == approx(expected, abs=1e-3)
     assert found.symbol_bound <= max(expected, 0)
     if expected > 0.05:
         assert found.symbol_bound >= 0.9 * expected
@@ -123,7 +122,7 @@ def test_the_conditions_are_the_printed_ones_and_the_search_finds_the_softest(ki
         tensors = np.tensordot(np.concatenate([v, own * v[i] * v[j]]), bonds.basis, 1)
         margins = ratios(bonds.steps, tensors, k)[0] - level
         expected = printed(v, kappa, model.mu, k)[number]
-        assert margins == pytest.approx(expected, abs=1e-12)
+        assert margins == approx(expected, abs=1e-12)
     margins = smallest_margins(CLASSES, conditions, v, kappa)
     expected = printed(v, kappa, model.mu, ZONE).min(axis=1)[: len(margins)]
     assert (margins <= expected + 1e-5).all()

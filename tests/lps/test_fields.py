@@ -1,11 +1,11 @@
 """λ and μ as one value a node: equilibria, waves, files, and what is refused."""
 
 import numpy as np
-import pytest
 import torch
 
 from tests.gradients.cases import errors
 from tests.lps.test_force import HORIZON, error
+from tests.support import approx
 from tests.support.problems import LAM, MU, kernel, lattice, noise, normal, periodic
 from tests.support.told import assert_refused, refused, warned
 from warp_peri import CG, Cracked, Direct, Dirichlet, Periodic, certify, simulate, solve
@@ -53,14 +53,14 @@ def test_uniform_fields_are_the_model_and_functions_are_averaged_harmonically():
     u, op = noise(points), model.on(points)
     same = model.on(points, mu=np.full(len(points.x), model.mu))
     assert error(same.stress(u), op.stress(u)) < 1e-14
-    assert same.max_symbol_eigenvalue() == pytest.approx(largest(model.stencil(1.0), model.group))
-    assert same.energy(u) == pytest.approx(op.energy(u))
+    assert same.max_symbol_eigenvalue() == approx(largest(model.stencil(1.0), model.group))
+    assert same.energy(u) == approx(op.energy(u))
     op = model.on(points, mu=lambda x: np.where(x[:, 0] < 0, 1.0, 3.0), lam=1.0)
     row = points.x[:, 1] == 0
     at, mu = points.x[row, 0], op.model.mu[row]
-    assert mu[at < -HORIZON / 2] == pytest.approx(1.0)
-    assert mu[at > HORIZON / 2] == pytest.approx(3.0)
-    assert mu[at == 0] == pytest.approx(1.5, rel=0.1)
+    assert mu[at < -HORIZON / 2] == approx(1.0)
+    assert mu[at > HORIZON / 2] == approx(3.0)
+    assert mu[at == 0] == approx(1.5, rel=0.1)
 
 
 def test_a_wave_through_a_stiff_part_keeps_its_energy():

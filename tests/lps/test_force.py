@@ -9,7 +9,7 @@ import warp as wp
 from numpy.random import default_rng
 
 from tests.gradients.cases import errors
-from tests.support import clouds, parametrize, problems, reference
+from tests.support import approx, clouds, filterwarnings, parametrize, problems, reference
 from tests.support.clouds import cloud, periodic_cloud
 from tests.support.problems import KERNELS, LAM, MU, ROUNDING, ell, kernel, lattice, noise, periodic
 from tests.support.symbols import symbol
@@ -24,7 +24,7 @@ from warp_peri.methods import LPSParameters
 from warp_peri.points.families import bond_classes
 from warp_peri.testing import assert_near as near
 
-pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")
+pytestmark = filterwarnings("ignore:spacing. the model is certified")
 HORIZON = 3.0
 STEPS = {"u": 10.0, "lam": 10.0, "mu": 10.0, "alpha": 0.1, "D": 0.02}
 """Of differences, in hundredths of the size of what is moved."""
@@ -228,9 +228,9 @@ def test_plane_waves_have_the_symbol_of_the_stencil_and_long_ones_feel_the_modul
 
 def test_moduli_are_those_of_the_continuum_on_every_lattice():
     C = moduli(kernel("1/r", 5.0), bond_classes(1.0, 5.0))
-    assert C == pytest.approx({"C11": LAM + 2 * MU, "C12": LAM, "C44": MU}, rel=1e-9)
+    assert C == approx({"C11": LAM + 2 * MU, "C12": LAM, "C44": MU}, rel=1e-9)
     C = moduli(clouds.solid(2.5), bond_classes(1.0, 2.5, dimension=3))
-    assert C == pytest.approx({"C11": 1.9, "C12": 0.3, "C44": 0.8}, rel=1e-12)
+    assert C == approx({"C11": 1.9, "C12": 0.3, "C44": 0.8}, rel=1e-12)
 
 
 def test_other_weights_stay_those_of_a_solve_with_other_numbers():

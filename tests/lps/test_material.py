@@ -3,11 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 import scipy.linalg
 from numpy.testing import assert_allclose
 
-from tests.support import clouds, parametrize
+from tests.support import approx, clouds, parametrize
 from tests.support.clouds import cloud, periodic_cloud, plain
 from tests.support.problems import ROUNDING, fitted_order, kernel, lattice, noise, normal, periodic
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, solid
@@ -24,11 +23,11 @@ from warp_peri.testing import assert_near as near
 
 def test_continuum_constants_are_those_of_plane_stress_and_of_space():
     model, deep = LPSMaterial(0.4, 0.8, 1.0, [1.0], 3.0), clouds.solid(2.5)
-    assert model.E / (2 * (1 + model.nu)) == pytest.approx(0.8)  # μ
-    assert model.E * model.nu / (1 - model.nu**2) == pytest.approx(0.4)  # λ in the plane
+    assert model.E / (2 * (1 + model.nu)) == approx(0.8)  # μ
+    assert model.E * model.nu / (1 - model.nu**2) == approx(0.4)  # λ in the plane
     bulk = deep.lam + 2 * deep.mu / 3
-    assert deep.E == pytest.approx(9 * bulk * deep.mu / (3 * bulk + deep.mu))
-    assert deep.nu == pytest.approx(deep.E / (2 * deep.mu) - 1)
+    assert deep.E == approx(9 * bulk * deep.mu / (3 * bulk + deep.mu))
+    assert deep.nu == approx(deep.E / (2 * deep.mu) - 1)
 
 
 def test_a_spacing_is_the_certified_one_to_a_millionth():
@@ -62,7 +61,7 @@ def test_the_polynomial_is_the_function_at_every_bond_and_near_it_between(shape)
     model, r = solid(shape, 1.0), np.linspace(LENGTHS[0] / 2, HORIZON, 1001)
     departure = np.abs(model.influence(r) - shape(r)).max() / np.abs(shape(LENGTHS)).max()
     if shape is SHAPES["table"]:  # of a function with kinks it is said
-        assert model.provenance["influence"]["departure"] == pytest.approx(departure, rel=0.2)
+        assert model.provenance["influence"]["departure"] == approx(departure, rel=0.2)
     assert (departure > 1e-4) == (shape is SHAPES["table"])
 
 

@@ -1,9 +1,8 @@
 """Cut bodies: corrected dilatation, affine fields, and the traction-free problem of the paper."""
 
 import numpy as np
-import pytest
 
-from tests.support import clouds
+from tests.support import approx, clouds, filterwarnings, parametrize
 from tests.support.clouds import cloud, plain
 from tests.support.problems import cut, ell, fitted_order, kernel, lattice, noise, normal
 from tests.support.solving import solve
@@ -12,7 +11,7 @@ from warp_peri import LPSMaterial, certify
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.families import families_of
 
-pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")
+pytestmark = filterwarnings("ignore:spacing. the model is certified")
 HORIZON = 3.0
 
 
@@ -28,7 +27,7 @@ BODIES = {
     "cloud": (body(cloud(6, HORIZON)), kernel("sign-changing", HORIZON)),
     "space": (body(clouds.cube(3, 2.0)), clouds.solid(2.0, alpha=1.2, D=[1.0, -0.3, 0.6])),
 }
-every_body = pytest.mark.parametrize(("points", "model"), BODIES.values(), ids=BODIES)
+every_body = parametrize(("points", "model"), BODIES.values(), ids=BODIES)
 
 
 @every_body
@@ -39,11 +38,11 @@ def test_dilatation_of_an_affine_field_is_exact_and_matrices_are_the_operator(po
     u[points.outside] = 1e3  # nobody looks
     cut = families_of(points, model.horizon).cut
     assert len(cut) > 5
-    assert (parts.phi @ u.ravel())[cut] == pytest.approx(np.trace(G), abs=1e-11)
+    assert (parts.phi @ u.ravel())[cut] == approx(np.trace(G), abs=1e-11)
     u = noise(points)
     expected = model.on(points, allow_uncertified=True)(u)
     L = parts.operator(model.lam, model.mu)
-    assert (L @ u.ravel()).reshape(-1, d) == pytest.approx(expected, abs=1e-9)
+    assert (L @ u.ravel()).reshape(-1, d) == approx(expected, abs=1e-9)
 
 
 def traction_free(lam, mu, n):

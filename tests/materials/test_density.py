@@ -3,15 +3,17 @@
 from functools import partial
 
 import numpy as np
-import pytest
 import torch
+from numpy.random import default_rng
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import warp_peri as wp
+from tests.support import approx, parametrize
 from tests.support.materials import saint_venant
 from tests.support.problems import loaded
 from tests.support.told import assert_refused
+from warp_peri.points.points import grid_places
 
 LAM, MU = 0.4, 0.9
 
@@ -24,7 +26,7 @@ def blatz_ko(E, mu):
 
 
 def box(n, d, h, collar=2):
-    x = np.argwhere(np.ones((n,) * d)) - n // 2
+    x = grid_places((n,) * d) - n // 2
     return wp.Points(h * x, np.abs(x).max(axis=1) <= n // 2 - collar, h)
 
 
@@ -53,7 +55,7 @@ def stretched(points, stress, load=0.02):
     return u, b
 
 
-@pytest.mark.parametrize("name", SOLIDS)
+@parametrize("name", SOLIDS)
 def test_a_stretched_block_is_solved_to_second_order(name):
     energy, parameters, d, stress = SOLIDS[name]
     errors = []
@@ -65,24 +67,24 @@ def test_a_stretched_block_is_solved_to_second_order(name):
         inner = np.abs(points.x).max(axis=1) <= 2
         errors.append(np.abs(answer.u - u)[inner].max() / np.abs(u).max())
         middle = np.abs(points.x[points.interior]).max(axis=1) < 1e-9
-        assert answer.stress()[middle][0][0, 0] == pytest.approx(0.1, rel=2e-3)
+        assert answer.stress()[middle][0][0, 0] == approx(0.1, rel=2e-3)
     assert errors[1] < errors[0] / 2 < 1e-5
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("name", "loss"), [*((name, "forces") for name in SOLIDS), ("Blatz-Ko", "displacement")]
 )
 def test_parameters_are_found_again(name, loss):
     energy, parameters, d, _ = SOLIDS[name]
     points = box(9 if d == 2 else 7, d, 0.5)
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     true = wp.DensityMaterial.of(energy, 0.5, parameters, dimension=d)
     u = 0.02 * rng.normal(size=(2, *points.x.shape)) + 0.05 * points.x
     samples = loaded(true.on(points), u)
     start = {key: 1.3 * value for key, value in parameters.items()}
     found = wp.fit(samples, wp.Density(energy, 0.5, start, loss)).material
     for key, value in parameters.items():
-        assert found.parameters[key] == pytest.approx(value, rel=1e-5)
+        assert found.parameters[key] == approx(value, rel=1e-5)
     assert wp.evaluate(found, samples)["E_u"] < 1e-4
 
 

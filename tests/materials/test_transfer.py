@@ -9,9 +9,9 @@ import torch
 from numpy.linalg import norm
 
 import warp_peri as wp
-from tests.support import shared
+from tests.support import approx, parametrize, shared
 from tests.support.clouds import cloud
-from tests.support.problems import kernel, lattice, manufactured, noise
+from tests.support.problems import everywhere, kernel, lattice, manufactured, noise, rotation
 from tests.support.solving import solve
 from tests.support.told import assert_refused, refused, warned
 from warp_peri import Points, Samples, evaluate
@@ -22,7 +22,7 @@ from warp_peri.materials.lps_law import product_basis, products
 from warp_peri.materials.transfer import TOLERANCE, wave_loss, wave_vectors
 from warp_peri.methods import Smoothing
 from warp_peri.points.families import bond_classes, carried_horizon, families_of
-from warp_peri.points.points import largest_wave_number
+from warp_peri.points.points import grid_places, largest_wave_number
 from warp_peri.solvers.solution import Direct
 from warp_peri.transfers import mean_spacing, on_lattice, onto_lattice
 
@@ -42,16 +42,16 @@ def test_the_loss_is_the_mean_square_of_the_error_in_displacement():
     loss = wave_loss(target, k, 0.6, product_basis(classes), weight)
     value = norm(loss.R @ products(model, classes) - loss.y) ** 2
     wrong = np.linalg.solve(target, dispersion(model, 0.6, k)) - np.eye(2)
-    assert value == pytest.approx(weight @ (wrong**2).sum(axis=(1, 2)) / 2, rel=1e-10)
+    assert value == approx(weight @ (wrong**2).sum(axis=(1, 2)) / 2, rel=1e-10)
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.3])
+@parametrize("angle", [0.0, 0.3])
 def test_claims_hold_of_the_operator_on_points(finer, angle):
     """Loads that the material at home answers with a wave, along the axes and off them."""
     record = finer.provenance["transfer"]
     points = lattice(1, finer.horizon, spacing=0.6, angle=angle)
     operator = finer.on(points)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    turn = rotation(angle)
     for wavelength, claimed in list(zip(record["wavelength"], record["error"]))[::8]:
         k = 2 * np.pi / wavelength * np.array([np.cos(np.pi / 8), np.sin(np.pi / 8)])
         D = turn @ dispersion(HOME, 1.0, k[None])[0] @ turn.T
@@ -59,7 +59,7 @@ def test_claims_hold_of_the_operator_on_points(finer, angle):
         there = np.array([operator(wave[:, None] * e)[0] for e in np.eye(2)]).T
         wrong = np.linalg.solve(there, D) - np.eye(2)
         assert norm(wrong, ord=2) <= claimed * (1 + 1e-9)
-        assert there == pytest.approx(turn @ dispersion(finer, 0.6, k[None])[0] @ turn.T, rel=1e-9)
+        assert there == approx(turn @ dispersion(finer, 0.6, k[None])[0] @ turn.T, rel=1e-9)
 
 
 def test_what_a_record_holds(finer):
@@ -90,7 +90,7 @@ def test_the_shortest_waves_of_loads():
     k = np.array([[0.9, 0.0], [0.5, 1.1]])
     b = np.cos(points.x @ k.T).T[:, :, None] * (1.0, 0.5)
     samples = Samples(points, b, b)
-    assert largest_wave_number(samples) == pytest.approx(np.hypot(0.5, 1.1), rel=0.05)
+    assert largest_wave_number(samples) == approx(np.hypot(0.5, 1.1), rel=0.05)
     assert largest_wave_number(replace(samples, arrays={"wave_vector": k})) == np.hypot(0.5, 1.1)
     assert largest_wave_number(replace(samples, b=0 * b)) is None
     assert largest_wave_number(replace(samples, points=replace(points, spacing=0.0))) is None
@@ -142,7 +142,7 @@ def test_everything_takes_points_of_another_spacing(points):
     assert step == critical_time_step(there, spacing=0.8, density=1000.0)
     tensors = [torch.from_numpy(field) for field in (points.b, points.u)]
     same = there.on(points).solve(*tensors, Direct())
-    assert same.u.numpy() == pytest.approx(u)
+    assert same.u.numpy() == approx(u)
 
 
 def test_refusing_is_an_option(points):
@@ -160,13 +160,13 @@ def test_the_horizon_that_the_collar_carries():
             families_of(points, carried + 0.8)
     few = lattice(6, 0.8 * np.sqrt(5), spacing=0.8)
     with warned("transferred"):
-        assert HOME.on(few).model.horizon == pytest.approx(0.8 * np.sqrt(5))
+        assert HOME.on(few).model.horizon == approx(0.8 * np.sqrt(5))
 
 
-@pytest.mark.parametrize("spacing", [1.0, 0.8])
+@parametrize("spacing", [1.0, 0.8])
 def test_nodes_around_a_free_edge_are_told_of_it(spacing):
     """At home and on a lattice that the model is carried to."""
-    x = spacing * np.argwhere(np.ones((24, 24)))
+    x = spacing * grid_places((24, 24))
     x = x[norm(x - x.mean(axis=0), axis=1) > 4 * spacing]
     inside = (np.abs(x - x.mean(axis=0)) < 5.5 * spacing).all(axis=1)
     holed = Points(x=x, interior=inside, spacing=spacing)
@@ -194,19 +194,19 @@ def test_quadratic_fields_are_carried_as_they_are_by_quintic_splines():
     points, powers = CLOUD, np.array([(0, 0), (1, 0), (1, 1), (0, 2)])
     fields = lambda x: np.stack([(x**p).prod(1)[:, None] * (1.0, -0.5) for p in powers])
     carried = onto_lattice(Samples(points, fields(points.x)), spacing=0.9)
-    assert carried.u == pytest.approx(fields(carried.x), abs=1e-8)
+    assert carried.u == approx(fields(carried.x), abs=1e-8)
 
 
 def test_fields_carried_to_a_lattice():
     points = CLOUD
-    assert mean_spacing(points) == pytest.approx(1.0, rel=0.05)
+    assert mean_spacing(points) == approx(1.0, rel=0.05)
     wave = lambda x: np.sin(x @ (0.5, 0.4))[None, :, None] * (1.0, 0.3)
     carried = onto_lattice(Samples(points, wave(points.x), 2 * wave(points.x)), spacing=1.0)
     inside = carried.interior
     assert (carried.spacing, inside.sum() >= points.interior.sum()) == (1.0, True)
     assert np.array_equal(carried.x, np.rint(carried.x))
-    assert carried.u[:, inside] == pytest.approx(wave(carried.x)[:, inside], abs=1e-3)
-    assert carried.b == pytest.approx(2 * carried.u)
+    assert carried.u[:, inside] == approx(wave(carried.x)[:, inside], abs=1e-3)
+    assert carried.b == approx(2 * carried.u)
     assert onto_lattice(Samples(points, wave(points.x)), spacing=1.0).b is None
     left = {"seen": points.x[None, :, 0] < 0, "load_id": np.array(["a"])}
     carried = onto_lattice(Samples(points, wave(points.x)[:1], arrays=left), spacing=1.0)
@@ -225,6 +225,6 @@ def test_fields_carried_to_a_lattice():
 def test_what_cannot_be_interpolated():
     few, line = CLOUD.x[:30], np.stack([np.arange(99.0), np.zeros(99)], axis=1)
     for x, words in ((few, "at least 80 nodes to inter.*, got 30"), (line, "on a line or a conic")):
-        points = Points(x, np.ones(len(x), bool), 0.0)
+        points = everywhere(x, 0.0)
         with refused(words):
             onto_lattice(Samples(points, np.zeros((1, *x.shape))), spacing=1.0)

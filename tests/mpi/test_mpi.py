@@ -13,7 +13,7 @@ import pytest
 
 import warp_peri as wp
 from tests.mpi.job import SWING, TOLERANCE, corrected, crack, swings, uneven, whole
-from tests.support import ROOT, in_plane_and_space, shared
+from tests.support import ROOT, approx, in_plane_and_space, parametrize, shared
 from warp_peri.testing import assert_near as near
 
 pytest.importorskip("mpi4py", reason="mpi4py is not installed: pip install 'warp_peri[mpi]'")
@@ -72,7 +72,7 @@ def test_sums_do_not_depend_on_who_has_what(jobs):
              for column in values.T]  # fmt: skip
     first, *others = (job["sums"] for job in jobs.values())
     assert others == [first] * len(others)
-    assert first == pytest.approx(exact, rel=1e-15, abs=0)
+    assert first == approx(exact, rel=1e-15, abs=0)
     assert (values.sum(axis=0) != values[::-1].sum(axis=0)).any()  # floats alone would
 
 
@@ -104,7 +104,7 @@ def test_waves_go_on_with_another_number_of_ranks_with_the_same_bits(d, jobs, fo
         assert jobs[count][f"{d}-D"]["waves"] == one
         for name in (f"waves_{d}.h5", f"waves_{d}/motion.pvd"):
             assert (folder / str(count) / name).read_bytes() == (folder / "1" / name).read_bytes()
-    assert one["energy"] == pytest.approx(alone.energy, rel=1e-12, abs=0)
+    assert one["energy"] == approx(alone.energy, rel=1e-12, abs=0)
 
 
 def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
@@ -170,7 +170,7 @@ def test_an_error_on_one_rank_ends_all_with_one_line(jobs):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("later", [1, 3])
+@parametrize("later", [1, 3])
 def test_a_killed_rank_loses_nothing_but_the_steps_since_its_checkpoint(later, tmp_path):
     truth = finished(start(2, tmp_path / "truth"))["crack"]
     job = start(2, tmp_path, pause=1)

@@ -9,10 +9,12 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
+from numpy.linalg import norm
+from numpy.random import default_rng
 
 import warp_peri as wp
 from tests.gradients.cases import errors
-from tests.support import ROOT
+from tests.support import ROOT, approx, of_json, parametrize
 from tests.support.problems import ell, lattice, loaded, noise, normal, rotation
 from tests.support.told import assert_refused, each_refused, refused
 from warp_peri.core.record import content_hash
@@ -21,7 +23,7 @@ from warp_peri.neural import training
 from warp_peri.neural.material import NeuralOperator
 from warp_peri.neural.placed import EquilibriumSolver, evaluate, interpolated_force
 from warp_peri.neural.training import TrainingSettings, train
-from warp_peri.points.points import Points, Samples
+from warp_peri.points.points import Points, Samples, grid_places
 from warp_peri.testing import assert_near as near
 from warp_peri.testing import check_product
 
@@ -49,16 +51,16 @@ def slow_force(material, points, u):
         return layers(torch.from_numpy(inputs)).detach().numpy()[..., 0]
 
     x, delta, strain = points.x, material.horizon, material.strain
-    distance = np.linalg.norm(x[:, None] - x, axis=2)
+    distance = norm(x[:, None] - x, axis=2)
     family = [np.flatnonzero((row > 0) & (row <= delta * (1 + 1e-6))) for row in distance]
 
     def bonds(i):
         xi = x[family[i]] - x[i]
-        r = np.linalg.norm(xi, axis=1)
+        r = norm(xi, axis=1)
         along = xi @ rotation(np.radians(points.axis))  # directions are those of the material
         omega = net(material.influence, (along if material.anisotropic else r[:, None]) / delta)
         Y = xi + u[family[i]] - u[i]
-        length = np.linalg.norm(Y, axis=1)
+        length = norm(Y, axis=1)
         return r, omega, length - r, Y / length[:, None]
 
     def states(i):
@@ -77,7 +79,7 @@ def slow_force(material, points, u):
     return np.array(out)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@parametrize("form", FORMS)
 def test_force_is_the_printed_one(form):
     material = small(form)
     for angle in (0.0, 0.4):
@@ -104,7 +106,7 @@ def test_a_finer_lattice_has_the_same_response():
         x = points.x - points.x[points.interior]
         u = 0.02 * np.stack([np.sin(x[:, 0] + 0.3), np.cos(0.7 * x[:, 1] + 0.2)], axis=1)
         forces.append(material.on(points)(u)[0])
-    assert np.linalg.norm(forces[0] - forces[1]) < 0.05 * np.linalg.norm(forces[1])
+    assert norm(forces[0] - forces[1]) < 0.05 * norm(forces[1])
 
 
 def test_gradients_to_the_networks_with_and_without_interpolation():
@@ -140,7 +142,7 @@ def test_interpolation_approaches_the_networks():
 def test_files_that_are_not_believed(tmp_path, monkeypatch):
     path = tmp_path / "m.json"
     small().save(path)
-    content = json.loads(path.read_text())
+    content = of_json(path)
     weights, first = content["weights"], "state.0.weight"
     nan = base64.b64encode(np.full(small().state[0].weight.shape, np.nan).tobytes()).decode()
     for words, change in {
@@ -176,13 +178,13 @@ def test_shipped_networks_are_read_and_written_alike(tmp_path):
         kept = lzma.decompress(path.read_bytes())
         (tmp_path / "kept.json").write_bytes(kept)
         wp.load(tmp_path / "kept.json").half().save(tmp_path / "m.json")
-        assert json.loads((tmp_path / "m.json").read_text()) == json.loads(kept)
+        assert of_json(tmp_path / "m.json") == json.loads(kept)
 
 
 def test_numbers_points_and_fields_that_are_refused():
     points = lattice(3, HORIZON)
     placed, u = small().on(points), random_field(points)
-    cube = Points(np.argwhere(np.ones((3, 3, 3))).astype(float), np.ones(27, bool), 1.0)
+    cube = Points(grid_places((3, 3, 3)).astype(float), np.ones(27, bool), 1.0)
     assert_refused({
         "influence": lambda: NeuralOperator(HORIZON, (3,)),
         "state": lambda: NeuralOperator(HORIZON, state=(3, 0)),
@@ -206,17 +208,17 @@ def test_rounding_of_single_precision_is_an_equilibrium():
 
 def test_a_sheet_without_a_collar_is_not_solved_for():
     """Its displacement is known up to a motion; its residual is told alone."""
-    points = Points(np.argwhere(np.ones((7, 7))).astype(float), np.ones(49, bool), 1.0, box=(7, 7))
+    points = Points(grid_places((7, 7)).astype(float), np.ones(49, bool), 1.0, box=(7, 7))
     material, u = small(), 0.03 * np.sin(2 * np.pi * points.x / 7)[None]
     errors = evaluate(material, Samples(points, u, 1.1 * material.on(points)(u)))
-    assert errors["E_res"] == pytest.approx(1 / 11)
+    assert errors["E_res"] == approx(1 / 11)
     assert "E_u" not in errors
     with refused("expected a collar"):
         material.on(points).solve(0 * u, u)
 
 
 def waves(points, seed, count):
-    random = np.random.default_rng(seed)
+    random = default_rng(seed)
     k, phase = random.uniform(-1, 1, (count, 2, 2)), random.uniform(0, 6, (count, 2))
     return 0.03 * np.sin(points.x @ k.transpose(0, 2, 1) + phase[:, None])
 
@@ -261,7 +263,7 @@ def test_displacements_are_learned():
     assert evaluate(material, frames(5))["E_u"] < 0.6 * before
 
 
-@pytest.mark.parametrize("seen", [loads, frames])
+@parametrize("seen", [loads, frames])
 def test_an_interrupted_training_goes_on_from_its_last_epoch(tmp_path, monkeypatch, seen):
     samples, val, settings = seen(0), seen(1), TrainingSettings(epochs=9, batch=2)
     whole, part, fresh = (student(proportional=seen is frames) for _ in range(3))

@@ -9,6 +9,7 @@ import pytest
 from numpy.linalg import norm
 from numpy.testing import assert_allclose, assert_array_equal
 
+from tests.support import approx
 from tests.support.problems import lattice, noise
 from tests.support.told import assert_refused, each_refused, refused, warned
 from warp_peri import Dataset, Points, Samples, evaluate, load, save
@@ -165,12 +166,12 @@ def test_files_carry_their_units_and_an_argument_converts(tmp_path):
         found = load(path, units=usual)
         samples = found["a"]
         assert (found.units, found.density) == (usual, 2267.0)
-        assert found.thickness == pytest.approx(3.35 * length)
+        assert found.thickness == approx(3.35 * length)
         for field, factor in (("x", length), ("u", length), ("b", stress / length)):
-            assert getattr(samples, field) == pytest.approx(getattr(LOADS, field) * factor)
-        assert samples.spacing == pytest.approx(2.5 * length)
-        assert samples.arrays["wave_vector"] == pytest.approx(1 / length)
-    assert factors("si", "metal") == pytest.approx((1e10, 1e-5))
+            assert getattr(samples, field) == approx(getattr(LOADS, field) * factor)
+        assert samples.spacing == approx(2.5 * length)
+        assert samples.arrays["wave_vector"] == approx(1 / length)
+    assert factors("si", "metal") == approx((1e10, 1e-5))
     assert_refused({
         "length_unit: .* one of angstrom, nm, .* 'mile'": lambda: load(path, units=("mile", "TPa")),
         "or ase, metal, si, reduced, got 'cgs'": lambda: load(path, units="cgs"),

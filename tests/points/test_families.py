@@ -5,15 +5,23 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-import pytest
 from numpy.linalg import eigvalsh, norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from tests.support import parametrize, problems, reference
+from tests.support import approx, filterwarnings, parametrize, problems, reference
 from tests.support.clouds import cloud, cube, periodic_cloud, plain
-from tests.support.problems import ell, kernel, lattice, manufactured, normal, periodic, rotation
+from tests.support.problems import (
+    ell,
+    everywhere,
+    kernel,
+    lattice,
+    manufactured,
+    normal,
+    periodic,
+    rotation,
+)
 from tests.support.solving import solve
 from tests.support.told import each_refused, refused, warned
 from warp_peri import LPS, Bernstein, Points, fit
@@ -25,7 +33,7 @@ from warp_peri.points.families import (
     neighbours,
     quadrature_weights,
 )
-from warp_peri.points.points import axis_of, lattice_steps
+from warp_peri.points.points import axis_of, grid_places, lattice_steps
 from warp_peri.testing import assert_near as near
 
 
@@ -95,7 +103,7 @@ def test_a_turned_cube_has_the_families_of_the_straight_one():
     axes = lattice_steps(turned).axes
     assert_allclose(np.abs(axes.T @ turn).max(axis=0), 1)
     here, there = families_of(points, 2.0), families_of(turned, 2.0)
-    assert here.weight == pytest.approx(there.weight, rel=1e-14)
+    assert here.weight == approx(there.weight, rel=1e-14)
     i = there.rows[0]
     ends = there.neighbour[there.row[i] : there.row[i + 1]]
     assert_allclose(turned.x[ends] - turned.x[i], there.pattern, atol=1e-12)
@@ -134,14 +142,14 @@ def test_each_scattered_family_has_its_own_weights():
         assert_allclose(found.weight[bonds], expected, atol=1e-9)
 
 
-@pytest.mark.filterwarnings("ignore:spacing. the model is certified")
+@filterwarnings("ignore:spacing. the model is certified")
 def test_solvability_is_told_by_eigenvalues_and_singular_values():
     points, model = cloud(8, 3.0), plain(3.0)
     figures, unknown = check_solvability(model, points), np.repeat(points.interior, 2)
     operator, fields = model.on(points, allow_uncertified=True), np.eye(2 * len(points.x))[unknown]
     A = operator(fields.reshape(-1, *points.x.shape)).reshape(len(fields), -1).T
-    assert figures.symmetric_min == pytest.approx(eigvalsh((A + A.T) / 2)[0])
-    assert figures.singular_min == pytest.approx(np.linalg.svd(A)[1][-1])
+    assert figures.symmetric_min == approx(eigvalsh((A + A.T) / 2)[0])
+    assert figures.singular_min == approx(np.linalg.svd(A)[1][-1])
 
 
 def test_points_and_horizons_that_fit_no_families_are_refused():
@@ -166,11 +174,11 @@ def test_points_and_horizons_that_fit_no_families_are_refused():
 
 def test_nodes_that_stand_twice_are_refused_where_points_are_made():
     for spacing, dimension, scale in product((0.0, 1.0), (2, 3), (1e-9, 1.0, 1e9)):
-        x = np.argwhere(np.ones((5,) * dimension)).astype(float)
-        Points(scale * x, np.ones(len(x), bool), scale * spacing)  # near is not twice
+        x = grid_places((5,) * dimension).astype(float)
+        everywhere(scale * x, scale * spacing)  # near is not twice
         more = scale * np.concatenate([x, x[[7, 3]] + 1e-12])
         with refused(f"points: 2 duplicates: 3 and {len(x) + 1}, 7 and"):
-            Points(more, np.ones(len(more), bool), scale * spacing)
+            everywhere(more, scale * spacing)
 
 
 def test_the_strain_of_known_fields():
@@ -186,13 +194,13 @@ def test_the_strain_of_known_fields():
         (cut, np.where(far[:, None], 1e3, u), 0.05),
         (Points(np.zeros((1, 2)), np.ones(1, bool), 1.0), np.ones((1, 2)), 0.0),
     ):  # fmt: skip
-        assert largest_strain(some, field) == pytest.approx(strain)
+        assert largest_strain(some, field) == approx(strain)
 
 
 def test_a_solution_strained_beyond_the_training_data_warns():
     points = manufactured(kernel("1/r", 2.5), lattice(4, 2.5), 2)
     model = fit(points, LPS(2.5, Bernstein(0))).material
-    assert model.trained_strain == pytest.approx(largest_strain(points, points.u))
+    assert model.trained_strain == approx(largest_strain(points, points.u))
     solve(model, points, points.b, points.u)
     with warned("strain: the solution reaches .* %, the training data"):
         solve(model, points, 3 * points.b, 3 * points.u)
@@ -203,11 +211,11 @@ def test_a_direction_that_is_not_stated_is_x_and_said_once_for_the_same_position
     with warned("axis: the model depends on direction"):
         assert axis_of(points) == 0.0
     assert axis_of(points) == 0.0  # no second warning
-    assert axis_of(replace(points, axis=30.0)) == pytest.approx(np.pi / 6)
+    assert axis_of(replace(points, axis=30.0)) == approx(np.pi / 6)
 
 
 def lattice_family(horizon, d=2):
-    steps = np.argwhere(np.ones(d * (13,))) - 6
+    steps = grid_places(d * (13,)) - 6
     r = norm(steps, axis=1)
     return steps[(r > 0) & (r <= horizon)].astype(float)
 

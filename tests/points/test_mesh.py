@@ -5,11 +5,11 @@ import itertools
 
 import meshio
 import numpy as np
-import pytest
+from numpy.linalg import norm
 from numpy.testing import assert_allclose, assert_array_equal
 
 import warp_peri as wp
-from tests.support import in_plane_and_space, parametrize
+from tests.support import approx, filterwarnings, in_plane_and_space, parametrize
 from tests.support.problems import kernel
 from tests.support.told import assert_refused, each_refused, refused, warned
 from warp_peri.errors import InputError
@@ -63,14 +63,14 @@ def test_an_outline_has_its_parts_curves_holes_and_distances():
     assert_allclose(mesh.hole_sizes, [10], rtol=1e-2)
     ends = mesh.faces[mesh.parts["hole"]]
     for x in (mesh.x[ends[:, 0]], mesh.middle[mesh.parts["hole"]]):
-        assert_allclose(np.linalg.norm(x - (3, 1), axis=1), 5, rtol=1e-6)
-    assert size(mesh) == pytest.approx(40 * 30 - np.pi * 25, rel=1e-2)
+        assert_allclose(norm(x - (3, 1), axis=1), 5, rtol=1e-6)
+    assert size(mesh) == approx(40 * 30 - np.pi * 25, rel=1e-2)
     inside = np.array([[0.0, 14.0], [9.0, 1.0]])
     assert_allclose(mesh.distance(inside, 0.01), [1, 1], atol=1e-3)
     assert (mesh.holding(np.array([[3.0, 1], [21, 0]])) == -1).all()
     corners = ((0, 0), (10, 0), (10, 4), (4, 4), (4, 10), (0, 10))
     for given in (corners[::-1], np.array(corners[::-1]).view(np.matrix)):
-        assert size(mesh_outline(Polygon(given), size=2)) == pytest.approx(64)
+        assert size(mesh_outline(Polygon(given), size=2)) == approx(64)
     hole = Polygon(((0, 0), (3, 0), (0, 3)), ("cut",))
     assert set(mesh_outline(Circle(10, name="edge"), [hole], size=1).parts) == {"edge", "cut"}
     assert_refused({
@@ -97,7 +97,7 @@ def test_corners_at_one_place_are_one_and_a_word_says_so(sides, scale):
     d, (x, blocks) = len(sides), grid(*sides, size=scale)
     whole = body(x, blocks)
     turn = np.linalg.det(whole.x[whole.faces])  # of the outline, whose body is on its left
-    assert turn.sum() == pytest.approx(d * (d - 1) * np.prod(sides) * scale**d)
+    assert turn.sum() == approx(d * (d - 1) * np.prod(sides) * scale**d)
     apart = x[blocks].reshape(-1, d)
     with warned(f"{len(apart) - len(x)} of {len(apart)} corners lie"):
         welded = body(apart, np.arange(len(apart)).reshape(blocks.shape))
@@ -105,7 +105,7 @@ def test_corners_at_one_place_are_one_and_a_word_says_so(sides, scale):
     assert set(pieces(welded.cells)) == {0}
 
 
-@pytest.mark.filterwarnings("ignore:mesh. .* lie where others do")
+@filterwarnings("ignore:mesh. .* lie where others do")
 @in_plane_and_space
 def test_cells_that_overlap_or_share_parts_of_facets_are_refused(d):
     for ratio, count, shift, words in (
@@ -178,11 +178,11 @@ def test_quadrilaterals_are_cut_where_they_are_turned_in(tmp_path):
 
     for turn, sense in ((0, 1), (1, -1)):
         quad, triangle = (np.roll(ends, turn)[::sense] for ends in ([0, 1, 2, 3], [1, 4, 2, 2]))
-        assert size(read(kite, quad)) == pytest.approx(160)
+        assert size(read(kite, quad)) == approx(160)
         with refused("lie on one side of their edge|goes on beyond"):
             read(corners, quad[[0, 2, 1, 3]])
         house = read(corners, [0, 1, 2, 3], triangle)
-        assert (size(house), len(house.cells)) == (pytest.approx(150), 3)
+        assert (size(house), len(house.cells)) == (approx(150), 3)
 
 
 def test_no_kind_of_cell_is_dropped(tmp_path):
@@ -252,7 +252,7 @@ def test_numbers_of_converted_files_are_parts(tmp_path):
     meshio.Mesh(CUBE, cells, cell_data=groups).write(tmp_path / "b.vtu")
     cube = load_mesh(tmp_path / "b.vtu")
     assert counts(cube) == {"3": 1, "4": 1, REST: 10}
-    assert size(cube) == pytest.approx(1)
+    assert size(cube) == approx(1)
 
 
 NODES = "*NODE\n" + "".join(
@@ -281,7 +281,7 @@ def test_sets_of_nodes_and_of_lines_of_abaqus_are_parts(tmp_path):
     )
     with warned("corner: no side of the outline is between its nodes"):
         mesh = abaqus(tmp_path, text)
-    assert size(mesh) == pytest.approx(12)
+    assert size(mesh) == approx(12)
     found = counts(mesh) | {REST: 0}
     assert found == {"low": 2, "right": 1, "two": 2, "left": 1, "top": 2, REST: 0}
     for name, axis, value in (("low", 1, 0), ("left", 0, 0), ("right", 0, 6), ("top", 1, 2)):
@@ -289,7 +289,7 @@ def test_sets_of_nodes_and_of_lines_of_abaqus_are_parts(tmp_path):
         assert_allclose(middle[:, axis], value)
     tetra = "*NODE\n1, 0, 0, 0\n2, 2, 0, 0\n3, 0, 3, 0\n4, 0, 0, 1\n*NSET, NSET=low\n1, 2, 3\n"
     mesh = abaqus(tmp_path, tetra + "*ELEMENT, TYPE=C3D4\n1, 1, 2, 3, 4\n")
-    assert size(mesh) == pytest.approx(1)
+    assert size(mesh) == approx(1)
     assert_array_equal(mesh.x[mesh.faces[mesh.parts["low"]]][..., 2], 0)
 
 
@@ -307,7 +307,7 @@ def test_one_part_that_is_placed_where_it_is(tmp_path):
     passed = r"not read: \*SOLID SECTION, \*MATERIAL, \*ELASTIC, \*STEP"
     with warned(passed):
         mesh = abaqus(tmp_path, text)
-    assert size(mesh) == pytest.approx(12)
+    assert size(mesh) == approx(12)
     assert_allclose(mesh.x[mesh.faces[mesh.parts["left"]]].mean(axis=1), [[0, 1]])
 
 
@@ -338,7 +338,7 @@ def test_what_is_not_read_is_refused_by_name(tmp_path):
             load_mesh(tmp_path / name)
 
 
-@pytest.mark.filterwarnings("ignore")
+@filterwarnings("ignore")
 def test_cut_files_are_read_or_refused_and_none_waits_for_ever(tmp_path):
     (tmp_path / "a.inp").write_text(PLATE)
     flat = meshio.Mesh(FLAT, [("triangle", TRIANGLES)])
@@ -371,4 +371,4 @@ def test_every_piece_of_a_body_is_held(gap):  # apart, or touching at a corner
         solved({"left": (0, 0)})
     with warned("by elements alone"):
         u = solved({"left": (0, 0), "right": (0.1, 0)}).u
-    assert np.abs(u).max() == pytest.approx(0.1)
+    assert np.abs(u).max() == approx(0.1)

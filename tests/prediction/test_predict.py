@@ -4,7 +4,6 @@ import json
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from numpy.linalg import norm
 
 import warp_peri as wp
@@ -12,9 +11,9 @@ from examples.exact import relative_error
 from tests.crystal.crystals import lattice as plain_lattice
 from tests.crystal.crystals import learned
 from tests.crystal.test_crystal import body
-from tests.support import shared
+from tests.support import approx, filterwarnings, parametrize, shared
 from tests.support.nonlinear import solid
-from tests.support.problems import kernel, lattice, manufactured, noise, smooth
+from tests.support.problems import kernel, lattice, manufactured, noise, on_interior, smooth
 from tests.support.told import assert_refused, refused, warned
 from warp_peri.cli.main import main
 from warp_peri.points.arguments import factors
@@ -23,7 +22,7 @@ from warp_peri.points.points import _said
 from warp_peri.prediction import CalibrationFactors, Ensemble, EnsembleMaterial, EnsembleOperator
 from warp_peri.prediction.ensemble import BEYOND, ErrorSpectrum, pulled, spectrum_of
 
-pytestmark = pytest.mark.filterwarnings("ignore:(strain|transferred):UserWarning")
+pytestmark = filterwarnings("ignore:(strain|transferred):UserWarning")
 HORIZON, APART = 3.0, 0.02
 
 
@@ -78,7 +77,7 @@ def test_corrections_lead_to_the_rich_answer_and_say_how_far_it_is(family):
     assert far(best.u, u, points) < 0.1 * far(rough.u, u, points)
     assert far(rough.corrected - rough.u, u - rough.u, points) < 0.25
     assert set(best.parts) == {"left", "waves", "data", "strain"}
-    assert best.error == pytest.approx(norm([*best.parts.values()]))
+    assert best.error == approx(norm([*best.parts.values()]))
     assert best.map()[inside].min() > 0
     assert not best.map()[~inside].any()
     root = norm(best.map()[inside]) / norm(best.u[inside])
@@ -90,8 +89,8 @@ def test_a_part_is_as_large_as_what_was_planted(family):
     family, posed = replace(family, record=None), along_x(lattice(9, HORIZON))
     answer = wp.predict(family, posed, None)
     floor = family.factors.floor / np.sqrt(2)
-    assert answer.parts["data"] == pytest.approx(floor * np.sqrt(2) * APART, rel=0.1)
-    assert answer.parts["waves"] == pytest.approx(floor * 0.01, rel=0.1)
+    assert answer.parts["data"] == approx(floor * np.sqrt(2) * APART, rel=0.1)
+    assert answer.parts["waves"] == approx(floor * 0.01, rel=0.1)
     tight, loose = (wp.predict(family, posed, tolerance) for tolerance in (0.01, 0.04))
     assert not tight.kept
     assert "1 % is not kept" in tight.why
@@ -99,7 +98,7 @@ def test_a_part_is_as_large_as_what_was_planted(family):
     assert "most of it data" in loose.why
 
 
-@pytest.mark.parametrize("steady", [True, False])
+@parametrize("steady", [True, False])
 def test_strain_counts_what_its_orders_go_on_to(family, steady):
     """The nonlinear part times c|H|, or times what corrections shrink by if that is more."""
     screen = 2.0 if steady else 0.02
@@ -117,11 +116,11 @@ def test_strain_counts_what_its_orders_go_on_to(family, steady):
     assert (ratio > slowed) == steady
     expected = family.factors.floor * max(ratio, slowed) * bent
     assert best.corrections > 1
-    assert best.parts["strain"] == pytest.approx(expected, rel=0.15)
+    assert best.parts["strain"] == approx(expected, rel=0.15)
     # members that were asked before a second correction was known are not asked again
     early = wp.predict(replace(family, record=None), given, 0.015)
     assert early.corrections == 1
-    assert early.parts["strain"] == pytest.approx(expected, rel=0.15)
+    assert early.parts["strain"] == approx(expected, rel=0.15)
 
 
 def test_quantities_come_with_a_signed_correction(family):
@@ -164,7 +163,7 @@ def test_a_linear_family_is_bounded_without_a_contraction(family):
     linear = EnsembleMaterial(family.linear, second, tuple(halves))
     points = lattice(6, HORIZON)
     answer = wp.predict(linear, along_x(points), 0.1)
-    wrong = np.where(points.interior[:, None], 1e-4 * noise(points), 0.0)
+    wrong = on_interior(points, 1e-4 * noise(points))
     proof = replace(answer, u=answer.u + wrong).guarantee
     assert proof.contraction == 0
     true = np.sqrt((wrong[points.interior] * linear.on(points)(wrong)).sum())
@@ -197,7 +196,7 @@ def test_a_family_is_one_file_in_any_units_and_has_a_command(family, tmp_path, c
     moved = replace(points, x=points.x * length, spacing=length, units=units)
     posed = wp.Dirichlet(moved, given.b * stress_unit / length, u * length)
     there = wp.predict(wp.load(path, units=units), posed, 0.01)
-    assert there.error == pytest.approx(expected.error, rel=1e-4)
+    assert there.error == approx(expected.error, rel=1e-4)
     data = wp.Dataset({"set": wp.Samples(points, u[None], given.b[None])}, 3.35, 2200.0)
     wp.save(tmp_path / "data.h5", data)
     files = [str(tmp_path / name) for name in ("family.json", "data.h5")]
@@ -242,11 +241,11 @@ def test_shares_find_the_wavelength_and_members_are_pulled_half_way_to_their_rec
     u = np.stack([np.cos(2 * np.pi * points.x[:, 0] / 8), np.zeros(len(points.x))], axis=1)
     found = spectrum_of(points, knots)(u)
     assert found.argmax() == 1
-    assert found.sum() == pytest.approx(1, abs=0.02)
-    assert ErrorSpectrum(knots, np.array([0.0, 0.1, 0.0])).of(found) == pytest.approx(0.1, rel=0.15)
+    assert found.sum() == approx(1, abs=0.02)
+    assert ErrorSpectrum(knots, np.array([0.0, 0.1, 0.0])).of(found) == approx(0.1, rel=0.15)
     assert spectrum_of(points, knots)(1e-3 * points.x).sum() < 1e-9
-    assert pulled(0.01, 0.02) == pytest.approx(np.sqrt(2))
-    assert pulled(0.01, 0.0025) == pytest.approx(0.5)
+    assert pulled(0.01, 0.02) == approx(np.sqrt(2))
+    assert pulled(0.01, 0.0025) == approx(0.5)
     assert pulled(0.01, 1.0) == 2
     assert pulled(0.01, None) == pulled(0.0, 1.0) == 1
 
@@ -321,10 +320,10 @@ def test_standard_errors_of_moduli_belong_to_the_data():
     answer = wp.predict(crystal, posed, None)
     softer = wp.solve(crystal, wp.Dirichlet(points, b / (1 - share), 0 * b))
     planted = far(softer.u, answer.u, points)
-    assert answer.parts["data"] == pytest.approx(share, rel=1e-6)
-    assert planted == pytest.approx(share, rel=0.1)
+    assert answer.parts["data"] == approx(share, rel=1e-6)
+    assert planted == approx(share, rel=0.1)
     quantity = answer.of(lambda u: u[points.interior].sum(axis=0))
-    assert quantity.bar == pytest.approx(share * np.abs(quantity.value), rel=0.1)
+    assert quantity.bar == approx(share * np.abs(quantity.value), rel=0.1)
     assert not wp.predict(crystal, posed, 0.05).kept
     assert any("moduli" in one for one in answer.uncovered)
     sure = replace(crystal, provenance={})
@@ -338,8 +337,8 @@ def test_a_family_has_the_standard_error_of_its_crystal_beside_its_own_data(fami
     linear = replace(family.rich.linear, provenance={"moduli_error": 0.05})
     unsure = replace(family, record=None, rich=replace(family.rich, linear=linear))
     told = wp.predict(unsure, posed, None).parts
-    assert told["data"] == pytest.approx(np.hypot(sure.parts["data"], 0.05), rel=1e-3)
-    assert told["waves"] == pytest.approx(sure.parts["waves"], rel=1e-3)  # a looser solve
+    assert told["data"] == approx(np.hypot(sure.parts["data"], 0.05), rel=1e-3)
+    assert told["waves"] == approx(sure.parts["waves"], rel=1e-3)  # a looser solve
 
 
 def of_linear(rich, *numbers):
@@ -360,14 +359,14 @@ def lps():
     return of_linear(rich, "lam", "mu")
 
 
-@pytest.mark.parametrize("turned", [True, False])
+@parametrize("turned", [True, False])
 def test_turned_lattices_and_crystals_in_space(lps, turned):
     """Half of the doubts' squares: waves 1 %, data 2 % times √2."""
     points = lattice(9, HORIZON, angle=0.3) if turned else body(3, "cube")
     family = lps if turned else of_linear(learned(3), "tensors")
     answer = wp.predict(family, along_x(points), None)
     assert answer.uncovered == ()
-    assert answer.error == pytest.approx(np.sqrt((0.01**2 + 2 * APART**2) / 2), rel=0.15)
+    assert answer.error == approx(np.sqrt((0.01**2 + 2 * APART**2) / 2), rel=0.15)
     assert answer.corrected.shape == points.x.shape
     assert answer.map()[points.interior].min() >= 0
 
@@ -393,7 +392,7 @@ def test_designed_loads_hold_all_waves_without_a_mean():
     loads = wp.prediction.design_loads(sheet, shortest_wave=20.0)
     assert loads.shape == (2, 400, 2)
     assert np.abs(loads.mean(axis=1)).max() < 1e-12
-    assert norm(loads, axis=-1).max() == pytest.approx(1)
+    assert norm(loads, axis=-1).max() == approx(1)
     power = np.abs(np.fft.fft2(loads[0].reshape(20, 20, 2), axes=(0, 1))).sum(axis=-1)
     k = np.hypot(*np.meshgrid(*2 * [np.fft.fftfreq(20)]))
     assert np.array_equal(power > 1e-9 * power.max(), (k > 0) & (k <= 0.25 + 1e-9))

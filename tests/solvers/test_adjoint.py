@@ -4,17 +4,17 @@ import weakref
 from functools import partial
 
 import numpy as np
-import pytest
 import torch
 
 from tests.gradients.cases import errors, given, loss
+from tests.support import filterwarnings
 from tests.support.materials import operator
 from tests.support.told import assert_refused, each_refused, refused
 from warp_peri import Cracked, Dirichlet, TorchModule, simulate
 from warp_peri.solvers import verlet
 from warp_peri.solvers.adjoint import BATCH
 
-pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
+pytestmark = filterwarnings("ignore::UserWarning")
 
 
 def test_a_nonlinear_force_is_felt_where_the_motion_went():

@@ -3,9 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from numpy.linalg import eigvalsh
 
 from tests.known_problems.statics import THIRD, UnitScale, material
+from tests.support import approx, parametrize
 from tests.support.problems import ell, fitted_order, kernel, lattice, noise, periodic
 from tests.support.symbols import symbol
 from tests.support.told import assert_refused, refused
@@ -25,7 +26,7 @@ def moved(model, points, u, v, b=None, **options):
 
 def largest(model, k, spacing=1.0):
     """Λmax D(k)."""
-    return np.linalg.eigvalsh(symbol(model, k, spacing))[:, 1]
+    return eigvalsh(symbol(model, k, spacing))[:, 1]
 
 
 def box_of(model, spacing):
@@ -41,7 +42,7 @@ def box_of(model, spacing):
     return *periodic(shape, spacing), k
 
 
-@pytest.mark.parametrize(("name", "spacing"), [("1/r", 1.0), ("steep", 5.0)])
+@parametrize(("name", "spacing"), [("1/r", 1.0), ("steep", 5.0)])
 def test_stable_just_below_and_unstable_just_above(name, spacing):
     model = kernel(name, 2.5 * spacing, spacing, lam=-0.2)
     points, _, _ = box_of(model, spacing)
@@ -71,14 +72,14 @@ def test_a_wave_turns_with_its_frequency_to_second_order():
     for n in numbers:
         motion = moved(model, points, u, 0 * u, step=time / n, steps=int(n))
         errors.append(np.abs(motion.u - np.cos(omega * time) * u).max())
-        assert motion.time[-1] == pytest.approx(time - time / n / 2)
+        assert motion.time[-1] == approx(time - time / n / 2)
     assert fitted_order(1 / numbers, errors) > 1.9
     assert errors[-1] < 1e-2
 
 
 def test_energy_is_that_of_the_definition_and_a_density_an_inertia_in_any_units():
-    assert inertia(1000.0, ("nm", "GPa")) == pytest.approx(1.0)  # GPa ps²/nm²
-    assert inertia(1000.0, ("m", "Pa")) == pytest.approx(1e27)  # Pa ps²/m²
+    assert inertia(1000.0, ("nm", "GPa")) == approx(1.0)  # GPa ps²/nm²
+    assert inertia(1000.0, ("m", "Pa")) == approx(1e27)  # Pa ps²/m²
     model, points = kernel("1/r", 2.0), lattice(4, 2.0)
     inside = points.interior
     L = LPSOperator(model, points).matrix()
@@ -90,8 +91,8 @@ def test_energy_is_that_of_the_definition_and_a_density_an_inertia_in_any_units(
     half = v[inside].ravel() + step / (2 * INERTIA * DENSITY) * (load - A @ start)
     end = start + step * half
     energy = INERTIA * DENSITY / 2 * half @ half + start @ (A @ end) / 2 - load @ (start + end) / 2
-    assert motion.energy[0] == pytest.approx(energy / inside.sum(), rel=1e-12)
-    assert motion.u[inside].ravel() == pytest.approx(end, rel=1e-12, abs=0)
+    assert motion.energy[0] == approx(energy / inside.sum(), rel=1e-12)
+    assert motion.u[inside].ravel() == approx(end, rel=1e-12, abs=0)
 
 
 def test_to_move_as_a_whole_changes_no_energy():

@@ -3,15 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 import torch
 from numpy.linalg import norm
 from numpy.random import default_rng
 
 from tests.gradients.cases import errors
-from tests.support import parametrize
+from tests.support import approx, filterwarnings, parametrize
 from tests.support.clouds import cloud
-from tests.support.problems import kernel, lattice, manufactured, noise, normal
+from tests.support.problems import kernel, lattice, manufactured, noise, normal, on_interior
 from tests.support.solving import solve
 from tests.support.told import each_refused, refused
 from tools.benchmark import MODEL_FILE as TABLE
@@ -40,12 +39,12 @@ def test_solves_recover_a_manufactured_solution_whatever_is_not_read(method):
     points = lattice(mask, HORIZON, angle=0.4, origin=(3.0, -8.0))
     points = manufactured(model, points, 2)
     assert np.abs(points.u[:, ~points.interior]).max() > 0.1
-    collar = np.where(points.interior[:, None], np.nan, points.u)
-    load = np.where(points.interior[:, None], points.b, np.nan)
+    collar = on_interior(points, np.nan, points.u)
+    load = on_interior(points, points.b, np.nan)
     solver = Direct() if method == "lu" else CG(method, tolerance=1e-11)
     solution = at_rest(model, Dirichlet(points, load, collar), solver=solver)
     solved, records = solution.u, solution.details or ()
-    assert solved == pytest.approx(points.u, abs=1e-11 if method == "lu" else 2e-8)
+    assert solved == approx(points.u, abs=1e-11 if method == "lu" else 2e-8)
     assert np.array_equal(solved[:, ~points.interior], points.u[:, ~points.interior])
     assert np.isnan(collar[:, points.interior]).all()  # what was given stays as it was
     left = (model.on(points)(solved) - points.b[:, points.interior]).reshape(2, -1)
@@ -128,7 +127,7 @@ def test_methods_that_do_not_fit_and_tolerances_out_of_reach_are_refused():
     })  # fmt: skip
 
 
-@pytest.mark.filterwarnings("ignore::UserWarning")
+@filterwarnings("ignore::UserWarning")
 def test_the_implicit_gradient_of_an_unsymmetric_operator_is_that_of_differences():
     """To all numbers, on scattered points; others are in the table."""
     points = cloud(4, HORIZON, 0.1)

@@ -3,13 +3,22 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from numpy.linalg import eigvalsh, norm
+from numpy.random import default_rng
 
 from examples.reproduce.slides import curl_and_pressure
-from tests.support import parametrize
+from tests.support import filterwarnings, parametrize
 from tests.support.clouds import cloud, cube, field, load, plain, solid
-from tests.support.problems import LAM, MU, fitted_order, kernel, lattice, noise, normal
+from tests.support.problems import (
+    LAM,
+    MU,
+    fitted_order,
+    kernel,
+    lattice,
+    noise,
+    normal,
+    on_interior,
+)
 from tests.support.solving import solve
 from warp_peri import CG, Direct, Dirichlet, Periodic, Points, simulate
 from warp_peri import solve as at_rest
@@ -18,7 +27,7 @@ from warp_peri.crystals import crystal_from_lps
 from warp_peri.solvers.verlet import inertia
 from warp_peri.testing import assert_near as near
 
-pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")
+pytestmark = filterwarnings("ignore:spacing. the model is certified")
 LENGTH = 2.0
 NUMBERS = np.array([8, 16, 32])
 
@@ -96,12 +105,12 @@ def test_the_solution_tends_to_that_of_elasticity_with_second_order(lam):
 def test_it_moves_at_a_proven_step_not_much_shorter_than_the_longest():
     model, density = solid(2.0, lam=3.0), 2000.0
     step = critical_time_step(model, spacing=1.0, density=density, allow_uncertified=True)
-    waves = np.random.default_rng(2).uniform(-np.pi, np.pi, (2000, 3))
+    waves = default_rng(2).uniform(-np.pi, np.pi, (2000, 3))
     stiffest = eigvalsh(crystal_from_lps(model, 1.0).symbol(waves)).max()
     longest = 2 * np.sqrt(inertia(density, model.units) / stiffest)
     assert 0.6 * longest < step < longest
     points = cube(3, 2.0)
-    u = np.where(points.interior[:, None], noise(points, seed=3), 0)
+    u = on_interior(points, noise(points, seed=3))
     problem = Dirichlet(points, None, 1e-3 * u)
     operator = model.on(points, allow_uncertified=True)
     motion = simulate(operator, problem, density=density, step=0.9 * step, steps=200)

@@ -3,13 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from numpy.linalg import eigvalsh
 from numpy.testing import assert_array_equal
 from scipy.optimize import brentq
 
 from tests.crystal.crystals import learned
-from tests.support import parametrize
-from tests.support.problems import ell, kernel, lattice, manufactured, noise, periodic
+from tests.support import approx, parametrize
+from tests.support.problems import ell, kernel, lattice, manufactured, noise, on_interior, periodic
 from tests.support.solving import solve
 from tests.support.told import each_refused, refused
 from warp_peri import Dirichlet, LPSMaterial, Periodic, Points, evaluate
@@ -37,7 +37,7 @@ def test_the_periodic_solve_is_the_inverse_of_the_operator(name, side):
     u = noise(points, 2)
     u -= u.mean(axis=1, keepdims=True)
     solved = at_rest(model, Periodic(points, model.on(points)(u) + np.array([0.3, -5.0]))).u
-    assert solved == pytest.approx(u, abs=1e-11)
+    assert solved == approx(u, abs=1e-11)
     assert np.abs(solved.mean(axis=1)).max() < 1e-14
 
 
@@ -61,7 +61,7 @@ def smallest_eigenvalue(a, points):
     unknown = np.flatnonzero(np.repeat(points.interior, 2))
     pulls = np.eye(2 * len(points.x))[unknown].reshape(len(unknown), -1, 2)
     forces = passing(a).on(points)(pulls).reshape(len(unknown), -1)
-    return np.linalg.eigvalsh(forces)[0]
+    return eigvalsh(forces)[0]
 
 
 @parametrize(
@@ -103,9 +103,9 @@ def test_a_solution_goes_on_as_samples_and_as_fields(tmp_path):
     made = lambda nu, d=2: LPSMaterial.isotropic(1.0, nu, 2.0, 1.0, dimension=d)
     material = made(0.3)
     for one in (material, made(0.3, 3)):
-        assert (one.E, one.nu) == pytest.approx((1.0, 0.3))
+        assert (one.E, one.nu) == approx((1.0, 0.3))
     points = Points.disk(3.0, 1.0, 2.0)
-    load = 1e-3 * np.where(points.interior[:, None], points.x, 0.0)
+    load = 1e-3 * on_interior(points, points.x)
     solution = at_rest(material, Dirichlet(points, load, 0.01 * points.x))
     samples = solution.to_samples()
     assert_array_equal(samples.u[0], solution.u)

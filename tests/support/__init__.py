@@ -1,12 +1,26 @@
 """What the tests share."""
 
+import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 parametrize = pytest.mark.parametrize
+filterwarnings = pytest.mark.filterwarnings
+approx = pytest.approx
 in_plane_and_space = parametrize("d", [2, 3])
 """Runs a test in both dimensions."""
 shared = pytest.fixture(scope="module")
 """Makes a fixture once for all tests of a file."""
+
+
+def of_json(path):
+    """What a file of JSON holds."""
+    return json.loads(path.read_text("utf-8"))
+
+
+def masked(values, place=0):
+    """An array of which one entry is masked."""
+    return np.ma.array(values, mask=np.arange(np.size(values)).reshape(np.shape(values)) == place)

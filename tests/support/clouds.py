@@ -3,6 +3,7 @@
 from functools import partial
 
 import numpy as np
+from numpy.random import default_rng
 
 from tests.support.problems import lattice, periodic
 from warp_peri import LPSMaterial, Points
@@ -22,7 +23,7 @@ def periodic_cloud(number, perturbation=0.3, dimension=2):
 
 def shaken(points, size, seed):
     """The nodes, each at random up to a size away along each axis."""
-    shift = np.random.default_rng(seed).uniform(-size, size, points.x.shape)
+    shift = default_rng(seed).uniform(-size, size, points.x.shape)
     return Points(points.x + shift, points.interior, 0.0, box=points.box)
 
 

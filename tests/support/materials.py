@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import torch
+from numpy.random import default_rng
 
 import warp_peri as wp
 from examples.own_law import Springs
@@ -86,7 +87,7 @@ def hyperelastic():
     kinds = ("neo_hookean",), ("volumetric",), ("fibre_power", 1.2, 4.0), ("mooney",)
     places = ("volumetric", 0.0, 0.0, True), ("volumetric", 0.0, 0.0, False, (1, 2))
     dictionary = dictionary_of(*kinds, *places)
-    c = 0.1 + np.random.default_rng(0).random(len(dictionary))
+    c = 0.1 + default_rng(0).random(len(dictionary))
     return HyperelasticMaterial(dictionary, c, SPACING, provenance={"data": "made"})
 
 

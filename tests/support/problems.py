@@ -48,6 +48,21 @@ def lattice(interior, horizon, spacing=1.0, angle=0.0, origin=0.0):
     return Points(x + origin, mask.ravel(), spacing, axis=axis)
 
 
+def everywhere(x, spacing=1.0, **told):
+    """Points without a collar."""
+    return Points(x, np.ones(len(x), bool), spacing, **told)
+
+
+def on_interior(points, inside, beside=0.0):
+    """Values of the interior, and others beside it."""
+    return np.where(points.interior[:, None], inside, beside)
+
+
+def assert_balanced(force):
+    """That forces on all that they pull at have no sum."""
+    assert np.abs(force.sum(axis=0)).max() <= 1e-12 * np.abs(force).sum()
+
+
 def cut(points, outside):
     """Points with an interior less what is outside of the body."""
     return replace(points, interior=points.interior & ~outside, outside=outside)

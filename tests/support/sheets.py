@@ -1,17 +1,18 @@
 """Hyperelastic sheets for tests: lattices, dictionaries with every energy, and smooth fields."""
 
 import numpy as np
+from numpy.random import default_rng
 
 from warp_peri.materials.hyperelastic.energies import NEAREST, EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
-from warp_peri.points.points import Points
+from warp_peri.points.points import Points, grid_places
 
 SPACING = 0.1
 
 
 def square(interior, *, spacing=SPACING):
     """Interior nodes a side and the collar they need."""
-    steps = np.argwhere(np.ones(2 * [interior + 12]))
+    steps = grid_places(2 * [interior + 12])
     return Points(spacing * steps, ((steps >= 6) & (steps < interior + 6)).all(axis=1), spacing)
 
 
@@ -43,7 +44,7 @@ def sheet_on(points, dictionary=None, c=None, thickness=None):
 
 def waves(points, amplitude=0.1, seed=0):
     """A smooth field with displacement gradients about as large as the amplitude, shape [N, 2]."""
-    random = np.random.default_rng(seed)
+    random = default_rng(seed)
     extent = np.ptp(points.x, axis=0).max()
     u = np.zeros_like(points.x)
     for k in ((1, 0), (0, 1), (1, 1), (2, -1)):

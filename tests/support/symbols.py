@@ -3,6 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
+from numpy.linalg import eigvalsh, norm
+from numpy.random import default_rng
 
 from tests.support.problems import lattice
 from warp_peri import Samples
@@ -32,7 +34,7 @@ def symbol(model, k, spacing=1.0):
 
 def smallest(D, k):
     """Λmin / s, shape [K]."""
-    return np.linalg.eigvalsh(D)[:, 0] / laplacian(k)
+    return eigvalsh(D)[:, 0] / laplacian(k)
 
 
 def smallest_margins(classes, conditions, v, kappa):
@@ -55,7 +57,7 @@ def waves(model, cells=6, highest=4):
     D = symbol(model, k)
     load = np.tile(np.eye(2), (len(k) // 2, 1))
     answer = np.linalg.solve(D, load[..., None])[..., 0]
-    scale = 1 / np.linalg.norm(answer, axis=1, keepdims=True)
+    scale = 1 / norm(answer, axis=1, keepdims=True)
     answer, load = answer * scale, load * scale
     u = np.zeros((len(k), len(points.x), 2))
     b = np.zeros_like(u)
@@ -68,7 +70,7 @@ def waves(model, cells=6, highest=4):
 
 def fluctuation(points, count, size, seed):
     """White noise of a size on every node, as a set without loads."""
-    random = np.random.default_rng(seed)
+    random = default_rng(seed)
     u = size * random.normal(size=(count, len(points.x), 2))
     return Samples(nodes_of(points), u)
 

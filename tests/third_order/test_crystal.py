@@ -3,10 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from tests.crystal.crystals import cubic_tensor, dispersive
-from tests.support import parametrize
+from tests.support import approx, parametrize
 from tests.support.clouds import cloud
 from tests.support.nonlinear import FORMS, TENSOR, solid
 from tests.support.problems import lattice, loaded, smooth
@@ -29,11 +28,11 @@ def made(law, size, count):
 def test_on_other_spacings_and_in_other_units_it_keeps_what_is_the_materials():
     law, fine = solid("energy"), replace(lattice(5, REACH, 0.75), axis=20.0)
     there = law.on(fine).model
-    assert there.numbers == pytest.approx(law.numbers, rel=1e-6, abs=0)
+    assert there.numbers == approx(law.numbers, rel=1e-6, abs=0)
     assert there.proven_strain(0.75) > 0.3 * law.proven_strain(1.0) > law.proven_strain(0.75) == 0
     other = law.in_units(("nm", "GPa"))
     one, two = (m.weights(bond_classes(h, 3 * h))[0] for m, h in ((law, 1), (other, 0.1)))
-    assert two == pytest.approx(100 * one, rel=1e-9, abs=0)
+    assert two == approx(100 * one, rel=1e-9, abs=0)
     assert (other.proven_strain(0.1), other.proven_strain(0.2)) == (law.proven_strain(1.0), 0)
 
 
@@ -47,13 +46,13 @@ def test_filtered_form_takes_weights_that_undo_the_smoothing(ridge):
         sine = 2 * np.sin(k @ classes.xi.T)
         small = number**2 * 0.3 * 100 / 4  # of a cone, to fourth order
         known = smoothing.transform(np.array([number]))
-        assert known == pytest.approx(1 - small, abs=0.4 * (number * 10 / 3) ** 4)
+        assert known == approx(1 - small, abs=0.4 * (number * 10 / 3) ** 4)
         # that of the data is kept small, for the sake of the proof
         for p, factor, most in zip(weights, (smoothing.inverse(number), known), (0.1, 1e-3)):
             wanted = k * factor
             wrong = sine @ (p[classes.bond_class, None] * classes.xi) - wanted
             assert np.abs(wrong).max() <= most * np.abs(wanted).max()
-    assert [classes.count * classes.r**2 @ p for p in weights] == pytest.approx([1, 1])
+    assert [classes.count * classes.r**2 @ p for p in weights] == approx([1, 1])
 
 
 @parametrize("form", FORMS)
@@ -64,7 +63,7 @@ def test_what_made_the_data_is_found_again(form):
         found = fit(made(law, 0.05, 6), recipe)
     model = found.material
     assert found.history["largest_gradient"] > model.proven_strain(1.0)
-    assert model.numbers == pytest.approx(law.numbers, rel=1e-6, abs=0)
+    assert model.numbers == approx(law.numbers, rel=1e-6, abs=0)
     near(model.linear.tensors, law.linear.tensors, 1e-7)
     assert found.errors["E_res"] < 1e-8
     near(model.proven["strain"], law.proven["strain"], 1e-4)

@@ -1,11 +1,12 @@
 """The force of a third-order crystal, against plain sums over bonds, and its projection."""
 
 import numpy as np
-import pytest
+from numpy.linalg import norm
+from numpy.random import default_rng
 
-from tests.support import problems
+from tests.support import approx, parametrize, problems
 from tests.support.nonlinear import psi, solid
-from tests.support.problems import ROUNDING, difference, lattice, noise, smooth
+from tests.support.problems import ROUNDING, difference, lattice, noise, on_interior, smooth
 from warp_peri.core import torch_bridge
 from warp_peri.materials.third_order import PlacedThirdOrder
 from warp_peri.points.families import bond_classes
@@ -20,7 +21,7 @@ def apart():
     blocks = np.zeros((60, 60), bool)
     blocks[:2, :2] = blocks[-2:, -2:] = True
     points = lattice(blocks, HORIZON)
-    return problems.renumbered(points, np.random.default_rng(5).permutation(len(points.x)))
+    return problems.renumbered(points, default_rng(5).permutation(len(points.x)))
 
 
 def far_ends(steps, points, at):
@@ -35,7 +36,7 @@ def far_ends(steps, points, at):
     return xi, np.array(ends)
 
 
-@pytest.mark.parametrize("points", [apart, problems.partly_periodic])
+@parametrize("points", [apart, problems.partly_periodic])
 def test_force_is_that_of_sums_over_bonds(points):
     points, model = points(), solid("filtered")
     op, u = PlacedThirdOrder(model, points), 0.05 * noise(points)
@@ -71,9 +72,9 @@ def test_clipping_projects_the_gradient():
     points, model = lattice(2, HORIZON), solid("energy")
     u = smooth(points.x, 1, wave_number=0.3)[0] * 0.2
     op = PlacedThirdOrder(model, points)
-    size = np.linalg.norm(op.gradients(u)[0], axis=(-2, -1))
+    size = norm(op.gradients(u)[0], axis=(-2, -1))
     assert size.min() < 0.05 < size.max()
-    assert op.largest_gradient(u) == pytest.approx(size.max())
+    assert op.largest_gradient(u) == approx(size.max())
     uniform, rough = points.x @ np.array([[0.05, 0.03], [-0.02, -0.06]]).T, 0.01 * noise(points)
     for field in (uniform, 4 * uniform):  # the stress is uniform beyond the ball too
         assert np.abs(op.force(field, radius=0.05)).max() <= 1e-12
@@ -83,7 +84,7 @@ def test_clipping_projects_the_gradient():
     energy = lambda entries: psi(within + entries.reshape(2, 2), model)
     gap = difference(energy, np.zeros(4), 1e-4).T.reshape(-1, 2, 2) - P
     moved = op.force(u, radius=0.05) - op(u)
-    v = np.where(points.interior[:, None], noise(points, seed=3), 0.0)
+    v = on_interior(points, noise(points, seed=3))
     work = (gap * op.gradients(v)[0]).sum()  # the weights of both sides are the same
     near((moved * v[points.interior]).sum(), work, 1e-5)
     assert np.abs(moved).max() > 1e-4 * np.abs(op(u)).max()

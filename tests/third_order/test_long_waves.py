@@ -1,12 +1,14 @@
 """λ and μ of long waves, beside what else fields may hold (theory, 28a)."""
 
 import numpy as np
-import pytest
+from numpy.random import default_rng
 
-from tests.support.problems import normal
+from tests.support import approx
+from tests.support.problems import everywhere, normal
 from tests.support.told import refused
 from warp_peri import Points, Samples
 from warp_peri.fitting.long_waves import _stresses, lame_of_long_waves
+from warp_peri.points.points import grid_places
 
 LAM, MU, SIDE = 0.3, 0.7, 24
 CONSTANTS = np.array([LAM, MU, -1.0, -3.0, 0.8, 0.0, 0.0, -4.0, 0.0])
@@ -15,8 +17,8 @@ CONSTANTS = np.array([LAM, MU, -1.0, -3.0, 0.8, 0.0, 0.0, -4.0, 0.0])
 
 def waves(seed, size, constants, bent=0.0):
     """Periodic fields of long waves at rest under −div P, and −bent Δ of the linear part."""
-    rng, count = np.random.default_rng(seed), 10
-    x = np.argwhere(np.ones((SIDE, SIDE))).astype(float)
+    rng, count = default_rng(seed), 10
+    x = grid_places((SIDE, SIDE)).astype(float)
     n, phase = rng.integers(-2, 3, (count, 4, 2)), rng.uniform(0, 2 * np.pi, (count, 4))
     wave = np.cos(2 * np.pi / SIDE * (n @ x.T) + phase[..., None])
     u = np.einsum("smn,smk->snk", wave, rng.normal(size=(count, 4, 2)))
@@ -30,7 +32,7 @@ def waves(seed, size, constants, bent=0.0):
         P = P + np.tensordot(constants, np.array(_stresses(H, 1.0 + 0j, 1)), 1)
     div = np.einsum("sxykl,xyl->sxyk", np.fft.fft2(P, axes=(1, 2)), 1j * K)
     b = -np.fft.ifft2(div * (1 - bent * (K**2).sum(axis=2))[..., None], axes=(1, 2)).real
-    points = Points(x, np.ones(len(x), bool), 1.0, box=(SIDE,) * 2, axis=0.0)
+    points = everywhere(x, box=(SIDE,) * 2, axis=0.0)
     return Samples(points, u, b.reshape(u.shape))
 
 
@@ -54,14 +56,14 @@ def test_stresses_are_slopes_of_their_energies():
     found = np.array(_stresses(H, turn, 2))
     for n, move in enumerate(1e-6 * np.eye(4).reshape(4, 2, 2)):
         slope = (energies(H + move) - energies(H - move)) / 2e-6
-        assert found[..., n // 2, n % 2] == pytest.approx(slope, abs=1e-9)
+        assert found[..., n // 2, n % 2] == approx(slope, abs=1e-9)
 
 
 def test_linear_fields_with_dispersion_take_dispersion_alone():
     """Fields whose strains are of no size, as force constants answer, have nothing nonlinear."""
     found = lame_of_long_waves([waves(1, 3.0, None, bent=0.8)])
     assert found.terms == ("dispersion",)
-    assert (found.lam, found.mu) == pytest.approx((LAM, MU), rel=1e-8)
+    assert (found.lam, found.mu) == approx((LAM, MU), rel=1e-8)
 
 
 def test_fourth_order_is_taken_where_fields_have_it_and_an_axis_not_stated_is_learned():
@@ -72,6 +74,6 @@ def test_fourth_order_is_taken_where_fields_have_it_and_an_axis_not_stated_is_le
     points = Points(stated.x, stated.interior, 1.0, box=stated.points.box)
     other = lame_of_long_waves([Samples(points, stated.u, stated.loads)])
     for one in (found, other):
-        assert (one.lam, one.mu) == pytest.approx((LAM, MU), abs=5e-3 * MU)
+        assert (one.lam, one.mu) == approx((LAM, MU), abs=5e-3 * MU)
     with refused("moduli: the long waves of these loads"):
         lame_of_long_waves([Samples(points, 0 * stated.u, stated.loads)])

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.linalg import eigvalsh
+from numpy.linalg import eigvalsh, norm
 from numpy.random import default_rng
 from scipy.sparse.linalg import splu
 
@@ -31,7 +31,7 @@ def certified(form):
 def balls(count):
     """Random matrices of norm 1, shape [count, 2, 2]."""
     H = normal((count, 2, 2))
-    return H / np.linalg.norm(H, axis=(1, 2))[:, None, None]
+    return H / norm(H, axis=(1, 2))[:, None, None]
 
 
 def test_bounds_of_the_energys_parts_and_its_curvature_hold_and_are_close():

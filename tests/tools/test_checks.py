@@ -6,14 +6,14 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
-import torch
+from numpy.random import default_rng
 
+from tests.support import parametrize
 from tools import benchmark, entered, frozen
 from tools.mutants import NET, ROOT, read_faults, with_fault
 from tools.options import Options
-from warp_peri import runtime
 
-FIELD = np.random.default_rng(0).normal(size=(40, 2))
+FIELD = default_rng(0).normal(size=(40, 2))
 
 
 def stands(kind, before, after, limit=None, **how):
@@ -77,17 +77,12 @@ def test_every_fault_stands_once_in_its_file_and_has_tests():
     assert sum(fault.get("blind", False) for fault in faults.values()) >= 10
 
 
-@pytest.mark.parametrize("what", [name for name in benchmark.KINDS if name != "front"])
-def test_subcommands_of_the_benchmark_run_at_quick_size(what, capsys):
+@parametrize("what", [name for name in benchmark.KINDS if name != "front"])
+def test_subcommands_of_the_benchmark_run_at_quick_size(what, capsys, threads):
     if what == "breaking" and find_spec("numba") is None:
         pytest.skip("needs Numba: pip install 'warp_peri[bench]'")
-    before = runtime.get_num_threads(), torch.get_num_threads()
-    try:
-        assert benchmark.main([what, "--quick"]) == 0
-        assert capsys.readouterr().out
-    finally:
-        runtime.set_num_threads(before[0])
-        torch.set_num_threads(before[1])
+    assert benchmark.main([what, "--quick"]) == 0
+    assert capsys.readouterr().out
 
 
 def test_a_wrong_rival_is_found_and_the_front_is_drawn(tmp_path):

@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 
 import tools.make_graphene as tool
 import warp_peri as wp
-from tests.support.problems import normal
+from tests.support import approx
+from tests.support.problems import fitted_order, normal
 from tools import samples
 from tools.elastic import elastic_constants
 from tools.elements import errors_of_local, piola
@@ -23,6 +25,7 @@ from tools.thermal import Bath, Task, run_file
 from warp_peri.atoms.calculators import potential_file
 from warp_peri.core.elastic import plane_isotropic, voigt_to_tensor
 from warp_peri.points.dataset import load_dataset
+from warp_peri.points.points import grid_places
 
 
 def test_graphene_is_made_once_and_a_load_that_fails_keeps_the_rest(tmp_path, monkeypatch, capsys):
@@ -50,10 +53,10 @@ def test_graphene_is_made_once_and_a_load_that_fails_keeps_the_rest(tmp_path, mo
     data = load_dataset(path)
     assert sorted(data) == ["test", "test_fine", "train", "train_fine", "val", "val_fine"]
     assert max(one.arrays["residual"].max() for one in data.sets.values()) <= TOLERANCE
-    assert data["train"].arrays["max_bond_strain"] == pytest.approx(samples.TRAINING_STRAIN, 1e-4)
-    assert data.density == pytest.approx(2147, rel=2e-3)
+    assert data["train"].arrays["max_bond_strain"] == approx(samples.TRAINING_STRAIN, 1e-4)
+    assert data.density == approx(2147, rel=2e-3)
     truth = elastic_constants(bond_length())  # measured independently at 0 K
-    assert [truth[key] for key in ("lambda", "mu", "E", "nu")] == pytest.approx(
+    assert [truth[key] for key in ("lambda", "mu", "E", "nu")] == approx(
         [-0.1972, 0.7223, 1.2163, -0.158], abs=1e-4
     )
 
@@ -65,7 +68,7 @@ def test_loads_push_and_turn_no_body_and_a_disk_at_rest_bears_them():
         at, way = statics.reference + 0.01 * np.sin(7 * x), np.cos(5 * x[:, ::-1])
         hessian = ColouredHessian(statics.bonds, len(x))(session.forces, at)
         change = session.forces(at - 1e-5 * way) - session.forces(at + 1e-5 * way)
-        assert hessian @ way.ravel() == pytest.approx(change.ravel() / 2e-5, abs=1e-3)
+        assert hessian @ way.ravel() == approx(change.ravel() / 2e-5, abs=1e-3)
         rest = statics.equilibrium(1e-3 * statics.reference @ [[1, 0.3], [-0.3, 0]], name="pull")
         now = statics.reference + rest.displacement
         assert np.abs(session.forces(now) + rest.force).max() <= TOLERANCE
@@ -93,19 +96,19 @@ def test_runs_of_one_seed_share_their_noise_and_have_their_temperature(tmp_path)
     step = np.diff(moved[0], axis=0)
     step -= box * np.rint(step / box)
     kelvin = 12.011 * 1.0364269656e-4 * (step[100:] / 0.0005) ** 2 / 8.617333262e-5
-    assert kelvin.mean() == pytest.approx(300, rel=0.15)
+    assert kelvin.mean() == approx(300, rel=0.15)
     tasks = [Task(body, load, 1.0, seed) for load in (wave, None) for seed in (1, 2)]
     baths = bath, replace(bath, temperature=200.0)
     assert len({run_file(tmp_path, task, one).name for task in tasks for one in baths}) == 8
 
 
 def test_elements_have_the_slopes_of_their_forces_and_data_resume(tmp_path):
-    random, mesh = np.random.default_rng(1), Elements(quadrilaterals(3))
+    random, mesh = default_rng(1), Elements(quadrilaterals(3))
     energy = hgo(0.33, 0.15, (Family(0.3, 0.1, 1.5), Family(-1.0, 0.2, 0.0)))
     u, v = 0.02 * random.normal(size=2 * mesh.nodes), random.normal(size=2 * mesh.nodes)
     ends = [mesh.internal(energy, u + sign * 1e-6 * v) for sign in (1, -1)]
     slope = mesh.tangent(energy, u) @ v
-    assert slope == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-5, abs=1e-7)
+    assert slope == approx((ends[0] - ends[1]) / 2e-6, rel=1e-5, abs=1e-7)
     counts = (2, 1, 0, 0)
     first = make_hgo(tmp_path / "a", counts=counts, jobs=1, progress=False)
     sample(tmp_path / "b", Material(), "square", 1001)  # was solved before it stopped
@@ -118,7 +121,7 @@ C = np.array([[1.3, 0.3, 0.1], [0.3, 0.9, -0.05], [0.1, -0.05, 0.4]])
 
 def test_elements_of_local_elasticity_are_of_fourth_order_in_the_wave_length():
     """And their error is 1e-4 already where a wave has ten nodes."""
-    x = 5.0 * np.argwhere(np.ones((19, 19)))
+    x = 5.0 * grid_places((19, 19))
     points = wp.Points(x, (np.abs(x - 45.0) <= 15.1).all(axis=1), 5.0)
     a, lengths, errors = np.array([0.02, -0.01]), np.array([6.0, 10.0, 14.0]), []
     for length in lengths:
@@ -127,7 +130,7 @@ def test_elements_of_local_elasticity_are_of_fourth_order_in_the_wave_length():
         b = np.einsum("ijkl,j,l,k->i", voigt_to_tensor(C), k, k, a) * wave
         errors.append(errors_of_local(wp.Samples(points, (wave * a)[None], b[None]), C)[0])
     assert errors[1] < 1e-4
-    assert -np.polyfit(np.log(lengths), np.log(errors), 1)[0] > 3.8
+    assert -fitted_order(lengths, errors) > 3.8
 
 
 def test_third_order_elements_have_the_stress_of_their_energy():
@@ -142,4 +145,4 @@ def test_third_order_elements_have_the_stress_of_their_energy():
 
     for one in np.eye(4).reshape(4, 2, 2):
         slope = (energy(H + step * one) - energy(H - step * one)) / (2 * step)
-        assert (piola(H, isotropic, third) * one).sum() == pytest.approx(slope, abs=1e-8)
+        assert (piola(H, isotropic, third) * one).sum() == approx(slope, abs=1e-8)
