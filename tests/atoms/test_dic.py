@@ -12,10 +12,7 @@ from warp_peri.atoms.dic import dic_to_lattice, estimate_noise, frames_of_folder
 from warp_peri.points.points import SEEN, grid_places
 
 X = grid_places((15, 16)) * 20.0 + [100.0, 60.0]
-
-
-def field(x):
-    return np.stack([0.1 * x[:, 0] + 1e-4 * x[:, 1] ** 2, -0.05 * x[:, 1] + 2.0], axis=1)
+field = lambda x: np.stack([0.1 * x[:, 0] + 1e-4 * x[:, 1] ** 2, -0.05 * x[:, 1] + 2.0], axis=1)
 
 
 def write(path, columns, header="x,y,u,v", encoding="utf-8"):

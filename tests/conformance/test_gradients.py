@@ -42,10 +42,7 @@ def test_second_derivatives_of_a_linear_force(name):
     op = operator(name)
     u, v = (tensor(op, seed=n) for n in (0, 1))
     assert gradgradcheck(op, (u.clone().requires_grad_(),), fast_mode=True)
-
-    def energy(u):
-        return (op(u) ** 2).sum() / 2
-
+    energy = lambda u: (op(u) ** 2).sum() / 2
     expected = op.vjp(u.numpy(), op(v.numpy()))
     for second in (functional.hvp, functional.vhp):
         found = second(energy, u, v)[1]
@@ -64,10 +61,7 @@ def test_networks_that_learn_have_second_derivatives():
     op = operator("neural operator")
     u = tensor(op).requires_grad_()
     v = torch.from_numpy(normal(u.shape))
-
-    def slope(u, **how):
-        return grad(op(u).square().sum(), u, **how)[0]
-
+    slope = lambda u, **how: grad(op(u).square().sum(), u, **how)[0]
     (second,) = grad((slope(u, create_graph=True) * v).sum(), u)
     there, back = (slope((u + s * v).detach().requires_grad_()) for s in (1e-6, -1e-6))
     near(second, (there - back) / 2e-6, 1e-6)
@@ -78,10 +72,7 @@ def test_second_derivatives_of_others_are_refused(name):
     op = operator(name)
     u = tensor(op).requires_grad_()
     v = torch.ones_like(u)
-
-    def penalised(u):
-        return op(u).square().sum() + u.pow(4).sum()
-
+    penalised = lambda u: op(u).square().sum() + u.pow(4).sum()
     (first,) = grad(penalised(u), u, create_graph=True)
     (plain,) = grad(penalised(u), u)
     assert torch.equal(first, plain)
@@ -235,10 +226,7 @@ def test_a_module_learns_the_numbers_of_its_material_and_is_saved_and_copied(nam
 def test_what_a_solve_takes_and_tells(name):
     op = operator(name)
     b, u = (tensor(op, 2, seed=n) for n in (0, 1))
-
-    def solution(b, u):
-        return wp.solve(op, wp.Dirichlet(op.points, b, u))
-
+    solution = lambda b, u: wp.solve(op, wp.Dirichlet(op.points, b, u))
     for wrong in ((b, u[0]), (b[0], u), (b[:, :-1], u[:, :-1]), (b + 0j, u), (b, u + 0j)):
         with refused("[bu]: expected"):
             solution(*wrong)
@@ -340,10 +328,7 @@ def test_lists_and_numbers_keep_all_their_digits():
     op = operator("LPS")
     b, u = (tensor(op, seed=n) for n in (0, 1))
     mu, leaf = 1.1 * float(op.learnable["mu"]), b.clone().requires_grad_()
-
-    def solved(u, mu):
-        return wp.solve(op, wp.Dirichlet(op.points, leaf, u), parameters={"mu": mu}).u
-
+    solved = lambda u, mu: wp.solve(op, wp.Dirichlet(op.points, leaf, u), parameters={"mu": mu}).u
     exact = solved(u, torch.tensor(mu, dtype=torch.float64))
     assert torch.equal(solved(u.tolist(), mu), exact)
     hidden = masked(u.numpy())

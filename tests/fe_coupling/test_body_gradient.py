@@ -87,9 +87,7 @@ felt = lambda b: BodyLoads({}, {}, b).density(NODES, H)
 
 
 def test_quadratic_densities_are_felt_as_they_are():
-    def b(x):
-        return np.stack([1 + x[:, 0] - 0.2 * x[:, 0] * x[:, 1], x[:, 1] ** 2], axis=-1)
-
+    b = lambda x: np.stack([1 + x[:, 0] - 0.2 * x[:, 0] * x[:, 1], x[:, 1] ** 2], axis=-1)
     assert felt(b) == approx(b(NODES), abs=1e-9)
     assert not BodyLoads({}, {}, None).density(NODES, H).any()
 

@@ -82,10 +82,7 @@ def test_dense_margins_are_those_of_the_certificate_with_their_slopes(interior, 
     model, points = kernel("sign-changing", HORIZON), lattice(interior, HORIZON)
     margins = DenseMargins([points], HORIZON)
     assert len(margins.parts[0][1]) == blocks
-
-    def values(x):
-        return margins(x[0], x[1:])
-
+    values = lambda x: margins(x[0], x[1:])
     given = torch.from_numpy(np.append(model.alpha, model.D))
     found, certificate = values(given).numpy(), certify(model, spacing=1.0, points=points)
     unit = (HORIZON / PRINTED_HORIZON) ** 2

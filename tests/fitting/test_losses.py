@@ -99,8 +99,7 @@ def clean():
     return waves(MODEL)
 
 
-def square(rows, model):
-    return squares([rows], [CLASSES], model)
+square = lambda rows, model: squares([rows], [CLASSES], model)
 
 
 def noise_rows(noise, weight):

@@ -62,8 +62,7 @@ def law_of(lattices, D):
     return law, law.start(given)
 
 
-def back(law, theta):
-    return law.found(Settled(theta, [], 0.0, [], 0.0, 0.0, 0)).solid
+back = lambda law, theta: law.found(Settled(theta, [], 0.0, [], 0.0, 0.0, 0)).solid
 
 
 def tables(classes, alpha, D):

@@ -72,10 +72,7 @@ def test_sensitivities_are_slopes_of_the_solved_displacement(frames):
     place = search.settled(place.x, place.fields, [0])  # slopes of there
     rows, numbers = place.equations[0], place.x
     gradient = 2 * rows[:, :-1].T @ rows[:, -1]
-
-    def loss(change):
-        return search.moved(place, change).loss()
-
+    loss = lambda change: search.moved(place, change).loss()
     for n, (slope, number) in enumerate(zip(gradient, numbers)):
         step = 1e-4 * max(abs(number), 0.1) * np.eye(len(numbers))[n]
         expected = (loss(step) - loss(-step)) / (2 * step.max())

@@ -35,10 +35,7 @@ def test_a_spacing_is_the_certified_one_to_a_millionth():
     unseen = scipy.linalg.null_space(bernstein_basis(bond_classes(5.0, 12.5).r, 12.5, 10))
     D, here = np.ones(11) + 1e6 * unseen.sum(axis=1), lattice(6, 12.5, 5.0)
     wild, u = LPSMaterial(0.3, 0.8, 1.0, D, 12.5, certified_on=(5.0,)), noise(here)
-
-    def off(factor):
-        return replace(here, x=factor * here.x, spacing=factor * here.spacing)
-
+    off = lambda factor: replace(here, x=factor * here.x, spacing=factor * here.spacing)
     little = 1 - 0.99e-6
     assert certify(wild, spacing=little * 5) == certify(wild, spacing=5.0)
     expected = wild.on(here)(u)

@@ -40,16 +40,12 @@ def small(form="isotropic", **other):
     return NeuralOperator(HORIZON, (6, 8), (10, 12), **FORMS[form], **other).double()
 
 
-def random_field(points, size=0.05, seed=0):
-    return size * noise(points, seed=seed)
+random_field = lambda points, size=0.05, seed=0: size * noise(points, seed=seed)
 
 
 def slow_force(material, points, u):
     """(NO1)–(NO6) node by node, on a lattice without a box."""
-
-    def net(layers, inputs):
-        return layers(torch.from_numpy(inputs)).detach().numpy()[..., 0]
-
+    net = lambda layers, inputs: layers(torch.from_numpy(inputs)).detach().numpy()[..., 0]
     x, delta, strain = points.x, material.horizon, material.strain
     distance = norm(x[:, None] - x, axis=2)
     family = [np.flatnonzero((row > 0) & (row <= delta * (1 + 1e-6))) for row in distance]

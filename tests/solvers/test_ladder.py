@@ -54,8 +54,7 @@ def test_solves_recover_a_manufactured_solution_whatever_is_not_read(method):
     assert (norm(left, axis=1) < 1e-9 * size).all()  # by the sweeps, not the stencil
 
 
-def linear_of(points, model):
-    return LPSOperator(model, points).linear
+linear_of = lambda points, model: LPSOperator(model, points).linear
 
 
 @parametrize("kind", ["sine", "multigrid", "fft"])

@@ -37,8 +37,7 @@ def ordered(number, horizon):
     return replace(points, x=points.x + LENGTH / number / 2)
 
 
-def scattered(number, horizon, seed=0):
-    return cloud(number, horizon, seed=seed, length=LENGTH)
+scattered = lambda number, horizon, seed=0: cloud(number, horizon, seed=seed, length=LENGTH)
 
 
 def orders(make, ratio, stiffer):
