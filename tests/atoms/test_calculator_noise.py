@@ -14,8 +14,7 @@ from numpy.random import default_rng
 
 import warp_peri as wp
 from tests.crystal.crystals import CUBES
-from tests.support import filterwarnings
-from tests.support.told import refused
+from tests.support import filterwarnings, near, refused
 from warp_peri.atoms import calculator_noise as noises
 from warp_peri.atoms import phonons
 from warp_peri.atoms.calculator_noise import Symmetric, bent_by_strain, joined, measured, projected
@@ -24,7 +23,6 @@ from warp_peri.atoms.force_constants import from_supercell
 from warp_peri.atoms.phonons import at_zone_edge, check_phonons, finite_differences
 from warp_peri.atoms.relaxed import at_rest
 from warp_peri.crystals import NonAnalyticCorrection, from_calculator
-from warp_peri.testing import assert_near as near
 
 ALUMINIUM = {"C11": 53.3253, "C12": 32.8906, "C44": 36.2004}
 """Under EMT, by finite strains of 1e-4 [GPa]."""

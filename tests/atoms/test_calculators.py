@@ -8,8 +8,7 @@ import pytest
 from ase.build import bulk
 
 import warp_peri as wp
-from tests.support import approx
-from tests.support.told import each_refused, refused
+from tests.support import approx, each_refused, refused
 from warp_peri.atoms.calculators import LammpsError, lammps_calculator, potential_file
 from warp_peri.atoms.relaxed import at_rest
 from warp_peri.cli.main import main

@@ -6,10 +6,9 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.io import savemat
 
-from tests.support import parametrize, reference
+from tests.support import each_refused, parametrize, reference, refused
 from tests.support.problems import ROUNDING
 from tests.support.sheets import square
-from tests.support.told import each_refused, refused
 from warp_peri.atoms import coarse_grain, read_mat, smoothing_matrix
 
 RANDOM = default_rng(3)

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 import warp_peri as wp
 from tests.crystal.crystals import CUBES
-from tests.support import ROOT, approx, of_json, parametrize, shared
+from tests.support import ROOT, approx, near, of_json, parametrize, shared
 from tests.support.told import assert_refused, each_refused, refused, warned
 from warp_peri.atoms import crystal_from_force_constants, from_phonopy
 from warp_peri.atoms.calculators import lammps_calculator
@@ -21,7 +21,6 @@ from warp_peri.atoms.relaxed import at_rest, usual_spacing
 from warp_peri.cli.main import main
 from warp_peri.core.elastic import group_of_structure, voigt
 from warp_peri.crystals import from_calculator
-from warp_peri.testing import assert_near as near
 
 TERSOFF = "SiC_1989.tersoff"
 

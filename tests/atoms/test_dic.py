@@ -6,8 +6,7 @@ from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tests.support import approx, parametrize
-from tests.support.told import assert_refused, each_refused, refused, warned
+from tests.support import approx, assert_refused, each_refused, parametrize, refused, warned
 from warp_peri.atoms.dic import dic_to_lattice, estimate_noise, frames_of_folder, read_dic_frame
 from warp_peri.points.points import SEEN, grid_places
 

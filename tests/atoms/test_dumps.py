@@ -10,9 +10,8 @@ from ase.build import bulk
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tests.support import parametrize
+from tests.support import assert_refused, parametrize, refused, warned
 from tests.support.problems import lattice
-from tests.support.told import assert_refused, refused, warned
 from warp_peri import Points
 from warp_peri.atoms import dumps
 from warp_peri.atoms.coarse_graining import coarse_grain, smoothing_matrix

@@ -11,16 +11,14 @@ from numpy.random import default_rng
 
 import warp_peri as wp
 from examples.inclusion import Mixed
-from tests.support import in_plane_and_space, parametrize
+from tests.support import in_plane_and_space, near, parametrize, refused
 from tests.support.bodies import random_breaking
 from tests.support.materials import OTHER
 from tests.support.problems import assert_balanced, difference, everywhere, noise, rotation
-from tests.support.told import refused
 from warp_peri import runtime
 from warp_peri.fracture import BondLaw, BrittleMaterial, Cracked, SofteningMaterial, box_nodes
 from warp_peri.fracture.statics import CutSolid
 from warp_peri.points.arguments import factors
-from warp_peri.testing import assert_near as near
 
 SIDES = {2: (9, 8), 3: (6, 5, 6)}
 CRACK = {

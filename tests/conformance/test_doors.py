@@ -12,11 +12,10 @@ from numpy.linalg import norm
 from numpy.testing import assert_allclose
 
 import warp_peri as wp
-from tests.support import filterwarnings, masked, parametrize
+from tests.support import assert_refused, filterwarnings, masked, parametrize, refused, warned
 from tests.support.bodies import solid
 from tests.support.materials import LAWS, operator, placed
 from tests.support.problems import everywhere, kernel, lattice, noise
-from tests.support.told import assert_refused, refused, warned
 from warp_peri.fracture import Cracked, box_nodes, rectangle_nodes
 from warp_peri.methods import Coupling, LPSParameters
 from warp_peri.points.arguments import check_arguments, kinds_of

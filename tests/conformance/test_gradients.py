@@ -12,12 +12,10 @@ from numpy.linalg import norm
 from torch.autograd import forward_ad, functional, grad, gradgradcheck
 
 import warp_peri as wp
-from tests.support import filterwarnings, masked, parametrize
+from tests.support import assert_refused, filterwarnings, masked, near, parametrize, refused
 from tests.support.materials import LAWS, LINEAR, OPERATORS, field, operator, seeded, tensor
 from tests.support.problems import kernel, lattice, normal
-from tests.support.told import assert_refused, refused
 from warp_peri.errors import ALONE
-from warp_peri.testing import assert_near as near
 
 pytestmark = filterwarnings("ignore::UserWarning")
 OTHERS = [name for name in OPERATORS if name not in LINEAR]

@@ -9,15 +9,13 @@ import pytest
 import torch
 
 import warp_peri as wp
-from tests.support import approx, filterwarnings, materials, parametrize
+from tests.support import approx, filterwarnings, materials, near, parametrize, refused
 from tests.support.materials import KINKED, LAWS, OTHER, SPREAD, H, placed, solved_samples, uneven
 from tests.support.problems import assert_balanced, lattice, noise, on_interior, rotation
 from tests.support.sheets import SPACING
-from tests.support.told import refused
 from warp_peri import runtime, testing
 from warp_peri.neural.material import NeuralOperator
 from warp_peri.points.dataset import in_units
-from warp_peri.testing import assert_near as near
 
 pytestmark = filterwarnings("ignore:strain:UserWarning")
 TURN = 0.4

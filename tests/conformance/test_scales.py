@@ -9,7 +9,7 @@ import torch
 
 import warp_peri as wp
 from tests.conformance.test_breaking import CRACK, SOLIDS, points_of
-from tests.support import filterwarnings, in_plane_and_space, parametrize
+from tests.support import filterwarnings, in_plane_and_space, near, parametrize
 from tests.support.materials import LAWS, SPREAD, field, operator, placed, solved_samples, uneven
 from tests.support.plates import plate
 from tests.support.problems import kernel, lattice, loaded, on_interior
@@ -18,7 +18,6 @@ from warp_peri.diffusion import DiffusionMaterial
 from warp_peri.fracture import Cracked
 from warp_peri.materials.crystal import crystal_from_lps
 from warp_peri.points.arguments import USUAL, factors
-from warp_peri.testing import assert_near as near
 
 pytestmark = filterwarnings("ignore:strain:UserWarning", "ignore:transferred:UserWarning")
 SCALES = {

@@ -9,10 +9,9 @@ from torch.autograd import grad
 
 import warp_peri as wp
 from tests.gradients.cases import errors, given, loss, solver_of
-from tests.support import filterwarnings, parametrize
+from tests.support import filterwarnings, parametrize, refused
 from tests.support.materials import FLOWS, KINKED, LAWS, OPERATORS, field, operator, seeded, tensor
 from tests.support.problems import lattice
-from tests.support.told import refused
 
 pytestmark = filterwarnings("ignore::UserWarning")
 DIFFERENCES = 1e-6

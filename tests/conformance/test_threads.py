@@ -7,9 +7,8 @@ import numpy as np
 import torch
 
 import warp_peri as wp
-from tests.support import filterwarnings, parametrize
+from tests.support import filterwarnings, parametrize, warned
 from tests.support.materials import LAWS, OPERATORS, field, operator, placed
-from tests.support.told import warned
 from warp_peri.errors import heard, quietly, warn
 
 pytestmark = filterwarnings("ignore::UserWarning")

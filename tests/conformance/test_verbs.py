@@ -7,10 +7,9 @@ import numpy as np
 import torch
 
 import warp_peri as wp
-from tests.support import filterwarnings, parametrize
+from tests.support import assert_refused, filterwarnings, parametrize
 from tests.support.materials import LAWS, placed, solved_samples
 from tests.support.plates import plate
-from tests.support.told import assert_refused
 from warp_peri.core import pointwise
 from warp_peri.materials import lps_force
 from warp_peri.materials.hyperelastic import operator as tissue

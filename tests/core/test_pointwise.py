@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support import approx, in_plane_and_space, parametrize
+from tests.support import approx, in_plane_and_space, near, parametrize
 from tests.support.problems import normal
 from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.stencil import Stencil, half_ball
 from warp_peri.points.points import Points, grid_places
 from warp_peri.runtime import one_thread
-from warp_peri.testing import assert_near as near
 from warp_peri.testing import check_energy, check_product
 
 LAM, MU = 0.4, 0.9

@@ -9,9 +9,8 @@ from numpy.random import default_rng
 
 import warp_peri as wp
 from tests.crystal.crystals import learned, random_law
-from tests.support import approx, in_plane_and_space, parametrize
+from tests.support import approx, in_plane_and_space, parametrize, refused
 from tests.support.problems import difference, fitted_order, kernel
-from tests.support.told import refused
 from warp_peri.core import proof
 from warp_peri.core.elastic import (
     difference_tensors,

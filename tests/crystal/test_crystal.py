@@ -6,16 +6,14 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.crystal.crystals import COPPER, huang_defect, lattice, learned, plain_energy, random_law
-from tests.support import approx, in_plane_and_space, parametrize
+from tests.support import approx, assert_refused, in_plane_and_space, near, parametrize, warned
 from tests.support.problems import noise, normal
-from tests.support.told import assert_refused, warned
 from warp_peri import Periodic, Points, solve
 from warp_peri.core import elastic
 from warp_peri.core.elastic import checked_orientation, name_of, point_group, shared_with_nodes
 from warp_peri.core.stencil import invariant_basis
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import plane_strain, plane_stress
-from warp_peri.testing import assert_near as near
 
 
 def test_a_family_has_its_numbers_and_a_group_is_known_by_its_rotations():

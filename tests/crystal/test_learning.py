@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 
 import warp_peri as wp
 from tests.crystal.crystals import CUBES, cubic_tensor, dispersive, huang_defect, lattice, learned
-from tests.support import approx, clouds, filterwarnings, in_plane_and_space
+from tests.support import approx, clouds, filterwarnings, in_plane_and_space, near
 from tests.support.problems import kernel, loaded, noise, normal
 from tests.support.problems import lattice as plane_lattice
 from tests.support.told import assert_refused, refused, warned
@@ -25,7 +25,6 @@ from warp_peri.materials.crystal_fit import fit_dispersion, fit_phonons, transfe
 from warp_peri.materials.lps import moduli
 from warp_peri.methods import GaussNewton
 from warp_peri.points.families import bond_classes
-from warp_peri.testing import assert_near as near
 
 
 def fit(samples, horizon, **asked):

@@ -8,14 +8,12 @@ from numpy.random import default_rng
 
 from examples import diffusion
 from examples.diffusion import coupled, jump, smooth
-from tests.support import approx, in_plane_and_space, parametrize
+from tests.support import approx, assert_refused, in_plane_and_space, near, parametrize, refused
 from tests.support.clouds import cloud
 from tests.support.problems import fitted_order, kernel
-from tests.support.told import assert_refused, refused
 from warp_peri import Dirichlet, LPSMaterial, Points, simulate, solve
 from warp_peri.diffusion import DiffusionMaterial, DiffusionOperator, ThermoelasticMaterial
 from warp_peri.points.points import grid_places
-from warp_peri.testing import assert_near as near
 
 CELLS = np.array([6, 9, 13])
 UNITS = ("angstrom", "TPa")

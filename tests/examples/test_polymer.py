@@ -13,10 +13,8 @@ from examples.polymer.closure import exact_pairs, reached
 from examples.polymer.dumbbells import propagator
 from examples.polymer.gaussian_process import fit_process, unlikelihood
 from examples.polymer.particles import ChannelFlow, Particles
-from tests.support import approx, parametrize
+from tests.support import approx, near, parametrize, refused
 from tests.support.problems import fitted_order
-from tests.support.told import refused
-from warp_peri.testing import assert_near as near
 
 MAXWELL = polymer.UpperConvectedMaxwell()
 

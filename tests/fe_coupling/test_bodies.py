@@ -8,15 +8,13 @@ from netgen import csg
 
 from examples.exact import hoop_stress, plate_with_hole, relative_error
 from tests.crystal.crystals import learned
-from tests.support import filterwarnings, parametrize, shared
+from tests.support import each_refused, filterwarnings, near, parametrize, refused, shared, warned
 from tests.support.plates import MODEL, plate
 from tests.support.problems import fitted_order, normal
-from tests.support.told import each_refused, refused, warned
 from warp_peri.fe_coupling.body import Coupling, long_wave, solve_body
 from warp_peri.fe_coupling.schwarz import bulk_lattice
 from warp_peri.points.mesh import REST, make_mesh
 from warp_peri.points.outlines import Circle, box, mesh_outline
-from warp_peri.testing import assert_near as near
 
 SPACING, RADIUS, HALF, TENSION = 1.0, 8.0, 32.0, 0.005
 

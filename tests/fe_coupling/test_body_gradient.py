@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.random import default_rng
 
-from tests.support import approx, filterwarnings, parametrize
+from tests.support import approx, assert_refused, filterwarnings, parametrize, refused
 from tests.support.plates import MODEL, plate
 from tests.support.problems import difference
-from tests.support.told import assert_refused, refused
 from warp_peri.fe_coupling.body import Coupling, body_gradient, solve_body
 from warp_peri.fe_coupling.boundary_elements import BodyLoads
 from warp_peri.solvers import linear

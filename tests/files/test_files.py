@@ -7,8 +7,7 @@ import stat
 import numpy as np
 import pytest
 
-from tests.support import of_json
-from tests.support.told import refused, warned
+from tests.support import of_json, refused, warned
 from warp_peri import load
 from warp_peri.diffusion import DiffusionMaterial
 from warp_peri.files.atomic import whole_file, write_json, write_text

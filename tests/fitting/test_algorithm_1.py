@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support import approx, parametrize
+from tests.support import approx, near, parametrize, refused
 from tests.support.problems import difference, ell, kernel, lattice, manufactured
 from tests.support.solving import fit
 from tests.support.symbols import smallest_margins
-from tests.support.told import refused
 from warp_peri import LPS, Bernstein, LPSMaterial, certify
 from warp_peri.files.checkpoint import ArrayFile
 from warp_peri.fitting import augmented_lagrangian
@@ -23,7 +22,6 @@ from warp_peri.materials.lps_law import LPSFound, LPSLaw
 from warp_peri.materials.lps_stages import DENSE_ZETA, PRINTED_HORIZON, DenseMargins, in_torch
 from warp_peri.methods import AugmentedLagrangian, GaussNewton, StabilityConditions, TwoStage
 from warp_peri.points.families import bond_classes
-from warp_peri.testing import assert_near as near
 
 HORIZON, ZETA = 3.0, 0.02
 

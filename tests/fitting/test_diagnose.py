@@ -7,11 +7,10 @@ from numpy.linalg import norm
 from numpy.random import default_rng
 
 from tests.crystal.crystals import dispersive
-from tests.support import approx, filterwarnings, parametrize, shared
+from tests.support import approx, filterwarnings, parametrize, refused, shared, warned
 from tests.support.clouds import cube, solid
 from tests.support.problems import kernel, lattice, loaded, manufactured, noise, normal, smooth
 from tests.support.symbols import fluctuation, noisy
-from tests.support.told import refused, warned
 from warp_peri import LPS, Bernstein, Crystal, Samples, diagnose, fit
 from warp_peri.core.elastic import voigt_to_tensor
 from warp_peri.core.stencil import invariant_basis

@@ -8,10 +8,9 @@ from numpy.linalg import norm
 from numpy.random import default_rng
 
 import warp_peri as wp
-from tests.support import approx, parametrize, reference, shared
+from tests.support import approx, parametrize, reference, refused, shared
 from tests.support.problems import kernel, lattice, manufactured, noise, periodic
 from tests.support.solving import solve
-from tests.support.told import refused
 from warp_peri import Samples, evaluate
 from warp_peri.core.stencil import Stencil
 from warp_peri.fitting.evaluate import BootstrapResult

@@ -7,11 +7,10 @@ import torch
 from numpy.linalg import eigvalsh
 from numpy.random import default_rng
 
-from tests.support import approx, parametrize, problems, shared
+from tests.support import approx, assert_refused, each_refused, near, parametrize, problems, shared
 from tests.support.problems import difference, ell, kernel, lattice, manufactured, noise, normal
 from tests.support.solving import fit, solve
 from tests.support.symbols import fluctuation, noisy, waves
-from tests.support.told import assert_refused, each_refused
 from warp_peri import Bernstein, Samples
 from warp_peri.fitting import regression
 from warp_peri.fitting.regression import sample_weights, without_noise
@@ -19,7 +18,6 @@ from warp_peri.materials import lps_stages
 from warp_peri.materials.lps_law import Products, products, squares
 from warp_peri.materials.lps_stages import CollarResponse, WaveResponse, class_weights
 from warp_peri.points.families import bond_classes
-from warp_peri.testing import assert_near as near
 
 NEAR_HORIZON = 2.5
 

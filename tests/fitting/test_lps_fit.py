@@ -8,13 +8,12 @@ import scipy.linalg
 from numpy.linalg import norm
 from numpy.random import default_rng
 
-from tests.support import approx, filterwarnings, parametrize
+from tests.support import approx, each_refused, filterwarnings, near, parametrize
 from tests.support.problems import LAM as TRUE_LAM
 from tests.support.problems import MU as TRUE_MU
 from tests.support.problems import kernel, lattice, manufactured, noise
 from tests.support.solving import fit
 from tests.support.symbols import smallest_margins
-from tests.support.told import each_refused
 from warp_peri import LPS, Bernstein, Samples, certify, evaluate
 from warp_peri.core.elastic import plane_isotropic, voigt_to_tensor
 from warp_peri.materials.lps import LPSParameters, bernstein_basis, moduli, stiffnesses
@@ -22,7 +21,6 @@ from warp_peri.materials.lps_fit import Learner
 from warp_peri.materials.lps_law import LPSFound
 from warp_peri.methods import GaussNewton, StabilityConditions, TwoStage
 from warp_peri.points.families import bond_classes
-from warp_peri.testing import assert_near as near
 
 LAM, MU = -0.2, 0.7
 ZETA = 0.01

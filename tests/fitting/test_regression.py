@@ -4,15 +4,13 @@ import numpy as np
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
-from tests.support import approx, parametrize
+from tests.support import approx, each_refused, near, parametrize
 from tests.support.problems import difference
-from tests.support.told import each_refused
 from warp_peri.fitting.regression import Settled, least_squares_above
 from warp_peri.materials.lps import LPSParameters, bernstein_basis
 from warp_peri.materials.lps_law import BernsteinKernel, LPSFound, LPSLaw
 from warp_peri.methods import GaussNewton, StabilityConditions
 from warp_peri.points.families import bond_classes
-from warp_peri.testing import assert_near as near
 
 
 def test_the_optimum_is_one():

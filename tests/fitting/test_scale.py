@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from tests.support import approx, parametrize, shared
+from tests.support import approx, each_refused, parametrize, refused, shared, warned
 from tests.support.problems import kernel, lattice, manufactured, normal
 from tests.support.solving import fit, solve
 from tests.support.symbols import waves
-from tests.support.told import each_refused, refused, warned
 from warp_peri import Bernstein
 from warp_peri.materials.lps_fit import RELATIVE_ZETA, stiffness_of
 from warp_peri.methods import StabilityConditions, TwoStage

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from numpy.linalg import norm
 
-from tests.support import approx, parametrize
+from tests.support import approx, each_refused, parametrize, refused
 from tests.support.problems import kernel, lattice, manufactured
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, off, solid
 from tests.support.solving import fit
-from tests.support.told import each_refused, refused
 from warp_peri import evaluate
 from warp_peri.influence import InfluenceFunction
 from warp_peri.materials.influence import gaussian, named, table

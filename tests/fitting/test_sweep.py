@@ -5,9 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-from tests.support import approx, of_json
+from tests.support import approx, of_json, refused, warned
 from tests.support.problems import kernel, lattice, manufactured
-from tests.support.told import refused, warned
 from warp_peri import LPS, LPSMaterial
 from warp_peri.materials.sweep import Trial, choose
 from warp_peri.methods import sweep

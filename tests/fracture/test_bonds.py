@@ -6,10 +6,9 @@ from numpy.linalg import eigvalsh
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tests.support import approx, clouds, parametrize
+from tests.support import approx, clouds, near, parametrize, warned
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import ROUNDING, lattice, rotation
-from tests.support.told import warned
 from warp_peri.fracture.body import cracked, crossing_bonds, lattice_body
 from warp_peri.fracture.bonds import (
     CutOperator,
@@ -21,7 +20,6 @@ from warp_peri.fracture.bonds import (
 from warp_peri.fracture.materials import continuum_stretch
 from warp_peri.points.families import bond_classes
 from warp_peri.runtime import floats, zeros
-from warp_peri.testing import assert_near as near
 
 DILATATIONAL = 0.32260
 """4 ∫ c(z)² dz, c the share of a ball's Σ w r² beyond a plane at height z (theory, C6)."""

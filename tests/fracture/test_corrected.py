@@ -8,7 +8,7 @@ from numpy.linalg import eigvalsh, norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tests.support import approx, in_plane_and_space, parametrize
+from tests.support import approx, in_plane_and_space, near, parametrize
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import difference, everywhere, noise, normal
 from warp_peri import CG, Cracked, Points, simulate, solve
@@ -16,7 +16,6 @@ from warp_peri.fracture import bonds, box_nodes, penny_corners, point_force, rec
 from warp_peri.fracture.bonds import bond_matrix, bonds_of, largest_stiffness
 from warp_peri.fracture.dynamics import SPREAD, BreakingBody
 from warp_peri.solvers.verlet import inertia
-from warp_peri.testing import assert_near as near
 
 
 def matrix(model, body, table, corrected=True):

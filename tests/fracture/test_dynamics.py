@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from tests.support import approx, parametrize
+from tests.support import approx, parametrize, refused
 from tests.support.bodies import plate, pulled, solid
-from tests.support.told import refused
 from warp_peri.fracture.dynamics import BreakingBody, CrackRun, step
 
 CRACK = [[(-20, 0), (-4, 0)]]

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from examples.inclusion import Mixed
-from tests.support import filterwarnings
+from tests.support import assert_refused, filterwarnings
 from tests.support.bodies import plate, solid
 from tests.support.problems import kernel, lattice
-from tests.support.told import assert_refused
 from warp_peri import CG, Dirichlet, Points, fracture, simulate, solve
 from warp_peri.fracture import BondLaw, Cracked, Injected, j_integral, point_force, rectangle_nodes
 from warp_peri.fracture.adjoint import SoftBody

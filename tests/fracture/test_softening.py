@@ -7,9 +7,8 @@ import torch
 from scipy.integrate import quad
 
 from tests.gradients.cases import errors
-from tests.support import approx, parametrize
+from tests.support import approx, parametrize, refused, warned
 from tests.support.problems import everywhere, normal
-from tests.support.told import refused, warned
 from warp_peri import Cracked, LPSMaterial, simulate
 from warp_peri.fracture import BondLaw, SofteningMaterial, adjoint, lattice_body
 from warp_peri.fracture.adjoint import SoftBody

@@ -9,10 +9,9 @@ from examples import pressurised_crack
 from examples.exact import westergaard
 from examples.inclusion import Mixed
 from examples.static_crack import edge_crack, static_crack
-from tests.support import approx, parametrize
+from tests.support import approx, assert_refused, parametrize, refused
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import everywhere, fitted_order, kernel
-from tests.support.told import assert_refused, refused
 from warp_peri import Cracked, LPSMaterial, Points, Solution, fracture, simulate, solve
 from warp_peri.fracture import (
     Injected,

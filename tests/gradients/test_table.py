@@ -7,9 +7,8 @@ import pytest
 
 import warp_peri as wp
 from tests.gradients import cases
-from tests.support import filterwarnings, parametrize
+from tests.support import filterwarnings, parametrize, refused
 from tests.support.materials import FLOWS, LINEAR, OPERATORS, operator, tensor
-from tests.support.told import refused
 
 pytestmark = filterwarnings("ignore::UserWarning")
 NO_STEP = "expected a linear solid or a crystal"

@@ -7,16 +7,14 @@ import pytest
 from numpy.linalg import eigvalsh
 from numpy.random import default_rng
 
-from tests.support import approx, parametrize, shared
+from tests.support import approx, near, parametrize, shared, warned
 from tests.support.problems import lattice as nodes
 from tests.support.problems import normal, on_interior
 from tests.support.sheets import dictionary_of, sheet_on, square, waves
-from tests.support.told import warned
 from warp_peri import Samples, evaluate
 from warp_peri.hyperelastic import NoEquilibriumError
 from warp_peri.materials.hyperelastic import lattice
 from warp_peri.solvers.equilibria import Descent
-from warp_peri.testing import assert_near as near
 
 COEFFICIENTS = np.array([0.2] * 4 + [0.07, 0.08, 0.2])
 

@@ -8,9 +8,8 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 import warp_peri as wp
-from tests.support import approx, shared
+from tests.support import approx, near, refused, shared, warned
 from tests.support.sheets import NEAREST, dictionary_of, hgo_dictionary, sheet_on, square, waves
-from tests.support.told import refused, warned
 from warp_peri.materials.hyperelastic import fibres
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.fibres import ThicknessField
@@ -18,7 +17,6 @@ from warp_peri.materials.hyperelastic.lattice import SheetLattice
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.materials.hyperelastic.sheet_fit import Search, Sections, fit_fibre_families
 from warp_peri.points.points import PULL, Points, Samples, grid_places
-from warp_peri.testing import assert_near as near
 
 TRUE_ANGLE, TRUE_EXPONENT = 1.1, 2.0
 TRUTH = np.array([0.1] * 4 + [0.05, 0.15])

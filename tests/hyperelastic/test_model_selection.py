@@ -10,9 +10,8 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 import warp_peri as wp
-from tests.support import approx, of_json, parametrize
+from tests.support import approx, of_json, parametrize, refused
 from tests.support.sheets import NEAREST, hgo_dictionary, square, waves
-from tests.support.told import refused
 from tools import make_frames
 from tools.hyperelastic_elements import Elements, finite_elements, quadrilaterals
 from tools.hyperelastic_energies import Family, plane_stress_hgo

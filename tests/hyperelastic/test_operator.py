@@ -11,16 +11,14 @@ from numpy.random import default_rng
 from scipy.ndimage import binary_dilation
 
 import warp_peri as wp
-from tests.support import approx
+from tests.support import approx, assert_refused, near
 from tests.support.problems import fitted_order, on_interior
 from tests.support.sheets import SPACING, everything, hgo_dictionary, sheet_on, square, waves
-from tests.support.told import assert_refused
 from warp_peri.hyperelastic import ThicknessField
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
 from warp_peri.materials.hyperelastic.model_selection import febio_material
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.points.points import Points, grid_places
-from warp_peri.testing import assert_near as near
 from warp_peri.testing import check_energy, check_product
 
 

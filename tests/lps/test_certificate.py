@@ -7,10 +7,9 @@ import scipy.sparse as sp
 from numpy.linalg import eigvalsh
 from numpy.random import default_rng
 
-from tests.support import approx, parametrize, reference
+from tests.support import approx, near, parametrize, reference, refused
 from tests.support.problems import ell, kernel, lattice
 from tests.support.symbols import form, smallest, smallest_margins, symbol
-from tests.support.told import refused
 from warp_peri import LPSMaterial, certify
 from warp_peri.core.stencil import ratios
 from warp_peri.materials.lps import stiffnesses
@@ -18,7 +17,6 @@ from warp_peri.materials.lps_law import StabilityConditions, product_basis
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.families import bond_classes
 from warp_peri.solvers.systems import DENSE, smallest_eigenvalue
-from warp_peri.testing import assert_near as near
 
 ZONE = np.stack(np.meshgrid(*2 * [np.linspace(-np.pi, np.pi, 161)]), -1).reshape(-1, 2)
 ZONE = ZONE[np.hypot(*ZONE.T) > 1e-9]

@@ -5,9 +5,8 @@ import torch
 
 from tests.gradients.cases import errors
 from tests.lps.test_force import HORIZON, error
-from tests.support import approx
+from tests.support import approx, assert_refused, refused, warned
 from tests.support.problems import LAM, MU, kernel, lattice, noise, normal, periodic
-from tests.support.told import assert_refused, refused, warned
 from warp_peri import CG, Cracked, Direct, Dirichlet, Periodic, certify, simulate, solve
 from warp_peri.core.proof import largest
 from warp_peri.materials.lps_force import Bonds

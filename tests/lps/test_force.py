@@ -9,7 +9,7 @@ import warp as wp
 from numpy.random import default_rng
 
 from tests.gradients.cases import errors
-from tests.support import approx, clouds, filterwarnings, parametrize, problems, reference
+from tests.support import approx, clouds, filterwarnings, near, parametrize, problems, reference
 from tests.support.clouds import cloud, periodic_cloud
 from tests.support.problems import KERNELS, LAM, MU, ROUNDING, ell, kernel, lattice, noise, periodic
 from tests.support.symbols import symbol
@@ -22,7 +22,6 @@ from warp_peri.materials.lps_force import Bonds, assemble
 from warp_peri.materials.lps_operator import LPSOperator, lps_force
 from warp_peri.methods import LPSParameters
 from warp_peri.points.families import bond_classes
-from warp_peri.testing import assert_near as near
 
 pytestmark = filterwarnings("ignore:spacing. the model is certified")
 HORIZON = 3.0

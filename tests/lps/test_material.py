@@ -6,11 +6,10 @@ import numpy as np
 import scipy.linalg
 from numpy.testing import assert_allclose
 
-from tests.support import approx, clouds, parametrize
+from tests.support import approx, assert_refused, clouds, near, parametrize, refused, warned
 from tests.support.clouds import cloud, periodic_cloud, plain
 from tests.support.problems import ROUNDING, fitted_order, kernel, lattice, noise, normal, periodic
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, solid
-from tests.support.told import assert_refused, refused, warned
 from warp_peri import LPSMaterial, certify
 from warp_peri.influence import InfluenceFunction
 from warp_peri.materials.influence import gaussian, table
@@ -18,7 +17,6 @@ from warp_peri.materials.lps import bernstein_basis
 from warp_peri.materials.lps_law import ShapeKernel
 from warp_peri.materials.lps_operator import node_fields
 from warp_peri.points.families import bond_classes
-from warp_peri.testing import assert_near as near
 
 
 def test_continuum_constants_are_those_of_plane_stress_and_of_space():

@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from tests.support import approx, clouds, filterwarnings, parametrize
+from tests.support import approx, clouds, filterwarnings, parametrize, refused, warned
 from tests.support.clouds import cloud, plain
 from tests.support.problems import cut, ell, fitted_order, kernel, lattice, noise, normal
 from tests.support.solving import solve
-from tests.support.told import refused, warned
 from warp_peri import LPSMaterial, certify
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.families import families_of

@@ -9,10 +9,9 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import warp_peri as wp
-from tests.support import approx, parametrize
+from tests.support import approx, assert_refused, parametrize
 from tests.support.materials import saint_venant
 from tests.support.problems import loaded
-from tests.support.told import assert_refused
 from warp_peri.points.points import grid_places
 
 LAM, MU = 0.4, 0.9

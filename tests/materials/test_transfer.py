@@ -9,11 +9,10 @@ import torch
 from numpy.linalg import norm
 
 import warp_peri as wp
-from tests.support import approx, parametrize, shared
+from tests.support import approx, assert_refused, parametrize, refused, shared, warned
 from tests.support.clouds import cloud
 from tests.support.problems import everywhere, kernel, lattice, manufactured, noise, rotation
 from tests.support.solving import solve
-from tests.support.told import assert_refused, refused, warned
 from warp_peri import Points, Samples, evaluate
 from warp_peri.certificates import critical_time_step
 from warp_peri.materials import transfer

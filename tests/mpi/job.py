@@ -15,16 +15,13 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from numpy.random import default_rng
 
 import warp_peri as wp
-from tests.support.problems import everywhere
 from warp_peri.core import proof
 from warp_peri.diffusion import DiffusionMaterial
 from warp_peri.fracture import BrittleMaterial, Cracked, rectangle_nodes
 from warp_peri.mpi import gather, lattice, linear, partition, together
 from warp_peri.mpi.processes import total, world
-from warp_peri.points.points import grid_places
 
 H = 0.5
 SHAPE = {2: (52, 52), 3: (17, 17, 17)}
@@ -46,7 +43,7 @@ def kept(folder, name, points, values):
 
 def uneven():
     """Numbers of many sizes and both signs, whose sum in floats depends on the order."""
-    random = default_rng(0)
+    random = np.random.default_rng(0)
     return random.normal(size=(1000, 2)) * 10.0 ** random.integers(-8, 8, (1000, 2))
 
 
@@ -81,7 +78,7 @@ def swings(dimension):
 
 def whole(dimension):
     """The problem of one process."""
-    x = H * grid_places(SHAPE[dimension])
+    x = H * np.argwhere(np.ones(SHAPE[dimension]))
     return wp.Dirichlet(wp.Points(x, inside(x), H), *fields(x))
 
 
@@ -142,7 +139,7 @@ def refusals(sheet, ball):
     """What is said of what no rank takes; none of it waits for torch."""
     full = lattice(SHAPE[2], H, lambda x: x[:, 0] >= 0)
     brittle = BrittleMaterial(solid(2), 2500.0, toughness=1.0)
-    everywhere, flat = H * grid_places(SHAPE[2]), wp.Dirichlet(sheet, *fields(sheet.x))
+    everywhere, flat = H * np.argwhere(np.ones(SHAPE[2])), wp.Dirichlet(sheet, *fields(sheet.x))
     mixed = np.zeros(len(sheet.x), (bool, int)[world().rank])
     hidden = np.ma.masked_array(0 * sheet.x, sheet.x > 0)
     return [told_by(wrong) for wrong in (
@@ -193,7 +190,7 @@ def at_the_door(sheet):
 def notched(horizon, lam, corrected=False):
     """A notched plate that is pulled at its ends, and its glass."""
     x = rectangle_nodes(40.0, 20.0, 1.0)
-    points = partition(everywhere(x, units=("mm", "GPa")))
+    points = partition(wp.Points(x, np.ones(len(x), bool), 1.0, units=("mm", "GPa")))
     model = wp.LPSMaterial(lam, 0.4, 1.0, [1.0], horizon=horizon, units=("mm", "GPa"))
     ends = np.abs(points.x[:, 1:]) > 9
     pull = np.where(ends, np.sign(points.x) * (0.0, 0.01), 0.0)

@@ -14,9 +14,8 @@ from numpy.random import default_rng
 
 import warp_peri as wp
 from tests.gradients.cases import errors
-from tests.support import ROOT, approx, of_json, parametrize
+from tests.support import ROOT, approx, assert_refused, each_refused, of_json, parametrize, refused
 from tests.support.problems import ell, lattice, loaded, noise, normal, rotation
-from tests.support.told import assert_refused, each_refused, refused
 from warp_peri.core.record import content_hash
 from warp_peri.files.atomic import locked
 from warp_peri.neural import training

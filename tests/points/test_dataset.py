@@ -9,9 +9,8 @@ import pytest
 from numpy.linalg import norm
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tests.support import approx
+from tests.support import approx, assert_refused, each_refused, refused, warned
 from tests.support.problems import lattice, noise
-from tests.support.told import assert_refused, each_refused, refused, warned
 from warp_peri import Dataset, Points, Samples, evaluate, load, save
 from warp_peri.points.arguments import factors
 from warp_peri.points.dataset import content_hash, load_dataset, save_dataset

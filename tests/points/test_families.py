@@ -10,7 +10,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from tests.support import approx, filterwarnings, parametrize, problems, reference
+from tests.support import approx, filterwarnings, near, parametrize, problems, reference
 from tests.support.clouds import cloud, cube, periodic_cloud, plain
 from tests.support.problems import (
     ell,
@@ -34,7 +34,6 @@ from warp_peri.points.families import (
     quadrature_weights,
 )
 from warp_peri.points.points import axis_of, grid_places, lattice_steps
-from warp_peri.testing import assert_near as near
 
 
 @parametrize(("horizon", "angle", "box"), [(2.0, 0.0, None), (3.0, 0.4, None), (3.0, 0.0, (9, 7))])

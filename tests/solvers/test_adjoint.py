@@ -7,9 +7,8 @@ import numpy as np
 import torch
 
 from tests.gradients.cases import errors, given, loss
-from tests.support import filterwarnings
+from tests.support import assert_refused, each_refused, filterwarnings, refused
 from tests.support.materials import operator
-from tests.support.told import assert_refused, each_refused, refused
 from warp_peri import Cracked, Dirichlet, TorchModule, simulate
 from warp_peri.solvers import verlet
 from warp_peri.solvers.adjoint import BATCH

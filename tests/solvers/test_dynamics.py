@@ -6,10 +6,9 @@ import numpy as np
 from numpy.linalg import eigvalsh
 
 from tests.known_problems.statics import THIRD, UnitScale, material
-from tests.support import approx, parametrize
+from tests.support import approx, assert_refused, parametrize, refused
 from tests.support.problems import ell, fitted_order, kernel, lattice, noise, periodic
 from tests.support.symbols import symbol
-from tests.support.told import assert_refused, refused
 from warp_peri.certificates import critical_time_step
 from warp_peri.files.atomic import locked
 from warp_peri.materials.lps_operator import LPSOperator

@@ -8,11 +8,10 @@ from numpy.linalg import norm
 from numpy.random import default_rng
 
 from tests.gradients.cases import errors
-from tests.support import approx, filterwarnings, parametrize
+from tests.support import approx, each_refused, filterwarnings, parametrize, refused
 from tests.support.clouds import cloud
 from tests.support.problems import kernel, lattice, manufactured, noise, normal, on_interior
 from tests.support.solving import solve
-from tests.support.told import each_refused, refused
 from tools.benchmark import MODEL_FILE as TABLE
 from tools.benchmark import lattice_of as problem
 from tools.benchmark import loads, mask_of

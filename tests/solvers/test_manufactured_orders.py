@@ -7,7 +7,7 @@ from numpy.linalg import eigvalsh, norm
 from numpy.random import default_rng
 
 from examples.reproduce.slides import curl_and_pressure
-from tests.support import filterwarnings, parametrize
+from tests.support import filterwarnings, near, parametrize
 from tests.support.clouds import cloud, cube, field, load, plain, solid
 from tests.support.problems import (
     LAM,
@@ -25,7 +25,6 @@ from warp_peri import solve as at_rest
 from warp_peri.certificates import check_solvability, critical_time_step
 from warp_peri.crystals import crystal_from_lps
 from warp_peri.solvers.verlet import inertia
-from warp_peri.testing import assert_near as near
 
 pytestmark = filterwarnings("ignore:spacing. the model is certified")
 LENGTH = 2.0

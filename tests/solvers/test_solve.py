@@ -8,10 +8,9 @@ from numpy.testing import assert_array_equal
 from scipy.optimize import brentq
 
 from tests.crystal.crystals import learned
-from tests.support import approx, parametrize
+from tests.support import approx, each_refused, parametrize, refused
 from tests.support.problems import ell, kernel, lattice, manufactured, noise, on_interior, periodic
 from tests.support.solving import solve
-from tests.support.told import each_refused, refused
 from warp_peri import Dirichlet, LPSMaterial, Periodic, Points, evaluate
 from warp_peri import solve as at_rest
 from warp_peri.materials.lps_operator import LPSOperator

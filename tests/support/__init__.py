@@ -6,6 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.told import assert_refused as assert_refused
+from tests.support.told import each_refused as each_refused
+from tests.support.told import refused as refused
+from tests.support.told import warned as warned
+from warp_peri.testing import assert_near as near  # noqa: F401
+
 ROOT = Path(__file__).parent.parent.parent
 parametrize = pytest.mark.parametrize
 filterwarnings = pytest.mark.filterwarnings

@@ -5,17 +5,15 @@ from dataclasses import replace
 import numpy as np
 
 from tests.crystal.crystals import cubic_tensor, dispersive
-from tests.support import approx, parametrize
+from tests.support import approx, assert_refused, near, parametrize, warned
 from tests.support.clouds import cloud
 from tests.support.nonlinear import FORMS, TENSOR, solid
 from tests.support.problems import lattice, loaded, smooth
-from tests.support.told import assert_refused, warned
 from warp_peri import Crystal, ThirdOrder, fit
 from warp_peri.core.elastic import voigt
 from warp_peri.materials.crystal_fit import fit_dispersion
 from warp_peri.materials.third_order import Smoothing
 from warp_peri.points.families import bond_classes
-from warp_peri.testing import assert_near as near
 
 REACH = 3.0
 POINTS = replace(lattice(11, REACH), axis=20.0)

@@ -4,14 +4,13 @@ import numpy as np
 from numpy.linalg import norm
 from numpy.random import default_rng
 
-from tests.support import approx, parametrize, problems
+from tests.support import approx, near, parametrize, problems
 from tests.support.nonlinear import psi, solid
 from tests.support.problems import ROUNDING, difference, lattice, noise, on_interior, smooth
 from warp_peri.core import torch_bridge
 from warp_peri.materials.third_order import PlacedThirdOrder
 from warp_peri.points.families import bond_classes
 from warp_peri.points.points import lattice_steps
-from warp_peri.testing import assert_near as near
 
 HORIZON = 3.0
 

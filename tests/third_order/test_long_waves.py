@@ -3,9 +3,8 @@
 import numpy as np
 from numpy.random import default_rng
 
-from tests.support import approx
+from tests.support import approx, refused
 from tests.support.problems import everywhere, normal
-from tests.support.told import refused
 from warp_peri import Points, Samples
 from warp_peri.fitting.long_waves import _stresses, lame_of_long_waves
 from warp_peri.points.points import grid_places

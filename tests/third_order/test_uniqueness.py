@@ -7,10 +7,9 @@ from numpy.linalg import eigvalsh, norm
 from numpy.random import default_rng
 from scipy.sparse.linalg import splu
 
-from tests.support import parametrize
+from tests.support import near, parametrize, refused, warned
 from tests.support.nonlinear import FORMS, psi, solid
 from tests.support.problems import ell, lattice, loaded, noise, normal, smooth
-from tests.support.told import refused, warned
 from warp_peri import Dirichlet, Newton, solve
 from warp_peri.certificates import prove_uniqueness
 from warp_peri.materials.certificate import curvature_bound, largest_parts, proven_kappa
@@ -18,7 +17,6 @@ from warp_peri.materials.third_order import PlacedThirdOrder
 from warp_peri.points.families import bond_classes
 from warp_peri.solvers import equilibria, systems
 from warp_peri.solvers.linear import Linear
-from warp_peri.testing import assert_near as near
 
 HORIZON = 3.0
 
