@@ -4,7 +4,6 @@ from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
-import pytest
 from ase.build import bulk
 from ase.calculators.calculator import Calculator
 from ase.calculators.emt import EMT
@@ -14,7 +13,8 @@ from numpy.random import default_rng
 
 import warp_peri as wp
 from tests.crystal.crystals import CUBES
-from tests.support import filterwarnings, near, refused
+from tests.support import filterwarnings, near, refused, slow
+from tests.support.problems import normal
 from warp_peri.atoms import calculator_noise as noises
 from warp_peri.atoms import phonons
 from warp_peri.atoms.calculator_noise import Symmetric, bent_by_strain, joined, measured, projected
@@ -90,7 +90,7 @@ def test_broken_force_constants_are_brought_to_the_rules_and_the_shift_is_their_
     cell = bulk("Ni", "hcp", a=2.47, c=4.03)
     many = cell.repeat((3, 3, 2))
     phi = differences(cell, many)
-    noise = default_rng(1).standard_normal(phi.shape)
+    noise = normal(phi.shape, 1)
     size = 1e-3 * np.abs(phi).max()
     kept, true = (projected(cell, many, one, (0, 1)) for one in (phi + size * noise, phi))
     zeroth, first, second = kept.moments()
@@ -170,7 +170,7 @@ def secant(strain):
     return 160.2176634 * (ends[0] - ends[1]) / (2 * strain)
 
 
-@pytest.mark.slow
+@slow
 @filterwarnings("ignore:force constants:UserWarning")  # what is rough has no end
 def test_a_surface_with_a_dimple_is_measured_beyond_it_and_its_spread_is_an_error():
     found = measured(CELL, Noisy(Dimpled(), 3e-6), False)

@@ -7,6 +7,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.support import approx, assert_refused, each_refused, parametrize, refused, warned
+from tests.support.problems import normal
 from warp_peri.atoms.dic import dic_to_lattice, estimate_noise, frames_of_folder, read_dic_frame
 from warp_peri.points.points import SEEN, grid_places
 
@@ -37,7 +38,7 @@ def test_points_on_a_lattice_stay_and_scattered_ones_are_fitted_locally(frame_of
     frame = frame_of(shaken, field(shaken))
     samples = dic_to_lattice([frame], spacing=20.0, radius=2.0)
     assert_allclose(samples.u[0], field(samples.x), atol=1e-6)  # quadratic: exact
-    noise = 0.3 * default_rng(1).standard_normal(BIG.shape)
+    noise = 0.3 * normal(BIG.shape, 1)
     noisy = dic_to_lattice([frame_of(BIG, field(BIG) + noise)])
     assert estimate_noise(noisy)[0] == approx(0.3, rel=0.15)
 

@@ -13,7 +13,17 @@ from torch.autograd import forward_ad, functional, grad, gradgradcheck
 
 import warp_peri as wp
 from tests.support import assert_refused, filterwarnings, masked, near, parametrize, refused
-from tests.support.materials import LAWS, LINEAR, OPERATORS, field, operator, seeded, tensor
+from tests.support.materials import (
+    LAWS,
+    LINEAR,
+    OPERATORS,
+    double,
+    field,
+    operator,
+    seeded,
+    tensor,
+    tensors,
+)
 from tests.support.problems import kernel, lattice, normal
 from warp_peri.errors import ALONE
 
@@ -38,7 +48,7 @@ def test_product_and_its_transpose_are_one_matrix(name):
 @parametrize("name", LINEAR)
 def test_second_derivatives_of_a_linear_force(name):
     op = operator(name)
-    u, v = (tensor(op, seed=n) for n in (0, 1))
+    u, v = tensors(op)
     assert gradgradcheck(op, (u.clone().requires_grad_(),), fast_mode=True)
     energy = lambda u: (op(u) ** 2).sum() / 2
     expected = op.vjp(u.numpy(), op(v.numpy()))
@@ -223,7 +233,7 @@ def test_a_module_learns_the_numbers_of_its_material_and_is_saved_and_copied(nam
 @parametrize("name", ["LPS", "crystal", "conductor"])
 def test_what_a_solve_takes_and_tells(name):
     op = operator(name)
-    b, u = (tensor(op, 2, seed=n) for n in (0, 1))
+    b, u = tensors(op, 2)
     solution = lambda b, u: wp.solve(op, wp.Dirichlet(op.points, b, u))
     for wrong in ((b, u[0]), (b[0], u), (b[:, :-1], u[:, :-1]), (b + 0j, u), (b, u + 0j)):
         with refused("[bu]: expected"):
@@ -242,7 +252,7 @@ def test_what_a_solve_takes_and_tells(name):
 def test_a_second_derivative_to_numbers_is_refused(solver):
     """Where torch would drop terms; of the force without a solver."""
     op, name = operator("LPS"), ["lam", "mu", "alpha", "D"]
-    b, u = (tensor(op, seed=n) for n in (0, 1))
+    b, u = tensors(op)
 
     def energy(*values):
         of = dict(zip(name, values))
@@ -272,7 +282,7 @@ def test_what_would_lose_a_gradient_says_so():
     op, network, heat = map(operator, ("LPS", "neural operator", "conductor"))
     points, cracks = op.points, [[(-2.0, 0.1), (1.0, 0.1)]]
     u, phi = (tensor(one) for one in (op, heat))
-    number = torch.tensor(0.5, dtype=torch.float64)
+    number = double(0.5)
     leaf, learns = u.clone().requires_grad_(), number.clone().requires_grad_()
     module, on = wp.TorchModule(op, points), lambda u: wp.Dirichlet(points, None, u)
     broken = wp.TorchModule(copy.deepcopy(op), points)
@@ -324,10 +334,10 @@ def test_what_would_lose_a_gradient_says_so():
 def test_lists_and_numbers_keep_all_their_digits():
     """Of which torch makes single precision; and what is masked or none is no number."""
     op = operator("LPS")
-    b, u = (tensor(op, seed=n) for n in (0, 1))
+    b, u = tensors(op)
     mu, leaf = 1.1 * float(op.learnable["mu"]), b.clone().requires_grad_()
     solved = lambda u, mu: wp.solve(op, wp.Dirichlet(op.points, leaf, u), parameters={"mu": mu}).u
-    exact = solved(u, torch.tensor(mu, dtype=torch.float64))
+    exact = solved(u, double(mu))
     assert torch.equal(solved(u.tolist(), mu), exact)
     hidden = masked(u.numpy())
     for wrong, said in ((None, "numbers, got NoneType"), ("u", "got str"), (hidden, "finite")):

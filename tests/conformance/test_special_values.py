@@ -8,9 +8,20 @@ from numpy.random import default_rng
 from torch.autograd import grad
 
 import warp_peri as wp
-from tests.gradients.cases import errors, given, loss, solver_of
+from tests.gradients.cases import assert_slopes, given, loss, solver_of
 from tests.support import filterwarnings, parametrize, refused
-from tests.support.materials import FLOWS, KINKED, LAWS, OPERATORS, field, operator, seeded, tensor
+from tests.support.materials import (
+    FLOWS,
+    KINKED,
+    LAWS,
+    OPERATORS,
+    double,
+    field,
+    operator,
+    seeded,
+    tensor,
+    tensors,
+)
 from tests.support.problems import lattice
 
 pytestmark = filterwarnings("ignore::UserWarning")
@@ -75,9 +86,8 @@ def gradient(value, start, *names):
 
 def check(value, numbers):
     """Its gradient to each number is that of differences, and the same alone as with the others."""
-    start = {n: torch.tensor(v, dtype=torch.float64) for n, v in numbers.items()}
-    found = errors(value, start, dict.fromkeys(start, 0.2), least=0.1)
-    assert max(found.values()) <= DIFFERENCES, found
+    start = {n: double(v) for n, v in numbers.items()}
+    assert_slopes(value, start, 0.2, DIFFERENCES, least=0.1)
     for name, expected in zip(start, gradient(value, start, *start)):
         (alone,) = gradient(value, start, name)
         assert (alone - expected).abs().max() <= DIFFERENCES * expected.abs().max(), name
@@ -92,7 +102,7 @@ def general(numbers):
 
 def value_of(verb, kind, op):
     """A number of what a verb gives, of the operator's numbers."""
-    b, u = (tensor(op, seed=n) for n in (0, 1))
+    b, u = tensors(op)
     problem, solver = wp.Dirichlet(op.points, 0.1 * b, u), solver_of(kind, op)
     if verb == "force":
         return lambda of: seeded(op.force_with_parameters(u[None], of))
@@ -135,7 +145,7 @@ def test_a_number_that_two_share_is_both():
     """λ and μ as one tensor have the sum of both derivatives."""
     op = KINDS["LPS"][0](SOLIDS["λ = μ"])
     u = tensor(op)
-    mu, *pair = (torch.tensor(0.8, dtype=torch.float64, requires_grad=True) for _ in range(3))
+    mu, *pair = (double(0.8).requires_grad_() for _ in range(3))
     values = [
         seeded(wp.solve(op, wp.Dirichlet(op.points, None, u), parameters=of).u)
         for of in ({"lam": mu, "mu": mu}, dict(zip(("lam", "mu"), pair)))
@@ -151,8 +161,7 @@ def test_fields_of_zero_and_of_equal_eigenvalues_have_the_gradient_of_difference
     for stretch in (0.0, 0.01):
         u = stretch * (x if x.shape == op.shape else torch.ones(op.shape, dtype=x.dtype))
         value = lambda of: seeded(op(of["u"]))
-        found = errors(value, {"u": u}, {"u": 0.1}, least=op.points.spacing)
-        assert found["u"] <= DIFFERENCES, stretch
+        assert_slopes(value, {"u": u}, 0.1, DIFFERENCES, least=op.points.spacing)
 
 
 def test_bonds_of_half_the_collar_say_what_a_gradient_needs():
@@ -164,6 +173,6 @@ def test_bonds_of_half_the_collar_say_what_a_gradient_needs():
     value = lambda of: seeded(wp.solve(op, problem, parameters=of).u)
     check(value, {name: numbers[name] for name in ("alpha", "D")})
     for name in ("lam", "mu"):
-        leaf = torch.tensor(0.8, dtype=torch.float64, requires_grad=True)
+        leaf = double(0.8).requires_grad_()
         with refused("expected equal values without a gradient"):
             value({name: leaf}).backward()

@@ -10,7 +10,7 @@ from examples import diffusion
 from examples.diffusion import coupled, jump, smooth
 from tests.support import approx, assert_refused, in_plane_and_space, near, parametrize, refused
 from tests.support.clouds import cloud
-from tests.support.problems import fitted_order, kernel
+from tests.support.problems import fitted_order, kernel, normal
 from warp_peri import Dirichlet, LPSMaterial, Points, simulate, solve
 from warp_peri.diffusion import DiffusionMaterial, DiffusionOperator, ThermoelasticMaterial
 from warp_peri.points.points import grid_places
@@ -53,7 +53,7 @@ def test_periodic_lattices_keep_their_content_and_a_wave_decays_as_it_should():
     points = Points.sheet((24, 24), 1.0)
     kappa = default_rng(0).uniform(0.1, 3, len(points.x))
     uneven = DiffusionOperator(DiffusionMaterial(3.0, 1.0), points, kappa=kappa)
-    assert abs(uneven(default_rng(1).standard_normal(len(points.x))).sum()) < 1e-11
+    assert abs(uneven(normal(len(points.x), 1)).sum()) < 1e-11
     assert abs(uneven.matrix - uneven.matrix.T).max() < 1e-13
     k = 2 * np.pi / 24
     phi = np.cos(k * points.x[:, 0])
@@ -79,7 +79,7 @@ def test_a_hole_is_insulated():
 def test_a_kernel_that_changes_sign_is_taken_where_diffusion_does_not_grow(lattice):
     points = square(4, 4.0)
     points = Points(4 * points.x, points.interior, 1.0) if lattice else cloud(8, 3.2)
-    phi = default_rng(0).standard_normal(len(points.x))
+    phi = normal(len(points.x))
     phi *= points.interior
     for last, grows in ((-1.0, True), (-0.05, False)):
         law = DiffusionMaterial(3.2, 1.0, D=np.array([1.0, 1.0 if grows else 0.2, last]))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
-from tests.support import ROOT, approx, filterwarnings, of_json, parametrize
+from tests.support import ROOT, approx, filterwarnings, of_json, parametrize, slow
 
 FOLDER = ROOT / "examples"
 LAWS = {"linear": 3.0, "third_order": 0.094, "crystal": 0.95, "neural": 15.0, "cracks": None,
@@ -71,8 +71,7 @@ COMMANDS = {
 
 @filterwarnings("ignore:loads")
 @parametrize(
-    "name",
-    [pytest.param(n, marks=[pytest.mark.slow] * (n == "toughness_from_crack")) for n in COMMANDS],
+    "name", [pytest.param(n, marks=[slow] * (n == "toughness_from_crack")) for n in COMMANDS]
 )
 def test_a_command_errs_by_no_more(name, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)

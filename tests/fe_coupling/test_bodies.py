@@ -8,7 +8,16 @@ from netgen import csg
 
 from examples.exact import hoop_stress, plate_with_hole, relative_error
 from tests.crystal.crystals import learned
-from tests.support import each_refused, filterwarnings, near, parametrize, refused, shared, warned
+from tests.support import (
+    each_refused,
+    filterwarnings,
+    near,
+    parametrize,
+    refused,
+    shared,
+    slow,
+    warned,
+)
 from tests.support.plates import MODEL, plate
 from tests.support.problems import fitted_order, normal
 from warp_peri.fe_coupling.body import Coupling, long_wave, solve_body
@@ -139,7 +148,7 @@ def ball():
 BODIES = {2: (holed, SIDES, 2), 3: (ball, (REST,), 1)}
 
 
-@pytest.fixture(scope="module", params=[2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.fixture(scope="module", params=[2, pytest.param(3, marks=slow)])
 def body(request):
     """A law of a turned crystal, a mesh, its held parts and the degree of its elements."""
     d = request.param

@@ -49,7 +49,7 @@ PLANTED = {
     "anisotropy": lambda samples: families(samples)["anisotropy"][0][..., 1],
     "nonlinearity": lambda samples: families(samples)["nonlinearity"][0][..., [3, 20]].sum(axis=-1),
     "heterogeneity": lambda samples: (
-        samples.b[:, samples.interior] * default_rng(0).normal(size=(samples.interior.sum(), 1))
+        samples.b[:, samples.interior] * normal((samples.interior.sum(), 1))
     ),
 }
 

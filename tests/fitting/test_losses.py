@@ -8,6 +8,7 @@ from numpy.linalg import eigvalsh
 from numpy.random import default_rng
 
 from tests.support import approx, assert_refused, each_refused, near, parametrize, problems, shared
+from tests.support.materials import double
 from tests.support.problems import difference, ell, kernel, lattice, manufactured, noise, normal
 from tests.support.solving import fit, solve
 from tests.support.symbols import fluctuation, noisy, waves
@@ -47,7 +48,7 @@ def by_rows(sets, weights, lam, mu, alpha, D):
 
 def numbers(alpha, D):
     """λ, μ, α and D."""
-    return [torch.tensor(one, dtype=torch.float64) for one in (-0.2, 0.7, alpha, D)]
+    return [double(one) for one in (-0.2, 0.7, alpha, D)]
 
 
 @parametrize(

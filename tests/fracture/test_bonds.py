@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.support import approx, clouds, near, parametrize, warned
 from tests.support.bodies import plate, random_breaking, solid
-from tests.support.problems import ROUNDING, lattice, rotation
+from tests.support.problems import ROUNDING, lattice, normal, rotation
 from warp_peri.fracture.body import cracked, crossing_bonds, lattice_body
 from warp_peri.fracture.bonds import (
     CutOperator,
@@ -80,7 +80,7 @@ def test_any_order_and_hole_has_the_bits_of_each_node_alone(sides, lam):
 def test_an_uncut_interior_is_the_linear_peridynamic_solid(lam, points):
     horizon = 5.0 - points.dimension
     model = solid(lam, horizon=horizon, dimension=points.dimension).model
-    u = default_rng(0).standard_normal(points.x.shape)
+    u = normal(points.x.shape)
     body = lattice_body(points.x, 1.0, horizon)
     force, _ = swept(CutOperator(model, body), u, body.neighbour)
     with warned("certified"):

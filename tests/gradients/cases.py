@@ -5,7 +5,7 @@ import torch
 from numpy.random import default_rng
 
 import warp_peri as wp
-from tests.support.materials import FLOWS, KINKED, seeded, tensor
+from tests.support.materials import FLOWS, KINKED, seeded, tensor, tensors
 from tests.support.problems import difference, normal
 from warp_peri.certificates import critical_time_step
 from warp_peri.solvers.verlet import inertia
@@ -46,7 +46,7 @@ def learned(op, leaves):
 
 def given(op):
     """Fields, records and sizes of a motion at half of the critical step."""
-    b, u, v = (tensor(op, seed=n) for n in range(3))
+    b, u, v = tensors(op, count=3)
     heavy = inertia(DENSITY, op.model.units)
     if hasattr(op, "max_symbol_eigenvalue"):
         step = np.sqrt(heavy / op.max_symbol_eigenvalue())
@@ -106,6 +106,13 @@ def errors(value, leaves, step, networks=(), least=0.0):
     return found
 
 
+def assert_slopes(value, leaves, step, limit, *more, **how):
+    """That no such error is above a limit; `step` by name, or one for all."""
+    step = step if isinstance(step, dict) else dict.fromkeys(leaves, step)
+    found = errors(value, leaves, step, *more, **how)
+    assert max(found.values()) <= limit, found
+
+
 def table(name, op, value, leaves, own):
     """As errors, `own` the step of fields; networks have their own numbers again afterwards.
 
@@ -133,7 +140,7 @@ def force(name, op):
 
 def solve(name, op):
     """Of what rests, to b, u and numbers."""
-    b, u = (tensor(op, 2, seed=n) for n in (0, 1))
+    b, u = tensors(op, 2)
     share = next((s for word, s in LOADS.items() if word in name), 1.0)
     solver, leaves = solver_of(name, op), {"b": share * b, "u": u} | numbers_of(op)
 
@@ -164,7 +171,7 @@ def simulate(name, op):
 
 
 def flow(name, op):
-    b, u, held = (tensor(op, seed=n) for n in range(3))
+    b, u, held = tensors(op, count=3)
 
     def value(leaves):
         collar = lambda t: leaves["u"] + t * leaves["collar"]

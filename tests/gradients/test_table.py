@@ -7,7 +7,7 @@ import pytest
 
 import warp_peri as wp
 from tests.gradients import cases
-from tests.support import filterwarnings, parametrize, refused
+from tests.support import filterwarnings, parametrize, refused, slow
 from tests.support.materials import FLOWS, LINEAR, OPERATORS, operator, tensor
 
 pytestmark = filterwarnings("ignore::UserWarning")
@@ -40,7 +40,7 @@ QUICK = {
 @parametrize(
     ("verb", "name"),
     [
-        pytest.param(verb, name, marks=[pytest.mark.slow] * (name not in QUICK[verb]))
+        pytest.param(verb, name, marks=[slow] * (name not in QUICK[verb]))
         for verb in QUICK
         for name in OPERATORS
     ],

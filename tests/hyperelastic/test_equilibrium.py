@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.linalg import eigvalsh
-from numpy.random import default_rng
 
 from tests.support import approx, near, parametrize, shared, warned
 from tests.support.problems import lattice as nodes
@@ -85,7 +84,7 @@ def test_a_collar_that_is_folded_far_out_does_not_stop_a_solve():
     x, u, h = op.points.x, waves(op.points, 0.1), op.points.spacing
     even = op.solve(None, u).u
     corner = np.flatnonzero((x < 1.5 * h).all(axis=1))
-    u[corner] += 1.5 * h * default_rng(2).normal(size=(len(corner), 2))
+    u[corner] += 1.5 * h * normal((len(corner), 2), 2)
     near(op.solve(None, u).u[op.interior], even[op.interior], 1e-10, 1)
 
 

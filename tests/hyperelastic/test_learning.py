@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import warp_peri as wp
 from tests.support import approx, near, refused, shared, warned
+from tests.support.problems import normal
 from tests.support.sheets import NEAREST, dictionary_of, hgo_dictionary, sheet_on, square, waves
 from warp_peri.materials.hyperelastic import fibres
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
@@ -48,7 +49,7 @@ def frames():
 
 def noisy(frames, size=0.002):
     """The same with noise in spacings."""
-    noise = default_rng(1).standard_normal(frames.u.shape)
+    noise = normal(frames.u.shape, 1)
     return Samples(frames.points, frames.u + size * frames.spacing * noise)
 
 

@@ -5,12 +5,11 @@ from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
-import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 import warp_peri as wp
-from tests.support import approx, of_json, parametrize, refused
+from tests.support import approx, of_json, parametrize, refused, slow
 from tests.support.sheets import NEAREST, hgo_dictionary, square, waves
 from tools import make_frames
 from tools.hyperelastic_elements import Elements, finite_elements, quadrilaterals
@@ -99,7 +98,7 @@ def test_the_command_passes_over_what_fails(tmp_path, monkeypatch):
     assert ((low <= middle) & (middle <= high)).all()
 
 
-@pytest.mark.slow
+@slow
 def test_an_even_sheet_that_stiffens_is_not_called_uneven():
     """Its tension, to 1.5, lies in the band, whatever points are lost in single frames."""
     powers = [(EnergyTerm("yeoh", exponent=p), c) for p, c in ((2.0, 0.02), (3.0, 0.03))]
@@ -144,7 +143,7 @@ def stretched(mesh, energy, fixed, given, x, levels):
     return fields, forces
 
 
-@pytest.mark.slow
+@slow
 def test_the_command_finds_families_of_fibres(tmp_path):
     """Of elements: at 20° and 80° within 3°, k1/μ within 10 %; a file for FEBio, and curves."""
     true, out = [Family(np.deg2rad(a), k1, 0.8) for a, k1 in ((20, 1.5), (80, 1.0))], tmp_path / "o"
@@ -166,7 +165,7 @@ def test_the_command_finds_families_of_fibres(tmp_path):
     assert curves_of(out).shape[1] > 10
 
 
-@pytest.mark.slow
+@slow
 @parametrize("error", [0.0, 0.02])
 def test_a_rubber_sheet_with_a_hole_pulls_as_it_should(tmp_path, error):
     """With a force a frame, or one: tension within its band and within 2 %."""

@@ -8,9 +8,10 @@ import torch
 import warp as wp
 from numpy.random import default_rng
 
-from tests.gradients.cases import errors
+from tests.gradients.cases import assert_slopes
 from tests.support import approx, clouds, filterwarnings, near, parametrize, problems, reference
 from tests.support.clouds import cloud, periodic_cloud
+from tests.support.materials import double
 from tests.support.problems import KERNELS, LAM, MU, ROUNDING, ell, kernel, lattice, noise, periodic
 from tests.support.symbols import symbol
 from tests.support.told import each_refused, refused
@@ -108,8 +109,7 @@ def test_is_the_reference(name, horizon, points):
 @parametrize("kind", ["lattice", "periodic cloud", "cut lattice", "cut cloud"])
 def test_derivatives_are_those_of_differences_and_fields_those_of_numbers(kind):
     problem = Problem("sign-changing", KINDS[kind](), 1, fields=True)
-    found = errors(problem.scalar, problem.leaves, STEPS)
-    assert max(found.values()) <= 1e-8, found
+    assert_slopes(problem.scalar, problem.leaves, STEPS, 1e-8)
     number = Problem("sign-changing", KINDS[kind](), 1).gathered()
     for part in ("lam", "mu"):
         problem.leaves[part].fill_({"lam": LAM, "mu": MU}[part])
@@ -238,7 +238,7 @@ def test_other_weights_stay_those_of_a_solve_with_other_numbers():
     b, other = noise(points), replace(model, mu=0.6)
     for degree in (2, 6):
         operator = model.on(points, quadrature_degree=degree)
-        given = {"mu": torch.tensor(0.6, dtype=torch.float64)}
+        given = {"mu": double(0.6)}
         found = operator.solve(b, 0 * b, parameters=given)
         expected = other.on(points, quadrature_degree=degree).solve(b, 0 * b)
         assert error(np.asarray(found.u), expected.u) < 1e-9

@@ -206,26 +206,18 @@ def crack(folder, steps="60", pause="0"):
     if pause != "0":
         print("pids", *points.comm.allgather(os.getpid()), flush=True)
     motion = wp.simulate(
-        glass,
-        plate,
-        step=0.5 * glass.longest_step(1.0),
-        steps=int(steps),
-        every=20,
+        glass, plate, step=0.5 * glass.longest_step(1.0), steps=int(steps), every=20,
         no_fail=np.abs(x[:, 1]) > 7,
         watch={"worst": lambda phi: time.sleep(float(os.environ["PAUSE"])) or phi.max()},
-        checkpoint=folder / "state.h5",
-        checkpoint_every=1,
-        series=folder / "series",
-    )
+        checkpoint=folder / "state.h5", checkpoint_every=1, series=folder / "series",
+    )  # fmt: skip
     names = "elastic", "work", "worst"
     phi = gather(points, motion.details.damage)
     return {
-        "u": digest(gather(points, motion.u)),
-        "damage": digest(phi),
-        "worst": phi.max(),
+        "u": digest(gather(points, motion.u)), "damage": digest(phi), "worst": phi.max(),
         "records": digest(np.concatenate([np.ravel(motion[name]) for name in names])),
         "ledger": motion.missing,
-    }
+    }  # fmt: skip
 
 
 def corrected():

@@ -13,7 +13,7 @@ import pytest
 
 import warp_peri as wp
 from tests.mpi.job import SWING, TOLERANCE, corrected, crack, swings, uneven, whole
-from tests.support import ROOT, approx, in_plane_and_space, parametrize, shared
+from tests.support import ROOT, approx, in_plane_and_space, parametrize, shared, slow
 from warp_peri.testing import assert_near as near
 
 pytest.importorskip("mpi4py", reason="mpi4py is not installed: pip install 'warp_peri[mpi]'")
@@ -44,7 +44,7 @@ def finished(process, status=0):
     return json.loads(out.splitlines()[-1]) | {"said": err}
 
 
-@pytest.fixture(scope="module", params=[(1,), pytest.param((1, 3), marks=pytest.mark.slow)])
+@pytest.fixture(scope="module", params=[(1,), pytest.param((1, 3), marks=slow)])
 def later(request):
     """Numbers of ranks that go on from where two have come."""
     return request.param
@@ -169,7 +169,7 @@ def test_an_error_on_one_rank_ends_all_with_one_line(jobs):
     assert "Traceback" not in said
 
 
-@pytest.mark.slow
+@slow
 @parametrize("later", [1, 3])
 def test_a_killed_rank_loses_nothing_but_the_steps_since_its_checkpoint(later, tmp_path):
     truth = finished(start(2, tmp_path / "truth"))["crack"]

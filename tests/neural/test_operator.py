@@ -13,7 +13,7 @@ from numpy.linalg import norm
 from numpy.random import default_rng
 
 import warp_peri as wp
-from tests.gradients.cases import errors
+from tests.gradients.cases import assert_slopes
 from tests.support import ROOT, approx, assert_refused, each_refused, of_json, parametrize, refused
 from tests.support.problems import ell, lattice, loaded, noise, normal, rotation
 from warp_peri.core.record import content_hash
@@ -118,7 +118,7 @@ def test_gradients_to_the_networks_with_and_without_interpolation():
                 return (force(u) * weight).sum()
 
             start = {"networks": part.detach().ravel()}
-            assert errors(value, start, {"networks": 1e-4}, [part])["networks"] < 1e-6
+            assert_slopes(value, start, 1e-4, 1e-6, [part])
 
 
 def test_interpolation_approaches_the_networks():

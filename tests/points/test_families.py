@@ -12,16 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.support import approx, filterwarnings, near, parametrize, problems, reference
 from tests.support.clouds import cloud, cube, periodic_cloud, plain
-from tests.support.problems import (
-    ell,
-    everywhere,
-    kernel,
-    lattice,
-    manufactured,
-    normal,
-    periodic,
-    rotation,
-)
+from tests.support.problems import ell, kernel, lattice, manufactured, normal, periodic, rotation
 from tests.support.solving import solve
 from tests.support.told import each_refused, refused, warned
 from warp_peri import LPS, Bernstein, Points, fit
@@ -174,10 +165,10 @@ def test_points_and_horizons_that_fit_no_families_are_refused():
 def test_nodes_that_stand_twice_are_refused_where_points_are_made():
     for spacing, dimension, scale in product((0.0, 1.0), (2, 3), (1e-9, 1.0, 1e9)):
         x = grid_places((5,) * dimension).astype(float)
-        everywhere(scale * x, scale * spacing)  # near is not twice
+        problems.everywhere(scale * x, scale * spacing)  # near is not twice
         more = scale * np.concatenate([x, x[[7, 3]] + 1e-12])
         with refused(f"points: 2 duplicates: 3 and {len(x) + 1}, 7 and"):
-            everywhere(more, scale * spacing)
+            problems.everywhere(more, scale * spacing)
 
 
 def test_the_strain_of_known_fields():

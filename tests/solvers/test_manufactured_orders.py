@@ -9,16 +9,7 @@ from numpy.random import default_rng
 from examples.reproduce.slides import curl_and_pressure
 from tests.support import filterwarnings, near, parametrize
 from tests.support.clouds import cloud, cube, field, load, plain, solid
-from tests.support.problems import (
-    LAM,
-    MU,
-    fitted_order,
-    kernel,
-    lattice,
-    noise,
-    normal,
-    on_interior,
-)
+from tests.support.problems import LAM, MU, fitted_order, kernel, lattice, noise, normal
 from tests.support.solving import solve
 from warp_peri import CG, Direct, Dirichlet, Periodic, Points, simulate
 from warp_peri import solve as at_rest
@@ -108,7 +99,7 @@ def test_it_moves_at_a_proven_step_not_much_shorter_than_the_longest():
     longest = 2 * np.sqrt(inertia(density, model.units) / stiffest)
     assert 0.6 * longest < step < longest
     points = cube(3, 2.0)
-    u = on_interior(points, noise(points, seed=3))
+    u = np.where(points.interior[:, None], noise(points, seed=3), 0)
     problem = Dirichlet(points, None, 1e-3 * u)
     operator = model.on(points, allow_uncertified=True)
     motion = simulate(operator, problem, density=density, step=0.9 * step, steps=200)

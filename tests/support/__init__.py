@@ -16,6 +16,7 @@ ROOT = Path(__file__).parent.parent.parent
 parametrize = pytest.mark.parametrize
 filterwarnings = pytest.mark.filterwarnings
 approx = pytest.approx
+slow = pytest.mark.slow
 in_plane_and_space = parametrize("d", [2, 3])
 """Runs a test in both dimensions."""
 shared = pytest.fixture(scope="module")

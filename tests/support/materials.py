@@ -260,6 +260,16 @@ def tensor(op, *lead, seed=0):
     return torch.from_numpy(field(op, *lead, seed=seed))
 
 
+def tensors(op, *lead, count=2):
+    """Several of them, no two alike."""
+    return [tensor(op, *lead, seed=n) for n in range(count)]
+
+
+def double(value):
+    """A number or an array in double precision."""
+    return torch.tensor(value, dtype=torch.float64)
+
+
 def seeded(values):
     """A number of a field, so that nothing cancels."""
     seed = torch.from_numpy(normal(values.shape, 1))

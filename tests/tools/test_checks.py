@@ -6,14 +6,14 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
-from numpy.random import default_rng
 
 from tests.support import parametrize
+from tests.support.problems import normal
 from tools import benchmark, entered, frozen
 from tools.mutants import NET, ROOT, read_faults, with_fault
 from tools.options import Options
 
-FIELD = default_rng(0).normal(size=(40, 2))
+FIELD = normal((40, 2))
 
 
 def stands(kind, before, after, limit=None, **how):
