@@ -246,8 +246,7 @@ def test_what_is_no_file_of_phonopy_and_charges_of_a_sheet_are_refused(tmp_path)
             lambda: wp.fit_crystal(cell, EMT(), supercell=(1.5, 2, 2)),
         "born: expected 1 charges, got 2":
             lambda: Supercell(cell, cell, [0], polar=NonAnalyticCorrection(two, np.eye(3))),
-        "BORN: expected a solid":
-            lambda: from_phonopy(EXAMPLES / "magnesia", thickness=4.0),
+        "BORN: expected a solid": lambda: from_phonopy(EXAMPLES / "magnesia", thickness=4.0),
     })  # fmt: skip
 
 

@@ -135,8 +135,7 @@ def test_columns_that_contradict_each_other_are_refused(tmp_path, frame_of):
         "one displacement for each point":
             lambda: frame_of(np.ones((9, 2)), np.arange(18.0).reshape(9, 2)),
         r"missing.csv: no such file": lambda: read_dic_frame(tmp_path / "missing.csv"),
-        "nodes a side":
-            lambda: dic_to_lattice([frame_of(X[:40], field(X[:40]))]),
+        "nodes a side": lambda: dic_to_lattice([frame_of(X[:40], field(X[:40]))]),
     })  # fmt: skip
     path = write(tmp_path / "b.csv", (X, field(X)))
     frames = [read_dic_frame(path, pixel=pixel) for pixel in ("mm", 1.0)]

@@ -101,16 +101,13 @@ def test_what_makes_no_sense_is_refused_in_words():
         r"bounds of width: expected \(lowest, highest\), got 5": bounded({"width": 5}),
         "no parameter 'reach'; there are: width": bounded({"reach": (0, 1)}),
         "are not within": bounded({"width": (3, 4)}),
-        r"K of shape \[6\], the shape of r, got float64 of shape \[\]":
-            made(lambda r: r[0]),
-        "K is zero at":
-            lambda: InfluenceFunction(lambda r: 0 * r).coefficients(LENGTHS, 3.0),
+        r"K of shape \[6\], the shape of r, got float64 of shape \[\]": made(lambda r: r[0]),
+        "K is zero at": lambda: InfluenceFunction(lambda r: 0 * r).coefficients(LENGTHS, 3.0),
         "no polynomial of degree 80 takes its values": jagged,
         "weighted volume": vanishing,
         "of one shape": lambda: table([0, 1], [1.0]),
         "rising": lambda: table([1, 0], [1.0, 1.0]),
-        "table: expected K at all bonds, 1 to 3, got it at":
-            (tabled(0.1, 1), tabled(1.1, 3)),
+        "table: expected K at all bonds, 1 to 3, got it at": (tabled(0.1, 1), tabled(1.1, 3)),
         "certified_on: expected a list, got array": numbers(certified_on=np.array(1.0)),
     })  # fmt: skip
 

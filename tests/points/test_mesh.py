@@ -141,8 +141,7 @@ def test_what_is_no_mesh_of_a_body_is_refused():
         "tetrahedra: number 0 has no volume": (CUBE, [[0, 2, 4, 6]]),
         "part 'a': expected edges of the outline, 1 of 1": (NINE, TRIANGLES, {"a": [[1, 4]]}),
         r"part 'a': expected shape \[n, 2\]": (square, HALVES, {"a": [[0, 1, 2]]}),
-        "faces of the surface, 1 of 1":
-            (CUBE, EIGHT[0][SIXTHS], {"a": [EIGHT[0][[0, 1, 6]]]}),
+        "faces of the surface, 1 of 1": (CUBE, EIGHT[0][SIXTHS], {"a": [EIGHT[0][[0, 1, 6]]]}),
         "middle: expected": (square, HALVES, {}, {(0, 1): -1.0}),
         "middle: expected .*": (square, HALVES, {}, {(0, 9): (0.5, 0.0)}),
     })  # fmt: skip

@@ -98,8 +98,7 @@ def test_what_has_no_gradient_says_so():
         moved(crystal, torch.zeros(crystal.shape), parameters={"mu": 1.0}, record=None)
     cracked = Cracked(op.points, u=torch.zeros(op.shape, requires_grad=True))
     assert_refused({
-        "pulls of bonds that soften.* got a Cracked":
-            lambda: simulate(op.model, cracked, events=2),
+        "pulls of bonds that soften.* got a Cracked": lambda: simulate(op.model, cracked, events=2),
         "record: expected none beside a checkpoint": lambda: simulate(
             op, Dirichlet(op.points, None, u.detach().numpy()), checkpoint="r.h5", **options
         ),
