@@ -11,6 +11,7 @@ import warp_peri as wp
 from tests.crystal.crystals import learned, random_law
 from tests.support import approx, in_plane_and_space, parametrize, refused
 from tests.support.problems import difference, fitted_order, kernel
+from tests.support.symbols import zone
 from warp_peri.core import proof
 from warp_peri.core.elastic import (
     difference_tensors,
@@ -140,9 +141,8 @@ def test_a_weight_is_what_it_says():
 
 
 def top(stencil):
-    line = np.linspace(-np.pi, np.pi, 201 if stencil.dimension == 2 else 41)
-    zone = np.stack(np.meshgrid(*stencil.dimension * [line]), -1).reshape(-1, stencil.dimension)
-    return eigvalsh(stencil.symbol(zone))[:, -1].max()
+    k = zone(201 if stencil.dimension == 2 else 41, stencil.dimension)
+    return eigvalsh(stencil.symbol(k))[:, -1].max()
 
 
 def test_the_upper_bound_is_above_the_zone_and_near_it_or_takes_too_much_work(monkeypatch):

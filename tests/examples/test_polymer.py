@@ -41,7 +41,7 @@ def test_ensembles_follow_the_exact_law_and_any_threads_give_the_same_bits(threa
     assert 0.8 < np.sqrt(np.mean(error**2)) < 1.2
     threads(3)
     again = simulate(Dumbbells(8, count, seed=1), K[:2], 0.25)
-    assert np.array_equal(again.C, record.C[:3])
+    near(again.C, record.C[:3], 0)
 
 
 @parametrize("kernel", ["product", "additive"])
@@ -98,7 +98,7 @@ def test_a_rate_is_learned_from_exact_pairs_kept_in_a_file_and_marched_by_tables
     law.save(tmp_path / "law.h5")
     again = polymer.read_law(tmp_path / "law.h5")
     assert isinstance(again, polymer.RateLaw)
-    assert np.array_equal(again.rate(*new), law.rate(*new))
+    near(again.rate(*new), law.rate(*new), 0)
     tables = law.tabulated()
     near(tables.rate(*new), truth, 5e-3)
     cells = [Closure(one, 0.1, 50) for one in (tables, MAXWELL)]

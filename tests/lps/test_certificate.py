@@ -9,7 +9,7 @@ from numpy.random import default_rng
 
 from tests.support import approx, near, parametrize, reference, refused
 from tests.support.problems import ell, kernel, lattice
-from tests.support.symbols import form, smallest, smallest_margins, symbol
+from tests.support.symbols import form, smallest, smallest_margins, symbol, zone
 from warp_peri import LPSMaterial, certify
 from warp_peri.core.stencil import ratios
 from warp_peri.materials.lps import stiffnesses
@@ -18,7 +18,7 @@ from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.families import bond_classes
 from warp_peri.solvers.systems import DENSE, smallest_eigenvalue
 
-ZONE = np.stack(np.meshgrid(*2 * [np.linspace(-np.pi, np.pi, 161)]), -1).reshape(-1, 2)
+ZONE = zone(161)
 ZONE = ZONE[np.hypot(*ZONE.T) > 1e-9]
 CLASSES = bond_classes(1.0, 3.0)
 

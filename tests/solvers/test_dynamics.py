@@ -6,7 +6,7 @@ import numpy as np
 from numpy.linalg import eigvalsh
 
 from tests.known_problems.statics import THIRD, UnitScale, material
-from tests.support import approx, assert_refused, parametrize, refused
+from tests.support import approx, assert_refused, near, parametrize, refused
 from tests.support.problems import ell, fitted_order, kernel, lattice, noise, periodic
 from tests.support.symbols import symbol
 from warp_peri.certificates import critical_time_step
@@ -16,7 +16,6 @@ from warp_peri.problems import Dirichlet, simulate
 from warp_peri.solvers.verlet import INERTIA, Inert, inertia, march, step
 
 DENSITY = 2147.0
-ZONE = np.stack(np.meshgrid(*2 * [np.linspace(-np.pi, np.pi, 201)]), -1).reshape(-1, 2)
 
 
 def moved(model, points, u, v, b=None, **options):
@@ -120,7 +119,7 @@ def test_waves_go_on_from_a_checkpoint_with_the_same_bits_and_go_to_paraview(tmp
     straight = march(operator, b, u, **options, steps=25)
     assert straight.drift < 1e-12
     collar = ~points.interior
-    assert np.array_equal(straight.u[collar], u[collar])
+    near(straight.u[collar], u[collar], 0)
     assert not straight.v[collar].any()
     for name in ("u", "v", "energy"):
         assert getattr(resumed, name).tobytes() == getattr(straight, name).tobytes()

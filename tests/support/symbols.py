@@ -17,6 +17,12 @@ from warp_peri.points.families import bond_classes
 from warp_peri.points.points import nodes_of
 
 
+def zone(count, d=2):
+    """Wave vectors of a grid over the zone, [count^d, d]."""
+    line = np.linspace(-np.pi, np.pi, count)
+    return np.stack(np.meshgrid(*d * [line]), -1).reshape(-1, d)
+
+
 def form(classes, k, v, kappa):
     """Γ + κ φφᵗ of stiffnesses v at wave vectors k [K, 2], shape [K, 2, 2]."""
     xi, each = classes.xi, v[classes.bond_class]

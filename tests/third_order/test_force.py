@@ -77,7 +77,7 @@ def test_clipping_projects_the_gradient():
     uniform, rough = points.x @ np.array([[0.05, 0.03], [-0.02, -0.06]]).T, 0.01 * noise(points)
     for field in (uniform, 4 * uniform):  # the stress is uniform beyond the ball too
         assert np.abs(op.force(field, radius=0.05)).max() <= 1e-12
-    assert np.array_equal(op.force(rough, radius=9.0), op(rough))
+    near(op.force(rough, radius=9.0), op(rough), 0)
     H, P = op.gradients(u)
     within = H * np.minimum(1, 0.05 / size)[:, None, None]
     energy = lambda entries: psi(within + entries.reshape(2, 2), model)
