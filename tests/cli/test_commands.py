@@ -24,7 +24,7 @@ from tests.support.solving import solve
 from tests.support.symbols import fluctuation, noisy, waves
 from tests.support.told import each_refused
 from warp_peri import Dataset, load
-from warp_peri.cli.main import COMMANDS, MADE, WRITTEN, main, parse, parser_of
+from warp_peri.cli.main import COMMANDS, MADE, WRITTEN, hashes, main, parse, parser_of, results
 from warp_peri.cli.train import atom_forces
 from warp_peri.crystals import fit_dispersion
 from warp_peri.materials.lps import LPSMaterial
@@ -73,7 +73,7 @@ def test_a_fit_leaves_a_model_and_its_settings(fitted, data, tmp_path, capsys):
     assert metrics["loss"].startswith("output (noise is")
     assert metrics["E_u"]["test"] < 0.01
     assert "whose loads are not known" in metrics["not_evaluated"]["noise"]
-    _, *settings = (fitted / "fit.txt").read_text().splitlines()
+    settings = [v for v in (fitted / "fit.txt").read_text().splitlines() if v[0] != "#"]
     assert sorted(settings) == sorted([str(data), "--out", str(fitted), *FIT, "--noise", "noise"])
     words = ["fit", f"@{fitted}/fit.txt", "--out", tmp_path]
     again = answer(capsys, *words)
@@ -117,7 +117,7 @@ def test_certify_evaluate_solve_and_info(fitted, data, tmp_path, capsys):
     assert_allclose(load_dataset(out)["test"].u, u)
     assert "not by these settings" in refused(capsys, *words, "--set", "train")
     shutil.copy(data, out)
-    assert "is no file of solve" in refused(capsys, *words)
+    assert "not by these settings, or changed since" in refused(capsys, *words)
     assert answer(capsys, "info", model)["certified_on"] == [1.0]
     assert answer(capsys, "info", data)["sets"]["noise"]["samples"] == 8
     assert main(["info", str(model)]) == 0
@@ -205,6 +205,9 @@ def test_dumps_become_sets_of_one_file(sheet, tmp_path, capsys):
     line = ["coarse-grain", f"@{tmp_path}/own.val.coarse-grain.txt"]
     assert answer(capsys, *line)["set"] == "val"
     assert_array_equal(load_dataset(out)["val"].b, data["val"].b)
+    save_dataset(out, data.of_sheet(density=5060.0))
+    assert "set 'val': is there already" in refused(capsys, *line)
+    save_dataset(out, data)
     assert first["nodes"] == 441
     u = np.broadcast_to([0.3, -0.1], (1, 441, 2))
     assert_allclose(data["train"].u, u, atol=1e-9)
@@ -221,7 +224,7 @@ def test_dumps_become_sets_of_one_file(sheet, tmp_path, capsys):
 
 
 def test_a_typed_box_is_rounded_and_a_radius_fits(sheet, tmp_path, capsys):
-    words = [*sheet, "--thickness", "3.35", "--density", "2200"]
+    words = [*sheet, "--thickness", "3.35", "--density", "2200", "--overwrite"]
     answer(capsys, *words, "--box", "40", "40")
     b = load_dataset(tmp_path / "own.h5")["train"].b
     answer(capsys, *words, "--box", "40.02", "39.98")
@@ -318,14 +321,20 @@ def test_what_cannot_be_done_is_one_line_and_writes_nothing(data, tmp_path, caps
 
 
 @parametrize("name", WRITTEN)
-def test_a_folder_is_written_again_by_the_same_settings_alone(name, tmp_path, capsys):
-    words = [*["no.h5"] * (1 + (name == "export")), "--out", str(tmp_path)]
+def test_a_folder_is_written_again_by_the_same_settings_alone(name, tmp_path, capsys, monkeypatch):
+    """Same options on the same files, and nobody changed what they wrote."""
+    words = ["no.h5"] * (1 + (name == "export")) + ["--out", str(tmp_path)]
+    given = parse([name, *words])
     for one in WRITTEN[name].replace("*", "Yeoh").split():
         (mine := tmp_path / one).write_text("mine")
-        for before, more in (([], ""), (["more.h5", *words], ""), (words, ""), ([], "--overwrite")):
-            (tmp_path / f"{name}.txt").write_text("\n".join([MADE, *before]))
+        same = hashes(given, *results(given))
+        with monkeypatch.context() as other:
+            other.chdir("/")  # where no.h5 is another file
+            apart = hashes(given, *results(given))
+        for lines, more in (same, ""), (same[:1], ""), (apart, ""), ([], ""), ([], "--overwrite"):
+            (tmp_path / f"{name}.txt").write_text("\n".join([MADE, *words, *lines]))
             said = refused(capsys, name, *words, *more.split())
-            assert (f"{mine}: is there already" not in said) == bool(before == words or more)
+            assert (f"{mine}: is there already" not in said) == bool(lines == same or more)
         mine.unlink()
 
 

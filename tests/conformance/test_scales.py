@@ -183,6 +183,19 @@ def test_a_coupled_solid_and_its_gradient(scale):
         near(there, here, 1e-8)
 
 
+def test_a_coupled_solid_at_rest_has_no_time():
+    op, ends = operator("coupled"), []
+    for time in (1.0, 1e-9, 1e9):
+        kappa = op.model.conductor.conductivity * time
+        conductor = dataclasses.replace(op.model.conductor, conductivity=kappa)
+        parts = {"conductor": conductor, "coupling": 1e3 * op.model.coupling}
+        model = dataclasses.replace(op.model, **parts)
+        load = field(op) * [1.0, 1.0, time]
+        ends.append(wp.solve(model, wp.Dirichlet(op.points, load, np.zeros(op.shape))).u)
+    near(ends[1], ends[0], 1e-8)
+    near(ends[2], ends[0], 1e-8)
+
+
 @in_plane_and_space
 def test_a_crack_at_rest(d, scale):
     points = points_of(d)

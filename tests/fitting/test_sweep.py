@@ -10,6 +10,7 @@ from tests.support.problems import kernel, lattice, manufactured
 from warp_peri import LPS, LPSMaterial
 from warp_peri.materials.sweep import Trial, choose
 from warp_peri.methods import sweep
+from warp_peri.points.dataset import in_units
 
 
 def trial(horizon, degree, *errors, bonds=20):
@@ -59,6 +60,20 @@ def test_a_sweep_finds_the_horizon_of_the_data_and_resumes(sets, tmp_path):
     assert [t.E_res_train for t in again.trials] == [t.E_res_train for t in first.trials]
     assert [file for file in files if file.stat().st_mtime_ns != files[file]] == [broken]
     assert mine.read_text() == "mine"
+
+
+def test_usual_horizons_are_in_the_unit_of_the_data(sets, tmp_path, monkeypatch):
+    horizons = []
+    fitted = "warp_peri.materials.sweep._fit"
+    monkeypatch.setattr(fitted, lambda law, *_: horizons.append(law.horizon) or "none")
+    train, val = (in_units(one, ("nm", "GPa")) for one in sets)
+    with pytest.raises(RuntimeError), warned("none"):
+        sweep(train, val, tmp_path, degrees=[0], jobs=1)
+    assert horizons == [1.0, 1.25, 1.5, 1.75, 2.0, 2.25, 2.5]
+    units = "sigma", "epsilon/sigma^3"
+    train, val = (replace(one, points=replace(one.points, units=units)) for one in sets)
+    with refused("horizons: expected one in sigma, the data's unit; got none"):
+        sweep(train, val, tmp_path)
 
 
 def test_a_trial_is_not_believed_as_it_stands(sets, tmp_path):

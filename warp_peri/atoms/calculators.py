@@ -12,7 +12,7 @@ import os
 import sys
 import typing
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -119,6 +119,10 @@ def _check_line(line: str) -> None:
         raise InputError(f"calculator: expected {none}, in the LAMMPS line {line!r:.200}")
     if words[0] == "pair_style" and (words[1:] or [""])[0] not in _pair_styles():
         raise InputError(f"calculator: LAMMPS has no such pair style, got {line!r:.200}")
+    for folder in filter(None, os.environ.get("LAMMPS_POTENTIALS", "").split(os.pathsep)):
+        for word in words:  # where LAMMPS looks for a file that is not there
+            if os.path.isfile(path := Path(folder) / Path(word).name) and not os.path.exists(word):
+                raise InputError(f"calculator: no file {word}; if {path} is meant, name that")
 
 
 def _types(lines: Sequence[str], kinds: Sequence[str]) -> dict[str, int]:
@@ -127,9 +131,10 @@ def _types(lines: Sequence[str], kinds: Sequence[str]) -> dict[str, int]:
     for words in map(str.split, lines):
         found = []
         if words[0] == "mass" and len(words) > 2 and words[1].isdecimal():
-            mass = float(words[2])
-            off, kind = min((abs(atomic_masses[atomic_numbers[k]] - mass), k) for k in kinds)
-            found = [(int(words[1]), kind)] if off < SAME_MASS * mass else []
+            with suppress(ValueError):  # LAMMPS tells what is no number
+                mass = float(words[2])
+                off, kind = min((abs(atomic_masses[atomic_numbers[k]] - mass), k) for k in kinds)
+                found = [(int(words[1]), kind)] if off < SAME_MASS * mass else []
         elif words[:3] == ["pair_coeff", "*", "*"]:  # elements alone, to the end of the line
             last = takewhile(lambda w: w == "NULL" or w in atomic_numbers, reversed(words))
             found = [*enumerate(reversed([*last]), start=1)]

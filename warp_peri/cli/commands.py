@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 import warp_peri
-from warp_peri.cli.main import MADE, check_output, has_settings, is_kept
+from warp_peri.cli.main import HASH, MADE, check_output, hashes, is_kept, results
 from warp_peri.errors import InputError, warn
-from warp_peri.files.atomic import finite, locked, plain, write_text
+from warp_peri.files.atomic import content, finite, locked, plain, write_text
 from warp_peri.points.arguments import Units, offered, symbols
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.verbs import load
@@ -114,14 +114,11 @@ def run_solve(given: Namespace) -> Said:
     model, data, problem = problem_of(given)
     points = problem.points
     provenance = {"source": "warp-peri solve", "model": given.model.name, "data": given.data.name}
-    before = load_dataset(given.out) if given.out.exists() and not given.overwrite else None
-    if before and before.provenance != provenance:  # though settings like these stand beside it
-        raise InputError(f"out: {given.out} is no file of solve; name another, or --overwrite")
     u = warp_peri.solve(model, problem, **options_of(given)).u
     sets = {given.set: dataclasses.replace(points, u=u)}
     with writing(given):
         save_dataset(given.out, Dataset(sets, data.thickness, data.density, provenance))
-        keep(given, given.out.with_suffix(".solve.txt"))
+        keep(given, *results(given))
     size = np.linalg.norm(u[:, points.interior], axis=-1).max(axis=1, initial=0).tolist()
     result, key = {"file": str(given.out), "set": given.set}, "largest_displacement"
     return result | {key: size}, lines_of(result | {f"{key} [{symbols(data.units)[0]}]": size})
@@ -148,7 +145,7 @@ def run_export(given: Namespace) -> Said:
     u = warp_peri.solve(model, problem, **options_of(given)).u
     with writing(given):
         paths = warp_peri.export.write_vtk(given.out, model, problem.points, u)
-        keep(given, given.out / "export.txt")
+        keep(given, *results(given))
     result = {"files": [*map(str, paths)]}
     return result, lines_of(result)
 
@@ -165,13 +162,16 @@ def chosen(given: Any, *names: str) -> Result:
     return {name: getattr(given, name) for name in names}
 
 
-def keep(given: Namespace, path: Path) -> None:
-    """Write the words of a command, a line each, which `@FILE` stands for; a file that says the
-    same, or that no command wrote, is left alone."""
+def keep(given: Namespace, path: Path, made: Mapping[str, str]) -> None:
+    """Write the words of a command, a line each, which `@FILE` stands for, and hashes of what it
+    wrote; words of the same options, or that no command wrote, are left alone."""
     if path.exists() and not is_kept(path):
-        warn(f"{path}: is no file of a command, and is left as it is")
-    elif not has_settings(given, path):
-        write_text(path, "\n".join([MADE, *map(shlex.quote, given.words), ""]))
+        return warn(f"{path}: is no file of a command, and is left as it is")
+    lines, marks = [MADE, *map(shlex.quote, given.words), ""], hashes(given, path, made)
+    text = content(path).decode("utf-8", "replace").split("\n") if path.exists() else []
+    if marks[0] in text:
+        lines = [line for line in text if not line.startswith(HASH)]
+    write_text(path, "\n".join([lines[0], *marks, *lines[1:]]))
 
 
 def lines_of(result: Result, indent: str = "") -> list[str]:

@@ -9,6 +9,7 @@ for the lines that first have them.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
@@ -17,7 +18,6 @@ import sys
 import warnings
 from argparse import SUPPRESS, ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from importlib import import_module
 from itertools import groupby
 from pathlib import Path
@@ -25,7 +25,7 @@ from typing import Any, NoReturn
 
 import warp_peri
 from warp_peri.errors import InputError, exit_status, printable
-from warp_peri.files.atomic import content, destination
+from warp_peri.files.atomic import check_regular, content, destination
 
 LEARNING = ("coarse-grain", "fit", "sweep", "fit-crystal", "fit-sheet")
 """Commands that are in `train`, others in `commands`; imported when asked for: it takes time."""
@@ -77,8 +77,8 @@ COUNTS = ("N", "M")
 """Names of values that are paths, as are those with an ending; text; whole numbers; else reals."""
 TYPED = ("--json", "--trust", "--overwrite")
 """Options that no settings file has."""
-MADE = "# words of warp-peri"
-"""First line of the settings files that commands write."""
+MADE, HASH = "# words of warp-peri", "# sha256 "
+"""First line of the settings files that commands write; begin of those on what was written."""
 WRITTEN = {
     "fit": "model.json metrics.json",
     "fit-crystal": "model.json crystal.json law.png",
@@ -238,7 +238,7 @@ def words_of(path: str) -> list[str]:
 
 def check_output(given: Namespace) -> None:
     """Refuse, before anything is done, to overwrite inputs, what is no file, and, but for
-    --overwrite, what the command with the same options did not write."""
+    --overwrite, what the command with the same options did not write so."""
     if not hasattr(given, "out"):
         return
     for name, read in vars(given).items():
@@ -253,24 +253,52 @@ def check_output(given: Namespace) -> None:
         destination(given.out)
         if given.out.suffix not in (".h5", ".hdf5"):
             raise InputError(f"out: expected a .h5 file, got {given.out.name}")
+    if given.command != "coarse-grain":  # which adds to a data set
+        check_made(given, *results(given))
+
+
+def results(given: Namespace) -> tuple[Path, dict[str, str]]:
+    """Settings file of a command, and hashes of what is there that it writes, by path."""
     kept, there = given.out.with_suffix(".solve.txt"), [given.out] * given.out.exists()
-    if folder:
-        kept, names = given.out / f"{given.command}.txt", WRITTEN[given.command].split()
-        there = [path for name in names for path in sorted(given.out.glob(name))]
-    fine = getattr(given, "overwrite", True) or has_settings(given, kept)
-    if there and not fine:  # coarse-grain, which adds to a data set, is
+    if names := WRITTEN.get(given.command):
+        kept = given.out / f"{given.command}.txt"
+        there = [path for name in names.split() for path in sorted(given.out.glob(name))]
+    return kept, {str(path): hash_of(path) for path in there}
+
+
+def hash_of(path: Path) -> str:
+    """SHA-256 of a file."""
+    check_regular(path)
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def check_made(given: Namespace, kept: Path, made: Mapping[str, str]) -> None:
+    """Raise InputError, but for --overwrite, unless a settings file says that a command with the
+    same options wrote what has these hashes."""
+    said = content(kept).decode("utf-8", "replace").split("\n") if is_kept(kept) else []
+    if made and not given.overwrite and not {*hashes(given, kept, made)} <= {*said}:
         raise InputError(
-            f"{there[0]}: is there already, not by these settings; name another, or --overwrite"
+            f"{next(iter(made))}: is there already, not by these settings, or changed since; name "
+            "another, or --overwrite"
         )
+
+
+def hashes(given: Namespace, kept: Path, made: Mapping[str, str]) -> list[str]:
+    """Lines of a settings file: hashes of the options, their paths as they lie from there, and of
+    what was written."""
+    home, options = os.path.realpath(kept.parent), dict(given.options)
+    if os.path.isfile(options.get("potential") or ""):
+        options["potential"] = Path(options["potential"])
+
+    def lies(path: Path) -> str:
+        return os.path.relpath(os.path.realpath(path), home)
+
+    text = json.dumps(options, sort_keys=True, default=lies)
+    made = {"options": hashlib.sha256(text.encode()).hexdigest(), **made}
+    return [f"{HASH}{mark}  {os.path.basename(name)}" for name, mark in made.items()]
 
 
 def is_kept(path: Path) -> bool:
     """Whether a file holds the words of a command."""
     return path.is_file() and content(path).startswith(MADE.encode())
-
-
-def has_settings(given: Namespace, path: Path) -> bool:
-    """Whether a file holds the words of a command with these options."""
-    with suppress(InputError):  # of another version
-        return is_kept(path) and parse([given.command, f"@{path}"]).options == given.options
-    return False

@@ -17,12 +17,13 @@ from warp_peri.atoms import dumps
 from warp_peri.atoms.coarse_graining import smoothing_matrix
 from warp_peri.atoms.dic import estimate_noise, frames_of_folder
 from warp_peri.cli.commands import Result, Said, chosen, error_table, keep, lines_of, writing
+from warp_peri.cli.main import check_made, results
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import content, finite, plain, read_arrays, whole_file, write_json
 from warp_peri.fitting.evaluate import Run, train
 from warp_peri.materials import lps_law
-from warp_peri.points.arguments import LENGTHS, USUAL, checked, symbols
-from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
+from warp_peri.points.arguments import USUAL, checked, symbols, usual_lengths
+from warp_peri.points.dataset import Dataset, content_hash, load_dataset, save_dataset
 from warp_peri.points.points import Points
 
 HORIZON = 20.0
@@ -87,7 +88,7 @@ def run_coarse_grain(given: Namespace) -> Said:
         sets = {**(before.sets if before else {}), given.set: samples}
         provenance = before.provenance if before else {"source": "warp-peri coarse-grain"}
         save_dataset(given.out, Dataset(sets, given.thickness, given.density, provenance))
-        keep(given, given.out.with_suffix(f".{given.set}.coarse-grain.txt"))
+        keep(given, *_set_of(given, load_dataset(given.out)))
     result = {"file": str(given.out), "set": given.set, **samples.summary()}
     return result, lines_of(result)
 
@@ -108,7 +109,16 @@ def _take_sheet(given: Namespace) -> Dataset | None:
                 f"wp.load(path).of_sheet({name}={asked:g}) is the file corrected"
             )
         setattr(given, name, asked if before is None else kept)
+    if before and given.set in before:
+        check_made(given, *_set_of(given, before))
     return before
+
+
+def _set_of(given: Namespace, data: Dataset) -> tuple[Path, dict[str, str]]:
+    """Settings file of a set of a data file, and the set's hash, by its name."""
+    mark = content_hash(dataclasses.replace(data, sets={given.set: data[given.set]}))
+    kept = given.out.with_suffix(f".{given.set}.coarse-grain.txt")
+    return kept, {f"{given.out}: set '{given.set}'": mark}
 
 
 def atom_forces(path: Path, atoms: int) -> np.ndarray:
@@ -137,9 +147,7 @@ def run_fit(given: Namespace) -> Said:
     data = _dataset(given)
     samples, noise = data[given.set], data[given.noise] if given.noise else None
     if given.horizon is None:
-        if data.units[0] not in LENGTHS:
-            raise InputError(f"horizon: expected one in {data.units[0]}, the data's unit; got none")
-        given.horizon = HORIZON / LENGTHS[data.units[0]]
+        given.horizon = float(usual_lengths("horizon", HORIZON, data.units))
     law = _law(given, samples.spacing)
     with writing(given):
         options: Result = {"noise": noise} if noise else {}
@@ -153,7 +161,7 @@ def run_fit(given: Namespace) -> Said:
         metrics |= chosen(data, "thickness", "density")
         made = {"data_provenance": data.provenance}
         run.save(given.out, metrics, data=given.data, provenance=made)
-        keep(given, given.out / "fit.txt")
+        keep(given, *results(given))
     tables = {name: {"samples": len(data[name])} | one for name, one in run.tables.items()}
     tables |= {name: {"error": why} for name, why in run.refused.items()}
     lines = [*_first(given, metrics, data), LINE, *repr(run.fit.material).split("\n")[1:]]
@@ -251,7 +259,7 @@ def run_sweep(given: Namespace) -> Said:
     }
     with writing(given):
         write_json(given.out / "sweep.json", result)
-        keep(given, given.out / "sweep.txt")
+        keep(given, *results(given))
     return result, lines_of(result)
 
 
@@ -288,7 +296,7 @@ def run_fit_crystal(given: Namespace) -> Said:
             *repr(found).split("\n")[1:],
         ]
         _save_figure(found.plot(), given.out / "law.png")
-        keep(given, given.out / "fit-crystal.txt")
+        keep(given, *results(given))
     return {**found.content(), "model": str(path)}, lines
 
 
@@ -305,9 +313,9 @@ def run_fit_sheet(given: Namespace) -> Said:
         if candidate.fit is None:
             warn(f"passed over: {candidate.why}")
             return
-        keep(given, given.out / "fit-sheet.txt")  # whose candidates these are, if it ends here
         name = candidate.name.replace(", ", "_").replace(" ", "_")
         warp_peri.save(given.out / f"{name}.json", candidate.fit.material)
+        keep(given, *results(given))  # whose candidates these are, if it ends here
         if not given.json:
             error = f"error of displacement {100 * candidate.held_out:.3f} %"
             print(candidate.why or f"{candidate.name}: {error}", flush=True)
@@ -326,6 +334,7 @@ def run_fit_sheet(given: Namespace) -> Said:
         }
         result = finite(told | result)
         write_json(given.out / "sheet.json", result)
+        keep(given, *results(given))
     path, stress = given.out / "material.json", "; stresses in MPa need a force: --stress"
     first = [
         f"{path}: material of a sheet, {choice[0].name}",

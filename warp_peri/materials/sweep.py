@@ -19,7 +19,7 @@ from warp_peri.fitting.evaluate import ERRORS, evaluate
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_fit import LPS
 from warp_peri.materials.lps_law import DEGREES, HORIZONS, Bernstein, GaussNewton, TwoStage
-from warp_peri.points.arguments import Bound, symbols, typed, typed_methods
+from warp_peri.points.arguments import Bound, symbols, typed, typed_methods, usual_lengths
 from warp_peri.points.families import bond_classes
 from warp_peri.points.points import Samples
 
@@ -33,15 +33,15 @@ class Trial:
     """One fit of a sweep.
 
     Attributes:
-        horizon: δ [Å].
+        horizon: δ [length].
         degree: M.
         bonds: bonds of a family, which is what a sweep of the operator costs.
         E_res_train, E_res_val: error of the equation (theory, 30) on training and validation
             samples, a fraction.
         E_u_train, E_u_val: of the solved displacement (31).
         E_u_test: on the test set; None without one. It takes no part in any choice.
-        lam, mu, alpha: learned, moduli in TPa.
-        symbol_bound: proven lower bound of D/s [TPa].
+        lam, mu, alpha: learned, moduli [stress].
+        symbol_bound: proven lower bound of D/s [stress].
         model: name of the model's file in the folder of the sweep.
     """
 
@@ -94,7 +94,7 @@ def sweep(
     test: Samples | None = None,
     noise: Samples | None = None,
     law: LPS = FREE,
-    horizons: Sequence[float] = HORIZONS,
+    horizons: Sequence[float] | None = None,
     degrees: Sequence[int] = DEGREES,
     jobs: Jobs = -1,
     progress: bool = False,
@@ -113,7 +113,7 @@ def sweep(
         law: what is fitted, and how, with each horizon and degree in the place of its own. The
             default learns moduli freely, by GaussNewton(moduli=None); LPS(…) by itself holds those
             of long waves. Algorithm 2 as printed has method=TwoStage().
-        horizons: δ [Å].
+        horizons: δ [length of train]; by default HORIZONS, which are in Å.
         degrees: M.
         jobs: processes, −1 for one per core; joblib.parallel_config chooses another backend.
         progress: show a progress bar.
@@ -121,7 +121,9 @@ def sweep(
     Raises InputError for input that cannot be used or a folder that another job writes to,
     RuntimeError when every fit failed.
     """
-    if not (len(horizons) and len(degrees)):
+    if horizons is None:
+        horizons = usual_lengths("horizons", HORIZONS, train.points.units).tolist()
+    if not (horizons and degrees):
         raise InputError("sweep: expected at least one horizon and one degree")
     sets = {"train": train, "val": val} | ({} if test is None else {"test": test})
     for one in (train, val):

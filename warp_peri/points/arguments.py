@@ -469,6 +469,13 @@ def shown_moduli(units: Units, values: Iterable[float]) -> str:
     return ", ".join(f"{factor * value:.4g}" for value in values) + f" {shown}"
 
 
+def usual_lengths(name: str, usual: Any, units: Units) -> np.ndarray:
+    """Usual lengths [Å] in other units; InputError for a unit that is nobody's."""
+    if units[0] not in LENGTHS:
+        raise InputError(f"{name}: expected one in {units[0]}, the data's unit; got none")
+    return np.asarray(usual) / LENGTHS[units[0]]
+
+
 def factors(have: Units, want: Units) -> tuple[float, float]:
     """Factors from the units `have` to the units `want` for lengths and stresses; InputError for
     unknown units, and from reduced units to others."""

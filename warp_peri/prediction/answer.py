@@ -106,7 +106,9 @@ def said(error: float, form: str = "{:.2f}%") -> str:
 
 @dataclass(frozen=True)
 class QuantityEstimate:
-    """Value of a quantity, its likely error `bar`, and signed `correction` to the rich member's."""
+    """Value of a quantity, its likely error `bar`, and signed `correction` to the rich member's.
+    Bars use the factors of whole fields, so that at a single place more than one value in ten may
+    be further off."""
 
     value: np.ndarray
     correction: np.ndarray
@@ -185,7 +187,8 @@ class Prediction(Shown):
         return QuantityEstimate(at, changes["left"], self._bar(changes))
 
     def map(self) -> np.ndarray:
-        """Likely error of the displacement at each node [length], shape [N]; 0 on the collar."""
+        """Likely error of the displacement at each node [length], shape [N]; 0 on the collar. As of
+        a quantity, more than one node in ten may be further off."""
         bar = np.zeros(len(self.u))
         sizes = {name: np.linalg.norm(part, axis=-1) for name, part in self.fields.items()}
         bar[self.operator.points.interior] = self._bar(sizes)

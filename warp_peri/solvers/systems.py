@@ -62,18 +62,20 @@ def definite_factors(matrix: sp.sparray | sp.spmatrix) -> Any:
 class Balanced:
     """Factors of R K C, which solve with K. R and C are diagonals of powers of two, `rows` and
     `columns`: of components in units of their own they make the diagonals as large as the first
-    component's, and what couples it to another as large both ways, for pivots and residuals are
-    compared across them. RuntimeError for a matrix that is singular."""
+    component's, and what couples it to another as large both ways, or as they where it does so one
+    way, for pivots and residuals are compared across them. RuntimeError for a matrix that is singular."""
 
     def __init__(
         self, matrix: sp.csc_array, components: int, factorise: Callable[[sp.csc_array], Any] = splu
     ) -> None:
         parts, whole = [slice(n, None, components) for n in range(components)], abs(matrix)
         sizes = np.maximum([[whole[i, j].max() for j in parts] for i in parts], SMALLEST)
-        both = np.minimum(sizes[0], sizes[:, 0]) > SMALLEST
-        apart = np.where(both, sizes[:, 0] / sizes[0], 1.0)
-        own = sizes[0, 0] / sizes.diagonal()
-        sides = np.exp2(np.rint(np.log2([own / apart, own * apart]) / 2))
+        into, back = sizes[0] > SMALLEST, sizes[:, 0] > SMALLEST
+        own, first = sizes[0, 0] / sizes.diagonal(), sizes[0, 0]
+        columns = np.sqrt(own * np.where(into & back, sizes[:, 0] / sizes[0], 1.0))
+        columns = np.where(into & ~back, first / sizes[0], columns)
+        columns = np.where(back & ~into, own * sizes[:, 0] / first, columns)
+        sides = np.exp2(np.rint(np.log2([own / columns, columns])))
         self.rows, self.columns = np.tile(sides, matrix.shape[0] // components)
         scaled = sp.diags_array(self.rows) @ matrix @ sp.diags_array(self.columns)
         self.factors = factorise(scaled.tocsc())
