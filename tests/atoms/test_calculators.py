@@ -26,7 +26,12 @@ def test_types_by_number_are_elements_by_their_masses_and_charges_have_madelungs
         ends.append(salt.get_potential_energy())
     assert ends[0] == approx(ends[1], rel=1e-9)
     numbers = "lj/cut 6.0; pair_coeff 1 1 0.1 2.0; pair_coeff 2 2 0.2 1.9"
-    for lines in (numbers, f"{numbers}; mass 1 light", "amoeba; pair_coeff * * a.prm", "table linear 9; pair_coeff * * 1.0"):
+    for lines in (
+        numbers,
+        f"{numbers}; mass 1 light",
+        "amoeba; pair_coeff * * a.prm",
+        "table linear 9; pair_coeff * * 1.0",
+    ):
         with refused("types for Mg, O, by .* 15.999, got none"):
             lammps_calculator(lines, ["Mg", "O"])
     with refused("types for Mg, O, by .*, got O"):

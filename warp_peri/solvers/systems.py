@@ -63,7 +63,7 @@ class Balanced:
     """Factors of R K C, which solve with K. R and C are diagonals of powers of two, `rows` and
     `columns`: of components in units of their own they make the diagonals as large as the first
     component's, and what couples it to another as large both ways, or as they where it does so one
-    way, for pivots and residuals are compared across them. RuntimeError for a matrix that is singular."""
+    way, for pivots and residuals are compared across them. RuntimeError for a singular matrix."""
 
     def __init__(
         self, matrix: sp.csc_array, components: int, factorise: Callable[[sp.csc_array], Any] = splu
