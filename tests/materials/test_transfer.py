@@ -15,6 +15,7 @@ from tests.support.problems import everywhere, kernel, lattice, manufactured, no
 from tests.support.solving import solve
 from warp_peri import Points, Samples, evaluate
 from warp_peri.certificates import critical_time_step
+from warp_peri.core import record
 from warp_peri.materials import transfer
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_law import product_basis, products
@@ -101,16 +102,28 @@ ASKED = {"spacing": 0.8, "largest_horizon": 1.6}
 
 @pytest.fixture(autouse=True)
 def forgotten(monkeypatch):
-    monkeypatch.setattr(transfer, "_memory", {})
+    monkeypatch.setattr(record, "MADE", {})
     monkeypatch.setattr(transfer, "_said", set())
 
 
-def test_a_process_fits_each_lattice_once(monkeypatch):
-    first = on_lattice(HOME, **ASKED)
-    monkeypatch.setattr(transfer, "_transferred", None)  # would be called to make it anew
-    assert on_lattice(replace(HOME), **ASKED) is first
-    with pytest.raises(TypeError):
-        on_lattice(replace(HOME, mu=0.9), **ASKED)
+class Halved(LPSMaterial):
+    def stencil(self, spacing):
+        whole = super().stencil(spacing)
+        return replace(whole, tensors=whole.tensors / 2)
+
+
+def test_a_process_fits_each_lattice_once_of_the_same_class_and_values(monkeypatch):
+    first, twin = on_lattice(HOME, **ASKED), replace(HOME)
+    assert on_lattice(Halved(**vars(HOME)), **ASKED).mu == pytest.approx(first.mu / 2, rel=0.1)
+    monkeypatch.setattr(transfer, "_fitted", None)  # would be called to make it anew
+    again = on_lattice(twin, **ASKED)
+    assert again.content() == first.content()
+    again.D[:], again.certificate["0.8"]["symbol_bound"] = 0, 99  # nobody else's
+    assert on_lattice(HOME, **ASKED).content() == first.content()
+    twin.D[:] *= 0.9
+    for other in (replace(HOME, mu=0.9), twin):
+        with pytest.raises(TypeError):
+            on_lattice(other, **ASKED)
 
 
 @pytest.fixture

@@ -15,6 +15,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import cache
 from importlib import import_module
@@ -38,6 +39,7 @@ import numpy as np
 from warp_peri.errors import InputError, Rows, Shown, StrPath, warn
 from warp_peri.files import atomic
 from warp_peri.files.atomic import parsed, plain, write_json
+from warp_peri.files.checkpoint import fingerprint
 from warp_peri.points.arguments import (
     ABOVE,
     LARGEST,
@@ -59,6 +61,8 @@ FORMATS: dict[str, type[Record]] = {}
 """Kinds of materials by the format that their files name."""
 PROVEN: set[tuple[type, str]] = set()
 """Contents whose proofs this process has gone through, by kind and hash."""
+MADE: dict[str, Any] = {}
+"""What `made_once` made in this process."""
 HOMES = {
     "warp_peri.model": "materials.lps",
     "warp_peri.third_order_crystal": "materials.third_order",
@@ -288,6 +292,15 @@ class Record(Shown):
                 shown = f"{value:.4g}" if isinstance(value, float) else str(value)
                 found.append((each.name, shown + unit))
         return found
+
+
+def made_once(make: Callable[..., Any], material: Any, *asked: Any) -> Any:
+    """What a function makes of a material, slowly, once of the same: of its class, with the code,
+    of its fields and of its file. Each gets a copy, so that nobody changes another's."""
+    of = type(material), vars(material), material.content()["sha256"]
+    if (key := fingerprint(make.__qualname__, of, asked)) not in MADE:
+        MADE[key] = make(material, *asked)
+    return deepcopy(MADE[key])
 
 
 class OnLinear(Record):

@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
@@ -23,7 +23,7 @@ from scipy.special import j0
 from warp_peri.core.elastic import checked_orientation, plane_isotropic
 from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.proof import SAME_SPACING, largest, stencil_of
-from warp_peri.core.record import Length, OnLinear, Stress
+from warp_peri.core.record import Length, OnLinear, Stress, made_once
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, Rows, warn
 from warp_peri.fitting.long_waves import long_wave_moduli, long_wave_rows, moduli_of
@@ -248,7 +248,7 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
                     f"spacing: the model is for {self.spacing:g}, the points have "
                     f"{nodes.spacing:g}, and transfer=False"
                 )
-            here = _transferred(self, nodes.spacing)
+            here = made_once(_transferred, self, nodes.spacing)
         proof = here.linear.certificate
         if proof is None or not proof.holds:
             said = "the crystal model has no certificate on this lattice"
@@ -291,7 +291,6 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
         return rows + self.linear.rows()
 
 
-@lru_cache(maxsize=64)
 def _transferred(law: ThirdOrderMaterial, spacing: float) -> ThirdOrderMaterial:
     return replace(law, linear=transfer_to_lattice(law.linear, spacing), proven={}).certified()
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from warp_peri.core.elastic import directions, lattice_group, orbit_grid
 from warp_peri.core.proof import certify
+from warp_peri.core.record import made_once
 from warp_peri.core.stencil import Basis
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.regression import LatticeRows, compressed, norms
@@ -107,7 +107,6 @@ SMOOTHNESS = 1e-6
 ZETA = 0.0139
 """c over μ that is asked for, or what is proven at home where that is less: graphene's .010 TPa."""
 
-_memory: dict[Any, LPSMaterial] = {}
 _said: set[str] = set()
 
 
@@ -132,9 +131,8 @@ def on_lattice(
     agrees with home, and how well. Raises InputError for a model without a certificate, and a
     horizon below two spacings.
     """
-    if (key := (model.content()["sha256"], spacing, largest_horizon)) not in _memory:
-        _memory[key] = _transferred(model, spacing, largest_horizon)
-    return _memory[key]
+    found: LPSMaterial = made_once(_transferred, model, spacing, largest_horizon)
+    return found
 
 
 def _transferred(model: LPSMaterial, spacing: float, largest_horizon: float | None) -> LPSMaterial:
@@ -294,11 +292,7 @@ def model_at(
     if model.dimension == 3 and not model.is_certified_on(spacing):
         model = replace(model, certified_on=())  # in space no kernel is carried: it is proven anew
     if spacing and transfer and not (model.certified_on or allow_uncertified):
-        if (key := (model.content()["sha256"], spacing)) not in _memory:
-            _memory[key] = model
-            with suppress(InputError):  # where nothing holds here whoever asks says what that means
-                _memory[key] = with_proof(model, spacing)
-        model = _memory[key]
+        model = made_once(_proven, model, spacing)
     at_home = spacing == 0 or model.is_certified_on(spacing)
     if at_home or allow_uncertified or not transfer or not model.certified_on:
         model.check_spacing(spacing, allow_uncertified=allow_uncertified)
@@ -310,3 +304,9 @@ def model_at(
         _said.add(once)
         warn(f"transferred {found.provenance['transfer']['statement']}")
     return found
+
+
+def _proven(model: LPSMaterial, spacing: float) -> LPSMaterial:
+    with suppress(InputError):  # where nothing holds here whoever asks says what that means
+        return with_proof(model, spacing)
+    return model
