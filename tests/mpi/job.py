@@ -141,6 +141,7 @@ def refusals(sheet, ball):
     brittle = BrittleMaterial(solid(2), 2500.0, toughness=1.0)
     everywhere, flat = H * np.argwhere(np.ones(SHAPE[2])), wp.Dirichlet(sheet, *fields(sheet.x))
     mixed = np.zeros(len(sheet.x), (bool, int)[world().rank])
+    altered = replace(sheet, spacing=2 * H) if world().rank else sheet
     hidden = np.ma.masked_array(0 * sheet.x, sheet.x > 0)
     return [told_by(wrong) for wrong in (
         lambda: solid(3).on(ball)(0 * ball.x),
@@ -156,6 +157,7 @@ def refusals(sheet, ball):
         lambda: wp.simulate(brittle, wp.Cracked(sheet, hidden), step=0.1, steps=1),
         lambda: lattice(SHAPE[2], H, lambda x: np.ma.masked_array(x[:, 0] > 0, True)),
         lambda: sheet.gather(sheet.x[1:]),
+        lambda: wp.simulate(solid(2), replace(flat, points=altered), **SWING, steps=1),
         lambda: wp.Samples(sheet, sheet.x[None]),
         lambda: wp.crystals.crystal_from_lps(solid(2), H).on(sheet),
     )]  # fmt: skip

@@ -124,6 +124,7 @@ def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
         "load: expected values everywhere, got",
         "interior: expected values everywhere, got",
         "values: expected ",
+        "points: expected a piece as it was made",
         "points: expected Points, got a rank's piece",
         "points: expected Points, got a piece",
     ), strict=True):  # fmt: skip

@@ -47,6 +47,8 @@ SLAB, FEW = 8, 50_000
 be halved."""
 FIELDS = ("load", "held", "grip", "no_fail", "u", "v")
 """Of a body that breaks, on nodes."""
+NUMBERS = itertools.count(1)
+"""Of bodies, which the ranks make together."""
 _OF_A_WHOLE = ("box", "outside", "is_open_lattice", "lattice", "rows")
 
 
@@ -64,7 +66,8 @@ class Subdomain:
         grid: lattice steps from the corner of the whole body, shape [n, d].
         slabs: of the box around the whole body.
         units, axis: as of Points.
-        which: number of the body among those that the ranks have made together.
+        which: number of the body among those that the ranks have made together; 0 of a copy of a
+            piece with other parts, which no rank takes.
     """
 
     comm: Comm
@@ -77,7 +80,7 @@ class Subdomain:
     slabs: Slabs
     units: Units = USUAL
     axis: Any = None
-    which: int = field(default_factory=itertools.count().__next__)
+    which: int = field(default=0, init=False)
 
     @property
     def own(self) -> slice:
@@ -88,6 +91,11 @@ class Subdomain:
     def dimension(self) -> int:
         """Dimension of space, 2 or 3."""
         return int(self.x.shape[1])
+
+    def numbered(self) -> Subdomain:
+        """The piece as the next body that the ranks make together."""
+        object.__setattr__(self, "which", next(NUMBERS))
+        return self
 
     def sum(self, values: np.ndarray) -> np.ndarray:
         """Sum values [k, ...] over all ranks, shape [...], with the same bits on any number."""
@@ -269,7 +277,8 @@ def lattice(
         check_units(units)
     if not any(comm.allgather(bool(inside.any()))):
         raise InputError("interior: expected at least one interior node, got none")
-    return Subdomain(comm, x, inside, float(spacing), number, count, grid, slabs, units, axis)
+    parts = x, inside, float(spacing), number, count, grid, slabs, units, axis
+    return Subdomain(comm, *parts).numbered()
 
 
 def partition(points: Points) -> Any:
@@ -294,8 +303,8 @@ def partition(points: Points) -> Any:
     own = np.flatnonzero((grid[:, 0] >= rows.start) & (grid[:, 0] < rows.stop))
     if min(comm.allgather(len(own))) == 0:
         raise InputError(f"points: {len(grid)} nodes are too few for {comm.size} ranks")
-    parts = points.x[own], points.interior[own], points.spacing
-    return Subdomain(comm, *parts, own, len(grid), grid[own], slabs, points.units, points.axis)
+    nodes = points.x[own], points.interior[own], points.spacing, own, len(grid), grid[own]
+    return Subdomain(comm, *nodes, slabs, points.units, points.axis).numbered()
 
 
 def gather(points: Any, values: np.ndarray) -> np.ndarray:
@@ -317,12 +326,14 @@ NODAL = ("points", "b", "u", "free", "v", "no_fail", "grip", "record")
 
 def alike(material: Any, problem: Any, options: Mapping[str, Any]) -> None:
     """Raise InputError on all ranks if they were given different steps, materials or cracks."""
-    comm = problem.points.comm
+    comm, which = problem.points.comm, problem.points.which
     with agreed(comm):
+        if not which:
+            raise InputError("points: expected a piece as it was made, got a copy with other parts")
         asked = {f.name: getattr(problem, f.name) for f in fields(problem)} | dict(options)
         given = {name: asked.pop(name, None) for name in NODAL}
         there = [n for n, one in given.items() if one is not None and n != "record"]
         stacked = [as_array(n, given[n]).shape[:-2] for n in ("b", "u") if n in there]
     kind = type(problem).__name__
-    asked |= {"points": problem.points.which, "material": material}
+    asked |= {"points": which, "material": material}
     same(comm, problem=(kind, stacked, there), **asked)
