@@ -157,6 +157,12 @@ def test_a_model_is_certified_only_where_that_is_proven(tmp_path):
 def test_figures_of_a_proof_are_of_its_lattice_and_words_follow_from_them(tmp_path):
     files = [of_json(FOLDER / f"{name}.json") for name in ("lps", "crystal")]
     said, path = files[0]["certificate"]["1"], tmp_path / "m.json"
+    law = json.loads((FOLDER / "crystal_third_order_energy.json").read_text())
+    assert "statement" not in read(path, law).proven
+    figures = {"more": 5.0, "kappa_in": 0.1, "kappa_out": "a", "largest_parts": [0.0] * 4}
+    for key, value in figures.items():
+        words = "unknown keys: more" if key == "more" else f"proven: {key}"
+        refused(path, hashed(changed(law, ("proven", key), value)), words)
     model = read(path, hashed(changed(files[0], ("certificate", "1", "statement"), "All.")))
     assert model.certificate == {"1": said}
     assert "spacing 0.1 nm" in model.in_units(OTHER).certificate["0.1"]["statement"]

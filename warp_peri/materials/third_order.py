@@ -36,7 +36,7 @@ from warp_peri.points.arguments import (
     NotNegative,
     Numbers,
     check_same,
-    is_number,
+    checked,
     shown_moduli,
     typed,
 )
@@ -60,7 +60,9 @@ CORE = 3.3
 SIZE = 1e-6
 """Weight of the size of p beside relative errors."""
 SAME = 1e-5
-"""Relative, that a proven strain may be above that of a proof anew."""
+"""Relative, by which figures may state more than a proof anew."""
+DERIVED = ("statement", "curvature")
+"""Of a proof's figures, which no file says."""
 SETTLED = 1e-9
 """Relative, of moduli that are found."""
 
@@ -187,6 +189,8 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        told = {name: self.proven[name] for name in self.proven if name not in DERIVED}
+        object.__setattr__(self, "proven", told)
         if self.form not in FORMS:
             raise InputError(f"form: expected one of {', '.join(FORMS)}, got {self.form!r:.50}")
         if self.linear.dimension != 2:
@@ -249,8 +253,7 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
                     f"{nodes.spacing:g}, and transfer=False"
                 )
             here = made_once(_transferred, self, nodes.spacing)
-        proof = here.linear.certificate
-        if proof is None or not proof.holds:
+        if not getattr(here.linear.certificate, "holds", False):
             said = "the crystal model has no certificate on this lattice"
             if not allow_uncertified:
                 raise InputError(f"certificate: {said}; allow_uncertified=True takes them")
@@ -264,19 +267,20 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
 
     def certified(self) -> ThirdOrderMaterial:
         """The material with its guarantee of uniqueness, where its tensors are certified (N14)."""
-        proof = self.linear.certificate
-        if proof is None or not proof.holds:
+        if not getattr(self.linear.certificate, "holds", False):
             return self
         return replace(self, proven=prove_uniqueness(self, spacing=self.spacing).figures())
 
     def verify_certificates(self) -> None:
-        """Raise InputError unless the proven strain that a file states is proven again."""
-        said = self.proven.get("strain", 0.0)
-        proven = prove_uniqueness(self, spacing=self.spacing).strain if said else 0.0
-        if not (is_number(said) and 0 <= said <= (1 + SAME) * proven):
-            raise InputError(
-                f"proven: one solution up to |H| = {said!r:.20} is not proven of these"
-            )
+        """Raise InputError unless the figures that a file states are proven again."""
+        known = prove_uniqueness(self, spacing=self.spacing).figures() if self.proven else {}
+        for name, said in self.proven.items():
+            if name not in known:
+                raise InputError(f"proven: unknown keys: {name}")
+            value, own = checked(f"proven: {name}", said, shape=np.shape(known[name])), known[name]
+            small, large = (value, own) if name == "strain" else (own, value)
+            if not ((value >= 0) & (small <= (1 + SAME) * np.array(large))).all():
+                raise InputError(f"proven: {name} {said!r:.60} is not proven of these")
 
     def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
         """Proof in other units: the proven strain alone, which has no unit."""
