@@ -21,6 +21,7 @@ from tests.support import (
 from tests.support.plates import MODEL, plate
 from tests.support.problems import fitted_order, normal
 from warp_peri.fe_coupling.body import Coupling, long_wave, solve_body
+from warp_peri.fe_coupling.boundary_elements import loads_on
 from warp_peri.fe_coupling.schwarz import bulk_lattice
 from warp_peri.points.mesh import REST, make_mesh
 from warp_peri.points.outlines import Circle, box, mesh_outline
@@ -72,15 +73,21 @@ def test_bad_input_is_named():
     tiny, small, huge = (plate(RADIUS * size, HALF * size, 8, 32) for size in (1e-10, 1, 1e10))
     on = {"coupling": Coupling(spacing=SPACING)}
     given = {"mesh": small, "displacement": {"sides": (0.0, 0.0)}}
+    own = np.ones((3, 2))
+    loads_on(small, {}, None, lambda x: x.__imul__(2)).b(own)
+    assert (own == 1).all()  # a function has its positions to itself
     with refused("expected positions of a body that a"):
         solve_body(MODEL, **given | {"mesh": tiny})
     each_refused(lambda change: solve_body(MODEL, **given | on | change), {
         "part 'top': the outline has hole, sides": {"displacement": {"top": (0, 0)}},
         "hold the body against shifts and turns": {"displacement": {"sides": (0, np.nan)}},
-        "part 'sides': expected vectors of shape": {"displacement": {"sides": (0, 0, 0)}},
-        "part 'hole': expected vectors of shape": {"traction": {"hole": lambda x, n: n[:, :1]}},
-        "b: expected a function": {"b": (0.0, 0.0)},
-        r"b: expected vectors of shape \[\d+, 2\], got shape": {"b": lambda x: x[:, 0]},
+        "part 'sides': expected shape": {"displacement": {"sides": (0, 0, 0)}},
+        "part 'hole': expected shape": {"traction": {"hole": lambda x, n: n[:, :1]}},
+        "b: expected a function of positions, got": {"b": (0.0, 0.0)},
+        "b: expected a function": {"b": np.ndarray},
+        "part 'hole': expected a function of positions and": {"traction": {"hole": lambda x: x}},
+        r"lattice of 1e-09 Å fills": {"coupling": Coupling(spacing=1e-9)},
+        r"b: expected shape \[\d+, 2\], got": {"b": lambda x: x[:, 0]},
         "expected positions of a": {"mesh": huge},
         "a hole of 4 Å is smaller than the over": {"mesh": plate(2.0, HALF, 12, 32)},
     })  # fmt: skip

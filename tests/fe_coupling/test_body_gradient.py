@@ -42,7 +42,7 @@ def test_the_gradient_is_the_difference(monkeypatch, alone):
     weight = rng.normal(size=x.shape)
 
     def measure(**moved):
-        u = solved(mesh, **moved).displacement(x)
+        u = solved(mesh, **moved).displacement(x.tolist())
         return float((weight * u).sum() + 50 * (u**2).sum())
 
     solution = solved(mesh)

@@ -31,6 +31,7 @@ from warp_peri.fe_coupling.schwarz import (
     Tried,
     bulk_lattice,
     bulk_points,
+    check_extent,
     collar_and_overlap,
     cubic,
     in_elements,
@@ -103,9 +104,11 @@ class BodySolution:
             stress[rest] = (matrix @ self.bulk_stress.reshape(-1, d * d)).reshape(-1, d, d)
         return u, stress
 
-    def probe(self, x: np.ndarray) -> tuple[sp.csr_array, sp.csr_array]:
+    def probe(self, x: ArrayLike) -> tuple[sp.csr_array, sp.csr_array]:
         """Matrices R [m, n] and B [m, N] with u(x) = R u_rim + B u_bulk at positions x [m, d]. The
-        rim's where it is, the bulk's elsewhere; InputError outside the mesh."""
+        rim's where it is, the bulk's elsewhere; InputError for no positions, or outside the
+        mesh."""
+        x = checked("x", x, float, ("m", self.rim.d))
         cell = self.rim.mesh.holding(x)
         if (cell < 0).any():
             raise InputError(f"x: {np.count_nonzero(cell < 0)} positions are outside the mesh")
@@ -117,7 +120,7 @@ class BodySolution:
             B = to_x[:, ~in_rim] @ cubic(self.points, x[~in_rim]) @ unknown
         return sp.csr_array(R), sp.csr_array(B)
 
-    def displacement(self, x: np.ndarray) -> np.ndarray:
+    def displacement(self, x: ArrayLike) -> np.ndarray:
         """Displacement [Å] at positions of the body, both of shape [m, 2]; as `probe`."""
         R, B = self.probe(x)
         return np.asarray(R @ self.u_rim + B @ self.u_bulk)
@@ -203,6 +206,8 @@ def _on_lattice(
                 "model: expected a crystal at rest; elements do not know the stress of another"
             )
         return model, long_wave(model, model.spacing), model.spacing, tried
+    if spacing is not None:
+        check_extent(mesh, spacing, model.units)
     if not (model.certified_on or (allow_uncertified and spacing)):
         model = with_proof(model, spacing)
     if spacing is None:
@@ -303,9 +308,8 @@ def body_gradient(
     model, problem = solution.model, solution.problem
     if not isinstance(model, LPSMaterial):
         raise InputError("solution: expected a body of a peridynamic solid, got one of a crystal")
-    at = checked("x", x, float, ("m", 2))
-    R, B = solution.probe(at)
-    by_rim, by_bulk = (one.T @ checked("by_u", by_u, float, at.shape) for one in (R, B))
+    R, B = solution.probe(x)
+    by_rim, by_bulk = (one.T @ checked("by_u", by_u, float, (R.shape[0], 2)) for one in (R, B))
     if isinstance(problem, Schwarz):
         f, given, b = problem.transposed(by_rim, by_bulk, tolerance)
     else:

@@ -16,7 +16,7 @@ from scipy.signal import upfirdn
 from scipy.sparse.linalg import LinearOperator, splu
 
 from warp_peri.errors import InputError, optional
-from warp_peri.points.arguments import checked
+from warp_peri.points.arguments import check_function, check_mapping, check_shape, checked
 from warp_peri.points.mesh import Mesh, pieces
 from warp_peri.solvers.systems import loose_pieces
 
@@ -305,36 +305,32 @@ def loads_on(
     Raises InputError for a part that the mesh has not, or a body force that is no function."""
     every = {"displacement": displacement, "traction": traction or {}}
     for name, given in every.items():
-        if not isinstance(given, Mapping):
-            raise InputError(
-                f"{name}: expected values by part, as {{'left': (0, 0)}}, got {given!r:.40}"
-            )
+        check_mapping(name, given)
         for part in given:
             if part not in mesh.parts:
                 raise InputError(f"part '{part}': the outline has {', '.join(sorted(mesh.parts))}")
     held, pulls = (
-        {part: _field(f"part '{part}'", value, free=free) for part, value in given.items()}
-        for given, free in zip(every.values(), (True, False))
+        {part: _field(f"part '{part}'", given[part], *of, free=not of[1:]) for part in given}
+        for given, of in zip(every.values(), (["positions"], ["positions", "normals"]))
     )
-    if b is not None and not callable(b):
-        raise InputError(f"b: expected a function of positions [n, 2], got {b!r:.60}")
-    return BodyLoads(held, pulls, None if b is None else _field("b", b))
+    if b is not None:
+        check_function("b", b, "positions")
+    return BodyLoads(held, pulls, b and _field("b", b, "positions"))
 
 
-def _field(name: str, value: Field | Traction | ArrayLike, *, free: bool = False) -> Any:
-    """Make a function with finite values of a value or function; NaN where it may be free."""
+def _field(name: str, value: Field | Traction | ArrayLike, *of: str, free: bool = False) -> Any:
+    """Make a function with finite values of a value, or a function of these, whose arguments are
+    copies; NaN where it may be free."""
+    if callable(value):
+        check_function(name, value, *of)
 
     def answer(*where: np.ndarray) -> np.ndarray:
-        given = value(*where) if callable(value) else value
+        given = value(*map(np.copy, where)) if callable(value) else value
         vectors = checked(name, given, read=False)
         checked(name, given, read=~(free & np.isnan(vectors)))
         if vectors.shape == where[0].shape[1:]:
             vectors = np.broadcast_to(vectors, where[0].shape)
-        if vectors.shape != where[0].shape:
-            raise InputError(
-                f"{name}: expected vectors of shape {list(where[0].shape)}, got shape "
-                f"{list(np.shape(given))}" + (f" ({given!r:.40})" if np.ndim(given) == 0 else "")
-            )
+        check_shape(name, vectors, where[0].shape)
         return vectors
 
     return answer

@@ -91,6 +91,8 @@ def carried_symbol(symbol: WaveSymbol, spacing: float, turn: np.ndarray) -> Wave
 
 LEAST, LARGEST = 2.0, 5.0
 """Smallest horizon that a lattice has, and the largest that is tried, in spacings."""
+FINEST = 10.0
+"""Horizon at home in spacings: on finer lattices kernels miss too much, and searches do not end."""
 FITTED, LONG, LONG_SHARE = 60, 4, 0.04
 """Wave vectors that a kernel is fitted on; very long ones, their |k| over the largest of these, and
 their weight beside all others: it holds the moduli and costs short waves nothing."""
@@ -128,11 +130,10 @@ def on_lattice(
     The horizon is that of the fewest bonds with which waves twice as long as the shortest that the
     kernel is fitted on err by at most TOLERANCE against home, else the most accurate one. The
     model's provenance tells where it comes from and, under "transfer", up to which wavelength it
-    agrees with home, and how well. Raises InputError for a model without a certificate, and a
-    horizon below two spacings.
+    agrees with home, and how well. Raises InputError for a model without a certificate, a
+    spacing below a tenth of its horizon, and a horizon below two spacings.
     """
-    found: LPSMaterial = made_once(_transferred, model, spacing, largest_horizon)
-    return found
+    return made_once(_transferred, model, spacing, largest_horizon)  # type: ignore[no-any-return]
 
 
 def _transferred(model: LPSMaterial, spacing: float, largest_horizon: float | None) -> LPSMaterial:
@@ -144,6 +145,11 @@ def _transferred(model: LPSMaterial, spacing: float, largest_horizon: float | No
     if not model.certified_on:
         what = "one that is certified on a lattice, which others are fitted to"
         raise InputError(f"model: expected {what}; this one is certified on none")
+    if spacing * FINEST < model.horizon * (1 - 1e-9):
+        raise InputError(
+            f"spacing: expected at least a {FINEST:g}th of the model's horizon of "
+            f"{model.horizon:g} {unit}, got {spacing:g}"
+        )
     home = min(model.certified_on, key=lambda h: abs(np.log(h / spacing)))
     largest = model.largest_wave_number or SHARE * np.pi / min(model.certified_on)
     band = min(largest, SHARE * np.pi / home, SHARE * np.pi / spacing)
@@ -292,7 +298,8 @@ def model_at(
     if model.dimension == 3 and not model.is_certified_on(spacing):
         model = replace(model, certified_on=())  # in space no kernel is carried: it is proven anew
     if spacing and transfer and not (model.certified_on or allow_uncertified):
-        model = made_once(_proven, model, spacing)
+        with suppress(InputError):  # where nothing holds here whoever asks says what that means
+            model = made_once(with_proof, model, spacing)
     at_home = spacing == 0 or model.is_certified_on(spacing)
     if at_home or allow_uncertified or not transfer or not model.certified_on:
         model.check_spacing(spacing, allow_uncertified=allow_uncertified)
@@ -304,9 +311,3 @@ def model_at(
         _said.add(once)
         warn(f"transferred {found.provenance['transfer']['statement']}")
     return found
-
-
-def _proven(model: LPSMaterial, spacing: float) -> LPSMaterial:
-    with suppress(InputError):  # where nothing holds here whoever asks says what that means
-        return with_proof(model, spacing)
-    return model

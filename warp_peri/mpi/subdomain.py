@@ -25,6 +25,7 @@ from warp_peri.points.arguments import (
     USUAL,
     Units,
     as_array,
+    check_function,
     check_nodes,
     check_same,
     check_units,
@@ -263,8 +264,7 @@ def lattice(
             raise InputError(f"origin: expected {len(shape)} coordinates, got {len(origin)}")
         check_nodes("shape", shape)
         axis = checked_axis(axis, len(shape))
-        if not callable(interior):
-            raise InputError(f"interior: expected a function of positions, got {interior!r:.60}")
+        check_function("interior", interior, "positions")
     same(comm, shape=shape, spacing=spacing, origin=origin, units=units, axis=axis)
     slabs = cut(comm, shape, _rows(shape))
     grid = np.indices(slabs.box(comm.rank), dtype=np.int32).reshape(len(shape), -1).T.copy()
@@ -273,7 +273,7 @@ def lattice(
     number = np.asarray(np.ravel_multi_index(tuple(grid.T), shape))
     count = int(np.prod(shape))
     with agreed(comm):
-        inside = checked("interior", interior(x), bool, (len(x),))
+        inside = checked("interior", interior(x.copy()), bool, (len(x),))
         check_units(units)
     if not any(comm.allgather(bool(inside.any()))):
         raise InputError("interior: expected at least one interior node, got none")

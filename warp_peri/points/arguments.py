@@ -126,6 +126,16 @@ def checked_fields(
     return load, field
 
 
+def check_function(name: str, value: Any, *of: str) -> None:
+    """Raise InputError unless a value is a function of such as positions, not a class."""
+    try:
+        fine = not isinstance(value, type) and bool(inspect.signature(value).bind(*of))
+    except (TypeError, ValueError) as error:
+        fine = isinstance(error, ValueError)  # in C, nobody knows of what
+    if not fine:
+        raise InputError(f"{name}: expected a function of {' and '.join(of)}, got {value!r:.60}")
+
+
 def is_piece(points: Any) -> bool:
     """Whether points are a rank's piece of a body's nodes."""
     return hasattr(points, "comm")
