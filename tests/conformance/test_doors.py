@@ -4,6 +4,7 @@ import inspect
 import os
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -316,19 +317,50 @@ def test_arguments_of_bodies_solids_and_tables():
     sets = {"train": wp.Samples(sixteen, np.zeros((1, 16, 2)))}
     data = lambda rate: wp.Dataset(sets, 1.0, 1.0, provenance={"rate": rate})
     op = wp.LPSMaterial(1.0, 1.0, 1.0, [1.0], 2.0, certified_on=(1.0,)).on(points)
+    shape, flat = wp.influence.InfluenceFunction, lambda r, w=0: r
+    K, crystal = shape(flat, {"w": 1.0}), LAWS["crystal"].material()
+    own = partial(K.model, lam=0.3, mu=0.7, horizon=3.0)
+    bounds = (("0", "2"), (False, True), (2.0, 1.0))
     assert_refused({
         "^K: expected": lambda: wp.influence.table([1, 2, 3], hidden),
+        "^r: expected": (
+            lambda: wp.influence.gaussian(hidden, 1.0), lambda: K(hidden),
+            lambda: K(1j * hidden.data),
+            *(
+                lambda bad=bad: MODEL.influence(bad)
+                for bad in ([0.0, 1.0], [3.1], -1.0, np.nan, 1j, hidden)
+            ),
+        ),
+        "^influence '<lambda>': expected": (
+            lambda: shape(lambda r: r > 0)(1.0), lambda: shape(lambda r: hidden)(hidden.data),
+        ),
+        "^influence '<lambda>': that of r: expected": lambda: shape(lambda r: r[:1])([1.0, 2.0]),
+        "^parameters: expected": lambda: shape(flat, {"a": 1.0}),
+        "^bounds of w: expected": tuple(
+            lambda ends=ends: shape(flat, {"w": 1.0}, {"w": ends}) for ends in bounds
+        ),
+        "^vector: expected": (lambda: K.at(np.zeros(0)), lambda: K.at(np.zeros(2))),
+        "^lengths: expected": (
+            lambda: wp.Points.block([], 1.0, 2.0), lambda: K.coefficients([], 3.0),
+            lambda: own(spacings=[]),
+        ),
+        "^spacings: expected": lambda: own(spacings=["a"]),
+        "^k: expected": tuple(
+            lambda k=k: crystal.symbol(k) for k in ([1j, 0], hidden[:2], np.zeros(3), 1.0)
+        ),
         "^u: expected": (
             lambda: wp.solve(op, wp.Dirichlet(points, None, [[1.0], [1.0, 2.0]])),
             lambda: wp.Samples(sixteen, torch.zeros(1, 16, 2, device="meta")),
         ),
-        "^lengths: expected": lambda: wp.Points.block([], 1.0, 2.0),
         "^sides: expected": (
             lambda: wp.Points.sheet((4,), 1.0), lambda: wp.Points.sheet((10**6, 10**6), 1.0),
             lambda: box_nodes((), 1.0), lambda: box_nodes((1.0, 1.0), 1e-6),
             lambda: box_nodes((1.0, "a"), 1.0),
         ),
-        "^terms: expected": lambda: wp.hyperelastic.Hyperelastic(terms=["neo_hookean"]),
+        "^terms: expected": tuple(
+            lambda terms=terms: wp.hyperelastic.Hyperelastic(terms=terms)
+            for terms in (["neo_hookean"], (np.ones(2), np.ones(2)))
+        ),
         "^width: expected": lambda: box(0.0, 20.0),
         "^path: expected": lambda: wp.load("a\0b"),
         "^count: expected": lambda: wp.runtime.set_num_threads(10**400),

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -324,6 +325,9 @@ def test_what_would_lose_a_gradient_says_so():
         "expected tensors without a gradient": lambda: wp.simulate(solid, cut, events=1),
         "parameters: expected .* among lam .*, got kappa":
             lambda: wp.solve(solid, cut, parameters={"kappa": 1.0}),
+        "among none, which corrected": lambda: wp.solve(
+            solid, replace(cut, corrected=True), parameters={"mu": 1.0}
+        ),
         "u: expected float values, got masked": lambda: module(hidden),
         "u: expected a dense": (lambda: op(u.to_sparse()), lambda: op(u.to("meta"))),
         "mu": lambda: broken(u),

@@ -60,12 +60,14 @@ def test_fields_have_any_axes_before_their_own(name):
     u, own = field(op, 2, 3), -len(op.shape)
     inner = lambda u: np.compress(op.points.interior, u, axis=own)
     reads = [op, op.energy, lambda u: op.jvp(u, u), lambda u: op.vjp(u, inner(u))]
+    reads += [op.straight] if hasattr(op, "straight") else []
     for read in reads + [op.stress] * (op.points.outside is None):
         if (found := read(u)) is not None:
             assert found.shape[:2] == (2, 3)
             near(found[1, 2], read(u[1, 2]), 1e-12)
-            with refused("expected "):
-                read(u[:0, 0])
+            for bad in (u[:0, 0], u * 1j):
+                with refused("expected "):
+                    read(bad)
 
 
 def test_a_rigid_motion_and_uniform_strain_give_no_force(name):

@@ -10,7 +10,16 @@ import torch
 import warp_peri as wp
 from tests.conformance.test_breaking import CRACK, SOLIDS, points_of
 from tests.support import filterwarnings, in_plane_and_space, near, parametrize
-from tests.support.materials import LAWS, SPREAD, field, operator, placed, solved_samples, uneven
+from tests.support.materials import (
+    LAWS,
+    SPREAD,
+    field,
+    operator,
+    placed,
+    saint_venant,
+    solved_samples,
+    uneven,
+)
 from tests.support.plates import plate
 from tests.support.problems import kernel, lattice, loaded, on_interior
 from tests.support.sheets import waves
@@ -19,7 +28,9 @@ from warp_peri.fracture import Cracked
 from warp_peri.materials.crystal import crystal_from_lps
 from warp_peri.points.arguments import USUAL, factors
 
-pytestmark = filterwarnings("ignore:strain:UserWarning", "ignore:transferred:UserWarning")
+pytestmark = filterwarnings(
+    "ignore:strain:UserWarning", "ignore:transferred:UserWarning", "ignore:spacing:UserWarning"
+)
 SCALES = {
     "small and stiff": (("nm", "mm"), ("TPa", "MPa")),
     "large and soft": (("mm", "nm"), ("MPa", "TPa")),
@@ -153,6 +164,24 @@ def test_a_length_that_is_learned(scale):
         stress * np.array([one.lam, one.mu, mine]),
         1e-5,
     )
+
+
+@pytest.mark.parametrize("size", [1e-6, 1e6, 1e-10])
+def test_numbers_that_a_fit_starts_at_zero(size):
+    op = placed("density")[0]
+    one = solved_samples(op)
+    there = wp.Samples(larger(op.points, size), size * one.u, one.b)
+    for loss in ("forces", "displacement"):
+        energy = wp.Density(saint_venant, size, {"lam": 0.0, "mu": size}, loss=loss)
+        found = wp.fit(there, energy).material.parameters
+        near([*found.values()], size * np.array([0.4, 0.9]), 1e-3)
+    ring = lambda r, radius: np.exp(-(((r - radius) / (2 * size)) ** 2))
+    shape = wp.influence.InfluenceFunction(ring, {"radius": size})
+    solid = shape.model(lam=0.3 * size, mu=0.7 * size, horizon=3 * size, spacings=[size])
+    points = larger(LAWS["LPS"].points(4), size)
+    samples = loaded(solid.on(points, allow_uncertified=True), uneven(points, 4))
+    start = wp.influence.InfluenceFunction(ring, {"radius": 0.0})
+    near(wp.fit(samples, wp.LPS(3 * size, start)).influence.parameters["radius"], size, 1e-6)
 
 
 def test_diffusion(scale):

@@ -97,7 +97,7 @@ def test_a_kernel_that_changes_sign_is_taken_where_diffusion_does_not_grow(latti
                 call(operator, problem)
 
 
-@pytest.mark.parametrize(
+@parametrize(
     "kind", [list, torch.tensor, lambda k: k[::-1].copy()[::-1], lambda k: k.astype(">f8")]
 )
 def test_a_conductivity_is_of_any_kind_of_array(kind):

@@ -101,7 +101,7 @@ def test_what_cannot_be_used_is_refused_and_files_ask_for_the_energy(tmp_path):
         "energy: expected a function, got int": lambda: of(5),
         "mu: expected finite": lambda: of(blatz_ko, parameters={"mu": 1e200}),
         "no such file": lambda: wp.DensityMaterial.read(path.parent / "none.json", blatz_ko),
-        "parameters: expected those of the energy": lambda: of(blatz_ko, parameters={"k": 1.0}),
+        "parameters: expected those of the function": lambda: of(blatz_ko, parameters={"k": 1.0}),
         "parameters: .* 'k'": lambda: material.at({"k": 1.0}),
         "dimension: expected 2 or 3, got 4": lambda: of(blatz_ko, dimension=4),
         "energy: expected no stress at rest": lambda: pulled.on(points),

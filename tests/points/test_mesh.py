@@ -56,6 +56,17 @@ def joined(*grids):
 counts = lambda mesh: {name: len(part) for name, part in mesh.parts.items()}
 
 
+@parametrize("size", [2.0**-100, 2.0**-30, 8.0, 2.0**40])
+def test_an_outline_of_another_unit_has_the_same_mesh(size):
+    outer, hole = box(70.0, 60.0), Circle(10.0, (3.0, 1.0), size=1.0)
+    first = mesh_outline(outer, [hole], size=4.0)
+    hole = Circle(10.0 * size, (3.0 * size, size), size=size)
+    mesh = mesh_outline(box(70.0 * size, 60.0 * size), [hole], size=4.0 * size)
+    assert np.array_equal(mesh.cells, first.cells)
+    assert np.array_equal(mesh.x, size * first.x)
+    assert_allclose(mesh.middle, size * first.middle, rtol=1e-12)
+
+
 def test_an_outline_has_its_parts_curves_holes_and_distances():
     mesh = mesh_outline(box(40, 30), [Circle(5, (3, 1), size=1)], size=4)
     assert set(mesh.parts) == {"bottom", "right", "top", "left", "hole"}

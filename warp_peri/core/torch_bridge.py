@@ -172,7 +172,8 @@ def with_numbers(operator: Any, numbers: Numbers) -> tuple[Any, dict[str, torch.
         fits = value.shape == np.shape(own) or value.size == np.size(own) == 1  # a number, as [1]
         if name not in known or not fits or not np.isfinite(value).all():
             got = f"{name} {list(value.shape)}"
-            names = ", ".join(f"{n} {list(np.shape(own))}" for n, own in known.items()) or "none"
+            names = ", ".join(f"{n} {list(np.shape(own))}" for n, own in known.items())
+            names = names or getattr(operator, "unlearned", "none")
             raise InputError(f"parameters: expected finite numbers among {names}, got {got}")
     values = {name: value.reshape(np.shape(known[name])) for name, value in values.items()}
     same = all(np.array_equal(value, known[name]) for name, value in values.items())

@@ -79,6 +79,7 @@ class CutSolid(OperatorBase):
 
     is_linear = is_symmetric = True
     held = np.zeros((0, 0), bool)
+    unlearned = "none, which corrected bodies and those of several materials have"
 
     def __init__(
         self,

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from inspect import signature
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -25,7 +23,16 @@ from warp_peri.errors import InputError, Rows
 from warp_peri.fitting.regression import norms
 from warp_peri.fitting.result import Fit
 from warp_peri.materials.crystal_fit import one_set
-from warp_peri.points.arguments import USUAL, Numbers, Positive, Units, check_same, checked, typed
+from warp_peri.points.arguments import (
+    USUAL,
+    Numbers,
+    Positive,
+    Units,
+    check_parameters,
+    check_same,
+    checked,
+    typed,
+)
 from warp_peri.points.points import PointsLike, check_dimensions, nodes_of
 from warp_peri.solvers.equilibria import SOLVES, equilibria_of, probed
 from warp_peri.solvers.linear import Inverse, Linear
@@ -91,11 +98,7 @@ class DensityMaterial(Record, format="warp_peri.density"):
         object.__setattr__(self, "parameters", numbers)
         super().__post_init__()
         check_dimensions("dimension", self.dimension)
-        try:
-            with suppress(ValueError):  # of none, and of what does not tell its arguments
-                signature(self.energy or dict).bind(None, **numbers)
-        except TypeError as error:
-            raise InputError(f"parameters: expected those of the energy ({error})") from None
+        check_parameters(self.energy or dict, numbers)
 
     @classmethod
     def of(
@@ -239,7 +242,14 @@ class Density:
         size = norms(right)[:, None, None]
         if not (size > 0).all():
             raise InputError(f"samples: expected some that are not zero, got {size.argmin()}")
-        scale = np.array([abs(value) or 1.0 for value in material.parameters.values()])
+        force = operator(given.u)
+
+        def felt(name: str) -> float:
+            """Size of a number that changes the force by as much as that is."""
+            by = abs(float(operator.by_numbers(name, given.u, force)))
+            return np.vdot(force, force) / by if by else 1.0
+
+        scale = np.array([abs(value) or felt(name) for name, value in material.parameters.items()])
 
         def left(x: np.ndarray) -> np.ndarray:
             op = operator.at(dict(zip(names, scale * x)))

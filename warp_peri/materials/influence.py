@@ -21,7 +21,16 @@ from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
 from warp_peri.materials.lps import LPSMaterial, bernstein_basis
-from warp_peri.points.arguments import USUAL, Positive, Units, checked, typed
+from warp_peri.points.arguments import (
+    USUAL,
+    Positive,
+    Units,
+    check_parameters,
+    check_shape,
+    checked,
+    plain,
+    typed,
+)
 from warp_peri.points.families import bond_classes
 
 DEGREES = ((10, 0.0), (20, 0.0), (40, 0.0), (60, 0.0), (80, 1e-6))
@@ -67,17 +76,13 @@ class InfluenceFunction:
                 raise InputError(f"{name}: expected a number or a list, got {array.shape}")
             values[name] = array if array.ndim else float(array)
         object.__setattr__(self, "parameters", values)
+        check_parameters(self.function, values)
         for name, ends in self.bounds.items():
             if name not in self.parameters:
-                raise InputError(
-                    f"bounds: no parameter {name!r}; there are: "
-                    f"{', '.join(self.parameters) or 'none'}"
-                )
-            try:
-                low, high = map(float, ends)
-            except (TypeError, ValueError):
-                low = high = np.nan
-            if not low < high:
+                known = ", ".join(self.parameters) or "none"
+                raise InputError(f"bounds: no parameter {name!r}; there are: {known}")
+            pair = plain(f"bounds of {name}", ends)
+            if pair.shape != (2,) or not pair[0] < pair[1]:
                 raise InputError(f"bounds of {name}: expected (lowest, highest), got {ends!r}")
         lowest, highest = self.ends
         if not ((lowest <= self.vector) & (self.vector <= highest)).all():
@@ -107,7 +112,8 @@ class InfluenceFunction:
 
     def at(self, vector: np.ndarray) -> InfluenceFunction:
         """The influence function with other parameters, in one vector [P]."""
-        values, first = {}, 0
+        values, first = dict[str, Any](), 0
+        vector = checked("vector", vector, float, self.vector.shape)
         for name, value in self.parameters.items():
             part = vector[first : first + np.size(value)]
             values[name] = part if np.ndim(value) else part[0]
@@ -116,39 +122,36 @@ class InfluenceFunction:
 
     def __call__(self, r: ArrayLike) -> np.ndarray:
         """Values of K at the distances r [Å], of the shape of r."""
-        distance = np.asarray(r, float)
-        K = np.array(self.function(distance.copy(), **copy.deepcopy(self.parameters)))
-        if K.dtype.kind not in "iufb" or K.shape != distance.shape:
-            raise InputError(
-                f"influence '{self.name}': expected real K of shape {list(distance.shape)}, "
-                f"the shape of r, got {K.dtype} of shape {list(K.shape)}"
-            )
+        distance, name = checked("r", r), f"influence '{self.name}'"
+        K = plain(name, self.function(distance.copy(), **copy.deepcopy(self.parameters)))
+        check_shape(f"{name}: that of r", K, distance.shape)
         if (wrong := distance[~np.isfinite(K)]).size:
             raise InputError(
-                f"influence '{self.name}': K is not finite at r = {wrong.flat[0]:g} with "
+                f"{name}: K is not finite at r = {wrong.flat[0]:g} with "
                 f"{dict(self.parameters)}; give `bounds` that keep it so"
             )
-        return K.astype(float)
+        return K
 
     def slopes(self, r: np.ndarray) -> np.ndarray:
         """Derivatives of K by the parameters, [R, P], by differences within the bounds."""
         p, columns = self.vector, []
+        small, large = sorted((1.0, np.max(r)))  # of lengths, and of what has no unit
         for one, value, low, high in zip(np.eye(len(p)), p, *self.ends):
             widest = (high - low) / 8
-            step = min(STEP * (abs(value) or 1.0), widest)
+            step = min(STEP * (abs(value) or small), widest)
             while True:
                 ends = np.ceil((low - value) / step) + 2, np.floor((high - value) / step) - 2
                 m = np.arange(-2, 3) + np.clip(0, *ends)
                 K = np.array([self.at(p + n * step * one)(r) for n in m])
                 seen = np.ptp(K, axis=0).max() >= SEEN * np.abs(K).max()
-                if seen or 10 * step > min(STEP, widest):
+                if seen or 10 * step > min(STEP * large, widest):
                     break
                 step *= 10
             weights = np.linalg.solve(np.vander(m, increasing=True).T, np.eye(5)[1])
             columns.append(weights @ K / step)
         return np.reshape(columns, (len(p), len(r))).T
 
-    def coefficients(self, lengths: ArrayLike, horizon: float) -> tuple[np.ndarray, float]:
+    def coefficients(self, lengths: ArrayLike, horizon: Positive) -> tuple[np.ndarray, float]:
         """Bernstein coefficients D [M + 1] with α = 0, exact at bond lengths [Å], and how far they
         are off between them, relative to the largest |K| at one.
 
@@ -157,7 +160,9 @@ class InfluenceFunction:
         InputError for a function whose values at the bond lengths no D reaches, and a table that
         does not reach them.
         """
-        r = np.unique(np.asarray(lengths, float))
+        r = np.unique(checked("lengths", lengths))
+        if not (r.size and r[0] > 0):
+            raise InputError("lengths: expected bonds, of lengths > 0, got others or none")
         knots = getattr(self.function, "keywords", {}).get("knots", r)  # of a table
         if r[0] < (1 - ROUNDING) * knots[0] or r[-1] > (1 + ROUNDING) * knots[-1]:
             raise InputError(
@@ -192,13 +197,14 @@ class InfluenceFunction:
         *,
         lam: float,
         mu: float,
-        horizon: float,
+        horizon: Positive,
         spacings: Sequence[float],
         units: Units = USUAL,
     ) -> LPSMaterial:
         """Make an uncertified LPS of λ, μ [TPa] and this function to δ [Å], exact at the bonds of
         some spacings [Å]. Raises InputError as `coefficients`, and for numbers out of range."""
-        lengths = np.concatenate([bond_classes(spacing, horizon).r for spacing in spacings])
+        of = checked("spacings", spacings, float, ("n",))
+        lengths = np.concatenate([np.zeros(0), *(bond_classes(h, horizon).r for h in of)])
         D, departure = self.coefficients(lengths, horizon)
         kept = {"influence": self.record(departure)}
         return LPSMaterial(lam, mu, 0.0, D, horizon, provenance=kept, units=units)
@@ -212,19 +218,19 @@ class InfluenceFunction:
 @typed
 def gaussian(r: np.ndarray, width: Positive) -> np.ndarray:
     """Gaussian influence function exp(−(r/width)²), width [Å]."""
-    return np.exp(-((r / width) ** 2))
+    return np.exp(-((checked("r", r) / width) ** 2))
 
 
 @typed
 def exponential(r: np.ndarray, length: Positive) -> np.ndarray:
     """Exponential influence function exp(−r/length), length [Å]."""
-    return np.exp(-r / length)
+    return np.exp(-checked("r", r) / length)
 
 
 @typed
 def conical(r: np.ndarray, reach: Positive) -> np.ndarray:
     """Conical influence function 1 − r/reach out to the reach [Å], 0 beyond."""
-    return np.maximum(1 - r / reach, 0.0)
+    return np.maximum(1 - checked("r", r) / reach, 0.0)
 
 
 NAMED = {"gaussian": gaussian, "exponential": exponential, "conical": conical}

@@ -34,7 +34,13 @@ from warp_peri.points.arguments import (
     symbols,
     typed,
 )
-from warp_peri.points.families import DEGREE, SINGULARITY, BondClasses, bond_classes
+from warp_peri.points.families import (
+    DEGREE,
+    HORIZON_TOLERANCE,
+    SINGULARITY,
+    BondClasses,
+    bond_classes,
+)
 from warp_peri.points.points import Points, PointsLike, check_dimensions, grid_places, nodes_of
 
 ALPHA_BOUND = 3.0
@@ -58,7 +64,7 @@ def bernstein_basis(r: ArrayLike, horizon: float, degree: int) -> np.ndarray:
     """Bernstein polynomials B_k,M(r/δ) at lengths in [0, δ], to rounding, shape [..., M + 1]."""
     if degree > LARGEST_DEGREE:
         raise InputError(f"degree: expected at most {LARGEST_DEGREE}, got {degree}")
-    t = np.minimum(np.asarray(r, float) / horizon, 1.0)[..., None]
+    t = np.minimum(checked("r", r) / horizon, 1.0)[..., None]
     k = np.arange(degree + 1)
     return np.asarray(comb(degree, k) * t**k * (1 - t) ** (degree - k))
 
@@ -291,7 +297,10 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
     def influence(self, r: ArrayLike) -> np.ndarray:
         """Influence function K at the distances r [Å] in (0, δ]."""
-        r = np.asarray(r, float)
+        r = checked("r", r)
+        most = self.horizon * (1 + 4 * HORIZON_TOLERANCE)  # of lattices near a certified one too
+        if not ((r > 0) & (r <= most)).all():
+            raise InputError(f"r: expected distances above 0, at most {self.horizon:g}")
         return np.asarray(r**-self.alpha * (bernstein_basis(r, self.horizon, self.degree) @ self.D))
 
     @property

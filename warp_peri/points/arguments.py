@@ -7,6 +7,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from functools import cache, wraps
 from types import FunctionType, NoneType, SimpleNamespace, UnionType
 from typing import (
@@ -188,6 +189,15 @@ def check_mapping(name: str, value: Any) -> None:
     """Raise InputError for a value that is no mapping of names."""
     if not (isinstance(value, Mapping) and all(isinstance(key, str) for key in value)):
         raise InputError(f"{name}: expected values by name, as {{'name': …}}, got {value!r:.60}")
+
+
+def check_parameters(function: Callable[..., Any], values: Mapping[str, Any]) -> None:
+    """Raise InputError unless a function takes one argument and values by name."""
+    try:
+        with suppress(ValueError):  # of what does not tell its arguments
+            inspect.signature(function).bind(None, **values)
+    except TypeError as error:
+        raise InputError(f"parameters: expected those of the function ({error})") from None
 
 
 def listed(nodes: np.ndarray) -> str:

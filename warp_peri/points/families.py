@@ -19,7 +19,7 @@ from scipy.special import beta
 from warp_peri.errors import InputError
 from warp_peri.kernels import neighbours as kernels
 from warp_peri.kernels import quadrature
-from warp_peri.points.arguments import check_whole, listed, symbols
+from warp_peri.points.arguments import check_whole, checked, listed, symbols
 from warp_peri.points.points import PointsLike, grid_places, nearest, nodes_of
 from warp_peri.runtime import floats, ints, launch_slices, zeros
 
@@ -374,7 +374,7 @@ def quadrature_weights(xi: ArrayLike, horizon: float, *, degree: int = DEGREE) -
 
     Raises InputError when no weights meet the conditions (the family is too poor).
     """
-    xi = np.asarray(xi, float)
+    xi = checked("xi", xi, float, ("B", "d"))
     weights, residual = family_weights(xi, horizon, degree=degree)
     if residual > RESIDUAL:
         raise InputError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +16,8 @@ from warp_peri.points.points import unit_vectors
 
 ROUND = 1e-6
 """How far from a circle, relatively, the ends of its edges may be."""
+SMALL = -10
+"""Power of two that `size` is of for Netgen, whose meshes are others for large coordinates."""
 GRADING = 0.2
 """Netgen's measure of how fast triangles may grow, 0 to 1."""
 
@@ -117,14 +120,15 @@ def mesh_outline(outer: Outline, holes: Sequence[Outline] = (), *, size: Positiv
     outlines = (outer, *holes)
     _check_apart(*outlines)
     check_nodes("size", np.ptp(_rim(outer), axis=0) / size)
+    by = math.ldexp(1.0, SMALL - math.frexp(size)[1])
     geometry = netgen.SplineGeometry()
     for outline in outlines:
-        _add(geometry, outline, size, inside=outline is outer)
+        _add(geometry, outline, size, by, inside=outline is outer)
     try:
-        made = geometry.GenerateMesh(maxh=float(size), grading=GRADING)
+        made = geometry.GenerateMesh(maxh=by * size, grading=GRADING)
     except Exception as error:  # Netgen's own kind
         raise InputError(f"outline: Netgen cannot mesh it ({error})") from None
-    x = np.array([point.p for point in made.Points()])[:, :2]
+    x = np.array([point.p for point in made.Points()])[:, :2] / by
     cells = np.array([[p.nr - 1 for p in cell.points] for cell in made.Elements2D()])
     if not len(cells):
         raise InputError("outline: Netgen finds nothing inside it")
@@ -161,16 +165,17 @@ def _check_apart(outer: Outline, *holes: Outline) -> None:
             raise InputError(f"holes: expected holes inside that meet nothing, got {holes[n]}")
 
 
-def _add(geometry: Any, outline: Outline, size: float, *, inside: bool) -> None:
-    """Add a closed curve to a geometry, the body on its inside or its outside."""
-    maxh = float(outline.size or size)
+def _add(geometry: Any, outline: Outline, size: float, by: float, *, inside: bool) -> None:
+    """Add a closed curve to a geometry, `by` times as large, the body on its inside or outside."""
+    maxh = by * (outline.size or size)
     if isinstance(outline, Circle):
         sides = {"leftdomain": int(inside), "rightdomain": int(not inside), "maxh": maxh}
-        geometry.AddCircle(c=outline.centre, r=outline.radius, bc=outline.name, **sides)
+        centre = tuple(by * np.asarray(outline.centre, float))
+        geometry.AddCircle(c=centre, r=by * outline.radius, bc=outline.name, **sides)
         return
     names = outline.names if len(outline.names) > 1 else outline.names * len(outline.corners)
     left = (outline.area > 0) == inside
     sides = {"leftdomain": int(left), "rightdomain": int(not left), "maxh": maxh}
-    numbers = [geometry.AppendPoint(*map(float, corner)) for corner in outline.corners]
+    numbers = [geometry.AppendPoint(*one) for one in by * np.asarray(outline.corners, float)]
     for start, end, name in zip(numbers, numbers[1:] + numbers[:1], names):
         geometry.Append(["line", start, end], bc=name, **sides)
