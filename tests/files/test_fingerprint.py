@@ -1,9 +1,12 @@
 """What a file beside a run says of the run: every field of points, samples, settings, functions."""
 
 import json
+import os
+import random
+from collections import defaultdict
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property, partial, update_wrapper
 from pathlib import Path
 
 import h5py
@@ -43,7 +46,10 @@ def test_where_a_value_stands_and_of_what_kind_it_is_counts():
         (ones, 2), (ones.reshape(2, 2), 2), (ones.astype(int), 2), ([1, 2], 3), ([1], 2, 3),
         (torch.ones(4, dtype=torch.bfloat16),), (torch.eye(4).to_sparse(),),
         (np.complex128(1 + 2j),), (1 + 3j,), (10**400,),
-        ({"a": 1},), ({"a": 2},), ("1",), (1,), (None,), (0,), ([],), ("0",), (set(),),
+        ({"a": 1},), ({"a": 2},), ("1",), (1,), (None,), (0,), ([],), ("0",), (set(),), (-0.0,),
+        *((defaultdict(kind),) for kind in (int, float)), (np.longdouble(1) / 3,), (1 / 3,),
+        *((np.timedelta64(1, unit),) for unit in "sm"), (memoryview(b"1"),), (b"1",),
+        *((memoryview(ones).cast("B").cast(kind),) for kind in "Bq"),
     ]  # fmt: skip
     assert len({fingerprint(*one) for one in parts}) == len(parts)
     for same in (
@@ -80,6 +86,20 @@ def heir(count):
     """An object whose class inherits its call, which reads a property."""
     above = {"__call__": lambda self, field: self.counted(field), "counted": property(count)}
     return type("Heir", (type("Base", (), above | {"__module__": __name__}),), {})()
+
+
+class OfC(partial):
+    """Of the user's, with an attribute beside what C keeps."""
+
+    label = property(lambda self: 1)
+
+
+class Noise(random.Random):
+    made = Filled.__dict__["made"]
+
+
+def wrapped(*given):
+    return update_wrapper(partial(above, *given), above)
 
 
 def of_class(law):
@@ -128,6 +148,13 @@ def test_materials_settings_functions_and_objects_count_by_what_they_hold():
         ({1: x, "1": x}, {1: x, "1": 2 * x}),
         (of_class(Above(1)), of_class(Above(2))),
         (x.dot, (2 * x).dot),
+        (wrapped(0.3), wrapped(0.4)),
+        (OfC(above, 0.3), OfC(above, 0.4)),
+        (Noise(1), Noise(2)),
+        (random.Random(1), random.Random(2)),
+        (type("B", (bytearray,), {})(b"1"), type("B", (bytearray,), {})(b"2")),
+        (lambda *t: t, lambda t: t),
+        (lambda **t: t, lambda t: t),
     ):
         differ(*pair)
     for one, again in (
@@ -137,6 +164,9 @@ def test_materials_settings_functions_and_objects_count_by_what_they_hold():
         (hardening(1.0), hardening(1.0)),
         (Filled(), filled),
         (of_class(np), of_class(np)),
+        (wrapped(0.3), wrapped(0.3)),
+        (Noise(1), Noise(1)),
+        (solid, replace(solid, versions={"numpy": "0"}, errors={"E_u": {"val": 1.0}})),
     ):
         assert fingerprint(one) == fingerprint(again)
 
@@ -170,11 +200,16 @@ def test_what_a_function_reads_inside_and_through_others_counts(monkeypatch):
         (of_module, vars(cfg), "SIZE", 3.0),
         (of_module, vars(below), "larger", above(0.4)),
         (limited, vars(limited), "level", 1),
+        (lambda _: globals()["SCALE"], globals(), "SCALE", 3.0),
     ):
         before = fingerprint(function)
         assert fingerprint(function) == before
         monkeypatch.setitem(where, name, other)
         assert fingerprint(function) != before
+    attribute = lambda field: field.mean()
+    before = fingerprint(attribute)
+    monkeypatch.setitem(globals(), "mean", 1.0)
+    assert fingerprint(attribute) == before
 
 
 def test_a_motion_from_rest_is_of_one_material_and_one_crack(tmp_path):
@@ -234,6 +269,11 @@ def test_a_checkpoint_has_the_last_step_and_what_was_written(tmp_path):
         RunFile(path, kind, AllNodes(len(u))).write(nodal, changed)
         with refused(words):
             run(26)
+    path.unlink()
+    os.mkfifo(path)
+    with refused("expected a file"):
+        run(26)
+    path.unlink()
     for place in range(8, 400, 7):
         torn = bytearray(whole)
         torn[place] ^= 255

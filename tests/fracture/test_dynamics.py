@@ -85,5 +85,8 @@ def test_a_checkpoint_says_what_differs_and_goes_on_under_the_same_history_of_lo
         with refused(f"what differs: {words}$"):
             march(**{"ramp": slow} | how)
     changed = lambda t: slow(t) * later(t)  # later than the checkpoint
-    resumed, options = march(changed, steps=6), {"every": 1}
+    resumed, path = march(changed, steps=6), options.pop("checkpoint")
     assert march(changed, steps=6).u.numpy().tobytes() == resumed.u.numpy().tobytes()
+    options["checkpoint"] = path.with_name("kept.h5")
+    for steps in (2, 4):  # of functions that write down what they see
+        march(steps=steps, watch=lambda phi, seen=[]: seen.append(1) or len(seen))

@@ -28,6 +28,7 @@ from warp_peri import __version__
 from warp_peri.errors import ALONE, InputError, StrPath, agreed
 from warp_peri.files.atomic import (
     check_hdf5,
+    check_regular,
     locked,
     meshio_of,
     parsed,
@@ -38,10 +39,14 @@ from warp_peri.files.atomic import (
 
 HELD = ("__self__", "__func__", "fget", "code")
 """What methods, properties and what torch compiled hold that is no attribute."""
+COPIED = ("__reduce__", "__reduce_ex__", "__getstate__")
+"""By what an object says how it is copied."""
+CODE = "code consts names varnames argcount posonlyargcount kwonlyargcount exceptiontable"
+"""What code is told by."""
 _OWN = (f"{sysconfig.get_path('stdlib')}/", f"{Path(__file__).parents[1]}/")
 HOMES = ("/site-packages/", "/dist-packages/", *_OWN)
 """Parts of paths of installed packages, of Python's own modules and of this library's."""
-OF_A_FIT = ("sha256", "certificate", "proven", "provenance")
+OF_A_FIT = ("sha256", "certificate", "proven", "provenance", "versions", "errors")
 """Of a material's file, which a second fit of the same numbers has otherwise."""
 
 
@@ -136,11 +141,15 @@ def _spelled(part: Any, known: Known) -> Iterator[bytes]:
             part = part.numpy(force=True) if hasattr(kind, "detach") else part.numpy()
         except (TypeError, NotImplementedError):  # bfloat16, sparse ones, those without values
             part = str(part.dtype), part.is_meta or part.to_dense().tolist()
+    if isinstance(part, (np.timedelta64, np.longdouble)):  # more than numbers are told by
+        part = repr(part)
+    if isinstance(part, memoryview):
+        part = np.asarray(part)
     if isinstance(part, (int, np.integer, np.bool_)):
         yield repr(int(part)).encode()
     elif isinstance(part, (float, complex, np.inexact)):
         number, real = complex(part), complex(part).real
-        whole = int(real) if real.is_integer() else real
+        whole = int(real) if real.is_integer() and str(real) != "-0.0" else real
         yield repr(number if number.imag else whole).encode()
     elif isinstance(part, np.ndarray) and part.dtype != object:
         part = part.astype(part.dtype.newbyteorder("="), copy=False)
@@ -148,6 +157,7 @@ def _spelled(part: Any, known: Known) -> Iterator[bytes]:
         held = [getattr(part, "mask", None)]
     elif isinstance(part, Mapping):
         held = sorted(_digest((key, part[key]), known) for key in part)
+        held += [getattr(part, "default_factory", None)]
     elif isinstance(part, (set, frozenset)):  # each as if it were met first
         yield b"set"
         held = sorted(_digest(one, {**known}) for one in part)
@@ -155,13 +165,12 @@ def _spelled(part: Any, known: Known) -> Iterator[bytes]:
         yield f"{len(part)} of".encode()
         held = [*part]
     elif inspect.iscode(part):
-        held = [part.co_code, part.co_consts, part.co_names, part.co_varnames]
+        held = [getattr(part, f"co_{name}") for name in CODE.split()]
+        held += [part.co_flags & ~inspect.CO_NESTED]
     elif inspect.isfunction(part):
         held = [part.__code__, part.__defaults__, part.__kwdefaults__, vars(part), _read_by(part)]
     elif isinstance(part, (str, bytes, os.PathLike)):
         yield repr(os.fspath(part)).encode()
-    elif isinstance(part, memoryview):
-        yield part.tobytes()
     elif inspect.ismodule(part) or isinstance(part, type):
         home = getattr(part, "__module__", part.__name__)
         yield f"{home} {part.__name__}".encode()
@@ -176,8 +185,9 @@ def _spelled(part: Any, known: Known) -> Iterator[bytes]:
     else:
         yield kind.__name__.encode()
         held = [_attributes(part), [getattr(part, n, None) for n in HELD if hasattr(kind, n)]]
-        try:  # what C keeps
-            held += [part.__reduce_ex__(4)][bool(held[0] or users) :]
+        copied = [getattr(kind, n) is getattr(object, n) for n in COPIED]
+        try:  # what C keeps; the rest of what any object is copied by are its attributes
+            held += part.__reduce_ex__(4)[: 2 if all(copied) else None]
         except Exception:  # of what is not copied: a lock, a generator, a file
             yield re.sub(r" at 0x[0-9a-fA-F]+", "", repr(part)).encode()
     if hasattr(kind, "state_dict"):  # of networks
@@ -201,15 +211,17 @@ def _read_by(function: FunctionType) -> dict[str, Any]:
     user's that it names or imports, by name."""
     cells = zip(function.__code__.co_freevars, function.__closure__ or ())
     held = {name: cell.cell_contents for name, cell in cells if cell != CellType()}
-    names, code = set[str](), [function.__code__]
+    names, loaded, code = set[str](), set[str](), [function.__code__]
     spaces, read = [(held, {*held})], dict[str, Any]()
     if _is_users(str(function.__globals__.get("__name__"))):
-        spaces += [(function.__globals__, names), (imported := {}, names)]
+        spaces += [(function.__globals__, loaded), (imported := {}, names)]
         for inner in code:  # those of what is defined inside, too
             names |= {*inner.co_names}
-            names |= {one for one in inner.co_consts if isinstance(one, str)}  # for getattr
+            loaded |= {one for one in inner.co_consts if isinstance(one, str)}  # for getattr
             code += filter(inspect.iscode, inner.co_consts)
             for step in dis.get_instructions(inner):
+                if step.opname in ("LOAD_GLOBAL", "LOAD_NAME"):
+                    loaded.add(step.argval)
                 if step.opname == "IMPORT_NAME":
                     with suppress(Exception):
                         imported[step.argval] = import_module(step.argval)
@@ -218,7 +230,7 @@ def _read_by(function: FunctionType) -> dict[str, Any]:
             one = space[name]
             if inspect.ismodule(one):
                 if _is_users(one.__name__) and all(vars(one) is not other for other, _ in spaces):
-                    spaces += [(vars(one), names)]
+                    spaces += [(vars(one), names | loaded)]
                 one = one.__name__
             read[f"{place} {name}"] = one
     return read
@@ -369,6 +381,7 @@ def read_arrays(
     """Read rows at places of arrays by name (None, or no name: all), and the attributes; InputError
     for a file that is none or lacks an array."""
     found = {}
+    check_regular(path)
     try:
         with h5py.File(path, locking=False) as file:
             check_hdf5(file, os.path.getsize(path))
@@ -416,8 +429,8 @@ class TimeSeriesWriter:
         steps, said = known.group(2, 3) if known else (None, "")
         if text and said != (mark(int(steps)) if steps and mark else None):
             raise InputError(
-                f"{pvd}: is there, or records beside it, of another motion or program; name "
-                "another folder"
+                f"{pvd}: is there, or records beside it, of another motion or program, or of more "
+                "steps; name another folder"
             )
 
     def write(self, step: int, time: float, fields: Mapping[str, np.ndarray]) -> None:

@@ -270,6 +270,8 @@ class CrackRun(Recorder):
                 )
         self.body, self.dt, self.shares = body, float(step), list[float]()
         self.history = {name: [] for name in LEDGER}
+        told = self.file or self.series  # before functions that keep things are called
+        self.watched = fingerprint(self.every, self.watch) if told else ""
 
     def motion(self, state: BreakingState) -> Motion:
         """Records so far as a Motion, with the end at the nodes of this process."""
@@ -311,7 +313,7 @@ class CrackRun(Recorder):
             "solid": fingerprint(body.solid, body.operator.limits, body.corrected),
             "load history": fingerprint(self.shares[: steps + 1]),
             "step": fingerprint(self.dt),
-            "records": fingerprint(self.every, self.watch),
+            "records": self.watched,
         }
 
     def restored(

@@ -156,14 +156,10 @@ class Recorder:
         if (self.file or self.series) and (not self.start or state.steps == 0):
             self.start = self.nodes.mark(*self.nodal(state).values(), state.steps)
         if self.series is not None:
-            self.series.claim(lambda taken: fingerprint(self.key(taken), self.start))
+            self.series.claim(lambda n: fingerprint(self.key(n), self.start) if n <= steps else "")
         if self.file is not None:
-            state = self._resumed(self.file, state)
-        if state.steps > steps:
-            raise InputError(
-                f"steps: expected at least the {state.steps} taken before, got {steps}; a shorter "
-                "run needs a state, or a checkpoint, of its own"
-            )
+            state = self._resumed(self.file, state, steps)
+        _check(state.steps, steps)
         with tqdm(total=steps, initial=state.steps, disable=not progress, unit="step") as bar:
             while state.steps < steps:
                 state = self.advance(state)
@@ -192,7 +188,7 @@ class Recorder:
         history = {name: np.array(rows) for name, rows in self.history.items()}
         return history.pop("time"), history
 
-    def _resumed(self, file: RunFile, state: Any) -> Any:
+    def _resumed(self, file: RunFile, state: Any, steps: int) -> Any:
         """State to go on from, the checkpoint's where there is one."""
         if (kept := file.read(self.nodal(state))) is None:
             return state
@@ -201,6 +197,7 @@ class Recorder:
         for name in ("key", "history", "files"):
             check_mapping(f"{file.path}: {name}", content.get(name))
         taken = check_whole(f"{file.path}: steps", content.get("steps"), 0)
+        _check(taken, steps)
         key = self.key(taken) | {"start": self.start}
         if differ := [name for name, mark in key.items() if content["key"].get(name) != mark]:
             raise InputError(
@@ -211,6 +208,15 @@ class Recorder:
         if self.series is not None:
             self.series.times = content["files"]
         return self.restored(state, arrays, taken)
+
+
+def _check(taken: int, steps: int) -> None:
+    """Raise InputError for more steps than are asked for, whose marks may be long in the making."""
+    if taken > steps:
+        raise InputError(
+            f"steps: expected at least the {taken} taken before, got {steps}; a shorter run needs "
+            "a state, or a checkpoint, of its own"
+        )
 
 
 def refuse_learning(problem: Any, options: dict[str, Any], verb: str) -> None:
