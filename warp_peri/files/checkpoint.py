@@ -135,16 +135,7 @@ def _digest(part: Any, known: Known) -> bytes:
 def _spelled(part: Any, known: Known) -> Iterator[bytes]:
     """Bytes that tell a value from others, at last the hashes of what it holds."""
     kind, held = cast(Any, type(part)), list[Any]()
-    users = _is_users(kind.__module__)
-    if callable(getattr(kind, "numpy", None)):  # of torch, and of Warp
-        try:
-            part = part.numpy(force=True) if hasattr(kind, "detach") else part.numpy()
-        except (TypeError, NotImplementedError):  # bfloat16, sparse ones, those without values
-            part = str(part.dtype), part.is_meta or part.to_dense().tolist()
-    if isinstance(part, (np.timedelta64, np.longdouble)):  # more than numbers are told by
-        part = repr(part)
-    if isinstance(part, memoryview):
-        part = np.asarray(part)
+    users, part = _is_users(kind.__module__), _unwrapped(part)
     if isinstance(part, (int, np.integer, np.bool_)):
         yield repr(int(part)).encode()
     elif isinstance(part, (float, complex, np.inexact)):
@@ -196,6 +187,19 @@ def _spelled(part: Any, known: Known) -> Iterator[bytes]:
         held += [kind] if hasattr(kind, "content") else [kind, _attributes(part)]
     for one in held:
         yield _digest(one, known)
+
+
+def _unwrapped(part: Any) -> Any:
+    """NumPy's array of a tensor or buffer, words of numbers that Python has none for, or the same
+    value."""
+    if callable(getattr(type(part), "numpy", None)):  # of torch, and of Warp
+        try:
+            return part.numpy(force=True) if hasattr(part, "detach") else part.numpy()
+        except (TypeError, NotImplementedError):  # bfloat16, sparse ones, those without values
+            return str(part.dtype), part.is_meta or part.to_dense().tolist()
+    if isinstance(part, (np.timedelta64, np.longdouble)):  # more than numbers are told by
+        return repr(part)
+    return np.asarray(part) if isinstance(part, memoryview) else part
 
 
 def _attributes(part: Any) -> dict[str, Any]:

@@ -34,13 +34,7 @@ from warp_peri.points.arguments import (
     symbols,
     typed,
 )
-from warp_peri.points.families import (
-    DEGREE,
-    HORIZON_TOLERANCE,
-    SINGULARITY,
-    BondClasses,
-    bond_classes,
-)
+from warp_peri.points.families import DEGREE, SINGULARITY, BondClasses, bond_classes
 from warp_peri.points.points import Points, PointsLike, check_dimensions, grid_places, nodes_of
 
 ALPHA_BOUND = 3.0
@@ -297,8 +291,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
     def influence(self, r: ArrayLike) -> np.ndarray:
         """Influence function K at the distances r [Å] in (0, δ]."""
-        r = checked("r", r)
-        most = self.horizon * (1 + 4 * HORIZON_TOLERANCE)  # of lattices near a certified one too
+        r, most = checked("r", r), self.horizon * (1 + SPACING_TOLERANCE)  # of a lattice near by
         if not ((r > 0) & (r <= most)).all():
             raise InputError(f"r: expected distances above 0, at most {self.horizon:g}")
         return np.asarray(r**-self.alpha * (bernstein_basis(r, self.horizon, self.degree) @ self.D))
