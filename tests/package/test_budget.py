@@ -16,12 +16,12 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_781,
-    "tokens": 233_442,
-    "lines of warp_peri": 30_189,
+    "code lines": 18_860,
+    "tokens": 234_860,
+    "lines of warp_peri": 30_348,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_376,
+    "lines of warp_peri, kernels, examples and tools": 42_535,
     "lines of the longest file": 536,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -32,20 +32,20 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2340,
-    "cli": 781,
-    "core": 1596,
+    "atoms": 2345,
+    "cli": 803,
+    "core": 1603,
     "face": 1109,
-    "fe_coupling": 699,
-    "files": 495,
+    "fe_coupling": 696,
+    "files": 505,
     "fitting": 1053,
-    "fracture": 1410,
-    "materials": 4541,
+    "fracture": 1413,
+    "materials": 4543,
     "neural": 575,
-    "points": 1691,
+    "points": 1713,
     "prediction": 575,
-    "mpi": 445,
-    "solvers": 1471,
+    "mpi": 451,
+    "solvers": 1476,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)
