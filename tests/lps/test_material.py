@@ -101,7 +101,7 @@ def test_what_makes_no_sense_is_refused_in_words():
         r"bounds of width: expected \(lowest, highest\), got 5": bounded({"width": 5}),
         "no parameter 'reach'; there are: width": bounded({"reach": (0, 1)}),
         "are not within": bounded({"width": (3, 4)}),
-        r"K of shape \[6\], the shape of r, got float64 of shape \[\]": made(lambda r: r[0]),
+        r"that of r: expected shape \[6\], got \[\]": made(lambda r: r[0]),
         "K is zero at": lambda: InfluenceFunction(lambda r: 0 * r).coefficients(LENGTHS, 3.0),
         "no polynomial of degree 80 takes its values": jagged,
         "weighted volume": vanishing,

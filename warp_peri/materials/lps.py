@@ -291,7 +291,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
     def influence(self, r: ArrayLike) -> np.ndarray:
         """Influence function K at the distances r [Å] in (0, δ]."""
-        r, most = checked("r", r), self.horizon * (1 + SPACING_TOLERANCE)  # of a lattice near by
+        r, most = checked("r", r), self.horizon * (1 + 4 * SPACING_TOLERANCE)  # of one near by
         if not ((r > 0) & (r <= most)).all():
             raise InputError(f"r: expected distances above 0, at most {self.horizon:g}")
         return np.asarray(r**-self.alpha * (bernstein_basis(r, self.horizon, self.degree) @ self.D))
