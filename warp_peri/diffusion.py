@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar
@@ -17,7 +18,7 @@ from warp_peri.fracture.adjoint import bond_force
 from warp_peri.fracture.body import lattice_body
 from warp_peri.fracture.bonds import bond_matrix, bonds_of, dilatations
 from warp_peri.fracture.statics import INDEFINITE
-from warp_peri.materials.lps import ALPHA_BOUND, LPSMaterial, bernstein_basis
+from warp_peri.materials.lps import ALPHA_BOUND, LPSMaterial, Modulus, bernstein_basis
 from warp_peri.points.arguments import (
     USUAL,
     Numbers,
@@ -36,7 +37,6 @@ from warp_peri.solvers.solution import Direct, Solution, Solver, refuse_solver
 from warp_peri.solvers.systems import MatrixProblem, definite_factors
 
 __all__ = ["DiffusionMaterial", "CoupledOperator", "ThermoelasticMaterial", "DiffusionOperator"]
-Conductivity = float | np.ndarray | Callable[[np.ndarray], np.ndarray]
 ROUNDING = 1e-10
 """Eigenvalues so far below zero, over the largest diagonal, count as zero."""
 
@@ -51,14 +51,18 @@ class FlowOperator(OperatorBase):
     def force(self, u: np.ndarray) -> np.ndarray:
         """Force L u on the interior, [..., I, …], of u [..., N, …]; InputError for other shapes."""
         self.check(u := plain("u", u))
-        lead, rest = u.shape[: u.ndim - len(self.shape)], self.shape[1:]
-        return np.asarray((u.reshape(*lead, -1) @ self.matrix.T).reshape(*lead, -1, *rest))
+        lead, flat = self._flat(u)
+        return np.asarray((flat @ self.matrix.T).reshape(*lead, -1, *self.shape[1:]))
 
     def vjp(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Transposed product Lᵗ w on all nodes, [..., N, …], of w on the interior, [..., I, …]."""
-        w = self.of_interior(w)
-        lead = w.shape[: w.ndim - len(self.shape)]
-        return np.asarray((w.reshape(*lead, -1) @ self.matrix).reshape(*lead, *self.shape))
+        lead, flat = self._flat(self.of_interior(w))
+        return np.asarray((flat @ self.matrix).reshape(*lead, *self.shape))
+
+    def _flat(self, fields: np.ndarray) -> tuple[tuple[int, ...], np.ndarray]:
+        """Leading shape of fields, and these as rows."""
+        lead = fields.shape[: fields.ndim - len(self.shape)]
+        return lead, fields.reshape(math.prod(lead), -1)
 
     def tangent(self, u: Any) -> sp.csr_array:
         """Tangent L = `matrix` at any u."""
@@ -105,7 +109,7 @@ class DiffusionOperator(FlowOperator):
     implicit = 0.5
 
     def __init__(
-        self, law: DiffusionMaterial, points: PointsLike, *, kappa: Conductivity | None = None
+        self, law: DiffusionMaterial, points: PointsLike, *, kappa: Modulus | None = None
     ) -> None:
         self.model, self.points = law, nodes_of(points)
         check_same(law.units, self.points.units)
@@ -121,10 +125,11 @@ class DiffusionOperator(FlowOperator):
         # broken bonds count in m and carry nothing; on a lattice −1 is also of no node
         self._kept = (far := families.neighbour[bond]) >= 0
         self._ends = self.rows[own[self._kept]], far[self._kept]
-        self.given: Any = law.conductivity if kappa is None else kappa
-        self._series = self._along_bonds(self.given) if callable(self.given) else None
+        given: Any = law.conductivity if kappa is None else kappa
+        self._series = self._along_bonds(given) if callable(given) else None
         if self._series is None:
-            _conductivities(self.given, len(self.points.x), "node")
+            given = _conductivities(given, len(self.points.x), "node").copy()
+        self.given = given
         with torch.no_grad():
             strength = self._strengths(**_tensors(self.learnable)).numpy()
         shape, rows = 2 * (len(self.points.x),), np.tile(self._ends[0], 2)
@@ -252,7 +257,7 @@ class DiffusionMaterial(Record, format="warp_peri.conductor"):
         if self.D.ndim != 1 or not self.D.any():
             raise InputError("D: expected finite coefficients, one of them other than 0")
 
-    def on(self, points: PointsLike, *, kappa: Conductivity | None = None) -> DiffusionOperator:
+    def on(self, points: PointsLike, *, kappa: Modulus | None = None) -> DiffusionOperator:
         """Operator on points; `kappa` as of DiffusionOperator."""
         return DiffusionOperator(self, points, kappa=kappa)
 
@@ -302,7 +307,7 @@ class ThermoelasticMaterial(Record, format="warp_peri.coupled_solid"):
             self, model=self.model.with_parameters(own), coupling=float(numbers["coupling"])
         )
 
-    def on(self, points: PointsLike, *, kappa: Conductivity | None = None) -> CoupledOperator:
+    def on(self, points: PointsLike, *, kappa: Modulus | None = None) -> CoupledOperator:
         """Operator on a lattice; `kappa` as of DiffusionOperator."""
         return CoupledOperator(self, points, kappa=kappa)
 
@@ -321,11 +326,7 @@ class CoupledOperator(FlowOperator):
     implicit = 1.0
 
     def __init__(
-        self,
-        material: ThermoelasticMaterial,
-        points: PointsLike,
-        *,
-        kappa: Conductivity | None = None,
+        self, material: ThermoelasticMaterial, points: PointsLike, *, kappa: Modulus | None = None
     ) -> None:
         self.model, model = material, material.model
         self.diffusion = diffusion = DiffusionOperator(material.conductor, points, kappa=kappa)

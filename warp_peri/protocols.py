@@ -199,7 +199,7 @@ class OperatorBase(Remade):
     def of_interior(self, w: Any) -> np.ndarray:
         """Check w as fields on the interior nodes, [..., I, d]; InputError for another shape."""
         values, one = plain("w", w), (int(self.points.interior.sum()), *self.shape[1:])
-        if values.shape[-len(one) :] != one:
+        if values.shape[-len(one) :] != one or 0 in values.shape[: -len(one)]:
             raise InputError(
                 f"w: expected shape [..., {', '.join(map(str, one))}], got {list(values.shape)}"
             )

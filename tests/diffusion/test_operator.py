@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from numpy.random import default_rng
 
 from examples import diffusion
@@ -60,6 +61,7 @@ def test_periodic_lattices_keep_their_content_and_a_wave_decays_as_it_should():
     phi = np.cos(k * points.x[:, 0])
     operator = DiffusionOperator(DiffusionMaterial(3.0, conductivity=2.0), points)
     history = simulate(operator, Dirichlet(points, None, phi), step=0.5, steps=20)["u"]
+    assert isinstance(history, np.ndarray)
     rate = (operator(phi) / phi)[0]
     assert rate == pytest.approx(2 * k**2, rel=0.03)
     decay = ((1 - rate / 4) / (1 + rate / 4)) ** 20
@@ -94,6 +96,18 @@ def test_a_kernel_that_changes_sign_is_taken_where_diffusion_does_not_grow(latti
         for call in (solve, lambda *of: simulate(*of, step=0.1, steps=3)):
             with refused("L \\+ Lᵗ has eigenvalues below zero"):
                 call(operator, problem)
+
+
+@pytest.mark.parametrize(
+    "kind", [list, torch.tensor, lambda k: k[::-1].copy()[::-1], lambda k: k.astype(">f8")]
+)
+def test_a_conductivity_is_of_any_kind_of_array(kind):
+    points, law = square(4, 4.0), DiffusionMaterial(1.0, 1.0)
+    kappa = default_rng(0).uniform(1, 2, len(points.x))
+    u = Dirichlet(points, None, points.x[:, 0] ** 2)
+    alpha = {"alpha": torch.tensor(0.5, requires_grad=True)}
+    one, other = (solve(law, u, kappa=k, parameters=alpha).u for k in (kappa, kind(kappa)))
+    assert torch.equal(one, other)
 
 
 def test_steps_of_a_coupled_solid_come_to_its_steady_state():

@@ -212,7 +212,7 @@ class CutSolid(OperatorBase):
 
     def energy(self, u: np.ndarray) -> Any:
         """Elastic energy [stress · length^d], bonds among held nodes included, shape [...]."""
-        fields = np.reshape(u, (-1, *self.shape))
+        fields = self.fields(u)
         energy = (fields * self.times(fields)).sum(axis=(1, 2)) / 2
         return self.body.spacing**self.body.dimension * energy.reshape(np.shape(u)[:-2])[()]
 
@@ -222,7 +222,7 @@ def by_component(held: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
     mask = checked("held", held, bool)
     if mask.shape == shape[:1]:
         mask = np.repeat(mask[:, None], shape[1], axis=1)
-    return checked("held", mask, bool, shape)
+    return checked("held", mask, bool, shape).copy()
 
 
 def check_no_fail(no_fail: ArrayLike | None, count: int) -> np.ndarray:

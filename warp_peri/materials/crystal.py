@@ -29,6 +29,7 @@ from warp_peri.points.arguments import (
     USUAL,
     Units,
     check_same,
+    checked,
     checked_fields,
     factors,
     plain,
@@ -188,7 +189,7 @@ class StencilMaterial(Record):
 
     def symbol(self, k: np.ndarray) -> np.ndarray:
         """Symbol D(k) = 2 Σ_half C(ξ)(1 − cos k·ξ) (T2) at wave vectors k [..., d]; [..., d, d]."""
-        k = np.asarray(k, float)
+        k = checked("k", k, float, (..., self.dimension))
         D = self.stencil.symbol(k.reshape(-1, self.dimension) * self.stencil.spacing)
         return D.reshape(*k.shape, self.dimension)
 

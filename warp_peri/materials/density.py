@@ -180,7 +180,7 @@ class DensityOperator(Pointwise):
 
     def straight(self, u: ArrayLike) -> np.ndarray:
         """Force of the tangent at rest, shape [..., I, d]."""
-        return in_shape_of(u, self.linear(np.reshape(u, (-1, *self.shape))))
+        return in_shape_of(u, self.linear(self.fields(u)))
 
     def at(self, numbers: Numbers) -> DensityOperator:
         """The operator with other parameters."""

@@ -15,7 +15,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 import warp_peri.core as core
-from warp_peri.core.elastic import symmetric_part
+from warp_peri.core.elastic import in_shape_of, symmetric_part
 from warp_peri.core.proof import largest
 from warp_peri.errors import InputError, warn
 from warp_peri.materials.lps_force import Bonds, Law, Matrices, assemble, bonds_of
@@ -240,8 +240,7 @@ class LPSOperator(OperatorBase):
 
     def stress(self, u: np.ndarray) -> np.ndarray | None:
         """Stress σ [TPa] at the interior nodes, [..., I, d, d]."""
-        stress = node_fields(self.model, self.points, u).stress
-        return stress if np.ndim(u) == 3 else stress[0]
+        return in_shape_of(u, node_fields(self.model, self.points, self.fields(u)).stress)
 
     def max_symbol_eigenvalue(self) -> float:
         """Upper bound of L's eigenvalues [stress/length²] on a lattice, for time steps; of fields

@@ -99,14 +99,15 @@ class Points(Shown):
         return rows
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "x", checked("x", self.x))
+        object.__setattr__(self, "x", checked("x", self.x).copy())
         if self.x.ndim != 2 or self.x.shape[1] not in (2, 3) or len(self.x) == 0:
             raise InputError(
                 f"x: expected shape [N, 2] or [N, 3] with N > 0, got {list(self.x.shape)}"
             )
         n = len(self.x)
         refuse_twice(self.x)
-        object.__setattr__(self, "interior", checked("interior", self.interior, bool, (n,)))
+        inside = checked("interior", self.interior, bool, (n,)).copy()
+        object.__setattr__(self, "interior", inside)
         if not self.interior.any():
             raise InputError("interior: expected at least one interior node, got none")
         object.__setattr__(self, "units", check_units(self.units))
@@ -117,7 +118,7 @@ class Points(Shown):
             object.__setattr__(self, "box", tuple(box.tolist()))
         object.__setattr__(self, "axis", checked_axis(self.axis, self.dimension))
         if self.outside is not None:
-            outside = checked("outside", self.outside, bool, (n,))
+            outside = checked("outside", self.outside, bool, (n,)).copy()
             if (outside & self.interior).any():
                 raise InputError("outside: expected true for no interior node, got some")
             object.__setattr__(self, "outside", outside)

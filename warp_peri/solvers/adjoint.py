@@ -194,7 +194,7 @@ def stepped(
     times, tensors = step * np.arange(steps + 1), [u, *(parameters or {}).values()]
     start = real("u", u)
     fields = [start]
-    given = 0 * start.detach() if b is None else b, u if collar is None else collar
+    given = np.zeros(start.shape) if b is None else b, u if collar is None else collar
     for name, field in zip(("b", "collar"), given):
         each = list(map(field, times[1:])) if callable(field) else [field]
         tensors += each
