@@ -31,7 +31,7 @@ def scaled(model, share):
     tensors = model.linear.tensors * (1 + share)
     linear = replace(model.linear, tensors=tensors, certificate=None).certified()
     cubic = {name: getattr(model, name) * (1 + share) for name in ("t3", "tq2", "q3")}
-    return replace(model, linear=linear, **cubic)
+    return replace(model, linear=linear, **cubic).certified()
 
 
 @shared

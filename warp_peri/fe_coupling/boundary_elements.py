@@ -315,7 +315,7 @@ def loads_on(
     )
     if b is not None:
         check_function("b", b, "positions")
-    return BodyLoads(held, pulls, b and _field("b", b, "positions"))
+    return BodyLoads(held, pulls, None if b is None else _field("b", b, "positions"))
 
 
 def _field(name: str, value: Field | Traction | ArrayLike, *of: str, free: bool = False) -> Any:

@@ -29,7 +29,7 @@ from warp_peri.errors import InputError, Rows, warn
 from warp_peri.fitting.long_waves import long_wave_moduli, long_wave_rows, moduli_of
 from warp_peri.fitting.regression import Settled, load_sizes, norms, relative, rows, swept
 from warp_peri.fitting.result import Fit
-from warp_peri.materials.certificate import prove_uniqueness
+from warp_peri.materials.certificate import Uniqueness, prove_uniqueness
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import Crystal, Tensors, one_set, transfer_to_lattice
 from warp_peri.points.arguments import (
@@ -37,6 +37,7 @@ from warp_peri.points.arguments import (
     Numbers,
     check_same,
     checked,
+    is_number,
     shown_moduli,
     typed,
 )
@@ -61,8 +62,6 @@ SIZE = 1e-6
 """Weight of the size of p beside relative errors."""
 SAME = 1e-5
 """Relative, by which figures may state more than a proof anew."""
-DERIVED = ("statement", "curvature")
-"""Of a proof's figures, which no file says."""
 SETTLED = 1e-9
 """Relative, of moduli that are found."""
 
@@ -189,8 +188,10 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        told = {name: self.proven[name] for name in self.proven if name not in DERIVED}
-        object.__setattr__(self, "proven", told)
+        strain: Any = self.proven.get("strain")
+        if is_number(strain):  # its words, whatever a file says
+            said = Uniqueness(self.spacing, strain, 0, 0, 0, (), self.units).statement
+            object.__setattr__(self, "proven", self.proven | {"statement": said})
         if self.form not in FORMS:
             raise InputError(f"form: expected one of {', '.join(FORMS)}, got {self.form!r:.50}")
         if self.linear.dimension != 2:
@@ -277,8 +278,10 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
         for name, said in self.proven.items():
             if name not in known:
                 raise InputError(f"proven: unknown keys: {name}")
+            if name == "statement":
+                continue
             value, own = checked(f"proven: {name}", said, shape=np.shape(known[name])), known[name]
-            small, large = (value, own) if name == "strain" else (own, value)
+            small, large = (value, own) if name in ("strain", "curvature") else (own, value)
             if not ((value >= 0) & (small <= (1 + SAME) * np.array(large))).all():
                 raise InputError(f"proven: {name} {said!r:.60} is not proven of these")
 
