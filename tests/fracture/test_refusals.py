@@ -39,7 +39,7 @@ j_at = lambda tip, far, material=MODEL, problem=PROBLEM: (
 released = lambda *cracks: lambda: fracture.energy_release(MODEL, PROBLEM, cracks, shift=0.1)
 EVEN = lambda x: np.ones(x.shape[:-1])
 MIXED, PRESSED = Mixed(3.0, lambda x: 2 * EVEN(x), EVEN), Cracked(POINTS, pressure=np.eye(2))
-COARSE = bond_classes(1.0, 4.0)
+COARSE = bond_classes(1.0, 3.0)
 ONE, TWO = ([[(-9, 0), (tip, 0)]] for tip in (0, 1))
 
 
