@@ -188,9 +188,10 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        strain: Any = self.proven.get("strain")
-        if is_number(strain):  # its words, whatever a file says
-            said = Uniqueness(self.spacing, strain, 0, 0, 0, (), self.units).statement
+        if "statement" in self.proven:  # of its numbers, whatever a file says
+            strain: Any = self.proven.get("strain")
+            known = strain if is_number(strain) else 0.0
+            said = Uniqueness(self.spacing, known, 0, 0, 0, (), self.units).statement
             object.__setattr__(self, "proven", self.proven | {"statement": said})
         if self.form not in FORMS:
             raise InputError(f"form: expected one of {', '.join(FORMS)}, got {self.form!r:.50}")
