@@ -16,12 +16,12 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_863,
-    "tokens": 234_897,
-    "lines of warp_peri": 30_351,
+    "code lines": 18_864,
+    "tokens": 234_908,
+    "lines of warp_peri": 30_352,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_538,
+    "lines of warp_peri, kernels, examples and tools": 42_539,
     "lines of the longest file": 536,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -40,7 +40,7 @@ ROOMS = {
     "files": 505,
     "fitting": 1053,
     "fracture": 1413,
-    "materials": 4546,
+    "materials": 4547,
     "neural": 575,
     "points": 1713,
     "prediction": 575,
