@@ -8,6 +8,7 @@ import pytest
 from tests.support import approx, of_json, refused, warned
 from tests.support.problems import kernel, lattice, manufactured
 from warp_peri import LPS, LPSMaterial
+from warp_peri.materials import sweep as trials
 from warp_peri.materials.sweep import Trial, choose
 from warp_peri.methods import sweep
 from warp_peri.points.dataset import in_units
@@ -76,7 +77,7 @@ def test_usual_horizons_are_in_the_unit_of_the_data(sets, tmp_path, monkeypatch)
         sweep(train, val, tmp_path)
 
 
-def test_a_trial_is_not_believed_as_it_stands(sets, tmp_path):
+def test_a_trial_is_not_believed_as_it_stands(sets, tmp_path, monkeypatch):
     """By its errors, bound, name, seventh digit of the horizon, units, or a set for another use."""
     options = {"horizons": (2.0, 2.0 + 1e-7), "degrees": (0,), "jobs": 1}
     first = sweep(*sets, tmp_path, **options).trials
@@ -88,6 +89,15 @@ def test_a_trial_is_not_believed_as_it_stands(sets, tmp_path):
     for told in (better, bound, another):
         one.write_text(json.dumps(told))
         assert sweep(*sets, tmp_path, **options).trials == first
+    with monkeypatch.context() as patch:
+        patch.setattr(trials, "_mark", lambda *_: "known")
+        for wrong in (0.0, "a", None, -1.0, [1.0], 0.5):
+            told = json.loads(other.read_text())
+            del told["sha256"]
+            told["provenance"]["sweep"], told["errors"]["E_u"]["val"] = "known", wrong
+            other.write_text(json.dumps(told))
+            found = sweep(*sets, tmp_path, **options).trials
+            assert (found == first) == (wrong != 0.5)
     (train, val), options = sets, options | {"horizons": (2.0,)}
     there = [replace(each, points=replace(each.points, units=("nm", "GPa"))) for each in sets]
     sweep(*there, tmp_path, **options)

@@ -19,7 +19,14 @@ from warp_peri.fitting.evaluate import ERRORS, evaluate
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_fit import LPS
 from warp_peri.materials.lps_law import DEGREES, HORIZONS, Bernstein, GaussNewton, TwoStage
-from warp_peri.points.arguments import Bound, symbols, typed, typed_methods, usual_lengths
+from warp_peri.points.arguments import (
+    Bound,
+    is_positive,
+    symbols,
+    typed,
+    typed_methods,
+    usual_lengths,
+)
 from warp_peri.points.families import bond_classes
 from warp_peri.points.points import Samples
 
@@ -191,7 +198,7 @@ def _fit(law: LPS, key: str, sets: dict[str, Samples], noise: Samples | None, fi
 
 def _mark(model: LPSMaterial, key: str) -> str:
     """Key that identifies a finished fit's file."""
-    return fingerprint(key, model, model.errors)
+    return fingerprint(key, model, model.errors, model.certificate)
 
 
 def _read(file: Path, spacing: float, key: str) -> Trial | None:
@@ -204,6 +211,8 @@ def _read(file: Path, spacing: float, key: str) -> Trial | None:
         bonds = int(bond_classes(spacing, model.horizon).count.sum())
         errors = res["train"], u["train"], res["val"], u["val"], u.get("test")
         bound = model.certificate[f"{spacing:g}"]["symbol_bound"]
+        if not all(map(is_positive, (bound, *errors[:4], *filter(None, errors[4:])))):
+            return None
         numbers = model.lam, model.mu, model.alpha, bound
         return Trial(model.horizon, model.degree, bonds, *errors, *numbers, file.name)
     except (InputError, KeyError, TypeError):
