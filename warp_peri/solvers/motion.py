@@ -18,6 +18,7 @@ from warp_peri.points.arguments import (
     check_mapping,
     check_whole,
     is_tensor,
+    plain,
     typed_methods,
 )
 
@@ -197,6 +198,10 @@ class Recorder:
         for name in ("key", "history", "files"):
             check_mapping(f"{file.path}: {name}", content.get(name))
         taken = check_whole(f"{file.path}: steps", content.get("steps"), 0)
+        rows = content["history"] | {"files": [*content["files"].values()]}
+        counts = [plain(f"{file.path}: {name}", one).shape[:1] for name, one in rows.items()]
+        if not {*self.history} <= {*rows} or len({*counts[:-1]}) > 1 or () in counts:
+            raise InputError(f"{file.path}: expected histories of as many records, by name")
         _check(taken, steps)
         key = self.key(taken) | {"start": self.start}
         if differ := [name for name, mark in key.items() if content["key"].get(name) != mark]:
@@ -204,7 +209,8 @@ class Recorder:
                 f"{file.path}: expected a checkpoint of this motion, got another's; what differs: "
                 f"{', '.join(differ)}"
             )
-        self.history, self.bent = content["history"], content.get("bent", 0.0)
+        self.history = content["history"]
+        self.bent = float(plain(f"{file.path}: bent", content.get("bent")))
         if self.series is not None:
             self.series.times = content["files"]
         return self.restored(state, arrays, taken)
