@@ -265,6 +265,7 @@ def test_a_checkpoint_has_the_last_step_and_what_was_written(tmp_path):
     for nodal, changed, words in (  # whose hash fits
         ({"u": u[:, :1], "v": u}, values, "not a readable checkpoint"),
         ({"u": u, "v": u}, values | {"steps": "3"}, "steps: expected a whole number"),
+        ({"u": u + np.nan, "v": u}, values, "u is no number somewhere"),
         ({"u": u, "v": u}, values | {"bent": "x"}, "bent: expected float values"),
         ({"u": u, "v": u}, values | {"history": {"time": 1}}, "histories of as many"),
         ({"u": u, "v": u}, values | {"history": {"time": ["a"]}}, "time: expected float"),

@@ -11,7 +11,7 @@ from tests.support.problems import difference, ell, kernel, lattice, manufacture
 from tests.support.solving import fit
 from tests.support.symbols import smallest_margins
 from warp_peri import LPS, Bernstein, LPSMaterial, certify
-from warp_peri.files.checkpoint import ArrayFile
+from warp_peri.files.checkpoint import ArrayFile, read_arrays
 from warp_peri.fitting import augmented_lagrangian
 from warp_peri.fitting.augmented_lagrangian import as_printed, margins_of, printed_state
 from warp_peri.fitting.regression import Regression
@@ -137,6 +137,11 @@ def test_resumed_is_unbroken_and_what_is_finished_is_not_run_again(points, tmp_p
     for other in ({"degree": 4}, {"normalise": True}):
         with refused("other data or settings"):
             run(points, path, **other)
+    arrays, head = read_arrays(path)
+    for wrong in ({"tensor0": np.ones(5)}, {"losses": np.full(3, np.nan)}, {"losses": np.eye(2)}):
+        ArrayFile(path, head["key"], "").write(arrays | wrong)
+        with refused("not a readable checkpoint"):
+            run(points, path)
 
 
 def test_the_multiplier_climbs_with_the_violation():

@@ -3,8 +3,10 @@
 import base64
 import json
 import lzma
+from copy import deepcopy
 from dataclasses import replace
 from functools import partial
+from io import BytesIO
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from tests.support import ROOT, approx, assert_refused, each_refused, of_json, p
 from tests.support.problems import ell, lattice, loaded, noise, normal, rotation
 from warp_peri.core.record import content_hash
 from warp_peri.files.atomic import locked
+from warp_peri.files.checkpoint import ArrayFile, read_arrays
 from warp_peri.neural import training
 from warp_peri.neural.material import NeuralOperator
 from warp_peri.neural.placed import EquilibriumSolver, evaluate, interpolated_force
@@ -294,6 +297,7 @@ def test_checkpoints_of_other_trainings(tmp_path):
     scaled.scale *= 2
     with locked(path), refused("another job"):  # before it is read
         resumed(frozen, **given)
+    assert frozen.scale == student().scale
     for change in (
         {"training": TrainingSettings(epochs=2, batch=3)},
         {"samples": moved},
@@ -302,6 +306,26 @@ def test_checkpoints_of_other_trainings(tmp_path):
     ):
         with refused("the checkpoint of another training"):
             resumed(**{"material": student(), **given} | change)
+    arrays, head = read_arrays(path)
+    told = torch.load(BytesIO(arrays["state"].tobytes()), weights_only=True)
+    mended, mine = ArrayFile(path, head["key"], ""), student()
+    before, scale = deepcopy(mine.state_dict()), mine.scale
+    for change in (
+        *({"history": told["history"] | {"epochs": done}} for done in (-3, float("nan"), "1", 2)),
+        {"history": 1}, {"scale": float("nan")}, {"least": None}, {"adam": {}}, {"material": {}},
+        {"kept": {"a": torch.ones(1)}}, {"random": None}, {"scale": "1"},
+        {"material": {name: one + torch.nan for name, one in told["material"].items()}},
+    ):  # fmt: skip
+        torch.save(told | change, stream := BytesIO())
+        mended.write({"state": np.frombuffer(stream.getvalue(), np.uint8)})
+        with refused("not a readable checkpoint|expected at least its 2 epochs|a whole number"):
+            resumed(mine, **given)
+    for wrong in ({"state": np.ones(9, np.uint8)}, {"other": np.ones(9)}):
+        mended.write(wrong)
+        with refused("not a readable checkpoint"):
+            resumed(mine, **given)
+    torch.testing.assert_close(mine.state_dict(), before, rtol=0, atol=0)
+    assert mine.scale == scale
 
 
 def test_what_nothing_is_learned_from():
@@ -309,6 +333,8 @@ def test_what_nothing_is_learned_from():
     one, unseen, bare = loads(0), loads(1), Samples(loads(0).points, loads(0).u)
     one.b[1] = 0
     settings = TrainingSettings(epochs=1)
+    with refused("expected weights to learn"):
+        train(student().requires_grad_(False), loads(0), unseen, settings)
     diverges = TrainingSettings(epochs=2, rate=1e99, cells=0)
     each_refused(lambda *given: train(student(), *given, progress=False), {
         "expected a load in every sample": (one, unseen, settings),

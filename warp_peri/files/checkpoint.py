@@ -302,9 +302,8 @@ class RunFile:
     def read(
         self, like: Mapping[str, np.ndarray]
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]] | None:
-        """Read arrays on all nodes here, of the names, shapes and types of others, and the values;
-        None where there is no file yet. InputError for a file of another kind, and one that is not
-        read."""
+        """Read arrays on all nodes here, which fit others (check_like), and the values; None where
+        there is no file yet. InputError for a file of another kind, and one that is not read."""
         nodes, comm = self.nodes, self.nodes.comm
         if not comm.bcast(self.path.exists()):
             return None
@@ -314,9 +313,7 @@ class RunFile:
             try:
                 if attributes.get("format") != self.kind:
                     raise ValueError(f"expected one of {self.kind}")
-                for name, one in like.items():
-                    if (found[name].shape, found[name].dtype) != (one.shape, one.dtype):
-                        raise ValueError(f"{name} is of another number of nodes, or another kind")
+                check_like(found, like)
                 text = found.pop("values")
                 values = parsed(text.tobytes())
             except ValueError as error:
@@ -339,17 +336,33 @@ class ArrayFile:
             made = {name: np.asarray(one) for name, one in arrays.items()}
             write_arrays(self.path, made, {"key": self.key, "mark": fingerprint(made)})
 
-    def read(self) -> dict[str, np.ndarray] | None:
-        """Arrays of the checkpoint; None where there is no file yet; InputError for a file of
-        another run, and one that is not read."""
+    def read(self, like: Mapping[str, Any]) -> dict[str, np.ndarray] | None:
+        """Arrays of the checkpoint, which fit others (check_like); None where there is no file yet;
+        InputError for a file of another run, and one that is not read."""
         if self.path is None or not self.path.exists():
             return None
         arrays, head = read_arrays(self.path)
         if str(head.get("key")) != self.key:
             raise InputError(f"{self.path}: the checkpoint of {self.other}")
-        if str(head.get("mark")) != fingerprint(arrays):
-            raise InputError(f"{self.path}: not a readable checkpoint, not what was written")
+        try:
+            if str(head.get("mark")) != fingerprint(arrays):
+                raise ValueError("not what was written")
+            check_like(arrays, like)
+        except (KeyError, ValueError) as error:
+            raise InputError(f"{self.path}: not a readable checkpoint ({error})") from None
         return arrays
+
+
+def check_like(found: Mapping[str, np.ndarray], like: Mapping[str, Any]) -> None:
+    """Raise ValueError, or KeyError, unless arrays are of the names, types and shapes of others,
+    rows of what is empty there as many as it has, and without NaN."""
+    for name, one in like.items():
+        one, got = np.asarray(one), found[name]
+        shapes = [each.shape[not one.size :] for each in (one, got)]
+        if (*shapes, got.ndim, got.dtype) != (*shapes[::-1], one.ndim, one.dtype):
+            raise ValueError(f"{name} is of another number of nodes, or another kind")
+        if np.isnan(got).any():
+            raise ValueError(f"{name} is no number somewhere")
 
 
 def gathered(comm: Any, arrays: Mapping[str, np.ndarray], own: Any, count: int) -> dict[str, Any]:

@@ -229,18 +229,19 @@ def two_stages(learner: Any, kernel: Any, method: TwoStage) -> LPSFound:
     key = fingerprint(law, learner.sets)
     kept = ArrayFile(method.checkpoint, key, "a run on other data or settings")
 
-    def keep() -> None:
+    def arrays() -> dict[str, Any]:
         tensors = {f"tensor{number}": one.detach().numpy() for number, one in enumerate(state)}
-        kept.write(tensors | {"losses": losses})
+        return tensors | {"losses": losses}
 
     def signed(tick: Tick) -> LPSFound:
         with nullcontext() if kept.path is None else locked(kept.path):
-            if (before := kept.read()) is not None:
+            if (before := kept.read(arrays())) is not None:
                 losses[:] = before["losses"].tolist()
                 with torch.no_grad():
                     for number, tensor in enumerate(state):
                         tensor.copy_(torch.from_numpy(before[f"tensor{number}"]))
             of_kernel = lambda: margins(*variables.bounded()[2:])  # noqa: E731
+            keep = lambda: kept.write(arrays())  # noqa: E731
             as_printed(state, losses, loss, of_kernel, method, tick, keep)
             return variables.found(losses)
 

@@ -20,7 +20,7 @@ from warp_peri.files.atomic import locked
 from warp_peri.files.checkpoint import ArrayFile, fingerprint
 from warp_peri.fitting.regression import norms
 from warp_peri.neural.placed import CELLS, SOLVED, EquilibriumSolver, affine, interpolated_force
-from warp_peri.points.arguments import Bound, Count, Natural, Positive, typed
+from warp_peri.points.arguments import Bound, Count, Natural, Positive, check_whole, typed
 from warp_peri.points.points import Samples
 from warp_peri.solvers.equilibria import NonlinearRecord
 
@@ -249,13 +249,19 @@ class _Run:
         self.history, self.least = TrainingHistory(), math.inf
         read = [replace(one.samples, arrays={}) for one in (learned, unseen)]
         free = [one.requires_grad for one in material.parameters()]
+        if not any(free):
+            raise InputError("material: expected weights to learn, all are frozen")
         self.key = fingerprint(replace(training, epochs=1), material, free, read)
         self.kept: dict[str, torch.Tensor] = {}
-        if isinstance(learned, _Loads):  # it starts where forces are as large as loads
+
+    def start(self) -> None:
+        """Scale the force to be as large as the loads."""
+        learned = self.learned
+        if isinstance(learned, _Loads):
             with torch.no_grad():
                 size = float(interpolated_force(learned.placed, learned.u[:FIRST]).norm())
             if size > 0:
-                material.scale *= float(learned.b[:FIRST].norm()) / size
+                self.material.scale *= float(learned.b[:FIRST].norm()) / size
 
     def epoch(self) -> float:
         """Train one epoch over all samples; returns the mean error on the way."""
@@ -302,22 +308,44 @@ class _Run:
         file.write({"state": np.frombuffer(stream.getvalue(), np.uint8)})
 
     def resume(self, file: ArrayFile) -> None:
-        """Continue from a checkpoint, if there is one."""
-        if (held := file.read()) is None:
-            return
-        state = torch.load(io.BytesIO(held["state"].tobytes()), weights_only=True)
-        self.history = TrainingHistory(**state["history"])
-        if self.history.epochs > self.training.epochs:
-            raise InputError(
-                f"{file.path}: expected at least its {self.history.epochs} epochs, got "
-                f"{self.training.epochs}; name another file for a shorter training"
-            )
-        if isinstance(self.learned, Frames):
-            self.learned.resume(*state["frames"])
-        self.material.load_state_dict(state["material"])
-        self.adam.load_state_dict(state["adam"])
-        self.random.set_state(state["random"])
-        self.material.scale, self.least, self.kept = map(state.get, ("scale", "least", "kept"))
+        """Continue from a checkpoint, if there is one, else start."""
+        if (held := file.read({"state": np.zeros(0, np.uint8)})) is None:
+            return self.start()
+        material = self.material
+        before = copy.deepcopy(material.state_dict())
+        try:
+            state = torch.load(io.BytesIO(held["state"].tobytes()), weights_only=True)
+            self.history = TrainingHistory(**state["history"])
+            done = check_whole(f"{file.path}: epochs", self.history.epochs, 1)
+            if done > self.training.epochs:
+                raise InputError(
+                    f"{file.path}: expected at least its {done} epochs, got "
+                    f"{self.training.epochs}; name another file for a shorter training"
+                )
+            names = ("scale", "adam", "material", "kept", "history")
+            scale, adam, weights, self.kept, _ = numbers = [state[name] for name in names]
+            self.least = state["least"]
+            if not (self.least >= 0 and _is_finite(numbers)):
+                raise ValueError("expected finite numbers")
+            if isinstance(self.learned, Frames):
+                self.learned.resume(*state["frames"])
+            for each in (self.kept or before, weights):
+                material.load_state_dict(each)
+            self.adam.load_state_dict(adam)
+            self.random.set_state(state["random"])
+            material.scale = float(scale)
+        except InputError:
+            raise
+        except Exception as error:  # whatever torch raises for what it did not write
+            material.load_state_dict(before)
+            raise InputError(f"{file.path}: not a readable checkpoint ({error!r:.200})") from None
+
+
+def _is_finite(state: Any) -> bool:
+    """Whether all numbers and tensors in a checkpoint's mappings and lists are finite."""
+    if isinstance(state, dict | list | tuple):
+        return all(map(_is_finite, state.values() if isinstance(state, dict) else state))
+    return state is None or bool(torch.as_tensor(state).isfinite().all())
 
 
 def _share(epoch: int, epochs: int) -> float:
