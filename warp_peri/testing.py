@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.linalg import norm
 
 from warp_peri.core.elastic import central_weights
 from warp_peri.points.arguments import Units, factors
@@ -65,7 +66,7 @@ def check_product(
     v, w = _direction(operator, u, 1), np.random.default_rng(2).normal(size=operator(u).shape)
     along, back = operator.jvp(u, v), operator.vjp(u, w)
     assert_near(along, _slope(lambda t: operator(u + t * v), step), tolerance)
-    size = float(np.linalg.norm(along) * np.linalg.norm(w))
+    size = float(norm(along) * norm(w))
     assert_near((along * w).sum(), (v * back).sum(), 1e-12, size)
     given = torch.from_numpy(u).requires_grad_()
     (found,) = torch.autograd.grad(operator(given), given, torch.from_numpy(w))

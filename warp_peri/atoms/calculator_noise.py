@@ -9,6 +9,7 @@ from typing import Any
 
 import ase
 import numpy as np
+from numpy.linalg import norm
 from scipy.spatial.transform import Rotation
 
 from warp_peri.atoms.force_constants import TINY, ForceConstants, Supercell, forces_of, relaxing
@@ -154,19 +155,19 @@ def bent_by_strain(cell: ase.Atoms, calculator: Any, flat: bool, noise: float) -
     G = rng.standard_normal((2, 3, 3)) * (np.outer([1, 1, 0], [1, 1, 0]) if flat else 1)
     own = unit_strains(2 if flat else 3)  # of moduli, as far along an axis
     ways = np.concatenate([symmetric_part(G), own])
-    ways /= np.linalg.norm(ways, axis=(1, 2))[:, None, None]
+    ways /= norm(ways, axis=(1, 2))[:, None, None]
     for size in (STRAIN, LARGEST):
         turns = np.eye(3) + np.concatenate([size * ways, -size * ways])
         ends = np.array([one.get_stress() for one in strained(calculator, cell, turns)])
         slopes.append(np.subtract(*np.split(ends, 2)) / (2 * size))
-    off, error = np.linalg.norm(slopes[1] - slopes[0]), noise / EV_IN_TPA / STRAIN
-    share = off / np.linalg.norm(slopes[0])
+    off, error = norm(slopes[1] - slopes[0]), noise / EV_IN_TPA / STRAIN
+    share = off / norm(slopes[0])
     return float(share) if off > 2 * TIMES * error * slopes[0].size ** 0.5 else 0.0
 
 
 def _directions(rng: np.random.Generator, count: int, size: float) -> np.ndarray:
     u = rng.standard_normal((count, 3))
-    return np.asarray(size * u / np.linalg.norm(u, axis=1, keepdims=True))
+    return np.asarray(size * u / norm(u, axis=1, keepdims=True))
 
 
 class Symmetric(Supercell):
@@ -260,11 +261,11 @@ def rattled(
     kept = sizes > NONE * sizes[0]
     way = V[kept].T / sizes[kept]
     z = way @ (U.T[kept] @ y)
-    error = np.linalg.norm(y - X @ z) / np.sqrt(max(len(y) - kept.sum(), 1))
+    error = norm(y - X @ z) / np.sqrt(max(len(y) - kept.sum(), 1))
     half = short @ z
     slope = half @ less / (half @ half) - 1
     scatter, each = way * error, way[:, :0]
-    bent = slope * z if abs(slope) > TIMES * error / np.linalg.norm(half) else 0 * z
+    bent = slope * z if abs(slope) > TIMES * error / norm(half) else 0 * z
     if noise.rough:  # each number has a slope of its own
         bent = np.linalg.lstsq(short, less, NONE)[0] - z
         both = np.hstack([scatter, free.T * (free @ bent)])
@@ -314,8 +315,8 @@ def by_strains(
     onto = np.linalg.pinv(voigt(allowed).reshape(len(allowed), -1).T)
     C, *off = (np.tensordot(onto @ one.ravel(), allowed, 1) for one in (slope, *(slope - short)))
     errors = [*np.tensordot(error * onto.T, allowed, 1)]
-    seen = TIMES * error * wider[0] / gain * np.linalg.norm(onto, "nuc")
-    if not rough and np.linalg.norm(onto @ (slope - short[0]).ravel()) > seen:
+    seen = TIMES * error * wider[0] / gain * norm(onto, "nuc")
+    if not rough and norm(onto @ (slope - short[0]).ravel()) > seen:
         errors.append(off[0])
     # a stress that is left strains the crystal; how stiffness goes with strain is in even parts
     rest = even[0].reshape(len(PAIRS[d]), -1).mean(axis=0)
@@ -356,8 +357,8 @@ def _slope(y: np.ndarray, e: np.ndarray, secant: bool) -> tuple[np.ndarray, floa
     X = e[:, None] if secant else np.column_stack([e, e**3])
     flat, P = y.reshape(len(e), -1), np.linalg.pinv(X)
     free = flat.shape[1] * max(len(e) - X.shape[1], 1)
-    left = np.linalg.norm(flat - X @ P @ flat) / np.sqrt(free)
-    gain = float(np.linalg.norm(P[0]))
+    left = norm(flat - X @ P @ flat) / np.sqrt(free)
+    gain = float(norm(P[0]))
     return (P[0] @ flat).reshape(y.shape[1:]), float(left) * gain, gain
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import ase
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.linalg import norm
 
 from warp_peri.atoms.calculator_noise import PULLED, SMALLER, by_strains, joined
 from warp_peri.atoms.force_constants import STEP, WIDER, ForceConstants
@@ -110,7 +111,7 @@ class CrystalFit(Shown):
         size, waves = np.linalg.eigh(self.local(e))
         off = np.einsum("qijkl,nk,nl->qnij", brackets_from_elastic(self.errors), e, e)
         share = np.einsum("nip,qnij,njp->qnp", waves, off, waves)
-        return float((np.linalg.norm(share, axis=0) / size).max())
+        return float((norm(share, axis=0) / size).max())
 
     @cached_property
     def local(self) -> WaveSymbol:
@@ -133,8 +134,8 @@ class CrystalFit(Shown):
         k = k.reshape(-1, self.atoms.dimension)
         true, found = np.linalg.inv(self.atoms.effective(k)), {}
         for name, symbol in (("law", self.law.symbol), ("local", self.local)):
-            off = np.linalg.norm(np.linalg.inv(symbol(k)) - true, axis=(1, 2))
-            found[name] = (off / np.linalg.norm(true, axis=(1, 2))).reshape(SIZES, -1)
+            off = norm(np.linalg.inv(symbol(k)) - true, axis=(1, 2))
+            found[name] = (off / norm(true, axis=(1, 2))).reshape(SIZES, -1)
         return found
 
     @property
@@ -191,7 +192,7 @@ class CrystalFit(Shown):
         reach = np.linspace(0.03, 1, 40) * np.pi / 2
         for number, path in enumerate(PATHS[d]):
             direction = np.array([*map(int, path)])
-            k = reach[:, None] / law.spacing * direction / np.linalg.norm(direction)
+            k = reach[:, None] / law.spacing * direction / norm(direction)
             branches = (self.atoms.effective, law.symbol, self.local)
             true, own, local = (np.sqrt(1e3 * np.linalg.eigvalsh(D(k)).clip(0)) for D in branches)
             bands.plot(reach, own, color=f"C{number}", label=[f"[{path}]", *[None] * (d - 1)])
@@ -241,7 +242,7 @@ class CrystalFit(Shown):
 
 def with_errors(C: np.ndarray, errors: np.ndarray) -> dict[str, tuple[float, float]]:
     """Elastic moduli [GPa] of C [TPa] by name, each with its standard error of [Q, d, d, d, d]."""
-    M = 1e3 * np.linalg.norm(voigt(errors), axis=0)
+    M = 1e3 * norm(voigt(errors), axis=0)
     label = "123456" if C.shape[0] == 3 else "124"
     return {
         name: (value, float(M[label.index(name[1]), label.index(name[2])]))

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.linalg import norm
 from scipy.ndimage import binary_erosion
 from scipy.spatial import cKDTree
 
@@ -181,9 +182,9 @@ def filled_in(x: np.ndarray, u: np.ndarray) -> np.ndarray:
     place = place / np.abs(place).max(axis=(1, 2), keepdims=True, initial=1e-300)
     design = np.concatenate([np.ones_like(place[..., :1]), place], axis=2)
     plane = np.linalg.pinv(design) @ moved
-    left = np.linalg.norm(moved - design @ plane, axis=2).max(axis=1)
-    size = np.median(np.linalg.norm(moved - u[some, None], axis=2), axis=1)
-    off = np.linalg.norm((plane[:, 0] - u[some]) * suspect[some], axis=1)
+    left = norm(moved - design @ plane, axis=2).max(axis=1)
+    size = np.median(norm(moved - u[some, None], axis=2), axis=1)
+    off = norm((plane[:, 0] - u[some]) * suspect[some], axis=1)
     told = (distance[:, 0] < DEEP * spacing_of(x)) | (u[some, 0] == u[some, 1])
     some[some] = told & (off > np.maximum(OFF * size, TIMES * left))
     return np.asarray(some)

@@ -15,6 +15,7 @@ import ase.io
 import numpy as np
 import scipy.sparse as sp
 from ase.io.formats import filetype
+from numpy.linalg import norm
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 from tqdm import tqdm
@@ -428,8 +429,8 @@ def _warn_of_torn(
     """Warn of neighbouring atoms that are further apart than nodes can follow."""
     near = cKDTree(x if box is None else x % box, boxsize=box).query(x, k=min(7, len(x)))[1][:, 1:]
     apart = nearest(x[near] - x[:, None], box)
-    length = np.linalg.norm(apart, axis=-1)
-    longer = np.linalg.norm(apart + moved[near] - moved[:, None], axis=-1) > TORN * length
+    length = norm(apart, axis=-1)
+    longer = norm(apart + moved[near] - moved[:, None], axis=-1) > TORN * length
     usual = np.median(length[:, :3].max(axis=1, initial=0.0))
     bonds = (length > usual / NEAR) & (length < NEAR * usual)  # no atoms above each other
     if count := (longer & bonds).any(axis=1).sum():

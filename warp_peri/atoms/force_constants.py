@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from ase import Atoms
 from ase.build import make_supercell
+from numpy.linalg import norm
 
 from warp_peri.core.elastic import (
     acoustic,
@@ -212,7 +213,7 @@ class ForceConstants:
         phase = np.exp(1j * (self.vectors[:, : len(k)] @ k))
         off = self._by_atoms(phase[None], np.moveaxis(doubt[..., :m, :m], 0, -1))[:, :, 0]
         ends = np.einsum("...ia,ijabq,...jb->...q", waves.conj(), off, waves, optimize=True)
-        return np.linalg.norm(ends.real, axis=-1)
+        return norm(ends.real, axis=-1)
 
     def effective(self, k: np.ndarray) -> np.ndarray:
         """Stiffness D_eff(k) [TPa/Å²] of a cell's mean displacement, all relaxed, [K, d, d] (T14).
@@ -406,15 +407,15 @@ class Supercell:
         fraction = self.apart @ np.linalg.inv(box)
         shifts = grid_places((3, 3, 3)) - 1
         near = ((fraction - np.rint(fraction))[:, :, None] + shifts) @ box
-        far = np.linalg.norm(near, axis=3)
-        tie = far <= far.min(axis=2, keepdims=True) + NEAREST * np.linalg.norm(edges[0])
+        far = norm(near, axis=3)
+        tie = far <= far.min(axis=2, keepdims=True) + NEAREST * norm(edges[0])
         i, j, image = np.nonzero(tie)
         share = 1 / tie.sum(axis=2)
         self.entries, self.share = (i, j), share[i, j][:, None, None]
         pairs, none = np.stack([i, self.site[j]], axis=1), np.zeros((len(i), 3, 3))
         of = edges, x, np.array(cell.numbers), pairs, near[i, j, image], none, kinds_of(cell)[0]
         self.pairs = ForceConstants(*of, thickness, polar, stress)
-        widths = 1 / np.linalg.norm(np.linalg.inv(box), axis=0)[: 3 if thickness is None else 2]
+        widths = 1 / norm(np.linalg.inv(box), axis=0)[: 3 if thickness is None else 2]
         self.at_edge = far[i, j, image] > EDGE * widths.min()
 
     def values(self, phi: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ import ase
 import h5py
 import numpy as np
 from ase.data import atomic_masses
+from numpy.linalg import norm
 
 from warp_peri.atoms.calculator_noise import TIMES, projected, rattled
 from warp_peri.atoms.force_constants import (
@@ -85,7 +86,7 @@ def _cells(repeats: Sequence[int]) -> str:
 def wide_enough(reference: Reference, calculator: Any, widths: Sequence[float]) -> tuple[int, ...]:
     """Repeats of the cell at half of whose width forces have ended, or the most that may be."""
     cell, d = reference.cell, reference.dimension
-    heights = 1 / np.linalg.norm(np.linalg.inv(np.array(cell.cell)), axis=0)
+    heights = 1 / norm(np.linalg.inv(np.array(cell.cell)), axis=0)
     most = MOST_ATOMS if reference.noise.rounding else NOISY_ATOMS
     repeats, rim = (), np.nan
     for width in widths:
@@ -325,7 +326,7 @@ def _force_constants(found: Any, told: Any, beside: dict[str, Path]) -> Any:
             )
         data = reader.parse_FORCE_SETS(natom=count, filename=path)
     for one in data.get("first_atoms", []):
-        if one["number"] not in range(count) or not np.linalg.norm(one["displacement"]) > 0:
+        if one["number"] not in range(count) or not norm(one["displacement"]) > 0:
             raise InputError(
                 f"displacement: expected one of an atom from 1 to {count}, got "
                 f"{one['displacement']} of {one['number'] + 1}"

@@ -15,6 +15,7 @@ from ase.geometry import minkowski_reduce
 from ase.neighborlist import neighbor_list
 from ase.optimize import BFGS
 from ase.spacegroup.symmetrize import refine_symmetry
+from numpy.linalg import norm
 from scipy.linalg import polar, sqrtm
 
 from warp_peri.atoms.calculator_noise import ON_SITES, TIMES, Noise, measured, strained
@@ -94,7 +95,7 @@ def check_sites(atoms: ase.Atoms) -> None:
     if not len(atoms) or not (np.isfinite(edges).all() and np.isfinite(x).all()):
         raise InputError("structure: expected one atom or more, at finite places in a finite cell")
     edges = edges[np.array(atoms.pbc)]
-    lengths = np.linalg.norm(edges, axis=1)
+    lengths = norm(edges, axis=1)
     if not lengths.all() or np.linalg.svd(edges / lengths[:, None])[1].min(initial=1.0) < FLAT:
         raise InputError("structure: expected edges of the cell that span one, got some in a plane")
     first, second, apart = neighbor_list("ijd", atoms, UPON)
@@ -133,7 +134,7 @@ def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
     ready.set_cell([first, second, up] if turning or up[2] > 0 else [second, first, -up])
     if turning:
         ready.set_cell(ready.cell.standard_form()[0], scale_atoms=True)
-    elif abs(up[2]) < (1 - FLAT**2) * np.linalg.norm(up):
+    elif abs(up[2]) < (1 - FLAT**2) * norm(up):
         raise InputError("hold: expected a sheet across z, whose strains have names in x and y")
     ready.center(vacuum=HEIGHT / 2, axis=2)
     ready.pbc = True
@@ -143,7 +144,7 @@ def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
 def gap(atoms: ase.Atoms, axis: int) -> tuple[float, float]:
     """Largest gap between atoms along an edge [Å], and the fraction of the edge where it ends."""
     part = np.sort(atoms.cell.scaled_positions(atoms.positions)[:, axis] % 1.0)
-    apart = 1 / np.linalg.norm(np.linalg.inv(np.array(atoms.cell))[:, axis])
+    apart = 1 / norm(np.linalg.inv(np.array(atoms.cell))[:, axis])
     steps = np.diff(part, prepend=part[-1] - 1)
     return float(steps.max() * apart), float(part[steps.argmax()])
 
@@ -226,7 +227,7 @@ def at_rest(
     _told_apart(cell)
     cell = smallest(cell, flat)
     short = minkowski_reduce(np.array(cell.cell), [True, True, not flat])[0]
-    if np.linalg.norm(short) < (1 - ROUNDING) * np.linalg.norm(cell.cell):
+    if norm(short) < (1 - ROUNDING) * norm(cell.cell):
         cell.set_cell(short)  # a skewed cell's repeats would be many
     cell.calc = calculator
     cell, strain, noise = _settled(cell, flat, held)
@@ -374,9 +375,9 @@ def usual_spacing(cell: ase.Atoms, flat: bool) -> float:
         hexagonal = 143 <= found.number <= 194 and "R" not in found.international
         return float((volume * (2 if hexagonal else 1)) ** (1 / 3))
     edges = minkowski_reduce(np.array(cell.cell), [True, True, False])[0][:2]
-    a, b = sorted(edges, key=np.linalg.norm)
+    a, b = sorted(edges, key=norm)
     for pair in ((a, b), (a, 2 * b - a), (a, 2 * b + a), (a + b, a - b)):
-        first, second = np.linalg.norm(pair, axis=1)
+        first, second = norm(pair, axis=1)
         if abs(pair[0] @ pair[1]) < RIGHT * first * second:
             return float(max(first, second))
-    return float(np.sqrt(2 * np.linalg.norm(np.cross(a, b))))
+    return float(np.sqrt(2 * norm(np.cross(a, b))))

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from numpy.linalg import norm
 
 import warp_peri
 from warp_peri.cli.main import HASH, MADE, check_output, hashes, is_kept, results
@@ -119,7 +119,7 @@ def run_solve(given: Namespace) -> Said:
     with writing(given):
         save_dataset(given.out, Dataset(sets, data.thickness, data.density, provenance))
         keep(given, *results(given))
-    size = np.linalg.norm(u[:, points.interior], axis=-1).max(axis=1, initial=0).tolist()
+    size = norm(u[:, points.interior], axis=-1).max(axis=1, initial=0).tolist()
     result, key = {"file": str(given.out), "set": given.set}, "largest_displacement"
     return result | {key: size}, lines_of(result | {f"{key} [{symbols(data.units)[0]}]": size})
 
@@ -132,8 +132,8 @@ def run_predict(given: Namespace) -> Said:
     points, samples = problem.points, []
     for answer, truth in zip(answers, points.u[:, points.interior]):
         told = chosen(answer, "error", "parts", "kept", "why", "uncovered")
-        if size := float(np.linalg.norm(truth)):  # the set holds what was measured or computed
-            told["true"] = float(np.linalg.norm(answer.u[points.interior] - truth)) / size
+        if size := float(norm(truth)):  # the set holds what was measured or computed
+            told["true"] = float(norm(answer.u[points.interior] - truth)) / size
         samples.append(told)
     result = plain({"set": given.set, "tolerance": tolerance, "samples": samples})
     return result, lines_of(result)

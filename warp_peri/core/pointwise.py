@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import scipy.fft
 import torch
+from numpy.linalg import norm
 from numpy.typing import ArrayLike
 from torch.autograd import grad
 
@@ -153,7 +154,7 @@ class Pointwise(Swept):
         def sweep(u: np.ndarray) -> np.ndarray:
             waves, H = self._seen(u)
             if radius > 0:
-                H *= np.minimum(1, radius / np.linalg.norm(H, axis=(0, 1)))
+                H *= np.minimum(1, radius / norm(H, axis=(0, 1)))
             return self._pulled(self._stress(H), 1, self._inside, waves)
 
         return self._swept(sweep, u)
@@ -197,7 +198,7 @@ class Pointwise(Swept):
 
     def largest_gradient(self, u: ArrayLike) -> np.ndarray:
         """Largest |H| of each field over the nodes `full`, shape [...]."""
-        return np.asarray(np.linalg.norm(self.gradients(u)[0], axis=(-2, -1)).max(axis=-1))
+        return np.asarray(norm(self.gradients(u)[0], axis=(-2, -1)).max(axis=-1))
 
     def energy(self, u: ArrayLike) -> np.ndarray | None:
         """Energy h^d Σ W(H) over the nodes `full` [stress · length^d], [...], without that of the

@@ -16,6 +16,7 @@ import numpy as np
 import scipy.fft
 import scipy.sparse as sp
 import warp as wp
+from numpy.linalg import norm
 
 from warp_peri.core.elastic import directions, orbit_grid, symmetric_part
 from warp_peri.errors import InputError
@@ -179,7 +180,7 @@ def zone_sample(group: np.ndarray, dimension: int, intervals: int) -> np.ndarray
     grid = orbit_grid(intervals, group, dimension)
     axes = grid_places((3,) * dimension) - 1.0
     axes = axes[axes.any(axis=1)]
-    axes /= np.linalg.norm(axes, axis=1)[:, None]
+    axes /= norm(axes, axis=1)[:, None]
     return np.concatenate([grid, LONG * axes, LONG * directions(DIRECTIONS[dimension], dimension)])
 
 
@@ -376,7 +377,7 @@ def _check(points: Points, nodes: Grid, steps: np.ndarray, why: str) -> None:
         body = np.pad(body, nodes.reach, mode="wrap")
     lacking = int((nodes.unknown & ~complete(body, steps, nodes.reach)).sum())
     if lacking:
-        width = points.spacing * np.linalg.norm(steps, axis=1).max()
+        width = points.spacing * norm(steps, axis=1).max()
         why = why or f"; give a collar {width:g} wide"
     refuse_cut(lacking, len(nodes.interior), why)
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.linalg import norm
 from numpy.typing import ArrayLike
 from scipy.ndimage import binary_dilation
 from scipy.signal import upfirdn
@@ -205,7 +206,7 @@ class RimProblem(LinearOperator):  # type: ignore[misc]
     def residual(self, f: np.ndarray, u: np.ndarray) -> float:
         """Residual ‖K u − f‖ over ‖f − K of what is given‖ on the free displacements."""
         left, right = (f[self.free] - self._rows @ one for one in (u, np.where(self.free, 0.0, u)))
-        return float(np.linalg.norm(left) / (np.linalg.norm(right) or 1.0))
+        return float(norm(left) / (norm(right) or 1.0))
 
 
 def _columns(asked: np.ndarray, there: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.linalg import norm
 from scipy.ndimage import distance_transform_edt
 from scipy.sparse.linalg import LinearOperator, aslinearoperator, gmres
 
@@ -95,7 +96,7 @@ class Bulk(LinearOperator):  # type: ignore[misc]
     def residual(self, b: np.ndarray, u: np.ndarray) -> float:
         """Residual ‖L u − b‖ over ‖b − L of the collar‖."""
         held = self.joined(0 * u[self.inside], u[self.collar])
-        left, right = (np.linalg.norm(b - self.linear(one[None])[0]) for one in (u, held))
+        left, right = (norm(b - self.linear(one[None])[0]) for one in (u, held))
         return float(left / (right or 1.0))
 
     def _matvec(self, q: np.ndarray) -> np.ndarray:
@@ -401,7 +402,7 @@ class Schwarz:
             bulk.accuracy = tolerance
             u = exchange(q + place @ side)
             off = read @ u - side
-            size, whole = (float(np.linalg.norm(one)) for one in (off, side + off))
+            size, whole = (float(norm(one)) for one in (off, side + off))
             record.mismatch = size / (whole or 1.0)
             if record.mismatch <= tolerance or last:
                 break

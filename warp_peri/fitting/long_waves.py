@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.linalg import norm
 
 from warp_peri.core.elastic import (
     CANDIDATES,
@@ -68,9 +69,9 @@ def long_wave_rows(samples: Samples, allowed: np.ndarray, modes: int) -> tuple[n
 def moduli_of(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
     """Least-squares constants of rows [..., m], relative residual; InputError for too few rows."""
     R, y = R.reshape(-1, R.shape[-1]), y.ravel()
-    size = np.linalg.norm(R, axis=0)
+    size = norm(R, axis=0)
     R = R / np.where(size > 0, size, 1)
-    if np.linalg.matrix_rank(R, tol=1e-6 * np.linalg.norm(R, 2)) < R.shape[1]:
+    if np.linalg.matrix_rank(R, tol=1e-6 * norm(R, 2)) < R.shape[1]:
         raise InputError(
             f"moduli: the long waves of these loads do not tell {R.shape[1]} constants apart; "
             "give them, or more loads of long waves"

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
+from numpy.linalg import norm
 from scipy.optimize import nnls
 
 from warp_peri.core.stencil import (
@@ -116,19 +117,19 @@ def settle(
 
 def _step(now: Linearised, damping: float) -> np.ndarray:
     """min ‖r + J d‖² + damping ‖d / size‖² with e + A d = 0 and m + M d ≥ 0, or near to them."""
-    size = 1 / felt(np.linalg.norm(now.J, axis=0))
+    size = 1 / felt(norm(now.J, axis=0))
     J, A, M = now.J * size, now.A * size, now.M * size
     J = np.vstack([J, np.sqrt(damping) * np.eye(J.shape[1])])
     right = np.append(-now.residual, np.zeros(J.shape[1]))
     start, free = particular(A, -now.equal)
     free_M, least = M @ free, -now.margins - M @ start
-    turns = np.linalg.norm(free_M, axis=1) > SAID * np.linalg.norm(M, axis=1)
+    turns = norm(free_M, axis=1) > SAID * norm(M, axis=1)
     J, right, M, least = J @ free, right - J @ start, free_M[turns], least[turns]
     try:
         x = least_squares_above(J, right, M, least)
     except InputError:  # no step meets all: one number more, by how much they are missed
         J = np.pad(J, [(0, 1), (0, 1)])
-        J[-1, -1] = ELASTIC * max(1.0, float(np.linalg.norm(right)))
+        J[-1, -1] = ELASTIC * max(1.0, float(norm(right)))
         M = np.column_stack([M, np.ones(len(M))])
         x = least_squares_above(J, np.append(right, 0.0), M, least)[:-1]
     return np.asarray((start + free @ x) * size)
@@ -486,12 +487,12 @@ def load_sizes(samples: Samples) -> np.ndarray:
 
 def norms(fields: np.ndarray) -> np.ndarray:
     """Norm of each of S fields, shape [S, ...] to [S]."""
-    return np.asarray(np.linalg.norm(fields.reshape(len(fields), -1), axis=1))
+    return np.asarray(norm(fields.reshape(len(fields), -1), axis=1))
 
 
 def relative(off: np.ndarray, whole: np.ndarray) -> float:
     """Norm of all numbers of one array over that of another."""
-    return float(np.linalg.norm(off) / np.linalg.norm(whole))
+    return float(norm(off) / norm(whole))
 
 
 def sizes(fields: np.ndarray, inside: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.linalg import norm
 
 from warp_peri.errors import InputError, Rows, Shown
 from warp_peri.points.arguments import LINEAR, offered, shown_moduli
@@ -117,4 +118,4 @@ def left_by(material: Any, samples: Samples, verb: str) -> tuple[Any, np.ndarray
     loose: Any = {"allow_uncertified": True} if free else {}
     operator = placed(material, samples.points, verb=verb, **loose)
     left = b - operator(samples.u)
-    return operator, left, float(np.linalg.norm(left) / np.linalg.norm(b))
+    return operator, left, float(norm(left) / norm(b))

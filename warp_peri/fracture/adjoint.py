@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 import torch
+from numpy.linalg import norm
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 from tqdm import tqdm
@@ -137,7 +138,7 @@ class SoftBody:
             weak = np.exp(-softness * s)
             total = self.rows.T @ (self.stiffness * share * d * weak)
             force = total[self.free]
-            if np.linalg.norm(force) <= TOLERANCE * np.linalg.norm(total):
+            if norm(force) <= TOLERANCE * norm(total):
                 return u
             slope = share * weak * np.maximum(1 - softness * s, 0.02)
             try:

@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
+from numpy.linalg import norm
 
 from warp_peri.core.elastic import directions, lattice_group, orbit_grid
 from warp_peri.core.proof import certify
@@ -73,7 +74,7 @@ def waves_against(
 def wave_errors(answer: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Relative displacement error ‖D⁻¹ D₀ − I‖₂ at wave vectors, [..., d, d] to [...] (M4)."""
     wrong = np.linalg.solve(answer, target) - np.eye(answer.shape[-1])
-    return np.asarray(np.linalg.norm(wrong, ord=2, axis=(-2, -1)))
+    return np.asarray(norm(wrong, ord=2, axis=(-2, -1)))
 
 
 def carried_symbol(symbol: WaveSymbol, spacing: float, turn: np.ndarray) -> WaveSymbol:
@@ -81,7 +82,7 @@ def carried_symbol(symbol: WaveSymbol, spacing: float, turn: np.ndarray) -> Wave
     coarser nodes, where it would repeat, the local limit goes on."""
 
     def carried(k: np.ndarray) -> np.ndarray:
-        size = np.linalg.norm(k, axis=1, keepdims=True)
+        size = norm(k, axis=1, keepdims=True)
         part = np.minimum(1.0, LARGEST_WAVE / np.maximum(size * spacing, 1e-300))
         D = symbol(part * k @ turn) / part[:, :, None] ** 2
         return np.asarray(turn @ D @ turn.T)

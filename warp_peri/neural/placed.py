@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 import torch
+from numpy.linalg import norm
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
@@ -200,7 +201,7 @@ class Placed(OperatorBase):
         slopes = torch.autograd.grad(state.sum(), by)
         t, to_theta, to_e = (one.detach().double().numpy() for one in (state, *slopes))
         Y = self.xi + x[self.ends] - x[self.whole][:, None]
-        length = np.linalg.norm(Y, axis=-1)[..., None]
+        length = norm(Y, axis=-1)[..., None]
         M, own, node, place = Y / length, self.own, self.node, self.place
         along, far = M[node, place][:, None, None], self.ends[node, place][:, None]
         by_e = sp.diags_array(to_e) @ _differences(along, far, self.whole[node], len(x))
@@ -313,7 +314,7 @@ def evaluate(
     enough = SMALL[placed.dtype]
     rows: dict[str, list[float]] = {"E_res": [], "E_res_abs": [], "E_u": [], "converged": []}
     for u, b in tqdm(list(zip(samples.u, loads)), disable=not progress, leave=False):
-        miss, size = (np.linalg.norm(f) for f in (placed.force(u) - b[inside], b[inside]))
+        miss, size = (norm(f) for f in (placed.force(u) - b[inside], b[inside]))
         rows["E_res_abs"].append(float(miss))
         rows["E_res"].append(float(miss / size) if size else np.nan)
         if search is not None:

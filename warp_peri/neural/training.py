@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import torch
+from numpy.linalg import norm
 from scipy.sparse.linalg import SuperLU, splu
 from tqdm import tqdm
 
@@ -80,7 +81,7 @@ class Frames:
             moved = self.state[n].copy()
             moved[self.inside] += move
             errors.append(self._error(n, moved))
-            if np.linalg.norm(move) > FARTHEST * self.sizes[n] or errors[-1] == 0:
+            if norm(move) > FARTHEST * self.sizes[n] or errors[-1] == 0:
                 continue
             self.state[n] = moved
             slope = (moved[self.inside] - self.seen[n]) / (errors[-1] * self.sizes[n] ** 2)
@@ -98,7 +99,7 @@ class Frames:
         return self.search.solve_from(0 * self.seen[n], self.start[n], SOLVED)
 
     def _error(self, n: int, u: np.ndarray) -> float:
-        return float(np.linalg.norm(u[self.inside] - self.seen[n]) / self.sizes[n])
+        return float(norm(u[self.inside] - self.seen[n]) / self.sizes[n])
 
 
 FIRST = 7
@@ -322,30 +323,18 @@ class _Run:
                     f"{file.path}: expected at least its {done} epochs, got "
                     f"{self.training.epochs}; name another file for a shorter training"
                 )
-            names = ("scale", "adam", "material", "kept", "history")
-            scale, adam, weights, self.kept, _ = numbers = [state[name] for name in names]
-            self.least = state["least"]
-            if not (self.least >= 0 and _is_finite(numbers)):
-                raise ValueError("expected finite numbers")
             if isinstance(self.learned, Frames):
                 self.learned.resume(*state["frames"])
-            for each in (self.kept or before, weights):
-                material.load_state_dict(each)
-            self.adam.load_state_dict(adam)
+            material.load_state_dict(state["material"])
+            self.adam.load_state_dict(state["adam"])
             self.random.set_state(state["random"])
-            material.scale = float(scale)
+            material.scale, self.least = float(state["scale"]), float(state["least"])
+            self.kept = state["kept"]
         except InputError:
             raise
         except Exception as error:  # whatever torch raises for what it did not write
             material.load_state_dict(before)
             raise InputError(f"{file.path}: not a readable checkpoint ({error!r:.200})") from None
-
-
-def _is_finite(state: Any) -> bool:
-    """Whether all numbers and tensors in a checkpoint's mappings and lists are finite."""
-    if isinstance(state, dict | list | tuple):
-        return all(map(_is_finite, state.values() if isinstance(state, dict) else state))
-    return state is None or bool(torch.as_tensor(state).isfinite().all())
 
 
 def _share(epoch: int, epochs: int) -> float:

@@ -12,6 +12,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+from numpy.linalg import norm
 
 from warp_peri.errors import InputError, Rows, Shown, StrPath, warn
 from warp_peri.files.atomic import check_hdf5, check_regular, parsed, plain, whole_file
@@ -174,7 +175,7 @@ def mixed_waves(
     for number in np.ndindex(most + 1, 2 * most + 1):
         n = np.array(number) - (0, most)
         k = 2 * np.pi * n / box
-        size = float(np.linalg.norm(k))
+        size = float(norm(k))
         if (n[0] == 0 and n[1] <= 0) or size > 2 * np.pi / shortest:  # −k is the same wave
             continue
         angle, phase = random.uniform(0, 2 * np.pi, 2)
@@ -202,7 +203,7 @@ def design_loads(points: PointsLike, shortest_wave: Positive, *, number: Count =
         raise InputError("points: expected a periodic body, with its box, for designed loads")
     check_nodes("number", (number, len(points.x)))
     fields = [mixed_waves(points.x, points.box, shortest_wave, seed=s) for s in range(number)]
-    return np.stack([f / np.linalg.norm(f, axis=1).max() for f in fields])
+    return np.stack([f / norm(f, axis=1).max() for f in fields])
 
 
 FORMAT, VERSION = "warp_peri.dataset", 1

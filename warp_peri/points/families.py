@@ -11,6 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 import warp as wp
+from numpy.linalg import norm
 from numpy.typing import ArrayLike
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import ConvexHull, QhullError, cKDTree
@@ -314,7 +315,7 @@ def neighbours(
         )
     row = np.concatenate([[0], np.cumsum(count)]).astype(np.int32)
     start, end = start[order], end[order].astype(np.int32)
-    return row, end, np.linalg.norm(nearest(x[end] - x[start], box), axis=1), reverse
+    return row, end, norm(nearest(x[end] - x[start], box), axis=1), reverse
 
 
 def cut_balls(x: np.ndarray, horizon: float, bonds: int) -> np.ndarray:
@@ -391,7 +392,7 @@ def family_weights(
     powers, exact = conditions(degree, xi.shape[1])
     scaled = xi / horizon
     rows = np.array([(scaled**p).prod(axis=1) for p in powers])
-    rows /= np.linalg.norm(scaled, axis=1) ** SINGULARITY
+    rows /= norm(scaled, axis=1) ** SINGULARITY
     left, size, right = np.linalg.svd(rows, full_matrices=False)
     large = size > DEPENDENT * size[0]
     weights = np.divide(exact @ left, size, out=np.zeros_like(size), where=large) @ right

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.linalg import norm
 from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -121,7 +122,7 @@ class Mesh(Shown):
     def distance(self, x: np.ndarray, step: float) -> np.ndarray:
         """Distance [length] of points to the outline, by points of it about `step` apart."""
         d, corners = self.dimension, self.x[self.faces]
-        longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
+        longest = norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
         count = min(int(np.ceil(longest / step)) + 1, MOST_PARTS[d])
         place = grid_places((count + 1,) * (d - 1))
         place = place[place.sum(axis=1) <= count]
@@ -169,7 +170,7 @@ def make_mesh(
     check_numbers(name, t, len(x))
     size = np.linalg.det(x[t[:, 1:]] - x[t[:, :1]])
     pairs = list(itertools.combinations(range(d + 1), 2))
-    lengths = [np.linalg.norm(x[t[:, a]] - x[t[:, b]], axis=1) for a, b in pairs]
+    lengths = [norm(x[t[:, a]] - x[t[:, b]], axis=1) for a, b in pairs]
     share = np.abs(size) / np.max(lengths, axis=0) ** d
     if not (share > FLAT).all():
         raise InputError(f"{name}: number {int(np.argmin(share))} has no {measure}")
@@ -303,7 +304,7 @@ def cells_holding(corners: np.ndarray, x: np.ndarray, depth: float = -WITHIN) ->
     is in the cell's own coordinates, which are 0 to 1 across."""
     inverse = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
     middle = corners.mean(axis=1)
-    size = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1) * (1 + WITHIN)
+    size = norm(corners - middle[:, None], axis=2).max(axis=1) * (1 + WITHIN)
     found, points = np.full(len(x), -1), cKDTree(x)
     for part in np.array_split(np.arange(len(size)), len(size) // ASKED + 1):
         near = points.query_ball_point(middle[part], size[part])

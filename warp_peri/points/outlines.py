@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.linalg import norm
 
 from warp_peri.errors import InputError, optional
 from warp_peri.points.arguments import Positive, check_nodes, checked, typed
@@ -138,11 +139,11 @@ def mesh_outline(outer: Outline, holes: Sequence[Outline] = (), *, size: Positiv
     middle = {}
     for one in (one for one in outlines if isinstance(one, Circle)):
         away = x - one.centre
-        on = np.abs(np.linalg.norm(away, axis=1) - one.radius) < ROUND * one.radius
+        on = np.abs(norm(away, axis=1) - one.radius) < ROUND * one.radius
         for a, c in parts[one.name]:
             if on[a] and on[c]:
                 out = away[a] + away[c]
-                middle[a, c] = one.centre + one.radius * out / np.linalg.norm(out)
+                middle[a, c] = one.centre + one.radius * out / norm(out)
     return make_mesh(x, cells, parts, middle)
 
 

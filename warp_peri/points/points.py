@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 from weakref import WeakValueDictionary
 
 import numpy as np
+from numpy.linalg import norm
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError, Rows, Shown, warn
@@ -203,7 +204,7 @@ class Points(Shown):
         >>> int(wp.Points.disk(20.0, spacing=5.0, horizon=12.5).interior.sum())
         49
         """
-        away = lambda x: np.linalg.norm(x, axis=1) - radius  # noqa: E731
+        away = lambda x: norm(x, axis=1) - radius  # noqa: E731
         half = np.full(dimension, radius)
         return cls._around(away, half, spacing, horizon, units=units, axis=axis)
 
@@ -321,7 +322,7 @@ def _axes(x: np.ndarray, h: float, unit: str) -> np.ndarray:
     some, d = x[:: max(1, len(x) // 2000)], x.shape[1]
     pairs = cKDTree(x).query_ball_point(some, h * (1 + LATTICE_TOLERANCE))
     step = np.concatenate([x[near] - at for near, at in zip(pairs, some)]) / h
-    step = step[np.linalg.norm(step, axis=1) > 0.5]
+    step = step[norm(step, axis=1) > 0.5]
     if not len(step):
         raise InputError(SPARSE.format(SHAPES[d], h, unit))
     across = step[np.abs(step @ step[0]) < 0.1][:1]
@@ -503,7 +504,7 @@ def largest_wave_number(points: Samples) -> float | None:
     wave vectors the root mean square of |k| over the spectrum of b, by differences (theory, M1)."""
     if WAVE_VECTOR in points.arrays:
         k = checked(WAVE_VECTOR, points.arrays[WAVE_VECTOR])
-        return float(np.linalg.norm(k, axis=-1).max(initial=0.0)) or None
+        return float(norm(k, axis=-1).max(initial=0.0)) or None
     h = points.spacing
     if h == 0 or points.b is None:
         return None

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
+from numpy.linalg import norm
 
 import warp_peri
 from warp_peri.errors import InputError, Rows, Shown, StrPath, heard, warn
@@ -218,7 +219,7 @@ class Solution(Shown):
             kept = away <= away.min() + 1e-9 * np.ptp(x)
             x, u = x[kept], u[kept]
         ax = plt.figure(layout="constrained").add_subplot() if ax is None else ax
-        size = u if u.ndim == 1 else np.linalg.norm(u, axis=1)
+        size = u if u.ndim == 1 else norm(u, axis=1)
         shown = ax.scatter(x[:, 0], x[:, 1], c=size, s=9, linewidths=0)
         ax.figure.colorbar(shown, ax=ax, label="φ" if u.ndim == 1 else f"|u| [{unit}]")
         ax.set(aspect="equal", xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
@@ -259,7 +260,7 @@ def by_sample(
 
 def _sizes(values: np.ndarray, count: int) -> np.ndarray:
     flat = np.reshape(values, (count if np.ndim(values) == 3 else 1, -1))
-    return np.asarray(np.linalg.norm(flat, axis=1))
+    return np.asarray(norm(flat, axis=1))
 
 
 BEYOND = 2.0

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.linalg import norm
 from scipy.ndimage import binary_dilation, binary_erosion
 from scipy.optimize import lsq_linear
 from tqdm import tqdm
@@ -169,7 +170,7 @@ class Place:
     def errors(self, change: Any = 0.0) -> np.ndarray:
         """Relative errors of the samples after a change of the unknowns, to first order."""
         moved = np.append(change + 0 * self.x, 1.0)
-        return np.array([np.linalg.norm(rows @ moved) for rows in self.equations.values()])
+        return np.array([norm(rows @ moved) for rows in self.equations.values()])
 
     def loss(self, change: Any = 0.0) -> float:
         """Sum of squared errors after a change of the unknowns."""
@@ -200,7 +201,7 @@ class Search:
         target = (samples.loads if self.by_load else samples.u)[:, self.inner]
         self.target = target.reshape(-1, 2 * len(self.inner))
         seen = np.repeat(seen_of(samples)[:, self.inner], 2, axis=1) | self.by_load
-        size = np.linalg.norm(self.target * seen, axis=1)
+        size = norm(self.target * seen, axis=1)
         if not (len(size) and size.all()):
             what = "a load on it" if self.by_load else "a displacement of it"
             raise InputError(
@@ -277,7 +278,7 @@ class Search:
         rows = np.concatenate([one for n, one in place.equations.items() if n not in left])
         J, x, K = rows[:, :-1], place.x, len(self.measure)
         low, high = np.maximum(self.low, x - self.reach), np.minimum(self.high, x + self.reach)
-        length = np.linalg.norm(J, axis=0)
+        length = norm(J, axis=0)
         length[length == 0] = 1.0
         A = [J / length, np.sqrt(damping) * np.eye(len(x))]
         right = [J @ x - rows[:, -1], np.sqrt(damping) * length * x]
@@ -477,7 +478,7 @@ def check_identifiable(frames: Samples, op: HyperelasticSheetOperator) -> None:
     design = np.column_stack([np.ones(len(frames.x)), frames.x])
     u = np.moveaxis(frames.u, 0, 1).reshape(len(frames.x), -1)
     rest = u - design @ np.linalg.lstsq(design, u)[0]
-    rest, size = (np.linalg.norm(v.reshape(len(v), -1, 2), axis=(0, 2)) for v in (rest, u))
+    rest, size = (norm(v.reshape(len(v), -1, 2), axis=(0, 2)) for v in (rest, u))
     if not (rest > AFFINE * size).any():
         raise InputError(
             "frames: expected displacement that is not affine; a homogeneous body of any material "
