@@ -16,13 +16,13 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_864,
-    "tokens": 234_908,
-    "lines of warp_peri": 30_352,
+    "code lines": 18_896,
+    "tokens": 234_942,
+    "lines of warp_peri": 30_423,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_539,
-    "lines of the longest file": 536,
+    "lines of warp_peri, kernels, examples and tools": 42_610,
+    "lines of the longest file": 537,
     "lines of the longest function": 60,
     "parameters of one function": 10,
     "characters of the longest string": 1_690,
@@ -37,15 +37,15 @@ ROOMS = {
     "core": 1603,
     "face": 1109,
     "fe_coupling": 696,
-    "files": 505,
+    "files": 515,
     "fitting": 1053,
     "fracture": 1413,
-    "materials": 4547,
-    "neural": 575,
+    "materials": 4550,
+    "neural": 589,
     "points": 1713,
     "prediction": 575,
     "mpi": 451,
-    "solvers": 1476,
+    "solvers": 1481,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)
