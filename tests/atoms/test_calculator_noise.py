@@ -26,6 +26,10 @@ from warp_peri.crystals import NonAnalyticCorrection, from_calculator
 
 ALUMINIUM = {"C11": 53.3253, "C12": 32.8906, "C44": 36.2004}
 """Under EMT, by finite strains of 1e-4 [GPa]."""
+Rounded = type("Rounded", (EMT,), {"get_forces": lambda *of: EMT.get_forces(*of).round(5)})
+"""Forces with five decimals."""
+REST = 2.8246
+CELL = bulk("Al", a=2**0.5 * REST)
 
 
 class Noisy(Calculator):
@@ -44,10 +48,6 @@ class Noisy(Calculator):
         stress = stress + 0.1 * self.noise / np.sqrt(len(one)) * random(6)
         forces = forces + self.noise * random(forces.shape)
         self.results = {**self.inner.results, "forces": forces, "stress": stress}
-
-
-Rounded = type("Rounded", (EMT,), {"get_forces": lambda *of: EMT.get_forces(*of).round(5)})
-"""Forces with five decimals."""
 
 
 def test_noise_is_measured_and_rounding_of_forces_is_noise():
@@ -136,10 +136,6 @@ def test_forces_that_are_rough_are_none_sooner():
     noise = replace(measured(reference.cell, EMT(), False), force=1e-6, rough=1.0)
     rough = replace(reference, noise=noise)  # whose forces far away are no noise
     assert phonons.wide_enough(rough, EMT(), (4.0, 6.0, 8.0)) == (3, 3, 3)
-
-
-REST = 2.8246
-CELL = bulk("Al", a=2**0.5 * REST)
 
 
 class Dimpled(EMT):

@@ -13,6 +13,13 @@ from warp_peri.atoms.calculators import LammpsError, lammps_calculator, potentia
 from warp_peri.atoms.relaxed import at_rest
 from warp_peri.cli.main import main
 
+OWN = """
+from ase.calculators.lj import LennardJones
+class Mine(LennardJones): pass
+def says(sigma) -> LennardJones: return Mine(sigma=sigma)
+open('ran', 'w')
+"""
+
 
 def test_types_by_number_are_elements_by_their_masses_and_charges_have_madelungs_energy():
     salt, ends = bulk("MgO", "rocksalt", a=4.2), []
@@ -104,14 +111,6 @@ def test_calculators_that_are_none_are_named(tmp_path, monkeypatch):
         with refused(what):
             wp.atoms.make_calculator(name, ["Cu"])
     assert not list(tmp_path.iterdir())  # nothing ran
-
-
-OWN = """
-from ase.calculators.lj import LennardJones
-class Mine(LennardJones): pass
-def says(sigma) -> LennardJones: return Mine(sigma=sigma)
-open('ran', 'w')
-"""
 
 
 @pytest.fixture

@@ -15,6 +15,9 @@ RANDOM = default_rng(3)
 BOX = (11.0, 13.5)  # not commensurate with the nodes
 ATOMS = RANDOM.uniform(0, 1, (40, 2)) * BOX
 H = 2.5
+NODES = square(9, spacing=5.0)
+LOADED = {"disps": RANDOM.normal(size=(3, len(NODES.x), 2)), "coords": NODES.x}
+LOADED["forces"] = 2 * LOADED["disps"]
 
 
 def nodes(low, high):
@@ -93,11 +96,6 @@ def test_what_cannot_be_smoothed_is_refused():
     })  # fmt: skip
     with refused(r"1 nodes have no atom .* the first is 16"):
         coarse_grain(smoothing_matrix(ATOMS, [*nodes(0, 4), [99.0, 99]], radius=5.0), **fields)
-
-
-NODES = square(9, spacing=5.0)
-LOADED = {"disps": RANDOM.normal(size=(3, len(NODES.x), 2)), "coords": NODES.x}
-LOADED["forces"] = 2 * LOADED["disps"]
 
 
 def in_hdf5(path, variables):

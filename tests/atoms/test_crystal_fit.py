@@ -23,6 +23,16 @@ from warp_peri.core.elastic import group_of_structure, voigt
 from warp_peri.crystals import from_calculator
 
 TERSOFF = "SiC_1989.tersoff"
+Opposite = type("Opposite", (EMT,), {"get_stress": lambda *of: -EMT.get_stress(*of)})
+Plane = type("Plane", (EMT,), {"get_forces": lambda self, atoms: np.zeros((len(atoms), 2))})
+Three = type("Three", (EMT,), {"get_stress": lambda self, atoms: np.zeros(3)})
+IN = {"cell": [4, 4, 4], "pbc": True}
+SHARED, SKEWED = {"occupancy": {"0": {"Cu": 0.7, "Ni": 0.3}}}, [[4, 0, 0], [8, 0, 0], [0, 0, 4]]
+EXAMPLES = ROOT / "examples" / "phonopy"
+STRAINED = (392.963, 164.309, 164.298)
+"""C11 and C12 by strains of a period of 3³ cells; C44 of a wider supercell's waves [GPa]."""
+COPPER = (172.588, 115.426, 89.904)
+"""Under EMT, by finite strains."""
 
 
 def test_the_command_leaves_a_law_a_picture_and_its_figures(tmp_path):
@@ -101,13 +111,6 @@ def test_disorder_that_relaxes_away_leaves_the_crystal(flat):
     assert exact.sum() == (4 if flat else 48) * (2 if flat else 1)
 
 
-Opposite = type("Opposite", (EMT,), {"get_stress": lambda *of: -EMT.get_stress(*of)})
-Plane = type("Plane", (EMT,), {"get_forces": lambda self, atoms: np.zeros((len(atoms), 2))})
-Three = type("Three", (EMT,), {"get_stress": lambda self, atoms: np.zeros(3)})
-IN = {"cell": [4, 4, 4], "pbc": True}
-SHARED, SKEWED = {"occupancy": {"0": {"Cu": 0.7, "Ni": 0.3}}}, [[4, 0, 0], [8, 0, 0], [0, 0, 4]]
-
-
 def test_what_is_no_crystal_and_what_a_calculator_or_a_force_lacks_are_refused():
     each_refused(lambda atoms, calculator: at_rest(atoms, calculator()), {
         "free cluster": (molecule("H2O"), LennardJones),
@@ -172,13 +175,6 @@ def test_a_strain_is_held_along_the_axes_that_it_was_said_in(flat):
     assert_allclose(off - np.diag(np.eye(len(off))[0]), 0, atol=1e-3)
     assert found.stress[0, 0] > (1e-2 if flat else 1e-3)
     assert "axes" not in found.said
-
-
-EXAMPLES = ROOT / "examples" / "phonopy"
-STRAINED = (392.963, 164.309, 164.298)
-"""C11 and C12 by strains of a period of 3³ cells; C44 of a wider supercell's waves [GPa]."""
-COPPER = (172.588, 115.426, 89.904)
-"""Under EMT, by finite strains."""
 
 
 def moduli(atoms):

@@ -13,6 +13,9 @@ from warp_peri.points.points import SEEN, grid_places
 
 X = grid_places((15, 16)) * 20.0 + [100.0, 60.0]
 field = lambda x: np.stack([0.1 * x[:, 0] + 1e-4 * x[:, 1] ** 2, -0.05 * x[:, 1] + 2.0], axis=1)
+BIG = grid_places((30, 25)) * 2.5 + 0.125
+GRADIENT = np.array([[0.013, -0.002], [0.004, -0.007]])
+LINEAR = *BIG.T, *(BIG @ GRADIENT.T).T
 
 
 def write(path, columns, header="x,y,u,v", encoding="utf-8"):
@@ -41,10 +44,6 @@ def test_points_on_a_lattice_stay_and_scattered_ones_are_fitted_locally(frame_of
     noise = 0.3 * normal(BIG.shape, 1)
     noisy = dic_to_lattice([frame_of(BIG, field(BIG) + noise)])
     assert estimate_noise(noisy)[0] == approx(0.3, rel=0.15)
-
-
-BIG = grid_places((30, 25)) * 2.5 + 0.125
-GRADIENT = np.array([[0.013, -0.002], [0.004, -0.007]])
 
 
 @parametrize("radius", [0.0, 1.5])
@@ -78,9 +77,6 @@ def gradient(samples):
 def told(path, header, columns, *, encoding="utf-8", **options):
     """The samples that a table tells; `columns` are numbers of x, y, u, v and text."""
     return dic_to_lattice([read_dic_frame(write(path, columns, header, encoding), **options)])
-
-
-LINEAR = *BIG.T, *(BIG @ GRADIENT.T).T
 
 
 def test_columns_and_their_units_are_what_a_header_says_behind_a_comment_too(tmp_path):

@@ -23,6 +23,14 @@ RANDOM = default_rng(0)
 REFERENCE = RANDOM.uniform(0, 1, size=(30, 2)) * BOX
 U = 0.2 * RANDOM.normal(size=(9, 30, 2))
 GRAIN = {"node_area": 9.0, "thickness": 3.35}
+SALT = bulk("NaCl", "rocksalt", a=5.6, cubic=True)
+POINTS = lattice(2, 1.0, 3.0)
+OMEGA = smoothing_matrix(REFERENCE, POINTS.x, radius=5.0, box=BOX, spacing=3.0)
+CELL = np.array([[12.0, 0, 0], [3.0, 9.0, 0], [0, 0, 10.0]])
+PARTS = RANDOM.uniform(0, 1, size=(20, 3)) * (1, 1, 0)
+AT, MOVED = (PARTS @ CELL)[:, :2], 0.4 * RANDOM.normal(size=(20, 2))
+EDGES = (PARTS + np.column_stack([MOVED, np.zeros(20)]) @ np.linalg.inv(CELL)) // 1
+"""Of the box, by which atoms left it when they moved."""
 
 
 def frame(x, step=0, columns="id type x y z", box=BOX):
@@ -38,9 +46,6 @@ def frame(x, step=0, columns="id type x y z", box=BOX):
 def write(path, steps):
     path.write_text("".join(frame((REFERENCE + U[s % 9]) % BOX, s) for s in steps))
     return path
-
-
-SALT = bulk("NaCl", "rocksalt", a=5.6, cubic=True)
 
 
 def test_frames_and_structures_are_read_whatever_they_are_packed_in(tmp_path):
@@ -62,10 +67,6 @@ def test_frames_and_structures_are_read_whatever_they_are_packed_in(tmp_path):
     ase.io.write(tmp_path / "bare.data", SALT, format="lammps-data")
     with refused(r"bare\.data: expected the masses of the types"):
         dumps.read_structure(tmp_path / "bare.data")
-
-
-POINTS = lattice(2, 1.0, 3.0)
-OMEGA = smoothing_matrix(REFERENCE, POINTS.x, radius=5.0, box=BOX, spacing=3.0)
 
 
 def grained(dumps, force=None, **how):
@@ -145,13 +146,6 @@ def test_scaled_and_unwrapped_positions(tmp_path):
     assert_allclose(moved, np.tile(drift, (30, 1)), atol=1e-9)
     with refused("orthogonal box in the dump, got a tilted one"):
         mean_displacement(path, REFERENCE, box=BOX)
-
-
-CELL = np.array([[12.0, 0, 0], [3.0, 9.0, 0], [0, 0, 10.0]])
-PARTS = RANDOM.uniform(0, 1, size=(20, 3)) * (1, 1, 0)
-AT, MOVED = (PARTS @ CELL)[:, :2], 0.4 * RANDOM.normal(size=(20, 2))
-EDGES = (PARTS + np.column_stack([MOVED, np.zeros(20)]) @ np.linalg.inv(CELL)) // 1
-"""Of the box, by which atoms left it when they moved."""
 
 
 @parametrize("name", ["a.extxyz", "a.traj"])

@@ -24,6 +24,42 @@ from warp_peri.points.mesh import make_mesh
 from warp_peri.points.outlines import box, mesh_outline
 
 pytestmark = filterwarnings("ignore:strain:UserWarning", "ignore:crack")
+moves = lambda name: name not in ("third order, filtered", "neural operator", "hyperelastic")
+"""Whether waves of a law have a proven step."""
+CHANGES = {
+    "axis": lambda p: replace(p, axis=(p.axis or 0.0) + 30.0),
+    "units": lambda p: replace(p, units=("nm", "GPa")),
+    "box": lambda p: replace(p, box=(1e3, 1e3)),
+    "outside": lambda p: replace(p, outside=np.arange(len(p.x)) == 0),
+    "x": lambda p: replace(p, x=p.x + 1.0),
+}
+WAVES = {"density": 2e3, "step": 1e-4, "steps": 2}
+MOTIONS = {
+    "at rest": (solid().model, 3.0, {}),
+    "waves": (solid().model, 3.0, WAVES),
+    "steps": (solid(), 7.0, {"step": 1e-4, "steps": 2}),
+    "events": (solid(), 3.0, {"events": 1}),
+}
+FLAGS = dict.fromkeys(("transfer", "allow_uncertified"), ("no", 3, None))
+WRONG_OPTIONS = FLAGS | {
+    "parameters": (3, "mu", {3: 1.0}),
+    "record": ("a", 1j, [0, 10**6], {"a": 1}, [[1], [2, 3]]),
+    "series": ("", 3, True, b"", []),
+    "checkpoint": ("", 3, True, b"", 1.5),
+    "every": (1e300, 0, 1.5, "a", None, np.inf),
+    "checkpoint_every": (1e300, "a"),
+    "step": ("a", None, 1j, np.nan, True),
+    "density": ("a", None, 1j, np.nan, True),
+}
+WRONG_OF_BREAKING = {
+    "ramp": (3.0, "a"),
+    "watch": ({"a": 3}, 3, ["a"]),
+    "every": (1e300, "a"),
+    "checkpoint": (3, ""),
+    "series": (3, ""),
+}
+PLATE = mesh_outline(box(12, 12), size=3)
+MODEL = wp.LPSMaterial(0.5, 1.0, 1.0, [1.0], horizon=3.0, certified_on=(1.0,))
 
 
 def kinds(good, place=None):
@@ -54,11 +90,6 @@ def refuses(call, good, name, place=None, *, but=()):
         with pytest.raises(wp.InputError) as told:
             call(bad)
         assert str(told.value).startswith(name), kind
-
-
-def moves(name):
-    """Whether waves of a law have a proven step."""
-    return name not in ("third order, filtered", "neural operator", "hyperelastic")
 
 
 @parametrize("name", LAWS)
@@ -105,15 +136,6 @@ def test_loads_of_a_period(name):
         refuses(lambda b: wp.solve(material, wp.Periodic(points, b)), zero, "b", but=shapes)
 
 
-CHANGES = {
-    "axis": lambda p: replace(p, axis=(p.axis or 0.0) + 30.0),
-    "units": lambda p: replace(p, units=("nm", "GPa")),
-    "box": lambda p: replace(p, box=(1e3, 1e3)),
-    "outside": lambda p: replace(p, outside=np.arange(len(p.x)) == 0),
-    "x": lambda p: replace(p, x=p.x + 1.0),
-}
-
-
 @parametrize("name", [*LAWS, "conductor", "coupled"])
 def test_an_operator_is_for_its_own_points(name):
     op = operator(name)
@@ -145,15 +167,6 @@ def test_no_crack_is_solved_by_a_part_of_a_material(name):
     points, u, cracks = cracked(4.0)
     with refused(r"Cracked"):
         wp.solve(LAWS[name].material(), Cracked(points, u=u, cracks=cracks))
-
-
-WAVES = {"density": 2e3, "step": 1e-4, "steps": 2}
-MOTIONS = {
-    "at rest": (solid().model, 3.0, {}),
-    "waves": (solid().model, 3.0, WAVES),
-    "steps": (solid(), 7.0, {"step": 1e-4, "steps": 2}),
-    "events": (solid(), 3.0, {"events": 1}),
-}
 
 
 @parametrize("kind", MOTIONS)
@@ -222,26 +235,6 @@ def test_parameters_are_real_numbers_of_the_shape_that_they_have(name):
             assert str(told.value).startswith((which, "parameters")), kind
 
 
-FLAGS = dict.fromkeys(("transfer", "allow_uncertified"), ("no", 3, None))
-WRONG_OPTIONS = FLAGS | {
-    "parameters": (3, "mu", {3: 1.0}),
-    "record": ("a", 1j, [0, 10**6], {"a": 1}, [[1], [2, 3]]),
-    "series": ("", 3, True, b"", []),
-    "checkpoint": ("", 3, True, b"", 1.5),
-    "every": (1e300, 0, 1.5, "a", None, np.inf),
-    "checkpoint_every": (1e300, "a"),
-    "step": ("a", None, 1j, np.nan, True),
-    "density": ("a", None, 1j, np.nan, True),
-}
-WRONG_OF_BREAKING = {
-    "ramp": (3.0, "a"),
-    "watch": ({"a": 3}, 3, ["a"]),
-    "every": (1e300, "a"),
-    "checkpoint": (3, ""),
-    "series": (3, ""),
-}
-
-
 def test_options_of_a_solve_and_a_motion():
     points, material = LAWS["LPS"].points(1), LAWS["LPS"].material()
     problem = wp.Dirichlet(points, None, 1e-4 * points.x)
@@ -265,10 +258,6 @@ def test_options_of_a_body_that_breaks():
                 wp.simulate(solid(), Cracked(points, u=u), **how | {option: bad})
     with refused("expected options among .*, got allow_unstable"):
         wp.simulate(solid(), Cracked(points, u=u), **how, allow_unstable="no")
-
-
-PLATE = mesh_outline(box(12, 12), size=3)
-MODEL = wp.LPSMaterial(0.5, 1.0, 1.0, [1.0], horizon=3.0, certified_on=(1.0,))
 
 
 def plate(displacement=(0, 0), traction=(5e-3, 0), **given):

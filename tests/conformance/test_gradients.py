@@ -30,6 +30,18 @@ from warp_peri.errors import ALONE
 
 pytestmark = filterwarnings("ignore::UserWarning")
 OTHERS = [name for name in OPERATORS if name not in LINEAR]
+SOLID = {"lam", "mu", "alpha", "D"}
+HEAT = {"kappa", "alpha", "D"}
+MODULES = {
+    **dict.fromkeys(("LPS", "LPS, bond-based", "LPS in space", "scattered, own weights"), SOLID),
+    "third order, filtered": {"t3", "tq2", "q3"},
+    "crystal": {"tensors"},
+    "density": {"lam", "mu"},
+    "hyperelastic": {"coefficients"},
+    "conductor": HEAT,
+    "cut": SOLID,
+    "coupled": SOLID | {"coupling"} | {f"conductor_{name}" for name in HEAT},
+}
 
 
 @parametrize("name", OPERATORS)
@@ -195,20 +207,6 @@ def test_what_is_changed_before_a_backward_pass_is_told():
     twice.detach().add_(1)
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         value.backward()
-
-
-SOLID = {"lam", "mu", "alpha", "D"}
-HEAT = {"kappa", "alpha", "D"}
-MODULES = {
-    **dict.fromkeys(("LPS", "LPS, bond-based", "LPS in space", "scattered, own weights"), SOLID),
-    "third order, filtered": {"t3", "tq2", "q3"},
-    "crystal": {"tensors"},
-    "density": {"lam", "mu"},
-    "hyperelastic": {"coefficients"},
-    "conductor": HEAT,
-    "cut": SOLID,
-    "coupled": SOLID | {"coupling"} | {f"conductor_{name}" for name in HEAT},
-}
 
 
 @parametrize("name", [*MODULES, "neural operator"])

@@ -36,6 +36,7 @@ SCALES = {
     "large and soft": (("mm", "nm"), ("MPa", "TPa")),
 }
 """Units here and there of lengths, and of stresses."""
+SOLID = kernel("1/r", 2.0, lam=0.9)
 
 
 @pytest.fixture(params=SCALES)
@@ -111,9 +112,6 @@ def test_very_small_loads_are_answered_in_proportion_and_unanswerable_ones_refus
     load = wp.Dirichlet(points, 1e170 * waves(points, 1.0), np.zeros_like(points.x))
     with np.errstate(all="ignore"), pytest.raises(wp.InputError):
         wp.solve(LAWS[name].material(), load)
-
-
-SOLID = kernel("1/r", 2.0, lam=0.9)
 
 
 @parametrize("make", [lambda: SOLID, lambda: crystal_from_lps(SOLID, 1.0).certified()])

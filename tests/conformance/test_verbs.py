@@ -15,6 +15,12 @@ from warp_peri.materials import lps_force
 from warp_peri.materials.hyperelastic import operator as tissue
 
 pytestmark = filterwarnings("ignore:strain:UserWarning")
+SEEN = {
+    "LPS": ("λ, μ 300, 800 GPa", "3 Å", "0.15 TPa", "certified on 1 Å"),
+    "third order, energy": ("t3, tq2, q3", "-500, -6800, 1040 GPa", "|H| = 3.00%", "C11, C12, C44"),
+    "density": ("1 Å", "saint_venant", "1000 GPa", "lam 0.4", "mu 0.9"),
+    "hyperelastic": ("0.1 Å", "deviation (", "GPa", "stretch of the data not known"),
+}
 
 
 def of(name, side=2, copies=1):
@@ -70,14 +76,6 @@ def test_what_a_verb_does_not_mean_is_refused_by_name():
         "among allow_uncertified, got coupling": lambda: wp.solve(lps, body, coupling=False),
         "among allow_uncertified, got tolerance": lambda: wp.solve(lps, body, tolerance=False),
     })  # fmt: skip
-
-
-SEEN = {
-    "LPS": ("λ, μ 300, 800 GPa", "3 Å", "0.15 TPa", "certified on 1 Å"),
-    "third order, energy": ("t3, tq2, q3", "-500, -6800, 1040 GPa", "|H| = 3.00%", "C11, C12, C44"),
-    "density": ("1 Å", "saint_venant", "1000 GPa", "lam 0.4", "mu 0.9"),
-    "hyperelastic": ("0.1 Å", "deviation (", "GPa", "stretch of the data not known"),
-}
 
 
 def test_a_material_shows_what_it_is():

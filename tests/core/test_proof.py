@@ -25,6 +25,9 @@ from warp_peri.materials.certificate import squared
 
 NOTHING = {d: np.array([np.eye(d), -np.eye(d)], dtype=int) for d in (2, 3)}
 SQUARE = lattice_group(2)
+STEPS = np.array([[2, 0], [0, 2], [1, 0], [0, 1]])
+SOFT = Stencil(1.0, STEPS, np.array([1.0, 1.0, -3.9, -3.9])[:, None, None] * np.eye(2))
+"""Positive at long waves alone, not far beyond the ball."""
 
 
 def waves(d, count=4000):
@@ -94,11 +97,6 @@ def test_a_function_that_bends_down_within_a_cell_is_seen_to(height, positive, m
         return np.ones(len(x), bool)
 
     assert proof._positive(affine, 1.0, 1, 2.0, 0.0, every, 1000)[0] == positive
-
-
-STEPS = np.array([[2, 0], [0, 2], [1, 0], [0, 1]])
-SOFT = Stencil(1.0, STEPS, np.array([1.0, 1.0, -3.9, -3.9])[:, None, None] * np.eye(2))
-"""Positive at long waves alone, not far beyond the ball."""
 
 
 @parametrize("name", ["steep", "positive", "soft"])

@@ -26,10 +26,8 @@ from warp_peri.materials.lps import moduli
 from warp_peri.methods import GaussNewton
 from warp_peri.points.families import bond_classes
 
-
-def fit(samples, horizon, **asked):
-    """The material that is learned."""
-    return wp.Crystal(horizon, **asked).learn(samples).material
+fit = lambda samples, horizon, **asked: wp.Crystal(horizon, **asked).learn(samples).material
+"""The material that is learned."""
 
 
 def waves(law, points, count):

@@ -21,9 +21,8 @@ UNITS = ("angstrom", "TPa")
 SOLID = LPSMaterial(1.5, 1.0, 1.0, np.ones(1), 0.75)
 
 
-def square(cells, reach):
-    """The example's square, in the units that points have by default."""
-    return replace(diffusion.square(cells, reach), units=UNITS)
+square = lambda cells, reach: replace(diffusion.square(cells, reach), units=UNITS)
+"""The example's square, in the units that points have by default."""
 
 
 def steady(operator, phi, source=None):

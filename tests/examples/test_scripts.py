@@ -17,6 +17,26 @@ FOLDER = ROOT / "examples"
 LAWS = {"linear": 3.0, "third_order": 0.094, "crystal": 0.95, "neural": 15.0, "cracks": None,
         "diffusion": None}  # fmt: skip
 """Error on the unseen disks that is not to be passed [%], of laws learned from graphene."""
+COMMANDS = {
+    "branching": (
+        "--spacing 1e-3 --ratio 3 --time 4e-6 --out . --series",
+        lambda found: found["nodes"] == 4000 and Path("series/motion.pvd").exists()
+        and Path("damage.png").stat().st_size > 5000,
+    ),
+    "plate_with_hole": (
+        "--spacing 1 --horizon 3 --radius 8 --half 32 --size 0.6 --model model.json --out .",
+        lambda found: found["u_error"] < 5e-4 and found["hoop_stress_error"] < 0.01,
+    ),
+    "inclusion_from_displacement": ("--side 14 --steps 25", lambda found: found["map error"] < 0.2),
+    "waves_to_map": (
+        "--side 20 --iterations 12",
+        lambda found: all(found[name] < 0.6 * found[f"{name} at start"] for name in ("κ", "μ")),
+    ),
+    "toughness_from_crack": (
+        "--json --iterations 5 --out .", lambda found: found["error of stretch"] < 0.1
+    ),
+}  # fmt: skip
+"""Options of a small size, and what holds of the numbers printed."""
 
 
 @parametrize("name", LAWS)
@@ -45,28 +65,6 @@ def test_a_law_in_a_few_lines(name, graphene, tmp_path, monkeypatch):
 )
 def test_a_script_finds_its_number(name, number, value):
     assert importlib.import_module(f"examples.{name}").numbers[number] == value
-
-
-COMMANDS = {
-    "branching": (
-        "--spacing 1e-3 --ratio 3 --time 4e-6 --out . --series",
-        lambda found: found["nodes"] == 4000 and Path("series/motion.pvd").exists()
-        and Path("damage.png").stat().st_size > 5000,
-    ),
-    "plate_with_hole": (
-        "--spacing 1 --horizon 3 --radius 8 --half 32 --size 0.6 --model model.json --out .",
-        lambda found: found["u_error"] < 5e-4 and found["hoop_stress_error"] < 0.01,
-    ),
-    "inclusion_from_displacement": ("--side 14 --steps 25", lambda found: found["map error"] < 0.2),
-    "waves_to_map": (
-        "--side 20 --iterations 12",
-        lambda found: all(found[name] < 0.6 * found[f"{name} at start"] for name in ("κ", "μ")),
-    ),
-    "toughness_from_crack": (
-        "--json --iterations 5 --out .", lambda found: found["error of stretch"] < 0.1
-    ),
-}  # fmt: skip
-"""Options of a small size, and what holds of the numbers printed."""
 
 
 @filterwarnings("ignore:loads")

@@ -27,6 +27,9 @@ from warp_peri.points.mesh import REST, make_mesh
 from warp_peri.points.outlines import Circle, box, mesh_outline
 
 SPACING, RADIUS, HALF, TENSION = 1.0, 8.0, 32.0, 0.005
+TURNED = {2: 20.0, 3: ((0.6, -0.8, 0.0), (0.8, 0.6, 0.0), (0.0, 0.0, 1.0))}
+SIDES = ("left", "right", "top", "bottom")
+holed = lambda: mesh_outline(box(60, 60), [Circle(10, size=1.0)], size=2.0)
 
 
 @shared
@@ -137,11 +140,6 @@ def test_the_body_asks_for_a_finer_lattice_and_so_do_short_waves():
     assert tried[-1].spacing == 1.5
     assert tried[0].verdict == "the waves of the load are not resolved"
     assert tried[0].wave_error > 0.005
-
-
-TURNED = {2: 20.0, 3: ((0.6, -0.8, 0.0), (0.8, 0.6, 0.0), (0.0, 0.0, 1.0))}
-SIDES = ("left", "right", "top", "bottom")
-holed = lambda: mesh_outline(box(60, 60), [Circle(10, size=1.0)], size=2.0)
 
 
 def ball():

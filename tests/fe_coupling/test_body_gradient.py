@@ -15,6 +15,10 @@ from warp_peri.solvers import linear
 MESH = plate(8.0, 32.0, 8, 40)
 stretch = lambda x: np.stack([0.01 * x[:, 0], 0.003 * np.sin(x[:, 0] / 9)], axis=1)
 wave = lambda x: np.stack([np.cos(x[:, 1] / 8), 0 * x[:, 0]], axis=1)
+H = 2.5
+LINE = H * np.arange(-12, 13)
+NODES = np.stack(np.meshgrid(LINE, LINE, indexing="ij"), axis=-1).reshape(-1, 2)
+felt = lambda b: BodyLoads({}, {}, b).density(NODES, H)
 
 
 def solved(mesh=MESH, *, lam=0.0, mu=0.0, hold=0.0, pull=0.0, push=0.0):
@@ -77,12 +81,6 @@ def test_what_does_not_fit_is_refused():
         "expected parts that are held": lambda: gradient.along(displacement={"hole": (1.0, 0.0)}),
         "1 positions are outside the mesh": lambda: solution.probe(np.zeros((1, 2))),
     })  # fmt: skip
-
-
-H = 2.5
-LINE = H * np.arange(-12, 13)
-NODES = np.stack(np.meshgrid(LINE, LINE, indexing="ij"), axis=-1).reshape(-1, 2)
-felt = lambda b: BodyLoads({}, {}, b).density(NODES, H)
 
 
 def test_quadratic_densities_are_felt_as_they_are():

@@ -16,6 +16,8 @@ from warp_peri.export import write_vtk
 from warp_peri.materials.lps_operator import node_fields
 
 HORIZON = 2.5
+symmetric = lambda six: six[:, [[0, 3, 5], [3, 1, 4], [5, 4, 2]]]
+"""VTK's order of a symmetric tensor: XX, YY, ZZ, XY, YZ, XZ."""
 
 
 @pytest.fixture
@@ -56,11 +58,6 @@ def test_fields_for_paraview(points, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "meshio", None)
     with refused(r"warp_peri\[export\]"):
         write_vtk(tmp_path, model, points, u)
-
-
-def symmetric(six):
-    """VTK's order of a symmetric tensor: XX, YY, ZZ, XY, YZ, XZ."""
-    return six[:, [[0, 3, 5], [3, 1, 4], [5, 4, 2]]]
 
 
 def test_fields_in_space(tmp_path):

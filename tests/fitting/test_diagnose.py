@@ -21,6 +21,14 @@ from warp_peri.materials.lps_operator import LPSOperator
 HORIZON = 2.5
 MODEL = kernel("positive", HORIZON, lam=0.1, mu=0.7)
 COUNT = 24
+PLANTED = {
+    "dispersion": lambda samples: kernel("steep", HORIZON, lam=0.4, mu=0.7).on(samples)(samples.u),
+    "anisotropy": lambda samples: families(samples)["anisotropy"][0][..., 1],
+    "nonlinearity": lambda samples: families(samples)["nonlinearity"][0][..., [3, 20]].sum(axis=-1),
+    "heterogeneity": lambda samples: (
+        samples.b[:, samples.interior] * normal((samples.interior.sum(), 1))
+    ),
+}
 
 
 @shared
@@ -42,16 +50,6 @@ def families(samples):
     for name, columns in _families(samples, LPSOperator(MODEL, samples.points), inside, 0.0):
         found.setdefault(name, []).append(columns)
     return found
-
-
-PLANTED = {
-    "dispersion": lambda samples: kernel("steep", HORIZON, lam=0.4, mu=0.7).on(samples)(samples.u),
-    "anisotropy": lambda samples: families(samples)["anisotropy"][0][..., 1],
-    "nonlinearity": lambda samples: families(samples)["nonlinearity"][0][..., [3, 20]].sum(axis=-1),
-    "heterogeneity": lambda samples: (
-        samples.b[:, samples.interior] * normal((samples.interior.sum(), 1))
-    ),
-}
 
 
 @parametrize("cause", PLANTED)

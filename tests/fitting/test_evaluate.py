@@ -20,6 +20,10 @@ from warp_peri.methods import bootstrap
 HORIZON = 3.0
 MODEL = kernel("sign-changing", HORIZON)
 OTHER = kernel("positive", HORIZON)
+NOISE, LOADS = 0.3, 10
+POINTS = lattice(5, 2.0)
+quantities = lambda c: np.array([c, 1 / c, c**2])
+"""What is linear in the stiffness, and what is not."""
 
 
 @shared
@@ -90,10 +94,6 @@ def test_the_error_of_shape_does_not_see_rigid_motion(points):
     assert plain["E_shape"] > plain["E_u"]
 
 
-NOISE, LOADS = 0.3, 10
-POINTS = lattice(5, 2.0)
-
-
 class Springs:
     """b = c u at every node: one stiffness, by least squares over the loads."""
 
@@ -107,11 +107,6 @@ def noisy(seed):
     u = rng.normal(size=(LOADS, *POINTS.x.shape))
     size = NOISE * rng.uniform(0.5, 1.5, (LOADS, 1, 1))
     return wp.Samples(POINTS, u, u + size * rng.normal(size=u.shape))
-
-
-def quantities(c):
-    """What is linear in the stiffness, and what is not."""
-    return np.array([c, 1 / c, c**2])
 
 
 def test_a_band_leaves_half_of_the_rest_on_each_side():

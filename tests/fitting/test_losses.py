@@ -21,6 +21,15 @@ from warp_peri.materials.lps_stages import CollarResponse, WaveResponse, class_w
 from warp_peri.points.families import bond_classes
 
 NEAR_HORIZON = 2.5
+numbers = lambda alpha, D: [double(one) for one in (-0.2, 0.7, alpha, D)]
+"""λ, μ, α and D."""
+HORIZON, SIZE = 3.0, 0.02
+CLASSES = bond_classes(1.0, HORIZON)
+MODEL = kernel("sign-changing", HORIZON, lam=-0.2, mu=0.7)
+HERE = np.array([MODEL.lam, MODEL.mu, MODEL.alpha, *MODEL.D])
+NEAR = HERE * (1 + 0.03 * normal(len(HERE), 1))
+NEAR[2] = MODEL.alpha
+square = lambda rows, model: squares([rows], [CLASSES], model)
 
 
 def samples(spacing=1.0, seed=0):
@@ -44,11 +53,6 @@ def by_rows(sets, weights, lam, mu, alpha, D):
         p = torch.cat([mu * w, (lam - mu) * w[i] * w[j]])
         total += (torch.from_numpy(of.R) @ p - torch.from_numpy(of.y)).square().sum()
     return total
-
-
-def numbers(alpha, D):
-    """λ, μ, α and D."""
-    return [double(one) for one in (-0.2, 0.7, alpha, D)]
 
 
 @parametrize(
@@ -77,28 +81,15 @@ def test_the_loss_is_its_definition():
     assert found.item() == approx(np.mean(shares), rel=1e-11)
 
 
-HORIZON, SIZE = 3.0, 0.02
-CLASSES = bond_classes(1.0, HORIZON)
-MODEL = kernel("sign-changing", HORIZON, lam=-0.2, mu=0.7)
-
-
 def moved(x):
     """The model with other λ, μ, α and D."""
     numbers = dict(zip(("lam", "mu", "alpha"), x.tolist()))
     return replace(MODEL, **numbers, D=x[3:], certified_on=(1.0,))
 
 
-HERE = np.array([MODEL.lam, MODEL.mu, MODEL.alpha, *MODEL.D])
-NEAR = HERE * (1 + 0.03 * normal(len(HERE), 1))
-NEAR[2] = MODEL.alpha
-
-
 @shared
 def clean():
     return waves(MODEL)
-
-
-square = lambda rows, model: squares([rows], [CLASSES], model)
 
 
 def noise_rows(noise, weight):

@@ -24,6 +24,17 @@ from warp_peri.points.families import bond_classes
 
 LAM, MU = -0.2, 0.7
 ZETA = 0.01
+shares = lambda model, spacing=1.0: stiffnesses(model, bond_classes(spacing, model.horizon))
+"""μ K W / m of each bond class, and κ."""
+WANTED = {"horizon": 2.0, "kernel": Bernstein(2)}
+REFUSED = {
+    "needs fields of noise": {"loss": "corrected"},
+    "two-stage": {"loss": "output", "method": TwoStage()},
+    "moduli: expected .* with μ > 0": lambda: GaussNewton((0.3, -0.8)),
+    r"up to 1e\+100, .* got \(1e\+300, 1e\+300\)": lambda: GaussNewton((1e300, 1e300)),
+    r"moduli: expected \(λ, μ\)": lambda: GaussNewton((0.7,)),
+    "moduli: expected .* got 'held'": lambda: GaussNewton("held"),
+}
 
 
 def data(name, horizon, spacing=1.0):
@@ -31,11 +42,6 @@ def data(name, horizon, spacing=1.0):
     model = kernel(name, horizon, spacing, lam=LAM, mu=MU)
     points = lattice(6, horizon, spacing)
     return manufactured(model, points, 10, wave_number=2 / spacing), model
-
-
-def shares(model, spacing=1.0):
-    """μ K W / m of each bond class, and κ."""
-    return stiffnesses(model, bond_classes(spacing, model.horizon))
 
 
 def test_the_optimum_is_the_model_that_made_the_data():
@@ -172,17 +178,6 @@ def test_fields_of_local_elasticity_are_fitted_by_displacement():
     own = manufactured(kernel("1/r", 2.5), lattice(8, 2.5), 10)  # fields of the solid itself
     method = GaussNewton(moduli=(TRUE_LAM, TRUE_MU))
     assert fit(own, 2.5, Bernstein(4), method=method).loss.name == "residual"
-
-
-WANTED = {"horizon": 2.0, "kernel": Bernstein(2)}
-REFUSED = {
-    "needs fields of noise": {"loss": "corrected"},
-    "two-stage": {"loss": "output", "method": TwoStage()},
-    "moduli: expected .* with μ > 0": lambda: GaussNewton((0.3, -0.8)),
-    r"up to 1e\+100, .* got \(1e\+300, 1e\+300\)": lambda: GaussNewton((1e300, 1e300)),
-    r"moduli: expected \(λ, μ\)": lambda: GaussNewton((0.7,)),
-    "moduli: expected .* got 'held'": lambda: GaussNewton("held"),
-}
 
 
 def test_choices_settings_and_sets_that_cannot_be_learned_from_are_refused():

@@ -12,6 +12,17 @@ from warp_peri.materials.lps_law import BernsteinKernel, LPSFound, LPSLaw
 from warp_peri.methods import GaussNewton, StabilityConditions
 from warp_peri.points.families import bond_classes
 
+ONE = [bond_classes(1.0, 3.0)]  # 6 bond lengths
+TWO = [bond_classes(1.0, 3.0), bond_classes(0.8, 3.0)]  # 6 and 9, one of them in both
+CASES = {
+    "free exponent": (ONE, 3),
+    "redundant exponent": (ONE, 5),
+    "more coefficients than lengths": (ONE, 9),
+    "constant": (ONE, 0),
+    "two lattices": (TWO, 4),
+}
+back = lambda law, theta: law.found(Settled(theta, [], 0.0, [], 0.0, 0.0, 0)).solid
+
 
 def test_the_optimum_is_one():
     random = default_rng(0)
@@ -41,26 +52,12 @@ def test_bounds_that_do_not_matter_leave_least_squares_and_impossible_ones_are_r
     })  # fmt: skip
 
 
-ONE = [bond_classes(1.0, 3.0)]  # 6 bond lengths
-TWO = [bond_classes(1.0, 3.0), bond_classes(0.8, 3.0)]  # 6 and 9, one of them in both
-CASES = {
-    "free exponent": (ONE, 3),
-    "redundant exponent": (ONE, 5),
-    "more coefficients than lengths": (ONE, 9),
-    "constant": (ONE, 0),
-    "two lattices": (TWO, 4),
-}
-
-
 def law_of(lattices, D):
     """The law about λ = 0.2, μ = 0.7, α = 1.4 and D, and their θ."""
     given = LPSFound(LPSParameters(0.2, 0.7, 1.4, D))
     method = GaussNewton(moduli=None, smoothness=1e-3)
     law = LPSLaw(lattices, given, StabilityConditions(zeta=0.01), method)
     return law, law.start(given)
-
-
-back = lambda law, theta: law.found(Settled(theta, [], 0.0, [], 0.0, 0.0, 0)).solid
 
 
 def tables(classes, alpha, D):

@@ -21,9 +21,8 @@ RECOVERED = 1e-4
 residual of about 1e-8 and two Gaussians of nearly one width are told apart by a part of that."""
 
 
-def made(shape, count=2):
-    """Samples in equilibrium with the solid of a shape."""
-    return manufactured(solid(shape, 1.0), lattice(4, HORIZON), count)
+made = lambda shape, count=2: manufactured(solid(shape, 1.0), lattice(4, HORIZON), count)
+"""Samples in equilibrium with the solid of a shape."""
 
 
 @parametrize("name", ["gaussian", "sign-changing", "table"])

@@ -25,9 +25,11 @@ DILATATIONAL = 0.32260
 """4 ∫ c(z)² dz, c the share of a ball's Σ w r² beyond a plane at height z (theory, C6)."""
 
 
-def fields(u):
-    """Force and energy to fill."""
-    return zeros(len(u), dtype=wp.types.vector(u.shape[1], wp.float64)), zeros(len(u))
+fields = lambda u: (zeros(len(u), dtype=wp.types.vector(u.shape[1], wp.float64)), zeros(len(u)))
+"""Force and energy to fill."""
+T = (np.arange(2000) + 0.5) / 2000
+CROSSING = 9 * (((1 - T**4) / 2 - 2 / 3 * T * (1 - T**3)) ** 2).mean()
+"""(V5), an integral over the crossing bonds of K = 1/r in a ball."""
 
 
 def swept(operator, u, neighbour):
@@ -86,11 +88,6 @@ def test_an_uncut_interior_is_the_linear_peridynamic_solid(lam, points):
     with warned("certified"):
         whole = model.on(points, allow_uncertified=True)
     assert_allclose(-force[points.interior], whole(u), atol=1e-11)
-
-
-T = (np.arange(2000) + 0.5) / 2000
-CROSSING = 9 * (((1 - T**4) / 2 - 2 / 3 * T * (1 - T**3)) ** 2).mean()
-"""(V5), an integral over the crossing bonds of K = 1/r in a ball."""
 
 
 @parametrize(

@@ -16,6 +16,7 @@ from warp_peri.fracture.adjoint import SoftBody
 from warp_peri.fracture.statics import CutSolid
 
 MODEL, LINE = LPSMaterial(1.0, 1.0, 1.0, [1.0], 10.05), [(-30.0, 0.0), (30.0, 0.0)]
+CRACK = [[(-10, 0), (10, 0)]]
 
 
 def torn_problem():
@@ -27,9 +28,6 @@ def torn_problem():
     points = everywhere(x, 5.0)
     problem = Cracked(points, u=np.where(free, start, given), cracks=CRACK, free=free)
     return problem, np.abs(x[:, 1]) > 19.9
-
-
-CRACK = [[(-10, 0), (10, 0)]]
 
 
 def torn_plate(*law):

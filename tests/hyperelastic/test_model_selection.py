@@ -23,6 +23,10 @@ from warp_peri.points.outlines import Circle, box, mesh_outline
 from warp_peri.points.points import grid_places
 
 C1, C2 = 0.35, 0.15
+curves_of = lambda out: np.loadtxt(out / "curves.csv", delimiter=",", skiprows=1, unpack=True)
+"""Stretches, then stress and both ends of its band along each direction."""
+HGO = HyperelasticMaterial(hgo_dictionary(), np.array([0.3] * 4 + [0.0713, 0.0780, 0.2]), 0.1)
+"""Its deviations vanish in uniform strain."""
 
 
 def solid(*terms):
@@ -34,9 +38,8 @@ def solid(*terms):
 SHEET = solid((EnergyTerm("plane_stress"), C1), (EnergyTerm("mooney"), C2))
 
 
-def tension(s, c1=C1, c2=C2):
-    """Nominal stress of Mooney and Rivlin's sheet in uniaxial tension."""
-    return 2 * (s - s**-2) * (c1 + c2 / s)
+tension = lambda s, c1=C1, c2=C2: 2 * (s - s**-2) * (c1 + c2 / s)
+"""Nominal stress of Mooney and Rivlin's sheet in uniaxial tension."""
 
 
 def fields_of(material, points, bent):
@@ -56,11 +59,6 @@ def command(folder, out, *options):
     """What `fit-sheet` says in its file, or its status where that is not 0."""
     status = main(["fit-sheet", str(folder), "--even", "--out", str(out), *options])
     return status or of_json(out / "sheet.json")
-
-
-def curves_of(out):
-    """Stretches, then stress and both ends of its band along each direction."""
-    return np.loadtxt(out / "curves.csv", delimiter=",", skiprows=1, unpack=True)
 
 
 def test_uniaxial_tension_is_that_of_the_formula():
@@ -195,10 +193,6 @@ def test_a_rubber_sheet_with_a_hole_pulls_as_it_should(tmp_path, error):
     (folder := tmp_path / "cut").mkdir()
     table(folder, cut, [0.1 * cut, 0.2 * cut, 0.3 * cut, 0.4 * cut])
     assert command(folder, tmp_path / "out", "--stress", "1", "--along", "y") == 2
-
-
-HGO = HyperelasticMaterial(hgo_dictionary(), np.array([0.3] * 4 + [0.0713, 0.0780, 0.2]), 0.1)
-"""Its deviations vanish in uniform strain."""
 
 
 def of_febio(text, F):

@@ -21,6 +21,14 @@ from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.points.points import Points, grid_places
 from warp_peri.testing import check_energy, check_product
 
+POINTS, HGO = square(4), hgo_dictionary()
+FRAMES = wp.Samples(POINTS, np.stack([waves(POINTS, 0.3, seed) for seed in range(3)]))
+LOADS = wp.Samples(POINTS, FRAMES.u, np.ones_like(FRAMES.u))
+AFFINE = np.stack([0.1 * POINTS.x, POINTS.x @ [[0.2, 0.1], [0.0, 0.3]]])
+ALL, FEW = np.ones(len(POINTS.x), bool), POINTS.interior.copy()
+FEW[np.flatnonzero(FEW)[3:]] = False
+BOND = (EnergyTerm("neo_hookean"), EnergyTerm("fibre_exponential", step=(1, 0)))
+
 
 @pytest.fixture(scope="module", params=["even", "uneven"])
 def problem(request):
@@ -127,15 +135,6 @@ def test_every_coefficient_has_a_label_and_terms_without_one_can_go():
     kinds = [term.kind for term in solid.sparse.dictionary.terms]
     assert kinds == ["neo_hookean", "fibre_exponential"]
     assert solid.sparse.coefficients.tolist() == [0, 0, 0, 0.1, 0.07, 0.2]
-
-
-POINTS, HGO = square(4), hgo_dictionary()
-FRAMES = wp.Samples(POINTS, np.stack([waves(POINTS, 0.3, seed) for seed in range(3)]))
-LOADS = wp.Samples(POINTS, FRAMES.u, np.ones_like(FRAMES.u))
-AFFINE = np.stack([0.1 * POINTS.x, POINTS.x @ [[0.2, 0.1], [0.0, 0.3]]])
-ALL, FEW = np.ones(len(POINTS.x), bool), POINTS.interior.copy()
-FEW[np.flatnonzero(FEW)[3:]] = False
-BOND = (EnergyTerm("neo_hookean"), EnergyTerm("fibre_exponential", step=(1, 0)))
 
 
 def solid(dictionary, count=None):

@@ -31,14 +31,12 @@ STEPS = {"u": 10.0, "lam": 10.0, "mu": 10.0, "alpha": 0.1, "D": 0.02}
 error = lambda value, expected: np.abs(value - expected).max() / np.abs(expected).max()
 
 
-def halved(points):
-    """The interior without the half that is cut away."""
-    return problems.cut(points, points.x[:, 0] > points.x[points.interior, 0].mean())
+halved = lambda points: problems.cut(points, points.x[:, 0] > points.x[points.interior, 0].mean())
+"""The interior without the half that is cut away."""
 
 
-def across(points):
-    """Numbered along the other axis."""
-    return problems.renumbered(points, np.lexsort(points.x.T))
+across = lambda points: problems.renumbered(points, np.lexsort(points.x.T))
+"""Numbered along the other axis."""
 
 
 KINDS = {

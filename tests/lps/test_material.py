@@ -18,6 +18,12 @@ from warp_peri.materials.lps_law import ShapeKernel
 from warp_peri.materials.lps_operator import node_fields
 from warp_peri.points.families import bond_classes
 
+KNOWN = {"lam": 0.3, "mu": 0.8, "alpha": 1.0, "D": [1.0], "horizon": 3.0}
+made = lambda function, **parameters: lambda: InfluenceFunction(function, parameters)(LENGTHS)
+bounded = lambda bounds: lambda: InfluenceFunction(gaussian, {"width": 2.0}, bounds)
+numbers = lambda **change: lambda: LPSMaterial(**KNOWN | change)
+tabled = lambda *r: lambda: table(r, [1.0, 0.5]).coefficients(LENGTHS, HORIZON)
+
 
 def test_continuum_constants_are_those_of_plane_stress_and_of_space():
     model, deep = LPSMaterial(0.4, 0.8, 1.0, [1.0], 3.0), clouds.solid(2.5)
@@ -68,13 +74,6 @@ def test_slopes_beside_zero_and_at_the_bounds_and_those_of_the_formula():
         assert_allclose(shape.slopes(LENGTHS), expected, atol=1e-10)
     expected = 2 * LENGTHS**2 / 1.9**3 * gaussian(LENGTHS, 1.9)
     assert_allclose(SHAPES["gaussian"].slopes(LENGTHS)[:, 0], expected, rtol=1e-11)
-
-
-KNOWN = {"lam": 0.3, "mu": 0.8, "alpha": 1.0, "D": [1.0], "horizon": 3.0}
-made = lambda function, **parameters: lambda: InfluenceFunction(function, parameters)(LENGTHS)
-bounded = lambda bounds: lambda: InfluenceFunction(gaussian, {"width": 2.0}, bounds)
-numbers = lambda **change: lambda: LPSMaterial(**KNOWN | change)
-tabled = lambda *r: lambda: table(r, [1.0, 0.5]).coefficients(LENGTHS, HORIZON)
 
 
 def vanishing():

@@ -28,6 +28,8 @@ from warp_peri.transfers import mean_spacing, on_lattice, onto_lattice
 
 HOME = replace(kernel("1/r", 3.0), largest_wave_number=2.0)
 dispersion = lambda model, spacing, k: model.stencil(spacing).symbol(spacing * k)
+ASKED = {"spacing": 0.8, "largest_horizon": 1.6}
+CLOUD = cloud(11, 1.0, 0.35)
 
 
 @shared
@@ -96,9 +98,6 @@ def test_the_shortest_waves_of_loads():
     assert largest_wave_number(replace(samples, b=0 * b)) is None
     assert largest_wave_number(replace(samples, points=replace(points, spacing=0.0))) is None
     assert largest_wave_number(replace(samples, b=None)) is None
-
-
-ASKED = {"spacing": 0.8, "largest_horizon": 1.6}
 
 
 @pytest.fixture(autouse=True)
@@ -198,9 +197,6 @@ def test_scattered_points_are_refused_with_both_ways_on():
     for law in (wp.LPS(3.0), crystal, wp.ThirdOrder(crystal, Smoothing(2.0))):
         with refused(r"got scattered points; transfers\.onto_lattice"):
             wp.fit(wp.Samples(points, u, u), law)
-
-
-CLOUD = cloud(11, 1.0, 0.35)
 
 
 def test_quadratic_fields_are_carried_as_they_are_by_quintic_splines():

@@ -29,8 +29,7 @@ TOLERANCE = {2: 1e-10, 3: 1e-8}
 SWING = {"density": 2000.0, "step": 1e-3, "every": 4}
 
 
-def digest(values):
-    return hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()
+digest = lambda values: hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()
 
 
 def kept(folder, name, points, values):

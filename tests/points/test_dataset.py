@@ -28,6 +28,7 @@ SETS = {
     "space": Samples(CUBE, noise(CUBE, 2), noise(CUBE, 2)),
 }
 DATA = Dataset(SETS, 3.35, 2267.0, {"seed": 1, "L": [1.5, None]})
+attribute = lambda key, value, group="/": lambda file: file[group].attrs.__setitem__(key, value)
 
 
 @pytest.fixture
@@ -51,10 +52,6 @@ def test_a_file_keeps_every_bit_and_says_what_it_is(path):
     assert_array_equal(back["train"].arrays["snr"], ARRAYS["snr"])
     with refused("b: expected loads, got samples whose loads are not"):
         _ = back["cut"].loads
-
-
-def attribute(key, value, group="/"):
-    return lambda file: file[group].attrs.__setitem__(key, value)
 
 
 def put(key, value=None, **options):

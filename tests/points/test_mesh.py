@@ -23,6 +23,15 @@ for order in itertools.permutations(np.eye(3, dtype=int).tolist()):
     walk = np.cumsum([(0, 0, 0), *order], axis=0)
     turn = {(0, 0): 0, (1, 0): 1, (1, 1): 2, (0, 1): 3}
     SIXTHS.append([turn[x, y] + 4 * z for x, y, z in walk.tolist()])
+counts = lambda mesh: {name: len(part) for name, part in mesh.parts.items()}
+NODES = "*NODE\n" + "".join(
+    f"{10 * n + 1}, {x}., {y}.\n"
+    for n, (x, y) in enumerate([(0, 0), (3, 0), (6, 0), (0, 2), (3, 2), (6, 2)])
+)
+CELLS = "*ELEMENT, TYPE=CPS4R, ELSET=plate\n7, 1, 11, 41,\n31\n9, 11, 21, 51, 41\n"
+PLATE = f"*HEADING\nA plate, 12 of area\n{NODES}{CELLS}"
+PART = f"*PART, NAME=P\n{NODES}{CELLS}*END PART\n*ASSEMBLY, NAME=A\n"
+INSTANCE = "*INSTANCE, NAME={}, PART=P\n{}*END INSTANCE\n"
 
 
 def grid(*sides, size=1.0, origin=0.0):
@@ -51,9 +60,6 @@ def joined(*grids):
     first = np.cumsum([0, *(len(x) for x, _ in grids)])
     cells = [cells + n for (_, cells), n in zip(grids, first)]
     return np.concatenate([x for x, _ in grids]), np.concatenate(cells)
-
-
-counts = lambda mesh: {name: len(part) for name, part in mesh.parts.items()}
 
 
 @parametrize("unit", [2.0**-40, 8.0, 2.0**40])
@@ -261,16 +267,6 @@ def test_numbers_of_converted_files_are_parts(tmp_path):
     cube = load_mesh(tmp_path / "b.vtu")
     assert counts(cube) == {"3": 1, "4": 1, REST: 10}
     assert size(cube) == approx(1)
-
-
-NODES = "*NODE\n" + "".join(
-    f"{10 * n + 1}, {x}., {y}.\n"
-    for n, (x, y) in enumerate([(0, 0), (3, 0), (6, 0), (0, 2), (3, 2), (6, 2)])
-)
-CELLS = "*ELEMENT, TYPE=CPS4R, ELSET=plate\n7, 1, 11, 41,\n31\n9, 11, 21, 51, 41\n"
-PLATE = f"*HEADING\nA plate, 12 of area\n{NODES}{CELLS}"
-PART = f"*PART, NAME=P\n{NODES}{CELLS}*END PART\n*ASSEMBLY, NAME=A\n"
-INSTANCE = "*INSTANCE, NAME={}, PART=P\n{}*END INSTANCE\n"
 
 
 def abaqus(tmp_path, text):

@@ -16,15 +16,12 @@ from warp_peri.problems import Dirichlet, simulate
 from warp_peri.solvers.verlet import INERTIA, Inert, inertia, march, step
 
 DENSITY = 2147.0
+largest = lambda model, k, spacing=1.0: eigvalsh(symbol(model, k, spacing))[:, 1]
+"""Λmax D(k)."""
 
 
 def moved(model, points, u, v, b=None, **options):
     return simulate(model, Dirichlet(points, b, u), v=v, density=DENSITY, **options)
-
-
-def largest(model, k, spacing=1.0):
-    """Λmax D(k)."""
-    return eigvalsh(symbol(model, k, spacing))[:, 1]
 
 
 def box_of(model, spacing):

@@ -20,6 +20,7 @@ from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.solvers.linear import prolong, restrict
 
 HORIZON = 3.0
+linear_of = lambda points, model: LPSOperator(model, points).linear
 
 
 def notched(n=40):
@@ -50,9 +51,6 @@ def test_solves_recover_a_manufactured_solution_whatever_is_not_read(method):
     assert all(record.residual <= 1e-11 and record.iterations > 1 for record in records)
     size = norm(points.b[:, points.interior].reshape(2, -1), axis=1)
     assert (norm(left, axis=1) < 1e-9 * size).all()  # by the sweeps, not the stencil
-
-
-linear_of = lambda points, model: LPSOperator(model, points).linear
 
 
 @parametrize("kind", ["sine", "multigrid", "fft"])

@@ -20,14 +20,12 @@ from warp_peri.solvers.verlet import inertia
 pytestmark = filterwarnings("ignore:spacing. the model is certified")
 LENGTH = 2.0
 NUMBERS = np.array([8, 16, 32])
+scattered = lambda number, horizon, seed=0: cloud(number, horizon, seed=seed, length=LENGTH)
 
 
 def ordered(number, horizon):
     points = lattice(number, horizon, LENGTH / number)
     return replace(points, x=points.x + LENGTH / number / 2)
-
-
-scattered = lambda number, horizon, seed=0: cloud(number, horizon, seed=seed, length=LENGTH)
 
 
 def orders(make, ratio, stiffer):

@@ -17,6 +17,8 @@ from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.solvers.linear import DIRECT
 
 HORIZON = 3.0  # at which all of them are
+passing = lambda a: LPSMaterial(0.3, 0.8, 1.0, [1.0, a, 0.3], HORIZON, certified_on=(1.0,))
+"""A kernel that passes through singular ones as a grows, taken as certified."""
 
 
 def test_the_residual_is_that_of_the_worst_load():
@@ -48,11 +50,6 @@ def test_a_model_that_is_certified_nowhere_is_proven_where_it_is_asked():
     assert model.certified_on == ()
     with refused("certified on no spacing, not on 1 Å"):
         at_rest(model, Dirichlet(points, b, u), transfer=False)
-
-
-def passing(a):
-    """A kernel that passes through singular ones as a grows, taken as certified."""
-    return LPSMaterial(0.3, 0.8, 1.0, [1.0, a, 0.3], HORIZON, certified_on=(1.0,))
 
 
 def smallest_eigenvalue(a, points):

@@ -23,9 +23,8 @@ shared = pytest.fixture(scope="module")
 """Makes a fixture once for all tests of a file."""
 
 
-def of_json(path):
-    """What a file of JSON holds."""
-    return json.loads(path.read_text("utf-8"))
+of_json = lambda path: json.loads(path.read_text("utf-8"))
+"""What a file of JSON holds."""
 
 
 def masked(values, place=0):

@@ -26,6 +26,19 @@ from warp_peri.points.families import bond_classes
 H = np.array([[0.02, 0.03], [-0.01, -0.015]])
 """A displacement gradient."""
 OTHER = ("nm", "GPa")
+third_order = lambda form: lambda: replace(solid(form), proven={"strain": 0.03}, provenance={})
+network = lambda: NeuralOperator(3.0, (6, 8), (10, 12), proportional=True).double()
+"""Springs of either sign, as untrained networks are; few numbers, so few kinks."""
+own_energy = lambda: wp.DensityMaterial.of(saint_venant, 1.0, {"lam": 0.4, "mu": 0.9})
+solved_samples = lambda op: loaded(op, uneven(op.points, 2))
+frozen = lambda: network().requires_grad_(False).on(LAWS["neural operator"].points(4))
+"""A network of single precision whose numbers ask for no gradient."""
+tensor = lambda op, *lead, seed=0: torch.from_numpy(field(op, *lead, seed=seed))
+"""A field as a tensor."""
+tensors = lambda op, *lead, count=2: [tensor(op, *lead, seed=n) for n in range(count)]
+"""Several of them, no two alike."""
+double = lambda value: torch.tensor(value, dtype=torch.float64)
+"""A number or an array in double precision."""
 
 
 @dataclass(frozen=True)
@@ -78,10 +91,6 @@ def linear(name, **moduli):
     return made
 
 
-def third_order(form):
-    return lambda: replace(solid(form), proven={"strain": 0.03}, provenance={})
-
-
 def hyperelastic():
     """Of energies with a second derivative everywhere, and directions of its own."""
     kinds = ("neo_hookean",), ("volumetric",), ("fibre_power", 1.2, 4.0), ("mooney",)
@@ -97,17 +106,8 @@ def springs():
     return Springs(1.0, 3.0, [0.1, 0.2, 0.3]).certified()
 
 
-def network():
-    """Springs of either sign, as untrained networks are; few numbers, so few kinks."""
-    return NeuralOperator(3.0, (6, 8), (10, 12), proportional=True).double()
-
-
 def saint_venant(E, lam, mu):
     return lam / 2 * E.diagonal(dim1=-2, dim2=-1).sum(-1) ** 2 + mu * (E * E).sum((-1, -2))
-
-
-def own_energy():
-    return wp.DensityMaterial.of(saint_venant, 1.0, {"lam": 0.4, "mu": 0.9})
 
 
 def isotropic(lam, mu, H):
@@ -175,10 +175,6 @@ def uneven(points, samples=None):
     return fields if samples else fields[0]
 
 
-def solved_samples(op):
-    return loaded(op, uneven(op.points, 2))
-
-
 def scattered():
     return kernel("1/r", 3.0).on(clouds.cloud(5, 3.0, 0.45, seed=3), allow_uncertified=True)
 
@@ -211,11 +207,6 @@ def cut():
     held[np.flatnonzero(points.interior)[3], 0] = True
     crack = [[(-2.0, 0.1), (1.0, 0.1)]]
     return CutSolid(model, lattice_body(points.x, 1.0, 3.0), held, cracks=crack)
-
-
-def frozen():
-    """A network of single precision whose numbers ask for no gradient."""
-    return network().requires_grad_(False).on(LAWS["neural operator"].points(4))
 
 
 def in_space(of=lambda model: model):
@@ -253,21 +244,6 @@ def field(op, *lead, seed=0):
     size = 0.01 * getattr(op.points, "spacing", 0) or 0.01
     u = size * normal((*lead, *op.shape), seed)
     return u + 2 * size * np.sin(op.points.x[:, 0]).reshape(-1, *[1] * (len(op.shape) - 1))
-
-
-def tensor(op, *lead, seed=0):
-    """A field as a tensor."""
-    return torch.from_numpy(field(op, *lead, seed=seed))
-
-
-def tensors(op, *lead, count=2):
-    """Several of them, no two alike."""
-    return [tensor(op, *lead, seed=n) for n in range(count)]
-
-
-def double(value):
-    """A number or an array in double precision."""
-    return torch.tensor(value, dtype=torch.float64)
 
 
 def seeded(values):

@@ -22,6 +22,17 @@ KERNELS = {
     "growing": {"alpha": -0.5, "D": [1.0, 0.3, 0.6]},
 }
 """Influence functions of several kinds."""
+everywhere = lambda x, spacing=1.0, **told: Points(x, np.ones(len(x), bool), spacing, **told)
+"""Points without a collar."""
+on_interior = lambda points, inside, beside=0.0: np.where(points.interior[:, None], inside, beside)
+"""Values of the interior, and others beside it."""
+cut = lambda points, outside: replace(points, interior=points.interior & ~outside, outside=outside)
+"""Points with an interior less what is outside of the body."""
+normal = lambda shape, seed=0: default_rng(seed).normal(size=shape)
+"""Normal random numbers."""
+STENCILS = {2: (1 / 2,), 4: (2 / 3, -1 / 12), 8: (4 / 5, -1 / 5, 4 / 105, -1 / 280)}
+fitted_order = lambda spacings, errors: np.polyfit(np.log(spacings), np.log(errors), 1)[0]
+"""Slope of the error over the spacing on logarithmic axes."""
 
 
 def kernel(name, horizon, spacing=1.0, lam=LAM, mu=MU):
@@ -48,24 +59,9 @@ def lattice(interior, horizon, spacing=1.0, angle=0.0, origin=0.0):
     return Points(x + origin, mask.ravel(), spacing, axis=axis)
 
 
-def everywhere(x, spacing=1.0, **told):
-    """Points without a collar."""
-    return Points(x, np.ones(len(x), bool), spacing, **told)
-
-
-def on_interior(points, inside, beside=0.0):
-    """Values of the interior, and others beside it."""
-    return np.where(points.interior[:, None], inside, beside)
-
-
 def assert_balanced(force):
     """That forces on all that they pull at have no sum."""
     assert np.abs(force.sum(axis=0)).max() <= 1e-12 * np.abs(force).sum()
-
-
-def cut(points, outside):
-    """Points with an interior less what is outside of the body."""
-    return replace(points, interior=points.interior & ~outside, outside=outside)
 
 
 def ell():
@@ -91,11 +87,6 @@ def partly_periodic():
 def renumbered(points, order):
     """Points in another order."""
     return replace(points, x=points.x[order], interior=points.interior[order])
-
-
-def normal(shape, seed=0):
-    """Normal random numbers."""
-    return default_rng(seed).normal(size=shape)
 
 
 def noise(points, samples=None, seed=0):
@@ -125,9 +116,6 @@ def manufactured(model, points, samples, seed=0, wave_number=1.2, **options):
     return loaded(model.on(points, **options), smooth(points.x, samples, seed, wave_number))
 
 
-STENCILS = {2: (1 / 2,), 4: (2 / 3, -1 / 12), 8: (4 / 5, -1 / 5, 4 / 105, -1 / 280)}
-
-
 def difference(function, point, step, order=8):
     """Derivatives of a function of a vector by central differences; shape [vector, …]."""
     point = np.asarray(point, dtype=float)
@@ -138,8 +126,3 @@ def difference(function, point, step, order=8):
             sum(c * (function(point + n * e) - function(point - n * e)) for n, c in pairs) / step
         )
     return np.array(out)
-
-
-def fitted_order(spacings, errors):
-    """Slope of the error over the spacing on logarithmic axes."""
-    return np.polyfit(np.log(spacings), np.log(errors), 1)[0]

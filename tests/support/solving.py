@@ -3,9 +3,7 @@
 from warp_peri import LPS, Dirichlet
 from warp_peri import solve as solved
 
-
-def solve(model, points, b, u, **options):
-    return solved(model, Dirichlet(points, b, u), **options).u
+solve = lambda model, points, b, u, **options: solved(model, Dirichlet(points, b, u), **options).u
 
 
 def fit(samples, horizon, kernel=None, *, noise=None, progress=None, **options):

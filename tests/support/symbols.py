@@ -16,6 +16,9 @@ from warp_peri.materials.lps_law import product_basis
 from warp_peri.points.families import bond_classes
 from warp_peri.points.points import nodes_of
 
+smallest = lambda D, k: eigvalsh(D)[:, 0] / laplacian(k)
+"""Λmin / s, shape [K]."""
+
 
 def zone(count, d=2):
     """Wave vectors of a grid over the zone, [count^d, d]."""
@@ -36,11 +39,6 @@ def symbol(model, k, spacing=1.0):
     """D(k) of a model."""
     classes = bond_classes(spacing, model.horizon)
     return form(classes, k, *stiffnesses(model, classes))
-
-
-def smallest(D, k):
-    """Λmin / s, shape [K]."""
-    return eigvalsh(D)[:, 0] / laplacian(k)
 
 
 def smallest_margins(classes, conditions, v, kappa):

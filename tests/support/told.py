@@ -4,15 +4,12 @@ import pytest
 
 from warp_peri import InputError
 
-
-def refused(words):
-    """That what is asked inside is refused in these words, a pattern."""
-    return pytest.raises(InputError, match=words)
+refused = lambda words: pytest.raises(InputError, match=words)
+"""That what is asked inside is refused in these words, a pattern."""
 
 
-def warned(words):
-    """That what is done inside warns in these words, a pattern."""
-    return pytest.warns(UserWarning, match=words)
+warned = lambda words: pytest.warns(UserWarning, match=words)
+"""That what is done inside warns in these words, a pattern."""
 
 
 def each_refused(call, table):

@@ -27,6 +27,8 @@ from warp_peri.core.elastic import plane_isotropic, voigt_to_tensor
 from warp_peri.points.dataset import load_dataset
 from warp_peri.points.points import grid_places
 
+C = np.array([[1.3, 0.3, 0.1], [0.3, 0.9, -0.05], [0.1, -0.05, 0.4]])
+
 
 def test_graphene_is_made_once_and_a_load_that_fails_keeps_the_rest(tmp_path, monkeypatch, capsys):
     small = {"SHEET_CELLS": (8, 5), "DISK_RADIUS": 65.0, "REACH": 60.0, "TEST": [RimLoad(3)]}
@@ -114,9 +116,6 @@ def test_elements_have_the_slopes_of_their_forces_and_data_resume(tmp_path):
     sample(tmp_path / "b", Material(), "square", 1001)  # was solved before it stopped
     again = make_hgo(tmp_path / "b", counts=counts, jobs=1, progress=False)
     assert all(np.array_equal(first[name].u, again[name].u) for name in ("train", "val"))
-
-
-C = np.array([[1.3, 0.3, 0.1], [0.3, 0.9, -0.05], [0.1, -0.05, 0.4]])
 
 
 def test_elements_of_local_elasticity_are_of_fourth_order_in_the_wave_length():
