@@ -45,7 +45,7 @@ def test_every_atom_is_shared_out_completely_among_the_nodes_of_a_period():
     box = (4 * H, 4 * H)
     wide = smoothing_matrix(ATOMS % box, nodes(-3, 7), radius=4.0, box=box, spacing=H)
     grid = wide.toarray().reshape(10, 10, -1)
-    assert_allclose(grid[3:7, 3:7].sum(axis=(0, 1)), 1, rtol=ROUNDING)
+    assert_allclose(grid[3:7, 3:7].sum((0, 1)), 1, rtol=ROUNDING)
     assert_allclose(grid[4:, 4:], grid[:6, :6], atol=ROUNDING)
     for atoms, period in ((ATOMS, None), ([[50.0, 50.0]], (100.0, 100.0))):
         far = smoothing_matrix(atoms, nodes(0, 2) - 90.0, radius=4.0, box=period, spacing=H)

@@ -107,7 +107,7 @@ def test_disorder_that_relaxes_away_leaves_the_crystal(flat):
     fractions = found.cell.get_scaled_positions()
     turns = group_of_structure(np.array(found.cell.cell), fractions, found.cell.numbers)
     whole = np.rint(turns)
-    exact = np.abs(turns - whole).max(axis=(1, 2)) < 1e-12
+    exact = np.abs(turns - whole).max((1, 2)) < 1e-12
     assert exact.sum() == (4 if flat else 48) * (2 if flat else 1)
 
 

@@ -158,7 +158,7 @@ def test_a_node_outside_pulls_nothing_of_a_coupled_solid():
 
 def cracked(inner):
     x = rectangle_nodes(12.0, 12.0, 1.0)
-    points = wp.Points(x, (np.abs(x) < inner).all(axis=1), 1.0)
+    points = wp.Points(x, (np.abs(x) < inner).all(1), 1.0)
     return points, 1e-4 * x, [[[-6.5, 0.0], [0.0, 0.0]]]
 
 
@@ -386,7 +386,7 @@ def test_what_watches_damage_is_named_once_gives_numbers_and_changes_nothing():
 
 def test_tensors_beside_a_pressure_and_numbers_of_no_dimension():
     x, pressure = rectangle_nodes(8.0, 8.0, 1.0), 1e-3 * np.eye(2)
-    points = wp.Points(x, np.abs(x).max(axis=1) < 3, 1.0)
+    points = wp.Points(x, np.abs(x).max(1) < 3, 1.0)
     body = Cracked(points, torch.zeros(x.shape), 0 * x, [[(-2, 0), (2, 0)]], pressure=pressure)
     both = (wp.solve(solid().model, one).u for one in (body, replace(body, b=None)))
     assert_allclose(*map(np.asarray, both), atol=1e-12)

@@ -14,17 +14,8 @@ from torch.autograd import forward_ad, functional, grad, gradgradcheck
 
 import warp_peri as wp
 from tests.support import assert_refused, filterwarnings, masked, near, parametrize, refused
-from tests.support.materials import (
-    LAWS,
-    LINEAR,
-    OPERATORS,
-    double,
-    field,
-    operator,
-    seeded,
-    tensor,
-    tensors,
-)
+from tests.support.fields import double, field, seeded, tensor, tensors
+from tests.support.materials import LAWS, LINEAR, OPERATORS, operator
 from tests.support.problems import kernel, lattice, normal
 from warp_peri.errors import ALONE
 

@@ -10,18 +10,8 @@ from torch.autograd import grad
 import warp_peri as wp
 from tests.gradients.cases import assert_slopes, given, loss, solver_of
 from tests.support import filterwarnings, parametrize, refused
-from tests.support.materials import (
-    FLOWS,
-    KINKED,
-    LAWS,
-    OPERATORS,
-    double,
-    field,
-    operator,
-    seeded,
-    tensor,
-    tensors,
-)
+from tests.support.fields import double, field, seeded, tensor, tensors
+from tests.support.materials import FLOWS, KINKED, LAWS, OPERATORS, operator
 from tests.support.problems import lattice
 
 pytestmark = filterwarnings("ignore::UserWarning")

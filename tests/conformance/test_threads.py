@@ -8,7 +8,8 @@ import torch
 
 import warp_peri as wp
 from tests.support import filterwarnings, parametrize, warned
-from tests.support.materials import LAWS, OPERATORS, field, operator, placed
+from tests.support.fields import field
+from tests.support.materials import LAWS, OPERATORS, operator, placed
 from warp_peri.errors import heard, quietly, warn
 
 pytestmark = filterwarnings("ignore::UserWarning")

@@ -8,7 +8,8 @@ import torch
 
 import warp_peri as wp
 from tests.support import assert_refused, filterwarnings, parametrize
-from tests.support.materials import LAWS, placed, solved_samples
+from tests.support.fields import solved_samples
+from tests.support.materials import LAWS, placed
 from tests.support.plates import plate
 from warp_peri.core import pointwise
 from warp_peri.materials import lps_force

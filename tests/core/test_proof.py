@@ -9,7 +9,7 @@ from numpy.random import default_rng
 
 import warp_peri as wp
 from tests.crystal.crystals import learned, random_law
-from tests.support import approx, in_plane_and_space, parametrize, refused
+from tests.support import approx, in_plane_and_space, parametrize, refused, sup
 from tests.support.problems import difference, fitted_order, kernel
 from tests.support.symbols import zone
 from warp_peri.core import proof
@@ -127,9 +127,9 @@ def test_nothing_above_the_minimum_is_proven_and_curvature_is_set_aside(monkeypa
 def test_a_weight_is_what_it_says():
     """Of an odd field the square, of which the proof is a bound over all waves."""
     steps = np.array([s for s in itertools.product((-1, 0, 1), repeat=2) if any(s)])
-    field = steps / (steps**2).sum(axis=1)[:, None] / 3.0
+    field = steps / (steps**2).sum(1)[:, None] / 3.0
     weight, phase = squared(1.0, steps, field), waves(2)
-    expected = ((np.sin(phase @ steps.T) @ field) ** 2).sum(axis=1)
+    expected = ((np.sin(phase @ steps.T) @ field) ** 2).sum(1)
     assert weight.symbol(phase)[:, 0, 0] == approx(expected, rel=1e-9, abs=1e-15)
     stencil = kernel("1/r", 2.0).stencil(1.0)
     found = prove(stencil, SQUARE, weight)
@@ -176,6 +176,6 @@ def test_differences_of_elasticity_have_their_order(reach):
     halvings = 0.5 ** np.arange(3)
     stencil = Stencil(1.0, *difference_tensors(C, reach))
     local = np.einsum("ijkl,j,l->ik", C, k, k)
-    wrong = [np.abs(stencil.symbol(t * k[None])[0] / t**2 - local).max() for t in halvings]
+    wrong = [sup(stencil.symbol(t * k[None])[0] / t**2 - local) for t in halvings]
     rate = fitted_order(halvings, wrong)
     assert rate == approx(2 * reach, abs=0.1)

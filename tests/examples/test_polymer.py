@@ -13,7 +13,7 @@ from examples.polymer.closure import exact_pairs, reached
 from examples.polymer.dumbbells import propagator
 from examples.polymer.gaussian_process import fit_process, unlikelihood
 from examples.polymer.particles import ChannelFlow, Particles
-from tests.support import approx, near, parametrize, refused
+from tests.support import approx, near, parametrize, refused, sup
 from tests.support.problems import fitted_order
 
 MAXWELL = polymer.UpperConvectedMaxwell()
@@ -25,8 +25,8 @@ def test_a_step_of_dumbbells_is_exact_in_its_moments():
     E = expm(np.block([[-A, np.eye(2)], [np.zeros((2, 2)), A.T]]) * dt)
     P, L = propagator(K[None], dt)
     lower = np.array([[L[0, 0], 0], [L[0, 1], L[0, 2]]])
-    assert np.abs(P[0, :4].reshape(2, 2) - E[2:, 2:].T).max() < 1e-14
-    assert np.abs(lower @ lower.T - E[2:, 2:].T @ E[:2, 2:]).max() < 1e-11
+    assert sup(P[0, :4].reshape(2, 2) - E[2:, 2:].T) < 1e-14
+    assert sup(lower @ lower.T - E[2:, 2:].T @ E[:2, 2:]) < 1e-11
     assert P[0, 4] ** 2 + L[0, 3] ** 2 == approx(1, abs=1e-14)
 
 
@@ -37,7 +37,7 @@ def test_ensembles_follow_the_exact_law_and_any_threads_give_the_same_bits(threa
     xx, xy, yy, zz = np.moveaxis(exact, -1, 0)
     deviation = np.sqrt(np.stack([2 * xx**2, xx * yy + xy**2, 2 * yy**2, 2 * zz**2], -1) / count)
     error = (record.C - exact) / deviation
-    assert np.abs(error).max() < 4.5  # of 416 normal numbers
+    assert sup(error) < 4.5  # of 416 normal numbers
     assert 0.8 < np.sqrt(np.mean(error**2)) < 1.2
     threads(3)
     again = simulate(Dumbbells(8, count, seed=1), K[:2], 0.25)
@@ -51,7 +51,7 @@ def test_a_process_finds_its_function_and_its_likelihood_has_the_right_slope(ker
     y = np.sin(X[:, 0]) + X[:, 1] ** 2 / 4 + 1e-3 * random.normal(size=60)
     process = fit_process(X, y, kernel=kernel)
     new = random.uniform(-1, 1, (50, 2))
-    assert np.abs(process(new) - np.sin(new[:, 0]) - new[:, 1] ** 2 / 4).max() < 0.05
+    assert sup(process(new) - np.sin(new[:, 0]) - new[:, 1] ** 2 / 4) < 0.05
     given = X[:20], y[:20], kernel, None
     value, slope = (lambda t, n=n: unlikelihood(t, *given)[n] for n in (0, 1))
     theta = np.array([0.1, 0.3, -0.2, -2.0])
@@ -132,7 +132,7 @@ def test_the_channel_against_the_exact_flow():
     profile = poiseuille(y, run.t, flow.De, flow.Re, flow.force, modes=400)
     exact = np.array([np.interp(x[:, 1], y, row) for x, row in zip(run.x, profile)])
     assert relative_error(run.v[..., 0], exact) < 0.0033
-    assert np.abs(run.rho - 1).max() < 1e-4
+    assert sup(run.rho - 1) < 1e-4
     heights, u = run.profile(30)
     assert np.nanmax(np.abs(u[-1] - np.interp(heights, y, profile[-1]))) < 0.02
 

@@ -36,7 +36,7 @@ def test_fields_for_paraview(points, tmp_path, monkeypatch):
         mesh = meshio.read(path)
         corners = mesh.points[mesh.cells_dict["quad"]][:, :, :2]
         assert len(corners) == (round(np.sqrt(len(points.x))) - 1) ** 2
-        assert_allclose(np.abs(np.diff(corners, axis=1)).sum(axis=2), 1.0)
+        assert_allclose(np.abs(np.diff(corners, axis=1)).sum(2), 1.0)
         data = mesh.point_data
         assert_array_equal(data["displacement"][:, :2], u[s])
         assert_allclose(data["error"][:, :2], 0.01 * points.u[s], atol=1e-12)
@@ -72,7 +72,7 @@ def test_fields_in_space(tmp_path):
     assert len(corners) == (round(len(points.x) ** (1 / 3)) - 1) ** 3
     edges = corners[:, [1, 3, 4]] - corners[:, :1]  # of VTK's hexahedron, right-handed
     assert_allclose(edges, np.tile(points.spacing * np.eye(3), (len(edges), 1, 1)))
-    assert_allclose(corners[:, 6] - corners[:, 0], edges.sum(axis=1))
+    assert_allclose(corners[:, 6] - corners[:, 0], edges.sum(1))
     inside, strain = points.interior, 0.5e-3 * (H + H.T)
     assert_allclose(symmetric(mesh.point_data["strain"][inside])[0], strain)
     assert_allclose(mesh.point_data["dilatation"][inside], np.trace(strain))

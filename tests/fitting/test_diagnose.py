@@ -24,7 +24,7 @@ COUNT = 24
 PLANTED = {
     "dispersion": lambda samples: kernel("steep", HORIZON, lam=0.4, mu=0.7).on(samples)(samples.u),
     "anisotropy": lambda samples: families(samples)["anisotropy"][0][..., 1],
-    "nonlinearity": lambda samples: families(samples)["nonlinearity"][0][..., [3, 20]].sum(axis=-1),
+    "nonlinearity": lambda samples: families(samples)["nonlinearity"][0][..., [3, 20]].sum(-1),
     "heterogeneity": lambda samples: (
         samples.b[:, samples.interior] * normal((samples.interior.sum(), 1))
     ),

@@ -8,7 +8,7 @@ from numpy.linalg import eigvalsh
 from numpy.random import default_rng
 
 from tests.support import approx, assert_refused, each_refused, near, parametrize, problems, shared
-from tests.support.materials import double
+from tests.support.fields import double
 from tests.support.problems import difference, ell, kernel, lattice, manufactured, noise, normal
 from tests.support.solving import fit, solve
 from tests.support.symbols import fluctuation, noisy, waves
@@ -134,8 +134,8 @@ def misfit(model, points):
     """Mean of ‖û − u‖²/‖u‖² on the interior, by the library's own solver."""
     solved = solve(model, points, points.b, points.u, allow_uncertified=True)
     inside = points.interior
-    wrong = ((solved - points.u)[:, inside] ** 2).sum(axis=(1, 2))
-    return float(np.mean(wrong / (points.u[:, inside] ** 2).sum(axis=(1, 2))))
+    wrong = ((solved - points.u)[:, inside] ** 2).sum((1, 2))
+    return float(np.mean(wrong / (points.u[:, inside] ** 2).sum((1, 2))))
 
 
 def assert_tangent(response):
@@ -166,7 +166,7 @@ def test_the_wave_response_is_exact_for_every_parity_and_so_is_its_tangent(clean
     for shift in ([1, 0], [0, 1], [1, 1]):
         phase = k[:, None] * (x - quarter[:, None] * shift)
         u, b = np.zeros_like(clean.u), np.zeros_like(clean.b)
-        cos, sin = np.cos(phase).prod(axis=2).T, np.sin(phase).prod(axis=2).T
+        cos, sin = np.cos(phase).prod(2).T, np.sin(phase).prod(2).T
         u[sample, :, axis] = (response.u[sample, axis] * cos).T
         u[sample, :, 1 - axis] = -(response.u[sample, 1 - axis] * sin).T
         b[sample, :, axis] = (response.b[sample, axis] * cos).T

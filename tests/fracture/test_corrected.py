@@ -26,7 +26,7 @@ def stiff(model, corrected, width=13, height=40):
     """Force of a strip under unit strain along it over E: what it counts for as wide."""
     x = rectangle_nodes(width, height, 1.0)
     grips, held = np.abs(x[:, 1]) > height / 2 - model.horizon, np.zeros(x.shape, bool)
-    held[grips, 1] = held[np.argmin(np.abs(x).sum(axis=1)), 0] = True
+    held[grips, 1] = held[np.argmin(np.abs(x).sum(1)), 0] = True
     points = everywhere(x)
     problem = Cracked(points, u=x * (0, 1), free=~held, corrected=corrected)
     u = (solution := solve(model, problem)).u
@@ -128,14 +128,14 @@ def test_a_force_on_an_edge_does_its_work_in_any_affine_displacement(d):
     x, h = 0.5 * box_nodes((8,) * d, 1.0), 0.5
     place, force = np.array([0.3, 2.0, 0.1][:d]), np.array([1.0, -3.0, 2.0][:d])
     b = point_force(x, h, place, force)
-    assert_allclose(h**d * b.sum(axis=0), force, atol=1e-12)
+    assert_allclose(h**d * b.sum(0), force, atol=1e-12)
     assert_allclose(h**d * x.T @ b, np.outer(place, force), atol=1e-12)
-    assert norm(x[np.abs(b).sum(axis=1) > 0] - place, axis=1).max() < 2 * h
+    assert norm(x[np.abs(b).sum(1) > 0] - place, axis=1).max() < 2 * h
 
 
 def test_conjugate_gradients_find_what_factors_find():
     x = box_nodes((8, 8, 8), 1.0)
-    points = Points(x, np.abs(x).max(axis=1) < 3, 1.0)
+    points = Points(x, np.abs(x).max(1) < 3, 1.0)
     model = solid(0.4, horizon=2.0, dimension=3).model
     u, b = (normal(x.shape, n) for n in (0, 1))
     problem = Cracked(points, b, u, cracks=[penny_corners(2.0)], corrected=True)

@@ -42,7 +42,7 @@ def test_breaking_follows_the_stretch():
     state = body.start(v=body.body.x * (0.0, 0.02 / body.longest_step))
     step(body, state, body.longest_step)
     d = body.body.xi * (0.0, 0.02) * body.body.xi
-    beyond = d.sum(axis=1) / body.body.r**2 > 0.01
+    beyond = d.sum(1) / body.body.r**2 > 0.01
     there = body.body.neighbour >= 0
     assert np.array_equal(body.operator.kept(state.links), there & ~beyond)
     state = body.start(v=-body.body.x * (0.0, 0.02 / body.longest_step))  # pressed, none breaks

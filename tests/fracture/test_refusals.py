@@ -17,7 +17,7 @@ from warp_peri.fracture.dynamics import BreakingBody
 from warp_peri.points.families import bond_classes
 
 X = rectangle_nodes(12.0, 12.0, 1.0)
-EDGE, ENDS = np.abs(X).max(axis=1) > 5, np.abs(X[:, 1]) > 4
+EDGE, ENDS = np.abs(X).max(1) > 5, np.abs(X[:, 1]) > 4
 POINTS, MODEL, BODY = Points(X, ~EDGE, 1.0), solid().model, plate(12, 12)
 PROBLEM, LINE = Cracked(POINTS, u=X), [(-7, 0.1), (7, 0.1)]
 CORRECTED = replace(PROBLEM, corrected=True)

@@ -8,7 +8,7 @@ from scipy.integrate import quad
 
 from tests.gradients.cases import assert_slopes
 from tests.support import approx, parametrize, refused, warned
-from tests.support.materials import double
+from tests.support.fields import double
 from tests.support.problems import everywhere, normal
 from warp_peri import Cracked, LPSMaterial, simulate
 from warp_peri.fracture import BondLaw, SofteningMaterial, adjoint, lattice_body

@@ -5,7 +5,8 @@ import torch
 from numpy.random import default_rng
 
 import warp_peri as wp
-from tests.support.materials import FLOWS, KINKED, seeded, tensor, tensors
+from tests.support.fields import seeded, tensor, tensors
+from tests.support.materials import FLOWS, KINKED
 from tests.support.problems import difference, normal
 from warp_peri.certificates import critical_time_step
 from warp_peri.solvers.verlet import inertia

@@ -8,7 +8,8 @@ import pytest
 import warp_peri as wp
 from tests.gradients import cases
 from tests.support import filterwarnings, parametrize, refused, slow
-from tests.support.materials import FLOWS, LINEAR, OPERATORS, operator, tensor
+from tests.support.fields import tensor
+from tests.support.materials import FLOWS, LINEAR, OPERATORS, operator
 
 pytestmark = filterwarnings("ignore::UserWarning")
 NO_STEP = "expected a linear solid or a crystal"

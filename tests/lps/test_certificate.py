@@ -122,6 +122,6 @@ def test_the_conditions_are_the_printed_ones_and_the_search_finds_the_softest(ki
         expected = printed(v, kappa, model.mu, k)[number]
         assert margins == approx(expected, abs=1e-12)
     margins = smallest_margins(CLASSES, conditions, v, kappa)
-    expected = printed(v, kappa, model.mu, ZONE).min(axis=1)[: len(margins)]
+    expected = printed(v, kappa, model.mu, ZONE).min(1)[: len(margins)]
     assert (margins <= expected + 1e-5).all()
     assert (margins >= expected - 1e-3).all()

@@ -64,7 +64,7 @@ def test_uniform_fields_are_the_model_and_functions_are_averaged_harmonically():
 def test_a_wave_through_a_stiff_part_keeps_its_energy():
     model, points, lam, mu = laid()
     op = model.on(points, lam=lam, mu=mu)
-    u = np.exp(-((points.x - 5.5) ** 2).sum(axis=1) / 4)[:, None] * [0.0, 1e-3]
+    u = np.exp(-((points.x - 5.5) ** 2).sum(1) / 4)[:, None] * [0.0, 1e-3]
     longest = 2 * np.sqrt(1e-8 * 2000 / op.max_symbol_eigenvalue())
     problem = Dirichlet(points, 0 * u, u)
     moved = simulate(op, problem, density=2000.0, steps=100, step=longest / 2)
@@ -90,5 +90,5 @@ def test_a_period_with_fields_is_solved():
     mu = MU * (1.5 + np.sin(2 * np.pi * whole.x[:, 0] / 12))
     solid, b = model.spread(whole, 0.4 * mu, mu), noise(whole)
     answer = solve(solid, Periodic(whole, b))
-    assert error(answer.operator(answer.u), b - b.mean(axis=0)) < 1e-7
+    assert error(answer.operator(answer.u), b - b.mean(0)) < 1e-7
     assert "λ, least and largest" in repr(solid)

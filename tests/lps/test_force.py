@@ -9,9 +9,9 @@ import warp as wp
 from numpy.random import default_rng
 
 from tests.gradients.cases import assert_slopes
-from tests.support import approx, clouds, filterwarnings, near, parametrize, problems, reference
+from tests.support import approx, clouds, near, parametrize, problems, reference, sup
 from tests.support.clouds import cloud, periodic_cloud
-from tests.support.materials import double
+from tests.support.fields import double
 from tests.support.problems import KERNELS, LAM, MU, ROUNDING, ell, kernel, lattice, noise, periodic
 from tests.support.symbols import symbol
 from tests.support.told import each_refused, refused
@@ -24,11 +24,11 @@ from warp_peri.materials.lps_operator import LPSOperator, lps_force
 from warp_peri.methods import LPSParameters
 from warp_peri.points.families import bond_classes
 
-pytestmark = filterwarnings("ignore:spacing. the model is certified")
+pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")
 HORIZON = 3.0
 STEPS = {"u": 10.0, "lam": 10.0, "mu": 10.0, "alpha": 0.1, "D": 0.02}
 """Of differences, in hundredths of the size of what is moved."""
-error = lambda value, expected: np.abs(value - expected).max() / np.abs(expected).max()
+error = lambda value, expected: sup(value - expected) / sup(expected)
 
 
 halved = lambda points: problems.cut(points, points.x[:, 0] > points.x[points.interior, 0].mean())
@@ -217,7 +217,7 @@ def test_plane_waves_have_the_symbol_of_the_stencil_and_long_ones_feel_the_modul
         Lu = operator((wave * a).real) + 1j * operator((wave * a).imag)
         (D,), (expected,) = stencil.symbol(spacing * k[None]), symbol(model, k[None], spacing)
         near(expected, D, 1e-13)
-        near(Lu, wave * (D @ a), 1e-12, np.abs(D).max())
+        near(Lu, wave * (D @ a), 1e-12, sup(D))
     D = stencil.symbol(small * np.array([[1, 0], [1, 1]])) / (small / spacing) ** 2
     near(D[0], np.diag([C["C11"], C["C44"]]), 1e-6, 1)
     near(D[1, 0], [C["C11"] + C["C44"], C["C12"] + C["C44"]], 1e-6, 1)

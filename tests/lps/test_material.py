@@ -6,7 +6,7 @@ import numpy as np
 import scipy.linalg
 from numpy.testing import assert_allclose
 
-from tests.support import approx, assert_refused, clouds, near, parametrize, refused, warned
+from tests.support import approx, assert_refused, clouds, near, parametrize, refused, sup, warned
 from tests.support.clouds import cloud, periodic_cloud, plain
 from tests.support.problems import ROUNDING, fitted_order, kernel, lattice, noise, normal, periodic
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, solid
@@ -37,7 +37,7 @@ def test_continuum_constants_are_those_of_plane_stress_and_of_space():
 def test_a_spacing_is_the_certified_one_to_a_millionth():
     """Of a plain kernel at the bond lengths of the lattice that swings by a million beside them."""
     unseen = scipy.linalg.null_space(bernstein_basis(bond_classes(5.0, 12.5).r, 12.5, 10))
-    D, here = np.ones(11) + 1e6 * unseen.sum(axis=1), lattice(6, 12.5, 5.0)
+    D, here = np.ones(11) + 1e6 * unseen.sum(1), lattice(6, 12.5, 5.0)
     wild, u = LPSMaterial(0.3, 0.8, 1.0, D, 12.5, certified_on=(5.0,)), noise(here)
     off = lambda factor: replace(here, x=factor * here.x, spacing=factor * here.spacing)
     little = 1 - 0.99e-6
@@ -60,7 +60,7 @@ def test_the_polynomial_is_the_function_at_every_bond_and_near_it_between(shape)
         r = bond_classes(spacing, HORIZON).r
         near(model.influence(r), shape(r), 1e-8)
     model, r = solid(shape, 1.0), np.linspace(LENGTHS[0] / 2, HORIZON, 1001)
-    departure = np.abs(model.influence(r) - shape(r)).max() / np.abs(shape(LENGTHS)).max()
+    departure = sup(model.influence(r) - shape(r)) / sup(shape(LENGTHS))
     if shape is SHAPES["table"]:  # of a function with kinks it is said
         assert model.provenance["influence"]["departure"] == approx(departure, rel=0.2)
     assert (departure > 1e-4) == (shape is SHAPES["table"])
@@ -137,7 +137,7 @@ def test_its_divergence_balances_the_force_to_second_order():
         divergence = of[..., 0] * wave[:, None, None] + of[..., 1] * wave[None, :, None]
         balance = np.fft.ifft2(divergence, axes=(0, 1)).real.reshape(-1, 2)
         force = model.on(points)(u)
-        errors.append(np.abs(balance + force).max() / np.abs(force).max())
+        errors.append(sup(balance + force) / sup(force))
     assert fitted_order(spacings, errors) > 1.9
 
 

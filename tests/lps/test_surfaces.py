@@ -16,7 +16,7 @@ HORIZON = 3.0
 
 def body(points):
     """Without what is outside of a corner and a curved edge, in space of a face."""
-    a, b, *deep = (points.x - points.x[points.interior].mean(axis=0)).T
+    a, b, *deep = (points.x - points.x[points.interior].mean(0)).T
     outside = a > 0.5 if deep else ((a > 1) & (b > 0.4)) | (np.hypot(a + 5, b) < 4.3)
     return cut(points, outside)
 

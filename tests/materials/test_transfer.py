@@ -44,7 +44,7 @@ def test_the_loss_is_the_mean_square_of_the_error_in_displacement():
     loss = wave_loss(target, k, 0.6, product_basis(classes), weight)
     value = norm(loss.R @ products(model, classes) - loss.y) ** 2
     wrong = np.linalg.solve(target, dispersion(model, 0.6, k)) - np.eye(2)
-    assert value == approx(weight @ (wrong**2).sum(axis=(1, 2)) / 2, rel=1e-10)
+    assert value == approx(weight @ (wrong**2).sum((1, 2)) / 2, rel=1e-10)
 
 
 @parametrize("angle", [0.0, 0.3])
@@ -179,8 +179,8 @@ def test_the_horizon_that_the_collar_carries():
 def test_nodes_around_a_free_edge_are_told_of_it(spacing):
     """At home and on a lattice that the model is carried to."""
     x = spacing * grid_places((24, 24))
-    x = x[norm(x - x.mean(axis=0), axis=1) > 4 * spacing]
-    inside = (np.abs(x - x.mean(axis=0)) < 5.5 * spacing).all(axis=1)
+    x = x[norm(x - x.mean(0), axis=1) > 4 * spacing]
+    inside = (np.abs(x - x.mean(0)) < 5.5 * spacing).all(1)
     holed = Points(x=x, interior=inside, spacing=spacing)
     with refused(r"edges.* Body"):
         solve(HOME, holed, np.zeros((len(x), 2)), np.zeros((len(x), 2)))

@@ -17,13 +17,8 @@ from tests.support.solving import solve
 from tests.support.told import each_refused, refused, warned
 from warp_peri import LPS, Bernstein, Points, fit
 from warp_peri.certificates import check_solvability
-from warp_peri.points.families import (
-    bond_classes,
-    families_of,
-    largest_strain,
-    neighbours,
-    quadrature_weights,
-)
+from warp_peri.points import families
+from warp_peri.points.families import bond_classes, families_of, largest_strain, quadrature_weights
 from warp_peri.points.points import axis_of, grid_places, lattice_steps
 
 
@@ -91,7 +86,7 @@ def test_a_turned_cube_has_the_families_of_the_straight_one():
     turn = Rotation.from_euler("xyz", [25, -40, 65], degrees=True).as_matrix()
     turned = Points(points.x @ turn.T + [7.0, 3.0, 1.0], points.interior, 1.0)
     axes = lattice_steps(turned).axes
-    assert_allclose(np.abs(axes.T @ turn).max(axis=0), 1)
+    assert_allclose(np.abs(axes.T @ turn).max(0), 1)
     here, there = families_of(points, 2.0), families_of(turned, 2.0)
     assert here.weight == approx(there.weight, rel=1e-14)
     i = there.rows[0]
@@ -110,7 +105,7 @@ def test_neighbours_are_all_that_are_near_and_bonds_know_their_way_back():
         (uniform(-20, 20, (300, 2)), 1.3, (9.0, 9.0)),
         (uniform(0, 9, (300, 3)), 2.8, (9.0, 9.0, 7.0)),
     ):
-        row, neighbour, r, reverse = neighbours(x, horizon, box)
+        row, neighbour, r, reverse = families.neighbours(x, horizon, box)
         bonds = x[None] - x[:, None]
         bonds -= 0 if box is None else np.round(bonds / box) * box
         length = norm(bonds, axis=2)

@@ -23,6 +23,8 @@ shared = pytest.fixture(scope="module")
 """Makes a fixture once for all tests of a file."""
 
 
+sup = lambda values: np.abs(values).max()
+"""The largest size of an entry."""
 of_json = lambda path: json.loads(path.read_text("utf-8"))
 """What a file of JSON holds."""
 

@@ -12,9 +12,10 @@ import warp_peri as wp
 from examples.own_law import Springs
 from tests.crystal.crystals import learned
 from tests.support import clouds, problems
+from tests.support.fields import solved_samples as solved_samples
 from tests.support.nonlinear import psi, solid
-from tests.support.problems import AXIS, difference, kernel, lattice, loaded, normal, periodic
-from tests.support.sheets import SPACING, dictionary_of, waves
+from tests.support.problems import AXIS, difference, kernel, lattice, periodic
+from tests.support.sheets import SPACING, dictionary_of
 from warp_peri.crystals import crystal_from_lps
 from warp_peri.fracture import lattice_body
 from warp_peri.fracture.statics import CutSolid
@@ -30,15 +31,8 @@ third_order = lambda form: lambda: replace(solid(form), proven={"strain": 0.03},
 network = lambda: NeuralOperator(3.0, (6, 8), (10, 12), proportional=True).double()
 """Springs of either sign, as untrained networks are; few numbers, so few kinks."""
 own_energy = lambda: wp.DensityMaterial.of(saint_venant, 1.0, {"lam": 0.4, "mu": 0.9})
-solved_samples = lambda op: loaded(op, uneven(op.points, 2))
 frozen = lambda: network().requires_grad_(False).on(LAWS["neural operator"].points(4))
 """A network of single precision whose numbers ask for no gradient."""
-tensor = lambda op, *lead, seed=0: torch.from_numpy(field(op, *lead, seed=seed))
-"""A field as a tensor."""
-tensors = lambda op, *lead, count=2: [tensor(op, *lead, seed=n) for n in range(count)]
-"""Several of them, no two alike."""
-double = lambda value: torch.tensor(value, dtype=torch.float64)
-"""A number or an array in double precision."""
 
 
 @dataclass(frozen=True)
@@ -169,12 +163,6 @@ def placed(name, side=4, angle=0.0):
     return SPREAD[name].on(points).on(points), points
 
 
-def uneven(points, samples=None):
-    """Smooth fields with gradients of some percent, one or several."""
-    fields = np.stack([waves(points, 0.05, seed) for seed in range(samples or 1)])
-    return fields if samples else fields[0]
-
-
 def scattered():
     return kernel("1/r", 3.0).on(clouds.cloud(5, 3.0, 0.45, seed=3), allow_uncertified=True)
 
@@ -237,16 +225,3 @@ FLOWS = ("conductor", "coupled")
 def operator(name):
     """The operator of a name, made once; tests that change it take a copy."""
     return OPERATORS[name]()
-
-
-def field(op, *lead, seed=0):
-    """Fields with gradients of some percent, rough and smooth."""
-    size = 0.01 * getattr(op.points, "spacing", 0) or 0.01
-    u = size * normal((*lead, *op.shape), seed)
-    return u + 2 * size * np.sin(op.points.x[:, 0]).reshape(-1, *[1] * (len(op.shape) - 1))
-
-
-def seeded(values):
-    """A number of a field, so that nothing cancels."""
-    seed = torch.from_numpy(normal(values.shape, 1))
-    return ((0.3 * values + seed) * values).sum()

@@ -33,7 +33,7 @@ def psi(H, model):
 
     def harmonic(strain):
         trace = np.trace(strain, axis1=-2, axis2=-1)
-        return lam / 2 * trace**2 + mu * (strain**2).sum(axis=(-2, -1))
+        return lam / 2 * trace**2 + mu * (strain**2).sum((-2, -1))
 
     t = np.trace(E, axis1=-2, axis2=-1)
     q = (E[..., 0, 0] - E[..., 1, 1]) / 2 + 1j * E[..., 0, 1]

@@ -13,7 +13,7 @@ SPACING = 0.1
 def square(interior, *, spacing=SPACING):
     """Interior nodes a side and the collar they need."""
     steps = grid_places(2 * [interior + 12])
-    return Points(spacing * steps, ((steps >= 6) & (steps < interior + 6)).all(axis=1), spacing)
+    return Points(spacing * steps, ((steps >= 6) & (steps < interior + 6)).all(1), spacing)
 
 
 def dictionary_of(*kinds, deviations=NEAREST):

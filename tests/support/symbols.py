@@ -29,7 +29,7 @@ def zone(count, d=2):
 def form(classes, k, v, kappa):
     """Γ + κ φφᵗ of stiffnesses v at wave vectors k [K, 2], shape [K, 2, 2]."""
     xi, each = classes.xi, v[classes.bond_class]
-    square = xi[:, :, None] * xi[:, None] / (xi**2).sum(axis=1)[:, None, None]
+    square = xi[:, :, None] * xi[:, None] / (xi**2).sum(1)[:, None, None]
     gamma = np.einsum("kb,b,bij->kij", 16 * (1 - np.cos(k @ xi.T)), each, square)
     phi = 2 * np.sin(k @ xi.T) @ (each[:, None] * xi)
     return gamma + kappa * phi[:, :, None] * phi[:, None]
@@ -66,7 +66,7 @@ def waves(model, cells=6, highest=4):
     u = np.zeros((len(k), len(points.x), 2))
     b = np.zeros_like(u)
     for s, (wave, axis) in enumerate(zip(k, np.tile([0, 1], len(k) // 2))):
-        cos, sin = np.cos(wave * points.x).prod(axis=1), np.sin(wave * points.x).prod(axis=1)
+        cos, sin = np.cos(wave * points.x).prod(1), np.sin(wave * points.x).prod(1)
         u[s, :, axis], u[s, :, 1 - axis] = answer[s, axis] * cos, -answer[s, 1 - axis] * sin
         b[s, :, axis] = load[s, axis] * cos
     return Samples(points, u, b, {"wave_vector": k})

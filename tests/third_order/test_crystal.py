@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from tests.crystal.crystals import cubic_tensor, dispersive
-from tests.support import approx, assert_refused, near, parametrize, warned
+from tests.support import approx, assert_refused, near, parametrize, sup, warned
 from tests.support.clouds import cloud
 from tests.support.nonlinear import FORMS, TENSOR, solid
 from tests.support.problems import lattice, loaded, smooth
@@ -54,7 +54,7 @@ def test_filtered_form_takes_weights_that_undo_the_smoothing(ridge):
         for p, factor, most in zip(weights, (smoothing.inverse(number), known), (0.1, 1e-3)):
             wanted = k * factor
             wrong = sine @ (p[classes.bond_class, None] * classes.xi) - wanted
-            assert np.abs(wrong).max() <= most * np.abs(wanted).max()
+            assert sup(wrong) <= most * sup(wanted)
     assert [classes.count * classes.r**2 @ p for p in weights] == approx([1, 1])
 
 

@@ -30,7 +30,7 @@ def waves(seed, size, constants, bent=0.0):
     if constants is not None:
         P = P + np.tensordot(constants, np.array(_stresses(H, 1.0 + 0j, 1)), 1)
     div = np.einsum("sxykl,xyl->sxyk", np.fft.fft2(P, axes=(1, 2)), 1j * K)
-    b = -np.fft.ifft2(div * (1 - bent * (K**2).sum(axis=2))[..., None], axes=(1, 2)).real
+    b = -np.fft.ifft2(div * (1 - bent * (K**2).sum(2))[..., None], axes=(1, 2)).real
     points = everywhere(x, box=(SIDE,) * 2, axis=0.0)
     return Samples(points, u, b.reshape(u.shape))
 
@@ -44,7 +44,7 @@ def test_stresses_are_slopes_of_their_energies():
         E = small + H.swapaxes(-1, -2) @ H / 2
         theta = np.trace(E, axis1=-2, axis2=-1)
         dev = E - 0.5 * np.eye(2) * theta[..., None, None]
-        q = (dev**2).sum(axis=(-1, -2))
+        q = (dev**2).sum((-1, -2))
         z = ((E[..., 0, 0] - E[..., 1, 1]) / 2 + 1j * E[..., 0, 1]) * turn**2
         linear = np.trace(small, axis1=-2, axis2=-1)
         lame = [theta**2 / 2 - linear**2 / 2, (E**2).sum((-1, -2)) - (small**2).sum((-1, -2))]
