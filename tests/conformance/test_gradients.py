@@ -15,7 +15,7 @@ from torch.autograd import forward_ad, functional, grad, gradgradcheck
 import warp_peri as wp
 from tests.support import assert_refused, filterwarnings, masked, near, parametrize, refused
 from tests.support.fields import double, field, seeded, tensor, tensors
-from tests.support.materials import LAWS, LINEAR, OPERATORS, operator
+from tests.support.materials import CRACK, LAWS, LINEAR, OPERATORS, operator
 from tests.support.problems import kernel, lattice, normal
 from warp_peri.errors import ALONE
 
@@ -272,7 +272,7 @@ def along(call, x):
 
 def test_what_would_lose_a_gradient_says_so():
     op, network, heat = map(operator, ("LPS", "neural operator", "conductor"))
-    points, cracks = op.points, [[(-2.0, 0.1), (1.0, 0.1)]]
+    points = op.points
     u, phi = (tensor(one) for one in (op, heat))
     number = double(0.5)
     leaf, learns = u.clone().requires_grad_(), number.clone().requires_grad_()
@@ -280,7 +280,7 @@ def test_what_would_lose_a_gradient_says_so():
     broken = wp.TorchModule(copy.deepcopy(op), points)
     with torch.no_grad():
         broken.mu.fill_(-1.0)
-    cut, solid = wp.Cracked(points, u=leaf, cracks=cracks), kernel("1/r", 3.0)
+    cut, solid = wp.Cracked(points, u=leaf, cracks=CRACK), kernel("1/r", 3.0)
     waves, steps = {"density": 2000.0, "step": 1e-6, "steps": 2}, {"step": 1.0, "steps": 2}
     hidden = masked(u.numpy())
     slope, plain = (lambda f, x: torch.func.grad(lambda x: f(x).sum())(x)), r"torch\.func: expected"

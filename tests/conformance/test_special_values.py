@@ -11,7 +11,7 @@ import warp_peri as wp
 from tests.gradients.cases import assert_slopes, given, loss, solver_of
 from tests.support import filterwarnings, parametrize, refused
 from tests.support.fields import double, field, seeded, tensor, tensors
-from tests.support.materials import FLOWS, KINKED, LAWS, OPERATORS, operator
+from tests.support.materials import CRACK, FLOWS, KINKED, LAWS, OPERATORS, operator
 from tests.support.problems import lattice
 
 pytestmark = filterwarnings("ignore::UserWarning")
@@ -119,8 +119,7 @@ def test_special_numbers_have_the_gradient_of_differences(verb, kind, case):
 def test_cracked_bodies_have_the_gradient_of_differences(case):
     points, numbers = lattice(4, 2.0), SOLIDS[case]
     b, u = (field(solid(numbers).on(points), seed=n) for n in (0, 1))
-    crack = [[(-2.0, 0.1), (1.0, 0.1)]]
-    problem = wp.Cracked(points, b=b, u=u, cracks=crack, pressure=np.diag([0.01, 0.3]))
+    problem = wp.Cracked(points, b=b, u=u, cracks=CRACK, pressure=np.diag([0.01, 0.3]))
     for own in (numbers, general(numbers)):
         model = solid(own)
         check(lambda of, m=model: seeded(wp.solve(m, problem, parameters=of).u), numbers)

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from tests.support import approx, in_plane_and_space, near, parametrize, sup
+from tests.support.materials import saint_venant
 from tests.support.problems import normal
 from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.stencil import Stencil, half_ball
@@ -16,20 +17,13 @@ from warp_peri.runtime import one_thread
 from warp_peri.testing import check_energy, check_product
 
 LAM, MU = 0.4, 0.9
-
-
-def quartic(E, *, lam, mu, more):
-    t = E.diagonal(dim1=-2, dim2=-1).sum(-1)
-    square = (E * E).sum((-1, -2))
-    return lam / 2 * t**2 + mu * square + more * square * square
+quartic = lambda E, lam, mu, more: saint_venant(E, lam, mu) + more * (E * E).sum((-1, -2)) ** 2
 
 
 def cubic(E, *, lam, mu, more):
-    t = E.diagonal(dim1=-2, dim2=-1).sum(-1)
-    square = (E * E).sum((-1, -2))
-    return (
-        lam / 2 * t**2 + mu * square + more * (t**3 + t * square + E[..., 0, 1] ** 2 * E[..., 0, 0])
-    )
+    t, square = E.diagonal(dim1=-2, dim2=-1).sum(-1), (E * E).sum((-1, -2))
+    third = t**3 + t * square + E[..., 0, 1] ** 2 * E[..., 0, 0]
+    return saint_venant(E, lam, mu) + more * third
 
 
 def one_sided(d, sides):

@@ -12,13 +12,8 @@ from tests.crystal.crystals import learned, random_law
 from tests.support import approx, in_plane_and_space, parametrize, refused, sup
 from tests.support.problems import difference, fitted_order, kernel
 from tests.support.symbols import zone
-from warp_peri.core import proof
-from warp_peri.core.elastic import (
-    difference_tensors,
-    lattice_group,
-    plane_isotropic,
-    voigt_to_tensor,
-)
+from warp_peri.core import elastic, proof
+from warp_peri.core.elastic import lattice_group, plane_isotropic, voigt_to_tensor
 from warp_peri.core.proof import StencilCertificate, largest, long_wave_radius, parts, prove
 from warp_peri.core.stencil import Stencil, laplacian, laplacian_stencil
 from warp_peri.materials.certificate import squared
@@ -174,7 +169,7 @@ def test_differences_of_elasticity_have_their_order(reach):
     """Their symbol is that of the local solid, to (k h) to the power of twice their reach."""
     C, k = voigt_to_tensor(plane_isotropic(0.3, 0.7)), np.array([0.3, 0.5])
     halvings = 0.5 ** np.arange(3)
-    stencil = Stencil(1.0, *difference_tensors(C, reach))
+    stencil = Stencil(1.0, *elastic.difference_tensors(C, reach))
     local = np.einsum("ijkl,j,l->ik", C, k, k)
     wrong = [sup(stencil.symbol(t * k[None])[0] / t**2 - local) for t in halvings]
     rate = fitted_order(halvings, wrong)

@@ -20,8 +20,6 @@ from warp_peri.points.points import grid_places
 CELLS = np.array([6, 9, 13])
 UNITS = ("angstrom", "TPa")
 SOLID = LPSMaterial(1.5, 1.0, 1.0, np.ones(1), 0.75)
-
-
 square = lambda cells, reach: replace(diffusion.square(cells, reach), units=UNITS)
 """The example's square, in the units that points have by default."""
 

@@ -19,8 +19,6 @@ from warp_peri.methods import GaussNewton, TwoStage
 RECOVERED = 1e-4
 """Parameters of a shape from data that are exactly in equilibrium: a fit ends at a relative
 residual of about 1e-8 and two Gaussians of nearly one width are told apart by a part of that."""
-
-
 made = lambda shape, count=2: manufactured(solid(shape, 1.0), lattice(4, HORIZON), count)
 """Samples in equilibrium with the solid of a shape."""
 

@@ -18,8 +18,6 @@ from warp_peri.runtime import floats, zeros
 
 DILATATIONAL = 0.32260
 """4 ∫ c(z)² dz, c the share of a ball's Σ w r² beyond a plane at height z (theory, C6)."""
-
-
 fields = lambda u: (zeros(len(u), dtype=wp.types.vector(u.shape[1], wp.float64)), zeros(len(u)))
 """Force and energy to fill."""
 T = (np.arange(2000) + 0.5) / 2000

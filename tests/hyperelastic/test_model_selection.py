@@ -36,8 +36,6 @@ def solid(*terms):
 
 
 SHEET = solid((EnergyTerm("plane_stress"), C1), (EnergyTerm("mooney"), C2))
-
-
 tension = lambda s, c1=C1, c2=C2: 2 * (s - s**-2) * (c1 + c2 / s)
 """Nominal stress of Mooney and Rivlin's sheet in uniaxial tension."""
 

@@ -155,9 +155,8 @@ REFUSED = {
     "stretch: expected a number > 0": lambda: replace(solid(HGO), stretch=0),
     "sides of a corner": lambda: EnergyTerm("mooney", corner=True, step=(1, 0)),
     "at least one energy": Hyperelastic,
-    "coefficients: expected finite values, got nan": lambda: replace(
-        solid(HGO), coefficients=np.full(7, np.nan)
-    ),
+    "coefficients: expected finite values, got nan":
+        lambda: replace(solid(HGO), coefficients=np.full(7, np.nan)),
     r"coefficients: expected shape \[7\]": lambda: solid(HGO, 6),
     "coefficients: expected one other than 0": lambda: sheet_on(
         POINTS, HGO, np.zeros(7)
@@ -168,9 +167,8 @@ REFUSED = {
     "thickness: expected shape": lambda: sheet_on(POINTS, thickness=np.ones(3)),
     "thickness: expected finite numbers > 0": lambda: sheet_on(POINTS, thickness=0 * ALL),
     "degree: expected 1 to 6": lambda: ThicknessField.over(POINTS.x, 7),
-    r"numbers: expected shape \[5\]": lambda: replace(
-        ThicknessField.over(POINTS.x, 2), numbers=np.ones(4)
-    ),
+    r"numbers: expected shape \[5\]":
+        lambda: replace(ThicknessField.over(POINTS.x, 2), numbers=np.ones(4)),
     "expected neo_hookean and volumetric": lambda: febio_material(solid(Hyperelastic(terms=BOND))),
     "stretches: expected such": lambda: wp.hyperelastic.uniaxial_stress(solid(HGO), [0.1]),
     "a load on it, got none in number 0; without": fit(wp.Samples(POINTS, FRAMES.u, 0 * FRAMES.u)),
@@ -180,15 +178,14 @@ REFUSED = {
     "options among positive, .*, got rigde": fit(LOADS, rigde=0.0),
     "a homogeneous body of any material": fit(u=AFFINE),
     r"expected strains of 2 % or more in one, got [01]\.\d": fit(u=0.05 * FRAMES.u),
-    "70 measured components inside for 7 numbers, got 18": fit(
-        wp.Samples(replace(POINTS, interior=FEW), FRAMES.u)
-    ),
+    "70 measured components inside for 7 numbers, got 18":
+        fit(wp.Samples(replace(POINTS, interior=FEW), FRAMES.u)),
     "start: expected shape": fit(start=np.ones(2)),
     "start: expected .* 7 of 7 masked": fit(LOADS, start=np.ma.masked_all(7)),
     "loads that the energies explain, 100 %": fit(wp.Samples(POINTS, 0 * FRAMES.u, LOADS.b)),
     "0 or at least 8": partial(wp.hyperelastic.select_model, FRAMES[[0, 1, 2, 2]], fibres=3),
     "frames: expected at least 4, got 3": partial(wp.hyperelastic.select_model, FRAMES),
-}
+}  # fmt: skip
 
 
 def test_what_makes_no_sheet_and_what_tells_nothing_is_refused():

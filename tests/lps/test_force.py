@@ -29,16 +29,10 @@ HORIZON = 3.0
 STEPS = {"u": 10.0, "lam": 10.0, "mu": 10.0, "alpha": 0.1, "D": 0.02}
 """Of differences, in hundredths of the size of what is moved."""
 error = lambda value, expected: sup(value - expected) / sup(expected)
-
-
 halved = lambda points: problems.cut(points, points.x[:, 0] > points.x[points.interior, 0].mean())
 """The interior without the half that is cut away."""
-
-
 across = lambda points: problems.renumbered(points, np.lexsort(points.x.T))
 """Numbered along the other axis."""
-
-
 KINDS = {
     "lattice": lambda: lattice(2, HORIZON),
     "periodic lattice": lambda: periodic((7, 8))[0],

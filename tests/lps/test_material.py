@@ -131,7 +131,7 @@ def test_its_divergence_balances_the_force_to_second_order():
         n = round(24 / h)
         points, model = periodic((n, n), h)[0], kernel("1/r", 3 * h, h)
         x, y = points.x.T
-        u = np.stack([np.sin(k * x) * np.cos(k * y), np.cos(2 * k * x + k * y)], axis=1)
+        u = np.c_[np.sin(k * x) * np.cos(k * y), np.cos(2 * k * x + k * y)]
         stress = node_fields(model, points, u).stress.reshape(n, n, 2, 2)
         wave, of = 2j * np.pi * np.fft.fftfreq(n, h), np.fft.fft2(stress, axes=(0, 1))
         divergence = of[..., 0] * wave[:, None, None] + of[..., 1] * wave[None, :, None]

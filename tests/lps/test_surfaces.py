@@ -50,7 +50,7 @@ def traction_free(lam, mu, n):
     outside, (a, b) = points.x[:, 0] > 1, points.x.T
     points = cut(points, outside)
     stretch = 3 * lam / (lam + 2 * mu)  # no stress across the edge; 1 where λ = μ, as printed
-    exact = np.stack([stretch * a + b, -a - 3 * b], axis=1)
+    exact = np.c_[stretch * a + b, -a - 3 * b]
     given = np.where(outside[:, None], 0.0, exact)
     u = solve(plain(HORIZON / n, lam, mu), points, 0 * exact, given, allow_uncertified=True)
     return np.abs(u - exact)[points.interior].max()

@@ -232,7 +232,7 @@ def test_fields_carried_to_a_lattice():
 
 
 def test_what_cannot_be_interpolated():
-    few, line = CLOUD.x[:30], np.stack([np.arange(99.0), np.zeros(99)], axis=1)
+    few, line = CLOUD.x[:30], np.c_[np.arange(99.0), np.zeros(99)]
     for x, words in ((few, "at least 80 nodes to inter.*, got 30"), (line, "on a line or a conic")):
         points = everywhere(x, 0.0)
         with refused(words):

@@ -27,8 +27,6 @@ H = 0.5
 SHAPE = {2: (52, 52), 3: (17, 17, 17)}
 TOLERANCE = {2: 1e-10, 3: 1e-8}
 SWING = {"density": 2000.0, "step": 1e-3, "every": 4}
-
-
 digest = lambda values: hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()
 
 

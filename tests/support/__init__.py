@@ -21,8 +21,6 @@ in_plane_and_space = parametrize("d", [2, 3])
 """Runs a test in both dimensions."""
 shared = pytest.fixture(scope="module")
 """Makes a fixture once for all tests of a file."""
-
-
 sup = lambda values: np.abs(values).max()
 """The largest size of an entry."""
 of_json = lambda path: json.loads(path.read_text("utf-8"))

@@ -45,7 +45,7 @@ solid = partial(plain, dimension=3)
 def field(x):
     """A smooth displacement in space with divergence and rotation."""
     a, b, c = x.T
-    return np.stack([np.sin(a) * np.cos(b), np.cos(b) * np.sin(c), np.sin(a) * np.cos(c)], axis=1)
+    return np.c_[np.sin(a) * np.cos(b), np.cos(b) * np.sin(c), np.sin(a) * np.cos(c)]
 
 
 def load(x, lam, mu):
@@ -53,7 +53,7 @@ def load(x, lam, mu):
     a, b, c = x.T
     s, t = np.sin, np.cos
     # ∇·u = cos a cos b − sin b sin c − sin a sin c
-    gradient = np.stack(
-        [-s(a) * t(b) - t(a) * s(c), -t(a) * s(b) - t(b) * s(c), -s(b) * t(c) - s(a) * t(c)], axis=1
-    )
+    gradient = np.c_[
+        -s(a) * t(b) - t(a) * s(c), -t(a) * s(b) - t(b) * s(c), -s(b) * t(c) - s(a) * t(c)
+    ]
     return 2 * mu * field(x) - (lam + mu) * gradient

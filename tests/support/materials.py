@@ -27,6 +27,7 @@ from warp_peri.points.families import bond_classes
 H = np.array([[0.02, 0.03], [-0.01, -0.015]])
 """A displacement gradient."""
 OTHER = ("nm", "GPa")
+CRACK = [[(-2.0, 0.1), (1.0, 0.1)]]
 third_order = lambda form: lambda: replace(solid(form), proven={"strain": 0.03}, provenance={})
 network = lambda: NeuralOperator(3.0, (6, 8), (10, 12), proportional=True).double()
 """Springs of either sign, as untrained networks are; few numbers, so few kinks."""
@@ -193,8 +194,7 @@ def cut():
     points, model = lattice(4, 3.0), wp.LPSMaterial(0.9, 0.4, 1.0, [1.0, 0.6, 0.3], horizon=3.0)
     held = np.repeat(~points.interior[:, None], 2, axis=1)
     held[np.flatnonzero(points.interior)[3], 0] = True
-    crack = [[(-2.0, 0.1), (1.0, 0.1)]]
-    return CutSolid(model, lattice_body(points.x, 1.0, 3.0), held, cracks=crack)
+    return CutSolid(model, lattice_body(points.x, 1.0, 3.0), held, cracks=CRACK)
 
 
 def in_space(of=lambda model: model):

@@ -14,14 +14,14 @@ MODEL = LPSMaterial(0.3, 0.8, 1.0, [0.4, 0.6, -0.3, 0.6, -0.2], horizon=3.0, cer
 def plate(radius: float, half: float, rings: int, around: int) -> Mesh:
     """Triangles between a hole and the sides of a square about it; parts "hole" and "sides"."""
     angle = 2 * np.pi * np.arange(around) / around
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    circle = np.c_[np.cos(angle), np.sin(angle)]
     square = circle / np.abs(circle).max(1)[:, None]
     share = np.linspace(0, 1, rings + 1)[:, None, None] ** 1.5  # finer at the hole
     x = (radius * circle * (1 - share) + half * square * share).reshape(-1, 2)
     grid = np.arange((rings + 1) * around).reshape(-1, around)
     turned = np.roll(grid, -1, axis=1)
     triangles = np.stack([[grid[:-1], turned[:-1], grid[1:]], [turned[:-1], turned[1:], grid[1:]]])
-    hole = np.stack([grid[0], turned[0]], axis=1)
+    hole = np.c_[grid[0], turned[0]]
     ends = np.sort(hole, axis=1)
     middle = x[ends].sum(1)
     middle *= radius / np.hypot(*middle.T)[:, None]

@@ -6,8 +6,6 @@ from warp_peri import InputError
 
 refused = lambda words: pytest.raises(InputError, match=words)
 """That what is asked inside is refused in these words, a pattern."""
-
-
 warned = lambda words: pytest.warns(UserWarning, match=words)
 """That what is done inside warns in these words, a pattern."""
 

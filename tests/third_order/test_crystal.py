@@ -45,7 +45,7 @@ def test_filtered_form_takes_weights_that_undo_the_smoothing(ridge):
     weights = smoothing.weights(classes)
     angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     for number in (0.05, 0.15, 0.25):
-        k = number * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        k = number * np.c_[np.cos(angle), np.sin(angle)]
         sine = 2 * np.sin(k @ classes.xi.T)
         small = number**2 * 0.3 * 100 / 4  # of a cone, to fourth order
         known = smoothing.transform(np.array([number]))

@@ -19,8 +19,6 @@ from warp_peri.solvers import equilibria, systems
 from warp_peri.solvers.linear import Linear
 
 HORIZON = 3.0
-
-
 certified = lambda form: (solid(form), prove_uniqueness(solid(form), spacing=1.0))
 """A model and its guarantee."""
 
