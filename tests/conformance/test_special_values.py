@@ -18,13 +18,18 @@ pytestmark = filterwarnings("ignore::UserWarning")
 DIFFERENCES = 1e-6
 D = np.array([1.0, 0.5, 0.8])
 SOLID = {"lam": 0.3, "mu": 0.8, "alpha": 0.7, "D": D}
-SOLIDS = {
-    "λ = μ": SOLID | {"lam": 0.8},
+EQUAL = {"λ = μ": SOLID | {"lam": 0.8}}
+SOLIDS = EQUAL | {
     "λ = α = 0": SOLID | {"lam": 0.0, "alpha": 0.0},
     "α = 1, no D but one": SOLID | {"alpha": 1.0, "D": np.array([0.0, 1.0, 0.0])},
     "all equal": {"lam": 1.0, "mu": 1.0, "alpha": 1.0, "D": np.ones(3)},
 }
+HEAT = {"alpha": 0.0, "D": D[:2], "kappa": 1.3}
+BOTH = EQUAL["λ = μ"] | {"coupling": 0.4} | {f"conductor_{name}": HEAT[name] for name in HEAT}
 solid = lambda numbers, horizon=2.0: wp.LPSMaterial(**numbers, horizon=horizon, certified_on=(1.0,))
+of_torn = lambda numbers: solid(numbers, 3.0).on(operator("LPS, broken bonds").points)
+cubic = lambda numbers: replace(LAWS["third order, energy"].material(), **numbers)
+of_cubic = lambda numbers: cubic(numbers).on(lattice(2, 3.0))
 
 
 def of_conductor(numbers):
@@ -40,25 +45,10 @@ def of_coupled(numbers):
 
 KINDS = {
     "LPS": (lambda numbers: solid(numbers).on(lattice(3, 2.0)), SOLIDS),
-    "LPS, broken bonds": (
-        lambda numbers: solid(numbers, 3.0).on(operator("LPS, broken bonds").points),
-        {"λ = μ": SOLIDS["λ = μ"]},
-    ),
-    "conductor": (of_conductor, {"α = 0": {"alpha": 0.0, "D": D[:2], "kappa": 1.3}}),
-    "coupled": (
-        of_coupled,
-        {
-            "λ = μ": SOLIDS["λ = μ"]
-            | {"coupling": 0.4}
-            | {"conductor_alpha": 0.0, "conductor_D": D[:2], "conductor_kappa": 1.3}
-        },
-    ),
-    "crystal, third order": (
-        lambda numbers: replace(LAWS["third order, energy"].material(), **numbers).on(
-            lattice(2, 3.0)
-        ),
-        {"none": {"t3": 0.0, "tq2": 0.0, "q3": 0.0}},
-    ),
+    "LPS, broken bonds": (of_torn, EQUAL),
+    "conductor": (of_conductor, {"α = 0": HEAT}),
+    "coupled": (of_coupled, {"λ = μ": BOTH}),
+    "crystal, third order": (of_cubic, {"none": {"t3": 0.0, "tq2": 0.0, "q3": 0.0}}),
 }
 CELLS = [
     (verb, kind, case)

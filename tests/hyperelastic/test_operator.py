@@ -158,9 +158,8 @@ REFUSED = {
     "coefficients: expected finite values, got nan":
         lambda: replace(solid(HGO), coefficients=np.full(7, np.nan)),
     r"coefficients: expected shape \[7\]": lambda: solid(HGO, 6),
-    "coefficients: expected one other than 0": lambda: sheet_on(
-        POINTS, HGO, np.zeros(7)
-    ).interior_tangent(0 * POINTS.x),
+    "coefficients: expected one other than 0":
+        lambda: sheet_on(POINTS, HGO, np.zeros(7)).interior_tangent(0 * POINTS.x),
     "twice the horizon": lambda: sheet_on(Points(POINTS.x, ALL, 0.1)),
     "spacing|scattered": lambda: sheet_on(Points(POINTS.x, ALL, 0.0)),
     "axis: directions of a hyperelastic": lambda: sheet_on(replace(POINTS, axis=10.0)),

@@ -93,11 +93,11 @@ def test_what_has_no_gradient_says_so():
         "expected at most": {"parameters": {"mu": 1e3 * op.model.mu}},
         "is indefinite": {"parameters": {"D": [0.0, 0.0, 0.0, -1.0, 1.0]}},
     })  # fmt: skip
-    crystal = operator("crystal")
-    with refused(r"numbers among tensors \[10, 2, 2\], got mu"):
-        moved(crystal, torch.zeros(crystal.shape), parameters={"mu": 1.0}, record=None)
+    crystal, of_mu = operator("crystal"), {"parameters": {"mu": 1.0}, "record": None}
     cracked = Cracked(op.points, u=torch.zeros(op.shape, requires_grad=True))
     assert_refused({
+        r"numbers among tensors \[10, 2, 2\], got mu":
+            lambda: moved(crystal, torch.zeros(crystal.shape), **of_mu),
         "pulls of bonds that soften.* got a Cracked": lambda: simulate(op.model, cracked, events=2),
         "record: expected none beside a checkpoint": lambda: simulate(
             op, Dirichlet(op.points, None, u.detach().numpy()), checkpoint="r.h5", **options
