@@ -9,7 +9,7 @@ from typing import Any
 
 import ase
 import numpy as np
-from numpy.linalg import norm
+from numpy.linalg import lstsq, norm, pinv, svd
 from scipy.spatial.transform import Rotation
 
 from warp_peri.atoms.force_constants import TINY, ForceConstants, Supercell, forces_of, relaxing
@@ -257,7 +257,7 @@ def rattled(
         forces.append((at(x + u) - at(x - u)).ravel() / 2 - own @ known)
     X, short = np.concatenate(rows[:pairs]), np.concatenate(rows[pairs:])
     y, less = np.concatenate(forces[:pairs]), np.concatenate(forces[pairs:])
-    U, sizes, V = np.linalg.svd(X, full_matrices=False)
+    U, sizes, V = svd(X, full_matrices=False)
     kept = sizes > NONE * sizes[0]
     way = V[kept].T / sizes[kept]
     z = way @ (U.T[kept] @ y)
@@ -267,9 +267,9 @@ def rattled(
     scatter, each = way * error, way[:, :0]
     bent = slope * z if abs(slope) > TIMES * error / norm(half) else 0 * z
     if noise.rough:  # each number has a slope of its own
-        bent = np.linalg.lstsq(short, less, NONE)[0] - z
+        bent = lstsq(short, less, NONE)[0] - z
         both = np.hstack([scatter, free.T * (free @ bent)])
-        U, sizes, _ = np.linalg.svd(both, full_matrices=False)
+        U, sizes, _ = svd(both, full_matrices=False)
         each = U * sizes
     numbers = np.column_stack([known + free @ z, free @ np.column_stack([scatter, bent, each])])
     values = np.tensordot(numbers.T, every.values(every.basis), 1)
@@ -308,11 +308,11 @@ def by_strains(
     except NotImplementedError:
         return None
     means = (S.sum(axis=0) / 2).reshape(len(e), -1)
-    even = np.linalg.lstsq(np.column_stack([e**0, e**2]), means)[0]
+    even = lstsq(np.column_stack([e**0, e**2]), means)[0]
     slope, error, gain = _slope((S[0] - S[1]) / 2, e, rough)
     few = [slice(k, k + 1) for k in range(SMALLER)] if rough else [slice(0, 2)]
     short, _, wider = zip(*(_slope((S[0] - S[1])[k] / 2, e[k], rough) for k in few))
-    onto = np.linalg.pinv(voigt(allowed).reshape(len(allowed), -1).T)
+    onto = pinv(voigt(allowed).reshape(len(allowed), -1).T)
     C, *off = (np.tensordot(onto @ one.ravel(), allowed, 1) for one in (slope, *(slope - short)))
     errors = [*np.tensordot(error * onto.T, allowed, 1)]
     seen = TIMES * error * wider[0] / gain * norm(onto, "nuc")
@@ -355,7 +355,7 @@ def _under_strain(
 def _slope(y: np.ndarray, e: np.ndarray, secant: bool) -> tuple[np.ndarray, float, float]:
     """Slopes a of y = a e + b e³, their standard error, and that over y's; b is 0 of a secant."""
     X = e[:, None] if secant else np.column_stack([e, e**3])
-    flat, P = y.reshape(len(e), -1), np.linalg.pinv(X)
+    flat, P = y.reshape(len(e), -1), pinv(X)
     free = flat.shape[1] * max(len(e) - X.shape[1], 1)
     left = norm(flat - X @ P @ flat) / np.sqrt(free)
     gain = float(norm(P[0]))
@@ -375,7 +375,7 @@ def _relaxed(
     stiff = atoms.moments(values)[0][:, :m, :, :m].reshape(n * m, n * m)
     moved = np.tensordot(relaxing(stiff, m), push, 1)
     size = EV_IN_TPA / atoms.volume
-    onto = np.linalg.pinv(allowed.reshape(len(allowed), -1).T)
+    onto = pinv(allowed.reshape(len(allowed), -1).T)
     taken = onto @ np.einsum("Iab,Icd->abcd", push, moved).ravel() * size
     each = np.einsum("mabcd,Icd->Iabm", onto.reshape(allowed.shape), moved).reshape(-1, len(onto))
     return np.tensordot(taken, allowed, 1), np.tensordot(2 * size * error * each, allowed, 1)
@@ -394,14 +394,14 @@ def joined(
     C, errors as of `by_strains`; the last `shared` errors stay. Returns χ² per modulus, and the
     move of Φ, as well; above χ² = 1 errors of Φ grow by √χ².
     """
-    onto = np.linalg.pinv(allowed.reshape(len(allowed), -1).T)
+    onto = pinv(allowed.reshape(len(allowed), -1).T)
     own, both = np.split(onto @ errors.reshape(len(errors), -1).T, [len(errors) - shared], axis=1)
     other, seen = onto @ C.ravel(), onto @ atoms.nearest_elastic(allowed)[0].ravel()
     off = other - seen
 
     def compared() -> tuple[np.ndarray, float]:
         J = onto @ atoms.elastic_doubt(allowed).reshape(-1, onto.shape[1]).T
-        return J, float(off @ np.linalg.pinv(J @ J.T + own @ own.T) @ off) / len(allowed)
+        return J, float(off @ pinv(J @ J.T + own @ own.T) @ off) / len(allowed)
 
     J, chi = compared()
     wider = chi
@@ -409,14 +409,14 @@ def joined(
         atoms = replace(atoms, doubt=atoms.spread, spread=None)
         J, wider = compared()
     doubt, J = (max(1.0, wider**0.5) * one for one in (atoms.doubt, J))
-    gain = J.T @ np.linalg.pinv(J @ J.T + own @ own.T)
+    gain = J.T @ pinv(J @ J.T + own @ own.T)
     values, step = atoms.values, np.zeros(len(doubt))
     for _ in range(3):  # moduli bend a little in Φ where atoms of a cell relax
         step = gain @ (other - seen + J @ step)
         values = atoms.values + np.tensordot(step, doubt, 1)
         seen = onto @ atoms.nearest_elastic(allowed, values)[0].ravel()
     parts, vectors = np.linalg.eigh(np.eye(len(doubt)) - gain @ J)
-    left = (vectors * np.sqrt(np.clip(parts, 0, None))).T, (np.linalg.pinv(J) @ both).T
+    left = (vectors * np.sqrt(np.clip(parts, 0, None))).T, (pinv(J) @ both).T
     after = np.tensordot(np.concatenate(left), doubt, 1)
     moved = relative(values - atoms.values, atoms.values)
     return replace(atoms, values=values, doubt=after), chi, moved

@@ -10,7 +10,7 @@ from typing import Any
 import ase
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.linalg import norm
+from numpy.linalg import inv, norm
 
 from warp_peri.atoms.calculator_noise import PULLED, SMALLER, by_strains, joined
 from warp_peri.atoms.force_constants import STEP, WIDER, ForceConstants
@@ -132,9 +132,9 @@ class CrystalFit(Shown):
         size = 2 * np.pi / (self.wave_lengths * self.law.spacing)
         k = size[:, None, None] * directions(DIRECTIONS, self.atoms.dimension)
         k = k.reshape(-1, self.atoms.dimension)
-        true, found = np.linalg.inv(self.atoms.effective(k)), {}
+        true, found = inv(self.atoms.effective(k)), {}
         for name, symbol in (("law", self.law.symbol), ("local", self.local)):
-            off = norm(np.linalg.inv(symbol(k)) - true, axis=(1, 2))
+            off = norm(inv(symbol(k)) - true, axis=(1, 2))
             found[name] = (off / norm(true, axis=(1, 2))).reshape(SIZES, -1)
         return found
 

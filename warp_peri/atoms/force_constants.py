@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from ase import Atoms
 from ase.build import make_supercell
-from numpy.linalg import norm
+from numpy.linalg import det, eigvalsh, inv, norm
 
 from warp_peri.core.elastic import (
     acoustic,
@@ -88,14 +88,14 @@ class NonAnalyticCorrection:
             )
         object.__setattr__(self, "born", born - born.mean(axis=0))
         object.__setattr__(self, "dielectric", checked("dielectric", self.dielectric, shape=(3, 3)))
-        if not (np.linalg.eigvalsh(self.dielectric) > 0).all():
+        if not (eigvalsh(self.dielectric) > 0).all():
             raise InputError(f"dielectric: expected a positive tensor, got {self.dielectric}")
 
     def matrix(
         self, k: np.ndarray, cell: np.ndarray, positions: np.ndarray, *, field: bool = True
     ) -> np.ndarray:
         """Dipole–dipole matrix [eV/Å²], [K, n, 3, n, 3]; without macroscopic `field` smooth."""
-        least = np.linalg.eigvalsh(self.dielectric)[0]
+        least = eigvalsh(self.dielectric)[0]
         furthest = 2 * self.decay * np.sqrt(NEGLECTED / least) + norms(k).max()
         most = np.ceil(furthest * norms(cell) / (2 * np.pi))
         waves = np.prod(2.0 * most + 1) * len(positions)
@@ -105,7 +105,7 @@ class NonAnalyticCorrection:
                 f"of {self.dielectric.tolist()} and the decay {self.decay:g}/Å"
             )
         counts = grid_places(2 * most.astype(int) + 1) - most
-        G = 2 * np.pi * counts @ np.linalg.inv(cell).T
+        G = 2 * np.pi * counts @ inv(cell).T
         zero = self._sums(np.zeros(3), G, cell, positions).sum(axis=2)
         around = G if field else G[counts.any(axis=1)]
         D = np.stack([self._sums(one, around, cell, positions) for one in k])
@@ -118,7 +118,7 @@ class NonAnalyticCorrection:
         """Macroscopic field's part of D along unit vectors e [K, 3], shape [K, n, 3, n, 3]."""
         pull = np.einsum("kb,nba->kna", e, self.born)
         screened = np.einsum("ki,ij,kj->k", e, self.dielectric, e)
-        factor = 4 * np.pi * COULOMB / abs(np.linalg.det(cell)) / screened
+        factor = 4 * np.pi * COULOMB / abs(det(cell)) / screened
         return np.asarray(np.einsum("k,kia,kjb->kiajb", factor, pull, pull))
 
     def _sums(self, k: np.ndarray, G: np.ndarray, cell: np.ndarray, positions: np.ndarray) -> Any:
@@ -128,7 +128,7 @@ class NonAnalyticCorrection:
         kept = (square > 1e-14) & (square < 4 * self.decay**2 * NEGLECTED)
         K, square = K[kept], square[kept]
         factor = np.exp(-square / (4 * self.decay**2)) / square
-        factor *= 4 * np.pi * COULOMB / abs(np.linalg.det(cell))
+        factor *= 4 * np.pi * COULOMB / abs(det(cell))
         phase = np.exp(1j * G[kept] @ positions.T)
         pull = np.einsum("gb,nba->gna", K, self.born) * phase[..., None]
         return np.einsum("g,gia,gjb->iajb", factor, pull, pull.conj(), optimize=True)
@@ -183,7 +183,7 @@ class ForceConstants:
     def volume(self) -> float:
         """Volume of a cell [Å³]; of a sheet its area times the thickness."""
         d = self.dimension
-        return float(abs(np.linalg.det(self.cell[:d, :d]))) * (self.thickness or 1.0)
+        return float(abs(det(self.cell[:d, :d]))) * (self.thickness or 1.0)
 
     @property
     def moving(self) -> int:
@@ -222,7 +222,7 @@ class ForceConstants:
         """
         d, m, n = self.dimension, self.moving, len(self.positions)
         D = self.dynamical(k)
-        least = np.linalg.eigvalsh(D)[:, 0]
+        least = eigvalsh(D)[:, 0]
         if least.min() <= SOFT * np.abs(self.values).max():
             raise InputError(
                 f"force constants: expected a stable crystal, got the stiffness {least.min():.2e} "
@@ -230,7 +230,7 @@ class ForceConstants:
             )
         moved = np.linalg.solve(D, np.tile(np.eye(m, d, dtype=complex), (n, 1)))
         flexible = moved.reshape(len(k), n, m, d)[:, :, :d].mean(axis=1).real * (self.volume / n)
-        return symmetric_part(np.linalg.inv(flexible) * EV_IN_TPA)
+        return symmetric_part(inv(flexible) * EV_IN_TPA)
 
     def _by_atoms(self, weight: np.ndarray, phi: np.ndarray) -> np.ndarray:
         """Sum weight [K, P] · phi [P, ...] over the pairs of each two atoms, [n, n, K, ...]."""
@@ -354,7 +354,7 @@ class ForceConstants:
 
     def group(self) -> np.ndarray:
         """Point group of the crystal by spglib, [G, d, d], in the axes of its coordinates."""
-        turns = group_of_structure(self.cell, self.positions @ np.linalg.inv(self.cell), self.kinds)
+        turns = group_of_structure(self.cell, self.positions @ inv(self.cell), self.kinds)
         if self.dimension == 3:
             return turns
         return point_group(turns[np.abs(np.abs(turns[:, 2, 2]) - 1) < 1e-6][:, :2, :2], 2)
@@ -365,7 +365,7 @@ def relaxing(stiff: np.ndarray, moving: int) -> np.ndarray:
     n = stiff.shape[-1] // moving
     whole = np.kron(np.ones((n, n)) / n, np.eye(moving))
     size = np.abs(stiff).max() or 1.0
-    return np.linalg.inv(stiff + size * whole) - whole / size
+    return inv(stiff + size * whole) - whole / size
 
 
 class Supercell:
@@ -391,7 +391,7 @@ class Supercell:
         )
         self.displaced, self.box = list(displaced), box
         self.apart = X - X[self.displaced][:, None]
-        to_site = self.apart @ np.linalg.inv(edges)
+        to_site = self.apart @ inv(edges)
         off = np.abs(to_site - np.rint(to_site)).max(axis=2)
         if off.min(axis=0).max() > ON_SITE:
             raise InputError("supercell: expected atoms on the sites of the structure")
@@ -401,10 +401,10 @@ class Supercell:
                 raise InputError(f"born: expected {len(x)} charges, got {len(polar.born)}")
             if thickness is not None:
                 raise InputError("BORN: expected a solid; the field of a sheet's ions is another")
-            most = np.linalg.eigvalsh(polar.dielectric)[-1] ** 0.5
+            most = eigvalsh(polar.dielectric)[-1] ** 0.5
             decay = polar.decay or float(2 * DECAYED * most / norms(box).min())
             polar = replace(polar, decay=decay)
-        fraction = self.apart @ np.linalg.inv(box)
+        fraction = self.apart @ inv(box)
         shifts = grid_places((3, 3, 3)) - 1
         near = ((fraction - np.rint(fraction))[:, :, None] + shifts) @ box
         far = norm(near, axis=3)
@@ -415,7 +415,7 @@ class Supercell:
         pairs, none = np.stack([i, self.site[j]], axis=1), np.zeros((len(i), 3, 3))
         of = edges, x, np.array(cell.numbers), pairs, near[i, j, image], none, kinds_of(cell)[0]
         self.pairs = ForceConstants(*of, thickness, polar, stress)
-        widths = 1 / norm(np.linalg.inv(box), axis=0)[: 3 if thickness is None else 2]
+        widths = 1 / norm(inv(box), axis=0)[: 3 if thickness is None else 2]
         self.at_edge = far[i, j, image] > EDGE * widths.min()
 
     def values(self, phi: np.ndarray) -> np.ndarray:
@@ -433,10 +433,10 @@ class Supercell:
         """Dipole part of Φ, [n, N, 3, 3]: the mean of waves that fit the supercell."""
         polar: Any = self.pairs.polar
         cell, x = self.pairs.cell, self.pairs.positions
-        multiples = np.rint(self.box @ np.linalg.inv(cell)).astype(int)
+        multiples = np.rint(self.box @ inv(cell)).astype(int)
         whole = make_supercell(Atoms("X", cell=np.eye(3)), multiples.T)
         parts = np.round(whole.get_scaled_positions(), 9) % 1.0
-        k = 2 * np.pi * (parts - (parts > 0.5)) @ np.linalg.inv(cell).T
+        k = 2 * np.pi * (parts - (parts > 0.5)) @ inv(cell).T
         D = polar.matrix(k, cell, x)
         phase = np.exp(-1j * np.einsum("kc,nNc->knN", k, self.apart)) / len(k)
         phi = np.empty((*self.apart.shape, 3))

@@ -14,7 +14,7 @@ import ase
 import h5py
 import numpy as np
 from ase.data import atomic_masses
-from numpy.linalg import norm
+from numpy.linalg import inv, norm
 
 from warp_peri.atoms.calculator_noise import TIMES, projected, rattled
 from warp_peri.atoms.force_constants import (
@@ -86,7 +86,7 @@ def _cells(repeats: Sequence[int]) -> str:
 def wide_enough(reference: Reference, calculator: Any, widths: Sequence[float]) -> tuple[int, ...]:
     """Repeats of the cell at half of whose width forces have ended, or the most that may be."""
     cell, d = reference.cell, reference.dimension
-    heights = 1 / norm(np.linalg.inv(np.array(cell.cell)), axis=0)
+    heights = 1 / norm(inv(np.array(cell.cell)), axis=0)
     most = MOST_ATOMS if reference.noise.rounding else NOISY_ATOMS
     repeats, rim = (), np.nan
     for width in widths:
@@ -151,7 +151,7 @@ def check_phonons(atoms: ForceConstants) -> None:
 def _phonons(atoms: ForceConstants, parts: np.ndarray) -> tuple[np.ndarray, ...]:
     """Phonons at fractions [K, d] of reciprocal edges: k [1/Å], ω², modes/√mass [K, 3 n, n, 3]."""
     d = atoms.dimension
-    k = 2 * np.pi * parts @ np.linalg.inv(atoms.cell[:d, :d]).T
+    k = 2 * np.pi * parts @ inv(atoms.cell[:d, :d]).T
     weight = 1 / np.sqrt(np.repeat(atomic_masses[atoms.species], 3))
     size, modes = np.linalg.eigh(atoms.dynamical(k, moving=3) * weight * weight[:, None])
     return k, size, (modes.mT * weight).reshape(*size.shape, -1, 3)

@@ -15,7 +15,7 @@ from ase.geometry import minkowski_reduce
 from ase.neighborlist import neighbor_list
 from ase.optimize import BFGS
 from ase.spacegroup.symmetrize import refine_symmetry
-from numpy.linalg import norm
+from numpy.linalg import inv, norm, svd
 from scipy.linalg import polar, sqrtm
 
 from warp_peri.atoms.calculator_noise import ON_SITES, TIMES, Noise, measured, strained
@@ -96,7 +96,7 @@ def check_sites(atoms: ase.Atoms) -> None:
         raise InputError("structure: expected one atom or more, at finite places in a finite cell")
     edges = edges[np.array(atoms.pbc)]
     lengths = norm(edges, axis=1)
-    if not lengths.all() or np.linalg.svd(edges / lengths[:, None])[1].min(initial=1.0) < FLAT:
+    if not lengths.all() or svd(edges / lengths[:, None])[1].min(initial=1.0) < FLAT:
         raise InputError("structure: expected edges of the cell that span one, got some in a plane")
     first, second, apart = neighbor_list("ijd", atoms, UPON)
     if len(apart):
@@ -144,7 +144,7 @@ def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
 def gap(atoms: ase.Atoms, axis: int) -> tuple[float, float]:
     """Largest gap between atoms along an edge [Å], and the fraction of the edge where it ends."""
     part = np.sort(atoms.cell.scaled_positions(atoms.positions)[:, axis] % 1.0)
-    apart = 1 / norm(np.linalg.inv(np.array(atoms.cell))[:, axis])
+    apart = 1 / norm(inv(np.array(atoms.cell))[:, axis])
     steps = np.diff(part, prepend=part[-1] - 1)
     return float(steps.max() * apart), float(part[steps.argmax()])
 
@@ -174,9 +174,9 @@ def exact_cell(atoms: ase.Atoms) -> ase.Atoms:
     found = by_spglib("get_symmetry", crystal_of(atoms), ON_SITES)
     W, edges = found["rotations"].astype(float), np.array(atoms.cell).T
     metric = (W.mT @ (edges.T @ edges) @ W).mean(axis=0)
-    back = np.linalg.inv(edges)
+    back = inv(edges)
     edges = np.real(sqrtm(back.T @ metric @ back)) @ edges
-    turns = edges @ W @ np.linalg.inv(edges)
+    turns = edges @ W @ inv(edges)
     whole = np.rint(turns)
     near = np.abs(turns - whole).max(axis=(1, 2)) < ALMOST
     turn, _ = polar((turns[near] @ whole[near].mT).mean(axis=0))
@@ -257,7 +257,7 @@ def _settled(cell: ase.Atoms, flat: bool, held: set[str]) -> tuple[ase.Atoms, np
     _check_stress(cell, flat)
     noise = measured(cell, calculator, flat)
     _relax(cell, flat, held, noise)
-    strain = np.linalg.svd(np.linalg.solve(before, np.array(cell.cell)), compute_uv=False) - 1
+    strain = svd(np.linalg.solve(before, np.array(cell.cell)), compute_uv=False) - 1
     if flat:
         strain = np.delete(strain, np.abs(strain).argmin())  # across it nothing is relaxed
     if not noise.rounding:  # it breaks the symmetry, which takes most of it away

@@ -14,6 +14,7 @@ from functools import lru_cache
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.linalg import inv
 
 from warp_peri.errors import InputError, optional
 from warp_peri.points.arguments import checked, typed
@@ -193,7 +194,7 @@ def group_of_structure(
     # of the primitive cell: a larger one hides turns that are no whole numbers of its edges
     small = primitive_cell((np.asarray(cell, float), fractions, species), precision)
     found, edges = by_spglib("get_symmetry", small, precision), np.array(small[0]).T
-    return point_group(edges @ found["rotations"].astype(float) @ np.linalg.inv(edges), 3)
+    return point_group(edges @ found["rotations"].astype(float) @ inv(edges), 3)
 
 
 def canonical(
@@ -372,7 +373,7 @@ def compliance(tensor: np.ndarray) -> np.ndarray:
     if not np.linalg.eigvalsh(matrix).min() > 0:
         raise InputError("moduli: expected a stable crystal, got an elastic tensor that is none")
     engineering = np.where(np.arange(len(matrix)) < d, 1.0, 0.5)
-    return voigt_to_tensor(np.linalg.inv(matrix) * np.outer(engineering, engineering))
+    return voigt_to_tensor(inv(matrix) * np.outer(engineering, engineering))
 
 
 def named_symmetry(tensor: np.ndarray) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.linalg import norm
+from numpy.linalg import lstsq, norm
 
 from warp_peri.core.elastic import (
     CANDIDATES,
@@ -76,7 +76,7 @@ def moduli_of(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
             f"moduli: the long waves of these loads do not tell {R.shape[1]} constants apart; "
             "give them, or more loads of long waves"
         )
-    c = np.linalg.lstsq(R, y)[0]
+    c = lstsq(R, y)[0]
     return c / size, relative(R @ c - y, y)
 
 
@@ -177,7 +177,7 @@ def lame_of_long_waves(sets: Sequence[Samples]) -> LongWaves:
     size = np.sqrt((R**2).sum(axis=(0, 1, 2)))
     R, groups = R / np.where(size > 0, size, 1), _groups(turns)
     terms = R[..., groups[LAME[1]].start :]
-    c = np.linalg.lstsq(terms.reshape(y.size, -1), y.ravel(), rcond=NOTHING)[0]
+    c = lstsq(terms.reshape(y.size, -1), y.ravel(), rcond=NOTHING)[0]
     weight = 1 / np.sqrt(((y - terms @ c) ** 2).mean(axis=0) + NOTHING * (y**2).mean())
     R, y = R * weight[..., None], y * weight
     if len(R) < ENOUGH:  # too few samples to leave out: test fields are
@@ -372,6 +372,6 @@ def _crossed(equations: Sequence[tuple[np.ndarray, ...]], mix: np.ndarray) -> fl
     parts = [(R @ mix, y) for R, y in equations]
     if any(np.linalg.matrix_rank(R) < R.shape[1] for R, _ in parts):
         return np.inf
-    fits = [np.linalg.lstsq(R, y)[0] for R, y in parts]
+    fits = [lstsq(R, y)[0] for R, y in parts]
     left = np.concatenate([R @ p - y for (R, y), p in zip(parts, fits[::-1])])
     return relative(left, np.concatenate([y for _, y in parts]))

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.linalg import norm
+from numpy.linalg import norm, svd
 from scipy.optimize import nnls
 
 from warp_peri.core.stencil import (
@@ -144,7 +144,7 @@ def particular(A: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Least x with A x = a where one is, and a basis of the null space of A, as columns."""
     if not len(A):
         return np.zeros(A.shape[1]), np.eye(A.shape[1])
-    U, size, V = np.linalg.svd(A)
+    U, size, V = svd(A)
     rank = (size > DEPENDENT * max(size.max(initial=0.0), 1e-300)).sum()
     return V[:rank].T @ ((U[:, :rank].T @ a) / size[:rank]), V[rank:].T
 
@@ -523,10 +523,10 @@ def without_noise(R: np.ndarray, y: np.ndarray, noise: np.ndarray) -> tuple[np.n
     ‖√(1−ν) Vᵗ R p − (1−ν)^(−½) Uᵗ y‖² and a constant: no squares are subtracted. Directions of
     which less than KNOWN is not noise count nothing.
     """
-    left, size, right = np.linalg.svd(R, full_matrices=False)
+    left, size, right = svd(R, full_matrices=False)
     kept = size > np.finfo(float).eps * R.shape[1] * size[0]
     left, size, right = left[:, kept], size[kept], right[kept]
-    root, axes = np.linalg.svd((noise @ right.T) / size)[1:]
+    root, axes = svd((noise @ right.T) / size)[1:]
     share = np.pad(root**2, (0, len(axes) - len(root)))
     known = 1 - share > KNOWN
     gain = np.sqrt(1 - share[known])

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 import warp as wp
+from numpy.linalg import eigvalsh
 
 from warp_peri.core.elastic import lattice_group
 from warp_peri.core.proof import largest
@@ -200,7 +201,7 @@ def mean_gradients(
     weight = np.abs(share)
     pull = ((there * weight)[:, :, None] * xi).swapaxes(1, 2)
     shape, whole = pull @ xi, (weight * xi.T) @ xi
-    spans = np.linalg.eigvalsh(shape)[:, 0] > least * np.linalg.eigvalsh(whole)[0]
+    spans = eigvalsh(shape)[:, 0] > least * eigvalsh(whole)[0]
     shape[~spans] = np.eye(len(whole))
     lack = ~there & spans[:, None]
     slopes = spans[:, None, None] * (np.linalg.inv(shape) @ pull)

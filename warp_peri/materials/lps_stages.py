@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.linalg import solve
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, eigh
 from scipy.spatial import KDTree
 
@@ -294,8 +295,8 @@ class WaveResponse:
     def about(self, model: LPSMaterial) -> LatticeRows:
         """Rows of the relative displacement misfit at the wave vectors, linearised at a model."""
         D = self.symbol @ products(model, self.classes)
-        answer = np.linalg.solve(D, self.b[..., None])[..., 0]
-        R = np.linalg.solve(D, np.einsum("sabp,sb->sap", self.symbol, answer))
+        answer = solve(D, self.b[..., None])[..., 0]
+        R = solve(D, np.einsum("sabp,sb->sap", self.symbol, answer))
         R = (R * self.weight[:, None, None]).reshape(-1, R.shape[-1])
         y = ((2 * answer - self.u) * self.weight[:, None]).ravel()
         return LatticeRows(*compressed(R, y), self.bonds, lattice_group(2))

@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
+from numpy.linalg import lstsq
 from numpy.typing import ArrayLike
 from scipy.optimize import root
 from scipy.special import j0
@@ -136,7 +137,7 @@ def fitted_weights(
         SIZE * 2 * len(k) * np.diag(sigma),
     ]
     right = [(k * (weight * factor(number))[:, None]).ravel(), [HELD], np.zeros(len(sigma))]
-    p = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right))[0]
+    p = lstsq(np.concatenate(rows), np.concatenate(right))[0]
     return np.asarray(p / (sigma @ p))
 
 
@@ -500,6 +501,6 @@ class Learning:
             return moduli_of(R, left(c))[0][: len(c)]
 
         guess = long_wave_moduli(samples, allowed)[0]
-        start = np.linalg.lstsq(allowed.reshape(len(allowed), -1).T, guess.ravel())[0]
+        start = lstsq(allowed.reshape(len(allowed), -1).T, guess.ravel())[0]
         c = root(change, start, tol=SETTLED).x
         return np.tensordot(c, allowed, 1), relative(left(c), right)

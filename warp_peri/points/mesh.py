@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.linalg import norm
+from numpy.linalg import det, norm
 from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -113,7 +113,7 @@ class Mesh(Shown):
         """Smallest side of the box around each hole or cavity [length], shape [holes]."""
         pairs = np.concatenate([self.faces[:, [a, a - 1]] for a in range(self.dimension)])
         label = _joined(len(self.x), pairs)
-        turn = np.linalg.det(self.x[self.faces])
+        turn = det(self.x[self.faces])
         holes = np.flatnonzero(np.bincount(label[self.faces[:, 0]], turn) < 0)
         of, x = label[self.faces.ravel()], self.x[self.faces.ravel()]
         of, x = np.append(of, label[self.curved[:, 0]]), np.concatenate([x, self.middle])
@@ -168,7 +168,7 @@ def make_mesh(
     if not len(t):
         raise InputError(f"{name}: expected some, got none")
     check_numbers(name, t, len(x))
-    size = np.linalg.det(x[t[:, 1:]] - x[t[:, :1]])
+    size = det(x[t[:, 1:]] - x[t[:, :1]])
     pairs = list(itertools.combinations(range(d + 1), 2))
     lengths = [norm(x[t[:, a]] - x[t[:, b]], axis=1) for a, b in pairs]
     share = np.abs(size) / np.max(lengths, axis=0) ** d
@@ -207,7 +207,7 @@ def _outline(x: np.ndarray, t: np.ndarray) -> np.ndarray:
     if count.max() > 2:
         raise InputError(f"{name}: expected one or two at each {facet}, some {facet} has more")
     across = np.concatenate([t[:, corner] for corner in ACROSS[d]])
-    side = np.linalg.det(x[np.c_[keys[back][:, 1:], across]] - x[keys[back][:, :1]])
+    side = det(x[np.c_[keys[back][:, 1:], across]] - x[keys[back][:, :1]])
     shared = np.argsort(back, kind="stable")
     shared = shared[count[back[shared]] == 2].reshape(-1, 2)
     if (over := shared[np.prod(np.sign(side[shared]), axis=1) > 0] % len(t)).size:
