@@ -111,9 +111,14 @@ def test_certify_evaluate_solve_and_info(fitted, data, tmp_path, capsys):
     words = ["solve", model, data, "--out", out]
     answer(capsys, *words)
     test = load_dataset(data)["test"]
-    assert str(model) in (tmp_path / "solved.solve.txt").read_text().splitlines()
+    said = (kept := tmp_path / "solved.solve.txt").read_text()
+    assert str(model) in said.splitlines()
+    assert results(parse(["solve", "m", "d", "--out", "a.hdf5"]))[0].name == "a.solve.hdf5.txt"
     u = solve(LPSMaterial.load(model), test, test.b, test.u)
-    answer(capsys, *words)
+    for more, stays in ("# mine\n", True), ("--set train\n", False), ("--set '\n", False):
+        kept.write_text(said + more)
+        answer(capsys, *words)
+        assert kept.read_text() == said + more * stays
     assert_allclose(load_dataset(out)["test"].u, u)
     assert "not by these settings" in refused(capsys, *words, "--set", "train")
     shutil.copy(data, out)
@@ -199,19 +204,19 @@ def test_dumps_become_sets_of_one_file(sheet, tmp_path, capsys):
     assert not out.exists()
     first = answer(capsys, *words, "--density", 2300, "--thickness", 3.1)
     words[words.index(tmp_path / "f.npz")] = tmp_path / "f.csv"
-    answer(capsys, *words, "--set", "val")  # the sheet is the file's
+    answer(capsys, *words, "--set", "b.c")  # the sheet is the file's
     data = load_dataset(out)
-    assert (data.density, data.thickness, sorted(data)) == (2300, 3.1, ["train", "val"])
-    line = ["coarse-grain", f"@{tmp_path}/own.val.coarse-grain.txt"]
-    assert answer(capsys, *line)["set"] == "val"
-    assert_array_equal(load_dataset(out)["val"].b, data["val"].b)
+    assert (data.density, data.thickness, sorted(data)) == (2300, 3.1, ["b.c", "train"])
+    line = ["coarse-grain", f"@{tmp_path}/own.b%2Ec.coarse-grain.txt"]  # b.c of own, not c of own.b
+    assert answer(capsys, *line)["set"] == "b.c"
+    assert_array_equal(load_dataset(out)["b.c"].b, data["b.c"].b)
     save_dataset(out, data.of_sheet(density=5060.0))
-    assert "set 'val': is there already" in refused(capsys, *line)
+    assert "set 'b.c': is there already" in refused(capsys, *line)
     save_dataset(out, data)
     assert first["nodes"] == 441
     u = np.broadcast_to([0.3, -0.1], (1, 441, 2))
     assert_allclose(data["train"].u, u, atol=1e-9)
-    assert_allclose(data["train"].b, data["val"].b)
+    assert_allclose(data["train"].b, data["b.c"].b)
     assert_allclose(data["train"].x.mean(axis=0), [20, 20])
     said = refused(capsys, *words, "--thickness", "1")
     assert "has 3.1 Å, got 1 Å; in Python wp.load(path).of_sheet(thickness=1)" in said
@@ -276,6 +281,8 @@ def test_settings_files_hold_words_of_a_command(fitted, data, tmp_path, capsys):
     path.write_text("d.h5 --out o --degrees 1 2 --horizons 9 --jobs 2")
     given = parse(["sweep", f"@{path}", "--degrees", "3"])
     assert (given.degrees, given.horizons, given.jobs) == ([3], [9.0], 2)
+    more = parse(["sweep", *given.words, "--jobs", "4"])
+    assert hashes(more, path, {}) == hashes(given, path, {})
     path.write_text("\n".join(given.words))
     assert parse(["sweep", f"@{path}"]).options == given.options
 
@@ -284,6 +291,7 @@ def test_what_cannot_be_done_is_one_line_and_writes_nothing(data, tmp_path, caps
     names = {"data": "d.h5", "bare": "bare.json", "text": "thesis.txt", "mine": "mine.h5"}
     places = {key: tmp_path / name for key, name in names.items()}
     shutil.copy(data, places["data"])
+    (tmp_path / "model.json").symlink_to(places["data"])
     bare = replace(kernel("sign-changing", 2.5), trained_on=(), certified_on=())
     bare.save(places["bare"])
     for key in ("text", "mine"):
@@ -306,7 +314,8 @@ def test_what_cannot_be_done_is_one_line_and_writes_nothing(data, tmp_path, caps
         "solve {bare} {data} --out {text}": "expected a .h5 file",
         "solve {bare} {data} --out {mine}": "is there already, not by these settings",
         "solve {bare} {data} @{mine} --out {mine}": "is read (files)",
-        "export {bare} {data} --out {bare}": "is read (model)",
+        "fit {folder}/model.json --out {folder} --overwrite": "is read (data)",
+        "fit {data} --out {folder} --overwrite": "is read (data)",
         "fit {data} --out {bare}": "expected a folder",
         "solve {bare} {data} --out {folder}": "expected a file",
         "sweep {data} --val test --out {new} --jobs 0": "jobs: expected",

@@ -16,12 +16,12 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_896,
-    "tokens": 234_730,
-    "lines of warp_peri": 30_427,
+    "code lines": 18_906,
+    "tokens": 234_818,
+    "lines of warp_peri": 30_445,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_614,
+    "lines of warp_peri, kernels, examples and tools": 42_632,
     "lines of the longest file": 537,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -33,16 +33,16 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "atoms": 2345,
-    "cli": 803,
+    "cli": 808,
     "core": 1603,
     "face": 1109,
     "fe_coupling": 696,
-    "files": 515,
+    "files": 521,
     "fitting": 1053,
     "fracture": 1413,
     "materials": 4550,
     "neural": 589,
-    "points": 1713,
+    "points": 1712,
     "prediction": 575,
     "mpi": 451,
     "solvers": 1481,

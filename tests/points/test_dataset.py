@@ -1,5 +1,6 @@
 """Data sets in memory and in HDF5."""
 
+import resource
 import tracemalloc
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.support import approx, assert_refused, each_refused, refused, warned
 from tests.support.problems import lattice, noise
 from warp_peri import Dataset, Points, Samples, evaluate, load, save
+from warp_peri.files.checkpoint import write_arrays
 from warp_peri.points.arguments import factors
 from warp_peri.points.dataset import content_hash, load_dataset, save_dataset
 
@@ -52,6 +54,20 @@ def test_a_file_keeps_every_bit_and_says_what_it_is(path):
     assert_array_equal(back["train"].arrays["snr"], ARRAYS["snr"])
     with refused("b: expected loads, got samples whose loads are not"):
         _ = back["cut"].loads
+
+
+def test_a_disk_that_fills_leaves_the_old_file(path):
+    old, usual = path.read_bytes(), resource.getrlimit(resource.RLIMIT_FSIZE)
+    for most in range(0, len(old), 2000):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most, usual[1]))
+        try:
+            with pytest.raises(OSError, match="File too large"):
+                save_dataset(path, DATA)
+            with refused("cannot be written"):
+                write_arrays(path, {"u": np.ones(len(old))}, {})
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, usual)
+        assert ([*path.parent.iterdir()], path.read_bytes()) == ([path], old)
 
 
 def put(key, value=None, **options):

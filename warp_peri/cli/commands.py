@@ -7,16 +7,16 @@ import dataclasses
 import shlex
 from argparse import Namespace
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from numpy.linalg import norm
 
 import warp_peri
-from warp_peri.cli.main import HASH, MADE, check_output, hashes, is_kept, results
+from warp_peri.cli.main import HASH, MADE, check_output, hashes, is_kept, parse, results
 from warp_peri.errors import InputError, warn
-from warp_peri.files.atomic import content, finite, locked, plain, write_text
+from warp_peri.files.atomic import finite, locked, plain, write_text
 from warp_peri.points.arguments import Units, offered, symbols
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.verbs import load
@@ -168,9 +168,10 @@ def keep(given: Namespace, path: Path, made: Mapping[str, str]) -> None:
     if path.exists() and not is_kept(path):
         return warn(f"{path}: is no file of a command, and is left as it is")
     lines, marks = [MADE, *map(shlex.quote, given.words), ""], hashes(given, path, made)
-    text = content(path).decode("utf-8", "replace").split("\n") if path.exists() else []
-    if marks[0] in text:
-        lines = [line for line in text if not line.startswith(HASH)]
+    with suppress(InputError):  # there are none, or they are changed to what is no words
+        if marks[:1] == hashes(parse([given.command, f"@{path}"]), path, {}):
+            kept = path.read_text("utf-8").split("\n")
+            lines = [line for line in kept if not line.startswith(HASH)]
     write_text(path, "\n".join([lines[0], *marks, *lines[1:]]))
 
 

@@ -241,29 +241,35 @@ def check_output(given: Namespace) -> None:
     --overwrite, what the command with the same options did not write so."""
     if not hasattr(given, "out"):
         return
-    for name, read in vars(given).items():
-        for path in read if isinstance(read, list) else [read]:
-            if name != "out" and isinstance(path, Path) and path.resolve() == given.out.resolve():
-                raise InputError(f"out: {given.out} is read ({name}); name another file")
-    folder = given.command in WRITTEN
-    if given.out.exists() and given.out.is_dir() != folder:
-        wanted, got = ("folder", "file") if folder else ("file", "folder")
-        raise InputError(f"out: expected a {wanted}, {given.out} is a {got}")
-    if not folder:
+    if given.command not in WRITTEN:
         destination(given.out)
         if given.out.suffix not in (".h5", ".hdf5"):
             raise InputError(f"out: expected a .h5 file, got {given.out.name}")
+    elif given.out.exists() and not given.out.is_dir():
+        raise InputError(f"out: expected a folder, {given.out} is a file")
+    kept, made = results(given)
+    taken = {*map(os.path.realpath, (given.out, *made))}
+    for name, read in vars(given).items():
+        for path in read if isinstance(read, list) else [read]:
+            if name != "out" and isinstance(path, Path) and os.path.realpath(path) in taken:
+                raise InputError(f"out: {path} is read ({name}); name another place")
     if given.command != "coarse-grain":  # which adds to a data set
-        check_made(given, *results(given))
+        check_made(given, kept, made)
 
 
 def results(given: Namespace) -> tuple[Path, dict[str, str]]:
     """Settings file of a command, and hashes of what is there that it writes, by path."""
-    kept, there = given.out.with_suffix(".solve.txt"), [given.out] * given.out.exists()
     if names := WRITTEN.get(given.command):
         kept = given.out / f"{given.command}.txt"
         there = [path for name in names.split() for path in sorted(given.out.glob(name))]
+    else:
+        kept, there = beside(given.out, "solve"), [given.out] * given.out.exists()
     return kept, {str(path): hash_of(path) for path in there}
+
+
+def beside(out: Path, end: str) -> Path:
+    """Settings file of a data file; those of a .h5 and a .hdf5 file are two."""
+    return out.with_suffix(f".{end}{out.suffix.removeprefix('.h5')}.txt")
 
 
 def hash_of(path: Path) -> str:
@@ -288,6 +294,7 @@ def hashes(given: Namespace, kept: Path, made: Mapping[str, str]) -> list[str]:
     """Lines of a settings file: hashes of the options, their paths as they lie from there, and of
     what was written."""
     home, options = os.path.realpath(kept.parent), dict(given.options)
+    options.pop("jobs", None)  # which change no result
     if os.path.isfile(options.get("potential") or ""):
         options["potential"] = Path(options["potential"])
 

@@ -17,7 +17,7 @@ from warp_peri.atoms import dumps
 from warp_peri.atoms.coarse_graining import smoothing_matrix
 from warp_peri.atoms.dic import estimate_noise, frames_of_folder
 from warp_peri.cli.commands import Result, Said, chosen, error_table, keep, lines_of, writing
-from warp_peri.cli.main import check_made, results
+from warp_peri.cli.main import beside, check_made, results
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import content, finite, plain, read_arrays, whole_file, write_json
 from warp_peri.fitting.evaluate import Run, train
@@ -117,8 +117,8 @@ def _take_sheet(given: Namespace) -> Dataset | None:
 def _set_of(given: Namespace, data: Dataset) -> tuple[Path, dict[str, str]]:
     """Settings file of a set of a data file, and the set's hash, by its name."""
     mark = content_hash(dataclasses.replace(data, sets={given.set: data[given.set]}))
-    kept = given.out.with_suffix(f".{given.set}.coarse-grain.txt")
-    return kept, {f"{given.out}: set '{given.set}'": mark}
+    name = given.set.replace("%", "%25").replace(".", "%2E")  # a.h5 can have b.c, and a.b.h5 c
+    return beside(given.out, f"{name}.coarse-grain"), {f"{given.out}: set '{given.set}'": mark}
 
 
 def atom_forces(path: Path, atoms: int) -> np.ndarray:

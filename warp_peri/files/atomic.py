@@ -6,6 +6,7 @@ from __future__ import annotations
 import bz2
 import fcntl
 import gzip
+import io
 import json
 import lzma
 import math
@@ -97,6 +98,16 @@ def whole_file(path: StrPath) -> Iterator[Path]:
     finally:
         temporary.unlink(missing_ok=True)
         os.close(handle)
+
+
+@contextmanager
+def whole_hdf5(path: StrPath, **how: Any) -> Iterator[h5py.File]:
+    """Yield an HDF5 file in memory; write it to `path` whole or not at all. On a disk that is full
+    the HDF5 library can lose what it holds back and say nothing; Python raises OSError."""
+    with whole_file(path) as temporary:
+        with h5py.File(made := io.BytesIO(), "w", **how) as file:
+            yield file
+        temporary.write_bytes(made.getbuffer())
 
 
 def _is_busy(handle: int) -> bool:

@@ -32,7 +32,7 @@ from warp_peri.files.atomic import (
     locked,
     meshio_of,
     parsed,
-    whole_file,
+    whole_hdf5,
     write_text,
     write_vtu,
 )
@@ -384,7 +384,7 @@ def write_arrays(
 ) -> None:
     """Write an HDF5 file of arrays whole or not at all; InputError where it cannot be written."""
     try:
-        with whole_file(path) as part, h5py.File(part, "w", locking=False) as file:
+        with whole_hdf5(path) as file:
             for name, values in arrays.items():
                 file[name] = values
             file.attrs.update(attributes)

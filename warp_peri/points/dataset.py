@@ -15,7 +15,7 @@ import numpy as np
 from numpy.linalg import norm
 
 from warp_peri.errors import InputError, Rows, Shown, StrPath, warn
-from warp_peri.files.atomic import check_hdf5, check_regular, parsed, plain, whole_file
+from warp_peri.files.atomic import check_hdf5, check_regular, parsed, plain, whole_hdf5
 from warp_peri.points.arguments import (
     USUAL,
     Count,
@@ -233,8 +233,7 @@ def save_dataset(path: StrPath, dataset: Dataset) -> None:
         "provenance": _written(dataset.provenance),
         "sha256": content_hash(dataset),
     }
-    how = {"libver": ("v110", "v110"), "locking": False}
-    with whole_file(path) as temporary, h5py.File(temporary, "w", **how) as file:
+    with whole_hdf5(path, libver=("v110", "v110")) as file:
         _write(file.attrs, attributes)
         for name, samples in dataset.sets.items():
             group = file.create_group(name)
