@@ -5,6 +5,7 @@ import copy
 import json
 import shutil
 import warnings
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,6 +17,7 @@ from numpy.random import default_rng
 import warp_peri as wp
 from tests.support import approx, of_json, parametrize
 from tests.support.materials import OTHER
+from tests.support.problems import lattice
 from warp_peri.core.record import HOMES, content_hash
 
 FOLDER = Path(__file__).parent.parent / "frozen"
@@ -142,6 +144,24 @@ def test_what_is_not_proven_is_not_believed(name, tmp_path):
         for at in {(*owner, key) for key in softer} & {*values}:
             other = (softer[at[-1]] * np.array(values[at])).tolist()
             refused(path, hashed(changed(content, at, other)), "is not proven")
+
+
+def test_what_is_replaced_in_memory_is_not_proven_either():
+    names = "lps", "crystal", "crystal_third_order_energy"
+    lps, crystal, third = (wp.load(FOLDER / f"{name}.json") for name in names)
+    points = lattice(4, lps.horizon)
+    softer = replace(lps, lam=lps.lam / 100, mu=lps.mu / 100)
+    assert lps.on(points).proven
+    assert lps.on(replace(points, outside=~points.interior)).proven is None  # bonds break
+    assert not softer.is_certified_on(1.0)
+    anew = replace(softer, certified_on=(), certificate={}).on(points).proven
+    assert anew.replace("0.0018536", "0.18536") == lps.on(points).proven
+    points, strains = wp.Points.block((4, 4), crystal.spacing, 4 * crystal.spacing), third.spacing
+    problem = wp.Dirichlet(points, None, 0 * points.x)
+    assert wp.solve(crystal, problem).proven
+    assert wp.solve(replace(crystal, tensors=crystal.tensors / 100), problem).proven is None
+    assert replace(third, t3=50 * third.t3).proven_strain(strains) == 0
+    assert third.proven_strain(strains) > 0
 
 
 def test_a_model_is_certified_only_where_that_is_proven(tmp_path):

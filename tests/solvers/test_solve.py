@@ -8,7 +8,7 @@ from numpy.testing import assert_array_equal
 from scipy.optimize import brentq
 
 from tests.crystal.crystals import learned
-from tests.support import approx, each_refused, parametrize, refused, sup
+from tests.support import approx, each_refused, filterwarnings, parametrize, refused, sup
 from tests.support.problems import ell, kernel, lattice, manufactured, noise, on_interior, periodic
 from tests.support.solving import solve
 from warp_peri import Dirichlet, LPSMaterial, Periodic, Points, evaluate
@@ -56,10 +56,11 @@ def smallest_eigenvalue(a, points):
     """Of the operator on the unknowns."""
     unknown = np.flatnonzero(np.repeat(points.interior, 2))
     pulls = np.eye(2 * len(points.x))[unknown].reshape(len(unknown), -1, 2)
-    forces = passing(a).on(points)(pulls).reshape(len(unknown), -1)
+    forces = passing(a).on(points, allow_uncertified=True)(pulls).reshape(len(unknown), -1)
     return eigvalsh(forces)[0]
 
 
+@filterwarnings("ignore:spacing")
 @parametrize(
     ("interior", "low", "high"), [(1, -0.9, -0.8), (ell(), -0.775, -0.75)], ids=["one node", "more"]
 )
@@ -68,7 +69,7 @@ def test_a_singular_operator_is_refused(interior, low, high):
     model = passing(brentq(smallest_eigenvalue, low, high, args=(points,), xtol=1e-16))
     b = noise(points)
     with refused("nodes is singular"):
-        solve(model, points, b, 0 * b)
+        solve(model, points, b, 0 * b, allow_uncertified=True)
 
 
 def test_a_constant_load_moves_nothing_on_a_period_that_a_sheet_must_fill():

@@ -67,7 +67,7 @@ class TensorOperator(OperatorBase):
         b, u = checked_fields(self.points, b, u)
         loads, fields = (field.reshape(-1, *self.points.x.shape) for field in (b, u))
         proof, proven = self.model.certificate, None
-        if proof is not None and proof.holds:
+        if proof is not None and proof.holds and self.model.stands:
             proven = f"one stable answer: D(k) ≥ {proof.proven:.3g} s(k) for all k"
         else:
             self.linear.check_definite()

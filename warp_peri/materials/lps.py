@@ -327,8 +327,10 @@ class LPSMaterial(Record, format="warp_peri.model"):
         return known if abs(spacing / known - 1) <= SPACING_TOLERANCE else spacing
 
     def is_certified_on(self, spacing: float) -> bool:
-        """Whether the model holds a certificate for a lattice spacing [Å], to SPACING_TOLERANCE."""
-        return spacing > 0 and self.certified_spacing_near(spacing) in self.certified_on
+        """Whether the model holds a certificate for a lattice spacing [Å], to SPACING_TOLERANCE,
+        which is proven of its numbers."""
+        here = spacing > 0 and self.certified_spacing_near(spacing) in self.certified_on
+        return here and self.stands
 
     def check_spacing(self, spacing: float, *, allow_uncertified: bool = False) -> None:
         """Refuse, or warn about, an uncertified lattice spacing [Å]."""

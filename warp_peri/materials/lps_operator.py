@@ -228,9 +228,9 @@ class LPSOperator(OperatorBase):
 
     @property
     def proven(self) -> str | None:
-        """Statement of the lattice's certificate, if it holds for these weights."""
-        spacing = self.points.spacing
-        if not self.model.is_certified_on(spacing) or self.quadrature_degree != DEGREE:
+        """Statement of the lattice's certificate, if it holds for these weights and all bonds."""
+        spacing, whole = self.points.spacing, self.points.outside is None
+        if not (whole and self.model.is_certified_on(spacing) and self.quadrature_degree == DEGREE):
             return None
         return self.model.statements.get(self.model.certified_spacing_near(spacing))
 

@@ -256,7 +256,7 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
                     f"{nodes.spacing:g}, and transfer=False"
                 )
             here = made_once(_transferred, self, nodes.spacing)
-        if not getattr(here.linear.certificate, "holds", False):
+        if not (getattr(here.linear.certificate, "holds", False) and here.linear.stands):
             said = "the crystal model has no certificate on this lattice"
             if not allow_uncertified:
                 raise InputError(f"certificate: {said}; allow_uncertified=True takes them")
@@ -266,7 +266,8 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
     def proven_strain(self, spacing: float) -> float:
         """Largest |H| up to which solutions on a lattice are proven unique; 0 where none is."""
         here = abs(spacing / self.spacing - 1) <= SAME_SPACING
-        return float(self.proven.get("strain", 0.0)) if here else 0.0
+        known = float(self.proven.get("strain", 0.0)) if here else 0.0
+        return known if known and self.stands else 0.0
 
     def certified(self) -> ThirdOrderMaterial:
         """The material with its guarantee of uniqueness, where its tensors are certified (N14)."""

@@ -127,7 +127,7 @@ class RowOperator:
     def proven(self) -> str | None:
         """Statement in one sentence of what is proven of the material, or None."""
         proof = self.model.certificate
-        if proof is None or not proof.holds:
+        if proof is None or not (proof.holds and self.model.stands):
             return None
         return f"one stable answer: D(k) ≥ {proof.proven:.3g} s(k) for all k"
 
