@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support import approx, near, parametrize, refused
+from tests.support import approx, filterwarnings, near, parametrize, refused
 from tests.support.problems import difference, ell, kernel, lattice, manufactured
 from tests.support.solving import fit
 from tests.support.symbols import smallest_margins
@@ -25,12 +25,14 @@ from warp_peri.points.families import bond_classes
 
 HORIZON, ZETA = 3.0, 0.02
 
+pytestmark = filterwarnings("ignore:spacing")
+
 
 def violating():
     """Samples of a model that breaks the conditions, so that they bind."""
     model = kernel("sign-changing", 2.5, lam=-0.2, mu=0.7)
     assert certify(model, spacing=1.0).symbol_min < -0.01
-    return manufactured(model, lattice(6, 2.5), 10, wave_number=2.0)
+    return manufactured(model, lattice(6, 2.5), 10, wave_number=2.0, allow_uncertified=True)
 
 
 def test_adam_by_itself_reaches_the_constrained_optimum():
