@@ -16,12 +16,12 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_906,
-    "tokens": 234_818,
-    "lines of warp_peri": 30_445,
+    "code lines": 18_918,
+    "tokens": 234_928,
+    "lines of warp_peri": 30_463,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_632,
+    "lines of warp_peri, kernels, examples and tools": 42_650,
     "lines of the longest file": 537,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -34,18 +34,18 @@ BUDGET = {
 ROOMS = {
     "atoms": 2345,
     "cli": 808,
-    "core": 1603,
+    "core": 1612,
     "face": 1109,
     "fe_coupling": 696,
     "files": 521,
     "fitting": 1053,
     "fracture": 1413,
-    "materials": 4550,
+    "materials": 4552,
     "neural": 589,
     "points": 1712,
     "prediction": 575,
     "mpi": 451,
-    "solvers": 1481,
+    "solvers": 1482,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)
