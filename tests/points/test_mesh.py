@@ -275,20 +275,22 @@ def abaqus(tmp_path, text):
 
 
 def test_sets_of_nodes_and_of_lines_of_abaqus_are_parts(tmp_path):
-    """Whatever blocks they lie in: each is where its corners are."""
+    """Whatever blocks they lie in: each is where its corners are, whatever its name's case."""
     text = PLATE + (
-        "*ELEMENT, TYPE=T2D2, ELSET=low\n21, 1, 11\n22, 11, 21\n"
+        "*NODE\n2, 1.5D0, 0.\n3, 45.E-1, 0.\n"
+        "*ELEMENT, TYPE=B22, ELSET=low\n21, 1, 2, 11\n"
+        "*ELEMENT, TYPE=T2D3, ELSET=LOW\n22, 11, 21, 3\n"
         "*ELEMENT, TYPE=T2D2\n23, 21, 51\n*ELEMENT, TYPE=B21\n24, 51, 41\n"
-        "*ELSET,\n ELSET=right\n23\n*ELSET, ELSET=two\nright, 24\n"
-        "*NSET, NSET=left\n1, 31\n*NSET, NSET=top, GENERATE\n31, 51, 10\n"
+        "*ELSET,\n ELSET=right\n23\n*ELSET, ELSET=two\nRIGHT, 24\n"
+        "*NSET, NSET=Left\n1\n*NSET, NSET=LEFT\n31\n*NSET, NSET=top, GENERATE\n31, 51, 10\n"
         "*NSET, NSET=corner\n1\n"
     )
     with warned("corner: no side of the outline is between its nodes"):
         mesh = abaqus(tmp_path, text)
     assert size(mesh) == approx(12)
     found = counts(mesh) | {REST: 0}
-    assert found == {"low": 2, "right": 1, "two": 2, "left": 1, "top": 2, REST: 0}
-    for name, axis, value in (("low", 1, 0), ("left", 0, 0), ("right", 0, 6), ("top", 1, 2)):
+    assert found == {"low": 2, "right": 1, "two": 2, "Left": 1, "top": 2, REST: 0}
+    for name, axis, value in (("low", 1, 0), ("Left", 0, 0), ("right", 0, 6), ("top", 1, 2)):
         middle = mesh.x[mesh.faces[mesh.parts[name]]].mean(1)
         assert_allclose(middle[:, axis], value)
     tetra = "*NODE\n1, 0, 0, 0\n2, 2, 0, 0\n3, 0, 3, 0\n4, 0, 0, 1\n*NSET, NSET=low\n1, 2, 3\n"

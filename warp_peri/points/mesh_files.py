@@ -65,7 +65,7 @@ def _check_arrays(path: Path) -> None:
     check_xml(path, text := content(path))
     if path.suffix.lower() == ".vtu":
         return
-    items = [item for item in ElementTree.fromstring(text).iter() if item.tag == "DataItem"]
+    items = [*ElementTree.fromstring(text).iter("DataItem")]
     if any(item.get("Format") not in (None, "XML", "HDF") for item in items):
         raise InputError("expected arrays in the file or in HDF5, got others")
     for name in {(i.text or "").strip().split(":")[0] for i in items if i.get("Format") == "HDF"}:
@@ -126,9 +126,11 @@ def _groups(read: Any, body: np.ndarray) -> dict[str, np.ndarray]:
     dim = body.shape[1] - 2
     sets: dict[str, list[np.ndarray]] = {}
     names = {int(v[0]): [name] for name, v in read.field_data.items() if v[1] == dim}
-    lines = [(n, block.data) for n, block in enumerate(read.cells) if block.dim == dim]
+    lines = [(n, np.asarray(block.data)) for n, block in enumerate(read.cells) if block.dim == dim]
     for number, data in lines:
-        found = np.asarray(data)[:, : dim + 1]
+        found = data[:, : dim + 1]
+        if dim == 1:  # Abaqus has an edge's midpoint second, others last
+            found = np.where(np.isin(found[:, 1:], body), found, data[:, [0, -1]])
         for key in (key for key in read.cell_data if key.endswith(GROUPS)):
             tags = np.asarray(read.cell_data[key][number])
             for tag in np.unique(tags[tags != 0]).tolist():
@@ -170,9 +172,11 @@ READ = {
 }
 """Keywords that are read, and all their options that are."""
 FRAME = {"HEADING", "PREPRINT", "END PART", "ASSEMBLY", "END INSTANCE", "END ASSEMBLY"}
-BESIDE = {"MATERIAL", "ELASTIC", "DENSITY", "EXPANSION", "PLASTIC", "HYPERELASTIC", "DAMPING"}
-BESIDE |= {"CONDUCTIVITY", "SPECIFIC HEAT", "SOLID SECTION", "SHELL SECTION", "MEMBRANE SECTION"}
-BESIDE |= {"BEAM SECTION", "BOUNDARY", "AMPLITUDE", "INITIAL CONDITIONS", "RESTART", "STEP"}
+BESIDE = {
+    "MATERIAL", "ELASTIC", "DENSITY", "EXPANSION", "PLASTIC", "HYPERELASTIC", "DAMPING",
+    "CONDUCTIVITY", "SPECIFIC HEAT", "SOLID SECTION", "SHELL SECTION", "MEMBRANE SECTION",
+    "BEAM SECTION", "BOUNDARY", "AMPLITUDE", "INITIAL CONDITIONS", "RESTART", "STEP",
+}  # fmt: skip
 """Keywords that say nothing of the shape, without a word and with one."""
 
 
@@ -187,22 +191,21 @@ def keywords(text: str) -> Iterator[tuple[str, dict[str, str], list[list[str]]]]
         head, *rows = part.split("\n")
         name, *words = (word.strip() for word in head.split(","))
         pairs = (word.partition("=") for word in words)
-        options = {key.strip().upper(): value.strip().strip('"') for key, _, value in pairs}
-        split = ([word.strip().strip('"') for word in row.split(",")] for row in rows)
+        options = {key.strip().upper(): value.strip(' \t"') for key, _, value in pairs}
+        split = ([word.strip(' \t"') for word in row.split(",")] for row in rows)
         yield " ".join(name.upper().split()), options, [[*filter(None, row)] for row in split]
         if name.upper() == "STEP":
             return
 
 
 def read_abaqus(text: str) -> SimpleNamespace:
-    """Read points, cells and sets of an Abaqus file, named as meshio names them. Warns of keywords
-    beside the shape; InputError for every other that is not read, and its options: instances moved
-    or repeated, coordinate systems, nodes and elements made of others, surfaces."""
-    nodes: dict[int, tuple[float, ...]] = {}
-    elements: set[int] = set()
+    """Read points, cells and sets (of any case) of an Abaqus file, named as meshio does. Warns
+    of keywords beside the shape; InputError for all others that are not read, and options:
+    instances moved or repeated, coordinate systems, nodes and elements made of others, surfaces."""
+    nodes, elements = dict[int, list[float]](), set[int]()
     blocks: list[tuple[int, str, np.ndarray]] = []
     sets: dict[str, dict[str, set[int]]] = {"NSET": {}, "ELSET": {}}
-    passed, once = list[str](), set[str]()
+    passed, once, first = list[str](), set[str](), dict[str, str]()
     for name, options, rows in keywords(text):
         if name in BESIDE:
             passed.append(f"*{name}")
@@ -217,9 +220,12 @@ def read_abaqus(text: str) -> SimpleNamespace:
         if name in ("INSTANCE", "PART") and (rows or name in once):
             raise InputError(f"*{name}: expected one that is not moved; give one flat part")
         once.add(name)
-        members: set[int] = set()
+        members = set[int]()
         if name == "NODE":
-            own = {int(n): (*map(float, x), 0.0, 0.0)[:3] for n, *x in rows}
+            own = {  # 1.0D+1 too
+                int(n): [float(w.upper().replace("D", "E")) for w in [*x, "0", "0"][:3]]
+                for n, *x in rows
+            }
             members, known = {*own}, {*nodes}
             nodes |= own
         elif name == "ELEMENT":
@@ -233,7 +239,8 @@ def read_abaqus(text: str) -> SimpleNamespace:
             there = {*nodes} if kind == "NSET" else elements
             members = _members(f"*{kind}, {options[kind]}", options, rows, sets[kind], there)
         if name in sets or kind in options:
-            sets[kind].setdefault(options[kind], set()).update(members)
+            first.setdefault(key := options[kind].upper(), options[kind])
+            sets[kind].setdefault(key, set()).update(members)
     if passed:
         warn(f"not read: {', '.join(dict.fromkeys(passed))}")
     row = {number: n for n, number in enumerate(nodes)}
@@ -245,9 +252,9 @@ def read_abaqus(text: str) -> SimpleNamespace:
         cells=[SimpleNamespace(dim=d, type=kind, data=at(c[:, 1:])) for d, kind, c in blocks],
         cell_data={},
         field_data={},
-        point_sets={name: [row[n] for n in own] for name, own in sets["NSET"].items()},
+        point_sets={first[name]: [row[n] for n in own] for name, own in sets["NSET"].items()},
         cell_sets={
-            name: [np.flatnonzero(np.isin(cells[:, 0], [*own])) for *_, cells in blocks]
+            first[name]: [np.flatnonzero(np.isin(cells[:, 0], [*own])) for *_, cells in blocks]
             for name, own in sets["ELSET"].items()
         },
     )
@@ -275,11 +282,11 @@ def _members(
 ) -> set[int]:
     """Numbers in a set, of those that exist; InputError for others."""
     if "GENERATE" in options:
-        runs = [(int(row[0]), int(row[1]) + 1, *map(int, row[2:])) for row in rows]
-        return {n for run in runs for n in there if n in range(*run)}
-    found: set[int] = set()
+        runs = [range(int(a), int(b) + 1, *map(int, step)) for a, b, *step in rows]
+        return {n for run in runs for n in there if n in run}
+    found = set[int]()
     for word in itertools.chain(*rows):
-        one = {int(word)} if word.isdigit() else sets.get(word)
+        one = {int(word)} if word.isdigit() else sets.get(word.upper())
         if one is None or not one <= there:
             raise InputError(f"{told}: {word} is not there")
         found |= one
