@@ -210,6 +210,9 @@ def test_what_is_no_value_or_not_known_is_one_error(material):
     refused(path, content | {"sha256": {}}, "sha256")
     if units := {"length_unit", "stress_unit"} & {*content}:
         refused(path, hashed(content | dict.fromkeys(units)), "unit")
+    else:  # those of a part
+        more = dict.fromkeys(("length_unit", "stress_unit"), "m")
+        refused(path, hashed(content | more), "unknown keys: length_unit, stress_unit")
     inner = [at for at, value in places(content) if isinstance(value, dict) and "format" in value]
     for at in [(), *inner]:
         refused(path, hashed(changed(content, (*at, "colour"), "red")), "unknown keys: colour")
@@ -225,6 +228,8 @@ def test_other_units_there_and_back_are_the_same(material):
     found, path = material
     there, back, theirs = found.in_units(OTHER), path.with_name("back.json"), path.with_name("m2")
     assert there.units == OTHER
+    if "units_before" in (record := getattr(there.in_units(("mm", "MPa")), "provenance", {})):
+        assert record["units_before"] == [*found.units]  # which its records stay in
     wp.save(back, there.in_units(found.units))
     one, two = (dict(places(of_json(each))) for each in (path, back))
     own = {*RECORDS, "sha256", "weights", "hash"}

@@ -67,6 +67,9 @@ def test_claims_hold_of_the_operator_on_points(finer, angle):
 def test_what_a_record_holds(finer):
     record = finer.provenance["transfer"]
     assert finer.transferred_from == record["from_spacing"] == 1.0
+    there = finer.in_units(("nm", "GPa")).in_units(("mm", "MPa"))
+    assert there.transferred_from == approx(1e-7)
+    assert on_lattice(there, spacing=0.6e-7).transferred_from == there.certified_on[0]
     assert finer.certified_on == (0.6,)
     assert finer.horizon < 5 * 0.6  # no more bonds than the tolerance needs
     assert finer.trained_on == HOME.trained_on

@@ -56,7 +56,7 @@ from warp_peri.points.arguments import (
 )
 
 UNITS = ("length_unit", "stress_unit")
-HEAD = ("format", "version", *UNITS, "sha256")
+HEAD = ("format", "version", "sha256")
 FORMATS: dict[str, type[Record]] = {}
 """Kinds of materials by the format that their files name."""
 PROVEN: set[tuple[type, str]] = set()
@@ -196,7 +196,7 @@ class Record(Shown):
                 raise InputError(f"{key}: expected {expected!r}, got {content.get(key)!r:.60}")
         own, units = {k: v for k, v in content.items() if k not in HEAD}, {}
         if _has_units(cls):
-            named: Any = [content.get(key) for key in UNITS]
+            named: Any = [own.pop(key, None) for key in UNITS]
             if not {*UNITS} & {*content}:
                 warn(f"{where}it names no units: taken as Å and TPa")
                 named = USUAL

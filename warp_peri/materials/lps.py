@@ -27,6 +27,7 @@ from warp_peri.points.arguments import (
     as_array,
     check_same,
     checked,
+    factors,
     is_number,
     is_tensor,
     plain,
@@ -383,15 +384,18 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
     @property
     def transferred_from(self) -> float | None:
-        """Spacing [Å] of the lattice whose dispersion the model was fitted to; None at home."""
-        record = self.provenance.get("transfer")
-        spacing = record.get("from_spacing") if isinstance(record, dict) else None
-        return spacing if is_number(spacing) else None
+        """Spacing [Å] of the lattice whose dispersion the model was fitted to; None at home.
+        InputError where the record is in units that are not known."""
+        match self.provenance.get("transfer"):
+            case {"from_spacing": float(spacing), **record}:
+                units: Any = record.get("units", self.provenance.get("units_before", self.units))
+                return spacing * factors(units, self.units)[0]
+        return None
 
     def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
-        """Certificate figures in other units; the provenance names the units of its records."""
-        times = dict.fromkeys(GAMMAS, length**-2) | {"spacing": length}
-        times |= {"symbol_min": stress, "symbol_bound": stress}
+        """Certificate figures in other units; provenance names those of its records."""
+        times = {"spacing": length, "symbol_min": stress, "symbol_bound": stress}
+        times |= dict.fromkeys(GAMMAS, length**-2)
         figures = {
             f"{h * length:g}": {
                 name: value * times[name] if name in times and is_number(value) else value
@@ -399,8 +403,8 @@ class LPSMaterial(Record, format="warp_peri.model"):
             }
             for h, each in self.figures.items()
         }
-        provenance = self.provenance | {"units_before": list(self.units)}
-        return {"certificate": figures, "provenance": provenance}
+        before = {"units_before": list(self.units)}
+        return {"certificate": figures, "provenance": before | self.provenance}
 
     def derived(self) -> dict[str, Any]:
         """Degree and quadrature, which the material's file states."""

@@ -256,6 +256,7 @@ def _recorded(
         )
     bonds = len(bond_classes(spacing, found.horizon).steps)
     record = {
+        "units": list(model.units),
         "from_spacing": home,
         "from_horizon": model.horizon,
         "home": model.content()["sha256"],
