@@ -403,8 +403,8 @@ class LPSMaterial(Record, format="warp_peri.model"):
             }
             for h, each in self.figures.items()
         }
-        before = {"units_before": list(self.units)}
-        return {"certificate": figures, "provenance": before | self.provenance}
+        provenance = {"units_before": list(self.units), **self.provenance}
+        return {"certificate": figures, "provenance": provenance}
 
     def derived(self) -> dict[str, Any]:
         """Degree and quadrature, which the material's file states."""
@@ -477,12 +477,11 @@ class LPSMaterial(Record, format="warp_peri.model"):
         else:
             pairs = {"λ": self.lam, "μ": self.mu}.items()
             moduli = {f"{n}, least and largest": shown((np.min(x), np.max(x))) for n, x in pairs}
-        spacings = (f"{h:g} {length}" for h in self.certified_on)
         return [
             *moduli.items(),
             ("horizon", f"{self.horizon:g} {length}"),
             ("K", f"degree {self.degree}, α = {self.alpha:.3g}"),
-            ("certified on", ", ".join(spacings) or "no lattice"),
+            ("certified on", ", ".join(f"{h:g} {length}" for h in self.certified_on) or "no lattice"),
             *(("proven", told) for told in self.statements.values()),
             *error_rows(self.errors),
         ]

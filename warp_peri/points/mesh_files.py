@@ -100,11 +100,11 @@ def _body_of(read: Any) -> Mesh:
         every.append(_halves(x, cells[:, :4]) if d < n - 1 else cells[:, :n])
         if d == 2 and cells.shape[1] > n:
             for k in range(n):
-                ends = np.sort(cells[:, [k, (k + 1) % n]], axis=1)
+                ends = np.sort(cells[:, [k, (k + 1) % n]])
                 middle |= {tuple(pair): x[m] for pair, m in zip(ends.tolist(), cells[:, n + k])}
     cells = np.concatenate(every)
     if "gmsh:physical" in read.cell_data:  # where cells of several groups stand once for each
-        cells = cells[np.sort(np.unique(np.sort(cells, 1), axis=0, return_index=True)[1])]
+        cells = cells[np.sort(np.unique(np.sort(cells), axis=0, return_index=True)[1])]
     return make_mesh(x, cells, _groups(read, cells), middle, inner=True)
 
 
@@ -117,7 +117,7 @@ def _halves(x: np.ndarray, quads: np.ndarray) -> np.ndarray:
     second = (least[:, 0] <= 0) & (least[:, 1] > 0)
     halves = np.where(second[:, None, None], cuts[:, 1], cuts[:, 0])
     every = np.swapaxes(halves, 0, 1).reshape(-1, 3)
-    return every[(np.diff(np.sort(every, axis=1), axis=1) > 0).all(axis=1)]
+    return every[(np.diff(np.sort(every)) > 0).all(axis=1)]
 
 
 def _groups(read: Any, body: np.ndarray) -> dict[str, np.ndarray]:
