@@ -468,7 +468,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
     def rows(self) -> Rows:
         """Name and value of each line of the model's summary table."""
-        length, shown = symbols(self.units)[0], partial(shown_moduli, self.units)
+        unit, shown = symbols(self.units)[0], partial(shown_moduli, self.units)
         if self.nodes is None:
             moduli = {
                 "λ, μ": shown((self.lam, self.mu)),
@@ -479,9 +479,9 @@ class LPSMaterial(Record, format="warp_peri.model"):
             moduli = {f"{n}, least and largest": shown((np.min(x), np.max(x))) for n, x in pairs}
         return [
             *moduli.items(),
-            ("horizon", f"{self.horizon:g} {length}"),
+            ("horizon", f"{self.horizon:g} {unit}"),
             ("K", f"degree {self.degree}, α = {self.alpha:.3g}"),
-            ("certified on", ", ".join(f"{h:g} {length}" for h in self.certified_on) or "no lattice"),
+            ("certified on", ", ".join(f"{h:g} {unit}" for h in self.certified_on) or "no lattice"),
             *(("proven", told) for told in self.statements.values()),
             *error_rows(self.errors),
         ]
