@@ -403,7 +403,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
             }
             for h, each in self.figures.items()
         }
-        provenance = {"units_before": list(self.units), **self.provenance}
+        provenance = self.provenance | {"units_before": list(self.units)} | self.provenance
         return {"certificate": figures, "provenance": provenance}
 
     def derived(self) -> dict[str, Any]:

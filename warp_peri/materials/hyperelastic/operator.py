@@ -89,7 +89,8 @@ class HyperelasticMaterial(Record, format="warp_peri.hyperelastic", version=2):
 
     def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
         """Provenance naming the units that its records stay in."""
-        return {"provenance": {"units_before": list(self.units), **self.provenance}}
+        own = self.provenance
+        return {"provenance": own | {"units_before": list(self.units)} | own}
 
     def rows(self) -> Rows:
         """Name and value of each line of the material's table, the largest energies first."""
