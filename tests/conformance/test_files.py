@@ -19,6 +19,7 @@ from tests.support import approx, of_json, parametrize
 from tests.support.materials import OTHER
 from tests.support.problems import lattice
 from warp_peri.core.record import HOMES, content_hash
+from warp_peri.prediction.answer import contraction
 
 FOLDER = Path(__file__).parent.parent / "frozen"
 FILES = sorted(path.stem for path in FOLDER.glob("*.json") if path.stem != "record")
@@ -160,8 +161,10 @@ def test_what_is_replaced_in_memory_is_not_proven_either():
     problem = wp.Dirichlet(points, None, 0 * points.x)
     assert wp.solve(crystal, problem).proven
     assert wp.solve(replace(crystal, tensors=crystal.tensors / 100), problem).proven is None
-    assert replace(third, t3=50 * third.t3).proven_strain(strains) == 0
+    stronger = replace(third, t3=50 * third.t3)
+    assert (stronger.proven_strain(strains), contraction(stronger, 0.0, 0.0)) == (0, None)
     assert third.proven_strain(strains) > 0
+    assert contraction(third, 0.0, 0.0) is not None
 
 
 def test_a_model_is_certified_only_where_that_is_proven(tmp_path):

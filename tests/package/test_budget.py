@@ -17,11 +17,11 @@ from tests.support import ROOT
 
 BUDGET = {
     "code lines": 18_927,
-    "tokens": 234_998,
-    "lines of warp_peri": 30_474,
+    "tokens": 234_973,
+    "lines of warp_peri": 30_476,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_661,
+    "lines of warp_peri, kernels, examples and tools": 42_663,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -40,12 +40,12 @@ ROOMS = {
     "files": 521,
     "fitting": 1053,
     "fracture": 1413,
-    "materials": 4554,
+    "materials": 4558,
     "neural": 589,
     "points": 1719,
     "prediction": 575,
-    "mpi": 451,
-    "solvers": 1482,
+    "mpi": 448,
+    "solvers": 1481,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

@@ -66,10 +66,7 @@ class TensorOperator(OperatorBase):
         asked: Any = solver or CG()
         b, u = checked_fields(self.points, b, u)
         loads, fields = (field.reshape(-1, *self.points.x.shape) for field in (b, u))
-        proof, proven = self.model.certificate, None
-        if proof is not None and proof.holds and self.model.stands:
-            proven = f"one stable answer: D(k) ≥ {proof.proven:.3g} s(k) for all k"
-        else:
+        if (proven := self.model.statement) is None:
             self.linear.check_definite()
         found, took = self.linear.solve(loads, fields, asked.tolerance, asked.preconditioner)
         counts = [each.iterations for each in took]
@@ -211,6 +208,14 @@ class StencilMaterial(Record):
     def certified(self) -> Self:
         """The material with its certificate; `certificate.holds` says whether a proof was found."""
         return replace(self, certificate=prove(self.stencil, self.group))  # type: ignore[type-var]
+
+    @property
+    def statement(self) -> str | None:
+        """Sentence on what is proven of these numbers, or None."""
+        proof = self.certificate
+        if proof is None or not (proof.holds and self.stands):
+            return None
+        return f"one stable answer: D(k) ≥ {proof.proven:.3g} s(k) for all k"
 
     def max_symbol_eigenvalue(self) -> float:
         """Upper bound of Λmax D(k) over all waves [stress / length²], for time steps (T21)."""

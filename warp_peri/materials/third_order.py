@@ -256,7 +256,7 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
                     f"{nodes.spacing:g}, and transfer=False"
                 )
             here = made_once(_transferred, self, nodes.spacing)
-        if not (getattr(here.linear.certificate, "holds", False) and here.linear.stands):
+        if not here.linear.statement:
             said = "the crystal model has no certificate on this lattice"
             if not allow_uncertified:
                 raise InputError(f"certificate: {said}; allow_uncertified=True takes them")
@@ -271,7 +271,7 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
 
     def certified(self) -> ThirdOrderMaterial:
         """The material with its guarantee of uniqueness, where its tensors are certified (N14)."""
-        if not getattr(self.linear.certificate, "holds", False):
+        if not self.linear.statement:
             return self
         return replace(self, proven=prove_uniqueness(self, spacing=self.spacing).figures())
 

@@ -126,10 +126,7 @@ class RowOperator:
     @property
     def proven(self) -> str | None:
         """Statement in one sentence of what is proven of the material, or None."""
-        proof = self.model.certificate
-        if proof is None or not (proof.holds and self.model.stands):
-            return None
-        return f"one stable answer: D(k) ≥ {proof.proven:.3g} s(k) for all k"
+        return self.model.statement
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """Force L u at this rank's interior nodes, shape [i, d], of u [n, d]."""

@@ -74,7 +74,7 @@ class ErrorBound(Shown):
 def contraction(model: Any, gradient: float, size: float) -> tuple[float, float] | None:
     """Contraction q and a radius κ_in size/(1 − q) of gradients that no iterate leaves; or None."""
     names = ("strain", "kappa_in", "kappa_out", "largest_parts")
-    if not all(name in model.proven for name in names):
+    if not (all(name in model.proven for name in names) and model.stands):
         return None
     most, inner, outer, parts = (model.proven[name] for name in names)
     radius = gradient
