@@ -51,7 +51,7 @@ def variation(log_mu: torch.Tensor, width: int) -> torch.Tensor:
 
 def loss_of(operator, held: np.ndarray, seen: torch.Tensor) -> Callable:
     """Misfit and total variation of log μ on all nodes, with its gradient."""
-    inside = torch.from_numpy(operator.points.interior)
+    inside = torch.tensor(operator.points.interior)
     u, width = torch.from_numpy(held), round(len(inside) ** 0.5)
     solver, size = wp.CG(tolerance=1e-6), seen[:, inside].std(dim=(1, 2)).mean() ** 2
 

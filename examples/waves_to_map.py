@@ -71,7 +71,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--iterations", type=int, default=40, help="of L-BFGS, at most")
     given = parser.parse_args(arguments)
     body, x, true = plate(given.side)
-    heard, inside = shot(body, x, given.side), torch.from_numpy(body.points.interior)
+    heard, inside = shot(body, x, given.side), torch.tensor(body.points.interior)
     with torch.no_grad():
         data = heard(true)
     size, random = data.square().mean().sqrt(), np.random.default_rng(0)

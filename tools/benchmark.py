@@ -239,7 +239,7 @@ def gradient_over_solve(model: LPSMaterial, side: int) -> float:
     """Time of the gradient of a solve to load, λ, μ, α and D over that of the solve."""
     points = lattice_of(mask_of("square", side), model.horizon, model.certified_on[0])
     noise = torch.from_numpy(np.random.default_rng(0).normal(size=(1, len(points.x), 2)))
-    inside = torch.from_numpy(points.interior)[:, None]
+    inside = torch.tensor(points.interior)[:, None]
     values = {"lam": model.lam, "mu": model.mu, "alpha": model.alpha, "D": model.D}
     parameters = {
         name: torch.tensor(value, dtype=torch.float64, requires_grad=True)

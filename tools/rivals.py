@@ -80,7 +80,7 @@ def torch_scatter(t: Tables, dtype: torch.dtype) -> tuple[Callable, Callable]:
     """Forward, and forward and backward to (u, D, α), by gather and index_add in torch."""
 
     def number(values):
-        return torch.as_tensor(values, dtype=dtype)
+        return torch.tensor(values, dtype=dtype)
 
     size = len(t.u)
     owner = torch.from_numpy(np.repeat(np.arange(size), np.diff(t.row)))

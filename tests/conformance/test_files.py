@@ -160,10 +160,17 @@ def test_what_is_replaced_in_memory_is_not_proven_either():
     points, strains = wp.Points.block((4, 4), crystal.spacing, 4 * crystal.spacing), third.spacing
     problem = wp.Dirichlet(points, None, 0 * points.x)
     assert wp.solve(crystal, problem).proven
-    assert wp.solve(replace(crystal, tensors=crystal.tensors / 100), problem).proven is None
+    weak = replace(crystal, tensors=crystal.tensors / 100)
+    assert wp.solve(weak, problem).proven is None
+    assert "no lattice" in repr(softer)
+    assert "nothing" in repr(weak)
     stronger = replace(third, t3=50 * third.t3)
     assert (stronger.proven_strain(strains), contraction(stronger, 0.0, 0.0)) == (0, None)
     assert third.proven_strain(strains) > 0
+    for name in ("curvature", "spacing"):
+        said = third.proven | {name: 0.99 * third.proven[name]}
+        assert not replace(third, proven=said).stands
+    assert not softer.with_parameters({}).errors
     assert contraction(third, 0.0, 0.0) is not None
 
 

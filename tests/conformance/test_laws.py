@@ -1,6 +1,6 @@
 """What every law must do: a new law is done when it is in tests/support/materials.py and passes."""
 
-from copy import copy
+from copy import copy, deepcopy
 from dataclasses import fields, replace
 from types import SimpleNamespace
 
@@ -193,6 +193,9 @@ def test_arrays_may_change_after_they_were_given(name):
             given.append(value.copy())
             return given[-1]
         if isinstance(value, (wp.Points, Record)):
+            for one in (value, deepcopy(value)) if isinstance(value, Record) else ():
+                arrays = [part for part in vars(one).values() if isinstance(part, np.ndarray)]
+                assert not any(part.flags.writeable for part in arrays)
             return replace(value, **{f.name: again(getattr(value, f.name)) for f in fields(value)})
         return value
 

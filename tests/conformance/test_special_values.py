@@ -136,7 +136,7 @@ def test_a_number_that_two_share_is_both():
 @parametrize("name", [name for name in OPERATORS if name not in KINKED and "scattered" not in name])
 def test_fields_of_zero_and_of_equal_eigenvalues_have_the_gradient_of_differences(name):
     op = operator(name)
-    x = torch.from_numpy(op.points.x)
+    x = torch.tensor(op.points.x)
     for stretch in (0.0, 0.01):
         u = stretch * (x if x.shape == op.shape else torch.ones(op.shape, dtype=x.dtype))
         value = lambda of: seeded(op(of["u"]))

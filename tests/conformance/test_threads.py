@@ -59,7 +59,7 @@ def test_a_solve_and_its_gradient(name):
     op, points = placed(name, 1)
 
     def work(number):
-        u = (1 + number) * 1e-4 * torch.from_numpy(points.x)
+        u = (1 + number) * 1e-4 * torch.tensor(points.x)
         u = (u + 1e-5 * torch.sin(u / 1e-4)).requires_grad_()
         solution = wp.solve(op, wp.Dirichlet(points, None, u))
         (slope,) = torch.autograd.grad(solution.u.square().sum(), u)

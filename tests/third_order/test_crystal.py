@@ -29,9 +29,8 @@ def test_on_other_spacings_and_in_other_units_it_keeps_what_is_the_materials():
     there = law.on(fine).model
     assert there.numbers == approx(law.numbers, rel=1e-6, abs=0)
     assert there.proven_strain(0.75) > 0.3 * law.proven_strain(1.0) > law.proven_strain(0.75) == 0
-    own = deepcopy(law)
-    assert own.on(fine).model.lame == there.lame
-    own.linear.tensors[:] *= 2
+    own = replace(law, linear=replace(law.linear, tensors=2 * law.linear.tensors))
+    assert deepcopy(law).on(fine).model.lame == there.lame
     near(own.on(fine).model.lame, 2 * np.array(law.lame), 1e-6)
     other = law.in_units(("nm", "GPa"))
     one, two = (m.weights(bond_classes(h, 3 * h))[0] for m, h in ((law, 1), (other, 0.1)))

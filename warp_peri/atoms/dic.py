@@ -24,6 +24,7 @@ from warp_peri.points.arguments import (
     check_shape,
     check_units,
     checked,
+    hold,
     plain,
     typed,
 )
@@ -220,8 +221,8 @@ class DICFrame:
     length: str | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "x", checked("x", self.x, float, ("P", 2)))
-        object.__setattr__(self, "u", plain("u", self.u))
+        hold(self, x=checked("x", self.x, float, ("P", 2)))
+        hold(self, u=plain("u", self.u))
         check_shape("u", self.u, self.x.shape)
 
 

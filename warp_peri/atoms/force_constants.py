@@ -23,7 +23,7 @@ from warp_peri.core.elastic import (
 )
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.regression import norms, relative
-from warp_peri.points.arguments import EV_IN_TPA, checked, typed, typed_methods
+from warp_peri.points.arguments import EV_IN_TPA, checked, hold, typed, typed_methods
 from warp_peri.points.points import grid_places
 
 STEP, WIDER = 2e-3, 5
@@ -86,8 +86,8 @@ class NonAnalyticCorrection:
                 f"born: expected charges of a cell whose sum is 0 within {most:.2g} e, got "
                 f"{np.round(total, 4).tolist()}"
             )
-        object.__setattr__(self, "born", born - born.mean(axis=0))
-        object.__setattr__(self, "dielectric", checked("dielectric", self.dielectric, shape=(3, 3)))
+        hold(self, born=born - born.mean(axis=0))
+        hold(self, dielectric=checked("dielectric", self.dielectric, shape=(3, 3)))
         if not (eigvalsh(self.dielectric) > 0).all():
             raise InputError(f"dielectric: expected a positive tensor, got {self.dielectric}")
 

@@ -48,6 +48,7 @@ from warp_peri.points.arguments import (
     check_units,
     checked,
     factors,
+    hold,
     is_number,
     shown_moduli,
     symbols,
@@ -163,9 +164,12 @@ class Record(Shown):
     def __post_init__(self) -> None:
         for each in fields_of(self):
             value = taken(each.name, each.hint, getattr(self, each.name), each.says)
-            object.__setattr__(self, each.name, value)
+            hold(self, **{each.name: value})
         if _has_units(self):
-            object.__setattr__(self, "units", check_units(self.units))
+            hold(self, units=check_units(self.units))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:  # of a copy
+        hold(self, **state)
 
     def derived(self) -> dict[str, Any]:
         """Entries of a file that are no fields; a reader must find the same there."""
@@ -430,7 +434,7 @@ def taken(key: str, hint: Any, value: Any, says: FieldUnits = PLAIN, *, read: bo
             raise InputError(f"{key}: expected a list, got {value!r:.50}")
         if _holds_bool(value):
             raise InputError(f"{key}: expected finite numbers, got true or false")
-        return checked(key, value, float).copy()
+        return checked(key, value, float)
     if hint is Any and read and isinstance(value, dict) and "format" in value:
         return _within(key, read_content, value)
     if read and "__dataclass_fields__" in vars(hint):

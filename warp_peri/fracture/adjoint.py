@@ -53,11 +53,11 @@ def bond_force(
     K = r ** -numbers["alpha"] * (
         torch.from_numpy(bernstein_basis(r.numpy(), model.horizon, model.degree)) @ numbers["D"]
     )
-    kw = K * torch.from_numpy(classes.weight)
+    kw = K * torch.tensor(classes.weight)
     w = kw / (torch.from_numpy(classes.count * classes.r**2) * kw).sum()  # as bond_weights
     stretch, place = stretch_matrix(body, neighbour)
     node, bond = (torch.from_numpy(one) for one in np.divmod(place, neighbour.shape[1]))
-    w, square = w[torch.from_numpy(classes.bond_class)[bond]], torch.from_numpy(body.r**2)[bond]
+    w, square = w[torch.tensor(classes.bond_class)[bond]], torch.from_numpy(body.r**2)[bond]
     e = linear(u.flatten(1), lambda x: (stretch @ x.T).T, lambda y: (stretch.T @ y.T).T)
     theta = torch.zeros(u.shape[:2], dtype=u.dtype).index_add(1, node, d * w * e)
     stress = (numbers["lam"] - mu) * theta + pressure
@@ -70,7 +70,7 @@ def crack_load(cut: Any, stress: np.ndarray, parameters: Numbers) -> torch.Tenso
     numbers = {name: real(name, value) for name, value in (cut.learnable | {**parameters}).items()}
     sigma = torch.from_numpy(stress)
     strain = strain_of(sigma, numbers["lam"], numbers["mu"], torch.eye(cut.body.dimension).double())
-    u = (torch.from_numpy(cut.body.x) @ strain)[None]
+    u = (torch.tensor(cut.body.x) @ strain)[None]
     whole, broken = (
         bond_force(cut.model, cut.body, table, u, numbers)[0]
         for table in (cut.body.neighbour, cut.neighbour)

@@ -32,6 +32,7 @@ from warp_peri.points.arguments import (
     checked,
     checked_fields,
     factors,
+    hold,
     plain,
     shown_moduli,
     symbols,
@@ -298,14 +299,12 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         both_ways = elastic.symmetric_part(tensors)
         if np.abs(tensors - both_ways).max() > BROKEN * np.abs(tensors).max():
             raise InputError("tensors: expected symmetric matrices")
-        set_ = object.__setattr__
-        set_(self, "steps", whole)
-        set_(self, "tensors", both_ways)
-        set_(self, "orientation", checked_orientation(self.orientation, d))
+        turn = checked_orientation(self.orientation, d)
+        hold(self, steps=whole, tensors=both_ways, orientation=turn)
         if stress is not None and not (stress.shape == (d, d) and np.array_equal(stress, stress.T)):
             raise InputError(f"stress: expected a symmetric matrix [{d}, {d}]")
         if isinstance(self.symmetry, str) and not self.symmetry:
-            set_(self, "symmetry", elastic.LEAST[d])
+            hold(self, symmetry=elastic.LEAST[d])
         if (broken := self.stencil.asymmetry(self.group)) > BROKEN:
             raise InputError(f"symmetry: the tensors break it by {broken:.1e} of the largest")
 
@@ -339,12 +338,13 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         """Name and value of each line of the crystal's summary table."""
         length, constants = symbols(self.units)[0], self.moduli()
         symmetry = self.symmetry if isinstance(self.symmetry, str) else "rotations"
+        proof = self.certificate
         return [
             ("symmetry", f"{symmetry}, {self.dimension} dimensions"),
             (", ".join(constants), shown_moduli(self.units, constants.values())),
             ("bonds", f"{self.bonds}, up to {self.horizon:.4g} {length}"),
             ("nodes", f"{self.spacing:g} {length} apart"),
-            ("proven", "nothing" if self.certificate is None else self.certificate.statement),
+            ("proven", proof.statement if proof and self.stands else "nothing"),
         ]
 
     def _surface_traction(self) -> float:

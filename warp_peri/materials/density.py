@@ -31,6 +31,7 @@ from warp_peri.points.arguments import (
     check_parameters,
     check_same,
     checked,
+    hold,
     typed,
 )
 from warp_peri.points.points import PointsLike, check_dimensions, nodes_of
@@ -95,7 +96,7 @@ class DensityMaterial(Record, format="warp_peri.density"):
 
     def __post_init__(self) -> None:
         numbers = {n: float(checked(n, one, float, ())) for n, one in self.parameters.items()}
-        object.__setattr__(self, "parameters", numbers)
+        hold(self, parameters=numbers)
         super().__post_init__()
         check_dimensions("dimension", self.dimension)
         check_parameters(self.energy or dict, numbers)

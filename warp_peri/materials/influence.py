@@ -28,6 +28,7 @@ from warp_peri.points.arguments import (
     check_parameters,
     check_shape,
     checked,
+    hold,
     plain,
     typed,
 )
@@ -75,7 +76,7 @@ class InfluenceFunction:
             if array.ndim > 1:
                 raise InputError(f"{name}: expected a number or a list, got {array.shape}")
             values[name] = array if array.ndim else float(array)
-        object.__setattr__(self, "parameters", values)
+        hold(self, parameters=values)
         check_parameters(self.function, values)
         for name, ends in self.bounds.items():
             if name not in self.parameters:

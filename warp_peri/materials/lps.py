@@ -28,6 +28,7 @@ from warp_peri.points.arguments import (
     check_same,
     checked,
     factors,
+    hold,
     is_number,
     is_tensor,
     plain,
@@ -162,17 +163,15 @@ class LPSMaterial(Record, format="warp_peri.model"):
                 raise InputError("certified_on: expected nothing, for moduli as fields")
         for name, one in (("lambda", self.lam), ("mu", self.mu)):
             if (shape := plain(name, one).shape) not in ((), (N,) if N else ()):
-                raise InputError(
-                    f"{name}: expected a number, or one of each of {N} nodes, got shape "
-                    f"{list(shape)}"
-                )
+                what = f"a number, or one of each of {N} nodes"
+                raise InputError(f"{name}: expected {what}, got shape {list(shape)}")
         if not np.all((self.mu > 0) & (self.lam + 2 * self.mu / d > 0)):
             bulk = "λ + μ" if d == 2 else "λ + 2μ/3"
             got = "others at some nodes" if N else f"{self.lam}, {self.mu}"
             raise InputError(f"lambda, mu: expected μ > 0 and {bulk} > 0, got {got}")
         told = self.statements  # in its units, whatever a file says
         own = {f"{h:g}": each | {"statement": told.get(h)} for h, each in self.figures.items()}
-        object.__setattr__(self, "certificate", own)
+        hold(self, certificate=own)
 
     @classmethod
     def isotropic(
@@ -231,7 +230,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         made = self.learnable | dict(numbers)
         fields = any(as_array(name, made[name]).ndim for name in ("lam", "mu"))
         of = (self.nodes if nodes is None else nodes) if fields else None
-        return replace(self, **made, nodes=of, certified_on=(), certificate={})
+        return replace(self, **made, nodes=of, certified_on=(), certificate={}, errors={})
 
     def spread(self, points: PointsLike, lam: Modulus | None, mu: Modulus | None) -> LPSMaterial:
         """The material with moduli that differ from node to node.
@@ -469,6 +468,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
     def rows(self) -> Rows:
         """Name and value of each line of the model's summary table."""
         unit, shown = symbols(self.units)[0], partial(shown_moduli, self.units)
+        proven, told = (self.certified_on, self.statements) if self.stands else ((), {})
         if self.nodes is None:
             moduli = {
                 "λ, μ": shown((self.lam, self.mu)),
@@ -481,8 +481,8 @@ class LPSMaterial(Record, format="warp_peri.model"):
             *moduli.items(),
             ("horizon", f"{self.horizon:g} {unit}"),
             ("K", f"degree {self.degree}, α = {self.alpha:.3g}"),
-            ("certified on", ", ".join(f"{h:g} {unit}" for h in self.certified_on) or "no lattice"),
-            *(("proven", told) for told in self.statements.values()),
+            ("certified on", ", ".join(f"{h:g} {unit}" for h in proven) or "no lattice"),
+            *(("proven", each) for each in told.values()),
             *error_rows(self.errors),
         ]
 

@@ -28,7 +28,7 @@ from warp_peri.materials.lps import (
     weighted_volume,
 )
 from warp_peri.materials.lps_force import Bonds
-from warp_peri.points.arguments import LARGEST, Count, Natural, NotNegative, Positive, typed
+from warp_peri.points.arguments import LARGEST, Count, Natural, NotNegative, Positive, hold, typed
 from warp_peri.points.families import DEGREE, BondClasses, bond_classes
 from warp_peri.points.points import Samples
 
@@ -119,7 +119,7 @@ class GaussNewton:
                 f"moduli: expected (λ, μ) with μ > 0, λ + μ > 0, up to {LARGEST:g}, {ISOTROPIC!r} "
                 f"or {LONG_WAVES!r}, got {self.moduli!r:.60}"
             )
-        object.__setattr__(self, "moduli", (lam, mu))  # of a list or an array too
+        hold(self, moduli=(lam, mu))  # of a list or an array too
 
     @property
     def held(self) -> tuple[float, float] | str | None:

@@ -30,7 +30,7 @@ from warp_peri.errors import InputError, Rows, warn
 from warp_peri.fitting.long_waves import long_wave_moduli, long_wave_rows, moduli_of
 from warp_peri.fitting.regression import Settled, load_sizes, norms, relative, rows, swept
 from warp_peri.fitting.result import Fit
-from warp_peri.materials.certificate import Uniqueness, prove_uniqueness
+from warp_peri.materials.certificate import Uniqueness, curvature_bound, prove_uniqueness
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import Crystal, Tensors, one_set, transfer_to_lattice
 from warp_peri.points.arguments import (
@@ -38,6 +38,7 @@ from warp_peri.points.arguments import (
     Numbers,
     check_same,
     checked,
+    hold,
     is_number,
     shown_moduli,
     typed,
@@ -193,7 +194,7 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
             strain: Any = self.proven.get("strain")
             known = strain if is_number(strain) else 0.0
             said = Uniqueness(self.spacing, known, 0, 0, 0, (), self.units).statement
-            object.__setattr__(self, "proven", self.proven | {"statement": said})
+            hold(self, proven=self.proven | {"statement": said})
         if self.form not in FORMS:
             raise InputError(f"form: expected one of {', '.join(FORMS)}, got {self.form!r:.50}")
         if self.linear.dimension != 2:
@@ -278,15 +279,23 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
     def verify_certificates(self) -> None:
         """Raise InputError unless the figures that a file states are proven again."""
         known = prove_uniqueness(self, spacing=self.spacing).figures() if self.proven else {}
-        for name, said in self.proven.items():
-            if name not in known:
-                raise InputError(f"proven: unknown keys: {name}")
-            if name == "statement":
-                continue
-            value, own = checked(f"proven: {name}", said, shape=np.shape(known[name])), known[name]
-            small, large = (value, own) if name in ("strain", "curvature") else (own, value)
-            if not ((value >= 0) & (small <= (1 + SAME) * np.array(large))).all():
-                raise InputError(f"proven: {name} {said!r:.60} is not proven of these")
+        if unknown := self.proven.keys() - known.keys():
+            raise InputError(f"proven: unknown keys: {', '.join(unknown)}")
+        said = {
+            name: checked(f"proven: {name}", value, shape=np.shape(known[name]))
+            for name, value in self.proven.items()
+            if name != "statement"
+        }
+        if "strain" in said:  # which may be less than is proven now
+            known["curvature"] = curvature_bound(known["largest_parts"], float(said["strain"]))
+        for name, value in said.items():
+            high, low = (
+                value <= (1 + SAME) * np.array(known[name]),
+                known[name] <= (1 + SAME) * value,
+            )
+            held = high if name == "strain" else low & high if name == "spacing" else low
+            if not (held & (value >= 0)).all():
+                raise InputError(f"proven: {name} {value!r:.60} is not proven of these")
 
     def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
         """Proof in other units: the proven strain alone, which has no unit."""
@@ -296,8 +305,8 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
         """Name and value of each line of the material's table, those of the crystal last."""
         shown = shown_moduli(self.units, (getattr(self, name) for name in CUBIC))
         rows = [("form", self.form), (", ".join(CUBIC), shown)]
-        if self.proven.get("strain"):
-            rows.append(("proven", f"one solution up to |H| = {self.proven['strain']:.2%}"))
+        if strain := self.proven_strain(self.spacing):
+            rows.append(("proven", f"one solution up to |H| = {strain:.2%}"))
         return rows + self.linear.rows()
 
 

@@ -31,6 +31,7 @@ from warp_peri.points.arguments import (
     check_units,
     checked,
     checked_fields,
+    hold,
     is_positive,
     offered,
     taken,
@@ -95,7 +96,7 @@ class Subdomain:
 
     def numbered(self) -> Subdomain:
         """The piece as the next body that the ranks make together."""
-        object.__setattr__(self, "which", next(NUMBERS))
+        hold(self, which=next(NUMBERS))
         return self
 
     def sum(self, values: np.ndarray) -> np.ndarray:

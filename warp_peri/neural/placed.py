@@ -245,11 +245,12 @@ class Placed(OperatorBase):
         material = self.material
         turned = checked_orientation(self.points.axis, 2)  # directions are those of the material
         xi = torch.as_tensor(self.xi @ turned, dtype=dtype)
-        r = torch.as_tensor(self.r, dtype=dtype)
+        r = torch.tensor(self.r, dtype=dtype)
         if material.anisotropic:
             omega = material.omega(xi)
         else:  # one value for a class
-            omega = material.omega(xi[np.unique(self.kind, return_index=True)[1]])[self.kind]
+            _, first, kind = np.unique(self.kind, return_index=True, return_inverse=True)
+            omega = material.omega(xi[first])[kind]
         return omega, omega * r / (omega * r**2).sum(), r
 
     def inputs(

@@ -20,7 +20,7 @@ from scipy.special import beta
 from warp_peri.errors import InputError
 from warp_peri.kernels import neighbours as kernels
 from warp_peri.kernels import quadrature
-from warp_peri.points.arguments import check_whole, checked, listed, symbols
+from warp_peri.points.arguments import check_whole, checked, hold, listed, symbols
 from warp_peri.points.points import PointsLike, grid_places, nearest, nodes_of
 from warp_peri.runtime import floats, ints, launch_slices, zeros
 
@@ -64,6 +64,9 @@ class BondClasses:
     bond_class: np.ndarray
     r: np.ndarray
     weight: np.ndarray
+
+    def __post_init__(self) -> None:
+        hold(self, **vars(self))  # all that ask for them share them
 
     @property
     def xi(self) -> np.ndarray:

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError, Rows, Shown, warn
-from warp_peri.points.arguments import as_array, checked, typed
+from warp_peri.points.arguments import as_array, checked, hold, typed
 from warp_peri.points.points import grid_places
 
 REST = "rest"
@@ -80,7 +80,7 @@ class Mesh(Shown):
     def __post_init__(self) -> None:
         d = self.dimension
         if d == 2:
-            object.__setattr__(self, "curved", self.faces)
+            hold(self, curved=self.faces)
         count = len(checked("x", self.x, shape=("P", d)))
         named = ((KINDS[d][0], d + 1), (f"{KINDS[d][2]}s", d), ("curved", 2))
         for (name, corners), numbers in zip(named, (self.cells, self.faces, self.curved)):

@@ -25,6 +25,7 @@ from warp_peri.points.arguments import (
     check_units,
     check_whole,
     checked,
+    hold,
     is_name,
     is_number,
     is_piece,
@@ -100,29 +101,28 @@ class Points(Shown):
         return rows
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "x", checked("x", self.x).copy())
+        hold(self, x=checked("x", self.x))
         if self.x.ndim != 2 or self.x.shape[1] not in (2, 3) or len(self.x) == 0:
             raise InputError(
                 f"x: expected shape [N, 2] or [N, 3] with N > 0, got {list(self.x.shape)}"
             )
         n = len(self.x)
         refuse_twice(self.x)
-        inside = checked("interior", self.interior, bool, (n,)).copy()
-        object.__setattr__(self, "interior", inside)
+        hold(self, interior=checked("interior", self.interior, bool, (n,)))
         if not self.interior.any():
             raise InputError("interior: expected at least one interior node, got none")
-        object.__setattr__(self, "units", check_units(self.units))
+        hold(self, units=check_units(self.units))
         if self.box is not None:
             box = checked("box", self.box, shape=(self.dimension,))
             if not (box > 0).all():
                 raise InputError(f"box: expected periods > 0, got {self.box!r:.60}")
-            object.__setattr__(self, "box", tuple(box.tolist()))
-        object.__setattr__(self, "axis", checked_axis(self.axis, self.dimension))
+            hold(self, box=tuple(box.tolist()))
+        hold(self, axis=checked_axis(self.axis, self.dimension))
         if self.outside is not None:
-            outside = checked("outside", self.outside, bool, (n,)).copy()
+            outside = checked("outside", self.outside, bool, (n,))
             if (outside & self.interior).any():
                 raise InputError("outside: expected true for no interior node, got some")
-            object.__setattr__(self, "outside", outside)
+            hold(self, outside=outside)
 
     @classmethod
     @typed

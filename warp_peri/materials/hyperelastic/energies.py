@@ -14,7 +14,7 @@ from warp_peri.core.record import FieldUnits
 from warp_peri.core.stencil import half_ball
 from warp_peri.errors import InputError
 from warp_peri.materials import hyperelastic
-from warp_peri.points.arguments import checked, taken, typed
+from warp_peri.points.arguments import checked, hold, taken, typed
 
 if TYPE_CHECKING:
     from warp_peri.points.points import Samples
@@ -127,7 +127,7 @@ class EnergyTerm:
     step: Annotated[tuple[int, ...], FieldUnits(omit=True)] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "step", tuple(self.step))
+        hold(self, step=tuple(self.step))
         if self.corner and not all(self.step):
             raise InputError(f"step: expected sides of a corner, none of them 0, got {self.step}")
         if self.kind not in KINDS:

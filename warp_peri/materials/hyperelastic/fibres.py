@@ -12,7 +12,7 @@ import torch
 from warp_peri.errors import InputError
 from warp_peri.materials.hyperelastic.energies import KINDS, LEAST, EnergyTerm, Hyperelastic, Strain
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
-from warp_peri.points.arguments import Count, checked, typed, typed_methods
+from warp_peri.points.arguments import Count, checked, hold, typed, typed_methods
 
 LARGEST_EXPONENT = 60.0
 LARGEST_DEGREE = 6
@@ -41,9 +41,9 @@ class ThicknessField:
         if self.degree not in range(1, LARGEST_DEGREE + 1) or self.degree is True:
             raise InputError(f"degree: expected 1 to {LARGEST_DEGREE}, got {self.degree!r}")
         if not np.size(self.numbers):
-            object.__setattr__(self, "numbers", np.zeros(len(self.names)))
+            hold(self, numbers=np.zeros(len(self.names)))
         for name, count in (("centre", 2), ("half", 2), ("numbers", len(self.names))):
-            object.__setattr__(self, name, checked(name, getattr(self, name), shape=(count,)))
+            hold(self, **{name: checked(name, getattr(self, name), shape=(count,))})
         if not (self.half > 0).all():
             raise InputError(f"half: expected lengths > 0, got {self.half}")
 

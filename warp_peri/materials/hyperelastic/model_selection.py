@@ -191,7 +191,7 @@ def uniaxial_stress(
     c, s, along = np.cos(angle), np.sin(angle), checked("stretches", stretches)
     if not (along > 0).all():
         raise InputError(f"stretches: expected numbers > 0, got {along.min():g}")
-    coefficients = torch.from_numpy(solid.coefficients)
+    coefficients = torch.tensor(solid.coefficients)
 
     def stress(across: np.ndarray, along: np.ndarray) -> list[np.ndarray]:
         """Stresses along the direction and across: slopes of the energy by the two stretches."""
