@@ -340,16 +340,25 @@ def test_a_folder_is_written_again_by_the_same_settings_alone(name, tmp_path, ca
         with monkeypatch.context() as other:
             other.chdir("/")  # where no.h5 is another file
             apart = hashes(given, *results(given))
-        for lines, more in (same, ""), (same[:1], ""), (apart, ""), ([], ""), ([], "--overwrite"):
+        begun = [same[0], "# sha256 -  begun"]
+        cases = (same, begun, same[:1], apart, [], [])
+        for lines, more in zip(cases, 5 * [""] + ["--overwrite"]):
             (tmp_path / f"{name}.txt").write_text("\n".join([MADE, *words, *lines]))
             said = refused(capsys, name, *words, *more.split())
-            assert (f"{mine}: is there already" not in said) == bool(lines == same or more)
+            assert (f"{mine}: is there already" not in said) == bool(lines in cases[:2] or more)
         mine.unlink()
 
 
-def test_a_shape_is_fitted_by_name(data, tmp_path, capsys):
+def test_a_shape_is_fitted_by_name(data, tmp_path, capsys, monkeypatch):
+    """Once more too, where the first job was killed before all was written."""
     words = ["fit", data, "--horizon", "2.5", "--loss", "residual", "--out", tmp_path]
-    printed = answer(capsys, *words, "--influence", "gaussian")
+    words += ["--influence", "gaussian"]
+    with monkeypatch.context() as patch, pytest.raises(SystemExit):  # noqa: PT012
+        patch.setattr("warp_peri.fitting.evaluate.write_json", lambda *_: sys.exit())
+        answer(capsys, *words)
+    capsys.readouterr()
+    assert "not by these settings" in refused(capsys, *words, "--set", "test")
+    printed = answer(capsys, *words)
     model = LPSMaterial.load(tmp_path / "model.json")
     width = printed["influence"]["parameters"]["width"]
     assert printed["influence"] == model.provenance["influence"]

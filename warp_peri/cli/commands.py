@@ -6,15 +6,16 @@ from __future__ import annotations
 import dataclasses
 import shlex
 from argparse import Namespace
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from numpy.linalg import norm
 
 import warp_peri
-from warp_peri.cli.main import HASH, MADE, check_output, hashes, is_kept, parse, results
+from warp_peri.cli.main import BEGUN, HASH, MADE, check_output, hashes, is_kept, parse, results
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import finite, locked, plain, write_text
 from warp_peri.points.arguments import Units, offered, symbols
@@ -102,11 +103,13 @@ def options_of(given: Namespace) -> Result:
 
 
 @contextmanager
-def writing(given: Namespace) -> Iterator[None]:
-    """Hold what a command writes against other jobs, which may have written it meanwhile."""
+def writing(given: Namespace) -> Iterator[Callable[[], None]]:
+    """Hold what a command writes against other jobs, which may have written it meanwhile; what is
+    yielded is called before the first file."""
     with locked(given.out):
         check_output(given)
-        yield
+        yield partial(keep, given, results(given)[0], BEGUN)
+        keep(given, *results(given))
 
 
 def run_solve(given: Namespace) -> Said:
@@ -116,9 +119,9 @@ def run_solve(given: Namespace) -> Said:
     provenance = {"source": "warp-peri solve", "model": given.model.name, "data": given.data.name}
     u = warp_peri.solve(model, problem, **options_of(given)).u
     sets = {given.set: dataclasses.replace(points, u=u)}
-    with writing(given):
+    with writing(given) as begin:
+        begin()
         save_dataset(given.out, Dataset(sets, data.thickness, data.density, provenance))
-        keep(given, *results(given))
     size = norm(u[:, points.interior], axis=-1).max(axis=1, initial=0).tolist()
     result, key = {"file": str(given.out), "set": given.set}, "largest_displacement"
     return result | {key: size}, lines_of(result | {f"{key} [{symbols(data.units)[0]}]": size})
@@ -143,9 +146,9 @@ def run_export(given: Namespace) -> Said:
     """Write the solved fields of a set for ParaView."""
     model, _, problem = problem_of(given)
     u = warp_peri.solve(model, problem, **options_of(given)).u
-    with writing(given):
+    with writing(given) as begin:
+        begin()
         paths = warp_peri.export.write_vtk(given.out, model, problem.points, u)
-        keep(given, *results(given))
     result = {"files": [*map(str, paths)]}
     return result, lines_of(result)
 
@@ -164,9 +167,9 @@ def chosen(given: Any, *names: str) -> Result:
 
 def keep(given: Namespace, path: Path, made: Mapping[str, str]) -> None:
     """Write the words of a command, a line each, which `@FILE` stands for, and hashes of what it
-    wrote; words of the same options, or that no command wrote, are left alone."""
+    wrote, or BEGUN; words of the same options, or that no command wrote, are left alone."""
     if path.exists() and not is_kept(path):
-        return warn(f"{path}: is no file of a command, and is left as it is")
+        return None if made is BEGUN else warn(f"{path}: is no file of a command, and stays")
     lines, marks = [MADE, *map(shlex.quote, given.words), ""], hashes(given, path, made)
     with suppress(InputError):  # there are none, or they are changed to what is no words
         if marks[:1] == hashes(parse([given.command, f"@{path}"]), path, {}):

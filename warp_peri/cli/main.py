@@ -25,7 +25,7 @@ from typing import Any, NoReturn
 
 import warp_peri
 from warp_peri.errors import InputError, exit_status, printable
-from warp_peri.files.atomic import check_regular, content, destination
+from warp_peri.files.atomic import content, destination
 
 LEARNING = ("coarse-grain", "fit", "sweep", "fit-crystal", "fit-sheet")
 """Commands that are in `train`, others in `commands`; imported when asked for: it takes time."""
@@ -79,6 +79,8 @@ TYPED = ("--json", "--trust", "--overwrite")
 """Options that no settings file has."""
 MADE, HASH = "# words of warp-peri", "# sha256 "
 """First line of the settings files that commands write; begin of those on what was written."""
+BEGUN = {"begun": "-"}
+"""In place of hashes of what is written, while it is: a job that is killed is done again."""
 WRITTEN = {
     "fit": "model.json metrics.json",
     "fit-crystal": "model.json crystal.json law.png",
@@ -248,7 +250,7 @@ def check_output(given: Namespace) -> None:
     elif given.out.exists() and not given.out.is_dir():
         raise InputError(f"out: expected a folder, {given.out} is a file")
     kept, made = results(given)
-    taken = {*map(os.path.realpath, (given.out, *made))}
+    taken = {os.path.realpath(given.out), *map(str, map(destination, made))}
     for name, read in vars(given).items():
         for path in read if isinstance(read, list) else [read]:
             if name != "out" and isinstance(path, Path) and os.path.realpath(path) in taken:
@@ -258,13 +260,13 @@ def check_output(given: Namespace) -> None:
 
 
 def results(given: Namespace) -> tuple[Path, dict[str, str]]:
-    """Settings file of a command, and hashes of what is there that it writes, by path."""
+    """Settings file of a command, and paths of what is there that it writes, not yet hashed."""
     if names := WRITTEN.get(given.command):
         kept = given.out / f"{given.command}.txt"
         there = [path for name in names.split() for path in sorted(given.out.glob(name))]
     else:
         kept, there = beside(given.out, "solve"), [given.out] * given.out.exists()
-    return kept, {str(path): hash_of(path) for path in there}
+    return kept, dict.fromkeys(map(str, there), "")
 
 
 def beside(out: Path, end: str) -> Path:
@@ -274,16 +276,17 @@ def beside(out: Path, end: str) -> Path:
 
 def hash_of(path: Path) -> str:
     """SHA-256 of a file."""
-    check_regular(path)
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def check_made(given: Namespace, kept: Path, made: Mapping[str, str]) -> None:
     """Raise InputError, but for --overwrite, unless a settings file says that a command with the
-    same options wrote what has these hashes."""
+    same options wrote what has these hashes, or began to."""
+    if not made or given.overwrite:
+        return
     said = content(kept).decode("utf-8", "replace").split("\n") if is_kept(kept) else []
-    if made and not given.overwrite and not {*hashes(given, kept, made)} <= {*said}:
+    if not any({*hashes(given, kept, one)} <= {*said} for one in (BEGUN, made)):
         raise InputError(
             f"{next(iter(made))}: is there already, not by these settings, or changed since; name "
             "another, or --overwrite"
@@ -292,7 +295,7 @@ def check_made(given: Namespace, kept: Path, made: Mapping[str, str]) -> None:
 
 def hashes(given: Namespace, kept: Path, made: Mapping[str, str]) -> list[str]:
     """Lines of a settings file: hashes of the options, their paths as they lie from there, and of
-    what was written."""
+    what was written, where it has none yet."""
     home, options = os.path.realpath(kept.parent), dict(given.options)
     options.pop("jobs", None)  # which change no result
     if os.path.isfile(options.get("potential") or ""):
@@ -303,7 +306,7 @@ def hashes(given: Namespace, kept: Path, made: Mapping[str, str]) -> list[str]:
 
     text = json.dumps(options, sort_keys=True, default=lies)
     made = {"options": hashlib.sha256(text.encode()).hexdigest(), **made}
-    return [f"{HASH}{mark}  {os.path.basename(name)}" for name, mark in made.items()]
+    return [f"{HASH}{m or hash_of(Path(n))}  {os.path.basename(n)}" for n, m in made.items()]
 
 
 def is_kept(path: Path) -> bool:

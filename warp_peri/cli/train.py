@@ -17,9 +17,17 @@ from warp_peri.atoms import dumps
 from warp_peri.atoms.coarse_graining import smoothing_matrix
 from warp_peri.atoms.dic import estimate_noise, frames_of_folder
 from warp_peri.cli.commands import Result, Said, chosen, error_table, keep, lines_of, writing
-from warp_peri.cli.main import beside, check_made, results
+from warp_peri.cli.main import BEGUN, beside, check_made
 from warp_peri.errors import InputError, warn
-from warp_peri.files.atomic import content, finite, plain, read_arrays, whole_file, write_json
+from warp_peri.files.atomic import (
+    content,
+    finite,
+    locked,
+    plain,
+    read_arrays,
+    whole_file,
+    write_json,
+)
 from warp_peri.fitting.evaluate import Run, train
 from warp_peri.materials import lps_law
 from warp_peri.points.arguments import USUAL, checked, symbols, usual_lengths
@@ -83,12 +91,15 @@ def run_coarse_grain(given: Namespace) -> Said:
         node_area=given.spacing**2,
         **chosen(given, "thickness", "skip", "progress"),
     )
-    with writing(given):
+    with locked(given.out):
         before = _take_sheet(given)  # another job may have written it meanwhile
         sets = {**(before.sets if before else {}), given.set: samples}
         provenance = before.provenance if before else {"source": "warp-peri coarse-grain"}
-        save_dataset(given.out, Dataset(sets, given.thickness, given.density, provenance))
-        keep(given, *_set_of(given, load_dataset(given.out)))
+        made = Dataset(sets, given.thickness, given.density, provenance)
+        path, mark = _set_of(given, made)
+        keep(given, path, BEGUN)
+        save_dataset(given.out, made)
+        keep(given, path, mark)
     result = {"file": str(given.out), "set": given.set, **samples.summary()}
     return result, lines_of(result)
 
@@ -149,7 +160,7 @@ def run_fit(given: Namespace) -> Said:
     if given.horizon is None:
         given.horizon = float(usual_lengths("horizon", HORIZON, data.units))
     law = _law(given, samples.spacing)
-    with writing(given):
+    with writing(given) as begin:
         options: Result = {"noise": noise} if noise else {}
         run = train(law, samples, data.sets, progress=given.progress, **options)
         metrics = _metrics(run)
@@ -160,8 +171,8 @@ def run_fit(given: Namespace) -> Said:
                 warn(found.advice)
         metrics |= chosen(data, "thickness", "density")
         made = {"data_provenance": data.provenance}
+        begin()
         run.save(given.out, metrics, data=given.data, provenance=made)
-        keep(given, *results(given))
     tables = {name: {"samples": len(data[name])} | one for name, one in run.tables.items()}
     tables |= {name: {"error": why} for name, why in run.refused.items()}
     lines = [*_first(given, metrics, data), LINE, *repr(run.fit.material).split("\n")[1:]]
@@ -257,9 +268,9 @@ def run_sweep(given: Namespace) -> Said:
         "cheapest": dataclasses.asdict(sweep.cheapest),
         "moduli": _sheet_of(data),
     }
-    with writing(given):
+    with writing(given) as begin:
+        begin()
         write_json(given.out / "sweep.json", result)
-        keep(given, *results(given))
     return result, lines_of(result)
 
 
@@ -268,7 +279,7 @@ def run_fit_crystal(given: Namespace) -> Said:
     path = given.out / "model.json"
     units = given.units[0] if len(given.units) == 1 else tuple(given.units)
     how = chosen(given, "spacing", "horizon", "symmetry") | {"units": units}
-    with writing(given):  # a place that takes no files is told before the calculator works
+    with writing(given) as begin:  # a place that takes no files is told before the calculator works
         if given.calculator is None:
             constants = warp_peri.atoms.from_phonopy(given.structure, thickness=given.thickness)
             found: Any = warp_peri.atoms.crystal_from_force_constants(constants, **how)
@@ -280,6 +291,7 @@ def run_fit_crystal(given: Namespace) -> Said:
             )
             how |= chosen(given, "thickness", "hold", "supercell")
             found = warp_peri.fit_crystal(structure, calculator, **how)
+        begin()
         warp_peri.save(path, found.material)
         write_json(given.out / "crystal.json", finite(plain(found.content())))
         group, wave, proof = found.law.symmetry, found.holds_to["law"], found.certificate
@@ -296,7 +308,6 @@ def run_fit_crystal(given: Namespace) -> Said:
             *repr(found).split("\n")[1:],
         ]
         _save_figure(found.plot(), given.out / "law.png")
-        keep(given, *results(given))
     return {**found.content(), "model": str(path)}, lines
 
 
@@ -314,13 +325,13 @@ def run_fit_sheet(given: Namespace) -> Said:
             warn(f"passed over: {candidate.why}")
             return
         name = candidate.name.replace(", ", "_").replace(" ", "_")
+        begin()
         warp_peri.save(given.out / f"{name}.json", candidate.fit.material)
-        keep(given, *results(given))  # whose candidates these are, if it ends here
         if not given.json:
             error = f"error of displacement {100 * candidate.held_out:.3f} %"
             print(candidate.why or f"{candidate.name}: {error}", flush=True)
 
-    with writing(given):
+    with writing(given) as begin:
         choice = warp_peri.hyperelastic.select_model(
             frames, uneven=not given.even, done=done, **chosen(given, "fibres", "progress")
         )
@@ -334,7 +345,6 @@ def run_fit_sheet(given: Namespace) -> Said:
         }
         result = finite(told | result)
         write_json(given.out / "sheet.json", result)
-        keep(given, *results(given))
     path, stress = given.out / "material.json", "; stresses in MPa need a force: --stress"
     first = [
         f"{path}: material of a sheet, {choice[0].name}",
