@@ -1,5 +1,6 @@
 """The command: from dumps to a certified model, settings files, every law, exit codes."""
 
+import hashlib
 import io
 import json
 import os
@@ -122,7 +123,7 @@ def test_certify_evaluate_solve_and_info(fitted, data, tmp_path, capsys):
     assert_allclose(load_dataset(out)["test"].u, u)
     assert "not by these settings" in refused(capsys, *words, "--set", "train")
     shutil.copy(data, out)
-    assert "not by these settings, or changed since" in refused(capsys, *words)
+    assert "not by these settings and inputs, or changed since" in refused(capsys, *words)
     assert answer(capsys, "info", model)["certified_on"] == [1.0]
     assert answer(capsys, "info", data)["sets"]["noise"]["samples"] == 8
     assert main(["info", str(model)]) == 0
@@ -334,13 +335,14 @@ def test_a_folder_is_written_again_by_the_same_settings_alone(name, tmp_path, ca
     """Same options on the same files, and nobody changed what they wrote."""
     words = ["no.h5"] * (1 + (name == "export")) + ["--out", str(tmp_path)]
     given = parse([name, *words])
+    given.inputs = hashlib.sha256().hexdigest()  # nothing is there to read
     for one in WRITTEN[name].replace("*", "Yeoh").split():
         (mine := tmp_path / one).write_text("mine")
         same = hashes(given, *results(given))
         with monkeypatch.context() as other:
             other.chdir("/")  # where no.h5 is another file
             apart = hashes(given, *results(given))
-        begun = [same[0], "# sha256 -  begun"]
+        begun = [*same[:2], "# sha256 -  begun"]
         cases = (same, begun, same[:1], apart, [], [])
         for lines, more in zip(cases, 5 * [""] + ["--overwrite"]):
             (tmp_path / f"{name}.txt").write_text("\n".join([MADE, *words, *lines]))
@@ -350,13 +352,17 @@ def test_a_folder_is_written_again_by_the_same_settings_alone(name, tmp_path, ca
 
 
 def test_a_shape_is_fitted_by_name(data, tmp_path, capsys, monkeypatch):
-    """Once more too, where the first job was killed before all was written."""
-    words = ["fit", data, "--horizon", "2.5", "--loss", "residual", "--out", tmp_path]
+    """Once more too, of the same data, where the first job was killed before all was written."""
+    mine = shutil.copy(data, tmp_path / "d.h5")
+    words = ["fit", mine, "--horizon", "2.5", "--loss", "residual", "--out", tmp_path]
     words += ["--influence", "gaussian"]
     with monkeypatch.context() as patch, pytest.raises(SystemExit):  # noqa: PT012
         patch.setattr("warp_peri.fitting.evaluate.write_json", lambda *_: sys.exit())
         answer(capsys, *words)
     capsys.readouterr()
+    save_dataset(mine, load_dataset(data).of_sheet(density=2300.0))
+    assert "not by these settings and inputs" in refused(capsys, *words)
+    shutil.copy(data, mine)
     assert "not by these settings" in refused(capsys, *words, "--set", "test")
     printed = answer(capsys, *words)
     model = LPSMaterial.load(tmp_path / "model.json")

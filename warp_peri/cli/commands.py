@@ -172,7 +172,7 @@ def keep(given: Namespace, path: Path, made: Mapping[str, str]) -> None:
         return None if made is BEGUN else warn(f"{path}: is no file of a command, and stays")
     lines, marks = [MADE, *map(shlex.quote, given.words), ""], hashes(given, path, made)
     with suppress(InputError):  # there are none, or they are changed to what is no words
-        if marks[:1] == hashes(parse([given.command, f"@{path}"]), path, {}):
+        if marks[:1] == hashes(parse([given.command, f"@{path}"]), path, {})[:1]:
             kept = path.read_text("utf-8").split("\n")
             lines = [line for line in kept if not line.startswith(HASH)]
     write_text(path, "\n".join([lines[0], *marks, *lines[1:]]))

@@ -17,7 +17,7 @@ import shlex
 import sys
 import warnings
 from argparse import SUPPRESS, ArgumentParser, Namespace, RawDescriptionHelpFormatter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from itertools import groupby
 from pathlib import Path
@@ -167,8 +167,8 @@ def parse(words: Sequence[str]) -> Namespace:
     """Parse the command and its options; `@FILE` stands for the words in a file.
 
     What comes later wins, whole lists too. Of the result, `usual` are the defaults, `options` what
-    a settings file keeps, `words` a line that says the same, `files` those that were read, and
-    `filed` the names whose values are from one.
+    a settings file keeps, `words` a line that says the same, `files` those that were read,
+    `filed` the names whose values are from one, `inputs` is for their hash.
     """
     known = "\n".join(f"  {name:14}{text.splitlines()[0]}" for name, text in COMMANDS.items())
     top = Parser(
@@ -202,6 +202,8 @@ def parse(words: Sequence[str]) -> Namespace:
         found, filed = found | own, filed | own.keys() if file else filed - own.keys()
     parser.parse_args([word for _, words in parts for word in words])  # all there, and no more
     options = {n: v for n, v in (usual | found).items() if f"--{n}" not in TYPED}
+    if os.path.isfile(options.get("potential") or ""):
+        options["potential"] = Path(options["potential"])
     return Namespace(
         **vars(given) | usual | found,
         usual=usual,
@@ -209,6 +211,7 @@ def parse(words: Sequence[str]) -> Namespace:
         words=words_for(parser, {n: v for n, v in found.items() if n in options}),
         files=[Path(word[1:]) for word in line if word[:1] == "@"],
         filed=filed,
+        inputs="",
     )
 
 
@@ -240,7 +243,7 @@ def words_of(path: str) -> list[str]:
 
 def check_output(given: Namespace) -> None:
     """Refuse, before anything is done, to overwrite inputs, what is no file, and, but for
-    --overwrite, what the command with the same options did not write so."""
+    --overwrite, what the command with the same options and inputs did not write so."""
     if not hasattr(given, "out"):
         return
     if given.command not in WRITTEN:
@@ -251,12 +254,24 @@ def check_output(given: Namespace) -> None:
         raise InputError(f"out: expected a folder, {given.out} is a file")
     kept, made = results(given)
     taken = {os.path.realpath(given.out), *map(str, map(destination, made))}
-    for name, read in vars(given).items():
-        for path in read if isinstance(read, list) else [read]:
-            if name != "out" and isinstance(path, Path) and os.path.realpath(path) in taken:
-                raise InputError(f"out: {path} is read ({name}); name another place")
+    for name, path in inputs_of(given):
+        if os.path.realpath(path) in taken:
+            raise InputError(f"out: {path} is read ({name}); name another place")
+    if not given.inputs:  # as they are before they are read
+        read = (path for name, path in inputs_of(given) if name != "files")
+        every = (file for path in read for file in (path, *sorted(path.glob("[!.]*"))))
+        marks = "".join(hash_of(file) for file in every if file.is_file())
+        given.inputs = hashlib.sha256(marks.encode()).hexdigest()
     if given.command != "coarse-grain":  # which adds to a data set
         check_made(given, kept, made)
+
+
+def inputs_of(given: Namespace) -> Iterator[tuple[str, Path]]:
+    """Iterate over what a command reads: the option's name, and a path."""
+    for name, value in {**given.options, "files": given.files}.items():
+        for path in value if isinstance(value, list) else [value]:
+            if name != "out" and isinstance(path, Path):
+                yield name, path
 
 
 def results(given: Namespace) -> tuple[Path, dict[str, str]]:
@@ -282,31 +297,30 @@ def hash_of(path: Path) -> str:
 
 def check_made(given: Namespace, kept: Path, made: Mapping[str, str]) -> None:
     """Raise InputError, but for --overwrite, unless a settings file says that a command with the
-    same options wrote what has these hashes, or began to."""
+    same options and inputs wrote what has these hashes, or began to."""
     if not made or given.overwrite:
         return
     said = content(kept).decode("utf-8", "replace").split("\n") if is_kept(kept) else []
     if not any({*hashes(given, kept, one)} <= {*said} for one in (BEGUN, made)):
         raise InputError(
-            f"{next(iter(made))}: is there already, not by these settings, or changed since; name "
-            "another, or --overwrite"
+            f"{next(iter(made))}: is there already, not by these settings and inputs, or changed "
+            "since; name another, or --overwrite"
         )
 
 
 def hashes(given: Namespace, kept: Path, made: Mapping[str, str]) -> list[str]:
-    """Lines of a settings file: hashes of the options, their paths as they lie from there, and of
-    what was written, where it has none yet."""
+    """Lines of a settings file: hashes of the options, their paths as they lie from there, of all
+    that was read, and of what was written, where it has none yet."""
     home, options = os.path.realpath(kept.parent), dict(given.options)
     options.pop("jobs", None)  # which change no result
-    if os.path.isfile(options.get("potential") or ""):
-        options["potential"] = Path(options["potential"])
 
     def lies(path: Path) -> str:
         return os.path.relpath(os.path.realpath(path), home)
 
     text = json.dumps(options, sort_keys=True, default=lies)
-    made = {"options": hashlib.sha256(text.encode()).hexdigest(), **made}
-    return [f"{HASH}{m or hash_of(Path(n))}  {os.path.basename(n)}" for n, m in made.items()]
+    own = {"options": hashlib.sha256(text.encode()).hexdigest(), "inputs": given.inputs or "-"}
+    every = {**own, **made}.items()
+    return [f"{HASH}{m or hash_of(Path(n))}  {os.path.basename(n)}" for n, m in every]
 
 
 def is_kept(path: Path) -> bool:
