@@ -214,6 +214,9 @@ def test_wrong_input_is_refused(family):
         "predict: expected a problem": lambda: wp.predict(family, points),
         "at least four samples": lambda: wp.fit(one, Ensemble(wp.LPS(3.0))),
         r"at: expected shape \[m, 2\]": lambda: wp.prediction.strain(points, [1.0, 2.0]),
+        "u: expected .* masked": lambda: wp.prediction.strain(points, [[0.0, 0.0]])(
+            np.ma.masked_equal(u, u[0, 0])
+        ),
         "quantity: expected": lambda: wp.predict(family, given).of(lambda u: None),
     })  # fmt: skip
 

@@ -281,6 +281,7 @@ def strain(points: PointsLike, at: ArrayLike) -> Measure:
         raise InputError("strain: expected positions whose nodes have neighbours along the axes")
 
     def of(u: np.ndarray) -> np.ndarray:
+        u = checked("u", u, float, nodes.x.shape)
         return symmetric_part((u[after] - u[before]) / (2 * nodes.spacing))
 
     return of
