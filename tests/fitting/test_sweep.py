@@ -65,8 +65,8 @@ def test_a_sweep_finds_the_horizon_of_the_data_and_resumes(sets, tmp_path):
 
 def test_usual_horizons_are_in_the_unit_of_the_data(sets, tmp_path, monkeypatch):
     horizons = []
-    fitted = "warp_peri.materials.sweep._fit"
-    monkeypatch.setattr(fitted, lambda law, *_: horizons.append(law.horizon) or "none")
+    monkeypatch.setattr(trials, "_fit", lambda law, *_: horizons.append(law.horizon) or "none")
+    monkeypatch.setattr(trials, "families_of", lambda *_: None)  # the body is too small
     train, val = (in_units(one, ("nm", "GPa")) for one in sets)
     with pytest.raises(RuntimeError), warned("none"):
         sweep(train, val, tmp_path, degrees=[0], jobs=1)
@@ -125,5 +125,8 @@ def test_a_failed_fit_is_left_out_and_tried_again(sets, tmp_path, monkeypatch):
         with warned("δ = 2 Å"), pytest.raises(RuntimeError, match="every fit failed"):
             sweep(*sets, tmp_path, **options | {"horizons": (2.0,)})
     assert len(sweep(*sets, tmp_path, **options).trials) == 2
+    with refused("sweep: δ = 4 Å: .* have not at horizon"):
+        sweep(*sets, tmp_path / "new", **options | {"horizons": (2.0, 4.0)})
+    assert not (tmp_path / "new").exists()
     with refused("at least one horizon"):
         sweep(*sets, tmp_path, horizons=())

@@ -27,7 +27,7 @@ from warp_peri.points.arguments import (
     typed_methods,
     usual_lengths,
 )
-from warp_peri.points.families import bond_classes
+from warp_peri.points.families import bond_classes, families_of
 from warp_peri.points.points import Samples
 
 COST_TOLERANCE = 0.1
@@ -125,17 +125,15 @@ def sweep(
         jobs: processes, −1 for one per core; joblib.parallel_config chooses another backend.
         progress: show a progress bar.
 
-    Raises InputError for input that cannot be used or a folder that another job writes to,
-    RuntimeError when every fit failed.
+    Raises InputError for input that cannot be used, as a horizon that the nodes do not carry, or a
+    folder that another job writes to; RuntimeError when every fit failed.
     """
     if horizons is None:
         horizons = usual_lengths("horizons", HORIZONS, train.points.units).tolist()
     if not (horizons and degrees):
         raise InputError("sweep: expected at least one horizon and one degree")
     sets = {"train": train, "val": val} | ({} if test is None else {"test": test})
-    for one in (train, val):
-        if not one.loads[:, one.interior].any():
-            raise InputError("train, val: expected loads inside, by which errors are divided")
+    _check_sets(sets, horizons)
     files = {}
     for horizon, degree in itertools.product(horizons, degrees):
         trial = replace(law, horizon=horizon, kernel=Bernstein(degree))
@@ -153,6 +151,21 @@ def sweep(
     if not (trials := [trial for trial in found.values() if trial is not None]):
         raise RuntimeError("sweep: every fit failed")
     return choose(trials)
+
+
+def _check_sets(sets: dict[str, Samples], horizons: Sequence[float]) -> None:
+    """Raise InputError for sets without loads and a horizon that a set's nodes do not carry; those
+    of another lattice than that of the fit have a transfer's own."""
+    for one in (sets["train"], sets["val"]):
+        if not one.loads[:, one.interior].any():
+            raise InputError("train, val: expected loads inside, by which errors are divided")
+    for horizon, one in itertools.product(horizons, sets.values()):
+        try:
+            if one.spacing == sets["train"].spacing:
+                families_of(one, horizon)
+        except InputError as error:
+            unit = symbols(one.points.units)[0]
+            raise InputError(f"sweep: δ = {horizon:g} {unit}: {error}") from None
 
 
 def choose(trials: list[Trial]) -> SweepResult:
