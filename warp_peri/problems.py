@@ -143,9 +143,10 @@ class Body:
         b: body force density [stress/length], a function of positions [n, d] that gives [n, d].
         coupling: how elements and lattice meet.
 
-    `solve` raises InputError for parts that the mesh does not have, fields of other shapes or not
-    finite, a body that is free to move, a hole narrower than the overlap, another unit or
-    dimension, and a material that is not linear or not positive definite.
+    `solve` raises InputError for parts that the mesh does not have, or that are held apart where
+    they meet, fields of other shapes or not finite, a body that is free to move, a hole narrower
+    than the overlap, another unit or dimension, and a material that is not linear or not positive
+    definite.
 
     >>> body = wp.Body(mesh, {"left": (0.0, 0.0)}, {"right": (0.005, 0.0)})
     >>> wp.solve(model, body).residual < 1e-8

@@ -286,12 +286,20 @@ def test_vectors_of_a_body():
     })  # fmt: skip
 
 
-def test_an_edge_of_two_parts_has_one_displacement():
+@filterwarnings("ignore:mesh")
+@parametrize("other", ["same", "low"])
+@parametrize("size", [1.0, 1e-12])
+def test_an_edge_or_a_corner_of_two_parts_has_one_displacement(other, size):
     x, left = np.array([[0.0, 0.0], [9.0, 0.0], [9.0, 9.0], [0.0, 9.0]]), np.array([[3, 0]])
-    mesh = make_mesh(x, [[0, 1, 2], [0, 2, 3]], {"left": left, "same": left})
-    held = {"left": (0.0, 0.0), "same": (0.1, 0.1)}
-    with refused("expected one displacement where both are"):
+    mesh = make_mesh(x, [[0, 1, 2], [0, 2, 3]], {"left": left, "same": left, "low": [[0, 1]]})
+
+    def solved(off):
+        held = {"left": (size, size), other: (size, (1 + off) * size)}
         wp.solve(kernel("1/r", 2.0), wp.Body(mesh, held, coupling=Coupling(spacing=1.0)))
+
+    solved(1e-12)  # as rounding may leave it
+    with refused(f"parts 'left', '{other}': expected one displacement .* differ by 1e-"):
+        solved(1e-8)
 
 
 def parameters(**change):

@@ -225,6 +225,8 @@ def _points(field: Any) -> np.ndarray:
 
 FINE = 4
 """Places in a spacing, on either axis, where the density is read for a lattice."""
+SAME = 1e-9
+"""Of the largest displacement that is given: two that differ by less are one."""
 
 
 @dataclass(frozen=True)
@@ -266,23 +268,25 @@ class BodyLoads:
         return np.asarray(fine[*(cells + 3).T])
 
     def given(self, rim: Rim) -> tuple[np.ndarray, np.ndarray]:
-        """Held displacements of the nodes of elements, and their mask, shape [n, d] each."""
-        given, fixed = np.zeros_like(rim.x), np.zeros(rim.x.shape, bool)
-        for name, values in self.held.items():
-            nodes, own = rim.nodes_of(name), rim.mesh.parts[name]
-            there = values(rim.x[nodes])
-            known = np.isfinite(there)
+        """Held displacements of the nodes of elements, and their mask, shape [n, d] each. Raises
+        InputError for parts that differ where both are, at a corner too."""
+        given, whose = np.zeros_like(rim.x), np.full(rim.x.shape, -1)
+        every = [values(rim.x[rim.nodes_of(name)]) for name, values in self.held.items()]
+        largest = max((np.nanmax(np.abs(u), initial=0.0) for u in every), default=0.0)
+        for n, (name, u) in enumerate(zip(names := [*self.held], every)):
+            nodes, known = rim.nodes_of(name), np.isfinite(u)
             if name in self.pulls and known.all():
                 raise InputError(f"part '{name}': expected it held or pulled, got both")
-            if (fixed[nodes] & known & (there != given[nodes])).any():
-                for other in self.held.keys() - {name}:
-                    if np.intersect1d(own, rim.mesh.parts[other]).size:  # corners may jump
-                        raise InputError(
-                            f"parts '{other}', '{name}': expected one displacement where both are"
-                        )
-            given[nodes] = np.where(known, there, given[nodes])
-            fixed[nodes] |= known
-        return given, fixed
+            off = np.where(known & (whose[nodes] >= 0), np.abs(u - given[nodes]), 0.0)
+            if (most := off.max(initial=0.0)) > SAME * largest:
+                other = names[whose[nodes].flat[off.argmax()]]
+                raise InputError(
+                    f"parts '{other}', '{name}': expected one displacement where both are, got two "
+                    f"that differ by {most:.3g}"
+                )
+            given[nodes] = np.where(known, u, given[nodes])
+            whose[nodes] = np.where(known, n, whose[nodes])
+        return given, whose >= 0
 
     def refuse_loose(self, rim: Rim, fixed: np.ndarray) -> None:
         """Raise InputError when displacements that are fixed, [n, d], let a piece move rigidly."""
