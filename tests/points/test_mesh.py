@@ -277,7 +277,7 @@ def abaqus(tmp_path, text):
 def test_sets_of_nodes_and_of_lines_of_abaqus_are_parts(tmp_path):
     """Whatever blocks they lie in: each is where its corners are, whatever its name's case."""
     text = PLATE + (
-        "*NODE\n2, 1.5D0, 0.\n3, 45.E-1, 0.\n"
+        "*NODE\n2, 1.5d0, 0.+0\n3, 45.-1, 0.E+0\n"
         "*ELEMENT, TYPE=B22, ELSET=low\n21, 1, 2, 11\n"
         "*ELEMENT, TYPE=T2D3, ELSET=LOW\n22, 11, 21, 3\n"
         "*ELEMENT, TYPE=T2D2\n23, 21, 51\n*ELEMENT, TYPE=B21\n24, 51, 41\n"

@@ -222,10 +222,7 @@ def read_abaqus(text: str) -> SimpleNamespace:
         once.add(name)
         members = set[int]()
         if name == "NODE":
-            own = {  # 1.0D+1 too
-                int(n): [float(w.upper().replace("D", "E")) for w in [*x, "0", "0"][:3]]
-                for n, *x in rows
-            }
+            own = {int(n): [*map(_number, [*x, "0", "0"][:3])] for n, *x in rows}
             members, known = {*own}, {*nodes}
             nodes |= own
         elif name == "ELEMENT":
@@ -258,6 +255,11 @@ def read_abaqus(text: str) -> SimpleNamespace:
             for name, own in sets["ELSET"].items()
         },
     )
+
+
+def _number(word: str) -> float:
+    """Number as FORTRAN writes it: 1.0D+1 and 1.0+1 too."""
+    return float(re.sub(r"(?<=[\d.])D?([+-])", r"E\1", word.upper()).replace("D", "E"))
 
 
 def _elements(told: str, rows: list[list[str]]) -> tuple[int, str, np.ndarray]:
