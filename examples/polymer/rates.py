@@ -21,6 +21,7 @@ from examples.polymer.gaussian_process import GaussianProcess, fit_process
 from examples.polymer.kernels.rate_tables import heun_steps
 from examples.polymer.laws import IDENTITY, carried
 from warp_peri import InputError
+from warp_peri.files.atomic import whole_hdf5
 from warp_peri.runtime import DEVICE, floats, zeros
 
 KNOTS = 400
@@ -94,7 +95,7 @@ class Rates:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """An HDF5 file of the processes' arrays and numbers, for `read_law`."""
-        with h5py.File(path, "w") as file:
+        with whole_hdf5(path) as file:
             file.attrs.update(law=type(self).__name__, kinematics=self.kinematics)
             file.attrs["outside"] = self.outside
             for n, process in enumerate(self.processes):
