@@ -8,7 +8,6 @@ import shlex
 from argparse import Namespace
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +107,7 @@ def writing(given: Namespace) -> Iterator[Callable[[], None]]:
     yielded is called before the first file."""
     with locked(given.out):
         check_output(given)
-        yield partial(keep, given, results(given)[0], BEGUN)
+        yield lambda: keep(given, results(given)[0], BEGUN)
         keep(given, *results(given))
 
 
@@ -172,7 +171,7 @@ def keep(given: Namespace, path: Path, made: Mapping[str, str]) -> None:
         return None if made is BEGUN else warn(f"{path}: is no file of a command, and stays")
     lines, marks = [MADE, *map(shlex.quote, given.words), ""], hashes(given, path, made)
     with suppress(InputError):  # there are none, or they are changed to what is no words
-        if marks[:1] == hashes(parse([given.command, f"@{path}"]), path, {})[:1]:
+        if marks[0] == hashes(parse([given.command, f"@{path}"]), path, {})[0]:
             kept = path.read_text("utf-8").split("\n")
             lines = [line for line in kept if not line.startswith(HASH)]
     write_text(path, "\n".join([lines[0], *marks, *lines[1:]]))

@@ -17,7 +17,7 @@ import shlex
 import sys
 import warnings
 from argparse import SUPPRESS, ArgumentParser, Namespace, RawDescriptionHelpFormatter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from itertools import groupby
 from pathlib import Path
@@ -254,24 +254,19 @@ def check_output(given: Namespace) -> None:
         raise InputError(f"out: expected a folder, {given.out} is a file")
     kept, made = results(given)
     taken = {os.path.realpath(given.out), *map(str, map(destination, made))}
-    for name, path in inputs_of(given):
-        if os.path.realpath(path) in taken:
-            raise InputError(f"out: {path} is read ({name}); name another place")
-    if not given.inputs:  # as they are before they are read
-        read = (path for name, path in inputs_of(given) if name != "files")
-        every = (file for path in read for file in (path, *sorted(path.glob("[!.]*"))))
-        marks = "".join(hash_of(file) for file in every if file.is_file())
-        given.inputs = hashlib.sha256(marks.encode()).hexdigest()
-    if given.command != "coarse-grain":  # which adds to a data set
-        check_made(given, kept, made)
-
-
-def inputs_of(given: Namespace) -> Iterator[tuple[str, Path]]:
-    """Iterate over what a command reads: the option's name, and a path."""
+    marks = hashlib.sha256()
     for name, value in {**given.options, "files": given.files}.items():
         for path in value if isinstance(value, list) else [value]:
-            if name != "out" and isinstance(path, Path):
-                yield name, path
+            if name == "out" or not isinstance(path, Path):
+                continue
+            if os.path.realpath(path) in taken:
+                raise InputError(f"out: {path} is read ({name}); name another place")
+            for file in (path, *sorted(path.glob("[!.]*"))):  # of a folder too
+                if not given.inputs and name != "files" and file.is_file():
+                    marks.update(hash_of(file).encode())
+    given.inputs = given.inputs or marks.hexdigest()  # as they are before they are read
+    if given.command != "coarse-grain":  # which adds to a data set
+        check_made(given, kept, made)
 
 
 def results(given: Namespace) -> tuple[Path, dict[str, str]]:
@@ -313,11 +308,9 @@ def hashes(given: Namespace, kept: Path, made: Mapping[str, str]) -> list[str]:
     that was read, and of what was written, where it has none yet."""
     home, options = os.path.realpath(kept.parent), dict(given.options)
     options.pop("jobs", None)  # which change no result
-
-    def lies(path: Path) -> str:
-        return os.path.relpath(os.path.realpath(path), home)
-
-    text = json.dumps(options, sort_keys=True, default=lies)
+    text = json.dumps(
+        options, sort_keys=True, default=lambda path: os.path.relpath(os.path.realpath(path), home)
+    )
     own = {"options": hashlib.sha256(text.encode()).hexdigest(), "inputs": given.inputs or "-"}
     every = {**own, **made}.items()
     return [f"{HASH}{m or hash_of(Path(n))}  {os.path.basename(n)}" for n, m in every]

@@ -17,7 +17,7 @@ from warp_peri.atoms import dumps
 from warp_peri.atoms.coarse_graining import smoothing_matrix
 from warp_peri.atoms.dic import estimate_noise, frames_of_folder
 from warp_peri.cli.commands import Result, Said, chosen, error_table, keep, lines_of, writing
-from warp_peri.cli.main import BEGUN, beside, check_made
+from warp_peri.cli.main import beside, check_made
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import (
     content,
@@ -96,10 +96,8 @@ def run_coarse_grain(given: Namespace) -> Said:
         sets = {**(before.sets if before else {}), given.set: samples}
         provenance = before.provenance if before else {"source": "warp-peri coarse-grain"}
         made = Dataset(sets, given.thickness, given.density, provenance)
-        path, mark = _set_of(given, made)
-        keep(given, path, BEGUN)
+        keep(given, *_set_of(given, made))  # a job that is killed between is done again
         save_dataset(given.out, made)
-        keep(given, path, mark)
     result = {"file": str(given.out), "set": given.set, **samples.summary()}
     return result, lines_of(result)
 

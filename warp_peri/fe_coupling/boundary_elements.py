@@ -270,23 +270,23 @@ class BodyLoads:
     def given(self, rim: Rim) -> tuple[np.ndarray, np.ndarray]:
         """Held displacements of the nodes of elements, and their mask, shape [n, d] each. Raises
         InputError for parts that differ where both are, at a corner too."""
-        given, whose = np.zeros_like(rim.x), np.full(rim.x.shape, -1)
+        given, whose = np.full(rim.x.shape, np.nan), np.zeros(rim.x.shape, int)
         every = [values(rim.x[rim.nodes_of(name)]) for name, values in self.held.items()]
-        largest = max((np.nanmax(np.abs(u), initial=0.0) for u in every), default=0.0)
-        for n, (name, u) in enumerate(zip(names := [*self.held], every)):
+        largest = np.nanmax(np.abs(np.concatenate([given, *every])), initial=0.0)
+        for n, (name, u) in enumerate(zip(self.held, every)):
             nodes, known = rim.nodes_of(name), np.isfinite(u)
             if name in self.pulls and known.all():
                 raise InputError(f"part '{name}': expected it held or pulled, got both")
-            off = np.where(known & (whose[nodes] >= 0), np.abs(u - given[nodes]), 0.0)
-            if (most := off.max(initial=0.0)) > SAME * largest:
-                other = names[whose[nodes].flat[off.argmax()]]
+            off = np.abs(u - given[nodes])  # NaN where one is free
+            if (most := np.nanmax(off, initial=0.0)) > SAME * largest:
+                other = [*self.held][whose[nodes].flat[np.nanargmax(off)]]
                 raise InputError(
                     f"parts '{other}', '{name}': expected one displacement where both are, got two "
                     f"that differ by {most:.3g}"
                 )
             given[nodes] = np.where(known, u, given[nodes])
             whose[nodes] = np.where(known, n, whose[nodes])
-        return given, whose >= 0
+        return np.nan_to_num(given), np.isfinite(given)
 
     def refuse_loose(self, rim: Rim, fixed: np.ndarray) -> None:
         """Raise InputError when displacements that are fixed, [n, d], let a piece move rigidly."""

@@ -164,8 +164,7 @@ def _check_sets(sets: dict[str, Samples], horizons: Sequence[float]) -> None:
             if one.spacing == sets["train"].spacing:
                 families_of(one, horizon)
         except InputError as error:
-            unit = symbols(one.points.units)[0]
-            raise InputError(f"sweep: δ = {horizon:g} {unit}: {error}") from None
+            raise InputError(f"horizon {horizon:g}: {error}") from None
 
 
 def choose(trials: list[Trial]) -> SweepResult:

@@ -180,6 +180,10 @@ BESIDE = {
 """Keywords that say nothing of the shape, without a word and with one."""
 
 
+EXPONENT = re.compile(r"(?<=[\d.])(?:D|(?=[+-]))")
+"""How the exponent of a number begins in FORTRAN, where that is by no E."""
+
+
 def keywords(text: str) -> Iterator[tuple[str, dict[str, str], list[list[str]]]]:
     """Iterate over an Abaqus file's keywords, options and words by line, up to the first *STEP."""
     lines = [line.strip() for line in text.splitlines() if not line.startswith("**")]
@@ -222,7 +226,10 @@ def read_abaqus(text: str) -> SimpleNamespace:
         once.add(name)
         members = set[int]()
         if name == "NODE":
-            own = {int(n): [*map(_number, [*x, "0", "0"][:3])] for n, *x in rows}
+            own = {  # 1.0D+1 and 1.0+1 too
+                int(n): [float(EXPONENT.sub("E", w.upper())) for w in [*x, "0", "0"][:3]]
+                for n, *x in rows
+            }
             members, known = {*own}, {*nodes}
             nodes |= own
         elif name == "ELEMENT":
@@ -255,11 +262,6 @@ def read_abaqus(text: str) -> SimpleNamespace:
             for name, own in sets["ELSET"].items()
         },
     )
-
-
-def _number(word: str) -> float:
-    """Number as FORTRAN writes it: 1.0D+1 and 1.0+1 too."""
-    return float(re.sub(r"(?<=[\d.])D?([+-])", r"E\1", word.upper()).replace("D", "E"))
 
 
 def _elements(told: str, rows: list[list[str]]) -> tuple[int, str, np.ndarray]:
