@@ -159,10 +159,11 @@ def test_everything_takes_points_of_another_spacing(points):
     assert same.u.numpy() == approx(u)
 
 
-def test_refusing_is_an_option(points):
+@parametrize(("on", "known"), [((1.0,), "1 Å"), ((), "no spacing")])
+def test_refusing_is_an_option(on, known, points):
     for use in (LPSMaterial.on, evaluate):
-        with refused("certified on 1 Å, not on 0.8 Å"):
-            use(HOME, points, transfer=False)
+        with refused(f"certified on {known}, not on 0.8 Å"):
+            use(replace(HOME, certified_on=on), points, transfer=False)
 
 
 def test_the_horizon_that_the_collar_carries():

@@ -6,9 +6,7 @@ import numpy as np
 import torch
 from numpy.linalg import norm
 
-from tests.gradients.cases import assert_slopes
 from tests.support import approx, each_refused, filterwarnings, near, parametrize, refused, sup
-from tests.support.clouds import cloud
 from tests.support.problems import kernel, lattice, manufactured, noise, normal, on_interior
 from tests.support.solving import solve
 from tools.benchmark import MODEL_FILE as TABLE
@@ -124,15 +122,3 @@ def test_methods_that_do_not_fit_and_tolerances_out_of_reach_are_refused():
         "is for lattices without a box": (cut, CG("multigrid")),
         "the solve stalled: residual": (box, CG("sine", tolerance=1e-17)),
     })  # fmt: skip
-
-
-@filterwarnings("ignore::UserWarning")
-def test_the_implicit_gradient_of_an_unsymmetric_operator_is_that_of_differences():
-    """To all numbers, on scattered points; others are in the table."""
-    points = cloud(4, HORIZON, 0.1)
-    b, u, weight = (torch.from_numpy(noise(points, seed=seed)) for seed in (1, 2, 3))
-    model = LPSMaterial(0.3, 0.8, 1.3, [1.0, 0.5, -0.2], HORIZON)
-    operator = model.on(points, allow_uncertified=True)
-    start = {name: torch.tensor(own).double() for name, own in operator.learnable.items()}
-    value = lambda of: (weight * operator.solve(b, u, Direct(), parameters=of).u).sum()
-    assert_slopes(value, start, 0.3, 1e-8)

@@ -3,19 +3,16 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.linalg import eigvalsh, norm
-from numpy.random import default_rng
+from numpy.linalg import norm
 
 from examples.reproduce.slides import curl_and_pressure
 from tests.support import filterwarnings, near, parametrize, sup
 from tests.support.clouds import cloud, cube, field, load, plain, solid
-from tests.support.problems import LAM, MU, fitted_order, kernel, lattice, noise, normal
+from tests.support.problems import MU, fitted_order, lattice, noise, normal
 from tests.support.solving import solve
-from warp_peri import CG, Direct, Dirichlet, Periodic, Points, simulate
+from warp_peri import CG, Direct, Periodic, Points
 from warp_peri import solve as at_rest
-from warp_peri.certificates import check_solvability, critical_time_step
-from warp_peri.crystals import crystal_from_lps
-from warp_peri.solvers.verlet import inertia
+from warp_peri.certificates import check_solvability
 
 pytestmark = filterwarnings("ignore:spacing. the model is certified")
 LENGTH = 2.0
@@ -51,19 +48,6 @@ def test_second_order_however_incompressible(make, stiffer, ratio):
     assert min(orders(make, ratio, stiffer)) >= (1.9 if make is ordered else 1.8)
 
 
-def test_forces_converge_and_those_of_other_kernels_to_other_constants():
-    errors = {"1/r": [], "steep": []}
-    for number in NUMBERS:
-        spacing = LENGTH / number
-        points = ordered(number, 3 * spacing)
-        u, b = curl_and_pressure(points.x, LAM / MU)
-        for name, found in errors.items():
-            force = kernel(name, 3 * spacing, spacing).on(points)(u)
-            found.append(sup(force - b[points.interior]))
-    assert fitted_order(1 / NUMBERS, errors["1/r"]) >= 1.9
-    assert fitted_order(1 / NUMBERS, errors["steep"]) < 0.5
-
-
 def test_perturbed_points_lose_order_where_the_material_is_nearly_incompressible():
     """Φ and Ψ are no transposes there: at λ = 10⁴ μ their mismatch outweighs μΓ."""
     assert max(orders(scattered, 3.0, 1e4)) < 1
@@ -87,22 +71,6 @@ def test_the_solution_tends_to_that_of_elasticity_with_second_order(lam):
     numbers = np.array([3, 4, 6])
     errors = [error(number, lam, 0.8) for number in numbers]
     assert fitted_order(LENGTH / numbers, errors) >= 2
-
-
-def test_it_moves_at_a_proven_step_not_much_shorter_than_the_longest():
-    model, density = solid(2.0, lam=3.0), 2000.0
-    step = critical_time_step(model, spacing=1.0, density=density, allow_uncertified=True)
-    waves = default_rng(2).uniform(-np.pi, np.pi, (2000, 3))
-    stiffest = eigvalsh(crystal_from_lps(model, 1.0).symbol(waves)).max()
-    longest = 2 * np.sqrt(inertia(density, model.units) / stiffest)
-    assert 0.6 * longest < step < longest
-    points = cube(3, 2.0)
-    u = np.where(points.interior[:, None], noise(points, seed=3), 0)
-    problem = Dirichlet(points, None, 1e-3 * u)
-    operator = model.on(points, allow_uncertified=True)
-    motion = simulate(operator, problem, density=density, step=0.9 * step, steps=200)
-    assert motion.u.shape == points.x.shape
-    assert np.ptp(motion.energy) < 1e-9 * motion.energy.mean()
 
 
 def test_iteration_finds_what_a_factorisation_does_in_space():

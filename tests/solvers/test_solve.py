@@ -42,16 +42,6 @@ def test_the_periodic_solve_is_the_inverse_of_the_operator(name, side):
     assert sup(solved.mean(1)) < 1e-14
 
 
-def test_a_model_that_is_certified_nowhere_is_proven_where_it_is_asked():
-    model, points = replace(kernel("1/r", HORIZON), certified_on=()), lattice(2, HORIZON)
-    b, u = np.full((len(points.x), 2), 0.1), np.zeros((len(points.x), 2))
-    known = solve(kernel("1/r", HORIZON), points, b, u)
-    assert_array_equal(solve(model, points, b, u), known)
-    assert model.certified_on == ()
-    with refused("certified on no spacing, not on 1 Å"):
-        at_rest(model, Dirichlet(points, b, u), transfer=False)
-
-
 def smallest_eigenvalue(a, points):
     """Of the operator on the unknowns."""
     unknown = np.flatnonzero(np.repeat(points.interior, 2))
