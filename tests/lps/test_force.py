@@ -141,18 +141,15 @@ def test_nodes_in_no_order_or_far_apart_or_beside_a_crack_stay_in_their_lists():
     assert torn.energy(noise(points)) is None  # its force has none where λ is not μ
 
 
-def test_bond_based_forces_need_half_the_collar_and_no_dilatation():
-    points, D = lattice(3, HORIZON), KERNELS["sign-changing"]["D"]
-    u, *numbers = (torch.tensor(v).double() for v in (noise(points), 0.7, 0.7, 1.3, D))
-    both = [Bonds(points, HORIZON, bond_based=True), Bonds(points, HORIZON)]
-    Lu, whole = (lps_force(bonds, u, *numbers) for bonds in both)
-    torch.testing.assert_close(Lu, whole, rtol=0, atol=1e-12)
-    with refused("lambda, mu: expected equal values without a gr"):
-        lps_force(both[0], u, 0.1, 0.7, 1.3, D)
-    small = lattice(3, HORIZON / 2)
-    operator = kernel("sign-changing", HORIZON, lam=0.8).on(small, allow_uncertified=True)
-    u = noise(small)
+def test_bond_based_forces_need_half_the_collar():
+    model, wave = kernel("sign-changing", HORIZON, lam=0.8), lambda op: np.sin(7 * op.points.x)
+    bodies = lattice(3, HORIZON / 2), lattice(3, HORIZON)
+    operator, whole = (model.on(body, allow_uncertified=True) for body in bodies)
+    u = wave(operator)
+    near(operator(u), whole(wave(whole)), 1e-12)
     assert error(operator.matrix() @ u.ravel(), operator(u).ravel()) < ROUNDING
+    with refused("lambda, mu: expected equal values without a gr"):
+        lps_force(operator.bonds, torch.from_numpy(u), 0.1, 0.7, 1.3, model.D)
 
 
 def test_on_a_tape_of_the_user():
@@ -199,13 +196,13 @@ def test_no_table_is_stale_and_a_bond_may_have_no_influence():
 
 
 @parametrize("name", ["1/r", "sign-changing"])
-def test_plane_waves_have_the_symbol_of_the_stencil_and_long_ones_feel_the_moduli(name):
-    spacing, small = 2.5, 1e-4
+def test_plane_waves_have_the_symbol_of_the_stencil(name):
+    spacing = 2.5
     model = kernel(name, 2.5 * spacing, spacing, lam=-0.2)
     points, box = periodic((8, 7), spacing)
     operator = model.on(points, allow_uncertified=True)
     a = np.array([0.7 + 0.2j, -0.4 + 1.1j])
-    stencil, C = model.stencil(spacing), moduli(model, bond_classes(spacing, 2.5 * spacing))
+    stencil = model.stencil(spacing)
     for way in ((0, 2), (-2, 3)):
         k = 2 * np.pi * np.array(way) / box
         wave = np.exp(1j * points.x @ k)[:, None]
@@ -213,9 +210,6 @@ def test_plane_waves_have_the_symbol_of_the_stencil_and_long_ones_feel_the_modul
         (D,), (expected,) = stencil.symbol(spacing * k[None]), symbol(model, k[None], spacing)
         near(expected, D, 1e-13)
         near(Lu, wave * (D @ a), 1e-12, sup(D))
-    D = stencil.symbol(small * np.array([[1, 0], [1, 1]])) / (small / spacing) ** 2
-    near(D[0], np.diag([C["C11"], C["C44"]]), 1e-6, 1)
-    near(D[1, 0], [C["C11"] + C["C44"], C["C12"] + C["C44"]], 1e-6, 1)
 
 
 def test_moduli_are_those_of_the_continuum_on_every_lattice():
