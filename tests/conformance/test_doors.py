@@ -331,7 +331,6 @@ def test_arguments_of_bodies_solids_and_tables():
         "^influence '<lambda>': expected": (
             lambda: shape(lambda r: r > 0)(1.0), lambda: shape(lambda r: hidden)(hidden.data),
         ),
-        "^influence '<lambda>': that of r: expected": lambda: shape(lambda r: r[:1])([1.0, 2.0]),
         "^parameters: expected": lambda: shape(flat, {"a": 1.0}),
         "^bounds of w: expected": tuple(
             lambda ends=ends: shape(flat, {"w": 1.0}, {"w": ends}) for ends in bounds

@@ -185,9 +185,9 @@ def test_a_model_is_certified_only_where_that_is_proven(tmp_path):
 
 
 def test_figures_of_a_proof_are_of_its_lattice_and_words_follow_from_them(tmp_path):
-    files = [of_json(FOLDER / f"{name}.json") for name in ("lps", "crystal")]
+    names = "lps", "crystal", "crystal_third_order_energy"
+    *files, law = (of_json(FOLDER / f"{name}.json") for name in names)
     said, path = files[0]["certificate"]["1"], tmp_path / "m.json"
-    law = json.loads((FOLDER / "crystal_third_order_energy.json").read_text())
     forged = changed(law, ("proven", "statement"), "All.")
     assert read(path, hashed(forged)).proven == read(path, law).proven
     figures = {"more": 5.0, "kappa_in": 0.1, "kappa_out": "a", "largest_parts": [0.0] * 4}

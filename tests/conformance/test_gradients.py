@@ -45,8 +45,6 @@ def test_product_and_its_transpose_are_one_matrix(name):
     assert back.shape == v.shape
     size = norm(rate) * norm(w)
     assert abs((rate * w).sum() - (v * back).sum()) <= 1e-12 * size
-    for one, many in ((op.vjp(u[0], w[0]), back[0]), (op.jvp(u[0], v[0]), rate[0])):
-        near(one, many, 1e-13)
 
 
 @parametrize("name", LINEAR)

@@ -12,11 +12,10 @@ import warp_peri as wp
 from tests.support import approx, filterwarnings, materials, near, parametrize, refused, sup
 from tests.support.fields import field, solved_samples, uneven
 from tests.support.materials import KINKED, LAWS, OPERATORS, OTHER, SPREAD, H, operator, placed
-from tests.support.problems import assert_balanced, lattice, noise, on_interior, rotation
+from tests.support.problems import assert_balanced, noise, on_interior, rotation
 from tests.support.sheets import SPACING
 from warp_peri import runtime, testing
 from warp_peri.core.record import Record
-from warp_peri.neural.material import NeuralOperator
 from warp_peri.points.dataset import in_units
 
 pytestmark = filterwarnings("ignore:strain:UserWarning")
@@ -114,17 +113,6 @@ def test_a_turned_lattice_gives_the_turned_force(name):
     near(other(u @ R.T), op(u) @ R.T, 1e-11)
     near(other.jvp(u @ R.T, v @ R.T), op.jvp(u, v) @ R.T, 1e-11)
     near(other.stress(u @ R.T), R @ op.stress(u) @ R.T, 1e-11)
-
-
-def test_directions_of_a_network_turn_with_the_axis():
-    material = NeuralOperator(3.0, (6, 8), (10, 12), anisotropic=True, proportional=True).double()
-    straight = replace(lattice(4, 3.0), axis=0.0)
-    turned = replace(lattice(4, 3.0, angle=TURN), axis=np.rad2deg(TURN))
-    u, R = uneven(straight), rotation(TURN)
-    force = material.on(straight)(u)
-    near(material.on(turned)(u @ R.T), force @ R.T, 1e-11)
-    other = material.on(replace(straight, axis=30.0))(u)
-    assert sup(other - force) > 1e-6 * sup(force)
 
 
 @parametrize("name", SPREAD)

@@ -15,7 +15,6 @@ from tests.support.materials import LAWS, SPREAD, operator, placed, saint_venant
 from tests.support.plates import plate
 from tests.support.problems import kernel, lattice, loaded, on_interior
 from tests.support.sheets import waves
-from warp_peri.diffusion import DiffusionMaterial
 from warp_peri.fracture import Cracked
 from warp_peri.materials.crystal import crystal_from_lps
 from warp_peri.points.arguments import USUAL, factors
@@ -169,15 +168,6 @@ def test_numbers_that_a_fit_starts_at_zero(size):
     points = larger(LAWS["LPS"].points(4), size)
     samples = loaded(solid.on(points, allow_uncertified=True), uneven(points, 4))
     near(wp.fit(samples, wp.LPS(3 * size, start)).influence.parameters["radius"], size, 1e-6)
-
-
-def test_diffusion(scale):
-    length, stress = factors(*zip(*scale))
-    points = lattice(6, 2.0)
-    phi, source = waves(points, 0.1)[:, 0], waves(points, 0.1, 1)[:, 1]
-    first = wp.solve(DiffusionMaterial(2.0, 0.7), wp.Dirichlet(points, source, phi))
-    far = wp.Dirichlet(larger(points, length), source * stress / length**2, phi)
-    near(wp.solve(DiffusionMaterial(2.0 * length, 0.7 * stress), far).u, first.u, 1e-8)
 
 
 def test_a_coupled_solid_and_its_gradient(scale):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support import approx, in_plane_and_space, near, parametrize, sup
+from tests.support import in_plane_and_space, near, parametrize
 from tests.support.materials import saint_venant
 from tests.support.problems import normal
 from warp_peri.core.pointwise import Pointwise
@@ -55,17 +55,6 @@ def test_force_is_the_gradient_of_the_energy_and_products_are_those_of_the_tange
     check_product(op, u)
     if not linear:  # whose energy is its stencil's
         check_energy(op, u)
-
-
-def test_stress_of_a_uniform_gradient_is_that_of_the_density():
-    op = operator(3)
-    H = 0.1 * normal((3, 3), 1)
-    E = (H + H.T + H.T @ H) / 2
-    square = (E * E).sum()
-    S = LAM * np.trace(E) * np.eye(3) + (2 * MU + 8.0 * square) * E
-    P = op.stress(op.points.x @ H.T)
-    assert P == approx(np.broadcast_to((np.eye(3) + H) @ S, P.shape), rel=1e-12, abs=0)
-    assert sup(op.force(op.points.x @ H.T)) < 1e-12
 
 
 @in_plane_and_space
