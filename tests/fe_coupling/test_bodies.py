@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from netgen import csg
 
-from examples.exact import hoop_stress, plate_with_hole, relative_error
+from examples.exact import plate_with_hole, relative_error
 from tests.crystal.crystals import learned
 from tests.support import filterwarnings, near, parametrize, shared, slow, sup
 from tests.support.plates import MODEL, plate
@@ -31,7 +31,7 @@ def field():
     return lambda x: plate_with_hole(x, RADIUS, TENSION, moduli)
 
 
-def test_a_hole_has_the_exact_displacement_and_hoop_stress_and_a_bare_model_is_proven(field):
+def test_a_hole_has_the_exact_displacement_and_a_bare_model_is_proven(field):
     mesh, held = plate(RADIUS, HALF, 16, 80), {"sides": lambda x: field(x)[0]}
     solution = solve_body(MODEL, mesh, displacement=held)
     assert solution.spacing == solution.tried[-1].spacing == 1.0
@@ -39,11 +39,6 @@ def test_a_hole_has_the_exact_displacement_and_hoop_stress_and_a_bare_model_is_p
     near(again.on_corners()[0], solution.on_corners()[0], 1e-8, 1)
     assert relative_error(solution.u_rim, field(solution.rim.x)[0]) < 5e-4
     assert relative_error(solution.u_bulk, field(solution.points.x)[0]) < 5e-4
-    edge = solution.rim.nodes_of("hole")
-    x = solution.rim.x[edge]
-    expected = hoop_stress(x, field(x)[1])
-    away = sup(hoop_stress(x, solution.rim_stress[edge]) - expected)
-    assert away < 0.01 * expected.max()
     told = solution.exchange
     assert told.exchanges <= 12
     assert max(told.mismatch, told.rim_residual, told.bulk_residual) < 1e-8
@@ -153,17 +148,13 @@ def body(request):
     return law, make(), held, degree
 
 
-@parametrize("crystal", [True, False])
-def test_an_affine_field_is_exact_and_its_stress_too(body, crystal):
+def test_an_affine_field_is_exact_and_its_stress_too(body):
     law, mesh, held, degree = body
-    if not crystal:
-        law, mesh, held, degree = MODEL, plate(8.0, 32.0, 12, 40), ("sides",), 2
     A = 1e-3 * normal((law.dimension,) * 2)
-    spacing = law.spacing if crystal else 1.0
-    stress = long_wave(law, spacing).stress(A)
+    stress = long_wave(law, law.spacing).stress(A)
     how = {"displacement": {name: lambda x: x @ A.T for name in held}}
     how["traction"] = {p: lambda x, n: n @ stress for p in mesh.parts if p not in held}
-    coupling = Coupling(spacing=spacing, degree=degree, tolerance=1e-11)
+    coupling = Coupling(spacing=law.spacing, degree=degree, tolerance=1e-11)
     found = solve_body(law, mesh, **how, coupling=coupling)
     assert found.points.interior.sum() > 300
     corners, everywhere = found.on_corners()
