@@ -16,7 +16,7 @@ from tests.support.solving import fit
 from tests.support.symbols import smallest_margins
 from warp_peri import LPS, Bernstein, Samples, certify, evaluate
 from warp_peri.core.elastic import plane_isotropic, voigt_to_tensor
-from warp_peri.materials.lps import LPSParameters, bernstein_basis, moduli, stiffnesses
+from warp_peri.materials.lps import LPSParameters, bernstein_basis, stiffnesses
 from warp_peri.materials.lps_fit import Learner
 from warp_peri.materials.lps_law import LPSFound
 from warp_peri.methods import GaussNewton, StabilityConditions, TwoStage
@@ -114,16 +114,6 @@ def test_two_lattices_are_learned_together():
         found, true = (shares(one, points.spacing)[0] for one in (learned.material, model))
         near(found, true, 1e-4, 1)
         assert evaluate(learned.material, points)["E_res"] < 1e-4
-
-
-def test_held_moduli_are_held():
-    points, _ = data("positive", 3.0)
-    asked = [GaussNewton(moduli=moduli) for moduli in ([0.1, 0.65], "isotropic")]
-    held, loose = (fit(points, 3.0, Bernstein(5), method=one).material for one in asked)
-    assert (held.lam, held.mu) == approx((0.1, 0.65), abs=1e-9)
-    expected = {"C11": 0.1 + 2 * 0.65, "C12": 0.1, "C44": 0.65}
-    assert moduli(held, bond_classes(1.0, 3.0)) == approx(expected, abs=1e-8)
-    assert moduli(loose, bond_classes(1.0, 3.0))["C44"] == approx(loose.mu, abs=1e-8)
 
 
 def test_a_normalised_loss_does_not_see_the_size_of_a_sample():
