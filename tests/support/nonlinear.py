@@ -25,18 +25,22 @@ def solid(form, horizon=3.0, spacing=1.0):
     return ThirdOrderMaterial(linear, *CONSTANTS, smoothing, form, horizon).certified()
 
 
+def strain(H, axis=0.0):
+    """Green strain E at H, shape [..., 2, 2], its trace, and q along an axis [rad]."""
+    turned = np.swapaxes(H, -1, -2)
+    E = (H + turned + turned @ H) / 2
+    q = (E[..., 0, 0] - E[..., 1, 1]) / 2 + 1j * E[..., 0, 1]
+    return E, np.trace(E, axis1=-2, axis2=-1), q * np.exp(-2j * axis)
+
+
 def psi(H, model):
     """Ψ of (N3) [TPa] at H, shape [..., 2, 2], with the small-strain energy taken off."""
-    small = (H + np.swapaxes(H, -1, -2)) / 2
-    E = small + np.swapaxes(H, -1, -2) @ H / 2
+    (E, t, q), small = strain(H, AXIS), (H + np.swapaxes(H, -1, -2)) / 2
     lam, mu = model.lame
 
     def harmonic(strain):
         trace = np.trace(strain, axis1=-2, axis2=-1)
         return lam / 2 * trace**2 + mu * (strain**2).sum((-2, -1))
 
-    t = np.trace(E, axis1=-2, axis2=-1)
-    q = (E[..., 0, 0] - E[..., 1, 1]) / 2 + 1j * E[..., 0, 1]
-    q = q * np.exp(-2j * AXIS)
     cubic = model.t3 * t**3 + model.tq2 * t * np.abs(q) ** 2 + model.q3 * (q**3).real
     return harmonic(E) - harmonic(small) + cubic

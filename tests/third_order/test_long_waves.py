@@ -4,6 +4,7 @@ import numpy as np
 from numpy.random import default_rng
 
 from tests.support import approx, refused
+from tests.support.nonlinear import strain
 from tests.support.problems import everywhere, normal
 from warp_peri import Points, Samples
 from warp_peri.fitting.long_waves import _stresses, lame_of_long_waves
@@ -37,22 +38,17 @@ def waves(seed, size, constants, bent=0.0):
 
 def test_stresses_are_slopes_of_their_energies():
     """Central differences in float64 of θ, q and z as they are defined."""
-    H, turn = 0.1 * normal((1, 3, 2, 2)), np.exp(-0.3j)
+    H = 0.1 * normal((1, 3, 2, 2))
 
     def energies(H):
-        small = (H + H.swapaxes(-1, -2)) / 2
-        E = small + H.swapaxes(-1, -2) @ H / 2
-        theta = np.trace(E, axis1=-2, axis2=-1)
-        dev = E - 0.5 * np.eye(2) * theta[..., None, None]
-        q = (dev**2).sum((-1, -2))
-        z = ((E[..., 0, 0] - E[..., 1, 1]) / 2 + 1j * E[..., 0, 1]) * turn**2
-        linear = np.trace(small, axis1=-2, axis2=-1)
+        (E, theta, z), small = strain(H, 0.3), (H + H.swapaxes(-1, -2)) / 2
+        linear, q = np.trace(small, axis1=-2, axis2=-1), 2 * abs(z) ** 2
         lame = [theta**2 / 2 - linear**2 / 2, (E**2).sum((-1, -2)) - (small**2).sum((-1, -2))]
         cubes = [(z**3).real, (z**3).imag]
         fourth = [theta**4, theta**2 * q, q**2, *(theta * cube for cube in cubes)]
         return np.array([*lame, theta**3, theta * q, *cubes, *fourth])
 
-    found = np.array(_stresses(H, turn, 2))
+    found = np.array(_stresses(H, np.exp(-0.3j), 2))
     for n, move in enumerate(1e-6 * np.eye(4).reshape(4, 2, 2)):
         slope = (energies(H + move) - energies(H - move)) / 2e-6
         assert found[..., n // 2, n % 2] == approx(slope, abs=1e-9)
