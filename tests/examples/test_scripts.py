@@ -11,6 +11,7 @@ import pytest
 
 import warp_peri as wp
 from tests.support import ROOT, approx, filterwarnings, of_json, parametrize, slow, sup
+from tests.support.plates import MODEL
 
 FOLDER = ROOT / "examples"
 LAWS = {"linear": 3.0, "third_order": 0.094, "crystal": 0.95, "neural": 15.0, "cracks": None,
@@ -72,8 +73,7 @@ def test_a_script_finds_its_number(name, number, value):
 )
 def test_a_command_errs_by_no_more(name, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    D = [0.4, 0.6, -0.3, 0.6, -0.2]
-    wp.save("model.json", wp.LPSMaterial(0.3, 0.8, 1.0, D, horizon=3.0, certified_on=(1.0,)))
+    wp.save("model.json", MODEL)
     options, holds = COMMANDS[name]
     assert importlib.import_module(f"examples.{name}").main(options.split()) == 0
     assert holds(json.loads(capsys.readouterr().out))

@@ -16,7 +16,7 @@ from tests.support.problems import kernel, lattice, noise
 from tests.support.told import refused
 from warp_peri.cluster import scheduler
 from warp_peri.files.atomic import locked, write_text
-from warp_peri.runtime import at_once, get_num_threads, set_num_threads
+from warp_peri.runtime import at_once
 
 HOLD = """
 import sys
@@ -65,13 +65,11 @@ def test_no_scheduler_is_one_clear_error(monkeypatch):
 
 
 @pytest.fixture
-def operator(monkeypatch):
+def operator(monkeypatch, threads):
     """On more threads than one, however few nodes there are."""
-    before = get_num_threads()
     monkeypatch.setattr("warp_peri.runtime.SLICE", 10)
-    set_num_threads(3)
-    yield kernel("positive", 2.5).on(lattice(20, 2.5))
-    set_num_threads(before)
+    threads(3)
+    return kernel("positive", 2.5).on(lattice(20, 2.5))
 
 
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
