@@ -17,7 +17,7 @@ import warp_peri as wp
 from tests.atoms.test_dumps import frame
 from tests.conformance.test_breaking import SOLIDS
 from tests.crystal import crystals
-from tests.support import parametrize, shared
+from tests.support import of_json, parametrize, shared
 from tests.support.materials import LAWS, solved_samples
 from tests.support.nonlinear import solid
 from tests.support.problems import kernel, loaded, normal, smooth
@@ -70,7 +70,7 @@ def test_a_fit_leaves_a_model_and_its_settings(fitted, data, tmp_path, capsys):
     model = LPSMaterial.load(fitted / "model.json")
     assert model.certified_on == (1.0,)
     assert model.mu == pytest.approx(0.7, rel=0.02)
-    metrics = json.loads((fitted / "metrics.json").read_text())
+    metrics = of_json(fitted / "metrics.json")
     assert metrics["loss"].startswith("output (noise is")
     assert metrics["E_u"]["test"] < 0.01
     assert "whose loads are not known" in metrics["not_evaluated"]["noise"]
@@ -177,7 +177,7 @@ def test_sweep_chooses_and_keeps_its_settings(data, tmp_path, capsys):
     mine.unlink()
     printed = answer(capsys, *words)
     assert printed["fits"] == 1
-    assert json.loads((tmp_path / "sweep.json").read_text()) == printed
+    assert of_json(tmp_path / "sweep.json") == printed
     assert "--degrees\n1\n" in (tmp_path / "sweep.txt").read_text()
 
 

@@ -92,7 +92,7 @@ def test_a_trial_is_not_believed_as_it_stands(sets, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(trials, "_mark", lambda *_: "known")
         for wrong in (0.0, "a", None, -1.0, [1.0], 0.5):
-            told = json.loads(other.read_text())
+            told = of_json(other)
             del told["sha256"]
             told["provenance"]["sweep"], told["errors"]["E_u"]["val"] = "known", wrong
             other.write_text(json.dumps(told))
