@@ -27,6 +27,10 @@ LINE = 16
 """Counters of a sweep that threads share are so far apart, as in kernels/bonds.py."""
 SLICE = 2000
 """Least number of nodes a thread is worth starting for."""
+PHASES = 3
+"""Of the work in a kernel that threads share, see kernels/bonds.py."""
+BLOCK = 100
+"""Rows of a block, of which ranks share many."""
 wp.config.log_level = wp.LOG_WARNING  # its banner would mix with what commands print
 
 
@@ -159,30 +163,25 @@ def sharing() -> Any:
     return _sharing[-1] if _sharing else None
 
 
-def in_blocks(work: Callable[[np.ndarray], np.ndarray], rows: np.ndarray, most: int) -> np.ndarray:
-    """Apply `work` to rows in blocks of at most `most`, joined; blocks do not depend on the number
+def in_blocks(work: Callable[[np.ndarray], np.ndarray], rows: np.ndarray) -> np.ndarray:
+    """Apply `work` to rows in blocks of at most BLOCK, joined; blocks do not depend on the number
     of ranks, and so the result has the same bits on any."""
-    blocks = np.array_split(rows, -(-len(rows) // most) or 1)
+    blocks = np.array_split(rows, -(-len(rows) // BLOCK) or 1)
     if not (comm := sharing()):
         return np.concatenate([work(block) for block in blocks])
     done = comm.allgather([work(block) for block in blocks[comm.rank :: comm.size]])
     return np.concatenate([done[n % comm.size][n // comm.size] for n in range(len(blocks))])
 
 
-def launch(kernel: Any, dim: Any, inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
-    """Launch a kernel once; on no tape, which is the process's."""
-    fields: Any = {"inputs": list(inputs), "outputs": list(outputs)}
-    wp.launch(kernel, dim=dim, **fields, device=DEVICE, record_tape=False)
+def launch(kernel: Any, dim: Any, given: Sequence[Any], *, packed: bool = False) -> Any:
+    """Launch a kernel on its inputs and outputs, on no tape, which is the process's; or pack that
+    on the processor once, which takes longer than a small sweep: what is given later is None."""
+    how: Any = {"dim": dim, "inputs": given, "device": DEVICE, "record_cmd": packed}
+    return wp.launch(kernel, **how, record_tape=False)
 
 
 def launch_slices(
-    kernel: Any,
-    count: int,
-    inputs: Sequence[Any],
-    outputs: Sequence[Any],
-    *,
-    samples: int = 0,
-    weight: int = 1,
+    kernel: Any, count: int, given: Sequence[Any], *, samples: int = 0, weight: int = 1
 ) -> None:
     """Launch a gather kernel, whose first argument is the first index, on slices of 0 … count. With
     samples the dimensions are (samples, slice); `weight` is the work of an index, 1 for a node."""
@@ -192,49 +191,33 @@ def launch_slices(
 
     def job(first: int, last: int) -> Callable[[], None]:
         dim = (samples, last - first) if samples else last - first
-        return lambda: launch(kernel, dim, [first, *inputs], outputs)
+        return lambda: launch(kernel, dim, [first, *given])
 
     if len(ends) > 2:
         kernel.module.load(DEVICE)  # not from two threads at once
     at_once([job(first, last) for first, last in pairwise(ends)])
 
 
-def recorded(kernel: Any, dim: int, inputs: Sequence[Any], outputs: Sequence[Any]) -> Any:
-    """Pack a launch on the processor once, which takes longer than a small sweep; inputs and
-    outputs that are given later are None here."""
-    kernel.module.load(DEVICE)
-    all_of: Any = {"inputs": list(inputs), "outputs": list(outputs), "device": DEVICE}
-    return wp.launch(kernel, dim=dim, **all_of, record_cmd=True, record_tape=False)
-
-
 class Shared:
     """A kernel that shares its work out among threads, packed once. Its first argument, which
-    inputs leave out, counts what has been taken and done of so many phases, see kernels/bonds.py;
+    `given` leaves out, counts what has been taken and done of all PHASES, see kernels/bonds.py;
     helpers `stay` in a kernel a while to serve what comes next. The work, 1 a node, is of all
     phases."""
 
-    def __init__(
-        self,
-        kernel: Any,
-        inputs: Sequence[Any],
-        outputs: Sequence[Any],
-        phases: int,
-        work: int,
-        stay: Any,
-    ) -> None:
+    def __init__(self, kernel: Any, given: Sequence[Any], work: int, stay: Any) -> None:
         self._helpers = max(1, min(_count, work // SLICE)) - 1
-        self._turns = np.zeros(LINE * (1 + phases * (2 + self._helpers)), np.int32)
+        self._turns = np.zeros(LINE * (1 + PHASES * (2 + self._helpers)), np.int32)
         self._turns[1] = 1 + self._helpers
         self._turns[2:4] = np.array([_box.ctypes.data]).view(np.int32)
-        self._held = [ints(self._turns), *inputs, *outputs]  # of which the launch knows addresses
-        self._launch = recorded(kernel, 1, self._held[: 1 + len(inputs)], outputs)
+        self._held = [ints(self._turns), *given]  # of which the launch knows addresses
+        self._launch = launch(kernel, 1, self._held, packed=True)
         if self._helpers:
             box: wp.array[Any] = wp.array(_box, dtype=wp.int64, device=DEVICE, copy=False)
-            self._stay = recorded(stay, 1, [box], ())
+            self._stay = launch(stay, 1, [box], packed=True)
 
     def give(self, place: int, value: Any) -> None:
-        """Replace an array or struct, number 0 being the first input, outputs after them; it must
-        live until the launch is over, for its memory is all that is known here."""
+        """Replace an array or struct, number 0 being the first given; it must live until the
+        launch is over, for its memory is all that is known here."""
         self._launch.set_param_at_index(place + 1, value)
 
     def _come(self, bell: int) -> None:
@@ -256,20 +239,15 @@ def recording() -> Any:
     return wp._src.context.runtime.tape  # type: ignore[attr-defined]  # it has no public name
 
 
-def zeros(*shape: int, dtype: Any = wp.float64, gradient: bool = False) -> wp.array[Any]:
+def zeros(*shape: int, dtype: Any = wp.float64) -> wp.array[Any]:
     """Make a Warp array of zeros."""
-    return wp.zeros(shape, dtype=dtype, requires_grad=gradient, device=DEVICE)
+    return wp.zeros(shape, dtype=dtype, device=DEVICE)
 
 
-def empty(*shape: int, dtype: Any) -> wp.array[Any]:
-    """Make a Warp array that a kernel is about to fill."""
-    return wp.empty(shape, dtype=dtype, device=DEVICE)
-
-
-def ints(values: np.ndarray) -> wp.array[Any]:
+def ints(values: np.ndarray, dtype: Any = wp.int32) -> wp.array[Any]:
     """Make an int32 Warp array; shares memory with an int32 NumPy array."""
     values = np.ascontiguousarray(values, dtype=np.int32)
-    return wp.array(values, dtype=wp.int32, device=DEVICE, copy=False)
+    return wp.array(values, dtype=dtype, device=DEVICE, copy=False)
 
 
 def filled(struct: Any, *values: Any) -> Any:

@@ -15,7 +15,7 @@ import warp as wp
 from examples.polymer.kernels.dumbbells import advance_hookean
 from examples.polymer.laws import IDENTITY
 from warp_peri import InputError
-from warp_peri.runtime import DEVICE, at_once, empty, floats, get_num_threads, launch
+from warp_peri.runtime import DEVICE, at_once, floats, get_num_threads, launch, zeros
 
 BLOCK = 2000
 """Dumbbells a thread sums up in single precision."""
@@ -43,7 +43,7 @@ class Dumbbells:
         self.q: wp.array[Any] = wp.array(np.ascontiguousarray(q), dtype=wp.vec3f, device=DEVICE)
         self._stream = int(np.random.SeedSequence([seed, 1]).generate_state(1)[0] >> 2)
         self._blocks = -(-count // BLOCK)
-        self._sums = empty(ensembles * self._blocks, 4, dtype=wp.float64)
+        self._sums = zeros(ensembles * self._blocks, 4)
 
     def advance(self, K: np.ndarray, dt: float) -> np.ndarray:
         """⟨q q⟩ [ensembles, 4] after dt relaxation times under K [ensembles, 4]; exact in time."""
@@ -57,8 +57,8 @@ class Dumbbells:
         advance_hookean.module.load(self.q.device)  # not from two threads at once
 
         def job(first: int, last: int) -> Any:
-            inputs = [first, P, L, seed, moves, int(self.common), self._blocks]
-            return lambda: launch(advance_hookean, last - first, inputs, [self.q, self._sums])
+            numbers = [first, P, L, seed, moves, int(self.common), self._blocks]
+            return lambda: launch(advance_hookean, last - first, [*numbers, self.q, self._sums])
 
         at_once([job(first, last) for first, last in pairwise(ends)])
         sums = self._sums.numpy().reshape(self.ensembles, self._blocks, -1).sum(axis=1)

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from examples.polymer.closure import Stress, check_time_step, in_cells
 from examples.polymer.kernels import particles as kernels
 from warp_peri import InputError
-from warp_peri.runtime import DEVICE, empty, ints, launch, zeros
+from warp_peri.runtime import DEVICE, ints, launch, zeros
 
 REACH = 3.0
 """Of the bell, in smoothing lengths."""
@@ -146,7 +146,7 @@ class Particles:
         reach = self.reach + SKIN * self.flow.spacing
         parent = np.flatnonzero((y < reach) | (y > 1 - reach))
         self._parent = ints(parent)
-        launch(kernels.place_images, len(parent), [self.fluid, self._parent], [self._x])
+        launch(kernels.place_images, len(parent), [self.fluid, self._parent, self._x])
         x = self._x.numpy()[: self.fluid + len(parent)].copy()
         x[:, 0] %= self.period
         x[:, 1] %= 8.0  # images below the wall, far from all others
@@ -157,7 +157,7 @@ class Particles:
         ends = np.searchsorted(pairs[:, 0], np.arange(self.fluid + 1))
         neighbour = pairs[: ends[-1], 1].astype(np.int32)
         self._row, self._neighbour = ints(ends), ints(neighbour)
-        self._bond = empty(len(neighbour), dtype=wp.vec3d)
+        self._bond = zeros(len(neighbour), dtype=wp.vec3d)
         self._moved = 0.0
         self._record()
 

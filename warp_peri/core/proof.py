@@ -43,8 +43,6 @@ FIRST = 8
 """Cells along an axis of the zone, or of a face of directions."""
 DEEPEST = 24
 MOST_CELLS = {2: 400_000, 3: 3_000_000}
-AT_ONCE = 100
-"""Waves or cells of a block, of which ranks share many."""
 LONG_SHARE = 0.9995
 """Of the smallest sampled Λmin Q(e)/|e|² that is proven for long waves."""
 UPPER_TOLERANCE = 2e-4
@@ -280,7 +278,7 @@ def prove(
     stiff, weight = _lattice_units(stencil), _lattice_units(weight)
     ratio, d = partial(_ratio, stiff, weight), stencil.dimension
     grid = zone_sample(group, d, SAMPLE[d])
-    value = in_blocks(ratio, grid, AT_ONCE)
+    value = in_blocks(ratio, grid)
     lowest = grid[np.argsort(value)[:STARTS]]
     sampled = min(float(value.min()), float(zoomed(ratio, lowest, np.pi / SAMPLE[d])[0].min()))
     proven = long = 0.0
@@ -371,7 +369,7 @@ def _positive(
             return True, seen, None
         if seen > most:
             break
-        state = in_blocks(partial(states, half), cells, AT_ONCE)
+        state = in_blocks(partial(states, half), cells)
         if state.max() > 1:
             return False, seen, cells[state.argmax()]
         half /= 2
@@ -469,7 +467,7 @@ def largest(stencil: Stencil, group: np.ndarray, tolerance: float = UPPER_TOLERA
 
     while True:
         cells = cells[canonical(cells, group, half)]
-        found = in_blocks(partial(bounds, half), cells, AT_ONCE)
+        found = in_blocks(partial(bounds, half), cells)
         taken = max(taken, float(found[:, 0].max()))
         bound = found[:, 1] + rest * half**2 + slack
         still = bound > (1 + tolerance) * taken

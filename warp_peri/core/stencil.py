@@ -23,7 +23,7 @@ from warp_peri.errors import InputError
 from warp_peri.kernels.micromodulus import rows
 from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.points import LATTICE_TOLERANCE, Points, grid_places, grid_points
-from warp_peri.runtime import DEVICE, floats, get_num_threads, ints, launch_slices
+from warp_peri.runtime import floats, get_num_threads, ints, launch_slices
 
 DIRECTIONS = {2: 60, 3: 200}
 """Of long waves."""
@@ -438,7 +438,7 @@ class ByRows:
         mask[nodes.core] = nodes.unknown
         places = np.flatnonzero(mask)
         pieces = row_pieces(places, self.kernels.lanes, places)[:, ::2]
-        self.asked: Any = wp.array(pieces, dtype=wp.vec2i, device=DEVICE)
+        self.asked: Any = ints(pieces, wp.vec2i)
 
     def __call__(self, planes: np.ndarray) -> np.ndarray:
         """L u at the unknown nodes of planes [S, d, *wide]; planes [S, d, *shape], else zero."""
@@ -448,14 +448,9 @@ class ByRows:
         laid[:] = planes.reshape(count, -1)
         out = np.zeros_like(laid)
         if len(self.asked):
-            launch_slices(
-                self.kernels.pulled,
-                len(self.asked),
-                (self.asked, self.offset, self.tensors, floats(laid, self.scalar)),
-                (floats(out, self.scalar),),
-                samples=count,
-                weight=lanes // FASTER,
-            )
+            ends = (floats(one, self.scalar) for one in (laid, out))
+            given, how = (self.asked, self.offset, self.tensors, *ends), lanes // FASTER
+            launch_slices(self.kernels.pulled, len(self.asked), given, samples=count, weight=how)
         force = out.reshape(planes.shape)
         return force[self.core] if nodes.periodic else force
 

@@ -304,10 +304,10 @@ class CutOperator:
         """Arguments to lay out u, fill θ, and fill force and energy, of pieces packed apart."""
         laid, dilated, swept = pieces
         dilated = dilated if self.excess else laid[:0]
-        phases: Any = [wp.array(of, dtype=wp.vec2i, device="cpu") for of in (laid, dilated, swept)]
+        phases: Any = [ints(of, wp.vec2i) for of in (laid, dilated, swept)]
         how = self.excess, int(breaking), self._planes, self._theta, self._lost
         of = filled(self._kernels.Cut, *phases, *self._at, *self._nodes, *how, *fields)
-        return Shared(self._kernels.sweep, (of,), (), 3, WEIGHT * len(swept), stay)
+        return Shared(self._kernels.sweep, (of,), WEIGHT * len(swept), stay)
 
     def again(
         self, links: wp.array[Any], nodes: np.ndarray, force: wp.array[Any], energy: wp.array[Any]

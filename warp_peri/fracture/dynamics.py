@@ -187,22 +187,18 @@ def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
     operator, count = body.operator, len(body.body.x)
     density, kernels = body.solid.inertia, halves(body.body.dimension)
     share, later = (body.share(time) for time in (state.time, state.time + dt))
+    moving = state.v, state.work
     launch_slices(
         kernels.kick_and_drift,
         count,
-        (dt, density, share, later, state.force, body.load, body.held, body.grip),
-        (state.v, state.work, state.u),
+        (dt, density, share, later, state.force, body.load, body.held, body.grip, *moving, state.u),
     )
     if body.exchange:
         body.exchange(state.u.numpy())
     lost = operator.sweep(*state.swept, breaking=True)
     body.correct(state)
-    launch_slices(
-        kernels.second_kick,
-        count,
-        (dt, density, later, state.force, body.load, body.held),
-        (state.v, state.work),
-    )
+    kicked = dt, density, later, state.force, body.load, body.held, *moving
+    launch_slices(kernels.second_kick, count, kicked)
     if len(lost):
         full = state.energy.numpy()[lost]
         if body.corrected:  # to have the same bits wherever nothing breaks

@@ -30,12 +30,12 @@ from warp_peri.runtime import (
     SLICE,
     Shared,
     at_once,
-    empty,
     filled,
     floats,
     get_num_threads,
     ints,
     launch_slices,
+    zeros,
 )
 
 if TYPE_CHECKING:
@@ -217,9 +217,9 @@ class Bonds:
         ]
         binomials = floats(comb(terms - 1, np.arange(terms))[None], vector)
         inputs = [wp.float64(self.horizon), binomials, floats(r), floats(log_r)]
-        kernel, K = influence(terms), empty(len(r), dtype=wp.float64)
+        kernel, K = influence(terms), zeros(len(r))
         if not taped:
-            launch_slices(kernel, count, [*inputs, *given[0]], (K,), weight=BLOCK)
+            launch_slices(kernel, count, [*inputs, *given[0], K], weight=BLOCK)
             return K.numpy()
         kernel.module.load(DEVICE)
         K.grad = floats(by)
@@ -288,7 +288,7 @@ def _vectors(values: np.ndarray) -> wp.array[Any]:
 def _pieces(places: np.ndarray, numbers: np.ndarray, lanes: int) -> wp.array[Any]:
     """Pieces of at most `lanes` lanes, in the order of their places, [P] of vectors."""
     order = np.argsort(places, kind="stable")
-    return wp.array(row_pieces(places[order], lanes, numbers[order]), dtype=wp.vec3i, device=DEVICE)
+    return ints(row_pieces(places[order], lanes, numbers[order]), wp.vec3i)
 
 
 def bonds_of(model: LPSMaterial, points: PointsLike, degree: int = DEGREE) -> Bonds:
@@ -337,7 +337,7 @@ class Law:
             self.K = bonds.influence(alpha, D)
             self.own, self.m = np.empty(len(layout.end)), np.empty(len(layout.balls.row) - 1)
             found = map(floats, (self.K, self.own, self.m))
-            launch_slices(stiffnesses, len(self.m), [layout.balls, *found], ())
+            launch_slices(stiffnesses, len(self.m), [layout.balls, *found])
         else:
             self.K, self.m, self.own = known.K, known.m, known.own
         self.kernels = sweeps(bonds.dimension, lattice=layout.in_rows, fields=self.fields)
@@ -383,7 +383,7 @@ class Law:
             ends = [type(one).from_buffer_copy(one) for one in known]
             nodes = [bonds.layout.pieces[name] for name in pieces]
             work = sum(map(len, nodes)) * samples * max(1, self.kernels.lanes // FASTER)
-            shared = Shared(self.kernels.swept, (*nodes, of, None), 3 * (None,), 3, work, stay)
+            shared = Shared(self.kernels.swept, (*nodes, of, *4 * (None,)), work, stay)
             for place, end in enumerate(ends, 4):
                 shared.give(place, end)
         if last is not of:
@@ -429,7 +429,7 @@ class Law:
         whole, sums = layout.pieces["whole"], map(floats, (*felt, *pull, by_own, shear, bulk))
         ends = ints(np.arange(BLOCKS + 1) * len(whole) // BLOCKS)
         inputs = ends, whole, self.back, filled(Sums, *sums)
-        launch_slices(self.kernels.slopes, BLOCKS, inputs, (), weight=len(whole) * len(g) // BLOCKS)
+        launch_slices(self.kernels.slopes, BLOCKS, inputs, weight=len(whole) * len(g) // BLOCKS)
         moduli = [
             part[layout.home] if one.size > 1 else part.sum()
             for part, one in ((bulk, lam), (shear - bulk, mu))
@@ -458,7 +458,7 @@ class Law:
             lost = (p * turned).sum(axis=1) - np.einsum("ea,eab,eb->e", turned, both[place], xi)
             lost *= bonds.families.weight[kind]
         of = bonds.layout.balls
-        launch_slices(by_influence, len(self.m), [of, *map(floats, (self.own, self.m, by))], ())
+        launch_slices(by_influence, len(self.m), [of, *map(floats, (self.own, self.m, by))])
         by[bonds.left] += lost
         return np.bincount(of.length.numpy(), by)
 

@@ -228,8 +228,8 @@ def _lattice_table(points: PointsLike, classes: BondClasses) -> tuple[np.ndarray
 def _any_neighbour(row: np.ndarray, neighbour: np.ndarray, flag: np.ndarray) -> np.ndarray:
     """Nodes with an unbroken bond to a flagged node."""
     reached = zeros(len(flag), dtype=wp.int32)
-    inputs = ints(row), ints(neighbour), ints(flag)
-    launch_slices(kernels.any_neighbour, len(flag), inputs, (reached,))
+    given = ints(row), ints(neighbour), ints(flag), reached
+    launch_slices(kernels.any_neighbour, len(flag), given)
     return np.asarray(reached.numpy() > 0)
 
 
@@ -284,8 +284,8 @@ def neighbour_table(
     number = np.pad(number, wrapped, mode="wrap")
     stride = np.array(number.strides) // number.itemsize
     table = zeros(len(grid), len(steps), dtype=wp.int32)
-    lattice = (ints((grid + wrapped) @ stride), ints(steps @ stride), ints(number.ravel()))
-    launch_slices(kernels.lattice_neighbours, len(grid), lattice, (table,))
+    lattice = (ints((grid + wrapped) @ stride), ints(steps @ stride), ints(number.ravel()), table)
+    launch_slices(kernels.lattice_neighbours, len(grid), lattice)
     return np.asarray(table.numpy())
 
 
@@ -444,9 +444,9 @@ def weights(
     vec = wp.types.vector(d, wp.float64)
     links = (floats(x, vec), ints(row), ints(neighbour), vec(*(box or d * (0.0,))))
     found = zeros(len(neighbour)), zeros(len(nodes))
-    inputs = (ints(nodes), *links, horizon, INDEPENDENT, floats(exact))
+    inputs = (ints(nodes), *links, horizon, INDEPENDENT, floats(exact), *found)
     kernel = quadrature.family_weights(tuple(powers))
-    launch_slices(kernel, len(nodes), inputs, found, weight=FAMILY)
+    launch_slices(kernel, len(nodes), inputs, weight=FAMILY)
     weight, residual = (array.numpy() for array in found)
     for n in np.flatnonzero(residual < 0):  # normal equations do not do near a line
         bonds = slice(*row[nodes[n] : nodes[n] + 2])
