@@ -16,7 +16,7 @@ from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import fit_dispersion
 
 CUBIC = {2: ("4mm", 2.5), 3: ("m-3m", 2.0)}
-CUBES = elastic.allowed_tensors("m-3m", point_group("m-3m", 3), np.eye(3))
+CUBES = elastic.allowed_tensors("m-3m", np.eye(3))
 """Elastic tensors of cubic crystals."""
 COPPER = {"C11": 0.170, "C12": 0.122, "C44": 0.076}
 

@@ -24,7 +24,6 @@ from warp_peri.core.elastic import (
     compliance,
     directions,
     named_moduli,
-    point_group,
     stress_brackets,
     voigt,
 )
@@ -256,8 +255,7 @@ def _written(C: np.ndarray, errors: np.ndarray) -> str:
 
 
 def _allowed(atoms: ForceConstants, symmetry: Symmetry) -> np.ndarray:
-    d = atoms.dimension
-    return allowed_tensors(symmetry, point_group(symmetry, d), np.eye(d))
+    return allowed_tensors(symmetry, np.eye(atoms.dimension))
 
 
 @typed

@@ -296,9 +296,9 @@ def turned(tensor: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     return np.asarray(np.einsum("ai,bj,ck,dl,ijkl->abcd", R, R, R, R, tensor, optimize=True))
 
 
-def allowed_tensors(symmetry: Symmetry, group: np.ndarray, orientation: np.ndarray) -> np.ndarray:
+def allowed_tensors(symmetry: Symmetry, orientation: np.ndarray) -> np.ndarray:
     """Basis of the elastic tensors that a crystal's group allows, nodes' axes, [m, d, d, d, d]."""
-    d = group.shape[-1]
+    d = len(orientation)
     if isinstance(symmetry, str) and symmetry == "isotropic" and d == 3:
         one = np.eye(3)
         bulk = np.einsum("ij,kl->ijkl", one, one)
@@ -309,6 +309,7 @@ def allowed_tensors(symmetry: Symmetry, group: np.ndarray, orientation: np.ndarr
         one = np.zeros(2 * (len(PAIRS[d]),))
         one[m, n] = one[n, m] = 1.0
         basis.append(voigt_to_tensor(one).ravel())
+    group = point_group(symmetry, d)
     pairs = np.einsum("gai,gbj->gabij", group, group).reshape(len(group), d * d, d * d)
     mean = np.einsum("gmn,gop->monp", pairs, pairs, optimize=True) / len(group)
     _, sizes, rows = np.linalg.svd(
@@ -380,7 +381,7 @@ def named_symmetry(tensor: np.ndarray) -> str:
     """Symmetry of an elastic tensor in the axes it is given in: a key of NAMES, or "lower"."""
     d, tiny = len(tensor), SAME * np.abs(voigt(tensor)).max()
     for name, symmetry in NAMES[d].items():
-        allowed = allowed_tensors(symmetry, point_group(symmetry, d), np.eye(d)).reshape(-1, d**4)
+        allowed = allowed_tensors(symmetry, np.eye(d)).reshape(-1, d**4)
         held = np.linalg.lstsq(allowed.T, tensor.ravel())[0] @ allowed
         if np.abs(tensor.ravel() - held).max() <= tiny:
             return name

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.core.elastic import allowed_tensors, point_group, symmetric_part
+from warp_peri.core.elastic import allowed_tensors, symmetric_part
 from warp_peri.core.proof import stencil_of
 from warp_peri.core.stencil import Basis, elastic_from_brackets, grid_of, half_ball, invariant_basis
 from warp_peri.errors import InputError, Rows, Shown
@@ -148,7 +148,7 @@ def _families(samples: Samples, operator: Any, drawn: np.ndarray, residual: floa
     far = max(norms(stencil.steps).max(), model.horizon / h)
     symmetry = getattr(model, "symmetry", "isotropic")
     turn = getattr(model, "orientation", np.eye(d))
-    allowed = allowed_tensors(symmetry, point_group(symmetry, d), turn)
+    allowed = allowed_tensors(symmetry, turn)
     allowed = np.linalg.qr(allowed.reshape(len(allowed), -1).T)[0]
     bonds, wide = (invariant_basis(r, group) for r in (model.horizon / h, far))
     grid = grid_of(samples.points, wide.steps, least=stencil.reach)

@@ -323,9 +323,8 @@ def judged(
     d, auto = len(turn), str(told) == "auto"
     if len(samples) < 2 and not auto:
         return told, None
-    none = point_group(LEAST[d], d)
-    least = invariant_basis(reach, none.astype(int))
-    any_tensor = allowed_tensors(LEAST[d], none, turn)
+    least = invariant_basis(reach, point_group(LEAST[d], d).astype(int))
+    any_tensor = allowed_tensors(LEAST[d], turn)
     halves = [samples[n::2] for n in range(min(2, len(samples)))]
     weights = [over_loads(half) if normalise else None for half in halves]
     equations = [rows(half, least, weight=each) for half, each in zip(halves, weights)]
@@ -341,9 +340,8 @@ def judged(
         long = []
 
     def losses(name: Symmetry) -> np.ndarray:
-        group = point_group(name, d)
-        bonds = invariant_basis(reach, shared_with_nodes(group, turn))
-        allowed = allowed_tensors(name, group, turn)
+        bonds = invariant_basis(reach, shared_with_nodes(point_group(name, d), turn))
+        allowed = allowed_tensors(name, turn)
         of_long = _crossed(long, np.einsum("aijkl,bijkl->ba", allowed, any_tensor)) if long else 0.0
         own = _crossed(equations, np.einsum("anij,bnij->ba", bonds.basis, least.basis))
         return np.array([own, of_long])

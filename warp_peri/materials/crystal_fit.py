@@ -77,9 +77,8 @@ class Tensors:
         self, spacing: float, horizon: float, symmetry: Symmetry, turn: np.ndarray
     ) -> None:
         self.spacing, self.symmetry, self.turn = spacing, symmetry, turn
-        group = point_group(symmetry, len(turn))
-        self.allowed = allowed_tensors(symmetry, group, turn)
-        self.group = shared_with_nodes(group, turn)
+        self.allowed = allowed_tensors(symmetry, turn)
+        self.group = shared_with_nodes(point_group(symmetry, len(turn)), turn)
         self.bonds = invariant_basis(horizon / spacing, self.group)
 
     def fitted(
@@ -322,10 +321,10 @@ def fit_phonons(
         D = atoms.effective(k / length @ turn)  # k in the crystal's axes is Rᵗ k
         return np.asarray(turn @ D @ turn.T) * (length**2 / stress)
 
-    group = point_group(name, d)
-    allowed = allowed_tensors(name, group, np.eye(d))
-    moments = invariant_basis(horizon / spacing, shared_with_nodes(group, turn)).moments()
+    same = shared_with_nodes(point_group(name, d), turn)
+    moments = invariant_basis(horizon / spacing, same).moments()
     hold = len(moments) >= NUMBERS * np.linalg.matrix_rank(bracket_rows(moments))
+    allowed = allowed_tensors(name, np.eye(d))
     true = turned(atoms.elastic(allowed), turn) / stress  # refuses what is no elastic solid
     held = None if atoms.stress is None else turn @ atoms.stress @ turn.T / stress
     law = fit_dispersion(
