@@ -226,7 +226,7 @@ def _variables(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     try:
         if h5py.is_hdf5(path):
             with h5py.File(path) as file:
-                check_hdf5(file, path.stat().st_size)
+                check_hdf5(file)
                 there = [*file]
                 held = {n: file[n][()].T for n in names if getattr(file.get(n), "shape", ())}
         else:

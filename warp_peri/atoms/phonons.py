@@ -312,7 +312,7 @@ def _force_constants(found: Any, told: Any, beside: dict[str, Path]) -> Any:
         return reader.parse_FORCE_CONSTANTS(filename=path, p2s_map=rows)
     if path := beside.get("force_constants.hdf5"):
         with h5py.File(path) as held:
-            check_hdf5(held, path.stat().st_size)
+            check_hdf5(held)
         by = optional("phonopy.cui.load_helper", WITHOUT).read_force_constants_from_hdf5
         return by(path, rows, found.calculator)
     if "forces" not in data | data.get("first_atoms", [{}])[0]:

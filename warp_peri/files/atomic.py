@@ -280,10 +280,10 @@ def check_xml(path: StrPath, text: bytes) -> None:
         return
 
 
-def check_hdf5(file: h5py.File, size: int) -> None:
-    """Raise InputError for links, arrays kept elsewhere, and more bytes than `size` stands for."""
-    allowed, total, groups = max(SMALL, MOST_PER_BYTE * size), 0, [("", file["/"])]
-    seen = {file["/"]}
+def check_hdf5(file: h5py.File) -> None:
+    """Raise InputError for links, arrays kept elsewhere, and more bytes than its own stand for."""
+    allowed = max(SMALL, MOST_PER_BYTE * (size := os.path.getsize(file.filename)))
+    total, groups, seen = 0, [("", file["/"])], {file["/"]}
     for place, group in groups:
         for name in group:
             where = f"{place}/{name}".lstrip("/")

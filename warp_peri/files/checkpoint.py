@@ -401,7 +401,7 @@ def read_arrays(
     check_regular(path)
     try:
         with h5py.File(path, locking=False) as file:
-            check_hdf5(file, os.path.getsize(path))
+            check_hdf5(file)
             for name, rows in (dict.fromkeys(file) if place is None else place).items():
                 one, offset = file[name], file[name].id.get_offset()
                 if one.dtype.kind not in "biufc":  # bytes of anything else would be pointers

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -298,7 +297,7 @@ def load_dataset(path: StrPath, *, units: Units | None = None) -> Dataset:
     check_regular(path)
     try:
         with h5py.File(path, "r") as file:
-            check_hdf5(file, os.path.getsize(path))
+            check_hdf5(file)
             data = _read(file)
         if units is None:
             return data
