@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_peri.core.elastic import symmetric_part
+from warp_peri.core.stencil import numbers_at
 from warp_peri.errors import InputError, StrPath
 from warp_peri.files.atomic import meshio_of, write_vtu
 from warp_peri.materials.lps import LPSMaterial
@@ -155,8 +156,7 @@ def _cells(points: PointsLike) -> tuple[str, np.ndarray]:
     if np.abs(place - steps).max() > 1e-3:  # a turned lattice
         return vertices
     kind, around = AROUND[points.x.shape[1]]
-    number = -np.ones(steps.max(axis=0) + 2, int)
-    number[*steps.T] = np.arange(len(steps))
+    number = numbers_at(steps.max(axis=0) + 2, (*steps.T,))
     cells = np.stack([number[*(steps + corner).T] for corner in around], axis=1)
     cells = cells[(cells >= 0).all(axis=1)]
     return (kind, cells) if len(cells) else vertices

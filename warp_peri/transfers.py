@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from warp_peri.errors import InputError
 from warp_peri.materials.transfer import on_lattice
 from warp_peri.points.arguments import Positive, check_nodes, typed
-from warp_peri.points.points import Points, PointsLike, Samples
+from warp_peri.points.points import Points, PointsLike, Samples, grid_places
 
 __all__ = ["on_lattice", "onto_lattice"]
 NEIGHBOURS = 80
@@ -51,8 +51,7 @@ def onto_lattice(samples: Samples, *, spacing: Positive) -> Samples:
         )
     low, high = np.ceil(x.min(0) / spacing - 1e-6), np.floor(x.max(0) / spacing + 1e-6)
     check_nodes("spacing", high - low + 1)
-    lines = [np.arange(a, b + 1) for a, b in zip(low, high)]
-    y = spacing * np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
+    y = spacing * (low + grid_places((high - low + 1).astype(int)))
     r, near = cKDTree(x).query(y)
     y, near = y[r <= FULL * dense], near[r <= FULL * dense]
     interior = cKDTree(x[samples.interior]).query(y)[0] <= dense

@@ -111,6 +111,13 @@ def numbers_of(steps: np.ndarray) -> dict[tuple[int, ...], int]:
     return {tuple(xi): n for half in (steps, -steps) for n, xi in enumerate(half.tolist())}
 
 
+def numbers_at(shape: Any, places: Any) -> np.ndarray:
+    """Numbers of places, which are indices or a mask, in an array of a shape; −1 elsewhere."""
+    number = np.full(shape, -1)
+    number[places] = np.arange(number[places].size)
+    return number
+
+
 def laplacian_stencil(spacing: float, dimension: int, components: int) -> Stencil:
     """Stencil of the 2 d + 1-point Laplacian times the identity [1/length²]; its symbol is s(k)."""
     steps = np.eye(dimension, dtype=np.int64)
@@ -394,8 +401,7 @@ def block(stencil: Stencil, mask: np.ndarray, *, around: bool = False) -> sp.csc
     """Matrix of the operator between the nodes of a mask, shape [d n, d n]; `around`: of a
     period."""
     d, here = stencil.dimension, np.argwhere(mask)
-    number = np.full(mask.shape, -1)
-    number[mask] = np.arange(len(here))
+    number = numbers_at(mask.shape, mask)
     rows, columns = [np.arange(len(here))], [np.arange(len(here))]
     values = [np.broadcast_to(2 * stencil.tensors.sum(axis=0), (len(here), d, d))]
     both = np.concatenate([stencil.steps, -stencil.steps])

@@ -16,6 +16,7 @@ from scipy.ndimage import binary_dilation
 from scipy.signal import upfirdn
 from scipy.sparse.linalg import LinearOperator, splu
 
+from warp_peri.core.stencil import numbers_at
 from warp_peri.errors import InputError, optional
 from warp_peri.points.arguments import check_function, check_mapping, check_shape, checked
 from warp_peri.points.mesh import Mesh, pieces
@@ -73,8 +74,7 @@ class Rim:
         self._fem, self.d, self.mesh = optional("skfem", needed), mesh.dimension, mesh
         kind = {2: "Tri", 3: "Tet"}[self.d]
         self.corners, cells = np.unique(mesh.cells[kept], return_inverse=True)
-        cells, place = cells.reshape(-1, self.d + 1), np.full(len(mesh.x), -1)
-        place[self.corners] = np.arange(len(self.corners))
+        cells, place = cells.reshape(-1, self.d + 1), numbers_at(len(mesh.x), self.corners)
         make = getattr(self._fem, f"Mesh{kind}")
         shape = straight = make(mesh.x[self.corners].T.copy(), cells.T.copy())
         self.facets = _columns(place[mesh.faces], straight.facets)
@@ -85,8 +85,7 @@ class Rim:
             dofs = getattr(shape.dofs, f"{kinds}_dofs")[0, edge[edge >= 0]]
             positions[:, dofs] = mesh.middle[edge >= 0].T
             shape = replace(shape, doflocs=positions)
-        self.cells = np.full(len(mesh.cells), -1)
-        self.cells[kept] = np.arange(len(cells))
+        self.cells = numbers_at(len(mesh.cells), kept)
         self.element, self.order = getattr(self._fem, f"Element{kind}P{degree}")(), 2 * degree + 2
         self.basis = self._fem.Basis(shape, self.element, intorder=self.order)
         self.x = np.asarray(self.basis.doflocs.T)

@@ -11,6 +11,7 @@ from numpy.linalg import norm
 from scipy.ndimage import distance_transform_edt
 from scipy.sparse.linalg import LinearOperator, aslinearoperator, gmres
 
+from warp_peri.core.stencil import numbers_at
 from warp_peri.errors import InputError, warn
 from warp_peri.fe_coupling.boundary_elements import BodyLoads, Field, Moduli, Rim, RimProblem
 from warp_peri.materials.lps import LPSMaterial
@@ -118,8 +119,7 @@ def cubic(points: Points, x: np.ndarray) -> sp.csr_array:
     h, d = points.spacing, x.shape[1]
     grid = np.rint(points.x / h).astype(int)
     corner = grid.min(axis=0)
-    number = np.full(np.ptp(grid, axis=0) + 1, -1)
-    number[*(grid[points.interior] - corner).T] = np.arange(points.interior.sum())
+    number = numbers_at(np.ptp(grid, axis=0) + 1, (*(grid[points.interior] - corner).T,))
     place = x / h - corner
     base = np.clip(np.floor(place).astype(int) - 1, -4, number.shape)  # beyond there is nothing
     steps, s = np.arange(4), place - base  # in [1, 2)

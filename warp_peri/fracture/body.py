@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from warp_peri.errors import InputError, warn
 from warp_peri.points.arguments import Positive, check_nodes, checked, typed, typed_methods
 from warp_peri.points.families import HORIZON_TOLERANCE, BondClasses, bond_classes, neighbour_table
-from warp_peri.points.points import check_dimensions, straight_steps
+from warp_peri.points.points import check_dimensions, grid_places, straight_steps
 
 HAIR = 1e-3
 """How far a crack through a row of nodes is moved to one side, in spacings."""
@@ -103,8 +103,7 @@ def box_nodes(sides: Sequence[float], spacing: Positive) -> np.ndarray:
         given = ", ".join(f"{side:g}" for side in sides)
         raise InputError(f"sides: expected multiples of {spacing:g}, got {given}")
     check_nodes("sides", count)
-    axes = [(np.arange(n) - (n - 1) / 2) * spacing for n in count]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(count))
+    return (grid_places(count) - (count - 1) / 2) * spacing
 
 
 @typed

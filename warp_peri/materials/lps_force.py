@@ -18,7 +18,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 from scipy.special import comb
 
-from warp_peri.core.stencil import row_pieces
+from warp_peri.core.stencil import numbers_at, row_pieces
 from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.influence import BLOCK, influence
@@ -175,13 +175,12 @@ class Bonds:
         seen[self.dimension * (slice(reach, -reach),)] = True
         node, seen = (np.pad(x.ravel(), room, constant_values=v) for x, v in
                       ((node, self.nodes), (seen, False)))  # fmt: skip
-        row, needed = np.full(self.nodes + 1, -1), np.zeros(self.nodes + 1, bool)
-        row[families.rows], needed[families.whole] = np.arange(len(families.rows)), True
+        row, needed = (numbers_at(self.nodes + 1, of) for of in (families.rows, families.whole))
         laid, back = np.flatnonzero(node < self.nodes), np.flatnonzero(row[node] >= 0)
         of = {
             None: (laid[:0],),
             "laid": (laid, node[laid]),
-            "needed": (np.flatnonzero(needed[node] & seen),),
+            "needed": (np.flatnonzero((needed[node] >= 0) & seen),),
             "forces": (home[families.rows], np.arange(len(families.rows))),
             "back": (back, row[node[back]]),
             "nodes": (home, np.arange(self.nodes)),

@@ -16,7 +16,7 @@ from typing import Any, Literal, TypeAlias, cast
 import numpy as np
 
 from warp_peri.core.elastic import lattice_group, symmetric_part
-from warp_peri.core.stencil import Basis, half_ball
+from warp_peri.core.stencil import Basis, half_ball, numbers_at
 from warp_peri.errors import InputError, StrPath
 from warp_peri.fitting.regression import MET, Form, LatticeRows, Numbers, Settled, fit, norms, rows
 from warp_peri.materials.influence import InfluenceFunction
@@ -191,9 +191,8 @@ def product_basis(classes: BondClasses) -> Basis:
     h, of = classes.spacing, classes.bond_class
     steps = half_ball(2 * classes.horizon / h, d)
     far = 2 * np.abs(x).max()
-    place = np.full((2 * far + 1,) * d, -1)
     steps = steps[np.abs(steps).max(axis=1) <= far]
-    place[*(steps + far).T] = np.arange(len(steps))
+    place = numbers_at((2 * far + 1,) * d, (*(steps + far).T,))
     i, j = np.triu_indices(count)
     column = np.zeros((count, count), int)
     column[i, j] = column[j, i] = count + np.arange(len(i))

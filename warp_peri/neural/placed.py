@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from tqdm import tqdm
 
 from warp_peri.core.elastic import checked_orientation, in_shape_of
+from warp_peri.core.stencil import numbers_at
 from warp_peri.core.torch_bridge import on_fields
 from warp_peri.errors import InputError
 from warp_peri.fitting.regression import relative
@@ -119,8 +120,7 @@ class Placed(OperatorBase):
         self.xi, self.whole = families.pattern, families.whole
         self.r = np.hypot(*self.xi.T)
         self.ends = families.neighbour.reshape(-1, len(self.xi))[self.whole]
-        row = np.full(len(points.x), -1)
-        row[self.whole] = np.arange(len(self.whole))
+        row = numbers_at(len(points.x), self.whole)
         self.own = row[families.rows]
         acts = points.interior[self.whole][:, None] | points.interior[self.ends]
         number = np.cumsum(acts).reshape(acts.shape) - 1

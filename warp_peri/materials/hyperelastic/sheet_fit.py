@@ -13,6 +13,7 @@ from scipy.ndimage import binary_dilation, binary_erosion
 from scipy.optimize import lsq_linear
 from tqdm import tqdm
 
+from warp_peri.core.stencil import numbers_at
 from warp_peri.errors import InputError, quietly, warn
 from warp_peri.fitting.regression import compressed, relative
 from warp_peri.materials.hyperelastic.energies import NEAREST, EnergyTerm, Hyperelastic
@@ -56,8 +57,7 @@ class Sections:
     def __init__(self, frames: Samples, dictionary: Hyperelastic, axis: int) -> None:
         R, turn, origin = 2 * int(dictionary.reach), [axis, 1 - axis], frames.x.min(axis=0)
         line, place = np.rint((frames.x - origin) / frames.spacing).astype(int)[:, turn].T
-        number = np.full((line.max() + 1, place.max() + 1), -1)
-        number[line, place] = np.arange(len(line))
+        number = numbers_at((line.max() + 1, place.max() + 1), (line, place))
         lines = binary_erosion((number >= 0).all(axis=1), iterations=R)
         if not lines.any():
             raise InputError(
