@@ -145,8 +145,7 @@ def strained(calculator: Any, cell: ase.Atoms, turns: np.ndarray) -> Iterator[as
 
 def unit_strains(d: int) -> np.ndarray:
     """Unit strains in Voigt's order, [k, 3, 3]; a shear has half of it on both sides."""
-    one = [np.outer(*np.eye(3)[list(pair)]) for pair in PAIRS[d]]
-    return np.array([(each + each.T) / 2 for each in one])
+    return symmetric_part(np.array([np.outer(*np.eye(3)[list(pair)]) for pair in PAIRS[d]]))
 
 
 def bent_by_strain(cell: ase.Atoms, calculator: Any, flat: bool, noise: float) -> float:

@@ -450,7 +450,7 @@ class Supercell:
         phi = phi.copy()
         for row, atom in zip(phi, self.displaced):
             row[atom] -= row.sum(axis=0)
-            row[atom] = (row[atom] + row[atom].T) / 2
+            row[atom] = symmetric_part(row[atom])
         return phi
 
     def edge(self, values: np.ndarray) -> float:

@@ -28,6 +28,7 @@ from warp_peri.core.elastic import (
     group_of_structure,
     kinds_of,
     primitive_cell,
+    symmetric_part,
 )
 from warp_peri.errors import InputError, warn
 from warp_peri.points.arguments import EV_IN_TPA, checked
@@ -351,7 +352,7 @@ def _stress_left(
             raise InputError(f"structure: relaxation left {left}")
     if np.abs(stress).max() <= none:
         return None
-    return np.asarray((stress + stress.T) / 2)
+    return symmetric_part(stress)
 
 
 def thickness_of(cell: ase.Atoms) -> tuple[float, str]:

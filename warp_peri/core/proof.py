@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import eigh, eigvalsh, null_space
 
-from warp_peri.core.elastic import acoustic, canonical
+from warp_peri.core.elastic import acoustic, canonical, symmetric_part
 from warp_peri.core.record import Stress
 from warp_peri.core.stencil import (
     Stencil,
@@ -435,7 +435,7 @@ def _long_waves(stencil: Stencil, group: np.ndarray) -> tuple[float, int]:
         def affine(t: np.ndarray, a: int = a) -> tuple[np.ndarray, np.ndarray]:
             e = np.insert(t, a, 1.0, axis=1)
             bent = np.einsum("ijkl,nl->knij", both, e) - 2 * q * e.T[:, :, None, None] * one
-            slopes = np.delete((bent + bent.swapaxes(2, 3)) / 2, a, axis=0)
+            slopes = np.delete(symmetric_part(bent), a, axis=0)
             return acoustic(brackets, e) - q * (e**2).sum(axis=1)[:, None, None] * one, slopes
 
         def asked(t: np.ndarray, half: float, a: int = a) -> np.ndarray:

@@ -489,8 +489,7 @@ class ByFFT:
         if nodes.periodic:
             planes = planes[:, :, *nodes.core]
         out = np.stack([convolved(self.symbol, one, self.torus) for one in planes])
-        inside = tuple(slice(0, n) for n in nodes.shape)
-        return np.asarray(out[:, :, *inside] * self.mask)
+        return np.asarray(out * self.mask)
 
 
 def torus_shape(nodes: Grid) -> tuple[int, ...]:
@@ -515,10 +514,11 @@ def torus_symbol(torus: tuple[int, ...], steps: np.ndarray, tensors: np.ndarray)
 
 
 def convolved(symbol: np.ndarray, field: np.ndarray, torus: tuple[int, ...]) -> np.ndarray:
-    """Convolve a symbol with one field [d, …] in a corner of the torus, on all of it."""
+    """Convolve a symbol with one field [d, …] in a corner of the torus, there."""
     how = {"s": torus, "axes": range(1, len(torus) + 1), "workers": get_num_threads()}
     mixed = np.einsum("ij...,j...->i...", symbol, scipy.fft.rfftn(field, **how))
-    return np.asarray(scipy.fft.irfftn(mixed, overwrite_x=True, **how))
+    whole = scipy.fft.irfftn(mixed, overwrite_x=True, **how)
+    return np.asarray(whole[:, *map(slice, field.shape[1:])])
 
 
 def inverse(symbol: np.ndarray) -> np.ndarray:

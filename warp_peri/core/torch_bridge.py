@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator, gmres, splu
 from torch.autograd import forward_ad
 
+from warp_peri.core.elastic import in_shape_of
 from warp_peri.errors import InputError, quietly
 from warp_peri.points.arguments import Numbers, as_array, check_mapping, check_shape, plain, typed
 from warp_peri.protocols import SINGULAR, OperatorBase, placed, uncompiled
@@ -388,5 +389,4 @@ class Swept(OperatorBase):
             found = [sweep(*(f[n : n + step] for f in flat)) for n in range(0, count, step)]
         if total:
             return np.asarray(np.sum(found, axis=0))
-        joined = np.concatenate(found)
-        return joined.reshape(given[0].shape[:-2] + joined.shape[1:])
+        return in_shape_of(given[0], np.concatenate(found))

@@ -319,7 +319,8 @@ def loads_on(
     )
     if b is not None:
         check_function("b", b, "positions")
-    return BodyLoads(held, pulls, None if b is None else _field("b", b, "positions"))
+        b = _field("b", b, "positions")
+    return BodyLoads(held, pulls, b)
 
 
 def _field(name: str, value: Field | Traction | ArrayLike, *of: str, free: bool = False) -> Any:

@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from tqdm import tqdm
 
 import warp_peri.fracture as fracture
+from warp_peri.core.elastic import in_shape_of
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import LatticeBody, box_nodes, cracked, lattice_body, through
 from warp_peri.fracture.bonds import (
@@ -145,8 +146,7 @@ class CutSolid(OperatorBase):
 
     def force(self, u: np.ndarray) -> np.ndarray:
         """Minus the internal force density on nodes not held, [..., N, d] to [..., I, d]."""
-        force = self.times(self.fields(u))[:, self.inside]
-        return force.reshape(*np.shape(u)[:-2], *force.shape[1:])
+        return in_shape_of(u, self.times(self.fields(u))[:, self.inside])
 
     def vjp(self, u: Any, w: np.ndarray) -> np.ndarray:
         """Transposed product L w, of w on nodes not held [..., I, d], on all nodes [..., N, d]."""
@@ -215,7 +215,7 @@ class CutSolid(OperatorBase):
         """Elastic energy [stress · length^d], bonds among held nodes included, shape [...]."""
         fields = self.fields(u)
         energy = (fields * self.times(fields)).sum(axis=(1, 2)) / 2
-        return self.body.spacing**self.body.dimension * energy.reshape(np.shape(u)[:-2])[()]
+        return self.body.spacing**self.body.dimension * in_shape_of(u, energy)[()]
 
 
 def by_component(held: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:

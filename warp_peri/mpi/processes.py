@@ -20,7 +20,7 @@ import numpy as np
 from warp_peri import errors
 from warp_peri.errors import InputError, agreed
 from warp_peri.runtime import DEVICE, get_num_threads, ranks_started, set_num_threads, shared_by
-from warp_peri.solvers.systems import Inner
+from warp_peri.solvers.systems import HERE, Inner
 
 Comm: TypeAlias = Any
 """A communicator of mpi4py."""
@@ -156,11 +156,7 @@ def inner(comm: Comm, along: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> 
         here = max(a.max(initial=0.0), -a.min(initial=0.0))
         return float(comm.allreduce(float(here), op=MPI.MAX))
 
-    def add(u: np.ndarray, step: float, p: np.ndarray) -> np.ndarray:
-        u += step * p
-        return u
-
-    return Inner(dot, lambda a: dot(a, a) ** 0.5, largest, add)
+    return Inner(dot, lambda a: dot(a, a) ** 0.5, largest, HERE.add)
 
 
 @dataclass(frozen=True, eq=False)

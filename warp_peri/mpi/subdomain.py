@@ -83,11 +83,8 @@ class Subdomain:
     units: Units = USUAL
     axis: Any = None
     which: int = field(default=0, init=False)
-
-    @property
-    def own(self) -> slice:
-        """Slice of the nodes that belong to this rank: all."""
-        return slice(None)
+    own = slice(None)
+    """Of the nodes that belong to this rank: all."""
 
     @property
     def dimension(self) -> int:

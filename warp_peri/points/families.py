@@ -202,8 +202,7 @@ def families_of(
         weight = weights(x, np.flatnonzero(needed), row, ends, points.box, horizon, degree)
         return Families(row, neighbour, reverse, r, weight, *nodes)
     order = np.lexsort(classes.steps.T)
-    reverse = np.empty(len(order), np.int32)
-    reverse[order] = order[::-1]
+    reverse = order[::-1][np.argsort(order)].astype(np.int32)
     tables = classes.r, classes.weight, *nodes, classes.xi @ axes.T, classes
     return Families(row, neighbour, reverse, *tables)
 

@@ -183,9 +183,10 @@ def make_mesh(
         t = np.where((size < 0)[:, None], t[:, ::-1], t)
     faces = _outline(x, t)
     kept = {
-        n: checked(f"part '{n}'", part, int, ("n", d)) for n, part in parts.items() if np.size(part)
+        n: new[np.clip(checked(f"part '{n}'", part, int, ("n", d)), -1, len(new) - 1)]
+        for n, part in parts.items()
+        if np.size(part)
     }
-    kept = {n: new[np.clip(part, -1, len(new) - 1)] for n, part in kept.items()}
     check_numbers("middle", np.ravel([*middle]), len(new) - 1)
     bent = {
         tuple(np.sort(new[[*pair]]).tolist()): checked("middle", point, float, (d,))

@@ -213,7 +213,6 @@ class Implicit:
 
     def __init__(self, operator: Any, step: float, names: list[str]) -> None:
         self.operator, self.step, self.names = operator, step, names
-        self.inside = operator.points.interior.reshape(-1, *[1] * (len(operator.shape) - 1))
         self.theta = float(operator.implicit)
         operator.interior_tangent(None)  # refuses what would grow
         L, E = sp.csr_array(operator.tangent(None)), sp.csr_array(operator.storage() / step)
@@ -224,8 +223,8 @@ class Implicit:
         """Compute the fields at the start and after each step from loads and given values."""
         one = self.operator.shape
         fields = [checked("u", start, float, one)]
-        loads = checked("b", loads, float, (len(loads), *one), self.inside)
-        given = checked("collar", given, float, (len(given), *one), ~self.inside)
+        loads = checked("b", loads, float, (len(loads), *one), ~self.operator.held)
+        given = checked("collar", given, float, (len(given), *one), self.operator.held)
         for load, held in zip(loads.copy(), given):
             load.ravel()[self.ahead.unknown] += self.behind @ fields[-1].ravel()
             fields.extend(self.ahead.solve(load[None], held[None]))

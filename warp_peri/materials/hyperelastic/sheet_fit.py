@@ -455,7 +455,7 @@ def fit_sheet(
     fit = replace(fit, history=history, others=others, fields=solved, guaranteed=positive)
     if by_load:
         check_explained(fit.residual)
-    if not by_load and (stiffest := fit.stiffest_deviation) > INTERPOLATES:
+    elif (stiffest := fit.stiffest_deviation) > INTERPOLATES:
         warn(
             f"deviations came out {stiffest:.0f} times as stiff as the sheet at rest: they "
             "interpolate the collar, whatever the material; is the sheet heterogeneous "
