@@ -172,7 +172,9 @@ def solve_body(
             raise InputError(f"{small}, {overlap:g} {unit}")
         points, cell = lattice
         if not isinstance(model, LPSMaterial):  # the mesh lies as the nodes of the law do
-            points = replace(points, axis=_axis_of(model))
+            turn = model.orientation
+            angle = np.degrees(np.arctan2(turn[1, 0], turn[0, 0]))
+            points = replace(points, axis=float(angle) if len(turn) == 2 else turn)
         bulk = Bulk(model, points)
         two = Schwarz(rim, problem, bulk, cell, in_elements(stiff, loads, rim, depth < collar))
         b_bulk = loads.density(points.x[bulk.inside], spacing)
@@ -240,12 +242,6 @@ def long_wave(model: Any, spacing: float) -> Moduli:
             f"model: expected positive long-wave moduli, got {least:.4g} {symbols(model.units)[1]}"
         )
     return found
-
-
-def _axis_of(crystal: Any) -> Any:
-    """Orientation of a crystal on its own nodes, as points state it."""
-    turn = crystal.orientation
-    return float(np.degrees(np.arctan2(turn[1, 0], turn[0, 0]))) if len(turn) == 2 else turn
 
 
 def _largest_strain(found: BodySolution) -> float:

@@ -20,7 +20,7 @@ from warp_peri.points.arguments import check_same, offered
 from warp_peri.points.points import Points, grid_places
 from warp_peri.runtime import shared_by
 from warp_peri.solvers.linear import VCycle, coarser, largest, prolong, restrict
-from warp_peri.solvers.systems import Inner, SolveRecord, definite
+from warp_peri.solvers.systems import SolveRecord, definite
 
 if TYPE_CHECKING:
     from warp_peri.mpi.subdomain import Subdomain
@@ -137,19 +137,16 @@ class RowOperator:
         """Right-hand side b on this rank's interior."""
         return np.asarray(b, float)[..., self.points.interior, :]
 
-    def inner(self) -> Inner:
-        """Scalar products and largest values of planes over all ranks, summed by rows."""
+    def inverted(self, right: np.ndarray, tolerance: float) -> tuple[np.ndarray, SolveRecord]:
+        """Solve L u = right on this rank's interior, both [i, d]."""
 
-        def along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        def along(a: np.ndarray, b: np.ndarray) -> np.ndarray:  # planes, summed by rows
             rows = (field.reshape(*field.shape[:2], -1) for field in (a, b))
             return np.ravel(np.einsum("arn,arn->ar", *rows))
 
-        return inner(self.points.comm, along)
-
-    def inverted(self, right: np.ndarray, tolerance: float) -> tuple[np.ndarray, SolveRecord]:
-        """Solve L u = right on this rank's interior, both [i, d]."""
         level, planes = self._level, self._grid.scatter_interior(right)
-        found, record = definite(level.product, level, planes, tolerance, inner=self.inner())
+        over_ranks = inner(self.points.comm, along)
+        found, record = definite(level.product, level, planes, tolerance, inner=over_ranks)
         return self._grid.gather(found[None])[0], record
 
 

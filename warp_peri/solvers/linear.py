@@ -135,17 +135,12 @@ class Linear:
             "problems of the model have no unique or no stable answer here"
         )
 
-    @cached_property
-    def _stiff(self) -> bool:
-        """Whether λ ≫ μ at long waves."""
-        C, d = self.stencil.elastic, self.grid.dimension
-        mu = shear(C)
-        return bool(np.einsum("iijj", C) / d**2 - 2 * mu / d > STIFF * mu)
-
     def method(self, asked: str | None = None, loads: int = 0) -> str:
         """Name of the solve method: `asked`, or the cheapest for so many loads, of 0 by iteration;
         InputError where the nodes do not allow it."""
-        grid, nodes, stiff = self.grid, len(self.grid.interior), self._stiff
+        grid, nodes, C = self.grid, len(self.grid.interior), self.stencil.elastic
+        mu, d = shear(C), grid.dimension
+        stiff = np.einsum("iijj", C) / d**2 - 2 * mu / d > STIFF * mu  # λ ≫ μ at long waves
         if grid.periodic:
             return "fft"
         if asked == "sine" and not grid.is_box:
@@ -154,11 +149,7 @@ class Linear:
             return asked
         pays = 2 + nodes * len(self.stencil.steps) / PAYS["sine" if grid.is_box else "fft"]
         most = STIFFEST if stiff and loads >= MANY else DIRECT
-        few = (
-            nodes <= FEW_IN_SPACE
-            if grid.dimension == 3
-            else nodes <= most and (stiff or loads > pays)
-        )
+        few = nodes <= FEW_IN_SPACE if d == 3 else nodes <= most and (stiff or loads > pays)
         if few and loads:
             return "lu"
         if stiff:
@@ -176,11 +167,10 @@ class Linear:
             else:
                 inner = torus_inverse(*args)
             edge = Edge(self.grid, stencil) if method == "strip" else None
-            product = self._product
 
             def apply(r: np.ndarray) -> np.ndarray:
                 z = inner(r) * h2
-                return z if edge is None else z - edge(product(z))
+                return z if edge is None else z - edge(self._product(z))
 
             self._filters[method] = apply, edge
         return self._filters[method]

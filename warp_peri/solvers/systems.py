@@ -113,11 +113,6 @@ class MatrixProblem:
         self.collar = sp.csr_array(L[:, ~self.unknown])
         self.components, self.sizes = L.shape[1] // interior.size, abs(L)
 
-    def right(self, b: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Right-hand side b − L u of the collar [TPa/Å], for fields [S, N, d]: [d I, S]."""
-        load, held = (field.reshape(len(field), len(self.unknown)) for field in (b, u))
-        return np.asarray(load[:, self.unknown].T - self.collar @ held[:, ~self.unknown].T)
-
     @cached_property
     def factors(self) -> Balanced:
         """Factors of L_II; InputError where it is singular."""
@@ -129,9 +124,13 @@ class MatrixProblem:
                 f"not well posed here ({error})"
             ) from None
 
-    def check(self, solution: np.ndarray, right: np.ndarray) -> None:
-        """Raise InputError unless every column of the solution has a small residual."""
-        by, parts = self.factors, (self.stiffness @ solution - right, right)
+    def solve(self, b: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Displacement [Å], [S, N, d]: u on the collar, the solution elsewhere; InputError for an
+        operator that is singular, or nearly, which leaves a residual."""
+        load, field = (one.reshape(len(one), len(self.unknown)) for one in (b, u.copy()))
+        right = load[:, self.unknown].T - self.collar @ field[:, ~self.unknown].T
+        by, solution = self.factors, self.factors.solve(right)
+        parts = self.stiffness @ solution - right, right
         wrong, size = (np.linalg.norm(part.T * by.rows, axis=1) for part in parts)
         self.left = float(np.max(wrong / np.where(size > 0, size, np.inf), initial=0.0))
         # A tiny pivot solves its own row exactly: what rounding of L alone would leave counts too.
@@ -144,19 +143,8 @@ class MatrixProblem:
                 f"the residual of the solve is {wrong.max():.1e}"
             )
 
-    def solve(self, b: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Displacement [Å], [S, N, d]: u on the collar, the solution elsewhere; InputError for an
-        operator that is singular, or nearly."""
-        right = self.right(b, u)
-        solution = self.factors.solve(right)
-        self.check(solution, right)
-        return self.filled(u, solution)
-
-    def filled(self, u: np.ndarray, solution: np.ndarray) -> np.ndarray:
-        """Fields u with the columns of a solution on the unknown nodes."""
-        flat = u.reshape(len(u), len(self.unknown)).copy()
-        flat[:, self.unknown] = solution.T
-        return flat.reshape(u.shape)
+        field[:, self.unknown] = solution.T
+        return field.reshape(u.shape)
 
 
 def smallest_eigenvalue(symmetric: sp.csc_array | LinearOperator) -> float:
