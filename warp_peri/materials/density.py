@@ -149,8 +149,6 @@ class DensityOperator(Pointwise):
     def __init__(self, material: DensityMaterial, points: PointsLike) -> None:
         nodes = nodes_of(points)
         check_same(material.units, nodes.units)
-        if not nodes.spacing > 0:
-            raise InputError("points: an energy density is for lattices, got scattered points")
         if nodes.dimension != material.dimension:
             raise InputError(f"points: expected {material.dimension} coordinates")
         steps, weights = sided_gradients(nodes, material.horizon)

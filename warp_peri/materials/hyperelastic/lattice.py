@@ -16,7 +16,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 from warp_peri.errors import InputError
 from warp_peri.materials.hyperelastic.energies import half_family, strain_weights
 from warp_peri.points.families import neighbour_table
-from warp_peri.points.points import Points, straight_steps
+from warp_peri.points.points import Points
 from warp_peri.solvers.equilibria import Inner
 from warp_peri.solvers.systems import lanczos_start
 
@@ -77,11 +77,9 @@ class SheetLattice:
 
     def __init__(self, points: Points, reach: float) -> None:
         self.points, self.reach, self.spacing = points, reach, points.spacing
-        if not points.spacing > 0:
-            raise InputError("points: expected a lattice (spacing > 0), got scattered points")
         if points.box is not None or points.outside is not None:
             raise InputError("points: expected neither a box nor nodes outside of the body")
-        grid, axes = straight_steps(points.x, points.spacing)
+        grid, axes = points.lattice
         if points.axis is not None:
             own = np.rad2deg(np.arctan2(axes[1, 0], axes[0, 0]))
             quarters = round((points.axis - own) / 90)
