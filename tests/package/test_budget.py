@@ -16,12 +16,12 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_927,
-    "tokens": 234_973,
-    "lines of warp_peri": 30_476,
+    "code lines": 18_897,
+    "tokens": 234_477,
+    "lines of warp_peri": 30_468,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_663,
+    "lines of warp_peri, kernels, examples and tools": 42_656,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -32,20 +32,20 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2345,
-    "cli": 808,
-    "core": 1612,
-    "face": 1109,
-    "fe_coupling": 696,
+    "atoms": 2343,
+    "cli": 820,
+    "core": 1611,
+    "face": 1089,
+    "fe_coupling": 695,
     "files": 521,
-    "fitting": 1053,
-    "fracture": 1413,
-    "materials": 4558,
+    "fitting": 1051,
+    "fracture": 1407,
+    "materials": 4564,
     "neural": 589,
-    "points": 1719,
-    "prediction": 575,
-    "mpi": 448,
-    "solvers": 1481,
+    "points": 1727,
+    "prediction": 576,
+    "mpi": 442,
+    "solvers": 1462,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)
