@@ -116,6 +116,15 @@ def test_steps_of_a_coupled_solid_come_to_its_steady_state():
     near(simulate(solid, problem, step=50.0, steps=8).u, found.u, 1e-6, 1)
 
 
+@parametrize("coupling", [0.0, 1e-12, 1e-4, 1e6])
+def test_at_rest_a_coupled_solid_conducts_as_its_conductor(coupling):
+    heat, points = DiffusionMaterial(0.75, 1.0), square(4, 6.0)
+    b, u = default_rng(0).standard_normal((2, len(points.x), 3))
+    found = solve(ThermoelasticMaterial(SOLID, heat, coupling, 0.3), Dirichlet(points, b, u))
+    near(found.u[:, 2], solve(heat, Dirichlet(points, b[:, 2], u[:, 2])).u, 1e-12)
+    assert found.residual < 1e-12
+
+
 def test_what_does_not_fit_is_refused():
     points, law = square(3, 6.0), DiffusionMaterial(1.0, 1.0)
     metres, wide = DiffusionMaterial(1.0, 1.0, units=("m", "Pa")), square(3, 6.0)

@@ -19,6 +19,8 @@ from warp_peri.errors import InputError
 
 RESIDUAL = 1e-9
 """Largest ‖L u − b‖ / ‖b − collar part‖ that a solution may have."""
+ONE_WAY = 2.0**-40
+"""Of the stiffness: what couples components one way, in which no row is then a pivot of others."""
 SYMMETRIC, PIVOT = 1e-12, 0.01
 """Rounding that symmetry may have; smallest pivot on the diagonal that is kept there."""
 DENSE = 1500
@@ -62,8 +64,9 @@ def definite_factors(matrix: sp.sparray | sp.spmatrix) -> Any:
 class Balanced:
     """Factors of R K C, which solve with K. R and C are diagonals of powers of two, `rows` and
     `columns`: of components in units of their own they make the diagonals as large as the first
-    component's, and what couples it to another as large both ways, or as they where it does so one
-    way, for pivots and residuals are compared across them. RuntimeError for a singular matrix."""
+    component's, and what couples it to another as large both ways, for pivots and residuals are
+    compared across them, or next to nothing where it does so one way: these are solved for apart
+    from others, `apart` a mask of their unknowns. RuntimeError for a singular matrix."""
 
     def __init__(
         self, matrix: sp.csc_array, components: int, factorise: Callable[[sp.csc_array], Any] = splu
@@ -73,10 +76,12 @@ class Balanced:
         into, back = sizes[0] > SMALLEST, sizes[:, 0] > SMALLEST
         own, first = sizes[0, 0] / sizes.diagonal(), sizes[0, 0]
         columns = np.sqrt(own * np.where(into & back, sizes[:, 0] / sizes[0], 1.0))
-        columns = np.where(into & ~back, first / sizes[0], columns)
-        columns = np.where(back & ~into, own * sizes[:, 0] / first, columns)
+        columns = np.where(into & ~back, ONE_WAY * first / sizes[0], columns)
+        columns = np.where(back & ~into, own * sizes[:, 0] / (ONE_WAY * first), columns)
         sides = np.exp2(np.rint(np.log2([own / columns, columns])))
-        self.rows, self.columns = np.tile(sides, matrix.shape[0] // components)
+        every = np.vstack([sides, into != back])
+        self.rows, self.columns, apart = np.tile(every, matrix.shape[0] // components)
+        self.apart = apart > 0
         scaled = sp.diags_array(self.rows) @ matrix @ sp.diags_array(self.columns)
         self.factors = factorise(scaled.tocsc())
 
@@ -130,18 +135,22 @@ class MatrixProblem:
         load, field = (one.reshape(len(one), len(self.unknown)) for one in (b, u.copy()))
         right = load[:, self.unknown].T - self.collar @ field[:, ~self.unknown].T
         by, solution = self.factors, self.factors.solve(right)
-        parts = self.stiffness @ solution - right, right
-        wrong, size = (np.linalg.norm(part.T * by.rows, axis=1) for part in parts)
-        self.left = float(np.max(wrong / np.where(size > 0, size, np.inf), initial=0.0))
-        # A tiny pivot solves its own row exactly: what rounding of L alone would leave counts too.
         sums = by.rows * (self.sizes @ np.resize(by.columns, len(self.unknown)))
-        answer = np.finfo(float).eps * np.linalg.norm(solution.T / by.columns, axis=1)
-        wrong = np.maximum(wrong, sums.max(initial=0.0) * answer)
-        if not (wrong <= RESIDUAL * size).all():
-            raise InputError(
-                "the operator on these nodes is singular to working precision: "
-                f"the residual of the solve is {wrong.max():.1e}"
+        off, self.left = self.stiffness @ solution - right, 0.0
+        for own in (by.apart, ~by.apart):
+            load = right - self.stiffness @ np.where(own, 0.0, solution.T).T  # of others, too
+            wrong, size, answer = (
+                np.linalg.norm(part[:, own], axis=1)
+                for part in (off.T * by.rows, load.T * by.rows, solution.T / by.columns)
             )
+            self.left = max(self.left, *(wrong / np.where(size > 0, size, np.inf)).tolist())
+            # A tiny pivot solves its own row exactly: what rounding of L alone would leave counts.
+            rounding = np.finfo(float).eps * sums[own].max(initial=0.0) * answer
+            if not ((wrong := np.maximum(wrong, rounding)) <= RESIDUAL * size).all():
+                raise InputError(
+                    "the operator on these nodes is singular to working precision: "
+                    f"the residual of the solve is {wrong.max():.1e}"
+                )
 
         field[:, self.unknown] = solution.T
         return field.reshape(u.shape)
