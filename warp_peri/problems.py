@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.errors import ALONE, agreed
+from warp_peri.errors import ALONE, InputError, agreed
 from warp_peri.fe_coupling.body import solve_body
 from warp_peri.fe_coupling.boundary_elements import Field, Traction
 from warp_peri.points.arguments import (
@@ -66,7 +66,11 @@ class Dirichlet:
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
         """Solve for the material at rest."""
         extra = {"parameters": options.pop("parameters")} if "parameters" in options else {}
-        operator = placed(material, nodes_of(self.points), **options)
+        operator = placed(material, nodes := nodes_of(self.points), **options)
+        if not is_piece(nodes) and nodes.interior.all():
+            raise InputError(
+                "points: expected nodes on a collar, where u is given; Periodic(…) has none"
+            )
         load = self.b
         if load is None:
             load = np.zeros(getattr(self.u, "shape", None) or as_array("u", self.u).shape)

@@ -133,6 +133,8 @@ def test_loads_of_a_period(name):
     points, material = LAWS[name].sheet(), LAWS[name].material()
     if hasattr(material.on(points), "solve_periodic"):
         zero, shapes = np.zeros(points.x.shape), ("short", "flat", "deep")
+        with refused("nodes on a collar"):
+            wp.solve(material, wp.Dirichlet(points, zero, zero))
         refuses(lambda b: wp.solve(material, wp.Periodic(points, b)), zero, "b", but=shapes)
 
 

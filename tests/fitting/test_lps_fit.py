@@ -8,13 +8,13 @@ import scipy.linalg
 from numpy.linalg import norm
 from numpy.random import default_rng
 
-from tests.support import approx, each_refused, filterwarnings, near, parametrize
+from tests.support import approx, each_refused, filterwarnings, near, parametrize, refused
 from tests.support.problems import LAM as TRUE_LAM
 from tests.support.problems import MU as TRUE_MU
 from tests.support.problems import kernel, lattice, manufactured, noise
 from tests.support.solving import fit
 from tests.support.symbols import smallest_margins
-from warp_peri import LPS, Bernstein, Samples, certify, evaluate
+from warp_peri import LPS, Bernstein, Points, Samples, certify, evaluate
 from warp_peri.core.elastic import plane_isotropic, voigt_to_tensor
 from warp_peri.materials.lps import LPSParameters, bernstein_basis, stiffnesses
 from warp_peri.materials.lps_fit import Learner
@@ -181,3 +181,6 @@ def test_choices_settings_and_sets_that_cannot_be_learned_from_are_refused():
         "no loads": replace(points, b=0 * points.b),
         "at least one training set": [],
     })  # fmt: skip
+    sheet = Points.sheet((8, 8), 1.0)
+    with refused("'output' needs a collar"):
+        fit(Samples(sheet, noise(sheet, 3), noise(sheet, 3)), **WANTED, loss="output")

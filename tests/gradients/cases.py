@@ -143,12 +143,14 @@ def solve(name, op):
     """Of what rests, to b, u and numbers."""
     b, u = tensors(op, 2)
     share = next((s for word, s in LOADS.items() if word in name), 1.0)
-    solver, leaves = solver_of(name, op), {"b": share * b, "u": u} | numbers_of(op)
+    solver, held = solver_of(name, op), {} if op.points.interior.all() else {"u": u}
+    leaves = {"b": share * b} | held | numbers_of(op)
 
     def value(leaves):
         own = learned(op, leaves)
         extra = {"parameters": own} if own else {}
-        problem = wp.Dirichlet(op.points, leaves["b"], leaves["u"])
+        given = {name: leaves[name] for name in ("b", *held)}
+        problem = (wp.Dirichlet if held else wp.Periodic)(op.points, **given)
         return seeded(wp.solve(op, problem, solver=solver, **extra).u)
 
     return table(name, op, value, leaves, 1e-2 if name in KINKED else 10.0 if op.is_linear else 1.0)

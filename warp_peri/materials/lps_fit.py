@@ -50,6 +50,7 @@ from warp_peri.materials.lps_law import (
     Products,
     StabilityConditions,
     TwoStage,
+    has_answers,
     optimum,
     products,
     squares,
@@ -245,7 +246,8 @@ class Learner:
             if isinstance(method, AugmentedLagrangian) and isinstance(kernel, Bernstein):
                 starts = {"Adam": self.adam(kernel, method, asked)} | starts
             final = self.run("3 constrained", lambda tick: self.best(starts, asked, tick))
-            if law.loss == "auto" and choice.name == "residual" and self.worse(final, asked):
+            plain = law.loss == "auto" and choice.name == "residual" and has_answers(self.sets)
+            if plain and self.worse(final, asked):
                 why = "the residual's optimum is worse than local elasticity"
                 choice = LossSelection("output", why)
             if choice.name == "output":
@@ -278,6 +280,8 @@ class Learner:
         asked, printed = self.law.loss, isinstance(self.law.method, TwoStage)
         if asked == "corrected" and not self.noise:
             raise InputError("loss: 'corrected' needs fields of noise")
+        if asked == "output" and not has_answers(self.sets):
+            raise InputError("loss: 'output' needs a collar, or waves of which each load is one")
         if asked != "auto":
             return LossSelection(asked, "asked for")
         if printed and self.noise:

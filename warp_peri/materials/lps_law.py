@@ -17,7 +17,7 @@ import numpy as np
 
 from warp_peri.core.elastic import lattice_group, symmetric_part
 from warp_peri.core.stencil import Basis, half_ball, numbers_at
-from warp_peri.errors import InputError, StrPath
+from warp_peri.errors import InputError, StrPath, hold
 from warp_peri.fitting.regression import MET, Form, LatticeRows, Numbers, Settled, fit, norms, rows
 from warp_peri.materials.influence import InfluenceFunction
 from warp_peri.materials.lps import (
@@ -28,9 +28,9 @@ from warp_peri.materials.lps import (
     weighted_volume,
 )
 from warp_peri.materials.lps_force import Bonds
-from warp_peri.points.arguments import LARGEST, Count, Natural, NotNegative, Positive, hold, typed
+from warp_peri.points.arguments import LARGEST, Count, Natural, NotNegative, Positive, typed
 from warp_peri.points.families import DEGREE, BondClasses, bond_classes
-from warp_peri.points.points import Samples
+from warp_peri.points.points import WAVE_VECTOR, Samples
 
 HORIZONS = (10.0, 12.5, 15.0, 17.5, 20.0, 22.5, 25.0)
 """Horizons δ that `sweep` tries [Å] (You et al. 2021, section 6.2)."""
@@ -509,3 +509,8 @@ def optimum(
     """Minimise the losses from one start under conditions on the whole zones (theory, 26–28)."""
     law = LPSLaw(lattices, start, conditions, method, fixed_alpha=fixed_alpha)
     return law.found(fit(blocks, law, law.start(start), law.zeta, size=1.0, rounds=method.rounds))
+
+
+def has_answers(sets: Sequence[Samples]) -> bool:
+    """Whether each set tells a displacement alone: it has waves, or a collar that holds it."""
+    return all(WAVE_VECTOR in one.arrays or not one.interior.all() for one in sets)
