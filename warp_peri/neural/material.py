@@ -7,6 +7,7 @@ import copy
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -222,19 +223,22 @@ class NeuralFile(record.Record, format="warp_peri.neural", version=2):
 
     def _read_from(self, path: Path | None) -> NeuralOperator:  # type: ignore[override]
         names = ("influence", "state", *SAID[:5])
-        material = NeuralOperator(**{name: getattr(self, name) for name in names}).double()
-        material.scale, material.provenance = self.scale, self.provenance
+        make = partial(NeuralOperator, **{name: getattr(self, name) for name in names})
+        with torch.device("meta"):  # where networks take no memory
+            shapes = make().state_dict()
         if self.precision not in PRECISIONS:
             raise InputError(f"precision: expected one of {PRECISIONS}, got {self.precision!r}")
         dtype, read = np.dtype(self.precision).newbyteorder("<"), base64.b64decode
         try:
             weights = {
                 key: np.frombuffer(read(self.weights[key]), dtype).reshape(part.shape)
-                for key, part in material.state_dict().items()
+                for key, part in shapes.items()
             }
         except (KeyError, TypeError, ValueError, OSError, AttributeError) as error:
             raise InputError(f"not a readable neural operator ({error!r:.400})") from None
         _check_finite(weights)
+        material = make().double()
+        material.scale, material.provenance = self.scale, self.provenance
         material.load_state_dict({k: torch.as_tensor(v.astype(float)) for k, v in weights.items()})
         return material
 
