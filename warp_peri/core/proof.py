@@ -115,6 +115,9 @@ class StencilCertificate:
             weight = laplacian_stencil(1.0, stencil.dimension, stencil.tensors.shape[1])
             left = stiff.minus(weight, c)
             believed = bool(tried) and long > c and _positive_on_zone(left, group, long - c)[0]
+            wave = zone_sample(group, stencil.dimension, SAMPLE[stencil.dimension])
+            least = in_blocks(partial(_ratio, stiff, _lattice_units(weight)), wave).min()
+            believed &= bool(self.sampled <= least * (1 + FOUND))
         if not believed:
             raise InputError(
                 f"certificate: D(k) ≥ {self.proven:.6g} s(k) is not proven of these tensors"
@@ -334,9 +337,12 @@ def _most(stencil: Stencil, tensors: np.ndarray) -> float:
     return float(np.linalg.eigvalsh(np.tensordot(lengths.T, tensors, 1))[:, -1].max())
 
 
-def _slack(stencil: Stencil) -> float:
+def _slack(stencil: Stencil, group: np.ndarray) -> float:
+    """How far a symbol, or Q on the faces of a cube, may be off by rounding, and its images under a
+    group by what the tensors break it."""
     size = np.abs(np.linalg.eigvalsh(stencil.tensors)).max(axis=1).sum()
-    return ROUNDING * 4 * stencil.dimension * float(size)
+    apart = stencil.asymmetry(group) * np.abs(stencil.tensors).max() * (stencil.steps**2).sum()
+    return 4 * stencil.dimension * float(ROUNDING * size + apart)
 
 
 def _positive(
@@ -414,7 +420,7 @@ def _positive_on_zone(
         return far
 
     affine, rest = partial(_symbol_slopes, stencil), _most(stencil, above + below)
-    return _positive(affine, np.pi, d, rest, _slack(stencil), asked, MOST_CELLS[d])
+    return _positive(affine, np.pi, d, rest, _slack(stencil, group), asked, MOST_CELLS[d])
 
 
 def _long_waves(stencil: Stencil, group: np.ndarray) -> tuple[float, int]:
@@ -428,7 +434,7 @@ def _long_waves(stencil: Stencil, group: np.ndarray) -> tuple[float, int]:
     q = LONG_SHARE * float((smallest_eigenvalue(acoustic(brackets, e)) / (e**2).sum(axis=1)).min())
     if not q > 0:
         return 0.0, 0
-    rest, slack = _most(stencil, parts(stencil.tensors)[1]) + q * (d - 1), _slack(stencil)
+    rest, slack = _most(stencil, parts(stencil.tensors)[1]) + q * (d - 1), _slack(stencil, group)
     total = 0
     for a in range(d):
 
@@ -453,7 +459,7 @@ def largest(stencil: Stencil, group: np.ndarray, tolerance: float = UPPER_TOLERA
     within the relative `tolerance` of a value that D takes, or as far as MOST_CELLS lead."""
     d, work, taken = stencil.dimension, 0, 0.0
     rest = _most(stencil, np.sum(parts(stencil.tensors), axis=0))
-    slack, corners = _slack(stencil), _corners(d)
+    slack, corners = _slack(stencil, group), _corners(d)
     cells, half = _first_cells(np.pi, d)
 
     def bounds(half: float, some: np.ndarray) -> np.ndarray:
