@@ -1,4 +1,4 @@
-"""The exception for bad input, on which processes agree, warnings, and values shown as tables."""
+"""The exception for bad input, on which processes agree, warnings, values frozen or as tables."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from html import escape
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeAlias
+
+import numpy as np
 
 StrPath: TypeAlias = str | os.PathLike[str]
 """Path of a file or folder."""
@@ -172,6 +174,23 @@ class Shown:
             for name, value in self.rows()
         )
         return f"<table>{cells}</table>"
+
+
+def hold(frozen: Any, **fields: Any) -> None:
+    """Set fields of a frozen dataclass, arrays as read-only copies, of which what was proven stays
+    true."""
+    for name, value in fields.items():
+        if isinstance(value, np.ndarray):
+            value = value.copy()
+            value.flags.writeable = False
+        object.__setattr__(frozen, name, value)
+
+
+class Held:
+    """Base of frozen dataclasses whose fields are set by `hold`, in copies too."""
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        hold(self, **state)
 
 
 def error_rows(errors: dict[str, Any]) -> Rows:

@@ -5,10 +5,11 @@ import copy
 import json
 import shutil
 import warnings
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Annotated
 
 import numpy as np
 import pytest
@@ -18,7 +19,9 @@ import warp_peri as wp
 from tests.support import approx, of_json, parametrize
 from tests.support.materials import OTHER
 from tests.support.problems import lattice
-from warp_peri.core.record import HOMES, content_hash
+from warp_peri.core.record import HOMES, FieldUnits, content_hash
+from warp_peri.core.stencil import Stencil
+from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.prediction.answer import contraction
 
 FOLDER = Path(__file__).parent.parent / "frozen"
@@ -172,6 +175,23 @@ def test_what_is_replaced_in_memory_is_not_proven_either():
         assert not replace(third, proven=said).stands
     assert not softer.with_parameters({}).errors
     assert contraction(third, 0.0, 0.0) is not None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Scaled(CrystalMaterial):
+    """A crystal whose tensors are scaled by what is in no file."""
+
+    by: Annotated[float, FieldUnits(kept=False)] = 1.0
+
+    @property
+    def stencil(self):
+        return Stencil(self.spacing, self.steps, self.by * self.tensors)
+
+
+def test_what_is_proven_is_so_of_what_no_file_has_too():
+    own = Scaled(**vars(wp.load(FOLDER / "crystal.json")))
+    assert own.stands
+    assert not replace(own, by=0.1).stands
 
 
 def test_a_model_is_certified_only_where_that_is_proven(tmp_path):

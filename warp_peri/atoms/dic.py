@@ -14,7 +14,7 @@ from numpy.linalg import norm
 from scipy.ndimage import binary_erosion
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import InputError, StrPath, warn
+from warp_peri.errors import InputError, StrPath, hold, warn
 from warp_peri.files.atomic import content, encoding_of
 from warp_peri.points.arguments import (
     LENGTHS,
@@ -24,7 +24,6 @@ from warp_peri.points.arguments import (
     check_shape,
     check_units,
     checked,
-    hold,
     plain,
     typed,
 )

@@ -21,9 +21,9 @@ from warp_peri.core.elastic import (
     stress_brackets,
     symmetric_part,
 )
-from warp_peri.errors import InputError, warn
+from warp_peri.errors import InputError, hold, warn
 from warp_peri.fitting.regression import norms, relative
-from warp_peri.points.arguments import EV_IN_TPA, checked, hold, typed, typed_methods
+from warp_peri.points.arguments import EV_IN_TPA, checked, typed, typed_methods
 from warp_peri.points.points import grid_places
 
 STEP, WIDER = 2e-3, 5

@@ -36,7 +36,7 @@ from typing import (
 
 import numpy as np
 
-from warp_peri.errors import InputError, Rows, Shown, StrPath, warn
+from warp_peri.errors import Held, InputError, Rows, Shown, StrPath, hold, warn
 from warp_peri.files import atomic
 from warp_peri.files.atomic import parsed, plain, write_json
 from warp_peri.files.checkpoint import fingerprint
@@ -48,7 +48,6 @@ from warp_peri.points.arguments import (
     check_units,
     checked,
     factors,
-    hold,
     is_number,
     shown_moduli,
     symbols,
@@ -60,8 +59,8 @@ UNITS = ("length_unit", "stress_unit")
 HEAD = ("format", "version", "sha256")
 FORMATS: dict[str, type[Record]] = {}
 """Kinds of materials by the format that their files name."""
-PROVEN: set[tuple[type, str]] = set()
-"""Contents whose proofs this process has gone through, by kind and hash."""
+PROVEN: set[tuple[str, str]] = set()
+"""Hashes of files' contents, and of what is in none, whose proofs this process has gone through."""
 MADE: dict[str, Any] = {}
 """What `made_once` made in this process."""
 HOMES = {
@@ -139,7 +138,7 @@ def _fields_of(kind: Any) -> tuple[Field, ...]:
     return tuple(each for each in found if each.name != "units")
 
 
-class Record(Shown):
+class Record(Shown, Held):
     """Base of materials as values: checks, file, units, table; subclasses add checks and physics. A
     class names its `format`, and its `version` where that is not the first. In `__post_init__` it
     calls that of here first, which turns what is given into the types of the fields."""
@@ -167,9 +166,6 @@ class Record(Shown):
             hold(self, **{each.name: value})
         if _has_units(self):
             hold(self, units=check_units(self.units))
-
-    def __setstate__(self, state: dict[str, Any]) -> None:  # of a copy
-        hold(self, **state)
 
     def derived(self) -> dict[str, Any]:
         """Entries of a file that are no fields; a reader must find the same there."""
@@ -221,7 +217,8 @@ class Record(Shown):
     def prove_again(self) -> None:
         """Prove again what the material says is proven of it, once in a process; InputError for
         what is not proven of its numbers, as after `dataclasses.replace` of some."""
-        if (key := (type(self), content_hash(self.content()))) not in PROVEN:
+        key = content_hash(self.content()), fingerprint(type(self), self.unfiled)
+        if key not in PROVEN:
             self.verify_certificates()
             PROVEN.add(key)
 

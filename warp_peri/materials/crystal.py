@@ -23,7 +23,7 @@ from warp_peri.core.elastic import (
 from warp_peri.core.proof import StencilCertificate, check_spacing, largest, prove
 from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.core.stencil import Stencil, elastic_from_brackets
-from warp_peri.errors import InputError, Rows, warn
+from warp_peri.errors import InputError, Rows, hold, warn
 from warp_peri.fitting.regression import norms
 from warp_peri.points.arguments import (
     USUAL,
@@ -32,7 +32,6 @@ from warp_peri.points.arguments import (
     checked,
     checked_fields,
     factors,
-    hold,
     plain,
     shown_moduli,
     symbols,

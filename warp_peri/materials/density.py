@@ -19,7 +19,7 @@ from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.proof import largest
 from warp_peri.core.record import FieldUnits, Length, Record, read_json
 from warp_peri.core.stencil import half_ball
-from warp_peri.errors import InputError, Rows
+from warp_peri.errors import InputError, Rows, hold
 from warp_peri.fitting.regression import norms
 from warp_peri.fitting.result import Fit
 from warp_peri.materials.crystal_fit import one_set
@@ -31,7 +31,6 @@ from warp_peri.points.arguments import (
     check_parameters,
     check_same,
     checked,
-    hold,
     typed,
 )
 from warp_peri.points.points import PointsLike, check_dimensions, nodes_of

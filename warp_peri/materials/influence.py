@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, hold
 from warp_peri.materials.lps import LPSMaterial, bernstein_basis
 from warp_peri.points.arguments import (
     USUAL,
@@ -28,7 +28,6 @@ from warp_peri.points.arguments import (
     check_parameters,
     check_shape,
     checked,
-    hold,
     plain,
     typed,
 )

@@ -16,7 +16,7 @@ from warp_peri.core.elastic import lattice_group, symmetric_part
 from warp_peri.core.proof import StencilCertificate, prove, statement_of
 from warp_peri.core.record import FieldUnits, Length, Record, taken
 from warp_peri.core.stencil import Stencil
-from warp_peri.errors import InputError, Rows, error_rows, warn
+from warp_peri.errors import InputError, Rows, error_rows, hold, warn
 from warp_peri.materials.lps_force import CANCELLED, assemble, bonds_of
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.arguments import (
@@ -28,7 +28,6 @@ from warp_peri.points.arguments import (
     check_same,
     checked,
     factors,
-    hold,
     is_number,
     is_tensor,
     plain,

@@ -26,7 +26,7 @@ from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.proof import SAME_SPACING, largest, stencil_of
 from warp_peri.core.record import Length, OnLinear, Stress, made_once
 from warp_peri.core.stencil import Stencil
-from warp_peri.errors import InputError, Rows, warn
+from warp_peri.errors import InputError, Rows, hold, warn
 from warp_peri.fitting.long_waves import long_wave_moduli, long_wave_rows, moduli_of
 from warp_peri.fitting.regression import Settled, load_sizes, norms, relative, rows, swept
 from warp_peri.fitting.result import Fit
@@ -38,7 +38,6 @@ from warp_peri.points.arguments import (
     Numbers,
     check_same,
     checked,
-    hold,
     is_number,
     shown_moduli,
     typed,

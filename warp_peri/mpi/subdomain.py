@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.errors import InputError, agreed
+from warp_peri.errors import InputError, agreed, hold
 from warp_peri.files.checkpoint import nodal_fingerprint, same
 from warp_peri.fracture.body import lattice_body
 from warp_peri.fracture.problems import Cracked, in_steps
@@ -31,7 +31,6 @@ from warp_peri.points.arguments import (
     check_units,
     checked,
     checked_fields,
-    hold,
     is_positive,
     offered,
     taken,

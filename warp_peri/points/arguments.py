@@ -385,16 +385,6 @@ def _is_own(kind: Any) -> bool:
     return own and not getattr(kind, "_is_protocol", False)
 
 
-def hold(frozen: Any, **fields: Any) -> None:
-    """Set fields of a frozen dataclass, arrays as read-only copies, of which what was proven stays
-    true."""
-    for name, value in fields.items():
-        if isinstance(value, np.ndarray):
-            value = value.copy()
-            value.flags.writeable = False
-        object.__setattr__(frozen, name, value)
-
-
 def is_tensor(value: Any) -> bool:
     """Whether a value is a torch tensor; torch is not loaded for the question."""
     return "torch" in sys.modules and isinstance(value, sys.modules["torch"].Tensor)

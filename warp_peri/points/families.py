@@ -17,10 +17,10 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 from scipy.special import beta
 
-from warp_peri.errors import InputError
+from warp_peri.errors import Held, InputError, hold
 from warp_peri.kernels import neighbours as kernels
 from warp_peri.kernels import quadrature
-from warp_peri.points.arguments import check_whole, checked, hold, listed, symbols
+from warp_peri.points.arguments import check_whole, checked, listed, symbols
 from warp_peri.points.points import PointsLike, grid_places, nearest, nodes_of
 from warp_peri.runtime import floats, ints, launch_slices, zeros
 
@@ -46,7 +46,7 @@ AT_EDGES = "Free edges and holes: Body(mesh, …), whose elements take what an e
 
 
 @dataclass(frozen=True)
-class BondClasses:
+class BondClasses(Held):
     """Bonds of a full lattice family, sorted into symmetry orbits.
 
     Attributes:

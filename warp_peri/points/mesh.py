@@ -14,8 +14,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import InputError, Rows, Shown, warn
-from warp_peri.points.arguments import as_array, checked, hold, typed
+from warp_peri.errors import InputError, Rows, Shown, hold, warn
+from warp_peri.points.arguments import as_array, checked, typed
 from warp_peri.points.points import grid_places
 
 REST = "rest"

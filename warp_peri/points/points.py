@@ -14,7 +14,7 @@ import numpy as np
 from numpy.linalg import norm
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import InputError, Rows, Shown, warn
+from warp_peri.errors import Held, InputError, Rows, Shown, hold, warn
 from warp_peri.points.arguments import (
     USUAL,
     NotNegative,
@@ -25,7 +25,6 @@ from warp_peri.points.arguments import (
     check_units,
     check_whole,
     checked,
-    hold,
     is_name,
     is_number,
     is_piece,
@@ -56,7 +55,7 @@ class Lattice(NamedTuple):
 
 @typed
 @dataclass(frozen=True, eq=False, repr=False)
-class Points(Shown):
+class Points(Shown, Held):
     """Nodes of one body: positions, interior, spacing, periods.
 
     Attributes:

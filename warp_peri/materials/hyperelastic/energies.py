@@ -12,9 +12,9 @@ import torch
 
 from warp_peri.core.record import FieldUnits
 from warp_peri.core.stencil import half_ball
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, hold
 from warp_peri.materials import hyperelastic
-from warp_peri.points.arguments import checked, hold, taken, typed
+from warp_peri.points.arguments import checked, taken, typed
 
 if TYPE_CHECKING:
     from warp_peri.points.points import Samples

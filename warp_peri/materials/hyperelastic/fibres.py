@@ -9,10 +9,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import torch
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, hold
 from warp_peri.materials.hyperelastic.energies import KINDS, LEAST, EnergyTerm, Hyperelastic, Strain
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
-from warp_peri.points.arguments import Count, checked, hold, typed, typed_methods
+from warp_peri.points.arguments import Count, checked, typed, typed_methods
 
 LARGEST_EXPONENT = 60.0
 LARGEST_DEGREE = 6
