@@ -14,13 +14,24 @@ from tests.support.problems import MU as TRUE_MU
 from tests.support.problems import kernel, lattice, manufactured, noise
 from tests.support.solving import fit
 from tests.support.symbols import smallest_margins
-from warp_peri import LPS, Bernstein, Points, Samples, certify, evaluate
+from warp_peri import (
+    LPS,
+    Bernstein,
+    LPSMaterial,
+    Periodic,
+    Points,
+    Samples,
+    certify,
+    evaluate,
+    solve,
+)
 from warp_peri.core.elastic import plane_isotropic, voigt_to_tensor
 from warp_peri.materials.lps import LPSParameters, bernstein_basis, stiffnesses
 from warp_peri.materials.lps_fit import Learner
 from warp_peri.materials.lps_law import LPSFound
 from warp_peri.methods import GaussNewton, StabilityConditions, TwoStage
 from warp_peri.points.families import bond_classes
+from warp_peri.prediction import design_loads
 
 LAM, MU = -0.2, 0.7
 ZETA = 0.01
@@ -171,6 +182,13 @@ def test_fields_of_local_elasticity_are_fitted_by_displacement():
     own = manufactured(kernel("1/r", 2.5), lattice(8, 2.5), 10)  # fields of the solid itself
     method = GaussNewton(moduli=(TRUE_LAM, TRUE_MU))
     assert fit(own, 2.5, Bernstein(4), method=method).loss.name == "residual"
+
+
+def test_long_waves_hold_no_moduli_where_a_start_explains_the_data():
+    sheet, true = Points.sheet((16, 16), 1.0, axis=0.0), LPSMaterial.isotropic(0.9, 0.25, 2.5, 1.0)
+    b = design_loads(sheet, 4.0, number=6)
+    found = fit(Samples(sheet, solve(true, Periodic(sheet, b)).u, b), 2.5, Bernstein(2)).material
+    assert (found.lam, found.mu) == approx((true.lam, true.mu), rel=1e-9)
 
 
 def test_choices_settings_and_sets_that_cannot_be_learned_from_are_refused():

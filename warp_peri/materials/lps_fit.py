@@ -236,7 +236,7 @@ class Learner:
         asked = method if isinstance(method, GaussNewton) else GaussNewton(moduli=None)
         if isinstance(method, AugmentedLagrangian):
             asked = method.optimum
-        asked = self.hold(asked, starts[probe])
+        asked = self.hold(asked, starts, probe)
         if kernel is None:
             kernel = self.choose_degree(choice.name, asked)
             starts = self.plain(kernel)
@@ -348,7 +348,7 @@ class Learner:
         """Residual ‖L u − b‖ of every sample of each set by Warp's operator."""
         return [one.left(*found.solid.values()) for one in self.products]
 
-    def hold(self, method: GaussNewton, start: LPSFound) -> GaussNewton:
+    def hold(self, method: GaussNewton, starts: dict[str, LPSFound], probe: str) -> GaussNewton:
         """Set the method to hold the long-wave moduli if asked and a free fit misses them."""
         free = replace(method, moduli=method.held)
         if method.moduli != LONG_WAVES or self.noise or not self.flat:
@@ -356,14 +356,14 @@ class Learner:
         try:
             waves = lame_of_long_waves(self.sets)
             held = replace(method, moduli=(waves.lam, waves.mu))
-            alone = self.optimum(start, free)
+            alone = min((self.optimum(one, free) for one in starts.values()), key=lambda f: f.loss)
             model = self.model(alone)
             own = [moduli(model, classes) for classes in self.lattices]
             off = np.abs([(of["C12"] - waves.lam, of["C44"] - waves.mu) for of in own])
             sure = waves.errors.max() <= AGREE * (waves.lam + 2 * waves.mu)
             sure &= waves.misfit <= min(POOR, alone.loss**0.5)  # else the fit tells more than they
             apart = (off > SPREADS * waves.errors).any()
-            beside = self.optimum(start, held) if sure and apart else None
+            beside = self.optimum(starts[probe], held) if sure and apart else None
         except InputError:  # they do not tell, or a function is not defined where it was led
             return free
         good = beside is not None and beside.converged and beside.loss <= POOR**2
