@@ -147,6 +147,7 @@ def refusals(sheet, ball):
         lambda: lattice(SHAPE[2], H, lambda x: x[:, 0] < 0),
         lambda: wp.simulate(DiffusionMaterial(1.0, 1.0), flat),  # before its options
         lambda: wp.solve(solid(2), flat, parameters={"mu": 0.4}),
+        lambda: wp.solve(solid(2), flat, comm=1),
         lambda: partition(wp.Points(everywhere, inside(everywhere), 0.0)),
         lambda: wp.simulate(brittle, wp.Cracked(sheet, pressure=np.eye(2)), step=0.1, steps=1),
         lambda: lattice((8, 52), H, inside),

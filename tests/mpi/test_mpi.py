@@ -117,6 +117,7 @@ def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
         "material: expected a linear solid or a crystal on ranks, got DiffusionMat",
         "solve: expected tensors without a gradient, which only a Dirichlet, a Periodic and a "
         "Cracked of one process have",
+        "solve: expected options among none, got comm",
         "points: expected a lattice",
         "simulate: expected no pressure on ranks",
         "ranks: expected at most 1 for 8 × 52 nodes, slabs of 8 rows, got 2",

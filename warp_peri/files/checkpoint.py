@@ -255,7 +255,7 @@ def _lasting(content: Any) -> Any:
     return {key: _lasting(one) for key, one in content.items() if key not in OF_A_FIT}
 
 
-def same(comm: Any, **parts: Any) -> None:
+def same(comm: Any, /, **parts: Any) -> None:
     """Raise InputError on all ranks for the first of `parts` that differs, naming a rank."""
     with agreed(comm):
         mine = {name: fingerprint(part) for name, part in parts.items()}

@@ -332,5 +332,5 @@ def alike(material: Any, problem: Any, options: Mapping[str, Any]) -> None:
         there = [n for n, one in given.items() if one is not None and n != "record"]
         stacked = [as_array(n, given[n]).shape[:-2] for n in ("b", "u") if n in there]
     kind = type(problem).__name__
-    asked |= {"points": which, "material": material}
-    same(comm, problem=(kind, stacked, there), **asked)
+    asked |= {"points": which, "material": material, "problem": (kind, stacked, there)}
+    same(comm, **asked)
