@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from numpy.linalg import eigvalsh
 
 from tests.known_problems.statics import THIRD, UnitScale, material
@@ -10,7 +11,7 @@ from tests.support import approx, assert_refused, near, parametrize, refused, su
 from tests.support.problems import ell, kernel, lattice, noise, periodic
 from tests.support.symbols import symbol
 from warp_peri.certificates import critical_time_step
-from warp_peri.files.atomic import locked
+from warp_peri.files.atomic import locked, write_vtu
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.problems import Dirichlet, simulate
 from warp_peri.solvers.verlet import INERTIA, Inert, inertia, march, step
@@ -88,13 +89,16 @@ def test_to_move_as_a_whole_changes_no_energy():
         assert run.drift < 1e-12
 
 
-def test_waves_go_on_from_a_checkpoint_with_the_same_bits_and_go_to_paraview(tmp_path):
-    """With a collar and a load, whose energy is kept."""
+def test_waves_go_on_from_a_checkpoint_with_the_same_bits_and_go_to_paraview(tmp_path, monkeypatch):
+    """With a collar and a load, whose energy is kept; killed behind the first record, too."""
     model, points = kernel("positive", 2.5, lam=-0.2), lattice(ell(), 2.5)
     operator, u, v, b = model.on(points), *(noise(points, seed=seed) for seed in range(3))
     dt = 0.9 * critical_time_step(model, spacing=points.spacing, density=DENSITY)
     options = {"v": v, "density": DENSITY, "step": dt, "every": 3}
     files = {"checkpoint": tmp_path / "run.h5", "checkpoint_every": 1, "series": tmp_path / "s"}
+    with monkeypatch.context() as patch, pytest.raises(ZeroDivisionError):  # noqa: PT012
+        patch.setattr("warp_peri.files.checkpoint.write_vtu", lambda *all: write_vtu(*all) or 1 / 0)
+        march(operator, b, u, **options, **files, steps=10)
     march(operator, b, u, **options, **files, steps=10)
     resumed = march(operator, b, u, **options, **files, steps=25)
     straight = march(operator, b, u, **options, steps=25)

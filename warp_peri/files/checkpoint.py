@@ -413,8 +413,8 @@ def read_arrays(
         raise InputError(f"{path}: not a readable checkpoint ({error})") from None
 
 
-PVD = '<VTKFile type="Collection"><Collection>'
-"""How `motion.pvd` begins."""
+PVD, END = '<VTKFile type="Collection"><Collection>', "</Collection></VTKFile>\n"
+"""How `motion.pvd` begins and ends."""
 
 
 class TimeSeriesWriter:
@@ -457,12 +457,16 @@ class TimeSeriesWriter:
         nodes, times, name = self.nodes, self.times, f"record_{step:08d}.vtu"
         times[name] = time
         whole = gathered(nodes.comm, {"positions": self.x, **fields}, nodes.number, nodes.count)
-        there = {name, *(one.name for one in self.folder.glob("record_*.vtu"))}
-        lines = [f'<DataSet timestep="{t!r}" file="{n}"/>' for n, t in times.items() if n in there]
         head = PVD if self.mark is None else f"{PVD}<!-- {step} {self.mark(step)} -->"
-        text = "\n".join([head, *lines])
         with agreed(nodes.comm):
             if nodes.comm.rank == 0:
-                x = whole.pop("positions")
+                pvd, x = self.folder / "motion.pvd", whole.pop("positions")
+                if not pvd.exists():  # or a record of a job that is killed here is nobody's
+                    write_text(pvd, f"{head}\n{END}")
                 write_vtu(self.folder / name, x, ("vertex", np.arange(len(x))[:, None]), whole)
-                write_text(self.folder / "motion.pvd", text + "\n</Collection></VTKFile>\n")
+                lines = [
+                    f'<DataSet timestep="{t!r}" file="{n}"/>'
+                    for n, t in times.items()
+                    if (self.folder / n).exists()
+                ]
+                write_text(pvd, "\n".join([head, *lines, END]))
