@@ -90,11 +90,15 @@ def test_a_corrected_plate_breaks_with_its_ledger_and_goes_on_with_the_same_bits
         assert (np.diff(run["dissipated"]) >= 0).all()
     assert missing[0] < 0.02
     assert missing[1] < missing[0] / 3  # of second order, while bonds break one by one
-    how |= {"checkpoint": tmp_path / "run.h5", "checkpoint_every": 1}
-    simulate(brittle, problem, **how, steps=360)
+    how |= {"checkpoint": tmp_path / "run.h5", "checkpoint_every": 1, "series": tmp_path}
+    part = [simulate(brittle, problem, **how, steps=360).time[-1] for _ in range(2)]
     again = simulate(brittle, problem, **how, steps=560)
     assert_array_equal(again.u, run.u)
     assert_array_equal(again.details.damage, run.details.damage)
+    assert part[0] == part[1]
+    assert_array_equal(again["work"], run["work"])
+    assert_array_equal(again.time, run.time)
+    assert (tmp_path / "motion.pvd").read_text().count("timestep=") == len(run.time)
 
 
 def test_waves_with_free_edges_have_the_derivatives_of_differences():

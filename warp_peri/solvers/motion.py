@@ -209,6 +209,11 @@ class Recorder:
                 f"{file.path}: expected a checkpoint of this motion, got another's; what differs: "
                 f"{', '.join(differ)}"
             )
+        if self.ends and taken < steps and (taken - self.phase) % self.every:  # it is no end now
+            for one in content["history"].values():
+                del one[-1:]
+            if content["files"]:
+                content["files"].popitem()
         self.history = content["history"]
         self.bent = float(plain(f"{file.path}: bent", content.get("bent")))
         if self.series is not None:
