@@ -356,11 +356,14 @@ def test_a_shape_is_fitted_by_name(data, tmp_path, capsys, monkeypatch):
     mine = shutil.copy(data, tmp_path / "d.h5")
     words = ["fit", mine, "--horizon", "2.5", "--loss", "residual", "--out", tmp_path]
     words += ["--influence", "gaussian"]
+    other = load_dataset(data).of_sheet(density=2300.0)
     with monkeypatch.context() as patch, pytest.raises(SystemExit):  # noqa: PT012
+        patch.setattr("warp_peri.cli.train._metrics", lambda _: save_dataset(mine, other) or {})
         patch.setattr("warp_peri.fitting.evaluate.write_json", lambda *_: sys.exit())
         answer(capsys, *words)
+    fitted_to = load(tmp_path / "model.json").provenance["sha256"]
+    assert fitted_to == hashlib.sha256(data.read_bytes()).hexdigest()
     capsys.readouterr()
-    save_dataset(mine, load_dataset(data).of_sheet(density=2300.0))
     assert "not by these settings and inputs" in refused(capsys, *words)
     shutil.copy(data, mine)
     assert "not by these settings" in refused(capsys, *words, "--set", "test")

@@ -17,7 +17,7 @@ from warp_peri.atoms import dumps
 from warp_peri.atoms.coarse_graining import smoothing_matrix
 from warp_peri.atoms.dic import estimate_noise, frames_of_folder
 from warp_peri.cli.commands import Result, Said, chosen, error_table, keep, lines_of, writing
-from warp_peri.cli.main import beside, check_made
+from warp_peri.cli.main import beside, check_made, hash_of
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import (
     content,
@@ -154,6 +154,7 @@ def _dataset(given: Namespace) -> Dataset:
 def run_fit(given: Namespace) -> Said:
     """Fit a material to data; writes model.json, metrics.json and the settings to a folder."""
     data = _dataset(given)
+    made = {"data_provenance": data.provenance, "sha256": hash_of(given.data)}
     samples, noise = data[given.set], data[given.noise] if given.noise else None
     if given.horizon is None:
         given.horizon = float(usual_lengths("horizon", HORIZON, data.units))
@@ -168,7 +169,6 @@ def run_fit(given: Namespace) -> Said:
             if found.advice:
                 warn(found.advice)
         metrics |= chosen(data, "thickness", "density")
-        made = {"data_provenance": data.provenance}
         begin()
         run.save(given.out, metrics, data=given.data, provenance=made)
     tables = {name: {"samples": len(data[name])} | one for name, one in run.tables.items()}

@@ -151,7 +151,7 @@ class Run:
         said["provenance"] = {
             **getattr(material, "provenance", {}),
             "data": data.name,
-            "sha256": hashlib.sha256(data.read_bytes()).hexdigest(),
+            "sha256": provenance.get("sha256") or hashlib.sha256(data.read_bytes()).hexdigest(),
             **provenance,
         }
         known = {name: value for name, value in said.items() if hasattr(material, name)}
