@@ -263,6 +263,7 @@ def test_settings_files_hold_words_of_a_command(fitted, data, tmp_path, capsys):
         ("--set 'x", f"{path}: expected words of a command (No closing quotation)"),
         ("--set \udcff", f"{path}: expected words of a command ("),
         ("--overwrite", f"{path}: expected no --overwrite, which is typed"),
+        ("--help", f"{path}: expected no --help, which is typed"),
         ("--horizons 3", "unrecognized arguments: --horizons"),
         ("--over", "unrecognized arguments: --over"),  # nor short for it
         ("--horizon far", "argument --horizon: invalid float value: 'far'"),

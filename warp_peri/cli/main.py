@@ -75,7 +75,7 @@ PATHS = ("DUMP", "FILE", "FOLDER", "FRAMES", "STRUCTURE")
 WORDS = ("NAME", "STRAIN", "LENGTH", "STRESS")
 COUNTS = ("N", "M")
 """Names of values that are paths, as are those with an ending; text; whole numbers; else reals."""
-TYPED = ("--json", "--trust", "--overwrite")
+TYPED = ("--json", "--trust", "--overwrite", "--help", "-h")
 """Options that no settings file has."""
 MADE, HASH = "# words of warp-peri", "# sha256 "
 """First line of the settings files that commands write; begin of those on what was written."""
