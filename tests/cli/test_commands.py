@@ -318,6 +318,7 @@ def test_what_cannot_be_done_is_one_line_and_writes_nothing(data, tmp_path, caps
         "solve {bare} {data} @{mine} --out {mine}": "is read (files)",
         "fit {folder}/model.json --out {folder} --overwrite": "is read (data)",
         "fit {data} --out {folder} --overwrite": "is read (data)",
+        "fit-crystal x --calculator lammps:sw;{folder}/model.json --out {folder}": "(calculator)",
         "fit {data} --out {bare}": "expected a folder",
         "solve {bare} {data} --out {folder}": "expected a file",
         "sweep {data} --val test --out {new} --jobs 0": "jobs: expected",

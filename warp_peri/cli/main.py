@@ -255,7 +255,12 @@ def check_output(given: Namespace) -> None:
     kept, made = results(given)
     taken = {os.path.realpath(given.out), *map(str, map(destination, made))}
     marks = hashlib.sha256()
-    for name, value in {**given.options, "files": given.files}.items():
+    words = re.split(r"[\s;,=()\"']+", given.options.get("calculator") or "")
+    for name, value in {
+        **given.options,
+        "calculator": [*map(Path, filter(os.path.isfile, words))],
+        "files": given.files,
+    }.items():
         for path in value if isinstance(value, list) else [value]:
             if name == "out" or not isinstance(path, Path):
                 continue
