@@ -25,9 +25,11 @@ from tests.support.solving import solve
 from tests.support.symbols import fluctuation, noisy, waves
 from tests.support.told import each_refused
 from warp_peri import Dataset, load
+from warp_peri.cli.commands import writing
 from warp_peri.cli.main import COMMANDS, MADE, WRITTEN, hashes, main, parse, parser_of, results
 from warp_peri.cli.train import atom_forces
 from warp_peri.crystals import fit_dispersion
+from warp_peri.files.atomic import write_text
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.points.dataset import load_dataset, save_dataset
 
@@ -350,7 +352,16 @@ def test_a_folder_is_written_again_by_the_same_settings_alone(name, tmp_path, ca
             (tmp_path / f"{name}.txt").write_text("\n".join([MADE, *words, *lines]))
             said = refused(capsys, name, *words, *more.split())
             assert (f"{mine}: is there already" not in said) == bool(lines in cases[:2] or more)
-        mine.unlink()
+        given.overwrite, kept = True, results(given)[0]
+        for text, anew in (("mine", True), ("other", False), ("mine", False)):
+            mine.write_text(text)
+            kept.write_text("\n".join([MADE, *words, *same]))
+            with writing(given) as begin:
+                begin()
+                if anew:
+                    write_text(mine, "new")
+            assert mine.exists() == (anew or text == "other")
+            assert (f"  {one}" in kept.read_text()) == anew
 
 
 def test_a_shape_is_fitted_by_name(data, tmp_path, capsys, monkeypatch):

@@ -4,6 +4,7 @@ use."""
 from __future__ import annotations
 
 import dataclasses
+import os
 import shlex
 from argparse import Namespace
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,7 +15,7 @@ from typing import Any
 from numpy.linalg import norm
 
 import warp_peri
-from warp_peri.cli.main import BEGUN, HASH, MADE, check_output, hashes, is_kept, parse, results
+from warp_peri.cli.main import BEGUN, HASH, MADE, check_output, hashes, lines_in, parse, results
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import finite, locked, plain, write_text
 from warp_peri.points.arguments import Units, offered, symbols
@@ -104,11 +105,19 @@ def options_of(given: Namespace) -> Result:
 @contextmanager
 def writing(given: Namespace) -> Iterator[Callable[[], None]]:
     """Hold what a command writes against other jobs, which may have written it meanwhile; what is
-    yielded is called before the first file."""
+    yielded is called before the first file. Of what an earlier run left, what it made is removed,
+    and nobody vouches for the rest."""
     with locked(given.out):
         check_output(given)
-        yield lambda: keep(given, results(given)[0], BEGUN)
-        keep(given, *results(given))
+        kept, there = results(given)
+        # a file that is replaced has another number, or time
+        old, said = {path: os.stat(path)[1::7] for path in there}, lines_in(kept)
+        yield lambda: keep(given, kept, BEGUN)
+        _, made = results(given)
+        for path in [path for path in made if old.get(path) == os.stat(path)[1::7]]:
+            if hashes(given, kept, {path: made.pop(path)})[-1] in said:
+                os.unlink(path)
+        keep(given, kept, made)
 
 
 def run_solve(given: Namespace) -> Said:
@@ -167,13 +176,12 @@ def chosen(given: Any, *names: str) -> Result:
 def keep(given: Namespace, path: Path, made: Mapping[str, str]) -> None:
     """Write the words of a command, a line each, which `@FILE` stands for, and hashes of what it
     wrote, or BEGUN; words of the same options, or that no command wrote, are left alone."""
-    if path.exists() and not is_kept(path):
+    if path.exists() and not lines_in(path):
         return None if made is BEGUN else warn(f"{path}: is no file of a command, and stays")
     lines, marks = [MADE, *map(shlex.quote, given.words), ""], hashes(given, path, made)
     with suppress(InputError):  # there are none, or they are changed to what is no words
         if marks[0] == hashes(parse([given.command, f"@{path}"]), path, {})[0]:
-            kept = path.read_text("utf-8").split("\n")
-            lines = [line for line in kept if not line.startswith(HASH)]
+            lines = [line for line in lines_in(path) if not line.startswith(HASH)]
     write_text(path, "\n".join([lines[0], *marks, *lines[1:]]))
 
 

@@ -300,8 +300,7 @@ def check_made(given: Namespace, kept: Path, made: Mapping[str, str]) -> None:
     same options and inputs wrote what has these hashes, or began to."""
     if not made or given.overwrite:
         return
-    said = content(kept).decode("utf-8", "replace").split("\n") if is_kept(kept) else []
-    if not any({*hashes(given, kept, one)} <= {*said} for one in (BEGUN, made)):
+    if not any({*hashes(given, kept, one)} <= {*lines_in(kept)} for one in (BEGUN, made)):
         raise InputError(
             f"{next(iter(made))}: is there already, not by these settings and inputs, or changed "
             "since; name another, or --overwrite"
@@ -321,6 +320,7 @@ def hashes(given: Namespace, kept: Path, made: Mapping[str, str]) -> list[str]:
     return [f"{HASH}{m or hash_of(Path(n))}  {os.path.basename(n)}" for n, m in every]
 
 
-def is_kept(path: Path) -> bool:
-    """Whether a file holds the words of a command."""
-    return path.is_file() and content(path).startswith(MADE.encode())
+def lines_in(kept: Path) -> list[str]:
+    """Lines of a file that holds the words of a command, none of another."""
+    text = content(kept) if kept.is_file() else b""
+    return text.decode("utf-8", "replace").split("\n") if text.startswith(MADE.encode()) else []
