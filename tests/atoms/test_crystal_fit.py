@@ -28,6 +28,7 @@ Plane = type("Plane", (EMT,), {"get_forces": lambda self, atoms: np.zeros((len(a
 Three = type("Three", (EMT,), {"get_stress": lambda self, atoms: np.zeros(3)})
 IN = {"cell": [4, 4, 4], "pbc": True}
 SHARED, SKEWED = {"occupancy": {"0": {"Cu": 0.7, "Ni": 0.3}}}, [[4, 0, 0], [8, 0, 0], [0, 0, 4]]
+UNSAID = {"occupancy": {"0": {"Al": "?"}, "1": {"Al": "."}}}
 EXAMPLES = ROOT / "examples" / "phonopy"
 STRAINED = (392.963, 164.309, 164.298)
 """C11 and C12 by strains of a period of 3³ cells; C44 of a wider supercell's waves [GPa]."""
@@ -115,7 +116,8 @@ def test_what_is_no_crystal_and_what_a_calculator_or_a_force_lacks_are_refused()
     each_refused(lambda atoms, calculator: at_rest(atoms, calculator()), {
         "free cluster": (molecule("H2O"), LennardJones),
         "of Cu 0.7, Ni 0.3": (Atoms("Cu", info=SHARED), EMT),
-        "is a site there": (Atoms("Al2", [[0, 0, 0], [0.1, 0, 0]], **IN), EMT),
+        "one of Cu half": (Atoms("Cu", info={"occupancy": {"0": {"Cu": "half"}}}), EMT),
+        "is a site there": (Atoms("Al2", [[0, 0, 0], [0.1, 0, 0]], **IN, info=UNSAID), EMT),
         "at finite places": (Atoms("Al", [[np.nan, 0, 0]], **IN), EMT),
         "some in a plane": (Atoms("Al", cell=SKEWED, pbc=True), EMT),
         "no forces for Fe .*No EMT-potential": (bulk("Fe", "fcc", a=5.0), EMT),

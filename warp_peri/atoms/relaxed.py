@@ -31,7 +31,7 @@ from warp_peri.core.elastic import (
     symmetric_part,
 )
 from warp_peri.errors import InputError, warn
-from warp_peri.points.arguments import EV_IN_TPA, checked
+from warp_peri.points.arguments import EV_IN_TPA, checked, is_number
 
 VACUUM = 8.0
 """A gap between atoms [Å] that counts as vacuum."""
@@ -41,6 +41,8 @@ HEIGHT = 40.0
 """Of the box around a sheet, beside the sheet itself [Å]."""
 FULL, UPON = 0.999, 0.5
 """Occupancy of a site that an atom fills; distance [Å] that no two atoms are nearer than."""
+UNSAID = "?", "."
+"""Values of CIF that are unknown, or do not apply."""
 FLAT = 1e-3
 """Smallest singular value of the directions of a cell's edges."""
 ALMOST, RIGHT = 1e-3, 1e-3
@@ -87,10 +89,12 @@ class Reference:
 def check_sites(atoms: ase.Atoms) -> None:
     """Raise InputError for coinciding atoms, and for shared sites, of which ASE keeps one atom."""
     for site in (atoms.info.get("occupancy") or {}).values():
-        if len(site) > 1 or min(site.values()) < FULL:
+        if len(site) > 1 or not all(
+            part in UNSAID or (is_number(part) and part >= FULL) for part in site.values()
+        ):
             raise InputError(
                 "structure: expected sites of one element, got one of "
-                f"{', '.join(f'{kind} {part:g}' for kind, part in site.items())}"
+                f"{', '.join(f'{kind} {part}' for kind, part in site.items())}"
             )
     edges, x = np.array(atoms.cell), np.array(atoms.positions)
     if not len(atoms) or not (np.isfinite(edges).all() and np.isfinite(x).all()):
