@@ -310,6 +310,7 @@ def test_what_cannot_be_done_is_one_line_and_writes_nothing(data, tmp_path, caps
         "fit {data} --out {new} --influence gausian": "expected gaussian, exponential",
         "fit {data} --out {new} --influence gaussian --degree 2": "expected one of the two",
         "fit {data} --out {new} --law tensors --degree 1": "degree: expected with --law lps, not",
+        "fit-crystal . --hold xx --trust --out {new}": "trust, hold: expected with --calculator",
         "certify {bare}": "give --spacing",
         "sweep {data} --out {new}": "no set 'val'",
         "export {bare} {data} --out {new}": "certified on no spacing",

@@ -37,7 +37,8 @@ from warp_peri.points.points import Points
 HORIZON = 20.0
 """δ [Å] that is learned where nothing else was asked for."""
 OF_LPS = ("influence", "noise", "method", "loss", "degree")
-"""Options that mean nothing to other laws."""
+OF_CALCULATORS = ("potential", "trust", "hold", "supercell")
+"""Options that mean nothing to other laws, and to force constants."""
 KINDS = {
     "lps": "linear peridynamic solid (LPS)",
     "tensors": "crystal model",
@@ -192,12 +193,17 @@ def _law(given: Namespace, spacing: float) -> Any:
             kernel = warp_peri.influence.named(given.influence, given.horizon)
         method = lps_law.METHODS[given.method]()
         return warp_peri.LPS(given.horizon, kernel, method, loss=given.loss)
-    if idle := [name for name in OF_LPS if getattr(given, name) != given.usual[name]]:
-        raise InputError(f"{', '.join(idle)}: expected with --law lps, not {given.law}")
+    _check_idle(given, OF_LPS, f"--law lps, not {given.law}")
     law = warp_peri.Crystal(given.horizon)
     if given.law == "tensors":
         return law
     return warp_peri.ThirdOrder(law, warp_peri.methods.Smoothing(2 * spacing))
+
+
+def _check_idle(given: Namespace, names: tuple[str, ...], what: str) -> None:
+    """Raise InputError for options that have no meaning without something else."""
+    if idle := [name for name in names if getattr(given, name) != given.usual[name]]:
+        raise InputError(f"{', '.join(idle)}: expected with {what}")
 
 
 def _metrics(run: Run) -> Result:
@@ -279,6 +285,7 @@ def run_fit_crystal(given: Namespace) -> Said:
     how = chosen(given, "spacing", "horizon", "symmetry") | {"units": units}
     with writing(given) as begin:  # a place that takes no files is told before the calculator works
         if given.calculator is None:
+            _check_idle(given, OF_CALCULATORS, "--calculator")
             constants = warp_peri.atoms.from_phonopy(given.structure, thickness=given.thickness)
             found: Any = warp_peri.atoms.crystal_from_force_constants(constants, **how)
         else:
