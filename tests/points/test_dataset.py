@@ -22,7 +22,7 @@ N = len(GRID.x)
 ARRAYS = {"load_id": np.array(["a", "β", "c d"]), "snr": np.array([1.0, np.inf, np.nan])}
 LOADS = Samples(GRID, noise(GRID, 3), noise(GRID, 3, seed=1), arrays=ARRAYS)
 CUT = replace(GRID, box=(20.0, 30.0), outside=~GRID.interior & (GRID.x[:, 0] < 0))
-CUBE = replace(Points.sheet((3, 4, 5), 1.0), axis=[[0, 1, 0], [-1, 0, 0], [0, 0, 1.0]])
+CUBE = replace(Points.sheet((3.0, 4, 5), 1.0), axis=[[0, 1, 0], [-1, 0, 0], [0, 0, 1.0]])
 SETS = {
     "train": LOADS,
     "bare": Samples(Points(GRID.x[:5] * 1.1, np.arange(5) < 2, 0.0), np.empty((0, 5, 2))),

@@ -405,7 +405,7 @@ def family_weights(
 def conditions(degree: int, dimension: int) -> tuple[list[tuple[int, ...]], np.ndarray]:
     """Exponents of the Q polynomials in d variables, and their integrals over the unit ball, [Q];
     InputError for a degree that is no whole number ≥ 2."""
-    check_whole("quadrature degree", degree, SINGULARITY - 1)
+    degree = check_whole("quadrature degree", degree, SINGULARITY - 1)
     lowest = SINGULARITY + 1 - dimension
     every = itertools.product(range(degree, -1, -1), repeat=dimension)
     powers = sorted((p for p in every if lowest <= sum(p) <= degree), key=sum)

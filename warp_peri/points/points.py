@@ -142,8 +142,7 @@ class Points(Shown, Held):
             axis: of the material, as of Points.
         """
         check_dimensions("sides", len(sides))
-        for side in sides:
-            check_whole("sides", side, 1)
+        sides = tuple(check_whole("sides", side, 1) for side in sides)
         check_nodes("sides", sides)
         grid = grid_places(sides)
         box = tuple(n * spacing for n in sides)
