@@ -131,7 +131,10 @@ def test_columns_that_contradict_each_other_are_refused(tmp_path, frame_of):
         "one displacement for each point":
             lambda: frame_of(np.ones((9, 2)), np.arange(18.0).reshape(9, 2)),
         r"missing.csv: no such file": lambda: read_dic_frame(tmp_path / "missing.csv"),
-        "nodes a side": lambda: dic_to_lattice([frame_of(X[:40], field(X[:40]))]),
+        "nodes a side": tuple(
+            lambda spacing=h, x=x: dic_to_lattice([frame_of(x, field(x))], spacing=spacing)
+            for x, h in ((X[:40], None), (X, 1e-8), (X, 1e-300))
+        ),
     })  # fmt: skip
     path = write(tmp_path / "b.csv", (X, field(X)))
     frames = [read_dic_frame(path, pixel=pixel) for pixel in ("mm", 1.0)]

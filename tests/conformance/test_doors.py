@@ -340,7 +340,7 @@ def test_arguments_of_bodies_solids_and_tables():
         "^vector: expected": (lambda: K.at(np.zeros(0)), lambda: K.at(np.zeros(2))),
         "^lengths: expected": (
             lambda: wp.Points.block([], 1.0, 2.0), lambda: K.coefficients([], 3.0),
-            lambda: own(spacings=[]),
+            lambda: own(spacings=[]), lambda: wp.Points.block((-99.0, 9.0), 1.0, 2.0),
         ),
         "^spacings: expected": lambda: own(spacings=["a"]),
         "^k: expected": tuple(
@@ -352,7 +352,7 @@ def test_arguments_of_bodies_solids_and_tables():
         ),
         "^sides: expected": (
             lambda: wp.Points.sheet((4,), 1.0), lambda: wp.Points.sheet((10**6, 10**6), 1.0),
-            lambda: box_nodes((), 1.0), lambda: box_nodes((1.0, 1.0), 1e-6),
+            lambda: box_nodes((), 1.0), lambda: box_nodes((1e99, 1.0), 1e-99),
             lambda: box_nodes((1.0, "a"), 1.0),
         ),
         "^terms: expected": tuple(
@@ -473,6 +473,7 @@ def test_every_function_that_users_call_is_typed_and_calls_go_through_the_door()
         "^(horizon|spacing|path): expected": (
             lambda: wp.LPS("a"), lambda: wp.LPS(0.0), lambda: wp.Points.sheet((4, 4), np.nan),
             lambda: wp.Points.disk(20.0, 5.0, -1.0), lambda: wp.load(5),
+            lambda: wp.Points.disk(1e99, 5.0, 9.0), lambda: wp.Points.disk(9.0, 1e-300, 9.0),
             lambda: wp.certify(None, spacing="a"),
         )
     })  # fmt: skip

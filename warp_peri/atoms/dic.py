@@ -292,10 +292,11 @@ def dic_to_lattice(
     named = check_units(USUAL if length is None else (length, "MPa"))
     step = float(spacing or spacing_of(frames[0].x))
     every = np.concatenate([frame.x for frame in frames])
-    counts = np.floor(np.ptp(every, axis=0) / step + 1 + ON_LATTICE).astype(int)
-    if counts.min() < (least := 4 * REACH + 1) or counts.prod() > 10**7:
-        got = f"{counts[0]} × {counts[1]}"
+    counts = np.floor(np.ptp(every, axis=0) / step + 1 + ON_LATTICE)
+    if counts.min() < (least := 4 * REACH + 1) or counts.max() > 10**7 / counts.min():
+        got = f"{counts[0]:g} × {counts[1]:g}"
         raise InputError(f"frames: expected at least {least} nodes a side, got {got}")
+    counts = counts.astype(int)
     x = every.min(axis=0) + step * grid_places(counts)
     each = [on_nodes(frame, x, step, radius) for frame in frames]
     fields, seen = np.stack([u for u, _ in each]), np.stack([there for _, there in each])

@@ -98,12 +98,12 @@ def box_nodes(sides: Sequence[float], spacing: Positive) -> np.ndarray:
     """Nodes in the middle of cells that fill a box about the origin, shape [N, d]. Raises
     InputError when the sides are not whole multiples of the spacing."""
     check_dimensions("sides", len(sides))
-    count = np.rint(checked("sides", sides, float, ("d",)) / spacing).astype(int)
+    count = np.rint(checked("sides", sides, float, ("d",)) / spacing)
     if (count < 1).any() or np.abs(count * spacing - sides).max() > 1e-6 * spacing:
         given = ", ".join(f"{side:g}" for side in sides)
         raise InputError(f"sides: expected multiples of {spacing:g}, got {given}")
     check_nodes("sides", count)
-    return (grid_places(count) - (count - 1) / 2) * spacing
+    return (grid_places(count.astype(int)) - (count - 1) / 2) * spacing
 
 
 @typed

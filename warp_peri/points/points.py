@@ -174,6 +174,8 @@ class Points(Shown, Held):
         """
         half = checked("lengths", lengths, float, ("d",)) / 2
         check_dimensions("lengths", len(half))
+        if half.min() < 0:
+            raise InputError(f"lengths: expected numbers ≥ 0, got {lengths!r:.60}")
         away = lambda x: (np.abs(x) - half).max(axis=1)  # noqa: E731
         return cls._around(away, half, spacing, horizon, units=units, axis=axis)
 
@@ -211,8 +213,10 @@ class Points(Shown, Held):
         cls, beyond: Any, half: np.ndarray, spacing: float, horizon: float, **more: Any
     ) -> Points:
         """Lattice nodes up to two horizons beyond a body, interior where within it."""
-        count = np.floor((half + 2 * horizon) / spacing * (1 + LATTICE_TOLERANCE)).astype(int)
-        check_nodes("spacing", 2 * count + 1)
+        with np.errstate(over="ignore"):
+            most = np.floor((half + 2 * horizon) / spacing * (1 + LATTICE_TOLERANCE))
+        check_nodes("spacing", 2 * most + 1)
+        count = most.astype(int)
         x = spacing * (grid_places(2 * count + 1) - count)
         x = x[beyond(x) <= 2 * horizon + LATTICE_TOLERANCE * spacing]
         return cls(x, beyond(x) <= LATTICE_TOLERANCE * spacing, spacing, **more)
