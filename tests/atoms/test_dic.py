@@ -219,7 +219,7 @@ def test_a_folder_tells_what_it_passes_over_and_what_does_not_fit(tmp_path):
     whole = folder_of(tmp_path / "whole", {f"frame{n}.csv": (len(X), 1) for n in range(4)})
     (whole / "force.csv").write_text("time,load\n0,1\n")
     with warned(r"passed over: .*force.csv: expected columns x, y"):
-        assert len(frames_of_folder(whole, 7, radius=0.0)) == 4
+        assert len(frames_of_folder(whole, 10**14, radius=0.0)) == 4
     (whole / "frame1.csv").unlink()
     counts = {f"frame{n}.csv": (100 if n == 3 else len(X), 1) for n in range(4)}
     unequal, none = folder_of(tmp_path / "unequal", counts), folder_of(tmp_path / "none", {})

@@ -183,6 +183,7 @@ REFUSED = {
     "start: expected .* 7 of 7 masked": fit(LOADS, start=np.ma.masked_all(7)),
     "loads that the energies explain, 100 %": fit(wp.Samples(POINTS, 0 * FRAMES.u, LOADS.b)),
     "0 or at least 8": partial(wp.hyperelastic.select_model, FRAMES[[0, 1, 2, 2]], fibres=3),
+    "at most 16, one": partial(wp.hyperelastic.select_model, FRAMES[[0, 1, 2, 2]], fibres=17),
     "frames: expected at least 4, got 3": partial(wp.hyperelastic.select_model, FRAMES),
 }  # fmt: skip
 

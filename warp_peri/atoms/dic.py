@@ -354,7 +354,7 @@ def frames_of_folder(
     for why in others:
         warn(f"passed over: {why}")
     last = len(frames) - 1
-    chosen = np.unique(np.linspace(FIRST * last, last, count).astype(int))
+    chosen = np.unique(np.linspace(FIRST * last, last, min(count, len(frames))).astype(int))
     samples = dic_to_lattice([frames[n] for n in chosen], radius=radius, positions=positions)
     if not stress:
         return samples

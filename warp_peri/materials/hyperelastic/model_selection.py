@@ -97,7 +97,8 @@ def select_model(
 
     Args:
         frames: without loads, in the order of the test.
-        fibres: directions, at least 8, that families of fibres are looked for in; 0 for none.
+        fibres: directions, at least 8, that families of fibres are looked for in, no more than
+            there are interior nodes; 0 for none.
         uneven: whether each is tried with a thickness that varies, too.
         done: called with each candidate as it ends.
         progress: show a bar for each fit, with the candidate's name.
@@ -109,8 +110,9 @@ def select_model(
     """
     if len(frames) < LEAST_FRAMES:
         raise InputError(f"frames: expected at least {LEAST_FRAMES}, got {len(frames)}")
-    if 0 < fibres < DIRECTIONS:
-        raise InputError(f"fibres: expected 0 or at least {DIRECTIONS} directions, got {fibres}")
+    if fibres and not (most := np.count_nonzero(frames.interior)) >= fibres >= DIRECTIONS:
+        words = f"0 or at least {DIRECTIONS} directions, at most {most}, one for each interior node"
+        raise InputError(f"fibres: expected {words}, got {fibres}")
     pick = np.arange(len(frames))[::-1] % 2 == 0
     train, test = frames[pick], frames[~pick]
     matrix, even = EnergyTerm("plane_stress"), dict[str, Any]()
