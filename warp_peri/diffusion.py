@@ -383,7 +383,7 @@ class CoupledOperator(FlowOperator):
 
     def force_with_parameters(self, u: Any, numbers: Any) -> Any:
         """Force of tensors [S, N, 3] with other parameters, differentiable once in all."""
-        field, phi = u[..., :2], u[..., 2]
+        field, phi = u[..., :2], u[..., 2].double()
         parts = self.model.model, self.body, self.table
         force = bond_force(*parts, field, numbers, numbers["coupling"] * phi)
         flux = self.diffusion.force_with_parameters(phi, self._of_conductor(numbers))

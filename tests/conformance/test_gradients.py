@@ -220,6 +220,7 @@ def test_a_module_learns_the_numbers_of_its_material_and_is_saved_and_copied(nam
     for one in (other, copy.deepcopy(module), again):
         assert torch.equal(one(u), module(u))
     assert torch.equal(torch.as_tensor(module(u.numpy())), module(u))
+    near(module.float()(u.float()).detach(), other(u).detach(), 1e-5)
 
 
 @parametrize("name", ["LPS", "crystal", "conductor"])

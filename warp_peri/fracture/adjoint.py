@@ -46,6 +46,7 @@ def bond_force(
     numbers: lam, mu, alpha and D as tensors. pressure: additional stress at nodes that resists a
     dilatation [stress], shape [S, N].
     """
+    u, numbers = u.double(), {name: value.double() for name, value in numbers.items()}
     classes, d, mu = body.classes, body.dimension, numbers["mu"]
     r = torch.from_numpy(
         classes.r * (model.certified_spacing_near(classes.spacing) / classes.spacing)
