@@ -231,6 +231,7 @@ def test_what_is_no_file_of_phonopy_and_charges_of_a_sheet_are_refused(tmp_path)
         ("BORN", f"14.4\n{one}{one}", "born: expected charges .* whose sum is 0 within 0.1 e"),
         ("BORN", f"14.4\n{one}{one}\n{one}", "Too many atoms in the BORN file"),
         ("BORN", f"27\n{one}{one}", r"BORN: expected the factor 14\.3997 or none, got 27"),
+        ("BORN", f"nan\n{one}{one}", "BORN: expected the factor .* got nan"),
         ("BORN", f"# e\n 1e12{one[2:]}{9 * ' 0'}", "dielectric: expected at most .* waves"),
     ):
         for one, whole in {"phonopy.yaml": given, "FORCE_SETS": rows, name: text}.items():

@@ -112,7 +112,7 @@ def test_columns_and_their_units_are_what_a_header_says_behind_a_comment_too(tmp
 
 
 def test_columns_that_contradict_each_other_are_refused(tmp_path, frame_of):
-    columns = dict(zip("xyuv!_.", (*LINEAR, [1e300] * (n := len(BIG)), [0] * n, ["one"] * n)))
+    columns = dict(zip("xyuv!_.", (*LINEAR, [1e300] * (n := len(BIG)), [0] * n, ["True"] * n)))
 
     def read(header, names, pixel=1.0):
         told(tmp_path / "a.csv", header, [columns[name] for name in names], pixel=pixel)
@@ -122,7 +122,7 @@ def test_columns_that_contradict_each_other_are_refused(tmp_path, frame_of):
         "expected units of angstrom, .* got 'furlong'": ("x [mm],y [mm],u [furlong],v", "xyuv"),
         "the size of a pixel with one, got x in no unit": ("x,y,u [mm],v [mm]", "xyuv"),
         "expected 4 fields, as in its header, got": ("x,y,u,v", "xyuvv"),
-        "expected a number, got 'one'": ("x,y,u,v", "xyu."),
+        "expected a number, got 'True'": ("x,y,u,v", "xyu."),
         "a.csv: x, y, u, v: expected finite values, got 1e.300": ("x,y,u,v", "xyu!"),
         "a.csv: .* expected each point once": ("x,y,u,v", "__uv"),
         "pixel: expected a length > 0, with a unit of ang": ("x,y,u,v", "xyuv", "0.5 inch"),

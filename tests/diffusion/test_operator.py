@@ -157,6 +157,8 @@ def test_what_does_not_fit_is_refused():
         "eigenvalues below zero": lambda: ThermoelasticMaterial(three, bad, 1.0, 1.0).on(wide),
         "negative eigenvalues": lambda: soft.on(torn),
         "collar: expected shape": (lambda: flow(0.0), lambda: flow([])),
+        "b: expected an array": lambda: flow(b=np.ndarray),
+        "kappa: expected float values": lambda: law.on(points, kappa=np.ndarray),
         "b: expected shape": (
             lambda: flow(b=lambda t: x[: int(10 * t)]),
             lambda: solve(coupled, Dirichlet(points, rest[:, 0], rest)),

@@ -77,6 +77,7 @@ def test_what_fields_refuse():
     solid, cracked = model.spread(points, None, mu), Cracked(points, u=noise(points))
     assert_refused({
         "mu: expected a number, or one of each of": lambda: model.on(points, mu=mu[:-1]),
+        "mu: expected float values": lambda: model.on(points, mu=np.ndarray),
         "expected μ > 0": lambda: model.on(points, mu=-mu),
         f"points: expected the {len(mu)} nodes of the fields": lambda: solid.on(near),
         "mu: expected one number": lambda: Bonds(points, HORIZON).law(LAM, mu[:3], 1.0, [1.0]),

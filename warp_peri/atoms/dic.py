@@ -47,8 +47,8 @@ UNITS |= {"å": ("angstrom", 1.0), "cm": ("mm", 10.0), "micron": ("um", 1.0)}
 UNITS |= dict.fromkeys(("in", "inch", "inches"), ("mm", 25.4))
 UNITS |= dict.fromkeys(("px", "pixel", "pixels"), (None, 1.0))
 """Unit of LENGTHS by what a table says, none for pixels, and how many of it that is."""
-WORDS = {"true": 1.0, "false": 0.0}
-WORDS |= dict.fromkeys(("", "-", "na", "n/a", "#n/a", "null", "none", "nv"), np.nan)
+WORDS = dict.fromkeys(("", "-", "na", "n/a", "#n/a", "null", "none", "nv"), np.nan)
+FLAGS = WORDS | {"true": 1.0, "false": 0.0}
 BEFORE = 1000
 """Lines in which a header is looked for."""
 NEAR, OFF, TIMES, DEEP = 12, 0.01, 6.0, 1.6
@@ -81,7 +81,9 @@ def read_table(
     names = [_named(field)[0] for field in header]
     below, nil = ([n for n, name in enumerate(names) if name in of] for of in (NEGATIVE, ZERO))
     asked = [*fields, *below, *nil]
-    table = np.array([[_number(row[n]) for n in asked] for row in rows], float)
+    table = np.array(
+        [[_number(row[n], WORDS if n in fields else FLAGS) for n in asked] for row in rows], float
+    )
     table, errors, flags = np.split(table.reshape(-1, len(asked)), [4, 4 + len(below)], axis=1)
     good = np.isfinite(table).all(axis=1) & (errors >= 0).all(axis=1)
     good &= (np.nan_to_num(flags) != 0).all(axis=1)
@@ -141,10 +143,10 @@ def _unit(word: str | None) -> tuple[str | None, float] | None:
     return UNITS.get(re.sub("[µμ]", "u", (word or "").strip("[]()")).lower())
 
 
-def _number(field: str) -> float:
-    """Read a number, NaN for an empty field; InputError for other text."""
+def _number(field: str, words: dict[str, float]) -> float:
+    """Read a number or one of these words, NaN for an empty field; InputError for other text."""
     try:
-        return WORDS[field.lower()] if field.lower() in WORDS else float(field)
+        return words[field.lower()] if field.lower() in words else float(field)
     except ValueError:
         raise InputError(f"expected a number, got {field!r:.60}") from None
 

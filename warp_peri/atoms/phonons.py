@@ -244,7 +244,7 @@ def from_phonopy(path: StrPath, *, thickness: Positive | None = None) -> ForceCo
         by_code = optional("phonopy.interface.calculator", WITHOUT).get_calculator_physical_units
         units = by_code(found.calculator)
         usual = units.nac_factor
-        if abs((ions or {}).get("factor", usual) / usual - 1) > FACTOR:
+        if not abs((ions or {}).get("factor", usual) / usual - 1) <= FACTOR:
             raise InputError(f"BORN: expected the factor {usual:.6g} or none, got {ions['factor']}")
     except Exception as error:  # phonopy raises whatever its parsing runs into
         raise InputError(

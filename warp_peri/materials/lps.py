@@ -508,8 +508,8 @@ def stiffnesses(model: LPSMaterial, classes: BondClasses) -> tuple[np.ndarray, f
             f"got {model.dimension}; in space crystal_from_lps(model, spacing) is proven"
         )
     r = classes.r * (model.certified_spacing_near(classes.spacing) / classes.spacing)
-    kw = model.influence(r) * classes.weight
-    return model.mu * kw / weighted_volume(classes, kw), (model.lam - model.mu) / model.mu**2
+    mu, kw = model.mu, model.influence(r) * classes.weight
+    return mu * kw / weighted_volume(classes, kw), (model.lam - mu) / mu / mu  # mu² may be 0
 
 
 def stencil_of(classes: BondClasses, v: np.ndarray, kappa: float) -> Stencil:

@@ -297,10 +297,10 @@ def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> dict[
         first, *more = [kind for kind in kinds if kind is not NoneType]
         if os.PathLike in kinds and isinstance(value, str) and (not value or "\0" in value):
             raise InputError(f"{name}: expected a path, got {value!r:.60}")
-        text = isinstance(value, str)
-        if any(isinstance(value, kind) and not (text and kind is Sequence) for kind in more):
+        no = Sequence if isinstance(value, str) else Callable if isinstance(value, type) else None
+        if any(isinstance(value, kind) and kind is not no for kind in more):
             continue
-        if getattr(value, "requires_grad", False) and first in KINDS:
+        if getattr(value, "requires_grad", False) is True and first in KINDS:
             raise InputError(f"{name}: {GRADIENT}")
         if first is bool:
             check_flag(name, value)
@@ -310,7 +310,7 @@ def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> dict[
             fine = fine and (first is float or (value % 1 == 0 and abs(value) <= MOST))
             words = "a whole number" if first is int else "a finite number"
         elif first is np.ndarray:
-            fine, words = are_numbers(value), "float values"
+            fine, words = no is not Callable and are_numbers(value), "float values"
         elif first in (Mapping, dict):
             fine, words = isinstance(value, Mapping), "values by name"
         elif first in (Sequence, tuple, list):

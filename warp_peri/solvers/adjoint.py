@@ -196,7 +196,8 @@ def stepped(
     fields = [start]
     given = np.zeros(start.shape) if b is None else b, u if collar is None else collar
     for name, field in zip(("b", "collar"), given):
-        each = list(map(field, times[1:])) if callable(field) else [field]
+        called = callable(field) and not isinstance(field, type)
+        each = list(map(field, times[1:])) if called else [field]
         tensors += each
         each = [real(name, one) for one in each or [start]]
         for one in each:
