@@ -107,6 +107,10 @@ def test_calculators_that_are_none_are_named(tmp_path, monkeypatch):
         "lammps:lj/cut 5; pair_coeff * * 0.4 2.3; fix 1 all python/invoke 1 end_of_step f": "fix",
         "lammps:comb; fix 1 all qeq/comb 1 0.1 file ran; pair_coeff * * 1": "code or write",
         "lammps:sw; pair_coeff * * '`touch ran`.gz' Cu": "could run code",
+        "lammps:comb; fix 1 all qeq/comb 1 0.1 “file” ran; pair_coeff * * 1": "beyond ASCII",
+        "lammps:mliap model “mliappy” a.pkl; pair_coeff * * Cu": "beyond ASCII",
+        "lammps:sw; pair_coeff * * 'a.zst\" -o \"ran.zst' Cu": "nested quote",
+        'lammps:sw; pair_coeff * * """a.zst" -o "ran.zst""" Cu': "nested quote",
     }.items():  # fmt: skip
         with refused(what):
             wp.atoms.make_calculator(name, ["Cu"])

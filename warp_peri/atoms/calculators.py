@@ -98,11 +98,17 @@ def potential_file(given: StrPath) -> Path:
 
 
 def check_path(name: str, path: Path) -> None:
-    """Raise InputError for a path with characters that LAMMPS would interpret."""
-    if not str(path).isprintable() or {*str(path)} & {*COMMAND_SIGNS}:
+    """Raise InputError for a path with characters that LAMMPS would interpret or rewrite."""
+    if not is_plain(str(path)) or {*str(path)} & {*COMMAND_SIGNS}:
         raise InputError(
-            f"{name}: expected a path without {COMMAND_SIGNS} or control signs, got {str(path)!r}"
+            f"{name}: expected a path of ASCII without {COMMAND_SIGNS} or control signs, got "
+            f"{str(path)!r}"
         )
+
+
+def is_plain(text: str) -> bool:
+    """Whether LAMMPS takes text as it stands: it turns typographic quotes and spaces into ASCII."""
+    return text.isascii() and text.isprintable()
 
 
 def _check_line(line: str) -> None:
@@ -114,8 +120,12 @@ def _check_line(line: str) -> None:
             f"calculator: expected {', '.join(sorted(LINES))} or fix … qeq/…, got {line!r:.200}"
         )
     coded = CODE & {word.strip("\"'") for word in words}
-    if coded or not line.isprintable() or set(line) & {*"$&`|<>"}:
-        none = f"no {', '.join(sorted(CODE))}, $&`|<>, line break, which could run code or write"
+    nested = {"'", '"'} <= {*line} or '""' in line  # LAMMPS gives packed files to a shell
+    if coded or nested or not is_plain(line) or set(line) & {*"$&`|<>"}:
+        none = (
+            f"no {', '.join(sorted(CODE))}, $&`|<>, nested quote, line break or sign beyond ASCII, "
+            "which could run code or write"
+        )
         raise InputError(f"calculator: expected {none}, in the LAMMPS line {line!r:.200}")
     if words[0] == "pair_style" and (words[1:] or [""])[0] not in _pair_styles():
         raise InputError(f"calculator: LAMMPS has no such pair style, got {line!r:.200}")
