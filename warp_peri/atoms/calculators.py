@@ -198,7 +198,14 @@ def lammps_calculator(
     class Calculator(base):  # type: ignore[misc]
         """ASE's LAMMPS calculator, with errors in LAMMPS's own words."""
 
-        calculate = lammps_words()(base.calculate)
+        @lammps_words()
+        def calculate(self, *given: Any) -> None:
+            try:
+                base.calculate(self, *given)
+            except Exception:
+                if self.lmp is not None:
+                    self.lmp.opened = 0  # to close LAMMPS with a broken eam ends the process
+                raise
 
     return Calculator(
         lmpcmds=[line for line in lines if not line.startswith("set ")],
