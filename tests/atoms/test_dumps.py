@@ -148,7 +148,7 @@ def test_scaled_and_unwrapped_positions(tmp_path):
         mean_displacement(path, REFERENCE, box=BOX)
 
 
-@parametrize("name", ["a.extxyz", "a.traj"])
+@parametrize("name", ["a@0.extxyz", "a@0.traj"])
 def test_trajectories_of_ase_and_wrapped_atoms_of_a_tilted_box(tmp_path, name):
     """Refused where nothing says where they were; by their images as they moved."""
     path, across = tmp_path / name, MOVED - (EDGES @ CELL)[:, :2]
@@ -167,7 +167,7 @@ def test_trajectories_of_ase_and_wrapped_atoms_of_a_tilted_box(tmp_path, name):
     write([0 * MOVED, across])
     with refused(r"frame 2 .*jump by an edge of the tilted box"):
         list(iter_dump(path))
-    if name != "a.traj":  # which has no columns but ASE's own
+    if name != "a@0.traj":  # which has no columns but ASE's own
         write([0 * MOVED, across], [0 * EDGES, EDGES])
         with warned("unwrapped by the images"):
             found = mean_displacement(path, AT, skip=1)

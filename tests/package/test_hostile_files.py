@@ -115,6 +115,8 @@ CLAIMS = [
     *(("phonopy.yaml", YAML.format(x), "finite numbers") for x in (".nan", "-.INF", "1e999")),
     ("a.xyz", "1000000000000\n\nH 0 0 0\n", "cannot be read"),
     ("a.xyz", "1\nProperties=species:S:1:pos:R:1000000000\nH 0 0 0\n", "cannot be read"),
+    ("a.xyz", "1\n\nH 0 0 0\n99999999999\n\n", "frame 2 cannot be read .*as it claims"),
+    ("a.xyz", r"1|Properties=a:R:2\000000000|H".replace("|", "\n"), "as it claims"),
     ("a.dump", 10**6 * "\0", "cannot be read"),
 ]
 

@@ -8,12 +8,14 @@ import re
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import ase.io
 import numpy as np
 import scipy.sparse as sp
+from ase.io.extxyz import key_val_str_to_dict
 from ase.io.formats import filetype
 from numpy.linalg import norm
 from numpy.typing import ArrayLike
@@ -213,20 +215,30 @@ def _ordered(
     return DumpFrame(ids, x[:, :2], whole.get("type"), tuple(columns), x[:, 2], cell, free)
 
 
+def _xyz_frames(lines: TextIO) -> Iterator[str]:
+    """Iterate over the texts of an xyz file's frames; ValueError for one without what it claims."""
+    line = lines.readline()
+    while line.strip():
+        rows, count = [line, *islice(lines, 1 + int(line))], int(line)
+        columns = str(key_val_str_to_dict(rows[1]).get("Properties")).split(":")[2::3]
+        if len(rows) < 2 + count or sum(abs(int(one)) for one in columns) > sum(map(len, rows)):
+            raise ValueError("expected as many atoms and columns as it claims")
+        while (line := lines.readline()).lstrip().startswith("VEC"):
+            rows.append(line)
+        yield "".join(rows)
+
+
 def _by_ase(path: StrPath) -> Iterator[DumpFrame]:
     """Iterate over frames read by ASE, types by atomic number, ids a column or the file's order."""
-    form = "traj" if str(path).endswith(".traj") else "extxyz"  # never by what it looks like
-    if form == "extxyz":
-        with open(path, "rb") as file:
-            count, comment = (file.readline(LONGEST).decode(errors="replace") for _ in range(2))
-        wide = [int(number) for number in re.findall(r":[A-Z]:(\d+)", comment)]
-        if not int(count) + max(wide, default=0) < os.path.getsize(path):
-            raise ValueError("expected as many atoms and columns as a file of that size holds")
-    for atoms in ase.io.iread(os.fspath(path), index=":", format=form):
-        types = 1 + np.unique(atoms.numbers, return_inverse=True)[1]
-        values = {"id": np.arange(1, len(atoms) + 1)} | atoms.arrays | {"type": types}
-        cell = np.array(atoms.cell) * atoms.pbc[:, None]
-        yield _ordered(values, atoms.positions, cell, [*atoms.arrays], free=False)
+    with open(path, encoding="utf-8-sig") as lines:  # never by what it looks like
+        found = (ase.io.read(io.StringIO(text), format="extxyz") for text in _xyz_frames(lines))
+        if str(path).endswith(".traj"):
+            found = ase.io.iread(os.fspath(path), ":", "traj", do_not_split_by_at_sign=True)
+        for atoms in found:
+            types = 1 + np.unique(atoms.numbers, return_inverse=True)[1]
+            values = {"id": np.arange(1, len(atoms) + 1)} | atoms.arrays | {"type": types}
+            cell = np.array(atoms.cell) * atoms.pbc[:, None]
+            yield _ordered(values, atoms.positions, cell, [*atoms.arrays], free=False)
 
 
 LARGEST_HEADER = 2**16
