@@ -99,16 +99,16 @@ def potential_file(given: StrPath) -> Path:
 
 def check_path(name: str, path: Path) -> None:
     """Raise InputError for a path with characters that LAMMPS would interpret or rewrite."""
-    if not is_plain(str(path)) or {*str(path)} & {*COMMAND_SIGNS}:
+    if not _is_plain(str(path), COMMAND_SIGNS):
         raise InputError(
             f"{name}: expected a path of ASCII without {COMMAND_SIGNS} or control signs, got "
             f"{str(path)!r}"
         )
 
 
-def is_plain(text: str) -> bool:
-    """Whether LAMMPS takes text as it stands: it turns typographic quotes and spaces into ASCII."""
-    return text.isascii() and text.isprintable()
+def _is_plain(text: str, signs: str) -> bool:
+    """Whether text has none of the signs, nor typographic ones, which LAMMPS turns into ASCII."""
+    return text.isascii() and text.isprintable() and not {*text} & {*signs}
 
 
 def _check_line(line: str) -> None:
@@ -121,7 +121,7 @@ def _check_line(line: str) -> None:
         )
     coded = CODE & {word.strip("\"'") for word in words}
     nested = {"'", '"'} <= {*line} or '""' in line  # LAMMPS gives packed files to a shell
-    if coded or nested or not is_plain(line) or set(line) & {*"$&`|<>"}:
+    if coded or nested or not _is_plain(line, "$&`|<>"):
         none = (
             f"no {', '.join(sorted(CODE))}, $&`|<>, nested quote, line break or sign beyond ASCII, "
             "which could run code or write"
