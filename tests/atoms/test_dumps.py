@@ -67,6 +67,9 @@ def test_frames_and_structures_are_read_whatever_they_are_packed_in(tmp_path):
     ase.io.write(tmp_path / "bare.data", SALT, format="lammps-data")
     with refused(r"bare\.data: expected the masses of the types"):
         dumps.read_structure(tmp_path / "bare.data")
+    ase.io.write(tmp_path / "a.traj", ase.Atoms(info={"a": np.ones(2)}))
+    with refused("plain info"):
+        dumps.read_structure(tmp_path / "a.traj")
 
 
 def grained(dumps, force=None, **how):

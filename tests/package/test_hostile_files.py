@@ -110,6 +110,7 @@ def test_what_unpacks_to_more_than_is_read_is_refused(name, tmp_path, monkeypatc
     tracemalloc.stop()
 
 
+MANY = "99_999_999_999"
 YAML = "points:\n- symbol: Al\n  coordinates: [ {}, 0.0, 0.0 ]\n"
 CLAIMS = [
     *(("phonopy.yaml", YAML.format(x), "finite numbers") for x in (".nan", "-.INF", "1e999")),
@@ -118,6 +119,13 @@ CLAIMS = [
     ("a.xyz", "1\n\nH 0 0 0\n99999999999\n\n", "frame 2 cannot be read .*as it claims"),
     ("a.xyz", r"1|Properties=a:R:2\000000000|H".replace("|", "\n"), "as it claims"),
     ("a.dump", 10**6 * "\0", "cannot be read"),
+    *((f"b.{end}", f"{MANY}\n\nH 0 0 0\n", "that are there") for end in ("xyz", "extxyz")),
+    ("b.cfg", f"Number of particles = {MANY}\n", "that are there"),
+    ("b.dump", f"ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n{MANY}\n element", "that are there"),
+    ("b.data", f"xlo xhi\na{' ' * 10**4}b\n Masses\n", "short blanks"),
+    ("b.data", f"xlo xhi\n{MANY} atoms\n\n Masses\n\nAtoms # atomic\n", "that are there"),
+    ("POSCAR", f"Cu\n1\n4 0 0\n0 4 0\n0 0 4\n{MANY}\nDirect\n", "that are there"),
+    ("b.pwi", "&system\nATOMIC_POSITIONS\nCu (( 0 0\n", "closed brackets"),
     ("b.restart", "&A", "one of aims, .*, got cp2k-restart; ase.io.read gives Atoms"),
     ("b.dat", "%block lock species \ninclude_file /etc/passwd\n", "got onetep-in"),
 ]
