@@ -16,6 +16,7 @@ from contextlib import contextmanager, suppress
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
+from unicodedata import category
 
 from ase.data import atomic_masses, atomic_numbers
 
@@ -101,14 +102,15 @@ def check_path(name: str, path: Path) -> None:
     """Raise InputError for a path with characters that LAMMPS would interpret or rewrite."""
     if not _is_plain(str(path), COMMAND_SIGNS):
         raise InputError(
-            f"{name}: expected a path of ASCII without {COMMAND_SIGNS} or control signs, got "
-            f"{str(path)!r}"
+            f"{name}: expected a path of letters, numbers and signs of ASCII without "
+            f"{COMMAND_SIGNS}, got {str(path)!r}"
         )
 
 
 def _is_plain(text: str, signs: str) -> bool:
     """Whether text has none of the signs, nor typographic ones, which LAMMPS turns into ASCII."""
-    return text.isascii() and text.isprintable() and not {*text} & {*signs}
+    letters = all(one.isascii() or category(one) in "Lu Ll Lo Nd" for one in text)
+    return letters and text.isprintable() and not {*text} & {*signs}
 
 
 def _check_line(line: str) -> None:

@@ -256,7 +256,8 @@ def _check_claims(form: str, path: StrPath) -> None:
     said = text.split("\n")[5:7] if form == "vasp" else re.findall(CLAIMS, text)
     counts = re.findall(r"(?<![^\s=])\+?(\d[\d_]*)(?!\S)", " ".join(said))
     claimed = form == "traj" and re.search(ARRAYS, np.memmap(path, mode="r").data)
-    open_ended = form == "espresso-in" and re.search("[()]", re.sub(r"\([^()\s]+\)", "", text))
+    sites = re.sub(r"(?m)^#.*|\([^()\s]+\)", "", text.partition("ATOMIC_POSITIONS")[2])
+    open_ended = form == "espresso-in" and re.search("[()]", sites)
     blank = form == "lammps-data" and re.search(r"(?<!\s)[^\S\n]{99,}\S", text)
     if claimed or open_ended or blank or sum(map(int, counts)) > len(text):
         raise ValueError(
