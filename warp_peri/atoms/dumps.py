@@ -320,7 +320,7 @@ def read_masses(path: StrPath, masses: Sequence[float]) -> np.ndarray:
         raise InputError(
             f"masses: expected one for each of the types 1 to {most} of {path}, got {len(masses)}"
         )
-    each = checked("masses", masses)
+    each = checked("masses", masses, float, ("T",))
     if not (each > 0).all():
         raise InputError(f"masses: expected numbers > 0, got {each.min():g}")
     return np.asarray(each[frame.types - 1])
