@@ -249,11 +249,6 @@ def test_what_is_no_value_or_not_known_is_one_error(material):
         refused(path, hashed(changed(content, (*at, "version"), 9)), "version: expected ., got 9")
 
 
-def test_a_format_is_a_name(tmp_path):
-    for value in HOSTILE:
-        refused(tmp_path / "m.json", {"format": value})
-
-
 def test_other_units_there_and_back_are_the_same(material):
     found, path = material
     there, back, theirs = found.in_units(OTHER), path.with_name("back.json"), path.with_name("m2")

@@ -305,7 +305,6 @@ def test_what_would_lose_a_gradient_says_so():
             lambda: along(lambda mu: wp.solve(op, on(u), parameters={"mu": mu}).u, number),
         ),
         "gradient": (
-            lambda: wp.LPSMaterial(0.3, learns, 1.0, [1.0], horizon=3.0),
             lambda: wp.Samples(points, leaf),
             lambda: wp.simulate(op, on(0 * u), **waves | {"density": learns}),
             lambda: op.energy(leaf), lambda: op.rhs(leaf), lambda: op.jvp(leaf, leaf),

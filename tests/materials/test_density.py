@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import warp_peri as wp
-from tests.support import approx, assert_refused, parametrize, sup
+from tests.support import assert_refused, near, parametrize, sup
 from tests.support.materials import saint_venant
 from tests.support.problems import loaded
 from warp_peri.points.points import grid_places
@@ -66,7 +66,7 @@ def test_a_stretched_block_is_solved_to_second_order(name):
         inner = np.abs(points.x).max(1) <= 2
         errors.append(np.abs(answer.u - u)[inner].max() / sup(u))
         middle = np.abs(points.x[points.interior]).max(1) < 1e-9
-        assert answer.stress()[middle][0][0, 0] == approx(0.1, rel=2e-3)
+        near(answer.stress()[middle][0][0, 0], 0.1, 2e-3)
     assert errors[1] < errors[0] / 2 < 1e-5
 
 
@@ -83,7 +83,7 @@ def test_parameters_are_found_again(name, loss):
     start = {key: 1.3 * value for key, value in parameters.items()}
     found = wp.fit(samples, wp.Density(energy, 0.5, start, loss)).material
     for key, value in parameters.items():
-        assert found.parameters[key] == approx(value, rel=1e-5)
+        near(found.parameters[key], value, 1e-5)
     assert wp.evaluate(found, samples)["E_u"] < 1e-4
 
 
@@ -98,7 +98,6 @@ def test_what_cannot_be_used_is_refused_and_files_ask_for_the_energy(tmp_path):
     assert_refused({
         "energy: the file has the parameters of 'blatz_ko'": lambda: wp.load(path),
         "'blatz_ko', got 'saint_venant'": lambda: wp.DensityMaterial.read(path, saint_venant),
-        "energy: expected a function, got int": lambda: of(5),
         "mu: expected finite": lambda: of(blatz_ko, parameters={"mu": 1e200}),
         "no such file": lambda: wp.DensityMaterial.read(path.parent / "none.json", blatz_ko),
         "parameters: expected those of the function": lambda: of(blatz_ko, parameters={"k": 1.0}),

@@ -15,7 +15,7 @@ from tests.support.problems import lattice, noise
 from warp_peri import Dataset, Points, Samples, evaluate, load, save
 from warp_peri.files.checkpoint import write_arrays
 from warp_peri.points.arguments import factors
-from warp_peri.points.dataset import content_hash, load_dataset, save_dataset
+from warp_peri.points.dataset import load_dataset, save_dataset
 
 GRID = lattice(2, 1.0, spacing=2.5)
 N = len(GRID.x)
@@ -43,7 +43,6 @@ def path(tmp_path):
 def test_a_file_keeps_every_bit_and_says_what_it_is(path):
     back = load_dataset(path)
     assert list(back) == sorted(DATA)
-    assert content_hash(back) == content_hash(DATA)
     assert (back.thickness, back.density, back.provenance) == (3.35, 2267.0, DATA.provenance)
     for name in back:
         assert not back[name].points.first_difference(DATA[name].points)
@@ -97,7 +96,6 @@ def test_a_wrong_file_is_refused_by_name_before_memory_is_taken(path):
         (attribute("length_unit", "nm"), "sha256: the contents are not what was written"),
         (first("u", 1.0), "sha256: the contents are not what was written"),
         (lambda file: file.attrs.pop("thickness"), "'thickness' is missing"),
-        (attribute("thickness", np.nan), "thickness: expected a number > 0, got nan"),
         (attribute("provenance", "{"), "provenance: expected JSON"),
         (attribute("colour", "red"), "attributes: expected none but .*, got 'colour'"),
         (attribute("box_nodes", 5.0, "train"), "set 'train': attributes: .* got 'box_nodes'"),

@@ -25,6 +25,8 @@ KERNELS = {
 """Influence functions of several kinds."""
 everywhere = lambda x, spacing=1.0, **told: Points(x, np.ones(len(x), bool), spacing, **told)
 """Points without a collar."""
+within = lambda x, reach: Points(x, np.abs(x).max(1) < reach, 1.0)
+"""Points whose interior is nearer to the middle than a reach along each axis."""
 on_interior = lambda points, inside, beside=0.0: np.where(points.interior[:, None], inside, beside)
 """Values of the interior, and others beside it."""
 cut = lambda points, outside: replace(points, interior=points.interior & ~outside, outside=outside)

@@ -116,7 +116,7 @@ def test_a_planted_violation_takes_the_guarantee_away():
 def problem(model, size, interior=7):
     """A smooth field and the load that holds it."""
     points = replace(lattice(interior, 3.0), axis=0.0)
-    made = loaded(model.on(points), size * smooth(points.x, 1, 0, wave_number=0.5))
+    made = loaded(model.on(points), size * smooth(points.x, 1, wave_number=0.5))
     return points, made.u[0], made.b[0]
 
 
