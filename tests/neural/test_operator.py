@@ -17,7 +17,7 @@ from numpy.random import default_rng
 import warp_peri as wp
 from tests.gradients.cases import assert_slopes
 from tests.support import ROOT, approx, assert_refused, each_refused, of_json, parametrize, refused
-from tests.support.problems import ell, lattice, loaded, noise, normal, rotation
+from tests.support.problems import ell, everywhere, lattice, loaded, noise, normal, rotation
 from warp_peri.core.record import content_hash
 from warp_peri.files.atomic import locked
 from warp_peri.files.checkpoint import ArrayFile, read_arrays
@@ -25,7 +25,7 @@ from warp_peri.neural import training
 from warp_peri.neural.material import NeuralOperator
 from warp_peri.neural.placed import EquilibriumSolver, evaluate, interpolated_force
 from warp_peri.neural.training import TrainingSettings, train
-from warp_peri.points.points import Points, Samples, grid_places
+from warp_peri.points.points import Samples, grid_places
 from warp_peri.testing import assert_near as near
 from warp_peri.testing import check_product
 
@@ -179,7 +179,7 @@ def test_shipped_networks_are_read_and_written_alike(tmp_path):
 def test_numbers_points_and_fields_that_are_refused():
     points = lattice(3, HORIZON)
     placed, u = small().on(points), random_field(points)
-    cube = Points(grid_places((3, 3, 3)).astype(float), np.ones(27, bool), 1.0)
+    cube = everywhere(grid_places((3, 3, 3)).astype(float))
     assert_refused({
         "influence": lambda: NeuralOperator(HORIZON, (3,)),
         "state": lambda: NeuralOperator(HORIZON, state=(3, 0)),
@@ -203,7 +203,7 @@ def test_rounding_of_single_precision_is_an_equilibrium():
 
 def test_a_sheet_without_a_collar_is_not_solved_for():
     """Its displacement is known up to a motion; its residual is told alone."""
-    points = Points(grid_places((7, 7)).astype(float), np.ones(49, bool), 1.0, box=(7, 7))
+    points = everywhere(grid_places((7, 7)).astype(float), box=(7, 7))
     material, u = small(), 0.03 * np.sin(2 * np.pi * points.x / 7)[None]
     errors = evaluate(material, Samples(points, u, 1.1 * material.on(points)(u)))
     assert errors["E_res"] == approx(1 / 11)

@@ -1,17 +1,15 @@
 """Square plates with a round hole, meshed ring by ring."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from warp_peri import LPSMaterial
-from warp_peri.points.mesh import Mesh, make_mesh
+from warp_peri.points.mesh import make_mesh
 
 MODEL = LPSMaterial(0.3, 0.8, 1.0, [0.4, 0.6, -0.3, 0.6, -0.2], horizon=3.0, certified_on=(1.0,))
 """Of a kernel that changes sign, three spacings wide, and proven there."""
 
 
-def plate(radius: float, half: float, rings: int, around: int) -> Mesh:
+def plate(radius, half, rings, around):
     """Triangles between a hole and the sides of a square about it; parts "hole" and "sides"."""
     angle = 2 * np.pi * np.arange(around) / around
     circle = np.c_[np.cos(angle), np.sin(angle)]
