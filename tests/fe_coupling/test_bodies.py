@@ -8,10 +8,9 @@ from netgen import csg
 
 from examples.exact import plate_with_hole, relative_error
 from tests.crystal.crystals import learned
-from tests.support import filterwarnings, near, parametrize, shared, slow, sup
+from tests.support import each_refused, filterwarnings, near, parametrize, shared, slow, sup, warned
 from tests.support.plates import MODEL, plate
 from tests.support.problems import fitted_order, normal
-from tests.support.told import each_refused, warned
 from warp_peri.fe_coupling.body import Coupling, long_wave, solve_body
 from warp_peri.fe_coupling.boundary_elements import loads_on
 from warp_peri.fe_coupling.schwarz import bulk_lattice

@@ -13,8 +13,7 @@ import pytest
 
 import warp_peri as wp
 from tests.mpi.job import SWING, TOLERANCE, corrected, crack, swings, uneven, whole
-from tests.support import ROOT, approx, in_plane_and_space, parametrize, shared, slow
-from warp_peri.testing import assert_near as near
+from tests.support import ROOT, approx, in_plane_and_space, near, parametrize, shared, slow
 
 pytest.importorskip("mpi4py", reason="mpi4py is not installed: pip install 'warp_peri[mpi]'")
 MPIEXEC = Path(sys.executable).with_name("mpiexec")

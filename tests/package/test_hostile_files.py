@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
-from tests.support.told import refused
+from tests.support import filterwarnings, parametrize, refused
 from warp_peri import InputError
 from warp_peri.atoms.dumps import iter_dump, read_structure
 from warp_peri.cli.train import atom_forces
@@ -77,8 +77,8 @@ def deep():
     sys.setrecursionlimit(before)
 
 
-@pytest.mark.filterwarnings("ignore")  # parsers leave files open
-@pytest.mark.parametrize(("name", "parse"), PARSERS)
+@filterwarnings("ignore")  # parsers leave files open
+@parametrize(("name", "parse"), PARSERS)
 def test_no_file_runs_or_passes(name, parse, deep, tmp_path, monkeypatch):
     """Nor a pipe, which would be waited for."""
     monkeypatch.chdir(tmp_path)
@@ -98,7 +98,7 @@ def test_no_file_runs_or_passes(name, parse, deep, tmp_path, monkeypatch):
     assert not [*tmp_path.rglob(MARK)]
 
 
-@pytest.mark.parametrize("name", ["phonopy.yaml", "a.cif", "force.csv", "a.vtu"])
+@parametrize("name", ["phonopy.yaml", "a.cif", "force.csv", "a.vtu"])
 def test_what_unpacks_to_more_than_is_read_is_refused(name, tmp_path, monkeypatch):
     monkeypatch.setattr("warp_peri.files.atomic.LARGEST", 10**5)
     path = tmp_path / (name + ".xz" * (name != "a.vtu"))
@@ -131,14 +131,14 @@ CLAIMS = [
 ]
 
 
-@pytest.mark.parametrize(("name", "text", "words"), CLAIMS)
+@parametrize(("name", "text", "words"), CLAIMS)
 def test_numbers_that_are_none_and_atoms_that_are_only_claimed(name, text, words, tmp_path):
     (tmp_path / name).write_text(text)
     with refused(words):
         dict(PARSERS).get(name, read_structure)(tmp_path / name)
 
 
-@pytest.mark.parametrize("place", ["/etc/passwd", "../secret.h5", "nowhere.h5", "secret.h5"])
+@parametrize("place", ["/etc/passwd", "../secret.h5", "nowhere.h5", "secret.h5"])
 def test_a_mesh_names_no_file_elsewhere(place, tmp_path):
     square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
     folder = tmp_path / "in"

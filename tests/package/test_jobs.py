@@ -11,9 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support import ROOT
+from tests.support import ROOT, filterwarnings, parametrize, refused
 from tests.support.problems import kernel, lattice, noise
-from tests.support.told import refused
 from warp_peri.cluster import scheduler
 from warp_peri.files.atomic import locked, write_text
 from warp_peri.runtime import at_once
@@ -34,7 +33,7 @@ def started(code, *words):
     return subprocess.Popen([sys.executable, "-c", code, *map(str, words)], **how)
 
 
-@pytest.mark.parametrize("name", ["m.json", "a[b]*.h5"])
+@parametrize("name", ["m.json", "a[b]*.h5"])
 def test_a_second_job_is_refused_and_a_killed_one_holds_nothing(name, tmp_path):
     """And no file is removed but those of the process itself."""
     target, out = tmp_path / name, tmp_path / "out"
@@ -72,7 +71,7 @@ def operator(monkeypatch, threads):
     return kernel("positive", 2.5).on(lattice(20, 2.5))
 
 
-@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+@filterwarnings("ignore:.*fork:DeprecationWarning")
 def test_threads_share_helpers_and_a_fork_has_its_own(operator):
     fields = [noise(operator.points, seed=n) for n in range(3)]
     expected, wrong = [operator(u) for u in fields], []

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import warp_peri as wp
-from tests.support import ROOT, shared
+from tests.support import ROOT, filterwarnings, parametrize, shared, slow
 from tests.support.problems import kernel, lattice, manufactured
 from warp_peri.cli.main import main
 
@@ -57,7 +57,7 @@ TYPED = {
     for name, text in TEXT.items() if not name.startswith("papers/")
 }  # fmt: skip
 RUN = [
-    pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW))
+    pytest.param(name, marks=[slow] * (name in SLOW))
     for name in TEXT
     if name not in ELSEWHERE and (code(name) or "warp-peri " in " ".join(TYPED.get(name, [])))
 ]
@@ -100,8 +100,8 @@ def home(tmp_path_factory):
     return folder
 
 
-@pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("name", RUN)
+@filterwarnings("ignore")
+@parametrize("name", RUN)
 def test_a_page_runs_in_turn_and_prints_what_it_shows(name, home, tmp_path, monkeypatch, capsys):
     """Code in the names of blocks before; of what commands print a tutorial shows some lines."""
     home = Path(shutil.copytree(home, tmp_path / "home", symlinks=True))

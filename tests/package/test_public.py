@@ -16,7 +16,7 @@ from importlib import import_module
 import pytest
 
 import warp_peri as wp
-from tests.support import ROOT, shared
+from tests.support import ROOT, filterwarnings, parametrize, shared
 from warp_peri.errors import InputError, exit_status
 
 PACKAGE, API = ROOT / "warp_peri", ROOT / "docs" / "reference" / "api"
@@ -72,8 +72,8 @@ def begun():
     return known
 
 
-@pytest.mark.filterwarnings("ignore::UserWarning")
-@pytest.mark.parametrize("name", wp.__all__)
+@filterwarnings("ignore::UserWarning")
+@parametrize("name", wp.__all__)
 def test_a_docstring_has_arguments_errors_and_an_example_that_runs(
     name, begun, tmp_path, monkeypatch
 ):
@@ -98,7 +98,7 @@ QUIET = (
 MISSING = "import sys; sys.modules['torch'] = None\nimport warp_peri\ntry: warp_peri.LPS\n"
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("code", "printed"),
     [
         (f"import sys, warp_peri; warp_peri.load; {LOADED}", ""),
