@@ -138,11 +138,10 @@ class MatrixProblem:
         sums = by.rows * (self.sizes @ np.resize(by.columns, len(self.unknown)))
         off, self.left = self.stiffness @ solution - right, 0.0
         for own in (by.apart, ~by.apart):
-            load = right - self.stiffness @ np.where(own, 0.0, solution.T).T  # of others, too
-            wrong, size, answer = (
-                np.linalg.norm(part[:, own], axis=1)
-                for part in (off.T * by.rows, load.T * by.rows, solution.T / by.columns)
-            )
+            others = self.stiffness @ np.where(own, 0.0, solution.T).T  # which may cancel right
+            parts = off.T * by.rows, right.T * by.rows, others.T * by.rows, solution.T / by.columns
+            wrong, size, more, answer = (np.linalg.norm(part[:, own], axis=1) for part in parts)
+            size += more
             self.left = max(self.left, *(wrong / np.where(size > 0, size, np.inf)).tolist())
             # A tiny pivot solves its own row exactly: what rounding of L alone would leave counts.
             rounding = np.finfo(float).eps * sums[own].max(initial=0.0) * answer
