@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.errors import ALONE, InputError, agreed
+from warp_peri.errors import ALONE, agreed
 from warp_peri.fe_coupling.body import solve_body
 from warp_peri.fe_coupling.boundary_elements import Field, Traction
 from warp_peri.points.arguments import (
@@ -26,7 +26,7 @@ from warp_peri.points.arguments import (
 )
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points, PointsLike, nodes_of
-from warp_peri.protocols import placed, uncompiled
+from warp_peri.protocols import check_collar, placed, uncompiled
 from warp_peri.solvers.adjoint import in_motion
 from warp_peri.solvers.motion import Motion, refuse_learning
 from warp_peri.solvers.solution import Coupling, Solution, Solver, refuse_solver, told
@@ -66,11 +66,8 @@ class Dirichlet:
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
         """Solve for the material at rest."""
         extra = {"parameters": options.pop("parameters")} if "parameters" in options else {}
-        operator = placed(material, nodes := nodes_of(self.points), **options)
-        if not is_piece(nodes) and nodes.interior.all():
-            raise InputError(
-                "points: expected nodes on a collar, where u is given; Periodic(…) has none"
-            )
+        check_collar(nodes := nodes_of(self.points))
+        operator = placed(material, nodes, **options)
         load = self.b
         if load is None:
             load = np.zeros(getattr(self.u, "shape", None) or as_array("u", self.u).shape)

@@ -18,7 +18,7 @@ import numpy as np
 
 import warp_peri.core as core
 from warp_peri.errors import InputError, quietly
-from warp_peri.points.arguments import check_arguments, checked, is_tensor, offered, plain
+from warp_peri.points.arguments import check_arguments, checked, is_piece, is_tensor, offered, plain
 from warp_peri.points.points import Samples
 
 if TYPE_CHECKING:
@@ -257,6 +257,14 @@ def refuse_uncut(material: Any, problem: str) -> None:
 
 
 MATERIAL = "a material, as fit(…).material or load(…)"
+
+
+def check_collar(points: Any) -> None:
+    """Raise InputError for points of one process that have no nodes on which u is given."""
+    if not is_piece(points) and points.interior.all():
+        raise InputError(
+            "points: expected nodes on a collar, where u is given; Periodic(…) needs none"
+        )
 
 
 def placed(

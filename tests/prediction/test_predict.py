@@ -210,6 +210,20 @@ def test_wrong_input_is_refused(family):
     one = wp.Samples(points, u[None], given.b[None])
     assert_refused({
         "predict: expected a problem": lambda: wp.predict(family, points),
+        "problem, .* got Cracked": lambda: wp.predict(
+            family, wp.Cracked(points, b=given.b, u=given.u, cracks=[[[0.0, 0.0], [1.0, 0.3]]])
+        ),
+        "nodes on a collar": lambda: wp.predict(
+            family, wp.Dirichlet(wp.Points.sheet((9, 9), 1.0), *np.zeros((2, 81, 2)))
+        ),
+        "wavelengths > 0 that grow": lambda: ErrorSpectrum(np.array([2.0, 1.0]), np.ones(2)),
+        "an error ≥ 0 of each": lambda: ErrorSpectrum(np.array([1.0, 2.0]), np.ones(1)),
+        "units and dimension": lambda: replace(
+            family, second=family.second.in_units(("nm", "TPa"))
+        ),
+        "moduli_error: expected": lambda: replace(
+            family, rich=replace(family.rich, provenance={"moduli_error": "x"})
+        ).moduli_error,
         "at least four samples": lambda: wp.fit(one, Ensemble(wp.LPS(3.0))),
         r"at: expected shape \[m, 2\]": lambda: wp.prediction.strain(points, [1.0, 2.0]),
         "u: expected .* masked": lambda: wp.prediction.strain(points, [[0.0, 0.0]])(

@@ -19,7 +19,7 @@ from warp_peri.core.proof import prove, stencil_of
 from warp_peri.errors import InputError, Rows, Shown
 from warp_peri.materials.certificate import curvature_bound
 from warp_peri.points.arguments import Positive, checked, checked_fields, typed, typed_methods
-from warp_peri.points.points import PointsLike, nodes_of
+from warp_peri.points.points import PointsLike, Samples, nodes_of
 from warp_peri.prediction.ensemble import (
     MOST,
     CalibrationFactors,
@@ -28,7 +28,8 @@ from warp_peri.prediction.ensemble import (
     Measure,
     norm,
 )
-from warp_peri.protocols import placed
+from warp_peri.problems import Dirichlet
+from warp_peri.protocols import check_collar, placed
 
 SOLVED, SHARE = 0.03, 0.3
 """The first linear solve goes to this relative residual, or to this share of the tolerance; the
@@ -321,11 +322,12 @@ def predict(
     if record.get("moduli_error") and not isinstance(material, EnsembleMaterial):
         plain = CalibrationFactors(1.0, 1.0, 0.0)
         material = EnsembleMaterial(material, material, (material, material), factors=plain)
-    if not all(hasattr(problem, name) for name in ("points", "b", "u")):
+    if not isinstance(problem, Dirichlet | Samples):  # of others more than u and b counts
         raise InputError(
             f"predict: expected a problem, Dirichlet(points, b, u), got {type(problem).__name__}"
         )
     points = problem.points
+    check_collar(nodes_of(points))
     asked = {"verb": "predict", "by": "ensemble_on", "has": "doubts", "kinds": FAMILY}
     members = placed(material, nodes_of(points), **asked, **options)
     load, field = checked_fields(members.points, problem.b, problem.u)

@@ -17,7 +17,7 @@ from warp_peri.core.record import FieldUnits, OnLinear
 from warp_peri.core.stencil import Grid, grid_of
 from warp_peri.errors import InputError, Rows
 from warp_peri.fitting.result import Fit
-from warp_peri.points.arguments import NotNegative, offered, typed
+from warp_peri.points.arguments import NotNegative, is_number, offered, typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import largest_strain
 from warp_peri.points.points import PointsLike, Samples, lattice_steps, nodes_of
@@ -62,6 +62,11 @@ class ErrorSpectrum:
     wavelength: Annotated[np.ndarray, FieldUnits(length=1)]
     error: np.ndarray
     shortest: Annotated[float, FieldUnits(length=1)] = 0.0
+
+    def __post_init__(self) -> None:
+        rising = np.size(self.wavelength) and (np.diff(self.wavelength, prepend=0.0) > 0).all()
+        if not (rising and self.error.shape == self.wavelength.shape and (self.error >= 0).all()):
+            raise InputError("record: expected wavelengths > 0 that grow, an error ≥ 0 of each")
 
     def of(self, shares: np.ndarray) -> float:
         """Relative error of a field with these shares by wavelength."""
@@ -325,6 +330,8 @@ class EnsembleMaterial(OnLinear, format="warp_peri.family", version=2):
         for one in (self.rich, self.second, *self.halves):
             if not hasattr(one, "on"):
                 raise InputError(f"member: expected a material, got {one!r:.40}")
+            if (one.units, one.dimension) != (self.rich.units, self.rich.dimension):
+                raise InputError("member: expected units and dimension of the rich one, got others")
 
     @property
     def horizon(self) -> float:
@@ -339,7 +346,10 @@ class EnsembleMaterial(OnLinear, format="warp_peri.family", version=2):
     @property
     def moduli_error(self) -> float:
         """Relative standard error of the rich member's moduli, by its record; 0 without."""
-        return float(getattr(self.linear, "provenance", {}).get("moduli_error", 0.0))
+        found = getattr(self.linear, "provenance", {}).get("moduli_error", 0.0)
+        if not (is_number(found) and found >= 0):
+            raise InputError(f"moduli_error: expected a number ≥ 0, got {found!r:.50}")
+        return float(found)
 
     def on(self, points: PointsLike, **options: Any) -> Any:
         """Operator of the rich member on points."""
