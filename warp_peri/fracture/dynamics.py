@@ -284,10 +284,11 @@ class CrackRun(Recorder):
         phi = body.damage(state)[nodes.own] if self.watch or self.series else None
         if self.watch:
             everywhere = nodes.gather(phi)
-            for name, function in self.watch.items():
-                found[name] = plain(f"watch {name}", function(everywhere.copy()))
-                for one in self.history.get(name, [])[:1]:
-                    check_shape(f"watch {name}", found[name], np.shape(one))
+            with agreed(nodes.comm):
+                for name, function in self.watch.items():
+                    found[name] = plain(f"watch {name}", function(everywhere.copy()))
+                    for one in self.history.get(name, [])[:1]:
+                        check_shape(f"watch {name}", found[name], np.shape(one))
         return state.time, found, {} if phi is None else {"damage": phi}
 
     def nodal(self, state: BreakingState) -> dict[str, np.ndarray]:

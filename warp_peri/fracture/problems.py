@@ -203,7 +203,9 @@ def in_steps(material: Any, body: LatticeBody, options: Any, nodes: Any = None) 
         state = moving.start(**begin)
     marching = CrackRun(moving, nodes=nodes, **records)
     if nodes is not None:
-        same(nodes.comm, ramp=[*map(moving.share, marching.times(run["steps"]))])
+        with agreed(nodes.comm):
+            shares = [*map(moving.share, marching.times(run["steps"]))]
+        same(nodes.comm, ramp=shares)
     return marching.motion(marching.march(state, **run))
 
 
