@@ -112,7 +112,12 @@ def writing(given: Namespace) -> Iterator[Callable[[], None]]:
         kept, there = results(given)
         # a file that is replaced has another number, or time
         old, said = {path: os.stat(path)[1::7] for path in there}, lines_in(kept)
-        yield lambda: keep(given, kept, BEGUN)
+        try:
+            yield lambda: keep(given, kept, BEGUN)
+        except InputError:
+            if said and {path: os.stat(path)[1::7] for path in results(given)[1]} == old:
+                write_text(kept, "\n".join(said))  # nothing was written
+            raise
         _, made = results(given)
         for path in [path for path in made if old.get(path) == os.stat(path)[1::7]]:
             if hashes(given, kept, {path: made.pop(path)})[-1] in said:
