@@ -91,10 +91,7 @@ def write_body(path: StrPath, body: BodySolution) -> dict[str, float]:
 
 def _samples(model: Any, points: Samples, u: np.ndarray) -> list[dict[str, np.ndarray]]:
     """Point data of each sample."""
-    if isinstance(linear := getattr(model, "linear", None), LPSMaterial):
-        inside = _of_linear(linear, points, u)
-    else:
-        inside = _of_law(model, points, u)
+    inside = _inside(model, points, u)
     return [
         {
             "displacement": field,
@@ -107,29 +104,26 @@ def _samples(model: Any, points: Samples, u: np.ndarray) -> list[dict[str, np.nd
     ]
 
 
-def _of_linear(model: LPSMaterial, points: Samples, u: np.ndarray) -> dict[str, np.ndarray]:
-    """Fields of an LPS at interior nodes, [S, I, …], transferred unless certified nowhere."""
-    if model.certified_on and points.spacing > 0:
-        model = model.on(points.points).model
-    fields = node_fields(model, points, u)
-    return {
-        "stress": _tensor(fields.stress),
-        "strain": _tensor(fields.strain),
-        "dilatation": fields.dilatation,
-        "energy": fields.energy,
-    }
-
-
-def _of_law(model: Any, points: Samples, u: np.ndarray) -> dict[str, np.ndarray]:
-    """Fields of any other law at interior nodes, [S, I, …]."""
+def _inside(model: Any, points: Samples, u: np.ndarray) -> dict[str, np.ndarray]:
+    """Fields at interior nodes, [S, I, …]: of an LPS, transferred unless certified nowhere, all."""
+    if isinstance(linear := getattr(model, "linear", None), LPSMaterial):
+        if linear.certified_on and points.spacing > 0:
+            linear = linear.on(points.points).model
+        fields = node_fields(linear, points, u)
+        return {
+            "stress": _tensor(fields.stress),
+            "strain": _tensor(fields.strain),
+            "dilatation": fields.dilatation,
+            "energy": fields.energy,
+        }
     operator = offered(model, "on", "write_vtk", MATERIAL)(points.points)
     found, stress = {}, operator.stress(u)
     if stress is not None:
-        found["stress"] = _tensor(np.asarray(stress))
+        found["stress"] = _tensor(stress)
     if hasattr(operator, "gradient"):
         H = operator.gradient(u)
         found["strain"] = _tensor(symmetric_part(H))
-        found["dilatation"] = np.trace(H, axis1=-2, axis2=-1)
+        found["dilatation"] = np.linalg.trace(H)
     return found
 
 

@@ -328,10 +328,23 @@ def by_strains(
         Lambda = np.zeros((len(cell), 3, d, d))
         for kind, (i, j) in enumerate(PAIRS[d]):
             Lambda[..., i, j] = Lambda[..., j, i] = push[kind]
-        taken, more = _relaxed(atoms, Lambda, tau, allowed)
+        n, m, size = len(cell), atoms.moving, EV_IN_TPA / atoms.volume
+        Lambda = (Lambda - Lambda.mean(axis=0))[:, :m].reshape(n * m, d, d)
+        onto = pinv(allowed.reshape(len(allowed), -1).T)
+
+        def relaxed(values: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+            """Reduction of C by relaxing atoms, and its errors."""
+            stiff = atoms.moments(values)[0][:, :m, :, :m].reshape(n * m, n * m)
+            moved = np.tensordot(relaxing(stiff, m), Lambda, 1)
+            taken = onto @ np.einsum("Iab,Icd->abcd", Lambda, moved).ravel() * size
+            each = np.einsum("mabcd,Icd->Iabm", onto.reshape(allowed.shape), moved)
+            errors = 2 * size * tau * each.reshape(-1, len(onto))
+            return np.tensordot(taken, allowed, 1), np.tensordot(errors, allowed, 1)
+
+        taken, more = relaxed()
         errors += [*more]
         for one in () if atoms.doubt is None else atoms.doubt:
-            errors.append(taken - _relaxed(atoms, Lambda, tau, allowed, atoms.values + one)[0])
+            errors.append(taken - relaxed(atoms.values + one)[0])
         C = C - taken
     return C, np.array([*errors, *off] if rough else errors)
 
@@ -359,25 +372,6 @@ def _slope(y: np.ndarray, e: np.ndarray, secant: bool) -> tuple[np.ndarray, floa
     left = norm(flat - X @ P @ flat) / np.sqrt(free)
     gain = float(norm(P[0]))
     return (P[0] @ flat).reshape(y.shape[1:]), float(left) * gain, gain
-
-
-def _relaxed(
-    atoms: ForceConstants,
-    push: np.ndarray,
-    error: float,
-    allowed: np.ndarray,
-    values: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Reduction of C [TPa] by relaxing atoms, and its errors; forces per strain [n, 3, d, d]."""
-    n, d, m = len(push), atoms.dimension, atoms.moving
-    push = (push - push.mean(axis=0))[:, :m].reshape(n * m, d, d)
-    stiff = atoms.moments(values)[0][:, :m, :, :m].reshape(n * m, n * m)
-    moved = np.tensordot(relaxing(stiff, m), push, 1)
-    size = EV_IN_TPA / atoms.volume
-    onto = pinv(allowed.reshape(len(allowed), -1).T)
-    taken = onto @ np.einsum("Iab,Icd->abcd", push, moved).ravel() * size
-    each = np.einsum("mabcd,Icd->Iabm", onto.reshape(allowed.shape), moved).reshape(-1, len(onto))
-    return np.tensordot(taken, allowed, 1), np.tensordot(2 * size * error * each, allowed, 1)
 
 
 def joined(

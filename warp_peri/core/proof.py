@@ -320,10 +320,7 @@ def _ratio(stencil: Stencil, weight: Stencil, phase: np.ndarray) -> np.ndarray:
 def parts(tensors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Positive and negative part of symmetric matrices, C = C⁺ − C⁻."""
     value, vector = np.linalg.eigh(tensors)
-    above, below = (
-        (vector * np.maximum(sign * value, 0)[:, None]) @ vector.swapaxes(-1, -2)
-        for sign in (1, -1)
-    )
+    above, below = ((vector * np.maximum(sign * value, 0)[:, None]) @ vector.mT for sign in (1, -1))
     return above, below
 
 
@@ -427,7 +424,7 @@ def _long_waves(stencil: Stencil, group: np.ndarray) -> tuple[float, int]:
     """Proven q > 0 with Q(e) ≥ q |e|² for all e, or 0, and the number of cells (T13). On cells of
     faces e_a = 1 of a cube Q(e) − q |e|² is affine plus at least −Σ C⁻ (t·ξ)² − q |t|²."""
     d, brackets = stencil.dimension, stencil.brackets
-    one, both = np.eye(brackets.shape[0]), brackets + brackets.swapaxes(2, 3)
+    one, both = np.eye(brackets.shape[0]), brackets + brackets.mT
     grid = grid_points(np.linspace(-1, 1, {2: 2001, 3: 121}[d]), d - 1)
     e = np.concatenate([np.insert(grid, a, 1.0, axis=1) for a in range(d)])
     e = e[canonical(e, group, 0.0)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -191,7 +192,7 @@ def force_with_parameters(operator: Any, u: torch.Tensor, numbers: Numbers) -> t
 
     def back(asked: tuple[bool, ...], w: np.ndarray) -> list[Any]:
         u, at = made
-        slopes = by_numbers(at, [n for n, one in zip(names, asked[1:]) if one], u, w)
+        slopes = by_numbers(at, [*compress(names, asked[1:])], u, w)
         return [at.vjp(u, w) if asked[0] else None, *map(slopes.get, names)]
 
     (force,) = once(there, back, u, *numbers.values())
@@ -243,7 +244,7 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
         w, *by = _pulled(operator, u, g, solver)
         u = u.reshape(-1, *operator.shape)
         w = -w.reshape(len(u), *w.shape[-len(operator.shape) :])  # of a rank it may be empty
-        slopes = by_numbers(operator, [n for n, one in zip(named, asked[2:]) if one], u, w)
+        slopes = by_numbers(operator, [*compress(named, asked[2:])], u, w)
         held = [one for one in operator.networks if one.requires_grad]
         if held:
             with torch.inference_mode(False):

@@ -195,7 +195,7 @@ def _left_out(rows: np.ndarray, left: np.ndarray) -> np.ndarray:
     order, found = np.random.default_rng(0).permutation(len(y)), np.stack([y] * len(ridges))
     for part in (order[k::PARTS] for k in range(min(PARTS, len(y)))):
         A, b = (of.sum(axis=0) - of[part].sum(axis=0) for of in (gram, side))
-        unit = np.trace(A, axis1=-2, axis2=-1)[..., None, None]
+        unit = np.linalg.trace(A)[..., None, None]
         c = np.linalg.solve(A + (ridges**2 * unit + TINY) * np.eye(len(A[0])), b)
         found[:, part] -= rows[part] @ c[:, None]
     return np.asarray(min(found, key=lambda rest: (rest**2).sum()).reshape(left.shape))

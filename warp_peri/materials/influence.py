@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError, hold
+from warp_peri.files import atomic
 from warp_peri.materials.lps import LPSMaterial, bernstein_basis
 from warp_peri.points.arguments import (
     USUAL,
@@ -97,7 +98,7 @@ class InfluenceFunction:
     @property
     def vector(self) -> np.ndarray:
         """All parameters of the influence function in one vector, shape [P]."""
-        return np.concatenate([np.zeros(0), *map(np.ravel, self.parameters.values())]).astype(float)
+        return np.concatenate([np.zeros(0), *map(np.ravel, self.parameters.values())])
 
     @property
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
@@ -211,7 +212,7 @@ class InfluenceFunction:
 
     def record(self, departure: float) -> dict[str, Any]:
         """Provenance entry of an influence function, with its polynomial's departure."""
-        values = {name: np.asarray(value).tolist() for name, value in self.parameters.items()}
+        values = atomic.plain(self.parameters)
         return {"function": self.name, "parameters": values, "departure": departure}
 
 

@@ -91,8 +91,8 @@ class NeuralOperator(Shown, torch.nn.Module):
     ) -> None:
         super().__init__()
         for name, widths in (("influence", influence), ("state", state)):
-            whole = len(widths) == 2 and all(is_positive(w) and w % 1 == 0 for w in widths)
-            if not (whole and max(widths) <= WIDEST):
+            fine = (is_positive(w) and w % 1 == 0 and w <= WIDEST for w in widths)
+            if len(widths) != 2 or not all(fine):
                 raise InputError(
                     f"{name}: expected two whole numbers from 1 to {WIDEST}, got {widths!r:.60}"
                 )

@@ -269,8 +269,11 @@ class _Run:
         training, count = self.training, len(self.learned.u)
         if isinstance(self.learned, Frames) and self.history.epochs % RENEWED == 0:
             self.learned.renew()
+        now, epochs = self.history.epochs, training.epochs
+        # the rate rises, stays, and falls to zero by half a cosine
+        fall = 0.5 - 0.5 * math.cos(math.pi * min(1.0, (epochs - now) / (DECAY * epochs)))
         for group in self.adam.param_groups:
-            group["lr"] = training.rate * _share(self.history.epochs, training.epochs)
+            group["lr"] = training.rate * (min(1.0, (now + 1) / WARM) * fall)
         total = 0.0
         for some in torch.randperm(count, generator=self.random).split(training.batch):
             x, y = torch.rand(2, generator=self.random).tolist()
@@ -335,9 +338,3 @@ class _Run:
         except Exception as error:  # whatever torch raises for what it did not write
             material.load_state_dict(before)
             raise InputError(f"{file.path}: not a readable checkpoint ({error!r:.200})") from None
-
-
-def _share(epoch: int, epochs: int) -> float:
-    """Share of the learning rate in an epoch: a rise, a plateau, and half a cosine down to zero."""
-    fall = 0.5 - 0.5 * math.cos(math.pi * min(1.0, (epochs - epoch) / (DECAY * epochs)))
-    return min(1.0, (epoch + 1) / WARM) * fall

@@ -303,7 +303,7 @@ def _named(
 def cells_holding(corners: np.ndarray, x: np.ndarray, depth: float = -WITHIN) -> np.ndarray:
     """Number of a cell, of corners [T, d + 1, d], that holds each position [n, d], or −1; `depth`
     is in the cell's own coordinates, which are 0 to 1 across."""
-    inverse = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
+    inverse = np.linalg.inv((corners[:, 1:] - corners[:, :1]).mT)
     middle = corners.mean(axis=1)
     size = norm(corners - middle[:, None], axis=2).max(axis=1) * (1 + WITHIN)
     found, points = np.full(len(x), -1), cKDTree(x)

@@ -11,6 +11,7 @@ from itertools import count
 from typing import Any
 
 import numpy as np
+from numpy.linalg import norm
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
@@ -26,7 +27,6 @@ from warp_peri.prediction.ensemble import (
     EnsembleMaterial,
     EnsembleOperator,
     Measure,
-    norm,
 )
 from warp_peri.problems import Dirichlet
 from warp_peri.protocols import check_collar, placed
@@ -213,7 +213,7 @@ class Prediction(Shown):
         if not proof.holds:
             return None
         grid = points.lattice.steps[inside]
-        sides = grid.max(axis=0) - grid.min(axis=0) + 1  # of the box, whose Laplacian is softer
+        sides = np.ptp(grid, axis=0) + 1  # of the box, whose Laplacian is softer
         laplacian = float(sum(4 * np.sin(np.pi / 2 / (n + 1)) ** 2 for n in sides))
         smallest = proof.proven * laplacian / points.spacing**2
 
@@ -235,7 +235,7 @@ class Prediction(Shown):
             q, largest = found
         bound, whole = size / (1 - q), float(np.sqrt(max(np.vdot(inner, linear(inner)), 0.0)))
         relative = bound / whole if whole > 0 else np.inf
-        moved = bound / float(np.sqrt(smallest)) / max(norm(inner), 1e-300)
+        moved = bound / float(np.sqrt(smallest)) / max(float(norm(inner)), 1e-300)
         alone = f", and no other has |H| ≤ {largest:.2%}." if placed.nonlinear else "."
         words = (
             f"The model's own solution lies within {100 * relative:.2g} % of this answer in the "
@@ -355,7 +355,7 @@ def _answer(
     bent = None if placed.nonlinear else placed.bent(u)
 
     def share(field: np.ndarray | None) -> float:
-        return 0.0 if field is None else norm(field) / (norm(u[inside]) or 1.0)
+        return 0.0 if field is None else float(norm(field) / (norm(u[inside]) or 1.0))
 
     def judged(u: np.ndarray, left: np.ndarray, done: int) -> Prediction:
         fields = placed.doubts(u, left, told, slowed)

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 import scipy.fft
 import scipy.sparse as sp
+from numpy.linalg import norm
 from scipy.ndimage import distance_transform_edt
 
 from warp_peri.core.elastic import symmetric_part
@@ -125,11 +126,6 @@ def recorded(wavelength: np.ndarray, rows: np.ndarray, errors: np.ndarray) -> Er
     return ErrorSpectrum(wavelength, error, float(wavelength[first]))
 
 
-def norm(field: np.ndarray) -> float:
-    """Euclidean norm ‖field‖₂ of vectors [n, d]."""
-    return float(np.linalg.norm(field))
-
-
 class EnsembleOperator:
     """Members of an ensemble on points, a lattice unless the rich one is linear; options of `on`.
     `loads` is the number of loads to come, by which a factorisation is chosen."""
@@ -235,7 +231,8 @@ class EnsembleOperator:
         second, *halves = self.others
         waves = self.inverse(self.straight(u) - second(u), ROUGH)
         data = self.inverse(halves[0](u) - halves[1](u), ROUGH) / np.sqrt(2)
-        pull = pulled(spread(waves, data) / (norm(u[self.points.interior]) or 1.0), told)
+        size = float(norm(u[self.points.interior])) or 1.0
+        pull = pulled(spread(waves, data) / size, told)
         fields = {"left": left, "waves": pull * waves, "data": pull * data}
         if (strain := self.bent(u)) is not None:
             fields["strain"] = self.series(self.gradient(u), slowed) * strain
@@ -249,7 +246,7 @@ class EnsembleOperator:
 def quadratic_stresses(H: np.ndarray) -> np.ndarray:
     """Isotropic stresses, 7 in all, that are quadratic in H = ∇u [..., d, d], [7, ..., d, d]."""
     E, one = symmetric_part(H), np.eye(H.shape[-1])
-    W, trace = H - E, np.trace(E, axis1=-2, axis2=-1)[..., None, None]
+    W, trace = H - E, np.linalg.trace(E)[..., None, None]
     squares = ((F * F).sum(axis=(-1, -2))[..., None, None] * one for F in (E, W))
     mixed = (H @ H.mT, E @ W - W @ E)
     return np.stack([trace**2 * one, *squares, trace * E, E @ E, *mixed])

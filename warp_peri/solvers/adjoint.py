@@ -24,6 +24,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -125,7 +126,7 @@ class _Waves:
     def back(self, asked: tuple[bool, ...], p: Any, v: Any, seen: Any = None) -> list[Any]:
         """Derivatives to u, v and b [N, d], the signal, and the asked numbers, from the derivatives
         p, v of the end (p is overwritten) and `seen` of the records."""
-        wanted = [name for name, one in zip(self.names, asked[4:]) if one]
+        wanted = [*compress(self.names, asked[4:])]
         free, whole, last = self.body.interior, self.dt / self.body.inertia, self.steps
         q, load, totals = v[free], np.zeros_like(v[free]), dict[str, Any].fromkeys(wanted, 0.0)
         by_signal, batch = np.zeros(last + 1), list[tuple[np.ndarray, np.ndarray]]()
@@ -235,7 +236,7 @@ class Implicit:
     def back(self, asked: tuple[bool, ...], p: np.ndarray) -> list[Any]:
         """Derivatives to the start, to loads and given values of each step, and to asked numbers,
         from those of the fields, p (overwritten)."""
-        wanted = [name for name, one in zip(self.names, asked[3:]) if one]
+        wanted = [*compress(self.names, asked[3:])]
         steps, one, free = len(p) - 1, p.shape[1:], self.ahead.unknown
         p, w = p.reshape(steps + 1, -1), np.zeros((steps, np.count_nonzero(free)))
         by_load, by_given = np.zeros((2, steps, len(free)))

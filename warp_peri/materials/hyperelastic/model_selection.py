@@ -76,11 +76,11 @@ class Candidate:
             )
         fits = self.fit, *self.fit.others
         middle, *values = (uniaxial_stress(one.material, stretches, angle) for one in fits)
-        if (n := len(values)) < 2:
-            return middle, np.full_like(middle, np.nan), np.full_like(middle, np.nan)
-        deviation = stdtrit(n - 1, (1 + level) / 2) * np.sqrt(n - 1) * np.std(values, axis=0)
-        misfit = np.hypot(self.held_out, self.fit.scatter)
-        half = np.hypot(deviation, ndtri((1 + level) / 2) * misfit * middle)
+        half = np.full_like(middle, np.nan)
+        if (n := len(values)) > 1:
+            deviation = stdtrit(n - 1, (1 + level) / 2) * np.sqrt(n - 1) * np.std(values, axis=0)
+            misfit = np.hypot(self.held_out, self.fit.scatter)
+            half = np.hypot(deviation, ndtri((1 + level) / 2) * misfit * middle)
         return middle, middle - half, middle + half
 
 
