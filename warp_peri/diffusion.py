@@ -30,7 +30,7 @@ from warp_peri.points.arguments import (
     plain,
 )
 from warp_peri.points.families import families_of
-from warp_peri.points.points import PointsLike, nodes_of
+from warp_peri.points.points import PointsLike
 from warp_peri.protocols import OperatorBase
 from warp_peri.solvers.adjoint import stepped
 from warp_peri.solvers.solution import Direct, Solution, Solver, refuse_solver
@@ -70,7 +70,7 @@ class FlowOperator(OperatorBase):
 
     def interior_tangent(self, u: Any) -> sp.csc_array:
         """Tangent L between interior nodes, sparse."""
-        components = int(np.prod(self.shape[1:]))
+        components = math.prod(self.shape[1:])
         return self.matrix.tocsc()[:, np.repeat(self.points.interior, components)]
 
     def transposed(self, g: np.ndarray) -> np.ndarray:
@@ -111,8 +111,7 @@ class DiffusionOperator(FlowOperator):
     def __init__(
         self, law: DiffusionMaterial, points: PointsLike, *, kappa: Modulus | None = None
     ) -> None:
-        self.model, self.points = law, nodes_of(points)
-        check_same(law.units, self.points.units)
+        self.model, self.points = law, law.own_nodes(points)
         self.is_symmetric = self.points.spacing > 0  # on lattices
         families = families_of(self.points, law.horizon, bond_based=True)
         self.rows, row, classes = families.rows, families.row, families.lattice
@@ -160,13 +159,13 @@ class DiffusionOperator(FlowOperator):
         points, (near, far) = self.points, self._ends
         xi = points.x[far] - points.x[near]
         if points.box is not None:
-            xi -= np.asarray(points.box) * np.rint(xi / points.box)
+            xi -= points.box * np.rint(xi / points.box)
 
         def along(place: float) -> np.ndarray:
             values = kappa(points.x[near] + place * xi)
             return np.broadcast_to(_conductivities(values, len(near), "position"), len(near))
 
-        return np.asarray(1 / mean_inverse(along))
+        return 1 / mean_inverse(along)
 
     @property
     def shape(self) -> tuple[int, ...]:

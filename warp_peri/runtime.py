@@ -212,8 +212,7 @@ class Shared:
         self._held = [ints(self._turns), *given]  # of which the launch knows addresses
         self._launch = launch(kernel, 1, self._held, packed=True)
         if self._helpers:
-            box: wp.array[Any] = wp.array(_box, dtype=wp.int64, device=DEVICE, copy=False)
-            self._stay = launch(stay, 1, [box], packed=True)
+            self._stay = launch(stay, 1, [floats(_box, wp.int64)], packed=True)
 
     def give(self, place: int, value: Any) -> None:
         """Replace an array or struct, number 0 being the first given; it must live until the
@@ -246,8 +245,7 @@ def zeros(*shape: int, dtype: Any = wp.float64) -> wp.array[Any]:
 
 def ints(values: np.ndarray, dtype: Any = wp.int32) -> wp.array[Any]:
     """Make an int32 Warp array; shares memory with an int32 NumPy array."""
-    values = np.ascontiguousarray(values, dtype=np.int32)
-    return wp.array(values, dtype=dtype, device=DEVICE, copy=False)
+    return floats(np.ascontiguousarray(values, dtype=np.int32), dtype)
 
 
 def filled(struct: Any, *values: Any) -> Any:

@@ -24,6 +24,7 @@ Symmetry: TypeAlias = str | np.ndarray
 """Name of a point group, or rotations of one, shape [G, d, d]."""
 TOLERANCE = 1e-5
 """Of the entries of a rotation that maps a lattice onto itself."""
+GOLDEN_ANGLE = np.pi * (1 + np.sqrt(5))
 MOST = 400
 """Rotations beyond which generators do not close."""
 
@@ -230,7 +231,7 @@ def directions(count: int, dimension: int) -> np.ndarray:
     if dimension == 2:
         return unit_vectors(np.pi * number / count)
     z = 1 - 2 * number / count
-    angle = np.pi * (1 + np.sqrt(5)) * number
+    angle = GOLDEN_ANGLE * number
     r = np.sqrt(1 - z * z)
     return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
 

@@ -45,6 +45,7 @@ from warp_peri.points.arguments import (
     LARGEST,
     USUAL,
     Units,
+    check_same,
     check_units,
     checked,
     factors,
@@ -54,6 +55,7 @@ from warp_peri.points.arguments import (
     typed,
     typed_methods,
 )
+from warp_peri.points.points import Points, PointsLike, nodes_of
 
 UNITS = ("length_unit", "stress_unit")
 HEAD = ("format", "version", "sha256")
@@ -270,6 +272,12 @@ class Record(Shown, Held):
             return self
         moved = self._moved(self, by, units) | ({"units": units} if _has_units(self) else {})
         return replace(self, **moved | self.elsewhere(*by))  # type: ignore[type-var]
+
+    def own_nodes(self, points: PointsLike) -> Points:
+        """Nodes of points, samples or a rank's piece; InputError for other units than these."""
+        nodes = nodes_of(points)
+        check_same(self.units, nodes.units)
+        return nodes
 
     def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
         """Fields in other units that their types do not tell, for the factors."""

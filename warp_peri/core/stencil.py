@@ -7,6 +7,7 @@ a box of nodes with all that bonds reach, by rows or by FFT (T1, T15).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -383,10 +384,7 @@ def _check(points: Points, nodes: Grid, steps: np.ndarray, why: str) -> None:
     if nodes.periodic:
         body = np.pad(body, nodes.reach, mode="wrap")
     lacking = int((nodes.unknown & ~complete(body, steps, nodes.reach)).sum())
-    if lacking:
-        width = points.spacing * norm(steps, axis=1).max()
-        why = why or f"; give a collar {width:g} wide"
-    refuse_cut(lacking, len(nodes.interior), why)
+    refuse_cut(lacking, len(nodes.interior), points.spacing * steps, why)
 
 
 def complete(body: np.ndarray, steps: np.ndarray, r: int) -> np.ndarray:
@@ -418,9 +416,10 @@ def block(stencil: Stencil, mask: np.ndarray, *, around: bool = False) -> sp.csc
     return sp.csc_array((value.ravel(), at), shape=2 * (d * len(here),))
 
 
-def refuse_cut(lacking: int, count: int, why: str) -> None:
-    """Raise InputError where some of `count` interior nodes lack neighbours."""
+def refuse_cut(lacking: int, count: int, xi: np.ndarray, why: str = "") -> None:
+    """Raise InputError where some of `count` interior nodes lack neighbours by bonds ξ [H, d]."""
     if lacking:
+        why = why or f"; give a collar {norm(xi, axis=1).max():g} wide"
         raise InputError(
             f"points: expected all bonds of every interior node, got {lacking} of "
             f"{count} nodes with cut bonds{why}"
@@ -436,7 +435,7 @@ class ByRows:
         self.nodes, self.core = nodes, (slice(None), slice(None), *nodes.core)
         self.dtype, self.scalar = np.dtype(dtype), SCALARS[np.dtype(dtype)]
         self.kernels = rows(self.scalar, nodes.dimension)
-        strides = np.array([int(np.prod(nodes.wide[a + 1 :])) for a in range(nodes.dimension)])
+        strides = np.array([math.prod(nodes.wide[a + 1 :]) for a in range(nodes.dimension)])
         self.offset = ints(steps @ strides)
         upper = tensors[:, *np.triu_indices(nodes.dimension)]  # of symmetric matrices
         self.tensors = floats(np.ascontiguousarray(upper, self.dtype), self.scalar)

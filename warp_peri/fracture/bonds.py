@@ -13,6 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 import warp as wp
 from numpy.linalg import eigvalsh
+from numpy.typing import ArrayLike
 
 from warp_peri.core.elastic import lattice_group
 from warp_peri.core.proof import largest
@@ -199,7 +200,7 @@ def mean_gradients(
     """
     along = np.einsum("bj,bi->bji", xi, xi).reshape(len(xi), -1)  # e = along · gradient
     weight = np.abs(share)
-    pull = ((there * weight)[:, :, None] * xi).swapaxes(1, 2)
+    pull = ((there * weight)[:, :, None] * xi).mT
     shape, whole = pull @ xi, (weight * xi.T) @ xi
     spans = eigvalsh(shape)[:, 0] > least * eigvalsh(whole)[0]
     shape[~spans] = np.eye(len(whole))
@@ -230,13 +231,13 @@ class CutOperator:
         model: LPSMaterial,
         body: LatticeBody,
         *,
-        limits: np.ndarray | None = None,
-        no_fail: np.ndarray | None = None,
+        limits: ArrayLike = np.inf,
+        no_fail: ArrayLike = False,
     ) -> None:
         self.model, self.body = model, body
         self.bonded = stiffness, share, self.excess = bonds_of(model, body.classes)
         self.bonds = len(share)
-        self.limits = np.full(self.bonds, np.inf) if limits is None else limits
+        self.limits = np.broadcast_to(limits, self.bonds)
         d = body.dimension
         self._kernels = kernels.sweep(d)
         self.vector = self._kernels.vec
@@ -250,14 +251,11 @@ class CutOperator:
         self._number = np.zeros(size, np.int32)
         self._number[home] = np.arange(1, len(home) + 1)
         flags = np.zeros(size, np.uint8)
-        flags[home] = False if no_fail is None else no_fail
+        flags[home] = no_fail
         self._planes = floats(np.zeros(d * size))
         self._theta = floats(np.zeros(size if self.excess else 1))
         self._at = ints(offset), floats(np.ascontiguousarray(table), self._kernels.bond)
-        self._nodes: Any = (
-            ints(self._number),
-            wp.array(flags, dtype=wp.uint8, device="cpu", copy=False),
-        )
+        self._nodes: Any = (ints(self._number), floats(flags, wp.uint8))
         self._lost = zeros(len(first), dtype=wp.uint16)
         self._recorded: dict[tuple[Any, ...], Shared] = {}
 

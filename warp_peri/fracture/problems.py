@@ -23,12 +23,11 @@ from warp_peri.fracture.body import (
     through,
 )
 from warp_peri.fracture.dynamics import BreakingBody, CrackRun
-from warp_peri.fracture.statics import CutSolid, crack_load, grow
+from warp_peri.fracture.statics import CutSolid, by_component, crack_load, grow
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.points.arguments import (
     NotNegative,
     Positive,
-    check_same,
     check_shape,
     checked,
     is_tensor,
@@ -83,7 +82,7 @@ class Cracked:
         """Components that are given, shape [N, d] bool; InputError for a mask of another shape."""
         shape = self.points.x.shape
         if self.free is None:
-            return np.repeat(~self.points.interior[:, None], shape[1], axis=1)
+            return by_component(~self.points.interior, shape)
         return ~checked("free", self.free, bool, shape)
 
     def body(self, material: Any, verb: str) -> LatticeBody:
@@ -95,8 +94,7 @@ class Cracked:
                 f"{type(material).__name__}, whose third order no cut bond knows of"
             )
         linear = offered(material, "linear", verb, "a solid with a linear part for a Cracked")
-        check_same(linear.units, self.points.units)
-        linear.check_dimension(self.points)
+        linear.check_dimension(linear.own_nodes(self.points))
         if not self.points.is_open_lattice:
             raise InputError("points: a Cracked is for lattices that have no box and none outside")
         return lattice_body(self.points.x, self.points.spacing, linear.horizon)
@@ -152,8 +150,8 @@ class Cracked:
         """
         if self.pressure is not None:
             raise InputError("pressure: a Cracked under pressure is solved at rest; see Injected")
+        u: Any = np.zeros_like(self.points.x) if self.u is None else self.u
         if "density" in options and not hasattr(material, "density"):
-            u = np.zeros_like(self.points.x) if self.u is None else self.u
             return fracture.adjoint.in_motion(self.waves(material), self.b, u, options)
         body = self.body(material, "simulate")
         if self.corrected and not {"events", "step"} & options.keys():
@@ -163,7 +161,7 @@ class Cracked:
         if "events" in options or "loads" in options:
             if self.b is not None:
                 raise InputError("b: slow growth and pulls are of given displacements, got a load")
-            return self._slowly(material, body, options)
+            return self._slowly(material, body, u, options)
         asked = self.steps(options)
         offered(
             material, "density", "simulate", "a BrittleMaterial for steps, or events=…, or loads=…"
@@ -181,8 +179,7 @@ class Cracked:
         how |= {"load": self.b, "held": self.held, "corrected": self.corrected}
         return how, begin | {"u": self.u, "cracks": self.cracks}, files | records, run
 
-    def _slowly(self, material: Any, body: LatticeBody, options: dict[str, Any]) -> Motion:
-        u: Any = np.zeros_like(body.x) if self.u is None else self.u
+    def _slowly(self, material: Any, body: LatticeBody, u: Any, options: dict[str, Any]) -> Motion:
         u = u if is_tensor(u) else checked("u", u, float, body.x.shape, self.held)
         if "events" in options:
             (how,) = taken(options, "simulate", grow, given=("cracks", "corrected"))
@@ -301,7 +298,7 @@ def energy_release(
     body that nothing pulls at, and as Cracked.solved.
     """
     given = (problem.b, problem.u, problem.pressure)
-    if not any(np.any(np.nan_to_num(np.asarray(field))) for field in given if field is not None):
+    if not any(np.any(np.nan_to_num(field)) for field in given if field is not None):
         raise InputError("problem: nothing pulls at it; give b, u or pressure")
     energies, lengths = [], []
     for polylines in cracks:
@@ -397,7 +394,7 @@ def j_integral(solution: Solution, tip: Sequence[float], radii: tuple[float, flo
     x, u = (field[order].reshape(*sides, d) for field in (body.x - end, solution.u))
     gradient = _gradient(u, x, h, axes, sign)
     strain = symmetric_part(gradient)
-    trace = np.trace(strain, axis1=-2, axis2=-1)[..., None, None]
+    trace = np.linalg.trace(strain)[..., None, None]
     stress = 2 * model.mu * strain + model.lam * trace * np.eye(d)
 
     def fall(away: np.ndarray) -> np.ndarray:

@@ -162,8 +162,7 @@ class CutSolid(OperatorBase):
         inner = load[..., self.inside, :]
         if self._searches:
             answer, records = self._searched(*fields)
-            counts = [one.iterations for one in records]
-            return by_sample(self, answer.reshape(given.shape), inner, records, counts, "cg")
+            return by_sample(self, answer.reshape(given.shape), inner, records, "cg")
         answer = self._problem.solve(*fields).reshape(given.shape)
         return Solution(answer, self.points, self, inner, "lu", measured=self._problem.left)
 

@@ -28,7 +28,6 @@ from warp_peri.fitting.regression import norms
 from warp_peri.points.arguments import (
     USUAL,
     Units,
-    check_same,
     checked,
     checked_fields,
     factors,
@@ -37,7 +36,7 @@ from warp_peri.points.arguments import (
     symbols,
     typed,
 )
-from warp_peri.points.points import Points, Samples, nodes_of, unsaid
+from warp_peri.points.points import Points, Samples, unsaid
 from warp_peri.protocols import OperatorBase
 from warp_peri.solvers.linear import Inverse, Linear
 from warp_peri.solvers.solution import CG, Solution, Solver, by_sample, refuse_solver
@@ -69,9 +68,8 @@ class TensorOperator(OperatorBase):
         if (proven := self.model.statement) is None:
             self.linear.check_definite()
         found, took = self.linear.solve(loads, fields, asked.tolerance, asked.preconditioner)
-        counts = [each.iterations for each in took]
         method = self.linear.method(asked.preconditioner)
-        return by_sample(self, found.reshape(u.shape), self.rhs(b), took, counts, method, proven)
+        return by_sample(self, found.reshape(u.shape), self.rhs(b), took, method, proven)
 
     def inverse(self, loads: int) -> Inverse:
         """Inverse of L on so many interior loads: factorised, or by iteration."""
@@ -231,8 +229,7 @@ class StencilMaterial(Record):
 
     def fitting(self, points: Points | Samples) -> Points:
         """The nodes, checked for the material's spacing, units and axis; InputError for others."""
-        nodes = nodes_of(points)
-        check_same(self.units, nodes.units)
+        nodes = self.own_nodes(points)
         check_spacing(self.stencil.spacing, nodes.spacing, "the points have")
         return nodes
 

@@ -29,11 +29,10 @@ from warp_peri.points.arguments import (
     Positive,
     Units,
     check_parameters,
-    check_same,
     checked,
     typed,
 )
-from warp_peri.points.points import PointsLike, check_dimensions, nodes_of
+from warp_peri.points.points import PointsLike, check_dimensions
 from warp_peri.solvers.equilibria import SOLVES, equilibria_of, probed
 from warp_peri.solvers.linear import Inverse, Linear
 from warp_peri.solvers.solution import Solution, Solver
@@ -146,8 +145,7 @@ class DensityOperator(Pointwise):
     """Operator of a DensityMaterial on a lattice; see Pointwise."""
 
     def __init__(self, material: DensityMaterial, points: PointsLike) -> None:
-        nodes = nodes_of(points)
-        check_same(material.units, nodes.units)
+        nodes = material.own_nodes(points)
         if nodes.dimension != material.dimension:
             raise InputError(f"points: expected {material.dimension} coordinates")
         steps, weights = sided_gradients(nodes, material.horizon)

@@ -25,7 +25,6 @@ from warp_peri.points.arguments import (
     Positive,
     Units,
     as_array,
-    check_same,
     checked,
     factors,
     is_number,
@@ -363,8 +362,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         """The nodes, scaled to the certified spacing near theirs, so that the operator is the one
         of the proof; other lattices and scattered points as they are. Raises InputError for points
         in other units or dimensions than the model."""
-        nodes = nodes_of(points)
-        check_same(self.units, nodes.units)
+        nodes = self.own_nodes(points)
         self.check_dimension(nodes)
         spacing = self.certified_spacing_near(nodes.spacing)
         if spacing == nodes.spacing:

@@ -320,9 +320,9 @@ class LPSOperator(OperatorBase):
         self, load: np.ndarray, found: np.ndarray, method: str, took: Sequence[SolveRecord] = ()
     ) -> Solution:
         """Solution in the shape of the load; warns of strain beyond the data."""
-        u, counts = found.reshape(load.shape), [one.iterations for one in took]
+        u = found.reshape(load.shape)
         warn_beyond(self.model, lambda: largest_strain(self.nodes, u))
-        return by_sample(self, u, self.rhs(load), took, counts, method, self.proven)
+        return by_sample(self, u, self.rhs(load), took, method, self.proven)
 
     @property
     def _unknown(self) -> int:

@@ -33,15 +33,7 @@ from warp_peri.fitting.result import Fit
 from warp_peri.materials.certificate import Uniqueness, curvature_bound, prove_uniqueness
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import Crystal, Tensors, one_set, transfer_to_lattice
-from warp_peri.points.arguments import (
-    NotNegative,
-    Numbers,
-    check_same,
-    checked,
-    is_number,
-    shown_moduli,
-    typed,
-)
+from warp_peri.points.arguments import NotNegative, Numbers, checked, is_number, shown_moduli, typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.points import PointsLike, Samples, axis_of, lattice_steps, nodes_of
@@ -245,8 +237,7 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
         Raises InputError for other units, nodes without the collar, scattered points, and tensors
         without a certificate.
         """
-        nodes, here = nodes_of(points), self
-        check_same(self.units, nodes.units)
+        nodes, here = self.own_nodes(points), self
         if not nodes.spacing > 0:
             raise InputError("points: a third-order crystal is for lattices, got scattered points")
         if abs(nodes.spacing / self.spacing - 1) > SAME_SPACING:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.linalg import norm
 
-from warp_peri.core.elastic import directions, lattice_group, orbit_grid
+from warp_peri.core.elastic import GOLDEN_ANGLE, directions, lattice_group, orbit_grid
 from warp_peri.core.proof import certify
 from warp_peri.core.record import made_once
 from warp_peri.core.stencil import Basis
@@ -24,9 +24,9 @@ from warp_peri.materials.lps_law import (
     optimum,
     product_basis,
 )
-from warp_peri.points.arguments import Positive, check_same, search_length, symbols, typed
+from warp_peri.points.arguments import Positive, search_length, symbols, typed
 from warp_peri.points.families import AT_EDGES, bond_classes, carried_horizon
-from warp_peri.points.points import PointsLike, nodes_of, unit_vectors
+from warp_peri.points.points import PointsLike, unit_vectors
 
 WaveSymbol = Callable[[np.ndarray], np.ndarray]
 """k [K, d] along the nodes' axes to D(k) [K, d, d] [stress/length²]."""
@@ -97,7 +97,6 @@ FINEST = 10.0
 FITTED, LONG, LONG_SHARE = 60, 4, 0.04
 """Wave vectors that a kernel is fitted on; very long ones, their |k| over the largest of these, and
 their weight beside all others: it holds the moduli and costs short waves nothing."""
-GOLDEN_ANGLE = np.pi * (1 + np.sqrt(5))
 DIRECTIONS, RADII = 7, 40
 """Of the waves that errors are told of: over an eighth of the circle, and lengths."""
 TOLERANCE, WORST = 0.005, 0.05
@@ -296,7 +295,7 @@ def model_at(
     itself, with a warning. Raises InputError where nothing is proven of it here, and for points in
     other units or with a collar that no transfer fits."""
     if points is not None:
-        check_same(model.units, nodes_of(points).units)
+        model.own_nodes(points)
     if model.dimension == 3 and not model.is_certified_on(spacing):
         model = replace(model, certified_on=())  # in space no kernel is carried: it is proven anew
     if spacing and transfer and not (model.certified_on or allow_uncertified):

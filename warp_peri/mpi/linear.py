@@ -15,7 +15,7 @@ from warp_peri.kernels.micromodulus import rows as row_kernels
 from warp_peri.materials.crystal import StencilMaterial, crystal_from_lps
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.transfer import model_at
-from warp_peri.mpi.processes import Comm, Halo, Slabs, build, in_turn, inner
+from warp_peri.mpi.processes import Comm, Slabs, build, halo, in_turn, inner
 from warp_peri.points.arguments import check_same, offered
 from warp_peri.points.points import Points, grid_places
 from warp_peri.runtime import shared_by
@@ -46,8 +46,8 @@ class Level(VCycle):
         self._lay(steps, tensors, mask)
         self.comm, self.largest, self._fewer = comm, largest(steps, tensors), slabs.coarser()
         self._below = below or (steps, tensors * 2.0 ** (mask.ndim - 2))
-        self._far, self._near = (Halo(comm, slabs, width) for width in (self.reach, 1))
-        self._few = Halo(comm, self._fewer, 1)
+        self._far, self._near = (halo(comm, slabs, width) for width in (self.reach, 1))
+        self._few = halo(comm, self._fewer, 1)
         self._end = None if comm.rank + 1 < comm.size else -1  # with a row of the next rank
 
     @cached_property
@@ -95,6 +95,7 @@ class RowOperator:
     def __init__(self, law: StencilMaterial, piece: Subdomain) -> None:
         comm, d = piece.comm, piece.dimension
         self.model, self.points, self.dimension, self.stencil = law, piece, d, law.stencil
+        self.proven = law.statement
         self._box = piece.slabs.box(comm.rank)
         steps = piece.grid - np.eye(1, d, dtype=int) * piece.slabs.own(comm.rank).start
         place = np.ravel_multi_index(tuple(steps.T), self._box)
@@ -117,16 +118,10 @@ class RowOperator:
         grid, comm, steps = self._grid, self.points.comm, self.stencil.steps
         there = np.zeros((1, *self._box), np.int8)
         there.flat[grid.place] = 1
-        body = Halo(comm, self.points.slabs, self.stencil.reach)(there)[0] > 0
+        body = halo(comm, self.points.slabs, self.stencil.reach)(there)[0] > 0
         cut = grid.mask() & ~complete(body, steps, self.stencil.reach)
         lacking, count = np.sum(comm.allgather((int(cut.sum()), len(grid.interior))), axis=0)
-        width = self.stencil.spacing * np.linalg.norm(steps, axis=1).max()
-        refuse_cut(lacking, count, f"; give a collar {width:g} wide")
-
-    @property
-    def proven(self) -> str | None:
-        """Statement in one sentence of what is proven of the material, or None."""
-        return self.model.statement
+        refuse_cut(lacking, count, self.stencil.spacing * steps)
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """Force L u at this rank's interior nodes, shape [i, d], of u [n, d]."""

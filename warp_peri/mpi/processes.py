@@ -199,28 +199,25 @@ def cut(comm: Comm, shape: tuple[int, ...], rows: int) -> Slabs:
     return Slabs(tuple(int(n) for n in shape), rows, starts)
 
 
-class Halo:
-    """Layer, `width` nodes wide, around this rank's nodes; zeros beyond the box."""
+def halo(comm: Comm, slabs: Slabs, w: int) -> Callable[[np.ndarray], np.ndarray]:
+    """Make what lays `w` nodes of other ranks around a field [c, *box] of this rank's; zeros beyond
+    the box."""
+    own, give, take = slabs.own(comm.rank), list[Any](), list[Any]()
+    for rank in range(comm.size):
+        if rank != comm.rank:
+            theirs = slabs.own(rank)
+            for pairs, have, want, margin in (give, own, theirs, 0), (take, theirs, own, w):
+                rows = max(have.start, want.start - w), min(have.stop, want.stop + w)
+                if rows[0] < rows[1]:
+                    place = slice(*(row - own.start + margin for row in rows))
+                    pairs.append((rank, (slice(None), place)))
 
-    def __init__(self, comm: Comm, slabs: Slabs, width: int) -> None:
-        self.comm, self.width = comm, width
-        own, give, take = slabs.own(comm.rank), list[Any](), list[Any]()
-        for rank in range(comm.size):
-            if rank != comm.rank:
-                theirs = slabs.own(rank)
-                for pairs, have, want, margin in (give, own, theirs, 0), (take, theirs, own, width):
-                    rows = max(have.start, want.start - width), min(have.stop, want.stop + width)
-                    if rows[0] < rows[1]:
-                        place = slice(*(row - own.start + margin for row in rows))
-                        pairs.append((rank, (slice(None), place)))
-        self._give, self._take = give, take
-
-    def __call__(self, field: np.ndarray) -> np.ndarray:
-        """Field [c, *box] with the nodes of other ranks around it."""
-        w = self.width
+    def around(field: np.ndarray) -> np.ndarray:
         wide = np.pad(field, [(0, 0), (w, w)] + [(0, 0)] * (field.ndim - 2))
-        exchange(self.comm, field, wide, self._give, self._take)
+        exchange(comm, field, wide, give, take)
         return np.pad(wide, [(0, 0)] * 2 + [(w, w)] * (field.ndim - 2))
+
+    return around
 
 
 def exchange(comm: Comm, field: np.ndarray, wide: np.ndarray, give: Any, take: Any) -> None:

@@ -7,6 +7,7 @@ displacement comes from their owners after each drift: bonds break here as they 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
@@ -27,7 +28,6 @@ from warp_peri.points.arguments import (
     as_array,
     check_function,
     check_nodes,
-    check_same,
     check_units,
     checked,
     checked_fields,
@@ -124,8 +124,7 @@ class Subdomain:
         for one, load in zip(fields, right.reshape(len(fields), -1, self.dimension)):
             one[self.interior], record = operator.inverted(load - operator(one), tolerance)
             records.append(record)
-        counts, how = [record.iterations for record in records], (operator.method, operator.proven)
-        return by_sample(operator, answer, right, records, counts, *how)
+        return by_sample(operator, answer, right, records, operator.method, operator.proven)
 
     def move(self, material: Any, problem: Any, options: dict[str, Any]) -> Motion:
         """Move a Cracked on ranks, as Cracked.moved, or an unbroken body, as solvers.verlet.march.
@@ -143,8 +142,7 @@ class Subdomain:
             offered(material, "density", "simulate", "a BrittleMaterial")
             if problem.pressure is not None:
                 raise InputError("simulate: expected no pressure on ranks")
-            check_same(material.units, self.units)
-            material.linear.check_dimension(self)
+            material.linear.check_dimension(material.own_nodes(self))
             how, begin, *_ = asked = problem.steps(options)
         model, d = material.model, self.dimension
         build(comm, neighbours.lattice_neighbours, sweep(d).sweep, halves(d).kick_and_drift)
@@ -268,7 +266,7 @@ def lattice(
     grid[:, 0] += slabs.own(comm.rank).start
     x = origin + spacing * grid
     number = np.asarray(np.ravel_multi_index(tuple(grid.T), shape))
-    count = int(np.prod(shape))
+    count = math.prod(shape)
     with agreed(comm):
         inside = checked("interior", interior(x.copy()), bool, (len(x),))
         check_units(units)

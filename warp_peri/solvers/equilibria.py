@@ -109,6 +109,11 @@ class NonlinearRecord:
     converged: bool = True
     followed: bool = True
 
+    @property
+    def iterations(self) -> int:
+        """Linear solves, which are what a Solution counts."""
+        return self.solves
+
 
 class NoEquilibriumError(InputError):
     """No stable equilibrium was found; the message says how far the load was followed."""
@@ -258,8 +263,10 @@ def anderson(
         del steps[: -MEMORY - 1], fields[: -MEMORY - 1]
         u = u + steps[-1]
         if len(steps) > 1:
-            by_step = np.stack([earlier - steps[-1] for earlier in steps[:-1]], axis=-1)
-            by_field = np.stack([earlier - fields[-1] for earlier in fields[:-1]], axis=-1)
+            by_step, by_field = (
+                np.stack([earlier - each[-1] for earlier in each[:-1]], axis=-1)
+                for each in (steps, fields)
+            )
             flat = by_step.reshape(-1, by_step.shape[-1])
             u = u + (by_step + by_field) @ np.linalg.lstsq(flat, -steps[-1].ravel(), rcond=1e-12)[0]
     return best
@@ -480,10 +487,9 @@ def equilibria_of(
     if proven is not None:
         warn_beyond(records, proven)
     sure = proven and all(record.unique for record in records)
-    counts = [record.solves for record in records]
     method = ", ".join(sorted({record.method for record in records}))
     told, load = f"no other solution has |H| ≤ {proven:.2%}" if sure else None, operator.rhs(load)
-    return by_sample(operator, answers.reshape(field.shape), load, records, counts, method, told)
+    return by_sample(operator, answers.reshape(field.shape), load, records, method, told)
 
 
 def smallest_of(operator: Any, field: np.ndarray) -> float:

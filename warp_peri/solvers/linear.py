@@ -9,7 +9,7 @@ bounds it from below: above zero, conjugate gradients find the one answer.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property, reduce
+from functools import cached_property, partial, reduce
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -166,7 +166,7 @@ class Linear:
                 inner = make(*args, stencil.elastic)
             else:
                 inner = torus_inverse(*args)
-            edge = Edge(self.grid, stencil) if method == "strip" else None
+            edge = edge_elimination(self.grid, stencil) if method == "strip" else None
 
             def apply(r: np.ndarray) -> np.ndarray:
                 z = inner(r) * h2
@@ -276,18 +276,13 @@ def smallest_ratio(symbol: np.ndarray, torus: tuple[int, ...]) -> float:
     return smallest
 
 
-class Edge:
-    """Edge elimination z = E A_ee⁻¹ Eᵗ r on nodes within a reach of the edge, else zero."""
-
-    def __init__(self, grid: Grid, stencil: Stencil) -> None:
-        mask = grid.mask()
-        depth = distance_transform_cdt(np.pad(mask, 1), "chessboard")[(slice(1, -1),) * mask.ndim]
-        self.near = mask & (depth <= grid.reach)
-        self.factors = symmetric_factors(block(stencil, self.near))
-
-    def __call__(self, r: np.ndarray) -> np.ndarray:
-        """Displacement [d, *shape] that leaves no residual on the edge."""
-        return solved(self.factors, self.near, r)
+def edge_elimination(grid: Grid, stencil: Stencil) -> Filter:
+    """Edge elimination z = E A_ee⁻¹ Eᵗ r of planes r [d, *shape]: displacement on nodes within a
+    reach of the edge that leaves no residual there, else zero."""
+    mask = grid.mask()
+    depth = distance_transform_cdt(np.pad(mask, 1), "chessboard")[(slice(1, -1),) * mask.ndim]
+    near = mask & (depth <= grid.reach)
+    return partial(solved, symmetric_factors(block(stencil, near)), near)
 
 
 def solved(factors: Any, mask: np.ndarray, r: np.ndarray) -> np.ndarray:

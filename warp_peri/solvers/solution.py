@@ -249,12 +249,14 @@ def told(solved: Callable[[], Solution]) -> Solution:
 
 
 def by_sample(
-    operator: Any, u: Any, load: Any, records: Any, counts: Any, method: str = "newton",
+    operator: Any, u: Any, load: Any, records: Any, method: str = "newton",
     proven: str | None = None,
 ) -> Solution:  # fmt: skip
-    """Solution of samples solved in turn; details are `records`, iterations `counts`."""
+    """Solution of samples solved in turn; details are `records`, each with its residual and
+    iterations."""
     measured = max((one.residual for one in records), default=None)
-    of = operator.points, operator, load, method, tuple(counts), proven
+    counts = tuple(one.iterations for one in records)
+    of = operator.points, operator, load, method, counts, proven
     return Solution(u, *of, details=tuple(records), measured=measured)
 
 

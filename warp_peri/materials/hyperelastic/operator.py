@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import compress
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -22,17 +23,8 @@ from warp_peri.fitting.regression import norms
 from warp_peri.fitting.result import LOUD
 from warp_peri.materials.hyperelastic.energies import Energy, Hyperelastic, Strain
 from warp_peri.materials.hyperelastic.lattice import SMALLEST_AREA, SheetLattice, Sites, softest
-from warp_peri.points.arguments import (
-    USUAL,
-    Numbers,
-    Units,
-    check_same,
-    checked,
-    plain,
-    shown_moduli,
-    symbols,
-)
-from warp_peri.points.points import PointsLike, Samples, nodes_of, seen_of
+from warp_peri.points.arguments import USUAL, Numbers, Units, checked, plain, shown_moduli, symbols
+from warp_peri.points.points import PointsLike, Samples, seen_of
 from warp_peri.runtime import one_thread
 from warp_peri.solvers.equilibria import Descent, Inner, equilibria_of
 from warp_peri.solvers.solution import TOLERANCE, Solution, Solver
@@ -77,7 +69,7 @@ class HyperelasticMaterial(Record, format="warp_peri.hyperelastic", version=2):
     def sparse(self) -> HyperelasticMaterial:
         """The material without the strain energies whose coefficient is zero."""
         first, c = self.dictionary.first_term, self.coefficients
-        terms = [term for term, value in zip(self.dictionary.terms, c[first:]) if value]
+        terms = [*compress(self.dictionary.terms, c[first:])]
         values = np.append(c[:first], c[first:][c[first:] != 0])
         return replace(self, dictionary=self.dictionary.with_terms(terms), coefficients=values)
 
@@ -150,8 +142,7 @@ class HyperelasticSheetOperator(Swept):
         *,
         thickness: np.ndarray | None = None,
     ) -> None:
-        self.points = nodes_of(points)
-        check_same(model.units, self.points.units)
+        self.points = model.own_nodes(points)
         self.lattice = SheetLattice(self.points, model.dictionary.reach)
         self.interior, self.lift = self.lattice.interior, self.lattice.lift
         self.rough = self.lattice.rough
