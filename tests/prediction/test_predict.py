@@ -222,7 +222,7 @@ def test_wrong_input_is_refused(family):
             family, second=family.second.in_units(("nm", "TPa"))
         ),
         "moduli_error: expected": lambda: replace(
-            family, rich=replace(family.rich, provenance={"moduli_error": "x"})
+            family, rich=replace(family.linear, provenance={"moduli_error": "x"})
         ).moduli_error,
         "at least four samples": lambda: wp.fit(one, Ensemble(wp.LPS(3.0))),
         r"at: expected shape \[m, 2\]": lambda: wp.prediction.strain(points, [1.0, 2.0]),
