@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar
 
@@ -21,6 +20,7 @@ from warp_peri.fracture.statics import INDEFINITE
 from warp_peri.materials.lps import ALPHA_BOUND, LPSMaterial, Modulus, bernstein_basis
 from warp_peri.points.arguments import (
     USUAL,
+    ArrayMap,
     Numbers,
     Units,
     check_same,
@@ -154,7 +154,7 @@ class DiffusionOperator(FlowOperator):
             kappa = 2 / sum(1 / kappa[end] for end in self._ends)
         return torch.as_tensor(v * kappa)
 
-    def _along_bonds(self, kappa: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    def _along_bonds(self, kappa: ArrayMap) -> np.ndarray:
         """Conductivity κ of each bond, its parts in series (Di2), shape [E]."""
         points, (near, far) = self.points, self._ends
         xi = points.x[far] - points.x[near]

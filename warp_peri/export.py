@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.linalg import eigvalsh, norm, trace
 
 from warp_peri.core.elastic import symmetric_part
 from warp_peri.core.stencil import numbers_at
@@ -84,8 +85,8 @@ def write_body(path: StrPath, body: BodySolution) -> dict[str, float]:
     kind = "triangle" if mesh.dimension == 2 else "tetra"
     write_vtu(path, mesh.x, (kind, mesh.cells), data, extra="bodies")
     return {
-        "largest_displacement": float(np.linalg.norm(u, axis=1).max()),
-        "largest_principal_stress": float(np.linalg.eigvalsh(stress).max()),
+        "largest_displacement": float(norm(u, axis=1).max()),
+        "largest_principal_stress": float(eigvalsh(stress).max()),
     }
 
 
@@ -123,7 +124,7 @@ def _inside(model: Any, points: Samples, u: np.ndarray) -> dict[str, np.ndarray]
     if hasattr(operator, "gradient"):
         H = operator.gradient(u)
         found["strain"] = _tensor(symmetric_part(H))
-        found["dilatation"] = np.linalg.trace(H)
+        found["dilatation"] = trace(H)
     return found
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import ase
 import numpy as np
-from numpy.linalg import lstsq, norm, pinv, svd
+from numpy.linalg import det, eigh, inv, lstsq, norm, pinv, solve, svd
 from scipy.spatial.transform import Rotation
 
 from warp_peri.atoms.force_constants import TINY, ForceConstants, Supercell, forces_of, relaxing
@@ -321,7 +321,7 @@ def by_strains(
     rest = even[0].reshape(len(PAIRS[d]), -1).mean(axis=0)
     if atoms.stress is not None:
         rest = rest - [atoms.stress[pair] for pair in PAIRS[d]]
-    strain = np.abs(np.linalg.solve(voigt(C), rest)).max()
+    strain = np.abs(solve(voigt(C), rest)).max()
     errors.append(2 * np.abs(even[1]).max() / np.abs(C).max() * strain * C)
     if len(cell) > 1:
         push, tau, _ = _slope((F[0] - F[1]) / 2, e, rough)
@@ -358,8 +358,8 @@ def _under_strain(
     each = strained(calculator, cell.repeat((2, 2, 1 if flat else 2)), G.reshape(-1, 3, 3))
     stresses, pushes = zip(*((one.get_stress(voigt=False), one.get_forces()) for one in each))
     tall = EV_IN_TPA * (cell.cell[2, 2] / atoms.thickness if flat else 1.0)
-    back = np.linalg.inv(G)
-    pulled = np.linalg.det(G)[..., None, None] * back @ np.reshape(stresses, G.shape) * tall
+    back = inv(G)
+    pulled = det(G)[..., None, None] * back @ np.reshape(stresses, G.shape) * tall
     S = (pulled @ back.mT)[..., *tuple(np.transpose(PAIRS[d]))].transpose(2, 0, 1, 3)
     return S, np.reshape(pushes, (*G.shape[:3], -1, n, 3)).mean(axis=3).transpose(2, 0, 1, 3, 4)
 
@@ -408,7 +408,7 @@ def joined(
         step = gain @ (other - seen + J @ step)
         values = atoms.values + np.tensordot(step, doubt, 1)
         seen = onto @ atoms.nearest_elastic(allowed, values)[0].ravel()
-    parts, vectors = np.linalg.eigh(np.eye(len(doubt)) - gain @ J)
+    parts, vectors = eigh(np.eye(len(doubt)) - gain @ J)
     left = (vectors * np.sqrt(np.clip(parts, 0, None))).T, (pinv(J) @ both).T
     after = np.tensordot(np.concatenate(left), doubt, 1)
     moved = relative(values - atoms.values, atoms.values)

@@ -10,7 +10,7 @@ from typing import Any
 import ase
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.linalg import inv, norm
+from numpy.linalg import eigh, eigvalsh, inv, norm
 
 from warp_peri.atoms.calculator_noise import PULLED, SMALLER, by_strains, joined
 from warp_peri.atoms.force_constants import STEP, WIDER, ForceConstants
@@ -107,7 +107,7 @@ class CrystalFit(Shown):
     def unsure(self) -> float:
         """Largest relative standard error of a long wave's modulus over all directions."""
         e = directions(DIRECTIONS, self.atoms.dimension)
-        size, waves = np.linalg.eigh(self.local(e))
+        size, waves = eigh(self.local(e))
         off = np.einsum("qijkl,nk,nl->qnij", brackets_from_elastic(self.errors), e, e)
         share = np.einsum("nip,qnij,njp->qnp", waves, off, waves)
         return float((norm(share, axis=0) / size).max())
@@ -193,7 +193,7 @@ class CrystalFit(Shown):
             direction = np.array([*map(int, path)])
             k = reach[:, None] / law.spacing * direction / norm(direction)
             branches = (self.atoms.effective, law.symbol, self.local)
-            true, own, local = (np.sqrt(1e3 * np.linalg.eigvalsh(D(k)).clip(0)) for D in branches)
+            true, own, local = (np.sqrt(1e3 * eigvalsh(D(k)).clip(0)) for D in branches)
             bands.plot(reach, own, color=f"C{number}", label=[f"[{path}]", *[None] * (d - 1)])
             bands.plot(reach, local, ":", color=f"C{number}", linewidth=0.8)
             bands.plot(reach[::3], true[::3], ".", color=f"C{number}")

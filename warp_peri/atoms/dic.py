@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.linalg import norm
+from numpy.linalg import lstsq, norm, pinv
 from scipy.ndimage import binary_erosion
 from scipy.spatial import cKDTree
 
@@ -183,7 +183,7 @@ def filled_in(x: np.ndarray, u: np.ndarray) -> np.ndarray:
     place, moved = x[~some][near] - x[some, None], u[~some][near]
     place = place / np.abs(place).max(axis=(1, 2), keepdims=True, initial=1e-300)
     design = np.concatenate([np.ones_like(place[..., :1]), place], axis=2)
-    plane = np.linalg.pinv(design) @ moved
+    plane = pinv(design) @ moved
     left = norm(moved - design @ plane, axis=2).max(axis=1)
     size = np.median(norm(moved - u[some, None], axis=2), axis=1)
     off = norm((plane[:, 0] - u[some]) * suspect[some], axis=1)
@@ -444,7 +444,7 @@ def surface(
     p, q = local = (frame.x[members] - x).T / step
     weight = np.exp(-(local**2).sum(axis=0) / radius**2)
     design = np.stack([np.ones_like(p), p, q, p * p, p * q, q * q], axis=1) * weight[:, None]
-    u, _, rank, _ = np.linalg.lstsq(design, frame.u[members] * weight[:, None], rcond=1e-7)
+    u, _, rank, _ = lstsq(design, frame.u[members] * weight[:, None], rcond=1e-7)
     return u[0] if rank == 6 else None
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 from ase.io.extxyz import key_val_str_to_dict
 from ase.io.formats import filetype
-from numpy.linalg import norm
+from numpy.linalg import norm, pinv
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 from tqdm import tqdm
@@ -116,7 +116,7 @@ def iter_dump(path: StrPath) -> Iterator[DumpFrame]:
 def jumps(frame: DumpFrame, x: np.ndarray) -> bool:
     """Whether any atom is half an edge of the box or more from positions x, shape [A, 2]."""
     edges = frame.cell[np.abs(frame.cell[:, :2]).max(axis=1) > ROUND * np.abs(frame.cell).max()]
-    return bool((np.abs((frame.x - x) @ np.linalg.pinv(edges[:, :2])) >= 0.5).any())
+    return bool((np.abs((frame.x - x) @ pinv(edges[:, :2])) >= 0.5).any())
 
 
 def _frames_of(path: StrPath) -> Iterator[DumpFrame]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from ase import Atoms
 from ase.build import make_supercell
-from numpy.linalg import det, eigvalsh, inv, norm
+from numpy.linalg import det, eigvalsh, inv, lstsq, norm, solve
 
 from warp_peri.core.elastic import (
     acoustic,
@@ -23,7 +23,7 @@ from warp_peri.core.elastic import (
 )
 from warp_peri.errors import InputError, hold, warn
 from warp_peri.fitting.regression import norms, relative
-from warp_peri.points.arguments import EV_IN_TPA, checked, typed, typed_methods
+from warp_peri.points.arguments import EV_IN_TPA, ArrayMap, checked, typed, typed_methods
 from warp_peri.points.points import grid_places
 
 STEP, WIDER = 2e-3, 5
@@ -228,7 +228,7 @@ class ForceConstants:
                 f"force constants: expected a stable crystal, got the stiffness {least.min():.2e} "
                 f"eV/Å² at k = {np.round(k[least.argmin()], 4).tolist()} 1/Å"
             )
-        moved = np.linalg.solve(D, np.tile(np.eye(m, d, dtype=complex), (n, 1)))
+        moved = solve(D, np.tile(np.eye(m, d, dtype=complex), (n, 1)))
         flexible = moved.reshape(len(k), n, m, d)[:, :, :d].mean(axis=1).real * (self.volume / n)
         return symmetric_part(inv(flexible) * EV_IN_TPA)
 
@@ -294,7 +294,7 @@ class ForceConstants:
             wanted = wanted - acoustic(stress_brackets(self.stress), e)
         from_each = np.einsum("mijkl,nj,nl->nikm", allowed, e, e, optimize=True)
         rows = from_each.reshape(-1, len(allowed))
-        c = np.linalg.lstsq(rows, wanted.ravel())[0]
+        c = lstsq(rows, wanted.ravel())[0]
         return np.tensordot(c, allowed, 1), relative(rows @ c - wanted.ravel(), wanted)
 
     def elastic(self, allowed: np.ndarray) -> np.ndarray:
@@ -475,7 +475,7 @@ def from_supercell(
     return replace(made, **some, edge=every.edge(values))
 
 
-def forces_of(many: Any, calculator: Any) -> Callable[[np.ndarray], np.ndarray]:
+def forces_of(many: Any, calculator: Any) -> ArrayMap:
     """Make a function from positions [Å] to a calculator's forces [eV/Å] on these atoms."""
     many = many.copy()
     many.calc = calculator

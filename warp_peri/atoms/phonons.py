@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import itertools
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import ase
 import h5py
 import numpy as np
 from ase.data import atomic_masses
-from numpy.linalg import inv, norm
+from numpy.linalg import det, eigh, eigvalsh, inv, norm
 
 from warp_peri.atoms.calculator_noise import TIMES, projected, rattled
 from warp_peri.atoms.force_constants import (
@@ -30,7 +30,7 @@ from warp_peri.atoms.force_constants import (
 from warp_peri.atoms.relaxed import VACUUM, Reference, check_sites, gap, thickness_of
 from warp_peri.errors import InputError, StrPath, optional, warn
 from warp_peri.files.atomic import check_hdf5, check_yaml, content
-from warp_peri.points.arguments import Positive, checked, offered, typed
+from warp_peri.points.arguments import ArrayMap, Positive, checked, offered, typed
 from warp_peri.points.points import grid_points
 
 WIDTHS = (10.0, 14.0, 18.0, 22.0, 26.0, 32.0, 40.0)
@@ -136,7 +136,7 @@ def check_phonons(atoms: ForceConstants) -> None:
     least, top = size[worst, 0], size[:, -2 if d == 2 else -1].max()  # a sheet's last is held
     error = float(atoms.stiffness_error(k[worst], waves[worst, 0]))
     if least >= -max(SOFT * top, TIMES * error):
-        if np.linalg.eigvalsh(atoms.dynamical(k))[:, 0].max() <= SOFT * np.abs(atoms.values).max():
+        if eigvalsh(atoms.dynamical(k))[:, 0].max() <= SOFT * np.abs(atoms.values).max():
             raise InputError(LOOSE)
         return
     imaginary = THZ * np.sqrt(-least)
@@ -153,7 +153,7 @@ def _phonons(atoms: ForceConstants, parts: np.ndarray) -> tuple[np.ndarray, ...]
     d = atoms.dimension
     k = 2 * np.pi * parts @ inv(atoms.cell[:d, :d]).T
     weight = 1 / np.sqrt(np.repeat(atomic_masses[atoms.species], 3))
-    size, modes = np.linalg.eigh(atoms.dynamical(k, moving=3) * weight * weight[:, None])
+    size, modes = eigh(atoms.dynamical(k, moving=3) * weight * weight[:, None])
     return k, size, (modes.mT * weight).reshape(*size.shape, -1, 3)
 
 
@@ -168,7 +168,7 @@ def at_zone_edge(atoms: ForceConstants) -> tuple[float, float, float]:
 
 
 def finite_differences(
-    forces: Callable[[np.ndarray], np.ndarray], positions: np.ndarray, displaced: Sequence[int]
+    forces: ArrayMap, positions: np.ndarray, displaced: Sequence[int]
 ) -> tuple[np.ndarray, float]:
     """Force constants Φ [eV/Å²] of some atoms with all, by fourth-order differences, [n, N, 3, 3].
 
@@ -288,7 +288,7 @@ def _opened(file: Path) -> tuple[Any, Any]:
         raise InputError(f"supercell_matrix: expected whole numbers, got {part[0].decode()}")
     matrix, primitive = told.supercell_matrix, told.primitive_matrix
     matrix = np.eye(3, dtype=int) if matrix is None else matrix
-    cells = abs(np.linalg.det(matrix))
+    cells = abs(det(matrix))
     if cells * len(told.unitcell) > MOST:
         raise InputError(f"supercell_matrix: expected at most {MOST} atoms, got {cells:.0f} cells")
     primitive = "auto" if primitive is None else primitive

@@ -15,7 +15,7 @@ from ase.geometry import minkowski_reduce
 from ase.neighborlist import neighbor_list
 from ase.optimize import BFGS
 from ase.spacegroup.symmetrize import refine_symmetry
-from numpy.linalg import inv, norm, svd
+from numpy.linalg import det, inv, norm, solve, svd
 from scipy.linalg import polar, sqrtm
 
 from warp_peri.atoms.calculator_noise import ON_SITES, TIMES, Noise, measured, strained
@@ -200,7 +200,7 @@ def smallest(atoms: ase.Atoms, flat: bool) -> ase.Atoms:
     if flat:
         (up,) = np.flatnonzero(np.abs(edges[:, :2]).max(axis=1) < 1e-6)
         edges = edges[[(up + 1) % 3, (up + 2) % 3, up]]
-        if np.linalg.det(edges) < 0:
+        if det(edges) < 0:
             edges[2] *= -1
         x[:, 2] %= abs(edges[2, 2])
     one: ase.Atoms = atoms[kinds_of(atoms)[1][small[2]]]
@@ -262,7 +262,7 @@ def _settled(cell: ase.Atoms, flat: bool, held: set[str]) -> tuple[ase.Atoms, np
     _check_stress(cell, flat)
     noise = measured(cell, calculator, flat)
     _relax(cell, flat, held, noise)
-    strain = svd(np.linalg.solve(before, np.array(cell.cell)), compute_uv=False) - 1
+    strain = svd(solve(before, np.array(cell.cell)), compute_uv=False) - 1
     if flat:
         strain = np.delete(strain, np.abs(strain).argmin())  # across it nothing is relaxed
     if not noise.rounding:  # it breaks the symmetry, which takes most of it away

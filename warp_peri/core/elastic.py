@@ -14,7 +14,7 @@ from functools import lru_cache
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.linalg import inv
+from numpy.linalg import eigvalsh, inv, lstsq, solve, svd
 
 from warp_peri.errors import InputError, optional
 from warp_peri.points.arguments import checked, typed
@@ -313,9 +313,7 @@ def allowed_tensors(symmetry: Symmetry, orientation: np.ndarray) -> np.ndarray:
     group = point_group(symmetry, d)
     pairs = np.einsum("gai,gbj->gabij", group, group).reshape(len(group), d * d, d * d)
     mean = np.einsum("gmn,gop->monp", pairs, pairs, optimize=True) / len(group)
-    _, sizes, rows = np.linalg.svd(
-        np.array(basis) @ mean.reshape(d**4, d**4).T, full_matrices=False
-    )
+    _, sizes, rows = svd(np.array(basis) @ mean.reshape(d**4, d**4).T, full_matrices=False)
     found = rows[sizes > 1e-9 * sizes[0]].reshape(-1, d, d, d, d)
     return np.array([turned(tensor, orientation) for tensor in found])
 
@@ -372,7 +370,7 @@ def difference_tensors(elastic: np.ndarray, reach: int) -> tuple[np.ndarray, np.
 def compliance(tensor: np.ndarray) -> np.ndarray:
     """Compliance S_ijkl with ε = S σ; InputError for a singular elastic tensor."""
     d, matrix = len(tensor), voigt(tensor)
-    if not np.linalg.eigvalsh(matrix).min() > 0:
+    if not eigvalsh(matrix).min() > 0:
         raise InputError("moduli: expected a stable crystal, got an elastic tensor that is none")
     engineering = np.where(np.arange(len(matrix)) < d, 1.0, 0.5)
     return voigt_to_tensor(inv(matrix) * np.outer(engineering, engineering))
@@ -383,7 +381,7 @@ def named_symmetry(tensor: np.ndarray) -> str:
     d, tiny = len(tensor), SAME * np.abs(voigt(tensor)).max()
     for name, symmetry in NAMES[d].items():
         allowed = allowed_tensors(symmetry, np.eye(d)).reshape(-1, d**4)
-        held = np.linalg.lstsq(allowed.T, tensor.ravel())[0] @ allowed
+        held = lstsq(allowed.T, tensor.ravel())[0] @ allowed
         if np.abs(tensor.ravel() - held).max() <= tiny:
             return name
     return "lower"
@@ -403,7 +401,7 @@ def plane_stress(tensor: np.ndarray) -> np.ndarray:
     """Plane-stress tensor of a sheet free of stresses 33, 23 and 13: a Schur complement (T6)."""
     M = voigt(tensor)
     kept, free = [0, 1, 5], [2, 3, 4]
-    inner = np.linalg.solve(M[np.ix_(free, free)], M[np.ix_(free, kept)])
+    inner = solve(M[np.ix_(free, free)], M[np.ix_(free, kept)])
     return voigt_to_tensor(symmetric_part(M[np.ix_(kept, kept)] - M[np.ix_(kept, free)] @ inner))
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import scipy.fft
 import scipy.sparse as sp
 import warp as wp
-from numpy.linalg import norm
+from numpy.linalg import eigh, eigvalsh, inv, norm, svd
 
 from warp_peri.core.elastic import directions, orbit_grid, symmetric_part
 from warp_peri.errors import InputError
@@ -135,7 +135,7 @@ def smallest_eigenvalue(matrices: np.ndarray) -> np.ndarray:
     if matrices.shape[-1] == 2:  # much faster than by LAPACK
         a, b, c = matrices[..., 0, 0], matrices[..., 1, 1], matrices[..., 0, 1]
         return np.asarray((a + b) / 2 - np.hypot((a - b) / 2, c))
-    return np.linalg.eigvalsh(matrices)[..., 0]
+    return eigvalsh(matrices)[..., 0]
 
 
 def zoomed(
@@ -197,7 +197,7 @@ def ratios(
 ) -> tuple[np.ndarray, ...]:
     """Λmin D/s h^−2 at k h = `phase`, [K], and its eigenvectors, [K, d]; `wave`: known bend."""
     symbol = np.tensordot(bend(phase, steps) if wave is None else wave, tensors, 1)
-    value, vector = np.linalg.eigh(symbol)
+    value, vector = eigh(symbol)
     return value[:, 0] / laplacian(phase), vector[:, :, 0]
 
 
@@ -244,7 +244,7 @@ def invariant_basis(reach: float, group: np.ndarray) -> Basis:
         seen[image] = True
         fixing = group[image == first]  # ξ and −ξ carry the same tensor
         mean = np.mean([np.kron(g, g) for g in fixing], axis=0)
-        vectors, size, _ = np.linalg.svd(mean @ plain.reshape(-1, d * d).T)
+        vectors, size, _ = svd(mean @ plain.reshape(-1, d * d).T)
         for tensor in vectors[:, : len(size)].T[size > 0.5]:
             on_bonds = np.zeros((len(steps), d, d))
             on_bonds[image] = group @ tensor.reshape(d, d) @ group.mT
@@ -528,7 +528,7 @@ def inverse(symbol: np.ndarray) -> np.ndarray:
         singular = row == 0 and np.abs(full[first]).max() <= 1e-12 * largest
         if singular:
             full[first] = np.eye(len(symbol))
-        found = np.linalg.inv(full)
+        found = inv(full)
         if singular:
             found[first] = 0
         answer[:, :, row] = np.moveaxis(found, (-2, -1), (0, 1))

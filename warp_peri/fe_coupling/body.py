@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.linalg import eigvalsh
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError, warn
@@ -237,7 +238,7 @@ def long_wave(model: Any, spacing: float) -> Moduli:
     else:
         found = Moduli(model.tensor())
     a, c = np.triu_indices(model.dimension)
-    if (least := np.linalg.eigvalsh(found.tensor[a[:, None], c[:, None], a, c]).min()) <= 0:
+    if (least := eigvalsh(found.tensor[a[:, None], c[:, None], a, c]).min()) <= 0:
         raise InputError(
             f"model: expected positive long-wave moduli, got {least:.4g} {symbols(model.units)[1]}"
         )

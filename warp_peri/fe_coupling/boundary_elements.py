@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.linalg import norm
+from numpy.linalg import norm, pinv
 from numpy.typing import ArrayLike
 from scipy.ndimage import binary_dilation
 from scipy.signal import upfirdn
@@ -18,11 +18,11 @@ from scipy.sparse.linalg import LinearOperator, splu
 
 from warp_peri.core.stencil import numbers_at
 from warp_peri.errors import InputError, optional
-from warp_peri.points.arguments import check_function, check_mapping, check_shape, checked
+from warp_peri.points.arguments import ArrayMap, check_function, check_mapping, check_shape, checked
 from warp_peri.points.mesh import Mesh, pieces
 from warp_peri.solvers.systems import loose_pieces
 
-Field = Callable[[np.ndarray], np.ndarray]
+Field = ArrayMap
 """Vectors, shape [n, d], at positions [Å], shape [n, d]."""
 Traction = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Force per area [TPa], shape [n, d], at positions and outward normals, each of shape [n, d]."""
@@ -169,7 +169,7 @@ class Rim:
         inside = moduli.stress(gradient).reshape(*gradient.shape[:2], -1)
         x = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
         middle = x.mean(axis=1, keepdims=True)
-        slope = np.linalg.pinv(x - middle) @ inside  # [elements, d, d²]
+        slope = pinv(x - middle) @ inside  # [elements, d, d²]
         each = inside.mean(axis=1, keepdims=True) + (self.x[nodes] - middle) @ slope
         means = np.zeros((len(self.x), self.d**2))
         np.add.at(means, nodes, each)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from numpy.linalg import eigh, norm
 
 from warp_peri.fitting.regression import Linearised, Regression, Settled, felt, particular
 
@@ -192,12 +193,12 @@ def _frame(now: Linearised, phi: np.ndarray, psi: float, damping: float) -> np.n
     J, M = now.J @ free, now.M[now.margins + phi / psi < CLOSE] @ free
     curvature = 2 * J.T @ J + psi * M.T @ M
     size = felt(np.sqrt(curvature.diagonal()))
-    values, axes = np.linalg.eigh(curvature / np.outer(size, size))
+    values, axes = eigh(curvature / np.outer(size, size))
     return np.asarray(free @ (axes / np.sqrt(np.maximum(values, 0) + damping) / size[:, None]))
 
 
 def _equal(y: np.ndarray, now: Linearised) -> np.ndarray:
     """Nearest y that meets the linearised equalities."""
-    width = 1 / felt(np.linalg.norm(now.J, axis=0))
+    width = 1 / felt(norm(now.J, axis=0))
     met: np.ndarray = y + width * particular(now.A * width, -now.equal)[0]
     return met

@@ -10,6 +10,7 @@ from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
+from numpy.linalg import pinv, qr, solve, svd, trace
 
 from warp_peri.core.elastic import allowed_tensors, symmetric_part
 from warp_peri.core.proof import stencil_of
@@ -149,7 +150,7 @@ def _families(samples: Samples, operator: Any, drawn: np.ndarray, residual: floa
     symmetry = getattr(model, "symmetry", "isotropic")
     turn = getattr(model, "orientation", np.eye(d))
     allowed = allowed_tensors(symmetry, turn)
-    allowed = np.linalg.qr(allowed.reshape(len(allowed), -1).T)[0]
+    allowed = qr(allowed.reshape(len(allowed), -1).T)[0]
     bonds, wide = (invariant_basis(r, group) for r in (model.horizon / h, far))
     grid = grid_of(samples.points, wide.steps, least=stencil.reach)
     grid = replace(grid, interior=grid.interior[drawn])
@@ -158,7 +159,7 @@ def _families(samples: Samples, operator: Any, drawn: np.ndarray, residual: floa
         """Forces of bonds whose long-wave moduli have the model's own symmetry."""
         C = elastic_from_brackets(bonds.moments()).reshape(-1, d * d, d * d)
         C = (C + C.mT).reshape(len(C), -1)
-        size, mixes = np.linalg.svd((C - C @ allowed @ allowed.T).T)[1:]
+        size, mixes = svd((C - C @ allowed @ allowed.T).T)[1:]
         return forces(u, grid, bonds) @ mixes[np.sum(size > 1e-9 * np.abs(C).max()) :].T
 
     def tensors(vectors: np.ndarray) -> Any:
@@ -167,7 +168,7 @@ def _families(samples: Samples, operator: Any, drawn: np.ndarray, residual: floa
 
     near = half_ball(1.5, d)
     second = forces(u, grid, Basis(near, np.eye(len(near))[..., None, None] * np.eye(d)))
-    bends = -np.linalg.pinv(np.einsum("bj,bk->bjk", near, near).reshape(-1, d * d))
+    bends = -pinv(np.einsum("bj,bk->bjk", near, near).reshape(-1, d * d))
     bent = np.einsum("jkb,sxib->sxkij", bends.reshape(d, d, -1), second)  # second derivatives
     H = gradients(samples, np.flatnonzero(samples.interior)[drawn], 1)
     strain = symmetric_part(H)[(..., *np.triu_indices(d))]
@@ -195,7 +196,7 @@ def _left_out(rows: np.ndarray, left: np.ndarray) -> np.ndarray:
     order, found = np.random.default_rng(0).permutation(len(y)), np.stack([y] * len(ridges))
     for part in (order[k::PARTS] for k in range(min(PARTS, len(y)))):
         A, b = (of.sum(axis=0) - of[part].sum(axis=0) for of in (gram, side))
-        unit = np.linalg.trace(A)[..., None, None]
-        c = np.linalg.solve(A + (ridges**2 * unit + TINY) * np.eye(len(A[0])), b)
+        unit = trace(A)[..., None, None]
+        c = solve(A + (ridges**2 * unit + TINY) * np.eye(len(A[0])), b)
         found[:, part] -= rows[part] @ c[:, None]
     return np.asarray(min(found, key=lambda rest: (rest**2).sum()).reshape(left.shape))

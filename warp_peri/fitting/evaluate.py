@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from numpy.linalg import lstsq
 from scipy.special import stdtrit
 from tqdm import tqdm
 
@@ -118,7 +119,7 @@ def without_rigid_part(x: np.ndarray, u: np.ndarray) -> np.ndarray:
     pairs = combinations(range(len(one)), 2)
     turns = [(x[:, [b]] * one[a] - x[:, [a]] * one[b]).ravel() for a, b in pairs]
     left, T = (u - u.mean(axis=1, keepdims=True)).reshape(len(u), -1).T, np.transpose(turns)
-    return np.asarray((left - T @ np.linalg.lstsq(T, left)[0]).T.reshape(u.shape))
+    return np.asarray((left - T @ lstsq(T, left)[0]).T.reshape(u.shape))
 
 
 @dataclass(frozen=True)

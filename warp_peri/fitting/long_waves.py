@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.linalg import lstsq, norm
+from numpy.linalg import lstsq, matrix_rank, norm, pinv
 
 from warp_peri.core.elastic import (
     CANDIDATES,
@@ -71,7 +71,7 @@ def moduli_of(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
     R, y = R.reshape(-1, R.shape[-1]), y.ravel()
     size = norm(R, axis=0)
     R = R / np.where(size > 0, size, 1)
-    if np.linalg.matrix_rank(R, tol=1e-6 * norm(R, 2)) < R.shape[1]:
+    if matrix_rank(R, tol=1e-6 * norm(R, 2)) < R.shape[1]:
         raise InputError(
             f"moduli: the long waves of these loads do not tell {R.shape[1]} constants apart; "
             "give them, or more loads of long waves"
@@ -227,7 +227,7 @@ def _foretold(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Squared prediction errors of each part by the others [P], and their λ and μ, [P, 2]."""
     square, side = np.einsum("pra,prb->pab", R, R), np.einsum("pra,pr->pa", R, y)
     others = square.sum(axis=0) - square, side.sum(axis=0) - side
-    c = (np.linalg.pinv(others[0], rcond=NOTHING, hermitian=True) @ others[1][..., None])[..., 0]
+    c = (pinv(others[0], rcond=NOTHING, hermitian=True) @ others[1][..., None])[..., 0]
     return ((np.einsum("pra,pa->pr", R, c) - y) ** 2).sum(axis=1), c[:, :2]
 
 
@@ -329,7 +329,7 @@ def judged(
     weights = [over_loads(half) if normalise else None for half in halves]
     equations = [rows(half, least, weight=each) for half, each in zip(halves, weights)]
     R = np.concatenate([rows for rows, _ in equations])
-    if auto and np.linalg.matrix_rank(R) < R.shape[1]:
+    if auto and matrix_rank(R) < R.shape[1]:
         raise InputError(
             f"data: expected enough to tell {R.shape[1]} numbers without any symmetry apart; name "
             "one, or give more loads"
@@ -368,7 +368,7 @@ def judged(
 def _crossed(equations: Sequence[tuple[np.ndarray, ...]], mix: np.ndarray) -> float:
     """‖R M p − y‖ / ‖y‖ of each part with the other's p (one part: its own); or infinity."""
     parts = [(R @ mix, y) for R, y in equations]
-    if any(np.linalg.matrix_rank(R) < R.shape[1] for R, _ in parts):
+    if any(matrix_rank(R) < R.shape[1] for R, _ in parts):
         return np.inf
     fits = [lstsq(R, y)[0] for R, y in parts]
     left = np.concatenate([R @ p - y for (R, y), p in zip(parts, fits[::-1])])

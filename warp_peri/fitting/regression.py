@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.linalg import norm, svd
+from numpy.linalg import norm, qr, svd
 from scipy.optimize import nnls
 
 from warp_peri.core.stencil import (
@@ -151,7 +151,7 @@ def particular(A: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def least_squares_above(A: np.ndarray, y: np.ndarray, G: np.ndarray, h: np.ndarray) -> np.ndarray:
     """Minimise ‖A x − y‖ with G x ≥ h, A [M, K] of full column rank, G [C, K]. Raises InputError
     where no x obeys, or the rank of A is not full."""
-    Q, R = np.linalg.qr(A)
+    Q, R = qr(A)
     if not R.diagonal().all():
         raise InputError("A: expected full column rank")
     b = Q.T @ y

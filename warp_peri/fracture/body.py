@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.linalg import eigvalsh, inv, norm
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError, warn
@@ -138,9 +139,9 @@ def point_force(
     affine = np.column_stack([np.ones(len(near)), away[near]])
     weight = 1 - (away[near] ** 2).sum(axis=1) / FELT**2
     moments = (affine.T * weight) @ affine
-    if len(near) <= d or np.linalg.eigvalsh(moments)[0] < 1e-6 * len(near):
+    if len(near) <= d or eigvalsh(moments)[0] < 1e-6 * len(near):
         raise InputError(f"place: its {len(near)} nodes within {FELT:g} spacings span no space")
-    share = weight * (affine @ np.linalg.inv(moments)[0])
+    share = weight * (affine @ inv(moments)[0])
     b = np.zeros(x.shape)
     b[near] = share[:, None] * pull / spacing**d
     return b
@@ -234,7 +235,7 @@ def size_and_normal(corners: np.ndarray) -> tuple[float, np.ndarray]:
         return length, np.array([-along[1], along[0]]) / (np.hypot(*along) or 1.0)
     away = corners - corners[0]
     area = np.cross(away, np.roll(away, -1, axis=0)).sum(axis=0) / 2
-    size = float(np.linalg.norm(area))
+    size = float(norm(area))
     return size, area / (size or 1.0)
 
 

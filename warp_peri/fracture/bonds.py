@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 import warp as wp
-from numpy.linalg import eigvalsh
+from numpy.linalg import eigvalsh, inv
 from numpy.typing import ArrayLike
 
 from warp_peri.core.elastic import lattice_group
@@ -205,7 +205,7 @@ def mean_gradients(
     spans = eigvalsh(shape)[:, 0] > least * eigvalsh(whole)[0]
     shape[~spans] = np.eye(len(whole))
     lack = ~there & spans[:, None]
-    slopes = spans[:, None, None] * (np.linalg.inv(shape) @ pull)
+    slopes = spans[:, None, None] * (inv(shape) @ pull)
     squares = ((lack * stiffness)[:, None] * along.T) @ along
     return spans, slopes, squares, ((lack * share)[:, None] @ along)[:, 0]
 

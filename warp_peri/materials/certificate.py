@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.linalg import svd
 
 from warp_peri.core.proof import certify, prove, stencil_of
 from warp_peri.core.stencil import Stencil
@@ -49,7 +50,7 @@ def check_solvability(model: LPSMaterial, points: PointsLike) -> Solvability:
     L = LPSOperator(model, points).matrix()
     A = sp.csc_array(L[:, np.repeat(points.interior, model.dimension)])
     few = A.shape[0] <= DENSE
-    singular = float(np.linalg.svd(A.toarray(), compute_uv=False)[-1]) if few else None
+    singular = float(svd(A.toarray(), compute_uv=False)[-1]) if few else None
     return Solvability(smallest_eigenvalue((A + A.T) / 2), singular)
 
 

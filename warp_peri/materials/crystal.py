@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.linalg import inv, norm
 from numpy.typing import ArrayLike
 
 from warp_peri.core import elastic
@@ -132,7 +133,7 @@ class TensorOperator(OperatorBase):
         A, xi, ends = self.nodes.axes, self.spacing * self.steps, np.split(self.ends[1:], 2)
         fields = self.fields(u) @ A
         found = np.zeros((len(fields), self.ends.shape[1], *A.shape))
-        for weight, ahead, behind in zip(xi @ np.linalg.inv(2 * xi.T @ xi), *ends):
+        for weight, ahead, behind in zip(xi @ inv(2 * xi.T @ xi), *ends):
             found += (fields[:, ahead] - fields[:, behind])[..., None] * weight
         return elastic.in_shape_of(u, A @ found @ A.T)
 
@@ -347,7 +348,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         """Largest traction per radian [stress] of a turned body where a face cuts bonds (T16):
         |[ij, kl] W_jk n_l| over faces n along the axes and turns W in coordinate planes."""
         B = self.stencil.brackets
-        return float(np.linalg.norm(B - B.swapaxes(1, 2), axis=0).max())
+        return float(norm(B - B.swapaxes(1, 2), axis=0).max())
 
     @property
     def uncut(self) -> str:

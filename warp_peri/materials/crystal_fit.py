@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.linalg import eigvalsh, lstsq, matrix_rank, svd
 
 from warp_peri.core import elastic
 from warp_peri.core.elastic import (
@@ -99,8 +100,8 @@ class Tensors:
         size = np.abs(moments).max()  # rows that vanish by symmetry are rounding beside it
         A, a = equations(moments) / size, equations(asked[None])[:, 0] / size
         if tensor is None:
-            asked = np.tensordot(np.linalg.lstsq(R, y)[0][:count], moments, 1)
-        soft = np.linalg.eigvalsh(acoustic(asked, directions(400, d)))[:, 0].min()
+            asked = np.tensordot(lstsq(R, y)[0][:count], moments, 1)
+        soft = eigvalsh(acoustic(asked, directions(400, d)))[:, 0].min()
         if not soft > 0:
             raise InputError(
                 f"moduli: expected a stable crystal, got a sound wave of stiffness {soft:.3g}"
@@ -114,7 +115,7 @@ class Tensors:
                 "smaller symmetry may"
             )
         R, y = compressed(R, y)
-        sizes = np.linalg.svd(R @ free, compute_uv=False)
+        sizes = svd(R @ free, compute_uv=False)
         if np.count_nonzero(sizes > DEPENDENT * sizes.max(initial=0.0)) < free.shape[1]:
             raise InputError(
                 f"data: expected enough to tell {free.shape[1]} numbers of "
@@ -323,7 +324,7 @@ def fit_phonons(
 
     same = shared_with_nodes(point_group(name, d), turn)
     moments = invariant_basis(horizon / spacing, same).moments()
-    hold = len(moments) >= NUMBERS * np.linalg.matrix_rank(bracket_rows(moments))
+    hold = len(moments) >= NUMBERS * matrix_rank(bracket_rows(moments))
     allowed = allowed_tensors(name, np.eye(d))
     true = turned(atoms.elastic(allowed), turn) / stress  # refuses what is no elastic solid
     held = None if atoms.stress is None else turn @ atoms.stress @ turn.T / stress

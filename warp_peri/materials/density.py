@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import torch
+from numpy.linalg import inv
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
@@ -54,7 +55,7 @@ def sided_gradients(points: Any, horizon: float) -> tuple[np.ndarray, np.ndarray
     xi, weights = points.spacing * steps, []
     for signs in itertools.product((1, -1), repeat=d):
         corner = np.where((steps * signs >= 0).all(axis=1, keepdims=True), xi, 0.0)
-        w = corner @ np.linalg.inv(corner.T @ corner)
+        w = corner @ inv(corner.T @ corner)
         w[0] = -w.sum(axis=0)
         weights.append(w @ axes.T)
     return steps, np.array(weights)

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.linalg import lstsq, solve
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError, hold
@@ -148,7 +149,7 @@ class InfluenceFunction:
                 if seen or 10 * step > min(STEP * large, widest):
                     break
                 step *= 10
-            weights = np.linalg.solve(np.vander(m, increasing=True).T, np.eye(5)[1])
+            weights = solve(np.vander(m, increasing=True).T, np.eye(5)[1])
             columns.append(weights @ K / step)
         return np.reshape(columns, (len(p), len(r))).T
 
@@ -181,7 +182,7 @@ class InfluenceFunction:
             basis = [bernstein_basis(lengths, horizon, degree) for lengths in (r, s)]
             system = [BOND_WEIGHT * basis[0], basis[1], small * np.eye(degree + 1)]
             target = np.concatenate([BOND_WEIGHT * K, between, np.zeros(degree + 1)]) / size
-            D = np.linalg.lstsq(np.concatenate(system), target, rcond=1e-15)[0]
+            D = lstsq(np.concatenate(system), target, rcond=1e-15)[0]
             error = np.abs(basis[0] @ D - K / size).max()
             departure = float(np.abs(basis[1] @ D - between / size).max())
             if max(error, departure) <= EXACT:

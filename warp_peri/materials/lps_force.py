@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 import warp as wp
+from numpy.linalg import inv
 from numpy.typing import ArrayLike
 from scipy.special import comb
 
@@ -246,7 +247,7 @@ class Bonds:
         place, d, weight = np.searchsorted(self.families.cut, owner), self.dimension, kw[kind]
         shape = np.zeros((len(self.families.cut), d, d))
         np.add.at(shape, place, weight[:, None, None] * xi[:, :, None] * xi[:, None])
-        return weight, np.einsum("eab,eb->ea", np.linalg.inv(shape)[place], xi), place
+        return weight, np.einsum("eab,eb->ea", inv(shape)[place], xi), place
 
     def bent(self, kw: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Factors of u(ξ) − u in θ, [E, d]: d K W/m ξ, or K W S⁻¹ ξ beside broken bonds (40–41)."""

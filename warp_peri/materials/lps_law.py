@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias, cast
 
 import numpy as np
+from numpy.linalg import lstsq, svd
 
 from warp_peri.core.elastic import lattice_group, symmetric_part
 from warp_peri.core.stencil import Basis, half_ball, numbers_at
@@ -296,7 +297,7 @@ class BernsteinKernel:
             [(c.weight * t**-alpha)[:, None] * bernstein_basis(t, 1.0, degree) for t, c in scaled]
         )
         scale = np.abs(tables).max()
-        left, size, right = np.linalg.svd(tables / scale)
+        left, size, right = svd(tables / scale)
         self.rank = rank = int(np.sum(size > RANK_TOLERANCE * size[0]))
         lengths = np.concatenate([classes.r for classes in lattices])
         reached = np.abs(tables).max(axis=1) > RANK_TOLERANCE * scale
@@ -309,7 +310,7 @@ class BernsteinKernel:
         self._second = np.diff(np.eye(degree + 1), n=2, axis=0)
         free = right[rank:].T  # coefficients that no bond sees: take those that smooth
         if free.size and len(self._second):
-            smooth = np.linalg.lstsq(self._second @ free, self._second @ self.D_of_q)
+            smooth = lstsq(self._second @ free, self._second @ self.D_of_q)
             self.D_of_q = self.D_of_q - free @ smooth[0]
         self._log_r = [np.log(t) for t, _ in scaled]
         first = lattices[0]

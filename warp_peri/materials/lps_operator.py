@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 import warp as wp
+from numpy.linalg import inv
 from numpy.typing import ArrayLike
 
 import warp_peri.core as core
@@ -438,7 +439,7 @@ def node_fields(model: LPSMaterial, points: PointsLike, u: ArrayLike) -> NodeFie
     total = partial(np.add.reduceat, indices=np.flatnonzero(np.diff(owner, prepend=-1)))  # [I, …]
     K, outer, c2 = law.kw[kind], xi[:, :, None] * xi[:, None, :], d * (d + 2)
     sheared = K / (xi**2).sum(axis=1)
-    shape, inverse = total(K[:, None, None] * outer), np.linalg.inv(total(outer))
+    shape, inverse = total(K[:, None, None] * outer), inv(total(outer))
     parts = []
     for field in u:
         eta = field[far] - field[owner]

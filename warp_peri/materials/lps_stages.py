@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.linalg import solve
+from numpy.linalg import pinv, solve
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, eigh
 from scipy.spatial import KDTree
 
@@ -346,7 +346,7 @@ def _projection(x: np.ndarray, k: np.ndarray, b: np.ndarray) -> np.ndarray:
     (c1, c2), (s1, s2) = np.cos(k * x).T, np.sin(k * x).T
     waves = np.stack([c1 * c2, -s1 * s2, s1 * c2, c1 * s2], axis=1)
     parities = ((0, 1), (1, 0), (2, 3), (3, 2))  # wave of the first and of the second component
-    onto = np.linalg.pinv(waves)  # waves that vanish, where k has a zero, get amplitude zero
+    onto = pinv(waves)  # waves that vanish, where k has a zero, get amplitude zero
     B = onto @ b
     best = max(parities, key=lambda p: np.hypot(B[p[0], 0], B[p[1], 1]))
     return onto[list(best)]

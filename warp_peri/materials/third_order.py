@@ -9,7 +9,7 @@ to |H| ≤ ε, u ← u + L⁻¹ (b − L u) contracts in the energy norm of the 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any, Literal
@@ -33,7 +33,15 @@ from warp_peri.fitting.result import Fit
 from warp_peri.materials.certificate import Uniqueness, curvature_bound, prove_uniqueness
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import Crystal, Tensors, one_set, transfer_to_lattice
-from warp_peri.points.arguments import NotNegative, Numbers, checked, is_number, shown_moduli, typed
+from warp_peri.points.arguments import (
+    ArrayMap,
+    NotNegative,
+    Numbers,
+    checked,
+    is_number,
+    shown_moduli,
+    typed,
+)
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.points import PointsLike, Samples, axis_of, lattice_steps, nodes_of
@@ -105,9 +113,7 @@ class Smoothing:
         return inward, fitted_weights(classes, self.transform, core)
 
 
-def fitted_weights(
-    classes: BondClasses, factor: Callable[[np.ndarray], np.ndarray], reach: float
-) -> np.ndarray:
+def fitted_weights(classes: BondClasses, factor: ArrayMap, reach: float) -> np.ndarray:
     """Fit weights p [1/Å²], Σ n r² p = 1, whose symbol 2 Σ p sin(k·ξ) ξ is near k factor(|k|) over
     the square |k_a| ≤ reach [1/Å]. Errors count as those of the gradient under a unit load, which
     displaces by 1/|k|², and wave numbers alike: |k|^(−5/2) has the least residual on training loads

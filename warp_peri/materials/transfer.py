@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
-from numpy.linalg import norm
+from numpy.linalg import inv, norm, solve
 
 from warp_peri.core.elastic import GOLDEN_ANGLE, directions, lattice_group, orbit_grid
 from warp_peri.core.proof import certify
@@ -24,11 +23,11 @@ from warp_peri.materials.lps_law import (
     optimum,
     product_basis,
 )
-from warp_peri.points.arguments import Positive, search_length, symbols, typed
+from warp_peri.points.arguments import ArrayMap, Positive, search_length, symbols, typed
 from warp_peri.points.families import AT_EDGES, bond_classes, carried_horizon
 from warp_peri.points.points import PointsLike, unit_vectors
 
-WaveSymbol = Callable[[np.ndarray], np.ndarray]
+WaveSymbol = ArrayMap
 """k [K, d] along the nodes' axes to D(k) [K, d, d] [stress/length²]."""
 WAVES, LARGEST_WAVE = 400, 2.0
 """Waves that a symbol is matched on, and their largest |k| h."""
@@ -65,7 +64,7 @@ def waves_against(
     target: np.ndarray, phase: np.ndarray, bonds: Basis, share: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows R and y of ‖D₀⁻¹ D e − e‖ over polarisations e, for D₀ [K, d, d] and k h, weighted."""
-    rows = np.linalg.inv(target)[:, None] @ bonds.symbol(phase)
+    rows = inv(target)[:, None] @ bonds.symbol(phase)
     right = np.broadcast_to(np.eye(bonds.dimension), target.shape) * share[:, None, None]
     rows = rows.transpose(0, 2, 3, 1) * share[:, None, None, None]
     return rows.reshape(-1, rows.shape[-1]), right.ravel()
@@ -73,7 +72,7 @@ def waves_against(
 
 def wave_errors(answer: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Relative displacement error ‖D⁻¹ D₀ − I‖₂ at wave vectors, [..., d, d] to [...] (M4)."""
-    wrong = np.linalg.solve(answer, target) - np.eye(answer.shape[-1])
+    wrong = solve(answer, target) - np.eye(answer.shape[-1])
     return np.asarray(norm(wrong, ord=2, axis=(-2, -1)))
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -24,6 +24,7 @@ from warp_peri.mpi.linear import operator_on
 from warp_peri.mpi.processes import Comm, Slabs, build, cut, exchange, inner, total, world
 from warp_peri.points.arguments import (
     USUAL,
+    ArrayMap,
     Units,
     as_array,
     check_function,
@@ -231,7 +232,7 @@ class NodeHalo:
 def lattice(
     shape: tuple[int, ...],
     spacing: float,
-    interior: Callable[[np.ndarray], np.ndarray],
+    interior: ArrayMap,
     *,
     origin: Any = 0.0,
     units: Units = USUAL,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 import torch
-from numpy.linalg import norm
+from numpy.linalg import lstsq, norm
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
@@ -291,7 +291,7 @@ def affine(samples: Samples, u: np.ndarray) -> np.ndarray:
     """Replace the interior of a field by the affine motion that fits its collar best, [N, 2]."""
     places = np.column_stack([samples.x, np.ones(len(u))])
     collar = ~samples.interior
-    motion, *_ = np.linalg.lstsq(places[collar], u[collar])
+    motion, *_ = lstsq(places[collar], u[collar])
     return np.where(collar[:, None], u, places @ motion)
 
 

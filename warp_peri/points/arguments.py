@@ -422,6 +422,8 @@ def taken(
     return tuple(check_arguments(taker, its) for taker, its in zip(takers, found))
 
 
+ArrayMap: TypeAlias = Callable[[np.ndarray], np.ndarray]
+"""Arrays made of arrays."""
 LENGTHS = {"angstrom": 1.0, "nm": 10.0, "um": 1e4, "mm": 1e7, "m": 1e10}
 """Units of length [Å]."""
 STRESSES = {

@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 import warp as wp
-from numpy.linalg import norm
+from numpy.linalg import norm, svd
 from numpy.typing import ArrayLike
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import ConvexHull, QhullError, cKDTree
@@ -395,7 +395,7 @@ def family_weights(
     scaled = xi / horizon
     rows = np.array([(scaled**p).prod(axis=1) for p in powers])
     rows /= norm(scaled, axis=1) ** SINGULARITY
-    left, size, right = np.linalg.svd(rows, full_matrices=False)
+    left, size, right = svd(rows, full_matrices=False)
     large = size > DEPENDENT * size[0]
     weights = np.divide(exact @ left, size, out=np.zeros_like(size), where=large) @ right
     residual = np.abs(rows @ weights - exact).max() / np.abs(exact).max()

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.linalg import det, norm
+from numpy.linalg import det, inv, norm
 from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -303,7 +303,7 @@ def _named(
 def cells_holding(corners: np.ndarray, x: np.ndarray, depth: float = -WITHIN) -> np.ndarray:
     """Number of a cell, of corners [T, d + 1, d], that holds each position [n, d], or −1; `depth`
     is in the cell's own coordinates, which are 0 to 1 across."""
-    inverse = np.linalg.inv((corners[:, 1:] - corners[:, :1]).mT)
+    inverse = inv((corners[:, 1:] - corners[:, :1]).mT)
     middle = corners.mean(axis=1)
     size = norm(corners - middle[:, None], axis=2).max(axis=1) * (1 + WITHIN)
     found, points = np.full(len(x), -1), cKDTree(x)

@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 
 import h5py
 import numpy as np
+from numpy.linalg import det
 
 from warp_peri.errors import InputError, StrPath, warn
 from warp_peri.files.atomic import check_hdf5, check_xml, content, meshio_of
@@ -112,7 +113,7 @@ def _halves(x: np.ndarray, quads: np.ndarray) -> np.ndarray:
     """Cut quadrilaterals [T, 4] in two triangles, [n, 3], at a reentrant corner if there is one;
     those with a repeated corner are one triangle."""
     cuts = quads[:, [[[0, 1, 2], [0, 2, 3]], [[1, 2, 3], [1, 3, 0]]]]
-    size = np.linalg.det(x[cuts[..., 1:]] - x[cuts[..., :1]])
+    size = det(x[cuts[..., 1:]] - x[cuts[..., :1]])
     least = (size * np.sign(size.sum(axis=2, keepdims=True))).min(axis=2)
     second = (least[:, 0] <= 0) & (least[:, 1] > 0)
     halves = np.where(second[:, None, None], cuts[:, 1], cuts[:, 0])

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 from weakref import WeakValueDictionary
 
 import numpy as np
-from numpy.linalg import norm
+from numpy.linalg import norm, qr, svd
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import Held, InputError, Rows, Shown, hold, warn
@@ -328,11 +328,11 @@ def _axes(x: np.ndarray, h: float, unit: str) -> np.ndarray:
     if not len(step):
         raise InputError(SPARSE.format(SHAPES[d], h, unit))
     across = step[np.abs(step @ step[0]) < 0.1][:1]
-    columns = np.linalg.qr(np.concatenate([step[:1], across, np.eye(d)]).T)[0]
+    columns = qr(np.concatenate([step[:1], across, np.eye(d)]).T)[0]
     orders, signs = itertools.permutations(range(d)), itertools.product((1, -1), repeat=d)
     turns = [columns[:, order] * sign for order, sign in itertools.product(orders, signs)]
     grid = np.rint((x - x[0]) @ max(turns, key=np.trace) / h)
-    U, _, V = np.linalg.svd((x - x.mean(axis=0)).T @ (grid - grid.mean(axis=0)))
+    U, _, V = svd((x - x.mean(axis=0)).T @ (grid - grid.mean(axis=0)))
     return np.asarray(U @ V)
 
 

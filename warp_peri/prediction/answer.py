@@ -191,13 +191,13 @@ class Prediction(Shown):
         """Likely error of the displacement at each node [length], shape [N]; 0 on the collar. As of
         a quantity, more than one node in ten may be further off."""
         bar = np.zeros(len(self.u))
-        sizes = {name: np.linalg.norm(part, axis=-1) for name, part in self.fields.items()}
+        sizes = {name: norm(part, axis=-1) for name, part in self.fields.items()}
         bar[self.operator.points.interior] = self._bar(sizes)
         return bar
 
     def _bar(self, sizes: dict[str, np.ndarray]) -> np.ndarray:
         """Likely error of numbers that error fields change by `sizes`; NaN where it is unknown."""
-        bar = np.linalg.norm([*combined(sizes, self.operator.family.factors).values()], axis=0)
+        bar = norm([*combined(sizes, self.operator.family.factors).values()], axis=0)
         return np.where(np.isnan(self.error), np.nan, bar)
 
     @cached_property

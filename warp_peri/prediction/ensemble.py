@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 import scipy.fft
 import scipy.sparse as sp
-from numpy.linalg import norm
+from numpy.linalg import lstsq, norm, qr
 from scipy.ndimage import distance_transform_edt
 
 from warp_peri.core.elastic import symmetric_part
@@ -18,7 +18,7 @@ from warp_peri.core.record import FieldUnits, OnLinear
 from warp_peri.core.stencil import Grid, grid_of
 from warp_peri.errors import InputError, Rows
 from warp_peri.fitting.result import Fit
-from warp_peri.points.arguments import NotNegative, is_number, offered, typed
+from warp_peri.points.arguments import ArrayMap, NotNegative, is_number, offered, typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import largest_strain
 from warp_peri.points.points import PointsLike, Samples, lattice_steps, nodes_of
@@ -48,7 +48,7 @@ varies little, is set higher."""
 SHRUNK, POORER = 0.8, 2 / 3
 """Horizon and degree of the second member over those of the rich one."""
 ROUNDING = 1e-12
-Measure = Callable[[np.ndarray], np.ndarray]
+Measure = ArrayMap
 """Of a displacement on all nodes, [N, d] → numbers."""
 
 
@@ -89,11 +89,11 @@ def spectrum_of(points: PointsLike, wavelength: np.ndarray) -> Measure:
     there[padded] = True
     depth = distance_transform_edt(there)[padded]
     window = np.sin(np.pi / 2 * depth / depth.max())[:, None] ** 2
-    affine = np.linalg.qr(np.column_stack([np.ones(len(steps)), steps]))[0]
+    affine = qr(np.column_stack([np.ones(len(steps)), steps]))[0]
     wide = [scipy.fft.next_fast_len(2 * n, real=True) for n in shape]
     lines = [np.fft.fftfreq(n, points.spacing) for n in wide[:-1]]
     lines.append(np.fft.rfftfreq(wide[-1], points.spacing))
-    length = 1 / np.maximum(np.linalg.norm(np.meshgrid(*lines, indexing="ij"), axis=0), 1e-300)
+    length = 1 / np.maximum(norm(np.meshgrid(*lines, indexing="ij"), axis=0), 1e-300)
     twice = np.full(len(lines[-1]), 2.0)  # of ±k one is not computed
     twice[[0] if wide[-1] % 2 else [0, -1]] = 1.0
     knot = np.interp(np.log(length), np.log(wavelength), np.arange(count)).ravel()
@@ -452,7 +452,7 @@ def quadratic(family: EnsembleMaterial, samples: Samples) -> tuple[float, ...]:
     ]
     grid = grid_of(points, 2 * np.eye(points.dimension, dtype=int))
     rows = second_order(grid, points.spacing, samples.u)
-    return tuple(np.linalg.lstsq(rows.reshape(len(rows), -1).T, np.ravel(left))[0].tolist())
+    return tuple(lstsq(rows.reshape(len(rows), -1).T, np.ravel(left))[0].tolist())
 
 
 def _measured(family: EnsembleMaterial, samples: Samples) -> list[dict[str, Any]]:

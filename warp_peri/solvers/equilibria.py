@@ -16,13 +16,14 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.linalg import lstsq
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator
 
 from warp_peri.core.elastic import symmetric_part
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, warn
-from warp_peri.points.arguments import checked_fields
+from warp_peri.points.arguments import ArrayMap, checked_fields
 from warp_peri.points.points import Points, grid_places, lattice_steps
 from warp_peri.solvers.linear import DIRECT, Inverse
 from warp_peri.solvers.solution import Newton, Solution, Solver, by_sample, refuse_solver
@@ -77,7 +78,7 @@ SHORTEST, DESCENT, NEARER = 1e-4, 1e-4, 0.5
 """Shortest part of a step down; what of its promise it must keep, or by what residuals shrink."""
 LINEAR = 1e-5
 """Strain below which what rounding leaves of forces is seen, and answers are in proportion."""
-Force = Callable[[np.ndarray], np.ndarray]
+Force = ArrayMap
 """A field of all nodes [N, d] to the force on the interior [I, d]."""
 
 
@@ -268,7 +269,7 @@ def anderson(
                 for each in (steps, fields)
             )
             flat = by_step.reshape(-1, by_step.shape[-1])
-            u = u + (by_step + by_field) @ np.linalg.lstsq(flat, -steps[-1].ravel(), rcond=1e-12)[0]
+            u = u + (by_step + by_field) @ lstsq(flat, -steps[-1].ravel(), rcond=1e-12)[0]
     return best
 
 

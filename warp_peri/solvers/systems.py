@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.linalg import eigvalsh, matrix_rank
 from scipy.optimize import NoConvergence, newton_krylov
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
@@ -158,7 +159,7 @@ class MatrixProblem:
 def smallest_eigenvalue(symmetric: sp.csc_array | LinearOperator) -> float:
     """Smallest eigenvalue of a symmetric matrix or operator; dense for few unknowns."""
     if (size := symmetric.shape[0]) <= DENSE:
-        return float(np.linalg.eigvalsh(symmetric @ np.eye(size))[0])
+        return float(eigvalsh(symmetric @ np.eye(size))[0])
     found = eigsh(
         symmetric, 1, which="SA", tol=1e-6, ncv=80, v0=lanczos_start(size),
         return_eigenvectors=False,
@@ -188,7 +189,7 @@ def loose_pieces(
         for turn, (a, b) in enumerate(turns, d):
             motions[:, a, turn], motions[:, b, turn] = -away[:, b], away[:, a]
         felt = motions[held[nodes]]
-        rank = int(np.linalg.matrix_rank(felt, tol=1e-9)) if len(felt) else 0
+        rank = int(matrix_rank(felt, tol=1e-9)) if len(felt) else 0
         if rank < motions.shape[2]:
             yield nodes, rank, motions.shape[2]
 

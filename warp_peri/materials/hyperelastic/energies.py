@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 import torch
+from numpy.linalg import lstsq
 
 from warp_peri.core.record import FieldUnits
 from warp_peri.core.stencil import half_ball
@@ -245,7 +246,7 @@ def strain_weights(reach: float, order: int) -> np.ndarray:
     moments = np.array([2 * x**a * y**b for a, b in powers])
     target = np.eye(len(powers))[:, :3]
     scale = (x**2 + y**2) ** -5.0
-    scaled, *_ = np.linalg.lstsq(moments * scale, target, rcond=1e-10)
+    scaled, *_ = lstsq(moments * scale, target, rcond=1e-10)
     weights = np.asarray(scale[:, None] * scaled)
     if np.abs(moments @ weights - target).max() > 1e-8:
         raise InputError(f"reach: {reach} spacings carry no strain of order {order}")

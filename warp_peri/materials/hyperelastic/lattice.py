@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 import torch
+from numpy.linalg import eigvalsh, matrix_power
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
@@ -88,7 +89,7 @@ class SheetLattice:
                     "axis: directions of a hyperelastic solid are told from an axis of the lattice;"
                     f" expected none, or {own:.4g}° and quarter turns from it, got {points.axis:g}°"
                 )
-            turn = np.linalg.matrix_power(np.array([[0, -1], [1, 0]]), quarters % 4)
+            turn = matrix_power(np.array([[0, -1], [1, 0]]), quarters % 4)
             grid, axes = grid @ turn, axes @ turn
         half = half_family(reach)
         self.grid, self.steps = grid, np.concatenate([half, -half])
@@ -220,7 +221,7 @@ def _solve(factors: np.ndarray, order: np.ndarray, y: np.ndarray) -> np.ndarray:
 def softest(size: int, inverse: Inner, tolerance: float) -> float:
     """Smallest eigenvalue of a positive definite matrix, from its inverse."""
     if size <= 2:
-        return 1 / float(np.linalg.eigvalsh(inverse(np.eye(size)))[-1])
+        return 1 / float(eigvalsh(inverse(np.eye(size)))[-1])
     ends = {"v0": lanczos_start(size), "return_eigenvectors": False, "tol": tolerance}
     K = LinearOperator((size, size), inverse, dtype=float)
     return 1 / float(eigsh(K, 1, which="LA", **ends)[0])

@@ -12,6 +12,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 import torch
+from numpy.linalg import lstsq
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator, eigsh
 from torch.autograd import grad
@@ -416,7 +417,7 @@ class HyperelasticSheetOperator(Swept):
             if near is not None:
                 # the fields that fit u on the collar best, and the lift of what they miss
                 given, collar = near[:, ~self.points.interior], u[~self.points.interior].ravel()
-                share = np.linalg.lstsq(given.reshape(len(near), -1).T, collar)[0]
+                share = lstsq(given.reshape(len(near), -1).T, collar)[0]
                 start = np.tensordot(share, near, 1)
                 start = start + self.lift(u - start)
                 inverse = None if self.rough else self.factors(start)[0]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.linalg import norm
+from numpy.linalg import lstsq, norm
 from scipy.ndimage import binary_dilation, binary_erosion
 from scipy.optimize import lsq_linear
 from tqdm import tqdm
@@ -477,7 +477,7 @@ def check_identifiable(frames: Samples, op: HyperelasticSheetOperator) -> None:
     little is measured for so many unknowns."""
     design = np.column_stack([np.ones(len(frames.x)), frames.x])
     u = np.moveaxis(frames.u, 0, 1).reshape(len(frames.x), -1)
-    rest = u - design @ np.linalg.lstsq(design, u)[0]
+    rest = u - design @ lstsq(design, u)[0]
     rest, size = (norm(v.reshape(len(v), -1, 2), axis=(0, 2)) for v in (rest, u))
     if not (rest > AFFINE * size).any():
         raise InputError(
