@@ -16,12 +16,12 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_897,
-    "tokens": 234_477,
-    "lines of warp_peri": 30_468,
+    "code lines": 18_985,
+    "tokens": 234_889,
+    "lines of warp_peri": 30_594,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_656,
+    "lines of warp_peri, kernels, examples and tools": 42_782,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -32,20 +32,20 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2343,
-    "cli": 820,
-    "core": 1611,
-    "face": 1089,
+    "atoms": 2388,
+    "cli": 839,
+    "core": 1612,
+    "face": 1098,
     "fe_coupling": 695,
-    "files": 521,
+    "files": 525,
     "fitting": 1051,
-    "fracture": 1407,
-    "materials": 4564,
-    "neural": 589,
-    "points": 1727,
-    "prediction": 576,
-    "mpi": 442,
-    "solvers": 1462,
+    "fracture": 1405,
+    "materials": 4561,
+    "neural": 591,
+    "points": 1725,
+    "prediction": 585,
+    "mpi": 434,
+    "solvers": 1476,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)
