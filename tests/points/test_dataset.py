@@ -15,7 +15,7 @@ from tests.support.problems import lattice, noise
 from warp_peri import Dataset, Points, Samples, evaluate, load, save
 from warp_peri.files.checkpoint import write_arrays
 from warp_peri.points.arguments import factors
-from warp_peri.points.dataset import load_dataset, save_dataset
+from warp_peri.points.dataset import in_units, load_dataset, save_dataset
 
 GRID = lattice(2, 1.0, spacing=2.5)
 N = len(GRID.x)
@@ -167,10 +167,13 @@ def test_the_one_set_or_that_of_the_usual_name_is_meant_where_none_is_named():
 
 
 def test_files_carry_their_units_and_an_argument_converts(tmp_path):
-    path, waves, usual = tmp_path / "data.h5", {"wave_vector": np.ones((3, 2))}, ("angstrom", "TPa")
+    path, usual = tmp_path / "data.h5", ("angstrom", "TPa")
+    arrays = {"wave_vector": 3 * [[1, 1]], "pull": 3 * [[np.nan, 2]]}
     for units, length, stress in ((("nm", "GPa"), 10.0, 1e-3), ("ase", 1.0, 0.1602176634)):
         points = replace(GRID, units=units)
-        save(path, Dataset({"a": replace(LOADS, points=points, arrays=waves)}, 3.35, 2267.0))
+        data = Dataset({"a": replace(LOADS, points=points, arrays=arrays)}, 3.35, 2267.0)
+        assert_allclose(data.of_sheet(thickness=6.7)["a"].arrays["pull"], 3 * [[np.nan, 1]])
+        save(path, data)
         assert_array_equal(load(path)["a"].x, LOADS.x)
         found = load(path, units=usual)
         samples = found["a"]
@@ -179,7 +182,9 @@ def test_files_carry_their_units_and_an_argument_converts(tmp_path):
         for field, factor in (("x", length), ("u", length), ("b", stress / length)):
             assert getattr(samples, field) == approx(getattr(LOADS, field) * factor)
         assert samples.spacing == approx(2.5 * length)
-        assert samples.arrays["wave_vector"] == approx(1 / length)
+        for converted in (samples, in_units(data["a"], usual)):
+            assert converted.arrays["wave_vector"] == approx(1 / length)
+            assert_allclose(converted.arrays["pull"], 3 * [[np.nan, 2 * stress]])
     assert factors("si", "metal") == approx((1e10, 1e-5))
     assert_refused({
         "length_unit: .* one of angstrom, nm, .* 'mile'": lambda: load(path, units=("mile", "TPa")),

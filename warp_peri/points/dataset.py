@@ -29,7 +29,15 @@ from warp_peri.points.arguments import (
     symbols,
     typed,
 )
-from warp_peri.points.points import FIELDS, WAVE_VECTOR, Points, PointsLike, Samples, unit_vectors
+from warp_peri.points.points import (
+    FIELDS,
+    PULL,
+    WAVE_VECTOR,
+    Points,
+    PointsLike,
+    Samples,
+    unit_vectors,
+)
 
 
 @typed
@@ -105,13 +113,10 @@ class Dataset(Shown):
         self, *, thickness: Positive | None = None, density: Positive | None = None
     ) -> Dataset:
         """The data set for another thickness or density of the sheet: forces and displacements are
-        the same, loads per volume, and so fitted moduli, go as one over the thickness."""
+        the same, loads per volume and pulls, and so fitted moduli, go as one over the thickness."""
         wide = thickness or self.thickness
         share = self.thickness / wide
-        sets = {
-            name: one if one.b is None else dataclasses.replace(one, b=one.b * share)
-            for name, one in self.sets.items()
-        }
+        sets = {name: _scaled(one, one.points, 1.0, share) for name, one in self.sets.items()}
         return dataclasses.replace(self, sets=sets, thickness=wide, density=density or self.density)
 
     def summary(self) -> dict[str, Any]:
@@ -133,7 +138,7 @@ class Dataset(Shown):
 
 
 def in_units(samples: Samples, want: Units) -> Samples:
-    """Convert x, u, b, spacing, box and wave vectors to other units; other arrays stay."""
+    """Convert x, u, b, spacing, box, wave vectors and pulls to other units; other arrays stay."""
     points, want = samples.points, check_units(want)
     if points.units == want:
         return samples
@@ -141,9 +146,16 @@ def in_units(samples: Samples, want: Units) -> Samples:
     box = None if points.box is None else tuple(side * length for side in points.box)
     sizes: Any = {"x": points.x * length, "spacing": points.spacing * length}
     points = dataclasses.replace(points, **sizes, box=box, units=want)
-    arrays = dict(samples.arrays)
-    if WAVE_VECTOR in arrays:
-        arrays[WAVE_VECTOR] = arrays[WAVE_VECTOR] / length
+    return _scaled(samples, points, length, stress)
+
+
+def _scaled(samples: Samples, points: Points, length: float, stress: float) -> Samples:
+    """Samples on other points with lengths and stresses times factors; a pull may be NaN."""
+    by = {WAVE_VECTOR: 1 / length, PULL: stress}
+    arrays = {
+        name: checked(name, value, read=False) * by[name] if name in by else value
+        for name, value in samples.arrays.items()
+    }
     b = None if samples.b is None else samples.b * (stress / length)
     return Samples(points, samples.u * length, b, arrays)
 
