@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.linalg import eigvalsh
 
-from tests.support import near, parametrize, shared, sup, warned
+from tests.support import near, parametrize, refused, shared, sup, warned
 from tests.support.problems import lattice as nodes
 from tests.support.problems import normal, on_interior
 from tests.support.sheets import dictionary_of, sheet_on, square, waves
@@ -104,9 +104,13 @@ def test_stretches_beyond_the_training_data_warn(manufactured):
     op, u, b = manufactured
     reached = op.largest_stretch(u)
     assert reached > 1.05
-    samples = Samples(op.points, u[None], b[None])
+    samples = Samples(op.points, np.array([u, u]), np.array([b, 0 * b]))
     known = replace(op.model, stretch=reached)
-    assert evaluate(known, samples)["E_u"] < 1e-6
+    errors = evaluate(known, samples)
+    assert errors["E_u_samples"][0] < 1e-6
+    assert errors["E_res_samples"] == [errors["E_res"], None]
+    with refused("u: sample 1 is zero"):
+        evaluate(known, Samples(op.points, np.array([u, 0 * u])))
     said = f"stretch: the fields reach {reached:.4g}, the training data 1.02"
     with warned(said):
         evaluate(replace(op.model, stretch=1.02), samples)

@@ -244,8 +244,12 @@ def test_forces_are_learned():
     history = train(material, loads(0), loads(1), settings, progress=False)
     assert history.best > 20
     assert history.curve[-1][1] < 0.2 * history.curve[0][1]
-    errors = evaluate(material, loads(2))
+    errors, two, rest = evaluate(material, loads(2)), loads(2)[:2], [[[1]], [[0]]]
+    bare = evaluate(material, replace(two, b=two.b * rest), solve=False)
+    assert bare["E_res"] == errors["E_res_samples"][0]
     assert errors["E_res"] < 0.25
+    with refused("u: sample 1 is zero"):
+        evaluate(material, replace(two, u=two.u * rest))
     assert errors["E_u"] < 0.15
     assert errors["converged"] == 1
 

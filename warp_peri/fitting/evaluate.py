@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.linalg import lstsq
+from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 from tqdm import tqdm
 
@@ -94,23 +95,24 @@ def _table(
     """Table of errors of solutions; `home` is the spacing that a transferred model comes from."""
     inside = points.interior
     size, wrong = sizes(points.u, inside), sizes(solved - points.u, inside)
-    if not (size > 0).all():
-        raise InputError(f"u: sample {size.argmin()} is zero on the interior")
+    table = errors_of("E_res", residual, load) | errors_of("E_u", wrong, size)
     bent = norms(without_rigid_part(points.x[inside], points.u[:, inside]))
     bent = np.where(bent > ROUNDING * size, bent, 0.0)
-    table: dict[str, Any] = {}
-    for key, above, below in (
-        ("E_res", residual, load),
-        ("E_u", wrong, size),
-        ("E_shape", wrong, bent),
-        ("E_res_abs", residual, np.ones(len(residual))),
-    ):
-        values = [a / b if b > 0 else None for a, b in zip(above.tolist(), below.tolist())]
-        known = [value for value in values if value is not None]
-        table |= {key: float(np.mean(known)) if known else None, f"{key}_samples": values}
+    table |= errors_of("E_shape", wrong, bent) | errors_of("E_res_abs", residual)
     if home is not None:
         table["transferred_from"] = home
     return table
+
+
+def errors_of(key: str, off: ArrayLike, whole: ArrayLike = 1.0) -> dict[str, Any]:
+    """Mean error, and those of S samples, None where `off` is NaN or `whole` 0; InputError where
+    that is of E_u."""
+    if key == "E_u" and not np.all(np.greater(whole, 0)):
+        raise InputError(f"u: sample {np.argmin(whole)} is zero on the interior")
+    pairs = np.broadcast(off, whole)
+    values = [float(a / b) if b > 0 and a == a else None for a, b in pairs]
+    known = [value for value in values if value is not None]
+    return {key: float(np.mean(known)) if known else None, f"{key}_samples": values}
 
 
 def without_rigid_part(x: np.ndarray, u: np.ndarray) -> np.ndarray:

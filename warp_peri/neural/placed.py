@@ -15,7 +15,8 @@ from warp_peri.core.elastic import checked_orientation, in_shape_of
 from warp_peri.core.stencil import numbers_at
 from warp_peri.core.torch_bridge import on_fields
 from warp_peri.errors import InputError
-from warp_peri.fitting.regression import relative
+from warp_peri.fitting.evaluate import errors_of
+from warp_peri.fitting.regression import norms
 from warp_peri.points.arguments import plain, typed
 from warp_peri.points.families import families_of
 from warp_peri.points.points import PointsLike, Samples, nodes_of
@@ -307,17 +308,18 @@ def evaluate(
 
     E_res_abs is ‖force − b‖ [stress/length]; E_u the error of the solved displacement from zero, or
     from the collar's affine motion without loads, found or not; "converged" the share of equilibria
-    found. Without loads there is no E_res, without a collar no E_u.
+    found. Without loads there is no E_res, of a sample without one None; without a collar no E_u.
+    Raises InputError for no samples, and for one that E_u is asked of and u is zero in.
     """
+    if not len(samples):
+        raise InputError("samples: expected at least one")
     placed, inside = material.on(samples.points), samples.interior
     loads = np.zeros_like(samples.u) if samples.b is None else samples.loads
     search = EquilibriumSolver(placed) if solve and not inside.all() else None
     enough = SMALL[placed.dtype]
-    rows: dict[str, list[float]] = {"E_res": [], "E_res_abs": [], "E_u": [], "converged": []}
+    miss, wrong, there = list[Any](), list[Any](), list[Any]()
     for u, b in tqdm(list(zip(samples.u, loads)), disable=not progress, leave=False):
-        miss, size = (norm(f) for f in (placed.force(u) - b[inside], b[inside]))
-        rows["E_res_abs"].append(float(miss))
-        rows["E_res"].append(float(miss / size) if size else np.nan)
+        miss.append(norm(placed.force(u) - b[inside]))
         if search is not None:
             found, converged = np.where(inside[:, None], 0.0, u), False
             if samples.b is None:
@@ -328,10 +330,12 @@ def evaluate(
                     found, converged = search.solve(b[inside], u, enough)[0], True
                 except InputError:  # the linear answer
                     found[inside] = search.inverse(b[inside] - search.straight(found), enough)
-            rows["E_u"].append(relative((found - u)[inside], u[inside]))
-            rows["converged"].append(float(converged))
-    kept = {key: values for key, values in rows.items() if values and np.isfinite(values).all()}
-    if not kept:
-        raise InputError("samples: expected at least one")
-    means = {key: float(np.mean(values)) for key, values in kept.items()}
-    return means | {f"{key}_samples": values for key, values in kept.items()}
+            wrong.append(norm((found - u)[inside]))
+            there.append(converged)
+    table = errors_of("E_res_abs", miss)
+    if samples.b is not None:
+        table |= errors_of("E_res", miss, norms(loads[:, inside]))
+    if search is not None:
+        table |= errors_of("E_u", wrong, norms(samples.u[:, inside]))
+        table |= errors_of("converged", there)
+    return table

@@ -20,6 +20,7 @@ from torch.autograd import grad
 from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.core.torch_bridge import FEW, Swept
 from warp_peri.errors import InputError, Rows, warn
+from warp_peri.fitting.evaluate import errors_of
 from warp_peri.fitting.regression import norms
 from warp_peri.fitting.result import LOUD
 from warp_peri.materials.hyperelastic.energies import Energy, Hyperelastic, Strain
@@ -403,16 +404,15 @@ class HyperelasticSheetOperator(Swept):
         """Relative ℓ2 errors on the interior, (30) and (31), of samples on the operator's points.
 
         `near` are fields of other loads, shape [M, N, 2]: each search begins at their combination
-        that fits its collar best, at rest where none are given. Returns E_res where there are
-        loads; E_u over the samples that were solved, not_solved, their number, and left_branch, the
-        number of those that another branch may hold; residuals and displacements with the errors of
-        every sample, NaN where not solved. Warns of stretches beyond the training data.
+        that fits its collar best, at rest where none are given. Returns, as `evaluate` does, E_res
+        where there are loads and E_u, None of samples that were not solved; not_solved, the number
+        of these, and left_branch, the number of those that another branch may hold. Warns of
+        stretches beyond the training data. Raises InputError for u that is zero on the interior.
         """
         told, found, start, inverse = dict[str, Any](), [], None, None
         loads = (np.zeros_like(samples.u) if samples.b is None else samples.b)[:, self.interior]
         if samples.b is not None:
-            residuals = norms(self.force(samples.u) - loads) / norms(loads)
-            told = {"E_res": float(residuals.mean()), "residuals": residuals}
+            told = errors_of("E_res", norms(self.force(samples.u) - loads), norms(loads))
         for u, b in zip(samples.u, loads):
             if near is not None:
                 # the fields that fit u on the collar best, and the lift of what they miss
@@ -426,11 +426,9 @@ class HyperelasticSheetOperator(Swept):
         fields = np.where(there[:, None, None], [u for u, _ in found], np.nan)
         gaps, seen = fields - samples.u, seen_of(samples)[..., None]
         gaps, u = (each[:, self.interior] for each in (gaps * seen, samples.u * seen))
-        errors = norms(gaps) / norms(u)
+        told |= errors_of("E_u", norms(gaps), norms(u))
         self.warn_beyond(fields[there])
         return told | {
-            "E_u": float(np.nanmean(errors)) if there.any() else float("nan"),
             "not_solved": int((~there).sum()),
             "left_branch": sum(not one.followed for _, one in found if one.converged),
-            "displacements": errors,
         }
