@@ -208,6 +208,7 @@ def test_a_family_is_one_file_in_any_units_and_has_a_command(family, tmp_path, c
 def test_wrong_input_is_refused(family):
     points, u, given = problem(family, 0.01)
     one = wp.Samples(points, u[None], given.b[None])
+    warm = wp.Samples(points, np.array(4 * [u]), arrays={"temperature": 4 * ["300 K"]})
     assert_refused({
         "predict: expected a problem": lambda: wp.predict(family, points),
         "problem, .* got Cracked": lambda: wp.predict(
@@ -225,6 +226,7 @@ def test_wrong_input_is_refused(family):
             family, rich=replace(family.linear, provenance={"moduli_error": "x"})
         ).moduli_error,
         "at least four samples": lambda: wp.fit(one, Ensemble(wp.LPS(3.0))),
+        "temperature: expected float": lambda: wp.fit(warm, Ensemble(wp.LPS(3.0))),
         r"at: expected shape \[m, 2\]": lambda: wp.prediction.strain(points, [1.0, 2.0]),
         "u: expected .* masked": lambda: wp.prediction.strain(points, [[0.0, 0.0]])(
             np.ma.masked_equal(u, u[0, 0])
@@ -237,6 +239,7 @@ def test_a_family_is_learned_and_calibrated_by_one_call(tmp_path):
     points = lattice(8, HORIZON)
     samples = manufactured(kernel("positive", HORIZON), points, 8, wave_number=1.0)
     law = wp.Crystal(HORIZON, "4mm", moduli=None)  # eight nodes hold no long waves
+    samples.u[0] = samples.b[0] = 0
     fit = wp.fit(samples, Ensemble(law), progress=False)
     assert fit.certificate.holds
     assert fit.material.second.horizon < fit.material.horizon

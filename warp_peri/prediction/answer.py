@@ -408,7 +408,11 @@ def _uncovered(placed: EnsembleOperator, points: Any) -> tuple[str, ...]:
         found.append(AXIS)
     there = getattr(points, "arrays", {}).get("temperature")
     mine = placed.family.temperature
-    if there is not None and mine is not None and not np.allclose(there, mine):
+    if (
+        there is not None
+        and mine is not None
+        and not np.allclose(checked("temperature", there), mine)
+    ):
         found.append(f"temperature: learned at {mine:g} K, asked at {np.max(there):g} K")
     return tuple(found)
 

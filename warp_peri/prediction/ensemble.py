@@ -18,7 +18,7 @@ from warp_peri.core.record import FieldUnits, OnLinear
 from warp_peri.core.stencil import Grid, grid_of
 from warp_peri.errors import InputError, Rows
 from warp_peri.fitting.result import Fit
-from warp_peri.points.arguments import ArrayMap, NotNegative, is_number, offered, typed
+from warp_peri.points.arguments import ArrayMap, NotNegative, checked, is_number, offered, typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import largest_strain
 from warp_peri.points.points import PointsLike, Samples, lattice_steps, nodes_of
@@ -384,19 +384,20 @@ class Ensemble:
             samples = samples.obvious("train")
         if not isinstance(samples, Samples) or len(samples) < 4:
             raise InputError("samples: expected one set of at least four samples for an ensemble")
+        kelvin = samples.arrays.get("temperature")
+        mean = None if kelvin is None else float(checked("temperature", kelvin).mean())
         learn = offered(self.rich, "learn", "fit", "a model as the rich member")
         second = poorer(self.rich) if self.second is None else self.second
         fit = learn(samples, progress=progress)
         learn_other = offered(second, "learn", "fit", "a model as the second member")
         other = learn_other(samples, progress=progress).material
         odd, even = (learn(samples[n::2], progress=progress).material for n in (0, 1))
-        kelvin = samples.arrays.get("temperature")
         family = EnsembleMaterial(
             fit.material,
             other,
             (odd, even),
             strain=largest_strain(samples.points, samples.u),
-            temperature=None if kelvin is None else float(np.mean(kelvin)),
+            temperature=mean,
         )
         return Fit(calibrated(family, samples, validation), fit.certificate, {}, fit.history)
 
@@ -456,12 +457,14 @@ def quadratic(family: EnsembleMaterial, samples: Samples) -> tuple[float, ...]:
 
 
 def _measured(family: EnsembleMaterial, samples: Samples) -> list[dict[str, Any]]:
-    """Estimated and true relative errors of each sample."""
+    """Estimated and true relative errors of each sample that is not at rest."""
     placed = EnsembleOperator(family, samples.points)
     inside = samples.interior
     rows = []
     for b, truth in zip(samples.loads, samples.u):
         load, size = placed.rich.rhs(b), norm(truth[inside])
+        if not size:  # at rest, where nothing is relative
+            continue
         u = np.where(inside[:, None], 0.0, truth)
         u[inside] = placed.inverse(load - placed.straight(u), 3e-3)
         first = u.copy()
