@@ -165,6 +165,7 @@ REFUSED = {
     "axis: directions of a hyperelastic": lambda: sheet_on(replace(POINTS, axis=10.0)),
     "thickness: expected shape": lambda: sheet_on(POINTS, thickness=np.ones(3)),
     "thickness: expected finite numbers > 0": lambda: sheet_on(POINTS, thickness=0 * ALL),
+    "seen: expected shape": fit(replace(FRAMES, arrays={"seen": np.ones((3, 2), bool)})),
     "degree: expected 1 to 6": lambda: ThicknessField.over(POINTS.x, 7),
     r"numbers: expected shape \[5\]":
         lambda: replace(ThicknessField.over(POINTS.x, 2), numbers=np.ones(4)),

@@ -451,7 +451,8 @@ class Samples(Shown):
 
 def seen_of(samples: Samples) -> np.ndarray:
     """Whether each node's displacement was measured, [S, N]: all where nothing says otherwise."""
-    return checked(SEEN, samples.arrays.get(SEEN, np.ones(samples.u.shape[:2], bool)), bool)
+    shape = samples.u.shape[:2]
+    return checked(SEEN, samples.arrays.get(SEEN, np.ones(shape, bool)), bool, shape)
 
 
 PointsLike: TypeAlias = Points | Samples
@@ -505,7 +506,7 @@ def largest_wave_number(points: Samples) -> float | None:
     """Largest |k| [1/Å] of the samples' loads; None on scattered points or without loads. Without
     wave vectors the root mean square of |k| over the spectrum of b, by differences (theory, M1)."""
     if WAVE_VECTOR in points.arrays:
-        k = checked(WAVE_VECTOR, points.arrays[WAVE_VECTOR])
+        k = checked(WAVE_VECTOR, points.arrays[WAVE_VECTOR], shape=points.u[:, 0].shape)
         return float(norm(k, axis=-1).max(initial=0.0)) or None
     h = points.spacing
     if h == 0 or points.b is None:
