@@ -15,7 +15,7 @@ from tests.support.problems import lattice, noise
 from warp_peri import Dataset, Points, Samples, evaluate, load, save
 from warp_peri.files.checkpoint import write_arrays
 from warp_peri.points.arguments import factors
-from warp_peri.points.dataset import in_units, load_dataset, save_dataset
+from warp_peri.points.dataset import load_dataset, save_dataset
 
 GRID = lattice(2, 1.0, spacing=2.5)
 N = len(GRID.x)
@@ -182,9 +182,8 @@ def test_files_carry_their_units_and_an_argument_converts(tmp_path):
         for field, factor in (("x", length), ("u", length), ("b", stress / length)):
             assert getattr(samples, field) == approx(getattr(LOADS, field) * factor)
         assert samples.spacing == approx(2.5 * length)
-        for converted in (samples, in_units(data["a"], usual)):
-            assert converted.arrays["wave_vector"] == approx(1 / length)
-            assert_allclose(converted.arrays["pull"], 3 * [[np.nan, 2 * stress]])
+        assert samples.arrays["wave_vector"] == approx(1 / length)
+        assert_allclose(samples.arrays["pull"], 3 * [[np.nan, 2 * stress]])
     assert factors("si", "metal") == approx((1e10, 1e-5))
     assert_refused({
         "length_unit: .* one of angstrom, nm, .* 'mile'": lambda: load(path, units=("mile", "TPa")),
