@@ -16,7 +16,16 @@ from tools.hyperelastic_elements import Elements, finite_elements, quadrilateral
 from tools.hyperelastic_energies import Family, plane_stress_hgo
 from warp_peri.atoms.dic import DICFrame, dic_to_lattice
 from warp_peri.cli.main import main
-from warp_peri.hyperelastic import EnergyTerm, Hyperelastic, HyperelasticMaterial, uniaxial_stress
+from warp_peri.hyperelastic import (
+    Candidate,
+    EnergyTerm,
+    Hyperelastic,
+    HyperelasticMaterial,
+    SheetFit,
+    material_terms,
+    select_model,
+    uniaxial_stress,
+)
 from warp_peri.materials.hyperelastic import model_selection
 from warp_peri.materials.hyperelastic.model_selection import febio_material, in_words, save_febio
 from warp_peri.points.outlines import Circle, box, mesh_outline
@@ -108,7 +117,7 @@ def test_an_even_sheet_that_stiffens_is_not_called_uneven():
         [DICFrame(points.x[k], one[k], "frame", "mm") for one, k in zip(u, kept)], spacing=0.1
     )
     assert frames.interior.sum() == 121
-    best = wp.hyperelastic.select_model(frames)[0]
+    best = select_model(frames)[0]
     assert best.name == "Yeoh"
     middle, low, high = best.curves(stretches) / uniaxial_stress(best.fit.material, [1.01])[0]
     assert_allclose(middle, true, rtol=0.04)
@@ -118,14 +127,16 @@ def test_an_even_sheet_that_stiffens_is_not_called_uneven():
 
 def test_a_band_is_no_narrower_than_the_misfit_and_deviations_have_none():
     """Fits that agree exactly, as those of one number do, know no more than the frames tell."""
-    even = wp.hyperelastic.SheetFit(SHEET, np.zeros(1), [], [])
+    even = SheetFit(SHEET, np.zeros(1), [], [])
     alike = replace(even, others=[even] * 3)
-    middle, low, high = wp.hyperelastic.Candidate("one", alike, 0.01).curves([1.2])
+    middle, low, high = Candidate("one", alike, 0.01).curves([1.2])
     assert_allclose(high - low, 2 * 1.645 * 0.01 * middle, rtol=1e-3)
     stiff = replace(SHEET, coefficients=np.array([282.0] * 4 + [0.4, 0.1]))
-    rules = wp.hyperelastic.Candidate("rules", replace(even, material=stiff), 0.01)
+    rules = Candidate("rules", replace(even, material=stiff), 0.01)
     with refused("282 times as stiff .* in the place of a material"):
         rules.curves([1.2])
+    with refused("level: expected a number between 0 and 1"):
+        rules.curves([1.2], level=90)
 
 
 def stretched(mesh, energy, fixed, given, x, levels):
@@ -150,7 +161,7 @@ def test_the_command_finds_families_of_fibres(tmp_path):
     table(tmp_path, x, stretched(mesh, *how)[0])
     found = command(tmp_path, out, "--fibres", "8")
     assert found["material"] == "families of fibres"
-    terms = dict(wp.hyperelastic.material_terms(wp.load(out / "material.json")))
+    terms = dict(material_terms(wp.load(out / "material.json")))
     (mu,) = [2 * c for term, c in terms.items() if term.kind == "plane_stress"]
     fibres = sorted((np.rad2deg(t.angle), c / mu) for t, c in terms.items() if t.is_fibre)
     assert len(fibres) == 2

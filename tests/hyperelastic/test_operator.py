@@ -16,7 +16,11 @@ from tests.support.problems import fitted_order, on_interior
 from tests.support.sheets import SPACING, everything, hgo_dictionary, sheet_on, square, waves
 from warp_peri.hyperelastic import ThicknessField
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
-from warp_peri.materials.hyperelastic.model_selection import febio_material
+from warp_peri.materials.hyperelastic.model_selection import (
+    febio_material,
+    select_model,
+    uniaxial_stress,
+)
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.points.points import Points, grid_places
 from warp_peri.testing import check_energy, check_product
@@ -165,12 +169,13 @@ REFUSED = {
     "axis: directions of a hyperelastic": lambda: sheet_on(replace(POINTS, axis=10.0)),
     "thickness: expected shape": lambda: sheet_on(POINTS, thickness=np.ones(3)),
     "thickness: expected finite numbers > 0": lambda: sheet_on(POINTS, thickness=0 * ALL),
-    "seen: expected shape": fit(replace(FRAMES, arrays={"seen": np.ones((3, 2), bool)})),
+    "seen: expected shape": fit(replace(FRAMES, arrays={"seen": 3 * [[True]]})),
     "degree: expected 1 to 6": lambda: ThicknessField.over(POINTS.x, 7),
     r"numbers: expected shape \[5\]":
         lambda: replace(ThicknessField.over(POINTS.x, 2), numbers=np.ones(4)),
     "expected neo_hookean and volumetric": lambda: febio_material(solid(Hyperelastic(terms=BOND))),
-    "stretches: expected such": lambda: wp.hyperelastic.uniaxial_stress(solid(HGO), [0.1]),
+    r"stretches: expected shape \[n\]": lambda: uniaxial_stress(solid(HGO), 1.1),
+    "stretches: expected such": lambda: uniaxial_stress(solid(HGO), [0.1]),
     "a load on it, got none in number 0; without": fit(wp.Samples(POINTS, FRAMES.u, 0 * FRAMES.u)),
     "expected one or more, .* got no sample": fit(LOADS[:0]),
     "a displacement of it, got none in number 1": fit(u=FRAMES.u * [[[1]], [[0]], [[1]]]),
@@ -183,9 +188,9 @@ REFUSED = {
     "start: expected shape": fit(start=np.ones(2)),
     "start: expected .* 7 of 7 masked": fit(LOADS, start=np.ma.masked_all(7)),
     "loads that the energies explain, 100 %": fit(wp.Samples(POINTS, 0 * FRAMES.u, LOADS.b)),
-    "0 or at least 8": partial(wp.hyperelastic.select_model, FRAMES[[0, 1, 2, 2]], fibres=3),
-    "at most 16, one": partial(wp.hyperelastic.select_model, FRAMES[[0, 1, 2, 2]], fibres=17),
-    "frames: expected at least 4, got 3": partial(wp.hyperelastic.select_model, FRAMES),
+    "0 or at least 8": partial(select_model, FRAMES[[0, 1, 2, 2]], fibres=3),
+    "at most 16, one": partial(select_model, FRAMES[[0, 1, 2, 2]], fibres=17),
+    "frames: expected at least 4, got 3": partial(select_model, FRAMES),
 }  # fmt: skip
 
 

@@ -25,7 +25,7 @@ from warp_peri.materials.hyperelastic.sheet_fit import (
     check_enough,
     fit_sheet,
 )
-from warp_peri.points.arguments import Natural, checked, typed, typed_methods
+from warp_peri.points.arguments import Natural, Share, checked, typed, typed_methods
 from warp_peri.points.points import Samples, seen_of
 
 COMPRESSIBLE = {"neo_hookean", "volumetric"}
@@ -63,7 +63,7 @@ class Candidate:
     numbers: int = 0
 
     def curves(
-        self, stretches: ArrayLike, angle: float = 0.0, level: float = 0.9
+        self, stretches: ArrayLike, angle: float = 0.0, level: Share = 0.9
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Nominal stress of uniaxial tension along a direction [rad], and the ends of its band. The
         band is of each learned frame left out, by Student's distribution, of the misfit of frames
@@ -190,7 +190,7 @@ def uniaxial_stress(
     The other principal direction is free; shear across them is not let go. Raises InputError for
     stretches at which no width is free of stress.
     """
-    c, s, along = np.cos(angle), np.sin(angle), checked("stretches", stretches)
+    c, s, along = np.cos(angle), np.sin(angle), checked("stretches", stretches, shape=("n",))
     if not (along > 0).all():
         raise InputError(f"stretches: expected numbers > 0, got {along.min():g}")
     coefficients = torch.tensor(solid.coefficients)
