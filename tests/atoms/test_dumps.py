@@ -198,3 +198,5 @@ def test_torn_sheets_and_loads_that_are_not_shared_by_mass_are_told(tmp_path):
         grained("torn.dump", torn, 0 * along, mass)
     with warned("masses 10, 20 carry loads per mass of 1, 0.5, relative"):
         grained("whole.dump", 0.1 * x, along, mass)
+    with refused(r"mass: expected shape \[64\]"):
+        grained("whole.dump", 0.1 * x, along, mass[:3])

@@ -117,6 +117,7 @@ def coarse_grain(
     if not sp.issparse(omega) or omega.ndim != 2:
         raise InputError(f"omega: expected a sparse matrix, got {type(omega).__name__}")
     omega = sp.csr_array(omega)  # matrices multiply otherwise
+    omega.data = checked("omega", omega.data)
     atoms = omega.shape[1]
     moved = checked("displacement", displacement, shape=("S", atoms, 2))
     pushed = checked("force", force, shape=(len(moved), atoms, 2))

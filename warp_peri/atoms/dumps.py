@@ -429,7 +429,8 @@ def coarse_grain_dumps(
             f"{len(dumps)} and {len(unloaded)}"
         )
     force = checked("force", force, shape=(len(dumps), "A", 2))
-    _warn_of_shares(force, np.broadcast_to(np.asarray(atoms.mass, float), force.shape[1]))
+    mass = checked("mass", atoms.mass, shape=force.shape[1:2] if np.ndim(atoms.mass) else ())
+    _warn_of_shares(force, np.broadcast_to(mass, force.shape[1]))
     ids = next(iter_dump(dumps[0])).ids if atoms.ids is None else atoms.ids
     how: Any = {"ids": ids, "box": atoms.box, "skip": skip}
     averages = []
