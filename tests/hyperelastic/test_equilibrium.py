@@ -108,12 +108,13 @@ def test_stretches_beyond_the_training_data_warn(manufactured):
     known = replace(op.model, stretch=reached)
     errors = evaluate(known, samples)
     assert errors["E_u_samples"][0] < 1e-6
-    assert errors["E_res_samples"] == [errors["E_res"], None]
-    with refused("u: sample 1 is zero"):
-        evaluate(known, Samples(op.points, np.array([u, 0 * u])))
+    assert errors["E_res_samples"][1] is None
     said = f"stretch: the fields reach {reached:.4g}, the training data 1.02"
     with warned(said):
         evaluate(replace(op.model, stretch=1.02), samples)
+    samples.u[1] = 0
+    with refused("u: sample 1 is zero"):
+        evaluate(known, samples)
 
 
 @parametrize("sides", [(7, 40), (40, 7)])

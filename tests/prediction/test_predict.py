@@ -208,7 +208,7 @@ def test_a_family_is_one_file_in_any_units_and_has_a_command(family, tmp_path, c
 def test_wrong_input_is_refused(family):
     points, u, given = problem(family, 0.01)
     one = wp.Samples(points, u[None], given.b[None])
-    warm = wp.Samples(points, np.array(4 * [u]), arrays={"temperature": 4 * ["300 K"]})
+    warm = replace(one[[0] * 4], arrays={"temperature": 4 * ["300 K"]})
     assert_refused({
         "predict: expected a problem": lambda: wp.predict(family, points),
         "problem, .* got Cracked": lambda: wp.predict(
