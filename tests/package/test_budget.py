@@ -16,12 +16,12 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_985,
-    "tokens": 234_889,
-    "lines of warp_peri": 30_594,
+    "code lines": 18_992,
+    "tokens": 234_931,
+    "lines of warp_peri": 30_620,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_782,
+    "lines of warp_peri, kernels, examples and tools": 42_808,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -32,18 +32,18 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2388,
+    "atoms": 2390,
     "cli": 839,
     "core": 1612,
     "face": 1098,
     "fe_coupling": 695,
     "files": 525,
-    "fitting": 1051,
+    "fitting": 1048,
     "fracture": 1405,
-    "materials": 4561,
-    "neural": 591,
-    "points": 1725,
-    "prediction": 585,
+    "materials": 4558,
+    "neural": 593,
+    "points": 1727,
+    "prediction": 592,
     "mpi": 434,
     "solvers": 1476,
 }
