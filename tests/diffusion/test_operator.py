@@ -123,6 +123,7 @@ def test_at_rest_a_coupled_solid_conducts_as_its_conductor(coupling):
     found = solve(ThermoelasticMaterial(SOLID, heat, coupling, 0.3), Dirichlet(points, b, u))
     near(found.u[:, 2], solve(heat, Dirichlet(points, b[:, 2], u[:, 2])).u, 1e-12)
     assert found.residual < 1e-12
+    assert solve(found.operator, Dirichlet(points, b[None][:0], u[None][:0])).u.shape[0] == 0
     warm = np.full(b.shape, [0.0, 0.0, 300.0])  # whose pull is zero inside
     scale = [1 + coupling, 1 + coupling, 1.0]
     near(solve(found.operator, Dirichlet(points, None, warm)).u / scale, warm, 1e-12)

@@ -17,11 +17,11 @@ from tests.support import ROOT
 
 BUDGET = {
     "code lines": 18_992,
-    "tokens": 234_931,
-    "lines of warp_peri": 30_620,
+    "tokens": 234_899,
+    "lines of warp_peri": 30_618,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_808,
+    "lines of warp_peri, kernels, examples and tools": 42_806,
     "lines of the longest file": 540,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -32,20 +32,20 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2390,
-    "cli": 839,
+    "atoms": 2386,
+    "cli": 841,
     "core": 1612,
     "face": 1098,
     "fe_coupling": 695,
     "files": 525,
     "fitting": 1048,
     "fracture": 1405,
-    "materials": 4558,
+    "materials": 4559,
     "neural": 593,
     "points": 1727,
     "prediction": 592,
     "mpi": 434,
-    "solvers": 1476,
+    "solvers": 1477,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

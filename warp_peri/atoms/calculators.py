@@ -109,7 +109,9 @@ def check_path(name: str, path: Path) -> None:
 
 def _is_plain(text: str, signs: str) -> bool:
     """Whether text has none of the signs, nor typographic ones, which LAMMPS turns into ASCII."""
-    letters = all(one.isascii() or category(one) in "Lu Ll Lo Nd" for one in text)
+    letters = all(
+        one.isascii() or (category(one)[0] in "LMN" and not "ʰ" <= one <= "˿") for one in text
+    )
     return letters and text.isprintable() and not {*text} & {*signs}
 
 

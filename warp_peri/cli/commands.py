@@ -93,6 +93,8 @@ def problem_of(given: Namespace) -> tuple[Any, Dataset, Any]:
     """Load a model, the data in its units, and the problem of the set that was named."""
     model, data = loaded(given)
     points = data[given.set]
+    if points.interior.all():
+        return model, data, warp_peri.Periodic(points.points, points.loads)
     return model, data, warp_peri.Dirichlet(points, points.loads, points.u)
 
 
@@ -105,8 +107,8 @@ def options_of(given: Namespace) -> Result:
 @contextmanager
 def writing(given: Namespace) -> Iterator[Callable[[], None]]:
     """Hold what a command writes against other jobs, which may have written it meanwhile; what is
-    yielded is called before the first file. Of what an earlier run left, what it made is removed,
-    and nobody vouches for the rest."""
+    yielded is called before the first file. What an earlier run left is told, and not vouched for.
+    """
     with locked(given.out):
         check_output(given)
         kept, there = results(given)
@@ -120,15 +122,15 @@ def writing(given: Namespace) -> Iterator[Callable[[], None]]:
             raise
         _, made = results(given)
         for path in [path for path in made if old.get(path) == os.stat(path)[1::7]]:
-            if hashes(given, kept, {path: made.pop(path)})[-1] in said:
-                os.unlink(path)
+            warn(f"{path}: is of an earlier run, and stays")
+            del made[path]
         keep(given, kept, made)
 
 
 def run_solve(given: Namespace) -> Said:
     """Solve for the displacement under the loads of a set; writes a data file."""
     model, data, problem = problem_of(given)
-    points = problem.points
+    points = data[given.set]
     provenance = {"source": "warp-peri solve", "model": given.model.name, "data": given.data.name}
     u = warp_peri.solve(model, problem, **options_of(given)).u
     sets = {given.set: dataclasses.replace(points, u=u)}

@@ -143,7 +143,8 @@ class MatrixProblem:
             parts = off.T * by.rows, right.T * by.rows, others.T * by.rows, solution.T / by.columns
             wrong, size, more, answer = (np.linalg.norm(part[:, own], axis=1) for part in parts)
             size += more
-            self.left = max(self.left, *(wrong / np.where(size > 0, size, np.inf)).tolist())
+            each = wrong / np.where(size > 0, size, np.inf)
+            self.left = float(each.max(initial=self.left))
             # A tiny pivot solves its own row exactly: what rounding of L alone would leave counts.
             rounding = np.finfo(float).eps * sums[own].max(initial=0.0) * answer
             if not ((wrong := np.maximum(wrong, rounding)) <= RESIDUAL * size).all():

@@ -114,7 +114,8 @@ def select_model(
         words = f"0 or at least {DIRECTIONS} directions, at most {most}, one for each interior node"
         raise InputError(f"fibres: expected {words}, got {fibres}")
     pick = np.arange(len(frames))[::-1] % 2 == 0
-    train, test = frames[pick], frames[~pick]
+    moved = frames.u[:, frames.interior].any(axis=(1, 2))  # of rest no error is told
+    train, test = frames[pick], frames[~pick & moved]
     matrix, even = EnergyTerm("plane_stress"), dict[str, Any]()
     kinds = {"neo-Hookean": (matrix,), "Mooney-Rivlin": (matrix, EnergyTerm("mooney"))}
     kinds["Yeoh"] = (matrix, *(EnergyTerm("yeoh", exponent=p) for p in (2.0, 3.0)))
