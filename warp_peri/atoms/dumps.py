@@ -237,7 +237,7 @@ FORMATS = (
     "aims, cfg, cif, espresso-in, extxyz, gen, gromacs, lammps-data, lammps-dump-text, "
     "proteindatabank, traj, vasp, vasp-xml, xsf"
 )
-"""Those of ASE whose readers open no other file, run nothing and come to an end."""
+"""Those of ASE whose readers open no other file and run nothing."""
 CLAIMS = (
     r"(?m)NUMBER OF ATOMS.*\n\s*\S+|^\s*\S+\s+atoms\s*(?:#.*)?$|(?:particles|entry_count)\s*=\s*\S+"
 )
