@@ -18,10 +18,10 @@ import warp_peri as wp
 from tests.atoms.test_dumps import frame
 from tests.conformance.test_breaking import SOLIDS
 from tests.crystal import crystals
-from tests.support import of_json, parametrize, shared, warned
+from tests.support import near, of_json, parametrize, shared, warned
 from tests.support.materials import LAWS, solved_samples
 from tests.support.nonlinear import solid
-from tests.support.problems import kernel, loaded, normal, smooth
+from tests.support.problems import kernel, loaded, noise, normal, smooth
 from tests.support.solving import solve
 from tests.support.symbols import fluctuation, noisy, waves
 from tests.support.told import each_refused
@@ -363,6 +363,15 @@ def test_a_folder_is_written_again_by_the_same_settings_alone(name, tmp_path, ca
                     write_text(mine, "new")
             assert (f"  {one}" in kept.read_text()) == anew
         mine.unlink()
+
+
+def test_a_set_that_repeats_is_solved_without_a_collar(fitted, tmp_path, capsys):
+    sheet, (path, out) = wp.Points.sheet((8, 8), 1.0), (tmp_path / "d.h5", tmp_path / "u.h5")
+    samples = wp.Samples(sheet, *(0.01 * noise(sheet, 2, seed=seed) for seed in (1, 2)))
+    save_dataset(path, Dataset({"set": samples}, 3.35, 2200.0))
+    answer(capsys, "solve", fitted / "model.json", path, "--set", "set", "--out", out)
+    rest = wp.solve(load(fitted / "model.json"), wp.Periodic(sheet, samples.b))
+    near(load(out)["set"].u, rest.u, 1e-12)
 
 
 def test_a_shape_is_fitted_by_name(data, tmp_path, capsys, monkeypatch):
