@@ -116,7 +116,7 @@ class StencilCertificate:
             left = stiff.minus(weight, c)
             believed = bool(tried) and long > c and _positive_on_zone(left, group, long - c)[0]
             wave = zone_sample(group, stencil.dimension, SAMPLE[stencil.dimension])
-            least = in_blocks(partial(_ratio, stiff, _lattice_units(weight)), wave).min()
+            least = in_blocks(partial(_ratio, stiff, weight), wave).min()
             believed &= bool(self.sampled <= least * (1 + FOUND))
         if not believed:
             raise InputError(

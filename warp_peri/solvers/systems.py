@@ -138,7 +138,7 @@ class MatrixProblem:
         by, solution = self.factors, self.factors.solve(right)
         sums = by.rows * (self.sizes @ np.resize(by.columns, len(self.unknown)))
         off, self.left = self.stiffness @ solution - right, 0.0
-        for own in (by.apart, ~by.apart):
+        for own in filter(np.any, (by.apart, ~by.apart)):
             others = self.stiffness @ np.where(own, 0.0, solution.T).T  # which may cancel right
             parts = off.T * by.rows, right.T * by.rows, others.T * by.rows, solution.T / by.columns
             wrong, size, more, answer = (np.linalg.norm(part[:, own], axis=1) for part in parts)
