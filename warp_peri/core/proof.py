@@ -112,12 +112,12 @@ class StencilCertificate:
         believed &= self.cells >= 0 and self.seconds >= 0
         if believed and c > 0:  # a part of what was sampled that `prove` tries, which holds again
             tried = np.isclose(c / self.sampled, (1.0, *SHARES), rtol=1e-9).any()
-            weight = laplacian_stencil(1.0, stencil.dimension, stencil.tensors.shape[1])
+            d = stencil.dimension
+            weight = laplacian_stencil(1.0, d, stencil.tensors.shape[1])
             left = stiff.minus(weight, c)
             believed = bool(tried) and long > c and _positive_on_zone(left, group, long - c)[0]
-            wave = zone_sample(group, stencil.dimension, SAMPLE[stencil.dimension])
-            least = in_blocks(partial(_ratio, stiff, weight), wave).min()
-            believed &= bool(self.sampled <= least * (1 + FOUND))
+            low = in_blocks(partial(_ratio, stiff, weight), zone_sample(group, d, SAMPLE[d])).min()
+            believed &= bool(self.sampled <= low * (1 + FOUND))
         if not believed:
             raise InputError(
                 f"certificate: D(k) ≥ {self.proven:.6g} s(k) is not proven of these tensors"
