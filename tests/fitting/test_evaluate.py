@@ -61,13 +61,16 @@ def test_a_fit_judges_stencils_by_the_same_error_on_bodies_and_on_periods(points
     assert max(own["E_u"], own["E_shape"]) < 1e-9
 
 
-def test_sets_that_have_no_error_to_speak_of_are_refused(points):
+def test_samples_at_rest_have_no_relative_error(points):
     with refused("the set has no samples"):
         evaluate(MODEL, points[:0])
     zero = points.u.copy()
     zero[1, points.interior] = 0
-    with refused("u: sample 1 is zero on the interior"):
-        evaluate(MODEL, replace(points, u=zero))
+    errors, every = evaluate(MODEL, replace(points, u=zero)), evaluate(MODEL, points)
+    first, _, last = every["E_u_samples"]
+    assert errors["E_u_samples"] == [approx(first), None, approx(last)]
+    assert errors["E_u"] == approx((first + last) / 2)
+    assert errors["E_shape_samples"][1] is None
 
 
 @parametrize("level", [0.0, 1e-16])

@@ -25,6 +25,8 @@ from warp_peri.neural import training
 from warp_peri.neural.material import NeuralOperator
 from warp_peri.neural.placed import EquilibriumSolver, evaluate, interpolated_force
 from warp_peri.neural.training import TrainingSettings, train
+from warp_peri.points.arguments import USUAL
+from warp_peri.points.dataset import in_units
 from warp_peri.points.points import Samples, grid_places
 from warp_peri.testing import assert_near as near
 from warp_peri.testing import check_product
@@ -235,8 +237,9 @@ def frames(seed):
     return Samples(points, np.array([search.solve_from(none, u, 1e-8)[0] for u in fields]))
 
 
-def student(**other):
-    return NeuralOperator(2.5, (8, 8), (16, 16), strain=0.2, **{"seed": 1} | other).double()
+def student(horizon=2.5, **other):
+    widths = (8, 8), (16, 16)
+    return NeuralOperator(horizon, *widths, strain=0.2, **{"seed": 1} | other).double()
 
 
 def test_forces_are_learned():
@@ -251,8 +254,20 @@ def test_forces_are_learned():
     assert errors["converged"] == 1
     samples.u[0] = samples.b[0] = 0
     assert evaluate(material, samples, solve=False)["E_res_samples"][0] is None
-    with refused("u: sample 0 is zero"):
-        evaluate(material, samples)
+    assert evaluate(material, samples)["E_u_samples"][0] is None
+
+
+def test_loads_in_metres_are_learned_as_those_in_angstrom():
+    """In single precision, which holds no square of a load in Pa/m."""
+    units, settings = ("m", "Pa"), TrainingSettings(epochs=9, batch=2)
+    seen, errors = (loads(0), loads(1)), []
+    for sets, unit in ((seen, USUAL), ([in_units(one, units) for one in seen], units)):
+        start = student(units=unit, horizon=2.5 * 1e-10 ** (unit == units)).float()
+        fit = start.learn(sets[0], validation=sets[1], training=settings, progress=False)
+        errors.append(evaluate(fit.material, sets[1])["E_u"])
+    near(*errors, 1e-3)
+    with refused("units: the model is in m and Pa"):
+        start.learn(sets[0], validation=seen[1])
 
 
 def test_displacements_are_learned():

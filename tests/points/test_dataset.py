@@ -150,6 +150,7 @@ def test_what_is_wrong_in_memory_is_refused_by_name():
         "axis: expected a rotation": (CUBE, {"axis": np.ones((3, 3))}),
         "arrays: 'u' cannot be the name of an array": (LOADS, {"arrays": {"u": np.ones(3)}}),
         "k: expected numbers or text, got object": (LOADS, {"arrays": {"k": [None] * len(LOADS)}}),
+        r"numbers or text, got \|S1": (LOADS, {"arrays": {"n": [b"\xff"] * len(LOADS)}}),
         "same for all sets, got a in angstrom and TPa, b in":
             (DATA, {"sets": {"a": LOADS, "b": nm}}),
         "sets: 'a/b' cannot be the name of a set": (DATA, {"sets": {"a/b": LOADS}}),

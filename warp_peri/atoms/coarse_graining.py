@@ -25,6 +25,7 @@ from warp_peri.points.arguments import (
     check_nodes,
     check_units,
     checked,
+    is_positive,
     typed,
 )
 from warp_peri.points.points import LARGEST_TABLE, Points, Samples, grid_places
@@ -194,7 +195,7 @@ def read_mat(
     """
     path, names = Path(path), (displacement, load, positions)
     asked = [name for name in names if isinstance(name, str)]
-    if not isinstance(positions, str) and not positions > 0:
+    if not isinstance(positions, str) and not is_positive(positions):
         raise InputError(f"positions: expected a name or a spacing > 0, got {positions!r}")
     held = _variables(path, asked)
     if isinstance(positions, str):

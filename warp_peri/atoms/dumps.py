@@ -25,7 +25,7 @@ from tqdm import tqdm
 from warp_peri.atoms.coarse_graining import coarse_grain
 from warp_peri.errors import InputError, StrPath, warn
 from warp_peri.files.atomic import MARKS, check_regular, check_xml, content, encoding_of, unpacked
-from warp_peri.points.arguments import MOST, Natural, Positive, checked, typed
+from warp_peri.points.arguments import MOST, Natural, Positive, as_array, checked, typed
 from warp_peri.points.points import PointsLike, Samples, nearest, nodes_of
 
 EXPECTED = "a LAMMPS dump (text, packed or not), .extxyz, .xyz or .traj"
@@ -421,7 +421,8 @@ def coarse_grain_dumps(
             f"{len(dumps)} and {len(unloaded)}"
         )
     force = checked("force", force, shape=(len(dumps), "A", 2))
-    mass = checked("mass", atoms.mass, shape=force.shape[1:2] if np.ndim(atoms.mass) else ())
+    one = as_array("mass", atoms.mass).ndim == 0
+    mass = checked("mass", atoms.mass, shape=() if one else force.shape[1:2])
     _warn_of_shares(force, np.broadcast_to(mass, force.shape[1]))
     ids = next(iter_dump(dumps[0])).ids if atoms.ids is None else atoms.ids
     how: Any = {"ids": ids, "box": atoms.box, "skip": skip}

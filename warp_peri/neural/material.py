@@ -21,6 +21,7 @@ from warp_peri.files import atomic
 from warp_peri.neural.placed import Placed
 from warp_peri.neural.training import NeuralFit, TrainingSettings, train
 from warp_peri.points.arguments import (
+    LENGTHS,
     USUAL,
     Natural,
     Positive,
@@ -32,6 +33,7 @@ from warp_peri.points.arguments import (
     symbols,
     typed,
 )
+from warp_peri.points.dataset import in_units
 from warp_peri.points.points import PointsLike, Samples, nodes_of
 
 
@@ -47,6 +49,8 @@ STRAIN = 0.1
 """Extensions and dilatations are counted in this strain as the networks' inputs."""
 WIDEST = 10_000
 """Numbers of a hidden layer at most."""
+LARGEST_SCALE = 1e30
+"""Of force states over the horizon, in float32."""
 CHUNK = 2048
 """Bonds at once: their hidden layers stay in a processor's cache."""
 
@@ -141,13 +145,14 @@ class NeuralOperator(Shown, torch.nn.Module):
         """
         if Path(path).suffix != ".json":
             raise InputError(f"{path}: expected a name that ends in .json")
+        said = self.content()
         weights = {key: part.numpy() for key, part in self.state_dict().items()}
         _check_finite(weights)
         if (size := sum(part.nbytes for part in weights.values())) > FITS:
             raise InputError(f"{path}: expected at most {FITS} bytes of weights, got {size}")
         kind = next(iter(weights.values())).dtype.name
         coded = {key: base64.b64encode(w).decode() for key, w in weights.items()}
-        NeuralFile(**self.content(), precision=kind, weights=coded).save(path)
+        NeuralFile(**said, precision=kind, weights=coded).save(path)
 
     @typed
     def learn(
@@ -160,24 +165,33 @@ class NeuralOperator(Shown, torch.nn.Module):
         progress: bool = True,
     ) -> NeuralFit:
         """Train a copy of these networks; arguments and errors as of training.train."""
-        material = copy.deepcopy(self)
-        how: Any = {"checkpoint": checkpoint, "progress": progress}
-        history = train(material, samples, validation, training or TrainingSettings(), **how)
-        return NeuralFit(material, history)
+        for one in (samples, validation):
+            check_same(self.units, one.points.units)
+        known = self.units[0] in LENGTHS and samples.b is not None
+        work = USUAL if known else self.units  # in which float32 holds the squares of loads
+        sets = in_units(samples, work), in_units(validation, work)
+        material, how = self.in_units(work), {"checkpoint": checkpoint, "progress": progress}
+        history = train(material, *sets, training or TrainingSettings(), **how)
+        return NeuralFit(material.in_units(self.units), history)
 
     def in_units(self, units: Units) -> NeuralOperator:
-        """Convert the material to other units."""
+        """Convert the material to other units; weights become float64 where forces and slopes would
+        go beyond float32, as in metres."""
         length, stress = factors(self.units, units)
         other = copy.deepcopy(self)
         other.units, other.horizon = check_units(units), self.horizon * length
         other.scale = self.scale * stress / length**3
-        return other
+        return other.double() if other.scale > LARGEST_SCALE * other.horizon else other
 
     def content(self) -> dict[str, Any]:
         """Content of the material's file without the weights; InputError for networks of other
-        kinds or shapes than it describes."""
+        kinds or shapes than it describes, and for other weights than PRECISIONS of one kind."""
         if self._kinds_and_shapes() != self._described:
             raise InputError("networks: expected linear layers of their widths with ReLU between")
+        kinds = {f"{part.dtype}".removeprefix("torch.") for part in self.parameters()}
+        if len(kinds) > 1 or not kinds <= {*PRECISIONS}:
+            wanted, got = ", ".join(PRECISIONS), ", ".join(sorted(kinds))
+            raise InputError(f"networks: expected weights of one of {wanted}, got {got}")
         return self.widths | {name: getattr(self, name) for name in SAID}
 
     def numbers(self) -> int:

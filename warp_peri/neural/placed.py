@@ -116,6 +116,8 @@ class Placed(OperatorBase):
             raise InputError(f"points: expected a plane, got {points.x.shape[1]} dimensions")
         if points.outside is not None:
             raise InputError("points: expected none outside of the body")
+        if self.dtype not in SMALL:
+            raise InputError(f"networks: expected weights of float32 or 64, got {self.dtype}")
         families = families_of(points, material.horizon)
         self.points, self.kind = nodes_of(points), families.classes.bond_class
         self.xi, self.whole = families.pattern, families.whole
@@ -308,8 +310,8 @@ def evaluate(
 
     E_res_abs is ‖force − b‖ [stress/length]; E_u the error of the solved displacement from zero, or
     from the collar's affine motion without loads, found or not; "converged" the share of equilibria
-    found. Without loads there is no E_res, of a sample without one None; without a collar no E_u.
-    Raises InputError for no samples, and for one that E_u is asked of and u is zero in.
+    found. Without loads there is no E_res, of a sample without one None; without a collar no E_u,
+    of a sample at rest None. Raises InputError for no samples.
     """
     if not len(samples):
         raise InputError("samples: expected at least one")

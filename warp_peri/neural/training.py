@@ -257,12 +257,12 @@ class _Run:
 
     def start(self) -> None:
         """Scale the force to be as large as the loads."""
-        learned = self.learned
+        learned, before = self.learned, self.material.scale
         if isinstance(learned, _Loads):
+            self.material.scale = 1.0
             with torch.no_grad():
                 size = float(interpolated_force(learned.placed, learned.u[:FIRST]).norm())
-            if size > 0:
-                self.material.scale *= float(learned.b[:FIRST].norm()) / size
+            self.material.scale = float(learned.b[:FIRST].norm()) / size if size > 0 else before
 
     def epoch(self) -> float:
         """Train one epoch over all samples; returns the mean error on the way."""

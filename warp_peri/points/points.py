@@ -399,8 +399,8 @@ class Samples(Shown):
             if found.ndim == 0 or len(found) != len(self.u) or np.ma.is_masked(found):
                 count = f"each of {len(self.u)} samples"
                 raise InputError(f"{name}: expected one entry for {count}, and none that is masked")
-            if found.dtype.kind not in "biufcUS" and not all(
-                type(one) is str for one in found.flat
+            if (kind := found.dtype.kind) not in "biufcU" and not all(
+                type(one) is str or (kind == "S" and one.isascii()) for one in found.flat
             ):
                 raise InputError(f"{name}: expected numbers or text, got {found.dtype}")
 

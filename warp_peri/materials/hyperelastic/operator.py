@@ -407,7 +407,7 @@ class HyperelasticSheetOperator(Swept):
         that fits its collar best, at rest where none are given. Returns, as `evaluate` does, E_res
         where there are loads and E_u, None of samples that were not solved; not_solved, the number
         of these, and left_branch, the number of those that another branch may hold. Warns of
-        stretches beyond the training data. Raises InputError for u that is zero on the interior.
+        stretches beyond the training data.
         """
         told, found, start, inverse = dict[str, Any](), [], None, None
         loads = (np.zeros_like(samples.u) if samples.b is None else samples.b)[:, self.interior]
