@@ -16,7 +16,7 @@ import warp_peri as wp
 from tools.hyperelastic_elements import finite_elements
 from warp_peri import InputError, Points, Samples
 from warp_peri.core.elastic import voigt, voigt_to_tensor
-from warp_peri.points.points import PointsLike, lattice_steps
+from warp_peri.points.points import PointsLike
 
 STEPS, SETTLED = 60, 1e-9
 """Most linear solves of a load of third order, and the relative residual that ends them."""
@@ -147,7 +147,7 @@ def local_solver(
         third: t3, tq2 and q3 [stress] of a crystal whose zigzag direction is the nodes' x axis;
             None for linear elasticity.
     """
-    steps, axes = lattice_steps(points)
+    steps, axes = points.lattice
     place = FINER * (steps - steps.min(axis=0))
     shape = tuple(place.max(axis=0) + 1)
     body = np.zeros(shape, bool)  # the elements that touch the interior

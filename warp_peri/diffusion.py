@@ -30,7 +30,7 @@ from warp_peri.points.arguments import (
     plain,
 )
 from warp_peri.points.families import families_of
-from warp_peri.points.points import PointsLike
+from warp_peri.points.points import PointsLike, nearest
 from warp_peri.protocols import OperatorBase
 from warp_peri.solvers.adjoint import stepped
 from warp_peri.solvers.solution import Direct, Solution, Solver, refuse_solver
@@ -157,9 +157,7 @@ class DiffusionOperator(FlowOperator):
     def _along_bonds(self, kappa: ArrayMap) -> np.ndarray:
         """Conductivity κ of each bond, its parts in series (Di2), shape [E]."""
         points, (near, far) = self.points, self._ends
-        xi = points.x[far] - points.x[near]
-        if points.box is not None:
-            xi -= points.box * np.rint(xi / points.box)
+        xi = nearest(points.x[far] - points.x[near], points.box)
 
         def along(place: float) -> np.ndarray:
             values = kappa(points.x[near] + place * xi)

@@ -189,11 +189,10 @@ class OperatorBase(Remade):
     def quadratic(self, u: Any) -> np.ndarray:
         """Energy h^d (½ u_I·L u_I + u_I·L u_C) of a linear force on a lattice, shape [...]."""
         self.check(u := plain("u", u))
-        inside, of = self.points.interior, self.points
+        held, of = self.held, self.points
         axes = tuple(range(-len(self.shape), 0))
-        mask = np.expand_dims(inside, axes[1:])
-        own, collar = (self.force(np.where(one, u, 0.0)) for one in (mask, ~mask))
-        inner = np.compress(inside, u, axes[0])
+        own, collar = (self.force(np.where(one, u, 0.0)) for one in (~held, held))
+        inner = np.compress(of.interior, u, axes[0])
         return np.asarray(of.spacing**of.dimension * (inner * (own / 2 + collar)).sum(axis=axes))
 
     def of_interior(self, w: Any) -> np.ndarray:

@@ -41,7 +41,7 @@ def onto_lattice(samples: Samples, *, spacing: Positive) -> Samples:
     than these, and nodes on a line or a conic.
     """
     x, dense = samples.x, mean_spacing(samples)
-    if samples.points.dimension != 2 or not len(samples):
+    if samples.dimension != 2 or not len(samples):
         raise InputError("samples: expected one or more, of nodes in a plane")
     if samples.box is not None or samples.outside is not None:
         raise InputError("points: expected no period and no nodes outside, which would be lost")
@@ -61,7 +61,7 @@ def onto_lattice(samples: Samples, *, spacing: Positive) -> Samples:
         u, *b = np.split(carry(y).swapaxes(0, 1), len(fields) // len(samples))
     except np.linalg.LinAlgError:
         raise InputError("points: nodes to interpolate from lie on a line or a conic") from None
-    nodes = Points(y, interior, spacing, units=samples.points.units, axis=samples.axis)
+    nodes = Points(y, interior, spacing, units=samples.units, axis=samples.axis)
     arrays = {
         name: np.asarray(one)[:, near] if np.shape(one)[1:2] == (len(x),) else one
         for name, one in samples.arrays.items()

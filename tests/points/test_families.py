@@ -19,7 +19,7 @@ from warp_peri import LPS, Bernstein, Points, fit
 from warp_peri.certificates import check_solvability
 from warp_peri.points import families
 from warp_peri.points.families import bond_classes, families_of, largest_strain, quadrature_weights
-from warp_peri.points.points import axis_of, grid_places, lattice_steps
+from warp_peri.points.points import axis_of, grid_places
 
 
 @parametrize(("horizon", "angle", "box"), [(2.0, 0.0, None), (3.0, 0.4, None), (3.0, 0.0, (9, 7))])
@@ -85,7 +85,7 @@ def test_a_turned_cube_has_the_families_of_the_straight_one():
     points = cube(2, 2.0)
     turn = Rotation.from_euler("xyz", [25, -40, 65], degrees=True).as_matrix()
     turned = Points(points.x @ turn.T + [7.0, 3.0, 1.0], points.interior, 1.0)
-    axes = lattice_steps(turned).axes
+    axes = turned.lattice.axes
     assert_allclose(np.abs(axes.T @ turn).max(0), 1)
     here, there = families_of(points, 2.0), families_of(turned, 2.0)
     assert here.weight == approx(there.weight, rel=1e-14)

@@ -10,7 +10,6 @@ from tests.support.problems import ROUNDING, difference, lattice, noise, on_inte
 from warp_peri.core import torch_bridge
 from warp_peri.materials.third_order import PlacedThirdOrder
 from warp_peri.points.families import bond_classes
-from warp_peri.points.points import lattice_steps
 
 HORIZON = 3.0
 
@@ -25,7 +24,7 @@ def apart():
 
 def far_ends(steps, points, at):
     """Bonds ξ [B, d] of steps and the nodes that they lead to from some, [n, B]."""
-    xi = points.spacing * steps @ lattice_steps(points)[1].T
+    xi = points.spacing * steps @ points.lattice.axes.T
     box = np.full(xi.shape[1], np.inf) if points.box is None else np.asarray(points.box)
     ends = []
     for x in points.x[at][:, None] + xi:

@@ -293,8 +293,8 @@ def voigt_to_tensor(moduli: np.ndarray) -> np.ndarray:
 
 def turned(tensor: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """Elastic tensor of a rotated crystal: R R R R C."""
-    R = rotation
-    return np.asarray(np.einsum("ai,bj,ck,dl,ijkl->abcd", R, R, R, R, tensor, optimize=True))
+    R = 4 * [rotation]
+    return np.asarray(np.einsum("ai,bj,ck,dl,ijkl->abcd", *R, tensor, optimize=True))
 
 
 def allowed_tensors(symmetry: Symmetry, orientation: np.ndarray) -> np.ndarray:

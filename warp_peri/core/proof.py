@@ -124,8 +124,17 @@ class StencilCertificate:
             )
 
 
+class Figures:
+    """Base of what is proven on one lattice, with a statement."""
+
+    def figures(self: Any) -> dict[str, Any]:
+        """Figures and statement as plain values, in units that are not among them."""
+        figures = asdict(self) | {"statement": self.statement}
+        return {k: v for k, v in figures.items() if k not in ("units", "dimension")}
+
+
 @dataclass(frozen=True)
-class Certificate:
+class Certificate(Figures):
     """Solvability figures of a linear solid on one lattice.
 
     Attributes:
@@ -167,11 +176,6 @@ class Certificate:
         if self.gamma_min is None or least is None or largest is None:
             return None
         return self.gamma_min > 0 and least >= -SCHWARZ_TOLERANCE * largest  # to rounding
-
-    def figures(self) -> dict[str, Any]:
-        """The certificate's figures and statement as plain values, in its units."""
-        figures = asdict(self) | {"statement": self.statement}
-        return {k: v for k, v in figures.items() if k not in ("units", "dimension")}
 
 
 def stencil_of(law: Any, spacing: float, verb: str) -> tuple[Any, np.ndarray]:
@@ -427,7 +431,7 @@ def _long_waves(stencil: Stencil, group: np.ndarray) -> tuple[float, int]:
     one, both = np.eye(brackets.shape[0]), brackets + brackets.mT
     grid = grid_points(np.linspace(-1, 1, {2: 2001, 3: 121}[d]), d - 1)
     e = np.concatenate([np.insert(grid, a, 1.0, axis=1) for a in range(d)])
-    e = e[canonical(e, group, 0.0)]
+    e = e[canonical(e, group)]
     q = LONG_SHARE * float((smallest_eigenvalue(acoustic(brackets, e)) / (e**2).sum(axis=1)).min())
     if not q > 0:
         return 0.0, 0

@@ -54,6 +54,7 @@ from warp_peri.points.arguments import (
     symbols,
     typed,
     typed_methods,
+    within,
 )
 from warp_peri.points.points import Points, PointsLike, nodes_of
 
@@ -441,11 +442,11 @@ def taken(key: str, hint: Any, value: Any, says: FieldUnits = PLAIN, *, read: bo
             raise InputError(f"{key}: expected finite numbers, got true or false")
         return checked(key, value, float)
     if hint is Any and read and isinstance(value, dict) and "format" in value:
-        return _within(key, read_content, value)
+        return within(key, read_content, value)
     if read and "__dataclass_fields__" in vars(hint):
         if issubclass(hint, Record):
-            return _within(key, hint.from_dict, value)
-        return _within(key, _part, hint, dict(taken(key, dict, value)))
+            return within(key, hint.from_dict, value)
+        return within(key, _part, hint, dict(taken(key, dict, value)))
     if hint is Any or (isinstance(value, hint) and not (hint is int and isinstance(value, bool))):
         return value
     words = WORDS.get(hint, f"{hint.__name__}(…)")
@@ -468,13 +469,6 @@ def _number(key: str, value: Any, positive: bool) -> float:
 
 def _holds_bool(value: Any) -> bool:
     return any(map(_holds_bool, value)) if isinstance(value, list) else isinstance(value, bool)
-
-
-def _within(key: str, make: Callable[..., Any], *of: Any) -> Any:
-    try:
-        return make(*of)
-    except InputError as error:
-        raise InputError(f"{key}: {error}") from None
 
 
 def content_hash(content: dict[str, Any]) -> str:
@@ -507,8 +501,4 @@ def read_json(path: StrPath) -> Any:
 
 def load(path: StrPath) -> Any:
     """Read the file of a material; InputError naming the file and the fault."""
-    held = read_json(path)
-    try:
-        return read_content(held, Path(path))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+    return within(f"{path}", read_content, read_json(path), Path(path))

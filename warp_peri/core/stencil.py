@@ -171,8 +171,8 @@ def half_ball(reach: float, dimension: int) -> np.ndarray:
     if (2 * side + 1) ** dimension > 4 * MOST_BONDS:
         raise InputError(f"horizon: expected a few spacings, got {reach:g} of them")
     grid = grid_places(dimension * (2 * side + 1,)) - side
-    first = grid @ (2 * side + 1) ** np.arange(dimension)[::-1] > 0  # of ξ and −ξ just one
-    half: np.ndarray = grid[((grid**2).sum(axis=1) <= most) & first]
+    grid = grid[len(grid) // 2 + 1 :]  # of ξ and −ξ just one
+    half: np.ndarray = grid[(grid**2).sum(axis=1) <= most]
     if not len(half):
         raise InputError(f"horizon: expected at least one spacing, got {reach:g} of them")
     return half[np.argsort((half**2).sum(axis=1), kind="stable")]

@@ -113,7 +113,7 @@ def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> D
     if samples.spacing == 0 or len(samples) < LEAST_SAMPLES:
         got = f"{len(samples)} at a spacing of {samples.spacing:g}"
         raise InputError(f"samples: expected {LEAST_SAMPLES} at least on a lattice, got {got}")
-    if (d := samples.points.dimension) != 2:
+    if (d := samples.dimension) != 2:
         raise InputError(f"samples: expected samples in the plane, got {d} dimensions")
     operator, left, residual = left_by(material, samples, "diagnose")
     total, shares = float((left**2).sum()), dict[str, float]()
@@ -126,7 +126,7 @@ def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> D
         shares["noise"] = min(1.0, made)
     others = 1 - sum(shares.values())  # what noise makes, the others would take again
     drawn = np.random.default_rng(0).permutation(left.shape[1])[: max(1, MOST // len(samples))]
-    rest = y = left[:, drawn] @ samples.points.lattice[1]
+    rest = y = left[:, drawn] @ samples.lattice.axes
     rows, total = np.empty((*y.shape, 0)), float((y**2).sum())
     for name, columns in _families(samples, operator, drawn, residual):
         nodes = columns.ndim == 3  # get what those before leave, others are fitted with those
@@ -143,7 +143,7 @@ def _families(samples: Samples, operator: Any, drawn: np.ndarray, residual: floa
     """Causes and forces that they could add at the drawn interior nodes, along the lattice's axes,
     [S, I, d, n], or each node's own, [S, I, n]. Bonds of twice the horizon and products of three
     gradients, which are many, get what single nodes leave."""
-    d, h, u = samples.points.dimension, samples.spacing, samples.u
+    d, h, u = samples.dimension, samples.spacing, samples.u
     model = getattr(operator.model, "linear", operator.model)
     stencil, group = stencil_of(model, h, "diagnose")
     far = max(norms(stencil.steps).max(), model.horizon / h)

@@ -49,7 +49,7 @@ def long_wave_moduli(samples: Samples, allowed: np.ndarray) -> tuple[np.ndarray,
 def long_wave_equations(samples: Samples, allowed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Equations R and y that `long_wave_moduli` solves, shapes [n, m] and [n]."""
     values, kept, R = long_wave_rows(samples, allowed, MODES)
-    axes = samples.points.lattice.axes
+    axes = samples.lattice.axes
     y = np.einsum("vn,snk->svk", values, (samples.loads @ axes)[:, kept], optimize=True)
     return R.reshape(-1, R.shape[-1]), y.ravel()
 
@@ -57,7 +57,7 @@ def long_wave_equations(samples: Samples, allowed: np.ndarray) -> tuple[np.ndarr
 def long_wave_rows(samples: Samples, allowed: np.ndarray, modes: int) -> tuple[np.ndarray, ...]:
     """Test fields v [V, n] with up to `modes` half waves each way, the numbers of their nodes, and
     −Σ u·div(C : grad v) of each allowed tensor, [S, V, d, m]."""
-    axes = samples.points.lattice.axes
+    axes = samples.lattice.axes
     lines, kept = lines_of_waves(samples, modes)
     one = np.eye(len(axes), dtype=int)
     slopes = np.array([[derived(lines, j + k) for k in one] for j in one])
@@ -83,7 +83,7 @@ def moduli_of(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
 def lines_of_waves(samples: Samples, modes: int) -> tuple[list[np.ndarray], np.ndarray]:
     """Long waves v by axis, with derivatives 0 to 4, [M, 5, n], and the numbers of their nodes:
     plane waves of a period, else sin⁴(π t) cos(m π t) on a box of interior nodes."""
-    points, grid = samples.points, samples.points.lattice.steps
+    points, grid = samples.points, samples.lattice.steps
     h, d = points.spacing, grid.shape[1]
     if points.box is not None:
         return [_waves(grid[:, a] * h, points.box[a]) for a in range(d)], np.arange(len(grid))
@@ -234,7 +234,7 @@ def _foretold(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _long_wave_table(samples: Samples, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Moments of every term with test fields, [S, V, 2, m], and of the loads, [S, V, 2]; terms with
     six periods a turn are `count`, 1 along the axis of the points or 2."""
-    axes = samples.points.lattice.axes
+    axes = samples.lattice.axes
     lines, kept = lines_of_waves(samples, HALF_WAVES)
     u, b = (samples.u @ axes)[:, kept], (samples.loads @ axes)[:, kept]
     axis = np.deg2rad(samples.points.axis or 0.0) - np.arctan2(axes[1, 0], axes[0, 0])

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.linalg import svd
 
-from warp_peri.core.proof import certify, prove, stencil_of
+from warp_peri.core.proof import Figures, certify, prove, stencil_of
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
 from warp_peri.materials.lps import LPSMaterial
@@ -69,7 +69,7 @@ def with_proof(model: LPSMaterial, spacing: float | None = None) -> LPSMaterial:
 
 
 @dataclass(frozen=True)
-class Uniqueness:
+class Uniqueness(Figures):
     """Guarantee of unique solutions of a third-order solid on one lattice.
 
     Attributes:
@@ -101,11 +101,6 @@ class Uniqueness:
             f"load, at most one solution has |H| ≤ {self.strain:.4f} at every node within the "
             "horizon of an unknown."
         )
-
-    def figures(self) -> dict[str, Any]:
-        """The guarantee's figures and statement as plain values."""
-        found = vars(self) | {"statement": self.statement}
-        return {name: found[name] for name in found if name != "units"}
 
 
 @typed

@@ -65,7 +65,7 @@ class TensorOperator(OperatorBase):
         refuse_solver(solver, (CG,), "a crystal model")
         asked: Any = solver or CG()
         b, u = checked_fields(self.points, b, u)
-        loads, fields = (field.reshape(-1, *self.points.x.shape) for field in (b, u))
+        loads, fields = (field.reshape(-1, *self.shape) for field in (b, u))
         if (proven := self.model.statement) is None:
             self.linear.check_definite()
         found, took = self.linear.solve(loads, fields, asked.tolerance, asked.preconditioner)
@@ -84,7 +84,7 @@ class TensorOperator(OperatorBase):
         """Transposed product Lᵗ w on all nodes, [..., N, d], for w on the interior, whatever u."""
         w = self.of_interior(w)
         pushed = [self.linear.push(one) for one in w.reshape(-1, *w.shape[-2:])]
-        return np.reshape(pushed, (*w.shape[:-2], *self.points.x.shape))
+        return np.reshape(pushed, (*w.shape[:-2], *self.shape))
 
     @property
     def learnable(self) -> dict[str, np.ndarray]:

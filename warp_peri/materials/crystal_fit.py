@@ -46,7 +46,7 @@ from warp_peri.materials.lps_law import LONG_WAVES
 from warp_peri.materials.transfer import LARGEST_WAVE, WaveSymbol, carried_symbol, wave_rows
 from warp_peri.points.arguments import USUAL, Positive, Units, factors, symbols, typed
 from warp_peri.points.dataset import Dataset
-from warp_peri.points.points import Samples, check_lattice, lattice_steps, sets_of
+from warp_peri.points.points import Samples, check_lattice, sets_of
 
 if TYPE_CHECKING:
     from warp_peri.atoms.force_constants import ForceConstants
@@ -185,7 +185,7 @@ class Crystal:
         short to tell moduli.
         """
         given = one_set(samples)
-        axes, d = lattice_steps(given)[1], given.points.dimension
+        axes, d = given.lattice.axes, given.dimension
         stated = given.axis if self.orientation is None else self.orientation
         turn = np.eye(d) if stated is None else axes.T @ checked_orientation(stated, d)
         reach, C, misfit = self.horizon / given.spacing, self.held_moduli(turn), None
@@ -204,7 +204,7 @@ class Crystal:
         if not found.loss < ABSURD:
             raise InputError(
                 f"data: the model leaves {found.loss:.3g} times the loads themselves; are moduli "
-                f"in {symbols(given.points.units)[1]}, and loads the forces on the nodes?"
+                f"in {symbols(given.units)[1]}, and loads the forces on the nodes?"
             )
         record = {
             "from": "fields",
@@ -213,7 +213,7 @@ class Crystal:
             "numbers": len(tensors.bonds.basis),
             "moduli_held": C is not None,
         }
-        material = tensors.crystal(found, given.points.units, record)
+        material = tensors.crystal(found, given.units, record)
         history = dict(material.provenance["fit"])
         return Fit(material, material.certificate, {}, history, left=found.loss)
 

@@ -173,7 +173,7 @@ class Learner:
         self, law: LPS, sets: list[Samples], noise: list[Samples], progress: bool | None
     ) -> None:
         self.law, self.sets, self.noise = law, sets, noise
-        law.checked(max((each.points.dimension for each in sets), default=2))
+        law.checked(max((each.dimension for each in sets), default=2))
         for each in sets:
             check_lattice(each)
         self.weights = weights = sample_weights(sets, normalise=law.normalise)
@@ -186,7 +186,7 @@ class Learner:
         self.stiffness = stiffness_of(sets, law.horizon)
         self.zeta = law.conditions.zeta or RELATIVE_ZETA * self.stiffness
         self.conditions = replace(law.conditions, zeta=self.zeta)
-        self.flat = sets[0].points.dimension == 2
+        self.flat = sets[0].dimension == 2
         self.disable = None if progress is None else not progress
         self.history: list[Stage] = []
         self.starts: dict[str, float] = {}
@@ -217,7 +217,7 @@ class Learner:
 
     def model(self, found: LPSFound) -> LPSMaterial:
         """Make the material from a fitted solid and its known facts."""
-        of, numbers, horizon = self.sets[0].points, vars(found.solid), self.law.horizon
+        of, numbers, horizon = self.sets[0], vars(found.solid), self.law.horizon
         return LPSMaterial(**numbers, horizon=horizon, dimension=of.dimension, units=of.units)
 
     def optimum(
@@ -443,7 +443,7 @@ class Learner:
         ended = {"μ": final.solid.mu, "λ + μ": final.solid.lam + final.solid.mu}
         low = [name for name, value in ended.items() if value <= bound * (1 + ON_BOUND)]
         if low:
-            unit = symbols(self.sets[0].points.units)[1]
+            unit = symbols(self.sets[0].units)[1]
             warn(
                 f"{' and '.join(low)} ended on the lower bound, {bound:.3g} {unit}, "
                 f"where the data show a stiffness of {self.stiffness:.3g} {unit}: they do not "

@@ -225,7 +225,7 @@ class Products:
     def __init__(
         self, samples: Samples, horizon: float, *, quadrature_degree: int = DEGREE
     ) -> None:
-        d, h = samples.points.dimension, samples.spacing
+        d, h = samples.dimension, samples.spacing
         self.samples, self.least = samples, 2 * int(horizon / h + 1e-6)
         self.warp = Bonds(samples, horizon, quadrature_degree=quadrature_degree)
         self.u = samples.u.copy()  # torch takes no array that is read-only

@@ -26,6 +26,7 @@ from warp_peri.points.arguments import (
     typed,
     typed_methods,
     usual_lengths,
+    within,
 )
 from warp_peri.points.families import bond_classes, families_of
 from warp_peri.points.points import Samples
@@ -129,7 +130,7 @@ def sweep(
     folder that another job writes to; RuntimeError when every fit failed.
     """
     if horizons is None:
-        horizons = usual_lengths("horizons", HORIZONS, train.points.units).tolist()
+        horizons = usual_lengths("horizons", HORIZONS, train.units).tolist()
     if not (horizons and degrees):
         raise InputError("sweep: expected at least one horizon and one degree")
     sets = {"train": train, "val": val} | ({} if test is None else {"test": test})
@@ -160,11 +161,8 @@ def _check_sets(sets: dict[str, Samples], horizons: Sequence[float]) -> None:
         if not one.loads[:, one.interior].any():
             raise InputError("train, val: expected loads inside, by which errors are divided")
     for horizon, one in itertools.product(horizons, sets.values()):
-        try:
-            if one.spacing == sets["train"].spacing:
-                families_of(one, horizon)
-        except InputError as error:
-            raise InputError(f"horizon {horizon:g}: {error}") from None
+        if one.spacing == sets["train"].spacing:
+            within(f"horizon {horizon:g}", families_of, one, horizon)
 
 
 def choose(trials: list[Trial]) -> SweepResult:
@@ -198,7 +196,7 @@ def _fit(law: LPS, key: str, sets: dict[str, Samples], noise: Samples | None, fi
     try:
         model = law.learn(train, noise=noise, progress=False).material
     except RuntimeError as error:
-        return f"δ = {law.horizon:g} {symbols(train.points.units)[0]}, M = {kernel.degree}: {error}"
+        return f"δ = {law.horizon:g} {symbols(train.units)[0]}, M = {kernel.degree}: {error}"
     tables = {name: evaluate(model, one, allow_uncertified=True) for name, one in sets.items()}
     errors = {kind: {name: table[kind] for name, table in tables.items()} for kind in ERRORS}
     model = replace(model, errors=errors)

@@ -44,7 +44,7 @@ from warp_peri.points.arguments import (
 )
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import BondClasses, bond_classes
-from warp_peri.points.points import PointsLike, Samples, axis_of, lattice_steps, nodes_of
+from warp_peri.points.points import PointsLike, Samples, axis_of, nodes_of
 from warp_peri.solvers.equilibria import SOLVES, equilibria_of
 from warp_peri.solvers.linear import Inverse
 from warp_peri.solvers.solution import Solution, Solver
@@ -150,11 +150,16 @@ def energy_density(
     return t * t * ((lam + mu) / 2 + t3 * t) + (A + B) * (2 * mu + tq2 * t) + q3 * a * (A - 3 * B)
 
 
+def lame_of(C: np.ndarray) -> np.ndarray:
+    """λ and μ of the long waves of elastic tensors [..., 2, 2, 2, 2], shape [..., 2]."""
+    return np.stack([C[..., 0, 0, 1, 1], C[..., 0, 1, 0, 1]], axis=-1)
+
+
 def gradient_stencil(
     points: PointsLike, reach: float, p: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Steps [B, 2] and weights 2 p ξ [1, B, 2] of the gradient H (N1), in the points' axes."""
-    classes, (_, axes) = bond_classes(points.spacing, reach), lattice_steps(points)
+    classes, (_, axes) = bond_classes(points.spacing, reach), points.lattice
     return classes.steps, 2 * p[classes.bond_class, None] * (classes.xi @ axes.T)[None]
 
 
@@ -217,8 +222,8 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
     @property
     def lame(self) -> tuple[float, float]:
         """Lamé parameters λ and μ of long waves [stress]."""
-        C = self.linear.tensor()
-        return C[0, 0, 1, 1], C[0, 1, 0, 1]
+        lam, mu = lame_of(self.linear.tensor())
+        return lam, mu
 
     @property
     def numbers(self) -> np.ndarray:
@@ -415,11 +420,11 @@ class ThirdOrder:
             raise InputError("moduli: expected some that are held, beside third-order constants")
         given = one_set(samples)
         horizon, h = asked.horizon, given.spacing
-        if given.points.dimension != 2:
+        if given.dimension != 2:
             raise InputError("samples: expected a sheet; in space LPS and Crystal are learned")
         turn = np.eye(2)
         if asked.orientation is not None:
-            turn = lattice_steps(given)[1].T @ checked_orientation(asked.orientation, 2)
+            turn = given.lattice.axes.T @ checked_orientation(asked.orientation, 2)
         auto = str(asked.symmetry) == "auto"
         tensors = Tensors(h, horizon, "isotropic" if auto else asked.symmetry, turn)
         weights = smoothing.weights(bond_classes(h, horizon), self.form)
@@ -428,7 +433,7 @@ class ThirdOrder:
         if moduli is None:
             moduli, misfit = learning.found_moduli()
         found, _ = learning.at(moduli)
-        linear = tensors.crystal(found, given.points.units, {})
+        linear = tensors.crystal(found, given.units, {})
         t3, tq2, q3 = found.p[0][len(tensors.bonds.basis) :]
         record = {"from": "fields", "loss": found.loss, "long_wave_misfit": misfit}
         record |= {"cuts": found.cuts, "numbers": len(found.p[0])}
@@ -473,7 +478,7 @@ class Learning:
         )  # fmt: skip
         for name in numbers:
             operator.take(numbers | {name: 1.0})
-            columns.append(operator.force(samples.u) @ lattice_steps(samples)[1])
+            columns.append(operator.force(samples.u) @ samples.lattice.axes)
         self.extra = np.stack(columns, axis=-1)  # along the nodes' axes, [S, I, 2, 5]
         self.R, self.y = rows(samples, tensors.bonds, weight=1 / self.size, extra=self.extra)
         if len(self.R) < self.R.shape[1]:
@@ -483,7 +488,7 @@ class Learning:
 
     def at(self, tensor: np.ndarray) -> tuple[Settled, np.ndarray]:
         """Fit the numbers with some moduli held; also those of all columns."""
-        lame = np.array([tensor[0, 0, 1, 1], tensor[0, 1, 0, 1]])  # Ψ has those of the tensors
+        lame = lame_of(tensor)  # Ψ has those of the tensors
         found = self.tensors.fitted(self.R[:, :-2], self.y - self.R[:, -2:] @ lame, tensor)
         return found, np.concatenate([found.p[0], lame])
 
@@ -497,7 +502,7 @@ class Learning:
             load.append(np.einsum("vn,snk->svk", values, b[:, place], optimize=True))
         weight = 1 / self.size[:, None, None, None]
         long, right = np.concatenate(seen) * weight, np.concatenate(load) * weight[..., 0]
-        own = long[..., -2:] @ np.array([[C[0, 0, 1, 1], C[0, 1, 0, 1]] for C in allowed]).T
+        own = long[..., -2:] @ lame_of(allowed).T
         R = np.concatenate([moments * weight + own, long[..., -5:-2]], axis=-1)
 
         def left(c: np.ndarray) -> np.ndarray:

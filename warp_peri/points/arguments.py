@@ -105,6 +105,14 @@ def checked(
     return np.asarray(value)
 
 
+def within(where: str, make: Callable[..., Any], *of: Any) -> Any:
+    """What `make` gives, or its InputError with `where` before the message."""
+    try:
+        return make(*of)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+
+
 def check_shape(name: str, given: Any, shape: tuple[int, ...]) -> None:
     """Raise InputError for an array, or a tensor, of another shape."""
     if tuple(given.shape) != tuple(shape):

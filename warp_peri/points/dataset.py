@@ -28,6 +28,7 @@ from warp_peri.points.arguments import (
     is_name,
     symbols,
     typed,
+    within,
 )
 from warp_peri.points.points import (
     FIELDS,
@@ -72,8 +73,8 @@ class Dataset(Shown):
                 raise InputError(f"sets: {name!r} cannot be the name of a set")
             if not isinstance(samples, Samples):
                 raise InputError(f"{name}: expected Samples, got {type(samples).__name__}")
-        if len({samples.points.units for samples in self.sets.values()}) > 1:
-            named = [f"{n} in {' and '.join(s.points.units)}" for n, s in self.sets.items()]
+        if len({samples.units for samples in self.sets.values()}) > 1:
+            named = [f"{n} in {' and '.join(s.units)}" for n, s in self.sets.items()]
             raise InputError(f"units: expected the same for all sets, got {', '.join(named)}")
 
     @property
@@ -182,7 +183,7 @@ def mixed_waves(
     if not shortest <= box.max():
         raise InputError(f"shortest wave: expected one in a box of {box}, got {shortest!r:.40}")
     most = int(box.max() / shortest) + 1
-    field = np.zeros(np.shape(x))
+    field = np.zeros(x.shape)
     for number in np.ndindex(most + 1, 2 * most + 1):
         n = np.array(number) - (0, most)
         k = 2 * np.pi * n / box
@@ -341,12 +342,9 @@ def _read(file: h5py.File) -> Dataset:
         provenance = parsed(head.get("provenance", "{}"))
     except ValueError as error:
         raise InputError(f"provenance: expected JSON ({error})") from None
-    sets = {}
-    for name, group in file.items():
-        try:
-            sets[name] = _read_points(group, units)
-        except InputError as error:
-            raise InputError(f"set '{name}': {error}") from None
+    sets = {
+        name: within(f"set '{name}'", _read_points, group, units) for name, group in file.items()
+    }
     data = Dataset(sets, head["thickness"], head["density"], provenance)
     mark = content_hash(data)
     if head.get("sha256", mark) != mark:

@@ -21,7 +21,7 @@ from warp_peri.errors import Held, InputError, hold
 from warp_peri.kernels import neighbours as kernels
 from warp_peri.kernels import quadrature
 from warp_peri.points.arguments import check_whole, checked, listed, symbols
-from warp_peri.points.points import PointsLike, grid_places, nearest, nodes_of
+from warp_peri.points.points import PointsLike, grid_places, nearest
 from warp_peri.runtime import floats, ints, launch_slices, zeros
 
 DEGREE = 5
@@ -210,7 +210,7 @@ def families_of(
 def _lattice_table(points: PointsLike, classes: BondClasses) -> tuple[np.ndarray, np.ndarray]:
     """Node at each bond's end [N, B], −1 where there is none, and the lattice's axes."""
     h, box, size = classes.spacing, points.box, None
-    grid, axes = nodes_of(points).lattice
+    grid, axes = points.lattice
     if box is not None:
         d, least = len(axes), 2 * int(np.abs(classes.steps).max())
         if not np.array_equal(axes, np.eye(d)):
@@ -219,7 +219,7 @@ def _lattice_table(points: PointsLike, classes: BondClasses) -> tuple[np.ndarray
         if np.abs(size * h - box).max() > 1e-6 * h or (size <= least).any():
             raise InputError(
                 f"box: expected {('two', 'three')[d - 2]} whole multiples of {h} above "
-                f"{least * h} {symbols(nodes_of(points).units)[0]}, got {box}"
+                f"{least * h} {symbols(points.units)[0]}, got {box}"
             )
     return neighbour_table(grid, classes.steps, size), axes
 
@@ -234,7 +234,7 @@ def _any_neighbour(row: np.ndarray, neighbour: np.ndarray, flag: np.ndarray) -> 
 
 def _lacking_collar(points: PointsLike, horizon: float, short: np.ndarray, bond_based: bool) -> str:
     """What is said of interior nodes that are short of a collar, with a horizon that fits."""
-    length, fits = symbols(nodes_of(points).units)[0], ""
+    length, fits = symbols(points.units)[0], ""
     if points.spacing > 0 and not bond_based:
         steps = math.floor(100 * carried_horizon(points) / points.spacing) / 100
         fits = f"; {steps * points.spacing:g} {length} fits"
@@ -252,14 +252,13 @@ def carried_horizon(points: PointsLike) -> float:
     """Horizon [Å] below which every interior node of a lattice has its families out to 2δ. Half the
     distance from the interior to the nearest place of the lattice without a node; on a periodic
     sheet a quarter of the smaller period."""
-    h = points.spacing
     if points.box is not None:
         return float(min(points.box)) / 4
-    grid, _ = nodes_of(points).lattice
+    grid = points.lattice.steps
     there = np.zeros(grid.max(axis=0) + 3, bool)
     there[*(grid + 1).T] = True
     clear = distance_transform_edt(there)[*(grid[points.interior] + 1).T]
-    return float(clear.min()) * h / 2 * (1 - 2 * HORIZON_TOLERANCE)
+    return float(clear.min()) * points.spacing / 2 * (1 - 2 * HORIZON_TOLERANCE)
 
 
 def neighbour_table(
@@ -277,8 +276,7 @@ def neighbour_table(
         grid, wrapped = grid % size, reach
     number = np.full(size, -1, dtype=np.int32)
     number[*grid.T] = nodes = np.arange(len(grid))
-    twice = np.flatnonzero(number[*grid.T] != nodes)
-    if len(twice):
+    if len(twice := np.flatnonzero(number[*grid.T] != nodes)):
         raise InputError(f"points: {len(twice)} duplicates: {listed(twice)}")
     number = np.pad(number, wrapped, mode="wrap")
     stride = np.array(number.strides) // number.itemsize
@@ -297,8 +295,9 @@ def neighbours(
     d, at = x.shape[1], x
     if box is not None:
         if not (np.shape(box) == (d,) and np.isfinite(box).all() and 2 * reach < min(box)):
-            number = "two" if d == 2 else "three"
-            raise InputError(f"box: expected {number} periods above {2 * reach:g}, got {box}")
+            raise InputError(
+                f"box: expected {('two', 'three')[d - 2]} periods above {2 * reach:g}, got {box}"
+            )
         at = x % box
         at = np.where(at < box, at, 0.0)  # of −1e-17 it is the period itself
     pairs = cKDTree(at, boxsize=box).query_pairs(reach, output_type="ndarray")
@@ -339,11 +338,11 @@ def largest_strain(points: PointsLike, u: ArrayLike) -> float:
     """Largest bond strain |ξ·(u_j − u_i)|/r² of nearest neighbours in the body, on a lattice also
     across diagonals, which shear along the axes stretches; u [Å] is [N, d] or [S, N, d]."""
     body = np.ones(len(points.x), bool) if points.outside is None else ~points.outside
-    x, d = points.x[body], nodes_of(points).dimension
+    x, d = points.x[body], points.dimension
     if points.spacing > 0 and len(points.x) > 1:
         steps = grid_places((3,) * d) - 1
         steps = steps[np.isin((steps**2).sum(axis=1), (1, 2))]
-        table = neighbour_table(nodes_of(points).lattice.steps[body], steps[len(steps) // 2 :])
+        table = neighbour_table(points.lattice.steps[body], steps[len(steps) // 2 :])
         near = np.where(table < 0, np.arange(len(x))[:, None], table)  # each bond once
     else:
         count = min(2 * d + 1, len(x))

@@ -368,7 +368,8 @@ class Samples(Shown):
     """Displacements and loads of one body on one set of points, S samples of them.
 
     Attributes:
-        points: the nodes; x, interior, spacing, box and outside are theirs.
+        points: the nodes; x, interior, spacing, box, outside, axis, units, dimension and lattice
+            are theirs.
         u: displacements [Å], shape [S, N, d].
         b: body force densities [TPa/Å], shape [S, N, d]; None where the load is not known.
         arrays: optional per-sample arrays by name, each with first dimension S.
@@ -420,10 +421,11 @@ class Samples(Shown):
         b = None if self.b is None else self.b[rows]
         return replace(self, u=self.u[rows], b=b, arrays=arrays)
 
-    x, interior, spacing, box, outside, axis = (
+    x, interior, spacing, box, outside, axis, units, dimension, lattice = (
         property(attrgetter(f"points.{name}"), doc=f"`{name}` of the points.")
-        for name in ("x", "interior", "spacing", "box", "outside", "axis")
-    )
+        for name in ("x", "interior", "spacing", "box", "outside", "axis", "units", "dimension",
+                     "lattice")
+    )  # fmt: skip
 
     def summary(self) -> dict[str, Any]:
         """Counts, spacing and arrays of the samples as plain values."""
@@ -439,7 +441,7 @@ class Samples(Shown):
 
     def rows(self) -> Rows:
         """Name and value of each line of the samples' summary table."""
-        length, stress = symbols(self.points.units)
+        length, stress = symbols(self.units)
         rows = [("samples", str(len(self))), *self.points.rows()]
         rows.append(("u", f"up to {np.abs(self.u).max(initial=0.0):.3g} {length}"))
         known = "not known"
@@ -466,11 +468,6 @@ def nodes_of(given: PointsLike) -> Points:
             f"points: expected Points(x, interior, spacing), got {type(given).__name__}"
         )
     return given.points if isinstance(given, Samples) else given
-
-
-def lattice_steps(points: PointsLike) -> Lattice:
-    """Lattice steps and axes of points or samples, as Points.lattice."""
-    return nodes_of(points).lattice
 
 
 _said: WeakValueDictionary[int, np.ndarray] = WeakValueDictionary()

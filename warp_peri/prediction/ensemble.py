@@ -21,7 +21,7 @@ from warp_peri.fitting.result import Fit
 from warp_peri.points.arguments import ArrayMap, NotNegative, checked, is_number, offered, typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import largest_strain
-from warp_peri.points.points import PointsLike, Samples, lattice_steps, nodes_of
+from warp_peri.points.points import PointsLike, Samples, nodes_of
 from warp_peri.protocols import placed
 
 SEEN = 0.5
@@ -81,7 +81,7 @@ class ErrorSpectrum:
 def spectrum_of(points: PointsLike, wavelength: np.ndarray) -> Measure:
     """Function from lattice fields [N, d], less affine parts, to the shares of their squares by
     wavelength [length], growing, [K]."""
-    steps, count = lattice_steps(points)[0], len(wavelength)
+    steps, count = points.lattice.steps, len(wavelength)
     steps = steps - steps.min(axis=0)
     shape = tuple(int(n) for n in steps.max(axis=0) + 1)
     place = np.ravel_multi_index(tuple(steps.T), shape)

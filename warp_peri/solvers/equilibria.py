@@ -24,7 +24,7 @@ from warp_peri.core.elastic import symmetric_part
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, warn
 from warp_peri.points.arguments import ArrayMap, checked_fields
-from warp_peri.points.points import Points, grid_places, lattice_steps
+from warp_peri.points.points import Points, grid_places
 from warp_peri.solvers.linear import DIRECT, Inverse
 from warp_peri.solvers.solution import Newton, Solution, Solver, by_sample, refuse_solver
 from warp_peri.solvers.systems import HERE, definite, newton, norm, smallest_eigenvalue
@@ -37,21 +37,20 @@ def probed(operator: Any) -> Stencil:
     """Stencil at rest of a placed material, along the axes of its nodes, by probing its force,
     which reaches two horizons and is odd in u at rest."""
     nodes = operator.points
-    h, axes, d = nodes.spacing, lattice_steps(nodes)[1], nodes.dimension
+    h, axes, d = nodes.spacing, nodes.lattice.axes, nodes.dimension
     reach = 2 * int(operator.material.horizon / h + 1e-6)
     grid = grid_places((4 * reach + 1,) * d) - 2 * reach
     interior = np.abs(grid).max(axis=1) <= reach
     around = Points(h * grid @ axes.T, interior, h, units=nodes.units, axis=nodes.axis)
     placed = operator.material.on(around)
-    middle = int(np.flatnonzero((grid == 0).all(axis=1))[0])
     columns, none = [], np.zeros(grid.shape)
-    for axis in range(d):
+    for axis in axes.T:
         v = none.copy()
-        v[middle] = axes[:, axis]
+        v[len(v) // 2] = axis
         columns.append(-placed.jvp(none, v) @ axes)
     C, at = np.stack(columns, axis=2), grid[interior]
     C = symmetric_part((C + C[::-1]) / 2)  # ξ and −ξ
-    first = at @ (2 * reach + 1) ** np.arange(d)[::-1] > 0
+    first = np.arange(len(at)) > len(at) // 2
     kept = first & (np.abs(C).max(axis=(1, 2)) > NOTHING * np.abs(C).max())
     return Stencil(h, at[kept], C[kept])
 
@@ -254,9 +253,9 @@ def anderson(
     for _ in range(MOST_STEPS):
         residual = left(u)
         size = HERE.norm(residual)
-        waited = 0 if size < best[1] else waited + 1
+        waited += 1
         if size < best[1]:
-            best = (u, size)
+            best, waited = (u, size), 0
         if size <= tolerance or waited > PATIENCE or not np.isfinite(size):
             break
         steps.append(correction(residual))

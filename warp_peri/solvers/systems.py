@@ -161,16 +161,14 @@ def smallest_eigenvalue(symmetric: sp.csc_array | LinearOperator) -> float:
     """Smallest eigenvalue of a symmetric matrix or operator; dense for few unknowns."""
     if (size := symmetric.shape[0]) <= DENSE:
         return float(eigvalsh(symmetric @ np.eye(size))[0])
-    found = eigsh(
-        symmetric, 1, which="SA", tol=1e-6, ncv=80, v0=lanczos_start(size),
-        return_eigenvectors=False,
-    )  # fmt: skip
-    return float(found[0])
+    return end_of_spectrum(symmetric, "SA", tol=1e-6, ncv=80)
 
 
-def lanczos_start(size: int) -> np.ndarray:
-    """Start vector of Lanczos iterations, the same every time, without a body's symmetries."""
-    return np.random.default_rng(0).standard_normal(size)
+def end_of_spectrum(symmetric: Any, which: str, **how: Any) -> float:
+    """Eigenvalue by `scipy.sparse.linalg.eigsh`, from a start that is the same every time and
+    without a body's symmetries."""
+    start = np.random.default_rng(0).standard_normal(symmetric.shape[0])
+    return float(eigsh(symmetric, 1, which=which, v0=start, return_eigenvectors=False, **how)[0])
 
 
 def loose_pieces(

@@ -12,14 +12,14 @@ import scipy.sparse as sp
 import torch
 from numpy.linalg import eigvalsh, matrix_power
 from scipy.linalg import cho_solve_banded, cholesky_banded
-from scipy.sparse.linalg import LinearOperator, eigsh, splu
+from scipy.sparse.linalg import LinearOperator, splu
 
 from warp_peri.errors import InputError
 from warp_peri.materials.hyperelastic.energies import half_family, strain_weights
 from warp_peri.points.families import neighbour_table
 from warp_peri.points.points import Points
 from warp_peri.solvers.equilibria import Inner
-from warp_peri.solvers.systems import lanczos_start
+from warp_peri.solvers.systems import end_of_spectrum
 
 DIRECT = 20_000
 """Unknowns up to which the tangent is factorised; beyond, conjugate gradients take its products."""
@@ -222,6 +222,5 @@ def softest(size: int, inverse: Inner, tolerance: float) -> float:
     """Smallest eigenvalue of a positive definite matrix, from its inverse."""
     if size <= 2:
         return 1 / float(eigvalsh(inverse(np.eye(size)))[-1])
-    ends = {"v0": lanczos_start(size), "return_eigenvectors": False, "tol": tolerance}
-    K = LinearOperator((size, size), inverse, dtype=float)
-    return 1 / float(eigsh(K, 1, which="LA", **ends)[0])
+    flexibility = LinearOperator((size, size), inverse, dtype=float)
+    return 1 / end_of_spectrum(flexibility, "LA", tol=tolerance)

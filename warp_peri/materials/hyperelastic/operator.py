@@ -14,7 +14,7 @@ import scipy.sparse as sp
 import torch
 from numpy.linalg import lstsq
 from numpy.typing import ArrayLike
-from scipy.sparse.linalg import LinearOperator, eigsh
+from scipy.sparse.linalg import LinearOperator
 from torch.autograd import grad
 
 from warp_peri.core.record import FieldUnits, Length, Record
@@ -30,7 +30,7 @@ from warp_peri.points.points import PointsLike, Samples, seen_of
 from warp_peri.runtime import one_thread
 from warp_peri.solvers.equilibria import Descent, Inner, equilibria_of
 from warp_peri.solvers.solution import TOLERANCE, Solution, Solver
-from warp_peri.solvers.systems import lanczos_start, smallest_eigenvalue
+from warp_peri.solvers.systems import end_of_spectrum, smallest_eigenvalue
 
 BEYOND = 1.1
 """Stretches less one above this many times those of the training data are worth a warning."""
@@ -315,11 +315,10 @@ class HyperelasticSheetOperator(Swept):
             of_flat = lambda p: apply(p.reshape(-1, 2)).ravel()  # noqa: E731
             return LinearOperator((size, size), of_flat, dtype=float)
 
-        ends = {"v0": lanczos_start(size), "return_eigenvectors": False}
         K, Minv = flat(lambda p: self.jvp(u, self.on_all(p))), flat(self.rough)
         L = sp.kron(self.lattice.laplacian[:, self.interior], sp.eye(2)).tocsr()
-        found = eigsh(K, 1, L, which="SA", Minv=Minv, tol=1e-2, maxiter=2000, **ends)
-        return float(softest(size // 2, self.rough, 1e-4) * found[0])
+        ratio = end_of_spectrum(K, "SA", M=L, Minv=Minv, tol=1e-2, maxiter=2000)
+        return softest(size // 2, self.rough, 1e-4) * ratio
 
     def features(self, u: ArrayLike, moving: Sequence[int] = ()) -> np.ndarray:
         """Derivatives of the force by all coefficients, then by angles and exponents of the fibres

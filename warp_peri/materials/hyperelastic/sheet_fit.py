@@ -69,7 +69,7 @@ class Sections:
         steps = np.array([(a, b) for a in near for b in range(-R, width + R)])
         own = lines[steps[:, 0]] & (steps[:, 1] >= 0) & (steps[:, 1] < width)
         x = origin + frames.spacing * steps[:, turn]
-        points = Points(x, own, frames.spacing, units=frames.points.units)
+        points = Points(x, own, frames.spacing, units=frames.units)
         self.op, self.axis, self.shape = sheet_on(dictionary, points), axis, (-1, width)
         around = ((0, 0), (0, 0), (R, R), (0, 0))
         fields = np.pad(frames.u[:, number[near]], around, "reflect", reflect_type="odd")
