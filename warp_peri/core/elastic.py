@@ -17,7 +17,7 @@ import numpy as np
 from numpy.linalg import eigvalsh, inv, lstsq, solve, svd
 
 from warp_peri.errors import InputError, optional
-from warp_peri.points.arguments import checked, typed
+from warp_peri.points.arguments import Pair, checked, typed
 from warp_peri.points.points import grid_places, unit_vectors
 
 Symmetry: TypeAlias = str | np.ndarray
@@ -155,7 +155,7 @@ def checked_orientation(orientation: Any, dimension: int) -> np.ndarray:
     return given
 
 
-def kinds_of(atoms: Any, names: Sequence[str] | None = None) -> tuple[np.ndarray, np.ndarray]:
+def kinds_of(atoms: Any, names: Sequence[str] | None = None) -> Pair:
     """Numbers that tell the atoms of an ase.Atoms apart, [n], and a first atom of each kind. Atoms
     of one kind agree, to three decimals, in the named arrays, or all but those of COUNTED."""
     told = []
@@ -323,7 +323,7 @@ def acoustic(brackets: np.ndarray, e: np.ndarray) -> np.ndarray:
     return np.asarray(np.einsum("ijkl,nk,nl->nij", brackets, e, e, optimize=True))
 
 
-def q1_tensors(elastic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def q1_tensors(elastic: np.ndarray) -> Pair:
     """Steps and C(ξ) h² [H, d, d] [stress] of Q1 elements of side h, two Gauss points an axis."""
     d = len(elastic)
     corner = grid_places((2,) * d)
@@ -350,7 +350,7 @@ def central_weights(reach: int) -> np.ndarray:
     return -((-1.0) ** m) * ways / m
 
 
-def difference_tensors(elastic: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
+def difference_tensors(elastic: np.ndarray, reach: int) -> Pair:
     """Steps and C(ξ) h² of central differences of order 2 reach, as q1_tensors."""
     d, ways = len(elastic), [*enumerate(central_weights(reach), 1)]
     unit = np.eye(d, dtype=int)

@@ -20,7 +20,7 @@ from torch.autograd import grad
 from warp_peri.core.elastic import contracted, strain, strain_rate, symmetric, times
 from warp_peri.core.stencil import Stencil, grid_of, half_ball, torus_shape, torus_symbol
 from warp_peri.core.torch_bridge import Swept
-from warp_peri.points.arguments import Numbers
+from warp_peri.points.arguments import Numbers, Pair
 from warp_peri.points.points import PointsLike, nodes_of
 
 
@@ -106,7 +106,7 @@ class Pointwise(Swept):
         planes = scipy.fft.irfftn(waves, self._torus, self._axes, overwrite_x=True)
         return np.take(planes.reshape(*planes.shape[: -len(self._torus)], -1), places, axis=-1)
 
-    def _seen(self, u: np.ndarray, side: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    def _seen(self, u: np.ndarray, side: int = 0) -> Pair:
         """Waves of fields [S, N, d], and their gradients H at the nodes `full`, [d, d, S, Q, F]."""
         waves = self._waves(np.take(u.transpose(2, 0, 1), self._near, axis=-1), self._places)
         return waves, self._planes(waves[:, None, :, None] * self._symbols[side], self._full)
@@ -186,7 +186,7 @@ class Pointwise(Swept):
 
         return self._swept(sweep, u, self.on_all(w), total=True)
 
-    def gradients(self, u: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    def gradients(self, u: ArrayLike) -> Pair:
         """Gradients H and stresses P, means over q, at the nodes `full`, each [..., F, d, d]."""
 
         def sweep(u: np.ndarray) -> Any:

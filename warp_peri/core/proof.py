@@ -29,7 +29,7 @@ from warp_peri.core.stencil import (
 )
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import same
-from warp_peri.points.arguments import LINEAR, USUAL, Positive, Units, offered, symbols, typed
+from warp_peri.points.arguments import LINEAR, USUAL, Pair, Positive, Units, offered, symbols, typed
 from warp_peri.points.points import PointsLike, grid_points
 from warp_peri.runtime import in_blocks, sharing
 
@@ -60,7 +60,7 @@ RANK_TOLERANCE = 1e-9
 """Eigenvalues of ΦΓ⁻¹Φᵗ below this fraction of the largest count as zero."""
 SCHWARZ_TOLERANCE = 1e-10
 
-Affine = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+Affine = Callable[[np.ndarray], Pair]
 """Middles of cells [K, n] to a matrix there, [K, c, c], and its slopes, [n, K, c, c]."""
 
 
@@ -321,7 +321,7 @@ def _ratio(stencil: Stencil, weight: Stencil, phase: np.ndarray) -> np.ndarray:
     return np.where(seen, low / np.where(seen, w, 1.0), np.where(low > 0, np.inf, -np.inf))
 
 
-def parts(tensors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def parts(tensors: np.ndarray) -> Pair:
     """Positive and negative part of symmetric matrices, C = C⁺ − C⁻."""
     value, vector = np.linalg.eigh(tensors)
     above, below = ((vector * np.maximum(sign * value, 0)[:, None]) @ vector.mT for sign in (1, -1))
@@ -391,7 +391,7 @@ def _first_cells(edge: float, dimension: int) -> tuple[np.ndarray, float]:
     return grid_points(line, dimension), half
 
 
-def _symbol_slopes(stencil: Stencil, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _symbol_slopes(stencil: Stencil, phase: np.ndarray) -> Pair:
     """Symbol D, shape [K, c, c], and its derivatives, [d, K, c, c]."""
     flat = stencil.tensors.reshape(len(stencil.tensors), -1)
     shape = (len(phase), *stencil.tensors.shape[1:])
@@ -439,7 +439,7 @@ def _long_waves(stencil: Stencil, group: np.ndarray) -> tuple[float, int]:
     total = 0
     for a in range(d):
 
-        def affine(t: np.ndarray, a: int = a) -> tuple[np.ndarray, np.ndarray]:
+        def affine(t: np.ndarray, a: int = a) -> Pair:
             e = np.insert(t, a, 1.0, axis=1)
             bent = np.einsum("ijkl,nl->knij", both, e) - 2 * q * e.T[:, :, None, None] * one
             slopes = np.delete(symmetric_part(bent), a, axis=0)

@@ -22,6 +22,7 @@ from numpy.linalg import eigh, eigvalsh, inv, norm, svd
 from warp_peri.core.elastic import directions, orbit_grid, symmetric_part
 from warp_peri.errors import InputError
 from warp_peri.kernels.micromodulus import rows
+from warp_peri.points.arguments import Pair
 from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.points import LATTICE_TOLERANCE, Points, grid_places, grid_points
 from warp_peri.runtime import floats, get_num_threads, ints, launch_slices
@@ -140,7 +141,7 @@ def smallest_eigenvalue(matrices: np.ndarray) -> np.ndarray:
 
 def zoomed(
     ratio: Ratio, k: np.ndarray, reach: float, *, side: int = 7, zooms: int = 8, finer: float = 3.0
-) -> tuple[np.ndarray, np.ndarray]:
+) -> Pair:
     """Smallest ratio on `side` waves an axis about each wave k h [n, d], on grids ever finer by a
     factor, [n], and where it is, [n, d]; waves below LEAST_WAVE do not count."""
     patch = grid_points(np.linspace(-1, 1, side), k.shape[1])

@@ -19,7 +19,7 @@ from tqdm import tqdm
 from warp_peri.errors import InputError, quietly
 from warp_peri.files.atomic import write_json
 from warp_peri.fitting.regression import norms, sizes
-from warp_peri.points.arguments import Bound, Natural, Share, offered, typed, typed_methods
+from warp_peri.points.arguments import Bound, Natural, Pair, Share, offered, typed, typed_methods
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.points import Samples
 from warp_peri.protocols import placed
@@ -215,7 +215,7 @@ class BootstrapResult:
 
     def band(
         self, material: Any, quantity: Callable[[Any], np.ndarray | float], level: Share = 0.9
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> Pair:
         """Lower and upper end of the band that holds a quantity with probability `level` (else
         InputError), about the material of all loads, by Student's distribution of the loads."""
         half = stdtrit(self.loads - 1, (1 + level) / 2) * self.deviation(quantity)

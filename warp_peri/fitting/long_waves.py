@@ -26,6 +26,7 @@ from warp_peri.core.elastic import (
 from warp_peri.core.stencil import invariant_basis
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.regression import over_loads, relative, rows
+from warp_peri.points.arguments import Pair
 from warp_peri.points.families import neighbour_table
 from warp_peri.points.points import Samples
 
@@ -46,7 +47,7 @@ def long_wave_moduli(samples: Samples, allowed: np.ndarray) -> tuple[np.ndarray,
     return np.tensordot(c, allowed, 1), misfit
 
 
-def long_wave_equations(samples: Samples, allowed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def long_wave_equations(samples: Samples, allowed: np.ndarray) -> Pair:
     """Equations R and y that `long_wave_moduli` solves, shapes [n, m] and [n]."""
     values, kept, R = long_wave_rows(samples, allowed, MODES)
     axes = samples.lattice.axes
@@ -223,7 +224,7 @@ def _mixed(R: np.ndarray, columns: Sequence[slice]) -> np.ndarray:
     return np.concatenate([R[..., some] for some in columns], axis=-1)
 
 
-def _foretold(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _foretold(R: np.ndarray, y: np.ndarray) -> Pair:
     """Squared prediction errors of each part by the others [P], and their λ and μ, [P, 2]."""
     square, side = np.einsum("pra,prb->pab", R, R), np.einsum("pra,pr->pa", R, y)
     others = square.sum(axis=0) - square, side.sum(axis=0) - side
@@ -231,7 +232,7 @@ def _foretold(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return ((np.einsum("pra,pa->pr", R, c) - y) ** 2).sum(axis=1), c[:, :2]
 
 
-def _long_wave_table(samples: Samples, count: int) -> tuple[np.ndarray, np.ndarray]:
+def _long_wave_table(samples: Samples, count: int) -> Pair:
     """Moments of every term with test fields, [S, V, 2, m], and of the loads, [S, V, 2]; terms with
     six periods a turn are `count`, 1 along the axis of the points or 2."""
     axes = samples.lattice.axes

@@ -29,6 +29,7 @@ from warp_peri.core.stencil import (
     zoomed,
 )
 from warp_peri.errors import InputError
+from warp_peri.points.arguments import Pair
 from warp_peri.points.points import Samples
 
 STEPS = 500
@@ -139,7 +140,7 @@ def felt(sizes: np.ndarray) -> np.ndarray:
     return np.asarray(np.maximum(sizes, FELT * sizes.max(initial=1e-300)))
 
 
-def particular(A: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def particular(A: np.ndarray, a: np.ndarray) -> Pair:
     """Least x with A x = a where one is, and a basis of the null space of A, as columns."""
     if not len(A):
         return np.zeros(A.shape[1]), np.eye(A.shape[1])
@@ -420,7 +421,7 @@ def rows(
     weight: np.ndarray | None = None,
     extra: np.ndarray | None = None,
     least: int | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> Pair:
     """Rows R [n, P + E] and y [n] for numbers p = C h² [stress] on a basis, then of extra columns.
 
     Args:
@@ -501,7 +502,7 @@ def sizes(fields: np.ndarray, inside: np.ndarray) -> np.ndarray:
     return norms(held - inside.all() * held.mean(axis=1, keepdims=True))
 
 
-def compressed(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def compressed(R: np.ndarray, y: np.ndarray) -> Pair:
     """Compress rows R, y to as few with the same least squares."""
     if len(R) <= R.shape[1] + 1:
         return R, y
@@ -514,7 +515,7 @@ KNOWN = 0.1
 """Directions of which more than 1 − KNOWN of the data's squares is noise are left out."""
 
 
-def without_noise(R: np.ndarray, y: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def without_noise(R: np.ndarray, y: np.ndarray, noise: np.ndarray) -> Pair:
     """Rows of ‖R p − y‖² less ‖N p‖², what noise in u adds to it, as a square again (theory,
     36–37).
 

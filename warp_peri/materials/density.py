@@ -27,6 +27,7 @@ from warp_peri.materials.crystal_fit import one_set
 from warp_peri.points.arguments import (
     USUAL,
     Numbers,
+    Pair,
     Positive,
     Units,
     check_parameters,
@@ -46,7 +47,7 @@ DIFFERENCE = 1e-4
 """Relative step of differences of solved displacements."""
 
 
-def sided_gradients(points: Any, horizon: float) -> tuple[np.ndarray, np.ndarray]:
+def sided_gradients(points: Any, horizon: float) -> Pair:
     """Steps [B, d] and weights [2^d, B, d] of least-squares gradients over one corner of the family
     each; all vanish together for rigid fields alone."""
     d, (_, axes) = points.dimension, points.lattice

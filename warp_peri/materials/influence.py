@@ -25,6 +25,7 @@ from warp_peri.files import atomic
 from warp_peri.materials.lps import LPSMaterial, bernstein_basis
 from warp_peri.points.arguments import (
     USUAL,
+    Pair,
     Positive,
     Units,
     check_parameters,
@@ -102,7 +103,7 @@ class InfluenceFunction:
         return np.concatenate([np.zeros(0), *map(np.ravel, self.parameters.values())])
 
     @property
-    def ends(self) -> tuple[np.ndarray, np.ndarray]:
+    def ends(self) -> Pair:
         """Lowest and highest value of each parameter, infinite where it has no bounds."""
         free = (-np.inf, np.inf)
         pairs = [

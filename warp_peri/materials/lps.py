@@ -22,6 +22,7 @@ from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.arguments import (
     USUAL,
     Numbers,
+    Pair,
     Positive,
     Units,
     as_array,
@@ -371,7 +372,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         box = None if nodes.box is None else tuple(scale * side for side in nodes.box)
         return replace(nodes, x=scale * nodes.x, spacing=spacing, box=box)
 
-    def interior_matrices(self, points: PointsLike) -> tuple[np.ndarray, np.ndarray]:
+    def interior_matrices(self, points: PointsLike) -> Pair:
         """Γ [1/length²] and Φ [1/length] between a domain's I interior nodes, [d I, d I] and
         [I, d I]."""
         bonds = bonds_of(self, points)

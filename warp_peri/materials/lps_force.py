@@ -24,6 +24,7 @@ from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.influence import BLOCK, influence
 from warp_peri.kernels.lps import LANES, Balls, Sums, by_influence, stiffnesses, struct, sweeps
+from warp_peri.points.arguments import Pair
 from warp_peri.points.families import DEGREE, families_of
 from warp_peri.points.points import PointsLike, nearest, nodes_of
 from warp_peri.runtime import (
@@ -487,7 +488,7 @@ class Matrices:
     phi: sp.csr_array
     psi: sp.csr_array
 
-    def within(self, interior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def within(self, interior: np.ndarray) -> Pair:
         """Γ and Φ between interior nodes alone, dense, [d I, d I] and [I, d I]."""
         unknown = np.repeat(interior, self.gamma.shape[1] // len(interior))
         return self.gamma[:, unknown].toarray(), self.phi[interior][:, unknown].toarray()

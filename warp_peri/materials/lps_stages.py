@@ -34,7 +34,7 @@ from warp_peri.materials.lps_law import (
     squares,
 )
 from warp_peri.materials.lps_operator import LPSOperator, lps_force
-from warp_peri.points.arguments import checked
+from warp_peri.points.arguments import Pair, checked
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.points import WAVE_VECTOR, Samples
 from warp_peri.solvers.systems import MatrixProblem
@@ -49,7 +49,7 @@ PRINTED_HORIZON = 20.0
 PARITIES = "", "", "++ +- -+ --", "+++ ++- --+ --- +-"
 """Of fields under so many mirrors of a domain."""
 
-Blocks = list[tuple[np.ndarray, np.ndarray]]
+Blocks = list[Pair]
 
 
 def class_weights(classes: BondClasses, alpha: torch.Tensor, D: torch.Tensor) -> torch.Tensor:
@@ -159,7 +159,7 @@ def least_of_blocks(blocks: Blocks, weights: torch.Tensor) -> list[torch.Tensor]
     return [*found, at(gamma @ e, e) - 2 * (at(phi @ e) ** 2).sum()]
 
 
-def class_matrices(points: Samples, horizon: float) -> tuple[np.ndarray, np.ndarray]:
+def class_matrices(points: Samples, horizon: float) -> Pair:
     """Matrices Γ_c [C, 2 I, 2 I] and Φ_c [C, I, 2 I] of unit class weights on the interior."""
     bonds = Bonds(points, horizon)
     units = np.eye(len(bonds.families.classes.r))

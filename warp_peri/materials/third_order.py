@@ -37,6 +37,7 @@ from warp_peri.points.arguments import (
     ArrayMap,
     NotNegative,
     Numbers,
+    Pair,
     checked,
     is_number,
     shown_moduli,
@@ -98,9 +99,7 @@ class Smoothing:
         square = self.transform(k) ** 2
         return np.sqrt((1 + self.ridge) * square / (square + self.ridge))
 
-    def weights(
-        self, classes: BondClasses, form: str = "filtered"
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def weights(self, classes: BondClasses, form: str = "filtered") -> Pair:
         """Weights p_in and p_out of the bond classes of a lattice [1/length²], each of shape [C].
         Of the energy form both fit the root (N23) over all waves that the lattice has, |k_a| ≤ π/h.
         Of the filtered one (N6) they fit the Wiener inverse there, the exact inverse and the
@@ -155,9 +154,7 @@ def lame_of(C: np.ndarray) -> np.ndarray:
     return np.stack([C[..., 0, 0, 1, 1], C[..., 0, 1, 0, 1]], axis=-1)
 
 
-def gradient_stencil(
-    points: PointsLike, reach: float, p: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def gradient_stencil(points: PointsLike, reach: float, p: np.ndarray) -> Pair:
     """Steps [B, 2] and weights 2 p ξ [1, B, 2] of the gradient H (N1), in the points' axes."""
     classes, (_, axes) = bond_classes(points.spacing, reach), points.lattice
     return classes.steps, 2 * p[classes.bond_class, None] * (classes.xi @ axes.T)[None]
@@ -230,7 +227,7 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
         """Constants λ, μ, t3, tq2 and q3 [stress], shape [5]."""
         return np.array([*self.lame, self.t3, self.tq2, self.q3])
 
-    def weights(self, classes: BondClasses) -> tuple[np.ndarray, np.ndarray]:
+    def weights(self, classes: BondClasses) -> Pair:
         """Gradient weights p_in and p_out of a lattice's bond classes [1/length²], each [C]."""
         return self.smoothing.weights(classes, self.form)
 
@@ -459,13 +456,7 @@ class Learning:
     """Regression of tensors together with forces of t3, tq2, q3, and of λ and μ in Ψ, each at 1;
     gradient weights p_in and p_out by class, [C]."""
 
-    def __init__(
-        self,
-        samples: Samples,
-        tensors: Tensors,
-        horizon: float,
-        weights: tuple[np.ndarray, np.ndarray],
-    ) -> None:
+    def __init__(self, samples: Samples, tensors: Tensors, horizon: float, weights: Pair) -> None:
         self.samples, self.tensors, self.size = samples, tensors, load_sizes(samples)
         if not (self.size > 0).all():
             raise InputError(f"b: expected loads, got none on sample {self.size.argmin()}")

@@ -23,7 +23,7 @@ from warp_peri.materials.lps_law import (
     optimum,
     product_basis,
 )
-from warp_peri.points.arguments import ArrayMap, Positive, search_length, symbols, typed
+from warp_peri.points.arguments import ArrayMap, Pair, Positive, search_length, symbols, typed
 from warp_peri.points.families import AT_EDGES, bond_classes, carried_horizon
 from warp_peri.points.points import PointsLike, unit_vectors
 
@@ -43,7 +43,7 @@ def wave_rows(
     bonds: Basis,
     group: np.ndarray,
     largest_wave: float = LARGEST_WAVE,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> Pair:
     """Rows R and y that fit p = C h² [stress] to D₀(k): waves up to `largest_wave` = |k| h, very
     long ones, and lightly the rest of the zone."""
     d = bonds.dimension
@@ -60,9 +60,7 @@ def wave_rows(
     return compressed(*waves_against(D, phase, bonds, np.concatenate(each)))
 
 
-def waves_against(
-    target: np.ndarray, phase: np.ndarray, bonds: Basis, share: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def waves_against(target: np.ndarray, phase: np.ndarray, bonds: Basis, share: np.ndarray) -> Pair:
     """Rows R and y of ‖D₀⁻¹ D e − e‖ over polarisations e, for D₀ [K, d, d] and k h, weighted."""
     rows = inv(target)[:, None] @ bonds.symbol(phase)
     right = np.broadcast_to(np.eye(bonds.dimension), target.shape) * share[:, None, None]
@@ -179,7 +177,7 @@ def _horizons(spacing: float, largest: float | None, unit: str) -> list[float]:
     return kept
 
 
-def wave_vectors(largest: float) -> tuple[np.ndarray, np.ndarray]:
+def wave_vectors(largest: float) -> Pair:
     """Wave vectors [1/Å] spread evenly in |k| up to `largest`, [K, 2], and weights (M3), [K]; last
     very long waves, on which only the moduli count."""
     number = np.arange(FITTED) + 0.5

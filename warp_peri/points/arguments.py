@@ -119,9 +119,7 @@ def check_shape(name: str, given: Any, shape: tuple[int, ...]) -> None:
         raise InputError(f"{name}: expected shape {list(shape)}, got {list(given.shape)}")
 
 
-def checked_fields(
-    points: Any, b: Any, u: Any, one: tuple[int, ...] | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+def checked_fields(points: Any, b: Any, u: Any, one: tuple[int, ...] | None = None) -> Pair:
     """Check load and displacement of a problem, [N, d] or [S, N, d]; the second is a copy. b, or
     None for no load, is read on the interior, u on the others; `one` is the shape of one field
     where it is not [N, d]. Raises InputError as `checked`, and for other shapes."""
@@ -430,6 +428,8 @@ def taken(
     return tuple(check_arguments(taker, its) for taker, its in zip(takers, found))
 
 
+Pair: TypeAlias = tuple[np.ndarray, np.ndarray]
+"""Two arrays, which a docstring tells apart."""
 ArrayMap: TypeAlias = Callable[[np.ndarray], np.ndarray]
 """Arrays made of arrays."""
 LENGTHS = {"angstrom": 1.0, "nm": 10.0, "um": 1e4, "mm": 1e7, "m": 1e10}

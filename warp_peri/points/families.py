@@ -20,7 +20,7 @@ from scipy.special import beta
 from warp_peri.errors import Held, InputError, hold
 from warp_peri.kernels import neighbours as kernels
 from warp_peri.kernels import quadrature
-from warp_peri.points.arguments import check_whole, checked, listed, symbols
+from warp_peri.points.arguments import Pair, check_whole, checked, listed, symbols
 from warp_peri.points.points import PointsLike, grid_places, nearest
 from warp_peri.runtime import floats, ints, launch_slices, zeros
 
@@ -207,7 +207,7 @@ def families_of(
     return Families(row, neighbour, reverse, *tables)
 
 
-def _lattice_table(points: PointsLike, classes: BondClasses) -> tuple[np.ndarray, np.ndarray]:
+def _lattice_table(points: PointsLike, classes: BondClasses) -> Pair:
     """Node at each bond's end [N, B], −1 where there is none, and the lattice's axes."""
     h, box, size = classes.spacing, points.box, None
     grid, axes = points.lattice

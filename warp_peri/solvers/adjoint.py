@@ -36,6 +36,7 @@ from warp_peri.errors import InputError
 from warp_peri.points.arguments import (
     Natural,
     Numbers,
+    Pair,
     Positive,
     check_nodes,
     check_shape,
@@ -129,7 +130,7 @@ class _Waves:
         wanted = [*compress(self.names, asked[4:])]
         free, whole, last = self.body.interior, self.dt / self.body.inertia, self.steps
         q, load, totals = v[free], np.zeros_like(v[free]), dict[str, Any].fromkeys(wanted, 0.0)
-        by_signal, batch = np.zeros(last + 1), list[tuple[np.ndarray, np.ndarray]]()
+        by_signal, batch = np.zeros(last + 1), list[Pair]()
         for number, u in self._backwards():
             if number < last:
                 upstream = np.zeros_like(p)

@@ -12,7 +12,7 @@ import torch
 from warp_peri.errors import InputError, hold
 from warp_peri.materials.hyperelastic.energies import KINDS, LEAST, EnergyTerm, Hyperelastic, Strain
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
-from warp_peri.points.arguments import Count, checked, typed, typed_methods
+from warp_peri.points.arguments import Count, Pair, checked, typed, typed_methods
 
 LARGEST_EXPONENT = 60.0
 LARGEST_DEGREE = 6
@@ -140,9 +140,7 @@ def fibres_of(dictionary: Hyperelastic) -> list[int]:
     return [first + n for n, term in enumerate(dictionary.terms) if term.is_fibre]
 
 
-def fibre_numbers(
-    dictionary: Hyperelastic, moving: Sequence[int]
-) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+def fibre_numbers(dictionary: Hyperelastic, moving: Sequence[int]) -> tuple[np.ndarray, Pair]:
     """Angles, then exponents of the fibres at M indices, shape [2 M], and their bounds."""
     terms, M = [dictionary.terms[n - dictionary.first_term] for n in moving], len(moving)
     numbers = np.array([*(t.angle for t in terms), *(t.exponent for t in terms)])

@@ -16,6 +16,7 @@ from scipy.sparse.linalg import LinearOperator, splu
 
 from warp_peri.errors import InputError
 from warp_peri.materials.hyperelastic.energies import half_family, strain_weights
+from warp_peri.points.arguments import Pair
 from warp_peri.points.families import neighbour_table
 from warp_peri.points.points import Points
 from warp_peri.solvers.equilibria import Inner
@@ -115,7 +116,7 @@ class SheetLattice:
         (i, j), u = self.pairs, np.ascontiguousarray(u.transpose(1, 2, 0))
         return np.asarray(np.take(u, j, axis=0) - np.take(u, i, axis=0))
 
-    def stretched(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def stretched(self, u: np.ndarray) -> Pair:
         """Deformed bonds ξ + η, [pairs, 2, S], and e = ξ·η + ½ η·η, [pairs, S]."""
         eta, xi = self.differences(u), self.xi[..., None]
         return xi + eta, np.einsum("pas,pas->ps", xi + eta / 2, eta)
