@@ -150,7 +150,7 @@ def _cells(points: PointsLike) -> tuple[str, np.ndarray]:
     steps = np.rint(place).astype(int)
     if np.abs(place - steps).max() > 1e-3:  # a turned lattice
         return vertices
-    kind, around = AROUND[points.x.shape[1]]
+    kind, around = AROUND[points.dimension]
     number = numbers_at(steps.max(axis=0) + 2, (*steps.T,))
     cells = np.stack([number[*(steps + corner).T] for corner in around], axis=1)
     cells = cells[(cells >= 0).all(axis=1)]

@@ -176,8 +176,7 @@ def in_blocks(work: Callable[[np.ndarray], np.ndarray], rows: np.ndarray) -> np.
 def launch(kernel: Any, dim: Any, given: Sequence[Any], *, packed: bool = False) -> Any:
     """Launch a kernel on its inputs and outputs, on no tape, which is the process's; or pack that
     on the processor once, which takes longer than a small sweep: what is given later is None."""
-    how: Any = {"dim": dim, "inputs": given, "device": DEVICE, "record_cmd": packed}
-    return wp.launch(kernel, **how, record_tape=False)
+    return wp.launch(kernel, dim, given, device=DEVICE, record_cmd=packed, record_tape=False)
 
 
 def launch_slices(

@@ -303,8 +303,8 @@ def allowed_tensors(symmetry: Symmetry, orientation: np.ndarray) -> np.ndarray:
     if isinstance(symmetry, str) and symmetry == "isotropic" and d == 3:
         one = np.eye(3)
         bulk = np.einsum("ij,kl->ijkl", one, one)
-        shear = np.einsum("ik,jl->ijkl", one, one) + np.einsum("il,jk->ijkl", one, one)
-        return np.array([bulk, shear])
+        across = bulk.swapaxes(1, 2)  # δ_ik δ_jl
+        return np.array([bulk, across + across.swapaxes(2, 3)])
     basis = []
     for m, n in zip(*np.triu_indices(len(PAIRS[d]))):
         one = np.zeros(2 * (len(PAIRS[d]),))

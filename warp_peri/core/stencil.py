@@ -310,10 +310,14 @@ class Grid:
         """Vectors of all nodes [S, N, d] along the lattice's axes, in planes [S, d, *wide]."""
         field: np.ndarray = np.zeros((len(u), self.dimension, np.prod(self.shape)), dtype)
         field[:, :, self.place] = (u[:, self.near] @ self.axes).mT
-        field = field.reshape(len(u), self.dimension, *self.shape)
-        if self.periodic:
-            field = np.pad(field, [(0, 0)] * 2 + [(self.reach,) * 2] * self.dimension, mode="wrap")
-        return field
+        return self.around(field.reshape(len(u), self.dimension, *self.shape))
+
+    def around(self, field: np.ndarray) -> np.ndarray:
+        """A field [..., n, …] with its images beside it on a period, as it is elsewhere."""
+        if not self.periodic:
+            return field
+        rest = field.ndim - self.dimension
+        return np.pad(field, [(0, 0)] * rest + [(self.reach,) * 2] * self.dimension, mode="wrap")
 
     def scatter_interior(self, inner: np.ndarray) -> np.ndarray:
         """Vectors of the interior nodes [I, d] laid out in planes [d, *shape], zero elsewhere."""
@@ -381,9 +385,7 @@ def _check(points: Points, nodes: Grid, steps: np.ndarray, why: str) -> None:
     body = there.astype(bool)
     if points.outside is not None:
         body[nodes.place[points.outside[nodes.near]]] = False
-    body = body.reshape(nodes.shape)
-    if nodes.periodic:
-        body = np.pad(body, nodes.reach, mode="wrap")
+    body = nodes.around(body.reshape(nodes.shape))
     lacking = int((nodes.unknown & ~complete(body, steps, nodes.reach)).sum())
     refuse_cut(lacking, len(nodes.interior), points.spacing * steps, why)
 

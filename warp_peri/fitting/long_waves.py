@@ -273,7 +273,7 @@ def gradients(samples: Samples, kept: np.ndarray, reach: int = REACH) -> np.ndar
     """Displacement gradients ∂u/∂x along the nodes' axes by differences, [S, n, 2, 2]."""
     points, h = samples.points, samples.spacing
     grid, axes = points.lattice
-    period = None if points.box is None else np.rint(np.asarray(points.box) / h).astype(int)
+    period = None if points.box is None else np.rint(np.divide(points.box, h)).astype(int)
     ways = itertools.product(np.eye(2, dtype=int), range(1, reach + 1), (1, -1))
     near = neighbour_table(grid, np.array([sign * m * one for one, m, sign in ways]), period)[kept]
     if (near < 0).any():

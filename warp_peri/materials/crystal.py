@@ -385,13 +385,12 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
 
     def summary(self) -> dict[str, Any]:
         """Symmetry, moduli, lattice and proof of the crystal as plain values."""
-        proof = None if self.certificate is None else self.certificate.content()
         return {
             "format": "crystal",
             "symmetry": self.symmetry if isinstance(self.symmetry, str) else "rotations",
             **{name: getattr(self, name) for name in ("spacing", "horizon", "bonds", "units")},
             "moduli": self.moduli(),
-            "certificate": proof,
+            "certificate": self.certificate and self.certificate.content(),
         }
 
 

@@ -50,7 +50,7 @@ DIFFERENCE = 1e-4
 def sided_gradients(points: Any, horizon: float) -> Pair:
     """Steps [B, d] and weights [2^d, B, d] of least-squares gradients over one corner of the family
     each; all vanish together for rigid fields alone."""
-    d, (_, axes) = points.dimension, points.lattice
+    d, axes = points.dimension, points.lattice.axes
     half = half_ball(horizon / points.spacing, d)
     steps = np.concatenate([0 * half[:1], half, -half])
     xi, weights = points.spacing * steps, []

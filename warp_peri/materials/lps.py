@@ -36,7 +36,7 @@ from warp_peri.points.arguments import (
     typed,
 )
 from warp_peri.points.families import DEGREE, SINGULARITY, BondClasses, bond_classes
-from warp_peri.points.points import Points, PointsLike, check_dimensions, grid_places, nodes_of
+from warp_peri.points.points import Points, PointsLike, check_dimensions, grid_places
 
 ALPHA_BOUND = 3.0
 """The quadrature is consistent for α below this (You et al. 2021, remark 1)."""
@@ -242,7 +242,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
         Raises InputError for others, and where μ > 0 and λ + 2μ/d > 0 do not hold everywhere.
         """
-        x, d = nodes_of(points).x, self.dimension
+        x, d = points.x, self.dimension
         given = {"lam": self.lam if lam is None else lam, "mu": self.mu if mu is None else mu}
         if not any(map(callable, given.values())):
             return self.with_parameters(given, x)
@@ -353,7 +353,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
     def check_dimension(self, points: PointsLike) -> None:
         """Raise InputError for points of another dimension than the model's."""
-        if points.x.shape[1] != self.dimension:
+        if points.dimension != self.dimension:
             raise InputError(
                 f"points: expected {self.dimension} dimensions, the model's, got shape "
                 f"{list(points.x.shape)}"

@@ -155,7 +155,7 @@ class Bonds:
         families, box = self.families, self.points.box
         if families.lattice is None or len(families.cut):
             return None
-        grid, steps = self.points.lattice[0], families.lattice.steps
+        grid, steps = self.points.lattice.steps, families.lattice.steps
         order = np.argsort(np.abs(grid[1:2] - grid[:1]).sum(axis=0), kind="stable")
         grid, steps = grid[:, order], steps[:, order]  # numbered last along the last axis
         grid, reach = grid - grid.min(axis=0), np.abs(steps).max()

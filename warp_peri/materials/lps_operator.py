@@ -277,7 +277,7 @@ class LPSOperator(OperatorBase):
             # closer than a factorisation is held to, where one would have been possible
             tolerance = getattr(solver, "tolerance", RESIDUAL / 10 if few else TOLERANCE)
             try:
-                return self._iterated(load, fields[0], fields[1], method, tolerance)
+                return self._iterated(load, method, tolerance, *fields)
             except InputError:
                 if solver is not None or not few:
                     raise
@@ -300,7 +300,7 @@ class LPSOperator(OperatorBase):
         load = checked("b", b, float, (..., *self.shape))
         load = load - load.mean(axis=-2, keepdims=True)
         fields = load.reshape(-1, *self.shape)
-        return self._iterated(load, fields, np.zeros(fields.shape), "fft", TOLERANCE)
+        return self._iterated(load, "fft", TOLERANCE, fields, np.zeros(fields.shape))
 
     def inverse(self, loads: int) -> Inverse:
         """Inverse of L on a lattice's interior [I, d], to a relative residual, for many loads."""
@@ -309,7 +309,7 @@ class LPSOperator(OperatorBase):
         return self.linear.cheapest_inverse(loads)
 
     def _iterated(
-        self, load: np.ndarray, b: np.ndarray, u: np.ndarray, method: str, tolerance: float
+        self, load: np.ndarray, method: str, tolerance: float, b: np.ndarray, u: np.ndarray
     ) -> Solution:
         """Equilibrium of fields [S, N, d] by iteration."""
         if self.model.nodes is None:

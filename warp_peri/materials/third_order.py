@@ -156,7 +156,7 @@ def lame_of(C: np.ndarray) -> np.ndarray:
 
 def gradient_stencil(points: PointsLike, reach: float, p: np.ndarray) -> Pair:
     """Steps [B, 2] and weights 2 p ξ [1, B, 2] of the gradient H (N1), in the points' axes."""
-    classes, (_, axes) = bond_classes(points.spacing, reach), points.lattice
+    classes, axes = bond_classes(points.spacing, reach), points.lattice.axes
     return classes.steps, 2 * p[classes.bond_class, None] * (classes.xi @ axes.T)[None]
 
 

@@ -177,7 +177,7 @@ def families_of(
     x, interior, outside = points.x, points.interior, points.outside
     classes: BondClasses | None = None
     if points.spacing > 0:  # one pattern of bonds for all nodes
-        classes = bond_classes(points.spacing, horizon, degree=degree, dimension=x.shape[1])
+        classes = bond_classes(points.spacing, horizon, degree=degree, dimension=points.dimension)
         table, axes = _lattice_table(points, classes)
         lacking = np.asarray((table < 0).any(axis=1))
         row, neighbour = np.arange(len(x) + 1) * len(classes.steps), table.reshape(-1)

@@ -178,7 +178,7 @@ class Equilibria:
         record, field = NonlinearRecord(method="newton"), start.copy()
         zero = np.where(self.inside[:, None], 0.0, start)
         scale = float(np.linalg.norm(load - self.force(zero))) or 1.0
-        given = load, start.copy(), start[self.inside], scale
+        given = load, field, start[self.inside], scale
         field[self.inside] = self._found(*given, tolerance, record, mixes=False)
         return field, record
 

@@ -177,10 +177,7 @@ class Linear:
 
     def _product(self, field: np.ndarray) -> np.ndarray:
         """Product of L with planes [d, *shape], at the unknowns, zero elsewhere."""
-        grid = self.grid
-        if grid.periodic:
-            field = np.pad(field, [(0, 0), *[(grid.reach,) * 2] * grid.dimension], mode="wrap")
-        return np.asarray(self.pull(field[None])[0])
+        return np.asarray(self.pull(self.grid.around(field)[None])[0])
 
     def _inverted(
         self, right: np.ndarray, method: str, tolerance: float

@@ -285,7 +285,7 @@ class WaveRun(Recorder):
     def law(self) -> str:
         """Mark of the solid on its nodes, which costs a force."""
         body, of, points = self.body, self.body.operator, self.body.operator.points
-        (d, d), h = 2 * points.x.shape[1:], points.spacing
+        d, h = points.dimension, points.spacing
         felt = of(SMALL * h * np.sin(points.x @ PROBE[:d, :d] / h))  # cracks, moduli
         known = fingerprint(of.model, points.units, points.axis, body.inertia)
         return str(self.nodes.mark(body.on_all(felt), points.x, body.interior)) + known

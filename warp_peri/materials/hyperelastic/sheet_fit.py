@@ -39,15 +39,14 @@ from warp_peri.points.arguments import (
     typed,
     typed_methods,
 )
-from warp_peri.points.points import PULL, Points, PointsLike, Samples, nodes_of, seen_of
+from warp_peri.points.points import PULL, Points, PointsLike, Samples, seen_of
 from warp_peri.solvers.equilibria import Descent, NoEquilibriumError
 
 
 def sheet_on(dictionary: Hyperelastic, points: PointsLike) -> HyperelasticSheetOperator:
     """Build the sheet operator of all energies with coefficient one."""
-    nodes = nodes_of(points)
     one = np.ones(len(dictionary))
-    return HyperelasticMaterial(dictionary, one, nodes.spacing, units=nodes.units).on(nodes)
+    return HyperelasticMaterial(dictionary, one, points.spacing, units=points.units).on(points)
 
 
 class Sections:
