@@ -7,7 +7,7 @@ import dataclasses
 import os
 import shlex
 from argparse import Namespace
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from typing import Any
 from numpy.linalg import norm
 
 import warp_peri
+from warp_peri.cli import main
 from warp_peri.cli.main import BEGUN, HASH, MADE, check_output, hashes, lines_in, parse, results
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import finite, locked, plain, write_text
@@ -34,13 +35,13 @@ def run_certify(given: Namespace) -> Said:
     """Certify a material's linear part by lattice, and tell up to which strain."""
     material = load(given.model)
     law = getattr(material, "linear", material)
-    own: Sequence[Any] = [None]  # one for a lattice of its own knows which
-    if hasattr(law, "trained_on"):
-        own = law.trained_on if law.transferred_from is None else law.certified_on
-    if not (given.spacing or own):
+    spacings = given.spacing or [None]  # one for a lattice of its own knows which
+    if hasattr(law, "trained_on") and not given.spacing:
+        spacings = law.trained_on if law.transferred_from is None else law.certified_on
+    if not spacings:
         raise InputError("spacing: the model names no training lattice; give --spacing")
     proofs = {}
-    for spacing in given.spacing or own:
+    for spacing in spacings:
         proof = warp_peri.certify(law, spacing=spacing)
         figures = {"holds": proof.holds, **proof.figures()}
         if hasattr(material, "tq2"):
@@ -60,7 +61,7 @@ def loaded(given: Namespace) -> tuple[Any, Dataset]:
 def run_evaluate(given: Namespace) -> Said:
     """Evaluate a model on the sets of a file."""
     model, data = loaded(given)
-    tables: dict[str, Result] = {}
+    tables = {}
     for name in given.sets or data:
         try:
             found = warp_peri.evaluate(model, data[name], **options_of(given))
@@ -109,22 +110,26 @@ def writing(given: Namespace) -> Iterator[Callable[[], None]]:
     """Hold what a command writes against other jobs, which may have written it meanwhile; what is
     yielded is called before the first file. What an earlier run left is told, and not vouched for.
     """
+
+    def states() -> dict[str, Any]:
+        # a file that is replaced has another number, or time
+        return {path: os.stat(path)[1::7] for path in results(given)[1]}
+
     with locked(given.out):
         check_output(given)
-        kept, there = results(given)
-        # a file that is replaced has another number, or time
-        old, said = {path: os.stat(path)[1::7] for path in there}, lines_in(kept)
+        kept, old = results(given)[0], states()
+        said = lines_in(kept)
         try:
             yield lambda: keep(given, kept, BEGUN)
         except InputError:
-            if said and {path: os.stat(path)[1::7] for path in results(given)[1]} == old:
+            if said and states() == old:
                 write_text(kept, "\n".join(said))  # nothing was written
             raise
-        _, made = results(given)
-        for path in [path for path in made if old.get(path) == os.stat(path)[1::7]]:
+        made = states()
+        for path in [path for path in made if old.get(path) == made[path]]:
             warn(f"{path}: is of an earlier run, and stays")
             del made[path]
-        keep(given, kept, made)
+        keep(given, kept, dict.fromkeys(made, ""))
 
 
 def run_solve(given: Namespace) -> Said:
@@ -170,8 +175,8 @@ def run_export(given: Namespace) -> Said:
 
 def run_info(given: Namespace) -> Said:
     """Describe a model, a data file or a mesh."""
-    held: Any = load(given.file)
-    told: Any = getattr(held, "summary", None) or held.rows
+    held = load(given.file)
+    told = getattr(held, "summary", None) or held.rows
     return finite(plain(dict(told()))), repr(held).split("\n")
 
 
@@ -199,7 +204,7 @@ def lines_of(result: Result, indent: str = "") -> list[str]:
         if isinstance(value, dict):
             lines += [f"{indent}{key}:", *lines_of(value, indent + "  ")]
             continue
-        every = value if isinstance(value, list) else [value]
+        every = main.as_list(value)
         shown = ", ".join(f"{v:.6g}" if isinstance(v, float) else str(v) for v in every)
         if len(every) > 1 and len(shown) > WIDTH and all(isinstance(v, str) for v in every):
             lines += [f"{indent}{key}:", *(f"{indent}  {v}" for v in every)]

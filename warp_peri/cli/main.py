@@ -27,7 +27,7 @@ import warp_peri
 from warp_peri.errors import InputError, exit_status, printable
 from warp_peri.files.atomic import content, destination
 
-LEARNING = ("coarse-grain", "fit", "sweep", "fit-crystal", "fit-sheet")
+LEARNING = "coarse-grain", "fit", "sweep", "fit-crystal", "fit-sheet"
 """Commands that are in `train`, others in `commands`; imported when asked for: it takes time."""
 
 
@@ -39,7 +39,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 def _run(words: Sequence[str]) -> int:
     with warnings.catch_warnings(action="always"):
-        warnings.showwarning = _warn
+        warnings.showwarning = lambda said, *_, **__: print(f"warning: {said}", file=sys.stderr)
         given = parse(words)
         given.progress = sys.stderr.isatty() and not given.json  # no bars in files and pipes
         check_output(given)
@@ -55,10 +55,6 @@ def _run(words: Sequence[str]) -> int:
     return 2 * (given.command == "evaluate" and all("error" in one for one in result.values()))
 
 
-def _warn(message: object, *_: Any, **__: Any) -> None:
-    print(f"warning: {message}", file=sys.stderr)
-
-
 SETTINGS = """\
 @FILE stands for the words in a file; commands that write results leave such a file with them, and
 options behind it win. --json prints one object for machines."""
@@ -71,11 +67,11 @@ for _line in "\n".join(COMMANDS.values()).replace("\n    ", " ").splitlines():
     if "  " in _line.strip():
         LINES.setdefault(_line.split()[0], _line)
 
-PATHS = ("DUMP", "FILE", "FOLDER", "FRAMES", "STRUCTURE")
-WORDS = ("NAME", "STRAIN", "LENGTH", "STRESS")
-COUNTS = ("N", "M")
+PATHS = "DUMP", "FILE", "FOLDER", "FRAMES", "STRUCTURE"
+WORDS = "NAME", "STRAIN", "LENGTH", "STRESS"
+COUNTS = "N", "M"
 """Names of values that are paths, as are those with an ending; text; whole numbers; else reals."""
-TYPED = ("--json", "--trust", "--overwrite", "--help", "-h")
+TYPED = "--json", "--trust", "--overwrite", "--help", "-h"
 """Options that no settings file has."""
 MADE, HASH = "# words of warp-peri", "# sha256 "
 """First line of the settings files that commands write; begin of those on what was written."""
@@ -118,8 +114,7 @@ def parser_of(name: str) -> Parser:
             option, *marks = spec.split()
             how = _taken(option, marks)
             if how.get("default", []) != []:
-                many = how["default"] if "nargs" in how else [how["default"]]
-                text += f" (default: {' '.join(map(str, many))})"
+                text += f" (default: {' '.join(map(str, as_list(how['default'])))})"
             group.add_argument(option, help=text.replace("%", "%%"), **how)
     needed = [one for one in parser._actions if one.required]
     words = [" ".join([*one.option_strings, str(one.metavar)]) for one in needed]
@@ -144,9 +139,9 @@ def _taken(option: str, marks: list[str]) -> dict[str, Any]:
             names.append(mark)
     if names:
         first = names[0].rstrip("+")
-        how |= {"type": _kind(first), "metavar": tuple(names) if names[1:] else first}
+        how |= {"type": _kind(first), "metavar": first}
         if names[1:]:
-            how["nargs"] = len(names)
+            how |= {"nargs": len(names), "metavar": tuple(names)}
         elif names[0] != first:
             how |= {"nargs": "+", "action": "extend"}
     elif "choices" not in how:
@@ -189,7 +184,7 @@ def parse(words: Sequence[str]) -> Namespace:
         action.required = False
         if not action.option_strings:
             action.nargs, action.default = "*" if action.nargs == "+" else "?", None
-    parts: list[tuple[str, list[str]]] = []
+    parts = []
     for of_files, some in groupby(line, lambda word: word[:1] == "@"):
         typed = [*some]
         parts += [(one[1:], words_of(one[1:])) for one in typed] if of_files else [("", typed)]
@@ -220,11 +215,15 @@ def words_for(parser: Parser, values: Mapping[str, Any]) -> list[str]:
     words: list[str] = []
     for action in parser._actions:
         if action.dest in values:
-            value = values[action.dest]
             words += action.option_strings[:1]
             if action.nargs != 0:
-                words += map(str, value if isinstance(value, list) else [value])
+                words += map(str, as_list(values[action.dest]))
     return words
+
+
+def as_list(value: Any) -> list[Any]:
+    """A list as it is, any other value as the only one of a list."""
+    return value if isinstance(value, list) else [value]
 
 
 def words_of(path: str) -> list[str]:
@@ -254,22 +253,16 @@ def check_output(given: Namespace) -> None:
         raise InputError(f"out: expected a folder, {given.out} is a file")
     kept, made = results(given)
     taken = {os.path.realpath(given.out), *map(str, map(destination, made))}
-    marks = hashlib.sha256()
     words = re.split(r"[\s;,=()\"']+", given.options.get("calculator") or "")
-    for name, value in {
-        **given.options,
-        "calculator": [*map(Path, filter(os.path.isfile, words))],
-        "files": given.files,
-    }.items():
-        for path in value if isinstance(value, list) else [value]:
-            if name == "out" or not isinstance(path, Path):
-                continue
-            if os.path.realpath(path) in taken:
-                raise InputError(f"out: {path} is read ({name}); name another place")
-            for file in (path, *sorted(path.glob("[!.]*"))):  # of a folder too
-                if not given.inputs and name != "files" and file.is_file():
-                    marks.update(hash_of(file).encode())
-    given.inputs = given.inputs or marks.hexdigest()  # as they are before they are read
+    read = given.options | {"calculator": [*map(Path, filter(os.path.isfile, words))], "out": None}
+    paths = [(n, p) for n, value in read.items() for p in as_list(value) if isinstance(p, Path)]
+    for name, path in [*paths, *(("files", file) for file in given.files)]:
+        if os.path.realpath(path) in taken:
+            raise InputError(f"out: {path} is read ({name}); name another place")
+    if not given.inputs:  # as they are before they are read, of a folder all in it
+        files = (file for _, path in paths for file in (path, *sorted(path.glob("[!.]*"))))
+        marks = "".join(map(hash_of, filter(Path.is_file, files)))
+        given.inputs = hashlib.sha256(marks.encode()).hexdigest()
     if given.command != "coarse-grain":  # which adds to a data set
         check_made(given, kept, made)
 

@@ -36,15 +36,15 @@ from warp_peri.points.points import Points
 
 HORIZON = 20.0
 """δ [Å] that is learned where nothing else was asked for."""
-OF_LPS = ("influence", "noise", "method", "loss", "degree")
-OF_CALCULATORS = ("potential", "trust", "hold", "supercell")
+OF_LPS = "influence", "noise", "method", "loss", "degree"
+OF_CALCULATORS = "potential", "trust", "hold", "supercell"
 """Options that mean nothing to other laws, and to force constants."""
 KINDS = {
     "lps": "linear peridynamic solid (LPS)",
     "tensors": "crystal model",
     "third-order": "crystal model with third-order constants",
 }
-HELD_OUT = ("test", "val")
+HELD_OUT = "test", "val"
 """Materials by the word of --law; sets that say how good a model is, the first that is there."""
 TYPED_BOX = 1e-3
 """Relative difference of a typed period from that of the dump."""
@@ -71,11 +71,11 @@ def run_coarse_grain(given: Namespace) -> Said:
     force = np.stack([atom_forces(path, len(reference)) for path in given.force])
     mass = dumps.read_masses(given.reference, given.mass) if given.mass else 1.0
     if not 0 < given.spacing <= given.interior < given.reach:
-        lengths = f"{given.spacing:g}, {given.interior:g}, {given.reach:g} Å"
         raise InputError(
-            f"spacing, interior, reach: expected 0 < spacing ≤ interior < reach, got {lengths}"
+            "spacing, interior, reach: expected 0 < spacing ≤ interior < reach, got "
+            f"{given.spacing:g}, {given.interior:g}, {given.reach:g} Å"
         )
-    around: Result = {"spacing": given.spacing, "horizon": (given.reach - given.interior) / 2}
+    around = {"spacing": given.spacing, "horizon": (given.reach - given.interior) / 2}
     size = given.interior
     points = Points.block(2 * [2 * size], **around) if box else Points.disk(size, **around)
     points = dataclasses.replace(points, x=points.x + reference.mean(axis=0))
@@ -210,17 +210,15 @@ def _metrics(run: Run) -> Result:
     """Collect constants, certificate and errors of a training run."""
     fit, material = run.fit, run.fit.material
     proof = fit.certificate
-    certified = proof is not None and bool(proof.holds)
-    metrics: Result = {"units": list(material.units), "certified": certified}
+    metrics = {"units": list(material.units), "certified": False}
     if proof is not None:
-        metrics["statement"] = proof.statement
+        metrics |= {"certified": bool(proof.holds), "statement": proof.statement}
     if fit.loss.reason:
         metrics["loss"] = str(fit.loss)
-    names = ("mu", "E", "nu", "t3", "tq2", "q3")
-    numbers = {name: name for name in names} | {"lambda": "lam"}
-    metrics |= {
-        key: getattr(material, name) for key, name in numbers.items() if hasattr(material, name)
-    }
+    names = [name for name in ("mu", "E", "nu", "t3", "tq2", "q3") if hasattr(material, name)]
+    metrics |= chosen(material, *names)
+    if hasattr(material, "lam"):
+        metrics["lambda"] = material.lam
     solid = getattr(material, "linear", material)
     metrics["moduli"] = fit.moduli[0] if fit.moduli else solid.moduli()
     metrics |= {error: run.mean(error) for error in ("E_res", "E_u")}
@@ -265,7 +263,7 @@ def run_sweep(given: Namespace) -> Said:
         law=warp_peri.LPS(HORIZON, None, lps_law.GaussNewton(moduli=None)),
         **chosen(given, "horizons", "degrees", "jobs", "progress"),
     )
-    result: Result = {
+    result = {
         "fits": len(sweep.trials),
         "units": list(data.units),
         "smallest_AvgE": dataclasses.asdict(sweep.printed),
@@ -287,7 +285,7 @@ def run_fit_crystal(given: Namespace) -> Said:
         if given.calculator is None:
             _check_idle(given, OF_CALCULATORS, "--calculator")
             constants = warp_peri.atoms.from_phonopy(given.structure, thickness=given.thickness)
-            found: Any = warp_peri.atoms.crystal_from_force_constants(constants, **how)
+            found = warp_peri.atoms.crystal_from_force_constants(constants, **how)
         else:
             structure = dumps.read_structure(given.structure)
             trusted = given.trust or "calculator" not in given.filed
