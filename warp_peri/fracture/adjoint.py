@@ -59,11 +59,11 @@ def bond_force(
     stretch, place = stretch_matrix(body, neighbour)
     node, bond = (torch.from_numpy(one) for one in np.divmod(place, neighbour.shape[1]))
     w, square = w[torch.tensor(classes.bond_class)[bond]], torch.from_numpy(body.r**2)[bond]
-    e = linear(u.flatten(1), lambda x: (stretch @ x.T).T, lambda y: (stretch.T @ y.T).T)
+    e = linear(u.flatten(1), lambda x: x @ stretch.T, lambda y: y @ stretch)
     theta = torch.zeros(u.shape[:2], dtype=u.dtype).index_add(1, node, d * w * e)
     stress = (numbers["lam"] - mu) * theta + pressure
     pull = d * (d + 2) * mu * w / square * e + d * w * stress[:, node]
-    return linear(pull, lambda y: (stretch.T @ y.T).T, lambda x: (stretch @ x.T).T).view_as(u)
+    return linear(pull, lambda y: y @ stretch, lambda x: x @ stretch.T).view_as(u)
 
 
 def crack_load(cut: Any, stress: np.ndarray, parameters: Numbers) -> torch.Tensor:
@@ -215,7 +215,7 @@ class SoftBody:
         load, broken = np.array(rows).T
         nothing = sum(one.flatten()[:0].sum() for one in law)  # the graph of what was not felt yet
         force, end = torch.stack(forces) + nothing, (field + nothing).reshape(self.held.shape)
-        ends: Any = (force, end) if asked else (force.numpy(), end.numpy())
+        ends = (force, end) if asked else (force.numpy(), end.numpy())
         return Motion(load, ends[1], None, {"load": load, "force": ends[0], "broken": broken})
 
     def _settled(

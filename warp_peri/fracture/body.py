@@ -101,8 +101,10 @@ def box_nodes(sides: Sequence[float], spacing: Positive) -> np.ndarray:
     check_dimensions("sides", len(sides))
     count = np.rint(checked("sides", sides, float, ("d",)) / spacing)
     if (count < 1).any() or np.abs(count * spacing - sides).max() > 1e-6 * spacing:
-        given = ", ".join(f"{side:g}" for side in sides)
-        raise InputError(f"sides: expected multiples of {spacing:g}, got {given}")
+        raise InputError(
+            f"sides: expected multiples of {spacing:g}, got "
+            f"{', '.join(f'{side:g}' for side in sides)}"
+        )
     check_nodes("sides", count)
     return (grid_places(count.astype(int)) - (count - 1) / 2) * spacing
 
@@ -135,9 +137,10 @@ def point_force(
     d = x.shape[1]
     away = (x - checked("place", place, float, (d,))) / spacing
     pull = checked("force", force, float, (d,))
-    near = np.flatnonzero((away**2).sum(axis=1) < FELT**2)
+    square = (away**2).sum(axis=1)
+    near = np.flatnonzero(square < FELT**2)
     affine = np.column_stack([np.ones(len(near)), away[near]])
-    weight = 1 - (away[near] ** 2).sum(axis=1) / FELT**2
+    weight = 1 - square[near] / FELT**2
     moments = (affine.T * weight) @ affine
     if len(near) <= d or eigvalsh(moments)[0] < 1e-6 * len(near):
         raise InputError(f"place: its {len(near)} nodes within {FELT:g} spacings span no space")

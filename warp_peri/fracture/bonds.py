@@ -255,24 +255,22 @@ class CutOperator:
         self._planes = floats(np.zeros(d * size))
         self._theta = floats(np.zeros(size if self.excess else 1))
         self._at = ints(offset), floats(np.ascontiguousarray(table), self._kernels.bond)
-        self._nodes: Any = (ints(self._number), floats(flags, wp.uint8))
+        self._nodes = ints(self._number), floats(flags, wp.uint8)
         self._lost = zeros(len(first), dtype=wp.uint16)
         self._recorded: dict[tuple[Any, ...], Shared] = {}
 
     def links(self, neighbour: np.ndarray) -> wp.array[Any]:
         """Pack the bonds of a table of neighbours [N, B] as sweeps take them."""
-        words: np.ndarray = np.zeros((len(self._pieces), self.bonds), np.uint16)
+        words = np.zeros((len(self._pieces), self.bonds), np.uint16)
         for lane in range(kernels.LANES):
             nodes = np.flatnonzero(self._lane == lane)
             words[self._row[nodes]] |= (neighbour[nodes] >= 0).astype(np.uint16) << lane
         return wp.array(words.ravel(), dtype=wp.uint16, device="cpu")
 
-    def kept(self, links: wp.array[Any], node: Any = None, bond: Any = None) -> np.ndarray:
-        """Mask of unbroken bonds, [N, B] bool, or of these bonds of these nodes."""
-        words, lane = links.numpy().reshape(-1, self.bonds), self._lane
-        if node is None:
-            return np.asarray(words[self._row] >> lane[:, None] & 1, bool)
-        return np.asarray(words[self._row[node], bond] >> lane[node] & 1, bool)
+    def kept(self, links: wp.array[Any]) -> np.ndarray:
+        """Mask of unbroken bonds, [N, B] bool."""
+        words = links.numpy().reshape(-1, self.bonds)
+        return np.asarray(words[self._row] >> self._lane[:, None] & 1, bool)
 
     def sweep(
         self,
@@ -302,7 +300,7 @@ class CutOperator:
         """Arguments to lay out u, fill θ, and fill force and energy, of pieces packed apart."""
         laid, dilated, swept = pieces
         dilated = dilated if self.excess else laid[:0]
-        phases: Any = [ints(of, wp.vec2i) for of in (laid, dilated, swept)]
+        phases = [ints(of, wp.vec2i) for of in (laid, dilated, swept)]
         how = self.excess, int(breaking), self._planes, self._theta, self._lost
         of = filled(self._kernels.Cut, *phases, *self._at, *self._nodes, *how, *fields)
         return Shared(self._kernels.sweep, (of,), WEIGHT * len(swept), stay)
@@ -361,7 +359,7 @@ def _places(body: LatticeBody) -> tuple[np.ndarray, np.ndarray]:
     axes = [*(a for a in range(d) if a != along), along]
     wide = (grid.max(axis=0) + 1 + np.abs(steps).max())[axes]
     strides = np.array([wide[a + 1 :].prod() for a in range(d)], np.int64)
-    offset: np.ndarray = steps[:, axes] @ strides
+    offset = steps[:, axes] @ strides
     return offset, grid[:, axes] @ strides + np.abs(offset).max()
 
 

@@ -99,7 +99,7 @@ class BreakingBody:
         self.solid, self.body, self.ramp, self.corrected = solid, body, ramp, corrected
         self.longest_step = solid.longest_step(body.spacing) * (SHORTER if corrected else 1)
         self.no_fail = check_no_fail(no_fail, len(body.x))
-        stretch: Any = solid.critical_stretch
+        stretch = solid.critical_stretch
         if solid.toughness is not None:
             stretch = np.sqrt(solid.toughness / unit_toughness(solid.model, body.classes))
         limits = stretch * body.r**2
@@ -177,7 +177,7 @@ class BreakingBody:
         In a sheet they are per thickness; work = kinetic + elastic + dissipated."""
         body = self.body
         kinetic = self.solid.inertia / 2 * np.square(state.v.numpy()).sum(axis=1)
-        fields = (state.work.numpy(), kinetic, state.energy.numpy(), state.dissipated)
+        fields = state.work.numpy(), kinetic, state.energy.numpy(), state.dissipated
         sums = nodes.sum(np.stack([field[nodes.own] for field in fields], axis=1))
         return [state.time, *(body.spacing**body.dimension * sums).tolist()]
 
@@ -213,9 +213,9 @@ def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
     return state
 
 
-NODAL = ("u", "v", "force", "energy", "work")
+NODAL = "u", "v", "force", "energy", "work"
 """Arrays of a state that a checkpoint holds for each node."""
-LEDGER = ("time", "work", "kinetic", "elastic", "dissipated")
+LEDGER = "time", "work", "kinetic", "elastic", "dissipated"
 
 
 class Broken(NamedTuple):
@@ -259,7 +259,7 @@ class CrackRun(Recorder):
                     f"step: expected at most {body.longest_step:.6g}, the longest that is stable "
                     f"whatever breaks, got {step:.6g}"
                 )
-            self.watch: dict[str, Any] = dict(watch or {})
+            self.watch = dict(watch or {})
             if not all(map(callable, self.watch.values())) or {*LEDGER} & {*self.watch}:
                 raise InputError(
                     f"watch: expected functions, none named {', '.join(LEDGER)}, got {watch!r:.40}"
@@ -319,10 +319,8 @@ class CrackRun(Recorder):
         for name in NODAL:
             getattr(state, name).numpy()[:] = arrays[name]
         left = np.where(arrays["left"], self.body.body.neighbour, -1)
-        state.links, state.correction = (
-            self.body.operator.links(left),
-            self.body.correction(left >= 0),
-        )
+        state.links = self.body.operator.links(left)
+        state.correction = self.body.correction(left >= 0)
         state.dissipated[:], state.whole = arrays["dissipated"], arrays["whole"]
         state.time, state.steps = self.times(steps)[-1], steps
         return state

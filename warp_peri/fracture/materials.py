@@ -79,10 +79,10 @@ def continuum_stretch(model: LPSMaterial, toughness: Positive) -> float:
     In space G_c is energy over the area of the crack. λ = μ is the bond-based solid."""
     lam, mu = model.lam, model.mu
     if model.dimension == 3:
-        unit = (3 * mu + (3 / 4) ** 4 * (lam - mu)) * model.horizon
+        unit = 3 * mu + (3 / 4) ** 4 * (lam - mu)
     else:
-        unit = (6 * mu / np.pi + 16 / (9 * np.pi**2) * (lam - mu)) * model.horizon
-    return float(np.sqrt(toughness / unit))
+        unit = 6 * mu / np.pi + 16 / (9 * np.pi**2) * (lam - mu)
+    return float(np.sqrt(toughness / (unit * model.horizon)))
 
 
 @typed

@@ -150,7 +150,7 @@ class Cracked:
         """
         if self.pressure is not None:
             raise InputError("pressure: a Cracked under pressure is solved at rest; see Injected")
-        u: Any = np.zeros_like(self.points.x) if self.u is None else self.u
+        u = np.zeros_like(self.points.x) if self.u is None else self.u
         if "density" in options and not hasattr(material, "density"):
             return fracture.adjoint.in_motion(self.waves(material), self.b, u, options)
         body = self.body(material, "simulate")
@@ -297,7 +297,7 @@ def energy_release(
     Raises InputError for fewer than two lengths, with a shift fewer than three or in space, for a
     body that nothing pulls at, and as Cracked.solved.
     """
-    given = (problem.b, problem.u, problem.pressure)
+    given = problem.b, problem.u, problem.pressure
     if not any(np.any(np.nan_to_num(field)) for field in given if field is not None):
         raise InputError("problem: nothing pulls at it; give b, u or pressure")
     energies, lengths = [], []
@@ -306,8 +306,7 @@ def energy_release(
         cell = problem.points.spacing**problem.points.dimension
         work = cell * float(np.vdot(solution.load, solution.u[solution.operator.inside]))
         energies.append(solution.operator.energy(solution.u) - work)
-        sizes = (size_and_normal(np.asarray(line, float))[0] for line in polylines)
-        lengths.append(sum(sizes))
+        lengths.append(sum(size_and_normal(np.asarray(line, float))[0] for line in polylines))
     if len(set(lengths)) < (3 if shift else 2):
         least = "three" if shift else "two"
         raise InputError(f"cracks: expected {least} lengths or more, got {lengths}")
@@ -452,9 +451,7 @@ def crack_opening_volume(solution: Solution, normal: Sequence[float] | None = No
     return float(body.spacing ** (body.dimension - 1) * ((u[far] - u[node]) @ along).sum())
 
 
-def _columns(
-    solution: Solution, normal: ArrayLike | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _columns(solution: Solution, normal: ArrayLike | None) -> tuple[np.ndarray, ...]:
     """Nodes below and above a crack, joined by a bond that it broke, and the normal."""
     if not hasattr(solution.operator, "body"):
         raise InputError("solution: expected that of a Cracked, got another's")

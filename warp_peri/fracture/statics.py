@@ -107,7 +107,7 @@ class CutSolid(OperatorBase):
         self.bonds = bonds_of(self.model, body.classes, moduli)
         self.inside = np.asarray(~held.all(axis=1))
         squares = self.one and not (self.bonds.stiffness < 0).any()
-        self._rows: CutRows | None = None
+        self._rows = None
         self._searches = isinstance(solver, CG) or near is not None
         if moves or self._searches:
             plain = moves or not getattr(solver, "preconditioner", None)
