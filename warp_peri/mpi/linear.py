@@ -93,35 +93,29 @@ class RowOperator:
     method = "multigrid"
 
     def __init__(self, law: StencilMaterial, piece: Subdomain) -> None:
-        comm, d = piece.comm, piece.dimension
-        self.model, self.points, self.dimension, self.stencil = law, piece, d, law.stencil
+        comm, d, stencil = piece.comm, piece.dimension, law.stencil
+        self.model, self.points, self.dimension, self.stencil = law, piece, d, stencil
         self.proven = law.statement
-        self._box = piece.slabs.box(comm.rank)
+        box = piece.slabs.box(comm.rank)
         steps = piece.grid - np.eye(1, d, dtype=int) * piece.slabs.own(comm.rank).start
-        place = np.ravel_multi_index(tuple(steps.T), self._box)
+        place = np.ravel_multi_index(tuple(steps.T), box)
         self._grid = Grid(
-            np.eye(d), self._box, 0, False, np.arange(len(place)), place, place[piece.interior]
+            np.eye(d), box, 0, False, np.arange(len(place)), place, place[piece.interior]
         )
         with agreed(comm):
             check_same(law.units, piece.units)
             if self.proven is None:
                 raise InputError("material: expected one that is proven stable on the lattice")
-        self._check_whole()
+        mask, there = self._grid.mask(), np.zeros((1, *box), np.int8)
+        there.flat[place] = 1
+        body = halo(comm, piece.slabs, stencil.reach)(there)[0] > 0
+        cut = mask & ~complete(body, stencil.steps, stencil.reach)  # nodes within reach are missing
+        lacking, count = np.sum(comm.allgather((int(cut.sum()), len(self._grid.interior))), axis=0)
+        refuse_cut(lacking, count, stencil.spacing * stencil.steps)
         build(comm, row_kernels(SCALARS[np.dtype(np.float64)], d).pulled)
-        stencil = law.stencil
         below = q1_tensors(law.tensor() * 2.0 ** (d - 2) * stencil.spacing**-2)
-        how = piece.slabs, self._grid.mask(), stencil.steps, stencil.tensors, below
+        how = piece.slabs, mask, stencil.steps, stencil.tensors, below
         self._level = Level(comm, *how)
-
-    def _check_whole(self) -> None:
-        """Raise InputError where nodes are missing within reach of an unknown one."""
-        grid, comm, steps = self._grid, self.points.comm, self.stencil.steps
-        there = np.zeros((1, *self._box), np.int8)
-        there.flat[grid.place] = 1
-        body = halo(comm, self.points.slabs, self.stencil.reach)(there)[0] > 0
-        cut = grid.mask() & ~complete(body, steps, self.stencil.reach)
-        lacking, count = np.sum(comm.allgather((int(cut.sum()), len(grid.interior))), axis=0)
-        refuse_cut(lacking, count, self.stencil.spacing * steps)
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """Force L u at this rank's interior nodes, shape [i, d], of u [n, d]."""

@@ -105,7 +105,7 @@ def together() -> AbstractContextManager[None]:
 def in_turn(comm: Comm, make: Callable[[], Any]) -> Any:
     """Call `make` on one rank, then on others, which find its files; an InputError is on all."""
     found = None
-    for turn in (comm.rank == 0, comm.rank != 0):
+    for turn in comm.rank == 0, comm.rank != 0:
         with agreed(comm):
             if turn:
                 found = make()
@@ -140,7 +140,7 @@ def total(comm: Comm, values: np.ndarray) -> np.ndarray:
         parts.append(whole.astype(np.int64).sum(axis=0))
     sums = np.array(parts)
     comm.Allreduce(MPI.IN_PLACE, sums, op=MPI.SUM)
-    exact: Any = sum(limb.astype(object) << LIMB * n for n, limb in enumerate(sums[::-1]))
+    exact = sum(limb.astype(object) << LIMB * n for n, limb in enumerate(sums[::-1]))
     return np.asarray(np.ldexp(np.asarray(exact / (1 << LIMB * LIMBS), float), exponent))
 
 
@@ -196,7 +196,7 @@ def cut(comm: Comm, shape: tuple[int, ...], rows: int) -> Slabs:
             f"{rows} rows, got {ranks}"
         )
     starts = np.minimum(rows * (count * np.arange(ranks + 1) // ranks), shape[0])
-    return Slabs(tuple(int(n) for n in shape), rows, starts)
+    return Slabs(tuple(map(int, shape)), rows, starts)
 
 
 def halo(comm: Comm, slabs: Slabs, w: int) -> Callable[[np.ndarray], np.ndarray]:

@@ -47,11 +47,11 @@ from warp_peri.solvers.verlet import march
 SLAB, FEW = 8, 50_000
 """Least rows of a slab; nodes of a level of multigrid that every rank can have, to which slabs can
 be halved."""
-FIELDS = ("load", "held", "grip", "no_fail", "u", "v")
+FIELDS = "load", "held", "grip", "no_fail", "u", "v"
 """Of a body that breaks, on nodes."""
 NUMBERS = itertools.count(1)
 """Of bodies, which the ranks make together."""
-_OF_A_WHOLE = ("box", "outside", "is_open_lattice", "lattice", "rows")
+_OF_A_WHOLE = "box", "outside", "is_open_lattice", "lattice", "rows"
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,13 +267,12 @@ def lattice(
     grid[:, 0] += slabs.own(comm.rank).start
     x = origin + spacing * grid
     number = np.asarray(np.ravel_multi_index(tuple(grid.T), shape))
-    count = math.prod(shape)
     with agreed(comm):
         inside = checked("interior", interior(x.copy()), bool, (len(x),))
         check_units(units)
     if not any(comm.allgather(bool(inside.any()))):
         raise InputError("interior: expected at least one interior node, got none")
-    parts = x, inside, float(spacing), number, count, grid, slabs, units, axis
+    parts = x, inside, float(spacing), number, math.prod(shape), grid, slabs, units, axis
     return Subdomain(comm, *parts).numbered()
 
 
@@ -305,7 +304,7 @@ def partition(points: Points) -> Any:
 
 def gather(points: Any, values: np.ndarray) -> np.ndarray:
     """Gather values of a piece's nodes on every rank; values on Points stay as they are."""
-    return values if isinstance(points, Points) else np.asarray(points.gather(values))
+    return values if isinstance(points, Points) else points.gather(values)
 
 
 def _rows(shape: tuple[int, ...]) -> int:
@@ -316,7 +315,7 @@ def _rows(shape: tuple[int, ...]) -> int:
     return rows
 
 
-NODAL = ("points", "b", "u", "free", "v", "no_fail", "grip", "record")
+NODAL = "points", "b", "u", "free", "v", "no_fail", "grip", "record"
 """Of what is given to a verb those that each rank has for its own nodes."""
 
 
