@@ -169,8 +169,10 @@ def solve_body(
     else:
         if (hole := mesh.hole_sizes.min(initial=np.inf)) < overlap:
             unit = symbols(model.units)[0]
-            small = f"mesh: a hole of {hole:.3g} {unit} is smaller than the overlap of rim and bulk"
-            raise InputError(f"{small}, {overlap:g} {unit}")
+            raise InputError(
+                f"mesh: a hole of {hole:.3g} {unit} is smaller than the overlap of rim and bulk, "
+                f"{overlap:g} {unit}"
+            )
         points, cell = lattice
         if not isinstance(model, LPSMaterial):  # the mesh lies as the nodes of the law do
             turn = model.orientation

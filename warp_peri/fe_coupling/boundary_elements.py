@@ -16,6 +16,7 @@ from scipy.ndimage import binary_dilation
 from scipy.signal import upfirdn
 from scipy.sparse.linalg import LinearOperator, splu
 
+from warp_peri.core.elastic import voigt_to_tensor
 from warp_peri.core.stencil import numbers_at
 from warp_peri.errors import InputError, optional
 from warp_peri.points.arguments import ArrayMap, check_function, check_mapping, check_shape, checked
@@ -37,11 +38,7 @@ class Moduli:
     @classmethod
     def square(cls, C11: float, C12: float, C44: float) -> Moduli:
         """Moduli of a sheet whose axes are those of a square lattice."""
-        C = np.zeros((2, 2, 2, 2))
-        for a in (0, 1):
-            C[a, a, a, a], C[a, a, 1 - a, 1 - a] = C11, C12
-            C[a, 1 - a, a, 1 - a] = C[a, 1 - a, 1 - a, a] = C44
-        return cls(C)
+        return cls(voigt_to_tensor(np.array([[C11, C12, 0], [C12, C11, 0], [0, 0, C44]])))
 
     @property
     def C11(self) -> float:

@@ -65,10 +65,9 @@ def check_extent(mesh: Mesh, spacing: float, units: Units) -> None:
     """Raise InputError for a body of more nodes than LARGEST, or of less than one spacing."""
     sides = np.ptp(mesh.x, axis=0)
     if (sides / spacing + 3).prod() > LARGEST or sides.max() < spacing:
-        size = " by ".join(f"{side:.3g}" for side in sides)
         raise InputError(
-            f"mesh: {size}, expected positions of a body that a "
-            f"lattice of {spacing:g} {symbols(units)[0]} fills with 1 to {LARGEST:.0e} nodes"
+            f"mesh: {' by '.join(f'{side:.3g}' for side in sides)}, expected positions of a body "
+            f"that a lattice of {spacing:g} {symbols(units)[0]} fills with 1 to {LARGEST:.0e} nodes"
         )
 
 
@@ -134,11 +133,11 @@ def cubic(points: Points, x: np.ndarray) -> sp.csr_array:
             "overlap: the rim leaves the unknown nodes; give three spacings, or a wider body"
         )
     value = np.prod([weight[:, a, around[:, a]] for a in range(d)], axis=0)
-    entries = (value.ravel(), (np.repeat(np.arange(len(x)), len(around)), node.ravel()))
+    entries = value.ravel(), (np.repeat(np.arange(len(x)), len(around)), node.ravel())
     return sp.csr_array(entries, shape=(len(x), points.interior.sum()))
 
 
-RATIOS = (2.0, 1.5, 1.0, 0.75, 0.5)
+RATIOS = 2.0, 1.5, 1.0, 0.75, 0.5
 """Spacings that are tried, over the coarsest that the model is certified on; coarse ones first."""
 WAVE_SHARE = 0.5
 """Of the body's area that lies two horizons inside, at least."""
@@ -188,7 +187,7 @@ def bulk_lattice(
     home, unit = max(model.certified_on), symbols(model.units)[0]
     check_extent(mesh, home, model.units)
     depth, wave_number = _depth_and_wave_number(mesh, b)
-    hole, tried = mesh.hole_sizes.min(initial=np.inf), list[Tried]()
+    hole, tried = mesh.hole_sizes.min(initial=np.inf), []
 
     def looked_at(spacing: float, horizon: float, error: float = np.nan, words: str = "") -> str:
         collar, overlap = collar_and_overlap(model, horizon, coupling)
