@@ -94,7 +94,7 @@ class NeuralOperator(Shown, torch.nn.Module):
         seed: Natural = 0,
     ) -> None:
         super().__init__()
-        for name, widths in (("influence", influence), ("state", state)):
+        for name, widths in ("influence", influence), ("state", state):
             fine = (is_positive(w) and w % 1 == 0 and w <= WIDEST for w in widths)
             if len(widths) != 2 or not all(fine):
                 raise InputError(
@@ -202,19 +202,21 @@ class NeuralOperator(Shown, torch.nn.Module):
         """Name and value of what its printed form shows."""
         length, stress = symbols(self.units)
         first = "ω(ξ)" if self.anisotropic else "ω(|ξ|)"
-        widths = ", ".join(f"{key} {pair}" for key, pair in self.widths.items())
         learned = f"epoch {self.provenance['best']}" if "best" in self.provenance else "not said"
         return [
             ("horizon", f"{self.horizon:g} {length}, in {length} and {stress}"),
             ("form", first + (", force state in proportion to e" if self.proportional else "")),
-            ("numbers", f"{self.numbers()}; {widths}"),
+            (
+                "numbers",
+                f"{self.numbers()}; {', '.join(f'{k} {w}' for k, w in self.widths.items())}",
+            ),
             ("learned", learned),
         ]
 
 
 SAID = "horizon", "anisotropic", "proportional", "strain", "units", "scale", "provenance"
 """Of an operator that its file says, beside widths and weights."""
-PRECISIONS = ("float16", "float32", "float64")
+PRECISIONS = "float16", "float32", "float64"
 FITS = atomic.LARGEST * 3 // 4 - 2**16
 """Bytes of weights whose file is read again."""
 

@@ -167,7 +167,7 @@ class Placed(OperatorBase):
 
     def force_torch(self, u: torch.Tensor) -> Any:
         """Forces on the interior, (NO6), differentiable in the weights too."""
-        if not any(p.requires_grad for p in self.material.parameters()):
+        if not any(p.requires_grad for p in self.networks):
             return super().force_torch(u)
         return on_fields(self, u, lambda f: self.force_of(*self.tension(f.to(self.dtype))))
 
@@ -243,7 +243,7 @@ class Placed(OperatorBase):
         area: float = self.points.spacing**2
         return self._pull(tension, M).sum(dim=2) * -area
 
-    def shares(self, dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def shares(self, dtype: torch.dtype) -> tuple[torch.Tensor, ...]:
         """Influence ω of a family's bonds, dilatation weight ω |ξ| / Σ ω |ξ|², length, each [B]."""
         material = self.material
         turned = checked_orientation(self.points.axis, 2)  # directions are those of the material
@@ -268,7 +268,7 @@ class Placed(OperatorBase):
     @property
     def dtype(self) -> torch.dtype:
         """The material's precision."""
-        return next(self.material.parameters()).dtype
+        return self.networks[0].dtype
 
     def _taken(self, u: Any) -> torch.Tensor:
         """Convert fields to [S, N, 2] in the material's precision; InputError for other shapes."""
@@ -319,7 +319,7 @@ def evaluate(
     loads = np.zeros_like(samples.u) if samples.b is None else samples.loads
     search = EquilibriumSolver(placed) if solve and not inside.all() else None
     enough = SMALL[placed.dtype]
-    miss, wrong, there = list[Any](), list[Any](), list[Any]()
+    miss, wrong, there = [], [], []
     for u, b in tqdm(list(zip(samples.u, loads)), disable=not progress, leave=False):
         miss.append(norm(placed.force(u) - b[inside]))
         if search is not None:

@@ -42,8 +42,7 @@ class Frames:
     """
 
     def __init__(self, material: NeuralOperator, samples: Samples) -> None:
-        self.samples, self.material = samples, material
-        self.placed = material.on(samples.points)
+        self.material, self.placed = material, material.on(samples.points)
         self.u = torch.as_tensor(samples.u, dtype=self.placed.dtype)
         self.inside, self.search = samples.interior, EquilibriumSolver(self.placed)
         self.start = np.stack([affine(samples, u) for u in samples.u])
@@ -147,7 +146,7 @@ class _Loads:
     """Training samples with known loads (NO7)."""
 
     def __init__(self, material: NeuralOperator, samples: Samples) -> None:
-        self.samples, self.placed = samples, material.on(samples.points)
+        self.placed = material.on(samples.points)
         dtype = self.placed.dtype
         self.u = torch.as_tensor(samples.u, dtype=dtype)
         self.b = torch.as_tensor(samples.loads[:, samples.interior], dtype=dtype)
@@ -204,8 +203,7 @@ def train(
     if (samples.b is None) != (val.b is None):
         asked = "no loads" if samples.b is None else "loads"
         raise InputError(f"validation: expected {asked}, as the training samples have")
-    kind = Frames if samples.b is None else _Loads
-    run = _Run(material, kind(material, samples), kind(material, val), training)
+    run = _Run(material, samples, val, training)
     file = ArrayFile(checkpoint, run.key, "another training: other settings, samples or start")
     with nullcontext() if checkpoint is None else locked(checkpoint):
         run.resume(file)
@@ -237,18 +235,15 @@ class _Run:
     """State of a training; a checkpoint's key is all but the number of epochs."""
 
     def __init__(
-        self,
-        material: NeuralOperator,
-        learned: _Loads | Frames,
-        unseen: _Loads | Frames,
-        training: TrainingSettings,
+        self, material: NeuralOperator, samples: Samples, val: Samples, training: TrainingSettings
     ) -> None:
         self.material, self.training = material, training
-        self.learned, self.unseen = learned, unseen
+        kind = Frames if samples.b is None else _Loads
+        self.learned, self.unseen = (kind(material, one) for one in (samples, val))
         self.adam = torch.optim.Adam(material.parameters(), lr=training.rate)
         self.random = torch.Generator().manual_seed(training.seed)
         self.history, self.least = TrainingHistory(), math.inf
-        read = [replace(one.samples, arrays={}) for one in (learned, unseen)]
+        read = [replace(one, arrays={}) for one in (samples, val)]
         free = [one.requires_grad for one in material.parameters()]
         if not any(free):
             raise InputError("material: expected weights to learn, all are frozen")
@@ -267,9 +262,9 @@ class _Run:
     def epoch(self) -> float:
         """Train one epoch over all samples; returns the mean error on the way."""
         training, count = self.training, len(self.learned.u)
-        if isinstance(self.learned, Frames) and self.history.epochs % RENEWED == 0:
-            self.learned.renew()
         now, epochs = self.history.epochs, training.epochs
+        if isinstance(self.learned, Frames) and now % RENEWED == 0:
+            self.learned.renew()
         # the rate rises, stays, and falls to zero by half a cosine
         fall = 0.5 - 0.5 * math.cos(math.pi * min(1.0, (epochs - now) / (DECAY * epochs)))
         for group in self.adam.param_groups:
