@@ -68,13 +68,13 @@ class ErrorBound(Shown):
     statement: str
 
     def rows(self) -> Rows:
-        names = ("relative", "displacement", "contraction", "largest_gradient")
+        names = "relative", "displacement", "contraction", "largest_gradient"
         return [("proven", self.statement), *((n, f"{getattr(self, n):.3g}") for n in names)]
 
 
 def contraction(model: Any, gradient: float, size: float) -> tuple[float, float] | None:
     """Contraction q and a radius κ_in size/(1 − q) of gradients that no iterate leaves; or None."""
-    names = ("strain", "kappa_in", "kappa_out", "largest_parts")
+    names = "strain", "kappa_in", "kappa_out", "largest_parts"
     if not (all(name in model.proven for name in names) and model.stands):
         return None
     most, inner, outer, parts = (model.proven[name] for name in names)
@@ -181,9 +181,9 @@ class Prediction(Shown):
         """Estimate a quantity, a function of nodal displacements [N, d], with its error (Q4).
         warp_peri.prediction has strain and stress."""
         at = checked("quantity", quantity(self.u))
-        ends = {name: quantity(self._plus(part)) for name, part in self.fields.items()}
         changes = {
-            name: checked("quantity", end, shape=at.shape) - at for name, end in ends.items()
+            name: checked("quantity", quantity(self._plus(part)), shape=at.shape) - at
+            for name, part in self.fields.items()
         }
         return QuantityEstimate(at, changes["left"], self._bar(changes))
 
@@ -217,12 +217,9 @@ class Prediction(Shown):
         laplacian = float(sum(4 * np.sin(np.pi / 2 / (n + 1)) ** 2 for n in sides))
         smallest = proof.proven * laplacian / points.spacing**2
 
-        def linear(v: np.ndarray) -> np.ndarray:
-            return placed.straight(operator.on_all(v))
-
         r, inner = self.load - operator(u), u[inside]
         e = placed.inverse(r, ACCURATE)
-        le = linear(e)
+        le = placed.straight(operator.on_all(e))
         rest = r - le
         # r·L⁻¹r = e·Le + 2 e·rest + rest·L⁻¹rest, and L ≥ smallest
         square = np.vdot(e, le) + 2 * np.vdot(e, rest) + np.vdot(rest, rest) / smallest
@@ -233,7 +230,8 @@ class Prediction(Shown):
             if found is None:
                 return None
             q, largest = found
-        bound, whole = size / (1 - q), float(np.sqrt(max(np.vdot(inner, linear(inner)), 0.0)))
+        stored = np.vdot(inner, placed.straight(operator.on_all(inner)))
+        bound, whole = size / (1 - q), float(np.sqrt(max(stored, 0.0)))
         relative = bound / whole if whole > 0 else np.inf
         moved = bound / float(np.sqrt(smallest)) / max(float(norm(inner)), 1e-300)
         alone = f", and no other has |H| ≤ {largest:.2%}." if placed.nonlinear else "."
@@ -406,13 +404,8 @@ def _uncovered(placed: EnsembleOperator, points: Any) -> tuple[str, ...]:
         found.append("broken bonds: the ensemble knows none")
     if placed.turned is not None and placed.points.axis is None:
         found.append(AXIS)
-    there = getattr(points, "arrays", {}).get("temperature")
-    mine = placed.family.temperature
-    if (
-        there is not None
-        and mine is not None
-        and not np.allclose(checked("temperature", there), mine)
-    ):
+    there, mine = getattr(points, "arrays", {}).get("temperature"), placed.family.temperature
+    if not (there is None or mine is None or np.allclose(checked("temperature", there), mine)):
         found.append(f"temperature: learned at {mine:g} K, asked at {np.max(there):g} K")
     return tuple(found)
 

@@ -147,12 +147,12 @@ class EnsembleOperator:
         return np.asarray((self.rich.straight if self.nonlinear else self.rich)(u))
 
     @cached_property
-    def others(self) -> tuple[Any, Any, Any]:
+    def others(self) -> tuple[Any, ...]:
         """Operators of the second member's linear part and of the halves, made on first use."""
         second, halves = self.family.second, self.family.halves
         rich = halves if self.nonlinear else tuple(getattr(m, "linear", m) for m in halves)
-        one, *both = [self._on(each, self.points) for each in (second, *rich)]
-        return getattr(one, "straight", one), both[0], both[1]
+        poor, one, other = (self._on(each, self.points) for each in (second, *rich))
+        return getattr(poor, "straight", poor), one, other
 
     @cached_property
     def inverse(self) -> Callable[[np.ndarray, float], np.ndarray]:
@@ -248,7 +248,7 @@ def quadratic_stresses(H: np.ndarray) -> np.ndarray:
     E, one = symmetric_part(H), np.eye(H.shape[-1])
     W, trace = H - E, np.linalg.trace(E)[..., None, None]
     squares = ((F * F).sum(axis=(-1, -2))[..., None, None] * one for F in (E, W))
-    mixed = (H @ H.mT, E @ W - W @ E)
+    mixed = H @ H.mT, E @ W - W @ E
     return np.stack([trace**2 * one, *squares, trace * E, E @ E, *mixed])
 
 
@@ -358,9 +358,12 @@ class EnsembleMaterial(OnLinear, format="warp_peri.family", version=2):
 
     def rows(self) -> Rows:
         names = [type(one).__name__ for one in (self.rich, self.second)]
-        rows = [("rich, second", ", ".join(names)), ("strain seen", f"{self.strain:.2%}")]
-        rows.append(("factors", f"{self.factors.left:.2f} left, {self.factors.floor:.2f} floor"))
-        return rows + list(self.rich.rows() if hasattr(self.rich, "rows") else [])
+        return [
+            ("rich, second", ", ".join(names)),
+            ("strain seen", f"{self.strain:.2%}"),
+            ("factors", f"{self.factors.left:.2f} left, {self.factors.floor:.2f} floor"),
+            *(self.rich.rows() if hasattr(self.rich, "rows") else []),
+        ]
 
 
 @typed
@@ -423,8 +426,9 @@ def calibrated(
     bare = replace(family, factors=CalibrationFactors(1.0, 1.0, 1.0), record=None)
     if not nonlinear:
         bare = replace(bare, quadratic=quadratic(bare, samples))
-    sets = [samples] if validation is None else [samples, validation]
-    found = [row for one in sets for row in _measured(bare, one)]
+    found = _measured(bare, samples)
+    if validation is not None:
+        found += _measured(bare, validation)
     rows = {name: np.array([row[name] for row in found]) for name in found[0]}
     record = recorded(samples.spacing * KNOTS, rows["shares"], rows["true"])
     told = np.array([record.of(one) for one in rows["shares"]])
