@@ -297,12 +297,11 @@ def check_hdf5(file: h5py.File) -> None:
                 continue
             if item.is_virtual or item.external:
                 raise InputError(f"{where}: expected an array in the file itself")
-            text = h5py.check_string_dtype(item.dtype) is not None
-            if not (text or item.dtype.kind in "biufcSU") or item.dtype.subdtype is not None:
-                raise InputError(f"{where}: expected numbers or text, got {item.dtype}")
-            chunk = int(np.prod(item.chunks or (0,), dtype=object)) * item.dtype.itemsize
-            count = int(np.prod(item.shape or (), dtype=object)) * item.dtype.itemsize
-            total += max(chunk, count)
+            dtype, text = item.dtype, h5py.check_string_dtype(item.dtype) is not None
+            if not (text or dtype.kind in "biufcSU") or dtype.subdtype is not None:
+                raise InputError(f"{where}: expected numbers or text, got {dtype}")
+            counts = map(math.prod, (item.chunks or (0,), item.shape or ()))
+            total += max(counts) * dtype.itemsize
             if total > allowed:
                 raise InputError(
                     f"{where}: expected arrays of at most {allowed} bytes in a file of {size}, "
@@ -317,8 +316,7 @@ def meshio_of(extra: str = "export") -> Any:
 
 def in_space(values: np.ndarray) -> np.ndarray:
     """Vectors [n, 2] with a third component; other arrays as they are."""
-    flat = values.ndim == 2 and values.shape[1] == 2
-    return np.pad(values, ((0, 0), (0, 1))) if flat else values
+    return np.pad(values, ((0, 0), (0, 1))) if values.shape[1:] == (2,) else values
 
 
 def write_vtu(

@@ -37,16 +37,16 @@ from warp_peri.files.atomic import (
     write_vtu,
 )
 
-HELD = ("__self__", "__func__", "fget", "code")
+HELD = "__self__", "__func__", "fget", "code"
 """What methods, properties and what torch compiled hold that is no attribute."""
-COPIED = ("__reduce__", "__reduce_ex__", "__getstate__")
+COPIED = "__reduce__", "__reduce_ex__", "__getstate__"
 """By what an object says how it is copied."""
 CODE = "code consts names varnames argcount posonlyargcount kwonlyargcount exceptiontable"
 """What code is told by."""
-_OWN = (f"{sysconfig.get_path('stdlib')}/", f"{Path(__file__).parents[1]}/")
+_OWN = f"{sysconfig.get_path('stdlib')}/", f"{Path(__file__).parents[1]}/"
 HOMES = ("/site-packages/", "/dist-packages/", *_OWN)
 """Parts of paths of installed packages, of Python's own modules and of this library's."""
-OF_A_FIT = ("sha256", "certificate", "proven", "provenance", "versions", "errors")
+OF_A_FIT = "sha256", "certificate", "proven", "provenance", "versions", "errors"
 """Of a material's file, which a second fit of the same numbers has otherwise."""
 
 
@@ -204,7 +204,7 @@ def _unwrapped(part: Any) -> Any:
 
 def _attributes(part: Any) -> dict[str, Any]:
     """Attributes of an object, in slots too, but for those that are worked out and kept."""
-    state: Any = object.__getstate__(part)
+    state = object.__getstate__(part)
     own, slots = state if isinstance(state, tuple) else (state, None)
     found, kind = {**(own or {}), **(slots or {})}, type(part)
     return {n: found[n] for n in found if not isinstance(getattr(kind, n, 0), cached_property)}
@@ -216,7 +216,7 @@ def _read_by(function: FunctionType) -> dict[str, Any]:
     cells = zip(function.__code__.co_freevars, function.__closure__ or ())
     held = {name: cell.cell_contents for name, cell in cells if cell != CellType()}
     names, loaded, code = set[str](), set[str](), [function.__code__]
-    spaces, read = [(held, {*held})], dict[str, Any]()
+    spaces, read = [(held, {*held})], {}
     if _is_users(str(function.__globals__.get("__name__"))):
         spaces += [(function.__globals__, loaded), (imported := {}, names)]
         for inner in code:  # those of what is defined inside, too
@@ -368,7 +368,7 @@ def check_like(found: Mapping[str, np.ndarray], like: Mapping[str, Any]) -> None
 def gathered(comm: Any, arrays: Mapping[str, np.ndarray], own: Any, count: int) -> dict[str, Any]:
     """Whole arrays by name on the first rank, empty on others: from rows [n, ...], their places in
     the whole and how many it has, the places None where they are the whole."""
-    whole: dict[str, np.ndarray] = {}
+    whole = {}
     for name, mine in arrays.items():
         for values, place in comm.gather((mine, own)) or ():
             if place is None:
