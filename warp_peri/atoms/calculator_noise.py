@@ -155,7 +155,7 @@ def bent_by_strain(cell: ase.Atoms, calculator: Any, flat: bool, noise: float) -
     own = unit_strains(2 if flat else 3)  # of moduli, as far along an axis
     ways = np.concatenate([symmetric_part(G), own])
     ways /= norm(ways, axis=(1, 2))[:, None, None]
-    for size in (STRAIN, LARGEST):
+    for size in STRAIN, LARGEST:
         turns = np.eye(3) + np.concatenate([size * ways, -size * ways])
         ends = np.array([one.get_stress() for one in strained(calculator, cell, turns)])
         slopes.append(np.subtract(*np.split(ends, 2)) / (2 * size))
@@ -283,11 +283,10 @@ def rattled(
         f"{slope:+.1%} of linear ones",
     }
     if noise.rough:
-        off = noise.rough / noise.linear
         said["rough"] = (
-            f"forces on {SHAKEN:g} Å, or stress on {LARGEST:.0%} of strain, are {off:.0%} off what "
-            "smaller steps say: moduli are those of the largest steps, and how they change down to "
-            "the smallest is in their errors"
+            f"forces on {SHAKEN:g} Å, or stress on {LARGEST:.0%} of strain, are "
+            f"{noise.rough / noise.linear:.0%} off what smaller steps say: moduli are those of the "
+            "largest steps, and how they change down to the smallest is in their errors"
         )
     return found, said
 
@@ -308,9 +307,10 @@ def by_strains(
         return None
     means = (S.sum(axis=0) / 2).reshape(len(e), -1)
     even = lstsq(np.column_stack([e**0, e**2]), means)[0]
-    slope, error, gain = _slope((S[0] - S[1]) / 2, e, rough)
+    odd = (S[0] - S[1]) / 2
+    slope, error, gain = _slope(odd, e, rough)
     few = [slice(k, k + 1) for k in range(SMALLER)] if rough else [slice(0, 2)]
-    short, _, wider = zip(*(_slope((S[0] - S[1])[k] / 2, e[k], rough) for k in few))
+    short, _, wider = zip(*(_slope(odd[k], e[k], rough) for k in few))
     onto = pinv(voigt(allowed).reshape(len(allowed), -1).T)
     C, *off = (np.tensordot(onto @ one.ravel(), allowed, 1) for one in (slope, *(slope - short)))
     errors = [*np.tensordot(error * onto.T, allowed, 1)]
@@ -343,8 +343,8 @@ def by_strains(
 
         taken, more = relaxed()
         errors += [*more]
-        for one in () if atoms.doubt is None else atoms.doubt:
-            errors.append(taken - relaxed(atoms.values + one)[0])
+        if atoms.doubt is not None:
+            errors += [taken - relaxed(atoms.values + one)[0] for one in atoms.doubt]
         C = C - taken
     return C, np.array([*errors, *off] if rough else errors)
 

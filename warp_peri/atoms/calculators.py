@@ -160,10 +160,10 @@ def _types(lines: Sequence[str], kinds: Sequence[str]) -> dict[str, int]:
         return {kinds[0]: 1}
     types = {element: place for place, element in sorted(named.items(), reverse=True)}
     if not set(kinds) <= set(types) or len(types) < len(named):
-        got = " ".join(named[place] for place in sorted(named)) or "none"
         raise InputError(
             f"calculator: expected types for {', '.join(kinds)}, by pair_coeff or by masses as in "
-            f"mass 1 24.305; mass 2 15.999, got {got}"
+            "mass 1 24.305; mass 2 15.999, got "
+            f"{' '.join(named[place] for place in sorted(named)) or 'none'}"
         )
     return types
 
@@ -253,8 +253,10 @@ def make_calculator(
         if module.split(".")[0] in sys.stdlib_module_names:
             raise InputError("Python itself has no calculators")
         if not trusted and module not in WITHIN:
-            taken = "--trust, or the calculator on the line, takes it"
-            raise InputError(f"it could run a program or load code: {taken}")
+            raise InputError(
+                "it could run a program or load code: --trust, or the calculator on the line, "
+                "takes it"
+            )
         return _found(module, path)(*arguments, **options)
     except Exception as error:  # constructors raise whatever they miss
         words = 'lammps:"pair_style …" or module:Class(…), as ase.calculators.emt:EMT'

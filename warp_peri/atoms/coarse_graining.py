@@ -193,11 +193,11 @@ def read_mat(
 
     Raises InputError for a missing variable, positions off a square lattice, or no interior.
     """
-    path, names = Path(path), (displacement, load, positions)
-    asked = [name for name in names if isinstance(name, str)]
+    path = Path(path)
+    names = [one for one in (displacement, load, positions) if isinstance(one, str)]
     if not isinstance(positions, str) and not is_positive(positions):
         raise InputError(f"positions: expected a name or a spacing > 0, got {positions!r}")
-    held = _variables(path, asked)
+    held = _variables(path, names)
     if isinstance(positions, str):
         x = checked(positions, held[positions], float, ("N", 2))
         step = spacing_of(x)

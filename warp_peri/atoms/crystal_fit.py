@@ -58,7 +58,7 @@ AGREE, TOO_FAR = 0.02, 0.2
 """Relative difference of two ways to the same moduli: worth a word above, refused above."""
 SIZES, DIRECTIONS = 80, 60
 """Of the waves that are looked at for it."""
-TOLD = (6, 3)
+TOLD = 6, 3
 """Wavelengths [spacings] whose error is told."""
 
 
@@ -132,7 +132,7 @@ class CrystalFit(Shown):
         k = size[:, None, None] * directions(DIRECTIONS, self.atoms.dimension)
         k = k.reshape(-1, self.atoms.dimension)
         true, found = inv(self.atoms.effective(k)), {}
-        for name, symbol in (("law", self.law.symbol), ("local", self.local)):
+        for name, symbol in ("law", self.law.symbol), ("local", self.local):
             off = norm(inv(symbol(k)) - true, axis=(1, 2))
             found[name] = (off / norm(true, axis=(1, 2))).reshape(SIZES, -1)
         return found
@@ -177,9 +177,10 @@ class CrystalFit(Shown):
             ("proven", content["statement"] or "nothing"),
             (f"within {WITHIN:.0%} down to", within),
         ]
-        for name, e in content["wave_errors_percent"].items():
-            told = f"{e['law']:.2f} %; local elasticity {e['local']:.2f} %"
-            shown.append((f"error, {name}", told))
+        shown += [
+            (f"error, {name}", f"{e['law']:.2f} %; local elasticity {e['local']:.2f} %")
+            for name, e in content["wave_errors_percent"].items()
+        ]
         return [*self.said.items(), *shown]
 
     def plot(self) -> Figure:
@@ -192,7 +193,7 @@ class CrystalFit(Shown):
         for number, path in enumerate(PATHS[d]):
             direction = np.array([*map(int, path)])
             k = reach[:, None] / law.spacing * direction / norm(direction)
-            branches = (self.atoms.effective, law.symbol, self.local)
+            branches = self.atoms.effective, law.symbol, self.local
             true, own, local = (np.sqrt(1e3 * eigvalsh(D(k)).clip(0)) for D in branches)
             bands.plot(reach, own, color=f"C{number}", label=[f"[{path}]", *[None] * (d - 1)])
             bands.plot(reach, local, ":", color=f"C{number}", linewidth=0.8)
@@ -242,7 +243,7 @@ class CrystalFit(Shown):
 def with_errors(C: np.ndarray, errors: np.ndarray) -> dict[str, tuple[float, float]]:
     """Elastic moduli [GPa] of C [TPa] by name, each with its standard error of [Q, d, d, d, d]."""
     M = 1e3 * norm(voigt(errors), axis=0)
-    label = "123456" if C.shape[0] == 3 else "124"
+    label = "123456" if len(C) == 3 else "124"
     return {
         name: (value, float(M[label.index(name[1]), label.index(name[2])]))
         for name, value in named_moduli(1e3 * C).items()

@@ -39,8 +39,8 @@ RANKS = (
 )
 """Names of positions and displacements in small letters, * for x or y, § for u or v: first what
 stereo systems say of the sheet, not of an image; last positions of the current frame."""
-NEGATIVE = ("sigma", "match", "corrcoef", "correlation", "zncc", "ncc")
-ZERO = ("converged", "valid", "isvalid")
+NEGATIVE = "sigma", "match", "corrcoef", "correlation", "zncc", "ncc"
+ZERO = "converged", "valid", "isvalid"
 """Columns that are negative, or zero, where the correlation failed."""
 UNITS: dict[str, tuple[str | None, float]] = {name: (name, 1.0) for name in LENGTHS}
 UNITS |= {"å": ("angstrom", 1.0), "cm": ("mm", 10.0), "micron": ("um", 1.0)}
@@ -101,7 +101,7 @@ def read_table(
 
 def split(line: str) -> list[str]:
     """Split a line into fields; beside semicolons or tabs a comma is a decimal point."""
-    for separator in (";", "\t", ","):
+    for separator in ";", "\t", ",":
         if separator in line:
             fields = line.rstrip().rstrip(separator).split(separator)
             if separator != ",":
@@ -116,7 +116,7 @@ def columns_of(header: list[str]) -> tuple[list[int], list[str | None], bool] | 
     for rank, kinds in enumerate(RANKS):
         found = []
         for templates in kinds:
-            for axis, letter in ("xu", "yv"):
+            for axis, letter in "xu", "yv":
                 known = [t.replace("*", axis).replace("§", letter) for t in templates]
                 places = [n for n, name in enumerate(names) if name in known]
                 capital = [n for n in places if header[n][:1].isupper()]
@@ -222,8 +222,7 @@ class DICFrame:
     length: str | None = None
 
     def __post_init__(self) -> None:
-        hold(self, x=checked("x", self.x, float, ("P", 2)))
-        hold(self, u=plain("u", self.u))
+        hold(self, x=checked("x", self.x, float, ("P", 2)), u=plain("u", self.u))
         check_shape("u", self.u, self.x.shape)
 
 

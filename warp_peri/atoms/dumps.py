@@ -29,18 +29,18 @@ from warp_peri.points.arguments import MOST, Natural, Positive, as_array, checke
 from warp_peri.points.points import PointsLike, Samples, nearest, nodes_of
 
 EXPECTED = "a LAMMPS dump (text, packed or not), .extxyz, .xyz or .traj"
-BEGIN = ("ITEM: TIMESTEP", "ITEM: UNITS", "ITEM: TIME")
+BEGIN = "ITEM: TIMESTEP", "ITEM: UNITS", "ITEM: TIME"
 """Lines that a frame begins with; the others are of `dump_modify units yes` and `time yes`."""
-ANGSTROM_UNITS = ("metal", "real")
+ANGSTROM_UNITS = "metal", "real"
 """Units of LAMMPS whose lengths are in Å."""
-POSITIONS = ("x", "xs", "xu", "xsu")
+POSITIONS = "x", "xs", "xu", "xsu"
 """Columns of positions, in the order in which they are looked for."""
-IMAGES = ("ix", "iy", "iz")
+IMAGES = "ix", "iy", "iz"
 LARGEST_FRAME = 2**31
 """Characters of a frame of text, at most; a small packed file may hold more."""
 LONGEST = 2**16
 """Characters of a line."""
-OF_ASE = (".xyz", ".extxyz", ".traj")
+OF_ASE = ".xyz", ".extxyz", ".traj"
 """Endings of files that ASE reads, frame by frame."""
 ROUND = 1e-9
 """Part of a box's longest edge that tilts it: less is rounding."""
@@ -162,7 +162,7 @@ def _of_items(items: dict[str, list[str]], columns: list[str], rows: list[str]) 
     if "abc" in bounds:
         raise ValueError("a box of general edges (triclinic/general yes) is not read")
     used = next((name for name in POSITIONS if name in columns), "x")
-    heights = (used.replace("x", "z"), "z", "zu", "zs", "zsu")  # a sheet's: nobody looks at it
+    heights = used.replace("x", "z"), "z", "zu", "zs", "zsu"  # a sheet's: nobody looks at it
     wanted = ["id", used, used.replace("x", "y"), next((h for h in heights if h in columns), "z")]
     if len({*columns}) < len(columns) or not {*wanted} <= {*columns}:
         raise ValueError(
@@ -278,9 +278,8 @@ def read_structure(path: Path) -> Any:
     if of_lammps and not re.search(rb"(?m)^\s*Masses", head):
         raise InputError(f"{path}: expected the masses of the types in a data file, got none")
     packed = path.suffix.lower() in (".gz", ".bz2", ".xz", ".zst")
-    name = path.with_suffix("") if packed else path
     with tempfile.TemporaryDirectory() as folder:  # ASE goes by the ending alone
-        readable = Path(folder) / name.name
+        readable = Path(folder, path.stem if packed else path.name)
         readable.write_bytes(whole)
         try:
             form = "lammps-data" if of_lammps else filetype(str(readable))
@@ -425,13 +424,13 @@ def coarse_grain_dumps(
     mass = checked("mass", atoms.mass, shape=() if one else force.shape[1:2])
     _warn_of_shares(force, np.broadcast_to(mass, force.shape[1]))
     ids = next(iter_dump(dumps[0])).ids if atoms.ids is None else atoms.ids
-    how: Any = {"ids": ids, "box": atoms.box, "skip": skip}
     averages = []
     for path in tqdm([*unloaded, *dumps], desc="dumps", unit="dump", disable=not progress):
-        averages.append(mean_displacement(path, atoms.reference, **how))
+        averages.append(mean_displacement(path, atoms.reference, ids=ids, box=atoms.box, skip=skip))
         _warn_of_torn(Path(path), np.asarray(atoms.reference, float), averages[-1], atoms.box)
-    moved, at_rest = np.stack(averages[len(unloaded) :]), averages[: len(unloaded)]
-    moved = moved - np.stack(at_rest) if at_rest else moved
+    moved = np.stack(averages[len(unloaded) :])
+    if len(unloaded):
+        moved -= np.stack(averages[: len(unloaded)])
     sizes: Any = {"mass": atoms.mass, "node_area": node_area, "thickness": thickness}
     u, b = coarse_grain(omega, displacement=moved, force=force, **sizes)
     names = {"load_id": np.array([Path(path).name for path in dumps])}
@@ -445,11 +444,10 @@ def _warn_of_shares(force: np.ndarray, mass: np.ndarray) -> None:
         return
     size = [np.sqrt(np.square(force[:, mass == one]).mean()) / one for one in kinds]
     if max(size) > UNLIKE * min(size):
-        shares = ", ".join(f"{each / max(size):.2g}" for each in size)
-        masses = ", ".join(f"{one:g}" for one in kinds)
         warn(
-            f"force: atoms of masses {masses} carry loads per mass of {shares}, relative: expected "
-            "a load over the atoms of a cell by mass; otherwise they move against each other"
+            f"force: atoms of masses {', '.join(f'{one:g}' for one in kinds)} carry loads per mass "
+            f"of {', '.join(f'{each / max(size):.2g}' for each in size)}, relative: expected a "
+            "load over the atoms of a cell by mass; otherwise they move against each other"
         )
 
 

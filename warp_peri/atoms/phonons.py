@@ -33,7 +33,7 @@ from warp_peri.files.atomic import check_hdf5, check_yaml, content
 from warp_peri.points.arguments import ArrayMap, Positive, checked, offered, typed
 from warp_peri.points.points import grid_points
 
-WIDTHS = (10.0, 14.0, 18.0, 22.0, 26.0, 32.0, 40.0)
+WIDTHS = 10.0, 14.0, 18.0, 22.0, 26.0, 32.0, 40.0
 """Of supercells [Å], tried in turn."""
 DECAYED_FORCE, DECAYED_FORCE_ROUGH = 1e-5, 0.05
 """Force at half the width of a supercell, over the largest, that is none; that of a surface that
@@ -179,7 +179,7 @@ def finite_differences(
     for (row, i), axis in itertools.product(enumerate(displaced), range(3)):
         near, wide = slopes = np.zeros((2, len(positions), 3))
         for slope, length in zip(slopes, (STEP, WIDER * STEP)):
-            for sign in (1, -1):
+            for sign in 1, -1:
                 moved = positions.copy()
                 moved[i, axis] += sign * length
                 slope += sign * np.array(forces(moved)) / (2 * length)
@@ -209,7 +209,7 @@ FACTOR = 0.01
 """Relative, within which a factor of charges is that of the code's units."""
 MOST = 20_000
 """Atoms of a supercell."""
-YAML = ("phonopy.yaml", "phonopy_params.yaml", "phonopy_disp.yaml")
+YAML = "phonopy.yaml", "phonopy_params.yaml", "phonopy_disp.yaml"
 
 
 @typed
@@ -232,7 +232,7 @@ def from_phonopy(path: StrPath, *, thickness: Positive | None = None) -> ForceCo
             f"{path}: expected a file of phonopy or a folder with {' or '.join(YAML)}; "
             "`phonopy-init --dim …` (once `phonopy -d`) writes the last beside a code's unit cell"
         )
-    names = ("FORCE_CONSTANTS", "force_constants.hdf5", "FORCE_SETS", "BORN")
+    names = "FORCE_CONSTANTS", "force_constants.hdf5", "FORCE_SETS", "BORN"
     beside = {name: file.parent / name for name in names if (file.parent / name).is_file()}
     try:
         found, told = _opened(file)

@@ -59,7 +59,7 @@ MOVED = 0.01
 """Strain by which the cell may relax without a word."""
 STRAINED, LIKE = 0.01, 0.5
 """Strain at which stress is compared with the energy's slope; relative difference of the same."""
-VOIGT = ("xx", "yy", "zz", "yz", "xz", "xy")
+VOIGT = "xx", "yy", "zz", "yz", "xz", "xy"
 
 
 @dataclass(frozen=True)
@@ -164,11 +164,11 @@ def to_shared_axes(atoms: ase.Atoms) -> ase.Atoms:
     given = crystal_of(atoms)
     group = group_of_structure(*given)
     turn = np.array(by_spglib("get_symmetry_dataset", given, ON_SITES).std_rotation_matrix)
-
-    def shared(turns: np.ndarray) -> int:
-        return int((np.abs(turns - np.rint(turns)).max(axis=(1, 2)) < 1e-6).sum())
-
-    if shared(turn @ group @ turn.T) > shared(group):
+    before, after = (  # rotations that nodes share
+        (np.abs(turns - np.rint(turns)).max(axis=(1, 2)) < 1e-6).sum()
+        for turns in (group, turn @ group @ turn.T)
+    )
+    if after > before:
         atoms = atoms.copy()
         atoms.set_cell(np.array(atoms.cell) @ turn.T, scale_atoms=True)
     return atoms
@@ -288,9 +288,9 @@ def _check_forces(cell: ase.Atoms) -> None:
     except LammpsError:
         raise
     except Exception as error:  # calculators raise whatever they run into
-        kinds = ", ".join(sorted(set(cell.get_chemical_symbols())))
         raise InputError(
-            f"calculator: it gives no forces for {kinds} ({type(error).__name__}: {error})"
+            f"calculator: it gives no forces for {', '.join(sorted({*cell.symbols}))} "
+            f"({type(error).__name__}: {error})"
         ) from None
 
 
@@ -352,11 +352,9 @@ def _stress_left(
     none = max(RESIDUAL_STRESS, 2 * TIMES * noise.stress)
     for name, (i, j) in zip(VOIGT, PAIRS[3]):
         if max(i, j) < d and name not in held and abs(stress[i, j]) > none:
-            left = f"a stress {name} of {1e3 * stress[i, j]:.3g} GPa"
-            raise InputError(f"structure: relaxation left {left}")
-    if np.abs(stress).max() <= none:
-        return None
-    return symmetric_part(stress)
+            left = 1e3 * stress[i, j]
+            raise InputError(f"structure: relaxation left a stress {name} of {left:.3g} GPa")
+    return None if np.abs(stress).max() <= none else symmetric_part(stress)
 
 
 def thickness_of(cell: ase.Atoms) -> tuple[float, str]:
@@ -381,7 +379,7 @@ def usual_spacing(cell: ase.Atoms, flat: bool) -> float:
         return float((volume * (2 if hexagonal else 1)) ** (1 / 3))
     edges = minkowski_reduce(np.array(cell.cell), [True, True, False])[0][:2]
     a, b = sorted(edges, key=norm)
-    for pair in ((a, b), (a, 2 * b - a), (a, 2 * b + a), (a + b, a - b)):
+    for pair in (a, b), (a, 2 * b - a), (a, 2 * b + a), (a + b, a - b):
         first, second = norm(pair, axis=1)
         if abs(pair[0] @ pair[1]) < RIGHT * first * second:
             return float(max(first, second))
