@@ -23,6 +23,7 @@ from typing import Any, TypeAlias, cast
 
 import h5py
 import numpy as np
+from scipy.spatial import cKDTree
 
 from warp_peri import __version__
 from warp_peri.errors import ALONE, InputError, StrPath, agreed
@@ -39,6 +40,8 @@ from warp_peri.files.atomic import (
 
 HELD = "__self__", "__func__", "fget", "code"
 """What methods, properties and what torch compiled hold that is no attribute."""
+BY_TEXT = {"eval", "exec", "getattr", "globals", "vars"}
+"""By what code reads a name that it has as text."""
 COPIED = "__reduce__", "__reduce_ex__", "__getstate__"
 """By what an object says how it is copied."""
 CODE = "code consts names varnames argcount posonlyargcount kwonlyargcount exceptiontable"
@@ -88,7 +91,7 @@ def nodal_fingerprint(comm: Any, number: np.ndarray, own: Any, *parts: Any) -> s
     with np.errstate(over="ignore"):
         start = _mixed(number.astype(np.uint64))
         for mark, array in zip(marks, arrays):
-            flat, mixed = np.ascontiguousarray(array, dtype=float).reshape(len(number), -1), start
+            flat, mixed = np.ascontiguousarray(array + 0.0, float).reshape(len(number), -1), start
             for column in flat.view(np.uint64).T:
                 mixed = _mixed(mixed ^ column)
             mark[:] = mixed.sum(), _mixed(mixed).sum()
@@ -197,6 +200,8 @@ def _unwrapped(part: Any) -> Any:
             return part.numpy(force=True) if hasattr(part, "detach") else part.numpy()
         except (TypeError, NotImplementedError):  # bfloat16, sparse ones, those without values
             return str(part.dtype), part.is_meta or part.to_dense().tolist()
+    if isinstance(part, cKDTree):  # whose bytes are not all set
+        return part.data, part.boxsize, part.leafsize
     if isinstance(part, (np.timedelta64, np.longdouble)):  # more than numbers are told by
         return repr(part)
     return np.asarray(part) if isinstance(part, memoryview) else part
@@ -215,13 +220,13 @@ def _read_by(function: FunctionType) -> dict[str, Any]:
     user's that it names or imports, by name."""
     cells = zip(function.__code__.co_freevars, function.__closure__ or ())
     held = {name: cell.cell_contents for name, cell in cells if cell != CellType()}
-    names, loaded, code = set[str](), set[str](), [function.__code__]
+    names, loaded, texts, code = set[str](), set[str](), set[str](), [function.__code__]
     spaces, read = [(held, {*held})], {}
     if _is_users(str(function.__globals__.get("__name__"))):
         spaces += [(function.__globals__, loaded), (imported := {}, names)]
         for inner in code:  # those of what is defined inside, too
             names |= {*inner.co_names}
-            loaded |= {one for one in inner.co_consts if isinstance(one, str)}  # for getattr
+            texts |= {one for one in inner.co_consts if isinstance(one, str)}
             code += filter(inspect.iscode, inner.co_consts)
             for step in dis.get_instructions(inner):
                 if step.opname in ("LOAD_GLOBAL", "LOAD_NAME"):
@@ -229,6 +234,7 @@ def _read_by(function: FunctionType) -> dict[str, Any]:
                 if step.opname == "IMPORT_NAME":
                     with suppress(Exception):
                         imported[step.argval] = import_module(step.argval)
+        loaded |= texts if loaded & BY_TEXT else set()
     for place, (space, wanted) in enumerate(spaces):
         for name in sorted(wanted & space.keys()):
             one = space[name]

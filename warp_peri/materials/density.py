@@ -106,8 +106,8 @@ class DensityMaterial(Record, format="warp_peri.density"):
         cls, energy: Energy, horizon: float, parameters: Mapping[str, float], **more: Any
     ) -> Self:
         """Make a material from an energy function, in the plane unless `dimension` is 3."""
-        name = getattr(energy, "__name__", type(energy).__name__)
-        return cls(horizon, {**parameters}, more.pop("dimension", 2), name, energy=energy, **more)
+        d, name = more.pop("dimension", 2), _name_of(energy)
+        return cls(horizon, {**parameters}, d, name, energy=energy, **more)
 
     certificate = None
     """Nothing is proven of it."""
@@ -122,7 +122,7 @@ class DensityMaterial(Record, format="warp_peri.density"):
     def read(cls, path: Any, energy: Energy) -> Self:
         """Read a material's file with its energy; InputError for another name, and as from_dict."""
         made = cls.from_dict(read_json(path))
-        if (name := getattr(energy, "__name__", "")) != made.name:
+        if (name := _name_of(energy)) != made.name:
             raise InputError(f"energy: the file has the parameters of {made.name!r}, got {name!r}")
         return replace(made, energy=energy)
 
@@ -141,6 +141,11 @@ class DensityMaterial(Record, format="warp_peri.density"):
     def proven_strain(self, spacing: float) -> float:
         """Strain up to which solutions are proven unique: 0, for nothing is proven."""
         return 0.0
+
+
+def _name_of(energy: Energy) -> str:
+    """Name of a function, or of the class of a callable object."""
+    return getattr(energy, "__name__", type(energy).__name__)
 
 
 class DensityOperator(Pointwise):

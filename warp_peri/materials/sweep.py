@@ -131,7 +131,7 @@ def sweep(
     """
     if horizons is None:
         horizons = usual_lengths("horizons", HORIZONS, train.units).tolist()
-    if not (horizons and degrees):
+    if not (len(horizons) and len(degrees)):
         raise InputError("sweep: expected at least one horizon and one degree")
     sets = {"train": train, "val": val} | ({} if test is None else {"test": test})
     _check_sets(sets, horizons)

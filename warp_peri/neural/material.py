@@ -170,8 +170,8 @@ class NeuralOperator(Shown, torch.nn.Module):
         known = self.units[0] in LENGTHS and samples.b is not None
         work = USUAL if known else self.units  # in which float32 holds the squares of loads
         sets = in_units(samples, work), in_units(validation, work)
-        material, how = self.in_units(work), {"checkpoint": checkpoint, "progress": progress}
-        history = train(material, *sets, training or TrainingSettings(), **how)
+        material, how = self.in_units(work), training or TrainingSettings()
+        history = train(material, *sets, how, checkpoint=checkpoint, progress=progress)
         return NeuralFit(material.in_units(self.units), history)
 
     def in_units(self, units: Units) -> NeuralOperator:

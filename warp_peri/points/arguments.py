@@ -328,14 +328,14 @@ def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> dict[
             on_points = "Points" in [kind.__name__ for kind in kinds]
             fine = isinstance(value, first) or (on_points and is_piece(value))
             words = "a path" if os.PathLike in more else words.replace("NoneType", "None")
+        if fine and (first is int or (first is float and not isinstance(value, (int, float)))):
+            value = found[name] = first(value)
         same = first in (int, float) and value == default  # arrays have no one answer
         if not fine or (bound and not same and not bound.holds(value)):
             expected, short = bound.words if bound else words, first in KINDS and first not in NAMES
             got = f"{value!r:.60}" if short or bound else type(value).__name__
             got = str(getattr(value, "dtype", got)) if first is np.ndarray else got
             raise InputError(f"{name}: expected {expected}, got {got}")
-        if first is int or (first is float and not isinstance(value, (int, float))):
-            found[name] = first(value)
     return found
 
 
