@@ -33,6 +33,7 @@ from warp_peri.crystals import fit_dispersion
 from warp_peri.files.atomic import write_text
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.points.dataset import load_dataset, save_dataset
+from warp_peri.points.points import grid_places
 
 FIT = ("--horizon", "2.5", "--degree", "3")
 
@@ -187,8 +188,7 @@ def test_sweep_chooses_and_keeps_its_settings(data, tmp_path, capsys):
 @pytest.fixture
 def sheet(tmp_path):
     """Words of coarse-grain for one load on a small body that was moved by [0.3, -0.1]."""
-    grid = np.arange(0.5, 40, 1.0)
-    x = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
+    x = grid_places((40, 40)) + 0.5
     force = normal(x.shape)
     np.savez(tmp_path / "f.npz", force)
     np.savetxt(tmp_path / "f.csv", force, delimiter=",")

@@ -13,8 +13,7 @@ import warp_peri as wp
 from examples.inclusion import Mixed
 from tests.support import in_plane_and_space, near, parametrize, refused, sup
 from tests.support.bodies import random_breaking
-from tests.support.materials import OTHER
-from tests.support.problems import assert_balanced, difference, everywhere, noise, rotation
+from tests.support.problems import OTHER, assert_balanced, everywhere, noise, rotation, slope
 from warp_peri import runtime
 from warp_peri.fracture import BondLaw, BrittleMaterial, Cracked, SofteningMaterial, box_nodes
 from warp_peri.fracture.statics import CutSolid
@@ -70,9 +69,9 @@ def test_forces_balance_and_are_the_derivative_of_the_energy(solid, share, corre
     near(moment, moment.T, 1e-12, sup(x) * np.abs(f).sum())
     assert op.energy(u) > 0
     v = u[::-1] * points.interior[:, None]
-    near(op.jvp(u, v), difference(lambda t: op(u + t[0] * v), [0.0], 1e-3)[0], 1e-8)
-    slope = difference(lambda t: op.energy(u + t[0] * v), [0.0], 1e-3)[0]
-    near((op(u) * v[points.interior]).sum(), slope, 1e-8)
+    near(op.jvp(u, v), slope(lambda t: op(u + t * v), 1e-3), 1e-8)
+    work = (op(u) * v[points.interior]).sum()
+    near(work, slope(lambda t: op.energy(u + t * v), 1e-3), 1e-8)
     if share and not isinstance(solid, Mixed):  # whose moduli are functions of positions
         other, R = torn(solid, share, 0.4, corrected=corrected)[0], rotation(0.4, d)
         near(other(u @ R.T), op(u) @ R.T, 1e-11)

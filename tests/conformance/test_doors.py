@@ -16,7 +16,7 @@ import warp_peri as wp
 from tests.support import assert_refused, filterwarnings, masked, parametrize, refused, warned
 from tests.support.bodies import solid
 from tests.support.materials import LAWS, operator, placed
-from tests.support.problems import everywhere, kernel, lattice, noise, within
+from tests.support.problems import OTHER, everywhere, kernel, lattice, noise, within
 from warp_peri.fracture import Cracked, box_nodes, rectangle_nodes
 from warp_peri.methods import Coupling, LPSParameters
 from warp_peri.points.arguments import check_arguments, kinds_of
@@ -28,7 +28,7 @@ moves = lambda name: name not in ("third order, filtered", "neural operator", "h
 """Whether waves of a law have a proven step."""
 CHANGES = {
     "axis": lambda p: replace(p, axis=(p.axis or 0.0) + 30.0),
-    "units": lambda p: replace(p, units=("nm", "GPa")),
+    "units": lambda p: replace(p, units=OTHER),
     "box": lambda p: replace(p, box=(1e3, 1e3)),
     "outside": lambda p: replace(p, outside=np.arange(len(p.x)) == 0),
     "x": lambda p: replace(p, x=p.x + 1.0),

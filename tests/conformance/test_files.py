@@ -17,8 +17,7 @@ from numpy.random import default_rng
 
 import warp_peri as wp
 from tests.support import approx, of_json, parametrize
-from tests.support.materials import OTHER
-from tests.support.problems import lattice
+from tests.support.problems import OTHER, lattice
 from warp_peri.core.record import HOMES, FieldUnits, content_hash
 from warp_peri.core.stencil import Stencil
 from warp_peri.materials.crystal import CrystalMaterial

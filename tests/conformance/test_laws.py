@@ -11,8 +11,8 @@ import torch
 import warp_peri as wp
 from tests.support import approx, filterwarnings, materials, near, parametrize, refused, sup
 from tests.support.fields import field, solved_samples, uneven
-from tests.support.materials import KINKED, LAWS, OPERATORS, OTHER, SPREAD, H, operator, placed
-from tests.support.problems import assert_balanced, noise, on_interior, rotation
+from tests.support.materials import KINKED, LAWS, OPERATORS, SPREAD, H, operator, placed
+from tests.support.problems import OTHER, assert_balanced, noise, on_interior, rotation
 from tests.support.sheets import SPACING
 from warp_peri import runtime, testing
 from warp_peri.core.record import Record

@@ -10,6 +10,7 @@ import warp_peri as wp
 from tests.support import filterwarnings, parametrize, warned
 from tests.support.fields import field
 from tests.support.materials import LAWS, OPERATORS, operator, placed
+from tests.support.problems import lattice
 from warp_peri.errors import heard, quietly, warn
 
 pytestmark = filterwarnings("ignore::UserWarning")
@@ -81,7 +82,7 @@ def test_warnings_belong_to_the_thread_that_has_them():
 
 
 def test_a_warning_names_the_line_that_called_the_library():
-    points = wp.Points(np.indices((5, 5)).reshape(2, -1).T * 1.0, np.arange(25) == 12, 1.0)
+    points = lattice(1, 1.0)
     with warned("allow_uncertified|certified") as told:
         wp.LPSMaterial(0.4, 0.4, 1.0, [1.0], horizon=2.0).on(points, allow_uncertified=True)
     assert told[0].filename == __file__

@@ -11,6 +11,7 @@ from tests.support import assert_refused, filterwarnings, parametrize
 from tests.support.fields import solved_samples
 from tests.support.materials import LAWS, placed
 from tests.support.plates import plate
+from tests.support.problems import OTHER
 from warp_peri.core import pointwise
 from warp_peri.materials import lps_force
 from warp_peri.materials.hyperelastic import operator as tissue
@@ -88,7 +89,7 @@ def test_a_material_shows_what_it_is():
             assert part in " ".join(text.split())
         assert table.startswith("<table>")
         assert table.count("<tr>") == len(text.splitlines()) - 1
-        other = repr(material.in_units(("nm", "GPa")))
+        other = repr(material.in_units(OTHER))
         assert "GPa" in other
         assert "TPa" not in other
     model = replace(LAWS["LPS"].material(), errors={"test": {"E_res": 0.021, "E_u": 0.0042}})

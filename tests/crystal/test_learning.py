@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 import warp_peri as wp
 from tests.crystal.crystals import CUBES, cubic_tensor, dispersive, huang_defect, lattice, learned
 from tests.support import approx, clouds, filterwarnings, in_plane_and_space, near, sup
-from tests.support.problems import kernel, loaded, noise, normal
+from tests.support.problems import OTHER, kernel, loaded, noise, normal
 from tests.support.problems import lattice as plane_lattice
 from tests.support.told import assert_refused, refused, warned
 from warp_peri.atoms.force_constants import NonAnalyticCorrection, Supercell, from_supercell
@@ -141,7 +141,7 @@ def test_a_crystal_held_under_stress_keeps_its_moduli_apart():
     assert huang_defect(law) < 1e-10
     k = 1e-4 * normal((4, 2), 2)
     assert_allclose(law.symbol(k), symbol(k), rtol=1e-5, atol=1e-14)
-    again = law.in_units(("nm", "GPa"))
+    again = law.in_units(OTHER)
     assert_allclose(again.stress, 1e3 * stress)
     assert again.elastic_tensor()[0, 0] == approx(170.0)
     turned = transfer_to_lattice(law, 1.5, rotation=90.0)

@@ -15,12 +15,12 @@ from tests.support.problems import fitted_order, kernel, normal, within
 from tests.support.told import assert_refused, refused
 from warp_peri import Dirichlet, LPSMaterial, Points, simulate, solve
 from warp_peri.diffusion import DiffusionMaterial, DiffusionOperator, ThermoelasticMaterial
+from warp_peri.points.arguments import USUAL
 from warp_peri.points.points import grid_places
 
 CELLS = np.array([6, 9, 13])
-UNITS = ("angstrom", "TPa")
 SOLID = LPSMaterial(1.5, 1.0, 1.0, np.ones(1), 0.75)
-square = lambda cells, reach: replace(diffusion.square(cells, reach), units=UNITS)
+square = lambda cells, reach: replace(diffusion.square(cells, reach), units=USUAL)
 """The example's square, in the units that points have by default."""
 
 

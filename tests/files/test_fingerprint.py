@@ -15,7 +15,7 @@ import torch
 from scipy.interpolate import PchipInterpolator
 
 import warp_peri as wp
-from tests.support.problems import kernel, lattice, manufactured, on_interior, within
+from tests.support.problems import OTHER, kernel, lattice, manufactured, on_interior, within
 from tests.support.told import refused
 from warp_peri.files.checkpoint import AllNodes, RunFile, fingerprint
 
@@ -30,7 +30,7 @@ def test_no_field_of_samples_is_forgotten():
     points, x, inside = base.points, base.x.copy(), base.interior.copy()
     x[0] += 1e-12
     inside[np.argmax(inside)] = False
-    of_points = {"spacing": 1.0 + 1e-15, "units": ("nm", "GPa"), "axis": 3.0, "x": x}
+    of_points = {"spacing": 1.0 + 1e-15, "units": OTHER, "axis": 3.0, "x": x}
     of_points |= {"interior": inside, "outside": np.zeros(len(x), bool)}
     changed = [{"points": replace(points, **{name: one})} for name, one in of_points.items()]
     for other in (*changed, {"u": base.u + 1e-15}, {"b": None}, {"arrays": {"snr": np.ones(2)}}):

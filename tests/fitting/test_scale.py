@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from tests.support import approx, each_refused, near, parametrize, refused, shared, sup, warned
-from tests.support.problems import kernel, lattice, manufactured, normal
+from tests.support.problems import OTHER, kernel, lattice, manufactured, normal
 from tests.support.solving import fit, solve
 from tests.support.symbols import waves
 from warp_peri import Bernstein
@@ -39,8 +39,7 @@ def plain(data):
 
 
 @parametrize(
-    ("length", "stress", "units"),
-    [(1.0, 1e11, None), (1e-10, 1.0, None), (0.1, 1000.0, ("nm", "GPa"))],
+    ("length", "stress", "units"), [(1.0, 1e11, None), (1e-10, 1.0, None), (0.1, 1000.0, OTHER)]
 )
 def test_stiffness_and_lengths_of_any_size_and_unit(data, plain, length, stress, units):
     there = at_scale(data, length, stress, units)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from tests.support import approx, of_json, refused, warned
-from tests.support.problems import kernel, lattice, manufactured
+from tests.support.problems import OTHER, kernel, lattice, manufactured
 from warp_peri import LPS, LPSMaterial
 from warp_peri.materials import sweep as trials
 from warp_peri.materials.sweep import Trial, choose
@@ -67,7 +67,7 @@ def test_usual_horizons_are_in_the_unit_of_the_data(sets, tmp_path, monkeypatch)
     horizons = []
     monkeypatch.setattr(trials, "_fit", lambda law, *_: horizons.append(law.horizon) or "none")
     monkeypatch.setattr(trials, "families_of", lambda *_: None)  # the body is too small
-    train, val = (in_units(one, ("nm", "GPa")) for one in sets)
+    train, val = (in_units(one, OTHER) for one in sets)
     with pytest.raises(RuntimeError), warned("none"):
         sweep(train, val, tmp_path, degrees=[0], jobs=1)
     assert horizons == [1.0, 1.25, 1.5, 1.75, 2.0, 2.25, 2.5]
@@ -99,13 +99,13 @@ def test_a_trial_is_not_believed_as_it_stands(sets, tmp_path, monkeypatch):
             found = sweep(*sets, tmp_path, **options).trials
             assert (found == first) == (wrong != 0.5)
     (train, val), options = sets, options | {"horizons": (2.0,)}
-    there = [replace(each, points=replace(each.points, units=("nm", "GPa"))) for each in sets]
+    there = [replace(each, points=replace(each.points, units=OTHER)) for each in sets]
     sweep(*there, tmp_path, **options)
     quiet = replace(val, u=1e-9 * val.u)
     for more in ({"noise": quiet}, {"test": quiet}, {"law": LPS(2.0, loss="residual")}):
         sweep(train, val, tmp_path, **more, **options)
     models = [LPSMaterial.load(path) for path in tmp_path.glob("*.model.json")]
-    assert [model.units for model in models].count(("nm", "GPa")) == 1
+    assert [model.units for model in models].count(OTHER) == 1
     assert len(models) == 6
 
 

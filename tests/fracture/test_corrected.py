@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.gradients.cases import assert_slopes, given, loss
 from tests.support import approx, in_plane_and_space, near, parametrize
 from tests.support.bodies import plate, random_breaking, solid
-from tests.support.problems import everywhere, noise, normal
+from tests.support.problems import everywhere, noise, normal, within
 from warp_peri import CG, Cracked, Points, simulate, solve
 from warp_peri.fracture import bonds, box_nodes, penny_corners, point_force, rectangle_nodes
 from warp_peri.fracture.bonds import bond_matrix, bonds_of, largest_stiffness
@@ -124,7 +124,7 @@ def test_a_force_on_an_edge_does_its_work_in_any_affine_displacement(d):
 
 def test_conjugate_gradients_find_what_factors_find():
     x = box_nodes((8, 8, 8), 1.0)
-    points = Points(x, np.abs(x).max(1) < 3, 1.0)
+    points = within(x, 3)
     model = solid(0.4, horizon=2.0, dimension=3).model
     u, b = (normal(x.shape, n) for n in (0, 1))
     problem = Cracked(points, b, u, cracks=[penny_corners(2.0)], corrected=True)

@@ -14,6 +14,7 @@ from warp_peri import Cracked, LPSMaterial, simulate
 from warp_peri.fracture import BondLaw, SofteningMaterial, adjoint, lattice_body
 from warp_peri.fracture.adjoint import SoftBody
 from warp_peri.fracture.statics import CutSolid
+from warp_peri.points.points import grid_places
 
 MODEL, LINE = LPSMaterial(1.0, 1.0, 1.0, [1.0], 10.05), [(-30.0, 0.0), (30.0, 0.0)]
 CRACK = [[(-10, 0), (10, 0)]]
@@ -21,8 +22,7 @@ CRACK = [[(-10, 0), (10, 0)]]
 
 def torn_problem():
     """The published plate, small, its ends moved by one; and nodes whose bonds do not break."""
-    lines = np.arange(-4, 5) * 5.0, (np.arange(-8, 8) + 0.5) * 5.0
-    x = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
+    x = 5.0 * (grid_places((9, 16)) - (4.0, 7.5))
     free = np.column_stack([x[:, 0] != 0, np.abs(x[:, 1]) < 36])
     start, given = x * (-1 / 120, 1 / 40), np.sign(x) * (0.0, 1.0)
     points = everywhere(x, 5.0)

@@ -7,7 +7,7 @@ from numpy.random import default_rng
 import warp_peri as wp
 from tests.support.fields import seeded, tensor, tensors
 from tests.support.materials import FLOWS, KINKED
-from tests.support.problems import difference, normal
+from tests.support.problems import normal, slope
 from warp_peri.certificates import critical_time_step
 from warp_peri.solvers.verlet import inertia
 
@@ -98,12 +98,12 @@ def errors(value, leaves, step, networks=(), least=0.0):
 
         def along(t, name=name, leaf=leaf, way=way):
             with torch.no_grad():
-                return float(value(leaves | {name: leaf + t[0] * way}))
+                return float(value(leaves | {name: leaf + t * way}))
 
-        slope = difference(along, [0.0], step[name], order=4)[0]
+        expected = slope(along, step[name], order=4)
         size = float(gradient.norm() * way.norm()) / way.numel() ** 0.5
         size = max(size, NOTHING * abs(float(total.detach())))
-        found[name] = abs(float((gradient * way).sum()) - slope) / size
+        found[name] = abs(float((gradient * way).sum()) - expected) / size
     return found
 
 

@@ -12,7 +12,7 @@ from scipy.ndimage import binary_dilation
 
 import warp_peri as wp
 from tests.support import approx, assert_refused, near, sup
-from tests.support.problems import fitted_order, on_interior
+from tests.support.problems import fitted_order, on_interior, slope
 from tests.support.sheets import SPACING, everything, hgo_dictionary, sheet_on, square, waves
 from warp_peri.hyperelastic import ThicknessField
 from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
@@ -62,21 +62,22 @@ def test_the_force_of_a_fibre_by_its_numbers_and_of_a_sheet_by_its_thickness(pro
     first = dictionary.first_term
     fibres = [number for number, term in enumerate(dictionary.terms) if term.is_fibre]
     every = op.features(u, [first + number for number in fibres])[..., len(dictionary) :]
+
+    def force(number, by, shift):
+        terms = [*dictionary.terms]
+        terms[number] = replace(terms[number], **{by: getattr(terms[number], by) + shift})
+        moved = replace(op.model, dictionary=dictionary.with_terms(terms))
+        return op.changed(moved, op.thickness).force(u)
+
     for by, leave, numbers in zip(("angle", "exponent"), (None, 0.0), np.split(every, 2, axis=-1)):
-        for number, slope in zip(fibres, np.moveaxis(numbers, -1, 0)):
-            if getattr(term := dictionary.terms[number], by) == leave:
-                continue
-            ends, terms = [], [*dictionary.terms]
-            for shift in (1e-5, -1e-5):
-                terms[number] = replace(term, **{by: getattr(term, by) + shift})
-                moved = replace(op.model, dictionary=dictionary.with_terms(terms))
-                ends.append(op.changed(moved, op.thickness).force(u))
-            near(slope, (ends[0] - ends[1]) / 2e-5, 1e-6)
+        for number, found in zip(fibres, np.moveaxis(numbers, -1, 0)):
+            if getattr(dictionary.terms[number], by) != leave:
+                near(found, slope(partial(force, number, by), 1e-5, order=2), 1e-6)
     slopes = 10 * v[0]
     thickness = np.ones(len(slopes)) if op.thickness is None else op.thickness
-    ends = [op.changed(op.model, thickness + s * 1e-2 * slopes[:, 1]).force(u) for s in (1, -1)]
-    found, scale = op.by_thickness(u, slopes)[..., 1], sup(op.force(u))
-    near(found, (ends[0] - ends[1]) / 2e-2, 1e-11 * scale, 1)
+    moved = lambda t: op.changed(op.model, thickness + t * slopes[:, 1]).force(u)
+    found, expected = op.by_thickness(u, slopes)[..., 1], slope(moved, 1e-2, order=2)
+    near(found, expected, 1e-11, sup(op.force(u)))
 
 
 def test_a_uniform_strain_is_seen_along_fibres_too_and_has_no_force():

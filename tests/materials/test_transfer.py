@@ -10,7 +10,7 @@ from numpy.linalg import norm
 import warp_peri as wp
 from tests.support import approx, assert_refused, parametrize, refused, shared, warned
 from tests.support.clouds import cloud
-from tests.support.problems import everywhere, kernel, lattice, manufactured, noise, rotation
+from tests.support.problems import OTHER, everywhere, kernel, lattice, manufactured, noise, rotation
 from tests.support.solving import solve
 from warp_peri import Points, Samples, evaluate
 from warp_peri.certificates import critical_time_step
@@ -65,7 +65,7 @@ def test_claims_hold_of_the_operator_on_points(finer, angle):
 def test_what_a_record_holds(finer):
     record = finer.provenance["transfer"]
     assert finer.transferred_from == record["from_spacing"] == 1.0
-    there = finer.in_units(("nm", "GPa")).in_units(("mm", "MPa"))
+    there = finer.in_units(OTHER).in_units(("mm", "MPa"))
     assert there.transferred_from == approx(1e-7)
     assert on_lattice(there, spacing=0.6e-7).transferred_from == there.certified_on[0]
     assert finer.certified_on == (0.6,)

@@ -22,6 +22,7 @@ from warp_peri.diffusion import DiffusionMaterial
 from warp_peri.fracture import BrittleMaterial, Cracked, rectangle_nodes
 from warp_peri.mpi import gather, lattice, linear, partition, together
 from warp_peri.mpi.processes import total, world
+from warp_peri.points.points import grid_places
 
 H = 0.5
 SHAPE = {2: (52, 52), 3: (17, 17, 17)}
@@ -75,7 +76,7 @@ def swings(dimension):
 
 def whole(dimension):
     """The problem of one process."""
-    x = H * np.argwhere(np.ones(SHAPE[dimension]))
+    x = H * grid_places(SHAPE[dimension])
     return wp.Dirichlet(wp.Points(x, inside(x), H), *fields(x))
 
 
@@ -136,7 +137,7 @@ def refusals(sheet, ball):
     """What is said of what no rank takes; none of it waits for torch."""
     full = lattice(SHAPE[2], H, lambda x: x[:, 0] >= 0)
     brittle = BrittleMaterial(solid(2), 2500.0, toughness=1.0)
-    everywhere, flat = H * np.argwhere(np.ones(SHAPE[2])), wp.Dirichlet(sheet, *fields(sheet.x))
+    everywhere, flat = H * grid_places(SHAPE[2]), wp.Dirichlet(sheet, *fields(sheet.x))
     mixed = np.zeros(len(sheet.x), (bool, int)[world().rank])
     altered = replace(sheet, spacing=2 * H) if world().rank else sheet
     hidden = np.ma.masked_array(0 * sheet.x, sheet.x > 0)

@@ -11,10 +11,10 @@ from numpy.linalg import norm
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.support import approx, assert_refused, each_refused, refused, warned
-from tests.support.problems import lattice, noise
+from tests.support.problems import OTHER, lattice, noise
 from warp_peri import Dataset, Points, Samples, evaluate, load, save
 from warp_peri.files.checkpoint import write_arrays
-from warp_peri.points.arguments import factors
+from warp_peri.points.arguments import USUAL, factors
 from warp_peri.points.dataset import load_dataset, save_dataset
 
 GRID = lattice(2, 1.0, spacing=2.5)
@@ -136,12 +136,12 @@ def test_what_is_no_data_set_is_refused_and_one_without_hash_or_units_is_taken(p
         put("u", data=LOADS.u, compression="gzip")(file)
     with warned("names no units: taken as Å and TPa"):
         back = load_dataset(path)
-    assert back.units == ("angstrom", "TPa")
+    assert back.units == USUAL
     assert_array_equal(back["train"].u, LOADS.u)
 
 
 def test_what_is_wrong_in_memory_is_refused_by_name():
-    nm = replace(LOADS, points=replace(GRID, units=("nm", "GPa")))
+    nm = replace(LOADS, points=replace(GRID, units=OTHER))
     each_refused(lambda good, change: replace(good, **change), {
         r"x: .*N > 0, got \[0, 2\]": (GRID, {"x": np.ones((0, 2))}),
         "interior: expected at least one": (GRID, {"interior": np.zeros(N, bool)}),
@@ -168,17 +168,17 @@ def test_the_one_set_or_that_of_the_usual_name_is_meant_where_none_is_named():
 
 
 def test_files_carry_their_units_and_an_argument_converts(tmp_path):
-    path, usual = tmp_path / "data.h5", ("angstrom", "TPa")
+    path = tmp_path / "data.h5"
     arrays = {"wave_vector": 3 * [[1, 1]], "pull": 3 * [[np.nan, 1]]}
-    for units, length, stress in ((("nm", "GPa"), 10.0, 1e-3), ("ase", 1.0, 0.1602176634)):
+    for units, length, stress in ((OTHER, 10.0, 1e-3), ("ase", 1.0, 0.1602176634)):
         points = replace(GRID, units=units)
         data = Dataset({"a": replace(LOADS, points=points, arrays=arrays)}, 3.35, 2267.0)
         assert data.of_sheet(thickness=6.7)["a"].arrays["pull"][0, 1] == 0.5
         save(path, data)
         assert_array_equal(load(path)["a"].x, LOADS.x)
-        found = load(path, units=usual)
+        found = load(path, units=USUAL)
         samples = found["a"]
-        assert (found.units, found.density) == (usual, 2267.0)
+        assert (found.units, found.density) == (USUAL, 2267.0)
         assert found.thickness == approx(3.35 * length)
         for field, factor in (("x", length), ("u", length), ("b", stress / length)):
             assert getattr(samples, field) == approx(getattr(LOADS, field) * factor)
@@ -193,7 +193,7 @@ def test_files_carry_their_units_and_an_argument_converts(tmp_path):
     save(path, replace(DATA, sets={"a": replace(LOADS, points=replace(GRID, units="reduced"))}))
     assert load(path).units == ("sigma", "epsilon/sigma^3")
     with refused("no factor leads from sigma and epsilon/sigma"):
-        load(path, units=usual)
+        load(path, units=USUAL)
 
 
 def test_bodies_have_a_collar_of_two_horizons():

@@ -13,7 +13,7 @@ from tests.crystal.crystals import learned
 from tests.crystal.test_crystal import body
 from tests.support import approx, filterwarnings, near, parametrize, shared, sup
 from tests.support.nonlinear import solid
-from tests.support.problems import kernel, lattice, manufactured, noise, on_interior, smooth
+from tests.support.problems import OTHER, kernel, lattice, manufactured, noise, on_interior, smooth
 from tests.support.told import assert_refused, refused, warned
 from warp_peri.cli.main import main
 from warp_peri.points.dataset import in_units
@@ -189,11 +189,10 @@ def test_a_family_is_one_file_in_any_units_and_has_a_command(family, tmp_path, c
     path = tmp_path / "family.json"
     wp.save(path, family)
     expected = wp.predict(family, given, 0.01)
-    units = ("nm", "GPa")
     samples = wp.Samples(points, u[None], given.b[None])
-    moved = in_units(samples, units)
+    moved = in_units(samples, OTHER)
     posed = wp.Dirichlet(moved, moved.b, moved.u)
-    (there,) = wp.predict(wp.load(path, units=units), posed, 0.01)
+    (there,) = wp.predict(wp.load(path, units=OTHER), posed, 0.01)
     near(there.error, expected.error, 1e-4)
     data = wp.Dataset({"set": samples}, 3.35, 2200.0)
     wp.save(tmp_path / "data.h5", data)

@@ -26,7 +26,6 @@ from warp_peri.points.families import bond_classes
 
 H = np.array([[0.02, 0.03], [-0.01, -0.015]])
 """A displacement gradient."""
-OTHER = ("nm", "GPa")
 CRACK = [[(-2.0, 0.1), (1.0, 0.1)]]
 third_order = lambda form: lambda: replace(solid(form), proven={"strain": 0.03}, provenance={})
 network = lambda: NeuralOperator(3.0, (6, 8), (10, 12), proportional=True).double()

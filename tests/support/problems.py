@@ -7,6 +7,7 @@ from numpy.random import default_rng
 
 from tests.support import sup
 from warp_peri import LPSMaterial, Points, Samples
+from warp_peri.points.points import grid_places
 
 ROUNDING = 1e-12
 """Two ways of computing the same number; relative to its size."""
@@ -14,6 +15,9 @@ ROUNDING = 1e-12
 LAM, MU = 0.3, 0.8
 AXIS = 0.3
 """Of the crystal on all lattices [rad]; linear solids know of none."""
+
+OTHER = ("nm", "GPa")
+"""Units that points and laws are not in by default."""
 
 KERNELS = {
     "1/r": {"alpha": 1.0, "D": [1.0]},
@@ -56,7 +60,7 @@ def lattice(interior, horizon, spacing=1.0, angle=0.0, origin=0.0):
     mask = np.ones((interior, interior), bool) if np.ndim(interior) == 0 else np.array(interior)
     pad = int(np.ceil(2 * horizon / spacing))
     mask = np.pad(mask, pad)
-    x, axis = spacing * (np.argwhere(np.ones_like(mask)) - pad), None
+    x, axis = spacing * (grid_places(mask.shape) - pad), None
     if mask.ndim == 2:
         x, axis = x @ rotation(angle).T, np.rad2deg(AXIS)
     return Points(x + origin, mask.ravel(), spacing, axis=axis)
@@ -117,6 +121,11 @@ def loaded(operator, u):
 def manufactured(model, points, samples, seed=0, wave_number=1.2, **options):
     """Samples in exact equilibrium with a model: any smooth u, and b = L u."""
     return loaded(model.on(points, **options), smooth(points.x, samples, seed, wave_number))
+
+
+def slope(function, step, order=8):
+    """Derivative of a function of a number, at zero."""
+    return difference(lambda t: function(t[0]), [0.0], step, order)[0]
 
 
 def difference(function, point, step, order=8):

@@ -5,6 +5,8 @@ from math import comb, gamma
 
 import numpy as np
 
+from warp_peri.points.points import grid_places
+
 
 def influence(r, horizon, alpha, D):
     """K(r), (4)."""
@@ -83,7 +85,7 @@ def smoothing(atoms, nodes, radius, shape, box=None, spacing=None):
         r = np.hypot(*(x - X).T)
         return np.maximum(0.0, radius - r if shape == "cone" else radius**2 - r**2)
 
-    images = np.zeros((1, 2)) if box is None else (np.argwhere(np.ones((9, 9))) - 4) * box
+    images = np.zeros((1, 2)) if box is None else (grid_places((9, 9)) - 4) * box
     omega = np.zeros((len(nodes), len(atoms)))
     for number, atom in enumerate(atoms):
         for X in atom + images:
@@ -93,7 +95,7 @@ def smoothing(atoms, nodes, radius, shape, box=None, spacing=None):
                 total = sum(tau(nodes, atom + image).sum() for image in images)
             else:
                 reach = int(radius / spacing) + 2
-                steps = np.argwhere(np.ones(2 * [2 * reach + 1])) - reach
+                steps = grid_places(2 * [2 * reach + 1]) - reach
                 near = nodes[0] + spacing * np.round((X - nodes[0]) / spacing)
                 total = tau(near + spacing * steps, X).sum()
             omega[:, number] += reached / total

@@ -14,7 +14,7 @@ from warp_peri.fitting.regression import Zone
 from warp_peri.materials.lps import stiffnesses
 from warp_peri.materials.lps_law import product_basis
 from warp_peri.points.families import bond_classes
-from warp_peri.points.points import nodes_of
+from warp_peri.points.points import grid_points, nodes_of
 
 smallest = lambda D, k: eigvalsh(D)[:, 0] / laplacian(k)
 """Λmin / s, shape [K]."""
@@ -22,8 +22,7 @@ smallest = lambda D, k: eigvalsh(D)[:, 0] / laplacian(k)
 
 def zone(count, d=2):
     """Wave vectors of a grid over the zone, [count^d, d]."""
-    line = np.linspace(-np.pi, np.pi, count)
-    return np.stack(np.meshgrid(*d * [line]), -1).reshape(-1, d)
+    return grid_points(np.linspace(-np.pi, np.pi, count), d)
 
 
 def form(classes, k, v, kappa):

@@ -9,7 +9,7 @@ from tests.crystal.crystals import cubic_tensor, dispersive
 from tests.support import approx, assert_refused, near, parametrize, sup, warned
 from tests.support.clouds import cloud
 from tests.support.nonlinear import FORMS, TENSOR, solid
-from tests.support.problems import lattice, loaded, smooth
+from tests.support.problems import OTHER, lattice, loaded, smooth
 from warp_peri import Crystal, ThirdOrder, fit
 from warp_peri.core.elastic import voigt
 from warp_peri.materials.crystal_fit import fit_dispersion
@@ -32,7 +32,7 @@ def test_on_other_spacings_and_in_other_units_it_keeps_what_is_the_materials():
     own = replace(law, linear=replace(law.linear, tensors=2 * law.linear.tensors))
     assert deepcopy(law).on(fine).model.lame == there.lame
     near(own.on(fine).model.lame, 2 * np.array(law.lame), 1e-6)
-    other = law.in_units(("nm", "GPa"))
+    other = law.in_units(OTHER)
     assert (other.proven_strain(0.1), other.proven_strain(0.2)) == (law.proven_strain(1.0), 0)
 
 
