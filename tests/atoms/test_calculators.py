@@ -61,8 +61,8 @@ def test_the_environment_names_no_potential(tmp_path, monkeypatch):
 
 
 def test_elements_of_a_typed_pair_coeff_are_its_types():
-    alloy = ase.Atoms("AlNi3", scaled_positions=[[0, 0, 0], [0, 0.5, 0.5], [0.5, 0, 0.5],
-                      [0.5, 0.5, 0]], cell=[3.57] * 3, pbc=True)  # fmt: skip
+    alloy = bulk("Ni", a=3.57, cubic=True)
+    alloy.symbols[0] = "Al"
     path = potential_file("NiAlH_jea.eam.alloy")
     energy = {}
     for elements in ("Ni Al", "H Ni Al"):

@@ -13,8 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.support import assert_refused, parametrize, refused, warned
 from tests.support.problems import lattice
 from warp_peri import Points
-from warp_peri.atoms import dumps
-from warp_peri.atoms.coarse_graining import coarse_grain, smoothing_matrix
+from warp_peri.atoms import coarse_grain, dumps, smoothing_matrix
 from warp_peri.atoms.dumps import ReferenceAtoms, coarse_grain_dumps, iter_dump, mean_displacement
 from warp_peri.points.points import grid_places
 

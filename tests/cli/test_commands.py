@@ -18,20 +18,18 @@ import warp_peri as wp
 from tests.atoms.test_dumps import frame
 from tests.conformance.test_breaking import SOLIDS
 from tests.crystal import crystals
-from tests.support import near, of_json, parametrize, shared, warned
+from tests.support import approx, each_refused, near, of_json, parametrize, shared, warned
 from tests.support.materials import LAWS, solved_samples
 from tests.support.nonlinear import solid
 from tests.support.problems import kernel, loaded, noise, normal, smooth
 from tests.support.solving import solve
 from tests.support.symbols import fluctuation, noisy, waves
-from tests.support.told import each_refused
-from warp_peri import Dataset, load
+from warp_peri import Dataset, LPSMaterial, load
 from warp_peri.cli.commands import writing
 from warp_peri.cli.main import COMMANDS, MADE, WRITTEN, hashes, main, parse, parser_of, results
 from warp_peri.cli.train import atom_forces
 from warp_peri.crystals import fit_dispersion
 from warp_peri.files.atomic import write_text
-from warp_peri.materials.lps import LPSMaterial
 from warp_peri.points.dataset import load_dataset, save_dataset
 from warp_peri.points.points import grid_places
 
@@ -73,7 +71,7 @@ def refused(capsys, *words):
 def test_a_fit_leaves_a_model_and_its_settings(fitted, data, tmp_path, capsys):
     model = LPSMaterial.load(fitted / "model.json")
     assert model.certified_on == (1.0,)
-    assert model.mu == pytest.approx(0.7, rel=0.02)
+    assert model.mu == approx(0.7, rel=0.02)
     metrics = of_json(fitted / "metrics.json")
     assert metrics["loss"].startswith("output (noise is")
     assert metrics["E_u"]["test"] < 0.01
@@ -82,7 +80,7 @@ def test_a_fit_leaves_a_model_and_its_settings(fitted, data, tmp_path, capsys):
     assert sorted(settings) == sorted([str(data), "--out", str(fitted), *FIT, "--noise", "noise"])
     words = ["fit", f"@{fitted}/fit.txt", "--out", tmp_path]
     again = answer(capsys, *words)
-    assert again["mu"] == pytest.approx(metrics["mu"], rel=1e-12)
+    assert again["mu"] == approx(metrics["mu"], rel=1e-12)
     assert main([*map(str, words)]) == 0  # the same once more, in words
     printed = capsys.readouterr()
     what, sheet, good, proof, further, line, *details = printed.out.splitlines()
@@ -394,7 +392,7 @@ def test_a_shape_is_fitted_by_name(data, tmp_path, capsys, monkeypatch):
     model = LPSMaterial.load(tmp_path / "model.json")
     width = printed["influence"]["parameters"]["width"]
     assert printed["influence"] == model.provenance["influence"]
-    assert model.influence(2.0) == pytest.approx(np.exp(-((2.0 / width) ** 2)), rel=1e-6)
+    assert model.influence(2.0) == approx(np.exp(-((2.0 / width) ** 2)), rel=1e-6)
 
 
 @parametrize("kind", ["lps", "tensors", "third-order"])
@@ -416,7 +414,7 @@ def test_every_law_is_fitted_at_the_shell(kind, tmp_path, capsys):
     if kind == "lps":
         assert "anisotropy: " in found["residual"]["why"]
     if kind == "tensors":
-        assert found["moduli"]["C22"] == pytest.approx(law.moduli()["C22"], rel=0.02)
+        assert found["moduli"]["C22"] == approx(law.moduli()["C22"], rel=0.02)
         assert found["E_u"]["val"] < 0.03
         assert kept.provenance["data"] == "crystal.h5"
 
@@ -447,7 +445,7 @@ def test_third_order_and_crystals_are_certified_on_their_lattices(tmp_path, caps
     model, file = solid("energy"), tmp_path / "m.json"
     model.save(file)
     proof = answer(capsys, "certify", file)["1 Å"]["nonlinear"]
-    assert proof["strain"] == pytest.approx(model.proven_strain(1.0))
+    assert proof["strain"] == approx(model.proven_strain(1.0))
     wp.save(file, law := LAWS["crystal"].material())
     assert main(["certify", str(file), "--spacing", str(3 * law.spacing)]) == 2
     assert f"spacing: the model is for {law.spacing:g}, got" in capsys.readouterr().err

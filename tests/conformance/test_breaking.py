@@ -13,6 +13,7 @@ import warp_peri as wp
 from examples.inclusion import Mixed
 from tests.support import in_plane_and_space, near, parametrize, refused, sup
 from tests.support.bodies import random_breaking
+from tests.support.clouds import larger, plain
 from tests.support.problems import OTHER, assert_balanced, everywhere, noise, rotation, slope
 from warp_peri import runtime
 from warp_peri.fracture import BondLaw, BrittleMaterial, Cracked, SofteningMaterial, box_nodes
@@ -24,7 +25,7 @@ CRACK = {
     2: [[(-1, 0.1), (1.2, 0.6)]],
     3: [[(-1, 0.2, -1), (-1, 0.2, 1), (1, 0.2, 1), (1, 0.2, -1)]],
 }
-linear = lambda d, lam: wp.LPSMaterial(lam, 0.8, 1.0, [1.0], horizon=2.0, dimension=d)
+linear = lambda d, lam: plain(2.0, lam, dimension=d)
 SOLIDS = {
     "brittle": lambda d: BrittleMaterial(linear(d, 0.3), 2.0, toughness=0.01),
     "brittle, by stretch": lambda d: BrittleMaterial(linear(d, 0.8), 2.0, critical_stretch=0.05),
@@ -94,7 +95,7 @@ def test_a_solve_finds_the_truth_around_a_crack_in_any_units(solid, tmp_path):
             wp.save(tmp_path / "m.json", solid)
         return
     length, stress = factors(solid.units, OTHER)
-    there = replace(points, x=length * points.x, spacing=length, units=OTHER)
+    there = larger(points, length, units=OTHER)
     load = Cracked(there, b * stress / length, length * u, length * crack)
     again = wp.solve(solid.in_units(OTHER), load)
     near(again.u, length * solution.u, 1e-9)

@@ -15,6 +15,7 @@ from numpy.testing import assert_allclose
 import warp_peri as wp
 from tests.support import assert_refused, filterwarnings, masked, parametrize, refused, warned
 from tests.support.bodies import solid
+from tests.support.clouds import plain
 from tests.support.materials import LAWS, operator, placed
 from tests.support.problems import OTHER, everywhere, kernel, lattice, noise, within
 from warp_peri.fracture import Cracked, box_nodes, rectangle_nodes
@@ -22,6 +23,7 @@ from warp_peri.methods import Coupling, LPSParameters
 from warp_peri.points.arguments import check_arguments, kinds_of
 from warp_peri.points.mesh import make_mesh
 from warp_peri.points.outlines import box, mesh_outline
+from warp_peri.points.points import grid_places
 
 pytestmark = filterwarnings("ignore:strain:UserWarning", "ignore:crack")
 moves = lambda name: name not in ("third order, filtered", "neural operator", "hyperelastic")
@@ -59,7 +61,7 @@ WRONG_OF_BREAKING = {
     "series": (3, ""),
 }
 PLATE = mesh_outline(box(12, 12), size=3)
-MODEL = wp.LPSMaterial(0.5, 1.0, 1.0, [1.0], horizon=3.0, certified_on=(1.0,))
+MODEL = kernel("1/r", 3.0, lam=0.5, mu=1.0)
 
 
 def kinds(good, place=None):
@@ -283,7 +285,7 @@ def test_vectors_of_a_body():
     assert_refused({
         "displacement: expected values by": lambda: wp.solve(MODEL, wp.Body(PLATE, None)),
         "model: nothing is proven of it on 1 Å":
-            lambda: wp.solve(wp.LPSMaterial(0.3, 0.8, 1.0, [1.0, -0.9, 0.3], horizon=3.0), plate()),
+            lambda: wp.solve(plain(3.0, D=[1.0, -0.9, 0.3]), plate()),
     })  # fmt: skip
 
 
@@ -310,11 +312,10 @@ def parameters(**change):
 def test_arguments_of_bodies_solids_and_tables():
     """What their kind, which is looked at below, does not tell."""
     hidden = masked([1.0, 99.0, 0.2], 1)
-    points, ones = wp.Points.disk(2.0, 1.0, 2.0), np.ones(16, bool)
-    sixteen = wp.Points(np.argwhere(ones.reshape(4, 4)).astype(float), ones, 1.0)
+    points, sixteen = wp.Points.disk(2.0, 1.0, 2.0), everywhere(1.0 * grid_places((4, 4)))
     sets = {"train": wp.Samples(sixteen, np.zeros((1, 16, 2)))}
     data = lambda rate: wp.Dataset(sets, 1.0, 1.0, provenance={"rate": rate})
-    op = wp.LPSMaterial(1.0, 1.0, 1.0, [1.0], 2.0, certified_on=(1.0,)).on(points)
+    op = kernel("1/r", 2.0, lam=1.0, mu=1.0).on(points)
     shape, flat = wp.influence.InfluenceFunction, lambda r, w=0: r
     K, crystal = shape(flat, {"w": 1.0}), LAWS["crystal"].material()
     own = partial(K.model, lam=0.3, mu=0.7, horizon=3.0)

@@ -17,6 +17,7 @@ from numpy.random import default_rng
 
 import warp_peri as wp
 from tests.support import approx, of_json, parametrize
+from tests.support.clouds import plain
 from tests.support.problems import OTHER, lattice
 from warp_peri.core.record import HOMES, FieldUnits, content_hash
 from warp_peri.core.stencil import Stencil
@@ -195,11 +196,10 @@ def test_what_is_proven_is_so_of_what_no_file_has_too():
 
 def test_a_model_is_certified_only_where_that_is_proven(tmp_path):
     path = tmp_path / "m.json"
-    bad, good = ([1.0, -0.9, 0.3], [1.0])
     for on, said in (((1.0,), {}), ((1.0,), {"1": {"symbol_bound": 0.0}}), ((1.5, 1.0), {})):
-        false = wp.LPSMaterial(0.3, 0.8, 1.0, bad, 3.0, certified_on=on, certificate=said)
+        false = plain(3.0, D=[1.0, -0.9, 0.3], certified_on=on, certificate=said)
         refused(path, false.content(), "certified_on: nothing is proven on 1")
-    content = wp.LPSMaterial(0.3, 0.8, 1.0, good, 3.0, certified_on=(1.0,)).content()
+    content = plain(3.0, certified_on=(1.0,)).content()
     assert read(path, content).certified_on == (1.0,)
 
 

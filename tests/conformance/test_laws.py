@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from torch.autograd import grad
 
 import warp_peri as wp
 from tests.support import approx, filterwarnings, materials, near, parametrize, refused, sup
@@ -168,7 +169,7 @@ def answers(op, u, v):
         numbers = {n: torch.tensor(one).double() for n, one in known.items()}
         leaves = [one.requires_grad_() for one in numbers.values()]
         force = op.force_with_parameters(torch.from_numpy(u), numbers)
-        found += torch.autograd.grad((force**2).sum(), leaves)
+        found += grad((force**2).sum(), leaves)
     return found
 
 

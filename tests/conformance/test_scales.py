@@ -6,10 +6,12 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
+from torch.autograd import grad
 
 import warp_peri as wp
 from tests.conformance.test_breaking import CRACK, SOLIDS, points_of
 from tests.support import filterwarnings, in_plane_and_space, near, parametrize, sup
+from tests.support.clouds import larger
 from tests.support.fields import field, solved_samples, uneven
 from tests.support.materials import LAWS, SPREAD, operator, placed, saint_venant
 from tests.support.plates import plate
@@ -53,10 +55,6 @@ def resized(material, scale):
     """The material with lengths and moduli a million times as large or small, and both factors."""
     have, want = zip(*scale)
     return named(named(material, have).in_units(want), USUAL), *factors(have, want)
-
-
-def larger(points, length):
-    return dataclasses.replace(points, x=length * points.x, spacing=length * points.spacing)
 
 
 @parametrize("name", SPREAD)
@@ -180,7 +178,7 @@ def test_a_coupled_solid_and_its_gradient(scale):
         rest, moved = wp.solve(model, problem), wp.simulate(model, problem, step=0.1, steps=2)
         for u in (rest.u / torch.tensor(by), moved.u / torch.tensor(by)):
             yield u.detach().numpy()
-            yield torch.autograd.grad(u.sum(), b)[0].numpy() * load
+            yield grad(u.sum(), b)[0].numpy() * load
 
     by, points = np.array([length, length, 1.0]), op.points
     twins = found(other, larger(points, length), by, stress / by)

@@ -5,9 +5,11 @@ from threading import Barrier
 
 import numpy as np
 import torch
+from torch.autograd import grad
 
 import warp_peri as wp
 from tests.support import filterwarnings, parametrize, warned
+from tests.support.clouds import plain
 from tests.support.fields import field
 from tests.support.materials import LAWS, OPERATORS, operator, placed
 from tests.support.problems import lattice
@@ -49,7 +51,7 @@ def test_a_force_and_its_derivatives(name):
         numbers = [torch.tensor(np.array(v, float)).requires_grad_() for v in learnable.values()]
         if numbers:
             force = op.force_with_parameters(at.detach()[None], dict(zip(learnable, numbers)))
-            found += [one.numpy() for one in torch.autograd.grad(force.square().sum(), numbers)]
+            found += [one.numpy() for one in grad(force.square().sum(), numbers)]
         return found
 
     assert_as_alone(work)
@@ -63,7 +65,7 @@ def test_a_solve_and_its_gradient(name):
         u = (1 + number) * 1e-4 * torch.tensor(points.x)
         u = (u + 1e-5 * torch.sin(u / 1e-4)).requires_grad_()
         solution = wp.solve(op, wp.Dirichlet(points, None, u))
-        (slope,) = torch.autograd.grad(solution.u.square().sum(), u)
+        (slope,) = grad(solution.u.square().sum(), u)
         return solution.u.detach().numpy(), slope.numpy()
 
     assert_as_alone(work)
@@ -84,5 +86,5 @@ def test_warnings_belong_to_the_thread_that_has_them():
 def test_a_warning_names_the_line_that_called_the_library():
     points = lattice(1, 1.0)
     with warned("allow_uncertified|certified") as told:
-        wp.LPSMaterial(0.4, 0.4, 1.0, [1.0], horizon=2.0).on(points, allow_uncertified=True)
+        plain(2.0, 0.4, 0.4).on(points, allow_uncertified=True)
     assert told[0].filename == __file__

@@ -1,15 +1,13 @@
 """Materials and operators as the contract's protocols: mypy holds them to it."""
 
-from warp_peri import LPS, protocols
+from warp_peri import LPS, Body, Dirichlet, LPSMaterial, Periodic, protocols
 from warp_peri.materials.hyperelastic.energies import Hyperelastic
 from warp_peri.materials.hyperelastic.operator import (
     HyperelasticMaterial,
     HyperelasticSheetOperator,
 )
-from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.materials.third_order import PlacedThirdOrder, ThirdOrder, ThirdOrderMaterial
-from warp_peri.problems import Body, Dirichlet, Periodic
 
 Law = LPS | ThirdOrder | Hyperelastic
 Solid = LPSMaterial | ThirdOrderMaterial | HyperelasticMaterial

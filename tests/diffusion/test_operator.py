@@ -10,16 +10,16 @@ from numpy.random import default_rng
 from examples import diffusion
 from examples.diffusion import coupled, jump, smooth
 from tests.support import approx, in_plane_and_space, near, parametrize, sup
-from tests.support.clouds import cloud
+from tests.support.clouds import cloud, plain
 from tests.support.problems import fitted_order, kernel, normal, within
 from tests.support.told import assert_refused, refused
-from warp_peri import Dirichlet, LPSMaterial, Points, simulate, solve
+from warp_peri import Dirichlet, Points, simulate, solve
 from warp_peri.diffusion import DiffusionMaterial, DiffusionOperator, ThermoelasticMaterial
 from warp_peri.points.arguments import USUAL
 from warp_peri.points.points import grid_places
 
 CELLS = np.array([6, 9, 13])
-SOLID = LPSMaterial(1.5, 1.0, 1.0, np.ones(1), 0.75)
+SOLID = plain(0.75, 1.5, 1.0)
 square = lambda cells, reach: replace(diffusion.square(cells, reach), units=USUAL)
 """The example's square, in the units that points have by default."""
 

@@ -30,8 +30,14 @@ def field():
     return lambda x: plate_with_hole(x, RADIUS, TENSION, moduli)
 
 
-def test_a_hole_has_the_exact_displacement_and_a_bare_model_is_proven(field):
-    mesh, held = plate(RADIUS, HALF, 16, 80), {"sides": lambda x: field(x)[0]}
+@shared
+def held(field):
+    """What moves the sides."""
+    return {"sides": lambda x: field(x)[0]}
+
+
+def test_a_hole_has_the_exact_displacement_and_a_bare_model_is_proven(field, held):
+    mesh = plate(RADIUS, HALF, 16, 80)
     solution = solve_body(MODEL, mesh, displacement=held)
     assert solution.spacing == solution.tried[-1].spacing == 1.0
     again = solve_body(replace(MODEL, certified_on=()), mesh, displacement=held)
@@ -44,12 +50,12 @@ def test_a_hole_has_the_exact_displacement_and_a_bare_model_is_proven(field):
 
 
 @filterwarnings("ignore:mesh. no triangle")
-def test_stress_along_a_hole_converges_with_the_mesh(field):
+def test_stress_along_a_hole_converges_with_the_mesh(field, held):
     """Its largest error at nodes of curved elements, over the tension."""
     counts, errors = np.array([10, 14, 20]), []
     coupling = Coupling(spacing=SPACING, overlap=9.0)
     for n in counts:
-        mesh, held = plate(RADIUS, HALF, n, 4 * n), {"sides": lambda x: field(x)[0]}
+        mesh = plate(RADIUS, HALF, n, 4 * n)
         solution = solve_body(MODEL, mesh, displacement=held, coupling=coupling)
         edge = solution.rim.nodes_of("hole")
         right = field(solution.rim.x[edge] * (1 + 1e-12))[1]
@@ -81,9 +87,9 @@ def test_bad_input_is_named():
     })  # fmt: skip
 
 
-def test_elements_reach_as_deep_as_asked(field):
+def test_elements_reach_as_deep_as_asked(field, held):
     """Beyond a collar, and no less than that where less is asked for."""
-    mesh, held, found = plate(RADIUS, HALF, 16, 80), {"sides": lambda x: field(x)[0]}, []
+    mesh, found = plate(RADIUS, HALF, 16, 80), []
     for depth in (None, 1.2):
         coupling = Coupling(spacing=SPACING, overlap=5.0, depth=depth and depth * 2 * MODEL.horizon)
         solution = solve_body(MODEL, mesh, displacement=held, coupling=coupling)
@@ -97,9 +103,9 @@ def test_elements_reach_as_deep_as_asked(field):
     ("half", "depth", "words"),
     [(14.0, None, "elements alone"), (HALF, 10 * HALF, "a smaller spacing, overlap or depth")],
 )
-def test_without_room_for_the_lattice_elements_are_alone(field, half, depth, words):
+def test_without_room_for_the_lattice_elements_are_alone(field, held, half, depth, words):
     trained = replace(MODEL, trained_strain=0.5 * TENSION)
-    mesh, held = plate(RADIUS, half, 16, 80), {"sides": lambda x: field(x)[0]}
+    mesh = plate(RADIUS, half, 16, 80)
     coupling = Coupling(spacing=SPACING, depth=depth)
     with warned(words), warned("strain: the sol"):
         solution = solve_body(trained, mesh, displacement=held, coupling=coupling)

@@ -206,7 +206,7 @@ def test_a_motion_from_rest_is_of_one_material_and_one_crack(tmp_path):
     """A body without displacement or load feels none of its moduli."""
     x = wp.fracture.rectangle_nodes(12.0, 12.0, 1.0)
     points = within(x, 2)
-    linear = wp.LPSMaterial(0.3, 0.4, 1.0, np.ones(1), horizon=2.0, certified_on=(1.0,))
+    linear = kernel("1/r", 2.0, mu=0.4)
     field = [linear.on(points, mu=0.4 + size * np.sin(x[:, 0]) ** 2) for size in (0.1, 0.2)]
     rest = wp.Dirichlet(points, None, 0 * x)
     cracks = [wp.Cracked(points, cracks=[[(-6.5, 0.0), (tip, 0.0)]]) for tip in (0.0, 3.0)]

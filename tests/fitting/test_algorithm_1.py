@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from torch.autograd import grad
 
 from tests.support import approx, filterwarnings, near, parametrize, refused
 from tests.support.problems import difference, ell, kernel, lattice, manufactured
@@ -69,11 +70,11 @@ def test_adam_follows_the_gradient_of_warps_operator(monkeypatch):
         state, leaf = problem.state(theta), torch.from_numpy(theta).requires_grad_()
         loss = in_torch(given.products, given.weights, law)(leaf)
         near(loss.item(), state.loss, 1e-10)
-        (slope,) = torch.autograd.grad(loss, leaf)
+        (slope,) = grad(loss, leaf)
         expected = 2 * state.residual @ state.J
         near(slope.numpy(), expected, 1e-9)
         margins = margins_of(problem, leaf)
-        slopes = [torch.autograd.grad(m, leaf, retain_graph=True)[0].numpy() for m in margins]
+        slopes = [grad(m, leaf, retain_graph=True)[0].numpy() for m in margins]
         near(slopes, state.M, 0)
 
 

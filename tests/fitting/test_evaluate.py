@@ -4,18 +4,16 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
-from numpy.linalg import norm
 from numpy.random import default_rng
 
 import warp_peri as wp
-from tests.support import approx, near, parametrize, reference, refused, shared
+from tests.support import approx, near, norms, parametrize, reference, refused, shared
 from tests.support.problems import kernel, lattice, manufactured, noise, periodic
 from tests.support.solving import solve
 from warp_peri import Samples, evaluate
 from warp_peri.core.stencil import Stencil
-from warp_peri.fitting.evaluate import BootstrapResult
 from warp_peri.materials.lps_fit import displacement_error
-from warp_peri.methods import bootstrap
+from warp_peri.methods import BootstrapResult, bootstrap
 
 HORIZON = 3.0
 MODEL = kernel("sign-changing", HORIZON)
@@ -37,7 +35,7 @@ def test_numbers_are_their_definitions(points):
     force = np.array([reference.operator(points.x, inside, MODEL, u) for u in points.u])
     off = (solve(MODEL, points, points.b, points.u) - points.u)[:, inside]
     u, b = points.u[:, inside], points.b[:, inside]
-    residual, load, wrong, size = (norm(f, axis=(1, 2)) for f in (force - b, b, off, u))
+    residual, load, wrong, size = norms(force - b, b, off, u)
     expected = {"E_res": residual / load, "E_res_abs": residual, "E_u": wrong / size}
     for key, values in expected.items():
         assert table[f"{key}_samples"] == approx(values, rel=1e-9), key
@@ -53,7 +51,7 @@ def test_a_fit_judges_stencils_by_the_same_error_on_bodies_and_on_periods(points
     b = noise(sheet, 3)
     b -= b.mean(axis=1, keepdims=True)
     solved, true = (one.on(sheet).solve_periodic(b).u for one in (MODEL, OTHER))
-    wrong, size = (norm(f, axis=(1, 2)) for f in (solved - true, true))
+    wrong, size = norms(solved - true, true)
     moved = Samples(sheet, true + 0.3, b)  # by a translation, which is nobody's answer
     found = displacement_error(MODEL.stencil(1.0), moved, least=6)
     near(found, (wrong / size).mean(), 1e-6)

@@ -7,7 +7,16 @@ import torch
 from numpy.linalg import eigvalsh
 from numpy.random import default_rng
 
-from tests.support import approx, assert_refused, each_refused, near, parametrize, problems, shared
+from tests.support import (
+    approx,
+    assert_refused,
+    each_refused,
+    near,
+    norms,
+    parametrize,
+    problems,
+    shared,
+)
 from tests.support.fields import double
 from tests.support.problems import difference, ell, kernel, lattice, manufactured, noise, normal
 from tests.support.solving import fit, solve
@@ -133,9 +142,8 @@ def test_the_corrected_form_has_the_minimum_of_the_difference():
 def misfit(model, points):
     """Mean of ‖û − u‖²/‖u‖² on the interior, by the library's own solver."""
     solved = solve(model, points, points.b, points.u, allow_uncertified=True)
-    inside = points.interior
-    wrong = ((solved - points.u)[:, inside] ** 2).sum((1, 2))
-    return float(np.mean(wrong / (points.u[:, inside] ** 2).sum((1, 2))))
+    wrong, size = norms(*(u[:, points.interior] for u in (solved - points.u, points.u)))
+    return np.mean((wrong / size) ** 2)
 
 
 def assert_tangent(response):

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 
 from tests.support import approx, each_refused, near, parametrize, refused, shared, sup, warned
+from tests.support.clouds import larger
 from tests.support.problems import OTHER, kernel, lattice, manufactured, normal
 from tests.support.solving import fit, solve
 from tests.support.symbols import waves
-from warp_peri import Bernstein
+from warp_peri import Bernstein, Samples
 from warp_peri.materials.lps_fit import RELATIVE_ZETA, stiffness_of
 from warp_peri.methods import StabilityConditions, TwoStage
-from warp_peri.points.points import Samples
 
 HORIZON = 2.5
 TRUE = kernel("positive", HORIZON, lam=0.1, mu=0.7)
@@ -24,8 +24,7 @@ def data():
 
 def at_scale(samples, length=1.0, stress=1.0, units=None):
     """The same body of another size, of a material that is so much stiffer."""
-    of = samples.points
-    points = replace(of, x=length * of.x, spacing=length * of.spacing, units=units or of.units)
+    points = larger(samples.points, length, units=units or samples.points.units)
     return replace(samples, points=points, u=length * samples.u, b=samples.b * (stress / length))
 
 

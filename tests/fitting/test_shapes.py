@@ -10,10 +10,8 @@ from tests.support import approx, each_refused, near, parametrize, refused
 from tests.support.problems import kernel, lattice, manufactured
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, off, solid
 from tests.support.solving import fit
-from warp_peri import evaluate
-from warp_peri.influence import InfluenceFunction
-from warp_peri.materials.influence import gaussian, named, table
-from warp_peri.materials.lps import LPSMaterial
+from warp_peri import LPSMaterial, evaluate
+from warp_peri.influence import InfluenceFunction, gaussian, named, table
 from warp_peri.methods import GaussNewton, TwoStage
 
 RECOVERED = 1e-4

@@ -9,10 +9,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.support import approx, clouds, near, parametrize, sup, warned
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import ROUNDING, lattice, normal, rotation
-from warp_peri.fracture import bonds
+from warp_peri.fracture import bonds, continuum_stretch
 from warp_peri.fracture.body import cracked, crossing_bonds, lattice_body
 from warp_peri.fracture.bonds import CutOperator, bond_matrix, bonds_of, largest_stiffness
-from warp_peri.fracture.materials import continuum_stretch
 from warp_peri.points.families import bond_classes
 from warp_peri.runtime import floats, zeros
 

@@ -5,18 +5,20 @@ from dataclasses import replace
 import numpy as np
 import torch
 from scipy.integrate import quad
+from torch.autograd import grad
 
 from tests.gradients.cases import assert_slopes
 from tests.support import approx, near, parametrize, refused, warned
+from tests.support.clouds import plain
 from tests.support.fields import double
 from tests.support.problems import everywhere, normal
-from warp_peri import Cracked, LPSMaterial, simulate
+from warp_peri import Cracked, simulate
 from warp_peri.fracture import BondLaw, SofteningMaterial, adjoint, lattice_body
 from warp_peri.fracture.adjoint import SoftBody
 from warp_peri.fracture.statics import CutSolid
 from warp_peri.points.points import grid_places
 
-MODEL, LINE = LPSMaterial(1.0, 1.0, 1.0, [1.0], 10.05), [(-30.0, 0.0), (30.0, 0.0)]
+MODEL, LINE = plain(10.05, 1.0, 1.0), [(-30.0, 0.0), (30.0, 0.0)]
 CRACK = [[(-10, 0), (10, 0)]]
 
 
@@ -106,4 +108,4 @@ def test_a_pull_has_the_gradient_of_differences(monkeypatch):
     leaf = start["stretch"].clone().requires_grad_()  # not felt by a body at rest
     how = {"loads": [1.0], "line": LINE, "parameters": {"stretch": leaf}}
     run = simulate(solid, replace(problem, u=0 * problem.u), **how)
-    assert not torch.autograd.grad(run["force"].sum(), leaf)[0]
+    assert not grad(run["force"].sum(), leaf)[0]

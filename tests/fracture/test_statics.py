@@ -9,10 +9,10 @@ from examples import pressurised_crack
 from examples.exact import westergaard
 from examples.inclusion import Mixed
 from examples.static_crack import edge_crack, static_crack
-from tests.support import approx, assert_refused, near, parametrize, refused, sup
+from tests.support import approx, assert_refused, clouds, near, parametrize, refused, sup
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import everywhere, fitted_order, kernel, within
-from warp_peri import Cracked, LPSMaterial, Points, Solution, fracture, simulate, solve
+from warp_peri import Cracked, Points, Solution, fracture, simulate, solve
 from warp_peri.fracture import Injected, box_nodes, j_integral, rectangle_nodes, tip_shift
 from warp_peri.fracture.body import cracked
 from warp_peri.fracture.statics import CutSolid, crack_load
@@ -60,7 +60,7 @@ def test_j_in_space_is_that_of_a_straight_front_along_any_axis(axes, torn):
     """Of plane strain, and of a crack whose faces slide along the front."""
     h, lam, mu, place = 1 / 8, 1.3, 1.0, list(axes)
     x = box_nodes((2.5, 2.5, 1.5), h)
-    model = LPSMaterial(lam=lam, mu=mu, alpha=1.0, D=np.ones(1), horizon=2 * h, dimension=3)
+    model = clouds.solid(2 * h, lam, mu)
     z = x[:, 0] + 1j * x[:, 1]
     u = np.zeros_like(x)
     if torn:
@@ -123,11 +123,11 @@ def test_a_dead_load_releases_what_its_work_leaves_over():
 
 
 def test_a_tip_acts_further_than_it_is_cut():
-    model = LPSMaterial(1.0, 1.0, 1.0, np.ones(1), 3.0, units=("sigma", "epsilon/sigma^3"))
+    model = clouds.plain(3.0, 1.0, 1.0, units=("sigma", "epsilon/sigma^3"))
     plain, shifted = (edge_crack(model, 10, 0.5, shift) for shift in (0.0, tip_shift(model, 1.0)))
     assert plain > 1.1
     assert abs(shifted - 1) < 0.6 * (plain - 1)  # softer edges are left
-    model = LPSMaterial(lam=1.0, mu=1.0, alpha=1.0, D=np.ones(1), horizon=2.0)
+    model = clouds.plain(2.0, 1.0, 1.0)
     smaller = tip_shift(model.in_units(("nm", "TPa")), 0.1)
     assert smaller == approx(0.1 * tip_shift(model, 1.0))
 

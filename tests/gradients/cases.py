@@ -3,6 +3,7 @@
 import numpy as np
 import torch
 from numpy.random import default_rng
+from torch.autograd import grad
 
 import warp_peri as wp
 from tests.support.fields import seeded, tensor, tensors
@@ -84,7 +85,7 @@ def errors(value, leaves, step, networks=(), least=0.0):
     asked = {name: leaf.detach().clone().requires_grad_() for name, leaf in leaves.items()}
     total = value(asked)
     of = [leaf for name, leaf in asked.items() if name != "networks"]
-    gradients = torch.autograd.grad(total, [*of, *networks])
+    gradients = grad(total, [*of, *networks])
     if networks:
         vector = torch.cat([one.ravel() for one in gradients[len(of) :]])
         gradients = (*gradients[: len(of)], vector)

@@ -3,12 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.linalg import norm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 import warp_peri as wp
-from tests.support import approx, near, refused, shared, sup, warned
+from tests.support import approx, near, norms, refused, shared, sup, warned
 from tests.support.problems import difference, normal
 from tests.support.sheets import NEAREST, dictionary_of, hgo_dictionary, sheet_on, square, waves
 from warp_peri.materials.hyperelastic import fibres
@@ -87,8 +86,7 @@ def test_a_frame_left_out_by_one_step_is_as_by_a_fit_of_its_own(frames, monkeypa
     assert fit.residual < 2e-3
     fit = wp.fit(seen, sheet(), most_steps=20, tolerance=3e-3)
     gaps = (fit.fields - seen.u)[:, seen.interior]
-    sizes = (norm(one, axis=(1, 2)) for one in (gaps, seen.u[:, seen.interior]))
-    assert_allclose(np.divide(*sizes), fit.errors, rtol=1e-6)
+    assert_allclose(np.divide(*norms(gaps, seen.u[:, seen.interior])), fit.errors, rtol=1e-6)
     full = wp.fit(seen[[0, 2]], sheet(), most_steps=20, tolerance=1e-9)
     moved = (full.material.coefficients - fit.material.coefficients)[-2:]
     step = (fit.others[1].material.coefficients - fit.material.coefficients)[-2:]
@@ -205,8 +203,7 @@ def test_least_squares_finds_the_truth_and_says_what_forces_leave():
     assert (fit.material.coefficients[:4] >= 0.12).all()
     assert (fit.material.coefficients >= 0).all()
     b = loads.b[:, loads.interior]
-    both = fit.material.on(loads.points)(loads.u) - b, b
-    left, size = (norm(force, axis=(1, 2)) for force in both)
+    left, size = norms(fit.material.on(loads.points)(loads.u) - b, b)
     assert fit.residual == approx(np.sqrt(np.mean((left / size) ** 2)))
     assert 0 < fit.residual < 0.2
 

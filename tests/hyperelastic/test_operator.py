@@ -14,14 +14,12 @@ import warp_peri as wp
 from tests.support import approx, assert_refused, near, sup
 from tests.support.problems import fitted_order, on_interior, slope
 from tests.support.sheets import SPACING, everything, hgo_dictionary, sheet_on, square, waves
-from warp_peri.hyperelastic import ThicknessField
-from warp_peri.materials.hyperelastic.energies import EnergyTerm, Hyperelastic
+from warp_peri.hyperelastic import EnergyTerm, Hyperelastic, HyperelasticMaterial, ThicknessField
 from warp_peri.materials.hyperelastic.model_selection import (
     febio_material,
     select_model,
     uniaxial_stress,
 )
-from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.points.points import Points, grid_places
 from warp_peri.testing import check_energy, check_product
 

@@ -7,6 +7,7 @@ import pytest
 import torch
 import warp as wp
 from numpy.random import default_rng
+from torch.autograd import grad
 
 from tests.gradients.cases import assert_slopes
 from tests.support import approx, clouds, near, parametrize, problems, reference, sup
@@ -70,7 +71,7 @@ class Problem:
         given = {part: leaf.clone().requires_grad_() for part, leaf in self.leaves.items()}
         with torch.no_grad():
             force = lps_force(self.bonds, *given.values())
-        gradients = torch.autograd.grad(self.scalar(given), [*given.values()])
+        gradients = grad(self.scalar(given), [*given.values()])
         return {p: by.numpy() for p, by in zip(given, gradients)} | {"force": force.numpy()}
 
 
@@ -167,7 +168,7 @@ def test_on_a_tape_of_the_user():
     leaves = [torch.tensor(one.numpy(), requires_grad=True) for one in (field, *numbers)]
     Lu = lps_force(operator.bonds, *leaves)
     near(out.numpy(), Lu.detach().numpy(), 0)
-    expected = torch.autograd.grad(Lu, leaves, torch.from_numpy(seed))
+    expected = grad(Lu, leaves, torch.from_numpy(seed))
     for array, by in zip([field, *numbers], expected):
         assert error(array.grad.numpy(), by.numpy()) <= 1e-14
     operator.launch(field, out)  # no tape: the force alone, of the model's own numbers

@@ -7,26 +7,26 @@ import scipy.linalg
 from numpy.testing import assert_allclose
 
 from tests.support import approx, assert_refused, clouds, near, parametrize, refused, sup, warned
-from tests.support.clouds import cloud, periodic_cloud, plain
-from tests.support.problems import ROUNDING, fitted_order, kernel, lattice, noise, normal, periodic
+from tests.support.clouds import cloud, larger, periodic_cloud, plain
+from tests.support.problems import ROUNDING, fitted_order, kernel, lattice, noise
+from tests.support.problems import normal as normal
+from tests.support.problems import periodic as periodic
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, solid
-from warp_peri import LPSMaterial, certify
-from warp_peri.influence import InfluenceFunction
-from warp_peri.materials.influence import gaussian, table
+from warp_peri import certify
+from warp_peri.influence import InfluenceFunction, gaussian, table
 from warp_peri.materials.lps import bernstein_basis
 from warp_peri.materials.lps_law import ShapeKernel
 from warp_peri.materials.lps_operator import node_fields
 from warp_peri.points.families import bond_classes
 
-KNOWN = {"lam": 0.3, "mu": 0.8, "alpha": 1.0, "D": [1.0], "horizon": 3.0}
 made = lambda function, **parameters: lambda: InfluenceFunction(function, parameters)(LENGTHS)
 bounded = lambda bounds: lambda: InfluenceFunction(gaussian, {"width": 2.0}, bounds)
-numbers = lambda **change: lambda: LPSMaterial(**KNOWN | change)
+numbers = lambda **change: lambda: plain(HORIZON, **change)
 tabled = lambda *r: lambda: table(r, [1.0, 0.5]).coefficients(LENGTHS, HORIZON)
 
 
 def test_continuum_constants_are_those_of_plane_stress_and_of_space():
-    model, deep = LPSMaterial(0.4, 0.8, 1.0, [1.0], 3.0), clouds.solid(2.5)
+    model, deep = plain(3.0, 0.4), clouds.solid(2.5)
     assert model.E / (2 * (1 + model.nu)) == approx(0.8)  # μ
     assert model.E * model.nu / (1 - model.nu**2) == approx(0.4)  # λ in the plane
     bulk = deep.lam + 2 * deep.mu / 3
@@ -38,15 +38,14 @@ def test_a_spacing_is_the_certified_one_to_a_millionth():
     """Of a plain kernel at the bond lengths of the lattice that swings by a million beside them."""
     unseen = scipy.linalg.null_space(bernstein_basis(bond_classes(5.0, 12.5).r, 12.5, 10))
     D, here = np.ones(11) + 1e6 * unseen.sum(1), lattice(6, 12.5, 5.0)
-    wild, u = LPSMaterial(0.3, 0.8, 1.0, D, 12.5, certified_on=(5.0,)), noise(here)
-    off = lambda factor: replace(here, x=factor * here.x, spacing=factor * here.spacing)
+    wild, u = plain(12.5, D=D, certified_on=(5.0,)), noise(here)
     little = 1 - 0.99e-6
     assert certify(wild, spacing=little * 5) == certify(wild, spacing=5.0)
     expected = wild.on(here)(u)
-    near(wild.on(off(little))(u), expected, ROUNDING)
+    near(wild.on(larger(here, little))(u), expected, ROUNDING)
     for factor in (0.5, 1 + 1.001e-6):
         with refused("the model is certified on"):
-            wild.on(off(factor), transfer=False)
+            wild.on(larger(here, factor), transfer=False)
         with refused("the model is certified on"):
             replace(wild, certified_on=(1e-9,)).check_spacing(1e-9 * factor)
         with warned("the model is certified on 5 Å, not on"):

@@ -8,15 +8,17 @@ import pytest
 from numpy.linalg import norm
 
 import warp_peri as wp
-from tests.support import approx, assert_refused, parametrize, refused, shared, warned
+from tests.support import approx, assert_refused, each_refused, parametrize
+from tests.support import refused as refused
+from tests.support import shared as shared
+from tests.support import warned as warned
 from tests.support.clouds import cloud
 from tests.support.problems import OTHER, everywhere, kernel, lattice, manufactured, noise, rotation
 from tests.support.solving import solve
-from warp_peri import Points, Samples, evaluate
+from warp_peri import LPSMaterial, Points, Samples, evaluate
 from warp_peri.certificates import critical_time_step
 from warp_peri.core import record
 from warp_peri.materials import transfer
-from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_law import product_basis, products
 from warp_peri.materials.transfer import TOLERANCE, wave_loss, wave_vectors
 from warp_peri.methods import Smoothing
@@ -184,7 +186,7 @@ def test_nodes_around_a_free_edge_are_told_of_it(spacing):
     inside = (np.abs(x - x.mean(0)) < 5.5 * spacing).all(1)
     holed = Points(x=x, interior=inside, spacing=spacing)
     with refused(r"edges.* Body"):
-        solve(HOME, holed, np.zeros((len(x), 2)), np.zeros((len(x), 2)))
+        solve(HOME, holed, 0 * x, 0 * x)
 
 
 def test_scattered_points_are_refused_with_both_ways_on():
@@ -234,7 +236,6 @@ def test_fields_carried_to_a_lattice():
 
 def test_what_cannot_be_interpolated():
     few, line = CLOUD.x[:30], np.c_[np.arange(99.0), np.zeros(99)]
-    for x, words in ((few, "at least 80 nodes to inter.*, got 30"), (line, "on a line or a conic")):
-        points = everywhere(x, 0.0)
-        with refused(words):
-            onto_lattice(Samples(points, np.zeros((1, *x.shape))), spacing=1.0)
+    each_refused(lambda x: onto_lattice(Samples(everywhere(x, 0.0), 0 * x[None]), spacing=1.0), {
+        "at least 80 nodes to inter.*, got 30": few, "on a line or a conic": line,
+    })  # fmt: skip

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import warp_peri as wp
+from tests.support.clouds import plain
 from warp_peri.core import proof
 from warp_peri.diffusion import DiffusionMaterial
 from warp_peri.fracture import BrittleMaterial, Cracked, rectangle_nodes
@@ -48,9 +49,8 @@ def uneven():
 @cache
 def solid(dimension):
     """A positive kernel, λ ≠ μ."""
-    model = wp.LPSMaterial(0.9, 0.4, 1.0, [1.0, 0.6, 0.3], horizon=2 * H, certified_on=(H,),
-                           dimension=dimension)  # fmt: skip
-    return model if dimension == 3 else replace(model, horizon=2.5 * H)
+    law = {"D": [1.0, 0.6, 0.3], "certified_on": (H,), "dimension": dimension}
+    return plain({2: 2.5, 3: 2.0}[dimension] * H, 0.9, 0.4, **law)
 
 
 def inside(x):
@@ -192,7 +192,7 @@ def notched(horizon, lam, corrected=False):
     """A notched plate that is pulled at its ends, and its glass."""
     x = rectangle_nodes(40.0, 20.0, 1.0)
     points = partition(wp.Points(x, np.ones(len(x), bool), 1.0, units=("mm", "GPa")))
-    model = wp.LPSMaterial(lam, 0.4, 1.0, [1.0], horizon=horizon, units=("mm", "GPa"))
+    model = plain(horizon, lam, 0.4, units=("mm", "GPa"))
     ends = np.abs(points.x[:, 1:]) > 9
     pull = np.where(ends, np.sign(points.x) * (0.0, 0.01), 0.0)
     cracks = [[(-20.5, 0.0), (-5.0, 0.0)]]

@@ -21,10 +21,8 @@ from tests.support.problems import ell, everywhere, lattice, loaded, noise, norm
 from warp_peri.core.record import content_hash
 from warp_peri.files.atomic import locked
 from warp_peri.files.checkpoint import ArrayFile, read_arrays
-from warp_peri.neural import training
-from warp_peri.neural.material import NeuralOperator
+from warp_peri.neural import NeuralOperator, TrainingSettings, train, training
 from warp_peri.neural.placed import EquilibriumSolver, evaluate, interpolated_force
-from warp_peri.neural.training import TrainingSettings, train
 from warp_peri.points.arguments import USUAL
 from warp_peri.points.dataset import in_units
 from warp_peri.points.points import Samples, grid_places

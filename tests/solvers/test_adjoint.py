@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 import torch
+from torch.autograd import grad
 
 from tests.gradients.cases import assert_slopes, given, loss
 from tests.support import assert_refused, each_refused, filterwarnings, near, refused
@@ -83,7 +84,7 @@ def test_what_has_no_gradient_says_so():
     def moved(of=op, u=u, **extra):
         return simulate(of, Dirichlet(of.points, None, u), **options | extra)
 
-    (first,) = torch.autograd.grad(moved().u.square().sum(), u, create_graph=True)
+    (first,) = grad(moved().u.square().sum(), u, create_graph=True)
     with refused("second derivative"):
         first.sum().backward()
     each_refused(lambda extra: moved(**extra), {

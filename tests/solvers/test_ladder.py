@@ -7,6 +7,7 @@ import torch
 from numpy.linalg import norm
 
 from tests.support import approx, each_refused, filterwarnings, near, parametrize, refused, sup
+from tests.support.clouds import plain
 from tests.support.problems import kernel, lattice, manufactured, noise, normal, on_interior
 from tests.support.solving import solve
 from tools.benchmark import MODEL_FILE as TABLE
@@ -99,7 +100,7 @@ def test_near_incompressibility_takes_few_iterations():
 
 @filterwarnings("ignore:spacing")
 def test_an_indefinite_operator_is_named_by_every_method():
-    model = LPSMaterial(0.3, 0.8, 1.0, [1.0, -0.9, 0.3], HORIZON, certified_on=(1.0,))
+    model = plain(HORIZON, D=[1.0, -0.9, 0.3], certified_on=(1.0,))
     points = lattice(8, HORIZON)
     with refused("certified on 1 Å, not on 1 Å"):  # as it says of itself
         model.on(points, transfer=False)

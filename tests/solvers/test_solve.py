@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 
 from tests.crystal.crystals import learned
 from tests.support import approx, each_refused, filterwarnings, parametrize, refused, sup
+from tests.support.clouds import plain
 from tests.support.problems import ell, kernel, lattice, manufactured, noise, on_interior, periodic
 from tests.support.solving import solve
 from warp_peri import Dirichlet, LPSMaterial, Periodic, Points, evaluate
@@ -17,7 +18,7 @@ from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.solvers.linear import DIRECT
 
 HORIZON = 3.0  # at which all of them are
-passing = lambda a: LPSMaterial(0.3, 0.8, 1.0, [1.0, a, 0.3], HORIZON, certified_on=(1.0,))
+passing = lambda a: plain(HORIZON, D=[1.0, a, 0.3], certified_on=(1.0,))
 """A kernel that passes through singular ones as a grows, taken as certified."""
 
 
@@ -80,7 +81,7 @@ def test_a_constant_load_moves_nothing_on_a_period_that_a_sheet_must_fill():
     ("stiff", "loads", "method"), [(True, 40, "lu"), (True, 1, "strip"), (False, 40, "multigrid")]
 )
 def test_more_nodes_are_factorised_where_each_of_many_loads_takes_long(stiff, loads, method):
-    solid = LPSMaterial(100.0 if stiff else 1.0, 1.0, 1.0, np.ones(1), 2.0)
+    solid = plain(2.0, 100.0 if stiff else 1.0, 1.0)
     points = Points.disk(np.sqrt(2 * DIRECT / np.pi), 1.0, 4.0)
     assert DIRECT < points.interior.sum() < 4 * DIRECT
     assert LPSOperator(solid, points).linear.method(loads=loads) == method

@@ -23,6 +23,8 @@ shared = pytest.fixture(scope="module")
 """Makes a fixture once for all tests of a file."""
 sup = lambda values: np.abs(values).max()
 """The largest size of an entry."""
+norms = lambda *fields: [np.linalg.norm(one, axis=(1, 2)) for one in fields]
+"""The sizes of the samples of each."""
 of_json = lambda path: json.loads(path.read_text("utf-8"))
 """What a file of JSON holds."""
 

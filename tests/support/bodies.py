@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from warp_peri import LPSMaterial
+from tests.support.clouds import plain
 from warp_peri.fracture.body import box_nodes, lattice_body
 from warp_peri.fracture.dynamics import BreakingBody
 from warp_peri.fracture.materials import BrittleMaterial
@@ -11,7 +11,7 @@ from warp_peri.solvers.verlet import inertia
 
 def solid(lam=1.0, mu=1.0, horizon=3.0, density=1.0, dimension=2, **criterion):
     """K = 1/r and one criterion, a stretch by default."""
-    model = LPSMaterial(lam=lam, mu=mu, alpha=1.0, D=[1.0], horizon=horizon, dimension=dimension)
+    model = plain(horizon, lam, mu, dimension=dimension)
     density = density / inertia(1.0, model.units)  # density: in units of TPa ps²/Å²
     return BrittleMaterial(model, density, **(criterion or {"critical_stretch": 0.01}))
 

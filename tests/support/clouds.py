@@ -1,5 +1,6 @@
 """Scattered points, nodes in space, and displacement of local elasticity with its load."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -25,6 +26,11 @@ def shaken(points, size, seed):
     """The nodes, each at random up to a size away along each axis."""
     shift = default_rng(seed).uniform(-size, size, points.x.shape)
     return Points(points.x + shift, points.interior, 0.0, box=points.box)
+
+
+def larger(points, length, **told):
+    """The same nodes in a body of another size."""
+    return replace(points, x=length * points.x, spacing=length * points.spacing, **told)
 
 
 def cube(number, horizon, spacing=1.0, centred=False):

@@ -182,7 +182,7 @@ def conductor():
 
 
 def coupled():
-    model = wp.LPSMaterial(1.0, 0.8, 1.0, [1.0, 0.6], horizon=3.0)
+    model = clouds.plain(3.0, 1.0, D=[1.0, 0.6])
     conductor = wp.diffusion.DiffusionMaterial(3.0, 1.0, D=np.array([1.0, 0.4]))
     law = wp.diffusion.ThermoelasticMaterial(model, conductor, 0.4, 1.0)
     return law.on(lattice(4, 3.0))
@@ -190,7 +190,7 @@ def coupled():
 
 def cut():
     """A cracked body, one node of which is held along one axis."""
-    points, model = lattice(4, 3.0), wp.LPSMaterial(0.9, 0.4, 1.0, [1.0, 0.6, 0.3], horizon=3.0)
+    points, model = lattice(4, 3.0), clouds.plain(3.0, 0.9, 0.4, D=[1.0, 0.6, 0.3])
     held = np.repeat(~points.interior[:, None], 2, axis=1)
     held[np.flatnonzero(points.interior)[3], 0] = True
     return CutSolid(model, lattice_body(points.x, 1.0, 3.0), held, cracks=CRACK)

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from warp_peri import LPSMaterial
+from tests.support.clouds import plain
 from warp_peri.points.mesh import make_mesh
 
-MODEL = LPSMaterial(0.3, 0.8, 1.0, [0.4, 0.6, -0.3, 0.6, -0.2], horizon=3.0, certified_on=(1.0,))
+MODEL = plain(3.0, D=[0.4, 0.6, -0.3, 0.6, -0.2], certified_on=(1.0,))
 """Of a kernel that changes sign, three spacings wide, and proven there."""
 
 
