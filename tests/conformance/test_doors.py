@@ -13,11 +13,12 @@ from numpy.linalg import norm
 from numpy.testing import assert_allclose
 
 import warp_peri as wp
-from tests.support import assert_refused, filterwarnings, masked, parametrize, refused, warned
+from tests.support import filterwarnings, masked, parametrize
 from tests.support.bodies import solid
 from tests.support.clouds import plain
 from tests.support.materials import LAWS, operator, placed
 from tests.support.problems import OTHER, everywhere, kernel, lattice, noise, within
+from tests.support.told import assert_refused, each_refused, refused, warned
 from warp_peri.fracture import Cracked, box_nodes, rectangle_nodes
 from warp_peri.methods import Coupling, LPSParameters
 from warp_peri.points.arguments import check_arguments, kinds_of
@@ -97,7 +98,7 @@ def refuses(call, good, name, place=None, *, but=()):
 @parametrize("name", LAWS)
 def test_fields_of_a_solve_a_motion_and_an_operator(name):
     op, points = placed(name, 1)
-    zero, x = np.zeros(points.x.shape), points.x
+    zero, x = 0 * points.x, points.x
     given = {"b": zero, "u": zero, "v": zero, "signal": np.ones(2)}
 
     def run(verb, which, value):
@@ -134,7 +135,7 @@ def test_fields_of_a_solve_a_motion_and_an_operator(name):
 def test_loads_of_a_period(name):
     points, material = LAWS[name].sheet(), LAWS[name].material()
     if hasattr(material.on(points), "solve_periodic"):
-        zero, shapes = np.zeros(points.x.shape), ("short", "flat", "deep")
+        zero, shapes = 0 * points.x, ("short", "flat", "deep")
         with refused("nodes on a collar"):
             wp.solve(material, wp.Dirichlet(points, zero, zero))
         refuses(lambda b: wp.solve(material, wp.Periodic(points, b)), zero, "b", but=shapes)
@@ -176,7 +177,7 @@ def test_no_crack_is_solved_by_a_part_of_a_material(name):
 def test_a_body_with_cracks(kind):
     material, inner, options = MOTIONS[kind]
     points, u, cracks = cracked(inner)
-    zero, count = np.zeros(u.shape), len(u)
+    zero, count = 0 * u, len(u)
 
     def run(which, value):
         have = {"u": u, "cracks": cracks, which: value}
@@ -363,7 +364,7 @@ def test_arguments_of_bodies_solids_and_tables():
         "^path: expected": lambda: wp.load("a\0b"),
         "^count: expected": lambda: wp.runtime.set_num_threads(10**400),
         "^force: expected": lambda: wp.fracture.point_force(np.eye(2), 1.0, (0, 0), hidden[:2]),
-        "^w: expected": lambda: op.vjp(np.zeros(points.x.shape), np.zeros(points.x.shape)),
+        "^w: expected": lambda: op.vjp(0 * points.x, 0 * points.x),
         "^provenance: expected": (lambda: data(np.nan), lambda: data(object())),
     })  # fmt: skip
     many, none = torch.full((225,), 0.5), (1j, masked([0.5]), np.nan, "0.5", None, True)
@@ -383,13 +384,11 @@ def watched(name, watch):
 def test_what_watches_damage_is_named_once_gives_numbers_and_changes_nothing():
     sizes, run = iter((1, 2)), watched("b", lambda phi: phi.sum())
     assert run["b"].shape == (2,)
-    for name, watch, words in (
-        ("work", np.sum, "watch: expected functions, none named time, work"),
-        ("b", lambda phi: 1j, "watch b: expected float values"),
-        ("b", lambda phi: np.zeros(next(sizes)), r"watch b: expected shape \[1\], got \[2\]"),
-    ):
-        with refused(words):
-            watched(name, watch)
+    each_refused(watched, {
+        "watch: expected functions, none named time, work": ("work", np.sum),
+        "watch b: expected float values": ("b", lambda phi: 1j),
+        r"watch b: expected shape \[1\], got \[2\]": ("b", lambda phi: np.zeros(next(sizes))),
+    })  # fmt: skip
     assert not watched("b", lambda phi: phi.fill(1) or phi.sum()).details.damage.any()
 
 

@@ -167,7 +167,7 @@ def test_a_solve_changes_nothing_and_copies_are_made_anew(name):
     op = operator(name)
     before = op(u := field(op))
     closed = op.points.interior.all()
-    given = (np.zeros(op.shape), 0.01 * u)
+    given = 0 * u, 0.01 * u
     wp.solve(op, wp.Periodic(op.points, before) if closed else wp.Dirichlet(op.points, *given))
     assert np.array_equal(op(u), before)
     for other in (copy.copy(op), copy.deepcopy(op), pickle.loads(pickle.dumps(op))):
@@ -284,12 +284,14 @@ def test_what_would_lose_a_gradient_says_so():
     cut, solid = wp.Cracked(points, u=leaf, cracks=CRACK), kernel("1/r", 3.0)
     waves, steps = {"density": 2000.0, "step": 1e-6, "steps": 2}, {"step": 1.0, "steps": 2}
     hidden = masked(u.numpy())
+    rest = lambda u, **how: wp.solve(op, on(u), **how).u
+    of_mu = lambda mu: rest(u, parameters={"mu": mu})
+    moved = lambda u: wp.simulate(op, on(u), **waves).u
     slope, plain = (lambda f, x: torch.func.grad(lambda x: f(x).sum())(x)), r"torch\.func: expected"
     assert_refused({
         plain: (
             lambda: slope(module, u), lambda: slope(network, tensor(network)),
-            lambda: slope(lambda u: wp.simulate(op, on(u), **waves).u, u),
-            lambda: slope(lambda mu: wp.solve(op, on(u), parameters={"mu": mu}).u, number),
+            lambda: slope(moved, u), lambda: slope(of_mu, number),
             lambda: slope(
                 lambda mu: wp.simulate(op, on(u), parameters={"mu": mu}, **waves).u, number
             ),
@@ -300,9 +302,8 @@ def test_what_would_lose_a_gradient_says_so():
             lambda: torch.func.vmap(network)(tensor(network, 3)),
         ),
         "tangents of forward mode": (
-            lambda: along(op, u), lambda: along(lambda u: wp.solve(op, on(u)).u, u),
-            lambda: along(lambda u: wp.simulate(op, on(u), **waves).u, u),
-            lambda: along(lambda mu: wp.solve(op, on(u), parameters={"mu": mu}).u, number),
+            lambda: along(op, u), lambda: along(rest, u), lambda: along(moved, u),
+            lambda: along(of_mu, number),
         ),
         "gradient": (
             lambda: wp.Samples(points, leaf),

@@ -98,7 +98,7 @@ def test_very_small_loads_are_answered_in_proportion_and_unanswerable_ones_refus
     )
     for one in found:
         near(one, first, 1e-6)
-    load = wp.Dirichlet(points, 1e170 * waves(points, 1.0), np.zeros_like(points.x))
+    load = wp.Dirichlet(points, 1e170 * waves(points, 1.0), 0 * points.x)
     with np.errstate(all="ignore"), pytest.raises(wp.InputError):
         wp.solve(LAWS[name].material(), load)
 

@@ -50,10 +50,10 @@ def learned(d, orientation=None):
     return fit_dispersion(dispersive(C), 1.5, 1.5 * reach, **how)
 
 
-def random_law(d, reach=2.0, symmetry="m-3m"):
+def random_law(d, symmetry="m-3m"):
     """Tensors of a symmetry, of any sign, that are no crystal's."""
     name = symmetry if d == 3 else "4mm"
-    bonds = invariant_basis(reach, shared_with_nodes(point_group(name, d), np.eye(d)))
+    bonds = invariant_basis(2.0, shared_with_nodes(point_group(name, d), np.eye(d)))
     p = normal(len(bonds.basis))
     return CrystalMaterial(1.5, bonds.steps, np.tensordot(p, bonds.basis, 1), symmetry=name)
 

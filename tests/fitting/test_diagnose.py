@@ -9,7 +9,7 @@ from numpy.random import default_rng
 from tests.crystal.crystals import dispersive
 from tests.support import approx, filterwarnings, parametrize, refused, shared, warned
 from tests.support.clouds import cube, solid
-from tests.support.problems import kernel, lattice, loaded, manufactured, noise, normal, smooth
+from tests.support.problems import kernel, lattice, manufactured, noise, normal, on_interior, smooth
 from tests.support.symbols import fluctuation, noisy
 from warp_peri import LPS, Bernstein, Crystal, Samples, diagnose, fit
 from warp_peri.core.elastic import voigt_to_tensor
@@ -68,7 +68,7 @@ def test_forces_that_species_share_unlike_their_masses_are_named():
     points = lattice(11, HORIZON)
     operator = MODEL.on(points)
     u = noise(points, COUNT) + manufactured(MODEL, points, COUNT).u
-    b = loaded(operator, u).b
+    b = operator.on_all(operator(u))
     seen = Samples(points, u + 0.1 * b * norm(b) / norm(operator(b)), b)
     diagnosis = diagnose(MODEL, seen)
     assert diagnosis.residual == approx(0.1, rel=0.01)
@@ -112,8 +112,7 @@ def test_one_solid_of_two_phases_is_warned_of():
     mu = np.where(np.hypot(*(points.x - 7.0).T) < 5, 4.0, 1.0)
     home = replace(kernel("1/r", HORIZON, lam=0.375, mu=1.0), units=points.units)
     op = home.on(points, lam=0.375 * mu, mu=mu)
-    b = np.zeros((24, *points.x.shape))
-    b[:, points.interior] = smooth(points.x, 24, 5, wave_number=0.5)[:, points.interior]
+    b = on_interior(points, smooth(points.x, 24, 5, wave_number=0.5))
     samples = Samples(points, op.solve(b, 0 * b).u, b)
     with warned(r"heterogeneity: .* Try fields λ\(x\), μ\(x\) of the LPS"):
         found = fit(samples, LPS(HORIZON, Bernstein(2))).material

@@ -7,20 +7,12 @@ import torch
 from numpy.linalg import eigvalsh
 from numpy.random import default_rng
 
-from tests.support import (
-    approx,
-    assert_refused,
-    each_refused,
-    near,
-    norms,
-    parametrize,
-    problems,
-    shared,
-)
+from tests.support import approx, near, norms, parametrize, problems, shared
 from tests.support.fields import double
 from tests.support.problems import difference, ell, kernel, lattice, manufactured, noise, normal
 from tests.support.solving import fit, solve
 from tests.support.symbols import fluctuation, noisy, waves
+from tests.support.told import assert_refused, each_refused
 from warp_peri import Bernstein, Samples
 from warp_peri.fitting import regression
 from warp_peri.fitting.regression import sample_weights, without_noise
@@ -102,7 +94,7 @@ def clean():
 
 
 def noise_rows(noise, weight):
-    bare = Samples(noise.points, noise.u, np.zeros_like(noise.u))
+    bare = Samples(noise.points, noise.u, 0 * noise.u)
     return Products(bare, HORIZON).rows(np.full(len(noise), weight.sum() / len(noise))).R
 
 

@@ -19,10 +19,10 @@ def matrix(model, body, table, corrected=True):
     return bond_matrix(body, table, bonds_of(model, body.classes), corrected=corrected)
 
 
-def stiff(model, corrected, width=13, height=40):
+def stiff(model, corrected):
     """Force of a strip under unit strain along it over E: what it counts for as wide."""
-    x = rectangle_nodes(width, height, 1.0)
-    grips, held = np.abs(x[:, 1]) > height / 2 - model.horizon, np.zeros(x.shape, bool)
+    x = rectangle_nodes(13, 40, 1.0)
+    grips, held = np.abs(x[:, 1]) > 20 - model.horizon, np.zeros(x.shape, bool)
     held[grips, 1] = held[np.argmin(np.abs(x).sum(1)), 0] = True
     points = everywhere(x)
     problem = Cracked(points, u=x * (0, 1), free=~held, corrected=corrected)

@@ -8,11 +8,9 @@ from numpy.testing import assert_allclose
 
 from tests.support import approx, assert_refused, clouds, near, parametrize, refused, sup, warned
 from tests.support.clouds import cloud, larger, periodic_cloud, plain
-from tests.support.problems import ROUNDING, fitted_order, kernel, lattice, noise
-from tests.support.problems import normal as normal
-from tests.support.problems import periodic as periodic
+from tests.support.problems import ROUNDING, fitted_order, kernel, lattice, noise, normal
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, solid
-from warp_peri import certify
+from warp_peri import Points, certify
 from warp_peri.influence import InfluenceFunction, gaussian, table
 from warp_peri.materials.lps import bernstein_basis
 from warp_peri.materials.lps_law import ShapeKernel
@@ -128,7 +126,7 @@ def test_its_divergence_balances_the_force_to_second_order():
     errors, spacings, k = [], (1.0, 0.5, 0.25), 2 * np.pi / 24
     for h in spacings:
         n = round(24 / h)
-        points, model = periodic((n, n), h)[0], kernel("1/r", 3 * h, h)
+        points, model = Points.sheet((n, n), h), kernel("1/r", 3 * h, h)
         x, y = points.x.T
         u = np.c_[np.sin(k * x) * np.cos(k * y), np.cos(2 * k * x + k * y)]
         stress = node_fields(model, points, u).stress.reshape(n, n, 2, 2)

@@ -8,13 +8,11 @@ import pytest
 from numpy.linalg import norm
 
 import warp_peri as wp
-from tests.support import approx, assert_refused, each_refused, parametrize
-from tests.support import refused as refused
-from tests.support import shared as shared
-from tests.support import warned as warned
+from tests.support import approx, parametrize, shared
 from tests.support.clouds import cloud
 from tests.support.problems import OTHER, everywhere, kernel, lattice, manufactured, noise, rotation
 from tests.support.solving import solve
+from tests.support.told import assert_refused, each_refused, refused, warned
 from warp_peri import LPSMaterial, Points, Samples, evaluate
 from warp_peri.certificates import critical_time_step
 from warp_peri.core import record

@@ -255,18 +255,16 @@ def test_bounding_entities_are_no_part_and_named_groups_of_an_element_are_kept(t
 
 
 def test_numbers_of_converted_files_are_parts(tmp_path):
-    key = "medit:ref"
-    lines, tags = np.array(LINES["left"] + LINES["right"]), np.array([5, 5, 6, 6])
-    cells = [("line", lines), ("triangle", TRIANGLES)]
-    groups = {key: [tags, np.zeros(len(TRIANGLES), int)]}
-    meshio.Mesh(FLAT, cells, cell_data=groups).write(tmp_path / "a.vtu")
-    assert counts(load_mesh(tmp_path / "a.vtu")) == {"5": 2, "6": 2, REST: 4}
-    cells = [("tetra", EIGHT[0][SIXTHS]), ("triangle", EIGHT[0][[[0, 1, 2], [0, 2, 3]]])]
-    groups = {key: [np.zeros(6, int), np.array([3, 4])]}
-    meshio.Mesh(CUBE, cells, cell_data=groups).write(tmp_path / "b.vtu")
-    cube = load_mesh(tmp_path / "b.vtu")
-    assert counts(cube) == {"3": 1, "4": 1, REST: 10}
-    assert size(cube) == approx(1)
+    lines = ("line", np.array(LINES["left"] + LINES["right"])), ("triangle", TRIANGLES)
+    sides = ("tetra", EIGHT[0][SIXTHS]), ("triangle", EIGHT[0][HALVES])
+    for x, cells, tags, known in (
+        (FLAT, lines, ([5, 5, 6, 6], 8 * [0]), {"5": 2, "6": 2, REST: 4}),
+        (CUBE, sides, (6 * [0], [3, 4]), {"3": 1, "4": 1, REST: 10}),
+    ):
+        groups = {"medit:ref": [np.array(one) for one in tags]}
+        meshio.Mesh(x, cells, cell_data=groups).write(tmp_path / "a.vtu")
+        assert counts(mesh := load_mesh(tmp_path / "a.vtu")) == known
+    assert size(mesh) == approx(1)
 
 
 def abaqus(tmp_path, text):

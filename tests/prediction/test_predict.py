@@ -50,17 +50,20 @@ def held_at(rich, points, u):
     return wp.Dirichlet(points, placed.on_all(placed(u)), u)
 
 
-def problem(family, size):
+def problem(family, size=0.01):
     """Nodes, a field, and the problem that it solves."""
     points = lattice(9, HORIZON)
     u = size * smooth(points.x, 1, wave_number=0.3)[0]
     return points, u, held_at(family, points, u)
 
 
+def as_samples(problem):
+    return wp.Samples(problem.points, problem.u[None], problem.b[None])
+
+
 def along_x(points):
     """A load along x, and a collar that is held."""
-    b = np.zeros_like(points.x)
-    b[:, 0] = 1e-4
+    b = 0 * points.x + 1e-4 * np.eye(points.dimension)[0]
     return wp.Dirichlet(points, b, 0 * b)
 
 
@@ -70,7 +73,7 @@ def far(u, truth, points):
 
 
 def test_corrections_lead_to_the_rich_answer_and_say_how_far_it_is(family):
-    points, u, given = problem(family, 0.01)
+    points, u, given = problem(family)
     rough = wp.predict(family, given, 0.5)
     best, inside = wp.predict(family, given, None), points.interior
     assert rough.corrections == 0 < best.corrections
@@ -106,7 +109,7 @@ def test_strain_counts_what_its_orders_go_on_to(family, steady):
     points, u, given = problem(family, 0.05)
     best, placed = wp.predict(family, given, None), family.ensemble_on(points)
     inside, load = points.interior, placed.rich.rhs(given.b)
-    found = np.where(inside[:, None], 0, u)
+    found = on_interior(points, 0, u)
     found[inside] = placed.inverse(load - placed.straight(found), 1e-6)
     bent = far(found, u, points)
     first = placed.correction(load, found)
@@ -124,7 +127,7 @@ def test_strain_counts_what_its_orders_go_on_to(family, steady):
 
 
 def test_quantities_come_with_a_signed_correction(family):
-    points, u, given = problem(family, 0.01)
+    points, u, given = problem(family)
     rough = wp.predict(family, given, 0.5)
     at = [(4.0, 4.0), (2.0, 5.0)]
     assert wp.prediction.strain(points, np.zeros((0, 2)))(u).shape == (0, 2, 2)
@@ -143,8 +146,7 @@ def test_quantities_come_with_a_signed_correction(family):
 def test_the_guarantee_holds_planted_errors(family):
     points, u, given = problem(family, 0.001)
     inside = points.interior
-    wrong = np.zeros_like(u)
-    wrong[inside] = 0.02 * sup(u) * noise(points)[inside]
+    wrong = on_interior(points, 0.02 * sup(u) * noise(points))
     answer = replace(wp.predict(family, given, None), u=u + wrong)
     proof = answer.guarantee
     assert proof is not None
@@ -169,7 +171,7 @@ def test_a_linear_family_is_bounded_without_a_contraction(lps):
 
 
 def test_what_is_not_known_is_named(family):
-    points, u, given = problem(family, 0.01)
+    points, u, given = problem(family)
     unstated = replace(points, axis=None)
     _said.clear()
     with warned("axis"):
@@ -185,11 +187,11 @@ def test_what_is_not_known_is_named(family):
 
 
 def test_a_family_is_one_file_in_any_units_and_has_a_command(family, tmp_path, capsys):
-    points, u, given = problem(family, 0.01)
+    *_, given = problem(family)
     path = tmp_path / "family.json"
     wp.save(path, family)
     expected = wp.predict(family, given, 0.01)
-    samples = wp.Samples(points, u[None], given.b[None])
+    samples = as_samples(given)
     moved = in_units(samples, OTHER)
     posed = wp.Dirichlet(moved, moved.b, moved.u)
     (there,) = wp.predict(wp.load(path, units=OTHER), posed, 0.01)
@@ -205,8 +207,8 @@ def test_a_family_is_one_file_in_any_units_and_has_a_command(family, tmp_path, c
 
 
 def test_wrong_input_is_refused(family):
-    points, u, given = problem(family, 0.01)
-    one = wp.Samples(points, u[None], given.b[None])
+    points, u, given = problem(family)
+    one = as_samples(given)
     warm = replace(one[[0] * 4], arrays={"temperature": 4 * ["300 K"]})
     assert_refused({
         "predict: expected a problem": lambda: wp.predict(family, points),

@@ -43,7 +43,7 @@ def test_stable_just_below_and_unstable_just_above(name, spacing):
     model = kernel(name, 2.5 * spacing, spacing, lam=-0.2)
     points = box_of(model, spacing)
     critical = critical_time_step(model, spacing=spacing, density=DENSITY)
-    u, rest, steps = noise(points), np.zeros_like(points.x), 250
+    u, rest, steps = noise(points), 0 * points.x, 250
     below = moved(model, points, u, rest, step=0.99 * critical, steps=steps)
     assert sup(below.u) < 30 * sup(u)
     assert below.drift < 1e-12

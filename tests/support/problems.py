@@ -113,9 +113,7 @@ def smooth(x, samples, seed=0, wave_number=1.2):
 
 def loaded(operator, u):
     """Fields [S, N, d] and the loads that hold them."""
-    b = np.zeros_like(u)
-    b[:, operator.points.interior] = operator(u)
-    return Samples(operator.points, u, b)
+    return Samples(operator.points, u, operator.on_all(operator(u)))
 
 
 def manufactured(model, points, samples, seed=0, wave_number=1.2, **options):
