@@ -9,13 +9,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.random import default_rng
 
-import warp_peri as wp
 from examples.inclusion import Mixed
 from tests.support import in_plane_and_space, near, parametrize, refused, sup
 from tests.support.bodies import random_breaking
 from tests.support.clouds import larger, plain
 from tests.support.problems import OTHER, assert_balanced, everywhere, noise, rotation, slope
-from warp_peri import runtime
+from warp_peri import Points, runtime, save, simulate, solve
 from warp_peri.fracture import BondLaw, BrittleMaterial, Cracked, SofteningMaterial, box_nodes
 from warp_peri.fracture.statics import CutSolid
 from warp_peri.points.arguments import factors
@@ -43,7 +42,7 @@ every_solid = parametrize(
 def points_of(d, angle=0.0):
     x = box_nodes(SIDES[d], 1.0)
     inside = (np.abs(x) < np.abs(x).max(0) - 0.4).all(1)
-    return wp.Points(x @ rotation(angle, d).T, inside, 1.0)
+    return Points(x @ rotation(angle, d).T, inside, 1.0)
 
 
 def torn(solid, share, angle=0.0, *, corrected=False):
@@ -83,21 +82,21 @@ def test_a_solve_finds_the_truth_around_a_crack_in_any_units(solid, tmp_path):
     d = solid.dimension
     points, crack = points_of(d), np.array(CRACK[d])
     problem = Cracked(points, u=noise(points), cracks=crack)
-    op = wp.solve(solid, problem).operator
+    op = solve(solid, problem).operator
     u = 1e-3 * noise(points, 2)[1]
     b = op.on_all(op(u))
-    solution = wp.solve(solid, replace(problem, b=b, u=u))
+    solution = solve(solid, replace(problem, b=b, u=u))
     near(solution.u, u, 1e-9)
     assert solution.residual < 1e-10
     near(float(solution.energy()), op.energy(u), 1e-9)
     if isinstance(solid, Mixed):
         with refused("expected"):
-            wp.save(tmp_path / "m.json", solid)
+            save(tmp_path / "m.json", solid)
         return
     length, stress = factors(solid.units, OTHER)
     there = larger(points, length, units=OTHER)
     load = Cracked(there, b * stress / length, length * u, length * crack)
-    again = wp.solve(solid.in_units(OTHER), load)
+    again = solve(solid.in_units(OTHER), load)
     near(again.u, length * solution.u, 1e-9)
     near(again.energy(), solution.energy() * stress * length**d, 1e-9)
 
@@ -116,7 +115,7 @@ def test_a_motion_in_other_units_and_on_two_threads_breaks_the_same_bonds(
         threads(count)
         points = everywhere(scale * x, scale, units=one.units)
         step = 0.3 * one.longest_step(scale)
-        run = wp.simulate(one, Cracked(points), step=step, steps=15, v=scale * uneven / step)
+        run = simulate(one, Cracked(points), step=step, steps=15, v=scale * uneven / step)
         found.append((run.details.damage, run.u / scale, run.time))
     assert 0 < found[0][0].mean() < 0.9
     assert all(np.array_equal(a, b) for a, b in zip(found[0], found[1]))

@@ -27,6 +27,7 @@ from warp_peri.prediction.answer import contraction
 FOLDER = Path(__file__).parent.parent / "frozen"
 FILES = sorted(path.stem for path in FOLDER.glob("*.json") if path.stem != "record")
 """Files of every material that an earlier version wrote, most of them without a hash."""
+WITH_PROOFS = ("lps", "crystal", "crystal_third_order_energy")
 HOSTILE = ([], {}, "x", None, True, -1, 0.5, 10**400, 1e308, -(10**30), np.nan, np.inf, {"x": 1},
            [[1.0], [1.0, 2.0]], [None], ["x"], [[[1.0]]], [10**400])  # fmt: skip
 PROVEN = ("proven", "symbol_bound", "strain", "long_waves")
@@ -79,24 +80,24 @@ def changed(content, path, value):
     return other
 
 
-def hashed(content):
-    """With hashes of what it holds now, as one who forges a file writes them."""
+def deep(content, change):
+    """With what is changed of each of its dictionaries, the innermost first."""
     if isinstance(content, list):
-        return [hashed(each) for each in content]
+        return [deep(each, change) for each in content]
     if not isinstance(content, dict):
         return content
-    content = {key: hashed(value) for key, value in content.items()}
-    return content | ({"sha256": content_hash(content)} if "sha256" in content else {})
+    content = {key: deep(value, change) for key, value in content.items()}
+    return content | change(content)
 
 
-def bare(content):
-    """Without proven strains."""
-    if isinstance(content, list):
-        return [bare(each) for each in content]
-    if not isinstance(content, dict):
-        return content
-    strains = {"proven": {}} if isinstance(content.get("proven"), dict) else {}
-    return {key: bare(value) for key, value in content.items()} | strains
+hashed = lambda content: deep(
+    content, lambda one: {"sha256": content_hash(one)} if "sha256" in one else {}
+)
+"""With hashes of what it holds now, as one who forges a file writes them."""
+bare = lambda content: deep(
+    content, lambda one: {"proven": {}} if isinstance(one.get("proven"), dict) else {}
+)
+"""Without proven strains."""
 
 
 def read(path, content):
@@ -151,8 +152,7 @@ def test_what_is_not_proven_is_not_believed(name, tmp_path):
 
 
 def test_what_is_replaced_in_memory_is_not_proven_either():
-    names = "lps", "crystal", "crystal_third_order_energy"
-    lps, crystal, third = (wp.load(FOLDER / f"{name}.json") for name in names)
+    lps, crystal, third = (wp.load(FOLDER / f"{name}.json") for name in WITH_PROOFS)
     points = lattice(4, lps.horizon)
     softer = replace(lps, lam=lps.lam / 100, mu=lps.mu / 100)
     assert lps.on(points).proven
@@ -204,8 +204,7 @@ def test_a_model_is_certified_only_where_that_is_proven(tmp_path):
 
 
 def test_figures_of_a_proof_are_of_its_lattice_and_words_follow_from_them(tmp_path):
-    names = "lps", "crystal", "crystal_third_order_energy"
-    *files, law = (of_json(FOLDER / f"{name}.json") for name in names)
+    *files, law = (of_json(FOLDER / f"{name}.json") for name in WITH_PROOFS)
     said, path = files[0]["certificate"]["1"], tmp_path / "m.json"
     forged = changed(law, ("proven", "statement"), "All.")
     assert read(path, hashed(forged)).proven == read(path, law).proven

@@ -6,11 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.random import default_rng
 
-import warp_peri as wp
 from tests.support import approx, near, norms, parametrize, reference, refused, shared
 from tests.support.problems import kernel, lattice, manufactured, noise, periodic
 from tests.support.solving import solve
-from warp_peri import Samples, evaluate
+from warp_peri import LPS, Samples, evaluate
 from warp_peri.core.stencil import Stencil
 from warp_peri.materials.lps_fit import displacement_error
 from warp_peri.methods import BootstrapResult, bootstrap
@@ -107,7 +106,7 @@ def noisy(seed):
     rng = default_rng(seed)
     u = rng.normal(size=(LOADS, *POINTS.x.shape))
     size = NOISE * rng.uniform(0.5, 1.5, (LOADS, 1, 1))
-    return wp.Samples(POINTS, u, u + size * rng.normal(size=u.shape))
+    return Samples(POINTS, u, u + size * rng.normal(size=u.shape))
 
 
 def test_a_band_leaves_half_of_the_rest_on_each_side():
@@ -130,7 +129,7 @@ def test_bands_of_90_percent_hold_the_truth_of_so_many_sets():
 
 def test_as_many_choices_as_asked_among_four_exact_loads_or_more_give_one_solid():
     samples = manufactured(kernel("1/r", 2.0), lattice(5, 2.0), 6)
-    found = bootstrap(samples, wp.LPS(2.0), draws=10)
+    found = bootstrap(samples, LPS(2.0), draws=10)
     assert found.deviation(lambda solid: [solid.lam, solid.mu]).max() < 1e-6
     assert len(found.materials) == 10
     assert "not an error that all loads share" in found.knows

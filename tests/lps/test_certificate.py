@@ -9,7 +9,7 @@ from numpy.random import default_rng
 
 from tests.support import approx, near, parametrize, reference, refused
 from tests.support.problems import ell, kernel, lattice
-from tests.support.symbols import form, smallest, smallest_margins, symbol, zone
+from tests.support.symbols import anywhere, form, smallest, smallest_margins, symbol, zone
 from warp_peri import LPSMaterial, certify
 from warp_peri.core.stencil import ratios
 from warp_peri.materials.lps import stiffnesses
@@ -114,7 +114,7 @@ def printed(v, kappa, mu, k):
 def test_the_conditions_are_the_printed_ones_and_the_search_finds_the_softest(kind):
     model, conditions = kernel("sign-changing", 3.0, lam=0.7), StabilityConditions(kind, 0.02)
     v, kappa = stiffnesses(model, CLASSES)
-    k = default_rng(2).uniform(-np.pi, np.pi, (7, 2))
+    k = anywhere(7, 2)
     bonds, (i, j) = product_basis(CLASSES), np.triu_indices(len(v))
     for number, (own, level) in enumerate(conditions.forms(kappa, model.mu, conditions.zeta)):
         tensors = np.tensordot(np.concatenate([v, own * v[i] * v[j]]), bonds.basis, 1)

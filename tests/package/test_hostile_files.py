@@ -17,9 +17,8 @@ import meshio
 import numpy as np
 import pytest
 
-import warp_peri as wp
 from tests.support import filterwarnings, parametrize, refused
-from warp_peri import InputError
+from warp_peri import InputError, atoms, load
 from warp_peri.atoms.dumps import iter_dump, read_structure
 from warp_peri.cli.train import atom_forces
 from warp_peri.files.atomic import read_arrays
@@ -57,13 +56,13 @@ PACKERS = {".gz": gzip.compress, ".bz2": bz2.compress, ".xz": lzma.compress}
 DUMPS, MESHES = ("a.traj", "a.xyz", "a.dump"), ("a.msh", "a.inp", "a.vtk", "a.vtu", "a.xdmf")
 CRYSTALS = ("a.cif", "vasprun.xml", "a.traj", "a.cell", "a.json", "a.db")
 PARSERS = [
-    *(("phonopy.yaml", wp.atoms.from_phonopy), ("any.yml", wp.atoms.from_phonopy)),
-    ("phonopy_disp.yaml", lambda path: wp.atoms.from_phonopy(path.parent)),
+    *(("phonopy.yaml", atoms.from_phonopy), ("any.yml", atoms.from_phonopy)),
+    ("phonopy_disp.yaml", lambda path: atoms.from_phonopy(path.parent)),
     *((name, read_structure) for name in CRYSTALS),
     *((name, lambda path: [*iter_dump(path)]) for name in DUMPS),
-    *((name, wp.load) for name in (*MESHES, "data.h5", "model.json")),
+    *((name, load) for name in (*MESHES, "data.h5", "model.json")),
     ("set.h5", load_dataset),
-    *(("fields.mat", wp.atoms.read_mat), ("a.npz", read_arrays)),
+    *(("fields.mat", atoms.read_mat), ("a.npz", read_arrays)),
     *((name, lambda path: atom_forces(path, 1)) for name in ("force.npz", "force.csv")),
 ]
 
@@ -143,7 +142,7 @@ def test_a_mesh_names_no_file_elsewhere(place, tmp_path):
     folder.mkdir()
     triangles = [("triangle", np.array([[0, 1, 2], [0, 2, 3]]))]
     meshio.write(folder / "m.xdmf", meshio.Mesh(square, triangles))
-    assert len(wp.load(folder / "m.xdmf").x) == 4
+    assert len(load(folder / "m.xdmf").x) == 4
     shutil.copy(folder / "m.h5", tmp_path / "secret.h5")
     with h5py.File(folder / "secret.h5", "w") as file:
         for name in ("data0", "data1"):
@@ -151,4 +150,4 @@ def test_a_mesh_names_no_file_elsewhere(place, tmp_path):
     text = (folder / "m.xdmf").read_text()
     (folder / "m.xdmf").write_text(text.replace("m.h5", place))
     with refused(r"HDF5 beside it|in the file itself, got a link"):
-        wp.load(folder / "m.xdmf")
+        load(folder / "m.xdmf")

@@ -1,6 +1,7 @@
 """Explicit dynamics: the proven time step, stability on either side of it, the energy kept."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -92,16 +93,16 @@ def test_to_move_as_a_whole_changes_no_energy():
 def test_waves_go_on_from_a_checkpoint_with_the_same_bits_and_go_to_paraview(tmp_path, monkeypatch):
     """With a collar and a load, whose energy is kept; killed behind the first record, too."""
     model, points = kernel("positive", 2.5, lam=-0.2), lattice(ell(), 2.5)
-    operator, u, v, b = model.on(points), *(noise(points, seed=seed) for seed in range(3))
+    u, v, b = (noise(points, seed=seed) for seed in range(3))
     dt = 0.9 * critical_time_step(model, spacing=points.spacing, density=DENSITY)
-    options = {"v": v, "density": DENSITY, "step": dt, "every": 3}
+    run = partial(march, model.on(points), b, u=u, v=v, density=DENSITY, step=dt, every=3)
     files = {"checkpoint": tmp_path / "run.h5", "checkpoint_every": 1, "series": tmp_path / "s"}
     with monkeypatch.context() as patch, pytest.raises(ZeroDivisionError):  # noqa: PT012
         patch.setattr("warp_peri.files.checkpoint.write_vtu", lambda *all: write_vtu(*all) or 1 / 0)
-        march(operator, b, u, **options, **files, steps=10)
-    march(operator, b, u, **options, **files, steps=10)
-    resumed = march(operator, b, u, **options, **files, steps=25)
-    straight = march(operator, b, u, **options, steps=25)
+        run(**files, steps=10)
+    run(**files, steps=10)
+    resumed = run(**files, steps=25)
+    straight = run(steps=25)
     assert straight.drift < 1e-12
     collar = ~points.interior
     near(straight.u[collar], u[collar], 0)
@@ -111,14 +112,11 @@ def test_waves_go_on_from_a_checkpoint_with_the_same_bits_and_go_to_paraview(tmp
     assert (tmp_path / "s" / "motion.pvd").read_text().count("timestep=") == len(straight.time)
     (tmp_path / "motion.pvd").write_text("mine")
     with locked(files["checkpoint"]), refused("run.h5: another job is writing here"):
-        march(operator, b, u, **options, **files, steps=30)
+        run(**files, steps=30)
     assert_refused({
-        "of another .* program": lambda: march(operator, b, u, **options, steps=4, series=tmp_path),
-        "s/motion.pvd: .* of another motion":
-            lambda: march(operator, b, 2 * u, **options, steps=4, series=tmp_path / "s"),
-        "of more steps": lambda: march(operator, b, u, **options, steps=4, series=files["series"]),
-        "at least the 25 taken before, got 20":
-            lambda: march(operator, b, u, **options, **files | {"series": None}, steps=20),
-        "record: expected nodes 0 to .*, got -1, 3":
-            lambda: march(operator, b, u, **options, steps=2, record=[3, -1]),
+        "of another .* program": lambda: run(steps=4, series=tmp_path),
+        "s/motion.pvd: .* of another motion": lambda: run(u=2 * u, steps=4, series=tmp_path / "s"),
+        "of more steps": lambda: run(steps=4, series=files["series"]),
+        "at least the 25 taken before, got 20": lambda: run(**files | {"series": None}, steps=20),
+        "record: expected nodes 0 to .*, got -1, 3": lambda: run(steps=2, record=[3, -1]),
     })  # fmt: skip

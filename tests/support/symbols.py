@@ -16,6 +16,8 @@ from warp_peri.materials.lps_law import product_basis
 from warp_peri.points.families import bond_classes
 from warp_peri.points.points import grid_points, nodes_of
 
+anywhere = lambda count, seed, d=2: default_rng(seed).uniform(-np.pi, np.pi, (count, d))
+"""Wave vectors at random in the zone, shape [count, d]."""
 smallest = lambda D, k: eigvalsh(D)[:, 0] / laplacian(k)
 """Λmin / s, shape [K]."""
 

@@ -10,6 +10,7 @@ from scipy.sparse.linalg import splu
 from tests.support import near, parametrize, refused, sup, warned
 from tests.support.nonlinear import FORMS, psi, solid
 from tests.support.problems import ell, lattice, loaded, noise, normal, smooth
+from tests.support.symbols import anywhere
 from warp_peri import Dirichlet, Newton, solve
 from warp_peri.certificates import prove_uniqueness
 from warp_peri.materials.certificate import curvature_bound, largest_parts, proven_kappa
@@ -53,7 +54,7 @@ def test_bounds_of_the_energys_parts_and_its_curvature_hold_and_are_close():
 def test_kappa_is_a_bound_over_the_whole_zone(form):
     model, proof = certified(form)
     classes, stencil = bond_classes(1.0, HORIZON), model.linear.stencil
-    k = default_rng(1).uniform(-np.pi, np.pi, size=(4000, 2))
+    k = anywhere(4000, 1)
     k = np.concatenate([k, 1e-3 * k])
     smallest = eigvalsh(model.linear.symbol(k))[:, 0]
     pull = 2 * np.sin(k @ classes.xi.T)
@@ -105,8 +106,7 @@ def test_a_planted_violation_takes_the_guarantee_away():
     longest = np.abs(model.linear.steps).max(1) == 3
     turned = model.linear.tensors - 0.2 * longest[:, None, None] * np.eye(2)
     indefinite = replace(model, linear=replace(model.linear, tensors=turned, certificate=None))
-    waves = default_rng(2).uniform(-np.pi, np.pi, size=(4000, 2))
-    assert eigvalsh(indefinite.linear.symbol(waves)).min() < 0
+    assert eigvalsh(indefinite.linear.symbol(anywhere(4000, 2))).min() < 0
     nothing = prove_uniqueness(indefinite, spacing=1.0)
     assert nothing.strain == 0
     assert nothing.statement == "Nothing is proven on the lattice of spacing 1 Å."
