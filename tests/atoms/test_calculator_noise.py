@@ -61,8 +61,7 @@ def test_noise_is_measured_and_rounding_of_forces_is_noise():
 
 
 def test_a_noisy_calculator_gives_a_law_whose_errors_are_true_and_small():
-    noisy = Noisy(EMT(), 1e-5, 3)
-    aluminium = wp.fit_crystal(bulk("Al"), noisy, supercell=(5, 5, 5))
+    aluminium = wp.fit_crystal(bulk("Al"), Noisy(EMT(), 1e-5, 3), supercell=(5, 5, 5))
     figures = aluminium.content()
     bars = figures["standard_errors_GPa"]
     for name, true in ALUMINIUM.items():
@@ -107,8 +106,7 @@ def test_broken_force_constants_are_brought_to_the_rules_and_the_shift_is_their_
 
 
 def test_an_imaginary_phonon_is_refused_beyond_three_standard_errors():
-    cell = bulk("Cu", "sc", a=2.4)
-    atoms = from_calculator(cell, EMT(), (4, 4, 4))
+    atoms = from_calculator(bulk("Cu", "sc", a=2.4), EMT(), (4, 4, 4))
     sure = replace(atoms, doubt=1e-3 * atoms.values[None])
     with refused(r"imaginary phonon, the worst of [\d.]+ ± [\d.e-]+i THz"):
         check_phonons(sure)

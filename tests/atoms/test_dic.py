@@ -38,11 +38,9 @@ def test_points_on_a_lattice_stay_and_scattered_ones_are_fitted_locally(frame_of
     assert_allclose(samples.u[0], field(samples.x), rtol=1e-7)
     shaken = X + 4 * default_rng(0).uniform(-1, 1, X.shape)
     shaken[0] = X[0]
-    frame = frame_of(shaken, field(shaken))
-    samples = dic_to_lattice([frame], spacing=20.0, radius=2.0)
+    samples = dic_to_lattice([frame_of(shaken, field(shaken))], spacing=20.0, radius=2.0)
     assert_allclose(samples.u[0], field(samples.x), atol=1e-6)  # quadratic: exact
-    noise = 0.3 * normal(BIG.shape, 1)
-    noisy = dic_to_lattice([frame_of(BIG, field(BIG) + noise)])
+    noisy = dic_to_lattice([frame_of(BIG, field(BIG) + 0.3 * normal(BIG.shape, 1))])
     assert estimate_noise(noisy)[0] == approx(0.3, rel=0.15)
 
 
@@ -159,8 +157,7 @@ def test_lost_points_are_left_out_whatever_marks_them(tmp_path, column):
     if column in mark:
         columns.append(np.where(lost, *mark[column][::-1]))
     header = ",".join([*"xyuv", column][: len(columns)])
-    found = read_dic_frame(write(tmp_path / "a.csv", columns, header))
-    assert_array_equal(found.x, BIG[~lost])
+    assert_array_equal(read_dic_frame(write(tmp_path / "a.csv", columns, header)).x, BIG[~lost])
 
 
 def test_a_point_at_rest_is_kept(frame_of):
@@ -211,8 +208,7 @@ def folder_of(path, frames):
 def test_frames_go_by_number_and_hidden_files_are_none(tmp_path):
     names = {f"frame{n}.csv": (len(X), n) for n in range(11)} | {".frame3.csv": (len(X), 3)}
     taken = frames_of_folder(folder_of(tmp_path / "many", names), 11, radius=0.0)
-    sizes = np.abs(taken.u).max((1, 2)) / sup(field(X))
-    assert_allclose(sizes, np.arange(2.0, 11.0), rtol=1e-5)
+    assert_allclose(np.abs(taken.u).max((1, 2)) / sup(field(X)), np.arange(2.0, 11.0), rtol=1e-5)
 
 
 def test_a_folder_tells_what_it_passes_over_and_what_does_not_fit(tmp_path):

@@ -80,8 +80,7 @@ def grained(dumps, force=None, **how):
 
 def test_averages_smoothing_and_samples_on_nodes(tmp_path):
     path = write(tmp_path / "a.dump", range(6))
-    average = mean_displacement(path, REFERENCE, box=BOX, skip=2)
-    assert_allclose(average, U[2:6].mean(0), atol=1e-9)
+    assert_allclose(mean_displacement(path, REFERENCE, box=BOX, skip=2), U[2:6].mean(0), atol=1e-9)
     rest, force = write(tmp_path / "rest.dump", range(6, 9)), RANDOM.normal(size=(1, 30, 2))
     samples = grained([path], force, unloaded=[rest])
     moved = U[:6].mean(0) - U[6:].mean(0)

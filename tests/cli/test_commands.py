@@ -39,8 +39,7 @@ FIT = ("--horizon", "2.5", "--degree", "3")
 @shared
 def data(tmp_path_factory):
     """Waves of a known model, noisy, and the noise alone."""
-    model = kernel("positive", 2.5, lam=-0.1, mu=0.7)
-    clean = waves(model, cells=4, highest=3)
+    clean = waves(kernel("positive", 2.5, lam=-0.1, mu=0.7), cells=4, highest=3)
     sets = {"train": noisy(clean, 0.01, 1), "test": clean, "noise": fluctuation(clean, 8, 0.01, 2)}
     path = tmp_path_factory.mktemp("command") / "data.h5"
     save_dataset(path, Dataset(sets, 3.35, 2200.0))
@@ -216,8 +215,7 @@ def test_dumps_become_sets_of_one_file(sheet, tmp_path, capsys):
     assert "set 'b.c': is there already" in refused(capsys, *line)
     save_dataset(out, data)
     assert first["nodes"] == 441
-    u = np.broadcast_to([0.3, -0.1], (1, 441, 2))
-    assert_allclose(data["train"].u, u, atol=1e-9)
+    assert_allclose(data["train"].u, np.broadcast_to([0.3, -0.1], (1, 441, 2)), atol=1e-9)
     assert_allclose(data["train"].b, data["b.c"].b)
     assert_allclose(data["train"].x.mean(axis=0), [20, 20])
     said = refused(capsys, *words, "--thickness", "1")
@@ -295,8 +293,7 @@ def test_what_cannot_be_done_is_one_line_and_writes_nothing(data, tmp_path, caps
     places = {key: tmp_path / name for key, name in names.items()}
     shutil.copy(data, places["data"])
     (tmp_path / "model.json").symlink_to(places["data"])
-    bare = replace(kernel("sign-changing", 2.5), trained_on=(), certified_on=())
-    bare.save(places["bare"])
+    replace(kernel("sign-changing", 2.5), trained_on=(), certified_on=()).save(places["bare"])
     for key in ("text", "mine"):
         places[key].write_text("--set train\n")
     before = {path: path.read_bytes() for path in places.values()}

@@ -49,8 +49,7 @@ def torn(solid, share, angle=0.0, *, corrected=False):
     """The solid on a body of which a share of the bonds is broken, and its points."""
     points = points_of(solid.dimension, angle)
     body = Cracked(points).body(solid, "solve")
-    neighbour = random_breaking(body, default_rng(1), share)
-    how = {"neighbour": neighbour, "corrected": corrected}
+    how = {"neighbour": random_breaking(body, default_rng(1), share), "corrected": corrected}
     return CutSolid(solid, body, ~points.interior, **how), points
 
 

@@ -376,8 +376,7 @@ def test_arguments_of_bodies_solids_and_tables():
 
 
 def watched(name, watch):
-    x = rectangle_nodes(8.0, 8.0, 1.0)
-    body = Cracked(everywhere(x))
+    body = Cracked(everywhere(rectangle_nodes(8.0, 8.0, 1.0)))
     return wp.simulate(solid(), body, step=1e-6, steps=2, every=1, watch={name: watch})
 
 
@@ -407,8 +406,7 @@ def test_tensors_beside_a_pressure_and_numbers_of_no_dimension():
     assert run.u.shape == u.shape
     turned = np.ascontiguousarray(u[::-1])[::-1]
     mu = {"mu": torch.tensor(model.mu, requires_grad=True)}
-    problem = wp.Dirichlet(points, 0 * turned, turned)
-    assert wp.solve(model, problem, parameters=mu).u.requires_grad
+    assert wp.solve(model, wp.Dirichlet(points, 0 * turned, turned), parameters=mu).u.requires_grad
     assert wp.TorchModule(model, points)(turned).requires_grad
 
 

@@ -199,8 +199,7 @@ def test_a_model_is_certified_only_where_that_is_proven(tmp_path):
     for on, said in (((1.0,), {}), ((1.0,), {"1": {"symbol_bound": 0.0}}), ((1.5, 1.0), {})):
         false = plain(3.0, D=[1.0, -0.9, 0.3], certified_on=on, certificate=said)
         refused(path, false.content(), "certified_on: nothing is proven on 1")
-    content = plain(3.0, certified_on=(1.0,)).content()
-    assert read(path, content).certified_on == (1.0,)
+    assert read(path, plain(3.0, certified_on=(1.0,)).content()).certified_on == (1.0,)
 
 
 def test_figures_of_a_proof_are_of_its_lattice_and_words_follow_from_them(tmp_path):

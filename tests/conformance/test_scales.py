@@ -70,8 +70,7 @@ def test_a_force_a_solve_and_a_motion(name, scale):
     if law.energy:
         near(twin.energy(length * u), op.energy(u) * stress * length**2, 1e-9)
     samples = solved_samples(op)[:1]
-    b = samples.b * stress / length
-    errors = wp.evaluate(twin, wp.Samples(there, length * samples.u, b))
+    errors = wp.evaluate(twin, wp.Samples(there, length * samples.u, samples.b * stress / length))
     assert errors["E_res"] < 1e-9
     assert errors["E_u"] < 1e-7
     how = {"density": 1000.0, "steps": 5, "every": 5}

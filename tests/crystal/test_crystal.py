@@ -69,8 +69,7 @@ def test_plane_strain_does_as_the_law_in_space_and_plane_stress_has_a_thin_sheet
     b -= b.mean(0)
     u = solve(flat, Periodic(sheet, b)).u
     number = np.rint(solid.x[:, kept] / law.spacing).astype(int) @ (8, 1)
-    load = np.insert(b[number], across, 0.0, axis=1)
-    found = solve(law, Periodic(solid, load)).u
+    found = solve(law, Periodic(solid, np.insert(b[number], across, 0.0, axis=1))).u
     near(found[:, kept], u[number], 1e-6)
     assert sup(found[:, across]) < 1e-6 * sup(u)
     C11, C12, C44 = COPPER.values()

@@ -44,8 +44,7 @@ def test_linear_fields_carry_no_flux_and_parabolas_that_of_their_laplacian(d):
     operator = DiffusionOperator(DiffusionMaterial(3.0, 0.7), points)
     assert sup(operator(x @ np.arange(1, d + 1))) < 1e-11
     assert operator(square) == approx(-2 * d * 0.7)
-    load = np.full(len(x), -2 * d * 0.7)
-    near(steady(operator, square, load), square, 1e-10)
+    near(steady(operator, square, np.full(len(x), -2 * d * 0.7)), square, 1e-10)
 
 
 def test_periodic_lattices_keep_their_content_and_a_wave_decays_as_it_should():

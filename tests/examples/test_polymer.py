@@ -41,8 +41,7 @@ def test_ensembles_follow_the_exact_law_and_any_threads_give_the_same_bits(threa
     assert sup(error) < 4.5  # of 416 normal numbers
     assert 0.8 < np.sqrt(np.mean(error**2)) < 1.2
     threads(3)
-    again = simulate(Dumbbells(8, count, seed=1), K[:2], 0.25)
-    near(again.C, record.C[:3], 0)
+    near(simulate(Dumbbells(8, count, seed=1), K[:2], 0.25).C, record.C[:3], 0)
 
 
 @parametrize("kernel", ["product", "additive"])
@@ -142,8 +141,7 @@ def test_the_channel_against_the_exact_flow():
 
 def test_dumbbells_under_every_particle_flow_as_the_law_does():
     flow = ChannelFlow(1e-2, across=20, smoothing=1.2)
-    every = Dumbbells(Particles(flow).fluid, 2000, common=True)
-    fluids = MAXWELL, CoupledDumbbells(every, flow.De)
+    fluids = MAXWELL, CoupledDumbbells(Dumbbells(Particles(flow).fluid, 2000, common=True), flow.De)
     exact, coupled = (polymer.run_channel(flow, one, until=0.01, dt=1e-4).v for one in fluids)
     assert relative_error(coupled, exact) < 0.08
     with refused("expected 4 ensembles"):

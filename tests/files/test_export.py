@@ -66,8 +66,7 @@ def test_fields_in_space(tmp_path):
     points = cube(2, known.spacing, known.spacing)
     H = np.array([[1.0, 0.3, -0.2], [0.1, -0.4, 0.5], [0.7, 0.2, 0.6]])
     u = 1e-3 * points.x[None] @ H.T
-    paths = write_vtk(tmp_path, known, Samples(points, u, 0 * u), u)
-    mesh = meshio.read(paths[0])
+    mesh = meshio.read(write_vtk(tmp_path, known, Samples(points, u, 0 * u), u)[0])
     corners = mesh.points[mesh.cells_dict["hexahedron"]]
     assert len(corners) == (round(len(points.x) ** (1 / 3)) - 1) ** 3
     edges = corners[:, [1, 3, 4]] - corners[:, :1]  # of VTK's hexahedron, right-handed

@@ -111,8 +111,7 @@ def noisy(seed):
 
 def test_a_band_leaves_half_of_the_rest_on_each_side():
     """Of draws 0, 1 and 2, by a table of Student's distribution: 2.132 for 4 at 95 %."""
-    found = BootstrapResult([0.0, 1.0, 2.0], loads=5, knows="")
-    low, high = found.band(1.0, float)
+    low, high = BootstrapResult([0.0, 1.0, 2.0], loads=5, knows="").band(1.0, float)
     near((high - low) / 2, 2.132 * 0.6826 * np.sqrt(5 / 4), 1e-4)
     assert (high + low) / 2 == approx(1)
 

@@ -114,8 +114,7 @@ def test_noise_adds_what_the_correction_takes_off(clean):
     N = noise_rows(fluctuation(clean, 50, 0.0003, seed=2), weight)
     less = form(loss.R, loss.y) - form(N, np.zeros(len(N)))
     assert eigvalsh(less).min() > 0
-    corrected = form(*without_noise(loss.R, loss.y, N))
-    near(corrected, less, 1e-12)
+    near(form(*without_noise(loss.R, loss.y, N)), less, 1e-12)
 
 
 def test_the_corrected_form_has_the_minimum_of_the_difference():
@@ -127,8 +126,7 @@ def test_the_corrected_form_has_the_minimum_of_the_difference():
     less = form(R, y) - form(N, np.zeros(width + 1))
     inside, load = less[:-1, :-1], less[:-1, -1]
     assert eigvalsh(inside).min() > 0 > eigvalsh(less).min()
-    lowest = np.linalg.lstsq(*without_noise(R, y, N), rcond=None)[0]
-    near(inside @ lowest, -load, 1e-9)
+    near(inside @ np.linalg.lstsq(*without_noise(R, y, N), rcond=None)[0], -load, 1e-9)
 
 
 def misfit(model, points):
@@ -149,8 +147,7 @@ def assert_tangent(response):
 def test_the_collar_response_is_the_solve_and_its_tangent():
     points = manufactured(MODEL, lattice(4, HORIZON), 5)
     response = CollarResponse(Products(points, HORIZON))
-    expected = misfit(moved(NEAR), points)
-    near(square(response.about(moved(NEAR)), moved(NEAR)), expected, 1e-9)
+    near(square(response.about(moved(NEAR)), moved(NEAR)), misfit(moved(NEAR), points), 1e-9)
     assert_tangent(response)
 
 

@@ -24,8 +24,7 @@ def stiff(model, corrected):
     x = rectangle_nodes(13, 40, 1.0)
     grips, held = np.abs(x[:, 1]) > 20 - model.horizon, np.zeros(x.shape, bool)
     held[grips, 1] = held[np.argmin(np.abs(x).sum(1)), 0] = True
-    points = everywhere(x)
-    problem = Cracked(points, u=x * (0, 1), free=~held, corrected=corrected)
+    problem = Cracked(everywhere(x), u=x * (0, 1), free=~held, corrected=corrected)
     u = (solution := solve(model, problem)).u
     pull = solution.operator.times(u[None])[0, grips & (x[:, 1] > 0), 1].sum()
     middle = np.abs(x[:, 1]) < 6
@@ -43,8 +42,7 @@ def test_a_strip_is_as_stiff_as_it_is_wide(horizon, cut, off, lam):
     ("sides", "lam", "share"), [((9, 8), 3.0, 0.0), ((9, 8), -0.3, 0.3), ((5, 4, 5), -0.3, 0.7)]
 )
 def test_no_breaking_makes_an_energy_negative(sides, lam, share):
-    d = len(sides)
-    body, model = plate(*sides, horizon=2.0), solid(lam, horizon=2.0, dimension=d).model
+    body, model = plate(*sides, horizon=2.0), solid(lam, horizon=2.0, dimension=len(sides)).model
     table = random_breaking(body, default_rng(1), share)
     L = matrix(model, body, table)
     assert abs(L - L.T).max() < 1e-13
@@ -104,8 +102,7 @@ def test_a_corrected_plate_breaks_with_its_ledger_and_goes_on_with_the_same_bits
 def test_waves_with_free_edges_have_the_derivatives_of_differences():
     """Of a cracked plate, held at one end, to all that moves it."""
     x = rectangle_nodes(10, 8, 1.0)
-    points = Points(x, x[:, 0] > -4, 1.0)
-    problem = Cracked(points, cracks=[[(0, 0), (5, 0)]], corrected=True)
+    problem = Cracked(Points(x, x[:, 0] > -4, 1.0), cracks=[[(0, 0), (5, 0)]], corrected=True)
     cut = problem.waves(solid(0.4).model)
     assert cut.max_symbol_eigenvalue() >= eigvalsh(cut.matrix.toarray())[-1]
     fields, options = given(cut)

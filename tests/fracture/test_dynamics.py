@@ -46,10 +46,8 @@ def test_breaking_follows_the_stretch():
         return state
 
     state = moved(1)
-    d = body.body.xi * (0.0, 0.02) * body.body.xi
-    beyond = d.sum(1) / body.body.r**2 > 0.01
-    there = body.body.neighbour >= 0
-    assert np.array_equal(body.operator.kept(state.links), there & ~beyond)
+    beyond = (body.body.xi * (0.0, 0.02) * body.body.xi).sum(1) / body.body.r**2 > 0.01
+    assert np.array_equal(body.operator.kept(state.links), (body.body.neighbour >= 0) & ~beyond)
     assert not body.damage(moved(-1)).any()  # pressed, none breaks
 
 
@@ -73,8 +71,7 @@ def test_a_checkpoint_says_what_differs_and_goes_on_under_the_same_history_of_lo
 
     def march(ramp=None, law=body.solid, step=dt, steps=4, watch=np.max, begin=None, **more):
         other = BreakingBody(law, body.body, ramp=ramp, **whole | more)
-        given = options | {"watch": {"phi": watch}}
-        run = CrackRun(other, step=step, **given)
+        run = CrackRun(other, step=step, **options | {"watch": {"phi": watch}})
         return run.march(other.start(cracks=CRACK, **begin or {}), steps=steps)
 
     slow, later = lambda t: min(1.0, t / (6 * dt)), lambda t: 1.0 if t < 3.5 * dt else 0.5

@@ -27,8 +27,7 @@ def torn_problem():
     x = 5.0 * (grid_places((9, 16)) - (4.0, 7.5))
     free = np.column_stack([x[:, 0] != 0, np.abs(x[:, 1]) < 36])
     start, given = x * (-1 / 120, 1 / 40), np.sign(x) * (0.0, 1.0)
-    points = everywhere(x, 5.0)
-    problem = Cracked(points, u=np.where(free, start, given), cracks=CRACK, free=free)
+    problem = Cracked(everywhere(x, 5.0), u=np.where(free, start, given), cracks=CRACK, free=free)
     return problem, np.abs(x[:, 1]) > 19.9
 
 

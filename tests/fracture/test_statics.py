@@ -128,8 +128,7 @@ def test_a_tip_acts_further_than_it_is_cut():
     assert plain > 1.1
     assert abs(shifted - 1) < 0.6 * (plain - 1)  # softer edges are left
     model = clouds.plain(2.0, 1.0, 1.0)
-    smaller = tip_shift(model.in_units(("nm", "TPa")), 0.1)
-    assert smaller == approx(0.1 * tip_shift(model, 1.0))
+    assert tip_shift(model.in_units(("nm", "TPa")), 0.1) == approx(0.1 * tip_shift(model, 1.0))
 
 
 def test_inclusions_converge():
@@ -142,8 +141,7 @@ def test_inclusions_converge():
 def test_one_material_is_the_plain_operator():
     body, model = plate(8, 8), solid(3.0).model
     uniform = lambda value: lambda place: np.full(place.shape[:-1], value)
-    points = within(body.x, 3)
-    problem = Cracked(points, u=body.x, cracks=[[(-2, 0.3), (2, 0.3)]])
+    problem = Cracked(within(body.x, 3), u=body.x, cracks=[[(-2, 0.3), (2, 0.3)]])
     one = Mixed(3.0, uniform(3.0), uniform(1.0))
     assert_allclose(solve(one, problem).u, solve(model, problem).u, atol=1e-13)
     field = lambda place: np.where(np.abs(place[..., 0]) < 0.2, -2.0, 1.0)  # nodes are at ± 0.5
@@ -152,8 +150,7 @@ def test_one_material_is_the_plain_operator():
 
 
 def test_a_fluid_drives_a_penny():
-    x = box_nodes((8.0,) * 3, 1.0)
-    points = within(x, 3)
+    points = within(box_nodes((8.0,) * 3, 1.0), 3)
     brittle = solid(horizon=2.0, dimension=3, toughness=0.01)
     run = simulate(brittle, Injected(points, [2.0], leak=0.1))
     assert_allclose(run["pumped"], run["volume"] + 0.2 * 12)  # nodes within 2

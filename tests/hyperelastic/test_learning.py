@@ -48,8 +48,7 @@ def frames():
 
 def noisy(frames, size=0.002):
     """The same with noise in spacings."""
-    noise = normal(frames.u.shape, 1)
-    return Samples(frames.points, frames.u + size * frames.spacing * noise)
+    return Samples(frames.points, frames.u + size * frames.spacing * normal(frames.u.shape, 1))
 
 
 def test_ratios_directions_and_exponents_are_found_and_the_scale_is_one(frames):
@@ -122,8 +121,7 @@ def test_sections_go_from_edge_to_edge():
 
     def sections(axis, kept):
         points = Points(x[kept], np.arange(kept.sum()) == 0, 0.1)
-        field = Samples(points, (x[kept] @ (shape - np.eye(2)).T)[None])
-        return Sections(field, dictionary, axis)
+        return Sections(Samples(points, (x[kept] @ (shape - np.eye(2)).T)[None]), dictionary, axis)
 
     for axis, across in enumerate((19, 14)):
         whole, pull = sections(axis, np.ones(len(x), bool)), P[axis, axis]

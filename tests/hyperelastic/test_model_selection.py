@@ -128,8 +128,7 @@ def test_an_even_sheet_that_stiffens_is_not_called_uneven():
 def test_a_band_is_no_narrower_than_the_misfit_and_deviations_have_none():
     """Fits that agree exactly, as those of one number do, know no more than the frames tell."""
     even = SheetFit(SHEET, np.zeros(1), [], [])
-    alike = replace(even, others=[even] * 3)
-    middle, low, high = Candidate("one", alike, 0.01).curves([1.2])
+    middle, low, high = Candidate("one", replace(even, others=[even] * 3), 0.01).curves([1.2])
     assert_allclose(high - low, 2 * 1.645 * 0.01 * middle, rtol=1e-3)
     stiff = replace(SHEET, coefficients=np.array([282.0] * 4 + [0.4, 0.1]))
     rules = Candidate("rules", replace(even, material=stiff), 0.01)
@@ -159,8 +158,7 @@ def test_the_command_finds_families_of_fibres(tmp_path):
     x, given = 0.1 * grid_places((27, 27)), edge.ravel()[mesh.edge]
     how = plane_stress_hgo(1.0, true), mesh.edge, given, x, np.linspace(0.4, 1, 4)
     table(tmp_path, x, stretched(mesh, *how)[0])
-    found = command(tmp_path, out, "--fibres", "8")
-    assert found["material"] == "families of fibres"
+    assert command(tmp_path, out, "--fibres", "8")["material"] == "families of fibres"
     terms = dict(material_terms(wp.load(out / "material.json")))
     (mu,) = [2 * c for term, c in terms.items() if term.kind == "plane_stress"]
     fibres = sorted((np.rad2deg(t.angle), c / mu) for t, c in terms.items() if t.is_fibre)

@@ -103,8 +103,7 @@ def test_the_force_converges_with_the_fourth_power_of_the_spacing():
         u = x @ np.array([[0.1, 0.02], [0.03, 0.25]]).T
         u += 0.05 * np.sin(2 * x[:, ::-1] + 0.4) + 0.03 * np.cos(1.5 * x + 0.2)
         forces.append(sheet_on(points, c=c).force(u)[0])
-    sizes = norm(np.array(forces[:3]) - forces[3], axis=1)
-    assert fitted_order(spacings[:3], sizes) > 3.5
+    assert fitted_order(spacings[:3], norm(np.array(forces[:3]) - forces[3], axis=1)) > 3.5
 
 
 def test_energies_of_bonds_and_corners_are_those_of_their_formulas():

@@ -66,8 +66,7 @@ def test_a_wave_through_a_stiff_part_keeps_its_energy():
     op = model.on(points, lam=lam, mu=mu)
     u = np.exp(-((points.x - 5.5) ** 2).sum(1) / 4)[:, None] * [0.0, 1e-3]
     longest = 2 * np.sqrt(1e-8 * 2000 / op.max_symbol_eigenvalue())
-    problem = Dirichlet(points, 0 * u, u)
-    moved = simulate(op, problem, density=2000.0, steps=100, step=longest / 2)
+    moved = simulate(op, Dirichlet(points, 0 * u, u), density=2000.0, steps=100, step=longest / 2)
     assert abs(moved.drift) < 1e-3
 
 

@@ -69,8 +69,7 @@ def test_a_cut_operator_that_is_not_definite_is_refused_or_named():
     points = cut(points, outside)
     fields = 0 * points.x, np.where(outside[:, None], 0, points.x @ [[0.3, 0.2], [-0.7, 0.9]])
     solve(kernel("1/r", HORIZON), points, *fields)
-    D = [-0.5, -0.8, 0.9, 0.1, 0.5]
-    model = LPSMaterial(-0.3, 0.8, 1.0, D, HORIZON, certified_on=(1.0,))
+    model = LPSMaterial(-0.3, 0.8, 1.0, [-0.5, -0.8, 0.9, 0.1, 0.5], HORIZON, certified_on=(1.0,))
     assert certify(model, spacing=1.0).holds
     message = r"smallest eigenvalue of its symmetric part is -0.068"
     with refused(message):

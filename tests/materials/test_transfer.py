@@ -181,8 +181,7 @@ def test_nodes_around_a_free_edge_are_told_of_it(spacing):
     """At home and on a lattice that the model is carried to."""
     x = spacing * grid_places((24, 24))
     x = x[norm(x - x.mean(0), axis=1) > 4 * spacing]
-    inside = (np.abs(x - x.mean(0)) < 5.5 * spacing).all(1)
-    holed = Points(x=x, interior=inside, spacing=spacing)
+    holed = Points(x=x, interior=(np.abs(x - x.mean(0)) < 5.5 * spacing).all(1), spacing=spacing)
     with refused(r"edges.* Body"):
         solve(HOME, holed, 0 * x, 0 * x)
 

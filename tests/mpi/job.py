@@ -193,8 +193,7 @@ def notched(horizon, lam, corrected=False):
     x = rectangle_nodes(40.0, 20.0, 1.0)
     points = partition(wp.Points(x, np.ones(len(x), bool), 1.0, units=("mm", "GPa")))
     model = plain(horizon, lam, 0.4, units=("mm", "GPa"))
-    ends = np.abs(points.x[:, 1:]) > 9
-    pull = np.where(ends, np.sign(points.x) * (0.0, 0.01), 0.0)
+    pull = np.where(np.abs(points.x[:, 1:]) > 9, np.sign(points.x) * (0.0, 0.01), 0.0)
     cracks = [[(-20.5, 0.0), (-5.0, 0.0)]]
     glass = BrittleMaterial(model, 2500.0, toughness=1e-4)
     return glass, Cracked(points, pull, cracks=cracks, corrected=corrected)

@@ -83,8 +83,7 @@ def test_a_body_at_rest_has_the_same_bits_and_those_of_one_process_nearly(d, job
     assert found[0]["residual"] <= TOLERANCE[d]
     problem, law = whole(d), swings(d)
     alone = wp.solve(law, problem, solver=wp.CG(tolerance=TOLERANCE[d]) if d == 2 else None)
-    answer = np.load(folder / f"{d}-D_2.npy")
-    near(answer, alone.u, 10 * TOLERANCE[d])
+    near(np.load(folder / f"{d}-D_2.npy"), alone.u, 10 * TOLERANCE[d])
 
 
 def assert_same_files(folder, count, *names):

@@ -85,8 +85,7 @@ def test_a_turned_cube_has_the_families_of_the_straight_one():
     points = cube(2, 2.0)
     turn = Rotation.from_euler("xyz", [25, -40, 65], degrees=True).as_matrix()
     turned = Points(points.x @ turn.T + [7.0, 3.0, 1.0], points.interior, 1.0)
-    axes = turned.lattice.axes
-    assert_allclose(np.abs(axes.T @ turn).max(0), 1)
+    assert_allclose(np.abs(turned.lattice.axes.T @ turn).max(0), 1)
     here, there = families_of(points, 2.0), families_of(turned, 2.0)
     assert here.weight == approx(there.weight, rel=1e-14)
     i = there.rows[0]

@@ -80,8 +80,7 @@ def test_an_outline_has_its_parts_curves_holes_and_distances():
     for x in (mesh.x[ends[:, 0]], mesh.middle[mesh.parts["hole"]]):
         assert_allclose(norm(x - (3, 1), axis=1), 5, rtol=1e-6)
     assert size(mesh) == approx(40 * 30 - np.pi * 25, rel=1e-2)
-    inside = np.array([[0.0, 14.0], [9.0, 1.0]])
-    assert_allclose(mesh.distance(inside, 0.01), [1, 1], atol=1e-3)
+    assert_allclose(mesh.distance(np.array([[0.0, 14.0], [9.0, 1.0]]), 0.01), [1, 1], atol=1e-3)
     assert (mesh.holding(np.array([[3.0, 1], [21, 0]])) == -1).all()
     corners = ((0, 0), (10, 0), (10, 4), (4, 4), (4, 10), (0, 10))
     for given in (corners[::-1], np.array(corners[::-1]).view(np.matrix)):

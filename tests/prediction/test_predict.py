@@ -40,8 +40,7 @@ def family():
     rich = solid("filtered")
     second, *halves = (scaled(rich, share) for share in (0.01, APART, -APART))
     record = ErrorSpectrum(np.array([2.0, 4.0, 8.0]), np.array([0.3, 0.1, 0.0]))
-    factors = CalibrationFactors(1.2, 1.48, 2.0)
-    return EnsembleMaterial(rich, second, tuple(halves), record, factors)
+    return EnsembleMaterial(rich, second, tuple(halves), record, CalibrationFactors(1.2, 1.48, 2.0))
 
 
 def held_at(rich, points, u):
@@ -147,11 +146,9 @@ def test_the_guarantee_holds_planted_errors(family):
     points, u, given = problem(family, 0.001)
     inside = points.interior
     wrong = on_interior(points, 0.02 * sup(u) * noise(points))
-    answer = replace(wp.predict(family, given, None), u=u + wrong)
-    proof = answer.guarantee
+    proof = replace(wp.predict(family, given, None), u=u + wrong).guarantee
     assert proof is not None
-    straight = EnsembleOperator(family, points).straight
-    true = np.sqrt((wrong[inside] * straight(wrong)).sum())
+    true = np.sqrt((wrong[inside] * EnsembleOperator(family, points).straight(wrong)).sum())
     assert true <= proof.energy <= true * 1.2 / (1 - proof.contraction)
     assert 0 < proof.contraction < 1
     assert far(u + wrong, u, points) <= proof.displacement
@@ -193,11 +190,9 @@ def test_a_family_is_one_file_in_any_units_and_has_a_command(family, tmp_path, c
     expected = wp.predict(family, given, 0.01)
     samples = as_samples(given)
     moved = in_units(samples, OTHER)
-    posed = wp.Dirichlet(moved, moved.b, moved.u)
-    (there,) = wp.predict(wp.load(path, units=OTHER), posed, 0.01)
+    (there,) = wp.predict(wp.load(path, units=OTHER), wp.Dirichlet(moved, moved.b, moved.u), 0.01)
     near(there.error, expected.error, 1e-4)
-    data = wp.Dataset({"set": samples}, 3.35, 2200.0)
-    wp.save(tmp_path / "data.h5", data)
+    wp.save(tmp_path / "data.h5", wp.Dataset({"set": samples}, 3.35, 2200.0))
     files = [str(tmp_path / name) for name in ("family.json", "data.h5")]
     assert main(["predict", *files, "--set", "set", "--tolerance", "0.05", "--json"]) == 0
     (sample,) = json.loads(capsys.readouterr().out)["samples"]
@@ -366,8 +361,7 @@ def of_linear(rich, *numbers):
         replace(rich, **{name: getattr(rich, name) * f for name in numbers})
         for f in (1.01, 1.02, 0.98)
     )
-    plain = CalibrationFactors(1.0, 1.0, 0.0)
-    return EnsembleMaterial(rich, second, tuple(halves), factors=plain)
+    return EnsembleMaterial(rich, second, tuple(halves), factors=CalibrationFactors(1.0, 1.0, 0.0))
 
 
 @shared
@@ -382,8 +376,7 @@ def lps():
 def test_turned_lattices_and_crystals_in_space(lps, turned):
     """Half of the doubts' squares: waves 1 %, data 2 % times √2."""
     points = lattice(9, HORIZON, angle=0.3) if turned else body(3, "cube")
-    family = lps if turned else of_linear(learned(3), "tensors")
-    answer = wp.predict(family, along_x(points), None)
+    answer = wp.predict(lps if turned else of_linear(learned(3), "tensors"), along_x(points), None)
     assert answer.uncovered == ()
     near(answer.error, np.sqrt((0.01**2 + 2 * APART**2) / 2), 0.15)
     assert answer.corrected.shape == points.x.shape
@@ -402,8 +395,7 @@ def test_what_data_hold_nothing_of_is_named():
 
 
 def test_designed_loads_hold_all_waves_without_a_mean():
-    sheet = wp.Points.sheet((20, 20), 5.0)
-    loads = wp.prediction.design_loads(sheet, shortest_wave=20.0)
+    loads = wp.prediction.design_loads(wp.Points.sheet((20, 20), 5.0), shortest_wave=20.0)
     assert loads.shape == (2, 400, 2)
     assert sup(loads.mean(1)) < 1e-12
     assert norm(loads, axis=-1).max() == approx(1)

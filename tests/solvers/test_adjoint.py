@@ -20,8 +20,7 @@ pytestmark = filterwarnings("ignore::UserWarning")
 def test_a_nonlinear_force_is_felt_where_the_motion_went():
     op = operator("third order, energy")
     fields, options = given(op)
-    value = lambda of: loss(op, fields | of, options)
-    assert_slopes(value, {"u": fields["u"]}, 1.0, 1e-7)
+    assert_slopes(lambda of: loss(op, fields | of, options), {"u": fields["u"]}, 1.0, 1e-7)
 
 
 def test_the_motion_is_that_of_arrays_to_the_bit():
@@ -30,8 +29,7 @@ def test_the_motion_is_that_of_arrays_to_the_bit():
     arrays = {name: value.numpy() for name, value in fields.items()}
 
     def moved(of, **extra):
-        problem = Dirichlet(op.points, of["b"], of["u"])
-        return simulate(op, problem, v=of["v"], **options | extra)
+        return simulate(op, Dirichlet(op.points, of["b"], of["u"]), v=of["v"], **options | extra)
 
     plain = moved(arrays)
     told = moved(fields, parameters=dict(TorchModule(op, op.points).named_parameters()))
@@ -41,8 +39,7 @@ def test_the_motion_is_that_of_arrays_to_the_bit():
     assert torch.equal(told["u"], torch.as_tensor(plain["u"]))
     assert plain["u"].shape == (len(plain.time), len(options["record"]), 2)
     first, second = (moved(arrays, steps=n, every=1) for n in (1, 2))
-    mean = (first.u + second.u)[options["record"]] / 2
-    near(second["u"][1], mean, 0)
+    near(second["u"][1], (first.u + second.u)[options["record"]] / 2, 0)
 
 
 def test_few_states_are_kept(monkeypatch):

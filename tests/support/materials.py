@@ -170,9 +170,7 @@ def scattered():
 def torn():
     """An LPS whose bonds to nodes outside of the body are broken."""
     points = lattice(5, 3.0)
-    outside = points.x[:, 0] > 2.5
-    model = kernel("sign-changing", 3.0)
-    return model.on(problems.cut(points, outside))
+    return kernel("sign-changing", 3.0).on(problems.cut(points, points.x[:, 0] > 2.5))
 
 
 def conductor():
@@ -184,8 +182,7 @@ def conductor():
 def coupled():
     model = clouds.plain(3.0, 1.0, D=[1.0, 0.6])
     conductor = wp.diffusion.DiffusionMaterial(3.0, 1.0, D=np.array([1.0, 0.4]))
-    law = wp.diffusion.ThermoelasticMaterial(model, conductor, 0.4, 1.0)
-    return law.on(lattice(4, 3.0))
+    return wp.diffusion.ThermoelasticMaterial(model, conductor, 0.4, 1.0).on(lattice(4, 3.0))
 
 
 def cut():

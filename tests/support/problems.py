@@ -81,8 +81,7 @@ def ell():
 
 def periodic(shape, spacing=1.0):
     """A periodic lattice, all of it interior, and its box."""
-    axis = np.rad2deg(AXIS) if len(shape) == 2 else None
-    points = Points.sheet(shape, spacing, axis=axis)
+    points = Points.sheet(shape, spacing, axis=np.rad2deg(AXIS) if len(shape) == 2 else None)
     return points, points.box
 
 

@@ -57,8 +57,7 @@ def weights(x, i, model, box=None):
 
 def dilatation(x, i, model, u, box=None):
     """θ of node i, (6)."""
-    pairs = zip(*weights(x, i, model, box))
-    return 2 * sum(w_j * (xi @ (u[j] - u[i])) for j, xi, w_j in pairs)
+    return 2 * sum(w_j * (xi @ (u[j] - u[i])) for j, xi, w_j in zip(*weights(x, i, model, box)))
 
 
 def operator(x, interior, model, u, box=None):

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.linalg import eigvalsh, norm
 from numpy.random import default_rng
 
-from tests.support.problems import lattice
+from tests.support.problems import lattice, normal
 from warp_peri import Samples
 from warp_peri.core.elastic import lattice_group
 from warp_peri.core.stencil import laplacian
@@ -75,9 +75,7 @@ def waves(model, cells=6, highest=4):
 
 def fluctuation(points, count, size, seed):
     """White noise of a size on every node, as a set without loads."""
-    random = default_rng(seed)
-    u = size * random.normal(size=(count, len(points.x), 2))
-    return Samples(nodes_of(points), u)
+    return Samples(nodes_of(points), size * normal((count, len(points.x), 2), seed))
 
 
 def noisy(points, size, seed):

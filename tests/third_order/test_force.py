@@ -57,8 +57,7 @@ def test_samples_that_follow_one_another_change_nothing(monkeypatch):
     w = noise(points, 5, seed=1)[:, points.interior]
 
     def found():
-        slopes = op.by_numbers("t3", u, w)
-        return op(u), op.jvp(u, 2 * u), op.vjp(u, w), op.energy(u), slopes
+        return op(u), op.jvp(u, 2 * u), op.vjp(u, w), op.energy(u), op.by_numbers("t3", u, w)
 
     first = found()
     monkeypatch.setattr(torch_bridge, "MOST", 1)

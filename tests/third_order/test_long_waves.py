@@ -32,8 +32,7 @@ def waves(seed, size, constants, bent=0.0):
         P = P + np.tensordot(constants, np.array(_stresses(H, 1.0 + 0j, 1)), 1)
     div = np.einsum("sxykl,xyl->sxyk", np.fft.fft2(P, axes=(1, 2)), 1j * K)
     b = -np.fft.ifft2(div * (1 - bent * (K**2).sum(2))[..., None], axes=(1, 2)).real
-    points = everywhere(x, box=(SIDE,) * 2, axis=0.0)
-    return Samples(points, u, b.reshape(u.shape))
+    return Samples(everywhere(x, box=(SIDE,) * 2, axis=0.0), u, b.reshape(u.shape))
 
 
 def test_stresses_are_slopes_of_their_energies():

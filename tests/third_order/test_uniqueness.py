@@ -73,8 +73,7 @@ def test_the_clipped_iteration_contracts_from_anywhere(form):
     rate = proof.curvature * proof.kappa_in * proof.kappa_out
     assert proof.strain > 0.003
     assert rate < 1
-    mask = random.uniform(size=(5, 5)) < 0.7
-    points = lattice(mask, HORIZON)
+    points = lattice(random.uniform(size=(5, 5)) < 0.7, HORIZON)
     operator, inside = PlacedThirdOrder(model, points), points.interior
     L = operator.straight.matrix().tocsc()[:, np.repeat(inside, 2)]
     factors, (load, collar) = splu(L), 0.02 * noise(points, 2)
