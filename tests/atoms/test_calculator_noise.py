@@ -107,9 +107,8 @@ def test_broken_force_constants_are_brought_to_the_rules_and_the_shift_is_their_
 
 def test_an_imaginary_phonon_is_refused_beyond_three_standard_errors():
     atoms = from_calculator(bulk("Cu", "sc", a=2.4), EMT(), (4, 4, 4))
-    sure = replace(atoms, doubt=1e-3 * atoms.values[None])
     with refused(r"imaginary phonon, the worst of [\d.]+ ± [\d.e-]+i THz"):
-        check_phonons(sure)
+        check_phonons(replace(atoms, doubt=1e-3 * atoms.values[None]))
     unsure = replace(atoms, doubt=0.5 * atoms.values[None])
     check_phonons(unsure)
     with refused(r"a stable crystal, got the stiffness -[\d.e+-]+ eV"):

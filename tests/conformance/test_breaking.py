@@ -109,8 +109,7 @@ def test_a_motion_in_other_units_and_on_two_threads_breaks_the_same_bonds(
     solid, x, found = SOLIDS[name](d), box_nodes(SIDES[d], 1.0), []
     length, _ = factors(solid.units, OTHER)
     uneven = 0.01 * x * (1 + default_rng(2).random(x.shape))  # no bonds alike
-    other = solid.in_units(OTHER)
-    for count, one, scale in ((1, solid, 1.0), (2, solid, 1.0), (1, other, length)):
+    for count, one, scale in ((1, solid, 1.0), (2, solid, 1.0), (1, solid.in_units(OTHER), length)):
         threads(count)
         points = everywhere(scale * x, scale, units=one.units)
         step = 0.3 * one.longest_step(scale)

@@ -214,8 +214,7 @@ def test_a_module_learns_the_numbers_of_its_material_and_is_saved_and_copied(nam
     other, u = wp.TorchModule(copy.deepcopy(operator(name)), op.points), u.detach()
     other.load_state_dict(module.state_dict())
     torch.save(module, tmp_path / "m.pt")
-    again = torch.load(tmp_path / "m.pt", weights_only=False)
-    for one in (other, copy.deepcopy(module), again):
+    for one in (other, copy.deepcopy(module), torch.load(tmp_path / "m.pt", weights_only=False)):
         assert torch.equal(one(u), module(u))
     assert torch.equal(torch.as_tensor(module(u.numpy())), module(u))
     near(module.float()(u.float()).detach(), other(u).detach(), 1e-5)

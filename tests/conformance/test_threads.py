@@ -84,7 +84,6 @@ def test_warnings_belong_to_the_thread_that_has_them():
 
 
 def test_a_warning_names_the_line_that_called_the_library():
-    points = lattice(1, 1.0)
     with warned("allow_uncertified|certified") as told:
-        plain(2.0, 0.4, 0.4).on(points, allow_uncertified=True)
+        plain(2.0, 0.4, 0.4).on(lattice(1, 1.0), allow_uncertified=True)
     assert told[0].filename == __file__

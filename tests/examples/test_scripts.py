@@ -110,9 +110,8 @@ def test_a_ball_swells_and_a_penny_runs_as_the_textbook_says():
 def test_a_notebook_prints_what_it_shows(name, capsys, monkeypatch, tmp_path):
     """But for digits, of which the last are the machine's."""
     monkeypatch.chdir(tmp_path)
-    book = of_json(FOLDER / "notebooks" / f"{name}.ipynb")
     known, digits = {}, re.compile(r"-?\d[\d.e+-]*")
-    for cell in book["cells"]:
+    for cell in of_json(FOLDER / "notebooks" / f"{name}.ipynb")["cells"]:
         if cell["cell_type"] == "code":
             exec("".join(cell["source"]), known)
             shown = "".join(line for output in cell["outputs"] for line in output["text"])

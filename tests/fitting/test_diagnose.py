@@ -111,9 +111,8 @@ def test_one_solid_of_two_phases_is_warned_of():
     points = lattice(15, HORIZON)
     mu = np.where(np.hypot(*(points.x - 7.0).T) < 5, 4.0, 1.0)
     home = replace(kernel("1/r", HORIZON, lam=0.375, mu=1.0), units=points.units)
-    op = home.on(points, lam=0.375 * mu, mu=mu)
     b = on_interior(points, smooth(points.x, 24, 5, wave_number=0.5))
-    samples = Samples(points, op.solve(b, 0 * b).u, b)
+    samples = Samples(points, home.on(points, lam=0.375 * mu, mu=mu).solve(b, 0 * b).u, b)
     with warned(r"heterogeneity: .* Try fields λ\(x\), μ\(x\) of the LPS"):
         found = fit(samples, LPS(HORIZON, Bernstein(2))).material
     assert diagnose(found, samples).shares["heterogeneity"] > 0.6

@@ -44,9 +44,8 @@ pytestmark = filterwarnings("ignore:spacing")
 def data(name, horizon, spacing=1.0):
     """Ten samples in equilibrium with a known model, and the model."""
     model = kernel(name, horizon, spacing, lam=LAM, mu=MU)
-    points = lattice(6, horizon, spacing)
     how = {"wave_number": 2 / spacing, "allow_uncertified": True}
-    return manufactured(model, points, 10, **how), model
+    return manufactured(model, lattice(6, horizon, spacing), 10, **how), model
 
 
 def test_the_optimum_is_the_model_that_made_the_data():

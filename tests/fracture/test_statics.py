@@ -81,13 +81,12 @@ def test_j_in_space_is_that_of_a_straight_front_along_any_axis(axes, torn):
 def test_j_sees_the_crack_whose_tip_it_is_asked_about():
     """An edge crack beside others, far from its tip: two parallel ones, and one across."""
     x = rectangle_nodes(32.0, 32.0, 1.0)
-    points = within(x, 13)
     own, far = [(-20.0, 0.0), (0.5, 0.0)], [(3.0, 9.0), (20.0, 9.0)]
     others = [], [far], [far, [(3.0, -9.0), (20.0, -9.0)]], [[(9.0, 3.0), (9.0, 20.0)]]
     u = 1e-3 * x * (0.0, 1.0)
     found = []
     for more in others:
-        problem = Cracked(points, u=u, cracks=[own, *more])
+        problem = Cracked(within(x, 13), u=u, cracks=[own, *more])
         solution = solve(solid(horizon=2.0).model, problem)
         found.append(j_integral(solution, (0.5, 0.0), (2, 5)))
     assert min(found) > 0.5 * max(found) > 0
@@ -150,9 +149,8 @@ def test_one_material_is_the_plain_operator():
 
 
 def test_a_fluid_drives_a_penny():
-    points = within(box_nodes((8.0,) * 3, 1.0), 3)
     brittle = solid(horizon=2.0, dimension=3, toughness=0.01)
-    run = simulate(brittle, Injected(points, [2.0], leak=0.1))
+    run = simulate(brittle, Injected(within(box_nodes((8.0,) * 3, 1.0), 3), [2.0], leak=0.1))
     assert_allclose(run["pumped"], run["volume"] + 0.2 * 12)  # nodes within 2
     opened = fracture.crack_opening_volume(run.details)
     assert opened * run["pressure"][0] == approx(run["volume"][0])

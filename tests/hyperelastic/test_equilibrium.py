@@ -109,8 +109,7 @@ def test_stretches_beyond_the_training_data_warn(manufactured):
     errors = evaluate(known, samples)
     assert errors["E_u_samples"][0] < 1e-6
     assert errors["E_res_samples"][1] is None
-    said = f"stretch: the fields reach {reached:.4g}, the training data 1.02"
-    with warned(said):
+    with warned(f"stretch: the fields reach {reached:.4g}, the training data 1.02"):
         evaluate(replace(op.model, stretch=1.02), samples)
     samples.u[1] = 0
     assert evaluate(known, samples)["E_u_samples"][1] is None

@@ -81,11 +81,10 @@ def test_what_a_record_holds(finer):
 
 
 def test_what_cannot_be_had():
-    bare = replace(HOME, certified_on=())
     assert_refused({
         "spacing: expected at least a 10th of": lambda: on_lattice(HOME, spacing=0.29),
         "needs one of 4 or more": lambda: on_lattice(HOME, spacing=2.0, largest_horizon=3.0),
-        "certified on none": lambda: on_lattice(bare, spacing=2.0),
+        "certified on none": lambda: on_lattice(replace(HOME, certified_on=()), spacing=2.0),
     })  # fmt: skip
 
 

@@ -192,11 +192,9 @@ def notched(horizon, lam, corrected=False):
     """A notched plate that is pulled at its ends, and its glass."""
     x = rectangle_nodes(40.0, 20.0, 1.0)
     points = partition(wp.Points(x, np.ones(len(x), bool), 1.0, units=("mm", "GPa")))
-    model = plain(horizon, lam, 0.4, units=("mm", "GPa"))
     pull = np.where(np.abs(points.x[:, 1:]) > 9, np.sign(points.x) * (0.0, 0.01), 0.0)
-    cracks = [[(-20.5, 0.0), (-5.0, 0.0)]]
-    glass = BrittleMaterial(model, 2500.0, toughness=1e-4)
-    return glass, Cracked(points, pull, cracks=cracks, corrected=corrected)
+    glass = BrittleMaterial(plain(horizon, lam, 0.4, units=("mm", "GPa")), 2500.0, toughness=1e-4)
+    return glass, Cracked(points, pull, cracks=[[(-20.5, 0.0), (-5.0, 0.0)]], corrected=corrected)
 
 
 def crack(folder, steps="60", pause="0"):

@@ -111,8 +111,7 @@ def test_waves_go_on_with_another_number_of_ranks_with_the_same_bits(d, jobs, fo
 
 
 def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
-    refused = jobs[2]["refused"]
-    for said, words in zip(refused, (
+    for said, words in zip(jobs[2]["refused"], (
         "points: expected Points, got a piece",
         "points: expected all bonds of every interior node, got 768 of 2704",
         "step: expected at most 0.0025",

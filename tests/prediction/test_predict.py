@@ -169,10 +169,9 @@ def test_a_linear_family_is_bounded_without_a_contraction(lps):
 
 def test_what_is_not_known_is_named(family):
     points, u, given = problem(family)
-    unstated = replace(points, axis=None)
     _said.clear()
     with warned("axis"):
-        answer = wp.predict(family, wp.Dirichlet(unstated, given.b, u), 0.01)
+        answer = wp.predict(family, wp.Dirichlet(replace(points, axis=None), given.b, u), 0.01)
     assert any("axis" in one for one in answer.uncovered)
     assert answer.parts["axis"] > 0
     assert "not covered: axis" in answer.why
@@ -340,9 +339,8 @@ def test_standard_errors_of_moduli_belong_to_the_data():
     assert quantity.bar == approx(share * np.abs(quantity.value), rel=0.1)
     assert not wp.predict(crystal, posed, 0.05).kept
     assert any("moduli" in one for one in answer.uncovered)
-    sure = replace(crystal, provenance={})
     with refused("one model knows nothing of its error"):
-        wp.predict(sure, posed, None)
+        wp.predict(replace(crystal, provenance={}), posed, None)
 
 
 def test_a_family_has_the_standard_error_of_its_crystal_beside_its_own_data(family):
