@@ -18,7 +18,7 @@ from tests.support.bodies import solid
 from tests.support.clouds import plain
 from tests.support.materials import LAWS, operator, placed
 from tests.support.problems import OTHER, everywhere, kernel, lattice, noise, within
-from tests.support.told import assert_refused, each_refused, refused, warned
+from tests.support.told import all_refused, assert_refused, each_refused, refused, warned
 from warp_peri.fracture import Cracked, box_nodes, rectangle_nodes
 from warp_peri.methods import Coupling, LPSParameters
 from warp_peri.points.arguments import check_arguments, kinds_of
@@ -119,16 +119,13 @@ def test_fields_of_a_solve_a_motion_and_an_operator(name):
         with refused("^points: expected Points"):
             place()
     hidden = np.ma.masked_array(zero, np.repeat(points.interior[:, None], 2, axis=1))
-    rows = list(hidden)  # masked where its rows are
+    wrong = hidden, list(hidden), zero * 1j, zero.astype(str), zero.astype(object)
     vjp = lambda bad: op.vjp(zero, np.ma.asanyarray(bad)[points.interior])
     reads = [op, op.rhs, op.stress, lambda bad: op.jvp(zero, bad), vjp]
     for read in reads + [op.energy] * (op.energy(zero) is not None):
-        for bad in (hidden, rows, zero * 1j, zero.astype(str), zero.astype(object)):
-            with refused("expected (float )?values"):
-                read(bad)
-    for bad in (np.zeros(3), zero[points.interior][:-1], zero[points.interior][:, :1]):
-        with refused("expected "):
-            op.vjp(zero, bad)
+        all_refused(read, "expected (float )?values", wrong)
+    inner = zero[points.interior]
+    all_refused(partial(op.vjp, zero), "expected ", (np.zeros(3), inner[:-1], inner[:, :1]))
 
 
 @parametrize("name", [name for name, law in LAWS.items() if law.periodic])
@@ -194,9 +191,8 @@ def test_a_body_with_cracks(kind):
         said = "crack" if which == "cracks" else (which, "load") if kind == "steps" else which
         refuses(lambda value, which=which: run(which, value), good, said)
     if kind in ("steps", "events"):
-        for bad in (np.zeros(count), np.zeros(count, int), np.zeros(3, bool), ["no"], "no"):
-            with refused("^no_fail: expected"):
-                run("no_fail", bad)
+        wrong = np.zeros(count), np.zeros(count, int), np.zeros(3, bool), ["no"], "no"
+        all_refused(partial(run, "no_fail"), "^no_fail: expected", wrong)
 
 
 def test_a_ramp_a_pressure_and_a_crack_that_cuts_nothing():
@@ -257,9 +253,8 @@ def test_options_of_a_body_that_breaks():
     points, u, _ = cracked(7.0)
     run = partial(wp.simulate, solid(), Cracked(points, u=u), step=1e-4, steps=2)
     for option, values in WRONG_OF_BREAKING.items():
-        for bad in values:
-            with refused(f"^{option.rstrip('s')}"):
-                run(**{option: bad})
+        call = lambda bad, option=option: run(**{option: bad})
+        all_refused(call, f"^{option.rstrip('s')}", values)
     with refused("expected options among .*, got allow_unstable"):
         run(allow_unstable="no")
 
@@ -369,9 +364,9 @@ def test_arguments_of_bodies_solids_and_tables():
     })  # fmt: skip
     many, none = torch.full((225,), 0.5), (1j, masked([0.5]), np.nan, "0.5", None, True)
     for name, more in {"lam": many, "mu": many, "alpha": many, "D": []}.items():
-        for value in (*none, more, *[3.0] * (name == "alpha")):
-            with refused(f"^{name}: expected"):
-                parameters(**{name: value})
+        call = lambda value, name=name: parameters(**{name: value})
+        wrong = *none, more, *[3.0] * (name == "alpha")
+        all_refused(call, f"^{name}: expected", wrong)
     assert wp.Points.sheet((4, 4), 1.0, units="reduced").units[0] == "sigma"
 
 
@@ -397,9 +392,9 @@ def test_tensors_beside_a_pressure_and_numbers_of_no_dimension():
     body = Cracked(points, torch.zeros(x.shape), 0 * x, [[(-2, 0), (2, 0)]], pressure=pressure)
     both = (wp.solve(solid().model, one).u for one in (body, replace(body, b=None)))
     assert_allclose(*map(np.asarray, both), atol=1e-12)
-    for b in (torch.tensor(1e-4), torch.ones(2), torch.ones(len(x), 1), torch.ones(x.shape) > 0):
-        with refused("b: expected (shape|real numbers)"):
-            wp.solve(solid().model, replace(body, b=b))
+    loaded = lambda b: wp.solve(solid().model, replace(body, b=b))
+    wrong = torch.tensor(1e-4), torch.ones(2), torch.ones(len(x), 1), torch.ones(x.shape) > 0
+    all_refused(loaded, "b: expected (shape|real numbers)", wrong)
     points, u = lattice(3, 2.0), noise(lattice(3, 2.0))
     model, how = kernel("positive", 2.0), {"density": torch.tensor(2.0), "steps": 1}
     run = wp.simulate(model, wp.Dirichlet(points, None, u), step=torch.tensor(1e-9), **how)

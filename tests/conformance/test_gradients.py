@@ -13,10 +13,11 @@ from numpy.linalg import norm
 from torch.autograd import forward_ad, functional, grad, gradgradcheck
 
 import warp_peri as wp
-from tests.support import assert_refused, filterwarnings, masked, near, parametrize, refused
+from tests.support import filterwarnings, masked, near, parametrize
 from tests.support.fields import double, field, seeded, tensor, tensors
 from tests.support.materials import CRACK, LAWS, LINEAR, OPERATORS, operator
 from tests.support.problems import kernel, lattice, normal
+from tests.support.told import all_refused, assert_refused, refused
 from warp_peri.errors import ALONE
 
 pytestmark = filterwarnings("ignore::UserWarning")
@@ -85,14 +86,12 @@ def test_second_derivatives_of_others_are_refused(name):
     (first,) = grad(penalised(u), u, create_graph=True)
     (plain,) = grad(penalised(u), u)
     assert torch.equal(first, plain)
-    for second in (
+    assert_refused({"second derivative": (
         lambda: grad(first.square().sum(), u, retain_graph=True),
         lambda: first.square().sum().backward(),
         lambda: functional.hvp(penalised, u.detach(), v),
         lambda: functional.vhp(penalised, u.detach(), v),
-    ):
-        with refused("second derivative"):
-            second()
+    )})  # fmt: skip
     if not hasattr(op, "solve") or "filtered" in name:
         return
     held = (0.01 * u).detach().requires_grad_()
@@ -126,12 +125,9 @@ def test_batches_and_precisions(name):
     strided = u.detach().movedim(0, -1).contiguous().movedim(-1, 0)
     assert torch.equal(op(strided), force)
     short = u[..., :-1, :] if len(op.shape) == 2 else u[..., :-1]
-    for wrong in (short, u[0, 0, 0], u[:0], u.detach().long()):
-        with refused("u: expected float64 of shape"):
-            op(wrong)
-    for wrong in (short, u[:0]):
-        with refused("expected"):
-            op(wrong.detach().numpy()[:, 0])
+    wrong = short, u[0, 0, 0], u[:0], u.detach().long()
+    all_refused(op, "u: expected float64 of shape", wrong)
+    all_refused(op, "expected", [one.detach().numpy()[:, 0] for one in (short, u[:0])])
 
 
 class Forces(list):
@@ -225,9 +221,8 @@ def test_what_a_solve_takes_and_tells(name):
     op = operator(name)
     b, u = tensors(op, 2)
     solution = lambda b, u: wp.solve(op, wp.Dirichlet(op.points, b, u))
-    for wrong in ((b, u[0]), (b[0], u), (b[:, :-1], u[:, :-1]), (b + 0j, u), (b, u + 0j)):
-        with refused("[bu]: expected"):
-            solution(*wrong)
+    wrong = (b, u[0]), (b[0], u), (b[:, :-1], u[:, :-1]), (b + 0j, u), (b, u + 0j)
+    all_refused(solution, "[bu]: expected", wrong)
     plain, whole = solution(b.numpy(), 0 * u.numpy()), solution(b, torch.zeros(u.shape).long())
     near(whole.u, plain.u, 1e-9)
     told = solution(b.requires_grad_(), 0 * u)
@@ -257,9 +252,8 @@ def test_a_second_derivative_to_numbers_is_refused(solver):
         functional.hessian(energy, tuple(values))
     leaves = [value.requires_grad_() for value in values]
     first = grad(energy(*leaves), leaves, create_graph=True)
-    for one in first:
-        with refused("second derivative"):
-            grad(one.sum(), leaves, retain_graph=True, allow_unused=True)
+    again = lambda one: grad(one.sum(), leaves, retain_graph=True, allow_unused=True)
+    all_refused(again, "second derivative", first)
 
 
 def along(call, x):

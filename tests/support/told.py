@@ -13,6 +13,12 @@ warned = lambda words: pytest.warns(UserWarning, match=words)
 def each_refused(call, table):
     """What is given, several in a tuple, is refused in the words that it has here."""
     for words, given in table.items():
+        all_refused(call, words, [given])
+
+
+def all_refused(call, words, values):
+    """Each of what is given, several in a tuple, is refused in the same words."""
+    for given in values:
         with refused(words):
             call(*given) if isinstance(given, tuple) else call(given)
 
