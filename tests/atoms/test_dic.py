@@ -135,9 +135,8 @@ def test_columns_that_contradict_each_other_are_refused(tmp_path, frame_of):
         ),
     })  # fmt: skip
     path = write(tmp_path / "b.csv", (X, field(X)))
-    frames = [read_dic_frame(path, pixel=pixel) for pixel in ("mm", 1.0)]
     with refused(r"one unit of length, got mm in b.csv, no unit in b.csv"):
-        dic_to_lattice(frames)
+        dic_to_lattice([read_dic_frame(path, pixel=pixel) for pixel in ("mm", 1.0)])
 
 
 @parametrize("column", ["MATCH", "converged", "none", "other", "u alone"])

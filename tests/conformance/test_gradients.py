@@ -55,8 +55,7 @@ def test_second_derivatives_of_a_linear_force(name):
     energy = lambda u: (op(u) ** 2).sum() / 2
     expected = op.vjp(u.numpy(), op(v.numpy()))
     for second in (functional.hvp, functional.vhp):
-        found = second(energy, u, v)[1]
-        near(found, expected, 1e-12)
+        near(second(energy, u, v)[1], expected, 1e-12)
 
 
 def test_a_gradient_beside_a_tape_of_the_user():

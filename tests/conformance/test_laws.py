@@ -166,8 +166,7 @@ def answers(op, u, v):
     if known := getattr(op, "learnable", {}):
         numbers = {n: torch.tensor(one).double() for n, one in known.items()}
         leaves = [one.requires_grad_() for one in numbers.values()]
-        force = op.force_with_parameters(torch.from_numpy(u), numbers)
-        found += grad((force**2).sum(), leaves)
+        found += grad((op.force_with_parameters(torch.from_numpy(u), numbers) ** 2).sum(), leaves)
     return found
 
 

@@ -70,8 +70,7 @@ def test_the_parts_of_the_proof_bound_what_they_claim(name, lam):
     random, worst = default_rng(4), 0.0
     for k in (*random.uniform(-np.pi, np.pi, (20, 2)), np.array([1e-2, 1e-2])):
         value, slopes = (one[..., 0, :, :] for one in proof._symbol_slopes(stencil, k[None]))
-        expected = difference(lambda k: stencil.symbol(k[None])[0], k, 0.01)
-        assert slopes == approx(expected, abs=1e-9)
+        assert slopes == approx(difference(lambda k: stencil.symbol(k[None])[0], k, 0.01), abs=1e-9)
         t = half * random.uniform(-1, 1, (200, 2))
         affine = value + np.tensordot(t, slopes, 1)
         gap = eigvalsh(stencil.symbol(k + t) - affine)[:, 0].min()

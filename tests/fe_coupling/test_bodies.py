@@ -93,8 +93,7 @@ def test_elements_reach_as_deep_as_asked(field, held):
     for depth in (None, 1.2):
         coupling = Coupling(spacing=SPACING, overlap=5.0, depth=depth and depth * 2 * MODEL.horizon)
         solution = solve_body(MODEL, mesh, displacement=held, coupling=coupling)
-        unknown = solution.points.x[solution.points.interior]
-        found.append(mesh.distance(unknown, SPACING / 10).min())
+        found.append(mesh.distance(solution.points.x[solution.points.interior], SPACING / 10).min())
         assert relative_error(solution.u_bulk, field(solution.points.x)[0]) < 5e-4
     assert 2 * MODEL.horizon <= found[0] < 1.2 * 2 * MODEL.horizon <= found[1]
 

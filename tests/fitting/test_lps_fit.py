@@ -176,9 +176,8 @@ def test_fields_of_local_elasticity_are_fitted_by_displacement():
 def test_long_waves_hold_no_moduli_where_a_start_explains_the_data():
     sheet, true = Points.sheet((16, 16), 1.0, axis=0.0), LPSMaterial.isotropic(0.9, 0.25, 2.5, 1.0)
     b = design_loads(sheet, 4.0, number=6)
-    found = fit(
-        Samples(sheet, wp.solve(true, wp.Periodic(sheet, b)).u, b), 2.5, Bernstein(2)
-    ).material
+    samples = Samples(sheet, wp.solve(true, wp.Periodic(sheet, b)).u, b)
+    found = fit(samples, 2.5, Bernstein(2)).material
     assert (found.lam, found.mu) == approx((true.lam, true.mu), rel=1e-9)
 
 

@@ -44,8 +44,7 @@ def test_bounds_that_do_not_matter_leave_least_squares_and_impossible_ones_are_r
     A, y = np.diag([1.0, 2.0, 4.0]), np.array([1.0, 2.0, 4.0])
     assert_allclose(least_squares_above(A, y, np.zeros((0, 3)), np.zeros(0)), 1)
     for bound, expected in ((0.5, 1), (2.0, 2)):
-        found = least_squares_above(A, y, np.eye(3), np.full(3, bound))
-        assert_allclose(found, expected)
+        assert_allclose(least_squares_above(A, y, np.eye(3), np.full(3, bound)), expected)
     G = np.array([[1.0, 0.0], [-1.0, 0.0]])
     each_refused(lambda last, h: least_squares_above(np.diag([1.0, last]), np.zeros(2), G, h), {
         "no x": (1.0, np.ones(2)), "full column rank": (0.0, -np.ones(2)),

@@ -96,8 +96,7 @@ def test_a_trial_is_not_believed_as_it_stands(sets, tmp_path, monkeypatch):
             del told["sha256"]
             told["provenance"]["sweep"], told["errors"]["E_u"]["val"] = "known", wrong
             other.write_text(json.dumps(told))
-            found = sweep(*sets, tmp_path, **options).trials
-            assert (found == first) == (wrong != 0.5)
+            assert (sweep(*sets, tmp_path, **options).trials == first) == (wrong != 0.5)
     (train, val), options = sets, options | {"horizons": (2.0,)}
     there = [replace(each, points=replace(each.points, units=OTHER)) for each in sets]
     sweep(*there, tmp_path, **options)

@@ -86,8 +86,7 @@ def test_j_sees_the_crack_whose_tip_it_is_asked_about():
     u = 1e-3 * x * (0.0, 1.0)
     found = []
     for more in others:
-        problem = Cracked(within(x, 13), u=u, cracks=[own, *more])
-        solution = solve(solid(horizon=2.0).model, problem)
+        solution = solve(solid(horizon=2.0).model, Cracked(within(x, 13), u=u, cracks=[own, *more]))
         found.append(j_integral(solution, (0.5, 0.0), (2, 5)))
     assert min(found) > 0.5 * max(found) > 0
 

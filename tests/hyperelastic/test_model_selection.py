@@ -142,8 +142,7 @@ def stretched(mesh, energy, fixed, given, x, levels):
     """Fields of elements at parts of what is given, with noise of 0.002 spacings, and forces."""
     rng, u, fields, forces = default_rng(5), None, [], []
     for level in levels:
-        nothing = np.zeros(2 * mesh.nodes)
-        u = mesh.solve(energy, nothing, fixed, level * given, start=u, steps=2)
+        u = mesh.solve(energy, np.zeros(2 * mesh.nodes), fixed, level * given, start=u, steps=2)
         fields.append(mesh.sample(u, x) + 2e-4 * rng.standard_normal(x.shape))
         forces.append(mesh.internal(energy, u))
     return fields, forces

@@ -226,8 +226,7 @@ def test_other_weights_stay_those_of_a_solve_with_other_numbers():
     b, other = noise(points), replace(model, mu=0.6)
     for degree in (2, 6):
         operator = model.on(points, quadrature_degree=degree)
-        given = {"mu": double(0.6)}
-        found = operator.solve(b, 0 * b, parameters=given)
+        found = operator.solve(b, 0 * b, parameters={"mu": double(0.6)})
         expected = other.on(points, quadrature_degree=degree).solve(b, 0 * b)
         assert error(np.asarray(found.u), expected.u) < 1e-9
         assert operator.proven is None

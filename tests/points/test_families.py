@@ -37,8 +37,7 @@ def test_families_are_those_of_brute_force(horizon, angle, box):
         there = family >= 0
         order = np.argsort(family[there])
         assert_array_equal(family[there][order], np.sort(ends))
-        there_xi = families.pattern[there][order]
-        assert_allclose(there_xi, xi[np.argsort(ends)], atol=1e-9)
+        assert_allclose(families.pattern[there][order], xi[np.argsort(ends)], atol=1e-9)
         back = families.neighbour[families.row[family[there]] + families.reverse[there]]
         assert (back == i).all()
         needed |= {*ends} if points.interior[i] else set()
@@ -121,8 +120,7 @@ def test_each_scattered_family_has_its_own_weights():
     found = families_of(points, 3.4, degree=3)  # those of degree 5 are in the reference of forces
     for i in found.whole[::5]:
         bonds = slice(*found.row[i : i + 2])
-        xi = points.x[found.neighbour[bonds]] - points.x[i]
-        expected = quadrature_weights(xi, 3.4, degree=3)
+        expected = quadrature_weights(points.x[found.neighbour[bonds]] - points.x[i], 3.4, degree=3)
         assert_allclose(found.weight[bonds], expected, atol=1e-9)
 
 

@@ -28,8 +28,7 @@ def moved(model, points, u, v, b=None, **options):
 
 def box_of(model, spacing):
     """A periodic box that holds the stiffest wave to a part in a thousand."""
-    line = np.arange(0, 25) / 48
-    p, q = (line[a] for a in np.tril_indices(25))
+    p, q = np.array(np.tril_indices(25)) / 48
     k = 2 * np.pi * np.c_[p, q][1:] / spacing
     k = k[largest(model, k, spacing).argmax()]
     shape = [next(n for n in range(6, 49) if abs(n * f - round(n * f)) < 1e-9)

@@ -32,8 +32,7 @@ def orders(make, ratio, stiffer):
         horizon = ratio * LENGTH / number
         points = make(number, horizon)
         exact, load = curl_and_pressure(points.x, stiffer)
-        model = plain(horizon, stiffer * MU, MU)
-        u = solve(model, points, load, exact, allow_uncertified=True)
+        u = solve(plain(horizon, stiffer * MU, MU), points, load, exact, allow_uncertified=True)
         error = (u - exact)[points.interior]
         errors.append((np.sqrt((error**2).mean()), sup(error)))
     return [fitted_order(LENGTH / NUMBERS, column) for column in np.transpose(errors)]
@@ -77,8 +76,7 @@ def test_iteration_finds_what_a_factorisation_does_in_space():
     b, u = normal((2, *points.x.shape))
     first = operator.solve(b, u, Direct()).u
     for method in ("sine", "multigrid", "strip"):
-        found = operator.solve(b, u, CG(method, tolerance=1e-11))
-        near(found.u, first, 1e-8)
+        near(operator.solve(b, u, CG(method, tolerance=1e-11)).u, first, 1e-8)
 
 
 def test_large_cubes_and_periods_are_solved_in_space():

@@ -59,9 +59,8 @@ def waves(model, cells=6, highest=4):
     points = lattice(cells, model.horizon)
     k = np.array([(p, q) for p in range(highest) for q in range(highest)][1:]) * 2 * np.pi / 19
     k = np.repeat(k, 2, axis=0)
-    D = symbol(model, k)
     load = np.tile(np.eye(2), (len(k) // 2, 1))
-    answer = np.linalg.solve(D, load[..., None])[..., 0]
+    answer = np.linalg.solve(symbol(model, k), load[..., None])[..., 0]
     scale = 1 / norm(answer, axis=1, keepdims=True)
     answer, load = answer * scale, load * scale
     u = np.zeros((len(k), len(points.x), 2))
