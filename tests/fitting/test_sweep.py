@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from tests.support import approx, of_json, refused, warned
@@ -45,7 +46,7 @@ def sets():
 
 def test_a_sweep_finds_the_horizon_of_the_data_and_resumes(sets, tmp_path):
     train, val = sets
-    options = {"horizons": (2.0, 2.5), "degrees": (0, 3), "jobs": 1}
+    options = {"horizons": np.array([2.0, 2.5]), "degrees": (0, 3), "jobs": 1}
     first = sweep(train, val, tmp_path, test=val, **options)
     assert len(first.trials) == 4
     assert (first.printed.horizon, first.printed.degree) == (2.5, 3)

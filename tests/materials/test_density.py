@@ -90,6 +90,8 @@ def test_what_cannot_be_used_is_refused_and_files_ask_for_the_energy(tmp_path):
     wp.save(path := tmp_path / "own.json", material)
     assert wp.DensityMaterial.read(path, blatz_ko).parameters == material.parameters
     assert of(max).name == "max"  # what does not tell its arguments is taken
+    wp.save(path.parent / "partial.json", of(blatz := partial(blatz_ko, mu=MU)))
+    assert wp.DensityMaterial.read(path.parent / "partial.json", blatz).energy is blatz
     pulled = of(lambda E: E[..., 0, 0] + (E * E).sum((-1, -2)))
     one = "energy: expected one value a strain, .* got"
     assert_refused({
