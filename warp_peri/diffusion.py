@@ -12,7 +12,7 @@ import torch
 from numpy.typing import ArrayLike
 
 from warp_peri.core.record import FieldUnits, Length, Record, Stress
-from warp_peri.errors import InputError
+from warp_peri.errors import OF_POSITIONS, InputError, called
 from warp_peri.fracture.adjoint import bond_force
 from warp_peri.fracture.body import lattice_body
 from warp_peri.fracture.bonds import bond_matrix, bonds_of, dilatations
@@ -160,7 +160,7 @@ class DiffusionOperator(FlowOperator):
         xi = nearest(points.x[far] - points.x[near], points.box)
 
         def along(place: float) -> np.ndarray:
-            values = kappa(points.x[near] + place * xi)
+            values = called(f"kappa: {OF_POSITIONS}", kappa, points.x[near] + place * xi)
             return np.broadcast_to(_conductivities(values, len(near), "position"), len(near))
 
         return 1 / mean_inverse(along)

@@ -21,6 +21,8 @@ Rows: TypeAlias = list[tuple[str, str]]
 """Name and value of each line of a summary table."""
 LAST_WORDS: list[Callable[[str, int], None]] = []
 """What ends all processes of a run that has many, given a line to say and the exit status."""
+OF_POSITIONS = "expected a function of positions, an array [N, d]"
+"""What users' fields are, for errors."""
 LONGEST = 2000
 """Characters of a message; what a file holds may be repeated in it, and may be long."""
 
@@ -118,6 +120,17 @@ def agreed(comm: Any) -> Iterator[None]:
     told = [words for words in comm.allgather(None if mine is None else str(mine)) if words]
     if told:
         raise mine or InputError(told[0])
+
+
+def called(what: str, given: Callable[..., Any], *of: Any, **named: Any) -> Any:
+    """What a user's function gives, or a value that is none; an InputError that begins with `what`
+    was expected where it fails."""
+    try:
+        return given(*of, **named) if callable(given) else given
+    except InputError:
+        raise
+    except (AttributeError, IndexError, RuntimeError, TypeError, ValueError) as error:
+        raise InputError(f"{what}, got {error}") from error
 
 
 def optional(module: str, without: str) -> Any:

@@ -300,8 +300,8 @@ def fit_crystal(
     """
     units = check_units(units)
     offered(atoms, "get_positions", "fit_crystal", "an ase.Atoms")
-    if calculator is None and (calculator := atoms.calc) is None:
-        raise InputError("calculator: expected an ASE calculator, or atoms that have one")
+    calculator = atoms.calc if calculator is None else calculator
+    offered(calculator, "get_forces", "calculator", "an ASE calculator, or atoms that have one")
     reference = at_rest(atoms, calculator, thickness=thickness, hold=hold)
     constants, said = force_constants(reference, calculator, supercell)
     group = symmetry_of(constants, symmetry)

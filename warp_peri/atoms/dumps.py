@@ -25,7 +25,7 @@ from tqdm import tqdm
 from warp_peri.atoms.coarse_graining import coarse_grain
 from warp_peri.errors import InputError, StrPath, warn
 from warp_peri.files.atomic import MARKS, check_regular, check_xml, content, encoding_of, unpacked
-from warp_peri.points.arguments import MOST, Natural, Positive, as_array, checked, typed
+from warp_peri.points.arguments import MOST, Natural, Positive, as_array, checked, plain, typed
 from warp_peri.points.points import PointsLike, Samples, nearest, nodes_of
 
 EXPECTED = "a LAMMPS dump (text, packed or not), .extxyz, .xyz or .traj"
@@ -344,7 +344,7 @@ def mean_displacement(
         x = frame.x
         if x.shape != reference.shape:
             raise InputError(f"{path}: expected {len(reference)} atoms, got {len(x)}")
-        if ids is not None and not np.array_equal(frame.ids, ids):
+        if ids is not None and not np.array_equal(frame.ids, plain("ids", ids)):
             raise InputError(f"{path}: expected the ids of the reference's atoms, got others")
         if box is not None:
             check_box(path, box, frame.box, 1e-5)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import itertools
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -38,8 +39,9 @@ WIDTHS = 10.0, 14.0, 18.0, 22.0, 26.0, 32.0, 40.0
 DECAYED_FORCE, DECAYED_FORCE_ROUGH = 1e-5, 0.05
 """Force at half the width of a supercell, over the largest, that is none; that of a surface that
 is rough, whose forces far away are no noise."""
-MOST_ATOMS, NOISY_ATOMS = 6000, 700
-"""In a supercell; where forces are noisy strains tell moduli better than what is further away."""
+MOST_ATOMS, NOISY_ATOMS, MOST_ASKED = 6000, 700, 10**6
+"""In a supercell; where forces are noisy strains tell moduli better than what is further away. One
+that is asked for may have more."""
 GRID = {2: 24, 3: 8}
 """Wave vectors along each reciprocal edge that are looked at for soft modes."""
 SOFT = 1e-5
@@ -66,9 +68,7 @@ def force_constants(
     if supercell is None:
         repeats = wide_enough(reference, calculator, WIDTHS)
     else:
-        repeats = tuple(checked("supercell", supercell, int, (3,)).tolist())
-        if min(repeats) < 1 or (d == 2 and repeats[2] != 1):
-            raise InputError(f"supercell: expected three counts, a sheet's third 1, got {repeats}")
+        repeats = _counted("supercell", supercell, len(cell), flat=d == 2)
     many, how = cell.repeat(repeats), {"thickness": reference.thickness, "stress": reference.stress}
     said: dict[str, str] = {}
     if reference.noise.rounding:
@@ -77,6 +77,15 @@ def force_constants(
         found, said = rattled(cell, many, calculator, reference.noise, **how)
     check_phonons(found)
     return found, {"force constants": f"{_cells(repeats[:d])}, {len(many)} atoms"} | said
+
+
+def _counted(name: str, repeats: Any, atoms: int, *, flat: bool = False) -> tuple[int, ...]:
+    """Check how often a cell of so many atoms is repeated."""
+    counts = tuple(checked(name, repeats, int, (3,)).tolist())
+    if min(counts) < 1 or (flat and counts[2] != 1) or atoms * math.prod(counts) > MOST_ASKED:
+        what = f"three counts, a sheet's third 1, at most {MOST_ASKED} atoms"
+        raise InputError(f"{name}: expected {what}, got {counts}")
+    return counts
 
 
 def _cells(repeats: Sequence[int]) -> str:
@@ -195,7 +204,10 @@ def from_calculator(
     """Force constants of a crystal at rest, an ase.Atoms, by an ASE calculator on a supercell.
     `repeats` of the cell must be wider than twice what forces reach; `thickness` of a sheet [Å]."""
     repeat = offered(structure, "repeat", "from_calculator", "an ase.Atoms")
-    return _by_differences(structure, repeat(tuple(repeats)), calculator, thickness=thickness)
+    offered(calculator, "get_forces", "calculator", "an ASE calculator")
+    check_sites(structure)
+    many = repeat(_counted("repeats", repeats, len(structure)))
+    return _by_differences(structure, many, calculator, thickness=thickness)
 
 
 def _by_differences(cell: Any, many: Any, calculator: Any, **how: Any) -> ForceConstants:

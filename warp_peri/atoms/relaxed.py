@@ -224,7 +224,7 @@ def at_rest(
     """Relax a structure's smallest cell in forces and free stresses; arguments of `fit_crystal`."""
     held = set(VOIGT) if "all" in hold else set(hold)
     if not held <= set(VOIGT):
-        raise InputError(f"hold: expected all, or of {', '.join(VOIGT)}, got {' '.join(hold)}")
+        raise InputError(f"hold: expected all, or of {', '.join(VOIGT)}, got {hold!r:.60}")
     cell, flat = oriented(atoms, turning=not held or held >= set(VOIGT))
     turned = np.abs(np.array(cell.cell)[0] - np.array(atoms.cell)).max(axis=1).min() > FLAT
     if not flat and thickness is not None:

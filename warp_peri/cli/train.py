@@ -156,7 +156,7 @@ def run_fit(given: Namespace) -> Said:
     """Fit a material to data; writes model.json, metrics.json and the settings to a folder."""
     data = _dataset(given)
     made = {"data_provenance": data.provenance, "sha256": hash_of(given.data)}
-    samples, noise = data[given.set], data[given.noise] if given.noise else None
+    samples, noise = data[given.set], None if given.noise is None else data[given.noise]
     if given.horizon is None:
         given.horizon = float(usual_lengths("horizon", HORIZON, data.units))
     law = _law(given, samples.spacing)
@@ -186,10 +186,10 @@ def run_fit(given: Namespace) -> Said:
 def _law(given: Namespace, spacing: float) -> Any:
     """Material to learn, by the options; InputError for options of an LPS with another material."""
     if given.law == "lps":
-        if given.influence and given.degree is not None:
+        if given.influence is not None and given.degree is not None:
             raise InputError("degree, influence: expected one of the two")
         kernel: Any = None if given.degree is None else lps_law.Bernstein(given.degree)
-        if given.influence:
+        if given.influence is not None:
             kernel = warp_peri.influence.named(given.influence, given.horizon)
         method = lps_law.METHODS[given.method]()
         return warp_peri.LPS(given.horizon, kernel, method, loss=given.loss)
@@ -258,8 +258,8 @@ def run_sweep(given: Namespace) -> Said:
         data[given.set],
         data[given.val],
         given.out,
-        test=data[given.test] if given.test else None,
-        noise=data[given.noise] if given.noise else None,
+        test=None if given.test is None else data[given.test],
+        noise=None if given.noise is None else data[given.noise],
         law=warp_peri.LPS(HORIZON, None, lps_law.GaussNewton(moduli=None)),
         **chosen(given, "horizons", "degrees", "jobs", "progress"),
     )

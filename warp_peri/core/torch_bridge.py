@@ -173,7 +173,7 @@ def with_numbers(operator: Any, numbers: Numbers) -> tuple[Any, dict[str, torch.
         own = known.get(name, ())
         fits = value.shape == np.shape(own) or value.size == np.size(own) == 1  # a number, as [1]
         if name not in known or not fits or not np.isfinite(value).all():
-            got = f"{name} {list(value.shape)}"
+            got = f"{name} {list(value.shape)}: {value!r:.60}"
             names = ", ".join(f"{n} {list(np.shape(own))}" for n, own in known.items())
             names = names or getattr(operator, "unlearned", "none")
             raise InputError(f"parameters: expected finite numbers among {names}, got {got}")
@@ -383,6 +383,7 @@ class Swept(OperatorBase):
         given = [plain("u", field) for field in fields]
         for each in given:
             self.check(each)
+            check_shape("v or w, along u", each, given[0].shape)
         flat = [each.reshape(-1, *self.shape) for each in given]
         step, count = max(1, MOST // self.size), len(flat[0])
         few = self.size * min(step, count) < FEW * self.parts

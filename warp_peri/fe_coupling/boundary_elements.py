@@ -18,7 +18,7 @@ from scipy.sparse.linalg import LinearOperator, splu
 
 from warp_peri.core.elastic import voigt_to_tensor
 from warp_peri.core.stencil import numbers_at
-from warp_peri.errors import InputError, optional
+from warp_peri.errors import OF_POSITIONS, InputError, called, optional
 from warp_peri.points.arguments import ArrayMap, check_function, check_mapping, check_shape, checked
 from warp_peri.points.mesh import Mesh, pieces
 from warp_peri.solvers.systems import loose_pieces
@@ -327,7 +327,7 @@ def _field(name: str, value: Field | Traction | ArrayLike, *of: str, free: bool 
         check_function(name, value, *of)
 
     def answer(*where: np.ndarray) -> np.ndarray:
-        given = value(*map(np.copy, where)) if callable(value) else value
+        given = called(f"{name}: {OF_POSITIONS}", value, *map(np.copy, where))
         vectors = checked(name, given, read=False)
         checked(name, given, read=~(free & np.isnan(vectors)))
         if vectors.shape == where[0].shape[1:]:

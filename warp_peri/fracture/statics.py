@@ -232,6 +232,8 @@ def check_no_fail(no_fail: ArrayLike | None, count: int) -> np.ndarray:
 
 def check_pieces(body: LatticeBody, neighbour: np.ndarray, held: np.ndarray) -> None:
     """Refuse a body of which cracks have cut a piece that nothing holds, as loose_pieces finds."""
+    if held.all():
+        raise InputError("free: expected at least one component, got none")
     node, bond = np.nonzero(neighbour >= 0)
     links = sp.csr_array(
         (np.ones(len(node)), (node, neighbour[node, bond])), shape=2 * (len(neighbour),)

@@ -124,9 +124,9 @@ class TensorOperator(OperatorBase):
         collar, d = ~self.points.interior, self.nodes.dimension
         ones = np.repeat(np.eye(d)[:, None], self.points.interior.sum(), axis=1)
         ends = -self.vjp(u, ones)[:, collar]  # Σ C(ξ) over unknowns, [d, N − I, d]
-        given = plain("u", u)[..., collar, :]
+        own, given = self.quadratic(u), plain("u", u)[..., collar, :]
         bent = np.einsum("...na,ank,...nk->...", given, ends, given, optimize=True)
-        return np.asarray(self.quadratic(u) + self.spacing**d / 2 * bent)[()]
+        return np.asarray(own + self.spacing**d / 2 * bent)[()]
 
     def gradient(self, u: ArrayLike) -> np.ndarray:
         """Displacement gradient ∂u_a/∂x_b at interior nodes by least squares, [..., I, d, d]."""

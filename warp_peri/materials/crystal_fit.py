@@ -44,7 +44,7 @@ from warp_peri.fitting.result import Fit
 from warp_peri.materials.crystal import BROKEN, CrystalMaterial
 from warp_peri.materials.lps_law import LONG_WAVES
 from warp_peri.materials.transfer import LARGEST_WAVE, WaveSymbol, carried_symbol, wave_rows
-from warp_peri.points.arguments import USUAL, Positive, Units, factors, symbols, typed
+from warp_peri.points.arguments import USUAL, Positive, Units, factors, offered, symbols, typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.points import Samples, check_lattice, sets_of
 
@@ -308,6 +308,7 @@ def fit_phonons(
     It has the atoms' elastic constants exactly where a family has NUMBERS for each; elsewhere long
     waves weigh four times. Raises InputError for a crystal that is not stable.
     """
+    offered(atoms, "effective", "atoms", "ForceConstants, as from_calculator gives")
     d, turn = atoms.dimension, checked_orientation(orientation, atoms.dimension)
     length, stress = factors(units, USUAL)
     name = symmetry_of(atoms, symmetry)

@@ -20,7 +20,7 @@ from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.proof import largest
 from warp_peri.core.record import FieldUnits, Length, Record, read_json
 from warp_peri.core.stencil import half_ball
-from warp_peri.errors import InputError, Rows, hold
+from warp_peri.errors import InputError, Rows, called, hold
 from warp_peri.fitting.regression import norms
 from warp_peri.fitting.result import Fit
 from warp_peri.materials.crystal_fit import one_set
@@ -138,7 +138,7 @@ class DensityMaterial(Record, format="warp_peri.density"):
         """The material with the same energy and other parameters."""
         return replace(self, parameters=self.parameters | {**numbers})
 
-    def proven_strain(self, spacing: float) -> float:
+    def proven_strain(self, spacing: Positive) -> float:
         """Strain up to which solutions are proven unique: 0, for nothing is proven."""
         return 0.0
 
@@ -167,9 +167,9 @@ class DensityOperator(Pointwise):
                 )
             return material.scale * W  # type: ignore[no-any-return]
 
-        super().__init__(
-            nodes, material.horizon, energy, steps, weights, numbers=material.parameters
-        )
+        of, numbers = (nodes, material.horizon, energy, steps, weights), material.parameters
+        what = "energy: expected a function of strains in torch, with derivatives by them"
+        called(what, super().__init__, *of, numbers=numbers)
         none = np.zeros((nodes.dimension, nodes.dimension, 1))
         stress, stiff = np.abs(self._slopes(none)[0]).max(), np.abs(self.stiffness).max()
         if not stress <= REST * stiff > 0:

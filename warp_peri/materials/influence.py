@@ -20,7 +20,7 @@ import numpy as np
 from numpy.linalg import lstsq, solve
 from numpy.typing import ArrayLike
 
-from warp_peri.errors import InputError, hold
+from warp_peri.errors import InputError, called, hold
 from warp_peri.files import atomic
 from warp_peri.materials.lps import LPSMaterial, bernstein_basis
 from warp_peri.points.arguments import (
@@ -126,7 +126,8 @@ class InfluenceFunction:
     def __call__(self, r: ArrayLike) -> np.ndarray:
         """Values of K at the distances r [Å], of the shape of r."""
         distance, name = checked("r", r), f"influence '{self.name}'"
-        K = plain(name, self.function(distance.copy(), **copy.deepcopy(self.parameters)))
+        what, named = f"{name}: expected a function of r [R]", copy.deepcopy(self.parameters)
+        K = plain(name, called(what, self.function, distance.copy(), **named))
         check_shape(f"{name}: that of r", K, distance.shape)
         if (wrong := distance[~np.isfinite(K)]).size:
             raise InputError(

@@ -16,7 +16,7 @@ from warp_peri.core.elastic import lattice_group, symmetric_part
 from warp_peri.core.proof import StencilCertificate, prove, statement_of
 from warp_peri.core.record import FieldUnits, Length, Record, taken
 from warp_peri.core.stencil import Stencil
-from warp_peri.errors import InputError, Rows, error_rows, hold, warn
+from warp_peri.errors import OF_POSITIONS, InputError, Rows, called, error_rows, hold, warn
 from warp_peri.materials.lps_force import CANCELLED, assemble, bonds_of
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.arguments import (
@@ -250,7 +250,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         steps = steps[(steps**2).sum(axis=1) <= 1] * self.horizon / 2
         soft = np.zeros((2, len(x)))
         for step in steps:
-            there = {n: v(x + step) if callable(v) else v for n, v in given.items()}
+            there = {n: called(f"{n}: {OF_POSITIONS}", v, x + step) for n, v in given.items()}
             solid = self.with_parameters(there, x)
             soft[0] += 1 / solid.mu / len(steps)
             soft[1] += 1 / (solid.lam + 2 * solid.mu / d) / len(steps)

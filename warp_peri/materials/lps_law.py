@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias, cast
+from typing import Annotated, Any, Literal, TypeAlias, cast
 
 import numpy as np
 from numpy.linalg import lstsq, svd
@@ -29,7 +29,16 @@ from warp_peri.materials.lps import (
     weighted_volume,
 )
 from warp_peri.materials.lps_force import Bonds
-from warp_peri.points.arguments import LARGEST, Count, Natural, NotNegative, Positive, typed
+from warp_peri.points.arguments import (
+    LARGEST,
+    Bound,
+    Count,
+    Natural,
+    NotNegative,
+    Positive,
+    checked,
+    typed,
+)
 from warp_peri.points.families import DEGREE, BondClasses, bond_classes
 from warp_peri.points.points import WAVE_VECTOR, Samples
 
@@ -57,7 +66,7 @@ class Bernstein:
     (3,)
     """
 
-    degree: Natural = 10
+    degree: Annotated[int, Bound("a whole number from 0 to 1000", range(1001).__contains__)] = 10
 
 
 Kernel: TypeAlias = "Bernstein | InfluenceFunction | Sequence[InfluenceFunction]"
@@ -112,8 +121,8 @@ class GaussNewton:
         if self.moduli is None or (named and self.moduli in (ISOTROPIC, LONG_WAVES)):
             return
         try:
-            lam, mu = map(float, () if named else self.moduli)
-        except (TypeError, ValueError):
+            lam, mu = checked("moduli", () if named else self.moduli, float, (2,)).tolist()
+        except InputError:
             lam = mu = np.nan
         if not (0 < mu <= LARGEST and 0 < lam + mu <= LARGEST):
             raise InputError(

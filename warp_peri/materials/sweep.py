@@ -21,6 +21,7 @@ from warp_peri.materials.lps_fit import LPS
 from warp_peri.materials.lps_law import DEGREES, HORIZONS, Bernstein, GaussNewton, TwoStage
 from warp_peri.points.arguments import (
     Bound,
+    checked,
     is_positive,
     symbols,
     typed,
@@ -131,7 +132,7 @@ def sweep(
     """
     if horizons is None:
         horizons = usual_lengths("horizons", HORIZONS, train.units).tolist()
-    if not (len(horizons) and len(degrees)):
+    if not (len(checked("horizons", horizons, float, ("n",))) and len(degrees)):
         raise InputError("sweep: expected at least one horizon and one degree")
     sets = {"train": train, "val": val} | ({} if test is None else {"test": test})
     _check_sets(sets, horizons)

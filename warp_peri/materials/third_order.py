@@ -38,6 +38,7 @@ from warp_peri.points.arguments import (
     NotNegative,
     Numbers,
     Pair,
+    Positive,
     checked,
     is_number,
     shown_moduli,
@@ -262,7 +263,7 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
             warn(f"certificate: {said}")
         return PlacedThirdOrder(here, nodes)
 
-    def proven_strain(self, spacing: float) -> float:
+    def proven_strain(self, spacing: Positive) -> float:
         """Largest |H| up to which solutions on a lattice are proven unique; 0 where none is."""
         here = abs(spacing / self.spacing - 1) <= SAME_SPACING
         known = float(self.proven.get("strain", 0.0)) if here else 0.0

@@ -173,13 +173,14 @@ class Placed(OperatorBase):
 
     def force(self, u: Any) -> np.ndarray:
         """Forces on the interior, shape [..., I, 2], (NO6)."""
+        fields = self._taken(u)
         with torch.no_grad():
-            force = self.force_of(*self.tension(self._taken(u)))
+            force = self.force_of(*self.tension(fields))
         return in_shape_of(u, force.double().numpy())
 
     def jvp(self, u: Any, v: Any) -> np.ndarray:
         """Derivative of the force at u along v, both [N, 2] or [S, N, 2]."""
-        pairs = zip(self._taken(u), self._taken(v), strict=True)
+        pairs = zip(self._taken(u), self._taken(self.along(u, v)))
         found = [self.tangent(field) @ one.double().numpy().ravel() for field, one in pairs]
         return np.reshape(found, (*np.shape(v)[:-2], -1, 2))
 

@@ -52,7 +52,7 @@ def plain(name: str, value: Any) -> np.ndarray:
     would be lost, masked entries, complex numbers, text and objects."""
     found = as_array(name, value)  # that of a list of masked arrays too
     if found.dtype.kind not in "fiu" or np.ma.is_masked(found):
-        got = "masked entries" if np.ma.is_masked(found) else found.dtype
+        got = "masked entries" if found.dtype.kind in "fiu" else found.dtype
         raise InputError(f"{name}: expected float values, got {got}")
     return np.asarray(found.data, float)
 
@@ -149,10 +149,10 @@ def is_piece(points: Any) -> bool:
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is one real number; InputError for a tensor whose gradient would be lost."""
-    if isinstance(value, (list, tuple)) or getattr(value, "is_meta", False):  # strange to NumPy
-        return False
-    found = as_array("number", value)
+    """Whether a value is one real number, no tensor whose gradient would be lost."""
+    strange = isinstance(value, (list, tuple)) or getattr(value, "is_meta", False)  # to NumPy
+    lost = getattr(value, "requires_grad", False)
+    found = as_array("number", [] if strange or lost else value)
     return found.ndim == 0 and found.dtype.kind in "fiu"
 
 

@@ -183,6 +183,7 @@ def mixed_waves(
     if not shortest <= box.max():
         raise InputError(f"shortest wave: expected one in a box of {box}, got {shortest!r:.40}")
     most = int(box.max() / shortest) + 1
+    check_nodes("shortest wave", (most + 1, 2 * most + 1))
     field = np.zeros(x.shape)
     for number in np.ndindex(most + 1, 2 * most + 1):
         n = np.array(number) - (0, most)

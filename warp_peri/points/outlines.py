@@ -21,6 +21,8 @@ SMALL = -10
 """Power of two that `size` is of for Netgen, whose meshes are others for large coordinates."""
 GRADING = 0.2
 """Netgen's measure of how fast triangles may grow, 0 to 1."""
+AROUND = 100
+"""Triangles around an outline for each of its edges, or fewer."""
 
 
 @typed
@@ -42,6 +44,7 @@ class Circle:
 
     def __post_init__(self) -> None:
         checked("centre", self.centre, float, (2,))
+        checked("1 / radius", 1 / self.radius)  # whose square Netgen takes
 
 
 @typed
@@ -124,6 +127,8 @@ def mesh_outline(outer: Outline, holes: Sequence[Outline] = (), *, size: Positiv
     by = math.ldexp(1.0, SMALL - math.frexp(size)[1])
     geometry = netgen.SplineGeometry()
     for outline in outlines:
+        edges = np.ptp(_rim(outline)) / (outline.size or np.inf)
+        check_nodes("size", (edges, AROUND))
         _add(geometry, outline, size, by, inside=outline is outer)
     try:
         made = geometry.GenerateMesh(maxh=by * size, grading=GRADING)
