@@ -122,7 +122,7 @@ def agreed(comm: Any) -> Iterator[None]:
         raise mine or InputError(told[0])
 
 
-def called(what: str, given: Callable[..., Any], *of: Any, **named: Any) -> Any:
+def called(what: str, given: Any, *of: Any, **named: Any) -> Any:
     """What a user's function gives, or a value that is none; an InputError that begins with `what`
     was expected where it fails."""
     try:

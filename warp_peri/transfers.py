@@ -51,8 +51,8 @@ def onto_lattice(samples: Samples, *, spacing: Positive) -> Samples:
         )
     low, high = np.ceil(x.min(0) / spacing - 1e-6), np.floor(x.max(0) / spacing + 1e-6)
     check_nodes("spacing", high - low + 1)
-    if not (high > low).all():
-        raise InputError(f"spacing: expected two nodes each way at least, got {spacing:g}")
+    if not (high > low).any():
+        raise InputError(f"spacing: expected one of nodes in the body, got {spacing:g}")
     y = spacing * (low + grid_places((high - low + 1).astype(int)))
     r, near = cKDTree(x).query(y)
     y, near = y[r <= FULL * dense], near[r <= FULL * dense]

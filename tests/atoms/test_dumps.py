@@ -119,6 +119,7 @@ def test_options_without_sense_are_refused(tmp_path):
     assert_refused({
         "more than 2 frames": lambda: mean_displacement(path, REFERENCE, box=BOX, skip=2),
         "header's 12 x 9 Å, got 12.00024": lambda: mean_displacement(path, REFERENCE, box=wide),
+        "ids: expected float values": lambda: mean_displacement(path, REFERENCE, ids=[1j]),
         "no such dump": lambda: mean_displacement(tmp_path / "none.dump", REFERENCE),
         "other.dump: expected the ids of the reference": lambda: grained([path, other]),
         "0, 1 or as many, got 1 and 3": lambda: grained([path], unloaded=3 * [path]),

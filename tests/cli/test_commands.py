@@ -373,6 +373,8 @@ def test_a_shape_is_fitted_by_name(data, tmp_path, capsys, monkeypatch):
     """Once more too, of the same data, where the first job was killed before all was written."""
     mine = shutil.copy(data, tmp_path / "d.h5")
     words = ["fit", mine, "--horizon", "2.5", "--loss", "residual", "--out", tmp_path]
+    assert "expected gaussian" in refused(capsys, *words, "--influence", "")
+    assert "set" in refused(capsys, *words, "--noise", "")
     words += ["--influence", "gaussian"]
     other = load_dataset(data).of_sheet(density=2300.0)
     with monkeypatch.context() as patch, pytest.raises(SystemExit):  # noqa: PT012

@@ -20,7 +20,7 @@ from tests.support.materials import LAWS, operator, placed
 from tests.support.problems import OTHER, everywhere, kernel, lattice, noise, within
 from tests.support.told import all_refused, assert_refused, each_refused, refused, warned
 from warp_peri.fracture import Cracked, box_nodes, rectangle_nodes
-from warp_peri.methods import Coupling, LPSParameters
+from warp_peri.methods import Coupling, GaussNewton, LPSParameters, sweep
 from warp_peri.points.arguments import check_arguments, kinds_of
 from warp_peri.points.mesh import make_mesh
 from warp_peri.points.outlines import box, mesh_outline
@@ -119,13 +119,15 @@ def test_fields_of_a_solve_a_motion_and_an_operator(name):
         with refused("^points: expected Points"):
             place()
     hidden = np.ma.masked_array(zero, np.repeat(points.interior[:, None], 2, axis=1))
-    wrong = hidden, list(hidden), zero * 1j, zero.astype(str), zero.astype(object)
+    columns = np.zeros(len(zero), [("x", float), ("y", float)])
+    wrong = hidden, list(hidden), zero * 1j, zero.astype(str), zero.astype(object), columns
     vjp = lambda bad: op.vjp(zero, np.ma.asanyarray(bad)[points.interior])
-    reads = [op, op.rhs, op.stress, lambda bad: op.jvp(zero, bad), vjp]
-    for read in reads + [op.energy] * (op.energy(zero) is not None):
+    reads = [op, op.rhs, op.stress, lambda bad: op.jvp(zero, bad), lambda bad: op.jvp(bad, zero)]
+    for read in [*reads, vjp] + [op.energy] * (op.energy(zero) is not None):
         all_refused(read, "expected (float )?values", wrong)
-    inner = zero[points.interior]
+    inner, both = zero[points.interior], np.stack([zero, zero])
     all_refused(partial(op.vjp, zero), "expected ", (np.zeros(3), inner[:-1], inner[:, :1]))
+    all_refused(lambda pair: op.jvp(*pair), "along u: expected shape", ((zero, both), (both, zero)))
 
 
 @parametrize("name", [name for name, law in LAWS.items() if law.periodic])
@@ -305,6 +307,34 @@ def parameters(**change):
     return LPSParameters(**{"lam": 0.4, "mu": 0.5, "alpha": 1.0, "D": [1.0, 0.7, 0.4]} | change)
 
 
+@parametrize("wrong", [
+    lambda x, y: x, lambda x: 1.0 if x < 0 else 2.0, lambda x: float(x), lambda x: x.norm(),
+    lambda x: x[:, 7], lambda x: x + np.ones(3),
+])  # fmt: skip
+def test_functions_that_fail_at_places_are_refused_by_name(wrong):
+    points, K = LAWS["LPS"].points(1), wp.influence.InfluenceFunction
+    problem, heat = wp.Dirichlet(points, None, 1e-4 * points.x), operator("conductor").model
+    body = wp.Body(PLATE, {"left": (0, 0)}, b=wrong, coupling=Coupling(spacing=1.0))
+    assert_refused({
+        "^(mu|lam): expected a function of positions": (
+            lambda: wp.solve(LAWS["LPS"].material(), problem, mu=wrong),
+            lambda: LAWS["LPS"].material().spread(points, wrong, None),
+        ),
+        "^kappa: expected a function of positions": lambda: heat.on(points, kappa=wrong),
+        "^b: expected a function of positions": lambda: wp.solve(MODEL, body),
+        "^(influence '<lambda>'|parameters): expected .* function": lambda: K(wrong)([1.0, 2.0]),
+    })  # fmt: skip
+
+
+@parametrize("wrong", [
+    lambda E: (E * E).sum((-1, -2)).detach(), lambda E: (E.detach().numpy() ** 2).sum((-1, -2)),
+    lambda E: (1 + 0j) * (E * E).sum((-1, -2)), lambda E: E.trace(), lambda E: E.eigh(),
+])  # fmt: skip
+def test_energies_without_derivatives_are_refused(wrong):
+    with refused("^energy: expected a function of strains in torch"):
+        wp.DensityMaterial.of(wrong, 2.0, {}).on(lattice(5, 4.0))
+
+
 def test_arguments_of_bodies_solids_and_tables():
     """What their kind, which is looked at below, does not tell."""
     hidden = masked([1.0, 99.0, 0.2], 1)
@@ -314,6 +344,7 @@ def test_arguments_of_bodies_solids_and_tables():
     op = kernel("1/r", 2.0, lam=1.0, mu=1.0).on(points)
     shape, flat = wp.influence.InfluenceFunction, lambda r, w=0: r
     K, crystal = shape(flat, {"w": 1.0}), LAWS["crystal"].material()
+    held = Cracked(points, u=points.x, free=points.x > 99)
     own = partial(K.model, lam=0.3, mu=0.7, horizon=3.0)
     bounds = (("0", "2"), (False, True), (2.0, 1.0))
     assert_refused({
@@ -339,6 +370,20 @@ def test_arguments_of_bodies_solids_and_tables():
             lambda: own(spacings=[]), lambda: wp.Points.block((-99.0, 9.0), 1.0, 2.0),
         ),
         "^spacings: expected": lambda: own(spacings=["a"]),
+        "^moduli: expected": tuple(
+            lambda pair=pair: GaussNewton(moduli=pair)
+            for pair in (("0.4", "0.9"), (True, True), b"ab", (LEARNS, LEARNS), hidden[:2], (1.0,))
+        ),
+        "^degree: expected": lambda: wp.Bernstein(10**15),
+        "^axis: expected": lambda: replace(points, axis=LEARNS),
+        "^horizons: expected": lambda: sweep(*2 * [sets["train"]], "none", horizons=("2",)),
+        "^shortest wave: expected": lambda: wp.prediction.mixed_waves(points.x, (9, 9), 1e-3),
+        "^spacing: expected": lambda: LAWS["third order, energy"].material().proven_strain(-5),
+        "^parameters: expected finite .* mu .*nan":
+            lambda: wp.solve(op, wp.Dirichlet(points, None, points.x), parameters={"mu": np.nan}),
+        "^free: expected": (
+            lambda: wp.solve(MODEL, held), lambda: wp.simulate(MODEL, held, events=1),
+        ),
         "^k: expected": tuple(
             lambda k=k: crystal.symbol(k) for k in ([1j, 0], hidden[:2], np.zeros(3), 1.0)
         ),

@@ -226,6 +226,7 @@ def test_fields_carried_to_a_lattice():
         "points: expected no period": lambda: onto_lattice(replace(whole, points=cut), spacing=1.0),
         "samples: expected one or more": lambda: onto_lattice(whole[[]], spacing=1.0),
         "spacing: expected at most": lambda: onto_lattice(whole, spacing=1e-6),
+        "spacing: expected one of nodes in": lambda: onto_lattice(whole, spacing=1000.0),
     })  # fmt: skip
 
 

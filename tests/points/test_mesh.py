@@ -90,6 +90,7 @@ def test_an_outline_has_its_parts_curves_holes_and_distances():
     assert_refused({
         "size: expected a number > 0": lambda: mesh_outline(box(10, 10), size=-1),
         "holes: expected holes inside": lambda: mesh_outline(box(10, 10), [Circle(6)], size=1),
+        "1 / radius: expected finite": lambda: Circle(1e-300),
         "that meet nothing": lambda: mesh_outline(box(9, 9), [Circle(2), Circle(1)], size=1),
         r"centre: expected shape \[2\], got \[3\]": lambda: Circle(1.0, (0.0, 0.0, 0.0)),
         "names: expected one for each of 6 sides": lambda: Polygon(corners, ("a", "b")),
@@ -100,7 +101,10 @@ def test_an_outline_has_its_parts_curves_holes_and_distances():
             lambda: Polygon(((0, 0), (9, 9), (9, 0), (0, 12))),
             lambda: Polygon(((0, 0), (9, 0), (15, 0), (9, 0), (0, 9))),
         ),
-        "size: expected at most": lambda: mesh_outline(box(200, 200), size=1e-3),
+        "size: expected at most": (
+            lambda: mesh_outline(box(200, 200), size=1e-3),
+            lambda: mesh_outline(box(9, 9), [Circle(2, size=1e-6)], size=1),
+        ),
         "corners: expected an array": lambda: Polygon(([0], [1, 2])),
         "radius: expected a number > 0": lambda: Circle(np.nan),
     })  # fmt: skip
