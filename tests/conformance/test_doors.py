@@ -127,7 +127,7 @@ def test_fields_of_a_solve_a_motion_and_an_operator(name):
         all_refused(read, "expected (float )?values", wrong)
     inner, both = zero[points.interior], np.stack([zero, zero])
     all_refused(partial(op.vjp, zero), "expected ", (np.zeros(3), inner[:-1], inner[:, :1]))
-    all_refused(lambda pair: op.jvp(*pair), "along u: expected shape", ((zero, both), (both, zero)))
+    all_refused(op.jvp, "along u: expected shape", ((zero, both), (both, zero)))
 
 
 @parametrize("name", [name for name, law in LAWS.items() if law.periodic])
@@ -307,29 +307,19 @@ def parameters(**change):
     return LPSParameters(**{"lam": 0.4, "mu": 0.5, "alpha": 1.0, "D": [1.0, 0.7, 0.4]} | change)
 
 
-@parametrize("wrong", [
-    lambda x, y: x, lambda x: 1.0 if x < 0 else 2.0, lambda x: float(x), lambda x: x.norm(),
-    lambda x: x[:, 7], lambda x: x + np.ones(3),
-])  # fmt: skip
+@parametrize("wrong", [lambda x, y: x, lambda x: 1.0 if x < 0 else 2.0, lambda x: x.norm()])
 def test_functions_that_fail_at_places_are_refused_by_name(wrong):
     points, K = LAWS["LPS"].points(1), wp.influence.InfluenceFunction
-    problem, heat = wp.Dirichlet(points, None, 1e-4 * points.x), operator("conductor").model
-    body = wp.Body(PLATE, {"left": (0, 0)}, b=wrong, coupling=Coupling(spacing=1.0))
     assert_refused({
-        "^(mu|lam): expected a function of positions": (
-            lambda: wp.solve(LAWS["LPS"].material(), problem, mu=wrong),
-            lambda: LAWS["LPS"].material().spread(points, wrong, None),
-        ),
-        "^kappa: expected a function of positions": lambda: heat.on(points, kappa=wrong),
-        "^b: expected a function of positions": lambda: wp.solve(MODEL, body),
+        "^lam: expected a function of positions": lambda: MODEL.spread(points, wrong, None),
+        "^kappa: expected a function of positions":
+            lambda: operator("conductor").model.on(points, kappa=wrong),
+        "^b: expected a function of positions": lambda: wp.solve(MODEL, plate(b=wrong)),
         "^(influence '<lambda>'|parameters): expected .* function": lambda: K(wrong)([1.0, 2.0]),
     })  # fmt: skip
 
 
-@parametrize("wrong", [
-    lambda E: (E * E).sum((-1, -2)).detach(), lambda E: (E.detach().numpy() ** 2).sum((-1, -2)),
-    lambda E: (1 + 0j) * (E * E).sum((-1, -2)), lambda E: E.trace(), lambda E: E.eigh(),
-])  # fmt: skip
+@parametrize("wrong", [lambda E: E.detach().numpy()[..., 0, 0], lambda E: E.trace()])
 def test_energies_without_derivatives_are_refused(wrong):
     with refused("^energy: expected a function of strains in torch"):
         wp.DensityMaterial.of(wrong, 2.0, {}).on(lattice(5, 4.0))
@@ -371,8 +361,7 @@ def test_arguments_of_bodies_solids_and_tables():
         ),
         "^spacings: expected": lambda: own(spacings=["a"]),
         "^moduli: expected": tuple(
-            lambda pair=pair: GaussNewton(moduli=pair)
-            for pair in (("0.4", "0.9"), (True, True), b"ab", (LEARNS, LEARNS), hidden[:2], (1.0,))
+            lambda one=one: GaussNewton(moduli=(one, one)) for one in ("0.4", True, LEARNS)
         ),
         "^degree: expected": lambda: wp.Bernstein(10**15),
         "^axis: expected": lambda: replace(points, axis=LEARNS),
