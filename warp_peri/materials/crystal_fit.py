@@ -185,9 +185,7 @@ class Crystal:
         short to tell moduli.
         """
         given = one_set(samples)
-        axes, d = given.lattice.axes, given.dimension
-        stated = given.axis if self.orientation is None else self.orientation
-        turn = np.eye(d) if stated is None else axes.T @ checked_orientation(stated, d)
+        turn = self.turn(given)
         reach, C, misfit = self.horizon / given.spacing, self.held_moduli(turn), None
         name, ratio = judged(given, reach, turn, self.normalise, self.symmetry)
         tensors = Tensors(given.spacing, self.horizon, name, turn)
@@ -216,6 +214,13 @@ class Crystal:
         material = tensors.crystal(found, given.units, record)
         history = dict(material.provenance["fit"])
         return Fit(material, material.certificate, {}, history, left=found.loss)
+
+    def turn(self, given: Samples) -> np.ndarray:
+        """Rotation from the crystal's axes to those of the samples' nodes, shape [d, d]."""
+        stated, d = given.axis if self.orientation is None else self.orientation, given.dimension
+        if stated is None:
+            return np.eye(d)
+        return given.lattice.axes.T @ checked_orientation(stated, d)
 
     def held_moduli(self, turn: np.ndarray) -> np.ndarray | None:
         """The given elastic tensor along the nodes' axes; None where none was given."""

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import root
 from scipy.special import j0
 
-from warp_peri.core.elastic import checked_orientation, plane_isotropic
+from warp_peri.core.elastic import plane_isotropic
 from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.proof import SAME_SPACING, largest, stencil_of
 from warp_peri.core.record import Length, OnLinear, Stress, made_once
@@ -420,9 +420,7 @@ class ThirdOrder:
         horizon, h = asked.horizon, given.spacing
         if given.dimension != 2:
             raise InputError("samples: expected a sheet; in space LPS and Crystal are learned")
-        turn = np.eye(2)
-        if asked.orientation is not None:
-            turn = given.lattice.axes.T @ checked_orientation(asked.orientation, 2)
+        turn = asked.turn(given)
         auto = str(asked.symmetry) == "auto"
         tensors = Tensors(h, horizon, "isotropic" if auto else asked.symmetry, turn)
         weights = smoothing.weights(bond_classes(h, horizon), self.form)
