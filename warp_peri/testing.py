@@ -27,20 +27,23 @@ REACH = 4
 """Steps to either side that a central difference takes, of an order twice that."""
 
 
-def check_material(material: Any, points: Points, u: np.ndarray) -> None:
+def check_material(
+    material: Any, points: Points, u: np.ndarray, *, read: Callable[[Path], Any] = load
+) -> None:
     """Run all checks below on a material.
 
     Args:
         material: what `fit` or `load` gives.
         points: a lattice with a collar, in the material's units.
         u: displacement, shape [N, d], at which it is differentiated.
+        read: of its file; `DensityMaterial.read` with the energy.
     """
     operator = material.on(points)
     check_force(operator, u)
     check_energy(operator, u)
     check_product(operator, u)
     check_units(material, points, u)
-    check_file(material, points, u)
+    check_file(material, points, u, read=read)
 
 
 def check_force(operator: Any, u: np.ndarray) -> None:

@@ -12,6 +12,7 @@ from tests.support import assert_refused, near, parametrize, sup
 from tests.support.materials import saint_venant
 from tests.support.problems import loaded, noise
 from warp_peri.points.points import grid_places
+from warp_peri.testing import check_material
 
 LAM, MU = 0.4, 0.9
 
@@ -84,6 +85,25 @@ def test_parameters_are_found_again(name, loss):
     assert wp.evaluate(found, samples)["E_u"] < 1e-4
 
 
+@parametrize("told", [torch.Tensor.item, torch.Tensor.numpy])
+def test_what_torch_does_not_see_of_a_parameter_has_no_gradient(told):
+    """Refused where the force changes with it; zero where it does not."""
+    points, of = box(9, 2, 0.5), partial(wp.DensityMaterial.of, horizon=0.5, parameters={"a": 0.0})
+    u = 0.02 * default_rng(0).normal(size=points.x.shape)
+
+    def slope(energy):
+        module = wp.TorchModule(of(energy), points)
+        module(torch.from_numpy(u)).square().sum().backward()
+        return module.a.grad
+
+    hidden, seen = (lambda E, a: blatz_ko(E, MU + told(a))), (lambda E, a: blatz_ko(E, a.exp()))
+    assert_refused({"the energy does not differentiate 'a'": lambda: slope(hidden)})
+    assert slope(seen) > 0 == slope(lambda E, a: blatz_ko(E, a + MU if E.max() > 9 else MU))
+    samples = loaded(of(hidden, parameters={"a": 0.2}).on(points), u[None])
+    near(wp.fit(samples, wp.Density(hidden, 0.5, {"a": 0.0})).material.parameters["a"], 0.2, 1e-5)
+    check_material(of(seen), points, u, read=lambda path: wp.DensityMaterial.read(path, seen))
+
+
 def test_what_cannot_be_used_is_refused_and_files_ask_for_the_energy(tmp_path):
     points, of = box(9, 2, 0.5), partial(wp.DensityMaterial.of, horizon=0.5, parameters={})
     material = of(blatz_ko, parameters={"mu": MU})
@@ -108,5 +128,7 @@ def test_what_cannot_be_used_is_refused_and_files_ask_for_the_energy(tmp_path):
         f"{one} NoneType": lambda: of(lambda E: None).on(points),
         f"{one} float": lambda: of(lambda E: 2.0).on(points),
         f"{one} .*2": lambda: of(lambda E: E).on(points),
+        "energy: only parameters have a gradient":
+            lambda: of(lambda E: blatz_ko(E, torch.nn.Parameter(torch.tensor(MU)))).on(points),
         "expected all bonds of every interior": lambda: material.on(box(9, 2, 0.5, 1)),
     })  # fmt: skip

@@ -67,6 +67,8 @@ def test_what_made_the_data_is_found_again(form):
     near(model.linear.tensors, law.linear.tensors, 1e-7)
     assert found.errors["E_res"] < 1e-8
     near(model.proven["strain"], law.proven["strain"], 1e-4)
+    hexagonal = replace(recipe, linear=replace(recipe.linear, symmetry="6mm"))
+    fit(made(law, 1e-3, 6), hexagonal).material.on(POINTS)  # the axis is that of the data
 
 
 def test_what_does_not_fit_is_refused():

@@ -8,6 +8,7 @@ Fields are planes on a torus around the nodes that are felt, components first.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,12 @@ from torch.autograd import grad
 from warp_peri.core.elastic import contracted, strain, strain_rate, symmetric, times
 from warp_peri.core.stencil import Stencil, grid_of, half_ball, torus_shape, torus_symbol
 from warp_peri.core.torch_bridge import Swept
+from warp_peri.errors import InputError
 from warp_peri.points.arguments import Numbers, Pair
 from warp_peri.points.points import PointsLike, nodes_of
+
+NUDGE = 1e-6
+"""Relative change of a number that tells whether a density depends on it."""
 
 
 class Pointwise(Swept):
@@ -120,7 +125,9 @@ class Pointwise(Swept):
 
     def _energies(self, E: Any, **other: Any) -> torch.Tensor:
         """Energy density W of strains [d, d, ...], with other numbers where some are given."""
-        return self.density(torch.as_tensor(E).movedim((0, 1), (-2, -1)), **self.learnable | other)
+        numbers = self.learnable | other
+        made = {n: torch.as_tensor(one, dtype=torch.float64) for n, one in numbers.items()}
+        return self.density(torch.as_tensor(E).movedim((0, 1), (-2, -1)), **made)
 
     @torch.inference_mode(False)
     def _slopes(self, E: np.ndarray, *along: np.ndarray) -> list[np.ndarray]:
@@ -174,15 +181,28 @@ class Pointwise(Swept):
         return self._swept(sweep, u, self.on_all(w))
 
     def by_numbers(self, name: str, u: ArrayLike, w: ArrayLike) -> np.ndarray:
-        """Derivative of Σ w · force(u) by a number, for fields [K, N, d] and weights [K, I, d]."""
-        one = torch.tensor(self.learnable[name], dtype=torch.float64, requires_grad=True)
+        """Derivative of Σ w · force(u) by a number, for fields [K, N, d] and weights [K, I, d];
+        InputError for a density that changes with it outside torch's graph."""
+        value = self.learnable[name]
+        one = torch.tensor(value, dtype=torch.float64, requires_grad=True)
 
         def sweep(u: np.ndarray, w: np.ndarray) -> Any:
             (_, H), (_, X) = self._seen(u), self._seen(w, 1)
             E, along = map(torch.from_numpy, (strain(H), strain_rate(H, X)))
-            W = self._energies(E.requires_grad_(), **{name: one}).sum()
-            slope = grad(W, E, create_graph=True)
-            return grad(slope, one, along, materialize_grads=True)[0].numpy()
+            E.requires_grad_()
+
+            def slope(number: Any, graph: bool = False) -> torch.Tensor:
+                return grad(self._energies(E, **{name: number}).sum(), E, create_graph=graph)[0]
+
+            with suppress(RuntimeError):  # of NumPy, and where nothing is in the graph
+                (by,) = grad(slope(one, True), one, along, allow_unused=True)
+                if by is not None:
+                    return by.numpy()
+            if not torch.equal(slope(value), slope(value * (1 + NUDGE) or NUDGE)):
+                raise InputError(
+                    f"parameters: the energy does not differentiate {name!r}; take torch's functions"
+                )
+            return 0.0
 
         return self._swept(sweep, u, self.on_all(w), total=True)
 
@@ -209,7 +229,7 @@ class Pointwise(Swept):
         def sweep(u: np.ndarray) -> Any:
             _, H = self._seen(u)
             linear = (contracted(self._at_rest, H) * H).sum(axis=(0, 1)) / 2
-            return (self._energies(strain(H)).numpy() - linear).mean(axis=1).sum(axis=-1)
+            return (self._energies(strain(H)).detach().numpy() - linear).mean(axis=1).sum(axis=-1)
 
         return np.asarray(self.points.spacing**self.points.dimension * self._swept(sweep, u))
 

@@ -408,6 +408,8 @@ def read_arrays(
     try:
         with h5py.File(path, locking=False) as file:
             check_hdf5(file)
+            if "mark" not in file.attrs:
+                raise ValueError("expected one of this run, got another HDF5 file")
             for name, rows in (dict.fromkeys(file) if place is None else place).items():
                 one, offset = file[name], file[name].id.get_offset()
                 if one.dtype.kind not in "biufc":  # bytes of anything else would be pointers

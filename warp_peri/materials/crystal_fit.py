@@ -220,7 +220,7 @@ class Crystal:
         stated, d = given.axis if self.orientation is None else self.orientation, given.dimension
         if stated is None:
             return np.eye(d)
-        return given.lattice.axes.T @ checked_orientation(stated, d)
+        return np.asarray(given.lattice.axes.T @ checked_orientation(stated, d))
 
     def held_moduli(self, turn: np.ndarray) -> np.ndarray | None:
         """The given elastic tensor along the nodes' axes; None where none was given."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -71,7 +72,7 @@ class DensityMaterial(Record, format="warp_peri.density"):
         parameters: numbers of the energy, by name, in the units that it was written for.
         dimension: 2 or 3.
         name: of the energy's function.
-        energy: W(E, **parameters), E the Green strain [..., d, d]. It is in no file.
+        energy: W(E, **parameters) of tensors, E the Green strain [..., d, d]. It is in no file.
         scale: that the energy is of [stress]: 1 in the units that it was written for, which other
             units change while `parameters` stay.
         units: names of the units of length and stress.
@@ -171,6 +172,11 @@ class DensityOperator(Pointwise):
         what = "energy: expected a function of strains in torch, with derivatives by them"
         called(what, super().__init__, *of, numbers=numbers)
         none = np.zeros((nodes.dimension, nodes.dimension, 1))
+        with torch.inference_mode(False):
+            if self._energies(none).requires_grad:
+                raise InputError(
+                    "energy: only parameters have a gradient; call requires_grad_(False) of others"
+                )
         stress, stiff = np.abs(self._slopes(none)[0]).max(), np.abs(self.stiffness).max()
         if not stress <= REST * stiff > 0:
             raise InputError(
@@ -249,7 +255,9 @@ class Density:
 
         def felt(name: str) -> float:
             """Size of a number that changes the force by as much as that is."""
-            by = abs(float(operator.by_numbers(name, given.u, force)))
+            by = 0.0
+            with suppress(InputError):  # of what torch does not differentiate
+                by = abs(float(operator.by_numbers(name, given.u, force)))
             return np.vdot(force, force) / by if by else 1.0
 
         scale = np.array([abs(value) or felt(name) for name, value in material.parameters.items()])

@@ -467,8 +467,8 @@ class Law:
 def refuse_bond_based() -> None:
     """Raise InputError for λ ≠ μ, or a gradient to one of them, on bonds without dilatations."""
     raise InputError(
-        "lambda, mu: expected equal values without a gradient on a collar of one horizon, "
-        "which has no dilatations; a collar of two has them"
+        "lambda, mu: expected equal values without a gradient on a collar of one horizon, which "
+        "has no dilatations; take a collar of two, or requires_grad_(False) of a TorchModule"
     )
 
 
