@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from tests.crystal.crystals import cubic_tensor, dispersive
-from tests.support import approx, assert_refused, near, parametrize, sup, warned
+from tests.support import approx, assert_refused, near, parametrize, refused, sup, warned
 from tests.support.clouds import cloud
 from tests.support.nonlinear import FORMS, TENSOR, solid
 from tests.support.problems import OTHER, lattice, loaded, smooth
@@ -68,7 +68,10 @@ def test_what_made_the_data_is_found_again(form):
     assert found.errors["E_res"] < 1e-8
     near(model.proven["strain"], law.proven["strain"], 1e-4)
     hexagonal = replace(recipe, linear=replace(recipe.linear, symmetry="6mm"))
-    fit(made(law, 1e-3, 6), hexagonal).material.on(POINTS)  # the axis is that of the data
+    found = fit(made(law, 1e-3, 6), hexagonal).material
+    assert found.on(POINTS) is not None  # whose axis is that of the data
+    with refused("axis: the crystal stands at"):
+        found.on(replace(POINTS, axis=0.0))
 
 
 def test_what_does_not_fit_is_refused():

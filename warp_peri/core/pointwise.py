@@ -200,7 +200,7 @@ class Pointwise(Swept):
                     return by.numpy()
             if not torch.equal(slope(value), slope(value * (1 + NUDGE) or NUDGE)):
                 raise InputError(
-                    f"parameters: the energy does not differentiate {name!r}; take torch's functions"
+                    f"parameters: the energy does not differentiate {name!r}; use torch functions"
                 )
             return 0.0
 

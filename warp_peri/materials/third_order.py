@@ -243,8 +243,8 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
             transfer: False refuses lattices that the material itself is not certified on.
             allow_uncertified: take tensors that hold no certificate, with a warning.
 
-        Raises InputError for other units, nodes without the collar, scattered points, and tensors
-        without a certificate.
+        Raises InputError for other units or another axis, nodes without the collar, scattered
+        points, and tensors without a certificate.
         """
         nodes, here = self.own_nodes(points), self
         if not nodes.spacing > 0:
@@ -261,7 +261,9 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
             if not allow_uncertified:
                 raise InputError(f"certificate: {said}; allow_uncertified=True takes them")
             warn(f"certificate: {said}")
-        return PlacedThirdOrder(here, nodes)
+        made = PlacedThirdOrder(here, nodes)
+        here.linear.fitting(nodes)  # checks the axis
+        return made
 
     def proven_strain(self, spacing: Positive) -> float:
         """Largest |H| up to which solutions on a lattice are proven unique; 0 where none is."""
