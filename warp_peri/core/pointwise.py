@@ -25,9 +25,6 @@ from warp_peri.errors import InputError
 from warp_peri.points.arguments import Numbers, Pair
 from warp_peri.points.points import PointsLike, nodes_of
 
-NUDGE = 1e-6
-"""Relative change of a number that tells whether a density depends on it."""
-
 
 class Pointwise(Swept):
     """Operator of an energy density on a lattice: minus the internal force density.
@@ -198,7 +195,7 @@ class Pointwise(Swept):
                 (by,) = grad(slope(one, True), one, along, allow_unused=True)
                 if by is not None:
                     return by.numpy()
-            if not torch.equal(slope(value), slope(value * (1 + NUDGE) or NUDGE)):
+            if not torch.equal(slope(value), slope(1.000001 * value or 1e-6)):  # it depends on it
                 raise InputError(
                     f"parameters: the energy does not differentiate {name!r}; use torch functions"
                 )

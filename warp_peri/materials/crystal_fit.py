@@ -218,9 +218,9 @@ class Crystal:
     def turn(self, given: Samples) -> np.ndarray:
         """Rotation from the crystal's axes to those of the samples' nodes, shape [d, d]."""
         stated, d = given.axis if self.orientation is None else self.orientation, given.dimension
-        if stated is None:
-            return np.eye(d)
-        return np.asarray(given.lattice.axes.T @ checked_orientation(stated, d))
+        return (
+            np.eye(d) if stated is None else given.lattice.axes.T @ checked_orientation(stated, d)
+        )
 
     def held_moduli(self, turn: np.ndarray) -> np.ndarray | None:
         """The given elastic tensor along the nodes' axes; None where none was given."""
