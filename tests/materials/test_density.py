@@ -89,7 +89,7 @@ def test_parameters_are_found_again(name, loss):
 def test_what_torch_does_not_see_of_a_parameter_has_no_gradient(told):
     """Refused where the force changes with it; zero where it does not."""
     points, of = box(9, 2, 0.5), partial(wp.DensityMaterial.of, horizon=0.5, parameters={"a": 0.0})
-    u = 0.02 * default_rng(0).normal(size=points.x.shape)
+    u = 0.02 * noise(points)
 
     def slope(energy):
         module = wp.TorchModule(of(energy), points)
