@@ -32,15 +32,8 @@ from warp_peri.fitting.regression import relative
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import fit_phonons, symmetry_of
 from warp_peri.materials.transfer import WaveSymbol
-from warp_peri.points.arguments import (
-    USUAL,
-    Positive,
-    Units,
-    check_units,
-    offered,
-    typed,
-    typed_methods,
-)
+from warp_peri.points import arguments
+from warp_peri.points.arguments import USUAL, Positive, Units, check_units, offered, typed
 
 PATHS = {2: ("10", "01", "11"), 3: ("100", "110", "111", "001")}
 """Directions that are drawn, along the axes of the nodes."""
@@ -62,7 +55,7 @@ TOLD = 6, 3
 """Wavelengths [spacings] whose error is told."""
 
 
-@typed_methods
+@arguments.typed_methods
 @dataclass(frozen=True, eq=False, repr=False)
 class CrystalFit(Shown):
     """Fitted material of a crystal, what it was learned from, and how it compares.

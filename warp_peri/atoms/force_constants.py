@@ -12,15 +12,8 @@ from ase import Atoms
 from ase.build import make_supercell
 from numpy.linalg import det, eigvalsh, inv, lstsq, norm, solve
 
-from warp_peri.core.elastic import (
-    acoustic,
-    directions,
-    group_of_structure,
-    kinds_of,
-    point_group,
-    stress_brackets,
-    symmetric_part,
-)
+from warp_peri.core import elastic
+from warp_peri.core.elastic import acoustic, directions, kinds_of, point_group, symmetric_part
 from warp_peri.errors import InputError, hold, warn
 from warp_peri.fitting.regression import norms, relative
 from warp_peri.points.arguments import EV_IN_TPA, ArrayMap, checked, typed, typed_methods
@@ -291,7 +284,7 @@ class ForceConstants:
         e = directions(60, self.dimension)
         wanted = self.acoustic(e, values, field=field)
         if self.stress is not None:
-            wanted = wanted - acoustic(stress_brackets(self.stress), e)
+            wanted = wanted - acoustic(elastic.stress_brackets(self.stress), e)
         from_each = np.einsum("mijkl,nj,nl->nikm", allowed, e, e, optimize=True)
         rows = from_each.reshape(-1, len(allowed))
         c = lstsq(rows, wanted.ravel())[0]
@@ -354,7 +347,7 @@ class ForceConstants:
 
     def group(self) -> np.ndarray:
         """Point group of the crystal by spglib, [G, d, d], in the axes of its coordinates."""
-        turns = group_of_structure(self.cell, self.positions @ inv(self.cell), self.kinds)
+        turns = elastic.group_of_structure(self.cell, self.positions @ inv(self.cell), self.kinds)
         if self.dimension == 3:
             return turns
         return point_group(turns[np.abs(np.abs(turns[:, 2, 2]) - 1) < 1e-6][:, :2, :2], 2)

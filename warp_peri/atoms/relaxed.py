@@ -20,16 +20,8 @@ from scipy.linalg import polar, sqrtm
 
 from warp_peri.atoms.calculator_noise import ON_SITES, TIMES, Noise, measured, strained
 from warp_peri.atoms.calculators import LammpsError
-from warp_peri.core.elastic import (
-    COUNTED,
-    KNOWN,
-    PAIRS,
-    by_spglib,
-    group_of_structure,
-    kinds_of,
-    primitive_cell,
-    symmetric_part,
-)
+from warp_peri.core import elastic
+from warp_peri.core.elastic import COUNTED, KNOWN, PAIRS, by_spglib, kinds_of, symmetric_part
 from warp_peri.errors import InputError, warn
 from warp_peri.points.arguments import EV_IN_TPA, checked, is_number
 
@@ -162,7 +154,7 @@ def crystal_of(atoms: ase.Atoms) -> tuple[np.ndarray, ...]:
 def to_shared_axes(atoms: ase.Atoms) -> ase.Atoms:
     """Turn a solid to spglib's standard axes, where these share more rotations with the lattice."""
     given = crystal_of(atoms)
-    group = group_of_structure(*given)
+    group = elastic.group_of_structure(*given)
     turn = np.array(by_spglib("get_symmetry_dataset", given, ON_SITES).std_rotation_matrix)
     before, after = (  # rotations that nodes share
         (np.abs(turns - np.rint(turns)).max(axis=(1, 2)) < 1e-6).sum()
@@ -192,7 +184,7 @@ def exact_cell(atoms: ase.Atoms) -> ase.Atoms:
 
 def smallest(atoms: ase.Atoms, flat: bool) -> ase.Atoms:
     """Primitive cell in the same axes, with all arrays of atoms; a sheet's third edge stays."""
-    small = primitive_cell(crystal_of(atoms), ON_SITES)
+    small = elastic.primitive_cell(crystal_of(atoms), ON_SITES)
     if len(small[2]) >= len(atoms):
         return atoms
     edges = np.array(small[0])

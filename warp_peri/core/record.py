@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import typing
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
@@ -21,18 +22,7 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import (
-    TYPE_CHECKING,
-    Annotated,
-    Any,
-    ClassVar,
-    Self,
-    TypeAlias,
-    Union,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, TypeAlias, get_args, get_origin
 
 import numpy as np
 
@@ -130,7 +120,7 @@ def fields_of(value: Any) -> tuple[Field, ...]:
 
 @cache
 def _fields_of(kind: Any) -> tuple[Field, ...]:
-    hints, found = get_type_hints(kind, include_extras=True), []
+    hints, found = typing.get_type_hints(kind, include_extras=True), []
     for each in fields(kind):
         hint, says = hints[each.name], PLAIN
         if get_origin(hint) is Annotated:
@@ -418,7 +408,7 @@ def _part(kind: Any, entries: dict[str, Any]) -> Any:
 def taken(key: str, hint: Any, value: Any, says: FieldUnits = PLAIN, *, read: bool = False) -> Any:
     """Convert a value, of JSON if `read`, to a field's type; InputError naming the key."""
     parts = get_args(hint)
-    if get_origin(hint) in (Union, UnionType):
+    if get_origin(hint) in (typing.Union, UnionType):
         if (value is None and NoneType in parts) or (isinstance(value, str) and str in parts):
             return value
         hint = next(each for each in parts if each not in (NoneType, str))

@@ -27,16 +27,8 @@ from scipy.spatial import cKDTree
 
 from warp_peri import __version__
 from warp_peri.errors import ALONE, InputError, StrPath, agreed
-from warp_peri.files.atomic import (
-    check_hdf5,
-    check_regular,
-    locked,
-    meshio_of,
-    parsed,
-    whole_hdf5,
-    write_text,
-    write_vtu,
-)
+from warp_peri.files import atomic
+from warp_peri.files.atomic import check_hdf5, locked, parsed, whole_hdf5, write_text, write_vtu
 
 HELD = "__self__", "__func__", "fget", "code"
 """What methods, properties and what torch compiled hold that is no attribute."""
@@ -404,7 +396,7 @@ def read_arrays(
     """Read rows at places of arrays by name (None, or no name: all), and the attributes; InputError
     for a file that is none or lacks an array."""
     found = {}
-    check_regular(path)
+    atomic.check_regular(path)
     try:
         with h5py.File(path, locking=False) as file:
             check_hdf5(file)
@@ -436,7 +428,7 @@ class TimeSeriesWriter:
     """
 
     def __init__(self, folder: StrPath, nodes: Any, x: np.ndarray | None = None) -> None:
-        meshio_of()
+        atomic.meshio_of()
         self.folder, self.nodes = Path(folder), nodes
         self.x = nodes.x if x is None else x
         self.times: dict[str, float] = {}

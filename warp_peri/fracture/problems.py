@@ -25,16 +25,8 @@ from warp_peri.fracture.body import (
 from warp_peri.fracture.dynamics import BreakingBody, CrackRun
 from warp_peri.fracture.statics import CutSolid, by_component, crack_load, grow
 from warp_peri.materials.lps import LPSMaterial
-from warp_peri.points.arguments import (
-    NotNegative,
-    Positive,
-    check_shape,
-    checked,
-    is_tensor,
-    offered,
-    taken,
-    typed,
-)
+from warp_peri.points import arguments
+from warp_peri.points.arguments import NotNegative, Positive, checked, offered, taken, typed
 from warp_peri.points.points import Points
 from warp_peri.protocols import refuse_uncut
 from warp_peri.solvers.motion import Motion, Recorder, refuse_learning
@@ -117,7 +109,7 @@ class Cracked:
         cut = CutSolid(material, body, self.held, solver=solver, **self._cuts)
         b: Any
         b, u = (np.zeros_like(body.x) if one is None else one for one in (self.b, self.u))
-        learns = numbers is not None or is_tensor(b) or is_tensor(u)
+        learns = numbers is not None or arguments.is_tensor(b) or arguments.is_tensor(u)
         if not learns:
             u = checked("u", u, float, body.x.shape, self.held)
         if self.pressure is not None:
@@ -127,7 +119,7 @@ class Cracked:
             extra = crack_load(cut, pressure, numbers)
             if learns:
                 b, extra = map(fracture.adjoint.real, ("b", "pressure"), (b, extra))
-                check_shape("b", b, body.x.shape)
+                arguments.check_shape("b", b, body.x.shape)
             else:
                 b = checked("b", b, float, body.x.shape)
             b = b + extra
@@ -180,7 +172,7 @@ class Cracked:
         return how, begin | {"u": self.u, "cracks": self.cracks}, files | records, run
 
     def _slowly(self, material: Any, body: LatticeBody, u: Any, options: dict[str, Any]) -> Motion:
-        u = u if is_tensor(u) else checked("u", u, float, body.x.shape, self.held)
+        u = u if arguments.is_tensor(u) else checked("u", u, float, body.x.shape, self.held)
         if "events" in options:
             (how,) = taken(options, "simulate", grow, given=("cracks", "corrected"))
             return grow(material.linear, body, self.held, u, **how, **self._cuts)

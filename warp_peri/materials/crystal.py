@@ -26,17 +26,8 @@ from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.core.stencil import Stencil, elastic_from_brackets
 from warp_peri.errors import InputError, Rows, hold, warn
 from warp_peri.fitting.regression import norms
-from warp_peri.points.arguments import (
-    USUAL,
-    Units,
-    checked,
-    checked_fields,
-    factors,
-    plain,
-    shown_moduli,
-    symbols,
-    typed,
-)
+from warp_peri.points import arguments
+from warp_peri.points.arguments import USUAL, Units, checked, plain, shown_moduli, symbols, typed
 from warp_peri.points.points import Points, Samples, unsaid
 from warp_peri.protocols import OperatorBase
 from warp_peri.solvers.linear import Inverse, Linear
@@ -64,7 +55,7 @@ class TensorOperator(OperatorBase):
         CG(preconditioner, tolerance); InputError as Linear.solve."""
         refuse_solver(solver, (CG,), "a crystal model")
         asked: Any = solver or CG()
-        b, u = checked_fields(self.points, b, u)
+        b, u = arguments.checked_fields(self.points, b, u)
         loads, fields = (field.reshape(-1, *self.shape) for field in (b, u))
         if (proven := self.model.statement) is None:
             self.linear.check_definite()
@@ -202,7 +193,7 @@ class StencilMaterial(Record):
         return elastic.voigt(self.tensor()) * self._stress(unit)
 
     def _stress(self, unit: str | None) -> float:
-        return 1.0 if unit is None else factors(self.units, (self.units[0], unit))[1]
+        return 1.0 if unit is None else arguments.factors(self.units, (self.units[0], unit))[1]
 
     def certified(self) -> Self:
         """The material with its certificate; `certificate.holds` says whether a proof was found."""

@@ -25,16 +25,8 @@ from warp_peri.errors import InputError, Rows, called, hold
 from warp_peri.fitting.regression import norms
 from warp_peri.fitting.result import Fit
 from warp_peri.materials.crystal_fit import one_set
-from warp_peri.points.arguments import (
-    USUAL,
-    Numbers,
-    Pair,
-    Positive,
-    Units,
-    check_parameters,
-    checked,
-    typed,
-)
+from warp_peri.points import arguments
+from warp_peri.points.arguments import USUAL, Numbers, Pair, Positive, Units, checked, typed
 from warp_peri.points.points import PointsLike, check_dimensions
 from warp_peri.solvers.equilibria import SOLVES, equilibria_of, probed
 from warp_peri.solvers.linear import Inverse, Linear
@@ -100,7 +92,7 @@ class DensityMaterial(Record, format="warp_peri.density"):
         hold(self, parameters=numbers)
         super().__post_init__()
         check_dimensions("dimension", self.dimension)
-        check_parameters(self.energy or dict, numbers)
+        arguments.check_parameters(self.energy or dict, numbers)
 
     @classmethod
     def of(

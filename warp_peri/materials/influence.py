@@ -23,17 +23,8 @@ from numpy.typing import ArrayLike
 from warp_peri.errors import InputError, called, hold
 from warp_peri.files import atomic
 from warp_peri.materials.lps import LPSMaterial, bernstein_basis
-from warp_peri.points.arguments import (
-    USUAL,
-    Pair,
-    Positive,
-    Units,
-    check_parameters,
-    check_shape,
-    checked,
-    plain,
-    typed,
-)
+from warp_peri.points import arguments
+from warp_peri.points.arguments import USUAL, Pair, Positive, Units, checked, plain, typed
 from warp_peri.points.families import bond_classes
 
 DEGREES = ((10, 0.0), (20, 0.0), (40, 0.0), (60, 0.0), (80, 1e-6))
@@ -79,7 +70,7 @@ class InfluenceFunction:
                 raise InputError(f"{name}: expected a number or a list, got {array.shape}")
             values[name] = array if array.ndim else float(array)
         hold(self, parameters=values)
-        check_parameters(self.function, values)
+        arguments.check_parameters(self.function, values)
         for name, ends in self.bounds.items():
             if name not in self.parameters:
                 known = ", ".join(self.parameters) or "none"
@@ -128,7 +119,7 @@ class InfluenceFunction:
         distance, name = checked("r", r), f"influence '{self.name}'"
         what, named = f"{name}: expected a function of r [R]", copy.deepcopy(self.parameters)
         K = plain(name, called(what, self.function, distance.copy(), **named))
-        check_shape(f"{name}: that of r", K, distance.shape)
+        arguments.check_shape(f"{name}: that of r", K, distance.shape)
         if (wrong := distance[~np.isfinite(K)]).size:
             raise InputError(
                 f"{name}: K is not finite at r = {wrong.flat[0]:g} with "

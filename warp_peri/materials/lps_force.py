@@ -19,6 +19,7 @@ from numpy.linalg import inv
 from numpy.typing import ArrayLike
 from scipy.special import comb
 
+from warp_peri import runtime
 from warp_peri.core.stencil import numbers_at, row_pieces
 from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import stay
@@ -27,18 +28,7 @@ from warp_peri.kernels.lps import LANES, Balls, Sums, by_influence, stiffnesses,
 from warp_peri.points.arguments import Pair
 from warp_peri.points.families import DEGREE, families_of
 from warp_peri.points.points import PointsLike, nearest, nodes_of
-from warp_peri.runtime import (
-    DEVICE,
-    SLICE,
-    Shared,
-    at_once,
-    filled,
-    floats,
-    get_num_threads,
-    ints,
-    launch_slices,
-    zeros,
-)
+from warp_peri.runtime import DEVICE, SLICE, Shared, filled, floats, ints, launch_slices, zeros
 
 if TYPE_CHECKING:
     from warp_peri.materials.lps import LPSMaterial
@@ -231,7 +221,7 @@ class Bonds:
             tape.record_launch(kernel, last - first, 0, [first, *inputs, *given[n]], [K], DEVICE)
             tape.backward()
 
-        at_once([partial(back, n) for n in range(pieces)])
+        runtime.at_once([partial(back, n) for n in range(pieces)])
         return [sum(one.grad.numpy().ravel() for one in each) for each in zip(*given)]
 
     @cached_property
@@ -375,7 +365,7 @@ class Law:
         """Lay out values, find dilatations, then forces, on the named pieces (None: skip); fields
         are values by number, planes, dilatations and forces by number."""
         bonds, samples = self.bonds, len(fields[0])
-        key = (*pieces, samples, get_num_threads(), self.fields)
+        key = (*pieces, samples, runtime.get_num_threads(), self.fields)
         ready = bonds.ready.setdefault(key, [])
         try:
             shared, ends, last = ready.pop()

@@ -25,17 +25,9 @@ from warp_peri.points.families import DEGREE, families_of, largest_strain
 from warp_peri.points.points import PointsLike, nodes_of
 from warp_peri.protocols import OperatorBase
 from warp_peri.runtime import recording
+from warp_peri.solvers import solution
 from warp_peri.solvers.linear import DIRECT, Inverse, Linear
-from warp_peri.solvers.solution import (
-    CG,
-    TOLERANCE,
-    Direct,
-    Solution,
-    Solver,
-    by_sample,
-    refuse_solver,
-    warn_beyond,
-)
+from warp_peri.solvers.solution import CG, TOLERANCE, Direct, Solution, Solver, refuse_solver
 from warp_peri.solvers.systems import (
     RESIDUAL,
     MatrixProblem,
@@ -322,8 +314,8 @@ class LPSOperator(OperatorBase):
     ) -> Solution:
         """Solution in the shape of the load; warns of strain beyond the data."""
         u = found.reshape(load.shape)
-        warn_beyond(self.model, lambda: largest_strain(self.nodes, u))
-        return by_sample(self, u, self.rhs(load), took, method, self.proven)
+        solution.warn_beyond(self.model, lambda: largest_strain(self.nodes, u))
+        return solution.by_sample(self, u, self.rhs(load), took, method, self.proven)
 
     @property
     def _unknown(self) -> int:

@@ -19,16 +19,8 @@ from warp_peri.fitting.evaluate import ERRORS, evaluate
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.lps_fit import LPS
 from warp_peri.materials.lps_law import DEGREES, HORIZONS, Bernstein, GaussNewton, TwoStage
-from warp_peri.points.arguments import (
-    Bound,
-    checked,
-    is_positive,
-    symbols,
-    typed,
-    typed_methods,
-    usual_lengths,
-    within,
-)
+from warp_peri.points import arguments
+from warp_peri.points.arguments import Bound, checked, is_positive, symbols, typed, within
 from warp_peri.points.families import bond_classes, families_of
 from warp_peri.points.points import Samples
 
@@ -69,7 +61,7 @@ class Trial:
     model: str
 
 
-@typed_methods
+@arguments.typed_methods
 @dataclass(frozen=True)
 class SweepResult:
     """All fits of a sweep and the chosen ones.
@@ -131,7 +123,7 @@ def sweep(
     folder that another job writes to; RuntimeError when every fit failed.
     """
     if horizons is None:
-        horizons = usual_lengths("horizons", HORIZONS, train.units).tolist()
+        horizons = arguments.usual_lengths("horizons", HORIZONS, train.units).tolist()
     if not (len(checked("horizons", horizons, float, ("n",))) and len(degrees)):
         raise InputError("sweep: expected at least one horizon and one degree")
     sets = {"train": train, "val": val} | ({} if test is None else {"test": test})

@@ -33,17 +33,8 @@ from warp_peri.fitting.result import Fit
 from warp_peri.materials.certificate import Uniqueness, curvature_bound, prove_uniqueness
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import Crystal, Tensors, one_set, transfer_to_lattice
-from warp_peri.points.arguments import (
-    ArrayMap,
-    NotNegative,
-    Numbers,
-    Pair,
-    Positive,
-    checked,
-    is_number,
-    shown_moduli,
-    typed,
-)
+from warp_peri.points import arguments
+from warp_peri.points.arguments import ArrayMap, NotNegative, Numbers, Pair, Positive, typed
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.points import PointsLike, Samples, axis_of, nodes_of
@@ -192,7 +183,7 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
         super().__post_init__()
         if "statement" in self.proven:  # of its numbers, whatever a file says
             strain: Any = self.proven.get("strain")
-            known = strain if is_number(strain) else 0.0
+            known = strain if arguments.is_number(strain) else 0.0
             said = Uniqueness(self.spacing, known, 0, 0, 0, (), self.units).statement
             hold(self, proven=self.proven | {"statement": said})
         if self.form not in FORMS:
@@ -283,7 +274,7 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
         if unknown := self.proven.keys() - known.keys():
             raise InputError(f"proven: unknown keys: {', '.join(unknown)}")
         said = {
-            name: checked(f"proven: {name}", value, shape=np.shape(known[name]))
+            name: arguments.checked(f"proven: {name}", value, shape=np.shape(known[name]))
             for name, value in self.proven.items()
             if name != "statement"
         }
@@ -304,7 +295,7 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
 
     def rows(self) -> Rows:
         """Name and value of each line of the material's table, those of the crystal last."""
-        shown = shown_moduli(self.units, (getattr(self, name) for name in CUBIC))
+        shown = arguments.shown_moduli(self.units, (getattr(self, name) for name in CUBIC))
         rows = [("form", self.form), (", ".join(CUBIC), shown)]
         if strain := self.proven_strain(self.spacing):
             rows.append(("proven", f"one solution up to |H| = {strain:.2%}"))

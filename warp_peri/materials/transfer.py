@@ -14,15 +14,10 @@ from warp_peri.core.record import made_once
 from warp_peri.core.stencil import Basis
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.regression import LatticeRows, compressed, norms
+from warp_peri.materials import lps_law
 from warp_peri.materials.certificate import with_proof
 from warp_peri.materials.lps import LPSMaterial, LPSParameters
-from warp_peri.materials.lps_law import (
-    GaussNewton,
-    LPSFound,
-    StabilityConditions,
-    optimum,
-    product_basis,
-)
+from warp_peri.materials.lps_law import GaussNewton, LPSFound, optimum, product_basis
 from warp_peri.points.arguments import ArrayMap, Pair, Positive, search_length, symbols, typed
 from warp_peri.points.families import AT_EDGES, bond_classes, carried_horizon
 from warp_peri.points.points import PointsLike, unit_vectors
@@ -210,7 +205,7 @@ def _fitted(
     loss = wave_loss(target, k * length, classes.spacing, product_basis(classes), weight)
     start = LPSFound(LPSParameters(model.lam / unit, 1.0, 1.0, np.ones(len(classes.r) + 1)))
     method = GaussNewton(smoothness=SMOOTHNESS)
-    best = optimum([loss], [classes], start, StabilityConditions(zeta=zeta / unit), method)
+    best = optimum([loss], [classes], start, lps_law.StabilityConditions(zeta=zeta / unit), method)
     if not best.converged:
         return None
     lam, mu, alpha, D = best.solid.values()

@@ -6,22 +6,12 @@ import inspect
 import math
 import os
 import sys
+import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import cache, wraps
 from types import FunctionType, NoneType, SimpleNamespace, UnionType
-from typing import (
-    Annotated,
-    Any,
-    Literal,
-    NamedTuple,
-    TypeAlias,
-    TypeVar,
-    Union,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -238,7 +228,7 @@ _signature = cache(inspect.signature)
 """Of a function, worked out at its first call: most are never called."""
 
 
-class Bound(NamedTuple):
+class Bound(typing.NamedTuple):
     """Range of accepted values of a kind, in words and as a test."""
 
     words: str
@@ -348,7 +338,7 @@ def kinds_of(call: Callable[..., Any]) -> dict[str, tuple[tuple[Any, ...], Any, 
             continue
         annotated = SimpleNamespace(__annotations__={name: parameter.annotation})
         try:
-            hint = get_type_hints(annotated, names, include_extras=True)[name]
+            hint = typing.get_type_hints(annotated, names, include_extras=True)[name]
         except (NameError, AttributeError, TypeError):  # of types that type checkers alone import
             continue
         hints = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)

@@ -33,17 +33,8 @@ import torch
 
 from warp_peri.core.torch_bridge import as_tensor, by_numbers, once, real, with_numbers
 from warp_peri.errors import InputError
-from warp_peri.points.arguments import (
-    Natural,
-    Numbers,
-    Pair,
-    Positive,
-    check_nodes,
-    check_shape,
-    checked,
-    is_tensor,
-    taken,
-)
+from warp_peri.points import arguments
+from warp_peri.points.arguments import Natural, Numbers, Pair, Positive, checked, is_tensor, taken
 from warp_peri.solvers import verlet
 from warp_peri.solvers.motion import Motion, Recorder
 from warp_peri.solvers.systems import MatrixProblem
@@ -192,7 +183,7 @@ def stepped(
     solve that loses its digits, and a second derivative.
     """
     operator, numbers = with_numbers(operator, parameters or {})
-    check_nodes("steps", (steps, len(operator.points.x)))
+    arguments.check_nodes("steps", (steps, len(operator.points.x)))
     times, tensors = step * np.arange(steps + 1), [u, *(parameters or {}).values()]
     start = real("u", u)
     fields = [start]
@@ -203,7 +194,7 @@ def stepped(
         tensors += each
         each = [real(name, one) for one in each or [start]]
         for one in each:
-            check_shape(name, one, start.shape)
+            arguments.check_shape(name, one, start.shape)
         fields.append(torch.stack(each).expand(steps, *each[0].shape))
     flow = Implicit(operator, step, list(numbers))
     (found,) = once(flow.there, flow.back, *fields, *numbers.values())

@@ -12,15 +12,8 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError, Rows, Shown, StrPath
 from warp_peri.files.checkpoint import RunFile, TimeSeriesWriter, fingerprint
-from warp_peri.points.arguments import (
-    Count,
-    Natural,
-    check_mapping,
-    check_whole,
-    is_tensor,
-    plain,
-    typed_methods,
-)
+from warp_peri.points import arguments
+from warp_peri.points.arguments import Count, Natural, check_mapping, plain, typed_methods
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -197,7 +190,7 @@ class Recorder:
         check_mapping(str(file.path), content)
         for name in ("key", "history", "files"):
             check_mapping(f"{file.path}: {name}", content.get(name))
-        taken = check_whole(f"{file.path}: steps", content.get("steps"), 0)
+        taken = arguments.check_whole(f"{file.path}: steps", content.get("steps"), 0)
         rows = content["history"] | {"files": [*content["files"].values()]}
         counts = [plain(f"{file.path}: {name}", one).shape[:1] for name, one in rows.items()]
         if not {*self.history} <= {*rows} or len({*counts[:-1]}) > 1 or () in counts:
@@ -251,4 +244,4 @@ def asks_for_gradient(given: Any) -> bool:
         return any(map(asks_for_gradient, given.values()))
     if isinstance(given, list | tuple):
         return any(map(asks_for_gradient, given))
-    return is_tensor(given) and bool(given.requires_grad)
+    return arguments.is_tensor(given) and bool(given.requires_grad)

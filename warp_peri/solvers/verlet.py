@@ -14,17 +14,8 @@ from numpy.typing import ArrayLike
 from warp_peri.core.proof import stencil_of
 from warp_peri.errors import InputError, agreed, quietly, warn
 from warp_peri.files.checkpoint import AllNodes, fingerprint
-from warp_peri.points.arguments import (
-    USUAL,
-    Count,
-    Positive,
-    Units,
-    as_array,
-    factors,
-    is_piece,
-    offered,
-    typed,
-)
+from warp_peri.points import arguments
+from warp_peri.points.arguments import USUAL, Count, Positive, Units, factors, offered, typed
 from warp_peri.points.arguments import checked as read
 from warp_peri.points.mesh import check_numbers
 from warp_peri.points.points import check_lattice
@@ -206,7 +197,7 @@ def started(
     """Check the arguments of `march`, `fields` u, v and b, [N, d], None for zero; returns nodes of
     this process, the moving body and its start."""
     points: Any = operator.points
-    nodes: Any = points if is_piece(points) else AllNodes(len(points.x))
+    nodes: Any = points if arguments.is_piece(points) else AllNodes(len(points.x))
     with agreed(nodes.comm):
         check_lattice(points)
         shape = points.x.shape
@@ -240,7 +231,7 @@ def recorded_nodes(record: ArrayLike | None, count: int) -> np.ndarray | None:
     """Numbers of the nodes to record, [n]; InputError for what names none of `count` nodes."""
     if record is None:
         return None
-    nodes = np.atleast_1d(as_array("record", record))
+    nodes = np.atleast_1d(arguments.as_array("record", record))
     if nodes.dtype == bool:
         nodes = np.flatnonzero(read("record", nodes, bool, (count,)))
     nodes = read("record", nodes, int, ("n",))

@@ -30,15 +30,8 @@ from warp_peri.materials.hyperelastic.operator import (
     HyperelasticSheetOperator,
     check_explained,
 )
-from warp_peri.points.arguments import (
-    Count,
-    Natural,
-    NotNegative,
-    Share,
-    checked,
-    typed,
-    typed_methods,
-)
+from warp_peri.points import arguments
+from warp_peri.points.arguments import Count, Natural, NotNegative, Share, checked, typed
 from warp_peri.points.points import PULL, Points, PointsLike, Samples, seen_of
 from warp_peri.solvers.equilibria import Descent, NoEquilibriumError
 
@@ -107,7 +100,7 @@ TURN, GROWTH, THICKEN = 0.2, 1.0, 0.5
 """Largest change of an angle [rad], an exponent and a number of the thickness in one step."""
 
 
-@typed_methods
+@arguments.typed_methods
 @dataclass(frozen=True, eq=False)
 class SheetFit:
     """A material fitted to loads, or to displacement: known up to its scale where no frame has a
