@@ -15,16 +15,8 @@ from warp_peri.materials.transfer import model_at
 from warp_peri.points.arguments import Positive, offered, typed
 from warp_peri.solvers.verlet import inertia, stiffest_of
 
-__all__ = [
-    "Certificate",
-    "StencilCertificate",
-    "Solvability",
-    "Uniqueness",
-    "certify",
-    "critical_time_step",
-    "check_solvability",
-    "prove_uniqueness",
-]
+__all__ = ["Certificate", "StencilCertificate", "Solvability", "Uniqueness"]
+__all__ += ["certify", "critical_time_step", "check_solvability", "prove_uniqueness"]
 
 
 @typed

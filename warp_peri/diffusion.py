@@ -299,10 +299,8 @@ class ThermoelasticMaterial(Record, format="warp_peri.coupled_solid"):
 
     def with_parameters(self, numbers: Numbers) -> ThermoelasticMaterial:
         """Material with other parameters of the solid, and another coupling."""
-        own = {name: numbers[name] for name in self.model.learnable}
-        return replace(
-            self, model=self.model.with_parameters(own), coupling=float(numbers["coupling"])
-        )
+        model = self.model.with_parameters({name: numbers[name] for name in self.model.learnable})
+        return replace(self, model=model, coupling=float(numbers["coupling"]))
 
     def on(self, points: PointsLike, *, kappa: Modulus | None = None) -> CoupledOperator:
         """Operator on a lattice; `kappa` as of DiffusionOperator."""

@@ -182,10 +182,8 @@ class Shown:
         return "\n".join([type(self).__name__, *(f"  {n:{width}}  {value}" for n, value in rows)])
 
     def _repr_html_(self) -> str:
-        cells = "".join(
-            f"<tr><th style='text-align:left'>{escape(name)}</th><td>{escape(value)}</td></tr>"
-            for name, value in self.rows()
-        )
+        row = "<tr><th style='text-align:left'>{}</th><td>{}</td></tr>"
+        cells = "".join(row.format(escape(name), escape(value)) for name, value in self.rows())
         return f"<table>{cells}</table>"
 
 
@@ -211,9 +209,7 @@ def error_rows(errors: dict[str, Any]) -> Rows:
     rows = []
     for name, table in errors.items():
         known = table if isinstance(table, dict) else {}
-        parts = [
-            f"{key} {known[key]:.2%}" for key in ("E_res", "E_u") if known.get(key) is not None
-        ]
+        parts = [f"{e} {known[e]:.2%}" for e in ("E_res", "E_u") if known.get(e) is not None]
         if parts:
             rows.append((f"errors on {name}", ", ".join(parts)))
     return rows

@@ -57,9 +57,7 @@ def write_vtk(folder: StrPath, model: Any, points: Samples, u: np.ndarray) -> li
     folder, cells = Path(folder), _cells(points)
     paths = [folder / f"sample_{s:04d}.vtu" for s in range(len(u))]
     there = sorted(folder.glob("sample_*.vtu"))
-    if left := [
-        one for one in there if one not in paths or b'Name="interior"' not in one.read_bytes()
-    ]:
+    if left := [p for p in there if p not in paths or b'Name="interior"' not in p.read_bytes()]:
         raise InputError(
             f"{folder}: expected a folder without samples of another export, "
             f"got {left[0].name}; remove it or name another folder"

@@ -166,9 +166,7 @@ class Body:
             offered(material, "spread", "solve", LINEAR)
         refuse_solver(solver, (), "a Body, whose coupling says how it is solved")
         (options,) = taken(options, "solve", solve_body, given=GIVEN)
-        body = solve_body(
-            material, self.mesh, **{name: getattr(self, name) for name in GIVEN}, **options
-        )
+        body = solve_body(material, self.mesh, **{n: getattr(self, n) for n in GIVEN}, **options)
         u, _ = body.on_corners()
         exchange = body.exchange
         return Solution(

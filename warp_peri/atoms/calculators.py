@@ -109,9 +109,7 @@ def check_path(name: str, path: Path) -> None:
 
 def _is_plain(text: str, signs: str) -> bool:
     """Whether text has none of the signs, nor typographic ones, which LAMMPS turns into ASCII."""
-    letters = all(
-        one.isascii() or (category(one)[0] in "LMN" and not "ʰ" <= one <= "˿") for one in text
-    )
+    letters = all(c.isascii() or (category(c)[0] in "LMN" and not "ʰ" <= c <= "˿") for c in text)
     return letters and text.isprintable() and not {*text} & {*signs}
 
 

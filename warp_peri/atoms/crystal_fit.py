@@ -236,11 +236,8 @@ class CrystalFit(Shown):
 def with_errors(C: np.ndarray, errors: np.ndarray) -> dict[str, tuple[float, float]]:
     """Elastic moduli [GPa] of C [TPa] by name, each with its standard error of [Q, d, d, d, d]."""
     M = 1e3 * norm(voigt(errors), axis=0)
-    label = "123456" if len(C) == 3 else "124"
-    return {
-        name: (value, float(M[label.index(name[1]), label.index(name[2])]))
-        for name, value in named_moduli(1e3 * C).items()
-    }
+    at, moduli = ("123456" if len(C) == 3 else "124").index, named_moduli(1e3 * C)
+    return {name: (c, float(M[at(name[1]), at(name[2])])) for name, c in moduli.items()}
 
 
 def _written(C: np.ndarray, errors: np.ndarray) -> str:

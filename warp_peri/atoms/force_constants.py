@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -321,11 +321,9 @@ class ForceConstants:
         `bent` [2 Q, ...]: those even in the errors of Φ behind those odd in them."""
         given = [*(() if self.doubt is None else self.doubt)]
         given += [] if self.cut is None else [self.cut]
-        ends = [
-            [self.nearest_elastic(allowed, self.values + sign * one)[0] for sign in (1, -1)]
-            for one in given
-        ]
-        middle = self.nearest_elastic(allowed)[0]
+        near = partial(self.nearest_elastic, allowed)
+        ends = [[near(self.values + sign * one)[0] for sign in (1, -1)] for one in given]
+        middle = near()[0]
         found = [(a - b) / 2 for a, b in ends]
         found += [(a + b) / 2 - middle for a, b in ends] if bent else []
         return np.array(found).reshape(-1, *middle.shape)
@@ -379,9 +377,7 @@ class Supercell:
         polar: NonAnalyticCorrection | None = None,
         stress: np.ndarray | None = None,
     ) -> None:
-        edges, box, x, X = (
-            np.array(part) for part in (cell.cell, many.cell, cell.positions, many.positions)
-        )
+        edges, box, x, X = map(np.array, (cell.cell, many.cell, cell.positions, many.positions))
         self.displaced, self.box = list(displaced), box
         self.apart = X - X[self.displaced][:, None]
         to_site = self.apart @ inv(edges)

@@ -466,10 +466,7 @@ def largest(stencil: Stencil, group: np.ndarray, tolerance: float = UPPER_TOLERA
     def bounds(half: float, some: np.ndarray) -> np.ndarray:
         """Λmax at the middles, and its bound over the cells, shape [K, 2]."""
         value, slopes = _symbol_slopes(stencil, some)
-        high = [
-            -smallest_eigenvalue(-value - half * np.tensordot(corner, slopes, 1))
-            for corner in corners
-        ]
+        high = [-smallest_eigenvalue(-value - half * np.tensordot(c, slopes, 1)) for c in corners]
         return np.stack([-smallest_eigenvalue(-value), np.max(high, axis=0)], axis=1)
 
     while True:

@@ -253,9 +253,7 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
         learned = (held.pop(0) if one.requires_grad else None for one in operator.networks)
         return [*by, *(slopes.get(name) for name in named), *learned]
 
-    asked = (
-        one.requires_grad or forward_ad.unpack_dual(one).tangent is not None for one in numbers
-    )
+    asked = (p.requires_grad or forward_ad.unpack_dual(p).tangent is not None for p in numbers)
     if operator.is_linear and not any(asked):
         pulled = lambda g: np.stack(_pulled(operator, g, g, solver)[1:])  # noqa: E731
         answer = linear(torch.stack(fields), lambda both: there(*both)[0], pulled)
@@ -364,9 +362,7 @@ class TorchModule(torch.nn.Module):
         if not numbers:
             return operator(u)  # type: ignore[no-any-return]
         u = u if isinstance(u, torch.Tensor) else as_tensor("u", plain("u", u))
-        force = on_fields(
-            operator, u, lambda fields: operator.force_with_parameters(fields, numbers)
-        )
+        force = on_fields(operator, u, lambda f: operator.force_with_parameters(f, numbers))
         if hasattr(operator.model, "with_parameters"):  # others are made anew, and so checked
             operator.model.with_parameters({n: one.detach().numpy() for n, one in numbers.items()})
         return force

@@ -43,6 +43,8 @@ HOMES = ("/site-packages/", "/dist-packages/", *_OWN)
 """Parts of paths of installed packages, of Python's own modules and of this library's."""
 OF_A_FIT = "sha256", "certificate", "proven", "provenance", "versions", "errors"
 """Of a material's file, which a second fit of the same numbers has otherwise."""
+Arrays: TypeAlias = Mapping[str, np.ndarray]
+"""Arrays by name."""
 
 
 class AllNodes:
@@ -280,7 +282,7 @@ class RunFile:
                     lock.enter_context(locked(self.path))
             yield
 
-    def write(self, nodal: Mapping[str, np.ndarray], values: Mapping[str, Any]) -> None:
+    def write(self, nodal: Arrays, values: Mapping[str, Any]) -> None:
         """Write arrays [n, ...] on the own nodes, and JSON values; all ranks come here."""
         nodes, comm = self.nodes, self.nodes.comm
         number = None if nodes.number is None else nodes.number[nodes.own]
@@ -291,15 +293,13 @@ class RunFile:
             if comm.rank == 0:
                 write_arrays(self.path, whole | {"values": text}, head)
 
-    def _mark(self, nodal: Mapping[str, np.ndarray], text: np.ndarray) -> str:
+    def _mark(self, nodal: Arrays, text: np.ndarray) -> str:
         """Fingerprint of arrays on the own nodes, and of the first rank's values."""
         own = getattr(self.nodes, "piece", self.nodes)
         values = self.nodes.comm.bcast(fingerprint(text))
         return str(own.mark(*(nodal[name] for name in sorted(nodal)), values))
 
-    def read(
-        self, like: Mapping[str, np.ndarray]
-    ) -> tuple[dict[str, np.ndarray], dict[str, Any]] | None:
+    def read(self, like: Arrays) -> tuple[dict[str, np.ndarray], dict[str, Any]] | None:
         """Read arrays on all nodes here, which fit others (check_like), and the values; None where
         there is no file yet. InputError for a file of another kind, and one that is not read."""
         nodes, comm = self.nodes, self.nodes.comm
@@ -351,7 +351,7 @@ class ArrayFile:
         return arrays
 
 
-def check_like(found: Mapping[str, np.ndarray], like: Mapping[str, Any]) -> None:
+def check_like(found: Arrays, like: Mapping[str, Any]) -> None:
     """Raise ValueError, or KeyError, unless arrays are of the names, types and shapes of others,
     rows of what is empty there as many as it has, and without NaN."""
     for name, one in like.items():
@@ -363,7 +363,7 @@ def check_like(found: Mapping[str, np.ndarray], like: Mapping[str, Any]) -> None
             raise ValueError(f"{name} is no number somewhere")
 
 
-def gathered(comm: Any, arrays: Mapping[str, np.ndarray], own: Any, count: int) -> dict[str, Any]:
+def gathered(comm: Any, arrays: Arrays, own: Any, count: int) -> dict[str, Any]:
     """Whole arrays by name on the first rank, empty on others: from rows [n, ...], their places in
     the whole and how many it has, the places None where they are the whole."""
     whole = {}
@@ -377,9 +377,7 @@ def gathered(comm: Any, arrays: Mapping[str, np.ndarray], own: Any, count: int) 
     return whole
 
 
-def write_arrays(
-    path: StrPath, arrays: Mapping[str, np.ndarray], attributes: Mapping[str, Any]
-) -> None:
+def write_arrays(path: StrPath, arrays: Arrays, attributes: Mapping[str, Any]) -> None:
     """Write an HDF5 file of arrays whole or not at all; InputError where it cannot be written."""
     try:
         with whole_hdf5(path) as file:
@@ -464,9 +462,6 @@ class TimeSeriesWriter:
                 if not pvd.exists():  # or a record of a job that is killed here is nobody's
                     write_text(pvd, f"{head}\n{END}")
                 write_vtu(self.folder / name, x, ("vertex", np.arange(len(x))[:, None]), whole)
-                lines = [
-                    f'<DataSet timestep="{t!r}" file="{n}"/>'
-                    for n, t in times.items()
-                    if (self.folder / n).exists()
-                ]
+                kept = {n: t for n, t in times.items() if (self.folder / n).exists()}
+                lines = [f'<DataSet timestep="{t!r}" file="{n}"/>' for n, t in kept.items()]
                 write_text(pvd, "\n".join([head, *lines, END]))

@@ -15,6 +15,4 @@ if ranks_started():
     with suppress(InputError):  # raised again where ranks are used
         world()  # from here on one rank speaks
 
-__all__ = [
-    "TimeSeriesWriter", "Subdomain", "gather", "is_root", "lattice", "partition", "together",
-]  # fmt: skip
+__all__ = ["TimeSeriesWriter", "Subdomain", "gather", "is_root", "lattice", "partition", "together"]

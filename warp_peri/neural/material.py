@@ -202,14 +202,12 @@ class NeuralOperator(Shown, torch.nn.Module):
         """Name and value of what its printed form shows."""
         length, stress = symbols(self.units)
         first = "ω(ξ)" if self.anisotropic else "ω(|ξ|)"
+        widths = ", ".join(f"{name} {both}" for name, both in self.widths.items())
         learned = f"epoch {self.provenance['best']}" if "best" in self.provenance else "not said"
         return [
             ("horizon", f"{self.horizon:g} {length}, in {length} and {stress}"),
             ("form", first + (", force state in proportion to e" if self.proportional else "")),
-            (
-                "numbers",
-                f"{self.numbers()}; {', '.join(f'{k} {w}' for k, w in self.widths.items())}",
-            ),
+            ("numbers", f"{self.numbers()}; {widths}"),
             ("learned", learned),
         ]
 

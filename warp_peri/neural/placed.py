@@ -131,9 +131,7 @@ class Placed(OperatorBase):
         self.forward = number[self.own]
         self.back = number[row[self.ends[self.own]], families.reverse]
 
-    def stretch(
-        self, u: torch.Tensor, share: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def stretch(self, u: torch.Tensor, share: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Extensions |Y| − |ξ| [S, F, B], dilatations [S, F], directions Y/|Y| [S, I, B, 2]
         (NO3)."""
         xi, r = (torch.as_tensor(one, dtype=u.dtype) for one in (self.xi, self.r))
@@ -199,7 +197,8 @@ class Placed(OperatorBase):
         x = u.double().numpy()
         with torch.no_grad():
             omega, share, r = self.shares(u.dtype)
-            omega, theta, e, r = self.inputs(omega, *self.stretch(u[None], share)[1::-1], r)
+            e, theta, _ = self.stretch(u[None], share)
+            omega, theta, e, r = self.inputs(omega, theta, e, r)
         by = theta.clone().requires_grad_(), e.clone().requires_grad_()
         state = self.material.force_state(omega, *by, r)
         slopes = torch.autograd.grad(state.sum(), by)
@@ -273,8 +272,7 @@ class Placed(OperatorBase):
 
     def _taken(self, u: Any) -> torch.Tensor:
         """Convert fields to [S, N, 2] in the material's precision; InputError for other shapes."""
-        u = plain("u", u)
-        self.check(u)
+        self.check(u := plain("u", u))
         return torch.as_tensor(np.ascontiguousarray(u.reshape(-1, *self.shape)), dtype=self.dtype)
 
 

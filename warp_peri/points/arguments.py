@@ -424,16 +424,9 @@ ArrayMap: TypeAlias = Callable[[np.ndarray], np.ndarray]
 """Arrays made of arrays."""
 LENGTHS = {"angstrom": 1.0, "nm": 10.0, "um": 1e4, "mm": 1e7, "m": 1e10}
 """Units of length [Å]."""
-STRESSES = {
-    "TPa": 1.0,
-    "GPa": 1e-3,
-    "MPa": 1e-6,
-    "bar": 1e-7,
-    "Pa": 1e-12,
-    "eV/angstrom^3": 0.1602176634,
-}
+STRESSES = {"TPa": 1.0, "GPa": 1e-3, "MPa": 1e-6, "bar": 1e-7, "Pa": 1e-12}
 """Units of stress [TPa]."""
-EV_IN_TPA = STRESSES["eV/angstrom^3"]
+EV_IN_TPA = STRESSES["eV/angstrom^3"] = 0.1602176634
 REDUCED = ("sigma", "epsilon/sigma^3")
 """Of Lennard-Jones and other model potentials: no factor leads from them to metres and pascals."""
 SYMBOLS = {"angstrom": "Å", "um": "µm", "eV/angstrom^3": "eV/Å³"}

@@ -343,9 +343,7 @@ def _read(file: h5py.File) -> Dataset:
         provenance = parsed(head.get("provenance", "{}"))
     except ValueError as error:
         raise InputError(f"provenance: expected JSON ({error})") from None
-    sets = {
-        name: within(f"set '{name}'", _read_points, group, units) for name, group in file.items()
-    }
+    sets = {name: within(f"set '{name}'", _read_points, one, units) for name, one in file.items()}
     data = Dataset(sets, head["thickness"], head["density"], provenance)
     mark = content_hash(data)
     if head.get("sha256", mark) != mark:
