@@ -20,8 +20,8 @@ import warp_peri as wp
 from tests.support.clouds import plain
 from warp_peri.core import proof
 from warp_peri.diffusion import DiffusionMaterial
-from warp_peri.fracture import BrittleMaterial, Cracked, rectangle_nodes
-from warp_peri.mpi import gather, lattice, linear, partition, together
+from warp_peri.fracture import BrittleMaterial, Cracked, Injected, rectangle_nodes
+from warp_peri.mpi import TimeSeriesWriter, gather, lattice, linear, partition, together
 from warp_peri.mpi.processes import total, world
 from warp_peri.points.points import grid_places
 
@@ -129,18 +129,22 @@ def rest(folder):
                        "waves": waves(points, folder)}  # fmt: skip
     sheet = lattice(SHAPE[2], H, inside, axis=0.0)
     if comm.size == 2:
-        found |= {"door": at_the_door(sheet), "refused": refusals(sheet, points)}
+        files, own = TimeSeriesWriter(folder / "own", sheet), [*zip("bu", fields(sheet.x))]
+        files.write(1, 0.5, dict(reversed(own) if comm.rank else own))
+        found |= {"door": at_the_door(sheet, files), "refused": refusals(sheet, points, files)}
     return found
 
 
-def refusals(sheet, ball):
-    """What is said of what no rank takes; none of it waits for torch."""
-    full = lattice(SHAPE[2], H, lambda x: x[:, 0] >= 0)
+def refusals(sheet, ball, files):
+    """What is said of what no rank takes, or nothing; none of it waits for torch."""
+    rank, full = world().rank, lattice(SHAPE[2], H, lambda x: x[:, 0] >= 0)
     brittle = BrittleMaterial(solid(2), 2500.0, toughness=1.0)
     everywhere, flat = H * grid_places(SHAPE[2]), wp.Dirichlet(sheet, *fields(sheet.x))
-    mixed = np.zeros(len(sheet.x), (bool, int)[world().rank])
-    altered = replace(sheet, spacing=2 * H) if world().rank else sheet
+    mixed = np.zeros(len(sheet.x), (bool, int)[rank])
+    altered = replace(sheet, spacing=2 * H) if rank else sheet
     hidden = np.ma.masked_array(0 * sheet.x, sheet.x > 0)
+    solution, far = wp.solve(solid(2), flat, transfer=True), plain(1.25, 0.9, certified_on=(1.0,))
+    cut = wp.Samples(wp.Points(everywhere, inside(everywhere), H), everywhere[None])
     return [told_by(wrong) for wrong in (
         lambda: solid(3).on(ball)(0 * ball.x),
         lambda: wp.solve(solid(2), wp.Dirichlet(full, *fields(full.x))),
@@ -159,6 +163,21 @@ def refusals(sheet, ball):
         lambda: wp.simulate(solid(2), replace(flat, points=altered), **SWING, steps=1),
         lambda: wp.Samples(sheet, sheet.x[None]),
         lambda: wp.crystals.crystal_from_lps(solid(2), H).on(sheet),
+        solution.stress,
+        solution.plot,
+        lambda: solution.operator.energy(solution.u),
+        lambda: partition(None if rank else cut),
+        lambda: partition(cut),
+        lambda: sheet.gather(hidden if rank else 0 * sheet.x),
+        lambda: Injected(sheet, [3.0]),
+        lambda: wp.simulate(brittle, wp.Cracked(sheet), step=1e-3, steps=1, progress=bool(rank)),
+        lambda: wp.solve(far, flat, transfer=False),
+        lambda: TimeSeriesWriter(files.path.parent, sheet).write(2, 1.0, {}),
+        lambda: files.write(2.5 if rank else 2, 1.0, {}),
+        lambda: files.write(2, np.nan if rank else 1.0, {}),
+        lambda: files.write(2, 1.0, {"a": sheet.x[rank:]}),
+        lambda: files.write(2, 1.0, {"a": hidden if rank else sheet.x}),
+        lambda: files.write(2, 1.0, {"a<b": sheet.x}),
     )]  # fmt: skip
 
 
@@ -167,7 +186,7 @@ def proved(law):
         return wp.certify(law, spacing=H)
 
 
-def at_the_door(sheet):
+def at_the_door(sheet, files):
     """What is said where rank 1 was given something else than the others, by what it was."""
     one, (b, u) = int(world().rank == 1), fields(sheet.x)
     problem, law = wp.Dirichlet(sheet, b, u), replace(solid(2), mu=0.4 + 1e-9 * one)
@@ -185,6 +204,7 @@ def at_the_door(sheet):
         "step": lambda: wp.simulate(solid(2), problem, **how | {"step": 1e-3 / (1 + one)}),
         "shape": lambda: lattice((52 + one, 52), H, inside),
         "values": lambda: sheet.gather(u[:, one:]),
+        "fields": lambda: files.write(2, 1.0, {"ab"[one]: u}),
     }.items()}  # fmt: skip
 
 

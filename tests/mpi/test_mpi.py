@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
-from tests.mpi.job import SWING, TOLERANCE, corrected, crack, swings, uneven, whole
+from tests.mpi.job import SWING, TOLERANCE, corrected, crack, fields, swings, uneven, whole
 from tests.support import ROOT, approx, in_plane_and_space, near, parametrize, shared, slow
+from warp_peri.mpi import TimeSeriesWriter
 
 pytest.importorskip("mpi4py", reason="mpi4py is not installed: pip install 'warp_peri[mpi]'")
 MPIEXEC = Path(sys.executable).with_name("mpiexec")
@@ -130,12 +131,34 @@ def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
         "points: expected a piece as it was made",
         "points: expected Points, got a rank's piece",
         "points: expected Points, got a piece",
+        *["solution: stress, energy, samples and plots are not had on ranks"] * 2,
+        "operator: energy and stress are not had on ranks",
+        "points: expected Points(x, interior, spacing), got None",
+        "None",
+        "values: expected float values, got masked",
+        "points: expected Points for an Injected, which is not had on ranks",
+        "None",
+        "spacing: the model is certified on 1 Å, not on 0.5 Å",
+        "/",  # motion.pvd is there
+        "step: expected a whole number ≥ 0, got 2.5",
+        "time: expected a finite number, got nan",
+        "a: expected shape [",
+        "a: expected float values, got masked",
+        "fields: expected names that XML holds, got 'a<b'",
     ), strict=True):  # fmt: skip
-        assert said.startswith(words)
+        assert str(said).startswith(words)
     door = jobs[2]["door"]  # before anything is sent
-    assert len(door) == 8
+    assert len(door) == 9
     for name, told in door.items():
         assert told == f"{name}: expected the same on all ranks, rank 1 has another"
+
+
+def test_fields_of_ones_own_go_to_paraview_by_their_names(jobs, folder, tmp_path):
+    pytest.importorskip("meshio", reason="meshio writes the files")
+    writer = TimeSeriesWriter(tmp_path, whole(2).points)
+    writer.write(1, 0.5, dict(zip("bu", fields(writer.x))))
+    for file in tmp_path.iterdir():
+        assert file.read_bytes() == (folder / "own" / file.name).read_bytes()
 
 
 def test_ranks_share_the_cells_of_a_proof(jobs):

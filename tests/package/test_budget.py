@@ -37,7 +37,7 @@ ROOMS = {
     "core": 1612,
     "face": 1098,
     "fe_coupling": 695,
-    "files": 525,
+    "files": 485,
     "fitting": 1048,
     "fracture": 1405,
     "materials": 4559,
@@ -45,7 +45,7 @@ ROOMS = {
     "points": 1727,
     "prediction": 592,
     "mpi": 434,
-    "solvers": 1477,
+    "solvers": 1517,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

@@ -97,7 +97,7 @@ def test_waves_go_on_from_a_checkpoint_with_the_same_bits_and_go_to_paraview(tmp
     run = partial(march, model.on(points), b, u=u, v=v, density=DENSITY, step=dt, every=3)
     files = {"checkpoint": tmp_path / "run.h5", "checkpoint_every": 1, "series": tmp_path / "s"}
     with monkeypatch.context() as patch, pytest.raises(ZeroDivisionError):  # noqa: PT012
-        patch.setattr("warp_peri.files.checkpoint.write_vtu", lambda *all: write_vtu(*all) or 1 / 0)
+        patch.setattr("warp_peri.solvers.motion.write_vtu", lambda *all: write_vtu(*all) or 1 / 0)
         run(**files, steps=10)
     run(**files, steps=10)
     resumed = run(**files, steps=25)
@@ -111,6 +111,8 @@ def test_waves_go_on_from_a_checkpoint_with_the_same_bits_and_go_to_paraview(tmp
     assert (tmp_path / "s" / "motion.pvd").read_text().count("timestep=") == len(straight.time)
     (tmp_path / "motion.pvd").write_text("mine")
     with locked(files["checkpoint"]), refused("run.h5: another job is writing here"):
+        run(**files, steps=30)
+    with locked(tmp_path / "s" / "motion.pvd"), refused("s/motion.pvd: another job is writing"):
         run(**files, steps=30)
     assert_refused({
         "of another .* program": lambda: run(steps=4, series=tmp_path),

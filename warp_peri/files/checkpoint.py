@@ -1,5 +1,5 @@
-"""Files of long runs: checkpoints (one HDF5 file of arrays on nodes and plain values) and records.
-On ranks the first writes them, in the order of the whole body: the same from any number of them."""
+"""Checkpoints of long runs: each one HDF5 file of arrays on nodes and plain values. On ranks the
+first writes it, in the order of the whole body: the same from any number of them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import re
 import sys
 import sysconfig
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, cached_property
 from importlib import import_module
@@ -28,7 +28,7 @@ from scipy.spatial import cKDTree
 from warp_peri import __version__
 from warp_peri.errors import ALONE, InputError, StrPath, agreed
 from warp_peri.files import atomic
-from warp_peri.files.atomic import check_hdf5, locked, parsed, whole_hdf5, write_text, write_vtu
+from warp_peri.files.atomic import check_hdf5, locked, parsed, whole_hdf5
 
 HELD = "__self__", "__func__", "fget", "code"
 """What methods, properties and what torch compiled hold that is no attribute."""
@@ -266,21 +266,22 @@ def same(comm: Any, /, **parts: Any) -> None:
                 raise InputError(f"{name}: expected the same on all ranks, rank {rank} has another")
 
 
+@contextmanager
+def held(comm: Any, *paths: Path) -> Iterator[None]:
+    """Hold files against other jobs; InputError, on all ranks, where another holds one."""
+    with ExitStack() as locks:
+        with agreed(comm):
+            for path in paths * (comm.rank == 0):
+                locks.enter_context(locked(path))
+        yield
+
+
 class RunFile:
     """File of a run, there or not: arrays on the nodes of a body, and plain values, with a hash.
     `kind` is checked on reading; `nodes` are this process's, as AllNodes."""
 
     def __init__(self, path: StrPath, kind: str, nodes: Any) -> None:
         self.path, self.kind, self.nodes = Path(path), kind, nodes
-
-    @contextmanager
-    def held(self) -> Iterator[None]:
-        """Hold the file against other jobs; InputError, on all ranks, where another holds it."""
-        with ExitStack() as lock:
-            with agreed(self.nodes.comm):
-                if self.nodes.comm.rank == 0:
-                    lock.enter_context(locked(self.path))
-            yield
 
     def write(self, nodal: Arrays, values: Mapping[str, Any]) -> None:
         """Write arrays [n, ...] on the own nodes, and JSON values; all ranks come here."""
@@ -367,7 +368,7 @@ def gathered(comm: Any, arrays: Arrays, own: Any, count: int) -> dict[str, Any]:
     """Whole arrays by name on the first rank, empty on others: from rows [n, ...], their places in
     the whole and how many it has, the places None where they are the whole."""
     whole = {}
-    for name, mine in arrays.items():
+    for name, mine in sorted(arrays.items()):  # on all ranks in one order
         for values, place in comm.gather((mine, own)) or ():
             if place is None:
                 whole[name] = values
@@ -409,59 +410,3 @@ def read_arrays(
             return found, dict(file.attrs)
     except (OSError, RuntimeError, LookupError, AttributeError, TypeError, ValueError) as error:
         raise InputError(f"{path}: not a readable checkpoint ({error})") from None
-
-
-PVD, END = '<VTKFile type="Collection"><Collection>', "</Collection></VTKFile>\n"
-"""How `motion.pvd` begins and ends."""
-
-
-class TimeSeriesWriter:
-    """Writer of a motion's records for ParaView, the same from any number of ranks: a file
-    `record_<step>.vtu` of each, and `motion.pvd`, which names them with their times.
-
-    Args:
-        folder: for the files; made if it is not there.
-        nodes: those of this process, as checkpoint.AllNodes or mpi.Subdomain.
-        x: their positions, shape [n, d], where the nodes have none themselves.
-    """
-
-    def __init__(self, folder: StrPath, nodes: Any, x: np.ndarray | None = None) -> None:
-        atomic.meshio_of()
-        self.folder, self.nodes = Path(folder), nodes
-        self.x = nodes.x if x is None else x
-        self.times: dict[str, float] = {}
-        self.mark: Callable[[int], str] | None = None
-        self.claimed = False
-
-    def claim(self, mark: Callable[[int], str] | None = None) -> None:
-        """Take the folder for a motion, of which `mark` tells what so many steps depend on;
-        InputError where records of another are."""
-        self.mark, self.claimed, pvd = mark, True, self.folder / "motion.pvd"
-        there = any(self.folder.glob("record_*.vtu"))
-        text = pvd.read_text(errors="replace") if pvd.is_file() else "another's" * there
-        text = self.nodes.comm.bcast(text)
-        known = re.match(re.escape(PVD) + r"(<!-- (\d{1,8}) (\w+) -->)?\n", text)
-        steps, said = known.group(2, 3) if known else (None, "")
-        if text and said != (mark(int(steps)) if steps and mark else None):
-            raise InputError(
-                f"{pvd}: is there, or records beside it, of another motion or program, or of more "
-                "steps; name another folder"
-            )
-
-    def write(self, step: int, time: float, fields: Mapping[str, np.ndarray]) -> None:
-        """Write one record of the motion; vectors in the plane get a third component."""
-        if not self.claimed:
-            self.claim()
-        nodes, times, name = self.nodes, self.times, f"record_{step:08d}.vtu"
-        times[name] = time
-        whole = gathered(nodes.comm, {"positions": self.x, **fields}, nodes.number, nodes.count)
-        head = PVD if self.mark is None else f"{PVD}<!-- {step} {self.mark(step)} -->"
-        with agreed(nodes.comm):
-            if nodes.comm.rank == 0:
-                pvd, x = self.folder / "motion.pvd", whole.pop("positions")
-                if not pvd.exists():  # or a record of a job that is killed here is nobody's
-                    write_text(pvd, f"{head}\n{END}")
-                write_vtu(self.folder / name, x, ("vertex", np.arange(len(x))[:, None]), whole)
-                kept = {n: t for n, t in times.items() if (self.folder / n).exists()}
-                lines = [f'<DataSet timestep="{t!r}" file="{n}"/>' for n, t in kept.items()]
-                write_text(pvd, "\n".join([head, *lines, END]))

@@ -219,6 +219,8 @@ class Injected:
     compressibility: NotNegative = 0.0
 
     def __post_init__(self) -> None:
+        if arguments.is_piece(self.points):
+            raise InputError("points: expected Points for an Injected, which is not had on ranks")
         h, x = self.points.spacing, self.points.x
         halves = checked("crack", self.halves, float, ("n",))
         flat = np.delete(x, 1, axis=1)  # the plane of the crack

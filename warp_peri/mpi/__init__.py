@@ -6,10 +6,10 @@ Each rank owns a piece of the nodes; what comes back is on these.
 from contextlib import suppress
 
 from warp_peri.errors import InputError
-from warp_peri.files.checkpoint import TimeSeriesWriter
 from warp_peri.mpi.processes import is_root, together, world
 from warp_peri.mpi.subdomain import Subdomain, gather, lattice, partition
 from warp_peri.runtime import ranks_started
+from warp_peri.solvers.motion import TimeSeriesWriter
 
 if ranks_started():
     with suppress(InputError):  # raised again where ranks are used

@@ -122,6 +122,12 @@ class RowOperator:
         field = self._grid.scatter(np.asarray(u)[None])[0]
         return np.asarray(self._grid.gather(self._level.product(field)[None])[0])
 
+    def energy(self, *_: Any) -> Any:
+        """Raise InputError: it is not had on ranks."""
+        raise InputError("operator: energy and stress are not had on ranks")
+
+    stress = energy
+
     def rhs(self, b: np.ndarray) -> np.ndarray:
         """Right-hand side b on this rank's interior."""
         return np.asarray(b, float)[..., self.points.interior, :]
@@ -139,17 +145,19 @@ class RowOperator:
         return self._grid.gather(found[None])[0], record
 
 
-def operator_on(material: Any, piece: Subdomain) -> Any:
-    """Make the RowOperator of a linear solid on a lattice in slabs, of an LPS by `model_at`. Raises
-    InputError for other materials, as RowOperator and as their `fitting`."""
+def operator_on(material: Any, piece: Subdomain, options: dict[str, Any]) -> Any:
+    """Make the RowOperator of a linear solid on a lattice in slabs, of an LPS by `model_at`, whose
+    options it takes out. Raises InputError for other materials, as RowOperator and as their
+    `fitting`."""
     with agreed(piece.comm):
         offered(material, "stencil", "material", "a linear solid or a crystal on ranks")
         if not isinstance(material, LPSMaterial):
             h, x = piece.spacing, piece.spacing * grid_places((3,) * piece.dimension)
             material.fitting(Points(x, x[:, 0] == h, h, units=piece.units, axis=piece.axis))
     if isinstance(model := material, LPSMaterial):
+        how = {n: options.pop(n) for n in ("transfer", "allow_uncertified") if n in options}
         if not model.is_certified_on(piece.spacing):
-            material = in_turn(piece.comm, lambda: model_at(model, piece.spacing))
+            material = in_turn(piece.comm, lambda: model_at(model, piece.spacing, **how))
         with shared_by(piece.comm):
             material = crystal_from_lps(material, piece.spacing)
     return RowOperator(material, piece)

@@ -34,10 +34,11 @@ from warp_peri.points.arguments import (
     checked_fields,
     is_positive,
     offered,
+    plain,
     taken,
 )
 from warp_peri.points.families import HORIZON_TOLERANCE
-from warp_peri.points.points import LATTICE_TOLERANCE, Points, checked_axis
+from warp_peri.points.points import LATTICE_TOLERANCE, Points, PointsLike, checked_axis, nodes_of
 from warp_peri.runtime import ranks_started
 from warp_peri.solvers.motion import Motion, Recorder
 from warp_peri.solvers.solution import CG, TOLERANCE, Solution, Solver, by_sample, refuse_solver
@@ -110,7 +111,7 @@ class Subdomain:
         """Solve a Dirichlet problem at rest; u and load are those of this rank's nodes. Raises
         InputError for other problems and materials, and as RowOperator."""
         alike(material, problem, options | {"solver": solver})
-        operator = operator_on(material, self)
+        operator = operator_on(material, self, options)
         with agreed(self.comm):
             taken(options, "solve")
             if not hasattr(problem, "u") or hasattr(problem, "cracks"):
@@ -133,7 +134,7 @@ class Subdomain:
         comm = self.comm
         alike(material, problem, options)
         if hasattr(problem, "b") and not isinstance(problem, Cracked):
-            operator = operator_on(material, self)
+            operator = operator_on(material, self, options)
             with agreed(comm):
                 how, files = taken(options, "simulate", march, Recorder.__init__)
             return march(operator, problem.b, problem.u, **how | files)
@@ -169,7 +170,7 @@ class Subdomain:
         """Gather values [n, ...] of all pieces on every rank, in the order of the whole body;
         InputError on all for a field that is none, or of another kind on some."""
         with agreed(self.comm):
-            values = np.asarray(as_array("values", values))
+            values = plain("values", values, None, "biufc")
             if values.shape[:1] != self.number.shape:
                 raise InputError(f"values: expected {len(self.x)} rows, got shape {values.shape}")
         same(self.comm, values=(values.shape[1:], values.dtype))
@@ -276,13 +277,14 @@ def lattice(
     return Subdomain(comm, *parts).numbered()
 
 
-def partition(points: Points) -> Any:
-    """This rank's piece of points that every rank has, some rows; the points themselves without
-    mpiexec. Raises InputError unless they are a lattice along the axes, without a box, and for too
-    many ranks."""
+def partition(points: PointsLike) -> Any:
+    """This rank's piece of points that every rank has, some rows; all without mpiexec. Raises
+    InputError unless they are a lattice along the axes, without a box, and for too many ranks."""
     if not ranks_started():
-        return points
+        return nodes_of(points)
     comm = world()
+    with agreed(comm):
+        points = nodes_of(points)
     same(comm, points=points)
     if not points.is_open_lattice:
         raise InputError("points: expected a lattice that has no box and none outside, for ranks")
@@ -331,4 +333,5 @@ def alike(material: Any, problem: Any, options: Mapping[str, Any]) -> None:
         stacked = [as_array(n, given[n]).shape[:-2] for n in ("b", "u") if n in there]
     kind = type(problem).__name__
     asked |= {"points": which, "material": material, "problem": (kind, stacked, there)}
+    asked.pop("progress", None)  # it decides nothing
     same(comm, **asked)

@@ -37,14 +37,14 @@ def as_array(name: str, value: Any) -> np.ma.MaskedArray[Any, Any]:
         raise InputError(f"{name}: expected an array ({error})") from None
 
 
-def plain(name: str, value: Any) -> np.ndarray:
-    """Make a float64 array whose values may be anything; InputError for a tensor whose gradient
-    would be lost, masked entries, complex numbers, text and objects."""
+def plain(name: str, value: Any, kind: Any = float, kinds: str = "fiu") -> np.ndarray:
+    """Make a float64 array, or one of `kind`, whose values may be anything; InputError for a tensor
+    whose gradient would be lost, masked entries, and what is not of `kinds` of numbers."""
     found = as_array(name, value)  # that of a list of masked arrays too
-    if found.dtype.kind not in "fiu" or np.ma.is_masked(found):
-        got = "masked entries" if found.dtype.kind in "fiu" else found.dtype
+    if found.dtype.kind not in kinds or np.ma.is_masked(found):
+        got = "masked entries" if found.dtype.kind in kinds else found.dtype
         raise InputError(f"{name}: expected float values, got {got}")
-    return np.asarray(found.data, float)
+    return np.asarray(found.data, kind)
 
 
 def checked(

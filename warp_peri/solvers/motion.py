@@ -1,17 +1,19 @@
-"""Motions in steps and their records, whatever the law."""
+"""Motions in steps and their records, also for ParaView, whatever the law."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from tqdm import tqdm
 
-from warp_peri.errors import InputError, Rows, Shown, StrPath
-from warp_peri.files.checkpoint import RunFile, TimeSeriesWriter, fingerprint
+from warp_peri.errors import InputError, Rows, Shown, StrPath, agreed
+from warp_peri.files.atomic import meshio_of, write_text, write_vtu
+from warp_peri.files.checkpoint import AllNodes, RunFile, fingerprint, gathered, held, same
 from warp_peri.points import arguments
 from warp_peri.points.arguments import Count, Natural, check_mapping, plain, typed_methods
 
@@ -90,6 +92,73 @@ class Motion(Shown):
         return [("records", f"{len(self.time)}, {span}"), ("histories", names)]
 
 
+PVD, END = '<VTKFile type="Collection"><Collection>', "</Collection></VTKFile>\n"
+"""How `motion.pvd` begins and ends."""
+NAME = r"""[^<&"\0-\x1f\ud800-\udfff\ufffe\uffff]+"""
+"""Of a field in XML, which nothing escapes."""
+
+
+class TimeSeriesWriter:
+    """Writer of a motion's records for ParaView, the same from any number of ranks: a file
+    `record_<step>.vtu` of each, and `motion.pvd`, which names them with their times.
+
+    Args:
+        folder: for the files; made if it is not there.
+        nodes: those of this process, as AllNodes, mpi.Subdomain or Points.
+        x: their positions, shape [n, d], where the nodes have none themselves.
+    """
+
+    def __init__(self, folder: StrPath, nodes: Any, x: np.ndarray | None = None) -> None:
+        meshio_of()
+        self.path, self.x = Path(folder, "motion.pvd"), nodes.x if x is None else x
+        self.nodes = nodes if hasattr(nodes, "comm") else AllNodes(len(self.x))
+        self.times: dict[str, float] = {}
+        self.mark: Callable[[int], str] | None = None
+        self.claimed = False
+
+    def claim(self, mark: Callable[[int], str] | None = None) -> None:
+        """Take the folder for a motion, of which `mark` tells what so many steps depend on;
+        InputError where records of another are, or without a mark any."""
+        pvd = self.path
+        there = "another's" * any(pvd.parent.glob("record_*.vtu"))
+        text = self.nodes.comm.bcast(pvd.read_text(errors="replace") if pvd.is_file() else there)
+        known = re.match(re.escape(PVD) + r"<!-- (\d{1,8}) (\w+) -->\n", text)
+        if text and not (mark and known and known[2] == mark(int(known[1]))):
+            raise InputError(
+                f"{pvd}: is there, or records beside it, of another motion or program, or of more "
+                "steps; name another folder"
+            )
+        self.mark, self.claimed = mark, True
+
+    def write(self, step: Natural, time: float, fields: Mapping[str, np.ndarray]) -> None:
+        """Write one record of the motion; vectors in the plane get a third component. InputError,
+        on all ranks, for other fields than [n] or [n, d] of the own nodes, or than other ranks'."""
+        nodes, times, found = self.nodes, self.times, dict[str, Any]()
+        with agreed(nodes.comm):
+            given = {"step": step, "time": time, "fields": fields}
+            step, time, fields = arguments.check_arguments(TimeSeriesWriter.write, given).values()
+            for name, values in fields.items():
+                if not re.fullmatch(NAME, name := str(name)):
+                    raise InputError(f"fields: expected names that XML holds, got {name!r:.60}")
+                found[name] = one = plain(name, values)
+                arguments.check_shape(name, one, (len(self.x), *one.shape[1:2]))
+        same(nodes.comm, step=step, time=time, fields={n: one[:0] for n, one in found.items()})
+        if not self.claimed:
+            self.claim()
+        times[name := f"record_{step:08d}.vtu"] = float(time)
+        whole = gathered(nodes.comm, {"": self.x, **found}, nodes.number, nodes.count)
+        head = PVD if self.mark is None else f"{PVD}<!-- {step} {self.mark(step)} -->"
+        with agreed(nodes.comm):
+            if nodes.comm.rank == 0:
+                pvd, x = self.path, whole.pop("")
+                if not pvd.exists():  # or a record of a job that is killed here is nobody's
+                    write_text(pvd, f"{head}\n{END}")
+                write_vtu(pvd.parent / name, x, ("vertex", np.arange(len(x))[:, None]), whole)
+                kept = {n: t for n, t in times.items() if (pvd.parent / n).exists()}
+                lines = [f'<DataSet timestep="{t!r}" file="{n}"/>' for n, t in kept.items()]
+                write_text(pvd, "\n".join([head, *lines, END]))
+
+
 class Recorder:
     """Loop over steps of a state that counts its `steps`: records, a checkpoint to go on from with
     the same bits, and files for ParaView. What a step is, a subclass says.
@@ -139,9 +208,8 @@ class Recorder:
 
     def march(self, state: Any, *, steps: Natural, progress: bool = False) -> Any:
         """March to `steps` steps in all, from the checkpoint if there is one, else from `state`;
-        InputError for another motion's checkpoint, or another job's, or fewer steps than are
-        done."""
-        with nullcontext() if self.file is None else self.file.held():
+        InputError for another motion's files, or another job's, or fewer steps than are done."""
+        with held(self.nodes.comm, *(one.path for one in (self.file, self.series) if one)):
             return self._marched(state, steps, progress)
 
     def _marched(self, state: Any, steps: int, progress: bool) -> Any:

@@ -201,13 +201,13 @@ class Solution(Shown):
 
     def plot(self, sample: int = 0, *, ax: Axes | None = None) -> Axes:
         """Plot the size of the displacement, or φ, of a sample by node colours (3D: a slice)."""
+        u, several = self._values, 1
         import matplotlib.pyplot as plt
 
         if self.points is None:
             x, unit = self.details.rim.mesh.x, symbols(self.details.model.units)[0]
         else:
             x, unit = self.points.x, symbols(self.points.units)[0]
-        u, several = self._values, 1
         if u.ndim == 3 or (u.ndim == 2 and u.shape != x.shape):
             several = len(u)
             try:
@@ -229,7 +229,9 @@ class Solution(Shown):
 
     @property
     def _values(self) -> np.ndarray:
-        """Displacement as a NumPy array."""
+        """Displacement as a NumPy array; InputError for a rank's piece of one."""
+        if hasattr(self.points, "comm"):
+            raise InputError("solution: stress, energy, samples and plots are not had on ranks")
         return np.asarray(self.u.detach().cpu() if hasattr(self.u, "detach") else self.u)
 
     def rows(self) -> Rows:
