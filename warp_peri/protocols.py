@@ -18,7 +18,15 @@ import numpy as np
 
 import warp_peri.core as core
 from warp_peri.errors import InputError, quietly
-from warp_peri.points.arguments import check_arguments, checked, is_piece, is_tensor, offered, plain
+from warp_peri.points.arguments import (
+    check_arguments,
+    check_flag,
+    checked,
+    is_piece,
+    is_tensor,
+    offered,
+    plain,
+)
 from warp_peri.points.points import Samples
 
 if TYPE_CHECKING:
@@ -271,6 +279,10 @@ def check_collar(points: Any) -> None:
         )
 
 
+OF_PROOFS = {"transfer", "allow_uncertified"}
+"""Options of solids that are proven on lattices and transferred to others."""
+
+
 def placed(
     material: Any,
     points: Any,
@@ -303,7 +315,10 @@ def placed(
     on = offered(material, by, verb, kinds)
     known = signature(on).parameters
     open_ended = any(one.kind is one.VAR_KEYWORD for one in known.values())
-    if not open_ended and (unknown := sorted(options.keys() - known.keys())):
-        what = type(material).__name__
-        raise InputError(f"{verb}: {', '.join(unknown)}: not among the options of a {what}")
+    if not open_ended and (unknown := options.keys() - known.keys()):
+        for name in OF_PROOFS & unknown:  # where nothing is transferred, nor has to be certified
+            check_flag(name, options.pop(name))
+        if unknown := sorted(unknown - OF_PROOFS):
+            what = type(material).__name__
+            raise InputError(f"{verb}: {', '.join(unknown)}: not among the options of a {what}")
     return on(points, **check_arguments(on, options))

@@ -1,5 +1,7 @@
 """Frames of digital image correlation: headers, missing points, lattices, noise."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.linalg import norm
@@ -55,6 +57,8 @@ def test_points_lost_in_single_frames_are_missing_there_alone(frame_of, radius):
     for part, lost in enumerate(losses, 1):
         u = part * BIG @ GRADIENT.T + 1e-3 * part * (BIG - 20) ** 2
         frames.append(frame_of(BIG[~lost & ~hole], u[~lost & ~hole]))
+    marked = replace(frames[-1], x=BIG, u=np.where((lost | hole)[:, None], np.nan, u))
+    assert_array_equal(marked.x, frames[-1].x)
     samples = dic_to_lattice(frames, spacing=2.5, radius=radius)
     assert_array_equal(samples.x, BIG[~hole])
     unseen = ~samples.arrays[SEEN] if radius == 0 else np.array(losses)[:, ~hole]

@@ -11,7 +11,7 @@ from examples.inclusion import Mixed
 from examples.static_crack import edge_crack, static_crack
 from tests.support import approx, assert_refused, clouds, near, parametrize, refused, sup
 from tests.support.bodies import plate, random_breaking, solid
-from tests.support.problems import everywhere, fitted_order, kernel, within
+from tests.support.problems import everywhere, fitted_order, kernel, rotation, within
 from warp_peri import Cracked, Points, Solution, fracture, simulate, solve
 from warp_peri.fracture import Injected, box_nodes, j_integral, rectangle_nodes, tip_shift
 from warp_peri.fracture.body import cracked
@@ -153,6 +153,15 @@ def test_a_fluid_drives_a_penny():
     assert_allclose(run["pumped"], run["volume"] + 0.2 * 12)  # nodes within 2
     opened = fracture.crack_opening_volume(run.details)
     assert opened * run["pressure"][0] == approx(run["volume"][0])
+
+
+def test_cracks_in_any_direction_open_by_one_volume():
+    points, opened = within(rectangle_nodes(24.0, 24.0, 1.0), 4), []
+    for angle in (0, 90, 45):
+        half = rotation(np.radians(angle))[:, 0] * 3.9
+        problem = Cracked(points, cracks=[[[0.02, 0] - half, half]], pressure=np.eye(2))
+        opened.append(fracture.crack_opening_volume(solve(kernel("1/r", 2.0), problem)))
+    assert opened[1:] == [approx(opened[0], rel=off) for off in (1e-6, 0.2)]
 
 
 def test_a_pressurised_crack_opens_as_sneddons():

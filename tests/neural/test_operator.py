@@ -198,6 +198,9 @@ def test_rounding_of_single_precision_is_an_equilibrium():
     found, record = EquilibriumSolver(placed).solve_from(b, u, 1e-8)
     assert record.converged
     near(found, expected, 1e-5)
+    solution = placed.solve(np.zeros_like(u), u)
+    assert solution.residual < 1e-8
+    near(solution.u, expected, 1e-8)
 
 
 def test_a_sheet_without_a_collar_is_not_solved_for():
@@ -260,7 +263,8 @@ def test_loads_in_metres_are_learned_as_those_in_angstrom():
     seen, errors = (loads(0), loads(1)), []
     for sets, unit in ((seen, USUAL), ([in_units(one, units) for one in seen], units)):
         start = student(units=unit, horizon=2.5 * 1e-10 ** (unit == units)).float()
-        fit = start.learn(sets[0], validation=sets[1], training=settings, progress=False)
+        with torch.no_grad():  # whatever the user does with his
+            fit = start.learn(sets[0], validation=sets[1], training=settings, progress=False)
         errors.append(evaluate(fit.material, sets[1])["E_u"])
     near(*errors, 1e-3)
     with refused("units: the model is in m and Pa"):

@@ -222,8 +222,10 @@ class DICFrame:
     length: str | None = None
 
     def __post_init__(self) -> None:
-        hold(self, x=checked("x", self.x, float, ("P", 2)), u=plain("u", self.u))
-        check_shape("u", self.u, self.x.shape)
+        x, u = checked("x", self.x, float, ("P", 2)), plain("u", self.u)
+        check_shape("u", u, x.shape)
+        seen = ~np.isnan(u).any(axis=1)
+        hold(self, x=x[seen], u=checked("u", u[seen]))
 
 
 @typed

@@ -435,14 +435,16 @@ def _gradient(u: np.ndarray, x: np.ndarray, h: float, axes: list[int], sign: flo
 
 @typed
 def crack_opening_volume(solution: Solution, normal: Sequence[float] | None = None) -> float:
-    """Volume [length^d] between the faces of cracks along rows of nodes, in a Cracked's solution.
+    """Volume [length^d] between the faces of cracks in a Cracked's solution.
 
-    Each broken bond of one spacing along the normal is a column of it. Raises InputError unless the
-    normal, the second axis by default, is along an axis.
+    Each broken bond of one spacing along an axis is a column of what opens along that: along all,
+    or along the `normal` of cracks alone. Raises InputError unless that is along an axis.
     """
-    node, far, along = _columns(solution, normal)
-    body, u = solution.operator.body, solution.u
-    return float(body.spacing ** (body.dimension - 1) * ((u[far] - u[node]) @ along).sum())
+    volume, u = 0.0, solution.u
+    for axis in np.eye(solution.operator.points.dimension) if normal is None else [normal]:
+        node, far, along = _columns(solution, axis)
+        volume += ((u[far] - u[node]) @ along).sum()
+    return float(volume * solution.operator.body.spacing ** (u.shape[1] - 1))
 
 
 def _columns(solution: Solution, normal: ArrayLike | None) -> tuple[np.ndarray, ...]:

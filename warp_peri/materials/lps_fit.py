@@ -12,6 +12,7 @@ from importlib.metadata import version
 from typing import Any, Literal
 
 import numpy as np
+import torch
 from scipy.sparse.linalg import splu
 from tqdm.auto import tqdm
 
@@ -226,6 +227,7 @@ class Learner:
         """The constrained optimum from one start; InputError where a function leaves its domain."""
         return optimum(blocks or self.blocks, self.lattices, start, self.conditions, method)
 
+    @torch.inference_mode(False)
     def fit(self) -> Fit:
         """Run all stages of the fit and certify the result."""
         law, method, kernel = self.law, self.law.method, self.law.kernel

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -156,7 +157,10 @@ class Placed(OperatorBase):
         The solution's details are a NonlinearRecord for each sample. Raises InputError for arrays
         that do not fit, and for a sample without an equilibrium.
         """
-        return equilibria_of(self, b, u, solver, EquilibriumSolver(self))
+        exact = self  # single precision may not reach the tolerance
+        if self.dtype != torch.float64:
+            exact = copy.deepcopy(self.material).double().on(self.points)
+        return equilibria_of(self, b, u, solver, EquilibriumSolver(exact))
 
     @property
     def networks(self) -> tuple[torch.nn.Parameter, ...]:  # type: ignore[override]

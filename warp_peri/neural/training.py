@@ -181,6 +181,7 @@ class NeuralFit:
 
 
 @typed
+@torch.inference_mode(False)
 def train(
     material: NeuralOperator,
     samples: Samples,
