@@ -266,8 +266,7 @@ def test_a_checkpoint_has_the_last_step_and_what_was_written(tmp_path):
         RunFile(path, kind, AllNodes(len(u))).write(nodal, changed)
         with refused(words):
             run(26)
-    with h5py.File(path, "w") as file:
-        file.create_group("train")
+    h5py.File(path, "w").close()
     with refused("got another HDF5 file"):
         run(26)
     path.unlink()
