@@ -318,7 +318,7 @@ def placed(
     if not open_ended and (unknown := options.keys() - known.keys()):
         for name in OF_PROOFS & unknown:  # where nothing is transferred, nor has to be certified
             check_flag(name, options.pop(name))
-        if unknown := sorted(unknown - OF_PROOFS):
+        if others := sorted(unknown - OF_PROOFS):
             what = type(material).__name__
-            raise InputError(f"{verb}: {', '.join(unknown)}: not among the options of a {what}")
+            raise InputError(f"{verb}: {', '.join(others)}: not among the options of a {what}")
     return on(points, **check_arguments(on, options))

@@ -154,7 +154,7 @@ def _number(field: str, words: dict[str, float]) -> float:
 def _factors(units: list[Any], size: float, unit: str | None) -> tuple[np.ndarray, str | None]:
     """Factors that bring x, y, u and v to the unit of x, shape [4], and its name."""
     x, y, u, v = units
-    words = [x, y or x, u or x, v or y or x]
+    words = [x, y or x, u or x, v or u or y or x]
     if unknown := [word for word in words if word and not _unit(word)]:
         raise InputError(f"expected units of {', '.join(UNITS)}, got {unknown[0]!r}")
     known = [_unit(word) or (None, 1.0) for word in words]

@@ -118,7 +118,8 @@ def _take_sheet(given: Namespace) -> Dataset | None:
                 f"{name}: {given.out} has {kept:g} {unit}, got {asked:g} {unit}; in Python "
                 f"wp.load(path).of_sheet({name}={asked:g}) is the file corrected"
             )
-        setattr(given, name, asked if before is None else kept)
+        given.options[name] = asked if before is None else kept
+        setattr(given, name, given.options[name])
     if before and given.set in before:
         check_made(given, *_set_of(given, before))
     return before

@@ -248,7 +248,7 @@ class SoftBody:
         """Body with these parameters, whether derivatives are asked for, u and the parameters."""
         asked = parameters is not None or is_tensor(u)
         soft, numbers = with_numbers(self, parameters or {})
-        if asked and soft.law.tail == 0:
+        if asked and soft.law.tail == 0 and np.isfinite(soft.law.stretch):
             raise InputError("tail: expected > 0 for a gradient, which an abrupt break has not")
         own = (numbers.get(name, real(name, value)) for name, value in soft.learnable.items())
         same = lambda *x: x  # noqa: E731
@@ -261,8 +261,9 @@ class SoftBody:
     def _stable(self, s: torch.Tensor, worst: torch.Tensor, share: torch.Tensor) -> bool:
         """Hill's test: whether the tangent is positive definite with failing bonds failing on."""
         law, fails = self.law, ((s == worst) & (worst > self.law.stretch)).numpy()
-        own = share.numpy() * slope_of(s.numpy(), law.softness)
-        slope = np.where(fails & (own > 0), -float(law.pull(np.array(law.stretch))) / law.tail, own)
+        slope = share.numpy() * slope_of(s.numpy(), law.softness)
+        if fails.any():
+            slope[fails & (slope > 0)] = -float(law.pull(np.array(law.stretch))) / law.tail
         return definite_factors(self.tangent(slope)) is not None
 
     def _at_rest(

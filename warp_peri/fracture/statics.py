@@ -171,7 +171,7 @@ class CutSolid(OperatorBase):
     ) -> tuple[np.ndarray, list[SolveRecord]]:
         """Solve for fields [S, N, d] at rest by conjugate gradients."""
         free = ~self.held
-        scale = free / self._rows.diagonal if self._rows else free
+        scale = free / np.where(free, self._rows.diagonal, 1.0) if self._rows else free
 
         def inverse(r: np.ndarray) -> np.ndarray:
             z: np.ndarray = r * scale

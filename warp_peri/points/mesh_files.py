@@ -197,7 +197,8 @@ def keywords(text: str) -> Iterator[tuple[str, dict[str, str], list[list[str]]]]
         name, *words = (word.strip() for word in head.split(","))
         pairs = (word.partition("=") for word in words)
         options = {key.strip().upper(): value.strip(' \t"') for key, _, value in pairs}
-        split = ([word.strip(' \t"') for word in row.split(",")] for row in rows)
+        blank = "0" if name.upper() == "NODE" else ""
+        split = ([word.strip(' \t"') or blank for word in row.split(",")] for row in rows)
         yield " ".join(name.upper().split()), options, [[*filter(None, row)] for row in split]
         if name.upper() == "STEP":
             return
