@@ -12,7 +12,7 @@ import torch
 from numpy.typing import ArrayLike
 
 from warp_peri.core.record import FieldUnits, Length, Record, Stress
-from warp_peri.errors import OF_POSITIONS, InputError, called
+from warp_peri.errors import OF_POSITIONS, InputError, Values, called
 from warp_peri.fracture.adjoint import bond_force
 from warp_peri.fracture.body import lattice_body
 from warp_peri.fracture.bonds import bond_matrix, bonds_of, dilatations
@@ -184,7 +184,7 @@ class DiffusionOperator(FlowOperator):
         return matrix
 
     @property
-    def learnable(self) -> dict[str, Any]:
+    def learnable(self) -> Values:
         """Learnable parameters α and D, and κ where it is one number or one a node [N]."""
         own = {"alpha": self.model.alpha, "D": self.model.D}
         return own if callable(self.given) else own | {"kappa": self.given}
@@ -362,12 +362,12 @@ class CoupledOperator(FlowOperator):
         return whole
 
     @property
-    def learnable(self) -> dict[str, Any]:
+    def learnable(self) -> Values:
         """Learnable parameters λ, μ, α, D, ε, and the conductor's as conductor_alpha and so on."""
         conductor = {OF_CONDUCTOR + n: value for n, value in self.diffusion.learnable.items()}
         return self.model.model.learnable | {"coupling": self.model.coupling} | conductor
 
-    def _of_conductor(self, numbers: Numbers) -> dict[str, Any]:
+    def _of_conductor(self, numbers: Numbers) -> Values:
         return {name: numbers[OF_CONDUCTOR + name] for name in self.diffusion.learnable}
 
     def at(self, numbers: Numbers) -> CoupledOperator:
@@ -388,7 +388,7 @@ class CoupledOperator(FlowOperator):
         """Storage matrix of the rates of u₁, u₂ and φ, sparse [3 I, 3 N]."""
         return self._storage
 
-    def storage_slopes(self, names: list[str], rates: np.ndarray, w: np.ndarray) -> dict[str, Any]:
+    def storage_slopes(self, names: list[str], rates: np.ndarray, w: np.ndarray) -> Values:
         """Derivatives of Σ w · storage() rates by parameters, of rates [K, N, 3], w [K, I, 3]."""
         numbers = _tensors(self.learnable)
         phi = torch.from_numpy(self.on_all(w)[..., 2])

@@ -19,6 +19,8 @@ StrPath: TypeAlias = str | os.PathLike[str]
 """Path of a file or folder."""
 Rows: TypeAlias = list[tuple[str, str]]
 """Name and value of each line of a summary table."""
+Values: TypeAlias = dict[str, Any]
+"""Values by name."""
 LAST_WORDS: list[Callable[[str, int], None]] = []
 """What ends all processes of a run that has many, given a line to say and the exit status."""
 OF_POSITIONS = "expected a function of positions, an array [N, d]"
@@ -200,11 +202,11 @@ def hold(frozen: Any, **fields: Any) -> None:
 class Held:
     """Base of frozen dataclasses whose fields are set by `hold`, in copies too."""
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
+    def __setstate__(self, state: Values) -> None:
         hold(self, **state)
 
 
-def error_rows(errors: dict[str, Any]) -> Rows:
+def error_rows(errors: Values) -> Rows:
     """Table lines of E_res and E_u on data sets, by name."""
     rows = []
     for name, table in errors.items():

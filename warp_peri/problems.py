@@ -14,6 +14,7 @@ from warp_peri.errors import ALONE, agreed
 from warp_peri.fe_coupling.body import solve_body
 from warp_peri.fe_coupling.boundary_elements import Field, Traction
 from warp_peri.points.arguments import (
+    Options,
     as_array,
     check_flag,
     check_mapping,
@@ -63,7 +64,7 @@ class Dirichlet:
     u: Any
     learns = True  # gradients
 
-    def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
+    def solved(self, material: Any, solver: Any, options: Options) -> Solution:
         """Solve for the material at rest."""
         extra = {"parameters": options.pop("parameters")} if "parameters" in options else {}
         check_collar(nodes := nodes_of(self.points))
@@ -76,7 +77,7 @@ class Dirichlet:
             rest = getattr(operator, "solve_torch", rest)
         return rest(load, self.u, solver, **extra)  # type: ignore[no-any-return]
 
-    def moved(self, material: Any, options: dict[str, Any]) -> Motion:
+    def moved(self, material: Any, options: Options) -> Motion:
         """Solve for the material in motion, from the displacement u.
 
         `options` are those of the law's own motion, or of solvers.verlet.march: `v`, `density`,
@@ -118,7 +119,7 @@ class Periodic:
     b: Any
     learns = True
 
-    def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
+    def solved(self, material: Any, solver: Any, options: Options) -> Solution:
         """Solve for the material at rest, with a displacement of zero mean."""
         extra = {"parameters": options.pop("parameters")} if "parameters" in options else {}
         operator = placed(material, nodes_of(self.points), **options)
@@ -160,7 +161,7 @@ class Body:
     b: Field | None = None
     coupling: Coupling = field(default_factory=Coupling)
 
-    def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
+    def solved(self, material: Any, solver: Any, options: Options) -> Solution:
         """Solve for the material at rest; the solution's details are a BodySolution."""
         if not hasattr(material, "tensors"):  # a crystal, which elements go on for at the edge
             offered(material, "spread", "solve", LINEAR)
@@ -236,7 +237,7 @@ def simulate(material: Any, problem: Any, **options: Any) -> Motion:
     return uncompiled(moved)(material, options)  # type: ignore[no-any-return]
 
 
-def _on_ranks(problem: Any, options: dict[str, Any], verb: str) -> bool:
+def _on_ranks(problem: Any, options: Options, verb: str) -> bool:
     """Whether a problem's points are a piece of a body; InputError, on all ranks, for options
     of another kind than their names say, and tensors whose gradient is not had."""
     points = getattr(problem, "points", None)

@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any, Protocol, Self, overload
 import numpy as np
 
 import warp_peri.core as core
-from warp_peri.errors import InputError, quietly
+from warp_peri.errors import InputError, Values, quietly
 from warp_peri.points.arguments import (
+    Options,
     check_arguments,
     check_flag,
     checked,
@@ -71,7 +72,7 @@ class Operator(Protocol):
 class Remade:
     """Base of values that are copied and pickled by the arguments they were made with."""
 
-    _made_of: tuple[tuple[Any, ...], dict[str, Any]]
+    _made_of: tuple[tuple[Any, ...], Values]
 
     def __new__(cls, *given: Any, **options: Any) -> Self:
         made = super().__new__(cls)
@@ -91,7 +92,7 @@ def _kept(value: Any) -> Any:
     return value.points if isinstance(value, Samples) else value
 
 
-def _remade(kind: Callable[..., Any], given: tuple[Any, ...], options: dict[str, Any]) -> Any:
+def _remade(kind: Callable[..., Any], given: tuple[Any, ...], options: Options) -> Any:
     with quietly():  # said of the first
         return kind(*given, **options)
 
@@ -243,14 +244,14 @@ class Material(Protocol):
     def on(self, points: Any) -> Operator:
         """The material on points: transferred there, certified, with its bonds."""
 
-    def content(self) -> dict[str, Any]:
+    def content(self) -> Values:
         """Contents of the material's file; `load` reads it again."""
 
 
 class Problem(Protocol):
     """A problem on a body: the given values, and how to solve."""
 
-    def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Any:
+    def solved(self, material: Any, solver: Any, options: Options) -> Any:
         """Solve for a material, or for its operator on the problem's points; returns a Solution."""
 
 

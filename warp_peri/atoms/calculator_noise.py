@@ -16,7 +16,7 @@ from warp_peri.atoms.force_constants import TINY, ForceConstants, Supercell, for
 from warp_peri.core.elastic import PAIRS, stress_brackets, symmetric_part, voigt
 from warp_peri.errors import optional
 from warp_peri.fitting.regression import norms, particular, relative
-from warp_peri.points.arguments import EV_IN_TPA
+from warp_peri.points.arguments import EV_IN_TPA, Pair
 
 ON_SITES = 1e-4
 """Distance [Å] within which atoms are on their sites."""
@@ -98,7 +98,7 @@ def measured(cell: ase.Atoms, calculator: Any, flat: bool) -> Noise:
     u = _directions(rng, len(many), SHAKEN)
     axis = np.array([0, 0, 1.0]) if flat else np.array([1, 2, 3]) / 14**0.5
 
-    def told(sign: int, angle: float) -> tuple[np.ndarray, np.ndarray] | None:
+    def told(sign: int, angle: float) -> Pair | None:
         one, turn = many.copy(), Rotation.from_rotvec(angle * axis, degrees=True).as_matrix()
         one.positions += sign * u + rng.uniform(0, 3, 3) * [1, 1, not flat]
         one.rotate(angle, axis, rotate_cell=True)
@@ -194,7 +194,7 @@ class Symmetric(Supercell):
             forces[self.translations[:, atom]] = -pulled[place].transpose(2, 0, 1)
         return forces.reshape(-1, len(self.basis))
 
-    def rules(self) -> tuple[np.ndarray, np.ndarray]:
+    def rules(self) -> Pair:
         """Particular solution of the invariances in basis coefficients, and a basis of the rest.
 
         Translations and turns cost nothing (M. Born, K. Huang, 1954), and second moments are those
@@ -293,7 +293,7 @@ def rattled(
 
 def by_strains(
     cell: ase.Atoms, calculator: Any, noise: Noise, atoms: ForceConstants, allowed: np.ndarray
-) -> tuple[np.ndarray, np.ndarray] | None:
+) -> Pair | None:
     """Elastic tensor C_ijkl [TPa] by finite strains with relaxed atoms, and its standard errors.
 
     From differences of the second Piola–Kirchhoff stress S = det F · F⁻¹ σ F⁻ᵗ, as (T19) has it.
@@ -332,7 +332,7 @@ def by_strains(
         Lambda = (Lambda - Lambda.mean(axis=0))[:, :m].reshape(n * m, d, d)
         onto = pinv(allowed.reshape(len(allowed), -1).T)
 
-        def relaxed(values: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        def relaxed(values: np.ndarray | None = None) -> Pair:
             """Reduction of C by relaxing atoms, and its errors."""
             stiff = atoms.moments(values)[0][:, :m, :, :m].reshape(n * m, n * m)
             moved = np.tensordot(relaxing(stiff, m), Lambda, 1)
@@ -349,9 +349,7 @@ def by_strains(
     return C, np.array([*errors, *off] if rough else errors)
 
 
-def _under_strain(
-    cell: ase.Atoms, calculator: Any, e: np.ndarray, atoms: ForceConstants
-) -> tuple[np.ndarray, np.ndarray]:
+def _under_strain(cell: ase.Atoms, calculator: Any, e: np.ndarray, atoms: ForceConstants) -> Pair:
     """S [TPa] and forces [eV/Å] under strains of sizes e, [2, E, kinds, 3 or 6 | n, 3]."""
     d, n, flat = atoms.dimension, len(cell), atoms.thickness is not None
     G = np.eye(3) + np.einsum("e,s,kij->eksij", e, [1, -1], unit_strains(d))

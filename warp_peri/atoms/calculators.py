@@ -20,7 +20,7 @@ from unicodedata import category
 
 from ase.data import atomic_masses, atomic_numbers
 
-from warp_peri.errors import InputError, StrPath
+from warp_peri.errors import InputError, StrPath, Values
 from warp_peri.points.arguments import typed
 from warp_peri.runtime import ranks_started
 
@@ -261,7 +261,7 @@ def make_calculator(
         raise InputError(f"calculator: expected {words}, got {name!r} ({error})") from None
 
 
-def _parsed(call: str) -> tuple[list[str], list[Any], dict[str, Any]]:
+def _parsed(call: str) -> tuple[list[str], list[Any], Values]:
     """Split a call into its dotted names, arguments and options."""
     tree = ast.parse(call, mode="eval").body
     path, arguments, options = tree, [], {}

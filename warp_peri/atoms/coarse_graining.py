@@ -20,6 +20,7 @@ from warp_peri.files.atomic import check_hdf5, check_regular
 from warp_peri.points.arguments import (
     EV_IN_TPA,
     Count,
+    Pair,
     Positive,
     Units,
     check_nodes,
@@ -107,7 +108,7 @@ def coarse_grain(
     mass: ArrayLike = 1.0,
     node_area: Positive,
     thickness: Positive,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> Pair:
     """Smoothed displacement u [Å] and body force density b [TPa/Å], both [S, N, 2].
 
     Equations 2.2 and 2.3 of You et al. 2021 with smoothing functions `omega` [N, A], of the atoms'
@@ -138,7 +139,7 @@ def coarse_grain(
 
 def _images(
     atoms: np.ndarray, nodes: np.ndarray, radius: float, box: tuple[float, float] | None
-) -> tuple[np.ndarray, np.ndarray]:
+) -> Pair:
     """Positions [Å] of the atoms and periodic images within reach of a node, and their atoms."""
     low, high = nodes.min(0) - radius, nodes.max(0) + radius
     images, owner = atoms, np.arange(len(atoms))

@@ -27,13 +27,13 @@ from warp_peri.core.elastic import (
     stress_brackets,
     voigt,
 )
-from warp_peri.errors import InputError, Rows, Shown, warn
+from warp_peri.errors import InputError, Rows, Shown, Values, warn
 from warp_peri.fitting.regression import relative
 from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.crystal_fit import fit_phonons, symmetry_of
 from warp_peri.materials.transfer import WaveSymbol
 from warp_peri.points import arguments
-from warp_peri.points.arguments import USUAL, Positive, Units, check_units, offered, typed
+from warp_peri.points.arguments import USUAL, Pair, Positive, Units, check_units, offered, typed
 
 PATHS = {2: ("10", "01", "11"), 3: ("100", "110", "111", "001")}
 """Directions that are drawn, along the axes of the nodes."""
@@ -139,7 +139,7 @@ class CrystalFit(Shown):
             found[name] = float(self.wave_lengths[good - 1] * self.law.spacing) if good else np.inf
         return found
 
-    def directional(self) -> tuple[np.ndarray, np.ndarray]:
+    def directional(self) -> Pair:
         """Angles in the plane of the first and last axis, and Young's modulus along them [GPa]."""
         angle, one = np.linspace(0, 2 * np.pi, 181), np.eye(self.atoms.dimension)
         e = np.outer(np.cos(angle), one[0]) + np.outer(np.sin(angle), one[-1])
@@ -208,7 +208,7 @@ class CrystalFit(Shown):
         waves.legend(frameon=False)
         return figure
 
-    def content(self) -> dict[str, Any]:
+    def content(self) -> Values:
         """The fit as plain values: Voigt matrices in GPa, lengths in Å, errors in %."""
         proof, told = self.certificate, self.law.certificate
         C = {"law": self.law.tensor(), "atoms": self.tensor}

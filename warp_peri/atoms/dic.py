@@ -20,6 +20,7 @@ from warp_peri.points.arguments import (
     LENGTHS,
     USUAL,
     NotNegative,
+    Pair,
     Positive,
     check_shape,
     check_units,
@@ -413,9 +414,7 @@ def spacing_of(x: np.ndarray) -> float:
     return step
 
 
-def on_nodes(
-    frame: DICFrame, x: np.ndarray, step: float, radius: float
-) -> tuple[np.ndarray, np.ndarray]:
+def on_nodes(frame: DICFrame, x: np.ndarray, step: float, radius: float) -> Pair:
     """Displacement on nodes, [N, 2], NaN where points are too few; and the mask of nodes seen."""
     tree = cKDTree(frame.x)
     distance, nearest = tree.query(x)

@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 from tqdm import tqdm
 
 from warp_peri.atoms.coarse_graining import coarse_grain
-from warp_peri.errors import InputError, StrPath, warn
+from warp_peri.errors import InputError, StrPath, Values, warn
 from warp_peri.files.atomic import MARKS, check_regular, check_xml, content, encoding_of, unpacked
 from warp_peri.points.arguments import MOST, Natural, Positive, as_array, checked, plain, typed
 from warp_peri.points.points import PointsLike, Samples, nearest, nodes_of
@@ -188,7 +188,7 @@ def _of_items(items: dict[str, list[str]], columns: list[str], rows: list[str]) 
 
 
 def _ordered(
-    values: dict[str, Any], x: np.ndarray, cell: np.ndarray, columns: Sequence[str], free: bool
+    values: Values, x: np.ndarray, cell: np.ndarray, columns: Sequence[str], free: bool
 ) -> DumpFrame:
     """Build a frame of columns by name with atoms by rising id, checked, unwrapped by their images
     unless their positions already are `free`."""

@@ -17,14 +17,13 @@ from numpy.linalg import norm
 import warp_peri
 from warp_peri.cli import main
 from warp_peri.cli.main import BEGUN, HASH, MADE, check_output, hashes, lines_in, parse, results
-from warp_peri.errors import InputError, warn
+from warp_peri.errors import InputError, Values, warn
 from warp_peri.files.atomic import finite, locked, plain, write_text
 from warp_peri.points.arguments import Units, offered, symbols
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.verbs import load
 
-Result = dict[str, Any]
-Said = tuple[Result, list[str]]
+Said = tuple[Values, list[str]]
 """What a command answers: plain values, and the lines that people read."""
 
 WIDTH = 100
@@ -73,7 +72,7 @@ def run_evaluate(given: Namespace) -> Said:
     return tables, error_table(tables, model.units)
 
 
-def error_table(tables: Mapping[str, Result], units: Units) -> list[str]:
+def error_table(tables: Mapping[str, Values], units: Units) -> list[str]:
     """Lines of a table of errors, one for each set."""
     absolute = "E_res_abs [{1}/{0}]".format(*symbols(units))
     width = max(map(len, tables))
@@ -99,7 +98,7 @@ def problem_of(given: Namespace) -> tuple[Any, Dataset, Any]:
     return model, data, warp_peri.Dirichlet(points, points.loads, points.u)
 
 
-def options_of(given: Namespace) -> Result:
+def options_of(given: Namespace) -> Values:
     """Options of a solve that differ from the usual; materials without them know no default."""
     asked = chosen(given, "transfer", "allow_uncertified")
     return {name: value for name, value in asked.items() if value != (name == "transfer")}
@@ -111,7 +110,7 @@ def writing(given: Namespace) -> Iterator[Callable[[], None]]:
     yielded is called before the first file. What an earlier run left is told, and not vouched for.
     """
 
-    def states() -> dict[str, Any]:
+    def states() -> Values:
         # a file that is replaced has another number, or time
         return {path: os.stat(path)[1::7] for path in results(given)[1]}
 
@@ -180,7 +179,7 @@ def run_info(given: Namespace) -> Said:
     return finite(plain(dict(told()))), repr(held).split("\n")
 
 
-def chosen(given: Any, *names: str) -> Result:
+def chosen(given: Any, *names: str) -> Values:
     """Pick the named options, or attributes of any object, into a dict."""
     return {name: getattr(given, name) for name in names}
 
@@ -197,7 +196,7 @@ def keep(given: Namespace, path: Path, made: Mapping[str, str]) -> None:
     write_text(path, "\n".join([lines[0], *marks, *lines[1:]]))
 
 
-def lines_of(result: Result, indent: str = "") -> list[str]:
+def lines_of(result: Values, indent: str = "") -> list[str]:
     """Lines of a result as text, one number each."""
     lines = []
     for key, value in result.items():

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import warp_peri
-from warp_peri.errors import InputError, exit_status, printable
+from warp_peri.errors import InputError, Values, exit_status, printable
 from warp_peri.files.atomic import content, destination
 
 LEARNING = "coarse-grain", "fit", "sweep", "fit-crystal", "fit-sheet"
@@ -123,7 +123,7 @@ def parser_of(name: str) -> Parser:
     return parser
 
 
-def _taken(option: str, marks: list[str]) -> dict[str, Any]:
+def _taken(option: str, marks: list[str]) -> Values:
     """Arguments of argparse for an option, from the marks between its name and its help."""
     how, names = dict[str, Any](), list[str]()
     for mark in marks:

@@ -16,9 +16,9 @@ import warp_peri
 from warp_peri.atoms import dumps
 from warp_peri.atoms.coarse_graining import smoothing_matrix
 from warp_peri.atoms.dic import estimate_noise, frames_of_folder
-from warp_peri.cli.commands import Result, Said, chosen, error_table, keep, lines_of, writing
+from warp_peri.cli.commands import Said, chosen, error_table, keep, lines_of, writing
 from warp_peri.cli.main import beside, check_made, hash_of
-from warp_peri.errors import InputError, warn
+from warp_peri.errors import InputError, Values, warn
 from warp_peri.files.atomic import (
     content,
     finite,
@@ -162,7 +162,7 @@ def run_fit(given: Namespace) -> Said:
         given.horizon = float(usual_lengths("horizon", HORIZON, data.units))
     law = _law(given, samples.spacing)
     with writing(given) as begin:
-        options: Result = {"noise": noise} if noise else {}
+        options: Values = {"noise": noise} if noise else {}
         run = train(law, samples, data.sets, progress=given.progress, **options)
         metrics = _metrics(run)
         with contextlib.suppress(InputError):  # scattered points, too few samples, third order
@@ -173,7 +173,7 @@ def run_fit(given: Namespace) -> Said:
         metrics |= chosen(data, "thickness", "density")
         begin()
         run.save(given.out, metrics, data=given.data, provenance=made)
-    tables = {name: {"samples": len(data[name])} | one for name, one in run.tables.items()}
+    tables = {name: {"samples": len(data[name]), **one} for name, one in run.tables.items()}
     tables |= {name: {"error": why} for name, why in run.refused.items()}
     lines = [*_first(given, metrics, data), LINE, *repr(run.fit.material).split("\n")[1:]]
     if "residual" in metrics:
@@ -207,7 +207,7 @@ def _check_idle(given: Namespace, names: tuple[str, ...], what: str) -> None:
         raise InputError(f"{', '.join(idle)}: expected with {what}")
 
 
-def _metrics(run: Run) -> Result:
+def _metrics(run: Run) -> Values:
     """Collect constants, certificate and errors of a training run."""
     fit, material = run.fit, run.fit.material
     proof = fit.certificate
@@ -227,7 +227,7 @@ def _metrics(run: Run) -> Result:
     return metrics | (material.provenance if fit.influence is not None else {})
 
 
-def _first(given: Namespace, metrics: Result, data: Dataset) -> list[str]:
+def _first(given: Namespace, metrics: Values, data: Dataset) -> list[str]:
     """Lines on what was learned, its error in one number, and the next command."""
     path, solved, samples = given.out / "model.json", metrics["E_u"], data[given.set]
     kind = f"{KINDS[given.law]}, horizon {given.horizon:g} {symbols(data.units)[0]}"
@@ -359,7 +359,7 @@ def run_fit_sheet(given: Namespace) -> Said:
     return result, [*first, LINE, *lines_of(result)]
 
 
-def _written(given: Namespace, choice: Any) -> tuple[Result, str]:
+def _written(given: Namespace, choice: Any) -> tuple[Values, str]:
     """Write a sheet's material and its curves, if any, to files; returns values and words."""
     best, fit, material = choice[0], choice[0].fit, choice[0].fit.material
     told = "are scaled: C11 + C22 + C66 without load is 1, no force is known (--stress gives one)"
@@ -402,7 +402,7 @@ def _beside(fit: Any) -> list[str]:
     return lines
 
 
-def _write_curves(folder: Path, stretches: np.ndarray, curves: dict[str, Any], unit: str) -> None:
+def _write_curves(folder: Path, stretches: np.ndarray, curves: Values, unit: str) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5, 3.6), layout="constrained")

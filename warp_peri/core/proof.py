@@ -27,7 +27,7 @@ from warp_peri.core.stencil import (
     zone_sample,
     zoomed,
 )
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, Values
 from warp_peri.files.checkpoint import same
 from warp_peri.points.arguments import LINEAR, USUAL, Pair, Positive, Units, offered, symbols, typed
 from warp_peri.points.points import PointsLike, grid_points
@@ -99,7 +99,7 @@ class StencilCertificate:
             f"{self.proven / self.sampled:.0%} of the smallest ratio that was sampled."
         )
 
-    def content(self) -> dict[str, Any]:
+    def content(self) -> Values:
         """The certificate as plain values for a file."""
         return asdict(self)
 
@@ -127,7 +127,7 @@ class StencilCertificate:
 class Figures:
     """Base of what is proven on one lattice, with a statement."""
 
-    def figures(self: Any) -> dict[str, Any]:
+    def figures(self: Any) -> Values:
         """Figures and statement as plain values, in units that are not among them."""
         figures = asdict(self) | {"statement": self.statement}
         return {k: v for k, v in figures.items() if k not in ("units", "dimension")}

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, TypeAlias, get
 
 import numpy as np
 
-from warp_peri.errors import Held, InputError, Rows, Shown, StrPath, hold, warn
+from warp_peri.errors import Held, InputError, Rows, Shown, StrPath, Values, hold, warn
 from warp_peri.files import atomic
 from warp_peri.files.atomic import parsed, plain, write_json
 from warp_peri.files.checkpoint import fingerprint
@@ -54,7 +54,7 @@ FORMATS: dict[str, type[Record]] = {}
 """Kinds of materials by the format that their files name."""
 PROVEN: set[tuple[str, str]] = set()
 """Hashes of files' contents, and of what is in none, whose proofs this process has gone through."""
-MADE: dict[str, Any] = {}
+MADE: Values = {}
 """What `made_once` made in this process."""
 HOMES = {
     "warp_peri.model": "materials.lps",
@@ -160,19 +160,19 @@ class Record(Shown, Held):
         if _has_units(self):
             hold(self, units=check_units(self.units))
 
-    def derived(self) -> dict[str, Any]:
+    def derived(self) -> Values:
         """Entries of a file that are no fields; a reader must find the same there."""
         return {}
 
-    def content(self) -> dict[str, Any]:
+    def content(self) -> Values:
         """Plain values of the material's file, the last a hash of the others."""
-        found: dict[str, Any] = {"format": self.FORMAT, "version": self.VERSION}
+        found: Values = {"format": self.FORMAT, "version": self.VERSION}
         found |= dict(zip(UNITS, self.units)) if _has_units(self) else {}
         found |= _entries(self) | self.derived()
         return found | {"sha256": content_hash(found)}
 
     @property
-    def unfiled(self) -> dict[str, Any]:
+    def unfiled(self) -> Values:
         """Fields that are in no file, by name."""
         hidden = (each.name for each in fields_of(self) if not each.says.kept)
         return {name: getattr(self, name) for name in hidden}
@@ -270,11 +270,11 @@ class Record(Shown, Held):
         check_same(self.units, nodes.units)
         return nodes
 
-    def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
+    def elsewhere(self, length: float, stress: float) -> Values:
         """Fields in other units that their types do not tell, for the factors."""
         return {}
 
-    def _moved(self, part: Any, by: tuple[float, float], units: Units) -> dict[str, Any]:
+    def _moved(self, part: Any, by: tuple[float, float], units: Units) -> Values:
         """Fields of a part, in other units."""
         fields = [(each.name, each.says) for each in fields_of(part)]
         return {name: self._scaled(getattr(part, name), says, by, units) for name, says in fields}
@@ -350,9 +350,9 @@ def _has_units(kind: Any) -> bool:
     return "units" in kind.__dataclass_fields__
 
 
-def _entries(value: Any) -> dict[str, Any]:
+def _entries(value: Any) -> Values:
     """File entries for the fields of a record, or of a part of one."""
-    found: dict[str, Any] = {}
+    found: Values = {}
     for each in fields_of(value):
         one = getattr(value, each.name)
         same = one is each.default or (isinstance(one, (int, float, str)) and one == each.default)
@@ -373,9 +373,9 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and np.isinf(value) else plain(value)
 
 
-def _values(kind: Any, entries: dict[str, Any]) -> dict[str, Any]:
+def _values(kind: Any, entries: Values) -> Values:
     """Field values of a dataclass, taken out of the entries of a file."""
-    found: dict[str, Any] = {}
+    found: Values = {}
     missing = []
     for each in fields_of(kind):
         if each.says.flat:
@@ -393,12 +393,12 @@ def _values(kind: Any, entries: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _refuse_unknown(left: dict[str, Any]) -> None:
+def _refuse_unknown(left: Values) -> None:
     if left:
         raise InputError(f"unknown keys: {', '.join(sorted(left))}")
 
 
-def _part(kind: Any, entries: dict[str, Any]) -> Any:
+def _part(kind: Any, entries: Values) -> Any:
     """Dataclass from its entries in a file."""
     made = kind(**_values(kind, entries))
     _refuse_unknown(entries)
@@ -461,7 +461,7 @@ def _holds_bool(value: Any) -> bool:
     return any(map(_holds_bool, value)) if isinstance(value, list) else isinstance(value, bool)
 
 
-def content_hash(content: dict[str, Any]) -> str:
+def content_hash(content: Values) -> str:
     """SHA-256 of the contents of a file except the hash itself."""
     kept = {key: value for key, value in content.items() if key != "sha256"}
     return hashlib.sha256(json.dumps(plain(kept), sort_keys=True).encode()).hexdigest()

@@ -16,7 +16,7 @@ from scipy.sparse.linalg import LinearOperator, gmres, splu
 from torch.autograd import forward_ad
 
 from warp_peri.core.elastic import in_shape_of
-from warp_peri.errors import InputError, quietly
+from warp_peri.errors import InputError, Values, quietly
 from warp_peri.points.arguments import Numbers, as_array, check_mapping, check_shape, plain, typed
 from warp_peri.protocols import SINGULAR, OperatorBase, placed, uncompiled
 from warp_peri.runtime import one_thread
@@ -199,7 +199,7 @@ def force_with_parameters(operator: Any, u: torch.Tensor, numbers: Numbers) -> t
     return force  # type: ignore[no-any-return]
 
 
-def by_numbers(operator: Any, names: list[str], u: np.ndarray, w: np.ndarray) -> dict[str, Any]:
+def by_numbers(operator: Any, names: list[str], u: np.ndarray, w: np.ndarray) -> Values:
     """Derivatives of Σ w · force(u) by numbers, for fields [K, N, d] and weights [K, I, d]."""
     if not names:
         return {}

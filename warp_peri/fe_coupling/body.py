@@ -40,7 +40,7 @@ from warp_peri.fe_coupling.schwarz import (
 from warp_peri.materials.certificate import with_proof
 from warp_peri.materials.lps import LPSMaterial, moduli
 from warp_peri.materials.transfer import model_at
-from warp_peri.points.arguments import Share, checked, symbols, typed
+from warp_peri.points.arguments import Pair, Share, checked, symbols, typed
 from warp_peri.points.families import bond_classes, edge_strain, largest_strain
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
@@ -92,7 +92,7 @@ class BodySolution:
             return np.zeros((0, self.rim.d, self.rim.d))
         return np.asarray(self.problem.bulk.stress(self.u_bulk))
 
-    def on_corners(self) -> tuple[np.ndarray, np.ndarray]:
+    def on_corners(self) -> Pair:
         """Displacement [Å], [P, d], and stress [TPa], [P, d, d], at the mesh's corners."""
         rim, d, count = self.rim, self.rim.d, len(self.rim.mesh.x)
         u, stress, rest = np.empty((count, d)), np.empty((count, d, d)), np.ones(count, bool)

@@ -19,7 +19,14 @@ from scipy.sparse.linalg import LinearOperator, splu
 from warp_peri.core.elastic import voigt_to_tensor
 from warp_peri.core.stencil import numbers_at
 from warp_peri.errors import OF_POSITIONS, InputError, called, optional
-from warp_peri.points.arguments import ArrayMap, check_function, check_mapping, check_shape, checked
+from warp_peri.points.arguments import (
+    ArrayMap,
+    Pair,
+    check_function,
+    check_mapping,
+    check_shape,
+    checked,
+)
 from warp_peri.points.mesh import Mesh, pieces
 from warp_peri.solvers.systems import loose_pieces
 
@@ -263,7 +270,7 @@ class BodyLoads:
             fine = upfirdn([0.0, *weight], fine, down=FINE, axis=axis)
         return np.asarray(fine[*(cells + 3).T])
 
-    def given(self, rim: Rim) -> tuple[np.ndarray, np.ndarray]:
+    def given(self, rim: Rim) -> Pair:
         """Held displacements of the nodes of elements, and their mask, shape [n, d] each. Raises
         InputError for parts that differ where both are, at a corner too."""
         given, whose = np.full(rim.x.shape, np.nan), np.zeros(rim.x.shape, int)

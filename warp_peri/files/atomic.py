@@ -23,7 +23,7 @@ from xml.parsers import expat
 import h5py
 import numpy as np
 
-from warp_peri.errors import InputError, StrPath, optional
+from warp_peri.errors import InputError, StrPath, Values, optional
 
 MOST = 2**33
 """Bytes of one archive that are read at most."""
@@ -186,7 +186,7 @@ def parsed(text: str | bytes) -> Any:
     return json.loads(raw.decode("utf-8"))
 
 
-def write_json(path: StrPath, content: dict[str, Any]) -> None:
+def write_json(path: StrPath, content: Values) -> None:
     """Write JSON whole or not at all; NaN and infinity are refused (ValueError)."""
     write_text(path, json.dumps(plain(content), indent=2, allow_nan=False) + "\n")
 

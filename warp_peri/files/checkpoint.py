@@ -26,7 +26,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from warp_peri import __version__
-from warp_peri.errors import ALONE, InputError, StrPath, agreed
+from warp_peri.errors import ALONE, InputError, StrPath, Values, agreed
 from warp_peri.files import atomic
 from warp_peri.files.atomic import check_hdf5, locked, parsed, whole_hdf5
 
@@ -201,7 +201,7 @@ def _unwrapped(part: Any) -> Any:
     return np.asarray(part) if isinstance(part, memoryview) else part
 
 
-def _attributes(part: Any) -> dict[str, Any]:
+def _attributes(part: Any) -> Values:
     """Attributes of an object, in slots too, but for those that are worked out and kept."""
     state = object.__getstate__(part)
     own, slots = state if isinstance(state, tuple) else (state, None)
@@ -209,7 +209,7 @@ def _attributes(part: Any) -> dict[str, Any]:
     return {n: found[n] for n in found if not isinstance(getattr(kind, n, 0), cached_property)}
 
 
-def _read_by(function: FunctionType) -> dict[str, Any]:
+def _read_by(function: FunctionType) -> Values:
     """Values that a function encloses and, of the user's, reads of its module, and of those of the
     user's that it names or imports, by name."""
     cells = zip(function.__code__.co_freevars, function.__closure__ or ())
@@ -300,7 +300,7 @@ class RunFile:
         values = self.nodes.comm.bcast(fingerprint(text))
         return str(own.mark(*(nodal[name] for name in sorted(nodal)), values))
 
-    def read(self, like: Arrays) -> tuple[dict[str, np.ndarray], dict[str, Any]] | None:
+    def read(self, like: Arrays) -> tuple[dict[str, np.ndarray], Values] | None:
         """Read arrays on all nodes here, which fit others (check_like), and the values; None where
         there is no file yet. InputError for a file of another kind, and one that is not read."""
         nodes, comm = self.nodes, self.nodes.comm
@@ -364,7 +364,7 @@ def check_like(found: Arrays, like: Mapping[str, Any]) -> None:
             raise ValueError(f"{name} is no number somewhere")
 
 
-def gathered(comm: Any, arrays: Arrays, own: Any, count: int) -> dict[str, Any]:
+def gathered(comm: Any, arrays: Arrays, own: Any, count: int) -> Values:
     """Whole arrays by name on the first rank, empty on others: from rows [n, ...], their places in
     the whole and how many it has, the places None where they are the whole."""
     whole = {}
@@ -391,7 +391,7 @@ def write_arrays(path: StrPath, arrays: Arrays, attributes: Mapping[str, Any]) -
 
 def read_arrays(
     path: StrPath, place: Mapping[str, np.ndarray | None] | None = None
-) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+) -> tuple[dict[str, np.ndarray], Values]:
     """Read rows at places of arrays by name (None, or no name: all), and the attributes; InputError
     for a file that is none or lacks an array."""
     found = {}

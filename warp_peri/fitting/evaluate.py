@@ -16,10 +16,19 @@ from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 from tqdm import tqdm
 
-from warp_peri.errors import InputError, quietly
+from warp_peri.errors import InputError, Values, quietly
 from warp_peri.files.atomic import write_json
 from warp_peri.fitting.regression import norms, sizes
-from warp_peri.points.arguments import Bound, Natural, Pair, Share, offered, typed, typed_methods
+from warp_peri.points.arguments import (
+    Bound,
+    Natural,
+    Options,
+    Pair,
+    Share,
+    offered,
+    typed,
+    typed_methods,
+)
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.points import Samples
 from warp_peri.protocols import placed
@@ -37,7 +46,7 @@ def evaluate(
     *,
     transfer: bool = True,
     allow_uncertified: bool = False,
-) -> dict[str, Any]:
+) -> Values:
     """Compute a material's errors on every sample of a set and their means.
 
     Args:
@@ -69,7 +78,7 @@ def evaluate(
         samples = samples.obvious()
     if len(samples) == 0:
         raise InputError("the set has no samples to evaluate")
-    options: dict[str, Any] = {} if transfer else {"transfer": False}  # not of every law
+    options: Options = {} if transfer else {"transfer": False}  # not of every law
     options |= {"allow_uncertified": True} if allow_uncertified else {}
     operator = placed(material, samples.points, verb="evaluate", **options)
     offered(operator, "jvp", "evaluate", "a material whose fields are displacements")
@@ -90,7 +99,7 @@ def evaluate(
 
 def _table(
     points: Samples, residual: np.ndarray, load: np.ndarray, solved: np.ndarray, home: float | None
-) -> dict[str, Any]:
+) -> Values:
     """Table of errors of solutions; `home` is the spacing that a transferred model comes from."""
     inside = points.interior
     size, wrong = sizes(points.u, inside), sizes(solved - points.u, inside)
@@ -103,7 +112,7 @@ def _table(
     return table
 
 
-def errors_of(key: str, off: ArrayLike, whole: ArrayLike = 1.0) -> dict[str, Any]:
+def errors_of(key: str, off: ArrayLike, whole: ArrayLike = 1.0) -> Values:
     """Mean error, and those of S samples, None where `off` is NaN or `whole` 0."""
     pairs = np.broadcast(off, whole)
     values = [float(a / b) if b > 0 and a == a else None for a, b in pairs]
@@ -132,7 +141,7 @@ class Run:
     """
 
     fit: Any
-    tables: dict[str, dict[str, Any]]
+    tables: dict[str, Values]
     refused: dict[str, str]
     seconds: dict[str, float]
 
@@ -141,7 +150,7 @@ class Run:
         return {name: table[error] for name, table in self.tables.items()}
 
     def save(
-        self, folder: Path, metrics: dict[str, Any], *, data: Path, provenance: Mapping[str, Any]
+        self, folder: Path, metrics: Values, *, data: Path, provenance: Mapping[str, Any]
     ) -> Any:
         """Write model.json, with its errors, the hash of its data file and more provenance, and
         metrics.json into a folder, made if missing; OSError where a file cannot be written."""

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -29,7 +28,7 @@ from warp_peri.core.stencil import (
     zoomed,
 )
 from warp_peri.errors import InputError
-from warp_peri.points.arguments import Pair
+from warp_peri.points.arguments import Options, Pair
 from warp_peri.points.points import Samples
 
 STEPS = 500
@@ -361,7 +360,7 @@ class Zone:
         d = bonds.dimension
         self.bonds, self.phase = bonds, zone_sample(group, d, INTERVALS[d])
         self.wave, self.step = bend(self.phase, bonds.steps), np.pi / INTERVALS[d]
-        self.how: dict[str, Any] = {"side": PATCH[d], "zooms": ZOOMS, "finer": FINER}
+        self.how: Options = {"side": PATCH[d], "zooms": ZOOMS, "finer": FINER}
 
     def softest(
         self, p: np.ndarray, below: float, near: float = np.inf

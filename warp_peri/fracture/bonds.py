@@ -22,6 +22,7 @@ from warp_peri.fracture.body import LatticeBody
 from warp_peri.kernels import damage as kernels
 from warp_peri.kernels.bonds import stay
 from warp_peri.materials.lps import LPSMaterial, stencil_of, stiffnesses
+from warp_peri.points.arguments import Pair
 from warp_peri.points.families import BondClasses
 from warp_peri.points.points import straight_steps
 from warp_peri.runtime import Shared, filled, floats, get_num_threads, ints, zeros
@@ -176,7 +177,7 @@ class SurfaceCorrection:
         total = gradient.T @ (sp.csr_array(blocks) @ gradient)
         return sp.csr_array(total + crossed + crossed.T + more.T @ (of_nodes @ more))
 
-    def __call__(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(self, u: np.ndarray) -> Pair:
         """Force density of all nodes, and energy density of `node`, at a displacement."""
         gradient = (self._slopes @ u).reshape(self._lacked.shape)
         theta, more = self._theta @ u.ravel(), (self._lacked * gradient).sum(axis=1)
@@ -351,7 +352,7 @@ class CutRows:
         return found
 
 
-def _places(body: LatticeBody) -> tuple[np.ndarray, np.ndarray]:
+def _places(body: LatticeBody) -> Pair:
     """Offsets from a node to its bonds' ends [B], and places of nodes [N], in rows with margins."""
     grid, _ = straight_steps(body.x, body.spacing)
     steps, d = body.classes.steps, body.dimension
@@ -363,7 +364,7 @@ def _places(body: LatticeBody) -> tuple[np.ndarray, np.ndarray]:
     return offset, grid[:, axes] @ strides + np.abs(offset).max()
 
 
-def _rows(home: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _rows(home: np.ndarray) -> Pair:
     """First places of as few pieces as hold all nodes, and the piece of every node [N]."""
     places = np.sort(home)
     after = np.searchsorted(places, places + kernels.LANES).tolist()

@@ -14,7 +14,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from warp_peri.errors import InputError, agreed
+from warp_peri.errors import InputError, Values, agreed
 from warp_peri.files.checkpoint import AllNodes, fingerprint
 from warp_peri.fracture.body import LatticeBody, cracked
 from warp_peri.fracture.bonds import CutOperator, SurfaceCorrection, unit_toughness
@@ -278,9 +278,9 @@ class CrackRun(Recorder):
     def advance(self, state: BreakingState) -> BreakingState:
         return step(self.body, state, self.dt)
 
-    def record(self, state: BreakingState) -> tuple[float, dict[str, Any], dict[str, Any]]:
+    def record(self, state: BreakingState) -> tuple[float, Values, Values]:
         body, nodes = self.body, self.nodes
-        found: dict[str, Any] = dict(zip(LEDGER, body.ledger(state, nodes)))
+        found: Values = dict(zip(LEDGER, body.ledger(state, nodes)))
         phi = body.damage(state)[nodes.own] if self.watch or self.series else None
         if self.watch:
             everywhere = nodes.gather(phi)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 import warp_peri.core as core
 import warp_peri.fracture as fracture
 from warp_peri.core.elastic import symmetric_part
-from warp_peri.errors import ALONE, InputError, agreed
+from warp_peri.errors import ALONE, InputError, Values, agreed
 from warp_peri.files.checkpoint import same
 from warp_peri.fracture.body import (
     LatticeBody,
@@ -26,7 +26,15 @@ from warp_peri.fracture.dynamics import BreakingBody, CrackRun
 from warp_peri.fracture.statics import CutSolid, by_component, crack_load, grow
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.points import arguments
-from warp_peri.points.arguments import NotNegative, Positive, checked, offered, taken, typed
+from warp_peri.points.arguments import (
+    NotNegative,
+    Options,
+    Positive,
+    checked,
+    offered,
+    taken,
+    typed,
+)
 from warp_peri.points.points import Points
 from warp_peri.protocols import refuse_uncut
 from warp_peri.solvers.motion import Motion, Recorder, refuse_learning
@@ -92,7 +100,7 @@ class Cracked:
         return lattice_body(self.points.x, self.points.spacing, linear.horizon)
 
     @property
-    def _cuts(self) -> dict[str, Any]:
+    def _cuts(self) -> Values:
         return {"cracks": self.cracks, "corrected": self.corrected}
 
     def waves(self, material: Any) -> CutSolid:
@@ -100,7 +108,7 @@ class Cracked:
         body = self.body(material, "simulate")
         return CutSolid(material, body, self.held, moves=True, **self._cuts)
 
-    def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
+    def solved(self, material: Any, solver: Any, options: Options) -> Solution:
         """Solve for the body at rest, of a solid with a linear part, or with several moduli."""
         refuse_solver(solver, (Direct, CG), "a body with cracks")
         numbers = options.pop("parameters", None)
@@ -126,7 +134,7 @@ class Cracked:
         solved = cut.solve_torch(b, u, solver, numbers) if learns else cut.solve(b, u, solver)
         return replace(solved, points=self.points)
 
-    def moved(self, material: Any, options: dict[str, Any]) -> Motion:
+    def moved(self, material: Any, options: Options) -> Motion:
         """Simulate the body: waves, breaking bonds, slow growth event by event, or slow loads.
 
         The options say which:
@@ -160,7 +168,7 @@ class Cracked:
         )
         return in_steps(material, body, asked)
 
-    def steps(self, options: dict[str, Any]) -> tuple[dict[str, Any], ...]:
+    def steps(self, options: Options) -> tuple[Options, ...]:
         """Sort options of a motion in steps by what takes them: BreakingBody and its start, with
         the problem's fields, CrackRun, and its march."""
         given = "load", "held", "u", "cracks", "nodes", "corrected"
@@ -171,7 +179,7 @@ class Cracked:
         how |= {"load": self.b, "held": self.held, "corrected": self.corrected}
         return how, begin | {"u": self.u, "cracks": self.cracks}, files | records, run
 
-    def _slowly(self, material: Any, body: LatticeBody, u: Any, options: dict[str, Any]) -> Motion:
+    def _slowly(self, material: Any, body: LatticeBody, u: Any, options: Options) -> Motion:
         u = u if arguments.is_tensor(u) else checked("u", u, float, body.x.shape, self.held)
         if "events" in options:
             (how,) = taken(options, "simulate", grow, given=("cracks", "corrected"))
@@ -232,7 +240,7 @@ class Injected:
                 f"{room:g}, on a plane y = 0 within the body, got {halves.tolist()}"
             )
 
-    def moved(self, material: Any, options: dict[str, Any]) -> Motion:
+    def moved(self, material: Any, options: Options) -> Motion:
         """Drive the crack stage by stage through a BrittleMaterial with a toughness.
 
         The time is the half length; the histories are half, pressure at which the crack is about to

@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 import warp_peri.fracture as fracture
 from warp_peri.core.elastic import in_shape_of
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, Values
 from warp_peri.fracture.body import LatticeBody, box_nodes, cracked, lattice_body, through
 from warp_peri.fracture.bonds import (
     CutRows,
@@ -187,7 +187,7 @@ class CutSolid(OperatorBase):
         return known + np.stack(found), list(records)
 
     @property
-    def learnable(self) -> dict[str, Any]:
+    def learnable(self) -> Values:
         """Learnable parameters λ, μ, α and D by name; none of several materials, or corrected."""
         return self.model.learnable if self.one and not self.corrected else {}
 

@@ -24,7 +24,7 @@ from warp_peri.core.elastic import (
 from warp_peri.core.proof import StencilCertificate, check_spacing, largest, prove
 from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.core.stencil import Stencil, elastic_from_brackets
-from warp_peri.errors import InputError, Rows, hold, warn
+from warp_peri.errors import InputError, Rows, Values, hold, warn
 from warp_peri.fitting.regression import norms
 from warp_peri.points import arguments
 from warp_peri.points.arguments import USUAL, Units, checked, plain, shown_moduli, symbols, typed
@@ -268,7 +268,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
     symmetry: Symmetry = ""
     orientation: Any = None
     certificate: StencilCertificate | None = None
-    provenance: dict[str, Any] = field(default_factory=dict)
+    provenance: Values = field(default_factory=dict)
     stress: Annotated[np.ndarray | None, FieldUnits(stress=1, omit=True)] = None
 
     def __post_init__(self) -> None:
@@ -374,7 +374,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
             )
         return nodes
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Values:
         """Symmetry, moduli, lattice and proof of the crystal as plain values."""
         return {
             "format": "crystal",

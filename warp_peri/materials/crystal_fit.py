@@ -26,7 +26,7 @@ from warp_peri.core.elastic import (
     voigt_to_tensor,
 )
 from warp_peri.core.stencil import invariant_basis
-from warp_peri.errors import InputError, warn
+from warp_peri.errors import InputError, Values, warn
 from warp_peri.fitting import regression
 from warp_peri.fitting.long_waves import judged, long_wave_moduli
 from warp_peri.fitting.regression import (
@@ -136,7 +136,7 @@ class Tensors:
         return found
 
     def crystal(
-        self, found: Settled, units: Units, record: dict[str, Any], stress: np.ndarray | None = None
+        self, found: Settled, units: Units, record: Values, stress: np.ndarray | None = None
     ) -> CrystalMaterial:
         """Build the certified crystal from fitted numbers."""
         p = found.p[0][: len(self.bonds.basis)]
@@ -258,7 +258,7 @@ def fit_dispersion(
     stress: np.ndarray | None = None,
     units: Units = USUAL,
     largest_wave: float = LARGEST_WAVE,
-    record: dict[str, Any] | None = None,
+    record: Values | None = None,
 ) -> CrystalMaterial:
     """Fit a crystal's tensors to a symbol D₀: rows D₀⁻¹ D e − e (T9).
 

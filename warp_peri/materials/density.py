@@ -21,7 +21,7 @@ from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.proof import largest
 from warp_peri.core.record import FieldUnits, Length, Record, read_json
 from warp_peri.core.stencil import half_ball
-from warp_peri.errors import InputError, Rows, called, hold
+from warp_peri.errors import InputError, Rows, Values, called, hold
 from warp_peri.fitting.regression import norms
 from warp_peri.fitting.result import Fit
 from warp_peri.materials.crystal_fit import one_set
@@ -79,11 +79,11 @@ class DensityMaterial(Record, format="warp_peri.density"):
     """
 
     horizon: Length
-    parameters: dict[str, Any]
+    parameters: Values
     dimension: int
     name: str
     units: Units = USUAL
-    provenance: dict[str, Any] = field(default_factory=dict)
+    provenance: Values = field(default_factory=dict)
     energy: Annotated[Any, FieldUnits(kept=False)] = None
     scale: Annotated[float, FieldUnits(stress=1, positive=True, omit=True)] = 1.0
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.linalg import lstsq, solve
 from numpy.typing import ArrayLike
 
-from warp_peri.errors import InputError, called, hold
+from warp_peri.errors import InputError, Values, called, hold
 from warp_peri.files import atomic
 from warp_peri.materials.lps import LPSMaterial, bernstein_basis
 from warp_peri.points import arguments
@@ -204,7 +204,7 @@ class InfluenceFunction:
         kept = {"influence": self.record(departure)}
         return LPSMaterial(lam, mu, 0.0, D, horizon, provenance=kept, units=units)
 
-    def record(self, departure: float) -> dict[str, Any]:
+    def record(self, departure: float) -> Values:
         """Provenance entry of an influence function, with its polynomial's departure."""
         values = atomic.plain(self.parameters)
         return {"function": self.name, "parameters": values, "departure": departure}

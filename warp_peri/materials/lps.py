@@ -16,7 +16,7 @@ from warp_peri.core.elastic import lattice_group, symmetric_part
 from warp_peri.core.proof import StencilCertificate, prove, statement_of
 from warp_peri.core.record import FieldUnits, Length, Record, taken
 from warp_peri.core.stencil import Stencil
-from warp_peri.errors import OF_POSITIONS, InputError, Rows, called, error_rows, hold, warn
+from warp_peri.errors import OF_POSITIONS, InputError, Rows, Values, called, error_rows, hold, warn
 from warp_peri.materials.lps_force import CANCELLED, assemble, bonds_of
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.arguments import (
@@ -141,10 +141,10 @@ class LPSMaterial(Record, format="warp_peri.model"):
     largest_wave_number: Annotated[
         float | None, FieldUnits(length=-1, positive=True, omit=True)
     ] = None
-    certificate: dict[str, Any] = field(default_factory=dict)
-    errors: dict[str, Any] = field(default_factory=dict)
-    provenance: dict[str, Any] = field(default_factory=dict)
-    versions: dict[str, Any] = field(default_factory=dict)
+    certificate: Values = field(default_factory=dict)
+    errors: Values = field(default_factory=dict)
+    provenance: Values = field(default_factory=dict)
+    versions: Values = field(default_factory=dict)
     units: Units = USUAL
     dimension: Annotated[int, FieldUnits(omit=True)] = 2
     nodes: Annotated[np.ndarray | None, FieldUnits(length=1, omit=True)] = None
@@ -213,7 +213,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         return len(self.D) - 1
 
     @property
-    def learnable(self) -> dict[str, Any]:
+    def learnable(self) -> Values:
         """Numbers λ, μ, α and D by name."""
         return {name: getattr(self, name) for name in ("lam", "mu", "alpha", "D")}
 
@@ -296,7 +296,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         return np.asarray(r**-self.alpha * (bernstein_basis(r, self.horizon, self.degree) @ self.D))
 
     @property
-    def figures(self) -> dict[float, dict[str, Any]]:
+    def figures(self) -> dict[float, Values]:
         """Certificate figures by spacing; InputError where a name is not the figures' spacing."""
         exact, found = {f"{h:g}": h for h in self.certified_on}, {}
         for name, each in self.certificate.items():
@@ -389,7 +389,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
                 return spacing * factors(units, self.units)[0]
         return None
 
-    def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
+    def elsewhere(self, length: float, stress: float) -> Values:
         """Certificate figures in other units; provenance names those of its records."""
         times = {"spacing": length, "symbol_min": stress, "symbol_bound": stress}
         times |= dict.fromkeys(GAMMAS, length**-2)
@@ -403,7 +403,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
         provenance = self.provenance | {"units_before": list(self.units)} | self.provenance
         return {"certificate": figures, "provenance": provenance}
 
-    def derived(self) -> dict[str, Any]:
+    def derived(self) -> Values:
         """Degree and quadrature, which the material's file states."""
         return {"degree": self.degree, "quadrature": {"degree": DEGREE, "singularity": SINGULARITY}}
 
@@ -455,7 +455,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
             model = model.spread(points, lam, mu)
         return LPSOperator(model, points, quadrature_degree=quadrature_degree, **how)
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Values:
         """Constants, lattices and errors of the model as plain values."""
         names = ("mu", "E", "nu", "alpha", "degree", "horizon", "errors", "versions")
         lists = ("units", "trained_on", "certified_on")

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 import warp_peri.core as core
 from warp_peri.core.elastic import in_shape_of, symmetric_part
 from warp_peri.core.proof import largest
-from warp_peri.errors import InputError, warn
+from warp_peri.errors import InputError, Values, warn
 from warp_peri.materials.lps_force import Bonds, Law, Matrices, assemble, bonds_of
 from warp_peri.points.arguments import check_shape, checked, checked_fields, is_tensor, plain
 from warp_peri.points.families import DEGREE, families_of, largest_strain
@@ -161,7 +161,7 @@ class LPSOperator(OperatorBase):
             tape.record_func(back, [out, *compress(arrays, asked)])
 
     @property
-    def learnable(self) -> dict[str, Any]:
+    def learnable(self) -> Values:
         """Numbers λ, μ, α and D by name."""
         return self.model.learnable
 
@@ -184,7 +184,7 @@ class LPSOperator(OperatorBase):
         """Whether L is symmetric on the interior: on lattices without broken bonds."""
         return self.points.spacing > 0 and self.points.outside is None
 
-    def at(self, numbers: dict[str, Any]) -> LPSOperator:
+    def at(self, numbers: Values) -> LPSOperator:
         """The operator with other numbers; InputError for no solid, or an indefinite lattice."""
         model = self.model.with_parameters(numbers)
         made = LPSOperator(

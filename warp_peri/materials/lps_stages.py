@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 
 from warp_peri.core.elastic import lattice_group
 from warp_peri.core.stencil import grid_of
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, Values
 from warp_peri.files.atomic import locked
 from warp_peri.files.checkpoint import ArrayFile, fingerprint
 from warp_peri.fitting.augmented_lagrangian import Tick, adam, as_printed, printed_state
@@ -230,7 +230,7 @@ def two_stages(learner: Any, kernel: Any, method: TwoStage) -> LPSFound:
     key = fingerprint(law, learner.sets)
     kept = ArrayFile(method.checkpoint, key, "a run on other data or settings")
 
-    def arrays() -> dict[str, Any]:
+    def arrays() -> Values:
         tensors = {f"tensor{number}": one.detach().numpy() for number, one in enumerate(state)}
         return tensors | {"losses": losses}
 

@@ -26,7 +26,7 @@ from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.proof import SAME_SPACING, largest, stencil_of
 from warp_peri.core.record import Length, OnLinear, Stress, made_once
 from warp_peri.core.stencil import Stencil
-from warp_peri.errors import InputError, Rows, hold, warn
+from warp_peri.errors import InputError, Rows, Values, hold, warn
 from warp_peri.fitting.long_waves import long_wave_moduli, long_wave_rows, moduli_of
 from warp_peri.fitting.regression import Settled, load_sizes, norms, relative, rows, swept
 from warp_peri.fitting.result import Fit
@@ -176,8 +176,8 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
     smoothing: Smoothing
     form: str
     reach: Length
-    proven: dict[str, Any] = field(default_factory=dict)
-    provenance: dict[str, Any] = field(default_factory=dict)
+    proven: Values = field(default_factory=dict)
+    provenance: Values = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -289,7 +289,7 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
             if not (held & (value >= 0)).all():
                 raise InputError(f"proven: {name} {value!r:.60} is not proven of these")
 
-    def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
+    def elsewhere(self, length: float, stress: float) -> Values:
         """Proof in other units: the proven strain alone, which has no unit."""
         return {"proven": {k: v for k, v in self.proven.items() if k == "strain"}}
 
@@ -355,7 +355,7 @@ class PlacedThirdOrder(Pointwise):
         """Inverse of the linear part on interior loads: factorised, or by iteration."""
         return self.straight.linear.cheapest_inverse(SOLVES * loads)  # type: ignore[no-any-return]
 
-    def figures(self, solution: Solution) -> dict[str, Any]:
+    def figures(self, solution: Solution) -> Values:
         """Most linear solves, largest gradient, and whether all answers are proven unique."""
         records = solution.details
         return {

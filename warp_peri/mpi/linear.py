@@ -16,7 +16,7 @@ from warp_peri.materials.crystal import StencilMaterial, crystal_from_lps
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.transfer import model_at
 from warp_peri.mpi.processes import Comm, Slabs, build, halo, in_turn, inner
-from warp_peri.points.arguments import check_same, offered
+from warp_peri.points.arguments import Options, check_same, offered
 from warp_peri.points.points import Points, grid_places
 from warp_peri.runtime import shared_by
 from warp_peri.solvers.linear import VCycle, coarser, largest, prolong, restrict
@@ -145,7 +145,7 @@ class RowOperator:
         return self._grid.gather(found[None])[0], record
 
 
-def operator_on(material: Any, piece: Subdomain, options: dict[str, Any]) -> Any:
+def operator_on(material: Any, piece: Subdomain, options: Options) -> Any:
     """Make the RowOperator of a linear solid on a lattice in slabs, of an LPS by `model_at`, whose
     options it takes out. Raises InputError for other materials, as RowOperator and as their
     `fitting`."""

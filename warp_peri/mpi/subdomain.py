@@ -25,6 +25,7 @@ from warp_peri.mpi.processes import Comm, Slabs, build, cut, exchange, inner, to
 from warp_peri.points.arguments import (
     USUAL,
     ArrayMap,
+    Options,
     Units,
     as_array,
     check_function,
@@ -105,9 +106,7 @@ class Subdomain:
         """Fingerprint of arrays [n, ...] on these nodes, and of other values as printed."""
         return nodal_fingerprint(self.comm, self.number, slice(None), *parts)
 
-    def solve(
-        self, material: Any, problem: Any, solver: Solver, options: dict[str, Any]
-    ) -> Solution:
+    def solve(self, material: Any, problem: Any, solver: Solver, options: Options) -> Solution:
         """Solve a Dirichlet problem at rest; u and load are those of this rank's nodes. Raises
         InputError for other problems and materials, and as RowOperator."""
         alike(material, problem, options | {"solver": solver})
@@ -128,7 +127,7 @@ class Subdomain:
             records.append(record)
         return by_sample(operator, answer, right, records, operator.method, operator.proven)
 
-    def move(self, material: Any, problem: Any, options: dict[str, Any]) -> Motion:
+    def move(self, material: Any, problem: Any, options: Options) -> Motion:
         """Move a Cracked on ranks, as Cracked.moved, or an unbroken body, as solvers.verlet.march.
         Raises InputError for anything but steps, and for a pressure."""
         comm = self.comm

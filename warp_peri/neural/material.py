@@ -16,7 +16,7 @@ import torch
 
 from warp_peri.core import record
 from warp_peri.core.record import Length
-from warp_peri.errors import InputError, Rows, Shown, StrPath
+from warp_peri.errors import InputError, Rows, Shown, StrPath, Values
 from warp_peri.files import atomic
 from warp_peri.neural.placed import Placed
 from warp_peri.neural.training import NeuralFit, TrainingSettings, train
@@ -103,7 +103,7 @@ class NeuralOperator(Shown, torch.nn.Module):
         self.horizon, self.strain, self.units = float(horizon), float(strain), check_units(units)
         self.anisotropic, self.proportional = bool(anisotropic), bool(proportional)
         self.scale = 1.0
-        self.provenance: dict[str, Any] = {}
+        self.provenance: Values = {}
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.influence = network(2 if anisotropic else 1, *map(int, influence), 1)
@@ -183,7 +183,7 @@ class NeuralOperator(Shown, torch.nn.Module):
         other.scale = self.scale * stress / length**3
         return other.double() if other.scale > LARGEST_SCALE * other.horizon else other
 
-    def content(self) -> dict[str, Any]:
+    def content(self) -> Values:
         """Content of the material's file without the weights; InputError for networks of other
         kinds or shapes than it describes, and for other weights than PRECISIONS of one kind."""
         if self._kinds_and_shapes() != self._described:
@@ -230,7 +230,7 @@ class NeuralFile(record.Record, format="warp_peri.neural", version=2):
     proportional: bool
     strain: Positive
     scale: float
-    provenance: dict[str, Any]
+    provenance: Values
     precision: str
     weights: dict[str, str]
     units: Units

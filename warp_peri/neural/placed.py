@@ -15,7 +15,7 @@ from tqdm import tqdm
 from warp_peri.core.elastic import checked_orientation, in_shape_of
 from warp_peri.core.stencil import numbers_at
 from warp_peri.core.torch_bridge import on_fields
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, Values
 from warp_peri.fitting.evaluate import errors_of
 from warp_peri.fitting.regression import norms
 from warp_peri.points.arguments import plain, typed
@@ -147,7 +147,7 @@ class Placed(OperatorBase):
         """Inverse of the force's linear part at rest, for `loads` loads on the interior."""
         return EquilibriumSolver(self).inverse
 
-    def errors(self, samples: Samples) -> dict[str, Any]:
+    def errors(self, samples: Samples) -> Values:
         """Errors on samples for `evaluate`; samples without an equilibrium are told apart."""
         return evaluate(self.model, samples)
 
@@ -308,7 +308,7 @@ SMALL = {torch.float64: 1e-8, torch.float32: 1e-5}
 @typed
 def evaluate(
     material: NeuralOperator, samples: Samples, *, solve: bool = True, progress: bool = False
-) -> dict[str, Any]:
+) -> Values:
     """Evaluate a neural material on samples: mean relative ℓ2 errors, and by sample (E_u_samples).
 
     E_res_abs is ‖force − b‖ [stress/length]; E_u the error of the solved displacement from zero, or

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, TypeAlias, TypeVar, Union, get_args,
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, Values
 
 LARGEST = 1e100
 """Values above it are no data, and their squares soon no numbers."""
@@ -275,7 +275,7 @@ def typed_methods(kind: Kind) -> Kind:
     return kind
 
 
-def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> dict[str, Any]:
+def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> Options:
     """Check arguments against annotations and return them, whole numbers of other types as int;
     InputError naming the first of another kind.
 
@@ -400,8 +400,8 @@ def offered(given: Any, name: str, verb: str, kinds: str) -> Any:
 
 
 def taken(
-    options: dict[str, Any], verb: str, *takers: Callable[..., Any], given: tuple[str, ...] = ()
-) -> tuple[dict[str, Any], ...]:
+    options: Options, verb: str, *takers: Callable[..., Any], given: tuple[str, ...] = ()
+) -> tuple[Options, ...]:
     """Sort options by taker, by keyword-only arguments that are not `given` elsewhere. InputError
     for an option that none takes, a missing one, and one of another kind than annotated."""
     kinds = [
@@ -418,6 +418,8 @@ def taken(
     return tuple(check_arguments(taker, its) for taker, its in zip(takers, found))
 
 
+Options: TypeAlias = Values
+"""Options of a call, by name."""
 Pair: TypeAlias = tuple[np.ndarray, np.ndarray]
 """Two arrays, which a docstring tells apart."""
 ArrayMap: TypeAlias = Callable[[np.ndarray], np.ndarray]

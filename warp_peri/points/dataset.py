@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 from numpy.linalg import norm
 
-from warp_peri.errors import InputError, Rows, Shown, StrPath, warn
+from warp_peri.errors import InputError, Rows, Shown, StrPath, Values, warn
 from warp_peri.files.atomic import check_hdf5, check_regular, parsed, plain, whole_hdf5
 from warp_peri.points.arguments import (
     USUAL,
@@ -62,7 +62,7 @@ class Dataset(Shown):
     sets: dict[str, Samples]
     thickness: Positive
     density: Positive
-    provenance: dict[str, Any] = field(default_factory=dict)
+    provenance: Values = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         _written(self.provenance)
@@ -120,7 +120,7 @@ class Dataset(Shown):
         sets = {name: _scaled(one, one.points, 1.0, share) for name, one in self.sets.items()}
         return dataclasses.replace(self, sets=sets, thickness=wide, density=density or self.density)
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Values:
         """Units, sheet, origin and sets of the data as plain values."""
         sheet = {name: getattr(self, name) for name in ("units", "thickness", "density")}
         sets = {name: samples.summary() for name, samples in self.sets.items()}
@@ -265,7 +265,7 @@ def _write(place: Any, values: Mapping[str, Any]) -> None:
             place[key] = value
 
 
-def _arrays(samples: Samples) -> dict[str, Any]:
+def _arrays(samples: Samples) -> Values:
     """All arrays of a set, by name in the file."""
     return {key: getattr(samples, key) for key in FIELDS} | samples.arrays
 
@@ -355,7 +355,7 @@ def _read_points(group: h5py.Group, units: Units) -> Samples:
     there = dict(group) if isinstance(group, h5py.Group) else {}
     if missing := [key for key in _NEEDED if not isinstance(there.get(key), h5py.Dataset)]:
         raise InputError(f"arrays missing: {', '.join(missing)}")
-    arrays: dict[str, Any] = dict.fromkeys(FIELDS)
+    arrays: Values = dict.fromkeys(FIELDS)
     for key, item in there.items():
         if not isinstance(item, h5py.Dataset):
             raise InputError(f"{key}: expected an array")
@@ -365,7 +365,7 @@ def _read_points(group: h5py.Group, units: Units) -> Samples:
     return Samples(Points(x, interior, outside=outside, units=units, **known), u, b, arrays)
 
 
-def _attributes(place: Any, needed: tuple[str, ...], more: tuple[str, ...]) -> dict[str, Any]:
+def _attributes(place: Any, needed: tuple[str, ...], more: tuple[str, ...]) -> Values:
     """Attributes by name; InputError for a missing one, or one that nothing here reads."""
     names, known = {*place.attrs}, (*needed, *more)
     if missing := sorted({*needed} - names):

@@ -14,7 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import InputError, Rows, Shown, hold, warn
+from warp_peri.errors import InputError, Rows, Shown, Values, hold, warn
 from warp_peri.points.arguments import as_array, checked, typed
 from warp_peri.points.points import grid_places
 
@@ -90,7 +90,7 @@ class Mesh(Shown):
             name = f"part '{name}'"
             check_numbers(name, checked(name, part, int, ("n",)), len(self.faces), named[1][0])
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Values:
         """Counts, box and parts of the mesh as plain values."""
         box = np.transpose([self.x.min(axis=0), self.x.max(axis=0)])
         counts = {"corners": len(self.x), KINDS[self.dimension][0]: len(self.cells)}

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.linalg import norm, qr, svd
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import Held, InputError, Rows, Shown, hold, warn
+from warp_peri.errors import Held, InputError, Rows, Shown, Values, hold, warn
 from warp_peri.points.arguments import (
     USUAL,
     NotNegative,
@@ -427,7 +427,7 @@ class Samples(Shown):
                      "lattice")
     )  # fmt: skip
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Values:
         """Counts, spacing and arrays of the samples as plain values."""
         counts = {"samples": len(self), "nodes": len(self.x), "interior": int(self.interior.sum())}
         return {**counts, "spacing": self.spacing, "arrays": [*self.arrays]}

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from warp_peri.core.elastic import symmetric_part
 from warp_peri.core.proof import prove, stencil_of
-from warp_peri.errors import InputError, Rows, Shown
+from warp_peri.errors import InputError, Rows, Shown, Values
 from warp_peri.materials.certificate import curvature_bound
 from warp_peri.points.arguments import Positive, checked, checked_fields, typed, typed_methods
 from warp_peri.points.points import PointsLike, Samples, nodes_of
@@ -256,7 +256,7 @@ class Prediction(Shown):
         return [*rows, ("why", self.why)]
 
 
-def combined(sizes: dict[str, Any], factors: CalibrationFactors) -> dict[str, Any]:
+def combined(sizes: Values, factors: CalibrationFactors) -> Values:
     """Combine sizes of error fields, or of what they change, to likely errors by origin (Q4)."""
     share = factors.floor / np.sqrt(2)
     weights = {"left": factors.left, "waves": share, "data": share, "strain": factors.floor}

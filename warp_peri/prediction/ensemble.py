@@ -16,7 +16,7 @@ from scipy.ndimage import distance_transform_edt
 from warp_peri.core.elastic import symmetric_part
 from warp_peri.core.record import FieldUnits, OnLinear
 from warp_peri.core.stencil import Grid, grid_of
-from warp_peri.errors import InputError, Rows
+from warp_peri.errors import InputError, Rows, Values
 from warp_peri.fitting.result import Fit
 from warp_peri.points.arguments import ArrayMap, NotNegative, checked, is_number, offered, typed
 from warp_peri.points.dataset import Dataset
@@ -320,7 +320,7 @@ class EnsembleMaterial(OnLinear, format="warp_peri.family", version=2):
     strain: float = 0.0
     temperature: float | None = None
     quadratic: Annotated[tuple[float, ...], FieldUnits(stress=1, omit=True)] = ()
-    provenance: dict[str, Any] = field(default_factory=dict)
+    provenance: Values = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -460,7 +460,7 @@ def quadratic(family: EnsembleMaterial, samples: Samples) -> tuple[float, ...]:
     return tuple(lstsq(rows.reshape(len(rows), -1).T, np.ravel(left))[0].tolist())
 
 
-def _measured(family: EnsembleMaterial, samples: Samples) -> list[dict[str, Any]]:
+def _measured(family: EnsembleMaterial, samples: Samples) -> list[Values]:
     """Estimated and true relative errors of each sample that is not at rest."""
     placed = EnsembleOperator(family, samples.points)
     inside = samples.interior

@@ -32,9 +32,18 @@ import scipy.sparse as sp
 import torch
 
 from warp_peri.core.torch_bridge import as_tensor, by_numbers, once, real, with_numbers
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, Values
 from warp_peri.points import arguments
-from warp_peri.points.arguments import Natural, Numbers, Pair, Positive, checked, is_tensor, taken
+from warp_peri.points.arguments import (
+    Natural,
+    Numbers,
+    Options,
+    Pair,
+    Positive,
+    checked,
+    is_tensor,
+    taken,
+)
 from warp_peri.solvers import verlet
 from warp_peri.solvers.motion import Motion, Recorder
 from warp_peri.solvers.systems import MatrixProblem
@@ -82,7 +91,7 @@ def moved(
     return replace(waves.motion, u=end, v=v, history=history)
 
 
-def in_motion(operator: Any, b: Any, u: Any, options: dict[str, Any]) -> Motion:
+def in_motion(operator: Any, b: Any, u: Any, options: Options) -> Motion:
     """Motion of verlet.march; for tensors, or with `parameters`, that of `moved`."""
     how, files, learned = taken(options, "simulate", verlet.march, Recorder.__init__, moved)
     fields = b, u, how.get("v"), how.get("signal")
@@ -238,7 +247,7 @@ class Implicit:
             p[n] += w[n] @ self.behind
         by_load[:, free] = w
         by = [p[0].reshape(one), *(x.reshape(steps, *one) for x in (by_load, by_given))]
-        totals: dict[str, Any] = dict.fromkeys(wanted, 0.0)
+        totals: Values = dict.fromkeys(wanted, 0.0)
         own: Any = getattr(self.operator, "storage_slopes", lambda *_: {})
         if wanted and steps:
             weights = -w.reshape(steps, -1, *one[1:])

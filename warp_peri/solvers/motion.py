@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tqdm import tqdm
 
-from warp_peri.errors import InputError, Rows, Shown, StrPath, agreed
+from warp_peri.errors import InputError, Rows, Shown, StrPath, Values, agreed
 from warp_peri.files.atomic import meshio_of, write_text, write_vtu
 from warp_peri.files.checkpoint import AllNodes, RunFile, fingerprint, gathered, held, same
 from warp_peri.points import arguments
-from warp_peri.points.arguments import Count, Natural, check_mapping, plain, typed_methods
+from warp_peri.points.arguments import Count, Natural, Options, check_mapping, plain, typed_methods
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -181,7 +181,7 @@ class Recorder:
     largest strain of the records."""
     advance: Callable[[Any], Any]
     """The next state."""
-    record: Callable[[Any], tuple[float, dict[str, Any], dict[str, Any]]]
+    record: Callable[[Any], tuple[float, Values, Values]]
     """Of a state its time, histories by name, and fields beside u and v for ParaView."""
     nodal: Callable[[Any], dict[str, np.ndarray]]
     """Arrays of a state on nodes by name, u and v among them."""
@@ -291,7 +291,7 @@ def _check(taken: int, steps: int) -> None:
         )
 
 
-def refuse_learning(problem: Any, options: dict[str, Any], verb: str) -> None:
+def refuse_learning(problem: Any, options: Options, verb: str) -> None:
     """Raise InputError for tensors whose gradient a problem does not have."""
     if asks_for_gradient((vars(problem), options)) or "parameters" in options:
         raise InputError(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.core.proof import stencil_of
-from warp_peri.errors import InputError, agreed, quietly, warn
+from warp_peri.errors import InputError, Values, agreed, quietly, warn
 from warp_peri.files.checkpoint import AllNodes, fingerprint
 from warp_peri.points import arguments
 from warp_peri.points.arguments import USUAL, Count, Positive, Units, factors, offered, typed
@@ -186,13 +186,7 @@ def march(
 
 
 def started(
-    operator: Any,
-    fields: dict[str, Any],
-    signal: Any = None,
-    *,
-    density: float,
-    step: float,
-    steps: int,
+    operator: Any, fields: Values, signal: Any = None, *, density: float, step: float, steps: int
 ) -> tuple[Any, Inert, State]:
     """Check the arguments of `march`, `fields` u, v and b, [N, d], None for zero; returns nodes of
     this process, the moving body and its start."""
@@ -255,7 +249,7 @@ class WaveRun(Recorder):
         self.before = state
         return step(self.body, state, self.dt)
 
-    def record(self, state: State) -> tuple[float, dict[str, Any], dict[str, Any]]:
+    def record(self, state: State) -> tuple[float, Values, Values]:
         body, before, operator = self.body, self.before, self.body.operator
         half = state.v + self.dt / (2 * body.inertia) * state.g
         energy = body.dot(body.inertia / 2 * half, half) + body.potential(before, state)

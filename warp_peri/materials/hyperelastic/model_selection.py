@@ -25,7 +25,7 @@ from warp_peri.materials.hyperelastic.sheet_fit import (
     check_enough,
     fit_sheet,
 )
-from warp_peri.points.arguments import Natural, Share, checked, typed, typed_methods
+from warp_peri.points.arguments import Natural, Options, Share, checked, typed, typed_methods
 from warp_peri.points.points import Samples, seen_of
 
 COMPRESSIBLE = {"neo_hookean", "volumetric"}
@@ -145,7 +145,7 @@ def _tried(
     train: Samples,
     test: Samples,
     start: SheetFit | None,
-    how: dict[str, Any],
+    how: Options,
 ) -> Candidate:
     """A candidate, fitted or failed."""
     numbers = len(dictionary) + how["thickness"] * (how["thickness"] + 3) // 2  # of a polynomial
@@ -167,7 +167,7 @@ def _tried(
 
 
 def _learned(
-    train: Samples, dictionary: Hyperelastic, start: SheetFit | None, how: dict[str, Any]
+    train: Samples, dictionary: Hyperelastic, start: SheetFit | None, how: Options
 ) -> SheetFit:
     """Learn a material; fibres in fixed directions become families, (H15)."""
     how = {"most_steps": STEPS, "tolerance": TOLERANCE, **how}

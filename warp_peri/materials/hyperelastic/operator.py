@@ -19,7 +19,7 @@ from torch.autograd import grad
 
 from warp_peri.core.record import FieldUnits, Length, Record
 from warp_peri.core.torch_bridge import FEW, Swept
-from warp_peri.errors import InputError, Rows, warn
+from warp_peri.errors import InputError, Rows, Values, warn
 from warp_peri.fitting.evaluate import errors_of
 from warp_peri.fitting.regression import norms
 from warp_peri.fitting.result import LOUD
@@ -59,7 +59,7 @@ class HyperelasticMaterial(Record, format="warp_peri.hyperelastic", version=2):
     coefficients: Annotated[np.ndarray, FieldUnits(stress=1)]
     spacing: Length
     stretch: Annotated[float | None, FieldUnits(positive=True)] = None
-    provenance: dict[str, Any] = field(default_factory=dict)
+    provenance: Values = field(default_factory=dict)
     units: Units = USUAL
     dimension: ClassVar[int] = 2
 
@@ -81,7 +81,7 @@ class HyperelasticMaterial(Record, format="warp_peri.hyperelastic", version=2):
         """Build the operator on a lattice; thickness of each node [N] or an even sheet (H18)."""
         return HyperelasticSheetOperator(self, points, thickness=thickness)
 
-    def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
+    def elsewhere(self, length: float, stress: float) -> Values:
         """Provenance naming the units that its records stay in."""
         own = self.provenance
         return {"provenance": own | {"units_before": list(self.units)} | own}
@@ -399,7 +399,7 @@ class HyperelasticSheetOperator(Swept):
         self.warn_beyond(solution.u)
         return solution
 
-    def errors(self, samples: Samples, near: np.ndarray | None = None) -> dict[str, Any]:
+    def errors(self, samples: Samples, near: np.ndarray | None = None) -> Values:
         """Relative ℓ2 errors on the interior, (30) and (31), of samples on the operator's points.
 
         `near` are fields of other loads, shape [M, N, 2]: each search begins at their combination
