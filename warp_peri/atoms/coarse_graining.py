@@ -133,7 +133,7 @@ def coarse_grain(
             f"{len(bad)} nodes have no atom within the radius, the first is {bad[0]}: expected "
             "nodes inside the body, or its periods (box)"
         )
-    u = np.array([weighted @ one for one in moved]) / density[:, None]
+    u = [weighted @ one for one in moved] / density[:, None]
     return u, np.array([omega @ one for one in pushed]) * (EV_IN_TPA / (node_area * thickness))
 
 

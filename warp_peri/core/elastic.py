@@ -122,7 +122,7 @@ def _closed(generators: list[np.ndarray], dimension: int) -> np.ndarray:
         last = waiting.pop()
         for g in generators:
             new = g @ last
-            if np.abs(np.array(found) - new).max(axis=(1, 2)).min() > 10 * TOLERANCE:
+            if np.abs(found - new).max(axis=(1, 2)).min() > 10 * TOLERANCE:
                 found.append(new)
                 waiting.append(new)
                 if len(found) > MOST:
@@ -313,7 +313,7 @@ def allowed_tensors(symmetry: Symmetry, orientation: np.ndarray) -> np.ndarray:
     group = point_group(symmetry, d)
     pairs = np.einsum("gai,gbj->gabij", group, group).reshape(len(group), d * d, d * d)
     mean = np.einsum("gmn,gop->monp", pairs, pairs, optimize=True) / len(group)
-    _, sizes, rows = svd(np.array(basis) @ mean.reshape(d**4, d**4).T, full_matrices=False)
+    _, sizes, rows = svd(basis @ mean.reshape(d**4, d**4).T, full_matrices=False)
     found = rows[sizes > 1e-9 * sizes[0]].reshape(-1, d, d, d, d)
     return np.array([turned(tensor, orientation) for tensor in found])
 

@@ -15,7 +15,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError, Values, agreed
-from warp_peri.files.checkpoint import AllNodes, fingerprint
+from warp_peri.files.checkpoint import AllNodes, Arrays, fingerprint
 from warp_peri.fracture.body import LatticeBody, cracked
 from warp_peri.fracture.bonds import CutOperator, SurfaceCorrection, unit_toughness
 from warp_peri.fracture.materials import BrittleMaterial
@@ -291,7 +291,7 @@ class CrackRun(Recorder):
                         check_shape(f"watch {name}", found[name], np.shape(one))
         return state.time, found, {} if phi is None else {"damage": phi}
 
-    def nodal(self, state: BreakingState) -> dict[str, np.ndarray]:
+    def nodal(self, state: BreakingState) -> Arrays:
         """Arrays by name: `left`, the unbroken bonds of the ball at each node, [m, B]."""
         arrays = {name: getattr(state, name).numpy() for name in NODAL}
         left = self.body.operator.kept(state.links).astype(np.uint8)
@@ -313,9 +313,7 @@ class CrackRun(Recorder):
             "records": self.watched,
         }
 
-    def restored(
-        self, state: BreakingState, arrays: dict[str, np.ndarray], steps: int
-    ) -> BreakingState:
+    def restored(self, state: BreakingState, arrays: Arrays, steps: int) -> BreakingState:
         for name in NODAL:
             getattr(state, name).numpy()[:] = arrays[name]
         left = np.where(arrays["left"], self.body.body.neighbour, -1)

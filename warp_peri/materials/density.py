@@ -259,7 +259,7 @@ class Density:
             found = op(given.u) if by_force else op.solve(given.loads, given.u).u[:, inside]
             return np.asarray(((found - right) / size).ravel())
 
-        start = np.array(list(material.parameters.values())) / scale
+        start = list(material.parameters.values()) / scale
         found = least_squares(left, start, x_scale="jac", diff_step=DIFFERENCE, method="lm")
         loss = float(np.sqrt(2 * found.cost / len(right)))
         record = {"loss": loss, "by": self.loss, "evaluations": int(found.nfev)}

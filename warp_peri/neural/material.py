@@ -120,8 +120,7 @@ class NeuralOperator(Shown, torch.nn.Module):
     def omega(self, xi: torch.Tensor) -> torch.Tensor:
         """Influence function ω of bonds ξ [length], [n, 2], shape [n]: (NO1) or (NO2)."""
         inputs = xi if self.anisotropic else xi.norm(dim=1, keepdim=True)
-        value: torch.Tensor = self.influence(inputs / self.horizon)[:, 0]
-        return value
+        return torch.as_tensor(self.influence(inputs / self.horizon)[:, 0])
 
     def force_state(
         self, omega: torch.Tensor, theta: torch.Tensor, e: torch.Tensor, r: torch.Tensor

@@ -239,8 +239,7 @@ class Placed(OperatorBase):
 
     def _pull(self, tension: torch.Tensor, M: torch.Tensor) -> torch.Tensor:
         """Sum the force states of both ends along the interior nodes' bonds, [S, I, B, 2]."""
-        both = tension[:, self.forward] + tension[:, self.back]
-        return both[..., None] * M
+        return (tension[:, self.forward] + tension[:, self.back])[..., None] * M
 
     def force_of(self, tension: torch.Tensor, M: torch.Tensor) -> torch.Tensor:
         """Forces on the interior [S, I, 2] from the results of `tension`."""
@@ -264,9 +263,8 @@ class Placed(OperatorBase):
         self, omega: torch.Tensor, theta: torch.Tensor, e: torch.Tensor, r: torch.Tensor
     ) -> tuple[torch.Tensor, ...]:
         """Inputs of the force state for the bonds with an interior end, each of shape [S A]."""
-        node, place = self.node, self.place
-        e = e[:, node, place]
-        parts = omega[place], theta[:, node], e, r[place]
+        e = e[:, self.node, self.place]
+        parts = omega[self.place], theta[:, self.node], e, r[self.place]
         return tuple(part.expand_as(e).reshape(-1) for part in parts)
 
     @property
@@ -295,8 +293,7 @@ def _blocks(values: np.ndarray, columns: np.ndarray, count: int) -> sp.bsr_array
 
 def affine(samples: Samples, u: np.ndarray) -> np.ndarray:
     """Replace the interior of a field by the affine motion that fits its collar best, [N, 2]."""
-    places = np.column_stack([samples.x, np.ones(len(u))])
-    collar = ~samples.interior
+    places, collar = np.column_stack([samples.x, np.ones(len(u))]), ~samples.interior
     motion, *_ = lstsq(places[collar], u[collar])
     return np.where(collar[:, None], u, places @ motion)
 

@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError, Rows, Shown, StrPath, Values, agreed
 from warp_peri.files.atomic import meshio_of, write_text, write_vtu
-from warp_peri.files.checkpoint import AllNodes, RunFile, fingerprint, gathered, held, same
+from warp_peri.files.checkpoint import AllNodes, Arrays, RunFile, fingerprint, gathered, held, same
 from warp_peri.points import arguments
 from warp_peri.points.arguments import Count, Natural, Options, check_mapping, plain, typed_methods
 
@@ -183,9 +183,9 @@ class Recorder:
     """The next state."""
     record: Callable[[Any], tuple[float, Values, Values]]
     """Of a state its time, histories by name, and fields beside u and v for ParaView."""
-    nodal: Callable[[Any], dict[str, np.ndarray]]
+    nodal: Callable[[Any], Arrays]
     """Arrays of a state on nodes by name, u and v among them."""
-    restored: Callable[[Any, dict[str, np.ndarray], int], Any]
+    restored: Callable[[Any, Arrays, int], Any]
     """A state with such arrays after so many steps."""
     key: Callable[[int], dict[str, str]]
     """Marks of what so many steps depend on, by name."""

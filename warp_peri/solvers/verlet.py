@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from warp_peri.core.proof import stencil_of
 from warp_peri.errors import InputError, Values, agreed, quietly, warn
-from warp_peri.files.checkpoint import AllNodes, fingerprint
+from warp_peri.files.checkpoint import AllNodes, Arrays, fingerprint
 from warp_peri.points import arguments
 from warp_peri.points.arguments import USUAL, Count, Positive, Units, factors, offered, typed
 from warp_peri.points.arguments import checked as read
@@ -260,10 +260,10 @@ class WaveRun(Recorder):
             values["u"] = (before.u[self.seen] + state.u[self.seen]) / 2
         return state.steps * self.dt, values, {}
 
-    def nodal(self, state: State) -> dict[str, np.ndarray]:
+    def nodal(self, state: State) -> Arrays:
         return {"u": state.u, "v": self.body.on_all(state.v)}
 
-    def restored(self, state: State, arrays: dict[str, np.ndarray], steps: int) -> State:
+    def restored(self, state: State, arrays: Arrays, steps: int) -> State:
         return self.body.state(arrays["u"], arrays["v"][self.body.interior], steps)
 
     @cached_property
