@@ -47,6 +47,13 @@ def work_stays_in_its_process():
 
 
 @pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A folder of its own that a test works in."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
 def threads():
     """Sets numbers of threads, Torch's too, until the test is over."""
     import torch

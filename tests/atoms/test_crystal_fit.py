@@ -131,7 +131,7 @@ def test_how_far_a_cell_went_is_said_and_a_skewed_one_is_made_short():
     far = at_rest(bulk("Al", "fcc", a=5.0), EMT())
     assert far.said["relaxed"].endswith("strains of -20.1% to -20.1%")
     cell = bulk("Cu", a=3.59)
-    cell.set_cell(np.array([[1, 0, 0], [5, 1, 0], [3, -4, 1]]) @ np.array(cell.cell))
+    cell.set_cell([[1, 0, 0], [5, 1, 0], [3, -4, 1]] @ np.array(cell.cell))
     cell.wrap()
     near(at_rest(cell, EMT()).cell.cell.lengths(), 3 * [2.5384], 1e-4)
 

@@ -423,8 +423,7 @@ LONG = ("third order, filtered", "third order, energy", "LPS, bond-based")
 
 @pytest.mark.filterwarnings("ignore")
 @parametrize("name", [*(name for name in LAWS if name not in LONG), "brittle"])
-def test_every_command_answers_or_refuses_whatever_the_law(name, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_every_command_answers_or_refuses_whatever_the_law(name, here, capsys):
     law = LAWS.get(name, LAWS["LPS"])
     wp.save("m.json", SOLIDS["brittle"](2) if name == "brittle" else law.material())
     samples = solved_samples(law.material().on(law.points(4)))

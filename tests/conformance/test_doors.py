@@ -18,6 +18,7 @@ from tests.support.bodies import solid
 from tests.support.clouds import plain
 from tests.support.materials import LAWS, operator, placed
 from tests.support.problems import OTHER, everywhere, kernel, lattice, noise, within
+from tests.support.solving import solve
 from tests.support.told import all_refused, assert_refused, each_refused, refused, warned
 from warp_peri.fracture import Cracked, box_nodes, rectangle_nodes
 from warp_peri.methods import Coupling, GaussNewton, LPSParameters, sweep
@@ -115,7 +116,7 @@ def test_fields_of_a_solve_a_motion_and_an_operator(name):
     with refused("b: expected shape"):
         run(wp.solve, "b", np.zeros((3, *zero.shape)))
     assert run(wp.solve, "b", None).residual < 1e-6
-    for place in (lambda: op.model.on(x), lambda: wp.solve(op, wp.Dirichlet(x, None, zero))):
+    for place in (lambda: op.model.on(x), lambda: solve(op, x, None, zero)):
         with refused("^points: expected Points"):
             place()
     hidden = np.ma.masked_array(zero, np.repeat(points.interior[:, None], 2, axis=1))
@@ -136,7 +137,7 @@ def test_loads_of_a_period(name):
     if hasattr(material.on(points), "solve_periodic"):
         zero, shapes = 0 * points.x, ("short", "flat", "deep")
         with refused("nodes on a collar"):
-            wp.solve(material, wp.Dirichlet(points, zero, zero))
+            solve(material, points, zero, zero)
         refuses(lambda b: wp.solve(material, wp.Periodic(points, b)), zero, "b", but=shapes)
 
 
@@ -369,7 +370,7 @@ def test_arguments_of_bodies_solids_and_tables():
         "^shortest wave: expected": lambda: wp.prediction.mixed_waves(points.x, (9, 9), 1e-3),
         "^spacing: expected": lambda: LAWS["third order, energy"].material().proven_strain(-5),
         "^parameters: expected finite .* mu .*nan":
-            lambda: wp.solve(op, wp.Dirichlet(points, None, points.x), parameters={"mu": np.nan}),
+            lambda: solve(op, points, None, points.x, parameters={"mu": np.nan}),
         "^free: expected": (
             lambda: wp.solve(MODEL, held), lambda: wp.simulate(MODEL, held, events=1),
         ),
@@ -377,7 +378,7 @@ def test_arguments_of_bodies_solids_and_tables():
             lambda k=k: crystal.symbol(k) for k in ([1j, 0], hidden[:2], np.zeros(3), 1.0)
         ),
         "^u: expected": (
-            lambda: wp.solve(op, wp.Dirichlet(points, None, [[1.0], [1.0, 2.0]])),
+            lambda: solve(op, points, None, [[1.0], [1.0, 2.0]]),
             lambda: wp.Samples(sixteen, torch.zeros(1, 16, 2, device="meta")),
         ),
         "^sides: expected": (
@@ -435,7 +436,7 @@ def test_tensors_beside_a_pressure_and_numbers_of_no_dimension():
     assert run.u.shape == u.shape
     turned = np.ascontiguousarray(u[::-1])[::-1]
     mu = {"mu": torch.tensor(model.mu, requires_grad=True)}
-    assert wp.solve(model, wp.Dirichlet(points, 0 * turned, turned), parameters=mu).u.requires_grad
+    assert solve(model, points, 0 * turned, turned, parameters=mu).requires_grad
     assert wp.TorchModule(model, points)(turned).requires_grad
 
 

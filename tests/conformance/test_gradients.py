@@ -17,6 +17,7 @@ from tests.support import filterwarnings, masked, near, parametrize
 from tests.support.fields import double, field, seeded, tensor, tensors
 from tests.support.materials import CRACK, LAWS, LINEAR, OPERATORS, operator
 from tests.support.problems import kernel, lattice, normal
+from tests.support.solving import solve
 from tests.support.told import all_refused, assert_refused, refused
 from warp_peri.errors import ALONE
 
@@ -36,9 +37,13 @@ MODULES = {
 }
 
 
+@pytest.fixture
+def op(name):
+    return operator(name)
+
+
 @parametrize("name", OPERATORS)
-def test_product_and_its_transpose_are_one_matrix(name):
-    op = operator(name)
+def test_product_and_its_transpose_are_one_matrix(op):
     u, v = field(op, 2), field(op, 2, seed=5)
     rate = op.jvp(u, v)
     w = normal(rate.shape, 2)
@@ -48,8 +53,7 @@ def test_product_and_its_transpose_are_one_matrix(name):
 
 
 @parametrize("name", LINEAR)
-def test_second_derivatives_of_a_linear_force(name):
-    op = operator(name)
+def test_second_derivatives_of_a_linear_force(op):
     u, v = tensors(op)
     assert gradgradcheck(op, (u.clone().requires_grad_(),), fast_mode=True)
     energy = lambda u: (op(u) ** 2).sum() / 2
@@ -77,8 +81,7 @@ def test_networks_that_learn_have_second_derivatives():
 
 
 @parametrize("name", [name for name in OTHERS if name != "neural operator"])
-def test_second_derivatives_of_others_are_refused(name):
-    op = operator(name)
+def test_second_derivatives_of_others_are_refused(op, name):
     u = tensor(op).requires_grad_()
     v = torch.ones_like(u)
     penalised = lambda u: op(u).square().sum() + u.pow(4).sum()
@@ -94,15 +97,14 @@ def test_second_derivatives_of_others_are_refused(name):
     if not hasattr(op, "solve") or "filtered" in name:
         return
     held = (0.01 * u).detach().requires_grad_()
-    answer = wp.solve(op, wp.Dirichlet(op.points, 0 * held.detach(), held)).u
+    answer = solve(op, op.points, 0 * held.detach(), held)
     (first,) = grad(answer.square().sum(), held, create_graph=True)
     with refused("second derivative"):
         first.sum().backward()
 
 
 @parametrize("name", OPERATORS)
-def test_batches_and_precisions(name):
-    op = operator(name)
+def test_batches_and_precisions(op):
     u = tensor(op, 2, 3).requires_grad_()
     force = op(u)
     assert force.shape[:2] == (2, 3)
@@ -148,8 +150,7 @@ def test_workers_of_a_loader_have_the_forces_of_this_process():
 
 
 @parametrize("name", ["crystal", "third order, energy"])
-def test_torch_compile_leaves_a_force_as_it_is(name):
-    op = operator(name)
+def test_torch_compile_leaves_a_force_as_it_is(op):
     value, u = lambda u: op(2 * u).square().sum(), tensor(op).requires_grad_()
     torch.compiler.reset()
     whole = torch.compile(value, backend="eager")(u)
@@ -157,8 +158,7 @@ def test_torch_compile_leaves_a_force_as_it_is(name):
 
 
 @parametrize("name", OPERATORS)
-def test_a_solve_changes_nothing_and_copies_are_made_anew(name):
-    op = operator(name)
+def test_a_solve_changes_nothing_and_copies_are_made_anew(op):
     before = op(u := field(op))
     closed = op.points.interior.all()
     given = 0 * u, 0.01 * u
@@ -216,8 +216,7 @@ def test_a_module_learns_the_numbers_of_its_material_and_is_saved_and_copied(nam
 
 
 @parametrize("name", ["LPS", "crystal", "conductor"])
-def test_what_a_solve_takes_and_tells(name):
-    op = operator(name)
+def test_what_a_solve_takes_and_tells(op, name):
     b, u = tensors(op, 2)
     solution = lambda b, u: wp.solve(op, wp.Dirichlet(op.points, b, u))
     wrong = (b, u[0]), (b[0], u), (b[:, :-1], u[:, :-1]), (b + 0j, u), (b, u + 0j)
@@ -243,7 +242,7 @@ def test_a_second_derivative_to_numbers_is_refused(solver):
         if solver is None:
             found = op.force_with_parameters(u[None], of)
         else:
-            found = wp.solve(op, wp.Dirichlet(op.points, b, u), solver=solver, parameters=of).u
+            found = solve(op, op.points, b, u, solver=solver, parameters=of)
         return found.square().sum() + sum(value.square().sum() for value in values)
 
     values = [torch.as_tensor(op.learnable[n]).double() for n in name]
@@ -322,7 +321,7 @@ def test_lists_and_numbers_keep_all_their_digits():
     op = operator("LPS")
     b, u = tensors(op)
     mu, leaf = 1.1 * float(op.learnable["mu"]), b.clone().requires_grad_()
-    solved = lambda u, mu: wp.solve(op, wp.Dirichlet(op.points, leaf, u), parameters={"mu": mu}).u
+    solved = lambda u, mu: solve(op, op.points, leaf, u, parameters={"mu": mu})
     exact = solved(u, double(mu))
     assert torch.equal(solved(u.tolist(), mu), exact)
     hidden = masked(u.numpy())

@@ -13,6 +13,7 @@ from tests.support import filterwarnings, parametrize, refused
 from tests.support.fields import double, field, seeded, tensor, tensors
 from tests.support.materials import CRACK, FLOWS, KINKED, LAWS, OPERATORS, operator
 from tests.support.problems import lattice
+from tests.support.solving import solve
 
 pytestmark = filterwarnings("ignore::UserWarning")
 DIFFERENCES = 1e-6
@@ -126,7 +127,7 @@ def test_a_number_that_two_share_is_both():
     u = tensor(op)
     mu, *pair = (double(0.8).requires_grad_() for _ in range(3))
     values = [
-        seeded(wp.solve(op, wp.Dirichlet(op.points, None, u), parameters=of).u)
+        seeded(solve(op, op.points, None, u, parameters=of))
         for of in ({"lam": mu, "mu": mu}, dict(zip(("lam", "mu"), pair)))
     ]
     (both,) = grad(values[0], mu)

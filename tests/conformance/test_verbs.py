@@ -13,6 +13,7 @@ from tests.support.fields import solved_samples
 from tests.support.materials import LAWS, placed
 from tests.support.plates import plate
 from tests.support.problems import OTHER
+from tests.support.solving import solve
 from warp_peri.core import pointwise
 from warp_peri.materials import lps_force
 from warp_peri.materials.hyperelastic import operator as tissue
@@ -46,7 +47,7 @@ def test_a_material_is_placed_once(name, place, monkeypatch):
     monkeypatch.setattr(*place, spy := Mock(wraps=getattr(*place)))
     op = material.on(samples.points)
     wp.evaluate(op, samples)
-    wp.solve(op, wp.Dirichlet(samples.points, samples.b, samples.u))
+    solve(op, samples.points, samples.b, samples.u)
     assert spy.call_count == 1
 
 
@@ -71,7 +72,7 @@ def test_what_a_verb_does_not_mean_is_refused_by_name():
             lambda: wp.certificates.prove_uniqueness(solid, spacing=0.1),
         "evaluate: expected a material.*, got Points": lambda: wp.evaluate(many.points, many),
         "solve: expected a material.*, got Tensor":
-            lambda: wp.solve(torch.ones(3), wp.Dirichlet(many.points, many.b, many.u)),
+            lambda: solve(torch.ones(3), many.points, many.b, many.u),
         f"solve: spacings: not among .* {name}": lambda: wp.solve(solid, problem, spacings=1.0),
         "transfer: expected True or False": lambda: wp.solve(solid, problem, transfer="no"),
         r"solver: expected none for a Body.*, got Direct\(":

@@ -90,7 +90,7 @@ def test_a_crystal_from_phonons_alone_and_of_too_few_bonds():
     law = fit_phonons(atoms, 3.59, 3.59 * 6**0.5)
     assert law.symmetry == "m-3m"
     assert_allclose(law.elastic_tensor(), voigt(atoms.elastic(CUBES)), rtol=1e-6, atol=1e-9)
-    e = np.array([[1, 0, 0], [1, 1, 0], [1, 1, 1]]) / np.sqrt([[1], [2], [3]])
+    e = [[1, 0, 0], [1, 1, 0], [1, 1, 1]] / np.sqrt([[1], [2], [3]])
     k = np.concatenate([size * e for size in (0.1, 0.25, np.pi / 2 / 3.59)])
     own, true = (eigvalsh(D) for D in (law.symbol(k), atoms.effective(k)))
     assert sup(np.sqrt(own / true) - 1) < 0.03

@@ -22,7 +22,7 @@ MAXWELL = polymer.UpperConvectedMaxwell()
 
 def test_a_step_of_dumbbells_is_exact_in_its_moments():
     K, dt = np.array([0.3, 2.0, 0.5, -0.3]), 0.7
-    A = np.array([[0.3, 2.0], [0.5, -0.3]]) - np.eye(2) / 2
+    A = [[0.3, 2.0], [0.5, -0.3]] - np.eye(2) / 2
     E = expm(np.block([[-A, np.eye(2)], [np.zeros((2, 2)), A.T]]) * dt)
     P, L = propagator(K[None], dt)
     lower = np.array([[L[0, 0], 0], [L[0, 1], L[0, 2]]])

@@ -102,7 +102,7 @@ def test_networks_have_the_printed_widths_and_rivals_find_their_own_numbers(grap
     points = square(3)
     window = neural.Window(Samples(points, np.zeros((1, len(points.x), 2))))
     make, starts = neural.RIVALS["HGO, two fibre directions"]
-    u = points.x @ np.array([[0.2, 0.05], [0.1, 0.15]]) + 0.03 * np.sin(3 * points.x)
+    u = points.x @ [[0.2, 0.05], [0.1, 0.15]] + 0.03 * np.sin(3 * points.x)
     u[window.nodes[window.free]] = window.solve(make(np.array([1.5, 1.0, -0.5, 0.4])), u)
     _, left = neural.fit(window, make, np.array(starts[0]), Samples(points, u[None]))
     assert left < 1e-3

@@ -40,12 +40,11 @@ COMMANDS = {
 
 
 @parametrize("name", LAWS)
-def test_a_law_in_a_few_lines(name, graphene, tmp_path, monkeypatch):
-    (tmp_path / "data").symlink_to(graphene.parent)
-    monkeypatch.chdir(tmp_path)
+def test_a_law_in_a_few_lines(name, graphene, here):
+    (here / "data").symlink_to(graphene.parent)
     names = runpy.run_path(str(FOLDER / "laws" / f"{name}.py"))
     plt.close("all")
-    assert (tmp_path / f"{name}.png").stat().st_size > 5000
+    assert (here / f"{name}.png").stat().st_size > 5000
     if name == "cracks":
         assert names["run"].missing < 2e-3
     elif name == "diffusion":  # no extremes inside
@@ -70,18 +69,16 @@ def test_a_script_finds_its_number(name, number, value):
 @parametrize(
     "name", [pytest.param(n, marks=[slow] * (n == "toughness_from_crack")) for n in COMMANDS]
 )
-def test_a_command_errs_by_no_more(name, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_a_command_errs_by_no_more(name, here, capsys):
     wp.save("model.json", MODEL)
     options, holds = COMMANDS[name]
     assert importlib.import_module(f"examples.{name}").main(options.split()) == 0
     assert holds(json.loads(capsys.readouterr().out))
 
 
-def test_a_law_of_ones_own_goes_through_every_verb(tmp_path, monkeypatch, capsys):
+def test_a_law_of_ones_own_goes_through_every_verb(here, capsys):
     from examples.own_law import Springs
 
-    monkeypatch.chdir(tmp_path)
     runpy.run_path(str(FOLDER / "own_law.py"), run_name="__main__")
     error, proven, still, swung = map(float, capsys.readouterr().out.split())
     law = wp.load("springs.json")
@@ -106,9 +103,8 @@ def test_a_ball_swells_and_a_penny_runs_as_the_textbook_says():
 
 @filterwarnings("ignore")
 @parametrize("name", ["gradients", "own_fields", "crystal"])
-def test_a_notebook_prints_what_it_shows(name, capsys, monkeypatch, tmp_path):
+def test_a_notebook_prints_what_it_shows(name, capsys, here):
     """But for digits, of which the last are the machine's."""
-    monkeypatch.chdir(tmp_path)
     known, digits = {}, re.compile(r"-?\d[\d.e+-]*")
     for cell in of_json(FOLDER / "notebooks" / f"{name}.ipynb")["cells"]:
         if cell["cell_type"] == "code":

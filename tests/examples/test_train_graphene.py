@@ -66,10 +66,9 @@ def test_models_have_the_errors_of_the_record_and_of_the_readme(job):
         assert [float(cell.strip(" *%")) for cell in cells] == approx(found, abs=0.02)
 
 
-def test_the_lines_of_the_readme_run(graphene, tmp_path, monkeypatch, capsys):
-    (tmp_path / "data").mkdir()
-    shutil.copy(graphene, tmp_path / "data" / "graphene_0K.h5")
-    monkeypatch.chdir(tmp_path)
+def test_the_lines_of_the_readme_run(graphene, here, capsys):
+    (here / "data").mkdir()
+    shutil.copy(graphene, here / "data" / "graphene_0K.h5")
     exec(re.search(r"```python\n(.*?)```", README, re.DOTALL)[1], {})
     error, statement = capsys.readouterr().out.split(maxsplit=1)
     assert f"{100 * float(error):.2f}" == re.search(r"This fit errs by (\S+) %", README)[1]

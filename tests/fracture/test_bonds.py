@@ -129,7 +129,7 @@ def test_a_straight_crack_cuts_what_crosses_it_and_one_through_nodes_is_moved_wi
 def test_a_polygon_cuts_what_crosses_it():
     """A triangle, through each bond by the signs of its volumes with the triangle's edges."""
     body = plate(5, 4, 6, horizon=2.0)
-    corners = np.array([(-1.6, 0, -2.3), (1.7, 0, -2.1), (0.2, 0, 2.2)]) @ rotation(0.4, 3).T
+    corners = [(-1.6, 0, -2.3), (1.7, 0, -2.1), (0.2, 0, 2.2)] @ rotation(0.4, 3).T
     a, b, c = corners
     side = lambda p, q, r, s: np.sign(np.linalg.det(np.stack([q - p, r - p, s - p])))
     cut = crossing_bonds(body, corners)

@@ -36,7 +36,7 @@ def made(numbers, amplitude):
     points = square(5)
     thickness = replace(ThicknessField.over(points.x, 2), numbers=np.array(numbers))
     op = sheet_on(points, sheet(), TRUTH, thickness.at(points.x))
-    stretched = points.x @ np.array([[0.25, 0.05], [0.0, 0.2]])
+    stretched = points.x @ [[0.25, 0.05], [0.0, 0.2]]
     edges = np.array([stretched + waves(points, amplitude, seed) for seed in range(3)])
     return Samples(points, op.solve(None, edges).u), thickness
 

@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 import warp_peri as wp
 from tests.support import approx, of_json, parametrize, refused, slow
 from tests.support.sheets import NEAREST, hgo_dictionary, square, waves
+from tests.support.solving import solve
 from tools import make_frames
 from tools.hyperelastic_elements import Elements, finite_elements, quadrilaterals
 from tools.hyperelastic_energies import Family, plane_stress_hgo
@@ -52,7 +53,7 @@ tension = lambda s, c1=C1, c2=C2: 2 * (s - s**-2) * (c1 + c2 / s)
 def fields_of(material, points, bent):
     """Six fields of a sheet that is pulled and bent more and more."""
     edges = [points.x @ bent * (n + 3) / 8 + 0.6 * waves(points, 0.25, n) for n in range(6)]
-    return [wp.solve(material, wp.Dirichlet(points, None, edge)).u for edge in edges]
+    return [solve(material, points, None, edge) for edge in edges]
 
 
 def table(folder, x, fields):
@@ -153,7 +154,7 @@ def test_the_command_finds_families_of_fibres(tmp_path):
     """Of elements: at 20° and 80° within 3°, k1/μ within 10 %; a file for FEBio, and curves."""
     true, out = [Family(np.deg2rad(a), k1, 0.8) for a, k1 in ((20, 1.5), (80, 1.0))], tmp_path / "o"
     mesh = Elements(quadrilaterals(14, 2.6))
-    edge = mesh.x @ np.array([[0.30, 0.05], [0.0, 0.25]]) + waves(SimpleNamespace(x=mesh.x), 0.3, 1)
+    edge = mesh.x @ [[0.30, 0.05], [0.0, 0.25]] + waves(SimpleNamespace(x=mesh.x), 0.3, 1)
     x, given = 0.1 * grid_places((27, 27)), edge.ravel()[mesh.edge]
     how = plane_stress_hgo(1.0, true), mesh.edge, given, x, np.linspace(0.4, 1, 4)
     table(tmp_path, x, stretched(mesh, *how)[0])

@@ -107,7 +107,7 @@ def test_smallest_eigenvalue_is_at_least_the_proven_share_of_the_laplacians(seed
 def printed(v, kappa, mu, k):
     """Of D − 0.02 s, μ Γ − 0.02 s and μ (Γ − 2φφᵗ) the smallest eigenvalue over s, shape [3, K]."""
     found = [smallest(form(CLASSES, k, v, each), k) for each in (kappa, 0.0, -2 / mu)]
-    return np.array(found) - np.array([[0.02], [0.02], [0.0]])
+    return np.array(found) - [[0.02], [0.02], [0.0]]
 
 
 @parametrize("kind", ["direct", "paper"])

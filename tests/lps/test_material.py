@@ -75,7 +75,7 @@ def test_slopes_beside_zero_and_at_the_bounds_and_those_of_the_formula():
 def vanishing():
     """Of a weighted volume of zero."""
     classes = bond_classes(1.0, HORIZON)
-    K = np.array([1, -1, 0, 0, 0, 0]) / (classes.count * classes.r**2 * classes.weight)
+    K = [1, -1, 0, 0, 0, 0] / (classes.count * classes.r**2 * classes.weight)
     return ShapeKernel([classes], InfluenceFunction(lambda r: np.interp(r, LENGTHS, K)))
 
 

@@ -78,23 +78,22 @@ def deep():
 
 @filterwarnings("ignore")  # parsers leave files open
 @parametrize(("name", "parse"), PARSERS)
-def test_no_file_runs_or_passes(name, parse, deep, tmp_path, monkeypatch):
+def test_no_file_runs_or_passes(name, parse, deep, here):
     """Nor a pipe, which would be waited for."""
-    monkeypatch.chdir(tmp_path)
     packers = itertools.cycle(PACKERS.items())
     error = ValueError if parse is read_arrays else InputError
     for n, content in enumerate(HOSTILE):
         for ending, packed in (("", bytes), next(packers)):
-            path = tmp_path / f"{n}{ending}" / (name + ending)
+            path = here / f"{n}{ending}" / (name + ending)
             path.parent.mkdir()
             path.write_bytes(packed(content))
             with pytest.raises(error):
                 parse(path)
-    (tmp_path / "pipe").mkdir()
-    os.mkfifo(tmp_path / "pipe" / name)
+    (here / "pipe").mkdir()
+    os.mkfifo(here / "pipe" / name)
     with pytest.raises(error):
-        parse(tmp_path / "pipe" / name)
-    assert not [*tmp_path.rglob(MARK)]
+        parse(here / "pipe" / name)
+    assert not [*here.rglob(MARK)]
 
 
 @parametrize("name", ["phonopy.yaml", "a.cif", "force.csv", "a.vtu"])

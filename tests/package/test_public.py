@@ -74,10 +74,7 @@ def begun():
 
 @filterwarnings("ignore::UserWarning")
 @parametrize("name", wp.__all__)
-def test_a_docstring_has_arguments_errors_and_an_example_that_runs(
-    name, begun, tmp_path, monkeypatch
-):
-    monkeypatch.chdir(tmp_path)
+def test_a_docstring_has_arguments_errors_and_an_example_that_runs(name, begun, here):
     said = inspect.getdoc(getattr(wp, name))
     example = doctest.DocTestParser().get_doctest(said, begun, name, None, 0)
     assert 1 <= len(example.examples) <= 3

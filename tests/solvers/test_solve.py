@@ -71,7 +71,7 @@ def test_a_constant_load_moves_nothing_on_a_period_that_a_sheet_must_fill():
     crystal = learned(2)
     for law, spacing in ((kernel("1/r", HORIZON), 1.0), (crystal, crystal.spacing)):
         points = Points.sheet((20, 20), spacing)
-        b = 1e-9 * np.array([0.1, -0.37]) * np.ones_like(points.x)
+        b = 1e-9 * np.full_like(points.x, [0.1, -0.37])
         answer = at_rest(law, Periodic(points, b))
         assert_array_equal(answer.u, np.zeros_like(b))
         assert answer.residual == 0

@@ -26,7 +26,7 @@ def reproducing(e):
     """Monomials over r³ of bonds of the unit ball, to degree 5 (8), and their integrals over it."""
     d = e.shape[1]
     powers = [p for p in product(range(6), repeat=d) if 4 - d <= sum(p) <= 5]
-    rows = np.array([(e**p).prod(1) for p in powers]) / np.linalg.norm(e, axis=1) ** 3
+    rows = [(e**p).prod(1) for p in powers] / np.linalg.norm(e, axis=1) ** 3
     return rows, np.array([moment(p) for p in powers])
 
 

@@ -48,6 +48,6 @@ def waves(points, amplitude=0.1, seed=0):
     extent = np.ptp(points.x, axis=0).max()
     u = np.zeros_like(points.x)
     for k in ((1, 0), (0, 1), (1, 1), (2, -1)):
-        phase = 2 * np.pi * (points.x @ np.array(k) / extent + random.random())
+        phase = 2 * np.pi * (points.x @ k / extent + random.random())
         u += np.sin(phase)[:, None] * random.normal(size=2) / np.hypot(*k)
     return amplitude * extent / (4 * np.pi) * u

@@ -29,7 +29,7 @@ def waves(seed, size, constants, bent=0.0):
     small = (H + H.swapaxes(-1, -2)) / 2
     P = LAM * np.trace(small, axis1=-2, axis2=-1)[..., None, None] * np.eye(2) + 2 * MU * small
     if constants is not None:
-        P = P + np.tensordot(constants, np.array(_stresses(H, 1.0 + 0j, 1)), 1)
+        P = P + np.tensordot(constants, _stresses(H, 1.0 + 0j, 1), 1)
     div = np.einsum("sxykl,xyl->sxyk", np.fft.fft2(P, axes=(1, 2)), 1j * K)
     b = -np.fft.ifft2(div * (1 - bent * (K**2).sum(2))[..., None], axes=(1, 2)).real
     return Samples(everywhere(x, box=(SIDE,) * 2, axis=0.0), u, b.reshape(u.shape))
