@@ -22,6 +22,7 @@ from warp_peri.points.arguments import (
     is_piece,
     is_tensor,
     offered,
+    picked,
     taken,
     typed,
 )
@@ -66,7 +67,7 @@ class Dirichlet:
 
     def solved(self, material: Any, solver: Any, options: Options) -> Solution:
         """Solve for the material at rest."""
-        extra = {"parameters": options.pop("parameters")} if "parameters" in options else {}
+        extra = picked(options, "parameters")
         check_collar(nodes := nodes_of(self.points))
         operator = placed(material, nodes, **options)
         load = self.b
@@ -85,8 +86,7 @@ class Dirichlet:
         tensors, or with `parameters`, it is that of solvers.adjoint.moved. Flow, as of heat, has
         the options of solvers.adjoint.stepped.
         """
-        on = {"transfer", "allow_uncertified"} & options.keys()
-        how = {name: options.pop(name) for name in on}
+        how = picked(options, "transfer", "allow_uncertified")
         operator = placed(material, nodes_of(self.points), **how)
         if hasattr(operator, "march"):
             if "parameters" not in signature(operator.march).parameters:
@@ -121,7 +121,7 @@ class Periodic:
 
     def solved(self, material: Any, solver: Any, options: Options) -> Solution:
         """Solve for the material at rest, with a displacement of zero mean."""
-        extra = {"parameters": options.pop("parameters")} if "parameters" in options else {}
+        extra = picked(options, "parameters")
         operator = placed(material, nodes_of(self.points), **options)
         rest = offered(operator, "solve_periodic", "solve", "a model that solves periodic problems")
         if extra or is_tensor(self.b):

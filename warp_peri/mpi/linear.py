@@ -16,7 +16,7 @@ from warp_peri.materials.crystal import StencilMaterial, crystal_from_lps
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.transfer import model_at
 from warp_peri.mpi.processes import Comm, Slabs, build, halo, in_turn, inner
-from warp_peri.points.arguments import Options, check_same, offered
+from warp_peri.points.arguments import Options, check_same, offered, picked
 from warp_peri.points.points import Points, grid_places
 from warp_peri.runtime import shared_by
 from warp_peri.solvers.linear import VCycle, coarser, largest, prolong, restrict
@@ -155,7 +155,7 @@ def operator_on(material: Any, piece: Subdomain, options: Options) -> Any:
             h, x = piece.spacing, piece.spacing * grid_places((3,) * piece.dimension)
             material.fitting(Points(x, x[:, 0] == h, h, units=piece.units, axis=piece.axis))
     if isinstance(model := material, LPSMaterial):
-        how = {n: options.pop(n) for n in ("transfer", "allow_uncertified") if n in options}
+        how = picked(options, "transfer", "allow_uncertified")
         if not model.is_certified_on(piece.spacing):
             material = in_turn(piece.comm, lambda: model_at(model, piece.spacing, **how))
         with shared_by(piece.comm):

@@ -418,6 +418,11 @@ def taken(
     return tuple(check_arguments(taker, its) for taker, its in zip(takers, found))
 
 
+def picked(options: Options, *names: str) -> Options:
+    """Those of the options that have these names, taken out of them."""
+    return {name: options.pop(name) for name in names if name in options}
+
+
 Options: TypeAlias = Values
 """Options of a call, by name."""
 Pair: TypeAlias = tuple[np.ndarray, np.ndarray]
