@@ -100,6 +100,7 @@ def test_columns_and_their_units_are_what_a_header_says_behind_a_comment_too(tmp
         ("#v,y,u,x,x_def", "vyux.", 4 * [1], "angstrom", {}),
         ("x [mm],y [mm],u [um],v [um]", "xyuv", (1, 1, 1e-3, 1e-3), "mm", {}),
         ("x_mm,y_mm,u_um,v_um", "xyuv", (1, 1, 1e-3, 1e-3), "mm", {}),
+        ("x [mm],y,u [um],v", "xyuv", (1, 1, 1e-3, 1e-3), "mm", {}),
         ("x,y,u,v\ninch,inch,um,um", "xyuv", (25.4, 25.4, 1e-3, 1e-3), "mm", {}),
         ("x,y,u,v", "xyuv", 4 * [3], "um", {"pixel": "3um"}),
         ("x [px],y [px],u [mm],v [mm]", "xyuv", (0.5, 0.5, 1, 1), "mm", {"pixel": "0.5mm"}),
@@ -128,6 +129,7 @@ def test_columns_that_contradict_each_other_are_refused(tmp_path, frame_of):
         "a.csv: x, y, u, v: expected finite values, got 1e.300": ("x,y,u,v", "xyu!"),
         "a.csv: .* expected each point once": ("x,y,u,v", "__uv"),
         "pixel: expected a length > 0, with a unit of ang": ("x,y,u,v", "xyuv", "0.5 inch"),
+        "or none, got ''": ("x,y,u,v", "xyuv", ""),
     })  # fmt: skip
     assert_refused({
         "one displacement for each point":

@@ -204,8 +204,9 @@ def test_dumps_become_sets_of_one_file(sheet, tmp_path, capsys):
         assert f"{name}: expected --{name} of the sheet" in said
     assert not out.exists()
     first = answer(capsys, *words, "--density", 2300, "--thickness", 3.1)
+    assert answer(capsys, *words) == first  # the sheet is the file's
     words[words.index(tmp_path / "f.npz")] = tmp_path / "f.csv"
-    answer(capsys, *words, "--set", "b.c")  # the sheet is the file's
+    answer(capsys, *words, "--set", "b.c")
     data = load_dataset(out)
     assert (data.density, data.thickness, sorted(data)) == (2300, 3.1, ["b.c", "train"])
     line = ["coarse-grain", f"@{tmp_path}/own.b%2Ec.coarse-grain.txt"]  # b.c of own, not c of own.b

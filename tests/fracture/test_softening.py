@@ -108,3 +108,8 @@ def test_a_pull_has_the_gradient_of_differences(monkeypatch):
     how = {"loads": [1.0], "line": LINE, "parameters": {"stretch": leaf}}
     run = simulate(solid, replace(problem, u=0 * problem.u), **how)
     assert not grad(run["force"].sum(), leaf)[0]
+    slopes, how["parameters"] = [], {"softness": leaf}
+    for law in (BondLaw(4.0), BondLaw(4.0, 1e6, 0.1)):  # neither of which fails
+        run = simulate(SofteningMaterial(MODEL, law), problem, **how)
+        slopes += grad(run["force"].sum(), leaf)
+    assert slopes[0] == slopes[1] != 0

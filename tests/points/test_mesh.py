@@ -293,7 +293,7 @@ def test_sets_of_nodes_and_of_lines_of_abaqus_are_parts(tmp_path):
     assert found == {"low": 2, "right": 1, "two": 2, "Left": 1, "top": 2, REST: 0}
     for name, axis, value in (("low", 1, 0), ("Left", 0, 0), ("right", 0, 6), ("top", 1, 2)):
         assert_allclose(mesh.x[mesh.faces[mesh.parts[name]]].mean(1)[:, axis], value)
-    tetra = "*NODE\n1, 0, 0, 0\n2, 2, 0, 0\n3, 0, 3, 0\n4, 0, 0, 1\n*NSET, NSET=low\n1, 2, 3\n"
+    tetra = "*NODE\n1, 0, 0, 0\n2, 2, 0,\n3, , 3, 0\n4, , , 1\n*NSET, NSET=low\n1, 2, 3\n"
     mesh = abaqus(tmp_path, tetra + "*ELEMENT, TYPE=C3D4\n1, 1, 2, 3, 4\n")
     assert size(mesh) == approx(1)
     assert_array_equal(mesh.x[mesh.faces[mesh.parts["low"]]][..., 2], 0)

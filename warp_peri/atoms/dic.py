@@ -257,7 +257,7 @@ def length_of(pixel: float | str) -> tuple[float, str | None]:
     unit = {"µm": "um", "μm": "um", "Å": "angstrom"}.get(name, name) or None
     with suppress(ValueError):
         size = float(number or 1.0)
-        if 0 < size < np.inf and (unit is None or unit in LENGTHS):
+        if 0 < size < np.inf and (unit is None or unit in LENGTHS) and pixel != "":
             return size, unit
     raise InputError(
         f"pixel: expected a length > 0, with a unit of {', '.join(LENGTHS)} or none, got {pixel!r}"

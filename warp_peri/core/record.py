@@ -437,6 +437,7 @@ def taken(key: str, hint: Any, value: Any, says: FieldUnits = PLAIN, *, read: bo
         if issubclass(hint, Record):
             return within(key, hint.from_dict, value)
         return within(key, _part, hint, dict(taken(key, dict, value)))
+    value = int(value) if hint is int and isinstance(value, np.integer) else value
     if hint is Any or (isinstance(value, hint) and not (hint is int and isinstance(value, bool))):
         return value
     words = WORDS.get(hint, f"{hint.__name__}(…)")

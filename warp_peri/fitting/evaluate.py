@@ -25,6 +25,7 @@ from warp_peri.points.arguments import (
     Options,
     Pair,
     Share,
+    checked,
     offered,
     typed,
     typed_methods,
@@ -218,7 +219,7 @@ class BootstrapResult:
     def deviation(self, quantity: Callable[[Any], np.ndarray | float]) -> np.ndarray:
         """Standard deviation of a quantity of the material, in its shape: half of what lies between
         16 and 84 % of the draws, so that one poorly determined law does not widen it."""
-        values = np.array([quantity(material) for material in self.materials])
+        values = checked("quantity", [quantity(material) for material in self.materials])
         low, high = np.quantile(values, ONE_DEVIATION, axis=0)
         return np.asarray(np.sqrt(self.loads / (self.loads - 1)) * (high - low) / 2)
 
@@ -228,7 +229,7 @@ class BootstrapResult:
         """Lower and upper end of the band that holds a quantity with probability `level` (else
         InputError), about the material of all loads, by Student's distribution of the loads."""
         half = stdtrit(self.loads - 1, (1 + level) / 2) * self.deviation(quantity)
-        middle = np.asarray(quantity(material))
+        middle = checked("quantity", quantity(material))
         return middle - half, middle + half
 
 

@@ -225,8 +225,9 @@ class Placed(OperatorBase):
 
     def stress(self, u: Any) -> np.ndarray:
         """First Piola–Kirchhoff stress at interior nodes, [..., I, 2, 2], ½ Σ t M ⊗ ξ (NO13)."""
+        fields = self._taken(u)
         with torch.no_grad():
-            pull = self._pull(*self.tension(self._taken(u)))
+            pull = self._pull(*self.tension(fields))
             stress = torch.einsum("sibx,by->sixy", pull, torch.as_tensor(self.xi, dtype=pull.dtype))
         size = self.points.spacing**2 / 2
         return in_shape_of(u, size * stress.double().numpy())

@@ -179,7 +179,7 @@ def _add(geometry: Any, outline: Outline, size: float, by: float, *, inside: boo
         centre = tuple(by * np.asarray(outline.centre, float))
         geometry.AddCircle(c=centre, r=by * outline.radius, bc=outline.name, **sides)
         return
-    names = outline.names if len(outline.names) > 1 else outline.names * len(outline.corners)
+    names = [*outline.names] * (1 if len(outline.names) > 1 else len(outline.corners))
     left = (outline.area > 0) == inside
     sides = {"leftdomain": int(left), "rightdomain": int(not left), "maxh": maxh}
     numbers = [geometry.AppendPoint(*one) for one in by * np.asarray(outline.corners, float)]

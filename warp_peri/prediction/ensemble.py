@@ -448,6 +448,10 @@ def calibrated(
     return replace(bare, factors=factors, record=record)
 
 
+DETERMINED = 1e-4
+"""Singular value, over the largest, of constants that data determine; of less rounding does."""
+
+
 def quadratic(family: EnsembleMaterial, samples: Samples) -> tuple[float, ...]:
     """Fit the constants of `second_order` to residuals of the half that has not seen a sample."""
     placed, points = EnsembleOperator(family, samples.points), samples.points
@@ -457,7 +461,8 @@ def quadratic(family: EnsembleMaterial, samples: Samples) -> tuple[float, ...]:
     ]
     grid = grid_of(points, 2 * np.eye(points.dimension, dtype=int))
     rows = second_order(grid, points.spacing, samples.u)
-    return tuple(lstsq(rows.reshape(len(rows), -1).T, np.ravel(left))[0].tolist())
+    A = rows.reshape(len(rows), -1).T
+    return tuple(lstsq(A, np.ravel(left), rcond=DETERMINED)[0].tolist())
 
 
 def _measured(family: EnsembleMaterial, samples: Samples) -> list[Values]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -12,8 +13,17 @@ import torch
 from warp_peri.errors import InputError, hold
 from warp_peri.materials.hyperelastic.energies import KINDS, LEAST, EnergyTerm, Hyperelastic, Strain
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
-from warp_peri.points.arguments import Count, Pair, checked, typed, typed_methods
+from warp_peri.points.arguments import (
+    Bound,
+    Count,
+    NotNegative,
+    Pair,
+    checked,
+    typed,
+    typed_methods,
+)
 
+Part = Annotated[float, Bound("a number from 0 to 1", lambda part: 0 <= part <= 1)]
 LARGEST_EXPONENT = 60.0
 LARGEST_DEGREE = 6
 
@@ -90,7 +100,7 @@ def _energy(term: EnergyTerm, x: float) -> float:
 
 @typed
 def fibre_families(
-    solid: HyperelasticMaterial, *, share: float = 0.02, within: float = 0.0
+    solid: HyperelasticMaterial, *, share: Part = 0.02, within: NotNegative = 0.0
 ) -> tuple[Hyperelastic, np.ndarray]:
     """Reduce a fit on fixed fibre directions to one exponential family per direction, (H15).
 

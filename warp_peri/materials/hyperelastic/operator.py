@@ -25,6 +25,7 @@ from warp_peri.fitting.regression import norms
 from warp_peri.fitting.result import LOUD
 from warp_peri.materials.hyperelastic.energies import Energy, Hyperelastic, Strain
 from warp_peri.materials.hyperelastic.lattice import SMALLEST_AREA, SheetLattice, Sites, softest
+from warp_peri.points import arguments
 from warp_peri.points.arguments import USUAL, Numbers, Units, checked, plain, shown_moduli, symbols
 from warp_peri.points.points import PointsLike, Samples, seen_of
 from warp_peri.runtime import one_thread
@@ -214,7 +215,7 @@ class HyperelasticSheetOperator(Swept):
     def folds(self, u: np.ndarray) -> float:
         """Number of energy corners at interior nodes that a field [N, 2] turns over, unseen by
         functions of C; infinite where the nodal strain folds, its det C below SMALLEST_AREA."""
-        Y, e = self.lattice.stretched(u[None])
+        Y, e = self.lattice.stretched(self._one(u)[None])
         if not Strain(self.lattice.sites().seen(e)).area.min() > SMALLEST_AREA:
             return np.inf
         sides = [(s.S @ Y[..., 0]).reshape(3, -1, 2) for s, _ in self.active if s.corner]
@@ -284,10 +285,15 @@ class HyperelasticSheetOperator(Swept):
         """Transposed tangent, which is symmetric, times w, on all nodes [..., N, 2]."""
         return self._product(u, self.on_all(w))
 
+    def _one(self, u: Any) -> np.ndarray:
+        """One field [N, 2], which may have run away; InputError for others."""
+        arguments.check_shape("u", field := plain("u", u), self.shape)
+        return field
+
     def interior_tangent(self, u: np.ndarray) -> sp.csr_array:
         """Tangent between interior nodes at a field (H10), sparse [2 I, 2 I]."""
         with torch.inference_mode(False), one_thread(3 * len(self.points.x) < FEW):
-            Y, tension, curves = self._curved(plain("u", u)[None])
+            Y, tension, curves = self._curved(self._one(u)[None])
         if not curves:
             raise InputError("coefficients: expected one other than 0")
         inner, both = self.lattice.ends[self.interior], zip(Y[..., 0].T, np.eye(2)[:, None])
@@ -305,7 +311,7 @@ class HyperelasticSheetOperator(Swept):
     def smallest_eigenvalue(self, u: np.ndarray) -> float:
         """Smallest eigenvalue of the tangent between interior nodes at u [stress / length²]; where
         not factorised a number of that sign, no larger if positive."""
-        size = 2 * len(self.interior)
+        size, u = 2 * len(self.interior), checked("u", u, float, self.shape)
         if self.rough is None:
             if inverse := self.factors(u)[0]:
                 return softest(size, inverse, 1e-3)
