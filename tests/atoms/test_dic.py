@@ -98,7 +98,6 @@ def test_columns_and_their_units_are_what_a_header_says_behind_a_comment_too(tmp
         ("coor.X [mm],coor.Y [mm],disp.Horizontal Displacement U [mm],"
          "disp.Vertical Displacement V [mm]", "xyuv", 4 * [1], "mm", {}),
         ("#v,y,u,x,x_def", "vyux.", 4 * [1], "angstrom", {}),
-        ("x [mm],y [mm],u [um],v [um]", "xyuv", (1, 1, 1e-3, 1e-3), "mm", {}),
         ("x_mm,y_mm,u_um,v_um", "xyuv", (1, 1, 1e-3, 1e-3), "mm", {}),
         ("x [mm],y,u [um],v", "xyuv", (1, 1, 1e-3, 1e-3), "mm", {}),
         ("x,y,u,v\ninch,inch,um,um", "xyuv", (25.4, 25.4, 1e-3, 1e-3), "mm", {}),

@@ -21,7 +21,7 @@ from warp_peri.points.dataset import in_units
 from warp_peri.points.families import largest_strain
 from warp_peri.points.points import _said
 from warp_peri.prediction import CalibrationFactors, Ensemble, EnsembleMaterial, EnsembleOperator
-from warp_peri.prediction.ensemble import BEYOND, ErrorSpectrum, pulled, spectrum_of
+from warp_peri.prediction.ensemble import BEYOND, ErrorSpectrum, pulled, quadratic, spectrum_of
 
 pytestmark = filterwarnings("ignore:(strain|transferred):UserWarning")
 HORIZON, APART = 3.0, 0.02
@@ -291,6 +291,9 @@ def test_a_linear_family_tells_what_is_not_linear(family, linear_family):
         assert 0.8 < answer.parts["strain"] / missed < 2
         told = placed.bent(answer.u)
         assert np.vdot(told, even) > 0.7 * norm(told) * norm(even)
+    u = 0.1 * np.cos(seen.x @ np.arange(10).reshape(2, 5) / 30).T[..., None] * noise(seen, 5)[:, :1]
+    rounded = [replace(seen, u=u.astype(kind), b=0 * u) for kind in ("f8", "f4")]  # det ∇u = 0
+    near(*(np.array(quadratic(learned, one)) for one in rounded), 1e-3)
     unknown = replace(learned, quadratic=())  # an older file
     answer = wp.predict(unknown, wp.Dirichlet(seen.points, seen.b[0], seen.u[0]), None)
     assert any("nothing in the ensemble tells" in one for one in answer.uncovered)
