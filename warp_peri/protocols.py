@@ -148,12 +148,9 @@ class OperatorBase(Remade):
 
     def jvp(self, u: Any, v: Any) -> np.ndarray:
         """Derivative of the force at u along v, [..., I, d]; the force of v if linear."""
-        return self.force(self.along(u, v))
-
-    def along(self, u: Any, v: Any) -> np.ndarray:
-        """Fields v of the shape of the fields u; InputError for others."""
-        self.check(u := plain("u", u))
-        return checked("v, along u", plain("v", v), float, u.shape, False)
+        if u is not None:
+            self.check(plain("u", u))
+        return self.force(v)
 
     def rhs(self, b: Any) -> np.ndarray:
         """Right-hand side: b on the interior nodes, [..., I, d]."""

@@ -89,14 +89,15 @@ def test_parameters_are_found_again(name, loss):
 def test_what_torch_does_not_see_of_a_parameter_has_no_gradient(told):
     """Refused where the force changes with it; zero where it does not."""
     points, of = box(9, 2, 0.5), partial(wp.DensityMaterial.of, horizon=0.5, parameters={"a": 0.0})
-    u = 0.02 * noise(points)
+    u, taken = 0.02 * noise(points), partial(torch.as_tensor, dtype=torch.float64)
 
     def slope(energy):
         module = wp.TorchModule(of(energy), points)
         module(torch.from_numpy(u)).square().sum().backward()
         return module.a.grad
 
-    hidden, seen = (lambda E, a: blatz_ko(E, MU + told(a))), (lambda E, a: blatz_ko(E, a.exp()))
+    hidden = lambda E, a: blatz_ko(E, MU + told(taken(a)))
+    seen = lambda E, a: blatz_ko(E, taken(a).exp())
     assert_refused({"the energy does not differentiate 'a'": lambda: slope(hidden)})
     assert slope(seen) > 0 == slope(lambda E, a: blatz_ko(E, a + MU if E.max() > 9 else MU))
     samples = loaded(of(hidden, parameters={"a": 0.2}).on(points), u[None])

@@ -252,12 +252,12 @@ def read_dic_frame(path: StrPath, *, pixel: float | str = 1.0) -> DICFrame:
 
 def length_of(pixel: float | str) -> tuple[float, str | None]:
     """Parse a length with its unit, as 0.012, "0.012mm", "0.5 um" or "mm"; the unit may be None."""
-    found = re.fullmatch(r"([-+.\deE]*)\s*(.*)", str(pixel))
-    number, name = found.groups() if found and isinstance(pixel, str) else (str(pixel), "")
+    found = re.fullmatch(r"([-+.\deE]*)\s*(.*)", text := str(pixel).strip())
+    number, name = found.groups() if found and isinstance(pixel, str) else (text, "")
     unit = {"µm": "um", "μm": "um", "Å": "angstrom"}.get(name, name) or None
     with suppress(ValueError):
         size = float(number or 1.0)
-        if 0 < size < np.inf and (unit is None or unit in LENGTHS) and pixel != "":
+        if 0 < size < np.inf and (unit is None or unit in LENGTHS) and text:
             return size, unit
     raise InputError(
         f"pixel: expected a length > 0, with a unit of {', '.join(LENGTHS)} or none, got {pixel!r}"

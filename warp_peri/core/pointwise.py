@@ -122,9 +122,7 @@ class Pointwise(Swept):
 
     def _energies(self, E: Any, **other: Any) -> torch.Tensor:
         """Energy density W of strains [d, d, ...], with other numbers where some are given."""
-        numbers = self.learnable | other
-        made = {n: torch.as_tensor(one, dtype=torch.float64) for n, one in numbers.items()}
-        return self.density(torch.as_tensor(E).movedim((0, 1), (-2, -1)), **made)
+        return self.density(torch.as_tensor(E).movedim((0, 1), (-2, -1)), **self.learnable | other)
 
     @torch.inference_mode(False)
     def _slopes(self, E: np.ndarray, *along: np.ndarray) -> list[np.ndarray]:
@@ -191,7 +189,7 @@ class Pointwise(Swept):
             def slope(number: Any, graph: bool = False) -> torch.Tensor:
                 return grad(self._energies(E, **{name: number}).sum(), E, create_graph=graph)[0]
 
-            with suppress(RuntimeError):  # of NumPy, and where nothing is in the graph
+            with suppress(RuntimeError, TypeError):  # of what takes no tensor, or is in no graph
                 (by,) = grad(slope(one, True), one, along, allow_unused=True)
                 if by is not None:
                     return by.numpy()

@@ -32,7 +32,7 @@ from warp_peri.files.atomic import check_hdf5, locked, parsed, whole_hdf5
 
 HELD = "__self__", "__func__", "fget", "code"
 """What methods, properties and what torch compiled hold that is no attribute."""
-BY_TEXT = {"eval", "exec", "getattr", "globals", "vars"}
+BY_TEXT = {"attrgetter", "eval", "exec", "getattr", "globals", "hasattr", "vars"}
 """By what code reads a name that it has as text."""
 COPIED = "__reduce__", "__reduce_ex__", "__getstate__"
 """By what an object says how it is copied."""

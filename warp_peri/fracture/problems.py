@@ -448,11 +448,11 @@ def crack_opening_volume(solution: Solution, normal: Sequence[float] | None = No
     Each broken bond of one spacing along an axis is a column of what opens along that: along all,
     or along the `normal` of cracks alone. Raises InputError unless that is along an axis.
     """
-    volume, u = 0.0, solution.u
-    for axis in np.eye(solution.operator.points.dimension) if normal is None else [normal]:
+    volume, u, d = 0.0, solution.u, solution.u.shape[-1]
+    for axis in (np.eye(1, d, a)[0] for a in range(d)) if normal is None else [normal]:
         node, far, along = _columns(solution, axis)
         volume += ((u[far] - u[node]) @ along).sum()
-    return float(volume * solution.operator.body.spacing ** (u.shape[1] - 1))
+    return float(volume * solution.operator.body.spacing ** (d - 1))
 
 
 def _columns(solution: Solution, normal: ArrayLike | None) -> tuple[np.ndarray, ...]:

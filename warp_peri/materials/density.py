@@ -64,7 +64,8 @@ class DensityMaterial(Record, format="warp_peri.density"):
         parameters: numbers of the energy, by name, in the units that it was written for.
         dimension: 2 or 3.
         name: of the energy's function.
-        energy: W(E, **parameters) of tensors, E the Green strain [..., d, d]. It is in no file.
+        energy: W(E, **parameters), E the Green strain [..., d, d]. It is in no file, and no tensor
+            that it holds may have a gradient.
         scale: that the energy is of [stress]: 1 in the units that it was written for, which other
             units change while `parameters` stay.
         units: names of the units of length and stress.

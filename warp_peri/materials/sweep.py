@@ -151,8 +151,10 @@ def _check_sets(sets: dict[str, Samples], horizons: Sequence[float]) -> None:
     """Raise InputError for sets without loads and a horizon that a set's nodes do not carry; those
     of another lattice than that of the fit have a transfer's own."""
     for one in (sets["train"], sets["val"]):
-        if not one.loads[:, one.interior].any():
-            raise InputError("train, val: expected loads inside, by which errors are divided")
+        if not (one.loads[:, one.interior].any() and one.u[:, one.interior].any()):
+            raise InputError(
+                "train, val: expected loads inside, and u, by which errors are divided"
+            )
     for horizon, one in itertools.product(horizons, sets.values()):
         if one.spacing == sets["train"].spacing:
             within(f"horizon {horizon:g}", families_of, one, horizon)

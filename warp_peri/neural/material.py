@@ -5,8 +5,9 @@ from __future__ import annotations
 import base64
 import copy
 import itertools
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,6 @@ from warp_peri.files import atomic
 from warp_peri.neural.placed import Placed
 from warp_peri.neural.training import NeuralFit, TrainingSettings, train
 from warp_peri.points.arguments import (
-    LENGTHS,
     USUAL,
     Natural,
     Positive,
@@ -33,7 +33,6 @@ from warp_peri.points.arguments import (
     symbols,
     typed,
 )
-from warp_peri.points.dataset import in_units
 from warp_peri.points.points import PointsLike, Samples, nodes_of
 
 
@@ -164,23 +163,30 @@ class NeuralOperator(Shown, torch.nn.Module):
         progress: bool = True,
     ) -> NeuralFit:
         """Train a copy of these networks; arguments and errors as of training.train."""
-        for one in (samples, validation):
-            check_same(self.units, one.points.units)
-        known = self.units[0] in LENGTHS and samples.b is not None
-        work = USUAL if known else self.units  # in which float32 holds the squares of loads
-        sets = in_units(samples, work), in_units(validation, work)
-        material, how = self.in_units(work), training or TrainingSettings()
-        history = train(material, *sets, how, checkpoint=checkpoint, progress=progress)
-        return NeuralFit(material.in_units(self.units), history)
+        material, size, sets = copy.deepcopy(self), 1.0, (samples, validation)
+        for one in sets:
+            check_same(self.units, one.units)
+        seen, other = sets
+        if samples.b is not None and validation.b is not None:  # by a power of two, for float32
+            largest = np.abs(samples.b[:, samples.interior]).max(initial=0.0)
+            size = math.ldexp(1.0, math.frexp(largest)[1])
+            seen, other = (replace(one, b=one.loads / size) for one in sets)
+        how: Any = {"checkpoint": checkpoint, "progress": progress}
+        history = train(material, seen, other, training or TrainingSettings(), **how)
+        material.scale *= size
+        return NeuralFit(material._precise(), history)
+
+    def _precise(self) -> NeuralOperator:
+        """Itself, in float64 where forces and slopes would go beyond float32, as in metres."""
+        return self.double() if self.scale > LARGEST_SCALE * self.horizon else self
 
     def in_units(self, units: Units) -> NeuralOperator:
-        """Convert the material to other units; weights become float64 where forces and slopes would
-        go beyond float32, as in metres."""
+        """Convert the material to other units, in float64 where float32 would not hold forces."""
         length, stress = factors(self.units, units)
         other = copy.deepcopy(self)
         other.units, other.horizon = check_units(units), self.horizon * length
         other.scale = self.scale * stress / length**3
-        return other.double() if other.scale > LARGEST_SCALE * other.horizon else other
+        return other._precise()
 
     def content(self) -> Values:
         """Content of the material's file without the weights; InputError for networks of other

@@ -18,7 +18,7 @@ from warp_peri.core.torch_bridge import on_fields
 from warp_peri.errors import InputError, Values
 from warp_peri.fitting.evaluate import errors_of
 from warp_peri.fitting.regression import norms
-from warp_peri.points.arguments import plain, typed
+from warp_peri.points.arguments import check_shape, plain, typed
 from warp_peri.points.families import families_of
 from warp_peri.points.points import PointsLike, Samples, nodes_of
 from warp_peri.protocols import OperatorBase
@@ -118,7 +118,9 @@ class Placed(OperatorBase):
         if points.outside is not None:
             raise InputError("points: expected none outside of the body")
         if self.dtype not in SMALL:
-            raise InputError(f"networks: expected weights of float32 or 64, got {self.dtype}")
+            raise InputError(
+                f"networks: expected weights of float32 or 64, got {self.dtype}; .double()"
+            )
         families = families_of(points, material.horizon)
         self.points, self.kind = nodes_of(points), families.classes.bond_class
         self.xi, self.whole = families.pattern, families.whole
@@ -182,8 +184,10 @@ class Placed(OperatorBase):
 
     def jvp(self, u: Any, v: Any) -> np.ndarray:
         """Derivative of the force at u along v, both [N, 2] or [S, N, 2]."""
-        pairs = zip(self._taken(u), self._taken(self.along(u, v)))
-        found = [self.tangent(field) @ one.double().numpy().ravel() for field, one in pairs]
+        fields, along = self._taken(u), self._taken(v)
+        check_shape("v, along u", along, fields.shape)
+        pairs = zip(fields, along.double().numpy().reshape(len(along), -1))
+        found = [self.tangent(field) @ one for field, one in pairs]
         return np.reshape(found, (*np.shape(v)[:-2], -1, 2))
 
     def vjp(self, u: Any, w: Any) -> np.ndarray:

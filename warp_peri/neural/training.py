@@ -257,7 +257,7 @@ class _Run:
         if isinstance(learned, _Loads):
             self.material.scale = 1.0
             with torch.no_grad():
-                size = float(interpolated_force(learned.placed, learned.u[:FIRST]).norm())
+                size = float(interpolated_force(learned.placed, learned.u[:FIRST]).double().norm())
             self.material.scale = float(learned.b[:FIRST].norm()) / size if size > 0 else before
 
     def epoch(self) -> float:

@@ -125,8 +125,8 @@ class TimeSeriesWriter:
         known = re.match(re.escape(PVD) + r"<!-- (\d{1,8}) (\w+) -->\n", text)
         if text and not (mark and known and known[2] == mark(int(known[1]))):
             raise InputError(
-                f"{pvd}: is there, or records beside it, of another motion or program, or of more "
-                "steps; name another folder"
+                f"{pvd}: is there, or records beside it, of another motion, program or run, or of "
+                "more steps; name another folder"
             )
         self.mark, self.claimed = mark, True
 
