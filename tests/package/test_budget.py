@@ -16,12 +16,12 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_971,
-    "tokens": 234_289,
-    "lines of warp_peri": 30_584,
+    "code lines": 18_970,
+    "tokens": 234_278,
+    "lines of warp_peri": 30_583,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
-    "lines of warp_peri, kernels, examples and tools": 42_772,
+    "lines of warp_peri, kernels, examples and tools": 42_771,
     "lines of the longest file": 539,
     "lines of the longest function": 60,
     "parameters of one function": 10,
@@ -32,17 +32,17 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2383,
+    "atoms": 2384,
     "cli": 833,
     "core": 1609,
     "face": 1094,
     "fe_coupling": 692,
-    "files": 484,
+    "files": 485,
     "fitting": 1046,
     "fracture": 1406,
-    "materials": 4558,
-    "neural": 604,
-    "points": 1726,
+    "materials": 4556,
+    "neural": 601,
+    "points": 1728,
     "prediction": 592,
     "mpi": 432,
     "solvers": 1512,

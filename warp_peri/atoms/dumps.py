@@ -339,12 +339,13 @@ def mean_displacement(
     without one, and too few frames.
     """
     reference = checked("reference", reference, shape=("A", 2))
+    ids = None if ids is None else plain("ids", ids)
     total, frames = np.zeros_like(reference), 0
     for frame in iter_dump(path):
         x = frame.x
         if x.shape != reference.shape:
             raise InputError(f"{path}: expected {len(reference)} atoms, got {len(x)}")
-        if ids is not None and not np.array_equal(frame.ids, plain("ids", ids)):
+        if ids is not None and not np.array_equal(frame.ids, ids):
             raise InputError(f"{path}: expected the ids of the reference's atoms, got others")
         if box is not None:
             check_box(path, box, frame.box, 1e-5)

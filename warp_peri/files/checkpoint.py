@@ -228,7 +228,8 @@ def _read_by(function: FunctionType) -> Values:
                 if step.opname == "IMPORT_NAME":
                     with suppress(Exception):
                         imported[step.argval] = import_module(step.argval)
-        loaded |= texts if loaded & BY_TEXT else set()
+        if loaded & BY_TEXT:
+            loaded |= texts
     for place, (space, wanted) in enumerate(spaces):
         for name in sorted(wanted & space.keys()):
             one = space[name]

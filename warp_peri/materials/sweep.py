@@ -152,9 +152,7 @@ def _check_sets(sets: dict[str, Samples], horizons: Sequence[float]) -> None:
     of another lattice than that of the fit have a transfer's own."""
     for one in (sets["train"], sets["val"]):
         if not (one.loads[:, one.interior].any() and one.u[:, one.interior].any()):
-            raise InputError(
-                "train, val: expected loads inside, and u, by which errors are divided"
-            )
+            raise InputError("train, val: expected loads inside and u: errors are divided by them")
     for horizon, one in itertools.product(horizons, sets.values()):
         if one.spacing == sets["train"].spacing:
             within(f"horizon {horizon:g}", families_of, one, horizon)

@@ -163,14 +163,11 @@ class NeuralOperator(Shown, torch.nn.Module):
         progress: bool = True,
     ) -> NeuralFit:
         """Train a copy of these networks; arguments and errors as of training.train."""
-        material, size, sets = copy.deepcopy(self), 1.0, (samples, validation)
-        for one in sets:
-            check_same(self.units, one.units)
-        seen, other = sets
+        material, size, seen, other = copy.deepcopy(self), 1.0, samples, validation
         if samples.b is not None and validation.b is not None:  # by a power of two, for float32
             largest = np.abs(samples.b[:, samples.interior]).max(initial=0.0)
             size = math.ldexp(1.0, math.frexp(largest)[1])
-            seen, other = (replace(one, b=one.loads / size) for one in sets)
+            seen, other = (replace(one, b=one.loads / size) for one in (samples, validation))
         how: Any = {"checkpoint": checkpoint, "progress": progress}
         history = train(material, seen, other, training or TrainingSettings(), **how)
         material.scale *= size

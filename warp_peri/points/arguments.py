@@ -140,9 +140,10 @@ def is_piece(points: Any) -> bool:
 
 def is_number(value: Any) -> bool:
     """Whether a value is one real number, no tensor whose gradient would be lost."""
-    strange = isinstance(value, (list, tuple)) or getattr(value, "is_meta", False)  # to NumPy
-    lost = getattr(value, "requires_grad", False)
-    found = as_array("number", [] if strange or lost else value)
+    lost = getattr(value, "requires_grad", False) or getattr(value, "is_meta", False)
+    if lost or isinstance(value, (list, tuple)):  # strange to NumPy
+        return False
+    found = as_array("number", value)
     return found.ndim == 0 and found.dtype.kind in "fiu"
 
 
@@ -431,9 +432,10 @@ ArrayMap: TypeAlias = Callable[[np.ndarray], np.ndarray]
 """Arrays made of arrays."""
 LENGTHS = {"angstrom": 1.0, "nm": 10.0, "um": 1e4, "mm": 1e7, "m": 1e10}
 """Units of length [Å]."""
+EV_IN_TPA = 0.1602176634
 STRESSES = {"TPa": 1.0, "GPa": 1e-3, "MPa": 1e-6, "bar": 1e-7, "Pa": 1e-12}
+STRESSES |= {"eV/angstrom^3": EV_IN_TPA}
 """Units of stress [TPa]."""
-EV_IN_TPA = STRESSES["eV/angstrom^3"] = 0.1602176634
 REDUCED = ("sigma", "epsilon/sigma^3")
 """Of Lennard-Jones and other model potentials: no factor leads from them to metres and pascals."""
 SYMBOLS = {"angstrom": "Å", "um": "µm", "eV/angstrom^3": "eV/Å³"}
