@@ -9,11 +9,14 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial, update_wrapper
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
 import torch
 from scipy.interpolate import PchipInterpolator
+from scipy.sparse import eye_array
+from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 import warp_peri as wp
@@ -105,6 +108,10 @@ def wrapped(*given):
     return update_wrapper(partial(above, *given), above)
 
 
+class Gained(SimpleNamespace):
+    content = dict
+
+
 def of_class(law):
     """An object of a data class that holds a law, which no field does."""
     return dataclass(type("Of", (), {"law": law, "__module__": __name__}))()
@@ -151,8 +158,12 @@ def test_materials_settings_functions_and_objects_count_by_what_they_hold():
         (type("B", (bytearray,), {})(b"1"), type("B", (bytearray,), {})(b"2")),
         (lambda *t: t, lambda t: t),
         (lambda **t: t, lambda t: t),
+        (Gained(gain=1.0), Gained(gain=2.0)),
     ):
         differ(*pair)
+    for hidden in (splu(eye_array(2).tocsc()).solve, np.frompyfunc(abs, 1, 1), (n for n in x)):
+        with refused("a checkpoint can tell what they hold, got"):
+            fingerprint(hidden)
     for one, again in (
         (solid, replace(solid, provenance={"seconds": 3.0})),  # a second fit
         (above(0.3), above(0.3)),

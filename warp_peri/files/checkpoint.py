@@ -20,6 +20,7 @@ from importlib import import_module
 from pathlib import Path
 from types import CellType, FunctionType
 from typing import Any, TypeAlias, cast
+from weakref import WeakKeyDictionary
 
 import h5py
 import numpy as np
@@ -38,6 +39,8 @@ COPIED = "__reduce__", "__reduce_ex__", "__getstate__"
 """By what an object says how it is copied."""
 CODE = "code consts names varnames argcount posonlyargcount kwonlyargcount exceptiontable"
 """What code is told by."""
+DRAWN = "matplotlib", "logging"
+"""Packages whose objects change as they draw and log, and decide no number."""
 _OWN = f"{sysconfig.get_path('stdlib')}/", f"{Path(__file__).parents[1]}/"
 HOMES = ("/site-packages/", "/dist-packages/", *_OWN)
 """Parts of paths of installed packages, of Python's own modules and of this library's."""
@@ -108,7 +111,7 @@ def fingerprint(*parts: Any) -> str:
     Arrays count with kind and shape; data classes (points, samples, settings, problems) with all
     their fields; materials with what their file holds; functions with their code and the values
     that it reads; other objects with their attributes; numbers alike whatever type they are of. The
-    version of the library counts, too.
+    version of the library counts, too. InputError for what C keeps to itself, as a factorisation.
     """
     return _digest((__version__, *parts), {}).hex()
 
@@ -172,18 +175,31 @@ def _spelled(part: Any, known: Known) -> Iterator[bytes]:
         held = [(one.name, getattr(part, one.name, None)) for one in dataclasses.fields(part)]
     else:
         yield kind.__name__.encode()
-        held = [_attributes(part), [getattr(part, n, None) for n in HELD if hasattr(kind, n)]]
-        copied = [getattr(kind, n) is getattr(object, n) for n in COPIED]
-        try:  # what C keeps; the rest of what any object is copied by are its attributes
-            held += part.__reduce_ex__(4)[: 2 if all(copied) else None]
-        except Exception:  # of what is not copied: a lock, a generator, a file
-            yield re.sub(r" at 0x[0-9a-fA-F]+", "", repr(part)).encode()
+        if str(kind.__module__).partition(".")[0] not in DRAWN:
+            held = [_attributes(part), [getattr(part, n, None) for n in HELD if hasattr(kind, n)]]
+            held += _copied(part, any(held))
     if hasattr(kind, "state_dict"):  # of networks
         held += [part.state_dict()]
     if users:  # it may be a subclass of any of these
-        held += [kind] if hasattr(kind, "content") else [kind, _attributes(part)]
+        held += [kind, {n: one for n, one in _attributes(part).items() if n not in OF_A_FIT}]
     for one in held:
         yield _digest(one, known)
+
+
+def _copied(part: Any, told: bool) -> Any:
+    """What C keeps of an object: by what it is copied but for its attributes, or else as it prints;
+    InputError where that tells nothing, nor do its attributes."""
+    copied = [getattr(type(part), n) is getattr(object, n) for n in COPIED]
+    try:
+        return part.__reduce_ex__(4)[: 2 if all(copied) else None]
+    except Exception as error:  # of what is not copied: a lock, a file
+        text = re.sub(r" at 0x[0-9a-fA-F]+", "", repr(part))
+        hidden = text != repr(part) and not told and type(part).__module__ != "_thread"
+        if hidden or "(vectorized)" in text:
+            raise InputError(
+                f"expected values of which a checkpoint can tell what they hold, got {text:.60}"
+            ) from error
+        return [text]
 
 
 def _unwrapped(part: Any) -> Any:
@@ -196,6 +212,8 @@ def _unwrapped(part: Any) -> Any:
             return str(part.dtype), part.is_meta or part.to_dense().tolist()
     if isinstance(part, cKDTree):  # whose bytes are not all set
         return part.data, part.boxsize, part.leafsize
+    if isinstance(part, WeakKeyDictionary):  # a cache
+        return None
     if isinstance(part, (np.timedelta64, np.longdouble)):  # more than numbers are told by
         return repr(part)
     return np.asarray(part) if isinstance(part, memoryview) else part
@@ -284,7 +302,7 @@ class RunFile:
     def __init__(self, path: StrPath, kind: str, nodes: Any) -> None:
         self.path, self.kind, self.nodes = Path(path), kind, nodes
 
-    def write(self, nodal: Arrays, values: Mapping[str, Any]) -> None:
+    def write(self, nodal: Arrays, values: Values) -> None:
         """Write arrays [n, ...] on the own nodes, and JSON values; all ranks come here."""
         nodes, comm = self.nodes, self.nodes.comm
         number = None if nodes.number is None else nodes.number[nodes.own]
@@ -330,13 +348,13 @@ class ArrayFile:
     def __init__(self, path: StrPath | None, key: str, other: str) -> None:
         self.path, self.key, self.other = None if path is None else Path(path), key, other
 
-    def write(self, arrays: Mapping[str, Any]) -> None:
+    def write(self, arrays: Values) -> None:
         """Write a checkpoint's arrays, or values that make them."""
         if self.path is not None:
             made = {name: np.asarray(one) for name, one in arrays.items()}
             write_arrays(self.path, made, {"key": self.key, "mark": fingerprint(made)})
 
-    def read(self, like: Mapping[str, Any]) -> dict[str, np.ndarray] | None:
+    def read(self, like: Values) -> dict[str, np.ndarray] | None:
         """Arrays of the checkpoint, which fit others (check_like); None where there is no file yet;
         InputError for a file of another run, and one that is not read."""
         if self.path is None or not self.path.exists():
@@ -353,7 +371,7 @@ class ArrayFile:
         return arrays
 
 
-def check_like(found: Arrays, like: Mapping[str, Any]) -> None:
+def check_like(found: Arrays, like: Arrays) -> None:
     """Raise ValueError, or KeyError, unless arrays are of the names, types and shapes of others,
     rows of what is empty there as many as it has, and without NaN."""
     for name, one in like.items():
@@ -379,7 +397,7 @@ def gathered(comm: Any, arrays: Arrays, own: Any, count: int) -> Values:
     return whole
 
 
-def write_arrays(path: StrPath, arrays: Arrays, attributes: Mapping[str, Any]) -> None:
+def write_arrays(path: StrPath, arrays: Arrays, attributes: Values) -> None:
     """Write an HDF5 file of arrays whole or not at all; InputError where it cannot be written."""
     try:
         with whole_hdf5(path) as file:
