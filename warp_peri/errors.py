@@ -131,8 +131,8 @@ def called(what: str, given: Any, *of: Any, **named: Any) -> Any:
         return given(*of, **named) if callable(given) else given
     except InputError:
         raise
-    except (AttributeError, IndexError, RuntimeError, TypeError, ValueError) as error:
-        raise InputError(f"{what}, got {error}") from error
+    except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as e:
+        raise InputError(f"{what}, got {e}") from e
 
 
 def optional(module: str, without: str) -> Any:

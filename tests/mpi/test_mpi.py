@@ -159,6 +159,8 @@ def test_fields_of_ones_own_go_to_paraview_by_their_names(jobs, folder, tmp_path
     writer.write(1, 0.5, dict(zip("bu", fields(writer.x))))
     for file in tmp_path.iterdir():
         assert file.read_bytes() == (folder / "own" / file.name).read_bytes()
+    TimeSeriesWriter(tmp_path, whole(2).points, resume=True).write(2, 1.0, {})
+    assert (tmp_path / "motion.pvd").read_text().count("record_") == 2
 
 
 def test_ranks_share_the_cells_of_a_proof(jobs):

@@ -40,12 +40,12 @@ ROOMS = {
     "files": 485,
     "fitting": 1046,
     "fracture": 1406,
-    "materials": 4556,
+    "materials": 4560,
     "neural": 601,
     "points": 1728,
     "prediction": 592,
     "mpi": 432,
-    "solvers": 1512,
+    "solvers": 1508,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

@@ -16,7 +16,6 @@ from tools.benchmark import loads, mask_of
 from warp_peri import CG, Direct, Dirichlet, LPSMaterial
 from warp_peri import solve as at_rest
 from warp_peri.materials.lps_operator import LPSOperator
-from warp_peri.solvers.linear import prolong, restrict
 
 HORIZON = 3.0
 linear_of = lambda points, model: LPSOperator(model, points).linear
@@ -62,14 +61,6 @@ def test_filters_are_symmetric_and_positive(kind):
     assert abs(a - b) < 1e-4 * scale  # single precision inside
     assert scale > 0
     assert apply(r).dtype == np.float64
-
-
-@parametrize("shape", [(8, 9), (5, 4, 6)])
-def test_restriction_is_the_transpose_of_interpolation(shape):
-    fine = normal((len(shape), *shape))
-    coarse = normal((len(shape), *(n // 2 for n in shape)), 1)
-    a, b = (restrict(fine) * coarse).sum(), (fine * prolong(coarse, shape)).sum()
-    assert abs(a - b) < 1e-12
 
 
 def test_iterations_do_not_grow_with_the_domain():

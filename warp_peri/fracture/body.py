@@ -80,7 +80,7 @@ def lattice_body(
     to this layer's nodes. Raises InputError for points off the lattice, or given twice.
     """
     x = checked("x", x, float, ("N", "d"))
-    if len(x) == 0 or x.shape[1] not in (2, 3):
+    if not len(x) or x.shape[1] not in (2, 3):
         raise InputError(f"x: expected [N, 2] or [N, 3], N ≥ 1, got {list(x.shape)}")
     classes = bond_classes(spacing, horizon, dimension=x.shape[1])
     grid, axes = straight_steps(x, spacing)

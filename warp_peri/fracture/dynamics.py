@@ -14,14 +14,14 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from warp_peri.errors import InputError, Values, agreed
+from warp_peri.errors import InputError, Values, agreed, called
 from warp_peri.files.checkpoint import AllNodes, Arrays, fingerprint
 from warp_peri.fracture.body import LatticeBody, cracked
 from warp_peri.fracture.bonds import CutOperator, SurfaceCorrection, unit_toughness
 from warp_peri.fracture.materials import BrittleMaterial
 from warp_peri.fracture.statics import by_component, check_no_fail
 from warp_peri.kernels.damage import halves
-from warp_peri.points.arguments import Positive, check_shape, checked, plain
+from warp_peri.points.arguments import Positive, check_nodes, check_shape, checked, plain
 from warp_peri.runtime import floats, launch_slices, zeros
 from warp_peri.solvers.motion import Motion, Recorder
 
@@ -119,8 +119,9 @@ class BreakingBody:
 
     def share(self, time: float) -> float:
         """Share of the loads at a time, by the ramp; InputError where it is no number."""
-        ramp, name = self.ramp, f"ramp at t = {time:g}"
-        return 1.0 if ramp is None else float(checked(name, ramp(time), float, ()))
+        name, ramp = f"ramp at t = {time:g}", 1.0 if self.ramp is None else self.ramp
+        given = called(f"{name}: expected a number", ramp, time)
+        return float(checked(name, given, float, ()))
 
     def start(
         self,
@@ -286,7 +287,8 @@ class CrackRun(Recorder):
             everywhere = nodes.gather(phi)
             with agreed(nodes.comm):
                 for name, function in self.watch.items():
-                    found[name] = plain(f"watch {name}", function(everywhere.copy()))
+                    seen = called(f"watch {name}: expected values", function, everywhere.copy())
+                    found[name] = plain(f"watch {name}", seen)
                     for one in self.history.get(name, [])[:1]:
                         check_shape(f"watch {name}", found[name], np.shape(one))
         return state.time, found, {} if phi is None else {"damage": phi}
@@ -299,16 +301,21 @@ class CrackRun(Recorder):
 
     def times(self, steps: int) -> list[float]:
         """Times of the start and after each of so many steps, as they add up."""
+        check_nodes("steps", (steps,), "steps")
         return np.cumsum([0.0] + steps * [self.dt]).tolist()  # type: ignore[no-any-return]
 
+    def loads(self, steps: int) -> list[float]:
+        """Shares of the loads at these times."""
+        self.shares += map(self.body.share, self.times(steps)[len(self.shares) :])
+        return self.shares[: steps + 1]
+
     def key(self, steps: int) -> dict[str, str]:
-        body, nodes = self.body, self.nodes
+        body, nodes, of = self.body, self.nodes, self.body.operator
         fields = {name: getattr(body, name).numpy() for name in ("load", "held", "grip")}
         fields |= {"nodes": body.body.x, "no_fail": body.no_fail}
-        self.shares += map(body.share, self.times(steps)[len(self.shares) :])
         return {name: nodes.mark(field) for name, field in fields.items()} | {
-            "solid": fingerprint(body.solid, body.operator.limits, body.corrected),
-            "load history": fingerprint(self.shares[: steps + 1]),
+            "solid": fingerprint(of.bonded, of.limits, body.solid.inertia, body.corrected),
+            "load history": fingerprint(self.loads(steps)),
             "step": fingerprint(self.dt),
             "records": self.watched,
         }

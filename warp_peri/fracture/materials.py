@@ -60,7 +60,7 @@ class BrittleMaterial(OnLinear, format="warp_peri.brittle_solid", version=4):
 
     def longest_step(self, spacing: float) -> float:
         """Time step on a lattice that is stable whatever breaks (theory, C9)."""
-        classes = bond_classes(spacing, self.model.horizon, dimension=self.dimension)
+        classes = bond_classes(spacing, self.horizon, dimension=self.dimension)
         return float(2 * np.sqrt(self.inertia / largest_stiffness(self.model, classes)))
 
 
@@ -154,12 +154,9 @@ class SofteningMaterial(OnLinear, format="warp_peri.soft_solid"):
         if self.model.lam != self.model.mu:
             raise InputError("model: expected λ = μ, bonds without a dilatation")
 
-    @property
-    def linear(self) -> LPSMaterial:
-        """Linear solid before anything softens."""
-        return self.model
+    linear = BrittleMaterial.linear
 
     def toughness(self, spacing: float) -> float:
         """Toughness G_c [stress length] of a straight cut on a lattice with this spacing (C18)."""
-        classes = bond_classes(spacing, self.model.horizon, dimension=self.dimension)
+        classes = bond_classes(spacing, self.horizon, dimension=self.dimension)
         return 2 * unit_toughness(self.model, classes) * self.law.spent()

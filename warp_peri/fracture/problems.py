@@ -120,6 +120,7 @@ class Cracked:
         learns = numbers is not None or arguments.is_tensor(b) or arguments.is_tensor(u)
         if not learns:
             u = checked("u", u, float, body.x.shape, self.held)
+            b = checked("b", b, float, body.x.shape)
         if self.pressure is not None:
             pressure = checked("pressure", self.pressure, float, (body.dimension,) * 2)
             if learns:
@@ -128,8 +129,6 @@ class Cracked:
             if learns:
                 b, extra = map(fracture.adjoint.real, ("b", "pressure"), (b, extra))
                 arguments.check_shape("b", b, body.x.shape)
-            else:
-                b = checked("b", b, float, body.x.shape)
             b = b + extra
         solved = cut.solve_torch(b, u, solver, numbers) if learns else cut.solve(b, u, solver)
         return replace(solved, points=self.points)
@@ -158,7 +157,7 @@ class Cracked:
             raise InputError("corrected: expected slow growth, events=…, or steps")
         if "loads" not in options:
             refuse_learning(self, options, "simulate")
-        if "events" in options or "loads" in options:
+        if {"events", "loads"} & options.keys():
             if self.b is not None:
                 raise InputError("b: slow growth and pulls are of given displacements, got a load")
             return self._slowly(material, body, u, options)
@@ -180,8 +179,8 @@ class Cracked:
         return how, begin | {"u": self.u, "cracks": self.cracks}, files | records, run
 
     def _slowly(self, material: Any, body: LatticeBody, u: Any, options: Options) -> Motion:
-        u = u if arguments.is_tensor(u) else checked("u", u, float, body.x.shape, self.held)
         if "events" in options:
+            u = checked("u", u, float, body.x.shape, self.held)
             (how,) = taken(options, "simulate", grow, given=("cracks", "corrected"))
             return grow(material.linear, body, self.held, u, **how, **self._cuts)
         law = offered(material, "law", "simulate", "a SofteningMaterial for loads=…")
@@ -201,7 +200,7 @@ def in_steps(material: Any, body: LatticeBody, options: Any, nodes: Any = None) 
     marching = CrackRun(moving, nodes=nodes, **records)
     if nodes is not None:
         with agreed(nodes.comm):
-            shares = [*map(moving.share, marching.times(run["steps"]))]
+            shares = marching.loads(run["steps"])
         same(nodes.comm, ramp=shares)
     return marching.motion(marching.march(state, **run))
 
@@ -397,10 +396,7 @@ def j_integral(solution: Solution, tip: Sequence[float], radii: tuple[float, flo
     strain = symmetric_part(gradient)
     trace = np.linalg.trace(strain)[..., None, None]
     stress = 2 * model.mu * strain + model.lam * trace * np.eye(d)
-
-    def fall(away: np.ndarray) -> np.ndarray:
-        return np.asarray(np.clip((r2 - away) / (r2 - r1), 0.0, 1.0))
-
+    fall: Any = lambda away: np.clip((r2 - away) / (r2 - r1), 0.0, 1.0)  # noqa: E731
     away, total = np.abs(x[..., axes]), 0.0
     around, along = away[..., :2].max(axis=-1), away[..., 2:].max(axis=-1, initial=0.0)
     pull = np.einsum("...ij,...i->...j", stress, gradient[..., axes[0]])
@@ -449,7 +445,7 @@ def crack_opening_volume(solution: Solution, normal: Sequence[float] | None = No
     or along the `normal` of cracks alone. Raises InputError unless that is along an axis.
     """
     volume, u, d = 0.0, solution.u, solution.u.shape[-1]
-    for axis in (np.eye(1, d, a)[0] for a in range(d)) if normal is None else [normal]:
+    for axis in np.eye(d) if normal is None else [normal]:
         node, far, along = _columns(solution, axis)
         volume += ((u[far] - u[node]) @ along).sum()
     return float(volume * solution.operator.body.spacing ** (d - 1))

@@ -365,8 +365,7 @@ def _westergaard(x: np.ndarray, half: float, lam: float, mu: float) -> np.ndarra
 
 def cut_by_spacing(classes: BondClasses) -> int:
     """Number of bonds that a straight crack cuts as it grows by a spacing."""
-    up = classes.steps[:, 1]
-    return int(up[up > 0].sum())
+    return int(classes.steps[:, 1].clip(0).sum())
 
 
 def spent(growth: Motion, classes: BondClasses, *, tips: int) -> float:

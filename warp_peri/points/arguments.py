@@ -170,10 +170,10 @@ def check_whole(name: str, value: Any, least: int) -> int:
     return int(value)
 
 
-def check_nodes(name: str, sides: Any) -> None:
+def check_nodes(name: str, sides: Any, of: str = "nodes") -> None:
     """Raise InputError for a lattice of more nodes than fit into memory, along its sides."""
     if not (count := math.prod(map(float, sides))) <= MOST_NODES:
-        raise InputError(f"{name}: expected at most {MOST_NODES} nodes, got {count:.3g}")
+        raise InputError(f"{name}: expected at most {MOST_NODES} {of}, got {count:.3g}")
 
 
 def check_flag(name: str, value: Any) -> None:

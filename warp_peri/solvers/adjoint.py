@@ -32,7 +32,7 @@ import scipy.sparse as sp
 import torch
 
 from warp_peri.core.torch_bridge import as_tensor, by_numbers, once, real, with_numbers
-from warp_peri.errors import InputError, Values
+from warp_peri.errors import InputError, Values, called
 from warp_peri.points import arguments
 from warp_peri.points.arguments import (
     Natural,
@@ -78,7 +78,8 @@ def moved(
         raise InputError(f"simulate: expected no {', '.join(sorted(files))} of tensors")
     operator, numbers = with_numbers(operator, parameters or {})
     zero, sizes = 0 * as_tensor("u", u), {"every": 1} | sizes
-    pulse = np.ones(max(int(sizes["steps"]), 0) + 1) if signal is None else signal
+    arguments.check_nodes("steps", (sizes["steps"],), "steps")
+    pulse = np.ones(sizes["steps"] + 1) if signal is None else signal
     given: list[Any] = [*(zero if field is None else field for field in (u, v, b)), pulse]
     given = [*map(real, ("u", "v", "b", "signal"), given), *numbers.values()]
     waves = _Waves(
@@ -198,13 +199,12 @@ def stepped(
     fields = [start]
     given = np.zeros(start.shape) if b is None else b, u if collar is None else collar
     for name, field in zip(("b", "collar"), given):
-        called = callable(field) and not isinstance(field, type)
-        each = list(map(field, times[1:])) if called else [field]
-        tensors += each
-        each = [real(name, one) for one in each or [start]]
-        for one in each:
-            arguments.check_shape(name, one, start.shape)
-        fields.append(torch.stack(each).expand(steps, *each[0].shape))
+        each = []
+        for time in times[steps > 0 :] if callable(field) else times[:1]:
+            tensors.append(called(f"{name}: expected a field at t = {time:g}", field, time))
+            each.append(real(name, tensors[-1]).clone())  # the function may fill one array
+            arguments.check_shape(name, each[-1], start.shape)
+        fields.append(torch.stack(each).expand(steps, *start.shape))
     flow = Implicit(operator, step, list(numbers))
     (found,) = once(flow.there, flow.back, *fields, *numbers.values())
     found = found if any(map(is_tensor, tensors)) else found.numpy()

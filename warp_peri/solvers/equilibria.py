@@ -246,10 +246,8 @@ def anderson(
 ) -> tuple[np.ndarray, float]:
     """Iterate u ← u + correction(left(u)), `left` the relative residual, mixing the last steps (D.
     G. Anderson, 1965). Returns the field of the smallest residual, and its norm."""
-    u, best = start, (start, np.inf)
-    steps: list[np.ndarray] = []
-    fields: list[np.ndarray] = []
-    waited = 0
+    u, best, waited = start, (start, np.inf), 0
+    steps, fields = list[np.ndarray](), list[np.ndarray]()
     for _ in range(MOST_STEPS):
         residual = left(u)
         size = HERE.norm(residual)

@@ -161,11 +161,8 @@ class Linear:
         if method not in self._filters:
             stencil, h2 = self.stencil, self.stencil.spacing**2
             args = self.grid, stencil.steps, stencil.tensors * h2
-            if method in ("sine", "multigrid"):
-                make = sine if method == "sine" else multigrid
-                inner = make(*args, stencil.elastic)
-            else:
-                inner = torus_inverse(*args)
+            make = {"sine": sine, "multigrid": multigrid}.get(method)
+            inner = make(*args, stencil.elastic) if make else torus_inverse(*args)
             edge = edge_elimination(self.grid, stencil) if method == "strip" else None
 
             def apply(r: np.ndarray) -> np.ndarray:

@@ -68,7 +68,7 @@ class Motion(Shown):
     @property
     def missing(self) -> float:
         """Largest relative part of the work that the energy ledger does not account for."""
-        if len(self.time) == 0:
+        if not len(self.time):
             raise InputError("motion: expected a run of some steps, nothing has been recorded")
         work, parts = self["work"], ("kinetic", "elastic", "dissipated")
         missing = np.abs(work - sum(self[name] for name in parts))
@@ -94,6 +94,8 @@ class Motion(Shown):
 
 PVD, END = '<VTKFile type="Collection"><Collection>', "</Collection></VTKFile>\n"
 """How `motion.pvd` begins and ends."""
+RECORD = r'<DataSet .*file="record_(\d+)\.vtu"/>'
+"""Line of a record, with its step."""
 NAME = r"""[^<&"\0-\x1f\ud800-\udfff\ufffe\uffff]+"""
 """Of a field in XML, which nothing escapes."""
 
@@ -106,15 +108,18 @@ class TimeSeriesWriter:
         folder: for the files; made if it is not there.
         nodes: those of this process, as AllNodes, mpi.Subdomain or Points.
         x: their positions, shape [n, d], where the nodes have none themselves.
+        resume: go on after the records that a writer of one's own has left there.
     """
 
-    def __init__(self, folder: StrPath, nodes: Any, x: np.ndarray | None = None) -> None:
+    def __init__(
+        self, folder: StrPath, nodes: Any, x: np.ndarray | None = None, *, resume: bool = False
+    ) -> None:
         meshio_of()
+        arguments.check_flag("resume", resume)
         self.path, self.x = Path(folder, "motion.pvd"), nodes.x if x is None else x
         self.nodes = nodes if hasattr(nodes, "comm") else AllNodes(len(self.x))
-        self.times: dict[str, float] = {}
         self.mark: Callable[[int], str] | None = None
-        self.claimed = False
+        self.claimed, self.resume, self.dropped = False, resume, -1
 
     def claim(self, mark: Callable[[int], str] | None = None) -> None:
         """Take the folder for a motion, of which `mark` tells what so many steps depend on;
@@ -123,17 +128,19 @@ class TimeSeriesWriter:
         there = "another's" * any(pvd.parent.glob("record_*.vtu"))
         text = self.nodes.comm.bcast(pvd.read_text(errors="replace") if pvd.is_file() else there)
         known = re.match(re.escape(PVD) + r"<!-- (\d{1,8}) (\w+) -->\n", text)
-        if text and not (mark and known and known[2] == mark(int(known[1]))):
+        own = self.resume and text.startswith(f"{PVD}\n")
+        if text and not (known[2] == mark(int(known[1])) if mark and known else own):
             raise InputError(
                 f"{pvd}: is there, or records beside it, of another motion, program or run, or of "
-                "more steps; name another folder"
+                "more steps; name another folder, or resume=True for a writer of your own"
             )
         self.mark, self.claimed = mark, True
 
     def write(self, step: Natural, time: float, fields: Mapping[str, np.ndarray]) -> None:
-        """Write one record of the motion; vectors in the plane get a third component. InputError,
-        on all ranks, for other fields than [n] or [n, d] of the own nodes, or than other ranks'."""
-        nodes, times, found = self.nodes, self.times, dict[str, Any]()
+        """Write one record of the motion, after which later ones are none; vectors in the plane get
+        a third component. InputError, on all ranks, for other fields than [n] or [n, d] of the own
+        nodes, or than other ranks'."""
+        nodes, found = self.nodes, dict[str, Any]()
         with agreed(nodes.comm):
             given = {"step": step, "time": time, "fields": fields}
             step, time, fields = arguments.check_arguments(TimeSeriesWriter.write, given).values()
@@ -145,18 +152,18 @@ class TimeSeriesWriter:
         same(nodes.comm, step=step, time=time, fields={n: one[:0] for n, one in found.items()})
         if not self.claimed:
             self.claim()
-        times[name := f"record_{step:08d}.vtu"] = float(time)
         whole = gathered(nodes.comm, {"": self.x, **found}, nodes.number, nodes.count)
         head = PVD if self.mark is None else f"{PVD}<!-- {step} {self.mark(step)} -->"
         with agreed(nodes.comm):
             if nodes.comm.rank == 0:
-                pvd, x = self.path, whole.pop("")
+                pvd, x, name = self.path, whole.pop(""), f"record_{step:08d}.vtu"
                 if not pvd.exists():  # or a record of a job that is killed here is nobody's
                     write_text(pvd, f"{head}\n{END}")
                 write_vtu(pvd.parent / name, x, ("vertex", np.arange(len(x))[:, None]), whole)
-                kept = {n: t for n, t in times.items() if (pvd.parent / n).exists()}
-                lines = [f'<DataSet timestep="{t!r}" file="{n}"/>' for n, t in kept.items()]
-                write_text(pvd, "\n".join([head, *lines, END]))
+                before = re.finditer(RECORD, pvd.read_text())
+                lines = [one[0] for one in before if self.dropped != int(one[1]) < step]
+                line = f'<DataSet timestep="{float(time)!r}" file="{name}"/>'
+                write_text(pvd, "\n".join([head, *lines, line, END]))
 
 
 class Recorder:
@@ -239,10 +246,9 @@ class Recorder:
                 if self.file and (last or (due and len(self.history["time"]) % self.often == 0)):
                     arrays = {name: one[own] for name, one in self.nodal(state).items()}
                     history = {name: np.array(rows).tolist() for name, rows in self.history.items()}
-                    times = {} if self.series is None else self.series.times
                     key = self.key(state.steps) | {"start": self.start}
-                    content = {"steps": state.steps, "key": key, "history": history}
-                    self.file.write(arrays, content | {"files": times, "bent": self.bent})
+                    content = {"history": history, "bent": self.bent}
+                    self.file.write(arrays, {"steps": state.steps, "key": key} | content)
         return state
 
     def recorded(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -256,12 +262,12 @@ class Recorder:
             return state
         arrays, content = kept
         check_mapping(str(file.path), content)
-        for name in ("key", "history", "files"):
+        for name in ("key", "history"):
             check_mapping(f"{file.path}: {name}", content.get(name))
         taken = arguments.check_whole(f"{file.path}: steps", content.get("steps"), 0)
-        rows = content["history"] | {"files": [*content["files"].values()]}
-        counts = [plain(f"{file.path}: {name}", one).shape[:1] for name, one in rows.items()]
-        if not {*self.history} <= {*rows} or len({*counts[:-1]}) > 1 or () in counts:
+        rows = content["history"]
+        counts = {plain(f"{file.path}: {name}", one).shape[:1] for name, one in rows.items()}
+        if not {*self.history} <= {*rows} or len(counts) > 1 or () in counts:
             raise InputError(f"{file.path}: expected histories of as many records, by name")
         _check(taken, steps)
         key = self.key(taken) | {"start": self.start}
@@ -271,14 +277,12 @@ class Recorder:
                 f"{', '.join(differ)}"
             )
         if self.ends and taken < steps and (taken - self.phase) % self.every:  # it is no end now
-            for one in content["history"].values():
+            for one in rows.values():
                 del one[-1:]
-            if content["files"]:
-                content["files"].popitem()
-        self.history = content["history"]
+            if self.series is not None:
+                self.series.dropped = taken
+        self.history = rows
         self.bent = float(plain(f"{file.path}: bent", content.get("bent")))
-        if self.series is not None:
-            self.series.times = content["files"]
         return self.restored(state, arrays, taken)
 
 
@@ -309,7 +313,7 @@ LEARNS = {
 def asks_for_gradient(given: Any) -> bool:
     """Whether values, mappings or sequences hold a tensor that asks for a gradient."""
     if isinstance(given, Mapping):
-        return any(map(asks_for_gradient, given.values()))
+        given = [*given.values()]
     if isinstance(given, list | tuple):
         return any(map(asks_for_gradient, given))
     return arguments.is_tensor(given) and bool(given.requires_grad)

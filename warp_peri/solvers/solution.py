@@ -156,7 +156,9 @@ class Solution(Shown):
         u = self._values.astype(float)
         inside = self.points.interior
         held = np.where(inside if u.shape[-1] == len(inside) else inside[:, None], 0.0, u)
-        left, right = (_sizes(self.load - self.operator(f), len(self.load)) for f in (u, held))
+        rows = len(self.load) if self.load.ndim == 3 else 1
+        off = (self.load - self.operator(one) for one in (u, held))
+        left, right = (norm(np.reshape(one, (rows, -1)), axis=1) for one in off)
         return float(np.max(np.divide(left, right, out=np.zeros_like(left), where=right > 0)))
 
     def stress(self) -> np.ndarray:
@@ -260,11 +262,6 @@ def by_sample(
     counts = tuple(one.iterations for one in records)
     of = operator.points, operator, load, method, counts, proven
     return Solution(u, *of, details=tuple(records), measured=measured)
-
-
-def _sizes(values: np.ndarray, count: int) -> np.ndarray:
-    flat = np.reshape(values, (count if np.ndim(values) == 3 else 1, -1))
-    return np.asarray(norm(flat, axis=1))
 
 
 BEYOND = 2.0

@@ -112,12 +112,12 @@ class MatrixProblem:
         *,
         factorise: Callable[[sp.csc_array], Any] = factorised,
     ) -> None:
-        self.unknown = np.repeat(interior.ravel(), L.shape[1] // interior.size)
+        self.components, self.sizes = L.shape[1] // interior.size, abs(L)
+        self.unknown = np.repeat(interior.ravel(), self.components)
         self.factorise, self.left = factorise, 0.0
         self.nodes = np.count_nonzero(interior.reshape(len(interior), -1).any(axis=1))
         self.stiffness = sp.csc_array(L[:, self.unknown])
         self.collar = sp.csr_array(L[:, ~self.unknown])
-        self.components, self.sizes = L.shape[1] // interior.size, abs(L)
 
     @cached_property
     def factors(self) -> Balanced:

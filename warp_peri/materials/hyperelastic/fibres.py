@@ -15,15 +15,16 @@ from warp_peri.materials.hyperelastic.energies import KINDS, LEAST, EnergyTerm, 
 from warp_peri.materials.hyperelastic.operator import HyperelasticMaterial
 from warp_peri.points.arguments import (
     Bound,
-    Count,
     NotNegative,
     Pair,
+    check_whole,
     checked,
     typed,
     typed_methods,
 )
 
 Part = Annotated[float, Bound("a number from 0 to 1", lambda part: 0 <= part <= 1)]
+Directions = Annotated[int, Bound("1 to 10 000 directions", lambda count: 1 <= count <= 10_000)]
 LARGEST_EXPONENT = 60.0
 LARGEST_DEGREE = 6
 
@@ -48,9 +49,10 @@ class ThicknessField:
     numbers: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        if self.degree not in range(1, LARGEST_DEGREE + 1) or self.degree is True:
-            raise InputError(f"degree: expected 1 to {LARGEST_DEGREE}, got {self.degree!r}")
-        if not np.size(self.numbers):
+        hold(self, degree=check_whole("degree", self.degree, 1))
+        if self.degree > LARGEST_DEGREE:
+            raise InputError(f"degree: expected 1 to {LARGEST_DEGREE}, got {self.degree}")
+        if not checked("numbers", self.numbers).size:
             hold(self, numbers=np.zeros(len(self.names)))
         for name, count in (("centre", 2), ("half", 2), ("numbers", len(self.names))):
             hold(self, **{name: checked(name, getattr(self, name), shape=(count,))})
@@ -60,7 +62,9 @@ class ThicknessField:
     @classmethod
     def over(cls, x: np.ndarray, degree: int) -> ThicknessField:
         """A uniform thickness whose coordinates go from −1 to 1 over the nodes x, shape [N, 2]."""
-        low, high = np.min(x, axis=0), np.max(x, axis=0)
+        if not len(x := checked("x", x, float, ("N", 2))):
+            raise InputError("x: expected nodes of a sheet, got none")
+        low, high = x.min(axis=0), x.max(axis=0)
         return cls(degree, (low + high) / 2, (high - low) / 2)
 
     @property
@@ -87,7 +91,7 @@ class ThicknessField:
 
 
 @typed
-def fibre_fan(count: Count, powers: Sequence[float] = (2.0, 3.0, 4.0)) -> list[EnergyTerm]:
+def fibre_fan(count: Directions, powers: Sequence[float] = (2.0, 3.0, 4.0)) -> list[EnergyTerm]:
     """Fibre energies ⟨I4 − 1⟩^p/p in evenly spread directions."""
     return [EnergyTerm("fibre_power", np.pi * n / count, p) for n in range(count) for p in powers]
 
