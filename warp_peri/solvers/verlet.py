@@ -272,7 +272,7 @@ class WaveRun(Recorder):
         body, of, points = self.body, self.body.operator, self.body.operator.points
         d, h = points.dimension, points.spacing
         felt = of(SMALL * h * np.sin(points.x @ PROBE[:d, :d] / h))  # all of a linear law
-        known = None if getattr(of, "is_linear", True) else of.model, body.inertia
+        known = None if getattr(of, "is_linear", False) else of.model, body.inertia
         return str(self.nodes.mark(body.on_all(felt), points.x, body.interior)) + fingerprint(known)
 
     def key(self, steps: int) -> dict[str, str]:
