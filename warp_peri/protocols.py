@@ -277,8 +277,8 @@ def check_collar(points: Any) -> None:
         )
 
 
-OF_PROOFS = {"transfer", "allow_uncertified"}
-"""Options of solids that are proven on lattices and transferred to others."""
+OF_PROOFS = {"transfer": True, "allow_uncertified": False}
+"""Options, as they usually are, of solids that are proven on lattices and transferred to others."""
 
 
 def placed(
@@ -313,10 +313,11 @@ def placed(
     on = offered(material, by, verb, kinds)
     known = signature(on).parameters
     open_ended = any(one.kind is one.VAR_KEYWORD for one in known.values())
-    if not open_ended and (unknown := options.keys() - known.keys()):
-        for name in OF_PROOFS & unknown:  # where nothing is transferred, nor has to be certified
-            check_flag(name, options.pop(name))
-        if others := sorted(unknown - OF_PROOFS):
-            what = type(material).__name__
-            raise InputError(f"{verb}: {', '.join(others)}: not among the options of a {what}")
+    unknown = {*options} - {*known}
+    for name in unknown.intersection(OF_PROOFS):
+        check_flag(name, options[name])
+        if not open_ended or options[name] == OF_PROOFS[name]:
+            del options[name]  # where nothing is transferred, nor has to be certified
+    if not open_ended and (others := ", ".join(sorted(unknown.difference(OF_PROOFS)))):
+        raise InputError(f"{verb}: {others}: not among the options of a {type(material).__name__}")
     return on(points, **check_arguments(on, options))

@@ -22,7 +22,6 @@ from warp_peri.fitting.regression import norms, sizes
 from warp_peri.points.arguments import (
     Bound,
     Natural,
-    Options,
     Pair,
     Share,
     checked,
@@ -79,9 +78,8 @@ def evaluate(
         samples = samples.obvious()
     if len(samples) == 0:
         raise InputError("the set has no samples to evaluate")
-    options: Options = {} if transfer else {"transfer": False}  # not of every law
-    options |= {"allow_uncertified": True} if allow_uncertified else {}
-    operator = placed(material, samples.points, verb="evaluate", **options)
+    proofs: Any = {"transfer": transfer, "allow_uncertified": allow_uncertified}
+    operator = placed(material, samples.points, verb="evaluate", **proofs)
     offered(operator, "jvp", "evaluate", "a material whose fields are displacements")
     if hasattr(operator, "errors"):  # a law whose samples may fail one by one
         return operator.errors(samples)  # type: ignore[no-any-return]

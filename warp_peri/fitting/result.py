@@ -92,14 +92,11 @@ def check_noise(noise: Samples, points: Samples) -> None:
     if len(noise) == 0:
         raise InputError("noise: expected at least one field, got none")
     mine, its = points.points, noise.points
-    if its.units != mine.units:
-        raise InputError(
-            f"units: expected the same for all sets, got {its.units} of noise and {mine.units}"
-        )
     near = its.x.shape == mine.x.shape and np.allclose(its.x, mine.x, 0, 1e-6 * mine.spacing)
-    if not (near and np.array_equal(its.interior, mine.interior)):
+    if its.units != mine.units or not (near and np.array_equal(its.interior, mine.interior)):
         raise InputError(
-            f"noise: expected the {len(mine.x)} nodes of the training set, got {len(its.x)} others"
+            f"noise: expected the {len(mine.x)} nodes of the training set in units {mine.units}, "
+            f"got {len(its.x)} others in {its.units}"
         )
 
 
@@ -115,7 +112,6 @@ def left_by(material: Any, samples: Samples, verb: str) -> tuple[Any, np.ndarray
     if not b.any():
         raise InputError("samples: expected loads on their interior, got none")
     free = callable(known) or hasattr(law, "linear")
-    loose: Any = {"allow_uncertified": True} if free else {}
-    operator = placed(material, samples.points, verb=verb, **loose)
+    operator = placed(material, samples.points, verb=verb, allow_uncertified=free)
     left = b - operator(samples.u)
     return operator, left, float(norm(left) / norm(b))

@@ -316,8 +316,10 @@ def _rows(shape: tuple[int, ...]) -> int:
     return rows
 
 
-NODAL = "points", "b", "u", "free", "v", "no_fail", "grip", "record"
+NODAL = "points", "b", "u", "free", "v", "no_fail", "grip"
 """Of what is given to a verb those that each rank has for its own nodes."""
+LOCAL = "record", "progress"
+"""Those that any rank may have or not: no other waits for them."""
 
 
 def alike(material: Any, problem: Any, options: Mapping[str, Any]) -> None:
@@ -327,10 +329,9 @@ def alike(material: Any, problem: Any, options: Mapping[str, Any]) -> None:
         if not which:
             raise InputError("points: expected a piece as it was made, got a copy with other parts")
         asked = {f.name: getattr(problem, f.name) for f in fields(problem)} | dict(options)
-        given = {name: asked.pop(name, None) for name in NODAL}
-        there = [n for n, one in given.items() if one is not None and n != "record"]
+        given = {name: asked.pop(name, None) for name in (*NODAL, *LOCAL)}
+        there = [name for name in NODAL if given[name] is not None]
         stacked = [as_array(n, given[n]).shape[:-2] for n in ("b", "u") if n in there]
     kind = type(problem).__name__
     asked |= {"points": which, "material": material, "problem": (kind, stacked, there)}
-    asked.pop("progress", None)  # it decides nothing
     same(comm, **asked)
