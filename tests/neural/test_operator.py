@@ -94,17 +94,6 @@ def test_any_strain_has_a_force():
         assert np.isfinite(placed(points.x @ F.T + u * F.any() - points.x)).all()
 
 
-def test_a_finer_lattice_has_the_same_response():
-    """The operator is an integral: sums over lattices differ by what enters and leaves the ball."""
-    material, forces = small(), []
-    for n in (2, 4):
-        points = lattice(1, HORIZON, 1.0 / n)
-        x = points.x - points.x[points.interior]
-        u = 0.02 * np.stack([np.sin(x[:, 0] + 0.3), np.cos(0.7 * x[:, 1] + 0.2)], axis=1)
-        forces.append(material.on(points)(u)[0])
-    assert norm(forces[0] - forces[1]) < 0.05 * norm(forces[1])
-
-
 def test_gradients_to_the_force_state_with_interpolation():
     """The grid moves with its own values, which no gradient sees: not to the influence function."""
     points, material = lattice(2, HORIZON), small("anisotropic")
@@ -143,7 +132,6 @@ def test_files_that_are_not_believed(tmp_path, monkeypatch):
         "base64-encoded": {"weights": weights | {first: weights[first][:-3]}},
         "KeyError": {"weights": {}},
         "finite": {"weights": weights | {first: nan}},
-        "precision|tuple": {"precision": "object"},
     }.items():
         changed = content | change
         path.write_text(json.dumps(changed | {"sha256": content_hash(changed)}))
@@ -164,14 +152,17 @@ def test_files_that_are_not_believed(tmp_path, monkeypatch):
 
 
 def test_shipped_networks_are_read_and_written_alike(tmp_path):
-    """Of any scale and strain, in two systems of units."""
+    """Of any scale and strain, in two systems of units; half of their digits are kept."""
     shipped = sorted(WEIGHTS.glob("*.json.xz"))
     assert len(shipped) == 5
     for path in shipped:
         kept = lzma.decompress(path.read_bytes())
         (tmp_path / "kept.json").write_bytes(kept)
-        wp.load(tmp_path / "kept.json").half().save(tmp_path / "m.json")
-        assert of_json(tmp_path / "m.json") == json.loads(kept)
+        (found := wp.load(tmp_path / "kept.json")).save(tmp_path / "m.json")
+        again, given = wp.load(tmp_path / "m.json"), json.loads(kept)["weights"]
+        assert again.content() == found.content()
+        for key, part in again.state_dict().items():
+            near(part.ravel(), np.frombuffer(base64.b64decode(given[key]), "<f2"), 0)
 
 
 def test_numbers_points_and_fields_that_are_refused():
@@ -179,11 +170,12 @@ def test_numbers_points_and_fields_that_are_refused():
     placed, u = small().on(points), random_field(points)
     cube = everywhere(grid_places((3, 3, 3)).astype(float))
     assert_refused({
-        "influence": lambda: NeuralOperator(HORIZON, (3,)),
-        "state": lambda: NeuralOperator(HORIZON, state=(3, 0)),
         "lattice": lambda: small().on(replace(points, spacing=0.0)),
+        "two": (lambda: NeuralOperator(3.0, (0, 3)), lambda: NeuralOperator(3.0, state=())),
         "expected a plane, got 3 dimensions": lambda: small().on(cube),
-        "expected shape": lambda: placed.solve(np.stack([u, u]), u),
+        r"w, on u: expected shape \[1, 9, 2\], got \[2": lambda: placed.vjp(u, np.ones((2, 9, 2))),
+        "u, one field: expected": lambda: placed.interior_tangent(np.stack([u, u])),
+        "or of float64, got {torch.float16}": small().half,
     })  # fmt: skip
 
 
@@ -307,6 +299,9 @@ def test_checkpoints_of_other_trainings(tmp_path):
     resumed = partial(train, checkpoint=path, progress=False)
     resumed(student(), **given)
     resumed(student(), **given | {"val": replace(loads(1), arrays={"unread": loads(1).u})})
+    student().float().save(tmp_path / "start.json")
+    for start in (student().float(), wp.load(tmp_path / "start.json")):  # of the same precision
+        resumed(start, **given, checkpoint=tmp_path / "float.ckpt")
     moved, scaled, frozen = loads(0), student(), student()
     frozen.influence.requires_grad_(False)
     moved = replace(moved, points=replace(moved.points, x=moved.x + 1.0))

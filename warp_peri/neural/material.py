@@ -19,7 +19,7 @@ from warp_peri.core import record
 from warp_peri.core.record import Length
 from warp_peri.errors import InputError, Rows, Shown, StrPath, Values
 from warp_peri.files import atomic
-from warp_peri.neural.placed import Placed
+from warp_peri.neural.placed import Placed, check_precision
 from warp_peri.neural.training import NeuralFit, TrainingSettings, train
 from warp_peri.points.arguments import (
     USUAL,
@@ -73,9 +73,9 @@ class NeuralOperator(Shown, torch.nn.Module):
         widths: of both networks' hidden layers.
         provenance: how the weights were learned.
 
-    Weights are float32 until `.double()` is called, and forces are computed in their precision.
-    Raises InputError for an invalid horizon, strain or widths; training and saving do for networks
-    that were replaced by others, which a file cannot tell.
+    Weights are float32 until `.double()` is called; forces and files have their precision. Raises
+    InputError for an invalid horizon, strain or widths, and other precisions; training and saving
+    do for networks that were replaced by others, which a file cannot tell.
     """
 
     dimension = 2
@@ -93,21 +93,22 @@ class NeuralOperator(Shown, torch.nn.Module):
         seed: Natural = 0,
     ) -> None:
         super().__init__()
+        self.widths: dict[str, tuple[int, ...]] = {}
         for name, widths in ("influence", influence), ("state", state):
             fine = (is_positive(w) and w % 1 == 0 and w <= WIDEST for w in widths)
             if len(widths) != 2 or not all(fine):
                 raise InputError(
                     f"{name}: expected two whole numbers from 1 to {WIDEST}, got {widths!r:.60}"
                 )
+            self.widths[name] = tuple(map(int, widths))
         self.horizon, self.strain, self.units = float(horizon), float(strain), check_units(units)
         self.anisotropic, self.proportional = bool(anisotropic), bool(proportional)
         self.scale = 1.0
         self.provenance: Values = {}
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            self.influence = network(2 if anisotropic else 1, *map(int, influence), 1)
-            self.state = network(4, *map(int, state), 1)
-        self.widths = {"influence": tuple(map(int, influence)), "state": tuple(map(int, state))}
+            self.influence = network(2 if anisotropic else 1, *self.widths["influence"], 1)
+            self.state = network(4, *self.widths["state"], 1)
         if proportional:  # near springs, so that the first equilibria exist
             torch.nn.init.ones_(next(reversed(list(self.state.parameters()))))
         self._described = self._kinds_and_shapes()
@@ -115,6 +116,10 @@ class NeuralOperator(Shown, torch.nn.Module):
     def _kinds_and_shapes(self) -> Any:
         """Kinds of its modules, and shapes of their weights by name."""
         return [*map(type, self.modules())], {k: w.shape for k, w in self.state_dict().items()}
+
+    def _apply(self, fn: Any, *how: Any) -> Any:
+        check_precision({fn(torch.empty(0)).dtype})  # before any weight is converted
+        return super()._apply(fn, *how)  # type: ignore[no-untyped-call]
 
     def omega(self, xi: torch.Tensor) -> torch.Tensor:
         """Influence function ω of bonds ξ [length], [n, 2], shape [n]: (NO1) or (NO2)."""
@@ -168,8 +173,8 @@ class NeuralOperator(Shown, torch.nn.Module):
             largest = np.abs(samples.b[:, samples.interior]).max(initial=0.0)
             size = math.ldexp(1.0, math.frexp(largest)[1])
             seen, other = (replace(one, b=one.loads / size) for one in (samples, validation))
-        how: Any = {"checkpoint": checkpoint, "progress": progress}
-        history = train(material, seen, other, training or TrainingSettings(), **how)
+        given = material, seen, other, training or TrainingSettings()
+        history = train(*given, checkpoint=checkpoint, progress=progress)
         material.scale *= size
         return NeuralFit(material._precise(), history)
 
@@ -187,13 +192,10 @@ class NeuralOperator(Shown, torch.nn.Module):
 
     def content(self) -> Values:
         """Content of the material's file without the weights; InputError for networks of other
-        kinds or shapes than it describes, and for other weights than PRECISIONS of one kind."""
+        kinds or shapes than it describes, and for weights of other or several precisions."""
         if self._kinds_and_shapes() != self._described:
             raise InputError("networks: expected linear layers of their widths with ReLU between")
-        kinds = {f"{part.dtype}".removeprefix("torch.") for part in self.parameters()}
-        if len(kinds) > 1 or not kinds <= {*PRECISIONS}:
-            wanted, got = ", ".join(PRECISIONS), ", ".join(sorted(kinds))
-            raise InputError(f"networks: expected weights of one of {wanted}, got {got}")
+        check_precision({part.dtype for part in self.parameters()})
         return self.widths | {name: getattr(self, name) for name in SAID}
 
     def numbers(self) -> int:
@@ -216,7 +218,8 @@ class NeuralOperator(Shown, torch.nn.Module):
 
 SAID = "horizon", "anisotropic", "proportional", "strain", "units", "scale", "provenance"
 """Of an operator that its file says, beside widths and weights."""
-PRECISIONS = "float16", "float32", "float64"
+PRECISIONS = {"float16": "<f2", "float32": "<f4", "float64": "<f8"}
+"""Of weights in files; the first, of few bytes, are read as float64."""
 FITS = atomic.LARGEST * 3 // 4 - 2**16
 """Bytes of weights whose file is read again."""
 
@@ -242,18 +245,16 @@ class NeuralFile(record.Record, format="warp_peri.neural", version=2):
         make = partial(NeuralOperator, **{name: getattr(self, name) for name in names})
         with torch.device("meta"):  # where networks take no memory
             shapes = make().state_dict()
-        if self.precision not in PRECISIONS:
-            raise InputError(f"precision: expected one of {PRECISIONS}, got {self.precision!r}")
-        dtype, read = np.dtype(self.precision).newbyteorder("<"), base64.b64decode
         try:
+            kind = PRECISIONS[self.precision]
             weights = {
-                key: np.frombuffer(read(self.weights[key]), dtype).reshape(part.shape)
+                key: np.frombuffer(base64.b64decode(self.weights[key]), kind).reshape(part.shape)
                 for key, part in shapes.items()
             }
         except (KeyError, TypeError, ValueError, OSError, AttributeError) as error:
             raise InputError(f"not a readable neural operator ({error!r:.400})") from None
         _check_finite(weights)
-        material = make().double()
+        material = make() if self.precision == "float32" else make().double()
         material.scale, material.provenance = self.scale, self.provenance
         material.load_state_dict({k: torch.as_tensor(v.astype(float)) for k, v in weights.items()})
         return material

@@ -117,10 +117,7 @@ class Placed(OperatorBase):
             raise InputError(f"points: expected a plane, got {points.x.shape[1]} dimensions")
         if points.outside is not None:
             raise InputError("points: expected none outside of the body")
-        if self.dtype not in SMALL:
-            raise InputError(
-                f"networks: expected weights of float32 or 64, got {self.dtype}; .double()"
-            )
+        check_precision({part.dtype for part in self.networks})
         families = families_of(points, material.horizon)
         self.points, self.kind = nodes_of(points), families.classes.bond_class
         self.xi, self.whole = families.pattern, families.whole
@@ -186,26 +183,30 @@ class Placed(OperatorBase):
         """Derivative of the force at u along v, both [N, 2] or [S, N, 2]."""
         fields, along = self._taken(u), self._taken(v)
         check_shape("v, along u", along, fields.shape)
-        pairs = zip(fields, along.double().numpy().reshape(len(along), -1))
-        found = [self.tangent(field) @ one for field, one in pairs]
+        pairs = zip(fields, along.numpy())
+        found = [self.tangent(field) @ one.ravel() for field, one in pairs]
         return np.reshape(found, (*np.shape(v)[:-2], -1, 2))
 
     def vjp(self, u: Any, w: Any) -> np.ndarray:
         """Transposed derivative of the force at u times w [..., I, 2], on all nodes [..., N, 2]."""
-        pairs = zip(self._taken(u), self.of_interior(w).reshape(-1, 2 * len(self.own)), strict=True)
-        return np.reshape([self.tangent(field).T @ one for field, one in pairs], np.shape(u))
+        fields, along = self._taken(u), self.of_interior(w).reshape(-1, len(self.own), 2)
+        check_shape("w, on u", along, (len(fields), *along.shape[1:]))
+        found = [self.tangent(field).T @ one.ravel() for field, one in zip(fields, along)]
+        return np.reshape(found, np.shape(u))
 
     def interior_tangent(self, u: np.ndarray) -> sp.csc_array:
         """Derivative of the force at a field, between interior nodes, sparse [2 I, 2 I]."""
-        return sp.csc_array(self.tangent(self._taken(u)[0])[:, np.repeat(self.points.interior, 2)])
+        return sp.csc_array(self.tangent(u)[:, np.repeat(self.points.interior, 2)])
 
     @torch.inference_mode(False)
-    def tangent(self, u: torch.Tensor) -> sp.csr_array:
+    def tangent(self, u: Any) -> sp.csr_array:
         """Tangent ∂force/∂u at one field [N, 2], interior by all nodes, sparse [2 I, 2 N] (NO9)."""
-        x = u.double().numpy()
+        fields = self._taken(u)
+        check_shape("u, one field", fields, (1, *self.shape))
+        x = fields[0].double().numpy()
         with torch.no_grad():
-            omega, share, r = self.shares(u.dtype)
-            e, theta, _ = self.stretch(u[None], share)
+            omega, share, r = self.shares(self.dtype)
+            e, theta, _ = self.stretch(fields, share)
             omega, theta, e, r = self.inputs(omega, theta, e, r)
         by = theta.clone().requires_grad_(), e.clone().requires_grad_()
         state = self.material.force_state(omega, *by, r)
@@ -305,6 +306,12 @@ def affine(samples: Samples, u: np.ndarray) -> np.ndarray:
 
 SMALL = {torch.float64: 1e-8, torch.float32: 1e-5}
 """Of the solves that an error is told of, by precision."""
+
+
+def check_precision(kinds: set[torch.dtype]) -> None:
+    """Raise InputError for weights that are not all of one precision that forces are had in."""
+    if len(kinds) > 1 or not kinds <= {*SMALL}:
+        raise InputError(f"networks: expected weights all of float32 or of float64, got {kinds}")
 
 
 @typed

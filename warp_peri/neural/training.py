@@ -43,8 +43,8 @@ class Frames:
 
     def __init__(self, material: NeuralOperator, samples: Samples) -> None:
         self.material, self.placed = material, material.on(samples.points)
-        self.u = torch.as_tensor(samples.u, dtype=self.placed.dtype)
-        self.inside, self.search = samples.interior, EquilibriumSolver(self.placed)
+        self.u, self.inside = samples.u, samples.interior
+        self.search = EquilibriumSolver(self.placed)
         self.start = np.stack([affine(samples, u) for u in samples.u])
         self.seen = samples.u[:, self.inside]
         self.sizes = norms(self.seen)
@@ -56,24 +56,23 @@ class Frames:
 
     def errors(self, some: torch.Tensor, *_: Any) -> torch.Tensor:
         """Relative ℓ2 errors of the solved displacement."""
-        return torch.tensor([self._error(int(n), self._found(int(n))[0]) for n in some])
+        return torch.tensor([self._error(n, self._found(n)[0]) for n in some.tolist()])
 
     def renew(self) -> None:
         """Search every equilibrium, at last from the frame itself, and factorise its tangent."""
         self.numbers = copy.deepcopy(self.material.state_dict())
         self.factors = []
-        for n, seen in enumerate(self.u.double().numpy()):
+        for n, seen in enumerate(self.u):
             found, record = self._found(n)
             if not record.converged:
                 found, record = self.search.solve_from(0 * self.seen[n], seen, SOLVED)
             self.state[n] = found if record.converged else seen
-            field = torch.as_tensor(self.state[n], dtype=self.u.dtype)
-            self.factors.append(splu(self.placed.interior_tangent(field.numpy())))
+            self.factors.append(splu(self.placed.interior_tangent(self.state[n])))
 
     def learn(self, some: torch.Tensor, *_: Any) -> torch.Tensor:
         """Errors of some samples; adds the gradient of their mean to the weights'."""
         chosen = some.tolist()
-        force = self.placed(torch.as_tensor(self.state[chosen], dtype=self.u.dtype))
+        force = self.placed(torch.as_tensor(self.state[chosen], dtype=self.placed.dtype))
         weights, errors = np.zeros(force.shape), []
         for weight, n, left in zip(weights, chosen, force.detach().double().numpy()):
             move = -self.factors[n].solve(left.ravel()).reshape(-1, 2)
