@@ -90,6 +90,7 @@ def test_what_cannot_be_smoothed_is_refused():
         r"force: expected shape \[1, 40, 2\], got \[2, 40, 2\]": {"force": np.ones((2, 40, 2))},
         r"force: .* got 2 of 80 masked, the first at index \[0, 7, 0\]": {"force": hidden},
         "mass: expected values > 0": {"mass": -np.ones(40)},
+        "mass: expected float values, got": {"mass": [1.0, [2.0]]},
         "omega: expected a sparse matrix, got ndarray": {"omega": np.ones((16, 40))},
         "omega: expected float values, got complex": {"omega": 1j * OMEGA},
         r"1 nodes have no atom .* the first is 16":

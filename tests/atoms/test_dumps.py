@@ -66,6 +66,9 @@ def test_frames_and_structures_are_read_whatever_they_are_packed_in(tmp_path):
     ase.io.write(tmp_path / "bare.data", SALT, format="lammps-data")
     with refused(r"bare\.data: expected the masses of the types"):
         dumps.read_structure(tmp_path / "bare.data")
+    (tmp_path / "a").write_text("of no kind")
+    with refused(r"UnknownFileType.*; expected one of aims, cfg, .* xsf"):
+        dumps.read_structure(tmp_path / "a")
     title, many = tmp_path / "a.data", " cut of 1000000 atoms"  # of which a title may tell
     title.write_text(title.read_text().replace("\n", f"{many}\n", 1))
     assert len(dumps.read_structure(title)) == len(SALT)

@@ -21,7 +21,7 @@ from unicodedata import category
 from ase.data import atomic_masses, atomic_numbers
 
 from warp_peri.errors import InputError, StrPath, Values
-from warp_peri.points.arguments import typed
+from warp_peri.points.arguments import as_array, checked, offered, typed, within
 from warp_peri.runtime import ranks_started
 
 COMMAND_SIGNS = "\"'$&#`"
@@ -217,6 +217,35 @@ def lammps_calculator(
         keep_alive=True,
         log_file=None,
     )
+
+
+class Asked:
+    """Calculator of ASE that is checked whenever it is asked: InputErrors, which name it, for no
+    calculator, no forces, and for forces and stress that are no finite numbers of their shapes."""
+
+    def __init__(self, calculator: Any) -> None:
+        offered(calculator, "get_forces", "calculator", "an ASE calculator, or atoms that have one")
+        self._asked, self._name = calculator, f"calculator: {type(calculator).__name__}"
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._asked, name)
+
+    def get_forces(self, atoms: Any) -> Any:
+        """Forces on the atoms [eV/Å], [A, 3]; LAMMPS fails in words of its own."""
+        try:
+            found = self._asked.get_forces(atoms)
+        except LammpsError:
+            raise
+        except Exception as error:  # calculators raise whatever they run into
+            why = f"{', '.join(sorted({*atoms.symbols}))} ({type(error).__name__}: {error})"
+            raise InputError(f"{self._name} gives no forces for {why}") from error
+        return within(self._name, checked, "forces", found, float, (len(atoms), 3))
+
+    def get_stress(self, atoms: Any) -> Any:
+        """Stress [eV/Å³], shape [6] or [3, 3]; whatever a calculator without one raises."""
+        found = self._asked.get_stress(atoms)
+        shape = (3, 3) if as_array("stress", found).ndim == 2 else (6,)
+        return within(self._name, checked, "stress, [6] or [3, 3]", found, float, shape)
 
 
 WITHIN = {

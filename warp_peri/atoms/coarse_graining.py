@@ -23,6 +23,7 @@ from warp_peri.points.arguments import (
     Pair,
     Positive,
     Units,
+    as_array,
     check_nodes,
     check_units,
     checked,
@@ -123,10 +124,7 @@ def coarse_grain(
     atoms = omega.shape[1]
     moved = checked("displacement", displacement, shape=("S", atoms, 2))
     pushed = checked("force", force, shape=(len(moved), atoms, 2))
-    mass = checked("mass", mass, shape=(atoms,) if np.ndim(mass) else ())
-    if not np.all(mass > 0):
-        raise InputError(f"mass: expected values > 0, got {mass}")
-    weighted = omega @ sp.diags_array(np.broadcast_to(mass, (atoms,)))
+    weighted = omega @ sp.diags_array(masses_of(mass, atoms))
     density = weighted.sum(axis=1)
     if len(bad := np.flatnonzero(~(density > 0))):
         raise InputError(
@@ -135,6 +133,14 @@ def coarse_grain(
         )
     u = [weighted @ one for one in moved] / density[:, None]
     return u, np.array([omega @ one for one in pushed]) * (EV_IN_TPA / (node_area * thickness))
+
+
+def masses_of(mass: ArrayLike, atoms: int) -> np.ndarray:
+    """Check the masses of so many atoms, [A] or one of all; returns [A]."""
+    each = checked("mass", mass, shape=(atoms,) if as_array("mass", mass).ndim else ())
+    if not np.all(each > 0):
+        raise InputError(f"mass: expected values > 0, got {each}")
+    return np.full(atoms, each)
 
 
 def _images(

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from numpy.linalg import eigh, eigvalsh, inv, norm
 
 from warp_peri.atoms.calculator_noise import PULLED, SMALLER, by_strains, joined
+from warp_peri.atoms.calculators import Asked
 from warp_peri.atoms.force_constants import STEP, WIDER, ForceConstants
 from warp_peri.atoms.phonons import at_zone_edge, check_phonons, force_constants
 from warp_peri.atoms.relaxed import Reference, at_rest, usual_spacing
@@ -37,8 +38,6 @@ from warp_peri.points.arguments import USUAL, Pair, Positive, Units, check_units
 
 PATHS = {2: ("10", "01", "11"), 3: ("100", "110", "111", "001")}
 """Directions that are drawn, along the axes of the nodes."""
-
-
 REACH = {2: 3.0, 3: 6**0.5}
 """Horizons over the spacing: 28 bonds in the plane, 80 in space."""
 WITHIN = 0.02
@@ -170,10 +169,8 @@ class CrystalFit(Shown):
             ("proven", content["statement"] or "nothing"),
             (f"within {WITHIN:.0%} down to", within),
         ]
-        shown += [
-            (f"error, {name}", f"{e['law']:.2f} %; local elasticity {e['local']:.2f} %")
-            for name, e in content["wave_errors_percent"].items()
-        ]
+        for n, e in content["wave_errors_percent"].items():
+            shown.append((f"error, {n}", f"{e['law']:.2f} %; local elasticity {e['local']:.2f} %"))
         return [*self.said.items(), *shown]
 
     def plot(self) -> Figure:
@@ -290,8 +287,7 @@ def fit_crystal(
     """
     units = check_units(units)
     offered(atoms, "get_positions", "fit_crystal", "an ase.Atoms")
-    calculator = atoms.calc if calculator is None else calculator
-    offered(calculator, "get_forces", "calculator", "an ASE calculator, or atoms that have one")
+    calculator = Asked(atoms.calc if calculator is None else calculator)
     reference = at_rest(atoms, calculator, thickness=thickness, hold=hold)
     constants, said = force_constants(reference, calculator, supercell)
     group = symmetry_of(constants, symmetry)

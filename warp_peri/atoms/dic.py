@@ -27,6 +27,7 @@ from warp_peri.points.arguments import (
     checked,
     plain,
     typed,
+    within,
 )
 from warp_peri.points.points import PULL, SEEN, Points, Samples, grid_places
 
@@ -243,10 +244,7 @@ def read_dic_frame(path: StrPath, *, pixel: float | str = 1.0) -> DICFrame:
         text = data.decode(encoding_of(data))
     except UnicodeDecodeError:
         text = data.decode("latin-1")
-    try:
-        x, u, unit = read_table(text, size, unit)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+    x, u, unit = within(f"{path}", read_table, text, size, unit)
     return DICFrame(x, u, Path(path).name, unit)
 
 

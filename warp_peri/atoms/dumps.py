@@ -22,10 +22,10 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 from tqdm import tqdm
 
-from warp_peri.atoms.coarse_graining import coarse_grain
+from warp_peri.atoms.coarse_graining import coarse_grain, masses_of
 from warp_peri.errors import InputError, StrPath, Values, warn
 from warp_peri.files.atomic import MARKS, check_regular, check_xml, content, encoding_of, unpacked
-from warp_peri.points.arguments import MOST, Natural, Positive, as_array, checked, plain, typed
+from warp_peri.points.arguments import MOST, Natural, Positive, checked, plain, typed
 from warp_peri.points.points import PointsLike, Samples, nearest, nodes_of
 
 EXPECTED = "a LAMMPS dump (text, packed or not), .extxyz, .xyz or .traj"
@@ -292,6 +292,7 @@ def read_structure(path: Path) -> Any:
             why = str(error)
             if not isinstance(error, InputError):
                 why = f"ASE reads no structure from it ({type(error).__name__}: {error})"
+                why += f"; expected one of {FORMATS}"
             if "atom_style" in why:
                 why += "; a data file of LAMMPS says it behind Atoms, as in: Atoms # charge"
             raise InputError(f"{path}: {why}") from None
@@ -312,9 +313,7 @@ def read_masses(path: StrPath, masses: Sequence[float]) -> np.ndarray:
             f"masses: expected one for each of the types 1 to {most} of {path}, got {len(masses)}"
         )
     each = checked("masses", masses, float, ("T",))
-    if not (each > 0).all():
-        raise InputError(f"masses: expected numbers > 0, got {each.min():g}")
-    return np.asarray(each[frame.types - 1])
+    return masses_of(each[frame.types - 1], len(frame.types))
 
 
 @typed
@@ -341,7 +340,7 @@ def mean_displacement(
     reference = checked("reference", reference, shape=("A", 2))
     ids = None if ids is None else plain("ids", ids)
     total, frames = np.zeros_like(reference), 0
-    for frame in iter_dump(path):
+    for frames, frame in enumerate(iter_dump(path), 1):
         x = frame.x
         if x.shape != reference.shape:
             raise InputError(f"{path}: expected {len(reference)} atoms, got {len(x)}")
@@ -349,7 +348,6 @@ def mean_displacement(
             raise InputError(f"{path}: expected the ids of the reference's atoms, got others")
         if box is not None:
             check_box(path, box, frame.box, 1e-5)
-        frames += 1
         if frames <= skip:
             continue
         if box is None and not frame.unwrapped and jumps(frame, reference):
@@ -421,9 +419,8 @@ def coarse_grain_dumps(
             f"{len(dumps)} and {len(unloaded)}"
         )
     force = checked("force", force, shape=(len(dumps), "A", 2))
-    one = as_array("mass", atoms.mass).ndim == 0
-    mass = checked("mass", atoms.mass, shape=() if one else force.shape[1:2])
-    _warn_of_shares(force, np.broadcast_to(mass, force.shape[1]))
+    mass = masses_of(atoms.mass, force.shape[1])
+    _warn_of_shares(force, mass)
     ids = next(iter_dump(dumps[0])).ids if atoms.ids is None else atoms.ids
     averages = []
     for path in tqdm([*unloaded, *dumps], desc="dumps", unit="dump", disable=not progress):
@@ -432,8 +429,8 @@ def coarse_grain_dumps(
     moved = np.stack(averages[len(unloaded) :])
     if len(unloaded):
         moved -= np.stack(averages[: len(unloaded)])
-    sizes: Any = {"mass": atoms.mass, "node_area": node_area, "thickness": thickness}
-    u, b = coarse_grain(omega, displacement=moved, force=force, **sizes)
+    fields = {"displacement": moved, "force": force, "mass": mass}
+    u, b = coarse_grain(omega, **fields, node_area=node_area, thickness=thickness)
     names = {"load_id": np.array([Path(path).name for path in dumps])}
     return Samples(nodes_of(points), u, b, names)
 

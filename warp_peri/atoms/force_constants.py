@@ -79,8 +79,8 @@ class NonAnalyticCorrection:
                 f"born: expected charges of a cell whose sum is 0 within {most:.2g} e, got "
                 f"{np.round(total, 4).tolist()}"
             )
-        hold(self, born=born - born.mean(axis=0))
-        hold(self, dielectric=checked("dielectric", self.dielectric, shape=(3, 3)))
+        dielectric = checked("dielectric", self.dielectric, shape=(3, 3))
+        hold(self, born=born - born.mean(axis=0), dielectric=dielectric)
         if not (eigvalsh(self.dielectric) > 0).all():
             raise InputError(f"dielectric: expected a positive tensor, got {self.dielectric}")
 
@@ -471,6 +471,6 @@ def forces_of(many: Any, calculator: Any) -> ArrayMap:
 
     def forces(x: np.ndarray) -> np.ndarray:
         many.positions[:] = x
-        return checked("forces", many.get_forces(apply_constraint=False)).copy()
+        return np.array(many.get_forces(apply_constraint=False))
 
     return forces

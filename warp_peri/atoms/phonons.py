@@ -18,6 +18,7 @@ from ase.data import atomic_masses
 from numpy.linalg import det, eigh, eigvalsh, inv, norm
 
 from warp_peri.atoms.calculator_noise import TIMES, projected, rattled
+from warp_peri.atoms.calculators import Asked
 from warp_peri.atoms.force_constants import (
     EDGE,
     STEP,
@@ -83,7 +84,7 @@ def _counted(name: str, repeats: Any, atoms: int, *, flat: bool = False) -> tupl
     """Check how often a cell of so many atoms is repeated."""
     counts = tuple(checked(name, repeats, int, (3,)).tolist())
     if min(counts) < 1 or (flat and counts[2] != 1) or atoms * math.prod(counts) > MOST_ASKED:
-        what = f"three counts, a sheet's third 1, at most {MOST_ASKED} atoms"
+        what = f"three counts ≥ 1{', a sheet’s third 1,' * flat} and at most {MOST_ASKED} atoms"
         raise InputError(f"{name}: expected {what}, got {counts}")
     return counts
 
@@ -191,7 +192,7 @@ def finite_differences(
             for sign in 1, -1:
                 moved = positions.copy()
                 moved[i, axis] += sign * length
-                slope += sign * np.array(forces(moved)) / (2 * length)
+                slope += sign * forces(moved) / (2 * length)
         phi[row, :, axis] = -(WIDER**2 * near - wide) / (WIDER**2 - 1)
         change = max(change, float(np.abs(near - wide).max()))
     return phi, change / max(float(np.abs(phi).max()), TINY)
@@ -204,10 +205,9 @@ def from_calculator(
     """Force constants of a crystal at rest, an ase.Atoms, by an ASE calculator on a supercell.
     `repeats` of the cell must be wider than twice what forces reach; `thickness` of a sheet [Å]."""
     repeat = offered(structure, "repeat", "from_calculator", "an ase.Atoms")
-    offered(calculator, "get_forces", "calculator", "an ASE calculator")
     check_sites(structure)
     many = repeat(_counted("repeats", repeats, len(structure)))
-    return _by_differences(structure, many, calculator, thickness=thickness)
+    return _by_differences(structure, many, Asked(calculator), thickness=thickness)
 
 
 def _by_differences(cell: Any, many: Any, calculator: Any, **how: Any) -> ForceConstants:
@@ -253,8 +253,8 @@ def from_phonopy(path: StrPath, *, thickness: Positive | None = None) -> ForceCo
         if "BORN" in beside:  # all its rows, which an empty one would end
             rows = "\n".join(filter(str.strip, content(beside["BORN"]).decode().split("\n")))
             ions = reader.parse_BORN_from_strings(rows, found.primitive)
-        by_code = optional("phonopy.interface.calculator", WITHOUT).get_calculator_physical_units
-        units = by_code(found.calculator)
+        codes = optional("phonopy.interface.calculator", WITHOUT)
+        units = codes.get_calculator_physical_units(found.calculator)
         usual = units.nac_factor
         if not abs((ions or {}).get("factor", usual) / usual - 1) <= FACTOR:
             raise InputError(f"BORN: expected the factor {usual:.6g} or none, got {ions['factor']}")

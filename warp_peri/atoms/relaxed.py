@@ -19,11 +19,10 @@ from numpy.linalg import det, inv, norm, solve, svd
 from scipy.linalg import polar, sqrtm
 
 from warp_peri.atoms.calculator_noise import ON_SITES, TIMES, Noise, measured, strained
-from warp_peri.atoms.calculators import LammpsError
 from warp_peri.core import elastic
 from warp_peri.core.elastic import COUNTED, KNOWN, PAIRS, by_spglib, kinds_of, symmetric_part
 from warp_peri.errors import InputError, warn
-from warp_peri.points.arguments import EV_IN_TPA, checked, is_number
+from warp_peri.points.arguments import EV_IN_TPA, is_number
 
 VACUUM = 8.0
 """A gap between atoms [Å] that counts as vacuum."""
@@ -115,7 +114,6 @@ def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
         raise InputError(f"structure: expected a sheet or a solid, got {len(empty)} free edges")
     ready = atoms.copy()
     ready.set_constraint()
-    ready.calc = None
     if not empty:
         widest = max(gap(atoms, a)[0] for a in range(3))
         if widest >= WIDE:
@@ -250,7 +248,7 @@ def at_rest(
 def _settled(cell: ase.Atoms, flat: bool, held: set[str]) -> tuple[ase.Atoms, np.ndarray, Noise]:
     """Relaxed cell, its strain on the way there, and the noise of its calculator."""
     calculator, before = cell.calc, np.array(cell.cell)
-    _check_forces(cell)
+    cell.get_forces()  # before what may fail without a word
     _check_stress(cell, flat)
     noise = measured(cell, calculator, flat)
     _relax(cell, flat, held, noise)
@@ -273,19 +271,6 @@ def _settled(cell: ase.Atoms, flat: bool, held: set[str]) -> tuple[ase.Atoms, np
     return cell, strain, noise
 
 
-def _check_forces(cell: ase.Atoms) -> None:
-    """Raise InputError for a calculator that gives no forces; LAMMPS has words of its own."""
-    try:
-        checked("forces", cell.get_forces(), float, (len(cell), 3))
-    except LammpsError:
-        raise
-    except Exception as error:  # calculators raise whatever they run into
-        raise InputError(
-            f"calculator: it gives no forces for {', '.join(sorted({*cell.symbols}))} "
-            f"({type(error).__name__}: {error})"
-        ) from None
-
-
 def _check_stress(cell: ase.Atoms, flat: bool) -> None:
     """Raise InputError for a stress that is not the energy's derivative by strain, to 1 %."""
     way = np.diag([1.0, 0.7, 0.0 if flat else 0.4])
@@ -294,13 +279,11 @@ def _check_stress(cell: ase.Atoms, flat: bool) -> None:
     try:
         gain = more.get_potential_energy() - less.get_potential_energy()
         stress = middle.get_stress(voigt=False)
-    except AssertionError:
-        raise InputError("calculator: expected stress of 6 components, or [3, 3]") from None
-    except Exception:  # without energies nothing is compared, without stress nothing is there
+    except Exception:  # without energies nothing is compared, of a stress relaxation tells
         return
     wanted = gain / STRAINED / middle.get_volume()
     told = (stress * (way / (1 + STRAINED * np.diag(way)))).sum()
-    if abs(told - wanted) > LIKE * abs(wanted) or not np.isfinite(told):
+    if abs(told - wanted) > LIKE * abs(wanted):
         raise InputError(
             f"calculator: expected stress in eV/Å³, tension positive, got {told:.3g} at "
             f"{STRAINED:.0%} of strain where the energy says {wanted:.3g}"
