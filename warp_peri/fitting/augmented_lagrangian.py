@@ -58,8 +58,7 @@ def adam(
         how = {"lr": RATE * size, "betas": MOMENTS, "eps": 1e-300}
     optimiser = torch.optim.Adam(leaves, **how)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(steps, 1))
-    totals: list[float] = []
-    losses: list[float] = []
+    totals, losses = list[float](), list[float]()
     for _ in range(steps):
         optimiser.zero_grad()
         total, loss = objective()

@@ -114,10 +114,7 @@ def _bumps(t: np.ndarray, length: float, modes: int) -> np.ndarray:
     for m in range(modes + 1):
         # sin⁴ = (3 − 4 cos 2πt + cos 4πt)/8, a sum of cosines of whole numbers of half waves
         parts = [(3 / 8, m), (-1 / 4, m + 2), (-1 / 4, m - 2), (1 / 16, m + 4), (1 / 16, m - 4)]
-        waves = sum(
-            c * _derivatives(np.pi * q, np.cos(np.pi * q * t), np.sin(np.pi * q * t))
-            for c, q in parts
-        )
+        waves = sum(c * _derivatives(np.pi * q, np.exp(1j * np.pi * q * t)) for c, q in parts)
         found.append(waves / length ** np.arange(5.0)[:, None])
     return np.array(found)
 
@@ -125,14 +122,13 @@ def _bumps(t: np.ndarray, length: float, modes: int) -> np.ndarray:
 def _waves(x: np.ndarray, length: float) -> np.ndarray:
     """1, cos and sin of the first wave of a period, with their derivatives."""
     k = 2 * np.pi / length
-    cos, sin, one = np.cos(k * x), np.sin(k * x), np.ones(len(x))
-    pairs = (one, 0 * one), (cos, sin), (sin, -cos)
-    return np.array([_derivatives(q, *pair) for q, pair in zip((0.0, k, k), pairs)])
+    wave = np.exp(1j * k * x)
+    return np.array([_derivatives(0 * k, wave**0), *(_derivatives(k, f * wave) for f in (1, -1j))])
 
 
-def _derivatives(k: float, cos: np.ndarray, sin: np.ndarray) -> np.ndarray:
-    """Derivatives of cos k x, from itself and sin k x, shape [5, n]."""
-    return np.array([cos, -k * sin, -(k**2) * cos, k**3 * sin, k**4 * cos])
+def _derivatives(k: float, wave: np.ndarray) -> np.ndarray:
+    """Derivatives of the real part of a wave e^{ikx}, shape [5, n]."""
+    return np.array([((1j * k) ** n * wave).real for n in range(5)])
 
 
 def _largest_box(grid: np.ndarray, interior: np.ndarray) -> np.ndarray:

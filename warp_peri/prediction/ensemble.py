@@ -133,10 +133,8 @@ class EnsembleOperator:
     loads = 1
 
     def __init__(self, family: EnsembleMaterial, points: PointsLike, **options: Any) -> None:
-        self.points = nodes_of(points)
-        self.family, self.options = family, options
-        scattered = self.points.spacing == 0
-        self.rich = self._on(family.linear if scattered else family.rich, self.points)
+        self.family, self.points, self.options = family, nodes_of(points), options
+        self.rich = self._on(family.rich if self.points.spacing else family.linear, self.points)
         self.nonlinear = hasattr(self.rich, "straight")
 
     def _on(self, material: Any, points: Any) -> Any:
@@ -144,7 +142,7 @@ class EnsembleOperator:
 
     def straight(self, u: np.ndarray) -> np.ndarray:
         """Force of the rich member's linear part at u."""
-        return np.asarray((self.rich.straight if self.nonlinear else self.rich)(u))
+        return np.asarray(getattr(self.rich, "straight", self.rich)(u))
 
     @cached_property
     def others(self) -> tuple[Any, ...]:
@@ -395,13 +393,9 @@ class Ensemble:
         learn_other = offered(second, "learn", "fit", "a model as the second member")
         other = learn_other(samples, progress=progress).material
         odd, even = (learn(samples[n::2], progress=progress).material for n in (0, 1))
-        family = EnsembleMaterial(
-            fit.material,
-            other,
-            (odd, even),
-            strain=largest_strain(samples.points, samples.u),
-            temperature=mean,
-        )
+        members = fit.material, other, (odd, even)
+        strain = largest_strain(samples.points, samples.u)
+        family = EnsembleMaterial(*members, strain=strain, temperature=mean)
         return Fit(calibrated(family, samples, validation), fit.certificate, {}, fit.history)
 
 
@@ -468,8 +462,7 @@ def quadratic(family: EnsembleMaterial, samples: Samples) -> tuple[float, ...]:
 def _measured(family: EnsembleMaterial, samples: Samples) -> list[Values]:
     """Estimated and true relative errors of each sample that is not at rest."""
     placed = EnsembleOperator(family, samples.points)
-    inside = samples.interior
-    rows = []
+    inside, rows = samples.interior, []
     for b, truth in zip(samples.loads, samples.u):
         load, size = placed.rich.rhs(b), norm(truth[inside])
         if not size:  # at rest, where nothing is relative
