@@ -26,6 +26,8 @@ from warp_peri.verbs import load
 Said = tuple[Values, list[str]]
 """What a command answers: plain values, and the lines that people read."""
 
+OF_SOLVES = "transfer", "allow_uncertified"
+"""Options of all that solve."""
 WIDTH = 100
 """Of a line: words that are longer stand one in a line."""
 
@@ -63,7 +65,7 @@ def run_evaluate(given: Namespace) -> Said:
     tables = {}
     for name in given.sets or data:
         try:
-            found = warp_peri.evaluate(model, data[name], **options_of(given))
+            found = warp_peri.evaluate(model, data[name], **chosen(given, *OF_SOLVES))
             tables[name] = finite(plain({"samples": len(data[name])} | found))
         except InputError as error:
             if given.sets:
@@ -98,12 +100,6 @@ def problem_of(given: Namespace) -> tuple[Any, Dataset, Any]:
     return model, data, warp_peri.Dirichlet(points, points.loads, points.u)
 
 
-def options_of(given: Namespace) -> Values:
-    """Options of a solve that differ from the usual; materials without them know no default."""
-    asked = chosen(given, "transfer", "allow_uncertified")
-    return {name: value for name, value in asked.items() if value != (name == "transfer")}
-
-
 @contextmanager
 def writing(given: Namespace) -> Iterator[Callable[[], None]]:
     """Hold what a command writes against other jobs, which may have written it meanwhile; what is
@@ -136,7 +132,7 @@ def run_solve(given: Namespace) -> Said:
     model, data, problem = problem_of(given)
     points = data[given.set]
     provenance = {"source": "warp-peri solve", "model": given.model.name, "data": given.data.name}
-    u = warp_peri.solve(model, problem, **options_of(given)).u
+    u = warp_peri.solve(model, problem, **chosen(given, *OF_SOLVES)).u
     sets = {given.set: dataclasses.replace(points, u=u)}
     with writing(given) as begin:
         begin()
@@ -150,7 +146,7 @@ def run_predict(given: Namespace) -> Said:
     """Predict displacement under the loads of a set, each with its likely error."""
     model, _, problem = problem_of(given)
     tolerance = given.tolerance or None
-    answers: Any = warp_peri.predict(model, problem, tolerance, **options_of(given))
+    answers: Any = warp_peri.predict(model, problem, tolerance, **chosen(given, *OF_SOLVES))
     points, samples = problem.points, []
     for answer, truth in zip(answers, points.u[:, points.interior]):
         told = chosen(answer, "error", "parts", "kept", "why", "uncovered")
@@ -164,7 +160,7 @@ def run_predict(given: Namespace) -> Said:
 def run_export(given: Namespace) -> Said:
     """Write the solved fields of a set for ParaView."""
     model, _, problem = problem_of(given)
-    u = warp_peri.solve(model, problem, **options_of(given)).u
+    u = warp_peri.solve(model, problem, **chosen(given, *OF_SOLVES)).u
     with writing(given) as begin:
         begin()
         paths = warp_peri.export.write_vtk(given.out, model, problem.points, u)
