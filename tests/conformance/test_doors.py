@@ -20,6 +20,7 @@ from tests.support.materials import LAWS, operator, placed
 from tests.support.problems import OTHER, everywhere, kernel, lattice, noise, within
 from tests.support.solving import solve
 from tests.support.told import all_refused, assert_refused, each_refused, refused, warned
+from warp_peri.atoms.dic import DICFrame
 from warp_peri.fracture import Cracked, box_nodes, rectangle_nodes
 from warp_peri.methods import Coupling, GaussNewton, LPSParameters, sweep
 from warp_peri.points.arguments import check_arguments, kinds_of
@@ -207,15 +208,6 @@ def test_a_pressure_and_a_crack_that_cuts_nothing():
         wp.solve(solid().model, Cracked(points, u=u, cracks=[[(90.0, 0.0), (99.0, 0.0)]]))
 
 
-def test_whole_numbers_of_any_type_are_counts():
-    points, u, _ = cracked(3.0)
-    first, *others = (
-        wp.simulate(solid().model, Cracked(points, u=u), **WAVES | {"steps": steps}).u
-        for steps in (3, 3.0, np.int64(3), np.float64(3))
-    )
-    assert all(np.array_equal(one, first) for one in others)
-
-
 @parametrize("name", ["LPS", "crystal"])
 def test_parameters_are_real_numbers_of_the_shape_that_they_have(name):
     op, points = placed(name, 1)
@@ -382,8 +374,9 @@ def test_arguments_of_bodies_solids_and_tables():
             lambda terms=terms: wp.hyperelastic.Hyperelastic(terms=terms)
             for terms in (["neo_hookean"], (np.ones(2), np.ones(2)))
         ),
-        "^width: expected": lambda: box(0.0, 20.0),
         "^path: expected": lambda: wp.load("a\0b"),
+        "^header: expected": lambda: wp.atoms.check_box("a", (1, 1), "a", 1e-3),
+        "^length: expected": lambda: DICFrame(points.x, points.x, "a", [1]),
         "^count: expected": lambda: wp.runtime.set_num_threads(10**400),
         "^force: expected": lambda: wp.fracture.point_force(np.eye(2), 1.0, (0, 0), hidden[:2]),
         "^w: expected": lambda: op.vjp(0 * points.x, 0 * points.x),
@@ -423,7 +416,7 @@ def test_tensors_beside_a_pressure_and_numbers_of_no_dimension():
     wrong = torch.tensor(1e-4), torch.ones(2), torch.ones(len(x), 1), torch.ones(x.shape) > 0
     all_refused(loaded, "b: expected (shape|real numbers)", wrong)
     points, u = lattice(3, 2.0), noise(lattice(3, 2.0))
-    model, how = kernel("positive", 2.0), {"density": torch.tensor(2.0), "steps": 1}
+    model, how = kernel("positive", 2.0), {"density": torch.tensor(2.0), "steps": np.float64(1)}
     run = wp.simulate(model, wp.Dirichlet(points, None, u), step=torch.tensor(1e-9), **how)
     assert run.u.shape == u.shape
     turned = np.ascontiguousarray(u[::-1])[::-1]
@@ -490,9 +483,7 @@ def test_every_function_that_users_call_is_typed_and_calls_go_through_the_door()
     assert len(TYPED) > 230
     assert_refused({
         "^(horizon|spacing|path): expected": (
-            lambda: wp.LPS("a"), lambda: wp.LPS(0.0), lambda: wp.Points.sheet((4, 4), np.nan),
-            lambda: wp.Points.disk(20.0, 5.0, -1.0), lambda: wp.load(5),
+            lambda: wp.LPS("a"), lambda: wp.load(5),
             lambda: wp.Points.disk(1e99, 5.0, 9.0), lambda: wp.Points.disk(9.0, 1e-300, 9.0),
-            lambda: wp.certify(None, spacing="a"),
         )
     })  # fmt: skip

@@ -38,23 +38,6 @@ def test_a_file_appears_whole_under_its_name_with_common_rights(tmp_path):
     assert list(path.parent.iterdir()) == [path]
 
 
-def test_a_failed_write_leaves_what_was_there(tmp_path):
-    path = tmp_path / "a.txt"
-
-    def write(error):
-        with whole_file(path) as temporary:
-            temporary.write_text("half of it")
-            raise error
-
-    for exists in (False, True):
-        for error in (OSError, KeyboardInterrupt):
-            if exists:
-                path.write_text("old")
-            with pytest.raises(error):
-                write(error)
-            assert [file.read_text() for file in tmp_path.iterdir()] == ["old"] * exists
-
-
 def test_json_takes_numpy_and_refuses_what_is_no_number(tmp_path):
     path = tmp_path / "a.json"
     write_json(path, {"a": np.arange(3), "b": (np.float64(0.1), {"c": np.bool_(True)})})

@@ -213,6 +213,7 @@ OWN, FILLED, AROUND = 0.75, 2.5, 12
 """How near a node, in spacings, its own point is, and points that fill it in; so many do."""
 
 
+@typed
 @dataclass(frozen=True, eq=False)
 class DICFrame:
     """One frame: reference positions and displacement [P, 2], its file's name and unit of length.

@@ -365,8 +365,9 @@ def check_box(
     """Raise InputError unless periods agree with a dump's header within the relative tolerance."""
     if header is None:
         raise InputError(f"{path}: box: expected an orthogonal box in the dump, got a tilted one")
-    if not np.allclose(checked("box", box, shape=(2,)), header, rtol=tolerance, atol=0):
-        wanted, got = (" x ".join(f"{L:.9g}" for L in np.ravel(one)) for one in (header, box))
+    sides = checked("header", header, shape=(2,))
+    if not np.allclose(checked("box", box, shape=(2,)), sides, rtol=tolerance, atol=0):
+        wanted, got = (" x ".join(f"{L:.9g}" for L in one) for one in (sides, box))
         raise InputError(f"{path}: box: expected the header's {wanted} Å, got {got} Å")
 
 

@@ -82,17 +82,15 @@ def checked(
             f"{name}: expected values everywhere, got {np.count_nonzero(masked.mask)} of "
             f"{value.size} masked, the first at index {first}"
         )
-    value = np.asarray(masked.filled(0)) if np.any(masked.mask) else value
-    value = np.require(value, np.float64 if kind is float else value.dtype, ["C", "W"])
-    if kind is float and not (np.abs(value) <= LARGEST).all():
-        bad = ~(np.abs(value) <= LARGEST) & read
-        if bad.any():
-            index = np.argwhere(bad)[0].tolist()
-            raise InputError(
-                f"{name}: expected finite values, got {value[tuple(index)]:g} at index {index}; "
-                f"at most {LARGEST:g}"
-            )
-    return np.asarray(value)
+    value = np.asarray(masked.filled(0))
+    size, most = np.abs(np.asarray(value, float)), MOST if kind is int else LARGEST
+    if (bad := ~(size <= most) & read).any():
+        index = np.argwhere(bad)[0].tolist()
+        raise InputError(
+            f"{name}: expected finite values, got {value[tuple(index)]:g} at index {index}; "
+            f"at most {most:g}"
+        )
+    return np.require(value, np.int64 if kind is int else kind, ["C", "W"])
 
 
 def within(where: str, make: Callable[..., Any], *of: Any) -> Any:
@@ -222,6 +220,7 @@ Kind = TypeVar("Kind", bound=type)
 Numbers: TypeAlias = Mapping[str, Any]
 """Learnable numbers by name."""
 ARRAY = get_args(ArrayLike)
+LISTS = {Sequence, tuple, list}
 KINDS = (bool, int, float, str, os.PathLike, Mapping, dict, Sequence, tuple, list, NoneType,
          np.ndarray, Callable)  # fmt: skip
 NAMES = {str: "a text", Callable: "a function"}
@@ -291,6 +290,8 @@ def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> Optio
             continue
         if isinstance(value, np.matrix):  # whose rows are matrices
             value = found[name] = np.asarray(value)
+        elif hasattr(value, "__array__") and LISTS & {*kinds} and not isinstance(value, np.ndarray):
+            value = found[name] = as_array(name, value).tolist()  # of a table's column, a tensor
         first, *more = [kind for kind in kinds if kind is not NoneType]
         if os.PathLike in kinds and isinstance(value, str) and (not value or "\0" in value):
             raise InputError(f"{name}: expected a path, got {value!r:.60}")
@@ -310,7 +311,7 @@ def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> Optio
             fine, words = no is not Callable and are_numbers(value), "float values"
         elif first in (Mapping, dict):
             fine, words = isinstance(value, Mapping), "values by name"
-        elif first in (Sequence, tuple, list):
+        elif first in LISTS:
             fine = not isinstance(value, str) and isinstance(value, (Sequence, np.ndarray))
             fine = fine and getattr(value, "ndim", 1) > 0
             words = "a sequence"
@@ -366,7 +367,7 @@ def _bound(hint: Any) -> Bound | None:
         return Bound(f"one of {', '.join(map(str, values))}", values.__contains__)
     if (of := get_args(hint)) == (str, float):
         return Bound("numbers by name", lambda value: all(map(is_number, value.values())))
-    kinds = get_args(of[0]) or of[:1] if of and _kind(hint) in (Sequence, tuple) else ()
+    kinds = get_args(of[0]) or of[:1] if of and _kind(hint) in LISTS else ()
     if kinds and all(map(_is_own, kinds)):
         words = " or ".join(kind.__name__ for kind in kinds)
         return Bound(f"each a {words}", lambda value: all(isinstance(one, of[0]) for one in value))
@@ -463,7 +464,7 @@ def check_units(units: Any) -> Units:
     if isinstance(units, str) and units in SYSTEMS:
         return SYSTEMS[units]
     try:
-        length, stress = [units] if isinstance(units, str) else list(units)
+        length, stress = map(str, [units] if isinstance(units, str) else units)
     except (TypeError, ValueError):
         raise InputError(
             f"units: expected (length, stress), or {', '.join(SYSTEMS)}, got {units!r:.60}"
@@ -471,7 +472,7 @@ def check_units(units: Any) -> Units:
     if (length, stress) == REDUCED:
         return REDUCED
     for key, name, known in (("length_unit", length, LENGTHS), ("stress_unit", stress, STRESSES)):
-        if not (isinstance(name, str) and name in known):
+        if name not in known:
             raise InputError(
                 f"{key}: expected one of {', '.join(known)}, or {' and '.join(REDUCED)} together, "
                 f"got {name!r:.60}"

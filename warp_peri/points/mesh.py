@@ -185,7 +185,7 @@ def make_mesh(
     kept = {
         n: new[np.clip(checked(f"part '{n}'", part, int, ("n", d)), -1, len(new) - 1)]
         for n, part in parts.items()
-        if np.size(part)
+        if as_array(f"part '{n}'", part).size
     }
     check_numbers("middle", np.ravel([*middle]), len(new) - 1)
     bent = {

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.linalg import norm
 
-from warp_peri.errors import InputError, optional
+from warp_peri.errors import InputError, hold, optional
 from warp_peri.points.arguments import Positive, check_nodes, checked, typed
 from warp_peri.points.mesh import Mesh, make_mesh
 from warp_peri.points.points import unit_vectors
@@ -53,7 +53,7 @@ class Polygon:
     """An outline of straight sides.
 
     Attributes:
-        corners: [Å], counter-clockwise or not; at least three.
+        corners: [Å], counter-clockwise or not; at least three, the first once more or not.
         names: of the sides, from each corner to the next; one for all where it is one.
         size: sides of the triangles along it [Å]; None for that of the mesh.
 
@@ -65,16 +65,18 @@ class Polygon:
     size: Positive | None = None
 
     def __post_init__(self) -> None:
-        count = len(checked("corners", self.corners, float, ("n", 2)))
+        x = checked("corners", self.corners, float, ("n", 2))
+        if np.array_equal(x[:1], x[-1:]):  # a closed ring
+            hold(self, corners=self.corners[:-1])
+        count = len(self.corners)
         if count < 3:
             raise InputError(f"corners: expected three at least, got {count}")
         texts = all(isinstance(name, str) for name in self.names)
         if len(self.names) not in (1, count) or not texts:
-            said = f"one for each of {count} sides, texts"
-            raise InputError(f"names: expected {said}, got {self.names}")
+            raise InputError(f"names: expected {count} texts, one a side, got {self.names}")
         if not abs(self.area) > ROUND * np.ptp(self.corners, axis=0).max() ** 2:
             raise InputError(f"corners: expected corners around an area, got {self.area:g}")
-        if (meet := _meeting(np.asarray(self.corners, float))).size:
+        if (meet := _meeting(x[:count])).size:
             raise InputError(f"corners: expected sides apart, {meet[0]} and {meet[1]} meet")
 
     @property
