@@ -20,8 +20,9 @@ from warp_peri.materials import transfer
 from warp_peri.materials.lps_law import product_basis, products
 from warp_peri.materials.transfer import TOLERANCE, wave_loss, wave_vectors
 from warp_peri.methods import Smoothing
+from warp_peri.points.dataset import largest_wave_number
 from warp_peri.points.families import bond_classes, carried_horizon, families_of
-from warp_peri.points.points import grid_places, largest_wave_number
+from warp_peri.points.points import grid_places
 from warp_peri.transfers import mean_spacing, on_lattice, onto_lattice
 
 HOME = replace(kernel("1/r", 3.0), largest_wave_number=2.0)

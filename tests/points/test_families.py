@@ -144,12 +144,12 @@ def test_points_and_horizons_that_fit_no_families_are_refused():
         "no two points are that close": (replace(grid, spacing=0.9), 2.0),
         "spread over .* places": (replace(grid, x=np.r_[grid.x[:-1], 1e5 * far]), 2.0),
         "horizon: expected at least one spacing": (grid, 0.99),
-        "box: expected two whole multiples": (replace(sheet, box=(9.5, 9.0)), 2.0),
+        "box: expected whole multiples": (replace(sheet, box=(9.5, 9.0)), 2.0),
         "a lattice along the": (replace(lattice(9, 2.0, angle=0.3), box=(9.0, 9.0)), 2.0),
         f"isolated.*{len(some.x)}": (Points(np.r_[some.x, far], [*some.interior, False], 0.0), 3.0),
         r"no weights are exact for the families of \d+ nodes: \d+, ": (some, 1.6),
         r"16 of 16 have not at horizon 6 Å \(nodes \d+, ": (some, 6.0),
-        "box: expected two periods above 6": (replace(periodic_cloud(7), box=(5.9, 20.0)), 3.0),
+        "box: expected periods above 6": (replace(periodic_cloud(7), box=(5.9, 20.0)), 3.0),
     })  # fmt: skip
 
 

@@ -23,8 +23,8 @@ from warp_peri.core.elastic import directions, orbit_grid, symmetric_part
 from warp_peri.errors import InputError
 from warp_peri.kernels.micromodulus import rows
 from warp_peri.points.arguments import Pair
-from warp_peri.points.families import HORIZON_TOLERANCE
-from warp_peri.points.points import LATTICE_TOLERANCE, Points, grid_places, grid_points
+from warp_peri.points.families import HORIZON_TOLERANCE, nodes_in_period
+from warp_peri.points.points import Points, grid_places, grid_points
 from warp_peri.runtime import floats, get_num_threads, ints, launch_slices
 
 DIRECTIONS = {2: 60, 3: 200}
@@ -344,7 +344,7 @@ def grid_of(points: Points, steps: np.ndarray, *, why: str = "", least: int | No
     grid, axes = points.lattice
     reach = int(np.abs(steps).max())
     if points.box is not None:
-        shape = _period(points, axes, 2 * reach if least is None else least)
+        shape = (*nodes_in_period(points, 2 * reach if least is None else least).tolist(),)
         grid = grid % shape
         place = np.ravel_multi_index(tuple(grid.T), shape)
         near = np.arange(len(grid))
@@ -361,20 +361,6 @@ def grid_of(points: Points, steps: np.ndarray, *, why: str = "", least: int | No
     nodes = Grid(axes, shape, reach, points.box is not None, near, place, number[points.interior])
     _check(points, nodes, steps, why)
     return nodes
-
-
-def _period(points: Points, axes: np.ndarray, least: int) -> tuple[int, ...]:
-    """Number of nodes in a period along each axis."""
-    if np.abs(axes - np.eye(len(axes))).max() > LATTICE_TOLERANCE:
-        raise InputError("box: expected the lattice's axes along the coordinates, got a turned one")
-    counts = np.asarray(points.box) / points.spacing
-    whole = np.rint(counts).astype(int)
-    if np.abs(counts - whole).max() > LATTICE_TOLERANCE * whole.max() or whole.min() <= least:
-        raise InputError(
-            f"box: expected whole multiples of the spacing, more than {least} of them, got "
-            f"{', '.join(f'{count:g}' for count in counts)}"
-        )
-    return tuple(whole.tolist())
 
 
 def _check(points: Points, nodes: Grid, steps: np.ndarray, why: str) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from warp_peri.errors import InputError, warn
 from warp_peri.points.arguments import Positive, check_nodes, checked, typed, typed_methods
 from warp_peri.points.families import HORIZON_TOLERANCE, BondClasses, bond_classes, neighbour_table
-from warp_peri.points.points import check_dimensions, grid_places, straight_steps
+from warp_peri.points.points import check_dimensions, checked_positions, grid_places, straight_steps
 
 HAIR = 1e-3
 """How far a crack through a row of nodes is moved to one side, in spacings."""
@@ -79,9 +79,7 @@ def lattice_body(
     straight body that goes on along its last axis, all layers alike, and bonds beyond its end lead
     to this layer's nodes. Raises InputError for points off the lattice, or given twice.
     """
-    x = checked("x", x, float, ("N", "d"))
-    if not len(x) or x.shape[1] not in (2, 3):
-        raise InputError(f"x: expected [N, 2] or [N, 3], N ≥ 1, got {list(x.shape)}")
+    x = checked_positions(x)
     classes = bond_classes(spacing, horizon, dimension=x.shape[1])
     grid, axes = straight_steps(x, spacing)
     steps = classes.steps * [*(x.shape[1] - 1) * (1,), 0] if endless else classes.steps

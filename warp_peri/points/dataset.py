@@ -12,6 +12,7 @@ from typing import Any
 import h5py
 import numpy as np
 from numpy.linalg import norm
+from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError, Rows, Shown, StrPath, Values, warn
 from warp_peri.files.atomic import check_hdf5, check_regular, parsed, plain, whole_hdf5
@@ -145,8 +146,8 @@ def in_units(samples: Samples, want: Units) -> Samples:
         return samples
     length, stress = factors(points.units, want)
     box = None if points.box is None else tuple(side * length for side in points.box)
-    sizes: Any = {"x": points.x * length, "spacing": points.spacing * length}
-    points = dataclasses.replace(points, **sizes, box=box, units=want)
+    x, spacing = points.x * length, points.spacing * length
+    points = dataclasses.replace(points, x=x, spacing=spacing, box=box, units=want)
     return _scaled(samples, points, length, stress)
 
 
@@ -159,6 +160,28 @@ def _scaled(samples: Samples, points: Points, length: float, stress: float) -> S
     }
     b = None if samples.b is None else samples.b * (stress / length)
     return Samples(points, samples.u * length, b, arrays)
+
+
+def largest_wave_number(points: Samples) -> float | None:
+    """Largest |k| [1/Å] of the samples' loads; None on scattered points or without loads. Without
+    wave vectors the root mean square of |k| over the spectrum of b, by differences (theory, M1)."""
+    if WAVE_VECTOR in points.arrays:
+        k = checked(WAVE_VECTOR, points.arrays[WAVE_VECTOR], shape=points.u[:, 0].shape)
+        return float(norm(k, axis=-1).max(initial=0.0)) or None
+    h = points.spacing
+    if h == 0 or points.b is None:
+        return None
+    r, near = cKDTree(points.x).query(points.x, k=min(5, len(points.x)))
+    whole = points.interior & (r <= 1.1 * h).all(axis=1) & (near.shape[1] == 5)
+    near = near[whole, 1:]
+    largest = 0.0
+    for b in points.b:
+        size = (b[whole] ** 2).sum()
+        if size > 0:
+            s = ((b[near] - b[whole, None]) ** 2).sum() / (2 * h**2 * size)
+            # of all directions on average s = |k|² − |k|⁴ h²/16
+            largest = max(largest, (1 - np.sqrt(max(1 - s * h**2 / 4, 0.0))) * 8 / h**2)
+    return float(np.sqrt(largest)) or None
 
 
 @typed

@@ -20,8 +20,8 @@ from scipy.special import beta
 from warp_peri.errors import Held, InputError, hold
 from warp_peri.kernels import neighbours as kernels
 from warp_peri.kernels import quadrature
-from warp_peri.points.arguments import Pair, check_whole, checked, listed, symbols
-from warp_peri.points.points import PointsLike, grid_places, nearest
+from warp_peri.points.arguments import check_whole, checked, listed, symbols
+from warp_peri.points.points import LATTICE_TOLERANCE, PointsLike, grid_places, nearest
 from warp_peri.runtime import floats, ints, launch_slices, zeros
 
 DEGREE = 5
@@ -178,7 +178,10 @@ def families_of(
     classes: BondClasses | None = None
     if points.spacing > 0:  # one pattern of bonds for all nodes
         classes = bond_classes(points.spacing, horizon, degree=degree, dimension=points.dimension)
-        table, axes = _lattice_table(points, classes)
+        grid, axes = points.lattice
+        reach = int(np.abs(classes.steps).max())
+        size = None if points.box is None else nodes_in_period(points, 2 * reach)
+        table = neighbour_table(grid, classes.steps, size)
         lacking = np.asarray((table < 0).any(axis=1))
         row, neighbour = np.arange(len(x) + 1) * len(classes.steps), table.reshape(-1)
         if row[-1] >= 2**31:
@@ -207,21 +210,16 @@ def families_of(
     return Families(row, neighbour, reverse, *tables)
 
 
-def _lattice_table(points: PointsLike, classes: BondClasses) -> Pair:
-    """Node at each bond's end [N, B], −1 where there is none, and the lattice's axes."""
-    h, box, size = classes.spacing, points.box, None
-    grid, axes = points.lattice
-    if box is not None:
-        d, least = len(axes), 2 * int(np.abs(classes.steps).max())
-        if not np.array_equal(axes, np.eye(d)):
-            raise InputError("box: expected a lattice along the axes, got a rotated one")
-        size = np.rint(np.divide(box, h)).astype(np.int32)
-        if np.abs(size * h - box).max() > 1e-6 * h or (size <= least).any():
-            raise InputError(
-                f"box: expected {('two', 'three')[d - 2]} whole multiples of {h} above "
-                f"{least * h} {symbols(points.units)[0]}, got {box}"
-            )
-    return neighbour_table(grid, classes.steps, size), axes
+def nodes_in_period(points: PointsLike, least: int) -> np.ndarray:
+    """Number of nodes in a period along each axis, [d]; InputError for a turned lattice, and for
+    periods that are no whole multiples of the spacing, above `least` of it."""
+    h, box = points.spacing, np.array(points.box)
+    if not np.array_equal(points.lattice.axes, np.eye(points.dimension)):
+        raise InputError("box: expected a lattice along the axes, got a rotated one")
+    size: np.ndarray = np.rint(box / h).astype(np.int32)
+    if np.abs(size * h - box).max() > LATTICE_TOLERANCE * box.max() or size.min() <= least:
+        raise InputError(f"box: expected whole multiples of {h}, above {least} of it, got {box}")
+    return size
 
 
 def _any_neighbour(row: np.ndarray, neighbour: np.ndarray, flag: np.ndarray) -> np.ndarray:
@@ -292,12 +290,10 @@ def neighbours(
     """Find the points within reach [Å] of each point, itself excluded; periods exceed twice that.
     Returns row [N + 1], neighbour [E], distance [Å] [E], and the bond back of each bond [E]; those
     of point i are row[i] … row[i + 1]. InputError for a small box, lone points, too many bonds."""
-    d, at = x.shape[1], x
+    at = x
     if box is not None:
-        if not (np.shape(box) == (d,) and np.isfinite(box).all() and 2 * reach < min(box)):
-            raise InputError(
-                f"box: expected {('two', 'three')[d - 2]} periods above {2 * reach:g}, got {box}"
-            )
+        if not 2 * reach < min(box):
+            raise InputError(f"box: expected periods above {2 * reach:g}, got {box}")
         at = x % box
         at = np.where(at < box, at, 0.0)  # of −1e-17 it is the period itself
     pairs = cKDTree(at, boxsize=box).query_pairs(reach, output_type="ndarray")

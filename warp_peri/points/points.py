@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
@@ -39,6 +40,9 @@ SHAPES = {2: "square", 3: "cubic"}
 SPARSE = "points: expected a {} lattice of spacing {}{}, but no two points are that close"
 LATTICE_TOLERANCE = 1e-6
 """Largest distance of a node from its lattice position, in spacings."""
+SINGLE, NEAREST = 2.0**-21, 1e-2
+"""Some roundings in single precision, of 2⁻²⁴ each, over the largest coordinate; how far, in
+spacings, these may take a node from a lattice that is still told."""
 EMPTY_SHARE, SMALL_TABLE = 1000, 10**7
 """The table of lattice places around the nodes may be so much larger than their number, or so
 large; beyond that the nodes are too far apart to be one body."""
@@ -59,7 +63,8 @@ class Points(Shown, Held):
     """Nodes of one body: positions, interior, spacing, periods.
 
     Attributes:
-        x: positions [Å], shape [N, d], d = 2 or 3.
+        x: positions [Å], shape [N, d], d = 2 or 3; those in single precision on a lattice, to its
+            rounding, become the lattice's.
         interior: nodes where equilibrium is asked and displacement unknown in a solve, [N] bool;
             the others are the collar, whose displacement is data.
         spacing: lattice spacing [Å]; 0 for scattered points.
@@ -100,28 +105,27 @@ class Points(Shown, Held):
         return rows
 
     def __post_init__(self) -> None:
-        hold(self, x=checked("x", self.x))
-        if self.x.ndim != 2 or self.x.shape[1] not in (2, 3) or len(self.x) == 0:
-            raise InputError(
-                f"x: expected shape [N, 2] or [N, 3] with N > 0, got {list(self.x.shape)}"
-            )
+        hold(self, x=checked_positions(self.x))
         n = len(self.x)
         refuse_twice(self.x)
         hold(self, interior=checked("interior", self.interior, bool, (n,)))
         if not self.interior.any():
             raise InputError("interior: expected at least one interior node, got none")
-        hold(self, units=check_units(self.units))
+        hold(self, units=check_units(self.units), axis=checked_axis(self.axis, self.dimension))
         if self.box is not None:
             box = checked("box", self.box, shape=(self.dimension,))
             if not (box > 0).all():
                 raise InputError(f"box: expected periods > 0, got {self.box!r:.60}")
             hold(self, box=tuple(box.tolist()))
-        hold(self, axis=checked_axis(self.axis, self.dimension))
         if self.outside is not None:
             outside = checked("outside", self.outside, bool, (n,))
             if (outside & self.interior).any():
                 raise InputError("outside: expected true for no interior node, got some")
             hold(self, outside=outside)
+        if self.spacing > 0 and _allowed(self.x, self.spacing) > LATTICE_TOLERANCE:
+            with suppress(InputError):  # which is told where a lattice is asked for
+                steps, axes = self.lattice
+                hold(self, x=self.x[0] + self.spacing * (steps - steps[0]) @ axes.T)
 
     @classmethod
     @typed
@@ -246,15 +250,25 @@ class Points(Shown, Held):
         return self.spacing > 0 and self.box is None and self.outside is None
 
 
+def checked_positions(x: Any) -> np.ndarray:
+    """Check positions, [N, 2] or [N, 3] and one at least; else InputError."""
+    found = checked("x", x)
+    if found.ndim != 2 or found.shape[1] not in (2, 3) or len(found) == 0:
+        raise InputError(f"x: expected shape [N, 2] or [N, 3] with N > 0, got {list(found.shape)}")
+    return found
+
+
 def checked_axis(axis: Any, dimension: int) -> Any:
     """Check an axis as of Points: an angle, a rotation as tuples, or None; else InputError."""
-    if isinstance(axis, (list, tuple, np.ndarray)) and dimension == 3:
+    if axis is None:
+        return None
+    if dimension == 3 and not is_number(axis):
         turn = checked("axis", axis, shape=(3, 3))
         if np.abs(turn @ turn.T - np.eye(3)).max() > ROTATION:
             raise InputError(f"axis: expected a rotation [3, 3], got {axis!r:.60}")
         return tuple(map(tuple, turn.tolist()))
-    if axis is None or (is_number(axis) and np.isfinite(axis)):
-        return axis if axis is None else float(axis)
+    if is_number(axis) and np.isfinite(axis):
+        return float(axis)
     raise InputError(f"axis: expected an angle [degrees], got {axis!r:.60}")
 
 
@@ -295,6 +309,7 @@ def grid_points(line: Iterable[float], dimension: int) -> np.ndarray:
 def straight_steps(x: np.ndarray, h: float, unit: str = "") -> Lattice:
     """Lattice steps and axes of nodes of spacing h, the axes those of x where along them;
     InputError naming points off the lattice, and for nodes too far apart to be one body."""
+    near = _allowed(x, h)
     places, d = np.prod(np.ptp(x, axis=0) / h + 1), x.shape[1]
     if places > max(SMALL_TABLE, min(EMPTY_SHARE * len(x), LARGEST_TABLE)):
         raise InputError(
@@ -303,15 +318,15 @@ def straight_steps(x: np.ndarray, h: float, unit: str = "") -> Lattice:
     axes = np.eye(d)
     place = (x - x[0]) / h
     off = np.abs(place - np.rint(place)).max(axis=1)
-    if np.median(off) > LATTICE_TOLERANCE:  # else it is straight, and few nodes are off it
-        axes = _axes(x, h, unit)
+    if np.median(off) > near:  # else it is straight, and few nodes are off it
+        axes = _axes(x, h, near, unit)
         place = (x - x[0]) @ axes / h
         off = np.abs(place - np.rint(place)).max(axis=1)
-    if len(far := np.flatnonzero(off > LATTICE_TOLERANCE)):
+    if len(far := np.flatnonzero(off > near)):
         raise InputError(
             f"points: expected a {SHAPES[d]} lattice of spacing {h}{unit}; off it: {listed(far)}, "
-            f"by up to {h * float(off.max()):.2g}{unit}, where {LATTICE_TOLERANCE * h:.1g}{unit} "
-            f"({LATTICE_TOLERANCE:g} spacings) are allowed: are positions rounded?"
+            f"by up to {h * float(off.max()):.2g}{unit}, where {near * h:.1g}{unit} "
+            f"({near:.1g} spacings) are allowed: are positions rounded?"
         )
     grid = np.rint(place).astype(np.int32)
     if np.gcd.reduce(grid, axis=None) != 1:
@@ -319,10 +334,17 @@ def straight_steps(x: np.ndarray, h: float, unit: str = "") -> Lattice:
     return Lattice(grid - grid.min(axis=0), axes)
 
 
-def _axes(x: np.ndarray, h: float, unit: str) -> np.ndarray:
+def _allowed(x: np.ndarray, h: float) -> float:
+    """How far off their lattice, in spacings, nodes may lie: more in single precision."""
+    with np.errstate(over="ignore"):
+        single = SINGLE * np.abs(x).max() / h * np.array_equal(x, np.float32(x))
+    return single if LATTICE_TOLERANCE < single <= NEAREST else LATTICE_TOLERANCE
+
+
+def _axes(x: np.ndarray, h: float, near: float, unit: str) -> np.ndarray:
     """Lattice axes of nearest-neighbour directions, close to the coordinates, that fit best."""
     some, d = x[:: max(1, len(x) // 2000)], x.shape[1]
-    pairs = cKDTree(x).query_ball_point(some, h * (1 + LATTICE_TOLERANCE))
+    pairs = cKDTree(x).query_ball_point(some, h * (1 + 2 * near))
     step = np.concatenate([x[near] - at for near, at in zip(pairs, some)]) / h
     step = step[norm(step, axis=1) > 0.5]
     if not len(step):
@@ -497,28 +519,6 @@ def axis_of(points: PointsLike) -> float:
 
 WAVE_VECTOR = "wave_vector"
 """Per-sample array of a set whose loads are single waves: k [1/Å], shape [S, 2]."""
-
-
-def largest_wave_number(points: Samples) -> float | None:
-    """Largest |k| [1/Å] of the samples' loads; None on scattered points or without loads. Without
-    wave vectors the root mean square of |k| over the spectrum of b, by differences (theory, M1)."""
-    if WAVE_VECTOR in points.arrays:
-        k = checked(WAVE_VECTOR, points.arrays[WAVE_VECTOR], shape=points.u[:, 0].shape)
-        return float(norm(k, axis=-1).max(initial=0.0)) or None
-    h = points.spacing
-    if h == 0 or points.b is None:
-        return None
-    r, near = cKDTree(points.x).query(points.x, k=min(5, len(points.x)))
-    whole = points.interior & (r <= 1.1 * h).all(axis=1) & (near.shape[1] == 5)
-    near = near[whole, 1:]
-    largest = 0.0
-    for b in points.b:
-        size = (b[whole] ** 2).sum()
-        if size > 0:
-            s = ((b[near] - b[whole, None]) ** 2).sum() / (2 * h**2 * size)
-            # of all directions on average s = |k|² − |k|⁴ h²/16
-            largest = max(largest, (1 - np.sqrt(max(1 - s * h**2 / 4, 0.0))) * 8 / h**2)
-    return float(np.sqrt(largest)) or None
 
 
 def sets_of(samples: Any, name: str = "samples") -> list[Samples]:
