@@ -16,13 +16,13 @@ from functools import cache
 from tests.support import ROOT
 
 BUDGET = {
-    "code lines": 18_970,
+    "code lines": 18_963,
     "tokens": 234_278,
     "lines of warp_peri": 30_583,
     "files of warp_peri": 110,
     "lines of kernels": 1_012,
     "lines of warp_peri, kernels, examples and tools": 42_771,
-    "lines of the longest file": 539,
+    "lines of the longest file": 538,
     "lines of the longest function": 60,
     "parameters of one function": 10,
     "characters of the longest string": 1_652,
@@ -33,17 +33,17 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "atoms": 2384,
-    "cli": 833,
-    "core": 1609,
-    "face": 1094,
+    "cli": 831,
+    "core": 1598,
+    "face": 1095,
     "fe_coupling": 692,
-    "files": 485,
-    "fitting": 1046,
-    "fracture": 1406,
+    "files": 497,
+    "fitting": 1036,
+    "fracture": 1404,
     "materials": 4560,
-    "neural": 601,
-    "points": 1728,
-    "prediction": 592,
+    "neural": 603,
+    "points": 1738,
+    "prediction": 585,
     "mpi": 432,
     "solvers": 1508,
 }
