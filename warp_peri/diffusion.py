@@ -12,6 +12,7 @@ import torch
 from numpy.typing import ArrayLike
 
 from warp_peri.core.record import FieldUnits, Length, Record, Stress
+from warp_peri.core.torch_bridge import own_torch
 from warp_peri.errors import OF_POSITIONS, InputError, Values, called
 from warp_peri.fracture.adjoint import bond_force
 from warp_peri.fracture.body import lattice_body
@@ -30,7 +31,7 @@ from warp_peri.points.arguments import (
     plain,
 )
 from warp_peri.points.families import families_of
-from warp_peri.points.points import PointsLike, nearest
+from warp_peri.points.points import PointsLike, nearest, nodes_of
 from warp_peri.protocols import OperatorBase
 from warp_peri.solvers.adjoint import stepped
 from warp_peri.solvers.solution import Direct, Solution, Solver, refuse_solver
@@ -111,7 +112,8 @@ class DiffusionOperator(FlowOperator):
     def __init__(
         self, law: DiffusionMaterial, points: PointsLike, *, kappa: Modulus | None = None
     ) -> None:
-        self.model, self.points = law, law.own_nodes(points)
+        self.model, self.points = law, nodes_of(points)  # in the plane or in space
+        check_same(law.units, self.points.units)
         self.is_symmetric = self.points.spacing > 0  # on lattices
         families = families_of(self.points, law.horizon, bond_based=True)
         self.rows, row, classes = families.rows, families.row, families.lattice
@@ -129,8 +131,8 @@ class DiffusionOperator(FlowOperator):
         if self._series is None:
             given = _conductivities(given, len(self.points.x), "node").copy()
         self.given = given
-        with torch.no_grad():
-            strength = self._strengths(**_tensors(self.learnable)).numpy()
+        with own_torch():
+            strength = self._strengths(**_tensors(self.learnable)).detach().numpy()
         shape, rows = 2 * (len(self.points.x),), np.tile(self._ends[0], 2)
         entries = np.concatenate([strength, -strength]), (rows, np.concatenate(self._ends))
         self.matrix = sp.csr_array(entries, shape=shape)[self.rows]
@@ -194,7 +196,7 @@ class DiffusionOperator(FlowOperator):
         law = replace(self.model, alpha=float(numbers["alpha"]), D=numbers["D"])
         return DiffusionOperator(law, self.points, kappa=numbers.get("kappa", self.given))
 
-    @torch.inference_mode(False)
+    @own_torch()
     def by_numbers(self, name: str, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Derivative of Σ w · L φ by one parameter, of fields [K, N] and weights [K, I]."""
         near, far = self._ends
@@ -388,13 +390,13 @@ class CoupledOperator(FlowOperator):
         """Storage matrix of the rates of u₁, u₂ and φ, sparse [3 I, 3 N]."""
         return self._storage
 
+    @own_torch()
     def storage_slopes(self, names: list[str], rates: np.ndarray, w: np.ndarray) -> Values:
         """Derivatives of Σ w · storage() rates by parameters, of rates [K, N, 3], w [K, I, 3]."""
         numbers = _tensors(self.learnable)
         phi = torch.from_numpy(self.on_all(w)[..., 2])
         rate = torch.from_numpy(np.ascontiguousarray(rates[..., :2]))
         parts = self.model.model, self.body, self.table, 0 * rate, numbers
-        with torch.inference_mode(False):
-            work = -(rate * bond_force(*parts, numbers["coupling"] * phi)).sum()
-            each = torch.autograd.grad(work, [numbers[n] for n in names], allow_unused=True)
+        work = -(rate * bond_force(*parts, numbers["coupling"] * phi)).sum()
+        each = torch.autograd.grad(work, [numbers[n] for n in names], allow_unused=True)
         return {name: one.numpy() for name, one in zip(names, each) if one is not None}

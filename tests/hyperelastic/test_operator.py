@@ -195,5 +195,6 @@ REFUSED = {
 }  # fmt: skip
 
 
+@torch.inference_mode()
 def test_what_makes_no_sheet_and_what_tells_nothing_is_refused():
     assert_refused(REFUSED)

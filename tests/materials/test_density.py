@@ -87,7 +87,7 @@ def test_parameters_are_found_again(name, loss):
 
 @parametrize("told", [torch.Tensor.item, torch.Tensor.numpy])
 def test_what_torch_does_not_see_of_a_parameter_has_no_gradient(told):
-    """Refused where the force changes with it; zero where it does not."""
+    """Refused where the force changes with it, all or in part; zero where it does not."""
     points, of = box(9, 2, 0.5), partial(wp.DensityMaterial.of, horizon=0.5, parameters={"a": 0.0})
     u, taken = 0.02 * noise(points), partial(torch.as_tensor, dtype=torch.float64)
 
@@ -98,11 +98,24 @@ def test_what_torch_does_not_see_of_a_parameter_has_no_gradient(told):
 
     hidden = lambda E, a: blatz_ko(E, MU + told(taken(a)))
     seen = lambda E, a: blatz_ko(E, taken(a).exp())
-    assert_refused({"the energy does not differentiate 'a'": lambda: slope(hidden)})
+    half = lambda E, a: hidden(E, a) + blatz_ko(E, taken(a))
+    words = "the energy does not differentiate 'a'; use torch functions"
+    assert_refused({
+        f"{words}$": (lambda: slope(hidden), lambda: slope(half)),
+        f"{words}, got 0.0": lambda: slope(lambda E, a: blatz_ko(E, {0.0: MU}[a])),
+    })  # fmt: skip
+    assert slope(lambda E, a: blatz_ko(E, MU + taken(a).relu())) == 0
     assert slope(seen) > 0 == slope(lambda E, a: blatz_ko(E, a + MU if E.max() > 9 else MU))
     samples = loaded(of(hidden, parameters={"a": 0.2}).on(points), u[None])
     near(wp.fit(samples, wp.Density(hidden, 0.5, {"a": 0.0})).material.parameters["a"], 0.2, 1e-5)
     check_material(of(seen), points, u, read=lambda path: wp.DensityMaterial.read(path, seen))
+
+
+def test_an_energy_is_called_uncompiled_with_gradients_on_the_processor():
+    with torch.inference_mode(), torch.device("meta"):
+        op = wp.DensityMaterial.of(torch.compile(blatz_ko), 0.5, {"mu": MU}).on(box(9, 2, 0.5))
+        force = op(u := 0.02 * noise(op.points))
+        near(op.by_numbers("mu", u, force), np.vdot(force, force) / MU, 1e-12)
 
 
 def test_what_cannot_be_used_is_refused_and_files_ask_for_the_energy(tmp_path):
@@ -119,7 +132,6 @@ def test_what_cannot_be_used_is_refused_and_files_ask_for_the_energy(tmp_path):
         "energy: the file has the parameters of 'blatz_ko'": lambda: wp.load(path),
         "'blatz_ko', got 'saint_venant'": lambda: wp.DensityMaterial.read(path, saint_venant),
         "mu: expected finite": lambda: of(blatz_ko, parameters={"mu": 1e200}),
-        "no such file": lambda: wp.DensityMaterial.read(path.parent / "none.json", blatz_ko),
         "parameters: expected those of the function": lambda: of(blatz_ko, parameters={"k": 1.0}),
         "parameters: .* 'k'": lambda: material.at({"k": 1.0}),
         "dimension: expected 2 or 3, got 4": lambda: of(blatz_ko, dimension=4),
@@ -129,7 +141,7 @@ def test_what_cannot_be_used_is_refused_and_files_ask_for_the_energy(tmp_path):
         f"{one} NoneType": lambda: of(lambda E: None).on(points),
         f"{one} float": lambda: of(lambda E: 2.0).on(points),
         f"{one} .*2": lambda: of(lambda E: E).on(points),
-        "energy: only parameters have a gradient":
+        "energy: only parameters have a gradient; write energy.requires_grad_":
             lambda: of(lambda E: blatz_ko(E, torch.nn.Parameter(torch.tensor(MU)))).on(points),
         "expected all bonds of every interior": lambda: material.on(box(9, 2, 0.5, 1)),
     })  # fmt: skip

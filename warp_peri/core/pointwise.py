@@ -20,10 +20,13 @@ from torch.autograd import grad
 
 from warp_peri.core.elastic import contracted, strain, strain_rate, symmetric, times
 from warp_peri.core.stencil import Stencil, grid_of, half_ball, torus_shape, torus_symbol
-from warp_peri.core.torch_bridge import Swept
-from warp_peri.errors import InputError
+from warp_peri.core.torch_bridge import Swept, own_torch
+from warp_peri.errors import InputError, called
 from warp_peri.points.arguments import Numbers, Pair
 from warp_peri.points.points import PointsLike, nodes_of
+
+STEP, LOST, ROUNDING = 1e-4, 1e-3, 1e-13
+"""Of a number, over which its derivative is checked; of that, and of a stress, what is none."""
 
 
 class Pointwise(Swept):
@@ -124,7 +127,7 @@ class Pointwise(Swept):
         """Energy density W of strains [d, d, ...], with other numbers where some are given."""
         return self.density(torch.as_tensor(E).movedim((0, 1), (-2, -1)), **self.learnable | other)
 
-    @torch.inference_mode(False)
+    @own_torch()
     def _slopes(self, E: np.ndarray, *along: np.ndarray) -> list[np.ndarray]:
         """Derivative W′(E) at strains [d, d, ...], and its own along others; zero of a linear W."""
         if self._third is not None:  # W″ is linear, and W′(E) = W″(E/2) E
@@ -177,27 +180,30 @@ class Pointwise(Swept):
 
     def by_numbers(self, name: str, u: ArrayLike, w: ArrayLike) -> np.ndarray:
         """Derivative of Σ w · force(u) by a number, for fields [K, N, d] and weights [K, I, d];
-        InputError for a density that changes with it outside torch's graph."""
+        InputError for a density that changes with it, all or in part, outside torch's graph."""
         value = self.learnable[name]
-        one = torch.tensor(value, dtype=torch.float64, requires_grad=True)
+        step = STEP * abs(value) or STEP
+        what = f"parameters: the energy does not differentiate {name!r}; use torch functions"
 
         def sweep(u: np.ndarray, w: np.ndarray) -> Any:
             (_, H), (_, X) = self._seen(u), self._seen(w, 1)
             E, along = map(torch.from_numpy, (strain(H), strain_rate(H, X)))
             E.requires_grad_()
+            one = torch.tensor(value, dtype=torch.float64, requires_grad=True)
 
             def slope(number: Any, graph: bool = False) -> torch.Tensor:
                 return grad(self._energies(E, **{name: number}).sum(), E, create_graph=graph)[0]
 
-            with suppress(RuntimeError, TypeError):  # of what takes no tensor, or is in no graph
-                (by,) = grad(slope(one, True), one, along, allow_unused=True)
-                if by is not None:
-                    return by.numpy()
-            if not torch.equal(slope(value), slope(1.000001 * value or 1e-6)):  # it depends on it
-                raise InputError(
-                    f"parameters: the energy does not differentiate {name!r}; use torch functions"
-                )
-            return 0.0
+            by, here = 0.0, slope(value)
+            with suppress(LookupError, RuntimeError, TypeError):  # it takes no tensor, or as a key
+                by = grad(slope(one, True), one, along, materialize_grads=True)[0].item()
+            sides = [(called(what, slope, value + s) - here) * along / s for s in (step, -step)]
+            off = ROUNDING * np.abs(self.stiffness).max() * along.abs().sum() / step
+            off += LOST * abs(sides[0]).sum()
+            least, most = sorted(float(side.sum()) for side in sides)  # which differ at a kink
+            if by < least - off or by > most + off:
+                raise InputError(what)
+            return by
 
         return self._swept(sweep, u, self.on_all(w), total=True)
 

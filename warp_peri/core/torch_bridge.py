@@ -3,7 +3,8 @@ refused a second time on every path, where torch would leave out terms."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from itertools import compress
 from typing import Any
@@ -30,6 +31,14 @@ FEW = 100_000
 """Numbers of an array below which threads cost more than they save."""
 MOST = 2**23
 """Numbers of the gradients that are held at once; more samples follow one another."""
+
+
+@contextmanager
+def own_torch() -> Iterator[None]:
+    """Torch with gradients and on the processor inside, whatever the user does with his."""
+    here = torch.get_default_device().type == "cpu"  # a device's context takes time at each call
+    with torch.inference_mode(False), nullcontext() if here else torch.device("cpu"):
+        yield
 
 
 def _refused(*_: Any) -> Any:
@@ -78,15 +87,6 @@ def linear(x: torch.Tensor, there: Callable[..., Any], back: Callable[..., Any])
     )
 
 
-def refuse_transform(tensor: torch.Tensor) -> None:
-    """Raise InputError for a tensor of torch.func."""
-    if torch._C._functorch.is_functorch_wrapped_tensor(tensor):
-        raise InputError(
-            "torch.func: expected plain tensors; torch.autograd.grad and backward() have the "
-            "gradient, operator.jvp(u, v) the derivative of a force along v"
-        )
-
-
 def once(there: Any, back: Any, *of: torch.Tensor) -> Any:
     """Function `there` of arrays, differentiable once: `back` makes the derivatives of upstream
     arrays, given which are asked for; None is zero. A second derivative raises InputError; torch's
@@ -113,7 +113,7 @@ def once(there: Any, back: Any, *of: torch.Tensor) -> Any:
 
 def _like(slope: Any, number: torch.Tensor) -> Any:
     """A derivative in the shape of the number it is by."""
-    slope = torch.as_tensor(slope, dtype=torch.float64)
+    slope = torch.as_tensor(slope, dtype=torch.float64, device="cpu")
     return (slope if slope.dim() else slope.expand(number.shape)).reshape_as(number).to(number)
 
 
@@ -151,8 +151,13 @@ def as_tensor(name: str, value: Any) -> torch.Tensor:
 
 
 def real(name: str, value: Any) -> torch.Tensor:
-    """A float64 tensor on the processor; InputError for complex numbers, booleans, lazy views."""
-    refuse_transform(tensor := as_tensor(name, value))
+    """A float64 tensor on the processor; InputError for complex numbers, booleans, lazy views, and
+    tensors of torch.func."""
+    if torch._C._functorch.is_functorch_wrapped_tensor(tensor := as_tensor(name, value)):
+        raise InputError(
+            "torch.func: expected plain tensors; torch.autograd.grad and backward() have the "
+            "gradient, operator.jvp(u, v) the derivative of a force along v"
+        )
     if tensor.is_meta or tensor.layout is not torch.strided:
         raise InputError(
             f"{name}: expected a dense tensor with values, got {tensor.layout} on {tensor.device}"
@@ -205,7 +210,7 @@ def by_numbers(operator: Any, names: list[str], u: np.ndarray, w: np.ndarray) ->
         return {}
     if hasattr(operator, "by_numbers"):
         return {name: operator.by_numbers(name, u, w) for name in names}
-    with torch.inference_mode(False):  # gradients, whatever the user does with his
+    with own_torch():
         numbers = {
             name: torch.tensor(value, dtype=torch.float64, requires_grad=name in names)
             for name, value in operator.learnable.items()
@@ -247,7 +252,7 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
         slopes = by_numbers(operator, [*compress(named, asked[2:])], u, w)
         held = [one for one in operator.networks if one.requires_grad]
         if held:
-            with torch.inference_mode(False):
+            with own_torch():
                 force = operator(torch.from_numpy(u))
             held = [*torch.autograd.grad(force, held, torch.from_numpy(w), allow_unused=True)]
         learned = (held.pop(0) if one.requires_grad else None for one in operator.networks)
@@ -383,7 +388,7 @@ class Swept(OperatorBase):
         flat = [each.reshape(-1, *self.shape) for each in given]
         step, count = max(1, MOST // self.size), len(flat[0])
         few = self.size * min(step, count) < FEW * self.parts
-        with torch.inference_mode(False), one_thread(few), np.errstate(all="ignore"):  # run away
+        with own_torch(), one_thread(few), np.errstate(all="ignore"):  # run away
             found = [sweep(*(f[n : n + step] for f in flat)) for n in range(0, count, step)]
         if total:
             return np.asarray(np.sum(found, axis=0))

@@ -24,6 +24,7 @@ from warp_peri.core.elastic import (
     shared_with_nodes,
 )
 from warp_peri.core.stencil import invariant_basis
+from warp_peri.core.torch_bridge import own_torch
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.regression import over_loads, relative, rows
 from warp_peri.points.arguments import Pair
@@ -280,7 +281,7 @@ def gradients(samples: Samples, kept: np.ndarray, reach: int = REACH) -> np.ndar
     )
 
 
-@torch.inference_mode(False)
+@own_torch()
 def _stresses(H: np.ndarray, turn: complex, count: int) -> list[np.ndarray]:
     """First Piola-Kirchhoff stress of each unit constant at H, those of λ and μ without H itself.
     The energies are powers of θ = tr E, q = dev E : dev E and z, half the deviator as a complex

@@ -54,13 +54,13 @@ def bond_force(
     K = r ** -numbers["alpha"] * (
         torch.from_numpy(bernstein_basis(r.numpy(), model.horizon, model.degree)) @ numbers["D"]
     )
-    kw = K * torch.tensor(classes.weight)
+    kw = K * r.new_tensor(classes.weight)
     w = kw / (torch.from_numpy(classes.count * classes.r**2) * kw).sum()  # as bond_weights
     stretch, place = stretch_matrix(body, neighbour)
     node, bond = (torch.from_numpy(one) for one in np.divmod(place, neighbour.shape[1]))
-    w, square = w[torch.tensor(classes.bond_class)[bond]], torch.from_numpy(body.r**2)[bond]
+    w, square = w[bond.new_tensor(classes.bond_class)[bond]], torch.from_numpy(body.r**2)[bond]
     e = linear(u.flatten(1), lambda x: x @ stretch.T, lambda y: y @ stretch)
-    theta = torch.zeros(u.shape[:2], dtype=u.dtype).index_add(1, node, d * w * e)
+    theta = u.new_zeros(u.shape[:2]).index_add(1, node, d * w * e)
     stress = (numbers["lam"] - mu) * theta + pressure
     pull = d * (d + 2) * mu * w / square * e + d * w * stress[:, node]
     return linear(pull, lambda y: y @ stretch, lambda x: x @ stretch.T).view_as(u)
@@ -70,8 +70,8 @@ def crack_load(cut: Any, stress: np.ndarray, parameters: Numbers) -> torch.Tenso
     """Crack load as statics.crack_load, differentiable in the given parameters, [N, d]."""
     numbers = {name: real(name, value) for name, value in (cut.learnable | {**parameters}).items()}
     sigma = torch.from_numpy(stress)
-    strain = strain_of(sigma, numbers["lam"], numbers["mu"], torch.eye(cut.body.dimension).double())
-    u = (torch.tensor(cut.body.x) @ strain)[None]
+    strain = strain_of(sigma, numbers["lam"], numbers["mu"], torch.from_numpy(np.eye(len(stress))))
+    u = (sigma.new_tensor(cut.body.x) @ strain)[None]
     whole, broken = (
         bond_force(cut.model, cut.body, table, u, numbers)[0]
         for table in (cut.body.neighbour, cut.neighbour)
@@ -182,7 +182,7 @@ class SoftBody:
         soft, asked, given, *law = self._learned(u, parameters)
         start = checked("u", given.detach().numpy(), float, self.held.shape).ravel()
         given = torch.where(torch.from_numpy(self.held), given, 0.0).ravel()
-        damage = [torch.ones(len(levers)).double(), torch.zeros(len(levers)).double()]
+        damage = [levers.new_ones(len(levers)), levers.new_zeros(len(levers))]
         field, before, rows, forces = given, 0.0, list[tuple[float, int]](), list[Any]()
         unstable = list[float]()
         for load in tqdm(loads.tolist(), disable=not progress, unit="load"):

@@ -21,6 +21,7 @@ from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.proof import largest
 from warp_peri.core.record import FieldUnits, Length, Record, read_json
 from warp_peri.core.stencil import half_ball
+from warp_peri.core.torch_bridge import own_torch
 from warp_peri.errors import InputError, Rows, Values, called, hold
 from warp_peri.fitting.regression import norms
 from warp_peri.fitting.result import Fit
@@ -93,15 +94,15 @@ class DensityMaterial(Record, format="warp_peri.density"):
         hold(self, parameters=numbers)
         super().__post_init__()
         check_dimensions("dimension", self.dimension)
-        arguments.check_parameters(self.energy or dict, numbers)
+        arguments.check_parameters(dict if self.energy is None else self.energy, numbers)
 
     @classmethod
     def of(
         cls, energy: Energy, horizon: float, parameters: Mapping[str, float], **more: Any
     ) -> Self:
         """Make a material from an energy function, in the plane unless `dimension` is 3."""
-        d, name = more.pop("dimension", 2), _name_of(energy)
-        return cls(horizon, {**parameters}, d, name, energy=energy, **more)
+        of: Values = {"dimension": 2, "name": _name_of(energy), "energy": energy}
+        return cls(horizon, {**parameters}, **of | more)
 
     certificate = None
     """Nothing is proven of it."""
@@ -147,13 +148,12 @@ class DensityOperator(Pointwise):
 
     def __init__(self, material: DensityMaterial, points: PointsLike) -> None:
         nodes = material.own_nodes(points)
-        if nodes.dimension != material.dimension:
-            raise InputError(f"points: expected {material.dimension} coordinates")
-        steps, weights = sided_gradients(nodes, material.horizon)
         self.model = self.material = material
+        uncompiled = getattr(material.energy, "_torchdynamo_orig_callable", material.energy)
+        uncompiled = getattr(uncompiled, "_orig_mod", uncompiled)  # for second derivatives
 
         def energy(E: torch.Tensor, **numbers: Any) -> torch.Tensor:
-            W = material.energy(E, **numbers)
+            W = uncompiled(E, **numbers)
             if (got := getattr(W, "shape", type(W).__name__)) != E.shape[:-2]:
                 got = got if isinstance(got, str) else list(got)
                 raise InputError(
@@ -161,14 +161,15 @@ class DensityOperator(Pointwise):
                 )
             return material.scale * W  # type: ignore[no-any-return]
 
-        of, numbers = (nodes, material.horizon, energy, steps, weights), material.parameters
-        what = "energy: expected a function of strains in torch, with derivatives by them"
-        called(what, super().__init__, *of, numbers=numbers)
+        of = nodes, material.horizon, energy, *sided_gradients(nodes, material.horizon)
+        what = "energy: expected a function of strains in torch, uncompiled, with derivatives"
+        called(what, super().__init__, *of, numbers=material.parameters)
         none = np.zeros((nodes.dimension, nodes.dimension, 1))
-        with torch.inference_mode(False):
+        with own_torch():
             if self._energies(none).requires_grad:
                 raise InputError(
-                    "energy: only parameters have a gradient; call requires_grad_(False) of others"
+                    "energy: only parameters have a gradient; write energy.requires_grad_(False) "
+                    "of a module, and tensor.detach() of other tensors that it holds"
                 )
         stress, stiff = np.abs(self._slopes(none)[0]).max(), np.abs(self.stiffness).max()
         if not stress <= REST * stiff > 0:

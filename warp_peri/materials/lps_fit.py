@@ -12,7 +12,6 @@ from importlib.metadata import version
 from typing import Any, Literal
 
 import numpy as np
-import torch
 from scipy.sparse.linalg import splu
 from tqdm.auto import tqdm
 
@@ -20,6 +19,7 @@ from warp_peri import __version__
 from warp_peri.core.elastic import difference_tensors
 from warp_peri.core.proof import certify
 from warp_peri.core.stencil import Stencil, block, grid_of
+from warp_peri.core.torch_bridge import own_torch
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.augmented_lagrangian import Tick, to_the_optimum
 from warp_peri.fitting.long_waves import lame_of_long_waves
@@ -221,7 +221,7 @@ class Learner:
         """The constrained optimum from one start; InputError where a function leaves its domain."""
         return optimum(blocks or self.blocks, self.lattices, start, self.conditions, method)
 
-    @torch.inference_mode(False)
+    @own_torch()
     def fit(self) -> Fit:
         """Run all stages of the fit and certify the result."""
         law, method, kernel = self.law, self.law.method, self.law.kernel

@@ -62,7 +62,7 @@ def table(classes: BondClasses, alpha: torch.Tensor, D: torch.Tensor) -> tuple[t
     """K W of each bond class, with (r/δ)^(−α) for r^(−α), and weighted volume; differentiable."""
     t = classes.r / classes.horizon
     basis = torch.from_numpy(bernstein_basis(t, 1.0, len(D) - 1))
-    kw = torch.tensor(classes.weight) * torch.from_numpy(t) ** -alpha * (basis @ D)
+    kw = alpha.new_tensor(classes.weight) * torch.from_numpy(t) ** -alpha * (basis @ D)
     return kw, torch.from_numpy(classes.count * classes.r**2) @ kw
 
 

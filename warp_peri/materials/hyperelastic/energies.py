@@ -210,7 +210,7 @@ class Hyperelastic:
     @property
     def stiffness(self) -> np.ndarray:
         """Trace of each energy's second derivative by the strain at a small stretch, (H14)."""
-        small = torch.tensor([1e-6, 1e-6, 0.0], dtype=torch.float64)
+        small = torch.from_numpy(np.array([1e-6, 1e-6, 0.0]))
         curves = torch.func.jacrev(torch.func.jacrev(self.uniform))(small)
         return np.asarray(curves.diagonal(dim1=1, dim2=2).sum(1))
 

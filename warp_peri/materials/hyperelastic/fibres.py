@@ -98,7 +98,7 @@ def fibre_fan(count: Directions, powers: Sequence[float] = (2.0, 3.0, 4.0)) -> l
 
 def _energy(term: EnergyTerm, x: float) -> float:
     """Φ of a fibre with I4 − 1 = x > 0 and coefficient one."""
-    along = Strain(torch.tensor([x / 2], dtype=torch.float64))
+    along = Strain(torch.from_numpy(np.array([x / 2])))
     return float(KINDS[term.kind](along, 0.0, term.exponent))
 
 

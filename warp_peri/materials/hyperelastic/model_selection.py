@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize.elementwise import find_root
 from scipy.special import ndtri, stdtrit
 
+from warp_peri.core.torch_bridge import own_torch
 from warp_peri.errors import InputError, StrPath
 from warp_peri.files.atomic import write_text
 from warp_peri.materials.hyperelastic.energies import NEAREST, EnergyTerm, Hyperelastic
@@ -182,6 +183,7 @@ def _learned(
 
 
 @typed
+@own_torch()
 def uniaxial_stress(
     solid: HyperelasticMaterial, stretches: ArrayLike, angle: float = 0.0
 ) -> np.ndarray:

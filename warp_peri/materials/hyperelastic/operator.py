@@ -18,7 +18,7 @@ from scipy.sparse.linalg import LinearOperator
 from torch.autograd import grad
 
 from warp_peri.core.record import FieldUnits, Length, Record
-from warp_peri.core.torch_bridge import FEW, Swept
+from warp_peri.core.torch_bridge import FEW, Swept, own_torch
 from warp_peri.errors import InputError, Rows, Values, warn
 from warp_peri.fitting.evaluate import errors_of
 from warp_peri.fitting.regression import norms
@@ -292,7 +292,7 @@ class HyperelasticSheetOperator(Swept):
 
     def interior_tangent(self, u: np.ndarray) -> sp.csr_array:
         """Tangent between interior nodes at a field (H10), sparse [2 I, 2 I]."""
-        with torch.inference_mode(False), one_thread(3 * len(self.points.x) < FEW):
+        with own_torch(), one_thread(3 * len(self.points.x) < FEW):
             Y, tension, curves = self._curved(self._one(u)[None])
         if not curves:
             raise InputError("coefficients: expected one other than 0")
