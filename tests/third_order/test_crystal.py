@@ -83,10 +83,9 @@ def test_what_does_not_fit_is_refused():
         "isotropic long waves": lambda: replace(law, linear=square),
         "certificate": lambda: uncertified.on(POINTS),
         "form: expected one of filtered, energy, got 'both'": lambda: replace(law, form="both"),
-        "tq2: expected a finite number": lambda: replace(law, tq2=np.nan),
         r"\[S, 529, 2\], S ≥ 1": lambda: law.on(POINTS)(POINTS.x[None, :0]),
         "crystal is for lattices": lambda: law.on(cloud(2, REACH)),
-        "and transfer=False": lambda: law.on(lattice(2, REACH, 0.75), transfer=False),
+        "transfer=False, and": lambda: law.on(lattice(2, REACH, 0.75), transfer=False),
         "moduli: expected some":
             lambda: fit(one, ThirdOrder(Crystal(REACH, moduli=None), smoothed)),
         "one set": lambda: fit(2 * [one], ThirdOrder(linear, smoothed)),

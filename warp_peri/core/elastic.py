@@ -248,24 +248,18 @@ def stress_brackets(stress: np.ndarray) -> np.ndarray:
 
 def bracket_rows(brackets: np.ndarray) -> np.ndarray:
     """All independent entries [ij, kl] of P bracket tensors, shape [E, P]."""
-    return _independent(brackets).reshape(len(brackets), -1).T
+    return voigt(brackets).reshape(len(brackets), -1).T
 
 
 def huang_rows(brackets: np.ndarray) -> np.ndarray:
     """Huang's relations [ij, kl] − [kl, ij] = 0 of P bracket tensors, shape [E, P]."""
-    pairs = _independent(brackets)
+    pairs = voigt(brackets)
     first, second = np.triu_indices(pairs.shape[-1], 1)
     return np.asarray((pairs - pairs.mT)[:, first, second].T)
 
 
-def _independent(brackets: np.ndarray) -> np.ndarray:
-    """Entries [ij, kl] for i ≤ j and k ≤ l, shape [P, pairs, pairs]."""
-    i, j = np.triu_indices(brackets.shape[-1])
-    return brackets[:, i[:, None], j[:, None], i, j]
-
-
 def voigt(tensor: np.ndarray) -> np.ndarray:
-    """Voigt matrix of elastic tensors [..., d, d, d, d], 3 × 3 in the plane, 6 × 6 in space."""
+    """Voigt matrix of tensors [..., d, d, d, d], 3 × 3 in the plane, 6 × 6 in space."""
     i, j = np.transpose(PAIRS[tensor.shape[-1]])
     return tensor[..., i[:, None], j[:, None], i, j]
 

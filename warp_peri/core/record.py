@@ -265,9 +265,13 @@ class Record(Shown, Held):
         return replace(self, **moved | self.elsewhere(*by))  # type: ignore[type-var]
 
     def own_nodes(self, points: PointsLike) -> Points:
-        """Nodes of points, samples or a rank's piece; InputError for other units than these."""
+        """Nodes of points, samples or a rank's piece; InputError for other units or dimensions than
+        these."""
         nodes = nodes_of(points)
         check_same(self.units, nodes.units)
+        if nodes.dimension != self.dimension:
+            got = f"{self.dimension} dimensions, the model's, got shape {list(nodes.x.shape)}"
+            raise InputError(f"points: expected {got}")
         return nodes
 
     def elsewhere(self, length: float, stress: float) -> Values:

@@ -94,7 +94,7 @@ class Cracked:
                 f"{type(material).__name__}, whose third order no cut bond knows of"
             )
         linear = offered(material, "linear", verb, "a solid with a linear part for a Cracked")
-        linear.check_dimension(linear.own_nodes(self.points))
+        linear.own_nodes(self.points)
         if not self.points.is_open_lattice:
             raise InputError("points: a Cracked is for lattices that have no box and none outside")
         return lattice_body(self.points.x, self.points.spacing, linear.horizon)

@@ -353,8 +353,7 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
     def fitting(self, points: Points | Samples) -> Points:
         """The nodes, checked for the crystal's axis too; an assumed axis is warned of once."""
         nodes = super().fitting(points)
-        isotropic = str(self.symmetry) == "isotropic"
-        if isotropic or nodes.dimension != self.dimension:
+        if str(self.symmetry) == "isotropic":
             return nodes
         d, axes, stated = self.dimension, nodes.lattice.axes, nodes.axis is not None
         same = self.orientation @ point_group(self.symmetry, d)

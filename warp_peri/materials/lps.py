@@ -351,20 +351,11 @@ class LPSMaterial(Record, format="warp_peri.model"):
             )
         raise InputError(message)
 
-    def check_dimension(self, points: PointsLike) -> None:
-        """Raise InputError for points of another dimension than the model's."""
-        if points.dimension != self.dimension:
-            raise InputError(
-                f"points: expected {self.dimension} dimensions, the model's, got shape "
-                f"{list(points.x.shape)}"
-            )
-
     def certified_nodes(self, points: PointsLike) -> Points:
         """The nodes, scaled to the certified spacing near theirs, so that the operator is the one
         of the proof; other lattices and scattered points as they are. Raises InputError for points
         in other units or dimensions than the model."""
         nodes = self.own_nodes(points)
-        self.check_dimension(nodes)
         spacing = self.certified_spacing_near(nodes.spacing)
         if spacing == nodes.spacing:
             return nodes
@@ -457,11 +448,9 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
     def summary(self) -> Values:
         """Constants, lattices and errors of the model as plain values."""
-        names = ("mu", "E", "nu", "alpha", "degree", "horizon", "errors", "versions")
-        lists = ("units", "trained_on", "certified_on")
+        names = "mu E nu alpha degree horizon errors versions units trained_on certified_on"
         found = {"format": "model", "lambda": self.lam}
-        found |= {name: getattr(self, name) for name in names}
-        return found | {name: list(getattr(self, name)) for name in lists}
+        return found | {name: getattr(self, name) for name in names.split()}
 
     def rows(self) -> Rows:
         """Name and value of each line of the model's summary table."""

@@ -23,7 +23,7 @@ from scipy.special import j0
 
 from warp_peri.core.elastic import plane_isotropic
 from warp_peri.core.pointwise import Pointwise
-from warp_peri.core.proof import SAME_SPACING, largest, stencil_of
+from warp_peri.core.proof import SAME_SPACING, check_spacing, largest, stencil_of
 from warp_peri.core.record import Length, OnLinear, Stress, made_once
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError, Rows, Values, hold, warn
@@ -240,12 +240,9 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
         nodes, here = self.own_nodes(points), self
         if not nodes.spacing > 0:
             raise InputError("points: a third-order crystal is for lattices, got scattered points")
+        if not transfer:
+            check_spacing(self.spacing, nodes.spacing, "transfer=False, and the points have")
         if abs(nodes.spacing / self.spacing - 1) > SAME_SPACING:
-            if not transfer:
-                raise InputError(
-                    f"spacing: the model is for {self.spacing:g}, the points have "
-                    f"{nodes.spacing:g}, and transfer=False"
-                )
             here = made_once(_transferred, self, nodes.spacing)
         if not here.linear.statement:
             said = "the crystal model has no certificate on this lattice"
@@ -281,10 +278,8 @@ class ThirdOrderMaterial(OnLinear, format="warp_peri.third_order_crystal"):
         if "strain" in said:  # which may be less than is proven now
             known["curvature"] = curvature_bound(known["largest_parts"], float(said["strain"]))
         for name, value in said.items():
-            high, low = (
-                value <= (1 + SAME) * np.array(known[name]),
-                known[name] <= (1 + SAME) * value,
-            )
+            high = value <= (1 + SAME) * np.array(known[name])
+            low = known[name] <= (1 + SAME) * value
             held = high if name == "strain" else low & high if name == "spacing" else low
             if not (held & (value >= 0)).all():
                 raise InputError(f"proven: {name} {value!r:.60} is not proven of these")

@@ -143,7 +143,7 @@ class Subdomain:
             offered(material, "density", "simulate", "a BrittleMaterial")
             if problem.pressure is not None:
                 raise InputError("simulate: expected no pressure on ranks")
-            material.linear.check_dimension(material.own_nodes(self))
+            material.own_nodes(self)
             how, begin, *_ = asked = problem.steps(options)
         model, d = material.model, self.dimension
         build(comm, neighbours.lattice_neighbours, sweep(d).sweep, halves(d).kick_and_drift)
