@@ -220,13 +220,14 @@ def notched(horizon, lam, corrected=False):
 def crack(folder, steps="60", pause="0"):
     glass, plate = notched(2.5, 0.3)
     points, x = plate.points, plate.points.x
-    os.environ["PAUSE"] = pause  # no part of what a checkpoint knows a run by
+    os.environ["HELD"] = int(pause) * str(folder / "state.h5")  # no part of what a run is known by
     if pause != "0":
         print("pids", *points.comm.allgather(os.getpid()), flush=True)
     motion = wp.simulate(
         glass, plate, step=0.5 * glass.longest_step(1.0), steps=int(steps), every=20,
         no_fail=np.abs(x[:, 1]) > 7,
-        watch={"worst": lambda phi: time.sleep(float(os.environ["PAUSE"])) or phi.max()},
+        watch={"worst": lambda phi:
+               time.sleep(1e6 * os.path.isfile(os.environ["HELD"])) or phi.max()},
         checkpoint=folder / "state.h5", checkpoint_every=1, series=folder / "series",
     )  # fmt: skip
     names = "elastic", "work", "worst"
