@@ -7,19 +7,21 @@ where the crack branches and how fast it runs over the speed of surface waves, a
 Under mpiexec the plate is spread over processes, with the same bits.
 """
 
-import argparse
 import json
+import sys
 from pathlib import Path
 
-import matplotlib
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
 import numpy as np
 
 import warp_peri as wp
+from examples.figures import panels, save_figure
+from tools.options import Options
+from warp_peri.errors import exit_status
 from warp_peri.fracture import BrittleMaterial, rectangle_nodes
 from warp_peri.mpi import gather, is_root, partition
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
+from warp_peri.points.arguments import Positive
 
 SI, PS = ("m", "Pa"), 1e-12
 """Units of length and stress; a picosecond, in which motions are timed [s]."""
@@ -55,19 +57,18 @@ def branch_point(x: np.ndarray, phi: np.ndarray, h: float) -> float | None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--spacing", type=float, default=0.5e-3, help="[m]")
-    parser.add_argument("--ratio", type=float, default=4.0, help="horizon over spacing")
-    parser.add_argument("--time", type=float, default=45e-6, help="[s]")
-    parser.add_argument("--share", type=float, default=0.4, help="of the longest step")
-    parser.add_argument("--series", action="store_true", help="write files for ParaView")
-    parser.add_argument("--out", type=Path, default=Path("runs/branching"))
-    given = parser.parse_args(arguments)
-    given.out.mkdir(parents=True, exist_ok=True)
+    options = {
+        "spacing": (0.5e-3, "[m]", Positive),
+        "ratio": (4.0, "horizon over spacing", Positive),
+        "time": (45e-6, "[s]", Positive),
+        "share": (0.4, "of the longest step", Positive),
+        "series": (False, "write files for ParaView"),
+    }
+    given = Options(__doc__, "branching", options=options).parse_args(arguments)
     h = given.spacing
     solid, plate, no_fail = glass(h, given.ratio)
     x, step = gather(plate.points, plate.points.x), given.share * solid.longest_step(h)
-    steps = round(given.time / PS / step)
+    steps = max(1, round(given.time / PS / step))
     every = max(1, steps // 100)
     run = wp.simulate(
         solid, plate, step=step, steps=every * (steps // every), every=every,
@@ -82,16 +83,16 @@ def main(arguments: list[str] | None = None) -> int:
     runs = [(t, s) for t, s in zip(PS * run.time, run["tip"]) if 2e-3 < s < 0.045]
     width = max(3, len(runs) // 8)
     windows = (np.transpose(runs[k : k + width]) for k in range(len(runs) - width + 1))
-    speed = max((np.polyfit(part[0], part[1], 1)[0] for part in windows), default=np.nan)
+    speeds = [np.polyfit(part[0], part[1], 1)[0] / rayleigh for part in windows]
     numbers = {"nodes": len(x), "ledger": run.missing, "branch": branch_point(x, phi, h)}
-    print(json.dumps(numbers | {"speed_over_rayleigh": speed / rayleigh}))
-    figure, ax = plt.subplots(figsize=(8, 3.6), layout="constrained")
+    print(json.dumps(numbers | {"speed_over_rayleigh": max(speeds, default=None)}))
+    figure, ax = panels(8, 3.6)
     shown = ax.scatter(1e3 * x[:, 0], 1e3 * x[:, 1], c=phi, s=4, cmap="magma_r", vmin=0, vmax=0.6)
     ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title="The crack has split in two")
     figure.colorbar(shown, ax=ax, label="share of broken bonds")
-    figure.savefig(given.out / "damage.png", dpi=120)
+    save_figure(figure, given.out / "damage.png", dpi=120)
     return 0
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    sys.exit(exit_status(main))

@@ -7,16 +7,21 @@ to μ at every node costs one solve more for each field. Displacement alone does
 μ: that of the collar, which is known, sets it.
 """
 
-import argparse
 import json
+import sys
 from collections.abc import Callable
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
 import torch
 from scipy.optimize import minimize
 
 import warp_peri as wp
-from warp_peri.points.arguments import REDUCED
+from tools.options import Options, at_least
+from warp_peri.errors import exit_status
+from warp_peri.points.arguments import REDUCED, Count, NotNegative
 
 HORIZON, RATIO, STIFFER = 3.0, 0.375, 4.0  # in spacings; λ/μ; μ inside over μ outside
 WEIGHT, SMOOTH = 0.001, 0.01  # of the total variation, and where its kink is rounded
@@ -70,11 +75,12 @@ def loss_of(operator, held: np.ndarray, seen: torch.Tensor) -> Callable:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--side", type=int, default=60, help="unknown nodes along a side")
-    parser.add_argument("--noise", type=float, default=0.01, help="over the mean size of u")
-    parser.add_argument("--steps", type=int, default=80, help="of L-BFGS, at most")
-    given = parser.parse_args(arguments)
+    options = {
+        "side": (60, "unknown nodes along a side", at_least(2)),
+        "noise": (0.01, "over the mean size of u", NotNegative),
+        "steps": (80, "of L-BFGS, at most", Count),
+    }
+    given = Options(__doc__, options=options).parse_args(arguments)
     points, truth, held = body(given.side)
     solid = wp.LPSMaterial(
         RATIO, 1.0, 1.0, np.ones(1), HORIZON, certified_on=(1.0,), units=points.units
@@ -98,4 +104,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    sys.exit(exit_status(main))

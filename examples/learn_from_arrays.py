@@ -1,6 +1,5 @@
 """Learn a solid from arrays: nodes, displacements and loads of an elastic sheet under waves."""
 
-import argparse
 import json
 from pathlib import Path
 
@@ -35,9 +34,7 @@ numbers = {
 }
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
-    print(json.dumps(numbers, indent=None if parser.parse_args().json else 1, ensure_ascii=False))
+    print(json.dumps(numbers, indent=1, ensure_ascii=False))
     plots.influence_function(fit.material, spacing=5.0, ax=plt.figure().add_subplot())
     PICTURE.parent.mkdir(exist_ok=True)
     plt.savefig(PICTURE)

@@ -1,6 +1,5 @@
 """Your own influence function: a callable of the bond length, whose parameters are learned."""
 
-import argparse
 import dataclasses
 import json
 from pathlib import Path
@@ -39,9 +38,7 @@ assert fit.influence is not None
 numbers = {"mu": fit.material.mu, **fit.influence.parameters}
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
-    print(json.dumps(numbers, indent=None if parser.parse_args().json else 1))
+    print(json.dumps(numbers, indent=1))
     r = np.linspace(H, HORIZON)
     for name, shape in (("first guess", guess), ("learned", fit.influence)):
         plt.plot(r, shape(r), label=name)

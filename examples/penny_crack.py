@@ -11,7 +11,6 @@ import numpy as np
 
 import warp_peri as wp
 from examples.figures import panels
-from tools.options import Options
 from warp_peri import Cracked
 from warp_peri.fracture import BrittleMaterial, Injected, box_nodes, energy_release, j_integral
 from warp_peri.fracture import penny_corners as corners
@@ -71,7 +70,6 @@ def torn(side=24, radius=5.0, steps=400):
 
 
 if __name__ == "__main__":
-    as_json = Options(__doc__, json=True).parse_args().json
     points, motion, stress = torn()
     G, J = released()
     numbers = {
@@ -81,7 +79,7 @@ if __name__ == "__main__":
         "energy that is missing from the ledger": float(motion.missing),
         "largest damage": float(motion.details.damage.max()),
     }
-    print(json.dumps(numbers, indent=None if as_json else 1))
+    print(json.dumps(numbers, indent=1))
     count = round(len(points.x) ** (1 / 3))
     damage = motion.details.damage.reshape(3 * (count,))
     figure, axes = panels(9.5, 3.2, count=3)

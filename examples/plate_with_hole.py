@@ -6,7 +6,6 @@ Compares the plate with Lekhnitskii's exact one, Kirsch's where the material is 
 the stress along x.
 """
 
-import argparse
 import json
 import sys
 from pathlib import Path
@@ -14,18 +13,17 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-import matplotlib
 import numpy as np
 
 import warp_peri as wp
 from examples.exact import hoop_stress, plate_with_hole
+from examples.figures import panels, save_figure
+from tools.options import Options
 from warp_peri.crystals import crystal_from_lps
 from warp_peri.errors import exit_status
 from warp_peri.methods import Coupling
+from warp_peri.points.arguments import Positive
 from warp_peri.points.outlines import Circle, box, mesh_outline
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 
 TENSION = 0.005
 """Far from the hole [TPa]."""
@@ -39,16 +37,15 @@ class Moduli:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--model", type=Path, default=ROOT / "runs/graphene_0K/model.json")
-    parser.add_argument("--radius", type=float, default=40.0, help="of the hole [Å]")
-    parser.add_argument("--half", type=float, default=100.0, help="half the plate's width [Å]")
-    parser.add_argument("--size", type=float, default=2.0, help="of triangles at the hole [Å]")
-    parser.add_argument("--spacing", type=float, default=2.5, help="of the nodes inside [Å]")
-    parser.add_argument("--horizon", type=float, default=7.5, help="at most, there [Å]")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs/plate_with_hole")
-    given = parser.parse_args(arguments)
-    given.out.mkdir(parents=True, exist_ok=True)
+    options = {
+        "model": (ROOT / "runs/graphene_0K/model.json", "of a linear solid"),
+        "radius": (40.0, "of the hole [Å]", Positive),
+        "half": (100.0, "half the plate's width [Å]", Positive),
+        "size": (2.0, "of triangles at the hole [Å]", Positive),
+        "spacing": (2.5, "of the nodes inside [Å]", Positive),
+        "horizon": (7.5, "at most, there [Å]", Positive),
+    }
+    given = Options(__doc__, "plate_with_hole", options=options).parse_args(arguments)
     model, h = wp.load(given.model), given.spacing
     if not model.is_certified_on(h) or given.horizon != model.horizon:
         model = wp.transfers.on_lattice(model, spacing=h, largest_horizon=given.horizon)
@@ -72,13 +69,13 @@ def main(arguments: list[str] | None = None) -> int:
         "peak_over_tension": float(found.max() / TENSION),
     }
     print(json.dumps(numbers))
-    figure, ax = plt.subplots(figsize=(5.5, 4.5), layout="constrained")
+    figure, ax = panels(5.5, 4.5)
     shown = ax.tripcolor(
         mesh.x[:, 0], mesh.x[:, 1], stress, triangles=mesh.cells, shading="gouraud"
     )
     ax.set(aspect="equal", xlabel="x [Å]", ylabel="y [Å]", title="Tension along x")
     figure.colorbar(shown, ax=ax, label="stress along x over the tension")
-    figure.savefig(given.out / "stress.png", dpi=120)
+    save_figure(figure, given.out / "stress.png", dpi=120)
     return 0
 
 

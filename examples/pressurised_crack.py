@@ -7,8 +7,6 @@ import json
 import sys
 from pathlib import Path
 
-REDUCED = ("sigma", "epsilon/sigma^3")
-"""Units of numbers that have none."""
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
@@ -16,9 +14,10 @@ import numpy as np
 import warp_peri as wp
 from examples.exact import sneddon_opening, westergaard
 from examples.figures import panels
-from tools.options import Options
+from tools.options import Options, at_least
 from warp_peri import fracture
 from warp_peri.errors import exit_status
+from warp_peri.points.arguments import REDUCED, Natural
 
 HALF, RATIO, TOUGHNESS = 0.5, 3.0, 0.01
 
@@ -55,14 +54,11 @@ def opening(cells: int, lam: float = 1.0):
 
 
 def main(argv: list[str] | None = None) -> int:
-    parser = Options(__doc__, "pressurised_crack", json=True)
-    parser.add_argument("--cells", type=int, nargs="+", default=[8, 16, 32], help="per unit length")
-    parser.add_argument(
-        "--growth", type=int, default=16, help="cells of the growing crack, 0: none"
-    )
-    args = parser.parse_args(argv)
-    if min(args.cells) < 4:
-        parser.error(f"--cells: expected numbers ≥ 4, got {args.cells}")
+    options = {
+        "cells": ([8, 16, 32], "per unit length", at_least(4)),
+        "growth": (16, "cells of the growing crack, 0: none", Natural),
+    }
+    args = Options(__doc__, "pressurised_crack", options=options).parse_args(argv)
     numbers: dict = {"over Sneddon": {}}
     figure, (left, right) = panels(9, 4, count=2)
     for cells in args.cells:
@@ -83,7 +79,7 @@ def main(argv: list[str] | None = None) -> int:
         right.set(xlabel="volume pumped", ylabel="pressure")
         right.legend(frameon=False)
     figure.savefig(args.out / "opening.png", dpi=120)
-    print(json.dumps(numbers, indent=None if args.json else 1))
+    print(json.dumps(numbers, indent=1))
     return 0
 
 

@@ -33,8 +33,11 @@ def printed(paper: str, name: str) -> list[list[str]]:
 def print_tables(doc: str | None, tables: Sequence[Callable[..., Table]], *given: object) -> None:
     """What a script of tables does: print those that the command names, all by default."""
     parser, names = Options(doc), {make.__name__: make for make in tables}
-    parser.add_argument("table", nargs="*", choices=[[], *names], help="which; default: all")
-    for name in parser.parse_args().table or names:
+    parser.add_argument("table", nargs="*", help="which; default: all")
+    asked = parser.parse_args().table
+    if unknown := set(asked) - names.keys():
+        parser.error(f"table: expected of {', '.join(names)}, got {', '.join(unknown)}")
+    for name in asked or names:
         print(f"{names[name].__doc__}\n\n{table(*names[name](*given))}\n")
 
 

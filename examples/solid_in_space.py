@@ -1,6 +1,5 @@
 """Solve in space: a ball swells inside an elastic block; against the textbook's elasticity."""
 
-import argparse
 import json
 import sys
 from pathlib import Path
@@ -34,14 +33,11 @@ def swollen(h):
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
-    as_json = parser.parse_args().json
     solved = [swollen(h) for h in SPACINGS]
     errors = [error for *_, error, _ in solved]
     order = float(np.polyfit(np.log(SPACINGS), np.log(errors), 1)[0])
     numbers = {"relative error of u": errors, "order": order, "proven, over μ": solved[0][3] / MU}
-    print(json.dumps(numbers, indent=None if as_json else 1))
+    print(json.dumps(numbers, indent=1))
     points, u = solved[-1][:2]
     count = round(len(points.x) ** (1 / 3))
     size = np.where(points.interior, np.linalg.norm(u, axis=1), np.nan).reshape(3 * (count,))

@@ -285,7 +285,7 @@ CASES = (
 
 
 def main() -> None:
-    given = Options(__doc__, options={"out": (ROOT / "docs", "for both")}).parse_args()
+    given = Options(__doc__, str(ROOT / "docs")).parse_args()
     with warnings.catch_warnings(action="ignore"):
         cases = {case.__name__: case() for case in tqdm(CASES)}
     for name, case in cases.items():

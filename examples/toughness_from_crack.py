@@ -1,10 +1,7 @@
 """Strength and toughness of bonds from one test: a notched plate is pulled, its force is measured.
 
 The same model makes the data, noise of 1 % is added. Bonds soften beyond a stretch, so that the
-force is differentiable through all that breaks: torch through `simulate`.
-
-python examples/toughness_from_crack.py           numbers, and a picture
-python examples/toughness_from_crack.py --json    errors of toughness and strength, seconds
+force is differentiable through all that breaks: torch through `simulate`. Draws a picture.
 """
 
 import json
@@ -23,6 +20,7 @@ from examples.figures import panels, save_figure
 from tools.options import Options
 from warp_peri.errors import exit_status
 from warp_peri.fracture import BondLaw, SofteningMaterial, rectangle_nodes
+from warp_peri.points.arguments import Count, Natural
 
 TRUE, GUESS = BondLaw(0.0, stretch=0.02, tail=0.2), BondLaw(0.0, stretch=0.026, tail=0.13)
 WIDE, HIGH, HORIZON, NOISE = 24, 16, 3.0, 0.01  # mm
@@ -87,10 +85,10 @@ def picture(rows: dict[str, torch.Tensor]) -> Any:
 
 def main(args: list[str] | None = None) -> int:
     """Write the picture and print the numbers."""
-    options = {"seed": (0, "of the noise"), "iterations": (15, "of L-BFGS")}
-    given = Options(__doc__, "toughness_from_crack", json=True, options=options).parse_args(args)
+    options = {"seed": (0, "of the noise", Natural), "iterations": (15, "of L-BFGS", Count)}
+    given = Options(__doc__, "toughness_from_crack", options=options).parse_args(args)
     numbers, figure = toughness_from_force(given.seed, given.iterations)
-    print(json.dumps(numbers, indent=None if given.json else 1))
+    print(json.dumps(numbers, indent=1))
     save_figure(figure, given.out / "toughness_from_crack.png")
     return 0
 

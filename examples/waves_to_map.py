@@ -6,15 +6,21 @@
 data.
 """
 
-import argparse
 import json
+import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
 import torch
 
 import warp_peri as wp
+from tools.options import Options, at_least
+from warp_peri.errors import exit_status
+from warp_peri.points.arguments import Count, NotNegative
 
 H, HORIZON, DENSITY, LAM, MU = 5.0, 3, 2200.0, 0.3, 0.5  # Å, spacings, kg/m³, TPa, TPa
 DISCS = (((-14, 10), 8, (1.5, 1.4)), ((12, 12), 7, (0.6, 1.3)), ((4, -14), 9, (1.35, 0.6)))
@@ -65,11 +71,12 @@ def variation(z: torch.Tensor) -> torch.Tensor:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--side", type=int, default=64, help="unknown nodes along a side")
-    parser.add_argument("--noise", type=float, default=0.01, help="over the mean size of the data")
-    parser.add_argument("--iterations", type=int, default=40, help="of L-BFGS, at most")
-    given = parser.parse_args(arguments)
+    options = {
+        "side": (64, "unknown nodes along a side", at_least(8)),
+        "noise": (0.01, "over the mean size of the data", NotNegative),
+        "iterations": (40, "of L-BFGS, at most", Count),
+    }
+    given = Options(__doc__, options=options).parse_args(arguments)
     body, x, true = plate(given.side)
     heard, inside = shot(body, x, given.side), torch.tensor(body.points.interior)
     with torch.no_grad():
@@ -101,4 +108,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    sys.exit(exit_status(main))

@@ -55,6 +55,7 @@ from warp_peri.fracture.dynamics import BreakingBody, step
 from warp_peri.fracture.materials import BrittleMaterial
 from warp_peri.materials.lps_force import Bonds
 from warp_peri.materials.lps_operator import LPSOperator, lps_force
+from warp_peri.points.arguments import Count
 from warp_peri.runtime import floats, set_num_threads, zeros
 
 HORIZON = 4.0
@@ -466,9 +467,10 @@ def front(*, quick: bool, threads: int) -> None:
     constants, rows = cubic_constants(bond_length()), []
     third = [constants[name] for name in ("t3", "tq2", "q3")]
     sets = {name: data[name] for name in ("test", "train", "test_fine", "train_fine")}
-    for name in ("test", "train"):
-        samples = making.read_samples(file.with_suffix(".cache"), name)
-        sets[f"{name}_ten"] = making.point_set(*samples, spacing=10.0)
+    told: Any = zip(("train", "test"), making.graphene_bodies(), (making.TRAINING, making.TEST))
+    for name, body, loads in told:
+        solved = making.solve_all({body: loads}, file.with_suffix(".cache"), 1, True)[body]
+        sets[f"{name}_ten"] = making.point_set(body, loads, solved, spacing=10.0)
     with warnings.catch_warnings(action="ignore"):
         told = candidates(data, data["train"], third), candidates(data, seen, third)
         for (name, (end, prepare)), (_, half) in zip(told[0].items(), told[1].values()):
@@ -543,15 +545,13 @@ KINDS = {"operator": operator, "solve": solves, "breaking": breaking, "front": f
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = Options(__doc__)
+    options = {
+        "quick": (False, "all of it in seconds; its times say nothing"),
+        "threads": (2, "of every candidate", Count),
+        "draw": (False, "front: draw the record, and measure nothing"),
+    }
+    parser = Options(__doc__, options=options)
     parser.add_argument("what", choices=KINDS)
-    parser.add_argument(
-        "--quick", action="store_true", help="all of it in seconds; its times say nothing"
-    )
-    parser.add_argument("--threads", type=int, default=2, help="of every candidate")
-    parser.add_argument(
-        "--draw", action="store_true", help="front: draw the record, and measure nothing"
-    )
     given = parser.parse_args(arguments)
     if given.draw:
         draw()

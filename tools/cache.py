@@ -1,29 +1,26 @@
 """Finished work of a data maker: files by a hash of what determines them, made in parallel."""
 
 import hashlib
+import inspect
 import json
 import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import joblib
 import numpy as np
 
-from warp_peri.files.atomic import read_arrays, whole_file
+from warp_peri import InputError
+from warp_peri.files.atomic import destination, plain, read_arrays, whole_file
+from warp_peri.points.dataset import load_dataset
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-class Arrays(Protocol):
-    """A dataclass of numbers and arrays, all of one shape."""
-
-    __dataclass_fields__: ClassVar[dict[str, Any]]
-
-
-R = TypeVar("R", bound=Arrays)
+R = TypeVar("R")
 
 
 def digest(content: dict[str, Any], length: int = 20) -> str:
@@ -38,13 +35,13 @@ def file_hash(path: str | os.PathLike[str]) -> str:
 
 
 def read_record(path: Path, kind: type[R]) -> R | None:
-    """Numbers and arrays of one shape, the fields of a dataclass, as `write_record` left them.
+    """Numbers and arrays of one shape, the fields of a dataclass, as `write_arrays` left them.
 
     None when there is no file, with a warning when it is corrupt.
     """
     try:
         content = read_arrays(path)
-        fields = {name: content[name] for name in kind.__dataclass_fields__}
+        fields = {name: content[name] for name in inspect.get_annotations(kind)}
         if len({value.shape for value in fields.values() if value.ndim}) > 1:
             raise ValueError("arrays do not fit each other")
         if not all(np.isfinite(value).all() for value in fields.values()):
@@ -58,11 +55,6 @@ def read_record(path: Path, kind: type[R]) -> R | None:
         return None
 
 
-def write_record(path: Path, record: Arrays) -> None:
-    """Keep a dataclass of numbers and arrays, whole or not at all; OSError names the file."""
-    write_arrays(path, vars(record))
-
-
 def write_arrays(path: Path, arrays: dict[str, Any]) -> None:
     """Keep arrays by name, whole or not at all; OSError names the file."""
     try:
@@ -70,6 +62,19 @@ def write_arrays(path: Path, arrays: dict[str, Any]) -> None:
             np.savez(temporary, **arrays)
     except OSError as error:
         raise OSError(f"cannot write {path}: {error}") from None
+
+
+def check_made(path: Path, settings: dict[str, Any], *, overwrite: bool) -> None:
+    """Raise InputError for what is no file and, but for `overwrite`, no data of these settings.
+
+    `settings`: values that the provenance of a data set says, whose file may be there.
+    """
+    if destination(path).exists() and not overwrite:
+        said = load_dataset(path).provenance
+        if plain(settings) != {name: said.get(name) for name in settings}:
+            raise InputError(
+                f"{path}: is there already, not by these settings; name another, or --overwrite"
+            )
 
 
 def kept(path: Path, compute: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
@@ -85,7 +90,12 @@ def kept(path: Path, compute: Callable[[], dict[str, np.ndarray]]) -> dict[str, 
 def in_parallel(
     jobs: int, work: Callable[..., Any], tasks: Iterable[tuple], *, ordered: bool = True
 ) -> Iterator[Any]:
-    """work(*task) of each task, in so many processes of one BLAS thread, −1 for one per core."""
+    """work(*task) of each task, in so many processes of one BLAS thread, −1 for one per core.
+
+    Raises InputError for a number of processes that is none.
+    """
+    if jobs == 0 or jobs < -1:
+        raise InputError(f"jobs: expected a number of processes ≥ 1, or −1, got {jobs}")
     kind = "generator" if ordered else "generator_unordered"
     parallel = joblib.Parallel(n_jobs=jobs, return_as=kind, batch_size=1)
     with one_thread_each():

@@ -141,11 +141,8 @@ def local_solver(
 ) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """Assemble and factorise; the result solves for u on the interior, shape [..., I, 2].
 
-    Args:
-        points: a square lattice with a collar of five nodes at least.
-        C: Voigt matrix of plane elasticity [stress], along the nodes' axes, shape [3, 3].
-        third: t3, tq2 and q3 [stress] of a crystal whose zigzag direction is the nodes' x axis;
-            None for linear elasticity.
+    `points`: a square lattice with a collar of five nodes at least; `C`, `third`: as of
+    elastic_solver.
     """
     steps, axes = points.lattice
     place = FINER * (steps - steps.min(axis=0))

@@ -35,6 +35,7 @@ import torch
 
 from tools.frozen_cases import CASES, FOLDER, Absent
 from tools.options import Options
+from warp_peri.errors import InputError, exit_status
 from warp_peri.runtime import set_num_threads
 
 RECORD = FOLDER / "record.json"
@@ -158,12 +159,19 @@ def computed(only: re.Pattern[str], names: set[str]) -> dict[str, Any]:
         if not mine and not why.startswith("the case"):
             found[f"{case}: all"] = why
         print(f"  {case}, {time.perf_counter() - begin:.1f} s", file=sys.stderr)
+    if not any(map(only.search, found.keys() | names)):
+        raise InputError(f"only: expected a pattern of some entry, got {only.pattern}")
     return {name: entry for name, entry in found.items() if only.search(name)}
 
 
 def record(only: re.Pattern[str]) -> int:
-    """Write all entries, or those that are asked for beside the others; 1 where one failed."""
+    """Write all entries, or those that are asked for beside the others; 1 where one failed.
+
+    The head says where and of which commit all were written: a part is written there alone.
+    """
     known = json.loads(RECORD.read_text()) if RECORD.exists() else {"entries": {}}
+    if only.pattern and not machine().items() <= known.items():
+        raise InputError("only: expected the record's machine and packages; record all here")
     found = computed(only, set())
     failed = {name: why for name, why in found.items() if isinstance(why, str)}
     for name, why in failed.items():
@@ -174,6 +182,7 @@ def record(only: re.Pattern[str]) -> int:
     commit = subprocess.run(
         ["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
     ).stdout.strip()
+    commit = known["commit"] if only.pattern else commit
     lines = [f"{json.dumps(n)}: {json.dumps(e)}" for n, e in sorted((rest | found).items())]
     start = json.dumps({"commit": commit} | machine(), indent=1)[:-2]
     body = ",\n  ".join(lines)
@@ -204,17 +213,19 @@ def check(only: re.Pattern[str], *, tightest: str = "", every: bool = False) -> 
             print(f"{stands:13} {name}: {shown}")
     where = "the machine of the record" if same else "another machine than the record's"
     print(", ".join(f"{counts[v]} {v}" for v in VERDICTS if counts[v]) + f", on {where}")
-    return int(counts[VERDICTS[3]] > 0 or not found)
+    return int(counts[VERDICTS[3]] > 0)
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Status of the command."""
-    parser = Options(__doc__)
+    options = {
+        "only": ("", "of entries whose names have this pattern", re.compile),
+        "every": (False, "print entries that are equal too"),
+        "list": (False, "print the names and do nothing"),
+    }
+    parser = Options(__doc__, options=options)
     parser.add_argument("verb", choices=("record", "check"))
-    parser.add_argument("--only", type=re.compile, default=re.compile(""), metavar="PATTERN")
     parser.add_argument("--class", dest="tightest", choices=("moved", "resummed"), default="")
-    parser.add_argument("--every", action="store_true", help="print entries that are equal too")
-    parser.add_argument("--list", action="store_true", help="print the names and do nothing")
     given = parser.parse_args(arguments)
     if given.list:
         entries = json.loads(RECORD.read_text())["entries"]
@@ -231,4 +242,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

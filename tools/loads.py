@@ -5,7 +5,6 @@ Each load has a `shape`, a dimensionless field [A, 2] without net force on the a
 a body force density. A load without amplitude is as large as its bond strain says.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -133,14 +132,10 @@ WAVES = [(p, q) for p in range(6) for q in range(6) if p or q]
 TRAINING = [WaveLoad(axis, waves) for axis in range(2) for waves in WAVES]
 
 
-def both_ways(seeds: Sequence[int], shortest: float = 20.0) -> list[Load]:
-    """Loads that hold all waves, each and its reverse."""
-    loads = [MixedLoad(seed, shortest) for seed in seeds]
-    return [way for load in loads for way in (load, Reversed(load))]
-
-
-DESIGNED = both_ways(range(2))
-"""In place of TRAINING: one tells a law whose moduli are known, two one that is to find them."""
+MIXED = [MixedLoad(seed, 20.0) for seed in range(2)]
+DESIGNED: list[Load] = [way for load in MIXED for way in (load, Reversed(load))]
+"""In place of TRAINING, loads that hold all waves, each and its reverse: one tells a law whose
+moduli are known, two one that is to find them."""
 PATCHES = (  # axis, edge and radius of the cases 1 to 10 of Table 1
     (0, 0, 25.0), (1, 0, 25.0), (0, 0, 15.0), (1, 0, 15.0), (0, 0, 10.0),
     (0, 1, 25.0), (1, 1, 25.0), (0, 1, 15.0), (1, 1, 15.0), (0, 1, 10.0),

@@ -17,6 +17,7 @@ from tools.make_leaflet import NODES, PROTOCOLS, SPACING, Leaflet, pull
 from tools.options import Options
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_text
+from warp_peri.points.arguments import NotNegative
 
 C1, C2 = 3.5, 1.5
 """Of the sheet [kPa]."""
@@ -55,9 +56,10 @@ def write_frames(folder: Path, *, noise: float = NOISE, seed: int = 7) -> None:
 
 def main() -> None:
     """Write the frames from a shell."""
-    parser = Options(__doc__, options={"noise": (NOISE, "[pixels]")})
+    parser = Options(__doc__, options={"noise": (NOISE, "[pixels]", NotNegative)})
     parser.add_argument("folder", type=Path)
     given = parser.parse_args()
+    given.folder.mkdir(parents=True, exist_ok=True)
     write_frames(given.folder, noise=given.noise)
 
 

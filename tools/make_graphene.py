@@ -16,20 +16,21 @@ if __name__ == "__main__":
 import numpy as np
 from tqdm import tqdm
 
-from tools.cache import file_hash, in_parallel
+from tools.cache import check_made, file_hash, in_parallel, read_record
 from tools.elastic import elastic_constants
 from tools.graphene import DISK_RADIUS, SHEET_CELLS, THICKNESS, area_per_atom, bond_length
 from tools.lammps_session import CARBON_MASS, POTENTIAL
 from tools.loads import DESIGNED, TEST, TRAINING, VALIDATION, Load, WaveLoad
 from tools.options import Options
-from tools.samples import Piece, Sample, cache_file, read_sample, solve_samples
+from tools.samples import Piece, Sample, cache_file, solve_samples
 from tools.statics import TOLERANCE
-from warp_peri import Dataset, InputError, Points, Samples
+from warp_peri import Dataset, Points, Samples
 from warp_peri.atoms import coarse_grain, smoothing_matrix
 from warp_peri.atoms.calculators import potential_file
 from warp_peri.cluster import scheduler
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
+from warp_peri.points.arguments import Positive
 from warp_peri.points.dataset import save_dataset
 
 LOADS: dict[str, Sequence[Load]] = {"designed": DESIGNED}
@@ -54,6 +55,7 @@ def make_graphene(
     cache: str | os.PathLike[str] | None = None,
     smoothing_radius: float = SMOOTHING_RADIUS,
     training: Sequence[Load] | None = None,
+    overwrite: bool = False,
     progress: bool = True,
 ) -> Path:
     """Make the data set: training and validation loads on a sheet, test loads on a disk.
@@ -69,19 +71,23 @@ def make_graphene(
         cache: folder of finished samples; by default beside `path`, with the suffix .cache.
         smoothing_radius: R of the coarse graining [Å].
         training: loads to learn from, on the sheet; TRAINING without.
+        overwrite: replace a file of other settings, too.
         progress: show a bar on stderr.
 
     Returns:
         The path written.
 
-    Raises InputError for jobs = 0 or below −1, and when another job writes to `path` or the cache,
-    FileNotFoundError for a missing potential, LammpsError, ConvergenceError naming the load,
-    OSError when the disk is full.
+    Raises InputError for jobs = 0 or below −1, for a file of other settings, and when another job
+    writes to `path` or the cache, FileNotFoundError for a missing potential, LammpsError,
+    ConvergenceError naming the load, OSError when the disk is full.
     """
-    check_jobs(jobs)
     path, asked = Path(path), training or TRAINING
-    cache = path.with_suffix(".cache") if cache is None else Path(cache)
+    cache = path.resolve().with_suffix(".cache") if cache is None else Path(cache)
+    smoothing = {"shape": "cone", "radius": smoothing_radius, "normalisation": "infinite lattice"}
+    loads = [repr(load) for load in training] if training else None
+    settings = {"temperature": 0.0, "smoothing": smoothing, "training": loads}
     with locked(path), locked(cache):
+        check_made(path, settings, overwrite=overwrite)
         cache.mkdir(parents=True, exist_ok=True)
         sheet, disk = graphene_bodies()
         # The disk first: it is the longest piece of work.
@@ -98,25 +104,18 @@ def make_graphene(
             for name, group in groups.items()
         }
         provenance = origin(sheet, disk, "tools/make_graphene.py") | {
-            "temperature": 0.0,
             "atoms": {
                 n: len(groups[k][2][0].reference) for n, k in (("sheet", "train"), ("disk", "test"))
             },
             "tolerance": TOLERANCE,
             "truth": elastic_constants(sheet.bond, potential=sheet.potential),
-            "smoothing": {"shape": "cone", "radius": radius, "normalisation": "infinite lattice"},
         }
+        provenance |= {name: value for name, value in settings.items() if value is not None}
         if "wave_number" in sets["train"].arrays:
             change = shape_change(sets["train"], sheet, learned[:count], radius)
             provenance["u_change_cone_to_paraboloid"] = change
         save_dataset(path, Dataset(sets, THICKNESS, mass_density(sheet.bond), provenance))
     return path
-
-
-def check_jobs(jobs: int) -> None:
-    """Raise InputError for a number of processes that is none."""
-    if jobs == 0 or jobs < -1:
-        raise InputError(f"jobs: expected a number of processes ≥ 1, or −1, got {jobs}")
 
 
 def origin(sheet: Piece, disk: Piece, source: str) -> dict[str, Any]:
@@ -151,33 +150,12 @@ def graphene_bodies() -> tuple[Piece, Piece]:
     return sheet, Piece(bond, str(potential), radius=DISK_RADIUS)
 
 
-def read_samples(
-    cache: str | os.PathLike[str], group: str
-) -> tuple[Piece, Sequence[Load], list[Sample]]:
-    """Finished samples of `train`, `val` or `test` with their body and loads, from the cache.
-
-    For node lattices that the data set does not hold; raises InputError when samples are missing.
-    """
-    sheet, disk = graphene_bodies()
-    groups: dict[str, tuple[Piece, Sequence[Load]]] = {
-        "train": (sheet, TRAINING),
-        "val": (sheet, VALIDATION),
-        "test": (disk, TEST),
-    }
-    body, loads = groups[group]
-    kept = [read_sample(cache_file(cache, body, load)) for load in loads]
-    samples = [sample for sample in kept if sample is not None]
-    if len(samples) < len(loads):
-        raise InputError(f"{cache}: samples of '{group}' are missing; make the data set first")
-    return body, loads, samples
-
-
 def solve_all(
     work: Mapping[Piece, Sequence[Load]], cache: Path, jobs: int, progress: bool
 ) -> dict[Piece, list[Sample]]:
     """Every sample, from the cache or solved in parallel; lists in the order of the loads."""
     cached = {
-        (body, load): read_sample(cache_file(cache, body, load))
+        (body, load): read_record(cache_file(cache, body, load), Sample)
         for body, loads in work.items()
         for load in loads
     }
@@ -197,7 +175,7 @@ def solve_all(
         result[body] = []
         for load in loads:
             file = cache_file(cache, body, load)
-            sample = cached[body, load] or read_sample(file)
+            sample = cached[body, load] or read_record(file, Sample)
             if sample is None:
                 raise OSError(f"{file}: a sample just made cannot be read back")
             result[body].append(sample)
@@ -288,41 +266,30 @@ def shape_change(
     }
 
 
-OPTIONS: dict[str, tuple[Any, str]] = {
+OPTIONS: dict[str, tuple[Any, ...]] = {
     "out": (Path("data/graphene_0K.h5"), "file to write"),
     "jobs": (-1, "processes; -1 is one for each core"),
     "scheduler": (str, "address of a Dask scheduler, whose workers do the work"),
     "cache": (Path, "folder of finished samples, beside the file by default"),
-    "smoothing_radius": (SMOOTHING_RADIUS, "R [Å]"),
+    "smoothing_radius": (SMOOTHING_RADIUS, "R [Å]", Positive),
     "loads": (("waves", *LOADS), "to learn from: seventy waves, or two loads, each both ways"),
+    "overwrite": (False, "replace a file of other settings, too"),
     "quiet": (False, "no progress bar"),
 }
 
 
 def main(arguments: list[str] | None = None) -> int:
-    given = Options(__doc__, options=OPTIONS).parse_args(arguments)
-    warnings.showwarning = short_warning
+    given = vars(Options(__doc__, options=OPTIONS).parse_args(arguments))
+    warnings.showwarning = lambda said, *_, **__: print(f"warning: {said}", file=sys.stderr)
 
     def work() -> None:
-        with scheduler(given.scheduler):
-            path = make_graphene(
-                given.out,
-                jobs=given.jobs,
-                cache=given.cache,
-                smoothing_radius=given.smoothing_radius,
-                training=LOADS.get(given.loads),
-                progress=not given.quiet,
-            )
-        print(path)
+        given["training"], given["progress"] = LOADS.get(given.pop("loads")), not given.pop("quiet")
+        with scheduler(given.pop("scheduler")):
+            print(make_graphene(given.pop("out"), **given))
 
     # LammpsError, ConvergenceError, a killed worker and some of h5py's are RuntimeErrors.
     kept = "finished samples are kept and the next run goes on"
     return exit_status(work, kept, name="make_graphene")
-
-
-def short_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    """Print a warning as one line, in place of warnings.showwarning."""
-    print(f"warning: {message}", file=sys.stderr)
 
 
 if __name__ == "__main__":

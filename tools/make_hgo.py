@@ -20,14 +20,14 @@ if __name__ == "__main__":
 import numpy as np
 from tqdm import tqdm
 
-from tools.cache import digest, in_parallel, kept
+from tools.cache import check_made, digest, in_parallel, kept
 from tools.hyperelastic_elements import Elements, NotSolved, finite_elements, triangles
 from tools.hyperelastic_energies import Energy, Family, hgo
 from tools.options import Options
 from warp_peri import Dataset, InputError, Points, Samples, save
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
-from warp_peri.points.arguments import REDUCED
+from warp_peri.points.arguments import REDUCED, Natural
 
 NODES = 21
 """Nodes a side of the square."""
@@ -77,6 +77,10 @@ class Material:
     k1: float = 0.1
     k2: float = 1.5
     angle: float = 90.0
+
+    def __post_init__(self) -> None:
+        if not (self.E > 0 and -1 < self.nu < 0.5 and self.k1 >= 0 and self.k2 >= 0):
+            raise InputError(f"material: expected E > 0, −1 < ν < ½, k1, k2 ≥ 0, got {self}")
 
     @property
     def energy(self) -> Energy:
@@ -218,25 +222,28 @@ def on_nodes(mesh: Elements, u: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 def main() -> None:
     """Make the data from a shell."""
-    how: dict[str, tuple[Any, str]] = {
-        "out": (Path("data/hgo"), "folder of samples"),
-        "counts": ([200, 25, 25, 10], "samples of train, val, test and disks"),
-        "seed": (1000, "of the first load"),
-        "jobs": (-1, "processes"),
+    how: dict[str, tuple[Any, ...]] = {
+        "out": (Path("data/hgo"), "folder of samples; the data set is a file beside it"),
+        "counts": ([200, 25, 25, 10], "samples of train, val, test and disks", Natural),
+        "seed": (1000, "of the first load", Natural),
+        "jobs": (-1, "processes; -1 is one for each core"),
+        "overwrite": (False, "replace a file of other settings, too"),
     }
     sheet = {name: (value, "of the energy") for name, value in asdict(Material()).items()}
     given = vars(Options(__doc__, options=how | sheet).parse_args())
     material = Material(**{name: given[name] for name in sheet})
-    out = given["out"]
     if len(given["counts"]) != 4:
         raise InputError(f"counts: expected four numbers, got {given['counts']}")
-    chosen = {name: given[name] for name in ("counts", "seed", "jobs")}
-    sets, file = make_hgo(out, material=material, **chosen), out.with_suffix(".h5")
-    provenance = given | {"out": out.name}
+    chosen = {name: given[name] for name in ("counts", "seed")}
+    provenance, out = chosen | asdict(material), given["out"].resolve()
+    check_made(file := Path(f"{out}.h5"), provenance, overwrite=given["overwrite"])
+    sets = make_hgo(out, material=material, **chosen, jobs=given["jobs"])
     save(file, Dataset(sets, thickness=1.0, density=1000.0, provenance=provenance))
     for name, samples in sets.items():
         print(f"{name}: {len(samples)} samples on {len(samples.x)} nodes, in {file}")
 
 
 if __name__ == "__main__":
-    sys.exit(exit_status(main))
+    from tools import make_hgo as by_name  # under which processes find what they are to do
+
+    sys.exit(exit_status(by_name.main))

@@ -22,7 +22,7 @@ from tools.cache import digest, in_parallel, kept
 from tools.hyperelastic_elements import Elements, quadrilaterals
 from tools.hyperelastic_energies import Energy, Family, plane_stress_hgo
 from tools.options import Options
-from warp_peri import Points, Samples
+from warp_peri import InputError, Points, Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
 from warp_peri.points.arguments import REDUCED
@@ -51,6 +51,10 @@ class Leaflet:
     first: float = -25.0
     second: float = -65.0
     uneven: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (self.mu > 0 and self.k1 >= 0 and self.k2 >= 0):
+            raise InputError(f"leaflet: expected mu > 0, k1, k2 ≥ 0, got {self}")
 
     @property
     def energy(self) -> Energy:

@@ -14,6 +14,7 @@ import sys
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -23,19 +24,10 @@ if __name__ == "__main__":
 import numpy as np
 from tqdm import tqdm
 
-from tools.cache import in_parallel
+from tools.cache import check_made, in_parallel, read_record
 from tools.graphene import THICKNESS
 from tools.loads import Load
-from tools.make_graphene import (
-    SPACINGS,
-    check_jobs,
-    load_record,
-    mass_density,
-    on_nodes,
-    origin,
-    short_warning,
-    solve_all,
-)
+from tools.make_graphene import SPACINGS, load_record, mass_density, on_nodes, origin, solve_all
 from tools.options import Options
 from tools.samples import Piece, Sample
 from tools.thermal import (
@@ -46,7 +38,6 @@ from tools.thermal import (
     ThermalRun,
     graphene_plans,
     noise,
-    read_run,
     reduced,
     run,
     run_file,
@@ -70,6 +61,7 @@ def make_thermal(
     plans: Sequence[Plan] | None = None,
     cache: str | os.PathLike[str] | None = None,
     fine: bool = False,
+    overwrite: bool = False,
     jobs: int = -1,
     progress: bool = True,
 ) -> dict[tuple[str, float], Path]:
@@ -88,37 +80,44 @@ def make_thermal(
         cache: folder of finished runs, and of the samples at 0 K that they start from; by default
             graphene_0K.cache in `out`.
         fine: every set a second time, named with `_fine`, on nodes 2.5 Å apart.
+        overwrite: replace files of other settings, too.
         jobs: number of processes, −1 for one per core.
         progress: show a bar on stderr, with the time left.
 
     Returns:
         The path of each reduction and factor.
 
-    Raises InputError for values that make no sense, LammpsError naming load and seed, OSError when
-    the disk is full.
+    Raises InputError for values that make no sense and files of other settings, LammpsError naming
+    load and seed, OSError when the disk is full.
     """
     bath = Bath() if bath is None else bath
-    check_jobs(jobs)
     if not factors or not all(np.isfinite(factor) and factor > 0 for factor in factors):
         raise InputError(f"factors: expected numbers > 0, got {list(factors)}")
     if not reductions or not set(reductions) <= set(REDUCTIONS):
         raise InputError(f"reduction: expected of {', '.join(REDUCTIONS)}, got {list(reductions)}")
     plans = graphene_plans() if plans is None else plans
-    out = Path(out)
+    out, paths = Path(out), dict[tuple[str, float], Path]()
+    for reduction, factor in product(reductions, factors):
+        path = out / file_name(bath.temperature, reduction, factor)
+        if path in paths.values() and (reduction, factor) not in paths:
+            raise InputError(f"factors: expected such as differ in six digits, got {list(factors)}")
+        check_made(path, settings(bath, reduction, factor, fine), overwrite=overwrite)
+        paths[reduction, factor] = path
     cache = out / "graphene_0K.cache" if cache is None else Path(cache)
     cache.mkdir(parents=True, exist_ok=True)
     with locked(cache):
         at_rest, runs = run_all(plans, factors, bath, cache, jobs=jobs, progress=progress)
-        paths = {}
-        for factor in factors:
-            for reduction in reductions:
-                how: dict[str, Any] = {"reduction": reduction, "factor": factor, "fine": fine}
-                data = data_set(plans, runs, at_rest, bath, **how)
-                path = out / file_name(bath.temperature, reduction, factor)
-                with locked(path):
-                    save_dataset(path, data)
-                paths[reduction, factor] = path
+        for (reduction, factor), path in paths.items():
+            how: dict[str, Any] = {"reduction": reduction, "factor": factor, "fine": fine}
+            data = data_set(plans, runs, at_rest, bath, **how)
+            with locked(path):
+                save_dataset(path, data)
     return paths
+
+
+def settings(bath: Bath, reduction: str, factor: float, fine: bool) -> dict[str, Any]:
+    """What a data set's provenance says of how it was made."""
+    return asdict(bath) | {"reduction": reduction, "factor": factor, "fine": fine or None}
 
 
 def file_name(temperature: float, reduction: str, factor: float) -> str:
@@ -160,7 +159,7 @@ def data_set(
                 body, reference, fluctuation, np.zeros_like(fluctuation), spacing=spacing
             )
     sheet, disk = (next(p.body for p in plans if bool(p.body.cells) == x) for x in (True, False))
-    said = {**asdict(bath), **how, "snr": snr}
+    said = settings(bath, reduction, factor, fine) | {"snr": snr}
     provenance = origin(sheet, disk, "tools/make_thermal.py") | said
     return Dataset(sets, THICKNESS, mass_density(sheet.bond), provenance)
 
@@ -182,7 +181,7 @@ def run_all(
     at_rest = {body: dict(zip(loads, solved[body])) for body, loads in wanted.items()}
     tasks = [task for plan in plans for task in plan.tasks(factors)]
     files = {task: run_file(cache, task, bath) for task in tasks}
-    runs = {task: read_run(file) for task, file in files.items()}
+    runs = {task: read_record(file, ThermalRun) for task, file in files.items()}
 
     def work(task: Task) -> float:
         return float(len(start(task).reference) * bath.steps)
@@ -201,7 +200,7 @@ def run_all(
             bar.update(done)
     result = {}
     for task, file in files.items():
-        means = runs[task] or read_run(file)
+        means = runs[task] or read_record(file, ThermalRun)
         if means is None:
             raise OSError(f"{file}: a run just made cannot be read back")
         result[task] = means
@@ -219,27 +218,19 @@ OPTIONS: dict[str, tuple[Any, str]] = {
     "fine": (False, "also on nodes 2.5 Å apart"),
     "jobs": (-1, "processes; -1 is one for each core"),
     "cache": (Path, "folder of finished runs, in --out by default"),
+    "overwrite": (False, "replace files of other settings, too"),
     "quiet": (False, "no progress bar"),
 }
 
 
 def main(arguments: list[str] | None = None) -> int:
-    given = Options(__doc__, options=OPTIONS).parse_args(arguments)
-    warnings.showwarning = short_warning
+    given = vars(Options(__doc__, options=OPTIONS).parse_args(arguments))
+    warnings.showwarning = lambda said, *_, **__: print(f"warning: {said}", file=sys.stderr)
 
     def work() -> None:
-        paths = make_thermal(
-            given.out,
-            bath=Bath(given.temperature, given.steps, given.transient, given.iota),
-            factors=given.factors,
-            reductions=given.reduction,
-            cache=given.cache,
-            fine=given.fine,
-            jobs=given.jobs,
-            progress=not given.quiet,
-        )
-        for path in paths.values():
-            print(path)
+        bath = {name: given.pop(name) for name in ("temperature", "steps", "transient", "iota")}
+        given["reductions"], given["progress"] = given.pop("reduction"), not given.pop("quiet")
+        print(*make_thermal(bath=Bath(**bath), **given).values(), sep="\n")
 
     # LammpsError and a killed worker are RuntimeErrors.
     kept = "finished runs are kept and the next call goes on"

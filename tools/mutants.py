@@ -16,10 +16,12 @@ import sys
 import tempfile
 import tomllib
 from pathlib import Path
+from typing import Annotated
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 from tools.options import Options
+from warp_peri.points.arguments import Bound
 
 NET = ["tests/conformance", "tests/gradients"]
 LEFT_OUT = shutil.ignore_patterns(".*", "__pycache__", "data", "runs", "site", "build")
@@ -51,16 +53,19 @@ def caught_by(tests: list[str], root: Path) -> str:
 
 
 def main() -> None:
-    parser = Options(__doc__)
-    parser.add_argument("--only", type=int, nargs="+", metavar="N", help="faults of these numbers")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="what caught each fault")
-    given, faults = parser.parse_args(), read_faults()
-    chosen = {number: faults[number] for number in given.only or faults}
+    faults = read_faults()
+    known = Annotated[int, Bound("the number of a fault", faults.__contains__)]
+    options = {
+        "only": ([*faults], "faults of these numbers", known),
+        "json": (Path, "what caught each fault"),
+    }
+    given = Options(__doc__, options=options).parse_args()
+    chosen = {number: faults[number] for number in given.only}
     found = json.loads(given.json.read_text()) if given.json and given.json.exists() else {}
     with tempfile.TemporaryDirectory() as folder:
         root = Path(shutil.copytree(ROOT, f"{folder}/tree", symlinks=True, ignore=LEFT_OUT))
         rooms = {test for fault in chosen.values() for test in fault["tests"]}
-        if not found and (failure := caught_by([*NET, *sorted(rooms)], root)):
+        if failure := caught_by([*NET, *sorted(rooms)], root):
             sys.exit(f"without a fault: {failure}")
         for number, fault in chosen.items():
             if (key := str(number)) not in found:

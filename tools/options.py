@@ -1,11 +1,39 @@
 """Options of a script: its docstring as help, and a table of names, defaults and words."""
 
 import argparse
-from collections.abc import Mapping
+import math
+import re
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, get_args
+
+from warp_peri.points.arguments import Bound
 
 RUNS = Path(__file__).resolve().parent.parent / "runs"
+
+
+def at_least(count: int) -> Any:
+    """The kind of whole numbers from this one on."""
+    return Annotated[int, Bound(f"a whole number ≥ {count}", lambda value: value >= count)]
+
+
+def reading(kind: Any) -> Callable[[str], Any]:
+    """How argparse reads a value of a kind, which may have a Bound; numbers are finite."""
+    of, bound = get_args(kind) or (kind, None)
+
+    def read(text: str) -> Any:
+        try:
+            value = of(text)
+        except re.error as error:
+            raise argparse.ArgumentTypeError(f"expected a pattern ({error}), got {text}") from None
+        finite = of not in (int, float) or math.isfinite(value)
+        if not finite or (bound and not bound.holds(value)):
+            words = bound.words if bound else "a finite number"
+            raise argparse.ArgumentTypeError(f"expected {words}, got {text}")
+        return value
+
+    read.__name__ = of.__name__  # of a text that is none
+    return read
 
 
 class Options(argparse.ArgumentParser):
@@ -14,10 +42,9 @@ class Options(argparse.ArgumentParser):
     Args:
         doc: the docstring.
         out: a folder in runs/, for --out, which is made.
-        json: whether there is --json.
-        options: by name, a default and the help. The default of a list is a list; a tuple of words
-            is a choice, of which the first is taken; False is a flag; a type in place of a default
-            stands for none.
+        options: by name, a default and the help, and a kind where one with a Bound is expected.
+            The default of a list is a list; a tuple of words is a choice, of which the first is
+            taken; False is a flag; a type in place of a default stands for none.
     """
 
     def __init__(
@@ -25,26 +52,25 @@ class Options(argparse.ArgumentParser):
         doc: str | None,
         out: str = "",
         *,
-        json: bool = False,
-        options: Mapping[str, tuple[Any, str]] | None = None,
+        options: Mapping[str, tuple[Any, ...]] | None = None,
     ) -> None:
         formatter = argparse.RawDescriptionHelpFormatter
         super().__init__(description=doc, formatter_class=formatter)
         every, self._lists = dict(options or {}), {}
         if out:
             every["out"] = RUNS / out, "folder for the results"
-        if json:
-            every["json"] = False, "print the numbers as JSON"
-        for name, (default, words) in every.items():
-            how: dict[str, Any] = {"type": type(default), "default": default}
+        for name, (default, words, *bound) in every.items():
+            one = default[0] if isinstance(default, list) else default
+            kind = bound[0] if bound else one if isinstance(one, type) else type(one)
+            how: dict[str, Any] = {"type": reading(kind), "default": default}
             if default is False:
                 how = {"action": "store_true"}
             elif isinstance(default, type):
-                how = {"type": default}
+                del how["default"]
             elif isinstance(default, tuple):
                 how = {"choices": default, "default": default[0]}
             elif isinstance(default, list):
-                how |= {"type": type(default[0]), "nargs": "+"}
+                how["nargs"] = "+"
             told = f" (default: {how['default']})" if how.get("default") not in (None, "") else ""
             if isinstance(default, list):  # replaced by what is typed, which adds up
                 self._lists[name] = default

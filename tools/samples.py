@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tools.cache import digest, file_hash, read_record, write_record
+from tools.cache import digest, file_hash, write_arrays
 from tools.graphene import THICKNESS, area_per_atom, disk, sheet
 from tools.lammps_session import LammpsSession
 from tools.loads import Load, PatchLoad, RimLoad, atom_force
@@ -95,11 +95,6 @@ def body_record(body: Piece) -> dict[str, Any]:
     }
 
 
-def read_sample(path: Path) -> Sample | None:
-    """The sample in a cache file; None when there is none, with a warning when it is corrupt."""
-    return read_record(path, Sample)
-
-
 def solve_samples(body: Piece, loads: Sequence[Load], cache: str | os.PathLike[str]) -> list[Path]:
     """Solve `loads` on `body` and write each to the cache as soon as it is done.
 
@@ -110,7 +105,7 @@ def solve_samples(body: Piece, loads: Sequence[Load], cache: str | os.PathLike[s
     for load in loads:
         sample = solve(body, statics, load)
         paths.append(cache_file(cache, body, load))
-        write_record(paths[-1], sample)
+        write_arrays(paths[-1], vars(sample))
     return paths
 
 

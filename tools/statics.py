@@ -132,12 +132,7 @@ class Statics:
         self._length = self._bond_lengths(self.reference)
 
     def equilibrium(
-        self,
-        force: np.ndarray,
-        *,
-        name: str,
-        guess: np.ndarray | None = None,
-        tolerance: float = TOLERANCE,
+        self, force: np.ndarray, *, name: str, guess: np.ndarray | None = None
     ) -> AtomsAtRest:
         """Displacement at which internal forces balance `force`.
 
@@ -145,16 +140,15 @@ class Statics:
         a whole is taken out, in the deformed configuration.
 
         `force`: dead load on the atoms [eV/Å], shape [A, 2]; `name`: of the load, for messages;
-        `guess`: displacement to start from [Å], shape [A, 2]; `tolerance`: on the largest component
-        of the residual [eV/Å].
+        `guess`: displacement to start from [Å], shape [A, 2].
 
-        Raises ConvergenceError when the residual does not fall below the tolerance.
+        Raises ConvergenceError when the residual does not fall below TOLERANCE.
         """
         u = np.zeros_like(self.reference) if guess is None else self._without_rigid_motion(guess)
         factor, fresh = self._factor, guess is None
         r, load = self._residual(u, force)
         for step in range(MAX_STEPS):
-            if np.abs(r).max() <= tolerance:
+            if np.abs(r).max() <= TOLERANCE:
                 return AtomsAtRest(u, load, float(np.abs(r).max()), step)
             du = self._without_rigid_motion(factor(r))
             stretch = np.linalg.norm(du[self.bonds[:, 1]] - du[self.bonds[:, 0]], axis=1).max()
@@ -171,7 +165,7 @@ class Statics:
                 break
             u, r, load, fresh = trial, r_trial, load_trial, False
         raise ConvergenceError(
-            f"load '{name}': no equilibrium within {tolerance:g} eV/Å after {step} steps, "
+            f"load '{name}': no equilibrium within {TOLERANCE:g} eV/Å after {step} steps, "
             f"residual {np.abs(r).max():.3g} eV/Å"
         )
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tools.cache import digest, read_record, write_record
+from tools.cache import digest, write_arrays
 from tools.lammps_session import LammpsSession
 from tools.loads import TEST, TRAINING, VALIDATION, Load
 from tools.make_graphene import graphene_bodies
@@ -89,11 +89,6 @@ def run_file(cache: str | os.PathLike[str], task: Task, bath: Bath) -> Path:
     return Path(cache) / f"{name}-s{task.seed}-{digest(content)}.npz"
 
 
-def read_run(path: Path) -> ThermalRun | None:
-    """The run in a cache file; None when there is none, with a warning when it is corrupt."""
-    return read_record(path, ThermalRun)
-
-
 def run(task: Task, at_rest: Sample, bath: Bath, cache: str | os.PathLike[str]) -> float:
     """Make a run and leave it in the cache.
 
@@ -139,7 +134,8 @@ def run(task: Task, at_rest: Sample, bath: Bath, cache: str | os.PathLike[str]) 
             raise LammpsError(f"{name}, seed {task.seed}: {error}") from None
     kept = bath.steps - bath.transient
     snr = float(np.sqrt(kept * (force**2).sum() / total))
-    write_record(run_file(cache, task, bath), ThermalRun(average / kept, smoothed, snr))
+    found = {"average": average / kept, "smoothed": smoothed, "snr": snr}
+    write_arrays(run_file(cache, task, bath), found)
     return float(len(reference) * bath.steps)
 
 

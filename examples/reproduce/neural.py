@@ -35,6 +35,7 @@ from warp_peri import Dataset, InputError, Points, Samples, hyperelastic
 from warp_peri.errors import exit_status
 from warp_peri.materials.hyperelastic.energies import NEAREST, half_family
 from warp_peri.neural import EquilibriumSolver, NeuralOperator, TrainingSettings, evaluate, train
+from warp_peri.points.arguments import Count
 
 WEIGHTS, DATA = ROOT / "examples" / "neural_weights", ROOT / "data"
 EXPERIMENTS = ("graphene", "hgo_3", "hgo_4", "hgo_5", "leaflet")
@@ -493,9 +494,9 @@ def main() -> None:
     if sys.argv[1:2] != ["train"]:
         print_tables(__doc__, TABLES)
         return
-    parser = Options(__doc__, "neural")
+    options = {"epochs": (int, "in all; default: as the shipped weights", Count)}
+    parser = Options(__doc__, "neural", options=options)
     parser.add_argument("experiment", choices=EXPERIMENTS)
-    parser.add_argument("--epochs", type=int, help="in all; default: as the shipped weights")
     given = parser.parse_args(sys.argv[2:])
     name, sets = given.experiment, sets_of(given.experiment)
     material = trained(name, given.out, given.epochs, sets)

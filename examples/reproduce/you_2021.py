@@ -26,6 +26,7 @@ import warp_peri as wp
 from examples.exact import continuum_symbol
 from examples.prose import Table, print_tables, printed
 from tools import thermal
+from tools.cache import read_record
 from tools.graphene import bond_length
 from tools.lammps_session import LammpsSession
 from tools.loads import TEST, TRAINING, VALIDATION
@@ -35,6 +36,7 @@ from tools.statics import ColouredHessian, find_bonds
 from tools.thermal import Bath, Plan, Task, ThermalRun
 from warp_peri import Bernstein, Dataset, Points, Samples
 from warp_peri.errors import exit_status
+from warp_peri.files.atomic import read_arrays
 from warp_peri.fitting.regression import sample_weights
 from warp_peri.materials.lps import bernstein_basis
 from warp_peri.materials.lps_law import Products
@@ -646,11 +648,11 @@ def long_averages() -> Table:
             bath, fields = Bath(steps=BATH.transient + steps, transient=BATH.transient), []
             for seed, (load, sample) in enumerate(zip(loads, rested), start=1):
                 task = Task(body, load, 1.0, seed)
-                if thermal.read_run(thermal.run_file(CACHE, task, bath)) is None:
+                file = thermal.run_file(CACHE, task, bath)
+                if read_record(file, ThermalRun) is None:
                     thermal.run(task, sample, bath, CACHE)
-                average = thermal.read_run(thermal.run_file(CACHE, task, bath))
-                assert average is not None
-                fields.append(thermal.settled(body, sample.reference, average.average))
+                average = read_arrays(file)["average"]
+                fields.append(thermal.settled(body, sample.reference, average))
             samples = on_nodes(body, rested[0].reference, np.stack(fields), force, spacing=5.0)
             found = errors_of(model, {"": samples})
             residual, displacement = percent([found["E_res "], found["E_u "]])

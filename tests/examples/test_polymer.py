@@ -62,9 +62,8 @@ def test_a_plane_flow_is_of_second_order_and_a_wall_moves_it():
     omega, errors, sizes = 60.0, [], [16, 32, 64]
     for cells in sizes:
         flow = PlaneFlow(1e-3, 1e-2, cells, force=lambda t: 12 * (1 - np.cos(omega * t)))
-        run = polymer.run_plane(
-            flow, MAXWELL, until=0.05, dt=flow.longest_step / 2, every=cells // 8
-        )
+        times = {"until": 0.05, "dt": flow.longest_step / 2, "every": cells // 8}
+        run = polymer.run_plane(flow, MAXWELL, **times)
         exact = poiseuille(flow.faces, run.t, 1e-3, 1e-2, 12.0)
         exact -= oscillation(flow.faces, run.t, 1e-3, 1e-2, 12.0, omega)
         errors.append(relative_error(run.u, exact))
@@ -78,15 +77,12 @@ def test_a_plane_flow_is_of_second_order_and_a_wall_moves_it():
 
 
 def test_a_learned_shear_law_moves_plates_as_dumbbells_do():
-    record = simulate(
-        Dumbbells(9, 10_000), polymer.held(polymer.shear(np.linspace(-4, 4, 9)), 200), 0.025
-    )
+    K = polymer.held(polymer.shear(np.linspace(-4, 4, 9)), 200)
+    record = simulate(Dumbbells(9, 10_000), K, 0.025)
     law = polymer.learn_shear(record, window=2, outside="allow")
     flow = PlaneFlow(1.0, 10.0, 32, top=np.sin)
-    exact, learned = (
-        polymer.run_plane(flow, fluid, until=8.0, dt=0.02, every=20).u for fluid in (MAXWELL, law)
-    )
-    assert relative_error(learned, exact) < 0.02
+    run = lambda fluid: polymer.run_plane(flow, fluid, until=8.0, dt=0.02, every=20).u
+    assert relative_error(run(law), run(MAXWELL)) < 0.02
 
 
 def test_a_rate_is_learned_from_exact_pairs_kept_in_a_file_and_marched_by_tables(tmp_path):

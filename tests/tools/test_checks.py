@@ -1,15 +1,16 @@
 """What holds the library to its numbers: the record, the table of faults, the benchmark."""
 
 import json
+import re
+import runpy
 import sys
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
 
-from tests.support import parametrize
+from tests.support import parametrize, refused
 from tests.support.problems import normal
-from tools import benchmark, entered, frozen
+from tools import benchmark, frozen, mutants
 from tools.mutants import NET, ROOT, read_faults, with_fault
 from tools.options import Options
 
@@ -25,12 +26,9 @@ def test_an_entry_of_the_record_is_held_to_its_class():
     near, one = FIELD * (1 + 3e-16), FIELD.copy()
     one[17, 0] += 1e-8  # at a node that was not kept
     for given, expected in (
-        (("moved", FIELD, FIELD.copy()), "equal"),
-        (("moved", FIELD, near), "BEYOND"),
-        (("resummed", FIELD, near), "within 1e-12"),
-        (("resummed", FIELD, FIELD[::-1]), "BEYOND"),
-        (("resummed", FIELD, FIELD.T), "BEYOND"),
-        (("resummed", FIELD, one), "BEYOND"),
+        (("moved", FIELD, FIELD.copy()), "equal"), (("moved", FIELD, near), "BEYOND"),
+        (("resummed", FIELD, near), "within 1e-12"), (("resummed", FIELD, FIELD[::-1]), "BEYOND"),
+        (("resummed", FIELD, FIELD.T), "BEYOND"), (("resummed", FIELD, one), "BEYOND"),
         (("resolved", FIELD, FIELD + 1e-8 * FIELD[::-1]), "within class"),
         (("resolved", FIELD, FIELD + 1e-6 * FIELD[::-1]), "BEYOND"),
         (("refitted", 0.0271479, 0.0271482), "within class"),
@@ -39,16 +37,55 @@ def test_an_entry_of_the_record_is_held_to_its_class():
         (("proven", 0.00999724, 0.00999704), "BEYOND"),
         (("residual", 1e-16, 2e-8, 1e-8), "BEYOND"),
         (("moved", "One solution.", "Two solutions."), "BEYOND"),
-    ):
+    ):  # fmt: skip
         assert stands(*given) == expected, given[0]
     assert stands("moved", FIELD, near, same_machine=False) == "within 1e-12"
     assert stands("resolved", FIELD, FIELD * (1 + 1e-9), tightest="resummed") == "BEYOND"
 
 
 def test_values_of_an_option_typed_twice_add_up():
-    options = Options("", options={"sizes": ([1, 2], "of steps")})
-    assert options.parse_args([]).sizes == [1, 2]
-    assert options.parse_args(["--sizes", "3", "--sizes", "4", "5"]).sizes == [3, 4, 5]
+    options = Options("", options={"n": ([1, 2], "of steps")})
+    assert options.parse_args(["--n", "3", "--n", "4", "5"]).n == [3, 4, 5]
+
+
+@parametrize(("words", "said"), [
+    ("tools/make_hgo.py --jobs 0", "jobs: expected a number of processes"),
+    ("tools/make_hgo.py --counts -1 1 0 1", "--counts: expected a whole number ≥ 0, got -1"),
+    ("tools/make_hgo.py --nu 1.5", "material: expected E > 0"),
+    ("tools/make_hgo.py --out a", "a.h5: expected a file or a new name, got a folder"),
+    ("tools/make_frames.py b --noise nan", "--noise: expected a number ≥ 0, got nan"),
+    ("tools/mutants.py --only 99999", "--only: expected the number of a fault, got 99999"),
+    ("tools/frozen.py check --only (", "--only: expected a pattern"),
+    ("examples/branching.py --spacing 4e-3 --share 2", "step: expected at most"),
+    ("examples/waves_to_map.py --side 4", "--side: expected a whole number ≥ 8, got 4"),
+    ("examples/polymer/tables.py nope", "table: expected of law, plates"),
+])  # fmt: skip
+def test_what_makes_no_sense_is_refused_at_once(words, said, here, monkeypatch, capsys):
+    (here / "a.h5").mkdir()
+    monkeypatch.setattr(sys, "argv", words.split())
+    with pytest.raises(SystemExit, match="2"):
+        runpy.run_path(str(ROOT / sys.argv[0]), run_name="__main__")
+    assert said in capsys.readouterr().err
+
+
+def test_a_tree_that_fails_catches_no_fault(here, monkeypatch):
+    (here / "found.json").write_text('{"1": ""}')
+    monkeypatch.setattr(mutants, "caught_by", lambda tests, root: "a test")
+    monkeypatch.setattr(sys, "argv", ["", "--json", "found.json", "--only", "1"])
+    with pytest.raises(SystemExit, match="without a fault: a test"):
+        mutants.main()
+
+
+def test_a_part_of_the_record_is_written_where_all_was(here, monkeypatch):
+    monkeypatch.setattr(frozen, "RECORD", here / "record.json")
+    monkeypatch.setattr(frozen, "CASES", {"one": lambda: iter([("force", "moved", FIELD)])})
+    every, part, none = map(re.compile, ("", "force", "zzzz"))
+    assert frozen.record(every) == frozen.record(part) == 0
+    with refused("only: expected a pattern of some entry, got zzzz"):
+        frozen.record(none)
+    monkeypatch.setattr(frozen, "machine", lambda: {"processor": "another"})
+    with refused("only: expected the record's machine"):
+        frozen.record(part)
 
 
 def test_what_fails_is_beyond_and_what_is_absent_is_skipped(monkeypatch):
@@ -78,23 +115,10 @@ def test_every_fault_stands_once_in_its_file_and_has_tests():
 
 
 @parametrize("what", [name for name in benchmark.KINDS if name != "front"])
-def test_subcommands_of_the_benchmark_run_at_quick_size(what, capsys, threads):
-    if what == "breaking" and find_spec("numba") is None:
-        pytest.skip("needs Numba: pip install 'warp_peri[bench]'")
+def test_subcommands_of_the_benchmark_run_and_a_wrong_rival_is_found(what, capsys, threads):
+    if what == "breaking":
+        pytest.importorskip("numba", reason="pip install 'warp_peri[bench]'")
     assert benchmark.main([what, "--quick"]) == 0
     assert capsys.readouterr().out
-
-
-def test_a_wrong_rival_is_found_and_the_front_is_drawn(tmp_path):
     with pytest.raises(RuntimeError, match="two is wrong by"):
         benchmark.report("x", {"one": lambda: np.ones(3), "two": lambda: np.zeros(3)}, 1, 1, 1e-9)
-    benchmark.draw(tmp_path / "front.png")
-    assert (tmp_path / "front.png").stat().st_size > 10_000
-
-
-def test_files_that_a_fit_and_a_solve_enter_are_told(graphene, monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["entered", "--data", str(graphene)])
-    assert entered.main() == 0
-    fit, solve = capsys.readouterr().out.splitlines()
-    assert ("fitting/regression.py" in fit, "regression" in solve) == (True, False)
-    assert "materials/lps" in solve

@@ -1,34 +1,31 @@
 """What makes data: atoms at rest and in a bath, elements, and caches that an interruption keeps."""
 
+import sys
 from dataclasses import replace
+from subprocess import run
 
 import numpy as np
 import pytest
-from numpy.random import default_rng
 
 import tools.make_graphene as tool
 import warp_peri as wp
-from tests.support import approx, near, sup
+from tests.support import ROOT, approx, near, refused, sup
 from tests.support.nonlinear import strain
-from tests.support.problems import difference, fitted_order, normal, slope
+from tests.support.problems import difference, normal
 from tools import samples
 from tools.elastic import elastic_constants
-from tools.elements import errors_of_local, piola
+from tools.elements import piola
 from tools.graphene import bond_length, disk
-from tools.hyperelastic_elements import Elements, quadrilaterals
-from tools.hyperelastic_energies import Family, hgo
 from tools.lammps_session import POTENTIAL, LammpsSession
 from tools.loads import TEST, TRAINING, VALIDATION, PatchLoad, RimLoad, WaveLoad
 from tools.make_hgo import Material, make_hgo, sample
+from tools.make_thermal import make_thermal, settings
 from tools.samples import Piece
-from tools.statics import TOLERANCE, ColouredHessian, ConvergenceError, Statics
+from tools.statics import TOLERANCE, ConvergenceError, Statics
 from tools.thermal import Bath, Task, run_file
 from warp_peri.atoms.calculators import potential_file
 from warp_peri.core.elastic import plane_isotropic, voigt_to_tensor
 from warp_peri.points.dataset import load_dataset
-from warp_peri.points.points import grid_places
-
-C = np.array([[1.3, 0.3, 0.1], [0.3, 0.9, -0.05], [0.1, -0.05, 0.4]])
 
 
 def test_graphene_is_made_once_and_a_load_that_fails_keeps_the_rest(tmp_path, monkeypatch, capsys):
@@ -58,20 +55,16 @@ def test_graphene_is_made_once_and_a_load_that_fails_keeps_the_rest(tmp_path, mo
     assert max(one.arrays["residual"].max() for one in data.sets.values()) <= TOLERANCE
     assert data["train"].arrays["max_bond_strain"] == approx(samples.TRAINING_STRAIN, 1e-4)
     near(data.density, 2147, 2e-3)
+    assert tool.main([*line, "--smoothing-radius", "9"]) == 2
+    assert "g.h5: is there already, not by these settings" in capsys.readouterr().err
     truth = elastic_constants(bond_length())  # measured independently at 0 K
-    assert [truth[key] for key in ("lambda", "mu", "E", "nu")] == approx(
-        [-0.1972, 0.7223, 1.2163, -0.158], abs=1e-4
-    )
+    assert [*truth.values()] == approx([-0.1972, 0.7223, 1.2163, -0.158], abs=1e-4)
 
 
 def test_loads_push_and_turn_no_body_and_a_disk_at_rest_bears_them():
     x, bond = disk(1.460511, radius=10.0), 1.460511
     with LammpsSession(x, box=None) as session:
         statics = Statics(x, box=None, session=session)
-        at, way = statics.reference + 0.01 * np.sin(7 * x), np.cos(5 * x[:, ::-1])
-        hessian = ColouredHessian(statics.bonds, len(x))(session.forces, at)
-        change = session.forces(at - 1e-5 * way) - session.forces(at + 1e-5 * way)
-        assert hessian @ way.ravel() == approx(change.ravel() / 2e-5, abs=1e-3)
         rest = statics.equilibrium(1e-3 * statics.reference @ [[1, 0.3], [-0.3, 0]], name="pull")
         assert sup(session.forces(statics.reference + rest.displacement) + rest.force) <= TOLERANCE
         assert sup(rest.force.sum(0)) < 1e-12
@@ -104,31 +97,19 @@ def test_runs_of_one_seed_share_their_noise_and_have_their_temperature(tmp_path)
     assert len({run_file(tmp_path, task, one).name for task in tasks for one in baths}) == 8
 
 
-def test_elements_have_the_slopes_of_their_forces_and_data_resume(tmp_path):
-    random, mesh = default_rng(1), Elements(quadrilaterals(3))
-    energy = hgo(0.33, 0.15, (Family(0.3, 0.1, 1.5), Family(-1.0, 0.2, 0.0)))
-    u, v = 0.02 * random.normal(size=2 * mesh.nodes), random.normal(size=2 * mesh.nodes)
-    expected = slope(lambda t: mesh.internal(energy, u + t * v), 1e-6, order=2)
-    assert mesh.tangent(energy, u) @ v == approx(expected, rel=1e-5, abs=1e-7)
-    counts = (2, 1, 0, 0)
-    first = make_hgo(tmp_path / "a", counts=counts, jobs=1, progress=False)
-    sample(tmp_path / "b", Material(), "square", 1001)  # was solved before it stopped
-    again = make_hgo(tmp_path / "b", counts=counts, jobs=1, progress=False)
-    assert all(np.array_equal(first[name].u, again[name].u) for name in ("train", "val"))
+def test_data_of_several_processes_resume_and_replace_no_others(here):
+    def made(*words):
+        line = [sys.executable, ROOT / "tools/make_hgo.py", "--counts", "2", "1", "0", "0", *words]
+        return run([*line, "--jobs", "2", "--out", "a.v1"], capture_output=True, text=True)
 
-
-def test_elements_of_local_elasticity_are_of_fourth_order_in_the_wave_length():
-    """And their error is 1e-4 already where a wave has ten nodes."""
-    x = 5.0 * grid_places((19, 19))
-    points = wp.Points(x, (np.abs(x - 45.0) <= 15.1).all(1), 5.0)
-    a, lengths, errors = np.array([0.02, -0.01]), np.array([6.0, 10.0, 14.0]), []
-    for length in lengths:
-        k = 2 * np.pi / (5.0 * length) * np.array([np.cos(0.4), np.sin(0.4)])
-        wave = np.sin(x @ k + 0.3)[:, None]
-        b = np.einsum("ijkl,j,l,k->i", voigt_to_tensor(C), k, k, a) * wave
-        errors.append(errors_of_local(wp.Samples(points, (wave * a)[None], b[None]), C)[0])
-    assert errors[1] < 1e-4
-    assert -fitted_order(lengths, errors) > 3.8
+    sample(here / "a.v1", Material(), "square", 1001)  # was solved before it stopped
+    assert made().returncode == 0
+    data, alone = load_dataset(here / "a.v1.h5"), make_hgo(here / "b", counts=(2, 1, 0, 0), jobs=1)
+    assert all(np.array_equal(data[name].u, alone[name].u) for name in ("train", "val"))
+    assert "a.v1.h5: is there already, not by these" in made("--seed", "7").stderr
+    wp.save("graphene_300K_plain_f1.h5", replace(data, provenance=settings(Bath(), "plain", 1, 0)))
+    with refused("f1.h5: is there already"):
+        make_thermal(here, bath=Bath(iota=0.1), reductions=["plain"])
 
 
 def test_third_order_elements_have_the_stress_of_their_energy():
