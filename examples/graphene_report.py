@@ -120,6 +120,7 @@ def metrics(run: Run, provenance: Mapping[str, Any]) -> dict[str, Any]:
         "statement": fit.certificate.statement,
         "certified": bool(model.certified_on),
         "temperature": provenance.get("temperature", 0.0),
+        "radius": provenance.get("smoothing", {}).get("radius"),
     }
     if fit.history[0].name == "1 Adam" and not numbers["temperature"]:
         first, last = fit.history[:2]
@@ -240,6 +241,8 @@ def notes(numbers: dict[str, Any]) -> Iterator[str]:
         lam, mu = truth["lambda"], truth["mu"]
         said += f" The potential has C11 = {lam + 2 * mu:.4f}, C12 = {lam:.4f}, C44 = {mu:.4f}."
     yield said
+    if radius := numbers["radius"]:
+        yield f"Atoms are smoothed to nodes within a radius of {radius:g} Å."
     stages = numbers["stages"].items()
     after = ", ".join(f"{100 * E:.2f} % after {name[2:]} ({s:.1f} s)" for name, (E, s) in stages)
     yield f"Residual on the training loads: {after}. Loss of the fit: {numbers['loss']}."

@@ -25,36 +25,49 @@ from examples import graphene_report as report
 from examples.local_elasticity import errors_of_local
 from tools.options import Options
 from warp_peri import Dataset, InputError, Samples
+from warp_peri.cli.commands import writing
+from warp_peri.cli.main import WRITTEN
 from warp_peri.core.elastic import plane_isotropic
 from warp_peri.errors import exit_status
-from warp_peri.files.atomic import locked
 from warp_peri.fitting.evaluate import train
 from warp_peri.materials import lps_law
 from warp_peri.materials.lps import LPSParameters
 from warp_peri.materials.lps_fit import Learner
 from warp_peri.materials.lps_law import LPSFound, optimum
+from warp_peri.points.arguments import Natural, NotNegative, Positive
 
 DATA = ROOT / "data" / "graphene_0K.h5"
 ALPHAS = (-3.0, -1.5, 0.0, 1.0, 2.0, 2.9)
 """Exponents that the report holds against one another."""
-OPTIONS: dict[str, tuple[Any, str]] = {
-    "spacing": (5.0, "distance of the nodes [Å], 5 or 2.5"),
-    "horizon": (20.0, "horizon δ [Å]"),
-    "degree": (int, "of the Bernstein polynomials; the smallest within 2 % of the best by default"),
+WRITTEN["train_graphene"] = "model.json metrics.json report.md micromodulus.json third_*.json *.png"
+OPTIONS: dict[str, tuple[Any, ...]] = {
+    "spacing": (5.0, "distance of the nodes [Å], 5 or 2.5", Positive),
+    "horizon": (20.0, "horizon δ [Å]", Positive),
+    "degree": (
+        int, "of the Bernstein polynomials; the smallest within 2 % of the best by default", Natural
+    ),
     "method": (("constrained", "two-stage", "optimum"), "way of the fit"),
     "conditions": (("paper", "direct"), "of the fit: all of (4.6), or a positive symbol alone"),
-    "temperature": (0.0, "of made data [K]; 300 K takes LAMMPS 15 to 30 minutes"),
+    "temperature": (0.0, "of made data [K]; 300 K takes LAMMPS 15 to 30 minutes", NotNegative),
     "jobs": (-1, "processes for LAMMPS; -1 for all cores"),
     "linear": (False, "learn no third-order and no crystal model"),
     "data": (Path, "HDF5 file to use instead of making data"),
     "out": (Path, "folder for the results, runs/graphene_0K or what the temperature is"),
-}
+    "overwrite": (False, "results, and made data, of other settings, too"),
+}  # fmt: skip
 
 
 def run(given: argparse.Namespace) -> None:
-    """The whole main job, and what is printed of it."""
+    """The whole main job, whose results replace those of the same settings alone."""
     begin = time.perf_counter()
-    path = given.data or made_data(given)
+    given.options["data"] = path = given.data or made_data(given)
+    with writing(given) as start:
+        start()
+        learn(given, path, begin)
+
+
+def learn(given: argparse.Namespace, path: Path, begin: float) -> None:
+    """Results from a data file, and what is printed of them; the time since `begin` is told."""
     data = wp.load(path)
     sets = sets_at(data, given.spacing)
     noise, seconds = sets.pop("noise", None), {"data": time.perf_counter() - begin}
@@ -98,7 +111,7 @@ def run(given: argparse.Namespace) -> None:
     said = {name: getattr(given, name) for name in ("method", "conditions")}
     said["data_provenance"] = data.provenance
     trained.save(given.out, numbers, data=path, provenance=said)
-    report.write_report(given.out / "report.md", numbers, models, path, given.command)
+    report.write_report(given.out / "report.md", numbers, models, path, given.line)
     print(f"graphene at {numbers['temperature']:g} K: {report.shown(given.out)}/model.json")
     print(*report.first_lines(numbers), sep="\n")
     print(f"figures and details: {report.shown(given.out)}/report.md")
@@ -133,7 +146,8 @@ def made_data(given: argparse.Namespace) -> Path:
 
         print(f"graphene at {given.temperature:g} K by LAMMPS (finished runs are kept)")
         how: dict[str, Any] = {"reductions": ["shared"], "jobs": given.jobs}
-        (path,) = make_thermal(DATA.parent, bath=Bath(given.temperature), **how).values()
+        how |= {"bath": Bath(given.temperature), "overwrite": given.overwrite}
+        (path,) = make_thermal(DATA.parent, **how).values()
         return path
     if not DATA.exists():
         from tools.make_graphene import make_graphene
@@ -157,10 +171,11 @@ def main(arguments: list[str] | None = None) -> int:
     """Command line; returns 0, 1 after a failure, 2 for bad input, 130 on Ctrl-C."""
     given = Options(__doc__, options=OPTIONS).parse_args(arguments)
     given.out = given.out or ROOT / "runs" / f"graphene_{given.temperature:g}K"
-    words = sys.argv[1:] if arguments is None else arguments
-    given.command = shlex.join(["python", "examples/train_graphene.py", *words])
-    work = locked(given.out)(partial(run, given))  # a context manager decorates a function as well
-    return exit_status(work, "finished samples are kept and the next run goes on")
+    given.command, given.files, given.inputs = "train_graphene", [], ""
+    given.options = {n: v for n, v in vars(given).items() if n in OPTIONS and n != "overwrite"}
+    given.words = sys.argv[1:] if arguments is None else arguments
+    given.line = shlex.join(["python", "examples/train_graphene.py", *given.words])
+    return exit_status(partial(run, given), "finished samples are kept and the next run goes on")
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ def job(graphene, tmp_path_factory):
     return out, printed.getvalue(), of_json(out / "metrics.json")
 
 
-def test_it_leaves_its_results_and_says_how_good_they_are(job):
+def test_it_leaves_its_results_and_says_how_good_they_are(job, graphene, capsys):
     out, printed, numbers = job
     pictures = [f"{name}.png" for name in ("influence", "loss", "disks", "waves")]
     assert all((out / name).stat().st_size > 500 for name in ("model.json", "report.md", *pictures))
@@ -52,6 +52,8 @@ def test_it_leaves_its_results_and_says_how_good_they_are(job):
     assert min(conditions) > 0  # (i) to (iii) of (4.6), by dense eigenvalues
     for form, strain in (("energy", 0.055), ("filtered", 0.035)):
         assert load(out / f"third_order_{form}.json").proven_strain(5.0) >= strain
+    assert train_graphene.main(["--data", str(graphene), "--out", str(out), "--linear"]) == 2
+    assert "not by these settings" in capsys.readouterr().err
 
 
 def test_models_have_the_errors_of_the_record_and_of_the_readme(job):
