@@ -1,6 +1,7 @@
 """A law of your own, springs between nodes, on one process or on two: mpiexec -n 2 python …"""
 
 from dataclasses import dataclass
+from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 from typing import Annotated
 
@@ -49,8 +50,9 @@ if __name__ == "__main__":
     other = wp.LPSMaterial(0.5, 0.5, 1.0, np.ones(1), horizon=12.5, certified_on=(5.0,))
     b[:, points.interior] = other.on(points)(u)
     train, test = wp.Samples(points, u[:2], b[:2]), wp.Samples(points, u[2:], b[2:])
-    wp.save("springs.json", wp.fit(train, SpringLaw(), horizon=12.5).material)
-    law = wp.load("springs.json")  # which goes through its proof again
+    with TemporaryDirectory() as folder:
+        wp.save(f"{folder}/springs.json", wp.fit(train, SpringLaw(), horizon=12.5).material)
+        law = wp.load(f"{folder}/springs.json")  # which goes through its proof again
     piece = partition(points)  # the points themselves, or those of this process
     own = getattr(piece, "number", slice(None))
     rest = wp.solve(law, wp.Dirichlet(piece, b[2, own], u[2, own]))
