@@ -6,26 +6,30 @@ from subprocess import run
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 
 import tools.make_graphene as tool
 import warp_peri as wp
 from tests.support import ROOT, approx, near, refused, sup
 from tests.support.nonlinear import strain
-from tests.support.problems import difference, normal
+from tests.support.problems import difference, fitted_order, normal, slope
 from tools import samples
 from tools.elastic import elastic_constants
-from tools.elements import piola
+from tools.elements import errors_of_local, piola
 from tools.graphene import bond_length, disk
+from tools.hyperelastic_elements import Elements, quadrilaterals
+from tools.hyperelastic_energies import Family, hgo
 from tools.lammps_session import POTENTIAL, LammpsSession
 from tools.loads import TEST, TRAINING, VALIDATION, PatchLoad, RimLoad, WaveLoad
 from tools.make_hgo import Material, make_hgo, sample
 from tools.make_thermal import make_thermal, settings
 from tools.samples import Piece
-from tools.statics import TOLERANCE, ConvergenceError, Statics
+from tools.statics import TOLERANCE, ColouredHessian, ConvergenceError, Statics
 from tools.thermal import Bath, Task, run_file
 from warp_peri.atoms.calculators import potential_file
-from warp_peri.core.elastic import plane_isotropic, voigt_to_tensor
+from warp_peri.core.elastic import plane_isotropic, voigt, voigt_to_tensor
 from warp_peri.points.dataset import load_dataset
+from warp_peri.points.points import grid_places
 
 
 def test_graphene_is_made_once_and_a_load_that_fails_keeps_the_rest(tmp_path, monkeypatch, capsys):
@@ -68,6 +72,10 @@ def test_loads_push_and_turn_no_body_and_a_disk_at_rest_bears_them():
         rest = statics.equilibrium(1e-3 * statics.reference @ [[1, 0.3], [-0.3, 0]], name="pull")
         assert sup(session.forces(statics.reference + rest.displacement) + rest.force) <= TOLERANCE
         assert sup(rest.force.sum(0)) < 1e-12
+        at, way = statics.reference + 0.01 * np.sin(7 * x), np.cos(5 * x[:, ::-1])
+        hessian = ColouredHessian(statics.bonds, len(x))(session.forces, at)
+        change = session.forces(at - 1e-5 * way) - session.forces(at + 1e-5 * way)
+        assert hessian @ way.ravel() == approx(change.ravel() / 2e-5, abs=1e-3)
         with pytest.raises(ConvergenceError, match="'too much'.*residual"):
             statics.equilibrium(50 * np.sin(statics.reference), name="too much")
     sheet = Piece(bond, str(potential_file(POTENTIAL)), cells=(39, 23))
@@ -95,6 +103,28 @@ def test_runs_of_one_seed_share_their_noise_and_have_their_temperature(tmp_path)
     tasks = [Task(body, load, 1.0, seed) for load in (wave, None) for seed in (1, 2)]
     baths = bath, replace(bath, temperature=200.0)
     assert len({run_file(tmp_path, task, one).name for task in tasks for one in baths}) == 8
+
+
+def test_elements_have_the_slopes_of_their_forces():
+    random, mesh = default_rng(1), Elements(quadrilaterals(3))
+    energy = hgo(0.33, 0.15, (Family(0.3, 0.1, 1.5), Family(-1.0, 0.2, 0.0)))
+    u, v = 0.02 * random.normal(size=2 * mesh.nodes), random.normal(size=2 * mesh.nodes)
+    expected = slope(lambda t: mesh.internal(energy, u + t * v), 1e-6, order=2)
+    assert mesh.tangent(energy, u) @ v == approx(expected, rel=1e-5, abs=1e-7)
+
+
+def test_elements_of_local_elasticity_are_of_fourth_order_in_the_wave_length():
+    """And their error is 1e-4 already where a wave has ten nodes."""
+    x, C = 5.0 * grid_places((19, 19)), voigt_to_tensor(np.diag([1.3, 0.9, 0.4]) + 0.1)
+    points = wp.Points(x, (np.abs(x - 45.0) <= 15.1).all(1), 5.0)
+    a, lengths, errors = np.array([0.02, -0.01]), np.array([6.0, 10.0, 14.0]), []
+    for length in lengths:
+        k = 2 * np.pi / (5.0 * length) * np.array([np.cos(0.4), np.sin(0.4)])
+        wave = np.sin(x @ k + 0.3)[:, None]
+        b = np.einsum("ijkl,j,l,k->i", C, k, k, a) * wave
+        errors.append(errors_of_local(wp.Samples(points, (wave * a)[None], b[None]), voigt(C))[0])
+    assert errors[1] < 1e-4
+    assert -fitted_order(lengths, errors) > 3.8
 
 
 def test_data_of_several_processes_resume_and_replace_no_others(here):
