@@ -298,20 +298,20 @@ def placed(
         points: where it is wanted.
         verb, kinds: for errors, what it was wanted for, and what was expected.
         by, has: names of the contract.
-        options: of `by`.
+        options: of `by`, which an operator has had.
 
-    Raises InputError for an operator on other points, and for what is neither.
+    Raises InputError for an operator on other points, what is neither, and other options.
     """
-    mine = getattr(material, "points", None)
+    mine, on, known = getattr(material, "points", None), None, Values()
     if mine is not None and hasattr(material, has) and not hasattr(material, by):
         if mine is not points and (what := mine.first_difference(points)):
             raise InputError(
                 "operator: expected one on the points of the problem, got another's, which differ "
                 f"in {what}"
             )
-        return material
-    on = offered(material, by, verb, kinds)
-    known = signature(on).parameters
+    else:
+        on = offered(material, by, verb, kinds)
+        known = dict(signature(on).parameters)
     open_ended = any(one.kind is one.VAR_KEYWORD for one in known.values())
     unknown = {*options} - {*known}
     for name in unknown.intersection(OF_PROOFS):
@@ -319,5 +319,6 @@ def placed(
         if not open_ended or options[name] == OF_PROOFS[name]:
             del options[name]  # where nothing is transferred, nor has to be certified
     if not open_ended and (others := ", ".join(sorted(unknown.difference(OF_PROOFS)))):
-        raise InputError(f"{verb}: {others}: not among the options of a {type(material).__name__}")
-    return on(points, **check_arguments(on, options))
+        what = f"{type(material).__name__}{', which is on its points already' * (on is None)}"
+        raise InputError(f"{verb}: {others}: not among the options of a {what}")
+    return material if on is None else on(points, **check_arguments(on, options))
