@@ -1,15 +1,18 @@
 """λ and μ as one value a node: equilibria, waves, files, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 
 from tests.gradients.cases import assert_slopes
 from tests.lps.test_force import HORIZON, error
 from tests.support import approx, assert_refused, refused, warned
-from tests.support.problems import LAM, MU, kernel, lattice, noise, normal, periodic
+from tests.support.problems import LAM, MU, OTHER, kernel, lattice, noise, normal, periodic
 from warp_peri import CG, Cracked, Direct, Dirichlet, Periodic, certify, simulate, solve
 from warp_peri.core.proof import largest
 from warp_peri.materials.lps_force import Bonds
+from warp_peri.materials.lps_operator import node_fields
 
 
 def laid(side=12, angle=0.0):
@@ -72,13 +75,16 @@ def test_a_wave_through_a_stiff_part_keeps_its_energy():
 
 def test_what_fields_refuse():
     model, points, _, mu = laid()
-    near = lattice(5, HORIZON)
+    near, other = lattice(5, HORIZON), replace(points, units=OTHER)
+    moved = replace(points, x=points.x + 1e3)
     solid, cracked = model.spread(points, None, mu), Cracked(points, u=noise(points))
     assert_refused({
         "mu: expected a number, or one of each of": lambda: model.on(points, mu=mu[:-1]),
         "mu: expected float values": lambda: model.on(points, mu=np.ndarray),
         "expected μ > 0": lambda: model.on(points, mu=-mu),
-        f"points: expected the {len(mu)} nodes of the fields": lambda: solid.on(near),
+        f"points: expected the {len(mu)} nodes of the fields":
+            (lambda: solid.on(near), lambda: node_fields(solid, moved, moved.x)),
+        "units: the model is in": lambda: model.spread(other, None, mu),
         "mu: expected one number": lambda: Bonds(points, HORIZON).law(LAM, mu[:3], 1.0, [1.0]),
         "expected numbers, got fields":
             (lambda: certify(solid, spacing=1.0), lambda: solve(solid, cracked)),

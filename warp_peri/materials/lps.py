@@ -242,7 +242,7 @@ class LPSMaterial(Record, format="warp_peri.model"):
 
         Raises InputError for others, and where μ > 0 and λ + 2μ/d > 0 do not hold everywhere.
         """
-        x, d = points.x, self.dimension
+        x, d = self.own_nodes(points).x, self.dimension
         given = {"lam": self.lam if lam is None else lam, "mu": self.mu if mu is None else mu}
         if not any(map(callable, given.values())):
             return self.with_parameters(given, x)

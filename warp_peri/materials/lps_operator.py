@@ -416,12 +416,12 @@ def node_fields(model: LPSMaterial, points: PointsLike, u: ArrayLike) -> NodeFie
         points: a lattice or scattered points.
         u: displacement [Å] on all nodes, shape [N, d] or [S, N, d].
 
-    Raises InputError for a u of another shape, a point set that does not carry the horizon, or
-    nodes outside the body: the stress is that of complete families.
+    Raises InputError for a u of another shape, points as of LPSOperator, a set that does not carry
+    the horizon, or nodes outside the body: the stress is that of complete families.
     """
     if (given := nodes_of(points)).outside is not None:
         raise InputError("outside: expected none, for stress needs complete families")
-    bonds = bonds_of(model, points)
+    bonds = bonds_of(model, LPSOperator(model, points).nodes)  # which refuses others than fields'
     law = bonds.law(*model.learnable.values())
     nodes, d, inside = bonds.nodes, bonds.dimension, np.flatnonzero(given.interior)
     u = checked("u", u, float, (..., nodes, d)).reshape(-1, nodes, d)
