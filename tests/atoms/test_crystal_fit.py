@@ -149,7 +149,7 @@ def test_a_sheet_across_a_face_is_put_together_turned_and_made_small():
     found = at_rest(sheet, made)
     assert len(found.cell) == 3
     assert found.said["axes"] == "turned: x along an edge of the cell, z across"
-    with refused("hold: expected a sheet across z"):
+    with refused("structure: expected a sheet across z"):
         at_rest(sheet, made, hold=["xx"])
     assert found.thickness == approx(3.118 + 3.6, abs=0.01)
     edge = found.cell.cell.lengths()[0]
@@ -252,6 +252,8 @@ def test_what_is_no_file_of_phonopy_and_charges_of_a_sheet_are_refused(tmp_path)
         "repeats: expected three counts ≥ 1 and at most": tuple(
             lambda n=n: from_calculator(cell, EMT(), (n, 2, 2)) for n in (0, 10**6)
         ),
+        "thickness: .* solid": lambda: from_calculator(cell, EMT(), (2, 2, 2), thickness=3.0),
+        "thickness: .* missing": lambda: from_calculator(graphene(), EMT(), (2, 2, 1)),
         "born: expected 1 charges, got 2":
             lambda: Supercell(cell, cell, [0], polar=NonAnalyticCorrection(two, np.eye(3))),
         "BORN: expected a solid": lambda: from_phonopy(EXAMPLES / "magnesia", thickness=4.0),

@@ -29,7 +29,7 @@ from warp_peri.atoms.force_constants import (
     forces_of,
     from_supercell,
 )
-from warp_peri.atoms.relaxed import VACUUM, Reference, check_sites, gap, thickness_of
+from warp_peri.atoms.relaxed import VACUUM, Reference, gap, oriented, thickness_of
 from warp_peri.errors import InputError, StrPath, optional, warn
 from warp_peri.files.atomic import check_hdf5, check_yaml, content
 from warp_peri.points.arguments import ArrayMap, Positive, checked, offered, typed
@@ -203,9 +203,11 @@ def from_calculator(
     structure: Any, calculator: Any, repeats: Sequence[int], *, thickness: Positive | None = None
 ) -> ForceConstants:
     """Force constants of a crystal at rest, an ase.Atoms, by an ASE calculator on a supercell.
-    `repeats` of the cell must be wider than twice what forces reach; `thickness` of a sheet [Å]."""
+    `repeats` of the cell must be wider than twice what forces reach; `thickness` of a sheet, which
+    lies across z [Å]. InputError for that of a solid, and for a sheet without."""
     repeat = offered(structure, "repeat", "from_calculator", "an ase.Atoms")
-    check_sites(structure)
+    if oriented(structure, False, thickness)[1] and thickness is None:
+        raise InputError("thickness: the structure is a sheet, whose thickness [Å] is missing")
     many = repeat(_counted("repeats", repeats, len(structure)))
     return _by_differences(structure, many, Asked(calculator), thickness=thickness)
 

@@ -103,8 +103,9 @@ def check_sites(atoms: ase.Atoms) -> None:
         )
 
 
-def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
-    """Structure with a sheet across z, in the middle of a high box, and whether it is a sheet."""
+def oriented(atoms: ase.Atoms, turning: bool, thickness: Any) -> tuple[ase.Atoms, bool]:
+    """Structure with a sheet across z, in the middle of a high box, and whether it is a sheet;
+    InputError for neither sheet nor solid, and the thickness of a solid."""
     check_sites(atoms)
     periodic = np.array(atoms.pbc)
     if not periodic.any():
@@ -112,6 +113,8 @@ def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
     empty = [a for a in range(3) if not periodic[a] or gap(atoms, a)[0] >= VACUUM]
     if len(empty) > 1:
         raise InputError(f"structure: expected a sheet or a solid, got {len(empty)} free edges")
+    if not empty and thickness is not None:
+        raise InputError("thickness: the structure is a solid, periodic in space; expected none")
     ready = atoms.copy()
     ready.set_constraint()
     if not empty:
@@ -130,7 +133,9 @@ def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
     if turning:
         ready.set_cell(ready.cell.standard_form()[0], scale_atoms=True)
     elif abs(up[2]) < (1 - FLAT**2) * norm(up):
-        raise InputError("hold: expected a sheet across z, whose strains have names in x and y")
+        raise InputError(
+            "structure: expected a sheet across z; its strains have names in x and y"
+        )
     ready.center(vacuum=HEIGHT / 2, axis=2)
     ready.pbc = True
     return ready, True
@@ -138,8 +143,9 @@ def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
 
 def gap(atoms: ase.Atoms, axis: int) -> tuple[float, float]:
     """Largest gap between atoms along an edge [Å], and the fraction of the edge where it ends."""
-    part = np.sort(atoms.cell.scaled_positions(atoms.positions)[:, axis] % 1.0)
-    apart = 1 / norm(inv(np.array(atoms.cell))[:, axis])
+    cell = atoms.cell.complete()  # of a sheet that has no third edge too
+    part = np.sort(cell.scaled_positions(atoms.positions)[:, axis] % 1.0)
+    apart = 1 / norm(inv(np.array(cell))[:, axis])
     steps = np.diff(part, prepend=part[-1] - 1)
     return float(steps.max() * apart), float(part[steps.argmax()])
 
@@ -215,10 +221,8 @@ def at_rest(
     held = set(VOIGT) if "all" in hold else set(hold)
     if not held <= set(VOIGT):
         raise InputError(f"hold: expected all, or of {', '.join(VOIGT)}, got {hold!r:.60}")
-    cell, flat = oriented(atoms, turning=not held or held >= set(VOIGT))
+    cell, flat = oriented(atoms, not held or held >= set(VOIGT), thickness)
     turned = np.abs(np.array(cell.cell)[0] - np.array(atoms.cell)).max(axis=1).min() > FLAT
-    if not flat and thickness is not None:
-        raise InputError("thickness: the structure is a solid, periodic in space; expected none")
     _told_apart(cell)
     cell = smallest(cell, flat)
     short = minkowski_reduce(np.array(cell.cell), [True, True, not flat])[0]
