@@ -116,11 +116,10 @@ def test_how_a_crystal_lies_is_stated_or_its_assumption_said_once():
 
 
 def test_what_is_wrong_is_named():
-    law, square, flat = random_law(3), np.array([[[1.0, 2], [0, 1]]]), np.zeros((2, 2, 2))
+    law, flat = random_law(3), np.zeros((2, 2, 2))
     cubic, p = replace(learned(3), certificate=None), body(3, "ball")
     assert_refused({
         "each once": lambda: CrystalMaterial(1.0, np.array([[1, 0], [-1, 0]]), flat),
-        "symmetric": lambda: CrystalMaterial(1.0, np.array([[1, 0]]), square),
         "break it":
             lambda: replace(law, tensors=law.tensors * np.where(law.steps[:, :1, None], 2, 1)),
         "expected one of": lambda: point_group("5mm", 2),

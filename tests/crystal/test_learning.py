@@ -16,10 +16,10 @@ from tests.crystal.crystals import CUBES, cubic_tensor, dispersive, huang_defect
 from tests.support import approx, clouds, filterwarnings, in_plane_and_space, near, sup
 from tests.support.problems import OTHER, kernel, loaded, noise, normal
 from tests.support.problems import lattice as plane_lattice
-from tests.support.told import assert_refused, refused, warned
+from tests.support.told import assert_refused, each_refused, refused, warned
 from warp_peri.atoms.force_constants import NonAnalyticCorrection, Supercell, from_supercell
 from warp_peri.atoms.phonons import from_calculator
-from warp_peri.core.elastic import checked_orientation, voigt
+from warp_peri.core.elastic import checked_orientation, point_group, voigt
 from warp_peri.materials.crystal import crystal_from_lps
 from warp_peri.materials.crystal_fit import fit_dispersion, fit_phonons, transfer_to_lattice
 from warp_peri.methods import GaussNewton
@@ -47,7 +47,7 @@ def test_a_law_is_found_again_from_its_forces(d):
     assert found.certificate.proven >= 0.9 * found.certificate.sampled
     if d == 2:
         given = np.array([[0.2, 0.1, 0], [0.1, 0.2, 0], [0, 0, 0.06]])
-        held = fit(samples, law.horizon, symmetry="4mm", moduli=given)
+        held = fit(samples, law.horizon, symmetry=[*point_group("4mm", 2)], moduli=given)
         assert_allclose(held.elastic_tensor(), given, atol=1e-12)
 
 
@@ -69,14 +69,26 @@ def test_moduli_that_nothing_has_or_tells_are_named():
     law = learned(2)
     samples = waves(law, lattice(2, 8, 2), 6)
     of = lambda moduli: fit(samples, 3.0, symmetry="4mm", moduli=moduli)
-    wrong = cubic_tensor(2, 0.1, 0.2, 0.05)
+    C, wrong, u = cubic_tensor(2), cubic_tensor(2, 0.1, 0.2, 0.05), np.triu(np.ones((2, 2)))
+    how = {"target": dispersive(C), "tensor": C, "symmetry": "4mm", "spacing": 1.0}
     assert_refused({
         "None or a Voigt matrix, got 'phonons'": lambda: of("phonons"),
         "moduli: expected those of 2 dimensions, got 3": lambda: of(np.eye(6)),
         "are moduli in TPa": lambda: of(1e3 * voigt(cubic_tensor(2))),
         "expected a linear peridynamic solid, got Crystal": lambda: crystal_from_lps(law, 1.5),
-        "stable crystal, got a sound wave":
-            lambda: fit_dispersion(dispersive(wrong), 1.0, 2.5, symmetry="4mm", tensor=wrong),
+    })  # fmt: skip
+    each_refused(lambda given: fit_dispersion(**how | given, horizon=2.5), {
+        "stable crystal, got a sound wave": {"tensor": wrong},
+        "^target: expected a stable crystal, got a wave": {"target": dispersive(wrong)},
+        "^target: expected shape": {"target": lambda k: u},
+        "^target: expected symmetric": {"target": lambda k: dispersive(C)(k) * u},
+        "^tensor: expected C_ijkl": {"tensor": C * u},
+        "^moduli: expected symmetric": {"tensor": C * C[..., :1, :1]},
+        "^tensor: expected shape": {"tensor": u},
+        "^tensor, orientation: expected": {"tensor": None},
+        "^stress: expected": {"stress": u},
+        "^largest_wave: expected": {"largest_wave": -2.0},
+        "^record: expected": {"record": {"a": np.nan}},
     })  # fmt: skip
     noise = 0.5 * samples.b.std() * normal(samples.b.shape)
     with warned("moduli: those of the longest waves leave .*%"):

@@ -15,12 +15,13 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.linalg import eigvalsh, inv, lstsq, solve, svd
+from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError, optional
 from warp_peri.points.arguments import Pair, checked, typed
 from warp_peri.points.points import grid_places, unit_vectors
 
-Symmetry: TypeAlias = str | np.ndarray
+Symmetry: TypeAlias = str | np.ndarray | Sequence[ArrayLike]
 """Name of a point group, or rotations of one, shape [G, d, d]."""
 TOLERANCE = 1e-5
 """Of the entries of a rotation that maps a lattice onto itself."""
@@ -62,6 +63,8 @@ PAIRS = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2)
 """Voigt's order."""
 SAME = 1e-3
 """What a name does not allow of an elastic tensor may be this, relative to its largest entry."""
+BROKEN = 1e-8
+"""Relative, that symmetric matrices, or tensors of a symmetry, may break it."""
 NAMES = {
     2: {"isotropic": "isotropic", "square": "4mm", "orthotropic": "2mm"},
     3: {"isotropic": "isotropic", "cubic": "m-3m", "hexagonal": "6/mmm", "tetragonal": "4/mmm",
@@ -277,8 +280,7 @@ def voigt_to_tensor(moduli: np.ndarray) -> np.ndarray:
     matrix = checked("moduli", moduli)
     if matrix.shape not in ((3, 3), (6, 6)):
         raise InputError(f"moduli: expected 3 × 3 or 6 × 6, got {list(matrix.shape)}")
-    if np.abs(matrix - matrix.T).max() > 1e-8 * np.abs(matrix).max():
-        raise InputError("moduli: expected a symmetric matrix")
+    checked_symmetric("moduli", matrix)
     d = 2 if len(matrix) == 3 else 3
     (i, j), place = np.transpose(PAIRS[d]), np.zeros((d, d), int)
     place[i, j] = place[j, i] = np.arange(len(matrix))
@@ -402,6 +404,14 @@ def plane_stress(tensor: np.ndarray) -> np.ndarray:
 def symmetric_part(A: np.ndarray) -> np.ndarray:
     """Symmetric part (A + Aᵗ)/2 of matrices [..., d, d]."""
     return np.asarray(A + A.mT) / 2
+
+
+def checked_symmetric(name: str, given: Any, shape: Any = None) -> np.ndarray:
+    """Symmetric part of matrices [..., d, d]; InputError as `checked`, and for others."""
+    A = checked(name, given, float, shape)
+    if np.abs(A - A.mT).max() > BROKEN * np.abs(A).max():
+        raise InputError(f"{name}: expected symmetric matrices")
+    return symmetric_part(A)
 
 
 def times(A: np.ndarray, B: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 import warp_peri.core as core
 import warp_peri.fracture as fracture
-from warp_peri.core.elastic import symmetric_part
+from warp_peri.core.elastic import checked_symmetric, symmetric_part
 from warp_peri.errors import ALONE, InputError, Values, agreed
 from warp_peri.files.checkpoint import same
 from warp_peri.fracture.body import (
@@ -122,7 +122,7 @@ class Cracked:
             u = checked("u", u, float, body.x.shape, self.held)
             b = checked("b", b, float, body.x.shape)
         if self.pressure is not None:
-            pressure = checked("pressure", self.pressure, float, (body.dimension,) * 2)
+            pressure = checked_symmetric("pressure", self.pressure, (body.dimension,) * 2)
             if learns:
                 cut, numbers = core.torch_bridge.with_numbers(cut, numbers or {})
             extra = crack_load(cut, pressure, numbers)

@@ -14,9 +14,11 @@ from numpy.typing import ArrayLike
 
 from warp_peri.core import elastic
 from warp_peri.core.elastic import (
+    BROKEN,
     LATTICE_GROUP,
     Symmetry,
     checked_orientation,
+    checked_symmetric,
     lattice_group,
     point_group,
     shared_with_nodes,
@@ -147,8 +149,6 @@ class TensorOperator(OperatorBase):
 
 SAME_AXIS = 1e-3
 """Of the directions of a crystal, as rotations, that count as one."""
-BROKEN = 1e-8
-"""Relative, that tensors may break a symmetry they are said to have."""
 
 
 class StencilMaterial(Record):
@@ -284,13 +284,11 @@ class CrystalMaterial(StencilMaterial, format="warp_peri.micromodulus"):
         both = {tuple(step) for step in np.concatenate([whole, -whole]).tolist()}
         if (whole != steps).any() or len(both) != 2 * len(whole) or not whole.any(axis=1).all():
             raise InputError("steps: expected whole numbers, one of ξ and −ξ, each once and not 0")
-        both_ways = elastic.symmetric_part(tensors)
-        if np.abs(tensors - both_ways).max() > BROKEN * np.abs(tensors).max():
-            raise InputError("tensors: expected symmetric matrices")
         turn = checked_orientation(self.orientation, d)
+        both_ways = checked_symmetric("tensors", tensors)
         hold(self, steps=whole, tensors=both_ways, orientation=turn)
-        if stress is not None and not (stress.shape == (d, d) and np.array_equal(stress, stress.T)):
-            raise InputError(f"stress: expected a symmetric matrix [{d}, {d}]")
+        if stress is not None:
+            hold(self, stress=checked_symmetric("stress", stress, (d, d)))
         if isinstance(self.symmetry, str) and not self.symmetry:
             hold(self, symmetry=elastic.LEAST[d])
         if (broken := self.stencil.asymmetry(self.group)) > BROKEN:

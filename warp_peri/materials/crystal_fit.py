@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ from numpy.linalg import eigvalsh, lstsq, matrix_rank, svd
 
 from warp_peri.core import elastic
 from warp_peri.core.elastic import (
+    BROKEN,
     Symmetry,
     acoustic,
     allowed_tensors,
@@ -26,7 +28,8 @@ from warp_peri.core.elastic import (
     voigt_to_tensor,
 )
 from warp_peri.core.stencil import invariant_basis
-from warp_peri.errors import InputError, Values, warn
+from warp_peri.errors import InputError, Values, called, warn
+from warp_peri.files.atomic import plain
 from warp_peri.fitting import regression
 from warp_peri.fitting.long_waves import judged, long_wave_moduli
 from warp_peri.fitting.regression import (
@@ -41,12 +44,13 @@ from warp_peri.fitting.regression import (
     rows,
 )
 from warp_peri.fitting.result import Fit
-from warp_peri.materials.crystal import BROKEN, CrystalMaterial
+from warp_peri.materials.crystal import CrystalMaterial
 from warp_peri.materials.lps_law import LONG_WAVES
 from warp_peri.materials.transfer import LARGEST_WAVE, WaveSymbol, carried_symbol, wave_rows
+from warp_peri.points import arguments
 from warp_peri.points.arguments import USUAL, Positive, Units, factors, offered, symbols, typed
 from warp_peri.points.dataset import Dataset
-from warp_peri.points.points import Samples, check_lattice, sets_of
+from warp_peri.points.points import Samples, check_dimensions, check_lattice, sets_of
 
 if TYPE_CHECKING:
     from warp_peri.atoms.force_constants import ForceConstants
@@ -257,7 +261,7 @@ def fit_dispersion(
     tensor: np.ndarray | None = None,
     stress: np.ndarray | None = None,
     units: Units = USUAL,
-    largest_wave: float = LARGEST_WAVE,
+    largest_wave: Positive = LARGEST_WAVE,
     record: Values | None = None,
 ) -> CrystalMaterial:
     """Fit a crystal's tensors to a symbol D₀: rows D₀⁻¹ D e − e (T9).
@@ -272,10 +276,20 @@ def fit_dispersion(
         stress: that the crystal is held under, along the nodes' axes, [d, d].
         largest_wave: |k| h up to which waves weigh fully; beyond it a tenth.
         record: goes into the provenance.
+
+    Raises InputError for a symbol that is not symmetric and positive, a tensor without its
+    symmetries, a record that is no JSON, and as `Tensors.fitted`.
     """
-    if tensor is None and np.ndim(orientation) != 2:
-        raise InputError("tensor, orientation: expected one of them, a rotation, got neither")
-    d = len(orientation if tensor is None else tensor)
+    axes = orientation if tensor is None else tensor
+    d = called("tensor, orientation: expected one of them, a rotation", len, axes)
+    check_dimensions("tensor, orientation", d)
+    if tensor is not None:
+        tensor = arguments.checked("tensor", tensor, float, 4 * (d,))
+        off = np.abs(tensor - voigt_to_tensor(elastic.voigt(tensor))).max()
+        if off > TOLD * np.abs(tensor).max():
+            raise InputError(f"tensor: expected C_ijkl = C_jikl = C_ijlk, got some {off:.2g} off")
+    stress = None if stress is None else elastic.checked_symmetric("stress", stress, (d, d))
+    called("record: expected values of JSON", json.dumps, plain(record), allow_nan=False)
     tensors = Tensors(spacing, horizon, symmetry, checked_orientation(orientation, d))
     R, y = wave_rows(target, spacing, tensors.bonds, tensors.group, largest_wave)
     told = (record or {}) | {

@@ -6,13 +6,14 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
-from numpy.linalg import inv, norm, solve
+from numpy.linalg import eigvalsh, inv, norm, solve
 
+from warp_peri.core import elastic
 from warp_peri.core.elastic import GOLDEN_ANGLE, directions, lattice_group, orbit_grid
 from warp_peri.core.proof import certify
 from warp_peri.core.record import made_once
 from warp_peri.core.stencil import Basis
-from warp_peri.errors import InputError, warn
+from warp_peri.errors import InputError, called, warn
 from warp_peri.fitting.regression import LatticeRows, compressed, norms
 from warp_peri.materials import lps_law
 from warp_peri.materials.certificate import with_proof
@@ -40,7 +41,8 @@ def wave_rows(
     largest_wave: float = LARGEST_WAVE,
 ) -> Pair:
     """Rows R and y that fit p = C h² [stress] to D₀(k): waves up to `largest_wave` = |k| h, very
-    long ones, and lightly the rest of the zone."""
+    long ones, and lightly the rest of the zone. InputError for a D₀ that is not symmetric there, or
+    not positive."""
     d = bonds.dimension
     size = largest_wave * (0.02 + 0.98 * ((np.arange(WAVES) * 0.6180339887) % 1))
     grid = orbit_grid(ZONE_INTERVALS[d], group, d)
@@ -51,7 +53,10 @@ def wave_rows(
     )
     phase = np.concatenate([waves for waves, _ in blocks])
     each = [np.full(len(waves), weight / max(len(waves), 1) ** 0.5) for waves, weight in blocks]
-    D = target(phase / spacing) * spacing**2
+    D = called("target: expected a function of k [K, d]", target, phase / spacing)
+    D = elastic.checked_symmetric("target", D, (len(phase), d, d)) * spacing**2
+    if not (least := eigvalsh(D)[:, 0].min()) > 0:
+        raise InputError(f"target: expected a stable crystal, got a wave of stiffness {least:.3g}")
     return compressed(*waves_against(D, phase, bonds, np.concatenate(each)))
 
 
