@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.errors import ALONE, agreed
+from warp_peri.errors import ALONE, InputError, agreed
 from warp_peri.fe_coupling.body import solve_body
 from warp_peri.fe_coupling.boundary_elements import Field, Traction
 from warp_peri.points.arguments import (
     Options,
     as_array,
-    check_flag,
     check_mapping,
     checked,
     is_piece,
@@ -28,13 +27,15 @@ from warp_peri.points.arguments import (
 )
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points, PointsLike, nodes_of
-from warp_peri.protocols import check_collar, placed, uncompiled
+from warp_peri.protocols import OF_PROOFS, check_collar, placed, uncompiled
 from warp_peri.solvers.adjoint import in_motion
 from warp_peri.solvers.motion import Motion, refuse_learning
 from warp_peri.solvers.solution import Coupling, Solution, Solver, refuse_solver, told
 
 GIVEN = ("displacement", "traction", "b", "coupling")
 """What a Body says itself, and no option may."""
+OPTIONS_OF = {"signal": ("b",), "ramp": ("b", "grip"), "checkpoint_every": ("checkpoint",)}
+"""Options, and what is given or asked for beside them, without which they change nothing."""
 LINEAR = (
     "a linear material for a Body; of another, displacement is given on a collar (wp.Dirichlet), "
     "and free edges are for finite elements (a sheet: hyperelastic.save_febio)"
@@ -86,7 +87,7 @@ class Dirichlet:
         tensors, or with `parameters`, it is that of solvers.adjoint.moved. Flow, as of heat, has
         the options of solvers.adjoint.stepped.
         """
-        how = picked(options, "transfer", "allow_uncertified")
+        how = picked(options, *OF_PROOFS)
         operator = placed(material, nodes_of(self.points), **how)
         if hasattr(operator, "march"):
             if "parameters" not in signature(operator.march).parameters:
@@ -239,15 +240,18 @@ def simulate(material: Any, problem: Any, **options: Any) -> Motion:
 
 def _on_ranks(problem: Any, options: Options, verb: str) -> bool:
     """Whether a problem's points are a piece of a body; InputError, on all ranks, for options
-    of another kind than their names say, and tensors whose gradient is not had."""
+    of another kind than their names say or of nothing, and tensors whose gradient is not had."""
     points = getattr(problem, "points", None)
     pieces = is_piece(points)
     with agreed(points.comm if pieces else ALONE):  # type: ignore[union-attr]
-        for name in {"transfer", "allow_uncertified"} & options.keys():
-            check_flag(name, options[name])
         for name in {"parameters", "watch"} & options.keys():
             if options[name] is not None:
                 check_mapping(name, options[name])
+        for name, of in OPTIONS_OF.items():
+            if options.get(name) is not None and all(
+                getattr(problem, one, options.get(one)) is None for one in of
+            ):
+                raise InputError(f"{name}: expected {' or '.join(of)} beside it, which it is of")
         if pieces or not hasattr(problem, "learns"):
             refuse_learning(problem, options, verb)
     return pieces

@@ -23,6 +23,7 @@ from tests.support.told import all_refused, assert_refused, each_refused, refuse
 from warp_peri.atoms.dic import DICFrame
 from warp_peri.fracture import Cracked, box_nodes, rectangle_nodes
 from warp_peri.methods import Coupling, GaussNewton, LPSParameters, sweep
+from warp_peri.mpi import gather
 from warp_peri.points.arguments import check_arguments, kinds_of
 from warp_peri.points.mesh import make_mesh
 from warp_peri.points.outlines import box, mesh_outline
@@ -148,6 +149,8 @@ def test_an_operator_is_for_its_own_points(name):
         problem = wp.Dirichlet(change(op.points), None, np.zeros(op.shape))
         with refused(f"operator: expected one on the points.* in {what}"):
             wp.solve(op, problem)
+    with refused("^solve: foo, mu: not among the options of a .*, which is on its points already"):
+        wp.solve(op, wp.Dirichlet(op.points, None, np.zeros(op.shape)), mu=1.4, foo=3)
 
 
 def test_a_node_outside_pulls_nothing_of_a_coupled_solid():
@@ -202,7 +205,7 @@ def test_a_pressure_and_a_crack_that_cuts_nothing():
     points, u, cracks = cracked(3.0)
     for size in (1.0, 1e-12):
         skew = size * np.array([[1.0, 0.5], [0.0, 1.0]])
-        with refused("stress: expected a symmetric one"):
+        with refused("pressure: expected symmetric"):
             wp.solve(solid().model, Cracked(points, u=u, cracks=cracks, pressure=skew))
     with warned("crack: cuts no bond"):
         wp.solve(solid().model, Cracked(points, u=u, cracks=[[(90.0, 0.0), (99.0, 0.0)]]))
@@ -230,17 +233,21 @@ def test_options_of_a_solve_and_a_motion():
     for option, values in WRONG_OPTIONS.items():
         for bad in values:
             given = {"density": 1.0, "step": 1e-9, "steps": 2} | {option: bad}
+            given |= {"checkpoint": "a.h5"} if option == "checkpoint_every" else {}
             calls = [lambda given=given: wp.simulate(material, problem, **given)]
             if option in ("parameters", *FLAGS):
                 calls.append(lambda one={option: bad}: wp.solve(material, problem, **one))
             for call in calls:
                 with refused(f"^{option}:"):
                     call()
+    for option, value in {"signal": np.ones(3), "ramp": np.sum, "checkpoint_every": 2}.items():
+        with refused(f"^{option}: expected .* beside it"):
+            wp.simulate(material, problem, **WAVES, **{option: value})
 
 
 def test_options_of_a_body_that_breaks():
     points, u, _ = cracked(7.0)
-    run = partial(wp.simulate, solid(), Cracked(points, u=u), step=1e-4, steps=2)
+    run = partial(wp.simulate, solid(), Cracked(points, 0 * u, u), step=1e-4, steps=2)
     for option, values in WRONG_OF_BREAKING.items():
         call = lambda bad, option=option: run(**{option: bad})
         all_refused(call, f"^{option.rstrip('s')}", values)
@@ -380,6 +387,7 @@ def test_arguments_of_bodies_solids_and_tables():
         "^count: expected": lambda: wp.runtime.set_num_threads(10**400),
         "^force: expected": lambda: wp.fracture.point_force(np.eye(2), 1.0, (0, 0), hidden[:2]),
         "^w: expected": lambda: op.vjp(0 * points.x, 0 * points.x),
+        "^values: expected": lambda: gather(points, points.x[1:]),
         "^provenance: expected": (lambda: data(np.nan), lambda: data(object())),
     })  # fmt: skip
     many, none = torch.full((225,), 0.5), (1j, masked([0.5]), np.nan, "0.5", None, True)

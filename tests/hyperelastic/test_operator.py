@@ -151,6 +151,8 @@ def fit(samples=FRAMES, u=None, **options):
 REFUSED = {
     "kind: expected one of": lambda: EnergyTerm("ogden"),
     "fibre_power: expected an exponent": lambda: EnergyTerm("fibre_power", 0.0, 1.0),
+    "mooney: expected no angle or exponent":
+        (lambda: EnergyTerm("mooney", 1.0), lambda: EnergyTerm("mooney", exponent=5.0)),
     "bonds of a half family": lambda: Hyperelastic(3.0, ((-1, 0),)),
     "steps: expected int values": lambda: Hyperelastic(3.0, (1.0, 2.0)),
     "steps: expected an array": lambda: Hyperelastic(terms=(replace(BOND[1], step=[[1], [1, 2]]),)),

@@ -108,6 +108,8 @@ def test_what_torch_does_not_see_of_a_parameter_has_no_gradient(told):
     assert slope(seen) > 0 == slope(lambda E, a: blatz_ko(E, a + MU if E.max() > 9 else MU))
     samples = loaded(of(hidden, parameters={"a": 0.2}).on(points), u[None])
     near(wp.fit(samples, wp.Density(hidden, 0.5, {"a": 0.0})).material.parameters["a"], 0.2, 1e-5)
+    none = wp.Density(lambda E, a, c: hidden(E, a), 0.5, {"a": 0.0, "c": 0.7})
+    assert_refused({"parameters: the energy .* has no c": lambda: wp.fit(samples, none)})
     check_material(of(seen), points, u, read=lambda path: wp.DensityMaterial.read(path, seen))
 
 

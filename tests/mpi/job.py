@@ -159,7 +159,6 @@ def refusals(sheet, ball, files):
         lambda: wp.simulate(brittle, wp.Cracked(sheet), step=0.1, steps=1, no_fail=mixed),
         lambda: wp.simulate(brittle, wp.Cracked(sheet, hidden), step=0.1, steps=1),
         lambda: lattice(SHAPE[2], H, lambda x: np.ma.masked_array(x[:, 0] > 0, True)),
-        lambda: sheet.gather(sheet.x[1:]),
         lambda: wp.simulate(solid(2), replace(flat, points=altered), **SWING, steps=1),
         lambda: wp.Samples(sheet, sheet.x[None]),
         lambda: wp.crystals.crystal_from_lps(solid(2), H).on(sheet),
@@ -197,7 +196,7 @@ def at_the_door(sheet, files):
         "points": lambda: wp.solve(solid(2), wp.Dirichlet(far[one], b, u)),
         "proof": lambda: proved(law),
         "ramp": lambda: wp.simulate(
-            brittle, wp.Cracked(sheet), ramp=lambda time: 1.0 + world().rank, **still
+            brittle, wp.Cracked(sheet, b), ramp=lambda time: 1.0 + world().rank, **still
         ),
         "material": lambda: wp.solve(law, problem),
         "problem": lambda: wp.simulate(solid(2), other, **how),

@@ -127,7 +127,6 @@ def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
         "no_fail: expected bool values, got int64",
         "load: expected values everywhere, got",
         "interior: expected values everywhere, got",
-        "values: expected ",
         "points: expected a piece as it was made",
         "points: expected Points, got a rank's piece",
         "points: expected Points, got a piece",

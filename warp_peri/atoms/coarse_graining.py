@@ -201,6 +201,8 @@ def read_mat(
     Raises InputError for a missing variable, positions off a square lattice, or no interior.
     """
     path = Path(path)
+    if load is None and factor != 1:
+        raise InputError(f"factor: expected a load that it multiplies, got {factor:g} and no load")
     names = [one for one in (displacement, load, positions) if isinstance(one, str)]
     if not isinstance(positions, str) and not is_positive(positions):
         raise InputError(f"positions: expected a name or a spacing > 0, got {positions!r}")

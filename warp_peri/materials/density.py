@@ -217,7 +217,8 @@ class Density:
         parameters: where the fit starts, by name.
         loss: "forces" fits L u = b; "displacement" solves for u, for noise or few loads.
 
-    `fit` raises InputError for samples without loads or displacement.
+    `fit` raises InputError for samples without loads or displacement, and parameters that change
+    nothing.
 
     >>> def svk(E, lam, mu):
     ...     return lam / 2 * E.diagonal(dim1=-2, dim2=-1).sum(-1) ** 2 + mu * (E * E).sum((-1, -2))
@@ -263,6 +264,8 @@ class Density:
 
         start = list(material.parameters.values()) / scale
         found = least_squares(left, start, x_scale="jac", diff_step=DIFFERENCE, method="lm")
+        if unseen := [name for name, column in zip(names, found.jac.T) if not column.any()]:
+            raise InputError(f"parameters: the energy of these samples has no {', '.join(unseen)}")
         loss = float(np.sqrt(2 * found.cost / len(right)))
         record = {"loss": loss, "by": self.loss, "evaluations": int(found.nfev)}
         law = replace(material.at(dict(zip(names, scale * found.x))), provenance={"fit": record})

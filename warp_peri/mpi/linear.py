@@ -16,8 +16,9 @@ from warp_peri.materials.crystal import StencilMaterial, crystal_from_lps
 from warp_peri.materials.lps import LPSMaterial
 from warp_peri.materials.transfer import model_at
 from warp_peri.mpi.processes import Comm, Slabs, build, halo, in_turn, inner
-from warp_peri.points.arguments import Options, check_same, offered, picked
+from warp_peri.points.arguments import Options, check_arguments, check_same, offered, picked
 from warp_peri.points.points import Points, grid_places
+from warp_peri.protocols import OF_PROOFS
 from warp_peri.runtime import shared_by
 from warp_peri.solvers.linear import VCycle, coarser, largest, prolong, restrict
 from warp_peri.solvers.systems import SolveRecord, definite
@@ -155,7 +156,7 @@ def operator_on(material: Any, piece: Subdomain, options: Options) -> Any:
             h, x = piece.spacing, piece.spacing * grid_places((3,) * piece.dimension)
             material.fitting(Points(x, x[:, 0] == h, h, units=piece.units, axis=piece.axis))
     if isinstance(model := material, LPSMaterial):
-        how = picked(options, "transfer", "allow_uncertified")
+        how = check_arguments(model_at, picked(options, *OF_PROOFS))
         if not model.is_certified_on(piece.spacing):
             material = in_turn(piece.comm, lambda: model_at(model, piece.spacing, **how))
         with shared_by(piece.comm):

@@ -33,13 +33,14 @@ from warp_peri.points.arguments import (
     check_units,
     checked,
     checked_fields,
+    is_piece,
     is_positive,
     offered,
     plain,
     taken,
 )
 from warp_peri.points.families import HORIZON_TOLERANCE
-from warp_peri.points.points import LATTICE_TOLERANCE, Points, PointsLike, checked_axis, nodes_of
+from warp_peri.points.points import LATTICE_TOLERANCE, PointsLike, checked_axis, nodes_of
 from warp_peri.runtime import ranks_started
 from warp_peri.solvers.motion import Motion, Recorder
 from warp_peri.solvers.solution import CG, TOLERANCE, Solution, Solver, by_sample, refuse_solver
@@ -169,9 +170,7 @@ class Subdomain:
         """Gather values [n, ...] of all pieces on every rank, in the order of the whole body;
         InputError on all for a field that is none, or of another kind on some."""
         with agreed(self.comm):
-            values = plain("values", values, None, "biufc")
-            if values.shape[:1] != self.number.shape:
-                raise InputError(f"values: expected {len(self.x)} rows, got shape {values.shape}")
+            values = _nodal(self, values)
         same(self.comm, values=(values.shape[1:], values.dtype))
         whole = np.empty((self.count, *values.shape[1:]), values.dtype)
         for number, part in self.comm.allgather((self.number, values)):
@@ -304,8 +303,19 @@ def partition(points: PointsLike) -> Any:
 
 
 def gather(points: Any, values: np.ndarray) -> np.ndarray:
-    """Gather values of a piece's nodes on every rank; values on Points stay as they are."""
-    return values if isinstance(points, Points) else points.gather(values)
+    """Gather values of a piece's nodes on every rank; those of all nodes of Points are as they are.
+    InputError as Subdomain.gather."""
+    if is_piece(points):
+        return points.gather(values)  # type: ignore[no-any-return]
+    return _nodal(nodes_of(points), values)
+
+
+def _nodal(nodes: Any, given: Any) -> np.ndarray:
+    """Check values [n, ...] of the nodes, of numbers or truth values."""
+    values = plain("values", given, None, "biufc")
+    if values.shape[:1] != nodes.x.shape[:1]:
+        raise InputError(f"values: expected {len(nodes.x)} rows, got shape {values.shape}")
+    return values
 
 
 def _rows(shape: tuple[int, ...]) -> int:

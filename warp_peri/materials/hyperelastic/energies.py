@@ -117,7 +117,7 @@ class EnergyTerm:
         step: of the bonds that the term acts on, their strain s along an angle of zero, (H2); with
             `corner` the sides of two opposite corners, the only ones. In lattice steps.
 
-    Raises InputError for an unknown kind, an exponent that the kind cannot take, or a corner
+    Raises InputError for an unknown kind, an angle or exponent that it cannot take, or a corner
     without two sides.
     """
 
@@ -135,6 +135,8 @@ class EnergyTerm:
             raise InputError(f"kind: expected one of {', '.join(KINDS)}, got {self.kind!r}")
         if self.exponent < (least := LEAST.get(self.kind, -np.inf)):
             raise InputError(f"{self.kind}: expected an exponent ≥ {least:g}, got {self.exponent}")
+        if (self.angle and not self.is_fibre) or (self.exponent and self.kind not in LEAST):
+            raise InputError(f"{self.kind}: expected no angle or exponent that it has not")
 
     @property
     def is_fibre(self) -> bool:
