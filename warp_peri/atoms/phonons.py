@@ -29,7 +29,7 @@ from warp_peri.atoms.force_constants import (
     forces_of,
     from_supercell,
 )
-from warp_peri.atoms.relaxed import VACUUM, Reference, gap, oriented, thickness_of
+from warp_peri.atoms.relaxed import VACUUM, Reference, check_sites, gap, oriented, thickness_of
 from warp_peri.errors import InputError, StrPath, optional, warn
 from warp_peri.files.atomic import check_hdf5, check_yaml, content
 from warp_peri.points.arguments import ArrayMap, Positive, checked, offered, typed

@@ -133,9 +133,7 @@ def oriented(atoms: ase.Atoms, turning: bool, thickness: Any) -> tuple[ase.Atoms
     if turning:
         ready.set_cell(ready.cell.standard_form()[0], scale_atoms=True)
     elif abs(up[2]) < (1 - FLAT**2) * norm(up):
-        raise InputError(
-            "structure: expected a sheet across z; its strains have names in x and y"
-        )
+        raise InputError("structure: expected a sheet across z; its strains have names in x and y")
     ready.center(vacuum=HEIGHT / 2, axis=2)
     ready.pbc = True
     return ready, True
