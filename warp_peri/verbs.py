@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any, overload
 
 import warp_peri.fitting as fitting
 from warp_peri.core.record import load as load_record
-from warp_peri.errors import InputError, StrPath, quietly, warn
+from warp_peri.errors import InputError, StrPath, heard, quietly, warn
 from warp_peri.files.atomic import check_regular, write_json
 from warp_peri.fitting.result import LOUD, Fit
 from warp_peri.points.arguments import Units, offered, taken, typed
-from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
+from warp_peri.points.dataset import Dataset, load_dataset, save_dataset, sets_of
 from warp_peri.points.mesh_files import load_mesh
-from warp_peri.points.points import Samples, sets_of
+from warp_peri.points.points import Samples
 
 if TYPE_CHECKING:
     from warp_peri.materials.crystal_fit import Crystal
@@ -53,14 +53,15 @@ def fit(samples: Any, law: Any = None, **options: Any) -> Any:
     )
     if not any(one.kind is one.VAR_KEYWORD for one in signature(learned).parameters.values()):
         (options,) = taken(options, "fit", learned)
-    found = learned(samples, **options)
-    if isinstance(found, Fit) and found.left > LOUD:
-        for each, noise in zip_longest(sets_of(samples), sets_of(options.get("noise"))):
-            with suppress(InputError):  # in space, scattered, too few
-                with quietly():  # said by the fit
-                    told = fitting.diagnose.diagnose(found.material, each, noise).advice
-                if told:
-                    warn(told)
+    with heard():  # what its parts say alike is said once
+        found = learned(samples, **options)
+        if isinstance(found, Fit) and found.left > LOUD:
+            for each, noise in zip_longest(sets_of(samples), sets_of(options.get("noise"))):
+                with suppress(InputError):  # in space, scattered, too few
+                    with quietly():  # said by the fit
+                        told = fitting.diagnose.diagnose(found.material, each, noise).advice
+                    if told:
+                        warn(told)
     return found
 
 

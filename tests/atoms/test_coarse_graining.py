@@ -91,8 +91,6 @@ def test_what_cannot_be_smoothed_is_refused():
         r"force: .* got 2 of 80 masked, the first at index \[0, 7, 0\]": {"force": hidden},
         "mass: expected values > 0": {"mass": -np.ones(40)},
         "mass: expected float values, got": {"mass": [1.0, [2.0]]},
-        "omega: expected a sparse matrix, got ndarray": {"omega": np.ones((16, 40))},
-        "omega: expected float values, got complex": {"omega": 1j * OMEGA},
         r"1 nodes have no atom .* the first is 16":
             {"omega": smoothing_matrix(ATOMS, [*nodes(0, 4), [99.0, 99]], radius=5.0)},
     })  # fmt: skip

@@ -10,7 +10,7 @@ from ase.build import bulk
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tests.support import assert_refused, parametrize, refused, warned
+from tests.support import assert_refused, each_refused, parametrize, refused, warned
 from tests.support.problems import lattice
 from warp_peri import Points
 from warp_peri.atoms import coarse_grain, dumps, smoothing_matrix
@@ -77,8 +77,8 @@ def test_frames_and_structures_are_read_whatever_they_are_packed_in(tmp_path):
 def grained(dumps, force=None, **how):
     """Samples of dumps of the periodic body."""
     force = np.ones((len(dumps), 30, 2)) if force is None else force
-    atoms = ReferenceAtoms(REFERENCE, box=BOX)
-    return coarse_grain_dumps(dumps, OMEGA, POINTS, atoms, force=force, **GRAIN, **how)
+    given = {"omega": OMEGA, "points": POINTS, "atoms": ReferenceAtoms(REFERENCE, box=BOX)}
+    return coarse_grain_dumps(dumps, force=force, **GRAIN | given | how)
 
 
 def test_averages_smoothing_and_samples_on_nodes(tmp_path):
@@ -126,6 +126,15 @@ def test_options_without_sense_are_refused(tmp_path):
         "no such dump": lambda: mean_displacement(tmp_path / "none.dump", REFERENCE),
         "other.dump: expected the ids of the reference": lambda: grained([path, other]),
         "0, 1 or as many, got 1 and 3": lambda: grained([path], unloaded=3 * [path]),
+    })  # fmt: skip
+    each_refused(lambda change: grained(["not read"], **change), {
+        "^node_area: expected a number > 0": {"node_area": -25.0},
+        r"^omega: expected shape \[\d+, 30\]": {"omega": OMEGA.T},
+        "^omega: expected a sparse matrix, got ndarray": {"omega": OMEGA.toarray()},
+        "^omega: expected float values, got complex": {"omega": 1j * OMEGA},
+        r"^omega: expected shape \[1, 30\]": {"points": Points(np.zeros((1, 2)), [True], 0.0)},
+        "nodes have no atom": {"omega": 0 * OMEGA},
+        r"^force: expected shape \[1, 30, 2\]": {"force": np.ones((1, 29, 2))},
     })  # fmt: skip
 
 

@@ -239,6 +239,8 @@ def test_a_typed_box_is_rounded_and_a_radius_fits(sheet, tmp_path, capsys):
         (["--box", "40", "40.2"], "expected the header's 40 x 40 Å, got 40 x 40.2 Å"),
         (["--box", "40", "40", "--radius", "1e9"], "at most 20 Å, half the smallest period, got"),
         (["--radius", "1e9"], "at most 39 Å, the extent of the body, got 1e+09 Å"),
+        (["--set", "a/b", "--reference", "not read"], "'a/b' cannot be the name of a set"),
+        (["--reach", "100", "--unloaded", "not read"], "nodes have no atom within the radius"),
     ):
         assert said in refused(capsys, *words, *more)
 

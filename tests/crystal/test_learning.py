@@ -51,6 +51,21 @@ def test_a_law_is_found_again_from_its_forces(d):
         assert_allclose(held.elastic_tensor(), given, atol=1e-12)
 
 
+def test_what_data_tell_is_told_in_single_precision_too():
+    """One wave a load, eight in all: no half of them tells the fourteen numbers of 4mm apart."""
+    points = plane_lattice(11, 2.5)
+    model, rng = kernel("1/r", 2.5), default_rng(0)
+    u = np.cos(points.x @ rng.uniform(-1, 1, (2, 8))).T[..., None] * rng.normal(size=(8, 1, 2))
+    samples, found = loaded(model.on(points), u), []
+    for kind in (np.float64, np.float32):
+        given = replace(samples, u=samples.u.astype(kind), b=samples.b.astype(kind))
+        with refused("expected enough to tell 30 numbers without any symmetry"):
+            fit(given, 2.5)
+        found.append(fit(given, 2.5, symmetry="4mm", moduli=None))
+    assert {one.provenance["fit"]["symmetry_ratio"] for one in found} == {None}
+    assert_allclose(found[1].elastic_tensor(), found[0].elastic_tensor(), rtol=1e-5, atol=1e-7)
+
+
 @filterwarnings("ignore:axis. lattice or crystal are turned")  # said once a process
 def test_the_symmetry_is_found_and_one_that_is_wrong_costs():
     law, turned, points = learned(2), learned(2, orientation=20.0), lattice(2, 14, 2)

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.random import default_rng
 
-from tests.support import approx, near, norms, parametrize, reference, refused, shared
+from tests.support import approx, near, norms, parametrize, reference, refused, shared, warned
 from tests.support.problems import kernel, lattice, manufactured, noise, periodic
 from tests.support.solving import solve
-from warp_peri import LPS, Samples, evaluate
+from warp_peri import LPS, Bernstein, Samples, evaluate
 from warp_peri.core.stencil import Stencil
 from warp_peri.materials.lps_fit import displacement_error
 from warp_peri.methods import BootstrapResult, bootstrap
@@ -89,6 +89,17 @@ def test_the_error_of_shape_does_not_see_rigid_motion(points):
     assert moved["E_u"] < 0.1 * plain["E_u"]
     near(moved["E_shape"], plain["E_shape"], 1e-6)
     assert plain["E_shape"] > plain["E_u"]
+
+
+@parametrize("use", [lambda seen: evaluate(MODEL, seen), LPS(HORIZON, Bernstein(1)).learn])
+def test_displacements_that_were_filled_in_are_told_where_they_count(points, use):
+    seen = np.ones(points.u.shape[:2], bool)
+    use(replace(points, arrays={"seen": seen}))
+    with refused("^seen: expected bool values"):
+        use(replace(points, arrays={"seen": 1 * seen}))
+    seen[0, 0] = False
+    with warned("^seen: displacements of nodes that were not seen"):
+        use(replace(points, arrays={"seen": seen}))
 
 
 class Springs:

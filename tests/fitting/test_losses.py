@@ -178,6 +178,7 @@ def test_what_noise_and_waves_cannot_be_used_is_refused(clean):
         "at least one field": noise[:0],
         "nodes": replace(noise, points=replace(noise.points, x=noise.x + 0.5)),
         "expected 1 sets": [noise, noise],
+        "noise: expected .* unloaded body, got loads": replace(noise, b=clean.b[:2]),
     })  # fmt: skip
     b[3] = 0
     assert_refused({

@@ -273,7 +273,7 @@ def dic_to_lattice(
 ) -> Samples:
     """Interpolate a sheet's frames to the lattice nodes that most have seen, with a 2δ collar.
 
-    A node that a frame lost is filled in from its neighbours; fits ignore it (array SEEN).
+    A node that a frame lost is filled in from its neighbours; fits to frames ignore it (SEEN).
 
     Args:
         spacing: of the lattice; by default that of the points.

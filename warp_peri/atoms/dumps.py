@@ -25,7 +25,7 @@ from tqdm import tqdm
 from warp_peri.atoms.coarse_graining import coarse_grain, masses_of
 from warp_peri.errors import InputError, StrPath, Values, warn
 from warp_peri.files.atomic import MARKS, check_regular, check_xml, content, encoding_of, unpacked
-from warp_peri.points.arguments import MOST, Natural, Positive, checked, plain, typed
+from warp_peri.points.arguments import MOST, Natural, Positive, check_shape, checked, plain, typed
 from warp_peri.points.points import PointsLike, Samples, nearest, nodes_of
 
 EXPECTED = "a LAMMPS dump (text, packed or not), .extxyz, .xyz or .traj"
@@ -396,7 +396,7 @@ def coarse_grain_dumps(
     atoms: ReferenceAtoms,
     *,
     force: ArrayLike,
-    node_area: float,
+    node_area: Positive,
     thickness: Positive,
     unloaded: Sequence[StrPath] = (),
     skip: Natural = 0,
@@ -419,21 +419,25 @@ def coarse_grain_dumps(
             "dumps, unloaded: expected 1 or more, and 0, 1 or as many, got "
             f"{len(dumps)} and {len(unloaded)}"
         )
-    force = checked("force", force, shape=(len(dumps), "A", 2))
-    mass = masses_of(atoms.mass, force.shape[1])
+    reference = checked("reference", atoms.reference, shape=("A", 2))
+    force = checked("force", force, shape=(len(dumps), len(reference), 2))
+    mass, nodes = masses_of(atoms.mass, len(reference)), nodes_of(points)
+    if sp.issparse(omega):
+        check_shape("omega", omega, (len(nodes.x), len(reference)))
+    fields = {"force": force, "mass": mass, "node_area": node_area, "thickness": thickness}
+    coarse_grain(omega, displacement=0 * force, **fields)  # refuses before dumps are read
     _warn_of_shares(force, mass)
     ids = next(iter_dump(dumps[0])).ids if atoms.ids is None else atoms.ids
     averages = []
     for path in tqdm([*unloaded, *dumps], desc="dumps", unit="dump", disable=not progress):
-        averages.append(mean_displacement(path, atoms.reference, ids=ids, box=atoms.box, skip=skip))
-        _warn_of_torn(Path(path), np.asarray(atoms.reference, float), averages[-1], atoms.box)
+        averages.append(mean_displacement(path, reference, ids=ids, box=atoms.box, skip=skip))
+        _warn_of_torn(Path(path), reference, averages[-1], atoms.box)
     moved = np.stack(averages[len(unloaded) :])
     if len(unloaded):
         moved -= np.stack(averages[: len(unloaded)])
-    fields = {"displacement": moved, "force": force, "mass": mass}
-    u, b = coarse_grain(omega, **fields, node_area=node_area, thickness=thickness)
+    u, b = coarse_grain(omega, displacement=moved, **fields)
     names = {"load_id": np.array([Path(path).name for path in dumps])}
-    return Samples(nodes_of(points), u, b, names)
+    return Samples(nodes, u, b, names)
 
 
 def _warn_of_shares(force: np.ndarray, mass: np.ndarray) -> None:

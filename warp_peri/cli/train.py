@@ -32,7 +32,7 @@ from warp_peri.fitting.evaluate import Run, train
 from warp_peri.materials import lps_law
 from warp_peri.points.arguments import USUAL, checked, symbols, usual_lengths
 from warp_peri.points.dataset import Dataset, content_hash, load_dataset, save_dataset
-from warp_peri.points.points import Points
+from warp_peri.points.points import Points, Samples
 
 HORIZON = 20.0
 """δ [Å] that is learned where nothing else was asked for."""
@@ -59,6 +59,16 @@ STEP = 0.025
 def run_coarse_grain(given: Namespace) -> Said:
     """Coarse-grain dumps to a set of a data file; other sets of the file stay."""
     _take_sheet(given)
+    if not 0 < given.spacing <= given.interior < given.reach:
+        raise InputError(
+            "spacing, interior, reach: expected 0 < spacing ≤ interior < reach, got "
+            f"{given.spacing:g}, {given.interior:g}, {given.reach:g} Å"
+        )
+    size, around = given.interior, {"spacing": given.spacing}
+    around["horizon"] = (given.reach - size) / 2
+    sheet = Points.block(2 * [2 * size], **around) if given.box else Points.disk(size, **around)
+    none = Samples(sheet, np.zeros((0, *sheet.x.shape)))
+    Dataset({given.set: none}, given.thickness, given.density)  # checked before dumps are read
     frame = next(dumps.iter_dump(given.reference))
     reference, box = frame.x, None
     if given.box:
@@ -70,15 +80,7 @@ def run_coarse_grain(given: Namespace) -> Said:
         raise InputError(f"radius: expected at most {limit:g} Å, {what}, got {given.radius:g} Å")
     force = np.stack([atom_forces(path, len(reference)) for path in given.force])
     mass = dumps.read_masses(given.reference, given.mass) if given.mass else 1.0
-    if not 0 < given.spacing <= given.interior < given.reach:
-        raise InputError(
-            "spacing, interior, reach: expected 0 < spacing ≤ interior < reach, got "
-            f"{given.spacing:g}, {given.interior:g}, {given.reach:g} Å"
-        )
-    around = {"spacing": given.spacing, "horizon": (given.reach - given.interior) / 2}
-    size = given.interior
-    points = Points.block(2 * [2 * size], **around) if box else Points.disk(size, **around)
-    points = dataclasses.replace(points, x=points.x + reference.mean(axis=0))
+    points = dataclasses.replace(sheet, x=sheet.x + reference.mean(axis=0))
     omega = smoothing_matrix(
         reference, points.x, radius=given.radius, box=box, spacing=given.spacing
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -29,7 +28,7 @@ from warp_peri.points.arguments import (
     typed,
     typed_methods,
 )
-from warp_peri.points.dataset import Dataset
+from warp_peri.points.dataset import Dataset, warn_of_unseen
 from warp_peri.points.points import Samples
 from warp_peri.protocols import placed
 
@@ -83,6 +82,7 @@ def evaluate(
     offered(operator, "jvp", "evaluate", "a material whose fields are displacements")
     if hasattr(operator, "errors"):  # a law whose samples may fail one by one
         return operator.errors(samples)  # type: ignore[no-any-return]
+    warn_of_unseen(samples)
     load = operator.rhs(samples.loads)
     size, residual = norms(load), norms(operator(samples.u) - load)
     # the force of the interior's displacement alone, which that of the collar takes off again;
@@ -136,13 +136,11 @@ class Run:
         fit: the material, its certificate and the way to them.
         tables: of `evaluate`, by the name of the set.
         refused: why a set was not evaluated, by its name.
-        seconds: of learning and of prediction.
     """
 
     fit: Any
     tables: dict[str, Values]
     refused: dict[str, str]
-    seconds: dict[str, float]
 
     def mean(self, error: str) -> dict[str, float]:
         """Mean of one error of `evaluate` over the samples of each set, by the set's name."""
@@ -178,17 +176,14 @@ def train(
 ) -> Run:
     """Learn a law from samples with `options` of its `learn`, and evaluate it on named sets; one
     that `evaluate` refuses is passed over with its reason. Raises what `fit` raises."""
-    begin = time.perf_counter()
     learned = law.learn(samples, **options)
-    between = time.perf_counter()
     tables, refused = {}, {}
     for name, points in sets.items():
         try:
             tables[name] = evaluate(learned.material, points, allow_uncertified=allow_uncertified)
         except InputError as error:  # no load, another spacing, a collar too small
             refused[name] = str(error)
-    seconds = {"learning": between - begin, "prediction": time.perf_counter() - between}
-    return Run(learned, tables, refused, seconds)
+    return Run(learned, tables, refused)
 
 
 LEAST_LOADS, LEAST_DRAWS, DRAWS = 4, 10, 40

@@ -68,18 +68,28 @@ def long_wave_rows(samples: Samples, allowed: np.ndarray, modes: int) -> tuple[n
     return values, kept, -np.einsum("svijl,aijkl->svka", moments, allowed, optimize=True)
 
 
+TOLD = 1e-6
+"""Of columns of size one: numbers that add less are not told by fields of single precision."""
+
+
+def told_apart(R: np.ndarray) -> bool:
+    """Whether rows [n, m] tell the numbers of all columns apart, in single precision or double."""
+    size = norm(R, axis=0)
+    full = R / np.where(size > 0, size, 1)
+    return not R.shape[1] or bool(matrix_rank(full, rtol=TOLD) == R.shape[1])
+
+
 def moduli_of(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
     """Least-squares constants of rows [..., m], relative residual; InputError for too few rows."""
     R, y = R.reshape(-1, R.shape[-1]), y.ravel()
     size = norm(R, axis=0)
-    R = R / np.where(size > 0, size, 1)
-    if matrix_rank(R, tol=1e-6 * norm(R, 2)) < R.shape[1]:
+    if not told_apart(R):
         raise InputError(
             f"moduli: the long waves of these loads do not tell {R.shape[1]} constants apart; "
             "give them, or more loads of long waves"
         )
-    c = lstsq(R, y)[0]
-    return c / size, relative(R @ c - y, y)
+    c = lstsq(R / size, y)[0] / size
+    return c, relative(R @ c - y, y)
 
 
 def lines_of_waves(samples: Samples, modes: int) -> tuple[list[np.ndarray], np.ndarray]:
@@ -327,7 +337,7 @@ def judged(
     weights = [over_loads(half) if normalise else None for half in halves]
     equations = [rows(half, least, weight=each) for half, each in zip(halves, weights)]
     R = np.concatenate([rows for rows, _ in equations])
-    if auto and matrix_rank(R) < R.shape[1]:
+    if auto and not told_apart(R):
         raise InputError(
             f"data: expected enough to tell {R.shape[1]} numbers without any symmetry apart; name "
             "one, or give more loads"
@@ -366,7 +376,7 @@ def judged(
 def _crossed(equations: Sequence[tuple[np.ndarray, ...]], mix: np.ndarray) -> float:
     """‖R M p − y‖ / ‖y‖ of each part with the other's p (one part: its own); or infinity."""
     parts = [(R @ mix, y) for R, y in equations]
-    if any(matrix_rank(R) < R.shape[1] for R, _ in parts):
+    if not all(told_apart(R) for R, _ in parts):
         return np.inf
     fits = [lstsq(R, y)[0] for R, y in parts]
     left = np.concatenate([R @ p - y for (R, y), p in zip(parts, fits[::-1])])

@@ -392,7 +392,7 @@ def sample_weights(sets: Sequence[Samples], *, normalise: bool) -> list[np.ndarr
     `normalise`. InputError for no samples or loads; normalised, for any zero load."""
     if not sets:
         raise InputError("points: expected at least one training set, got none")
-    named = {" and ".join(points.units) for points in sets}
+    named = {f"{' and '.join(each.units)} in {each.dimension} dimensions" for each in sets}
     if len(named) > 1:
         raise InputError(f"units: expected the same for all sets, got {', '.join(sorted(named))}")
     factors, total = [], 0.0

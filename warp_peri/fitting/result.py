@@ -88,7 +88,7 @@ class Fit(Shown):
 
 
 def check_noise(noise: Samples, points: Samples) -> None:
-    """Raise InputError for noise on other nodes than its training set's."""
+    """Raise InputError for noise on other nodes than its training set's, and for loaded fields."""
     if len(noise) == 0:
         raise InputError("noise: expected at least one field, got none")
     mine, its = points.points, noise.points
@@ -98,6 +98,8 @@ def check_noise(noise: Samples, points: Samples) -> None:
             f"noise: expected the {len(mine.x)} nodes of the training set in units {mine.units}, "
             f"got {len(its.x)} others in {its.units}"
         )
+    if noise.b is not None and noise.b[:, its.interior].any():
+        raise InputError("noise: expected displacements of the unloaded body, got loads")
 
 
 LOUD = 0.1

@@ -58,9 +58,9 @@ from warp_peri.materials.lps_law import (
 )
 from warp_peri.materials.lps_stages import SMALLEST_MODULUS, fit_output_error, in_torch, two_stages
 from warp_peri.points.arguments import Positive, symbols, typed
-from warp_peri.points.dataset import Dataset, largest_wave_number
+from warp_peri.points.dataset import Dataset, largest_wave_number, sets_of
 from warp_peri.points.families import largest_strain
-from warp_peri.points.points import WAVE_VECTOR, Samples, check_lattice, sets_of
+from warp_peri.points.points import WAVE_VECTOR, Samples, check_lattice
 
 RELATIVE_ZETA = 0.0161
 """ζ over the stiffness that the data show, where none was asked for: 0.0100 TPa on graphene."""

@@ -19,6 +19,7 @@ from warp_peri.errors import InputError, Values
 from warp_peri.fitting.evaluate import errors_of
 from warp_peri.fitting.regression import norms
 from warp_peri.points.arguments import check_shape, plain, typed
+from warp_peri.points.dataset import warn_of_unseen
 from warp_peri.points.families import families_of
 from warp_peri.points.points import PointsLike, Samples, nodes_of
 from warp_peri.protocols import OperatorBase
@@ -327,6 +328,7 @@ def evaluate(
     """
     if not len(samples):
         raise InputError("samples: expected at least one")
+    warn_of_unseen(samples)
     placed, inside = material.on(samples.points), samples.interior
     loads = np.zeros_like(samples.u) if samples.b is None else samples.loads
     search = EquilibriumSolver(placed) if solve and not inside.all() else None

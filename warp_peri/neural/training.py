@@ -22,6 +22,7 @@ from warp_peri.files.checkpoint import ArrayFile, fingerprint
 from warp_peri.fitting.regression import norms
 from warp_peri.neural.placed import CELLS, SOLVED, EquilibriumSolver, affine, interpolated_force
 from warp_peri.points.arguments import Bound, Count, Natural, Positive, check_whole, typed
+from warp_peri.points.dataset import sets_of
 from warp_peri.points.points import Samples
 from warp_peri.solvers.equilibria import NonlinearRecord
 
@@ -203,6 +204,7 @@ def train(
     if (samples.b is None) != (val.b is None):
         asked = "no loads" if samples.b is None else "loads"
         raise InputError(f"validation: expected {asked}, as the training samples have")
+    sets_of([samples, val])
     run = _Run(material, samples, val, training)
     file = ArrayFile(checkpoint, run.key, "another training: other settings, samples or start")
     with nullcontext() if checkpoint is None else locked(checkpoint):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -34,6 +34,7 @@ from warp_peri.points.arguments import (
 from warp_peri.points.points import (
     FIELDS,
     PULL,
+    SEEN,
     WAVE_VECTOR,
     Points,
     PointsLike,
@@ -252,6 +253,39 @@ def _written(provenance: Any) -> str:
         return json.dumps(plain(provenance), allow_nan=False)
     except (TypeError, ValueError, RecursionError) as error:
         raise InputError(f"provenance: expected plain JSON values ({error})") from None
+
+
+def seen_of(samples: Samples) -> np.ndarray:
+    """Whether each node's displacement was measured, [S, N]: all where nothing says otherwise."""
+    shape = samples.u.shape[:2]
+    return checked(SEEN, samples.arrays.get(SEEN, np.ones(shape, bool)), bool, shape)
+
+
+def warn_of_unseen(samples: Samples) -> None:
+    """Warn where displacements that were filled in count as measured."""
+    if not seen_of(samples).all():
+        warn(
+            "seen: displacements of nodes that were not seen count as measured here; frames "
+            "without loads, learned by hyperelastic.Hyperelastic(…), leave them out"
+        )
+
+
+def sets_of(samples: Any, name: str = "samples") -> list[Samples]:
+    """One set, several or none as a list; of a Dataset `train`, or its only set; InputError, which
+    begins with the name, for anything else. Warns of nodes that were not seen."""
+    if samples is None:
+        return []
+    if isinstance(samples, Dataset):
+        samples = samples.obvious("train")
+    sets = [samples] if isinstance(samples, Samples) else samples
+    if not isinstance(sets, Sequence) or not all(isinstance(each, Samples) for each in sets):
+        raise InputError(
+            f"{name}: expected Samples (nodes with u and b), or a list of them, got "
+            f"{type(samples).__name__}"
+        )
+    for each in sets:
+        warn_of_unseen(each)
+    return list(sets)
 
 
 def save_dataset(path: StrPath, dataset: Dataset) -> None:

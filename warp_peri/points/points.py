@@ -473,12 +473,6 @@ class Samples(Shown):
         return [*rows, ("b", known), *((name, "by sample") for name in self.arrays)]
 
 
-def seen_of(samples: Samples) -> np.ndarray:
-    """Whether each node's displacement was measured, [S, N]: all where nothing says otherwise."""
-    shape = samples.u.shape[:2]
-    return checked(SEEN, samples.arrays.get(SEEN, np.ones(shape, bool)), bool, shape)
-
-
 PointsLike: TypeAlias = Points | Samples
 """What has nodes: functions that look at no field take either."""
 
@@ -519,19 +513,3 @@ def axis_of(points: PointsLike) -> float:
 
 WAVE_VECTOR = "wave_vector"
 """Per-sample array of a set whose loads are single waves: k [1/Å], shape [S, 2]."""
-
-
-def sets_of(samples: Any, name: str = "samples") -> list[Samples]:
-    """One set, several or none as a list; of a Dataset `train`, or its only set; InputError, which
-    begins with the name, for anything else."""
-    if samples is None:
-        return []
-    if hasattr(samples, "obvious"):
-        samples = samples.obvious("train")
-    sets = [samples] if isinstance(samples, Samples) else samples
-    if not isinstance(sets, Sequence) or not all(isinstance(each, Samples) for each in sets):
-        raise InputError(
-            f"{name}: expected Samples (nodes with u and b), or a list of them, got "
-            f"{type(samples).__name__}"
-        )
-    return list(sets)

@@ -27,7 +27,8 @@ from warp_peri.materials.hyperelastic.sheet_fit import (
     fit_sheet,
 )
 from warp_peri.points.arguments import Natural, Options, Share, checked, typed, typed_methods
-from warp_peri.points.points import Samples, seen_of
+from warp_peri.points.dataset import seen_of
+from warp_peri.points.points import Samples
 
 COMPRESSIBLE = {"neo_hookean", "volumetric"}
 INCOMPRESSIBLE = {"plane_stress", "mooney"}

@@ -27,7 +27,8 @@ from warp_peri.materials.hyperelastic.energies import Energy, Hyperelastic, Stra
 from warp_peri.materials.hyperelastic.lattice import SMALLEST_AREA, SheetLattice, Sites, softest
 from warp_peri.points import arguments
 from warp_peri.points.arguments import USUAL, Numbers, Units, checked, plain, shown_moduli, symbols
-from warp_peri.points.points import PointsLike, Samples, seen_of
+from warp_peri.points.dataset import seen_of, warn_of_unseen
+from warp_peri.points.points import PointsLike, Samples
 from warp_peri.runtime import one_thread
 from warp_peri.solvers.equilibria import Descent, Inner, equilibria_of
 from warp_peri.solvers.solution import TOLERANCE, Solution, Solver
@@ -417,6 +418,7 @@ class HyperelasticSheetOperator(Swept):
         told, found, start, inverse = dict[str, Any](), [], None, None
         loads = (np.zeros_like(samples.u) if samples.b is None else samples.b)[:, self.interior]
         if samples.b is not None:
+            warn_of_unseen(samples)
             told = errors_of("E_res", norms(self.force(samples.u) - loads), norms(loads))
         for u, b in zip(samples.u, loads):
             if near is not None:

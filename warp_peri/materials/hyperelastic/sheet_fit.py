@@ -32,7 +32,8 @@ from warp_peri.materials.hyperelastic.operator import (
 )
 from warp_peri.points import arguments
 from warp_peri.points.arguments import Count, Natural, NotNegative, Share, checked, typed
-from warp_peri.points.points import PULL, Points, PointsLike, Samples, seen_of
+from warp_peri.points.dataset import seen_of, warn_of_unseen
+from warp_peri.points.points import PULL, Points, PointsLike, Samples
 from warp_peri.solvers.equilibria import Descent, NoEquilibriumError
 
 
@@ -191,6 +192,8 @@ class Search:
         self.data, self.thickness, self.op = samples.u, thickness, sheet_on(dictionary, samples)
         self.inner, self.by_load = self.op.interior, samples.b is not None
         target = (samples.loads if self.by_load else samples.u)[:, self.inner]
+        if self.by_load:
+            warn_of_unseen(samples)
         self.target = target.reshape(-1, 2 * len(self.inner))
         seen = np.repeat(seen_of(samples)[:, self.inner], 2, axis=1) | self.by_load
         size = norm(self.target * seen, axis=1)
