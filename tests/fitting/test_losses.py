@@ -8,6 +8,7 @@ from numpy.linalg import eigvalsh
 from numpy.random import default_rng
 
 from tests.support import approx, near, norms, parametrize, problems, shared
+from tests.support.clouds import cube
 from tests.support.fields import double
 from tests.support.problems import difference, ell, kernel, lattice, manufactured, noise, normal
 from tests.support.solving import fit, solve
@@ -184,5 +185,7 @@ def test_what_noise_and_waves_cannot_be_used_is_refused(clean):
     assert_refused({
         "sample 3 has no load and cannot be normalised":
             lambda: sample_weights([replace(clean, b=b)], normalise=True),
+        "units: .* in 2 dimensions, .* in 3 dimensions":
+            lambda: fit([clean, Samples(cube(2, 2.0), *np.ones((2, 1, 1000, 3)))], 2.0),
         "sample 3": lambda: WaveResponse(Products(replace(clean, b=b), HORIZON)),
     })  # fmt: skip

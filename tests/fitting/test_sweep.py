@@ -101,8 +101,8 @@ def test_a_trial_is_not_believed_as_it_stands(sets, tmp_path, monkeypatch):
     (train, val), options = sets, options | {"horizons": (2.0,)}
     there = [replace(each, points=replace(each.points, units=OTHER)) for each in sets]
     sweep(*there, tmp_path, **options)
-    quiet = replace(val, u=1e-9 * val.u)
-    for more in ({"noise": replace(quiet, b=None)}, {"test": quiet}, {"law": LPS(2.0, loss="residual")}):
+    quiet, law = replace(val, u=1e-9 * val.u), LPS(2.0, loss="residual")
+    for more in ({"noise": replace(quiet, b=None)}, {"test": quiet}, {"law": law}):
         sweep(train, val, tmp_path, **more, **options)
     models = [LPSMaterial.load(path) for path in tmp_path.glob("*.model.json")]
     assert [model.units for model in models].count(OTHER) == 1

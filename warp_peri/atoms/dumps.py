@@ -424,7 +424,8 @@ def coarse_grain_dumps(
     mass, nodes = masses_of(atoms.mass, len(reference)), nodes_of(points)
     if sp.issparse(omega):
         check_shape("omega", omega, (len(nodes.x), len(reference)))
-    fields = {"force": force, "mass": mass, "node_area": node_area, "thickness": thickness}
+    fields: Values = {"force": force, "mass": mass, "node_area": node_area}
+    fields["thickness"] = thickness
     coarse_grain(omega, displacement=0 * force, **fields)  # refuses before dumps are read
     _warn_of_shares(force, mass)
     ids = next(iter_dump(dumps[0])).ids if atoms.ids is None else atoms.ids
