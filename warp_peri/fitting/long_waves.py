@@ -68,7 +68,7 @@ def long_wave_rows(samples: Samples, allowed: np.ndarray, modes: int) -> tuple[n
     return values, kept, -np.einsum("svijl,aijkl->svka", moments, allowed, optimize=True)
 
 
-TOLD = 1e-6
+TOLD = 1e-7
 """Of columns of size one: numbers that add less are not told by fields of single precision."""
 
 
