@@ -35,7 +35,7 @@ def test_a_sign_changing_model_cracks_only_where_it_stays_definite():
     at_random = random_breaking(body, default_rng(0), 0.2)
     assert_refused({
         "negative eigenvalues": lambda: CutSolid(model, body, held, neighbour=at_random),
-        "changes sign":
+        "changes sign on the lattice of spacing 1, from -":
             lambda: simulate(model, Cracked(Points(body.x, ~held, 1.0), u=body.x), events=1),
     })  # fmt: skip
 

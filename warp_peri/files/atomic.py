@@ -34,6 +34,7 @@ DEEPER = np.zeros(256, int)
 DEEPER[[*b"[{"]], DEEPER[[*b"]}"]] = 1, -1
 BROKEN = zipfile.BadZipFile, EOFError, RuntimeError, KeyError, NotImplementedError, MemoryError
 """What reading an archive of arrays runs into."""
+NO_PLACE = FileExistsError, FileNotFoundError, NotADirectoryError, IsADirectoryError
 
 
 def read_arrays(path: StrPath) -> dict[str, np.ndarray]:
@@ -56,12 +57,11 @@ def destination(path: StrPath) -> Path:
     """Path where a file of this name is written, links followed; InputError for what is there and
     is no regular file: a folder, a device, a pipe."""
     followed = Path(os.path.realpath(path))
-    try:
-        mode = os.stat(followed).st_mode
-    except FileNotFoundError:
-        return followed
-    except OSError as error:  # a file for a folder on the way, links in a circle
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+    with written(path):  # a file for a folder on the way, links in a circle
+        try:
+            mode = os.stat(followed).st_mode
+        except FileNotFoundError:
+            return followed
     if not stat.S_ISREG(mode):
         kind = "a folder" if stat.S_ISDIR(mode) else "a device, a pipe or a socket"
         raise InputError(f"{path}: expected a file or a new name, got {kind}")
@@ -69,12 +69,12 @@ def destination(path: StrPath) -> Path:
 
 
 @contextmanager
-def _no_place(path: Path) -> Iterator[None]:
-    """Turn errors of folders that take no files, or are none, into one line that names the path."""
+def written(path: StrPath, errors: Any = OSError) -> Iterator[None]:
+    """Turn errors of writing, as of a full disk, into one line that names the path."""
     try:
         yield
-    except (FileExistsError, FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+    except errors as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
 
 
 @contextmanager
@@ -84,7 +84,7 @@ def whole_file(path: StrPath) -> Iterator[Path]:
     is missing. A link stays, and what it points at is replaced. Of a process that is killed the
     temporary file is left. InputError for a path that is no regular file."""
     path = destination(path)
-    with _no_place(path):
+    with written(path, NO_PLACE):
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, made = tempfile.mkstemp(path.suffix, f".{path.name}.part-", path.parent)
     temporary = Path(made)
@@ -129,7 +129,7 @@ def locked(path: StrPath) -> Iterator[None]:
     is a user's, with something in it."""
     path = Path(os.path.realpath(path))
     beside = path.with_name(f".{path.name}.lock")
-    with _no_place(path):
+    with written(path, NO_PLACE):
         path.parent.mkdir(parents=True, exist_ok=True)
         handle = os.open(beside, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
     try:

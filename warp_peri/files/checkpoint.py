@@ -29,7 +29,7 @@ from scipy.spatial import cKDTree
 from warp_peri import __version__
 from warp_peri.errors import ALONE, InputError, StrPath, Values, agreed
 from warp_peri.files import atomic
-from warp_peri.files.atomic import check_hdf5, locked, parsed, whole_hdf5
+from warp_peri.files.atomic import check_hdf5, locked, parsed, whole_hdf5, written
 
 HELD = "__self__", "__func__", "fget", "code"
 """What methods, properties and what torch compiled hold that is no attribute."""
@@ -399,13 +399,10 @@ def gathered(comm: Any, arrays: Arrays, own: Any, count: int) -> Values:
 
 def write_arrays(path: StrPath, arrays: Arrays, attributes: Values) -> None:
     """Write an HDF5 file of arrays whole or not at all; InputError where it cannot be written."""
-    try:
-        with whole_hdf5(path) as file:
-            for name, values in arrays.items():
-                file[name] = values
-            file.attrs.update(attributes)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error})") from None
+    with written(path), whole_hdf5(path) as file:
+        for name, values in arrays.items():
+            file[name] = values
+        file.attrs.update(attributes)
 
 
 def read_arrays(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,11 +18,12 @@ from tqdm import tqdm
 from warp_peri.core.torch_bridge import linear, once, with_numbers
 from warp_peri.core.torch_bridge import real as real
 from warp_peri.errors import InputError, warn
-from warp_peri.fracture.body import LatticeBody, cracked, section
+from warp_peri.fracture.body import LatticeBody, cracked, crossing_bonds, size_and_normal
 from warp_peri.fracture.bonds import bonds_of, check_breakable, stretch_matrix, stretch_rows
 from warp_peri.fracture.materials import BondLaw, pull_of, share_of, slope_of
 from warp_peri.fracture.statics import check_no_fail, check_pieces, strain_of
-from warp_peri.materials.lps import LPSMaterial, bernstein_basis
+from warp_peri.materials.lps import LPSMaterial
+from warp_peri.materials.lps_stages import class_weights
 from warp_peri.points.arguments import NotNegative, Numbers, checked, is_tensor
 from warp_peri.solvers.adjoint import in_motion as in_motion
 from warp_peri.solvers.motion import Motion
@@ -48,14 +50,9 @@ def bond_force(
     """
     u, numbers = u.double(), {name: value.double() for name, value in numbers.items()}
     classes, d, mu = body.classes, body.dimension, numbers["mu"]
-    r = torch.from_numpy(
-        classes.r * (model.certified_spacing_near(classes.spacing) / classes.spacing)
-    )
-    K = r ** -numbers["alpha"] * (
-        torch.from_numpy(bernstein_basis(r.numpy(), model.horizon, model.degree)) @ numbers["D"]
-    )
-    kw = K * r.new_tensor(classes.weight)
-    w = kw / (torch.from_numpy(classes.count * classes.r**2) * kw).sum()  # as bond_weights
+    scale = model.certified_spacing_near(classes.spacing) / classes.spacing  # as bond_weights
+    scaled = replace(classes, r=scale * classes.r)
+    w = scale**2 * class_weights(scaled, numbers["alpha"], numbers["D"])
     stretch, place = stretch_matrix(body, neighbour)
     node, bond = (torch.from_numpy(one) for one in np.divmod(place, neighbour.shape[1]))
     w, square = w[bond.new_tensor(classes.bond_class)[bond]], torch.from_numpy(body.r**2)[bond]
@@ -157,10 +154,12 @@ class SoftBody:
 
     def levers(self, line: ArrayLike) -> np.ndarray:
         """Weights of bonds in the force per thickness normal to a line, tension positive, [E]."""
-        crossing, _, normal = section(self.body, line, "line")
+        crossing, ends = crossing_bonds(self.body, line, "line"), checked("line", line)
+        if self.body.dimension == 2 and len(ends) != 2:
+            raise InputError(f"line: expected two ends, got {len(ends)} corners")
         if not (cut := crossing[self.node, self.bond]).any():
             raise InputError("line: no bond of the body crosses it, so no force can be read there")
-        rise = cut * np.abs(self.body.xi[self.bond] @ normal)
+        rise = cut * np.abs(self.body.xi[self.bond] @ size_and_normal(ends)[1])
         cell = self.body.spacing**self.body.dimension
         return np.asarray(cell * rise * self.stiffness * self.square)
 

@@ -240,15 +240,6 @@ def size_and_normal(corners: np.ndarray) -> tuple[float, np.ndarray]:
     return size, area / (size or 1.0)
 
 
-def section(body: LatticeBody, line: ArrayLike, name: str) -> tuple[np.ndarray, ...]:
-    """Bonds that cross a straight line, in space a flat polygon, [N, B] bool; its ends and normal.
-    Raises InputError as crossing_bonds, and for a line that is bent."""
-    cut, ends = crossing_bonds(body, line, name), checked(name, line)
-    if body.dimension == 2 and len(ends) != 2:
-        raise InputError(f"{name}: expected two ends, got {len(ends)} corners")
-    return cut, ends, size_and_normal(ends)[1]
-
-
 def _goes_on(body: LatticeBody, tip: np.ndarray, along: np.ndarray) -> bool:
     """Whether the body has nodes beyond the end of a crack; else that is a mouth."""
     away = body.x[_near(body, tip[None])] - tip
@@ -266,10 +257,9 @@ def cracked(body: LatticeBody, cracks: Sequence[ArrayLike]) -> np.ndarray:
     """Neighbours of a body with the bonds across cracks broken (−1 − j), shape [N, B] int32."""
     if not np.iterable(cracks):
         raise InputError(f"cracks: expected a list of polylines, got {cracks!r:.50}")
-    neighbour = body.neighbour.copy()
+    cut = np.zeros(body.neighbour.shape, bool)
     for polyline in cracks:
-        cut = crossing_bonds(body, polyline)
-        if not cut.any():
+        cut |= (own := crossing_bonds(body, polyline))
+        if not own.any():
             warn("crack: cuts no bond of the body")
-        neighbour[cut] = np.where(neighbour[cut] >= 0, -1 - neighbour[cut], neighbour[cut])
-    return neighbour
+    return np.where(cut, -1 - body.neighbour, body.neighbour)

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 import warp_peri.core as core
 import warp_peri.fracture as fracture
 from warp_peri.core.elastic import checked_symmetric, symmetric_part
-from warp_peri.errors import ALONE, InputError, Values, agreed
-from warp_peri.files.checkpoint import same
+from warp_peri.errors import ALONE, InputError, Values, agreed, warn
+from warp_peri.files.checkpoint import fingerprint, same
 from warp_peri.fracture.body import (
     LatticeBody,
     box_nodes,
@@ -30,6 +30,7 @@ from warp_peri.points.arguments import (
     NotNegative,
     Options,
     Positive,
+    as_array,
     checked,
     offered,
     taken,
@@ -37,8 +38,16 @@ from warp_peri.points.arguments import (
 )
 from warp_peri.points.points import Points
 from warp_peri.protocols import refuse_uncut
-from warp_peri.solvers.motion import Motion, Recorder, refuse_learning
-from warp_peri.solvers.solution import CG, Direct, Solution, refuse_solver
+from warp_peri.solvers.motion import Motion, Recorder, asks_for_gradient, refuse_learning
+from warp_peri.solvers.solution import CG, Direct, Solution
+
+
+def linear_of(material: Any, verb: str) -> LPSMaterial:
+    """Linear part of a material that cracks may cut; InputError for others, and operators."""
+    linear = offered(material, "linear", verb, "a solid with a linear part for a Cracked")
+    if not hasattr(linear, "own_nodes"):
+        offered(material, "own_nodes", verb, "a material for a Cracked, not its operator")
+    return linear  # type: ignore[no-any-return]
 
 
 @typed
@@ -93,7 +102,7 @@ class Cracked:
                 f"{verb}: expected a linear solid for a Cracked, as the .linear of "
                 f"{type(material).__name__}, whose third order no cut bond knows of"
             )
-        linear = offered(material, "linear", verb, "a solid with a linear part for a Cracked")
+        linear = linear_of(material, verb)
         linear.own_nodes(self.points)
         if not self.points.is_open_lattice:
             raise InputError("points: a Cracked is for lattices that have no box and none outside")
@@ -110,7 +119,6 @@ class Cracked:
 
     def solved(self, material: Any, solver: Any, options: Options) -> Solution:
         """Solve for the body at rest, of a solid with a linear part, or with several moduli."""
-        refuse_solver(solver, (Direct, CG), "a body with cracks")
         numbers = options.pop("parameters", None)
         taken(options, "solve")
         body = self.body(material, "solve")
@@ -126,6 +134,8 @@ class Cracked:
             if learns:
                 cut, numbers = core.torch_bridge.with_numbers(cut, numbers or {})
             extra = crack_load(cut, pressure, numbers)
+            if not len(self.cracks):
+                warn("pressure: there is no crack that it presses on")
             if learns:
                 b, extra = map(fracture.adjoint.real, ("b", "pressure"), (b, extra))
                 arguments.check_shape("b", b, body.x.shape)
@@ -161,11 +171,10 @@ class Cracked:
             if self.b is not None:
                 raise InputError("b: slow growth and pulls are of given displacements, got a load")
             return self._slowly(material, body, u, options)
-        asked = self.steps(options)
         offered(
             material, "density", "simulate", "a BrittleMaterial for steps, or events=…, or loads=…"
         )
-        return in_steps(material, body, asked)
+        return in_steps(material, body, self.steps(options))
 
     def steps(self, options: Options) -> tuple[Options, ...]:
         """Sort options of a motion in steps by what takes them: BreakingBody and its start, with
@@ -184,6 +193,8 @@ class Cracked:
             (how,) = taken(options, "simulate", grow, given=("cracks", "corrected"))
             return grow(material.linear, body, self.held, u, **how, **self._cuts)
         law = offered(material, "law", "simulate", "a SofteningMaterial for loads=…")
+        if self.u is None:
+            raise InputError("u: nothing pulls at the body; give its displacement at unit load")
         soft: Any = fracture.adjoint.SoftBody
         own, how = taken(options, "simulate", soft.__init__, soft.pull, given=("cracks",))
         pulled = soft(material.linear, body, law, self.held, cracks=self.cracks, **own)
@@ -194,14 +205,13 @@ def in_steps(material: Any, body: LatticeBody, options: Any, nodes: Any = None) 
     """Motion of a body that breaks, by options as Cracked.steps sorts them, on all of its nodes or
     those that this process has."""
     how, begin, records, run = options
-    with agreed(ALONE if nodes is None else nodes.comm):
+    with agreed(comm := ALONE if nodes is None else nodes.comm):
         moving = BreakingBody(material, body, **how)
         state = moving.start(**begin)
     marching = CrackRun(moving, nodes=nodes, **records)
-    if nodes is not None:
-        with agreed(nodes.comm):
-            shares = marching.loads(run["steps"])
-        same(nodes.comm, ramp=shares)
+    with agreed(comm):  # of all steps before the first, lest a ramp that ends loses a run
+        shares = marching.loads(run["steps"])
+    same(comm, ramp=shares)
     return marching.motion(marching.march(state, **run))
 
 
@@ -248,9 +258,12 @@ class Injected:
         taken(options, "simulate")
         if (toughness := getattr(material, "toughness", None)) is None:
             raise InputError("simulate: expected a BrittleMaterial with a toughness, for Injected")
-        h, rows = self.points.spacing, []
+        h, rows, cuts = self.points.spacing, list[Any](), set[str]()
         for half in self.halves:
             found = [self._at(material, half + d) for d in (0.0, h, -h)]
+            cuts.add(fingerprint(found[0].operator.neighbour))
+            if len(cuts) == len(rows):
+                raise InputError(f"crack: expected half lengths a bond apart, got {[*self.halves]}")
             here, longer, shorter = map(crack_opening_volume, found)
             columns = np.array([len(_columns(one, None)[0]) for one in found])
             area, more, less = columns * h ** (self.points.dimension - 1)  # or lengths in a sheet
@@ -295,36 +308,36 @@ def energy_release(
         shift: how much further a tip acts than it is cut [length], by `tip_shift`; G is then by a
             parabola of three lengths or a quartic of five or more (C25).
 
-    Raises InputError for fewer than two lengths, with a shift fewer than three or in space, for a
-    body that nothing pulls at, and as Cracked.solved.
+    Raises InputError for fewer than two lengths a bond apart, three with a shift, for a shift in
+    space, a body that nothing pulls at, gradients, and as Cracked.solved.
     """
     given = problem.b, problem.u, problem.pressure
+    if asks_for_gradient(given):
+        raise InputError(f"energy_release: {arguments.GRADIENT}")
     if not any(np.any(np.nan_to_num(field)) for field in given if field is not None):
         raise InputError("problem: nothing pulls at it; give b, u or pressure")
-    energies, lengths = [], []
+    energies, lengths, cuts = [], [], set()
     for polylines in cracks:
         solution = replace(problem, cracks=polylines).solved(material, solver, {})
+        cuts.add(fingerprint(solution.operator.neighbour))
         cell = problem.points.spacing**problem.points.dimension
         work = cell * float(np.vdot(solution.load, solution.u[solution.operator.inside]))
         energies.append(solution.operator.energy(solution.u) - work)
         lengths.append(sum(size_and_normal(np.asarray(line, float))[0] for line in polylines))
-    if len(set(lengths)) < (3 if shift else 2):
+    if min(len({*lengths}), len(cuts)) < (3 if shift else 2):
         least = "three" if shift else "two"
-        raise InputError(f"cracks: expected {least} lengths or more, got {lengths}")
-    if not shift:
-        return -float(np.polyfit(lengths, energies, 1)[0])
-    off = np.array(lengths) - np.mean(lengths)
-    slope = np.polyder(np.polyfit(off, energies, 2 if len(lengths) < 5 else 4))
-    return -float(np.polyval(slope, -shift * _moving(cracks)))
+        raise InputError(f"cracks: expected {least} lengths or more a bond apart, got {lengths}")
+    off, back = np.array(lengths) - np.mean(lengths), shift and shift * _moving(cracks)
+    degree = (2 if len(lengths) < 5 else 4) if shift else 1
+    return -float(np.polyval(np.polyder(np.polyfit(off, energies, degree)), -back))
 
 
-def _moving(cracks: Sequence[Sequence[ArrayLike]]) -> int:
+def _moving(cracks: Sequence[Sequence[ArrayLike]]) -> Any:
     """Number of polyline ends that differ between the first and the last of these sets."""
     first, last = ([np.asarray(line, float) for line in one] for one in (cracks[0], cracks[-1]))
     if len(first) != len(last) or any(line.shape[1:] != (2,) for line in first + last):
         raise InputError("shift: expected the same number of polylines in a sheet at all lengths")
-    ends = [(a[end], b[end]) for a, b in zip(first, last) for end in (0, -1)]
-    return sum(not np.array_equal(a, b) for a, b in ends)
+    return sum(np.any(a[end] != b[end]) for a, b in zip(first, last) for end in (0, -1))
 
 
 @typed
@@ -335,7 +348,7 @@ def tip_shift(material: Any, spacing: Positive, *, corrected: bool = False) -> f
     where the cut tip releases that field's energy, extrapolated by the inverse side. `corrected` is
     as the Cracked that it is for; in space the strain is plane. InputError without a linear part.
     """
-    model = offered(material, "linear", "tip_shift", "a solid with a linear part")
+    model = linear_of(material, "tip_shift")
     sides = RADIUS * model.horizon * np.array([1.0, 2.0])
     smaller, larger = (_shift(model, spacing, side, corrected) for side in sides)
     return 2 * larger - smaller
@@ -376,7 +389,7 @@ def j_integral(solution: Solution, tip: Sequence[float], radii: tuple[float, flo
     if not getattr(solution.operator, "one", False):
         raise InputError("solution: expected that of a Cracked, of one material, isotropic")
     model, body = solution.operator.model, solution.operator.body
-    h, d = body.spacing, body.dimension
+    h, d, u = body.spacing, body.dimension, as_array("solution", solution.u)
     end = checked("tip", tip, float, (d,))
     r1, r2 = np.rint(checked("radii", radii, float, (2,)) / h) * h
     room = np.minimum(end - body.x.min(axis=0), body.x.max(axis=0) - end).min() + 1e-9 * h
@@ -391,7 +404,7 @@ def j_integral(solution: Solution, tip: Sequence[float], radii: tuple[float, flo
         raise InputError("body: expected a full box of nodes for J")
     axes, sign = _crack_axes(solution, end, r2)
     order = np.lexsort(place.T[::-1])
-    x, u = (field[order].reshape(*sides, d) for field in (body.x - end, solution.u))
+    x, u = (field[order].reshape(*sides, d) for field in (body.x - end, u))
     gradient = _gradient(u, x, h, axes, sign)
     strain = symmetric_part(gradient)
     trace = np.linalg.trace(strain)[..., None, None]
@@ -444,7 +457,7 @@ def crack_opening_volume(solution: Solution, normal: Sequence[float] | None = No
     Each broken bond of one spacing along an axis is a column of what opens along that: along all,
     or along the `normal` of cracks alone. Raises InputError unless that is along an axis.
     """
-    volume, u, d = 0.0, solution.u, solution.u.shape[-1]
+    volume, u, d = 0.0, as_array("solution", solution.u), solution.u.shape[-1]
     for axis in np.eye(d) if normal is None else [normal]:
         node, far, along = _columns(solution, axis)
         volume += ((u[far] - u[node]) @ along).sum()

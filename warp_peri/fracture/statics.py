@@ -290,7 +290,7 @@ def grow(
     Args:
         model, body, held, cracks, corrected: as of CutSolid; one that changes sign is refused.
         u: the held components at unit load, shape [N, d].
-        events: how many, fewer when the body comes apart.
+        events: how many, fewer when the body comes apart; InputError where nothing may break.
         no_fail: nodes whose bonds do not break, shape [N] bool.
 
     Returns a motion whose time is the load, the factor of u at which each event's bond breaks, over
@@ -298,8 +298,8 @@ def grow(
     [stress · area], and broken: bonds up to it, both directions; details: the neighbours [N, B].
     """
     check_breakable(model, body.classes)
-    table, rows, near = cracked(body, cracks), list[tuple[float, float, int]](), None
-    end, safe = np.zeros_like(body.x), check_no_fail(no_fail, len(body.x))
+    table, rows, near = cracked(body, cracks), list[Any](), None
+    safe = check_no_fail(no_fail, len(body.x))
     node, bond = np.nonzero(table >= 0)
     far, xi, square = table[node, bond], body.xi[bond], body.r[bond] ** 2
     safe = safe[node] | safe[far]
@@ -316,12 +316,14 @@ def grow(
         along = ((found.u[far] - found.u[node]) * xi).sum(axis=1)
         stretch = np.where(left & ~safe, along / square, 0.0)
         if not (largest := float(stretch.max())) > 0:
+            if not rows:
+                raise InputError("events: nothing may break; u stretches no bond that may")
             break
         rows.append((1 / largest, float(cut.energy(found.u)), int(np.sum(~left))))
         end, table = found.u / largest, table.copy()
         lost = stretch > largest * (1 - TOGETHER)
         table[node[lost], bond[lost]] = -1 - far[lost]
-    load, energy, broken = np.array(rows).reshape(-1, 3).T
+    load, energy, broken = np.array(rows).T
     history = {"load": load, "energy": energy, "broken": broken.astype(int)}
     return Motion(load, end, None, history, table)
 
@@ -338,8 +340,9 @@ def apparent_toughness(
     space strain is plane and the front straight; for a bent front this is an upper end.
     """
     h, d = spacing, model.dimension
-    side = 2 * (cells + 2 * int(np.ceil(model.horizon / spacing))) * h
-    half = round(0.4 * cells) * h
+    side = 2 * (cells + 2 * np.ceil(model.horizon / spacing)) * h
+    if not (half := round(0.4 * cells) * h):
+        raise InputError(f"cells: expected at least 2, for a crack with a length, got {cells}")
     x = box_nodes((side, side, h)[:d], h)
     held = (np.abs(x) > cells * h).any(axis=1)
     u = np.zeros_like(x)

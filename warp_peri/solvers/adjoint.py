@@ -67,7 +67,7 @@ def moved(
 
     Args:
         operator, record, sizes: as of verlet.march; sizes are density, step, steps and every.
-        b, u, v: load, displacement and velocity, shape [N, d], tensors or arrays; None for zero.
+        b, u, v: load, displacement and velocity, [N, d], tensors or arrays; None for zero b, v.
         signal: of the load, shape [steps + 1], as of verlet.march.
         parameters: numbers of the material by name, as of wp.TorchModule; the others stay.
 

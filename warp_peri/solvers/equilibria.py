@@ -128,7 +128,7 @@ class Equilibria:
         straight: the same of the solid at rest.
         inverse: of the solid at rest, of a load on the interior.
         inside: unknown nodes, shape [N] bool.
-        clipped: gives the force with gradients clipped to a proven strain, where one is.
+        clipped: the force with gradients clipped to a proven strain, where one is.
         rounding: smallest residual that is asked for.
     """
 
@@ -136,7 +136,7 @@ class Equilibria:
     straight: Force
     inverse: Inverse
     inside: np.ndarray
-    clipped: Callable[[], Force] | None = None
+    clipped: Force | None = None
     rounding: float = 0.0
 
     def solve(
@@ -177,7 +177,7 @@ class Equilibria:
         record's residual is relative to that of the start with a zero interior."""
         record, field = NonlinearRecord(method="newton"), start.copy()
         zero = np.where(self.inside[:, None], 0.0, start)
-        scale = float(np.linalg.norm(load - self.force(zero))) or 1.0
+        scale = norm(load - self.force(zero)) or 1.0
         given = load, field, start[self.inside], scale
         field[self.inside] = self._found(*given, tolerance, record, mixes=False)
         return field, record
@@ -210,7 +210,7 @@ class Equilibria:
             v, size = anderson(left, rough, begin, tolerance)
             if size > tolerance and self.clipped is not None:
                 record.method = "clipped"
-                v, _ = anderson(partial(left, force=self.clipped()), rough, begin, tolerance)
+                v, _ = anderson(partial(left, force=self.clipped), rough, begin, tolerance)
                 size = HERE.norm(left(v))
         if not size <= tolerance:
             record.method = "newton"
@@ -433,7 +433,7 @@ class Descent:
                 if self._potential(load, ahead) <= before - DESCENT * part * slope:
                     return ahead, turned
                 there = self._left(load, ahead)[0]
-                nearer = np.linalg.norm(there) < NEARER * np.linalg.norm(left)
+                nearer = norm(there) < NEARER * norm(left)
                 if nearer or np.abs(there).max() < small:
                     return ahead, turned
             part /= 2
@@ -465,7 +465,7 @@ def equilibria_of(
     asked: Any = solver or Newton()
     load, field = checked_fields(operator.points, b, u)
     inside, answers = operator.points.interior, field.reshape(-1, *operator.shape)
-    clipped = partial(partial, operator.force, radius=proven) if proven else None
+    clipped = partial(operator.force, radius=proven) if proven else None
     if way is None:
         inverse = operator.inverse(len(answers))
         way = Equilibria(operator, operator.straight, inverse, inside, clipped)
@@ -507,8 +507,7 @@ def smallest_of(operator: Any, field: np.ndarray) -> float:
 
 def warn_beyond(records: list[NonlinearRecord], proven: float) -> None:
     """Warn where answers go beyond the proven strain."""
-    beyond = sum(not record.unique for record in records)
-    if not beyond:
+    if not (beyond := sum(not record.unique for record in records)):
         return
     largest = max(record.largest_gradient for record in records)
     known = f"|H| = {proven:.2%}" if proven > 0 else "no strain, for want of a certificate"

@@ -12,7 +12,7 @@ import numpy as np
 from tqdm import tqdm
 
 from warp_peri.errors import InputError, Rows, Shown, StrPath, Values, agreed
-from warp_peri.files.atomic import meshio_of, write_text, write_vtu
+from warp_peri.files.atomic import meshio_of, write_text, write_vtu, written
 from warp_peri.files.checkpoint import AllNodes, Arrays, RunFile, fingerprint, gathered, held, same
 from warp_peri.points import arguments
 from warp_peri.points.arguments import Count, Natural, Options, check_mapping, plain, typed_methods
@@ -61,17 +61,15 @@ class Motion(Shown):
     def drift(self) -> float:
         """Largest relative departure of the energy from its first value; InputError for a motion
         without, as that of a body that breaks, whose books are `missing`."""
-        energy = self.energy
+        energy = self._recorded("energy")
         gone = float(np.abs(energy - energy[0]).max())
         return gone / float(np.abs(energy[0])) if gone else 0.0
 
     @property
     def missing(self) -> float:
         """Largest relative part of the work that the energy ledger does not account for."""
-        if not len(self.time):
-            raise InputError("motion: expected a run of some steps, nothing has been recorded")
-        work, parts = self["work"], ("kinetic", "elastic", "dissipated")
-        missing = np.abs(work - sum(self[name] for name in parts))
+        work = self._recorded("work")
+        missing = np.abs(work - self["kinetic"] - self["elastic"] - self["dissipated"])
         return float(missing.max() / np.abs(work).max()) if work.any() else 0.0
 
     def plot(self, name: str = "", *, ax: Axes | None = None) -> Axes:
@@ -79,11 +77,17 @@ class Motion(Shown):
         import matplotlib.pyplot as plt
 
         name = name or next(iter(self.history), "")
-        values = self[name]
+        values = self._recorded(name)
         ax = plt.figure(layout="constrained").add_subplot() if ax is None else ax
         ax.plot(self.time, values.reshape(len(values), -1))
         ax.set(xlabel="time", ylabel=name)
         return ax
+
+    def _recorded(self, name: str) -> np.ndarray:
+        """A history; InputError where there are no records."""
+        if not len(self.time):
+            raise InputError("motion: expected a run of some steps, nothing has been recorded")
+        return self[name]
 
     def rows(self) -> Rows:
         """Name and value of each line of the motion's summary table."""
@@ -139,7 +143,7 @@ class TimeSeriesWriter:
     def write(self, step: Natural, time: float, fields: Mapping[str, np.ndarray]) -> None:
         """Write one record of the motion, after which later ones are none; vectors in the plane get
         a third component. InputError, on all ranks, for other fields than [n] or [n, d] of the own
-        nodes, or than other ranks'."""
+        nodes, or than other ranks', and for a full disk."""
         nodes, found = self.nodes, dict[str, Any]()
         with agreed(nodes.comm):
             given = {"step": step, "time": time, "fields": fields}
@@ -154,7 +158,7 @@ class TimeSeriesWriter:
             self.claim()
         whole = gathered(nodes.comm, {"": self.x, **found}, nodes.number, nodes.count)
         head = PVD if self.mark is None else f"{PVD}<!-- {step} {self.mark(step)} -->"
-        with agreed(nodes.comm):
+        with agreed(nodes.comm), written(self.path.parent):
             if nodes.comm.rank == 0:
                 pvd, x, name = self.path, whole.pop(""), f"record_{step:08d}.vtu"
                 if not pvd.exists():  # or a record of a job that is killed here is nobody's

@@ -208,16 +208,11 @@ class Inner(NamedTuple):
     add: Callable[[Any, float, Any], Any]
 
 
-def _add(u: np.ndarray, a: float, p: np.ndarray) -> np.ndarray:
-    u += a * p
-    return u
-
-
 HERE = Inner(
     lambda a, b: float(np.vdot(a, b)),
     lambda a: float(np.linalg.norm(a)),
     lambda a: float(np.abs(a).max(initial=0.0)),
-    _add,
+    lambda u, a, p: np.add(u, a * p, out=u),
 )
 """Of arrays that this process has the whole of."""
 

@@ -188,15 +188,15 @@ def march(
 def started(
     operator: Any, fields: Values, signal: Any = None, *, density: float, step: float, steps: int
 ) -> tuple[Any, Inert, State]:
-    """Check the arguments of `march`, `fields` u, v and b, [N, d], None for zero; returns nodes of
-    this process, the moving body and its start."""
+    """Check the arguments of `march`, `fields` u, v and b, [N, d], of the last two None for zero;
+    returns nodes of this process, the moving body and its start."""
     points: Any = operator.points
     nodes: Any = points if arguments.is_piece(points) else AllNodes(len(points.x))
     with agreed(nodes.comm):
         check_lattice(points)
-        shape = points.x.shape
+        shape, zero = points.x.shape, 0 * points.x
         start = {
-            name: np.zeros(shape) if field is None else read(name, field, float, shape).copy()
+            name: read(name, zero if field is None and name != "u" else field, float, shape).copy()
             for name, field in fields.items()
         }
         signal = None if signal is None else read("signal", signal, float, (steps + 1,))
