@@ -169,18 +169,10 @@ class Body:
         refuse_solver(solver, (), "a Body, whose coupling says how it is solved")
         (options,) = taken(options, "solve", solve_body, given=GIVEN)
         body = solve_body(material, self.mesh, **{n: getattr(self, n) for n in GIVEN}, **options)
-        u, _ = body.on_corners()
-        exchange = body.exchange
-        return Solution(
-            u,
-            None,
-            None,
-            None,
-            "elements" if body.points is None else "elements and lattice",
-            (exchange.exchanges,),
-            details=body,
-            measured=max(exchange.rim_residual, exchange.bulk_residual),
-        )
+        method = "elements" if body.points is None else "elements and lattice"
+        u, made = body.on_corners()[0], body.exchange
+        off = max(made.rim_residual, made.bulk_residual)
+        return Solution(u, None, None, None, method, (made.exchanges,), details=body, measured=off)
 
 
 PROBLEMS = "a problem: Dirichlet(points, b, u), Periodic(points, b), Body(mesh, …) or Cracked(…)"

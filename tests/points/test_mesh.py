@@ -2,6 +2,7 @@
 
 import contextlib
 import itertools
+from dataclasses import replace
 
 import meshio
 import numpy as np
@@ -107,7 +108,6 @@ def test_an_outline_has_its_parts_curves_holes_and_distances():
             lambda: mesh_outline(box(200, 200), size=1e-3),
             lambda: mesh_outline(box(9, 9), [Circle(2, size=1e-6)], size=1),
         ),
-        "corners: expected an array": lambda: Polygon(([0], [1, 2])),
     })  # fmt: skip
 
 
@@ -151,6 +151,7 @@ def test_a_crack_with_a_width_is_an_outline_and_one_without_is_closed():
 NINE, FOUR = grid(2, 2)
 TRIANGLES = np.concatenate([FOUR[:, part] for part in HALVES])
 CUBE, EIGHT = grid(1, 1, 1)
+LINES = {"left": [[0, 1], [1, 2]], "right": [[6, 7], [7, 8]], "low": [[0, 3], [3, 6]]}
 
 
 def test_what_is_no_mesh_of_a_body_is_refused():
@@ -166,7 +167,18 @@ def test_what_is_no_mesh_of_a_body_is_refused():
         "faces of the surface, 1 of 1": (CUBE, EIGHT[0][SIXTHS], {"a": [EIGHT[0][[0, 1, 6]]]}),
         "middle: expected": (square, HALVES, {}, {(0, 1): -1.0}),
         "middle: expected .*": (square, HALVES, {}, {(0, 9): (0.5, 0.0)}),
+        **{f"middle: expected {words}": (square, HALVES, {}, {key: (0.5, 0.0)})
+           for words, key in ((r"shape \[n, 2\]", 5), ("int values", "ab"))},
     })  # fmt: skip
+
+
+def test_a_mesh_holds_what_was_checked_each_face_of_a_part_once():
+    made = make_mesh(NINE, TRIANGLES, {"left": LINES["left"]})
+    twice = {"left": [*made.parts["left"]] * 2}
+    mesh = wp.Mesh(made.x.tolist(), np.ma.array(made.cells), made.faces, made.middle, twice)
+    assert "left (2)" in repr(mesh)
+    with refused("triangles: expected some, got none"):
+        replace(made, cells=made.cells[:0])
 
 
 def test_a_file_of_second_order_keeps_the_curve(tmp_path):
@@ -213,7 +225,6 @@ def test_no_kind_of_cell_is_dropped(tmp_path):
             load_mesh(path)
 
 
-LINES = {"left": [[0, 1], [1, 2]], "right": [[6, 7], [7, 8]], "low": [[0, 3], [3, 6]]}
 FLAT = np.pad(NINE, ((0, 0), (0, 1)))
 
 

@@ -19,14 +19,7 @@ from scipy.sparse.linalg import LinearOperator, splu
 from warp_peri.core.elastic import voigt_to_tensor
 from warp_peri.core.stencil import numbers_at
 from warp_peri.errors import OF_POSITIONS, InputError, called, optional
-from warp_peri.points.arguments import (
-    ArrayMap,
-    Pair,
-    check_function,
-    check_mapping,
-    check_shape,
-    checked,
-)
+from warp_peri.points.arguments import ArrayMap, Pair, check_function, check_mapping, checked
 from warp_peri.points.mesh import Mesh, pieces
 from warp_peri.solvers.systems import loose_pieces
 
@@ -47,18 +40,10 @@ class Moduli:
         """Moduli of a sheet whose axes are those of a square lattice."""
         return cls(voigt_to_tensor(np.array([[C11, C12, 0], [C12, C11, 0], [0, 0, C44]])))
 
-    @property
-    def C11(self) -> float:
-        return float(self.tensor[0, 0, 0, 0])
-
-    @property
-    def C12(self) -> float:
-        return float(self.tensor[0, 0, 1, 1])
-
-    @property
-    def C44(self) -> float:
-        """Shear modulus of the first two axes."""
-        return float(self.tensor[0, 1, 0, 1])
+    C11, C12, C44 = (  # of the first two axes
+        property(lambda self, at=at: float(self.tensor[at]))  # type: ignore[misc]
+        for at in ((0, 0, 0, 0), (0, 0, 1, 1), (0, 1, 0, 1))
+    )
 
     def stress(self, gradient: np.ndarray) -> np.ndarray:
         """Stress σ [stress] of displacement gradients, both of shape [..., d, d]."""
@@ -310,17 +295,18 @@ def loads_on(
     b: Field | None,
 ) -> BodyLoads:
     """Make loads as functions, which raise InputError for other shapes and values not finite.
-    Raises InputError for a part that the mesh has not, or a body force that is no function."""
-    every = {"displacement": displacement, "traction": traction or {}}
-    for name, given in every.items():
+    Raises InputError for a part without faces in the mesh, or a body force that is no function."""
+    there = sorted(name for name, faces in mesh.parts.items() if len(faces))
+
+    def fields(name: str, given: Any, *of: str) -> dict[str, Any]:
         check_mapping(name, given)
         for part in given:
-            if part not in mesh.parts:
-                raise InputError(f"part '{part}': the outline has {', '.join(sorted(mesh.parts))}")
-    held, pulls = (
-        {part: _field(f"part '{part}'", given[part], *of, free=not of[1:]) for part in given}
-        for given, of in zip(every.values(), (["positions"], ["positions", "normals"]))
-    )
+            if part not in there:
+                raise InputError(f"part '{part}': the outline has {', '.join(there)}")
+        return {n: _field(f"part '{n}'", one, *of, free=not of[1:]) for n, one in given.items()}
+
+    held = fields("displacement", displacement, "positions")
+    pulls = fields("traction", traction or {}, "positions", "normals")
     if b is not None:
         check_function("b", b, "positions")
         b = _field("b", b, "positions")
@@ -335,11 +321,9 @@ def _field(name: str, value: Field | Traction | ArrayLike, *of: str, free: bool 
 
     def answer(*where: np.ndarray) -> np.ndarray:
         given = called(f"{name}: {OF_POSITIONS}", value, *map(np.copy, where))
-        vectors = checked(name, given, read=False)
-        checked(name, given, read=~(free & np.isnan(vectors)))
-        if vectors.shape == where[0].shape[1:]:
-            vectors = np.broadcast_to(vectors, where[0].shape)
-        check_shape(name, vectors, where[0].shape)
-        return vectors
+        vectors, shape = checked(name, given, read=False), where[0].shape
+        own = shape[1:] if vectors.shape == shape[1:] else shape
+        checked(name, given, float, own, ~(free & np.isnan(vectors)))
+        return np.broadcast_to(vectors, shape)
 
     return answer

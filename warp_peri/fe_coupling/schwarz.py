@@ -50,7 +50,7 @@ def bulk_points(
     shape = np.ceil(high / spacing).astype(int) + 2 - first
     x = spacing * (first + grid_places(shape))
     held = mesh.holding(x)
-    inside = np.flatnonzero(held >= 0)
+    inside = held >= 0
     away = np.zeros(len(x))
     away[inside] = mesh.distance(x[inside], SAMPLED * spacing)
     unknown = away >= depth
@@ -350,7 +350,7 @@ class Schwarz:
         """
         q = np.concatenate([f.ravel(), given.ravel(), b.ravel()])
         ways = self.once, self.place, self.read, self.correct
-        u, record = self._joined(*ways, q, self.guess, tolerance)
+        u, record = self._joined(ways, q, self.guess, tolerance)
         if not record.mismatch <= tolerance:
             raise InputError(
                 f"tolerance: rim and bulk agree to {record.mismatch:.1e} after "
@@ -371,23 +371,17 @@ class Schwarz:
         by_rim = by_rim + self.to_bulk.T @ by_bulk[self.bulk.collar]
         by, n = np.append(by_rim, by_bulk[self.bulk.inside]), by_rim.size
         ways = self.once.T, self.read.T, self.place.T, self.correct.T
-        found, _ = self._joined(*ways, by, np.zeros_like(self.guess), tolerance)
+        found, _ = self._joined(ways, by, np.zeros_like(self.guess), tolerance)
         by_f, by_given, by_b = (part.reshape(-1, self.d) for part in np.split(found, [n, 2 * n]))
         by_given[self.inner] = 0  # not held: the bulk's
         return by_f, by_given, by_b
 
     def _joined(
-        self,
-        once: LinearOperator,
-        place: sp.csr_array,
-        read: sp.csr_array,
-        correct: LinearOperator,
-        q: np.ndarray,
-        side: np.ndarray,
-        tolerance: float,
+        self, ways: tuple[Any, ...], q: np.ndarray, side: np.ndarray, tolerance: float
     ) -> tuple[np.ndarray, Exchange]:
-        """Solve u = once (q + place g), g = read u by GMRES, later vectors less accurately (B6)."""
-        record, bulk = Exchange(), self.bulk
+        """Solve u = once (q + place g), g = read u by GMRES, later vectors less accurately (B6).
+        The `ways` are once, place, read, and the first guess of the inverse of a jump."""
+        (once, place, read, correct), record, bulk = ways, Exchange(), self.bulk
 
         def exchange(q: np.ndarray) -> np.ndarray:
             record.exchanges += 1

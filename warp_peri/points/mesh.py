@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError, Rows, Shown, Values, hold, warn
 from warp_peri.points.arguments import as_array, checked, typed
-from warp_peri.points.points import grid_places
+from warp_peri.points.points import checked_positions, grid_places
 
 REST = "rest"
 """Name of the edges of an outline, or the faces of a surface, that have no other."""
@@ -63,7 +63,8 @@ class Mesh(Shown):
         curved: edges by their corners, shape [E, 2] int; in the plane all `faces`.
 
     Raises InputError naming the first array of another shape, with values that are not finite, or
-    with a number that no corner or face has. `make_mesh` finds the outline and refuses overlaps.
+    with a number that no corner or face has, and for no cells or faces. `make_mesh` finds the
+    outline and refuses overlaps.
 
     >>> ends = np.array([[0, 1], [1, 2], [2, 0]])  # of a triangle's edges
     >>> x = np.array([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]])
@@ -78,17 +79,17 @@ class Mesh(Shown):
     curved: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), int))
 
     def __post_init__(self) -> None:
-        d = self.dimension
-        if d == 2:
-            hold(self, curved=self.faces)
-        count = len(checked("x", self.x, shape=("P", d)))
-        named = ((KINDS[d][0], d + 1), (f"{KINDS[d][2]}s", d), ("curved", 2))
-        for (name, corners), numbers in zip(named, (self.cells, self.faces, self.curved)):
-            check_numbers(name, checked(name, numbers, int, ("T", corners)), count)
-        checked("middle", self.middle, shape=(len(self.curved), d))
+        hold(self, x=checked_positions(self.x))
+        count, d = self.x.shape
+        cells, _, facet, _ = KINDS[d]
+        hold(self, cells=checked_numbers(cells, self.cells, ("T", d + 1), count, least=1))
+        faces = checked_numbers(f"{facet}s", self.faces, ("F", d), count, least=1)
+        curved = faces if d == 2 else checked_numbers("curved", self.curved, ("E", 2), count)
+        middle, parts = checked("middle", self.middle, shape=(len(curved), d)), {}
         for name, part in self.parts.items():
-            name = f"part '{name}'"
-            check_numbers(name, checked(name, part, int, ("n",)), len(self.faces), named[1][0])
+            numbers = checked_numbers(f"part '{name}'", part, ("n",), len(faces), f"{facet}s")
+            parts[name] = np.unique(numbers)
+        hold(self, faces=faces, curved=curved, middle=middle, parts=parts)
 
     def summary(self) -> Values:
         """Counts, box and parts of the mesh as plain values."""
@@ -98,15 +99,15 @@ class Mesh(Shown):
 
     def rows(self) -> Rows:
         """Name and value of each line of the mesh's summary table."""
-        box = ", ".join(f"{a:g} to {b:g}" for a, b in zip(self.x.min(axis=0), self.x.max(axis=0)))
-        parts = ", ".join(f"{name} ({len(faces)})" for name, faces in self.parts.items())
-        rows = [("corners", f"{len(self.x)}"), (KINDS[self.dimension][0], f"{len(self.cells)}")]
-        return [*rows, ("box", box), ("parts", parts)]
+        found = self.summary()
+        box = ", ".join(f"{a:g} to {b:g}" for a, b in found.pop("box"))
+        parts = ", ".join(f"{name} ({count})" for name, count in found.pop("parts").items())
+        return [*((n, str(count)) for n, count in found.items()), ("box", box), ("parts", parts)]
 
     @property
     def dimension(self) -> int:
         """Dimension of space: 2 or 3."""
-        return 3 if np.shape(self.x)[1:] == (3,) else 2
+        return int(self.x.shape[1])
 
     @property
     def hole_sizes(self) -> np.ndarray:
@@ -161,13 +162,10 @@ def make_mesh(
     overlap, or that meet at a part of a facet, and facets of parts inside the body.
     """
     parts, middle = parts or {}, middle or {}
-    x = checked("x", x, shape=("P", 3 if as_array("x", x).shape[1:] == (3,) else 2))
+    x = checked_positions(x)
     d = x.shape[1]
     name, measure, _, whole = KINDS[d]
-    t = checked(name, cells, int, ("T", d + 1))
-    if not len(t):
-        raise InputError(f"{name}: expected some, got none")
-    check_numbers(name, t, len(x))
+    t = checked_numbers(name, cells, ("T", d + 1), len(x), least=1)
     size = det(x[t[:, 1:]] - x[t[:, :1]])
     pairs = list(itertools.combinations(range(d + 1), 2))
     lengths = [norm(x[t[:, a]] - x[t[:, b]], axis=1) for a, b in pairs]
@@ -187,11 +185,9 @@ def make_mesh(
         for n, part in parts.items()
         if as_array(f"part '{n}'", part).size
     }
-    check_numbers("middle", np.ravel([*middle]), len(new) - 1)
-    bent = {
-        tuple(np.sort(new[[*pair]]).tolist()): checked("middle", point, float, (d,))
-        for pair, point in middle.items()
-    }
+    keys = checked_numbers("middle", [*middle] or t[:0, :2], ("n", 2), len(new) - 1)
+    points = [checked("middle", point, float, (d,)) for point in middle.values()]
+    bent = dict(zip(map(tuple, np.sort(new[keys]).tolist()), points))
     ends = faces if d == 2 else np.array([*bent], int).reshape(-1, 2)
     halves = x[ends].mean(axis=1)
     for n, (a, b) in enumerate(np.sort(ends, axis=1).tolist()):
@@ -222,11 +218,19 @@ def _outline(x: np.ndarray, t: np.ndarray) -> np.ndarray:
     return faces
 
 
-def check_numbers(name: str, numbers: np.ndarray, count: int, what: str = "corners") -> None:
-    """Raise InputError unless all numbers are 0 to `count` − 1."""
-    least, most = (numbers.min(), numbers.max()) if numbers.size else (0, 0)
-    if numbers.size and not 0 <= least <= most < count:
-        raise InputError(f"{name}: expected {what} 0 to {count - 1}, got {least}, {most}")
+def checked_numbers(
+    name: str, value: Any, shape: tuple[Any, ...], count: int, what: str = "corners", least: int = 0
+) -> np.ndarray:
+    """Check whole numbers, of a shape as for `checked` and `least` rows; InputError for others, and
+    unless all are 0 to `count` − 1."""
+    found = checked(name, value, int, shape)
+    if len(found) < least:
+        raise InputError(f"{name}: expected some, got none")
+    if found.size and not 0 <= found.min() <= found.max() < count:
+        raise InputError(
+            f"{name}: expected {what} 0 to {count - 1}, got {found.min()}, {found.max()}"
+        )
+    return found
 
 
 def facets_of(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -175,15 +175,14 @@ def _check_apart(outer: Outline, *holes: Outline) -> None:
 
 def _add(geometry: Any, outline: Outline, size: float, by: float, *, inside: bool) -> None:
     """Add a closed curve to a geometry, `by` times as large, the body on its inside or outside."""
+    left = inside == (isinstance(outline, Circle) or outline.area > 0)
     maxh = by * (outline.size or size)
+    sides = {"leftdomain": int(left), "rightdomain": int(not left), "maxh": maxh}
     if isinstance(outline, Circle):
-        sides = {"leftdomain": int(inside), "rightdomain": int(not inside), "maxh": maxh}
         centre = tuple(by * np.asarray(outline.centre, float))
         geometry.AddCircle(c=centre, r=by * outline.radius, bc=outline.name, **sides)
         return
     names = [*outline.names] * (1 if len(outline.names) > 1 else len(outline.corners))
-    left = (outline.area > 0) == inside
-    sides = {"leftdomain": int(left), "rightdomain": int(not left), "maxh": maxh}
     numbers = [geometry.AppendPoint(*one) for one in by * np.asarray(outline.corners, float)]
     for start, end, name in zip(numbers, numbers[1:] + numbers[:1], names):
         geometry.Append(["line", start, end], bc=name, **sides)

@@ -17,7 +17,7 @@ from warp_peri.files.checkpoint import AllNodes, Arrays, fingerprint
 from warp_peri.points import arguments
 from warp_peri.points.arguments import USUAL, Count, Positive, Units, factors, offered, typed
 from warp_peri.points.arguments import checked as read
-from warp_peri.points.mesh import check_numbers
+from warp_peri.points.mesh import checked_numbers
 from warp_peri.points.points import check_lattice
 from warp_peri.runtime import shared_by
 from warp_peri.solvers.motion import Motion, Recorder
@@ -228,9 +228,7 @@ def recorded_nodes(record: ArrayLike | None, count: int) -> np.ndarray | None:
     nodes = np.atleast_1d(arguments.as_array("record", record))
     if nodes.dtype == bool:
         nodes = np.flatnonzero(read("record", nodes, bool, (count,)))
-    nodes = read("record", nodes, int, ("n",))
-    check_numbers("record", nodes, count, "nodes")
-    return nodes
+    return checked_numbers("record", nodes, ("n",), count, "nodes")
 
 
 class WaveRun(Recorder):
