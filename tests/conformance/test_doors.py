@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
+import warp
 from numpy.linalg import norm
 from numpy.testing import assert_allclose
 
@@ -71,6 +72,7 @@ def kinds(good, place=None):
     good = np.asarray(good, float)
     place = good.size // 2 if place is None else place
     wrong = {"masked": masked(good, place), "complex": good + 0j, "text": good.astype(str)}
+    wrong["learns"] = warp.array(good, float, requires_grad=True)
     for name, value in (("nan", np.nan), ("infinite", np.inf), ("1e300", 1e300)):
         wrong[name] = good.copy()
         wrong[name].flat[place] = value
@@ -207,8 +209,9 @@ def test_a_pressure_and_a_crack_that_cuts_nothing():
         skew = size * np.array([[1.0, 0.5], [0.0, 1.0]])
         with refused("pressure: expected symmetric"):
             wp.solve(solid().model, Cracked(points, u=u, cracks=cracks, pressure=skew))
+    far = Cracked(points, u=u, cracks=[[(90.0, 0.0), (99.0, 0.0)]], corrected=np.array(False))
     with warned("crack: cuts no bond"):
-        wp.solve(solid().model, Cracked(points, u=u, cracks=[[(90.0, 0.0), (99.0, 0.0)]]))
+        wp.solve(solid().model, far)
 
 
 @parametrize("name", ["LPS", "crystal"])
@@ -483,6 +486,7 @@ def test_arguments_of_another_kind_are_refused_by_name():
                 with refused(f"^{argument}: expected"):
                     check_arguments(call, {argument: value})
             check_arguments(call, {argument: default})
+    assert check_arguments(wp.atoms.read_mat, {"positions": np.int64(2)}) == {"positions": 2.0}
 
 
 def test_every_function_that_users_call_is_typed_and_calls_go_through_the_door():
@@ -490,8 +494,8 @@ def test_every_function_that_users_call_is_typed_and_calls_go_through_the_door()
     assert {name.split(".")[-1] for name in functions - {*TYPED}} <= UNTYPED
     assert len(TYPED) > 230
     assert_refused({
-        "^(horizon|spacing|path): expected": (
-            lambda: wp.LPS("a"), lambda: wp.load(5),
+        "^(horizon|spacing): expected": (
+            lambda: wp.LPS("a"),
             lambda: wp.Points.disk(1e99, 5.0, 9.0), lambda: wp.Points.disk(9.0, 1e-300, 9.0),
         )
     })  # fmt: skip

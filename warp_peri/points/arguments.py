@@ -24,16 +24,17 @@ MOST = 2**53
 """Counts above it are none, nor whole numbers told apart in float64."""
 MOST_NODES = 2**27
 """Nodes whose positions alone are gigabytes."""
-GRADIENT = "expected values without a gradient, which is not had here, got tensors with one"
+GRADIENT = "expected values without a gradient, which is not had here, got some with one"
 
 
 def as_array(name: str, value: Any) -> np.ma.MaskedArray[Any, Any]:
-    """Make an array of a user's value, masked where its parts are; InputError where none can be."""
+    """Make an array of a user's value, masked where its parts are; InputError where none can be,
+    and for arrays of torch and Warp whose gradient would be lost."""
+    if getattr(value, "requires_grad", False) is True:
+        raise InputError(f"{name}: {GRADIENT}")
     try:
         return np.ma.array(np.ma.asanyarray(value), copy=False)
     except (RuntimeError, TypeError, ValueError) as error:
-        if getattr(value, "requires_grad", False):
-            raise InputError(f"{name}: {GRADIENT}") from None
         raise InputError(f"{name}: expected an array ({error})") from None
 
 
@@ -174,10 +175,11 @@ def check_nodes(name: str, sides: Any, of: str = "nodes") -> None:
         raise InputError(f"{name}: expected at most {MOST_NODES} {of}, got {count:.3g}")
 
 
-def check_flag(name: str, value: Any) -> None:
-    """Raise InputError for what is neither True nor False: a text "no" would count as true."""
-    if not isinstance(value, (bool, np.bool_)):
+def check_flag(name: str, value: Any) -> bool:
+    """Check and return a flag, NumPy's too; InputError for others: a text "no" would be true."""
+    if not (isinstance(value, bool) or (getattr(value, "dtype", 0) == np.bool_ and not value.ndim)):
         raise InputError(f"{name}: expected True or False, got {value!r:.60}")
+    return bool(value)
 
 
 def check_mapping(name: str, value: Any) -> None:
@@ -301,12 +303,13 @@ def check_arguments(call: Callable[..., Any], given: Mapping[str, Any]) -> Optio
         if getattr(value, "requires_grad", False) is True and first in KINDS:
             raise InputError(f"{name}: {GRADIENT}")
         if first is bool:
-            check_flag(name, value)
+            found[name] = check_flag(name, value)
             continue
         if first is int or first is float:
             fine = is_number(value) and (abs(float(value)) <= LARGEST or value == default)
             fine = fine and (first is float or (value % 1 == 0 and abs(value) <= MOST))
             words = "a whole number" if first is int else "a finite number"
+            words += " or a text" * (str in more)
         elif first is np.ndarray:
             fine, words = no is not Callable and are_numbers(value), "float values"
         elif first in (Mapping, dict):
@@ -346,7 +349,7 @@ def kinds_of(call: Callable[..., Any]) -> dict[str, tuple[tuple[Any, ...], Any, 
         hints = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
         if {*ARRAY} <= {*hints}:
             hints = np.ndarray, *(one for one in hints if one not in ARRAY)
-        kinds = tuple(map(_kind, hints))
+        kinds = tuple(sorted(map(_kind, hints), key=lambda one: one is str and float in hints))
         if Units not in hints and all(kind in KINDS or _is_own(kind) for kind in kinds):
             found[name] = kinds, parameter.default, next(filter(None, map(_bound, hints)), None)
     return found

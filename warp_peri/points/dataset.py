@@ -31,16 +31,7 @@ from warp_peri.points.arguments import (
     typed,
     within,
 )
-from warp_peri.points.points import (
-    FIELDS,
-    PULL,
-    SEEN,
-    WAVE_VECTOR,
-    Points,
-    PointsLike,
-    Samples,
-    unit_vectors,
-)
+from warp_peri.points.points import FIELDS, PULL, SEEN, WAVE_VECTOR, Points, Samples, unit_vectors
 
 
 @typed
@@ -221,7 +212,9 @@ def mixed_waves(
 
 
 @typed
-def design_loads(points: PointsLike, shortest_wave: Positive, *, number: Count = 2) -> np.ndarray:
+def design_loads(
+    points: Points | Samples, shortest_wave: Positive, *, number: Count = 2
+) -> np.ndarray:
     """Make loads that a material is learned from in place of many single waves.
 
     One does for a fit whose moduli are held, two for one that finds them. Give each to the atoms

@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 
 from warp_peri.errors import Held, InputError, Rows, Shown, Values, hold, warn
 from warp_peri.points.arguments import (
+    LARGEST,
     USUAL,
     NotNegative,
     Positive,
@@ -148,11 +149,8 @@ class Points(Shown, Held):
         check_dimensions("sides", len(sides))
         sides = tuple(check_whole("sides", side, 1) for side in sides)
         check_nodes("sides", sides)
-        grid = grid_places(sides)
-        box = tuple(n * spacing for n in sides)
-        return cls(
-            spacing * grid, np.ones(len(grid), bool), spacing, box=box, units=units, axis=axis
-        )
+        x, box = spacing * grid_places(sides), tuple(n * spacing for n in sides)
+        return cls(x, np.ones(len(x), bool), spacing, box, units=units, axis=axis)
 
     @classmethod
     @typed
@@ -229,7 +227,7 @@ class Points(Shown, Held):
         """Name of the first attribute in which two sets of points differ, or ""."""
         for name in ("spacing", "units", "box", "axis", "x", "interior", "outside"):
             mine, theirs = getattr(self, name), getattr(other, name)
-            if (mine is None) != (theirs is None) or not np.array_equal(mine, theirs):
+            if not np.array_equal(mine, theirs):
                 return name
         return ""
 
@@ -267,7 +265,7 @@ def checked_axis(axis: Any, dimension: int) -> Any:
         if np.abs(turn @ turn.T - np.eye(3)).max() > ROTATION:
             raise InputError(f"axis: expected a rotation [3, 3], got {axis!r:.60}")
         return tuple(map(tuple, turn.tolist()))
-    if is_number(axis) and np.isfinite(axis):
+    if is_number(axis) and abs(axis) <= LARGEST:
         return float(axis)
     raise InputError(f"axis: expected an angle [degrees], got {axis!r:.60}")
 
@@ -411,10 +409,9 @@ class Samples(Shown):
     def __post_init__(self) -> None:
         if is_piece(self.points):
             raise InputError("points: expected Points, got a rank's piece of some")
-        for name in ("u", "b") if self.b is not None else ("u",):
-            count: int | str = "S" if name == "u" else len(self.u)
-            field = checked(name, getattr(self, name), shape=(count, *self.x.shape))
-            object.__setattr__(self, name, field)
+        object.__setattr__(self, "u", checked("u", self.u, shape=("S", *self.x.shape)))
+        if self.b is not None:
+            object.__setattr__(self, "b", checked("b", self.b, shape=self.u.shape))
         for name, value in self.arrays.items():
             if name in FIELDS or not is_name(name):
                 raise InputError(f"arrays: {name!r} cannot be the name of an array")
