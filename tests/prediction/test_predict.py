@@ -72,7 +72,7 @@ def far(u, truth, points):
     return relative_error(u[inside], truth[inside])
 
 
-def test_corrections_lead_to_the_rich_answer_and_say_how_far_it_is(family):
+def test_corrections_lead_to_the_rich_answer_and_say_how_far_it_and_quantities_are(family):
     points, u, given = problem(family)
     rough = wp.predict(family, given, 0.5)
     best, inside = wp.predict(family, given, None), points.interior
@@ -85,6 +85,17 @@ def test_corrections_lead_to_the_rich_answer_and_say_how_far_it_is(family):
     assert not best.map()[~inside].any()
     root = norm(best.map()[inside]) / norm(best.u[inside])
     assert root >= 0.99 * norm([value for name, value in best.parts.items() if name != "waves"])
+    at = [(4.0, 4.0), (2.0, 5.0)]
+    assert wp.prediction.strain(points, np.zeros((0, 2)))(u).shape == (0, 2, 2)
+    for quantity in (
+        wp.prediction.strain(points, at),
+        wp.prediction.stress(rough.operator, at),
+        lambda u: u[points.interior].mean(0),
+    ):
+        found = rough.of(quantity)
+        wrong = quantity(u) - found.value
+        assert sup(wrong - found.correction) < 0.3 * sup(wrong)
+        assert (found.bar >= 0.99 * np.abs(found.correction)).all()
 
 
 def test_a_part_is_as_large_as_what_was_planted(family):
@@ -124,22 +135,6 @@ def test_strain_counts_what_its_orders_go_on_to(family, steady):
     early = wp.predict(replace(family, record=None), given, 0.015)
     assert early.corrections == 1
     near(early.parts["strain"], expected, 0.15)
-
-
-def test_quantities_come_with_a_signed_correction(family):
-    points, u, given = problem(family)
-    rough = wp.predict(family, given, 0.5)
-    at = [(4.0, 4.0), (2.0, 5.0)]
-    assert wp.prediction.strain(points, np.zeros((0, 2)))(u).shape == (0, 2, 2)
-    for quantity in (
-        wp.prediction.strain(points, at),
-        wp.prediction.stress(rough.operator, at),
-        lambda u: u[points.interior].mean(0),
-    ):
-        found = rough.of(quantity)
-        wrong = quantity(u) - found.value
-        assert sup(wrong - found.correction) < 0.3 * sup(wrong)
-        assert (found.bar >= 0.99 * np.abs(found.correction)).all()
 
 
 def test_the_guarantee_holds_planted_errors(family):
@@ -219,6 +214,9 @@ def test_wrong_input_is_refused(family):
         "at least four samples": lambda: wp.fit(one, Ensemble(wp.LPS(3.0))),
         "temperature: expected float": lambda: wp.fit(warm, Ensemble(wp.LPS(3.0))),
         r"at: expected shape \[m, 2\]": lambda: wp.prediction.strain(points, [1.0, 2.0]),
+        "stress: expected positions whose": lambda: wp.prediction.stress(
+            family.ensemble_on(points), [(500, 500)]
+        ),
         "quantity: expected": lambda: wp.predict(family, given).of(lambda u: None),
     })  # fmt: skip
 

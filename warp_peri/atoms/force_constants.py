@@ -16,6 +16,7 @@ from warp_peri.core import elastic
 from warp_peri.core.elastic import acoustic, directions, kinds_of, point_group, symmetric_part
 from warp_peri.errors import InputError, hold, warn
 from warp_peri.fitting.regression import norms, relative
+from warp_peri.points import arguments
 from warp_peri.points.arguments import EV_IN_TPA, ArrayMap, checked, typed, typed_methods
 from warp_peri.points.points import grid_places
 
@@ -64,12 +65,12 @@ class NonAnalyticCorrection:
     Of the effective charges `born` of a cell's atoms [e], [n, 3, 3], less their mean, and the
     clamped-ion `dielectric` tensor [3, 3]; `decay` is Λ [1/Å] of the Gaussians, 0 by default.
     Raises InputError for charges whose sum is a tenth of the largest, or of 1 e, and for a tensor
-    that is not positive.
+    that is not symmetric and positive.
     """
 
     born: np.ndarray
     dielectric: np.ndarray
-    decay: float = 0.0
+    decay: arguments.NotNegative = 0.0
 
     def __post_init__(self) -> None:
         born = checked("born", self.born, shape=("n", 3, 3))
@@ -79,10 +80,11 @@ class NonAnalyticCorrection:
                 f"born: expected charges of a cell whose sum is 0 within {most:.2g} e, got "
                 f"{np.round(total, 4).tolist()}"
             )
-        dielectric = checked("dielectric", self.dielectric, shape=(3, 3))
-        hold(self, born=born - born.mean(axis=0), dielectric=dielectric)
-        if not (eigvalsh(self.dielectric) > 0).all():
-            raise InputError(f"dielectric: expected a positive tensor, got {self.dielectric}")
+        tensor = checked("dielectric", self.dielectric, shape=(3, 3))
+        hold(self, born=born - born.mean(axis=0), dielectric=symmetric_part(tensor))
+        # of vacuum it is 1, and calculated ones are symmetric to some digits
+        if not (np.allclose(tensor, tensor.T, atol=0.01) and (eigvalsh(tensor) > 0).all()):
+            raise InputError(f"dielectric: expected a symmetric positive tensor, got {tensor}")
 
     def matrix(
         self, k: np.ndarray, cell: np.ndarray, positions: np.ndarray, *, field: bool = True

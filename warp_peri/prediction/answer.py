@@ -243,9 +243,7 @@ class Prediction(Shown):
         return ErrorBound(bound, relative, q, largest, moved, words)
 
     def _plus(self, part: np.ndarray) -> np.ndarray:
-        u = self.u.copy()
-        u[self.operator.points.interior] += part
-        return u
+        return self.u + self.operator.rich.on_all(part)  # type: ignore[no-any-return]
 
     def rows(self) -> Rows:
         parts = ", ".join(f"{name} {said(value)}" for name, value in self.parts.items() if value)
@@ -288,10 +286,14 @@ def strain(points: PointsLike, at: ArrayLike) -> Measure:
 
 @typed
 def stress(placed: EnsembleOperator, at: ArrayLike) -> Measure:
-    """Make a measure of the rich member's stress at the interior nodes nearest to `at`."""
-    inside = placed.points.x[placed.points.interior]
-    nodes = cKDTree(inside).query(checked("at", at, float, ("m", inside.shape[1])))[1]
-    return lambda u: placed.rich.stress(u)[nodes]
+    """Make a measure of the rich member's stress at the nodes nearest to positions [m, d], shape
+    [m, d, d]. Raises InputError where these are not interior."""
+    nodes = placed.points
+    near = cKDTree(nodes.x).query(checked("at", at, float, ("m", nodes.dimension)))[1]
+    if not nodes.interior[near].all():
+        raise InputError("stress: expected positions whose nearest nodes are interior")
+    rows = np.cumsum(nodes.interior)[near] - 1
+    return lambda u: placed.rich.stress(u)[rows]
 
 
 @typed

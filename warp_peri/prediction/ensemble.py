@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated, Any
@@ -19,9 +19,8 @@ from warp_peri.core.stencil import Grid, grid_of
 from warp_peri.errors import InputError, Rows, Values
 from warp_peri.fitting.result import Fit
 from warp_peri.points.arguments import ArrayMap, NotNegative, checked, is_number, offered, typed
-from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import largest_strain
-from warp_peri.points.points import PointsLike, Samples, nodes_of
+from warp_peri.points.points import PointsLike, Samples, nodes_of, sets_of
 from warp_peri.protocols import placed
 
 SEEN = 0.5
@@ -82,7 +81,6 @@ def spectrum_of(points: PointsLike, wavelength: np.ndarray) -> Measure:
     """Function from lattice fields [N, d], less affine parts, to the shares of their squares by
     wavelength [length], growing, [K]."""
     steps, count = points.lattice.steps, len(wavelength)
-    steps = steps - steps.min(axis=0)
     shape = tuple(int(n) for n in steps.max(axis=0) + 1)
     place = np.ravel_multi_index(tuple(steps.T), shape)
     there, padded = np.zeros(np.add(shape, 2), bool), tuple(steps.T + 1)
@@ -329,11 +327,6 @@ class EnsembleMaterial(OnLinear, format="warp_peri.family", version=2):
                 raise InputError("member: expected units and dimension of the rich one, got others")
 
     @property
-    def horizon(self) -> float:
-        """Horizon δ [length] of the rich member."""
-        return float(self.rich.horizon)
-
-    @property
     def linear(self) -> Any:
         """Linear part of the rich member."""
         return getattr(self.rich, "linear", self.rich)
@@ -381,10 +374,10 @@ class Ensemble:
     ) -> Fit:
         """Learn the ensemble from at least four samples with loads; certificate and history are
         those of its rich member's fit. `validation`, on the same kind of nodes, calibrates too."""
-        if isinstance(samples, Dataset):
-            samples = samples.obvious("train")
-        if not isinstance(samples, Samples) or len(samples) < 4:
+        sets = sets_of(samples)
+        if len(sets) != 1 or len(sets[0]) < 4:
             raise InputError("samples: expected one set of at least four samples for an ensemble")
+        samples = sets[0]
         kelvin = samples.arrays.get("temperature")
         mean = None if kelvin is None else float(checked("temperature", kelvin).mean())
         learn = offered(self.rich, "learn", "fit", "a model as the rich member")
@@ -420,7 +413,7 @@ def calibrated(
     bare = replace(family, factors=CalibrationFactors(1.0, 1.0, 1.0), record=None)
     if not nonlinear:
         bare = replace(bare, quadratic=quadratic(bare, samples))
-    found = _measured(bare, samples)
+    found = [*_measured(bare, samples)]
     if validation is not None:
         found += _measured(bare, validation)
     rows = {name: np.array([row[name] for row in found]) for name in found[0]}
@@ -459,10 +452,10 @@ def quadratic(family: EnsembleMaterial, samples: Samples) -> tuple[float, ...]:
     return tuple(lstsq(A, np.ravel(left), rcond=DETERMINED)[0].tolist())
 
 
-def _measured(family: EnsembleMaterial, samples: Samples) -> list[Values]:
-    """Estimated and true relative errors of each sample that is not at rest."""
+def _measured(family: EnsembleMaterial, samples: Samples) -> Iterator[Values]:
+    """Iterate over estimated and true relative errors of the samples that are not at rest."""
     placed = EnsembleOperator(family, samples.points)
-    inside, rows = samples.interior, []
+    inside = samples.interior
     for b, truth in zip(samples.loads, samples.u):
         load, size = placed.rich.rhs(b), norm(truth[inside])
         if not size:  # at rest, where nothing is relative
@@ -475,15 +468,12 @@ def _measured(family: EnsembleMaterial, samples: Samples) -> list[Values]:
             u[inside] += left
             left = placed.correction(load, u)
         fields = placed.doubts(u, left)
-        rows.append(
-            {
-                "left": norm(start) / size,
-                "gone": norm((u - first)[inside]) / size,
-                "true": norm((u - truth)[inside]) / size,
-                "series": norm(fields["strain"]) / size if "strain" in fields else 0.0,
-                "members": spread(fields["waves"], fields["data"]) / size,
-                "gradient": placed.gradient(u),
-                "shares": placed.shares(u),
-            }
-        )
-    return rows
+        yield {
+            "left": norm(start) / size,
+            "gone": norm((u - first)[inside]) / size,
+            "true": norm((u - truth)[inside]) / size,
+            "series": norm(fields["strain"]) / size if "strain" in fields else 0.0,
+            "members": spread(fields["waves"], fields["data"]) / size,
+            "gradient": placed.gradient(u),
+            "shares": placed.shares(u),
+        }

@@ -12,7 +12,7 @@ from numpy.linalg import norm
 
 import warp_peri
 from warp_peri.errors import InputError, Rows, Shown, StrPath, heard, warn
-from warp_peri.points.arguments import Positive, Share, checked, symbols, typed, typed_methods
+from warp_peri.points.arguments import Positive, Share, symbols, typed, typed_methods
 from warp_peri.points.points import Points, Samples
 
 if TYPE_CHECKING:
@@ -153,8 +153,9 @@ class Solution(Shown):
             return self.measured
         if self.points is None:
             raise InputError("residual: expected points, whose residual is asked for")
-        u = self._values.astype(float)
-        inside = self.points.interior
+        u, inside = self._values.astype(float), self.points.interior
+        if not u.size:  # of no samples
+            return 0.0
         held = np.where(inside if u.shape[-1] == len(inside) else inside[:, None], 0.0, u)
         rows = len(self.load) if self.load.ndim == 3 else 1
         off = (self.load - self.operator(one) for one in (u, held))
@@ -181,8 +182,7 @@ class Solution(Shown):
         """Displacement at positions of a meshed body, both [m, d]; InputError for lattices."""
         if not hasattr(self.details, "displacement"):
             raise InputError("at: only of bodies on meshes; u holds the values at the nodes")
-        at = checked("x", x, float, ("m", self.u.shape[-1]))
-        return np.asarray(self.details.displacement(at))
+        return np.asarray(self.details.displacement(x))
 
     def to_samples(self) -> Samples:
         """Samples of displacement and load; InputError for a body on a mesh, or no displacement."""
