@@ -90,8 +90,9 @@ class LPSParameters:
     D: Any
 
     def __post_init__(self) -> None:
-        given = vars(self).items()
-        found = {n: checked(n, v.detach().cpu() if is_tensor(v) else v) for n, v in given}
+        given = {n: v.detach().cpu() if is_tensor(v) else v for n, v in vars(self).items()}
+        # those of Warp have a place in memory, and may learn here
+        found = {n: checked(n, v.numpy() if hasattr(v, "ptr") else v) for n, v in given.items()}
         for name in ("lam", "mu", "alpha"):
             if found[name].size != 1:
                 got = f"one number of a homogeneous solid, got shape {list(found[name].shape)}"

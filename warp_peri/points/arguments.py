@@ -30,7 +30,7 @@ GRADIENT = "expected values without a gradient, which is not had here, got some 
 def as_array(name: str, value: Any) -> np.ma.MaskedArray[Any, Any]:
     """Make an array of a user's value, masked where its parts are; InputError where none can be,
     and for arrays of torch and Warp whose gradient would be lost."""
-    if getattr(value, "requires_grad", False) is True:
+    if getattr(value, "requires_grad", False):
         raise InputError(f"{name}: {GRADIENT}")
     try:
         return np.ma.array(np.ma.asanyarray(value), copy=False)

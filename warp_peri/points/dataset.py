@@ -116,7 +116,7 @@ class Dataset(Shown):
     def summary(self) -> Values:
         """Units, sheet, origin and sets of the data as plain values."""
         sheet = {name: getattr(self, name) for name in ("units", "thickness", "density")}
-        sets = {name: samples.summary() for name, samples in self.sets.items()}
+        sets = {name: one.summary() for name, one in self.sets.items()}
         return {"format": "data", **sheet, "provenance": self.provenance, "sets": sets}
 
     def rows(self) -> Rows:
@@ -203,7 +203,7 @@ def mixed_waves(
     for number in np.ndindex(most + 1, 2 * most + 1):
         n = np.array(number) - (0, most)
         k = 2 * np.pi * n / box
-        size = float(norm(k))
+        size = norm(k)
         if (n[0] == 0 and n[1] <= 0) or size > 2 * np.pi / shortest:  # −k is the same wave
             continue
         angle, phase = random.uniform(0, 2 * np.pi, 2)

@@ -251,7 +251,7 @@ def carried_horizon(points: PointsLike) -> float:
     distance from the interior to the nearest place of the lattice without a node; on a periodic
     sheet a quarter of the smaller period."""
     if points.box is not None:
-        return float(min(points.box)) / 4
+        return min(points.box) / 4
     grid = points.lattice.steps
     there = np.zeros(grid.max(axis=0) + 3, bool)
     there[*(grid + 1).T] = True

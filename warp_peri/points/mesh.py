@@ -95,7 +95,7 @@ class Mesh(Shown):
         """Counts, box and parts of the mesh as plain values."""
         box = np.transpose([self.x.min(axis=0), self.x.max(axis=0)])
         counts = {"corners": len(self.x), KINDS[self.dimension][0]: len(self.cells)}
-        return {**counts, "box": box, "parts": {n: len(part) for n, part in self.parts.items()}}
+        return counts | {"box": box, "parts": {n: len(part) for n, part in self.parts.items()}}
 
     def rows(self) -> Rows:
         """Name and value of each line of the mesh's summary table."""

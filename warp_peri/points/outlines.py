@@ -179,10 +179,10 @@ def _add(geometry: Any, outline: Outline, size: float, by: float, *, inside: boo
     maxh = by * (outline.size or size)
     sides = {"leftdomain": int(left), "rightdomain": int(not left), "maxh": maxh}
     if isinstance(outline, Circle):
-        centre = tuple(by * np.asarray(outline.centre, float))
+        centre = tuple(by * np.asarray(outline.centre))
         geometry.AddCircle(c=centre, r=by * outline.radius, bc=outline.name, **sides)
         return
     names = [*outline.names] * (1 if len(outline.names) > 1 else len(outline.corners))
-    numbers = [geometry.AppendPoint(*one) for one in by * np.asarray(outline.corners, float)]
+    numbers = [geometry.AppendPoint(*one) for one in by * np.asarray(outline.corners)]
     for start, end, name in zip(numbers, numbers[1:] + numbers[:1], names):
         geometry.Append(["line", start, end], bc=name, **sides)

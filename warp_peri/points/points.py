@@ -97,8 +97,7 @@ class Points(Shown, Held):
         """Name and value of each line of the points' summary table."""
         length = symbols(self.units)[0]
         kind = f"a lattice of {self.spacing:g} {length}" if self.spacing else "scattered"
-        inside = np.count_nonzero(self.interior)
-        rows = [("nodes", f"{len(self.x)}, {inside} of them interior, {kind}")]
+        rows = [("nodes", f"{len(self.x)}, {self.interior.sum()} of them interior, {kind}")]
         if self.box is not None:
             rows.append(("periods", " × ".join(f"{side:g}" for side in self.box) + f" {length}"))
         if self.axis is not None:
@@ -150,7 +149,7 @@ class Points(Shown, Held):
         sides = tuple(check_whole("sides", side, 1) for side in sides)
         check_nodes("sides", sides)
         x, box = spacing * grid_places(sides), tuple(n * spacing for n in sides)
-        return cls(x, np.ones(len(x), bool), spacing, box, units=units, axis=axis)
+        return cls(x, np.ones(len(x), bool), spacing, box, None, units, axis)
 
     @classmethod
     @typed
@@ -449,7 +448,7 @@ class Samples(Shown):
     def summary(self) -> Values:
         """Counts, spacing and arrays of the samples as plain values."""
         counts = {"samples": len(self), "nodes": len(self.x), "interior": int(self.interior.sum())}
-        return {**counts, "spacing": self.spacing, "arrays": [*self.arrays]}
+        return counts | {"spacing": self.spacing, "arrays": [*self.arrays]}
 
     @property
     def loads(self) -> np.ndarray:

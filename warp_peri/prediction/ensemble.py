@@ -386,9 +386,8 @@ class Ensemble:
         learn_other = offered(second, "learn", "fit", "a model as the second member")
         other = learn_other(samples, progress=progress).material
         odd, even = (learn(samples[n::2], progress=progress).material for n in (0, 1))
-        members = fit.material, other, (odd, even)
-        strain = largest_strain(samples.points, samples.u)
-        family = EnsembleMaterial(*members, strain=strain, temperature=mean)
+        strain, halves = largest_strain(samples.points, samples.u), (odd, even)
+        family = EnsembleMaterial(fit.material, other, halves, strain=strain, temperature=mean)
         return Fit(calibrated(family, samples, validation), fit.certificate, {}, fit.history)
 
 
