@@ -210,6 +210,11 @@ def test_files_carry_their_units_and_an_argument_converts(tmp_path):
         load(path, units=USUAL)
 
 
+def test_a_block_has_a_collar_of_two_horizons():
+    block = Points.block((6.0, 4.0), 1.0, 2.5)
+    assert (block.interior.sum(), block.x.max(0).tolist()) == (7 * 5, [8.0, 7.0])
+
+
 def test_samples_and_sets_are_taken_apart_as_sequences_and_mappings():
     points = Points.disk(1.0, 1.0, 1.0)
     u = np.arange(3.0)[:, None, None] + np.zeros((3, *points.x.shape))

@@ -19,8 +19,9 @@ from warp_peri.core.stencil import Grid, grid_of
 from warp_peri.errors import InputError, Rows, Values
 from warp_peri.fitting.result import Fit
 from warp_peri.points.arguments import ArrayMap, NotNegative, checked, is_number, offered, typed
+from warp_peri.points.dataset import sets_of
 from warp_peri.points.families import largest_strain
-from warp_peri.points.points import PointsLike, Samples, nodes_of, sets_of
+from warp_peri.points.points import PointsLike, Samples, nodes_of
 from warp_peri.protocols import placed
 
 SEEN = 0.5
