@@ -139,5 +139,5 @@ def test_mat_files_have_nodes_in_any_order_and_components_first_or_last(tmp_path
         file.create_dataset("disps", shape=(2, 10**9, 10**6), dtype="f8", chunks=(1, 100, 100))
     with refused("disps: expected arrays of at most 1048576 bytes"):
         read_mat(path, load=None, positions=1.0)
-    with refused("positions: expected a name or a spacing > 0, got inf"):
+    with refused("positions: expected a finite number or a text, got inf"):
         read_mat(path, load=None, positions=np.inf)

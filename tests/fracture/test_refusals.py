@@ -24,7 +24,7 @@ CORRECTED = replace(PROBLEM, corrected=True)
 TORN, OPEN = (replace(PROBLEM, cracks=[[(-7, 0), (end, 0)]]) for end in (7, 0))
 SOFT = BondLaw(2.0, 0.05, 0.02)
 SMALL = lattice(3, 2.0)
-FREE, LATE = Cracked(POINTS), lambda t: 1 / (t < 5e-6)
+FREE, PUSHED, LATE = Cracked(POINTS), Cracked(POINTS, X), lambda t: 1 / (t < 5e-6)
 HELD = np.repeat(ENDS[:, None], 2, axis=1)
 at_rest = lambda solver=None, **given: lambda: solve(MODEL, Cracked(POINTS, **given), solver=solver)
 softly = lambda u=X, loads=(0.1,), line=LINE, **given: (
@@ -78,7 +78,7 @@ def test_what_cracks_do_not_take_is_refused_by_name():
             lambda: simulate(solid(toughness=1.0), Injected(POINTS, [2.01, 2.02])),
         "nothing may break": moving(MODEL, PROBLEM, events=1, no_fail=EDGE | True),
         "u: nothing pulls": moving(fracture.SofteningMaterial(MODEL, SOFT), FREE, loads=[1.0]),
-        "ramp at": moving(solid(), FREE, step=1e-6, steps=9, ramp=LATE, every=1, watch={"": inv}),
+        "ramp at": moving(solid(), PUSHED, step=1e-6, steps=9, ramp=LATE, every=1, watch={"": inv}),
         "not its operator": moving(kernel("positive", 2.0).on(SMALL), Cracked(SMALL)),
         "values without a gradient": released(u=double(X).requires_grad_()),
         "cells: expected at least 2": lambda: fracture.apparent_toughness(MODEL, 1.0, cells=1),

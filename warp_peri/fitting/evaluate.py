@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -136,11 +137,13 @@ class Run:
         fit: the material, its certificate and the way to them.
         tables: of `evaluate`, by the name of the set.
         refused: why a set was not evaluated, by its name.
+        seconds: of learning and of prediction.
     """
 
     fit: Any
     tables: dict[str, Values]
     refused: dict[str, str]
+    seconds: dict[str, float]
 
     def mean(self, error: str) -> dict[str, float]:
         """Mean of one error of `evaluate` over the samples of each set, by the set's name."""
@@ -176,14 +179,17 @@ def train(
 ) -> Run:
     """Learn a law from samples with `options` of its `learn`, and evaluate it on named sets; one
     that `evaluate` refuses is passed over with its reason. Raises what `fit` raises."""
+    begin = time.perf_counter()
     learned = law.learn(samples, **options)
+    between = time.perf_counter()
     tables, refused = {}, {}
     for name, points in sets.items():
         try:
             tables[name] = evaluate(learned.material, points, allow_uncertified=allow_uncertified)
         except InputError as error:  # no load, another spacing, a collar too small
             refused[name] = str(error)
-    return Run(learned, tables, refused)
+    seconds = {"learning": between - begin, "prediction": time.perf_counter() - between}
+    return Run(learned, tables, refused, seconds)
 
 
 LEAST_LOADS, LEAST_DRAWS, DRAWS = 4, 10, 40
