@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from warp_peri.core.record import FieldUnits, Length, Record, Stress
 from warp_peri.core.torch_bridge import own_torch
-from warp_peri.errors import OF_POSITIONS, InputError, Values, called
+from warp_peri.errors import OF_POSITIONS, InputError, Shape, Values, called
 from warp_peri.fracture.adjoint import bond_force
 from warp_peri.fracture.body import lattice_body
 from warp_peri.fracture.bonds import bond_matrix, bonds_of, dilatations
@@ -60,7 +60,7 @@ class FlowOperator(OperatorBase):
         lead, flat = self._flat(self.of_interior(w))
         return np.asarray((flat @ self.matrix).reshape(*lead, *self.shape))
 
-    def _flat(self, fields: np.ndarray) -> tuple[tuple[int, ...], np.ndarray]:
+    def _flat(self, fields: np.ndarray) -> tuple[Shape, np.ndarray]:
         """Leading shape of fields, and these as rows."""
         lead = fields.shape[: fields.ndim - len(self.shape)]
         return lead, fields.reshape(math.prod(lead), -1)
@@ -168,7 +168,7 @@ class DiffusionOperator(FlowOperator):
         return 1 / mean_inverse(along)
 
     @property
-    def shape(self) -> tuple[int, ...]:
+    def shape(self) -> Shape:
         """Shape of one field, [N]."""
         return (len(self.points.x),)
 
@@ -348,7 +348,7 @@ class CoupledOperator(FlowOperator):
         self._storage = self._whole([[0 * solid, 0 * pull], [squeeze, kept]])
 
     @property
-    def shape(self) -> tuple[int, ...]:
+    def shape(self) -> Shape:
         """Shape of one field, [N, 3]."""
         return (len(self.points.x), 3)
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Protocol, Self, overload
 import numpy as np
 
 import warp_peri.core as core
-from warp_peri.errors import InputError, Values, quietly
+from warp_peri.errors import InputError, Shape, Values, quietly
 from warp_peri.points.arguments import (
     Options,
     check_arguments,
@@ -133,7 +133,7 @@ class OperatorBase(Remade):
     """The force of fields of NumPy."""
 
     @property
-    def shape(self) -> tuple[int, ...]:
+    def shape(self) -> Shape:
         """Shape of one field, [N, d]."""
         return tuple(self.points.x.shape)
 

@@ -30,7 +30,7 @@ from warp_peri.atoms.force_constants import (
     from_supercell,
 )
 from warp_peri.atoms.relaxed import VACUUM, Reference, check_sites, gap, oriented, thickness_of
-from warp_peri.errors import InputError, StrPath, optional, warn
+from warp_peri.errors import InputError, Shape, StrPath, optional, warn
 from warp_peri.files.atomic import check_hdf5, check_yaml, content
 from warp_peri.points.arguments import ArrayMap, Positive, checked, offered, typed
 from warp_peri.points.points import grid_points
@@ -80,7 +80,7 @@ def force_constants(
     return found, {"force constants": f"{_cells(repeats[:d])}, {len(many)} atoms"} | said
 
 
-def _counted(name: str, repeats: Any, atoms: int, *, flat: bool = False) -> tuple[int, ...]:
+def _counted(name: str, repeats: Any, atoms: int, *, flat: bool = False) -> Shape:
     """Check how often a cell of so many atoms is repeated."""
     counts = tuple(checked(name, repeats, int, (3,)).tolist())
     if min(counts) < 1 or (flat and counts[2] != 1) or atoms * math.prod(counts) > MOST_ASKED:
@@ -93,7 +93,7 @@ def _cells(repeats: Sequence[int]) -> str:
     return f"{' x '.join(map(str, repeats))} cells"
 
 
-def wide_enough(reference: Reference, calculator: Any, widths: Sequence[float]) -> tuple[int, ...]:
+def wide_enough(reference: Reference, calculator: Any, widths: Sequence[float]) -> Shape:
     """Repeats of the cell at half of whose width forces have ended, or the most that may be."""
     cell, d = reference.cell, reference.dimension
     heights = 1 / norm(inv(np.array(cell.cell)), axis=0)

@@ -20,7 +20,7 @@ import warp as wp
 from numpy.linalg import eigh, eigvalsh, inv, norm, svd
 
 from warp_peri.core.elastic import directions, orbit_grid, symmetric_part
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, Shape
 from warp_peri.kernels.micromodulus import rows
 from warp_peri.points.arguments import Pair
 from warp_peri.points.families import HORIZON_TOLERANCE, nodes_in_period
@@ -267,7 +267,7 @@ class Grid:
     """
 
     axes: np.ndarray
-    shape: tuple[int, ...]
+    shape: Shape
     reach: int
     periodic: bool
     near: np.ndarray
@@ -280,7 +280,7 @@ class Grid:
         return len(self.shape)
 
     @property
-    def wide(self) -> tuple[int, ...]:
+    def wide(self) -> Shape:
         """Shape of the box with, around a period, its images within reach."""
         return tuple(n + 2 * self.reach * self.periodic for n in self.shape)
 
@@ -480,14 +480,14 @@ class ByFFT:
         return np.asarray(out * self.mask)
 
 
-def torus_shape(nodes: Grid) -> tuple[int, ...]:
+def torus_shape(nodes: Grid) -> Shape:
     """Shape of a torus that holds the box and keeps its images apart; a period is its own."""
     if nodes.periodic:
         return nodes.shape
     return tuple(scipy.fft.next_fast_len(n, real=True) for n in nodes.shape)
 
 
-def torus_symbol(torus: tuple[int, ...], steps: np.ndarray, tensors: np.ndarray) -> np.ndarray:
+def torus_symbol(torus: Shape, steps: np.ndarray, tensors: np.ndarray) -> np.ndarray:
     """Symbol D(k) (or D(k) h², as tensors are) at waves of a torus [d, d, *half a torus]."""
     d = len(torus)
     symbol = np.empty((d, d, *torus[:-1], torus[-1] // 2 + 1))
@@ -501,7 +501,7 @@ def torus_symbol(torus: tuple[int, ...], steps: np.ndarray, tensors: np.ndarray)
     return symbol
 
 
-def convolved(symbol: np.ndarray, field: np.ndarray, torus: tuple[int, ...]) -> np.ndarray:
+def convolved(symbol: np.ndarray, field: np.ndarray, torus: Shape) -> np.ndarray:
     """Convolve a symbol with one field [d, …] in a corner of the torus, there."""
     how = {"s": torus, "axes": range(1, len(torus) + 1), "workers": get_num_threads()}
     mixed = np.einsum("ij...,j...->i...", symbol, scipy.fft.rfftn(field, **how))

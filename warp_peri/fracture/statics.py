@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 import warp_peri.fracture as fracture
 from warp_peri.core.elastic import in_shape_of
-from warp_peri.errors import InputError, Values
+from warp_peri.errors import InputError, Shape, Values
 from warp_peri.fracture.body import LatticeBody, box_nodes, cracked, lattice_body, through
 from warp_peri.fracture.bonds import (
     CutRows,
@@ -215,7 +215,7 @@ class CutSolid(OperatorBase):
         return self.body.spacing**self.body.dimension * in_shape_of(u, energy)[()]
 
 
-def by_component(held: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
+def by_component(held: ArrayLike, shape: Shape) -> np.ndarray:
     """Mask of given components, shape [N, d], of nodes [N] or components [N, d] bool."""
     mask = checked("held", held, bool)
     if mask.shape == shape[:1]:

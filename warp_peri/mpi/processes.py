@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from warp_peri import errors
-from warp_peri.errors import InputError, agreed
+from warp_peri.errors import InputError, Shape, agreed
 from warp_peri.runtime import DEVICE, get_num_threads, ranks_started, set_num_threads, shared_by
 from warp_peri.solvers.systems import HERE, Inner
 
@@ -169,7 +169,7 @@ class Slabs:
         starts: first rows of the ranks, and the number of rows, shape [p + 1].
     """
 
-    shape: tuple[int, ...]
+    shape: Shape
     rows: int
     starts: np.ndarray
 
@@ -177,7 +177,7 @@ class Slabs:
         """Rows of a rank."""
         return slice(int(self.starts[rank]), int(self.starts[rank + 1]))
 
-    def box(self, rank: int) -> tuple[int, ...]:
+    def box(self, rank: int) -> Shape:
         """Number of a rank's nodes along each axis."""
         return int(np.diff(self.starts)[rank]), *self.shape[1:]
 
@@ -186,7 +186,7 @@ class Slabs:
         return Slabs(tuple(n // 2 for n in self.shape), self.rows // 2, self.starts // 2)
 
 
-def cut(comm: Comm, shape: tuple[int, ...], rows: int) -> Slabs:
+def cut(comm: Comm, shape: Shape, rows: int) -> Slabs:
     """Cut a box of nodes into slabs of an even number of rows for all ranks, evenly. Raises
     InputError for more ranks than slabs."""
     count, ranks = -(-shape[0] // rows), comm.size

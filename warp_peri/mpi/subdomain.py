@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.errors import InputError, agreed, hold
+from warp_peri.errors import InputError, Shape, agreed, hold
 from warp_peri.files.checkpoint import nodal_fingerprint, same
 from warp_peri.fracture.body import lattice_body
 from warp_peri.fracture.problems import Cracked, in_steps
@@ -229,7 +229,7 @@ class NodeHalo:
 
 
 def lattice(
-    shape: tuple[int, ...],
+    shape: Shape,
     spacing: float,
     interior: ArrayMap,
     *,
@@ -318,7 +318,7 @@ def _nodal(nodes: Any, given: Any) -> np.ndarray:
     return values
 
 
-def _rows(shape: tuple[int, ...]) -> int:
+def _rows(shape: Shape) -> int:
     """Rows of a slab for a box of this shape, a power of two, on any number of ranks."""
     rows = SLAB
     while np.prod(shape, dtype=float) > FEW * rows ** len(shape):

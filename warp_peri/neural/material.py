@@ -17,7 +17,7 @@ import torch
 
 from warp_peri.core import record
 from warp_peri.core.record import Length
-from warp_peri.errors import InputError, Rows, Shown, StrPath, Values
+from warp_peri.errors import InputError, Rows, Shape, Shown, StrPath, Values
 from warp_peri.files import atomic
 from warp_peri.neural.placed import Placed, check_precision
 from warp_peri.neural.training import NeuralFit, TrainingSettings, train
@@ -93,7 +93,7 @@ class NeuralOperator(Shown, torch.nn.Module):
         seed: Natural = 0,
     ) -> None:
         super().__init__()
-        self.widths: dict[str, tuple[int, ...]] = {}
+        self.widths: dict[str, Shape] = {}
         for name, widths in ("influence", influence), ("state", state):
             fine = (is_positive(w) and w % 1 == 0 and w <= WIDEST for w in widths)
             if len(widths) != 2 or not all(fine):

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, TypeAlias, TypeVar, Union, get_args,
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.errors import InputError, Values
+from warp_peri.errors import InputError, Shape, Values
 
 LARGEST = 1e100
 """Values above it are no data, and their squares soon no numbers."""
@@ -102,13 +102,13 @@ def within(where: str, make: Callable[..., Any], *of: Any) -> Any:
         raise InputError(f"{where}: {error}") from None
 
 
-def check_shape(name: str, given: Any, shape: tuple[int, ...]) -> None:
+def check_shape(name: str, given: Any, shape: Shape) -> None:
     """Raise InputError for an array, or a tensor, of another shape."""
     if tuple(given.shape) != tuple(shape):
         raise InputError(f"{name}: expected shape {list(shape)}, got {list(given.shape)}")
 
 
-def checked_fields(points: Any, b: Any, u: Any, one: tuple[int, ...] | None = None) -> Pair:
+def checked_fields(points: Any, b: Any, u: Any, one: Shape | None = None) -> Pair:
     """Check load and displacement of a problem, [N, d] or [S, N, d]; the second is a copy. b, or
     None for no load, is read on the interior, u on the others; `one` is the shape of one field
     where it is not [N, d]. Raises InputError as `checked`, and for other shapes."""

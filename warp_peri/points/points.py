@@ -15,7 +15,7 @@ import numpy as np
 from numpy.linalg import norm, qr, svd
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import Held, InputError, Rows, Shown, Values, hold, warn
+from warp_peri.errors import Held, InputError, Rows, Shape, Shown, Values, hold, warn
 from warp_peri.points.arguments import (
     LARGEST,
     USUAL,
@@ -130,12 +130,7 @@ class Points(Shown, Held):
     @classmethod
     @typed
     def sheet(
-        cls,
-        sides: tuple[int, ...],
-        spacing: Positive,
-        *,
-        units: Units = USUAL,
-        axis: float | None = None,
+        cls, sides: Shape, spacing: Positive, *, units: Units = USUAL, axis: float | None = None
     ) -> Points:
         """Make a periodic lattice along the axes, all of its nodes interior.
 

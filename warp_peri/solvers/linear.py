@@ -32,7 +32,7 @@ from warp_peri.core.stencil import (
     torus_shape,
     torus_symbol,
 )
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, Shape
 from warp_peri.points.points import Points, grid_places
 from warp_peri.runtime import get_num_threads
 from warp_peri.solvers.systems import (
@@ -258,7 +258,7 @@ class Linear:
         return answer, records
 
 
-def smallest_ratio(symbol: np.ndarray, torus: tuple[int, ...]) -> float:
+def smallest_ratio(symbol: np.ndarray, torus: Shape) -> float:
     """Smallest Λmin D(k) / Σ_a 4 sin²(k_a h/2) over waves k ≠ 0 of a torus and its torus_symbol."""
     waves = [4 * np.sin(np.pi * np.arange(n) / n) ** 2 for n in torus]
     waves[-1] = waves[-1][: symbol.shape[-1]]
@@ -319,7 +319,7 @@ def torus_inverse(
     return apply
 
 
-def seen_by_coarser(torus: tuple[int, ...]) -> np.ndarray:
+def seen_by_coarser(torus: Shape) -> np.ndarray:
     """Factor p = Π (1 + cos k_a h)/2 of prolongation at the waves of a torus."""
     seen = [(1 + np.cos(2 * np.pi * np.arange(n) / n)) / 2 for n in torus]
     seen[-1] = seen[-1][: torus[-1] // 2 + 1]
@@ -390,7 +390,7 @@ def restrict(field: np.ndarray) -> np.ndarray:
     return _spread(field)[:, *[slice(1, None, 2)] * (field.ndim - 1)]
 
 
-def prolong(field: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+def prolong(field: np.ndarray, shape: Shape) -> np.ndarray:
     """Prolongation P: linear interpolation of coarser planes to a box of the given shape."""
     fine = np.zeros((len(field), *shape), field.dtype)
     fine[:, *[slice(1, None, 2)] * len(shape)] = field
