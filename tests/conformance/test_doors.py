@@ -300,10 +300,6 @@ def test_an_edge_or_a_corner_of_two_parts_has_one_displacement(other, size):
         solved(1e-8)
 
 
-def parameters(**change):
-    return LPSParameters(**{"lam": 0.4, "mu": 0.5, "alpha": 1.0, "D": [1.0, 0.7, 0.4]} | change)
-
-
 @parametrize("wrong", [lambda x, y: x, lambda x: 1.0 if x < 0 else 2.0, lambda x: x.norm()])
 def test_functions_that_fail_at_places_are_refused_by_name(wrong):
     points, K = LAWS["LPS"].points(1), wp.influence.InfluenceFunction
@@ -394,8 +390,9 @@ def test_arguments_of_bodies_solids_and_tables():
         "^provenance: expected": (lambda: data(np.nan), lambda: data(object())),
     })  # fmt: skip
     many, none = torch.full((225,), 0.5), (1j, masked([0.5]), np.nan, "0.5", None, True)
+    numbers = {"lam": 0.4, "mu": 0.5, "alpha": 1.0, "D": [1.0, 0.7, 0.4]}
     for name, more in {"lam": many, "mu": many, "alpha": many, "D": []}.items():
-        call = lambda value, name=name: parameters(**{name: value})
+        call = lambda value, name=name: LPSParameters(**numbers | {name: value})
         wrong = *none, more, *[3.0] * (name == "alpha")
         all_refused(call, f"^{name}: expected", wrong)
     assert wp.Points.sheet((4, 4), 1.0, units="reduced").units[0] == "sigma"

@@ -9,10 +9,9 @@ import torch
 
 from tests.support import in_plane_and_space, near, parametrize
 from tests.support.materials import saint_venant
-from tests.support.problems import normal
+from tests.support.problems import lattice, normal
 from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.stencil import Stencil, half_ball
-from warp_peri.points.points import Points, grid_places
 from warp_peri.runtime import one_thread
 from warp_peri.testing import check_energy, check_product
 
@@ -38,9 +37,7 @@ def one_sided(d, sides):
 
 def operator(d, sides=2, density=quartic, **options):
     """On a cube, with a shorter linear part where it is asked for."""
-    n = 9 if d == 2 else 7
-    x = grid_places((n,) * d) - n // 2
-    points = Points(0.5 * x, np.abs(x).max(1) <= n // 2 - 2, 0.5)
+    points = lattice(np.ones(d * (7 - d,), bool), 0.5, 0.5)
     numbers, (steps, weights) = {"lam": LAM, "mu": MU, "more": 2.0}, one_sided(d, sides)
     return Pointwise(points, 0.5, density, steps, weights, numbers=numbers, **options)
 

@@ -66,12 +66,17 @@ def lattice(d, n, collar, spacing=1.5, ball=False):
     return replace(problems.lattice(inside, collar * spacing / 2, spacing), axis=None)
 
 
+def far_end(points, xi):
+    """How far from the end of a bond at each node the nearest node is, and which one it is."""
+    x, tree = points.x + xi, cKDTree(points.x, boxsize=points.box)
+    return tree.query(x if points.box is None else x % points.box)
+
+
 def plain_energy(law, points, u):
-    """Energy of every bond with an unknown at an end, by a search for its far end."""
-    tree, total = cKDTree(points.x, boxsize=points.box), 0.0
+    """Energy of every bond with an unknown at an end."""
+    total = 0.0
     for step, C in zip(law.steps, law.tensors):
-        x = points.x + law.spacing * step
-        far, other = tree.query(x if points.box is None else x % points.box)
+        far, other = far_end(points, law.spacing * step)
         kept = (far < 1e-6) & (points.interior | points.interior[other])
         bent = (u[other] - u)[kept]
         total += 0.5 * law.spacing**law.dimension * np.einsum("ni,ij,nj->", bent, C, bent)

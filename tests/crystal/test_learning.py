@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 import warp_peri as wp
 from tests.crystal.crystals import CUBES, cubic_tensor, dispersive, huang_defect, lattice, learned
 from tests.support import approx, clouds, filterwarnings, in_plane_and_space, near, sup
-from tests.support.problems import OTHER, kernel, loaded, noise, normal
+from tests.support.problems import OTHER, kernel, loaded, manufactured, noise, normal
 from tests.support.problems import lattice as plane_lattice
 from tests.support.told import assert_refused, each_refused, refused, warned
 from warp_peri.atoms.force_constants import NonAnalyticCorrection, Supercell, from_supercell
@@ -28,19 +28,10 @@ fit = lambda samples, horizon, **asked: wp.Crystal(horizon, **asked).learn(sampl
 """The material that is learned."""
 
 
-def waves(law, points, count):
-    """Random waves of many lengths and the forces that the law answers them with."""
-    rng, d = default_rng(0), law.dimension
-    k, phase = rng.normal(size=(count, 6, d)), rng.uniform(0, 6, (count, 6, 1))
-    k *= rng.uniform(0.05, 2.0, (count, 6, 1)) / law.spacing / norm(k, axis=2)[..., None]
-    u = np.einsum("swn,swi->sni", np.cos(k @ points.x.T + phase), rng.normal(size=(count, 6, d)))
-    return loaded(law.on(points), u)
-
-
 @in_plane_and_space
 def test_a_law_is_found_again_from_its_forces(d):
     law = learned(d)
-    samples = waves(law, lattice(d, {2: 12, 3: 5}[d], 2), 8)
+    samples = manufactured(law, lattice(d, {2: 12, 3: 5}[d], 2), 8)
     found = fit(samples, law.horizon, symmetry=law.symmetry, moduli=None)
     near(found.tensors, law.tensors, 1e-9)
     assert found.provenance["fit"]["cuts"] == 0
@@ -69,10 +60,10 @@ def test_what_data_tell_is_told_in_single_precision_too():
 @filterwarnings("ignore:axis. lattice or crystal are turned")  # said once a process
 def test_the_symmetry_is_found_and_one_that_is_wrong_costs():
     law, turned, points = learned(2), learned(2, orientation=20.0), lattice(2, 14, 2)
-    found = fit(waves(law, points, 10), law.horizon, moduli=None)
+    found = fit(manufactured(law, points, 10), law.horizon, moduli=None)
     assert found.symmetry == "4mm"  # not isotropic: Zener 3.2
     assert found.provenance["fit"]["loss"] < 1e-9
-    samples = waves(turned, points, 10)
+    samples = manufactured(turned, points, 10)
     assert fit(samples, turned.horizon, moduli=None).symmetry == "4"
     with warned(r"contradict what is told: in .* leaves .*% of the loads"):
         wrong = fit(samples, turned.horizon, symmetry="4mm", moduli=None)
@@ -82,7 +73,7 @@ def test_the_symmetry_is_found_and_one_that_is_wrong_costs():
 
 def test_moduli_that_nothing_has_or_tells_are_named():
     law = learned(2)
-    samples = waves(law, lattice(2, 8, 2), 6)
+    samples = manufactured(law, lattice(2, 8, 2), 6)
     of = lambda moduli: fit(samples, 3.0, symmetry="4mm", moduli=moduli)
     C, wrong, u = cubic_tensor(2), cubic_tensor(2, 0.1, 0.2, 0.05), np.triu(np.ones((2, 2)))
     how = {"target": dispersive(C), "tensor": C, "symmetry": "4mm", "spacing": 1.0}

@@ -10,8 +10,8 @@ from numpy.random import default_rng
 from examples import diffusion
 from examples.diffusion import coupled, jump, smooth
 from tests.support import approx, in_plane_and_space, near, parametrize, sup
-from tests.support.clouds import cloud, plain
-from tests.support.problems import fitted_order, kernel, normal, within
+from tests.support.clouds import cloud, larger, plain
+from tests.support.problems import cut, fitted_order, kernel, normal, within
 from tests.support.told import assert_refused, refused
 from warp_peri import Dirichlet, Points, simulate, solve
 from warp_peri.diffusion import DiffusionMaterial, DiffusionOperator, ThermoelasticMaterial
@@ -67,8 +67,8 @@ def test_periodic_lattices_keep_their_content_and_a_wave_decays_as_it_should():
 def test_a_hole_is_insulated():
     points = square(8, 4.0)
     hole = np.hypot(*points.x.T) < 0.3
-    points = Points(points.x, points.interior & ~hole, points.spacing, outside=hole)
-    phi = steady(DiffusionOperator(DiffusionMaterial(3 / 8, 1.0), points), points.x[:, 0].copy())
+    points = cut(points, hole)
+    phi = steady(DiffusionMaterial(3 / 8, 1.0).on(points), points.x[:, 0])
     assert sup(phi[points.interior]) < 1
     right = (points.x[:, 0] > 0.3) & (points.x[:, 0] < 0.5) & (np.abs(points.x[:, 1]) < 0.2)
     assert (phi[right] > points.x[right, 0]).all()  # it piles up before the hole
@@ -76,8 +76,7 @@ def test_a_hole_is_insulated():
 
 @parametrize("lattice", [True, False])
 def test_a_kernel_that_changes_sign_is_taken_where_diffusion_does_not_grow(lattice):
-    points = square(4, 4.0)
-    points = Points(4 * points.x, points.interior, 1.0) if lattice else cloud(8, 3.2)
+    points = larger(square(4, 4.0), 4) if lattice else cloud(8, 3.2)
     phi = normal(len(points.x))
     phi *= points.interior
     for last, grows in ((-1.0, True), (-0.05, False)):
@@ -128,11 +127,9 @@ def test_at_rest_a_coupled_solid_conducts_as_its_conductor(coupling):
 
 def test_what_does_not_fit_is_refused():
     points, law = square(3, 6.0), DiffusionMaterial(1.0, 1.0)
-    metres, wide = DiffusionMaterial(1.0, 1.0, units=("m", "Pa")), square(3, 6.0)
-    wide = Points(3 * wide.x, wide.interior, 1.0)
+    metres, wide = DiffusionMaterial(1.0, 1.0, units=("m", "Pa")), larger(points, 3)
     bad = DiffusionMaterial(3.0, 1.0, D=np.array([1.0, 1.0, -1.0]))
-    torn = default_rng(0).uniform(size=len(wide.x)) < 0.4
-    torn = Points(wide.x, wide.interior & ~torn, 1.0, outside=torn)
+    torn = cut(wide, default_rng(0).uniform(size=len(wide.x)) < 0.4)
     operator, x = law.on(points), points.x[:, 0]
 
     def flow(collar=None, b=None):

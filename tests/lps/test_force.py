@@ -14,7 +14,6 @@ from tests.support import approx, clouds, near, parametrize, problems, reference
 from tests.support.clouds import cloud, periodic_cloud
 from tests.support.fields import double
 from tests.support.problems import KERNELS, LAM, MU, ROUNDING, ell, kernel, lattice, noise, periodic
-from tests.support.symbols import symbol
 from tests.support.told import each_refused, refused
 from tools.rivals import BULK, SHEAR, SIZE, PeriLps
 from warp_peri import Points
@@ -149,8 +148,6 @@ def test_bond_based_forces_need_half_the_collar():
     u = wave(operator)
     near(operator(u), whole(wave(whole)), 1e-12)
     assert error(operator.matrix() @ u.ravel(), operator(u).ravel()) < ROUNDING
-    with refused("lambda, mu: expected equal values without a gr"):
-        lps_force(operator.bonds, torch.from_numpy(u), 0.1, 0.7, 1.3, model.D)
 
 
 def test_on_a_tape_of_the_user():
@@ -194,23 +191,6 @@ def test_no_table_is_stale_and_a_bond_may_have_no_influence():
     for change in ({"lam": -0.1}, {"mu": 0.5}, {"alpha": 0.9}, {"D": [1.0, 0.5, 0.2, 0.0]}):
         operator.model = replace(operator.model, **change)
         assert error(operator(u).ravel(), operator.matrix() @ u.ravel()) < ROUNDING
-
-
-@parametrize("name", ["1/r", "sign-changing"])
-def test_plane_waves_have_the_symbol_of_the_stencil(name):
-    spacing = 2.5
-    model = kernel(name, 2.5 * spacing, spacing, lam=-0.2)
-    points, box = periodic((8, 7), spacing)
-    operator = model.on(points, allow_uncertified=True)
-    a = np.array([0.7 + 0.2j, -0.4 + 1.1j])
-    stencil = model.stencil(spacing)
-    for way in ((0, 2), (-2, 3)):
-        k = 2 * np.pi * np.array(way) / box
-        wave = np.exp(1j * points.x @ k)[:, None]
-        Lu = operator((wave * a).real) + 1j * operator((wave * a).imag)
-        (D,), (expected,) = stencil.symbol(spacing * k[None]), symbol(model, k[None], spacing)
-        near(expected, D, 1e-13)
-        near(Lu, wave * (D @ a), 1e-12, sup(D))
 
 
 def test_moduli_are_those_of_the_continuum_on_every_lattice():

@@ -10,8 +10,7 @@ from scipy.optimize import brentq
 import warp_peri as wp
 from tests.support import assert_refused, near, parametrize, sup
 from tests.support.materials import saint_venant
-from tests.support.problems import loaded, noise
-from warp_peri.points.points import grid_places
+from tests.support.problems import lattice, loaded, noise
 from warp_peri.testing import check_material
 
 LAM, MU = 0.4, 0.9
@@ -25,8 +24,9 @@ def blatz_ko(E, mu):
 
 
 def box(n, d, h, collar=2):
-    x = grid_places((n,) * d) - n // 2
-    return wp.Points(h * x, np.abs(x).max(1) <= n // 2 - collar, h)
+    """n nodes along each axis about zero, and so many of them at either end in the collar."""
+    inside = np.ones(d * (n - 2 * collar,), bool)
+    return lattice(inside, collar * h / 2, h, origin=(collar - n // 2) * h)
 
 
 SOLIDS = {

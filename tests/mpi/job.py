@@ -11,7 +11,7 @@ import os
 import sys
 import time
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -137,31 +137,32 @@ def rest(folder):
 
 def refusals(sheet, ball, files):
     """What is said of what no rank takes, or nothing; none of it waits for torch."""
-    rank, full = world().rank, lattice(SHAPE[2], H, lambda x: x[:, 0] >= 0)
-    brittle = BrittleMaterial(solid(2), 2500.0, toughness=1.0)
+    law, laid, rank = solid(2), partial(lattice, SHAPE[2], H), world().rank
+    full, brittle = laid(lambda x: x[:, 0] >= 0), BrittleMaterial(law, 2500.0, toughness=1.0)
+    breaks = partial(wp.simulate, brittle, step=1e-3, steps=1)
     everywhere, flat = H * grid_places(SHAPE[2]), wp.Dirichlet(sheet, *fields(sheet.x))
     mixed = np.zeros(len(sheet.x), (bool, int)[rank])
     altered = replace(sheet, spacing=2 * H) if rank else sheet
     hidden = np.ma.masked_array(0 * sheet.x, sheet.x > 0)
-    solution, far = wp.solve(solid(2), flat, transfer=True), plain(1.25, 0.9, certified_on=(1.0,))
+    solution, far = wp.solve(law, flat, transfer=True), plain(1.25, 0.9, certified_on=(1.0,))
     cut = wp.Samples(wp.Points(everywhere, inside(everywhere), H), everywhere[None])
     return [told_by(wrong) for wrong in (
         lambda: solid(3).on(ball)(0 * ball.x),
-        lambda: wp.solve(solid(2), wp.Dirichlet(full, *fields(full.x))),
-        lambda: wp.simulate(solid(2), flat, **SWING | {"step": 1.0}, steps=1),
-        lambda: lattice(SHAPE[2], H, lambda x: x[:, 0] < 0),
+        lambda: wp.solve(law, wp.Dirichlet(full, *fields(full.x))),
+        lambda: wp.simulate(law, flat, **SWING | {"step": 1.0}, steps=1),
+        lambda: laid(lambda x: x[:, 0] < 0),
         lambda: wp.simulate(DiffusionMaterial(1.0, 1.0), flat),  # before its options
-        lambda: wp.solve(solid(2), flat, parameters={"mu": 0.4}),
-        lambda: wp.solve(solid(2), flat, comm=1),
+        lambda: wp.solve(law, flat, parameters={"mu": 0.4}),
+        lambda: wp.solve(law, flat, comm=1),
         lambda: partition(wp.Points(everywhere, inside(everywhere), 0.0)),
-        lambda: wp.simulate(brittle, wp.Cracked(sheet, pressure=np.eye(2)), step=0.1, steps=1),
+        lambda: breaks(wp.Cracked(sheet, pressure=np.eye(2))),
         lambda: lattice((8, 52), H, inside),
-        lambda: wp.simulate(brittle, wp.Cracked(sheet), step=0.1, steps=1, no_fail=mixed),
-        lambda: wp.simulate(brittle, wp.Cracked(sheet, hidden), step=0.1, steps=1),
-        lambda: lattice(SHAPE[2], H, lambda x: np.ma.masked_array(x[:, 0] > 0, True)),
-        lambda: wp.simulate(solid(2), replace(flat, points=altered), **SWING, steps=1),
+        lambda: breaks(wp.Cracked(sheet), no_fail=mixed),
+        lambda: breaks(wp.Cracked(sheet, hidden)),
+        lambda: laid(lambda x: np.ma.masked_array(x[:, 0] > 0, True)),
+        lambda: wp.simulate(law, replace(flat, points=altered), **SWING, steps=1),
         lambda: wp.Samples(sheet, sheet.x[None]),
-        lambda: wp.crystals.crystal_from_lps(solid(2), H).on(sheet),
+        lambda: wp.crystals.crystal_from_lps(law, H).on(sheet),
         solution.stress,
         solution.plot,
         lambda: solution.operator.energy(solution.u),
@@ -169,7 +170,7 @@ def refusals(sheet, ball, files):
         lambda: partition(cut),
         lambda: sheet.gather(hidden if rank else 0 * sheet.x),
         lambda: Injected(sheet, [3.0]),
-        lambda: wp.simulate(brittle, wp.Cracked(sheet), step=1e-3, steps=1, progress=bool(rank)),
+        lambda: breaks(wp.Cracked(sheet), progress=bool(rank)),
         lambda: wp.solve(far, flat, transfer=False),
         lambda: TimeSeriesWriter(files.path.parent, sheet).write(2, 1.0, {}),
         lambda: files.write(2.5 if rank else 2, 1.0, {}),

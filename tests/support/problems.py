@@ -101,10 +101,10 @@ def noise(points, samples=None, seed=0):
 
 
 def smooth(x, samples, seed=0, wave_number=1.2):
-    """Random sums of plane waves of at most the given wave number; shape [S, N, 2]."""
-    random = default_rng(seed)
-    k = random.uniform(-1, 1, size=(samples, 4, 2)) * wave_number
-    amplitude = random.normal(size=(samples, 4, 2))
+    """Random sums of plane waves of at most the given wave number; shape [S, N, d]."""
+    random, d = default_rng(seed), x.shape[1]
+    k = random.uniform(-1, 1, size=(samples, 4, d)) * wave_number
+    amplitude = random.normal(size=(samples, 4, d))
     phase = random.uniform(0, 2 * np.pi, size=(samples, 4, 1))
     waves = np.cos(np.einsum("swa,na->swn", k, x) + phase)
     return np.einsum("swn,swa->sna", waves, amplitude)

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.linalg import norm
 from numpy.random import default_rng
 
+from tests.crystal.crystals import far_end
 from tests.support import approx, near, parametrize, problems, sup
 from tests.support.nonlinear import psi, solid
 from tests.support.problems import ROUNDING, difference, lattice, noise, on_interior, smooth
@@ -22,33 +23,21 @@ def apart():
     return problems.renumbered(points, default_rng(5).permutation(len(points.x)))
 
 
-def far_ends(steps, points, at):
-    """Bonds ξ [B, d] of steps and the nodes that they lead to from some, [n, B]."""
-    xi = points.spacing * steps @ points.lattice.axes.T
-    box = np.full(xi.shape[1], np.inf) if points.box is None else np.asarray(points.box)
-    ends = []
-    for x in points.x[at][:, None] + xi:
-        away = x[:, None] - points.x
-        away -= np.where(np.isfinite(box), box, 0) * np.rint(away / box)
-        ends.append(np.abs(away).max(2).argmin(1))
-    return xi, np.array(ends)
-
-
 @parametrize("points", [apart, problems.partly_periodic])
 def test_force_is_that_of_sums_over_bonds(points):
     points, model = points(), solid("filtered")
     op, u = PlacedThirdOrder(model, points), 0.05 * noise(points)
     classes = bond_classes(model.spacing, model.reach)
     p_in, p_out = (2 * p[classes.bond_class] for p in model.weights(classes))
-    xi, ends = far_ends(classes.steps, points, op.full)
-    H = np.einsum("ipk,pl,p->ikl", u[ends] - u[op.full][:, None], xi, p_in)
+    xi = classes.xi @ points.lattice.axes.T
+    ends = np.stack([far_end(points, bond)[1] for bond in xi], axis=1)
+    H = np.einsum("ipk,pl,p->ikl", u[ends[op.full]] - u[op.full][:, None], xi, p_in)
     found, P = op.gradients(u)
     near(found, H, ROUNDING)
     stress = np.zeros((len(points.x), 2, 2))
     stress[op.full] = P
-    ends = far_ends(classes.steps, points, points.interior)[1]
-    force = op.straight(u) - np.einsum("ipkl,pl,p->ik", stress[ends], xi, p_out)
-    near(op(u), force, 4 * ROUNDING)
+    force = np.einsum("ipkl,pl,p->ik", stress[ends[points.interior]], xi, p_out)
+    near(op(u), op.straight(u) - force, 4 * ROUNDING)
 
 
 def test_samples_that_follow_one_another_change_nothing(monkeypatch):
